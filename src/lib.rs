@@ -80,67 +80,37 @@
 //! `gpu` (the wgpu engine), `script` (scenes as scripts) and `store` (stored environments) are on by default. Everything else
 //! works without them.
 
-pub mod batch;
-mod change;
-pub mod cost;
-pub mod cpu;
-pub mod deadline;
-pub mod engine;
-pub mod environment;
-mod error;
-pub mod estimate;
-pub mod extract;
-pub mod features;
-pub mod frame;
-pub mod frames;
-pub mod free_poses;
-pub mod geometry;
-#[cfg(feature = "gpu")]
-pub mod gpu;
-pub mod history;
-pub mod index;
 #[doc(hidden)]
 pub mod internal;
-pub mod io;
-pub mod limits;
-pub mod localize;
-pub mod matching;
-mod matrix;
-pub mod memory;
-mod motion;
-pub mod placement;
-pub mod plan;
-mod predict;
-pub mod preparation;
-mod printable;
-pub mod probe;
-mod random;
-pub mod reference;
-mod request;
-#[doc(hidden)]
-pub mod row;
 mod scene;
-pub mod sensor;
-pub mod simulate;
-mod threads;
-pub mod verdict;
-pub mod verify;
-pub mod virtual_sensors;
-mod world;
-pub mod worth;
 
-pub use change::Change;
-pub use environment::{Appearance, Environment, Material, Mesh, NewObject, Object, Polygon, PolygonOrder};
-pub use error::{Error, ErrorKind, Result};
-pub use geometry::{Aabb, Pose};
-pub use io::preset;
-pub use plan::{FramePlan, IdScheme, ImageRequest, Images, Omission, Output, Outputs, Raster, StageRow, Stats, Work};
-pub use predict::{Backend, Options, Prediction, Predictor};
-pub use request::Request;
+pub use presight_features as features;
+pub use presight_files as io;
+pub use presight_files::{frames, preparation, preset};
+pub use presight_localize::{estimate, extract, history, localize, matching, simulate, verdict};
+pub use presight_model::change::Change;
+pub use presight_model::environment::{
+    self, Appearance, Environment, Material, Mesh, NewObject, Object, Polygon, PolygonOrder,
+};
+pub use presight_model::error::{Error, ErrorKind, Result};
+pub use presight_model::geometry::{self, Aabb, Pose};
+pub use presight_model::placement;
+pub use presight_model::sensor::{
+    self, Angles, Camera, Distortion, Geometry, Mixture, Noise, RayTable, Scanner, Sensor, SensorSpec,
+};
+pub use presight_model::threads::Threads;
+pub use presight_model::world::World;
+pub use presight_model::{frame, index, limits, memory};
+#[cfg(feature = "gpu")]
+pub use presight_predict::gpu;
+pub use presight_predict::predict::{Backend, Options, Prediction, Predictor};
+pub use presight_predict::request::Request;
+pub use presight_predict::{batch, engine, free_poses, probe, virtual_sensors, worth};
+pub use presight_render::plan::{
+    self, FramePlan, IdScheme, ImageRequest, Images, Omission, Output, Outputs, Raster, StageRow, Stats, Work,
+};
+pub use presight_render::{cost, cpu, deadline, reference, row, verify};
 pub use scene::{Scene, SceneFeatures, SceneOptions, blake3_of};
-pub use sensor::{Angles, Camera, Distortion, Geometry, Mixture, Noise, RayTable, Scanner, Sensor, SensorSpec};
-pub use threads::Threads;
-pub use world::World;
 
 /// The README's example is compiled and run as a doc test.
 #[cfg(doctest)]

@@ -1,0 +1,289 @@
+//! Regions of interest (boxes) for predicted features: how uncertain each feature is, and which of its points the box holds.
+
+mod image;
+mod outermost;
+mod points;
+
+pub(super) use image::Image;
+pub use image::Kind;
+
+use super::prediction::given_at;
+use super::roi::{
+    BodyPoint, BoxFinder, FeatureErrorModel, Level, PoseCovariance, PoseErrors, Projection as _, Roi, Viewpoint,
+};
+use super::{FeaturePrediction, PlacedFeature, SeenFeature};
+use glam::DVec3;
+use presight_model::environment::check_covariance;
+use presight_model::error::{Error, Result};
+use presight_model::geometry::Pose;
+use presight_model::sensor::Sensor;
+use presight_model::threads::parallel;
+use presight_model::world::World;
+use rayon::prelude::*;
+
+/// How uncertainties are propagated through the projection.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum BoxMethod {
+    /// By the derivative where the projection is nearly linear over the errors, as a set elsewhere. The box holds with the stated
+    /// confidence.
+    #[default]
+    AsNeeded,
+    /// Always by the derivative, unless the feature may come behind the sensor. Fast, but no bound where the projection is not
+    /// linear.
+    Linear,
+    /// Always as a set, unless the feature may come behind the sensor. Slow.
+    Set,
+}
+
+/// How uncertain poses are, and the probability with which regions of interest hold their features.
+///
+/// ```
+/// use presight::features::BoxOptions;
+/// // 5 cm along x and y, and 2 degrees of heading.
+/// let heading = 2f64.to_radians();
+/// let options = BoxOptions::default().with_sensor_sigmas([0.05, 0.05, 0.0, 0.0, 0.0, heading]).with_confidence(0.95);
+/// assert_eq!(options.sensor[5][5], heading * heading);
+/// ```
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct BoxOptions {
+    /// Covariance of the sensor's pose, along the world's axes: translation added, rotation by Exp(dtheta) from the left.
+    pub sensor: PoseCovariance,
+    /// Covariances of objects' poses by index of the object, in the object's own axes. They win over those of the layers.
+    pub objects: Vec<(u32, PoseCovariance)>,
+    /// Probability with which a box holds its feature.
+    pub confidence: f64,
+    /// How boxes are found.
+    pub method: BoxMethod,
+}
+
+impl Default for BoxOptions {
+    fn default() -> Self {
+        Self { sensor: [[0.0; 6]; 6], objects: Vec::new(), confidence: 0.99, method: BoxMethod::AsNeeded }
+    }
+}
+
+impl BoxOptions {
+    /// With another covariance of the sensor's pose, along the world's axes.
+    #[must_use]
+    pub fn with_sensor(self, covariance: PoseCovariance) -> Self {
+        Self { sensor: covariance, ..self }
+    }
+
+    /// With independent standard deviations of the sensor's pose: x, y, z in metres, then about x, y, z in radians.
+    #[must_use]
+    pub fn with_sensor_sigmas(self, sigmas: [f64; 6]) -> Self {
+        let variance = |i: usize, j: usize| if i == j { sigmas[i] * sigmas[i] } else { 0.0 };
+        self.with_sensor(std::array::from_fn(|i| std::array::from_fn(|j| variance(i, j))))
+    }
+
+    /// With covariances of objects' poses, by index of the object.
+    #[must_use]
+    pub fn with_objects(self, objects: Vec<(u32, PoseCovariance)>) -> Self {
+        Self { objects, ..self }
+    }
+
+    /// With another probability, 0.5 to below 1.
+    #[must_use]
+    pub fn with_confidence(self, confidence: f64) -> Self {
+        Self { confidence, ..self }
+    }
+
+    /// With another method.
+    #[must_use]
+    pub fn with_method(self, method: BoxMethod) -> Self {
+        Self { method, ..self }
+    }
+
+    /// # Errors
+    /// Those of [`add_boxes`].
+    pub fn check(&self) -> Result<()> {
+        if !(0.5..1.0).contains(&self.confidence) {
+            let what = format!("confidence {} is not in 0.5..1", self.confidence);
+            return Err(Error::usage(what, "give a probability such as 0.99"));
+        }
+        check_covariance(&self.sensor).map_err(|e| e.at("the sensor's pose"))?;
+        for (object, covariance) in &self.objects {
+            check_covariance(covariance).map_err(|e| e.at(format!("the pose of object {object}")))?;
+        }
+        Ok(())
+    }
+}
+
+/// What the boxes of a prediction depend on.
+#[doc(hidden)]
+#[derive(Clone, Copy, Debug)]
+pub struct BoxQuery<'a> {
+    /// The features that were predicted, in their order.
+    pub placed: &'a [PlacedFeature],
+    /// The world that they lie in.
+    pub world: &'a World,
+    /// The sensor.
+    pub sensor: &'a Sensor,
+    /// Its pose, body axes.
+    pub world_from_sensor: &'a Pose,
+    /// How uncertain poses are, and with which probability boxes hold.
+    pub options: &'a BoxOptions,
+}
+
+/// Adds to every visible feature its box, and the covariance of its defining points in the image.
+///
+/// # Errors
+/// [`crate::ErrorKind::Usage`] for a confidence outside 0.5..1, and those of [`Pose::check`]; [`crate::ErrorKind::Invalid`] for a covariance that is not
+/// finite, not symmetric, or has an eigenvalue below 0 by more than six written digits can bring about; those of
+/// [`crate::Threads::new`].
+pub fn add_boxes(prediction: &mut FeaturePrediction, query: &BoxQuery<'_>) -> Result<()> {
+    let frame = BoxFrame::new(query)?;
+    let FeaturePrediction { features, given, .. } = prediction;
+    let add = |room: &mut BoxScratch, (i, seen): (usize, &mut SeenFeature)| {
+        // What is not seen is not looked for.
+        if seen.visible.is_empty() {
+            return;
+        }
+        let uncertain = frame.uncertain(&query.placed[given_at(given, i)]);
+        let found = frame
+            .prepare(seen, &uncertain, room)
+            .then(|| room.finder.find(&frame.image, &uncertain, &room.points, &frame.level, frame.method));
+        frame.set(seen, found.flatten());
+    };
+    parallel(|| {
+        let features = features.par_iter_mut().enumerate().with_min_len(64);
+        features.for_each_init(BoxScratch::default, add);
+    })
+}
+
+/// What one worker keeps.
+#[derive(Default)]
+pub struct BoxScratch {
+    /// Those that a box is to hold.
+    pub points: Vec<BodyPoint>,
+    finder: BoxFinder,
+}
+
+/// What the boxes of one prediction share.
+pub struct BoxFrame<'a> {
+    pub image: Image<'a>,
+    pub viewpoint: Viewpoint,
+    pub level: Level,
+    pub method: BoxMethod,
+    world: &'a World,
+    objects: Vec<(u32, PoseErrors)>,
+}
+
+impl<'a> BoxFrame<'a> {
+    /// # Errors
+    /// Those of [`add_boxes`].
+    pub fn new(query: &BoxQuery<'a>) -> Result<Self> {
+        let BoxQuery { world, sensor, world_from_sensor, options, .. } = *query;
+        options.check()?;
+        let mut objects: Vec<_> = options.objects.iter().map(|(o, c)| (*o, PoseErrors::new(c))).collect();
+        // Of an object named twice the first counts.
+        objects.sort_by_key(|(object, _)| *object);
+        Ok(Self {
+            image: Image::of(sensor),
+            viewpoint: Viewpoint::new(world_from_sensor, &options.sensor)?,
+            level: Level::new(options.confidence),
+            method: options.method,
+            world,
+            objects,
+        })
+    }
+
+    /// The errors of a feature.
+    pub fn uncertain(&self, placed: &PlacedFeature) -> FeatureErrorModel {
+        let object = placed.object.and_then(|o| self.world.environment().objects().get(o as usize));
+        let world_from_frame = object.map_or(Pose::IDENTITY, |o| o.world_from_object);
+        let first = |object: u32| self.objects.partition_point(|(o, _)| *o < object);
+        let known = |object: u32| self.objects.get(first(object)).filter(|(o, _)| *o == object).map(|(_, e)| e);
+        let errors = placed.object.and_then(known);
+        FeatureErrorModel::seen_from(&self.viewpoint, &world_from_frame, errors, &placed.feature.shape)
+    }
+
+    /// True if what is seen of a curve goes over more than half a turn.
+    fn turns(&self, seen: &SeenFeature, turn: f64) -> bool {
+        let mut columns: Option<[f64; 3]> = None;
+        for p in seen.visible.iter().flat_map(|v| seen.along(v.t)).flatten() {
+            let Some([column, _]) = self.image.project(self.viewpoint.in_body(p)) else { continue };
+            let [last, low, high] = columns.unwrap_or([column; 3]);
+            let column = column + turn * ((last - column) / turn).round();
+            columns = Some([column, low.min(column), high.max(column)]);
+        }
+        columns.is_some_and(|[_, low, high]| high - low > 0.5 * turn)
+    }
+
+    /// Writes a box down. A patch or curve that is seen over more than half a turn lies around the axis, and so does its box.
+    pub fn set(&self, seen: &mut SeenFeature, found: Option<Roi>) {
+        seen.windows = Vec::new();
+        let Some(found) = found else { return };
+        let [_, y0, _, y1] = found.bounds;
+        let wide = |turn: f64| seen.visible.iter().any(|v| v.pixels[1].x - v.pixels[0].x > 0.5 * turn);
+        let is_around = seen.feature.shape.is_area() && self.image.turn().is_some_and(wide)
+            || seen.feature.shape.is_contour() && self.image.turn().is_some_and(|turn| self.turns(seen, turn));
+        let width = f64::from(self.image.size().0);
+        seen.roi = Some(if is_around { [-0.5, y0, width - 0.5, y1] } else { found.bounds });
+        seen.roi_flag = Some(found.flag.name());
+    }
+
+    /// Finds the boxes of some features of a prediction.
+    pub fn finish(&self, prediction: &mut FeaturePrediction, placed: &[PlacedFeature], which: &[u32]) {
+        let features = &prediction.features;
+        let find = |room: &mut BoxScratch, i: &u32| {
+            let (seen, placed) = (&features[*i as usize], &placed[prediction.given_at(*i as usize)]);
+            let uncertain = self.uncertain(placed);
+            points::seen(&self.image, &self.viewpoint, &uncertain, seen, &mut room.points);
+            room.finder.find(&self.image, &uncertain, &room.points, &self.level, self.method)
+        };
+        let found: Vec<Option<Roi>> = which.par_iter().with_min_len(4).map_init(BoxScratch::default, find).collect();
+        for (i, found) in which.iter().zip(found) {
+            self.set(&mut prediction.features[*i as usize], found);
+        }
+    }
+
+    /// Gives a feature that is seen its covariances, and lists the points that its box is to hold; false if there are none.
+    pub fn prepare(&self, seen: &mut SeenFeature, uncertain: &FeatureErrorModel, room: &mut BoxScratch) -> bool {
+        let BoxScratch { points, finder } = room;
+        points::defining(&seen.feature.shape, points);
+        seen.image_covariance = finder.covariances(&self.image, uncertain, points).filter(|all| !all.is_empty());
+        points::seen(&self.image, &self.viewpoint, uncertain, seen, points);
+        !points.is_empty()
+    }
+}
+
+/// Computes the covariance of a sensor's pose from that of the robot that carries it, both along the world's axes.
+/// `world_axes_lever` is the sensor's position relative to the robot's, along the world's axes, metres.
+pub fn sensor_covariance(robot: &PoseCovariance, world_axes_lever: DVec3) -> PoseCovariance {
+    let l = world_axes_lever;
+    // d_sensor = d_robot + dtheta x lever.
+    let cross = [[0.0, l.z, -l.y], [-l.z, 0.0, l.x], [l.y, -l.x, 0.0]];
+    let mut adjoint = [[0.0; 6]; 6];
+    for i in 0..6 {
+        adjoint[i][i] = 1.0;
+    }
+    for i in 0..3 {
+        for j in 0..3 {
+            adjoint[i][3 + j] = cross[i][j];
+        }
+    }
+    let mut moved = [[0.0; 6]; 6];
+    for (i, j) in (0..6).flat_map(|i| (0..6).map(move |j| (i, j))) {
+        for (k, l) in (0..6).flat_map(|k| (0..6).map(move |l| (k, l))) {
+            moved[i][j] += adjoint[i][k] * robot[k][l] * adjoint[j][l];
+        }
+    }
+    moved
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_lever_turns_heading_into_position() {
+        let mut robot = [[0.0; 6]; 6];
+        robot[5][5] = 0.01;
+        let moved = sensor_covariance(&robot, DVec3::new(2.0, 0.0, 1.0));
+        // A turn by 0.1 moves what is 2 m ahead by 0.2 m to the left.
+        assert!((moved[1][1] - 0.04).abs() < 1e-15 && (moved[1][5] - 0.02).abs() < 1e-15);
+        assert_eq!((moved[0][0], moved[2][2], moved[5][5]), (0.0, 0.0, 0.01));
+    }
+}

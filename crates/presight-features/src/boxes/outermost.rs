@@ -1,0 +1,67 @@
+//! Of the many points of a curve those that may be outermost, wherever errors bring them.
+
+use super::image::Image;
+use crate::roi::{BodyPoint, FeatureErrorModel, Projection};
+use glam::DVec3;
+
+/// Directions along each axis: -2 to 2.
+const STEPS: i32 = 2;
+
+/// How many directions there are, each with its opposite.
+const DIRECTIONS: usize = 98;
+
+/// Keeps of points along curves those that are farthest in some direction of the image and of the inverse range: errors of the
+/// position move near points more than far ones. No more than 98 are left.
+pub(super) fn keep(image: &Image<'_>, uncertain: &FeatureErrorModel, points: &mut Vec<BodyPoint>) {
+    if points.len() <= DIRECTIONS {
+        return;
+    }
+    let mut last: Option<f64> = None;
+    let place = |(i, point): (usize, &BodyPoint)| {
+        let p = uncertain.nominal(point).p;
+        let [mut u, v] = image.project(p)?;
+        if let (Some(turn), Some(last)) = (image.turn(), last) {
+            u += turn * ((last - u) / turn).round();
+        }
+        last = Some(u);
+        Some((i, DVec3::new(u, v, p.length().recip())))
+    };
+    let mut places: Vec<(usize, DVec3)> = points.iter().enumerate().filter_map(place).collect();
+    let (low, high) =
+        places.iter().fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(l, h), (_, p)| (l.min(*p), h.max(*p)));
+    let size = (high - low).max(DVec3::splat(f64::MIN_POSITIVE));
+    places.iter_mut().for_each(|(_, p)| *p = (*p - low) / size);
+    let mut keep = vec![false; points.len()];
+    for direction in half_of_directions() {
+        // Farthest this way and the other.
+        let (mut most, mut least) = ((f64::NEG_INFINITY, None), (f64::INFINITY, None));
+        for (i, place) in &places {
+            let far = place.dot(direction);
+            most = if far > most.0 { (far, Some(*i)) } else { most };
+            least = if far < least.0 { (far, Some(*i)) } else { least };
+        }
+        [most.1, least.1].into_iter().flatten().for_each(|i| keep[i] = true);
+    }
+    let mut kept = keep.into_iter();
+    points.retain(|_| kept.next().unwrap_or(false));
+}
+
+/// To the places of a grid on the faces of a cube, one of every two that are opposite.
+fn half_of_directions() -> impl Iterator<Item = DVec3> {
+    let line = || -STEPS..=STEPS;
+    let grid = line().flat_map(move |x| line().flat_map(move |y| line().map(move |z| [x, y, z])));
+    let half = grid.filter(|at| at.iter().any(|x| x.abs() == STEPS) && *at > [0; 3]);
+    half.map(|at| DVec3::from_array(at.map(f64::from)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn directions_and_their_opposites_are_all() {
+        let half: Vec<DVec3> = half_of_directions().collect();
+        assert_eq!(2 * half.len(), DIRECTIONS);
+        assert!(half.iter().all(|d| !half.contains(&-*d)));
+    }
+}

@@ -1,0 +1,418 @@
+//! Features from the CAD model: the edges, corners, planes and smooth surfaces that a sensor can be expected to find.
+//!
+//! Candidates are the sides of polygons that are not plainly smooth and the lines where polygons cross. Every candidate
+//! is looked at in the world, among all polygons that touch it, of whatever object: what the cut across the line shows
+//! decides ([`FeatureKind`]). So windings do not matter, doubled faces count once, a T-junction or a merged neighbour is no
+//! border, flush tiles have no seam, and a box on a floor has an edge where it stands.
+//!
+//! Known limits. Which side of a surface can be seen is known only for closed parts thinner than a room, wound outward:
+//! the edges of a sunk box are kept below the floor too, and flush boxes that are not closed show a seam. Rims of curves
+//! whose facets are shorter than the least length give nothing. Where materials of one plane overlap, the border of
+//! either counts. An edge through another's middle gives a corner only where one of them ends. Patches are not cut where
+//! something stands on them.
+//!
+//! Every feature is held to what placing it asks ([`crate::features::place`]): what joining brought off the surface by more
+//! than the layer's tolerance is taken apart again, or left out and counted.
+
+mod candidates;
+mod corners;
+mod drafts;
+mod effort;
+mod lines;
+mod patches;
+mod solids;
+mod soup;
+mod wings;
+
+use drafts::{Draft, by_place, ordered};
+use effort::Effort;
+pub use effort::Progress;
+use glam::DMat3;
+use presight_model::contour;
+use presight_model::environment::{
+    DEFAULT_TOLERANCE, Environment, Existence, Feature, FeatureLayer, FeatureShape, Properties,
+};
+use presight_model::error::{Error, Result, short};
+use presight_model::geometry::Aabb;
+use presight_model::threads::parallel;
+use rayon::prelude::*;
+use std::sync::Arc;
+use wings::{EdgeClass, EdgeClassifier, Line, Scratch};
+
+/// What a generated feature is. It becomes the feature's name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum FeatureKind {
+    /// Surfaces that meet at an angle.
+    Crease,
+    /// A surface that ends.
+    Border,
+    /// A surface that goes on in another material.
+    Material,
+    /// Polygons that cross, away from the sides of both.
+    Intersection,
+    /// Edges that meet in a point and are not in one line.
+    Corner,
+    /// A vertical plane patch.
+    Vertical,
+    /// A horizontal plane patch.
+    Horizontal,
+    /// A smooth surface, of which silhouettes are seen.
+    Contour,
+}
+
+impl FeatureKind {
+    /// Every kind.
+    pub const ALL: [Self; 8] = [
+        Self::Crease,
+        Self::Border,
+        Self::Material,
+        Self::Intersection,
+        Self::Corner,
+        Self::Vertical,
+        Self::Horizontal,
+        Self::Contour,
+    ];
+
+    /// As in flags and files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Crease => "crease",
+            Self::Border => "border",
+            Self::Material => "material",
+            Self::Intersection => "intersection",
+            Self::Corner => "corner",
+            Self::Vertical => "vertical",
+            Self::Horizontal => "horizontal",
+            Self::Contour => "contour",
+        }
+    }
+}
+
+impl std::str::FromStr for FeatureKind {
+    type Err = Error;
+
+    fn from_str(name: &str) -> Result<Self> {
+        let names = Self::ALL.map(Self::name).join(", ");
+        let found = Self::ALL.into_iter().find(|k| k.name() == name);
+        found.ok_or_else(|| Error::usage(format!("unknown kind {name:?}"), format!("choose from {names}")))
+    }
+}
+
+/// What [`generate`] makes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GenerateOptions {
+    /// Which kinds.
+    pub kinds: Vec<FeatureKind>,
+    /// Shortest edge, metres.
+    pub min_length: f64,
+    /// Smallest patch, square metres.
+    pub min_area: f64,
+    /// Least deviation from flat of a crease, radians.
+    pub crease: f64,
+    /// How far from vertical or horizontal a patch may be, radians.
+    pub tilt: f64,
+    /// Standard deviation of positions, metres, the same along all axes.
+    pub sigma: f64,
+    /// Only candidates that come near this box (world); what is found there is what would be found in the whole, but
+    /// numbered from 1.
+    pub region: Option<Aabb>,
+}
+
+impl Default for GenerateOptions {
+    fn default() -> Self {
+        Self {
+            kinds: FeatureKind::ALL.to_vec(),
+            min_length: 0.05,
+            min_area: 0.25,
+            crease: 30f64.to_radians(),
+            tilt: 1f64.to_radians(),
+            sigma: 0.01,
+            region: None,
+        }
+    }
+}
+
+/// What was made, and what became of the rest.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct FeatureCounts {
+    /// Features by kind, as in [`FeatureKind::ALL`].
+    pub made: [usize; 8],
+    /// Polygons looked at.
+    pub polygons: usize,
+    /// Polygons left out: invisible to the class.
+    pub invisible: usize,
+    /// Lines judged, after joining what is collinear.
+    pub candidates: usize,
+    /// Lines shorter than the least length, before they were judged.
+    pub short: usize,
+    /// Lines no part of which shows an edge: smooth, or a seam.
+    pub flat: usize,
+    /// Lines that lie wholly inside matter.
+    pub buried: usize,
+    /// Features that joining brought off the surface, and that could not be taken apart.
+    pub off: usize,
+}
+
+impl FeatureCounts {
+    /// Features of a kind.
+    pub fn of(&self, kind: FeatureKind) -> usize {
+        self.made[kind as usize]
+    }
+}
+
+/// The answer of [`generate`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct GeneratedLayer {
+    /// The features, in the frames of their objects, ids from 1; contours last, by object, kind and place.
+    pub layer: FeatureLayer,
+    /// What was made.
+    pub counts: FeatureCounts,
+}
+
+/// Makes the feature layer of a sensor class from the polygons of an environment. Materials invisible to the class give
+/// no features, transparent ones do. The same environment and options give the same layer.
+///
+/// ```
+/// use presight::features::generate::{GenerateOptions, FeatureKind, generate};
+/// use presight::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose};
+/// use glam::Vec3;
+///
+/// // A square tile: four open borders, which meet in four corners.
+/// let mut environment = Environment::new();
+/// let clay = environment.add_material(Material::named("clay"))?;
+/// let corners = vec![Vec3::ZERO, Vec3::X, Vec3::new(1.0, 1.0, 0.0), Vec3::Y];
+/// let mesh = Mesh::new("tile", corners, vec![Polygon::new(vec![0, 1, 2, 3], clay)], PolygonOrder::Given)?;
+/// environment.insert(NewObject::new("tile", Pose::IDENTITY, mesh.into()))?;
+///
+/// let generated = generate(&environment, "video", &GenerateOptions::default())?;
+/// assert_eq!(generated.counts.of(FeatureKind::Border), 4);
+/// assert_eq!(generated.counts.of(FeatureKind::Corner), 4);
+/// assert_eq!(generated.counts.of(FeatureKind::Horizontal), 1);
+/// assert_eq!(generated.layer.features.len(), 9);
+/// # Ok::<(), presight::Error>(())
+/// ```
+///
+/// # Errors
+/// [`crate::ErrorKind::Usage`] if an option is not finite or out of its range, or the class is empty;
+/// [`crate::ErrorKind::Invalid`] naming a place where so many polygons lie upon each other that it would take too long
+/// ([`crate::limits::MAX_FEATURE_STEPS`]); those of [`crate::Threads::new`].
+pub fn generate(environment: &Environment, class: &str, options: &GenerateOptions) -> Result<GeneratedLayer> {
+    generate_with_progress(environment, class, options, &|_| {})
+}
+
+/// [`generate`], and `watch` is told how far it has come, from any thread.
+///
+/// # Errors
+/// Those of [`generate`].
+pub fn generate_with_progress(
+    environment: &Environment,
+    class: &str,
+    options: &GenerateOptions,
+    watch: &(dyn Fn(Progress) + Sync),
+) -> Result<GeneratedLayer> {
+    generate_with(environment, class, options, &Effort::new(environment, watch))
+}
+
+fn generate_with(
+    environment: &Environment,
+    class: &str,
+    options: &GenerateOptions,
+    effort: &Effort<'_>,
+) -> Result<GeneratedLayer> {
+    options.check()?;
+    if class.is_empty() {
+        return Err(Error::usage("the sensor class is empty", "name one, such as \"video\""));
+    }
+    parallel(|| generate_checked(environment, class, options, effort))?
+}
+
+fn generate_checked(
+    environment: &Environment,
+    class: &str,
+    options: &GenerateOptions,
+    effort: &Effort<'_>,
+) -> Result<GeneratedLayer> {
+    let touch = options.touch();
+    let near = options.region.map(|r| soup::grown(&r, 10.0 * touch));
+    let soup = soup::Soup::new(environment, class, near.as_ref());
+    let mut counts = FeatureCounts {
+        polygons: soup.faces.len() + soup.equal,
+        invisible: soup.invisible,
+        ..FeatureCounts::default()
+    };
+    let wants = |kinds: &[FeatureKind]| options.kinds.iter().any(|k| kinds.contains(k));
+    let mut drafts: Vec<Draft> = Vec::new();
+    if wants(&FeatureKind::ALL[..5]) {
+        let edges = edges(environment, &soup, options, near.as_ref(), &mut counts, effort)?;
+        if wants(&[FeatureKind::Corner]) {
+            let corners = corners::corners(&edges, 4.0 * touch, options.crease, effort)?;
+            drafts.extend(corners.into_iter().map(|(p, object)| Draft::new(FeatureKind::Corner, object, vec![p])));
+        }
+        let wanted = edges.iter().filter(|e| wants(&[e.kind]));
+        drafts.extend(wanted.map(|e| Draft::new(e.kind, e.object, ordered(e.start, e.end))));
+    }
+    if wants(&FeatureKind::ALL[5..7]) {
+        let patches = patches::patches(&soup, options.tilt, options.min_area, touch, effort)?;
+        let wanted = patches.into_iter().filter(|p| {
+            wants(&[p.kind]) && near.is_none_or(|n| candidates::meet(&n, &Aabb::of(p.corners.iter().copied())))
+        });
+        drafts.extend(wanted.map(Draft::from));
+    }
+    if wants(&[FeatureKind::Contour]) {
+        drafts.extend(contours(environment, class, options, near.as_ref(), effort)?);
+    }
+    let drafts = drafts::on_the_surface(&soup, drafts, options.min_area, &mut counts.off, effort)?;
+    Ok(GeneratedLayer { layer: layer_of(environment, class, options, drafts, &mut counts), counts })
+}
+
+/// A contour for each smooth surface that is at least as large as the least edge.
+fn contours(
+    environment: &Environment,
+    class: &str,
+    options: &GenerateOptions,
+    near: Option<&Aabb>,
+    effort: &Effort<'_>,
+) -> Result<Vec<Draft>> {
+    let objects = environment.objects();
+    let steps = effort.stage("smooth surfaces", objects.len());
+    let is_near = |o: &usize| near.is_none_or(|n| candidates::meet(n, &objects[*o].world_bounds()));
+    let of_object = |o: usize| {
+        let pose = objects[o].world_from_object;
+        let found = contour::surfaces(environment, o as u32, class, options.crease)?.into_iter();
+        let wanted = found.filter(|surface| {
+            let in_world = surface.bounds.transformed(&pose.to_affine());
+            surface.bounds.size() >= options.min_length && near.is_none_or(|n| candidates::meet(n, &in_world))
+        });
+        let draft = |s: contour::SmoothSurface| {
+            Draft::new(FeatureKind::Contour, o as u32, vec![pose.transform_point(s.anchor)])
+        };
+        steps.step();
+        Ok(wanted.map(draft).collect::<Vec<_>>())
+    };
+    let all: Vec<Vec<Draft>> =
+        (0..objects.len()).into_par_iter().filter(is_near).map(of_object).collect::<Result<_>>()?;
+    Ok(all.into_iter().flatten().collect())
+}
+
+impl GenerateOptions {
+    /// Checks every number.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Usage`] naming the one that is not finite or out of its range.
+    pub fn check(&self) -> Result<()> {
+        let quarter = std::f64::consts::FRAC_PI_2;
+        // People give angles in degrees: a millionth of one is told apart.
+        let degrees = |angle: f64| format!("{} degrees", (angle.to_degrees() * 1e6).round() / 1e6);
+        let checks = [
+            ("the least length", self.min_length, 1e-4..=1e6, short(self.min_length), "give 0.0001 m .. 1000 km"),
+            ("the least area", self.min_area, 0.0..=1e12, short(self.min_area), "give square metres from 0"),
+            ("the crease angle", self.crease, 0.01..=quarter, degrees(self.crease), "give 0.6 to 90 degrees"),
+            ("the tilt", self.tilt, 0.0..=0.5, degrees(self.tilt), "give 0 to 28 degrees"),
+            ("the standard deviation", self.sigma, 0.0..=1e6, short(self.sigma), "give metres from 0"),
+        ];
+        let wrong = checks.into_iter().find(|(_, value, range, ..)| !range.contains(value));
+        wrong.map_or(Ok(()), |(what, _, _, shown, remedy)| {
+            Err(Error::usage(format!("{what} of {shown} is out of its range"), remedy))
+        })
+    }
+
+    /// How far apart things that touch may be, metres: half a millimetre, less if short edges are asked for.
+    fn touch(&self) -> f64 {
+        (0.02 * self.min_length).min(5e-4)
+    }
+}
+
+/// All edges in the world: each once, joined where they are collinear, at least as long as asked.
+fn edges(
+    environment: &Environment,
+    soup: &soup::Soup,
+    options: &GenerateOptions,
+    near: Option<&Aabb>,
+    counts: &mut FeatureCounts,
+    effort: &Effort<'_>,
+) -> Result<Vec<Line>> {
+    let touch = options.touch();
+    let objects = environment.objects();
+    let sizes: Vec<f64> = objects.iter().map(|o| o.world_bounds().size()).collect();
+    let solids = solids::Solids::new(soup);
+    let mut candidates = candidates::sides_of_polygons(soup, options.crease);
+    candidates.extend(candidates::crossings(soup, touch, &sizes, near, effort)?);
+    candidates.retain(|line| near.is_none_or(|n| candidates::meet(n, &line.bounds())));
+    let joined = lines::merged(&candidates, touch, true, effort)?;
+    let (long, short): (Vec<Line>, Vec<Line>) = joined.into_iter().partition(|l| l.length() >= options.min_length);
+    (counts.candidates, counts.short) = (long.len(), short.len());
+    let judge = EdgeClassifier { soup, effort, solids: &solids, touch, crease: options.crease };
+    let steps = effort.stage("edges", long.len());
+    let judged: Vec<Vec<(f64, f64, EdgeClass)>> = long
+        .par_iter()
+        .map_init(Scratch::default, |scratch, line| {
+            let mut parts = Vec::new();
+            judge.judge(line, scratch, &mut parts)?;
+            steps.step();
+            Ok(parts)
+        })
+        .collect::<Result<_>>()?;
+    let mut shown = Vec::new();
+    for (line, parts) in long.iter().zip(judged) {
+        let before = shown.len();
+        for (from, to, verdict) in &parts {
+            if let EdgeClass::Shows(kind) = verdict {
+                shown.push(Line { kind: *kind, ..line.part(*from, *to) });
+            }
+        }
+        if shown.len() == before {
+            let buried = parts.iter().all(|p| p.2 == EdgeClass::Buried);
+            if buried { counts.buried += 1 } else { counts.flat += 1 }
+        }
+    }
+    let mut edges = lines::merged(&shown, touch, false, effort)?;
+    edges.retain(|l| l.length() >= options.min_length);
+    edges.sort_by_key(|l| (l.kind == FeatureKind::Intersection, l.object));
+    lines::once(&edges, touch, options.min_length, effort)
+}
+
+fn layer_of(
+    environment: &Environment,
+    class: &str,
+    options: &GenerateOptions,
+    drafts: Vec<Draft>,
+    counts: &mut FeatureCounts,
+) -> FeatureLayer {
+    let objects = environment.objects();
+    let mut drafts: Vec<Draft> = drafts
+        .into_iter()
+        .map(|d| {
+            let o = d.object as usize;
+            d.placed(&objects[o].world_from_object)
+        })
+        .collect();
+    let places = |a: &Draft, b: &Draft| {
+        let unequal = a.points.iter().zip(&b.points).map(|(p, q)| by_place(p, q)).find(|o| o.is_ne());
+        unequal.unwrap_or_else(|| a.points.len().cmp(&b.points.len()))
+    };
+    // Contours come last, so that the others are numbered as in layers without.
+    let key = |d: &Draft| (d.kind == FeatureKind::Contour, d.object, d.kind);
+    drafts.sort_by(|a, b| key(a).cmp(&key(b)).then_with(|| places(a, b)));
+    let covariance = DMat3::IDENTITY * (options.sigma * options.sigma);
+    // As people write it.
+    let crease_deg = (options.crease.to_degrees() * 1e6).round() / 1e6;
+    let feature = |(id, draft): (u32, Draft)| {
+        counts.made[draft.kind as usize] += 1;
+        let shape = match draft.points[..] {
+            [anchor] if draft.kind == FeatureKind::Contour => FeatureShape::Contour { anchor, crease_deg, covariance },
+            [at] => FeatureShape::Point { at, covariance },
+            [a, b] => FeatureShape::Segment { ends: [a, b], covariances: [covariance; 2], cross: DMat3::ZERO },
+            _ => FeatureShape::Patch { corners: draft.points, covariance },
+        };
+        Feature {
+            id,
+            name: Some(draft.kind.name().to_owned()),
+            object: Some(objects[draft.object as usize].name.clone()),
+            shape,
+            existence: Existence::default(),
+            properties: Properties { normal: draft.normal, ..Properties::default() },
+        }
+    };
+    let features = (1..).zip(drafts).map(feature).map(Arc::new).collect();
+    FeatureLayer { class: class.to_owned(), tolerance: DEFAULT_TOLERANCE, features, pose_covariances: Vec::new() }
+}

@@ -1,0 +1,156 @@
+//! Which places lie inside matter, where no sensor can be.
+//!
+//! A *solid* is a connected part of an object that is closed (its vector area vanishes, which T-junctions do not
+//! disturb), wound outward, and so thin (3 V / A below [`ROOM`]) that it is no room which a sensor could stand in.
+
+use super::effort::steps;
+use super::soup::Soup;
+use glam::DVec3;
+use presight_model::error::Result;
+use presight_model::geometry::Aabb;
+use presight_model::index::{Params, QueryResult, Region, Skd, SpatialIndex};
+
+/// Largest mean thickness of a solid, three times the volume by the area, metres: a cube of 2 m, a slab of 0.67 m of
+/// any extent. Anything thicker may be a room.
+const ROOM: f64 = 1.0;
+
+/// Not part of a solid.
+const NONE: u32 = u32::MAX;
+
+/// For each face the solid it bounds.
+#[derive(Debug)]
+pub(super) struct Solids {
+    of_face: Vec<u32>,
+    /// Boxes by solid.
+    boxes: Vec<Aabb>,
+    /// Over the boxes.
+    index: Skd<3>,
+}
+
+#[derive(Clone, Copy)]
+struct Sum {
+    origin: DVec3,
+    vector: DVec3,
+    area: f64,
+    volume: f64,
+    bounds: Aabb,
+}
+
+impl Solids {
+    /// Finds the solids.
+    pub fn new(soup: &Soup) -> Self {
+        let mut parent: Vec<u32> = (0..soup.vertex_count).collect();
+        for face in 0..soup.faces.len() as u32 {
+            for pair in soup.vertices(face).windows(2) {
+                let (a, b) = (root(&mut parent, pair[0]), root(&mut parent, pair[1]));
+                parent[a.max(b) as usize] = a.min(b);
+            }
+        }
+        let mut sums: Vec<Option<Sum>> = vec![None; parent.len()];
+        for face in 0..soup.faces.len() as u32 {
+            let part = root(&mut parent, soup.vertices(face)[0]);
+            let corners = soup.corners(face);
+            let start = Sum { origin: corners[0], vector: DVec3::ZERO, area: 0.0, volume: 0.0, bounds: Aabb::EMPTY };
+            let sum = sums[part as usize].get_or_insert(start);
+            let a = corners[0] - sum.origin;
+            for pair in corners[1..].windows(2) {
+                let (b, c) = (pair[0] - sum.origin, pair[1] - sum.origin);
+                let half = 0.5 * (b - a).cross(c - a);
+                (sum.vector, sum.area) = (sum.vector + half, sum.area + half.length());
+                sum.volume += a.dot(half) / 3.0;
+            }
+            sum.bounds = sum.bounds.union(soup.faces[face as usize].bounds);
+        }
+        let index = Skd::build(Params::default(), &[]);
+        let mut solids = Self { of_face: Vec::new(), boxes: Vec::new(), index };
+        let mut number = vec![NONE; parent.len()];
+        for face in 0..soup.faces.len() as u32 {
+            let part = root(&mut parent, soup.vertices(face)[0]) as usize;
+            if let Some(sum) = sums[part].take().filter(is_solid) {
+                number[part] = solids.boxes.len() as u32;
+                solids.boxes.push(sum.bounds);
+            }
+            solids.of_face.push(number[part]);
+        }
+        let boxes: Vec<(u32, Aabb)> = (0..).zip(solids.boxes.iter().copied()).collect();
+        solids.index = Skd::build(Params::default(), &boxes);
+        solids
+    }
+
+    /// True if the point (world) lies in a solid, found by counting faces above and below it.
+    ///
+    /// # Errors
+    /// Those of `spend`, which is told of the steps.
+    pub fn hold(
+        &self,
+        soup: &Soup,
+        p: DVec3,
+        found: &mut QueryResult,
+        mut spend: impl FnMut(usize) -> Result<()>,
+    ) -> Result<bool> {
+        // Most points lie in no solid's box; the others need a column no higher than those boxes.
+        found.clear();
+        self.index.query(&Region::cuboid(&Aabb::of([p])), found);
+        let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+        for b in found.all().map(|solid| &self.boxes[solid as usize]).filter(|b| b.distance_squared(p) == 0.0) {
+            (low, high) = (low.min(b.min.z), high.max(b.max.z));
+        }
+        if low > high {
+            return Ok(false);
+        }
+        let column = Aabb { min: p.truncate().extend(low), max: p.truncate().extend(high) };
+        // Solid, exits above, exits below; those of a face each.
+        let mut exits: Vec<(u32, i32, i32)> = Vec::new();
+        let faces = soup.near(&column, found);
+        spend(steps::FOUND * faces.len())?;
+        for &face in faces {
+            let solid = self.of_face[face as usize];
+            if solid == NONE || self.boxes[solid as usize].distance_squared(p) > 0.0 {
+                continue;
+            }
+            let turns = turns_around(soup.corners(face), p);
+            if turns == 0 {
+                continue;
+            }
+            let plane = soup.faces[face as usize].plane;
+            let above = (plane.offset - plane.normal.dot(p)) / plane.normal.z > 0.0;
+            exits.push(if above { (solid, turns, 0) } else { (solid, 0, -turns) });
+        }
+        exits.sort_unstable();
+        let both = |of_one: &[(u32, i32, i32)]| {
+            let (above, below) = of_one.iter().fold((0, 0), |(a, b), exit| (a + exit.1, b + exit.2));
+            above > 0 && below > 0
+        };
+        Ok(exits.chunk_by(|a, b| a.0 == b.0).any(both))
+    }
+}
+
+fn is_solid(sum: &Sum) -> bool {
+    sum.vector.length() <= 1e-5 * sum.area && sum.volume > 0.0 && 3.0 * sum.volume < ROOM * sum.area
+}
+
+fn root(parent: &mut [u32], mut v: u32) -> u32 {
+    while parent[v as usize] != v {
+        let up = parent[parent[v as usize] as usize];
+        parent[v as usize] = up;
+        v = up;
+    }
+    v
+}
+
+/// How often a loop turns about a point, seen from above: by half-open crossings, so that of faces that share an edge
+/// exactly one is crossed.
+fn turns_around(corners: &[DVec3], p: DVec3) -> i32 {
+    let mut turns = 0;
+    for k in 0..corners.len() {
+        let (a, b) = (corners[k], corners[(k + 1) % corners.len()]);
+        // The same sum whichever way the edge runs: its lower end comes first.
+        let left = |a: DVec3, b: DVec3| (b.x - a.x) * (p.y - a.y) - (b.y - a.y) * (p.x - a.x) > 0.0;
+        if a.y <= p.y && b.y > p.y && left(a, b) {
+            turns += 1;
+        } else if b.y <= p.y && a.y > p.y && left(b, a) {
+            turns -= 1;
+        }
+    }
+    turns
+}

@@ -1,0 +1,37 @@
+//! Features in a world: which polygons they lie on, how much of each a sensor sees, and where in the image.
+
+mod boxes;
+mod choose;
+mod columns;
+pub mod generate;
+pub mod normal;
+mod options;
+mod prediction;
+pub mod roi;
+mod sample;
+mod sides;
+mod tree;
+mod view;
+mod visible;
+
+pub use boxes::{BoxFrame, BoxScratch, Kind as ImageKind};
+pub use boxes::{BoxMethod, BoxOptions, sensor_covariance};
+#[doc(hidden)]
+pub use boxes::{BoxQuery, add_boxes};
+pub use choose::{choose, informations};
+pub use columns::turn;
+#[cfg(test)]
+pub use normal::{TAIL_CELLS, TAIL_COLUMNS, TAIL_ROWS};
+pub use normal::{TAIL_STEPS, Tails};
+pub use options::{FeatureOptions, FeatureSource, Hidden};
+pub use prediction::along;
+pub use prediction::{FeaturePrediction, FeatureStats, HiddenInterval, Occluder, Reason, SeenFeature, VisibleInterval};
+pub use presight_model::place::{lies_on, place, place_lying};
+pub use presight_model::placement::{PlacedFeature, PlacedFeatures};
+pub use sample::{MAX_PATCH_SAMPLES, MAX_SEGMENT_SAMPLES, Piece, STEP, Sample, Sampler};
+pub use sides::sides_seen_in_part;
+pub use tree::{FeatureTree, check_placed};
+pub use visible::PreparedFeatures;
+pub use visible::{FeatureSamples, OcclusionHint, Visibility};
+#[doc(hidden)]
+pub use visible::{FeatureSettings, predict_features};

@@ -1,0 +1,344 @@
+//! Predicted features.
+
+use super::PlacedFeature;
+use glam::{DVec2, DVec3};
+use presight_model::environment::{Environment, Feature};
+use presight_render::plan::CountName;
+use std::sync::Arc;
+
+/// Why a part of a feature is hidden: the first reason that applies, in this order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Reason {
+    /// Behind a camera.
+    BehindSensor,
+    /// Outside the image; for a scanner of one row also above or below its beam.
+    OutsideImage,
+    /// Nearer than `range_min`.
+    BelowRangeMin,
+    /// Farther than `range_max`.
+    BeyondRangeMax,
+    /// All polygons on which it lies are invisible to the sensor's class.
+    Material,
+    /// Seen from behind: a landmark, or a feature that lies only on one-sided polygons.
+    FacingAway,
+    /// Seen at a larger angle of incidence than `max_incidence`.
+    Oblique,
+    /// Behind another polygon.
+    Occluded,
+    /// Covered by a polygon that is, within rounding, equally far away.
+    Undecided,
+    /// Nothing else hides it, and the pixels that would tell were given up for a deadline.
+    NotPredicted,
+}
+
+impl Reason {
+    /// All reasons, in order.
+    pub const ALL: [Self; 10] = [
+        Self::BehindSensor,
+        Self::OutsideImage,
+        Self::BelowRangeMin,
+        Self::BeyondRangeMax,
+        Self::Material,
+        Self::FacingAway,
+        Self::Oblique,
+        Self::Occluded,
+        Self::Undecided,
+        Self::NotPredicted,
+    ];
+
+    /// The name in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::BehindSensor => "behind_sensor",
+            Self::OutsideImage => "outside_image",
+            Self::BelowRangeMin => "below_range_min",
+            Self::BeyondRangeMax => "beyond_range_max",
+            Self::Material => "material",
+            Self::FacingAway => "facing_away",
+            Self::Oblique => "oblique",
+            Self::Occluded => "occluded",
+            Self::Undecided => "undecided",
+            Self::NotPredicted => "not_predicted",
+        }
+    }
+
+    /// True if the part is outside of what visible shares refer to: outside image or range limits.
+    pub fn is_outside(self) -> bool {
+        self <= Self::BeyondRangeMax
+    }
+}
+
+/// A visible part of a feature.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct VisibleInterval {
+    /// Interval in 0..=1 by length in space, from the first defining point to the last. [0, 1] for a point. For a patch it is a
+    /// share of its area in the image: first the visible part, then the hidden parts by reason.
+    pub t: [f64; 2],
+    /// Pixel coordinates of both ends (column, row). For a patch, the least and greatest coordinates of the visible part.
+    pub pixels: [DVec2; 2],
+}
+
+/// A hidden part of a feature.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HiddenInterval {
+    /// As [`VisibleInterval::t`].
+    pub t: [f64; 2],
+    /// The first reason that applies.
+    pub reason: Reason,
+    /// The polygon that hides it, for [`Reason::Occluded`].
+    pub by: Option<Occluder>,
+}
+
+/// A polygon that hides a feature.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Occluder {
+    /// Its slot.
+    pub slot: u32,
+    /// Its `polygon_id`.
+    pub polygon_id: u32,
+    /// Index of its object.
+    pub object: u32,
+}
+
+/// One feature as a sensor sees it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SeenFeature {
+    /// The feature from the layer.
+    pub feature: Arc<Feature>,
+    /// Of a contour the number of the curve: of those that its surface has at this pose the longest in the image is 0. The number
+    /// holds for this prediction alone.
+    pub branch: Option<u32>,
+    /// Its defining points in the world, metres. Of a contour those of the curve; a closed one ends where it begins.
+    pub points_world: Vec<DVec3>,
+    /// Unit normal of its surface in the world, if the layer gives one.
+    pub normal_world: Option<DVec3>,
+    /// Visible share of the image length inside image and range limits; of the area for patches, 0 or 1 for points. 0 if
+    /// nothing is inside.
+    pub visible_fraction: f64,
+    /// The visible parts. Together with `hidden` they cover 0..=1.
+    pub visible: Vec<VisibleInterval>,
+    /// The hidden parts, with reasons.
+    pub hidden: Vec<HiddenInterval>,
+    /// Metres to the nearest visible sample.
+    pub range: Option<f64>,
+    /// |cos| of the angle between ray and surface normal there; for an edge, of its surface that is seen most directly.
+    pub cos_incidence: Option<f64>,
+    /// Probability that it exists at the time of the prediction.
+    pub existence: f64,
+    /// The region of interest: the pixel box in which the feature will be found, x0, y0, x1, y1.
+    pub roi: Option<[f64; 4]>,
+    /// How the region was found: `linear`, `set` or `whole_image`.
+    pub roi_flag: Option<&'static str>,
+    /// 2 x 2 covariance in the image of every defining point, pixels squared. Given for visible features whose defining points
+    /// all have an image, but not for contours.
+    pub image_covariance: Option<Vec<[[f64; 2]; 2]>>,
+    /// Boxes of the image that together hold what is seen of a patch, until its region of interest is found.
+    #[doc(hidden)]
+    pub windows: Vec<[DVec2; 2]>,
+}
+
+impl SeenFeature {
+    /// The pieces of a segment or curve, in the world, in an interval of its length.
+    pub fn along(&self, t: [f64; 2]) -> Vec<[DVec3; 2]> {
+        along(&self.points_world, t)
+    }
+
+    /// A feature of which nothing is seen, without a reason, and how likely it exists at a time (UTC seconds).
+    pub(super) fn unseen(environment: &Environment, placed: &PlacedFeature, time: f64) -> Self {
+        let feature = &placed.feature;
+        let pose = placed.object.map(|o| environment.objects()[o as usize].world_from_object);
+        let in_world = |p: &DVec3| pose.map_or(*p, |pose| pose.transform_point(*p));
+        let normal = |n: DVec3| pose.map_or(n, |pose| pose.rotation * n).try_normalize();
+        Self {
+            points_world: feature.shape.points().iter().map(in_world).collect(),
+            normal_world: feature.properties.normal.and_then(normal),
+            visible_fraction: 0.0,
+            visible: Vec::new(),
+            hidden: Vec::new(),
+            range: None,
+            cos_incidence: None,
+            existence: feature.existence.at(time),
+            feature: feature.clone(),
+            branch: None,
+            roi: None,
+            roi_flag: None,
+            image_covariance: None,
+            windows: Vec::new(),
+        }
+    }
+
+    /// A feature of which everything is visible, given in the world's frame, with nothing else known.
+    pub fn whole(feature: &Feature) -> Self {
+        Self {
+            points_world: feature.shape.points().to_vec(),
+            feature: Arc::new(feature.clone()),
+            branch: None,
+            normal_world: None,
+            visible_fraction: 1.0,
+            visible: vec![VisibleInterval { t: [0.0, 1.0], pixels: [DVec2::ZERO; 2] }],
+            hidden: Vec::new(),
+            range: None,
+            cos_incidence: None,
+            existence: 1.0,
+            roi: None,
+            roi_flag: None,
+            image_covariance: None,
+            windows: Vec::new(),
+        }
+    }
+}
+
+/// The pieces of a line through points in an interval of its length, from 0 to 1.
+pub fn along(points: &[DVec3], [from, to]: [f64; 2]) -> Vec<[DVec3; 2]> {
+    if let [a, b] = *points {
+        let at = |t: f64| a + t * (b - a);
+        return vec![[at(from), at(to)]];
+    }
+    let whole: f64 = points.windows(2).map(|pair| pair[0].distance(pair[1])).sum();
+    let (mut before, mut pieces) = (0.0, Vec::new());
+    for pair in points.windows(2) {
+        let length = pair[0].distance(pair[1]);
+        let [from, to] = [from, to].map(|t| (t * whole - before) / length);
+        let part = [from, to].map(|t| t.clamp(0.0, 1.0));
+        // A cut may leave a point.
+        if part[0] < part[1] || from == to && part == [from, to] && pieces.is_empty() {
+            pieces.push(part.map(|t| pair[0].lerp(pair[1], t)));
+        }
+        before += length;
+    }
+    pieces
+}
+
+/// How visibility was decided.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct FeatureStats {
+    /// Number of features of the sensor's class.
+    pub features: usize,
+    /// Features that were looked at one by one: those that may be in view and are not hidden by one polygon as a whole.
+    pub asked: usize,
+    /// Samples that reached the test of visibility. One stands for a segment that is seen or hidden as a whole.
+    pub samples: usize,
+    /// Samples hidden by a polygon of the nine neighbouring pixels.
+    pub hidden_by_neighbours: usize,
+    /// Samples hidden by a polygon that the nine pixels missed and the index found.
+    pub hidden_in_space: usize,
+    /// Visible samples: the index has nothing in between.
+    pub visible: usize,
+    /// Samples covered by a polygon whose range is not known.
+    pub undecided: usize,
+}
+
+impl FeatureStats {
+    /// Sums.
+    pub fn add(&mut self, other: &Self) {
+        self.features += other.features;
+        self.asked += other.asked;
+        self.samples += other.samples;
+        self.hidden_by_neighbours += other.hidden_by_neighbours;
+        self.hidden_in_space += other.hidden_in_space;
+        self.visible += other.visible;
+        self.undecided += other.undecided;
+    }
+
+    /// Names and counts, as in the statistics file.
+    pub fn counts(&self) -> [(CountName, usize); 7] {
+        [
+            (CountName::Features, self.features),
+            (CountName::FeaturesQueried, self.asked),
+            (CountName::FeatureSamples, self.samples),
+            (CountName::FeatureSamplesHiddenByNeighbours, self.hidden_by_neighbours),
+            (CountName::FeatureSamplesHiddenInSpace, self.hidden_in_space),
+            (CountName::FeatureSamplesVisible, self.visible),
+            (CountName::FeatureSamplesUndecided, self.undecided),
+        ]
+    }
+}
+
+/// The features that a sensor sees, and how much of each.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct FeaturePrediction {
+    /// The features, in the order in which they were given; with [`super::Hidden::Count`] those that are seen.
+    pub features: Vec<SeenFeature>,
+    /// Of each of `features` its number among those that were given: the curves of a contour have the same. Empty if all are
+    /// there, each once.
+    pub given: Vec<u32>,
+    /// The number of the feature in each pixel, row-major; 0 is none. Empty unless requested. Each sample marks one pixel. Points
+    /// and landmarks win over segments, these over contours, and these over patches; then the lower number wins.
+    pub feature_id: Vec<u32>,
+    /// How visibility was decided.
+    pub stats: FeatureStats,
+    /// With [`super::Hidden::Full`] and [`super::Hidden::Reason`] the features that are out of view as a whole, by rising number among
+    /// those that were given, each with its reason. `features` leaves them out until [`FeaturePrediction::spell_out`].
+    pub out_of_view: Vec<(u32, Reason)>,
+    /// UTC seconds for which probabilities of existence are told.
+    pub time: f64,
+}
+
+impl FeaturePrediction {
+    /// Gives each feature of `out_of_view` an entry among `features`, as files have it. `placed` are the features that were given, of
+    /// which some may be missing ([`super::FeatureOptions::max_features`]).
+    ///
+    /// ```
+    /// use presight::features::{FeatureOptions, Hidden, PlacedFeatures};
+    /// use presight::{Backend, Options, Output, Outputs, Pose, Predictor, Request, Scene};
+    /// # use presight::features::generate::{GenerateOptions, generate};
+    /// # use presight::features::place;
+    /// let scene = Scene::open("scenes/room.glb")?;
+    /// let layer = generate(scene.world.environment(), "video", &GenerateOptions::default())?.layer;
+    /// let placed = PlacedFeatures::from(place(&scene.world, &layer)?);
+    /// let options = FeatureOptions::default().with_placed(placed.clone()).with_hidden(Hidden::Full);
+    /// let request = Request::of(Outputs::of(&[Output::PolygonId])).with_features(options);
+    /// let (camera, away) = (presight::preset("video-camera")?, Pose::from_xyz_rpy(100.0 * glam::DVec3::X, 0.0, 0.0, 0.0));
+    /// let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1))?;
+    /// let mut seen = predictor.predict(&scene.world, &camera, &away, &request)?.features.unwrap();
+    /// seen.spell_out(scene.world.environment(), &placed.features);
+    /// assert!(seen.out_of_view.is_empty());
+    /// assert_eq!(seen.features[0].hidden[0].reason.name(), "behind_sensor");
+    /// # Ok::<(), presight::Error>(())
+    /// ```
+    pub fn spell_out(&mut self, environment: &Environment, placed: &[PlacedFeature]) {
+        if self.out_of_view.is_empty() {
+            return;
+        }
+        let hidden = |reason| vec![HiddenInterval { t: [0.0, 1.0], reason, by: None }];
+        let unseen = |(number, reason): (u32, Reason)| {
+            let unseen = SeenFeature::unseen(environment, &placed[number as usize], self.time);
+            (number, SeenFeature { hidden: hidden(reason), ..unseen })
+        };
+        let mut all: Vec<(u32, SeenFeature)> = std::mem::take(&mut self.out_of_view).into_iter().map(unseen).collect();
+        let looked_at = std::mem::take(&mut self.given).into_iter().zip(std::mem::take(&mut self.features));
+        all.extend(looked_at);
+        // Stable: curves of a contour stay in order.
+        all.sort_by_key(|(number, _)| *number);
+        (self.given, self.features) = all.into_iter().unzip();
+        if self.given.iter().copied().eq(0..placed.len() as u32) {
+            self.given = Vec::new();
+        }
+    }
+
+    /// Number, among the features that were given, of one of `features`.
+    pub fn given_at(&self, index: usize) -> usize {
+        given_at(&self.given, index)
+    }
+}
+
+pub(super) fn given_at(given: &[u32], index: usize) -> usize {
+    given.get(index).map_or(index, |number| *number as usize)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::along;
+    use glam::DVec3;
+
+    #[test]
+    fn parts_of_curves_are_told_by_length() {
+        // 1 m along x, then 3 m along y.
+        let points = [DVec3::ZERO, DVec3::X, DVec3::new(1.0, 3.0, 0.0)];
+        let [first, second] = [[DVec3::X * 0.5, DVec3::X], [DVec3::X, DVec3::new(1.0, 1.0, 0.0)]];
+        assert_eq!(along(&points, [0.125, 0.5]), [first, second]);
+        assert_eq!(along(&points, [0.25, 0.5]), [second]);
+        assert_eq!(along(&points, [0.5, 0.5]), [[second[1]; 2]]);
+        assert_eq!(along(&points[..2], [0.5, 1.0]), [first]);
+    }
+}

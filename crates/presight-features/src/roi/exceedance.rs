@@ -1,0 +1,259 @@
+//! With what probability any side is passed: thresholds at a common number of standard deviations.
+//!
+//! The probability of a union is at most the sum of the tails less the joint tails along any spanning tree (Hunter 1976;
+//! Worsley 1982), and least along the greatest. Correlations do not depend on the thresholds, so the tree is made once.
+//! The joint tail of two thresholds is taken as that of the greater one for both: never more, and where they differ much the
+//! farther event hardly counts.
+
+use super::SIDES;
+use super::image_point::{MARGIN, PointDerivatives, dot};
+use crate::normal::{Tails, apart, tail_quantile};
+
+/// Most points of a side that are looked at.
+pub const MOST: usize = 3;
+
+/// Most events.
+pub const EVENTS: usize = 4 * MOST;
+
+/// What a confidence says about thresholds, made once for all features.
+#[derive(Clone, Copy)]
+pub struct Level {
+    /// The probability that is left.
+    pub fail: f64,
+    /// Standard deviations at which a single event has it.
+    pub lowest: f64,
+    /// At which each of four independent ones has a quarter of it: where the search starts.
+    pub first: f64,
+    /// At which so many as are looked at have it together.
+    pub highest: f64,
+    /// Logarithm of `fail`; tail at `first`, and how fast its logarithm falls there.
+    wanted: f64,
+    tail: f64,
+    hazard: f64,
+    tails: &'static Tails,
+}
+
+impl Level {
+    pub fn new(confidence: f64) -> Self {
+        let fail = 1.0 - confidence;
+        let shared = |n: f64| tail_quantile(fail / n);
+        let (tails, first) = (Tails::get(), shared(4.0));
+        Self {
+            fail,
+            lowest: shared(1.0),
+            first,
+            highest: shared(EVENTS as f64),
+            wanted: fail.ln(),
+            tail: tails.tail(first),
+            hazard: 0.398_942_280_401_432_7 / tails.mills(first),
+            tails,
+        }
+    }
+}
+
+/// A point passing a side.
+#[derive(Clone, Copy, Debug)]
+struct Event {
+    /// Whose slopes.
+    seen: usize,
+    /// Which coordinate, and which way.
+    side: (usize, f64),
+    /// How many standard deviations away the side is where the search starts.
+    deviations: f64,
+    /// By how many more for each that the common number rises.
+    rate: f64,
+    tail: f64,
+    /// Number of its direction: both ways through a side are one.
+    direction: usize,
+}
+
+/// A neighbour in the spanning tree, and how far apart the errors are that make the two.
+#[derive(Clone, Copy, Debug)]
+struct Parent {
+    event: usize,
+    /// Below 0 of what has none.
+    apart: f64,
+    /// Joint tail with it.
+    joint: f64,
+    /// Not in the tree yet.
+    out: bool,
+}
+
+/// The events that count and the tree between them, in room that is kept.
+#[derive(Default)]
+pub(super) struct Exceedance {
+    events: Vec<Event>,
+    /// Point and coordinate by direction.
+    directions: Vec<(usize, usize)>,
+    /// Correlations, and what is apart of their amounts: of each direction with those before it, in turn.
+    pairs: Vec<(f64, f64)>,
+    parents: Vec<Parent>,
+    /// Deviations and tails by event.
+    reach: Vec<(f64, f64)>,
+    /// Points that a side may count, with their deviations.
+    near: Vec<(f64, usize)>,
+}
+
+impl Exceedance {
+    /// The number of standard deviations k at which no side is passed but with the probability that is left.
+    pub fn common_deviation(&mut self, seen: &[PointDerivatives], level: &Level) -> f64 {
+        self.take_events(seen, level);
+        if self.events.is_empty() {
+            return level.lowest;
+        }
+        self.take_pairs(seen);
+        self.join(level.tails);
+        let within = |k: f64| k.clamp(level.lowest, level.highest);
+        // The logarithm of a sum of tails is nearly a parabola: one step along a tail's own slope, one along the secant.
+        let before = self.passed_first().ln() - level.wanted;
+        let k = within(level.first + before / level.hazard);
+        let step = k - level.first;
+        if step.abs() < 1e-6 {
+            return k;
+        }
+        let after = self.passed(step, level.tails).ln() - level.wanted;
+        let slope = (after - before) / step;
+        within(if slope < -0.1 { k - after / slope } else { k })
+    }
+
+    /// At the level's first number of standard deviations: of each side the point that makes it, and those nearly as likely
+    /// to pass.
+    fn take_events(&mut self, seen: &[PointDerivatives], level: &Level) {
+        self.events.clear();
+        self.directions.clear();
+        let k = level.first;
+        for side in SIDES {
+            let (c, sign) = side;
+            let mut maker = (f64::NEG_INFINITY, 0);
+            for (i, s) in seen.iter().enumerate() {
+                let reach = s.reach(side, k);
+                maker = if reach > maker.0 { (reach, i) } else { maker };
+            }
+            let (limit, maker) = maker;
+            if !seen.get(maker).is_some_and(|s| s.sigma[c] > 0.0) {
+                continue;
+            }
+            self.near.clear();
+            for (i, s) in seen.iter().enumerate().filter(|(i, s)| *i != maker && s.sigma[c] > 0.0) {
+                let to_side = limit - sign * s.rough.at[c];
+                if to_side < (k + MARGIN) * s.sigma[c] {
+                    self.near.push((to_side / s.sigma[c], i));
+                }
+            }
+            let first = self.events.len();
+            self.take_event(seen, side, (k, level.tail, 1.0), maker);
+            while self.events.len() < first + MOST
+                && let Some(nearest) =
+                    (0..self.near.len()).reduce(|a, b| if self.near[b] < self.near[a] { b } else { a })
+            {
+                let (deviations, i) = self.near.swap_remove(nearest);
+                let s = &seen[i];
+                // Points that move as one pass as one.
+                let is_one = |e: &Event| {
+                    let (slopes, sigma) = (&seen[e.seen].slopes[c], seen[e.seen].sigma[c]);
+                    dot(slopes, &s.slopes[c]) > (1.0 - 1e-6) * s.sigma[c] * sigma
+                };
+                if !self.events[first..].iter().any(is_one) {
+                    let deviations = deviations.max(k);
+                    let tail = if deviations == k { level.tail } else { level.tails.tail(deviations) };
+                    self.take_event(seen, side, (deviations, tail, seen[maker].sigma[c] / s.sigma[c]), i);
+                }
+            }
+        }
+    }
+
+    fn take_event(
+        &mut self,
+        seen: &[PointDerivatives],
+        side: (usize, f64),
+        (deviations, tail, rate): (f64, f64, f64),
+        at: usize,
+    ) {
+        debug_assert!(at < seen.len());
+        let known = self.directions.iter().position(|d| *d == (at, side.0));
+        let direction = known.unwrap_or_else(|| {
+            self.directions.push((at, side.0));
+            self.directions.len() - 1
+        });
+        self.events.push(Event { seen: at, side, deviations, rate, tail, direction });
+    }
+
+    fn take_pairs(&mut self, seen: &[PointDerivatives]) {
+        self.pairs.clear();
+        for (n, (of, c)) in self.directions.iter().enumerate() {
+            let (slopes, sigma) = (&seen[*of].slopes[*c], seen[*of].sigma[*c]);
+            for (before, d) in &self.directions[..n] {
+                let rho = dot(slopes, &seen[*before].slopes[*d]) / (sigma * seen[*before].sigma[*d]);
+                self.pairs.push((rho, apart(rho.abs())));
+            }
+            self.pairs.push((1.0, 0.0));
+        }
+    }
+
+    /// How far apart the errors are that make two events; `None` if they go opposite ways, or are independent.
+    #[inline]
+    fn apart(&self, a: &Event, b: &Event) -> Option<f64> {
+        let (more, less) = (a.direction.max(b.direction), a.direction.min(b.direction));
+        let (rho, apart) = self.pairs[more * (more + 1) / 2 + less];
+        (a.side.1 * b.side.1 * rho > 0.0).then_some(apart)
+    }
+
+    /// The spanning tree of greatest joint tails (Prim).
+    fn join(&mut self, tails: &Tails) {
+        self.parents.clear();
+        self.parents.resize(self.events.len(), Parent { event: 0, apart: -1.0, joint: -1.0, out: true });
+        let mut last = 0;
+        for _ in 1..self.events.len() {
+            self.parents[last].out = false;
+            let mut next = usize::MAX;
+            let b = self.events[last];
+            for i in 0..self.events.len() {
+                if !self.parents[i].out {
+                    continue;
+                }
+                let a = &self.events[i];
+                // What goes opposite ways hardly ever happens together.
+                if let Some(apart) = self.apart(a, &b) {
+                    let (far, less) =
+                        if a.deviations > b.deviations { (a.deviations, a.tail) } else { (b.deviations, b.tail) };
+                    let joint = less * tails.shared(far, apart);
+                    if joint > self.parents[i].joint {
+                        self.parents[i] = Parent { event: last, apart, joint, out: true };
+                    }
+                }
+                if next == usize::MAX || self.parents[i].joint > self.parents[next].joint {
+                    next = i;
+                }
+            }
+            last = next;
+        }
+    }
+
+    /// At most this probability that any side is passed at the level's first number of standard deviations.
+    fn passed_first(&self) -> f64 {
+        let alone: f64 = self.events.iter().map(|e| e.tail).sum();
+        let joint: f64 = self.parents.iter().filter(|p| p.apart >= 0.0).map(|p| p.joint).sum();
+        (alone - joint).max(f64::MIN_POSITIVE)
+    }
+
+    /// The same with the common number of standard deviations so much higher.
+    fn passed(&mut self, more: f64, tails: &Tails) -> f64 {
+        self.reach.clear();
+        for e in &self.events {
+            let deviations = (e.deviations + more * e.rate).max(0.0);
+            // Those that make a side are all as far.
+            let known = self.reach.iter().find(|r| r.0 == deviations).map(|r| r.1);
+            self.reach.push((deviations, known.unwrap_or_else(|| tails.tail(deviations))));
+        }
+        let mut sum = 0.0;
+        for (reach, parent) in self.reach.iter().zip(&self.parents) {
+            sum += reach.1;
+            if parent.apart >= 0.0 {
+                let other = self.reach[parent.event];
+                let (far, less) = if reach.0 > other.0 { *reach } else { other };
+                sum -= less * tails.shared(far, parent.apart);
+            }
+        }
+        sum.max(f64::MIN_POSITIVE)
+    }
+}

@@ -1,0 +1,318 @@
+//! Regions of interest: the image box in which a feature will be found with a stated probability (paper section 3.2, Fig. 10).
+//!
+//! Errors of the sensor's pose, of the object's pose and of the feature are one standard normal vector, taken through
+//! square roots of their covariances (`errors`). A side of the box is passed by the feature when a linear function of that
+//! vector passes a threshold; the thresholds are set at the same number k of standard deviations on all sides, and k so that
+//! the probability to pass any of them is at most 1 - confidence (`passing`): for events `A_i` of which each has the tail
+//! `P(A_i) = 1 - Phi(b_i)`,
+//!
+//! ```text
+//! P(A_1 or .. or A_n) <= sum_i P(A_i) - sum_(i,j in T) P(A_i and A_j)
+//! ```
+//!
+//! for any spanning tree T (Hunter 1976, "An upper bound for the probability of a union", J. Appl. Prob. 13; Worsley 1982, "An
+//! improved Bonferroni inequality and applications", Biometrika 69), least for the greatest tree, and nearly exact for few
+//! events. Joint tails are tabulated by Owen's function (Owen 1956; Genz 2004, "Numerical computation of rectangular bivariate
+//! and trivariate normal and t probabilities", Stat. Comput. 14, compares the ways).
+//!
+//! Where projection bends over the reach of the errors, neither derivatives nor second-order terms bound anything: a set of errors
+//! of that probability goes through the projection draw by draw (`set`).
+//!
+//! # The paper's Fig. 10
+//!
+//! A robot knows where it is to 3 cm in x and y, and its heading to 1 degree. In which columns will it find a vertical line
+//! 4 m ahead that is known to 1 cm? Sideways errors count by the distance, the heading as it is:
+//!
+//! ```
+//! use glam::{DMat3, DVec3};
+//! use presight::Pose;
+//! use presight::environment::FeatureShape;
+//! use presight::features::roi::{BodyPoint, Projection, RoiFlag, FeatureErrorModel, roi};
+//!
+//! /// A pinhole camera of 640 x 480 pixels, body axes: x forward, y left, z up.
+//! struct Camera;
+//! impl Projection for Camera {
+//!     fn project(&self, p: DVec3) -> Option<[f64; 2]> {
+//!         (p.x > 0.0).then(|| [319.5 - 500.0 * p.y / p.x, 239.5 - 500.0 * p.z / p.x])
+//!     }
+//!     fn lever(&self, p: DVec3) -> f64 {
+//!         p.x
+//!     }
+//!     fn size(&self) -> (u32, u32) {
+//!         (640, 480)
+//!     }
+//!     fn turn(&self) -> Option<f64> {
+//!         None
+//!     }
+//! }
+//!
+//! let (xy, heading, line) = (0.03, 1f64.to_radians(), 0.01);
+//! let mut robot = [[0.0; 6]; 6];
+//! for (i, sigma) in [(0, xy), (1, xy), (5, heading)] {
+//!     robot[i][i] = sigma * sigma;
+//! }
+//! let ends = [DVec3::new(4.0, 0.0, -0.6), DVec3::new(4.0, 0.0, 0.6)];
+//! let covariances = [DMat3::from_diagonal(DVec3::splat(line * line)); 2];
+//! let shape = FeatureShape::Segment { ends, covariances, cross: DMat3::ZERO };
+//! let uncertain = FeatureErrorModel::new(&Pose::IDENTITY, &robot, &Pose::IDENTITY, None, &shape)?;
+//! let points = [0.0, 1.0].map(|t| BodyPoint::on_segment(&ends, t));
+//! let found = roi(&Camera, &uncertain, &points, 0.99).expect("it is before the camera");
+//!
+//! let sigma = 500.0 * ((xy * xy + line * line) / 16.0 + heading * heading).sqrt();
+//! let [left, _, right, _] = found.bounds;
+//! // Left or right alone would be passed at 2.58 sigma; with both ends, top and bottom besides it is a little more.
+//! let deviations = 0.5 * (right - left) / sigma;
+//! assert!(2.58 < deviations && deviations < 3.1, "{deviations}");
+//! assert!((0.5 * (left + right) - 319.5).abs() < 0.1);
+//! assert_eq!(found.flag, RoiFlag::Linear);
+//! # Ok::<(), presight::Error>(())
+//! ```
+//!
+//! `examples/region_of_interest.rs` prints widths at other distances and draws the picture in `docs/region_of_interest.svg`.
+
+mod errors;
+mod exceedance;
+mod image_point;
+mod linear;
+mod set;
+
+pub use errors::{BodyPoint, FeatureErrorModel, PoseErrors, Viewpoint};
+pub use exceedance::Level;
+pub use image_point::differences;
+
+// What the shader shares.
+#[cfg(test)]
+pub use exceedance::{EVENTS, MOST};
+pub use {
+    errors::{ERRORS, KIND},
+    image_point::MARGIN,
+    linear::{SLIGHT, SLIGHTLY},
+};
+
+use crate::BoxMethod;
+use exceedance::Exceedance;
+use glam::DVec3;
+use image_point::{ImagePoint, PointDerivatives, dot, rough, see};
+use linear::{bent_bounds, linear_bounds};
+pub use presight_model::geometry::PoseCovariance;
+use set::set_bounds;
+
+/// How a box was found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RoiFlag {
+    /// Errors were propagated by the derivative of the projection.
+    Linear,
+    /// The projection is not linear over the errors: a set of drawn errors was projected.
+    Set,
+    /// The feature may come behind the sensor, or anywhere in over half of the image.
+    WholeImage,
+}
+
+impl RoiFlag {
+    /// The name in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Linear => "linear",
+            Self::Set => "set",
+            Self::WholeImage => "whole_image",
+        }
+    }
+}
+
+/// A box in continuous pixel coordinates.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Roi {
+    /// x0, y0, x1, y1. Over the seam of a full circle x1 is beyond the width.
+    pub bounds: [f64; 4],
+    /// How it was found.
+    pub flag: RoiFlag,
+}
+
+/// A projection from the sensor's body frame to its image.
+pub trait Projection: Sync {
+    /// Continuous pixel coordinates of a point in the body frame, inside or outside the image. `None` where the point has no image
+    /// (behind a camera, in the centre of a scanner).
+    fn project(&self, p_in_body: DVec3) -> Option<[f64; 2]>;
+
+    /// Distance of the point from where the projection is singular: depth in front of a camera, distance from a scanner's axis.
+    fn lever(&self, p_in_body: DVec3) -> f64;
+
+    /// Distance of the point from where it has no image: depth in front of a camera, distance from a scanner's centre. The default is
+    /// the lever.
+    fn clearance(&self, p_in_body: DVec3) -> f64 {
+        self.lever(p_in_body)
+    }
+
+    /// Columns and rows.
+    fn size(&self) -> (u32, u32);
+
+    /// Columns of a full turn, if the image goes round: columns are then modulo this number.
+    fn turn(&self) -> Option<f64>;
+
+    /// The row of the pole, where all columns meet, if a row is nearer to it than to the horizon. The default has none.
+    fn pole_near(&self, _row: f64) -> Option<f64> {
+        None
+    }
+
+    /// Where between two points of a straight line its row is greatest or least, if that is not at one of them. The default knows of
+    /// no such place.
+    fn culmination(&self, _from: DVec3, _to: DVec3) -> Option<DVec3> {
+        None
+    }
+
+    /// Derivatives of column and row by the position of a point whose image is `at`. The default uses finite differences.
+    fn gradient(&self, p_in_body: DVec3, at: [f64; 2]) -> Option<[DVec3; 2]> {
+        differences(self, p_in_body, at)
+    }
+
+    /// Derivative of the clearance.
+    fn clearance_gradient(&self, p_in_body: DVec3) -> DVec3 {
+        let step = 1e-6 * p_in_body.length().max(1e-6);
+        let at = |shift: DVec3| self.clearance(p_in_body + shift);
+        DVec3::from_array(DVec3::AXES.map(|axis| (at(axis * step) - at(-axis * step)) / (2.0 * step)))
+    }
+}
+
+/// One of the four sides: which coordinate, and +1 or -1.
+const SIDES: [(usize, f64); 4] = [(0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)];
+
+/// What is left of a point's clearance where it counts as lost.
+pub(crate) const GRAZING: f64 = 0.05;
+
+/// Errors that move a point by no more than this share of its lever do not bend its projection.
+pub const BENT: f64 = 0.02;
+
+/// Those that may move it by more than this share bend it in more ways than the errors that make the sides show.
+pub const MUCH: f64 = 0.35;
+
+/// Finds boxes of one feature after the other, in room that is kept.
+#[derive(Default)]
+pub(crate) struct BoxFinder {
+    rough: Vec<ImagePoint>,
+    seen: Vec<PointDerivatives>,
+    /// The points that `seen` is of, while it is of all of them.
+    whole: Vec<BodyPoint>,
+    passing: Exceedance,
+}
+
+impl BoxFinder {
+    /// Covariances in the image, pixels squared, of the points that define a feature; `None` if one has no image. What is
+    /// asked next must be of the same feature.
+    pub fn covariances(
+        &mut self,
+        projection: &impl Projection,
+        uncertain: &FeatureErrorModel,
+        points: &[BodyPoint],
+    ) -> Option<Vec<[[f64; 2]; 2]>> {
+        self.whole.clear();
+        rough(projection, uncertain, points, &mut self.rough);
+        if self.rough.len() < points.len() || self.rough.iter().any(|r| r.lever == 0.0) {
+            return None;
+        }
+        self.seen.clear();
+        self.seen.extend(self.rough.iter().map(|rough| PointDerivatives::new(uncertain, rough)));
+        self.whole.extend_from_slice(points);
+        Some(self.seen.iter().map(PointDerivatives::covariance).collect())
+    }
+
+    /// See [`roi`].
+    pub fn find(
+        &mut self,
+        projection: &impl Projection,
+        uncertain: &FeatureErrorModel,
+        points: &[BodyPoint],
+        level: &Level,
+        method: BoxMethod,
+    ) -> Option<Roi> {
+        // Most are seen from end to end.
+        if self.whole.is_empty() || self.whole != points {
+            rough(projection, uncertain, points, &mut self.rough);
+            see(uncertain, &self.rough, level.first, &mut self.seen);
+        }
+        self.whole.clear();
+        if self.rough.is_empty() {
+            return None;
+        }
+        let k = self.passing.common_deviation(&self.seen, level);
+        // Where the set reaches behind the sensor, or round its axis, no box holds it.
+        if self.rough.iter().any(|r| is_lost(projection, uncertain, r, k)) {
+            return Some(Roi { bounds: whole(projection), flag: RoiFlag::WholeImage });
+        }
+        let linear = linear_bounds(&self.seen, k);
+        let within = |share: f64| self.rough.iter().all(|r| k * r.spread <= share * r.lever);
+        let bounds = match method {
+            BoxMethod::Linear => Some(linear),
+            BoxMethod::AsNeeded if within(BENT) => Some(linear),
+            BoxMethod::AsNeeded if within(MUCH) => bent_bounds(projection, uncertain, &self.seen, linear, k),
+            BoxMethod::AsNeeded | BoxMethod::Set => None,
+        };
+        let (bounds, flag) = match bounds {
+            Some(bounds) => (bounds, RoiFlag::Linear),
+            None => match set_bounds(projection, uncertain, &self.rough, level, k) {
+                Some(bounds) => (bounds, RoiFlag::Set),
+                None => (whole(projection), RoiFlag::WholeImage),
+            },
+        };
+        Some(clip(projection, bounds, flag))
+    }
+}
+
+/// The box that holds all given points of a feature (those visible at the nominal pose) with probability `confidence`. It is
+/// clipped to the image and at least one pixel wide and high. Returns `None` if no point has an image.
+pub fn roi(
+    projection: &impl Projection,
+    uncertain: &FeatureErrorModel,
+    points: &[BodyPoint],
+    confidence: f64,
+) -> Option<Roi> {
+    BoxFinder::default().find(projection, uncertain, points, &Level::new(confidence), BoxMethod::AsNeeded)
+}
+
+/// True if errors of `k` standard deviations may bring a point next to where it has no image, or beyond.
+fn is_lost(projection: &impl Projection, uncertain: &FeatureErrorModel, rough: &ImagePoint, k: f64) -> bool {
+    let left = (1.0 - GRAZING) * rough.clearance;
+    if k * rough.spread < left {
+        return false;
+    }
+    let slopes = uncertain.slopes(&rough.point, projection.clearance_gradient(rough.point.p));
+    k * dot(&slopes, &slopes).sqrt() >= left
+}
+
+/// The whole image.
+fn whole(projection: &impl Projection) -> [f64; 4] {
+    let (w, h) = projection.size();
+    [-0.5, -0.5, f64::from(w) - 0.5, f64::from(h) - 0.5]
+}
+
+/// Within the image, at least a pixel a side; over a full circle's seam x1 goes on beyond the width.
+fn clip(projection: &impl Projection, [x0, y0, x1, y1]: [f64; 4], flag: RoiFlag) -> Roi {
+    let (w, h) = projection.size();
+    let (w, h) = (f64::from(w), f64::from(h));
+    let widen = |low: f64, high: f64| {
+        let short = (1.0 - (high - low)).max(0.0) / 2.0;
+        (low - short, high + short)
+    };
+    let within = |low: f64, high: f64, size: f64| {
+        let (low, high) = widen(low, high);
+        let (low, high) = (low.clamp(-0.5, size - 1.5), high.clamp(0.5, size - 0.5));
+        (low, high)
+    };
+    let (y0, y1) = within(y0, y1, h);
+    let (x0, x1) = match projection.turn() {
+        Some(turn) if x1 - x0 >= turn => (-0.5, w - 0.5),
+        Some(turn) => {
+            let (x0, x1) = widen(x0, x1);
+            let back = turn * ((x0 + 0.5) / turn).floor();
+            (x0 - back, x1 - back)
+        }
+        None => within(x0, x1, w),
+    };
+    let large = (x1 - x0) * (y1 - y0) > 0.5 * w * h;
+    if large && flag != RoiFlag::Linear {
+        return Roi { bounds: whole(projection), flag: RoiFlag::WholeImage };
+    }
+    Roi { bounds: [x0, y0, x1, y1], flag }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,243 @@
+//! Features sampled along their image.
+//!
+//! A segment's image is cut into pieces of at most half a pixel, finer if that is asked for, and a sample sits in the middle of each. A pinhole
+//! camera images straight lines as straight lines: clipped in closed form, equal pieces in the image. Everywhere else
+//! (lens distortion, scanners, ray tables) the arc of directions between the ends is halved until its image is short
+//! enough, so that the curved image of a straight edge is followed, over seam and poles, too.
+//!
+//! A scanner of one row sees a cone of directions (with the height of its beam, a layer between two cones): segments and
+//! patches are cut with it first.
+
+mod arc;
+mod patch;
+mod patch_columns;
+mod row;
+mod run;
+mod straight;
+
+pub(super) use patch::{PatchCone, PatchOutline};
+pub(super) use patch_columns::{Column, PatchColumns};
+pub(super) use run::{Part, Run};
+
+use super::{Reason, columns};
+use glam::{DVec2, DVec3};
+use presight_model::sensor::{Angles, Camera, Geometry, Scanner, Sensor};
+use std::sync::OnceLock;
+
+/// Longest piece of an image that one sample stands for unless it is to be finer, pixels.
+pub const STEP: f64 = 0.5;
+/// Most samples of one segment.
+pub const MAX_SEGMENT_SAMPLES: usize = 1 << 17;
+/// Most samples of one patch every half pixel: of larger ones they are farther apart, unless images decide pixel by pixel. Where
+/// samples are to be finer they may be as many more, up to 64 times.
+pub const MAX_PATCH_SAMPLES: usize = 1 << 12;
+
+/// Directions this far off the cone of a row without height are still on it, radians.
+const ON_CONE: f64 = 1e-9;
+
+/// A small part of a feature's image.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sample {
+    /// Part of the feature's length in space that it stands for; equal ends where a cut leaves a point.
+    pub t: [f64; 2],
+    /// Its middle, image frame, metres.
+    pub at: DVec3,
+    /// Pixel coordinates of the middle.
+    pub pixel: DVec2,
+    /// Pixel coordinates of both ends.
+    pub ends: [DVec2; 2],
+    /// Length (area for patches) in the image, pixels; 0 of points.
+    pub weight: f64,
+}
+
+/// What sampling finds along a feature.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Piece {
+    /// In the image.
+    Inside(Sample),
+    /// Not in the image, or behind the sensor.
+    Outside {
+        /// Part of the feature's length.
+        t: [f64; 2],
+        /// Why.
+        reason: Reason,
+    },
+}
+
+/// Samples features for one sensor.
+#[derive(Debug)]
+pub struct Sampler<'a> {
+    sensor: &'a Sensor,
+    pinhole: Option<&'a Camera>,
+    size: DVec2,
+    turn: Option<f64>,
+    /// Longest piece of an image that one sample stands for, pixels.
+    step: f64,
+    /// About the finest angle between neighbouring rays.
+    pixel_angle: f64,
+    /// Elevations between which a single row sees.
+    cone: Option<[f64; 2]>,
+    /// Elevations of rows and half the height of the beam, degrees, where it does not reach from row to row.
+    beams: Option<(Vec<f64>, f64)>,
+    /// The height by the distance from the axis of what a scanner that sees all around has just inside its last row and its first.
+    slopes: Option<[f64; 2]>,
+    /// Places along the border of the image with their rays, once they are asked for.
+    border: OnceLock<Vec<(DVec2, DVec3)>>,
+}
+
+impl<'a> Sampler<'a> {
+    /// For a sensor, every [`STEP`].
+    pub fn new(sensor: &'a Sensor) -> Self {
+        Self::with_step(sensor, STEP)
+    }
+
+    /// For a sensor, every so many pixels, above 0.
+    pub(super) fn with_step(sensor: &'a Sensor, step: f64) -> Self {
+        let (mut pinhole, mut cone, mut beams) = (None, None, None);
+        match &sensor.spec().geometry {
+            Geometry::Camera(c) if c.distortion.is_none() => pinhole = Some(c),
+            Geometry::Scanner(s) if s.elevation.len() == 1 => {
+                let half = 0.5 * s.beam_height_deg.unwrap_or(0.0);
+                let row = s.elevation.degrees(0);
+                cone = Some([row - half, row + half].map(|e| e.clamp(-90.0, 90.0).to_radians()));
+            }
+            Geometry::Scanner(s) => beams = s.beam_height_deg.map(|h| (s.rows_deg(), 0.5 * h)),
+            _ => {}
+        }
+        let turn = sensor.columns_of_a_turn();
+        let slopes = if turn.is_some() && cone.is_none() && beams.is_none() { slopes(sensor) } else { None };
+        Self {
+            sensor,
+            pinhole,
+            size: DVec2::new(f64::from(sensor.width()), f64::from(sensor.height())),
+            turn,
+            slopes,
+            step,
+            pixel_angle: pixel_angle(sensor),
+            cone,
+            beams,
+            border: OnceLock::new(),
+        }
+    }
+
+    /// Columns of a whole turn, where the last column's neighbour is the first.
+    pub fn turn(&self) -> Option<f64> {
+        self.turn
+    }
+
+    /// True if all of a segment is surely in the image of a scanner that sees all around; also false if that is not known.
+    pub(super) fn holds_all(&self, a: DVec3, b: DVec3) -> bool {
+        let Some([low, high]) = self.slopes else { return false };
+        let is_in = |p: DVec3| {
+            let flat = (p.x * p.x + p.y * p.y).sqrt();
+            p.z > low * flat && p.z < high * flat
+        };
+        is_in(a) && is_in(b) && columns::culmination_share(a, b).is_none_or(|t| is_in(a.lerp(b, t)))
+    }
+
+    /// True of a scanner of one row, which sees cuts.
+    pub(super) fn is_one_row(&self) -> bool {
+        self.cone.is_some()
+    }
+
+    /// About the finest angle between neighbouring rays, radians.
+    pub(super) fn pixel_angle(&self) -> f64 {
+        self.pixel_angle
+    }
+
+    /// Column and row of the pixel whose centre is nearest to a place in the image; columns beyond the seam are those of the other side.
+    pub(super) fn nearest_pixel(&self, place: DVec2) -> (i64, i64) {
+        let x = match self.turn {
+            Some(turn) if !(place.x >= -0.5 && place.x < self.size.x - 0.5) => (place.x + 0.5).rem_euclid(turn) - 0.5,
+            _ => place.x,
+        };
+        let nearest = |x: f64, n: f64| ((x + 0.5) as i64).min(n as i64 - 1);
+        (nearest(x, self.size.x), nearest(place.y, self.size.y))
+    }
+
+    /// The sample of a point of the image frame.
+    pub fn point(&self, at: DVec3) -> Piece {
+        let t = [0.0, 1.0];
+        match self.project(at).filter(|pixel| self.holds(at, *pixel)) {
+            Some(pixel) => Piece::Inside(Sample { t, at, pixel, ends: [pixel, pixel], weight: 0.0 }),
+            None => self.outside(at, t),
+        }
+    }
+
+    /// Samples a segment between two points of the image frame; pieces come in order and cover all of 0..=1.
+    pub fn segment(&self, a: DVec3, b: DVec3, visit: &mut impl FnMut(Piece)) {
+        self.parts(a, b, &mut |part| part.pieces(visit));
+    }
+
+    /// The parts of a segment between two points of the image frame: in order, they cover all of 0..=1.
+    pub(super) fn parts(&self, a: DVec3, b: DVec3, visit: &mut impl FnMut(Part)) {
+        match (self.pinhole, self.cone) {
+            (Some(camera), _) => self.straight(camera, a, b, visit),
+            (None, Some(cone)) => self.cut(cone, a, b, visit),
+            (None, None) => self.arc(a, b, [0.0, 1.0], visit),
+        }
+    }
+
+    fn project(&self, p: DVec3) -> Option<DVec2> {
+        self.sensor.project(p).map(DVec2::from)
+    }
+
+    /// True if a point, imaged at `pixel`, is in the image.
+    fn holds(&self, at: DVec3, pixel: DVec2) -> bool {
+        let within = |x: f64, n: f64| x >= -0.5 && x <= n - 0.5;
+        let inside = (self.turn.is_some() || within(pixel.x, self.size.x)) && within(pixel.y, self.size.y);
+        let elevation = || at.z.atan2(at.x.hypot(at.y));
+        if let Some([low, high]) = self.cone {
+            return (self.turn.is_some() || within(pixel.x, self.size.x))
+                && (low - ON_CONE..=high + ON_CONE).contains(&elevation());
+        }
+        let in_beam = |(rows, half): &(Vec<f64>, f64)| {
+            let row = (pixel.y.round().max(0.0) as usize).min(rows.len() - 1);
+            (elevation().to_degrees() - rows[row]).abs() <= *half
+        };
+        inside && self.beams.as_ref().is_none_or(in_beam)
+    }
+
+    fn outside(&self, at: DVec3, t: [f64; 2]) -> Piece {
+        let behind = self.sensor.is_camera() && at.z <= 0.0 && self.sensor.project(at).is_none();
+        Piece::Outside { t, reason: if behind { Reason::BehindSensor } else { Reason::OutsideImage } }
+    }
+}
+
+/// See [`Sampler`]; `None` if these are about vertical.
+fn slopes(sensor: &Sensor) -> Option<[f64; 2]> {
+    /// How far inside of the image, pixels.
+    const INSIDE: f64 = 1e-6;
+    const STEEP: f64 = 1e3;
+    let slope = |row: f64| sensor.ray_at(0.0, row).map(|ray| ray.z / ray.x.hypot(ray.y));
+    let [first, last] = [INSIDE - 0.5, f64::from(sensor.height()) - 0.5 - INSIDE].map(slope);
+    let slopes = [last?, first?];
+    slopes.iter().all(|slope| slope.abs() < STEEP).then_some(slopes)
+}
+
+/// About the finest angle between neighbouring rays, radians.
+fn pixel_angle(sensor: &Sensor) -> f64 {
+    let mean = |angles: &Angles| {
+        let n = angles.len();
+        if n < 2 { f64::INFINITY } else { ((angles.degrees(n - 1) - angles.degrees(0)) / (n - 1) as f64).abs() }
+    };
+    if let Geometry::Scanner(Scanner { azimuth, elevation, .. }) = &sensor.spec().geometry {
+        let finest = mean(azimuth).min(mean(elevation));
+        return if finest.is_finite() && finest > 0.0 { finest.to_radians() } else { 1f64.to_radians() };
+    }
+    let (w, h) = (sensor.width(), sensor.height());
+    let mut finest = f64::INFINITY;
+    for i in 0..16 {
+        for j in 0..16 {
+            let (c, r) = (i * w / 16, j * h / 16);
+            let Some(ray) = sensor.ray(c, r) else { continue };
+            for other in [(c + 1, r), (c, r + 1)].into_iter().filter_map(|(c, r)| sensor.ray(c, r)) {
+                let angle = ray.angle_between(other);
+                if angle > 1e-9 {
+                    finest = finest.min(angle);
+                }
+            }
+        }
+    }
+    if finest.is_finite() { finest } else { 1f64.to_radians() }
+}

@@ -1,0 +1,269 @@
+//! The area of a convex patch, sampled on a grid in the image.
+
+use super::patch_columns::PatchColumns;
+use super::{MAX_PATCH_SAMPLES, Part, Piece, STEP, Sample, Sampler};
+use crate::columns;
+use glam::{DVec2, DVec3};
+use presight_model::geometry::plane_of_polygon;
+use presight_model::sensor::Geometry;
+
+/// Most cells of the grid around a patch that has few samples in it.
+const MAX_PATCH_CELLS: usize = 1 << 16;
+
+impl Sampler<'_> {
+    /// Samples the area of a convex patch in the image, corners in the image frame; `t` of the samples is 0..=1 and
+    /// their weight the area that they stand for. Without any in the image, one piece says why. Columns may lie beyond the
+    /// seam.
+    pub fn patch(&self, corners: &[DVec3], visit: &mut impl FnMut(Piece)) {
+        // With as few as every half pixel, finer steps would change nothing of large patches.
+        let times = (STEP / self.step).powi(2).clamp(1.0, 64.0);
+        self.patch_in_cells(corners, (MAX_PATCH_SAMPLES as f64 * times) as usize, visit);
+    }
+
+    /// The same of a patch that covers few pixels, however long and thin it is.
+    pub(crate) fn small_patch(&self, corners: &[DVec3], visit: &mut impl FnMut(Piece)) {
+        self.patch_in_cells(corners, MAX_PATCH_CELLS, visit);
+    }
+
+    fn patch_in_cells(&self, corners: &[DVec3], most: usize, visit: &mut impl FnMut(Piece)) {
+        let Some(cone) = PatchCone::new(corners) else {
+            // Seen from its edge, as far as can be told.
+            return visit(self.edge_on(corners));
+        };
+        let mut any = false;
+        if let Some(cells) = self.cells(corners, &cone, most) {
+            self.visit_cells(&cone, &cells, &mut |at, pixel| {
+                any = true;
+                visit(Piece::Inside(Sample { t: [0.0, 1.0], at, pixel, ends: [pixel, pixel], weight: cells.weight }));
+            });
+        }
+        if !any {
+            visit(self.edge_on(corners));
+        }
+    }
+
+    /// The grid over a patch; `None` if nothing of it is in the image.
+    fn cells(&self, corners: &[DVec3], cone: &PatchCone, most: usize) -> Option<Cells> {
+        Some(self.cells_in(self.patch_bounds(corners, cone)?, most))
+    }
+
+    fn cells_in(&self, [low, high]: [DVec2; 2], most: usize) -> Cells {
+        let flat = self.cone.is_some_and(|[l, h]| l == h);
+        let size = high - low;
+        let area = if flat { size.x * self.step } else { size.x * size.y };
+        let step = (area / most as f64).sqrt().max(self.step);
+        let columns = (size.x / step).ceil().max(1.0);
+        let rows = if flat { 1.0 } else { (size.y / step).ceil().max(1.0) };
+        let cell = DVec2::new(size.x / columns, size.y / rows);
+        let at = |low: f64, cell: f64, count: f64| -> Vec<f64> {
+            (0..count as u32).map(|i| low + cell * (f64::from(i) + 0.5)).collect()
+        };
+        let (columns, rows) = (at(low.x, cell.x, columns), at(low.y, cell.y, rows));
+        let rows = if flat { vec![0.0] } else { rows };
+        Cells { columns, rows, cell, weight: if flat { cell.x } else { cell.x * cell.y } }
+    }
+
+    /// Where the image of a patch lies; `None` if the sensor is in its plane.
+    pub(crate) fn patch_outline(&self, corners: &[DVec3]) -> Option<PatchOutline> {
+        let cone = PatchCone::new(corners)?;
+        let bounds = self.patch_bounds(corners, &cone);
+        Some(PatchOutline { cone, bounds })
+    }
+
+    /// True if a patch surely covers no more than so many pixels.
+    pub(crate) fn covers_at_most(&self, outline: &PatchOutline, most: usize) -> bool {
+        // Other images may show things twice.
+        let is_once = self.pinhole.is_some() || self.is_all_around();
+        let pixels = |size: f64| (size + 1e-6).floor() + 1.0;
+        let [low, high] = outline.bounds.unwrap_or_default();
+        is_once && pixels(high.x - low.x) * pixels(high.y - low.y) <= most as f64
+    }
+
+    /// True of a scanner of several rows that sees once all around, whatever is between its rows.
+    fn is_all_around(&self) -> bool {
+        self.turn.is_some() && self.cone.is_none() && self.beams.is_none()
+    }
+
+    /// The samples of [`Sampler::small_patch`] by columns; `None` for sensors whose columns do not see straight lines, and if there are
+    /// none.
+    pub(crate) fn patch_columns(&self, outline: PatchOutline) -> Option<PatchColumns> {
+        if self.cone.is_some() || self.beams.is_some() {
+            return None;
+        }
+        let PatchOutline { cone, bounds } = outline;
+        let cells = self.cells_in(bounds?, MAX_PATCH_CELLS);
+        let (parts, axis, times) = self.sensor.rays_by_column(&cells.columns, &cells.rows)?;
+        PatchColumns::new(cone, cells, (parts, axis, times))
+    }
+
+    /// Visits the middles of the cells of a grid in which a patch is seen, row by row: where it is, and the pixel.
+    fn visit_cells(&self, cone: &PatchCone, Cells { columns, rows, .. }: &Cells, visit: &mut impl FnMut(DVec3, DVec2)) {
+        let mut meet = |ray: Option<DVec3>, pixel: DVec2| {
+            let at = ray.and_then(|ray| cone.meet(ray));
+            if let Some(at) = at.filter(|at| self.holds(*at, pixel)) {
+                visit(at, pixel);
+            }
+        };
+        let Some((parts, axis, times)) = self.sensor.rays_by_column(columns, rows) else {
+            for v in rows {
+                columns.iter().for_each(|u| meet(self.sensor.ray_at(*u, *v), DVec2::new(*u, *v)));
+            }
+            return;
+        };
+        // Of every column the patch is seen between two rows: most cells of a long and thin one are passed over.
+        let between: Vec<[f64; 2]> = parts.iter().map(|part| cone.between(*part, axis)).collect();
+        for (v, times) in rows.iter().zip(times) {
+            for ((u, part), [from, to]) in columns.iter().zip(&parts).zip(&between) {
+                if times >= *from && times <= *to {
+                    meet(Some(*part + times * axis), DVec2::new(*u, *v));
+                }
+            }
+        }
+    }
+
+    /// A patch too small or too flat for a grid: its middle, if that is in the image.
+    fn edge_on(&self, corners: &[DVec3]) -> Piece {
+        self.point(corners.iter().sum::<DVec3>() / corners.len().max(1) as f64)
+    }
+
+    /// Places along the border of the image, and its middle, with their rays, as far as they have any.
+    fn border(&self) -> &[(DVec2, DVec3)] {
+        self.border.get_or_init(|| {
+            let (least, greatest) = (DVec2::splat(-0.5), self.size - 0.5);
+            let mut border = vec![0.5 * (least + greatest)];
+            for i in 0..=16 {
+                let s = f64::from(i) / 16.0;
+                let (x, y) = (least.x + s * self.size.x, least.y + s * self.size.y);
+                border.extend([(x, least.y), (x, greatest.y), (least.x, y), (greatest.x, y)].map(DVec2::from));
+                if self.cone.is_some() {
+                    border.push(DVec2::new(x, 0.0));
+                }
+            }
+            border.into_iter().filter_map(|p| Some((p, self.sensor.ray_at(p.x, p.y)?))).collect()
+        })
+    }
+
+    /// A box around a patch's image, cut to the image; over a seam its columns go on beyond the width.
+    pub(crate) fn patch_bounds(&self, corners: &[DVec3], cone: &PatchCone) -> Option<[DVec2; 2]> {
+        let (least, greatest) = (DVec2::splat(-0.5), self.size - 0.5);
+        if self.is_all_around()
+            && let Some(columns) = columns::of_corners(self.sensor, corners)
+            && let Some(rows) = columns::rows_of_outline(self.sensor, corners)
+        {
+            // It is not around the axis, so that its outline has its highest and lowest places.
+            let is_seen = rows[1] >= least.y && rows[0] <= greatest.y;
+            let [low, high] = [0, 1].map(|k| DVec2::new(columns[k], rows[k].clamp(least.y, greatest.y)));
+            return is_seen.then(|| widened(low, high));
+        }
+        let (mut low, mut high) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
+        let mut take = |p: DVec2| {
+            let p = p.clamp(least, greatest);
+            (low, high) = (low.min(p), high.max(p));
+        };
+        for (k, a) in corners.iter().enumerate() {
+            let b = corners[(k + 1) % corners.len()];
+            self.parts(*a, b, &mut |part| match part {
+                // Of what is straight the ends reach farthest.
+                Part::Run(run) => run.pixels.into_iter().for_each(&mut take),
+                Part::One(Piece::Inside(s)) => s.ends.into_iter().chain([s.pixel]).for_each(&mut take),
+                Part::One(Piece::Outside { .. }) => {}
+            });
+        }
+        // Where the image is inside the patch, its own border is the patch's image's border.
+        let covered = self.border().iter().filter(|(_, ray)| cone.meet(*ray).is_some());
+        covered.for_each(|(p, _)| take(*p));
+        if low.x > high.x {
+            return None;
+        }
+        if self.pinhole.is_none() && self.sensor.is_camera() || matches!(self.sensor.spec().geometry, Geometry::Rays(_))
+        {
+            // Curved outlines are followed, but tables may have holes and folds beside them.
+            (low, high) = ((low - 1.0).max(least), (high + 1.0).min(greatest));
+        }
+        if self.turn.is_some() {
+            [low.x, high.x] = columns::of_corners(self.sensor, corners).unwrap_or([least.x, greatest.x]);
+        }
+        Some(widened(low, high))
+    }
+}
+
+/// A box around a patch: of a row without height, or an edge-on sliver, one sample wide at least.
+fn widened(low: DVec2, high: DVec2) -> [DVec2; 2] {
+    let (mid, half) = (0.5 * (low + high), (0.5 * (high - low)).max(DVec2::splat(1e-9)));
+    [mid - half, mid + half]
+}
+
+/// The directions to a patch, and a box around its image, if any of it is in the image.
+pub(crate) struct PatchOutline {
+    pub cone: PatchCone,
+    bounds: Option<[DVec2; 2]>,
+}
+
+/// A grid over the image of a patch.
+pub(super) struct Cells {
+    /// Middles of its columns and rows, pixels.
+    pub columns: Vec<f64>,
+    pub rows: Vec<f64>,
+    /// The size of one.
+    pub cell: DVec2,
+    /// What one stands for.
+    pub weight: f64,
+}
+
+/// The directions to a convex patch, and its plane.
+pub(crate) struct PatchCone {
+    pub edges: Vec<DVec3>,
+    normal: DVec3,
+    offset: f64,
+}
+
+impl PatchCone {
+    /// `None` if the sensor is in the patch's plane.
+    pub fn new(corners: &[DVec3]) -> Option<Self> {
+        let plane = plane_of_polygon(corners)?;
+        let reach = corners.iter().map(|p| p.length()).fold(0.0, f64::max);
+        if plane.offset.abs() <= 1e-12 * reach {
+            return None;
+        }
+        let sign = plane.offset.signum();
+        let edge = |k: usize| sign * corners[k].cross(corners[(k + 1) % corners.len()] - corners[k]);
+        Some(Self { edges: (0..corners.len()).map(edge).collect(), normal: plane.normal, offset: plane.offset })
+    }
+
+    /// Its product with a unit ray is one over the range there; with any vector, one over how much longer it has to be.
+    pub fn inverse(&self) -> DVec3 {
+        self.normal / self.offset
+    }
+
+    /// Metres.
+    pub fn distance(&self) -> f64 {
+        self.offset.abs()
+    }
+
+    /// Between which multiples of an axis, added to a vector, it may be met; hardly more than needed.
+    pub(super) fn between(&self, part: DVec3, axis: DVec3) -> [f64; 2] {
+        let (mut from, mut to) = (f64::NEG_INFINITY, f64::INFINITY);
+        for e in &self.edges {
+            let (at_0, slope) = (e.dot(part), e.dot(axis));
+            let at = -at_0 / slope;
+            let slack = 1e-9 * (1.0 + at.abs());
+            if slope > 0.0 {
+                from = from.max(at - slack);
+            } else if slope < 0.0 {
+                to = to.min(at + slack);
+            }
+        }
+        [from, to]
+    }
+
+    /// Where a ray of any length meets its plane.
+    pub(super) fn place(&self, ray: DVec3) -> DVec3 {
+        ray / (self.normal.dot(ray) / self.offset)
+    }
+
+    /// Where a ray of any length meets it.
+    pub(super) fn meet(&self, ray: DVec3) -> Option<DVec3> {
+        let inverse = self.normal.dot(ray) / self.offset;
+        (inverse > 0.0 && self.edges.iter().all(|e| e.dot(ray) >= 0.0)).then(|| ray / inverse)
+    }
+}

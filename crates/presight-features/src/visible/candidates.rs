@@ -1,0 +1,177 @@
+//! Polygons that may hide a feature, each once, from wherever they are proposed.
+
+use super::VisibilityContext;
+use super::polygon::PolygonCache;
+use super::strategy::FeatureQuery;
+use super::surface::FeatureSurface;
+use glam::DVec2;
+use presight_model::index::{QueryResult, Region};
+
+/// How far apart are the blocks of three by three pixels along a feature that are looked through, pixels. Nearly all that hides it
+/// shows in them; finding the rest by tiles is faster than looking through more.
+pub(super) const BLOCKS_APART: f64 = 24.0;
+
+/// How many ids are kept in mind while pixels are looked through.
+const LATEST: usize = 4;
+
+/// A list of polygons that cover rays, by their numbers in a [`PolygonCache`], without those that the feature lies on.
+#[derive(Default)]
+pub(super) struct Candidates {
+    numbers: Vec<u32>,
+    /// By number of a polygon, the last list that it was proposed for.
+    asked: Vec<u32>,
+    /// Number of this list.
+    list: u32,
+    /// The pixel around which polygons were added last.
+    center: Option<(i64, i64)>,
+    /// Ids that were added last, the latest first.
+    latest: [u32; LATEST],
+    found: QueryResult,
+}
+
+impl Candidates {
+    /// Begins another list.
+    pub fn begin(&mut self) {
+        self.list = self.list.wrapping_add(1).max(1);
+        self.numbers.clear();
+        self.center = None;
+        self.latest = [0; LATEST];
+    }
+
+    /// Begins a list of what hints say of a feature; without any, of what the images show around the places that `visit_places` adds.
+    pub fn propose(
+        &mut self,
+        query: &FeatureQuery<'_>,
+        polygons: &mut PolygonCache,
+        visit_places: impl FnOnce(&mut dyn FnMut(DVec2)),
+    ) {
+        self.begin();
+        match query.hints {
+            Some(hints) => self.add_hints(query.frame, polygons, hints, query.own),
+            None => visit_places(&mut |pixel| self.add_around(query.frame, polygons, pixel, query.own)),
+        }
+    }
+
+    /// Their numbers in the cache.
+    pub fn numbers(&self) -> &[u32] {
+        &self.numbers
+    }
+
+    /// True if polygons around this place in the image were not the last to be added.
+    pub fn moves(&self, frame: &VisibilityContext<'_>, pixel: DVec2) -> bool {
+        self.center != Some(frame.sampler.nearest_pixel(pixel))
+    }
+
+    /// Adds the polygons of the nine pixels around a place in the image.
+    pub fn add_around(
+        &mut self,
+        frame: &VisibilityContext<'_>,
+        polygons: &mut PolygonCache,
+        pixel: DVec2,
+        own: &FeatureSurface<'_>,
+    ) {
+        let (column, row) = frame.sampler.nearest_pixel(pixel);
+        let before = self.center.replace((column, row));
+        if before == Some((column, row)) {
+            return;
+        }
+        let (w, h) = (i64::from(frame.images.width), i64::from(frame.images.height));
+        // A step aside brings one column in, one down or up one row.
+        let (mut columns, mut rows) = ([column - 1, column + 1], [(row - 1).max(0), (row + 1).min(h - 1)]);
+        match before.map(|(c, r)| (column - c, row - r)) {
+            Some((1, 0)) => columns[0] = column + 1,
+            Some((-1, 0)) => columns[1] = column - 1,
+            Some((0, 1)) => rows[0] = rows[1],
+            Some((0, -1)) => rows[1] = rows[0],
+            _ => {}
+        }
+        let wraps = frame.sampler.turn().is_some();
+        for r in rows[0]..=rows[1] {
+            let line = &frame.images.polygon_id[(r * w) as usize..((r + 1) * w) as usize];
+            let inside = columns[0].max(0) as usize..(columns[1] + 1).clamp(0, w) as usize;
+            for id in line.get(inside).into_iter().flatten() {
+                self.add_id(frame, polygons, *id, own);
+            }
+            if wraps && columns[0] < 0 {
+                self.add_id(frame, polygons, line[w as usize - 1], own);
+            }
+            if wraps && columns[1] >= w {
+                self.add_id(frame, polygons, line[0], own);
+            }
+        }
+    }
+
+    /// Adds those of hints.
+    pub fn add_hints(
+        &mut self,
+        frame: &VisibilityContext<'_>,
+        polygons: &mut PolygonCache,
+        hints: &[Option<u32>],
+        own: &FeatureSurface<'_>,
+    ) {
+        let mut last = None;
+        for slot in hints.iter().flatten() {
+            if last.replace(*slot) != Some(*slot) {
+                self.add_slot(frame, polygons, *slot, own);
+            }
+        }
+    }
+
+    /// Adds those that the index finds in a region.
+    pub fn add_in(
+        &mut self,
+        frame: &VisibilityContext<'_>,
+        polygons: &mut PolygonCache,
+        region: &Region,
+        own: &FeatureSurface<'_>,
+    ) {
+        let mut found = std::mem::take(&mut self.found);
+        found.clear();
+        frame.world.index().query(frame.environment, region, &mut found);
+        found.all().for_each(|slot| self.add_slot(frame, polygons, slot, own));
+        self.found = found;
+    }
+
+    /// The polygon of an id, unless that is nothing or one of the latest: as of most pixels.
+    #[inline]
+    fn add_id(
+        &mut self,
+        frame: &VisibilityContext<'_>,
+        polygons: &mut PolygonCache,
+        id: u32,
+        own: &FeatureSurface<'_>,
+    ) {
+        // The latest first, by itself: it is that of most.
+        if id == self.latest[0] || self.latest.contains(&id) {
+            return;
+        }
+        // The last of all goes, the first stays first in line.
+        self.latest.rotate_right(1);
+        self.latest[0] = id;
+        if id != 0
+            && let Some(slot) = frame.slot_of_id(id)
+        {
+            self.add_slot(frame, polygons, slot, own);
+        }
+    }
+
+    fn add_slot(
+        &mut self,
+        frame: &VisibilityContext<'_>,
+        polygons: &mut PolygonCache,
+        slot: u32,
+        own: &FeatureSurface<'_>,
+    ) {
+        let Some(number) = polygons.of_slot(frame, slot) else { return };
+        let at = number as usize;
+        if self.asked.len() <= at {
+            self.asked.resize((at + 1).next_power_of_two(), 0);
+        }
+        if std::mem::replace(&mut self.asked[at], self.list) != self.list {
+            let polygon = polygons.get(number);
+            if polygon.covers && !own.holds(polygon.slot) {
+                self.numbers.push(number);
+            }
+        }
+    }
+}

@@ -1,0 +1,459 @@
+//! Which parts of features are visible.
+//!
+//! A sample of a feature has its own ray, from the sensor to the point itself; it is not the ray of any pixel. A polygon on
+//! which the feature does not lie hides the sample if it covers that ray, exactly in f64 (all e_k . u >= 0), and is
+//! nearer by more than the derived rounding bound: n . u / d > 1 / |p| + bound.
+//!
+//! **What the images propose.** The polygons seen by the nine pixels around each sample are tested first (in straight images by those
+//! around some of them). Along a segment
+//! p(t) = a + t b both conditions are linear in t: a polygon covers one interval of it, in closed form, and is tested once
+//! for all samples. What is hidden so is hidden, whatever the images are; in a building that is nearly everything.
+//!
+//! **What space confirms.** That a sample is seen no image can prove: nine rays may all miss an occluder under a pixel. So
+//! what is not hidden yet is confirmed by the index: its queries are shared by tiles of the directions around the sensor
+//! ([`tiles`]); single points have a ray each. Each polygon found is tested like those of the pixels.
+//!
+//! **Strategies.** [`strategy`] tries functions of one signature: [`whole`] for segments that a scanner sees or does not see as
+//! a whole, [`runs`] for all other segments, [`area`] and [`grid`] for patches of many pixels and of few, [`samples`] for all else, and
+//! [`rays`] where a ray to each sample is asked for. They share [`candidates`], the polygons that may hide a feature, the polygons set up so far ([`polygon`])
+//! and the tiles.
+//!
+//! The result is therefore that of a ray to every sample ([`Visibility::Rays`]); images only save time. Comparing the point's
+//! depth with the plane of its pixel's polygon would be wrong at silhouettes, because that plane says nothing about places that
+//! the polygon does not cover.
+
+mod area;
+mod candidates;
+mod context;
+mod contour;
+mod grid;
+mod marks;
+mod polygon;
+mod rays;
+mod runs;
+mod samples;
+mod select;
+mod sheet;
+mod spans;
+mod strategy;
+mod surface;
+mod tally;
+mod tiles;
+mod undecided;
+mod whole;
+mod windows;
+mod worker;
+
+use super::tree::{FeatureTree, check_placed, newest};
+use super::{FeaturePrediction, Hidden, PlacedFeature, Reason, STEP};
+use context::VisibilityContext;
+use glam::DVec3;
+pub use marks::Marks;
+use marks::Part;
+use presight_model::contour::ContourSet;
+use presight_model::error::Result;
+use presight_model::geometry::Pose;
+use presight_model::sensor::Sensor;
+use presight_model::threads::parallel;
+use presight_model::world::World;
+use presight_render::plan::{IdScheme, Images};
+use rayon::prelude::*;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use strategy::Workspace;
+use worker::Worker;
+
+/// How visibility is decided.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Visibility {
+    /// By the polygons of neighbouring pixels, and by the index where these hide nothing, for many samples at once.
+    #[default]
+    Image,
+    /// By a ray through the index for every sample. Slow; the other way is tested against it.
+    Rays,
+}
+
+/// How features are predicted from images at hand.
+#[doc(hidden)]
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FeatureSettings {
+    /// UTC seconds, for probabilities of existence. `None` means the newest confirmation of all features.
+    pub time: Option<f64>,
+    /// Which number `polygon_id` of the images holds.
+    pub ids: IdScheme,
+    /// Fill [`FeaturePrediction::feature_id`].
+    pub feature_id: bool,
+    /// What is said of features of which nothing is seen.
+    pub hidden: Hidden,
+    /// How visibility is decided.
+    pub visibility: Visibility,
+    /// Longest piece of a feature's image that one sample stands for, 0.001 pixels to [`STEP`]. Finer steps make visible
+    /// fractions more precise and take longer. A patch that covers more than 1,024 pixels is sampled at its pixels. With
+    /// [`Visibility::Rays`] a patch has up to 4,096 samples, and up to 64 times as many where the step is finer.
+    pub step: f64,
+    /// The images gave something up for a deadline: where they are NaN with id 0, they say nothing. Large patches, which the
+    /// images decide about, are [`crate::features::Reason::NotPredicted`] there; all else is found in space, as always.
+    pub is_partial: bool,
+    /// Regions of interest will be asked for: of patches that are seen in part it is noted where.
+    pub regions: bool,
+}
+
+impl Default for FeatureSettings {
+    fn default() -> Self {
+        Self {
+            time: None,
+            ids: IdScheme::default(),
+            feature_id: false,
+            hidden: Hidden::Full,
+            visibility: Visibility::default(),
+            step: STEP,
+            is_partial: false,
+            regions: false,
+        }
+    }
+}
+
+/// Predicts how much a sensor at a pose (body axes) sees of features, from the `polygon_id` image of the same world, sensor
+/// and pose.
+///
+/// ```
+/// use presight::environment::{Existence, Feature, FeatureShape, Properties};
+/// use presight::features::{FeatureSettings, PlacedFeature, predict_features};
+/// use presight::{Backend, Environment, Options, Output, Outputs, Pose, Predictor, Request, World};
+/// use glam::{DMat3, DVec3};
+///
+/// let world = World::new(Environment::new());
+/// let sensor = presight::preset("video-camera")?;
+/// let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1))?;
+/// let request = Request::of(Outputs::of(&[Output::PolygonId]));
+/// let seen = predictor.predict(&world, &sensor, &Pose::IDENTITY, &request)?;
+/// // An edge 3 m ahead in an empty world.
+/// let ends = [DVec3::new(3.0, -0.2, 0.0), DVec3::new(3.0, 0.2, 0.1)];
+/// let shape = FeatureShape::Segment { ends, covariances: [DMat3::ZERO; 2], cross: DMat3::ZERO };
+/// let (existence, properties) = (Existence::default(), Properties::default());
+/// let feature = Feature { id: 7, name: None, object: None, shape, existence, properties };
+/// let placed = [PlacedFeature { feature: feature.into(), object: None, slots: vec![] }];
+/// let options = FeatureSettings::default();
+/// let found = predict_features(&world, &sensor, &Pose::IDENTITY, &seen.images, &placed, &options)?;
+/// assert_eq!(found.features[0].visible_fraction, 1.0);
+/// # Ok::<(), presight::Error>(())
+/// ```
+///
+/// # Errors
+/// [`crate::ErrorKind::Invalid`] if there is no `polygon_id` image of the sensor's size, a feature's object or slot does
+/// not exist, or the sensor is a ray table without a nearest ray; [`crate::ErrorKind::Usage`] for a step out of its range, and those of [`Pose::check`];
+/// those of [`crate::Threads::new`].
+#[doc(hidden)]
+pub fn predict_features(
+    world: &World,
+    sensor: &Sensor,
+    world_from_sensor: &Pose,
+    images: &Images,
+    placed: &[PlacedFeature],
+    options: &FeatureSettings,
+) -> Result<FeaturePrediction> {
+    let prepared = PreparedFeatures::new(world, sensor, world_from_sensor, images, (placed, None), options)?;
+    parallel(|| prepared.finish(None))
+}
+
+/// Features that were checked against a world and a sensor, to be predicted.
+pub struct PreparedFeatures<'a> {
+    /// `None` without features: nothing is worked out for them.
+    frame: Option<VisibilityContext<'a>>,
+    images: &'a Images,
+    placed: &'a [PlacedFeature],
+    feature_id: bool,
+    /// Numbers of the features that are looked at one by one.
+    some: Vec<usize>,
+    /// Numbers of those that are told of without a look, rising, and why they are out of view.
+    out_of_view: Vec<(u32, Reason)>,
+    contours: Contours<'a>,
+    workspaces: IdleWorkspaces,
+}
+
+/// The surfaces of contours.
+enum Contours<'a> {
+    Known(&'a ContourSet),
+    Made(ContourSet),
+}
+
+impl Contours<'_> {
+    fn set(&self) -> &ContourSet {
+        match self {
+            Self::Known(set) => set,
+            Self::Made(set) => set,
+        }
+    }
+}
+
+/// Samples of a feature that only what is in between decides: where, image frame, and the nearest pixel, row-major.
+pub(crate) type QuerySamples = Vec<(DVec3, u32)>;
+
+/// Samples of features on the image of a sensor, feature by feature.
+#[derive(Clone, Copy, Debug)]
+pub struct FeatureSamples<'a> {
+    /// Of each feature: where, image frame, and the nearest pixel, row-major.
+    pub samples: &'a [Vec<(DVec3, u32)>],
+    /// The features.
+    pub placed: &'a [&'a PlacedFeature],
+    /// The sensor.
+    pub sensor: &'a Sensor,
+}
+
+/// What the nine pixels around a sample say of it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OcclusionHint {
+    /// Hidden by the polygon of a slot.
+    Hidden(u32),
+    /// A polygon covers its ray and is not nearer, and none beside it could be.
+    Seen,
+    /// Neither.
+    Doubt,
+}
+
+impl<'a> PreparedFeatures<'a> {
+    /// Of features that exist in the world if their tree is given, with the surfaces of contours among them.
+    ///
+    /// # Errors
+    /// As [`predict_features`].
+    pub fn new(
+        world: &'a World,
+        sensor: &'a Sensor,
+        world_from_sensor: &Pose,
+        images: &'a Images,
+        (placed, known): (&'a [PlacedFeature], Option<(&FeatureTree, &'a ContourSet)>),
+        options: &FeatureSettings,
+    ) -> Result<Self> {
+        world_from_sensor.check()?;
+        let none = Contours::Made(ContourSet::default());
+        let (feature_id, some, out_of_view) = (options.feature_id, Vec::new(), Vec::new());
+        let memory = known.map(|(tree, _)| tree.memory.clone());
+        let workspaces = IdleWorkspaces::new(memory.unwrap_or_default());
+        let prepared = Self { frame: None, images, placed, feature_id, some, out_of_view, contours: none, workspaces };
+        if placed.is_empty() {
+            return Ok(prepared);
+        }
+        let (mut made, mut contours) = (None, ContourSet::default());
+        if known.is_none() {
+            check_placed(world.environment(), placed)?;
+            contours = ContourSet::new(world, &sensor.spec().class, placed)?;
+            made = (options.hidden == Hidden::Count).then(|| FeatureTree::new(placed, &contours));
+        }
+        let (tree, known) = known.unzip();
+        let tree = tree.or(made.as_ref());
+        let newest = || tree.map_or_else(|| newest(placed), |tree| tree.newest);
+        let time = options.time.unwrap_or_else(newest);
+        let frame = VisibilityContext::new(world, sensor, world_from_sensor, images, time, options)?;
+        let surfaces = known.unwrap_or(&contours);
+        let (some, out_of_view) = match tree {
+            Some(tree) if options.hidden == Hidden::Count => {
+                let some = select::select(&frame, tree, (placed, surfaces), &prepared.workspaces)?;
+                (some.into_iter().map(|i| i as usize).collect(), Vec::new())
+            }
+            Some(tree) => {
+                let reasons = select::out_of_view(&frame, tree, surfaces);
+                let told = (0..).zip(&reasons).filter_map(|(i, reason)| Some((i, (*reason)?)));
+                ((0..placed.len()).filter(|i| reasons[*i].is_none()).collect(), told.collect())
+            }
+            None => ((0..placed.len()).collect(), Vec::new()),
+        };
+        let contours = known.map_or(Contours::Made(contours), Contours::Known);
+        Ok(Self { frame: Some(frame), some, out_of_view, contours, ..prepared })
+    }
+
+    /// What would be asked of the images, feature by feature: for a device that still has them.
+    pub fn query_samples(&self) -> Vec<QuerySamples> {
+        let Some(frame) = &self.frame else { return Vec::new() };
+        self.some
+            .par_iter()
+            .with_min_len(BATCH)
+            .map_init(|| self.workspaces.wake(frame), |awake, i| awake.worker().query_samples(&self.placed[*i]))
+            .collect()
+    }
+
+    /// The features asked about, in the order of [`PreparedFeatures::query_samples`].
+    pub fn asked(&self) -> impl Iterator<Item = &'a PlacedFeature> {
+        self.some.iter().map(|i| &self.placed[*i])
+    }
+
+    /// Predicts them. `told` are, in the order of [`PreparedFeatures::query_samples`], the slots of what may hide the samples; otherwise
+    /// the images are asked.
+    pub fn finish(mut self, told: Option<&[Vec<Option<u32>>]>) -> FeaturePrediction {
+        let mut marks = self.marks();
+        let mut prediction = self.part(&self.some, told, &mut marks);
+        sort_as_given(&mut prediction);
+        let is_each_once = self.contours.set().is_empty() && self.out_of_view.is_empty();
+        if self.frame.as_ref().is_none_or(|frame| frame.options.hidden != Hidden::Count && is_each_once) {
+            prediction.given = Vec::new();
+        }
+        prediction.out_of_view = std::mem::take(&mut self.out_of_view);
+        prediction.stats.features = self.placed.len();
+        prediction.feature_id = marks.into_image();
+        prediction
+    }
+
+    /// Predicts some of them, by index, with what is told of each; which pixels they mark is noted.
+    pub fn part(&self, which: &[usize], told: Option<&[Vec<Option<u32>>]>, marks: &mut Marks) -> FeaturePrediction {
+        let mut prediction = FeaturePrediction::default();
+        let Some(frame) = &self.frame else { return prediction };
+        prediction.time = frame.time;
+        let some = which.par_iter().enumerate().with_min_len(BATCH);
+        let parts = some.fold(
+            || (self.workspaces.wake(frame), Part::default()),
+            |(mut awake, mut part), (at, number)| {
+                let told = told.map(|told| told[at].as_slice());
+                let placed = &self.placed[*number];
+                match self.contours.set().get(*number) {
+                    Some(surface) => {
+                        let curves = awake.worker().contour(placed, surface);
+                        curves.into_iter().for_each(|curve| part.take(*number, curve));
+                    }
+                    None if placed.feature.shape.is_contour() => {}
+                    None => part.take(*number, awake.worker().feature(placed, told)),
+                }
+                (awake, part)
+            },
+        );
+        for mut part in parts.map(|(_, part)| part).collect::<Vec<Part>>() {
+            prediction.features.append(&mut part.features);
+            prediction.given.append(&mut part.given);
+            prediction.stats.add(&part.stats);
+            part.pixels.iter().for_each(|(number, pixels)| marks.add(&self.placed[*number].feature, pixels));
+        }
+        prediction
+    }
+
+    /// No pixel is marked yet.
+    pub fn marks(&self) -> Marks {
+        let pixels = if self.feature_id { self.images.width as usize * self.images.height as usize } else { 0 };
+        Marks(vec![u64::MAX; pixels])
+    }
+
+    /// About how long the images of the features are, pixels: what counts is which is longer.
+    pub fn image_lengths(&self) -> Vec<f64> {
+        let Some(frame) = &self.frame else { return Vec::new() };
+        let one = |(number, placed): (usize, &PlacedFeature)| match self.contours.set().get(number) {
+            Some(surface) => length_through(frame, &frame.in_image_of(&surface.hull, placed.object)),
+            None => length_through(frame, &frame.in_image(placed).0),
+        };
+        self.placed.par_iter().enumerate().with_min_len(BATCH).map(one).collect()
+    }
+}
+
+/// Puts features in the order in which they were given; the curves of one keep theirs.
+fn sort_as_given(prediction: &mut FeaturePrediction) {
+    let given = &prediction.given;
+    if given.is_sorted() {
+        return;
+    }
+    let mut order: Vec<u32> = (0..given.len() as u32).collect();
+    order.sort_by_key(|i| given[*i as usize]);
+    let mut features: Vec<_> = std::mem::take(&mut prediction.features).into_iter().map(Some).collect();
+    prediction.features = order.iter().filter_map(|i| features[*i as usize].take()).collect();
+    prediction.given = order.iter().map(|i| given[*i as usize]).collect();
+}
+
+/// About how long the image of an outline through points is, pixels. Parts beside the image have no length.
+fn length_through(frame: &VisibilityContext<'_>, points: &[DVec3]) -> f64 {
+    /// Pieces of each side.
+    const PIECES: u32 = 8;
+    let (sensor, turn) = (frame.sensor, frame.sensor.columns_of_a_turn());
+    let (width, height) = (f64::from(sensor.width()), f64::from(sensor.height()));
+    let place = |p: DVec3| {
+        let inside = |(u, v): &(f64, f64)| (-0.5..=width - 0.5).contains(u) && (-0.5..=height - 0.5).contains(v);
+        sensor.project(p).filter(inside)
+    };
+    let sides = if points.len() > 2 { points.len() } else { points.len().saturating_sub(1) };
+    let mut length = 0.0;
+    for side in 0..sides {
+        let (from, to) = (points[side], points[(side + 1) % points.len()]);
+        let mut last = place(from);
+        for piece in 1..=PIECES {
+            let next = place(from.lerp(to, f64::from(piece) / f64::from(PIECES)));
+            if let (Some(a), Some(b)) = (last, next) {
+                let across = (a.0 - b.0).abs();
+                let across = turn.map_or(across, |turn| across.min(turn - across));
+                length += across.hypot(a.1 - b.1);
+            }
+            last = next;
+        }
+    }
+    length
+}
+
+/// Features that a worker takes at a time, at least.
+const BATCH: usize = 32;
+
+/// Workspaces at rest. In one prediction they keep what was set up: a thread pool may split the work into many tasks.
+#[derive(Default)]
+struct IdleWorkspaces {
+    idle: Mutex<Vec<Workspace>>,
+    /// Where they rest between predictions.
+    memory: WorkspaceMemory,
+}
+
+/// Workspaces between predictions: their memory need not be asked for again.
+#[derive(Clone, Default)]
+pub(crate) struct WorkspaceMemory(Arc<Mutex<Vec<Workspace>>>);
+
+impl std::fmt::Debug for WorkspaceMemory {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("WorkspaceMemory").finish_non_exhaustive()
+    }
+}
+
+fn lock(workspaces: &Mutex<Vec<Workspace>>) -> MutexGuard<'_, Vec<Workspace>> {
+    workspaces.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl IdleWorkspaces {
+    fn new(memory: WorkspaceMemory) -> Self {
+        Self { idle: Mutex::default(), memory }
+    }
+
+    /// One of this prediction, or a new one.
+    fn take(&self, frame: &VisibilityContext<'_>) -> Workspace {
+        let known = lock(&self.idle).pop();
+        known.unwrap_or_else(|| match lock(&self.memory.0).pop() {
+            Some(mut workspace) => {
+                workspace.renew(frame);
+                workspace
+            }
+            None => Workspace::new(frame),
+        })
+    }
+
+    fn give(&self, workspace: Workspace) {
+        lock(&self.idle).push(workspace);
+    }
+
+    fn wake<'j, 'a>(&'j self, frame: &'a VisibilityContext<'a>) -> WorkerGuard<'j, 'a> {
+        WorkerGuard { worker: None, frame, of: self }
+    }
+}
+
+impl Drop for IdleWorkspaces {
+    fn drop(&mut self) {
+        lock(&self.memory.0).append(&mut lock(&self.idle));
+    }
+}
+
+/// A worker whose workspace rests again when it is let go.
+struct WorkerGuard<'j, 'a> {
+    worker: Option<Worker<'a>>,
+    frame: &'a VisibilityContext<'a>,
+    of: &'j IdleWorkspaces,
+}
+
+impl<'a> WorkerGuard<'_, 'a> {
+    fn worker(&mut self) -> &mut Worker<'a> {
+        self.worker.get_or_insert_with(|| Worker { frame: self.frame, workspace: self.of.take(self.frame) })
+    }
+}
+
+impl Drop for WorkerGuard<'_, '_> {
+    fn drop(&mut self) {
+        if let Some(worker) = self.worker.take() {
+            self.of.give(worker.workspace);
+        }
+    }
+}

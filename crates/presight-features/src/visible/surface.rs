@@ -1,0 +1,128 @@
+//! What is known of a feature beside its geometry: what it lies on, and why it may not be seen whatever is in between.
+
+use super::VisibilityContext;
+use super::polygon::PolygonCache;
+use crate::{PlacedFeature, Reason};
+use glam::{DMat3, DVec3};
+use presight_model::environment::FeatureShape;
+use presight_model::geometry::plane_of_polygon;
+
+/// The surface of a feature.
+pub(super) struct FeatureSurface<'a> {
+    slots: &'a [u32],
+    /// Normals of what it lies on, as far as that can be seen, image frame.
+    normals: Vec<DVec3>,
+    /// A landmark is seen from here only.
+    front: Option<DVec3>,
+    /// Applies to all of it.
+    reason: Option<Reason>,
+    /// How far its points may be off by rounding, metres.
+    rounding: f64,
+}
+
+impl<'a> FeatureSurface<'a> {
+    /// Of a feature, and what does not hide it, with its points in the image frame, and how far they may be off by rounding.
+    pub fn new(
+        frame: &VisibilityContext<'_>,
+        polygons: &mut PolygonCache,
+        (placed, slots): (&PlacedFeature, &'a [u32]),
+        (points, image_from_object, rounding): &(Vec<DVec3>, DMat3, f64),
+    ) -> Self {
+        let mut normals = Vec::new();
+        let reason = lies_on(frame, polygons, slots, |normal| normals.push(normal));
+        let landmark = matches!(placed.feature.shape, FeatureShape::Reflector { .. } | FeatureShape::Fiducial { .. });
+        let given = placed.feature.properties.normal.and_then(|n| (*image_from_object * n).try_normalize());
+        // Corners are clockwise seen from the front: the right-hand normal points away from there.
+        let of_outline = (points.len() > 2).then(|| plane_of_polygon(points)).flatten().map(|p| p.normal);
+        let fiducial = matches!(placed.feature.shape, FeatureShape::Fiducial { .. });
+        let front = given.or(of_outline.filter(|_| fiducial).map(|n| -n)).filter(|_| landmark);
+        normals.extend(front);
+        if normals.is_empty() && reason != Some(Reason::FacingAway) {
+            normals.extend(given.or(of_outline));
+        }
+        FeatureSurface { slots, normals, front, reason, rounding: *rounding }
+    }
+
+    /// Of a piece of a silhouette, and the polygons around it: where a surface ends, it is never seen too flat.
+    pub fn of_silhouette(
+        frame: &VisibilityContext<'_>,
+        polygons: &mut PolygonCache,
+        slots: &'a [u32],
+        rounding: f64,
+    ) -> Self {
+        let reason = lies_on(frame, polygons, slots, |_| ());
+        FeatureSurface { slots, normals: Vec::new(), front: None, reason, rounding }
+    }
+
+    /// Only what is in between decides.
+    pub fn is_plain(&self) -> bool {
+        self.reason.is_none() && self.front.is_none()
+    }
+
+    /// How far its points may be off by rounding, metres.
+    pub fn rounding(&self) -> f64 {
+        self.rounding
+    }
+
+    /// True of polygons that it lies on.
+    pub fn holds(&self, slot: u32) -> bool {
+        self.slots.contains(&slot)
+    }
+
+    /// Of the surfaces it lies on, the one seen most directly.
+    pub fn cosine(&self, ray: DVec3) -> Option<f64> {
+        self.normals.iter().map(|n| n.dot(ray).abs().min(1.0)).reduce(f64::max)
+    }
+
+    /// The first reason not to see a place on it that applies whatever is in between.
+    #[inline]
+    pub fn before_occlusion(&self, frame: &VisibilityContext<'_>, at: DVec3, range: f64) -> Option<Reason> {
+        let spec = frame.sensor.spec();
+        if range < spec.range_min {
+            return Some(Reason::BelowRangeMin);
+        }
+        if range > spec.range_max {
+            return Some(Reason::BeyondRangeMax);
+        }
+        if !(range > 0.0) {
+            return Some(Reason::Undecided);
+        }
+        if self.reason.is_some() {
+            return self.reason;
+        }
+        if self.front.is_some_and(|n| !(n.dot(at) < 0.0)) {
+            return Some(Reason::FacingAway);
+        }
+        let flat = |most: f64| self.cosine(at / range).is_some_and(|cosine| cosine < most.cos());
+        spec.max_incidence.is_some_and(flat).then_some(Reason::Oblique)
+    }
+}
+
+/// Why something on these polygons is not seen, whatever is in between. Visits the normals of those that may be seen.
+fn lies_on(
+    frame: &VisibilityContext<'_>,
+    polygons: &mut PolygonCache,
+    slots: &[u32],
+    mut visit: impl FnMut(DVec3),
+) -> Option<Reason> {
+    let (mut there, mut away) = (0, 0);
+    for slot in slots {
+        let Some(number) = polygons.of_slot(frame, *slot) else { continue };
+        let known = polygons.get(number);
+        if frame.invisible[usize::from(known.material)] {
+            continue;
+        }
+        there += 1;
+        if frame.facings[usize::from(known.material)].one_sided && !known.faces_sensor {
+            away += 1;
+        } else {
+            visit(known.normal);
+        }
+    }
+    match (slots.len(), there) {
+        (0, _) => None,
+        (_, 0) => Some(Reason::Material),
+        _ if there == away => Some(Reason::FacingAway),
+        _ => None,
+    }
+}

@@ -1,0 +1,486 @@
+//! What may hide something in a direction: polygons by tiles of a cube around the sensor, found once for all features.
+//!
+//! Tiles are pyramids with their apex at the sensor. The index is asked once for what is in one, and samples of all features look
+//! through that: first those polygons go that are beside or behind all samples of a feature in the tile, then each sample is held to
+//! the few that are left. Where a polygon covers all of a tile, what is behind it there hides nothing that it does not hide itself:
+//! only features that lie on it look at what is behind. The index is asked for no more than lies before what the image shows in a tile,
+//! until something farther is not hidden by that.
+
+use super::VisibilityContext;
+use super::polygon::{PolygonCache, PreparedPolygon};
+use super::surface::FeatureSurface;
+use glam::DVec3;
+use presight_model::geometry::Aabb;
+use presight_model::index::{QueryResult, Region};
+use std::collections::HashMap;
+
+/// About how wide the tiles of a camera are for which the index is asked, pixels.
+const PIXELS: f64 = 128.0;
+/// Those of a scanner, whose pixels are wide and which sees all around: large ones would hold much of a building.
+const SCANNER_PIXELS: f64 = 32.0;
+/// Most of them along a side of the cube: their numbers fit in 32 bits.
+const MAX_ACROSS: f64 = 16_384.0;
+/// How far a tile reaches over its sides, in coordinates on the cube: places between two in a tile may be out of it by
+/// rounding.
+const SLACK: f64 = 1e-9;
+/// How much farther than needed polygons are asked for, so that the next feature need not ask again.
+const FARTHER: f64 = 1.25;
+/// What is behind a polygon is so by this part of the distance, far more than the rounding of either.
+const BEHIND: f64 = 1e-6;
+/// No polygon.
+const NONE: u32 = u32::MAX;
+
+/// A polygon that covers a ray of the tile. What most are passed over by stands beside its number.
+#[derive(Clone, Copy)]
+struct TilePolygon {
+    /// Where it is on the tile's side of the cube: least and greatest of both coordinates.
+    bounds: Bounds,
+    /// n / d.
+    inverse: DVec3,
+    /// Number in the cache.
+    number: u32,
+    /// Nothing of it in the tile is nearer, along the axis of the side.
+    near: f32,
+}
+
+impl TilePolygon {
+    fn new(polygons: &PolygonCache, number: u32, square: &Square) -> Self {
+        let known = polygons.get(number);
+        let corners = polygons.corners_of(known);
+        let bounds = Bounds::of(corners, square);
+        let (mut nearest, mut reach) = (f64::INFINITY, 0f64);
+        for corner in corners {
+            nearest = nearest.min(square.coordinates(*corner)[2]);
+            reach = reach.max(corner.abs().max_element());
+        }
+        let near = if known.is_unknown() { 0.0 } else { before(nearest - BEHIND * BEHIND * reach) };
+        Self { bounds, inverse: known.inverse, number, near }
+    }
+
+    /// With what its plane tells of how near it is, by the greatest product with a corner of the tile.
+    fn beyond(self, greatest: f64, known: &PreparedPolygon) -> Self {
+        let is_told = greatest > 0.0 && !known.is_unknown();
+        Self { near: if is_told { self.near.max(before(greatest.recip())) } else { self.near }, ..self }
+    }
+}
+
+/// A little less than a distance, at least 0.
+fn before(distance: f64) -> f32 {
+    (distance * (1.0 - BEHIND)).max(0.0) as f32
+}
+
+/// A box on a side of the cube: x0, x1, y0, y1.
+#[derive(Clone, Copy, Debug)]
+struct Bounds([f32; 4]);
+
+impl Bounds {
+    /// How far beyond its corners a polygon may still cover something, by rounding.
+    const SLACK: f32 = 1e-6;
+
+    /// Around places; all of the side if one of them is not before it.
+    fn of(places: &[DVec3], square: &Square) -> Self {
+        let mut bounds = [f32::INFINITY, f32::NEG_INFINITY, f32::INFINITY, f32::NEG_INFINITY];
+        for place in places {
+            let [x, y, z] = square.coordinates(*place);
+            if !(z > 0.0) {
+                return Self([f32::NEG_INFINITY, f32::INFINITY, f32::NEG_INFINITY, f32::INFINITY]);
+            }
+            // All tiles are within 1.
+            let [x, y] = [x, y].map(|x| (x / z).clamp(-2.0, 2.0) as f32);
+            let [x0, x1, y0, y1] = bounds;
+            bounds = [x0.min(x), x1.max(x), y0.min(y), y1.max(y)];
+        }
+        let [x0, x1, y0, y1] = bounds;
+        Self([x0 - Self::SLACK, x1 + Self::SLACK, y0 - Self::SLACK, y1 + Self::SLACK])
+    }
+
+    /// The columns of a square that it reaches over and the rows, of 32 each. What meets shares one of each.
+    fn cells(&self, square: &Square) -> [u32; 2] {
+        let ([x0, x1, y0, y1], [u, v]) = (self.0, square.bounds);
+        let cell =
+            |x: f32, [low, high]: [f64; 2]| ((f64::from(x) - low) * (32.0 / (high - low))).clamp(0.0, 31.0) as u32;
+        let reach = |from: u32, to: u32| (u32::MAX << from) & (u32::MAX >> (31 - to));
+        [reach(cell(x0, u), cell(x1, u)), reach(cell(y0, v), cell(y1, v))]
+    }
+
+    #[inline]
+    fn meets(&self, other: &Self) -> bool {
+        let ([a0, a1, a2, a3], [b0, b1, b2, b3]) = (self.0, other.0);
+        (a0 <= b1) & (b0 <= a1) & (a2 <= b3) & (b2 <= a3)
+    }
+}
+
+/// Tiles of the cube [-1, 1]^3 around the sensor, image axes: what lies between two places in a tile lies in it.
+pub(super) struct Tiles {
+    /// Along a side.
+    across: f64,
+    numbers: HashMap<u32, u32>,
+    tiles: Vec<Tile>,
+    found: QueryResult,
+}
+
+/// How much of a tile is asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Look {
+    First,
+    All,
+}
+
+/// A part of a side of the cube.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Square {
+    axis: usize,
+    sign: f64,
+    /// Bounds of the next coordinate and the one after it, over that of the axis.
+    bounds: [[f64; 2]; 2],
+}
+
+impl Square {
+    fn coordinates(&self, at: DVec3) -> [f64; 3] {
+        [at[(self.axis + 1) % 3], at[(self.axis + 2) % 3], self.sign * at[self.axis]]
+    }
+
+    /// Positive inside of the four sides, linear.
+    fn sides(&self, at: DVec3) -> [f64; 4] {
+        let [x, y, z] = self.coordinates(at);
+        let [u, v] = self.bounds;
+        [x - u[0] * z, u[1] * z - x, y - v[0] * z, v[1] * z - y]
+    }
+
+    /// The share of the way from `p`, which is in the pyramid but for rounding, to `q` at which it is left; 1 if it is not.
+    pub fn left_at(&self, p: DVec3, q: DVec3) -> f64 {
+        let ways = self.sides(p).into_iter().zip(self.sides(q)).filter(|(_, g)| *g < 0.0);
+        ways.map(|(f, g)| f.max(0.0) / (f.max(0.0) - g)).fold(1.0, f64::min)
+    }
+
+    /// Rays along its edges, in turn.
+    fn corners(&self) -> [DVec3; 4] {
+        let [u, v] = self.bounds.map(|[low, high]| [low - SLACK, high + SLACK]);
+        [(0, 0), (1, 0), (1, 1), (0, 1)].map(|(i, j)| {
+            let mut ray = DVec3::ZERO;
+            ray[self.axis] = self.sign;
+            ray[(self.axis + 1) % 3] = u[i];
+            ray[(self.axis + 2) % 3] = v[j];
+            ray
+        })
+    }
+}
+
+/// Polygons of a tile, the nearest first, with the cells that each reaches over: many are passed over by these, at once.
+#[derive(Default)]
+struct TilePolygons {
+    all: Vec<TilePolygon>,
+    /// [`Bounds::cells`]: columns and rows by themselves, so that several are compared by one instruction.
+    columns: Vec<u32>,
+    rows: Vec<u32>,
+}
+
+impl TilePolygons {
+    fn new(mut all: Vec<TilePolygon>, square: &Square) -> Self {
+        all.sort_by(|a, b| a.near.total_cmp(&b.near));
+        let (columns, rows) = all.iter().map(|polygon| polygon.bounds.cells(square).into()).unzip();
+        Self { all, columns, rows }
+    }
+
+    /// Visits those that may share columns and rows, and are nearer than a distance along the axis in part, in order.
+    fn visit(&self, [column, row]: [u32; 2], far: f32, mut visit: impl FnMut(&TilePolygon)) {
+        const AT_ONCE: usize = 16;
+        let meets = |(columns, rows): (&u32, &u32)| u32::from(columns & column != 0) & u32::from(rows & row != 0);
+        let nearer = self.all.partition_point(|polygon| polygon.near < far);
+        let (columns, rows) = (self.columns[..nearer].chunks(AT_ONCE), self.rows[..nearer].chunks(AT_ONCE));
+        for ((some, columns), rows) in self.all[..nearer].chunks(AT_ONCE).zip(columns).zip(rows) {
+            if columns.iter().zip(rows).fold(0, |any, of| any | meets(of)) != 0 {
+                let of = some.iter().zip(columns.iter().zip(rows));
+                of.filter(|(_, of)| meets(*of) != 0).for_each(|(polygon, _)| visit(polygon));
+            }
+        }
+    }
+}
+
+/// Polygons in a tile, up to a range in metres.
+struct Tile {
+    square: Square,
+    radius: f64,
+    candidates: TilePolygons,
+    /// The polygon that covers all of it, and what is behind that one.
+    cover: u32,
+    behind: TilePolygons,
+    /// Greatest product of those behind with a corner.
+    most_behind: f64,
+}
+
+impl Tile {
+    /// A tile of some polygons, of which it takes those that cover a ray of it.
+    fn new(square: Square, radius: f64, polygons: &PolygonCache, some: impl Iterator<Item = TilePolygon>) -> Self {
+        let corners = square.corners();
+        let bounds = Bounds::of(&corners, &square);
+        let mut candidates = Vec::new();
+        let mut nearest: Option<(f64, [f64; 4], u32)> = None;
+        for candidate in some.filter(|c| c.bounds.meets(&bounds)) {
+            let known = polygons.get(candidate.number);
+            let (mut beside, mut covers) = (false, true);
+            for e in polygons.planes_of(known) {
+                let inside = corners.map(|c| e.dot(c) >= 0.0);
+                beside |= inside == [false; 4];
+                covers &= inside == [true; 4];
+            }
+            if beside {
+                continue;
+            }
+            let at = corners.map(|c| known.inverse.dot(c));
+            if covers && is_sharp(known, radius) {
+                let least = at.into_iter().fold(f64::INFINITY, f64::min);
+                if nearest.is_none_or(|n| least > n.0) {
+                    nearest = Some((least, at, candidate.number));
+                }
+            }
+            candidates.push(candidate.beyond(at.into_iter().fold(0.0, f64::max), known));
+        }
+        let (mut cover, mut behind, mut most_behind) = (NONE, Vec::new(), 0.0);
+        if let Some((_, cover_at, number)) = nearest {
+            cover = number;
+            candidates.retain(|candidate| {
+                let at = corners.map(|c| candidate.inverse.dot(c));
+                let hidden = at.iter().zip(cover_at).all(|(at, cover)| *at < cover * (1.0 - BEHIND));
+                if hidden {
+                    behind.push(*candidate);
+                    most_behind = at.into_iter().fold(most_behind, f64::max);
+                }
+                !hidden
+            });
+        }
+        let [candidates, behind] = [candidates, behind].map(|all| TilePolygons::new(all, &square));
+        Self { square, radius, candidates, cover, behind, most_behind }
+    }
+}
+
+/// How far away is the farthest that the image shows in some directions of a tile: what is farther is probably hidden by this, and by
+/// what is nearer.
+fn depth_of(frame: &VisibilityContext<'_>, polygons: &mut PolygonCache, square: &Square) -> f64 {
+    /// Directions along each side.
+    const LOOKS: u32 = 4;
+    let [c00, c10, c11, c01] = square.corners();
+    let share = |i: u32| (f64::from(i) + 0.5) / f64::from(LOOKS);
+    let mut depth = 0f64;
+    for (i, j) in (0..LOOKS).flat_map(|i| (0..LOOKS).map(move |j| (i, j))) {
+        let ray = c00.lerp(c10, share(i)).lerp(c01.lerp(c11, share(i)), share(j));
+        if let Some(number) = frame.slot_in(ray).and_then(|slot| polygons.of_slot(frame, slot)) {
+            let known = polygons.get(number);
+            let range = ray.length() / known.inverse.dot(ray);
+            if known.covers && range.is_finite() {
+                depth = depth.max(range);
+            }
+        }
+    }
+    depth
+}
+
+/// True if rounding of its distance is far below [`BEHIND`].
+fn is_sharp(known: &PreparedPolygon, radius: f64) -> bool {
+    known.least_share(2.0, radius, 0.0) < 1.0 + 0.1 * BEHIND
+}
+
+impl Tiles {
+    /// For the sensor of a prediction.
+    pub fn of_sensor(frame: &VisibilityContext<'_>) -> Self {
+        let pixels = if frame.sensor.is_camera() { PIXELS } else { SCANNER_PIXELS };
+        Self::new(pixels * frame.sampler.pixel_angle())
+    }
+
+    /// Of about that angle, radians.
+    fn new(angle: f64) -> Self {
+        let across = (2.0 / angle).ceil().clamp(1.0, MAX_ACROSS);
+        Self { across, numbers: HashMap::new(), tiles: Vec::new(), found: QueryResult::default() }
+    }
+
+    /// The tile of a place that is not the sensor's: its number, and where it is.
+    #[inline]
+    pub fn of(&self, at: DVec3) -> (u32, Square) {
+        let size = at.abs();
+        let axis = if size.x >= size.y && size.x >= size.z { 0 } else { 1 + usize::from(size.z > size.y) };
+        let half = 0.5 * self.across / size[axis];
+        let number = |other: usize| (at[other] * half + 0.5 * self.across).clamp(0.0, self.across - 1.0) as u32;
+        let side = 2 * axis as u32 + u32::from(at[axis] < 0.0);
+        let across = self.across as u32;
+        let numbers = [number((axis + 1) % 3), number((axis + 2) % 3)];
+        let bounds = numbers.map(|n| [n, n + 1].map(|n| 2.0 * f64::from(n) / self.across - 1.0));
+        let square = Square { axis, sign: 1f64.copysign(at[axis]), bounds };
+        ((side * across + numbers[0]) * across + numbers[1], square)
+    }
+
+    /// True if the index need not be asked for what is in a tile.
+    pub fn knows(&self, number: u32, farthest: f64) -> bool {
+        self.numbers.get(&number).is_some_and(|tile| self.tiles[*tile as usize].radius >= farthest)
+    }
+
+    /// The tile of a place, with what may hide something in it up to a range in metres, and whether it has all of that. A first look
+    /// may end behind what the image shows: nearly all that is farther is hidden by what is nearer, and much more is there.
+    pub fn tile(
+        &mut self,
+        frame: &VisibilityContext<'_>,
+        polygons: &mut PolygonCache,
+        at: DVec3,
+        farthest: f64,
+        look: Look,
+    ) -> (u32, bool) {
+        let (number, square) = self.of(at);
+        if let Some(tile) = self.numbers.get(&number) {
+            let has_all = self.tiles[*tile as usize].radius >= farthest;
+            if has_all || look == Look::First {
+                return (*tile, has_all);
+            }
+        }
+        let mut radius = FARTHER * farthest;
+        if look == Look::First {
+            let depth = FARTHER * depth_of(frame, polygons, &square);
+            if depth > 0.0 {
+                radius = radius.min(depth);
+            }
+        }
+        let (tile, found) = (self.tiles.len() as u32, self.find(frame, polygons, square, radius));
+        self.numbers.insert(number, tile);
+        self.tiles.push(found);
+        (tile, radius >= farthest)
+    }
+
+    /// Puts together the polygons, by number in the cache, that may hide something at some places of a tile, or between them: those
+    /// that meet the box around them on the side of the cube, are not behind all of the box around them in space, and are not the
+    /// feature's own.
+    pub fn between(
+        &self,
+        tile: u32,
+        places: &[DVec3],
+        own: &FeatureSurface<'_>,
+        polygons: &PolygonCache,
+        near: &mut Vec<u32>,
+    ) {
+        near.clear();
+        let tile = &self.tiles[tile as usize];
+        let bounds = Bounds::of(places, &tile.square);
+        let cells = bounds.cells(&tile.square);
+        let farthest = places.iter().map(|p| tile.square.coordinates(*p)[2]).fold(0.0, f64::max);
+        let far = (farthest * (1.0 + BEHIND)) as f32;
+        let Aabb { min, max } = Aabb::of(places.iter().copied());
+        let reach = min.abs().max(max.abs()).max_element();
+        let look_behind =
+            tile.cover != NONE && reach * tile.most_behind > 1.0 && own.holds(polygons.get(tile.cover).slot);
+        let greatest = |n: DVec3| n.max(DVec3::ZERO).dot(max) + n.min(DVec3::ZERO).dot(min);
+        let mut take = |c: &TilePolygon| {
+            if c.bounds.meets(&bounds) && greatest(c.inverse) > 1.0 && !own.holds(polygons.get(c.number).slot) {
+                near.push(c.number);
+            }
+        };
+        tile.candidates.visit(cells, far, &mut take);
+        if look_behind {
+            tile.behind.visit(cells, far, &mut take);
+        }
+    }
+
+    fn find(
+        &mut self,
+        frame: &VisibilityContext<'_>,
+        polygons: &mut PolygonCache,
+        square: Square,
+        radius: f64,
+    ) -> Tile {
+        let corners = square.corners();
+        let middle: DVec3 = corners.iter().sum();
+        let world_from_image = frame.image_from_world.transpose();
+        let planes = [0, 1, 2, 3].map(|k| {
+            let normal = corners[k].cross(corners[(k + 1) % 4]);
+            world_from_image * (normal.dot(middle).signum() * normal.normalize())
+        });
+        let region = Region::frustum(frame.world_from_sensor.translation, &planes, radius);
+        self.found.clear();
+        frame.world.index().query(frame.environment, &region, &mut self.found);
+        let some: Vec<u32> = self.found.all().filter_map(|slot| polygons.of_slot(frame, slot)).collect();
+        let polygons = &*polygons;
+        let some = some.into_iter().filter(|number| polygons.get(*number).covers);
+        Tile::new(square, radius, polygons, some.map(|number| TilePolygon::new(polygons, number, &square)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// What is between two places in a tile is in the tile's pyramid, and so are both.
+        #[test]
+        fn tiles_are_convex(
+            a in proptest::array::uniform3(-1.0..1.0f64),
+            near in proptest::array::uniform3(-0.1..0.1f64),
+            share in 0.0..=1.0f64,
+            angle in 0.01..64.0f64,
+        ) {
+            let tiles = Tiles::new(angle);
+            let (a, b) = (DVec3::from(a), 3.0 * (DVec3::from(a) + angle / 128.0 * DVec3::from(near)));
+            prop_assume!(a.length() > 0.1 && tiles.of(a).0 == tiles.of(b).0);
+            let corners = tiles.of(a).1.corners();
+            let middle: DVec3 = corners.iter().sum();
+            for k in 0..4 {
+                let normal = corners[k].cross(corners[(k + 1) % 4]);
+                let inward = normal.dot(middle).signum() * normal.normalize();
+                for p in [a, b, a.lerp(b, share)] {
+                    prop_assert!(inward.dot(p) >= 0.0, "{inward} {p}");
+                }
+            }
+        }
+
+        /// A tile is left where a place on the way is on one of its sides.
+        #[test]
+        fn tiles_are_left_at_their_sides(
+            a in proptest::array::uniform3(-1.0..1.0f64),
+            b in proptest::array::uniform3(-1.0..1.0f64),
+            angle in 0.1..64.0f64,
+        ) {
+            let (a, b) = (DVec3::from(a), DVec3::from(b));
+            prop_assume!(a.length() > 0.1 && b.length() > 0.1);
+            let tiles = Tiles::new(angle);
+            let square = tiles.of(a).1;
+            let share = square.left_at(a, b);
+            prop_assert!((share == 1.0) == square.sides(b).iter().all(|s| *s >= 0.0));
+            let most = square.sides(a.lerp(b, share)).into_iter().fold(f64::INFINITY, f64::min);
+            prop_assert!(most >= -1e-12 && (share == 1.0 || most <= 1e-12), "{share} {most}");
+        }
+    }
+
+    /// Of three polygons those before a distance are visited, the nearest first.
+    #[test]
+    fn what_is_farther_is_passed_over() {
+        let square = Tiles::new(1.28).of(DVec3::Z).1;
+        let bounds = Bounds([-1.0, 1.0, -1.0, 1.0]);
+        let polygon = |(number, near)| TilePolygon { bounds, inverse: DVec3::Z, number, near };
+        let polygons = TilePolygons::new([(0, 3.0), (1, 1.0), (2, 2.0)].map(polygon).to_vec(), &square);
+        let visited = |far: f32| {
+            let mut numbers = Vec::new();
+            polygons.visit(bounds.cells(&square), far, |polygon| numbers.push(polygon.number));
+            numbers
+        };
+        assert_eq!([2.5, 9.0, 1.0].map(visited), [vec![1, 2], vec![1, 2, 0], vec![]]);
+        // A bound is never beyond what it bounds.
+        assert!([1e-3, 1.0, 33.3, 5e6].iter().all(|d| f64::from(before(*d)) < *d) && before(-1.0) == 0.0);
+    }
+
+    #[test]
+    fn all_tiles_are_different() {
+        let tiles = Tiles::new(1.28);
+        let across = tiles.across as u32;
+        let mut seen = std::collections::HashSet::new();
+        for axis in 0..3 {
+            for sign in [-1.0, 1.0] {
+                for number in 0..across * across {
+                    let at = |n: u32| (2.0 * f64::from(n) + 1.0) / tiles.across - 1.0;
+                    let mut middle = DVec3::ZERO;
+                    middle[axis] = sign;
+                    middle[(axis + 1) % 3] = at(number / across);
+                    middle[(axis + 2) % 3] = at(number % across);
+                    let (number, square) = tiles.of(middle);
+                    assert!(square.sides(middle).iter().all(|s| *s >= 0.0));
+                    assert!(seen.insert(number));
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,229 @@
+//! Output files that appear whole or not at all.
+
+use super::temporary::{Access, Temporary};
+use presight_model::error::{Error, ErrorKind, Result};
+use std::fs::{self, File, Metadata};
+use std::io::{self, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+
+/// Writes a file through a temporary one in the same folder: filled, synced to the disk, then renamed. Whatever goes
+/// wrong before, the final name keeps what it held, and the temporary file is removed.
+///
+/// A file that is there keeps its mode, and owner and group as far as the system allows: it never gives anybody more rights
+/// than before. Links are followed, also those to a file that is not there yet. A target that exists and is no regular file
+/// (`/dev/null`, a pipe, `/dev/stdout`) is never renamed over: it gets the finished bytes.
+///
+/// ```
+/// use presight::io::atomic::write_atomically;
+/// use std::io::Write;
+/// let folder = tempfile::tempdir()?;
+/// let path = folder.path().join("a.txt");
+/// write_atomically(&path, |file| file.write_all(b"whole"))?;
+/// assert_eq!(std::fs::read(&path)?, b"whole");
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// [`ErrorKind::System`] naming the file, whatever the system's reason: for an output a folder that is not there is
+/// no fault of a file. So is a file that nobody, or not this user, may write.
+pub fn write_atomically(path: &Path, fill: impl FnOnce(&mut File) -> io::Result<()>) -> Result<()> {
+    let refused = |e| refused(path, e);
+    match fs::metadata(path) {
+        Ok(m) if m.is_dir() => return Err(refused(io::Error::from(io::ErrorKind::IsADirectory))),
+        Ok(m) if !m.is_file() || is_given(path) => return write_through(path, fill).map_err(refused),
+        _ => {}
+    }
+    let old = open_to_replace(path)?;
+    let target = target_of(path).map_err(refused)?;
+    let folder = target.parent().filter(|_| target.file_name().is_some());
+    let folder = folder.ok_or_else(|| refused(io::Error::from(io::ErrorKind::IsADirectory)))?;
+    let access = if old.is_some() { Access::Private } else { Access::Umask };
+    let mut temporary = Temporary::new(folder, access).map_err(refused)?;
+    let file = temporary.file();
+    fill(file).map_err(refused)?;
+    if let Some(old) = old {
+        // `access` starts private: a file that is replaced keeps its mode.
+        old.metadata().and_then(|m| file.set_permissions(m.permissions())).map_err(refused)?;
+    }
+    file.sync_all().map_err(refused)?;
+    temporary.keep_as(&target).map_err(refused)
+}
+
+/// The file that is to be replaced, if there is one. Root may write anything: a file without any write bit is meant to stay.
+pub(super) fn open_to_replace(path: &Path) -> Result<Option<File>> {
+    fs::metadata(path).ok().map(|old| open_old(path, &old)).transpose()
+}
+
+fn open_old(path: &Path, old: &Metadata) -> Result<File> {
+    if old.permissions().readonly() {
+        let remedy = "allow writing to it first, or write elsewhere";
+        return Err(Error::new(ErrorKind::System, "cannot write: the file is read-only", remedy).in_file(path));
+    }
+    File::options().write(true).open(path).map_err(|e| refused(path, e))
+}
+
+/// What a path leads to through symbolic links, which may be nothing yet.
+#[doc(hidden)]
+pub fn target_of(path: &Path) -> io::Result<PathBuf> {
+    /// As many as Linux follows.
+    const LINKS: usize = 40;
+    let mut target = path.to_owned();
+    for _ in 0..LINKS {
+        match fs::read_link(&target) {
+            Ok(to) => target = target.parent().unwrap_or(Path::new("")).join(to),
+            Err(_) => return Ok(target),
+        }
+    }
+    Err(io::Error::other("too many links, one after the other"))
+}
+
+/// True for what this process was given open: it goes on where that is, whatever it is.
+#[doc(hidden)]
+pub fn is_given(path: &Path) -> bool {
+    ["/dev/stdout", "/dev/stderr", "/dev/fd", "/proc/self/fd"].iter().any(|given| path.starts_with(given))
+}
+
+fn write_through(path: &Path, fill: impl FnOnce(&mut File) -> io::Result<()>) -> io::Result<()> {
+    let mut finished = tempfile::tempfile()?;
+    fill(&mut finished)?;
+    finished.seek(SeekFrom::Start(0))?;
+    io::copy(&mut finished, &mut open_through(path)?)?;
+    Ok(())
+}
+
+fn open_through(path: &Path) -> io::Result<File> {
+    #[cfg(unix)]
+    {
+        use std::os::fd::AsFd;
+        // The same open file: opened anew, one that stdout was led into would be written from its start.
+        if path == Path::new("/dev/stdout") {
+            return io::stdout().as_fd().try_clone_to_owned().map(File::from);
+        }
+        if path == Path::new("/dev/stderr") {
+            return io::stderr().as_fd().try_clone_to_owned().map(File::from);
+        }
+    }
+    File::options().write(true).append(is_given(path)).open(path)
+}
+
+pub(super) fn refused(path: &Path, e: io::Error) -> Error {
+    use io::ErrorKind as Io;
+    let remedy = match e.kind() {
+        Io::NotFound | Io::NotADirectory => "create the folder first, or write elsewhere",
+        Io::PermissionDenied | Io::ReadOnlyFilesystem => "check the permissions of folder and file, or write elsewhere",
+        Io::IsADirectory => "name a file, not a folder",
+        Io::StorageFull | Io::QuotaExceeded => "free some disk space, or write elsewhere",
+        Io::FileTooLarge => "raise the limit on sizes of files (ulimit -f), or write elsewhere",
+        _ => "write elsewhere, or see what the system says",
+    };
+    Error::new(ErrorKind::System, format!("cannot write: {e}"), remedy).in_file(path).caused_by(e)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::Write;
+
+    fn names_in(folder: &Path) -> Vec<String> {
+        fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect()
+    }
+
+    #[test]
+    fn a_failed_write_leaves_the_old_file_and_nothing_else() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a");
+        write_atomically(&path, |f| f.write_all(b"old")).unwrap();
+        let e = write_atomically(&path, |f| {
+            f.write_all(b"half")?;
+            Err(io::Error::from(io::ErrorKind::StorageFull))
+        })
+        .unwrap_err();
+        assert_eq!(e.kind(), ErrorKind::System);
+        assert_eq!(fs::read(&path).unwrap(), b"old");
+        assert_eq!(names_in(folder.path()), ["a"]);
+    }
+
+    #[test]
+    fn unwritable_targets_are_the_systems_refusal() {
+        let folder = tempfile::tempdir().unwrap();
+        let no_folder = folder.path().join("none/a");
+        for path in [no_folder.as_path(), folder.path(), Path::new("/proc/none/a"), Path::new("")] {
+            let e = write_atomically(path, |f| f.write_all(b"x")).unwrap_err();
+            assert_eq!(e.kind(), ErrorKind::System, "{e}");
+            assert!(!e.remedy().is_empty());
+        }
+        assert!(names_in(folder.path()).is_empty());
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn links_and_devices_stay_what_they_are() {
+        use std::os::unix::fs::{FileTypeExt, PermissionsExt};
+        let folder = tempfile::tempdir().unwrap();
+        let (file, link) = (folder.path().join("file"), folder.path().join("link"));
+        fs::write(&file, b"old").unwrap();
+        std::os::unix::fs::symlink(&file, &link).unwrap();
+        write_atomically(&link, |f| f.write_all(b"new")).unwrap();
+        assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
+        assert_eq!(fs::read(&file).unwrap(), b"new");
+        assert_eq!(fs::metadata(&file).unwrap().permissions().mode() & 0o600, 0o600);
+        write_atomically(Path::new("/dev/null"), |f| f.write_all(b"gone")).unwrap();
+        assert!(fs::metadata("/dev/null").unwrap().file_type().is_char_device());
+    }
+
+    /// Files of others can be made by root only.
+    #[cfg(unix)]
+    #[test]
+    fn owner_and_group_stay_as_far_as_the_system_allows() {
+        use std::os::unix::fs::{MetadataExt, PermissionsExt, chown};
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a");
+        fs::write(&path, b"old").unwrap();
+        fs::set_permissions(&path, fs::Permissions::from_mode(0o640)).unwrap();
+        if chown(&path, Some(4711), Some(4712)).is_err() {
+            eprintln!("skipped: only root can give files away");
+            return;
+        }
+        write_atomically(&path, |f| {
+            let now = f.metadata()?;
+            assert_eq!(now.permissions().mode() & 0o777, 0o600, "nobody else may read along");
+            f.write_all(b"new")
+        })
+        .unwrap();
+        let kept = fs::metadata(&path).unwrap();
+        assert_eq!((kept.uid(), kept.gid(), kept.mode() & 0o777), (4711, 4712, 0o640));
+        assert_eq!(fs::read(&path).unwrap(), b"new");
+    }
+
+    #[test]
+    fn a_file_that_nobody_may_write_stays() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a");
+        fs::write(&path, b"old").unwrap();
+        let mut permissions = fs::metadata(&path).unwrap().permissions();
+        permissions.set_readonly(true);
+        fs::set_permissions(&path, permissions).unwrap();
+        let e = write_atomically(&path, |f| f.write_all(b"new")).unwrap_err();
+        assert_eq!((e.kind(), e.file()), (ErrorKind::System, Some(path.as_path())));
+        assert!(e.to_string().contains("read-only"), "{e}");
+        assert_eq!(fs::read(&path).unwrap(), b"old");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_link_to_nothing_yet_is_followed() {
+        use std::os::unix::fs::symlink;
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        fs::create_dir(at("sub")).unwrap();
+        symlink("sub/second", at("first")).unwrap();
+        symlink("../file", at("sub/second")).unwrap();
+        write_atomically(&at("first"), |f| f.write_all(b"new")).unwrap();
+        assert_eq!(fs::read(at("file")).unwrap(), b"new");
+        assert!(["first", "sub/second"].iter().all(|link| fs::symlink_metadata(at(link)).unwrap().is_symlink()));
+        symlink("b", at("a")).unwrap();
+        symlink("a", at("b")).unwrap();
+        let e = write_atomically(&at("a"), |f| f.write_all(b"new")).unwrap_err();
+        assert_eq!(e.kind(), ErrorKind::System, "{e}");
+    }
+}

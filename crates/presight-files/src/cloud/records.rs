@@ -1,0 +1,125 @@
+//! Records of numbers, of which three are a point.
+
+use super::super::text::line_of;
+use glam::DVec3;
+use presight_model::error::{Error, Result};
+use presight_model::{limits, memory};
+
+/// How numbers are written.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Encoding {
+    Text,
+    Little,
+    Big,
+}
+
+/// A kind of number.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Number {
+    /// Whole, of so many bytes.
+    Signed(usize),
+    Unsigned(usize),
+    /// Of 4 or 8 bytes.
+    Float(usize),
+}
+
+impl Number {
+    pub fn bytes(self) -> usize {
+        match self {
+            Self::Signed(n) | Self::Unsigned(n) | Self::Float(n) => n,
+        }
+    }
+
+    /// Reads the number from its bytes, the least significant first.
+    fn read(self, bytes: &[u8]) -> f64 {
+        let mut eight = [0; 8];
+        eight[..bytes.len()].copy_from_slice(bytes);
+        let whole = u64::from_le_bytes(eight);
+        match self {
+            Self::Float(4) => f64::from(f32::from_bits(whole as u32)),
+            Self::Float(_) => f64::from_bits(whole),
+            Self::Unsigned(_) => whole as f64,
+            Self::Signed(n) => {
+                let unused = 64 - 8 * n as u32;
+                ((whole << unused) as i64 >> unused) as f64
+            }
+        }
+    }
+}
+
+/// What a header says of its records.
+#[derive(Debug)]
+pub struct Records {
+    pub encoding: Encoding,
+    pub count: usize,
+    /// The numbers of one record, with their names.
+    pub numbers: Vec<(String, Number)>,
+}
+
+impl Records {
+    /// The points of what follows the header.
+    pub fn points(&self, body: &[u8]) -> Result<Vec<DVec3>> {
+        if self.count as u64 > limits::MAX_PIXELS {
+            let what = format!("it has {} points", self.count);
+            return Err(Error::invalid(what, format!("{} are the limit: give less", limits::MAX_PIXELS)));
+        }
+        let column = |name: &str| self.numbers.iter().position(|(n, _)| n == name);
+        let (Some(x), Some(y), Some(z)) = (column("x"), column("y"), column("z")) else {
+            return Err(Error::invalid("its points have no x, y and z", "name the coordinates so"));
+        };
+        // A point of text takes two bytes a number.
+        let least = match self.encoding {
+            Encoding::Text => 2 * self.numbers.len(),
+            _ => self.numbers.iter().map(|(_, n)| n.bytes()).sum(),
+        };
+        if (self.count as u64).saturating_mul(least as u64) > body.len() as u64 + 1 {
+            let what = format!("{} bytes follow its header, too few for {} points", body.len(), self.count);
+            return Err(Error::invalid(what, "the file is cut: write it again"));
+        }
+        let mut points = memory::reserved(self.count)?;
+        match self.encoding {
+            Encoding::Text => self.read_text(body, [x, y, z], &mut points)?,
+            _ => self.read_binary(body, [x, y, z], &mut points),
+        }
+        Ok(points)
+    }
+
+    fn read_text(&self, body: &[u8], xyz: [usize; 3], points: &mut Vec<DVec3>) -> Result<()> {
+        let text = std::str::from_utf8(body);
+        let text = text.map_err(|_| Error::invalid("its points are no text", "name its real encoding"))?;
+        let lines = text.lines().filter(|line| !line.trim().is_empty());
+        for line in lines.take(self.count) {
+            let words: Vec<&str> = line.split_whitespace().take(self.numbers.len()).collect();
+            let number = |i: usize| words.get(i).and_then(|word| word.parse::<f64>().ok());
+            let [Some(x), Some(y), Some(z)] = xyz.map(number) else {
+                let offset = line.as_ptr() as usize - text.as_ptr() as usize;
+                let what = format!("line {} after its header is no point", line_of(text, offset));
+                return Err(Error::invalid(what, format!("give {} numbers a line", self.numbers.len())));
+            };
+            points.push(DVec3::new(x, y, z));
+        }
+        if points.len() < self.count {
+            let what = format!("it has {} points of the {} that its header tells", points.len(), self.count);
+            return Err(Error::invalid(what, "the file is cut: write it again"));
+        }
+        Ok(())
+    }
+
+    fn read_binary(&self, body: &[u8], xyz: [usize; 3], points: &mut Vec<DVec3>) {
+        let size: usize = self.numbers.iter().map(|(_, n)| n.bytes()).sum();
+        let start = |i: usize| self.numbers[..i].iter().map(|(_, n)| n.bytes()).sum::<usize>();
+        let places = xyz.map(|i| (start(i), self.numbers[i].1));
+        for record in body.chunks_exact(size).take(self.count) {
+            let [x, y, z] = places.map(|(at, number)| {
+                let mut bytes = [0; 8];
+                let bytes = &mut bytes[..number.bytes()];
+                bytes.copy_from_slice(&record[at..at + number.bytes()]);
+                if self.encoding == Encoding::Big {
+                    bytes.reverse();
+                }
+                number.read(bytes)
+            });
+            points.push(DVec3::new(x, y, z));
+        }
+    }
+}

@@ -1,0 +1,274 @@
+//! Folders of images: `camera.json`, `depth/*.png` of 16 bits, `grey/*.png` beside or instead of these, and optionally `poses.txt`.
+//!
+//! `camera.json` has `width`, `height`, `fx`, `fy`, `cx`, `cy`, optionally `distortion` (five numbers of a plumb-bob lens) and
+//! `depth_unit_m` (default 0.001). A pixel of 0 is no measurement. Images are taken in the order of their names; where a name is a
+//! number, that is the frame's time in seconds, otherwise frames are counted from 0.
+//!
+//! Grey images have 8 or 16 bits, or colours, of which the luminance is taken. Those beside depth images belong to the depth images of
+//! the same times. They may be of another camera: then `grey.toml` is its sensor file.
+//!
+//! A line of `poses.txt` is `time tx ty tz qx qy qz qw`; what follows is not read. These poses are world_from_camera in optical
+//! axes, in the frame of the scene's file (y up).
+
+use super::file;
+use super::text::read_text;
+use crate::tum::StampedPose;
+use glam::DVec3;
+use image::codecs::png::PngDecoder;
+use image::{DynamicImage, ImageDecoder};
+use presight_model::error::{Error, Result};
+use presight_model::frame::{Frame, GreyImage, Measurement};
+use presight_model::geometry::Pose;
+use presight_model::sensor::{Camera, Distortion, Geometry, Sensor, SensorSpec, body_from_optical_rotation};
+use serde::Deserialize;
+use std::io::BufReader;
+use std::path::{Path, PathBuf};
+
+/// Times that differ by less, seconds, are one.
+const SAME_TIME: f64 = 1e-6;
+
+/// The frames of a folder, one at a time.
+#[derive(Debug)]
+pub struct DepthFolder {
+    sensor: Sensor,
+    is_grey: bool,
+    unit: f64,
+    images: std::vec::IntoIter<PathBuf>,
+    count: usize,
+    reference: Vec<StampedPose>,
+}
+
+#[derive(Deserialize)]
+struct File {
+    width: u32,
+    height: u32,
+    fx: f64,
+    fy: f64,
+    cx: f64,
+    cy: f64,
+    #[serde(default)]
+    distortion: Option<[f64; 5]>,
+    #[serde(default)]
+    depth_unit_m: Option<f64>,
+}
+
+impl DepthFolder {
+    /// Opens a folder: its depth images, or its grey ones where there are no others. `sensor` says what `camera.json` does not: noise,
+    /// limits, mount; its image must have the same size.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Invalid`] naming the file at fault; [`crate::ErrorKind::System`] if the system refuses.
+    pub fn open(folder: &Path, sensor: Option<&Sensor>) -> Result<Self> {
+        let is_grey = !folder.join("depth").exists() && folder.join("grey").exists();
+        Self::of_images(folder, sensor, is_grey)
+    }
+
+    /// Opens the grey images beside the depth images of a folder; `None` if there are none. `sensor` is the camera that took them: by
+    /// default the one of `grey.toml`, or else the one that measured depths, `depth`.
+    ///
+    /// # Errors
+    /// As [`DepthFolder::open`], and those of the sensor file.
+    pub fn grey_beside(folder: &Path, sensor: Option<&Sensor>, depth: &Sensor) -> Result<Option<Self>> {
+        if !folder.join("grey").is_dir() || !folder.join("depth").exists() {
+            return Ok(None);
+        }
+        let own = folder.join("grey.toml");
+        let sensor = match sensor {
+            None if own.exists() => super::load_sensor(&own.to_string_lossy())?.0,
+            given => given.unwrap_or(depth).clone(),
+        };
+        let images = pngs(&folder.join("grey"))?.into_iter();
+        Ok(Some(Self { sensor, is_grey: true, unit: 1.0, images, count: 0, reference: Vec::new() }))
+    }
+
+    fn of_images(folder: &Path, sensor: Option<&Sensor>, is_grey: bool) -> Result<Self> {
+        let path = folder.join("camera.json");
+        let text = read_text(&path)?;
+        let (own, unit) = camera(&text).map_err(|e| e.in_file(&path))?;
+        let sensor = sensor.cloned().unwrap_or(own.clone());
+        if (sensor.width(), sensor.height()) != (own.width(), own.height()) {
+            let what = format!(
+                "{} x {} pixels, the sensor has {} x {}",
+                own.width(),
+                own.height(),
+                sensor.width(),
+                sensor.height()
+            );
+            return Err(Error::invalid(what, "give the sensor that took the images").in_file(&path));
+        }
+        let images = pngs(&folder.join(if is_grey { "grey" } else { "depth" }))?.into_iter();
+        let poses = folder.join("poses.txt");
+        let reference = if poses.exists() { reference(&poses)? } else { Vec::new() };
+        Ok(Self { sensor, is_grey, unit, images, count: 0, reference })
+    }
+
+    /// The next frame, if it is of this time; frames before it are passed over.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Invalid`] for an image that cannot be read.
+    pub fn next_at(&mut self, time: f64) -> Result<Option<Frame>> {
+        while let Some(path) = self.images.as_slice().first() {
+            let stamp = self.stamp(path);
+            if stamp > time + SAME_TIME {
+                return Ok(None);
+            }
+            match self.next() {
+                Some(frame) if stamp >= time - SAME_TIME => return frame.map(Some),
+                _ => {}
+            }
+        }
+        Ok(None)
+    }
+
+    /// The sensor that measured.
+    pub fn sensor(&self) -> &Sensor {
+        &self.sensor
+    }
+
+    /// world_from_sensor (body axes, z up) by the folder's own `poses.txt`, at times of frames. No estimate may use them.
+    pub fn reference(&self) -> &[StampedPose] {
+        &self.reference
+    }
+
+    fn stamp(&self, path: &Path) -> f64 {
+        let stamp = path.file_stem().and_then(|s| s.to_str()).and_then(|s| s.parse::<f64>().ok());
+        stamp.filter(|s| s.is_finite()).unwrap_or(self.count as f64)
+    }
+
+    fn frame(&self, path: &Path) -> Result<Frame> {
+        let remedy = if self.is_grey { "give a grey PNG" } else { "give a PNG of 16 bits grey, depth in whole units" };
+        let wrong = |what: String| Error::invalid(what, remedy).in_file(path);
+        let file = BufReader::new(file::open(path)?);
+        let decoder = PngDecoder::new(file).map_err(|e| wrong(e.to_string()))?;
+        // Before anything is decoded: a small file may claim a huge image.
+        let size = (self.sensor.width(), self.sensor.height());
+        let (w, h) = decoder.dimensions();
+        if (w, h) != size {
+            return Err(wrong(format!("{w} x {h} pixels; the camera has {} x {}", size.0, size.1)));
+        }
+        let picture = DynamicImage::from_decoder(decoder).map_err(|e| wrong(e.to_string()))?;
+        let sensed = if self.is_grey {
+            let grey = picture.into_luma16().into_raw();
+            let bright = |v: u16| f32::from(v) / f32::from(u16::MAX);
+            Measurement::Grey(GreyImage::new(w, h, grey.into_iter().map(bright).collect())?)
+        } else {
+            let DynamicImage::ImageLuma16(picture) = picture else {
+                return Err(wrong("this is no image of 16 bits grey".into()));
+            };
+            let metres = |v: &u16| if *v == 0 { f32::NAN } else { (f64::from(*v) * self.unit) as f32 };
+            Measurement::DepthZ(picture.as_raw().iter().map(metres).collect())
+        };
+        Frame::new(self.stamp(path), self.sensor.clone(), sensed).map_err(|e| e.in_file(path))
+    }
+}
+
+/// The images of a folder, by name.
+fn pngs(folder: &Path) -> Result<Vec<PathBuf>> {
+    let entries = std::fs::read_dir(folder).map_err(|e| Error::io(folder, "list it", e))?;
+    let mut images = Vec::new();
+    for entry in entries {
+        let path = entry.map_err(|e| Error::io(folder, "list it", e))?.path();
+        if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("png")) {
+            images.push(path);
+        }
+    }
+    images.sort();
+    if images.is_empty() {
+        return Err(Error::invalid("there is no .png file", "give images").in_file(folder));
+    }
+    Ok(images)
+}
+
+impl Iterator for DepthFolder {
+    type Item = Result<Frame>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let path = self.images.next()?;
+        let frame = self.frame(&path);
+        self.count += 1;
+        Some(frame)
+    }
+}
+
+/// The text of `camera.json` for a camera whose depths are written in millimetres.
+///
+/// # Errors
+/// [`crate::ErrorKind::Usage`] for a sensor that is no camera, or whose lens is no plumb-bob one.
+pub fn camera_json(sensor: &Sensor) -> Result<String> {
+    let name = &sensor.spec().name;
+    let Geometry::Camera(c) = &sensor.spec().geometry else {
+        return Err(Error::usage(format!("sensor {name:?} is no camera and has no depth images"), "give a camera"));
+    };
+    let lens = match &c.distortion {
+        Distortion::None => [0.0; 5],
+        Distortion::PlumbBob(k) => *k,
+        _ => {
+            let remedy = "give a camera without distortion, or with a plumb-bob lens";
+            return Err(Error::usage(format!("the lens of sensor {name:?} has no place in camera.json"), remedy));
+        }
+    };
+    let json = serde_json::json!({
+        "width": c.width, "height": c.height, "fx": c.fx, "fy": c.fy, "cx": c.cx, "cy": c.cy,
+        "distortion": lens, "depth_unit_m": 1e-3,
+    });
+    Ok(format!("{json}\n"))
+}
+
+/// The name of the image of a time, seconds of at least 0: names sort as times do.
+pub fn image_name(time: f64) -> String {
+    format!("{time:018.6}.png")
+}
+
+/// The text of `poses.txt` for poses of the robot on which a sensor is mounted.
+pub fn poses_txt(sensor: &Sensor, world_from_robot: &[StampedPose]) -> String {
+    let (y_up, body_from_optical) = (z_up_from_y_up().inverse(), optical_from_body().inverse());
+    let mut text = String::from("# time tx ty tz qx qy qz qw: world_from_camera, optical axes, y up, metres\n");
+    for s in world_from_robot {
+        let pose = y_up * s.pose * sensor.spec().mount * body_from_optical;
+        let (t, q) = (pose.translation, pose.rotation);
+        // The time as the image's name tells it.
+        text += &format!("{:.6} {} {} {} {} {} {} {}\n", s.time, t.x, t.y, t.z, q.x, q.y, q.z, q.w);
+    }
+    text
+}
+
+fn z_up_from_y_up() -> Pose {
+    Pose::from_xyz_rpy(DVec3::ZERO, std::f64::consts::FRAC_PI_2, 0.0, 0.0)
+}
+
+fn optical_from_body() -> Pose {
+    Pose { rotation: body_from_optical_rotation().conjugate(), translation: DVec3::ZERO }
+}
+
+fn camera(text: &str) -> Result<(Sensor, f64)> {
+    let file: File = serde_json::from_str(text).map_err(|e| {
+        let remedy = "give width, height, fx, fy, cx, cy, and optionally distortion and depth_unit_m";
+        Error::invalid(e.to_string(), remedy).at(format!("line {}", e.line()))
+    })?;
+    let unit = file.depth_unit_m.unwrap_or(1e-3);
+    if !(unit > 0.0 && unit.is_finite()) {
+        return Err(Error::invalid(format!("a depth unit of {unit} m"), "give metres above 0"));
+    }
+    let distortion = file.distortion.map_or(Distortion::None, Distortion::PlumbBob);
+    let camera = Camera { distortion, ..Camera::pinhole(file.width, file.height, file.fx, file.fy, file.cx, file.cy) };
+    let mut spec = SensorSpec::new("depth camera", "laser", Geometry::Camera(camera));
+    // Triangulating cameras are about as good as this at one metre.
+    spec.noise.range_sigma = 0.005;
+    Ok((Sensor::new(spec)?, unit))
+}
+
+/// Poses of optical axes in a world with y up, as those of the body in one with z up.
+fn reference(path: &Path) -> Result<Vec<StampedPose>> {
+    let text = read_text(path)?;
+    let first_eight = |line: &str| line.split_whitespace().take(8).collect::<Vec<_>>().join(" ");
+    let kept: Vec<String> = text
+        .lines()
+        .map(|line| if line.trim_start().starts_with('#') { String::new() } else { first_eight(line) })
+        .collect();
+    let mut poses = super::tum::parse(&kept.join("\n")).map_err(|e| e.in_file(path))?;
+    poses.iter_mut().for_each(|s| s.pose = z_up_from_y_up() * s.pose * optical_from_body());
+    Ok(poses)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,291 @@
+//! Accessors: every size is checked against the buffer it claims before anything is allocated.
+
+use super::buffers::Buffers;
+use glam::Vec3;
+use gltf::json;
+use json::accessor::{Accessor, ComponentType, Type};
+use json::validation::Checked;
+use presight_model::error::{Error, ErrorKind, Result};
+use presight_model::limits;
+use std::cmp::Ordering;
+use std::collections::HashMap;
+
+const REPAIR: &str = "repair the model or export it again";
+
+/// The parsed file with the bytes of its buffers.
+pub(super) struct Document<'a> {
+    pub root: json::Root,
+    pub buffers: Buffers<'a>,
+}
+
+/// Positions of a primitive, mesh frame, read where they lie: of a large accessor a small primitive may use a part.
+pub(super) struct Positions<'a> {
+    count: usize,
+    /// `None` is all zeros.
+    base: Option<Elements<'a>>,
+    component: ComponentType,
+    normalized: bool,
+    sparse: Option<Sparse<'a>>,
+}
+
+/// Values in place of some elements, their indices rising.
+struct Sparse<'a> {
+    count: usize,
+    component: ComponentType,
+    indices: Elements<'a>,
+    values: Elements<'a>,
+}
+
+impl Positions<'_> {
+    pub fn count(&self) -> usize {
+        self.count
+    }
+
+    /// Position i, which must be below the count.
+    pub fn get(&self, i: usize) -> Vec3 {
+        let replaced = self.sparse.as_ref().and_then(|sparse| sparse.of(i));
+        let Some(bytes) = replaced.or_else(|| self.base.as_ref().map(|base| base.at(i))) else { return Vec3::ZERO };
+        let size = self.component.size();
+        let component = |k: usize| component_at(&bytes[k * size..], self.component, self.normalized);
+        Vec3::new(component(0), component(1), component(2))
+    }
+}
+
+impl<'a> Sparse<'a> {
+    fn index(&self, k: usize) -> u32 {
+        index_at(self.indices.at(k), self.component)
+    }
+
+    /// The bytes of the value in place of element i.
+    fn of(&self, i: usize) -> Option<&'a [u8]> {
+        let (mut low, mut high) = (0, self.count);
+        while low < high {
+            let middle = low + (high - low) / 2;
+            match (self.index(middle) as usize).cmp(&i) {
+                Ordering::Less => low = middle + 1,
+                Ordering::Equal => return Some(self.values.at(middle)),
+                Ordering::Greater => high = middle,
+            }
+        }
+        None
+    }
+
+    /// That its indices rise and are of elements that there are.
+    fn prove(&self, elements: u64) -> Result<()> {
+        let mut before = None;
+        for k in 0..self.count {
+            let target = self.index(k);
+            if u64::from(target) >= elements || before.is_some_and(|b| b >= target) {
+                let what = format!("index {k} is {target}; indices must rise and stay below {elements}");
+                return Err(Error::invalid(what, REPAIR).at("sparse"));
+            }
+            before = Some(target);
+        }
+        Ok(())
+    }
+}
+
+fn f32_at(b: &[u8]) -> f32 {
+    f32::from_le_bytes([b[0], b[1], b[2], b[3]])
+}
+
+/// Elements of an accessor or a part of it, proven to be there.
+#[derive(Clone, Copy)]
+struct Elements<'a> {
+    bytes: &'a [u8],
+    stride: usize,
+}
+
+impl<'a> Elements<'a> {
+    /// The bytes from element i on.
+    fn at(&self, i: usize) -> &'a [u8] {
+        &self.bytes[i * self.stride..]
+    }
+}
+
+/// The accessors whose data was proven to be there, with their counts: each is proven once, however many primitives use it.
+pub(super) type AccessorCounts = HashMap<usize, u64>;
+
+impl<'a> Document<'a> {
+    pub fn accessor(&self, index: json::Index<Accessor>) -> Result<&Accessor> {
+        self.root.accessors.get(index.value()).ok_or_else(|| {
+            Error::invalid(
+                format!("accessor {} does not exist, there are {}", index.value(), self.root.accessors.len()),
+                REPAIR,
+            )
+        })
+    }
+
+    /// The count of an accessor once its data is proven to be there, before anything is made of it.
+    pub fn proven_count(&self, index: json::Index<Accessor>, proven: &mut AccessorCounts) -> Result<u64> {
+        if let Some(&count) = proven.get(&index.value()) {
+            return Ok(count);
+        }
+        let accessor = self.accessor(index)?;
+        let prove = || {
+            let vector = matches!(accessor.type_, Checked::Valid(Type::Vec3));
+            let size = if vector { 3 } else { 1 } * component_of(accessor)?.size();
+            self.base(accessor, size, vector)?;
+            if let Some(sparse) = self.sparse(accessor, size)? {
+                sparse.prove(accessor.count.0)?;
+            }
+            Ok(accessor.count.0)
+        };
+        let count = prove().map_err(|e: Error| e.at(format!("accessor {}", index.value())))?;
+        proven.insert(index.value(), count);
+        Ok(count)
+    }
+
+    /// The elements that an accessor has without its sparse part; none where they are zeros.
+    fn base(&self, accessor: &Accessor, size: usize, strided: bool) -> Result<Option<Elements<'_>>> {
+        let count = accessor.count.0;
+        let Some(view) = accessor.buffer_view else { return zero_filled(count).map(|()| None) };
+        let offset = accessor.byte_offset.map_or(0, |o| o.0);
+        self.elements(view.value(), offset, count, size, strided).map(Some)
+    }
+
+    /// The sparse part of an accessor whose elements are of `size` bytes.
+    fn sparse(&self, accessor: &Accessor, size: usize) -> Result<Option<Sparse<'_>>> {
+        let Some(sparse) = &accessor.sparse else { return Ok(None) };
+        let broken = |what: String| Error::invalid(what, REPAIR).at("sparse");
+        let Checked::Valid(kind) = sparse.indices.component_type else {
+            return Err(broken("indices must be u8, u16 or u32".into()));
+        };
+        let component = kind.0;
+        let count = sparse.count.0;
+        if count > accessor.count.0 {
+            return Err(broken(format!("{count} values replace {}", accessor.count.0)));
+        }
+        let i = &sparse.indices;
+        let indices = self.elements(i.buffer_view.value(), i.byte_offset.0, count, component.size(), false)?;
+        let v = &sparse.values;
+        let values = self.elements(v.buffer_view.value(), v.byte_offset.0, count, size, false)?;
+        Ok(Some(Sparse { count: count as usize, component, indices, values }))
+    }
+
+    /// The bytes of a view from `offset` on, proven to hold `count` elements.
+    fn elements(&self, view: usize, offset: u64, count: u64, size: usize, strided: bool) -> Result<Elements<'_>> {
+        let place = |e: Error| e.at(format!("buffer view {view}"));
+        let views = &self.root.buffer_views;
+        let v = views
+            .get(view)
+            .ok_or_else(|| Error::invalid(format!("it does not exist, there are {}", views.len()), REPAIR))
+            .map_err(place)?;
+        let buffer = v.buffer.value();
+        let bytes = self.buffers.get(buffer).ok_or_else(|| {
+            place(Error::invalid(format!("buffer {buffer} does not exist, there are {}", self.buffers.len()), REPAIR))
+        })?;
+        let (start, length) = (v.byte_offset.map_or(0, |o| o.0), v.byte_length.0);
+        let end = start.checked_add(length).filter(|&end| end <= bytes.len() as u64).ok_or_else(|| {
+            place(Error::invalid(
+                format!("bytes {start} + {length} are claimed, buffer {buffer} has {}", bytes.len()),
+                "the buffer is truncated or the model broken; export it again",
+            ))
+        })?;
+        let stride = v.byte_stride.filter(|_| strided).map_or(size, |s| s.0);
+        if stride < size || stride > 252.max(size) {
+            return Err(place(Error::invalid(format!("a byte stride of {stride} is not possible here"), REPAIR)));
+        }
+        let needed = match count.checked_sub(1) {
+            None => Some(0),
+            Some(before) => before
+                .checked_mul(stride as u64)
+                .and_then(|n| n.checked_add(size as u64))
+                .and_then(|n| n.checked_add(offset)),
+        };
+        if needed.is_none_or(|n| n > length) {
+            return Err(place(Error::invalid(
+                format!("{count} elements are claimed, the view has {length} bytes"),
+                "the buffer is truncated or the model broken; export it again",
+            )));
+        }
+        // Both ends lie inside a slice, so they fit usize. An empty accessor may point anywhere.
+        let whole = &bytes[start as usize..end as usize];
+        Ok(Elements { bytes: whole.get(offset as usize..).unwrap_or_default(), stride })
+    }
+
+    /// The POSITION data of an accessor whose sparse part is proven.
+    pub fn positions(&self, index: json::Index<Accessor>) -> Result<Positions<'_>> {
+        let place = format!("accessor {}", index.value());
+        let accessor = self.accessor(index)?;
+        self.positions_of(accessor).map_err(|e| e.at(place))
+    }
+
+    fn positions_of(&self, accessor: &Accessor) -> Result<Positions<'_>> {
+        let component = component_of(accessor)?;
+        if !matches!(accessor.type_, Checked::Valid(Type::Vec3)) {
+            return Err(Error::invalid("positions must be VEC3", REPAIR));
+        }
+        let size = 3 * component.size();
+        let base = self.base(accessor, size, true)?;
+        let sparse = self.sparse(accessor, size)?;
+        Ok(Positions { count: accessor.count.0 as usize, base, component, normalized: accessor.normalized, sparse })
+    }
+
+    /// Vertex indices of an accessor.
+    pub fn indices(&self, index: json::Index<Accessor>) -> Result<Vec<u32>> {
+        let place = format!("accessor {}", index.value());
+        let accessor = self.accessor(index)?;
+        self.indices_of(accessor).map_err(|e| e.at(place))
+    }
+
+    fn indices_of(&self, accessor: &Accessor) -> Result<Vec<u32>> {
+        let component = component_of(accessor)?;
+        let integer = matches!(component, ComponentType::U8 | ComponentType::U16 | ComponentType::U32);
+        if !integer || !matches!(accessor.type_, Checked::Valid(Type::Scalar)) {
+            return Err(Error::invalid("indices must be SCALAR of u8, u16 or u32", REPAIR));
+        }
+        let size = component.size();
+        let count = accessor.count.0 as usize;
+        let mut all = match self.base(accessor, size, false)? {
+            None => vec![0; count],
+            Some(e) => e.bytes[..count * size].chunks_exact(size).map(|b| index_at(b, component)).collect::<Vec<u32>>(),
+        };
+        if let Some(sparse) = self.sparse(accessor, size)? {
+            sparse.prove(accessor.count.0)?;
+            for k in 0..sparse.count {
+                all[sparse.index(k) as usize] = index_at(sparse.values.at(k), component);
+            }
+        }
+        Ok(all)
+    }
+}
+
+fn component_of(accessor: &Accessor) -> Result<ComponentType> {
+    match accessor.component_type {
+        Checked::Valid(c) => Ok(c.0),
+        Checked::Invalid => Err(Error::new(ErrorKind::Invalid, "unknown component type", REPAIR)),
+    }
+}
+
+/// An accessor without bytes behind it is all zeros: a tiny file could ask for any amount.
+fn zero_filled(count: u64) -> Result<()> {
+    if count > limits::MAX_ZERO_FILLED {
+        return Err(Error::invalid(
+            format!("{count} elements are claimed without data, {} are the limit", limits::MAX_ZERO_FILLED),
+            REPAIR,
+        ));
+    }
+    Ok(())
+}
+
+fn index_at(b: &[u8], component: ComponentType) -> u32 {
+    match component {
+        ComponentType::U8 => u32::from(b[0]),
+        ComponentType::U16 => u32::from(u16::from_le_bytes([b[0], b[1]])),
+        _ => u32::from_le_bytes([b[0], b[1], b[2], b[3]]),
+    }
+}
+
+/// One component as f32; normalized integers by the formulas of glTF 2.0, section 3.11.
+fn component_at(b: &[u8], component: ComponentType, normalized: bool) -> f32 {
+    let (value, top) = match component {
+        ComponentType::F32 => return f32_at(b),
+        ComponentType::I8 => (f32::from(b[0] as i8), 127.0),
+        ComponentType::U8 => (f32::from(b[0]), 255.0),
+        ComponentType::I16 => (f32::from(i16::from_le_bytes([b[0], b[1]])), 32767.0),
+        ComponentType::U16 => (f32::from(u16::from_le_bytes([b[0], b[1]])), 65535.0),
+        ComponentType::U32 => (index_at(b, component) as f32, u32::MAX as f32),
+    };
+    if normalized { (value / top).max(-1.0) } else { value }
+}

@@ -1,0 +1,171 @@
+//! The bytes of the buffers: embedded, or in files beside the scene. Each file is read once, however many buffers name it,
+//! and no further than they ask for.
+
+use super::container::{base64, check_within, local_path};
+use super::memory::Memory;
+use crate::file;
+use gltf::json;
+use presight_model::error::{Error, ErrorKind, Result};
+use std::collections::HashMap;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+/// All buffers of a scene file.
+#[derive(Default)]
+pub(super) struct Buffers<'a> {
+    /// The binary chunk of a .glb.
+    bin: &'a [u8],
+    /// Read files and decoded texts.
+    owned: Vec<Vec<u8>>,
+    /// Of each buffer: which of those it is, `None` for the binary chunk; how many bytes it is of them.
+    buffers: Vec<(Option<usize>, usize)>,
+}
+
+/// A file that buffers name.
+struct BufferFile {
+    real: PathBuf,
+    shown: PathBuf,
+    /// The most bytes that a buffer claims, and the first that claims them.
+    claimed: u64,
+    buffer: usize,
+}
+
+impl<'a> Buffers<'a> {
+    /// The bytes of a buffer.
+    pub fn get(&self, index: usize) -> Option<&[u8]> {
+        let &(owned, length) = self.buffers.get(index)?;
+        let whole = owned.map_or(self.bin, |i| self.owned[i].as_slice());
+        whole.get(..length)
+    }
+
+    /// How many there are.
+    pub fn len(&self) -> usize {
+        self.buffers.len()
+    }
+
+    /// Reads the buffers of a scene at a path: no file outside of the folder `within`, if it is given.
+    pub fn load(
+        root: &json::Root,
+        bin: Option<&'a [u8]>,
+        (scene, within): (&Path, Option<&Path>),
+        memory: &mut Memory,
+    ) -> Result<Self> {
+        let place = |index: usize| move |e: Error| e.at(format!("buffer {index}"));
+        let mut all = Self { bin: bin.unwrap_or_default(), ..Self::default() };
+        let mut files = Files::default();
+        // Which file each buffer is of, `None` for what is there already.
+        let mut of_file = Vec::with_capacity(root.buffers.len());
+        for (index, buffer) in root.buffers.iter().enumerate() {
+            let owned = match &buffer.uri {
+                None if index == 0 && bin.is_some() => None,
+                None => {
+                    let remedy = "the file is truncated or broken; export it again";
+                    return Err(place(index)(Error::invalid("it has no data", remedy)));
+                }
+                Some(uri) => match uri.strip_prefix("data:") {
+                    Some(data) => {
+                        memory.take(data.len() as u64, "an embedded buffer").map_err(place(index))?;
+                        all.owned.push(decoded(data).map_err(place(index))?);
+                        Some(all.owned.len() - 1)
+                    }
+                    None => {
+                        let claim = (buffer.byte_length.0, index);
+                        of_file.push((index, files.note(uri, claim, (scene, within)).map_err(place(index))?));
+                        None
+                    }
+                },
+            };
+            all.buffers.push((owned, 0));
+        }
+        let first = all.owned.len();
+        for named in &mut files.named {
+            named.count(memory).map_err(place(named.buffer))?;
+        }
+        for named in &files.named {
+            all.owned.push(named.read().map_err(place(named.buffer))?);
+        }
+        of_file.into_iter().for_each(|(buffer, file)| all.buffers[buffer].0 = Some(first + file));
+        for (index, buffer) in root.buffers.iter().enumerate() {
+            all.set_length(index, buffer.byte_length.0).map_err(place(index))?;
+        }
+        Ok(all)
+    }
+
+    /// Holds a buffer to the bytes that are there.
+    fn set_length(&mut self, index: usize, claimed: u64) -> Result<()> {
+        let (owned, length) = &mut self.buffers[index];
+        let there = owned.map_or(self.bin.len(), |i| self.owned[i].len());
+        if claimed > there as u64 {
+            let what = format!("{claimed} bytes are claimed, {there} are there");
+            return Err(Error::invalid(what, "the buffer is truncated; fetch or export it again"));
+        }
+        // Not beyond the length of a slice.
+        *length = claimed as usize;
+        Ok(())
+    }
+}
+
+/// The files that buffers name, each once.
+#[derive(Default)]
+struct Files {
+    named: Vec<BufferFile>,
+    by_uri: HashMap<String, usize>,
+    by_path: HashMap<PathBuf, usize>,
+}
+
+impl Files {
+    /// The number of the file that a URI names; a buffer claims so many bytes of it.
+    fn note(
+        &mut self,
+        uri: &str,
+        (claimed, buffer): (u64, usize),
+        (scene, within): (&Path, Option<&Path>),
+    ) -> Result<usize> {
+        let number = match self.by_uri.get(uri) {
+            Some(&number) => number,
+            None => {
+                let shown = scene.parent().unwrap_or(Path::new("")).join(local_path(uri)?);
+                if let Some(within) = within {
+                    check_within(&shown, within)?;
+                }
+                // One that is not there is told of when it is opened.
+                let real = shown.canonicalize().unwrap_or_else(|_| shown.clone());
+                let number = *self.by_path.entry(real.clone()).or_insert(self.named.len());
+                if number == self.named.len() {
+                    self.named.push(BufferFile { real, shown, claimed, buffer });
+                }
+                self.by_uri.insert(uri.to_owned(), number);
+                number
+            }
+        };
+        let named = &mut self.named[number];
+        if claimed > named.claimed {
+            (named.claimed, named.buffer) = (claimed, buffer);
+        }
+        Ok(number)
+    }
+}
+
+impl BufferFile {
+    /// Counts the bytes that are going to be read of it: as many as are claimed, if there are so many.
+    fn count(&mut self, memory: &mut Memory) -> Result<()> {
+        self.claimed = self.claimed.min(file::open_as(&self.real, &self.shown)?.limit());
+        memory.take(self.claimed, &self.shown.display().to_string())
+    }
+
+    /// Those bytes.
+    fn read(&self) -> Result<Vec<u8>> {
+        let opened = file::open_as(&self.real, &self.shown)?;
+        file::read(opened.into_inner().take(self.claimed), &self.shown, self.claimed)
+    }
+}
+
+/// The bytes of a data URI, without its `data:`.
+fn decoded(data: &str) -> Result<Vec<u8>> {
+    let (head, body) =
+        data.split_once(',').ok_or_else(|| Error::invalid("the data URI has no comma", "export the model again"))?;
+    if !head.ends_with(";base64") {
+        return Err(Error::new(ErrorKind::Unsupported, "the data URI is not base64", "export it as .glb"));
+    }
+    base64(body.as_bytes())
+}

@@ -1,0 +1,199 @@
+//! The triangles of a glTF mesh: all topologies, all its primitives together, equal positions welded.
+
+use super::accessor::{AccessorCounts, Document, Positions};
+use super::quoted;
+use crate::preparation::{ProblemKind, TriangleMesh, Welder};
+use glam::Vec3;
+use gltf::json;
+use json::mesh::{Mode, Primitive, Semantic};
+use json::validation::Checked;
+use presight_model::error::{Error, Result};
+
+const REPAIR: &str = "repair the model or export it again";
+
+/// The triangles of a mesh, and problems that are not about triangles: (kind, primitive, words).
+pub(super) struct MeshTriangles {
+    pub triangles: TriangleMesh,
+    pub notes: Vec<(ProblemKind, String)>,
+}
+
+/// How many triangles a primitive has; `None` for points and lines.
+fn triangle_count(mode: Mode, corners: u64) -> Option<u64> {
+    match mode {
+        Mode::Triangles => Some(corners / 3),
+        Mode::TriangleStrip | Mode::TriangleFan => Some(corners.saturating_sub(2)),
+        Mode::Points | Mode::Lines | Mode::LineLoop | Mode::LineStrip => None,
+    }
+}
+
+fn position_accessor(primitive: &Primitive) -> Option<json::Index<json::Accessor>> {
+    primitive.attributes.get(&Checked::Valid(Semantic::Positions)).copied()
+}
+
+fn mode_of(primitive: &Primitive) -> Result<Mode> {
+    match primitive.mode {
+        Checked::Valid(mode) => Ok(mode),
+        Checked::Invalid => Err(Error::invalid("unknown primitive mode", REPAIR)),
+    }
+}
+
+/// Words for a mesh in messages.
+pub(super) fn mesh_words(root: &json::Root, mesh: usize) -> String {
+    let name = root.meshes.get(mesh).and_then(|m| m.name.as_deref()).unwrap_or("");
+    format!("mesh {mesh} {}", quoted(name))
+}
+
+impl Document<'_> {
+    /// Triangles that a mesh claims to have, from the accessors' counts alone; the data is proven to be there.
+    pub fn claimed_triangles(&self, mesh: usize, proven: &mut AccessorCounts) -> Result<u64> {
+        let place = |e: Error| e.at(mesh_words(&self.root, mesh));
+        let Some(m) = self.root.meshes.get(mesh) else {
+            let what = format!("mesh {mesh} does not exist, there are {}", self.root.meshes.len());
+            return Err(Error::invalid(what, REPAIR));
+        };
+        let mut sum = 0u64;
+        for (i, primitive) in m.primitives.iter().enumerate() {
+            let inner = |e: Error| place(e.at(format!("primitive {i}")));
+            let Some(positions) = position_accessor(primitive) else { continue };
+            let vertices = self.proven_count(positions, proven).map_err(inner)?;
+            let corners = primitive.indices.map(|i| self.proven_count(i, proven)).transpose().map_err(inner)?;
+            let corners = corners.unwrap_or(vertices);
+            sum = sum.saturating_add(triangle_count(mode_of(primitive).map_err(inner)?, corners).unwrap_or(0));
+        }
+        Ok(sum)
+    }
+
+    /// Reads a mesh whose index is known to be good; `default_material` is for primitives without one.
+    pub fn read_mesh(&self, mesh: usize, default_material: u16) -> Result<MeshTriangles> {
+        let mut read = MeshTriangles { triangles: TriangleMesh::default(), notes: Vec::new() };
+        let mut welder = Welder::default();
+        let mut shared = None;
+        for (i, primitive) in self.root.meshes[mesh].primitives.iter().enumerate() {
+            let words = || format!("{}: primitive {i}", mesh_words(&self.root, mesh));
+            self.read_primitive(primitive, default_material, &mut welder, &mut shared, &mut read)
+                .map_err(|e| e.at(words()))?
+                .into_iter()
+                .for_each(|(kind, what)| read.notes.push((kind, format!("{}: {what}", words()))));
+            read.triangles.end_primitive();
+        }
+        Ok(read)
+    }
+
+    fn read_primitive<'a>(
+        &'a self,
+        primitive: &Primitive,
+        default_material: u16,
+        welder: &mut Welder,
+        shared: &mut Option<PositionCache<'a>>,
+        read: &mut MeshTriangles,
+    ) -> Result<Vec<(ProblemKind, String)>> {
+        let mut notes = Vec::new();
+        let mode = mode_of(primitive)?;
+        let Some(accessor) = position_accessor(primitive) else {
+            return Ok(vec![(ProblemKind::IgnoredPrimitive, "no positions".into())]);
+        };
+        // Before anything is read: lines of any number share the same accessors at no cost.
+        let corners = self.accessor(primitive.indices.unwrap_or(accessor))?.count.0;
+        let Some(count) = triangle_count(mode, corners) else {
+            return Ok(vec![(ProblemKind::IgnoredPrimitive, format!("{mode:?} with {corners} indices"))]);
+        };
+        let positions = match shared.take().filter(|s| s.accessor == accessor.value()) {
+            Some(known) => shared.insert(known),
+            None => shared.insert(PositionCache {
+                accessor: accessor.value(),
+                positions: self.positions(accessor)?,
+                welded: Vec::new(),
+            }),
+        };
+        let indices = primitive.indices.map(|i| self.indices(i)).transpose()?;
+        let corners = indices.as_ref().map_or(positions.positions.count(), Vec::len);
+        if primitive.targets.as_ref().is_some_and(|t| !t.is_empty()) {
+            notes.push((ProblemKind::IgnoredFeature, "morph targets: its base shape is used".into()));
+        }
+        let leftover = if mode == Mode::Triangles {
+            corners % 3
+        } else if corners < 3 {
+            corners
+        } else {
+            0
+        };
+        if leftover > 0 {
+            notes.push((ProblemKind::LeftoverIndices, format!("{leftover} of {corners} indices")));
+        }
+        let material = match primitive.material {
+            None => default_material,
+            Some(m) if m.value() < self.root.materials.len() => m.value() as u16,
+            Some(m) => {
+                let what = format!("material {} does not exist, there are {}", m.value(), self.root.materials.len());
+                return Err(Error::invalid(what, REPAIR));
+            }
+        };
+        positions.prepare(corners);
+        let mut corner = Corners { shared: positions, indices: indices.as_deref(), welder };
+        let mesh = &mut read.triangles;
+        for t in 0..count as usize {
+            let at = match mode {
+                Mode::TriangleStrip => [t, t + 1 + t % 2, t + 2 - t % 2],
+                Mode::TriangleFan => [t + 1, t + 2, 0],
+                _ => [3 * t, 3 * t + 1, 3 * t + 2],
+            };
+            let mut triangle = [0; 3];
+            for (slot, at) in triangle.iter_mut().zip(at) {
+                *slot = corner.vertex(at, &mut mesh.vertices)?;
+            }
+            mesh.push(triangle, material);
+        }
+        Ok(notes)
+    }
+}
+
+/// The positions of the last accessor: primitives of a mesh often share one.
+struct PositionCache<'a> {
+    accessor: usize,
+    positions: Positions<'a>,
+    /// Welded vertex by vertex of the accessor, `u32::MAX` where not welded yet; empty where not worth its memory.
+    welded: Vec<u32>,
+}
+
+impl PositionCache<'_> {
+    /// Makes room to weld each vertex once, unless only a small part of a large accessor is in use.
+    fn prepare(&mut self, corners: usize) {
+        let count = self.positions.count();
+        if self.welded.is_empty() && count <= 4 * corners {
+            self.welded = vec![u32::MAX; count];
+        }
+    }
+}
+
+/// From the corner numbers of a primitive to welded vertices.
+struct Corners<'a, 'b> {
+    shared: &'a mut PositionCache<'b>,
+    indices: Option<&'a [u32]>,
+    welder: &'a mut Welder,
+}
+
+impl Corners<'_, '_> {
+    fn vertex(&mut self, corner: usize, vertices: &mut Vec<Vec3>) -> Result<u32> {
+        let vertex = self.indices.map_or(corner, |i| i[corner] as usize);
+        let count = self.shared.positions.count();
+        if vertex >= count {
+            return Err(Error::invalid(
+                format!("index {corner} is {vertex}, out of range: there are {count} vertices"),
+                REPAIR,
+            ));
+        }
+        if let Some(&known) = self.shared.welded.get(vertex).filter(|&&known| known != u32::MAX) {
+            return Ok(known);
+        }
+        let position = self.shared.positions.get(vertex);
+        let reach = f64::from(position.abs().max_element());
+        if !position.is_finite() || reach > presight_model::limits::MAX_COORDINATE {
+            return Err(Error::invalid(format!("vertex {vertex} is {position}, not a finite position"), REPAIR));
+        }
+        let welded = self.welder.weld(position, vertices);
+        if let Some(known) = self.shared.welded.get_mut(vertex) {
+            *known = welded;
+        }
+        Ok(welded)
+    }
+}

@@ -1,0 +1,466 @@
+//! glTF 2.0 scenes, .glb and .gltf, into an [`Environment`].
+//!
+//! The `gltf` crate parses the file's structure; node transforms are read again as f64, and accessors are read here
+//! with every size checked first, because the crate trusts them. Positions stay the file's f32 bits in the mesh's own
+//! frame; everything else goes into the object's f64 matrix: `world_from_scene` of the sidecar, the turn from y-up
+//! to z-up, and the product of the node matrices. Nodes with objects below that are none themselves become groups, their
+//! frames the rigid part of that product.
+
+mod accessor;
+mod buffers;
+mod container;
+mod exact;
+mod memory;
+mod mesh;
+mod nodes;
+mod paths;
+mod write;
+
+pub use write::write_glb;
+
+use crate::file;
+use crate::materials::{self, Sidecar};
+use crate::preparation::{
+    self, Edges, ImportReport, ImportedScene, ProblemBook, ProblemKind, ProblemList, TriangleMesh,
+};
+use crate::preparation::{SceneFrame, Up};
+use accessor::{AccessorCounts, Document};
+use buffers::Buffers;
+use exact::RootPlacement;
+use glam::{DAffine3, DMat3};
+use gltf::json;
+pub(crate) use memory::Memory;
+use mesh::mesh_words;
+use nodes::{NodeText, SceneNode};
+use presight_model::environment::{Environment, Material, Mesh, NewObject, PolygonOrder};
+use presight_model::error::{Error, ErrorKind, Result};
+use presight_model::geometry::Pose;
+use presight_model::limits;
+use presight_model::threads::Threads;
+use rayon::prelude::*;
+use std::collections::HashMap;
+use std::path::Path;
+use std::sync::Arc;
+
+/// Options for importing a scene.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ImportOptions {
+    /// Merge coplanar neighbours into convex polygons. Without merging every triangle stays a polygon, in source order, which
+    /// `source` ids need.
+    pub merge: bool,
+    /// How far a vertex may be off its merged polygon's plane, relative to the size of its mesh.
+    pub merge_tolerance: f64,
+    /// The axis of the file that points up; `None`: as the sidecar says, else y.
+    pub up: Option<Up>,
+    /// Metres in one unit of the file; `None`: as the sidecar says, else 1.
+    pub scale: Option<f64>,
+    /// Where meshes are built, side by side.
+    pub threads: Threads,
+}
+
+impl ImportOptions {
+    /// How a file with this sidecar lies in the world.
+    fn frame(&self, sidecar: &Sidecar) -> SceneFrame {
+        let default = SceneFrame::default();
+        SceneFrame {
+            up: self.up.or(sidecar.up).unwrap_or(default.up),
+            scale: self.scale.or(sidecar.scale).unwrap_or(default.scale),
+            world_from_scene: sidecar.world_from_scene,
+        }
+    }
+}
+
+impl Default for ImportOptions {
+    fn default() -> Self {
+        Self { merge: true, merge_tolerance: 1e-6, up: None, scale: None, threads: Threads::SHARED }
+    }
+}
+
+/// Extensions that change how a surface looks, not where it is.
+const HARMLESS: [&str; 7] = [
+    "KHR_materials_",
+    "KHR_texture_",
+    "EXT_texture_",
+    "MSFT_texture_",
+    "KHR_lights_punctual",
+    "KHR_xmp",
+    "KHR_mesh_quantization",
+];
+
+/// Extensions that move or multiply geometry: where they may be ignored, it is said.
+const SHAPING: [&str; 3] = ["EXT_mesh_gpu_instancing", "KHR_draco_mesh_compression", "EXT_meshopt_compression"];
+
+/// Reads a scene with its sidecar `SCENE.materials.toml`, if there is one.
+///
+/// # Errors
+/// [`ErrorKind::Invalid`] with file, place and remedy for a file that is missing, truncated, no glTF, or inconsistent;
+/// [`ErrorKind::Unsupported`] for a required extension or a version that is not read; [`ErrorKind::Usage`] for
+/// impossible options; those of [`Threads::new`].
+pub fn import(path: impl AsRef<Path>, options: &ImportOptions) -> Result<ImportedScene> {
+    import_within(path.as_ref(), None, options, &mut Memory::default())
+}
+
+/// [`import`] that reads buffers and materials from nowhere but a folder, given with symbolic links resolved, however
+/// links lead; what it takes is counted besides what was imported before.
+///
+/// # Errors
+/// As [`import`]; [`ErrorKind::Invalid`] if one is outside.
+pub(crate) fn import_within(
+    path: &Path,
+    within: Option<&Path>,
+    options: &ImportOptions,
+    memory: &mut Memory,
+) -> Result<ImportedScene> {
+    if !(0.0..=limits::MAX_MERGE_TOLERANCE).contains(&options.merge_tolerance) {
+        return Err(Error::usage(
+            format!("merge tolerance {} is outside 0..={}", options.merge_tolerance, limits::MAX_MERGE_TOLERANCE),
+            "give a share of the object's size, such as 1e-6",
+        ));
+    }
+    options.scale.map_or(Ok(()), SceneFrame::check_scale)?;
+    if let Some(within) = within {
+        container::check_within(&materials::sidecar_path(path), within).map_err(|e| e.in_file(path))?;
+    }
+    let file = file::open(path)?;
+    memory.take(file.limit(), "the file itself").map_err(|e| e.in_file(path))?;
+    let bytes = file::read(file, path, limits::MAX_FILE_BYTES)?;
+    let sidecar = Sidecar::for_scene(path)?;
+    import_bytes(&bytes, (path, within), &sidecar, options, memory).map_err(|e| e.in_file(path))
+}
+
+fn import_bytes(
+    bytes: &[u8],
+    (path, within): (&Path, Option<&Path>),
+    sidecar: &Sidecar,
+    options: &ImportOptions,
+    memory: &mut Memory,
+) -> Result<ImportedScene> {
+    let container = container::open(bytes)?;
+    memory.take_json(container.json)?;
+    let root: json::Root = parse(container.json)?;
+    let nodes: NodeText = parse(container.json)?;
+    check_version(&root)?;
+    container::note_images(&root, path);
+    let buffers = Buffers::load(&root, container.bin, (path, within), memory)?;
+    let document = Document { root, buffers };
+    let mut book = ProblemBook::default();
+    note_extensions(&document.root, &mut book);
+
+    let nodes = nodes.scene_nodes(memory)?;
+    let claims = claims_of(&document, &nodes)?;
+    memory.take_meshes(&document, &claims)?;
+    let mut environment = Environment::new();
+    let default_material = add_materials(&document.root, sidecar, path, &mut environment)?;
+    let build = |&claim| build_mesh(&document, claim, default_material, options);
+    let built: Vec<Result<BuiltMesh>> = options.threads.run(|| claims.par_iter().map(build).collect())?;
+    let mut report = ImportReport::default();
+    let mut by_mesh = HashMap::with_capacity(claims.len());
+    for (&(mesh, _), built) in claims.iter().zip(built) {
+        let built = built?;
+        report.triangles_stored += u64::from(built.source_count);
+        report.merges += built.merges;
+        report.polygons_stored += built.mesh.polygon_count() as u64;
+        built.notes.iter().for_each(|(kind, words)| book.note(*kind, || words.clone()));
+        book.extend(&built.problems, |triangle| {
+            let (primitive, number) = built.place_of(triangle);
+            format!("{}: primitive {primitive}, triangle {number}", mesh_words(&document.root, mesh))
+        });
+        by_mesh.insert(mesh, built);
+    }
+    let frame = options.frame(sidecar);
+    insert_objects(&nodes, &by_mesh, &frame, &mut environment, &mut report, &mut book)?;
+    if environment.slot_count() == 0 {
+        return Err(Error::invalid("the scene has no polygons", "export meshes of triangles into the default scene"));
+    }
+    report.problems = book.into_problems();
+    Ok(ImportedScene { environment, report, frame: Some(frame) })
+}
+
+/// A name in quotes for a message, cut where it would not fit a line.
+fn quoted(name: &str) -> String {
+    const LONGEST: usize = 80;
+    match name.char_indices().nth(LONGEST) {
+        None => format!("{name:?}"),
+        Some((end, _)) => format!("{:?}...", &name[..end]),
+    }
+}
+
+fn parse<'de, T: serde::Deserialize<'de>>(text: &'de [u8]) -> Result<T> {
+    serde_json::from_slice(text).map_err(|e| {
+        let place = format!("JSON line {}, column {}", e.line(), e.column());
+        let whole = e.to_string();
+        // The place is said already.
+        let what = whole.split(" at line ").next().unwrap_or(&whole).to_owned();
+        let remedy = if e.is_eof() { "the file is truncated; export it again" } else { "export it again as glTF 2.0" };
+        Error::invalid(what, remedy).at(place)
+    })
+}
+
+fn check_version(root: &json::Root) -> Result<()> {
+    let needed = root.asset.min_version.as_deref().unwrap_or(&root.asset.version);
+    let supported = match &root.asset.min_version {
+        Some(min) => min == "2.0",
+        None => root.asset.version.starts_with("2."),
+    };
+    if !supported {
+        let what = format!("this is glTF version {needed:?}");
+        return Err(Error::new(ErrorKind::Unsupported, what, "export it as glTF 2.0").at("asset"));
+    }
+    for extension in &root.extensions_required {
+        if !HARMLESS.iter().any(|known| extension.starts_with(known)) {
+            return Err(Error::new(
+                ErrorKind::Unsupported,
+                format!("the file requires the extension {extension:?}"),
+                "export it without that extension",
+            )
+            .at("extensionsRequired"));
+        }
+    }
+    Ok(())
+}
+
+fn note_extensions(root: &json::Root, book: &mut ProblemBook) {
+    for extension in root.extensions_used.iter().filter(|e| SHAPING.contains(&e.as_str())) {
+        book.note(ProblemKind::IgnoredFeature, || format!("extension {extension}: the data without it is used"));
+    }
+}
+
+/// The meshes of the scene, each once, in the order of their first use, with the triangles that each claims, which are
+/// checked against the limits.
+fn claims_of(document: &Document<'_>, nodes: &[SceneNode]) -> Result<Vec<(usize, u64)>> {
+    let mut claimed: HashMap<usize, u64> = HashMap::new();
+    let mut proven = AccessorCounts::default();
+    let mut claims = Vec::new();
+    let (mut stored, mut in_scene) = (0u64, 0u64);
+    for (node, mesh) in nodes.iter().filter_map(|node| Some((node, node.mesh?))) {
+        let count = match claimed.get(&mesh) {
+            Some(&count) => count,
+            None => {
+                let count = document.claimed_triangles(mesh, &mut proven).map_err(|e| e.at(place_of(node)))?;
+                claimed.insert(mesh, count);
+                claims.push((mesh, count));
+                stored = stored.saturating_add(count);
+                count
+            }
+        };
+        in_scene = in_scene.saturating_add(count);
+    }
+    if stored > limits::MAX_STORED_TRIANGLES || in_scene > limits::MAX_POLYGONS {
+        return Err(Error::invalid(
+            format!(
+                "{stored} triangles are claimed, {in_scene} with all instances; {} and {} are the limits",
+                limits::MAX_STORED_TRIANGLES,
+                limits::MAX_POLYGONS
+            ),
+            "split the environment into several files",
+        ));
+    }
+    presight_model::memory::require(presight_model::memory::of_meshes(claims.iter().map(|(_, triangles)| *triangles)))?;
+    Ok(claims)
+}
+
+/// Adds all materials of the file, then one for primitives without; the answer is the index of that one.
+fn add_materials(root: &json::Root, sidecar: &Sidecar, path: &Path, environment: &mut Environment) -> Result<u16> {
+    let mut all = Vec::with_capacity(root.materials.len() + 1);
+    for (i, source) in root.materials.iter().enumerate() {
+        let name = source.name.clone().filter(|n| !n.is_empty()).unwrap_or_else(|| format!("material{i}"));
+        let [r, g, b, _] = source.pbr_metallic_roughness.base_color_factor.0;
+        let mut material = Material { color: [r, g, b].map(|c| c.clamp(0.0, 1.0)), ..Material::named(name) };
+        if let Some(extras) = &source.extras
+            && let Some(properties) = materials::from_extras(extras.get()).map_err(|e| e.at(format!("material {i}")))?
+        {
+            properties.apply_to(&mut material);
+        }
+        all.push(material);
+    }
+    let without = |p: &json::mesh::Primitive| p.material.is_none();
+    if root.meshes.iter().any(|m| m.primitives.iter().any(without)) || all.is_empty() {
+        all.push(Material::named("default"));
+    }
+    let blame = |e: Error| e.in_file(materials::sidecar_path(path));
+    sidecar.apply_to(&mut all).map_err(blame)?;
+    let mut last = 0;
+    for material in all {
+        last = environment.add_material(material)?;
+    }
+    Ok(last)
+}
+
+/// A mesh ready for its instances.
+struct BuiltMesh {
+    mesh: Arc<Mesh>,
+    source_count: u32,
+    primitive_ends: Vec<u32>,
+    problems: ProblemList,
+    notes: Vec<(ProblemKind, String)>,
+    merges: u64,
+    /// Metres in the mesh frame.
+    deviation: f64,
+    /// Our own polygons, as they were.
+    exact: bool,
+}
+
+impl BuiltMesh {
+    /// Our own polygons, as they were.
+    fn exact(mesh: Arc<Mesh>, triangles: u64) -> Self {
+        Self {
+            mesh,
+            // Below the limit on all triangles.
+            source_count: triangles as u32,
+            primitive_ends: Vec::new(),
+            problems: ProblemList::default(),
+            notes: Vec::new(),
+            merges: 0,
+            deviation: 0.0,
+            exact: true,
+        }
+    }
+
+    fn place_of(&self, source: u32) -> (u32, u32) {
+        preparation::place_of(&self.primitive_ends, source)
+    }
+}
+
+fn build_mesh(
+    document: &Document<'_>,
+    (index, claimed): (usize, u64),
+    default_material: u16,
+    options: &ImportOptions,
+) -> Result<BuiltMesh> {
+    let exact = if options.merge { document.exact_mesh(index) } else { exact::Exact::None };
+    let stale = match exact {
+        exact::Exact::Mesh(mesh) => return Ok(BuiltMesh::exact(mesh, claimed)),
+        exact::Exact::Stale => true,
+        exact::Exact::None => false,
+    };
+    let mesh::MeshTriangles { triangles, mut notes } = document.read_mesh(index, default_material)?;
+    if stale {
+        let what = format!(
+            "{}: its polygons are of other vertices: its triangles are used",
+            mesh_words(&document.root, index)
+        );
+        notes.push((ProblemKind::IgnoredFeature, what));
+    }
+    let edges = Edges::of(&triangles);
+    let twins = edges.twins();
+    let problems = triangles.problems(&edges, &twins);
+    drop(edges);
+    let (merged, order) = match options.merge {
+        true => (preparation::merge(&triangles, twins, options.merge_tolerance), PolygonOrder::Spatial),
+        false => (preparation::unmerged(&triangles), PolygonOrder::Given),
+    };
+    let TriangleMesh { vertices, source_count, primitive_ends, .. } = triangles;
+    let name = document.root.meshes[index].name.clone().unwrap_or_else(|| format!("mesh{index}"));
+    let mesh = Arc::new(Mesh::from_parts(name, vertices, &merged.parts, order));
+    let (merges, deviation) = (merged.merges, merged.largest_deviation);
+    Ok(BuiltMesh { mesh, source_count, primitive_ends, problems, notes, merges, deviation, exact: false })
+}
+
+/// The most a transform can stretch any length: exact for scales along the axes, a bound for shears.
+fn largest_stretch(m: &DMat3) -> f64 {
+    let [x, y, z] = [m.x_axis, m.y_axis, m.z_axis];
+    let longest = x.length().max(y.length()).max(z.length());
+    let skew = x.dot(y).abs().max(y.dot(z).abs()).max(z.dot(x).abs());
+    // Of M^T M = D + S with |S| <= 2 max |s|.
+    (longest * longest + 2.0 * skew).sqrt()
+}
+
+/// A node in messages.
+fn place_of(node: &SceneNode) -> String {
+    format!("node {} {}", node.node, quoted(&node.path))
+}
+
+fn insert_objects(
+    nodes: &[SceneNode],
+    by_mesh: &HashMap<usize, BuiltMesh>,
+    frame: &SceneFrame,
+    environment: &mut Environment,
+    report: &mut ImportReport,
+    book: &mut ProblemBook,
+) -> Result<()> {
+    let world_from_gltf = frame.world_from_file();
+    // Our own writer knows of no sidecar.
+    let exact = *frame == SceneFrame::default();
+    let built_of = |node: &SceneNode| node.mesh.and_then(|mesh| by_mesh.get(&mesh));
+    let is_object = |node: &SceneNode| built_of(node).is_some_and(|built| built.mesh.polygon_count() > 0);
+    let paths = paths::paths(nodes, is_object);
+    let mut first_source = 0u32;
+    for (node, path) in nodes.iter().zip(&paths) {
+        let place = || place_of(node);
+        let Some(built) = built_of(node) else { continue };
+        report.triangles_in_scene += u64::from(built.source_count);
+        report.polygons_in_scene += built.mesh.polygon_count() as u64;
+        if node.skinned {
+            book.note(ProblemKind::IgnoredFeature, || format!("{}: skin: its rest pose is used", place()));
+        }
+        match path.as_deref().filter(|_| is_object(node)) {
+            None => book.note(ProblemKind::EmptyMesh, place),
+            Some(path) => {
+                let world_from_mesh = world_from_gltf * node.scene_from_node;
+                let new =
+                    object(node, path, built, first_source, (&world_from_mesh, exact)).map_err(|e| e.at(place()))?;
+                let deviation = built.deviation * largest_stretch(&world_from_mesh.matrix3);
+                report.largest_deviation_m = report.largest_deviation_m.max(deviation);
+                insert(environment, new).map_err(|e| e.at(place()))?;
+            }
+        }
+        // Cannot overflow: the sum over all nodes is under the limit on polygons.
+        first_source += built.source_count;
+    }
+    for (node, path) in nodes.iter().zip(paths).filter(|(node, _)| !is_object(node)) {
+        if let Some(path) = path {
+            let frame = frame_of_group(node, &world_from_gltf, exact);
+            // A matrix without a rigid part gives none: the group then has that of what is above.
+            let _ = environment.set_frame(&path, Some(frame));
+        }
+    }
+    environment.settle_groups();
+    for node in nodes.iter().filter(|node| matches!(node.placed, Some(RootPlacement::Group(_)))) {
+        // Our own writer names it by its path; nothing hangs on the node.
+        let free = environment.object(&node.name).is_none() && environment.group(&node.name).is_none();
+        if free && environment.has_below(&node.name) {
+            let _ = environment.set_frame(&node.name, Some(frame_of_group(node, &world_from_gltf, exact)));
+        }
+    }
+    Ok(())
+}
+
+/// The object that a node is.
+fn object(
+    node: &SceneNode,
+    path: &str,
+    built: &BuiltMesh,
+    first_source: u32,
+    (world_from_mesh, exact): (&DAffine3, bool),
+) -> Result<NewObject> {
+    let written = match &node.placed {
+        Some(RootPlacement::Object(placed)) if exact => placed.object(node, path, built.mesh.clone()),
+        _ => None,
+    };
+    Ok(match written {
+        Some(new) if built.exact => new,
+        // Its triangles are numbered as any other's.
+        Some(new) => NewObject { first_source, ..new },
+        None => NewObject { first_source, ..NewObject::from_affine(path, *world_from_mesh, built.mesh.clone())? },
+    })
+}
+
+fn insert(environment: &mut Environment, new: NewObject) -> Result<()> {
+    let object = environment.insert(new)?;
+    let bounds = environment.objects()[object as usize].world_bounds();
+    let reach = bounds.min.abs().max(bounds.max.abs());
+    if reach.is_finite() && reach.max_element() <= limits::MAX_COORDINATE {
+        return Ok(());
+    }
+    let what = format!("it reaches beyond {} m", limits::MAX_COORDINATE);
+    Err(Error::invalid(what, "check the scale: glTF is in metres"))
+}
+
+/// The frame of the group that a node is.
+fn frame_of_group(node: &SceneNode, world_from_gltf: &DAffine3, exact: bool) -> Pose {
+    let written = match &node.placed {
+        Some(RootPlacement::Group(group)) if exact => group.frame(node),
+        _ => None,
+    };
+    written.unwrap_or_else(|| Pose::rigid_part(&(*world_from_gltf * node.scene_from_node)))
+}

@@ -1,0 +1,220 @@
+//! The node hierarchy, read and composed in f64: an f32 matrix would lose a site in UTM metres.
+
+use super::exact::RootPlacement;
+use super::memory::Memory;
+use super::quoted;
+use glam::{DAffine3, DMat3, DQuat, DVec3};
+use presight_model::error::{Error, Result};
+use presight_model::limits;
+use serde::Deserialize;
+
+const REPAIR: &str = "repair the model or export it again";
+/// The parent of a root.
+const NONE: usize = usize::MAX;
+
+/// The part of a glTF file that must keep f64.
+#[derive(Deserialize)]
+pub(super) struct NodeText {
+    #[serde(default)]
+    nodes: Vec<Node>,
+    #[serde(default)]
+    scenes: Vec<SceneText>,
+    scene: Option<usize>,
+}
+
+#[derive(Deserialize)]
+struct SceneText {
+    #[serde(default)]
+    nodes: Vec<usize>,
+}
+
+#[derive(Deserialize)]
+struct Node {
+    name: Option<String>,
+    mesh: Option<usize>,
+    #[serde(default)]
+    children: Vec<usize>,
+    skin: Option<usize>,
+    matrix: Option<[f64; 16]>,
+    translation: Option<[f64; 3]>,
+    rotation: Option<[f64; 4]>,
+    scale: Option<[f64; 3]>,
+    extras: Option<serde_json::Value>,
+}
+
+/// A node of the default scene that has a mesh or meshes below, or one that our own writer left for a group.
+pub(super) struct SceneNode {
+    /// Index in the file.
+    pub node: usize,
+    /// Which of the nodes found before holds it.
+    pub parent: Option<usize>,
+    /// Its own name.
+    pub name: String,
+    /// Full node path as the file has it, "a/b/c", for messages: others may have the same.
+    pub path: String,
+    pub mesh: Option<usize>,
+    /// glTF scene axes, y up.
+    pub scene_from_node: DAffine3,
+    pub skinned: bool,
+    /// What our own writer says besides, of a root.
+    pub placed: Option<RootPlacement>,
+}
+
+impl NodeText {
+    /// Those nodes of the default scene, depth-first, children in order.
+    pub fn scene_nodes(&self, memory: &mut Memory) -> Result<Vec<SceneNode>> {
+        let parents = self.parents()?;
+        let carries = self.carriers(&parents);
+        let mut found: Vec<SceneNode> = Vec::new();
+        let mut seen = vec![false; self.nodes.len()];
+        let mut path = String::new();
+        // Iterative: a deep file must not exhaust the stack. (node, depth, length of the parent's path, parent among those
+        // found, parent's place)
+        let mut stack: Vec<(usize, usize, usize, Option<usize>, DAffine3)> =
+            self.roots(&parents)?.iter().rev().map(|&r| (r, 0, 0, None, DAffine3::IDENTITY)).collect();
+        while let Some((index, depth, parent_length, parent, scene_from_parent)) = stack.pop() {
+            let node = &self.nodes[index];
+            if std::mem::replace(&mut seen[index], true) {
+                return Err(self.error(index, "the scene holds this node twice"));
+            }
+            path.truncate(parent_length);
+            if depth > 0 {
+                path.push('/');
+            }
+            let start = path.len();
+            match node.name.as_deref() {
+                Some(name) if !name.is_empty() => path.push_str(name),
+                _ => path.push_str(&format!("node{index}")),
+            }
+            if depth >= limits::MAX_NODE_DEPTH || path.len() > limits::MAX_NAME_BYTES {
+                return Err(self.error(
+                    index,
+                    format!(
+                        "nodes nest over {} levels or a path is over {} bytes",
+                        limits::MAX_NODE_DEPTH,
+                        limits::MAX_NAME_BYTES
+                    ),
+                ));
+            }
+            let scene_from_node = scene_from_parent * node.transform().map_err(|what| self.error(index, what))?;
+            let placed = node.extras.as_ref().filter(|_| depth == 0).and_then(RootPlacement::of);
+            let mut own = None;
+            if carries[index] || matches!(placed, Some(RootPlacement::Group(_))) {
+                memory.take_node(path.len())?;
+                own = Some(found.len());
+                found.push(SceneNode {
+                    node: index,
+                    parent,
+                    name: path[start..].to_owned(),
+                    path: path.clone(),
+                    mesh: node.mesh,
+                    scene_from_node,
+                    skinned: node.skin.is_some(),
+                    placed,
+                });
+            }
+            let length = path.len();
+            stack.extend(node.children.iter().rev().map(|&c| (c, depth + 1, length, own, scene_from_node)));
+        }
+        Ok(found)
+    }
+
+    /// The parent of each node, once the hierarchy is proven to be a forest.
+    fn parents(&self) -> Result<Vec<usize>> {
+        let count = self.nodes.len();
+        let mut parents = vec![NONE; count];
+        for (index, node) in self.nodes.iter().enumerate() {
+            for &child in &node.children {
+                if child >= count {
+                    return Err(self.error(index, format!("child {child} does not exist, there are {count} nodes")));
+                }
+                if parents[child] != NONE {
+                    let (a, b) = (parents[child], index);
+                    return Err(self.error(child, format!("it has two parents, nodes {a} and {b}")));
+                }
+                parents[child] = index;
+            }
+        }
+        // With one parent at most, what no root reaches is a cycle.
+        let mut reached = vec![false; count];
+        let mut stack: Vec<usize> = (0..count).filter(|&i| parents[i] == NONE).collect();
+        while let Some(i) = stack.pop() {
+            reached[i] = true;
+            stack.extend(&self.nodes[i].children);
+        }
+        match reached.iter().position(|r| !r) {
+            Some(lost) => Err(self.error(lost, "it is its own ancestor: the nodes form a cycle")),
+            None => Ok(parents),
+        }
+    }
+
+    /// Which nodes have a mesh, or one below.
+    fn carriers(&self, parents: &[usize]) -> Vec<bool> {
+        let mut carries = vec![false; self.nodes.len()];
+        for (index, _) in self.nodes.iter().enumerate().filter(|(_, node)| node.mesh.is_some()) {
+            let mut at = index;
+            while at != NONE && !std::mem::replace(&mut carries[at], true) {
+                at = parents[at];
+            }
+        }
+        carries
+    }
+
+    /// Roots of the default scene.
+    fn roots(&self, parents: &[usize]) -> Result<Vec<usize>> {
+        let count = self.nodes.len();
+        let Some(scene) = self.scenes.get(self.scene.unwrap_or(0)) else {
+            if self.scene.is_none() {
+                return Ok((0..count).filter(|&i| parents[i] == NONE).collect());
+            }
+            let e = Error::invalid(format!("there are {} scenes", self.scenes.len()), REPAIR);
+            return Err(e.at(format!("scene {}", self.scene.unwrap_or(0))));
+        };
+        match scene.nodes.iter().find(|&&n| n >= count) {
+            Some(n) => Err(Error::invalid(format!("node {n} does not exist, there are {count}"), REPAIR).at("scene")),
+            None => Ok(scene.nodes.clone()),
+        }
+    }
+
+    fn error(&self, index: usize, what: impl Into<String>) -> Error {
+        let name = self.nodes[index].name.as_deref().unwrap_or("");
+        Error::invalid(what, REPAIR).at(format!("node {index} {}", quoted(name)))
+    }
+}
+
+impl Node {
+    /// `parent_from_node`, from the digits in the file.
+    fn transform(&self) -> Result<DAffine3, &'static str> {
+        let Some(m) = &self.matrix else {
+            return self.transform_from_trs();
+        };
+        if self.translation.is_some() || self.rotation.is_some() || self.scale.is_some() {
+            return Err("it has a matrix and translation, rotation or scale too");
+        }
+        let last = [m[3], m[7], m[11], m[15]];
+        // Exporters that multiply in f32 leave rounding here; more than that would be a projection.
+        if last.iter().zip([0.0, 0.0, 0.0, 1.0]).any(|(a, b)| (a - b).abs() > 1e-6) {
+            return Err("the last row of its matrix is not 0 0 0 1");
+        }
+        let column = |i: usize| DVec3::new(m[i], m[i + 1], m[i + 2]);
+        Ok(DAffine3::from_mat3_translation(DMat3::from_cols(column(0), column(4), column(8)), column(12)))
+    }
+
+    fn transform_from_trs(&self) -> Result<DAffine3, &'static str> {
+        let rotation = match self.rotation {
+            None => DQuat::IDENTITY,
+            Some(q) => {
+                let q = DQuat::from_array(q);
+                let length = q.length();
+                // Quaternions are written with f32 digits: normalizing takes the scale out that this would add.
+                if !(0.5..=2.0).contains(&length) {
+                    return Err("its rotation is no unit quaternion");
+                }
+                q.normalize()
+            }
+        };
+        let scale = self.scale.map_or(DVec3::ONE, DVec3::from_array);
+        let translation = self.translation.map_or(DVec3::ZERO, DVec3::from_array);
+        Ok(DAffine3::from_scale_rotation_translation(scale, rotation, translation))
+    }
+}

@@ -1,0 +1,72 @@
+//! Several layer files made one.
+
+use super::read::{LayerFile, read};
+use presight_model::environment::FeatureLayer;
+use presight_model::error::{Error, Result};
+use std::collections::HashMap;
+use std::path::Path;
+
+/// Layers for one sensor class, merged.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct MergedLayers {
+    /// The remaining features of each file, in the order in which they were read; see [`merge`].
+    pub layers: Vec<LayerFile>,
+    /// Number of features for other classes, which are not used.
+    pub other_classes: usize,
+}
+
+/// Reads layer files and merges those for a sensor class over the environment's own layer for it, if there is one. That layer
+/// comes first and has no path. Features of other classes are counted.
+///
+/// # Errors
+/// Those of [`read`] and [`merge`], for all files alike.
+pub fn load<P: AsRef<Path>>(own: Option<&FeatureLayer>, paths: &[P], class: &str) -> Result<MergedLayers> {
+    let mut files = Vec::with_capacity(paths.len() + 1);
+    files.extend(own.map(|layer| LayerFile { layer: layer.clone(), ..LayerFile::default() }));
+    let mut other_classes = 0;
+    for path in paths {
+        let file = read(path.as_ref())?;
+        if file.layer.class == class {
+            files.push(file);
+        } else {
+            other_classes += file.layer.features.len();
+        }
+    }
+    Ok(MergedLayers { layers: merge(files)?, other_classes })
+}
+
+/// Merges layers and returns what remains of each. A later feature replaces an earlier one of the same id. A removal drops
+/// earlier features of its id, and a later layer may use the id again. Removing a missing feature does nothing, because the layer
+/// below may have been generated again without it. A later pose covariance of an object replaces an earlier one and holds for all
+/// layers. A tolerance holds for its own layer only.
+///
+/// # Errors
+/// [`crate::ErrorKind::Invalid`] naming the file if classes differ.
+pub fn merge(files: impl IntoIterator<Item = LayerFile>) -> Result<Vec<LayerFile>> {
+    let mut files: Vec<LayerFile> = files.into_iter().collect();
+    if let Some(other) = files.iter().find(|f| f.layer.class != files[0].layer.class) {
+        let (class, first) = (&other.layer.class, &files[0].layer.class);
+        let what = format!("a layer for class {class:?} among layers for class {first:?}");
+        let wrong = Error::invalid(what, "merge layers of one class");
+        return Err(match &other.path {
+            Some(path) => wrong.in_file(path),
+            None => wrong,
+        });
+    }
+    // One file has the last word on all: what it removes it does not hold.
+    if files.len() < 2 {
+        return Ok(files);
+    }
+    // Which file the last word on an id, or on an object's pose, is in.
+    let (mut of_id, mut of_object) = (HashMap::new(), HashMap::new());
+    for (i, LayerFile { layer, removed, .. }) in files.iter().enumerate() {
+        of_id.extend(removed.iter().copied().chain(layer.features.iter().map(|f| f.id)).map(|id| (id, i)));
+        of_object.extend(layer.pose_covariances.iter().map(|(object, _)| (object.clone(), i)));
+    }
+    for (i, LayerFile { layer, lost, .. }) in files.iter_mut().enumerate() {
+        lost.retain(|id| of_id[id] == i);
+        layer.features.retain(|f| of_id[&f.id] == i);
+        layer.pose_covariances.retain(|(object, _)| of_object[object] == i);
+    }
+    Ok(files)
+}

@@ -1,0 +1,123 @@
+//! Sensors by name: a preset, or a file of one of the formats that describe sensors.
+
+use super::{camera_info, sensor_toml};
+use presight_model::error::{Error, Result};
+use presight_model::sensor::{PRESETS, Sensor};
+use std::path::Path;
+
+/// Makes a sensor from a preset ([`PRESETS`]).
+///
+/// ```
+/// let radar = presight::preset("microwave-radar-image")?;
+/// assert_eq!((radar.width(), radar.height()), (1280, 200));
+/// # Ok::<(), presight::Error>(())
+/// ```
+///
+/// # Errors
+/// [`crate::ErrorKind::Usage`] if there is no preset of this name; the remedy lists the names.
+pub fn preset(name: &str) -> Result<Sensor> {
+    let Some(preset) = PRESETS.iter().find(|p| p.name == name) else {
+        return Err(Error::usage(format!("unknown preset {name:?}"), format!("choose one of {}", preset_names())));
+    };
+    Sensor::new(sensor_toml::parse(preset.toml, preset.name, None)?)
+}
+
+pub(super) fn preset_names() -> String {
+    PRESETS.iter().map(|p| p.name).collect::<Vec<_>>().join(", ")
+}
+
+/// Makes the sensor that `--sensor PRESET|FILE` names: a preset, a sensor TOML, or a ROS camera_info YAML. Also returns notices on
+/// parts of the file that are not used.
+///
+/// # Errors
+/// [`crate::ErrorKind::Usage`] if it is neither a preset nor ends in `.toml`, `.yaml` or `.yml`; otherwise those of
+/// [`sensor_toml::read`] and [`camera_info::read`].
+pub fn load_sensor(arg: &str) -> Result<(Sensor, Vec<String>)> {
+    if PRESETS.iter().any(|p| p.name == arg) {
+        return Ok((preset(arg)?, Vec::new()));
+    }
+    let path = Path::new(arg);
+    let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
+    let (spec, notices) = match extension.as_str() {
+        "toml" => (sensor_toml::read(path)?, Vec::new()),
+        "yaml" | "yml" => camera_info::read(path)?,
+        _ => {
+            return Err(Error::usage(
+                format!("{arg:?} is neither a preset nor a sensor file"),
+                format!("choose one of {}, or name a file that ends in .toml, .yaml or .yml", preset_names()),
+            ));
+        }
+    };
+    Ok((Sensor::new(spec).map_err(|e| e.in_file(path))?, notices))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use presight_model::error::ErrorKind;
+
+    #[test]
+    fn presets_have_their_size_and_class() {
+        let expected = [
+            ("video-camera", 512, 512, "video", f64::INFINITY),
+            ("microwave-radar-scan", 3600, 1, "radar", 75.0),
+            ("microwave-radar-image", 1280, 200, "radar", 75.0),
+            ("laser-range-camera", 321, 41, "laser", 10.0),
+            ("laser-scanner", 361, 1, "laser", 30.0),
+            ("vlp-16", 1800, 16, "laser", 100.0),
+            ("os1-128", 1024, 128, "laser", 120.0),
+            ("realsense-d435", 1280, 720, "video", 10.0),
+        ];
+        assert_eq!(expected.map(|e| e.0).as_slice(), PRESETS.iter().map(|p| p.name).collect::<Vec<_>>());
+        for (name, width, height, class, range_max) in expected {
+            let sensor = preset(name).unwrap();
+            let spec = sensor.spec();
+            assert_eq!((sensor.width(), sensor.height()), (width, height), "{name}");
+            assert_eq!((spec.name.as_str(), spec.class.as_str(), spec.range_max), (name, class, range_max));
+        }
+    }
+
+    #[test]
+    fn presets_end_where_they_should() {
+        let corner = |name: &str, column, row| {
+            let d = preset(name).unwrap().ray(column, row).unwrap();
+            [d.y.atan2(d.x).to_degrees(), d.z.asin().to_degrees()]
+        };
+        let near = |a: [f64; 2], b: [f64; 2]| assert!((a[0] - b[0]).abs() + (a[1] - b[1]).abs() < 1e-12, "{a:?} {b:?}");
+        near(corner("laser-range-camera", 0, 0), [-30.0, 5.0]);
+        near(corner("laser-range-camera", 320, 40), [30.0, -55.0]);
+        near(corner("laser-scanner", 360, 0), [90.0, 0.0]);
+        near(corner("microwave-radar-image", 640, 0), [0.0, 25.0]);
+        near(corner("microwave-radar-image", 641, 199), [0.28125, -25.0]);
+        near(corner("microwave-radar-scan", 3599, 0), [179.9, 0.0]);
+        near(corner("vlp-16", 900, 0), [0.0, 15.0]);
+        near(corner("os1-128", 512, 127), [0.0, -22.5]);
+    }
+
+    #[test]
+    fn an_unknown_preset_is_wrong_usage_and_lists_the_names() {
+        for e in [preset("vlp-17").unwrap_err(), load_sensor("vlp-17").unwrap_err()] {
+            assert_eq!(e.kind(), ErrorKind::Usage);
+            assert!(PRESETS.iter().all(|p| e.remedy().contains(p.name)), "{e}");
+        }
+        assert_eq!(load_sensor("no/such/sensor.toml").unwrap_err().kind(), ErrorKind::Invalid);
+    }
+
+    #[test]
+    fn files_are_read_by_their_extension() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+        std::fs::write(path("eye.toml"), PRESETS[0].toml).unwrap();
+        let yaml = "image_width: 4\nimage_height: 3\ncamera_matrix: {data: [2, 0, 1.5, 0, 2, 1, 0, 0, 1]}\nfoo: 1\n";
+        std::fs::write(path("eye.YAML"), yaml).unwrap();
+        let (sensor, notices) = load_sensor(&path("eye.toml")).unwrap();
+        assert_eq!((sensor.spec().name.as_str(), notices.len()), ("video-camera", 0));
+        let (sensor, notices) = load_sensor(&path("eye.YAML")).unwrap();
+        assert_eq!((sensor.spec().name.as_str(), sensor.width(), sensor.height()), ("eye", 4, 3));
+        assert!(notices.len() == 1 && notices[0].contains("foo"), "{notices:?}");
+        // A fault that only the finished sensor shows names the file too.
+        std::fs::write(path("eye.YAML"), yaml.replace("4", "0")).unwrap();
+        let e = load_sensor(&path("eye.YAML")).unwrap_err();
+        assert!(e.kind() == ErrorKind::Invalid && e.file().is_some() && e.to_string().contains("0 x 3"), "{e}");
+    }
+}

@@ -1,0 +1,229 @@
+//! Planar laser scans as data sets publish them: one JSON object with a list `scans`.
+//!
+//! Keys of the document: `beams`, `angle_min`, `angle_max` (radians), `counter_clockwise`, `range_max`, `range_std`,
+//! `sensor_on_robot` {x, y, z, yaw}; or in an object `scan`: `beams`, `angle_min_deg`, `step_deg`, `height_m`, `range_max`.
+//! Keys of a scan: `ranges` (metres; null is no reading), and optionally `valid` (a digit for each beam, 1 for a reading), `t` (seconds; without it frames
+//! are numbered from 0), `odometry_increment` [x, y, yaw] and the robot's pose {x, y, yaw} under `robot_pose`,
+//! `reference_pose` or `pose_in_model`. Other keys are not read.
+
+use super::{Log, LogFrame, check_time};
+use crate::text::check_json_memory;
+use glam::DVec3;
+use presight_model::error::{Error, Result};
+use presight_model::geometry::Pose;
+use presight_model::limits;
+use presight_model::sensor::{Angles, Geometry, Noise, Scanner, Sensor, SensorSpec};
+use serde::Deserialize;
+use std::path::{Path, PathBuf};
+
+/// A document that was read whole.
+pub struct Document {
+    path: PathBuf,
+    sensor: Sensor,
+    scans: std::iter::Enumerate<std::vec::IntoIter<Scan>>,
+    time: Option<f64>,
+    ended: bool,
+}
+
+#[derive(Deserialize)]
+struct File {
+    beams: Option<u32>,
+    angle_min: Option<f64>,
+    angle_max: Option<f64>,
+    counter_clockwise: Option<bool>,
+    range_max: Option<f64>,
+    range_std: Option<f64>,
+    sensor_on_robot: Option<Mount>,
+    scan: Option<Layout>,
+    scans: Vec<Scan>,
+}
+
+#[derive(Deserialize)]
+struct Layout {
+    beams: u32,
+    angle_min_deg: f64,
+    step_deg: f64,
+    height_m: f64,
+    range_max: f64,
+}
+
+#[derive(Deserialize)]
+struct Mount {
+    x: f64,
+    y: f64,
+    z: f64,
+    yaw: f64,
+}
+
+#[derive(Deserialize)]
+struct Planar {
+    x: f64,
+    y: f64,
+    yaw: f64,
+}
+
+#[derive(Deserialize)]
+struct Scan {
+    t: Option<f64>,
+    odometry_increment: Option<[f64; 3]>,
+    #[serde(alias = "robot_pose", alias = "reference_pose", alias = "pose_in_model")]
+    reference: Option<Planar>,
+    ranges: Vec<Option<f64>>,
+    valid: Option<String>,
+}
+
+impl Document {
+    pub(super) fn parse(path: &Path, text: Vec<u8>) -> Result<Self> {
+        let placed = |e: Error| e.in_file(path);
+        if text.len() as u64 > limits::MAX_LINE_BYTES {
+            let what = format!("the document is longer than {} bytes", limits::MAX_LINE_BYTES);
+            return Err(Error::invalid(what, "split it, or write it as a log of format 1").in_file(path));
+        }
+        let text = String::from_utf8(text).map_err(|_| Error::invalid("it is not UTF-8", "save it as UTF-8 text"));
+        let text = text.map_err(placed)?;
+        check_json_memory(&text).map_err(placed)?;
+        let file: File = serde_json::from_str(&text).map_err(|e| {
+            let remedy = "give a log: see docs/formats.md";
+            Error::invalid(format!("it is no log: {e}"), remedy).at(format!("line {}", e.line().max(1))).in_file(path)
+        })?;
+        let name = path.file_stem().map_or_else(|| "scanner".into(), |s| s.to_string_lossy().into_owned());
+        let sensor = spec(&file, name).and_then(Sensor::new).map_err(placed)?;
+        Ok(Self { path: path.to_owned(), sensor, scans: file.scans.into_iter().enumerate(), time: None, ended: false })
+    }
+
+    fn read(&mut self, index: usize, scan: Scan) -> Result<LogFrame> {
+        let valid = scan.valid.map_or_else(|| vec![b'1'; scan.ranges.len()], String::into_bytes);
+        if valid.len() != scan.ranges.len() || !valid.iter().all(|v| matches!(v, b'0' | b'1')) {
+            let remedy = "give a digit 0 or 1 for each beam";
+            return Err(Error::invalid(format!("valid does not fit the {} ranges", scan.ranges.len()), remedy));
+        }
+        let reading = |(range, valid): (&Option<f64>, &u8)| range.filter(|_| *valid == b'1');
+        let mut ranges = Vec::with_capacity(valid.len());
+        for (i, reading) in scan.ranges.iter().zip(&valid).map(reading).enumerate() {
+            ranges.push(match reading {
+                Some(range) if (range as f32).is_finite() => range as f32,
+                Some(range) => {
+                    let what = format!("{range} m is not finite, and valid");
+                    return Err(Error::invalid(what, "mark it as not valid").at(format!("range {i}")));
+                }
+                None => f32::NAN,
+            });
+        }
+        let planar = |x, y, yaw| Pose::from_xyz_rpy(DVec3::new(x, y, 0.0), 0.0, 0.0, yaw);
+        let frame = LogFrame {
+            time: scan.t.unwrap_or(index as f64),
+            range: ranges,
+            intensities: None,
+            odometry: scan.odometry_increment.map(|[x, y, yaw]| planar(x, y, yaw)),
+            reference: scan.reference.map(|p| planar(p.x, p.y, p.yaw)),
+        };
+        frame.check(self.sensor.spec())?;
+        check_time(self.time, frame.time)?;
+        self.time = Some(frame.time);
+        Ok(frame)
+    }
+}
+
+impl Iterator for Document {
+    type Item = Result<LogFrame>;
+
+    fn next(&mut self) -> Option<Result<LogFrame>> {
+        if self.ended {
+            return None;
+        }
+        let (index, scan) = self.scans.next()?;
+        let read = self.read(index, scan).map_err(|e| e.at(format!("scan {index}")).in_file(&self.path));
+        self.ended = read.is_err();
+        Some(read)
+    }
+}
+
+impl Log for Document {
+    fn sensor(&self) -> &Sensor {
+        &self.sensor
+    }
+}
+
+fn spec(file: &File, name: String) -> Result<SensorSpec> {
+    let missing =
+        |key: &str| Error::invalid(format!("{key} is missing"), "docs/formats.md lists what a document of scans has");
+    let (azimuth, range_max, mount) = match &file.scan {
+        Some(scan) => {
+            let azimuth = Angles::Uniform { start_deg: scan.angle_min_deg, step_deg: scan.step_deg, count: scan.beams };
+            let mount = Pose { translation: DVec3::new(0.0, 0.0, scan.height_m), ..Pose::IDENTITY };
+            (azimuth, scan.range_max, mount)
+        }
+        None => {
+            let beams = file.beams.ok_or_else(|| missing("beams"))?;
+            let least = file.angle_min.ok_or_else(|| missing("angle_min"))?;
+            let greatest = file.angle_max.ok_or_else(|| missing("angle_max"))?;
+            if least.abs().max(greatest.abs()) > std::f64::consts::TAU {
+                let what = format!("angle_min {least} and angle_max {greatest} are more than a turn");
+                return Err(Error::invalid(what, "give radians: 90 degrees are 1.5708"));
+            }
+            let on_robot = file.sensor_on_robot.as_ref().ok_or_else(|| missing("sensor_on_robot"))?;
+            let place = DVec3::new(on_robot.x, on_robot.y, on_robot.z);
+            let range_max = file.range_max.ok_or_else(|| missing("range_max"))?;
+            let azimuth = azimuths(least, greatest, beams, file.counter_clockwise.unwrap_or(true));
+            (azimuth, range_max, Pose::from_xyz_rpy(place, 0.0, 0.0, on_robot.yaw))
+        }
+    };
+    let elevation = Angles::Uniform { start_deg: 0.0, step_deg: 0.0, count: 1 };
+    let scanner = Scanner { azimuth, elevation, beam_height_deg: None };
+    let noise = Noise { range_sigma: file.range_std.unwrap_or(0.0), ..Noise::default() };
+    let spec = SensorSpec::new(name, "laser", Geometry::Scanner(scanner));
+    Ok(spec.with_limits(0.0, range_max).with_mount(mount).with_noise(noise))
+}
+
+/// Beams from the least to the greatest angle, or back.
+fn azimuths(least: f64, greatest: f64, beams: u32, counter_clockwise: bool) -> Angles {
+    let (least, greatest) = (round_degrees(least), round_degrees(greatest));
+    let step = (greatest - least) / f64::from(beams.saturating_sub(1).max(1));
+    let (start_deg, step_deg) = if counter_clockwise { (least, step) } else { (greatest, -step) };
+    Angles::Uniform { start_deg, step_deg, count: beams }
+}
+
+/// Degrees of an angle in radians. Drivers keep such angles in f32: one that is the nearest f32 to a round number of degrees
+/// means that.
+fn round_degrees(radians: f64) -> f64 {
+    let degrees = radians.to_degrees();
+    let round = (degrees * 1e4).round() / 1e4;
+    if round.to_radians() as f32 == radians as f32 { round } else { degrees }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn text(angle_max: &str) -> String {
+        format!(
+            r#"{{"beams":3,"angle_min":-1.5,"angle_max":{angle_max},"range_max":8,"sensor_on_robot":{{"x":0,"y":0,"z":1,"yaw":0}},
+            "scans":[{{"ranges":[2.5,null,3.5],"valid":"110"}}]}}"#
+        )
+    }
+
+    fn parse(angle_max: &str) -> Result<Document> {
+        Document::parse(Path::new("scans.json"), text(angle_max).into_bytes())
+    }
+
+    /// null and what is marked as not valid are no readings, as other programs write them.
+    #[test]
+    fn a_missing_range_is_no_reading() {
+        let frame = parse("1.5").unwrap().next().unwrap().unwrap();
+        assert!(frame.range[0] == 2.5 && frame.range[1].is_nan() && frame.range[2].is_nan());
+    }
+
+    /// Programs that mark no beam leave the key out.
+    #[test]
+    fn without_marks_every_range_is_a_reading() {
+        let text = text("1.5").replace(r#","valid":"110""#, "");
+        let frame = Document::parse(Path::new("scans.json"), text.into_bytes()).unwrap().next().unwrap().unwrap();
+        assert!(frame.range[0] == 2.5 && frame.range[1].is_nan() && frame.range[2] == 3.5);
+    }
+
+    #[test]
+    fn degrees_are_told_from_radians() {
+        let wrong = parse("90").err().unwrap().to_string();
+        assert!(wrong.contains("angle_max 90") && wrong.contains("give radians"), "{wrong}");
+    }
+}

@@ -1,0 +1,122 @@
+//! The frames of a log of any kind, as the estimator takes them.
+
+use super::scans::{self, Scans};
+use crate::depth_folder::DepthFolder;
+use presight_model::error::{Error, Result};
+use presight_model::frame::{Frame, OdometryNoise};
+use presight_model::geometry::Pose;
+use presight_model::sensor::Sensor;
+use std::path::Path;
+
+/// A frame, and where the robot was by the log's own account.
+#[derive(Clone, Debug)]
+pub struct Observation {
+    /// What was measured.
+    pub frame: Frame,
+    /// world_from_robot, if the log says so. No estimate may use it.
+    pub reference: Option<Pose>,
+}
+
+/// The frames of a log, in the order of time. After an error there is none.
+pub struct Frames {
+    sensor: Sensor,
+    frames: Box<dyn Iterator<Item = Result<Observation>> + Send>,
+    ended: bool,
+}
+
+impl Frames {
+    /// Opens a log: a folder of depth or grey images ([`crate::io::depth_folder`]), one or a folder of scans ([`super::scans`]), or a file of
+    /// ranges ([`super::open`]). `sensor` says what the log does not (noise, limits, mount) and has the same image, but for scans
+    /// of points, whose rays are their own; `noise` says how good odometry is.
+    ///
+    /// # Examples
+    /// ```
+    /// use presight::io::log::{Frames, lines};
+    /// let folder = tempfile::tempdir()?;
+    /// let path = folder.path().join("run.jsonl");
+    /// let sensor = presight::preset("laser-scanner")?;
+    /// let line = r#"{"t": 1, "range": ["inf", null], "odometry": [0.2, 0, 0, 0, 0, 5]}"#;
+    /// std::fs::write(&path, format!("{}\n{}\n", lines::header(sensor.spec()), line.replace("null", &["null"; 360].join(","))))?;
+    /// let frames: Vec<_> = Frames::open(&path, None, &Default::default())?.collect::<Result<_, _>>()?;
+    /// assert_eq!(frames[0].frame.motion.unwrap().previous_from_current.translation.x, 0.2);
+    /// assert!(frames[0].frame.ranges()[1].is_nan() && frames[0].reference.is_none());
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// # Errors
+    /// Those of [`super::open`], [`Scans::open`] and [`DepthFolder::open`]; [`crate::ErrorKind::Usage`] for a sensor with another image.
+    pub fn open(path: &Path, sensor: Option<&Sensor>, noise: &OdometryNoise) -> Result<Self> {
+        match path.is_dir() {
+            true if ["camera.json", "depth", "grey"].iter().any(|name| path.join(name).exists()) => {
+                Self::of_folder(path, sensor)
+            }
+            false if !scans::is_scan(path) => Self::of_file(path, sensor, *noise),
+            _ => Self::of_scans(path, sensor),
+        }
+    }
+
+    fn of_scans(path: &Path, sensor: Option<&Sensor>) -> Result<Self> {
+        let mut scans = Scans::open(path, sensor)?;
+        // Each scan has a sensor of its own: the first one stands for them.
+        let Some(first) = scans.next().transpose()? else {
+            return Err(Error::invalid("there is no scan", "give PLY, PCD, CSV or EXR files").in_file(path));
+        };
+        let sensor = first.frame.sensor().clone();
+        Ok(Self { sensor, frames: Box::new(std::iter::once(Ok(first)).chain(scans)), ended: false })
+    }
+
+    fn of_folder(path: &Path, sensor: Option<&Sensor>) -> Result<Self> {
+        let log = DepthFolder::open(path, sensor)?;
+        let sensor = log.sensor().clone();
+        let robot_from_sensor = sensor.spec().mount.inverse();
+        let known = log.reference().to_vec();
+        let at = move |stamp: f64| {
+            let there = known.iter().find(|s| (s.time - stamp).abs() < 1e-6)?;
+            Some(there.pose * robot_from_sensor)
+        };
+        let frames = log.map(move |frame| frame.map(|frame| Observation { reference: at(frame.stamp), frame }));
+        Ok(Self { sensor, frames: Box::new(frames), ended: false })
+    }
+
+    fn of_file(path: &Path, sensor: Option<&Sensor>, noise: OdometryNoise) -> Result<Self> {
+        let log = super::open(path)?;
+        let own = log.sensor();
+        let sensor = sensor.unwrap_or(own).clone();
+        if (sensor.width(), sensor.height()) != (own.width(), own.height()) {
+            let what = format!(
+                "a sensor of {} x {} pixels for a log of {} x {}",
+                sensor.width(),
+                sensor.height(),
+                own.width(),
+                own.height()
+            );
+            return Err(Error::usage(what, "give the sensor that measured").in_file(path));
+        }
+        let (file, used) = (path.to_owned(), sensor.clone());
+        let frames = log.enumerate().map(move |(index, frame)| {
+            let frame = frame?;
+            let reference = frame.reference;
+            let frame = frame.sensed(&used, &noise).map_err(|e| e.at(format!("frame {index}")).in_file(&file))?;
+            Ok(Observation { frame, reference })
+        });
+        Ok(Self { sensor, frames: Box::new(frames), ended: false })
+    }
+
+    /// The sensor that measured the first frame; scans of points have one each.
+    pub fn sensor(&self) -> &Sensor {
+        &self.sensor
+    }
+}
+
+impl Iterator for Frames {
+    type Item = Result<Observation>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        if self.ended {
+            return None;
+        }
+        let next = self.frames.next();
+        self.ended = !matches!(next, Some(Ok(_)));
+        next
+    }
+}

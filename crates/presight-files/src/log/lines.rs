@@ -1,0 +1,251 @@
+//! Logs in presight's own format 1: one JSON object a line (JSON Lines), the header first.
+//!
+//! ```text
+//! {"format": 1, "kind": "range-log", "sensor": "format = 1\nkind = \"scanner\"\n.."}
+//! {"t": 12.5, "range": [2.47, null, "inf"], "odometry": [0.2, 0, 0, 0, 0, 8.1], "reference": [3.4, -10.2, 0, 0, 0, 1, 0]}
+//! ```
+//!
+//! - `sensor`: the text of a sensor file ([`crate::io::sensor_toml`]) with its mount and limits.
+//! - `t`: seconds, rising.
+//! - `range`: metres, one for each ray, row by row; `null` for no reading, `"inf"` for nothing sensed, `"-inf"` for something
+//!   nearer than `range_min`.
+//! - `intensities`, optional: how strong the echo was, one for each ray, 0 to 1: as bright as a retro-reflector; `null` for no echo.
+//! - `odometry`, optional: the robot's motion since the frame before, previous_robot_from_robot, as
+//!   `[x, y, z, roll_deg, pitch_deg, yaw_deg]` or `[x, y, z, qx, qy, qz, qw]`.
+//! - `reference`, optional: world_from_robot, written the same way.
+
+use super::{Log, LogFrame, check_time};
+use crate::sensor_toml;
+use crate::text::read_line;
+use glam::{DQuat, DVec3};
+use presight_model::error::{Error, ErrorKind, Result};
+use presight_model::geometry::Pose;
+use presight_model::sensor::{Sensor, SensorSpec};
+use serde::de::{Deserialize, Deserializer, IgnoredAny, Visitor};
+use std::fmt;
+use std::fs::File;
+use std::io::{BufReader, Take};
+use std::path::{Path, PathBuf};
+
+const KIND: &str = "range-log";
+const FORMAT: i64 = 1;
+const REMEDY: &str = "docs/formats.md describes logs";
+
+/// A log of format 1 that is being read.
+pub struct Lines {
+    path: PathBuf,
+    reader: BufReader<Take<File>>,
+    sensor: Sensor,
+    line: usize,
+    time: Option<f64>,
+    ended: bool,
+}
+
+#[derive(serde::Deserialize)]
+struct Header {
+    format: Option<i64>,
+    kind: Option<String>,
+}
+
+/// All that the header of this format may hold.
+#[derive(serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+struct WholeHeader {
+    #[serde(rename = "format")]
+    _format: IgnoredAny,
+    #[serde(rename = "kind")]
+    _kind: IgnoredAny,
+    sensor: Option<String>,
+}
+
+/// True for a line that names a format.
+pub(super) fn is_header(line: &str) -> bool {
+    serde_json::from_str::<Header>(line).is_ok_and(|header| header.format.is_some())
+}
+
+/// The header of a log, without the line's end.
+pub fn header(sensor: &SensorSpec) -> String {
+    serde_json::json!({ "format": FORMAT, "kind": KIND, "sensor": sensor_toml::to_string(sensor) }).to_string()
+}
+
+/// The line of a frame, without its end. It reads back to the same frame, bit for bit.
+pub fn line(frame: &LogFrame) -> String {
+    let pose = |p: &Pose| [p.translation.to_array().as_slice(), p.rotation.to_array().as_slice()].concat();
+    let range: Vec<String> = frame.range.iter().map(|r| reading(*r)).collect();
+    let mut text = format!("{{\"t\":{:?},\"range\":[{}]", frame.time, range.join(","));
+    if let Some(intensities) = &frame.intensities {
+        let values: Vec<String> = intensities.iter().map(|v| reading(*v)).collect();
+        text += &format!(",\"intensities\":[{}]", values.join(","));
+    }
+    for (name, p) in [("odometry", &frame.odometry), ("reference", &frame.reference)] {
+        if let Some(p) = p {
+            text += &format!(",\"{name}\":{:?}", pose(p));
+        }
+    }
+    text + "}"
+}
+
+fn reading(range: f32) -> String {
+    match range {
+        r if r.is_nan() => "null".into(),
+        f32::INFINITY => "\"inf\"".into(),
+        f32::NEG_INFINITY => "\"-inf\"".into(),
+        r => r.to_string(),
+    }
+}
+
+impl Lines {
+    pub(super) fn new(path: &Path, reader: BufReader<Take<File>>, first: &str) -> Result<Self> {
+        let sensor = read_header(first, path).map_err(|e| e.at("line 1").in_file(path))?;
+        Ok(Self { path: path.to_owned(), reader, sensor, line: 1, time: None, ended: false })
+    }
+
+    fn read(&mut self) -> Result<Option<LogFrame>> {
+        loop {
+            self.line += 1;
+            let Some(text) = read_line(&mut self.reader, self.line)? else { return Ok(None) };
+            if !text.trim().is_empty() {
+                let frame = self.parse(&text).map_err(|e| e.at(format!("line {}", self.line)))?;
+                self.time = Some(frame.time);
+                return Ok(Some(frame));
+            }
+        }
+    }
+
+    fn parse(&self, text: &str) -> Result<LogFrame> {
+        let Entry { t, range, intensities, odometry, reference } =
+            serde_json::from_str(text).map_err(|e| match e.is_eof() {
+                true => Error::invalid("the line is cut in the middle", "drop it, or record the log again"),
+                false => Error::invalid(format!("it is no frame: {e}"), REMEDY),
+            })?;
+        let pose = |numbers: Option<Vec<f64>>, name| numbers.map(|n| pose(&n).map_err(|e| e.at(name))).transpose();
+        let frame = LogFrame {
+            time: t,
+            range: range.into_iter().map(|r| r.0).collect(),
+            intensities: intensities.map(|all| all.into_iter().map(|i| i.map_or(f32::NAN, |i| i as f32)).collect()),
+            odometry: pose(odometry, "odometry")?,
+            reference: pose(reference, "reference")?,
+        };
+        frame.check(self.sensor.spec())?;
+        check_time(self.time, frame.time)?;
+        Ok(frame)
+    }
+}
+
+impl Iterator for Lines {
+    type Item = Result<LogFrame>;
+
+    fn next(&mut self) -> Option<Result<LogFrame>> {
+        if self.ended {
+            return None;
+        }
+        let next = self.read().map_err(|e| e.in_file(&self.path)).transpose();
+        self.ended = !matches!(next, Some(Ok(_)));
+        next
+    }
+}
+
+impl Log for Lines {
+    fn sensor(&self) -> &Sensor {
+        &self.sensor
+    }
+}
+
+fn read_header(line: &str, path: &Path) -> Result<Sensor> {
+    let header: Header =
+        serde_json::from_str(line).map_err(|e| Error::invalid(format!("it is no header: {e}"), REMEDY))?;
+    match header.format {
+        Some(FORMAT) => {}
+        Some(newer) if newer > FORMAT => {
+            let what = format!("format {newer} is newer than this presight, which reads format {FORMAT}");
+            return Err(Error::new(ErrorKind::Unsupported, what, "update presight"));
+        }
+        _ => return Err(Error::invalid("it names no format that exists", format!("write \"format\": {FORMAT}"))),
+    }
+    if header.kind.as_deref() != Some(KIND) {
+        return Err(Error::invalid("it is the header of another kind of file", format!("write \"kind\": \"{KIND}\"")));
+    }
+    // Only now: a newer format may have keys that this build cannot know.
+    let whole: WholeHeader =
+        serde_json::from_str(line).map_err(|e| Error::invalid(format!("it is no header: {e}"), REMEDY))?;
+    let text = whole.sensor.ok_or_else(|| Error::invalid("sensor is missing", "give the text of a sensor file"))?;
+    let name = path.file_stem().map_or_else(|| "sensor".into(), |s| s.to_string_lossy());
+    sensor_toml::parse(&text, &name, path.parent()).and_then(Sensor::new).map_err(|e| e.at("sensor"))
+}
+
+#[derive(serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Entry {
+    t: f64,
+    range: Vec<Reading>,
+    intensities: Option<Vec<Option<f64>>>,
+    odometry: Option<Vec<f64>>,
+    reference: Option<Vec<f64>>,
+}
+
+fn pose(numbers: &[f64]) -> Result<Pose> {
+    let wrong = || {
+        let remedy = "give x, y, z, roll_deg, pitch_deg, yaw_deg or x, y, z, qx, qy, qz, qw";
+        Error::invalid("it is no pose", remedy)
+    };
+    let pose = match *numbers {
+        [x, y, z, roll, pitch, yaw] if numbers.iter().all(|n| n.is_finite()) => {
+            Pose::from_xyz_rpy(DVec3::new(x, y, z), roll.to_radians(), pitch.to_radians(), yaw.to_radians())
+        }
+        [x, y, z, qx, qy, qz, qw] => {
+            let given = Pose { translation: DVec3::new(x, y, z), rotation: DQuat::from_xyzw(qx, qy, qz, qw) };
+            // One of unit length keeps its bits.
+            if given.check().is_ok() {
+                given
+            } else {
+                Pose::new(given.translation, given.rotation).map_err(|_| wrong())?
+            }
+        }
+        _ => return Err(wrong()),
+    };
+    pose.check().map_err(|_| wrong()).map(|()| pose)
+}
+
+/// A number, null, "inf" or "-inf".
+struct Reading(f32);
+
+impl<'de> Deserialize<'de> for Reading {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_any(ReadingVisitor)
+    }
+}
+
+struct ReadingVisitor;
+
+impl Visitor<'_> for ReadingVisitor {
+    type Value = Reading;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a range in metres, null, \"inf\" or \"-inf\"")
+    }
+
+    fn visit_f64<E: serde::de::Error>(self, metres: f64) -> Result<Reading, E> {
+        let range = metres as f32;
+        if range.is_finite() { Ok(Reading(range)) } else { Err(E::custom(format!("a range of {metres:e} m"))) }
+    }
+
+    fn visit_u64<E: serde::de::Error>(self, metres: u64) -> Result<Reading, E> {
+        self.visit_f64(metres as f64)
+    }
+
+    fn visit_i64<E: serde::de::Error>(self, metres: i64) -> Result<Reading, E> {
+        self.visit_f64(metres as f64)
+    }
+
+    fn visit_unit<E>(self) -> Result<Reading, E> {
+        Ok(Reading(f32::NAN))
+    }
+
+    fn visit_str<E: serde::de::Error>(self, text: &str) -> Result<Reading, E> {
+        match text {
+            "inf" => Ok(Reading(f32::INFINITY)),
+            "-inf" => Ok(Reading(f32::NEG_INFINITY)),
+            _ => Err(E::invalid_value(serde::de::Unexpected::Str(text), &self)),
+        }
+    }
+}

@@ -1,0 +1,169 @@
+//! Logs of sensed frames: what a sensor measured, when, and what the robot knew of its motion.
+//!
+//! [`open`] takes every kind of log there is a reader for and gives its frames one at a time:
+//!
+//! - **Format 1**, our own ([`lines`]): text, a header and then one JSON object a line. It is read line by line, so that a log may
+//!   be longer than memory.
+//! - **Documents** ([`document`]): one JSON object whose `scans` list planar laser scans, as data sets publish them. A document
+//!   is held in memory.
+//!
+//! [`Frames`] takes these, folders of depth images, and scans as points or images of ranges ([`scans`]).
+
+pub mod document;
+mod frames;
+pub mod lines;
+pub mod scans;
+#[cfg(test)]
+mod tests;
+
+pub use frames::{Frames, Observation};
+
+use super::file;
+use super::text::read_line;
+use presight_model::error::{Error, Result};
+use presight_model::frame::{GreyImage, Measurement, Motion, OdometryNoise, check_intensities};
+use presight_model::geometry::Pose;
+use presight_model::limits;
+use presight_model::sensor::{Sensor, SensorSpec};
+use std::io::{BufReader, Read};
+use std::path::Path;
+
+/// What a sensor measured at one time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LogFrame {
+    /// Seconds. Frames of a log have rising times.
+    pub time: f64,
+    /// Metres along each ray, row-major, after REP-117: `+inf` where nothing was sensed, `-inf` where something was nearer than
+    /// `range_min`, NaN where there is no reading.
+    pub range: Vec<f32>,
+    /// How strong the echo along each ray was, as many as ranges: 0 to 1, as bright as a retro-reflector; NaN where there was none.
+    pub intensities: Option<Vec<f32>>,
+    /// The robot's motion since the frame before, by its odometry: previous_robot_from_robot.
+    pub odometry: Option<Pose>,
+    /// Where the robot was, as far as somebody knows better: world_from_robot. No estimate may use it.
+    pub reference: Option<Pose>,
+}
+
+impl LogFrame {
+    /// The frame as the estimator takes it, of the log's sensor. `noise` says how good the odometry is: logs do not.
+    ///
+    /// # Errors
+    /// Those of [`crate::frame::Frame::new`].
+    pub fn sensed(self, sensor: &Sensor, noise: &OdometryNoise) -> Result<presight_model::frame::Frame> {
+        let mut frame = presight_model::frame::Frame::new(self.time, sensor.clone(), Measurement::Range(self.range))?;
+        if let Some(values) = self.intensities {
+            frame = frame.with_intensities(GreyImage::new(sensor.width(), sensor.height(), values)?)?;
+        }
+        frame.motion = self.odometry.map(|motion| Motion::of_odometry(motion, noise));
+        Ok(frame)
+    }
+
+    /// Checks the frame of a sensor: its size, finite times and poses, that each reading is within the sensor's limits, or
+    /// not finite, and that intensities are 0 to 1.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Invalid`] naming what is wrong.
+    pub fn check(&self, sensor: &SensorSpec) -> Result<()> {
+        let (width, height) = sensor.geometry.size();
+        let pixels = width as usize * height as usize;
+        if self.range.len() != pixels {
+            let remedy = "give one for each ray, row by row; null for none";
+            return Err(Error::invalid(format!("{} ranges for {pixels} rays", self.range.len()), remedy));
+        }
+        if !self.time.is_finite() {
+            return Err(Error::invalid("the time is not finite", "give seconds"));
+        }
+        // In f32, as ranges are: a limit may not be one.
+        let limits = sensor.range_min as f32..=sensor.range_max as f32;
+        for (i, &range) in self.range.iter().enumerate().filter(|(_, r)| r.is_finite()) {
+            if !limits.contains(&range) {
+                let what = format!("{range} m is outside {}..{} m", sensor.range_min, sensor.range_max);
+                return Err(
+                    Error::invalid(what, "give inf or -inf, or the sensor's own limits").at(format!("range {i}"))
+                );
+            }
+        }
+        if let Some(intensities) = &self.intensities {
+            if intensities.len() != pixels {
+                let remedy = "give one for each ray, row by row; null for none";
+                return Err(Error::invalid(format!("{} intensities for {pixels} rays", intensities.len()), remedy));
+            }
+            check_intensities(intensities)?;
+        }
+        let poses = [("odometry", self.odometry), ("reference", self.reference)];
+        for (name, pose) in poses {
+            pose.map_or(Ok(()), |p| p.check_as(presight_model::error::ErrorKind::Invalid)).map_err(|e| e.at(name))?;
+        }
+        Ok(())
+    }
+}
+
+/// The frames of one sensor, in the order of time. After an error there is none.
+pub trait Log: Iterator<Item = Result<LogFrame>> {
+    /// The sensor; its mount says where it sits on the robot.
+    fn sensor(&self) -> &Sensor;
+}
+
+/// Opens a log of any kind.
+///
+/// ```
+/// use presight::io::log;
+/// let folder = tempfile::tempdir()?;
+/// let path = folder.path().join("run.log.jsonl");
+/// let sensor = presight::preset("laser-scanner")?;
+/// let frame = log::LogFrame { time: 0.5, range: vec![2.0; 361], intensities: None, odometry: None, reference: None };
+/// std::fs::write(&path, format!("{}\n{}\n", log::lines::header(sensor.spec()), log::lines::line(&frame)))?;
+/// let mut log = log::open(&path)?;
+/// assert_eq!(log.sensor().spec(), sensor.spec());
+/// assert_eq!(log.next().transpose()?, Some(frame));
+/// assert!(log.next().is_none());
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// [`crate::ErrorKind::Invalid`] naming file and line if it is no log; [`crate::ErrorKind::Unsupported`] for a newer format;
+/// [`crate::ErrorKind::System`] if the system refuses. What is wrong with a frame is told when that is read.
+pub fn open(path: &Path) -> Result<Box<dyn Log + Send>> {
+    let mut reader = BufReader::new(file::open_or_given(path)?);
+    let placed = |e: Error| e.in_file(path);
+    let first = read_line(&mut reader, 1).map_err(placed)?;
+    let first =
+        first.ok_or_else(|| Error::invalid("the log is empty", "give a header and a frame a line")).map_err(placed)?;
+    if lines::is_header(&first) {
+        return Ok(Box::new(lines::Lines::new(path, reader, &first)?));
+    }
+    let mut text = first.into_bytes();
+    let rest = limits::MAX_LINE_BYTES + 1 - text.len() as u64;
+    reader.take(rest).read_to_end(&mut text).map_err(|e| Error::io(path, "read it", e))?;
+    Ok(Box::new(document::Document::parse(path, text)?))
+}
+
+/// One frame of a log and its sensor; frames count from 0.
+///
+/// # Errors
+/// Those of [`open`] and of all frames up to it; [`crate::ErrorKind::Usage`] if the log has fewer.
+pub fn read_frame(path: &Path, index: usize) -> Result<(Sensor, LogFrame)> {
+    let mut log = open(path)?;
+    for i in 0..=index {
+        match log.next().transpose()? {
+            Some(frame) if i == index => return Ok((log.sensor().clone(), frame)),
+            Some(_) => {}
+            None => {
+                let what = format!("there is no frame {index}: the log has {i}");
+                return Err(Error::usage(what, "frames count from 0").in_file(path));
+            }
+        }
+    }
+    unreachable!("the loop ends with a frame or without one")
+}
+
+/// That times rise.
+fn check_time(before: Option<f64>, time: f64) -> Result<()> {
+    match before {
+        Some(before) if !(time > before) => {
+            let what = format!("its time {time} s is not after the {before} s of the frame before");
+            Err(Error::invalid(what, "sort the frames by time, each once"))
+        }
+        _ => Ok(()),
+    }
+}

@@ -1,0 +1,189 @@
+//! Scans of points (PLY, PCD, CSV: [`crate::io::cloud`]) and images of ranges (EXR) as frames: one file, or all of a folder in the order
+//! of their names.
+//!
+//! Where all names are numbers these are the times in seconds; otherwise frames are counted from 0.
+//!
+//! **Points become a range image** with a ray for each point, so that no range and no direction is rounded. An organized cloud has its
+//! own rows and columns; elsewhere pixels are cells of azimuth and elevation, as wide as neighbouring points are apart. Of several
+//! points in a cell the one in its middle stays. A cell without a point is a ray without a reading.
+//!
+//! **Where the sensor was** is told by the file itself, or by `poses.json` beside it: an object by the names of the files, each with
+//! `translation` and `quaternion_xyzw`, world_from_sensor in body axes. No estimate may use it.
+
+mod grid;
+#[cfg(test)]
+mod tests;
+
+use super::{Observation, check_time};
+use crate::text::{check_json_memory, read_text};
+use crate::{cloud, exr, sensor_toml};
+use glam::{DQuat, DVec3};
+use presight_model::error::{Error, Result};
+use presight_model::frame::{Frame, Measurement};
+use presight_model::geometry::Pose;
+use presight_model::sensor::{Geometry, Sensor, SensorSpec};
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+pub use grid::{RangeGrid, range_grid};
+
+/// Frames of scans, one at a time.
+#[derive(Debug)]
+pub struct Scans {
+    files: std::vec::IntoIter<(f64, PathBuf)>,
+    sensor: Option<Sensor>,
+    poses: HashMap<String, Pose>,
+    time: Option<f64>,
+}
+
+/// True for a file whose name says that it is a scan.
+pub(super) fn is_scan(path: &Path) -> bool {
+    matches!(cloud::ending(path).as_str(), "ply" | "pcd" | "csv" | "exr")
+}
+
+impl Scans {
+    /// Opens a scan or a folder of them. `sensor` says what files do not: noise, limits, class and mount. The rays of points
+    /// are their own; an image without a sensor has those of `sensor`.
+    ///
+    /// # Examples
+    /// ```
+    /// use presight::io::log::scans::Scans;
+    /// let folder = tempfile::tempdir()?;
+    /// std::fs::write(folder.path().join("0.csv"), "x,y,z\n3,0,0.5\n0,2,0.5\n")?;
+    /// std::fs::write(folder.path().join("1.5.csv"), "x,y,z\n4,0,0.5\n0,2,0.5\n")?;
+    /// let frames: Vec<_> = Scans::open(folder.path(), None)?.collect::<Result<_, _>>()?;
+    /// assert_eq!(frames[1].frame.stamp, 1.5);
+    /// let longest = frames[1].frame.ranges().iter().copied().fold(0.0, f32::max);
+    /// assert!((longest - 4.0311f32).abs() < 1e-4);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Invalid`] for a folder without a scan and for poses that are none; [`crate::ErrorKind::System`] if the
+    /// system refuses. What is wrong with a scan is told when that is read.
+    pub fn open(path: &Path, sensor: Option<&Sensor>) -> Result<Self> {
+        let (folder, files) = if path.is_dir() { (path, listed(path)?) } else { (parent(path), vec![path.to_owned()]) };
+        if files.is_empty() {
+            let remedy = "give .ply, .pcd, .csv or .exr files, or camera.json and depth images";
+            return Err(Error::invalid("there is no scan in this folder", remedy).in_file(path));
+        }
+        let poses = folder.join("poses.json");
+        let poses = if poses.exists() { read_poses(&poses)? } else { HashMap::new() };
+        Ok(Self { files: timed(files).into_iter(), sensor: sensor.cloned(), poses, time: None })
+    }
+
+    fn read(&mut self, time: f64, path: &Path) -> Result<Observation> {
+        check_time(self.time, time)?;
+        self.time = Some(time);
+        let (frame, told) = match cloud::ending(path).as_str() {
+            "exr" => self.of_image(time, path)?,
+            _ => self.of_points(time, path)?,
+        };
+        let known = self.poses.get(&stem(path)).copied().or(told);
+        let robot_from_sensor = frame.sensor().spec().mount;
+        Ok(Observation { reference: known.map(|pose| pose * robot_from_sensor.inverse()), frame })
+    }
+
+    fn of_points(&self, time: f64, path: &Path) -> Result<(Frame, Option<Pose>)> {
+        let cloud = cloud::read(path)?;
+        let RangeGrid { table, ranges } = range_grid(&cloud)?;
+        let geometry = Geometry::Rays(table);
+        let spec = match &self.sensor {
+            Some(sensor) => sensor.spec().clone().with_geometry(geometry),
+            None => SensorSpec::new(stem(path), "laser", geometry),
+        };
+        let frame = Frame::new(time, Sensor::new(spec)?, Measurement::Range(ranges))?;
+        Ok((frame, cloud.world_from_sensor))
+    }
+
+    fn of_image(&self, time: f64, path: &Path) -> Result<(Frame, Option<Pose>)> {
+        let file = exr::read(path)?;
+        let own = file.attributes.sensor.as_deref();
+        let own =
+            own.map(|text| sensor_toml::parse(text, &stem(path), path.parent()).and_then(Sensor::new)).transpose()?;
+        let Some(sensor) = self.sensor.clone().or(own) else {
+            return Err(Error::invalid("it does not say which sensor measured it", "give the sensor"));
+        };
+        let (width, height) = (sensor.width(), sensor.height());
+        if (file.images.width, file.images.height) != (width, height) {
+            let what =
+                format!("{} x {} pixels; the sensor has {width} x {height}", file.images.width, file.images.height);
+            return Err(Error::invalid(what, "give the sensor that measured"));
+        }
+        let sensed = match (file.images.range.is_empty(), file.images.depth_z.is_empty()) {
+            (false, _) => Measurement::Range(file.images.range),
+            (true, false) => Measurement::DepthZ(file.images.depth_z),
+            _ => return Err(Error::invalid("it has no image of ranges", "give one with the channel range or depth_z")),
+        };
+        Ok((Frame::new(time, sensor, sensed)?, file.attributes.world_from_sensor))
+    }
+}
+
+impl Iterator for Scans {
+    type Item = Result<Observation>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let (time, path) = self.files.next()?;
+        let read = self.read(time, &path);
+        if read.is_err() {
+            self.files = Vec::new().into_iter();
+        }
+        Some(read.map_err(|e| if e.file().is_some() { e } else { e.in_file(&path) }))
+    }
+}
+
+fn parent(path: &Path) -> &Path {
+    path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
+}
+
+fn stem(path: &Path) -> String {
+    path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default()
+}
+
+fn listed(folder: &Path) -> Result<Vec<PathBuf>> {
+    let entries = std::fs::read_dir(folder).map_err(|e| Error::io(folder, "list it", e))?;
+    let mut files = Vec::new();
+    for entry in entries {
+        let path = entry.map_err(|e| Error::io(folder, "list it", e))?.path();
+        if is_scan(&path) && path.is_file() {
+            files.push(path);
+        }
+    }
+    files.sort();
+    Ok(files)
+}
+
+/// Files with their times.
+fn timed(files: Vec<PathBuf>) -> Vec<(f64, PathBuf)> {
+    let named = |path: &PathBuf| stem(path).parse::<f64>().ok().filter(|t| t.is_finite());
+    let Some(times) = files.iter().map(named).collect::<Option<Vec<f64>>>() else {
+        return files.into_iter().enumerate().map(|(i, path)| (i as f64, path)).collect();
+    };
+    let mut timed: Vec<(f64, PathBuf)> = times.into_iter().zip(files).collect();
+    timed.sort_by(|a, b| a.0.total_cmp(&b.0));
+    timed
+}
+
+#[derive(serde::Deserialize)]
+struct NamedPose {
+    translation: [f64; 3],
+    quaternion_xyzw: [f64; 4],
+}
+
+fn read_poses(path: &Path) -> Result<HashMap<String, Pose>> {
+    let text = read_text(path)?;
+    let wrong = |what: String| {
+        Error::invalid(what, "give {\"name\": {\"translation\": .., \"quaternion_xyzw\": ..}}").in_file(path)
+    };
+    check_json_memory(&text).map_err(|e| e.in_file(path))?;
+    let all: HashMap<String, serde_json::Value> = serde_json::from_str(&text).map_err(|e| wrong(e.to_string()))?;
+    let mut poses = HashMap::new();
+    // Beside poses there are notes: where they are from, which frame they are in.
+    for (name, value) in all.into_iter().filter(|(_, value)| value.is_object()) {
+        let NamedPose { translation, quaternion_xyzw } = serde_json::from_value(value)
+            .map_err(|e| wrong(format!("{}: {e}", presight_model::printable::quoted(&name))))?;
+        let pose = Pose::new(DVec3::from(translation), DQuat::from_array(quaternion_xyzw));
+        poses.insert(name, pose.map_err(|e| e.in_file(path))?);
+    }
+    Ok(poses)
+}

@@ -1,0 +1,172 @@
+//! Points as a range image.
+
+use crate::cloud::Cloud;
+use glam::DVec3;
+use presight_model::error::Result;
+use presight_model::limits;
+use presight_model::sensor::RayTable;
+use std::f64::consts::{FRAC_PI_2, PI, TAU};
+
+/// Rays and what was measured along them, row by row.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RangeGrid {
+    /// A ray for each pixel, sensor's body axes.
+    pub table: RayTable,
+    /// Metres; NaN is no reading.
+    pub ranges: Vec<f32>,
+}
+
+/// Comparisons of points that finding their distances may take.
+const COMPARISONS: usize = 20_000_000;
+/// Most pixels for each point: beyond it the cells are widened.
+const MAX_CELLS: f64 = 4.0;
+
+/// The range image of a cloud: its own pixels if it is organized, otherwise cells of azimuth and elevation.
+///
+/// # Errors
+/// [`crate::ErrorKind::Invalid`] for more pixels than an image may have.
+pub fn range_grid(cloud: &Cloud) -> Result<RangeGrid> {
+    let range = |p: &DVec3| p.length() as f32;
+    if let Some((width, height)) = cloud.size {
+        // The place of the sensor is no direction.
+        let ray = |p: &DVec3| if *p == DVec3::ZERO { DVec3::NAN } else { *p };
+        let table = RayTable::new(width, height, cloud.points.iter().map(ray).collect())?;
+        return Ok(RangeGrid { table, ranges: cloud.points.iter().map(range).collect() });
+    }
+    let seen = cloud.points.iter().filter(|p| p.length_squared() > 0.0);
+    let points: Vec<(Direction, DVec3)> = seen.map(|p| (Direction::of(*p), *p)).collect();
+    let directions: Vec<Direction> = points.iter().map(|(d, _)| *d).collect();
+    let cells = Cells::of(&directions);
+    let centres = (0..cells.rows).flat_map(|r| (0..cells.columns).map(move |c| (c, r)));
+    let mut rays: Vec<DVec3> = centres.map(|(c, r)| cells.centre(c, r)).collect();
+    let mut nearest = vec![f64::INFINITY; rays.len()];
+    let mut ranges = vec![f32::NAN; rays.len()];
+    for (direction, point) in &points {
+        let (at, off) = cells.cell(*direction);
+        if off < nearest[at] {
+            nearest[at] = off;
+            rays[at] = *point;
+            ranges[at] = range(point);
+        }
+    }
+    Ok(RangeGrid { table: RayTable::new(cells.columns as u32, cells.rows as u32, rays)?, ranges })
+}
+
+/// Azimuth counter-clockwise from x, and elevation; radians.
+#[derive(Clone, Copy, Debug)]
+struct Direction {
+    azimuth: f64,
+    elevation: f64,
+}
+
+impl Direction {
+    fn of(p: DVec3) -> Self {
+        Self { azimuth: p.y.atan2(p.x), elevation: p.z.atan2(p.x.hypot(p.y)) }
+    }
+}
+
+/// Columns by rising azimuth, rows by falling elevation.
+#[derive(Debug)]
+struct Cells {
+    /// Of the left and the upper side.
+    first: Direction,
+    /// Radians from cell to cell.
+    pitch: Direction,
+    columns: usize,
+    rows: usize,
+}
+
+impl Cells {
+    fn of(directions: &[Direction]) -> Self {
+        let (start, width) = opening(directions);
+        let elevations = || directions.iter().map(|d| d.elevation);
+        let (lowest, highest) = elevations().fold((PI, -PI), |(a, b), e| (a.min(e), b.max(e)));
+        let height = highest - lowest;
+        let apart = spacing(directions);
+        let most = f64::from(limits::MAX_IMAGE_SIDE - 1);
+        let pitch = |apart: f64, side: f64| if apart.is_finite() { apart.max(side / most) } else { side + 1e-6 };
+        let mut pitch = Direction { azimuth: pitch(apart.azimuth, width), elevation: pitch(apart.elevation, height) };
+        let sides = |p: Direction| ((width / p.azimuth).floor() + 1.0, (height / p.elevation).floor() + 1.0);
+        // One row or column has nothing to give up.
+        while sides(pitch).0 * sides(pitch).1 > (MAX_CELLS * directions.len() as f64).max(64.0) {
+            let (columns, rows) = sides(pitch);
+            pitch.azimuth *= if columns > 1.0 { 1.2 } else { 1.0 };
+            pitch.elevation *= if rows > 1.0 { 1.2 } else { 1.0 };
+        }
+        let (columns, rows) = sides(pitch);
+        // Cells reach over both ends alike.
+        let first = Direction {
+            azimuth: start - 0.5 * (columns * pitch.azimuth - width),
+            elevation: highest + 0.5 * (rows * pitch.elevation - height),
+        };
+        Self { first, pitch, columns: columns as usize, rows: rows as usize }
+    }
+
+    fn centre(&self, column: usize, row: usize) -> DVec3 {
+        let azimuth = self.first.azimuth + (column as f64 + 0.5) * self.pitch.azimuth;
+        let elevation = self.first.elevation - (row as f64 + 0.5) * self.pitch.elevation;
+        // A little before the poles, where all columns would have the same ray.
+        let elevation = elevation.clamp(1e-6 - FRAC_PI_2, FRAC_PI_2 - 1e-6);
+        let ((sa, ca), (se, ce)) = (azimuth.sin_cos(), elevation.sin_cos());
+        DVec3::new(ce * ca, ce * sa, se)
+    }
+
+    /// The cell of a direction, and how far that is from its middle, in squares of cells.
+    fn cell(&self, d: Direction) -> (usize, f64) {
+        let u = (d.azimuth - self.first.azimuth).rem_euclid(TAU) / self.pitch.azimuth;
+        let v = (self.first.elevation - d.elevation) / self.pitch.elevation;
+        let (column, row) = ((u as usize).min(self.columns - 1), (v as usize).min(self.rows - 1));
+        let (x, y) = (u - column as f64 - 0.5, v - row as f64 - 0.5);
+        (row * self.columns + column, x * x + y * y)
+    }
+}
+
+/// Where the azimuths begin, counter-clockwise, and how far they go: all but their widest gap.
+fn opening(directions: &[Direction]) -> (f64, f64) {
+    let mut azimuths: Vec<f64> = directions.iter().map(|d| d.azimuth).collect();
+    azimuths.sort_by(f64::total_cmp);
+    let (Some(first), Some(last)) = (azimuths.first(), azimuths.last()) else { return (0.0, 0.0) };
+    let across = (first + TAU - last, *first);
+    let gaps = azimuths.windows(2).map(|pair| (pair[1] - pair[0], pair[1]));
+    let (gap, start) = gaps.chain([across]).fold((0.0, *first), |a, b| if b.0 > a.0 { b } else { a });
+    (start, (TAU - gap).max(0.0))
+}
+
+/// How far a point is from the nearest one beside it, and from the nearest one above or below: medians over some points. Infinite
+/// where there is none.
+fn spacing(directions: &[Direction]) -> Direction {
+    // Towards the poles azimuths say little.
+    let level: Vec<&Direction> = directions.iter().filter(|d| d.elevation.abs() < 1.0).collect();
+    let some: Vec<&Direction> = if level.len() < 16 { directions.iter().collect() } else { level };
+    let count = (COMPARISONS / directions.len().max(1)).clamp(16, 400).min(some.len());
+    let (mut beside, mut above) = (Vec::new(), Vec::new());
+    for k in 0..count {
+        let a = some[k * some.len() / count];
+        let flat = a.elevation.cos();
+        let (mut b, mut v) = ((f64::INFINITY, 0.0), (f64::INFINITY, 0.0));
+        for other in directions {
+            let turned = (other.azimuth - a.azimuth + PI).rem_euclid(TAU) - PI;
+            let (x, y) = (flat * turned.abs(), (other.elevation - a.elevation).abs());
+            let apart = x * x + y * y;
+            // The same direction again, or an echo behind it, is no neighbour.
+            if apart < 1e-12 {
+                continue;
+            }
+            if x > y && apart < b.0 {
+                b = (apart, turned.abs());
+            } else if x <= y && apart < v.0 {
+                v = (apart, y);
+            }
+        }
+        beside.extend(b.0.is_finite().then_some(b.1));
+        above.extend(v.0.is_finite().then_some(v.1));
+    }
+    let median = |mut all: Vec<f64>| {
+        if 2 * all.len() < count || all.is_empty() {
+            return f64::INFINITY;
+        }
+        let middle = all.len() / 2;
+        *all.select_nth_unstable_by(middle, f64::total_cmp).1
+    };
+    Direction { azimuth: median(beside), elevation: median(above) }
+}

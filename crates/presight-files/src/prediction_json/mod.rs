@@ -1,0 +1,403 @@
+//! Predictions of features as JSON, `format = 1`. Numbers that are not finite are null.
+//!
+//! | key | meaning |
+//! |---|---|
+//! | `sensor` | its name |
+//! | `world_from_sensor` | x, y, z, qx, qy, qz, qw; body axes |
+//! | `pose_covariance` | 36 numbers, row-major, or null |
+//! | `confidence` | of the regions of interest, or null |
+//! | `given_up` | what was given up for a deadline, see [`Degradation`]; absent if nothing was |
+//! | `features` | one entry each, see [`crate::features::SeenFeature`] |
+//! | `virtual` | the reading of a virtual sensor; absent if none was requested |
+//!
+//! An entry has `id`, `kind`, `name`, `branch` (of contours alone: each of their curves is an entry), `points_world`, `visible_fraction`, `visible` (`t`, `pixels`), `hidden` (`t`,
+//! `reason`, `by` with `polygon` and `object`), `range`, `cos_incidence`, `roi`, `roi_flag`, `image_covariance`,
+//! `properties` (`strength`, `contrast`, `normal` and `direction` in the world, `family`, `code`, `existence` at the time
+//! of the prediction) and `history` (null without a store). Of what is not seen at all `range`, `cos_incidence`, `roi`, `roi_flag` and
+//! `image_covariance` are null, the last also where a defining point has no image (behind a camera).
+//!
+//! `virtual` has `name`, `robot_from_sensor` (the sensor's mount: x, y, z, qx, qy, qz, qw) and, by name:
+//!
+//! | `name` | keys | defined in |
+//! |---|---|---|
+//! | `free-floor` | `floor_z_world`, `area`, `pixels`, `pixels_over_horizon`, `regions` (`area`, `pixels`, `outer_robot`, `holes_robot`: points), `mask` (`runs`: row, first column, count) | [`FreeFloor`](crate::virtual_sensors::FreeFloor) |
+//! | `edges` | `edges` (`id`, `name`, `visible_fraction`, `visible`: `t`, `pixels`, `ends_world`), `segments` | [`Edges`](crate::virtual_sensors::Edges) |
+//! | `radar-lines` | `lines` (`ends_robot`, `length`, `normal_robot`, `distance`, `columns`, `beams`, `polygons`, `objects`), `single_beams` | [`RadarLines`](crate::virtual_sensors::RadarLines) |
+//! | `radar-nearest` | `directions` (`azimuth`, `range`, `object_id`, by column), `nearest` (`point_robot`, `range`, `pixel`, `polygon`, `object`), `corridor` (`length`, `arc_length`, `first`, `beams`), `complete_to` if something was given up | [`Nearest`](crate::virtual_sensors::Nearest) |
+//! | `radar-landmarks` | `landmarks` (`id`, `name`, `kind`, `family`, `code`, `position_robot`, `position_world`, `corners_robot`, `range`, `azimuth`, `elevation`, `cos_incidence`, `visible_fraction`, `existence`), `known` | [`Landmarks`](crate::virtual_sensors::Landmarks) |
+//! | `depth-image` | `width`, `height`, `points`, `bounds_robot`, `points_robot` (row-major, null without a point) | [`DepthImage`](crate::virtual_sensors::DepthImage) |
+//! | `vertical-planes` | `planes` (`normal_robot`, `distance`, `centre_robot`, `extent`, `pixels`, `area`, `object`, `pixel_bounds`), `pixels` | [`VerticalPlanes`](crate::virtual_sensors::VerticalPlanes) |
+//! | `docking` | `landmarks` and `known` as above, `measurements`, `freedom`, `covariance`, `sigmas`, `information`, `unobservable` (`name`, `motion`) | [`Docking`](crate::virtual_sensors::Docking) |
+//!
+//! Lengths are metres, areas square metres, angles radians.
+
+mod lines;
+
+use super::atomic::write_atomically;
+use glam::{DVec2, DVec3};
+use presight_features::{FeaturePrediction, HiddenInterval, SeenFeature, VisibleInterval};
+use presight_model::environment::{Environment, FeatureShape};
+use presight_model::error::{Error, ErrorKind, Result};
+use presight_model::geometry::Pose;
+use presight_predict::virtual_sensors::VirtualReading;
+use presight_render::deadline::Degradation;
+use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
+use std::io::Write;
+use std::path::Path;
+
+/// The version that this build writes.
+const FORMAT: u32 = 1;
+
+/// The sensor and its pose, with uncertainty.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Header {
+    /// The sensor's name.
+    pub sensor: String,
+    /// The sensor's pose, body axes.
+    pub world_from_sensor: Pose,
+    /// Covariance of that pose: x y z, then rotation about the fixed axes x y z; metres and radians.
+    pub pose_covariance: Option<[[f64; 6]; 6]>,
+    /// Probability with which a feature lies in its region of interest.
+    pub confidence: Option<f64>,
+    /// What was given up for a deadline.
+    pub given_up: Option<Degradation>,
+}
+
+/// Writes predicted features, and the reading of a virtual sensor if there is one. `environment` names the objects that hide
+/// features.
+///
+/// ```
+/// use presight::features::FeaturePrediction;
+/// use presight::io::prediction_json::{Header, to_string};
+/// use presight::Environment;
+/// let text = to_string(&Header::default(), &FeaturePrediction::default(), &Environment::new(), None)?;
+/// let json: serde_json::Value = serde_json::from_str(&text)?;
+/// assert_eq!(json["format"], 1);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// [`crate::ErrorKind::System`] if the file cannot be written; nothing is left under its name then.
+pub fn write(
+    path: &Path,
+    header: &Header,
+    prediction: &FeaturePrediction,
+    environment: &Environment,
+    reading: Option<&VirtualReading>,
+) -> Result<()> {
+    let text = to_string(header, prediction, environment, reading).map_err(|e| e.in_file(path))?;
+    write_atomically(path, |file| file.write_all(text.as_bytes()))
+}
+
+/// The text of [`write()`].
+///
+/// # Errors
+/// None in practice: every prediction can be written as JSON.
+pub fn to_string(
+    header: &Header,
+    prediction: &FeaturePrediction,
+    environment: &Environment,
+    reading: Option<&VirtualReading>,
+) -> Result<String> {
+    let (t, q) = (header.world_from_sensor.translation, header.world_from_sensor.rotation);
+    let file = File {
+        format: FORMAT,
+        sensor: &header.sensor,
+        world_from_sensor: [t.x, t.y, t.z, q.x, q.y, q.z, q.w],
+        pose_covariance: header.pose_covariance.map(|c| c.into_iter().flatten().collect()),
+        confidence: header.confidence,
+        given_up: header.given_up.as_ref(),
+        features: prediction.features.iter().map(|f| entry(f, environment)).collect(),
+        reading,
+    };
+    let text = lines::to_string(&file);
+    text.map(|t| t + "\n").map_err(|e| Error::invalid(format!("the prediction is no JSON: {e}"), ""))
+}
+
+/// A file of predicted features, as it is read. The reading of a virtual sensor is skipped.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PredictionFile {
+    /// Of the format.
+    pub format: u32,
+    /// The sensor's name.
+    pub sensor: String,
+    /// The sensor's pose, body axes.
+    pub world_from_sensor: Pose,
+    /// 36 numbers, row-major, or none.
+    pub pose_covariance: Option<Vec<f64>>,
+    /// Of the regions of interest, if there are any.
+    pub confidence: Option<f64>,
+    /// What was given up for a deadline, if anything was.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub given_up: Option<Degradation>,
+    /// What is seen of each feature.
+    pub features: Vec<FeatureRecord<'static>>,
+}
+
+/// Reads the text of [`write()`].
+///
+/// # Errors
+/// [`crate::ErrorKind::Invalid`] for text that is no such file; [`crate::ErrorKind::Unsupported`] for a newer format.
+pub fn parse(text: &str) -> Result<PredictionFile> {
+    let remedy = "give a file that presight predict --features wrote";
+    let file: PredictionFile = serde_json::from_str(text)
+        .map_err(|e| Error::invalid(format!("no prediction of features: {e}"), remedy).caused_by(e))?;
+    match file.format {
+        FORMAT => Ok(file),
+        newer => {
+            let what = format!("format {newer} is not the format {FORMAT} of this presight");
+            Err(Error::new(ErrorKind::Unsupported, what, "update presight"))
+        }
+    }
+}
+
+#[derive(Serialize)]
+struct File<'a> {
+    format: u32,
+    sensor: &'a str,
+    world_from_sensor: [f64; 7],
+    pose_covariance: Option<Vec<f64>>,
+    confidence: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    given_up: Option<&'a Degradation>,
+    features: Vec<FeatureRecord<'a>>,
+    #[serde(rename = "virtual", skip_serializing_if = "Option::is_none")]
+    reading: Option<&'a VirtualReading>,
+}
+
+/// What is seen of a feature, as the file holds it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[expect(missing_docs, reason = "the keys of the file, see the module")]
+pub struct FeatureRecord<'a> {
+    pub id: u32,
+    pub kind: Cow<'a, str>,
+    pub name: Option<Cow<'a, str>>,
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub branch: Option<u32>,
+    pub points_world: Vec<[f64; 3]>,
+    pub visible_fraction: f64,
+    pub visible: Vec<Visible>,
+    pub hidden: Vec<Hidden<'a>>,
+    pub range: Option<f64>,
+    pub cos_incidence: Option<f64>,
+    pub roi: Option<[f64; 4]>,
+    pub roi_flag: Option<Cow<'a, str>>,
+    pub image_covariance: Option<Cow<'a, [[[f64; 2]; 2]]>>,
+    pub properties: Properties<'a>,
+    pub history: Option<()>,
+}
+
+/// A visible part, as the file holds it; see [`VisibleInterval`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[expect(missing_docs, reason = "the keys of the file")]
+pub struct Visible {
+    pub t: [f64; 2],
+    pub pixels: [[f64; 2]; 2],
+}
+
+/// A hidden part, as the file holds it; see [`HiddenInterval`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[expect(missing_docs, reason = "the keys of the file")]
+pub struct Hidden<'a> {
+    pub t: [f64; 2],
+    pub reason: Cow<'a, str>,
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub by: Option<By<'a>>,
+}
+
+/// What hides it: `polygon_id`, and the path of the object.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[expect(missing_docs, reason = "the keys of the file")]
+pub struct By<'a> {
+    pub polygon: u32,
+    pub object: Cow<'a, str>,
+}
+
+/// Properties, as the file holds them.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[expect(missing_docs, reason = "the keys of the file, see the module")]
+pub struct Properties<'a> {
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub strength: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub contrast: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub normal: Option<[f64; 3]>,
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub direction: Option<[f64; 3]>,
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub family: Option<Cow<'a, str>>,
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub code: Option<u32>,
+    pub existence: f64,
+}
+
+fn entry<'a>(seen: &'a SeenFeature, environment: &'a Environment) -> FeatureRecord<'a> {
+    FeatureRecord {
+        id: seen.feature.id,
+        kind: seen.feature.shape.kind().into(),
+        name: seen.feature.name.as_deref().map(Cow::from),
+        branch: seen.branch,
+        points_world: seen.points_world.iter().map(DVec3::to_array).collect(),
+        visible_fraction: seen.visible_fraction,
+        visible: seen.visible.iter().map(visible).collect(),
+        hidden: seen.hidden.iter().map(|h| hidden(h, environment)).collect(),
+        range: seen.range,
+        cos_incidence: seen.cos_incidence,
+        roi: seen.roi,
+        roi_flag: seen.roi_flag.map(Cow::from),
+        image_covariance: seen.image_covariance.as_deref().map(Cow::from),
+        properties: properties(seen),
+        history: None,
+    }
+}
+
+fn visible(v: &VisibleInterval) -> Visible {
+    Visible { t: v.t, pixels: v.pixels.map(|p: DVec2| p.to_array()) }
+}
+
+fn hidden<'a>(h: &HiddenInterval, environment: &'a Environment) -> Hidden<'a> {
+    let by = h.by.map(|by| By {
+        polygon: by.polygon_id,
+        object: environment.objects()[by.object as usize].name.as_str().into(),
+    });
+    Hidden { t: h.t, reason: h.reason.name().into(), by }
+}
+
+fn properties(seen: &SeenFeature) -> Properties<'_> {
+    let given = &seen.feature.properties;
+    let (family, code) = match &seen.feature.shape {
+        FeatureShape::Fiducial { family, code, .. } => (Some(family.as_str()), Some(*code)),
+        _ => (None, None),
+    };
+    let direction = match (&seen.feature.shape, seen.points_world.as_slice()) {
+        (FeatureShape::Segment { .. }, [a, b]) => (*b - *a).try_normalize(),
+        _ => None,
+    };
+    Properties {
+        strength: given.strength,
+        contrast: given.contrast,
+        normal: seen.normal_world.map(|n| n.to_array()),
+        direction: direction.map(|d| d.to_array()),
+        family: family.map(Cow::from),
+        code,
+        existence: seen.existence,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DMat3;
+    use presight_features::Reason;
+    use presight_model::environment::{Existence, Feature, Properties};
+    use presight_render::deadline::{DegradationKind, DegradationStep};
+
+    fn seen() -> SeenFeature {
+        let ends = [DVec3::ZERO, DVec3::Z * 2.0];
+        SeenFeature {
+            feature: Feature {
+                id: 9,
+                name: Some("door".into()),
+                object: None,
+                shape: FeatureShape::Segment { ends, covariances: [DMat3::ZERO; 2], cross: DMat3::ZERO },
+                existence: Existence::default(),
+                properties: Properties::default(),
+            }
+            .into(),
+            branch: None,
+            points_world: ends.to_vec(),
+            normal_world: None,
+            visible_fraction: 0.25,
+            visible: vec![VisibleInterval { t: [0.0, 0.25], pixels: [DVec2::new(1.0, 2.0), DVec2::new(1.5, 4.0)] }],
+            hidden: vec![HiddenInterval { t: [0.25, 1.0], reason: Reason::BehindSensor, by: None }],
+            range: Some(f64::NAN),
+            cos_incidence: None,
+            existence: 0.5,
+            roi: None,
+            roi_flag: None,
+            image_covariance: None,
+            windows: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn fields_bear_the_names_that_others_read() {
+        let prediction = FeaturePrediction { features: vec![seen()], ..FeaturePrediction::default() };
+        let header = Header { sensor: "video-camera".into(), ..Header::default() };
+        let text = to_string(&header, &prediction, &Environment::new(), None).unwrap();
+        let json: serde_json::Value = serde_json::from_str(&text).unwrap();
+        let keys = |v: &serde_json::Value| v.as_object().unwrap().keys().cloned().collect::<Vec<_>>();
+        let mut top = ["format", "sensor", "world_from_sensor", "pose_covariance", "confidence", "features"];
+        let mut of_feature = [
+            "id",
+            "kind",
+            "name",
+            "points_world",
+            "visible_fraction",
+            "visible",
+            "hidden",
+            "range",
+            "cos_incidence",
+            "roi",
+            "roi_flag",
+            "image_covariance",
+            "properties",
+            "history",
+        ];
+        top.sort_unstable();
+        of_feature.sort_unstable();
+        let sorted = |mut keys: Vec<String>| {
+            keys.sort_unstable();
+            keys
+        };
+        assert_eq!(sorted(keys(&json)), top);
+        let feature = &json["features"][0];
+        assert_eq!(sorted(keys(feature)), of_feature);
+        assert_eq!(feature["range"], serde_json::Value::Null);
+        assert_eq!(feature["visible"][0]["pixels"][1][1], 4.0);
+        assert_eq!(feature["hidden"][0]["reason"], "behind_sensor");
+        assert_eq!(feature["properties"]["direction"][2], 1.0);
+        assert_eq!(feature["properties"]["existence"], 0.5);
+        let curve = FeaturePrediction {
+            features: vec![SeenFeature { branch: Some(2), ..seen() }],
+            ..FeaturePrediction::default()
+        };
+        let text = to_string(&header, &curve, &Environment::new(), None).unwrap();
+        assert_eq!(parse(&text).unwrap().features[0].branch, Some(2));
+    }
+
+    #[test]
+    fn what_is_written_reads_back_and_is_written_the_same() {
+        let mut feature = seen();
+        feature.image_covariance = Some(vec![[[1.0 / 3.0, 0.0], [0.0, 2.0]]]);
+        (feature.roi, feature.roi_flag) = (Some([0.1, 0.2, 3.0, 4.0]), Some("linear"));
+        let prediction = FeaturePrediction { features: vec![feature], ..FeaturePrediction::default() };
+        let pose = Pose::from_xyz_rpy(DVec3::new(1.0, 2.0, 3.0), 0.1, 0.2, 0.3);
+        let taken = DegradationStep { means: DegradationKind::Clock, at_ms: 1.0 / 3.0, metres: Some(2.5) };
+        let given_up = Degradation {
+            complete_to: 2.5,
+            samples: 7,
+            stride: 4,
+            features: vec![3],
+            means: vec![taken],
+            opening: None,
+        };
+        let given_up = Some(given_up);
+        let header =
+            Header { sensor: "c".into(), world_from_sensor: pose, given_up: given_up.clone(), ..Header::default() };
+        let text = to_string(&header, &prediction, &Environment::new(), None).unwrap();
+        let read = parse(&text).unwrap();
+        assert_eq!(read.given_up, given_up);
+        assert_eq!((read.world_from_sensor, read.features[0].range), (pose, None), "what is not finite is null");
+        assert_eq!(
+            read.features[0],
+            FeatureRecord { range: None, ..entry(&prediction.features[0], &Environment::new()) }
+        );
+        let again = serde_json::to_value(&read).unwrap();
+        assert_eq!(again, serde_json::from_str::<serde_json::Value>(&text).unwrap());
+        assert_eq!(parse(&text.replace("\"format\": 1", "\"format\": 9")).unwrap_err().kind(), ErrorKind::Unsupported);
+        assert!(parse("[]").is_err());
+    }
+}

@@ -1,0 +1,231 @@
+//! What an import found: counts, and every kind of problem with its first places.
+
+use super::SceneFrame;
+use glam::Vec3;
+use presight_model::environment::Environment;
+use presight_model::error::Result;
+use presight_model::limits;
+use presight_model::placement::{lost, why_off};
+use presight_model::world::World;
+use serde::Serialize;
+use std::fmt;
+
+/// A scene as it was read.
+#[derive(Clone, Debug)]
+pub struct ImportedScene {
+    /// Objects and materials.
+    pub environment: Environment,
+    /// Counts and problems.
+    pub report: ImportReport,
+    /// How the file lies in the world; `None` for a script, which is in the world's frame.
+    pub frame: Option<SceneFrame>,
+}
+
+/// Counts and problems of an import. "Stored" counts each mesh once, "scene" each of its instances.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct ImportReport {
+    /// Triangles of all instances, degenerate ones included: one past the highest `source` number.
+    pub triangles_in_scene: u64,
+    /// Triangles of all used meshes, degenerate ones included.
+    pub triangles_stored: u64,
+    /// Polygons of all used meshes, after merging.
+    pub polygons_stored: u64,
+    /// Polygons of all instances, after merging.
+    pub polygons_in_scene: u64,
+    /// Merges of two neighbours into one polygon, in all used meshes.
+    pub merges: u64,
+    /// Largest distance of any source vertex from the plane of the polygon it went into, metres in the world.
+    pub largest_deviation_m: f64,
+    /// By kind; kinds without a case are left out.
+    pub problems: Vec<Problem>,
+}
+
+impl ImportReport {
+    /// How often a kind of problem was found.
+    pub fn total(&self, kind: ProblemKind) -> u64 {
+        self.problems.iter().find(|p| p.kind == kind).map_or(0, |p| p.total)
+    }
+}
+
+/// What may be wrong with a model. Only what has no area or no triangles is left out; nothing is repaired.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ProblemKind {
+    /// A triangle without area (within its own rounding): left out.
+    DegenerateTriangle,
+    /// A triangle over the same three vertices as an earlier one, in either winding.
+    DuplicateFace,
+    /// An edge of more than two triangles; never merged across.
+    NonManifoldEdge,
+    /// An edge of one triangle only.
+    OpenBorder,
+    /// An edge that its two triangles run through in the same direction.
+    InconsistentWinding,
+    /// A triangle whose height is under a thousandth of its longest side.
+    Sliver,
+    /// A closed shell whose normals point inwards.
+    InsideOut,
+    /// Points, lines, or a primitive without positions: left out.
+    IgnoredPrimitive,
+    /// Indices at the end that make no whole triangle: left out.
+    LeftoverIndices,
+    /// An object whose mesh has no polygon: left out.
+    EmptyMesh,
+    /// Something that moves or multiplies geometry and is not followed: skins, morph targets, instancing extensions.
+    IgnoredFeature,
+    /// A feature of the scene's own layers whose surface was moved or deleted: left out of predictions.
+    LostFeature,
+}
+
+impl ProblemKind {
+    /// All kinds, in the order of reports.
+    pub const ALL: [Self; 12] = [
+        Self::DegenerateTriangle,
+        Self::DuplicateFace,
+        Self::NonManifoldEdge,
+        Self::OpenBorder,
+        Self::InconsistentWinding,
+        Self::Sliver,
+        Self::InsideOut,
+        Self::IgnoredPrimitive,
+        Self::LeftoverIndices,
+        Self::EmptyMesh,
+        Self::IgnoredFeature,
+        Self::LostFeature,
+    ];
+
+    /// In words, for many of it.
+    pub fn title(self) -> &'static str {
+        match self {
+            Self::DegenerateTriangle => "degenerate triangles (left out)",
+            Self::DuplicateFace => "duplicate faces",
+            Self::NonManifoldEdge => "non-manifold edges",
+            Self::OpenBorder => "open border edges",
+            Self::InconsistentWinding => "edges with inconsistent winding",
+            Self::Sliver => "slivers",
+            Self::InsideOut => "inside-out shells",
+            Self::IgnoredPrimitive => "primitives without triangles (left out)",
+            Self::LeftoverIndices => "primitives with leftover indices (left out)",
+            Self::EmptyMesh => "objects without polygons (left out)",
+            Self::IgnoredFeature => "features not followed",
+            Self::LostFeature => "features that lie on no polygon any more (left out of predictions)",
+        }
+    }
+}
+
+/// One kind of problem: how often, and where first.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Problem {
+    /// What is wrong.
+    pub kind: ProblemKind,
+    /// How often, each mesh counted once however many instances it has.
+    pub total: u64,
+    /// The first places, at most [`limits::LISTED_PROBLEMS`].
+    pub places: Vec<String>,
+}
+
+impl Problem {
+    /// One line for the whole, and one for each place, which are indented by `indent`.
+    #[doc(hidden)]
+    pub fn lines(&self, indent: &str) -> Vec<String> {
+        let mut lines = vec![format!("{} {}", self.total, self.kind.title())];
+        lines.extend(self.places.iter().map(|place| format!("{indent}{place}")));
+        let more = self.total - self.places.len() as u64;
+        lines.extend((more > 0).then(|| format!("{indent}and {more} more")));
+        lines
+    }
+}
+
+impl fmt::Display for Problem {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.lines("  ").join("\n"))
+    }
+}
+
+/// The features of the environment's own layers that lie on no polygon any more, as a problem with places; `None` if all do.
+///
+/// # Errors
+/// As [`crate::placement::find`].
+pub fn lost_features(environment: &Environment) -> Result<Option<Problem>> {
+    let lost = lost(environment)?;
+    if lost.is_empty() {
+        return Ok(None);
+    }
+    let world = World::new(environment.clone());
+    let why = |(class, id): &(String, u32)| {
+        let layer = environment.layer(class)?;
+        why_off(&world, class, layer.tolerance, environment.feature(class, *id)?)
+    };
+    let places = lost.iter().filter_map(why).take(limits::LISTED_PROBLEMS).map(|why| why.to_string()).collect();
+    Ok(Some(Problem { kind: ProblemKind::LostFeature, total: lost.len() as u64, places }))
+}
+
+/// Where in a mesh a problem is; words are made only for those that are listed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Site {
+    /// Source number within the mesh.
+    pub triangle: u32,
+    /// The edge, where the problem is one.
+    pub edge: Option<[Vec3; 2]>,
+}
+
+/// Problems of one mesh, counted and listed up to the limit.
+#[derive(Clone, Debug, Default)]
+pub struct ProblemList {
+    totals: [u64; ProblemKind::ALL.len()],
+    first: Vec<(ProblemKind, Site)>,
+}
+
+impl ProblemList {
+    /// Counts a problem and keeps its place while there is room.
+    pub fn add(&mut self, kind: ProblemKind, site: Site) {
+        let total = &mut self.totals[kind as usize];
+        if *total < limits::LISTED_PROBLEMS as u64 {
+            self.first.push((kind, site));
+        }
+        *total += 1;
+    }
+}
+
+/// The problems of all meshes.
+#[derive(Debug, Default)]
+pub struct ProblemBook {
+    totals: [u64; ProblemKind::ALL.len()],
+    places: [Vec<String>; ProblemKind::ALL.len()],
+}
+
+impl ProblemBook {
+    /// Notes a problem that has words of its own.
+    pub fn note(&mut self, kind: ProblemKind, place: impl FnOnce() -> String) {
+        self.totals[kind as usize] += 1;
+        let places = &mut self.places[kind as usize];
+        if places.len() < limits::LISTED_PROBLEMS {
+            places.push(place());
+        }
+    }
+
+    /// Takes over the problems of a mesh; `words` describes a source triangle.
+    pub fn extend(&mut self, list: &ProblemList, words: impl Fn(u32) -> String) {
+        for (sum, n) in self.totals.iter_mut().zip(list.totals) {
+            *sum += n;
+        }
+        for &(kind, site) in &list.first {
+            let places = &mut self.places[kind as usize];
+            if places.len() < limits::LISTED_PROBLEMS {
+                let triangle = words(site.triangle);
+                places.push(match site.edge {
+                    None => triangle,
+                    Some([a, b]) => format!("{triangle}, edge from {a} to {b}"),
+                });
+            }
+        }
+    }
+
+    /// Only the kinds that occurred.
+    pub fn into_problems(self) -> Vec<Problem> {
+        let each = ProblemKind::ALL.into_iter().zip(self.totals).zip(self.places);
+        each.filter(|((_, total), _)| *total > 0)
+            .map(|((kind, total), places)| Problem { kind, total, places })
+            .collect()
+    }
+}

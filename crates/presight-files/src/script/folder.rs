@@ -1,0 +1,63 @@
+//! The scene's folder: the only place that scripts read from.
+
+use crate::file;
+use presight_model::error::{Error, Result};
+use presight_model::limits;
+use std::path::{Component, Path, PathBuf};
+
+/// A folder with symbolic links resolved.
+#[derive(Debug)]
+pub(super) struct Folder {
+    real: PathBuf,
+    /// As the script was named, for messages.
+    shown: PathBuf,
+}
+
+impl Folder {
+    /// The folder that holds a script.
+    pub fn of(script: &Path) -> Result<Self> {
+        let shown = script.parent().unwrap_or(Path::new("")).to_owned();
+        let folder = if shown.as_os_str().is_empty() { Path::new(".") } else { &shown };
+        let real = folder.canonicalize().map_err(|e| Error::io(script, "open its folder", e))?;
+        Ok(Self { real, shown })
+    }
+
+    /// The folder itself, symbolic links resolved.
+    pub fn real(&self) -> &Path {
+        &self.real
+    }
+
+    /// A file in it, by a relative path: as shown, and with symbolic links resolved.
+    pub fn file(&self, relative: &str) -> Result<(PathBuf, PathBuf)> {
+        let outside = |what: &str| {
+            let remedy = "put the file beside the scene script, or in a folder below, and name it relative to that";
+            Error::invalid(format!("{relative:?} {what}"), remedy)
+        };
+        let path = Path::new(relative);
+        let plain = path.components().all(|c| matches!(c, Component::Normal(_) | Component::CurDir));
+        if relative.is_empty() || !plain {
+            return Err(outside("is no path inside the scene's folder"));
+        }
+        let shown = self.shown.join(path);
+        let real = self.real.join(path).canonicalize().map_err(|e| Error::io(&shown, "open it", e))?;
+        if !real.starts_with(&self.real) {
+            return Err(outside("leads out of the scene's folder"));
+        }
+        Ok((shown, real))
+    }
+}
+
+/// The text of a script.
+pub(super) fn read_script(shown: &Path, real: &Path) -> Result<String> {
+    let bytes = file::read(file::open_as(real, shown)?, shown, limits::MAX_SCRIPT_BYTES)?;
+    String::from_utf8(bytes).map(file::without_mark).map_err(|e| {
+        let good = e.utf8_error().valid_up_to();
+        let before = &e.as_bytes()[..good];
+        let line = 1 + before.iter().filter(|b| **b == b'\n').count();
+        let start = before.iter().rposition(|b| *b == b'\n').map_or(0, |p| p + 1);
+        let column = 1 + String::from_utf8_lossy(&before[start..]).chars().count();
+        Error::invalid("this is not UTF-8", "save the script as UTF-8 text")
+            .at(format!("line {line}, column {column}"))
+            .in_file(shown)
+    })
+}

@@ -1,0 +1,181 @@
+//! Scenes as scripts, `.rhai`: shapes from parameters, placed as named objects, with materials, features and checks.
+//!
+//! The language is [Rhai](https://rhai.rs/book/); the functions that build scenes are listed in
+//! [`scenes/README.md`](https://github.com/presight/presight/blob/main/scenes/README.md) ([`reference()`] prints the
+//! list). Metres; angles in degrees where a parameter ends in `_deg`; z up.
+//!
+//! ```
+//! # let folder = tempfile::tempdir().unwrap();
+//! # let path = folder.path().join("table.rhai");
+//! # std::fs::write(&path, r#"
+//! material("wood", #{ reflection: 0.6 });
+//!
+//! fn table(length, width) {                              // a function is a macro
+//!     let leg = box(0.06, 0.06, 0.72);
+//!     let top = box(length, width, 0.03).translate(0, 0, 0.72);
+//!     let pair = leg.translate(-0.5, 0.3, 0) + leg.translate(-0.5, -0.3, 0);
+//!     (top + pair.repeat(2, 1, 0, 0)).made_of("wood")
+//! }
+//!
+//! place("floor", rectangle(6, 4));
+//! let t = table(1.2, 0.8);
+//! for i in 0..3 {
+//!     place("tables/table", t, pose(2 * i - 2, 0, 0, 30 * i));   // one mesh, three objects
+//! }
+//! # "#).unwrap();
+//! let scene = presight::io::script::load(&path, &Default::default(), &mut |line| println!("{line}"))?;
+//! let names: Vec<&str> = scene.environment.objects().iter().map(|o| o.name.as_str()).collect();
+//! assert_eq!(names, ["floor", "tables/table", "tables/table#2", "tables/table#3"]);
+//! # Ok::<(), presight::Error>(())
+//! ```
+//!
+//! **The same script gives the same environment on every machine**: trigonometry is `libm`'s, the operator `**` and every
+//! clock are left out, random numbers come from a seed that the script gives. Scripts read files only from their own
+//! folder, symbolic links resolved; they write none. `eval` is off. Limits on operations (large values count by their size),
+//! depth, sizes, polygons and memory end a script that asks for too much ([`crate::limits`], `MAX_SCRIPT_..`), with file, line, column and call; the
+//! wall clock is only the last resort.
+//!
+//! `source` ids number the triangles that the polygons are worth, in the order of placing: those that the scene would
+//! have if it were exported.
+
+mod assembly;
+mod budget;
+mod call;
+mod fault;
+mod folder;
+mod functions;
+mod lost;
+mod meter;
+mod modules;
+mod random;
+mod shape;
+mod studio;
+mod tokens;
+
+pub use functions::reference;
+
+use crate::gltf::ImportOptions;
+use crate::materials::sidecar_path;
+use crate::preparation::ImportedScene;
+use fault::{Fault, Sources, explain};
+use folder::{Folder, read_script};
+use modules::Modules;
+use presight_model::error::{Error, ErrorKind, Result};
+use presight_model::limits;
+use rhai::packages::{
+    ArithmeticPackage, BasicArrayPackage, BasicFnPackage, BasicIteratorPackage, BasicMapPackage, BasicStringPackage,
+    LogicPackage, MoreStringPackage, Package,
+};
+use rhai::{Engine, OptimizationLevel, Scope};
+use std::cell::{Cell, RefCell};
+use std::path::Path;
+use std::rc::Rc;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::time::Duration;
+use studio::Studio;
+use tokens::Tokens;
+
+/// Stack of the thread that runs scripts, bytes: the limits on depth are below what it holds in any build.
+const STACK: usize = 256 << 20;
+
+/// Runs a script. `say` receives each line that it prints, immediately.
+///
+/// `options` apply to the models that it imports. Without merging, polygons stay in the order in which the script makes them.
+///
+/// # Errors
+/// [`ErrorKind::Invalid`] with file, line, column, call and remedy for a script that is missing, not UTF-8 or not Rhai, calls a
+/// function wrongly, exceeds a limit, or fails a `require`; those of [`crate::io::gltf::import`] for models that it imports.
+pub fn load(path: impl AsRef<Path>, options: &ImportOptions, say: &mut dyn FnMut(&str)) -> Result<ImportedScene> {
+    let path = path.as_ref();
+    let (sender, receiver) = channel();
+    std::thread::scope(|scope| {
+        let refused = |e: std::io::Error| Error::new(ErrorKind::System, format!("no thread: {e}"), "free some memory");
+        let thread = std::thread::Builder::new().name("script".into()).stack_size(STACK);
+        let running = thread.spawn_scoped(scope, || run(path, options, sender)).map_err(refused)?;
+        listen_to(&receiver, say);
+        running.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+    })
+}
+
+/// Hands on what the script prints until it has ended and dropped the sender.
+fn listen_to(lines: &Receiver<String>, say: &mut dyn FnMut(&str)) {
+    if rayon::current_thread_index().is_none() {
+        return lines.iter().for_each(|line| say(&line));
+    }
+    // This is a worker, and what the script imports may need it: it works while it waits.
+    loop {
+        match lines.recv_timeout(Duration::from_millis(1)) {
+            Ok(line) => say(&line),
+            Err(RecvTimeoutError::Timeout) => while rayon::yield_now() == Some(rayon::Yield::Executed) {},
+            Err(RecvTimeoutError::Disconnected) => return,
+        }
+    }
+}
+
+fn run(path: &Path, options: &ImportOptions, say: Sender<String>) -> Result<ImportedScene> {
+    let (folder, modules_folder) = (Folder::of(path)?, Folder::of(path)?);
+    let real = path.canonicalize().map_err(|e| Error::io(path, "open it", e))?;
+    refuse_sidecar(path)?;
+    let text = read_script(path, &real)?;
+    let name = path.display().to_string();
+    let sources = Rc::new(RefCell::new(Sources::from([(name.clone(), text.clone())])));
+    let studio = Rc::new(Studio::new(folder, options));
+    let mut engine = engine(&studio, say);
+    let tokens = Tokens::default();
+    tokens.watch(&mut engine);
+    engine.set_module_resolver(Modules::new(modules_folder, real, sources.clone(), tokens.clone()));
+    let mut ast = tokens.parse(&engine, &text, path)?;
+    ast.set_source(&name);
+    let ended = engine.run_ast_with_scope(&mut Scope::new(), &ast);
+    ended.map_err(|e| explain(*e, &name, &sources.borrow()))?;
+    studio.finish(path)
+}
+
+/// A script says itself what its materials are; a sidecar beside it would be ignored, which must not be silent. One that
+/// belongs to a model of the same name is none of the script's.
+fn refuse_sidecar(path: &Path) -> Result<()> {
+    let sidecar = sidecar_path(path);
+    if !sidecar.exists() || ["glb", "gltf"].iter().any(|e| path.with_extension(e).exists()) {
+        return Ok(());
+    }
+    let what = "scripts take no materials from a file beside them";
+    Err(Error::invalid(what, "define them in the script by material(name, #{..})").in_file(sidecar))
+}
+
+/// The language with our functions and limits, and without what could differ from machine to machine.
+fn engine(studio: &Rc<Studio>, say: Sender<String>) -> Engine {
+    let mut engine = Engine::new_raw();
+    ArithmeticPackage::new().register_into_engine(&mut engine);
+    BasicStringPackage::new().register_into_engine(&mut engine);
+    BasicIteratorPackage::new().register_into_engine(&mut engine);
+    BasicFnPackage::new().register_into_engine(&mut engine);
+    LogicPackage::new().register_into_engine(&mut engine);
+    BasicArrayPackage::new().register_into_engine(&mut engine);
+    BasicMapPackage::new().register_into_engine(&mut engine);
+    MoreStringPackage::new().register_into_engine(&mut engine);
+    engine.register_fn("to_string", Fault::message).register_fn("to_debug", Fault::message);
+    // Powers of floats are the C library's; nothing may be computed at compile time by it either.
+    engine.disable_symbol("**").disable_symbol("**=").disable_symbol("eval");
+    engine.set_optimization_level(OptimizationLevel::None);
+    functions::register(&mut engine, studio);
+    meter::limit(&mut engine, studio.busy.clone());
+    listen(&mut engine, say);
+    engine
+}
+
+/// Hands on what the script prints, up to the limit.
+fn listen(engine: &mut Engine, say: Sender<String>) {
+    let said = Cell::new(0u64);
+    let send = Rc::new(move |line: String| {
+        said.set(said.get() + 1);
+        // Nobody listens any more: then nobody misses it.
+        let _ = match said.get() {
+            n if n <= limits::MAX_SCRIPT_MESSAGES => say.send(line),
+            n if n == limits::MAX_SCRIPT_MESSAGES + 1 => say.send("(the script prints more; it is left out)".into()),
+            _ => Ok(()),
+        };
+    });
+    let print = send.clone();
+    engine.on_print(move |line| print(line.to_owned()));
+    engine.on_debug(move |line, source, at| send(format!("{}:{at}: {line}", source.unwrap_or_default())));
+}

@@ -1,0 +1,32 @@
+//! Random numbers of scripts.
+
+use presight_model::random::SplitMix64;
+use std::cell::Cell;
+use std::rc::Rc;
+
+/// Copies go on together: a function that is handed one draws from the same numbers.
+#[derive(Clone, Debug)]
+pub(super) struct Random(Rc<Cell<SplitMix64>>);
+
+impl Random {
+    pub fn new(seed: i64) -> Self {
+        Self(Rc::new(Cell::new(SplitMix64(seed as u64))))
+    }
+
+    fn draw<T>(&self, one: impl FnOnce(&mut SplitMix64) -> T) -> T {
+        let mut numbers = self.0.get();
+        let drawn = one(&mut numbers);
+        self.0.set(numbers);
+        drawn
+    }
+
+    /// In 0..1.
+    pub fn unit(&self) -> f64 {
+        self.draw(SplitMix64::unit)
+    }
+
+    /// In 0..n; within 2^-64 n of uniform.
+    pub fn below(&self, n: u64) -> u64 {
+        ((u128::from(self.draw(SplitMix64::bits)) * u128::from(n)) >> 64) as u64
+    }
+}

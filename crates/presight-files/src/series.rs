@@ -1,0 +1,229 @@
+//! Work on many poses that can be interrupted: what is finished is recorded beside the files, and the same work goes on
+//! from there. The record of a batch is its table of results, which gets its name when it is whole.
+
+use super::atomic::refused;
+use presight_model::error::{Error, ErrorKind, Result};
+use std::fs::{self, File, TryLockError};
+use std::io::{self, BufRead, BufReader, Seek, SeekFrom, Write};
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::time::SystemTime;
+
+/// How far a series of poses is. The record is a file of lines: a head that names the job, then for each finished pose the same
+/// number of lines, which begin with the pose's number, and a comma if there is more. One process at a time works on it.
+///
+/// ```
+/// use presight::io::series::SeriesProgress;
+/// let folder = tempfile::tempdir()?;
+/// let (part, table) = (folder.path().join("poses.csv.part"), folder.path().join("poses.csv"));
+/// let open = || SeriesProgress::open(&part, "pose,value", 0..2, 1);
+/// let mut progress = open()?;
+/// progress.append(0, "0,1.5\n")?;
+/// drop(progress);
+///
+/// let mut progress = open()?;
+/// assert_eq!(progress.next(), 1);
+/// progress.append(1, "1,2.5\n")?;
+/// assert!(!table.exists());
+/// progress.rename(&table)?;
+/// assert_eq!(std::fs::read_to_string(&table)?, "pose,value\n0,1.5\n1,2.5\n");
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug)]
+pub struct SeriesProgress {
+    path: PathBuf,
+    file: File,
+    head: String,
+    poses: Range<usize>,
+    lines_per_pose: usize,
+    next: usize,
+    replaced: bool,
+    written: Option<SystemTime>,
+}
+
+impl SeriesProgress {
+    /// Opens the record of a job on some poses, or begins one. A record of another job is begun anew. `head` is one line without
+    /// its end that tells what must be the same, such as a hash of scene, sensors, poses and request.
+    ///
+    /// # Errors
+    /// [`ErrorKind::System`] if the record cannot be written, or another process is at work on it.
+    pub fn open(path: &Path, head: &str, poses: Range<usize>, lines_per_pose: usize) -> Result<Self> {
+        let failed = |e| refused(path, e);
+        let opened = File::options().read(true).write(true).create(true).truncate(false).open(path);
+        let file = opened.map_err(failed)?;
+        if matches!(file.try_lock(), Err(TryLockError::WouldBlock)) {
+            let (what, remedy) = ("another presight is writing these files", "wait until it has ended, or stop it");
+            return Err(Error::new(ErrorKind::System, what, remedy).in_file(path));
+        }
+        let written = file.metadata().and_then(|m| m.modified()).ok();
+        let (path, head, next) = (path.to_owned(), format!("{head}\n"), poses.start);
+        let mut progress = Self { path, file, head, poses, lines_per_pose, next, replaced: false, written };
+        progress.keep_while(|_| true)?;
+        Ok(progress)
+    }
+
+    /// Takes the first pose of which `is_there` says that its files are lost, and all after it, as unfinished.
+    ///
+    /// # Errors
+    /// [`ErrorKind::System`] if the record cannot be read or written.
+    pub fn keep_while(&mut self, is_there: impl Fn(usize) -> bool) -> Result<()> {
+        let failed = |e| refused(&self.path, e);
+        self.file.rewind().map_err(failed)?;
+        let (next, sound) = self.sound_part(is_there).map_err(failed)?;
+        self.replaced |= sound == 0 && self.file.metadata().map_err(failed)?.len() > 0;
+        self.next = next;
+        self.file.set_len(sound).and_then(|()| self.file.seek(SeekFrom::End(0))).map_err(failed)?;
+        if sound == 0 {
+            self.file.write_all(self.head.as_bytes()).map_err(failed)?;
+        }
+        Ok(())
+    }
+
+    /// The first pose that is missing, and the bytes before it; 0 bytes where the head is another one.
+    fn sound_part(&self, is_there: impl Fn(usize) -> bool) -> io::Result<(usize, u64)> {
+        let mut reader = BufReader::new(&self.file);
+        let mut line = Vec::new();
+        let mut next_line = |line: &mut Vec<u8>| -> io::Result<bool> {
+            line.clear();
+            // A line without its end was being written when the process ended.
+            Ok(reader.read_until(b'\n', line)? > 0 && line.ends_with(b"\n"))
+        };
+        if !next_line(&mut line)? || line != self.head.as_bytes() {
+            return Ok((self.poses.start, 0));
+        }
+        let mut sound = line.len() as u64;
+        for pose in self.poses.clone() {
+            let number = pose.to_string();
+            let mut bytes = 0;
+            for _ in 0..self.lines_per_pose {
+                let is_its = next_line(&mut line)?
+                    && line.strip_prefix(number.as_bytes()).is_some_and(|rest| rest.starts_with(b",") || rest == b"\n");
+                if !is_its {
+                    return Ok((pose, sound));
+                }
+                bytes += line.len() as u64;
+            }
+            if !is_there(pose) {
+                return Ok((pose, sound));
+            }
+            sound += bytes;
+        }
+        Ok((self.poses.end, sound))
+    }
+
+    /// The first pose that is not finished.
+    pub fn next(&self) -> usize {
+        self.next
+    }
+
+    /// How many poses are finished.
+    pub fn finished(&self) -> usize {
+        self.next - self.poses.start
+    }
+
+    /// True if there was a record of another job, which was never completed.
+    pub fn replaced(&self) -> bool {
+        self.replaced
+    }
+
+    /// When a pose was finished last, before the record was opened. A file that was written later is not of this series any more.
+    pub fn written(&self) -> Option<SystemTime> {
+        self.written
+    }
+
+    /// Records all poses up to `last` as finished; `lines` are theirs, each with its end.
+    ///
+    /// # Errors
+    /// [`ErrorKind::System`] if they cannot be written; what of them is there is dropped by the next [`SeriesProgress::open`].
+    pub fn append(&mut self, last: usize, lines: &str) -> Result<()> {
+        self.file.write_all(lines.as_bytes()).map_err(|e| refused(&self.path, e))?;
+        self.next = last + 1;
+        Ok(())
+    }
+
+    /// Removes the record, if everything is finished.
+    ///
+    /// # Errors
+    /// [`ErrorKind::System`] if the system refuses.
+    pub fn remove(self) -> Result<()> {
+        if self.next == self.poses.end {
+            drop(self.file);
+            fs::remove_file(&self.path).map_err(|e| Error::io(&self.path, "remove the record", e))?;
+        }
+        Ok(())
+    }
+
+    /// Gives the record another name: that of the table which it has become.
+    ///
+    /// # Errors
+    /// [`ErrorKind::System`] if the system refuses.
+    pub fn rename(self, to: &Path) -> Result<()> {
+        self.file.sync_all().and_then(|()| fs::rename(&self.path, to)).map_err(|e| refused(to, e))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn open(path: &Path, head: &str) -> SeriesProgress {
+        SeriesProgress::open(path, head, 4..9, 2).unwrap()
+    }
+
+    #[test]
+    fn what_is_finished_is_not_done_again_whatever_follows() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.csv.part");
+        let whole = "pose,value\n4,1\n4,2\n5\n5,2\n";
+        let ends = ["", "6", "6,1\n", "6,1\n6,2", "7,1\n7,2\n", "x\n", "6,1\n7,2\n", "60\n60\n", "9\n9\n"];
+        for end in ends.map(str::as_bytes).into_iter().chain([&b"\xff\n6,1\n"[..]]) {
+            fs::write(&path, [whole.as_bytes(), end].concat()).unwrap();
+            let progress = open(&path, "pose,value");
+            assert_eq!((progress.next(), progress.finished()), (6, 2), "{end:?}");
+            assert!(!progress.replaced());
+            drop(progress);
+            assert_eq!(fs::read_to_string(&path).unwrap(), whole);
+        }
+        let other = open(&path, "pose,other");
+        assert!(other.replaced() && other.finished() == 0);
+        drop(other);
+        let again = open(&path, "pose,value");
+        assert_eq!(again.finished(), 0, "the other job may have written over its files");
+    }
+
+    #[test]
+    fn what_follows_a_lost_file_is_done_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.series");
+        let mut progress = open(&path, "j");
+        for pose in 4..9 {
+            progress.append(pose, &format!("{pose}\n{pose}\n")).unwrap();
+        }
+        progress.keep_while(|pose| pose != 6).unwrap();
+        assert_eq!((progress.next(), fs::read_to_string(&path).unwrap().as_str()), (6, "j\n4\n4\n5\n5\n"));
+        progress.append(8, "6\n6\n7\n7\n8\n8\n").unwrap();
+        drop(progress);
+        assert_eq!(open(&path, "j").finished(), 5);
+    }
+
+    #[test]
+    fn a_record_goes_only_when_everything_is_finished() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.series");
+        open(&path, "j").remove().unwrap();
+        assert!(path.exists());
+        let mut progress = open(&path, "j");
+        progress.append(8, "").unwrap();
+        progress.remove().unwrap();
+        assert!(!path.exists());
+    }
+
+    #[test]
+    fn two_do_not_work_on_one_series() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.series");
+        let _first = open(&path, "j");
+        let e = SeriesProgress::open(&path, "j", 4..9, 2).unwrap_err();
+        assert!(e.kind() == ErrorKind::System && e.to_string().contains("another presight"), "{e}");
+    }
+}

@@ -1,0 +1,201 @@
+//! What operations mean in the environment that they are read for.
+
+use super::merge;
+use super::op::{InsertObject, Op, affine_of, covariance_of, pose_of};
+use crate::layer::from_fields;
+use crate::text::check_name;
+use glam::{DVec3, Vec3};
+use presight_model::change::Change;
+use presight_model::environment::{DEFAULT_TOLERANCE, Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
+use presight_model::error::{Error, Result};
+use presight_model::geometry::Pose;
+use presight_model::index::{Params, Scheme};
+use presight_model::limits;
+use presight_model::world::World;
+use std::path::Path;
+use std::sync::Arc;
+
+/// What operations mean where they are read.
+pub(super) struct Context<'a> {
+    environment: &'a Arc<Environment>,
+    /// Where files are that lines name; none in the log.
+    folder: Option<&'a Path>,
+    /// Meshes by number, for the log.
+    mesh: &'a mut dyn FnMut(i64) -> Result<Arc<Mesh>>,
+    /// Materials that the operation has added.
+    added: Vec<Material>,
+    /// What features may be off, if not what their layer says.
+    pub tolerance: Option<f64>,
+    /// Within a group that asks for it: the environment as the changes before have left it.
+    now: Option<World>,
+}
+
+impl<'a> Context<'a> {
+    /// Of operations that are read for an environment: from `folder`, or if there is none from the log.
+    pub fn new(
+        environment: &'a Arc<Environment>,
+        folder: Option<&'a Path>,
+        mesh: &'a mut dyn FnMut(i64) -> Result<Arc<Mesh>>,
+    ) -> Self {
+        Self { environment, folder, mesh, added: Vec::new(), tolerance: None, now: None }
+    }
+
+    fn environment(&self) -> &Arc<Environment> {
+        self.now.as_ref().map_or(self.environment, World::environment)
+    }
+
+    /// The change that an operation is.
+    pub fn change(&mut self, op: Op) -> Result<Change> {
+        let tolerance = |class: &str| {
+            let of_layer = || self.environment().layer(class).map_or(DEFAULT_TOLERANCE, |l| l.tolerance);
+            self.tolerance.unwrap_or_else(of_layer)
+        };
+        Ok(match op {
+            Op::Move { object, pose } => Change::MoveObject { name: object, world_from_object: pose_of(&pose)? },
+            Op::SetPose { object, pose } => Change::SetPose { name: object, world_from_object: pose_of(&pose)? },
+            Op::DeleteObject { object } => Change::DeleteObject { name: object },
+            Op::SetGroup { group, pose } => {
+                Change::SetFrame { name: group, world_from_group: pose.as_deref().map(pose_of).transpose()? }
+            }
+            Op::InsertObject(new) => {
+                let place = format!("object {:?}", new.object);
+                self.insert(*new).map_err(|e| e.at(place))?
+            }
+            Op::AddMaterial(fields) => {
+                if fields.name.is_empty() {
+                    return Err(Error::invalid("the material has no name", "give a \"name\""));
+                }
+                let material = fields.material()?;
+                material.check()?;
+                self.added.push(material.clone());
+                Change::AddMaterial(material)
+            }
+            Op::InsertFeature { class, feature } => {
+                let feature = from_fields(*feature, tolerance(&class))?;
+                Change::InsertFeature { class, feature }
+            }
+            Op::SetFeature { class, feature } => {
+                let feature = from_fields(*feature, tolerance(&class))?;
+                Change::SetFeature { class, feature }
+            }
+            Op::RestoreFeature { class, feature } => {
+                // The tolerance may have changed since: applying checks it.
+                let feature = from_fields(*feature, limits::MAX_COORDINATE)?;
+                Change::RestoreFeature { class, feature }
+            }
+            Op::DeleteFeature { class, feature } => Change::DeleteFeature { class, id: feature },
+            Op::SetTolerance { class, tolerance } => Change::SetTolerance { class, tolerance },
+            Op::SetPoseCovariance { class, object, covariance } => {
+                Change::SetPoseCovariance { class, object, covariance: covariance_of(covariance)? }
+            }
+            Op::Group { changes } => {
+                if self.now.is_none() && self.looks_back(&changes) {
+                    let (environment, none) = (Environment::clone(self.environment), Params::default());
+                    self.now = Some(World::with_index(environment, Scheme::None, none));
+                }
+                let one = |(i, op)| self.step(op).map_err(|e: Error| e.at(format!("change {} of the group", i + 1)));
+                Change::Group(changes.into_iter().enumerate().map(one).collect::<Result<_>>()?)
+            }
+        })
+    }
+
+    /// True if what a change of a group means depends on those before it. The log says everything in full, but for tolerances.
+    fn looks_back(&self, changes: &[Op]) -> bool {
+        changes.iter().any(|op| match op {
+            Op::InsertObject(_) => self.folder.is_some(),
+            Op::SetTolerance { .. } => self.tolerance.is_none(),
+            Op::Group { changes } => self.looks_back(changes),
+            _ => false,
+        })
+    }
+
+    /// A change of a group; those after it see what it did.
+    fn step(&mut self, op: Op) -> Result<Change> {
+        let is_group = matches!(op, Op::Group { .. });
+        let change = self.change(op)?;
+        // Those of a group within it were applied one by one.
+        if let Some(now) = self.now.as_mut().filter(|_| !is_group) {
+            now.apply_unchecked(change.clone())?;
+            self.added.clear();
+        }
+        Ok(change)
+    }
+
+    fn insert(&mut self, fields: InsertObject) -> Result<Change> {
+        let name = fields.object.clone();
+        if name.is_empty() || name.len() > limits::MAX_NAME_BYTES {
+            let what = format!("the path has {} bytes", name.len());
+            return Err(Error::invalid(what, format!("give 1 to {}", limits::MAX_NAME_BYTES)));
+        }
+        // Models may bring stranger names, and they are logged.
+        if self.folder.is_some() {
+            check_name(&name)?;
+        }
+        let pose = fields.pose.as_deref().map_or(Ok(Pose::IDENTITY), pose_of)?;
+        let logged = self.folder.is_none();
+        if !logged && self.environment().object(&name).is_some() {
+            return Err(Error::invalid("it exists already", "delete it first, or choose another path"));
+        }
+        let sources = [
+            fields.mesh.is_some() && logged,
+            fields.from.is_some(),
+            fields.like.is_some(),
+            fields.vertices.is_some() && fields.polygons.is_some(),
+        ];
+        if sources.iter().filter(|s| **s).count() != 1 || (fields.mesh.is_some() && !logged) {
+            return Err(Error::invalid(
+                "it has no shape, or more than one",
+                "give one of \"from\", \"like\", and \"vertices\" with \"polygons\"",
+            ));
+        }
+        let mut before = Vec::new();
+        let mut new = NewObject {
+            object_from_mesh: affine_of(fields.object_from_mesh.as_deref())?,
+            first_source: fields.first_source,
+            ..NewObject::new(name, pose, self.shape(&fields, &mut before)?)
+        };
+        if let Some(like) = &fields.like
+            && fields.object_from_mesh.is_none()
+            && let Some(object) = self.environment().object(like)
+        {
+            new.object_from_mesh = object.object_from_mesh;
+        }
+        before.push(Change::InsertObject(new));
+        Ok(Change::of(before))
+    }
+
+    fn shape(&mut self, fields: &InsertObject, before: &mut Vec<Change>) -> Result<Arc<Mesh>> {
+        if let Some(number) = fields.mesh {
+            return (self.mesh)(number);
+        }
+        if let Some(like) = &fields.like {
+            let found = self.environment().object(like);
+            return found.map(|o| o.mesh.clone()).ok_or_else(|| {
+                Error::invalid(format!("there is no object {like:?} to be like"), "presight inspect lists the objects")
+            });
+        }
+        let environment = self.now.as_ref().map_or(self.environment, World::environment);
+        let mut materials = merge::Materials::new(environment, &mut self.added);
+        if let (Some(file), Some(folder)) = (&fields.from, self.folder) {
+            let of_file =
+                merge::mesh_of_file(&folder.join(file), fields.from_object.as_deref(), &mut materials, before);
+            return of_file.map_err(Error::in_place);
+        }
+        let name = fields.material.as_deref().unwrap_or("default");
+        let material = match materials.named(name) {
+            Some(number) => number,
+            None if fields.material.is_none() => materials.number_of(&Material::named(name), before)?,
+            None => {
+                let what = format!("there is no material {name:?}");
+                return Err(Error::invalid(what, "add it with {\"op\":\"add_material\",\"name\":..} first"));
+            }
+        };
+        let vertices: Vec<Vec3> = fields.vertices.iter().flatten().map(|v| DVec3::from_array(*v).as_vec3()).collect();
+        let polygons: Vec<Polygon> =
+            fields.polygons.iter().flatten().map(|corners| Polygon::new(corners.clone(), material)).collect();
+        if polygons.is_empty() {
+            return Err(Error::invalid("it has no polygons", "give lists of corners, such as [[0, 1, 2]]"));
+        }
+        Mesh::new(&fields.object, vertices, polygons, PolygonOrder::Spatial).map(Arc::new)
+    }
+}

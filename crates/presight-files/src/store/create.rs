@@ -1,0 +1,93 @@
+//! A new store.
+
+use super::hash::Digest;
+use super::rows::Meta;
+use super::schema::{APPLICATION_ID, FORMAT, TABLES, refusal};
+use super::{Note, Store};
+use crate::temporary::{Access, Temporary};
+use presight_model::environment::Environment;
+use presight_model::error::{Error, ErrorKind, Result};
+use rusqlite::{Connection, OpenFlags};
+use std::path::{Path, PathBuf};
+
+/// Bytes of a page. Meshes fill many, and each takes a step to be found; larger ones would make small commits slower, which
+/// write whole pages twice.
+const PAGE: u32 = 16_384;
+
+/// Makes a store that holds an environment, with an empty log. The file appears under its name when it is complete and on
+/// disk.
+///
+/// # Errors
+/// [`ErrorKind::Usage`] if a file of this name exists; [`ErrorKind::System`] if the system refuses.
+pub fn create(path: &Path, environment: &Environment, note: &Note) -> Result<()> {
+    if !note.time.is_finite() {
+        return Err(Error::invalid(format!("the time {} is not finite", note.time), "give UTC seconds"));
+    }
+    if path.symlink_metadata().is_ok() {
+        let remedy = "choose another name, or remove the file; presight env import adds to a store";
+        return Err(Error::usage("there is a file of this name", remedy).in_file(path));
+    }
+    let folder = match path.parent() {
+        Some(folder) if folder != Path::new("") => folder.to_owned(),
+        _ => PathBuf::from("."),
+    };
+    let refused = |e: std::io::Error| {
+        let remedy = "create the folder first, check its permissions, or write elsewhere";
+        Error::new(ErrorKind::System, format!("cannot write: {e}"), remedy).in_file(path).caused_by(e)
+    };
+    let mut temporary = Temporary::new(&folder, Access::Umask).map_err(refused)?;
+    // On Windows locks are for all: it would stand in the way of SQLite, whose own lock then holds the file.
+    if cfg!(windows) {
+        temporary.file().unlock().map_err(refused)?;
+    }
+    fill(temporary.path(), path, environment, note)?;
+    temporary.file().sync_all().map_err(refused)?;
+    temporary.keep_as_new(path).map_err(refused)?;
+    // A folder is a file on Unix only.
+    #[cfg(unix)]
+    std::fs::File::open(&folder).and_then(|f| f.sync_all()).map_err(refused)?;
+    Ok(())
+}
+
+/// Opens the file, which is locked already: network file systems would take another lock for that of a stranger.
+fn connect(file: &Path) -> rusqlite::Result<Connection> {
+    match cfg!(unix) {
+        true => Connection::open_with_flags_and_vfs(file, OpenFlags::default(), "unix-none"),
+        false => Connection::open(file),
+    }
+}
+
+/// Fills the file; errors speak of the one that it will be.
+fn fill(file: &Path, path: &Path, environment: &Environment, note: &Note) -> Result<()> {
+    let wrap = |e| refusal(path, "create the store", e);
+    // Its message would name the temporary file.
+    let nameless = |e| match e {
+        rusqlite::Error::SqliteFailure(code, _) => rusqlite::Error::SqliteFailure(code, None),
+        other => other,
+    };
+    let connection = connect(file).map_err(|e| wrap(nameless(e)))?;
+    connection.set_prepared_statement_cache_capacity(64);
+    // Nobody sees the file before it is whole, and then it is synced in one go.
+    let mut sql = format!(
+        "PRAGMA page_size = {PAGE}; PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF; PRAGMA application_id = {APPLICATION_ID}; \
+         PRAGMA user_version = {FORMAT}; BEGIN;"
+    );
+    TABLES.iter().for_each(|(_, table)| sql += &format!("{table};"));
+    connection.execute_batch(&sql).map_err(wrap)?;
+    let mut meta = Meta {
+        created: note.time + 0.0,
+        cause: note.cause.clone(),
+        genesis: environment.content_hash().0,
+        next_object: 0,
+        next_slot: 0,
+        changes: 0,
+        head: [0; 32],
+        digest: Digest::default(),
+    };
+    meta.head = meta.first_head();
+    let mut store = Store::empty(connection, path, meta);
+    store.write_all(environment)?;
+    store.write_meta()?;
+    store.connection.execute_batch("COMMIT").map_err(wrap)?;
+    store.connection.close().map_err(|(_, e)| refusal(path, "create the store", e))
+}

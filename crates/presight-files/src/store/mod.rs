@@ -1,0 +1,388 @@
+//! The stored environment: one SQLite file, `.presight`, that keeps the environment and every change it ever saw.
+//!
+//! | table | a row |
+//! |---|---|
+//! | `meta` | the one: `created` (UTC seconds) and `cause`, `genesis` (hash of the content it was created with), `next_object` and `next_slot` (numbers never used so far), `changes` (length of the log), `head` (hash of its last entry), `digest` (sum of the hashes of all rows below) |
+//! | `groups` | `path` of what has objects below and is none, `pose` [x, y, z, qx, qy, qz, qw] of its frame in the world; those only that were given a frame |
+//! | `objects` | `number` (`object_id` in images is one more), `name` (full path), `pose` [x, y, z, qx, qy, qz, qw] of the object in the world, metres, `object_from_mesh` (12 numbers, column by column; null: identity), `mesh`, `first_slot`, `first_source` |
+//! | `meshes` | `number`, `name`, `vertices`, `polygons`, `content` (a blob, see the source of `blob`); shared by objects, and kept when no object uses it any more, because an undo may bring one back |
+//! | `materials` | `number`, `name`, `properties` (`reflection`, `one_sided`, `color`, `classes`) |
+//! | `layers` | sensor `class`, `tolerance` in metres, `pose_covariances` [[object, 6 x 6], ..] |
+//! | `features` | `class`, `id`, `kind`, `object`, `feature` (as in a layer file, with covariance, existence and last confirmation); `kind` and `feature` are null where it was deleted: its id is never used again |
+//! | `log` | `number` from 1, `time` (UTC seconds), `cause`, `id` (the caller's, if any), `undoes` (the entry it undoes), `change` and `inverse` (JSON as the lines that `presight env apply` reads), `request` (BLAKE3 of the line with an id, as it was said) |
+//!
+//! Lists of numbers are JSON texts, because SQLite's REAL drops the sign of zero. Each row ends in its `hash`, each
+//! entry of the log in a hash over the entry before and itself; opening compares all of them with what is there.
+//! Nothing is secret or signed: this finds damage, not forgery.
+//!
+//! What was committed is on the disk when the call returns: rollback journal, `synchronous = EXTRA`. Between commits the
+//! file alone is complete and may be copied. A [`Store`] holds SQLite's write lock as long as it lives: a second writer
+//! is refused at once. Readers load one version in one transaction and work in memory.
+
+mod blob;
+mod context;
+mod create;
+mod hash;
+mod ids;
+mod log;
+mod merge;
+mod meshes;
+mod op;
+mod read;
+mod rows;
+mod schema;
+mod unique;
+mod write;
+
+pub use create::create;
+pub use log::LogEntry;
+pub use write::{Batch, Note};
+
+use crate::layer::LayerFile;
+use presight_model::change::Change;
+use presight_model::environment::{Environment, Mesh};
+use presight_model::error::{Error, ErrorKind, Result};
+use presight_model::index::{Params, Scheme, WorldIndex};
+use presight_model::world::World;
+use rows::Meta;
+use rusqlite::Connection;
+use schema::{Access, check_identity, connect, refusal};
+use std::collections::{HashMap, HashSet};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Weak};
+
+/// A stored world opened for changes: the file and the world that it holds, which change together. It holds the write lock
+/// until it is dropped.
+///
+/// ```
+/// use presight::io::store::{self, Note, Store};
+/// use presight::{Change, Environment, Material, World};
+/// let folder = tempfile::tempdir()?;
+/// let path = folder.path().join("hall.presight");
+/// store::create(&path, &Environment::new(), &Note::new("a new hall", 0.0))?;
+///
+/// let mut store = Store::open(&path)?;
+/// let paint = Change::AddMaterial(Material::named("paint"));
+/// let number = store.apply(paint, &Note::new("delivered", 12.5))?;
+/// assert_eq!((number, store.changes()), (1, 1));
+/// drop(store);
+/// assert_eq!(store::read(&path)?.materials().len(), 1);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+pub struct Store {
+    connection: Connection,
+    path: PathBuf,
+    meta: Meta,
+    world: World,
+    /// True while the write lock is held.
+    locked: bool,
+    /// Stored objects by name.
+    objects: HashMap<String, u32>,
+    /// Stored groups.
+    groups: HashSet<String>,
+    materials: usize,
+    meshes: Meshes,
+    /// Entries of the log by their caller's id.
+    ids: HashMap<String, u64>,
+}
+
+/// Which meshes are stored.
+#[derive(Default)]
+struct Meshes {
+    next: i64,
+    /// By name and hash of the blob.
+    by_content: HashMap<(String, u128), i64>,
+    by_number: HashMap<i64, Weak<Mesh>>,
+    by_pointer: HashMap<usize, i64>,
+}
+
+impl Meshes {
+    fn remember(&mut self, number: i64, mesh: &Arc<Mesh>) {
+        self.by_number.insert(number, Arc::downgrade(mesh));
+        self.by_pointer.insert(Arc::as_ptr(mesh) as usize, number);
+    }
+
+    /// The number of a mesh that was seen before and lives.
+    fn known(&self, mesh: &Arc<Mesh>) -> Option<i64> {
+        let number = *self.by_pointer.get(&(Arc::as_ptr(mesh) as usize))?;
+        let same = self.by_number.get(&number)?.upgrade().is_some_and(|known| Arc::ptr_eq(&known, mesh));
+        same.then_some(number)
+    }
+
+    /// The number of a mesh that is stored, seen before or equal to one that was.
+    fn stored(&self, mesh: &Arc<Mesh>) -> Option<i64> {
+        let equal = || (mesh.name().to_owned(), hash::of_content(&[&blob::encode(mesh)]));
+        self.known(mesh).or_else(|| self.by_content.get(&equal()).copied())
+    }
+}
+
+/// Reads a store into memory. A writer is not blocked.
+///
+/// # Errors
+/// [`ErrorKind::Invalid`] if the file is missing, not a store, or damaged, [`ErrorKind::Unsupported`] if it is of another
+/// version, [`ErrorKind::System`] if the system refuses.
+pub fn read(path: &Path) -> Result<Environment> {
+    let connection = connect(path, Access::Read)?;
+    in_one_version(&connection, path, |c| read::load(c, path, false)).map(|loaded| loaded.environment)
+}
+
+/// Reads a store and indexes it: the same as [`read`] and [`World::with_index`], but faster, because meshes are indexed while
+/// others are read.
+///
+/// # Errors
+/// Those of [`read`].
+pub fn read_world(path: &Path, scheme: Scheme, params: Params) -> Result<World> {
+    let connection = connect(path, Access::Read)?;
+    let with_trees = scheme == Scheme::TwoLevel;
+    let loaded = in_one_version(&connection, path, |c| read::load(c, path, with_trees))?;
+    let index = WorldIndex::with_trees(&loaded.environment, scheme, params, &loaded.trees);
+    Ok(World::of(index, loaded.environment))
+}
+
+/// The facts that `presight env info` prints.
+#[derive(Clone, Debug)]
+pub struct Info {
+    /// When it was created, UTC seconds.
+    pub created: f64,
+    /// Cause of its creation.
+    pub cause: String,
+    /// Length of the log.
+    pub changes: u64,
+    /// Hash of the last entry of the log.
+    pub head: String,
+    /// The environment that it holds.
+    pub environment: Environment,
+}
+
+/// Reads a store and verifies it with its whole log.
+///
+/// # Errors
+/// As [`read`].
+pub fn info(path: &Path) -> Result<Info> {
+    let connection = connect(path, Access::Read)?;
+    in_one_version(&connection, path, |c| {
+        let read::StoreVersion { environment, meta, .. } = read::load(c, path, false)?;
+        log::walk(c, path, &meta, |_| Ok(()))?;
+        let (changes, head) = (meta.changes as u64, hash::hex(&meta.head));
+        Ok(Info { created: meta.created, cause: meta.cause, changes, head, environment })
+    })
+}
+
+/// Calls `visit` with every entry of the log, in order, each verified.
+///
+/// # Errors
+/// As [`read`], and those of `visit`.
+pub fn log(path: &Path, visit: impl FnMut(LogEntry) -> Result<()>) -> Result<()> {
+    let connection = connect(path, Access::Read)?;
+    in_one_version(&connection, path, |c| log::walk(c, path, &Meta::read(c, path)?, visit))
+}
+
+/// Verifies all content, and the structures of SQLite.
+///
+/// # Errors
+/// As [`read`]; [`ErrorKind::Invalid`] names the damaged place.
+pub fn check(path: &Path) -> Result<Info> {
+    let found = info(path)?;
+    let connection = connect(path, Access::Read)?;
+    let verdict: String = connection
+        .query_row("PRAGMA integrity_check(1)", [], |row| row.get(0))
+        .map_err(|e| refusal(path, "check the store", e))?;
+    if verdict != "ok" {
+        return Err(schema::damaged(verdict).in_file(path));
+    }
+    Ok(found)
+}
+
+/// Runs `read` in one transaction: all it sees is of one version.
+fn in_one_version<T>(connection: &Connection, path: &Path, read: impl FnOnce(&Connection) -> Result<T>) -> Result<T> {
+    let wrap = |e| refusal(path, "read the store", e);
+    let transaction = connection.unchecked_transaction().map_err(wrap)?;
+    check_identity(&transaction, path)?;
+    let answer = read(&transaction)?;
+    transaction.commit().map_err(wrap)?;
+    Ok(answer)
+}
+
+impl Store {
+    /// Opens a store for changes, its world with the default index.
+    ///
+    /// # Errors
+    /// As [`read`]; [`ErrorKind::System`] if another writer has it, or it is read-only.
+    pub fn open(path: &Path) -> Result<Self> {
+        let scheme = Scheme::default();
+        Self::open_with_index(path, scheme, Params::tuned(scheme))
+    }
+
+    /// Opens a store for changes, its world with an index of this scheme. [`Scheme::None`] is enough if nothing is predicted.
+    ///
+    /// # Errors
+    /// As [`Store::open`].
+    pub fn open_with_index(path: &Path, scheme: Scheme, params: Params) -> Result<Self> {
+        let connection = connect(path, Access::Write)?;
+        let wrap = |e| refusal(path, "open the store for writing", e);
+        connection.execute_batch("BEGIN IMMEDIATE").map_err(wrap)?;
+        // Another writer may have been here since.
+        check_identity(&connection, path)?;
+        let mut loaded = read::load(&connection, path, scheme == Scheme::TwoLevel)?;
+        let mut ids = HashMap::new();
+        log::walk(&connection, path, &loaded.meta, |entry| {
+            ids.extend(entry.id.map(|id| (id, entry.number)));
+            Ok(())
+        })?;
+        let mut store = Self { ids, ..Self::empty(connection, path, loaded.meta.clone()) };
+        store.register(&loaded);
+        let index = WorldIndex::with_trees(&loaded.environment, scheme, params, &std::mem::take(&mut loaded.trees));
+        store.world = World::of(index, loaded.environment);
+        Ok(store)
+    }
+
+    /// A store of whose content nothing is known yet, locked.
+    fn empty(connection: Connection, path: &Path, meta: Meta) -> Self {
+        Self {
+            connection,
+            path: path.to_owned(),
+            meta,
+            world: World::with_index(Environment::new(), Scheme::None, Params::default()),
+            locked: true,
+            objects: HashMap::new(),
+            groups: HashSet::new(),
+            materials: 0,
+            meshes: Meshes { next: 1, ..Meshes::default() },
+            ids: HashMap::new(),
+        }
+    }
+
+    /// The world that is stored, with all changes so far.
+    pub fn world(&self) -> &World {
+        &self.world
+    }
+
+    /// From now on many changes are made one by one, and nobody reads the feature layers in between.
+    pub fn begin_row(&mut self) {
+        self.world.begin_row();
+    }
+
+    /// The file.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Length of the log.
+    pub fn changes(&self) -> u64 {
+        self.meta.changes as u64
+    }
+
+    /// Applies a change to world and file. The change is on disk when this returns. Returns its number in the log.
+    ///
+    /// # Errors
+    /// Those of [`World::apply`]; [`ErrorKind::System`] if the system refuses. World and file then are as before.
+    pub fn apply(&mut self, change: Change, note: &Note) -> Result<u64> {
+        let mut batch = self.batch()?;
+        let number = batch.apply(change, note)?;
+        batch.commit()?;
+        Ok(number)
+    }
+
+    /// Begins a batch of changes that become durable together.
+    ///
+    /// # Errors
+    /// [`ErrorKind::System`] if another writer came between.
+    pub fn batch(&mut self) -> Result<Batch<'_>> {
+        self.lock()?;
+        Ok(Batch::new(self))
+    }
+
+    /// Undoes an entry of the log by appending its inverse. Returns the numbers of the new entries. With
+    /// `cascade`, later changes of the same objects and features are undone first, newest first.
+    ///
+    /// # Errors
+    /// [`ErrorKind::Invalid`] naming later changes of the same object or feature, or if it was undone already.
+    pub fn undo(&mut self, number: u64, cascade: bool, note: &Note) -> Result<Vec<u64>> {
+        self.lock()?;
+        let entries = self.entries()?;
+        let plan = log::undo_plan(&entries, number, cascade).map_err(|e| e.in_file(&self.path))?;
+        let mut batch = self.batch()?;
+        let mut made = Vec::with_capacity(plan.len());
+        for n in plan {
+            let place = |e: Error| e.at(format!("undoing change {n}"));
+            let inverse = &entries[n as usize - 1].inverse;
+            let change = batch.change_of_log(inverse).map_err(place)?;
+            let entry = write::Entry { undoes: Some(n), ..write::Entry::default() };
+            made.push(batch.record(change, note, &entry).map_err(place)?);
+        }
+        batch.commit()?;
+        Ok(made)
+    }
+
+    /// The entries that [`Store::undo`] would undo, in its order; nothing is changed.
+    ///
+    /// # Errors
+    /// As [`Store::undo`].
+    pub fn undo_plan(&self, number: u64, cascade: bool) -> Result<Vec<u64>> {
+        log::undo_plan(&self.entries()?, number, cascade).map_err(|e| e.in_file(&self.path))
+    }
+
+    fn entries(&self) -> Result<Vec<LogEntry>> {
+        let mut entries = Vec::new();
+        log::walk(&self.connection, &self.path, &self.meta, |entry| {
+            entries.push(entry);
+            Ok(())
+        })?;
+        Ok(entries)
+    }
+
+    /// The change by which the world would also hold a scene: what is there already, equal, stays as it is. With
+    /// `replace` objects of the scene take the place of those of the same path; features given in their frame stay.
+    ///
+    /// # Errors
+    /// [`ErrorKind::Invalid`] if an object of the same path, but another content, is there and may not be replaced.
+    pub fn merging_scene(&self, scene: &Environment, replace: bool) -> Result<Change> {
+        merge::merge_scene(self.world.environment(), scene, replace)
+    }
+
+    /// Returns the change that merges a layer file; its features replace those of the same id.
+    pub fn merging_layer(&self, file: &LayerFile) -> Change {
+        merge::merge_layer(self.world.environment(), file)
+    }
+
+    /// Commits without waiting for the disk: the planted fault that the tests of durability must find.
+    #[doc(hidden)]
+    pub fn without_sync(&mut self) -> Result<()> {
+        let sql = "ROLLBACK; PRAGMA synchronous = OFF; BEGIN IMMEDIATE";
+        self.connection.execute_batch(sql).map_err(|e| refusal(&self.path, "open the store", e))
+    }
+
+    /// Takes the write lock again if it was lost, and proves that nothing was written meanwhile.
+    fn lock(&mut self) -> Result<()> {
+        if self.locked {
+            return Ok(());
+        }
+        let wrap = |e| refusal(&self.path, "write to the store", e);
+        self.connection.execute_batch("BEGIN IMMEDIATE").map_err(wrap)?;
+        if Meta::read(&self.connection, &self.path)? != self.meta {
+            let _ = self.connection.execute_batch("ROLLBACK");
+            let what = "another program changed the store since it was opened";
+            return Err(Error::new(ErrorKind::System, what, "open it again").in_file(&self.path));
+        }
+        self.locked = true;
+        Ok(())
+    }
+
+    /// Takes note of what the file holds.
+    fn register(&mut self, loaded: &read::StoreVersion) {
+        let read::StoreVersion { environment, meta, meshes, .. } = loaded;
+        self.meta = meta.clone();
+        self.materials = environment.materials().len();
+        let live = environment.objects().iter().zip(0..).filter(|(o, _)| !o.is_deleted());
+        self.objects = live.map(|(o, number)| (o.name.clone(), number)).collect();
+        self.groups = environment.given_groups().map(|(path, _)| path.to_owned()).collect();
+        self.meshes = Meshes { next: 1, ..Meshes::default() };
+        for (number, loaded) in meshes {
+            self.meshes.next = self.meshes.next.max(number + 1);
+            self.meshes.by_content.insert((loaded.name.clone(), loaded.content), *number);
+            if let Some(mesh) = &loaded.mesh {
+                self.meshes.remember(*number, mesh);
+            }
+        }
+    }
+}

@@ -1,0 +1,298 @@
+//! Changes as JSON: the lines of `presight env apply`, and what the log keeps.
+//!
+//! | `op` | keys |
+//! |---|---|
+//! | `move` | `object`, `pose`; what is below the path moves with it. The path may be that of a group: then its frame gets the pose |
+//! | `set_pose` | `object`, `pose`; this object alone; a group as by `move` |
+//! | `delete_object` | `object`; its features go with it. Of a group all that is below is deleted |
+//! | `set_group` | `group`, `pose`: its frame alone; null or absent: it has none of its own |
+//! | `insert_object` | `object`, `pose` (default: the origin), and one of: `from` (a scene file, relative to the file of changes; `from_object` where it holds several); `vertices` [[x, y, z], ..] with `polygons` [[0, 1, 2], ..] and `material` (a name; default `default`, which is made if there is none); `like` (an object that has the mesh). In the log: `mesh` (number of the row), `object_from_mesh` (12 numbers, column by column), `first_source` |
+//! | `add_material` | `name`, and as wanted `reflection`, `one_sided`, `color` [r, g, b], `classes` {class: `opaque`, `transparent` or `invisible`} |
+//! | `insert_feature`, `set_feature` | `class`, `feature`: as in a layer file |
+//! | `restore_feature` | the same: brings a deleted feature back, under its id |
+//! | `delete_feature` | `class`, `feature`: its number |
+//! | `set_tolerance` | `class`, `tolerance` |
+//! | `set_pose_covariance` | `class`, `object`, `covariance`: 36 numbers, or null for none |
+//! | `group` | `changes`: all of them or none |
+//!
+//! A `pose` is x, y, z in metres and roll, pitch, yaw in degrees, or x, y, z, qx, qy, qz, qw.
+
+use crate::layer::{FeatureFields, to_fields};
+use glam::{DAffine3, DQuat, DVec3};
+use presight_model::change::Change;
+use presight_model::environment::{Appearance, Material, Mesh};
+use presight_model::error::{Error, Result};
+use presight_model::geometry::Pose;
+use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+#[derive(Deserialize, Serialize)]
+#[serde(tag = "op", rename_all = "snake_case", deny_unknown_fields)]
+pub(super) enum Op {
+    Move { object: String, pose: Vec<f64> },
+    SetPose { object: String, pose: Vec<f64> },
+    DeleteObject { object: String },
+    SetGroup { group: String, pose: Option<Vec<f64>> },
+    InsertObject(Box<InsertObject>),
+    AddMaterial(MaterialFields),
+    InsertFeature { class: String, feature: Box<FeatureFields> },
+    SetFeature { class: String, feature: Box<FeatureFields> },
+    RestoreFeature { class: String, feature: Box<FeatureFields> },
+    DeleteFeature { class: String, feature: u32 },
+    SetTolerance { class: String, tolerance: f64 },
+    SetPoseCovariance { class: String, object: String, covariance: Option<Vec<f64>> },
+    Group { changes: Vec<Op> },
+}
+
+#[derive(Default, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct InsertObject {
+    pub object: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub pose: Option<Vec<f64>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub object_from_mesh: Option<Vec<f64>>,
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub first_source: u32,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub mesh: Option<i64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub from: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub from_object: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub like: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub vertices: Option<Vec<[f64; 3]>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub polygons: Option<Vec<Vec<u32>>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub material: Option<String>,
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+fn is_zero(x: &u32) -> bool {
+    *x == 0
+}
+
+/// The properties of a material; `name` stands beside them in a change, in a column of its own in the table.
+#[derive(Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct MaterialFields {
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub name: String,
+    #[serde(default = "one")]
+    pub reflection: f64,
+    #[serde(default)]
+    pub one_sided: bool,
+    #[serde(default = "grey")]
+    pub color: [f64; 3],
+    #[serde(default)]
+    pub classes: BTreeMap<String, Appearance>,
+}
+
+fn one() -> f64 {
+    1.0
+}
+
+fn grey() -> [f64; 3] {
+    Material::named("").color.map(f64::from)
+}
+
+impl MaterialFields {
+    pub fn of(m: &Material) -> Self {
+        let color = m.color.map(f64::from);
+        let (name, classes) = (m.name.clone(), m.appearance.clone());
+        Self { name, reflection: m.reflection, one_sided: m.one_sided, color, classes }
+    }
+
+    pub fn material(self) -> Result<Material> {
+        let sound = self.color.iter().all(|c| c.is_finite() && (*c as f32).is_finite());
+        if !sound {
+            return Err(Error::invalid("the colour is not finite", "give [r, g, b] from 0 to 1"));
+        }
+        let color = self.color.map(|c| c as f32);
+        let Self { name, reflection, one_sided, classes: appearance, .. } = self;
+        Ok(Material { name, reflection, one_sided, color, appearance })
+    }
+}
+
+/// What a change touches: two that touch the same do not commute.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Key {
+    /// An object's pose, mesh and being there, or a group's frame.
+    Object(String),
+    /// That there is an object of this name.
+    Existence(String),
+    Feature(String, u32),
+    /// A layer's tolerance and covariances of poses.
+    Layer(String),
+}
+
+impl std::fmt::Display for Key {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Object(name) | Self::Existence(name) => write!(f, "object {name:?}"),
+            Self::Feature(class, id) => write!(f, "feature {id} for class {class:?}"),
+            Self::Layer(class) => write!(f, "layer for class {class:?}"),
+        }
+    }
+}
+
+/// What an operation changes, and what must be there for it.
+#[derive(Default)]
+pub(super) struct KeySets {
+    pub writes: BTreeSet<Key>,
+    pub reads: BTreeSet<Key>,
+}
+
+impl Op {
+    pub fn touched(&self, to: &mut KeySets) {
+        match self {
+            Self::Move { object, .. } | Self::SetPose { object, .. } => {
+                to.writes.insert(Key::Object(object.clone()));
+                to.reads.insert(Key::Existence(object.clone()));
+            }
+            Self::DeleteObject { object } => to.existence(object),
+            Self::SetGroup { group, .. } => {
+                to.writes.insert(Key::Object(group.clone()));
+            }
+            Self::InsertObject(new) => to.existence(&new.object),
+            Self::AddMaterial(_) => {}
+            Self::InsertFeature { class, feature }
+            | Self::SetFeature { class, feature }
+            | Self::RestoreFeature { class, feature } => {
+                to.writes.insert(Key::Feature(class.clone(), feature.id));
+                to.reads.insert(Key::Layer(class.clone()));
+                to.reads.extend(feature.object.clone().map(Key::Existence));
+            }
+            Self::DeleteFeature { class, feature } => {
+                to.writes.insert(Key::Feature(class.clone(), *feature));
+            }
+            Self::SetTolerance { class, .. } => {
+                to.writes.insert(Key::Layer(class.clone()));
+            }
+            Self::SetPoseCovariance { class, object, .. } => {
+                to.writes.insert(Key::Layer(class.clone()));
+                to.reads.insert(Key::Existence(object.clone()));
+            }
+            Self::Group { changes } => changes.iter().for_each(|op| op.touched(to)),
+        }
+    }
+
+    /// What the log keeps of a change; `number_of` tells the row of a mesh.
+    pub fn of(change: &Change, number_of: &mut impl FnMut(&Arc<Mesh>) -> Result<i64>) -> Result<Self> {
+        let pose = pose_fields;
+        let boxed = |feature| Box::new(to_fields(feature));
+        Ok(match change {
+            Change::AddMaterial(material) => Self::AddMaterial(MaterialFields::of(material)),
+            Change::InsertObject(new) => Self::InsertObject(Box::new(InsertObject {
+                object: new.name.clone(),
+                pose: Some(pose(&new.world_from_object)),
+                object_from_mesh: affine_fields(&new.object_from_mesh),
+                first_source: new.first_source,
+                mesh: Some(number_of(&new.mesh)?),
+                ..InsertObject::default()
+            })),
+            Change::MoveObject { name, world_from_object } => {
+                Self::Move { object: name.clone(), pose: pose(world_from_object) }
+            }
+            Change::SetPose { name, world_from_object } => {
+                Self::SetPose { object: name.clone(), pose: pose(world_from_object) }
+            }
+            Change::DeleteObject { name } => Self::DeleteObject { object: name.clone() },
+            Change::SetFrame { name, world_from_group } => {
+                Self::SetGroup { group: name.clone(), pose: world_from_group.as_ref().map(pose) }
+            }
+            Change::InsertFeature { class, feature } => {
+                Self::InsertFeature { class: class.clone(), feature: boxed(feature) }
+            }
+            Change::RestoreFeature { class, feature } => {
+                Self::RestoreFeature { class: class.clone(), feature: boxed(feature) }
+            }
+            Change::SetFeature { class, feature } => Self::SetFeature { class: class.clone(), feature: boxed(feature) },
+            Change::DeleteFeature { class, id } => Self::DeleteFeature { class: class.clone(), feature: *id },
+            Change::SetTolerance { class, tolerance } => {
+                Self::SetTolerance { class: class.clone(), tolerance: *tolerance }
+            }
+            Change::SetPoseCovariance { class, object, covariance } => Self::SetPoseCovariance {
+                class: class.clone(),
+                object: object.clone(),
+                covariance: covariance.map(|c| c.as_flattened().to_vec()),
+            },
+            Change::Group(changes) => {
+                Self::Group { changes: changes.iter().map(|c| Self::of(c, number_of)).collect::<Result<_>>()? }
+            }
+        })
+    }
+}
+
+impl KeySets {
+    fn existence(&mut self, object: &str) {
+        self.writes.insert(Key::Object(object.to_owned()));
+        self.writes.insert(Key::Existence(object.to_owned()));
+    }
+
+    pub fn of(ops: &[&Op]) -> Self {
+        let mut touched = Self::default();
+        ops.iter().for_each(|op| op.touched(&mut touched));
+        touched
+    }
+}
+
+/// Twelve numbers, or nothing for the identity.
+pub(super) fn affine_fields(m: &DAffine3) -> Option<Vec<f64>> {
+    let plain = m.to_cols_array().map(f64::to_bits) == DAffine3::IDENTITY.to_cols_array().map(f64::to_bits);
+    (!plain).then(|| m.to_cols_array().to_vec())
+}
+
+pub(super) fn affine_of(fields: Option<&[f64]>) -> Result<DAffine3> {
+    let Some(fields) = fields else { return Ok(DAffine3::IDENTITY) };
+    let columns: [f64; 12] =
+        fields.try_into().map_err(|_| Error::invalid("object_from_mesh has 12 numbers", "give 12 numbers"))?;
+    let m = DAffine3::from_cols_array(&columns);
+    if !m.is_finite() || m.matrix3.determinant() == 0.0 {
+        return Err(Error::invalid("object_from_mesh is not finite or flattens the mesh", "give a scale"));
+    }
+    Ok(m)
+}
+
+/// A pose as seven numbers.
+pub(super) fn pose_fields(pose: &Pose) -> Vec<f64> {
+    pose.translation.to_array().into_iter().chain(pose.rotation.to_array()).collect()
+}
+
+/// A pose of six or seven numbers; a quaternion that is one already keeps its bits, so that what we wrote reads back
+/// equal.
+pub(super) fn pose_of(numbers: &[f64]) -> Result<Pose> {
+    const UNIT: f64 = 1e-9;
+    let at = |i: usize| DVec3::new(numbers[i], numbers[i + 1], numbers[i + 2]);
+    let pose = match numbers.len() {
+        6 => {
+            let [roll, pitch, yaw] = at(3).to_array().map(f64::to_radians);
+            Pose::from_xyz_rpy(at(0), roll, pitch, yaw)
+        }
+        7 => {
+            let rotation = DQuat::from_xyzw(numbers[3], numbers[4], numbers[5], numbers[6]);
+            let unit = (rotation.length_squared() - 1.0).abs() <= UNIT;
+            let scaled = rotation.length().recip().is_normal();
+            Pose { translation: at(0), rotation: if scaled && !unit { rotation.normalize() } else { rotation } }
+        }
+        n => {
+            let what = format!("the pose has {n} numbers");
+            let remedy = "give [x, y, z, roll_deg, pitch_deg, yaw_deg] or [x, y, z, qx, qy, qz, qw]";
+            return Err(Error::invalid(what, remedy));
+        }
+    };
+    presight_model::environment::check_pose(&pose)?;
+    Ok(pose)
+}
+
+pub(super) fn covariance_of(fields: Option<Vec<f64>>) -> Result<Option<[[f64; 6]; 6]>> {
+    let Some(fields) = fields else { return Ok(None) };
+    if fields.len() != 36 {
+        return Err(Error::invalid(format!("the covariance has {} numbers", fields.len()), "give 36, row by row"));
+    }
+    Ok(Some(std::array::from_fn(|i| std::array::from_fn(|j| fields[6 * i + j]))))
+}

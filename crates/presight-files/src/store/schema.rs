@@ -1,0 +1,187 @@
+//! The tables, how a store is opened, and what SQLite's refusals mean.
+
+use crate::inputs;
+use presight_model::error::{Error, ErrorKind, Result};
+use rusqlite::{Connection, ErrorCode, OpenFlags};
+use std::path::Path;
+use std::time::Duration;
+
+/// "prsg": tells a store from SQLite files of other programs.
+pub(super) const APPLICATION_ID: i32 = 0x7072_7367;
+/// The one version that this build reads and writes.
+pub(super) const FORMAT: i32 = 4;
+/// How long another program's commit is waited for.
+const PATIENCE: Duration = Duration::from_secs(3);
+
+/// Text of each table, as SQLite keeps it.
+pub(super) const TABLES: [(&str, &str); 8] = [
+    (
+        "features",
+        "CREATE TABLE features(class TEXT NOT NULL, id INTEGER NOT NULL, kind TEXT, object TEXT, feature TEXT, \
+         hash BLOB NOT NULL, PRIMARY KEY(class, id)) WITHOUT ROWID",
+    ),
+    (
+        "groups",
+        "CREATE TABLE groups(path TEXT PRIMARY KEY NOT NULL, pose TEXT NOT NULL, hash BLOB NOT NULL) WITHOUT ROWID",
+    ),
+    (
+        "layers",
+        "CREATE TABLE layers(class TEXT PRIMARY KEY NOT NULL, tolerance TEXT NOT NULL, \
+         pose_covariances TEXT NOT NULL, hash BLOB NOT NULL) WITHOUT ROWID",
+    ),
+    (
+        "log",
+        "CREATE TABLE log(number INTEGER PRIMARY KEY, time REAL NOT NULL, cause TEXT NOT NULL, id TEXT, \
+         undoes INTEGER, change TEXT NOT NULL, inverse TEXT NOT NULL, request BLOB, hash BLOB NOT NULL)",
+    ),
+    (
+        "materials",
+        "CREATE TABLE materials(number INTEGER PRIMARY KEY, name TEXT NOT NULL, properties TEXT NOT NULL, \
+         hash BLOB NOT NULL)",
+    ),
+    (
+        "meshes",
+        "CREATE TABLE meshes(number INTEGER PRIMARY KEY, name TEXT NOT NULL, vertices INTEGER NOT NULL, \
+         polygons INTEGER NOT NULL, hash BLOB NOT NULL, content BLOB NOT NULL)",
+    ),
+    (
+        "meta",
+        "CREATE TABLE meta(one INTEGER PRIMARY KEY CHECK(one = 1), created REAL NOT NULL, cause TEXT NOT NULL, \
+         genesis BLOB NOT NULL, next_object INTEGER NOT NULL, next_slot INTEGER NOT NULL, changes INTEGER NOT NULL, \
+         head BLOB NOT NULL, digest BLOB NOT NULL, hash BLOB NOT NULL)",
+    ),
+    (
+        "objects",
+        "CREATE TABLE objects(number INTEGER PRIMARY KEY, name TEXT NOT NULL, pose TEXT NOT NULL, \
+         object_from_mesh TEXT, mesh INTEGER NOT NULL, first_slot INTEGER NOT NULL, first_source INTEGER NOT NULL, \
+         hash BLOB NOT NULL)",
+    ),
+];
+
+/// What a connection is for.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Access {
+    /// Reads; what a killed writer left is still rolled back, which writes.
+    Read,
+    /// Commits changes, each through to the disk.
+    Write,
+}
+
+/// Opens a store; for writing, one whose tables are those of [`FORMAT`].
+pub(super) fn connect(path: &Path, access: Access) -> Result<Connection> {
+    inputs::note(path);
+    let metadata = std::fs::metadata(path).map_err(|e| Error::io(path, "open the store", e))?;
+    if !metadata.is_file() {
+        return Err(Error::invalid("this is no file", "name a .presight file").in_file(path));
+    }
+    if metadata.len() == 0 {
+        // Such as those that the system makes up while they are read, and that may keep the reader waiting.
+        return Err(Error::invalid("the file is empty", "name a .presight file").in_file(path));
+    }
+    let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+    let wrap = |e| refusal(path, "open the store", e);
+    let connection = Connection::open_with_flags(path, flags).map_err(wrap)?;
+    connection.busy_timeout(PATIENCE).map_err(wrap)?;
+    connection.set_prepared_statement_cache_capacity(64);
+    // Nothing in the file is run as a program.
+    connection.execute_batch("PRAGMA trusted_schema = OFF; PRAGMA cell_size_check = ON;").map_err(wrap)?;
+    match access {
+        Access::Read => connection.execute_batch("PRAGMA query_only = ON").map_err(wrap)?,
+        Access::Write => {
+            check_identity(&connection, path)?;
+            make_durable(&connection, path)?;
+        }
+    }
+    Ok(connection)
+}
+
+pub(super) fn pragma<T: rusqlite::types::FromSql>(connection: &Connection, name: &str) -> rusqlite::Result<T> {
+    connection.query_row(&format!("PRAGMA {name}"), [], |row| row.get(0))
+}
+
+/// Refuses what is no store of [`FORMAT`], as the transaction that is open sees it.
+pub(super) fn check_identity(connection: &Connection, path: &Path) -> Result<()> {
+    let wrap = |e| refusal(path, "open the store", e);
+    let application: i32 = pragma(connection, "application_id").map_err(wrap)?;
+    if application != APPLICATION_ID {
+        let what = "this SQLite file is not a presight store";
+        return Err(Error::invalid(what, "presight env create makes one").in_file(path));
+    }
+    let version: i32 = pragma(connection, "user_version").map_err(wrap)?;
+    if version > FORMAT {
+        let what = format!("format {version} is newer than this presight, which reads format {FORMAT}");
+        return Err(Error::new(ErrorKind::Unsupported, what, "update presight").in_file(path));
+    }
+    if version < 1 {
+        return Err(damaged(format!("format {version} never existed")).in_file(path));
+    }
+    if version < FORMAT {
+        let what = format!("format {version} is of a version before the first release, and is no longer read");
+        let remedy =
+            "make the store again with presight env create, from its scene or from what its own version exports";
+        return Err(Error::new(ErrorKind::Unsupported, what, remedy).in_file(path));
+    }
+    let mut statement = connection.prepare("SELECT type, name, sql FROM sqlite_schema ORDER BY name").map_err(wrap)?;
+    let columns = |row: &rusqlite::Row<'_>| Ok((row.get(0)?, row.get(1)?, row.get(2)?));
+    let found: Vec<(String, String, Option<String>)> =
+        statement.query_map([], columns).and_then(Iterator::collect).map_err(wrap)?;
+    let same = found.len() == TABLES.len()
+        && found
+            .iter()
+            .zip(TABLES)
+            .all(|((kind, name, sql), (table, text))| kind == "table" && name == table && sql.as_deref() == Some(text));
+    if same { Ok(()) } else { Err(damaged(format!("its tables are not those of format {FORMAT}")).in_file(path)) }
+}
+
+/// A commit is on the disk when it returns, the deletion of the journal included.
+fn make_durable(connection: &Connection, path: &Path) -> Result<()> {
+    let wrap = |e| refusal(path, "open the store for writing", e);
+    if connection.is_readonly("main").map_err(wrap)? {
+        let what = "the store is read-only";
+        return Err(Error::new(ErrorKind::System, what, "check the permissions of file and folder").in_file(path));
+    }
+    let mode: String = connection.query_row("PRAGMA journal_mode = DELETE", [], |row| row.get(0)).map_err(wrap)?;
+    connection.execute_batch("PRAGMA synchronous = EXTRA; PRAGMA cache_size = -16384;").map_err(wrap)?;
+    let synchronous: i64 = pragma(connection, "synchronous").map_err(wrap)?;
+    if mode != "delete" || synchronous != 3 {
+        let what = format!("journal mode {mode}, synchronous {synchronous}: changes would not be durable");
+        return Err(Error::new(ErrorKind::System, what, "close what else uses the store").in_file(path));
+    }
+    Ok(())
+}
+
+/// A store whose bytes are not what was written.
+pub(super) fn damaged(what: impl std::fmt::Display) -> Error {
+    Error::invalid(format!("the store is damaged: {what}"), "fetch it from a backup")
+}
+
+/// What SQLite says, as an error of ours.
+pub(super) fn refusal(path: &Path, doing: &str, e: rusqlite::Error) -> Error {
+    use ErrorKind::System;
+    let system = |what: &str, remedy: &str| Error::new(System, format!("cannot {doing}: {what}"), remedy);
+    let said = e.to_string();
+    let moved = e.sqlite_error().is_some_and(|e| e.extended_code == rusqlite::ffi::SQLITE_READONLY_DBMOVED);
+    let unopened = matches!(e.sqlite_error_code(), Some(ErrorCode::ReadOnly | ErrorCode::CannotOpen));
+    if moved || unopened && !path.exists() {
+        let what = "it was moved, replaced or deleted while it was open";
+        return system(what, "open it again where it is now").in_file(path).caused_by(e);
+    }
+    let error = match e.sqlite_error_code() {
+        Some(ErrorCode::DatabaseBusy | ErrorCode::DatabaseLocked | ErrorCode::FileLockingProtocolFailed) => system(
+            "another program has it open, for writing or reading (locked)",
+            "wait until that has ended, or stop it",
+        ),
+        Some(ErrorCode::DiskFull) => system("the disk is full", "free some disk space"),
+        Some(ErrorCode::ReadOnly | ErrorCode::PermissionDenied | ErrorCode::CannotOpen) => {
+            system(&said, "check the permissions of file and folder")
+        }
+        Some(ErrorCode::SystemIoFailure | ErrorCode::OutOfMemory | ErrorCode::NoLargeFileSupport) => {
+            system(&said, "check disk and permissions")
+        }
+        Some(ErrorCode::NotADatabase) => {
+            Error::invalid("this is not an SQLite file, or its start is damaged", "name a .presight file")
+        }
+        _ => damaged(&said),
+    };
+    error.in_file(path).caused_by(e)
+}

@@ -1,0 +1,156 @@
+//! Trajectories in the format of the TUM RGB-D benchmark: one pose per line, `timestamp tx ty tz qx qy qz qw`.
+
+use super::file;
+use super::text::{read_line, read_text};
+use glam::{DQuat, DVec3};
+use presight_model::error::{Error, Result};
+use presight_model::geometry::Pose;
+use presight_model::printable::quoted;
+use std::fs::File;
+use std::io::{BufReader, Take};
+use std::path::{Path, PathBuf};
+
+/// A pose with its time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StampedPose {
+    /// Time in seconds.
+    pub time: f64,
+    /// The pose.
+    pub pose: Pose,
+}
+
+/// Reads a trajectory; lines that start with `#` and empty ones are skipped.
+///
+/// # Errors
+/// [`crate::ErrorKind::Invalid`] naming a line that is not eight finite numbers with a non-zero quaternion.
+pub fn read(path: &Path) -> Result<Vec<StampedPose>> {
+    read_text(path).and_then(|text| parse(&text)).map_err(|e| e.in_file(path))
+}
+
+/// As [`read`], each pose with its time as it is written.
+///
+/// # Errors
+/// As [`read`].
+pub fn read_with_stamps(path: &Path) -> Result<Vec<(String, StampedPose)>> {
+    let text = read_text(path)?;
+    let poses = parse_with_stamps(&text).map_err(|e| e.in_file(path))?;
+    Ok(poses.into_iter().map(|(stamp, pose)| (stamp.to_owned(), pose)).collect())
+}
+
+/// Reads the text of a trajectory.
+///
+/// # Errors
+/// As [`read`], without the file.
+pub fn parse(text: &str) -> Result<Vec<StampedPose>> {
+    Ok(parse_with_stamps(text)?.into_iter().map(|(_, stamped)| stamped).collect())
+}
+
+/// As [`parse`], each pose with its time as it is written.
+///
+/// # Errors
+/// As [`parse`].
+pub fn parse_with_stamps(text: &str) -> Result<Vec<(&str, StampedPose)>> {
+    let mut poses = Vec::new();
+    for (number, line) in (1..).zip(text.lines()) {
+        let line = line.trim();
+        if !line.is_empty() && !line.starts_with('#') {
+            let pose = stamped(line).map_err(|e| e.at(format!("line {number}")))?;
+            poses.push((line.split_whitespace().next().unwrap_or_default(), pose));
+        }
+    }
+    Ok(poses)
+}
+
+/// Poses of a file, read line by line.
+pub struct Stream {
+    path: PathBuf,
+    reader: BufReader<Take<File>>,
+    line: usize,
+    ended: bool,
+}
+
+/// Opens a trajectory that may be longer than memory. What is wrong with a line is told when it is read; then the stream ends.
+///
+/// # Errors
+/// Those of opening a file; pipes are refused, for what is read twice.
+pub fn stream(path: &Path) -> Result<Stream> {
+    let reader = BufReader::new(file::open(path)?);
+    Ok(Stream { path: path.to_owned(), reader, line: 0, ended: false })
+}
+
+impl Iterator for Stream {
+    type Item = Result<StampedPose>;
+
+    fn next(&mut self) -> Option<Result<StampedPose>> {
+        while !self.ended {
+            self.line += 1;
+            let line = match read_line(&mut self.reader, self.line).transpose()? {
+                Ok(line) => line,
+                Err(e) => {
+                    self.ended = true;
+                    return Some(Err(e.in_file(&self.path)));
+                }
+            };
+            let line = line.trim();
+            if !line.is_empty() && !line.starts_with('#') {
+                let pose = stamped(line).map_err(|e| e.at(format!("line {}", self.line)).in_file(&self.path));
+                self.ended = pose.is_err();
+                return Some(pose);
+            }
+        }
+        None
+    }
+}
+
+fn stamped(line: &str) -> Result<StampedPose> {
+    let wrong = |what: String| Error::invalid(what, "write timestamp tx ty tz qx qy qz qw, separated by spaces");
+    let mut numbers = [0.0; 8];
+    let mut words = line.split_whitespace();
+    for number in &mut numbers {
+        let word = words.next().ok_or_else(|| wrong("there are fewer than eight numbers".into()))?;
+        let value = word.parse::<f64>().ok().filter(|v| v.is_finite());
+        *number = value.ok_or_else(|| wrong(format!("{} is not a finite number", quoted(word))))?;
+    }
+    if let Some(word) = words.next() {
+        return Err(wrong(format!("{} comes after the eighth number", quoted(word))));
+    }
+    let [time, x, y, z, qx, qy, qz, qw] = numbers;
+    let pose = Pose::new(DVec3::new(x, y, z), DQuat::from_xyzw(qx, qy, qz, qw));
+    Ok(StampedPose {
+        time,
+        pose: pose.map_err(|_| wrong("the pose is too far away, or its quaternion has no length".into()))?,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_become_poses_and_faults_name_theirs() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.tum");
+        std::fs::write(&path, "# time x y z q\n\n1.5 1 2 3 0 0 0 2\n").unwrap();
+        let read_back = read(&path).unwrap();
+        assert_eq!(read_back.len(), 1);
+        assert_eq!((read_back[0].time, read_back[0].pose.translation), (1.5, DVec3::new(1.0, 2.0, 3.0)));
+        assert_eq!(read_back[0].pose.rotation, DQuat::IDENTITY);
+        assert_eq!(stream(&path).unwrap().map(Result::unwrap).collect::<Vec<_>>(), read_back);
+        for bad in [
+            "1 2 3",
+            "0 0 0 0 0 0 0 0",
+            "0 0 NaN 0 0 0 0 1",
+            "0 0 0 0 0 0 0 1 9",
+            "0 0 0 x 0 0 0 1",
+            "0 0 0 0 1e200 0 0 1",
+            "0 1e300 0 0 0 0 0 1",
+        ] {
+            std::fs::write(&path, format!("# a\n{bad}\n")).unwrap();
+            let e = read(&path).unwrap_err();
+            assert!(e.to_string().contains("line 2"), "{e}");
+            let mut stream = stream(&path).unwrap();
+            assert_eq!(stream.next().unwrap().unwrap_err().to_string(), e.to_string());
+            assert!(stream.next().is_none());
+        }
+    }
+}

@@ -1,0 +1,67 @@
+//! A pose from sources that need no new prediction: features that were matched in images, alone or together.
+
+use super::answer::{covariance, weak_directions};
+use super::normal::{CommonError, Freedom, Normal};
+use super::{Gate, Kernel, Prior, Residuals, WeakDirection};
+use crate::motion::{motion_between, moved};
+use presight_model::error::Result;
+use presight_model::geometry::Pose;
+use presight_model::matrix::{Matrix, add_to, apply, inverse, restricted};
+
+/// A pose, and how well it is known.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Fit {
+    /// world_from_robot.
+    pub pose: Pose,
+    /// x y z, then rotation about fixed x y z, world axes; metres and radians. Each residual has its own error here.
+    pub covariance: Matrix,
+    /// Directions in which the sources say less than was known before.
+    pub weak: Vec<WeakDirection>,
+    /// Residuals that the pose explains, of those measured.
+    pub explained: (usize, usize),
+}
+
+/// Steps, and the first of them that give outliers no weight.
+const STEPS: (usize, usize) = (20, 8);
+/// Metres at which a turn counts like a shift of as much, for naming weak directions.
+const REACH: f64 = 3.0;
+/// A direction is weak where the sources alone are looser, metres.
+const LOOSEST: f64 = 0.5;
+
+/// The pose that fits the sources and the prior best: Gauss and Newton, wide at first, outliers without weight at last.
+///
+/// # Errors
+/// [`crate::ErrorKind::Usage`] for a prior whose covariance is none.
+pub fn fit(sources: &[&dyn Residuals], prior: &Prior, freedom: Freedom) -> Result<Fit> {
+    prior.check(freedom)?;
+    let axes = freedom.axes();
+    let known = inverse(&prior.covariance, axes);
+    let sigma =
+        |from: usize| axes.iter().filter(|i| **i / 3 == from).map(|i| prior.covariance[*i][*i]).sum::<f64>().sqrt();
+    let (mut pose, mut factor, mut spread) = (prior.pose, 1.0, 1.0f64);
+    for k in 0..STEPS.0 {
+        let last = k + 1 == STEPS.0;
+        let kernel = if k < STEPS.1 { Kernel::Wide } else { Kernel::Redescending { spread } };
+        let (translation, rotation) = (factor * sigma(0), factor * sigma(1));
+        let gate = Gate { translation, rotation, kernel, points: usize::MAX, finally: last };
+        let mut normal = Normal::default();
+        sources.iter().for_each(|s| normal.add(&s.linearize(&pose, &gate)));
+        spread = (1.4826 * normal.spread).clamp(1.0, 3.0);
+        if last {
+            let none = |_: CommonError| [[0.0; 6]; 6];
+            return Ok(Fit {
+                pose,
+                covariance: covariance(&normal, Some(&known), freedom, spread, &none),
+                weak: weak_directions(&normal, Some(&prior.covariance), freedom, REACH, spread, LOOSEST, &none),
+                explained: (normal.explained, normal.measured),
+            });
+        }
+        let (mut h, mut g) = (restricted(&normal.information, axes), normal.gradient);
+        add_to(&mut h, &known);
+        let pull = apply(&known, &motion_between(&prior.pose, &pose));
+        (0..6).for_each(|i| g[i] += pull[i]);
+        pose = moved(&pose, &apply(&inverse(&h, axes), &g).map(|x| -x));
+        factor = (0.7 * factor).max(0.1);
+    }
+    unreachable!("the last step returns")
+}

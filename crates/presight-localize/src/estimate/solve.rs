@@ -1,0 +1,562 @@
+//! The iteration: predict, compare, move, twice; and again from elsewhere where that explains too little.
+
+use super::Prior;
+use super::answer::{Estimate, EstimateState, Hypothesis, covariance, weak_directions};
+use super::descent::{LOOK, NEAR, SEARCH, SETTLE, Schedule, descend, serves};
+use super::findings::{find_at, has_reflectors, place_error, reflectors};
+use super::normal::{CommonError, Freedom, Normal};
+use super::offsets::OffsetVariance;
+use super::range::measured_points;
+use super::reflectors::{MatchedReflectors, hold, other_camp};
+use super::run::{Expectation, FrameMeasurement, LEAD, Minimum, Run};
+use crate::extract::{Findings, MeasuredRanges};
+use crate::matching::{Shape, chi_squared_quantile};
+use crate::motion::{Vector, motion_between, moved};
+use crate::verdict::{ExpectedImage, Surfaces, Uncertainty, Verdicts, body_from_image, judge};
+use glam::DVec3;
+use presight_features::{FeatureOptions, PlacedFeatures};
+use presight_model::error::{Error, Result};
+use presight_model::frame::{Frame, RangeNoise};
+use presight_model::geometry::Pose;
+use presight_model::matrix::{Matrix, add_to, eigen, inverse, quadratic, restricted, scaled};
+use presight_model::random::SplitMix64;
+use presight_model::world::World;
+use presight_predict::predict::Predictor;
+use rayon::prelude::*;
+use std::sync::Arc;
+
+/// How an [`Estimator`] works.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EstimateOptions {
+    /// Which numbers of the pose are looked for.
+    pub freedom: Freedom,
+    /// Share of the measured points that the right pose has to explain.
+    pub least_explained: f64,
+    /// Most full predictions of an estimate.
+    pub most_predictions: usize,
+    /// How far polygons may be off along their normals, one standard deviation, metres. It is each point's own.
+    pub model_sigma: f64,
+    /// Standard deviation of the offsets that polygons of one plane share, metres, until it is learnt.
+    pub offset_sigma: f64,
+    /// A direction is weak where the measurement alone is looser, metres.
+    pub loosest: f64,
+    /// Only the surfaces of this object count, by its index: the pose is then told as if the object stood where the model has it, and
+    /// [`Estimate::relative_to`] tells it in the object's own frame, for docking.
+    pub only: Option<u32>,
+}
+
+impl Default for EstimateOptions {
+    fn default() -> Self {
+        Self {
+            freedom: Freedom::Full,
+            least_explained: 0.75,
+            most_predictions: 12,
+            model_sigma: 0.0,
+            offset_sigma: 0.003,
+            loosest: 0.5,
+            only: None,
+        }
+    }
+}
+
+impl EstimateOptions {
+    /// For a level scanner of one row on a level floor. Plans and maps of buildings are off by centimetres, and a row meets much
+    /// that they leave out.
+    pub fn planar() -> Self {
+        let (freedom, model_sigma) = (Freedom::Planar, 0.03);
+        Self { freedom, model_sigma, offset_sigma: 0.02, least_explained: 0.5, ..Self::default() }
+    }
+
+    /// For scans of points all round, in maps made of such scans: leaves and wires are seen at other places each time, and much
+    /// of what is seen was hidden before.
+    pub fn scan() -> Self {
+        Self { model_sigma: 0.1, offset_sigma: 0.02, least_explained: 0.5, ..Self::default() }
+    }
+}
+
+/// Estimates poses from frames, one after the other.
+pub struct Estimator {
+    pub predictor: Predictor,
+    surfaces: Surfaces,
+    features: FeatureOptions,
+    pub options: EstimateOptions,
+    /// Of the offsets of polygon groups.
+    offsets: OffsetVariance,
+    /// The prediction that the frame before ended with, and the version of the world that it is of.
+    before: Option<(u64, Arc<Expectation>)>,
+}
+
+/// Prior standard deviations that the first gate is wide.
+const GATE: f64 = 1.75;
+/// Starts that are drawn from the prior in one go.
+const DRAWS: usize = 16;
+
+/// A prior that is tighter leaves room for one minimum only: metres and radians of the gate.
+const LOOSE: (f64, f64) = (0.05, 0.05);
+/// A pose as far from the prior as one in 100 is looked for anew, from elsewhere: standard normal deviate.
+const DOUBTFUL: f64 = 2.326;
+/// By how much a pose may be off in standard deviations of a search, of independent errors, for regions of interest.
+const SETTLED: f64 = 3.0;
+/// A pose that grey images alone tell rests on at least so many features, or on so many fiducials: they are never taken for another, but of
+/// two nobody knows which one was moved.
+const FEWEST: (usize, usize) = (4, 3);
+/// And more than half of the matches have to agree: some edges are always taken for others, and of two fiducials one may have been moved.
+const LEAST_MATCHED: f64 = 0.55;
+/// And the pose has to be one that was to be expected: standard normal deviates of the probability of one as far from the prior, 1 in 10,000,
+/// and of one as far from where all but one fiducial lead, 1 in 1,000.
+const UNLIKELY: (f64, f64) = (3.719, 3.09);
+
+impl Estimator {
+    /// Makes an estimator that predicts with `predictor`.
+    pub fn new(predictor: Predictor, options: EstimateOptions) -> Self {
+        let offsets = OffsetVariance::of_sigma(options.offset_sigma);
+        Self {
+            predictor,
+            surfaces: Surfaces::default(),
+            features: FeatureOptions::default(),
+            options,
+            offsets,
+            before: None,
+        }
+    }
+
+    /// With the features that are looked for in grey images, and the reflectors in scans with intensities, instead of the world's own layer
+    /// for the sensor's class. They have to be placed in the world that frames are compared with.
+    #[must_use]
+    pub fn with_features(self, placed: PlacedFeatures) -> Self {
+        Self { features: FeatureOptions::default().with_placed(placed), ..self }
+    }
+
+    /// Where the robot is, by frames of its sensors taken at one time: ranges, and grey images in which features are looked for.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Usage`] without a frame, for a prior that is none, and for a grey image without features to look for;
+    /// those of [`Predictor::predict`].
+    pub fn estimate(&mut self, world: &World, frames: &[&Frame], prior: &Prior) -> Result<Estimate> {
+        // One hand-over to the threads: one for each part of it costs as much as the parts of a scan.
+        let threads = self.predictor.task_threads()?;
+        threads.run(|| self.estimate_here(world, frames, prior))?
+    }
+
+    fn estimate_here(&mut self, world: &World, frames: &[&Frame], prior: &Prior) -> Result<Estimate> {
+        let mut run = self.start(world, frames, prior)?;
+        if run.is_blind() {
+            return Ok(self.blind(&run));
+        }
+        let expected = match self.at_hand(&run) {
+            Some(before) => before,
+            None => self.expected(&mut run, &prior.pose, &prior.covariance)?,
+        };
+        run.first = Some(expected.clone());
+        let found = self.descend(&run, &expected, prior.pose, &SEARCH);
+        let mut best = self.settle(&mut run, &found)?;
+        // What was matched in grey images is matched from another start, too.
+        let reflectors = MatchedReflectors::at(&run, &best.expected, &best.pose).counts();
+        let doubtful = (best.normal.explained_share() < self.options.least_explained && !hold(reflectors))
+            || run.deviations_squared(&best.pose)
+                > chi_squared_quantile(self.options.freedom.axes().len() as u32, DOUBTFUL);
+        if !run.has_greys_only() && doubtful {
+            best = self.restart(&mut run, &expected, best)?;
+        }
+        let others = self.other_minima(&mut run, &best)?;
+        // Of what is not explained nobody knows which polygons it was.
+        if best.normal.explained_share() >= self.options.least_explained {
+            self.offsets.learn(&best.normal, &run.prior_information, self.options.freedom);
+        }
+        self.before = Some((world.stamp(), best.expected.clone()));
+        self.answer(&run, best, others)
+    }
+
+    /// The prediction that the frame before ended with, if it was made near the prior's pose: it serves for the search, which ends in a
+    /// prediction of its own.
+    fn at_hand(&self, run: &Run<'_>) -> Option<Arc<Expectation>> {
+        let (_, before) = self.before.as_ref().filter(|(stamp, _)| *stamp == run.world.stamp())?;
+        let near = |(e, m): (&ExpectedImage, &FrameMeasurement<'_>)| {
+            let sensor = m.frame.sensor();
+            let off =
+                motion_between(&e.world_from_image, &(run.prior.pose * sensor.spec().mount * body_from_image(sensor)));
+            e.sensor.spec() == sensor.spec() && length(&off[..3]) < LOOSE.0 && length(&off[3..]) < LOOSE.1
+        };
+        let same = run.looked.is_empty() && before.images.len() == run.measured.len();
+        (same && before.images.iter().zip(&run.measured).all(near)).then(|| before.clone())
+    }
+
+    /// The minimum that the prior's pose leads to, whatever it explains: nothing else is looked for, and nothing is learnt.
+    pub(crate) fn refine(&mut self, world: &World, frame: &Frame, prior: &Prior) -> Result<Estimate> {
+        let mut run = self.start(world, &[frame], prior)?;
+        if run.is_blind() {
+            return Ok(self.blind(&run));
+        }
+        let expected = self.expected(&mut run, &prior.pose, &prior.covariance)?;
+        let found = self.descend(&run, &expected, prior.pose, &SEARCH);
+        let end = self.settle(&mut run, &found)?;
+        self.answer(&run, end, Vec::new())
+    }
+
+    /// Where the reflectors are that are looked for in the scans of a frame's sensor, world, metres.
+    pub(crate) fn reflectors(&self, world: &World, frame: &Frame) -> Vec<DVec3> {
+        reflectors(world, &self.features, frame).collect()
+    }
+
+    fn start<'a>(&mut self, world: &'a World, frames: &[&'a Frame], prior: &Prior) -> Result<Run<'a>> {
+        prior.check(self.options.freedom)?;
+        if frames.is_empty() {
+            return Err(Error::usage("an estimate without a frame", "give at least one"));
+        }
+        let ranges: Vec<&Frame> = frames.iter().copied().filter(|f| f.grey().is_none()).collect();
+        let is_looked_at = |f: &&Frame| f.grey().is_some() || has_reflectors(world, &self.features, f);
+        let looked = frames.iter().copied().filter(is_looked_at).collect();
+        let one =
+            |frame| FrameMeasurement { frame, points: measured_points(frame), noise: RangeNoise::of(frame.sensor()) };
+        let measured: Vec<FrameMeasurement<'a>> =
+            self.predictor.on_threads(|| ranges.into_iter().map(one).collect())?;
+        let axes = self.options.freedom.axes();
+        let sigma =
+            |from: usize| axes.iter().filter(|i| **i / 3 == from).map(|i| prior.covariance[*i][*i]).sum::<f64>().sqrt();
+        Ok(Run {
+            world,
+            reach: reach_of(&measured, std::iter::empty()),
+            measured,
+            looked,
+            model_sigma: self.options.model_sigma,
+            offset_sigma: self.offsets.sigma(),
+            prior: *prior,
+            prior_information: inverse(&prior.covariance, axes),
+            unlikely: chi_squared_quantile(axes.len() as u32, UNLIKELY.0),
+            extent: (GATE * sigma(0), (GATE * sigma(1)).min(1.0)),
+            only: self.options.only,
+            first: None,
+            predictions: 0,
+        })
+    }
+
+    /// Looks for a second pose that explains the measurement about as well: starts from the far ends of the prior, along the
+    /// axes along which it leaves room for one, go where they go.
+    fn other_minima(&mut self, run: &mut Run<'_>, best: &Minimum) -> Result<Vec<Minimum>> {
+        if run.extent.0 < LOOSE.0 && run.extent.1 < LOOSE.1 {
+            return Ok(Vec::new());
+        }
+        let (freedom, offset_sigma) = (self.options.freedom, self.offsets.sigma());
+        let starts = far_ends(run, best, freedom);
+        let reflectors = MatchedReflectors::at(run, &best.expected, &best.pose).counts();
+        let ends = if reflectors.1 > 0 {
+            // What was matched here would pull back from where other reflectors stand alike, and ranges alone may not hold a start.
+            let around = scaled(&run.prior.covariance, 0.25);
+            let look = |start: &Pose| -> Result<Minimum> {
+                let expected = self.expected(run, start, &around)?;
+                Ok(self.descend(run, &expected, *start, &SEARCH))
+            };
+            starts.iter().map(look).collect::<Result<Vec<Minimum>>>()?
+        } else {
+            let comes_back = |pose: &Pose| run.is_same(&best.pose, pose, offset_sigma);
+            let look = |start: &Pose| descend(run, &best.expected, *start, &LOOK, freedom, comes_back);
+            self.predictor.on_threads(|| starts.par_iter().map(look).collect())?
+        };
+        let mut others: Vec<Minimum> = Vec::new();
+        for there in ends {
+            // Not worth a prediction unless it is elsewhere and explains something.
+            let near = |m: &Minimum| run.is_same(&m.pose, &there.pose, offset_sigma);
+            if near(best)
+                || others.iter().any(near)
+                || there.normal.explained_share() < 0.5 * best.normal.explained_share()
+            {
+                continue;
+            }
+            let there = self.settle(run, &there)?;
+            let as_good = there.normal.explained_share() >= best.normal.explained_share() - LEAD
+                && MatchedReflectors::at(run, &there.expected, &there.pose).counts().0 >= reflectors.0;
+            let near = |m: &Minimum| run.is_same(&m.pose, &there.pose, offset_sigma);
+            if as_good && !near(best) && !others.iter().any(near) {
+                others.push(there);
+            }
+        }
+        Ok(others)
+    }
+
+    /// Predicts all sensors at a pose that is known as well as the covariance says.
+    fn expected(&mut self, run: &mut Run<'_>, pose: &Pose, covariance: &Matrix) -> Result<Arc<Expectation>> {
+        run.predictions += 1;
+        let one = |m: &FrameMeasurement<'_>| {
+            let sensor = m.frame.sensor();
+            let world_from_sensor = *pose * sensor.spec().mount;
+            ExpectedImage::predict(&mut self.predictor, run.world, &mut self.surfaces, sensor, &world_from_sensor)
+        };
+        let images = run.measured.iter().map(one).collect::<Result<Vec<ExpectedImage>>>()?;
+        let unstated = run.model_sigma.hypot(run.offset_sigma);
+        let what = (run.world, &self.features);
+        let find = |frame: &&Frame| find_at(&mut self.predictor, what, frame, pose, covariance, unstated);
+        let findings = run.looked.iter().map(find).collect::<Result<Vec<Findings>>>()?;
+        Ok(Arc::new(Expectation { images, findings }))
+    }
+
+    /// Settles where a search ended, in a new prediction unless the one before serves.
+    fn settle(&mut self, run: &mut Run<'_>, found: &Minimum) -> Result<Minimum> {
+        let robust;
+        let found = if run.has_greys_only() {
+            // What was taken for something else, or was moved, must not lead the second look astray.
+            robust = self.descend(run, &found.expected, found.pose, &SETTLE);
+            &robust
+        } else {
+            found
+        };
+        // A frame is judged by a prediction of its own.
+        let expected = if run.predictions > 0 && serves(run, &found.expected, &found.pose) {
+            found.expected.clone()
+        } else {
+            let mut information = found.normal.information;
+            add_to(&mut information, &run.prior_information);
+            // Regions of interest get narrower with what was learnt, but it may be wrong.
+            let mut known = scaled(&inverse(&information, self.options.freedom.axes()), SETTLED * SETTLED);
+            // What the model is off by moves features, too.
+            (0..3).for_each(|i| known[i][i] += self.offsets.sigma().powi(2) + run.model_sigma.powi(2));
+            self.expected(run, &found.pose, &known)?
+        };
+        Ok(self.descend(run, &expected, found.pose, &SETTLE))
+    }
+
+    /// Draws starts from the prior. All search in the prediction at the prior's pose; the most promising predict anew. A pose that explains
+    /// enough, but hardly is where the robot was known to be, gives way to a likely one that explains as much, if there is one.
+    fn restart(&mut self, run: &mut Run<'_>, expected: &Arc<Expectation>, best: Minimum) -> Result<Minimum> {
+        let least = self.options.least_explained;
+        // Where the prediction at hand serves, a start costs none: the rounds are counted, too.
+        let explains = best.normal.explained_share() >= least;
+        let (rounds, schedule) =
+            if explains { (1, &NEAR) } else { (self.options.most_predictions.div_ceil(3), &SEARCH) };
+        let mut best = best;
+        let mut random = SplitMix64(0x5eed);
+        for _ in 0..rounds {
+            if run.predictions + 3 > self.options.most_predictions {
+                break;
+            }
+            let mut found: Vec<Minimum> = (0..DRAWS)
+                .map(|_| self.descend(run, expected, drawn(&run.prior, self.options.freedom, &mut random), schedule))
+                .collect();
+            found.sort_by(|a, b| run.merit(b).total_cmp(&run.merit(a)));
+            for start in found.iter().take(3) {
+                // What came to rest where the best one did needs no prediction.
+                if explains && run.is_same(&best.pose, &start.pose, self.offsets.sigma()) {
+                    continue;
+                }
+                let end = self.settle(run, start)?;
+                if run.merit(&end) > run.merit(&best) {
+                    best = end;
+                }
+                if !explains && best.normal.explained_share() >= least && !run.is_unlikely(&best.pose) {
+                    return Ok(best);
+                }
+            }
+        }
+        Ok(best)
+    }
+
+    /// Steps from a start to rest, without a new prediction.
+    fn descend(&mut self, run: &Run<'_>, expected: &Arc<Expectation>, start: Pose, schedule: &Schedule) -> Minimum {
+        let freedom = self.options.freedom;
+        let at_once = || descend(run, expected, start, schedule, freedom, |_| false);
+        self.predictor.on_threads(at_once).unwrap_or_else(|_| at_once())
+    }
+
+    fn answer(&mut self, run: &Run<'_>, best: Minimum, others: Vec<Minimum>) -> Result<Estimate> {
+        let freedom = self.options.freedom;
+        let offset = self.offsets.sigma().powi(2);
+        let stored =
+            |object: u32| best.expected.images.iter().find_map(|e| e.errors.get(&object)).map(|e| e.covariance);
+        let place = |id: u32| place_error(&best.expected.findings, id, offset);
+        let shared = |error: CommonError| match error {
+            CommonError::Object(object) => stored(object).unwrap_or_default(),
+            CommonError::Offset(_) | CommonError::Edge(_) => {
+                let mut m = [[0.0; 6]; 6];
+                m[0][0] = offset;
+                m
+            }
+            CommonError::Place(feature) => place(feature),
+        };
+        let matched = best.expected.findings.iter().flat_map(Findings::matched).flat_map(|(f, _)| &f.points_world);
+        let reach = reach_of(&run.measured, matched.map(|p| p.distance_squared(best.pose.translation)));
+        let prior = Some(&run.prior_information);
+        let mut covariance = covariance(&best.normal, prior, freedom, best.spread, &shared);
+        let mut information = best.normal.information;
+        add_to(&mut information, &run.prior_information);
+        let weak = weak_directions(
+            &best.normal,
+            Some(&run.prior.covariance),
+            freedom,
+            reach,
+            best.spread,
+            self.options.loosest,
+            &shared,
+        );
+        let hypothesis = best.hypothesis();
+        let reflectors = MatchedReflectors::at(run, &best.expected, &best.pose).counts();
+        let state = match self.doubt_of_features(run, &best) {
+            Some(why) => EstimateState::Undetermined(why),
+            None if run.has_greys_only() => {
+                state(&hypothesis, &others, self.options.least_explained.min(LEAST_MATCHED))
+            }
+            // The ranges may then be those of things that come and go.
+            None if hold(reflectors) && !run.is_unlikely(&best.pose) => state(&hypothesis, &others, 0.0),
+            None => state(&hypothesis, &others, self.options.least_explained),
+        };
+        let apart = |off: &Vector| std::array::from_fn(|i| std::array::from_fn(|j| off[i] * off[j]));
+        for off in self.hanging_on_one(run, &best, &covariance).into_iter().chain(other_camp(run, &best, freedom)) {
+            add_to(&mut covariance, &apart(&off));
+        }
+        for other in &others {
+            let off = motion_between(&best.pose, &other.pose);
+            add_to(&mut covariance, &scaled(&apart(&off), 1.0 / (1.0 + others.len() as f64)));
+        }
+        let verdicts = self.verdicts(run, &best, &covariance)?;
+        let mut findings = best.expected.findings.clone();
+        for (m, verdicts) in run.measured.iter().zip(&verdicts) {
+            let sensor = m.frame.sensor();
+            let ranges = MeasuredRanges {
+                verdicts,
+                sensor,
+                world_from_sensor: best.pose * sensor.spec().mount,
+                intensities: m.frame.intensities(),
+            };
+            findings.iter_mut().for_each(|f| f.explain(&ranges));
+        }
+        Ok(Estimate {
+            pose: best.pose,
+            covariance,
+            verdicts,
+            findings,
+            reflectors,
+            information: restricted(&information, freedom.axes()),
+            weak,
+            explained: hypothesis.explained,
+            cost: hypothesis.cost,
+            spread: best.spread,
+            offset_sigma: self.offsets.sigma(),
+            hypotheses: std::iter::once(hypothesis).chain(others.iter().map(Minimum::hypothesis)).collect(),
+            state,
+            predictions: run.predictions,
+        })
+    }
+
+    /// Why features alone do not tell this pose, if they do not: they are too few, or they lead to where the robot hardly is.
+    fn doubt_of_features(&self, run: &Run<'_>, best: &Minimum) -> Option<String> {
+        if !run.has_greys_only() {
+            return None;
+        }
+        let matched = || best.expected.findings.iter().flat_map(Findings::matched);
+        let tags = matched().filter(|(f, _)| matches!(f.predicted, Shape::Fiducial(_))).count();
+        let (matched, (fewest, fewest_tags)) = (matched().count(), FEWEST);
+        if matched < fewest && tags < fewest_tags {
+            return Some(format!("{matched} features are matched, fewer than {fewest}, or {fewest_tags} fiducials"));
+        }
+        let off = motion_between(&run.prior.pose, &best.pose);
+        run.is_unlikely(&best.pose).then(|| {
+            let (metres, degrees) = (length(&off[..3]), length(&off[3..]).to_degrees());
+            format!("the features lead {metres:.3} m and {degrees:.2} deg away, where the robot hardly is by what was known before")
+        })
+    }
+
+    /// Motions to where a pose by grey images alone would be without one of its fiducials, if that is farther off than the covariance
+    /// says: it hangs on this one, and nothing tells whether this one was moved.
+    fn hanging_on_one(&mut self, run: &Run<'_>, best: &Minimum, covariance: &Matrix) -> Vec<Vector> {
+        let freedom = self.options.freedom;
+        let claimed = inverse(covariance, freedom.axes());
+        let most = chi_squared_quantile(freedom.axes().len() as u32, UNLIKELY.1);
+        let matched = best.expected.findings.iter().flat_map(Findings::matched);
+        let tags = matched.filter(|(f, _)| matches!(f.predicted, Shape::Fiducial(_)) && run.has_greys_only());
+        let without = |id: u32| {
+            let findings = best.expected.findings.iter().map(|f| f.without(id)).collect();
+            let others = Arc::new(Expectation { images: Vec::new(), findings });
+            motion_between(&best.pose, &self.descend(run, &others, best.pose, &SETTLE).pose)
+        };
+        tags.map(|(f, _)| f.id).map(without).filter(|off| quadratic(&claimed, off) > most).collect()
+    }
+
+    fn verdicts(&mut self, run: &Run<'_>, best: &Minimum, covariance: &Matrix) -> Result<Vec<Verdicts>> {
+        let polygons = self.options.model_sigma.hypot(self.offsets.sigma());
+        let one = |(m, expected): (&FrameMeasurement<'_>, &ExpectedImage)| {
+            let known = Uncertainty { noise: RangeNoise::of(m.frame.sensor()), pose: *covariance, polygons };
+            judge(m.frame, expected, &best.pose, &known)
+        };
+        let all = || run.measured.iter().zip(&best.expected.images).map(one).collect();
+        self.predictor.on_threads(all)?
+    }
+
+    fn blind(&self, run: &Run<'_>) -> Estimate {
+        Estimate {
+            pose: run.prior.pose,
+            covariance: restricted(&run.prior.covariance, self.options.freedom.axes()),
+            verdicts: Vec::new(),
+            findings: Vec::new(),
+            reflectors: (0, 0),
+            information: run.prior_information,
+            weak: weak_directions(
+                &Normal::default(),
+                Some(&run.prior.covariance),
+                self.options.freedom,
+                1.0,
+                1.0,
+                self.options.loosest,
+                &|_| [[0.0; 6]; 6],
+            ),
+            explained: 0.0,
+            cost: 0.0,
+            spread: 1.0,
+            offset_sigma: self.offsets.sigma(),
+            hypotheses: Vec::new(),
+            state: EstimateState::Undetermined("no pixel measured a range within the sensor's limits".into()),
+            predictions: 0,
+        }
+    }
+}
+
+/// Two prior standard deviations to either side of a minimum, along every principal axis of the prior that leaves room for a second
+/// one. How much the measurement says along an axis is no reason to leave it out: where things repeat, it says much at each place.
+fn far_ends(run: &Run<'_>, best: &Minimum, freedom: Freedom) -> Vec<Pose> {
+    let (values, vectors) = eigen(restricted(&run.prior.covariance, freedom.axes()), 6);
+    let axis = |k: usize| -> Vector { std::array::from_fn(|i| 2.0 * values[k].max(0.0).sqrt() * vectors[i][k]) };
+    let wide = |v: &Vector| length(&v[..3]) > LOOSE.0 || length(&v[3..]) > LOOSE.1;
+    let axes = (0..6).map(axis).filter(wide);
+    axes.flat_map(|v| [1.0, -1.0].map(|s| moved(&best.pose, &v.map(|x| s * x)))).collect()
+}
+
+pub(super) fn length(v: &[f64]) -> f64 {
+    v.iter().map(|x| x * x).sum::<f64>().sqrt()
+}
+
+fn state(best: &Hypothesis, others: &[Minimum], least: f64) -> EstimateState {
+    let percent = |share: f64| format!("{:.0} %", 100.0 * share);
+    if best.explained < least {
+        return EstimateState::Undetermined(format!(
+            "{} of the measured points are explained, less than {}",
+            percent(best.explained),
+            percent(least)
+        ));
+    }
+    let Some(other) = others.first() else { return EstimateState::Determined };
+    let off = motion_between(&best.pose, &other.pose);
+    EstimateState::Undetermined(format!(
+        "a pose {:.3} m and {:.2} deg off explains {}, the best one {}",
+        length(&off[..3]),
+        length(&off[3..]).to_degrees(),
+        percent(other.normal.explained_share()),
+        percent(best.explained)
+    ))
+}
+
+/// A pose drawn from the prior.
+pub fn drawn(prior: &Prior, freedom: Freedom, random: &mut SplitMix64) -> Pose {
+    let (values, vectors) = eigen(restricted(&prior.covariance, freedom.axes()), 6);
+    let mut motion = [0.0; 6];
+    for (k, value) in values.iter().enumerate() {
+        // Box and Muller.
+        let radius = (-2.0 * (1.0 - random.unit()).ln()).sqrt();
+        let x = value.max(0.0).sqrt() * radius * (std::f64::consts::TAU * random.unit()).cos();
+        (0..6).for_each(|i| motion[i] += x * vectors[i][k]);
+    }
+    moved(&prior.pose, &motion)
+}
+
+/// How far away points are measured or matched, root of the mean square, metres.
+fn reach_of(measured: &[FrameMeasurement<'_>], matched: impl Iterator<Item = f64>) -> f64 {
+    let points = measured.iter().flat_map(|m| &m.points).map(|p| p.point.as_dvec3().length_squared());
+    let (sum, count) = points.chain(matched).fold((0.0, 0.0), |(s, n), x| (s + x, n + 1.0));
+    (sum / f64::max(count, 1.0)).sqrt().max(1e-3)
+}

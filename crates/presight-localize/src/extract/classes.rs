@@ -1,0 +1,123 @@
+//! What became of each feature (paper, section 3.5): matched, only predicted, only found.
+
+use crate::matching::{Detection, ExpectedFeature, Matcher, assign};
+use crate::verdict::{Verdict, Verdicts};
+use glam::DVec2;
+use presight_model::error::Result;
+
+/// What became of a predicted feature.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FeatureClass {
+    /// It is this detection.
+    Matched(usize),
+    /// Not found, and something unknown stands before it: that says nothing against it.
+    Occluded,
+    /// Not found, and rays passed through the place where it should be.
+    Missing,
+    /// Not found, and ranges do not say why.
+    Undecidable,
+}
+
+impl FeatureClass {
+    /// All names, in the order of the classes.
+    pub const NAMES: [&str; 4] = ["matched", "occluded", "missing", "undecidable"];
+
+    /// The name in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Matched(_) => Self::NAMES[0],
+            Self::Occluded => Self::NAMES[1],
+            Self::Missing => Self::NAMES[2],
+            Self::Undecidable => Self::NAMES[3],
+        }
+    }
+}
+
+/// What became of all features and detections.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Classes {
+    /// By predicted feature.
+    pub features: Vec<FeatureClass>,
+    /// Detections that are no predicted feature.
+    pub only_found: Vec<usize>,
+}
+
+/// Assigns detections to features at least cost, and says what became of the rest. `verdicts` are counts by [`Verdict::ALL`] beside
+/// each feature, as [`verdicts_along`] makes them; an empty list if no range was measured.
+///
+/// # Examples
+/// Of two features one is found; rays passed through the place of the other.
+/// ```
+/// use glam::{DMat2, DVec2};
+/// use presight::extract::{FeatureClass, classify};
+/// use presight::matching::{Detection, ExpectedFeature, Matcher, Shape};
+/// let expected = |x: f64| ExpectedFeature {
+///     shape: Shape::Point(DVec2::new(x, 20.0)),
+///     covariances: vec![DMat2::IDENTITY],
+///     window: [x - 5.0, 15.0, x + 5.0, 25.0],
+///     properties: Default::default(),
+/// };
+/// let found = [Detection::point(DVec2::new(70.0, 70.0), 0.5), Detection::point(DVec2::new(10.5, 20.2), 0.5)];
+/// let confirmed = [9, 0, 0, 0, 0, 1, 0];
+/// let passed = [1, 0, 9, 0, 0, 0, 0];
+/// let classes = classify(&[expected(10.0), expected(40.0)], &found, &Matcher::default(), &[confirmed, passed])?;
+/// assert_eq!(classes.features, [FeatureClass::Matched(1), FeatureClass::Missing]);
+/// assert_eq!(classes.only_found, [0]);
+/// # Ok::<(), presight::Error>(())
+/// ```
+///
+/// # Errors
+/// Those of [`assign`].
+pub fn classify(
+    expected: &[ExpectedFeature],
+    found: &[Detection],
+    matcher: &Matcher,
+    verdicts: &[[usize; 7]],
+) -> Result<Classes> {
+    let candidates = matcher.candidates(expected, found);
+    let assigned = assign(&candidates.pairs, &vec![matcher.unseen_cost(); expected.len()])?;
+    let mut features: Vec<FeatureClass> =
+        (0..expected.len()).map(|i| verdicts.get(i).map_or(FeatureClass::Undecidable, unmatched)).collect();
+    let mut only_found: Vec<bool> = vec![true; found.len()];
+    for (feature, column) in features.iter_mut().zip(&assigned.columns) {
+        if let Some(column) = column.map(|c| c as usize) {
+            *feature = FeatureClass::Matched(column);
+            only_found[column] = false;
+        }
+    }
+    let only_found = only_found.iter().enumerate().filter(|(_, only)| **only).map(|(i, _)| i).collect();
+    Ok(Classes { features, only_found })
+}
+
+/// More than half of the pixels that say anything have to say it.
+pub(super) fn unmatched(counts: &[usize; 7]) -> FeatureClass {
+    let of = |v: Verdict| counts[v as usize];
+    let decided = of(Verdict::Confirmed) + of(Verdict::Nearer) + of(Verdict::Farther);
+    if 2 * of(Verdict::Nearer) > decided {
+        FeatureClass::Occluded
+    } else if 2 * of(Verdict::Farther) > decided {
+        FeatureClass::Missing
+    } else {
+        FeatureClass::Undecidable
+    }
+}
+
+/// Counts of verdicts, by [`Verdict::ALL`], along a segment of the image and beside it by so many pixels: upon an edge itself hardly
+/// anything can be decided. Both images have the same pixels.
+pub fn verdicts_along(verdicts: &Verdicts, ends: [DVec2; 2], beside: f64) -> [usize; 7] {
+    let mut counts = [0; 7];
+    let way = ends[1] - ends[0];
+    let across = beside * DVec2::new(-way.y, way.x).normalize_or_zero();
+    let stations = (way.length().ceil() as usize).clamp(1, 1 << 14);
+    let (width, height) = (verdicts.width as usize, verdicts.height as usize);
+    for k in 0..=stations {
+        let on = ends[0] + way * (k as f64 / stations as f64);
+        for place in [on - across, on + across] {
+            let (c, r) = (place.x.round(), place.y.round());
+            if c >= 0.0 && r >= 0.0 && c < width as f64 && r < height as f64 {
+                counts[verdicts.pixels[r as usize * width + c as usize] as usize] += 1;
+            }
+        }
+    }
+    counts
+}

@@ -1,0 +1,216 @@
+//! Corners in grey images: where edges of several directions meet.
+//!
+//! Candidates are places where brightness changes in all directions (the smaller eigenvalue of the structure tensor: C. Harris and
+//! M. Stephens 1988, J. Shi and C. Tomasi 1994). The corner is the point nearest to all edge lines through the pixels around
+//! (W. Förstner and E. Gülch 1987), and its covariance is that of this least squares problem.
+
+use super::PixelBox;
+use crate::matching::Detection;
+use glam::{DMat2, DVec2};
+use presight_model::frame::GreyImage;
+
+/// What counts as a corner.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CornerOptions {
+    /// Standard deviation of a grey value.
+    pub noise: f64,
+    /// Least difference of grey values across the weaker of the edges that meet.
+    pub least_contrast: f64,
+    /// Most corners that are told, the strongest first.
+    pub most: usize,
+}
+
+impl Default for CornerOptions {
+    /// A camera of 8 bits with 1 % of noise.
+    fn default() -> Self {
+        Self { noise: 0.01, least_contrast: 0.06, most: 500 }
+    }
+}
+
+/// Half of the window that is asked for a corner, pixels.
+const HALF: i64 = 3;
+/// How far from each other corners are, pixels.
+const APART: i64 = 3;
+/// How far a corner may come to lie from where it was looked for, pixels: a wedge is strongest where both of its edges are long in the
+/// window, which is the farther inside the narrower it is (5 pixels for 52 degrees).
+const FARTHEST: f64 = 5.0;
+/// Least share of the larger eigenvalue that the smaller one is: edges that meet at 35 degrees.
+const LEAST_ROUND: f64 = 0.1;
+/// What blur and sampling leave at best, pixels: edge lines bend where they meet.
+const FLOOR: f64 = 0.1;
+
+/// The corners in a part of an image, the strongest first: points with covariance. With [`PixelBox::whole`] it is the whole image.
+///
+/// # Examples
+/// The bright quarter of an image begins at column 10 and row 12.
+/// ```
+/// use glam::DVec2;
+/// use presight::extract::{CornerOptions, PixelBox, corners_in};
+/// use presight::frame::GreyImage;
+/// let grey = (0..24 * 24).map(|i| if i % 24 >= 10 && i / 24 >= 12 { 0.8 } else { 0.2 });
+/// let image = GreyImage::new(24, 24, grey.collect())?;
+/// let found = corners_in(&image, PixelBox::whole(&image), &CornerOptions::default());
+/// assert_eq!(found.len(), 1);
+/// // Between columns 9 and 10, and rows 11 and 12.
+/// assert!(found[0].shape.centre().distance(DVec2::new(9.5, 11.5)) < 0.3);
+/// # Ok::<(), presight::Error>(())
+/// ```
+pub fn corners_in(image: &GreyImage, region: PixelBox, options: &CornerOptions) -> Vec<Detection> {
+    let Some(gradients) = Gradients::of(image, region) else { return Vec::new() };
+    let strengths = gradients.strengths();
+    // An edge of contrast k has gradients that add up to about k^2 / 4 a row of the window; noise adds the same everywhere.
+    let rows = f64::from(2 * HALF as i32 + 1);
+    let of_noise = rows * rows * 0.1875 * options.noise * options.noise;
+    let least = 0.125 * rows * options.least_contrast.max(4.0 * options.noise).powi(2) + 2.0 * of_noise;
+    let mut peaks = gradients.peaks(&strengths, least);
+    peaks.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+    let mut found: Vec<Detection> = Vec::new();
+    for (strength, at) in peaks {
+        let Some((place, covariance)) = gradients.corner(at, options.noise) else { continue };
+        // Two peaks may lead to one corner, and a corner may lie outside of the box.
+        let known = found.iter().any(|d| d.shape.centre().distance(place) < APART as f64);
+        if known || !region.contains(place) || found.len() == options.most {
+            continue;
+        }
+        let mut detection = Detection::point(place, 1.0);
+        detection.covariance = covariance;
+        detection.properties.contrast = Some((8.0 * (strength - of_noise) / rows).max(0.0).sqrt().min(1.0));
+        found.push(detection);
+    }
+    found
+}
+
+/// Gradients in a box and its margin.
+struct Gradients {
+    left: i64,
+    top: i64,
+    width: usize,
+    height: usize,
+    /// Grey values a pixel; NaN where a neighbour has none.
+    values: Vec<DVec2>,
+}
+
+impl Gradients {
+    /// As far as windows at the box's pixels reach, within the image; `None` if no pixel is inside.
+    fn of(image: &GreyImage, region: PixelBox) -> Option<Self> {
+        let [x0, y0, x1, y1] = region.pixels(image.width(), image.height())?;
+        let reach = HALF + FARTHEST.ceil() as i64;
+        let (left, top) = ((x0 - reach).max(1), (y0 - reach).max(1));
+        let (right, bottom) =
+            ((x1 + reach).min(i64::from(image.width()) - 2), (y1 + reach).min(i64::from(image.height()) - 2));
+        if right - left < 2 * HALF || bottom - top < 2 * HALF {
+            return None;
+        }
+        let (width, height) = ((right - left + 1) as usize, (bottom - top + 1) as usize);
+        let mut values = Vec::with_capacity(width * height);
+        for r in top..=bottom {
+            for c in left..=right {
+                let v = |dc: i64, dr: i64| f64::from(image.pixel((c + dc) as u32, (r + dr) as u32));
+                // Smoothed across (Sobel): the steps of a slanted edge are no corners.
+                let right = v(1, -1) + 2.0 * v(1, 0) + v(1, 1) - v(-1, -1) - 2.0 * v(-1, 0) - v(-1, 1);
+                let down = v(-1, 1) + 2.0 * v(0, 1) + v(1, 1) - v(-1, -1) - 2.0 * v(0, -1) - v(1, -1);
+                values.push(DVec2::new(right, down) / 8.0);
+            }
+        }
+        Some(Self { left, top, width, height, values })
+    }
+
+    /// The smaller eigenvalue of the structure tensor around each pixel; 0 near the sides.
+    fn strengths(&self) -> Vec<f64> {
+        let products = |f: fn(&DVec2) -> f64| self.window_sums(&self.values.iter().map(f).collect::<Vec<f64>>());
+        let (xx, xy, yy) = (products(|g| g.x * g.x), products(|g| g.x * g.y), products(|g| g.y * g.y));
+        let smaller = |i: usize| {
+            let (half, off) = (0.5 * (xx[i] + yy[i]), 0.5 * (xx[i] - yy[i]));
+            let apart = off.hypot(xy[i]);
+            // The steps of a slanted edge are no corner. NaN beside a pixel without a measurement.
+            if half - apart > LEAST_ROUND * (half + apart) { half - apart } else { 0.0 }
+        };
+        (0..xx.len()).map(smaller).collect()
+    }
+
+    /// Sums over windows, first along rows and then along columns; 0 where a window leads out.
+    fn window_sums(&self, of: &[f64]) -> Vec<f64> {
+        let (w, h, half) = (self.width, self.height, HALF as usize);
+        let mut along = vec![0.0; of.len()];
+        for r in 0..h {
+            for c in half..w - half {
+                along[r * w + c] = of[r * w + c - half..=r * w + c + half].iter().sum();
+            }
+        }
+        let mut sums = vec![0.0; of.len()];
+        for r in half..h - half {
+            for k in r - half..=r + half {
+                for c in half..w - half {
+                    sums[r * w + c] += along[k * w + c];
+                }
+            }
+        }
+        sums
+    }
+
+    /// Pixels that are stronger than all around them.
+    fn peaks(&self, strengths: &[f64], least: f64) -> Vec<(f64, (i64, i64))> {
+        let mut peaks = Vec::new();
+        let (w, h) = (self.width as i64, self.height as i64);
+        for r in HALF..h - HALF {
+            for c in HALF..w - HALF {
+                let own = strengths[(r * w + c) as usize];
+                if own < least {
+                    continue;
+                }
+                let around = (-APART..=APART).flat_map(|j| (-APART..=APART).map(move |i| (c + i, r + j)));
+                let mut near = around.filter(|(x, y)| (0..w).contains(x) && (0..h).contains(y));
+                // Of equal ones the first in reading order.
+                let is_peak = near.all(|(x, y)| {
+                    let other = strengths[(y * w + x) as usize];
+                    other < own || (other == own && (y, x) >= (r, c))
+                });
+                if is_peak {
+                    peaks.push((own, (c, r)));
+                }
+            }
+        }
+        peaks
+    }
+
+    /// The point nearest to the edge lines through the pixels around, and its covariance; `None` if there is no such point near.
+    fn corner(&self, peak: (i64, i64), noise: f64) -> Option<(DVec2, DMat2)> {
+        let first = DVec2::new(peak.0 as f64, peak.1 as f64);
+        let mut place = first;
+        for step in 0..4 {
+            let (cx, cy) = (place.x.round() as i64, place.y.round() as i64);
+            let (mut tensor, mut pull, mut squares, mut n) = (DMat2::ZERO, DVec2::ZERO, 0.0, 0.0);
+            for r in cy - HALF..=cy + HALF {
+                for c in cx - HALF..=cx + HALF {
+                    if !(0..self.width as i64).contains(&c) || !(0..self.height as i64).contains(&r) {
+                        return None;
+                    }
+                    let g = self.values[r as usize * self.width + c as usize];
+                    let at = DVec2::new(c as f64, r as f64);
+                    tensor += DMat2::from_cols(g * g.x, g * g.y);
+                    pull += g * g.dot(at);
+                    squares += g.dot(at - place).powi(2);
+                    n += 1.0;
+                }
+            }
+            // Gradients of noise are no edges: they pull everything to the middle of the window.
+            let determinant = tensor.determinant();
+            if !(determinant > 1e-12) {
+                return None;
+            }
+            let inverse = tensor.inverse();
+            let next = inverse * pull;
+            if !(next.distance(first) <= FARTHEST) {
+                return None;
+            }
+            let moved = next.distance(place);
+            place = next;
+            if moved < 0.02 || step == 3 {
+                let scatter = (squares / (n - 2.0f64)).max(0.1875 * noise * noise);
+                let covariance = inverse * scatter + DMat2::from_diagonal(DVec2::splat(FLOOR * FLOOR));
+                return Some((place + DVec2::new(self.left as f64, self.top as f64), covariance));
+            }
+        }
+        None
+    }
+}

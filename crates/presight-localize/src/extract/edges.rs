@@ -1,0 +1,185 @@
+//! Edges near a predicted one: searched across it, to a fraction of a pixel.
+
+use super::lines::{EdgeFrame, LineOptions, Step, StepNoise};
+use crate::matching::Detection;
+use glam::{DMat2, DVec2};
+use presight_features::{SeenFeature, VisibleInterval};
+use presight_model::environment::FeatureShape;
+use presight_model::frame::GreyImage;
+
+/// Where an edge is expected in the image.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ExpectedEdge {
+    /// Its visible ends: column, row.
+    pub ends: [DVec2; 2],
+    /// How far across itself it may be off, pixels.
+    pub reach: f64,
+    /// Which side is brighter, if that is known: `Some(true)` if it is the right one, seen from the first end to the second in the
+    /// image (rows grow downwards).
+    pub is_right_brighter: Option<bool>,
+}
+
+impl ExpectedEdge {
+    /// The visible parts of a predicted segment that are long enough, as far across as its uncertainty goes: so many standard
+    /// deviations, and a pixel for what rounding and the image's own blur may add. Empty for other features, and without regions of
+    /// interest (their covariances are asked for).
+    pub fn of(seen: &SeenFeature, deviations: f64) -> Vec<Self> {
+        Self::of_parts(seen, deviations).into_iter().map(|(_, expected)| expected).collect()
+    }
+
+    /// As [`ExpectedEdge::of`], with the visible parts.
+    pub(super) fn of_parts(seen: &SeenFeature, deviations: f64) -> Vec<(&VisibleInterval, Self)> {
+        let (FeatureShape::Segment { .. }, Some(covariances)) = (&seen.feature.shape, &seen.image_covariance) else {
+            return Vec::new();
+        };
+        let expected = |part: &VisibleInterval| {
+            let [a, b] = part.pixels;
+            let across = DVec2::new(a.y - b.y, b.x - a.x).normalize_or_zero();
+            let variance = |c: &[[f64; 2]; 2]| across.dot(DMat2::from_cols_array_2d(c) * across).max(0.0);
+            let widest = covariances.iter().map(variance).fold(0.0, f64::max);
+            let reach = deviations * widest.sqrt() + 1.0;
+            Self { ends: [a, b], reach, is_right_brighter: None }
+        };
+        let long = seen.visible.iter().filter(|part| part.pixels[0].distance(part.pixels[1]) >= SHORTEST);
+        long.map(|part| (part, expected(part))).collect()
+    }
+}
+
+/// Shortest edge that is looked for, pixels.
+const SHORTEST: f64 = 12.0;
+
+/// What counts as an edge.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EdgeOptions {
+    /// Standard deviation of a grey value.
+    pub noise: f64,
+    /// Least difference of grey values across an edge.
+    pub least_contrast: f64,
+    /// Least share of its length at which it has to be seen.
+    pub least_support: f64,
+    /// Most edges that are told for one that is expected.
+    pub most: usize,
+}
+
+impl Default for EdgeOptions {
+    /// A camera of 8 bits with 1 % of noise.
+    fn default() -> Self {
+        Self { noise: 0.01, least_contrast: 0.06, least_support: 0.5, most: 3 }
+    }
+}
+
+/// An edge that was found.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FoundEdge {
+    /// A segment, as [`crate::matching`] takes it; no end is a corner.
+    pub detection: Detection,
+    /// Brightness of the right side less that of the left one.
+    pub contrast: f64,
+    /// Share of the expected length at which it was seen.
+    pub support: f64,
+    /// Root mean square distance of its points from the line, pixels.
+    pub scatter: f64,
+}
+
+/// What sampling and interpolation leave at best, pixels.
+const FLOOR: f64 = 0.02;
+
+/// The edges in the image that may be an expected one, the best supported first.
+///
+/// # Examples
+/// A white half of an image begins at column 10.3; the edge is expected at 8.
+/// ```
+/// use glam::DVec2;
+/// use presight::extract::{EdgeOptions, ExpectedEdge, edges_near};
+/// use presight::frame::GreyImage;
+/// // Each pixel is as bright as the white part of it.
+/// let row = (0..24).map(|c| (c as f32 + 0.5 - 10.3).clamp(0.0, 1.0));
+/// let image = GreyImage::new(24, 40, row.cycle().take(24 * 40).collect())?;
+/// let expected = ExpectedEdge { ends: [DVec2::new(8.0, 5.0), DVec2::new(8.0, 35.0)], reach: 4.0, is_right_brighter: None };
+/// let found = edges_near(&image, &expected, &EdgeOptions::default());
+/// assert_eq!(found.len(), 1);
+/// // Seen from the first end downwards, the right side is the left of the image: it is the darker one.
+/// assert!(found[0].contrast < -0.85);
+/// assert!(found[0].detection.shape.points().iter().all(|p| (p.x - 10.3).abs() < 0.1));
+/// # Ok::<(), presight::Error>(())
+/// ```
+pub fn edges_near(image: &GreyImage, expected: &ExpectedEdge, options: &EdgeOptions) -> Vec<FoundEdge> {
+    let longest = f64::from(image.width()).hypot(f64::from(image.height()));
+    let Some(frame) = EdgeFrame::new(expected.ends, expected.reach, longest) else { return Vec::new() };
+    let mut profiler = Profiler::new(image, options, expected.is_right_brighter);
+    for along in frame.stations() {
+        profiler.steps_across(&frame, along);
+    }
+    let noise = StepNoise { value: options.noise, floor: FLOOR };
+    let lines = LineOptions { least_support: options.least_support, most: options.most, noise };
+    let mut found = frame.lines_through(profiler.steps, &lines);
+    found.iter_mut().for_each(|e| e.detection.properties.contrast = Some(e.contrast.abs().min(1.0)));
+    found
+}
+
+/// Looks for places of steepest change along lines across an edge.
+struct Profiler<'a> {
+    image: &'a GreyImage,
+    /// Of the mean of three lines side by side.
+    least: f64,
+    is_right_brighter: Option<bool>,
+    /// As a Gaussian's derivative: far from the edge as blind as beside it.
+    weights: [f64; WIDTH],
+    profile: Vec<f64>,
+    changes: Vec<f64>,
+    steps: Vec<Step>,
+}
+
+/// Between samples across an edge, pixels.
+const STEP: f64 = 0.5;
+/// Samples on either side that a difference is taken of: two pixels.
+const WIDTH: usize = 4;
+
+impl<'a> Profiler<'a> {
+    fn new(image: &'a GreyImage, options: &EdgeOptions, is_right_brighter: Option<bool>) -> Self {
+        let mut weights: [f64; WIDTH] = std::array::from_fn(|k| {
+            let k = (k + 1) as f64;
+            k * (-0.5 * (STEP * k / 0.9).powi(2)).exp()
+        });
+        // Three lines are added up, not averaged.
+        let total = 3.0 * weights.iter().sum::<f64>();
+        weights.iter_mut().for_each(|w| *w /= total);
+        let least = options.least_contrast.max(4.0 * options.noise / 3f64.sqrt());
+        let (profile, changes, steps) = (Vec::new(), Vec::new(), Vec::new());
+        Self { image, least, is_right_brighter, weights, profile, changes, steps }
+    }
+
+    fn steps_across(&mut self, frame: &EdgeFrame, along: f64) {
+        let n = (frame.reach / STEP).ceil() as i32 + 1;
+        let width = WIDTH as i32;
+        // Three lines side by side: noise falls, the edge stays.
+        self.profile.clear();
+        self.profile.resize((2 * (n + width) + 1) as usize, 0.0);
+        for beside in [-0.7, 0.0, 0.7] {
+            let first = frame.place(along + beside, -STEP * f64::from(n + width));
+            let step = frame.place(along + beside, STEP) - frame.place(along + beside, 0.0);
+            self.image.add_along(first, step, &mut self.profile);
+        }
+        self.changes.clear();
+        let (weights, profile) = (&self.weights, &self.profile);
+        self.changes.extend(
+            profile
+                .windows(2 * WIDTH + 1)
+                .map(|w| (0..WIDTH).map(|k| weights[k] * (w[WIDTH + 1 + k] - w[WIDTH - 1 - k])).sum::<f64>()),
+        );
+        for (i, window) in self.changes.windows(3).enumerate() {
+            let c = window[1];
+            let sound = self.is_right_brighter.is_none_or(|right| right == (c > 0.0));
+            let (before, after) = (window[0] * c.signum(), window[2] * c.signum());
+            if !(sound && c.abs() >= self.least && c.abs() > before && c.abs() >= after) {
+                continue;
+            }
+            let bend = before - 2.0 * c.abs() + after;
+            let shift = if bend < 0.0 { (0.5 * (before - after) / bend).clamp(-0.5, 0.5) } else { 0.0 };
+            let across = STEP * (f64::from(i as i32 + 1 - n) + shift);
+            if across.abs() <= frame.reach {
+                self.steps.push(Step { along, across, contrast: c });
+            }
+        }
+    }
+}

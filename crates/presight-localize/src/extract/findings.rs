@@ -1,0 +1,411 @@
+//! All of one frame: each predicted feature looked for in its region, matched, and classed.
+
+use super::classes::unmatched;
+use super::tags::{is_sought, tags_in};
+use super::{
+    CornerOptions, EdgeOptions, ExpectedEdge, FeatureClass, JumpOptions, PixelBox, ReflectorOptions, classify,
+    corners_in, edges_near, jumps_near, range_to, reflectors_in, verdicts_along,
+};
+use crate::matching::{Detection, ExpectedFeature, ExpectedProperties, Marker, Matcher, Shape, UncertainValue, unwrap};
+use crate::verdict::{Verdict, Verdicts};
+use glam::{DMat2, DMat3, DVec2, DVec3};
+use presight_features::{FeaturePrediction, SeenFeature, VisibleInterval};
+use presight_model::environment::FeatureShape;
+use presight_model::error::Result;
+use presight_model::frame::{Frame, GreyImage};
+use presight_model::geometry::Pose;
+use presight_model::sensor::Sensor;
+
+/// How features are looked for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FindOptions {
+    /// In grey images.
+    pub edges: EdgeOptions,
+    /// In grey images.
+    pub corners: CornerOptions,
+    /// In range images.
+    pub jumps: JumpOptions,
+    /// In scans with intensities.
+    pub reflectors: ReflectorOptions,
+    /// Covariance of where the sensor is, world axes, metres squared: of a reflector's range. `None` is not known; a reflector at any range
+    /// is then the one that was predicted.
+    pub place: Option<DMat3>,
+    /// How far across itself an edge is looked for, in standard deviations of where it is predicted.
+    pub deviations: f64,
+    /// Standard deviation of where the model has its features, pixels, beside that of the pose.
+    pub model: f64,
+}
+
+impl Default for FindOptions {
+    fn default() -> Self {
+        Self {
+            edges: EdgeOptions { least_support: 0.7, ..EdgeOptions::default() },
+            corners: CornerOptions::default(),
+            jumps: JumpOptions { least_support: 0.7, ..JumpOptions::default() },
+            reflectors: ReflectorOptions::default(),
+            place: None,
+            deviations: 3.0,
+            model: 0.3,
+        }
+    }
+}
+
+/// A visible part of a predicted feature, and what became of it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FeatureFinding {
+    /// The feature's own number.
+    pub id: u32,
+    /// In the world, metres: both ends of a part of an edge, a point, or the four corners of a fiducial.
+    pub points_world: Vec<DVec3>,
+    /// Covariance of where the model has it as a whole, world axes, metres squared; of points, fiducials and reflectors.
+    pub place: DMat3,
+    /// Where it was predicted in the image.
+    pub predicted: Shape,
+    /// What became of it; a match names a detection of [`Findings::detections`].
+    pub class: FeatureClass,
+}
+
+/// What a frame shows of predicted features (paper, section 3.5).
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Findings {
+    /// What was found, each once.
+    pub detections: Vec<Detection>,
+    /// The predicted features that can be found in such a frame.
+    pub features: Vec<FeatureFinding>,
+    /// Detections that are no predicted feature.
+    pub only_found: Vec<usize>,
+}
+
+impl Findings {
+    /// Features with their detections.
+    pub fn matched(&self) -> impl Iterator<Item = (&FeatureFinding, &Detection)> {
+        self.features.iter().filter_map(|f| match f.class {
+            FeatureClass::Matched(at) => Some((f, &self.detections[at])),
+            _ => None,
+        })
+    }
+
+    /// Says of what was not matched why, as far as ranges tell: *nearer* ones mean that something unknown stands before it, *farther*
+    /// ones that it is missing.
+    pub fn explain(&mut self, ranges: &MeasuredRanges<'_>) {
+        for feature in self.features.iter_mut().filter(|f| f.class == FeatureClass::Undecidable) {
+            feature.class = match feature.predicted {
+                Shape::Reflector(_) => unmatched(&upon(ranges, &feature.points_world)),
+                _ => unmatched(&beside(ranges, &feature.points_world)),
+            };
+        }
+    }
+
+    /// As if a feature had not been matched.
+    pub fn without(&self, id: u32) -> Self {
+        let mut some = self.clone();
+        let own = some.features.iter_mut().filter(|f| f.id == id);
+        own.for_each(|f| f.class = FeatureClass::Undecidable);
+        some
+    }
+
+    /// How many features are of a class by name ([`FeatureClass::name`]).
+    pub fn count(&self, class: &str) -> usize {
+        self.features.iter().filter(|f| f.class.name() == class).count()
+    }
+}
+
+/// Ranges that were measured at the same time, by the same sensor or by one beside it: they tell why a feature was not found.
+#[derive(Clone, Copy, Debug)]
+pub struct MeasuredRanges<'a> {
+    /// What they say of the prediction.
+    pub verdicts: &'a Verdicts,
+    /// The sensor that measured them.
+    pub sensor: &'a Sensor,
+    /// Its pose, body axes.
+    pub world_from_sensor: Pose,
+    /// How strong the echoes were: a reflector that is not bright is not there.
+    pub intensities: Option<&'a GreyImage>,
+}
+
+impl MeasuredRanges<'_> {
+    /// True if an echo came from there that is no reflector's. A sensor that tells 0 tells nothing.
+    fn is_dark_at(&self, place: DVec2) -> bool {
+        let Some(image) = self.intensities else { return false };
+        let [c, r] = [place.x.round(), place.y.round()];
+        let inside = c >= 0.0 && r >= 0.0 && c < f64::from(image.width()) && r < f64::from(image.height());
+        let told = if inside { f64::from(image.pixel(c as u32, r as u32)) } else { f64::NAN };
+        told > 0.0 && told < ReflectorOptions::default().least
+    }
+}
+
+/// Pixels beside an edge at which ranges are asked: upon the edge itself hardly anything can be decided.
+const BESIDE: f64 = 2.5;
+
+/// Looks for predicted features in a frame, each in its region, and matches all of them at least cost. In grey images these are edges,
+/// corners and, with the feature `fiducials`, fiducials ([`is_sought`]), in range images depth edges and, where they have intensities,
+/// reflectors. The prediction was made for the
+/// frame's sensor at `world_from_sensor` and has to have regions of interest ([`crate::Request::with_regions`]); features without one are
+/// left out. Why a feature is not found, [`Findings::explain`] says.
+///
+/// # Errors
+/// Those of [`classify`]; [`crate::ErrorKind::System`] if the library of fiducials gets no memory.
+pub fn find_features(
+    frame: &Frame,
+    world_from_sensor: &Pose,
+    predicted: &FeaturePrediction,
+    options: &FindOptions,
+) -> Result<Findings> {
+    let mut findings = Findings::default();
+    let mut expected = Vec::new();
+    let view = View { sensor: frame.sensor(), world_from_sensor };
+    let turn = presight_features::turn(frame.sensor());
+    for seen in &predicted.features {
+        for part in parts(&view, seen, options).into_iter().filter(|part| can_be_found(frame, part)) {
+            for detection in look(frame, &part, options)? {
+                if !findings.detections.iter().any(|known| is_same(known, &detection, turn)) {
+                    findings.detections.push(detection);
+                }
+            }
+            findings.features.push(FeatureFinding {
+                id: seen.feature.id,
+                points_world: part.points_world,
+                place: DMat3::ZERO,
+                predicted: part.expected.shape.clone(),
+                class: FeatureClass::Undecidable,
+            });
+            expected.push(part.expected);
+        }
+    }
+    let matcher = matcher(frame);
+    let classes = classify(&expected, &findings.detections, &matcher, &[])?;
+    for (feature, class) in findings.features.iter_mut().zip(classes.features) {
+        feature.class = class;
+    }
+    findings.only_found = classes.only_found;
+    Ok(findings)
+}
+
+/// Spots in a column of a scan that are bright and no reflector of the layer.
+const CLUTTER_OF_A_COLUMN: f64 = 1e-3;
+/// As many columns of pixels, where nothing is known of the row (variance [`super::reflectors::UNKNOWN`]): the density that leaves a column's.
+const ROWS: f64 = 2507.0;
+
+fn matcher(frame: &Frame) -> Matcher {
+    let matcher = Matcher { turn: presight_features::turn(frame.sensor()), ..Matcher::default() };
+    match frame.intensities().is_some() && frame.sensor().height() == 1 {
+        true => Matcher { clutter_density: CLUTTER_OF_A_COLUMN / ROWS, ..matcher },
+        false => matcher,
+    }
+}
+
+/// A part of a feature that can be looked for.
+struct Part {
+    points_world: Vec<DVec3>,
+    expected: ExpectedFeature,
+    edge: Option<ExpectedEdge>,
+}
+
+impl Part {
+    fn is_reflector(&self) -> bool {
+        matches!(self.expected.shape, Shape::Reflector(_))
+    }
+}
+
+/// From where features are predicted.
+struct View<'a> {
+    sensor: &'a Sensor,
+    world_from_sensor: &'a Pose,
+}
+
+impl View<'_> {
+    /// Pixels of points of the world; `None` if one of them has none.
+    fn pixels(&self, points_world: &[DVec3]) -> Option<Vec<DVec2>> {
+        let image_from_world = (*self.world_from_sensor * crate::verdict::body_from_image(self.sensor)).inverse();
+        let pixel = |p: &DVec3| self.sensor.project(image_from_world.transform_point(*p)).map(DVec2::from);
+        points_world.iter().map(pixel).collect()
+    }
+}
+
+/// Share of a fiducial that has to be in view: one that is covered in part cannot be read.
+const WHOLE: f64 = 0.95;
+
+/// A fiducial that is seen as a whole.
+fn fiducial(view: &View<'_>, seen: &SeenFeature, covariances: Vec<DMat2>, window: [f64; 4]) -> Option<Part> {
+    let FeatureShape::Fiducial { family, code, .. } = &seen.feature.shape else { return None };
+    if seen.visible_fraction < WHOLE {
+        return None;
+    }
+    let corners: [DVec2; 4] = view.pixels(&seen.points_world)?.try_into().ok()?;
+    // Its region is that of the black square: the white around it is a cell wide, of 6 to 8 between the corners.
+    let side = (0..4).map(|k| corners[k].distance(corners[(k + 1) % 4])).fold(0.0, f64::max);
+    let margin = 0.25 * side + 2.0;
+    let [x0, y0, x1, y1] = window;
+    let marker = Some(Marker { family: family.clone(), code: *code });
+    Some(Part {
+        points_world: seen.points_world.clone(),
+        expected: ExpectedFeature {
+            shape: Shape::Fiducial(corners),
+            covariances,
+            window: [x0 - margin, y0 - margin, x1 + margin, y1 + margin],
+            properties: ExpectedProperties { marker, ..ExpectedProperties::default() },
+        },
+        edge: None,
+    })
+}
+
+/// A reflector, at the range that it is predicted at; `own` bounds the covariance of its place, whatever its axes.
+fn reflector(
+    view: &View<'_>,
+    (at, pixel): (DVec3, DVec2),
+    (covariance, own): (DMat2, DMat3),
+    window: [f64; 4],
+    options: &FindOptions,
+) -> Part {
+    let image_from_world = (*view.world_from_sensor * crate::verdict::body_from_image(view.sensor)).inverse();
+    let mean = range_to(view.sensor, image_from_world.transform_point(at));
+    let ray = (at - view.world_from_sensor.translation).normalize_or_zero();
+    let variance = options.place.map(|place| ray.dot((place + own) * ray).max(0.0));
+    let range = variance.map(|variance| UncertainValue { mean, variance });
+    let [x0, y0, x1, y1] = window;
+    // A lone row is all there is to look in.
+    let [y0, y1] = if view.sensor.height() == 1 { [y0.min(-0.5), y1.max(0.5)] } else { [y0, y1] };
+    Part {
+        points_world: vec![at],
+        expected: ExpectedFeature {
+            shape: Shape::Reflector(pixel),
+            covariances: vec![covariance],
+            window: [x0, y0, x1, y1],
+            properties: ExpectedProperties { range, ..ExpectedProperties::default() },
+        },
+        edge: None,
+    }
+}
+
+/// The visible parts of a segment that are long enough, a point, a fiducial, or a reflector.
+fn parts(view: &View<'_>, seen: &SeenFeature, options: &FindOptions) -> Vec<Part> {
+    let Some(covariances) = &seen.image_covariance else { return Vec::new() };
+    let model = DMat2::from_diagonal(DVec2::splat(options.model * options.model));
+    let covariances: Vec<DMat2> = covariances.iter().map(|c| DMat2::from_cols_array_2d(c) + model).collect();
+    let properties = ExpectedProperties::default();
+    match (&seen.feature.shape, &seen.points_world[..], &covariances[..], seen.visible.first(), seen.roi) {
+        (FeatureShape::Segment { .. }, [a, b], [first, last], ..) => {
+            let part = |(part, edge): (&VisibleInterval, ExpectedEdge)| {
+                let ends = part.pixels;
+                let [x, y] = [0, 1].map(|axis| (ends[0][axis].min(ends[1][axis]), ends[0][axis].max(ends[1][axis])));
+                let reach = edge.reach;
+                Part {
+                    points_world: part.t.map(|t| a.lerp(*b, t)).into(),
+                    expected: ExpectedFeature {
+                        shape: Shape::Segment { ends, corners: [false; 2] },
+                        covariances: part.t.map(|t| *first * (1.0 - t) + *last * t).into(),
+                        window: [x.0 - reach, y.0 - reach, x.1 + reach, y.1 + reach],
+                        properties: properties.clone(),
+                    },
+                    edge: Some(edge),
+                }
+            };
+            ExpectedEdge::of_parts(seen, options.deviations).into_iter().map(part).collect()
+        }
+        (FeatureShape::Point { .. }, [at], [covariance], Some(visible), Some(window)) => vec![Part {
+            points_world: vec![*at],
+            expected: ExpectedFeature {
+                shape: Shape::Point(visible.pixels[0]),
+                covariances: vec![*covariance],
+                window,
+                properties,
+            },
+            edge: None,
+        }],
+        (FeatureShape::Reflector { covariance: own, .. }, [at], [covariance], Some(visible), Some(window)) => {
+            let own = DMat3::from_diagonal(DVec3::splat(own.x_axis.x + own.y_axis.y + own.z_axis.z));
+            vec![reflector(view, (*at, visible.pixels[0]), (*covariance, own), window, options)]
+        }
+        (shape @ FeatureShape::Fiducial { .. }, .., Some(_), Some(window)) if is_sought(shape) => {
+            fiducial(view, seen, covariances, window).into_iter().collect()
+        }
+        _ => Vec::new(),
+    }
+}
+
+/// Reflectors are found by intensities, and by nothing else.
+fn can_be_found(frame: &Frame, part: &Part) -> bool {
+    frame.intensities().is_some() || !part.is_reflector()
+}
+
+fn look(frame: &Frame, part: &Part, options: &FindOptions) -> Result<Vec<Detection>> {
+    let found = match (frame.grey(), &part.edge) {
+        (Some(image), Some(edge)) => {
+            edges_near(image, edge, &options.edges).into_iter().map(|found| found.detection).collect()
+        }
+        (Some(image), None) => match &part.expected.properties.marker {
+            Some(marker) => tags_in(image, PixelBox(part.expected.window), &marker.family)?,
+            None => corners_in(image, PixelBox(part.expected.window), &options.corners),
+        },
+        (None, Some(edge)) => {
+            jumps_near(frame, edge, &options.jumps).into_iter().map(|found| found.detection).collect()
+        }
+        (None, None) => match frame.intensities() {
+            Some(image) if part.is_reflector() => {
+                let window = PixelBox(part.expected.window);
+                reflectors_in(frame, image, window, &options.reflectors)?.into_iter().map(|f| f.detection).collect()
+            }
+            _ => Vec::new(),
+        },
+    };
+    Ok(found)
+}
+
+/// True if two detections are one that was found in two regions: nearer than a pixel, and beside each other.
+fn is_same(a: &Detection, b: &Detection, turn: Option<f64>) -> bool {
+    match (&a.shape, &b.shape) {
+        (Shape::Segment { ends: p, .. }, Shape::Segment { ends: q, .. }) => {
+            let way = p[1] - p[0];
+            let along = way.normalize_or_zero();
+            let off = q.map(|q| along.perp_dot(q - p[0]).abs());
+            let at = q.map(|q| along.dot(q - p[0]));
+            let both = at[0].max(at[1]).min(way.length()) - at[0].min(at[1]).max(0.0);
+            off[0].max(off[1]) < 1.0 && both > 0.5 * way.length().min((at[1] - at[0]).abs())
+        }
+        (Shape::Point(p), Shape::Point(q)) => p.distance(*q) < 1.0,
+        // One behind the other is another one.
+        (Shape::Reflector(p), Shape::Reflector(q)) => {
+            let off = *q + DVec2::new(unwrap(turn, p.x, q.x), 0.0) - *p;
+            off.length() < 0.5 && a.properties.range == b.properties.range
+        }
+        (Shape::Fiducial(_), Shape::Fiducial(_)) => {
+            a.properties.marker == b.properties.marker && a.shape.centre().distance(b.shape.centre()) < 1.0
+        }
+        _ => false,
+    }
+}
+
+/// What ranges say at a reflector: it may stand free. Where they meet the surface that it is on, and it is not bright, it is not there.
+fn upon(ranges: &MeasuredRanges<'_>, points_world: &[DVec3]) -> [usize; 7] {
+    let view = View { sensor: ranges.sensor, world_from_sensor: &ranges.world_from_sensor };
+    let Some([at]) = view.pixels(points_world).as_deref().map(|p| [p[0]]) else { return [0; 7] };
+    // Of the other beams nobody knows whether they should have met it.
+    let at = if ranges.sensor.height() == 1 { DVec2::new(at.x, 0.0) } else { at };
+    let mut counts = verdicts_along(ranges.verdicts, [at; 2], 0.0);
+    if ranges.is_dark_at(at) {
+        counts[Verdict::Farther as usize] += std::mem::take(&mut counts[Verdict::Confirmed as usize]);
+    }
+    counts
+}
+
+/// What ranges say beside a feature, as far as their sensor sees its place.
+fn beside(ranges: &MeasuredRanges<'_>, points_world: &[DVec3]) -> [usize; 7] {
+    let view = View { sensor: ranges.sensor, world_from_sensor: &ranges.world_from_sensor };
+    match view.pixels(points_world).as_deref() {
+        Some([a, b]) => verdicts_along(ranges.verdicts, [*a, *b], BESIDE),
+        // Around a point: above and below, and on both sides.
+        Some([at]) => {
+            let half = DVec2::new(BESIDE, 0.0);
+            let mut counts = verdicts_along(ranges.verdicts, [*at - half, *at + half], BESIDE);
+            let more = verdicts_along(ranges.verdicts, [*at - half.perp(), *at + half.perp()], BESIDE);
+            counts.iter_mut().zip(more).for_each(|(c, m)| *c += m);
+            counts
+        }
+        // A fiducial is flat: ranges tell of its middle whether its surface is there.
+        Some(corners @ [_, _, _, _]) => {
+            let middle = 0.25 * corners.iter().sum::<DVec2>();
+            verdicts_along(ranges.verdicts, [middle; 2], 0.0)
+        }
+        _ => [0; 7],
+    }
+}

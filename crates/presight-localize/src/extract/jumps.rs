@@ -1,0 +1,139 @@
+//! Depth edges in range images: where neighbouring pixels measure surfaces one behind the other.
+
+use super::lines::{EdgeFrame, LineOptions, Step, StepNoise};
+use super::{ExpectedEdge, FoundEdge};
+use glam::DVec2;
+use presight_model::frame::{Frame, RangeNoise};
+
+/// What counts as a depth edge.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct JumpOptions {
+    /// Least jump, as a share of the nearer range; beside that it is more than noise and than what the surfaces' slopes make of it.
+    pub least_jump: f64,
+    /// Least share of its length at which it has to be seen.
+    pub least_support: f64,
+    /// Most edges that are told for one that is expected.
+    pub most: usize,
+}
+
+impl Default for JumpOptions {
+    fn default() -> Self {
+        Self { least_jump: 0.03, least_support: 0.5, most: 3 }
+    }
+}
+
+/// Standard deviations of noise that are no jump.
+const FAR: f64 = 5.0;
+/// A slope may go on by so many times what it was.
+const BEND: f64 = 3.0;
+/// A pixel sees one of both surfaces: the edge is anywhere between two of their middles, along the whole edge if that follows a row
+/// or a column. One standard deviation, pixels.
+const HALF_OPEN: f64 = 0.2887;
+
+/// The depth edges that may be an expected one, the best supported first. `contrast` is the range on the right side less that on the left,
+/// metres.
+///
+/// # Examples
+/// A pillar 2 m away stands before a wall 5 m away, from column 20 on.
+/// ```
+/// use glam::DVec2;
+/// use presight::extract::{ExpectedEdge, JumpOptions, jumps_near};
+/// use presight::frame::{Frame, Measurement};
+/// use presight::{Camera, Geometry, Sensor, SensorSpec};
+/// let camera = Camera::pinhole(40, 30, 40.0, 40.0, 19.5, 14.5);
+/// let sensor = Sensor::new(SensorSpec::new("camera", "laser", Geometry::Camera(camera)))?;
+/// let depth = (0..40 * 30).map(|i| if i % 40 >= 20 { 2.0 } else { 5.0 });
+/// let frame = Frame::new(0.0, sensor, Measurement::DepthZ(depth.collect()))?;
+/// let expected = ExpectedEdge { ends: [DVec2::new(22.0, 2.0), DVec2::new(22.0, 27.0)], reach: 6.0, is_right_brighter: None };
+/// let found = jumps_near(&frame, &expected, &JumpOptions::default());
+/// assert_eq!(found.len(), 1);
+/// assert!(found[0].detection.shape.points().iter().all(|p| (p.x - 19.5).abs() < 0.1));
+/// // Seen downwards, the right side is the left of the image: the far one.
+/// assert!(found[0].contrast > 3.0);
+/// # Ok::<(), presight::Error>(())
+/// ```
+pub fn jumps_near(frame: &Frame, expected: &ExpectedEdge, options: &JumpOptions) -> Vec<FoundEdge> {
+    let (width, height) = (frame.sensor().width(), frame.sensor().height());
+    let longest = f64::from(width).hypot(f64::from(height));
+    let Some(edge) = EdgeFrame::new(expected.ends, expected.reach, longest) else { return Vec::new() };
+    let noise = RangeNoise::of(frame.sensor());
+    let mut steps = Vec::new();
+    let mut across = Vec::new();
+    for along in edge.stations() {
+        across.clear();
+        profile(frame, &edge, along, &mut across);
+        steps_across(&across, along, edge.reach, &noise, options, &mut steps);
+    }
+    let lines = LineOptions {
+        least_support: options.least_support,
+        most: options.most,
+        noise: StepNoise { value: 0.0, floor: HALF_OPEN },
+    };
+    edge.lines_through(steps, &lines)
+}
+
+/// The pixels that a line across an edge passes, one after the other: their ranges, and where the line comes to each.
+fn profile(frame: &Frame, edge: &EdgeFrame, along: f64, to: &mut Vec<(f64, f64)>) {
+    const STEP: f64 = 0.125;
+    let (width, height) = (frame.sensor().width() as usize, frame.sensor().height() as usize);
+    let n = (edge.reach / STEP).ceil() as i32 + (3.0 / STEP) as i32;
+    let mut last = None;
+    for i in -n..=n {
+        let at = STEP * f64::from(i);
+        let DVec2 { x, y } = edge.place(along, at).round();
+        if !(x >= 0.0 && y >= 0.0 && x < width as f64 && y < height as f64) {
+            continue;
+        }
+        let pixel = y as usize * width + x as usize;
+        if last.replace(pixel) != Some(pixel) {
+            to.push((at - 0.5 * STEP, f64::from(frame.ranges()[pixel])));
+        }
+    }
+}
+
+/// Jumps between the pixels of a profile; of several beside each other, as mixed pixels make them, their middle.
+fn steps_across(
+    profile: &[(f64, f64)],
+    along: f64,
+    reach: f64,
+    noise: &RangeNoise,
+    options: &JumpOptions,
+    steps: &mut Vec<Step>,
+) {
+    let jump = |i: usize| -> f64 {
+        let (a, b) = (profile[i - 1].1, profile[i].1);
+        // Nothing within reach is behind everything; where nothing was measured nobody knows.
+        let far = |r: f64| if r == f64::INFINITY { 1e3 } else { r };
+        let (a, b) = (far(a), far(b));
+        let near = a.min(b);
+        if !near.is_finite() || near >= 1e3 {
+            return 0.0;
+        }
+        let slope = |k: Option<usize>| {
+            let pair = k.filter(|k| *k >= 1 && *k < profile.len()).map(|k| (profile[k].1 - profile[k - 1].1).abs());
+            pair.filter(|s| s.is_finite()).unwrap_or(0.0)
+        };
+        // The gentler of both sides: beside a mixed pixel one of them is a jump, too.
+        let goes_on = BEND * slope(i.checked_sub(1)).min(slope(Some(i + 1)));
+        let least = (options.least_jump * near).max(FAR * noise.range_sigma(near) + goes_on);
+        if (b - a).abs() >= least { b - a } else { 0.0 }
+    };
+    let mut i = 1;
+    while i < profile.len() {
+        let first = jump(i);
+        if first == 0.0 {
+            i += 1;
+            continue;
+        }
+        let (mut weight, mut sum, mut end) = (0.0, 0.0, i);
+        while end < profile.len() && jump(end) * first > 0.0 {
+            weight += jump(end).abs();
+            sum += jump(end).abs() * profile[end].0;
+            end += 1;
+        }
+        if (sum / weight).abs() <= reach {
+            steps.push(Step { along, across: sum / weight, contrast: first.signum() * weight });
+        }
+        i = end;
+    }
+}

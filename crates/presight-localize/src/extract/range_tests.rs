@@ -1,0 +1,288 @@
+//! Lines, planes, depth edges and reflectors in ranges of known shapes.
+
+use super::*;
+use glam::{DVec2, DVec3};
+use presight_model::frame::{Frame, GreyImage, Measurement};
+use presight_model::random::SplitMix64;
+use presight_model::sensor::{Angles, Camera, Geometry, Scanner, Sensor, SensorSpec};
+
+const NOISE: f64 = 0.01;
+
+fn normal(random: &mut SplitMix64) -> f64 {
+    let radius = (-2.0 * (1.0 - random.unit()).ln()).sqrt();
+    radius * (std::f64::consts::TAU * random.unit()).cos()
+}
+
+fn sensor(geometry: Geometry) -> Sensor {
+    let mut spec = SensorSpec::new("s", "laser", geometry);
+    spec.noise.range_sigma = NOISE;
+    Sensor::new(spec).unwrap()
+}
+
+/// A full turn of 360 beams; column 0 looks back.
+fn scanner() -> Sensor {
+    let azimuth = Angles::Uniform { start_deg: -180.0, step_deg: 1.0, count: 360 };
+    sensor(Geometry::Scanner(Scanner { azimuth, elevation: Angles::Listed(vec![0.0]), beam_height_deg: None }))
+}
+
+fn camera() -> Sensor {
+    sensor(Geometry::Camera(Camera::pinhole(80, 60, 70.0, 70.0, 39.5, 29.5)))
+}
+
+/// Ranges within convex walls (outward normal and distance), with noise.
+fn inside(sensor: &Sensor, walls: &[(DVec3, f64)], random: &mut SplitMix64) -> Frame {
+    let (w, h) = (sensor.width(), sensor.height());
+    let range = |i: u32| {
+        let ray = sensor.ray(i % w, i / w).unwrap();
+        walls.iter().map(|(n, d)| d / n.dot(ray)).filter(|z| *z > 0.0).fold(f64::INFINITY, f64::min)
+    };
+    let noisy = (0..w * h).map(|i| (range(i) + NOISE * normal(random)) as f32).collect();
+    Frame::new(0.0, sensor.clone(), Measurement::Range(noisy)).unwrap()
+}
+
+/// Of a found surface and the wall it is of: the mean of its points' squared distances in variances.
+fn off(found: &FoundSurface, walls: &[(DVec3, f64)]) -> f64 {
+    let to = |(n, d): &(DVec3, f64)| {
+        let wall = presight_model::geometry::Plane { normal: *n, offset: *d };
+        found.squared_distance(&wall, 0.0) / found.points.len() as f64
+    };
+    walls.iter().map(to).fold(f64::INFINITY, f64::min)
+}
+
+/// A room of four walls is four lines, the one behind over the seam if the box leads over it, with errors as they claim.
+#[test]
+fn a_room_is_four_lines() {
+    let walls = [(DVec3::X, 3.0), (-DVec3::X, 2.0), (DVec3::Y, 1.5), (-DVec3::Y, 2.5)];
+    let (scanner, mut random) = (scanner(), SplitMix64(5));
+    let (mut sum, mut count) = (0.0, 0.0);
+    for _ in 0..20 {
+        let frame = inside(&scanner, &walls, &mut random);
+        let found = surfaces_in(&frame, PixelBox([-153.5, -0.5, 206.5, 0.5]), &SurfaceOptions::default());
+        assert_eq!(found.len(), 4, "{found:?}");
+        assert!(found.iter().map(|s| s.count).sum::<usize>() >= 350);
+        for s in &found {
+            sum += off(s, &walls);
+            count += 1.0;
+            assert!(s.plane.offset < 0.0, "normals look to the sensor");
+            assert!(s.sigma < 0.5 * NOISE && s.scatter < 2.0, "{s:?}");
+        }
+        // In a box of one wall only this one; its normal is told to a few degrees.
+        let ahead = surfaces_in(&frame, PixelBox([165.0, -0.5, 195.0, 0.5]), &SurfaceOptions::default());
+        assert_eq!(ahead.len(), 1);
+        assert!(ahead[0].plane.normal.dot(-DVec3::X) > 0.995 && ahead[0].count == 31);
+    }
+    let mean = sum / count;
+    assert!((0.6..2.0).contains(&mean), "squared errors of {mean} variances");
+}
+
+/// By hand: nine beams meet a wall 2 m ahead square on (nearly), 1 cm of noise each. The middle of the line is known to 1 cm / 3, its
+/// two independent points to sqrt(2) of that.
+#[test]
+fn nine_beams() {
+    let azimuth = Angles::Uniform { start_deg: -0.4, step_deg: 0.1, count: 9 };
+    let narrow =
+        sensor(Geometry::Scanner(Scanner { azimuth, elevation: Angles::Listed(vec![0.0]), beam_height_deg: None }));
+    let range = |c: u32| 2.0 / narrow.ray(c, 0).unwrap().x;
+    let frame = Frame::new(0.0, narrow.clone(), Measurement::Range((0..9).map(|c| range(c) as f32).collect())).unwrap();
+    let options = SurfaceOptions { least_extent: 0.01, flatness: 0.0, ..SurfaceOptions::default() };
+    let found = surfaces_in(&frame, PixelBox::whole_of(&narrow), &options);
+    assert_eq!(found.len(), 1);
+    assert!((found[0].sigma - 2f64.sqrt() * NOISE / 3.0).abs() < 1e-6, "{}", found[0].sigma);
+    // Shorter than asked for, or of fewer points: none.
+    for strict in [SurfaceOptions { least_extent: 0.1, ..options }, SurfaceOptions { least_points: 10, ..options }] {
+        assert!(surfaces_in(&frame, PixelBox::whole_of(&narrow), &strict).is_empty());
+    }
+}
+
+/// A corner of a room is three planes; a box that sees one of them finds one.
+#[test]
+fn a_corner_is_three_planes() {
+    // Optical axes: the right wall, the floor, and the wall ahead.
+    let turned = |n: DVec3| glam::DQuat::from_rotation_y(-0.3) * glam::DQuat::from_rotation_x(0.2) * n;
+    let walls = [(turned(DVec3::X), 1.0), (turned(DVec3::Y), 0.9), (turned(DVec3::Z), 3.0)];
+    let (camera, mut random) = (camera(), SplitMix64(9));
+    let (mut sum, mut count) = (0.0, 0.0);
+    for _ in 0..20 {
+        let frame = inside(&camera, &walls, &mut random);
+        let found = surfaces_in(&frame, PixelBox::whole_of(&camera), &SurfaceOptions::default());
+        assert_eq!(found.len(), 3, "{found:?}");
+        assert!(found.iter().map(|s| s.count).sum::<usize>() > 3000);
+        for s in &found {
+            sum += off(s, &walls);
+            count += 1.0;
+            assert!(s.points.len() == 3 && s.scatter < 1.3, "{s:?}");
+        }
+        let one = surfaces_in(&frame, PixelBox([2.0, 2.0, 20.0, 20.0]), &SurfaceOptions::default());
+        assert_eq!(one.len(), 1);
+        assert!(off(&one[0], &walls) < 8.0);
+    }
+    let mean = sum / count;
+    assert!((0.5..3.0).contains(&mean), "squared errors of {mean} variances");
+}
+
+#[test]
+fn what_is_no_surface_is_not_found() {
+    let (camera, scanner) = (camera(), scanner());
+    let mut random = SplitMix64(2);
+    for sensor in [&camera, &scanner] {
+        let pixels = (sensor.width() * sensor.height()) as usize;
+        let whole = PixelBox::whole_of(sensor);
+        let leaves: Vec<f32> = (0..pixels).map(|_| random.uniform(1.0, 4.0) as f32).collect();
+        for values in [leaves, vec![f32::NAN; pixels], vec![f32::INFINITY; pixels], vec![f32::NEG_INFINITY; pixels]] {
+            let frame = Frame::new(0.0, sensor.clone(), Measurement::Range(values)).unwrap();
+            let found = surfaces_in(&frame, whole, &SurfaceOptions::default());
+            assert!(found.is_empty(), "{found:?}");
+        }
+        let frame = inside(sensor, &[(DVec3::Z, 2.0), (DVec3::X, 2.0), (-DVec3::X, 2.0)], &mut random);
+        for odd in [[f64::NAN; 4], [9.0, 9.0, 1.0, 1.0], [-1e300, 0.0, 1e300, 5.0], [5e3, 0.0, 6e3, 5.0]] {
+            // A scan of a full turn is met beyond its width, too.
+            assert!(sensor.height() == 1 || surfaces_in(&frame, PixelBox(odd), &SurfaceOptions::default()).is_empty());
+        }
+    }
+    // A grey image has no ranges.
+    let grey = GreyImage::new(80, 60, vec![0.5; 4800]).unwrap();
+    let frame = Frame::new(0.0, camera.clone(), Measurement::Grey(grey)).unwrap();
+    assert!(surfaces_in(&frame, PixelBox::whole_of(&camera), &SurfaceOptions::default()).is_empty());
+}
+
+/// A slanted pillar before a wall: the edge is found to a fraction of a pixel as far as pixels tell; its slope, noise, and edges that
+/// are no jump are none.
+#[test]
+fn depth_edges_are_found_between_pixels() {
+    let (camera, mut random) = (camera(), SplitMix64(3));
+    for k in 0..30u32 {
+        let angle = 0.2 * f64::from(k);
+        let on = DVec2::new(39.0 + 0.21 * f64::from(k % 5), 30.0 - 0.13 * f64::from(k % 7));
+        let right = DVec2::from_angle(angle).perp();
+        let depth = (0..80 * 60).map(|i| {
+            let at = DVec2::new(f64::from(i % 80), f64::from(i / 80));
+            let z = if right.dot(at - on) > 0.0 { 2.0 } else { 2.6 + 0.004 * at.x };
+            (z + NOISE * normal(&mut random)) as f32
+        });
+        let frame = Frame::new(0.0, camera.clone(), Measurement::DepthZ(depth.collect())).unwrap();
+        let along = DVec2::from_angle(angle + 0.04);
+        let aside = on + (f64::from(k % 7) - 3.0) * right;
+        let expected =
+            ExpectedEdge { ends: [aside - 18.0 * along, aside + 18.0 * along], reach: 6.0, is_right_brighter: None };
+        let found = jumps_near(&frame, &expected, &JumpOptions::default());
+        assert_eq!(found.len(), 1, "{k}: {found:?}");
+        let off = found[0].detection.shape.points().iter().map(|p| right.dot(*p - on).abs()).fold(0.0, f64::max);
+        assert!(off < 0.8 && off < 3.3 * found[0].detection.covariance.x_axis.x.sqrt(), "{k}: {off} pixels");
+        assert!((-0.95..-0.45).contains(&found[0].contrast), "{}", found[0].contrast);
+        let elsewhere = ExpectedEdge { ends: expected.ends.map(|e| e + 14.0 * right), ..expected };
+        assert!(jumps_near(&frame, &elsewhere, &JumpOptions::default()).is_empty());
+    }
+    // A floor that is seen flat has steps of its own, and no edge.
+    let floor = inside(&camera, &[(DVec3::Y, 1.0), (DVec3::Z, 40.0)], &mut random);
+    let across =
+        ExpectedEdge { ends: [DVec2::new(5.0, 40.0), DVec2::new(75.0, 40.0)], reach: 6.0, is_right_brighter: None };
+    assert!(jumps_near(&floor, &across, &JumpOptions::default()).is_empty());
+    for odd in [f64::NAN, -1.0] {
+        assert!(jumps_near(&floor, &ExpectedEdge { reach: odd, ..across }, &JumpOptions::default()).is_empty());
+    }
+    let blind = Frame::new(0.0, camera, Measurement::DepthZ(vec![f32::NAN; 4800])).unwrap();
+    assert!(jumps_near(&blind, &across, &JumpOptions::default()).is_empty());
+}
+
+#[test]
+fn reflectors_are_small_and_bright() {
+    let scanner = scanner();
+    let whole = PixelBox::whole_of(&scanner);
+    let frame = |far: usize| {
+        let ranges = (0..360).map(|i| if i == far { 5.0 } else { 3.0 }).collect();
+        Frame::new(0.0, scanner.clone(), Measurement::Range(ranges)).unwrap()
+    };
+    let bright = |columns: &[usize]| {
+        GreyImage::new(360, 1, (0..360).map(|i| if columns.contains(&i) { 0.95 } else { 0.4 }).collect()).unwrap()
+    };
+    let options = ReflectorOptions::default();
+    let find = |f: &Frame, columns: &[usize], region: PixelBox| {
+        let found = reflectors_in(f, &bright(columns), region, &options).unwrap();
+        found.iter().map(|r| (r.detection.shape.centre().x, r.range.mean)).collect::<Vec<_>>()
+    };
+    assert_eq!(find(&frame(400), &[10, 11, 12, 50], whole), [(11.0, 3.0), (50.0, 3.0)]);
+    // Two one behind the other are two; in a box only what is in it.
+    assert_eq!(find(&frame(11), &[10, 11], whole), [(10.0, 3.0), (11.0, 5.0)]);
+    assert_eq!(find(&frame(400), &[10, 50], PixelBox([40.0, -0.5, 60.0, 0.5])), [(50.0, 3.0)]);
+    // As wide as a wall, or where nothing was measured: none. Nine beams of 1 degree at 3 m are 0.47 m.
+    assert!(find(&frame(400), &[1, 2, 3, 4, 5, 6, 7, 8, 9], whole).is_empty());
+    let all: Vec<usize> = (0..360).collect();
+    assert!(find(&frame(400), &all, whole).is_empty(), "a blinded receiver");
+    let nothing = Frame::new(0.0, scanner.clone(), Measurement::Range(vec![f32::INFINITY; 360])).unwrap();
+    assert!(find(&nothing, &[10], whole).is_empty());
+    // Each end of three beams lies anywhere within a beam's pitch: the middle is off by 1 / sqrt(24) of a column. Ranges of 1 cm noise tell
+    // their slope to 1 / sqrt(2) cm a column, and that moves the middle by 1.5^2 / 3 m times as much.
+    let one = reflectors_in(&frame(400), &bright(&[10, 11, 12]), whole, &options).unwrap().remove(0);
+    assert!((one.detection.covariance.x_axis.x - (1.0 / 24.0 + 0.0075f64.powi(2) / 2.0)).abs() < 1e-12);
+    // A median of three errs by sqrt(pi / 2) more than a mean.
+    assert!((one.range.variance - std::f64::consts::FRAC_PI_2 * NOISE * NOISE / 3.0).abs() < 1e-12);
+    let other = GreyImage::new(359, 1, vec![1.0; 359]).unwrap();
+    assert_eq!(
+        reflectors_in(&frame(400), &other, whole, &options).unwrap_err().kind(),
+        presight_model::ErrorKind::Invalid
+    );
+    assert!(
+        reflectors_in(&frame(400), &GreyImage::new(360, 1, vec![f32::NAN; 360]).unwrap(), whole, &options)
+            .unwrap()
+            .is_empty()
+    );
+}
+
+/// A region that shows a part of something bright finds all of it: a narrow one makes no reflector of a wall that blinds the receiver. A
+/// reflector on the seam of a turn is one, and so is one with a beam without a reading; where its end has none, nobody knows where it ends.
+#[test]
+fn reflectors_are_found_as_a_whole() {
+    let scanner = scanner();
+    let options = ReflectorOptions::default();
+    let find = |lost: &[usize], columns: &[usize], region: [f64; 2]| {
+        let ranges = (0..360).map(|i| if lost.contains(&i) { f32::NAN } else { 3.0 }).collect();
+        let frame = Frame::new(0.0, scanner.clone(), Measurement::Range(ranges)).unwrap();
+        let values = (0..360).map(|i| if columns.contains(&i) { 0.95 } else { 0.4 }).collect();
+        let image = GreyImage::new(360, 1, values).unwrap();
+        let region = PixelBox([region[0], -0.2, region[1], 0.2]);
+        let found = reflectors_in(&frame, &image, region, &options).unwrap();
+        found.iter().map(|r| (r.detection.shape.centre().x, r.detection.covariance.x_axis.x)).collect::<Vec<_>>()
+    };
+    let wide: Vec<usize> = (100..130).collect();
+    assert!(find(&[], &wide, [110.0, 114.0]).is_empty() && find(&[], &wide, [99.0, 101.0]).is_empty());
+    // Six columns are seen from both of its ends and its middle, as one and the same.
+    let six: Vec<usize> = (100..106).collect();
+    for region in [[99.0, 100.4], [102.0, 103.0], [105.0, 108.0], [90.0, 110.0]] {
+        let found = find(&[], &six, region);
+        assert!(found.len() == 1 && (found[0].0 - 102.5).abs() < 1e-12, "{region:?}: {found:?}");
+    }
+    // Over the seam: columns 358 to 1 have their middle at 359.5, from either side, and where the region goes on beyond the width.
+    for region in [[357.0, 363.0], [-1.0, 2.0], [356.0, 358.0], [1.0, 3.0], [-0.5, 359.5]] {
+        let found = find(&[], &[358, 359, 0, 1], region);
+        assert!(found.len() == 1 && (found[0].0 - 359.5).rem_euclid(360.0) < 1e-9, "{region:?}: {found:?}");
+    }
+    // By hand: ranges tell the slope to 1 cm over the root of the columns' squared distances from their mean; 3^2 / 3 m of it are the middle's.
+    let of_slope = |squares: f64| 0.03f64.powi(2) / squares;
+    let is_at = |found: &[(f64, f64)], (x, variance): (f64, f64)| {
+        found.len() == 1 && (found[0].0 - x).abs() < 1e-12 && (found[0].1 - variance).abs() < 1e-12
+    };
+    let lost = find(&[102], &six, [90.0, 110.0]);
+    assert!(is_at(&lost, (102.5, 1.0 / 24.0 + of_slope(17.2))), "{lost:?}");
+    // An end within two pitches is half a pitch farther on, with a variance of 4 / 12; the middle has a quarter of both.
+    let open = find(&[106], &six, [90.0, 110.0]);
+    assert!(is_at(&open, (102.75, 5.0 / 48.0 + of_slope(17.5))), "{open:?}");
+}
+
+/// By hand: a plate of 20 cm on a wall 0.8 m to the left, 2 m ahead, is seen from 20.854 to 22.834 degrees. Its middle is at 21.801, while that
+/// of its columns is at 21.844, more than two columns of 0.02 degrees off.
+#[test]
+fn the_middle_of_a_reflector_that_is_seen_aslant() {
+    const STEP: f64 = 0.02;
+    let azimuth = Angles::Uniform { start_deg: 0.0, step_deg: STEP, count: 2000 };
+    let geometry = Scanner { azimuth, elevation: Angles::Listed(vec![0.0]), beam_height_deg: None };
+    let scanner = sensor(Geometry::Scanner(geometry));
+    let angle = |i: usize| (STEP * i as f64).to_radians();
+    let ranges = (0..2000).map(|i| (0.8 / angle(i.max(1)).sin()) as f32).collect();
+    let is_on = |i: usize| (1.9..=2.1).contains(&(0.8 / angle(i.max(1)).tan()));
+    let image = GreyImage::new(2000, 1, (0..2000).map(|i| if is_on(i) { 0.95 } else { 0.3 }).collect()).unwrap();
+    let frame = Frame::new(0.0, scanner.clone(), Measurement::Range(ranges)).unwrap();
+    let found = reflectors_in(&frame, &image, PixelBox::whole_of(&scanner), &ReflectorOptions::default()).unwrap();
+    assert_eq!(found.len(), 1);
+    let (column, range) = (found[0].detection.shape.centre().x, found[0].range.mean);
+    assert!((STEP * column - 21.8014).abs() < 0.5 * STEP && (range - 2.15407).abs() < 1e-3, "{column} {range}");
+}

@@ -1,0 +1,41 @@
+//! Boxes of pixels in which features are looked for.
+
+use glam::DVec2;
+use presight_model::frame::GreyImage;
+use presight_model::sensor::Sensor;
+
+/// A box in pixel coordinates, as regions of interest have them: x0, y0, x1, y1; the image is -0.5 .. width - 0.5 and so on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PixelBox(pub [f64; 4]);
+
+impl PixelBox {
+    /// All of an image.
+    pub fn whole(image: &GreyImage) -> Self {
+        Self::of_size(image.width(), image.height())
+    }
+
+    /// All that a sensor sees.
+    pub fn whole_of(sensor: &Sensor) -> Self {
+        Self::of_size(sensor.width(), sensor.height())
+    }
+
+    fn of_size(width: u32, height: u32) -> Self {
+        Self([-0.5, -0.5, f64::from(width) - 0.5, f64::from(height) - 0.5])
+    }
+
+    /// True if a place lies in it.
+    pub fn contains(&self, place: DVec2) -> bool {
+        let [x0, y0, x1, y1] = self.0;
+        place.x >= x0 && place.x <= x1 && place.y >= y0 && place.y <= y1
+    }
+
+    /// First and last column and row whose middle is in it, of an image of this size; `None` if there is none.
+    pub(super) fn pixels(&self, width: u32, height: u32) -> Option<[i64; 4]> {
+        let [x0, y0, x1, y1] = self.0;
+        let first = |x: f64| x.ceil().max(0.0) as i64;
+        let last = |x: f64, side: u32| x.floor().min(f64::from(side) - 1.0) as i64;
+        let found = [first(x0), first(y0), last(x1, width), last(y1, height)];
+        let sound = self.0.iter().all(|x| x.is_finite()) && x1 >= 0.0 && y1 >= 0.0;
+        (sound && found[0] <= found[2] && found[1] <= found[3]).then_some(found)
+    }
+}

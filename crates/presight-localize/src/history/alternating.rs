@@ -1,0 +1,142 @@
+//! Full predictions and history in turn.
+
+use super::health::PredictionTrigger;
+use super::outcome::{MatchOutcome, SeedOutcome, Window};
+use super::track::Seed;
+use super::tracker::Tracker;
+use crate::matching::Detection;
+use glam::{DVec2, DVec3};
+use presight_model::error::Result;
+
+/// Where a frame's windows are from.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Source {
+    /// The tracks' history alone.
+    History,
+    /// A full prediction.
+    Full {
+        /// Why it was made.
+        why: PredictionTrigger,
+        /// What it did to the tracks.
+        seeded: SeedOutcome,
+    },
+}
+
+/// Gives the pixel (column, row) of a point in the world, metres; see [`super::view`].
+pub type PointProjection<'a> = &'a dyn Fn(DVec3) -> Option<DVec2>;
+
+/// One frame's windows.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FrameWindows {
+    /// Where they are from.
+    pub source: Source,
+    /// Where every tracked feature will be found.
+    pub windows: Vec<Window>,
+}
+
+/// Makes full predictions when the tracks are not enough, and does with their history otherwise (paper section 3.4).
+///
+/// ```
+/// use glam::{DMat2, DVec2};
+/// use presight::history::{AlternatingTracker, ImageExtent, Seed, Source, Tracker, TrackerOptions};
+/// use presight::matching::{Detection, ExpectedProperties, Shape};
+///
+/// // Twenty points that move to the right, 60 pixels a second. A full prediction knows where they are.
+/// let at = |i: u32, time: f64| DVec2::new(30.0 * f64::from(i % 5) + 60.0 * time, 100.0 * f64::from(i / 5) + 50.0);
+/// let full = |time: f64| -> presight::Result<Vec<Seed>> {
+///     let seed = |i: u32| Seed {
+///         id: i + 1,
+///         shape: Shape::Point(at(i, time)),
+///         covariances: vec![DMat2::IDENTITY],
+///         properties: ExpectedProperties::default(),
+///         points_world: Vec::new(),
+///     };
+///     Ok((0..20).map(seed).collect())
+/// };
+/// let tracker = Tracker::new(TrackerOptions { least_spread: 2, ..TrackerOptions::new(ImageExtent::new(640, 480)) })?;
+/// let mut alternating = AlternatingTracker::new(tracker, None);
+/// for k in 0..20 {
+///     let time = 0.05 * f64::from(k);
+///     let frame = alternating.predict(time, None, || full(time))?;
+///     assert_eq!(frame.source == Source::History, k > 0);
+///     // Extraction would look into `frame.windows`.
+///     let found: Vec<Detection> = (0..20).map(|i| Detection::point(at(i, time), 0.5)).collect();
+///     assert_eq!(alternating.correct(time, &found)?.matched.len(), 20);
+/// }
+/// assert_eq!(alternating.history_share(), 0.95);
+/// # Ok::<(), presight::Error>(())
+/// ```
+#[derive(Clone, Debug)]
+pub struct AlternatingTracker {
+    tracker: Tracker,
+    /// Most frames from one full prediction to the next.
+    every: Option<u32>,
+    since: u32,
+    full: u64,
+    history: u64,
+}
+
+impl AlternatingTracker {
+    /// With a full prediction whenever the tracker's health asks for one, and at the latest every `every` frames.
+    pub fn new(tracker: Tracker, every: Option<u32>) -> Self {
+        Self { tracker, every, since: 0, full: 0, history: 0 }
+    }
+
+    /// The tracker.
+    pub fn tracker(&self) -> &Tracker {
+        &self.tracker
+    }
+
+    /// The windows of the frame at `time` (seconds); `full` is called where a full prediction is needed, and gives what it shows.
+    /// `view` is what [`Tracker::set_view`] is told, if the motion is known.
+    ///
+    /// # Errors
+    /// Those of `full`, [`Tracker::seed`] and [`Tracker::predict`].
+    pub fn predict(
+        &mut self,
+        time: f64,
+        view: Option<PointProjection<'_>>,
+        full: impl FnOnce() -> Result<Vec<Seed>>,
+    ) -> Result<FrameWindows> {
+        if let Some(view) = view {
+            self.tracker.set_view(view);
+        }
+        let due = self.every.is_some_and(|every| self.since + 1 >= every);
+        let gap = self.tracker.time().is_some_and(|last| time - last > self.tracker.options().longest_gap);
+        let why = self
+            .tracker
+            .health()
+            .wants
+            .or(gap.then_some(PredictionTrigger::Gap))
+            .or(due.then_some(PredictionTrigger::Due));
+        let source = match why {
+            Some(why) => {
+                let seeded = self.tracker.seed(time, full()?)?;
+                // New tracks count their flow from this view, whatever pose the prediction took.
+                if let Some(view) = view {
+                    self.tracker.set_view(view);
+                }
+                (self.since, self.full) = (0, self.full + 1);
+                Source::Full { why, seeded }
+            }
+            None => {
+                (self.since, self.history) = (self.since + 1, self.history + 1);
+                Source::History
+            }
+        };
+        Ok(FrameWindows { source, windows: self.tracker.predict(time)? })
+    }
+
+    /// See [`Tracker::correct`].
+    ///
+    /// # Errors
+    /// Those of [`Tracker::correct`].
+    pub fn correct(&mut self, time: f64, found: &[Detection]) -> Result<MatchOutcome> {
+        self.tracker.correct(time, found)
+    }
+
+    /// Share of frames so far that history did alone; 0 before the first.
+    pub fn history_share(&self) -> f64 {
+        self.history as f64 / (self.full + self.history).max(1) as f64
+    }
+}

@@ -1,0 +1,119 @@
+//! Tracks from full predictions.
+
+use super::track::Seed;
+use crate::matching::{ExpectedProperties, Marker, Shape, UncertainValue};
+use glam::{DMat2, DVec2, DVec3};
+use presight_features::{FeaturePrediction, SeenFeature, VisibleInterval};
+use presight_model::environment::{FeatureShape, Properties};
+use presight_model::geometry::Pose;
+use presight_model::sensor::Sensor;
+
+/// One sigma of a property as a feature layer has it: another instrument measured it.
+const LAYER_SIGMA: f64 = 0.1;
+
+/// Variance of a defining point of which a prediction tells none, pixels squared.
+const UNKNOWN: f64 = 25.0;
+
+impl Seed {
+    /// What a full prediction shows, to be followed: points, reflectors, segments by their longest visible part, and patches and
+    /// fiducials that are seen whole. An end of a segment is a corner where the model ends it, and slides where something hides the rest.
+    ///
+    /// ```
+    /// use presight::environment::{Existence, Feature, FeatureShape, Properties};
+    /// use presight::features::{FeaturePrediction, SeenFeature, VisibleInterval};
+    /// use presight::history::{ImageExtent, Seed, Tracker, TrackerOptions};
+    /// use presight::matching::Detection;
+    /// use presight::{Camera, Geometry, Pose, Sensor, SensorSpec};
+    /// use glam::{DMat3, DVec2, DVec3};
+    ///
+    /// let geometry = Geometry::Camera(Camera::pinhole(640, 480, 500.0, 500.0, 319.5, 239.5));
+    /// let camera = Sensor::new(SensorSpec::new("camera", "video", geometry))?;
+    /// // A full prediction that shows one point: `Predictor::predict` makes them.
+    /// let feature = Feature {
+    ///     id: 7,
+    ///     name: None,
+    ///     object: None,
+    ///     shape: FeatureShape::Point { at: DVec3::new(4.0, 0.0, 1.0), covariance: DMat3::ZERO },
+    ///     existence: Existence::default(),
+    ///     properties: Properties { contrast: Some(0.6), ..Properties::default() },
+    /// };
+    /// let mut seen = SeenFeature::whole(&feature);
+    /// seen.visible = vec![VisibleInterval { t: [0.0, 1.0], pixels: [DVec2::new(320.0, 240.0); 2] }];
+    /// seen.image_covariance = Some(vec![[[4.0, 0.0], [0.0, 4.0]]]);
+    /// let prediction = FeaturePrediction { features: vec![seen], ..FeaturePrediction::default() };
+    ///
+    /// let mut tracker = Tracker::new(TrackerOptions::new(ImageExtent::of(&camera)))?;
+    /// let seeds = Seed::of_prediction(&prediction, &camera, &Pose::IDENTITY);
+    /// let seeded = tracker.seed(10.0, seeds)?;
+    /// assert_eq!(seeded.begun, [7]);
+    ///
+    /// // The same frame: where to look, and what is found there.
+    /// let [x0, _, x1, _] = tracker.predict(10.0)?[0].bounds;
+    /// assert!(x0 < 315.0 && x1 > 325.0);
+    /// let found = [Detection::point(DVec2::new(321.0, 239.0), 0.5)];
+    /// assert_eq!(tracker.correct(10.0, &found)?.matched[0].id, 7);
+    /// # Ok::<(), presight::Error>(())
+    /// ```
+    pub fn of_prediction(prediction: &FeaturePrediction, sensor: &Sensor, world_from_sensor: &Pose) -> Vec<Self> {
+        let view = view(sensor, world_from_sensor);
+        prediction.features.iter().filter_map(|seen| Self::of_seen(seen, &view)).collect()
+    }
+
+    fn of_seen(seen: &SeenFeature, view: &impl Fn(DVec3) -> Option<DVec2>) -> Option<Self> {
+        let extent = |v: &VisibleInterval| v.pixels[0].distance_squared(v.pixels[1]);
+        let visible = seen.visible.iter().reduce(|a, b| if extent(b) > extent(a) { b } else { a })?;
+        let told = |k: usize| seen.image_covariance.as_ref().and_then(|c| c.get(k)).map(DMat2::from_cols_array_2d);
+        let covariance = |k: usize| told(k).unwrap_or(DMat2::from_diagonal(DVec2::splat(UNKNOWN)));
+        let world = &seen.points_world;
+        let corners = || world.iter().map(|p| view(*p)).collect::<Option<Vec<DVec2>>>();
+        let is_whole = seen.hidden.is_empty();
+        let (shape, covariances, points_world) = match &seen.feature.shape {
+            FeatureShape::Point { .. } => (Shape::Point(visible.pixels[0]), vec![covariance(0)], world.clone()),
+            FeatureShape::Reflector { .. } => (Shape::Reflector(visible.pixels[0]), vec![covariance(0)], world.clone()),
+            FeatureShape::Segment { .. } => {
+                let (a, b) = (*world.first()?, *world.get(1)?);
+                let corners = [visible.t[0] <= 0.0, visible.t[1] >= 1.0];
+                let ends = visible.t.map(|t| (covariance(0) * (1.0 - t) + covariance(1) * t, a.lerp(b, t)));
+                (
+                    Shape::Segment { ends: visible.pixels, corners },
+                    ends.map(|e| e.0).to_vec(),
+                    ends.map(|e| e.1).to_vec(),
+                )
+            }
+            FeatureShape::Patch { .. } if is_whole => {
+                (Shape::Patch(corners()?), (0..world.len()).map(covariance).collect(), world.clone())
+            }
+            FeatureShape::Fiducial { .. } if is_whole => {
+                let corners = corners()?.try_into().ok()?;
+                (Shape::Fiducial(corners), (0..4).map(covariance).collect(), world.clone())
+            }
+            FeatureShape::Patch { .. } | FeatureShape::Fiducial { .. } | FeatureShape::Contour { .. } => return None,
+        };
+        Some(Self { id: seen.feature.id, shape, covariances, properties: properties(seen), points_world })
+    }
+}
+
+fn properties(seen: &SeenFeature) -> ExpectedProperties {
+    let estimate = |mean: f64| UncertainValue { mean, variance: LAYER_SIGMA * LAYER_SIGMA };
+    let marker = match &seen.feature.shape {
+        FeatureShape::Fiducial { family, code, .. } => Some(Marker { family: family.clone(), code: *code }),
+        _ => None,
+    };
+    let Properties { strength, contrast, .. } = &seen.feature.properties;
+    ExpectedProperties {
+        strength: strength.map(estimate),
+        contrast: contrast.map(estimate),
+        marker,
+        ..ExpectedProperties::default()
+    }
+}
+
+/// The pixel (column, row) at which a sensor at a pose images a point in the world: for [`super::Tracker::set_view`].
+pub fn view<'a>(sensor: &'a Sensor, world_from_sensor: &Pose) -> impl Fn(DVec3) -> Option<DVec2> + use<'a> {
+    let sensor_from_world = world_from_sensor.inverse();
+    let image_from_body = sensor.body_from_image().transpose();
+    move |p_in_world| {
+        let p_in_image = image_from_body * sensor_from_world.transform_point(p_in_world);
+        sensor.project(p_in_image).map(|(column, row)| DVec2::new(column, row))
+    }
+}

@@ -1,0 +1,87 @@
+//! Where a map explains little: hypotheses take over from one Gaussian, and hand back to it when they agree.
+
+use super::hypotheses::Hypotheses;
+use super::likelihood::PoseLikelihood;
+use super::{Localizer, Phase, Step};
+use crate::estimate::{Estimate, EstimateState, Freedom, Prior};
+use presight_model::error::Result;
+use presight_model::frame::{Frame, Motion};
+use presight_model::matrix::add_to;
+use presight_model::world::World;
+use presight_render::row::is_level;
+
+/// One Gaussian takes over again where the map explains so much more than what hypotheses are for.
+const MORE: f64 = 0.15;
+
+impl Localizer {
+    /// True if one Gaussian should not decide on a level scanner's frame.
+    pub(super) fn is_doubtful(&self, frame: &Frame, estimate: &Estimate) -> bool {
+        let followed = matches!(self.phase, Phase::Tracking | Phase::Candidates);
+        let spec = frame.sensor().spec();
+        let level = is_level(&spec.mount) && !frame.sensor().is_camera();
+        let weighable = self.estimator.options.freedom == Freedom::Planar && level && spec.range_max.is_finite();
+        let coarse = self.is_coarse();
+        let little = !estimate.rests_on_reflectors()
+            && (coarse || estimate.explained < self.options.little || !estimate.is_determined());
+        followed && weighable && estimate.predictions > 0 && little
+    }
+
+    /// Draws hypotheses from what was known before the frame.
+    pub(super) fn doubt(&mut self, frame: &Frame, prior: &Prior) -> Result<()> {
+        let model_sigma = self.estimator.options.model_sigma;
+        let likelihood = PoseLikelihood::new(frame.sensor(), model_sigma, self.options.beam_dependence)?;
+        self.hypotheses = Some(Hypotheses::new(prior, self.options.hypotheses, likelihood));
+        self.agreed_again = 0;
+        Ok(())
+    }
+
+    /// One frame of the hypotheses; without a motion they are where they should be already.
+    pub(super) fn follow_hypotheses(&mut self, world: &World, frame: &Frame, motion: Option<&Motion>) -> Result<Step> {
+        let Some(mut hypotheses) = self.hypotheses.take() else {
+            unreachable!("they are followed while there are some")
+        };
+        if let Some(motion) = motion {
+            hypotheses.carry(motion);
+        }
+        hypotheses.weigh(&mut self.estimator.predictor, world, frame)?;
+        let belief = hypotheses.belief();
+        hypotheses.resample();
+        // The model's own error is the same for all of them: no number of frames takes it away.
+        let known = with_variance(&belief, self.estimator.options.model_sigma);
+        let mut estimate = self.estimator.refine(world, frame, &known)?;
+        let spread = (belief.covariance[0][0] + belief.covariance[1][1]).sqrt();
+        let explains = estimate.explained >= self.options.little + MORE || estimate.rests_on_reflectors();
+        self.agreed_again = if explains { self.agreed_again + 1 } else { 0 };
+        let why = format!("{} hypotheses are spread over {spread:.2} m", self.options.hypotheses);
+        estimate.state = if spread <= self.options.spread {
+            EstimateState::Determined
+        } else {
+            EstimateState::Undetermined(why.clone())
+        };
+        self.hypotheses = Some(hypotheses);
+        let decided = self.decide(&estimate);
+        self.belief = known;
+        let coarse = self.is_coarse();
+        let hand_back = (!coarse || estimate.rests_on_reflectors())
+            && self.agreed_again >= self.options.agreeing
+            && estimate.is_determined();
+        if hand_back {
+            self.belief = Prior { pose: estimate.pose, covariance: estimate.covariance };
+        } else {
+            (estimate.pose, estimate.covariance) = (known.pose, known.covariance);
+        }
+        if hand_back || matches!(self.phase, Phase::Lost | Phase::Unknown) {
+            self.hypotheses = None;
+        }
+        let reason = if decided == why { why } else { format!("{decided}; {why}") };
+        Ok(self.told(frame, reason, estimate))
+    }
+}
+
+/// A belief with so much more variance of its place, metres.
+fn with_variance(belief: &Prior, sigma: f64) -> Prior {
+    let more = std::array::from_fn(|i| std::array::from_fn(|j| if i == j && i < 3 { sigma * sigma } else { 0.0 }));
+    let mut covariance = belief.covariance;
+    add_to(&mut covariance, &more);
+    Prior { covariance, ..*belief }
+}

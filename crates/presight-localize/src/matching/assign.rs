@@ -1,0 +1,317 @@
+//! The assignment with the least total cost.
+
+use pathfinding::prelude::{Matrix, kuhn_munkres};
+use presight_model::error::{Error, Result};
+
+/// Work that one group may cost: rows squared times columns, some 50 ms. Larger groups are matched greedily and counted.
+pub const MAX_GROUP_WORK: usize = 1 << 24;
+
+/// Costs are integers for the algorithm: this many steps a unit.
+const STEPS: f64 = (1u64 << 20) as f64;
+
+/// Largest gain of one pair; sums of gains of a million rows stay far from overflow.
+const MAX_GAIN: f64 = 1e6;
+
+/// A pair that may be.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CandidatePair {
+    /// The expected feature.
+    pub row: u32,
+    /// The detection.
+    pub column: u32,
+    /// Negative log-likelihood ratio.
+    pub cost: f64,
+}
+
+/// Who belongs to whom.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Assignment {
+    /// By row: its column, `None` is not seen.
+    pub columns: Vec<Option<u32>>,
+    /// By row: which candidate it was.
+    pub candidates: Vec<Option<u32>>,
+    /// Sum of the costs of pairs, and of rows that are not seen.
+    pub cost: f64,
+    /// Connected groups of rows and columns, each solved by itself.
+    pub groups: usize,
+    /// Groups beyond [`MAX_GROUP_WORK`]: best pairs first there, which may cost more than the optimum.
+    pub greedy_groups: usize,
+}
+
+/// Assigns to each row one column or none so that the sum of costs is least; no column twice. `unseen[row]` is the cost of
+/// no column. A pair that costs more than that is never taken. Each connected group of candidates is a problem of its own,
+/// solved by Kuhn and Munkres' algorithm on costs rounded to a millionth. Of equal costs the lower column wins where a group has
+/// one row, the lower row where it has one column.
+///
+/// ```
+/// use presight::matching::{CandidatePair, assign};
+/// let pair = |row, column, cost| CandidatePair { row, column, cost };
+/// // The second row has no other choice than what the first likes best.
+/// let pairs = [pair(0, 0, 1.0), pair(0, 1, 1.5), pair(1, 0, 2.0)];
+/// let found = assign(&pairs, &[10.0, 10.0])?;
+/// assert_eq!(found.columns, [Some(1), Some(0)]);
+/// assert_eq!((found.cost, found.groups), (3.5, 1));
+/// # Ok::<(), presight::Error>(())
+/// ```
+///
+/// # Errors
+/// [`crate::ErrorKind::Invalid`] for a candidate whose row has no cost of not being seen, and for costs that are not finite.
+pub fn assign(candidates: &[CandidatePair], unseen: &[f64]) -> Result<Assignment> {
+    check(candidates, unseen)?;
+    let mut found =
+        Assignment { columns: vec![None; unseen.len()], candidates: vec![None; unseen.len()], ..Assignment::default() };
+    let mut edges: Vec<Saving> = Vec::with_capacity(candidates.len());
+    for (i, c) in candidates.iter().enumerate() {
+        let gain = unseen[c.row as usize] - c.cost;
+        if gain > 0.0 {
+            edges.push(Saving {
+                group: 0,
+                row: c.row,
+                column: c.column,
+                gain: gain.min(MAX_GAIN),
+                candidate: i as u32,
+            });
+        }
+    }
+    name_groups(&mut edges, unseen.len());
+    edges.sort_unstable_by_key(|e| (e.group, e.row, e.column, e.candidate));
+    for group in edges.chunk_by(|a, b| a.group == b.group) {
+        found.groups += 1;
+        solve(group, &mut found);
+    }
+    found.cost = total(candidates, unseen, &found.candidates);
+    Ok(found)
+}
+
+fn check(candidates: &[CandidatePair], unseen: &[f64]) -> Result<()> {
+    if let Some(i) = unseen.iter().position(|x| !x.is_finite()) {
+        let what = format!("the cost of row {i} not being seen is {}", unseen[i]);
+        return Err(Error::invalid(what, "give a finite number"));
+    }
+    for (i, c) in candidates.iter().enumerate() {
+        if c.row as usize >= unseen.len() {
+            let what = format!("candidate {i} names row {} of {}", c.row, unseen.len());
+            return Err(Error::invalid(what, "give every row its cost of not being seen"));
+        }
+        if !c.cost.is_finite() {
+            return Err(Error::invalid(format!("candidate {i} costs {}", c.cost), "give a finite number"));
+        }
+    }
+    Ok(())
+}
+
+fn total(candidates: &[CandidatePair], unseen: &[f64], taken: &[Option<u32>]) -> f64 {
+    let of = |(row, taken): (usize, &Option<u32>)| taken.map_or(unseen[row], |i| candidates[i as usize].cost);
+    taken.iter().enumerate().map(of).sum()
+}
+
+/// A pair that is better than none.
+#[derive(Clone, Copy, Debug)]
+struct Saving {
+    group: u32,
+    row: u32,
+    column: u32,
+    /// What it saves.
+    gain: f64,
+    candidate: u32,
+}
+
+/// Writes the lowest row of its connected group to each edge.
+fn name_groups(edges: &mut [Saving], rows: usize) {
+    let mut parent: Vec<u32> = (0..rows as u32).collect();
+    let mut by_column: Vec<u32> = (0..edges.len() as u32).collect();
+    by_column.sort_unstable_by_key(|i| edges[*i as usize].column);
+    for pair in by_column.windows(2) {
+        let [a, b] = [edges[pair[0] as usize], edges[pair[1] as usize]];
+        if a.column == b.column {
+            let (a, b) = (root(&mut parent, a.row), root(&mut parent, b.row));
+            parent[a.max(b) as usize] = a.min(b);
+        }
+    }
+    for edge in edges {
+        edge.group = root(&mut parent, edge.row);
+    }
+}
+
+fn root(parent: &mut [u32], mut at: u32) -> u32 {
+    while parent[at as usize] != at {
+        parent[at as usize] = parent[parent[at as usize] as usize];
+        at = parent[at as usize];
+    }
+    at
+}
+
+/// Solves one group; its edges are sorted by row.
+fn solve(edges: &[Saving], found: &mut Assignment) {
+    let (first, last) = (edges[0], edges[edges.len() - 1]);
+    let best = |a: Saving, b: Saving| if b.gain > a.gain { b } else { a };
+    if first.row == last.row || edges.iter().all(|e| e.column == first.column) {
+        take(edges.iter().copied().fold(first, best), found);
+        return;
+    }
+    let rows = edges.chunk_by(|a, b| a.row == b.row).count();
+    // An optimum never needs more than a row's best `rows` columns: of so many one is always free.
+    let mut kept: Vec<Saving> = Vec::with_capacity(edges.len());
+    for row in edges.chunk_by(|a, b| a.row == b.row) {
+        let start = kept.len();
+        kept.extend_from_slice(row);
+        kept[start..].sort_unstable_by(|a, b| b.gain.total_cmp(&a.gain).then(a.column.cmp(&b.column)));
+        kept.truncate(start + rows);
+    }
+    let mut columns: Vec<u32> = kept.iter().map(|e| e.column).collect();
+    columns.sort_unstable();
+    columns.dedup();
+    if rows.saturating_mul(rows).saturating_mul(columns.len().max(rows)) > MAX_GROUP_WORK {
+        found.greedy_groups += 1;
+        solve_greedily(kept, found);
+    } else {
+        solve_optimally(&kept, rows, &columns, found);
+    }
+}
+
+/// Pairs outside of the candidates save nothing: who gets one is not seen.
+fn solve_optimally(edges: &[Saving], rows: usize, columns: &[u32], found: &mut Assignment) {
+    let mut gains = Matrix::new(rows, columns.len().max(rows), 0i64);
+    let mut of: Vec<(usize, usize, Saving)> = Vec::with_capacity(edges.len());
+    for (r, row) in edges.chunk_by(|a, b| a.row == b.row).enumerate() {
+        for edge in row {
+            let c = columns.partition_point(|c| *c < edge.column);
+            let gain = (edge.gain * STEPS).round() as i64;
+            // A pair named twice counts at its best.
+            if gain > gains[(r, c)] {
+                gains[(r, c)] = gain;
+            }
+            of.push((r, c, *edge));
+        }
+    }
+    let (_, taken) = kuhn_munkres(&gains);
+    let mut done = vec![false; rows];
+    for (r, c, edge) in of {
+        // Sorted by gain within a row: the first is the best of a pair named twice.
+        if taken[r] == c && gains[(r, c)] > 0 && !std::mem::replace(&mut done[r], true) {
+            take(edge, found);
+        }
+    }
+}
+
+fn solve_greedily(mut edges: Vec<Saving>, found: &mut Assignment) {
+    edges.sort_unstable_by(|a, b| b.gain.total_cmp(&a.gain).then((a.row, a.column).cmp(&(b.row, b.column))));
+    let mut columns = std::collections::BTreeSet::new();
+    for edge in edges {
+        if found.columns[edge.row as usize].is_none() && columns.insert(edge.column) {
+            take(edge, found);
+        }
+    }
+}
+
+fn take(edge: Saving, found: &mut Assignment) {
+    found.columns[edge.row as usize] = Some(edge.column);
+    found.candidates[edge.row as usize] = Some(edge.candidate);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// The least cost by trying everything.
+    fn by_force(costs: &[Vec<Option<f64>>], unseen: &[f64], row: usize, taken: &mut Vec<bool>) -> f64 {
+        if row == unseen.len() {
+            return 0.0;
+        }
+        let mut best = unseen[row] + by_force(costs, unseen, row + 1, taken);
+        for column in 0..taken.len() {
+            if let Some(cost) = costs[row][column]
+                && !taken[column]
+            {
+                taken[column] = true;
+                best = best.min(cost + by_force(costs, unseen, row + 1, taken));
+                taken[column] = false;
+            }
+        }
+        best
+    }
+
+    fn candidates(costs: &[Vec<Option<f64>>]) -> Vec<CandidatePair> {
+        let mut all = Vec::new();
+        for (row, line) in costs.iter().enumerate() {
+            for (column, cost) in line.iter().enumerate() {
+                if let Some(cost) = *cost {
+                    all.push(CandidatePair { row: row as u32, column: column as u32, cost });
+                }
+            }
+        }
+        all
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(2000))]
+        #[test]
+        fn assignments_cost_what_trying_everything_finds(
+            costs in (1..=6usize).prop_flat_map(|columns| {
+                let cell = prop_oneof![2 => Just(None), 3 => (-8.0..8.0f64).prop_map(Some)];
+                prop::collection::vec(prop::collection::vec(cell, columns), 1..=6)
+            }),
+            unseen in prop::collection::vec(-4.0..6.0f64, 6),
+        ) {
+            let unseen = &unseen[..costs.len()];
+            let found = assign(&candidates(&costs), unseen).unwrap();
+            let expected = by_force(&costs, unseen, 0, &mut vec![false; costs[0].len()]);
+            // Costs are rounded to a millionth for the algorithm.
+            prop_assert!((found.cost - expected).abs() < 1e-5, "{} and {expected}", found.cost);
+            let mut columns: Vec<u32> = found.columns.iter().flatten().copied().collect();
+            let taken = columns.len();
+            columns.sort_unstable();
+            columns.dedup();
+            prop_assert_eq!(columns.len(), taken, "a column was given twice");
+            for (row, column) in found.columns.iter().enumerate() {
+                prop_assert!(column.is_none_or(|c| costs[row][c as usize].is_some()));
+            }
+        }
+    }
+
+    #[test]
+    fn what_costs_more_than_not_being_seen_is_not_seen() {
+        let dear = [CandidatePair { row: 0, column: 0, cost: 3.0 }];
+        assert_eq!(assign(&dear, &[2.9]).unwrap().columns, [None]);
+        assert_eq!(assign(&dear, &[3.1]).unwrap().columns, [Some(0)]);
+        let nothing = assign(&[], &[1.0, 2.0]).unwrap();
+        assert_eq!((nothing.columns, nothing.cost, nothing.groups), (vec![None, None], 3.0, 0));
+    }
+
+    #[test]
+    fn groups_are_apart() {
+        let pair = |row, column, cost| CandidatePair { row, column, cost };
+        let pairs = [pair(0, 0, 0.0), pair(1, 0, 1.0), pair(2, 5, 0.0), pair(3, 6, 0.0), pair(3, 7, -1.0)];
+        let found = assign(&pairs, &[4.0; 5]).unwrap();
+        assert_eq!(found.columns, [Some(0), None, Some(5), Some(7), None]);
+        assert_eq!((found.groups, found.greedy_groups), (3, 0));
+    }
+
+    #[test]
+    fn bad_costs_are_errors() {
+        let pair = |row, cost| [CandidatePair { row, column: 0, cost }];
+        for (pairs, unseen) in [
+            (pair(0, f64::NAN), vec![1.0]),
+            (pair(0, f64::INFINITY), vec![1.0]),
+            (pair(1, 0.0), vec![1.0]),
+            (pair(0, 0.0), vec![f64::NAN]),
+        ] {
+            assert_eq!(assign(&pairs, &unseen).unwrap_err().kind(), presight_model::ErrorKind::Invalid);
+        }
+    }
+
+    /// 2,000 rows that all want the same 2,000 columns: no optimum within a frame's time, but an answer, and it says so.
+    #[test]
+    fn a_group_too_large_is_matched_greedily_and_counted() {
+        let side = 2000u32;
+        let pairs: Vec<CandidatePair> = (0..side)
+            .flat_map(|row| {
+                (0..20).map(move |k| CandidatePair { row, column: (row + 97 * k) % side, cost: f64::from(k) })
+            })
+            .collect();
+        let found = assign(&pairs, &vec![50.0; side as usize]).unwrap();
+        assert_eq!((found.groups, found.greedy_groups), (1, 1));
+        assert!(found.columns.iter().enumerate().all(|(row, column)| *column == Some(row as u32)));
+    }
+}

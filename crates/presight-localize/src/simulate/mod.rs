@@ -1,0 +1,212 @@
+//! Simulated logs: what a sensor with noise, drop-outs and mixed pixels would measure, odometry that slips, and a scene that is not
+//! quite its model.
+//!
+//! The same seed gives the same log. The generator is its own: nothing here is shared with the estimator's model of noise but the
+//! sensor's stated deviations.
+
+mod grey;
+mod surroundings;
+
+pub use grey::GreySimulator;
+pub use surroundings::{Walkers, displace};
+
+use crate::estimate::moved;
+use presight_model::error::{Error, Result};
+use presight_model::frame::{Frame, GreyImage, Measurement, Motion, RangeNoise};
+use presight_model::geometry::Pose;
+use presight_model::random::SplitMix64;
+use presight_model::sensor::Sensor;
+use presight_model::world::World;
+use presight_predict::predict::Predictor;
+use presight_render::plan::{Images, Output, Outputs};
+
+/// How a simulated sensor and its robot err beyond the sensor's stated noise.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Disturbances {
+    /// Share of the pixels without a measurement.
+    pub drop_outs: f64,
+    /// Share of the pixels at a jump in range that measure something in between.
+    pub mixed_pixels: f64,
+    /// Share of the way that odometry is wrong by, one standard deviation.
+    pub slip: f64,
+    /// Radians that odometry is wrong by for each radian turned and for each metre, one standard deviation.
+    pub turn_slip: f64,
+}
+
+impl Default for Disturbances {
+    fn default() -> Self {
+        Self { drop_outs: 0.01, mixed_pixels: 0.3, slip: 0.02, turn_slip: 0.02 }
+    }
+}
+
+/// A range that differs from its neighbour's by more than this share is behind an edge.
+const JUMP: f64 = 0.05;
+
+/// Simulates the frames of one sensor on one robot.
+///
+/// # Examples
+/// ```
+/// use presight::simulate::{Disturbances, Simulator};
+/// use presight::{Environment, Options, Pose, Predictor, World};
+/// let world = World::new(Environment::new());
+/// let scanner = presight::preset("laser-scanner")?;
+/// let mut simulator = Simulator::new(Predictor::new(Options::default())?, scanner, Disturbances::default(), 7)?;
+/// let frame = simulator.frame(&world, 0.0, &Pose::IDENTITY)?;
+/// assert!(frame.ranges().iter().all(|r| !r.is_finite()), "nothing is there");
+/// # Ok::<(), presight::Error>(())
+/// ```
+pub struct Simulator {
+    predictor: Predictor,
+    sensor: Sensor,
+    disturbances: Disturbances,
+    random: SplitMix64,
+    before: Option<Pose>,
+    intensities: Option<Intensities>,
+}
+
+/// How intensities err.
+struct Intensities {
+    noise: f64,
+    /// Of their own: ranges are the same with them and without.
+    random: SplitMix64,
+}
+
+/// What a simulated pixel is: its range, and how much of it is its neighbour's.
+#[derive(Clone, Copy)]
+struct MeasuredPixel {
+    range: f32,
+    mixed: f64,
+}
+
+impl Simulator {
+    /// Makes a simulator; the same seed gives the same frames.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Usage`] for shares outside 0..=1 and slips that are negative or no numbers.
+    pub fn new(predictor: Predictor, sensor: Sensor, disturbances: Disturbances, seed: u64) -> Result<Self> {
+        let d = &disturbances;
+        let shares = [("drop_outs", d.drop_outs), ("mixed_pixels", d.mixed_pixels)];
+        if let Some((name, share)) = shares.into_iter().find(|(_, s)| !(0.0..=1.0).contains(s)) {
+            return Err(Error::usage(format!("{name} of {share}"), "give a share of 0 to 1"));
+        }
+        if ![d.slip, d.turn_slip].iter().all(|s| *s >= 0.0 && s.is_finite()) {
+            return Err(Error::usage(
+                format!("slips of {} and {}", d.slip, d.turn_slip),
+                "give finite shares of at least 0",
+            ));
+        }
+        let random = SplitMix64(seed);
+        Ok(Self { predictor, sensor, disturbances, random, before: None, intensities: None })
+    }
+
+    /// With intensities beside the ranges: the echo ([`Output::Echo`]) with noise of this standard deviation, 0 to 1. They saturate at 1; a
+    /// pixel that mixes two surfaces mixes their echoes.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Usage`] for a noise outside of 0 to 1.
+    pub fn with_intensities(self, noise: f64) -> Result<Self> {
+        if !(0.0..=1.0).contains(&noise) {
+            return Err(Error::usage(format!("noise of intensities of {noise}"), "give 0 to 1"));
+        }
+        let random = SplitMix64(self.random.0 ^ 0x6563_686f);
+        Ok(Self { intensities: Some(Intensities { noise, random }), ..self })
+    }
+
+    /// What the sensor measures with the robot at a pose, and the odometry since the frame before.
+    ///
+    /// # Errors
+    /// Those of [`Predictor::predict_images`], and a stamp that is no number.
+    pub fn frame(&mut self, world: &World, stamp: f64, world_from_robot: &Pose) -> Result<Frame> {
+        let asked = [Output::Range, Output::CosIncidence, Output::Echo];
+        let outputs = Outputs::of(&asked[..if self.intensities.is_some() { 3 } else { 2 }]);
+        let world_from_sensor = *world_from_robot * self.sensor.spec().mount;
+        let mut seen = Images::default();
+        self.predictor.predict_images(world, &self.sensor, &world_from_sensor, outputs, &mut seen)?;
+        let pixels = self.measure(&seen.range, &seen.cos_incidence);
+        let ranges = pixels.iter().map(|p| p.range).collect();
+        let mut frame = Frame::new(stamp, self.sensor.clone(), Measurement::Range(ranges))?;
+        if let Some(intensities) = &mut self.intensities {
+            let values = intensities.measure(&seen.echo, &pixels);
+            frame = frame.with_intensities(GreyImage::new(self.sensor.width(), self.sensor.height(), values)?)?;
+        }
+        frame.motion = self.before.replace(*world_from_robot).map(|before| self.odometry(&before, world_from_robot));
+        Ok(frame)
+    }
+
+    fn measure(&mut self, range: &[f32], cos_incidence: &[f32]) -> Vec<MeasuredPixel> {
+        let spec = self.sensor.spec().clone();
+        let noise = RangeNoise::of(&self.sensor);
+        let width = self.sensor.width() as usize;
+        let mut measured = Vec::with_capacity(range.len());
+        for (i, r) in range.iter().enumerate() {
+            // Every pixel draws the same numbers, whatever it sees: a change of the world changes only what is seen.
+            let (along, across) = (self.normal(), self.normal());
+            let (lost, mixed, between) = (self.random.unit(), self.random.unit(), self.random.unit());
+            if !r.is_finite() {
+                measured.push(MeasuredPixel { range: *r, mixed: 0.0 });
+                continue;
+            }
+            let (mut z, mut of_next) = (f64::from(*r), 0.0);
+            let neighbour = if (i + 1) % width != 0 { range.get(i + 1).copied().map(f64::from) } else { None };
+            if let Some(next) = neighbour.filter(|n| n.is_finite() && (n - z).abs() > JUMP * z)
+                && mixed < self.disturbances.mixed_pixels
+            {
+                z += between * (next - z);
+                of_next = between;
+            }
+            let cos = f64::from(cos_incidence[i]).clamp(0.05, 1.0);
+            let slant = (1.0 - cos * cos).sqrt() / cos;
+            z += noise.range_sigma(z) * along + z * noise.angle * slant * across;
+            let range = if lost < self.disturbances.drop_outs {
+                f32::NAN
+            } else if z < spec.range_min {
+                f32::NEG_INFINITY
+            } else if z > spec.range_max {
+                f32::INFINITY
+            } else {
+                z as f32
+            };
+            measured.push(MeasuredPixel { range, mixed: of_next });
+        }
+        measured
+    }
+
+    fn odometry(&mut self, before: &Pose, now: &Pose) -> Motion {
+        let truth = before.inverse() * *now;
+        let way = truth.translation.length();
+        let turned = truth.rotation.angle_between(glam::DQuat::IDENTITY);
+        // Never certain: a robot that stands may have been pushed.
+        let t = self.disturbances.slip * way + 1e-4;
+        let r = self.disturbances.turn_slip * (turned + way) + 1e-4;
+        let error: [f64; 6] = std::array::from_fn(|i| if i < 3 { t } else { r } * self.normal());
+        let variance = |i: usize| if i < 3 { t * t } else { r * r };
+        Motion {
+            previous_from_current: moved(&truth, &error),
+            covariance: std::array::from_fn(|i| std::array::from_fn(|j| if i == j { variance(i) } else { 0.0 })),
+        }
+    }
+
+    fn normal(&mut self) -> f64 {
+        normal(&mut self.random)
+    }
+}
+
+impl Intensities {
+    /// Where nothing was measured, there is none.
+    fn measure(&mut self, echo: &[f32], pixels: &[MeasuredPixel]) -> Vec<f32> {
+        let value = |(i, pixel): (usize, &MeasuredPixel)| {
+            let noise = self.noise * normal(&mut self.random);
+            let own = f64::from(echo[i]);
+            let next = echo.get(i + 1).map_or(own, |e| f64::from(*e));
+            let value = if pixel.mixed > 0.0 { own + pixel.mixed * (next - own) } else { own };
+            if pixel.range.is_finite() { (value + noise).clamp(0.0, 1.0) as f32 } else { f32::NAN }
+        };
+        pixels.iter().enumerate().map(value).collect()
+    }
+}
+
+/// Mean 0, variance 1 (Box and Muller).
+fn normal(random: &mut SplitMix64) -> f64 {
+    let radius = (-2.0 * (1.0 - random.unit()).ln()).sqrt();
+    radius * (std::f64::consts::TAU * random.unit()).cos()
+}

@@ -1,0 +1,135 @@
+//! What is expected of each pixel: the predicted point and the exact plane of its polygon.
+
+use super::Surfaces;
+use super::strided::StridedPoints;
+use super::surfaces::ObjectErrors;
+use glam::{DVec3, Vec3};
+use presight_model::error::Result;
+use presight_model::geometry::Pose;
+use presight_model::sensor::{Geometry, Sensor, body_from_optical_rotation};
+use presight_model::world::World;
+use presight_predict::predict::Predictor;
+use presight_render::plan::{Images, Output, Outputs};
+use rayon::prelude::*;
+
+/// A pixel of a prediction. All of it is told in the image frame of the predicted pose.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ExpectedPixel {
+    /// The predicted point, metres; NaN where nothing is predicted.
+    pub point: Vec3,
+    /// Metres along the ray; not finite where no point is.
+    pub range: f32,
+    /// Unit normal of the polygon.
+    pub normal: Vec3,
+    /// `normal . point`, metres.
+    pub offset: f32,
+    /// Index of the object.
+    pub object: u32,
+    /// See [`super::Surface::group`].
+    pub group: u32,
+}
+
+/// Fewest pixels of one task.
+const TASK: usize = 512;
+
+pub(super) const NOTHING: ExpectedPixel = ExpectedPixel {
+    point: Vec3::NAN,
+    range: f32::INFINITY,
+    normal: Vec3::NAN,
+    offset: f32::NAN,
+    object: u32::MAX,
+    group: u32::MAX,
+};
+
+/// A prediction, arranged for comparing it with what is sensed.
+#[derive(Clone, Debug)]
+pub struct ExpectedImage {
+    pub sensor: Sensor,
+    pub world_from_image: Pose,
+    pub width: usize,
+    pub height: usize,
+    pub pixels: Vec<ExpectedPixel>,
+    pub strided: StridedPoints,
+    /// Radians from one column to the next, and from one row to the next; infinite where there is but one.
+    pub spacing: (f64, f64),
+    /// Of the objects whose poses' covariances are stored.
+    pub errors: ObjectErrors,
+}
+
+/// The frame in which rays and points of an image are told, in body axes.
+pub fn body_from_image(sensor: &Sensor) -> Pose {
+    let rotation = if sensor.is_camera() { body_from_optical_rotation() } else { glam::DQuat::IDENTITY };
+    Pose { rotation, translation: DVec3::ZERO }
+}
+
+impl ExpectedImage {
+    /// Predicts what a sensor should see at a pose (body axes), with the plane of each pixel's polygon.
+    ///
+    /// # Errors
+    /// Those of [`Predictor::predict_images`].
+    pub fn predict(
+        predictor: &mut Predictor,
+        world: &World,
+        surfaces: &mut Surfaces,
+        sensor: &Sensor,
+        world_from_sensor: &Pose,
+    ) -> Result<Self> {
+        let outputs = Outputs::of(&[Output::Range, Output::PolygonId]);
+        let mut images = Images::default();
+        predictor.predict_images(world, sensor, world_from_sensor, outputs, &mut images)?;
+        surfaces.follow(world);
+        let errors = surfaces.object_errors(world, &sensor.spec().class);
+        let world_from_image = *world_from_sensor * body_from_image(sensor);
+        let image_from_world = world_from_image.inverse();
+        let (width, height) = (sensor.width() as usize, sensor.height() as usize);
+        images.polygon_id.iter().for_each(|id| surfaces.see(world, *id));
+        let pixel = |i: usize| {
+            let range = images.range[i];
+            let surface = images.polygon_id[i].checked_sub(1).and_then(|slot| surfaces.seen(slot));
+            let ray = sensor.ray((i % width) as u32, (i / width) as u32);
+            let (Some(surface), Some(ray), true) = (surface, ray, range.is_finite()) else {
+                return ExpectedPixel { range, ..NOTHING };
+            };
+            let normal = image_from_world.rotation * surface.plane.normal;
+            let offset = surface.plane.offset - surface.plane.normal.dot(world_from_image.translation);
+            ExpectedPixel {
+                point: (f64::from(range) * ray).as_vec3(),
+                range,
+                normal: normal.as_vec3(),
+                offset: offset as f32,
+                object: surface.object,
+                group: surface.group,
+            }
+        };
+        let pixels = (0..width * height).into_par_iter().with_min_len(TASK);
+        let pixels: Vec<ExpectedPixel> = predictor.on_threads(|| pixels.map(pixel).collect())?;
+        Ok(Self {
+            sensor: sensor.clone(),
+            world_from_image,
+            width,
+            height,
+            pixels,
+            strided: StridedPoints::default(),
+            spacing: spacing(sensor),
+            errors,
+        })
+    }
+
+    /// The pixels, row by row.
+    pub fn pixels(&self) -> &[ExpectedPixel] {
+        &self.pixels
+    }
+}
+
+/// Radians between neighbouring columns and rows in the middle of the image.
+fn spacing(sensor: &Sensor) -> (f64, f64) {
+    if let Geometry::Camera(camera) = &sensor.spec().geometry {
+        return (1.0 / camera.fx, 1.0 / camera.fy);
+    }
+    let (column, row) = (sensor.width() / 2, sensor.height() / 2);
+    let between = |c: u32, r: u32| match (sensor.ray(column, row), sensor.ray(c, r)) {
+        (Some(a), Some(b)) if (c, r) != (column, row) => a.angle_between(b),
+        _ => f64::INFINITY,
+    };
+    (between(column.saturating_sub(1), row), between(column, row.saturating_sub(1)))
+}

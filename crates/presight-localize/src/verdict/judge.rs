@@ -1,0 +1,296 @@
+//! The verdict of each pixel.
+
+use super::ExpectedImage;
+use super::expected::{ExpectedPixel, body_from_image};
+use super::surfaces::ObjectError;
+use crate::motion::turn;
+use glam::DVec3;
+use presight_model::error::{Error, Result};
+use presight_model::frame::{Frame, RangeNoise};
+use presight_model::geometry::Pose;
+use presight_model::matrix::{Matrix, quadratic, sandwich};
+use presight_model::threads::parallel_or_here;
+use rayon::prelude::*;
+
+/// What one measured pixel says of the prediction.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum Verdict {
+    /// What was predicted is there.
+    Confirmed,
+    /// Something unknown stands before it.
+    Nearer,
+    /// The ray passed through what should be there.
+    Farther,
+    /// Something was predicted, and nothing was measured.
+    NoReturn,
+    /// Nothing was predicted within the sensor's reach, and nothing is there.
+    Beyond,
+    /// An edge, or another surface within the uncertainty of the pixel, explains the measurement as well.
+    Undecidable,
+    /// Nothing was predicted that the measurement could be compared with.
+    NotPredicted,
+}
+
+impl Verdict {
+    /// All of them, in the order of [`Verdicts::counts`].
+    pub const ALL: [Self; 7] = [
+        Self::Confirmed,
+        Self::Nearer,
+        Self::Farther,
+        Self::NoReturn,
+        Self::Beyond,
+        Self::Undecidable,
+        Self::NotPredicted,
+    ];
+
+    /// The name in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Confirmed => "confirmed",
+            Self::Nearer => "nearer",
+            Self::Farther => "farther",
+            Self::NoReturn => "no_return",
+            Self::Beyond => "beyond",
+            Self::Undecidable => "undecidable",
+            Self::NotPredicted => "not_predicted",
+        }
+    }
+}
+
+/// What is known of the errors of a comparison.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Uncertainty {
+    /// Of the measurement.
+    pub noise: RangeNoise,
+    /// Of the robot's pose: x y z, then rotation about fixed x y z, world axes, row by row; metres and radians.
+    pub pose: Matrix,
+    /// Of the polygons along their normals, one standard deviation, metres; beside what is stored of their objects' poses.
+    pub polygons: f64,
+}
+
+/// The verdicts of an image.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Verdicts {
+    /// Columns.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// Row by row.
+    pub pixels: Vec<Verdict>,
+    /// Measured less predicted range, metres; NaN where one of both is missing.
+    pub difference: Vec<f32>,
+}
+
+impl Verdicts {
+    /// Pixels of each verdict, in the order of [`Verdict::ALL`].
+    pub fn counts(&self) -> [usize; 7] {
+        let mut counts = [0; 7];
+        self.pixels.iter().for_each(|v| counts[*v as usize] += 1);
+        counts
+    }
+
+    /// Share of the pixels that have this verdict; 0 for an image without pixels.
+    pub fn share(&self, verdict: Verdict) -> f64 {
+        self.counts()[verdict as usize] as f64 / self.pixels.len().max(1) as f64
+    }
+}
+
+/// A difference beyond so many standard deviations is none of noise: 1 in 1,000 of Gaussian ones.
+const BOUND: f64 = 3.3;
+/// Widest window on either side of a pixel.
+const WIDEST: i64 = 16;
+/// Fewest pixels of one task.
+const TASK: usize = 512;
+
+/// Compares a frame with what was expected of it, for a robot at a pose with a covariance. The pose may differ a little from the
+/// one that was predicted at: ranges are taken on the predicted planes.
+///
+/// A pixel is compared with all that is predicted within its uncertainty: the standard deviation of a range is
+/// `s^2 = s_z^2 + (z s_a tan i)^2 + (J C J' + P) / cos^2 i`, with i the angle of incidence, C the pose's covariance, P the
+/// polygon's: stated, and by the stored covariance of its object's pose. Nearer than the nearest by 3.3 s is [`Verdict::Nearer`], farther than the farthest [`Verdict::Farther`].
+///
+/// # Errors
+/// [`crate::ErrorKind::Usage`] if frame and prediction have not the same size.
+pub fn judge(
+    frame: &Frame,
+    expected: &ExpectedImage,
+    world_from_robot: &Pose,
+    known: &Uncertainty,
+) -> Result<Verdicts> {
+    let sensor = frame.sensor();
+    let (width, height) = (sensor.width() as usize, sensor.height() as usize);
+    if (width, height) != (expected.width, expected.height) {
+        return Err(Error::usage(
+            format!(
+                "a frame of {width} x {height} pixels and a prediction of {} x {}",
+                expected.width, expected.height
+            ),
+            "predict for the frame's own sensor",
+        ));
+    }
+    let judge = parallel_or_here(|| PixelJudge::new(expected, sensor.spec().mount, world_from_robot, known));
+    let limits = (sensor.spec().range_min, sensor.spec().range_max);
+    let one = |i: usize| {
+        let z = f64::from(frame.ranges()[i]);
+        let (verdict, predicted) = judge.pixel(i % width, i / width, as_measured(z, limits), limits);
+        let difference = (z - predicted) as f32;
+        (verdict, if difference.is_finite() { difference } else { f32::NAN })
+    };
+    let (mut pixels, mut difference) = (Vec::new(), Vec::new());
+    let all = (0..width * height).into_par_iter().with_min_len(TASK);
+    parallel_or_here(|| all.map(one).unzip_into_vecs(&mut pixels, &mut difference));
+    Ok(Verdicts { width: width as u32, height: height as u32, pixels, difference })
+}
+
+/// A range outside the limits is one of REP-117's.
+fn as_measured(z: f64, (least, most): (f64, f64)) -> f64 {
+    if z < least {
+        f64::NEG_INFINITY
+    } else if z > most {
+        f64::INFINITY
+    } else {
+        z
+    }
+}
+
+struct PixelJudge<'a> {
+    expected: &'a ExpectedImage,
+    known: &'a Uncertainty,
+    /// Rotation of rays and place of the sensor, in the expected image's frame.
+    expected_from_now: Pose,
+    /// Variance of each pixel's polygon along its normal, by the robot's pose and by its own; square metres.
+    off: Vec<f64>,
+    /// Root of the largest variance, metres and radians.
+    translation: f64,
+    rotation: f64,
+}
+
+/// What the window around a pixel holds.
+struct PixelWindow {
+    nearest: f64,
+    farthest: f64,
+    /// Some pixel of it has no prediction.
+    open: bool,
+}
+
+impl<'a> PixelJudge<'a> {
+    fn new(expected: &'a ExpectedImage, mount: Pose, world_from_robot: &Pose, known: &'a Uncertainty) -> Self {
+        let expected_from_world = expected.world_from_image.inverse();
+        let expected_from_now = expected_from_world * *world_from_robot * mount * body_from_image(&expected.sensor);
+        let covariance = sandwich(&turn(expected_from_world.rotation), &known.pose);
+        let robot = expected_from_world.transform_point(world_from_robot.translation);
+        let off = |pixel: &ExpectedPixel| {
+            let (point, normal) = (pixel.point.as_dvec3(), pixel.normal.as_dvec3());
+            let by_pose = quadratic(&covariance, &ObjectError::gradient(robot, point, normal)).max(0.0);
+            let by_object = expected.errors.get(&pixel.object).map_or(0.0, |error| {
+                let world = &expected.world_from_image;
+                let (point, normal) = (world.transform_point(point), world.rotation * normal);
+                quadratic(&error.covariance, &ObjectError::gradient(error.origin, point, normal)).max(0.0)
+            });
+            by_pose + by_object + known.polygons.powi(2)
+        };
+        let largest = |from: usize| (from..from + 3).map(|i| known.pose[i][i]).sum::<f64>().max(0.0).sqrt();
+        Self {
+            expected,
+            known,
+            expected_from_now,
+            off: expected.pixels.par_iter().with_min_len(TASK).map(off).collect(),
+            translation: largest(0),
+            rotation: largest(3),
+        }
+    }
+
+    /// Predicted range on the plane of a pixel along a ray, and its standard deviation; `None` where nothing is predicted.
+    fn on_plane(&self, at: usize, ray: DVec3, measured: f64) -> Option<(f64, f64)> {
+        let pixel = &self.expected.pixels[at];
+        if !pixel.range.is_finite() {
+            return None;
+        }
+        let normal = pixel.normal.as_dvec3();
+        let centre = self.expected_from_now.translation;
+        let slope = normal.dot(ray);
+        let range = (f64::from(pixel.offset) - normal.dot(centre)) / slope;
+        // Edge-on, or the pixel's plane is behind the ray: the pixel's own range is what there is.
+        let range = if range > 0.0 && slope.abs() > 1e-3 { range } else { f64::from(pixel.range) };
+        let cos = slope.abs().max(1e-3);
+        let off = self.off[at];
+        let z = if measured.is_finite() { measured } else { range };
+        let along = self.known.noise.range_sigma(z);
+        let across = z * self.known.noise.angle * (1.0 - cos * cos).max(0.0).sqrt() / cos;
+        Some((range, (along * along + across * across + off / (cos * cos)).sqrt()))
+    }
+
+    fn window(&self, column: usize, row: usize, ray: DVec3, z: f64) -> PixelWindow {
+        let e = self.expected;
+        let at = row * e.width + column;
+        let range = if z.is_finite() { z } else { f64::from(e.pixels[at].range) };
+        let range = if range.is_finite() { range.max(0.1) } else { 1.0 };
+        let angle = BOUND * (self.rotation + self.translation / range + self.known.noise.angle);
+        // Half a pixel more: a polygon's edge may be anywhere between two rays.
+        let half = |spacing: f64| ((angle / spacing + 0.5).ceil() as i64).clamp(i64::from(spacing.is_finite()), WIDEST);
+        let (hu, hv) = (half(e.spacing.0), half(e.spacing.1));
+        let (hu, hv) = (hu.min(e.width as i64 - 1), hv.min(e.height as i64 - 1));
+        let mut window = PixelWindow { nearest: f64::INFINITY, farthest: f64::NEG_INFINITY, open: false };
+        for v in row as i64 - hv..=row as i64 + hv {
+            for u in column as i64 - hu..=column as i64 + hu {
+                if u < 0 || v < 0 || u >= e.width as i64 || v >= e.height as i64 {
+                    continue;
+                }
+                let j = v as usize * e.width + u as usize;
+                // A neighbour counts with its own range and with where its plane would be met here.
+                let Some((on_plane, sigma)) = self.on_plane(j, ray, z) else {
+                    window.open = true;
+                    continue;
+                };
+                let own = f64::from(e.pixels[j].range);
+                let (low, high) = if j == at { (on_plane, on_plane) } else { (own.min(on_plane), own) };
+                window.nearest = window.nearest.min(low - BOUND * sigma);
+                window.farthest = window.farthest.max(high + BOUND * sigma);
+            }
+        }
+        window
+    }
+
+    fn pixel(&self, column: usize, row: usize, z: f64, (least, most): (f64, f64)) -> (Verdict, f64) {
+        let e = self.expected;
+        let at = row * e.width + column;
+        let Some(ray) = e.sensor.ray(column as u32, row as u32) else { return (Verdict::NotPredicted, f64::NAN) };
+        let ray = self.expected_from_now.rotation * ray;
+        let here = self.on_plane(at, ray, z);
+        let predicted = here.map_or(f64::from(e.pixels[at].range), |(range, _)| range);
+        // The window holds the pixel itself: what it confirms is neither nearer nor farther than all of them.
+        if let Some((range, sigma)) = here
+            && (z - range).abs() <= BOUND * sigma
+        {
+            return (Verdict::Confirmed, predicted);
+        }
+        let window = self.window(column, row, ray, z);
+        let empty = window.nearest == f64::INFINITY;
+        let verdict = if z.is_nan() {
+            if empty { Verdict::NotPredicted } else { Verdict::NoReturn }
+        } else if z == f64::INFINITY {
+            match (empty, window.open) {
+                (true, _) => Verdict::Beyond,
+                (false, false) if window.farthest < most => Verdict::Farther,
+                _ => Verdict::Undecidable,
+            }
+        } else if z == f64::NEG_INFINITY {
+            if e.pixels[at].range == f32::NEG_INFINITY {
+                Verdict::Confirmed
+            } else if window.nearest > least && !empty {
+                Verdict::Nearer
+            } else {
+                Verdict::Undecidable
+            }
+        } else if empty {
+            Verdict::NotPredicted
+        } else if z < window.nearest {
+            Verdict::Nearer
+        } else if z > window.farthest && !window.open {
+            Verdict::Farther
+        } else {
+            Verdict::Undecidable
+        };
+        (verdict, predicted)
+    }
+}

@@ -1,0 +1,583 @@
+//! Meshes: convex polygons over shared vertices, in their own frame, stored once for all instances.
+
+use super::cluster_vertices::ClusterVertices;
+use crate::error::{Error, Result};
+use crate::geometry::{Aabb, Plane, plane_of_loop};
+use crate::limits;
+use crate::threads::parallel_or_here;
+use glam::DMat3;
+use glam::{DVec3, Vec3};
+use std::sync::OnceLock;
+
+/// A planar convex polygon, for [`Mesh::new`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct Polygon {
+    /// Vertex indices in winding order, at least 3.
+    pub corners: Vec<u32>,
+    /// Index of the material in the environment.
+    pub material: u16,
+    /// Number of the (first) source triangle within the object.
+    pub source: u32,
+}
+
+impl Polygon {
+    /// A polygon that is its own source.
+    pub fn new(corners: Vec<u32>, material: u16) -> Self {
+        Self { corners, material, source: 0 }
+    }
+}
+
+/// In which order a mesh keeps its polygons.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PolygonOrder {
+    /// Neighbours together, so that clusters have small boxes. Use this for everything except comparisons.
+    Spatial,
+    /// The given order, so that slots rise with source numbers.
+    Given,
+}
+
+/// A stored polygon: where its corners are, and its attributes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PolygonRecord {
+    pub first_corner: u32,
+    pub source: u32,
+    pub material: u16,
+    pub corner_count: u8,
+}
+
+impl PolygonRecord {
+    /// Its part of all corners.
+    #[inline]
+    pub fn corners(self, all: &[u32]) -> &[u32] {
+        let first = self.first_corner as usize;
+        &all[first..first + usize::from(self.corner_count)]
+    }
+
+    /// Least and greatest coordinates of its corners.
+    #[inline]
+    pub fn extent(self, all: &[u32], vertices: &[Vec3]) -> (Vec3, Vec3) {
+        let own = self.corners(all);
+        // Nearly all polygons have three or four corners: without a branch on that, which could not be foretold.
+        let fourth = own[3.min(own.len() - 1)];
+        let at = |corner: u32| vertices[corner as usize];
+        let (a, b, c, d) = (at(own[0]), at(own[1]), at(own[2]), at(fourth));
+        let mut extent = (a.min(b).min(c.min(d)), a.max(b).max(c.max(d)));
+        if own.len() > 4 {
+            for &corner in &own[4..] {
+                extent = (extent.0.min(at(corner)), extent.1.max(at(corner)));
+            }
+        }
+        extent
+    }
+
+    fn bounds(self, all: &[u32], vertices: &[Vec3]) -> Aabb {
+        let (min, max) = self.extent(all, vertices);
+        Aabb { min: min.as_dvec3(), max: max.as_dvec3() }
+    }
+}
+
+/// Polygons in one piece: records with their planes over one list of corners.
+#[derive(Debug, Default)]
+pub struct Parts {
+    pub corners: Vec<u32>,
+    pub records: Vec<PolygonRecord>,
+    pub planes: Vec<Plane>,
+}
+
+impl Parts {
+    /// Appends a polygon; its plane is worked out here.
+    pub fn push(&mut self, corners: &[u32], material: u16, source: u32, vertices: &[Vec3]) {
+        // Triangles without area never came here, and merging only adds area.
+        let plane = canonical_plane(corners.len(), |k| vertices[corners[k] as usize].as_dvec3());
+        debug_assert!(plane.is_some(), "polygon without area");
+        let first_corner = self.corners.len() as u32;
+        self.records.push(PolygonRecord { first_corner, source, material, corner_count: corners.len() as u8 });
+        self.corners.extend_from_slice(corners);
+        self.planes.push(plane.unwrap_or(Plane { normal: DVec3::Z, offset: 0.0 }));
+    }
+}
+
+/// A contiguous run of a mesh's polygons with its box.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Cluster {
+    /// First polygon.
+    pub first: u32,
+    /// Number of polygons, at most [`limits::CLUSTER_POLYGONS`].
+    pub count: u32,
+    /// Bounds in the mesh frame.
+    pub bounds: Aabb,
+}
+
+/// Polygons over shared f32 vertices in the mesh's own frame, metres.
+///
+/// The f32 positions *are* the model: every engine starts from the same bits.
+#[derive(Clone, Debug)]
+pub struct Mesh {
+    name: String,
+    vertices: Vec<Vec3>,
+    corners: Vec<u32>,
+    polygons: Vec<PolygonRecord>,
+    planes: Vec<Plane>,
+    clusters: Vec<Cluster>,
+    bounds: Aabb,
+    /// Those in use, rising.
+    materials: Vec<u16>,
+    /// Made when the CPU engine first draws it.
+    by_cluster: OnceLock<ClusterVertices>,
+}
+
+/// How far off its plane a vertex may be, relative to the polygon's largest coordinate extent; what f32 vertices of
+/// a planar polygon can need, and what merging may leave.
+const PLANARITY: f64 = 4e-6;
+
+impl Mesh {
+    /// Checks and stores polygons.
+    ///
+    /// ```
+    /// use presight::{Mesh, Polygon, PolygonOrder};
+    /// use glam::Vec3;
+    /// let square = vec![Vec3::ZERO, Vec3::X, Vec3::new(1.0, 1.0, 0.0), Vec3::Y];
+    /// let mesh = Mesh::new("tile", square, vec![Polygon::new(vec![0, 1, 2, 3], 0)], PolygonOrder::Spatial)?;
+    /// assert_eq!(mesh.polygon_count(), 1);
+    /// # Ok::<(), presight::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Invalid`] naming the polygon: fewer than 3 or over 64 corners, an index out of range,
+    /// NaN or infinity, no area, not planar, not convex.
+    pub fn new(
+        name: impl Into<String>,
+        vertices: Vec<Vec3>,
+        polygons: Vec<Polygon>,
+        order: PolygonOrder,
+    ) -> Result<Self> {
+        let name = name.into();
+        check_vertices(&vertices).map_err(|e| e.at(format!("mesh {name:?}")))?;
+        let extent = Aabb::of(vertices.iter().map(|v| v.as_dvec3())).size();
+        let mut planes = Vec::with_capacity(polygons.len());
+        for (i, polygon) in polygons.iter().enumerate() {
+            let plane = check_polygon(polygon, &vertices, extent)
+                .map_err(|e| e.at(format!("polygon {i}")).at(format!("mesh {name:?}")))?;
+            planes.push(plane);
+        }
+        let mut corners = Vec::with_capacity(polygons.iter().map(|p| p.corners.len()).sum());
+        let mut records = Vec::with_capacity(polygons.len());
+        for polygon in &polygons {
+            records.push(PolygonRecord {
+                first_corner: corners.len() as u32,
+                source: polygon.source,
+                material: polygon.material,
+                corner_count: polygon.corners.len() as u8,
+            });
+            corners.extend_from_slice(&polygon.corners);
+        }
+        Ok(Self::assemble(name, vertices, &Parts { corners, records, planes }, order))
+    }
+
+    /// Holds nothing.
+    pub fn empty(name: &str) -> Self {
+        Self::assemble(name.to_owned(), Vec::new(), &Parts::default(), PolygonOrder::Given)
+    }
+
+    /// As [`Mesh::new`], of parts that were proven sound when they were made; only vertices in use are kept, in the
+    /// order of their use.
+    pub fn from_parts(name: String, vertices: Vec<Vec3>, parts: &Parts, order: PolygonOrder) -> Self {
+        let mut mesh = Self::assemble(name, vertices, parts, order);
+        let mut moved = vec![u32::MAX; mesh.vertices.len()];
+        let mut kept = Vec::with_capacity(mesh.vertices.len());
+        for corner in &mut mesh.corners {
+            let to = &mut moved[*corner as usize];
+            if *to == u32::MAX {
+                *to = kept.len() as u32;
+                kept.push(mesh.vertices[*corner as usize]);
+            }
+            *corner = *to;
+        }
+        mesh.vertices = kept;
+        mesh
+    }
+
+    fn assemble(name: String, vertices: Vec<Vec3>, parts: &Parts, order: PolygonOrder) -> Self {
+        let Parts { corners, records, planes } = parts;
+        assert_eq!(records.len(), planes.len());
+        let boxes: Vec<Aabb> = records.iter().map(|r| r.bounds(corners, &vertices)).collect();
+        let count = records.len();
+        let sequence: Vec<u32> = match order {
+            PolygonOrder::Spatial => spatial_sequence(&boxes),
+            PolygonOrder::Given => (0..count as u32).collect(),
+        };
+        let mut cuts = cuts_of(count, order);
+        let mut mesh = Self {
+            name,
+            vertices,
+            corners: Vec::with_capacity(corners.len()),
+            polygons: Vec::with_capacity(count),
+            planes: sequence.iter().map(|&i| planes[i as usize]).collect(),
+            clusters: Vec::with_capacity(cuts.len()),
+            bounds: boxes.iter().fold(Aabb::EMPTY, |a, b| a.union(*b)),
+            materials: materials_of(records),
+            by_cluster: OnceLock::new(),
+        };
+        for &i in &sequence {
+            let record = records[i as usize];
+            mesh.polygons.push(PolygonRecord { first_corner: mesh.corners.len() as u32, ..record });
+            mesh.corners.extend_from_slice(record.corners(corners));
+        }
+        cuts.push(count);
+        for pair in cuts.windows(2) {
+            let bounds = sequence[pair[0]..pair[1]].iter().fold(Aabb::EMPTY, |b, &i| b.union(boxes[i as usize]));
+            mesh.clusters.push(Cluster { first: pair[0] as u32, count: (pair[1] - pair[0]) as u32, bounds });
+        }
+        mesh
+    }
+
+    /// A mesh as it was, polygons in the order in which they were kept, with their planes if these are known. The extents
+    /// of its polygons are told to `visit` one by one, for an index of it needs them as well.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Invalid`] naming the polygon or vertex: not finite, out of range, no area. That polygons are
+    /// planar and convex was checked when the mesh was made.
+    pub fn restored(
+        name: String,
+        vertices: Vec<Vec3>,
+        corners: Vec<u32>,
+        polygons: Vec<PolygonRecord>,
+        planes: Option<Vec<Plane>>,
+        order: PolygonOrder,
+        mut visit: impl FnMut(usize, (Vec3, Vec3)),
+    ) -> Result<Self> {
+        check_vertices(&vertices)?;
+        let greatest = corners.iter().copied().fold(0, u32::max);
+        if greatest as usize >= vertices.len() && !corners.is_empty() {
+            return Err(Error::invalid(format!("vertex {greatest} of {}", vertices.len()), ""));
+        }
+        check_records(&polygons, corners.len())?;
+        let plane_of = |(i, record): (usize, &PolygonRecord)| {
+            let own = record.corners(&corners);
+            let plane = canonical_plane(own.len(), |k| vertices[own[k] as usize].as_dvec3());
+            plane.ok_or_else(|| Error::invalid("it has no area", "").at(format!("polygon {i}")))
+        };
+        let planes = match planes {
+            Some(planes) => planes,
+            None => polygons.iter().enumerate().map(plane_of).collect::<Result<_>>()?,
+        };
+        let sound = |p: &Plane| (p.normal.length_squared() - 1.0).abs() <= 1e-6 && p.offset.is_finite();
+        // To the last one: a loop that may end early is not unrolled.
+        if planes.len() != polygons.len() || !planes.iter().fold(true, |all, plane| all & sound(plane)) {
+            return Err(Error::invalid("planes without a normal, or not one for each polygon", ""));
+        }
+        let mut cuts = cuts_of(polygons.len(), order);
+        cuts.push(polygons.len());
+        let cluster = |pair: &[usize]| {
+            let (mut min, mut max) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
+            for i in pair[0]..pair[1] {
+                let extent = polygons[i].extent(&corners, &vertices);
+                (min, max) = (min.min(extent.0), max.max(extent.1));
+                visit(i, extent);
+            }
+            let bounds = Aabb { min: min.as_dvec3(), max: max.as_dvec3() };
+            Cluster { first: pair[0] as u32, count: (pair[1] - pair[0]) as u32, bounds }
+        };
+        let clusters: Vec<Cluster> = cuts.windows(2).map(cluster).collect();
+        let bounds = clusters.iter().fold(Aabb::EMPTY, |b, c| b.union(c.bounds));
+        let materials = materials_of(&polygons);
+        let by_cluster = OnceLock::new();
+        Ok(Self { name, vertices, corners, polygons, planes, clusters, bounds, materials, by_cluster })
+    }
+
+    /// The same polygons with other materials.
+    pub fn with_materials(&self, material: impl Fn(u16) -> u16) -> Self {
+        let mut mesh = self.clone();
+        mesh.polygons.iter_mut().for_each(|p| p.material = material(p.material));
+        mesh.materials = materials_of(&mesh.polygons);
+        mesh
+    }
+
+    /// The same polygons, transformed and with other materials, rounded to f32 once. A mirror reverses the windings, so that
+    /// fronts stay fronts, as they do for an object's own.
+    ///
+    /// # Errors
+    /// Those of [`Mesh::new`]: rounding may flatten tiny polygons.
+    pub fn transformed(&self, turn: DMat3, material: impl Fn(u16) -> u16) -> Result<Self> {
+        let vertices = self.vertices.iter().map(|v| (turn * v.as_dvec3()).as_vec3()).collect();
+        let mirrors = turn.determinant() < 0.0;
+        let polygon = |p: &PolygonRecord| {
+            let mut corners = p.corners(&self.corners).to_vec();
+            if mirrors {
+                corners[1..].reverse();
+            }
+            Polygon { corners, material: material(p.material), source: p.source }
+        };
+        let polygons = self.polygons.iter().map(polygon).collect();
+        Self::new(self.name.clone(), vertices, polygons, PolygonOrder::Spatial)
+    }
+
+    /// The order that its clusters show; where both have the same clusters it is [`PolygonOrder::Given`].
+    pub fn order(&self) -> PolygonOrder {
+        let even = self.clusters.iter().enumerate().all(|(i, c)| c.first as usize == i * limits::CLUSTER_POLYGONS);
+        if even { PolygonOrder::Given } else { PolygonOrder::Spatial }
+    }
+
+    /// Name in the source file; need not be unique.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Positions, metres, mesh frame.
+    pub fn vertices(&self) -> &[Vec3] {
+        &self.vertices
+    }
+
+    /// Number of polygons.
+    pub fn polygon_count(&self) -> usize {
+        self.polygons.len()
+    }
+
+    /// Vertex indices of a polygon, in winding order.
+    pub fn corner_indices(&self, polygon: u32) -> &[u32] {
+        self.polygons[polygon as usize].corners(&self.corners)
+    }
+
+    /// Corner positions of a polygon, in winding order, f64.
+    pub fn corners_of(&self, polygon: u32) -> impl ExactSizeIterator<Item = DVec3> + '_ {
+        self.corner_indices(polygon).iter().map(|&c| self.vertices[c as usize].as_dvec3())
+    }
+
+    /// The plane of a polygon in the mesh frame.
+    pub fn plane(&self, polygon: u32) -> Plane {
+        self.planes[polygon as usize]
+    }
+
+    /// Material index of a polygon.
+    pub fn material(&self, polygon: u32) -> u16 {
+        self.polygons[polygon as usize].material
+    }
+
+    /// Number of the polygon's first source triangle within the object.
+    pub fn source(&self, polygon: u32) -> u32 {
+        self.polygons[polygon as usize].source
+    }
+
+    /// Runs of neighbouring polygons, in order, together all of them.
+    pub fn clusters(&self) -> &[Cluster] {
+        &self.clusters
+    }
+
+    /// Bounds of all polygons in the mesh frame.
+    pub fn bounds(&self) -> Aabb {
+        self.bounds
+    }
+
+    pub fn polygons(&self) -> &[PolygonRecord] {
+        &self.polygons
+    }
+
+    pub fn all_corners(&self) -> &[u32] {
+        &self.corners
+    }
+
+    /// The cluster that holds a polygon, and its number. All are of about one size, so that a guess is off by few.
+    #[inline(always)]
+    pub fn cluster_of(&self, polygon: u32) -> (usize, &Cluster) {
+        let clusters = &self.clusters;
+        let mut i = (u64::from(polygon) * clusters.len() as u64 / self.polygons.len() as u64) as usize;
+        while clusters[i].first > polygon {
+            i -= 1;
+        }
+        while i + 1 < clusters.len() && clusters[i + 1].first <= polygon {
+            i += 1;
+        }
+        (i, &clusters[i])
+    }
+
+    /// Made on the first call.
+    pub fn cluster_vertices(&self) -> &ClusterVertices {
+        let made = || ClusterVertices::new(&self.vertices, &self.corners, &self.polygons, &self.clusters);
+        self.by_cluster.get_or_init(made)
+    }
+
+    pub fn planes(&self) -> &[Plane] {
+        &self.planes
+    }
+
+    /// Material indices in use, rising.
+    pub fn materials(&self) -> &[u16] {
+        &self.materials
+    }
+}
+
+fn materials_of(records: &[PolygonRecord]) -> Vec<u16> {
+    let mut materials: Vec<u16> = Vec::new();
+    // Neighbours mostly share theirs.
+    for run in records.chunk_by(|a, b| a.material == b.material) {
+        if !materials.contains(&run[0].material) {
+            materials.push(run[0].material);
+        }
+    }
+    materials.sort_unstable();
+    materials
+}
+
+fn check_vertices(vertices: &[Vec3]) -> Result<()> {
+    let sound = |x: &f32| x.abs() <= limits::MAX_COORDINATE as f32;
+    // To the last one: a loop that may end early is not unrolled.
+    let all: &[f32] = bytemuck::cast_slice(vertices);
+    if all.iter().fold(true, |all, x| all & sound(x)) {
+        return Ok(());
+    }
+    match vertices.iter().position(|v| !v.to_array().iter().all(sound)) {
+        None => Ok(()),
+        Some(i) => Err(Error::invalid(
+            format!("vertex {i} is {}, not a finite position", vertices[i]),
+            "repair the model and export it again",
+        )),
+    }
+}
+
+/// Records that were kept: one polygon after the other, of some number of corners each.
+fn check_records(polygons: &[PolygonRecord], corners: usize) -> Result<()> {
+    let follows = |end: &mut usize, record: &PolygonRecord| {
+        let n = usize::from(record.corner_count);
+        let sound = (3..=limits::MAX_CORNERS).contains(&n) & (record.first_corner as usize == *end);
+        *end += n;
+        sound & (*end <= corners)
+    };
+    let mut end = 0;
+    if polygons.iter().fold(true, |all, record| all & follows(&mut end, record)) {
+        return Ok(());
+    }
+    end = 0;
+    let bad = polygons.iter().position(|record| !follows(&mut end, record)).unwrap_or_default();
+    Err(Error::invalid("its corners are out of range", "").at(format!("polygon {bad}")))
+}
+
+fn check_polygon(polygon: &Polygon, vertices: &[Vec3], extent: f64) -> Result<Plane> {
+    let n = polygon.corners.len();
+    if !(3..=limits::MAX_CORNERS).contains(&n) {
+        return Err(Error::invalid(
+            format!("{n} corners, where 3 to {} are possible", limits::MAX_CORNERS),
+            "split the polygon",
+        ));
+    }
+    if let Some(c) = polygon.corners.iter().find(|&&c| c as usize >= vertices.len()) {
+        return Err(Error::invalid(
+            format!("vertex index {c} is out of range, there are {} vertices", vertices.len()),
+            "repair the model and export it again",
+        ));
+    }
+    let points: Vec<DVec3> = polygon.corners.iter().map(|&c| vertices[c as usize].as_dvec3()).collect();
+    let plane = canonical_plane(n, |k| points[k])
+        .ok_or_else(|| Error::invalid("the polygon has no area", "drop it or give it distinct vertices"))?;
+    if n > 3 {
+        check_shape(&points, plane, extent)?;
+    }
+    Ok(plane)
+}
+
+/// The plane computed from the loop turned and reversed to a canonical start, so that coincident faces of either
+/// winding get the same bits up to the sign and their ties go to the lower id. `None` if it has no area.
+pub fn canonical_plane(n: usize, point: impl Fn(usize) -> DVec3) -> Option<Plane> {
+    let key = |k: usize| point(k).to_array();
+    let start = (1..n).fold(0, |least, k| if key(k) < key(least) { k } else { least });
+    let (before, after) = (if start == 0 { n - 1 } else { start - 1 }, if start + 1 == n { 0 } else { start + 1 });
+    let reversed = key(before) < key(after);
+    let plane = plane_of_loop(n, |k| {
+        let turned = if reversed { start + n - k } else { start + k };
+        point(if turned >= n { turned - n } else { turned })
+    })?;
+    Some(if reversed { Plane { normal: -plane.normal, offset: -plane.offset } } else { plane })
+}
+
+fn check_shape(points: &[DVec3], plane: Plane, extent: f64) -> Result<()> {
+    let n = points.len();
+    let size = Aabb::of(points.iter().copied()).size();
+    let reach = points.iter().map(|p| p.abs().max_element()).fold(0.0, f64::max);
+    let tolerance = PLANARITY * size.max(extent).max(reach);
+    for k in 0..n {
+        let off = (plane.normal.dot(points[k]) - plane.offset).abs();
+        if off > tolerance {
+            return Err(Error::invalid(
+                format!("corner {k} is {off:.3e} m off the plane, {tolerance:.3e} is allowed"),
+                "split the polygon into planar ones",
+            ));
+        }
+        let before = points[k] - points[(k + n - 1) % n];
+        let after = points[(k + 1) % n] - points[k];
+        let turn = before.cross(after).dot(plane.normal);
+        if turn < -tolerance * before.length().max(after.length()) {
+            return Err(Error::invalid(
+                format!("corner {k} turns inwards: the polygon is not convex"),
+                "split the polygon into convex ones",
+            ));
+        }
+    }
+    // Locally convex all round but turning more than once: a star.
+    let turning: f64 = (0..n)
+        .map(|k| {
+            let a = points[(k + 1) % n] - points[k];
+            let b = points[(k + 2) % n] - points[(k + 1) % n];
+            plane.normal.dot(a.cross(b)).atan2(a.dot(b))
+        })
+        .sum();
+    if (turning - std::f64::consts::TAU).abs() > 1.0 {
+        return Err(Error::invalid("the outline winds more than once", "split the polygon into convex ones"));
+    }
+    Ok(())
+}
+
+/// The polygons halved at the middle centre along the longest axis until runs fit a cluster; rising inside a run.
+fn spatial_sequence(boxes: &[Aabb]) -> Vec<u32> {
+    // Centres beside the indices, in f32: ordering needs no more, and the loops stay in cache.
+    let mut items: Vec<(Vec3, u32)> = boxes.iter().zip(0..).map(|(b, i)| (b.center().as_vec3(), i)).collect();
+    if items.len() >= 2 * PARALLEL {
+        parallel_or_here(|| halve(&mut items));
+    } else {
+        halve(&mut items);
+    }
+    items.iter().map(|item| item.1).collect()
+}
+
+/// Below this a task of its own costs more than it saves.
+const PARALLEL: usize = 4096;
+
+fn halve(items: &mut [(Vec3, u32)]) {
+    if items.len() <= limits::CLUSTER_POLYGONS {
+        items.sort_unstable_by_key(|item| item.1);
+        return;
+    }
+    let start = (Vec3::INFINITY, Vec3::NEG_INFINITY);
+    let (min, max) = items.iter().fold(start, |(min, max), (c, _)| (min.min(*c), max.max(*c)));
+    let axis = (max - min).max_position();
+    let middle = items.len() / 2;
+    items.select_nth_unstable_by(middle, |a, b| a.0[axis].total_cmp(&b.0[axis]).then(a.1.cmp(&b.1)));
+    let (left, right) = items.split_at_mut(middle);
+    if left.len() >= PARALLEL {
+        rayon::join(|| halve(left), || halve(right));
+    } else {
+        halve(left);
+        halve(right);
+    }
+}
+
+/// Where the clusters of so many polygons start.
+fn cuts_of(count: usize, order: PolygonOrder) -> Vec<usize> {
+    let mut cuts = Vec::with_capacity(2 * count / limits::CLUSTER_POLYGONS + 2);
+    match order {
+        PolygonOrder::Spatial => halving_cuts(0, count, &mut cuts),
+        PolygonOrder::Given => cuts.extend((0..count).step_by(limits::CLUSTER_POLYGONS)),
+    }
+    cuts
+}
+
+/// Where the runs of [`halve`] start: it depends on nothing but the count.
+fn halving_cuts(start: usize, count: usize, cuts: &mut Vec<usize>) {
+    if count <= limits::CLUSTER_POLYGONS {
+        if count > 0 {
+            cuts.push(start);
+        }
+        return;
+    }
+    let middle = count / 2;
+    halving_cuts(start, middle, cuts);
+    halving_cuts(start + middle, count - middle, cuts);
+}

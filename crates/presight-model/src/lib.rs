@@ -1,0 +1,29 @@
+//! The model that presight predicts from: environment, spatial index, world, sensors, and what sensors measured.
+//!
+//! Use it through the crate `presight`, which gives the same names.
+
+pub mod change;
+pub mod contour;
+pub mod environment;
+pub mod error;
+pub mod frame;
+pub mod geometry;
+pub mod index;
+pub mod limits;
+pub mod matrix;
+pub mod memory;
+pub mod place;
+pub mod placement;
+pub mod printable;
+pub mod random;
+pub mod sensor;
+pub mod threads;
+pub mod world;
+
+pub use change::Change;
+pub use environment::{Appearance, Environment, Material, Mesh, NewObject, Object, Polygon, PolygonOrder};
+pub use error::{Error, ErrorKind, Result};
+pub use geometry::{Aabb, Pose};
+pub use sensor::{Angles, Camera, Distortion, Geometry, Mixture, Noise, RayTable, Scanner, Sensor, SensorSpec};
+pub use threads::Threads;
+pub use world::World;

@@ -1,0 +1,306 @@
+//! Sensors: image geometry, range limits, class and mount.
+
+mod camera;
+mod cone_tree;
+mod direction_map;
+mod directory;
+mod distortion;
+mod grid;
+mod noise;
+mod part;
+mod pixel_fit;
+mod polynomial;
+mod presets;
+mod project;
+mod ray_grid;
+mod rays;
+mod scanner;
+mod undistort;
+
+pub use camera::Camera;
+pub use cone_tree::ConeTree;
+pub use direction_map::DirectionMap;
+pub use direction_map::{Cells as MapCells, PixelBox};
+pub use distortion::Distortion;
+pub use grid::Octet;
+pub use grid::{LineAxis, LineGrid, PixelGrid};
+pub use noise::{Mixture, Noise};
+pub use part::{ImagePart, STRIDES};
+pub use pixel_fit::{FitCell, on_side};
+pub use presets::{PRESETS, Preset};
+pub use ray_grid::{Cones, ForwardView, Sides, TILE_SIDE, TileLookup, TileRays};
+pub use ray_grid::{RayGrid, Tile};
+pub use rays::RayTable;
+pub use scanner::{Angles, Scanner};
+pub use undistort::Lens;
+
+use crate::error::{Error, ErrorKind, Result};
+use crate::geometry::Pose;
+use crate::limits;
+use crate::memory;
+use directory::Directory;
+use glam::{DMat3, DQuat, DVec3};
+use part::Thinned;
+use project::Projector;
+use std::sync::{Arc, OnceLock};
+
+/// The image geometry of a sensor.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Geometry {
+    /// Planar image, with or without lens distortion.
+    Camera(Camera),
+    /// Spherical (equiangular) image: azimuth by elevation.
+    Scanner(Scanner),
+    /// Any set of rays from one centre.
+    Rays(RayTable),
+}
+
+/// The specification of a [`Sensor`].
+///
+/// ```
+/// use presight::{Camera, Geometry, Noise, Pose, SensorSpec};
+/// let camera = Geometry::Camera(Camera::pinhole(640, 480, 525.0, 525.0, 319.5, 239.5));
+/// let spec = SensorSpec::new("kinect", "video", camera)
+///     .with_limits(0.5, 4.5)
+///     .with_mount(Pose::from_xyz_rpy(glam::DVec3::new(0.1, 0.0, 0.9), 0.0, 0.2, 0.0))
+///     .with_noise(Noise { range_sigma: 0.01, ..Noise::default() });
+/// assert_eq!((spec.range_min, spec.range_max), (0.5, 4.5));
+/// ```
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct SensorSpec {
+    /// A free name, for messages and files.
+    pub name: String,
+    /// Sensor class, as materials and feature layers name it (`video`, `radar`, `laser`, ...).
+    pub class: String,
+    /// Image geometry.
+    pub geometry: Geometry,
+    /// Metres, inclusive; a nearer surface still occludes.
+    pub range_min: f64,
+    /// Metres, inclusive; may be infinite.
+    pub range_max: f64,
+    /// Largest angle of incidence, radians from the normal, at which the sensor extracts features. Images are not affected.
+    pub max_incidence: Option<f64>,
+    /// robot_from_sensor, body axes.
+    pub mount: Pose,
+    /// See [`Noise`].
+    pub noise: Noise,
+}
+
+impl SensorSpec {
+    /// A sensor without range limits, mounted at the robot's origin.
+    pub fn new(name: impl Into<String>, class: impl Into<String>, geometry: Geometry) -> Self {
+        Self {
+            name: name.into(),
+            class: class.into(),
+            geometry,
+            range_min: 0.0,
+            range_max: f64::INFINITY,
+            max_incidence: None,
+            mount: Pose::IDENTITY,
+            noise: Noise::default(),
+        }
+    }
+
+    /// With another name.
+    #[must_use]
+    pub fn with_name(self, name: impl Into<String>) -> Self {
+        Self { name: name.into(), ..self }
+    }
+
+    /// With another sensor class.
+    #[must_use]
+    pub fn with_class(self, class: impl Into<String>) -> Self {
+        Self { class: class.into(), ..self }
+    }
+
+    /// With another image geometry.
+    #[must_use]
+    pub fn with_geometry(self, geometry: Geometry) -> Self {
+        Self { geometry, ..self }
+    }
+
+    /// With other limits of the range, metres, inclusive; the second may be infinite.
+    #[must_use]
+    pub fn with_limits(self, range_min: f64, range_max: f64) -> Self {
+        Self { range_min, range_max, ..self }
+    }
+
+    /// With a largest angle of incidence at which features are extracted, radians from the normal.
+    #[must_use]
+    pub fn with_max_incidence(self, max_incidence: f64) -> Self {
+        Self { max_incidence: Some(max_incidence), ..self }
+    }
+
+    /// With another mount: robot_from_sensor, body axes.
+    #[must_use]
+    pub fn with_mount(self, mount: Pose) -> Self {
+        Self { mount, ..self }
+    }
+
+    /// With other noise.
+    #[must_use]
+    pub fn with_noise(self, noise: Noise) -> Self {
+        Self { noise, ..self }
+    }
+}
+
+/// A checked sensor with its ray tables, cheap to clone.
+///
+/// ```
+/// use presight::{Camera, Geometry, Sensor, SensorSpec};
+/// let camera = Camera::pinhole(640, 480, 525.0, 525.0, 319.5, 239.5);
+/// let sensor = Sensor::new(SensorSpec::new("kinect", "video", Geometry::Camera(camera)))?;
+/// assert_eq!((sensor.width(), sensor.height()), (640, 480));
+/// # Ok::<(), presight::Error>(())
+/// ```
+#[derive(Clone, Debug)]
+pub struct Sensor(Arc<SensorData>);
+
+#[derive(Debug)]
+struct SensorData {
+    spec: SensorSpec,
+    grid: PixelGrid,
+    projector: Projector,
+    width: u32,
+    height: u32,
+    /// The part of another sensor that this is.
+    part: Option<ImagePart>,
+    thinned: Thinned,
+    /// Of a ray table, once somebody asks for it.
+    directory: OnceLock<Directory>,
+}
+
+impl Sensor {
+    /// Checks the specification and builds the ray tables, f64.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Invalid`]: an image side of 0 or beyond [`limits::MAX_IMAGE_SIDE`], non-finite
+    /// intrinsics, duplicate elevations, range limits out of order; [`crate::ErrorKind::System`] if there is no memory for the
+    /// ray tables.
+    pub fn new(spec: SensorSpec) -> Result<Self> {
+        let checked = check(&spec).and_then(|()| {
+            memory::require(ray_table_bytes(&spec))?;
+            Ok(match &spec.geometry {
+                Geometry::Camera(c) => c.grid()?,
+                Geometry::Scanner(s) => s.grid()?,
+                Geometry::Rays(r) => PixelGrid::Rays(RayGrid::new(r.width(), r.height(), r.directions())?),
+            })
+        });
+        let grid = checked.map_err(|e| e.at(format!("sensor {:?}", spec.name)))?;
+        let (width, height) = spec.geometry.size();
+        let projector = Projector::new(&spec);
+        let (part, thinned, directory) = (None, Thinned::default(), OnceLock::new());
+        Ok(Self(Arc::new(SensorData { spec, grid, projector, width, height, part, thinned, directory })))
+    }
+
+    /// The specification from which the sensor was made.
+    pub fn spec(&self) -> &SensorSpec {
+        &self.0.spec
+    }
+
+    pub(self) fn projector(&self) -> &Projector {
+        &self.0.projector
+    }
+
+    /// Image columns.
+    pub fn width(&self) -> u32 {
+        self.0.width
+    }
+
+    /// Image rows.
+    pub fn height(&self) -> u32 {
+        self.0.height
+    }
+
+    /// True for cameras: their images have a planar `depth_z`.
+    pub fn is_camera(&self) -> bool {
+        matches!(self.0.spec.geometry, Geometry::Camera(_))
+    }
+
+    /// The rays as engines use them.
+    pub fn grid(&self) -> &PixelGrid {
+        &self.0.grid
+    }
+
+    /// body_from_image: turns the image frame into body axes (x forward, y left, z up). The image frame is the optical frame of a
+    /// camera (z forward, x right, y down) and the body axes of other sensors.
+    pub fn body_from_image(&self) -> DMat3 {
+        if self.is_camera() { body_from_optical() } else { DMat3::IDENTITY }
+    }
+
+    /// Unit ray of a pixel in the image frame, f64; `None` where the sensor has no ray, and outside the image.
+    pub fn ray(&self, column: u32, row: u32) -> Option<DVec3> {
+        let inside = column < self.0.width && row < self.0.height;
+        inside.then(|| self.0.grid.ray(column, row)).flatten()
+    }
+
+    /// A pixel of a ray table whose ray is near a unit direction of the image frame, and nearer than its neighbours'; `None` for
+    /// other sensors. Much faster than [`Sensor::project`], which finds the nearest of all.
+    pub(crate) fn near_pixel(&self, direction: DVec3) -> Option<(u32, u32)> {
+        let PixelGrid::Rays(table) = self.grid() else { return None };
+        self.0.directory.get_or_init(|| Directory::of(table)).near(table, direction)
+    }
+}
+
+/// The rotation from optical to body axes (REP-103).
+pub fn body_from_optical() -> DMat3 {
+    DMat3::from_cols(-DVec3::Y, -DVec3::Z, DVec3::X)
+}
+
+/// [`body_from_optical`] as a quaternion.
+pub fn body_from_optical_rotation() -> DQuat {
+    DQuat::from_mat3(&body_from_optical())
+}
+
+impl Geometry {
+    /// Columns and rows.
+    pub fn size(&self) -> (u32, u32) {
+        match self {
+            Self::Camera(c) => (c.width, c.height),
+            Self::Scanner(s) => (s.azimuth.len() as u32, s.elevation.len() as u32),
+            Self::Rays(r) => (r.width(), r.height()),
+        }
+    }
+}
+
+/// Bytes that a sensor takes which needs a table of rays.
+fn ray_table_bytes(spec: &SensorSpec) -> u64 {
+    let (width, height) = spec.geometry.size();
+    // A lens's directions are listed first.
+    let listed = u64::from(width) * u64::from(height) * size_of::<DVec3>() as u64;
+    match &spec.geometry {
+        Geometry::Camera(c) if !c.distortion.is_none() => listed + RayGrid::bytes_for(width, height),
+        Geometry::Rays(_) => RayGrid::bytes_for(width, height),
+        Geometry::Camera(_) | Geometry::Scanner(_) => 0,
+    }
+}
+
+fn check(spec: &SensorSpec) -> Result<()> {
+    let (width, height) = spec.geometry.size();
+    let side = 1..=limits::MAX_IMAGE_SIDE;
+    let pixels = u64::from(width) * u64::from(height);
+    if !side.contains(&width) || !side.contains(&height) || pixels > limits::MAX_PIXELS {
+        return Err(Error::invalid(
+            format!("image of {width} x {height} pixels"),
+            format!("give sides of 1 to {} and at most {} pixels", limits::MAX_IMAGE_SIDE, limits::MAX_PIXELS),
+        ));
+    }
+    let limits_sound = spec.range_min >= 0.0 && spec.range_min.is_finite() && spec.range_max > spec.range_min;
+    if !limits_sound {
+        return Err(Error::invalid(
+            format!("range limits {}..{}", spec.range_min, spec.range_max),
+            "give 0 <= range_min < range_max, in metres",
+        ));
+    }
+    spec.mount.check_as(ErrorKind::Invalid).map_err(|e| e.at("mount"))?;
+    if let Some(angle) = spec.max_incidence
+        && !(angle > 0.0 && angle <= std::f64::consts::FRAC_PI_2)
+    {
+        return Err(Error::invalid(
+            format!("max_incidence of {} deg", angle.to_degrees()),
+            "give more than 0 and at most 90 degrees",
+        ));
+    }
+    spec.noise.check()
+}

@@ -1,0 +1,315 @@
+//! Where directions lie in a ray table, as a lens would tell it: in each cell of directions a quadratic for the column and one for the row, and
+//! how far the pixels of its rays are off them at most. That is measured ray by ray, so it holds for any table.
+
+use super::ImagePart;
+use crate::error::Result;
+use crate::memory;
+use glam::DVec3;
+
+/// Quadratics are worth nothing that miss pixels by more.
+const MOST_OFF: f64 = 0.4;
+
+/// Rays that are enough for quadratics of all cells.
+const ENOUGH: usize = 60_000;
+
+/// 1, x, y, xx, xy, yy.
+const TERMS: usize = 6;
+
+type Terms = [f64; TERMS];
+
+/// What is known of the columns, or of the rows, of the rays around a cell.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Fitted {
+    pub terms: Terms,
+    /// Pixels: no ray is farther off.
+    pub off: f64,
+    /// Of the second derivative.
+    pub bend: f64,
+}
+
+/// A cell of directions, with as much again around it as half of it on each side.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct FitCell {
+    /// On its side of the cube.
+    pub middle: [f64; 2],
+    /// No ray looks there.
+    pub is_empty: bool,
+    /// Of columns and rows, over places -1..1 from the middle to both sides; `None` where no quadratic tells them.
+    pub fitted: Option<[Fitted; 2]>,
+}
+
+/// Cells of directions on the sides of a cube.
+#[derive(Clone, Debug)]
+pub struct PixelFit {
+    cells: Vec<FitCell>,
+}
+
+/// What is needed of the rays of a cell: the sums of a least-squares fit.
+#[derive(Clone, Copy)]
+struct Sums {
+    count: f64,
+    matrix: [Terms; TERMS],
+    right: [Terms; 2],
+}
+
+/// The components of a direction along a side's axis and along the two of the side. Sides are numbered by twice the axis, and one more where
+/// it is negative.
+#[inline(always)]
+pub fn on_side(side: usize, d: [f64; 3]) -> [f64; 3] {
+    let [along, u, v] = match side / 2 {
+        0 => d,
+        1 => [d[1], d[2], d[0]],
+        _ => [d[2], d[0], d[1]],
+    };
+    [if side.is_multiple_of(2) { along } else { -along }, u, v]
+}
+
+#[inline(always)]
+fn terms(x: f64, y: f64) -> Terms {
+    [1.0, x, y, x * x, x * y, y * y]
+}
+
+/// The cells, of all, to whose surroundings a direction belongs, each with its place there.
+fn surroundings(d: DVec3, mut cell: impl FnMut(usize, [f64; 2])) {
+    for side in 0..6 {
+        let [along, u, v] = on_side(side, d.to_array());
+        if !(along > 0.1) {
+            continue;
+        }
+        let place = [u / along, v / along];
+        let around = place.map(|t| {
+            let at = (t + 1.0) / CELL;
+            let (first, last) = ((at - 1.5).ceil().max(0.0), (at + 0.5).floor().min(f64::from(ACROSS) - 1.0));
+            (first, last)
+        });
+        if around.iter().any(|(first, last)| first > last) {
+            continue;
+        }
+        for row in around[1].0 as u32..=around[1].1 as u32 {
+            for column in around[0].0 as u32..=around[0].1 as u32 {
+                let middle = [column, row].map(middle_of);
+                let at = [0, 1].map(|k| (place[k] - middle[k]) / CELL);
+                cell(index(side, [column, row]), at);
+            }
+        }
+    }
+}
+
+fn middle_of(cell: u32) -> f64 {
+    (f64::from(cell) + 0.5) * CELL - 1.0
+}
+
+fn index(side: usize, [column, row]: [u32; 2]) -> usize {
+    (side * ACROSS as usize + row as usize) * ACROSS as usize + column as usize
+}
+
+impl Sums {
+    const NONE: Self = Self { count: 0.0, matrix: [[0.0; TERMS]; TERMS], right: [[0.0; TERMS]; 2] };
+
+    fn add(&mut self, terms: Terms, pixel: [f64; 2]) {
+        self.count += 1.0;
+        for i in 0..TERMS {
+            for j in 0..=i {
+                self.matrix[i][j] += terms[i] * terms[j];
+            }
+            self.right[0][i] += terms[i] * pixel[0];
+            self.right[1][i] += terms[i] * pixel[1];
+        }
+    }
+
+    /// The quadratics that fit best, by Cholesky's factors. What many rays in one place leave open comes out flat.
+    fn solve(&self) -> [Terms; 2] {
+        let mut l = [[0.0; TERMS]; TERMS];
+        for i in 0..TERMS {
+            for j in 0..=i {
+                let known: f64 = (0..j).map(|k| l[i][k] * l[j][k]).sum();
+                let open = self.matrix[i][j] - known + if i == j { 1e-7 * self.count } else { 0.0 };
+                l[i][j] = if i == j { open.max(1e-12 * self.count).sqrt() } else { open / l[j][j] };
+            }
+        }
+        self.right.map(|right| {
+            let mut x = [0.0; TERMS];
+            for i in 0..TERMS {
+                let known: f64 = (0..i).map(|k| l[i][k] * x[k]).sum();
+                x[i] = (right[i] - known) / l[i][i];
+            }
+            for i in (0..TERMS).rev() {
+                let known: f64 = (i + 1..TERMS).map(|k| l[k][i] * x[k]).sum();
+                x[i] = (x[i] - known) / l[i][i];
+            }
+            x
+        })
+    }
+}
+
+const CELL: f64 = FitCell::SIDE;
+const ACROSS: u32 = FitCell::ACROSS;
+
+impl PixelFit {
+    /// For unit vectors, row-major; NaN is no ray.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::System`] if the system refuses the memory, about a megabyte.
+    pub fn new(width: u32, directions: &[DVec3]) -> Result<Self> {
+        let count = 6 * (ACROSS * ACROSS) as usize;
+        let rays = || directions.iter().zip(0u32..).filter(|(d, _)| !d.is_nan());
+        let pixel = |i: u32| [i % width, i / width].map(f64::from);
+        let mut sums = memory::reserved(count)?;
+        sums.resize(count, Sums::NONE);
+        // Of large tables some rays are enough to find quadratics by; all of them are compared with these.
+        let step = (directions.len() / ENOUGH) | 1;
+        for (d, i) in rays().step_by(step) {
+            surroundings(*d, |cell, [x, y]| sums[cell].add(terms(x, y), pixel(i)));
+        }
+        let mut cells = memory::reserved(count)?;
+        cells.extend((0..count).map(|i| {
+            let (column, row) = (i as u32 % ACROSS, i as u32 / ACROSS % ACROSS);
+            FitCell { middle: [column, row].map(middle_of), is_empty: true, fitted: fitted(&sums[i]) }
+        }));
+        for (d, i) in rays() {
+            surroundings(*d, |cell, [x, y]| {
+                cells[cell].is_empty = false;
+                for (fitted, pixel) in cells[cell].fitted.iter_mut().flatten().zip(pixel(i)) {
+                    let off = (fitted.at(x, y) - pixel).abs();
+                    fitted.off = if off > fitted.off { off } else { fitted.off };
+                }
+            });
+        }
+        for cell in &mut cells {
+            cell.fitted = cell.fitted.filter(|both| both.iter().all(|fitted| fitted.off < MOST_OFF));
+        }
+        Ok(Self { cells })
+    }
+
+    /// What it tells of the rays of a part alone.
+    pub fn part(&self, part: &ImagePart) -> Self {
+        let stride = f64::from(part.stride);
+        let of_part = |fitted: Fitted, first: f64| {
+            let mut terms = fitted.terms.map(|t| t / stride);
+            terms[0] -= first / stride;
+            Fitted { terms, off: fitted.off / stride + 1e-9, bend: fitted.bend / stride }
+        };
+        let cell = |cell: &FitCell| {
+            let fitted = cell.fitted.map(|[c, r]| [of_part(c, f64::from(part.first_column)), of_part(r, 0.0)]);
+            FitCell { fitted, ..*cell }
+        };
+        Self { cells: self.cells.iter().map(cell).collect() }
+    }
+
+    /// The side and the cell of a direction of any length but 0.
+    pub fn around(&self, d: DVec3) -> Option<(usize, &FitCell)> {
+        let [x, y, z] = d.abs().to_array();
+        let axis = if x >= y && x >= z { 0 } else { 1 + usize::from(z > y) };
+        let side = 2 * axis + usize::from(d[axis] < 0.0);
+        let [along, u, v] = on_side(side, d.to_array());
+        // A cast saturates, and what is no number is far off.
+        let cell = [u, v].map(|t| (((t / along + 1.0) / CELL) as u32).min(ACROSS - 1));
+        (along > 0.0).then(|| (side, &self.cells[index(side, cell)]))
+    }
+
+    /// By side, then by row.
+    pub fn cells(&self) -> &[FitCell] {
+        &self.cells
+    }
+
+    pub fn bytes(&self) -> usize {
+        size_of_val(&*self.cells)
+    }
+}
+
+/// The best quadratics, not yet compared with the rays.
+fn fitted(sums: &Sums) -> Option<[Fitted; 2]> {
+    let bend = |t: &Terms| (4.0 * (t[3] * t[3] + t[5] * t[5]) + 2.0 * t[4] * t[4]).sqrt();
+    (sums.count > 0.0).then(|| sums.solve().map(|terms| Fitted { bend: bend(&terms), terms, off: 0.0 }))
+}
+
+impl Fitted {
+    #[inline(always)]
+    pub fn at(&self, x: f64, y: f64) -> f64 {
+        let t = &self.terms;
+        t[0] + x * (t[1] + x * t[3] + y * t[4]) + y * (t[2] + y * t[5])
+    }
+}
+
+impl FitCell {
+    /// Of a cell on the sides of a cube of half edge 1.
+    pub const SIDE: f64 = 0.1;
+
+    /// Cells along an edge of the cube.
+    pub const ACROSS: u32 = 20;
+
+    /// Of a place on the side of the cube, from -1 to 1 around the cell.
+    pub const PER_UNIT: f64 = 1.0 / CELL;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// 80 x 60 rays of a fisheye that looks along an axis.
+    fn fisheye(axis: DVec3, step: f64) -> Vec<DVec3> {
+        let (right, down) = axis.any_orthonormal_pair();
+        let ray = |i: u32| {
+            let (x, y) = (step * (f64::from(i % 80) - 39.5), step * (f64::from(i / 80) - 29.5));
+            let angle = x.hypot(y);
+            axis * angle.cos() + (right * x + down * y) * (angle.sin() / angle)
+        };
+        (0..4800).map(ray).collect()
+    }
+
+    #[test]
+    fn no_ray_is_farther_off_than_told() {
+        for axis in [DVec3::Z, DVec3::new(0.7, -0.5, 0.6).normalize(), DVec3::NEG_X] {
+            let rays = fisheye(axis, 0.02);
+            let fit = PixelFit::new(80, &rays).unwrap();
+            let mut told = 0;
+            for (d, i) in rays.iter().zip(0u32..) {
+                let (side, cell) = fit.around(*d).unwrap();
+                let Some(fitted) = &cell.fitted else { continue };
+                let [along, u, v] = on_side(side, d.to_array());
+                let [x, y] = [u / along - cell.middle[0], v / along - cell.middle[1]].map(|t| t * FitCell::PER_UNIT);
+                assert!(x.abs() <= 0.5 + 1e-9 && y.abs() <= 0.5 + 1e-9, "{x} {y}");
+                for (fitted, pixel) in fitted.iter().zip([i % 80, i / 80]) {
+                    assert!((fitted.at(x, y) - f64::from(pixel)).abs() <= fitted.off, "{i}");
+                    // Anything might be told that is off by enough.
+                    assert!(fitted.off < 0.05, "{}", fitted.off);
+                }
+                told += 1;
+            }
+            assert_eq!(told, 4800);
+            assert!(fit.around(-axis).unwrap().1.is_empty);
+        }
+    }
+
+    #[test]
+    fn a_part_is_told_as_its_own_rays_are() {
+        let rays = fisheye(DVec3::Z, 0.02);
+        let part = ImagePart { first_column: 16, end_column: 63, stride: 2 };
+        let fit = PixelFit::new(80, &rays).unwrap().part(&part);
+        for (row, column) in (0..30).flat_map(|row| (0..24).map(move |column| (row, column))) {
+            let d = rays[(2 * row * 80 + part.column(column)) as usize];
+            let (side, cell) = fit.around(d).unwrap();
+            let [along, u, v] = on_side(side, d.to_array());
+            let [x, y] = [u / along - cell.middle[0], v / along - cell.middle[1]].map(|t| t * FitCell::PER_UNIT);
+            for (fitted, pixel) in cell.fitted.unwrap().iter().zip([column, row]) {
+                let off = (fitted.at(x, y) - f64::from(pixel)).abs();
+                assert!(off <= fitted.off && fitted.off < 0.03, "{row}, {column}: {off}");
+            }
+        }
+    }
+
+    #[test]
+    fn rays_in_no_order_are_not_told() {
+        let mut rays = fisheye(DVec3::Z, 0.02);
+        for i in 0..2400 {
+            if i % 3 == 0 {
+                rays.swap(i, 4799 - i);
+            }
+        }
+        let fit = PixelFit::new(80, &rays).unwrap();
+        let told = rays.iter().filter(|d| fit.around(**d).unwrap().1.fitted.is_some()).count();
+        assert!(told < 100, "{told}");
+        let none = PixelFit::new(80, &[DVec3::NAN; 4800]).unwrap();
+        assert!(none.around(DVec3::X).unwrap().1.is_empty);
+    }
+}

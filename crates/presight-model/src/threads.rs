@@ -1,0 +1,269 @@
+//! Worker threads: one handle that predictors, importers and everything else that works in parallel share.
+//!
+//! Nothing runs on rayon's global pool. That one starts lazily and panics where the system has no more threads; a pool of
+//! our own is an error that a caller can handle.
+
+use crate::error::{Error, ErrorKind, Result};
+use crate::limits;
+use rayon::{ThreadPool, ThreadPoolBuilder};
+use std::fmt;
+use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
+
+/// Worker threads, as a handle that is cheap to clone; clones share the same threads.
+///
+/// [`Threads::new`] starts threads of one's own. A number stands for threads that the whole process shares: all handles
+/// made from the same number use the same threads, which start when they are first needed and end with the last engine
+/// that holds them. 0, the default, stands for one thread a core (or for `RAYON_NUM_THREADS`, where that is set); these stay.
+///
+/// What takes no handle, such as [`crate::World::new`] or [`crate::features::generate::generate`], works on the threads of
+/// [`Threads::run`] if it is called there, otherwise on the default ones.
+///
+/// ```
+/// use presight::{Backend, Environment, Options, Predictor, Threads, World};
+/// let threads = Threads::new(2)?;
+/// let world = threads.run(|| World::new(Environment::new()))?;
+/// let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads.clone()))?;
+/// let another = Predictor::new(Options::new(Backend::Cpu).with_threads(1))?;
+/// # Ok::<(), presight::Error>(())
+/// ```
+#[derive(Clone, Default)]
+pub struct Threads {
+    /// Of the shared ones: how many, 0 for the default.
+    count: usize,
+    pool: Option<Arc<ThreadPool>>,
+}
+
+impl Threads {
+    /// The process's shared threads, one a core.
+    pub const SHARED: Self = Self { count: 0, pool: None };
+
+    /// Starts threads that nobody else has; 0 starts as many as there are cores.
+    ///
+    /// # Errors
+    /// [`ErrorKind::Usage`] for more than max(64, twice the cores), in `RAYON_NUM_THREADS` too; [`ErrorKind::System`] if
+    /// they cannot be started.
+    pub fn new(count: usize) -> Result<Self> {
+        let count = resolve(count)?;
+        Ok(Self { count, pool: Some(Arc::new(start(count)?)) })
+    }
+
+    /// The same threads, running: a handle to shared ones keeps them alive from now on.
+    ///
+    /// # Errors
+    /// As [`Threads::new`].
+    pub fn started(&self) -> Result<Self> {
+        let pool = self.pool()?;
+        Ok(Self { count: pool.current_num_threads(), pool: Some(pool) })
+    }
+
+    /// How many they are, started if they do not run yet.
+    ///
+    /// # Errors
+    /// As [`Threads::new`].
+    pub fn count(&self) -> Result<usize> {
+        Ok(self.pool()?.current_num_threads())
+    }
+
+    /// Does work on these threads: what it does in parallel uses no others.
+    ///
+    /// # Errors
+    /// As [`Threads::new`], if they do not run yet.
+    pub fn run<R: Send>(&self, work: impl FnOnce() -> R + Send) -> Result<R> {
+        Ok(self.pool()?.install(work))
+    }
+
+    pub fn pool(&self) -> Result<Arc<ThreadPool>> {
+        match (&self.pool, self.count) {
+            (Some(pool), _) => Ok(pool.clone()),
+            (None, 0) => default_pool(),
+            (None, count) => shared_pool(count),
+        }
+    }
+}
+
+impl From<usize> for Threads {
+    /// The process's shared threads, so many; 0 for one a core.
+    fn from(count: usize) -> Self {
+        Self { count, pool: None }
+    }
+}
+
+impl fmt::Debug for Threads {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match (&self.pool, self.count) {
+            (Some(pool), _) => write!(f, "Threads({} running)", pool.current_num_threads()),
+            (None, 0) => f.write_str("Threads(one a core)"),
+            (None, count) => write!(f, "Threads({count})"),
+        }
+    }
+}
+
+impl PartialEq for Threads {
+    /// True for handles to the same threads; shared ones that were started are not looked up.
+    fn eq(&self, other: &Self) -> bool {
+        self.count == other.count && self.pool.as_ref().map(Arc::as_ptr) == other.pool.as_ref().map(Arc::as_ptr)
+    }
+}
+
+impl Eq for Threads {}
+
+/// Works on the pool of the calling thread, or, outside of any, on the process's shared threads.
+///
+/// # Errors
+/// As [`Threads::new`], if these do not run yet.
+pub fn parallel<R: Send>(work: impl FnOnce() -> R + Send) -> Result<R> {
+    if rayon::current_thread_index().is_some() { Ok(work()) } else { Threads::SHARED.run(work) }
+}
+
+/// `parallel` for work that cannot fail: where no thread can be started the calling one does it all.
+pub fn parallel_or_here<R: Send>(work: impl FnOnce() -> R + Send) -> R {
+    if rayon::current_thread_index().is_some() {
+        return work();
+    }
+    match default_pool() {
+        Ok(pool) => pool.install(work),
+        Err(_) => {
+            // A pool of this thread alone starts none. It lasts as long as the thread.
+            std::mem::forget(ThreadPoolBuilder::new().num_threads(1).use_current_thread().build());
+            work()
+        }
+    }
+}
+
+/// [`rayon::in_place_scope`] on the pool of the calling thread, or, outside of any, on the process's shared threads.
+///
+/// # Errors
+/// As [`Threads::new`], if these do not run yet.
+pub fn in_place_scope<'scope, R>(work: impl FnOnce(&rayon::Scope<'scope>) -> R) -> Result<R> {
+    if rayon::current_thread_index().is_some() {
+        return Ok(rayon::in_place_scope(work));
+    }
+    Ok(default_pool()?.in_place_scope(work))
+}
+
+/// The threads of those who name no number: kept, so that many short tasks do not start them again and again.
+fn default_pool() -> Result<Arc<ThreadPool>> {
+    static POOL: OnceLock<Arc<ThreadPool>> = OnceLock::new();
+    match POOL.get() {
+        Some(pool) => Ok(pool.clone()),
+        None => {
+            let pool = shared_pool(0)?;
+            Ok(POOL.get_or_init(|| pool).clone())
+        }
+    }
+}
+
+/// The threads of all who ask for so many.
+fn shared_pool(count: usize) -> Result<Arc<ThreadPool>> {
+    static POOLS: Mutex<Vec<(usize, Weak<ThreadPool>)>> = Mutex::new(Vec::new());
+    let count = resolve(count)?;
+    let mut pools = POOLS.lock().unwrap_or_else(PoisonError::into_inner);
+    pools.retain(|(_, pool)| pool.strong_count() > 0);
+    let known = pools.iter().find(|(of, _)| *of == count).and_then(|(_, pool)| pool.upgrade());
+    if let Some(pool) = known {
+        return Ok(pool);
+    }
+    let pool = Arc::new(start(count)?);
+    pools.push((count, Arc::downgrade(&pool)));
+    Ok(pool)
+}
+
+fn start(count: usize) -> Result<ThreadPool> {
+    let threads = ThreadPoolBuilder::new().num_threads(count).thread_name(|i| format!("presight-{i}"));
+    threads.build().map_err(|e| {
+        let (what, remedy) = (format!("cannot start {count} threads: {e}"), "lower --threads, or raise ulimit -u");
+        Error::new(ErrorKind::System, what, remedy).caused_by(e)
+    })
+}
+
+/// How many threads a number stands for, if it is not too many.
+fn resolve(count: usize) -> Result<usize> {
+    match count {
+        0 => match std::env::var_os(VARIABLE) {
+            Some(text) => from_environment(&text.to_string_lossy()),
+            None => Ok(cores()),
+        },
+        _ => within_limit(count).map_err(|e| e.at(format!("{count} threads"))),
+    }
+}
+
+/// rayon's variable, for all who know it.
+const VARIABLE: &str = "RAYON_NUM_THREADS";
+
+fn from_environment(text: &str) -> Result<usize> {
+    let place = |e: Error| e.at(format!("{VARIABLE}={text}"));
+    match text.trim().parse() {
+        _ if text.trim().is_empty() => Ok(cores()),
+        Ok(0) => Ok(cores()),
+        Ok(count) => within_limit(count).map_err(place),
+        Err(_) => Err(place(Error::usage("is no number of threads", "give one, or 0 for all cores"))),
+    }
+}
+
+fn within_limit(count: usize) -> Result<usize> {
+    let most = limits::MAX_THREADS.max(2 * cores());
+    if count > most {
+        return Err(Error::usage("too many", format!("give at most {most}, or 0 for all cores")));
+    }
+    Ok(count)
+}
+
+/// Those that this process may use, by affinity and by the quota of its cgroup.
+fn cores() -> usize {
+    std::thread::available_parallelism().map_or(1, usize::from)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_same_number_means_the_same_threads_while_somebody_holds_them() {
+        let threads = |count: usize| Threads::from(count).started().unwrap().pool.unwrap();
+        let five = threads(5);
+        assert!(Arc::ptr_eq(&five, &threads(5)));
+        assert!(!Arc::ptr_eq(&five, &threads(6)));
+        assert!(!Arc::ptr_eq(&five, &Threads::new(5).unwrap().pool.unwrap()));
+        assert_eq!(five.current_num_threads(), 5);
+        let ended = Arc::downgrade(&five);
+        drop(five);
+        assert!(ended.upgrade().is_none());
+        assert!(Arc::ptr_eq(&threads(0), &threads(0)));
+    }
+
+    #[test]
+    fn work_stays_on_the_threads_that_were_given() {
+        let name = || std::thread::current().name().map(str::to_owned);
+        let threads = Threads::new(3).unwrap();
+        let seen =
+            threads.run(|| (rayon::current_num_threads(), parallel(rayon::current_num_threads).unwrap(), name()));
+        let (count, inner, name) = seen.unwrap();
+        assert_eq!((count, inner), (3, 3));
+        assert!(name.is_some_and(|name| name.starts_with("presight-")));
+        assert_eq!(threads.run(|| parallel_or_here(rayon::current_num_threads)).unwrap(), 3);
+    }
+
+    #[test]
+    fn too_many_threads_are_refused_at_once() {
+        let most = limits::MAX_THREADS.max(2 * cores());
+        assert_eq!(within_limit(most).unwrap(), most);
+        for count in [most + 1, 100_000, usize::MAX] {
+            let e = Threads::new(count).unwrap_err();
+            assert_eq!(e.kind(), ErrorKind::Usage, "{e}");
+            let e = Threads::from(count).started().unwrap_err();
+            assert_eq!(e.to_string(), format!("{count} threads: too many; give at most {most}, or 0 for all cores"));
+        }
+    }
+
+    #[test]
+    fn the_variable_of_rayon_is_read_and_checked() {
+        assert_eq!(from_environment("3").unwrap(), 3);
+        assert_eq!(from_environment("0").unwrap(), cores());
+        assert_eq!(from_environment("").unwrap(), cores());
+        for text in ["-1", "two", "100000", "99999999999999999999"] {
+            let e = from_environment(text).unwrap_err();
+            assert_eq!(e.kind(), ErrorKind::Usage);
+            assert!(e.to_string().starts_with(&format!("RAYON_NUM_THREADS={text}: ")), "{e}");
+        }
+    }
+}

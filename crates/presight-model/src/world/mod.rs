@@ -1,0 +1,334 @@
+//! The world: a version of the environment with its index, which predictions read; changes make the next version.
+
+use crate::change::Change;
+use crate::environment::{Environment, Revert};
+use crate::error::Result;
+use crate::index::{Params, Scheme, WorldIndex};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+mod objects;
+#[cfg(test)]
+mod tests;
+
+/// Features that a change touches one by one in the lists of their layers; for more these are opened first.
+const FEW_FEATURES: usize = 32;
+
+/// One version of the environment with its spatial index. It is cheap to clone, and a running prediction keeps the version with
+/// which it started.
+///
+/// ```
+/// use presight::{Change, Environment, Pose, World};
+/// let mut world = World::new(Environment::new());
+/// let before = world.clone();
+/// assert!(world.apply(Change::MoveObject { name: "door".into(), world_from_object: Pose::IDENTITY }).is_err());
+/// assert_eq!(world.version(), before.version());
+/// ```
+#[derive(Clone, Debug)]
+pub struct World {
+    environment: Arc<Environment>,
+    index: Arc<WorldIndex>,
+    version: u64,
+    /// Unlike that of any other content of any world in this process.
+    stamp: u64,
+    /// While many changes are made in a row: how many features of them may still be touched in the lists of their layers.
+    row: Option<usize>,
+    /// While a group of changes is applied: how what was done of it is taken back, oldest first.
+    journal: Option<Vec<Revert>>,
+}
+
+impl World {
+    /// The first version of a world, with the default index.
+    pub fn new(environment: Environment) -> Self {
+        Self::with_index(environment, Scheme::default(), Params::tuned(Scheme::default()))
+    }
+
+    /// The first version of a world, with an index of this scheme.
+    pub fn with_index(environment: Environment, scheme: Scheme, params: Params) -> Self {
+        Self::of(WorldIndex::new(&environment, scheme, params), environment)
+    }
+
+    /// The first version of a world whose index is there.
+    pub fn of(index: WorldIndex, environment: Environment) -> Self {
+        Self {
+            environment: Arc::new(environment),
+            index: Arc::new(index),
+            version: 1,
+            stamp: new_stamp(),
+            row: None,
+            journal: None,
+        }
+    }
+
+    /// The same version of the environment with another index.
+    #[must_use]
+    pub fn reindexed(&self, scheme: Scheme, params: Params) -> Self {
+        let index = Arc::new(WorldIndex::new(&self.environment, scheme, params));
+        Self { index, ..self.clone() }
+    }
+
+    /// The environment of this version.
+    pub fn environment(&self) -> &Arc<Environment> {
+        &self.environment
+    }
+
+    /// Takes the environment out of the world.
+    pub fn into_environment(self) -> Arc<Environment> {
+        self.environment
+    }
+
+    /// Finds polygons of this version.
+    pub fn index(&self) -> &WorldIndex {
+        &self.index
+    }
+
+    /// Number of the version. Predictions report it.
+    pub fn version(&self) -> u64 {
+        self.version
+    }
+
+    /// Tells this version from every other one of this process, those of other worlds included.
+    pub fn stamp(&self) -> u64 {
+        self.stamp
+    }
+
+    /// Applies a change as [`World::apply`] does, but does not check that its features lie on polygons. Use it for inverses:
+    /// they bring back what was there, and a feature of that may have lost its surface.
+    ///
+    /// The inverse of a change restores the content ([`Environment::content_hash`]) to the last bit. It does not restore
+    /// numbers: an object that comes back has new slots.
+    ///
+    /// ```
+    /// use presight::{Change, Environment, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose, World};
+    /// let mut environment = Environment::new();
+    /// let paint = environment.add_material(Material::named("paint"))?;
+    /// let corners = [glam::Vec3::ZERO, glam::Vec3::X, glam::Vec3::Y].to_vec();
+    /// let mesh = Mesh::new("sign", corners, vec![Polygon::new(vec![0, 1, 2], paint)], PolygonOrder::Given)?;
+    /// let mut world = World::new(environment);
+    /// let before = world.environment().content_hash();
+    /// let undo = world.apply(Change::InsertObject(NewObject::new("sign", Pose::IDENTITY, mesh.into())))?;
+    /// assert_ne!(world.environment().content_hash(), before);
+    /// world.apply_unchecked(undo)?;
+    /// assert_eq!(world.environment().content_hash(), before);
+    /// # Ok::<(), presight::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Invalid`] if there is no such object, group or feature, an id was used before, a feature names an
+    /// object that does not exist, or a value is impossible (those of [`Environment::insert`],
+    /// [`Environment::set_pose`], [`Environment::set_frame`] and [`Environment::add_material`]). Content and version then
+    /// stay as they are, of all changes of a [`Change::Group`].
+    pub fn apply_unchecked(&mut self, change: Change) -> Result<Change> {
+        match change {
+            Change::Group(_) => self.apply_if(change, |_| Ok(())),
+            single => {
+                let inverse = self.with_open_layers(single, Self::step)?;
+                self.advance();
+                Ok(inverse)
+            }
+        }
+    }
+
+    /// Makes the next version if `check` then finds it sound; else content, numbers and version stay as they are. Nothing
+    /// is copied for that: what was done is taken back step by step.
+    pub fn apply_if(&mut self, change: Change, check: impl FnOnce(&Self) -> Result<()>) -> Result<Change> {
+        self.with_open_layers(change, |world, change| {
+            world.journal = Some(Vec::new());
+            let done = world.step(change).and_then(|inverse| check(world).map(|()| inverse));
+            let journal = world.journal.take().unwrap_or_default();
+            match &done {
+                Ok(_) => world.advance(),
+                Err(_) => journal.into_iter().rev().for_each(|step| world.revert(step)),
+            }
+            done
+        })
+    }
+
+    fn advance(&mut self) {
+        self.version += 1;
+        self.stamp = new_stamp();
+    }
+
+    /// Notes how the step to come is taken back, where it may have to be.
+    fn note(&mut self, revert: impl FnOnce(&Environment) -> Revert) {
+        if let Some(journal) = &mut self.journal {
+            journal.push(revert(&self.environment));
+        }
+    }
+
+    fn revert(&mut self, step: Revert) {
+        let moved = match &step {
+            Revert::Pose { object, .. } | Revert::Delete { object, .. } => Some(*object),
+            Revert::Insert { .. } => {
+                let last = self.environment.objects().len() as u32 - 1;
+                Arc::make_mut(&mut self.index).remove_last(&self.environment, last);
+                None
+            }
+            _ => None,
+        };
+        Arc::make_mut(&mut self.environment).revert(step);
+        if let Some(object) = moved {
+            Arc::make_mut(&mut self.index).insert_object(&self.environment, object);
+        }
+    }
+
+    /// From now on layers that were opened stay open: many changes are made one by one, and nobody reads the features' lists.
+    pub fn begin_row(&mut self) {
+        self.row = Some(FEW_FEATURES);
+    }
+
+    /// Does `work` with a change; one that touches many features, with those before it in a row, finds the layers open.
+    fn with_open_layers(
+        &mut self,
+        change: Change,
+        work: impl FnOnce(&mut Self, Change) -> Result<Change>,
+    ) -> Result<Change> {
+        if self.environment.has_open_layers() {
+            return work(self, change);
+        }
+        let mut left = self.row.unwrap_or(FEW_FEATURES);
+        let touches_few = self.touches_few(&change, &mut left);
+        self.row = self.row.map(|_| left);
+        if touches_few {
+            return work(self, change);
+        }
+        Arc::make_mut(&mut self.environment).open_layers();
+        let done = work(self, change);
+        if self.row.is_none() {
+            Arc::make_mut(&mut self.environment).close_layers();
+        }
+        done
+    }
+
+    /// False once a change puts in, alters or takes out more features, one by one, than are `left`.
+    fn touches_few(&self, change: &Change, left: &mut usize) -> bool {
+        let count = match change {
+            Change::Group(changes) => return changes.iter().all(|change| self.touches_few(change, left)),
+            Change::InsertFeature { .. }
+            | Change::RestoreFeature { .. }
+            | Change::SetFeature { .. }
+            | Change::DeleteFeature { .. }
+            | Change::SetPoseCovariance { .. } => 1,
+            // Each object that is deleted asks for its features, even if it has none.
+            Change::DeleteObject { name } => {
+                let is_object = self.environment.object(name).is_some();
+                let objects = if is_object { 1 } else { self.environment.below(name).take(*left + 1).count() };
+                objects + self.environment.attached_to_path(name, !is_object, *left + 1)
+            }
+            _ => 0,
+        };
+        match left.checked_sub(count) {
+            Some(rest) => *left = rest,
+            None => return false,
+        }
+        true
+    }
+
+    /// A change; only a group can fail halfway.
+    fn step(&mut self, change: Change) -> Result<Change> {
+        if let Change::Group(changes) = change {
+            let mut inverses = Vec::with_capacity(changes.len());
+            for (i, change) in changes.into_iter().enumerate() {
+                inverses.push(self.step(change).map_err(|e| e.at(format!("change {} of the group", i + 1)))?);
+            }
+            inverses.reverse();
+            return Ok(Change::Group(inverses));
+        }
+        match change {
+            Change::InsertObject(new) => self.insert_object(new),
+            Change::MoveObject { name, world_from_object } => self.move_path(&name, world_from_object),
+            Change::SetPose { name, world_from_object } => self.set_pose(name, world_from_object),
+            Change::DeleteObject { name } => self.delete_path(name),
+            Change::SetFrame { name, world_from_group } => self.set_frame(name, world_from_group),
+            other => self.step_features(other),
+        }
+    }
+
+    fn step_features(&mut self, change: Change) -> Result<Change> {
+        self.note_layer(&change);
+        let environment = Arc::make_mut(&mut self.environment);
+        let (done, revert) = match change {
+            Change::AddMaterial(material) => {
+                environment.add_material(material)?;
+                (Change::NOTHING, Some(Revert::Material))
+            }
+            Change::InsertFeature { class, feature } => {
+                let id = feature.id;
+                environment.insert_feature(&class, feature, false)?;
+                let revert = Revert::InsertFeature { class: class.clone(), id, retired: false };
+                (Change::DeleteFeature { class, id }, Some(revert))
+            }
+            Change::RestoreFeature { class, feature } => {
+                let id = feature.id;
+                let retired = environment.is_retired(&class, id);
+                environment.insert_feature(&class, feature, true)?;
+                let revert = Revert::InsertFeature { class: class.clone(), id, retired };
+                (Change::DeleteFeature { class, id }, Some(revert))
+            }
+            Change::SetFeature { class, feature } => {
+                let feature = environment.replace_feature(&class, feature)?;
+                let revert = Revert::SetFeature { class: class.clone(), feature: feature.clone() };
+                (Change::SetFeature { class, feature }, Some(revert))
+            }
+            Change::DeleteFeature { class, id } => {
+                let feature = environment.delete_feature(&class, id)?;
+                let revert = Revert::DeleteFeature { class: class.clone(), feature: feature.clone() };
+                (Change::RestoreFeature { class, feature }, Some(revert))
+            }
+            Change::SetTolerance { class, tolerance } => match environment.set_tolerance(&class, tolerance)? {
+                Some(tolerance) => {
+                    let revert = Revert::Tolerance { class: class.clone(), tolerance };
+                    (Change::SetTolerance { class, tolerance }, Some(revert))
+                }
+                None => (Change::NOTHING, None),
+            },
+            Change::SetPoseCovariance { class, object, covariance } => {
+                let covariance = environment.set_pose_covariance(&class, &object, covariance)?;
+                // Noted before, with its place among the others.
+                (Change::SetPoseCovariance { class, object, covariance }, None)
+            }
+            // Of objects and paths, and many at once: they went another way.
+            _ => (Change::NOTHING, None),
+        };
+        if let (Some(journal), Some(revert)) = (&mut self.journal, revert) {
+            journal.push(revert);
+        }
+        Ok(done)
+    }
+
+    /// Notes what a change of a layer may have to give back besides: a layer that it makes, a pose covariance in its place.
+    /// Reverting that is right even where the change fails.
+    fn note_layer(&mut self, change: &Change) {
+        if self.journal.is_none() {
+            return;
+        }
+        let class = match change {
+            Change::InsertFeature { class, .. }
+            | Change::RestoreFeature { class, .. }
+            | Change::SetTolerance { class, .. }
+            | Change::SetPoseCovariance { class, .. } => class,
+            _ => return,
+        };
+        let revert = match (self.environment.layer(class), change) {
+            (None, _) => Revert::NewLayer { class: class.clone() },
+            (Some(_), Change::SetPoseCovariance { object, .. }) => {
+                let before = self.environment.covariance_and_place(class, object);
+                Revert::PoseCovariance { class: class.clone(), object: object.clone(), before }
+            }
+            _ => return,
+        };
+        self.note(|_| revert);
+    }
+
+    /// This world with another environment: after a failed write, what the disk has.
+    pub fn reset(&mut self, environment: Environment) {
+        self.index = Arc::new(WorldIndex::new(&environment, self.index.scheme(), self.index.params()));
+        self.environment = Arc::new(environment);
+        self.stamp = new_stamp();
+    }
+}
+
+fn new_stamp() -> u64 {
+    static NEXT: AtomicU64 = AtomicU64::new(0);
+    NEXT.fetch_add(1, Ordering::Relaxed)
+}

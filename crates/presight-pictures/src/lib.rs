@@ -1,0 +1,201 @@
+//! PNG pictures: previews for people, and 16-bit depth images for programs.
+
+mod canvas;
+mod color;
+mod comparison;
+mod font;
+mod map;
+mod overlay;
+mod pen;
+mod polar;
+mod scale;
+mod top_view;
+mod view;
+
+use canvas::Canvas;
+use color::Palette;
+pub use comparison::{Comparison, GreyMark, GreyPanel, PlanMarks, write_comparison};
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::{ExtendedColorType, ImageEncoder};
+pub use map::{GridMap, write_maps};
+pub use overlay::Overlay;
+use presight_files::atomic::write_atomically;
+use presight_model::error::{Error, Result};
+use presight_model::frame::GreyImage;
+use presight_model::sensor::{Geometry, Sensor};
+use presight_predict::virtual_sensors::Mask;
+use presight_render::plan::{Images, Output, Outputs};
+use scale::Scale;
+use std::io::{self, BufWriter, Write};
+use std::path::Path;
+
+/// Writes a preview for people: one output in colours, with thin borders where `polygon_id` changes (if that image was made),
+/// a title and a scale bar.
+///
+/// Range and depth_z are coloured from near (yellow) to far (violet), ids by distinct colours, cos_incidence and echo
+/// grey, vectors of length one with 127.5 (x + 1), 127.5 (y + 1) and 127.5 (z + 1) as red, green and blue.
+/// The shape of pixels follows their angles. Images of scanners that turn counter-clockwise are mirrored, so that left is left.
+/// A scan of one row is drawn from above, x forward being up.
+///
+/// # Errors
+/// [`crate::ErrorKind::Invalid`] if the image is not there or not of the sensor's size,
+/// [`crate::ErrorKind::System`] if the file cannot be written.
+pub fn write_preview(path: &Path, images: &Images, sensor: &Sensor, output: Output) -> Result<()> {
+    write_preview_with(path, images, sensor, output, &Marks::default())
+}
+
+/// What a preview shows beside an image.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Marks<'a> {
+    /// Features drawn over it.
+    pub overlay: Option<&'a Overlay<'a>>,
+    /// Pixels to tint.
+    pub mask: Option<&'a Mask>,
+    /// Pixels to hatch, row-major: those that were given up for a deadline. Empty if none were.
+    pub given_up: &'a [bool],
+}
+
+/// As [`write_preview`], with features drawn over it, marked pixels tinted and those given up hatched. Visible parts are solid, hidden parts dashed,
+/// regions of interest boxes (in two parts over the seam of a turn) or, seen from above, arcs.
+///
+/// # Errors
+/// As [`write_preview`].
+pub fn write_preview_with(
+    path: &Path,
+    images: &Images,
+    sensor: &Sensor,
+    output: Output,
+    marks: &Marks<'_>,
+) -> Result<()> {
+    let canvas = preview(images, sensor, output, marks).map_err(|e| e.in_file(path))?;
+    write_atomically(path, |file| {
+        let out = BufWriter::new(file);
+        encode(out, canvas.bytes(), canvas.width(), canvas.height(), ExtendedColorType::Rgb8)
+    })
+}
+
+/// [`write_preview`] into memory: the bytes of a PNG file.
+///
+/// # Errors
+/// [`crate::ErrorKind::Invalid`] if the image is not there or not of the sensor's size.
+pub fn preview_png(images: &Images, sensor: &Sensor, output: Output) -> Result<Vec<u8>> {
+    let canvas = preview(images, sensor, output, &Marks::default())?;
+    let mut bytes = Vec::new();
+    encode(&mut bytes, canvas.bytes(), canvas.width(), canvas.height(), ExtendedColorType::Rgb8)
+        .map_err(|e| Error::invalid(format!("the preview is no PNG: {e}"), ""))?;
+    Ok(bytes)
+}
+
+fn preview(images: &Images, sensor: &Sensor, output: Output, marks: &Marks<'_>) -> Result<Canvas> {
+    let Marks { overlay, mask, given_up } = *marks;
+    let (width, height) = (sensor.width(), sensor.height());
+    let len = images.samples(output).map_or(0, |samples| samples.len());
+    if len != width as usize * height as usize {
+        return Err(Error::invalid(
+            format!("the {} image has {len} pixels, the sensor {width} x {height}", output.name()),
+            "ask for this output",
+        ));
+    }
+    let scale = Scale::of(images, output);
+    let mut palette = Palette::new(images, output, &scale);
+    if let Some(mask) = mask {
+        palette.mark(&mask.pixels);
+    }
+    if given_up.len() == len {
+        palette.hatch(given_up, width);
+    }
+    Ok(if is_one_row_scan(sensor) && images.range.len() == len {
+        polar::draw(images, sensor, output, &palette, &scale, overlay)
+    } else {
+        view::draw(images, sensor, output, &palette, &scale, overlay)
+    })
+}
+
+fn is_one_row_scan(sensor: &Sensor) -> bool {
+    sensor.height() == 1 && matches!(sensor.spec().geometry, Geometry::Scanner(_))
+}
+
+/// Columns and rows of the image in a preview, about: text and a scale stand around it.
+#[doc(hidden)]
+pub fn preview_size(sensor: &Sensor) -> (u32, u32) {
+    view::drawn_size(sensor)
+}
+
+/// The images that a preview of one output is drawn from.
+pub fn preview_needs(sensor: &Sensor, output: Output) -> Outputs {
+    let places = if is_one_row_scan(sensor) { Output::Range } else { output };
+    Outputs::of(&[output, Output::PolygonId, places])
+}
+
+/// The output that a depth image of a sensor shows: depth_z for a camera (REP-118), otherwise range.
+pub fn depth_output(sensor: &Sensor) -> Output {
+    if sensor.is_camera() { Output::DepthZ } else { Output::Range }
+}
+
+/// Writes a 16-bit grey image in millimetres, 0 where there is no value (REP-118): nothing hit, too near, no ray,
+/// or beyond the 65.535 m that 16 bits can hold. Returns a notice if the last case occurs.
+///
+/// # Errors
+/// [`crate::ErrorKind::Invalid`] if [`depth_output`]'s image is not there, [`crate::ErrorKind::System`] if the file
+/// cannot be written.
+pub fn write_depth(path: &Path, images: &Images, sensor: &Sensor) -> Result<Vec<String>> {
+    let output = depth_output(sensor);
+    let Some(metres) = images.floats(output).filter(|image| image.len() == images.pixels()) else {
+        return Err(Error::invalid(format!("there is no {} image", output.name()), "ask for it").in_file(path));
+    };
+    let (millimetres, beyond) = to_millimetres(metres);
+    let bytes: Vec<u8> = millimetres.iter().flat_map(|mm| mm.to_ne_bytes()).collect();
+    write_atomically(path, |file| {
+        encode(BufWriter::new(file), &bytes, images.width, images.height, ExtendedColorType::L16)
+    })?;
+    let notice = || format!("{}: {beyond} pixels beyond 65.535 m are written as 0", path.display());
+    Ok((beyond > 0).then(notice).into_iter().collect())
+}
+
+/// Writes a 16-bit grey image, 0 black and 1 white; what is beyond is as these, and NaN is black.
+///
+/// # Errors
+/// [`crate::ErrorKind::System`] if the file cannot be written.
+pub fn write_grey(path: &Path, image: &GreyImage) -> Result<()> {
+    // A cast takes NaN to 0.
+    let values = image.values().iter().map(|v| (v.clamp(0.0, 1.0) * f32::from(u16::MAX)).round() as u16);
+    let bytes: Vec<u8> = values.flat_map(u16::to_ne_bytes).collect();
+    write_atomically(path, |file| {
+        encode(BufWriter::new(file), &bytes, image.width(), image.height(), ExtendedColorType::L16)
+    })
+}
+
+/// Writes a mask with marked pixels white and the others black, in the pixel order of the images.
+///
+/// # Errors
+/// [`crate::ErrorKind::System`] if the file cannot be written.
+pub fn write_mask(path: &Path, mask: &Mask) -> Result<()> {
+    let bytes: Vec<u8> = mask.pixels.iter().map(|on| if *on { u8::MAX } else { 0 }).collect();
+    write_atomically(path, |file| encode(BufWriter::new(file), &bytes, mask.width, mask.height, ExtendedColorType::L8))
+}
+
+/// Rounded millimetres, and how many finite values did not fit.
+fn to_millimetres(metres: &[f32]) -> (Vec<u16>, usize) {
+    let mut beyond = 0;
+    let convert = |m: &f32| {
+        let mm = (f64::from(*m) * 1e3).round();
+        if mm > f64::from(u16::MAX) && mm.is_finite() {
+            beyond += 1;
+        }
+        if (1.0..=f64::from(u16::MAX)).contains(&mm) { mm as u16 } else { 0 }
+    };
+    (metres.iter().map(convert).collect(), beyond)
+}
+
+fn encode(mut out: impl Write, bytes: &[u8], width: u32, height: u32, kind: ExtendedColorType) -> io::Result<()> {
+    PngEncoder::new_with_quality(&mut out, CompressionType::Fast, FilterType::Adaptive)
+        .write_image(bytes, width, height, kind)
+        .map_err(|e| match e {
+            image::ImageError::IoError(e) => e,
+            other => io::Error::other(other),
+        })?;
+    out.flush()
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,386 @@
+//! All headings of a level scanner at once: it sees the same panorama whichever way it is turned, so that each heading is a
+//! cyclic shift of the sensed image over the panorama.
+
+use super::RangeLikelihood;
+use super::likelihood::BeamModel;
+use glam::{DQuat, DVec3};
+use presight_model::error::{Error, Result};
+use presight_model::geometry::{Pose, sin_cos_deg};
+use presight_model::sensor::{Angles, Geometry, Scanner, Sensor, SensorSpec};
+use presight_render::row::is_level;
+use std::array;
+
+/// The headings of a scanner and the panorama that shows them all.
+#[derive(Clone, Debug)]
+pub struct Headings {
+    pub(super) count: u32,
+    /// Beams of the panorama.
+    pub(super) beams: usize,
+    /// Columns of the panorama from one heading to the next, modulo its width.
+    pub(super) stride: usize,
+    sensor: Sensor,
+    panorama: Sensor,
+}
+
+impl Headings {
+    /// `count` headings, evenly over the full turn: heading k turns the scanner's x axis to `360 k / count` degrees about the
+    /// world's z axis, counter-clockwise from its x axis.
+    ///
+    /// ```
+    /// use presight::batch::Headings;
+    /// let headings = Headings::new(&presight::preset("laser-scanner")?, 360)?;
+    /// assert_eq!(headings.panorama().width(), 720);
+    /// assert_eq!(headings.degrees(90), 90.0);
+    /// assert!(Headings::new(&presight::preset("laser-scanner")?, 7).is_err());
+    /// # Ok::<(), presight::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Usage`] if the sensor is no scanner with a uniform azimuth step that divides 360 degrees, or headings
+    /// are no whole multiples of that step.
+    pub fn new(sensor: &Sensor, count: u32) -> Result<Self> {
+        let spec = sensor.spec();
+        let wrong = |what: &str, remedy: &str| {
+            Err(Error::usage(format!("all headings at once: {what}"), remedy).at(format!("sensor {:?}", spec.name)))
+        };
+        let single = "give a pose for each heading instead";
+        let Geometry::Scanner(scanner) = &spec.geometry else { return wrong("the sensor is no scanner", single) };
+        let Angles::Uniform { start_deg, step_deg, .. } = scanner.azimuth else {
+            return wrong("its azimuths are listed, not in equal steps", single);
+        };
+        let beams = (360.0 / step_deg.abs()).round();
+        // A beam's direction may be off by no more than rounding, all round.
+        if !((beams * step_deg.abs() - 360.0).abs() <= 1e-9
+            && beams <= f64::from(presight_model::limits::MAX_IMAGE_SIDE))
+        {
+            return wrong(&format!("its step of {step_deg} deg does not divide 360 degrees"), single);
+        }
+        let beams = beams as u32;
+        if count == 0 || !beams.is_multiple_of(count) {
+            let what = format!("{count} headings are no multiples of its step of {step_deg} deg");
+            return wrong(&what, &format!("give a number that divides {beams}"));
+        }
+        let azimuth =
+            Angles::Uniform { start_deg, step_deg: 360f64.copysign(step_deg) / f64::from(beams), count: beams };
+        let geometry = Geometry::Scanner(Scanner { azimuth, ..scanner.clone() });
+        let stride = (beams / count) as usize;
+        let stride = if step_deg > 0.0 { stride } else { beams as usize - stride };
+        let panorama = Sensor::new(spec.clone().with_geometry(geometry))?;
+        Ok(Self { count, beams: beams as usize, stride, sensor: sensor.clone(), panorama })
+    }
+
+    pub(super) fn sensor(&self) -> &SensorSpec {
+        self.sensor.spec()
+    }
+
+    /// How many.
+    pub fn count(&self) -> u32 {
+        self.count
+    }
+
+    /// The scanner with all its beams over the full turn.
+    pub fn panorama(&self) -> &Sensor {
+        &self.panorama
+    }
+
+    /// A heading's angle, degrees.
+    pub fn degrees(&self, heading: u32) -> f64 {
+        360.0 * f64::from(heading) / f64::from(self.count)
+    }
+
+    /// The pose of the sensor at a place, turned to a heading. A robot is at this times the inverse of the sensor's mount.
+    pub fn pose(&self, place: DVec3, heading: u32) -> Pose {
+        let (sin, cos) = sin_cos_deg(0.5 * self.degrees(heading));
+        Pose { translation: place, rotation: DQuat::from_xyzw(0.0, 0.0, sin, cos) }
+    }
+
+    /// The pose at which the panorama is predicted, of a place given by a pose whose heading does not matter.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Usage`] for a pose that leans.
+    pub fn place(&self, world_from_sensor: &Pose) -> Result<Pose> {
+        world_from_sensor.check()?;
+        if !is_level(world_from_sensor) {
+            let what = "all headings at once: the sensor leans, and sees other things when it is turned";
+            return Err(Error::usage(what, "give level poses, or a pose for each heading"));
+        }
+        Ok(Pose { translation: world_from_sensor.translation, rotation: DQuat::IDENTITY })
+    }
+}
+
+/// Beams that are worked on together.
+const LANES: usize = 16;
+
+/// A range at which no beam ends: its square is finite in f32, and nothing is left of a Gauss so far off.
+const NOWHERE: f32 = 1e18;
+
+/// Weighs all headings of a sensed image.
+#[derive(Clone, Debug)]
+pub(super) struct HeadingWeights {
+    headings: Headings,
+    model: BeamModel,
+    rows: Vec<Row>,
+    /// Beams with a range, in all rows.
+    ranged: usize,
+}
+
+/// A row of the sensed image.
+#[derive(Clone, Debug)]
+struct Row {
+    /// [`NOWHERE`] where no range was sensed, and beyond the row's end.
+    sensed: Vec<f32>,
+    /// Beams that sensed nothing, and those that sensed something too near.
+    none: Vec<u32>,
+    near: Vec<u32>,
+}
+
+/// A row of the panorama, once and a sensed row more round. Peaks and densities are in units of the density of anything.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Panorama {
+    range: Vec<f32>,
+    peak: Vec<f32>,
+    sharpness: Vec<f32>,
+    short: Vec<f32>,
+    /// Logarithms.
+    none: Vec<f32>,
+    near: Vec<f32>,
+    /// Factors whose product is surely within f32.
+    steps: usize,
+}
+
+impl HeadingWeights {
+    pub fn new(headings: &Headings, sensed: &RangeLikelihood) -> Self {
+        let height = headings.panorama.height() as usize;
+        let width = sensed.range().len() / height;
+        let row = |range: &[f32]| {
+            let those = |what: f32| (0..).zip(range).filter(|(_, r)| **r == what).map(|(i, _)| i).collect();
+            let mut ranges: Vec<f32> = range.iter().map(|r| if r.is_finite() { *r } else { NOWHERE }).collect();
+            ranges.resize(width.next_multiple_of(LANES), NOWHERE);
+            Row { sensed: ranges, none: those(f32::INFINITY), near: those(f32::NEG_INFINITY) }
+        };
+        let model = sensed.model;
+        Self {
+            headings: headings.clone(),
+            model,
+            rows: sensed.range().chunks(width).map(row).collect(),
+            ranged: sensed.range().iter().filter(|r| r.is_finite()).count(),
+        }
+    }
+
+    /// Log-likelihoods by heading, from the images of the panorama.
+    pub fn weigh(&self, range: &[f32], cos_incidence: &[f32], panorama: &mut Panorama) -> Vec<f32> {
+        let arch = pulp::Arch::new();
+        let count = self.headings.count as usize;
+        let mut sums = vec![self.ranged as f64 * self.model.any.ln(); count];
+        for (r, row) in self.rows.iter().enumerate() {
+            let part = r * self.headings.beams..(r + 1) * self.headings.beams;
+            let (range, cos_incidence) = (&range[part.clone()], &cos_incidence[part]);
+            arch.dispatch(Fill { weigher: self, row, range, cos_incidence, panorama });
+            arch.dispatch(Shift { weigher: self, row, panorama, sums: &mut sums });
+        }
+        self.tempered(&sums)
+    }
+
+    /// Log-likelihoods from the sums of the beams' logarithms.
+    pub fn tempered(&self, sums: &[f64]) -> Vec<f32> {
+        sums.iter().map(|sum| (sum / self.model.mixture.beam_dependence) as f32).collect()
+    }
+}
+
+/// Makes a row of the panorama. A type, so that it is compiled for each vector width.
+struct Fill<'a> {
+    weigher: &'a HeadingWeights,
+    row: &'a Row,
+    range: &'a [f32],
+    cos_incidence: &'a [f32],
+    panorama: &'a mut Panorama,
+}
+
+impl pulp::WithSimd for Fill<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, simd: S) {
+        let Self { weigher, row, range, cos_incidence, panorama } = self;
+        let model = &weigher.model;
+        let n = range.len();
+        for part in panorama.parts() {
+            part.clear();
+        }
+        let mut most = 2f32;
+        let (near, none) =
+            (!row.near.is_empty(), [0.0, model.mixture.hit].map(|p| (model.mixture.none + p).ln() as f32));
+        for at in (0..n).step_by(LANES) {
+            let lanes = |image: &[f32]| array::from_fn(|l| image.get(at + l).copied().unwrap_or(f32::INFINITY).into());
+            let (range, cos) = (lanes(range), lanes(cos_incidence));
+            let beams = Beams::of(simd, model, &range, &cos);
+            for l in 0..LANES.min(n - at) {
+                most = most.max(panorama.push(model, range[l], &beams, l));
+                panorama.none.push(if range[l] == f64::INFINITY { none[1] } else { none[0] });
+                // Logarithms take long, and scanners without a range_min sense nothing too near.
+                panorama.near.push(if near { beams.near[l].ln() as f32 } else { 0.0 });
+            }
+        }
+        for part in panorama.parts() {
+            for i in 0..row.sensed.len() {
+                part.push(part[i % n]);
+            }
+        }
+        panorama.steps = (125.0 / most.log2()).max(1.0) as usize;
+    }
+}
+
+/// What some beams may sense.
+struct Beams {
+    peak: [f64; LANES],
+    sharpness: [f64; LANES],
+    short: [f64; LANES],
+    near: [f64; LANES],
+}
+
+impl Beams {
+    #[inline(always)]
+    fn of<S: pulp::Simd>(simd: S, model: &BeamModel, range: &[f64; LANES], cos_incidence: &[f64; LANES]) -> Self {
+        let none = [0.0; LANES];
+        let mut ours = Self { peak: none, sharpness: none, short: none, near: none };
+        {
+            let [range, cos] = [range, cos_incidence].map(|lanes| S::as_simd_f64s(lanes).0);
+            let Self { peak, sharpness, short, near } = &mut ours;
+            let [peak, sharpness, short, near] =
+                [peak, sharpness, short, near].map(|lanes| S::as_mut_simd_f64s(lanes).0);
+            for i in 0..LANES / S::F64_LANES {
+                let surface = model.surface(simd, range[i], cos[i]);
+                (peak[i], sharpness[i], short[i]) = (surface.peak, surface.sharpness, surface.short);
+                near[i] = model.near(simd, range[i], surface.short);
+            }
+        }
+        ours
+    }
+}
+
+impl Panorama {
+    fn parts(&mut self) -> [&mut Vec<f32>; 6] {
+        let Self { range, peak, sharpness, short, none, near, .. } = self;
+        [range, peak, sharpness, short, none, near]
+    }
+
+    /// Takes a beam; the largest factor that it may have.
+    #[inline(always)]
+    fn push(&mut self, model: &BeamModel, range: f64, beams: &Beams, l: usize) -> f32 {
+        let peak = (beams.peak[l] / model.any) as f32;
+        let short = (beams.short[l] / model.any) as f32;
+        // For powers of two.
+        let sharpness = (-beams.sharpness[l] * std::f64::consts::LOG2_E) as f32;
+        let [range, peak, sharpness, short] = match range {
+            // Whatever is sensed is nearer than nothing, and nothing is nearer than what is too near.
+            f64::INFINITY => [(2.0 * model.range_max) as f32, 0.0, 0.0, short],
+            f64::NEG_INFINITY => [0.0; 4],
+            range => [range as f32, peak, sharpness, short],
+        };
+        self.range.push(range);
+        self.peak.push(peak);
+        self.sharpness.push(sharpness);
+        self.short.push(short);
+        1.0 + peak + short
+    }
+}
+
+/// Adds a row's log-likelihoods of all headings. A type, so that it is compiled for each vector width.
+struct Shift<'a> {
+    weigher: &'a HeadingWeights,
+    row: &'a Row,
+    panorama: &'a Panorama,
+    sums: &'a mut [f64],
+}
+
+impl pulp::WithSimd for Shift<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) {
+        let Self { weigher, row, panorama, sums } = self;
+        let (beams, stride) = (weigher.headings.beams, weigher.headings.stride);
+        for (k, sum) in sums.iter_mut().enumerate() {
+            let first = k * stride % beams;
+            let table = |table: &[f32], i: &u32| f64::from(table[first + *i as usize]);
+            *sum += ranges(row, panorama, first);
+            *sum += row.none.iter().map(|i| table(&panorama.none, i)).sum::<f64>();
+            *sum += row.near.iter().map(|i| table(&panorama.near, i)).sum::<f64>();
+        }
+    }
+}
+
+/// The logarithm of the product of the factors of all ranges of a row, whose first beam is the panorama's `first`.
+#[inline(always)]
+fn ranges<'a>(row: &Row, panorama: &'a Panorama, first: usize) -> f64 {
+    const MANTISSA: u32 = 0x007f_ffff;
+    const ONE: u32 = 0x3f80_0000;
+    let sensed = row.sensed.as_chunks::<LANES>().0;
+    let part = |table: &'a [f32]| table[first..first + row.sensed.len()].as_chunks::<LANES>().0;
+    let (range, peak) = (part(&panorama.range), part(&panorama.peak));
+    let (sharpness, short) = (part(&panorama.sharpness), part(&panorama.short));
+    let mut product = [1f32; LANES];
+    let mut exponent = [0u32; LANES];
+    let chunks = sensed.iter().zip(range).zip(peak).zip(sharpness).zip(short);
+    let mut left = panorama.steps;
+    for ((((sensed, range), peak), sharpness), short) in chunks {
+        for l in 0..LANES {
+            let away = sensed[l] - range[l];
+            let hit = peak[l] * exp2(away * away * sharpness[l]);
+            let nearer = if away < 0.0 { short[l] } else { 0.0 };
+            product[l] *= 1.0 + nearer + hit;
+        }
+        left -= 1;
+        if left == 0 {
+            // Factors are 1 or more: a product keeps a mantissa, and its exponent is counted.
+            for l in 0..LANES {
+                let bits = product[l].to_bits();
+                exponent[l] += (bits >> 23) - 127;
+                product[l] = f32::from_bits(bits & MANTISSA | ONE);
+            }
+            left = panorama.steps;
+        }
+    }
+    let mut whole = 0;
+    let mut mantissas = 1.0;
+    for (product, exponent) in product.iter().zip(exponent) {
+        let bits = product.to_bits();
+        whole += exponent + (bits >> 23) - 127;
+        mantissas *= f64::from(f32::from_bits(bits & MANTISSA | ONE));
+    }
+    f64::from(whole) * std::f64::consts::LN_2 + f64::ln(mantissas)
+}
+
+/// 2 to the power of what is not above 0, to 3e-7 of it; about 0 below -126. Without branches, for vectors.
+#[inline(always)]
+fn exp2(x: f32) -> f32 {
+    /// Added, the last bit of a sum is worth 1.
+    const ROUND: f32 = 12_582_912.0;
+    let x = if x > -126.0 { x } else { -126.0 };
+    let rounded = x + ROUND;
+    let f = x - (rounded - ROUND);
+    // 2^f by its Taylor series in f ln 2, |f| <= 1/2: the first term left out is 1.1e-7 at most.
+    let p = 1.540_353e-4 * f + 1.333_355_8e-3;
+    let p = p * f + 9.618_129e-3;
+    let p = p * f + 5.550_411e-2;
+    let p = p * f + 2.402_265e-1;
+    let p = p * f + std::f32::consts::LN_2;
+    let p = p * f + 1.0;
+    f32::from_bits(p.to_bits().wrapping_add(rounded.to_bits() << 23))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::exp2;
+
+    #[test]
+    fn powers_of_two_are_right() {
+        for i in 0..=1_260_000u32 {
+            let x = -(i as f32) * 1e-4;
+            let exact = f64::from(x).exp2();
+            assert!((f64::from(exp2(x)) / exact - 1.0).abs() < 3e-7, "{x}");
+        }
+        assert!(exp2(f32::NEG_INFINITY) < 2e-38 && exp2(-1e30) < 2e-38);
+        assert_eq!(exp2(0.0), 1.0);
+    }
+}

@@ -1,0 +1,223 @@
+//! How likely a sensed range image is at a pose, given the image predicted there (the formula: `docs/batches.md`).
+
+use super::weigh::HeadingModel;
+use super::{Headings, PoseCell};
+use presight_model::error::{Error, Result};
+use presight_model::sensor::{Mixture, Sensor, SensorSpec};
+use presight_render::plan::{BeamNumbers, Weighing};
+
+/// Below this cosine of incidence a beam counts as one that meets the surface at it: the spread of its range has no end.
+const LEAST_COS: f64 = 0.05;
+
+/// Something unknown is spread over no less than this, metres, so that its density has a bound.
+const LEAST_RANGE: f64 = 1e-6;
+
+/// No probability is less: a `range_min` may be all but 0, a likelihood not.
+const LEAST: f64 = 1e-30;
+
+/// A larger variance of directions, radians squared, says no less: a beam may go anywhere.
+const ANY_TURN: f64 = 1e12;
+
+/// A sensed range image of a sensor, ready to be compared with predictions.
+#[derive(Clone, Debug)]
+pub struct RangeLikelihood {
+    sensor: Sensor,
+    range: Vec<f32>,
+    pub(super) model: BeamModel,
+}
+
+impl RangeLikelihood {
+    /// A range image of the sensor, row-major: metres, `+inf` where nothing was sensed, `-inf` where something was nearer than
+    /// `range_min`, NaN where there is no reading ([`crate::io::log::LogFrame::range`]).
+    ///
+    /// ```
+    /// use presight::batch::{PoseCell, RangeLikelihood};
+    /// use presight::{Noise, Sensor, SensorSpec};
+    /// let mut spec: SensorSpec = presight::preset("laser-scanner")?.spec().clone();
+    /// spec.noise = Noise { range_sigma: 0.02, ..Noise::default() };
+    /// let sensor = Sensor::new(spec)?;
+    /// let sensed = RangeLikelihood::new(&sensor, vec![2.0; 361], PoseCell::default())?;
+    /// let at = |range: f32| sensed.log_likelihood(&[range; 361], &[1.0; 361]);
+    /// assert!(at(2.0) > at(2.05) && at(2.05) > at(1.0));
+    /// # Ok::<(), presight::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Invalid`] for an image of another size, one without any reading, one that holds what this sensor
+    /// cannot sense, a sensor without `range_sigma` or without a finite `range_max`, or a cell that is not finite.
+    pub fn new(sensor: &Sensor, range: Vec<f32>, cell: PoseCell) -> Result<Self> {
+        let spec = sensor.spec();
+        let pixels = sensor.width() as usize * sensor.height() as usize;
+        let remedy = "give a range image of the sensor";
+        if range.len() != pixels {
+            let what = format!("the sensed image has {} ranges, sensor {:?} has {pixels} rays", range.len(), spec.name);
+            return Err(Error::invalid(what, remedy));
+        }
+        if range.iter().all(|r| r.is_nan()) {
+            return Err(Error::invalid("the sensed image holds no reading", remedy));
+        }
+        let model = BeamModel::new(sensor, cell)?;
+        let possible = |r: f32| match r {
+            f32::NEG_INFINITY => spec.range_min > 0.0,
+            r => !(r < spec.range_min as f32) && (!(r > spec.range_max as f32) || r == f32::INFINITY),
+        };
+        if let Some(i) = range.iter().position(|r| !possible(*r)) {
+            let what = format!("sensor {:?} cannot sense {} m", spec.name, range[i]);
+            return Err(
+                Error::invalid(what, "give inf beyond range_max, -inf below range_min").at(format!("range {i}"))
+            );
+        }
+        Ok(Self { sensor: sensor.clone(), range, model })
+    }
+
+    pub(super) fn sensor(&self) -> &SensorSpec {
+        self.sensor.spec()
+    }
+
+    /// The image as it was given.
+    pub fn range(&self) -> &[f32] {
+        &self.range
+    }
+
+    /// Natural logarithm of the likelihood of the sensed image where `range` and `cos_incidence` are predicted, the images of
+    /// one prediction. Readings have densities in 1 / metre: only differences tell something. Rays without a reading or without a
+    /// prediction are left out.
+    ///
+    /// # Panics
+    /// If the images are not of the sensor's size.
+    pub fn log_likelihood(&self, range: &[f32], cos_incidence: &[f32]) -> f64 {
+        assert!(range.len() == self.range.len() && cos_incidence.len() == range.len(), "the sensor's images");
+        let weigh = HeadingModel { model: &self.model, sensed: &self.range, range, cos_incidence };
+        self.tempered(pulp::Arch::new().dispatch(weigh))
+    }
+
+    /// The log-likelihood of an image from the sum of the beams' logarithms.
+    pub(super) fn tempered(&self, sum: f64) -> f64 {
+        sum / self.model.mixture.beam_dependence
+    }
+
+    /// For an engine that weighs itself, at a pose or at all headings.
+    pub(super) fn weighing(&self, headings: Option<&Headings>) -> Weighing {
+        let width = self.sensor.width();
+        let [beams, count, stride] = headings.map_or([width, 1, 0], |h| [h.beams as u32, h.count, h.stride as u32]);
+        let model = self.model.numbers();
+        Weighing { sensed: self.range.clone(), beams: [width, beams], headings: count, stride, model }
+    }
+}
+
+/// What all beams of a sensor have in common.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct BeamModel {
+    pub mixture: Mixture,
+    range_sigma: f64,
+    quadratic: f64,
+    /// Variance of the beam's direction and the pose's heading together, radians squared.
+    turn: f64,
+    /// Variance of the pose's place, metres squared.
+    place: f64,
+    range_min: f64,
+    pub range_max: f64,
+    /// Density of anything, 1 / metre.
+    pub any: f64,
+    /// Probability that anything is nearer than `range_min`.
+    below: f64,
+}
+
+/// What beams may sense of the surfaces predicted, as densities, 1 / metre.
+#[derive(Clone, Copy, Debug)]
+pub struct Surface<V> {
+    /// Density of a hit at the predicted range, and what its distance squared is multiplied by in the exponent. Without a meaning
+    /// where no range is predicted.
+    pub peak: V,
+    pub sharpness: V,
+    /// Density nearer than predicted, of something that the model does not have. Without a meaning where that is predicted.
+    pub short: V,
+}
+
+impl BeamModel {
+    fn new(sensor: &Sensor, cell: PoseCell) -> Result<Self> {
+        let spec = sensor.spec();
+        let at = |e: Error| e.at(format!("sensor {:?}", spec.name));
+        if !(spec.noise.range_sigma >= 1e-9) {
+            let remedy = "give range_sigma of at least 1e-9 m in its [noise]";
+            return Err(at(Error::invalid("a likelihood needs the noise of ranges", remedy)));
+        }
+        if spec.range_max.is_infinite() {
+            return Err(at(Error::invalid("a likelihood needs a finite range_max", "give the sensor one")));
+        }
+        let widths = [cell.side, cell.turn];
+        if !widths.iter().all(|w| *w >= 0.0 && *w <= 1e6) {
+            return Err(Error::invalid(
+                format!("pose cell {cell:?}"),
+                "give widths of 0 or more, in metres and radians",
+            ));
+        }
+        // Variance of what lies anywhere within a width.
+        let variance = |width: f64| width * width / 12.0;
+        let any = spec.noise.mixture.any / spec.range_max;
+        Ok(Self {
+            mixture: spec.noise.mixture,
+            range_sigma: spec.noise.range_sigma,
+            quadratic: spec.noise.range_sigma_quadratic,
+            turn: (spec.noise.angle_sigma * spec.noise.angle_sigma + variance(cell.turn)).min(ANY_TURN),
+            place: variance(cell.side),
+            range_min: spec.range_min,
+            range_max: spec.range_max,
+            any: any.max(f64::MIN_POSITIVE),
+            below: any * spec.range_min,
+        })
+    }
+
+    /// For an engine that weighs itself, in f32.
+    pub fn numbers(&self) -> BeamNumbers {
+        // Of what has no share, a logarithm from which nothing comes back.
+        let ln = |p: f64| p.ln().max(-1e4) as f32;
+        let Mixture { hit, short, none, .. } = self.mixture;
+        BeamNumbers {
+            range_sigma: self.range_sigma as f32,
+            quadratic: self.quadratic as f32,
+            turn: self.turn as f32,
+            place: self.place as f32,
+            range_min: self.range_min as f32,
+            range_max: self.range_max as f32,
+            short: short as f32,
+            ln_short: ln(short),
+            below: self.below as f32,
+            near_there: (self.below + short + hit) as f32,
+            ln_any: ln(self.any),
+            ln_hit: ln(hit / std::f64::consts::TAU.sqrt()),
+            ln_none: ln(none),
+            ln_nothing: ln(none + hit),
+        }
+    }
+
+    /// The surfaces at predicted ranges.
+    #[inline(always)]
+    pub fn surface<S: pulp::Simd>(&self, simd: S, range: S::f64s, cos_incidence: S::f64s) -> Surface<S::f64s> {
+        const PER_TWO_PI: f64 = 0.5 / std::f64::consts::PI;
+        let (of, add, mul) = (|v| simd.splat_f64s(v), |a, b| simd.add_f64s(a, b), |a, b| simd.mul_f64s(a, b));
+        let cos = simd.max_f64s(cos_incidence, of(LEAST_COS));
+        let cos_squared = mul(cos, cos);
+        let squared = mul(range, range);
+        let own = add(of(self.range_sigma), mul(of(self.quadratic), squared));
+        let turned = mul(mul(squared, of(self.turn)), simd.sub_f64s(of(1.0), cos_squared));
+        // The variance times the square of the cosine: one division makes its inverse.
+        let spread = add(add(mul(mul(own, own), cos_squared), turned), of(self.place));
+        let inverse = simd.div_f64s(cos_squared, spread);
+        let far = simd.max_f64s(simd.min_f64s(range, of(self.range_max)), of(LEAST_RANGE));
+        Surface {
+            peak: mul(of(self.mixture.hit), simd.sqrt_f64s(mul(inverse, of(PER_TWO_PI)))),
+            sharpness: mul(of(0.5), inverse),
+            short: simd.div_f64s(of(self.mixture.short), far),
+        }
+    }
+
+    /// Probabilities of something nearer than `range_min`.
+    #[inline(always)]
+    pub fn near<S: pulp::Simd>(&self, simd: S, range: S::f64s, short: S::f64s) -> S::f64s {
+        let near = simd.add_f64s(simd.splat_f64s(self.below), simd.mul_f64s(short, simd.splat_f64s(self.range_min)));
+        let is_near = simd.equal_f64s(range, simd.splat_f64s(f64::NEG_INFINITY));
+        let near_there = simd.splat_f64s(self.below + self.mixture.short + self.mixture.hit);
+        simd.max_f64s(simd.select_f64s(is_near, near_there, near), simd.splat_f64s(LEAST))
+    }
+}

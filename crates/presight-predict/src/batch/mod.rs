@@ -1,0 +1,453 @@
+//! Batches: one sensor at many poses, one after the other, in bounded memory.
+//!
+//! [`Predictor::batch`] gives an iterator in the order of the poses. On the CPU one pose is one task. Asked for are images, the
+//! log-likelihood of a sensed image at each pose or at all headings of each place, and statistics. The formula and its
+//! reasons are in `docs/batches.md`.
+
+mod headings;
+mod likelihood;
+mod panoramas;
+mod weigh;
+
+pub use headings::Headings;
+pub use likelihood::RangeLikelihood;
+pub use panoramas::Panoramas;
+
+use crate::engine::Engine;
+use crate::predict::Predictor;
+use crate::request::Request;
+use headings::{HeadingWeights, Panorama};
+use presight_model::error::{Error, Result};
+use presight_model::geometry::Pose;
+use presight_model::sensor::Sensor;
+use presight_model::threads::Threads;
+use presight_model::world::World;
+use presight_render::plan::{
+    CountName, Drawn, FramePlan, ImageRequest, Images, Output, Outputs, PlanBuffers, StageName, Stats, Weighing,
+};
+use presight_render::row::{RowCuts, RowView, is_level};
+use rayon::prelude::*;
+use std::iter::Peekable;
+use std::sync::{Mutex, PoisonError};
+use std::time::Instant;
+
+/// How far apart poses are that are tried, as widths of the cells that they stand for. A hit is expected anywhere within.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PoseCell {
+    /// Metres, in every direction.
+    pub side: f64,
+    /// Radians, of the heading.
+    pub turn: f64,
+}
+
+/// What is asked of each pose.
+#[derive(Clone, Debug, Default)]
+pub struct BatchRequest {
+    /// Images, as single predictions make them.
+    pub images: Option<ImageRequest>,
+    /// The sensed image to weigh.
+    pub likelihood: Option<RangeLikelihood>,
+    /// Weigh it at all these headings of each place. The poses are places of the sensor; which way they look does not matter.
+    pub headings: Option<Headings>,
+    /// The height, metres, at which the world is cut for a level scanner of one row that is only weighed; `None` takes the first
+    /// pose's. Poses at other heights take the path of images, which may differ within the range bound: give it where parts of one batch
+    /// must agree to the last bit.
+    pub height: Option<f64>,
+    /// What each prediction did and cost.
+    pub statistics: bool,
+    /// Poses that are worked on together; `None` chooses. Results do not depend on it.
+    pub chunk: Option<usize>,
+}
+
+/// What was asked, of one pose.
+#[derive(Clone, Debug)]
+pub struct BatchItem {
+    /// Number of the pose, from 0.
+    pub index: usize,
+    /// The sensor's pose, body axes; with headings its heading is 0.
+    pub world_from_sensor: Pose,
+    /// Empty unless asked for. With headings they are the panorama's.
+    pub images: Images,
+    /// Of the sensed image at this pose, see [`RangeLikelihood::log_likelihood`].
+    pub log_likelihood: Option<f64>,
+    /// The same by heading; empty unless asked for.
+    pub headings: Vec<f32>,
+    /// Statistics, if asked for.
+    pub stats: Option<Stats>,
+}
+
+/// A batch in progress: an iterator over [`BatchItem`]s in the order of the poses. After an error there is none.
+pub struct Batch<'p, I: Iterator> {
+    predictor: &'p mut Predictor,
+    poses: Peekable<I>,
+    task: Task,
+    /// Threads for a pose each; `None` where the engine takes one pose after the other.
+    threads: Option<Threads>,
+    lanes: Vec<Mutex<Lane>>,
+    chunk: usize,
+    /// Memory of plans.
+    buffers: Vec<PlanBuffers>,
+    next: usize,
+    done: std::vec::IntoIter<Result<BatchItem>>,
+    ended: bool,
+}
+
+/// What is done at each pose, the same for all.
+struct Task {
+    world: World,
+    /// The sensor, or its panorama.
+    sensor: Sensor,
+    request: ImageRequest,
+    wanted: Outputs,
+    weigh: Option<HeadingModel>,
+    /// The same for an engine that weighs itself; not where images are asked for as well.
+    weighing: Option<Weighing>,
+    headings: Option<Headings>,
+    statistics: bool,
+    /// No image is asked for, and the sensor is one that a cut serves where it is level.
+    by_cut: bool,
+    /// Where the world is cut.
+    height: Option<f64>,
+}
+
+enum HeadingModel {
+    Pose(RangeLikelihood),
+    Headings(Box<HeadingWeights>),
+}
+
+/// What a thread works with.
+#[derive(Default)]
+struct Lane {
+    engine: Option<Box<dyn Engine>>,
+    buffers: PlanBuffers,
+    images: Images,
+    view: Option<RowView>,
+    panorama: Panorama,
+}
+
+/// Bytes of images of a chunk.
+const CHUNK_BYTES: usize = 64 << 20;
+/// Most poses of a chunk.
+const MOST: usize = 512;
+/// Poses that are planned before an engine draws them together.
+const TOGETHER: usize = 64;
+
+impl Predictor {
+    /// Predicts at many poses of a sensor (body axes, in the world): an iterator in their order that keeps no more than a chunk of
+    /// them in memory. Images are those of [`Predictor::predict`], bit for bit. Results do not depend on chunks or threads.
+    ///
+    /// Where a level scanner of one row is only weighed, what it sees is found in a cut of the world at its height
+    /// ([`BatchRequest::height`]), which is kept for the version of the world. On the GPU many poses go out in one submission.
+    ///
+    /// ```
+    /// use presight::batch::{BatchRequest, PoseCell, RangeLikelihood};
+    /// use presight::{Environment, Noise, Options, Pose, Predictor, Sensor, World};
+    /// let mut spec = presight::preset("laser-scanner")?.spec().clone();
+    /// spec.noise = Noise { range_sigma: 0.02, ..Noise::default() };
+    /// let sensor = Sensor::new(spec)?;
+    /// let nothing = RangeLikelihood::new(&sensor, vec![f32::INFINITY; 361], PoseCell::default())?;
+    /// let request = BatchRequest { likelihood: Some(nothing), ..BatchRequest::default() };
+    /// let mut predictor = Predictor::new(Options::default())?;
+    /// let world = World::new(Environment::new());
+    /// let poses = vec![Pose::IDENTITY; 3];
+    /// let all: Vec<_> = predictor.batch(&world, &sensor, poses, &request)?.collect::<Result<_, _>>()?;
+    /// // Nothing is there, and nothing was sensed: p_hit and p_none together, for each beam.
+    /// assert!((all[2].log_likelihood.unwrap() - 361.0 * 0.8f64.ln()).abs() < 1e-9);
+    /// # Ok::<(), presight::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// Those of [`Request::check`]; [`crate::ErrorKind::Usage`] for headings without a sensed image, for a sensed image or headings of another sensor, and
+    /// for a chunk of 0. Of each pose, those of [`Predictor::predict`] and [`Headings::place`], with the pose's number.
+    pub fn batch<I: IntoIterator<Item = Pose>>(
+        &mut self,
+        world: &World,
+        sensor: &Sensor,
+        poses: I,
+        request: &BatchRequest,
+    ) -> Result<Batch<'_, I::IntoIter>> {
+        let mut task = Task::new(world, sensor, request)?;
+        let mut poses = poses.into_iter().peekable();
+        task.height = request.height.or_else(|| poses.peek().map(|pose| pose.translation.z));
+        let threads = match self.engine().for_task() {
+            Some(_) => Some(self.task_threads()?),
+            None => None,
+        };
+        let count = threads.as_ref().map_or(Ok(1), |threads| threads.run(rayon::current_num_threads))?;
+        let chunk = match request.chunk {
+            Some(0) => return Err(Error::usage("a batch in chunks of 0 poses", "give 1 or more, or none")),
+            Some(chunk) => chunk,
+            None => (CHUNK_BYTES / task.bytes().max(1)).clamp(count, MOST.max(count)),
+        };
+        let lane = |_| {
+            let engine = self.engine().for_task();
+            let view = if task.by_cut { RowView::new(&task.sensor) } else { None };
+            Mutex::new(Lane { engine, view, ..Lane::default() })
+        };
+        let lanes = (0..count).map(lane).collect();
+        Ok(Batch {
+            predictor: self,
+            poses,
+            task,
+            threads,
+            lanes,
+            chunk,
+            buffers: Vec::new(),
+            next: 0,
+            done: Vec::new().into_iter(),
+            ended: false,
+        })
+    }
+}
+
+impl Task {
+    fn new(world: &World, sensor: &Sensor, request: &BatchRequest) -> Result<Self> {
+        let other = |what: &str| {
+            let what = format!("{what} is of another sensor than {:?}", sensor.spec().name);
+            Err(Error::usage(what, "make it from the sensor of the batch"))
+        };
+        let weigh = match (&request.likelihood, &request.headings) {
+            (Some(sensed), _) if sensed.sensor() != sensor.spec() => return other("the sensed image"),
+            (Some(_), Some(headings)) if headings.sensor() != sensor.spec() => return other("the set of headings"),
+            (None, Some(_)) => {
+                let remedy = "give the likelihood's sensed image, or a pose for each heading";
+                return Err(Error::usage("all headings at once: there is no sensed image to weigh", remedy));
+            }
+            (Some(sensed), Some(headings)) => {
+                Some(HeadingModel::Headings(Box::new(HeadingWeights::new(headings, sensed))))
+            }
+            (Some(sensed), None) => Some(HeadingModel::Pose(sensed.clone())),
+            (None, None) => None,
+        };
+        let sensor = request.headings.as_ref().map_or(sensor, Headings::panorama).clone();
+        let asked = request.images.unwrap_or(Outputs::of(&[]).into());
+        Request::of(asked.outputs).check(&sensor)?;
+        let mut outputs = asked.outputs;
+        if weigh.is_some() || request.images.is_none() {
+            outputs = outputs.with(Output::Range);
+        }
+        if weigh.is_some() {
+            outputs = outputs.with(Output::CosIncidence);
+        }
+        let alone = request.likelihood.as_ref().filter(|_| request.images.is_none());
+        Ok(Self {
+            world: world.clone(),
+            weighing: alone.map(|sensed| sensed.weighing(request.headings.as_ref())),
+            request: ImageRequest { outputs, ..asked },
+            wanted: asked.outputs,
+            by_cut: request.images.is_none() && weigh.is_some() && RowView::new(&sensor).is_some(),
+            sensor,
+            weigh,
+            headings: request.headings.clone(),
+            height: None,
+            statistics: request.statistics,
+        })
+    }
+
+    /// Bytes that an item takes.
+    fn bytes(&self) -> usize {
+        let pixels = self.sensor.width() as usize * self.sensor.height() as usize;
+        4 * pixels * self.wanted.numbers() + self.headings.as_ref().map_or(0, |h| 4 * h.count() as usize)
+    }
+
+    /// Room for the images of an item.
+    fn room(&self) -> Result<Images> {
+        Images::with_room(self.sensor.width() as usize * self.sensor.height() as usize, self.wanted)
+    }
+
+    /// The pose at which is predicted.
+    fn pose(&self, given: &Pose) -> Result<Pose> {
+        given.check()?;
+        self.headings.as_ref().map_or(Ok(*given), |headings| headings.place(given))
+    }
+
+    /// All that is asked of a pose, in a thread's own memory and by its own engine; images that are kept in `room`.
+    fn run(&self, index: usize, given: &Pose, room: Images, cuts: &RowCuts, lane: &mut Lane) -> Result<BatchItem> {
+        let pose = self.pose(given)?;
+        let scratch = std::mem::replace(&mut lane.images, room);
+        self.take_scratch(scratch, &mut lane.images);
+        let mut stats = Stats::default();
+        let seen = self.see_by_cut(&pose, cuts, lane, &mut stats);
+        let Lane { engine, buffers, images, .. } = lane;
+        if let (false, Some(engine)) = (seen, engine) {
+            let plan = FramePlan::within(std::mem::take(buffers), &self.world, &self.sensor, &pose, self.request)?;
+            stats.index = self.world.index().scheme().name();
+            let rendered = engine.render(&plan, images, &mut stats);
+            *buffers = plan.into_buffers();
+            rendered?;
+        }
+        Ok(self.finish(index, pose, stats, Drawn::Images(&mut lane.images), &mut lane.panorama))
+    }
+
+    /// Fills a lane's range and cos_incidence by a cut of the world; false where none serves.
+    fn see_by_cut(&self, pose: &Pose, cuts: &RowCuts, lane: &mut Lane, stats: &mut Stats) -> bool {
+        let serves = self.height == Some(pose.translation.z) && is_level(pose);
+        let Some(view) = lane.view.as_mut().filter(|_| serves) else { return false };
+        let cut = cuts.get(&self.world, &self.sensor.spec().class, pose.translation.z);
+        view.see(&cut, pose, &mut lane.images.range, &mut lane.images.cos_incidence);
+        (stats.engine, stats.threads) = ("row", 1);
+        stats.count(CountName::SegmentsOfCut, cut.segments.len());
+        stats.count(CountName::SegmentsTested, view.tested);
+        true
+    }
+
+    /// Weighs images, unless that was done, and keeps of them what was asked for.
+    fn finish(
+        &self,
+        index: usize,
+        world_from_sensor: Pose,
+        stats: Stats,
+        drawn: Drawn<'_>,
+        panorama: &mut Panorama,
+    ) -> BatchItem {
+        let (mut log_likelihood, mut headings) = (None, Vec::new());
+        match (&self.weigh, &drawn) {
+            (Some(HeadingModel::Pose(sensed)), Drawn::Images(images)) => {
+                log_likelihood = Some(sensed.log_likelihood(&images.range, &images.cos_incidence));
+            }
+            (Some(HeadingModel::Pose(sensed)), Drawn::Sums(sums)) => {
+                log_likelihood = sums.first().map(|sum| sensed.tempered(*sum));
+            }
+            (Some(HeadingModel::Headings(weigher)), Drawn::Images(images)) => {
+                headings = weigher.weigh(&images.range, &images.cos_incidence, panorama);
+            }
+            (Some(HeadingModel::Headings(weigher)), Drawn::Sums(sums)) => headings = weigher.tempered(sums),
+            (None, _) => {}
+        }
+        let images = match drawn {
+            Drawn::Images(images) if self.wanted.iter().next().is_some() => self.keep(images),
+            _ => Images::default(),
+        };
+        let stats = self.statistics.then_some(stats);
+        BatchItem { index, world_from_sensor, images, log_likelihood, headings, stats }
+    }
+
+    /// The images that were asked for; the others stay.
+    fn keep(&self, images: &mut Images) -> Images {
+        let kept = std::mem::take(images);
+        self.take_scratch(kept, images)
+    }
+
+    /// Moves what is only weighed to other images, and returns the rest.
+    fn take_scratch(&self, mut from: Images, to: &mut Images) -> Images {
+        if !self.wanted.has(Output::Range) {
+            to.range = std::mem::take(&mut from.range);
+        }
+        if !self.wanted.has(Output::CosIncidence) {
+            to.cos_incidence = std::mem::take(&mut from.cos_incidence);
+        }
+        from
+    }
+}
+
+impl<I: Iterator<Item = Pose>> Batch<'_, I> {
+    /// Works on the next chunk; false at the end of the poses.
+    fn advance(&mut self) -> bool {
+        let poses: Vec<(usize, Pose)> = (self.next..).zip(self.poses.by_ref().take(self.chunk)).collect();
+        if poses.is_empty() {
+            return false;
+        }
+        self.next += poses.len();
+        let placed = |(index, _): &(usize, Pose), e: Error| e.at(format!("pose {index}"));
+        let done: Result<Vec<Result<BatchItem>>> = match &self.threads {
+            Some(threads) => {
+                let (task, lanes, cuts) = (&self.task, &self.lanes, self.predictor.row_cuts());
+                // Allocated by the thread that frees them, as is the list: allocators keep memory by thread.
+                let rooms: Result<Vec<Images>> = poses.iter().map(|_| task.room()).collect();
+                let work = |(given, room): (&(usize, Pose), Images)| {
+                    // Nothing in it hands work to other threads: no lane is asked for twice at a time.
+                    let lane = &lanes[rayon::current_thread_index().unwrap_or(0) % lanes.len()];
+                    let mut lane = lane.lock().unwrap_or_else(PoisonError::into_inner);
+                    task.run(given.0, &given.1, room, cuts, &mut lane).map_err(|e| placed(given, e))
+                };
+                let mut done = Vec::with_capacity(poses.len());
+                rooms.and_then(|rooms| {
+                    threads.run(|| poses.par_iter().zip(rooms).map(work).collect_into_vec(&mut done))?;
+                    Ok(done)
+                })
+            }
+            None => Ok(self.by_engine(&poses)),
+        };
+        self.done = done.unwrap_or_else(|e| vec![Err(e)]).into_iter();
+        true
+    }
+
+    /// Poses by the predictor's own engine, up to the first error.
+    fn by_engine(&mut self, poses: &[(usize, Pose)]) -> Vec<Result<BatchItem>> {
+        let mut done = Vec::with_capacity(poses.len());
+        for some in poses.chunks(TOGETHER) {
+            let before = done.len();
+            if let Err(e) = self.some_by_engine(some, &mut done) {
+                let (index, _) = some[done.len() - before];
+                done.push(Err(e.at(format!("pose {index}"))));
+                break;
+            }
+        }
+        done
+    }
+
+    /// Adds the items of some poses; with an error, those before it.
+    fn some_by_engine(&mut self, poses: &[(usize, Pose)], done: &mut Vec<Result<BatchItem>>) -> Result<()> {
+        let Self { predictor, task, lanes, buffers, .. } = self;
+        let lane = lanes[0].get_mut().unwrap_or_else(PoisonError::into_inner);
+        let (mut items, mut plans, mut planned) = (Vec::new(), Vec::new(), Vec::new());
+        let mut fault = Ok(());
+        for (index, given) in poses {
+            let start = Instant::now();
+            let mut stats = Stats::default();
+            let pose = match task.pose(given) {
+                Ok(pose) => pose,
+                Err(e) => {
+                    fault = Err(e);
+                    break;
+                }
+            };
+            if task.see_by_cut(&pose, predictor.row_cuts(), lane, &mut stats) {
+                let drawn = Drawn::Images(&mut lane.images);
+                items.push(Some(task.finish(*index, pose, stats, drawn, &mut lane.panorama)));
+                continue;
+            }
+            let buffers = buffers.pop().unwrap_or_default();
+            match FramePlan::within(buffers, &task.world, &task.sensor, &pose, task.request) {
+                Ok(plan) => plans.push(plan),
+                Err(e) => {
+                    fault = Err(e);
+                    break;
+                }
+            }
+            stats.index = task.world.index().scheme().name();
+            stats.stage(StageName::Selection, start);
+            planned.push((items.len(), *index, pose, stats));
+            items.push(None);
+        }
+        let mut planned = planned.into_iter();
+        let Lane { images, panorama, .. } = lane;
+        let drawn = predictor.render_many(&plans, task.weighing.as_ref(), images, |drawn, stats| {
+            if let Some((at, index, pose, planned)) = planned.next() {
+                let stages_ms = [planned.stages_ms, stats.stages_ms].concat();
+                let stats = Stats { index: planned.index, stages_ms, ..stats };
+                items[at] = Some(task.finish(index, pose, stats, drawn, panorama));
+            }
+        });
+        buffers.extend(plans.into_iter().map(FramePlan::into_buffers));
+        done.extend(items.into_iter().map_while(|item| item.map(Ok)));
+        drawn.and(fault)
+    }
+}
+
+impl<I: Iterator<Item = Pose>> Iterator for Batch<'_, I> {
+    type Item = Result<BatchItem>;
+
+    fn next(&mut self) -> Option<Result<BatchItem>> {
+        loop {
+            if self.ended {
+                return None;
+            }
+            if let Some(item) = self.done.next() {
+                self.ended = item.is_err();
+                return Some(item);
+            }
+            self.ended = !self.advance();
+        }
+    }
+}

@@ -1,0 +1,108 @@
+//! Panoramas of many places, kept, so that sensed images are weighed at all of them without predicting again.
+
+use super::headings::{HeadingWeights, Headings, Panorama};
+use super::likelihood::RangeLikelihood;
+use crate::predict::Predictor;
+use glam::DVec3;
+use presight_model::error::{Error, Result};
+use presight_model::geometry::Pose;
+use presight_model::memory;
+use presight_model::world::World;
+use presight_render::plan::{Images, Output, Outputs};
+use presight_render::row::RowView;
+use rayon::prelude::*;
+
+/// What a level scanner sees all round at places of one version of a world.
+#[derive(Clone, Debug)]
+pub struct Panoramas {
+    headings: Headings,
+    places: Vec<DVec3>,
+    /// Place by place.
+    range: Vec<f32>,
+    cos_incidence: Vec<f32>,
+}
+
+impl Predictor {
+    /// Predicts the panorama of `headings` at places of the sensor, all of one height, and keeps it: eight bytes for each beam.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::System`] if there is no memory for them; those of [`Predictor::predict_images`].
+    pub fn panoramas(&mut self, world: &World, headings: &Headings, places: Vec<DVec3>) -> Result<Panoramas> {
+        let sensor = headings.panorama();
+        let beams = sensor.width() as usize * sensor.height() as usize;
+        let (mut range, mut cos_incidence) =
+            (memory::reserved(places.len() * beams)?, memory::reserved(places.len() * beams)?);
+        let level = |place: DVec3| Pose { translation: place, ..Pose::IDENTITY };
+        if let (Some(view), Some(first)) = (RowView::new(sensor), places.first()) {
+            let cut = self.row_cuts().get(world, &sensor.spec().class, first.z);
+            let see = |view: &mut RowView, place: &DVec3| {
+                let (mut range, mut cos) = (Vec::new(), Vec::new());
+                view.see(&cut, &level(*place), &mut range, &mut cos);
+                (range, cos)
+            };
+            let same_height = places.iter().all(|p| p.z == first.z);
+            if !same_height {
+                return Err(Error::usage("panoramas at several heights", "give the places of one height at a time"));
+            }
+            let all: Vec<_> = self.on_threads(|| places.par_iter().map_init(|| view.clone(), see).collect())?;
+            for (r, c) in all {
+                range.extend(r);
+                cos_incidence.extend(c);
+            }
+        } else {
+            let outputs = Outputs::of(&[Output::Range, Output::CosIncidence]);
+            let mut images = Images::default();
+            for place in &places {
+                self.predict_images(world, sensor, &level(*place), outputs, &mut images)?;
+                range.extend_from_slice(&images.range);
+                cos_incidence.extend_from_slice(&images.cos_incidence);
+            }
+        }
+        Ok(Panoramas { headings: headings.clone(), places, range, cos_incidence })
+    }
+
+    /// Log-likelihoods of a sensed image at all headings of all places, place by place.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Usage`] if the image is of another sensor than the panoramas.
+    pub fn weigh_panoramas(&mut self, panoramas: &Panoramas, sensed: &RangeLikelihood) -> Result<Vec<f32>> {
+        if sensed.sensor() != panoramas.headings.sensor() {
+            let what = "the sensed image is of another sensor than the panoramas";
+            return Err(Error::usage(what, "make both from one sensor"));
+        }
+        let weigher = HeadingWeights::new(&panoramas.headings, sensed);
+        let beams = panoramas.beams();
+        let one = |panorama: &mut Panorama, (range, cos): (&[f32], &[f32])| weigher.weigh(range, cos, panorama);
+        let parts = panoramas.range.par_chunks(beams).zip(panoramas.cos_incidence.par_chunks(beams));
+        let all: Vec<Vec<f32>> = self.on_threads(|| parts.map_init(Panorama::default, one).collect())?;
+        Ok(all.concat())
+    }
+}
+
+impl Panoramas {
+    /// The headings that they show.
+    pub fn headings(&self) -> &Headings {
+        &self.headings
+    }
+
+    /// The places of the sensor.
+    pub fn places(&self) -> &[DVec3] {
+        &self.places
+    }
+
+    /// Leaves out the places whose ranges are refused.
+    pub fn retain(&mut self, keep: impl Fn(&[f32]) -> bool) {
+        let beams = self.beams();
+        let kept: Vec<usize> =
+            (0..self.places.len()).filter(|k| keep(&self.range[k * beams..(k + 1) * beams])).collect();
+        let pick =
+            |values: &[f32]| kept.iter().flat_map(|k| values[k * beams..(k + 1) * beams].iter().copied()).collect();
+        (self.range, self.cos_incidence) = (pick(&self.range), pick(&self.cos_incidence));
+        self.places = kept.iter().map(|k| self.places[*k]).collect();
+    }
+
+    fn beams(&self) -> usize {
+        let sensor = self.headings.panorama();
+        sensor.width() as usize * sensor.height() as usize
+    }
+}

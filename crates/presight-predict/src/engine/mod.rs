@@ -1,0 +1,247 @@
+//! What every engine can do, and the one list of engines.
+
+mod backend;
+
+pub use backend::open_gpu;
+
+use presight_features::{BoxQuery, FeaturePrediction, FeatureSamples, OcclusionHint};
+use presight_model::error::Result;
+use presight_model::threads::Threads;
+use presight_render::cpu;
+use presight_render::deadline::DeadlineEngine;
+use presight_render::plan::{CountName, Drawn, FramePlan, Images, Raster, StageName, Stats, Weighing, Work};
+use presight_render::reference;
+use presight_render::verify::Precision;
+use std::any::Any;
+use std::time::Instant;
+
+/// An engine: it draws the images that a plan requests.
+///
+/// ```
+/// use presight::engine::EngineKind;
+/// use presight::{Environment, FramePlan, Images, Pose, Request, Stats, World};
+/// let (world, sensor) = (World::new(Environment::new()), presight::preset("laser-scanner")?);
+/// let plan = FramePlan::new(&world, &sensor, &Pose::IDENTITY, &Request::default())?;
+/// for kind in [EngineKind::Reference, EngineKind::Cpu] {
+///     let (mut images, mut stats) = (Images::default(), Stats::default());
+///     kind.open(&1.into())?.render(&plan, &mut images, &mut stats)?;
+///     assert!(images.range.iter().all(|r| *r == f32::INFINITY), "{}", kind.name());
+/// }
+/// # Ok::<(), presight::Error>(())
+/// ```
+pub trait Engine: Any + Send {
+    /// Its name for people: `reference`, `cpu`, or `gpu` with its adapter.
+    fn name(&self) -> String;
+
+    /// Its arithmetic, which fixes its error bounds.
+    fn precision(&self) -> Precision;
+
+    /// Fills the requested images, and counts what that took.
+    ///
+    /// # Errors
+    /// Those of [`crate::Pose::check`]; [`crate::ErrorKind::System`] and [`crate::ErrorKind::Invalid`] for images or polygons that
+    /// are too many; [`crate::ErrorKind::DeviceLost`] and [`crate::ErrorKind::DeviceMemory`] of an engine on a device.
+    fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()>;
+
+    /// Draws plans of one sensor and hands over each one's images, in their order. An engine that can may weigh them itself, and
+    /// hands over sums. After an error those that were handed over are right.
+    ///
+    /// # Errors
+    /// As [`Engine::render`].
+    fn render_many(
+        &mut self,
+        plans: &[FramePlan],
+        _weighing: Option<&Weighing>,
+        images: &mut Images,
+        each: &mut dyn FnMut(Drawn<'_>, Stats),
+    ) -> Result<()> {
+        for plan in plans {
+            let mut stats = Stats::default();
+            self.render(plan, images, &mut stats)?;
+            each(Drawn::Images(images), stats);
+        }
+        Ok(())
+    }
+
+    /// An engine of the same images for one task of many on the same threads: it does all its work on the thread that calls.
+    /// `None` for an engine that cannot be one of several.
+    fn for_task(&self) -> Option<Box<dyn Engine>> {
+        None
+    }
+
+    /// What it is if it stops by a plan's clock; `None` if it cannot keep a deadline.
+    fn with_deadline(&self) -> Option<DeadlineEngine> {
+        None
+    }
+
+    /// The device that it works on, if it works on one.
+    fn device(&mut self) -> Option<&mut dyn Device> {
+        None
+    }
+}
+
+/// A device whose driver may be at fault, that can be lost, and that may do a part of the features.
+pub trait Device {
+    /// Its name, for messages.
+    fn adapter(&self) -> String;
+
+    /// Opens it again after it was lost.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::NoDevice`] if it is gone.
+    fn reopen(&mut self) -> Result<()>;
+
+    /// What rasterizes images of pinhole cameras.
+    fn raster(&self) -> Raster {
+        Raster::Compute
+    }
+
+    /// Opens it again for compute spans alone.
+    ///
+    /// # Errors
+    /// As [`Device::reopen`].
+    fn take_compute(&mut self) -> Result<()> {
+        self.reopen()
+    }
+
+    /// False if features are left to the CPU: a software adapter would run them on the same cores, by a detour.
+    fn takes_features(&self) -> bool;
+
+    /// True if it still holds the images that were rendered last.
+    fn holds_images(&self) -> bool;
+
+    /// Finds what hides samples of features, from the images that were rendered last, in the order of the samples.
+    ///
+    /// # Errors
+    /// As [`Engine::render`].
+    fn query_occlusion(&mut self, samples: &FeatureSamples<'_>) -> Result<Vec<OcclusionHint>>;
+
+    /// [`features::add_boxes`] on the device. Returns how many boxes the device made; the CPU makes the others.
+    ///
+    /// # Errors
+    /// As [`Engine::render`]; [`crate::ErrorKind::Usage`] for a confidence outside 0.5..1.
+    fn add_boxes(&mut self, prediction: &mut FeaturePrediction, query: &BoxQuery<'_>) -> Result<usize>;
+
+    /// What it has done since it was opened.
+    fn work(&self) -> Work;
+}
+
+/// The engines of presight, in the order in which studies list them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum EngineKind {
+    /// The plain rasterizer in f64 that the others are compared with.
+    Reference,
+    /// The CPU engine.
+    Cpu,
+    /// The GPU engine as it opens on the most capable adapter, including software adapters.
+    Gpu,
+    /// The same with the hardware rasterizer for pinhole cameras.
+    GpuRender,
+    /// The GPU engine with 32-bit keys in two passes, every stage on the device.
+    GpuNarrow,
+}
+
+impl EngineKind {
+    /// Every engine.
+    pub const ALL: [Self; 5] = [Self::Reference, Self::Cpu, Self::Gpu, Self::GpuRender, Self::GpuNarrow];
+
+    /// Its name in tables.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Reference => "reference",
+            Self::Cpu => "cpu",
+            Self::Gpu => "gpu",
+            Self::GpuRender => "gpu-render",
+            Self::GpuNarrow => "gpu-32-bit",
+        }
+    }
+
+    /// True if it needs a graphics adapter.
+    pub fn needs_device(self) -> bool {
+        matches!(self, Self::Gpu | Self::GpuRender | Self::GpuNarrow)
+    }
+
+    /// Opens it; its work on the CPU is done on these threads.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::NoDevice`] without an adapter, or in a build without the GPU engine;
+    /// [`crate::ErrorKind::System`] if threads cannot be started.
+    pub fn open(self, threads: &Threads) -> Result<Box<dyn Engine>> {
+        match self {
+            Self::Reference => Ok(Box::new(Reference { threads: threads.clone() })),
+            Self::Cpu => Ok(Box::new(cpu::CpuEngine::new(threads.clone())?)),
+            Self::Gpu => open_gpu(threads, false, Raster::Compute),
+            Self::GpuRender => open_gpu(threads, false, Raster::Render),
+            Self::GpuNarrow => backend::open_narrow_gpu(threads),
+        }
+    }
+}
+
+/// The reference as an engine. It tests every polygon, whatever the plan selected.
+struct Reference {
+    threads: Threads,
+}
+
+impl Engine for Reference {
+    fn name(&self) -> String {
+        "reference".into()
+    }
+
+    fn precision(&self) -> Precision {
+        Precision::F64
+    }
+
+    fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
+        let start = Instant::now();
+        let counts = self.threads.run(|| reference::render(plan, images))??;
+        stats.engine = "reference";
+        stats.stage(StageName::Reference, start);
+        stats.count(CountName::PolygonsTested, counts.polygons);
+        stats.count(CountName::PolygonsEdgeOn, counts.edge_on);
+        Ok(())
+    }
+}
+
+impl Engine for cpu::CpuEngine {
+    fn name(&self) -> String {
+        "cpu".into()
+    }
+
+    fn precision(&self) -> Precision {
+        Precision::F64
+    }
+
+    fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
+        Self::render(self, plan, images, stats)
+    }
+
+    fn for_task(&self) -> Option<Box<dyn Engine>> {
+        Some(Box::new(self.on_one_thread()))
+    }
+
+    fn with_deadline(&self) -> Option<DeadlineEngine> {
+        Some(DeadlineEngine { name: "cpu", adapter: None, threads: self.threads(), draws_parts: true })
+    }
+}
+
+/// Adds regions of interest where this engine does them: on its device, otherwise on these threads. Returns how many boxes
+/// the device made; `None` if it took no part.
+///
+/// # Errors
+/// As [`Device::add_boxes`].
+#[doc(hidden)]
+pub fn add_boxes(
+    engine: &mut dyn Engine,
+    threads: &Threads,
+    prediction: &mut FeaturePrediction,
+    query: &BoxQuery<'_>,
+) -> Result<Option<usize>> {
+    match engine.device().filter(|device| device.takes_features()) {
+        Some(device) => device.add_boxes(prediction, query).map(Some),
+        None => {
+            let add = || presight_features::add_boxes(prediction, query);
+            threads.run(add)??;
+            Ok(None)
+        }
+    }
+}

@@ -1,0 +1,159 @@
+//! The stage of the hardware rasterizer: it draws shapes that setup made around polygons, and its fragments write keys.
+
+use super::device::Gpu;
+use super::frame_buffers::FrameBuffers;
+use super::layout::GridKind;
+use super::shaders;
+use super::stage::{Binding, Bindings, make};
+use presight_model::error::Result;
+
+/// A pass must have a target. Nothing is written to it.
+const TARGET: wgpu::TextureFormat = wgpu::TextureFormat::R8Unorm;
+
+/// Pipelines, buffers and target.
+pub(super) struct Drawing {
+    bindings: Bindings,
+    /// The first and the second pass.
+    pipelines: [Option<wgpu::RenderPipeline>; 2],
+    target: Option<wgpu::TextureView>,
+    /// Of the target: width and height.
+    size: [u32; 2],
+}
+
+impl Drawing {
+    pub fn new(gpu: &Gpu) -> Self {
+        use Binding::{Params, Read, Uniform, Write};
+        let (vertex, fragment) = (wgpu::ShaderStages::VERTEX, wgpu::ShaderStages::FRAGMENT);
+        let bindings = [
+            (Params, vertex | fragment),
+            (Read, fragment),
+            (Read, vertex),
+            (Read, fragment),
+            (Read, vertex),
+            (Write, fragment),
+            (Uniform, fragment),
+        ];
+        let bindings = Bindings::new(gpu, "draw", &bindings);
+        Self { bindings, pipelines: [None, None], target: None, size: [0; 2] }
+    }
+
+    /// Makes pipelines, and a target of so many pixels, unless they are there.
+    ///
+    /// # Errors
+    /// The device's, if it refuses the shader.
+    pub fn prepare(&mut self, gpu: &Gpu, size: [u32; 2], short: (&'static str, f64)) -> Result<()> {
+        let grid = ("GRID", f64::from(GridKind::Camera as u32));
+        let text = if gpu.int64 { shaders::DRAW_64 } else { shaders::DRAW_32 };
+        for second in 0..if gpu.int64 { 1 } else { 2 } {
+            if self.pipelines[second].is_none() {
+                let all = [grid, short, ("SECOND", second as f64)];
+                let constants = if gpu.int64 { &all[..2] } else { &all[..] };
+                self.pipelines[second] = Some(self.pipeline(gpu, text, constants)?);
+            }
+        }
+        if self.target.is_none() || size[0] > self.size[0] || size[1] > self.size[1] {
+            self.size = [size[0].max(self.size[0]), size[1].max(self.size[1])];
+            self.target = Some(target(gpu, self.size));
+            gpu.check()?;
+        }
+        Ok(())
+    }
+
+    fn pipeline(&self, gpu: &Gpu, text: &str, constants: &[(&str, f64)]) -> Result<wgpu::RenderPipeline> {
+        let options = wgpu::PipelineCompilationOptions { constants, ..wgpu::PipelineCompilationOptions::default() };
+        make(gpu, self.bindings.name, text, |module| {
+            gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+                label: Some(self.bindings.name),
+                layout: Some(&self.bindings.pipeline_layout),
+                vertex: wgpu::VertexState {
+                    module,
+                    entry_point: Some("corner"),
+                    compilation_options: options.clone(),
+                    buffers: &[],
+                },
+                primitive: wgpu::PrimitiveState::default(),
+                depth_stencil: None,
+                multisample: wgpu::MultisampleState::default(),
+                fragment: Some(wgpu::FragmentState {
+                    module,
+                    entry_point: Some("draw"),
+                    compilation_options: options.clone(),
+                    targets: &[Some(wgpu::ColorTargetState {
+                        format: TARGET,
+                        blend: None,
+                        write_mask: wgpu::ColorWrites::empty(),
+                    })],
+                }),
+                multiview_mask: None,
+                cache: None,
+            })
+        })
+    }
+
+    /// Binds the buffers as they are now.
+    pub fn bind(&mut self, gpu: &Gpu, s: &FrameBuffers) {
+        let buffers = [&s.params, &s.records, &s.survivors, &s.grid, &s.counters, &s.keys, &s.short_grid];
+        self.bindings.bind(gpu, &buffers.map(|b| b.buffer()));
+    }
+
+    /// Encodes a pass over a wave's survivors, or over those of all waves, by the counts at `at` of the dispatches.
+    pub fn encode(
+        &self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        times: Option<wgpu::RenderPassTimestampWrites<'_>>,
+        draw: &Draw<'_>,
+    ) {
+        let ready = (&self.target, &self.pipelines[usize::from(draw.second)], self.bindings.of_wave(draw.wave));
+        let (Some(view), Some(pipeline), Some((group, offset))) = ready else {
+            debug_assert!(false, "stage {} is not ready", self.bindings.name);
+            return;
+        };
+        gpu.done.passes.add();
+        let ops = wgpu::Operations { load: wgpu::LoadOp::Clear(wgpu::Color::BLACK), store: wgpu::StoreOp::Discard };
+        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+            label: Some(self.bindings.name),
+            color_attachments: &[Some(wgpu::RenderPassColorAttachment {
+                view,
+                depth_slice: None,
+                resolve_target: None,
+                ops,
+            })],
+            timestamp_writes: times,
+            ..Default::default()
+        });
+        let [width, height] = draw.size;
+        pass.set_viewport(0.0, 0.0, width as f32, height as f32, 0.0, 1.0);
+        pass.set_scissor_rect(0, 0, width, height);
+        pass.set_pipeline(pipeline);
+        pass.set_bind_group(0, group, offset.as_slice());
+        pass.draw_indirect(draw.counts, draw.at);
+    }
+}
+
+/// What is drawn in one pass.
+pub(super) struct Draw<'a> {
+    pub wave: usize,
+    pub second: bool,
+    /// Of the image.
+    pub size: [u32; 2],
+    pub counts: &'a wgpu::Buffer,
+    /// Where the counts are, bytes.
+    pub at: u64,
+}
+
+fn target(gpu: &Gpu, [width, height]: [u32; 2]) -> wgpu::TextureView {
+    gpu.made.buffers.add();
+    gpu.made.bytes.add_many(u64::from(width) * u64::from(height));
+    let texture = gpu.device.create_texture(&wgpu::TextureDescriptor {
+        label: Some("target"),
+        size: wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
+        mip_level_count: 1,
+        sample_count: 1,
+        dimension: wgpu::TextureDimension::D2,
+        format: TARGET,
+        usage: wgpu::TextureUsages::RENDER_ATTACHMENT,
+        view_formats: &[],
+    });
+    texture.create_view(&wgpu::TextureViewDescriptor::default())
+}

@@ -1,0 +1,220 @@
+//! Frames with a deadline. A submission cannot be stopped: the polygons go out in pieces, nearest first, and the next one only if it fits.
+//! Keys stay on the device from piece to piece; images are made of them once.
+//!
+//! The cost of a piece is bounded: by what was learnt, and by the slowest piece of the frame so far, it takes no more than half of the
+//! time left. So an estimate may be off by two, and a frame has few pieces.
+
+use super::GpuEngine;
+use super::frame_buffers::Readback;
+use super::layout::Counters;
+use super::stages::Stages;
+use presight_model::error::{ErrorKind, Result};
+use presight_render::deadline::{DeadlineEngine, DeadlineOutcome, Degradation, DegradationKind, DegradationStep, Wave};
+use presight_render::plan::{CountName, FramePlan, Images, Output, Pace, Run, StageName, Stats, Work};
+use std::ops::Range;
+use std::time::{Duration, Instant};
+
+/// What pieces take where nothing was learnt: much.
+const UNKNOWN: Pace = Pace { wave: 1e-3, polygon: 1e-6, sample: 1e-8, saved: [0.0; 3], drawing: 0.0 };
+/// Polygons: a smaller piece is not worth a submission.
+const LEAST_PIECE: u64 = 256;
+/// Ranges are rounded to f32. Only what is nearer than what was not drawn by this share of it is final: rounding moves ranges less,
+/// but for polygons met at less than some 1e-4 radians.
+const ROUNDING: f32 = 1.0 / 256.0;
+
+impl GpuEngine {
+    /// What it is to deadlines; `None` on a device without 64-bit atomics, where ids need a second pass over all polygons.
+    pub fn with_deadline(&self) -> Option<DeadlineEngine> {
+        let threads = if self.software { self.threads.count().unwrap_or(1) } else { 0 };
+        let adapter = Some(self.gpu.adapter.to_string());
+        self.gpu.int64.then_some(DeadlineEngine { name: "gpu", adapter, threads, draws_parts: false })
+    }
+
+    /// Fills the images of a plan as far as there is time.
+    pub(super) fn draw_in_time(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
+        let (start, before) = (Instant::now(), self.gpu.work());
+        let mut pieces = Pieces::new(plan);
+        let (mut done, mut drawn) = (0, Counters::default());
+        while let Some(piece) = pieces.next(done) {
+            let counters = self.draw_piece(plan, piece.clone())?;
+            pieces.end();
+            drawn.survivors += counters.survivors;
+            drawn.items += counters.items;
+            drawn.edge_on += counters.edge_on;
+            drawn.records += counters.records;
+            done = piece.end;
+        }
+        let drawn_ms = plan.elapsed().as_secs_f64() * 1e3;
+        stats.stage(StageName::Device, start);
+        let start = Instant::now();
+        let outputs = plan.drawn().with(Output::Range);
+        images.try_prepare(plan.sensor.width(), plan.sensor.height(), outputs)?;
+        if done > 0 {
+            drawn.lost_ids = self.take_images(plan, images)?;
+            self.know(self.sensors[0].tables.kind);
+            self.report_variants(&self.frame, stats);
+        } else {
+            images.show_nothing(plan.sensor.grid());
+        }
+        let stopped = done < plan.runs.len();
+        let kept = give_up(plan, stopped, (plan.nearest_after(done), drawn_ms), images);
+        stats.deadline = Some(DeadlineOutcome { wave: pieces.first, ..kept });
+        stats.count(CountName::RunsSelected, plan.runs.len());
+        stats.count(CountName::PolygonsSelected, plan.polygon_count);
+        stats.count(CountName::Waves, pieces.number);
+        stats.count(CountName::PolygonsInView, drawn.survivors as usize);
+        stats.count(CountName::PolygonsSetUp, drawn.records as usize);
+        stats.count(CountName::PolygonsEdgeOn, drawn.edge_on as usize);
+        stats.count(CountName::WorkItems, drawn.items as usize);
+        stats.count(CountName::HitsWithoutId, drawn.lost_ids as usize);
+        stats.stage(StageName::Readback, start);
+        plan.finish_noting(images, stats)?;
+        let image_bytes = stats.work.image_bytes;
+        stats.work = Work { image_bytes, ..self.gpu.work().since(before) };
+        Ok(())
+    }
+
+    /// Draws some runs into the keys, again if there was too little room, and waits for it. The first ones find nothing there.
+    fn draw_piece(&mut self, plan: &FramePlan, runs: Range<usize>) -> Result<Counters> {
+        let is_first = runs.start == 0;
+        let mut piece = plan.clone();
+        piece.runs = plan.runs[runs].to_vec();
+        piece.polygon_count = piece.runs.iter().map(|run| run.count as usize).sum();
+        self.upload(&piece)?;
+        self.frame.in_company = true;
+        loop {
+            let variants = self.stages.prepare(&self.gpu, &self.sensors[0].tables, &self.frame, self.opened.1)?;
+            self.bind();
+            self.store.put(&self.frame);
+            let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+            self.store.uploads.encode(&self.gpu, &mut encoder)?;
+            if is_first {
+                Stages::clear(&mut encoder, &self.frame, &self.store);
+            }
+            self.stages.draw(&self.gpu, &mut encoder, &variants, &self.frame, &self.store);
+            self.store.encode_counters(&mut encoder);
+            self.gpu.queue.submit([encoder.finish()]);
+            self.placed = true;
+            self.store.uploads.recall();
+            let counters: Counters = self.answer(size_of::<Counters>() as u64, bytemuck::pod_read_unaligned)?;
+            self.gpu.done.workgroups.add_many(variants.indirect_groups(&counters));
+            if !self.store.grow_for(&self.gpu, &counters)? {
+                return Ok(counters);
+            }
+            // What was drawn stays: drawing it again changes no key.
+            self.rebind = true;
+        }
+    }
+
+    /// Makes images of the keys; the answer is the number of hits without an id.
+    fn take_images(&mut self, plan: &FramePlan, images: &mut Images) -> Result<u32> {
+        let variants = self.stages.prepare(&self.gpu, &self.sensors[0].tables, &self.frame, self.opened.1)?;
+        let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        self.stages.resolve(&self.gpu, &mut encoder, &variants, &self.frame, &self.store);
+        self.store.encode_readback(&mut encoder, &self.frame, 0);
+        self.gpu.queue.submit([encoder.finish()]);
+        let bytes = Readback::of(&self.frame).bytes;
+        self.answer(bytes, |view| self.take_answer(&self.frame, view, plan, images))?.map(|counters| counters.lost_ids)
+    }
+
+    /// Waits for an answer of so many bytes and reads it.
+    fn answer<R>(&self, bytes: u64, read: impl FnOnce(&[u8]) -> R) -> Result<R> {
+        self.map_answer(bytes)?;
+        let buffer = self.store.readback.buffer();
+        let view = buffer.get_mapped_range(0..bytes);
+        let view = view.map_err(|e| self.gpu.error(ErrorKind::DeviceLost, &e.to_string()))?;
+        let answer = read(&view);
+        drop(view);
+        buffer.unmap();
+        Ok(answer)
+    }
+}
+
+/// Leaves open what the nearest polygon that was not drawn may hide, if there is one.
+fn give_up(plan: &FramePlan, stopped: bool, (beyond, drawn_ms): (f32, f64), images: &mut Images) -> DeadlineOutcome {
+    let mut kept = DeadlineOutcome { drawn_ms, ..DeadlineOutcome::default() };
+    let complete_to = f64::from(beyond - beyond * ROUNDING);
+    if complete_to < f64::INFINITY {
+        let samples = images.leave_open(complete_to, plan.sensor.spec().range_min);
+        let clock = DegradationStep { means: DegradationKind::Clock, at_ms: drawn_ms, metres: Some(complete_to) };
+        let means = stopped.then_some(clock).into_iter().collect();
+        kept.given_up = (samples > 0).then_some(Degradation { complete_to, samples, means, ..Degradation::default() });
+    }
+    if !plan.drawn().has(Output::Range) {
+        images.range.clear();
+    }
+    kept
+}
+
+/// Cuts the runs of a frame into pieces.
+struct Pieces<'a> {
+    plan: &'a FramePlan,
+    pace: Pace,
+    /// The greatest share of its estimate that a piece took.
+    slowest: Option<f64>,
+    /// The piece under way: what it should take, and when it began.
+    estimate: f64,
+    began: Duration,
+    number: usize,
+    /// The first one, for the costs.
+    first: Option<Wave>,
+}
+
+impl<'a> Pieces<'a> {
+    fn new(plan: &'a FramePlan) -> Self {
+        let (pace, began) = (plan.pace.unwrap_or(UNKNOWN), Duration::ZERO);
+        Self { plan, pace, slowest: None, estimate: 0.0, began, number: 0, first: None }
+    }
+
+    /// The runs of the next piece, after the first `done`; `None` if none is left, or none fits.
+    fn next(&mut self, done: usize) -> Option<Range<usize>> {
+        let left = self.plan.watch.as_ref().map_or(f64::INFINITY, |watch| watch.left().as_secs_f64());
+        let most = left / 2.0 / self.slowest.unwrap_or(1.0);
+        let (mut end, mut polygons, mut samples) = (done, 0, 0);
+        self.estimate = self.pace.wave;
+        while let Some(run) = self.plan.runs.get(end) {
+            let (more, covered) = (u64::from(run.count), covered(self.plan, run));
+            let estimate = self.estimate + self.pace.polygon * more as f64 + self.pace.sample * covered as f64;
+            if estimate > most {
+                break;
+            }
+            (end, polygons, samples, self.estimate) = (end + 1, polygons + more, samples + covered, estimate);
+        }
+        let is_worth_it = end > done && (polygons >= LEAST_PIECE || end == self.plan.runs.len());
+        if !is_worth_it {
+            return None;
+        }
+        if self.number == 0 {
+            self.first = Some(Wave { polygons, samples, estimate_ms: 1e3 * self.estimate, time_ms: 0.0 });
+        }
+        self.began = self.plan.elapsed();
+        Some(done..end)
+    }
+
+    /// The piece is drawn.
+    fn end(&mut self) {
+        let took = self.plan.elapsed().saturating_sub(self.began).as_secs_f64();
+        let share = (took / self.estimate).clamp(1e-3, 1e6);
+        self.slowest = Some(self.slowest.map_or(share, |slowest| slowest.max(share)));
+        if self.number == 0
+            && let Some(first) = &mut self.first
+        {
+            first.time_ms = 1e3 * took;
+        }
+        self.number += 1;
+    }
+}
+
+/// About how many pixels the image of a run covers: by the size of its clusters, seen from their distance.
+fn covered(plan: &FramePlan, run: &Run) -> u64 {
+    let instance = &plan.instances[run.instance as usize];
+    let clusters = plan.environment().objects()[instance.object as usize].mesh.clusters();
+    let first = clusters.partition_point(|c| c.first + c.count <= run.first);
+    let of_run = clusters[first..].iter().take_while(|c| c.first < run.first + run.count);
+    let shares = of_run.map(|c| {
+        let (size, distance) = (c.bounds.size(), c.bounds.distance_squared(instance.center_in_mesh));
+        (0.25 * size * size / distance).min(1.0)
+    });
+    let pixels = f64::from(plan.sensor.width()) * f64::from(plan.sensor.height());
+    (pixels * shares.sum::<f64>()) as u64
+}

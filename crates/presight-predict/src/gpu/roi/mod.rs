@@ -1,0 +1,167 @@
+//! Regions of interest on the device: the linear case of roi.wgsl. Its CPU twin is `features::roi`, which finishes what the
+//! shader flags as beyond it, and takes the stage's place on software adapters.
+
+mod plan;
+
+#[cfg(test)]
+pub(super) use plan::MAX_POINTS;
+pub(super) use plan::{RoiBox, RoiFeature, RoiParams, RoiPlan, RoiPoint};
+
+use super::GpuEngine;
+use super::buffers::{Growable, Mapping, Uploads};
+use super::device::Gpu;
+use super::layout::{GridKind, groups_for};
+use super::shaders;
+use super::stage::{Binding, Stage};
+use presight_features::roi::{Roi, RoiFlag};
+use presight_features::{BoxFrame, BoxQuery, FeaturePrediction, Tails};
+use presight_model::error::{ErrorKind, Result};
+
+/// `LINEAR` in roi.wgsl: the box is good.
+pub(super) const LINEAR: u32 = 1;
+
+/// The stage with its buffers, made when boxes are first asked for.
+pub(super) struct RoiStage {
+    stage: Stage,
+    plan: RoiPlan,
+    params: Growable,
+    features: Growable,
+    points: Growable,
+    columns: Growable,
+    tails: Growable,
+    boxes: Growable,
+    readback: Growable,
+    mapping: Mapping,
+    uploads: Uploads,
+    /// The table of tails is on the device.
+    placed: bool,
+    rebind: bool,
+}
+
+impl RoiStage {
+    pub fn new(gpu: &Gpu) -> Self {
+        use Binding::{Read, Uniform, Write};
+        use wgpu::BufferUsages as U;
+        Self {
+            stage: Stage::new(gpu, "roi", &[Uniform, Read, Read, Read, Read, Write]),
+            plan: RoiPlan::default(),
+            params: Growable::uniform(gpu, "roi params", size_of::<RoiParams>() as u64),
+            features: Growable::storage(gpu, "roi features"),
+            points: Growable::storage(gpu, "roi points"),
+            columns: Growable::storage(gpu, "roi columns"),
+            tails: Growable::storage(gpu, "roi tails"),
+            boxes: Growable::storage(gpu, "roi boxes"),
+            readback: Growable::new(gpu, "roi answer", U::MAP_READ | U::COPY_DST, false),
+            mapping: Mapping::default(),
+            uploads: Uploads::new(gpu),
+            placed: false,
+            rebind: true,
+        }
+    }
+
+    /// Makes room for the plan, its pipeline, and the uploads.
+    ///
+    /// # Errors
+    /// The device's.
+    fn prepare(&mut self, gpu: &Gpu, kind: GridKind) -> Result<()> {
+        let constants = [("GRID", f64::from(kind as u32))];
+        self.stage.prepare(gpu, (kind as u32, 0), shaders::ROI, &constants)?;
+        let plan = &self.plan;
+        let bytes = |count: usize, size: usize| (count * size) as u64;
+        let of_boxes = bytes(plan.features.len(), size_of::<RoiBox>());
+        let table = Tails::get().rows().as_flattened();
+        self.rebind |= self.features.reserve(gpu, bytes(plan.features.len(), size_of::<RoiFeature>()))?;
+        self.rebind |= self.points.reserve(gpu, bytes(plan.points.len(), size_of::<RoiPoint>()))?;
+        self.rebind |= self.columns.reserve(gpu, bytes(plan.columns.len(), 16))?;
+        self.rebind |= self.tails.reserve(gpu, bytes(table.len(), 4))?;
+        self.rebind |= self.boxes.reserve(gpu, of_boxes)?;
+        self.readback.reserve(gpu, of_boxes)?;
+        if self.rebind {
+            let buffers = [&self.params, &self.features, &self.points, &self.columns, &self.tails, &self.boxes];
+            self.stage.bind(gpu, &buffers.map(Growable::buffer));
+            self.rebind = false;
+        }
+        self.uploads.clear();
+        if !self.placed {
+            let table: Vec<f32> = table.iter().map(|x| *x as f32).collect();
+            self.uploads.put(&self.tails, 0, bytemuck::cast_slice(&table));
+        }
+        self.uploads.put(&self.params, 0, bytemuck::bytes_of(&plan.params));
+        self.uploads.put(&self.features, 0, bytemuck::cast_slice(&plan.features));
+        self.uploads.put(&self.points, 0, bytemuck::cast_slice(&plan.points));
+        self.uploads.put(&self.columns, 0, bytemuck::cast_slice(&plan.columns));
+        Ok(())
+    }
+
+    /// From uploaded features to boxes.
+    fn encode(&self, gpu: &Gpu, encoder: &mut wgpu::CommandEncoder, kind: GridKind) {
+        let label = Some("roi");
+        let mut pass = gpu.pass(encoder, &wgpu::ComputePassDescriptor { label, timestamp_writes: None });
+        if self.stage.set(&mut pass, (kind as u32, 0), 0) {
+            gpu.dispatch(&mut pass, groups_for(self.plan.features.len() as u32));
+        }
+    }
+
+    /// Runs it and reads the answer: boxes in the plan's order.
+    fn run(&mut self, gpu: &Gpu, kind: GridKind) -> Result<Vec<RoiBox>> {
+        let bytes = (self.plan.features.len() * size_of::<RoiBox>()) as u64;
+        if bytes == 0 {
+            return Ok(Vec::new());
+        }
+        gpu.check()?;
+        self.prepare(gpu, kind)?;
+        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        self.uploads.encode(gpu, &mut encoder)?;
+        self.encode(gpu, &mut encoder, kind);
+        encoder.copy_buffer_to_buffer(self.boxes.buffer(), 0, self.readback.buffer(), 0, bytes);
+        gpu.queue.submit([encoder.finish()]);
+        self.placed = true;
+        self.uploads.recall();
+        let buffer = self.readback.buffer();
+        self.mapping.ask(buffer, wgpu::MapMode::Read, bytes);
+        gpu.wait()?;
+        self.mapping.check(gpu, "the answer")?;
+        let view = buffer.get_mapped_range(0..bytes);
+        let view = view.map_err(|e| gpu.error(ErrorKind::DeviceLost, &e.to_string()))?;
+        gpu.done.bytes_read.add_many(bytes);
+        let boxes = bytemuck::pod_collect_to_vec(&view[..]);
+        drop(view);
+        buffer.unmap();
+        Ok(boxes)
+    }
+}
+
+impl GpuEngine {
+    /// [`crate::features::add_boxes`] on the device: features whose projection bends over their errors are finished on the CPU,
+    /// and all of them for lenses, ray tables and uneven beams.
+    /// Returns how many boxes the device made.
+    ///
+    /// # Errors
+    /// [`ErrorKind::Usage`] for a confidence outside 0.5..1; [`ErrorKind::DeviceLost`] and [`ErrorKind::DeviceMemory`] as
+    /// [`GpuEngine::render`]: the boxes may then be found on the CPU; those of [`crate::Threads::new`].
+    pub fn add_boxes(&mut self, prediction: &mut FeaturePrediction, query: &BoxQuery<'_>) -> Result<usize> {
+        let frame = BoxFrame::new(query)?;
+        let stage = self.roi.get_or_insert_with(|| RoiStage::new(&self.gpu));
+        let kind = stage.plan.fill(&frame, prediction, query.placed);
+        let boxes = match kind {
+            Some(kind) => stage.run(&self.gpu, kind)?,
+            None => Vec::new(),
+        };
+        let mut beyond = stage.plan.on_host.clone();
+        for (i, found) in stage.plan.on_device.iter().zip(&boxes) {
+            let good = found.flag == LINEAR && found.bounds.iter().all(|x| x.is_finite());
+            if good {
+                let bounds = found.bounds.map(f64::from);
+                frame.set(&mut prediction.features[*i as usize], Some(Roi { bounds, flag: RoiFlag::Linear }));
+            } else {
+                beyond.push(*i);
+            }
+        }
+        self.threads = self.threads.started()?;
+        self.threads.run(|| frame.finish(prediction, query.placed, &beyond))?;
+        let count = stage.plan.on_device.len() + stage.plan.on_host.len();
+        let made = count.saturating_sub(beyond.len());
+        stage.plan.on_host = beyond;
+        Ok(made)
+    }
+}

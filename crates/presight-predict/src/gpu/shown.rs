@@ -1,0 +1,91 @@
+//! Which polygons a frame of a sensor showed, for the sensor's next frame in the same version of the world. It only decides in which order
+//! runs are drawn: whatever it says, all are drawn that nothing hides.
+
+use super::frame_buffers::Readback;
+use super::uploads::FrameUploads;
+use presight_render::plan::{FramePlan, Run};
+
+/// Most polygons of a world of which it is remembered: 2 MiB for each sensor.
+pub(super) const MOST_SLOTS: u32 = 1 << 24;
+
+/// A bit for each slot of the environment.
+#[derive(Default)]
+pub(super) struct Shown {
+    /// The stamp of the version of the world that was seen.
+    world: Option<u64>,
+    words: Vec<u32>,
+    /// Bits that are set.
+    polygons: u32,
+}
+
+impl Shown {
+    /// What the last frame showed; `None` if there was none in this version of the world, or nothing in it.
+    pub fn of(&self, plan: &FramePlan) -> Option<&Self> {
+        (self.world == Some(plan.world.stamp()) && self.polygons > 0).then_some(self)
+    }
+
+    /// True if so many polygons of it are less than half.
+    pub fn is_mostly_without(&self, polygons: u32) -> bool {
+        2 * polygons < self.polygons
+    }
+
+    /// Polygons of a run.
+    pub fn count_in(&self, plan: &FramePlan, run: &Run) -> u32 {
+        let object = plan.instances[run.instance as usize].object;
+        let first = plan.environment().objects()[object as usize].first_slot + run.first;
+        self.count(first, first + run.count)
+    }
+
+    /// Polygons of these slots.
+    fn count(&self, first: u32, end: u32) -> u32 {
+        let (mut at, mut count) = (first, 0);
+        while at < end {
+            let next = end.min((at | 31) + 1);
+            let mask = (u32::MAX >> (32 - (next - at))) << (at & 31);
+            count += self.words.get(at as usize >> 5).map_or(0, |word| (word & mask).count_ones());
+            at = next;
+        }
+        count
+    }
+
+    /// Takes what a frame showed from its answer.
+    pub fn note(&mut self, plan: &FramePlan, frame: &FrameUploads, answer: &[u8]) {
+        let at = Readback::of(frame);
+        self.words.clear();
+        if frame.on_host {
+            self.words.resize(frame.slots.div_ceil(32) as usize, 0);
+            let keys: &[[u32; 2]] = bytemuck::cast_slice(&answer[..at.slots as usize]);
+            // Neighbours mostly show the same polygon.
+            for slot in keys.chunk_by(|a, b| a[0] == b[0]).map(|same| !same[0][0]) {
+                // No slot is that of a pixel that shows nothing.
+                if let Some(word) = self.words.get_mut(slot as usize >> 5) {
+                    *word |= 1 << (slot & 31);
+                }
+            }
+        } else {
+            let bytes = &answer[at.shown as usize..][..4 * frame.shown_words() as usize];
+            self.words.extend(bytes.chunks_exact(4).map(bytemuck::pod_read_unaligned::<u32>));
+        }
+        self.polygons = self.words.iter().map(|word| word.count_ones()).sum();
+        self.world = Some(plan.world.stamp());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bits_are_counted_across_words() {
+        let slots = |slot: &u32| slot.is_multiple_of(3) || slot.is_multiple_of(7);
+        let words = (0..4).map(|w| (0..32).filter(|bit| slots(&(32 * w + bit))).fold(0, |word, bit| word | 1 << bit));
+        let shown = Shown { world: None, words: words.collect(), polygons: 0 };
+        for first in 0..128 {
+            for end in first..140 {
+                // Past the last word nothing is shown.
+                let expected = (first..end.min(128)).filter(slots).count();
+                assert_eq!(shown.count(first, end) as usize, expected, "{first}..{end}");
+            }
+        }
+    }
+}

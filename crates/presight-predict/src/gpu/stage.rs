@@ -1,0 +1,172 @@
+//! A stage: its bindings, and if it computes its pipeline variants, made when first needed and kept.
+
+use super::device::Gpu;
+use super::layout::{Params, WAVE_BYTES};
+use presight_model::error::{ErrorKind, Result};
+use std::collections::HashMap;
+
+/// What a binding is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Binding {
+    /// Those of one wave of several, which [`Stage::set`] names.
+    Params,
+    Uniform,
+    Read,
+    Write,
+}
+
+/// Which pipeline of a stage: the grid kind, and the stage's own bits.
+pub(super) type Variant = (u32, u32);
+
+/// The buffers that a stage's pipelines share.
+pub(super) struct Bindings {
+    pub name: &'static str,
+    layout: wgpu::BindGroupLayout,
+    pub pipeline_layout: wgpu::PipelineLayout,
+    group: Option<wgpu::BindGroup>,
+    /// The first binding is [`Binding::Params`].
+    of_waves: bool,
+}
+
+impl Bindings {
+    /// Each with the shaders that see it.
+    pub fn new(gpu: &Gpu, name: &'static str, bindings: &[(Binding, wgpu::ShaderStages)]) -> Self {
+        let entries: Vec<_> = bindings.iter().enumerate().map(|(i, b)| entry(i as u32, *b)).collect();
+        let layout = gpu
+            .device
+            .create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(name), entries: &entries });
+        let pipeline_layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: Some(name),
+            bind_group_layouts: &[Some(&layout)],
+            immediate_size: 0,
+        });
+        let of_waves = bindings.first().is_some_and(|(binding, _)| *binding == Binding::Params);
+        Self { name, layout, pipeline_layout, group: None, of_waves }
+    }
+
+    /// Binds other buffers.
+    pub fn bind(&mut self, gpu: &Gpu, buffers: &[&wgpu::Buffer]) {
+        let entries: Vec<_> = buffers
+            .iter()
+            .enumerate()
+            .map(|(i, b)| wgpu::BindGroupEntry { binding: i as u32, resource: self.resource(i, b) })
+            .collect();
+        let descriptor = wgpu::BindGroupDescriptor { label: Some(self.name), layout: &self.layout, entries: &entries };
+        gpu.made.bind_groups.add();
+        self.group = Some(gpu.device.create_bind_group(&descriptor));
+    }
+
+    fn resource<'b>(&self, at: usize, buffer: &'b wgpu::Buffer) -> wgpu::BindingResource<'b> {
+        if at == 0 && self.of_waves {
+            let size = std::num::NonZeroU64::new(size_of::<Params>() as u64);
+            return wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer, offset: 0, size });
+        }
+        buffer.as_entire_binding()
+    }
+
+    /// The buffers of a wave as a pass takes them; `None` before they are bound.
+    pub fn of_wave(&self, wave: usize) -> Option<(&wgpu::BindGroup, Option<u32>)> {
+        let offset = self.of_waves.then_some(wave as u32 * WAVE_BYTES as u32);
+        self.group.as_ref().map(|group| (group, offset))
+    }
+}
+
+/// Compute pipelines that share bindings.
+pub(super) struct Stage {
+    bindings: Bindings,
+    pipelines: HashMap<Variant, wgpu::ComputePipeline>,
+}
+
+impl Stage {
+    /// `name` is the entry point as well.
+    pub fn new(gpu: &Gpu, name: &'static str, bindings: &[Binding]) -> Self {
+        let bindings: Vec<_> = bindings.iter().map(|b| (*b, wgpu::ShaderStages::COMPUTE)).collect();
+        Self { bindings: Bindings::new(gpu, name, &bindings), pipelines: HashMap::new() }
+    }
+
+    /// Binds other buffers.
+    pub fn bind(&mut self, gpu: &Gpu, buffers: &[&wgpu::Buffer]) {
+        self.bindings.bind(gpu, buffers);
+    }
+
+    /// True if a variant's pipeline is there.
+    pub fn has(&self, variant: Variant) -> bool {
+        self.pipelines.contains_key(&variant)
+    }
+
+    /// Makes a variant's pipeline unless it is there.
+    ///
+    /// # Errors
+    /// The device's, if it refuses the shader.
+    pub fn prepare(&mut self, gpu: &Gpu, variant: Variant, text: &str, constants: &[(&str, f64)]) -> Result<()> {
+        if self.has(variant) {
+            return Ok(());
+        }
+        let name = Some(self.bindings.name);
+        let pipeline = make(gpu, self.bindings.name, text, |module| {
+            gpu.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+                label: name,
+                layout: Some(&self.bindings.pipeline_layout),
+                module,
+                entry_point: name,
+                compilation_options: wgpu::PipelineCompilationOptions {
+                    constants,
+                    zero_initialize_workgroup_memory: false,
+                },
+                cache: None,
+            })
+        })?;
+        self.pipelines.insert(variant, pipeline);
+        Ok(())
+    }
+
+    /// Sets the pipeline and bindings for a wave; false if the stage is not ready, which is a bug of the engine.
+    pub fn set(&self, pass: &mut wgpu::ComputePass<'_>, variant: Variant, wave: usize) -> bool {
+        let (Some(pipeline), Some((group, offset))) = (self.pipelines.get(&variant), self.bindings.of_wave(wave))
+        else {
+            debug_assert!(false, "stage {} is not ready", self.bindings.name);
+            return false;
+        };
+        pass.set_pipeline(pipeline);
+        pass.set_bind_group(0, group, offset.as_slice());
+        true
+    }
+}
+
+/// Makes a pipeline of a shader's text.
+///
+/// # Errors
+/// The device's, if it refuses the shader.
+pub(super) fn make<P>(
+    gpu: &Gpu,
+    name: &'static str,
+    text: &str,
+    pipeline: impl FnOnce(&wgpu::ShaderModule) -> P,
+) -> Result<P> {
+    let scope = gpu.device.push_error_scope(wgpu::ErrorFilter::Validation);
+    let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
+        label: Some(name),
+        source: wgpu::ShaderSource::Wgsl(text.into()),
+    });
+    let pipeline = pipeline(&module);
+    if let Some(e) = pollster::block_on(scope.pop()) {
+        return Err(gpu.error(ErrorKind::NoDevice, &format!("stage {name}: {e}")));
+    }
+    gpu.check()?;
+    gpu.made.pipelines.add();
+    Ok(pipeline)
+}
+
+fn entry(binding: u32, (what, visibility): (Binding, wgpu::ShaderStages)) -> wgpu::BindGroupLayoutEntry {
+    let ty = match what {
+        Binding::Params | Binding::Uniform => wgpu::BufferBindingType::Uniform,
+        Binding::Read => wgpu::BufferBindingType::Storage { read_only: true },
+        Binding::Write => wgpu::BufferBindingType::Storage { read_only: false },
+    };
+    wgpu::BindGroupLayoutEntry {
+        binding,
+        visibility,
+        ty: wgpu::BindingType::Buffer { ty, has_dynamic_offset: what == Binding::Params, min_binding_size: None },
+        count: None,
+    }
+}

@@ -1,0 +1,188 @@
+//! Samples of features against what the nine pixels around each show: the fifth stage; its CPU twin is beside it.
+//!
+//! The nearest polygons of the last frame, with their records, are still on the device: no image travels. Answers are
+//! proposals in f32, tested in f64 by who asked ([`crate::features`]).
+
+#[cfg(test)]
+mod twin;
+
+use super::buffers::{Growable, Mapping};
+use super::device::Gpu;
+use super::frame_buffers::FrameBuffers;
+use super::layout::{self, GridKind, words_of};
+use super::shaders;
+use super::stage::{Binding, Stage};
+use bytemuck::{Pod, Zeroable};
+use glam::{DMat3, DVec3};
+use presight_features::{FeatureSamples, OcclusionHint};
+use presight_model::error::{ErrorKind, Result};
+use presight_model::sensor::{PixelGrid, Sensor};
+
+/// Words before the samples: how many, 1 if columns go round, padding.
+pub(super) const SAMPLES_AT: usize = 4;
+/// Words of a sample.
+pub(super) const SAMPLE_WORDS: usize = words_of::<Sample>() as usize;
+
+/// A sample of a feature; `SAMPLE_` in visible.wgsl.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub(super) struct Sample {
+    /// In the line frame.
+    pub place: [f32; 3],
+    /// Row-major.
+    pub pixel: u32,
+    /// Where the list of its feature's slots is.
+    pub slots: u32,
+}
+
+/// Neither hidden nor seen, as a word.
+const DOUBT: u32 = u32::MAX;
+/// Seen, as a word.
+const SEEN: u32 = u32::MAX - 1;
+
+/// A hint from its word.
+pub(super) fn hint_of_word(word: u32) -> OcclusionHint {
+    match word {
+        DOUBT => OcclusionHint::Doubt,
+        SEEN => OcclusionHint::Seen,
+        slot => OcclusionHint::Hidden(slot),
+    }
+}
+
+/// Samples of features, as the stage takes them.
+#[derive(Clone, Debug)]
+pub struct OcclusionQuery {
+    words: Vec<u32>,
+    /// The records' planes are in that frame.
+    line_from_image: DMat3,
+    count: u32,
+    own_at: u32,
+}
+
+impl OcclusionQuery {
+    /// Of samples of features.
+    pub fn new(of: &FeatureSamples<'_>) -> Self {
+        let mut query = Self::with_room(of.samples.iter().map(Vec::len).sum(), of.sensor);
+        for (samples, placed) in of.samples.iter().zip(of.placed) {
+            query.begin(&placed.slots);
+            samples.iter().for_each(|(at, pixel)| query.push(*at, *pixel));
+        }
+        query
+    }
+
+    /// For `count` samples on the image of a sensor.
+    pub(super) fn with_room(count: usize, sensor: &Sensor) -> Self {
+        let mut words = vec![0; SAMPLES_AT + count * SAMPLE_WORDS];
+        words[1] = u32::from(sensor.columns_of_a_turn().is_some());
+        let line_from_image = match sensor.grid() {
+            PixelGrid::Lines(grid) => grid.line_from_image(),
+            PixelGrid::Rays(_) => DMat3::IDENTITY,
+        };
+        Self { words, line_from_image, count: 0, own_at: 0 }
+    }
+
+    /// The samples that follow are of a feature on these slots.
+    pub(super) fn begin(&mut self, slots: &[u32]) {
+        self.own_at = self.words.len() as u32;
+        self.words.push(slots.len() as u32);
+        self.words.extend_from_slice(slots);
+    }
+
+    /// A sample at a place of the image frame, in the middle one of nine pixels (row-major number).
+    pub(super) fn push(&mut self, at: DVec3, pixel: u32) {
+        let place = (self.line_from_image * at).as_vec3().to_array();
+        let first = SAMPLES_AT + self.count as usize * SAMPLE_WORDS;
+        let sample = Sample { place, pixel, slots: self.own_at };
+        self.words[first..first + SAMPLE_WORDS].copy_from_slice(bytemuck::cast_slice(&[sample]));
+        self.count += 1;
+        self.words[0] = self.count;
+    }
+
+    /// How many were pushed.
+    pub fn count(&self) -> u32 {
+        self.count
+    }
+}
+
+/// The stage with its buffers, made when samples are first asked about.
+pub(super) struct Visible {
+    stage: Stage,
+    asked: Growable,
+    answers: Growable,
+    readback: Growable,
+    mapping: Mapping,
+    rebind: bool,
+}
+
+impl Visible {
+    pub fn new(gpu: &Gpu) -> Self {
+        use Binding::{Read, Uniform, Write};
+        use wgpu::BufferUsages as U;
+        Self {
+            stage: Stage::new(gpu, "visible", &[Uniform, Read, Read, Read, Read, Write]),
+            asked: Growable::storage(gpu, "samples of features"),
+            answers: Growable::storage(gpu, "proposals"),
+            readback: Growable::new(gpu, "proposals read back", U::MAP_READ | U::COPY_DST, false),
+            mapping: Mapping::default(),
+            rebind: true,
+        }
+    }
+
+    /// A buffer of the frame is another one now.
+    pub fn rebind(&mut self) {
+        self.rebind = true;
+    }
+
+    /// Encodes the uploads and the stage for at least one sample, on what the last frame left in its buffers.
+    ///
+    /// # Errors
+    /// [`ErrorKind::DeviceMemory`], or the device's.
+    pub fn encode(
+        &mut self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        store: &mut FrameBuffers,
+        kind: GridKind,
+        asked: &OcclusionQuery,
+    ) -> Result<()> {
+        let bytes = u64::from(asked.count) * 4;
+        self.rebind |= self.asked.reserve(gpu, asked.words.len() as u64 * 4)?;
+        self.rebind |= self.answers.reserve(gpu, bytes)?;
+        self.readback.reserve(gpu, bytes)?;
+        let variant = (kind as u32, 0);
+        self.stage.prepare(gpu, variant, shaders::VISIBLE, &[("GRID", f64::from(kind as u32))])?;
+        if self.rebind {
+            let of = [&store.params, &store.keys, &store.seen_slots, &store.records, &self.asked, &self.answers];
+            self.stage.bind(gpu, &of.map(Growable::buffer));
+            self.rebind = false;
+        }
+        store.uploads.put(&self.asked, 0, bytemuck::cast_slice(&asked.words));
+        store.uploads.encode(gpu, encoder)?;
+        let mut pass = gpu.pass(encoder, &wgpu::ComputePassDescriptor::default());
+        if self.stage.set(&mut pass, variant, 0) {
+            gpu.dispatch(&mut pass, layout::groups_for(asked.count));
+        }
+        drop(pass);
+        encoder.copy_buffer_to_buffer(self.answers.buffer(), 0, self.readback.buffer(), 0, bytes);
+        Ok(())
+    }
+
+    /// Waits for the answers.
+    ///
+    /// # Errors
+    /// [`ErrorKind::DeviceLost`].
+    pub fn read(&self, gpu: &Gpu, count: u32) -> Result<Vec<OcclusionHint>> {
+        let (buffer, bytes) = (self.readback.buffer(), u64::from(count) * 4);
+        self.mapping.ask(buffer, wgpu::MapMode::Read, bytes);
+        gpu.wait()?;
+        self.mapping.check(gpu, "the proposals")?;
+        let view = buffer.get_mapped_range(0..bytes);
+        let view = view.map_err(|e| gpu.error(ErrorKind::DeviceLost, &e.to_string()))?;
+        gpu.done.bytes_read.add_many(bytes);
+        let words: &[u32] = bytemuck::cast_slice(&view);
+        let proposals = words.iter().map(|word| hint_of_word(*word)).collect();
+        drop(view);
+        buffer.unmap();
+        Ok(proposals)
+    }
+}

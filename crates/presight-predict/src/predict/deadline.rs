@@ -1,0 +1,52 @@
+//! What a prediction with a deadline gave up, and what predictions cost.
+
+use super::{Prediction, Predictor};
+use presight_render::cost::CostModel;
+use presight_render::deadline::{Clock, Degradation};
+use std::sync::Arc;
+
+impl Prediction {
+    /// What was given up for the deadline; `None` if everything is there.
+    pub fn degradation(&self) -> Option<&Degradation> {
+        self.stats.degradation()
+    }
+
+    /// [`Prediction::is_not_predicted`] of all pixels, row-major; empty if nothing was given up.
+    pub fn not_predicted(&self) -> Vec<bool> {
+        if !self.misses_samples() {
+            return Vec::new();
+        }
+        let rows = (0..self.images.height).flat_map(|row| (0..self.images.width).map(move |column| (column, row)));
+        rows.map(|(column, row)| self.is_not_predicted(column, row)).collect()
+    }
+
+    /// Whether a pixel was given up: it is NaN with id 0 although the sensor has a ray there. Of a prediction of ids alone that is
+    /// said of pixels that see nothing, too.
+    pub fn is_not_predicted(&self, column: u32, row: u32) -> bool {
+        let at = row as usize * self.images.width as usize + column as usize;
+        self.misses_samples() && self.images.is_open(at) && self.sensor.ray(column, row).is_some()
+    }
+
+    /// True if samples were given up, not only features.
+    fn misses_samples(&self) -> bool {
+        self.degradation().is_some_and(|given_up| given_up.samples > 0)
+    }
+}
+
+impl Predictor {
+    /// What predictions with a deadline cost so far: to be saved with [`crate::io::costs::write`].
+    pub fn costs(&self) -> &CostModel {
+        &self.controller.costs
+    }
+
+    /// Goes on from what was learnt before.
+    pub fn set_costs(&mut self, costs: CostModel) {
+        self.controller.costs = costs;
+    }
+
+    /// Takes another clock than the system's: for tests.
+    #[doc(hidden)]
+    pub fn set_clock(&mut self, clock: Arc<dyn Clock>) {
+        self.controller.set_clock(clock);
+    }
+}

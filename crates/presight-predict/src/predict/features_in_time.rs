@@ -1,0 +1,86 @@
+//! Features of a prediction with a deadline: those that matter most first, in groups, the next only if it fits.
+
+use super::Predictor;
+use super::features::{KnownTree, SeenFrom, settings};
+use crate::request::Request;
+use presight_features::{
+    BoxOptions, BoxQuery, FeaturePrediction, FeatureSettings, Hidden, PlacedFeature, PlacedFeatures, PreparedFeatures,
+    SeenFeature, add_boxes,
+};
+use presight_model::error::Result;
+use presight_render::cost::DeadlineFrame;
+use presight_render::deadline::Priority;
+use presight_render::plan::{Images, Stats};
+use std::collections::HashMap;
+use std::time::Instant;
+
+impl Predictor {
+    /// As many features with their regions as there is time for. They are found on the CPU: a device cannot stop.
+    pub(super) fn features_in_time(
+        &mut self,
+        (world, sensor, world_from_sensor): SeenFrom<'_>,
+        request: &Request,
+        (placed, regions): (&PlacedFeatures, Option<&BoxOptions>),
+        images: &mut Images,
+        stats: &mut Stats,
+        timed: &mut DeadlineFrame,
+    ) -> Result<FeaturePrediction> {
+        let start = Instant::now();
+        let is_partial = stats.degradation().is_some_and(|given_up| given_up.samples > 0);
+        let settings = FeatureSettings { is_partial, hidden: Hidden::Full, ..settings(request) };
+        let all = &placed.features;
+        let has_contours = all.iter().any(|p| p.feature.shape.is_contour());
+        let tree = has_contours.then(|| self.take_tree(world, &sensor.spec().class, all)).transpose()?;
+        let known = tree.as_ref().map(KnownTree::parts);
+        let prepared = PreparedFeatures::new(world, sensor, world_from_sensor, images, (all, known), &settings)?;
+        let lengths = self.on_threads(|| prepared.image_lengths())?;
+        let order = rank(all, &request.priority, &lengths);
+        let (mut found, mut marks) = (FeaturePrediction::default(), prepared.marks());
+        let mut groups = self.controller.feature_groups(timed);
+        let mut done = 0;
+        while done < order.len() {
+            let rest = &order[done..];
+            let which = &rest[..groups.next(timed, rest.len())];
+            if which.is_empty() {
+                break;
+            }
+            let mut group = self.on_threads(|| prepared.part(which, None, &mut marks))?;
+            if let Some(options) = regions {
+                self.on_threads(|| {
+                    add_boxes(&mut group, &BoxQuery { placed: all, world, sensor, world_from_sensor, options })
+                })??;
+            }
+            found.stats.add(&group.stats);
+            found.features.append(&mut group.features);
+            found.given.append(&mut group.given);
+            done += which.len();
+            groups.took(timed, which.len());
+        }
+        images.feature_id = marks.into_image();
+        // As they were given.
+        let mut seen: Vec<(u32, SeenFeature)> = found.given.into_iter().zip(found.features).collect();
+        seen.sort_by_key(|(given, _)| *given);
+        (found.given, found.features) = seen.into_iter().unzip();
+        if found.given.iter().copied().eq(0..order.len() as u32) {
+            found.given = Vec::new();
+        }
+        timed.found = done as u64;
+        timed.left_out = order[done..].iter().map(|i| all[*i].feature.id).collect();
+        timed.left_out.sort_unstable();
+        stats.stage(presight_render::plan::StageName::Features, start);
+        for (name, n) in found.stats.counts() {
+            stats.count(name, n);
+        }
+        Ok(found)
+    }
+}
+
+/// Indices of features: those that the caller ranks, then the others, longest image first.
+fn rank(placed: &[PlacedFeature], priority: &Priority, lengths: &[f64]) -> Vec<usize> {
+    // Of a number named twice the first counts.
+    let ranks: HashMap<u32, usize> = priority.features.iter().enumerate().rev().map(|(rank, id)| (*id, rank)).collect();
+    let rank = |i: &usize| ranks.get(&placed[*i].feature.id).copied().unwrap_or(usize::MAX);
+    let mut order: Vec<usize> = (0..placed.len()).collect();
+    order.sort_by(|a, b| rank(a).cmp(&rank(b)).then(lengths[*b].total_cmp(&lengths[*a])));
+    order
+}

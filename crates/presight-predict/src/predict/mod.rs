@@ -1,0 +1,563 @@
+//! The predictor: from a world, a sensor and a pose to images, features and regions of interest, in one call.
+
+mod deadline;
+mod features;
+mod features_in_time;
+mod view;
+
+use crate::engine::{self, Device, Engine};
+use crate::probe::{DeviceCheck, Probe, SensorKind};
+use crate::request::Request;
+use features::SeenFrom;
+use presight_features::FeaturePrediction;
+use presight_model::error::{Error, ErrorKind, Result};
+use presight_model::geometry::Pose;
+use presight_model::sensor::Sensor;
+use presight_model::threads::Threads;
+use presight_model::world::World;
+use presight_render::cost::{Controller, DeadlineFrame};
+use presight_render::cpu;
+use presight_render::plan::{
+    Drawn, FramePlan, ImageRequest, Images, Output, Outputs, PlanBuffers, Raster, StageName, Stats, Weighing,
+};
+use presight_render::row::RowCuts;
+use std::time::Instant;
+
+/// The engine that predicts.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Backend {
+    /// A hardware GPU if there is one, else the CPU engine.
+    #[default]
+    Auto,
+    /// The CPU engine; never loads Vulkan.
+    Cpu,
+    /// The GPU engine on any adapter, including software adapters.
+    Gpu,
+}
+
+/// How a [`Predictor`] works.
+///
+/// ```
+/// use presight::{Backend, Options, Predictor};
+/// let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(2))?;
+/// assert_eq!(predictor.engine_name(), "cpu");
+/// # Ok::<(), presight::Error>(())
+/// ```
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Options {
+    /// The engine to use.
+    pub backend: Backend,
+    /// CPU threads: a handle to share, or a number (`2.into()`), 0 for all cores.
+    pub threads: Threads,
+    /// What rasterizes on a GPU.
+    pub raster: Raster,
+    /// Lets a GPU draw first what a sensor's last frame showed, if the world is the same: see [`Options::with_reuse_visible`].
+    pub reuse_visible: bool,
+}
+
+impl Options {
+    /// With this engine.
+    pub fn new(backend: Backend) -> Self {
+        Self { backend, ..Self::default() }
+    }
+
+    /// With another engine.
+    #[must_use]
+    pub fn with_backend(self, backend: Backend) -> Self {
+        Self { backend, ..self }
+    }
+
+    /// With another rasterizer on a GPU.
+    #[must_use]
+    pub fn with_raster(self, raster: Raster) -> Self {
+        Self { raster, ..self }
+    }
+
+    /// Lets a GPU draw first what a sensor's last frame showed, if that was in the same version of the world; what lies behind is then left
+    /// out sooner. For robots that drive: frames must follow each other in [`Predictor::predict`] or [`Predictor::predict_again`]. Images
+    /// are the same without it, and [`Stats`] say whether it was done. It has no effect on the CPU engine, in batches and studies, and for
+    /// predictions with a deadline.
+    ///
+    /// ```
+    /// use presight::plan::StageName;
+    /// use presight::{Environment, Options, Pose, Predictor, Request, World};
+    /// use glam::DVec3;
+    /// let (world, sensor) = (World::new(Environment::new()), presight::preset("laser-scanner")?);
+    /// let mut predictor = Predictor::new(Options::default().with_reuse_visible(true))?;
+    /// for step in 0..3 {
+    ///     let pose = Pose::from_xyz_rpy(0.1 * f64::from(step) * DVec3::X, 0.0, 0.0, 0.0);
+    ///     let seen = predictor.predict(&world, &sensor, &pose, &Request::default())?;
+    ///     // Nothing is in view here that could be drawn first.
+    ///     assert!(!seen.stats.taken.iter().any(|variant| variant.what == StageName::ReuseOfLastFrame));
+    /// }
+    /// # Ok::<(), presight::Error>(())
+    /// ```
+    #[must_use]
+    pub fn with_reuse_visible(self, reuse_visible: bool) -> Self {
+        Self { reuse_visible, ..self }
+    }
+
+    /// With other threads: a handle to share, or a number, 0 for all cores.
+    #[must_use]
+    pub fn with_threads(self, threads: impl Into<Threads>) -> Self {
+        Self { threads: threads.into(), ..self }
+    }
+}
+
+/// What a sensor should see at one pose: the answer to a [`Request`].
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct Prediction {
+    /// The request.
+    pub request: Request,
+    /// The sensor.
+    pub sensor: Sensor,
+    /// Its pose, body axes.
+    pub world_from_sensor: Pose,
+    /// The version of the world that was used.
+    pub world_version: u64,
+    /// The requested images, with `feature_id` if it was requested.
+    pub images: Images,
+    /// The requested features, with their regions of interest if these were requested.
+    pub features: Option<FeaturePrediction>,
+    /// What the prediction did and cost.
+    pub stats: Stats,
+}
+
+/// Predicts with one engine, reusing its buffers from call to call.
+///
+/// ```
+/// use presight::{Backend, Environment, Options, Pose, Predictor, Request, World};
+/// let world = World::new(Environment::new());
+/// let sensor = presight::preset("laser-scanner")?;
+/// let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1))?;
+/// let prediction = predictor.predict(&world, &sensor, &Pose::IDENTITY, &Request::default())?;
+/// assert!(prediction.images.range.iter().all(|r| *r == f32::INFINITY));
+/// # Ok::<(), presight::Error>(())
+/// ```
+pub struct Predictor {
+    backend: Backend,
+    reuse_visible: bool,
+    /// Work that no engine does runs here.
+    threads: Threads,
+    engine: Box<dyn Engine>,
+    /// Keeps deadlines where that one cannot.
+    stand_in: Option<Box<dyn Engine>>,
+    /// What the engine's device was found able to do.
+    proven: ProbeResults,
+    /// Memory for the next plan. Not a plan: that would keep a version of the world, and its next change would copy it.
+    buffers: PlanBuffers,
+    /// The world's own features that were placed last.
+    own: Option<features::WorldFeatures>,
+    tree: Option<features::KnownTree>,
+    /// Keeps deadlines.
+    controller: Controller,
+    /// What happened to the GPU, if something did.
+    notice: Option<String>,
+    row_cuts: RowCuts,
+}
+
+/// What a device has shown, by kind of sensor: that its images are right, and how many of its regions.
+#[derive(Default)]
+struct ProbeResults {
+    images: Vec<SensorKind>,
+    regions: Vec<(SensorKind, DeviceCheck)>,
+}
+
+impl Predictor {
+    /// Makes a predictor and opens its engine.
+    ///
+    /// # Errors
+    /// [`ErrorKind::NoDevice`] for [`Backend::Gpu`] if no adapter is found;
+    /// [`ErrorKind::System`] if the CPU engine's threads cannot be started.
+    pub fn new(options: Options) -> Result<Self> {
+        let open_gpu = |threads: &Threads, hardware_only| engine::open_gpu(threads, hardware_only, options.raster);
+        let (engine, notice) = choose_engine(options.backend, &options.threads, open_gpu)?;
+        Ok(Self { notice, ..Self::with_engine(options, engine) })
+    }
+
+    /// Makes a predictor of an engine that is open already. With [`Backend::Auto`] the CPU engine takes over if that one's
+    /// device fails.
+    #[doc(hidden)]
+    pub fn with_engine(options: Options, engine: Box<dyn Engine>) -> Self {
+        Self {
+            backend: options.backend,
+            reuse_visible: options.reuse_visible,
+            threads: options.threads,
+            engine,
+            stand_in: None,
+            proven: ProbeResults::default(),
+            buffers: PlanBuffers::default(),
+            own: None,
+            tree: None,
+            controller: Controller::default(),
+            notice: None,
+            row_cuts: RowCuts::default(),
+        }
+    }
+
+    /// The engine.
+    #[doc(hidden)]
+    pub fn engine(&self) -> &dyn Engine {
+        &*self.engine
+    }
+
+    /// The threads for tasks of batches, running.
+    ///
+    /// # Errors
+    /// [`ErrorKind::System`] if they cannot be started.
+    pub fn task_threads(&mut self) -> Result<Threads> {
+        self.threads = self.threads.started()?;
+        Ok(self.threads.clone())
+    }
+
+    pub(crate) fn row_cuts(&self) -> &RowCuts {
+        &self.row_cuts
+    }
+
+    /// The engine, and the threads on which it leaves work to the CPU.
+    #[doc(hidden)]
+    pub fn engine_mut(&mut self) -> (&mut dyn Engine, &Threads) {
+        (&mut *self.engine, &self.threads)
+    }
+
+    /// Name of the engine: `cpu`, or `gpu` with its adapter.
+    pub fn engine_name(&self) -> String {
+        self.engine.name()
+    }
+
+    /// Predicts all that a request asks for, of a sensor at a pose: the sensor's pose in the world, body axes.
+    ///
+    /// If the GPU is lost, it is opened again once per prediction. With [`Backend::Auto`] the CPU engine takes over if that
+    /// fails, or if the device has too little memory. [`Stats::notices`] says so from then on.
+    ///
+    /// ```
+    /// use presight::environment::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
+    /// use presight::features::{BoxOptions, FeatureOptions, PlacedFeature};
+    /// use presight::{Environment, Options, Pose, Predictor, Request, World};
+    /// use glam::{DMat3, DVec3};
+    ///
+    /// // An edge 3 m ahead in an empty world.
+    /// let ends = [DVec3::new(3.0, -0.2, 0.0), DVec3::new(3.0, 0.2, 0.1)];
+    /// let shape = FeatureShape::Segment { ends, covariances: [DMat3::ZERO; 2], cross: DMat3::ZERO };
+    /// let (existence, properties) = (Existence::default(), Properties::default());
+    /// let feature = Feature { id: 7, name: None, object: None, shape, existence, properties };
+    /// let placed = vec![PlacedFeature { feature: feature.into(), object: None, slots: vec![] }];
+    ///
+    /// let request = Request::default()
+    ///     .with_features(FeatureOptions::default().with_placed(placed))
+    ///     .with_regions(BoxOptions::default().with_sensor_sigmas([0.02, 0.02, 0.02, 0.0, 0.0, 0.01]));
+    /// let camera = presight::preset("video-camera")?;
+    /// let mut predictor = Predictor::new(Options::default())?;
+    /// let seen = predictor.predict(&World::new(Environment::new()), &camera, &Pose::IDENTITY, &request)?;
+    /// let edge = &seen.features.as_ref().expect("they were asked for").features[0];
+    /// assert_eq!((edge.feature.id, edge.visible_fraction), (7, 1.0));
+    /// let [x0, y0, x1, y1] = edge.roi.expect("it is seen");
+    /// assert!(x0 < x1 && y0 < y1);
+    /// # Ok::<(), presight::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// Those of [`Request::check`] and [`Pose::check`]; [`ErrorKind::Usage`] if features are asked for and the world has
+    /// none for the sensor's class; [`ErrorKind::Invalid`] for features of objects or polygons that are not in the world;
+    /// [`ErrorKind::System`] if the system refuses memory or threads; [`ErrorKind::DeviceLost`] and
+    /// [`ErrorKind::DeviceMemory`] with [`Backend::Gpu`]; [`ErrorKind::Deadline`] if nothing can be made within
+    /// [`Request::deadline`], and [`ErrorKind::Usage`] for a deadline of 0 or, with another backend than [`Backend::Auto`], of an
+    /// engine that cannot stop.
+    pub fn predict(
+        &mut self,
+        world: &World,
+        sensor: &Sensor,
+        world_from_sensor: &Pose,
+        request: &Request,
+    ) -> Result<Prediction> {
+        let mut prediction = Prediction {
+            request: request.clone(),
+            sensor: sensor.clone(),
+            world_from_sensor: *world_from_sensor,
+            world_version: world.version(),
+            images: Images::default(),
+            features: None,
+            stats: Stats::default(),
+        };
+        self.fill(world, &mut prediction)?;
+        Ok(prediction)
+    }
+
+    /// Predicts again, into an older prediction whose memory is reused: the same sensor and request, at another pose or in
+    /// another version of the world. After an error the older prediction is not to be used.
+    ///
+    /// ```
+    /// use presight::{Environment, Options, Pose, Predictor, Request, World};
+    /// let (world, sensor) = (World::new(Environment::new()), presight::preset("laser-scanner")?);
+    /// let mut predictor = Predictor::new(Options::default())?;
+    /// let mut prediction = predictor.predict(&world, &sensor, &Pose::IDENTITY, &Request::default())?;
+    /// let pose = Pose::from_xyz_rpy(glam::DVec3::X, 0.0, 0.0, 0.1);
+    /// predictor.predict_again(&world, &pose, &mut prediction)?;
+    /// assert_eq!(prediction.world_from_sensor, pose);
+    /// # Ok::<(), presight::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// As [`Predictor::predict`].
+    pub fn predict_again(
+        &mut self,
+        world: &World,
+        world_from_sensor: &Pose,
+        prediction: &mut Prediction,
+    ) -> Result<()> {
+        prediction.world_from_sensor = *world_from_sensor;
+        prediction.world_version = world.version();
+        self.fill(world, prediction)
+    }
+
+    /// Answers the request of a prediction that has sensor and pose.
+    fn fill(&mut self, world: &World, prediction: &mut Prediction) -> Result<()> {
+        let Prediction { request, sensor, world_from_sensor, images, features, stats, .. } = prediction;
+        request.check(sensor)?;
+        world_from_sensor.check()?;
+        if request.deadline.is_some() && self.backend == Backend::Auto && self.engine.with_deadline().is_none() {
+            return self.fill_on_stand_in(world, prediction);
+        }
+        if request.deadline.is_some() {
+            self.get_ready(sensor, request.drawn().outputs)?;
+        }
+        let deadline = request.deadline.map(|limit| (limit, &request.priority));
+        let asked = (&*sensor, request.drawn().outputs);
+        let mut timed = self.controller.begin(deadline, self.engine.with_deadline(), asked)?;
+        let placed = request.features.as_ref().map(|options| self.place(world, sensor, options)).transpose()?;
+        if let (Some(timed), Some(placed)) = (&mut timed, &placed) {
+            timed.expect_features(placed.features.len(), request.regions.is_some());
+        }
+        let seen_from = (world, &*sensor, &*world_from_sensor);
+        let reuse = self.reuse_visible;
+        *stats = self.predict_within(seen_from, (request.drawn(), reuse), images, timed.as_mut())?;
+        *features = match &placed {
+            Some(placed) => Some(self.features(seen_from, request, placed, images, stats, timed.as_mut())?),
+            None => None,
+        };
+        if !request.outputs.has(Output::PolygonId) {
+            images.polygon_id.clear();
+        }
+        if let Some(timed) = &timed {
+            self.controller.end(timed, stats);
+        }
+        Ok(())
+    }
+
+    /// What a device needs once for each kind of sensor is no part of a deadline.
+    fn get_ready(&mut self, sensor: &Sensor, outputs: Outputs) -> Result<()> {
+        match self.prove(sensor, outputs) {
+            Ok(()) => Ok(()),
+            Err(fault) => self.recover(fault, true),
+        }
+    }
+
+    /// Answers a request with a deadline on the CPU engine, where the engine was ours to choose and cannot stop.
+    fn fill_on_stand_in(&mut self, world: &World, prediction: &mut Prediction) -> Result<()> {
+        let engine = match self.stand_in.take() {
+            Some(engine) => engine,
+            None => Box::new(cpu::CpuEngine::new(self.threads.clone())?),
+        };
+        let chosen = std::mem::replace(&mut self.engine, engine);
+        let filled = self.fill(world, prediction);
+        let why = format!("the CPU engine kept the deadline: {} cannot stop", chosen.name());
+        self.stand_in = Some(std::mem::replace(&mut self.engine, chosen));
+        prediction.stats.notices.push(why);
+        filled
+    }
+
+    /// Predicts images alone into the caller's: for studies, which draw for many sensors into the same memory.
+    #[doc(hidden)]
+    pub fn predict_images(
+        &mut self,
+        world: &World,
+        sensor: &Sensor,
+        world_from_sensor: &Pose,
+        request: impl Into<ImageRequest>,
+        images: &mut Images,
+    ) -> Result<Stats> {
+        self.predict_within((world, sensor, world_from_sensor), (request.into(), false), images, None)
+    }
+
+    /// Predicts images, by a deadline if there is one; an engine may reuse what it showed last if the request says so.
+    fn predict_within(
+        &mut self,
+        (world, sensor, world_from_sensor): SeenFrom<'_>,
+        (request, reuse_visible): (ImageRequest, bool),
+        images: &mut Images,
+        mut timed: Option<&mut DeadlineFrame>,
+    ) -> Result<Stats> {
+        let start = Instant::now();
+        let buffers = std::mem::take(&mut self.buffers);
+        let mut plan = FramePlan::within(buffers, world, sensor, world_from_sensor, request)?;
+        plan.reuse_visible = reuse_visible;
+        let mut stats = Stats { index: world.index().scheme().name(), ..Stats::default() };
+        stats.stage(StageName::Selection, start);
+        if let Some(timed) = &mut timed {
+            self.controller.plan(timed, &mut plan)?;
+        }
+        let rendered = self.render(&plan, images, &mut stats);
+        tell(&plan, self.notice.as_ref(), &mut stats);
+        self.buffers = plan.into_buffers();
+        rendered?;
+        if let Some(timed) = &mut timed {
+            timed.images_are_made();
+        }
+        Ok(stats)
+    }
+
+    /// Runs a function on the predictor's own threads.
+    ///
+    /// # Errors
+    /// [`ErrorKind::System`] if threads cannot be started.
+    pub fn on_threads<R: Send>(&mut self, work: impl FnOnce() -> R + Send) -> Result<R> {
+        self.threads = self.threads.started()?;
+        self.threads.run(work)
+    }
+
+    /// Draws plans of one sensor together, where the engine can, and hands over each one's images in their order, or sums where it
+    /// weighed them. What a fault leaves over is drawn one by one, as single predictions are.
+    pub(crate) fn render_many(
+        &mut self,
+        plans: &[FramePlan],
+        weighing: Option<&Weighing>,
+        images: &mut Images,
+        mut each: impl FnMut(Drawn<'_>, Stats),
+    ) -> Result<()> {
+        let mut done = 0;
+        let first = plans.iter().find(|plan| plan.polygon_count > 0);
+        if first.is_none_or(|plan| self.prove_for(plan).is_ok()) {
+            // Its fault comes up again with the first plan that is left.
+            let _ = self.engine.render_many(plans, weighing, images, &mut |drawn, mut stats| {
+                tell(&plans[done], self.notice.as_ref(), &mut stats);
+                done += 1;
+                each(drawn, stats);
+            });
+        }
+        for plan in &plans[done..] {
+            let mut stats = Stats::default();
+            self.render(plan, images, &mut stats)?;
+            tell(plan, self.notice.as_ref(), &mut stats);
+            each(Drawn::Images(images), stats);
+        }
+        Ok(())
+    }
+
+    fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
+        if self.engine.device().is_none() {
+            return self.engine.render(plan, images, stats);
+        }
+        let selection = stats.clone();
+        let mut again = true;
+        loop {
+            let drawn = self.prove_for(plan).and_then(|()| self.engine.render(plan, images, stats));
+            let Err(fault) = drawn else { return Ok(()) };
+            self.recover(fault, again)?;
+            again = false;
+            // Nothing of the attempt that failed is told.
+            stats.clone_from(&selection);
+        }
+    }
+
+    /// Opens a lost device again, if it may, or, where the backend was ours to choose, goes on with the CPU engine. A device that draws
+    /// wrong or is lost with the hardware rasterizer goes on without it.
+    fn recover(&mut self, fault: Error, again: bool) -> Result<()> {
+        let Some(device) = self.engine.device() else { return Err(fault) };
+        let may_be_raster = matches!(fault.kind(), ErrorKind::DeviceLost | ErrorKind::NoDevice);
+        if again && may_be_raster && device.raster() == Raster::Render && device.take_compute().is_ok() {
+            self.proven = ProbeResults::default();
+            self.notice = Some(format!("compute spans took over from the hardware rasterizer: {fault}"));
+            return Ok(());
+        }
+        if again && fault.kind() == ErrorKind::DeviceLost && device.reopen().is_ok() {
+            self.proven = ProbeResults::default();
+            self.notice = Some(format!("the GPU was opened again after this: {fault}"));
+            return Ok(());
+        }
+        if self.backend != Backend::Auto {
+            return Err(fault);
+        }
+        self.engine = Box::new(cpu::CpuEngine::new(self.threads.clone())?);
+        self.notice = Some(format!("the CPU engine took over: {fault}"));
+        Ok(())
+    }
+
+    /// [`Predictor::prove`]; where nothing is drawn nothing has to be proven.
+    fn prove_for(&mut self, plan: &FramePlan) -> Result<()> {
+        if plan.polygon_count == 0 { Ok(()) } else { self.prove(&plan.sensor, plan.drawn()) }
+    }
+
+    /// Holds a device to the reference on a tiny scene before it draws for a kind of sensor for the first time. The pipelines
+    /// that this makes are those of the prediction to come, so that it costs little besides.
+    fn prove(&mut self, sensor: &Sensor, outputs: Outputs) -> Result<()> {
+        let task = SensorKind::of(sensor);
+        if self.engine.device().is_none() || self.proven.images.contains(&task) {
+            return Ok(());
+        }
+        let engine = &mut *self.engine;
+        let draw = |plan: &FramePlan, images: &mut Images| engine.render(plan, images, &mut Stats::default());
+        let report = Probe::new()?.run(task, outputs, draw)?;
+        if let (Some(first), Some(device)) = (report.faults.first(), self.engine.device()) {
+            let (n, all) = (report.fault, report.pixels);
+            return Err(faulty(device, format!("draws {n} of {all} pixels of a probe wrong: {}", first.why)));
+        }
+        self.proven.images.push(task);
+        Ok(())
+    }
+}
+
+/// Adds to an engine's statistics what the plan and the predictor know.
+fn tell(plan: &FramePlan, notice: Option<&String>, stats: &mut Stats) {
+    let by_engine = std::mem::replace(&mut stats.left_out, plan.left_out());
+    stats.left_out.extend(by_engine);
+    plan.variants().iter().filter(|(_, taken, _)| *taken).for_each(|(what, _, why)| stats.take(*what, why));
+    stats.notices.extend(notice.cloned());
+}
+
+/// A device does something wrong.
+fn faulty(device: &dyn Device, what: String) -> Error {
+    let remedy = "update its driver, or use --backend cpu; see presight doctor";
+    Error::new(ErrorKind::NoDevice, format!("{} {what}", device.adapter()), remedy)
+}
+
+/// The engine of a backend, and what is to be said of it. `open_gpu` opens a GPU, on hardware or none if its second argument
+/// says so.
+fn choose_engine(
+    backend: Backend,
+    threads: &Threads,
+    open_gpu: impl Fn(&Threads, bool) -> Result<Box<dyn Engine>>,
+) -> Result<(Box<dyn Engine>, Option<String>)> {
+    let on_cpu = || Ok::<_, Error>(Box::new(cpu::CpuEngine::new(threads.clone())?));
+    match backend {
+        Backend::Cpu => Ok((on_cpu()?, None)),
+        Backend::Gpu => Ok((open_gpu(threads, false)?, None)),
+        Backend::Auto => match open_gpu(threads, true) {
+            Ok(engine) => Ok((engine, None)),
+            // No hardware GPU is the normal case on a robot's CI: nothing worth a notice.
+            Err(e) if e.kind() == ErrorKind::NoDevice => Ok((on_cpu()?, None)),
+            Err(e) => Ok((on_cpu()?, Some(format!("the CPU engine is used: {e}")))),
+        },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn without_an_adapter_auto_takes_the_cpu_and_gpu_is_an_error() {
+        let fails =
+            |kind: ErrorKind| move |_: &Threads, _: bool| Err(Error::new(kind, "no adapter", "use --backend cpu"));
+        let threads = Threads::from(1);
+        let (engine, notice) = choose_engine(Backend::Auto, &threads, fails(ErrorKind::NoDevice)).unwrap();
+        assert_eq!((engine.name().as_str(), notice), ("cpu", None));
+        let (engine, notice) = choose_engine(Backend::Auto, &threads, fails(ErrorKind::System)).unwrap();
+        assert_eq!(engine.name(), "cpu");
+        assert!(notice.is_some_and(|n| n.starts_with("the CPU engine is used: no adapter")));
+        let refused = choose_engine(Backend::Gpu, &threads, fails(ErrorKind::NoDevice)).err();
+        assert_eq!(refused.map(|e| e.kind()), Some(ErrorKind::NoDevice));
+        assert!(choose_engine(Backend::Cpu, &threads, fails(ErrorKind::System)).is_ok());
+    }
+}

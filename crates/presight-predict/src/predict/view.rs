@@ -1,0 +1,60 @@
+//! What virtual sensors need of predictions.
+
+use super::{Prediction, Predictor};
+use crate::request::Request;
+use crate::virtual_sensors::{View, ViewIds};
+use glam::DVec3;
+use presight_model::environment::Environment;
+use presight_model::error::{Error, Result};
+use presight_model::geometry::Pose;
+use presight_model::sensor::{Geometry, RayTable, Sensor, SensorSpec};
+use presight_model::world::World;
+use presight_render::plan::{Output, Outputs};
+
+impl<'a> View<'a> {
+    /// A prediction in an environment.
+    pub fn of(prediction: &'a Prediction, environment: &'a Environment) -> Self {
+        let (images, scheme) = (&prediction.images, prediction.request.ids);
+        let known = !images.polygon_id.is_empty() && !images.object_id.is_empty();
+        let ids = ViewIds { environment, scheme, polygon_id: &images.polygon_id, object_id: &images.object_id };
+        Self {
+            sensor: &prediction.sensor,
+            world_from_sensor: prediction.world_from_sensor,
+            range: &images.range,
+            ids: known.then_some(ids),
+            features: prediction.features.as_ref(),
+            given_up: prediction.degradation(),
+        }
+    }
+}
+
+impl Predictor {
+    /// Returns the height in the world of what is straight below a sensor, metres: the floor for `free-floor`, where the
+    /// sensor's mount does not say how high it is above the floor.
+    ///
+    /// ```
+    /// use presight::{Options, Pose, Predictor, Scene};
+    /// let scene = Scene::open("scenes/room.glb")?;
+    /// let mut predictor = Predictor::new(Options::default())?;
+    /// let pose = Pose::from_xyz_rpy(glam::DVec3::new(1.0, 1.5, 0.5), 0.0, 0.0, 0.0);
+    /// let floor = predictor.floor_below(&scene.world, &presight::preset("video-camera")?, &pose)?;
+    /// assert!(floor.abs() < 0.05);
+    /// # Ok::<(), presight::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Usage`] if nothing is below; those of [`Predictor::predict`].
+    pub fn floor_below(&mut self, world: &World, sensor: &Sensor, world_from_sensor: &Pose) -> Result<f64> {
+        let down = RayTable::new(1, 1, vec![DVec3::NEG_Z])?;
+        let probe = Sensor::new(SensorSpec::new("straight down", &sensor.spec().class, Geometry::Rays(down)))?;
+        let at = Pose { translation: world_from_sensor.translation, ..Pose::IDENTITY };
+        let request = Request::of(Outputs::of(&[Output::Range]));
+        let range = f64::from(self.predict(world, &probe, &at, &request)?.images.range[0]);
+        if !range.is_finite() {
+            let what = format!("sensor {:?} has no [mount], and nothing is below it", sensor.spec().name);
+            let remedy = "give --floor-z, or robot_from_sensor under [mount] in the sensor's file";
+            return Err(Error::usage(what, remedy).at("--virtual free-floor"));
+        }
+        Ok(world_from_sensor.translation.z - range)
+    }
+}

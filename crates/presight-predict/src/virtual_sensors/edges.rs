@@ -1,0 +1,67 @@
+//! Edges: the visible parts of the layer's segments, in the image and in the world.
+
+use presight_features::FeaturePrediction;
+use presight_model::environment::FeatureShape;
+use serde::Serialize;
+
+/// The segments that are seen.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Edges {
+    /// Those with a visible part, in the order of the layer.
+    pub edges: Vec<Edge>,
+    /// Segments that were looked for, seen or not.
+    pub segments: usize,
+}
+
+/// A segment that is seen, in part or in whole.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Edge {
+    /// Its number in the layer.
+    pub id: u32,
+    /// Its name there.
+    pub name: Option<String>,
+    /// Share of its image length, inside image and range limits, that is seen.
+    pub visible_fraction: f64,
+    /// Its visible parts, from its first end to its second.
+    pub visible: Vec<EdgePiece>,
+}
+
+/// A visible part of a segment.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct EdgePiece {
+    /// Part of the segment, 0..=1 by length in space.
+    pub t: [f64; 2],
+    /// Both ends in the image, column and row. What is between is straight without lens distortion.
+    pub pixels: [[f64; 2]; 2],
+    /// Both ends in the world, metres.
+    pub ends_world: [[f64; 3]; 2],
+}
+
+impl Edges {
+    pub(super) fn summary(&self) -> String {
+        let whole = self.edges.iter().filter(|e| e.visible_fraction == 1.0).count();
+        format!("{} of {} segments are seen, {whole} of them whole", self.edges.len(), self.segments)
+    }
+}
+
+pub(super) fn reduce(features: &FeaturePrediction) -> Edges {
+    let mut found = Edges::default();
+    for seen in &features.features {
+        if !matches!(seen.feature.shape, FeatureShape::Segment { .. }) {
+            continue;
+        }
+        found.segments += 1;
+        let [a, b] = seen.points_world[..] else { continue };
+        let piece = |t: [f64; 2], pixels: [glam::DVec2; 2]| EdgePiece {
+            t,
+            pixels: pixels.map(|p| p.to_array()),
+            ends_world: t.map(|t| a.lerp(b, t).to_array()),
+        };
+        let visible: Vec<EdgePiece> = seen.visible.iter().map(|v| piece(v.t, v.pixels)).collect();
+        if !visible.is_empty() {
+            let (id, name) = (seen.feature.id, seen.feature.name.clone());
+            found.edges.push(Edge { id, name, visible_fraction: seen.visible_fraction, visible });
+        }
+    }
+    found
+}

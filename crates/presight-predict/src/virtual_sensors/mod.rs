@@ -1,0 +1,305 @@
+//! Virtual sensors: a sensor used for one task (the paper's Table 1).
+//!
+//! | name | sensor class | delivers | in the paper's Table 1 |
+//! |---|---|---|---|
+//! | `free-floor` | `video` | [`FreeFloor`]: floor seen as free, as image mask and as polygons with holes | free motion space: free floor space |
+//! | `edges` | `video` | [`Edges`]: visible segments of the layer | localization for natural landmarks: edges |
+//! | `radar-lines` | `radar` | [`RadarLines`]: line segments in the scan plane | initial and continuous localization: line segments |
+//! | `radar-nearest` | `radar` | [`Nearest`]: nearest obstacle by direction and in a corridor | obstacle detection and free motion space supervision: distance to closest obstacle |
+//! | `radar-landmarks` | `radar` | [`Landmarks`]: where the visible artificial landmarks are | high precision surveying: position of artificial landmarks |
+//! | `depth-image` | `laser` | [`DepthImage`]: a point for every pixel | 3D distance measurement: 3D-depth image |
+//! | `vertical-planes` | `laser` | [`VerticalPlanes`]: connected regions of vertical planes | localization: vertical planes |
+//! | `docking` | `laser` | [`Docking`]: visible landmarks, and how well they fix the pose | high precision relative localization for docking: artificial landmarks |
+//!
+//! Each is a request ([`VirtualSensor::class`], [`VirtualSensor::outputs`], and the filter of features
+//! [`VirtualSensor::wants`]) and one pure function of a view ([`VirtualSensor::reduce`]), which is a prediction or a measured
+//! image. Names that end in `_robot` are
+//! in the robot's frame (x forward, y left, z up), which the sensor's mount gives; names that end in `_world` are in the world.
+//! Units are metres, radians and square metres. Unknown values are `null` in files.
+
+mod corridor;
+mod depth_image;
+mod docking;
+mod edges;
+mod free_floor;
+mod landmarks;
+mod mask;
+mod pixels;
+mod radar_lines;
+mod radar_nearest;
+mod vertical_planes;
+mod view;
+
+pub use corridor::Corridor;
+pub use corridor::CorridorFields;
+pub use depth_image::DepthImage;
+pub use docking::{Docking, Unobservable};
+pub use edges::{Edge, EdgePiece, Edges};
+pub use free_floor::{FLOOR_HEIGHT, FLOOR_TILT, FloorRegion, FreeFloor};
+pub use landmarks::{Landmark, Landmarks};
+pub use mask::{Mask, MaskRegion};
+pub use radar_lines::{COLLINEAR, RadarLine, RadarLines};
+pub use radar_nearest::{Directions, InCorridor, Nearest, NearestPoint};
+pub use vertical_planes::{COPLANAR, VERTICAL, VerticalPlane, VerticalPlanes};
+pub use view::{View, ViewIds};
+
+use presight_model::environment::FeatureShape;
+use presight_model::error::{Error, Result};
+use presight_model::geometry::Pose;
+use presight_model::sensor::{Geometry, Scanner, Sensor};
+use presight_render::plan::{Output, Outputs};
+use serde::Serialize;
+
+/// The virtual sensors.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum VirtualSensor {
+    /// Floor seen as free, of a camera.
+    FreeFloor,
+    /// Visible segments, of a camera.
+    Edges,
+    /// Line segments in the scan plane, of a radar.
+    RadarLines,
+    /// The nearest obstacle, of a radar.
+    RadarNearest,
+    /// Visible artificial landmarks, of a radar.
+    RadarLandmarks,
+    /// A point for every pixel, of a laser.
+    DepthImage,
+    /// Regions of vertical planes, of a laser.
+    VerticalPlanes,
+    /// Landmarks of a dock and the covariance that they allow, of a laser.
+    Docking,
+}
+
+/// Settings of a task.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Settings {
+    /// For `free-floor`: height of the floor in the world, metres. `None` means that of the robot's origin.
+    pub floor_z_world: Option<f64>,
+    /// For `radar-nearest`: where the robot is going to move.
+    pub corridor: Option<Corridor>,
+}
+
+/// The reading of a virtual sensor.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct VirtualReading {
+    /// [`VirtualSensor::name`].
+    pub name: &'static str,
+    /// The sensor's mount, x, y, z, qx, qy, qz, qw; body axes.
+    pub robot_from_sensor: [f64; 7],
+    /// The result.
+    #[serde(flatten)]
+    pub answer: Answer,
+}
+
+/// The results of the virtual sensors.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(untagged)]
+#[expect(missing_docs, reason = "each is its type")]
+pub enum Answer {
+    FreeFloor(FreeFloor),
+    Edges(Edges),
+    RadarLines(RadarLines),
+    RadarNearest(Nearest),
+    RadarLandmarks(Landmarks),
+    DepthImage(DepthImage),
+    VerticalPlanes(VerticalPlanes),
+    Docking(Docking),
+}
+
+impl VirtualSensor {
+    /// All virtual sensors.
+    pub const ALL: [Self; 8] = [
+        Self::FreeFloor,
+        Self::Edges,
+        Self::RadarLines,
+        Self::RadarNearest,
+        Self::RadarLandmarks,
+        Self::DepthImage,
+        Self::VerticalPlanes,
+        Self::Docking,
+    ];
+
+    /// The name in the command and in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::FreeFloor => "free-floor",
+            Self::Edges => "edges",
+            Self::RadarLines => "radar-lines",
+            Self::RadarNearest => "radar-nearest",
+            Self::RadarLandmarks => "radar-landmarks",
+            Self::DepthImage => "depth-image",
+            Self::VerticalPlanes => "vertical-planes",
+            Self::Docking => "docking",
+        }
+    }
+
+    /// The sensor class that it needs.
+    pub fn class(self) -> &'static str {
+        match self {
+            Self::FreeFloor | Self::Edges => "video",
+            Self::RadarLines | Self::RadarNearest | Self::RadarLandmarks => "radar",
+            Self::DepthImage | Self::VerticalPlanes | Self::Docking => "laser",
+        }
+    }
+
+    /// The images that it needs.
+    pub fn outputs(self) -> Outputs {
+        match self {
+            Self::Edges | Self::RadarLandmarks | Self::Docking => Outputs::of(&[]),
+            Self::DepthImage => Outputs::of(&[Output::Range]),
+            Self::FreeFloor | Self::RadarLines | Self::RadarNearest | Self::VerticalPlanes => {
+                Outputs::of(&[Output::Range, Output::PolygonId, Output::ObjectId])
+            }
+        }
+    }
+
+    /// True for features that it uses. Others need not be predicted.
+    pub fn wants(self, shape: &FeatureShape) -> bool {
+        match self {
+            Self::Edges => matches!(shape, FeatureShape::Segment { .. }),
+            Self::RadarLandmarks | Self::Docking => {
+                matches!(shape, FeatureShape::Reflector { .. } | FeatureShape::Fiducial { .. })
+            }
+            _ => false,
+        }
+    }
+
+    /// True if it needs predicted features.
+    pub fn needs_features(self) -> bool {
+        matches!(self, Self::Edges | Self::RadarLandmarks | Self::Docking)
+    }
+
+    /// Checks that a sensor can be used for it, before anything is predicted.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Usage`]: another class of sensor, a geometry that does not fit the task, or missing noise.
+    pub fn check(self, sensor: &Sensor) -> Result<()> {
+        let (spec, name) = (sensor.spec(), self.name());
+        let preset = match self {
+            Self::FreeFloor | Self::Edges => "video-camera",
+            Self::RadarLines | Self::RadarNearest | Self::RadarLandmarks => "microwave-radar-scan",
+            Self::DepthImage | Self::VerticalPlanes => "laser-range-camera",
+            Self::Docking => "laser-scanner",
+        };
+        let wrong =
+            |what: String, remedy: String| Err(Error::usage(format!("{name}: sensor {:?} {what}", spec.name), remedy));
+        if spec.class != self.class() {
+            let wanted = self.class();
+            let remedy =
+                format!("take one of class {wanted:?}, such as {preset}, or write class = {wanted:?} in its file");
+            return wrong(format!("is of class {:?}", spec.class), remedy);
+        }
+        let scanner = match &spec.geometry {
+            Geometry::Scanner(scanner) => Some(scanner),
+            _ => None,
+        };
+        match self {
+            Self::FreeFloor if !sensor.is_camera() => wrong("is no camera".into(), format!("take {preset}")),
+            Self::RadarLines if scanner.and_then(scan_row).is_none() => {
+                wrong("has no beams at elevation 0, which scan a plane".into(), format!("take {preset}"))
+            }
+            Self::RadarNearest if scanner.is_none() => {
+                wrong("is no scanner: its columns are no directions".into(), format!("take {preset}"))
+            }
+            Self::Docking => docking::check_noise(sensor),
+            _ => Ok(()),
+        }
+    }
+
+    /// Computes its reading from a view. This is a pure function.
+    ///
+    /// ```
+    /// use presight::virtual_sensors::{Answer, Settings, View, VirtualSensor};
+    /// use presight::{Environment, Material, Mesh, NewObject, Options, Polygon, PolygonOrder};
+    /// use presight::{Pose, Predictor, Request, World};
+    /// // A wall 2 m ahead of a radar, 4 m wide.
+    /// let mut environment = Environment::new();
+    /// let paint = environment.add_material(Material::named("paint"))?;
+    /// let corners = [[2.0, -2.0, -1.0], [2.0, -2.0, 1.0], [2.0, 2.0, 1.0], [2.0, 2.0, -1.0]].map(glam::Vec3::from);
+    /// let face = Polygon::new(vec![0, 1, 2, 3], paint);
+    /// let mesh = Mesh::new("wall", corners.to_vec(), vec![face], PolygonOrder::Given)?;
+    /// environment.insert(NewObject::new("wall", Pose::IDENTITY, mesh.into()))?;
+    /// let world = World::new(environment);
+    ///
+    /// let (radar, task) = (presight::preset("microwave-radar-scan")?, VirtualSensor::RadarLines);
+    /// let mut predictor = Predictor::new(Options::default())?;
+    /// let prediction = predictor.predict(&world, &radar, &Pose::IDENTITY, &Request::of(task.outputs()))?;
+    /// let reading = task.reduce(&View::of(&prediction, world.environment()), &Settings::default())?;
+    /// let Answer::RadarLines(found) = &reading.answer else { unreachable!() };
+    /// // It ends at the hits of its outermost beams, 0.1 degrees apart.
+    /// assert!(found.lines.len() == 1 && (found.lines[0].length - 4.0).abs() < 0.02);
+    /// assert_eq!(found.lines[0].objects, ["wall"]);
+    /// # Ok::<(), presight::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// Those of [`VirtualSensor::check`] and [`Pose::check`]; [`crate::ErrorKind::Usage`] if features are needed and none were predicted;
+    /// [`crate::ErrorKind::Invalid`] if an image is missing or of another size than the sensor's, or if it is not known what
+    /// the pixels show and the task needs that (`free-floor`, `radar-lines`, `vertical-planes`).
+    pub fn reduce(self, view: &View<'_>, settings: &Settings) -> Result<VirtualReading> {
+        view.world_from_sensor.check()?;
+        self.check(view.sensor)?;
+        let features = || {
+            let class = self.class();
+            view.features.ok_or_else(|| {
+                let remedy = format!("give a --layer of class {class:?} (presight features SCENE --class {class})");
+                Error::usage(format!("{} is made from features, and none were predicted", self.name()), remedy)
+            })
+        };
+        let answer = match self {
+            Self::FreeFloor => Answer::FreeFloor(free_floor::reduce(view, settings)?),
+            Self::Edges => Answer::Edges(edges::reduce(features()?)),
+            Self::RadarLines => Answer::RadarLines(radar_lines::reduce(view)?),
+            Self::RadarNearest => Answer::RadarNearest(radar_nearest::reduce(view, settings.corridor.as_ref())?),
+            Self::RadarLandmarks => Answer::RadarLandmarks(landmarks::reduce(view, features()?)),
+            Self::DepthImage => Answer::DepthImage(depth_image::reduce(view)?),
+            Self::VerticalPlanes => Answer::VerticalPlanes(vertical_planes::reduce(view)?),
+            Self::Docking => Answer::Docking(docking::reduce(view, features()?)?),
+        };
+        let Pose { translation: t, rotation: q } = view.sensor.spec().mount;
+        Ok(VirtualReading { name: self.name(), robot_from_sensor: [t.x, t.y, t.z, q.x, q.y, q.z, q.w], answer })
+    }
+}
+
+impl std::str::FromStr for VirtualSensor {
+    type Err = Error;
+
+    fn from_str(name: &str) -> Result<Self> {
+        Self::ALL.into_iter().find(|v| v.name() == name).ok_or_else(|| {
+            let names = Self::ALL.map(Self::name).join(", ");
+            Error::usage(format!("unknown virtual sensor {name:?}"), format!("choose from {names}"))
+        })
+    }
+}
+
+/// The row of a scanner whose beams lie in one plane, the sensor's x-y plane.
+fn scan_row(scanner: &Scanner) -> Option<u32> {
+    let at = scanner.rows_deg().iter().position(|elevation| elevation.abs() < 1e-9)?;
+    Some(at as u32)
+}
+
+impl VirtualReading {
+    /// A summary of one line, for people.
+    pub fn summary(&self) -> String {
+        let told = match &self.answer {
+            Answer::FreeFloor(a) => a.summary(),
+            Answer::Edges(a) => a.summary(),
+            Answer::RadarLines(a) => a.summary(),
+            Answer::RadarNearest(a) => a.summary(),
+            Answer::RadarLandmarks(a) => a.summary(),
+            Answer::DepthImage(a) => a.summary(),
+            Answer::VerticalPlanes(a) => a.summary(),
+            Answer::Docking(a) => a.summary(),
+        };
+        format!("{}: {told}", self.name)
+    }
+
+    /// The pixels that it marks in the image, if it marks any pixels.
+    pub fn mask(&self) -> Option<&Mask> {
+        match &self.answer {
+            Answer::FreeFloor(floor) => Some(&floor.mask),
+            _ => None,
+        }
+    }
+}

@@ -1,0 +1,80 @@
+//! What virtual sensors reduce: a predicted image, or a measured one.
+
+use presight_features::FeaturePrediction;
+use presight_model::environment::Environment;
+use presight_model::geometry::Pose;
+use presight_model::sensor::Sensor;
+use presight_render::deadline::Degradation;
+use presight_render::plan::IdScheme;
+
+/// What a sensor sees, or should see, at a pose.
+///
+/// ```
+/// use presight::virtual_sensors::{Answer, Settings, View, VirtualSensor};
+/// use presight::Pose;
+/// // A measured scan: everything is 3 m away, but for one beam.
+/// let radar = presight::preset("microwave-radar-scan")?;
+/// let mut range = vec![3.0; radar.width() as usize];
+/// range[100] = 1.25;
+/// let view = View::new(&radar, &Pose::IDENTITY).with_range(&range);
+/// let reading = VirtualSensor::RadarNearest.reduce(&view, &Settings::default())?;
+/// let Answer::RadarNearest(found) = &reading.answer else { unreachable!() };
+/// let nearest = found.nearest.as_ref().expect("something is there");
+/// assert!((nearest.range - 1.25).abs() < 1e-9);
+/// assert_eq!((nearest.pixel, nearest.object.as_str()), ([100, 0], ""));
+/// # Ok::<(), presight::Error>(())
+/// ```
+#[derive(Clone, Copy, Debug)]
+#[non_exhaustive]
+pub struct View<'a> {
+    /// The sensor.
+    pub sensor: &'a Sensor,
+    /// Its pose, body axes.
+    pub world_from_sensor: Pose,
+    /// Metres along each pixel's ray, row-major; see [`crate::Images`]. Empty for tasks that need features only.
+    pub range: &'a [f32],
+    /// What the pixels show, if that is known.
+    pub ids: Option<ViewIds<'a>>,
+    /// What is seen of features, for tasks that need them ([`super::VirtualSensor::needs_features`]).
+    pub features: Option<&'a FeaturePrediction>,
+    /// What was given up for a deadline: where the range is then NaN although there is a ray, nothing is known.
+    pub given_up: Option<&'a Degradation>,
+}
+
+/// What the pixels of a view show.
+#[derive(Clone, Copy, Debug)]
+pub struct ViewIds<'a> {
+    /// The environment that the ids are of.
+    pub environment: &'a Environment,
+    /// Which number `polygon_id` holds.
+    pub scheme: IdScheme,
+    /// See [`crate::Images::polygon_id`].
+    pub polygon_id: &'a [u32],
+    /// See [`crate::Images::object_id`].
+    pub object_id: &'a [u32],
+}
+
+impl<'a> View<'a> {
+    /// A sensor at a pose (body axes), of which nothing else is known.
+    pub fn new(sensor: &'a Sensor, world_from_sensor: &Pose) -> Self {
+        Self { sensor, world_from_sensor: *world_from_sensor, range: &[], ids: None, features: None, given_up: None }
+    }
+
+    /// With ranges, metres along each pixel's ray, row-major.
+    #[must_use]
+    pub fn with_range(self, range: &'a [f32]) -> Self {
+        Self { range, ..self }
+    }
+
+    /// With what the pixels show.
+    #[must_use]
+    pub fn with_ids(self, ids: ViewIds<'a>) -> Self {
+        Self { ids: Some(ids), ..self }
+    }
+
+    /// With what is seen of features.
+    #[must_use]
+    pub fn with_features(self, features: &'a FeaturePrediction) -> Self {
+        Self { features: Some(features), ..self }
+    }
+}

@@ -1,0 +1,350 @@
+//! What a layer is worth: how well its features fix a sensor's pose, place by place, and which of them are enough.
+//!
+//! At each free place of a grid the sensor looks in eight directions. Each view sums up what the features that it shows tell of x, y and
+//! heading: J' J / s^2 of each measured image coordinate, J its derivative, s^2 the variance of the measurement and of the feature's own
+//! position. The inverse is the best covariance that measuring them can reach (the bound of Cramer and Rao); height, roll and pitch
+//! are taken as known, by the mount. A place is as good as the worst of its eight views.
+
+use crate::free_poses::{height_above, is_clear};
+use crate::predict::Predictor;
+use crate::request::Request;
+use glam::DVec3;
+use presight_features::{FeatureOptions, PlacedFeatures, informations};
+use presight_model::error::{Error, Result, short};
+use presight_model::geometry::Pose;
+use presight_model::index::QueryResult;
+use presight_model::sensor::Sensor;
+use presight_model::world::World;
+use presight_model::{limits, memory};
+use presight_render::plan::{Output, Outputs};
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+
+/// Directions in which the sensor looks at each place.
+pub const HEADINGS: u32 = 8;
+
+/// Of the information's determinant, beside what its diagonal makes: below this a direction is open.
+const OPEN: f64 = 1e-12;
+
+/// Bytes of views that are asked for at once.
+const A_LOT: u64 = 64 << 20;
+
+/// Where a layer is tried.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct WorthOptions {
+    /// Metres between the places of the grid.
+    pub spacing: f64,
+    /// Height of the robot's frame, metres. The sensor is above it by its mount's height.
+    pub floor: f64,
+}
+
+impl Default for WorthOptions {
+    fn default() -> Self {
+        Self { spacing: 1.0, floor: 0.0 }
+    }
+}
+
+/// A free place of the grid.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct WorthPlace {
+    /// World, metres.
+    pub at: DVec3,
+    /// Column and row of the grid: along x and along y.
+    pub cell: [u32; 2],
+    /// Fewest features that one of the views shows.
+    pub features: usize,
+    /// Largest standard deviation of the position along any direction in any of the views, metres. Infinite if a view leaves a direction
+    /// open.
+    pub position_sigma: f64,
+    /// Of the heading, radians, likewise.
+    pub heading_sigma: f64,
+}
+
+/// Information of x, y and heading: xx, xy, xh, yy, yh, hh.
+type Planar = [f64; 6];
+
+/// What each feature that a view shows tells.
+type View = Vec<(u32, Planar)>;
+
+/// What a layer is worth at the places of a grid.
+#[derive(Clone, Debug)]
+pub struct Worth {
+    /// The free places, by row and column.
+    pub places: Vec<WorthPlace>,
+    /// Columns and rows of the grid.
+    pub size: [u32; 2],
+    /// How many features were given.
+    pub given: usize,
+    views: Vec<View>,
+}
+
+/// The features that are enough.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Thinned {
+    /// By feature as given.
+    pub keep: Vec<bool>,
+    /// By how much the standard deviation of the position grows at most, as a part of it.
+    pub position_growth: f64,
+    /// Of the heading.
+    pub heading_growth: f64,
+}
+
+impl Worth {
+    /// Looks at the features from every free place. `watch` is told how many views of how many are done.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Usage`] for a spacing that is none, a grid of more places than [`limits::MAX_WORTH_PLACES`], or a sensor
+    /// without noise of its pixels; [`crate::ErrorKind::Invalid`] if no place is free; [`crate::ErrorKind::System`] if there is no memory for
+    /// what all views show; those of [`Predictor::predict`].
+    pub fn of(
+        world: &World,
+        sensor: &Sensor,
+        placed: &PlacedFeatures,
+        options: &WorthOptions,
+        predictor: &mut Predictor,
+        mut watch: impl FnMut(usize, usize),
+    ) -> Result<Self> {
+        if !(sensor.spec().noise.pixel_sigma > 0.0) {
+            let what = format!("sensor {} has no noise of its pixels", sensor.spec().name);
+            return Err(Error::usage(what, "give it pixel_sigma in [noise]"));
+        }
+        let (size, free) = grid(world, sensor, options)?;
+        let outputs = Outputs::of(&[Output::PolygonId]);
+        let request = Request::of(outputs).with_features(FeatureOptions::default().with_placed(placed.clone()));
+        let mut worth = Self { places: Vec::new(), size, given: placed.features.len(), views: Vec::new() };
+        let count = free.len() * HEADINGS as usize;
+        let (mut held, mut granted) = (0, 0);
+        for (cell, at) in free {
+            let mut place = WorthPlace { at, cell, features: usize::MAX, position_sigma: 0.0, heading_sigma: 0.0 };
+            for heading in 0..HEADINGS {
+                let yaw = std::f64::consts::TAU * f64::from(heading) / f64::from(HEADINGS);
+                let mount = Pose { translation: DVec3::ZERO, ..sensor.spec().mount };
+                let pose = Pose::from_xyz_rpy(at, 0.0, 0.0, yaw) * mount;
+                let seen = predictor.predict(world, sensor, &pose, &request)?.features.unwrap_or_default();
+                let mut told: Vec<(u32, Planar)> = informations(&seen, &placed.features, (world, sensor, &pose))
+                    .into_iter()
+                    .map(|(i, m)| (seen.given_at(i) as u32, [m[0][0], m[0][1], m[0][5], m[1][1], m[1][5], m[5][5]]))
+                    .collect();
+                // The list that it was made of, in place, was five times as long.
+                told.shrink_to_fit();
+                let [position, turn] = sigmas(&sum(told.iter().map(|(_, told)| told)));
+                place.features = place.features.min(told.len());
+                place.position_sigma = place.position_sigma.max(position);
+                place.heading_sigma = place.heading_sigma.max(turn);
+                held += size_of_val(&told[..]) as u64;
+                worth.views.push(told);
+                if held > granted {
+                    granted = 2 * held.max(A_LOT);
+                    let place = |e: Error| e.at(format!("view {} of {count}", worth.views.len()));
+                    memory::require(granted).map_err(place)?;
+                }
+                watch(worth.views.len(), count);
+            }
+            worth.places.push(place);
+        }
+        Ok(worth)
+    }
+
+    /// Drops features one by one, each time the one that tells least beside the others where it tells most, while neither standard
+    /// deviation of any view grows by more than `growth`, a part of it. Views that leave a direction open ask for nothing. What no view
+    /// shows is dropped.
+    pub fn thinned(&self, growth: f64) -> Thinned {
+        let mut of_feature: Vec<Vec<(u32, Planar)>> = vec![Vec::new(); self.given];
+        for (number, view) in (0..).zip(&self.views) {
+            for (feature, told) in view {
+                // A contour is seen as several curves, which go together.
+                match of_feature[*feature as usize].last_mut().filter(|(before, _)| *before == number) {
+                    Some((_, sum)) => (0..6).for_each(|i| sum[i] += told[i]),
+                    None => of_feature[*feature as usize].push((number, *told)),
+                }
+            }
+        }
+        let mut sums: Vec<Planar> = self.views.iter().map(|view| sum(view.iter().map(|(_, told)| told))).collect();
+        let before: Vec<[f64; 2]> = sums.iter().map(sigmas).collect();
+        let holds = |now: &Planar, before: &[f64; 2]| {
+            let now = sigmas(now);
+            (0..2).all(|i| before[i].is_infinite() || now[i] <= before[i] * (1.0 + growth))
+        };
+        let share = |feature: usize, sums: &[Planar]| {
+            let of_view = |(view, told): &(u32, Planar)| match inverse(&sums[*view as usize]) {
+                Some(c) if before[*view as usize][0].is_finite() => product_trace(&c, told),
+                _ => 0.0,
+            };
+            of_feature[feature].iter().map(of_view).fold(0.0, f64::max)
+        };
+        let mut keep = vec![false; self.given];
+        // What a feature tells beside the others only grows while others go. Numbers of finite floats that are not negative rise as their bits do.
+        let entry = |feature: usize, sums: &[Planar]| Reverse((share(feature, sums).to_bits(), feature));
+        let mut heap: BinaryHeap<_> = (0..self.given).map(|feature| entry(feature, &sums)).collect();
+        while let Some(Reverse((known, feature))) = heap.pop() {
+            let now = entry(feature, &sums);
+            if now.0.0 > known && heap.peek().is_some_and(|next| now < *next) {
+                heap.push(now);
+                continue;
+            }
+            let without =
+                |(view, told): &(u32, Planar)| -> Planar { std::array::from_fn(|i| sums[*view as usize][i] - told[i]) };
+            let fits = |of: &(u32, Planar)| holds(&without(of), &before[of.0 as usize]);
+            if of_feature[feature].iter().all(fits) {
+                let rest: Vec<(u32, Planar)> = of_feature[feature].iter().map(|of| (of.0, without(of))).collect();
+                rest.into_iter().for_each(|(view, rest)| sums[view as usize] = rest);
+            } else {
+                keep[feature] = true;
+            }
+        }
+        let reached = |i: usize| {
+            let of_view = |(view, before): (&View, &[f64; 2])| {
+                let now = sigmas(&sum(view.iter().filter(|(f, _)| keep[*f as usize]).map(|(_, told)| told)));
+                if before[i].is_finite() { now[i] / before[i] - 1.0 } else { 0.0 }
+            };
+            self.views.iter().zip(&before).map(of_view).fold(0.0, f64::max)
+        };
+        let (position_growth, heading_growth) = (reached(0), reached(1));
+        Thinned { keep, position_growth, heading_growth }
+    }
+
+    /// As CSV: a line for each free place.
+    pub fn csv(&self) -> String {
+        let mut text = String::from("x,y,z,features,position_sigma_m,heading_sigma_deg\n");
+        for p in &self.places {
+            let degrees = p.heading_sigma.to_degrees();
+            text += &format!("{},{},{},{},{},{degrees}\n", p.at.x, p.at.y, p.at.z, p.features, p.position_sigma);
+        }
+        text
+    }
+
+    /// A value of every place of the grid, row by row from the least y; NaN where none is free.
+    pub fn map(&self, value: impl Fn(&WorthPlace) -> f64) -> Vec<f64> {
+        let mut map = vec![f64::NAN; self.size[0] as usize * self.size[1] as usize];
+        for place in &self.places {
+            map[place.cell[1] as usize * self.size[0] as usize + place.cell[0] as usize] = value(place);
+        }
+        map
+    }
+}
+
+type Free = Vec<([u32; 2], DVec3)>;
+
+/// Columns and rows of the grid, and its free places: clear of polygons, with something under the robot.
+fn grid(world: &World, sensor: &Sensor, options: &WorthOptions) -> Result<([u32; 2], Free)> {
+    let WorthOptions { spacing, floor } = *options;
+    if !(spacing > 0.0 && spacing.is_finite() && floor.is_finite()) {
+        let what = format!("a grid every {} m at a height of {} m", short(spacing), short(floor));
+        return Err(Error::usage(what, "give a spacing above 0 and a finite height"));
+    }
+    let bounds = world.environment().bounds();
+    let count = ((bounds.max - bounds.min) / spacing).max(DVec3::ZERO).ceil();
+    if bounds.is_empty() || !(count.x * count.y <= limits::MAX_WORTH_PLACES as f64) {
+        let what = format!("a grid every {} m has {} places", short(spacing), short(count.x * count.y));
+        return Err(Error::usage(
+            what,
+            format!("at most {} are looked at: give a wider spacing", limits::MAX_WORTH_PLACES),
+        ));
+    }
+    let size = [count.x.max(1.0) as u32, count.y.max(1.0) as u32];
+    let height = floor + sensor.spec().mount.translation.z;
+    let (mut found, mut free) = (QueryResult::default(), Vec::new());
+    for row in 0..size[1] {
+        for column in 0..size[0] {
+            let at = |least: f64, n: u32| least + (f64::from(n) + 0.5) * spacing;
+            let place = DVec3::new(at(bounds.min.x, column), at(bounds.min.y, row), height);
+            if is_clear(world, place, &mut found) && stands(world, place, floor, &mut found) {
+                free.push(([column, row], place));
+            }
+        }
+    }
+    if free.is_empty() {
+        let what = format!("no place {} m above the floor at {} m is free", short(height - floor), short(floor));
+        return Err(Error::invalid(what, "give the height of the floor, or a sensor whose mount has one"));
+    }
+    Ok((size, free))
+}
+
+/// True if the floor is below a place, within a step, and nothing above it.
+fn stands(world: &World, place: DVec3, floor: f64, found: &mut QueryResult) -> bool {
+    /// Metres.
+    const STEP: f64 = 0.1;
+    let height = place.z - floor;
+    height_above(world, place, height.max(0.0) + STEP, found).is_some_and(|down| (down - height).abs() <= STEP)
+}
+
+fn sum<'a>(all: impl Iterator<Item = &'a Planar>) -> Planar {
+    all.fold([0.0; 6], |sum, told| std::array::from_fn(|i| sum[i] + told[i]))
+}
+
+/// The covariance, in the same order; `None` if a direction is open.
+fn inverse(&[xx, xy, xh, yy, yh, hh]: &Planar) -> Option<Planar> {
+    let cofactors = [
+        yy * hh - yh * yh,
+        xh * yh - xy * hh,
+        xy * yh - xh * yy,
+        xx * hh - xh * xh,
+        xy * xh - xx * yh,
+        xx * yy - xy * xy,
+    ];
+    let determinant = xx * cofactors[0] + xy * cofactors[1] + xh * cofactors[2];
+    (determinant > OPEN * xx * yy * hh).then(|| cofactors.map(|c| c / determinant))
+}
+
+/// The largest standard deviation of the position along any direction, and that of the heading.
+fn sigmas(information: &Planar) -> [f64; 2] {
+    let Some([xx, xy, _, yy, _, hh]) = inverse(information) else { return [f64::INFINITY; 2] };
+    let largest = 0.5 * (xx + yy) + (0.5 * (xx - yy)).hypot(xy);
+    [largest.sqrt(), hh.sqrt()]
+}
+
+/// Of the product of two symmetric matrices.
+fn product_trace(a: &Planar, b: &Planar) -> f64 {
+    let diagonal = a[0] * b[0] + a[3] * b[3] + a[5] * b[5];
+    (diagonal + 2.0 * (a[1] * b[1] + a[2] * b[2] + a[4] * b[4])).max(0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn worth(views: Vec<Vec<(u32, Planar)>>, given: usize) -> Worth {
+        Worth { places: Vec::new(), size: [1, 1], given, views }
+    }
+
+    const ALONG_X: Planar = [400.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+    const ALONG_Y: Planar = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0];
+    const TURN: Planar = [0.0, 0.0, 0.0, 0.0, 0.0, 100.0];
+
+    /// 4, 1 and 100 along the axes: standard deviations of 1/2, 1 and 1/10. Turned by 45 degrees the largest stays 1.
+    #[test]
+    fn standard_deviations_are_those_worked_out() {
+        assert_eq!(sigmas(&[4.0, 0.0, 0.0, 1.0, 0.0, 100.0]), [1.0, 0.1]);
+        let [position, heading] = sigmas(&[2.5, 1.5, 0.0, 2.5, 0.0, 100.0]);
+        assert!((position - 1.0).abs() < 1e-12 && (heading - 0.1).abs() < 1e-12);
+        // x and heading told together only: [[2, 1], [1, 1]] of x and heading has the inverse [[1, -1], [-1, 2]].
+        let [position, heading] = sigmas(&[2.0, 0.0, 1.0, 1.0, 0.0, 1.0]);
+        assert!((position - 1.0).abs() < 1e-12 && (heading - 2f64.sqrt()).abs() < 1e-12);
+        assert_eq!(sigmas(&[4.0, 0.0, 0.0, 0.0, 0.0, 100.0]), [f64::INFINITY; 2]);
+        // One line alone, seen with rounding.
+        assert_eq!(sigmas(&[1.0, 1.0, 1.0, 1.0 + 1e-15, 1.0, 1.0]), [f64::INFINITY; 2]);
+    }
+
+    /// y is told by seven features of 1, 1, .., less than x, and needs 7 / 1.1^2 = 5.8 of them: one can go. x and heading are told once.
+    #[test]
+    fn features_go_while_the_rest_is_enough() {
+        let mut told = vec![(0, ALONG_X), (1, TURN)];
+        told.extend((2..9).map(|i| (i, ALONG_Y)));
+        let thinned = worth(vec![told.clone()], 10).thinned(0.1);
+        assert_eq!(thinned.keep, [true, true, false, true, true, true, true, true, true, false]);
+        assert!((thinned.position_growth - ((7.0f64 / 6.0).sqrt() - 1.0)).abs() < 1e-12);
+        assert_eq!(thinned.heading_growth, 0.0);
+        // A view that shows only two of them needs both, and one that leaves a direction open needs nothing.
+        let few = vec![(0, ALONG_X), (1, TURN), (2, ALONG_Y), (3, ALONG_Y)];
+        let thinned = worth(vec![told, few, vec![(9, ALONG_Y)]], 10).thinned(0.1);
+        assert_eq!(thinned.keep, [true, true, true, true, false, true, true, true, true, false]);
+        // Two curves of one contour, of 9 that tell y: without both 7 are left, and sqrt(9 / 7) is over 1.1.
+        let mut curves = vec![(0, ALONG_X), (1, TURN), (2, ALONG_Y), (2, ALONG_Y)];
+        curves.extend((3..10).map(|_| (3, ALONG_Y)));
+        let thinned = worth(vec![curves], 4).thinned(0.1);
+        assert_eq!((thinned.keep, thinned.position_growth), (vec![true; 4], 0.0));
+        // Nothing may grow: everything that tells stays.
+        assert_eq!(worth(vec![vec![(0, ALONG_X), (1, TURN), (2, ALONG_Y)]], 3).thinned(0.0).keep, [true; 3]);
+    }
+}

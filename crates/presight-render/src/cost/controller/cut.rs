@@ -1,0 +1,52 @@
+//! The first estimate (paper, section 3.3): the query region shrinks, first its radius, then its angle.
+
+use super::{Controller, DeadlineFrame, counts_of, milliseconds};
+use crate::cost::Forecast;
+use crate::deadline::{DegradationKind, DegradationStep};
+use crate::plan::{FramePlan, Run};
+use presight_model::error::Result;
+use presight_model::sensor::ImagePart;
+
+/// Columns that are drawn: the angle shrinks no further.
+const LEAST_COLUMNS: u32 = 8;
+
+/// Share of the least radius that can be drawn in time: above it the clock decides, for narrowing takes another selection.
+const WORTH_NARROWING: f64 = 0.8;
+
+impl Controller {
+    /// Leaves out what surely cannot be drawn: runs are sorted by distance, so that a radius is a prefix of them. What is left of the
+    /// least radius is narrowed to columns around the heading.
+    pub(super) fn cut(&self, timed: &mut DeadlineFrame, plan: &mut FramePlan) -> Result<()> {
+        let left = timed.watch.left().as_secs_f64();
+        let low = |runs: &[Run]| {
+            let estimate = self.at_stride(timed, (Forecast::Selection, &counts_of(runs)), timed.stride);
+            // Nothing that was not learnt gives anything up.
+            if estimate.frames == 0 { 0.0 } else { estimate.lower }
+        };
+        if low(&plan.runs) <= left {
+            return Ok(());
+        }
+        let least_radius = timed.priority.least_radius as f32;
+        let least = plan.runs.partition_point(|run| run.nearest <= least_radius).max(1);
+        let (mut fits, mut late) = (least, plan.runs.len());
+        while late > fits + 1 {
+            let middle = fits.midpoint(late);
+            if low(&plan.runs[..middle]) <= left { fits = middle } else { late = middle }
+        }
+        plan.cut(fits);
+        let needed = low(&plan.runs);
+        let taken = |means, metres| DegradationStep { means, at_ms: milliseconds(timed.watch.elapsed()), metres };
+        let mut cut = Vec::new();
+        cut.extend(plan.radius.map(|radius| taken(DegradationKind::Radius, Some(f64::from(radius)))));
+        let share = left / needed;
+        if share < WORTH_NARROWING && timed.draws_parts {
+            let columns = ((f64::from(plan.sensor.width()) * share) as u32).max(LEAST_COLUMNS * timed.stride);
+            if let Some(part) = plan.sensor.columns_around(timed.priority.heading, columns) {
+                plan.narrow(ImagePart { stride: timed.stride, ..part })?;
+                cut.push(taken(DegradationKind::Angle, None));
+            }
+        }
+        timed.cut = cut;
+        Ok(())
+    }
+}

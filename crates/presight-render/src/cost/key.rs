@@ -1,0 +1,101 @@
+//! What unit costs depend on.
+
+use crate::plan::Outputs;
+use presight_model::sensor::{Geometry, Sensor};
+use std::fmt;
+
+/// At what point of a frame its time is estimated: earlier, the counts are bounds or means, and mean something else.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Forecast {
+    /// Before anything is done: of the selection alone.
+    Access,
+    /// After selection: of the drawing.
+    Selection,
+    /// After a wave's setup, from bounds of its counts.
+    Wave,
+    /// Of what is left when drawing has ended.
+    Images,
+    /// Of features and their regions of interest.
+    Features,
+    /// Of a finished frame, from what was done.
+    Finished,
+}
+
+impl Forecast {
+    /// All, in order.
+    pub const ALL: [Self; 6] =
+        [Self::Access, Self::Selection, Self::Wave, Self::Images, Self::Features, Self::Finished];
+
+    /// As files name it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Access => "access",
+            Self::Selection => "selection",
+            Self::Wave => "wave",
+            Self::Images => "images",
+            Self::Features => "features",
+            Self::Finished => "finished",
+        }
+    }
+}
+
+/// What unit costs depend on: costs learnt for one key say nothing about another.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Key {
+    /// `cpu`, `gpu` or `reference`.
+    pub engine: String,
+    /// Adapter and driver of the GPU engine.
+    pub adapter: Option<String>,
+    /// CPU threads.
+    pub threads: usize,
+    /// Image geometry: kind and size, and whether rays come from a table.
+    pub geometry: String,
+    /// What is asked for, by name.
+    pub outputs: String,
+    /// When the estimate is made.
+    pub forecast: Forecast,
+}
+
+impl Key {
+    /// The key of a prediction.
+    ///
+    /// ```
+    /// use presight::cost::{Forecast, Key};
+    /// use presight::{Output, Outputs, preset};
+    /// let outputs = Outputs::of(&[Output::Range, Output::PolygonId]);
+    /// let key = Key::new("cpu", None, 2, &preset("laser-scanner")?, outputs, Forecast::Finished);
+    /// assert_eq!((key.geometry.as_str(), key.outputs.as_str()), ("scanner 361 x 1", "range,polygon_id"));
+    /// # Ok::<(), presight::Error>(())
+    /// ```
+    pub fn new(
+        engine: &str,
+        adapter: Option<&str>,
+        threads: usize,
+        sensor: &Sensor,
+        outputs: Outputs,
+        forecast: Forecast,
+    ) -> Self {
+        let kind = match &sensor.spec().geometry {
+            Geometry::Camera(camera) if camera.distortion == presight_model::sensor::Distortion::None => "camera",
+            Geometry::Camera(_) => "camera with a lens",
+            Geometry::Scanner(_) => "scanner",
+            Geometry::Rays(_) => "rays",
+        };
+        Self {
+            engine: engine.to_owned(),
+            adapter: adapter.map(str::to_owned),
+            threads,
+            geometry: format!("{kind} {} x {}", sensor.width(), sensor.height()),
+            outputs: outputs.iter().map(crate::plan::Output::name).collect::<Vec<_>>().join(","),
+            forecast,
+        }
+    }
+}
+
+impl fmt::Display for Key {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { engine, adapter, threads, geometry, outputs, forecast } = self;
+        let adapter = adapter.as_deref().unwrap_or("no adapter");
+        write!(f, "{engine}, {adapter}, {threads} threads, {geometry}, {outputs}, {}", forecast.name())
+    }
+}

@@ -1,0 +1,116 @@
+//! Unit costs of all keys.
+
+use super::{Key, UnitCosts, WorkCounts};
+use presight_model::error::{Error, Result};
+use std::collections::BTreeMap;
+
+/// Most keys of one model.
+pub const MAX_MODELS: usize = 4096;
+
+/// Seconds that a frame will take.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TimeEstimate {
+    /// Most likely, seconds.
+    pub mean: f64,
+    /// All but a hundredth of frames take less, seconds.
+    pub upper: f64,
+    /// All but a hundredth of frames take more, seconds.
+    pub lower: f64,
+    /// Frames that it was learnt from; 0 is the careful default.
+    pub frames: u64,
+}
+
+/// What frames cost, by engine, adapter, threads, sensor geometry and outputs.
+///
+/// ```
+/// use presight::cost::{CostModel, WorkCounts, Forecast, Key};
+/// use presight::{Outputs, preset};
+/// let key = Key::new("cpu", None, 2, &preset("video-camera")?, Outputs::default(), Forecast::Finished);
+/// let mut model = CostModel::default();
+/// // Each polygon takes a microsecond.
+/// for polygons in (1000..3000).step_by(10) {
+///     model.observe(&key, &WorkCounts { polygons, ..WorkCounts::default() }, polygons as f64 * 1e-6)?;
+/// }
+/// let estimate = model.estimate(&key, &WorkCounts { polygons: 5000, ..WorkCounts::default() });
+/// assert!((estimate.mean - 5e-3).abs() < 1e-4);
+/// # Ok::<(), presight::Error>(())
+/// ```
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct CostModel {
+    pub models: BTreeMap<Key, UnitCosts>,
+}
+
+impl CostModel {
+    /// What a frame of these counts will take; from careful defaults for a key that was never observed.
+    pub fn estimate(&self, key: &Key, counts: &WorkCounts) -> TimeEstimate {
+        let of = |costs: &UnitCosts| {
+            let mean = costs.mean(counts);
+            let [low, high] = costs.factors;
+            TimeEstimate { mean, upper: mean * high, lower: mean * low, frames: costs.frames }
+        };
+        self.models.get(key).map_or_else(|| of(&UnitCosts::default()), of)
+    }
+
+    /// Learns that a frame of these counts took `seconds`.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Invalid`] for a time that is NaN, infinite or not above 0, as of a clock that was set back, and beyond
+    /// [`MAX_MODELS`] keys. Nothing is learnt then.
+    pub fn observe(&mut self, key: &Key, counts: &WorkCounts, seconds: f64) -> Result<()> {
+        if !(seconds > 0.0 && seconds <= 1e9) {
+            let what = format!("a frame that takes {seconds} s");
+            return Err(Error::invalid(what, "measure with a clock that only goes forward"));
+        }
+        if self.models.len() >= MAX_MODELS && !self.models.contains_key(key) {
+            let what = format!("costs of more than {MAX_MODELS} engines, sensors and outputs");
+            return Err(Error::invalid(what, "begin a new cost model"));
+        }
+        self.models.entry(key.clone()).or_default().observe(counts, seconds);
+        Ok(())
+    }
+
+    /// Seconds by kind of work ([`WorkCounts::NAMES`]) of a key; `None` if it was never observed.
+    pub fn unit_costs(&self, key: &Key) -> Option<&[f64]> {
+        self.models.get(key).map(|costs| costs.seconds.as_slice())
+    }
+
+    /// Keys that were observed.
+    pub fn keys(&self) -> impl Iterator<Item = &Key> {
+        self.models.keys()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cost::Forecast;
+
+    #[test]
+    fn bad_times_are_errors_and_teach_nothing() {
+        let key = Key {
+            engine: "cpu".into(),
+            adapter: None,
+            threads: 1,
+            geometry: "camera 2 x 2".into(),
+            outputs: "range".into(),
+            forecast: Forecast::Finished,
+        };
+        let mut model = CostModel::default();
+        for seconds in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+            assert_eq!(
+                model.observe(&key, &WorkCounts::default(), seconds).unwrap_err().kind(),
+                presight_model::ErrorKind::Invalid
+            );
+        }
+        assert_eq!(model, CostModel::default());
+        // Absurd counts and times leave numbers finite.
+        let most = WorkCounts { polygons: u64::MAX, samples_tested: u64::MAX, ..WorkCounts::default() };
+        for seconds in [1e-12, 1e9] {
+            model.observe(&key, &most, seconds).unwrap();
+            model.observe(&key, &WorkCounts::default(), seconds).unwrap();
+        }
+        let estimate = model.estimate(&key, &most);
+        assert!(estimate.mean.is_finite() && estimate.upper.is_finite(), "{estimate:?}");
+        assert!(model.unit_costs(&key).unwrap().iter().all(|c| *c >= 0.0 && c.is_finite()));
+    }
+}

@@ -1,0 +1,186 @@
+//! How far a frame with a deadline has come, band by band.
+//!
+//! A band draws one batch of a wave after the other, nearest first, and looks at the clock before each. Where it stops,
+//! everything nearer than the first batch left out has been drawn: samples nearer than that are final. What was drawn beyond
+//! it is not final and is not shown.
+
+use super::batch::Batch;
+use super::{FIRST_WAVE, thinning};
+use crate::deadline::{DeadlineOutcome, Degradation, DegradationKind, DegradationStep, Opening, Wave};
+use crate::plan::{CountName, FramePlan, Stats};
+use presight_model::sensor::ImagePart;
+use std::time::Duration;
+
+/// Least size of a wave, which the time left may ask for.
+const LEAST_WAVE: usize = *FIRST_WAVE.end() / 4;
+
+/// Time left, by what drawing is expected to take, from which on a wave is drawn without a look at the clock.
+const PLENTY: f64 = 8.0;
+
+/// How far a band has come.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Band {
+    /// Metres: everything nearer has been drawn.
+    pub complete_to: f32,
+    /// It stopped before all of its polygons were drawn.
+    pub has_stopped: bool,
+    /// More was drawn than the tiles' farthest depths tell.
+    pub stale: bool,
+    /// Samples tested against a polygon's depth.
+    pub tested: u64,
+    /// Intervals, or tiles, in which they lie.
+    pub spans: u64,
+    /// Of these, samples since the clock was asked for the last time.
+    pub unwatched: u64,
+    /// Samples that show a polygon; counted only with a deadline.
+    pub written: u64,
+    /// Samples given up.
+    pub given_up: u64,
+    /// Time for its images, with a deadline.
+    pub resolving: Duration,
+}
+
+/// How far a frame has come.
+pub(super) struct FrameProgress<'a> {
+    plan: &'a FramePlan,
+    pub bands: Vec<Band>,
+    /// Drawing began so long after the call.
+    begun: Duration,
+    /// The time was up before all runs were drawn, at this time after the call.
+    stopped_at: Option<Duration>,
+    pub has_stopped: bool,
+    /// The drawing may be stopped, so that bands are kept in step.
+    pub in_step: bool,
+    /// There is many times the time that the drawing is expected to take: bands draw a wave without a look at the clock.
+    pub has_plenty: bool,
+    /// The first wave, with a deadline: when its drawing began, and what is known of it.
+    wave: Option<(Duration, Wave)>,
+}
+
+impl<'a> FrameProgress<'a> {
+    pub fn new(plan: &'a FramePlan, bands: usize) -> Self {
+        Self {
+            plan,
+            bands: vec![Band::default(); bands],
+            begun: plan.elapsed(),
+            stopped_at: None,
+            has_stopped: false,
+            in_step: false,
+            has_plenty: false,
+            wave: None,
+        }
+    }
+
+    /// Takes note of the first wave, that of the first `done` runs, after its setup, which took so long. `beyond` is the nearest distance
+    /// of what follows. The answer is the stride at which most samples are to be expected in time.
+    pub fn begin_wave(&mut self, batches: &[Batch], (done, beyond): (usize, f32), set_up: Duration) -> u32 {
+        let Some(watch) = &self.plan.watch else { return 1 };
+        let polygons = batches.iter().map(|batch| batch.polygons.len() as u64).sum();
+        let samples = batches.iter().map(|batch| batch.pixels).sum();
+        let estimate = self.plan.pace.map_or(0.0, |pace| thinning::seconds(&pace, polygons, samples, 1));
+        let now = watch.elapsed();
+        self.wave = Some((now, Wave { polygons, samples, estimate_ms: 1e3 * estimate, time_ms: 0.0 }));
+        let left = watch.left().as_secs_f64();
+        match &self.plan.pace {
+            Some(pace) => {
+                let set_up = set_up.as_secs_f64();
+                let rest = (pace.drawing - set_up - estimate).max(0.0);
+                let (grid, radius) = (self.plan.sensor.grid(), self.plan.nearest_after(usize::MAX));
+                let later = &self.plan.runs[done..];
+                let frame = thinning::Frame { batches, later, rest, beyond, radius, grid, pace, left, set_up };
+                self.in_step = estimate + rest > left;
+                self.has_plenty = PLENTY * (estimate + rest) < left;
+                let is_thinned = self.plan.sensor.part_stride() > 1;
+                if self.in_step && !is_thinned { thinning::stride(&frame) } else { 1 }
+            }
+            None => {
+                self.in_step = true;
+                1
+            }
+        }
+    }
+
+    /// Where one band has stopped the others do too, complete to where they are. True if so.
+    pub fn stop_together(&mut self) -> bool {
+        let stopped = self.bands.iter().any(|band| band.has_stopped);
+        if stopped {
+            self.bands.iter_mut().for_each(|band| band.has_stopped = true);
+        }
+        stopped
+    }
+
+    /// The first wave is drawn, unless the time was up before. What is told of it is drawing alone, without images.
+    pub fn end_wave(&mut self, waves: usize, last: bool) {
+        if waves > 1 {
+            return;
+        }
+        // Of a wave that was not set up nothing is learnt either.
+        let stopped = self.bands.iter().any(|band| band.has_stopped) || self.wave.is_some_and(|(_, w)| w.polygons == 0);
+        let (Some(watch), Some((begun, wave))) = (&self.plan.watch, &mut self.wave) else { return };
+        let threads = rayon::current_num_threads().max(1) as u32;
+        let resolving = self.bands.iter().map(|band| band.resolving).sum::<Duration>() / threads;
+        let images = if last { resolving } else { Duration::ZERO };
+        wave.time_ms = watch.elapsed().saturating_sub(*begun).saturating_sub(images).as_secs_f64() * 1e3;
+        if stopped {
+            self.wave = None;
+        }
+    }
+
+    /// True when the images have to be made of what there is.
+    pub fn is_over(&mut self) -> bool {
+        let Some(watch) = &self.plan.watch else { return false };
+        self.has_stopped = self.bands.iter().any(|band| band.has_stopped) || watch.is_over();
+        if self.has_stopped {
+            self.stopped_at = Some(watch.elapsed());
+        }
+        self.has_stopped
+    }
+
+    /// Polygons of the next wave at most: by what those of the first `done` runs took, as many as there is time for.
+    pub fn most_polygons(&self, done: usize) -> usize {
+        let Some(watch) = self.plan.watch.as_ref().filter(|_| done > 0) else { return usize::MAX };
+        let polygons: usize = self.plan.runs[..done].iter().map(|r| r.count as usize).sum();
+        let spent = watch.elapsed().saturating_sub(self.begun).as_secs_f64().max(1e-9);
+        ((watch.left().as_secs_f64() / spent * polygons as f64) as usize).max(LEAST_WAVE)
+    }
+
+    /// Tells counts and, with a deadline, what was given up.
+    pub fn tell(&self, stats: &mut Stats) {
+        let sum = |of: fn(&Band) -> u64| self.bands.iter().map(of).sum::<u64>();
+        stats.count(CountName::Spans, sum(|band| band.spans) as usize);
+        stats.count(CountName::SamplesTested, sum(|band| band.tested) as usize);
+        let Some(watch) = &self.plan.watch else { return };
+        stats.count(CountName::SamplesWritten, sum(|band| band.written) as usize);
+        let resolving = self.bands.iter().map(|band| band.resolving).sum::<Duration>() / stats.threads.max(1) as u32;
+        let drawn = self.stopped_at.unwrap_or_else(|| watch.elapsed().saturating_sub(resolving));
+        let drawn_ms = drawn.as_secs_f64() * 1e3;
+        let complete_to = f64::from(self.bands.iter().map(|band| band.complete_to).fold(f32::INFINITY, f32::min));
+        let samples = sum(|band| band.given_up);
+        let stopped = DegradationStep { means: DegradationKind::Clock, at_ms: drawn_ms, metres: Some(complete_to) };
+        let by_clock = self.plan.radius.is_none_or(|radius| complete_to < f64::from(radius));
+        let means = by_clock.then_some(stopped).into_iter().collect();
+        let given_up = (samples > 0).then_some(Degradation { complete_to, samples, means, ..Degradation::default() });
+        let wave = self.wave.as_ref().map(|(_, wave)| *wave);
+        stats.deadline = Some(DeadlineOutcome { drawn_ms, given_up, wave, ..DeadlineOutcome::default() });
+    }
+}
+
+/// Tells that a part of the image was drawn since some time after the call, and that so many rays were not.
+pub(super) fn tell_part(plan: &FramePlan, (part, since): (&ImagePart, Duration), left_out: u64, stats: &mut Stats) {
+    let kept = stats.deadline.get_or_insert_default();
+    if left_out == 0 {
+        return;
+    }
+    let given_up = kept.given_up.get_or_insert_default();
+    given_up.samples += left_out;
+    let all = plan.sensor.whole();
+    if (part.first_column, part.end_column) != (all.first_column, all.end_column) {
+        let [heading_deg, opening_deg] = plan.sensor.opening_of(part);
+        given_up.opening = Some(Opening { heading_deg, opening_deg });
+    }
+    if part.stride > 1 {
+        given_up.stride = part.stride;
+        let at_ms = since.as_secs_f64() * 1e3;
+        given_up.means.insert(0, DegradationStep { means: DegradationKind::Stride, at_ms, metres: None });
+    }
+}

@@ -1,0 +1,303 @@
+//! Setup: from runs of mesh polygons to planes and edges in the frame of the rays, dropping early what covers none.
+
+use super::Bands;
+use super::batch::{Batch, PolygonSetup, Shade};
+use super::bounds::{Bounds, Footprint, LANES};
+use super::cull::{self, Occlusion};
+use super::lanes::PolygonLanes;
+use super::sieve::{Sieve, is_told};
+use crate::plan::{FramePlan, Instance, Run};
+use glam::{DMat3, DVec3};
+use presight_model::environment::Mesh;
+use presight_model::limits;
+use presight_model::sensor::{LineGrid, PixelGrid};
+use pulp::Simd;
+use std::ops::Range;
+
+/// One instance in the frame of the rays.
+pub(super) struct RayInstance<'a> {
+    pub mesh: &'a Mesh,
+    pub ray_from_mesh: DMat3,
+    /// Turns a mesh normal over its plane distance into m.
+    pub m_from_normal: DMat3,
+    normal_from_mesh: DMat3,
+    /// What [`RayInstance::length_per_distance`] is for every normal, if it is.
+    uniform: Option<f64>,
+    pub center: DVec3,
+    /// No vector of the mesh is longer in the frame of the rays by more.
+    pub stretch: f64,
+    pub mirrored: bool,
+    plain: bool,
+    object: u32,
+    first_slot: u32,
+}
+
+impl<'a> RayInstance<'a> {
+    pub fn new(plan: &'a FramePlan, instance: &Instance) -> Self {
+        let (ray_from_image, image_from_ray) = match plan.sensor.grid() {
+            PixelGrid::Lines(grid) => (grid.line_from_image(), grid.image_from_line()),
+            PixelGrid::Rays(_) => (DMat3::IDENTITY, DMat3::IDENTITY),
+        };
+        let ray_from_mesh = ray_from_image * instance.image_from_mesh;
+        let object = &plan.environment().objects()[instance.object as usize];
+        Self {
+            mesh: &object.mesh,
+            ray_from_mesh,
+            m_from_normal: image_from_ray.transpose() * instance.normal_from_mesh,
+            normal_from_mesh: instance.normal_from_mesh,
+            uniform: uniform_scale(&instance.normal_from_mesh).map(f64::recip),
+            center: instance.center_in_mesh,
+            stretch: ray_from_mesh.to_cols_array().iter().map(|x| x * x).sum::<f64>().sqrt(),
+            mirrored: ray_from_mesh.determinant() < 0.0,
+            plain: instance.plain,
+            object: instance.object,
+            first_slot: object.first_slot,
+        }
+    }
+
+    /// True metres per metre of a plane's distance in the mesh frame.
+    #[inline(always)]
+    fn length_per_distance(&self, normal: DVec3) -> f64 {
+        match self.uniform {
+            Some(factor) => factor,
+            None => (self.normal_from_mesh * normal).length().recip(),
+        }
+    }
+}
+
+/// The length of every turned unit vector, if it is the same for all to rounding: most instances are at most scaled.
+fn uniform_scale(m: &DMat3) -> Option<f64> {
+    let squares = [m.x_axis, m.y_axis, m.z_axis].map(|c| c.length_squared());
+    let skew = [m.x_axis.dot(m.y_axis), m.y_axis.dot(m.z_axis), m.z_axis.dot(m.x_axis)];
+    let rounding = 1e-13 * squares[0];
+    let alike = (squares[0] - squares[1]).abs() <= rounding && (squares[0] - squares[2]).abs() <= rounding;
+    (alike && skew.iter().all(|s| s.abs() <= rounding)).then(|| squares[0].sqrt())
+}
+
+/// Sets up the polygons of some runs, but for those behind what is drawn.
+#[inline(always)]
+pub(super) fn fill<S: Simd>(
+    simd: S,
+    batch: &mut Batch,
+    plan: &FramePlan,
+    runs: &[Run],
+    bands: &Bands,
+    occlusion: Option<Occlusion<'_>>,
+) {
+    batch.clear();
+    let bounds = Bounds::new(&plan.sensor);
+    let mut sieve = Sieve::new(&plan.sensor);
+    let (mut passed, mut reaches) = (Vec::new(), Vec::new());
+    let mut lanes = PolygonLanes::new();
+    let mut room = Room::default();
+    let mut placed: Option<(u32, RayInstance<'_>)> = None;
+    for run in runs {
+        let known = placed.take().filter(|(i, _)| *i == run.instance);
+        let (_, at) = placed.insert(
+            known.unwrap_or_else(|| (run.instance, RayInstance::new(plan, &plan.instances[run.instance as usize]))),
+        );
+        batch.placed += run.count as usize;
+        passed.clear();
+        reaches.clear();
+        let cluster = sieve.pass(simd, at, run, |polygon, reach| {
+            passed.push(polygon);
+            reaches.push(reach);
+        });
+        batch.passed += passed.len();
+        for (polygons, reaches) in passed.chunks(LANES).zip(reaches.chunks(LANES)) {
+            lanes.load(at, polygons, cluster);
+            let footprints = if reaches.iter().all(is_told) {
+                bounds.told(lanes.corners(), reaches)
+            } else {
+                batch.bounded += polygons.len();
+                bounds.cover(simd, lanes.corners())
+            };
+            let mut left = 0u32;
+            for (i, footprint) in footprints[..polygons.len()].iter().enumerate() {
+                left |= u32::from(!footprint.lines[0].is_empty()) << i;
+            }
+            if left == 0 {
+                continue;
+            }
+            lanes.measure(at, polygons);
+            left = visible_lanes(batch, plan, at, (polygons, left), &lanes, &footprints, occlusion);
+            if left == 0 {
+                continue;
+            }
+            lanes.set_up(at, polygons);
+            if let PixelGrid::Lines(_) = plan.sensor.grid() {
+                lanes.bound();
+            }
+            while left != 0 {
+                let i = left.trailing_zeros() as usize;
+                left &= left - 1;
+                push(batch, plan, at, (polygons[i], i), &lanes, &footprints[i], &mut room);
+            }
+        }
+    }
+    batch.bin(bands);
+}
+
+/// Of the lanes with a footprint, a bit each, those of polygons that may show.
+#[inline(always)]
+fn visible_lanes(
+    batch: &mut Batch,
+    plan: &FramePlan,
+    at: &RayInstance<'_>,
+    (polygons, with_footprint): (&[u32], u32),
+    lanes: &PolygonLanes,
+    footprints: &[Footprint; LANES],
+    occlusion: Option<Occlusion<'_>>,
+) -> u32 {
+    let (mut left, mut visible) = (with_footprint, 0);
+    while left != 0 {
+        let i = left.trailing_zeros() as usize;
+        left &= left - 1;
+        let facing = if at.plain { None } else { Some(plan.facings[usize::from(at.mesh.material(polygons[i]))]) };
+        if facing.is_some_and(|f| !f.opaque) {
+            continue;
+        }
+        if lanes.edge_on[i] {
+            batch.edge_on += 1;
+            continue;
+        }
+        if facing.is_some_and(|f| f.one_sided) && lanes.distance[i] > 0.0 {
+            continue;
+        }
+        // Rounding may draw others nearer than they are.
+        if lanes.clear[i] && occlusion.is_some_and(|occlusion| occlusion.hides(&footprints[i])) {
+            batch.hidden += 1;
+            continue;
+        }
+        visible |= 1 << i;
+    }
+    visible
+}
+
+/// Room for one polygon's bounds, lower and upper ones.
+struct Room([[[f64; 2]; limits::MAX_CORNERS]; 2]);
+
+impl Default for Room {
+    fn default() -> Self {
+        Self([[[0.0; 2]; limits::MAX_CORNERS]; 2])
+    }
+}
+
+/// Adds a polygon, of which the lane is given, to the batch, unless it covers no sample.
+#[inline(always)]
+fn push(
+    batch: &mut Batch,
+    plan: &FramePlan,
+    at: &RayInstance<'_>,
+    (polygon, i): (u32, usize),
+    lanes: &PolygonLanes,
+    footprint: &Footprint,
+    room: &mut Room,
+) {
+    let (first_edge, [lower, upper, steep]) = match plan.sensor.grid() {
+        PixelGrid::Lines(grid) => {
+            let first = batch.bounds.len();
+            let counts = push_bounds(batch, lanes, i, room);
+            if lanes.clear[i] && covers_nothing(grid, footprint, &batch.bounds[first..], counts) {
+                batch.bounds.truncate(first);
+                batch.between += 1;
+                return;
+            }
+            (first as u32, counts)
+        }
+        PixelGrid::Rays(_) => {
+            let (first, count) = (batch.edges.len() as u32, lanes.corner_counts[i]);
+            let edges = lanes.edges[..count as usize].iter();
+            batch.edges.extend(edges.map(|e| DVec3::new(e[0][i], e[1][i], e[2][i])));
+            (first, [0, 0, count as u8])
+        }
+    };
+    let normal = at.mesh.planes()[polygon as usize].normal;
+    let shade = Shade {
+        distance: lanes.distance[i].abs() * at.length_per_distance(normal),
+        polygon_id: plan.drawn_polygon_id(at.object, polygon),
+        object_id: at.object + 1,
+    };
+    let m = DVec3::new(lanes.m[0][i], lanes.m[1][i], lanes.m[2][i]);
+    // Rounding may draw others nearer than they are.
+    let nearest_inverse = if lanes.clear[i] { cull::nearest_inverse(footprint) } else { f64::INFINITY };
+    let slot = at.first_slot + polygon;
+    let Range { start: first_sample, end: end_sample } = footprint.samples;
+    for lines in footprint.lines.iter().filter(|lines| !lines.is_empty()) {
+        let Range { start: first_line, end: end_line } = *lines;
+        batch.polygons.push(PolygonSetup {
+            m,
+            nearest_inverse,
+            first_line,
+            end_line,
+            first_sample,
+            end_sample,
+            first_edge,
+            lower,
+            upper,
+            steep,
+        });
+        batch.shades.push(shade);
+        batch.slots.push(slot);
+    }
+}
+
+/// Appends the edges as bounds of t on a line: lower ones, upper ones, then those that only have a sign.
+#[inline(always)]
+fn push_bounds(batch: &mut Batch, lanes: &PolygonLanes, i: usize, room: &mut Room) -> [u8; 3] {
+    let n = lanes.corner_counts[i] as usize;
+    let edges = || lanes.edges[..n].iter().map(|e| DVec3::new(e[0][i], e[1][i], e[2][i]));
+    // Without a branch on the sign, which no processor can foresee: each bound is written to both lists, and counted in one.
+    let (mut lower, mut upper, mut steep) = (0, 0, 0);
+    let is_steep = |e: DVec3| e.z.abs() <= 1e-30 * (e.x.abs() + e.y.abs());
+    let [lowers, uppers] = &mut room.0;
+    for (e, bound) in edges().zip(&lanes.bounds) {
+        let bound = [bound[0][i], bound[1][i]];
+        (lowers[lower], uppers[upper]) = (bound, bound);
+        let flat = is_steep(e);
+        lower += usize::from(!flat & (e.z > 0.0));
+        upper += usize::from(!flat & (e.z < 0.0));
+        steep += usize::from(flat);
+    }
+    batch.bounds.extend_from_slice(&lowers[..lower]);
+    batch.bounds.extend_from_slice(&uppers[..upper]);
+    if steep > 0 {
+        batch.bounds.extend(edges().filter(|e| is_steep(*e)).map(|e| [e.x, e.y]));
+    }
+    [lower as u8, upper as u8, steep as u8]
+}
+
+/// Samples of a footprint up to which they are tested at once.
+const FEW: usize = 6;
+
+/// True if a small polygon lies between the samples. Those of its footprint are tested as spans are drawn, with one more at
+/// either side of each line for rounding.
+#[inline(always)]
+fn covers_nothing(grid: &LineGrid, footprint: &Footprint, bounds: &[[f64; 2]], [lower, upper, steep]: [u8; 3]) -> bool {
+    let (samples, [lines, more]) = (&footprint.samples, &footprint.lines);
+    if lines.len() * samples.len() > FEW || !more.is_empty() {
+        return false;
+    }
+    let all = grid.positions();
+    let positions = &all[samples.start.saturating_sub(1) as usize..all.len().min(samples.end as usize + 1)];
+    let (lower, rest) = bounds.split_at(usize::from(lower));
+    let (upper, rest) = rest.split_at(usize::from(upper));
+    for &[a, b] in &grid.lines()[lines.start as usize..lines.end as usize] {
+        let (mut least, mut greatest) = (f64::NEG_INFINITY, f64::INFINITY);
+        for e in lower {
+            let t = e[0] * a + e[1] * b;
+            least = if t > least { t } else { least };
+        }
+        for e in upper {
+            let t = e[0] * a + e[1] * b;
+            greatest = if t < greatest { t } else { greatest };
+        }
+        for e in &rest[..usize::from(steep)] {
+            greatest = if e[0] * a + e[1] * b < 0.0 { f64::NEG_INFINITY } else { greatest };
+        }
+        if positions.iter().any(|&t| t >= least && t <= greatest) {
+            return false;
+        }
+    }
+    true
+}

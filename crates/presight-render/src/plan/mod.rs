@@ -1,0 +1,487 @@
+//! The frame plan: what one prediction has to do. It is made before any engine starts and knows no engine.
+
+mod derived;
+mod images;
+mod keys;
+mod names;
+mod output;
+mod polygons;
+mod raster;
+mod request;
+mod stats;
+mod view;
+mod weighing;
+
+pub use images::{Images, Samples, SamplesMut};
+pub use keys::{KeySurface, Keys, resolve_keys};
+pub use names::{CountName, Part, StageName};
+pub use output::{Maker, Output, OutputInfo, Outputs, SampleKind};
+pub use polygons::PolygonsOfIds;
+pub use raster::Raster;
+pub use request::{IdScheme, ImageRequest};
+pub use stats::{Omission, StageRow, StageVariant, Stats, Work};
+pub use view::region_of;
+pub use weighing::{BeamNumbers, Drawn, Weighing};
+
+use crate::deadline::Watch;
+use glam::{DMat3, DVec3};
+use presight_model::environment::{Appearance, Environment, Material};
+use presight_model::error::Result;
+use presight_model::geometry::Pose;
+use presight_model::index::{ObjectRun, QueryResult, Region};
+use presight_model::sensor::{ImagePart, PixelGrid, STRIDES, Sensor};
+use presight_model::world::World;
+use std::borrow::Cow;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// One object as the sensor sees it. A mesh point p is at `image_from_mesh * (p - center_in_mesh)` in the image
+/// frame. Subtracting first keeps the precision of near points, also in f32.
+#[derive(Clone, Copy, Debug)]
+pub struct Instance {
+    /// Index of the object in the environment.
+    pub object: u32,
+    /// Linear part, f64.
+    pub image_from_mesh: DMat3,
+    /// The sensor's centre in the mesh frame, metres.
+    pub center_in_mesh: DVec3,
+    /// Turns mesh normals into the image frame: the inverse transpose of the linear part. The result is not of unit length.
+    pub normal_from_mesh: DMat3,
+    /// Frobenius norms of these two.
+    pub(crate) norms: [f64; 2],
+    /// The linear part mirrors.
+    pub mirrors: bool,
+    /// True if all materials of the mesh are opaque to the sensor's class and two-sided, so that engines need not look at them.
+    pub plain: bool,
+}
+
+impl Instance {
+    /// An object as a sensor at a pose (body axes) sees it; `facings` are those of [`facings`].
+    pub fn new(
+        environment: &Environment,
+        sensor: &Sensor,
+        world_from_sensor: &Pose,
+        facings: &[Facing],
+        object: u32,
+    ) -> Self {
+        let o = &environment.objects()[object as usize];
+        let world_from_image = world_from_sensor.rotation_matrix() * sensor.body_from_image();
+        let object_from_mesh = o.object_from_mesh;
+        let image_from_object = world_from_image.transpose() * o.world_from_object.rotation_matrix();
+        let image_from_mesh = image_from_object * object_from_mesh.matrix3;
+        let plain = o.mesh.materials().iter().all(|m| {
+            let f = facings[usize::from(*m)];
+            f.opaque && !f.one_sided
+        });
+        let normal_from_mesh = image_from_object * object_from_mesh.matrix3.inverse().transpose();
+        let norm = |m: DMat3| m.to_cols_array().iter().map(|x| x * x).sum::<f64>().sqrt();
+        Self {
+            object,
+            image_from_mesh,
+            center_in_mesh: o.point_in_mesh(world_from_sensor.translation),
+            normal_from_mesh,
+            norms: [image_from_mesh, normal_from_mesh].map(norm),
+            mirrors: image_from_mesh.determinant() < 0.0,
+            plain,
+        }
+    }
+}
+
+/// What the materials of an environment are to a sensor class, by material index.
+pub fn facings<'a>(environment: &'a Environment, class: &'a str) -> impl Iterator<Item = Facing> + 'a {
+    let opaque = move |m: &Material| m.appearance(class) == Appearance::Opaque;
+    environment.materials().iter().map(move |m| Facing { opaque: opaque(m), one_sided: m.one_sided })
+}
+
+/// A contiguous run of an instance's polygons: the unit in which selection passes polygons to the engines.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Run {
+    /// Index into [`FramePlan::instances`].
+    pub instance: u32,
+    /// First polygon of the mesh.
+    pub first: u32,
+    /// Number of polygons.
+    pub count: u32,
+    /// Lower bound of the distance from the sensor, metres: the front-to-back key.
+    pub nearest: f32,
+}
+
+impl Run {
+    /// A distance, metres, that no point of the run is nearer than. The key is rounded to nearest, this one down.
+    pub(crate) fn nearest_below(&self) -> f32 {
+        self.nearest.next_down().max(0.0)
+    }
+}
+
+/// Why engines have nothing to do.
+pub const NOTHING_IN_VIEW: &str = "no polygon is in view";
+
+/// What a material is to the sensor's class.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Facing {
+    /// Opaque to the sensor's class.
+    pub opaque: bool,
+    /// Visible only from the side of its normal.
+    pub one_sided: bool,
+}
+
+/// What one prediction has to do.
+#[derive(Clone, Debug)]
+pub struct FramePlan {
+    /// The version of the world that it reads.
+    pub world: World,
+    /// The sensor.
+    pub sensor: Sensor,
+    /// The sensor's pose, body axes.
+    pub world_from_sensor: Pose,
+    /// The request.
+    pub request: ImageRequest,
+    /// Objects with at least one polygon selected.
+    pub instances: Vec<Instance>,
+    /// Selected polygons, nearest first.
+    pub runs: Vec<Run>,
+    /// By material index.
+    pub facings: Vec<Facing>,
+    /// Polygons in `runs`.
+    pub polygon_count: usize,
+    /// Objects that were not selected, because they are out of view or range.
+    pub objects_out_of_view: usize,
+    /// Polygons of selected objects that were not selected.
+    pub polygons_out_of_view: usize,
+    /// Objects in view that the sensor's class cannot see.
+    pub objects_not_opaque: usize,
+    /// The clock that drawing stops by, if there is a deadline.
+    pub watch: Option<Watch>,
+    /// Metres: the radius to which the runs were cut for the deadline, if they were.
+    pub radius: Option<f32>,
+    /// The part of the image that is drawn, if it is not all of it.
+    pub part: Option<ImagePart>,
+    /// What drawing takes, if that is known: the image may be thinned by it.
+    pub pace: Option<Pace>,
+    /// Engines may begin with what the sensor's last frame showed.
+    pub reuse_visible: bool,
+    /// Scratch memory, kept from frame to frame.
+    found: QueryResult,
+    selected: Vec<ObjectRun>,
+}
+
+/// Seconds that drawing takes on all threads together, for the second estimate of a prediction with a deadline.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Pace {
+    pub wave: f64,
+    pub polygon: f64,
+    /// For each pixel of the boxes around the images of polygons.
+    pub sample: f64,
+    /// What less is to be kept free for images of each of [`STRIDES`] than for those that are drawn.
+    pub saved: [f64; STRIDES.len()],
+    /// Drawing of all runs, from selection on; 0 if that is not known.
+    pub drawing: f64,
+}
+
+impl Pace {
+    /// Seconds of those kept for images that a thinned image does not need.
+    pub fn saved(&self, stride: u32) -> f64 {
+        STRIDES.iter().position(|s| *s == stride).map_or(0.0, |i| self.saved[i])
+    }
+}
+
+/// Memory of a plan for the next one. It holds nothing of a world: whoever keeps it keeps no version alive.
+#[derive(Debug, Default)]
+pub struct PlanBuffers {
+    instances: Vec<Instance>,
+    runs: Vec<Run>,
+    facings: Vec<Facing>,
+    found: QueryResult,
+    selected: Vec<ObjectRun>,
+}
+
+impl FramePlan {
+    /// Plans a prediction: composes transforms in f64 and selects the runs that the sensor may see.
+    ///
+    /// # Errors
+    /// Those of [`Pose::check`].
+    pub fn new(
+        world: &World,
+        sensor: &Sensor,
+        world_from_sensor: &Pose,
+        request: impl Into<ImageRequest>,
+    ) -> Result<Self> {
+        Self::within(PlanBuffers::default(), world, sensor, world_from_sensor, request.into())
+    }
+
+    /// As [`FramePlan::new`], in the memory of another plan.
+    pub fn within(
+        buffers: PlanBuffers,
+        world: &World,
+        sensor: &Sensor,
+        world_from_sensor: &Pose,
+        request: ImageRequest,
+    ) -> Result<Self> {
+        let PlanBuffers { instances, runs, facings, found, selected } = buffers;
+        let mut plan = Self {
+            world: world.clone(),
+            sensor: sensor.clone(),
+            world_from_sensor: *world_from_sensor,
+            request,
+            instances,
+            runs,
+            facings,
+            polygon_count: 0,
+            objects_out_of_view: 0,
+            polygons_out_of_view: 0,
+            objects_not_opaque: 0,
+            watch: None,
+            radius: None,
+            part: None,
+            pace: None,
+            reuse_visible: false,
+            found,
+            selected,
+        };
+        plan.fill(&region_of(sensor, world_from_sensor)?);
+        Ok(plan)
+    }
+
+    /// Lets engines stop drawing by a clock: for tests. A [`crate::Predictor`] does so for [`Request::deadline`].
+    #[doc(hidden)]
+    pub fn set_watch(&mut self, watch: Watch) {
+        self.watch = Some(watch);
+    }
+
+    /// Lets engines begin with what the sensor's last frame showed: for tests. A [`crate::Predictor`] does so for
+    /// [`crate::Options::reuse_visible`].
+    #[doc(hidden)]
+    pub fn set_reuse_visible(&mut self) {
+        self.reuse_visible = true;
+    }
+
+    /// Keeps the nearest `runs` only.
+    pub fn cut(&mut self, runs: usize) {
+        let Some(first_out) = self.runs.get(runs) else { return };
+        self.radius = Some(first_out.nearest_below());
+        self.runs.truncate(runs);
+        self.polygon_count = self.runs.iter().map(|r| r.count as usize).sum();
+    }
+
+    /// Time since the call; zero without a deadline.
+    pub fn elapsed(&self) -> Duration {
+        self.watch.as_ref().map_or(Duration::ZERO, Watch::elapsed)
+    }
+
+    /// Metres: no polygon beyond the first `done` runs is nearer.
+    pub fn nearest_after(&self, done: usize) -> f32 {
+        match self.runs.get(done) {
+            Some(run) => run.nearest_below(),
+            None => self.radius.unwrap_or(f32::INFINITY),
+        }
+    }
+
+    /// Draws some columns only, and selects again what they may see; the radius and the clock stay.
+    pub fn narrow(&mut self, part: ImagePart) -> Result<()> {
+        let region = region_of(&self.sensor.part(part)?, &self.world_from_sensor)?;
+        let (watch, radius, pace) = (self.watch.take(), self.radius, self.pace);
+        self.fill(&region);
+        if let Some(radius) = radius {
+            let within = self.runs.partition_point(|run| run.nearest_below() < radius);
+            self.cut(within);
+        }
+        // What is left out stays left out, also where nothing that was selected now lies beyond.
+        (self.watch, self.radius, self.pace, self.part) = (watch, radius, pace, Some(part));
+        Ok(())
+    }
+
+    /// The same of a part of the image, that has so much more time to be drawn.
+    pub fn of_part(&self, part: ImagePart, more: Duration) -> Result<Self> {
+        let mut watch = self.watch.clone();
+        watch.iter_mut().for_each(|watch| watch.stop_later(more));
+        Ok(Self {
+            world: self.world.clone(),
+            sensor: self.sensor.part(part)?,
+            world_from_sensor: self.world_from_sensor,
+            request: self.request,
+            instances: self.instances.clone(),
+            runs: self.runs.clone(),
+            facings: self.facings.clone(),
+            polygon_count: self.polygon_count,
+            objects_out_of_view: self.objects_out_of_view,
+            polygons_out_of_view: self.polygons_out_of_view,
+            objects_not_opaque: self.objects_not_opaque,
+            watch,
+            radius: self.radius,
+            part: None,
+            pace: self.pace,
+            reuse_visible: false,
+            found: QueryResult::default(),
+            selected: Vec::new(),
+        })
+    }
+
+    /// Draws only every k-th column and row (2, 4 or 8), of columns around a heading (radians, counter-clockwise) if so many are
+    /// given: for tests.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::System`] if there is no memory for the ray tables.
+    #[doc(hidden)]
+    pub fn set_part(&mut self, stride: u32, around: Option<(f64, u32)>) -> Result<()> {
+        let narrow = around.and_then(|(heading, columns)| self.sensor.columns_around(heading, columns));
+        if let Some(part) = narrow {
+            self.narrow(part)?;
+        }
+        self.part = Some(ImagePart { stride, ..self.part.unwrap_or(self.sensor.whole()) });
+        Ok(())
+    }
+
+    /// Gives up the plan for its memory.
+    pub fn into_buffers(self) -> PlanBuffers {
+        let Self { instances, runs, facings, found, selected, .. } = self;
+        PlanBuffers { instances, runs, facings, found, selected }
+    }
+
+    /// Plans another prediction and reuses the buffers. After an error the plan is unchanged.
+    ///
+    /// # Errors
+    /// Those of [`FramePlan::new`].
+    pub fn renew(
+        &mut self,
+        world: &World,
+        sensor: &Sensor,
+        world_from_sensor: &Pose,
+        request: impl Into<ImageRequest>,
+    ) -> Result<()> {
+        world_from_sensor.check()?;
+        self.world = world.clone();
+        self.sensor = sensor.clone();
+        self.world_from_sensor = *world_from_sensor;
+        self.request = request.into();
+        self.reuse_visible = false;
+        let region = region_of(sensor, world_from_sensor)?;
+        self.fill(&region);
+        Ok(())
+    }
+
+    /// The environment that it reads.
+    pub fn environment(&self) -> &Arc<Environment> {
+        self.world.environment()
+    }
+
+    /// An object as the sensor sees it, whether selected or not.
+    pub fn instance_of(&self, object: u32) -> Instance {
+        Instance::new(self.world.environment(), &self.sensor, &self.world_from_sensor, &self.facings, object)
+    }
+
+    /// The `polygon_id` of a polygon.
+    pub fn polygon_id(&self, object: u32, polygon: u32) -> u32 {
+        self.request.ids.id_of(&self.world.environment().objects()[object as usize], polygon)
+    }
+
+    /// The `polygon_id` that engines draw for a polygon, by [`FramePlan::drawn_ids`].
+    pub fn drawn_polygon_id(&self, object: u32, polygon: u32) -> u32 {
+        self.drawn_ids().id_of(&self.world.environment().objects()[object as usize], polygon)
+    }
+
+    fn fill(&mut self, region: &Region) {
+        // Made of features afterwards.
+        self.request.outputs = self.request.outputs.without(Output::FeatureId);
+        if !self.sensor.is_camera() {
+            // Only a planar image has a planar depth.
+            self.request.outputs = self.request.outputs.without(Output::DepthZ);
+        }
+        self.instances.clear();
+        self.runs.clear();
+        self.facings.clear();
+        (self.watch, self.radius, self.part, self.pace) = (None, None, None, None);
+        (self.polygon_count, self.objects_out_of_view) = (0, 0);
+        (self.polygons_out_of_view, self.objects_not_opaque) = (0, 0);
+        let world = self.world.clone();
+        let environment = world.environment();
+        let class = self.sensor.spec().class.clone();
+        self.facings.extend(facings(environment, &class));
+        let mut selected = std::mem::take(&mut self.selected);
+        selected.clear();
+        world.index().select(environment, region, &mut self.found, &mut selected);
+        for runs in selected.chunk_by(|a, b| a.object == b.object) {
+            self.take(runs);
+        }
+        self.selected = selected;
+        let live = environment.objects().iter().filter(|o| o.mesh.polygon_count() > 0).count();
+        self.objects_out_of_view = live - self.instances.len() - self.objects_not_opaque;
+        self.runs.sort_by(|a, b| a.nearest.total_cmp(&b.nearest));
+    }
+
+    /// Adds the runs of one object.
+    fn take(&mut self, runs: &[ObjectRun]) {
+        let object = runs[0].object;
+        let world = self.world.clone();
+        let mesh = &world.environment().objects()[object as usize].mesh;
+        if !mesh.materials().iter().any(|m| self.facings[usize::from(*m)].opaque) {
+            self.objects_not_opaque += 1;
+            return;
+        }
+        let instance = self.instances.len() as u32;
+        self.instances.push(self.instance_of(object));
+        let run = |r: &ObjectRun| Run { instance, first: r.first, count: r.count, nearest: r.nearest as f32 };
+        self.runs.extend(runs.iter().map(run));
+        let selected = runs.iter().map(|r| r.count as usize).sum::<usize>();
+        self.polygon_count += selected;
+        self.polygons_out_of_view += mesh.polygon_count() - selected;
+    }
+
+    /// What this prediction does not need, and why.
+    pub fn left_out(&self) -> Vec<Omission> {
+        let mut all = Vec::new();
+        let mut add = |what: Part, why: Cow<'static, str>| all.push(Omission { what, why });
+        if self.objects_out_of_view > 0 {
+            add(Part::Objects(self.objects_out_of_view), "out of view or reach".into());
+        }
+        if self.polygons_out_of_view > 0 {
+            add(Part::Polygons(self.polygons_out_of_view), "their run is out of view or reach".into());
+        }
+        if self.objects_not_opaque > 0 {
+            let why = format!("not opaque to class {:?}", self.sensor.spec().class);
+            add(Part::Objects(self.objects_not_opaque), why.into());
+        }
+        for (what, taken, why) in self.variants() {
+            if !taken {
+                add(what.into(), why.into());
+            }
+        }
+        let drawn = self.drawn();
+        for output in Output::ALL {
+            if !self.request.outputs.has(output) && !drawn.has(output) {
+                add(Part::Image(output), "not asked for".into());
+            }
+        }
+        all
+    }
+
+    /// Variants of stages that cost extra: the name, whether this prediction uses it, and why.
+    pub fn variants(&self) -> [(StageName, bool, &'static str); 3] {
+        let choose = |what, taken, why: [&'static str; 2]| (what, taken, why[usize::from(taken)]);
+        let by_rays = matches!(self.sensor.grid(), PixelGrid::Rays(_));
+        let mixed = !self.instances.iter().all(|i| i.plain);
+        let by_material = self.reflects_by_material();
+        [
+            choose(
+                StageName::RayTable,
+                by_rays,
+                [
+                    "no lens distortion and no listed rays: spans are in closed form",
+                    "the rays lie on no lines: polygons are tested on tiles of rays",
+                ],
+            ),
+            choose(
+                StageName::MaterialTest,
+                mixed,
+                [
+                    "everything selected is opaque to this class and two-sided",
+                    "something selected is one-sided, or not opaque to this class",
+                ],
+            ),
+            choose(
+                StageName::ReflectionFactor,
+                by_material,
+                ["no echo is asked for, or all materials have one factor", "an echo is asked for, and factors differ"],
+            ),
+        ]
+    }
+}

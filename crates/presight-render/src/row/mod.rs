@@ -1,0 +1,65 @@
+//! One row at one height: what a level scanner of one row can meet of the world is cut once into segments, kept for each version of
+//! the world, and searched nearest first. Ranges agree with those of images within the range bound ([`crate::verify`]).
+
+mod cut;
+mod view;
+
+pub use cut::RowCut;
+pub use view::RowView;
+
+use glam::DVec3;
+use presight_model::geometry::Pose;
+use presight_model::sensor::Sensor;
+use presight_model::world::World;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// True if the sensor's z axis is the world's, but for what poses in text files round.
+pub fn is_level(pose: &Pose) -> bool {
+    let up = pose.rotation * DVec3::Z;
+    up.z > 0.0 && up.x.abs().max(up.y.abs()) <= 1e-8
+}
+
+/// Cuts of one version of the world.
+#[derive(Debug, Default)]
+pub struct RowCuts(Mutex<CutCache>);
+
+#[derive(Debug, Default)]
+struct CutCache {
+    /// [`World::stamp`].
+    world: u64,
+    /// Oldest use first.
+    cuts: Vec<(String, f64, Arc<RowCut>)>,
+}
+
+impl RowCuts {
+    /// Heights and classes that are kept.
+    const MOST: usize = 8;
+
+    /// The cut of a version of the world for a sensor class at a height; made if it is not kept.
+    pub fn get(&self, world: &World, class: &str, height: f64) -> Arc<RowCut> {
+        let mut kept = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if kept.world != world.stamp() {
+            *kept = CutCache { world: world.stamp(), cuts: Vec::new() };
+        }
+        let known = kept.cuts.iter().position(|(of, at, _)| of == class && *at == height);
+        let entry = match known {
+            Some(i) => kept.cuts.remove(i),
+            None => (class.to_owned(), height, Arc::new(RowCut::new(world, class, height))),
+        };
+        let cut = entry.2.clone();
+        kept.cuts.push(entry);
+        if kept.cuts.len() > Self::MOST {
+            kept.cuts.remove(0);
+        }
+        cut
+    }
+}
+
+/// The images of range and cos_incidence by a cut of the world, for tests; `None` for other sensors and poses that lean.
+pub fn see(world: &World, sensor: &Sensor, world_from_sensor: &Pose) -> Option<(Vec<f32>, Vec<f32>)> {
+    let mut view = RowView::new(sensor).filter(|_| is_level(world_from_sensor))?;
+    let cut = RowCut::new(world, &sensor.spec().class, world_from_sensor.translation.z);
+    let (mut range, mut cos_incidence) = (Vec::new(), Vec::new());
+    view.see(&cut, world_from_sensor, &mut range, &mut cos_incidence);
+    Some((range, cos_incidence))
+}
