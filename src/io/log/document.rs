@@ -97,7 +97,7 @@ impl Document {
         let valid = scan.valid.map_or_else(|| vec![b'1'; scan.ranges.len()], String::into_bytes);
         if valid.len() != scan.ranges.len() || !valid.iter().all(|v| matches!(v, b'0' | b'1')) {
             let remedy = "give a digit 0 or 1 for each beam";
-            return Err(Error::invalid(format!("\"valid\" does not fit the {} ranges", scan.ranges.len()), remedy));
+            return Err(Error::invalid(format!("valid does not fit the {} ranges", scan.ranges.len()), remedy));
         }
         let reading = |(range, valid): (&Option<f64>, &u8)| range.filter(|_| *valid == b'1');
         let mut ranges = Vec::with_capacity(valid.len());

@@ -23,7 +23,7 @@ pub(super) struct RecordedChange {
 impl RecordedChange {
     /// The error for another change with the same id.
     fn taken(&self, id: &str) -> Error {
-        let what = format!("id {} is that of change {}, which is another change", quoted(id), self.number);
+        let what = format!("id {} belongs to change {}, which is different", quoted(id), self.number);
         Error::invalid(what, "give each change an id of its own")
     }
 
