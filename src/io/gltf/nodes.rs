@@ -48,7 +48,6 @@ pub(super) struct SceneNode {
     pub node: usize,
     /// Index of its parent among the scene nodes, which come before it.
     pub parent: Option<usize>,
-    /// Its own name.
     pub name: String,
     /// Full node path in the file, "a/b/c", for messages. It need not be unique.
     pub path: String,

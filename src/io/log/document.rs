@@ -181,7 +181,7 @@ fn spec(file: &File, name: String) -> Result<SensorSpec> {
     })
 }
 
-/// Angles of the beams, from the least to the greatest, or clockwise in reverse.
+/// Angles of the beams: rising if counter-clockwise, otherwise falling.
 fn azimuths(least: f64, greatest: f64, beams: u32, counter_clockwise: bool) -> Angles {
     let (least, greatest) = (round_degrees(least), round_degrees(greatest));
     let step = (greatest - least) / f64::from(beams.saturating_sub(1).max(1));

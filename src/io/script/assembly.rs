@@ -129,7 +129,6 @@ impl Data {
 }
 
 impl Assembly {
-    /// An empty assembly.
     pub fn new() -> Self {
         Self::with_groups(Vec::new())
     }

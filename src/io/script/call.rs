@@ -22,7 +22,6 @@ pub(super) struct Function {
 }
 
 impl Function {
-    /// The function's name.
     pub fn name(&self) -> &'static str {
         self.signature.split('(').next().unwrap_or_default()
     }
@@ -75,17 +74,14 @@ impl Call<'_, '_> {
         i < self.args.len()
     }
 
-    /// A number argument.
     pub fn number(&self, i: usize) -> Result<f64> {
         self.arg(i).number()
     }
 
-    /// A count argument.
     pub fn count(&self, i: usize) -> Result<u32> {
         self.arg(i).count()
     }
 
-    /// A shape argument.
     pub fn shape(&self, i: usize) -> Result<Shape> {
         self.arg(i).shape()
     }
@@ -111,7 +107,6 @@ pub(super) struct Options {
 }
 
 impl Options {
-    /// No options.
     pub fn none() -> Self {
         Self { name: String::new(), map: Map::new() }
     }
@@ -186,12 +181,11 @@ impl NamedValue<'_> {
         u32::try_from(self.integer()?).map_err(|_| self.wrong("a whole number from 0 to 4294967295"))
     }
 
-    /// True or false.
     pub fn flag(&self) -> Result<bool> {
         self.value.as_bool().map_err(|_| self.wrong("true or false"))
     }
 
-    /// A string.
+    /// A string that is not empty.
     pub fn text(&self) -> Result<String> {
         let text = self.value.as_immutable_string_ref().map_err(|_| self.wrong("a string"))?;
         if text.is_empty() { Err(self.wrong("a string that is not empty")) } else { Ok(text.to_string()) }
@@ -231,12 +225,10 @@ impl NamedValue<'_> {
         self.value.read_lock::<T>().map(|held| held.clone()).ok_or_else(|| self.wrong(needed))
     }
 
-    /// A shape.
     pub fn shape(&self) -> Result<Shape> {
         self.held("a shape")
     }
 
-    /// A pose.
     pub fn pose(&self) -> Result<Pose> {
         self.held("a pose, such as pose(x, y, z, yaw_deg)")
     }

@@ -60,7 +60,7 @@ pub(super) fn limit(engine: &mut Engine, busy: Rc<Cell<Duration>>) {
         grace.set(grace.get().saturating_sub(1));
         (grace.get() == 0).then(|| Dynamic::from(why))
     });
-    #[expect(deprecated, reason = "it is not, the library says: it may change")]
+    #[expect(deprecated, reason = "not deprecated, only unstable")]
     engine.on_var(move |name, _, context| {
         // Rhai adds the position of the variable to the error.
         if let Some(why) = ended.get() {

@@ -117,7 +117,7 @@ impl Tokens {
     /// Counts every token that an engine parses.
     pub fn watch(&self, engine: &mut Engine) {
         let parsed = self.parsed.clone();
-        #[expect(deprecated, reason = "it is not, the library says: it may change")]
+        #[expect(deprecated, reason = "not deprecated, only unstable")]
         engine.on_parse_token(move |token, at, _| parsed.borrow_mut().next(token, at));
     }
 

@@ -45,7 +45,6 @@ impl MeshRow {
         e.at(format!("mesh {} {:?}", self.number, self.name))
     }
 
-    /// Reads the content.
     fn content(&self, connection: &Connection, path: &Path) -> Result<Parts> {
         let wrap = |e| refusal(path, "read the store", e);
         // Read as a blob, because SQLite would copy a column.
@@ -136,7 +135,6 @@ pub(super) fn known_materials(mesh: Arc<Mesh>, count: usize) -> Result<Arc<Mesh>
     }
 }
 
-/// Reads the row of a mesh.
 fn row_of(connection: &Connection, path: &Path, number: i64) -> Result<MeshRow> {
     let sql = "SELECT name, vertices, polygons, length(content), hash FROM meshes WHERE number = ?1";
     let columns = |row: &Row<'_>| {

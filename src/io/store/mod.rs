@@ -368,7 +368,6 @@ impl Store {
         Ok(())
     }
 
-    /// Registers the file's content.
     fn register(&mut self, loaded: &read::StoreVersion) {
         let read::StoreVersion { environment, meta, meshes, .. } = loaded;
         self.meta = meta.clone();

@@ -153,7 +153,6 @@ impl Reader<'_> {
         })
     }
 
-    /// Reads the frames of groups.
     fn groups(&self, to: &mut Vec<(String, Pose)>) -> Result<()> {
         self.each("groups", "path, pose, hash", |row| {
             let (path, pose) = (text(row, 0)?, text(row, 1)?);
@@ -267,7 +266,6 @@ pub(super) fn get<T: rusqlite::types::FromSql>(row: &Row<'_>, column: usize) -> 
     row.get(column).map_err(|e| damaged(e.to_string()))
 }
 
-/// Borrows a column of text.
 fn text<'a>(row: &'a Row<'_>, column: usize) -> Result<&'a str> {
     let value = row.get_ref(column).map_err(|e| damaged(e.to_string()))?;
     value.as_str().map_err(|e| damaged(e.to_string()))

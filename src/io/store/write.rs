@@ -71,7 +71,6 @@ pub struct Batch<'a> {
     open: bool,
     /// True after a failed write rolled the batch back.
     taken_back: bool,
-    /// Ids used in this batch.
     ids: Vec<String>,
 }
 
