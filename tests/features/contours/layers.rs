@@ -27,7 +27,7 @@ fn files_with_contours_are_of_format_2() {
         let e = parse(text).unwrap_err().to_string();
         assert!(e.contains(said), "{e}");
     };
-    refused(&text.replace("\"format\": 2", "\"format\": 1"), "contours are of format 2, and the file is of format 1");
+    refused(&text.replace("\"format\": 2", "\"format\": 1"), "contours need format 2, but the file has format 1");
     refused(&text.replace("\"format\": 2", "\"format\": 3"), "formats up to 2");
     refused(&text.replace("30.0", "0"), "crease angle of 0 degrees is out of its range");
     refused(&text.replace("30.0", "90.5"), "out of its range");

@@ -119,7 +119,7 @@ fn a_file_is_read_once_and_no_further_than_asked() {
     assert!(e.contains("buffer 1") && e.contains("bytes of memory"), "{e}");
     folder.write("a.bin", &bytes);
     let e = import(beside(&folder, &[("a.bin", 20), ("a.bin", 1000)]), &SOURCE).unwrap_err().to_string();
-    assert!(e.contains("buffer 1: 1000 bytes are claimed, 42 are there"), "{e}");
+    assert!(e.contains("buffer 1: 1000 bytes are claimed, but only 42 exist"), "{e}");
 }
 
 /// Large accessors that small primitives share: of each no more is read than it uses.

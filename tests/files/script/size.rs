@@ -153,7 +153,7 @@ fn what_is_tried_again_and_again_ends() {
 #[test]
 fn nothing_large_is_copied_uncounted() {
     let table = "let a = []; a.pad(4000, 1);\n";
-    let hidden = ["no `this` and no `global::`", "hand the value over"];
+    let hidden = ["no `this` and no `global::`", "pass the value"];
     refused(&format!("fn f() {{ loop {{ let b = this; }} }}\n{table}a.f();"), "line 1, column 25", &hidden);
     refused(&format!("{table}a.map(|| this);"), "line 2, column 10", &hidden);
     refused("const A = [1];\nfn f() { loop { global::A; } }\nf();", "line 2, column 23", &hidden);

@@ -109,7 +109,7 @@ fn what_does_not_fit_a_scanner_is_refused() {
     place.write("key.jsonl", text.replacen("\"format\":1", "\"format\":1,\"x\":2", 1).as_bytes());
     place.write("loud.jsonl", text.replacen("\"intensities\":[null", "\"intensities\":[255", 1).as_bytes());
     for (log, told) in [
-        ("key.jsonl", "line 1: it is no header: unknown field `x`"),
+        ("key.jsonl", "line 1: not a valid header: unknown field `x`"),
         ("cut.jsonl", "line 9: the line is cut"),
         ("loud.jsonl", "intensity 0: an intensity of 255"),
     ] {

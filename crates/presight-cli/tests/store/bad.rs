@@ -135,7 +135,7 @@ fn lines_that_are_no_changes_name_their_place() {
         (r#"{"op":"move""#, "line 2"),
         ("[1]", "line 2"),
         (r#"{"op":"delete_object","object":"a","id":{}}"#, "id"),
-        (r#"{"op":"insert_object","object":"a","like":"b"}"#, "exists already"),
+        (r#"{"op":"insert_object","object":"a","like":"b"}"#, "already exists"),
         (r#"{"op":"insert_object","object":"x","like":"door"}"#, "no object \"door\""),
         (r#"{"op":"insert_object","object":"x","mesh":1}"#, "no shape"),
         (r#"{"op":"insert_object","object":"x"}"#, "no shape"),

@@ -206,7 +206,7 @@ fn another_change_under_a_known_id_is_refused() {
         let message = String::from_utf8(output.stderr).unwrap();
         assert_eq!((output.status.code(), output.stdout.as_slice()), (Some(1), &b"ack 1\n"[..]), "{line}: {message}");
         let id = &line[6..9];
-        assert!(message.contains(&format!("c.jsonl: line 2: id {id} is that of change {number}")), "{line}: {message}");
+        assert!(message.contains(&format!("c.jsonl: line 2: id {id} belongs to change {number}")), "{line}: {message}");
         assert_eq!(hash(), before, "{line}");
     }
 }
@@ -523,7 +523,7 @@ fn changes_of_a_group_see_those_before_them() {
         (format!("{d},{}", insert("z", "d")), "change 2 of the group: object \"z\": there is no object \"d\""),
         (
             format!("{},{}", insert("n", "d"), insert("n", "c")),
-            "change 2 of the group: object \"n\": it exists already",
+            "change 2 of the group: object \"n\": it already exists",
         ),
         (
             format!("{},{}", insert("m", "n"), insert("n", "d")),

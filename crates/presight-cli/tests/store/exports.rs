@@ -183,7 +183,7 @@ fn features_that_lost_their_surface_travel_marked() {
     let line = r#"{"op":"insert_feature","class":"video","feature":{"id":3,"kind":"point","points":[[0,0,9]],"surface":"lost"}}"#;
     std::fs::write(here.join("m.jsonl"), line).unwrap();
     let e = refusal(here, &["env", "apply", "t.presight", "m.jsonl"], 1);
-    assert!(e.contains("is for layer files"), "{e}");
+    assert!(e.contains("is only for layer files"), "{e}");
     // A mark on one that does lie on polygons does no harm.
     std::fs::write(
         here.join("all.layer.json"),

@@ -1,4 +1,4 @@
-//! Accessors: every size is checked against the buffer it claims before anything is allocated.
+//! Accessors. Every size is checked against its buffer before anything is allocated.
 
 use super::buffers::Buffers;
 use glam::Vec3;
@@ -18,17 +18,18 @@ pub(super) struct Document<'a> {
     pub buffers: Buffers<'a>,
 }
 
-/// Positions of a primitive, mesh frame, read where they lie: of a large accessor a small primitive may use a part.
+/// Positions of a primitive, mesh frame. They are not copied, because a small primitive may use a small part of a large
+/// accessor.
 pub(super) struct Positions<'a> {
     count: usize,
-    /// `None` is all zeros.
+    /// `None` means all zeros.
     base: Option<Elements<'a>>,
     component: ComponentType,
     normalized: bool,
     sparse: Option<Sparse<'a>>,
 }
 
-/// Values in place of some elements, their indices rising.
+/// Values that replace some elements, by rising indices.
 struct Sparse<'a> {
     count: usize,
     component: ComponentType,
@@ -56,7 +57,7 @@ impl<'a> Sparse<'a> {
         index_at(self.indices.at(k), self.component)
     }
 
-    /// The bytes of the value in place of element i.
+    /// The bytes of the value that replaces element i, if any.
     fn of(&self, i: usize) -> Option<&'a [u8]> {
         let (mut low, mut high) = (0, self.count);
         while low < high {
@@ -70,7 +71,7 @@ impl<'a> Sparse<'a> {
         None
     }
 
-    /// That its indices rise and are of elements that there are.
+    /// Checks that the indices rise and stay below `elements`.
     fn prove(&self, elements: u64) -> Result<()> {
         let mut before = None;
         for k in 0..self.count {
@@ -89,7 +90,7 @@ fn f32_at(b: &[u8]) -> f32 {
     f32::from_le_bytes([b[0], b[1], b[2], b[3]])
 }
 
-/// Elements of an accessor or a part of it, proven to be there.
+/// Elements of an accessor or a part of it, whose bytes exist.
 #[derive(Clone, Copy)]
 struct Elements<'a> {
     bytes: &'a [u8],
@@ -97,13 +98,13 @@ struct Elements<'a> {
 }
 
 impl<'a> Elements<'a> {
-    /// The bytes from element i on.
+    /// The bytes from the start of element i.
     fn at(&self, i: usize) -> &'a [u8] {
         &self.bytes[i * self.stride..]
     }
 }
 
-/// The accessors whose data was proven to be there, with their counts: each is proven once, however many primitives use it.
+/// Counts of the accessors that were checked. Each is checked once, however many primitives use it.
 pub(super) type AccessorCounts = HashMap<usize, u64>;
 
 impl<'a> Document<'a> {
@@ -116,7 +117,7 @@ impl<'a> Document<'a> {
         })
     }
 
-    /// The count of an accessor once its data is proven to be there, before anything is made of it.
+    /// Checks that the data of an accessor exist, and returns its count.
     pub fn proven_count(&self, index: json::Index<Accessor>, proven: &mut AccessorCounts) -> Result<u64> {
         if let Some(&count) = proven.get(&index.value()) {
             return Ok(count);
@@ -136,7 +137,7 @@ impl<'a> Document<'a> {
         Ok(count)
     }
 
-    /// The elements that an accessor has without its sparse part; none where they are zeros.
+    /// The elements of an accessor without its sparse part; `None` if all are zeros.
     fn base(&self, accessor: &Accessor, size: usize, strided: bool) -> Result<Option<Elements<'_>>> {
         let count = accessor.count.0;
         let Some(view) = accessor.buffer_view else { return zero_filled(count).map(|()| None) };
@@ -144,7 +145,7 @@ impl<'a> Document<'a> {
         self.elements(view.value(), offset, count, size, strided).map(Some)
     }
 
-    /// The sparse part of an accessor whose elements are of `size` bytes.
+    /// The sparse part of an accessor whose elements have `size` bytes.
     fn sparse(&self, accessor: &Accessor, size: usize) -> Result<Option<Sparse<'_>>> {
         let Some(sparse) = &accessor.sparse else { return Ok(None) };
         let broken = |what: String| Error::invalid(what, REPAIR).at("sparse");
@@ -163,7 +164,7 @@ impl<'a> Document<'a> {
         Ok(Some(Sparse { count: count as usize, component, indices, values }))
     }
 
-    /// The bytes of a view from `offset` on, proven to hold `count` elements.
+    /// The bytes of a view from `offset` on. Checks that they hold `count` elements.
     fn elements(&self, view: usize, offset: u64, count: u64, size: usize, strided: bool) -> Result<Elements<'_>> {
         let place = |e: Error| e.at(format!("buffer view {view}"));
         let views = &self.root.buffer_views;
@@ -179,7 +180,7 @@ impl<'a> Document<'a> {
         let end = start.checked_add(length).filter(|&end| end <= bytes.len() as u64).ok_or_else(|| {
             place(Error::invalid(
                 format!("bytes {start} + {length} are claimed, buffer {buffer} has {}", bytes.len()),
-                "the buffer is truncated or the model broken; export it again",
+                "the buffer is truncated or the model is broken; export it again",
             ))
         })?;
         let stride = v.byte_stride.filter(|_| strided).map_or(size, |s| s.0);
@@ -196,7 +197,7 @@ impl<'a> Document<'a> {
         if needed.is_none_or(|n| n > length) {
             return Err(place(Error::invalid(
                 format!("{count} elements are claimed, the view has {length} bytes"),
-                "the buffer is truncated or the model broken; export it again",
+                "the buffer is truncated or the model is broken; export it again",
             )));
         }
         // Both ends lie inside a slice, so they fit usize. An empty accessor may point anywhere.
@@ -204,7 +205,7 @@ impl<'a> Document<'a> {
         Ok(Elements { bytes: whole.get(offset as usize..).unwrap_or_default(), stride })
     }
 
-    /// The POSITION data of an accessor whose sparse part is proven.
+    /// The POSITION data of an accessor. Its sparse part must have been checked.
     pub fn positions(&self, index: json::Index<Accessor>) -> Result<Positions<'_>> {
         let place = format!("accessor {}", index.value());
         let accessor = self.accessor(index)?;
@@ -258,11 +259,11 @@ fn component_of(accessor: &Accessor) -> Result<ComponentType> {
     }
 }
 
-/// An accessor without bytes behind it is all zeros: a tiny file could ask for any amount.
+/// Limits accessors without data, which are all zeros: a tiny file could request any amount of memory.
 fn zero_filled(count: u64) -> Result<()> {
     if count > limits::MAX_ZERO_FILLED {
         return Err(Error::invalid(
-            format!("{count} elements are claimed without data, {} are the limit", limits::MAX_ZERO_FILLED),
+            format!("{count} elements are claimed without data, {} is the limit", limits::MAX_ZERO_FILLED),
             REPAIR,
         ));
     }
@@ -277,7 +278,7 @@ fn index_at(b: &[u8], component: ComponentType) -> u32 {
     }
 }
 
-/// One component as f32; normalized integers by the formulas of glTF 2.0, section 3.11.
+/// One component as f32. Normalized integers follow glTF 2.0, section 3.11.
 fn component_at(b: &[u8], component: ComponentType, normalized: bool) -> f32 {
     let (value, top) = match component {
         ComponentType::F32 => return f32_at(b),

@@ -1,5 +1,5 @@
-//! The bytes of the buffers: embedded, or in files beside the scene. Each file is read once, however many buffers name it,
-//! and no further than they ask for.
+//! The bytes of the buffers, embedded or in files of their own. Each file is read once, however many buffers name it,
+//! and only as far as they need.
 
 use super::container::{base64, check_within, local_path};
 use super::memory::Memory;
@@ -15,9 +15,9 @@ use std::path::{Path, PathBuf};
 pub(super) struct Buffers<'a> {
     /// The binary chunk of a .glb.
     bin: &'a [u8],
-    /// Read files and decoded texts.
+    /// Contents of files and decoded data URIs.
     owned: Vec<Vec<u8>>,
-    /// Of each buffer: which of those it is, `None` for the binary chunk; how many bytes it is of them.
+    /// For each buffer: its index in `owned` (`None`: the binary chunk), and its length in bytes.
     buffers: Vec<(Option<usize>, usize)>,
 }
 
@@ -25,25 +25,25 @@ pub(super) struct Buffers<'a> {
 struct BufferFile {
     real: PathBuf,
     shown: PathBuf,
-    /// The most bytes that a buffer claims, and the first that claims them.
+    /// Greatest length that a buffer claims, and the first buffer that claims it.
     claimed: u64,
     buffer: usize,
 }
 
 impl<'a> Buffers<'a> {
-    /// The bytes of a buffer.
+    /// The bytes of buffer `index`.
     pub fn get(&self, index: usize) -> Option<&[u8]> {
         let &(owned, length) = self.buffers.get(index)?;
         let whole = owned.map_or(self.bin, |i| self.owned[i].as_slice());
         whole.get(..length)
     }
 
-    /// How many there are.
+    /// Number of buffers.
     pub fn len(&self) -> usize {
         self.buffers.len()
     }
 
-    /// Reads the buffers of a scene at a path: no file outside of the folder `within`, if it is given.
+    /// Reads the buffers of a scene. If `within` is given, files outside this folder are errors.
     pub fn load(
         root: &json::Root,
         bin: Option<&'a [u8]>,
@@ -53,7 +53,7 @@ impl<'a> Buffers<'a> {
         let place = |index: usize| move |e: Error| e.at(format!("buffer {index}"));
         let mut all = Self { bin: bin.unwrap_or_default(), ..Self::default() };
         let mut files = Files::default();
-        // Which file each buffer is of, `None` for what is there already.
+        // Pairs of buffer and file, for buffers in files.
         let mut of_file = Vec::with_capacity(root.buffers.len());
         for (index, buffer) in root.buffers.iter().enumerate() {
             let owned = match &buffer.uri {
@@ -91,21 +91,21 @@ impl<'a> Buffers<'a> {
         Ok(all)
     }
 
-    /// Holds a buffer to the bytes that are there.
+    /// Sets the length of a buffer, and checks that it has that many bytes.
     fn set_length(&mut self, index: usize, claimed: u64) -> Result<()> {
         let (owned, length) = &mut self.buffers[index];
         let there = owned.map_or(self.bin.len(), |i| self.owned[i].len());
         if claimed > there as u64 {
-            let what = format!("{claimed} bytes are claimed, {there} are there");
+            let what = format!("{claimed} bytes are claimed, but only {there} exist");
             return Err(Error::invalid(what, "the buffer is truncated; fetch or export it again"));
         }
-        // Not beyond the length of a slice.
+        // Fits, because it is at most the length of a slice.
         *length = claimed as usize;
         Ok(())
     }
 }
 
-/// The files that buffers name, each once.
+/// The files that buffers name, without repetition.
 #[derive(Default)]
 struct Files {
     named: Vec<BufferFile>,
@@ -114,7 +114,7 @@ struct Files {
 }
 
 impl Files {
-    /// The number of the file that a URI names; a buffer claims so many bytes of it.
+    /// Returns the number of the file that a URI names, and notes how many bytes a buffer claims of it.
     fn note(
         &mut self,
         uri: &str,
@@ -128,7 +128,7 @@ impl Files {
                 if let Some(within) = within {
                     check_within(&shown, within)?;
                 }
-                // One that is not there is told of when it is opened.
+                // A missing file is reported when it is opened.
                 let real = shown.canonicalize().unwrap_or_else(|_| shown.clone());
                 let number = *self.by_path.entry(real.clone()).or_insert(self.named.len());
                 if number == self.named.len() {
@@ -147,20 +147,20 @@ impl Files {
 }
 
 impl BufferFile {
-    /// Counts the bytes that are going to be read of it: as many as are claimed, if there are so many.
+    /// Counts the bytes to read: the claimed length, or less if the file is shorter.
     fn count(&mut self, memory: &mut Memory) -> Result<()> {
         self.claimed = self.claimed.min(file::open_as(&self.real, &self.shown)?.limit());
         memory.take(self.claimed, &self.shown.display().to_string())
     }
 
-    /// Those bytes.
+    /// Reads these bytes.
     fn read(&self) -> Result<Vec<u8>> {
         let opened = file::open_as(&self.real, &self.shown)?;
         file::read(opened.into_inner().take(self.claimed), &self.shown, self.claimed)
     }
 }
 
-/// The bytes of a data URI, without its `data:`.
+/// Decodes a data URI, given without its `data:`.
 fn decoded(data: &str) -> Result<Vec<u8>> {
     let (head, body) =
         data.split_once(',').ok_or_else(|| Error::invalid("the data URI has no comma", "export the model again"))?;

@@ -1,4 +1,4 @@
-//! From the bytes of a scene file to its parts; where buffers may be, and how they are written.
+//! The parts of a scene file; paths and encoding of buffers.
 
 use crate::inputs;
 use gltf::json;
@@ -12,13 +12,13 @@ const BIN_CHUNK: u32 = 0x004E_4942;
 
 const TRUNCATED: &str = "the file is truncated; fetch or export it again";
 
-/// The two parts of a scene file: JSON text, and the binary chunk of a .glb.
+/// The parts of a scene file: JSON text, and the binary chunk of a .glb.
 pub(super) struct Container<'a> {
     pub json: &'a [u8],
     pub bin: Option<&'a [u8]>,
 }
 
-/// Splits a .glb into its chunks; a .gltf is its own JSON text.
+/// Splits a .glb into its chunks. A .gltf is JSON text as a whole.
 pub(super) fn open(bytes: &[u8]) -> Result<Container<'_>> {
     if bytes.starts_with(MAGIC) {
         return open_binary(bytes);
@@ -44,7 +44,7 @@ fn open_binary(bytes: &[u8]) -> Result<Container<'_>> {
         ));
     }
     let Some(body) = bytes.get(12..length) else {
-        return Err(Error::invalid(format!("{} of {length} bytes are there", bytes.len()), TRUNCATED));
+        return Err(Error::invalid(format!("the file has {} of {length} bytes", bytes.len()), TRUNCATED));
     };
     let (mut json, mut bin) = (None, None);
     let mut rest = body;
@@ -58,7 +58,7 @@ fn open_binary(bytes: &[u8]) -> Result<Container<'_>> {
             BIN_CHUNK if bin.is_none() => bin = Some(chunk),
             _ => {}
         }
-        // Chunks start at multiples of 4; sloppy writers leave the padding out of the size.
+        // Chunks start at multiples of 4, but some writers do not count the padding in the size.
         rest = rest.get(8 + size.next_multiple_of(4)..).unwrap_or_default();
     }
     let json = json.ok_or_else(|| Error::invalid("the GLB has no JSON chunk", "export it again"))?;
@@ -70,7 +70,7 @@ fn word(bytes: &[u8], at: usize) -> Option<u32> {
     Some(u32::from_le_bytes([four[0], four[1], four[2], four[3]]))
 }
 
-/// That a file, if it is there, lies in a folder, however symbolic links lead.
+/// Checks that a file, if it exists, lies in a folder after symbolic links are resolved.
 pub(super) fn check_within(path: &Path, folder: &Path) -> Result<()> {
     match path.canonicalize() {
         Ok(real) if !real.starts_with(folder) => {
@@ -81,18 +81,18 @@ pub(super) fn check_within(path: &Path, folder: &Path) -> Result<()> {
     }
 }
 
-/// The relative path a URI names, if it stays inside the scene's folder. Symbolic links may lead elsewhere.
+/// The relative path that a URI names. It must not leave the scene's folder, except through symbolic links.
 pub(super) fn local_path(uri: &str) -> Result<PathBuf> {
     let outside = |what: &str| {
         Error::invalid(
             format!("buffer URI {uri:?} {what}"),
-            "put the buffer beside the scene file and name it relative to it",
+            "put the buffer into the folder of the scene file and give its relative path",
         )
     };
     let scheme =
         uri.split_once(':').is_some_and(|(s, _)| s.chars().all(|c| c.is_ascii_alphanumeric() || "+-.".contains(c)));
     if scheme {
-        return Err(outside("is no relative path"));
+        return Err(outside("is not a relative path"));
     }
     let text = percent_decoded(uri).ok_or_else(|| outside("is not valid percent-encoded UTF-8"))?;
     let path = PathBuf::from(text);
@@ -103,8 +103,8 @@ pub(super) fn local_path(uri: &str) -> Result<PathBuf> {
     Ok(path)
 }
 
-/// Notes the images beside a scene, which nobody reads here: they are parts of the scene all the same, and no command may
-/// write over them. Wherever they are: what is not opened needs no check.
+/// Notes the images of a scene as inputs. They are not read, so their places are not checked, but no command may
+/// overwrite them.
 pub(super) fn note_images(root: &json::Root, scene: &Path) {
     let folder = scene.parent().unwrap_or(Path::new(""));
     for uri in root.images.iter().filter_map(|image| image.uri.as_deref()).filter(|uri| !uri.starts_with("data:")) {

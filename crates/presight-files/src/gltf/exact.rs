@@ -1,5 +1,5 @@
-//! What [`super::write_glb`] leaves in `extras.presight`, so that nothing is lost: polygons of meshes, poses of objects and
-//! groups.
+//! Reads the data of [`super::write_glb`] in `extras.presight`, which make the round trip lossless: polygons of meshes,
+//! poses of objects and groups.
 
 use super::accessor::Document;
 use super::nodes::SceneNode;
@@ -13,13 +13,13 @@ use presight_model::geometry::Pose;
 use serde::Deserialize;
 use std::sync::Arc;
 
-/// The polygons of a mesh, if our own writer left them.
+/// The polygons of a mesh, if our own writer stored them.
 pub(super) enum Exact {
-    /// It did not.
+    /// No polygons are stored.
     None,
-    /// They are of other vertices: another program changed the mesh.
+    /// The stored polygons do not match the vertices, because another program changed the mesh.
     Stale,
-    /// As they were.
+    /// The mesh as it was written.
     Mesh(Arc<Mesh>),
 }
 
@@ -44,13 +44,13 @@ enum Order {
     Given,
 }
 
-/// What our own writer says of a mesh.
+/// Our own writer's data of a mesh.
 fn polygons_in(mesh: &json::Mesh) -> Option<Polygons> {
     serde_json::from_str::<MeshExtras>(mesh.extras.as_ref()?.get()).ok()?.presight
 }
 
 impl Document<'_> {
-    /// Numbers that are read, and kept, to have a mesh as our own writer left it; 0 where it left nothing.
+    /// How many numbers the exact mesh of our own writer has; 0 if it stored none.
     pub fn exact_numbers(&self, index: usize) -> u64 {
         let mesh = &self.root.meshes[index];
         let Some(polygons) = polygons_in(mesh) else { return 0 };
@@ -61,11 +61,11 @@ impl Document<'_> {
         lists.into_iter().fold(vertices.saturating_mul(3), u64::saturating_add)
     }
 
-    /// A mesh as our own writer left it.
+    /// Reads the exact mesh of our own writer.
     pub fn exact_mesh(&self, index: usize) -> Exact {
         let mesh = &self.root.meshes[index];
         let Some(polygons) = polygons_in(mesh) else { return Exact::None };
-        // What another program left of it may point anywhere: then its triangles count.
+        // If another program broke the stored polygons, the triangles are used.
         self.polygons_of(mesh, &polygons).map_or(Exact::Stale, |mesh| Exact::Mesh(Arc::new(mesh)))
     }
 
@@ -96,9 +96,9 @@ impl Document<'_> {
     }
 }
 
-/// What our own writer says of a root node.
+/// Our own writer's data of a root node.
 pub(super) enum RootPlacement {
-    /// Where an object is.
+    /// The pose of an object.
     Object(PlacedObject),
     /// The frame of a group.
     Group(PlacedGroup),
@@ -117,7 +117,7 @@ pub(super) struct PlacedGroup {
 }
 
 impl RootPlacement {
-    /// Of a node's extras.
+    /// Reads a node's extras.
     pub fn of(extras: &serde_json::Value) -> Option<Self> {
         let ours = extras.get("presight")?;
         let object = PlacedObject::deserialize(ours).ok().map(Self::Object);
@@ -126,7 +126,7 @@ impl RootPlacement {
 }
 
 impl PlacedObject {
-    /// The object, if the node is still where it was written.
+    /// Returns the object, if the node still has the matrix that was written.
     pub fn object(&self, node: &SceneNode, path: &str, mesh: Arc<Mesh>) -> Option<NewObject> {
         let new = NewObject {
             object_from_mesh: DAffine3::from_cols_array(&self.object_from_mesh),
@@ -138,7 +138,7 @@ impl PlacedObject {
 }
 
 impl PlacedGroup {
-    /// The frame, if the node is still where it was written.
+    /// Returns the frame, if the node still has the matrix that was written.
     pub fn frame(&self, node: &SceneNode) -> Option<Pose> {
         let frame = pose(self.world_from_group);
         is_at(node, &frame.to_affine()).then_some(frame)
@@ -149,7 +149,7 @@ fn pose([x, y, z, qx, qy, qz, qw]: [f64; 7]) -> Pose {
     Pose { translation: DVec3::new(x, y, z), rotation: DQuat::from_xyzw(qx, qy, qz, qw) }
 }
 
-/// True if a node has the very matrix that is written for this place.
+/// True if a node has exactly the matrix that our writer gives for `world_from_node`.
 fn is_at(node: &SceneNode, world_from_node: &DAffine3) -> bool {
     let matrix = matrix_of(world_from_node);
     let column = |i: usize| DVec3::new(matrix[i], matrix[i + 1], matrix[i + 2]);

@@ -1,4 +1,4 @@
-//! The triangles of a glTF mesh: all topologies, all its primitives together, equal positions welded.
+//! The triangles of a glTF mesh: all its primitives, in any topology, with equal positions welded.
 
 use super::accessor::{AccessorCounts, Document, Positions};
 use super::quoted;
@@ -11,13 +11,13 @@ use presight_model::error::{Error, Result};
 
 const REPAIR: &str = "repair the model or export it again";
 
-/// The triangles of a mesh, and problems that are not about triangles: (kind, primitive, words).
+/// The triangles of a mesh, and problems that are not about single triangles.
 pub(super) struct MeshTriangles {
     pub triangles: TriangleMesh,
     pub notes: Vec<(ProblemKind, String)>,
 }
 
-/// How many triangles a primitive has; `None` for points and lines.
+/// Number of triangles of a primitive; `None` for points and lines.
 fn triangle_count(mode: Mode, corners: u64) -> Option<u64> {
     match mode {
         Mode::Triangles => Some(corners / 3),
@@ -37,14 +37,14 @@ fn mode_of(primitive: &Primitive) -> Result<Mode> {
     }
 }
 
-/// Words for a mesh in messages.
+/// Names a mesh in messages.
 pub(super) fn mesh_words(root: &json::Root, mesh: usize) -> String {
     let name = root.meshes.get(mesh).and_then(|m| m.name.as_deref()).unwrap_or("");
     format!("mesh {mesh} {}", quoted(name))
 }
 
 impl Document<'_> {
-    /// Triangles that a mesh claims to have, from the accessors' counts alone; the data is proven to be there.
+    /// Number of triangles of a mesh, from the accessors' counts. Checks that their data exist.
     pub fn claimed_triangles(&self, mesh: usize, proven: &mut AccessorCounts) -> Result<u64> {
         let place = |e: Error| e.at(mesh_words(&self.root, mesh));
         let Some(m) = self.root.meshes.get(mesh) else {
@@ -63,7 +63,7 @@ impl Document<'_> {
         Ok(sum)
     }
 
-    /// Reads a mesh whose index is known to be good; `default_material` is for primitives without one.
+    /// Reads a mesh, whose index must be valid. Primitives without a material get `default_material`.
     pub fn read_mesh(&self, mesh: usize, default_material: u16) -> Result<MeshTriangles> {
         let mut read = MeshTriangles { triangles: TriangleMesh::default(), notes: Vec::new() };
         let mut welder = Welder::default();
@@ -92,7 +92,7 @@ impl Document<'_> {
         let Some(accessor) = position_accessor(primitive) else {
             return Ok(vec![(ProblemKind::IgnoredPrimitive, "no positions".into())]);
         };
-        // Before anything is read: lines of any number share the same accessors at no cost.
+        // Skips points and lines before anything is read: any number of them can share large accessors.
         let corners = self.accessor(primitive.indices.unwrap_or(accessor))?.count.0;
         let Some(count) = triangle_count(mode, corners) else {
             return Ok(vec![(ProblemKind::IgnoredPrimitive, format!("{mode:?} with {corners} indices"))]);
@@ -108,7 +108,7 @@ impl Document<'_> {
         let indices = primitive.indices.map(|i| self.indices(i)).transpose()?;
         let corners = indices.as_ref().map_or(positions.positions.count(), Vec::len);
         if primitive.targets.as_ref().is_some_and(|t| !t.is_empty()) {
-            notes.push((ProblemKind::IgnoredFeature, "morph targets: its base shape is used".into()));
+            notes.push((ProblemKind::IgnoredFeature, "morph targets: the base shape is used".into()));
         }
         let leftover = if mode == Mode::Triangles {
             corners % 3
@@ -147,16 +147,16 @@ impl Document<'_> {
     }
 }
 
-/// The positions of the last accessor: primitives of a mesh often share one.
+/// The positions of the last accessor. Primitives of a mesh often share one.
 struct PositionCache<'a> {
     accessor: usize,
     positions: Positions<'a>,
-    /// Welded vertex by vertex of the accessor, `u32::MAX` where not welded yet; empty where not worth its memory.
+    /// The welded vertex for each vertex of the accessor, `u32::MAX` if not welded yet; empty if not worth the memory.
     welded: Vec<u32>,
 }
 
 impl PositionCache<'_> {
-    /// Makes room to weld each vertex once, unless only a small part of a large accessor is in use.
+    /// Allocates `welded`, unless the primitive uses only a small part of a large accessor.
     fn prepare(&mut self, corners: usize) {
         let count = self.positions.count();
         if self.welded.is_empty() && count <= 4 * corners {
@@ -165,7 +165,7 @@ impl PositionCache<'_> {
     }
 }
 
-/// From the corner numbers of a primitive to welded vertices.
+/// Maps the corner numbers of a primitive to welded vertices.
 struct Corners<'a, 'b> {
     shared: &'a mut PositionCache<'b>,
     indices: Option<&'a [u32]>,

@@ -1,10 +1,10 @@
-//! glTF 2.0 scenes, .glb and .gltf, into an [`Environment`].
+//! Imports glTF 2.0 scenes, .glb and .gltf, into an [`Environment`].
 //!
-//! The `gltf` crate parses the file's structure; node transforms are read again as f64, and accessors are read here
-//! with every size checked first, because the crate trusts them. Positions stay the file's f32 bits in the mesh's own
-//! frame; everything else goes into the object's f64 matrix: `world_from_scene` of the sidecar, the turn from y-up
-//! to z-up, and the product of the node matrices. Nodes with objects below that are none themselves become groups, their
-//! frames the rigid part of that product.
+//! The `gltf` crate parses the file's structure, but reads node transforms as f32 and does not check sizes. So node
+//! transforms are read again as f64, and accessors are read here with every size checked first. Positions keep the
+//! file's f32 bits in the mesh's own frame. The object's f64 matrix is the product of `world_from_scene` from the
+//! sidecar, the rotation from y-up to z-up, and the node matrices. A node that is not an object but has objects below
+//! becomes a group; its frame is the rigid part of that product.
 
 mod accessor;
 mod buffers;
@@ -45,21 +45,21 @@ use std::sync::Arc;
 /// Options for importing a scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ImportOptions {
-    /// Merge coplanar neighbours into convex polygons. Without merging every triangle stays a polygon, in source order, which
-    /// `source` ids need.
+    /// Merge coplanar neighbours into convex polygons. Without merging, every triangle stays a polygon, in source
+    /// order, as `source` ids require.
     pub merge: bool,
-    /// How far a vertex may be off its merged polygon's plane, relative to the size of its mesh.
+    /// Greatest distance of a vertex from its merged polygon's plane, relative to the size of its mesh.
     pub merge_tolerance: f64,
-    /// The axis of the file that points up; `None`: as the sidecar says, else y.
+    /// The axis of the file that points up; `None`: from the sidecar, else y.
     pub up: Option<Up>,
-    /// Metres in one unit of the file; `None`: as the sidecar says, else 1.
+    /// Metres in one unit of the file; `None`: from the sidecar, else 1.
     pub scale: Option<f64>,
-    /// Where meshes are built, side by side.
+    /// Threads that build meshes in parallel.
     pub threads: Threads,
 }
 
 impl ImportOptions {
-    /// How a file with this sidecar lies in the world.
+    /// Up axis, scale and world pose of a file with this sidecar.
     fn frame(&self, sidecar: &Sidecar) -> SceneFrame {
         let default = SceneFrame::default();
         SceneFrame {
@@ -76,7 +76,7 @@ impl Default for ImportOptions {
     }
 }
 
-/// Extensions that change how a surface looks, not where it is.
+/// Extensions that change the appearance of a surface, but not its shape.
 const HARMLESS: [&str; 7] = [
     "KHR_materials_",
     "KHR_texture_",
@@ -87,24 +87,24 @@ const HARMLESS: [&str; 7] = [
     "KHR_mesh_quantization",
 ];
 
-/// Extensions that move or multiply geometry: where they may be ignored, it is said.
+/// Extensions that move or multiply geometry. A file that does not require them is read without them, with a note.
 const SHAPING: [&str; 3] = ["EXT_mesh_gpu_instancing", "KHR_draco_mesh_compression", "EXT_meshopt_compression"];
 
-/// Reads a scene with its sidecar `SCENE.materials.toml`, if there is one.
+/// Reads a scene and its sidecar `SCENE.materials.toml`, if it exists.
 ///
 /// # Errors
-/// [`ErrorKind::Invalid`] with file, place and remedy for a file that is missing, truncated, no glTF, or inconsistent;
-/// [`ErrorKind::Unsupported`] for a required extension or a version that is not read; [`ErrorKind::Usage`] for
-/// impossible options; those of [`Threads::new`].
+/// [`ErrorKind::Invalid`] with file, place and remedy for a file that is missing, truncated, not glTF, or inconsistent;
+/// [`ErrorKind::Unsupported`] for a required extension or a version that is not supported; [`ErrorKind::Usage`] for
+/// invalid options. As [`Threads::new`].
 pub fn import(path: impl AsRef<Path>, options: &ImportOptions) -> Result<ImportedScene> {
     import_within(path.as_ref(), None, options, &mut Memory::default())
 }
 
-/// [`import`] that reads buffers and materials from nowhere but a folder, given with symbolic links resolved, however
-/// links lead; what it takes is counted besides what was imported before.
+/// Like [`import`], but reads buffers and materials only from the folder `within` (with symbolic links resolved), and
+/// adds to the memory of earlier imports.
 ///
 /// # Errors
-/// As [`import`]; [`ErrorKind::Invalid`] if one is outside.
+/// As [`import`]; [`ErrorKind::Invalid`] if a buffer or the sidecar is outside.
 pub(crate) fn import_within(
     path: &Path,
     within: Option<&Path>,
@@ -176,7 +176,7 @@ fn import_bytes(
     Ok(ImportedScene { environment, report, frame: Some(frame) })
 }
 
-/// A name in quotes for a message, cut where it would not fit a line.
+/// Quotes a name for a message. Long names are cut.
 fn quoted(name: &str) -> String {
     const LONGEST: usize = 80;
     match name.char_indices().nth(LONGEST) {
@@ -189,7 +189,7 @@ fn parse<'de, T: serde::Deserialize<'de>>(text: &'de [u8]) -> Result<T> {
     serde_json::from_slice(text).map_err(|e| {
         let place = format!("JSON line {}, column {}", e.line(), e.column());
         let whole = e.to_string();
-        // The place is said already.
+        // The place already names the line.
         let what = whole.split(" at line ").next().unwrap_or(&whole).to_owned();
         let remedy = if e.is_eof() { "the file is truncated; export it again" } else { "export it again as glTF 2.0" };
         Error::invalid(what, remedy).at(place)
@@ -225,8 +225,8 @@ fn note_extensions(root: &json::Root, book: &mut ProblemBook) {
     }
 }
 
-/// The meshes of the scene, each once, in the order of their first use, with the triangles that each claims, which are
-/// checked against the limits.
+/// The meshes of the scene in the order of their first use, with their claimed numbers of triangles. Checks these
+/// against the limits.
 fn claims_of(document: &Document<'_>, nodes: &[SceneNode]) -> Result<Vec<(usize, u64)>> {
     let mut claimed: HashMap<usize, u64> = HashMap::new();
     let mut proven = AccessorCounts::default();
@@ -259,7 +259,7 @@ fn claims_of(document: &Document<'_>, nodes: &[SceneNode]) -> Result<Vec<(usize,
     Ok(claims)
 }
 
-/// Adds all materials of the file, then one for primitives without; the answer is the index of that one.
+/// Adds all materials of the file and, if needed, one for primitives without a material. Returns the index of the last.
 fn add_materials(root: &json::Root, sidecar: &Sidecar, path: &Path, environment: &mut Environment) -> Result<u16> {
     let mut all = Vec::with_capacity(root.materials.len() + 1);
     for (i, source) in root.materials.iter().enumerate() {
@@ -296,16 +296,16 @@ struct BuiltMesh {
     merges: u64,
     /// Metres in the mesh frame.
     deviation: f64,
-    /// Our own polygons, as they were.
+    /// True if it has the exact polygons of our own writer.
     exact: bool,
 }
 
 impl BuiltMesh {
-    /// Our own polygons, as they were.
+    /// An exact mesh of our own writer.
     fn exact(mesh: Arc<Mesh>, triangles: u64) -> Self {
         Self {
             mesh,
-            // Below the limit on all triangles.
+            // Fits, because of the limit on triangles.
             source_count: triangles as u32,
             primitive_ends: Vec::new(),
             problems: ProblemList::default(),
@@ -336,7 +336,7 @@ fn build_mesh(
     let mesh::MeshTriangles { triangles, mut notes } = document.read_mesh(index, default_material)?;
     if stale {
         let what = format!(
-            "{}: its polygons are of other vertices: its triangles are used",
+            "{}: its stored polygons do not match its vertices: its triangles are used",
             mesh_words(&document.root, index)
         );
         notes.push((ProblemKind::IgnoredFeature, what));
@@ -356,16 +356,16 @@ fn build_mesh(
     Ok(BuiltMesh { mesh, source_count, primitive_ends, problems, notes, merges, deviation, exact: false })
 }
 
-/// The most a transform can stretch any length: exact for scales along the axes, a bound for shears.
+/// The greatest factor by which a transform stretches a length: exact for scales along the axes, a bound for shears.
 fn largest_stretch(m: &DMat3) -> f64 {
     let [x, y, z] = [m.x_axis, m.y_axis, m.z_axis];
     let longest = x.length().max(y.length()).max(z.length());
     let skew = x.dot(y).abs().max(y.dot(z).abs()).max(z.dot(x).abs());
-    // Of M^T M = D + S with |S| <= 2 max |s|.
+    // M^T M = D + S with |S| <= 2 max |s|.
     (longest * longest + 2.0 * skew).sqrt()
 }
 
-/// A node in messages.
+/// Names a node in messages.
 fn place_of(node: &SceneNode) -> String {
     format!("node {} {}", node.node, quoted(&node.path))
 }
@@ -379,7 +379,7 @@ fn insert_objects(
     book: &mut ProblemBook,
 ) -> Result<()> {
     let world_from_gltf = frame.world_from_file();
-    // Our own writer knows of no sidecar.
+    // Our own writer writes files without a sidecar.
     let exact = *frame == SceneFrame::default();
     let built_of = |node: &SceneNode| node.mesh.and_then(|mesh| by_mesh.get(&mesh));
     let is_object = |node: &SceneNode| built_of(node).is_some_and(|built| built.mesh.polygon_count() > 0);
@@ -391,7 +391,7 @@ fn insert_objects(
         report.triangles_in_scene += u64::from(built.source_count);
         report.polygons_in_scene += built.mesh.polygon_count() as u64;
         if node.skinned {
-            book.note(ProblemKind::IgnoredFeature, || format!("{}: skin: its rest pose is used", place()));
+            book.note(ProblemKind::IgnoredFeature, || format!("{}: skin: the rest pose is used", place()));
         }
         match path.as_deref().filter(|_| is_object(node)) {
             None => book.note(ProblemKind::EmptyMesh, place),
@@ -404,19 +404,19 @@ fn insert_objects(
                 insert(environment, new).map_err(|e| e.at(place()))?;
             }
         }
-        // Cannot overflow: the sum over all nodes is under the limit on polygons.
+        // Cannot overflow, because the sum over all nodes is below the limit on polygons.
         first_source += built.source_count;
     }
     for (node, path) in nodes.iter().zip(paths).filter(|(node, _)| !is_object(node)) {
         if let Some(path) = path {
             let frame = frame_of_group(node, &world_from_gltf, exact);
-            // A matrix without a rigid part gives none: the group then has that of what is above.
+            // A matrix without a rigid part is refused; the group then has the frame of its parent.
             let _ = environment.set_frame(&path, Some(frame));
         }
     }
     environment.settle_groups();
     for node in nodes.iter().filter(|node| matches!(node.placed, Some(RootPlacement::Group(_)))) {
-        // Our own writer names it by its path; nothing hangs on the node.
+        // Our own writer names the node by the group's path; the group's objects are not its children.
         let free = environment.object(&node.name).is_none() && environment.group(&node.name).is_none();
         if free && environment.has_below(&node.name) {
             let _ = environment.set_frame(&node.name, Some(frame_of_group(node, &world_from_gltf, exact)));
@@ -425,7 +425,7 @@ fn insert_objects(
     Ok(())
 }
 
-/// The object that a node is.
+/// Makes the object of a node.
 fn object(
     node: &SceneNode,
     path: &str,
@@ -439,7 +439,7 @@ fn object(
     };
     Ok(match written {
         Some(new) if built.exact => new,
-        // Its triangles are numbered as any other's.
+        // A mesh read from triangles gets new source numbers.
         Some(new) => NewObject { first_source, ..new },
         None => NewObject { first_source, ..NewObject::from_affine(path, *world_from_mesh, built.mesh.clone())? },
     })
@@ -456,7 +456,7 @@ fn insert(environment: &mut Environment, new: NewObject) -> Result<()> {
     Err(Error::invalid(what, "check the scale: glTF is in metres"))
 }
 
-/// The frame of the group that a node is.
+/// The frame of a node's group.
 fn frame_of_group(node: &SceneNode, world_from_gltf: &DAffine3, exact: bool) -> Pose {
     let written = match &node.placed {
         Some(RootPlacement::Group(group)) if exact => group.frame(node),

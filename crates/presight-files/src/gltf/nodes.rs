@@ -1,4 +1,4 @@
-//! The node hierarchy, read and composed in f64: an f32 matrix would lose a site in UTM metres.
+//! The node hierarchy, read and composed in f64. In f32, UTM coordinates would lose precision.
 
 use super::exact::RootPlacement;
 use super::memory::Memory;
@@ -12,7 +12,7 @@ const REPAIR: &str = "repair the model or export it again";
 /// The parent of a root.
 const NONE: usize = usize::MAX;
 
-/// The part of a glTF file that must keep f64.
+/// The part of a glTF file that is read as f64.
 #[derive(Deserialize)]
 pub(super) struct NodeText {
     #[serde(default)]
@@ -42,34 +42,33 @@ struct Node {
     extras: Option<serde_json::Value>,
 }
 
-/// A node of the default scene that has a mesh or meshes below, or one that our own writer left for a group.
+/// A node of the default scene with a mesh at or below it, or a group of our own writer.
 pub(super) struct SceneNode {
     /// Index in the file.
     pub node: usize,
-    /// Which of the nodes found before holds it.
+    /// Index of its parent among the scene nodes, which come before it.
     pub parent: Option<usize>,
-    /// Its own name.
     pub name: String,
-    /// Full node path as the file has it, "a/b/c", for messages: others may have the same.
+    /// Full node path in the file, "a/b/c", for messages. It need not be unique.
     pub path: String,
     pub mesh: Option<usize>,
     /// glTF scene axes, y up.
     pub scene_from_node: DAffine3,
     pub skinned: bool,
-    /// What our own writer says besides, of a root.
+    /// Our own writer's data, for a root.
     pub placed: Option<RootPlacement>,
 }
 
 impl NodeText {
-    /// Those nodes of the default scene, depth-first, children in order.
+    /// Lists the scene nodes depth-first, with children in order.
     pub fn scene_nodes(&self, memory: &mut Memory) -> Result<Vec<SceneNode>> {
         let parents = self.parents()?;
         let carries = self.carriers(&parents);
         let mut found: Vec<SceneNode> = Vec::new();
         let mut seen = vec![false; self.nodes.len()];
         let mut path = String::new();
-        // Iterative: a deep file must not exhaust the stack. (node, depth, length of the parent's path, parent among those
-        // found, parent's place)
+        // Not recursive, because a deep file must not exhaust the stack. (node, depth, length of the parent's path,
+        // parent's index in `found`, scene_from_parent)
         let mut stack: Vec<(usize, usize, usize, Option<usize>, DAffine3)> =
             self.roots(&parents)?.iter().rev().map(|&r| (r, 0, 0, None, DAffine3::IDENTITY)).collect();
         while let Some((index, depth, parent_length, parent, scene_from_parent)) = stack.pop() {
@@ -119,7 +118,7 @@ impl NodeText {
         Ok(found)
     }
 
-    /// The parent of each node, once the hierarchy is proven to be a forest.
+    /// The parent of each node. Checks that the hierarchy is a forest.
     fn parents(&self) -> Result<Vec<usize>> {
         let count = self.nodes.len();
         let mut parents = vec![NONE; count];
@@ -135,7 +134,7 @@ impl NodeText {
                 parents[child] = index;
             }
         }
-        // With one parent at most, what no root reaches is a cycle.
+        // As each node has at most one parent, nodes that no root reaches form a cycle.
         let mut reached = vec![false; count];
         let mut stack: Vec<usize> = (0..count).filter(|&i| parents[i] == NONE).collect();
         while let Some(i) = stack.pop() {
@@ -148,7 +147,7 @@ impl NodeText {
         }
     }
 
-    /// Which nodes have a mesh, or one below.
+    /// True for each node with a mesh at or below it.
     fn carriers(&self, parents: &[usize]) -> Vec<bool> {
         let mut carries = vec![false; self.nodes.len()];
         for (index, _) in self.nodes.iter().enumerate().filter(|(_, node)| node.mesh.is_some()) {
@@ -183,16 +182,16 @@ impl NodeText {
 }
 
 impl Node {
-    /// `parent_from_node`, from the digits in the file.
+    /// `parent_from_node`.
     fn transform(&self) -> Result<DAffine3, &'static str> {
         let Some(m) = &self.matrix else {
             return self.transform_from_trs();
         };
         if self.translation.is_some() || self.rotation.is_some() || self.scale.is_some() {
-            return Err("it has a matrix and translation, rotation or scale too");
+            return Err("it has both a matrix and translation, rotation or scale");
         }
         let last = [m[3], m[7], m[11], m[15]];
-        // Exporters that multiply in f32 leave rounding here; more than that would be a projection.
+        // Exporters that multiply in f32 leave rounding errors here; larger values would be a projection.
         if last.iter().zip([0.0, 0.0, 0.0, 1.0]).any(|(a, b)| (a - b).abs() > 1e-6) {
             return Err("the last row of its matrix is not 0 0 0 1");
         }
@@ -206,9 +205,9 @@ impl Node {
             Some(q) => {
                 let q = DQuat::from_array(q);
                 let length = q.length();
-                // Quaternions are written with f32 digits: normalizing takes the scale out that this would add.
+                // Quaternions with f32 digits would add a scale.
                 if !(0.5..=2.0).contains(&length) {
-                    return Err("its rotation is no unit quaternion");
+                    return Err("its rotation is not a unit quaternion");
                 }
                 q.normalize()
             }

@@ -1,10 +1,10 @@
-//! What the nodes are called: full paths in which each name is given once.
+//! Unique full paths of nodes.
 
 use super::nodes::SceneNode;
 use presight_model::environment::Paths;
 
-/// The path of each node that is an object or has objects below, and `None` for the others. A repeated name gets `#2` and
-/// so on where it is repeated, whatever is below: `arm`, `arm/hand`, `arm#2`, `arm#2/hand`.
+/// The path of each node that is an object or has objects below, and `None` for the others. A repeated name gets `#2`
+/// and so on at its own level: `arm`, `arm/hand`, `arm#2`, `arm#2/hand`.
 pub(super) fn paths(nodes: &[SceneNode], is_object: impl Fn(&SceneNode) -> bool) -> Vec<Option<String>> {
     let mut lives: Vec<bool> = nodes.iter().map(is_object).collect();
     // Parents come before their children.

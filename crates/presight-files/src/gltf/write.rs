@@ -1,14 +1,18 @@
-//! An environment as a .glb that [`super::import`] gives back bit for bit, and that every other program can show.
+//! Writes an environment as a .glb that every other program can show. [`super::import`] reads it back bit for bit.
 //!
-//! Objects are root nodes named by their full paths, groups that were given a frame root nodes without a mesh; meshes are
-//! triangles by material. What glTF has no words for is in
-//! `extras.presight`: of a mesh its convex polygons (`rows`: an accessor of three u32 for each, number of corners,
-//! material and source triangle; `corners`: an accessor of all corners; `order`; `blake3` of positions, rows and corners),
-//! of a node its pose apart from its scale (`world_from_object`, `world_from_group`), of a material its reflection factor, sides and classes. A mesh whose hash
-//! does not fit, or a node whose matrix is another one, was changed by another program: then triangles and matrix count.
+//! Objects are root nodes named by their full paths. Groups with a frame of their own are root nodes without a mesh.
+//! Meshes are triangles by material. `extras.presight` holds the data that glTF cannot express:
 //!
-//! Not carried: objects without polygons, materials' empty names, numbers of objects and slots, ids of deleted features,
-//! and feature layers, which are files of their own.
+//! - meshes: convex polygons (`rows`: an accessor with three u32 for each, number of corners, material and source triangle;
+//!   `corners`: an accessor with all corners; `order`; `blake3` of positions, rows and corners);
+//! - nodes: the pose without the scale (`world_from_object`, `world_from_group`);
+//! - materials: reflection factor, sides and classes.
+//!
+//! If a mesh's hash or a node's matrix does not match, another program has changed it; then triangles and matrix are
+//! used.
+//!
+//! Not written: objects without polygons, materials' empty names, numbers of objects and slots, ids of deleted
+//! features, and feature layers, which are separate files.
 
 use crate::atomic::write_atomically;
 use crate::preparation::Z_UP_FROM_Y_UP;
@@ -37,11 +41,11 @@ const UNSIGNED_INT: u32 = 5125;
 /// ```
 ///
 /// # Errors
-/// [`crate::ErrorKind::System`] if the system refuses, [`crate::ErrorKind::Invalid`] if the file would exceed 4 GiB or the
-/// environment has no polygons, because [`super::import`] refuses a scene without polygons.
+/// [`crate::ErrorKind::System`] if the file cannot be written, [`crate::ErrorKind::Invalid`] if it would exceed 4 GiB
+/// or have no polygons, because [`super::import`] refuses a scene without polygons.
 pub fn write_glb(path: &Path, environment: &Environment) -> Result<()> {
     if environment.objects().iter().all(|o| o.mesh.polygon_count() == 0) {
-        let what = "the environment has no polygons, and no scene is read without any";
+        let what = "the environment has no polygons, so the scene could not be read back";
         return Err(Error::invalid(what, "insert an object first"));
     }
     let mut scene = Scene::default();
@@ -65,7 +69,7 @@ pub fn write_glb(path: &Path, environment: &Environment) -> Result<()> {
         .map_err(|_| Error::invalid("the scene would be over 4 GiB", "split the environment").in_file(path))?;
     write_atomically(path, |file| {
         file.write_all(b"glTF")?;
-        // The whole fits, so each part does.
+        // The whole length fits, so each part's does too.
         [2, length, json.len() as u32].iter().try_for_each(|x: &u32| file.write_all(&x.to_le_bytes()))?;
         file.write_all(b"JSON")?;
         file.write_all(&json)?;
@@ -75,13 +79,13 @@ pub fn write_glb(path: &Path, environment: &Environment) -> Result<()> {
     })
 }
 
-/// The matrix that a node gets for an object: what `import` compares with.
+/// The matrix of an object's node. `import` compares with it.
 pub(super) fn matrix_of(world_from_mesh: &DAffine3) -> [f64; 16] {
     let gltf_from_world = DAffine3::from_mat3(Z_UP_FROM_Y_UP.transpose());
     DMat4::from(gltf_from_world * *world_from_mesh).to_cols_array()
 }
 
-/// The hash by which a mesh's polygons are known to be those of its vertices.
+/// The hash that shows whether stored polygons match the vertices of a mesh.
 pub(super) fn mesh_hash(vertices: &[glam::Vec3], rows: &[u32], corners: &[u32]) -> String {
     let mut hasher = blake3::Hasher::new();
     let mut bytes = Vec::with_capacity(12 * vertices.len());
@@ -98,7 +102,7 @@ fn numbers(pose: &Pose) -> Vec<f64> {
     pose.translation.to_array().into_iter().chain(pose.rotation.to_array()).collect()
 }
 
-/// A group as a node of its own: that its objects hang on it is told by their names.
+/// A group as a node without children. The names of its objects show that they belong to it.
 fn group(path: &str, world_from_group: &Pose) -> Value {
     json!({
         "name": path,
@@ -192,7 +196,7 @@ impl Scene {
         self.accessors.len() - 1
     }
 
-    /// All elements are of four bytes: views stay aligned.
+    /// Adds a buffer view. All elements have four bytes, so views stay aligned.
     fn view(&mut self, bytes: impl Iterator<Item = u8>) -> usize {
         let start = self.bin.len();
         self.bin.extend(bytes);
@@ -201,7 +205,7 @@ impl Scene {
         self.views.len() - 1
     }
 
-    /// The JSON chunk and the binary one.
+    /// Returns the JSON chunk and the binary chunk.
     fn finish(self, materials: &[Value]) -> (Vec<u8>, Vec<u8>) {
         let Self { bin, views, accessors, meshes, nodes } = self;
         let mut root = json!({
@@ -210,7 +214,7 @@ impl Scene {
             "scenes": [{"nodes": (0..nodes.len()).collect::<Vec<_>>()}],
             "nodes": nodes,
         });
-        // glTF has no empty lists.
+        // glTF does not allow empty lists.
         let lists = [("meshes", meshes), ("accessors", accessors), ("bufferViews", views)];
         for (name, list) in lists.into_iter().filter(|(_, list)| !list.is_empty()) {
             root[name] = list.into();

@@ -1,4 +1,4 @@
-//! The keys of a layer file as serde reads and writes them; what they mean together is checked after.
+//! The keys of a layer file for serde. Whether they fit together is checked later.
 
 use serde::de::value::MapAccessDeserializer;
 use serde::de::{Error as _, MapAccess, SeqAccess, Unexpected, Visitor};
@@ -19,7 +19,7 @@ pub(super) struct LayerFields<'a> {
     pub tolerance: Option<f64>,
     #[serde(default)]
     pub pose_covariances: PoseCovariances,
-    /// Their text: each is read by itself.
+    /// Raw text, because each feature is parsed separately.
     #[serde(borrow)]
     pub features: Vec<&'a RawValue>,
 }
@@ -64,11 +64,11 @@ pub struct FeatureFields {
     pub remove: Option<bool>,
 }
 
-/// What is known of the polygons that a feature was put on.
+/// State of the polygons that a feature was placed on.
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Surface {
-    /// They were moved or deleted since.
+    /// They have since been moved or deleted.
     Lost,
 }
 
@@ -98,7 +98,7 @@ pub(crate) struct PropertyFields {
     pub code: Option<u32>,
 }
 
-/// An object with its keys. Serde would take a list of the values in order for one, too; the schema does not.
+/// A JSON object. Serde alone would also accept a list of the values in order, which the schema does not allow.
 pub(super) struct Keyed<T>(pub T);
 
 impl<'de, T: Deserialize<'de>> Deserialize<'de> for Keyed<T> {
@@ -123,7 +123,7 @@ fn keyed<'de, D: Deserializer<'de>, T: Deserialize<'de>>(deserializer: D) -> Res
     Option::<Keyed<T>>::deserialize(deserializer).map(|given| given.map(|Keyed(fields)| fields))
 }
 
-/// A whole number, however it is written: to JSON, and to the schema, 1.0 is 1.
+/// A whole number. JSON and the schema also allow 1.0 for 1.
 #[derive(Clone, Copy)]
 pub(super) struct Whole(pub u32);
 
@@ -162,7 +162,7 @@ fn some_whole<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<u32>,
     Option::<Whole>::deserialize(deserializer).map(|given| given.map(|Whole(n)| n))
 }
 
-/// One standard deviation, or three; kept as three. An untagged enum would lose the line of errors.
+/// One standard deviation for all axes, or three, metres. An untagged enum would lose the line of errors.
 #[derive(Clone, Copy, Serialize)]
 #[serde(transparent)]
 pub(crate) struct Sigma(pub [f64; 3]);
@@ -217,7 +217,7 @@ impl<'de> Deserialize<'de> for PoseCovariances {
                 while let Some((path, numbers)) = map.next_entry::<String, Vec<f64>>()? {
                     let mut covariance = [[0.0; 6]; 6];
                     if numbers.len() != 36 {
-                        let what = format!("{} numbers for object {path:?}, where 36 are needed", numbers.len());
+                        let what = format!("{} numbers for object {path:?}, but 36 are needed", numbers.len());
                         return Err(A::Error::custom(what));
                     }
                     if !seen.insert(path.clone()) {

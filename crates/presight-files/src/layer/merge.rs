@@ -1,4 +1,4 @@
-//! Several layer files made one.
+//! Merging of layer files.
 
 use super::read::{LayerFile, read};
 use presight_model::environment::FeatureLayer;
@@ -9,17 +9,17 @@ use std::path::Path;
 /// Layers for one sensor class, merged.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct MergedLayers {
-    /// The remaining features of each file, in the order in which they were read; see [`merge`].
+    /// The remaining features of each file, in the order of reading; see [`merge`].
     pub layers: Vec<LayerFile>,
-    /// Number of features for other classes, which are not used.
+    /// Number of unused features for other classes.
     pub other_classes: usize,
 }
 
-/// Reads layer files and merges those for a sensor class over the environment's own layer for it, if there is one. That layer
-/// comes first and has no path. Features of other classes are counted.
+/// Reads layer files and merges the ones for a sensor class with the environment's own layer for it, if any. The own
+/// layer comes first and has no path. Features of other classes are counted.
 ///
 /// # Errors
-/// Those of [`read`] and [`merge`], for all files alike.
+/// As [`read`], also for files of other classes, and as [`merge`].
 pub fn load<P: AsRef<Path>>(own: Option<&FeatureLayer>, paths: &[P], class: &str) -> Result<MergedLayers> {
     let mut files = Vec::with_capacity(paths.len() + 1);
     files.extend(own.map(|layer| LayerFile { layer: layer.clone(), ..LayerFile::default() }));
@@ -35,10 +35,10 @@ pub fn load<P: AsRef<Path>>(own: Option<&FeatureLayer>, paths: &[P], class: &str
     Ok(MergedLayers { layers: merge(files)?, other_classes })
 }
 
-/// Merges layers and returns what remains of each. A later feature replaces an earlier one of the same id. A removal drops
-/// earlier features of its id, and a later layer may use the id again. Removing a missing feature does nothing, because the layer
-/// below may have been generated again without it. A later pose covariance of an object replaces an earlier one and holds for all
-/// layers. A tolerance holds for its own layer only.
+/// Merges layers and returns the remaining part of each. A later feature replaces an earlier one with the same id. A
+/// removal drops earlier features with its id, and a later layer may use the id again. Removing a missing feature is
+/// not an error, because the earlier layer may have been regenerated without it. A later pose covariance of an object
+/// replaces an earlier one for all layers. A tolerance applies only to its own layer.
 ///
 /// # Errors
 /// [`crate::ErrorKind::Invalid`] naming the file if classes differ.
@@ -53,11 +53,11 @@ pub fn merge(files: impl IntoIterator<Item = LayerFile>) -> Result<Vec<LayerFile
             None => wrong,
         });
     }
-    // One file has the last word on all: what it removes it does not hold.
+    // A single file needs no merging: it never removes its own features.
     if files.len() < 2 {
         return Ok(files);
     }
-    // Which file the last word on an id, or on an object's pose, is in.
+    // The last file that names each id, and each object's pose.
     let (mut of_id, mut of_object) = (HashMap::new(), HashMap::new());
     for (i, LayerFile { layer, removed, .. }) in files.iter().enumerate() {
         of_id.extend(removed.iter().copied().chain(layer.features.iter().map(|f| f.id)).map(|id| (id, i)));

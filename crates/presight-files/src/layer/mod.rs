@@ -1,4 +1,5 @@
-//! Layer files: the features of one sensor class, JSON, `format = 1`, or 2 in files that hold a contour; unknown keys are errors.
+//! Layer files: the features of one sensor class as JSON. The format is 2 in files with contours, otherwise 1. Unknown
+//! keys are errors.
 //!
 //! ```json
 //! {
@@ -22,24 +23,24 @@
 //!
 //! | key of a feature | meaning |
 //! |---|---|
-//! | `id` | stable number, 1 and up, never used again |
+//! | `id` | stable number from 1, never reused |
 //! | `kind` | `point`, `segment`, `patch`, `reflector`, `fiducial`, and in format 2 `contour` |
-//! | `object` | path of the object in whose frame it is given and with which it moves; absent: the world |
-//! | `anchor`, `crease_deg` | contours, in place of `points`: a point on the surface, metres, and the angle by which its facets fold at most, degrees |
-//! | `points` | metres: 1 for points and reflectors, 2 ends, 3 or more corners of a convex patch, 4 corners of a fiducial, clockwise from the top left seen from the front |
+//! | `object` | path of the object whose frame it uses and with which it moves; absent: the world |
+//! | `anchor`, `crease_deg` | contours, in place of `points`: a point on the surface, metres, and the greatest angle between adjacent facets, degrees |
+//! | `points` | metres: 1 for points and reflectors; 2 ends of a segment; 3 or more corners of a convex patch; 4 corners of a fiducial, clockwise from the top left when seen from the front |
 //! | `sigma` | standard deviation of each point, metres: one for all axes, or three |
-//! | `covariance` | instead: 9 numbers, row-major, of each point |
-//! | `covariances` | segments: one for each end |
-//! | `cross_covariance` | segments: of the first end with the second |
+//! | `covariance` | in place of `sigma`: covariance of each point, 9 numbers, row-major |
+//! | `covariances` | segments: one covariance for each end |
+//! | `cross_covariance` | segments: covariance of the first end with the second |
 //! | `existence`, `confirmed`, `rate` | p(t) = existence exp(-rate (t - confirmed)); 1, 0 and 0 if absent; UTC seconds |
-//! | `properties` | `strength`, `contrast` (0 to 1), `normal` (unit, of the surface), `family` and `code` of a fiducial: OpenCV's name of the dictionary, and the number in it |
-//! | `surface` | `lost`: what it lay on was moved or deleted since, and it is kept all the same; one that is off its polygons is then no error, but left out of predictions. Stores export it so |
-//! | `remove` | `true`: of layers read before, the feature of this id is dropped; nothing else is given then |
+//! | `properties` | `strength`, `contrast` (0 to 1), `normal` (unit vector of the surface), `family` and `code` of a fiducial: OpenCV's name of the dictionary, and the marker's number in it |
+//! | `surface` | `lost`: the surface has since been moved or deleted. Such a feature is kept; if it is off its polygons, this is not an error, but predictions omit it. Stores export it |
+//! | `remove` | `true`: drops the feature with this id of layers read before; other keys must be absent |
 //!
-//! Absent covariances are zero. `tolerance` (metres, default 0.001) is how far a feature of this file may be off the polygons
-//! it lies on; they are found by geometry when the layer is used ([`crate::features::place`]). `pose_covariances` are 6 x 6,
-//! row-major: x y z, then rotation about the fixed axes x y z, in the object's frame. A `$schema` key is allowed, for
-//! editors; [`schema`] is what it should point to.
+//! Absent covariances are zero. `tolerance` (metres, default 0.001) is the greatest distance of a feature in this file
+//! from the polygons it lies on; they are found by geometry when the layer is used ([`crate::features::place`]).
+//! `pose_covariances` are 6 x 6, row-major: x y z, then rotation about the fixed axes x y z, in the object's frame. A
+//! `$schema` key is allowed for editors; it should point to [`schema`].
 //!
 //! ```
 //! use presight::io::layer;
@@ -49,7 +50,7 @@
 //! let later = r#"{"format": 1, "class": "video", "features": [{"id": 2, "remove": true}]}"#;
 //! let left = layer::merge([layer::parse(base)?, layer::parse(later)?])?;
 //! assert_eq!(left[0].layer.features.len(), 1);
-//! // What is written reads back with the same bits.
+//! // A written layer reads back with the same bits.
 //! assert_eq!(layer::parse(&layer::to_string(&left[0].layer)?)?.layer, left[0].layer);
 //! # Ok::<(), presight::Error>(())
 //! ```
@@ -73,7 +74,7 @@ pub use schema::schema;
 pub use write::fields as to_fields;
 pub use write::{entry, to_string, write, write_with_lost};
 
-/// The newest version that this build reads: that of files with contours.
+/// The newest format that this build reads, used for files with contours.
 const FORMAT: u32 = 2;
-/// The version of files without.
+/// The format of files without contours.
 const FORMAT_WITHOUT_CONTOURS: u32 = 1;

@@ -1,4 +1,4 @@
-//! From text to features.
+//! Reads and checks layer files.
 
 use super::fields::{FeatureFields, Keyed, Kind, LayerFields, PropertyFields, Surface, Whole};
 use super::{FORMAT, FORMAT_WITHOUT_CONTOURS};
@@ -14,14 +14,14 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// The content of a layer file: a layer, or changes to those that were read before it.
+/// The content of a layer file: a layer, or changes to layers read before it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LayerFile {
-    /// The features that it gives, by rising id.
+    /// The features of the file, by rising id.
     pub layer: FeatureLayer,
-    /// Rising ids of the features that it removes; none of them is in the layer.
+    /// Rising ids of the features that it removes. They are not in the layer.
     pub removed: Vec<u32>,
-    /// Rising ids of the features that it marks as having lost their surface. These may be off the polygons.
+    /// Rising ids of the features that have lost their surface. They may be off the polygons.
     pub lost: Vec<u32>,
     /// The path of the file.
     pub path: Option<PathBuf>,
@@ -30,8 +30,8 @@ pub struct LayerFile {
 /// Reads a layer file.
 ///
 /// # Errors
-/// [`ErrorKind::Invalid`] with the line, or the feature's index and id, [`ErrorKind::Unsupported`] if it is of a newer
-/// format, [`ErrorKind::System`] if the system refuses.
+/// [`ErrorKind::Invalid`] with the line, or the feature's index and id; [`ErrorKind::Unsupported`] for a newer format;
+/// [`ErrorKind::System`] if the file cannot be read.
 pub fn read(path: &Path) -> Result<LayerFile> {
     let file = parse(&read_text(path)?).map_err(|e| e.in_file(path))?;
     Ok(LayerFile { path: Some(path.to_owned()), ..file })
@@ -45,7 +45,7 @@ pub fn parse(text: &str) -> Result<LayerFile> {
     check_json_memory(text)?;
     let fields = match from_json::<Keyed<LayerFields<'_>>>(text, text) {
         Ok(Keyed(fields)) => fields,
-        // A newer file may have keys that this build cannot know: that is said first.
+        // A newer format may have keys that this build does not know, so report the format first.
         Err(e) => return Err(newer_or(e, text)),
     };
     let tolerance = fields.tolerance.unwrap_or(DEFAULT_TOLERANCE);
@@ -73,7 +73,7 @@ pub fn parse(text: &str) -> Result<LayerFile> {
     };
     layer.check_header()?;
     let (mut removed, mut lost) = (Vec::new(), Vec::new());
-    // None is needed where ids rise, as in files that were written by us.
+    // Rising ids are unique, so `first_use` stays empty. Files that we write have rising ids.
     let rises = entries.windows(2).all(|pair| id_of(&pair[0]) < id_of(&pair[1]));
     let mut first_use: HashMap<u32, usize> = HashMap::new();
     for (i, entry) in entries.into_iter().enumerate() {
@@ -84,7 +84,7 @@ pub fn parse(text: &str) -> Result<LayerFile> {
         };
         if let Some(first) = (!rises).then(|| first_use.insert(id, i)).flatten() {
             let what = format!("features[{first}] has this id already");
-            return Err(Error::invalid(what, "give each feature an id that was never used").at(place(i, id)));
+            return Err(Error::invalid(what, "give each feature its own id, never used before").at(place(i, id)));
         }
         let entry = entry?;
         match entry.feature {
@@ -101,7 +101,7 @@ pub fn parse(text: &str) -> Result<LayerFile> {
     Ok(LayerFile { layer, removed, lost, path: None })
 }
 
-/// Entries that a worker reads at a time, at least.
+/// Least number of entries that a worker reads at a time.
 const BATCH: usize = 256;
 
 /// A feature, or the removal of one.
@@ -111,7 +111,7 @@ struct Entry {
     is_lost: bool,
 }
 
-/// What is wrong with an entry. That one has no known form is said before what another one says.
+/// The error of an entry. Errors in the form of any entry are reported before errors in the content of others.
 enum Fault {
     Form(Error),
     Content(Error, u32),
@@ -129,7 +129,7 @@ fn place(i: usize, id: u32) -> String {
     format!("features[{i}] (id {id})")
 }
 
-/// What is wrong with a file's keys, unless the file is of a newer format.
+/// Returns the error of a newer format if the file has one, otherwise `e`.
 fn newer_or(e: Error, text: &str) -> Error {
     format_of(text).and_then(check_format).err().unwrap_or(e)
 }
@@ -137,11 +137,11 @@ fn newer_or(e: Error, text: &str) -> Error {
 /// Reads JSON, the whole text of a file or a part of it.
 fn from_json<'a, T: Deserialize<'a>>(part: &'a str, whole: &str) -> Result<T> {
     serde_json::from_str(part).map_err(|e| {
-        let remedy = "correct the file; presight features schema prints what it may hold";
+        let remedy = "correct the file; presight features schema prints the allowed keys";
         // serde_json appends the position to its message.
         let what = e.to_string();
         let what = what.split(" at line ").next().unwrap_or(&what).to_owned();
-        // A part lies in the whole.
+        // `part` is a slice of `whole`.
         let before = &whole.as_bytes()[..(part.as_ptr() as usize).saturating_sub(whole.as_ptr() as usize)];
         let lines = before.iter().filter(|byte| **byte == b'\n').count();
         let columns = before.iter().rev().take_while(|byte| **byte != b'\n').count();
@@ -150,7 +150,7 @@ fn from_json<'a, T: Deserialize<'a>>(part: &'a str, whole: &str) -> Result<T> {
     })
 }
 
-/// What a file says of its format, whatever else is in it.
+/// Reads a file's format and ignores its other keys.
 fn format_of(text: &str) -> Result<Option<u32>> {
     #[derive(Deserialize)]
     struct Header {
@@ -178,31 +178,31 @@ fn check_format(format: Option<u32>) -> Result<()> {
     }
 }
 
-/// The feature that an entry tells, for a layer of that tolerance.
+/// The feature of an entry, checked with a layer's tolerance.
 #[cfg(feature = "store")]
 pub fn from_fields(fields: FeatureFields, tolerance: f64) -> Result<Feature> {
     let id = fields.id;
     if fields.surface.is_some() {
-        let what = "\"surface\" is for layer files: a change is of features that lie on polygons";
+        let what = "\"surface\" is only for layer files: features in changes must lie on polygons";
         return Err(Error::invalid(what, "leave it out").at(format!("feature {id}")));
     }
-    let gone = || Error::invalid("\"remove\" is for layer files", "delete it with delete_feature");
+    let gone = || Error::invalid("\"remove\" is only for layer files", "delete it with delete_feature");
     fields.feature(tolerance)?.ok_or_else(gone).map_err(|e| e.at(format!("feature {id}")))
 }
 
 impl FeatureFields {
-    /// As `feature`, for a file of a format.
+    /// Like `feature`, with the checks for files.
     fn checked(self, tolerance: f64, format: u32) -> Result<Option<Feature>> {
         let feature = self.feature(tolerance)?;
         feature.as_ref().map_or(Ok(()), Feature::check_dictionary)?;
         if format < FORMAT && feature.as_ref().is_some_and(|feature| feature.shape.is_contour()) {
-            let what = format!("contours are of format {FORMAT}, and the file is of format {format}");
+            let what = format!("contours need format {FORMAT}, but the file has format {format}");
             return Err(Error::invalid(what, format!("write \"format\": {FORMAT}")));
         }
         Ok(feature)
     }
 
-    /// The feature, or `None` if it is to be removed.
+    /// The feature; `None` for a removal.
     fn feature(self, tolerance: f64) -> Result<Option<Feature>> {
         if self.remove == Some(true) {
             return self.removal().map(|()| None);
@@ -221,14 +221,14 @@ impl FeatureFields {
     }
 
     fn removal(&self) -> Result<()> {
-        // Whatever else is given would be lost.
+        // Other keys would be silently ignored.
         let alone = Self { id: self.id, remove: self.remove, ..Self::default() };
         if self.id == 0 {
             return Err(Error::invalid("id 0 is nothing", "name the feature to remove"));
         }
         match (serde_json::to_string(self), serde_json::to_string(&alone)) {
             (Ok(given), Ok(alone)) if given == alone => Ok(()),
-            _ => Err(Error::invalid("\"remove\": true stands beside other keys", "leave only id and remove")),
+            _ => Err(Error::invalid("\"remove\": true does not allow other keys", "give only id and remove")),
         }
     }
 
@@ -280,7 +280,7 @@ impl FeatureFields {
         }
     }
 
-    /// That of each point.
+    /// The covariance of each point.
     fn covariance(&self) -> Result<DMat3> {
         match (self.sigma, &self.covariance, &self.covariances) {
             (None, None, _) => Ok(DMat3::ZERO),
@@ -307,10 +307,10 @@ impl PropertyFields {
     }
 }
 
-/// A normal as people write it, made exact; one that is a unit vector already keeps its bits, so that what we wrote
-/// reads back equal.
+/// Normalizes a normal written with few digits. A unit vector is not changed, so that written normals read back
+/// exactly.
 fn unit(n: DVec3) -> Result<DVec3> {
-    /// Three digits.
+    /// Allowed error of the length: three digits.
     const WRITTEN: f64 = 1e-3;
     let length = n.length();
     if !((length - 1.0).abs() <= WRITTEN) {
@@ -321,7 +321,7 @@ fn unit(n: DVec3) -> Result<DVec3> {
 
 fn exactly<const N: usize>(points: &[DVec3]) -> Result<[DVec3; N]> {
     points.try_into().map_err(|_| {
-        Error::invalid(format!("{} points, where this kind has {N}", points.len()), "give points as [[x, y, z], ..]")
+        Error::invalid(format!("{} points, but this kind has {N}", points.len()), "give points as [[x, y, z], ..]")
     })
 }
 

@@ -2,8 +2,8 @@
 
 /// The JSON schema (draft 2020-12) of layer files, for editors and for tools that write layers.
 ///
-/// It defines types, keys and ranges. [`super::read`] also checks what a schema cannot express: covariances without negative
-/// eigenvalues, convex patches, square fiducials, ids used once.
+/// It defines types, keys and ranges. [`super::read`] also checks rules that a schema cannot express: covariances
+/// without negative eigenvalues, convex patches, square fiducials, unique ids.
 ///
 /// ```
 /// let schema: serde_json::Value = serde_json::from_str(presight::io::layer::schema())?;

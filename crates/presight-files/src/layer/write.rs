@@ -1,4 +1,4 @@
-//! From features to text, one feature a line, so that people can edit and compare it.
+//! Writes layer files with one feature per line, so that people can edit and compare them.
 
 use super::fields::{FeatureFields, Kind, PropertyFields, Surface};
 use super::{FORMAT, FORMAT_WITHOUT_CONTOURS};
@@ -13,14 +13,14 @@ use std::path::Path;
 /// Writes a layer file, which [`super::read`] reads back bit for bit.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] if the layer is invalid ([`FeatureLayer::check`]), because such a file could not be read.
-/// [`crate::ErrorKind::System`] if the system refuses; an existing file then stays as it was.
+/// [`crate::ErrorKind::Invalid`] if the layer is invalid ([`FeatureLayer::check`]), because such a file could not be
+/// read. [`crate::ErrorKind::System`] if writing fails; an existing file is then not changed.
 pub fn write(path: &Path, layer: &FeatureLayer) -> Result<()> {
     write_with_lost(path, layer, &[])
 }
 
-/// As [`write()`], but marks the features of these rising ids as having lost their surface. They need not lie on polygons when
-/// they are read.
+/// Like [`write()`], but marks the features with these rising ids as having lost their surface. When the file is read,
+/// they need not lie on polygons.
 ///
 /// # Errors
 /// As [`write()`].
@@ -29,10 +29,10 @@ pub fn write_with_lost(path: &Path, layer: &FeatureLayer, lost: &[u32]) -> Resul
     write_atomically(path, |file| file.write_all(text.as_bytes()))
 }
 
-/// The text of a layer file.
+/// Returns the text of a layer file.
 ///
 /// # Errors
-/// As [`write()`], but for the system's.
+/// [`crate::ErrorKind::Invalid`] if the layer is invalid.
 pub fn to_string(layer: &FeatureLayer) -> Result<String> {
     text_of(layer, &[])
 }
@@ -64,10 +64,10 @@ fn text_of(layer: &FeatureLayer, lost: &[u32]) -> Result<String> {
     Ok(text)
 }
 
-/// The entry of one feature on one line, to be put under `features`.
+/// Returns the line of one feature for the list `features`.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] if it is not sound.
+/// [`crate::ErrorKind::Invalid`] if the feature is invalid.
 pub fn entry(feature: &Feature) -> Result<String> {
     feature.check(presight_model::environment::DEFAULT_TOLERANCE)?;
     json(&fields(feature))
@@ -137,7 +137,7 @@ fn rows(m: &DMat3) -> [f64; 9] {
     m.transpose().to_cols_array()
 }
 
-/// Absent means zero; a negative zero is no zero of ours to drop.
+/// Zeros are left out, but not negative zeros, which an absent key would lose.
 fn unless_zero(rows: [f64; 9]) -> Option<[f64; 9]> {
     rows.iter().any(|x| x.to_bits() != 0).then_some(rows)
 }

@@ -1,10 +1,10 @@
-//! Planar laser scans as data sets publish them: one JSON object with a list `scans`.
+//! Planar laser scans in the form of public data sets: one JSON object with a list `scans`.
 //!
 //! Keys of the document: `beams`, `angle_min`, `angle_max` (radians), `counter_clockwise`, `range_max`, `range_std`,
-//! `sensor_on_robot` {x, y, z, yaw}; or in an object `scan`: `beams`, `angle_min_deg`, `step_deg`, `height_m`, `range_max`.
-//! Keys of a scan: `ranges` (metres; null is no reading), and optionally `valid` (a digit for each beam, 1 for a reading), `t` (seconds; without it frames
-//! are numbered from 0), `odometry_increment` [x, y, yaw] and the robot's pose {x, y, yaw} under `robot_pose`,
-//! `reference_pose` or `pose_in_model`. Other keys are not read.
+//! `sensor_on_robot` {x, y, z, yaw}; or in an object `scan`: `beams`, `angle_min_deg`, `step_deg`, `height_m`,
+//! `range_max`. Keys of a scan: `ranges` (metres; null is no reading), and optionally `valid` (a digit for each beam, 1
+//! for a reading), `t` (seconds; default: the index of the scan), `odometry_increment` [x, y, yaw] and the robot's pose
+//! {x, y, yaw} under `robot_pose`, `reference_pose` or `pose_in_model`. Other keys are ignored.
 
 use super::{Log, LogFrame, check_time};
 use crate::text::check_json_memory;
@@ -16,7 +16,7 @@ use presight_model::sensor::{Angles, Geometry, Noise, Scanner, Sensor, SensorSpe
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
-/// A document that was read whole.
+/// A document, read as a whole.
 pub struct Document {
     path: PathBuf,
     sensor: Sensor,
@@ -84,7 +84,9 @@ impl Document {
         check_json_memory(&text).map_err(placed)?;
         let file: File = serde_json::from_str(&text).map_err(|e| {
             let remedy = "give a log: see docs/formats.md";
-            Error::invalid(format!("it is no log: {e}"), remedy).at(format!("line {}", e.line().max(1))).in_file(path)
+            Error::invalid(format!("not a valid log: {e}"), remedy)
+                .at(format!("line {}", e.line().max(1)))
+                .in_file(path)
         })?;
         let name = path.file_stem().map_or_else(|| "scanner".into(), |s| s.to_string_lossy().into_owned());
         let sensor = spec(&file, name).and_then(Sensor::new).map_err(placed)?;
@@ -103,7 +105,7 @@ impl Document {
             ranges.push(match reading {
                 Some(range) if (range as f32).is_finite() => range as f32,
                 Some(range) => {
-                    let what = format!("{range} m is not finite, and valid");
+                    let what = format!("{range} m is marked as valid, but not finite");
                     return Err(Error::invalid(what, "mark it as not valid").at(format!("range {i}")));
                 }
                 None => f32::NAN,
@@ -145,8 +147,9 @@ impl Log for Document {
 }
 
 fn spec(file: &File, name: String) -> Result<SensorSpec> {
-    let missing =
-        |key: &str| Error::invalid(format!("{key} is missing"), "docs/formats.md lists what a document of scans has");
+    let missing = |key: &str| {
+        Error::invalid(format!("{key} is missing"), "docs/formats.md lists the keys of a document of scans")
+    };
     let (azimuth, range_max, mount) = match &file.scan {
         Some(scan) => {
             let azimuth = Angles::Uniform { start_deg: scan.angle_min_deg, step_deg: scan.step_deg, count: scan.beams };
@@ -175,7 +178,7 @@ fn spec(file: &File, name: String) -> Result<SensorSpec> {
     Ok(spec.with_limits(0.0, range_max).with_mount(mount).with_noise(noise))
 }
 
-/// Beams from the least to the greatest angle, or back.
+/// Angles of the beams: rising if counter-clockwise, otherwise falling.
 fn azimuths(least: f64, greatest: f64, beams: u32, counter_clockwise: bool) -> Angles {
     let (least, greatest) = (round_degrees(least), round_degrees(greatest));
     let step = (greatest - least) / f64::from(beams.saturating_sub(1).max(1));
@@ -183,8 +186,8 @@ fn azimuths(least: f64, greatest: f64, beams: u32, counter_clockwise: bool) -> A
     Angles::Uniform { start_deg, step_deg, count: beams }
 }
 
-/// Degrees of an angle in radians. Drivers keep such angles in f32: one that is the nearest f32 to a round number of degrees
-/// means that.
+/// Converts an angle from radians to degrees. Drivers store angles as f32: the nearest f32 to a round number of degrees
+/// becomes that number.
 fn round_degrees(radians: f64) -> f64 {
     let degrees = radians.to_degrees();
     let round = (degrees * 1e4).round() / 1e4;
@@ -206,14 +209,14 @@ mod tests {
         Document::parse(Path::new("scans.json"), text(angle_max).into_bytes())
     }
 
-    /// null and what is marked as not valid are no readings, as other programs write them.
+    /// Both null and a range marked as not valid mean no reading.
     #[test]
     fn a_missing_range_is_no_reading() {
         let frame = parse("1.5").unwrap().next().unwrap().unwrap();
         assert!(frame.range[0] == 2.5 && frame.range[1].is_nan() && frame.range[2].is_nan());
     }
 
-    /// Programs that mark no beam leave the key out.
+    /// Some programs leave out the key `valid`.
     #[test]
     fn without_marks_every_range_is_a_reading() {
         let text = text("1.5").replace(r#","valid":"110""#, "");

@@ -1,4 +1,4 @@
-//! The frames of a log of any kind, as the estimator takes them.
+//! The frames of a log of any kind, in the form that the estimator needs.
 
 use super::scans::{self, Scans};
 use crate::depth_folder::DepthFolder;
@@ -8,16 +8,16 @@ use presight_model::geometry::Pose;
 use presight_model::sensor::Sensor;
 use std::path::Path;
 
-/// A frame, and where the robot was by the log's own account.
+/// A frame with the log's reference pose.
 #[derive(Clone, Debug)]
 pub struct Observation {
-    /// What was measured.
+    /// The measured frame.
     pub frame: Frame,
-    /// world_from_robot, if the log says so. No estimate may use it.
+    /// world_from_robot, if the log has it. Estimates must not use it.
     pub reference: Option<Pose>,
 }
 
-/// The frames of a log, in the order of time. After an error there is none.
+/// The frames of a log, in the order of time. The first error ends them.
 pub struct Frames {
     sensor: Sensor,
     frames: Box<dyn Iterator<Item = Result<Observation>> + Send>,
@@ -25,9 +25,9 @@ pub struct Frames {
 }
 
 impl Frames {
-    /// Opens a log: a folder of depth or grey images ([`crate::io::depth_folder`]), one or a folder of scans ([`super::scans`]), or a file of
-    /// ranges ([`super::open`]). `sensor` says what the log does not (noise, limits, mount) and has the same image, but for scans
-    /// of points, whose rays are their own; `noise` says how good odometry is.
+    /// Opens a log: a folder of depth or grey images ([`crate::io::depth_folder`]), a scan or a folder of scans
+    /// ([`super::scans`]), or a file of ranges ([`super::open`]). `sensor` supplies noise, limits and mount, and must
+    /// have the log's image size; scans of points keep their own rays. `noise` is the odometry's.
     ///
     /// # Examples
     /// ```
@@ -44,7 +44,8 @@ impl Frames {
     /// ```
     ///
     /// # Errors
-    /// Those of [`super::open`], [`Scans::open`] and [`DepthFolder::open`]; [`crate::ErrorKind::Usage`] for a sensor with another image.
+    /// As [`super::open`], [`Scans::open`] and [`DepthFolder::open`]; [`crate::ErrorKind::Usage`] for a sensor with
+    /// another image size.
     pub fn open(path: &Path, sensor: Option<&Sensor>, noise: &OdometryNoise) -> Result<Self> {
         match path.is_dir() {
             true if ["camera.json", "depth", "grey"].iter().any(|name| path.join(name).exists()) => {
@@ -57,7 +58,7 @@ impl Frames {
 
     fn of_scans(path: &Path, sensor: Option<&Sensor>) -> Result<Self> {
         let mut scans = Scans::open(path, sensor)?;
-        // Each scan has a sensor of its own: the first one stands for them.
+        // Each scan has its own sensor; the first one represents them.
         let Some(first) = scans.next().transpose()? else {
             return Err(Error::invalid("there is no scan", "give PLY, PCD, CSV or EXR files").in_file(path));
         };
@@ -84,7 +85,7 @@ impl Frames {
         let sensor = sensor.unwrap_or(own).clone();
         if (sensor.width(), sensor.height()) != (own.width(), own.height()) {
             let what = format!(
-                "a sensor of {} x {} pixels for a log of {} x {}",
+                "the sensor has {} x {} pixels, but the log has {} x {}",
                 sensor.width(),
                 sensor.height(),
                 own.width(),
@@ -102,7 +103,7 @@ impl Frames {
         Ok(Self { sensor, frames: Box::new(frames), ended: false })
     }
 
-    /// The sensor that measured the first frame; scans of points have one each.
+    /// The sensor of the first frame. Each scan of points has its own sensor.
     pub fn sensor(&self) -> &Sensor {
         &self.sensor
     }

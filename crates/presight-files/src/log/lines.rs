@@ -1,4 +1,4 @@
-//! Logs in presight's own format 1: one JSON object a line (JSON Lines), the header first.
+//! Logs in presight's own format 1: one JSON object per line (JSON Lines), with the header first.
 //!
 //! ```text
 //! {"format": 1, "kind": "range-log", "sensor": "format = 1\nkind = \"scanner\"\n.."}
@@ -7,12 +7,12 @@
 //!
 //! - `sensor`: the text of a sensor file ([`crate::io::sensor_toml`]) with its mount and limits.
 //! - `t`: seconds, rising.
-//! - `range`: metres, one for each ray, row by row; `null` for no reading, `"inf"` for nothing sensed, `"-inf"` for something
-//!   nearer than `range_min`.
-//! - `intensities`, optional: how strong the echo was, one for each ray, 0 to 1: as bright as a retro-reflector; `null` for no echo.
-//! - `odometry`, optional: the robot's motion since the frame before, previous_robot_from_robot, as
+//! - `range`: metres, one for each ray, row by row; `null` for no reading, `"inf"` if nothing was detected, `"-inf"` for
+//!   an object nearer than `range_min`.
+//! - `intensities`, optional: strength of each ray's echo, from 0 to 1 (as bright as a retroreflector); `null` for none.
+//! - `odometry`, optional: the robot's motion since the previous frame, previous_robot_from_robot, as
 //!   `[x, y, z, roll_deg, pitch_deg, yaw_deg]` or `[x, y, z, qx, qy, qz, qw]`.
-//! - `reference`, optional: world_from_robot, written the same way.
+//! - `reference`, optional: world_from_robot, in the same form.
 
 use super::{Log, LogFrame, check_time};
 use crate::sensor_toml;
@@ -31,7 +31,7 @@ const KIND: &str = "range-log";
 const FORMAT: i64 = 1;
 const REMEDY: &str = "docs/formats.md describes logs";
 
-/// A log of format 1 that is being read.
+/// A log of format 1, read line by line.
 pub struct Lines {
     path: PathBuf,
     reader: BufReader<Take<File>>,
@@ -47,7 +47,7 @@ struct Header {
     kind: Option<String>,
 }
 
-/// All that the header of this format may hold.
+/// A header with all keys that this format allows.
 #[derive(serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 struct WholeHeader {
@@ -58,17 +58,17 @@ struct WholeHeader {
     sensor: Option<String>,
 }
 
-/// True for a line that names a format.
+/// Returns true if a line names a format.
 pub(super) fn is_header(line: &str) -> bool {
     serde_json::from_str::<Header>(line).is_ok_and(|header| header.format.is_some())
 }
 
-/// The header of a log, without the line's end.
+/// The header of a log, without the line break.
 pub fn header(sensor: &SensorSpec) -> String {
     serde_json::json!({ "format": FORMAT, "kind": KIND, "sensor": sensor_toml::to_string(sensor) }).to_string()
 }
 
-/// The line of a frame, without its end. It reads back to the same frame, bit for bit.
+/// The line of a frame, without the line break. It reads back bit for bit.
 pub fn line(frame: &LogFrame) -> String {
     let pose = |p: &Pose| [p.translation.to_array().as_slice(), p.rotation.to_array().as_slice()].concat();
     let range: Vec<String> = frame.range.iter().map(|r| reading(*r)).collect();
@@ -115,8 +115,8 @@ impl Lines {
     fn parse(&self, text: &str) -> Result<LogFrame> {
         let Entry { t, range, intensities, odometry, reference } =
             serde_json::from_str(text).map_err(|e| match e.is_eof() {
-                true => Error::invalid("the line is cut in the middle", "drop it, or record the log again"),
-                false => Error::invalid(format!("it is no frame: {e}"), REMEDY),
+                true => Error::invalid("the line is cut in the middle", "delete it, or record the log again"),
+                false => Error::invalid(format!("not a valid frame: {e}"), REMEDY),
             })?;
         let pose = |numbers: Option<Vec<f64>>, name| numbers.map(|n| pose(&n).map_err(|e| e.at(name))).transpose();
         let frame = LogFrame {
@@ -153,21 +153,24 @@ impl Log for Lines {
 
 fn read_header(line: &str, path: &Path) -> Result<Sensor> {
     let header: Header =
-        serde_json::from_str(line).map_err(|e| Error::invalid(format!("it is no header: {e}"), REMEDY))?;
+        serde_json::from_str(line).map_err(|e| Error::invalid(format!("not a valid header: {e}"), REMEDY))?;
     match header.format {
         Some(FORMAT) => {}
         Some(newer) if newer > FORMAT => {
             let what = format!("format {newer} is newer than this presight, which reads format {FORMAT}");
             return Err(Error::new(ErrorKind::Unsupported, what, "update presight"));
         }
-        _ => return Err(Error::invalid("it names no format that exists", format!("write \"format\": {FORMAT}"))),
+        _ => return Err(Error::invalid("the format does not exist", format!("write \"format\": {FORMAT}"))),
     }
     if header.kind.as_deref() != Some(KIND) {
-        return Err(Error::invalid("it is the header of another kind of file", format!("write \"kind\": \"{KIND}\"")));
+        return Err(Error::invalid(
+            "this is the header of another kind of file",
+            format!("write \"kind\": \"{KIND}\""),
+        ));
     }
-    // Only now: a newer format may have keys that this build cannot know.
+    // Unknown keys are errors only now, because a newer format may have more keys.
     let whole: WholeHeader =
-        serde_json::from_str(line).map_err(|e| Error::invalid(format!("it is no header: {e}"), REMEDY))?;
+        serde_json::from_str(line).map_err(|e| Error::invalid(format!("not a valid header: {e}"), REMEDY))?;
     let text = whole.sensor.ok_or_else(|| Error::invalid("sensor is missing", "give the text of a sensor file"))?;
     let name = path.file_stem().map_or_else(|| "sensor".into(), |s| s.to_string_lossy());
     sensor_toml::parse(&text, &name, path.parent()).and_then(Sensor::new).map_err(|e| e.at("sensor"))
@@ -186,7 +189,7 @@ struct Entry {
 fn pose(numbers: &[f64]) -> Result<Pose> {
     let wrong = || {
         let remedy = "give x, y, z, roll_deg, pitch_deg, yaw_deg or x, y, z, qx, qy, qz, qw";
-        Error::invalid("it is no pose", remedy)
+        Error::invalid("not a valid pose", remedy)
     };
     let pose = match *numbers {
         [x, y, z, roll, pitch, yaw] if numbers.iter().all(|n| n.is_finite()) => {
@@ -194,7 +197,7 @@ fn pose(numbers: &[f64]) -> Result<Pose> {
         }
         [x, y, z, qx, qy, qz, qw] => {
             let given = Pose { translation: DVec3::new(x, y, z), rotation: DQuat::from_xyzw(qx, qy, qz, qw) };
-            // One of unit length keeps its bits.
+            // A unit quaternion is not normalized, so that it keeps its bits.
             if given.check().is_ok() {
                 given
             } else {

@@ -1,13 +1,13 @@
-//! Logs of sensed frames: what a sensor measured, when, and what the robot knew of its motion.
+//! Logs of measured frames: measurements of a sensor with their times, and the robot's odometry.
 //!
-//! [`open`] takes every kind of log there is a reader for and gives its frames one at a time:
+//! [`open`] opens a log of ranges and returns its frames one at a time:
 //!
-//! - **Format 1**, our own ([`lines`]): text, a header and then one JSON object a line. It is read line by line, so that a log may
-//!   be longer than memory.
-//! - **Documents** ([`document`]): one JSON object whose `scans` list planar laser scans, as data sets publish them. A document
-//!   is held in memory.
+//! - **Format 1**, our own ([`lines`]): a header and then one JSON object per line. It is read line by line, so a log can
+//!   be larger than memory.
+//! - **Documents** ([`document`]): one JSON object whose `scans` list planar laser scans, as in public data sets. It is
+//!   held in memory.
 //!
-//! [`Frames`] takes these, folders of depth images, and scans as points or images of ranges ([`scans`]).
+//! [`Frames`] also opens folders of depth images, and scans as points or images of ranges ([`scans`]).
 
 pub mod document;
 mod frames;
@@ -28,27 +28,27 @@ use presight_model::sensor::{Sensor, SensorSpec};
 use std::io::{BufReader, Read};
 use std::path::Path;
 
-/// What a sensor measured at one time.
+/// A measurement of a sensor at one time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LogFrame {
-    /// Seconds. Frames of a log have rising times.
+    /// Seconds, rising within a log.
     pub time: f64,
-    /// Metres along each ray, row-major, after REP-117: `+inf` where nothing was sensed, `-inf` where something was nearer than
-    /// `range_min`, NaN where there is no reading.
+    /// Metres along each ray, row-major, after REP-117: `+inf` if nothing was detected, `-inf` for an object nearer
+    /// than `range_min`, NaN for no reading.
     pub range: Vec<f32>,
-    /// How strong the echo along each ray was, as many as ranges: 0 to 1, as bright as a retro-reflector; NaN where there was none.
+    /// Strength of the echo along each ray, from 0 to 1 (as bright as a retroreflector); NaN for no echo.
     pub intensities: Option<Vec<f32>>,
-    /// The robot's motion since the frame before, by its odometry: previous_robot_from_robot.
+    /// The robot's motion since the previous frame, by its odometry: previous_robot_from_robot.
     pub odometry: Option<Pose>,
-    /// Where the robot was, as far as somebody knows better: world_from_robot. No estimate may use it.
+    /// A reference for the robot's pose, world_from_robot. Estimates must not use it.
     pub reference: Option<Pose>,
 }
 
 impl LogFrame {
-    /// The frame as the estimator takes it, of the log's sensor. `noise` says how good the odometry is: logs do not.
+    /// Converts to a frame for the estimator. `noise` is the odometry's, which logs do not contain.
     ///
     /// # Errors
-    /// Those of [`crate::frame::Frame::new`].
+    /// As [`crate::frame::Frame::new`].
     pub fn sensed(self, sensor: &Sensor, noise: &OdometryNoise) -> Result<presight_model::frame::Frame> {
         let mut frame = presight_model::frame::Frame::new(self.time, sensor.clone(), Measurement::Range(self.range))?;
         if let Some(values) = self.intensities {
@@ -58,11 +58,11 @@ impl LogFrame {
         Ok(frame)
     }
 
-    /// Checks the frame of a sensor: its size, finite times and poses, that each reading is within the sensor's limits, or
-    /// not finite, and that intensities are 0 to 1.
+    /// Checks the size of the frame, that time and poses are finite, that finite readings are within the sensor's
+    /// limits, and that intensities are from 0 to 1.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] naming what is wrong.
+    /// [`crate::ErrorKind::Invalid`] naming the wrong value.
     pub fn check(&self, sensor: &SensorSpec) -> Result<()> {
         let (width, height) = sensor.geometry.size();
         let pixels = width as usize * height as usize;
@@ -73,7 +73,7 @@ impl LogFrame {
         if !self.time.is_finite() {
             return Err(Error::invalid("the time is not finite", "give seconds"));
         }
-        // In f32, as ranges are: a limit may not be one.
+        // Limits are rounded to f32 like the ranges, because they need not be exact in f32.
         let limits = sensor.range_min as f32..=sensor.range_max as f32;
         for (i, &range) in self.range.iter().enumerate().filter(|(_, r)| r.is_finite()) {
             if !limits.contains(&range) {
@@ -98,13 +98,13 @@ impl LogFrame {
     }
 }
 
-/// The frames of one sensor, in the order of time. After an error there is none.
+/// The frames of one sensor, in the order of time. The first error ends them.
 pub trait Log: Iterator<Item = Result<LogFrame>> {
-    /// The sensor; its mount says where it sits on the robot.
+    /// The sensor. Its mount is its pose on the robot.
     fn sensor(&self) -> &Sensor;
 }
 
-/// Opens a log of any kind.
+/// Opens a log of format 1 or a document.
 ///
 /// ```
 /// use presight::io::log;
@@ -121,14 +121,14 @@ pub trait Log: Iterator<Item = Result<LogFrame>> {
 /// ```
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] naming file and line if it is no log; [`crate::ErrorKind::Unsupported`] for a newer format;
-/// [`crate::ErrorKind::System`] if the system refuses. What is wrong with a frame is told when that is read.
+/// [`crate::ErrorKind::Invalid`] naming file and line if it is not a valid log; [`crate::ErrorKind::Unsupported`] for a
+/// newer format; [`crate::ErrorKind::System`] if the file cannot be read. A bad frame is reported when it is read.
 pub fn open(path: &Path) -> Result<Box<dyn Log + Send>> {
     let mut reader = BufReader::new(file::open_or_given(path)?);
     let placed = |e: Error| e.in_file(path);
     let first = read_line(&mut reader, 1).map_err(placed)?;
     let first =
-        first.ok_or_else(|| Error::invalid("the log is empty", "give a header and a frame a line")).map_err(placed)?;
+        first.ok_or_else(|| Error::invalid("the log is empty", "give a header, then frames")).map_err(placed)?;
     if lines::is_header(&first) {
         return Ok(Box::new(lines::Lines::new(path, reader, &first)?));
     }
@@ -138,10 +138,10 @@ pub fn open(path: &Path) -> Result<Box<dyn Log + Send>> {
     Ok(Box::new(document::Document::parse(path, text)?))
 }
 
-/// One frame of a log and its sensor; frames count from 0.
+/// Reads frame `index` of a log, from 0, and its sensor.
 ///
 /// # Errors
-/// Those of [`open`] and of all frames up to it; [`crate::ErrorKind::Usage`] if the log has fewer.
+/// As [`open`], and the errors of all frames up to this one; [`crate::ErrorKind::Usage`] if the log has fewer.
 pub fn read_frame(path: &Path, index: usize) -> Result<(Sensor, LogFrame)> {
     let mut log = open(path)?;
     for i in 0..=index {
@@ -157,11 +157,11 @@ pub fn read_frame(path: &Path, index: usize) -> Result<(Sensor, LogFrame)> {
     unreachable!("the loop ends with a frame or without one")
 }
 
-/// That times rise.
+/// Checks that times rise.
 fn check_time(before: Option<f64>, time: f64) -> Result<()> {
     match before {
         Some(before) if !(time > before) => {
-            let what = format!("its time {time} s is not after the {before} s of the frame before");
+            let what = format!("its time {time} s is not after the {before} s of the previous frame");
             Err(Error::invalid(what, "sort the frames by time, each once"))
         }
         _ => Ok(()),

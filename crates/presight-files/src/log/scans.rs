@@ -1,14 +1,16 @@
-//! Scans of points (PLY, PCD, CSV: [`crate::io::cloud`]) and images of ranges (EXR) as frames: one file, or all of a folder in the order
-//! of their names.
+//! Scans of points (PLY, PCD, CSV: [`crate::io::cloud`]) and images of ranges (EXR) as frames: one file, or all files
+//! of a folder in the order of their names.
 //!
-//! Where all names are numbers these are the times in seconds; otherwise frames are counted from 0.
+//! If all names are numbers, they are the times in seconds; otherwise the times count up from 0.
 //!
-//! **Points become a range image** with a ray for each point, so that no range and no direction is rounded. An organized cloud has its
-//! own rows and columns; elsewhere pixels are cells of azimuth and elevation, as wide as neighbouring points are apart. Of several
-//! points in a cell the one in its middle stays. A cell without a point is a ray without a reading.
+//! **Points become a range image** with one ray per point, so that neither ranges nor directions are rounded. An
+//! organized cloud keeps its rows and columns. For other clouds, pixels are cells of azimuth and elevation, as wide as
+//! the spacing of neighbouring points. If a cell has several points, the one nearest to its centre is used. A cell
+//! without a point is a ray without a reading.
 //!
-//! **Where the sensor was** is told by the file itself, or by `poses.json` beside it: an object by the names of the files, each with
-//! `translation` and `quaternion_xyzw`, world_from_sensor in body axes. No estimate may use it.
+//! **The sensor's pose** comes from the file itself or from `poses.json` in its folder: an object with an entry for
+//! each file name, each with `translation` and `quaternion_xyzw`, world_from_sensor in body axes. Estimates must not
+//! use it.
 
 mod grid;
 #[cfg(test)]
@@ -36,14 +38,14 @@ pub struct Scans {
     time: Option<f64>,
 }
 
-/// True for a file whose name says that it is a scan.
+/// Returns true if a file has the ending of a scan.
 pub(super) fn is_scan(path: &Path) -> bool {
     matches!(cloud::ending(path).as_str(), "ply" | "pcd" | "csv" | "exr")
 }
 
 impl Scans {
-    /// Opens a scan or a folder of them. `sensor` says what files do not: noise, limits, class and mount. The rays of points
-    /// are their own; an image without a sensor has those of `sensor`.
+    /// Opens a scan or a folder of scans. `sensor` supplies noise, limits, class and mount. Points have their own rays;
+    /// images use the rays of `sensor`, or of their own sensor if `sensor` is `None`.
     ///
     /// # Examples
     /// ```
@@ -59,8 +61,8 @@ impl Scans {
     /// ```
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] for a folder without a scan and for poses that are none; [`crate::ErrorKind::System`] if the
-    /// system refuses. What is wrong with a scan is told when that is read.
+    /// [`crate::ErrorKind::Invalid`] for a folder without a scan and for invalid poses; [`crate::ErrorKind::System`] if
+    /// a file cannot be read. Errors in a scan are reported when it is read.
     pub fn open(path: &Path, sensor: Option<&Sensor>) -> Result<Self> {
         let (folder, files) = if path.is_dir() { (path, listed(path)?) } else { (parent(path), vec![path.to_owned()]) };
         if files.is_empty() {
@@ -107,13 +109,13 @@ impl Scans {
         let (width, height) = (sensor.width(), sensor.height());
         if (file.images.width, file.images.height) != (width, height) {
             let what =
-                format!("{} x {} pixels; the sensor has {width} x {height}", file.images.width, file.images.height);
+                format!("{} x {} pixels, but the sensor has {width} x {height}", file.images.width, file.images.height);
             return Err(Error::invalid(what, "give the sensor that measured"));
         }
         let sensed = match (file.images.range.is_empty(), file.images.depth_z.is_empty()) {
             (false, _) => Measurement::Range(file.images.range),
             (true, false) => Measurement::DepthZ(file.images.depth_z),
-            _ => return Err(Error::invalid("it has no image of ranges", "give one with the channel range or depth_z")),
+            _ => return Err(Error::invalid("it has no range image", "give one with the channel range or depth_z")),
         };
         Ok((Frame::new(time, sensor, sensed)?, file.attributes.world_from_sensor))
     }
@@ -153,7 +155,7 @@ fn listed(folder: &Path) -> Result<Vec<PathBuf>> {
     Ok(files)
 }
 
-/// Files with their times.
+/// Pairs each file with its time, in the order of time.
 fn timed(files: Vec<PathBuf>) -> Vec<(f64, PathBuf)> {
     let named = |path: &PathBuf| stem(path).parse::<f64>().ok().filter(|t| t.is_finite());
     let Some(times) = files.iter().map(named).collect::<Option<Vec<f64>>>() else {
@@ -178,7 +180,7 @@ fn read_poses(path: &Path) -> Result<HashMap<String, Pose>> {
     check_json_memory(&text).map_err(|e| e.in_file(path))?;
     let all: HashMap<String, serde_json::Value> = serde_json::from_str(&text).map_err(|e| wrong(e.to_string()))?;
     let mut poses = HashMap::new();
-    // Beside poses there are notes: where they are from, which frame they are in.
+    // Values that are not objects are notes, such as the source of the poses.
     for (name, value) in all.into_iter().filter(|(_, value)| value.is_object()) {
         let NamedPose { translation, quaternion_xyzw } = serde_json::from_value(value)
             .map_err(|e| wrong(format!("{}: {e}", presight_model::printable::quoted(&name))))?;

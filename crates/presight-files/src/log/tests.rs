@@ -17,7 +17,7 @@ fn write(text: &str) -> (tempfile::TempDir, std::path::PathBuf) {
     (folder, path)
 }
 
-/// What the log gives, the first error included.
+/// All frames of a log, or the first error.
 fn frames(text: &str) -> Result<Vec<LogFrame>> {
     let (_folder, path) = write(text);
     open(&path)?.collect()
@@ -69,7 +69,7 @@ fn readings_and_poses_are_what_the_line_says() {
     assert_eq!((read[0].odometry, read[0].reference), (None, None));
 }
 
-/// Beside each range its echo; a frame may have none, and the sensor's frame carries them on.
+/// Intensities are optional, and the estimator's frame keeps them.
 #[test]
 fn intensities_are_read_beside_ranges() {
     let text = log(&[
@@ -84,7 +84,7 @@ fn intensities_are_read_beside_ranges() {
     let image = sensed[0].intensities().unwrap();
     assert_eq!((image.width(), image.height(), image.values()[1]), (3, 1, 1.0));
     assert!(sensed[1].intensities().is_none());
-    // The beam in the middle keeps its own.
+    // The middle beam keeps its intensity.
     assert_eq!(sensed[0].thinned(3).unwrap().intensities().unwrap().values(), [1.0]);
 }
 
@@ -97,12 +97,12 @@ fn what_is_wrong_is_told_with_file_and_line() {
         (r#"{"t": 0, "range": [2, 2, 2]}"#, "is not after"),
         (r#"{"t": 2, "range": [2, 2, 31]}"#, "range 2: 31 m is outside"),
         (r#"{"t": 2, "range": [0.4, 2, 2]}"#, "range 0: 0.4 m is outside"),
-        (r#"{"t": 2, "range": [2, 2, "nan"]}"#, "it is no frame"),
-        (r#"{"t": 2, "range": [2, 2, 1e300]}"#, "it is no frame"),
-        (r#"{"t": 2, "range": [2, 2, true]}"#, "it is no frame"),
-        (r#"{"t": 2, "range": [2, 2, 2], "more": 1}"#, "it is no frame"),
-        (r#"{"t": 2, "range": [2, 2, 2], "odometry": [1, 2]}"#, "odometry: it is no pose"),
-        (r#"{"t": 2, "range": [2, 2, 2], "reference": [0, 0, 0, 0, 0, 0, 0]}"#, "reference: it is no pose"),
+        (r#"{"t": 2, "range": [2, 2, "nan"]}"#, "not a valid frame"),
+        (r#"{"t": 2, "range": [2, 2, 1e300]}"#, "not a valid frame"),
+        (r#"{"t": 2, "range": [2, 2, true]}"#, "not a valid frame"),
+        (r#"{"t": 2, "range": [2, 2, 2], "more": 1}"#, "not a valid frame"),
+        (r#"{"t": 2, "range": [2, 2, 2], "odometry": [1, 2]}"#, "odometry: not a valid pose"),
+        (r#"{"t": 2, "range": [2, 2, 2], "reference": [0, 0, 0, 0, 0, 0, 0]}"#, "reference: not a valid pose"),
         (r#"{"t": 2, "range": [2, 2"#, "cut in the middle"),
         (r#"{"t": 2, "range": [2, 2, 2], "intensities": [0.5, 1"#, "cut in the middle"),
         (r#"{"t": 2, "range": [2, 2, 2], "intensities": [0.5, 1]}"#, "2 intensities for 3 rays"),
@@ -110,9 +110,9 @@ fn what_is_wrong_is_told_with_file_and_line() {
         (r#"{"t": 2, "range": [2, 2, 2], "intensities": [0, 1, -0.1]}"#, "intensity 2: an intensity of -0.1"),
         (r#"{"t": 2, "range": [2, 2, 2], "intensities": [0, 255, 1]}"#, "intensity 1: an intensity of 255"),
         (r#"{"t": 2, "range": [2, 2, 2], "intensities": [0, 1, 1e300]}"#, "intensity 2"),
-        (r#"{"t": 2, "range": [2, 2, 2], "intensities": [0, 1, "inf"]}"#, "it is no frame"),
-        (r#"{"t": 2, "range": [2, 2, 2], "intensity": [0, 1, 1]}"#, "it is no frame"),
-        ("nonsense", "it is no frame"),
+        (r#"{"t": 2, "range": [2, 2, 2], "intensities": [0, 1, "inf"]}"#, "not a valid frame"),
+        (r#"{"t": 2, "range": [2, 2, 2], "intensity": [0, 1, 1]}"#, "not a valid frame"),
+        ("nonsense", "not a valid frame"),
     ];
     for (line, what) in cases {
         let (_folder, path) = write(&log(&[good, line, good]));
@@ -145,13 +145,13 @@ fn endless_lines_end() {
     let header = format!("{}\n{{\"t\": 1, \"range\": [", lines::header(&scanner(3)));
     let (_folder, path) = write(&header);
     let file = std::fs::File::options().write(true).open(&path).unwrap();
-    // A hole: it takes no room on the disk.
+    // A sparse file takes no space on disk.
     file.set_len(limits::MAX_LINE_BYTES + (1 << 20)).unwrap();
     let e = open(&path).unwrap().next().unwrap().unwrap_err();
     assert!(e.to_string().contains("longer than") && e.to_string().contains("line 2"), "{e}");
 }
 
-/// A document as data sets have them, one fault each.
+/// A document of a data set is read; variants with one fault each are refused.
 #[test]
 fn documents_are_read_and_their_faults_named() {
     let good = r#"{"beams": 3, "angle_min": -1.5707963705062866, "angle_max": 1.5707963705062866, "range_max": 80,
@@ -179,7 +179,7 @@ fn documents_are_read_and_their_faults_named() {
         ("\"x\": 3", "\"x\": 1e200", "reference"),
         ("\"beams\": 3", "\"beams\": 0", "image"),
         ("\"beams\": 3, ", "", "beams is missing"),
-        ("\"scans\"", "\"scam\"", "it is no log"),
+        ("\"scans\"", "\"scam\"", "not a valid log"),
     ];
     for (part, fault, what) in faults {
         assert!(good.contains(part));

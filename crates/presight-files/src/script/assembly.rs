@@ -1,4 +1,5 @@
-//! Assemblies: named parts with poses, themselves parts of larger ones; placed, each becomes objects under one path.
+//! Assemblies of named parts with poses. Assemblies can nest; a placed assembly becomes a group of objects under one
+//! path.
 
 use super::budget::{Budget, BudgetShare, corners_worth};
 use super::call::Spot;
@@ -13,7 +14,7 @@ use std::cell::{Cell, RefCell};
 use std::rc::Rc;
 use std::sync::Arc;
 
-/// What can be placed.
+/// Something that can be placed.
 #[derive(Clone, Debug)]
 pub(super) enum Placeable {
     Shape(Shape),
@@ -26,26 +27,26 @@ pub(super) enum Placeable {
 pub(super) struct ImportedObject {
     pub mesh: Arc<Mesh>,
     pub object_from_mesh: DAffine3,
-    /// Source triangles, degenerate ones counted.
+    /// Number of source triangles, including degenerate ones.
     pub triangles: u32,
 }
 
-/// An assembly as scripts hold it: a copy is another assembly, made when one of both changes.
+/// An assembly with the value semantics of scripts: its data are copied on write.
 #[derive(Clone, Debug)]
 pub(super) struct Assembly(Rc<Data>);
 
 #[derive(Debug)]
 struct Data {
     parts: Vec<Part>,
-    /// Frames of groups inside that are no assemblies: those of a glTF file.
+    /// Frames of groups inside that are not assemblies. They come from glTF files.
     groups: Vec<(String, Pose)>,
     objects: u64,
     polygons: u64,
     depth: u32,
     held: Vec<BudgetShare>,
-    /// It is a copy, or was placed or added to another: who adds to it now may mean the other one.
+    /// True if it is a copy, was placed, or was added to another. Parts added after that may be meant for the other.
     known_elsewhere: Cell<bool>,
-    /// A part that it got after that, and nothing has been done with.
+    /// The first part added after that, until the assembly is used.
     unused: RefCell<Option<PendingPart>>,
 }
 
@@ -58,19 +59,19 @@ pub(super) struct Part {
 }
 
 impl Part {
-    /// What it is worth in corners of polygons.
+    /// Its memory, expressed in polygon corners.
     fn corners(&self) -> u64 {
         worth(&self.name)
     }
 }
 
-/// What a part or group of a name is worth in corners of polygons.
+/// The memory of a part or group with this name, expressed in polygon corners.
 fn worth(name: &str) -> u64 {
     16 + corners_worth(name.len())
 }
 
 impl Placeable {
-    /// Objects it becomes.
+    /// Number of objects it becomes when placed.
     pub fn objects(&self) -> u64 {
         match self {
             Self::Assembly(Assembly(data)) => data.objects,
@@ -78,7 +79,7 @@ impl Placeable {
         }
     }
 
-    /// Polygons of all objects that it becomes.
+    /// Number of polygons of these objects.
     pub fn polygons(&self) -> u64 {
         match self {
             Self::Shape(shape) => shape.polygons() as u64,
@@ -94,14 +95,14 @@ impl Placeable {
         }
     }
 
-    /// It is placed, or added to another: what was added to it is not lost, what is added from now on may be.
+    /// Records that it is placed or added to another. Parts added so far are not lost; parts added from now on may be.
     pub fn mark_used(&self) {
         if let Self::Assembly(Assembly(data)) = self {
             data.mark_used();
         }
     }
 
-    /// Something is asked about it: what was added to it is not lost.
+    /// Records that the script has read it, so that parts added so far are not lost.
     pub fn mark_seen(&self) {
         if let Self::Assembly(Assembly(data)) = self {
             data.mark_seen();
@@ -128,17 +129,16 @@ impl Data {
 }
 
 impl Assembly {
-    /// Holds nothing.
     pub fn new() -> Self {
         Self::with_groups(Vec::new())
     }
 
-    /// Holds nothing but frames, `assembly_from_group`, for what will be below.
+    /// An assembly with no parts yet, but with the frames (`assembly_from_group`) of groups.
     pub fn with_groups(groups: Vec<(String, Pose)>) -> Self {
         Self(Rc::new(Data::of(Vec::new(), groups)))
     }
 
-    /// Those frames.
+    /// Paths and frames (`assembly_from_group`) of groups.
     pub fn groups(&self) -> &[(String, Pose)] {
         &self.0.groups
     }
@@ -148,7 +148,7 @@ impl Assembly {
         &self.0.parts
     }
 
-    /// Adds a part; `lost` is told if nothing comes of it.
+    /// Adds a part. `lost` records it if the part is never used.
     pub fn add(&mut self, part: Part, budget: &Rc<Budget>, (lost, at): (&Rc<LostPart>, &Spot)) -> Result<()> {
         let (objects, polygons) = (part.thing.objects(), part.thing.polygons());
         let depth = self.0.depth.max(part.thing.depth() + 1);
@@ -183,25 +183,25 @@ impl Assembly {
     }
 }
 
-/// That there is something in a thing which is placed or added.
+/// Checks that a thing to be placed or added has at least one object.
 pub(super) fn check_not_empty(thing: &Placeable) -> Result<()> {
     if thing.objects() > 0 {
         return Ok(());
     }
     let what = "thing is an assembly without parts";
     let remedy =
-        "add parts before, as a.add(name, thing): add(a[0], ..), add(m.a, ..) and add(CONST, ..) change a copy";
+        "add parts first, with a.add(name, thing): add(a[0], ..), add(m.a, ..) and add(CONST, ..) change a copy";
     Err(Error::invalid(what, remedy))
 }
 
-/// Holds what is to be placed to the limits, before anything is done.
+/// Checks the numbers of objects and polygons against the limits.
 pub(super) fn check_counts(objects: u64, polygons: u64) -> Result<()> {
     if objects > limits::MAX_SCRIPT_OBJECTS {
-        let what = format!("{objects} objects are asked for");
+        let what = format!("the script places {objects} objects");
         return Err(Error::invalid(what, format!("{} is the limit", limits::MAX_SCRIPT_OBJECTS)));
     }
     if polygons > limits::MAX_SCRIPT_POLYGONS {
-        let what = format!("{polygons} polygons are asked for");
+        let what = format!("the script places {polygons} polygons");
         return Err(Error::invalid(what, format!("{} is the limit", limits::MAX_SCRIPT_POLYGONS)));
     }
     Ok(())

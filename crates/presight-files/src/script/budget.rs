@@ -1,4 +1,4 @@
-//! What shapes, assemblies and placed objects of a script hold: counted, so that memory and work have a limit.
+//! Limits the memory and work of a script's shapes, assemblies and placed objects.
 
 use presight_model::error::{Error, Result};
 use presight_model::limits;
@@ -6,27 +6,27 @@ use presight_model::memory;
 use std::cell::Cell;
 use std::rc::Rc;
 
-/// Corners of polygons, or what is worth as much memory.
+/// Counts memory in polygon corners. Other data count as the corners that need as much memory.
 #[derive(Debug, Default)]
 pub(super) struct Budget {
     held: Cell<u64>,
     made: Cell<u64>,
-    /// Bytes that the system was not asked for yet.
+    /// Bytes taken since the last check of the system's free memory.
     unasked: Cell<u64>,
 }
 
-/// So many bytes are worth a corner.
+/// Memory of a corner, in bytes.
 const BYTES_OF_CORNER: usize = 32;
 
-/// Bytes that are taken without asking the system: asking takes longer than making a small shape.
+/// Bytes taken before the next check of free memory. A check takes longer than making a small shape.
 const LITTLE: u64 = 16 << 20;
 
-/// The corners that so many bytes are worth.
+/// Converts bytes to corners.
 pub(super) fn corners_worth(bytes: usize) -> u64 {
     (bytes / BYTES_OF_CORNER) as u64
 }
 
-/// A part of the budget, given back on drop.
+/// A part of the budget, returned on drop.
 #[derive(Debug)]
 pub(super) struct BudgetShare {
     budget: Rc<Budget>,
@@ -34,7 +34,7 @@ pub(super) struct BudgetShare {
 }
 
 impl Budget {
-    /// Takes so many corners, before they are made.
+    /// Takes memory for `corners`, before they are made.
     pub fn take(self: &Rc<Self>, corners: u64) -> Result<BudgetShare> {
         self.work(corners)?;
         self.room(corners.saturating_mul(BYTES_OF_CORNER as u64))?;
@@ -48,14 +48,14 @@ impl Budget {
         Ok(BudgetShare { budget: self.clone(), corners })
     }
 
-    /// Takes so many corners for good: what is placed stays.
+    /// Takes memory for `corners` permanently, because placed objects stay.
     pub fn keep(self: &Rc<Self>, corners: u64) -> Result<()> {
         let mut held = self.take(corners)?;
         held.corners = 0;
         Ok(())
     }
 
-    /// Asks the system for so many bytes more, once there are enough of them.
+    /// Checks that the system has `bytes` more. Small amounts are added up and checked together.
     pub fn room(&self, bytes: u64) -> Result<()> {
         self.unasked.set(self.unasked.get().saturating_add(bytes));
         if self.unasked.get() <= LITTLE {
@@ -64,7 +64,7 @@ impl Budget {
         memory::require(self.unasked.replace(0))
     }
 
-    /// Counts work that leaves nothing behind.
+    /// Counts work that takes no memory.
     pub fn work(&self, corners: u64) -> Result<()> {
         self.made.set(self.made.get().saturating_add(corners));
         if self.made.get() <= limits::MAX_SCRIPT_WORK {

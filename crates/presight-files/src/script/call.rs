@@ -1,4 +1,4 @@
-//! A call from a script: its arguments, read with their names in every error.
+//! Calls from a script. Errors name the argument that is wrong.
 
 use super::assembly::{Assembly, ImportedObject, Placeable};
 use super::random::Random;
@@ -13,16 +13,15 @@ use std::rc::Rc;
 
 /// A function that scripts can call.
 pub(super) struct Function {
-    /// `name(parameter, parameter) -> what`: what scripts and the documentation see.
+    /// `name(parameter, parameter) -> type`, for scripts and the documentation.
     pub signature: &'static str,
-    /// In a line.
+    /// Its description in the documentation, one line.
     pub does: &'static str,
-    /// Does it.
+    /// The implementation.
     pub run: fn(&mut Call<'_, '_>) -> Result<Dynamic>,
 }
 
 impl Function {
-    /// Its name.
     pub fn name(&self) -> &'static str {
         self.signature.split('(').next().unwrap_or_default()
     }
@@ -37,14 +36,14 @@ impl Function {
 /// A place in a script.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Spot {
-    /// Its file, as errors name it.
+    /// The name of the file in errors.
     pub file: Option<Rc<str>>,
     pub line: u32,
     pub column: u32,
 }
 
 impl Spot {
-    /// An error of the call of `function` here.
+    /// Adds this place and the call of `function` to an error.
     pub fn place(&self, e: Error, function: &str) -> Error {
         let e = e.at(format!("line {}, column {}, in the call of {function}", self.line, self.column));
         match &self.file {
@@ -58,39 +57,36 @@ impl Spot {
 pub(super) struct Call<'a, 'b> {
     pub studio: &'a Studio,
     pub function: &'static Function,
-    /// Where it is.
+    /// Where the call is.
     pub at: Spot,
     pub args: &'a mut [&'b mut Dynamic],
 }
 
 impl Call<'_, '_> {
-    /// An argument by its number.
+    /// Returns argument `i`, from 0.
     pub fn arg(&self, i: usize) -> NamedValue<'_> {
         let name = self.function.parameters().nth(i).unwrap_or_default();
         NamedValue { name: name.to_owned(), value: &*self.args[i] }
     }
 
-    /// True if so many arguments are there.
+    /// True if argument `i` is given.
     pub fn has(&self, i: usize) -> bool {
         i < self.args.len()
     }
 
-    /// A number argument.
     pub fn number(&self, i: usize) -> Result<f64> {
         self.arg(i).number()
     }
 
-    /// A count argument.
     pub fn count(&self, i: usize) -> Result<u32> {
         self.arg(i).count()
     }
 
-    /// A shape argument.
     pub fn shape(&self, i: usize) -> Result<Shape> {
         self.arg(i).shape()
     }
 
-    /// An argument that holds options; only these keys may be in it.
+    /// An argument with options. Other keys than `keys` are an error.
     pub fn options(&self, i: usize, keys: &[&str]) -> Result<Options> {
         let given = self.arg(i);
         let map = given.value.as_map_ref().map_err(|_| given.wrong("an object map #{..}"))?.clone();
@@ -111,29 +107,28 @@ pub(super) struct Options {
 }
 
 impl Options {
-    /// No options at all.
     pub fn none() -> Self {
         Self { name: String::new(), map: Map::new() }
     }
 
-    /// An entry, if it is there.
+    /// The entry of a key, if given.
     pub fn get(&self, key: &str) -> Option<NamedValue<'_>> {
         self.map.get(key).map(|value| NamedValue { name: format!("{}.{key}", self.name), value })
     }
 
-    /// A number, if it is there.
+    /// The number of a key, if given.
     pub fn number(&self, key: &str) -> Result<Option<f64>> {
         self.get(key).map(|g| g.number()).transpose()
     }
 }
 
-/// A value with the name that errors give it.
+/// A value with its name in errors.
 pub(super) struct NamedValue<'a> {
     name: String,
     value: &'a Dynamic,
 }
 
-/// What a value is, in words.
+/// Describes a value for an error message.
 fn in_words(value: &Dynamic) -> String {
     if let Ok(text) = value.as_immutable_string_ref() {
         let shown: String = text.chars().take(40).collect();
@@ -158,7 +153,7 @@ fn in_words(value: &Dynamic) -> String {
 }
 
 impl NamedValue<'_> {
-    /// The error of another type than the one needed.
+    /// The error for a value of the wrong type or range.
     fn wrong(&self, needed: &str) -> Error {
         Error::invalid(format!("{} is {}", self.name, in_words(self.value)), format!("give {needed}"))
     }
@@ -169,11 +164,11 @@ impl NamedValue<'_> {
         any.ok().filter(|x| x.is_finite()).ok_or_else(|| self.wrong("a finite number"))
     }
 
-    /// A number within the coordinates that presight takes.
+    /// A number within the limits of coordinates, metres.
     pub fn coordinate(&self) -> Result<f64> {
         let within = |x: &f64| x.abs() <= limits::MAX_COORDINATE;
         let metres = self.number()?;
-        Some(metres).filter(within).ok_or_else(|| self.wrong("metres that are not beyond all bounds"))
+        Some(metres).filter(within).ok_or_else(|| self.wrong("a smaller number of metres"))
     }
 
     /// A whole number.
@@ -186,12 +181,11 @@ impl NamedValue<'_> {
         u32::try_from(self.integer()?).map_err(|_| self.wrong("a whole number from 0 to 4294967295"))
     }
 
-    /// True or false.
     pub fn flag(&self) -> Result<bool> {
         self.value.as_bool().map_err(|_| self.wrong("true or false"))
     }
 
-    /// A string.
+    /// A string that is not empty.
     pub fn text(&self) -> Result<String> {
         let text = self.value.as_immutable_string_ref().map_err(|_| self.wrong("a string"))?;
         if text.is_empty() { Err(self.wrong("a string that is not empty")) } else { Ok(text.to_string()) }
@@ -209,7 +203,7 @@ impl NamedValue<'_> {
         if self.value.is_array() { self.list("strings", |g| g.text()) } else { Ok(vec![self.text()?]) }
     }
 
-    /// So many numbers in an array.
+    /// An array of `N` coordinates.
     pub fn numbers<const N: usize>(&self) -> Result<[f64; N]> {
         let needed = format!("an array of {N} numbers");
         let numbers = self.list(&needed, |g| g.coordinate())?;
@@ -226,17 +220,15 @@ impl NamedValue<'_> {
         self.numbers().map(DVec2::from_array)
     }
 
-    /// A value of one of the types that scripts know.
+    /// A value of one of our types.
     fn held<T: Clone + 'static>(&self, needed: &str) -> Result<T> {
         self.value.read_lock::<T>().map(|held| held.clone()).ok_or_else(|| self.wrong(needed))
     }
 
-    /// A shape.
     pub fn shape(&self) -> Result<Shape> {
         self.held("a shape")
     }
 
-    /// A pose.
     pub fn pose(&self) -> Result<Pose> {
         self.held("a pose, such as pose(x, y, z, yaw_deg)")
     }
@@ -251,7 +243,7 @@ impl NamedValue<'_> {
     }
 }
 
-/// The point in an operand of an operator.
+/// Reads the right operand of an operator as a point.
 pub(super) fn point_of(value: &Dynamic) -> Result<DVec3> {
     NamedValue { name: "the right side".to_owned(), value }.point()
 }

@@ -1,4 +1,4 @@
-//! From the language's errors to ours: file, line, column, call, and what to do.
+//! Converts Rhai's errors to ours, with file, line, column, call and remedy.
 
 use super::call::Function;
 use super::functions::signatures;
@@ -11,39 +11,39 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::rc::Rc;
 
-/// One of our errors on its way through a script, which may catch it.
+/// One of our errors while it passes through a script, which may catch it.
 #[derive(Clone)]
 pub(super) struct Fault(Rc<Error>, Option<&'static Function>);
 
 impl Fault {
-    /// Of a call of one of our functions.
+    /// An error in a call of one of our functions.
     pub fn in_call(e: Error, function: &'static Function, at: Position) -> Box<EvalAltResult> {
         EvalAltResult::ErrorRuntime(Dynamic::from(Self(Rc::new(e), Some(function))), at).into()
     }
 
-    /// Of an operator.
+    /// An error in an operator.
     pub fn bare(e: Error) -> Box<EvalAltResult> {
         Self::at(e, Position::NONE)
     }
 
-    /// Of a place.
+    /// An error at a position.
     pub fn at(e: Error, at: Position) -> Box<EvalAltResult> {
         EvalAltResult::ErrorRuntime(Dynamic::from(Self(Rc::new(e), None)), at).into()
     }
 
-    /// What a script that catches it can print.
+    /// The text that a script can print when it catches the error.
     pub fn message(&mut self) -> String {
         self.0.to_string()
     }
 }
 
-/// Texts of the scripts read so far, by the name under which errors know them.
+/// Texts of the scripts read so far, by their names in errors.
 pub(super) type Sources = BTreeMap<String, String>;
 
-/// Callers listed in an error.
+/// Greatest number of callers listed in an error.
 const LISTED_CALLERS: usize = 3;
 
-/// Our error of one of the language's; `script` is the main file.
+/// Converts an error of Rhai to ours. `script` is the main file.
 pub(super) fn explain(error: EvalAltResult, script: &str, sources: &Sources) -> Error {
     let mut callers = Vec::new();
     let (mut file, mut error, mut outer) = (script.to_owned(), error, Position::NONE);
@@ -68,7 +68,7 @@ pub(super) fn explain(error: EvalAltResult, script: &str, sources: &Sources) -> 
     }
 }
 
-/// A place for a list of callers: the file only if it is not the main one.
+/// A place in the list of callers. The main file is not named.
 fn place_of(file: &str, script: &str, at: Position) -> String {
     let line = at.line().unwrap_or(0);
     if file == script { format!("line {line}") } else { format!("{file}, line {line}") }
@@ -79,8 +79,8 @@ fn whole(leaf: &EvalAltResult, at: Position, file: &str, text: Option<&str>, cal
     let mut place = match (at.line(), at.position()) {
         (Some(line), Some(column)) => format!("line {line}, column {column}"),
         (Some(line), None) => format!("line {line}"),
-        // The language says of some steps not where they are.
-        _ => "at a line that is not known".to_owned(),
+        // Rhai does not report the positions of some steps.
+        _ => "at an unknown line".to_owned(),
     };
     let call = function.map(str::to_owned).or_else(|| text.and_then(|text| name_at(text, at)));
     if let Some(call) = call {
@@ -92,7 +92,7 @@ fn whole(leaf: &EvalAltResult, at: Position, file: &str, text: Option<&str>, cal
     Error::new(kind, what, remedy).at(place).in_file(file)
 }
 
-/// The name of the call that the text has at a position, if it is one.
+/// The name of the function called at a position of the text, if there is a call.
 fn name_at(text: &str, at: Position) -> Option<String> {
     let line = text.lines().nth(at.line()?.checked_sub(1)?)?;
     let from: String = line.chars().skip(at.position()?.checked_sub(1)?).collect();
@@ -101,7 +101,7 @@ fn name_at(text: &str, at: Position) -> Option<String> {
     (called && !name.is_empty() && !["if", "while", "switch", "for", "return"].contains(&name.as_str())).then_some(name)
 }
 
-/// Kind, what is wrong, remedy, and the function of ours that found it.
+/// Kind, message, remedy, and which of our functions reported the error.
 fn in_words(leaf: &EvalAltResult) -> (ErrorKind, String, String, Option<&'static str>) {
     use EvalAltResult as E;
     let invalid = |what: String, remedy: &str| (ErrorKind::Invalid, what, remedy.to_owned(), None);
@@ -111,7 +111,7 @@ fn in_words(leaf: &EvalAltResult) -> (ErrorKind, String, String, Option<&'static
                 let Fault(e, function) = &*fault;
                 let function = function.map(Function::name);
                 let what = e.to_string();
-                // The remedy is part of the text of an error already.
+                // An error's text already contains the remedy.
                 let remedy = e.remedy().to_owned();
                 let what = what.strip_suffix(&format!("; {remedy}")).map(str::to_owned).unwrap_or(what);
                 (e.kind(), what, remedy, function)
@@ -140,7 +140,7 @@ fn in_words(leaf: &EvalAltResult) -> (ErrorKind, String, String, Option<&'static
         ),
         E::ErrorParsing(e, _) => invalid(format!("syntax error: {e}"), "scenes/README.md shows the language"),
         E::ErrorVariableNotFound(name, _) => {
-            invalid(format!("there is no variable {name:?}"), "functions see their parameters only: hand it over")
+            invalid(format!("there is no variable {name:?}"), "functions see only their parameters: pass it as one")
         }
         other => {
             let text = other.to_string();
@@ -160,7 +160,7 @@ fn ended(why: EndReason) -> (ErrorKind, String, String, Option<&'static str>) {
     (ErrorKind::Invalid, what, remedy.to_owned(), None)
 }
 
-/// A text for a message, cut where it would not fit a line.
+/// Shortens a text so that a message with it fits a line.
 pub(super) fn shortened(text: &str) -> String {
     const LONGEST: usize = 200;
     match text.char_indices().nth(LONGEST) {
@@ -182,11 +182,11 @@ fn unknown_function(signature: &str) -> (ErrorKind, String, String, Option<&'sta
     (ErrorKind::Invalid, what, format!("call it as {}", ways.join(" or ")), None)
 }
 
-/// Our error of a script that is no script.
+/// Converts a parsing error to ours.
 pub(super) fn syntax(e: &ParseError, file: &Path) -> Error {
     let what = match e.err_type() {
         ParseErrorType::ExprTooDeep => Excess::Nesting.in_words().0,
-        // Those without a name, too.
+        // Anonymous functions count too.
         ParseErrorType::TooManyFunctions => Excess::Functions.in_words().0,
         other => format!("syntax error: {}", shortened(&other.to_string())),
     };

@@ -1,4 +1,4 @@
-//! The scene's folder: the only place that scripts read from.
+//! The scene's folder: scripts cannot read files outside it.
 
 use crate::file;
 use presight_model::error::{Error, Result};
@@ -9,7 +9,7 @@ use std::path::{Component, Path, PathBuf};
 #[derive(Debug)]
 pub(super) struct Folder {
     real: PathBuf,
-    /// As the script was named, for messages.
+    /// Relative to the given path of the script, for messages.
     shown: PathBuf,
 }
 
@@ -22,21 +22,21 @@ impl Folder {
         Ok(Self { real, shown })
     }
 
-    /// The folder itself, symbolic links resolved.
+    /// The folder, with symbolic links resolved.
     pub fn real(&self) -> &Path {
         &self.real
     }
 
-    /// A file in it, by a relative path: as shown, and with symbolic links resolved.
+    /// The path of a file in it, for messages, and the path with symbolic links resolved.
     pub fn file(&self, relative: &str) -> Result<(PathBuf, PathBuf)> {
         let outside = |what: &str| {
-            let remedy = "put the file beside the scene script, or in a folder below, and name it relative to that";
+            let remedy = "put the file into the folder of the scene script or below, and give its path relative to it";
             Error::invalid(format!("{relative:?} {what}"), remedy)
         };
         let path = Path::new(relative);
         let plain = path.components().all(|c| matches!(c, Component::Normal(_) | Component::CurDir));
         if relative.is_empty() || !plain {
-            return Err(outside("is no path inside the scene's folder"));
+            return Err(outside("is not a path inside the scene's folder"));
         }
         let shown = self.shown.join(path);
         let real = self.real.join(path).canonicalize().map_err(|e| Error::io(&shown, "open it", e))?;
@@ -47,7 +47,7 @@ impl Folder {
     }
 }
 
-/// The text of a script.
+/// Reads the text of a script.
 pub(super) fn read_script(shown: &Path, real: &Path) -> Result<String> {
     let bytes = file::read(file::open_as(real, shown)?, shown, limits::MAX_SCRIPT_BYTES)?;
     String::from_utf8(bytes).map(file::without_mark).map_err(|e| {

@@ -1,4 +1,4 @@
-//! What a script may take: the language's own limits, and operations counted by what they cost.
+//! Limits of scripts: Rhai's own, and a count of operations weighted by their cost.
 
 use presight_model::limits;
 use rhai::{Dynamic, Engine, EvalAltResult, FnPtr, Position};
@@ -6,33 +6,33 @@ use std::cell::Cell;
 use std::rc::Rc;
 use std::time::{Duration, Instant};
 
-/// Why a script was ended, as the language's error carries it.
+/// Why a script was ended; Rhai's error carries it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum EndReason {
-    /// By the limit on operations.
+    /// The limit on operations.
     Operations,
-    /// By the clock.
+    /// The time limit.
     Clock,
 }
 
-/// Elements of arrays, half as many of maps, or 256 bytes of strings, that are read for one operation.
+/// Reading this many array elements, half as many map entries, or 256 bytes of strings counts as one operation.
 const READ: usize = 16;
-/// Operations between two looks at the clock.
+/// Operations between two checks of the clock.
 const LOOK: u64 = 256;
-/// Steps after the end within which a variable is waited for: the language knows no place of some steps, such as indexing, but
-/// that of every variable.
+/// After a limit is exceeded, at most this many steps may pass until the next variable is read, which ends the script.
+/// Rhai knows the position of every variable, but not of some steps, such as indexing.
 const GRACE: u64 = 1024;
 
 /// Sets all limits.
 ///
-/// The language counts its own steps, but not what is done within one: comparing two arrays calls `==` for each pair of
-/// elements, on a copy of the count, and reading a variable copies its value. So each step that is told of counts here, and each
-/// large value that is read. It does not tell of `this`, of `global::` and of the variables of modules: the first two are no
-/// part of our language, and the last are small ([`is_exportable`]). `busy` is the time in functions that count what they do
-/// themselves: the clock does not run then.
+/// Rhai counts its own steps, but not the work within a step. Comparing two arrays calls `==` for each pair of elements
+/// on a copy of the count, and reading a variable copies its value. So we count each step that Rhai reports, and each
+/// large value that a script reads. Rhai does not report `this`, `global::` and variables of modules. Our scripts
+/// cannot use the first two, and the last are small ([`is_exportable`]). The clock stops during `busy`, the time spent
+/// in our own functions, which count their work themselves.
 pub(super) fn limit(engine: &mut Engine, busy: Rc<Cell<Duration>>) {
     engine
-        // Ours ends the script first, for it counts no less.
+        // Our count is never lower, so it ends the script first.
         .set_max_operations(limits::MAX_SCRIPT_OPERATIONS + 2 * GRACE)
         .set_max_call_levels(limits::MAX_SCRIPT_CALLS)
         .set_max_expr_depths(limits::MAX_SCRIPT_NESTING, limits::MAX_SCRIPT_NESTING)
@@ -60,14 +60,14 @@ pub(super) fn limit(engine: &mut Engine, busy: Rc<Cell<Duration>>) {
         grace.set(grace.get().saturating_sub(1));
         (grace.get() == 0).then(|| Dynamic::from(why))
     });
-    #[expect(deprecated, reason = "it is not, the library says: it may change")]
+    #[expect(deprecated, reason = "not deprecated, only unstable")]
     engine.on_var(move |name, _, context| {
-        // The language adds the place of the variable to errors.
+        // Rhai adds the position of the variable to the error.
         if let Some(why) = ended.get() {
             return Err(EvalAltResult::ErrorTerminated(Dynamic::from(why), Position::NONE).into());
         }
         let Some(value) = context.scope().get(name) else { return Ok(None) };
-        // Its own limit is kept by calls only, not where an entry is set.
+        // Rhai checks its own size limits in calls, but not when an entry is set.
         if let Some(what) = too_large(value) {
             return Err(EvalAltResult::ErrorDataTooLarge(what.to_owned(), Position::NONE).into());
         }
@@ -76,12 +76,12 @@ pub(super) fn limit(engine: &mut Engine, busy: Rc<Cell<Duration>>) {
     });
 }
 
-/// True for a value that may be copied at every step.
+/// True for a value small enough to be copied at every step.
 pub(super) fn is_exportable(value: &Dynamic) -> bool {
     size(value) <= limits::MAX_SCRIPT_EXPORT
 }
 
-/// What of a value is over the limits, in the language's words.
+/// The size that exceeds a limit, in Rhai's words.
 fn too_large(value: &Dynamic) -> Option<&'static str> {
     if let Ok(array) = value.as_array_ref() {
         return (array.len() > limits::MAX_SCRIPT_ARRAY).then_some("Size of array");
@@ -89,17 +89,17 @@ fn too_large(value: &Dynamic) -> Option<&'static str> {
     if let Ok(map) = value.as_map_ref() {
         return (map.len() > limits::MAX_SCRIPT_MAP).then_some("Size of object map");
     }
-    // Nothing else holds what `curry` gives to a function.
+    // Rhai does not limit the values that `curry` binds to a function.
     let curried = value.read_lock::<FnPtr>().is_some_and(|f| curried(&f) > limits::MAX_SCRIPT_ARRAY);
     curried.then_some("Size of the array of curried values")
 }
 
-/// What reading the values costs that `curry` gave to a function.
+/// The cost of reading the values that `curry` bound to a function.
 fn curried(function: &FnPtr) -> usize {
     function.iter_curry().map(|value| 1 + size(value)).sum()
 }
 
-/// What reading a value costs, about.
+/// The approximate cost of reading a value.
 fn size(value: &Dynamic) -> usize {
     if value.is_int() || value.is_float() || value.is_bool() {
         return 0;
@@ -108,7 +108,7 @@ fn size(value: &Dynamic) -> usize {
         return array.len() + array.iter().map(size).sum::<usize>();
     }
     if let Ok(map) = value.as_map_ref() {
-        // Its keys are looked for, or copied.
+        // Reading a map searches or copies its keys.
         return map.iter().map(|(key, value)| 2 + key.len() / 16 + size(value)).sum();
     }
     if let Some(function) = value.read_lock::<FnPtr>() {

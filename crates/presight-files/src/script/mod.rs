@@ -1,8 +1,9 @@
-//! Scenes as scripts, `.rhai`: shapes from parameters, placed as named objects, with materials, features and checks.
+//! Scenes as scripts, `.rhai`: parametric shapes, placed as named objects, with materials, features and checks.
 //!
-//! The language is [Rhai](https://rhai.rs/book/); the functions that build scenes are listed in
-//! [`scenes/README.md`](https://github.com/presight/presight/blob/main/scenes/README.md) ([`reference()`] prints the
-//! list). Metres; angles in degrees where a parameter ends in `_deg`; z up.
+//! The language is [Rhai](https://rhai.rs/book/).
+//! [`scenes/README.md`](https://github.com/presight/presight/blob/main/scenes/README.md) lists the functions that build
+//! scenes; [`reference()`] returns the same list. Lengths are in metres, parameters ending in `_deg` in degrees; z is
+//! up.
 //!
 //! ```
 //! # let folder = tempfile::tempdir().unwrap();
@@ -29,14 +30,13 @@
 //! # Ok::<(), presight::Error>(())
 //! ```
 //!
-//! **The same script gives the same environment on every machine**: trigonometry is `libm`'s, the operator `**` and every
-//! clock are left out, random numbers come from a seed that the script gives. Scripts read files only from their own
-//! folder, symbolic links resolved; they write none. `eval` is off. Limits on operations (large values count by their size),
-//! depth, sizes, polygons and memory end a script that asks for too much ([`crate::limits`], `MAX_SCRIPT_..`), with file, line, column and call; the
-//! wall clock is only the last resort.
+//! **The same script gives the same environment on every machine.** Trigonometry comes from `libm`, random numbers from
+//! a seed in the script; there is no operator `**` and no clock. Scripts read files only from their own folder (with
+//! symbolic links resolved), write no files, and cannot use `eval`. Limits on operations (large values count by size),
+//! depth, sizes, polygons and memory ([`crate::limits`], `MAX_SCRIPT_..`) end a script with an error that names file,
+//! line, column and call. A limit on time is only a last resort.
 //!
-//! `source` ids number the triangles that the polygons are worth, in the order of placing: those that the scene would
-//! have if it were exported.
+//! `source` ids number triangles in the order of placing, as an exported scene would have them.
 
 mod assembly;
 mod budget;
@@ -75,21 +75,25 @@ use std::time::Duration;
 use studio::Studio;
 use tokens::Tokens;
 
-/// Stack of the thread that runs scripts, bytes: the limits on depth are below what it holds in any build.
+/// Stack of the thread that runs scripts, bytes. It is large enough for the limits on depth in every build.
 const STACK: usize = 256 << 20;
 
-/// Runs a script. `say` receives each line that it prints, immediately.
+/// Runs a script. `say` receives each line as soon as the script prints it.
 ///
-/// `options` apply to the models that it imports. Without merging, polygons stay in the order in which the script makes them.
+/// `options` apply to the models that it imports. Without merging, polygons keep the order in which the script makes
+/// them.
 ///
 /// # Errors
-/// [`ErrorKind::Invalid`] with file, line, column, call and remedy for a script that is missing, not UTF-8 or not Rhai, calls a
-/// function wrongly, exceeds a limit, or fails a `require`; those of [`crate::io::gltf::import`] for models that it imports.
+/// [`ErrorKind::Invalid`] with file, line, column, call and remedy for a script that is missing, not UTF-8 or not Rhai,
+/// calls a function wrongly, exceeds a limit, or fails a `require`. As [`crate::io::gltf::import`] for models that it
+/// imports.
 pub fn load(path: impl AsRef<Path>, options: &ImportOptions, say: &mut dyn FnMut(&str)) -> Result<ImportedScene> {
     let path = path.as_ref();
     let (sender, receiver) = channel();
     std::thread::scope(|scope| {
-        let refused = |e: std::io::Error| Error::new(ErrorKind::System, format!("no thread: {e}"), "free some memory");
+        let refused = |e: std::io::Error| {
+            Error::new(ErrorKind::System, format!("cannot start a thread: {e}"), "free some memory")
+        };
         let thread = std::thread::Builder::new().name("script".into()).stack_size(STACK);
         let running = thread.spawn_scoped(scope, || run(path, options, sender)).map_err(refused)?;
         listen_to(&receiver, say);
@@ -97,12 +101,12 @@ pub fn load(path: impl AsRef<Path>, options: &ImportOptions, say: &mut dyn FnMut
     })
 }
 
-/// Hands on what the script prints until it has ended and dropped the sender.
+/// Passes on the lines that the script prints, until it ends and drops the sender.
 fn listen_to(lines: &Receiver<String>, say: &mut dyn FnMut(&str)) {
     if rayon::current_thread_index().is_none() {
         return lines.iter().for_each(|line| say(&line));
     }
-    // This is a worker, and what the script imports may need it: it works while it waits.
+    // This thread is a rayon worker, which an import of the script may need, so it works while it waits.
     loop {
         match lines.recv_timeout(Duration::from_millis(1)) {
             Ok(line) => say(&line),
@@ -131,18 +135,18 @@ fn run(path: &Path, options: &ImportOptions, say: Sender<String>) -> Result<Impo
     studio.finish(path)
 }
 
-/// A script says itself what its materials are; a sidecar beside it would be ignored, which must not be silent. One that
-/// belongs to a model of the same name is none of the script's.
+/// Refuses a sidecar with materials, which a script would silently ignore. A sidecar of a model with the same name is
+/// fine.
 fn refuse_sidecar(path: &Path) -> Result<()> {
     let sidecar = sidecar_path(path);
     if !sidecar.exists() || ["glb", "gltf"].iter().any(|e| path.with_extension(e).exists()) {
         return Ok(());
     }
-    let what = "scripts take no materials from a file beside them";
-    Err(Error::invalid(what, "define them in the script by material(name, #{..})").in_file(sidecar))
+    let what = "scripts do not read materials from a file";
+    Err(Error::invalid(what, "define them in the script with material(name, #{..})").in_file(sidecar))
 }
 
-/// The language with our functions and limits, and without what could differ from machine to machine.
+/// Rhai with our functions and limits, without anything whose result may differ between machines.
 fn engine(studio: &Rc<Studio>, say: Sender<String>) -> Engine {
     let mut engine = Engine::new_raw();
     ArithmeticPackage::new().register_into_engine(&mut engine);
@@ -154,7 +158,8 @@ fn engine(studio: &Rc<Studio>, say: Sender<String>) -> Engine {
     BasicMapPackage::new().register_into_engine(&mut engine);
     MoreStringPackage::new().register_into_engine(&mut engine);
     engine.register_fn("to_string", Fault::message).register_fn("to_debug", Fault::message);
-    // Powers of floats are the C library's; nothing may be computed at compile time by it either.
+    // `**` of floats uses the C library, whose results differ between machines; so may results computed while
+    // optimizing.
     engine.disable_symbol("**").disable_symbol("**=").disable_symbol("eval");
     engine.set_optimization_level(OptimizationLevel::None);
     functions::register(&mut engine, studio);
@@ -163,15 +168,15 @@ fn engine(studio: &Rc<Studio>, say: Sender<String>) -> Engine {
     engine
 }
 
-/// Hands on what the script prints, up to the limit.
+/// Passes on the lines that the script prints, up to the limit.
 fn listen(engine: &mut Engine, say: Sender<String>) {
     let said = Cell::new(0u64);
     let send = Rc::new(move |line: String| {
         said.set(said.get() + 1);
-        // Nobody listens any more: then nobody misses it.
+        // Sending fails only if nobody receives the lines any more.
         let _ = match said.get() {
             n if n <= limits::MAX_SCRIPT_MESSAGES => say.send(line),
-            n if n == limits::MAX_SCRIPT_MESSAGES + 1 => say.send("(the script prints more; it is left out)".into()),
+            n if n == limits::MAX_SCRIPT_MESSAGES + 1 => say.send("(more lines are left out)".into()),
             _ => Ok(()),
         };
     });

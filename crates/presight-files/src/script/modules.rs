@@ -1,4 +1,4 @@
-//! Modules of a script: files in the scene's folder, read once, that do not import themselves.
+//! Modules of a script: files in the scene's folder. Each is read once; cyclic imports are errors.
 
 use super::fault::{Fault, Sources};
 use super::folder::{Folder, read_script};
@@ -12,7 +12,7 @@ use std::collections::HashMap;
 use std::path::PathBuf;
 use std::rc::Rc;
 
-/// Finds what `import` names, relative to the scene's folder.
+/// Loads the modules that `import` names, relative to the scene's folder.
 pub(super) struct Modules {
     folder: Folder,
     sources: Rc<RefCell<Sources>>,
@@ -22,7 +22,7 @@ pub(super) struct Modules {
 
 impl Modules {
     pub fn new(folder: Folder, main: PathBuf, sources: Rc<RefCell<Sources>>, tokens: Tokens) -> Self {
-        // The main script is being read: a module must not import it.
+        // `None` marks a script that is being read, here the main one, which modules must not import.
         Self { folder, sources, known: RefCell::new(HashMap::from([(main, None)])), tokens }
     }
 

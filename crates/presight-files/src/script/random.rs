@@ -1,10 +1,10 @@
-//! Random numbers of scripts.
+//! Random numbers for scripts.
 
 use presight_model::random::SplitMix64;
 use std::cell::Cell;
 use std::rc::Rc;
 
-/// Copies go on together: a function that is handed one draws from the same numbers.
+/// Copies share one sequence, so that a function can draw from its caller's generator.
 #[derive(Clone, Debug)]
 pub(super) struct Random(Rc<Cell<SplitMix64>>);
 
@@ -20,12 +20,12 @@ impl Random {
         drawn
     }
 
-    /// In 0..1.
+    /// The next number in 0..1.
     pub fn unit(&self) -> f64 {
         self.draw(SplitMix64::unit)
     }
 
-    /// In 0..n; within 2^-64 n of uniform.
+    /// The next whole number in 0..n; within 2^-64 n of uniform.
     pub fn below(&self, n: u64) -> u64 {
         ((u128::from(self.draw(SplitMix64::bits)) * u128::from(n)) >> 64) as u64
     }

@@ -1,4 +1,4 @@
-//! Shapes: polygons with materials and landmarks, in a frame of their own; what scripts make, turn, join and place.
+//! Shapes, which scripts make, rotate, join and place: polygons with materials and landmarks in a frame of their own.
 
 use super::budget::{Budget, BudgetShare, corners_worth};
 use crate::gltf::ImportOptions;
@@ -12,17 +12,17 @@ use std::cell::OnceCell;
 use std::rc::Rc;
 use std::sync::Arc;
 
-/// A shape as scripts hold it: cheap to copy, never changed.
+/// A shape in a script: immutable and cheap to copy.
 #[derive(Clone, Debug)]
 pub(super) struct Shape(Rc<Data>);
 
 #[derive(Debug)]
 struct Data {
     solid: Solid,
-    /// Of each polygon; `None` is the default material.
+    /// The material of each polygon; `None` is the default material.
     materials: Vec<Option<u16>>,
     marks: Vec<Mark>,
-    /// Made when it is first placed; every placing shares it.
+    /// Made when the shape is first placed; all its objects share it.
     mesh: OnceCell<Arc<Mesh>>,
     _held: BudgetShare,
 }
@@ -39,7 +39,7 @@ pub(super) struct Mark {
 }
 
 impl Shape {
-    /// A shape of the default material.
+    /// A shape with the default material.
     pub fn new(solid: Solid, budget: &Rc<Budget>) -> Result<Self> {
         let materials = vec![None; solid.polygon_count()];
         Self::of(solid, materials, Vec::new(), budget)
@@ -52,7 +52,7 @@ impl Shape {
 
     /// All polygons and landmarks of several shapes.
     pub fn joined(shapes: &[Self], budget: &Rc<Budget>) -> Result<Self> {
-        // Before anything is copied.
+        // Checks the limit before anything is copied.
         budget.work(shapes.iter().map(|s| s.0.solid.corner_count() as u64).sum())?;
         let (mut solid, mut materials, mut marks) = (Solid::default(), Vec::new(), Vec::new());
         for Self(data) in shapes {
@@ -63,20 +63,20 @@ impl Shape {
         Self::of(solid, materials, marks, budget)
     }
 
-    /// The same with one material.
+    /// The shape with one material.
     pub fn made_of(&self, material: u16, budget: &Rc<Budget>) -> Result<Self> {
         let materials = vec![Some(material); self.polygons()];
         Self::of(self.0.solid.clone(), materials, self.0.marks.clone(), budget)
     }
 
-    /// The same with one more landmark.
+    /// The shape with one more landmark.
     pub fn marked(&self, mark: Mark, budget: &Rc<Budget>) -> Result<Self> {
         let mut marks = self.0.marks.clone();
         marks.push(mark);
         Self::of(self.0.solid.clone(), self.0.materials.clone(), marks, budget)
     }
 
-    /// Turned, then moved.
+    /// The shape, first rotated, then translated.
     pub fn moved(&self, rotation: DMat3, translation: DVec3, budget: &Rc<Budget>) -> Result<Self> {
         let mut solid = self.0.solid.clone();
         solid.map(false, |p| rotation * p + translation);
@@ -84,7 +84,7 @@ impl Shape {
         Self::of(solid, self.0.materials.clone(), marks, budget)
     }
 
-    /// Scaled along the axes; a negative factor mirrors.
+    /// The shape scaled along the axes. A negative factor mirrors it.
     pub fn scaled(&self, factors: DVec3, budget: &Rc<Budget>) -> Result<Self> {
         let mut solid = self.0.solid.clone();
         solid.map(factors.to_array().iter().product::<f64>() < 0.0, |p| p * factors);
@@ -92,12 +92,12 @@ impl Shape {
         Self::of(solid, self.0.materials.clone(), marks, budget)
     }
 
-    /// Corners of its polygons.
+    /// Number of corners of its polygons.
     pub fn corners(&self) -> u64 {
         self.0.solid.corner_count() as u64
     }
 
-    /// True once it was placed.
+    /// True if it has been placed.
     pub fn has_mesh(&self) -> bool {
         self.0.mesh.get().is_some()
     }
@@ -112,12 +112,12 @@ impl Shape {
         &self.0.marks
     }
 
-    /// The triangles it is worth.
+    /// Number of triangles of its polygons.
     pub fn triangles(&self) -> u32 {
         (self.0.solid.corner_count() - 2 * self.polygons()) as u32
     }
 
-    /// Its box.
+    /// Its bounding box.
     pub fn bounds(&self) -> Aabb {
         Aabb::of(self.0.solid.vertices.iter().copied())
     }
@@ -127,7 +127,7 @@ impl Shape {
         self.0.materials.iter().any(Option::is_none)
     }
 
-    /// The mesh of all its placings, made the first time; true if that is now.
+    /// The mesh that all its objects share. The first call makes it, and returns true.
     pub fn mesh(&self, name: &str, default_material: u16, options: &ImportOptions) -> Result<(Arc<Mesh>, bool)> {
         if let Some(mesh) = self.0.mesh.get() {
             return Ok((mesh.clone(), false));
@@ -157,7 +157,7 @@ impl Shape {
 }
 
 impl Mark {
-    /// What it is worth in corners of polygons.
+    /// Its memory, expressed in polygon corners.
     fn corners(&self) -> u64 {
         let texts = self.classes.iter().map(|class| size_of::<String>() + class.len()).sum::<usize>();
         let name = self.name.as_ref().map_or(0, String::len);
@@ -168,7 +168,7 @@ impl Mark {
         let mut moved = self.clone();
         let turned = |c: DMat3| {
             let m = rotation * c * rotation.transpose();
-            // Exactly symmetric again.
+            // Restores exact symmetry.
             0.5 * (m + m.transpose())
         };
         map_shape(&mut moved.shape, |p| rotation * p + translation, turned);
@@ -184,7 +184,7 @@ impl Mark {
             return Err(Error::invalid(what, "scale the shape first, then put the fiducial on it"));
         }
         let mut scaled = self.clone();
-        // Where it is changes; how sure that is, in metres, does not.
+        // Scaling changes the position, but not its uncertainty in metres.
         map_shape(&mut scaled.shape, |p| p * factors, |c| c);
         if let (FeatureShape::Patch { corners, .. }, true) = (&mut scaled.shape, mirrors) {
             corners.reverse();

@@ -1,4 +1,4 @@
-//! What a running script builds: the environment, its features, and the account of it.
+//! The scene that a running script builds: environment, features and report.
 
 use super::assembly::{Assembly, ImportedObject, Part, Placeable, check_counts, check_not_empty};
 use super::budget::{Budget, corners_worth};
@@ -23,20 +23,20 @@ use std::rc::Rc;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// Bytes of known names that an error lists.
+/// Greatest length of the names that an error lists, bytes.
 const LISTED: usize = 240;
-/// Bytes of an entry of a map besides its text.
+/// Bytes of a map entry, without its text.
 const ENTRY: usize = 48;
 
-/// Where a script builds.
+/// The state of a running script.
 pub(super) struct Studio {
     pub folder: Folder,
     pub budget: Rc<Budget>,
     pub lost: Rc<LostPart>,
-    /// How long its functions took so far.
+    /// Time spent in our functions so far.
     pub busy: Rc<Cell<Duration>>,
     options: ImportOptions,
-    /// What all imports take of memory.
+    /// Memory of all imports.
     imported: RefCell<gltf::Memory>,
     built: RefCell<SceneBuild>,
 }
@@ -44,23 +44,23 @@ pub(super) struct Studio {
 #[derive(Default)]
 struct SceneBuild {
     environment: Environment,
-    /// Those of objects and of placed assemblies.
+    /// Paths of objects and placed assemblies.
     paths: Paths,
     report: ImportReport,
-    /// Materials that the script has defined, by name.
+    /// Numbers of the materials that the script has defined, by name.
     materials: BTreeMap<String, u16>,
     default_material: Option<u16>,
     imports: HashMap<PathBuf, Assembly>,
-    /// By class.
+    /// Features by sensor class.
     features: BTreeMap<String, Vec<ObjectFeature>>,
     feature_count: u64,
-    /// Names of the files that features were placed in.
+    /// Names of the script files that placed features.
     files: BTreeSet<Rc<str>>,
 }
 
 /// A feature of a placed object.
 struct ObjectFeature {
-    /// If the script gives one.
+    /// The id, if the script gives one.
     id: Option<u32>,
     feature: Feature,
     /// Where the object was placed.
@@ -73,14 +73,14 @@ impl Studio {
         Self { folder, budget, lost, busy, options: options.clone(), imported, built }
     }
 
-    /// Defines a material; the same again is no error, another of that name is.
+    /// Defines a material. Repeating an equal definition is allowed; another material of that name is an error.
     pub fn define(&self, material: Material) -> Result<()> {
         let mut built = self.built.borrow_mut();
         if let Some(&known) = built.materials.get(&material.name) {
             if built.environment.materials()[usize::from(known)] == material {
                 return Ok(());
             }
-            let what = format!("material {:?} is defined already, with other properties", material.name);
+            let what = format!("material {:?} is defined already with other properties", material.name);
             return Err(Error::invalid(what, "give it another name"));
         }
         let name = material.name.clone();
@@ -91,7 +91,7 @@ impl Studio {
         Ok(())
     }
 
-    /// A material that the script has defined.
+    /// Returns the number of a material that the script has defined.
     pub fn material(&self, name: &str) -> Result<u16> {
         let built = self.built.borrow();
         built.materials.get(name).copied().ok_or_else(|| {
@@ -106,13 +106,13 @@ impl Studio {
             let name = shortened(name);
             let remedy = match known.is_empty() {
                 true => format!("define it first: material({name:?}, #{{reflection: 0.5}})"),
-                false => format!("define it first, or take one of {}{more}", known.join(", ")),
+                false => format!("define it first, or use one of {}{more}", known.join(", ")),
             };
             Error::invalid(format!("there is no material {name:?}"), remedy)
         })
     }
 
-    /// The name of a file, of which there are few.
+    /// Returns the shared copy of a file's name.
     pub fn file_name(&self, name: &str) -> Rc<str> {
         let mut built = self.built.borrow_mut();
         if let Some(known) = built.files.get(name) {
@@ -123,7 +123,7 @@ impl Studio {
         new
     }
 
-    /// Places a thing, and all that is in it, under a path; `at` is where the script says so.
+    /// Places a thing with all its parts under a path. `at` is the place of the call.
     pub fn place(&self, path: &str, thing: &Placeable, world_from_thing: &Pose, at: &Spot) -> Result<()> {
         check_not_empty(thing)?;
         thing.mark_used();
@@ -134,19 +134,19 @@ impl Studio {
         PlaceCall { built: &mut built, options, budget, at }.place(path, thing, world_from_thing)
     }
 
-    /// The objects of a glTF file as an assembly, read once.
+    /// Imports the objects of a glTF file as an assembly. Each file is read once.
     pub fn import(&self, relative: &str) -> Result<Assembly> {
         let (shown, real) = self.folder.file(relative)?;
         if let Some(known) = self.built.borrow().imports.get(&real) {
             return Ok(known.clone());
         }
-        // By the name the script gives: messages and the sidecar belong to it.
-        // Nothing is read once too much was.
+        // Read no more once a limit is exceeded.
         self.budget.work(0)?;
         let mut memory = *self.imported.borrow();
+        // `shown`, not `real`: it appears in messages, and its sidecar applies.
         let outcome = gltf::import_within(&shown, Some(self.folder.real()), &self.options, &mut memory);
         if outcome.is_err() {
-            // It is read again the next time.
+            // A failed import is not cached, so the script may repeat it: count its work.
             let taken = memory.bytes() - self.imported.borrow().bytes();
             self.budget.work(corners_worth(usize::try_from(taken).unwrap_or(usize::MAX)))?;
         }
@@ -157,7 +157,7 @@ impl Studio {
         Ok(assembly)
     }
 
-    /// What the script `file` has built.
+    /// Returns the scene that the script `file` has built.
     pub fn finish(&self, file: &Path) -> Result<Outcome> {
         self.lost.check().map_err(|e| e.in_file(file))?;
         let mut built = self.built.take();
@@ -182,7 +182,7 @@ impl Studio {
     }
 }
 
-/// That all features lie on polygons, now that all is placed; `spots` says where each was placed, by class and id.
+/// Checks that all features lie on polygons of the complete scene. `spots`: where each was placed, by class and id.
 fn check_features(environment: Environment, spots: &BTreeMap<String, BTreeMap<u32, Spot>>) -> Result<Environment> {
     if environment.layers().is_empty() {
         return Ok(environment);
@@ -214,7 +214,7 @@ impl PlaceCall<'_> {
             let what = format!("a path is over {} bytes", limits::MAX_NAME_BYTES);
             return Err(Error::invalid(what, "give shorter names"));
         }
-        // Twice in the environment, twice among the paths.
+        // The path is stored twice in the environment and twice in `paths`.
         self.budget.keep(4 + corners_worth(4 * path.len()))?;
         match thing {
             Placeable::Shape(shape) => self.place_shape(path, shape, world_from_thing),
@@ -241,7 +241,7 @@ impl PlaceCall<'_> {
         }
     }
 
-    /// Gives what was placed below a path a frame, unless the script placed something at the path itself.
+    /// Sets the frame of a group, unless the script placed something at its path.
     fn frame(&mut self, path: String, world_from_group: &Pose) -> Result<()> {
         self.budget.keep(4 + corners_worth(4 * path.len()))?;
         if self.built.paths.reserve(&path) {
@@ -271,7 +271,7 @@ impl PlaceCall<'_> {
     fn mark(&mut self, mark: &Mark, object: &str) -> Result<()> {
         self.built.feature_count += mark.classes.len() as u64;
         if self.built.feature_count > limits::MAX_SCRIPT_FEATURES {
-            let what = format!("{} features are asked for", self.built.feature_count);
+            let what = format!("the script places {} features", self.built.feature_count);
             return Err(Error::invalid(what, format!("{} is the limit", limits::MAX_SCRIPT_FEATURES)));
         }
         let texts = mark.name.as_ref().map_or(0, String::len) + object.len();
@@ -300,7 +300,7 @@ impl SceneBuild {
             let what = format!("object {:?} is beyond {:e} m", new.name, limits::MAX_COORDINATE);
             return Err(Error::invalid(what, "place it nearer"));
         }
-        // Within 32 bits: the polygons are under the limit, and so are the corners of each.
+        // The limits on polygons and their corners keep this within 32 bits.
         let first_source = u32::try_from(self.report.triangles_in_scene).unwrap_or(u32::MAX);
         self.report.triangles_in_scene += u64::from(triangles);
         self.environment.insert(NewObject { first_source, ..new })
@@ -315,7 +315,7 @@ impl SceneBuild {
         Ok(index)
     }
 
-    /// Materials and report of an imported scene; its objects as parts.
+    /// Adds the materials and report of an imported scene. Returns its objects as parts of an assembly.
     fn take_over(&mut self, outcome: Outcome, file: &str, budget: &Rc<Budget>) -> Result<Assembly> {
         let Outcome { environment, report, .. } = outcome;
         let mut materials = Vec::with_capacity(environment.materials().len());
@@ -364,14 +364,13 @@ impl SceneBuild {
     }
 }
 
-/// Gives numbers to features that have none: from 1, in the order they were placed, leaving out those in use. The second
-/// answer is where each was placed.
+/// Gives features without an id the free ids from 1, in the order of placing. Also returns where each was placed.
 fn numbered(features: Vec<ObjectFeature>) -> Result<(Vec<Feature>, BTreeMap<u32, Spot>)> {
     let mut taken = BTreeSet::new();
     for id in features.iter().filter_map(|marked| marked.id) {
         if !taken.insert(id) {
             let remedy =
-                "give each feature of a class an id of its own; one on a shape that is placed often none at all";
+                "give each feature of a class its own id, but no id to features of a shape that is placed repeatedly";
             return Err(Error::invalid(format!("id {id} is given twice"), remedy));
         }
     }

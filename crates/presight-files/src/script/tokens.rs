@@ -1,9 +1,9 @@
-//! What the text of a script may hold, counted while it is parsed.
+//! Limits on the text of a script, checked while it is parsed.
 //!
-//! The language's parser looks through all variables, functions and parameters at each name, and its interpreter tries all
-//! types of all arguments where a function is not found: a text of a megabyte could keep both busy for minutes. So what one
-//! call, scope or literal may hold has a limit, and the first token over it ends the parsing. So does what would reach values
-//! past the count of what is read.
+//! Rhai's parser searches all variables, functions and parameters at each name. Its interpreter tries all types of all
+//! arguments of an unknown function. A text of one megabyte could keep both busy for minutes. So calls, scopes and
+//! literals have size limits, and the first token over a limit ends the parsing. Tokens that give access to uncounted
+//! values end it too.
 
 use super::fault::syntax;
 use presight_model::error::{Error, Result};
@@ -13,14 +13,14 @@ use std::cell::{Cell, RefCell};
 use std::path::Path;
 use std::rc::Rc;
 
-/// What a text has too much of.
+/// The limit that a text exceeds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Excess {
     Arguments,
     Elements,
     Entries,
     Functions,
-    /// What reaches values that are not counted when they are read.
+    /// `this` and `global::`, whose values are not counted when they are read.
     Hidden,
     Literal,
     NameBytes,
@@ -29,12 +29,10 @@ pub(super) enum Excess {
 }
 
 impl Excess {
-    /// What is wrong, and the remedy.
+    /// Message and remedy.
     pub fn in_words(self) -> (String, &'static str) {
         match self {
-            Self::Arguments => {
-                (format!("a call has over {} arguments", limits::MAX_SCRIPT_ARGUMENTS), "hand over an array")
-            }
+            Self::Arguments => (format!("a call has over {} arguments", limits::MAX_SCRIPT_ARGUMENTS), "pass an array"),
             Self::Elements => {
                 (format!("an array has over {} elements", limits::MAX_SCRIPT_ARRAY), "fill it in a loop, or split it")
             }
@@ -42,19 +40,17 @@ impl Excess {
                 format!("a block or map has over {} entries", limits::MAX_SCRIPT_MAP),
                 "split it, or fill it in a loop",
             ),
-            Self::Functions => {
-                (format!("over {} functions", limits::MAX_SCRIPT_FUNCTIONS), "put some into modules of their own")
-            }
+            Self::Functions => (format!("over {} functions", limits::MAX_SCRIPT_FUNCTIONS), "move some into modules"),
             Self::Hidden => (
-                "functions see their parameters only: there is no `this` and no `global::`".to_owned(),
-                "hand the value over, or put it into a function that returns it",
+                "functions see only their parameters: there is no `this` and no `global::`".to_owned(),
+                "pass the value as a parameter, or return it from a function",
             ),
             Self::Literal => {
-                (format!("a string is over {} bytes", limits::MAX_SCRIPT_LITERAL), "add several, or read less")
+                (format!("a string is over {} bytes", limits::MAX_SCRIPT_LITERAL), "join shorter ones with +")
             }
             Self::NameBytes => (format!("a name is over {} bytes", limits::MAX_SCRIPT_NAME), "give a shorter one"),
             Self::Nesting => {
-                (format!("expressions nest over {} levels", limits::MAX_SCRIPT_NESTING), "split them by variables")
+                (format!("expressions nest over {} levels", limits::MAX_SCRIPT_NESTING), "split them with variables")
             }
             Self::Variables => (
                 format!("over {} variables", limits::MAX_SCRIPT_VARIABLES),
@@ -67,25 +63,26 @@ impl Excess {
 /// An open bracket.
 struct Bracket {
     closed_by: Token,
-    /// What a comma in it separates.
+    /// The kind of items that commas in it separate.
     of: Excess,
     commas: usize,
-    /// Variables that were there when it was opened, of those all that its function does not see.
+    /// Number of known variables when it was opened.
     variables: usize,
+    /// Number of known variables that the enclosing function cannot see.
     unseen: usize,
 }
 
-/// What of a text was parsed so far.
+/// State of the text parsed so far.
 struct Parsed {
-    /// The first is the whole text.
+    /// Open brackets; the first stands for the whole text.
     brackets: Vec<Bracket>,
-    /// Names of the variables and modules that are known, those of an inner block last.
+    /// Names of the known variables and modules, from the outermost block to the innermost.
     variables: Vec<String>,
     unseen: usize,
     functions: usize,
-    /// The next name is a new variable's.
+    /// The next name declares a variable or module.
     declares: bool,
-    /// The next block is a function's.
+    /// The next block is the body of a function.
     in_signature: bool,
     /// The last name was `global`.
     after_global: bool,
@@ -108,19 +105,19 @@ impl Default for Parsed {
     }
 }
 
-/// Counts what parsers read.
+/// Counts the tokens that Rhai parses.
 #[derive(Clone, Default)]
 pub(super) struct Tokens {
     parsed: Rc<RefCell<Parsed>>,
-    /// Bytes of all texts so far.
+    /// Total bytes of all texts so far.
     bytes: Rc<Cell<usize>>,
 }
 
 impl Tokens {
-    /// Watches all that an engine parses.
+    /// Counts every token that an engine parses.
     pub fn watch(&self, engine: &mut Engine) {
         let parsed = self.parsed.clone();
-        #[expect(deprecated, reason = "it is not, the library says: it may change")]
+        #[expect(deprecated, reason = "not deprecated, only unstable")]
         engine.on_parse_token(move |token, at, _| parsed.borrow_mut().next(token, at));
     }
 
@@ -129,7 +126,7 @@ impl Tokens {
         self.bytes.set(self.bytes.get().saturating_add(text.len()));
         if self.bytes.get() > limits::MAX_SCRIPT_TEXT {
             let what = format!("the script and its modules have over {} bytes", limits::MAX_SCRIPT_TEXT);
-            return Err(Error::invalid(what, "leave out what is not needed").in_file(file));
+            return Err(Error::invalid(what, "remove unused parts").in_file(file));
         }
         *self.parsed.borrow_mut() = Parsed::default();
         engine.compile(text).map_err(|e| match self.parsed.take().excess {
@@ -144,7 +141,7 @@ impl Tokens {
 }
 
 impl Parsed {
-    /// The token itself, or what ends the parsing.
+    /// Returns the token, or an error token that ends the parsing.
     fn next(&mut self, token: Token, at: Position) -> Token {
         if self.excess.is_none() {
             self.excess = self.over_full(&token).or_else(|| self.count(&token)).map(|excess| (excess, at));
@@ -164,7 +161,7 @@ impl Parsed {
             Token::LeftBrace | Token::MapStart => return self.open(Token::RightBrace, Excess::Entries),
             Token::RightParen | Token::RightBracket | Token::RightBrace => self.close(token),
             Token::Comma => self.brackets.last_mut().into_iter().for_each(|bracket| bracket.commas += 1),
-            // Between the statements of a block, which are not counted.
+            // Statements of a block are not counted, so its commas start again.
             Token::SemiColon => self.brackets.last_mut().into_iter().for_each(|bracket| bracket.commas = 0),
             Token::Let | Token::Const | Token::As => self.declares = true,
             Token::Fn => {
@@ -195,14 +192,14 @@ impl Parsed {
     }
 
     fn close(&mut self, token: &Token) {
-        // Anything else is a mistake, which the parser tells of.
+        // A bracket that does not match is an error, which the parser reports.
         if let Some(bracket) = self.brackets.pop_if(|bracket| bracket.closed_by == *token) {
             self.variables.truncate(bracket.variables);
             self.unseen = bracket.unseen;
         }
     }
 
-    /// What a bracket has too much of if a token begins one more; a comma may stand behind the last.
+    /// Returns the limit that a bracket exceeds if `token` begins another item. A trailing comma begins none.
     fn over_full(&self, token: &Token) -> Option<Excess> {
         let bracket = self.brackets.last().filter(|bracket| bracket.closed_by != *token)?;
         let most = match bracket.of {
@@ -213,7 +210,7 @@ impl Parsed {
         (bracket.commas >= most).then_some(bracket.of)
     }
 
-    /// A variable that its own block knows already gets another value.
+    /// Declares a name. In the same block, a repeated declaration replaces the first and does not count.
     fn declare(&mut self, name: &str) -> Option<Excess> {
         let block = self.brackets.last().map_or(0, |bracket| bracket.variables);
         if self.variables[block..].iter().any(|known| known == name) {

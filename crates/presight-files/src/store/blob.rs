@@ -2,13 +2,13 @@
 //!
 //! | bytes | what |
 //! |---|---|
-//! | 16 | u32 V vertices, P polygons, C corners, and 1 if polygons lie in spatial order, 0 if as they were given |
-//! | 24 V | positions x, y, z in f64, metres, mesh frame; each is the f32 that the model has |
-//! | 32 P | planes of the polygons, f64: unit normal x, y, z, and its product with the points of the plane, metres |
-//! | 12 P | per polygon: u32 number of corners, number of its material in `materials`, number of its first source triangle |
-//! | 4 C | corners of all polygons, one polygon after the other: u32 number of the vertex |
+//! | 16 | u32 V vertices, P polygons, C corners, and polygon order: 1 spatial, 0 as given |
+//! | 24 V | positions x, y, z in the mesh frame, metres: the model's f32 values, stored as f64 |
+//! | 32 P | planes of the polygons, f64: unit normal n, and offset n . p for points p of the plane, metres |
+//! | 12 P | per polygon: u32 number of corners, material number in `materials`, number of its first source triangle |
+//! | 4 C | corners, polygon by polygon: u32 vertex number |
 //!
-//! Planes follow from positions; they are kept because computing them takes longer than all else when a store is opened.
+//! Planes follow from positions. They are stored because computing them would dominate the time to open a store.
 
 use super::schema::damaged;
 use bytemuck::{Pod, cast_slice, cast_slice_mut};
@@ -22,7 +22,7 @@ pub(super) fn encode(mesh: &Mesh) -> Vec<u8> {
     let size = 16 + 24 * mesh.vertices().len() + 44 * mesh.polygon_count() + 4 * corners.len();
     let mut bytes = Vec::with_capacity(size);
     let spatial = u32::from(mesh.order() == PolygonOrder::Spatial);
-    // Below the limits, which fit.
+    // The limits for meshes keep all counts below 2^32.
     let counts = [mesh.vertices().len() as u32, mesh.polygon_count() as u32, corners.len() as u32, spatial];
     counts.iter().for_each(|x| bytes.extend_from_slice(&x.to_le_bytes()));
     for v in mesh.vertices() {
@@ -40,9 +40,9 @@ pub(super) fn encode(mesh: &Mesh) -> Vec<u8> {
     bytes
 }
 
-/// The parts of a blob where they lie in memory in the end, or nearly: what was read is copied once at most.
+/// The parts of a blob in separate buffers. Building the mesh from them copies each at most once.
 pub(super) struct Parts {
-    /// V, P, C and the order.
+    /// V, P, C and the polygon order.
     counts: [u32; 4],
     positions: Vec<[f64; 3]>,
     planes: Vec<[f64; 4]>,
@@ -51,9 +51,9 @@ pub(super) struct Parts {
 }
 
 impl Parts {
-    /// Reads a blob of `size` bytes; `read` fills its argument from an offset on.
+    /// Reads a blob of `size` bytes. `read` fills a buffer with the bytes that begin at an offset.
     pub fn read(size: usize, mut read: impl FnMut(&mut [u8], usize) -> Result<()>) -> Result<Self> {
-        let wrong = || damaged("its content is not as long as it claims");
+        let wrong = || damaged("the length of its content contradicts its counts");
         let mut counts = [0u32; 4];
         if size < size_of_val(&counts) {
             return Err(wrong());
@@ -68,7 +68,7 @@ impl Parts {
         if size as u64 != 16 + 24 * v + 44 * p + 4 * c {
             return Err(wrong());
         }
-        // Memory that comes zeroed is not touched before it is read into.
+        // The allocator provides zeroed pages, so `vec![0; n]` does not write to them.
         let mut parts = Self {
             counts,
             positions: vec![[0.0; 3]; v as usize],
@@ -83,18 +83,18 @@ impl Parts {
         Ok(parts)
     }
 
-    /// How many polygons there are.
+    /// Number of polygons.
     pub fn polygons(&self) -> usize {
         self.records.len()
     }
 
-    /// The bytes of the blob, piece by piece.
+    /// The bytes of the blob, in five pieces.
     pub fn bytes(&self) -> [&[u8]; 5] {
         let Self { counts, positions, planes, records, corners } = self;
         [cast_slice(counts), cast_slice(positions), cast_slice(planes), cast_slice(records), cast_slice(corners)]
     }
 
-    /// The mesh; the extents of its polygons are told to `visit`. Whether its materials are there is not looked at.
+    /// Builds the mesh and passes the extent of each polygon to `visit`. Does not check that its materials exist.
     pub fn into_mesh(mut self, name: &str, visit: impl FnMut(usize, (Vec3, Vec3))) -> Result<Mesh> {
         from_le(&mut self.counts, u32::from_le);
         from_le(self.positions.as_flattened_mut(), |x| f64::from_bits(u64::from_le(x.to_bits())));
@@ -111,7 +111,7 @@ impl Parts {
         };
         let polygons = self.records.iter().map(record).collect();
         if !fits {
-            return Err(damaged("a polygon has more corners or materials than there can be"));
+            return Err(damaged("a polygon has too many corners, or its material number is too large"));
         }
         let planes: Vec<Plane> = bytemuck::allocation::cast_vec(self.planes);
         let order = if self.counts[3] == 1 { PolygonOrder::Spatial } else { PolygonOrder::Given };
@@ -119,7 +119,7 @@ impl Parts {
     }
 }
 
-/// Numbers as this machine has them; where it is little-endian, nothing is left of it.
+/// Converts numbers to native byte order. On little-endian machines this compiles to nothing.
 fn from_le<T: Pod>(numbers: &mut [T], native: impl Fn(T) -> T) {
     numbers.iter_mut().for_each(|x| *x = native(*x));
 }
@@ -181,13 +181,13 @@ mod tests {
             (4, p as u32 - 1, "polygons"),
             (8, 7, "corners"),
             (16 + 4, 0x7ff0_0000, "infinity"),
-            (16 + 24 * v + 32 + 20, 0x7ff8_0000, "a normal that is none"),
+            (16 + 24 * v + 32 + 20, 0x7ff8_0000, "a normal that is NaN"),
             (records, 2, "two corners"),
-            (records + 12, 200, "more corners than there may be"),
-            (records, 300, "more than can be kept"),
-            (records + 12, 5, "the next polygon's corners, and none left for the last"),
-            (records + 4, 1 << 16, "a material that can't be"),
-            (records + 12 * p + 40, v as u32, "a vertex that is not there"),
+            (records + 12, 200, "more corners than are allowed"),
+            (records, 300, "more than a record can hold"),
+            (records + 12, 5, "the next polygon's corners, with none left for the last"),
+            (records + 4, 1 << 16, "a material number that is too large"),
+            (records + 12 * p + 40, v as u32, "a vertex that does not exist"),
         ] {
             assert!(with(at, word).is_err(), "{what}");
         }
@@ -197,7 +197,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(2000))]
 
-        /// Whatever the words are, there is a sound mesh or an error.
+        /// Arbitrary words yield a valid mesh or an error.
         #[test]
         fn changed_words_make_no_unsound_mesh(
             changes in prop::collection::vec((any::<prop::sample::Index>(), prop_oneof![0..90u32, any::<u32>()]), 0..4),

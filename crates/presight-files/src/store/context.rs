@@ -1,4 +1,4 @@
-//! What operations mean in the environment that they are read for.
+//! Operations become changes of an environment.
 
 use super::merge;
 use super::op::{InsertObject, Op, affine_of, covariance_of, pose_of};
@@ -15,23 +15,23 @@ use presight_model::world::World;
 use std::path::Path;
 use std::sync::Arc;
 
-/// What operations mean where they are read.
+/// Resolves names, files and numbers in operations.
 pub(super) struct Context<'a> {
     environment: &'a Arc<Environment>,
-    /// Where files are that lines name; none in the log.
+    /// Folder of the files that lines name; `None` while reading the log.
     folder: Option<&'a Path>,
-    /// Meshes by number, for the log.
+    /// Returns a mesh by its number in the log.
     mesh: &'a mut dyn FnMut(i64) -> Result<Arc<Mesh>>,
-    /// Materials that the operation has added.
+    /// Materials added by the operation so far.
     added: Vec<Material>,
-    /// What features may be off, if not what their layer says.
+    /// Allowed distance of features from their polygons, metres; `None`: the tolerance of their layer.
     pub tolerance: Option<f64>,
-    /// Within a group that asks for it: the environment as the changes before have left it.
+    /// The environment after the earlier changes of a group, if later ones depend on them.
     now: Option<World>,
 }
 
 impl<'a> Context<'a> {
-    /// Of operations that are read for an environment: from `folder`, or if there is none from the log.
+    /// Makes a context for operations read from a file in `folder`, or from the log if `folder` is `None`.
     pub fn new(
         environment: &'a Arc<Environment>,
         folder: Option<&'a Path>,
@@ -44,7 +44,7 @@ impl<'a> Context<'a> {
         self.now.as_ref().map_or(self.environment, World::environment)
     }
 
-    /// The change that an operation is.
+    /// Converts an operation to a change.
     pub fn change(&mut self, op: Op) -> Result<Change> {
         let tolerance = |class: &str| {
             let of_layer = || self.environment().layer(class).map_or(DEFAULT_TOLERANCE, |l| l.tolerance);
@@ -79,7 +79,7 @@ impl<'a> Context<'a> {
                 Change::SetFeature { class, feature }
             }
             Op::RestoreFeature { class, feature } => {
-                // The tolerance may have changed since: applying checks it.
+                // The tolerance may have changed since; it is checked when the change is applied.
                 let feature = from_fields(*feature, limits::MAX_COORDINATE)?;
                 Change::RestoreFeature { class, feature }
             }
@@ -99,7 +99,7 @@ impl<'a> Context<'a> {
         })
     }
 
-    /// True if what a change of a group means depends on those before it. The log says everything in full, but for tolerances.
+    /// True if a change of a group may depend on earlier ones. In the log only tolerances can.
     fn looks_back(&self, changes: &[Op]) -> bool {
         changes.iter().any(|op| match op {
             Op::InsertObject(_) => self.folder.is_some(),
@@ -109,11 +109,11 @@ impl<'a> Context<'a> {
         })
     }
 
-    /// A change of a group; those after it see what it did.
+    /// Converts one operation of a group; later ones see its effect.
     fn step(&mut self, op: Op) -> Result<Change> {
         let is_group = matches!(op, Op::Group { .. });
         let change = self.change(op)?;
-        // Those of a group within it were applied one by one.
+        // The steps of a nested group have already been applied.
         if let Some(now) = self.now.as_mut().filter(|_| !is_group) {
             now.apply_unchecked(change.clone())?;
             self.added.clear();
@@ -127,14 +127,14 @@ impl<'a> Context<'a> {
             let what = format!("the path has {} bytes", name.len());
             return Err(Error::invalid(what, format!("give 1 to {}", limits::MAX_NAME_BYTES)));
         }
-        // Models may bring stranger names, and they are logged.
+        // Imported models may have names that fail this check, and the log contains them.
         if self.folder.is_some() {
             check_name(&name)?;
         }
         let pose = fields.pose.as_deref().map_or(Ok(Pose::IDENTITY), pose_of)?;
         let logged = self.folder.is_none();
         if !logged && self.environment().object(&name).is_some() {
-            return Err(Error::invalid("it exists already", "delete it first, or choose another path"));
+            return Err(Error::invalid("it already exists", "delete it first, or choose another path"));
         }
         let sources = [
             fields.mesh.is_some() && logged,
@@ -171,7 +171,7 @@ impl<'a> Context<'a> {
         if let Some(like) = &fields.like {
             let found = self.environment().object(like);
             return found.map(|o| o.mesh.clone()).ok_or_else(|| {
-                Error::invalid(format!("there is no object {like:?} to be like"), "presight inspect lists the objects")
+                Error::invalid(format!("there is no object {like:?} to copy"), "presight inspect lists the objects")
             });
         }
         let environment = self.now.as_ref().map_or(self.environment, World::environment);

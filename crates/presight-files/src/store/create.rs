@@ -1,4 +1,4 @@
-//! A new store.
+//! Creates a store.
 
 use super::hash::Digest;
 use super::rows::Meta;
@@ -10,22 +10,22 @@ use presight_model::error::{Error, ErrorKind, Result};
 use rusqlite::{Connection, OpenFlags};
 use std::path::{Path, PathBuf};
 
-/// Bytes of a page. Meshes fill many, and each takes a step to be found; larger ones would make small commits slower, which
-/// write whole pages twice.
+/// Bytes of a page. Finding a page costs one step, so small pages slow down meshes. A commit writes whole pages twice,
+/// so large pages slow down small commits.
 const PAGE: u32 = 16_384;
 
-/// Makes a store that holds an environment, with an empty log. The file appears under its name when it is complete and on
-/// disk.
+/// Makes a store with the given environment and an empty log. The file appears under its name only once it is complete
+/// and on disk.
 ///
 /// # Errors
-/// [`ErrorKind::Usage`] if a file of this name exists; [`ErrorKind::System`] if the system refuses.
+/// [`ErrorKind::Usage`] if a file of this name exists; [`ErrorKind::System`] if the file cannot be written.
 pub fn create(path: &Path, environment: &Environment, note: &Note) -> Result<()> {
     if !note.time.is_finite() {
         return Err(Error::invalid(format!("the time {} is not finite", note.time), "give UTC seconds"));
     }
     if path.symlink_metadata().is_ok() {
         let remedy = "choose another name, or remove the file; presight env import adds to a store";
-        return Err(Error::usage("there is a file of this name", remedy).in_file(path));
+        return Err(Error::usage("a file of this name already exists", remedy).in_file(path));
     }
     let folder = match path.parent() {
         Some(folder) if folder != Path::new("") => folder.to_owned(),
@@ -36,20 +36,20 @@ pub fn create(path: &Path, environment: &Environment, note: &Note) -> Result<()>
         Error::new(ErrorKind::System, format!("cannot write: {e}"), remedy).in_file(path).caused_by(e)
     };
     let mut temporary = Temporary::new(&folder, Access::Umask).map_err(refused)?;
-    // On Windows locks are for all: it would stand in the way of SQLite, whose own lock then holds the file.
+    // On Windows locks are mandatory, so ours would block SQLite. SQLite's own lock then protects the file.
     if cfg!(windows) {
         temporary.file().unlock().map_err(refused)?;
     }
     fill(temporary.path(), path, environment, note)?;
     temporary.file().sync_all().map_err(refused)?;
     temporary.keep_as_new(path).map_err(refused)?;
-    // A folder is a file on Unix only.
+    // Only Unix can open a folder as a file to sync it.
     #[cfg(unix)]
     std::fs::File::open(&folder).and_then(|f| f.sync_all()).map_err(refused)?;
     Ok(())
 }
 
-/// Opens the file, which is locked already: network file systems would take another lock for that of a stranger.
+/// Opens the file without SQLite's lock, which would conflict with ours on network file systems.
 fn connect(file: &Path) -> rusqlite::Result<Connection> {
     match cfg!(unix) {
         true => Connection::open_with_flags_and_vfs(file, OpenFlags::default(), "unix-none"),
@@ -57,17 +57,17 @@ fn connect(file: &Path) -> rusqlite::Result<Connection> {
     }
 }
 
-/// Fills the file; errors speak of the one that it will be.
+/// Fills the temporary `file`; errors name `path`, its final place.
 fn fill(file: &Path, path: &Path, environment: &Environment, note: &Note) -> Result<()> {
     let wrap = |e| refusal(path, "create the store", e);
-    // Its message would name the temporary file.
+    // SQLite's own message would name the temporary file.
     let nameless = |e| match e {
         rusqlite::Error::SqliteFailure(code, _) => rusqlite::Error::SqliteFailure(code, None),
         other => other,
     };
     let connection = connect(file).map_err(|e| wrap(nameless(e)))?;
     connection.set_prepared_statement_cache_capacity(64);
-    // Nobody sees the file before it is whole, and then it is synced in one go.
+    // No journal or syncs: nobody sees the file before it is complete, and `create` syncs it once.
     let mut sql = format!(
         "PRAGMA page_size = {PAGE}; PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF; PRAGMA application_id = {APPLICATION_ID}; \
          PRAGMA user_version = {FORMAT}; BEGIN;"

@@ -1,12 +1,12 @@
 //! Hashes of rows, of all rows together, and of the log.
 //!
-//! The hash of a row is BLAKE3 of the table's name and each column but the hash itself: one byte for its type (0 null,
-//! 1 integer, 2 real, 3 text, 4 blob), for text and blob the length as u64, then the value, little-endian. In place of a
-//! mesh's blob stands its XXH3 of 128 bits, least byte first, which takes a fifth of the time of its BLAKE3, which stood
-//! there before format 4. The digest of all rows is the sum of their hashes, each taken as four u64, without carries: it
-//! follows each change by a subtraction and an addition, whatever the order of rows.
+//! The hash of a row is BLAKE3 of the table's name and every column but the hash itself. A column contributes one byte
+//! for its type (0 null, 1 integer, 2 real, 3 text, 4 blob), the length as u64 (text and blob only), and the value, all
+//! little-endian. A mesh's blob is represented by its 128-bit XXH3, which takes a fifth of the time of BLAKE3 (used
+//! before format 4). The digest of all rows is the sum of their hashes, each as four u64 without carries. It does not
+//! depend on the order of rows, so a changed row costs one subtraction and one addition.
 
-/// BLAKE3.
+/// A BLAKE3 hash.
 pub(super) type Hash = [u8; 32];
 
 /// The value of a column.
@@ -31,7 +31,7 @@ impl From<Option<i64>> for Field<'_> {
     }
 }
 
-/// The hash of a row; `before` is what stands in front (a table's name, or the entry of the log before).
+/// The hash of a row. `before` is hashed first: the table's name, or the hash of the previous log entry.
 pub(super) fn of_row(before: &[u8], fields: &[Field<'_>]) -> Hash {
     let mut bytes = Vec::with_capacity(512);
     bytes.extend_from_slice(before);
@@ -93,7 +93,7 @@ pub(super) fn of_content(pieces: &[&[u8]]) -> u128 {
     hasher.finish_128()
 }
 
-/// As people read it.
+/// Hexadecimal form for output.
 pub(super) fn hex(hash: &Hash) -> String {
     presight_model::environment::ContentHash(*hash).to_string()
 }

@@ -1,4 +1,4 @@
-//! A caller's id names one change: said again after a crash it is known, and another change under it is an error.
+//! A caller's id names one change. The store recognizes the change if repeated, and refuses others with its id.
 
 use super::Store;
 use super::context::Context;
@@ -13,7 +13,7 @@ use presight_model::limits;
 use presight_model::printable::quoted;
 use std::sync::Arc;
 
-/// What stands in the log under an id.
+/// The log entry with an id.
 pub(super) struct RecordedChange {
     pub number: u64,
     change: String,
@@ -21,59 +21,59 @@ pub(super) struct RecordedChange {
 }
 
 impl RecordedChange {
-    /// The error of another change under the same id.
+    /// The error for another change with the same id.
     fn taken(&self, id: &str) -> Error {
-        let what = format!("id {} is that of change {}, which is another change", quoted(id), self.number);
+        let what = format!("id {} belongs to change {}, which is different", quoted(id), self.number);
         Error::invalid(what, "give each change an id of its own")
     }
 
-    /// Its number, if a line says the same as the one that it was made by.
+    /// Returns the entry's number if a line describes the same change.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if the line says something else.
+    /// [`crate::ErrorKind::Invalid`] if the line describes another change.
     pub fn same_line(&self, id: &str, said: &Op) -> Result<u64> {
         if self.request == Some(request(said)?) {
             return Ok(self.number);
         }
-        // The same in other words. Where a shape came from, only the line's own words tell; of an entry that lacks them
-        // the rest must do.
+        // The line may describe the same change differently. Only the request hash covers the source of a shape, so
+        // lines that insert objects must match it, unless the entry has none; then paths and poses must suffice.
         let lacks = self.request.is_none();
         let (said, logged) = (outline(said, lacks), outline(&from_json(&self.change)?, lacks));
         let told = lacks || said.iter().all(|part| !matches!(part, Part::Insert(..)));
         if told && said == logged { Ok(self.number) } else { Err(self.taken(id)) }
     }
 
-    /// Its number, if a change is the same.
+    /// Returns the entry's number if `op` is the same change.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if it is another one.
+    /// [`crate::ErrorKind::Invalid`] if it is another change.
     pub fn same_change(&self, id: &str, op: Option<&Op>) -> Result<u64> {
         let same = match op {
             Some(op) => json(op)? == self.change,
-            // A shape that the store does not have.
+            // The change inserts a shape that is not stored.
             None => false,
         };
         if same { Ok(self.number) } else { Err(self.taken(id)) }
     }
 }
 
-/// The hash of what a line says, whatever the order of its keys; id and cause are no part of it.
+/// The hash of a line's operation. It does not depend on the order of keys, the id or the cause.
 pub(super) fn request(said: &Op) -> Result<[u8; 32]> {
     Ok(*blake3::hash(json(said)?.as_bytes()).as_bytes())
 }
 
-/// A step of a change, as far as it can be told without the environment it was made for.
+/// A step of a change, without the details that depend on the environment.
 #[derive(PartialEq)]
 enum Part {
-    /// An object's path and pose: its mesh and materials have other numbers, or words, each time.
+    /// An object's path and pose. Its mesh and materials may be given by other numbers or words each time.
     Insert(String, Vec<f64>),
-    /// Anything else, in full.
+    /// Any other step, complete, as JSON.
     Step(String),
-    /// What cannot be.
+    /// An invalid step.
     Wrong,
 }
 
-/// The steps of a change, in order; `without_materials` leaves out those that the log adds to insertions.
+/// The steps of a change, in order. `without_materials` omits the material steps that the log adds to insertions.
 fn outline(op: &Op, without_materials: bool) -> Vec<Part> {
     match op {
         Op::Group { changes } => {
@@ -89,7 +89,7 @@ fn outline(op: &Op, without_materials: bool) -> Vec<Part> {
     }
 }
 
-/// A step in the words of the log.
+/// Converts a step to the form that the log uses.
 fn step(op: &Op) -> Result<String> {
     let none = Arc::new(Environment::new());
     let mut no_mesh = |_| Err(Error::invalid("it has no mesh", ""));
@@ -100,7 +100,7 @@ fn step(op: &Op) -> Result<String> {
 }
 
 impl Store {
-    /// What stands in the log under an id.
+    /// Returns the log entry with an id.
     pub(super) fn known(&self, id: &str) -> Result<Option<RecordedChange>> {
         let Some(number) = self.ids.get(id).copied() else { return Ok(None) };
         let columns = |row: &rusqlite::Row<'_>| Ok((row.get(0)?, row.get(1)?));

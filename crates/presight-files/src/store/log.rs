@@ -1,4 +1,4 @@
-//! The log: every change with its time and cause, each entry hashed over the one before.
+//! The log: every change with its time and cause. The hash of each entry covers the entry before it.
 
 use super::hash::{Field, Hash, of_row};
 use super::op::{KeySets, Op};
@@ -17,9 +17,9 @@ pub struct LogEntry {
     pub number: u64,
     /// Time given by the caller, UTC seconds.
     pub time: f64,
-    /// Cause, in words.
+    /// Why the change was made.
     pub cause: String,
-    /// The caller's own id for the change, which is never applied twice.
+    /// The caller's own id. A change with the same id is not applied twice.
     pub id: Option<String>,
     /// The entry that this one undoes.
     pub undoes: Option<u64>,
@@ -27,14 +27,14 @@ pub struct LogEntry {
     pub change: String,
     /// The change that undoes it, as JSON.
     pub inverse: String,
-    /// BLAKE3 of the line, if it had an id. It identifies the line if it is sent again.
+    /// BLAKE3 of the input line, if it had an id. It identifies a line that is sent twice.
     pub request: Option<[u8; 32]>,
     /// BLAKE3 over the previous entry's hash and this entry.
     pub hash: [u8; 32],
 }
 
 impl LogEntry {
-    /// The hash, given that of the entry before.
+    /// This entry's hash, computed from the hash of the entry before.
     pub(super) fn hash_after(&self, before: &Hash) -> Hash {
         let request = self.request.as_ref().map_or(Field::Null, |hash| Field::Blob(hash));
         let fields = [
@@ -47,7 +47,7 @@ impl LogEntry {
             Field::Text(&self.inverse),
             request,
         ];
-        // An entry without it is hashed as before there were any: stored hashes stay good.
+        // Entries without a request are hashed as before requests existed, so that older stores stay valid.
         let told = if self.request.is_some() { &fields[..] } else { &fields[..7] };
         of_row(before, told)
     }
@@ -68,7 +68,7 @@ impl LogEntry {
     }
 }
 
-/// All entries in order, each proven to follow the one before, and the last to be the one that `meta` names.
+/// Visits all entries in order. Verifies that each follows the entry before, and that `meta` names the last one.
 pub(super) fn walk(
     connection: &Connection,
     path: &Path,
@@ -85,7 +85,7 @@ pub(super) fn walk(
         let place = |e: Error| e.at(format!("log entry {count}")).in_file(path);
         let entry = LogEntry::read(row).map_err(place)?;
         if entry.number != count || entry.hash_after(&head) != entry.hash {
-            return Err(place(damaged("it is not what was written, or the one before is missing")));
+            return Err(place(damaged("it does not match its hash, or the entry before is missing")));
         }
         head = entry.hash;
         visit(entry).map_err(place)?;
@@ -97,10 +97,10 @@ pub(super) fn walk(
     Ok(())
 }
 
-/// Which entries have to be undone for entry `number` to be, newest first.
+/// Returns the entries to undo, newest first, so that entry `number` can be undone.
 ///
-/// A later entry stands in the way if it touches what this one wrote, unless it has been undone since (then it and its
-/// undoing count as nothing), or is the undoing of such a one.
+/// A later entry is in the way if it touches something that this entry wrote. A later entry that was undone, and the
+/// entry that undid it, are ignored.
 pub(super) fn undo_plan(entries: &[LogEntry], number: u64, cascade: bool) -> Result<Vec<u64>> {
     let at = |n: u64| entries.get((n as usize).wrapping_sub(1));
     let Some(wanted) = at(number) else {
@@ -112,15 +112,15 @@ pub(super) fn undo_plan(entries: &[LogEntry], number: u64, cascade: bool) -> Res
         if let Some(undone) = entry.undoes.filter(|_| !gone.contains(&entry.number)) {
             if undone == number {
                 let what = format!("change {number} was undone by change {}", entry.number);
-                return Err(Error::invalid(what, format!("undo change {} to have it again", entry.number)));
+                return Err(Error::invalid(what, format!("undo change {} to restore it", entry.number)));
             }
-            // A pair counts as nothing only as a whole.
+            // A pair is ignored only if both entries are later than `number`.
             if undone > number {
                 gone.extend([entry.number, undone]);
             }
         }
     }
-    // What only its inverse reads is needed to undo it, and no reason to do that.
+    // Keys that only the inverse reads do not count: they are needed to undo the entry, but give no reason to undo it.
     let touched = |entry: &LogEntry| -> Result<KeySets> {
         let (change, inverse): (Op, Op) = (from_json(&entry.change)?, from_json(&entry.inverse)?);
         Ok(KeySets { reads: KeySets::of(&[&change]).reads, ..KeySets::of(&[&change, &inverse]) })
@@ -142,8 +142,7 @@ pub(super) fn undo_plan(entries: &[LogEntry], number: u64, cascade: bool) -> Res
         let more = if all > LISTED { format!(" and {} more", all - LISTED) } else { String::new() };
         in_the_way.truncate(LISTED);
         let what = format!("change {number} cannot be undone before changes {}{more}", in_the_way.join(", "));
-        let remedy =
-            format!("undo those first, or give --cascade, which undoes them all: it appends {} changes", all + 1);
+        let remedy = format!("undo them first, or use --cascade to undo all of them (appends {} changes)", all + 1);
         return Err(Error::invalid(what, remedy));
     }
     plan.reverse();

@@ -1,4 +1,4 @@
-//! What other files hold, as changes of an environment.
+//! Turns the content of scene and layer files into changes of an environment.
 
 use crate::gltf::{ImportOptions, import};
 use crate::layer::LayerFile;
@@ -9,7 +9,7 @@ use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
 
-/// Numbers of materials, those to be added included.
+/// Numbers of materials, including materials that are about to be added.
 pub(super) struct Materials<'a> {
     present: &'a [Material],
     added: &'a mut Vec<Material>,
@@ -24,13 +24,13 @@ impl<'a> Materials<'a> {
         self.present.iter().chain(self.added.iter())
     }
 
-    /// The last one of a name.
+    /// Returns the last material with this name.
     pub fn named(&self, name: &str) -> Option<u16> {
         let found = self.all().zip(0..).filter(|(m, _)| m.name == name).last();
         found.map(|(_, number)| number)
     }
 
-    /// That of an equal one, else of one added by a change.
+    /// Returns the number of an equal material. If there is none, appends a change that adds it.
     pub fn number_of(&mut self, material: &Material, changes: &mut Vec<Change>) -> Result<u16> {
         let hash = material.content_hash();
         let found = self.all().position(|m| m.name == material.name && m.content_hash() == hash);
@@ -42,13 +42,13 @@ impl<'a> Materials<'a> {
         u16::try_from(number).map_err(|_| Error::invalid("over 65,535 materials", "merge equal materials"))
     }
 
-    /// The materials of another environment, by their numbers there.
+    /// Maps the material numbers of another environment to ours.
     fn map(&mut self, other: &Environment, changes: &mut Vec<Change>) -> Result<Vec<u16>> {
         other.materials().iter().map(|m| self.number_of(m, changes)).collect()
     }
 }
 
-/// The mesh of an object in a scene file, scaled as the object is.
+/// The mesh of an object in a scene file, with the object's rotation and scale applied.
 pub(super) fn mesh_of_file(
     path: &Path,
     object: Option<&str>,
@@ -71,17 +71,17 @@ pub(super) fn mesh_of_file(
         return Err(Error::invalid(what, remedy).in_file(path));
     };
     let map = materials.map(&scene, changes)?;
-    // The turn from y-up and the node's scale become part of the shape; where it stood does not.
+    // The rotation from y-up and the node's scale become part of the shape; its position does not.
     let turn = found.world_from_object.rotation_matrix() * found.object_from_mesh.matrix3;
     found.mesh.transformed(turn, |m| map[usize::from(m)]).map(Arc::new).map_err(|e| e.in_file(path))
 }
 
-/// The changes by which an environment also holds another one: materials, objects, frames of groups, features. What is there already,
-/// equal in everything, stays as it is. An object of the same path, but another content, gives way if it may be replaced;
-/// features that are given in its frame stay.
+/// Returns the change that merges a scene into an environment: materials, objects, frames of groups, features. Equal
+/// content is not changed. With `replace`, an object of the scene replaces a different object of the same path;
+/// features in the frame of the replaced object are kept.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] if such an object is there and may not be replaced.
+/// [`crate::ErrorKind::Invalid`] if an object or a group's frame differs and `replace` is false.
 pub(super) fn merge_scene(environment: &Environment, scene: &Environment, replace: bool) -> Result<Change> {
     let (mut changes, mut added) = (Vec::new(), Vec::new());
     let map = Materials::new(environment, &mut added).map(scene, &mut changes)?;
@@ -100,8 +100,8 @@ pub(super) fn merge_scene(environment: &Environment, scene: &Environment, replac
                 continue;
             }
             if !replace {
-                let what = "it is there already, with another pose or shape";
-                let remedy = "give --replace to put that of the file in its place, or give it another name";
+                let what = "it already exists with another pose or shape";
+                let remedy = "use --replace to replace it with the object of the file, or rename one of the two";
                 return Err(Error::invalid(what, remedy).at(format!("object {:?}", object.name)));
             }
             let name = object.name.clone();
@@ -131,7 +131,7 @@ pub(super) fn merge_scene(environment: &Environment, scene: &Environment, replac
     Ok(Change::Group(changes))
 }
 
-/// The changes that give groups their frames; what is an object here keeps its own.
+/// Appends the changes that set the frames of groups. A path that names an object of the environment is skipped.
 fn merge_groups(environment: &Environment, scene: &Environment, replace: bool, to: &mut Vec<Change>) -> Result<()> {
     for (path, frame) in scene.groups().into_iter().filter(|(path, _)| environment.object(path).is_none()) {
         let (present, given) = (environment.group(path).copied(), scene.group(path).copied());
@@ -139,8 +139,8 @@ fn merge_groups(environment: &Environment, scene: &Environment, replace: bool, t
             (None, None) => continue,
             (Some(present), _) if present == frame => continue,
             (Some(_), _) if !replace => {
-                let what = "its frame is there already, another one";
-                let remedy = "give --replace to put that of the file in its place";
+                let what = "it already has another frame";
+                let remedy = "use --replace to replace it with the frame of the file";
                 return Err(Error::invalid(what, remedy).at(format!("group {path:?}")));
             }
             _ => to.push(Change::SetFrame { name: path.to_owned(), world_from_group: given }),
@@ -149,7 +149,7 @@ fn merge_groups(environment: &Environment, scene: &Environment, replace: bool, t
     Ok(())
 }
 
-/// What brings back the features and covariances that are given in objects' frames, after these were replaced.
+/// By object, the changes that restore its features and covariances after the object was replaced.
 fn attached(environment: &Environment) -> HashMap<&str, Vec<Change>> {
     let mut all: HashMap<&str, Vec<Change>> = HashMap::new();
     for FeatureLayer { class, features, pose_covariances, .. } in environment.layers() {
@@ -171,7 +171,7 @@ fn hashes(materials: &[Material]) -> Vec<presight_model::environment::ContentHas
     materials.iter().map(Material::content_hash).collect()
 }
 
-/// The changes that a layer file says: later features win by id.
+/// Returns the change that merges a layer file. Its features replace those of the same id.
 pub(super) fn merge_layer(environment: &Environment, file: &LayerFile) -> Change {
     let mut changes = Vec::new();
     merge_features(environment, &file.layer, &file.removed, &mut changes);

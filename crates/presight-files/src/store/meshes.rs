@@ -1,4 +1,4 @@
-//! Meshes from the file, each proven and decoded while the next is read.
+//! Reads meshes from the file; each is verified and decoded while the next is read.
 
 use super::blob::Parts;
 use super::hash::{Hash, of_content};
@@ -18,11 +18,11 @@ pub(super) struct LoadedMesh {
     pub name: String,
     /// Hash of the blob.
     pub content: u128,
-    /// None where no object has it.
+    /// `None` if no object uses it.
     pub mesh: Option<Arc<Mesh>>,
 }
 
-/// A mesh's row but for its content.
+/// A mesh's row without its content.
 struct MeshRow {
     number: i64,
     name: String,
@@ -34,31 +34,30 @@ struct MeshRow {
 }
 
 impl MeshRow {
-    /// The hash of its content, if that is what was written.
+    /// Verifies the row with its content and returns the content's hash.
     fn prove(&self, content: &Parts) -> Result<u128> {
         let hash = of_content(&content.bytes());
         let found = mesh_hash(self.number, &self.name, self.counts, &hash.to_le_bytes());
-        if found == self.hash { Ok(hash) } else { Err(damaged("it is not what was written")) }
+        if found == self.hash { Ok(hash) } else { Err(damaged("it does not match its hash")) }
     }
 
     fn place(&self, e: Error) -> Error {
         e.at(format!("mesh {} {:?}", self.number, self.name))
     }
 
-    /// Its content, as it is stored.
     fn content(&self, connection: &Connection, path: &Path) -> Result<Parts> {
         let wrap = |e| refusal(path, "read the store", e);
-        // Not as a column, of which SQLite would make copies.
+        // Read as a blob, because SQLite would copy a column.
         let blob = connection.blob_open("main", "meshes", "content", self.number, true).map_err(wrap)?;
         if blob.len() != self.size {
-            return Err(damaged("it is not as long as it claims"));
+            return Err(damaged("its content does not have the recorded length"));
         }
         Parts::read(self.size, |to, at| blob.read_at_exact(to, at).map_err(wrap))
     }
 }
 
 impl Reader<'_> {
-    /// Meshes that no object has are proven and not kept. `beside` is done while they are decoded.
+    /// Reads all meshes; runs `beside` while they are decoded. Meshes that no object uses are verified but not kept.
     pub fn meshes(&self, beside: impl FnOnce() -> Result<()>) -> Result<(HashMap<i64, LoadedMesh>, Trees)> {
         let mut used = HashSet::new();
         self.each("objects", "mesh", |row| {
@@ -72,7 +71,7 @@ impl Reader<'_> {
             rows.push(MeshRow { number: get(row, 0)?, name: get(row, 1)?, counts, size, hash: get(row, 5)? });
             Ok(())
         })?;
-        // The largest first: others are decoded beside it.
+        // The largest first, so that others are decoded in parallel with it.
         rows.sort_by_key(|row| std::cmp::Reverse(row.size));
         self.check_sizes(&rows)?;
         let mut done: Vec<_> = rows.iter().map(|_| None).collect();
@@ -101,7 +100,7 @@ impl Reader<'_> {
         })??;
         let (mut meshes, mut trees) = (HashMap::with_capacity(rows.len()), Trees::default());
         for (row, done) in rows.into_iter().zip(done) {
-            let (content, mesh, tree) = done.ok_or_else(|| damaged("a mesh was not proven"))??;
+            let (content, mesh, tree) = done.ok_or_else(|| damaged("a mesh was not verified"))??;
             trees.extend(mesh.as_ref().map(Arc::as_ptr).zip(tree));
             self.count(&row.hash);
             meshes.insert(row.number, LoadedMesh { name: row.name, content, mesh });
@@ -109,14 +108,14 @@ impl Reader<'_> {
         Ok((meshes, trees))
     }
 
-    /// Before memory is asked for. A file that lacks the end of its last page may seem whole: SQLite takes zeros for it.
+    /// Checks sizes before memory is allocated. SQLite reads the missing end of a truncated file as zeros.
     fn check_sizes(&self, rows: &[MeshRow]) -> Result<()> {
         let file = std::fs::metadata(self.path).map_err(|e| Error::io(self.path, "read the store", e))?.len();
         let wrap = |e| refusal(self.path, "read the store", e);
         let pages: u32 = pragma(self.connection, "page_count").map_err(wrap)?;
         let page: u32 = pragma(self.connection, "page_size").map_err(wrap)?;
         if u64::from(pages) * u64::from(page) > file {
-            return Err(damaged("its end is missing"));
+            return Err(damaged("the end of the file is missing"));
         }
         let total = rows.iter().try_fold(0u64, |sum, row| sum.checked_add(row.size as u64));
         match total.filter(|total| *total <= file) {
@@ -126,17 +125,16 @@ impl Reader<'_> {
     }
 }
 
-/// The mesh, if it has no materials but the first `count`.
+/// Returns the mesh if all its material numbers are below `count`.
 pub(super) fn known_materials(mesh: Arc<Mesh>, count: usize) -> Result<Arc<Mesh>> {
     match mesh.materials().last() {
         Some(last) if usize::from(*last) >= count => {
-            Err(damaged(format!("mesh {:?} has material {last}, which is not there", mesh.name())))
+            Err(damaged(format!("mesh {:?} has material {last}, which does not exist", mesh.name())))
         }
         _ => Ok(mesh),
     }
 }
 
-/// A mesh's row.
 fn row_of(connection: &Connection, path: &Path, number: i64) -> Result<MeshRow> {
     let sql = "SELECT name, vertices, polygons, length(content), hash FROM meshes WHERE number = ?1";
     let columns = |row: &Row<'_>| {
@@ -146,7 +144,7 @@ fn row_of(connection: &Connection, path: &Path, number: i64) -> Result<MeshRow> 
     connection.query_row(sql, [number], columns).map_err(|e| refusal(path, "read the store", e))
 }
 
-/// A mesh alone, proven.
+/// Reads and verifies a single mesh.
 pub(super) fn read(connection: &Connection, path: &Path, number: i64, materials: usize) -> Result<Arc<Mesh>> {
     let row = row_of(connection, path, number)?;
     let mesh = || {

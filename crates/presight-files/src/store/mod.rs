@@ -1,23 +1,23 @@
-//! The stored environment: one SQLite file, `.presight`, that keeps the environment and every change it ever saw.
+//! The stored environment: one SQLite file, `.presight`, that holds the environment and the log of all its changes.
 //!
-//! | table | a row |
+//! | table | columns |
 //! |---|---|
-//! | `meta` | the one: `created` (UTC seconds) and `cause`, `genesis` (hash of the content it was created with), `next_object` and `next_slot` (numbers never used so far), `changes` (length of the log), `head` (hash of its last entry), `digest` (sum of the hashes of all rows below) |
-//! | `groups` | `path` of what has objects below and is none, `pose` [x, y, z, qx, qy, qz, qw] of its frame in the world; those only that were given a frame |
+//! | `meta` | one row: `created` (UTC seconds) and `cause`, `genesis` (hash of the initial content), `next_object` and `next_slot` (the first unused numbers), `changes` (length of the log), `head` (hash of its last entry), `digest` (sum of the hashes of all rows below) |
+//! | `groups` | `path`, `pose` [x, y, z, qx, qy, qz, qw] of its frame in the world; only groups with a frame of their own |
 //! | `objects` | `number` (`object_id` in images is one more), `name` (full path), `pose` [x, y, z, qx, qy, qz, qw] of the object in the world, metres, `object_from_mesh` (12 numbers, column by column; null: identity), `mesh`, `first_slot`, `first_source` |
-//! | `meshes` | `number`, `name`, `vertices`, `polygons`, `content` (a blob, see the source of `blob`); shared by objects, and kept when no object uses it any more, because an undo may bring one back |
+//! | `meshes` | `number`, `name`, `vertices`, `polygons`, `content` (a blob, see the source of `blob`); objects share meshes, and an unused mesh is kept, because an undo may need it |
 //! | `materials` | `number`, `name`, `properties` (`reflection`, `one_sided`, `color`, `classes`) |
 //! | `layers` | sensor `class`, `tolerance` in metres, `pose_covariances` [[object, 6 x 6], ..] |
-//! | `features` | `class`, `id`, `kind`, `object`, `feature` (as in a layer file, with covariance, existence and last confirmation); `kind` and `feature` are null where it was deleted: its id is never used again |
-//! | `log` | `number` from 1, `time` (UTC seconds), `cause`, `id` (the caller's, if any), `undoes` (the entry it undoes), `change` and `inverse` (JSON as the lines that `presight env apply` reads), `request` (BLAKE3 of the line with an id, as it was said) |
+//! | `features` | `class`, `id`, `kind`, `object`, `feature` (as in a layer file, with covariance, existence and last confirmation); `kind` and `feature` are null for a deleted feature, whose id is never reused |
+//! | `log` | `number` from 1, `time` (UTC seconds), `cause`, `id` (the caller's, if any), `undoes` (the entry it undoes), `change` and `inverse` (JSON in the format of `presight env apply`), `request` (BLAKE3 of the input line; only for changes with an id) |
 //!
-//! Lists of numbers are JSON texts, because SQLite's REAL drops the sign of zero. Each row ends in its `hash`, each
-//! entry of the log in a hash over the entry before and itself; opening compares all of them with what is there.
-//! Nothing is secret or signed: this finds damage, not forgery.
+//! Lists of numbers are JSON texts, because SQLite's REAL drops the sign of zero. Each row ends in its `hash`. The hash
+//! of a log entry also covers the entry before it. Opening a store verifies all hashes. They are neither secret nor
+//! signed: they detect damage, not forgery.
 //!
-//! What was committed is on the disk when the call returns: rollback journal, `synchronous = EXTRA`. Between commits the
-//! file alone is complete and may be copied. A [`Store`] holds SQLite's write lock as long as it lives: a second writer
-//! is refused at once. Readers load one version in one transaction and work in memory.
+//! A commit is on disk when the call returns: rollback journal, `synchronous = EXTRA`. Between commits the file alone
+//! is complete and can be copied. A [`Store`] holds SQLite's write lock until it is dropped; a second writer is refused
+//! at once. Readers load one version in one transaction and then work in memory.
 
 mod blob;
 mod context;
@@ -51,8 +51,8 @@ use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Weak};
 
-/// A stored world opened for changes: the file and the world that it holds, which change together. It holds the write lock
-/// until it is dropped.
+/// A store opened for changes. The file and its world in memory change together. The store holds the write lock until
+/// it is dropped.
 ///
 /// ```
 /// use presight::io::store::{self, Note, Store};
@@ -76,21 +76,21 @@ pub struct Store {
     world: World,
     /// True while the write lock is held.
     locked: bool,
-    /// Stored objects by name.
+    /// Numbers of the stored objects, by name.
     objects: HashMap<String, u32>,
-    /// Stored groups.
+    /// Paths of the stored groups.
     groups: HashSet<String>,
     materials: usize,
     meshes: Meshes,
-    /// Entries of the log by their caller's id.
+    /// Numbers of log entries, by the caller's id.
     ids: HashMap<String, u64>,
 }
 
-/// Which meshes are stored.
+/// Numbers of the stored meshes.
 #[derive(Default)]
 struct Meshes {
     next: i64,
-    /// By name and hash of the blob.
+    /// Key: name and hash of the blob.
     by_content: HashMap<(String, u128), i64>,
     by_number: HashMap<i64, Weak<Mesh>>,
     by_pointer: HashMap<usize, i64>,
@@ -102,35 +102,35 @@ impl Meshes {
         self.by_pointer.insert(Arc::as_ptr(mesh) as usize, number);
     }
 
-    /// The number of a mesh that was seen before and lives.
+    /// Returns the number of this very mesh, if it was remembered and is still in memory.
     fn known(&self, mesh: &Arc<Mesh>) -> Option<i64> {
         let number = *self.by_pointer.get(&(Arc::as_ptr(mesh) as usize))?;
         let same = self.by_number.get(&number)?.upgrade().is_some_and(|known| Arc::ptr_eq(&known, mesh));
         same.then_some(number)
     }
 
-    /// The number of a mesh that is stored, seen before or equal to one that was.
+    /// Returns the number of this mesh, or of a stored mesh with equal content.
     fn stored(&self, mesh: &Arc<Mesh>) -> Option<i64> {
         let equal = || (mesh.name().to_owned(), hash::of_content(&[&blob::encode(mesh)]));
         self.known(mesh).or_else(|| self.by_content.get(&equal()).copied())
     }
 }
 
-/// Reads a store into memory. A writer is not blocked.
+/// Reads a store into memory. Writers are not blocked.
 ///
 /// # Errors
-/// [`ErrorKind::Invalid`] if the file is missing, not a store, or damaged, [`ErrorKind::Unsupported`] if it is of another
-/// version, [`ErrorKind::System`] if the system refuses.
+/// [`ErrorKind::Invalid`] if the file is missing, not a store, or damaged; [`ErrorKind::Unsupported`] if it has another
+/// format version; [`ErrorKind::System`] if the operating system refuses access.
 pub fn read(path: &Path) -> Result<Environment> {
     let connection = connect(path, Access::Read)?;
     in_one_version(&connection, path, |c| read::load(c, path, false)).map(|loaded| loaded.environment)
 }
 
-/// Reads a store and indexes it: the same as [`read`] and [`World::with_index`], but faster, because meshes are indexed while
-/// others are read.
+/// Reads a store and indexes it. This is faster than [`read`] followed by [`World::with_index`], because meshes are
+/// indexed while others are read.
 ///
 /// # Errors
-/// Those of [`read`].
+/// As [`read`].
 pub fn read_world(path: &Path, scheme: Scheme, params: Params) -> Result<World> {
     let connection = connect(path, Access::Read)?;
     let with_trees = scheme == Scheme::TwoLevel;
@@ -142,19 +142,19 @@ pub fn read_world(path: &Path, scheme: Scheme, params: Params) -> Result<World> 
 /// The facts that `presight env info` prints.
 #[derive(Clone, Debug)]
 pub struct Info {
-    /// When it was created, UTC seconds.
+    /// Creation time, UTC seconds.
     pub created: f64,
-    /// Cause of its creation.
+    /// Why it was created.
     pub cause: String,
-    /// Length of the log.
+    /// Number of log entries.
     pub changes: u64,
-    /// Hash of the last entry of the log.
+    /// Hash of the last log entry.
     pub head: String,
-    /// The environment that it holds.
+    /// The stored environment.
     pub environment: Environment,
 }
 
-/// Reads a store and verifies it with its whole log.
+/// Reads a store and verifies it, including its whole log.
 ///
 /// # Errors
 /// As [`read`].
@@ -168,16 +168,16 @@ pub fn info(path: &Path) -> Result<Info> {
     })
 }
 
-/// Calls `visit` with every entry of the log, in order, each verified.
+/// Verifies every log entry and passes it to `visit`, oldest first.
 ///
 /// # Errors
-/// As [`read`], and those of `visit`.
+/// As [`read`], and every error that `visit` returns.
 pub fn log(path: &Path, visit: impl FnMut(LogEntry) -> Result<()>) -> Result<()> {
     let connection = connect(path, Access::Read)?;
     in_one_version(&connection, path, |c| log::walk(c, path, &Meta::read(c, path)?, visit))
 }
 
-/// Verifies all content, and the structures of SQLite.
+/// Verifies all content and SQLite's internal structures.
 ///
 /// # Errors
 /// As [`read`]; [`ErrorKind::Invalid`] names the damaged place.
@@ -193,7 +193,7 @@ pub fn check(path: &Path) -> Result<Info> {
     Ok(found)
 }
 
-/// Runs `read` in one transaction: all it sees is of one version.
+/// Runs `read` in one transaction, so that it sees a single version of the store.
 fn in_one_version<T>(connection: &Connection, path: &Path, read: impl FnOnce(&Connection) -> Result<T>) -> Result<T> {
     let wrap = |e| refusal(path, "read the store", e);
     let transaction = connection.unchecked_transaction().map_err(wrap)?;
@@ -204,16 +204,16 @@ fn in_one_version<T>(connection: &Connection, path: &Path, read: impl FnOnce(&Co
 }
 
 impl Store {
-    /// Opens a store for changes, its world with the default index.
+    /// Opens a store for changes and indexes its world with the default scheme.
     ///
     /// # Errors
-    /// As [`read`]; [`ErrorKind::System`] if another writer has it, or it is read-only.
+    /// As [`read`]; [`ErrorKind::System`] if another writer holds the lock or the file is read-only.
     pub fn open(path: &Path) -> Result<Self> {
         let scheme = Scheme::default();
         Self::open_with_index(path, scheme, Params::tuned(scheme))
     }
 
-    /// Opens a store for changes, its world with an index of this scheme. [`Scheme::None`] is enough if nothing is predicted.
+    /// Opens a store for changes and indexes its world. [`Scheme::None`] is enough if nothing is predicted.
     ///
     /// # Errors
     /// As [`Store::open`].
@@ -221,7 +221,7 @@ impl Store {
         let connection = connect(path, Access::Write)?;
         let wrap = |e| refusal(path, "open the store for writing", e);
         connection.execute_batch("BEGIN IMMEDIATE").map_err(wrap)?;
-        // Another writer may have been here since.
+        // Another writer may have changed the file between `connect` and the lock.
         check_identity(&connection, path)?;
         let mut loaded = read::load(&connection, path, scheme == Scheme::TwoLevel)?;
         let mut ids = HashMap::new();
@@ -236,7 +236,7 @@ impl Store {
         Ok(store)
     }
 
-    /// A store of whose content nothing is known yet, locked.
+    /// A locked store whose content is not loaded yet.
     fn empty(connection: Connection, path: &Path, meta: Meta) -> Self {
         Self {
             connection,
@@ -252,30 +252,30 @@ impl Store {
         }
     }
 
-    /// The world that is stored, with all changes so far.
+    /// The stored world, including all changes so far.
     pub fn world(&self) -> &World {
         &self.world
     }
 
-    /// From now on many changes are made one by one, and nobody reads the feature layers in between.
+    /// Keeps the feature layers open from now on: many changes follow, and nobody reads the layers in between.
     pub fn begin_row(&mut self) {
         self.world.begin_row();
     }
 
-    /// The file.
+    /// Path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Length of the log.
+    /// Number of log entries.
     pub fn changes(&self) -> u64 {
         self.meta.changes as u64
     }
 
-    /// Applies a change to world and file. The change is on disk when this returns. Returns its number in the log.
+    /// Applies a change to the world and the file, durably. Returns its number in the log.
     ///
     /// # Errors
-    /// Those of [`World::apply`]; [`ErrorKind::System`] if the system refuses. World and file then are as before.
+    /// As [`World::apply`]; [`ErrorKind::System`] if the write fails. The world and the file are then unchanged.
     pub fn apply(&mut self, change: Change, note: &Note) -> Result<u64> {
         let mut batch = self.batch()?;
         let number = batch.apply(change, note)?;
@@ -286,17 +286,17 @@ impl Store {
     /// Begins a batch of changes that become durable together.
     ///
     /// # Errors
-    /// [`ErrorKind::System`] if another writer came between.
+    /// [`ErrorKind::System`] if another writer has changed or locked the store since the last batch.
     pub fn batch(&mut self) -> Result<Batch<'_>> {
         self.lock()?;
         Ok(Batch::new(self))
     }
 
-    /// Undoes an entry of the log by appending its inverse. Returns the numbers of the new entries. With
-    /// `cascade`, later changes of the same objects and features are undone first, newest first.
+    /// Undoes a log entry by appending its inverse. Returns the numbers of the new entries. With `cascade`, later
+    /// changes of the same objects and features are undone before it, newest first.
     ///
     /// # Errors
-    /// [`ErrorKind::Invalid`] naming later changes of the same object or feature, or if it was undone already.
+    /// [`ErrorKind::Invalid`] if the entry was already undone, or if later changes depend on it and `cascade` is false.
     pub fn undo(&mut self, number: u64, cascade: bool, note: &Note) -> Result<Vec<u64>> {
         self.lock()?;
         let entries = self.entries()?;
@@ -314,7 +314,7 @@ impl Store {
         Ok(made)
     }
 
-    /// The entries that [`Store::undo`] would undo, in its order; nothing is changed.
+    /// Returns the entries that [`Store::undo`] would undo, in that order, without changing anything.
     ///
     /// # Errors
     /// As [`Store::undo`].
@@ -331,28 +331,28 @@ impl Store {
         Ok(entries)
     }
 
-    /// The change by which the world would also hold a scene: what is there already, equal, stays as it is. With
-    /// `replace` objects of the scene take the place of those of the same path; features given in their frame stay.
+    /// Returns the change that merges a scene into the world. Content that both have in common is not changed. With
+    /// `replace`, objects of the scene replace stored objects of the same path, which keep their features.
     ///
     /// # Errors
-    /// [`ErrorKind::Invalid`] if an object of the same path, but another content, is there and may not be replaced.
+    /// [`ErrorKind::Invalid`] if a stored object of the same path differs and `replace` is false.
     pub fn merging_scene(&self, scene: &Environment, replace: bool) -> Result<Change> {
         merge::merge_scene(self.world.environment(), scene, replace)
     }
 
-    /// Returns the change that merges a layer file; its features replace those of the same id.
+    /// Returns the change that merges a layer file. Its features replace stored features with the same id.
     pub fn merging_layer(&self, file: &LayerFile) -> Change {
         merge::merge_layer(self.world.environment(), file)
     }
 
-    /// Commits without waiting for the disk: the planted fault that the tests of durability must find.
+    /// Commits without waiting for the disk: a deliberate fault that the durability tests must detect.
     #[doc(hidden)]
     pub fn without_sync(&mut self) -> Result<()> {
         let sql = "ROLLBACK; PRAGMA synchronous = OFF; BEGIN IMMEDIATE";
         self.connection.execute_batch(sql).map_err(|e| refusal(&self.path, "open the store", e))
     }
 
-    /// Takes the write lock again if it was lost, and proves that nothing was written meanwhile.
+    /// Reacquires the write lock if it was lost, and checks that nobody has written in the meantime.
     fn lock(&mut self) -> Result<()> {
         if self.locked {
             return Ok(());
@@ -368,7 +368,6 @@ impl Store {
         Ok(())
     }
 
-    /// Takes note of what the file holds.
     fn register(&mut self, loaded: &read::StoreVersion) {
         let read::StoreVersion { environment, meta, meshes, .. } = loaded;
         self.meta = meta.clone();

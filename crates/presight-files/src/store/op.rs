@@ -1,15 +1,15 @@
-//! Changes as JSON: the lines of `presight env apply`, and what the log keeps.
+//! Changes as JSON: the lines of `presight env apply` and of the log.
 //!
 //! | `op` | keys |
 //! |---|---|
-//! | `move` | `object`, `pose`; what is below the path moves with it. The path may be that of a group: then its frame gets the pose |
-//! | `set_pose` | `object`, `pose`; this object alone; a group as by `move` |
-//! | `delete_object` | `object`; its features go with it. Of a group all that is below is deleted |
-//! | `set_group` | `group`, `pose`: its frame alone; null or absent: it has none of its own |
-//! | `insert_object` | `object`, `pose` (default: the origin), and one of: `from` (a scene file, relative to the file of changes; `from_object` where it holds several); `vertices` [[x, y, z], ..] with `polygons` [[0, 1, 2], ..] and `material` (a name; default `default`, which is made if there is none); `like` (an object that has the mesh). In the log: `mesh` (number of the row), `object_from_mesh` (12 numbers, column by column), `first_source` |
-//! | `add_material` | `name`, and as wanted `reflection`, `one_sided`, `color` [r, g, b], `classes` {class: `opaque`, `transparent` or `invisible`} |
+//! | `move` | `object`, `pose`; objects below the path move with it. The path may name a group; then its frame gets the pose |
+//! | `set_pose` | `object`, `pose`; moves this object alone; a group as by `move` |
+//! | `delete_object` | `object`; its features are deleted too. If the path names a group, all objects below it are deleted |
+//! | `set_group` | `group`, `pose`: sets its frame alone; null or absent removes the frame |
+//! | `insert_object` | `object`, `pose` (default: the origin), and one of: `from` (a scene file, relative to the file of changes; `from_object` selects one of several objects); `vertices` [[x, y, z], ..] with `polygons` [[0, 1, 2], ..] and `material` (a name; default `default`, which is added if missing); `like` (an object with the same mesh). Only in the log: `mesh` (number of the row), `object_from_mesh` (12 numbers, column by column), `first_source` |
+//! | `add_material` | `name`; optional: `reflection`, `one_sided`, `color` [r, g, b], `classes` {class: `opaque`, `transparent` or `invisible`} |
 //! | `insert_feature`, `set_feature` | `class`, `feature`: as in a layer file |
-//! | `restore_feature` | the same: brings a deleted feature back, under its id |
+//! | `restore_feature` | the same: restores a deleted feature under its old id |
 //! | `delete_feature` | `class`, `feature`: its number |
 //! | `set_tolerance` | `class`, `tolerance` |
 //! | `set_pose_covariance` | `class`, `object`, `covariance`: 36 numbers, or null for none |
@@ -76,7 +76,7 @@ fn is_zero(x: &u32) -> bool {
     *x == 0
 }
 
-/// The properties of a material; `name` stands beside them in a change, in a column of its own in the table.
+/// The properties of a material. In the table `name` is empty here, because it has its own column.
 #[derive(Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct MaterialFields {
@@ -118,15 +118,15 @@ impl MaterialFields {
     }
 }
 
-/// What a change touches: two that touch the same do not commute.
+/// Something that a change touches. Two changes that touch the same key do not commute.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Key {
-    /// An object's pose, mesh and being there, or a group's frame.
+    /// An object's pose, mesh and existence, or a group's frame.
     Object(String),
-    /// That there is an object of this name.
+    /// Whether an object of this name exists.
     Existence(String),
     Feature(String, u32),
-    /// A layer's tolerance and covariances of poses.
+    /// A layer's tolerance and pose covariances.
     Layer(String),
 }
 
@@ -140,7 +140,7 @@ impl std::fmt::Display for Key {
     }
 }
 
-/// What an operation changes, and what must be there for it.
+/// The keys that an operation changes, and the keys that it requires.
 #[derive(Default)]
 pub(super) struct KeySets {
     pub writes: BTreeSet<Key>,
@@ -181,7 +181,7 @@ impl Op {
         }
     }
 
-    /// What the log keeps of a change; `number_of` tells the row of a mesh.
+    /// Converts a change to the form kept in the log. `number_of` returns the number of a mesh's row.
     pub fn of(change: &Change, number_of: &mut impl FnMut(&Arc<Mesh>) -> Result<i64>) -> Result<Self> {
         let pose = pose_fields;
         let boxed = |feature| Box::new(to_fields(feature));
@@ -241,7 +241,7 @@ impl KeySets {
     }
 }
 
-/// Twelve numbers, or nothing for the identity.
+/// Twelve numbers, column by column; `None` for the identity.
 pub(super) fn affine_fields(m: &DAffine3) -> Option<Vec<f64>> {
     let plain = m.to_cols_array().map(f64::to_bits) == DAffine3::IDENTITY.to_cols_array().map(f64::to_bits);
     (!plain).then(|| m.to_cols_array().to_vec())
@@ -263,8 +263,8 @@ pub(super) fn pose_fields(pose: &Pose) -> Vec<f64> {
     pose.translation.to_array().into_iter().chain(pose.rotation.to_array()).collect()
 }
 
-/// A pose of six or seven numbers; a quaternion that is one already keeps its bits, so that what we wrote reads back
-/// equal.
+/// Parses a pose of six or seven numbers. A unit quaternion is not normalized again, so that written poses read back
+/// exactly.
 pub(super) fn pose_of(numbers: &[f64]) -> Result<Pose> {
     const UNIT: f64 = 1e-9;
     let at = |i: usize| DVec3::new(numbers[i], numbers[i + 1], numbers[i + 2]);

@@ -1,4 +1,4 @@
-//! From the file to an environment, every row proven.
+//! Reads an environment from the file and verifies every row.
 
 use super::hash::{Digest, Hash};
 use super::meshes::{LoadedMesh, known_materials};
@@ -19,16 +19,16 @@ use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
 
-/// A version of the store, in memory.
+/// One version of the store, in memory.
 pub(super) struct StoreVersion {
     pub environment: Environment,
     pub meta: Meta,
     pub meshes: HashMap<i64, LoadedMesh>,
-    /// Of the meshes in the environment, if they were asked for.
+    /// Trees of the environment's meshes, if requested.
     pub trees: Trees,
 }
 
-/// Reads within the caller's transaction, with trees for the meshes if these will be indexed.
+/// Reads the store in the caller's transaction. `with_trees` also builds trees for the meshes, which indexing needs.
 pub(super) fn load(connection: &Connection, path: &Path, with_trees: bool) -> Result<StoreVersion> {
     let reader = Reader { connection, path, with_trees, digest: std::cell::Cell::default() };
     reader.load().map_err(|e| e.in_file(path))
@@ -41,7 +41,7 @@ pub(super) struct Reader<'a> {
     digest: std::cell::Cell<Digest>,
 }
 
-/// An object's row, proven; its mesh is not read yet.
+/// A verified row of an object whose mesh is not read yet.
 struct ObjectRecord {
     number: u32,
     name: String,
@@ -55,7 +55,7 @@ struct ObjectRecord {
 impl Reader<'_> {
     fn load(&self) -> Result<StoreVersion> {
         let meta = Meta::read(self.connection, self.path)?;
-        // Without reading them: SQLite knows the lengths.
+        // SQLite knows the lengths without reading the blobs.
         self.each("meshes", "COALESCE(SUM(length(content)), 0)", |row| {
             memory::require(memory::of_stored(get::<i64>(row, 0)? as u64, self.with_trees))
         })?;
@@ -85,12 +85,12 @@ impl Reader<'_> {
         environment.skip_to(number(meta.next_object)?, number(meta.next_slot)?).map_err(damaged)?;
         self.layers(&mut environment)?;
         if self.digest.get() != meta.digest {
-            return Err(damaged("rows are missing, or there are too many"));
+            return Err(damaged("rows are missing or were added"));
         }
         Ok(StoreVersion { environment, meta, meshes, trees })
     }
 
-    /// Each row through `read`, whose error names table and row.
+    /// Calls `read` with each row; its errors get the table and row as their place.
     pub fn each(&self, table: &str, columns: &str, mut read: impl FnMut(&Row<'_>) -> Result<()>) -> Result<()> {
         let wrap = |e| refusal(self.path, "read the store", e);
         let mut statement = self.connection.prepare(&format!("SELECT {columns} FROM {table}")).map_err(wrap)?;
@@ -103,14 +103,14 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// Compares a row's hash with the one it carries, and counts it.
+    /// Compares a row's computed and stored hashes, and adds the row to the digest.
     fn prove(&self, found: Hash, stored: Hash) -> Result<()> {
         check_row(found, stored)?;
         self.count(&found);
         Ok(())
     }
 
-    /// Counts a row, by its hash, as one that was proven.
+    /// Adds a verified row to the digest.
     pub fn count(&self, row: &Hash) {
         let mut digest = self.digest.get();
         digest.add(row);
@@ -123,14 +123,14 @@ impl Reader<'_> {
             self.prove(material_hash(number, &name, &properties), get(row, 3)?)?;
             let material = MaterialFields { name, ..from_json(&properties)? }.material()?;
             let added = environment.add_material(material)?;
-            if i64::from(added) != number { Err(damaged("a number is left out")) } else { Ok(()) }
+            if i64::from(added) != number { Err(damaged("a number is missing")) } else { Ok(()) }
         })
     }
 
     fn objects(&self, to: &mut Vec<ObjectRecord>) -> Result<()> {
         let columns = "number, name, pose, object_from_mesh, mesh, first_slot, first_source, hash";
         self.each("objects", columns, |row| {
-            // There are many, and each is soon read: no copies.
+            // Borrowed, because copies of many short texts would dominate the time.
             let (number, name, pose): (i64, &str, &str) = (get(row, 0)?, text(row, 1)?, text(row, 2)?);
             let affine: Option<String> = get(row, 3)?;
             let rest: (i64, i64, i64) = (get(row, 4)?, get(row, 5)?, get(row, 6)?);
@@ -153,7 +153,6 @@ impl Reader<'_> {
         })
     }
 
-    /// Frames of groups.
     fn groups(&self, to: &mut Vec<(String, Pose)>) -> Result<()> {
         self.each("groups", "path, pose, hash", |row| {
             let (path, pose) = (text(row, 0)?, text(row, 1)?);
@@ -178,7 +177,7 @@ impl Reader<'_> {
         layers.into_values().try_for_each(|layer| environment.add_layer(layer))
     }
 
-    /// Features, and numbers of those that were deleted: read on this thread, while those read before are proven and understood on all.
+    /// Reads features and the ids of deleted ones. This thread reads ahead while all threads verify and parse.
     fn features(&self, layers: &mut HashMap<String, FeatureLayer>, environment: &mut Environment) -> Result<()> {
         let wrap = |e| refusal(self.path, "read the store", e);
         let sql = "SELECT class, id, kind, object, feature, hash FROM features";
@@ -223,10 +222,10 @@ impl Reader<'_> {
     }
 }
 
-/// Rows of features that are proven together.
+/// Rows of features in a batch.
 const FEATURE_ROWS: usize = 1 << 13;
 
-/// A feature's row, not proven yet.
+/// A feature's row, not verified yet.
 struct FeatureRow {
     class: String,
     id: i64,
@@ -241,7 +240,7 @@ impl FeatureRow {
         Ok(Self { class: get(row, 0)?, id: get(row, 1)?, columns, hash: get(row, 5)? })
     }
 
-    /// The feature; `None` of one that was deleted.
+    /// Verifies the row and returns its feature; `None` if it was deleted.
     fn read(&self, layers: &HashMap<String, FeatureLayer>) -> Result<Option<Arc<Feature>>> {
         let texts = self.columns.each_ref().map(|c| c.as_deref());
         check_row(feature_hash(&self.class, self.id, texts), self.hash)?;
@@ -252,28 +251,27 @@ impl FeatureRow {
     }
 }
 
-/// Where a row is.
+/// The place of a row in error messages.
 fn place(table: &str, number: usize) -> String {
     format!("table {table}, row {number}")
 }
 
-/// Compares a row's hash with the one it carries.
+/// Compares a row's computed and stored hashes.
 fn check_row(found: Hash, stored: Hash) -> Result<()> {
-    if found == stored { Ok(()) } else { Err(damaged("the row is not what was written")) }
+    if found == stored { Ok(()) } else { Err(damaged("the row does not match its hash")) }
 }
 
-/// A column; another type than was written is damage.
+/// Reads a column. A value of the wrong type means damage.
 pub(super) fn get<T: rusqlite::types::FromSql>(row: &Row<'_>, column: usize) -> Result<T> {
     row.get(column).map_err(|e| damaged(e.to_string()))
 }
 
-/// A column of text, where it lies.
 fn text<'a>(row: &'a Row<'_>, column: usize) -> Result<&'a str> {
     let value = row.get_ref(column).map_err(|e| damaged(e.to_string()))?;
     value.as_str().map_err(|e| damaged(e.to_string()))
 }
 
-/// The numbers of a pose.
+/// Parses the seven numbers of a pose.
 fn seven(text: &str) -> Result<[f64; 7]> {
     from_json(text)
 }

@@ -1,4 +1,4 @@
-//! Rows as they are hashed and read.
+//! Contents and hashes of rows.
 
 use super::hash::{Digest, Field, Hash, of_row};
 use super::schema::{damaged, refusal};
@@ -8,12 +8,12 @@ use presight_model::geometry::Pose;
 use rusqlite::{Connection, Row};
 use std::path::Path;
 
-/// The one row of `meta`: what the file is, and where its log stands.
+/// The one row of `meta`: origin of the file and state of its log.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Meta {
     pub created: f64,
     pub cause: String,
-    /// The hash of the content it was created with.
+    /// The hash of the initial content.
     pub genesis: Hash,
     pub next_object: i64,
     pub next_slot: i64,
@@ -24,7 +24,7 @@ pub(super) struct Meta {
 }
 
 impl Meta {
-    /// What the first entry of the log follows.
+    /// The hash that the first log entry chains to.
     pub fn first_head(&self) -> Hash {
         of_row(b"presight log 1", &[Field::Real(self.created), Field::Text(&self.cause), Field::Blob(&self.genesis)])
     }
@@ -43,7 +43,7 @@ impl Meta {
         of_row(b"meta", &fields)
     }
 
-    /// Reads it, proven by its hash.
+    /// Reads and verifies the row.
     pub fn read(connection: &Connection, path: &Path) -> Result<Self> {
         let sql = "SELECT created, cause, genesis, next_object, next_slot, changes, head, digest, hash FROM meta";
         let read = |row: &Row<'_>| {
@@ -65,11 +65,11 @@ impl Meta {
         let mut rows = rows.map_err(|e| refusal(path, "read the store", e))?;
         match rows.pop().filter(|(meta, hash)| rows.is_empty() && meta.hash() == *hash) {
             Some((meta, _)) => Ok(meta),
-            None => Err(damaged("table meta is not what was written").in_file(path)),
+            None => Err(damaged("table meta does not match its hash").in_file(path)),
         }
     }
 
-    /// Writes it, in the caller's transaction.
+    /// Writes the row in the caller's transaction.
     pub fn write(&self, connection: &Connection) -> rusqlite::Result<()> {
         let sql = "INSERT OR REPLACE INTO meta VALUES(1, ?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9)";
         let (digest, hash) = (self.digest.to_bytes(), self.hash());
@@ -88,7 +88,7 @@ impl Meta {
     }
 }
 
-/// A pose as a row has it: x, y, z, qx, qy, qz, qw.
+/// A pose in the form of a row: JSON of x, y, z, qx, qy, qz, qw.
 pub(super) fn pose_text(pose: &Pose) -> String {
     let mut all = [0.0; 7];
     all[..3].copy_from_slice(&pose.translation.to_array());
@@ -96,15 +96,15 @@ pub(super) fn pose_text(pose: &Pose) -> String {
     numbers(&all)
 }
 
-/// What an object's row says.
+/// The columns of an object's row that hold numbers as JSON.
 pub(super) struct ObjectRow {
     pub pose: String,
     pub object_from_mesh: Option<String>,
 }
 
-/// Numbers as JSON: every bit comes back, which SQLite's REAL does not promise (it drops the sign of zero).
+/// Numbers as JSON, which keeps every bit. SQLite's REAL drops the sign of zero.
 pub(super) fn numbers(values: &[f64]) -> String {
-    // Finite numbers always are JSON.
+    // Finite numbers always have a JSON form.
     serde_json::to_string(values).unwrap_or_default()
 }
 
@@ -137,7 +137,7 @@ pub(super) fn group_hash(path: &str, pose: &str) -> Hash {
     of_row(b"groups", &[Field::Text(path), Field::Text(pose)])
 }
 
-/// The hash of a mesh's row; `content` is that of its blob, its bytes as the format has them.
+/// The hash of a mesh's row. `content` is the hash of its blob, in the bytes that the format stores.
 pub(super) fn mesh_hash(number: i64, name: &str, (vertices, polygons): (i64, i64), content: &[u8]) -> Hash {
     let fields = [
         Field::Integer(number),
@@ -153,7 +153,7 @@ pub(super) fn material_hash(number: i64, name: &str, properties: &str) -> Hash {
     of_row(b"materials", &[Field::Integer(number), Field::Text(name), Field::Text(properties)])
 }
 
-/// The properties of a material as JSON; its name has a column of its own.
+/// The properties of a material as JSON, without its name, which has its own column.
 pub(super) fn material_json(material: &Material) -> Result<String> {
     let fields = super::op::MaterialFields { name: String::new(), ..super::op::MaterialFields::of(material) };
     json(&fields)
@@ -170,7 +170,7 @@ pub(super) fn feature_hash(class: &str, id: i64, columns: [Option<&str>; 3]) -> 
 
 pub(super) fn json(value: &impl serde::Serialize) -> Result<String> {
     serde_json::to_string(value)
-        .map_err(|e| presight_model::error::Error::invalid(format!("no JSON: {e}"), "").caused_by(e))
+        .map_err(|e| presight_model::error::Error::invalid(format!("cannot write JSON: {e}"), "").caused_by(e))
 }
 
 pub(super) fn from_json<T: serde::de::DeserializeOwned>(text: &str) -> Result<T> {

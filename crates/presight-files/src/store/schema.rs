@@ -1,4 +1,4 @@
-//! The tables, how a store is opened, and what SQLite's refusals mean.
+//! The tables, opening a store, and SQLite's errors as ours.
 
 use crate::inputs;
 use presight_model::error::{Error, ErrorKind, Result};
@@ -6,14 +6,14 @@ use rusqlite::{Connection, ErrorCode, OpenFlags};
 use std::path::Path;
 use std::time::Duration;
 
-/// "prsg": tells a store from SQLite files of other programs.
+/// "prsg": distinguishes a store from SQLite files of other programs.
 pub(super) const APPLICATION_ID: i32 = 0x7072_7367;
-/// The one version that this build reads and writes.
+/// The only format version that this build reads and writes.
 pub(super) const FORMAT: i32 = 4;
-/// How long another program's commit is waited for.
+/// How long to wait for another program's commit.
 const PATIENCE: Duration = Duration::from_secs(3);
 
-/// Text of each table, as SQLite keeps it.
+/// Name and SQL of each table, exactly as `sqlite_schema` contains them, sorted by name.
 pub(super) const TABLES: [(&str, &str); 8] = [
     (
         "features",
@@ -58,24 +58,24 @@ pub(super) const TABLES: [(&str, &str); 8] = [
     ),
 ];
 
-/// What a connection is for.
+/// Purpose of a connection.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Access {
-    /// Reads; what a killed writer left is still rolled back, which writes.
+    /// Reading. This may still write to the file, to roll back the unfinished commit of a killed writer.
     Read,
-    /// Commits changes, each through to the disk.
+    /// Writing, with durable commits.
     Write,
 }
 
-/// Opens a store; for writing, one whose tables are those of [`FORMAT`].
+/// Opens a store. For writing, its tables must match [`FORMAT`].
 pub(super) fn connect(path: &Path, access: Access) -> Result<Connection> {
     inputs::note(path);
     let metadata = std::fs::metadata(path).map_err(|e| Error::io(path, "open the store", e))?;
     if !metadata.is_file() {
-        return Err(Error::invalid("this is no file", "name a .presight file").in_file(path));
+        return Err(Error::invalid("this is not a file", "name a .presight file").in_file(path));
     }
     if metadata.len() == 0 {
-        // Such as those that the system makes up while they are read, and that may keep the reader waiting.
+        // Virtual files of the operating system, such as those in /proc, report length 0 and may block a reader.
         return Err(Error::invalid("the file is empty", "name a .presight file").in_file(path));
     }
     let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
@@ -83,7 +83,7 @@ pub(super) fn connect(path: &Path, access: Access) -> Result<Connection> {
     let connection = Connection::open_with_flags(path, flags).map_err(wrap)?;
     connection.busy_timeout(PATIENCE).map_err(wrap)?;
     connection.set_prepared_statement_cache_capacity(64);
-    // Nothing in the file is run as a program.
+    // The file is not trusted: no SQL in its schema may run functions.
     connection.execute_batch("PRAGMA trusted_schema = OFF; PRAGMA cell_size_check = ON;").map_err(wrap)?;
     match access {
         Access::Read => connection.execute_batch("PRAGMA query_only = ON").map_err(wrap)?,
@@ -99,7 +99,7 @@ pub(super) fn pragma<T: rusqlite::types::FromSql>(connection: &Connection, name:
     connection.query_row(&format!("PRAGMA {name}"), [], |row| row.get(0))
 }
 
-/// Refuses what is no store of [`FORMAT`], as the transaction that is open sees it.
+/// Returns an error if the file, as the open transaction sees it, is not a store of [`FORMAT`].
 pub(super) fn check_identity(connection: &Connection, path: &Path) -> Result<()> {
     let wrap = |e| refusal(path, "open the store", e);
     let application: i32 = pragma(connection, "application_id").map_err(wrap)?;
@@ -116,9 +116,9 @@ pub(super) fn check_identity(connection: &Connection, path: &Path) -> Result<()>
         return Err(damaged(format!("format {version} never existed")).in_file(path));
     }
     if version < FORMAT {
-        let what = format!("format {version} is of a version before the first release, and is no longer read");
+        let what = format!("format {version} is older than the first release and is no longer supported");
         let remedy =
-            "make the store again with presight env create, from its scene or from what its own version exports";
+            "create it again with presight env create, from its scene or an export by the version that wrote it";
         return Err(Error::new(ErrorKind::Unsupported, what, remedy).in_file(path));
     }
     let mut statement = connection.prepare("SELECT type, name, sql FROM sqlite_schema ORDER BY name").map_err(wrap)?;
@@ -130,32 +130,34 @@ pub(super) fn check_identity(connection: &Connection, path: &Path) -> Result<()>
             .iter()
             .zip(TABLES)
             .all(|((kind, name, sql), (table, text))| kind == "table" && name == table && sql.as_deref() == Some(text));
-    if same { Ok(()) } else { Err(damaged(format!("its tables are not those of format {FORMAT}")).in_file(path)) }
+    if same { Ok(()) } else { Err(damaged(format!("its tables do not match format {FORMAT}")).in_file(path)) }
 }
 
-/// A commit is on the disk when it returns, the deletion of the journal included.
+/// Makes commits durable: when one returns, the data and the deletion of the journal are on disk.
 fn make_durable(connection: &Connection, path: &Path) -> Result<()> {
     let wrap = |e| refusal(path, "open the store for writing", e);
     if connection.is_readonly("main").map_err(wrap)? {
         let what = "the store is read-only";
-        return Err(Error::new(ErrorKind::System, what, "check the permissions of file and folder").in_file(path));
+        return Err(
+            Error::new(ErrorKind::System, what, "check the permissions of the file and its folder").in_file(path)
+        );
     }
     let mode: String = connection.query_row("PRAGMA journal_mode = DELETE", [], |row| row.get(0)).map_err(wrap)?;
     connection.execute_batch("PRAGMA synchronous = EXTRA; PRAGMA cache_size = -16384;").map_err(wrap)?;
     let synchronous: i64 = pragma(connection, "synchronous").map_err(wrap)?;
     if mode != "delete" || synchronous != 3 {
         let what = format!("journal mode {mode}, synchronous {synchronous}: changes would not be durable");
-        return Err(Error::new(ErrorKind::System, what, "close what else uses the store").in_file(path));
+        return Err(Error::new(ErrorKind::System, what, "close other programs that use the store").in_file(path));
     }
     Ok(())
 }
 
-/// A store whose bytes are not what was written.
+/// The error for a damaged store.
 pub(super) fn damaged(what: impl std::fmt::Display) -> Error {
-    Error::invalid(format!("the store is damaged: {what}"), "fetch it from a backup")
+    Error::invalid(format!("the store is damaged: {what}"), "restore it from a backup")
 }
 
-/// What SQLite says, as an error of ours.
+/// Converts an error of SQLite to ours.
 pub(super) fn refusal(path: &Path, doing: &str, e: rusqlite::Error) -> Error {
     use ErrorKind::System;
     let system = |what: &str, remedy: &str| Error::new(System, format!("cannot {doing}: {what}"), remedy);
@@ -164,19 +166,19 @@ pub(super) fn refusal(path: &Path, doing: &str, e: rusqlite::Error) -> Error {
     let unopened = matches!(e.sqlite_error_code(), Some(ErrorCode::ReadOnly | ErrorCode::CannotOpen));
     if moved || unopened && !path.exists() {
         let what = "it was moved, replaced or deleted while it was open";
-        return system(what, "open it again where it is now").in_file(path).caused_by(e);
+        return system(what, "open it again at its new path").in_file(path).caused_by(e);
     }
     let error = match e.sqlite_error_code() {
         Some(ErrorCode::DatabaseBusy | ErrorCode::DatabaseLocked | ErrorCode::FileLockingProtocolFailed) => system(
             "another program has it open, for writing or reading (locked)",
-            "wait until that has ended, or stop it",
+            "wait until that program ends, or stop it",
         ),
         Some(ErrorCode::DiskFull) => system("the disk is full", "free some disk space"),
         Some(ErrorCode::ReadOnly | ErrorCode::PermissionDenied | ErrorCode::CannotOpen) => {
-            system(&said, "check the permissions of file and folder")
+            system(&said, "check the permissions of the file and its folder")
         }
         Some(ErrorCode::SystemIoFailure | ErrorCode::OutOfMemory | ErrorCode::NoLargeFileSupport) => {
-            system(&said, "check disk and permissions")
+            system(&said, "check the disk and the permissions")
         }
         Some(ErrorCode::NotADatabase) => {
             Error::invalid("this is not an SQLite file, or its start is damaged", "name a .presight file")

@@ -1,4 +1,4 @@
-//! JSON in which a key given twice is an error: of two poses the second would win unseen.
+//! JSON in which a repeated key is an error. Otherwise the second of two poses would silently win.
 
 use serde::de::{Deserialize, Deserializer, Error, MapAccess, SeqAccess, Visitor};
 use serde_json::{Map, Number, Value};

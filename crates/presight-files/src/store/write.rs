@@ -1,4 +1,4 @@
-//! Changes on their way to the disk.
+//! Writes changes to the file.
 
 use super::context::Context;
 use super::hash::{Hash, of_content};
@@ -26,11 +26,11 @@ use std::sync::Arc;
 /// Why and when a change was made, for the log. The caller gives the time; the store reads no clock.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Note {
-    /// Cause, in words.
+    /// Why the change is made.
     pub cause: String,
     /// UTC seconds.
     pub time: f64,
-    /// The caller's own id for the change. Applying the change again under the same id does nothing.
+    /// The caller's own id for the change. Applying the change again with the same id does nothing.
     pub id: Option<String>,
 }
 
@@ -41,37 +41,36 @@ impl Note {
     }
 }
 
-/// What becomes of restored features where new ones must lie on polygons.
+/// How restored features are checked in changes whose new features must lie on polygons.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum RestoreCheck {
-    /// They must, too.
+    /// They must also lie on polygons.
     Checked,
-    /// They were there before.
+    /// They are exempt, because they were in the environment before.
     LetBe,
 }
 
-/// How a change is applied, and what the log says besides.
+/// How a change is applied, and its further columns in the log.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Entry {
-    /// Its features must lie on polygons.
+    /// `Some` if features must lie on polygons.
     pub placed: Option<RestoreCheck>,
-    /// But for these, by class and id.
+    /// Features exempt from this check, by class and id.
     pub lost: Vec<(String, u32)>,
-    /// The hash of the line that said it.
+    /// The hash of the input line.
     pub request: Option<[u8; 32]>,
     /// The entry that it undoes.
     pub undoes: Option<u64>,
 }
 
-/// Changes that become durable together, by [`Batch::commit`]. If the batch is dropped before that, or the system refuses, world
-/// and store return to their state before the batch.
+/// Changes that become durable together, by [`Batch::commit`]. If the batch is dropped before that, or a write fails,
+/// the world and the store return to their state before the batch.
 pub struct Batch<'a> {
     store: &'a mut Store,
-    /// Something was changed that is not committed.
+    /// True while there are uncommitted changes.
     open: bool,
-    /// The store refused.
+    /// True after a failed write rolled the batch back.
     taken_back: bool,
-    /// Ids used in this batch.
     ids: Vec<String>,
 }
 
@@ -80,32 +79,32 @@ impl<'a> Batch<'a> {
         Self { store, open: false, taken_back: false, ids: Vec::new() }
     }
 
-    /// The world with all changes so far.
+    /// The world, including all changes so far.
     pub fn world(&self) -> &World {
         &self.store.world
     }
 
-    /// False if the store refused a change. The whole batch is then undone.
+    /// False if writing a change failed. The whole batch is then undone.
     pub fn is_whole(&self) -> bool {
         !self.taken_back
     }
 
-    /// The number of the log entry with this id, if there is one.
+    /// The number of the log entry with this id, if any.
     pub fn number_of(&self, id: &str) -> Option<u64> {
         self.store.ids.get(id).copied()
     }
 
-    /// Applies a change and returns its number in the log. A change whose id is in the log already does nothing. New and altered
-    /// features must lie on polygons, as in [`World::apply`].
+    /// Applies a change and returns its number in the log. A change whose id is already in the log does nothing. New
+    /// and altered features must lie on polygons, as in [`World::apply`].
     ///
     /// # Errors
-    /// Those of [`World::apply`], and [`crate::ErrorKind::Invalid`] if the id belongs to another change: the earlier changes stay in
-    /// the batch. [`crate::ErrorKind::System`] and [`crate::ErrorKind::Invalid`] of the store: the whole batch is undone.
+    /// As [`World::apply`]; [`crate::ErrorKind::Invalid`] if the id belongs to another change. Earlier changes then
+    /// stay in the batch. If writing to the store fails, the whole batch is undone.
     pub fn apply(&mut self, change: Change, note: &Note) -> Result<u64> {
         self.record(change, note, &Entry { placed: Some(RestoreCheck::LetBe), ..Entry::default() })
     }
 
-    /// As [`Batch::apply`], but features need not lie on polygons, as in [`World::apply_unchecked`].
+    /// Like [`Batch::apply`], but features need not lie on polygons, as in [`World::apply_unchecked`].
     ///
     /// # Errors
     /// As [`Batch::apply`].
@@ -113,8 +112,7 @@ impl<'a> Batch<'a> {
         self.record(change, note, &Entry::default())
     }
 
-    /// As [`Batch::apply`], for imported content. The features `lost` (class, id) have lost their surface and need not lie
-    /// on polygons.
+    /// Like [`Batch::apply`], for imported content. Features in `lost` (class, id) need not lie on polygons.
     ///
     /// # Errors
     /// As [`Batch::apply`].
@@ -122,7 +120,7 @@ impl<'a> Batch<'a> {
         self.record(change, note, &Entry { placed: Some(RestoreCheck::LetBe), lost, ..Entry::default() })
     }
 
-    /// Applies a change, as the log shall have it.
+    /// Applies a change and writes it with its log entry.
     pub(super) fn record(&mut self, change: Change, note: &Note, entry: &Entry) -> Result<u64> {
         if let Some(id) = &note.id
             && let Some(known) = self.store.known(id)?
@@ -130,7 +128,7 @@ impl<'a> Batch<'a> {
             return known.same_change(id, self.store.op_of_known_shapes(&change).as_ref());
         }
         if self.taken_back {
-            return Err(Error::invalid("the batch was taken back", "begin another one"));
+            return Err(Error::invalid("the batch was rolled back", "begin another one"));
         }
         if !note.time.is_finite() {
             return Err(Error::invalid(format!("the time {} is not finite", note.time), "give UTC seconds"));
@@ -157,16 +155,17 @@ impl<'a> Batch<'a> {
         }
     }
 
-    /// Applies a line as `presight env apply` does. Paths of files in it are relative to `folder`. Returns its number in the log,
-    /// and whether it is new.
+    /// Applies a line of `presight env apply`. File paths in it are relative to `folder`. Returns its number in the
+    /// log, and true if it is new.
     ///
     /// # Errors
-    /// As [`Batch::apply`], also for restored features; [`crate::ErrorKind::Invalid`] if the line is not a change.
+    /// As [`Batch::apply`], where restored features must also lie on polygons; [`crate::ErrorKind::Invalid`] if the
+    /// line is not a valid change.
     pub fn apply_line(&mut self, line: &str, folder: &Path, note: &Note) -> Result<(u64, bool)> {
         let wrong = |e: serde_json::Error| {
             let what = e.to_string();
             let what = what.split(" at line ").next().unwrap_or(&what).to_owned();
-            Error::invalid(what, "presight env apply --help tells the changes").caused_by(e)
+            Error::invalid(what, "presight env apply --help lists the changes").caused_by(e)
         };
         check_json_memory(line)?;
         let UniqueKeys(mut value) = serde_json::from_str(line).map_err(wrong)?;
@@ -174,13 +173,13 @@ impl<'a> Batch<'a> {
         let cause = match take("cause") {
             None | Some(serde_json::Value::Null) => note.cause.clone(),
             Some(serde_json::Value::String(cause)) => cause,
-            Some(_) => return Err(Error::invalid("the cause is no text", "say why in words")),
+            Some(_) => return Err(Error::invalid("the cause is not a string", "give the reason as a string")),
         };
         let id = match take("id") {
             None | Some(serde_json::Value::Null) => None,
             Some(serde_json::Value::String(id)) => Some(id),
             Some(serde_json::Value::Number(id)) => Some(id.to_string()),
-            Some(_) => return Err(Error::invalid("the id is neither text nor number", "give text")),
+            Some(_) => return Err(Error::invalid("the id is neither a string nor a number", "give a string")),
         };
         let op: Op = serde_json::from_value(value).map_err(wrong)?;
         if let Some(id) = &id
@@ -189,14 +188,14 @@ impl<'a> Batch<'a> {
             return Ok((known.same_line(id, &op)?, false));
         }
         let request = id.as_ref().map(|_| ids::request(&op)).transpose()?;
-        let mut mesh = |_| Err(Error::invalid("mesh numbers are for the log", "give \"like\""));
+        let mut mesh = |_| Err(Error::invalid("mesh numbers are valid only in the log", "give \"like\""));
         let environment = self.store.world.environment();
         let change = Context::new(environment, Some(folder), &mut mesh).change(op)?;
         let entry = Entry { placed: Some(RestoreCheck::Checked), request, ..Entry::default() };
         Ok((self.record(change, &Note { id, cause, ..note.clone() }, &entry)?, true))
     }
 
-    /// The change that the log tells by this JSON.
+    /// Parses the JSON of a change in the log.
     pub(super) fn change_of_log(&self, text: &str) -> Result<Change> {
         let store = &*self.store;
         let environment = self.store.world.environment();
@@ -212,7 +211,7 @@ impl<'a> Batch<'a> {
     /// Makes all changes durable. They are on disk when this returns.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::System`] if the system refuses; world and store then return to their state before the batch.
+    /// [`crate::ErrorKind::System`] if the commit fails; world and store then return to their state before the batch.
     pub fn commit(mut self) -> Result<()> {
         if !self.open {
             return Ok(());
@@ -224,7 +223,7 @@ impl<'a> Batch<'a> {
         done
     }
 
-    /// Back to what the disk has.
+    /// Rolls back to the state on disk.
     fn take_back(&mut self) {
         (self.open, self.taken_back) = (false, true);
         for id in self.ids.drain(..) {
@@ -243,7 +242,7 @@ impl Drop for Batch<'_> {
 }
 
 impl Store {
-    /// Writes what a change has changed, and its entry of the log.
+    /// Writes the rows that a change affects, and its log entry.
     fn write(
         &mut self,
         now: &Environment,
@@ -256,7 +255,7 @@ impl Store {
             let mut number_of = |mesh: &Arc<Mesh>| self.number_of(mesh);
             (Op::of(change, &mut number_of)?, Op::of(inverse, &mut number_of)?)
         };
-        // What all features of a class share is written once, however many there are.
+        // A layer's row is written once, however many of its features changed.
         let mut layers = BTreeSet::new();
         for key in KeySets::of(&[&change, &inverse]).writes {
             match key {
@@ -280,7 +279,7 @@ impl Store {
         self.append((&change, &inverse), note, entry)
     }
 
-    /// A change in the words of the log; `None` if it brings a shape that is not stored.
+    /// Converts a change to the form of the log; `None` if it inserts a shape that is not stored.
     fn op_of_known_shapes(&self, change: &Change) -> Option<Op> {
         let unknown = || Error::invalid("this shape is not stored", "");
         Op::of(change, &mut |mesh: &Arc<Mesh>| self.meshes.stored(mesh).ok_or_else(unknown)).ok()
@@ -302,7 +301,7 @@ impl Store {
         let number = self.meta.changes as u64 + 1;
         let mut entry = LogEntry {
             number,
-            // Not -0, which SQLite would not keep.
+            // Turns -0 into 0, because SQLite drops the sign.
             time: note.time + 0.0,
             cause: note.cause.clone(),
             id: note.id.clone(),
@@ -322,7 +321,7 @@ impl Store {
         Ok(number)
     }
 
-    /// The row of a mesh, written if it is new.
+    /// Returns the number of a mesh's row. Writes the row if the mesh is new.
     fn number_of(&mut self, mesh: &Arc<Mesh>) -> Result<i64> {
         if let Some(number) = self.meshes.known(mesh) {
             return Ok(number);
@@ -374,7 +373,7 @@ impl Store {
         Ok(())
     }
 
-    /// The frame that a group has now, or none.
+    /// Writes the group's current frame. Removes the row if it has none.
     fn write_group(&mut self, now: &Environment, path: &str) -> Result<()> {
         if self.groups.remove(path) {
             self.remove("DELETE FROM groups WHERE path = ?1 RETURNING hash", params![path])?;
@@ -413,7 +412,7 @@ impl Store {
         Ok(())
     }
 
-    /// Writes everything that an environment holds, into empty tables.
+    /// Writes a whole environment into empty tables.
     pub(super) fn write_all(&mut self, now: &Environment) -> Result<()> {
         self.write_materials(now)?;
         for object in now.objects().iter().filter(|o| !o.is_deleted()) {
@@ -432,12 +431,12 @@ impl Store {
         Ok(())
     }
 
-    /// Removes a row, if it is there, from table and digest.
+    /// Removes a row from its table and from the digest, if it exists.
     fn remove(&mut self, sql: &str, params: impl Params) -> Result<()> {
         let found = self.connection.prepare_cached(sql).and_then(|mut s| {
             let mut rows = s.query(params)?;
             let hash = rows.next()?.map(|row| row.get::<_, Hash>(0)).transpose()?;
-            // To its end, or nothing is removed.
+            // SQLite completes the DELETE only when all rows have been read.
             while rows.next()?.is_some() {}
             Ok(hash)
         });
@@ -453,7 +452,7 @@ impl Store {
             .prepare_cached(sql)
             .and_then(|mut s| s.query_row(params, |row| row.get::<_, Hash>(0)).optional());
         let found = found.map_err(|e| refusal(&self.path, "write to the store", e))?;
-        found.ok_or_else(|| super::schema::damaged("a row is gone").in_file(&self.path))
+        found.ok_or_else(|| super::schema::damaged("a row is missing").in_file(&self.path))
     }
 
     fn run(&self, sql: &str, params: &[&dyn ToSql]) -> Result<()> {
@@ -465,20 +464,19 @@ impl Store {
         self.meta.write(&self.connection).map_err(|e| refusal(&self.path, "write to the store", e))
     }
 
-    /// Commits, and takes the write lock again.
+    /// Commits, and then reacquires the write lock.
     fn commit(&mut self) -> Result<()> {
         self.write_meta()?;
         let commit = self.connection.execute_batch("COMMIT");
         commit.map_err(|e| refusal(&self.path, "commit to the store", e))?;
-        // Whoever came between is found when the next batch begins.
+        // If another writer changes the store before this, the next batch detects it.
         self.locked = self.connection.execute_batch("BEGIN IMMEDIATE").is_ok();
         Ok(())
     }
 
-    /// Drops what is not committed; the answer is what the disk has. None if it cannot be read: then every further
-    /// batch is refused.
+    /// Discards uncommitted changes and reloads the store from disk. If that fails, every further batch is refused.
     fn roll_back(&mut self) {
-        // SQLite may have rolled back by itself, on a full disk.
+        // SQLite may already have rolled back, for example on a full disk.
         if !self.connection.is_autocommit() {
             let _ = self.connection.execute_batch("ROLLBACK");
         }
@@ -492,7 +490,7 @@ impl Store {
                 self.register(&loaded);
                 self.world.reset(loaded.environment);
             }
-            // No file has this one: the check before the next batch fails.
+            // No file has -1 changes, so `lock` fails before the next batch.
             _ => self.meta = Meta { changes: -1, ..self.meta.clone() },
         }
     }

@@ -1,10 +1,10 @@
-//! Files at fault: each gets a typed error that names the place.
+//! Bad files: each gives a typed error that names the place.
 
 use super::{SOUND, file_with};
 use crate::layer::{parse, read};
 use presight_model::error::ErrorKind;
 
-/// What is wrong with one feature, and what the error must say.
+/// A bad feature, and a text that its error must contain.
 const FEATURES: &[(&str, &str)] = &[
     (r#"{"id": 0, "kind": "point", "points": [[0, 0, 0]]}"#, "features[0] (id 0): id 0 is nothing"),
     (r#"{"id": -1, "kind": "point", "points": [[0, 0, 0]]}"#, "line 2"),
@@ -25,9 +25,9 @@ const FEATURES: &[(&str, &str)] = &[
     (r#"{"id": 1, "kind": "point", "points": [[0, 0, Infinity]]}"#, "line 2"),
     (r#"{"id": 1, "kind": "point", "points": [[0, 0, 1e999]]}"#, "number out of range"),
     (r#"{"id": 1, "kind": "point", "points": [[0, 0, 1e13]]}"#, "(id 1): point 0 is"),
-    (r#"{"id": 1, "kind": "point"}"#, "0 points, where this kind has 1"),
-    (r#"{"id": 1, "kind": "reflector", "points": [[0, 0, 0], [0, 0, 1]]}"#, "2 points, where this kind has 1"),
-    (r#"{"id": 1, "kind": "segment", "points": [[0, 0, 0]]}"#, "1 points, where this kind has 2"),
+    (r#"{"id": 1, "kind": "point"}"#, "0 points, but this kind has 1"),
+    (r#"{"id": 1, "kind": "reflector", "points": [[0, 0, 0], [0, 0, 1]]}"#, "2 points, but this kind has 1"),
+    (r#"{"id": 1, "kind": "segment", "points": [[0, 0, 0]]}"#, "1 points, but this kind has 2"),
     (r#"{"id": 1, "kind": "segment", "points": [[0, 0, 1], [0, 0, 1]]}"#, "(id 1): the segment has no length"),
     // Covariances.
     (r#"{"id": 1, "kind": "point", "points": [[0, 0, 0]], "covariance": [1, 0, 0, 1, 0, 0]}"#, "line 2"),
@@ -63,7 +63,7 @@ const FEATURES: &[(&str, &str)] = &[
         "(id 1): covariances and cross_covariance are for segments",
     ),
     (r#"{"id": 1, "kind": "point", "points": [[0, 0, 0]], "sigma": 1e200}"#, "not finite or too large"),
-    // Shares, times, rates.
+    // Probabilities, times, rates.
     (
         r#"{"id": 1, "kind": "point", "points": [[0, 0, 0]], "existence": 1.01}"#,
         "existence probability 1.01 is outside 0..=1",
@@ -106,7 +106,7 @@ const FEATURES: &[(&str, &str)] = &[
         r#"{"id": 1, "kind": "patch", "points": [[0, 0, 0], [2, 0, 0], [0.5, 0.5, 0], [0, 2, 0]]}"#,
         "corner 2 turns inwards",
     ),
-    // Bow-ties, of equal halves and of others, and a star.
+    // Bow-ties with equal and unequal halves, and a star.
     (
         r#"{"id": 1, "kind": "patch", "points": [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]}"#,
         "the outline crosses itself; list each corner once, in order around the patch",
@@ -139,7 +139,7 @@ const FEATURES: &[(&str, &str)] = &[
     ),
     (
         r#"{"id": 1, "kind": "fiducial", "points": [[0, 0, 1], [1, 0, 1], [1, 0, 0]], "properties": {"family": "x", "code": 1}}"#,
-        "3 points, where this kind has 4",
+        "3 points, but this kind has 4",
     ),
     (
         r#"{"id": 1, "kind": "fiducial", "points": [[0, 0, 1], [2, 0, 1], [2, 0, 0], [0, 0, 0]], "properties": {"family": "x", "code": 1}}"#,
@@ -178,13 +178,13 @@ const FEATURES: &[(&str, &str)] = &[
         r#"{"id": 7, "remove": true}, {"id": 7, "kind": "point", "points": [[1, 0, 0]]}"#,
         "features[0] has this id already",
     ),
-    (r#"{"id": 7, "remove": true, "name": "x"}"#, "(id 7): \"remove\": true stands beside other keys"),
+    (r#"{"id": 7, "remove": true, "name": "x"}"#, "(id 7): \"remove\": true does not allow other keys"),
     (r#"{"id": 0, "remove": true}"#, "id 0 is nothing"),
     (r#"{"id": 7, "remove": 1}"#, "line 2"),
     (r#"{"id": 7, "remove": false}"#, "kind is missing"),
 ];
 
-/// What is put for what in the sound file, and what the error must say.
+/// A part of the sound file, its replacement, and a text that the error must contain.
 const FILES: &[(&str, &str, &str)] = &[
     ("\"format\": 1", "\"format\": 0", "format 0 never existed"),
     ("\"format\": 1,", "", "does not name its format; write \"format\": 1"),

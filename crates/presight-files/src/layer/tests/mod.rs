@@ -12,7 +12,7 @@ fn file_with(feature: &str) -> String {
     format!("{{\"format\": 1, \"class\": \"video\", \"features\": [\n{feature}\n]}}")
 }
 
-/// One of each kind, with every key somewhere.
+/// A file with a feature of each kind and every key at least once.
 const SOUND: &str = r#"{
   "$schema": "layer.schema.json",
   "format": 1,
@@ -91,7 +91,7 @@ fn later_layers_win_by_id() {
     assert_eq!(xs(&two), [(1, 1.0), (3, 30.0)]);
     let three = merge([base.clone(), second.clone(), third.clone()]).unwrap();
     assert_eq!(xs(&three), [(1, 1.0), (3, 30.0), (2, 20.0)]);
-    // Each keeps its own tolerance for what is left of it.
+    // Each file keeps its own tolerance for its remaining features.
     let default = presight_model::environment::DEFAULT_TOLERANCE;
     let tolerances: Vec<_> = three.iter().map(|f| (f.layer.tolerance, f.layer.features.len())).collect();
     assert_eq!(tolerances, [(0.01, 1), (default, 1), (default, 1)]);
@@ -113,7 +113,7 @@ fn features_of_other_classes_are_counted() {
     let [file] = loaded.layers.as_slice() else { panic!("{loaded:?}") };
     assert_eq!((file.layer.features.len(), loaded.other_classes, file.layer.class.as_str()), (5, 5, "radar"));
     assert_eq!(file.path.as_deref(), Some(paths[1].as_path()));
-    // The environment's own comes first, and has no path.
+    // The environment's own layer comes first and has no path.
     let own = presight_model::environment::FeatureLayer { class: "radar".into(), tolerance: 0.5, ..Default::default() };
     let both = load(Some(&own), &paths[1..], "radar").unwrap().layers;
     assert_eq!(
@@ -122,7 +122,7 @@ fn features_of_other_classes_are_counted() {
     );
     let mixed = merge(paths.iter().map(|p| read(p).unwrap())).unwrap_err();
     assert_eq!((mixed.kind(), mixed.file()), (ErrorKind::Invalid, Some(paths[1].as_path())));
-    // A file for another class must be sound as well.
+    // Files of other classes are checked too.
     std::fs::write(&paths[0], SOUND.replace("0.95", "1.95")).unwrap();
     let wrong = load(None, &paths, "radar").unwrap_err();
     assert_eq!(wrong.file(), Some(paths[0].as_path()));

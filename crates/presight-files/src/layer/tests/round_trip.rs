@@ -1,4 +1,4 @@
-//! What is written reads back bit for bit.
+//! Written layers read back bit for bit.
 
 use super::super::{parse, read, to_string, write};
 use super::{DMat3, DVec3};
@@ -6,7 +6,7 @@ use presight_model::environment::{Existence, Feature, FeatureLayer, FeatureShape
 use presight_model::error::ErrorKind;
 use proptest::prelude::*;
 
-/// Any finite f64 of a sensible size, denormals and negative zero among them.
+/// Any finite f64 of a sensible size, including denormals and negative zero.
 fn number() -> impl Strategy<Value = f64> {
     prop_oneof![
         4 => any::<f64>().prop_filter_map("out of range", |x| (x.abs() <= 1e12).then_some(x)),
@@ -21,7 +21,7 @@ fn point() -> impl Strategy<Value = DVec3> {
     [number(), number(), number()].prop_map(DVec3::from_array)
 }
 
-/// L L^T of any rank.
+/// A factor L of a covariance L L^T of any rank.
 fn factor() -> impl Strategy<Value = DMat3> {
     let column = (-1.0..1.0f64, -1.0..1.0f64, -1.0..1.0f64, -9.0..3.0f64, any::<bool>())
         .prop_map(|(x, y, z, power, zero)| DVec3::new(x, y, z) * if zero { 0.0 } else { 10f64.powf(power) });
@@ -30,7 +30,7 @@ fn factor() -> impl Strategy<Value = DMat3> {
 
 fn symmetric(factor: DMat3) -> DMat3 {
     let m = factor * factor.transpose();
-    // One triangle twice: the product's two differ by roundings.
+    // Mirrors one triangle, because the two triangles of the product differ by rounding.
     DMat3::from_cols(
         m.x_axis,
         DVec3::new(m.x_axis.y, m.y_axis.y, m.y_axis.z),
@@ -87,7 +87,7 @@ fn feature() -> impl Strategy<Value = Feature> {
     });
     (text(), text(), shape(), existence, share(), share(), normal).prop_map(
         |(name, object, shape, existence, strength, contrast, normal)| {
-            // The normal of a surface must agree with its corners.
+            // The normal of a patch or fiducial must agree with its corners.
             let surface = matches!(shape, FeatureShape::Patch { .. } | FeatureShape::Fiducial { .. });
             let properties = Properties { strength, contrast, normal: normal.filter(|_| !surface) };
             Feature { id: 1, name, object, shape, existence, properties }
@@ -95,7 +95,7 @@ fn feature() -> impl Strategy<Value = Feature> {
     )
 }
 
-/// Equality of f64 holds -0 and 0 for the same: the text does not.
+/// A text that distinguishes -0 from 0, which `==` does not.
 fn bits(layer: &FeatureLayer) -> String {
     format!("{layer:?}")
 }
@@ -123,7 +123,7 @@ proptest! {
             class: "video".into(),
             tolerance,
             features: features.map(Into::into).collect(),
-            // No order of their own: that of the layer is kept.
+            // Not sorted: writing must keep the order of the layer.
             pose_covariances: pose_covariances.rev().collect(),
         };
         let text = to_string(&layer).unwrap();

@@ -1,10 +1,10 @@
-//! The schema against what is read: sound files fit it, files with wrong types and ranges do not.
+//! Compares the schema with the reader: sound files fit both, files with wrong types and ranges fit neither.
 
 use super::super::{parse, schema, to_string};
 use super::{FeatureShape, SOUND, file_with};
 use serde_json::Value;
 
-/// Does a value fit a schema? Knows the keywords that ours uses, and stops at any other.
+/// Returns true if a value fits a schema. Panics at a keyword that our schema does not use.
 fn fits(root: &Value, schema: &Value, value: &Value) -> bool {
     let keys = match schema {
         Value::Bool(all) => return *all,
@@ -13,7 +13,7 @@ fn fits(root: &Value, schema: &Value, value: &Value) -> bool {
     };
     keys.iter().all(|(key, rule)| match key.as_str() {
         "$schema" | "title" | "description" | "default" | "$defs" => true,
-        // Judged with `if` and `properties`.
+        // Handled by `if`.
         "then" | "else" => true,
         "$ref" => {
             let pointer = rule.as_str().unwrap().strip_prefix('#').unwrap();
@@ -68,7 +68,7 @@ fn sound_files_fit() {
     assert!(fits_ours(&to_string(&layer).unwrap()));
 }
 
-/// The example in the module's documentation is a sound file.
+/// The example in the module's documentation is valid.
 #[test]
 fn the_documented_example_fits() {
     let docs = include_str!("../mod.rs");
@@ -79,7 +79,7 @@ fn the_documented_example_fits() {
     assert_eq!(parse(&text).unwrap().layer.features.len(), 3);
 }
 
-/// 1.0 is 1 to a schema, and to the reader.
+/// The schema and the reader both accept 1.0 for 1.
 #[test]
 fn whole_numbers_may_be_written_with_a_fraction_of_nothing() {
     let text = r#"{"format": 1.0, "class": "video", "features": [
@@ -102,7 +102,7 @@ fn contours_are_told_by_anchor_and_angle() {
     let file = |feature: &str| format!(r#"{{"format": 2, "class": "video", "features": [{feature}]}}"#);
     let sound = file(r#"{"id": 1, "kind": "contour", "anchor": [0, 0, 0], "crease_deg": 30, "sigma": 0.01}"#);
     assert!(fits_ours(&sound) && parse(&sound).is_ok());
-    // Files of format 2 may hold the others, too.
+    // Files of format 2 may also contain features of the other kinds.
     let point = file(r#"{"id": 1, "kind": "point", "points": [[0, 0, 0]]}"#);
     assert!(fits_ours(&point) && parse(&point).is_ok());
     for (instead_of, put) in [
@@ -122,7 +122,7 @@ fn contours_are_told_by_anchor_and_angle() {
     }
 }
 
-/// All that a schema can tell is told: each of these is refused by both.
+/// The schema refuses these features, as the reader does.
 #[test]
 fn wrong_types_and_ranges_do_not_fit() {
     let point = |more: &str| format!(r#"{{"id": 1, "kind": "point", "points": [[0, 0, 0]]{more}}}"#);
@@ -163,7 +163,7 @@ fn wrong_types_and_ranges_do_not_fit() {
         r#"{"id": 1, "kind": "fiducial", "points": [[0, 0, 1], [1, 0, 1], [1, 0, 0], [0, 0, 0]], "properties": {"family": "x", "code": 1}}"#.to_owned(),
         point(r#", "properties": {"direction": 1}"#),
         point(r#", "colour": "red""#),
-        // Lists of values in the order of the keys are no objects.
+        // Lists of values in the order of the keys are not objects.
         r#"[1, "point", null, null, [[0, 0, 0]]]"#.to_owned(),
         point(r#", "properties": [0.5]"#),
     ];

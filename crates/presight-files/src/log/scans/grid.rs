@@ -1,4 +1,4 @@
-//! Points as a range image.
+//! Converts points to a range image.
 
 use crate::cloud::Cloud;
 use glam::DVec3;
@@ -7,28 +7,28 @@ use presight_model::limits;
 use presight_model::sensor::RayTable;
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
-/// Rays and what was measured along them, row by row.
+/// Rays and the ranges measured along them, row by row.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RangeGrid {
-    /// A ray for each pixel, sensor's body axes.
+    /// A ray for each pixel, in the sensor's body axes.
     pub table: RayTable,
-    /// Metres; NaN is no reading.
+    /// Metres; NaN for no reading.
     pub ranges: Vec<f32>,
 }
 
-/// Comparisons of points that finding their distances may take.
+/// Greatest number of comparisons of points to find their spacing.
 const COMPARISONS: usize = 20_000_000;
-/// Most pixels for each point: beyond it the cells are widened.
+/// Greatest number of pixels per point. With more, the cells are widened.
 const MAX_CELLS: f64 = 4.0;
 
-/// The range image of a cloud: its own pixels if it is organized, otherwise cells of azimuth and elevation.
+/// Returns the range image of a cloud: its own pixels if it is organized, otherwise cells of azimuth and elevation.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] for more pixels than an image may have.
+/// [`crate::ErrorKind::Invalid`] if it has more pixels than the limit of an image.
 pub fn range_grid(cloud: &Cloud) -> Result<RangeGrid> {
     let range = |p: &DVec3| p.length() as f32;
     if let Some((width, height)) = cloud.size {
-        // The place of the sensor is no direction.
+        // A point at the sensor has no direction.
         let ray = |p: &DVec3| if *p == DVec3::ZERO { DVec3::NAN } else { *p };
         let table = RayTable::new(width, height, cloud.points.iter().map(ray).collect())?;
         return Ok(RangeGrid { table, ranges: cloud.points.iter().map(range).collect() });
@@ -52,7 +52,7 @@ pub fn range_grid(cloud: &Cloud) -> Result<RangeGrid> {
     Ok(RangeGrid { table: RayTable::new(cells.columns as u32, cells.rows as u32, rays)?, ranges })
 }
 
-/// Azimuth counter-clockwise from x, and elevation; radians.
+/// Azimuth, counter-clockwise from x, and elevation, radians.
 #[derive(Clone, Copy, Debug)]
 struct Direction {
     azimuth: f64,
@@ -68,9 +68,9 @@ impl Direction {
 /// Columns by rising azimuth, rows by falling elevation.
 #[derive(Debug)]
 struct Cells {
-    /// Of the left and the upper side.
+    /// Azimuth of the left side, elevation of the upper side.
     first: Direction,
-    /// Radians from cell to cell.
+    /// Width and height of a cell.
     pitch: Direction,
     columns: usize,
     rows: usize,
@@ -87,14 +87,14 @@ impl Cells {
         let pitch = |apart: f64, side: f64| if apart.is_finite() { apart.max(side / most) } else { side + 1e-6 };
         let mut pitch = Direction { azimuth: pitch(apart.azimuth, width), elevation: pitch(apart.elevation, height) };
         let sides = |p: Direction| ((width / p.azimuth).floor() + 1.0, (height / p.elevation).floor() + 1.0);
-        // One row or column has nothing to give up.
+        // A single row or column needs no widening.
         while sides(pitch).0 * sides(pitch).1 > (MAX_CELLS * directions.len() as f64).max(64.0) {
             let (columns, rows) = sides(pitch);
             pitch.azimuth *= if columns > 1.0 { 1.2 } else { 1.0 };
             pitch.elevation *= if rows > 1.0 { 1.2 } else { 1.0 };
         }
         let (columns, rows) = sides(pitch);
-        // Cells reach over both ends alike.
+        // Centres the grid on the points.
         let first = Direction {
             azimuth: start - 0.5 * (columns * pitch.azimuth - width),
             elevation: highest + 0.5 * (rows * pitch.elevation - height),
@@ -105,13 +105,13 @@ impl Cells {
     fn centre(&self, column: usize, row: usize) -> DVec3 {
         let azimuth = self.first.azimuth + (column as f64 + 0.5) * self.pitch.azimuth;
         let elevation = self.first.elevation - (row as f64 + 0.5) * self.pitch.elevation;
-        // A little before the poles, where all columns would have the same ray.
+        // Not exactly at the poles, where all columns would have the same ray.
         let elevation = elevation.clamp(1e-6 - FRAC_PI_2, FRAC_PI_2 - 1e-6);
         let ((sa, ca), (se, ce)) = (azimuth.sin_cos(), elevation.sin_cos());
         DVec3::new(ce * ca, ce * sa, se)
     }
 
-    /// The cell of a direction, and how far that is from its middle, in squares of cells.
+    /// Returns the cell of a direction, and its squared distance from the cell's centre, in cells.
     fn cell(&self, d: Direction) -> (usize, f64) {
         let u = (d.azimuth - self.first.azimuth).rem_euclid(TAU) / self.pitch.azimuth;
         let v = (self.first.elevation - d.elevation) / self.pitch.elevation;
@@ -121,7 +121,7 @@ impl Cells {
     }
 }
 
-/// Where the azimuths begin, counter-clockwise, and how far they go: all but their widest gap.
+/// First azimuth, counter-clockwise, and angle covered: the full turn without the widest gap, radians.
 fn opening(directions: &[Direction]) -> (f64, f64) {
     let mut azimuths: Vec<f64> = directions.iter().map(|d| d.azimuth).collect();
     azimuths.sort_by(f64::total_cmp);
@@ -132,10 +132,10 @@ fn opening(directions: &[Direction]) -> (f64, f64) {
     (start, (TAU - gap).max(0.0))
 }
 
-/// How far a point is from the nearest one beside it, and from the nearest one above or below: medians over some points. Infinite
-/// where there is none.
+/// Angle of a point to its nearest horizontal and vertical neighbours, radians: medians over a sample of points,
+/// infinite if there are no neighbours.
 fn spacing(directions: &[Direction]) -> Direction {
-    // Towards the poles azimuths say little.
+    // Near the poles, differences of azimuth mean little.
     let level: Vec<&Direction> = directions.iter().filter(|d| d.elevation.abs() < 1.0).collect();
     let some: Vec<&Direction> = if level.len() < 16 { directions.iter().collect() } else { level };
     let count = (COMPARISONS / directions.len().max(1)).clamp(16, 400).min(some.len());
@@ -148,7 +148,7 @@ fn spacing(directions: &[Direction]) -> Direction {
             let turned = (other.azimuth - a.azimuth + PI).rem_euclid(TAU) - PI;
             let (x, y) = (flat * turned.abs(), (other.elevation - a.elevation).abs());
             let apart = x * x + y * y;
-            // The same direction again, or an echo behind it, is no neighbour.
+            // Points in the same direction, such as a second echo, are not neighbours.
             if apart < 1e-12 {
                 continue;
             }

@@ -6,7 +6,7 @@ fn cloud(points: Vec<DVec3>) -> Cloud {
     Cloud { points, size: None, world_from_sensor: None }
 }
 
-/// A turning scanner: columns 2 degrees apart, rows 1 degree, of which it leaves a part out.
+/// Points of a rotating scanner, without some of them: columns 2 degrees apart, rows 1 degree.
 fn turning(columns: u32, without: impl Fn(u32, u32) -> bool) -> Vec<DVec3> {
     let all = (0..columns).flat_map(|c| (0..40).map(move |r| (c, r)));
     let point = |(c, r): (u32, u32)| {
@@ -17,13 +17,13 @@ fn turning(columns: u32, without: impl Fn(u32, u32) -> bool) -> Vec<DVec3> {
     all.filter(|(c, r)| !without(*c, *r)).map(point).collect()
 }
 
-/// Each point has a pixel of its own with exactly its ray and range, whatever the order of the points; the image turns left as a
-/// scanner's does, its first row is the highest, and pixels without a point are rays without a reading.
+/// Each point gets its own pixel with exactly its ray and range, in any order of the points. Columns run
+/// counter-clockwise, the first row is the highest, and pixels without a point are rays without a reading.
 #[test]
 fn points_of_a_scanner_get_their_pixels_back() {
     for (columns, width) in [(180, 180), (50, 50)] {
         let mut points = turning(columns, |c, r| (c * 7 + r * 3) % 11 == 0);
-        // Any order will do.
+        // Some other order.
         points.sort_by(|a, b| (a.x * 1e3).fract().total_cmp(&(b.x * 1e3).fract()));
         let RangeGrid { table, ranges } = range_grid(&cloud(points.clone())).unwrap();
         assert!(
@@ -44,7 +44,7 @@ fn points_of_a_scanner_get_their_pixels_back() {
     }
 }
 
-/// A level scan is one row, a single point one pixel, and points all over do not make an image without end.
+/// A level scan gives one row, a single point one pixel, and scattered points an image of limited size.
 #[test]
 fn odd_clouds_are_images_too() {
     let level: Vec<DVec3> = turning(90, |_, r| r != 0).into_iter().map(|p| DVec3::new(p.x, p.y, 0.0)).collect();
@@ -55,7 +55,7 @@ fn odd_clouds_are_images_too() {
     assert_eq!((one.ranges.len(), one.ranges[0]), (1, 3.0));
     let mut random = presight_model::random::SplitMix64(4);
     let mut any = || DVec3::new(random.uniform(-1.0, 1.0), random.uniform(-1.0, 1.0), random.uniform(-1.0, 1.0));
-    // Pairs that are close, far from each other.
+    // Close pairs, far apart from each other.
     let pairs: Vec<DVec3> = (0..200)
         .flat_map(|_| {
             let p = any();
@@ -74,7 +74,7 @@ fn organized_clouds_keep_rows_and_columns() {
     assert!(table.directions()[2].is_nan() && table.directions()[3].is_nan() && ranges[2].is_nan());
 }
 
-/// An image of ranges brings its sensor, its pose, and its order in time.
+/// An image of ranges has its own sensor, pose and time.
 #[test]
 fn images_of_ranges_are_frames() {
     let folder = tempfile::tempdir().unwrap();

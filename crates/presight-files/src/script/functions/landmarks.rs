@@ -1,4 +1,4 @@
-//! Features on shapes: they turn, move and are placed with them.
+//! Features on shapes. They move with their shape and are placed with it.
 
 use crate::script::call::{Call, Function, NamedValue, Options};
 use crate::script::shape::Mark;
@@ -7,10 +7,10 @@ use presight_model::environment::{Existence, Feature, FeatureShape, Properties};
 use presight_model::error::{Error, Result};
 use rhai::Dynamic;
 
-/// Keys of the options of every feature.
+/// Option keys of every feature.
 const KEYS: [&str; 9] = ["id", "name", "sigma", "existence", "confirmed", "rate", "strength", "contrast", "normal"];
 
-/// The shape with one more feature; its options are argument `options`, if there are so many.
+/// Adds a feature to the shape. Argument number `options` holds its options, if given.
 fn marked(c: &Call<'_, '_>, options: usize, shape_of: impl FnOnce(DMat3) -> Result<FeatureShape>) -> Result<Dynamic> {
     let options = if c.has(options) { c.options(options, &KEYS)? } else { Options::none() };
     let classes = c.arg(1).texts()?;
@@ -35,7 +35,7 @@ fn marked(c: &Call<'_, '_>, options: usize, shape_of: impl FnOnce(DMat3) -> Resu
     c.shape(0)?.marked(mark, &c.studio.budget).map(Dynamic::from)
 }
 
-/// Here, where the call is known, rather than when the layer is made.
+/// Checks the feature now rather than when the layer is made, so that errors name this call.
 fn check(mark: &Mark) -> Result<()> {
     let feature = Feature {
         id: mark.id.unwrap_or(1),
@@ -49,7 +49,7 @@ fn check(mark: &Mark) -> Result<()> {
     feature.check_dictionary()
 }
 
-/// From standard deviations along x, y and z, or one for all.
+/// The covariance from `sigma`: standard deviations along x, y and z, or one for all, metres.
 fn covariance(options: &Options) -> Result<DMat3> {
     let Some(given) = options.get("sigma") else { return Ok(DMat3::ZERO) };
     let sigma = given.number().map(DVec3::splat).or_else(|_| given.point())?;
@@ -77,7 +77,7 @@ fn reflector(c: &mut Call<'_, '_>) -> Result<Dynamic> {
 fn segment(c: &mut Call<'_, '_>) -> Result<Dynamic> {
     let ends = [c.arg(2).point()?, c.arg(3).point()?];
     marked(c, 4, |covariance| {
-        // What is uncertain is where it lies as a whole.
+        // Only the position of the segment as a whole is uncertain.
         Ok(FeatureShape::Segment { ends, covariances: [covariance; 2], cross: covariance })
     })
 }
@@ -93,7 +93,7 @@ fn fiducial(c: &mut Call<'_, '_>) -> Result<Dynamic> {
         return Err(Error::invalid(format!("side is {}", 2.0 * half), "give metres above 0"));
     }
     let (family, code) = (c.arg(4).text()?, c.count(5)?);
-    // Seen against its x axis, right is +y.
+    // Looking along -x at the marker, +y is to the right.
     let corners = [(-1.0, 1.0), (1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)]
         .map(|(y, z)| pose.transform_point(DVec3::new(0.0, y * half, z * half)));
     marked(c, 6, |covariance| Ok(FeatureShape::Fiducial { corners, covariance, family, code }))
@@ -102,31 +102,31 @@ fn fiducial(c: &mut Call<'_, '_>) -> Result<Dynamic> {
 pub(super) const FUNCTIONS: &[Function] = &[
     Function {
         signature: "point(shape, class, at) -> shape",
-        does: "the shape with a point feature for a sensor class, or an array of classes; it moves with the shape and \
-               becomes one of each object placed",
+        does: "adds a point feature for a sensor class or an array of classes; it moves with the shape, and every placed \
+               object has it",
         run: point,
     },
     Function {
         signature: "point(shape, class, at, options) -> shape",
-        does: "with options, as all features: `id`, `name`, `sigma` (metres, or [x, y, z]), `existence`, `confirmed` (UTC \
-               seconds), `rate` (1 / s), `strength`, `contrast`, `normal`",
+        does: "with options, the same for all features: `id`, `name`, `sigma` (metres, or [x, y, z]), `existence`, \
+               `confirmed` (UTC seconds), `rate` (1 / s), `strength`, `contrast`, `normal`",
         run: point,
     },
-    Function { signature: "segment(shape, class, from, to) -> shape", does: "with a straight edge", run: segment },
-    Function { signature: "segment(shape, class, from, to, options) -> shape", does: "the same", run: segment },
-    Function { signature: "patch(shape, class, corners) -> shape", does: "with a plane patch", run: patch },
-    Function { signature: "patch(shape, class, corners, options) -> shape", does: "the same", run: patch },
-    Function { signature: "reflector(shape, class, at) -> shape", does: "with a retro-reflector", run: reflector },
-    Function { signature: "reflector(shape, class, at, options) -> shape", does: "the same", run: reflector },
+    Function { signature: "segment(shape, class, from, to) -> shape", does: "adds a straight edge", run: segment },
+    Function { signature: "segment(shape, class, from, to, options) -> shape", does: "with options", run: segment },
+    Function { signature: "patch(shape, class, corners) -> shape", does: "adds a plane patch", run: patch },
+    Function { signature: "patch(shape, class, corners, options) -> shape", does: "with options", run: patch },
+    Function { signature: "reflector(shape, class, at) -> shape", does: "adds a retroreflector", run: reflector },
+    Function { signature: "reflector(shape, class, at, options) -> shape", does: "with options", run: reflector },
     Function {
         signature: "fiducial(shape, class, pose, side, family, code) -> shape",
-        does: "with a square marker about the pose's origin, facing along its +x, its top along +z; OpenCV's name of the \
-               dictionary",
+        does: "adds a square marker centred on the pose's origin; it faces +x, its top is +z; `family` is OpenCV's name of \
+               the dictionary",
         run: fiducial,
     },
     Function {
         signature: "fiducial(shape, class, pose, side, family, code, options) -> shape",
-        does: "the same",
+        does: "with options",
         run: fiducial,
     },
 ];

@@ -42,18 +42,18 @@ fn define(c: &mut Call<'_, '_>) -> Result<Dynamic> {
 pub(super) const FUNCTIONS: &[Function] = &[
     Function {
         signature: "material(name) -> string",
-        does: "defines an opaque material of reflection factor 1; gives back its name",
+        does: "defines an opaque material with reflection factor 1; returns its name",
         run: define,
     },
     Function {
         signature: "material(name, options) -> string",
-        does: "one with `reflection` (0 to 1), `one_sided` (true: seen from outside only), `color` (linear [r, g, b]), \
+        does: "with `reflection` (0 to 1), `one_sided` (true: visible only from outside), `color` (linear [r, g, b]), \
                `transparent` and `invisible` (a sensor class or an array of them)",
         run: define,
     },
     Function {
         signature: "made_of(shape, material) -> shape",
-        does: "the shape, all of one material; join shapes for several",
+        does: "gives the whole shape one material; join shapes to combine several",
         run: |c| {
             let material = c.studio.material(&c.arg(1).text()?)?;
             c.shape(0)?.made_of(material, &c.studio.budget).map(Dynamic::from)

@@ -1,11 +1,11 @@
-//! Numbers: by `libm`, so that they have the same bits on every machine.
+//! Numbers. `libm` gives the same bits on every machine.
 
 use crate::script::call::{Call, Function};
 use crate::script::random::Random;
 use presight_model::error::{Error, Result};
 use rhai::Dynamic;
 
-/// A number; what is no number or infinite is an error here rather than somewhere later.
+/// Returns a number to the script. NaN and infinity are errors here, before they cause others.
 fn finite(x: f64) -> Result<Dynamic> {
     if x.is_finite() {
         return Ok(Dynamic::from(x));
@@ -22,7 +22,7 @@ fn of_two(c: &Call<'_, '_>, f: fn(f64, f64) -> f64) -> Result<Dynamic> {
 }
 
 fn random(c: &Call<'_, '_>) -> Result<Random> {
-    let wrong = || Error::invalid("rng is something else", "give random numbers made by rng(seed)");
+    let wrong = || Error::invalid("rng is not a generator", "give random numbers made by rng(seed)");
     c.args[0].read_lock::<Random>().map(|r| r.clone()).ok_or_else(wrong)
 }
 
@@ -63,12 +63,12 @@ pub(super) const FUNCTIONS: &[Function] = &[
     Function { signature: "atan(x) -> float", does: "radians", run: |c| of(c, libm::atan) },
     Function {
         signature: "atan2(y, x) -> float",
-        does: "radians, in the right quadrant",
+        does: "radians, in the correct quadrant",
         run: |c| of_two(c, libm::atan2),
     },
     Function { signature: "to_radians(deg) -> float", does: "of degrees", run: |c| of(c, f64::to_radians) },
     Function { signature: "to_degrees(x) -> float", does: "of radians", run: |c| of(c, f64::to_degrees) },
-    Function { signature: "PI() -> float", does: "half a turn", run: |_| finite(std::f64::consts::PI) },
+    Function { signature: "PI() -> float", does: "half a turn, radians", run: |_| finite(std::f64::consts::PI) },
     Function { signature: "sqrt(x) -> float", does: "square root", run: |c| of(c, f64::sqrt) },
     Function { signature: "hypot(x, y) -> float", does: "length of [x, y]", run: |c| of_two(c, libm::hypot) },
     Function {
@@ -78,25 +78,25 @@ pub(super) const FUNCTIONS: &[Function] = &[
     },
     Function { signature: "exp(x) -> float", does: "e to the power x", run: |c| of(c, libm::exp) },
     Function { signature: "ln(x) -> float", does: "natural logarithm", run: |c| of(c, libm::log) },
-    Function { signature: "floor(x) -> float", does: "downwards", run: |c| of(c, f64::floor) },
-    Function { signature: "ceil(x) -> float", does: "upwards", run: |c| of(c, f64::ceil) },
-    Function { signature: "round(x) -> float", does: "to the nearest, half away from 0", run: |c| of(c, f64::round) },
+    Function { signature: "floor(x) -> float", does: "rounded down", run: |c| of(c, f64::floor) },
+    Function { signature: "ceil(x) -> float", does: "rounded up", run: |c| of(c, f64::ceil) },
+    Function { signature: "round(x) -> float", does: "rounded, half away from 0", run: |c| of(c, f64::round) },
     Function { signature: "to_int(x) -> int", does: "without its fraction", run: to_int },
     Function { signature: "to_float(x) -> float", does: "of a whole number", run: |c| of(c, |x| x) },
     Function {
         signature: "rng(seed) -> rng",
-        does: "random numbers, the same for the same seed; copies go on together",
+        does: "a random number generator; the same seed gives the same numbers; copies share one sequence",
         run: |c| Ok(Dynamic::from(Random::new(c.arg(0).integer()?))),
     },
-    Function { signature: "uniform(rng, low, high) -> float", does: "the next, from low to high", run: uniform },
+    Function { signature: "uniform(rng, low, high) -> float", does: "the next number, from low to high", run: uniform },
     Function {
         signature: "integer(rng, low, high) -> int",
-        does: "the next whole one, both ends included",
+        does: "the next whole number, both ends included",
         run: integer,
     },
     Function {
         signature: "chance(rng, share) -> bool",
-        does: "true in that share of cases",
+        does: "true with that probability",
         run: |c| Ok(Dynamic::from(random(c)?.unit() < c.number(1)?)),
     },
 ];

@@ -1,4 +1,4 @@
-//! The functions that scripts can call, in one table: it registers them, and scenes/README.md lists it.
+//! The functions that scripts can call, in one table, which scenes/README.md lists.
 
 mod landmarks;
 mod materials;
@@ -19,7 +19,7 @@ use std::any::TypeId;
 use std::rc::Rc;
 use std::time::Instant;
 
-/// A part of the table with its heading.
+/// A heading and its part of the table.
 type Section = (&'static str, &'static [Function]);
 
 /// All functions.
@@ -35,12 +35,12 @@ const SECTIONS: [Section; 7] = [
 
 /// Operators on our types.
 const OPERATORS: [(&str, &str); 3] = [
-    ("shape + shape", "as join"),
-    ("pose * pose", "the second pose given in the frame of the first"),
-    ("pose * point", "a point [x, y, z] of the pose's frame in the frame it is given in"),
+    ("shape + shape", "joins two shapes"),
+    ("pose * pose", "composes two poses; the second is given in the frame of the first"),
+    ("pose * point", "transforms a point [x, y, z] from the pose's frame to its parent frame"),
 ];
 
-/// The table as Markdown, for scenes/README.md; a test holds the two together.
+/// The table as Markdown. A test compares it with scenes/README.md.
 pub fn reference() -> String {
     let mut text = String::new();
     for (heading, functions) in SECTIONS {
@@ -57,13 +57,13 @@ pub fn reference() -> String {
     text
 }
 
-/// The ways a function can be called.
+/// The signatures of all functions with this name.
 pub(super) fn signatures(name: &str) -> Vec<&'static str> {
     let all = SECTIONS.into_iter().flat_map(|(_, functions)| functions);
     all.filter(|f| f.name() == name).map(|f| f.signature).collect()
 }
 
-/// Where a call is.
+/// The place of a call.
 fn spot(context: &NativeCallContext<'_>, studio: &Studio) -> Spot {
     let at = context.call_position();
     let number = |n: Option<usize>| n.and_then(|n| u32::try_from(n).ok()).unwrap_or(0);
@@ -71,7 +71,7 @@ fn spot(context: &NativeCallContext<'_>, studio: &Studio) -> Spot {
     Spot { file, line: number(at.line()), column: number(at.position()) }
 }
 
-/// Makes the functions known to an engine.
+/// Registers the functions with an engine.
 pub(super) fn register(engine: &mut Engine, studio: &Rc<Studio>) {
     engine
         .register_type_with_name::<Shape>("shape")

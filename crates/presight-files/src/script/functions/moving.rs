@@ -1,4 +1,4 @@
-//! Turning, moving, scaling and joining shapes. Nothing changes a shape: each call gives another.
+//! Rotating, moving, scaling and joining shapes. Shapes are immutable: each call returns another.
 
 use crate::script::call::{Call, Function};
 use crate::script::shape::Shape;
@@ -50,7 +50,7 @@ fn repeat(c: &mut Call<'_, '_>) -> Result<Dynamic> {
         return Err(Error::invalid(what, format!("give 1 to {}", limits::MAX_SCRIPT_REPEAT)));
     }
     let step = point(c, 2)?;
-    // Refused before anything is made.
+    // Checks the limit before any copy is made.
     c.studio.budget.work(u64::from(count) * shape.polygons() as u64)?;
     let copies = (0..count).map(|k| shape.moved(DMat3::IDENTITY, step * f64::from(k), &c.studio.budget));
     Shape::joined(&copies.collect::<Result<Vec<_>>>()?, &c.studio.budget).map(Dynamic::from)
@@ -59,32 +59,32 @@ fn repeat(c: &mut Call<'_, '_>) -> Result<Dynamic> {
 pub(super) const FUNCTIONS: &[Function] = &[
     Function {
         signature: "translate(shape, x, y, z) -> shape",
-        does: "moved",
+        does: "moves the shape",
         run: |c| moved(c, DMat3::IDENTITY, point(c, 1)?),
     },
     Function {
         signature: "rotate(shape, roll_deg, pitch_deg, yaw_deg) -> shape",
-        does: "turned about the fixed axes x, then y, then z through the origin, in degrees (REP-103)",
+        does: "rotates about the fixed axes x, then y, then z through the origin, in degrees (REP-103)",
         run: |c| rotated(c, c.number(1)?, c.number(2)?, c.number(3)?),
     },
     Function {
         signature: "rotate_x(shape, roll_deg) -> shape",
-        does: "turned about x, in degrees",
+        does: "rotates about x, in degrees",
         run: |c| rotated(c, c.number(1)?, 0.0, 0.0),
     },
     Function {
         signature: "rotate_y(shape, pitch_deg) -> shape",
-        does: "turned about y, in degrees; what points along +x then points down",
+        does: "rotates about y, in degrees; a positive angle turns +x downwards",
         run: |c| rotated(c, 0.0, c.number(1)?, 0.0),
     },
     Function {
         signature: "rotate_z(shape, yaw_deg) -> shape",
-        does: "turned about z, in degrees",
+        does: "rotates about z, in degrees",
         run: |c| rotated(c, 0.0, 0.0, c.number(1)?),
     },
     Function {
         signature: "transform(shape, pose) -> shape",
-        does: "put at a pose",
+        does: "moves the shape to a pose",
         run: |c| {
             let pose = c.arg(1).pose()?;
             moved(c, pose.rotation_matrix(), pose.translation)
@@ -92,22 +92,22 @@ pub(super) const FUNCTIONS: &[Function] = &[
     },
     Function {
         signature: "scale(shape, factor) -> shape",
-        does: "larger or smaller; a negative factor mirrors",
+        does: "scales the shape; a negative factor mirrors it",
         run: scaled,
     },
     Function {
         signature: "scale(shape, factor_x, factor_y, factor_z) -> shape",
-        does: "scaled along each axis",
+        does: "scales along each axis",
         run: scaled,
     },
     Function {
         signature: "join(shapes) -> shape",
-        does: "all shapes of an array as one; nothing is cut where they overlap",
+        does: "joins an array of shapes into one; overlaps are not cut",
         run: join,
     },
     Function {
         signature: "repeat(shape, count, step_x, step_y, step_z) -> shape",
-        does: "so many copies in a row as one shape, each moved on by the step",
+        does: "joins `count` copies into one shape, each moved by the step from the one before",
         run: repeat,
     },
 ];

@@ -39,7 +39,7 @@ fn add(c: &mut Call<'_, '_>) -> Result<Dynamic> {
     if matches!(c.arg(0).placeable()?, Placeable::Shape(_)) {
         return Err(Error::invalid("assembly is a shape", "give an assembly"));
     }
-    let constant = || Error::invalid("assembly is a constant, which nothing can be added to", "declare it with let");
+    let constant = || Error::invalid("assembly is a constant and cannot change", "declare it with let");
     if c.args[0].is_read_only() {
         return Err(constant());
     }
@@ -62,7 +62,7 @@ fn require(c: &mut Call<'_, '_>) -> Result<Dynamic> {
 
 fn bounds(c: &mut Call<'_, '_>) -> Result<Dynamic> {
     let shape = c.shape(0)?;
-    // It reads every corner.
+    // `bounds` reads every corner.
     c.studio.budget.work(shape.polygons() as u64)?;
     let bounds = shape.bounds();
     let list = |p: DVec3| Dynamic::from(p.to_array().map(Dynamic::from).to_vec());
@@ -72,11 +72,11 @@ fn bounds(c: &mut Call<'_, '_>) -> Result<Dynamic> {
 pub(super) const FUNCTIONS: &[Function] = &[
     Function {
         signature: "place(name, thing) -> ()",
-        does: "a shape becomes an object, an assembly one for each of its parts, `name/part`; a shape placed again \
-               shares its mesh, a name used again gets `#2`, that of an assembly before its parts: `name#2/part`",
+        does: "places a shape as an object, or an assembly as one object for each part, `name/part`; the objects of a \
+               shape share its mesh; a repeated name gets `#2`, for an assembly `name#2/part`",
         run: place,
     },
-    Function { signature: "place(name, thing, pose) -> ()", does: "the same at a pose in the world", run: place },
+    Function { signature: "place(name, thing, pose) -> ()", does: "places it at a pose in the world", run: place },
     Function {
         signature: "assembly() -> assembly",
         does: "an empty assembly: add parts, then place it or add it to another",
@@ -84,21 +84,21 @@ pub(super) const FUNCTIONS: &[Function] = &[
     },
     Function {
         signature: "add(assembly, name, thing) -> ()",
-        does: "adds a named part, a shape or an assembly; of an assembly in an array or a map always as `a[0].add(..)`",
+        does: "adds a shape or an assembly as a named part; if the assembly is in an array or a map, write `a[0].add(..)`",
         run: add,
     },
-    Function { signature: "add(assembly, name, thing, pose) -> ()", does: "the same at a pose in it", run: add },
+    Function { signature: "add(assembly, name, thing, pose) -> ()", does: "adds it at a pose", run: add },
     Function { signature: "pose() -> pose", does: "the origin", run: pose },
-    Function { signature: "pose(x, y, z) -> pose", does: "a position, unturned", run: pose },
-    Function { signature: "pose(x, y, z, yaw_deg) -> pose", does: "a position, turned about z, in degrees", run: pose },
+    Function { signature: "pose(x, y, z) -> pose", does: "a position without rotation", run: pose },
+    Function { signature: "pose(x, y, z, yaw_deg) -> pose", does: "rotated about z, in degrees", run: pose },
     Function {
         signature: "pose(x, y, z, roll_deg, pitch_deg, yaw_deg) -> pose",
-        does: "turned about the fixed axes x, then y, then z, in degrees (REP-103: positive pitch looks down)",
+        does: "rotated about the fixed axes x, then y, then z, in degrees (REP-103: positive pitch looks down)",
         run: pose,
     },
     Function {
         signature: "inverse(pose) -> pose",
-        does: "the pose the other way",
+        does: "the inverse pose",
         run: |c| Ok(Dynamic::from(c.arg(0).pose()?.inverse())),
     },
     Function {
@@ -111,13 +111,13 @@ pub(super) const FUNCTIONS: &[Function] = &[
 pub(super) const CHECKS: &[Function] = &[
     Function {
         signature: "require(condition, message) -> ()",
-        does: "ends the script with the message unless the condition is true",
+        does: "ends the script with the message if the condition is false",
         run: require,
     },
     Function { signature: "bounds(shape) -> map", does: "`min` and `max`, each [x, y, z]", run: bounds },
     Function {
         signature: "polygons(thing) -> int",
-        does: "polygons of all objects that it becomes",
+        does: "number of polygons of all objects that it becomes",
         run: |c| {
             let thing = c.arg(0).placeable()?;
             thing.mark_seen();
