@@ -1,10 +1,9 @@
 //! Decides patches that cover many pixels from the image, pixel by pixel.
 //!
-//! Each pixel's ray is a sample that the image already answers: if the nearest surface on it is the patch's own
-//! polygon, or is not nearer than the patch, the patch is seen there; otherwise that surface hides it. No index is
-//! needed. In pinhole cameras and scanners a line of pixels sees a line of the patch. A convex patch covers one
-//! interval of it, and two planes change their depth order at one point at most. So the two ends of a run of pixels
-//! that show one surface decide all pixels between them.
+//! Each pixel's ray is a sample that the image already answers without the index. If the nearest surface on the ray is
+//! the patch's own polygon, or is not nearer than the patch, the patch is seen; otherwise that surface hides it. In
+//! pinhole cameras and scanners a line of pixels sees a line of the patch. A convex patch covers one interval of it,
+//! and two planes swap depth order at most once. So the ends of a run of pixels of one surface decide the whole run.
 //!
 //! Two kinds of pixels are left to the index: those where the device's f32 shows a surface outside its own edge, and
 //! those where the patch lies behind its own polygon, which hides anything between the two.
@@ -203,7 +202,6 @@ impl PatchPixels<'_> {
 
     /// Where a pixel's ray meets the patch.
     fn place(&self, line: u32, sample: u32) -> DVec3 {
-
         let ray = match self.query.frame.sensor.grid() {
             PixelGrid::Lines(grid) => grid.image_from_line() * grid.line_ray(line as usize, sample as usize),
             PixelGrid::Rays(_) => self.query.frame.sensor.ray(sample, line).unwrap_or(DVec3::ZERO),
@@ -255,7 +253,7 @@ impl PatchPixels<'_> {
         }
     }
 
-    /// Two samples of a run, one of which is nearest to the sensor.
+    /// Two samples of a run. The sample nearest to the sensor is among them.
     fn nearest_of(&self, line: u32, run: Range<u32>) -> [u32; 2] {
         let PixelGrid::Lines(grid) = self.query.frame.sensor.grid() else { return [run.start; 2] };
         let last = run.end - 1;

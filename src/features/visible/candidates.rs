@@ -37,8 +37,7 @@ impl Candidates {
         self.latest = [0; LATEST];
     }
 
-    /// Starts a list from the hints of a feature; without hints, from the image around the places that `visit_places`
-    /// adds.
+    /// Starts a list from a feature's hints; without hints, from the images around the places that `visit_places` adds.
     pub fn propose(
         &mut self,
         query: &FeatureQuery<'_>,

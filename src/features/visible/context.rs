@@ -55,12 +55,12 @@ impl<'a> VisibilityContext<'a> {
         let pixels = sensor.width() as usize * sensor.height() as usize;
         if images.polygon_id.len() != pixels || (images.width, images.height) != (sensor.width(), sensor.height()) {
             let what = format!("there is no polygon_id image of {} x {} pixels", sensor.width(), sensor.height());
-            return Err(Error::invalid(what, "ask for polygon_id"));
+            return Err(Error::invalid(what, "request polygon_id"));
         }
         sensor.check_projection()?;
         // Far finer than the resolution of any sensor.
         if !(1e-3..=STEP).contains(&options.step) {
-            let what = format!("features sampled every {} pixels", options.step);
+            let what = format!("the sampling step of features is {} pixels", options.step);
             return Err(Error::usage(what, format!("give a step of 0.001 to {STEP} pixels")));
         }
         let objects = environment.objects().len();
@@ -122,7 +122,7 @@ impl<'a> VisibilityContext<'a> {
     }
 
     /// A feature's points in the image frame, the rotation from its object's frame, and the bound of the points'
-    /// rounding errors, metres.
+    /// rounding errors in metres.
     pub fn in_image(&self, placed: &PlacedFeature) -> (Vec<DVec3>, DMat3, f64) {
         let points = placed.feature.shape.points();
         let reach = points.iter().map(|p| p.length()).fold(0.0, f64::max);
@@ -161,8 +161,7 @@ impl<'a> VisibilityContext<'a> {
         })
     }
 
-    /// Bound of the rounding errors in the image frame of points at most `reach` metres from the object's origin,
-    /// metres.
+    /// Rounding error bound (image frame, metres) of points at most `reach` metres from the origin of an object.
     pub fn rounding(&self, reach: f64, object: Option<u32>) -> f64 {
         let size = object.map_or(0.0, |object| self.frame_of(object).apart);
         // Rounding of the sums, of the matrices, and of the world positions themselves.

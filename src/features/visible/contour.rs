@@ -11,7 +11,6 @@ use glam::DMat3;
 
 impl Worker<'_> {
     /// The visible parts of each curve, the longest in the image first. Empty if the surface has no silhouette here.
-
     pub(super) fn contour(&mut self, placed: &PlacedFeature, surface: &Surface) -> Vec<FeatureResult> {
         let frame = self.frame;
         let pose = frame.environment.objects()[surface.object as usize].world_from_object;

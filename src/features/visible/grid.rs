@@ -1,8 +1,7 @@
 //! Decides small patches in pinhole cameras and scanners, column by column of a grid of samples.
 //!
-//! A column sees a straight line of a plane patch, and an occluder hides one interval of it. Between the interval's
-//! ends every test value is linear in the ray, or a monotonic quotient of two linear values. So the ends decide the
-//! interval.
+//! A column sees a straight line of a plane patch, and an occluder hides one interval of it. Along the interval every
+//! tested value is linear in the ray, or a monotonic quotient of two linear values. So the two ends decide all of it.
 
 use super::VisibilityContext;
 use super::candidates::BLOCKS_APART;
@@ -88,8 +87,7 @@ impl Grid {
         first.zip(last).map_or(rows.end..rows.end, |(first, last)| rows.start + first..rows.start + last + 1)
     }
 
-    /// Marks the samples of a non-empty range of rows that a polygon hides; `None` if the polygon's range there is
-    /// unknown.
+    /// Marks the samples that a polygon hides, in at least one row; `None` if the polygon's range there is unknown.
     fn hide(&mut self, known: &PreparedPolygon, planes: &[DVec3], column: usize, rows: &Range<usize>) -> Option<()> {
         let of = &self.samples.columns[column];
         let [p, q] = [rows.start, rows.end - 1].map(|row| self.samples.ray(of, row));

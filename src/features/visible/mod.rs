@@ -383,7 +383,6 @@ fn length_through(frame: &VisibilityContext<'_>, points: &[DVec3]) -> f64 {
 const BATCH: usize = 32;
 
 /// Idle workspaces. Within a prediction they keep their polygons and tiles for the next task of the thread pool.
-
 #[derive(Default)]
 struct IdleWorkspaces {
     idle: Mutex<Vec<Workspace>>,
