@@ -131,8 +131,7 @@ fn in_ball(w: DVec3, d: DVec3, r: f64) -> Option<(f64, f64)> {
     (t.0 <= t.1).then_some(t)
 }
 
-/// The interval of t in 0..=1 in which `w + t d` is within r of the axis from the origin along `side`, between its
-/// ends.
+/// The interval of t in 0..=1 in which `w + t d` is within r of the axis `side` from the origin, between its ends.
 fn in_cylinder(w: DVec3, d: DVec3, side: DVec3, r: f64) -> Option<(f64, f64)> {
     let length = side.length();
     if !(length > 0.0) {

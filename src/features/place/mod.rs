@@ -147,8 +147,7 @@ impl FeatureFrame<'_> {
         PlacedFeature { feature: feature.clone(), object: self.object.map(|(_, index)| index), slots }
     }
 
-    /// Gets a polygon's corners in this frame, relative to the anchor. Returns the bound of their rounding errors,
-    /// metres.
+    /// Gets a polygon's corners in this frame, relative to the anchor. Returns their rounding error bound, metres.
     fn corners(&self, other: &Object, index: u32, polygon: u32, corners: &mut Vec<DVec3>) -> f64 {
         corners.clear();
         let in_other = other.mesh.corners_of(polygon).map(|p| other.object_from_mesh.transform_point3(p));

@@ -94,7 +94,7 @@ fn edges_lie_on_both_faces_and_on_all_in_line() {
     assert_eq!(axes(&world, &across.slots), [0, 0, 0, 0]);
     let along = place_one(&world, Some("box"), segment(DVec3::new(0.0, 0.1, 1.0), DVec3::new(0.0, 0.1, 2.0))).unwrap();
     assert_eq!(axes(&world, &along.slots), [0]);
-    // A corner is on three faces; so is the same point given in the world, because of its rounding.
+    // A corner is on three faces; so is the same point given in the world, in spite of its rounding.
     let corner = place_one(&world, Some("box"), point(DVec3::ZERO)).unwrap();
     assert_eq!(axes(&world, &corner.slots), [0, 1, 2]);
     let in_world = place_one(&world, None, point(pose.translation)).unwrap();
@@ -276,7 +276,7 @@ fn disagreement(slots: &[u32], all: &[Vec<DVec3>], a: DVec3, b: DVec3) -> Option
         if slots.contains(&slot) {
             let lies = stretch > (least - margin).max(0.0) || closely && held(2.0 * ROUNDING) > least_closely - 1e-6;
             let sound = lies && rise < LYING.max(2.0 * TOLERANCE / length) + 1e-6;
-            (!sound).then(|| format!("slot {slot} supports only {stretch} m of {length} m, with a rise of {rise} m"))
+            (!sound).then(|| format!("slot {slot} supports only {stretch} m of {length} m, at a slope of {rise}"))
         } else {
             // If other polygons support it within rounding, a near polygon may hide it; so may one that it crosses.
             let near = || held(0.5 * ROUNDING) < 2.0 * least_closely;
