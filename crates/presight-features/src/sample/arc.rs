@@ -1,34 +1,33 @@
-//! Segments whose images may be curved: the arc of directions between their ends, halved until its image is short.
+//! Samples segments with curved images: halves the arc of directions between the ends until its image is short.
 
 use super::{MAX_SEGMENT_SAMPLES, Part, Piece, Run, Sample, Sampler};
 use glam::{DVec2, DVec3};
 use std::ops::Range;
 
-/// Pieces of arc that are looked at first, in pixels: no part of an image smaller than that between two places outside
-/// of it is found.
+/// Length of the arc pieces to start with, pixels. Shorter parts of an image between two places outside it are missed.
 const COARSE: f64 = 8.0;
-/// Most pieces of arc that are looked at first.
+/// Most pieces of arc to start with.
 const MAX_COARSE: f64 = 4096.0;
-/// A piece of an image no longer than this may be sampled as a straight line, pixels.
+/// Longest piece of an image that may be sampled as a straight line, pixels.
 const RUN: f64 = 12.0;
-/// If its middle is no farther than this from that line's, pixels.
+/// Largest distance of such a piece's middle from the middle of the line, pixels.
 const BENT: f64 = 1.0 / 64.0;
-/// How often arcs are halved: beyond a pole's neighbourhood nothing needs as many.
+/// Most halvings of an arc; only arcs near a pole need many.
 const MAX_DEPTH: u32 = 40;
 
 impl Sampler<'_> {
-    /// How many pieces of an arc of some angle are looked at first.
+    /// Number of arc pieces to start with.
     fn coarse_pieces(&self, angle: f64) -> f64 {
         (angle / (COARSE * self.pixel_angle)).ceil().clamp(1.0, MAX_COARSE)
     }
 
-    /// Any sensor: halves the arc of directions from a to b, which are at `span` of the whole feature.
+    /// Any sensor: halves the arc of directions from a to b, which have the interval `span` of the feature's length.
     pub(super) fn arc(&self, a: DVec3, b: DVec3, span: [f64; 2], visit: &mut impl FnMut(Part)) {
         self.some_parts_of_arc(a, b, span, |pieces| 0..pieces as u32, visit);
     }
 
-    /// The parts around the place on a segment that is nearest to the sensor, of a segment that is in the image as a whole: all samples
-    /// that may be the nearest are among them. All parts of short ones.
+    /// Visits the parts of a segment around the point `foot` nearest to the sensor, or all parts if they are few. The
+    /// segment must be inside the image completely. The nearest sample is among these parts.
     pub(crate) fn parts_around_foot(
         &self,
         [a, b]: [DVec3; 2],
@@ -41,7 +40,7 @@ impl Sampler<'_> {
             if is_all || pieces < 3.0 {
                 return 0..pieces as u32;
             }
-            // An eighth is two samples at least, in which the steps of neighbours may differ.
+            // An eighth of a piece has at least two samples, enough for steps that differ between neighbours.
             let at = |by: f64| (share * pieces + by).clamp(0.0, pieces - 1.0) as u32;
             at(-0.125)..at(0.125) + 1
         };
@@ -59,7 +58,7 @@ impl Sampler<'_> {
         let (near, far) = (a.length(), b.length());
         let angle = a.cross(b).length().atan2(a.dot(b));
         if !(angle > 1e-12 && near > 0.0 && far > 0.0) {
-            // Seen from its end: a point.
+            // The line of sight runs along the segment, so its image is a point.
             return visit(Part::One(match self.point(a.lerp(b, 0.5)) {
                 Piece::Inside(sample) => Piece::Inside(Sample { t: span, ..sample }),
                 Piece::Outside { reason, .. } => Piece::Outside { t: span, reason },
@@ -83,12 +82,12 @@ impl Sampler<'_> {
         let pieces = self.coarse_pieces(angle);
         let mut left = MAX_SEGMENT_SAMPLES;
         let some = some(pieces);
-        // The last ends where the arc does, whatever rounding makes of its share.
+        // The last piece ends exactly at the end of the arc, without rounding.
         let phi = |i: u32| if f64::from(i) == pieces { angle } else { angle * f64::from(i) / pieces };
         let mut from = end(phi(some.start));
         for i in some.start + 1..=some.end {
             let mut to = end(phi(i));
-            // Past the sensor's centre t hardly changes, and rounding could turn it back.
+            // Past the sensor's centre t hardly changes, and rounding could reverse it.
             to.t = to.t.max(from.t);
             self.halve(&from, &to, MAX_DEPTH, &end, &mut left, visit);
             from = to;
@@ -148,10 +147,10 @@ impl Sampler<'_> {
         self.halve(&m, to, depth - 1, end, left, visit);
     }
 
-    /// Samples a piece of an arc whose image is straight but for [`BENT`]; false if it is not.
+    /// Samples a piece of an arc whose image is straight within [`BENT`]; returns false if it is not.
     fn run(&self, from: &End, to: &End, middle: &End, left: &mut usize, visit: &mut impl FnMut(Part)) -> bool {
         let (Some(p), Some(q), Some(m)) = (from.pixel, to.pixel, middle.pixel) else { return false };
-        // Beams are tall or thin: samples are held to them one by one.
+        // Beams may be higher or lower than a row, so each sample must be tested.
         let plain = self.cone.is_none() && self.beams.is_none();
         let length = p.distance(q);
         let count = (length / self.step).ceil().max(1.0);
@@ -161,7 +160,7 @@ impl Sampler<'_> {
         *left -= count as usize;
         let (t, ends, scales) = ([from.t, to.t], [from.at, to.at], [from.range, to.range]);
         let run = Run { t, ends, scales, pixels: [p, q], count: count as usize, length };
-        // The image is convex.
+        // The image is convex, so the piece is inside if both ends are.
         if self.holds(from.at, p) && self.holds(to.at, q) {
             visit(Part::Run(run));
             return true;
@@ -173,7 +172,7 @@ impl Sampler<'_> {
         true
     }
 
-    /// Distance in the image, over the seam if that is nearer.
+    /// Distance in the image, across the seam if that is shorter.
     fn distance(&self, p: DVec2, q: DVec2) -> f64 {
         let mut by = (p - q).abs();
         if let Some(turn) = self.turn {

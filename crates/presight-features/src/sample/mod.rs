@@ -1,12 +1,12 @@
-//! Features sampled along their image.
+//! Samples features along their image.
 //!
-//! A segment's image is cut into pieces of at most half a pixel, finer if that is asked for, and a sample sits in the middle of each. A pinhole
-//! camera images straight lines as straight lines: clipped in closed form, equal pieces in the image. Everywhere else
-//! (lens distortion, scanners, ray tables) the arc of directions between the ends is halved until its image is short
-//! enough, so that the curved image of a straight edge is followed, over seam and poles, too.
+//! A segment's image is cut into pieces of at most half a pixel, or finer if requested, with a sample in the middle of
+//! each. A pinhole camera images straight lines as straight lines: the segment is clipped in closed form, and its image
+//! cut into equal pieces. For all other sensors (lens distortion, scanners, ray tables) the arc of directions between
+//! the ends is halved until its image is short enough. This follows curved images, also over the seam and the poles.
 //!
-//! A scanner of one row sees a cone of directions (with the height of its beam, a layer between two cones): segments and
-//! patches are cut with it first.
+//! A scanner of one row sees a cone of directions, or with the height of its beam a layer between two cones. It sees
+//! only the parts of segments and patches inside the cone or layer.
 
 mod arc;
 mod patch;
@@ -24,21 +24,21 @@ use glam::{DVec2, DVec3};
 use presight_model::sensor::{Angles, Camera, Geometry, Scanner, Sensor};
 use std::sync::OnceLock;
 
-/// Longest piece of an image that one sample stands for unless it is to be finer, pixels.
+/// Default length of the longest piece of an image per sample, pixels.
 pub const STEP: f64 = 0.5;
 /// Most samples of one segment.
 pub const MAX_SEGMENT_SAMPLES: usize = 1 << 17;
-/// Most samples of one patch every half pixel: of larger ones they are farther apart, unless images decide pixel by pixel. Where
-/// samples are to be finer they may be as many more, up to 64 times.
+/// Most samples of one patch at the default step: larger patches have wider steps, unless images decide them pixel by
+/// pixel. With finer steps up to 64 times that number.
 pub const MAX_PATCH_SAMPLES: usize = 1 << 12;
 
-/// Directions this far off the cone of a row without height are still on it, radians.
+/// Tolerance for directions on the cone of a row without height, radians.
 const ON_CONE: f64 = 1e-9;
 
 /// A small part of a feature's image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
-    /// Part of the feature's length in space that it stands for; equal ends where a cut leaves a point.
+    /// Interval of the feature's length in space; its ends are equal where a cut leaves a point.
     pub t: [f64; 2],
     /// Its middle, image frame, metres.
     pub at: DVec3,
@@ -46,20 +46,20 @@ pub struct Sample {
     pub pixel: DVec2,
     /// Pixel coordinates of both ends.
     pub ends: [DVec2; 2],
-    /// Length (area for patches) in the image, pixels; 0 of points.
+    /// Length in the image in pixels, or area for patches; 0 for points.
     pub weight: f64,
 }
 
-/// What sampling finds along a feature.
+/// A part of a feature, inside or outside the image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Piece {
     /// In the image.
     Inside(Sample),
     /// Not in the image, or behind the sensor.
     Outside {
-        /// Part of the feature's length.
+        /// Interval of the feature's length.
         t: [f64; 2],
-        /// Why.
+        /// The reason.
         reason: Reason,
     },
 }
@@ -71,27 +71,27 @@ pub struct Sampler<'a> {
     pinhole: Option<&'a Camera>,
     size: DVec2,
     turn: Option<f64>,
-    /// Longest piece of an image that one sample stands for, pixels.
+    /// Longest piece of an image per sample, pixels.
     step: f64,
-    /// About the finest angle between neighbouring rays.
+    /// Approximate finest angle between neighbouring rays, radians.
     pixel_angle: f64,
-    /// Elevations between which a single row sees.
+    /// Range of elevations of a single row, radians.
     cone: Option<[f64; 2]>,
-    /// Elevations of rows and half the height of the beam, degrees, where it does not reach from row to row.
+    /// Elevations of rows and half the height of the beam, degrees, if the beams of neighbouring rows leave gaps.
     beams: Option<(Vec<f64>, f64)>,
-    /// The height by the distance from the axis of what a scanner that sees all around has just inside its last row and its first.
+    /// For a scanner that sees all around: height per distance from the axis, just inside the last row and the first.
     slopes: Option<[f64; 2]>,
-    /// Places along the border of the image with their rays, once they are asked for.
+    /// Places along the border of the image and their rays, computed when first used.
     border: OnceLock<Vec<(DVec2, DVec3)>>,
 }
 
 impl<'a> Sampler<'a> {
-    /// For a sensor, every [`STEP`].
+    /// Samples every [`STEP`].
     pub fn new(sensor: &'a Sensor) -> Self {
         Self::with_step(sensor, STEP)
     }
 
-    /// For a sensor, every so many pixels, above 0.
+    /// Samples every `step` pixels, which must be positive.
     pub(super) fn with_step(sensor: &'a Sensor, step: f64) -> Self {
         let (mut pinhole, mut cone, mut beams) = (None, None, None);
         match &sensor.spec().geometry {
@@ -120,12 +120,12 @@ impl<'a> Sampler<'a> {
         }
     }
 
-    /// Columns of a whole turn, where the last column's neighbour is the first.
+    /// The columns of a full turn, if the last column is next to the first.
     pub fn turn(&self) -> Option<f64> {
         self.turn
     }
 
-    /// True if all of a segment is surely in the image of a scanner that sees all around; also false if that is not known.
+    /// Returns true only if a segment is surely inside the image of a scanner that sees all around.
     pub(super) fn holds_all(&self, a: DVec3, b: DVec3) -> bool {
         let Some([low, high]) = self.slopes else { return false };
         let is_in = |p: DVec3| {
@@ -135,17 +135,17 @@ impl<'a> Sampler<'a> {
         is_in(a) && is_in(b) && columns::culmination_share(a, b).is_none_or(|t| is_in(a.lerp(b, t)))
     }
 
-    /// True of a scanner of one row, which sees cuts.
+    /// Returns true for a scanner of one row, which sees only cuts.
     pub(super) fn is_one_row(&self) -> bool {
         self.cone.is_some()
     }
 
-    /// About the finest angle between neighbouring rays, radians.
+    /// Approximate finest angle between neighbouring rays, radians.
     pub(super) fn pixel_angle(&self) -> f64 {
         self.pixel_angle
     }
 
-    /// Column and row of the pixel whose centre is nearest to a place in the image; columns beyond the seam are those of the other side.
+    /// Column and row of the pixel nearest to a place in the image; columns beyond the seam continue on the other side.
     pub(super) fn nearest_pixel(&self, place: DVec2) -> (i64, i64) {
         let x = match self.turn {
             Some(turn) if !(place.x >= -0.5 && place.x < self.size.x - 0.5) => (place.x + 0.5).rem_euclid(turn) - 0.5,
@@ -155,7 +155,7 @@ impl<'a> Sampler<'a> {
         (nearest(x, self.size.x), nearest(place.y, self.size.y))
     }
 
-    /// The sample of a point of the image frame.
+    /// Samples a point of the image frame.
     pub fn point(&self, at: DVec3) -> Piece {
         let t = [0.0, 1.0];
         match self.project(at).filter(|pixel| self.holds(at, *pixel)) {
@@ -164,12 +164,12 @@ impl<'a> Sampler<'a> {
         }
     }
 
-    /// Samples a segment between two points of the image frame; pieces come in order and cover all of 0..=1.
+    /// Samples a segment between two points of the image frame; visits pieces that cover 0..=1 in order.
     pub fn segment(&self, a: DVec3, b: DVec3, visit: &mut impl FnMut(Piece)) {
         self.parts(a, b, &mut |part| part.pieces(visit));
     }
 
-    /// The parts of a segment between two points of the image frame: in order, they cover all of 0..=1.
+    /// Visits the parts of a segment between two points of the image frame; they cover 0..=1 in order.
     pub(super) fn parts(&self, a: DVec3, b: DVec3, visit: &mut impl FnMut(Part)) {
         match (self.pinhole, self.cone) {
             (Some(camera), _) => self.straight(camera, a, b, visit),
@@ -182,7 +182,7 @@ impl<'a> Sampler<'a> {
         self.sensor.project(p).map(DVec2::from)
     }
 
-    /// True if a point, imaged at `pixel`, is in the image.
+    /// Returns true if a point, imaged at `pixel`, is in the image.
     fn holds(&self, at: DVec3, pixel: DVec2) -> bool {
         let within = |x: f64, n: f64| x >= -0.5 && x <= n - 0.5;
         let inside = (self.turn.is_some() || within(pixel.x, self.size.x)) && within(pixel.y, self.size.y);
@@ -204,9 +204,9 @@ impl<'a> Sampler<'a> {
     }
 }
 
-/// See [`Sampler`]; `None` if these are about vertical.
+/// See [`Sampler::slopes`]; `None` if they are nearly vertical.
 fn slopes(sensor: &Sensor) -> Option<[f64; 2]> {
-    /// How far inside of the image, pixels.
+    /// Distance inside the image, pixels.
     const INSIDE: f64 = 1e-6;
     const STEEP: f64 = 1e3;
     let slope = |row: f64| sensor.ray_at(0.0, row).map(|ray| ray.z / ray.x.hypot(ray.y));
@@ -215,7 +215,6 @@ fn slopes(sensor: &Sensor) -> Option<[f64; 2]> {
     slopes.iter().all(|slope| slope.abs() < STEEP).then_some(slopes)
 }
 
-/// About the finest angle between neighbouring rays, radians.
 fn pixel_angle(sensor: &Sensor) -> f64 {
     let mean = |angles: &Angles| {
         let n = angles.len();

@@ -1,4 +1,4 @@
-//! The area of a convex patch, sampled on a grid in the image.
+//! Samples the area of a convex patch on a grid in the image.
 
 use super::patch_columns::PatchColumns;
 use super::{MAX_PATCH_SAMPLES, Part, Piece, STEP, Sample, Sampler};
@@ -7,27 +7,26 @@ use glam::{DVec2, DVec3};
 use presight_model::geometry::plane_of_polygon;
 use presight_model::sensor::Geometry;
 
-/// Most cells of the grid around a patch that has few samples in it.
+/// Most cells of the grid around a patch with few samples.
 const MAX_PATCH_CELLS: usize = 1 << 16;
 
 impl Sampler<'_> {
-    /// Samples the area of a convex patch in the image, corners in the image frame; `t` of the samples is 0..=1 and
-    /// their weight the area that they stand for. Without any in the image, one piece says why. Columns may lie beyond the
-    /// seam.
+    /// Samples the area of a convex patch (corners in the image frame). Each sample has the interval 0..=1 and the area
+    /// of its cell as weight. Without samples, one piece gives the reason. Columns may lie beyond the seam.
     pub fn patch(&self, corners: &[DVec3], visit: &mut impl FnMut(Piece)) {
-        // With as few as every half pixel, finer steps would change nothing of large patches.
+        // Scale the limit with the density; otherwise finer steps would not change large patches.
         let times = (STEP / self.step).powi(2).clamp(1.0, 64.0);
         self.patch_in_cells(corners, (MAX_PATCH_SAMPLES as f64 * times) as usize, visit);
     }
 
-    /// The same of a patch that covers few pixels, however long and thin it is.
+    /// Samples a patch that covers few pixels, however long and thin it is.
     pub(crate) fn small_patch(&self, corners: &[DVec3], visit: &mut impl FnMut(Piece)) {
         self.patch_in_cells(corners, MAX_PATCH_CELLS, visit);
     }
 
     fn patch_in_cells(&self, corners: &[DVec3], most: usize, visit: &mut impl FnMut(Piece)) {
         let Some(cone) = PatchCone::new(corners) else {
-            // Seen from its edge, as far as can be told.
+            // Practically edge-on.
             return visit(self.edge_on(corners));
         };
         let mut any = false;
@@ -42,7 +41,7 @@ impl Sampler<'_> {
         }
     }
 
-    /// The grid over a patch; `None` if nothing of it is in the image.
+    /// The grid over a patch; `None` if the patch is not in the image.
     fn cells(&self, corners: &[DVec3], cone: &PatchCone, most: usize) -> Option<Cells> {
         Some(self.cells_in(self.patch_bounds(corners, cone)?, most))
     }
@@ -63,29 +62,29 @@ impl Sampler<'_> {
         Cells { columns, rows, cell, weight: if flat { cell.x } else { cell.x * cell.y } }
     }
 
-    /// Where the image of a patch lies; `None` if the sensor is in its plane.
+    /// The outline of a patch in the image; `None` if the sensor is in its plane.
     pub(crate) fn patch_outline(&self, corners: &[DVec3]) -> Option<PatchOutline> {
         let cone = PatchCone::new(corners)?;
         let bounds = self.patch_bounds(corners, &cone);
         Some(PatchOutline { cone, bounds })
     }
 
-    /// True if a patch surely covers no more than so many pixels.
+    /// Returns true if a patch surely covers at most `most` pixels.
     pub(crate) fn covers_at_most(&self, outline: &PatchOutline, most: usize) -> bool {
-        // Other images may show things twice.
+        // Other images may show a thing twice.
         let is_once = self.pinhole.is_some() || self.is_all_around();
         let pixels = |size: f64| (size + 1e-6).floor() + 1.0;
         let [low, high] = outline.bounds.unwrap_or_default();
         is_once && pixels(high.x - low.x) * pixels(high.y - low.y) <= most as f64
     }
 
-    /// True of a scanner of several rows that sees once all around, whatever is between its rows.
+    /// Returns true for a scanner of several rows without gaps whose image is exactly one turn.
     fn is_all_around(&self) -> bool {
         self.turn.is_some() && self.cone.is_none() && self.beams.is_none()
     }
 
-    /// The samples of [`Sampler::small_patch`] by columns; `None` for sensors whose columns do not see straight lines, and if there are
-    /// none.
+    /// The samples of [`Sampler::small_patch`] by column; `None` without samples, or if columns do not see straight
+    /// lines.
     pub(crate) fn patch_columns(&self, outline: PatchOutline) -> Option<PatchColumns> {
         if self.cone.is_some() || self.beams.is_some() {
             return None;
@@ -96,7 +95,7 @@ impl Sampler<'_> {
         PatchColumns::new(cone, cells, (parts, axis, times))
     }
 
-    /// Visits the middles of the cells of a grid in which a patch is seen, row by row: where it is, and the pixel.
+    /// Visits the centres of the grid cells in which a patch is seen, row by row: their positions and pixels.
     fn visit_cells(&self, cone: &PatchCone, Cells { columns, rows, .. }: &Cells, visit: &mut impl FnMut(DVec3, DVec2)) {
         let mut meet = |ray: Option<DVec3>, pixel: DVec2| {
             let at = ray.and_then(|ray| cone.meet(ray));
@@ -110,7 +109,7 @@ impl Sampler<'_> {
             }
             return;
         };
-        // Of every column the patch is seen between two rows: most cells of a long and thin one are passed over.
+        // A column sees the patch between two rows only. This skips most cells of a long and thin patch.
         let between: Vec<[f64; 2]> = parts.iter().map(|part| cone.between(*part, axis)).collect();
         for (v, times) in rows.iter().zip(times) {
             for ((u, part), [from, to]) in columns.iter().zip(&parts).zip(&between) {
@@ -121,12 +120,12 @@ impl Sampler<'_> {
         }
     }
 
-    /// A patch too small or too flat for a grid: its middle, if that is in the image.
+    /// The sample of a patch too small or too flat for a grid: its middle, if that is in the image.
     fn edge_on(&self, corners: &[DVec3]) -> Piece {
         self.point(corners.iter().sum::<DVec3>() / corners.len().max(1) as f64)
     }
 
-    /// Places along the border of the image, and its middle, with their rays, as far as they have any.
+    /// Places along the border of the image, and its middle, with their rays; places without a ray are left out.
     fn border(&self) -> &[(DVec2, DVec3)] {
         self.border.get_or_init(|| {
             let (least, greatest) = (DVec2::splat(-0.5), self.size - 0.5);
@@ -143,14 +142,14 @@ impl Sampler<'_> {
         })
     }
 
-    /// A box around a patch's image, cut to the image; over a seam its columns go on beyond the width.
+    /// A box around a patch's image, clipped to the image; over a seam its columns continue beyond the width.
     pub(crate) fn patch_bounds(&self, corners: &[DVec3], cone: &PatchCone) -> Option<[DVec2; 2]> {
         let (least, greatest) = (DVec2::splat(-0.5), self.size - 0.5);
         if self.is_all_around()
             && let Some(columns) = columns::of_corners(self.sensor, corners)
             && let Some(rows) = columns::rows_of_outline(self.sensor, corners)
         {
-            // It is not around the axis, so that its outline has its highest and lowest places.
+            // The patch does not surround the axis, so its outline contains its highest and lowest places.
             let is_seen = rows[1] >= least.y && rows[0] <= greatest.y;
             let [low, high] = [0, 1].map(|k| DVec2::new(columns[k], rows[k].clamp(least.y, greatest.y)));
             return is_seen.then(|| widened(low, high));
@@ -163,13 +162,13 @@ impl Sampler<'_> {
         for (k, a) in corners.iter().enumerate() {
             let b = corners[(k + 1) % corners.len()];
             self.parts(*a, b, &mut |part| match part {
-                // Of what is straight the ends reach farthest.
+                // The ends of a straight image bound it.
                 Part::Run(run) => run.pixels.into_iter().for_each(&mut take),
                 Part::One(Piece::Inside(s)) => s.ends.into_iter().chain([s.pixel]).for_each(&mut take),
                 Part::One(Piece::Outside { .. }) => {}
             });
         }
-        // Where the image is inside the patch, its own border is the patch's image's border.
+        // Where the border of the image is inside the patch, it is also the border of the patch's image.
         let covered = self.border().iter().filter(|(_, ray)| cone.meet(*ray).is_some());
         covered.for_each(|(p, _)| take(*p));
         if low.x > high.x {
@@ -177,7 +176,7 @@ impl Sampler<'_> {
         }
         if self.pinhole.is_none() && self.sensor.is_camera() || matches!(self.sensor.spec().geometry, Geometry::Rays(_))
         {
-            // Curved outlines are followed, but tables may have holes and folds beside them.
+            // The outlines are followed, but ray tables may have holes and folds next to them.
             (low, high) = ((low - 1.0).max(least), (high + 1.0).min(greatest));
         }
         if self.turn.is_some() {
@@ -187,13 +186,13 @@ impl Sampler<'_> {
     }
 }
 
-/// A box around a patch: of a row without height, or an edge-on sliver, one sample wide at least.
+/// Widens a box to at least the width of one sample, for a row without height or an edge-on sliver.
 fn widened(low: DVec2, high: DVec2) -> [DVec2; 2] {
     let (mid, half) = (0.5 * (low + high), (0.5 * (high - low)).max(DVec2::splat(1e-9)));
     [mid - half, mid + half]
 }
 
-/// The directions to a patch, and a box around its image, if any of it is in the image.
+/// The directions to a patch, and a box around its image, clipped to the sensor's image; `None` if that is empty.
 pub(crate) struct PatchOutline {
     pub cone: PatchCone,
     bounds: Option<[DVec2; 2]>,
@@ -201,12 +200,12 @@ pub(crate) struct PatchOutline {
 
 /// A grid over the image of a patch.
 pub(super) struct Cells {
-    /// Middles of its columns and rows, pixels.
+    /// Centres of the columns and rows, pixels.
     pub columns: Vec<f64>,
     pub rows: Vec<f64>,
-    /// The size of one.
+    /// The size of a cell, pixels.
     pub cell: DVec2,
-    /// What one stands for.
+    /// The weight of one sample.
     pub weight: f64,
 }
 
@@ -230,17 +229,17 @@ impl PatchCone {
         Some(Self { edges: (0..corners.len()).map(edge).collect(), normal: plane.normal, offset: plane.offset })
     }
 
-    /// Its product with a unit ray is one over the range there; with any vector, one over how much longer it has to be.
+    /// Its product with a vector is the reciprocal of the factor that scales the vector to the plane.
     pub fn inverse(&self) -> DVec3 {
         self.normal / self.offset
     }
 
-    /// Metres.
+    /// Distance of the plane, metres.
     pub fn distance(&self) -> f64 {
         self.offset.abs()
     }
 
-    /// Between which multiples of an axis, added to a vector, it may be met; hardly more than needed.
+    /// The range of multiples of `axis` that, added to `part`, may meet the patch; slightly wider than exact.
     pub(super) fn between(&self, part: DVec3, axis: DVec3) -> [f64; 2] {
         let (mut from, mut to) = (f64::NEG_INFINITY, f64::INFINITY);
         for e in &self.edges {
@@ -256,12 +255,12 @@ impl PatchCone {
         [from, to]
     }
 
-    /// Where a ray of any length meets its plane.
+    /// Where a ray of any length meets the plane.
     pub(super) fn place(&self, ray: DVec3) -> DVec3 {
         ray / (self.normal.dot(ray) / self.offset)
     }
 
-    /// Where a ray of any length meets it.
+    /// Where a ray of any length meets the patch.
     pub(super) fn meet(&self, ray: DVec3) -> Option<DVec3> {
         let inverse = self.normal.dot(ray) / self.offset;
         (inverse > 0.0 && self.edges.iter().all(|e| e.dot(ray) >= 0.0)).then(|| ray / inverse)

@@ -1,4 +1,4 @@
-//! The samples of a small patch, column by column: pinhole cameras and scanners see of a patch a straight line in each column.
+//! Samples a small patch by column. In pinhole cameras and scanners each column sees a straight line of a patch.
 
 use super::patch::{Cells, PatchCone};
 use glam::{DVec2, DVec3};
@@ -8,35 +8,35 @@ use std::ops::Range;
 pub(crate) struct PatchColumns {
     cone: PatchCone,
     cells: Cells,
-    /// A ray is a column's part and a multiple of this.
+    /// A ray is a column's part plus a multiple of this axis.
     axis: DVec3,
-    /// These multiples by row: they rise, or they fall.
+    /// The multiples by row; they rise or fall.
     times: Vec<f64>,
     pub columns: Vec<Column>,
-    /// How many samples there are.
+    /// Number of samples.
     pub count: usize,
 }
 
 /// Samples of one column.
 pub(crate) struct Column {
-    /// Pixels.
+    /// Column, pixels.
     u: f64,
     part: DVec3,
-    /// Not none.
+    /// Never empty.
     pub rows: Range<usize>,
-    /// Number of the first sample.
+    /// Index of the first sample.
     pub first: usize,
 }
 
 impl PatchColumns {
-    /// `None` without a sample.
+    /// `None` if there are no samples.
     pub(super) fn new(cone: PatchCone, cells: Cells, rays: (Vec<DVec3>, DVec3, Vec<f64>)) -> Option<Self> {
         let (parts, axis, times) = rays;
         let mut all = Self { cone, cells, axis, times, columns: Vec::with_capacity(parts.len()), count: 0 };
         for (u, part) in all.cells.columns.iter().zip(parts) {
             let between = all.cone.between(part, axis);
             let Range { mut start, mut end } = all.rows_between(0..all.times.len(), between);
-            // What is found so may be more by rounding.
+            // The range may be too wide by rounding.
             let is_met = |row: usize| all.cone.meet(part + all.times[row] * axis).is_some();
             while start < end && !is_met(start) {
                 start += 1;
@@ -56,7 +56,7 @@ impl PatchColumns {
         self.times.first() <= self.times.last()
     }
 
-    /// Those of some rows whose multiples lie between two, the lesser first.
+    /// The rows of `some` whose multiples lie between `low` and `high`.
     fn rows_between(&self, some: Range<usize>, [low, high]: [f64; 2]) -> Range<usize> {
         let (times, start) = (&self.times[some.clone()], some.start);
         let (first, end) = if self.rises() {
@@ -67,11 +67,11 @@ impl PatchColumns {
         start + first..start + end.max(first)
     }
 
-    /// Those of some rows that are between two shares of the way from the ray of the first to that of the last.
+    /// The rows of `some` between two shares of the way from the first row's ray to the last one's.
     pub fn rows_at(&self, some: Range<usize>, [from, to]: [f64; 2]) -> Range<usize> {
         let [first, last] = [self.times[some.start], self.times[some.end - 1]];
         let bounds = [from, to].map(|share| first + share * (last - first));
-        // The ends themselves are not to be lost by rounding.
+        // Rounding must not drop the end rows.
         let mut rows = self.rows_between(some.clone(), [bounds[0].min(bounds[1]), bounds[0].max(bounds[1])]);
         if from <= 0.0 {
             rows.start = some.start;
@@ -88,7 +88,7 @@ impl PatchColumns {
         column.part + self.times[row] * self.axis
     }
 
-    /// Where a sample is, image frame.
+    /// The position of a sample, image frame.
     #[inline]
     pub fn at(&self, column: &Column, row: usize) -> DVec3 {
         self.cone.place(self.ray(column, row))
@@ -98,17 +98,16 @@ impl PatchColumns {
         DVec2::new(column.u, self.cells.rows[row])
     }
 
-    /// The size of a cell, pixels.
     pub fn cell(&self) -> DVec2 {
         self.cells.cell
     }
 
-    /// Least distance of the plane.
+    /// Distance of the patch's plane, metres.
     pub fn distance(&self) -> f64 {
         self.cone.distance()
     }
 
-    /// Samples of some rows of a column of which one is the nearest.
+    /// Two rows of a column. The nearest of the given samples is in one of them.
     pub fn nearest_of(&self, column: &Column, rows: Range<usize>) -> [usize; 2] {
         let last = rows.end - 1;
         let [a, b] = [rows.start, last].map(|row| self.at(column, row));
@@ -117,7 +116,7 @@ impl PatchColumns {
         if !(share > 0.0 && share < 1.0) {
             return [if share >= 1.0 { last } else { rows.start }; 2];
         }
-        // The part of a column is across its axis.
+        // A column's part is perpendicular to the axis.
         let foot = a + share * along;
         let times = foot.dot(self.axis) * column.part.length_squared() / foot.dot(column.part);
         let after = self.rows_between(rows.clone(), [times, times]).start;
@@ -129,7 +128,7 @@ impl PatchColumns {
 mod tests {
     use super::*;
 
-    /// A wall 2 m before a camera, 3 m wide, of rows whose multiples rise or fall.
+    /// A wall 2 m in front of a camera, 3 m wide, with multiples that rise or fall by row.
     fn wall(rises: bool) -> PatchColumns {
         let corners = [[-1.0, -1.0], [2.0, -1.0], [2.0, 1.0], [-1.0, 1.0]].map(|[x, y]| DVec3::new(x, y, 2.0));
         let rows: Vec<f64> = (0..41).map(f64::from).collect();
@@ -149,11 +148,11 @@ mod tests {
             for column in &wall.columns {
                 assert_eq!(column.rows, 10..31);
                 assert_eq!(wall.rows_at(10..31, [0.0, 1.0]), 10..31);
-                // Ten rows are half of the way; what is between two rows has none.
+                // The middle is ten rows away; a range between two rows is empty.
                 assert_eq!(wall.rows_at(10..31, [0.0, 0.51]), 10..21);
                 assert_eq!(wall.rows_at(10..31, [0.49, 1.0]), 20..31);
                 assert!(wall.rows_at(10..31, [0.51, 0.54]).is_empty());
-                // Nearest in the middle; of a part its end.
+                // The nearest sample is in the middle, or at the near end of a part of the column.
                 assert!(wall.nearest_of(column, 10..31).contains(&20));
                 assert!(wall.nearest_of(column, 24..31).contains(&24) && wall.nearest_of(column, 10..13).contains(&12));
                 assert!((wall.at(column, 15).z - 2.0).abs() < 1e-12);

@@ -1,11 +1,11 @@
-//! What a scanner of one row sees of a segment: cuts with the cones above and below it.
+//! Samples a segment for a scanner of one row: cuts it with the cones above and below the row.
 
 use super::{ON_CONE, Part, Piece, Sample, Sampler};
 use crate::Reason;
 use glam::DVec3;
 
 impl Sampler<'_> {
-    /// Finds the parts of a segment between the cones of two elevations.
+    /// Visits the parts of a segment inside and outside the two cones.
     pub(super) fn cut(&self, [low, high]: [f64; 2], a: DVec3, b: DVec3, visit: &mut impl FnMut(Part)) {
         let at = |t: f64| a + t * (b - a);
         let elevation = |p: DVec3| p.z.atan2(p.x.hypot(p.y));
@@ -23,7 +23,7 @@ impl Sampler<'_> {
                 self.arc(at(from), at(to), [from, to], visit);
             } else {
                 visit(Part::One(Piece::Outside { t: [from, to], reason: Reason::OutsideImage }));
-                // A row without height leaves points.
+                // A row without height sees only the crossing points.
                 if to < 1.0 && low == high {
                     let t = [to, to];
                     visit(Part::One(match self.point(at(to)) {
@@ -37,14 +37,14 @@ impl Sampler<'_> {
     }
 }
 
-/// Where a segment crosses the cone of an elevation.
+/// The parameters t at which a segment crosses the cone of an elevation.
 fn crossings(a: DVec3, b: DVec3, elevation: f64) -> Vec<f64> {
     let d = b - a;
     let tan = elevation.tan();
     if tan == 0.0 {
         return if d.z == 0.0 { Vec::new() } else { vec![-a.z / d.z] };
     }
-    // z^2 = tan^2 (x^2 + y^2), on the side that z has the tangent's sign.
+    // z^2 = tan^2 (x^2 + y^2), for z of the same sign as the tangent.
     let square = |p: DVec3, q: DVec3| p.z * q.z - tan * tan * (p.x * q.x + p.y * q.y);
     let (qa, qb, qc) = (square(d, d), square(a, d), square(a, a));
     let mut roots = Vec::new();

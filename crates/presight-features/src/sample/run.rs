@@ -1,17 +1,16 @@
-//! The parts of a segment's image: where it is straight, or as good as that, samples are equal steps of it.
+//! The parts of a segment's image. Where the image is straight, or nearly so, its samples are equal steps.
 
 use super::{Piece, Sample};
 use glam::{DVec2, DVec3};
 
 /// A part of a segment.
 pub(crate) enum Part {
-    /// Samples in equal steps of a straight image.
     Run(Run),
     One(Piece),
 }
 
 impl Part {
-    /// Visits its samples in order, or what is said where there are none.
+    /// Visits its samples in order, or its only piece.
     pub fn pieces(&self, visit: &mut impl FnMut(Piece)) {
         match self {
             Self::Run(run) => run.samples().for_each(|sample| visit(Piece::Inside(sample))),
@@ -22,19 +21,20 @@ impl Part {
 
 /// Neighbouring samples of a segment, all of them in the image.
 ///
-/// At share s of the image it is at share s p / (s p + (1 - s) q) of the straight line between its ends in space. In a pinhole camera p and
-/// q are the ends' depths. Elsewhere samples are at equal angles, and p and q are ranges: true but for the square of the angle.
+/// Share s of the image corresponds to share s p / (s p + (1 - s) q) of the line between the ends in space. In a
+/// pinhole camera p and q are the depths of the ends, and this is exact. Elsewhere samples have equal angles, p and q
+/// are the ranges of the ends, and the error is of second order in the angle.
 pub(crate) struct Run {
-    /// Part of the segment's length, and where it begins and ends, image frame.
+    /// Interval of the feature's length, and its ends, image frame.
     pub t: [f64; 2],
     pub ends: [DVec3; 2],
-    /// Depths of these in a pinhole camera, ranges elsewhere.
+    /// Depths of the ends in a pinhole camera, ranges elsewhere.
     pub scales: [f64; 2],
-    /// The same in the image, pixels.
+    /// The ends in the image, pixels.
     pub pixels: [DVec2; 2],
-    /// Samples.
+    /// Number of samples.
     pub count: usize,
-    /// Pixels.
+    /// Length in the image, pixels.
     pub length: f64,
 }
 
@@ -50,12 +50,12 @@ impl Run {
         1.0 / self.count as f64
     }
 
-    /// The image that each sample stands for, pixels.
+    /// Length in the image per sample, pixels.
     pub fn weight(&self) -> f64 {
         self.length * self.step()
     }
 
-    /// Where sample `i` begins and the one before it ends, on the segment and in the image.
+    /// The bound between samples `i - 1` and `i`: its share of the feature's length, and its place in the image.
     #[inline]
     pub fn bound(&self, i: usize) -> (f64, DVec2) {
         let s = i as f64 * self.step();
@@ -66,15 +66,14 @@ impl Run {
         }
     }
 
-    /// The middle of sample `i` in space and in the image.
     #[inline]
     pub fn middle(&self, i: usize) -> (DVec3, DVec2) {
         let half = (i as f64 + 1.0) * self.step() - 0.5 * self.step();
         (self.ends[0].lerp(self.ends[1], self.along(half)), self.pixels[0].lerp(self.pixels[1], half))
     }
 
-    /// At which sample, with a fraction, a part of the segment's length lies: whole numbers are middles. What is beside the run is
-    /// at its ends.
+    /// The fractional number of the sample at a share of the feature's length; whole numbers are middles of samples.
+    /// Shares outside the run give its ends.
     #[inline]
     pub fn number(&self, t: f64) -> f64 {
         let [p, q] = self.scales;
@@ -82,7 +81,7 @@ impl Run {
         part * q / (part * q + (1.0 - part) * p) * self.count as f64 - 0.5
     }
 
-    /// Places along its image: both ends, and between these some, so many pixels apart at most.
+    /// Places along its image: both ends, and intermediate places at most `apart` pixels from each other.
     pub fn places(&self, apart: f64) -> impl Iterator<Item = DVec2> {
         let (steps, [from, to]) = ((self.length / apart).ceil().max(1.0), self.pixels);
         (0..=steps as u32).map(move |i| from.lerp(to, f64::from(i) / steps))
@@ -105,7 +104,6 @@ mod tests {
 
     #[test]
     fn numbers_are_those_of_the_middles() {
-        // 0.2 radians at ranges of 2 and 5 m.
         let ends = [DVec3::new(2.0, 0.0, 0.0), 5.0 * DVec3::new(0.2f64.cos(), 0.2f64.sin(), 0.0)];
         let pixels = [DVec2::new(3.0, 4.0), DVec2::new(15.0, 4.0)];
         let run = Run { t: [0.25, 0.5], ends, scales: [2.0, 5.0], pixels, count: 24, length: 12.0 };
@@ -115,10 +113,10 @@ mod tests {
             assert!((run.number(t(sample.at)) - i as f64).abs() < 1e-9);
             assert_eq!(sample.at, run.middle(i).0);
             assert!(sample.t[0] < t(sample.at) && t(sample.at) < sample.t[1]);
-            // A neighbour's middle is seen to be one off.
+            // The middle of another sample has a different number.
             assert!((run.number(t(run.middle((i + 1) % 24).0)) - i as f64).abs() > 0.9);
         }
-        // Two of 6 px would be farther from each other than 5.
+        // Two steps of 6 pixels would exceed the limit of 5.
         let places: Vec<f64> = run.places(5.0).map(|place| place.x).collect();
         assert_eq!(places, [3.0, 7.0, 11.0, 15.0]);
         assert_eq!([0.0, 0.25, 0.5, 1.0].map(|t| run.number(t)), [-0.5, -0.5, 23.5, 23.5]);

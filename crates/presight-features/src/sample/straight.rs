@@ -1,11 +1,11 @@
-//! What a pinhole camera sees of a segment: one part, whose image is straight.
+//! Samples a segment for a pinhole camera: the image is a single straight part.
 
 use super::{MAX_SEGMENT_SAMPLES, Part, Piece, Run, Sampler};
 use crate::Reason;
 use glam::{DVec2, DVec3};
 use presight_model::sensor::Camera;
 
-/// Parts of a segment outside a pinhole image: behind the camera, or beside the image.
+/// Visits parts of a segment outside the image, behind the camera or in front of it.
 fn before_camera(a: DVec3, b: DVec3, [from, to]: [f64; 2], visit: &mut impl FnMut(Part)) {
     let z = |t: f64| a.z + t * (b.z - a.z);
     let mut put = |t: [f64; 2], behind: bool| {
@@ -22,7 +22,7 @@ fn before_camera(a: DVec3, b: DVec3, [from, to]: [f64; 2], visit: &mut impl FnMu
 }
 
 impl Sampler<'_> {
-    /// A pinhole camera: the image of a segment is straight.
+    /// Samples a segment, whose image is straight.
     pub(super) fn straight(&self, camera: &Camera, a: DVec3, b: DVec3, visit: &mut impl FnMut(Part)) {
         let Some(run) = self.clip(camera, a, b) else { return before_camera(a, b, [0.0, 1.0], visit) };
         let [from, to] = run.t;
@@ -35,17 +35,17 @@ impl Sampler<'_> {
         }
     }
 
-    /// Positive inside the four sides of the image, and in front: linear in space.
+    /// Positive inside the four sides of the image, and in front of the camera; linear in space.
     fn sides(&self, camera: &Camera, p: DVec3) -> [f64; 5] {
         let (x, y) = (camera.fx * p.x, camera.fy * p.y);
         let (left, top) = (camera.cx + 0.5, camera.cy + 0.5);
         [x + left * p.z, (self.size.x - left) * p.z - x, y + top * p.z, (self.size.y - top) * p.z - y, p.z]
     }
 
-    /// Why nothing of the convex hull of some points is in a pinhole camera's image, where one look tells: all of it is behind the
-    /// camera, or before it and beside one side of the image.
+    /// The reason why no part of the points' convex hull is in a pinhole camera's image, if one test shows it: all of
+    /// it is behind the camera, or in front of it and outside one side of the image.
     pub fn beside(&self, points: &[DVec3]) -> Option<Reason> {
-        /// What is beside a side by less may be in the image by rounding, relative to the distance.
+        /// Rounding may put a point this far outside a side into the image, relative to the distance.
         const SLACK: f64 = 1e-9;
         let camera = self.pinhole?;
         if points.iter().all(|p| p.z <= 0.0) {
@@ -58,9 +58,9 @@ impl Sampler<'_> {
         (0..4).any(|side| all(side, far)).then_some(Reason::OutsideImage)
     }
 
-    /// The part of a segment in the image, if there is any.
+    /// The part of a segment in the image; `None` if there is none.
     fn clip(&self, camera: &Camera, a: DVec3, b: DVec3) -> Option<Run> {
-        // Together the four sides put it in front.
+        // Inside all four sides means in front of the camera.
         let (mut from, mut to) = (0.0f64, 1.0f64);
         for (s, e) in self.sides(camera, a).into_iter().zip(self.sides(camera, b)) {
             match (s >= 0.0, e >= 0.0) {

@@ -1,12 +1,12 @@
-//! Patches that cover many pixels, decided by the image, pixel by pixel.
+//! Decides patches that cover many pixels from the image, pixel by pixel.
 //!
-//! A pixel's ray is a sample whose answer the image has: if the nearest surface on it is the patch's own polygon, or is not
-//! nearer than the patch, the patch is seen there, and else that surface hides it. No index is asked. In pinhole cameras and scanners a line
-//! of pixels sees a line of the patch: a convex patch covers one interval of it, and of two planes one is nearer on one side
-//! of a point, so that the ends of neighbouring pixels of one surface decide about all between them.
+//! Each pixel's ray is a sample that the image already answers without the index. If the nearest surface on the ray is
+//! the patch's own polygon, or is not nearer than the patch, the patch is seen; otherwise that surface hides it. In
+//! pinhole cameras and scanners a line of pixels sees a line of the patch. A convex patch covers one interval of it,
+//! and two planes swap depth order at most once. So the ends of a run of pixels of one surface decide the whole run.
 //!
-//! Two kinds of pixels are left to the index: those at which the device's f32 shows a surface beside its own edge, and those
-//! of patches that lie behind their own polygon, which hides what may be between the two.
+//! Two kinds of pixels are left to the index: those where the device's f32 shows a surface outside its own edge, and
+//! those where the patch lies behind its own polygon, which hides anything between the two.
 
 use super::grid;
 use super::polygon::{PolygonCache, RelativeDepth};
@@ -22,33 +22,33 @@ use glam::{DVec2, DVec3};
 use presight_model::sensor::{LineAxis, PixelGrid};
 use std::ops::Range;
 
-/// Pixels from which on they are samples: fewer are sampled more finely.
+/// Patches with more pixels are sampled at the pixels; smaller ones are sampled more finely.
 const MANY: usize = (MAX_PATCH_SAMPLES as f64 * STEP * STEP) as usize;
 
-/// What is no farther behind its polygon than by this part of the range lies on it: hardly more than f32 vertices are off a plane.
+/// A patch at most this far behind its polygon, relative to the range, lies on it: about the error of f32 vertices.
 const ON: f64 = 1e-6;
 
-/// Pixels that wait for the index, at most.
+/// Number of undecided pixels at which the index is queried.
 const WAITING: usize = 1 << 12;
 
-/// A patch whose pixels are looked at, and what is found of them.
+/// A patch that is decided pixel by pixel, and the results.
 struct PatchPixels<'p> {
     query: &'p FeatureQuery<'p>,
     workspace: &'p mut Workspace,
-    /// Product with a ray: one over how much longer it has to be to reach the patch.
+    /// Its product with a ray is the reciprocal of the factor that scales the ray to the patch.
     inverse: DVec3,
     /// Least and greatest range of the patch.
     ranges: [f64; 2],
-    /// Only what is in between decides, everywhere.
+    /// Only occlusion can hide the patch, at every pixel.
     plain: bool,
-    /// What only the index decides, and which pixels those are.
+    /// Samples that need the index, and their pixels.
     waiting: Vec<UndecidedSample>,
     pixels_waiting: Vec<(Span, u32)>,
     tally: Tally,
     stats: FeatureStats,
 }
 
-/// Decides about a patch: by its pixels if it covers many, by columns of a grid otherwise, if that is for it.
+/// Decides a patch: by its pixels if it covers many, otherwise by the columns of a grid where possible.
 pub(super) fn decide(query: &FeatureQuery<'_>, workspace: &mut Workspace) -> Option<Decision> {
     if !query.shape.is_area() || query.frame.sampler.is_one_row() {
         return None;
@@ -89,14 +89,14 @@ fn by_pixels(query: &FeatureQuery<'_>, cone: &PatchCone, spans: &[Span], workspa
     Decision { tally: pixels.tally, stats: pixels.stats }
 }
 
-/// True of a patch that covers many pixels, so that the image decides about it.
+/// Returns true if a patch covers many pixels, so that the image decides it.
 pub(super) fn covers_many(query: &FeatureQuery<'_>) -> bool {
     let is_for_it = query.shape.is_area() && !query.frame.sampler.is_one_row();
     let outline = is_for_it.then(|| query.frame.sampler.patch_outline(query.points)).flatten();
     outline.is_some_and(|outline| spans_of(query, &outline).is_some())
 }
 
-/// The pixels that a patch covers, if they are many.
+/// The pixels that a patch covers; `None` if they are few.
 fn spans_of(query: &FeatureQuery<'_>, outline: &PatchOutline) -> Option<Vec<Span>> {
     if query.frame.sampler.covers_at_most(outline, MANY) {
         return None;
@@ -120,7 +120,7 @@ impl PatchPixels<'_> {
         }
     }
 
-    /// Neighbouring pixels that see one surface.
+    /// Decides neighbouring pixels that see one surface.
     fn decide_run(&mut self, span: &Span, run: Range<u32>, id: u32) {
         let frame = self.query.frame;
         let straight = matches!(frame.sensor.grid(), PixelGrid::Lines(_));
@@ -156,13 +156,13 @@ impl PatchPixels<'_> {
         }
     }
 
-    /// True of a pixel that the images say nothing of. Ids alone do not tell it from one that sees nothing.
+    /// Returns true if the images hold no information for this pixel. The id alone is 0 for an empty ray, too.
     fn is_not_predicted(&self, line: u32, sample: u32) -> bool {
         self.query.frame.options.is_partial && self.query.frame.images.is_open(self.number_at(line, sample))
     }
 
-    /// What is true of two places, and of all between them, of which the image shows the same surface; `None` if more than the
-    /// image is needed to tell.
+    /// The state of two places and of all places between them if the image shows one surface there; `None` if the image
+    /// alone cannot decide.
     fn state_between(&mut self, ends: [DVec3; 2], id: u32) -> Option<SampleState> {
         let Some(number) = self.polygon_of(id) else { return Some(SampleState::Seen) };
         let polygons: &PolygonCache = &self.workspace.polygons;
@@ -185,7 +185,7 @@ impl PatchPixels<'_> {
         shares.iter().zip(&ends).all(beside).then_some(SampleState::Seen)
     }
 
-    /// Decides about the pixels that wait for it.
+    /// Decides the waiting pixels with the index.
     fn ask_index(&mut self) {
         space_at_samples(&mut self.waiting, self.query, self.workspace);
         let (waiting, pixels) = (std::mem::take(&mut self.waiting), std::mem::take(&mut self.pixels_waiting));
@@ -194,7 +194,7 @@ impl PatchPixels<'_> {
         }
     }
 
-    /// Number of the polygon of an id in the cache.
+    /// The cache number of the polygon with this id.
     fn polygon_of(&mut self, id: u32) -> Option<u32> {
         let slot = self.query.frame.slot_of_id(id)?;
         self.workspace.polygons.of_slot(self.query.frame, slot)
@@ -209,7 +209,6 @@ impl PatchPixels<'_> {
         ray / self.inverse.dot(ray)
     }
 
-    /// Column and row of a sample.
     fn column_row(&self, line: u32, sample: u32) -> (u32, u32) {
         match self.query.frame.sensor.grid() {
             PixelGrid::Lines(grid) if grid.axis() == LineAxis::Columns => (line, sample),
@@ -226,7 +225,7 @@ impl PatchPixels<'_> {
         self.query.frame.images.polygon_id[self.number_at(line, sample)]
     }
 
-    /// Its place in the unwrapped image.
+    /// The pixel's coordinates in the unwrapped image.
     fn pixel_at(&self, span: &Span, sample: u32) -> DVec2 {
         let (column, row) = self.column_row(span.line, sample);
         DVec2::new(f64::from(column) + span.turned, f64::from(row))
@@ -254,18 +253,18 @@ impl PatchPixels<'_> {
         }
     }
 
-    /// Samples of a run of which one is the nearest.
+    /// Two samples of a run. The sample nearest to the sensor is among them.
     fn nearest_of(&self, line: u32, run: Range<u32>) -> [u32; 2] {
         let PixelGrid::Lines(grid) = self.query.frame.sensor.grid() else { return [run.start; 2] };
         let last = run.end - 1;
         if run.start == last {
             return [last; 2];
         }
-        // The line of the patch that the line of pixels sees, and the foot of the sensor on it.
+        // The line of pixels sees this line of the patch; find the point nearest to the sensor.
         let [a, b] = [run.start, last].map(|sample| self.place(line, sample));
         let along = b - a;
         let share = -a.dot(along) / along.length_squared();
-        // Only what is between the two is known to be before the sensor.
+        // Places beyond the two ends may be behind the sensor.
         if !(share > 0.0 && share < 1.0) {
             return [if share >= 1.0 { last } else { run.start }; 2];
         }

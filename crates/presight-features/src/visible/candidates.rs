@@ -1,4 +1,4 @@
-//! Polygons that may hide a feature, each once, from wherever they are proposed.
+//! Collects the polygons that may hide a feature, each once, from all sources.
 
 use super::VisibilityContext;
 use super::polygon::PolygonCache;
@@ -7,30 +7,29 @@ use super::surface::FeatureSurface;
 use glam::DVec2;
 use presight_model::index::{QueryResult, Region};
 
-/// How far apart are the blocks of three by three pixels along a feature that are looked through, pixels. Nearly all that hides it
-/// shows in them; finding the rest by tiles is faster than looking through more.
+/// Distance between the blocks of 3 x 3 pixels that are searched along a feature, pixels. Nearly all occluders show up
+/// in them; finding the rest by tiles is faster than searching more blocks.
 pub(super) const BLOCKS_APART: f64 = 24.0;
 
-/// How many ids are kept in mind while pixels are looked through.
+/// Number of recent ids to remember while pixels are searched.
 const LATEST: usize = 4;
 
-/// A list of polygons that cover rays, by their numbers in a [`PolygonCache`], without those that the feature lies on.
+/// A list of polygons that cover rays, by their numbers in a [`PolygonCache`], except those under the feature.
 #[derive(Default)]
 pub(super) struct Candidates {
     numbers: Vec<u32>,
-    /// By number of a polygon, the last list that it was proposed for.
+    /// By polygon number: the last list for which the polygon was proposed.
     asked: Vec<u32>,
-    /// Number of this list.
     list: u32,
-    /// The pixel around which polygons were added last.
+    /// The pixel around which polygons were last added.
     center: Option<(i64, i64)>,
-    /// Ids that were added last, the latest first.
+    /// Ids added last, the latest first.
     latest: [u32; LATEST],
     found: QueryResult,
 }
 
 impl Candidates {
-    /// Begins another list.
+    /// Starts a new list.
     pub fn begin(&mut self) {
         self.list = self.list.wrapping_add(1).max(1);
         self.numbers.clear();
@@ -38,7 +37,7 @@ impl Candidates {
         self.latest = [0; LATEST];
     }
 
-    /// Begins a list of what hints say of a feature; without any, of what the images show around the places that `visit_places` adds.
+    /// Starts a list from a feature's hints; without hints, from the images around the places that `visit_places` adds.
     pub fn propose(
         &mut self,
         query: &FeatureQuery<'_>,
@@ -52,12 +51,12 @@ impl Candidates {
         }
     }
 
-    /// Their numbers in the cache.
+    /// The numbers of the polygons in the cache.
     pub fn numbers(&self) -> &[u32] {
         &self.numbers
     }
 
-    /// True if polygons around this place in the image were not the last to be added.
+    /// Returns true unless polygons were last added around this place.
     pub fn moves(&self, frame: &VisibilityContext<'_>, pixel: DVec2) -> bool {
         self.center != Some(frame.sampler.nearest_pixel(pixel))
     }
@@ -76,7 +75,7 @@ impl Candidates {
             return;
         }
         let (w, h) = (i64::from(frame.images.width), i64::from(frame.images.height));
-        // A step aside brings one column in, one down or up one row.
+        // A step of one pixel brings in only one new column or row.
         let (mut columns, mut rows) = ([column - 1, column + 1], [(row - 1).max(0), (row + 1).min(h - 1)]);
         match before.map(|(c, r)| (column - c, row - r)) {
             Some((1, 0)) => columns[0] = column + 1,
@@ -101,7 +100,7 @@ impl Candidates {
         }
     }
 
-    /// Adds those of hints.
+    /// Adds the polygons of hints.
     pub fn add_hints(
         &mut self,
         frame: &VisibilityContext<'_>,
@@ -117,7 +116,7 @@ impl Candidates {
         }
     }
 
-    /// Adds those that the index finds in a region.
+    /// Adds the polygons that the index finds in a region.
     pub fn add_in(
         &mut self,
         frame: &VisibilityContext<'_>,
@@ -132,7 +131,7 @@ impl Candidates {
         self.found = found;
     }
 
-    /// The polygon of an id, unless that is nothing or one of the latest: as of most pixels.
+    /// Adds the polygon of an id, unless it is 0 or was just added.
     #[inline]
     fn add_id(
         &mut self,
@@ -141,11 +140,11 @@ impl Candidates {
         id: u32,
         own: &FeatureSurface<'_>,
     ) {
-        // The latest first, by itself: it is that of most.
+        // Compared separately because most pixels repeat the latest id.
         if id == self.latest[0] || self.latest.contains(&id) {
             return;
         }
-        // The last of all goes, the first stays first in line.
+        // Drops the oldest id.
         self.latest.rotate_right(1);
         self.latest[0] = id;
         if id != 0

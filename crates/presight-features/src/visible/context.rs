@@ -1,4 +1,4 @@
-//! What all features of a prediction share.
+//! Data that all features of a prediction share.
 
 use super::FeatureSettings;
 use crate::sample::Sampler;
@@ -13,7 +13,6 @@ use presight_render::plan::{Facing, IdScheme, Images, Instance, facings};
 use std::collections::HashMap;
 use std::sync::OnceLock;
 
-/// What all features of a prediction share.
 pub(super) struct VisibilityContext<'a> {
     pub world: &'a World,
     pub environment: &'a Environment,
@@ -24,22 +23,22 @@ pub(super) struct VisibilityContext<'a> {
     pub options: FeatureSettings,
     pub time: f64,
     pub facings: Vec<Facing>,
-    /// By material, whether the sensor's class sees nothing of it.
+    /// By material: true if the sensor class does not see it.
     pub invisible: Vec<bool>,
     pub instances: Vec<OnceLock<Instance>>,
-    /// By object: where its frame is in the image frame.
+    /// By object: its frame relative to the image frame.
     frames: Vec<OnceLock<FrameInImage>>,
     /// Slot by `source` id.
     pub of_source: HashMap<u32, u32>,
     pub sampler: Sampler<'a>,
 }
 
-/// The frame of an object, seen from the image frame.
+/// The frame of an object, relative to the image frame.
 #[derive(Clone, Copy)]
 struct FrameInImage {
     turn: DMat3,
     shift: DVec3,
-    /// How far its origin is from the sensor, metres.
+    /// Distance of its origin from the sensor, metres.
     apart: f64,
 }
 
@@ -56,12 +55,12 @@ impl<'a> VisibilityContext<'a> {
         let pixels = sensor.width() as usize * sensor.height() as usize;
         if images.polygon_id.len() != pixels || (images.width, images.height) != (sensor.width(), sensor.height()) {
             let what = format!("there is no polygon_id image of {} x {} pixels", sensor.width(), sensor.height());
-            return Err(Error::invalid(what, "ask for polygon_id"));
+            return Err(Error::invalid(what, "request polygon_id"));
         }
         sensor.check_projection()?;
-        // Much finer than any sensor's pixel is taken for.
+        // Far finer than the resolution of any sensor.
         if !(1e-3..=STEP).contains(&options.step) {
-            let what = format!("features sampled every {} pixels", options.step);
+            let what = format!("the sampling step of features is {} pixels", options.step);
             return Err(Error::usage(what, format!("give a step of 0.001 to {STEP} pixels")));
         }
         let objects = environment.objects().len();
@@ -122,8 +121,8 @@ impl<'a> VisibilityContext<'a> {
         Some(Occluder { slot, polygon_id: self.options.ids.id_of(o, polygon), object })
     }
 
-    /// Positions of a feature's points in the image frame, the turn from its object's frame, and how far they may be off by
-    /// rounding.
+    /// A feature's points in the image frame, the rotation from its object's frame, and the bound of the points'
+    /// rounding errors in metres.
     pub fn in_image(&self, placed: &PlacedFeature) -> (Vec<DVec3>, DMat3, f64) {
         let points = placed.feature.shape.points();
         let reach = points.iter().map(|p| p.length()).fold(0.0, f64::max);
@@ -135,14 +134,14 @@ impl<'a> VisibilityContext<'a> {
     pub fn in_image_of(&self, points: &[DVec3], object: Option<u32>) -> Vec<DVec3> {
         let (turn, shift) = self.image_from(object);
         let place = |p: &DVec3| match object {
-            // Differences to the sensor come first.
+            // Subtract the sensor's position first to keep precision.
             None => turn * (*p - self.world_from_sensor.translation),
             Some(_) => turn * *p + shift,
         };
         points.iter().map(place).collect()
     }
 
-    /// Turn and shift from the frame of an object, or of the world, to the image.
+    /// Rotation and translation from the frame of an object, or of the world, to the image frame.
     pub fn image_from(&self, object: Option<u32>) -> (DMat3, DVec3) {
         match object {
             None => (self.image_from_world, self.image_from_world * -self.world_from_sensor.translation),
@@ -162,10 +161,10 @@ impl<'a> VisibilityContext<'a> {
         })
     }
 
-    /// How far points of an object's frame may be off by rounding in the image frame, `reach` metres from its origin at most.
+    /// Rounding error bound (image frame, metres) of points at most `reach` metres from the origin of an object.
     pub fn rounding(&self, reach: f64, object: Option<u32>) -> f64 {
         let size = object.map_or(0.0, |object| self.frame_of(object).apart);
-        // Roundings of the sums and of the matrices, and of the world positions themselves.
+        // Rounding of the sums, of the matrices, and of the world positions themselves.
         let far = self.world_from_sensor.translation.abs().max_element();
         f64::EPSILON * (8.0 * (reach + size) + 2.0 * far)
     }

@@ -1,4 +1,4 @@
-//! What is seen of the curves of a contour: piece by piece, each as a segment on the polygons around it.
+//! Visibility of a contour's curves: each piece is a segment on the polygons around it.
 
 use super::strategy::{FeatureQuery, decide};
 use super::surface::FeatureSurface;
@@ -10,7 +10,7 @@ use presight_model::contour::{Curve, Surface};
 use presight_model::environment::FeatureShape;
 
 impl Worker<'_> {
-    /// What is seen of each curve of a contour, the longest in the image first. None of a surface that has no front beside a back.
+    /// The visible parts of each curve, the longest in the image first. Empty if the surface has no silhouette here.
     pub(super) fn contour(&mut self, placed: &PlacedFeature, surface: &Surface) -> Vec<FeatureResult> {
         let frame = self.frame;
         let pose = frame.environment.objects()[surface.object as usize].world_from_object;
@@ -45,7 +45,7 @@ impl Worker<'_> {
         numbered.map(result).collect()
     }
 
-    /// All pieces of a curve together.
+    /// Decides all pieces of a curve and sums the results.
     fn curve(&mut self, surface: &Surface, curve: &Curve) -> (Tally, FeatureStats) {
         let (frame, workspace) = (self.frame, &mut self.workspace);
         let whole = curve.length();

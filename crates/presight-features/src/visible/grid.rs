@@ -1,7 +1,7 @@
-//! Small patches in pinhole cameras and scanners, column by column of the grid of their samples.
+//! Decides small patches in pinhole cameras and scanners, column by column of a grid of samples.
 //!
-//! Of a plane patch a column sees a straight line, and of what may hide it one interval: between its ends all that decides is linear in the
-//! ray, or a quotient of two such, which rises or falls. So the ends of an interval decide about all of it.
+//! A column sees a straight line of a plane patch, and an occluder hides one interval of it. Along the interval every
+//! tested value is linear in the ray, or a monotonic quotient of two linear values. So the two ends decide all of it.
 
 use super::VisibilityContext;
 use super::candidates::BLOCKS_APART;
@@ -17,30 +17,28 @@ use crate::{FeatureStats, Reason};
 use glam::DVec3;
 use std::ops::Range;
 
-/// Of two places that a polygon hides by more than this, beside rounding, it hides all between them.
+/// A polygon that hides two places by more than this, after rounding, hides all places between them.
 const CLEARLY: f64 = 1e-12;
 
-/// No slot.
 const NONE: u32 = u32::MAX;
 
-/// The samples of a patch, and what hides each.
+/// The samples of a patch, and their occluders.
 struct Grid {
     samples: PatchColumns,
-    /// By sample, the slot of what hides it.
+    /// By sample: the slot of its occluder.
     by: Vec<u32>,
-    /// Least and greatest range.
     ranges: [f64; 2],
     rounding: f64,
 }
 
-/// Some samples of a column that lie in one tile.
+/// Samples of a column that lie in one tile.
 struct Piece {
     tile: u32,
     column: u32,
     rows: Range<usize>,
 }
 
-/// Decides about a patch in straight columns, if only what is in between decides, and no more care is needed.
+/// Decides a patch in straight columns if only occlusion can hide it; `None` if that needs more care.
 pub(super) fn decide(query: &FeatureQuery<'_>, outline: PatchOutline, workspace: &mut Workspace) -> Option<Decision> {
     let FeatureQuery { frame, points, own, .. } = query;
     let spec = frame.sensor.spec();
@@ -70,7 +68,7 @@ pub(super) fn decide(query: &FeatureQuery<'_>, outline: PatchOutline, workspace:
 }
 
 impl Grid {
-    /// How many samples nothing hides.
+    /// How many samples are not hidden.
     fn open(&self) -> usize {
         self.by.iter().filter(|by| **by == NONE).count()
     }
@@ -81,7 +79,7 @@ impl Grid {
         &mut self.by[first..first + rows.len()]
     }
 
-    /// Those of some rows between the first and the last that nothing hides.
+    /// The rows from the first to the last sample that is not hidden.
     fn open_in(&mut self, column: usize, rows: Range<usize>) -> Range<usize> {
         let by = self.by(column, rows.clone());
         let first = by.iter().position(|by| *by == NONE);
@@ -89,7 +87,7 @@ impl Grid {
         first.zip(last).map_or(rows.end..rows.end, |(first, last)| rows.start + first..rows.start + last + 1)
     }
 
-    /// Marks what a polygon hides of some rows of a column, not none; `None` if nothing is known about its range there.
+    /// Marks the samples that a polygon hides, in at least one row; `None` if the polygon's range there is unknown.
     fn hide(&mut self, known: &PreparedPolygon, planes: &[DVec3], column: usize, rows: &Range<usize>) -> Option<()> {
         let of = &self.samples.columns[column];
         let [p, q] = [rows.start, rows.end - 1].map(|row| self.samples.ray(of, row));
@@ -109,7 +107,7 @@ impl Grid {
             self.by(column, rows).iter_mut().filter(|by| **by == NONE).for_each(|by| *by = known.slot);
             return Some(());
         }
-        // It crosses the patch, or nearly: one by one.
+        // The polygon crosses the patch, or nearly does: test each sample.
         for row in rows {
             let at = self.samples.at(&self.samples.columns[column], row);
             match known.nearer(known.inverse.dot(at), at.length(), self.rounding) {
@@ -124,7 +122,7 @@ impl Grid {
         Some(())
     }
 
-    /// Marks what polygons seen around some of the samples hide; `None` if more care is needed.
+    /// Marks the samples hidden by polygons seen around some of the samples; `None` if more care is needed.
     fn hide_by_image(&mut self, query: &FeatureQuery<'_>, workspace: &mut Workspace) -> Option<()> {
         let Workspace { polygons, candidates, .. } = workspace;
         candidates.propose(query, polygons, |add| {
@@ -145,7 +143,7 @@ impl Grid {
         Some(())
     }
 
-    /// The samples that nothing hides yet, tile by tile.
+    /// The samples that are not hidden yet, by tile.
     fn pieces(&mut self, workspace: &Workspace) -> Vec<Piece> {
         let mut pieces = Vec::new();
         for column in 0..self.samples.columns.len() {
@@ -155,7 +153,7 @@ impl Grid {
                 let (samples, of) = (&self.samples, &self.samples.columns[column]);
                 let tile = workspace.tiles.of(samples.at(of, open.start)).0;
                 let is_in = |row: usize| workspace.tiles.of(samples.at(of, row)).0 == tile;
-                // A tile is convex: what is in it comes first.
+                // A tile is convex, so the samples inside it come first.
                 let (mut inside, mut outside) = (open.start, open.end);
                 if is_in(open.end - 1) {
                     inside = open.end - 1;
@@ -172,7 +170,7 @@ impl Grid {
         pieces
     }
 
-    /// Marks whatever hides samples; `None` if more care is needed.
+    /// Marks the samples hidden by polygons that the index finds; `None` if more care is needed.
     fn hide_by_tiles(&mut self, query: &FeatureQuery<'_>, workspace: &mut Workspace) -> Option<()> {
         const VERY_FEW: usize = 9;
         let FeatureQuery { frame, own, .. } = query;
@@ -208,7 +206,7 @@ impl Grid {
         Some(())
     }
 
-    /// True if nothing hides some of it.
+    /// Returns true if some sample of the piece is not hidden.
     fn is_open(&mut self, piece: &Piece) -> bool {
         self.by(piece.column as usize, piece.rows.clone()).contains(&NONE)
     }
@@ -225,7 +223,6 @@ impl Grid {
         }
     }
 
-    /// Sums of the samples.
     fn tally(&self, frame: &VisibilityContext<'_>) -> Tally {
         let mut tally = Tally::default();
         let samples = &self.samples;
@@ -241,7 +238,7 @@ impl Grid {
                     NONE => SampleState::Seen,
                     slot => SampleState::Hidden(Reason::Occluded, Some(slot)),
                 };
-                // All weigh the same.
+                // All samples have the same weight.
                 tally.take_pixels(state, some.len());
                 if state == SampleState::Seen {
                     tally.reach_between(samples.pixel(column, start), samples.pixel(column, end - 1));

@@ -1,10 +1,10 @@
-//! Which feature each pixel shows, and what is found of neighbouring features.
+//! Records the feature that each pixel shows, and the results of neighbouring features.
 
 use super::worker::FeatureResult;
 use crate::{FeatureStats, SeenFeature};
 use presight_model::environment::{Feature, FeatureShape};
 
-/// Which feature each pixel shows: points and landmarks over segments over contours over patches, then lower numbers.
+/// By pixel, the feature it shows. Points and landmarks win over segments, then contours, then patches; then lower ids.
 pub struct Marks(pub(super) Vec<u64>);
 
 impl Marks {
@@ -16,18 +16,18 @@ impl Marks {
         }
     }
 
-    /// The numbers of features, 0 is none.
+    /// The ids of the features; 0 where no feature is seen.
     pub fn into_image(self) -> Vec<u32> {
         self.0.into_iter().map(|key| if key == u64::MAX { 0 } else { key as u32 }).collect()
     }
 }
 
-/// What is found of some neighbouring features.
+/// Results for some neighbouring features.
 #[derive(Default)]
 pub(super) struct Part {
     pub features: Vec<SeenFeature>,
     pub given: Vec<u32>,
-    /// By number of the feature, the pixels in which it shows.
+    /// The pixels that show each feature, with the index of the feature.
     pub pixels: Vec<(usize, Vec<u32>)>,
     pub stats: FeatureStats,
 }

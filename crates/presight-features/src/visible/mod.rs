@@ -1,26 +1,25 @@
-//! Which parts of features are visible.
+//! Decides which parts of features are visible.
 //!
-//! A sample of a feature has its own ray, from the sensor to the point itself; it is not the ray of any pixel. A polygon on
-//! which the feature does not lie hides the sample if it covers that ray, exactly in f64 (all e_k . u >= 0), and is
+//! Each sample of a feature has its own ray, from the sensor to the sample; it is not the ray of any pixel. A polygon
+//! on which the feature does not lie hides the sample if it covers that ray, exactly in f64 (all e_k . u >= 0), and is
 //! nearer by more than the derived rounding bound: n . u / d > 1 / |p| + bound.
 //!
-//! **What the images propose.** The polygons seen by the nine pixels around each sample are tested first (in straight images by those
-//! around some of them). Along a segment
-//! p(t) = a + t b both conditions are linear in t: a polygon covers one interval of it, in closed form, and is tested once
-//! for all samples. What is hidden so is hidden, whatever the images are; in a building that is nearly everything.
+//! **Candidates from the images.** The polygons seen by the nine pixels around each sample are tested first; in
+//! straight images, only around some of the samples. Along a segment p(t) = a + t b both conditions are linear in t:
+//! a polygon covers one interval of it, in closed form, and is tested once for all samples. The test is exact whatever
+//! the images show; in a building it finds nearly all hidden samples.
 //!
-//! **What space confirms.** That a sample is seen no image can prove: nine rays may all miss an occluder under a pixel. So
-//! what is not hidden yet is confirmed by the index: its queries are shared by tiles of the directions around the sensor
-//! ([`tiles`]); single points have a ray each. Each polygon found is tested like those of the pixels.
+//! **Confirmation in space.** No image can prove that a sample is seen: nine rays may all miss an occluder under a
+//! pixel. The index confirms the remaining samples. Tiles of the directions around the sensor share its queries
+//! ([`tiles`]); single points have a ray each. Each polygon found gets the same test.
 //!
-//! **Strategies.** [`strategy`] tries functions of one signature: [`whole`] for segments that a scanner sees or does not see as
-//! a whole, [`runs`] for all other segments, [`area`] and [`grid`] for patches of many pixels and of few, [`samples`] for all else, and
-//! [`rays`] where a ray to each sample is asked for. They share [`candidates`], the polygons that may hide a feature, the polygons set up so far ([`polygon`])
-//! and the tiles.
+//! **Strategies.** [`strategy`] tries functions of one signature: [`whole`] for segments that a scanner sees entirely
+//! or not at all, [`runs`] for all other segments, [`area`] and [`grid`] for patches of many and few pixels,
+//! [`samples`] for the rest, and [`rays`] if one ray per sample is requested. They share [`candidates`] (polygons that
+//! may hide a feature), [`polygon`] (polygons set up so far) and the tiles.
 //!
-//! The result is therefore that of a ray to every sample ([`Visibility::Rays`]); images only save time. Comparing the point's
-//! depth with the plane of its pixel's polygon would be wrong at silhouettes, because that plane says nothing about places that
-//! the polygon does not cover.
+//! The result equals that of one ray per sample ([`Visibility::Rays`]); images only save time. Comparing the point's
+//! depth with the plane of its pixel's polygon would be wrong at silhouettes, where the polygon ends.
 
 mod area;
 mod candidates;
@@ -62,38 +61,38 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use strategy::Workspace;
 use worker::Worker;
 
-/// How visibility is decided.
+/// The method that decides visibility.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Visibility {
-    /// By the polygons of neighbouring pixels, and by the index where these hide nothing, for many samples at once.
+    /// Tests the polygons of neighbouring pixels; where these hide nothing, queries the index for many samples at once.
     #[default]
     Image,
-    /// By a ray through the index for every sample. Slow; the other way is tested against it.
+    /// Casts a ray through the index for every sample. Slow; [`Visibility::Image`] is tested against it.
     Rays,
 }
 
-/// How features are predicted from images at hand.
+/// Settings for predicting features from existing images.
 #[doc(hidden)]
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FeatureSettings {
     /// UTC seconds, for probabilities of existence. `None` means the newest confirmation of all features.
     pub time: Option<f64>,
-    /// Which number `polygon_id` of the images holds.
+    /// The numbering of `polygon_id` in the images.
     pub ids: IdScheme,
     /// Fill [`FeaturePrediction::feature_id`].
     pub feature_id: bool,
-    /// What is said of features of which nothing is seen.
+    /// Which results to return for features that are not seen.
     pub hidden: Hidden,
-    /// How visibility is decided.
+    /// The method that decides visibility.
     pub visibility: Visibility,
-    /// Longest piece of a feature's image that one sample stands for, 0.001 pixels to [`STEP`]. Finer steps make visible
-    /// fractions more precise and take longer. A patch that covers more than 1,024 pixels is sampled at its pixels. With
-    /// [`Visibility::Rays`] a patch has up to 4,096 samples, and up to 64 times as many where the step is finer.
+    /// Longest piece of a feature's image per sample, 0.001 pixels to [`STEP`]. Finer steps make visible fractions more
+    /// precise and take longer. A patch that covers more than 1,024 pixels is sampled at its pixels. With
+    /// [`Visibility::Rays`] a patch has up to 4,096 samples, and up to 64 times that number with finer steps.
     pub step: f64,
-    /// The images gave something up for a deadline: where they are NaN with id 0, they say nothing. Large patches, which the
-    /// images decide about, are [`crate::features::Reason::NotPredicted`] there; all else is found in space, as always.
+    /// A deadline left the images incomplete: pixels with NaN and id 0 hold no information. Large patches, which the
+    /// images decide, are [`crate::features::Reason::NotPredicted`] there; the index decides the others as usual.
     pub is_partial: bool,
-    /// Regions of interest will be asked for: of patches that are seen in part it is noted where.
+    /// Regions of interest will be computed: record where partly visible patches are seen.
     pub regions: bool,
 }
 
@@ -112,8 +111,8 @@ impl Default for FeatureSettings {
     }
 }
 
-/// Predicts how much a sensor at a pose (body axes) sees of features, from the `polygon_id` image of the same world, sensor
-/// and pose.
+/// Predicts how much of each feature a sensor at a pose (body axes) sees, from the `polygon_id` image of the same
+/// world, sensor and pose.
 ///
 /// ```
 /// use presight::environment::{Existence, Feature, FeatureShape, Properties};
@@ -139,9 +138,9 @@ impl Default for FeatureSettings {
 /// ```
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] if there is no `polygon_id` image of the sensor's size, a feature's object or slot does
-/// not exist, or the sensor is a ray table without a nearest ray; [`crate::ErrorKind::Usage`] for a step out of its range, and those of [`Pose::check`];
-/// those of [`crate::Threads::new`].
+/// [`crate::ErrorKind::Invalid`] if there is no `polygon_id` image of the sensor's size, a feature's object or slot
+/// does not exist, or the sensor is a ray table without a nearest ray; [`crate::ErrorKind::Usage`] if the step is out
+/// of range; the errors of [`Pose::check`] and [`crate::Threads::new`].
 #[doc(hidden)]
 pub fn predict_features(
     world: &World,
@@ -155,16 +154,16 @@ pub fn predict_features(
     parallel(|| prepared.finish(None))
 }
 
-/// Features that were checked against a world and a sensor, to be predicted.
+/// Features that were checked against a world and a sensor, ready to be predicted.
 pub struct PreparedFeatures<'a> {
-    /// `None` without features: nothing is worked out for them.
+    /// `None` if there are no features.
     frame: Option<VisibilityContext<'a>>,
     images: &'a Images,
     placed: &'a [PlacedFeature],
     feature_id: bool,
-    /// Numbers of the features that are looked at one by one.
+    /// Indices of the features that are tested individually.
     some: Vec<usize>,
-    /// Numbers of those that are told of without a look, rising, and why they are out of view.
+    /// Indices of the features that are out of view without a test, ascending, and the reasons.
     out_of_view: Vec<(u32, Reason)>,
     contours: Contours<'a>,
     workspaces: IdleWorkspaces,
@@ -185,13 +184,13 @@ impl Contours<'_> {
     }
 }
 
-/// Samples of a feature that only what is in between decides: where, image frame, and the nearest pixel, row-major.
+/// Samples of a feature that only occlusion can still hide: positions (image frame) and nearest pixels (row-major).
 pub(crate) type QuerySamples = Vec<(DVec3, u32)>;
 
-/// Samples of features on the image of a sensor, feature by feature.
+/// Samples of features for a sensor, in the order of the features.
 #[derive(Clone, Copy, Debug)]
 pub struct FeatureSamples<'a> {
-    /// Of each feature: where, image frame, and the nearest pixel, row-major.
+    /// By feature: positions (image frame) and nearest pixels (row-major).
     pub samples: &'a [Vec<(DVec3, u32)>],
     /// The features.
     pub placed: &'a [&'a PlacedFeature],
@@ -199,22 +198,22 @@ pub struct FeatureSamples<'a> {
     pub sensor: &'a Sensor,
 }
 
-/// What the nine pixels around a sample say of it.
+/// The verdict of the nine pixels around a sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum OcclusionHint {
-    /// Hidden by the polygon of a slot.
+    /// The polygon in this slot hides the sample.
     Hidden(u32),
-    /// A polygon covers its ray and is not nearer, and none beside it could be.
+    /// A polygon covers the sample's ray and is not nearer, and no polygon next to it could be.
     Seen,
-    /// Neither.
+    /// The pixels do not decide.
     Doubt,
 }
 
 impl<'a> PreparedFeatures<'a> {
-    /// Of features that exist in the world if their tree is given, with the surfaces of contours among them.
+    /// Prepares features. Features that come with a tree and the surfaces of contours are known to exist in the world.
     ///
     /// # Errors
-    /// As [`predict_features`].
+    /// The errors of [`predict_features`].
     pub fn new(
         world: &'a World,
         sensor: &'a Sensor,
@@ -260,7 +259,7 @@ impl<'a> PreparedFeatures<'a> {
         Ok(Self { frame: Some(frame), some, out_of_view, contours, ..prepared })
     }
 
-    /// What would be asked of the images, feature by feature: for a device that still has them.
+    /// By feature, the samples to look up in the images; for a device that still holds these.
     pub fn query_samples(&self) -> Vec<QuerySamples> {
         let Some(frame) = &self.frame else { return Vec::new() };
         self.some
@@ -270,13 +269,13 @@ impl<'a> PreparedFeatures<'a> {
             .collect()
     }
 
-    /// The features asked about, in the order of [`PreparedFeatures::query_samples`].
+    /// The features in the order of [`PreparedFeatures::query_samples`].
     pub fn asked(&self) -> impl Iterator<Item = &'a PlacedFeature> {
         self.some.iter().map(|i| &self.placed[*i])
     }
 
-    /// Predicts them. `told` are, in the order of [`PreparedFeatures::query_samples`], the slots of what may hide the samples; otherwise
-    /// the images are asked.
+    /// Predicts all features. `told` holds the slots that may hide the samples, in the order of
+    /// [`PreparedFeatures::query_samples`]; without it the images are used.
     pub fn finish(mut self, told: Option<&[Vec<Option<u32>>]>) -> FeaturePrediction {
         let mut marks = self.marks();
         let mut prediction = self.part(&self.some, told, &mut marks);
@@ -291,7 +290,7 @@ impl<'a> PreparedFeatures<'a> {
         prediction
     }
 
-    /// Predicts some of them, by index, with what is told of each; which pixels they mark is noted.
+    /// Predicts the features with these indices, with their slots in `told`, and records the pixels that they mark.
     pub fn part(&self, which: &[usize], told: Option<&[Vec<Option<u32>>]>, marks: &mut Marks) -> FeaturePrediction {
         let mut prediction = FeaturePrediction::default();
         let Some(frame) = &self.frame else { return prediction };
@@ -322,13 +321,13 @@ impl<'a> PreparedFeatures<'a> {
         prediction
     }
 
-    /// No pixel is marked yet.
+    /// An image with no marks.
     pub fn marks(&self) -> Marks {
         let pixels = if self.feature_id { self.images.width as usize * self.images.height as usize } else { 0 };
         Marks(vec![u64::MAX; pixels])
     }
 
-    /// About how long the images of the features are, pixels: what counts is which is longer.
+    /// Approximate lengths of the features' images, pixels. Only good for comparing features with each other.
     pub fn image_lengths(&self) -> Vec<f64> {
         let Some(frame) = &self.frame else { return Vec::new() };
         let one = |(number, placed): (usize, &PlacedFeature)| match self.contours.set().get(number) {
@@ -339,7 +338,7 @@ impl<'a> PreparedFeatures<'a> {
     }
 }
 
-/// Puts features in the order in which they were given; the curves of one keep theirs.
+/// Restores the input order of the features; the curves of one feature keep theirs.
 fn sort_as_given(prediction: &mut FeaturePrediction) {
     let given = &prediction.given;
     if given.is_sorted() {
@@ -352,7 +351,7 @@ fn sort_as_given(prediction: &mut FeaturePrediction) {
     prediction.given = order.iter().map(|i| given[*i as usize]).collect();
 }
 
-/// About how long the image of an outline through points is, pixels. Parts beside the image have no length.
+/// Approximate length of an outline's image, pixels. Parts outside the image do not count.
 fn length_through(frame: &VisibilityContext<'_>, points: &[DVec3]) -> f64 {
     /// Pieces of each side.
     const PIECES: u32 = 8;
@@ -380,18 +379,18 @@ fn length_through(frame: &VisibilityContext<'_>, points: &[DVec3]) -> f64 {
     length
 }
 
-/// Features that a worker takes at a time, at least.
+/// Smallest number of features per parallel task.
 const BATCH: usize = 32;
 
-/// Workspaces at rest. In one prediction they keep what was set up: a thread pool may split the work into many tasks.
+/// Idle workspaces. Within a prediction they keep their polygons and tiles for the next task of the thread pool.
 #[derive(Default)]
 struct IdleWorkspaces {
     idle: Mutex<Vec<Workspace>>,
-    /// Where they rest between predictions.
+    /// Where they stay between predictions.
     memory: WorkspaceMemory,
 }
 
-/// Workspaces between predictions: their memory need not be asked for again.
+/// Workspaces kept between predictions to reuse their memory.
 #[derive(Clone, Default)]
 pub(crate) struct WorkspaceMemory(Arc<Mutex<Vec<Workspace>>>);
 
@@ -410,7 +409,7 @@ impl IdleWorkspaces {
         Self { idle: Mutex::default(), memory }
     }
 
-    /// One of this prediction, or a new one.
+    /// Returns an idle workspace of this prediction, or a new one.
     fn take(&self, frame: &VisibilityContext<'_>) -> Workspace {
         let known = lock(&self.idle).pop();
         known.unwrap_or_else(|| match lock(&self.memory.0).pop() {
@@ -437,7 +436,7 @@ impl Drop for IdleWorkspaces {
     }
 }
 
-/// A worker whose workspace rests again when it is let go.
+/// A worker that returns its workspace when dropped.
 struct WorkerGuard<'j, 'a> {
     worker: Option<Worker<'a>>,
     frame: &'a VisibilityContext<'a>,

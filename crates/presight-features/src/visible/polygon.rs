@@ -1,37 +1,36 @@
-//! Polygons set up for tests against features' own rays, once for all samples that come near them.
+//! Polygons set up for tests against features' own rays; each is set up once for all samples.
 
 use super::VisibilityContext;
 use glam::DVec3;
 use presight_render::reference::Face;
 use presight_render::verify::{PlaneBound, Precision};
 
-/// A polygon in the image frame, and how far off its plane may be.
+/// A polygon in the image frame, with error bounds of its plane.
 pub(super) struct PreparedPolygon {
     pub slot: u32,
     pub material: u16,
-    /// It covers rays: opaque, seen from this side, not edge-on.
+    /// True if it covers rays: opaque, seen from this side, not edge-on.
     pub covers: bool,
-    /// Unit normal, and whether the sensor is on its side.
+    /// Unit normal; true in `faces_sensor` if the sensor is on its side.
     pub normal: DVec3,
     pub faces_sensor: bool,
-    /// n / d: its product with a point is the point's range over that of the polygon on the same ray.
+    /// n / d. Its product with a point is the ratio of the point's range to the polygon's range on the same ray.
     pub inverse: DVec3,
-    /// Error of that product, for a unit of the point's range, and for a unit of the product; infinite where nothing is
-    /// known of the distance.
+    /// Error of that ratio per metre of the point's range, and per unit of the ratio; infinite if it is unknown.
     off: [f64; 2],
-    /// First edge plane and corner, and how many.
+    /// First edge plane and corner, and their number.
     edges: (u32, u32),
 }
 
-/// Is a polygon that covers a point's ray nearer than the point?
+/// The order of a polygon and a point on a ray that the polygon covers.
 pub(super) enum RelativeDepth {
     Yes,
     No,
-    /// Nothing is known about its range.
+    /// The polygon's range is unknown.
     Unknown,
 }
 
-/// The part of the straight way from p to q that lies within edge planes, as shares of the way, the lesser one first. `None` if there is none.
+/// The part of the line from p to q inside all edge planes, as shares of the line, ascending. `None` if it is empty.
 #[inline]
 pub(super) fn within_edges(planes: &[DVec3], p: DVec3, q: DVec3) -> Option<[f64; 2]> {
     let (mut from, mut to) = (0.0f64, 1.0f64);
@@ -50,11 +49,11 @@ pub(super) fn within_edges(planes: &[DVec3], p: DVec3, q: DVec3) -> Option<[f64;
 }
 
 impl PreparedPolygon {
-    /// Is it nearer by more than rounding than a point at `range` that may itself be off by `rounding` metres? `share` is
-    /// the product with [`PreparedPolygon::inverse`].
+    /// Decides whether the polygon is nearer, by more than rounding, than a point at `range` that may be off by
+    /// `rounding` metres. `share` is the point's product with [`PreparedPolygon::inverse`].
     ///
-    /// With k = n . u / d one over the polygon's range, r the point's range and `off` the bound of k
-    /// ([`crate::verify::Precision`]), k > 1 / r + off is `share` = r k > 1 + r off.
+    /// Let k = n . u / d be the reciprocal of the polygon's range, r the range of the point and `off` the bound of k
+    /// ([`crate::verify::Precision`]). Then k > 1 / r + off is the same as `share` = r k > 1 + r off.
     #[inline]
     pub fn nearer(&self, share: f64, range: f64, rounding: f64) -> RelativeDepth {
         if !(share > 1.0 + rounding / range + 8.0 * f64::EPSILON) {
@@ -70,29 +69,29 @@ impl PreparedPolygon {
         }
     }
 
-    /// True if nothing is known of its distance.
+    /// Returns true if the polygon's distance is unknown.
     pub fn is_unknown(&self) -> bool {
         self.off[0].is_infinite()
     }
 
-    /// True if it is nearer than all points up to the range `far`, in its cone, of which none has a lesser share than `least`.
+    /// Returns true if it is nearer than all points in its cone with ranges up to `far` and shares of at least `least`.
     pub fn hides_all(&self, least: f64, far: f64, rounding: f64) -> bool {
-        // What is behind it is no nearer than its plane.
+        // No point behind the polygon is nearer than its plane.
         let near = self.inverse.length().recip();
         let bound = [near, far].map(|range| self.least_share(least, range, rounding));
         least > bound[0].max(bound[1]) * (1.0 + 8.0 * f64::EPSILON)
     }
 
-    /// The share above which it is.
+    /// The share above which the polygon is nearer.
     #[inline]
     pub fn least_share(&self, share: f64, range: f64, rounding: f64) -> f64 {
         1.0 + rounding / range + 8.0 * f64::EPSILON + self.off[0] * range + self.off[1] * share
     }
 }
 
-/// Polygons that were set up, by number and by slot.
+/// Prepared polygons by number and by slot.
 pub(super) struct PolygonCache {
-    /// By slot: number + 1. Pages that nothing touches cost nothing.
+    /// By slot: number + 1. Memory pages that are never touched use no memory.
     at: Vec<u32>,
     known: Vec<PreparedPolygon>,
     planes: Vec<DVec3>,
@@ -112,7 +111,7 @@ impl PolygonCache {
         }
     }
 
-    /// Forgets all polygons, for another prediction.
+    /// Removes all polygons, for another prediction.
     pub fn renew(&mut self, frame: &VisibilityContext<'_>) {
         let Self { at, known, planes, corners, .. } = self;
         known.iter().for_each(|known| at[known.slot as usize] = 0);
@@ -122,13 +121,12 @@ impl PolygonCache {
         corners.clear();
     }
 
-    /// The polygon of a number.
     #[inline]
     pub fn get(&self, number: u32) -> &PreparedPolygon {
         &self.known[number as usize]
     }
 
-    /// The number of the polygon of a slot; `None` if there is none.
+    /// The number of the polygon in a slot; `None` if the slot is empty.
     #[inline]
     pub fn of_slot(&mut self, frame: &VisibilityContext<'_>, slot: u32) -> Option<u32> {
         match self.at.get(slot as usize) {
@@ -166,7 +164,7 @@ impl PolygonCache {
         Some(self.known.len() as u32 - 1)
     }
 
-    /// Planes through the sensor and the sides of a polygon: inside is where all products are >= 0.
+    /// Planes through the sensor and the polygon's sides. A ray is inside if all products are >= 0.
     #[inline]
     pub fn planes_of(&self, known: &PreparedPolygon) -> &[DVec3] {
         let (first, count) = known.edges;
@@ -179,7 +177,7 @@ impl PolygonCache {
         &self.corners[first as usize..(first + count) as usize]
     }
 
-    /// True if a point's ray is in the polygon's cone.
+    /// Returns true if a point's ray is in the polygon's cone.
     #[inline]
     pub fn holds(&self, known: &PreparedPolygon, at: DVec3) -> bool {
         self.planes_of(known).iter().all(|e| e.dot(at) >= 0.0)
@@ -190,7 +188,7 @@ impl PolygonCache {
 mod tests {
     use super::*;
 
-    /// By hand: from (0, 1) to (2, 1), where x is at least half of y and at most one and a half of it.
+    /// Expected by hand: the line runs from (0, 1) to (2, 1); the planes keep x from 0.5 y to 1.5 y.
     #[test]
     fn a_way_is_cut_at_edges() {
         let [p, q] = [DVec3::new(0.0, 1.0, 0.0), DVec3::new(2.0, 1.0, 0.0)];
@@ -199,7 +197,7 @@ mod tests {
         assert_eq!(within_edges(&[most, least], q, p), Some([0.25, 0.75]));
         assert_eq!(within_edges(&[least], p, q), Some([0.25, 1.0]));
         assert_eq!(within_edges(&[], p, q), Some([0.0, 1.0]));
-        // Beside one edge, and between none of both: x at most half of y, at least one and a half of it.
+        // Outside one edge; and outside two edges at once: x at most 0.5 y and at least 1.5 y.
         assert_eq!(within_edges(&[DVec3::NEG_Y], p, q), None);
         assert_eq!(within_edges(&[-least, -most], p, q), None);
     }

@@ -1,4 +1,4 @@
-//! A ray through the index to every sample: slow, and what the other strategies are held to.
+//! Casts a ray through the index to every sample. Slow; the reference for the other strategies.
 
 use super::samples::Samples;
 use super::strategy::{Decision, FeatureQuery, Workspace};
@@ -6,7 +6,7 @@ use super::undecided::UndecidedSample;
 use crate::FeatureStats;
 use presight_model::index::Region;
 
-/// Decides about any feature.
+/// Decides any feature.
 pub(super) fn decide(query: &FeatureQuery<'_>, workspace: &mut Workspace) -> Option<Decision> {
     let mut samples = Samples::of(query, workspace);
     samples.open.iter_mut().for_each(|sample| hide(sample, query, workspace));

@@ -1,8 +1,8 @@
-//! Segments: decided in whole runs of samples, and not one by one.
+//! Decides segments by whole runs of samples instead of single samples.
 //!
-//! A segment is straight in space, so that a polygon hides one interval of it, in closed form. Its image is straight in a pinhole camera,
-//! and is cut into runs that are as good as straight elsewhere ([`Run`]); the ends of the interval say between which of their samples it
-//! lies.
+//! A segment is straight in space, so a polygon hides one interval of it, in closed form. Its image is straight in a
+//! pinhole camera; elsewhere it is cut into nearly straight runs ([`Run`]). The ends of the interval show which samples
+//! of the runs it contains.
 
 use super::VisibilityContext;
 use super::candidates::BLOCKS_APART;
@@ -16,32 +16,31 @@ use glam::{DVec2, DVec3};
 use presight_model::environment::FeatureShape;
 use std::ops::Range;
 
-/// Places between blocks at which is looked once more, at most.
+/// Most extra blocks of pixels that are searched in the gaps between the regular ones.
 const MOST_LOOKS: usize = 8;
 
-/// Of two places that a polygon hides by more than this, beside rounding, it hides all between them.
+/// A polygon that hides two places by more than this, after rounding, hides all places between them.
 const CLEARLY: f64 = 1e-12;
 
-/// No slot.
 const NONE: u32 = u32::MAX;
 
-/// The parts of a segment, and of each sample what hides it. Memory of one worker.
+/// The parts of a segment, and the occluders of its samples. Its memory belongs to one worker.
 #[derive(Default)]
 pub(super) struct SampledSegment {
     parts: Vec<Part>,
-    /// By part, the number of its first sample.
+    /// By part: the number of its first sample.
     firsts: Vec<u32>,
-    /// By sample, the slot of what hides it.
+    /// By sample: the slot of its occluder.
     by: Vec<u32>,
-    /// From end to end, image frame.
+    /// Both ends, image frame.
     ends: [DVec3; 2],
-    /// Least and greatest range of what is in the image.
+    /// Least and greatest range of the part in the image.
     ranges: [f64; 2],
     rounding: f64,
 }
 
 impl SampledSegment {
-    /// Samples a segment; false if it has to be looked at sample by sample.
+    /// Samples a segment; returns false if it has to be decided sample by sample.
     fn take(&mut self, query: &FeatureQuery<'_>, [a, b]: [DVec3; 2]) -> bool {
         let Self { parts, firsts, .. } = self;
         parts.clear();
@@ -72,12 +71,11 @@ impl SampledSegment {
         is_sound && (count == 0 || near >= spec.range_min && far <= spec.range_max && near > 0.0)
     }
 
-    /// The part of a sample.
+    /// The index of the part that has a sample.
     fn part_of(&self, sample: usize) -> usize {
         self.firsts.partition_point(|first| *first as usize <= sample) - 1
     }
 
-    /// The middle of a sample.
     fn middle(&self, sample: usize) -> DVec3 {
         let part = self.part_of(sample);
         match &self.parts[part] {
@@ -87,7 +85,7 @@ impl SampledSegment {
         }
     }
 
-    /// Where the middle of a sample is in the image.
+    /// The pixel coordinates of the middle of a sample.
     fn pixel(&self, sample: usize) -> DVec2 {
         let part = self.part_of(sample);
         match &self.parts[part] {
@@ -97,13 +95,13 @@ impl SampledSegment {
         }
     }
 
-    /// Which part of the length of the segment lies before a place on it.
+    /// The share of the segment's length before a place on it.
     fn t(&self, at: DVec3) -> f64 {
         let [a, b] = self.ends;
         (at - a).dot(b - a) / (b - a).length_squared().max(f64::MIN_POSITIVE)
     }
 
-    /// At which sample, with a fraction, a part of the length lies: whole numbers are middles.
+    /// The fractional number of the sample at a share of the length; whole numbers are middles of samples.
     fn number(&self, t: f64) -> f64 {
         let end_of = |part: &Part| match part {
             Part::Run(run) => run.t[1],
@@ -113,13 +111,13 @@ impl SampledSegment {
         let first = f64::from(self.firsts[part]);
         match &self.parts[part] {
             Part::Run(run) => first + run.number(t),
-            // Before its middle, at it, or after it.
+            // Before, at or after the sample's middle.
             Part::One(Piece::Inside(sample)) => first + (t - self.t(sample.at)).clamp(-0.25, 0.25),
             Part::One(Piece::Outside { .. }) => first - 0.5,
         }
     }
 
-    /// Marks what a polygon hides of some samples; `None` if nothing is known about its range there.
+    /// Marks the samples that a polygon hides; `None` if the polygon's range there is unknown.
     fn hide(&mut self, known: &PreparedPolygon, planes: &[DVec3], stretch: &Stretch) -> Option<()> {
         let Stretch { some, ends: [p, q], t } = stretch;
         let shares = [known.inverse.dot(*p), known.inverse.dot(*q)];
@@ -145,7 +143,7 @@ impl SampledSegment {
             self.by[first..end].iter_mut().filter(|by| **by == NONE).for_each(|by| *by = known.slot);
             return Some(());
         }
-        // It crosses the segment, or nearly: one by one.
+        // The polygon crosses the segment, or nearly does: test each sample.
         for sample in first..end {
             if self.by[sample] == NONE {
                 let at = self.middle(sample);
@@ -164,33 +162,33 @@ impl SampledSegment {
         Stretch { some, ends, t: ends.map(|at| self.t(at)) }
     }
 
-    /// How many samples nothing hides.
+    /// How many samples are not hidden.
     fn open(&self) -> usize {
         self.by.iter().filter(|by| **by == NONE).count()
     }
 
-    /// The first of some samples that nothing hides.
+    /// The first sample in a range that is not hidden.
     fn open_in(&self, some: Range<usize>) -> usize {
         let open = self.by[some.clone()].iter().position(|by| *by == NONE);
         open.map_or(some.end, |more| some.start + more)
     }
 }
 
-/// Some samples, not none.
+/// A non-empty range of samples.
 struct Stretch {
     some: Range<usize>,
-    /// Middles of the first and the last, and where these are along the segment.
+    /// The middles of the first and last sample, and their shares of the segment's length.
     ends: [DVec3; 2],
     t: [f64; 2],
 }
 
-/// The share of the way from a to b at which it is nearest to the sensor.
+/// The share of the line from a to b at which it is nearest to the sensor.
 fn share_of_foot(a: DVec3, b: DVec3) -> f64 {
     let d = b - a;
     (-a.dot(d) / d.length_squared().max(f64::MIN_POSITIVE)).clamp(0.0, 1.0)
 }
 
-/// Decides about a segment, if only what is in between decides, and no more care is needed.
+/// Decides a segment if only occlusion can hide it; `None` if that needs more care.
 pub(super) fn decide(query: &FeatureQuery<'_>, workspace: &mut Workspace) -> Option<Decision> {
     let FeatureQuery { frame, shape: FeatureShape::Segment { .. }, points: [a, b], own, .. } = query else {
         return None;
@@ -219,7 +217,7 @@ impl SampledSegment {
         Some(Decision { tally: self.tally(query.frame), stats })
     }
 
-    /// Marks what polygons seen around some of the samples hide; `None` if more care is needed.
+    /// Marks the samples hidden by polygons seen around some of the samples; `None` if more care is needed.
     fn hide_by_image(&mut self, query: &FeatureQuery<'_>, workspace: &mut Workspace) -> Option<()> {
         let FeatureQuery { frame, own, .. } = query;
         let Workspace { polygons, candidates, .. } = workspace;
@@ -233,7 +231,7 @@ impl SampledSegment {
             };
             for part in &self.parts {
                 match part {
-                    // Of a long run all, its end too; short ones follow each other closely.
+                    // Search all places of a long run, with its end; short runs follow each other closely.
                     Part::Run(run) => {
                         let is_long = run.length >= BLOCKS_APART;
                         run.places(BLOCKS_APART).enumerate().for_each(|(i, at)| add_apart(at, is_long && i > 0));
@@ -252,7 +250,7 @@ impl SampledSegment {
         if query.hints.is_some() {
             return Some(());
         }
-        // What is left open is looked at once more in its middle: a tile of what lies behind is dear.
+        // Search the middle of each remaining gap: building a tile that reaches behind it would take longer.
         let mut start = self.open_in(0..count);
         for _ in 0..MOST_LOOKS {
             if start == count {
@@ -271,7 +269,7 @@ impl SampledSegment {
         Some(())
     }
 
-    /// Marks whatever hides samples, tile by tile; `None` if more care is needed.
+    /// Marks the samples hidden by polygons that the index finds, tile by tile; `None` if more care is needed.
     fn hide_by_tiles(&mut self, query: &FeatureQuery<'_>, workspace: &mut Workspace) -> Option<()> {
         let FeatureQuery { frame, own, .. } = query;
         let Workspace { polygons, tiles, near, .. } = workspace;
@@ -306,7 +304,6 @@ impl SampledSegment {
         Some(())
     }
 
-    /// Intervals and shares of the samples.
     fn tally(&self, frame: &VisibilityContext<'_>) -> Tally {
         let mut tally = Tally::default();
         let state = |by: u32| match by {
@@ -329,7 +326,7 @@ impl SampledSegment {
     }
 }
 
-/// The samples of a run, and what hides each; `foot` is where the segment is nearest to the sensor.
+/// Adds the samples of a run, whose occluders are `by`; `foot` is where the segment is nearest to the sensor.
 fn take_run(tally: &mut Tally, frame: &VisibilityContext<'_>, run: &Run, by: &[u32], foot: f64) {
     let nearest = run.number(foot);
     let mut start = 0;
@@ -351,7 +348,7 @@ fn take_run(tally: &mut Tally, frame: &VisibilityContext<'_>, run: &Run, by: &[u
         }
         start = end;
     }
-    // One by one: the sums are those of samples that are looked at by themselves, bit by bit, whichever of several polygons is known to hide a part.
+    // Sum sample by sample: the sums then equal those of [`super::samples`] exactly, whichever occluders were found.
     let weight = run.weight();
     by.iter().for_each(|by| tally.weigh(weight, if *by == NONE { weight } else { 0.0 }));
 }

@@ -1,4 +1,4 @@
-//! Sample by sample: segments that are no straight line in the image, small patches, points.
+//! Decides sample by sample: segments with curved images, small patches, points.
 
 use super::strategy::{Decision, FeatureQuery, Workspace};
 use super::tally::{SampleState, Tally};
@@ -11,15 +11,14 @@ use crate::{FeatureStats, Reason};
 use glam::{DVec2, DVec3};
 use presight_model::environment::FeatureShape;
 
-/// Samples of a feature.
 #[derive(Default)]
 pub(super) struct Samples {
     pieces: Vec<Piece>,
-    /// Of each piece; [`SampleState::Seen`] of those left open.
+    /// By piece: its state; [`SampleState::Seen`] while it is undecided.
     states: Vec<SampleState>,
-    /// What geometry alone does not decide.
+    /// Samples that only occlusion can still hide.
     pub open: Vec<UndecidedSample>,
-    /// Numbers of their pieces.
+    /// The indices of the pieces of `open`.
     pieces_of_open: Vec<u32>,
 }
 
@@ -49,7 +48,7 @@ impl Samples {
         }
     }
 
-    /// Sorts them into those that geometry alone decides and those left open.
+    /// Separates the samples that geometry alone decides from the undecided ones.
     fn sort(&mut self, query: &FeatureQuery<'_>) {
         self.states.clear();
         self.open.clear();
@@ -73,7 +72,7 @@ impl Samples {
         }
     }
 
-    /// Where one left open lies in the image.
+    /// The pixel coordinates of an undecided sample.
     fn pixel_of(&self, open: usize) -> DVec2 {
         match &self.pieces[self.pieces_of_open[open] as usize] {
             Piece::Inside(sample) => sample.pixel,
@@ -81,7 +80,7 @@ impl Samples {
         }
     }
 
-    /// Those left open: where, image frame, and the nearest pixel, row-major.
+    /// The undecided samples: positions (image frame) and nearest pixels (row-major).
     pub fn queries(&self, query: &FeatureQuery<'_>) -> super::QuerySamples {
         let width = i64::from(query.frame.images.width);
         let number = |i: usize| {
@@ -91,7 +90,7 @@ impl Samples {
         self.open.iter().enumerate().map(|(i, o)| (o.at, number(i))).collect()
     }
 
-    /// What was found of those left open, with all others.
+    /// Merges the results of the undecided samples with all others.
     pub fn decision(&mut self, query: &FeatureQuery<'_>, mut stats: FeatureStats) -> Decision {
         for (open, piece) in self.open.iter().zip(&self.pieces_of_open) {
             let state = open.state();
@@ -113,7 +112,7 @@ impl Samples {
     }
 }
 
-/// Decides about any feature.
+/// Decides any feature.
 pub(super) fn decide(query: &FeatureQuery<'_>, workspace: &mut Workspace) -> Option<Decision> {
     let mut samples = Samples::of(query, workspace);
     let line = match query.shape {
@@ -142,7 +141,7 @@ pub(super) fn decide(query: &FeatureQuery<'_>, workspace: &mut Workspace) -> Opt
     Some(decision)
 }
 
-/// The polygons seen around a segment's image, each against all of the segment.
+/// Tests the polygons seen around a segment's image against the whole segment.
 fn image_along(line: Line, query: &FeatureQuery<'_>, samples: &mut Samples, workspace: &mut Workspace) {
     let Workspace { polygons, candidates, .. } = workspace;
     candidates.propose(query, polygons, |add| (0..samples.open.len()).for_each(|i| add(samples.pixel_of(i))));
@@ -152,7 +151,7 @@ fn image_along(line: Line, query: &FeatureQuery<'_>, samples: &mut Samples, work
     }
 }
 
-/// The polygons seen around every sample, against it.
+/// Tests the polygons seen around every sample against that sample.
 fn image_at_samples(query: &FeatureQuery<'_>, samples: &mut Samples, workspace: &mut Workspace) {
     let FeatureQuery { frame, own, .. } = query;
     let Workspace { polygons, candidates, .. } = workspace;
@@ -169,7 +168,7 @@ fn image_at_samples(query: &FeatureQuery<'_>, samples: &mut Samples, workspace: 
     }
 }
 
-/// The polygons of hints, each against its sample.
+/// Tests the polygons of hints, each against its sample.
 fn hints_at_samples(hints: &[Option<u32>], query: &FeatureQuery<'_>, samples: &mut Samples, workspace: &mut Workspace) {
     let FeatureQuery { frame, own, .. } = query;
     let Workspace { polygons, candidates, .. } = workspace;
@@ -183,7 +182,7 @@ fn hints_at_samples(hints: &[Option<u32>], query: &FeatureQuery<'_>, samples: &m
     }
 }
 
-/// Whatever may hide samples of a segment, tile by tile.
+/// Tests the polygons that the index finds against the samples of a segment, tile by tile.
 fn space_along(line: Line, left: &mut [UndecidedSample], query: &FeatureQuery<'_>, workspace: &mut Workspace) {
     let FeatureQuery { frame, own, .. } = query;
     let Workspace { polygons, tiles, near, .. } = workspace;
@@ -212,7 +211,7 @@ fn space_along(line: Line, left: &mut [UndecidedSample], query: &FeatureQuery<'_
     }
 }
 
-/// Whatever may hide samples of a point or a patch: by tiles, unless these would serve very few.
+/// Tests the polygons that the index finds against the samples of a point or patch; by tiles unless they are few.
 pub(super) fn space_at_samples(left: &mut [UndecidedSample], query: &FeatureQuery<'_>, workspace: &mut Workspace) {
     const VERY_FEW: usize = 9;
     let FeatureQuery { frame, own, .. } = query;

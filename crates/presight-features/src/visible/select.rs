@@ -1,10 +1,10 @@
-//! Which features may be seen: those with a point in view that no single polygon hides as a whole.
+//! Selects the features that may be seen: those in view that no polygons hide completely.
 //!
-//! Boxes of many features are tested first, from the root of their tree down. What hides a box or a feature is looked for where
-//! the image shows its middle: the polygon there hides it if all of its corners are in the polygon's cone and behind its
-//! plane, by the same bounds as samples. Of a feature the rest is then looked at in the same way, until all of it is hidden, or
-//! the image shows nothing there that could hide it. The image only proposes, so that no feature is left out of which a sample
-//! is seen.
+//! Boxes of many features are tested first, from the root of their tree down. The candidate occluder of a box or a
+//! feature is the polygon that the image shows at its middle. It hides the box or feature if all corners are in the
+//! polygon's cone and behind its plane, by the same bounds as for samples. If it hides only a part of a feature, the
+//! rest is tested in the same way until nothing is left or the image shows no candidate. The image only proposes
+//! occluders, so every feature with a visible sample is selected.
 
 use super::polygon::PreparedPolygon;
 use super::strategy::Workspace;
@@ -22,17 +22,17 @@ use rayon::prelude::*;
 use std::cmp::Reverse;
 use std::collections::VecDeque;
 
-/// By this part of its size something has to be inside a cone: samples on it may be off by rounding.
+/// Minimum distance inside a cone, relative to the size: samples may be off by rounding.
 const INSIDE: f64 = 1e-12;
 
-/// Parts of a feature that are looked at, at most.
+/// Most parts of a feature that are tested.
 const MOST_PARTS: usize = 24;
 
-/// Boxes that are handed to the threads, at least, if there are as many.
+/// The tree is split into at least this number of boxes for the threads, if it has them.
 const MANY_BOXES: usize = 64;
 
-/// Numbers of the features that may be seen: neighbours in the image together, so that a worker looks into few tiles, the farthest
-/// first, so that it looks once.
+/// Indices of the features that may be seen. Features of one tile are neighbours, so that a worker uses few tiles; the
+/// farthest come first, so that each tile is built once.
 pub(super) fn select(
     frame: &VisibilityContext<'_>,
     tree: &FeatureTree,
@@ -44,7 +44,7 @@ pub(super) fn select(
         let (workspace, points, some) = (workspaces.take(frame), Vec::new(), Vec::new());
         Selection { frame, tree, placed, contours, view: &view, workspace, points, some }
     };
-    // What was set up serves the next.
+    // Return the workspace, so that others reuse its polygons and tiles.
     let end = |selection: Selection<'_, '_>| {
         workspaces.give(selection.workspace);
         selection.some
@@ -74,15 +74,15 @@ pub(super) fn select(
     Ok(some.into_iter().map(|(.., feature)| feature).collect())
 }
 
-/// Why features are out of view as a whole, by number: of those in a box of the tree that is. Others, and contours, of which each
-/// curve has its own reasons, have none here.
+/// By feature: why it is out of view, if a whole box of the tree is. `None` for all others, and for contours, because
+/// each curve of a contour has its own reasons.
 pub(super) fn out_of_view(
     frame: &VisibilityContext<'_>,
     tree: &FeatureTree,
     contours: &ContourSet,
 ) -> Vec<Option<Reason>> {
     let view = View::new(frame.sensor);
-    // A lens may see what is behind it, and a row of beams only cuts things.
+    // Excludes lenses, which may see behind themselves, and single rows, which only see cuts of things.
     let is_scanner = matches!(frame.sensor.spec().geometry, Geometry::Scanner(_)) && !frame.sampler.is_one_row();
     let mut reasons = vec![None; tree.order.len()];
     for group in &tree.groups {
@@ -112,7 +112,7 @@ pub(super) fn out_of_view(
     reasons
 }
 
-/// A tree's box in the image frame: its middle, half of its edges, and how far positions in it may be off by rounding.
+/// A tree's box in the image frame: its middle, half of its edges, and the bound of its rounding, metres.
 fn placed_box(
     frame: &VisibilityContext<'_>,
     node: &Node,
@@ -133,12 +133,12 @@ struct Selection<'s, 'a> {
     view: &'s View,
     workspace: Workspace,
     points: Vec<DVec3>,
-    /// The tile of its middle, the range of that, the farthest first, and the number of each feature that may be seen.
+    /// The features that may be seen: tile of the middle, range (farthest first), and index.
     some: Vec<(u32, Reverse<u32>, u32)>,
 }
 
 impl Selection<'_, '_> {
-    /// All of a node.
+    /// Tests all nodes below a node.
     fn below(&mut self, group: &Group, node: u32) {
         let mut nodes = vec![node];
         while let Some(node) = nodes.pop() {
@@ -146,7 +146,7 @@ impl Selection<'_, '_> {
         }
     }
 
-    /// The two nodes below one of which something may be seen; of a leaf its features are looked at.
+    /// Tests a node. Returns its children if something in them may be seen; the features of a leaf are tested here.
     fn step(&mut self, group: &Group, number: u32) -> Option<[u32; 2]> {
         let tree = self.tree;
         let (image_from_object, shift) = self.frame.image_from(group.object);
@@ -165,12 +165,12 @@ impl Selection<'_, '_> {
     fn take(&mut self, feature: u32, image_from_object: DMat3, shift: DVec3) {
         if !self.is_hidden(feature, image_from_object, shift) {
             let middle = self.points.iter().sum::<DVec3>() / self.points.len().max(1) as f64;
-            // As integers these rise like the ranges.
+            // The bits of positive floats sort like the floats.
             self.some.push((self.workspace.tiles.of(middle).0, Reverse((middle.length() as f32).to_bits()), feature));
         }
     }
 
-    /// True if nothing of a box is in view, or one polygon hides all of it.
+    /// Returns true if nothing of a box is in view, or one polygon hides all of it.
     fn is_out(&mut self, node: &Node, group: &Group, image_from_object: DMat3, shift: DVec3) -> bool {
         let (middle, axes, rounding) = placed_box(self.frame, node, group.object, (image_from_object, shift));
         if !self.view.meets(middle, &axes) {
@@ -182,7 +182,7 @@ impl Selection<'_, '_> {
             && !self.tree.carries(known.slot, &node.some)
     }
 
-    /// True if nothing of a feature is in view, or one polygon that it does not lie on hides all of it.
+    /// Returns true if nothing of a feature is in view, or polygons that it does not lie on hide all of it.
     fn is_hidden(&mut self, feature: u32, image_from_object: DMat3, shift: DVec3) -> bool {
         let placed = &self.placed[feature as usize];
         let surface = self.contours.get(feature as usize);
@@ -198,19 +198,18 @@ impl Selection<'_, '_> {
         if !self.view.meets(middle, &axes) {
             return true;
         }
-        // The polygon that the image shows in the middle.
         let number = self.polygon_at(middle).filter(|n| !placed.slots.contains(&self.workspace.polygons.get(*n).slot));
         if let Some(known) = number.map(|number| self.workspace.polygons.get(number))
             && hides_points(known, self.workspace.polygons.planes_of(known), &self.points, rounding)
         {
             return true;
         }
-        // The corners of a surface's box are no outline. A segment has but this middle, an area another.
+        // The corners of a surface's box are not an outline. A segment has only this middle; an area has another one.
         let is_line = self.points.len() < 3;
         surface.is_none() && !(is_line && number.is_none()) && self.is_hidden_in_parts(placed, rounding)
     }
 
-    /// True if polygons that the image shows in front of parts of the hull of the points hide all of it together.
+    /// Returns true if polygons that the image shows in front of parts of the points' hull together hide all of it.
     fn is_hidden_in_parts(&mut self, placed: &PlacedFeature, rounding: f64) -> bool {
         let mut rest = vec![self.points.clone()];
         for _ in 0..MOST_PARTS {
@@ -218,14 +217,14 @@ impl Selection<'_, '_> {
             let middle = part.iter().sum::<DVec3>() / part.len() as f64;
             let Some(number) = self.polygon_at(middle) else { return false };
             let known = self.workspace.polygons.get(number);
-            // What is before its plane it does not hide.
+            // A polygon hides nothing in front of its plane.
             if placed.slots.contains(&known.slot) || !part.iter().any(|p| known.inverse.dot(*p) > 1.0) {
                 return false;
             }
             let far = part.iter().map(|p| p.length()).fold(0.0, f64::max);
             let mut inside = part;
             for e in self.workspace.polygons.planes_of(known) {
-                // As of most: nothing is cut off.
+                // The usual case: this side cuts nothing off.
                 if inside.iter().all(|p| e.dot(*p) >= 0.0) {
                     continue;
                 }
@@ -244,7 +243,7 @@ impl Selection<'_, '_> {
         false
     }
 
-    /// The polygon that the image shows in a direction, by its number in the cache, if it covers rays.
+    /// The cache number of the polygon that the image shows in a direction, if it covers rays.
     fn polygon_at(&mut self, at: DVec3) -> Option<u32> {
         let slot = self.frame.slot_in(at)?;
         let polygons = &mut self.workspace.polygons;
@@ -252,7 +251,7 @@ impl Selection<'_, '_> {
     }
 }
 
-/// True if a polygon hides all of a box, given by its middle and half of its edges.
+/// Returns true if a polygon hides all of a box, given by its middle and half of its edges.
 fn hides_box(known: &PreparedPolygon, planes: &[DVec3], middle: DVec3, axes: &[DVec3; 3], rounding: f64) -> bool {
     let reach = |n: DVec3| axes.iter().map(|a| n.dot(*a).abs()).sum::<f64>();
     let far = middle.length() + axes.iter().map(|a| a.length()).sum::<f64>();
@@ -260,7 +259,7 @@ fn hides_box(known: &PreparedPolygon, planes: &[DVec3], middle: DVec3, axes: &[D
         && planes.iter().all(|e| e.dot(middle) - reach(*e) > INSIDE * far * e.length())
 }
 
-/// True if a polygon hides the convex hull of some points.
+/// Returns true if a polygon hides the convex hull of some points.
 fn hides_points(known: &PreparedPolygon, planes: &[DVec3], points: &[DVec3], rounding: f64) -> bool {
     let far = points.iter().map(|p| p.length()).fold(0.0, f64::max);
     let least = points.iter().map(|p| known.inverse.dot(*p)).fold(f64::INFINITY, f64::min);

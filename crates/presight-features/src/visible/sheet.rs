@@ -1,7 +1,7 @@
-//! Segments behind a sheet that they lie on.
+//! Segments that lie on the back of a thin sheet.
 //!
-//! What a segment lies on does not hide it. But where something touches a sheet from behind, its edges lie in the middle of the sheet: seen
-//! from the front, the sheet hides them, however thin it is.
+//! A polygon does not hide a segment that lies on it. But where an object touches a sheet from behind, its edges lie in
+//! the middle of the sheet. Seen from the front, the sheet hides them, however thin it is.
 
 use super::VisibilityContext;
 use super::polygon::PolygonCache;
@@ -10,28 +10,28 @@ use glam::{DMat3, DVec3};
 use presight_model::environment::FeatureShape;
 use std::borrow::Cow;
 
-/// Shares of a segment at which is looked.
+/// Shares of a segment's length at which its polygons are tested.
 const PLACES: [f64; 3] = [0.5, 0.2, 0.8];
 
-/// How far beside it, metres.
+/// Distance from the segment at which a polygon must continue, metres.
 const BESIDE: f64 = 1e-3;
 
-/// Sine of the angle by which a polygon leans off a sheet, three degrees.
+/// Sine of the angle above which a polygon leaves the sheet, three degrees.
 const OFF: f64 = 0.052;
 
-/// How far behind its sheet a segment is moved, so that this hides it: metres, and as a part of the range. More than what lies on a
-/// polygon within rounding is off it.
+/// Distance by which a segment is moved behind its sheet so that the sheet hides it: metres, and part of the range. It
+/// exceeds the rounding of features on polygons.
 const BEHIND: [f64; 2] = [2e-5, 1e-6];
 
-/// A direction in which a polygon leaves the segment.
+/// A direction in which a polygon extends from the segment.
 struct Wing {
     slot: u32,
     along: DVec3,
     hides: bool,
 }
 
-/// Moves a segment just behind the sheet in whose middle it lies, if nothing leaves it to the sensor's side and something to the
-/// other. Returns the slots of what does not hide it: without the sheet's.
+/// Moves a segment just behind the sheet in whose middle it lies if its other polygons all leave it behind the sheet.
+/// Returns the slots of the polygons that do not hide it, which then exclude the sheet's.
 pub(super) fn set_behind<'p>(
     frame: &VisibilityContext<'_>,
     polygons: &mut PolygonCache,
@@ -77,7 +77,7 @@ fn wings(
     wings
 }
 
-/// The normal, on the sensor's side, of a sheet that goes on over the segment and has all else that leaves it behind it.
+/// The sensor-side normal of a sheet that continues across the segment, with all other polygons behind it.
 fn sheet(wings: &[Wing], direction: DVec3, at: DVec3) -> Option<DVec3> {
     wings.iter().filter(|w| w.hides).find_map(|w| {
         let normal = w.along.cross(direction);

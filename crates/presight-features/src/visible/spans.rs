@@ -1,4 +1,4 @@
-//! Which pixels of an image a convex patch covers, line by line.
+//! Finds the pixels that a convex patch covers, line by line.
 
 use super::strategy::FeatureQuery;
 use crate::columns;
@@ -12,7 +12,7 @@ use std::ops::Range;
 pub(super) struct Span {
     pub line: u32,
     pub samples: Range<u32>,
-    /// Columns to be added for the place in the unwrapped image.
+    /// Columns to add to get the place in the unwrapped image.
     pub turned: f64,
 }
 
@@ -52,13 +52,13 @@ fn of_lines(grid: &LineGrid, query: &FeatureQuery<'_>, cone: &PatchCone) -> Vec<
     spans
 }
 
-/// Lines that may see a patch, with the columns to be added to theirs.
+/// The lines that may see a patch, each range with the columns to add in the unwrapped image.
 fn lines_of(grid: &LineGrid, query: &FeatureQuery<'_>) -> Vec<(Range<usize>, f64)> {
     let (sensor, points) = (query.frame.sensor, query.points);
     let count = grid.lines().len();
     let whole = 0..count;
     let between = |low: f64, high: f64| {
-        // A line more on either side for rounding.
+        // One more line on either side, for rounding.
         let bound = |x: f64| x.clamp(0.0, count as f64) as usize;
         bound(low.floor())..bound(high.ceil() + 1.0)
     };
@@ -67,7 +67,7 @@ fn lines_of(grid: &LineGrid, query: &FeatureQuery<'_>) -> Vec<(Range<usize>, f64
             if points.iter().all(|p| p.z <= 0.0) {
                 return Vec::new();
             }
-            // Corners before the camera have the extremes.
+            // Corners in front of the camera have the extreme rows.
             let rows = points.iter().map(|p| if p.z > 0.0 { sensor.project(*p).map(|(_, row)| row) } else { None });
             let rows: Option<Vec<f64>> = rows.collect();
             let extremes = |rows: Vec<f64>| {
@@ -80,7 +80,7 @@ fn lines_of(grid: &LineGrid, query: &FeatureQuery<'_>) -> Vec<(Range<usize>, f64
             let (Some([low, high]), Some(turn)) = (columns::of_corners(sensor, points), columns::turn(sensor)) else {
                 return vec![(whole, 0.0)];
             };
-            // The same azimuths lie in the image as often as it goes round. Only over a seam do columns go on.
+            // An image of several turns shows the same azimuths several times. Columns continue only over a seam.
             let turns = (-1..).map(|k| turn * f64::from(k)).take_while(|by| low + by <= count as f64);
             let goes_on = query.frame.sampler.turn().is_some();
             let lines = turns.map(|by| (between(low + by, high + by), if goes_on { -by } else { 0.0 }));

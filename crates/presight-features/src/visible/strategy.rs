@@ -1,8 +1,7 @@
-//! What strategies share: the feature that is asked about, and the memory that one worker keeps from feature to feature.
+//! Types that all strategies share: the queried feature, and the memory that one worker keeps between features.
 //!
-//! Each strategy is a function of one signature, [`Strategy`]. It decides about all of a feature, or says that it is not for
-//! this one; the next is tried then. None keeps anything in the [`Workspace`] on which a later call depends: what polygons and tiles
-//! it finds there only saves finding them again.
+//! Each strategy is a function of type [`Strategy`]. It decides the whole feature, or returns `None` so that the next
+//! one is tried. No result depends on the contents of the [`Workspace`]; its polygons and tiles only save work.
 
 use super::candidates::Candidates;
 use super::polygon::PolygonCache;
@@ -16,41 +15,40 @@ use crate::FeatureStats;
 use glam::DVec3;
 use presight_model::environment::FeatureShape;
 
-/// Decides which parts of a feature are seen; `None` if it is not for that feature.
+/// Decides which parts of a feature are seen; `None` if the strategy does not support that feature.
 pub(super) type Strategy = fn(&FeatureQuery<'_>, &mut Workspace) -> Option<Decision>;
 
-/// In the order in which they are tried. The last decides about every feature.
+/// Strategies in the order in which they are tried. The last one decides any feature.
 const BY_IMAGE: [Strategy; 4] = [whole::decide, runs::decide, area::decide, samples::decide];
 
-/// A feature whose visibility is asked for.
+/// A feature whose visibility is to be decided.
 pub(super) struct FeatureQuery<'q> {
     pub frame: &'q VisibilityContext<'q>,
     pub shape: &'q FeatureShape,
     /// Its points, image frame.
     pub points: &'q [DVec3],
     pub own: &'q FeatureSurface<'q>,
-    /// For each sample left open, in order, the slot that may hide it: in place of the images.
+    /// The slots that may hide the undecided samples, in order. They replace the images.
     pub hints: Option<&'q [Option<u32>]>,
-    /// It is a piece of a curve, of which the length in the image counts.
+    /// True for a piece of a curve, whose length in the image is needed.
     pub is_piece: bool,
 }
 
-/// What was found of a feature.
+/// The result for a feature.
 pub(super) struct Decision {
     pub tally: Tally,
     pub stats: FeatureStats,
 }
 
-/// What one worker keeps from feature to feature.
+/// Memory that one worker keeps between features.
 pub(super) struct Workspace {
     pub polygons: PolygonCache,
     pub tiles: Tiles,
     pub candidates: Candidates,
-    /// Memory for what [`Tiles::between`] finds.
+    /// Memory for the results of [`Tiles::between`].
     pub near: Vec<u32>,
-    /// Memory for samples; empty while they are in use.
+    /// Empty while in use, like `segment`.
     pub samples: Samples,
-    /// Memory for a segment; empty while it is in use.
     pub segment: SampledSegment,
 }
 
@@ -66,14 +64,14 @@ impl Workspace {
         }
     }
 
-    /// For another prediction, with the memory of the last.
+    /// Prepares for another prediction, reusing the memory.
     pub fn renew(&mut self, frame: &VisibilityContext<'_>) {
         self.polygons.renew(frame);
         self.tiles = Tiles::of_sensor(frame);
     }
 }
 
-/// Decides about a feature by the first strategy that is for it.
+/// Decides a feature by the first strategy that supports it.
 pub(super) fn decide(query: &FeatureQuery<'_>, workspace: &mut Workspace) -> Decision {
     let decision = match query.frame.options.visibility {
         Visibility::Rays => rays::decide(query, workspace),

@@ -1,4 +1,4 @@
-//! What is known of a feature beside its geometry: what it lies on, and why it may not be seen whatever is in between.
+//! The polygons a feature lies on, and reasons other than occlusion for not seeing it.
 
 use super::VisibilityContext;
 use super::polygon::PolygonCache;
@@ -7,21 +7,20 @@ use glam::{DMat3, DVec3};
 use presight_model::environment::FeatureShape;
 use presight_model::geometry::plane_of_polygon;
 
-/// The surface of a feature.
 pub(super) struct FeatureSurface<'a> {
     slots: &'a [u32],
-    /// Normals of what it lies on, as far as that can be seen, image frame.
+    /// Normals of its polygons that may be seen, image frame.
     normals: Vec<DVec3>,
-    /// A landmark is seen from here only.
+    /// Normal of a landmark, which is seen only from the front.
     front: Option<DVec3>,
-    /// Applies to all of it.
+    /// A reason that hides all of the feature.
     reason: Option<Reason>,
-    /// How far its points may be off by rounding, metres.
+    /// Bound of the rounding errors of its points, metres.
     rounding: f64,
 }
 
 impl<'a> FeatureSurface<'a> {
-    /// Of a feature, and what does not hide it, with its points in the image frame, and how far they may be off by rounding.
+    /// The surface of a feature, with the slots of polygons that do not hide it and its points in the image frame.
     pub fn new(
         frame: &VisibilityContext<'_>,
         polygons: &mut PolygonCache,
@@ -32,7 +31,7 @@ impl<'a> FeatureSurface<'a> {
         let reason = lies_on(frame, polygons, slots, |normal| normals.push(normal));
         let landmark = matches!(placed.feature.shape, FeatureShape::Reflector { .. } | FeatureShape::Fiducial { .. });
         let given = placed.feature.properties.normal.and_then(|n| (*image_from_object * n).try_normalize());
-        // Corners are clockwise seen from the front: the right-hand normal points away from there.
+        // Corners are clockwise seen from the front, so the right-hand normal points to the back.
         let of_outline = (points.len() > 2).then(|| plane_of_polygon(points)).flatten().map(|p| p.normal);
         let fiducial = matches!(placed.feature.shape, FeatureShape::Fiducial { .. });
         let front = given.or(of_outline.filter(|_| fiducial).map(|n| -n)).filter(|_| landmark);
@@ -43,7 +42,7 @@ impl<'a> FeatureSurface<'a> {
         FeatureSurface { slots, normals, front, reason, rounding: *rounding }
     }
 
-    /// Of a piece of a silhouette, and the polygons around it: where a surface ends, it is never seen too flat.
+    /// The surface of a piece of a silhouette; no angle of incidence applies at the end of a surface.
     pub fn of_silhouette(
         frame: &VisibilityContext<'_>,
         polygons: &mut PolygonCache,
@@ -54,27 +53,27 @@ impl<'a> FeatureSurface<'a> {
         FeatureSurface { slots, normals: Vec::new(), front: None, reason, rounding }
     }
 
-    /// Only what is in between decides.
+    /// Returns true if only occlusion can hide it, apart from the limits of range and incidence.
     pub fn is_plain(&self) -> bool {
         self.reason.is_none() && self.front.is_none()
     }
 
-    /// How far its points may be off by rounding, metres.
+    /// Bound of the rounding errors of its points, metres.
     pub fn rounding(&self) -> f64 {
         self.rounding
     }
 
-    /// True of polygons that it lies on.
+    /// Returns true if it lies on the polygon in this slot.
     pub fn holds(&self, slot: u32) -> bool {
         self.slots.contains(&slot)
     }
 
-    /// Of the surfaces it lies on, the one seen most directly.
+    /// The cosine of incidence on its surface that faces the ray most directly.
     pub fn cosine(&self, ray: DVec3) -> Option<f64> {
         self.normals.iter().map(|n| n.dot(ray).abs().min(1.0)).reduce(f64::max)
     }
 
-    /// The first reason not to see a place on it that applies whatever is in between.
+    /// The first reason other than occlusion for not seeing a place on it.
     #[inline]
     pub fn before_occlusion(&self, frame: &VisibilityContext<'_>, at: DVec3, range: f64) -> Option<Reason> {
         let spec = frame.sensor.spec();
@@ -98,7 +97,7 @@ impl<'a> FeatureSurface<'a> {
     }
 }
 
-/// Why something on these polygons is not seen, whatever is in between. Visits the normals of those that may be seen.
+/// The reason why nothing on these polygons is seen, even without occlusion. Visits the normals of the visible ones.
 fn lies_on(
     frame: &VisibilityContext<'_>,
     polygons: &mut PolygonCache,

@@ -1,4 +1,4 @@
-//! Intervals and shares of one feature, from the verdicts on its samples.
+//! Sums the visible and hidden intervals and shares of one feature over its samples.
 
 use super::VisibilityContext;
 use super::windows::Windows;
@@ -12,7 +12,7 @@ pub(super) enum SampleState {
     Hidden(Reason, Option<u32>),
 }
 
-/// A hidden part, with the slot of the polygon that hides it: what that is called is looked up only of what is told.
+/// A hidden part, and the slot of its occluder. The occluder is looked up only when the part is reported.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct HiddenPart {
     t: [f64; 2],
@@ -27,22 +27,22 @@ impl HiddenPart {
     }
 }
 
-/// Intervals and sums of one feature, sample by sample.
+/// The intervals and sums of one feature.
 #[derive(Default)]
 pub(super) struct Tally {
     pub visible: Vec<VisibleInterval>,
     pub hidden: Vec<HiddenPart>,
-    /// The state of the piece before, and where its sum is.
+    /// The state of the previous piece, and the index of its sum.
     last: Option<(SampleState, usize)>,
-    /// Weights and numbers of samples: all inside image and limits, and those seen.
+    /// Weights and numbers of the samples inside the image and limits, and of the visible ones.
     pub inside: [f64; 2],
     pub seen: [f64; 2],
     by_state: Vec<(SampleState, [f64; 2])>,
     pub bounds: Option<[DVec2; 2]>,
-    /// The nearest sample seen: its range squared, and its place.
+    /// The nearest visible sample: its squared range, and its position.
     pub nearest: Option<(f64, DVec3)>,
     pub pixels: Vec<u32>,
-    /// Where a patch is seen, if that is asked for.
+    /// Where a patch is seen, if regions are requested.
     pub windows: Option<Box<Windows>>,
 }
 
@@ -59,7 +59,7 @@ impl Tally {
         }
     }
 
-    /// Takes neighbouring samples of a state: their part of the length and of the image, and their weight and number.
+    /// Adds neighbouring samples of one state: their interval of the length, ends in the image, and weight and number.
     pub fn take_some(&mut self, state: SampleState, t: [f64; 2], pixels: [DVec2; 2], more: [f64; 2]) {
         let add = |sum: &mut [f64; 2]| (0..2).for_each(|i| sum[i] += more[i]);
         let goes_on = self.last.is_some_and(|(last, _)| last == state);
@@ -90,15 +90,15 @@ impl Tally {
         }
     }
 
-    /// Adds the weight of samples inside the image, and of those that are seen.
+    /// Adds weight to the samples inside the image, and to the visible ones.
     pub fn weigh(&mut self, inside: f64, seen: f64) {
         self.inside[0] += inside;
         self.seen[0] += seen;
     }
 
-    /// Goes on with the next piece of a curve, which has the part `t` of its length.
+    /// Appends the next piece of a curve, which takes the interval `[from, to]` of its length.
     pub fn append(&mut self, piece: Self, [from, to]: [f64; 2]) {
-        // Neighbours share a bound, exactly.
+        // Neighbouring pieces share a bound exactly.
         let place = |t: f64| if t >= 1.0 { to } else { from + t * (to - from) };
         for v in piece.visible {
             let t = v.t.map(place);
@@ -125,11 +125,11 @@ impl Tally {
         self.pixels.extend(piece.pixels);
     }
 
-    /// Takes several samples of a patch at once, all of the same weight.
+    /// Adds several samples of a patch, all of the same weight.
     pub fn take_pixels(&mut self, state: SampleState, count: usize) {
         let more = [count as f64; 2];
         let add = |sum: &mut [f64; 2]| (0..2).for_each(|i| sum[i] += more[i]);
-        // What was there last comes again soonest.
+        // The most recent state is the most likely one.
         match self.by_state.iter_mut().rev().find(|(known, _)| *known == state) {
             Some((_, sum)) => add(sum),
             None => self.by_state.push((state, more)),
@@ -142,7 +142,7 @@ impl Tally {
         }
     }
 
-    /// Pixels between which it is seen.
+    /// Records that everything between two pixels is seen.
     pub fn reach_between(&mut self, from: DVec2, to: DVec2) {
         self.reach(from);
         self.reach(to);
@@ -151,13 +151,13 @@ impl Tally {
         }
     }
 
-    /// A pixel in which it is seen.
+    /// Records that a pixel is seen.
     fn reach(&mut self, pixel: DVec2) {
         let [low, high] = self.bounds.unwrap_or([pixel, pixel]);
         self.bounds = Some([low.min(pixel), high.max(pixel)]);
     }
 
-    /// Keeps a place that is seen if it is the nearest so far.
+    /// Keeps a visible place if it is the nearest so far.
     pub fn see_at(&mut self, at: DVec3) {
         let squared = at.length_squared();
         if self.nearest.is_none_or(|n| squared < n.0) {
@@ -174,7 +174,7 @@ impl Tally {
         }
     }
 
-    /// The pixel is one in which it shows.
+    /// Records that the feature shows in a pixel.
     pub fn mark(&mut self, frame: &VisibilityContext<'_>, pixel: DVec2) {
         let (column, row) = frame.sampler.nearest_pixel(pixel);
         let at = (row * i64::from(frame.images.width) + column) as u32;
@@ -183,13 +183,13 @@ impl Tally {
         }
     }
 
-    /// True if nothing of the feature is seen.
+    /// Returns true if nothing of the feature is seen.
     pub fn is_unseen(&self, is_area: bool) -> bool {
         if is_area { self.bounds.is_none() } else { self.visible.is_empty() }
     }
 
-    /// For patches: shares of the area in place of parts of a length, one for what is seen and one for each reason and object
-    /// that hides; of an object's polygons the one that hides most is told.
+    /// Shares of a patch's area, as intervals: one for its visible part and one for each pair of a reason and an object
+    /// that hides it. The polygon that hides most stands for its object.
     pub fn shares(&self, frame: &VisibilityContext<'_>) -> (Vec<VisibleInterval>, Vec<HiddenPart>) {
         let keyed = |(state, sum): &(SampleState, [f64; 2])| match state {
             SampleState::Seen => ((0, None, None), *sum),
@@ -220,7 +220,7 @@ impl Tally {
     }
 }
 
-/// By weight, or by number where nothing has weight; 0 of nothing.
+/// The ratio of the weights, or of the numbers if the weight is 0; 0 without samples.
 pub(super) fn share(part: [f64; 2], whole: [f64; 2]) -> f64 {
     let of = |i: usize| (part[i] / whole[i]).min(1.0);
     match whole {

@@ -1,10 +1,10 @@
-//! What may hide something in a direction: polygons by tiles of a cube around the sensor, found once for all features.
+//! Finds the polygons that may hide something in a direction; tiles of a cube around the sensor store them.
 //!
-//! Tiles are pyramids with their apex at the sensor. The index is asked once for what is in one, and samples of all features look
-//! through that: first those polygons go that are beside or behind all samples of a feature in the tile, then each sample is held to
-//! the few that are left. Where a polygon covers all of a tile, what is behind it there hides nothing that it does not hide itself:
-//! only features that lie on it look at what is behind. The index is asked for no more than lies before what the image shows in a tile,
-//! until something farther is not hidden by that.
+//! A tile is a pyramid with its apex at the sensor. The index is queried once per tile, and the samples of all features
+//! use the result. First the polygons outside or behind all samples of a feature in the tile are dropped; then each
+//! sample is tested against the rest. If one polygon covers all of a tile, the polygons behind it are redundant, except
+//! for features that lie on it. The first query reaches only as far as the surfaces that the image shows in the tile; a
+//! second one follows if a farther feature is still not hidden.
 
 use super::VisibilityContext;
 use super::polygon::{PolygonCache, PreparedPolygon};
@@ -14,32 +14,28 @@ use presight_model::geometry::Aabb;
 use presight_model::index::{QueryResult, Region};
 use std::collections::HashMap;
 
-/// About how wide the tiles of a camera are for which the index is asked, pixels.
+/// Approximate width of a camera's tiles, pixels.
 const PIXELS: f64 = 128.0;
-/// Those of a scanner, whose pixels are wide and which sees all around: large ones would hold much of a building.
+/// Approximate width of a scanner's tiles. Its pixels are wide: large tiles would contain much of a building.
 const SCANNER_PIXELS: f64 = 32.0;
-/// Most of them along a side of the cube: their numbers fit in 32 bits.
+/// Most tiles along a side of the cube, so that their numbers fit in 32 bits.
 const MAX_ACROSS: f64 = 16_384.0;
-/// How far a tile reaches over its sides, in coordinates on the cube: places between two in a tile may be out of it by
-/// rounding.
+/// Margin of a tile over its sides, in coordinates on the cube: rounding may move places between two of its places out.
 const SLACK: f64 = 1e-9;
-/// How much farther than needed polygons are asked for, so that the next feature need not ask again.
+/// Factor on the queried range, so that the next feature need not query again.
 const FARTHER: f64 = 1.25;
-/// What is behind a polygon is so by this part of the distance, far more than the rounding of either.
+/// Margin, relative to the distance, by which a polygon is behind another: far more than the rounding of either.
 const BEHIND: f64 = 1e-6;
-/// No polygon.
 const NONE: u32 = u32::MAX;
 
-/// A polygon that covers a ray of the tile. What most are passed over by stands beside its number.
+/// A polygon that covers a ray of the tile. The values that exclude most polygons are stored with its number.
 #[derive(Clone, Copy)]
 struct TilePolygon {
-    /// Where it is on the tile's side of the cube: least and greatest of both coordinates.
+    /// Its box on the tile's side of the cube.
     bounds: Bounds,
-    /// n / d.
     inverse: DVec3,
-    /// Number in the cache.
     number: u32,
-    /// Nothing of it in the tile is nearer, along the axis of the side.
+    /// Lower bound of its coordinate along the side's axis, within the tile.
     near: f32,
 }
 
@@ -57,14 +53,14 @@ impl TilePolygon {
         Self { bounds, inverse: known.inverse, number, near }
     }
 
-    /// With what its plane tells of how near it is, by the greatest product with a corner of the tile.
+    /// Raises `near` to the bound given by its plane. `greatest` is its greatest product with a corner of the tile.
     fn beyond(self, greatest: f64, known: &PreparedPolygon) -> Self {
         let is_told = greatest > 0.0 && !known.is_unknown();
         Self { near: if is_told { self.near.max(before(greatest.recip())) } else { self.near }, ..self }
     }
 }
 
-/// A little less than a distance, at least 0.
+/// Rounds a distance down, to at least 0.
 fn before(distance: f64) -> f32 {
     (distance * (1.0 - BEHIND)).max(0.0) as f32
 }
@@ -74,10 +70,10 @@ fn before(distance: f64) -> f32 {
 struct Bounds([f32; 4]);
 
 impl Bounds {
-    /// How far beyond its corners a polygon may still cover something, by rounding.
+    /// Margin of the box, for rounding.
     const SLACK: f32 = 1e-6;
 
-    /// Around places; all of the side if one of them is not before it.
+    /// The box around places; all of the side if a place is not in front of it.
     fn of(places: &[DVec3], square: &Square) -> Self {
         let mut bounds = [f32::INFINITY, f32::NEG_INFINITY, f32::INFINITY, f32::NEG_INFINITY];
         for place in places {
@@ -85,7 +81,7 @@ impl Bounds {
             if !(z > 0.0) {
                 return Self([f32::NEG_INFINITY, f32::INFINITY, f32::NEG_INFINITY, f32::INFINITY]);
             }
-            // All tiles are within 1.
+            // No tile extends beyond 1.
             let [x, y] = [x, y].map(|x| (x / z).clamp(-2.0, 2.0) as f32);
             let [x0, x1, y0, y1] = bounds;
             bounds = [x0.min(x), x1.max(x), y0.min(y), y1.max(y)];
@@ -94,7 +90,7 @@ impl Bounds {
         Self([x0 - Self::SLACK, x1 + Self::SLACK, y0 - Self::SLACK, y1 + Self::SLACK])
     }
 
-    /// The columns of a square that it reaches over and the rows, of 32 each. What meets shares one of each.
+    /// Masks of the columns and rows, of 32 each, that the box touches in a square. Boxes that meet share bits in both.
     fn cells(&self, square: &Square) -> [u32; 2] {
         let ([x0, x1, y0, y1], [u, v]) = (self.0, square.bounds);
         let cell =
@@ -110,28 +106,27 @@ impl Bounds {
     }
 }
 
-/// Tiles of the cube [-1, 1]^3 around the sensor, image axes: what lies between two places in a tile lies in it.
+/// Tiles of the cube [-1, 1]^3 around the sensor, image axes. They are convex.
 pub(super) struct Tiles {
-    /// Along a side.
+    /// Number of tiles along a side.
     across: f64,
     numbers: HashMap<u32, u32>,
     tiles: Vec<Tile>,
     found: QueryResult,
 }
 
-/// How much of a tile is asked for.
+/// Which polygons of a tile are needed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Look {
     First,
     All,
 }
 
-/// A part of a side of the cube.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Square {
     axis: usize,
     sign: f64,
-    /// Bounds of the next coordinate and the one after it, over that of the axis.
+    /// Bounds of the two coordinates that follow the axis cyclically, divided by the coordinate along the axis.
     bounds: [[f64; 2]; 2],
 }
 
@@ -140,20 +135,20 @@ impl Square {
         [at[(self.axis + 1) % 3], at[(self.axis + 2) % 3], self.sign * at[self.axis]]
     }
 
-    /// Positive inside of the four sides, linear.
+    /// Positive inside of each of the four sides; linear.
     fn sides(&self, at: DVec3) -> [f64; 4] {
         let [x, y, z] = self.coordinates(at);
         let [u, v] = self.bounds;
         [x - u[0] * z, u[1] * z - x, y - v[0] * z, v[1] * z - y]
     }
 
-    /// The share of the way from `p`, which is in the pyramid but for rounding, to `q` at which it is left; 1 if it is not.
+    /// The share of the line from `p`, inside up to rounding, to `q` at which it leaves the pyramid; 1 if it does not.
     pub fn left_at(&self, p: DVec3, q: DVec3) -> f64 {
         let ways = self.sides(p).into_iter().zip(self.sides(q)).filter(|(_, g)| *g < 0.0);
         ways.map(|(f, g)| f.max(0.0) / (f.max(0.0) - g)).fold(1.0, f64::min)
     }
 
-    /// Rays along its edges, in turn.
+    /// Rays along its edges, in order around it.
     fn corners(&self) -> [DVec3; 4] {
         let [u, v] = self.bounds.map(|[low, high]| [low - SLACK, high + SLACK]);
         [(0, 0), (1, 0), (1, 1), (0, 1)].map(|(i, j)| {
@@ -166,11 +161,11 @@ impl Square {
     }
 }
 
-/// Polygons of a tile, the nearest first, with the cells that each reaches over: many are passed over by these, at once.
+/// Polygons of a tile, the nearest first, with their cells: comparing cells excludes many of them at once.
 #[derive(Default)]
 struct TilePolygons {
     all: Vec<TilePolygon>,
-    /// [`Bounds::cells`]: columns and rows by themselves, so that several are compared by one instruction.
+    /// [`Bounds::cells`], columns and rows apart, so that one instruction compares several.
     columns: Vec<u32>,
     rows: Vec<u32>,
 }
@@ -182,7 +177,7 @@ impl TilePolygons {
         Self { all, columns, rows }
     }
 
-    /// Visits those that may share columns and rows, and are nearer than a distance along the axis in part, in order.
+    /// Visits, in order, the polygons that may share columns and rows and come nearer than `far` along the axis.
     fn visit(&self, [column, row]: [u32; 2], far: f32, mut visit: impl FnMut(&TilePolygon)) {
         const AT_ONCE: usize = 16;
         let meets = |(columns, rows): (&u32, &u32)| u32::from(columns & column != 0) & u32::from(rows & row != 0);
@@ -197,20 +192,20 @@ impl TilePolygons {
     }
 }
 
-/// Polygons in a tile, up to a range in metres.
+/// The polygons of a tile up to a range, metres.
 struct Tile {
     square: Square,
     radius: f64,
     candidates: TilePolygons,
-    /// The polygon that covers all of it, and what is behind that one.
+    /// A polygon that covers all of the tile, and the polygons behind it.
     cover: u32,
     behind: TilePolygons,
-    /// Greatest product of those behind with a corner.
+    /// Greatest product of a polygon behind the cover with a corner.
     most_behind: f64,
 }
 
 impl Tile {
-    /// A tile of some polygons, of which it takes those that cover a ray of it.
+    /// A tile that keeps the polygons that cover one of its rays.
     fn new(square: Square, radius: f64, polygons: &PolygonCache, some: impl Iterator<Item = TilePolygon>) -> Self {
         let corners = square.corners();
         let bounds = Bounds::of(&corners, &square);
@@ -254,8 +249,8 @@ impl Tile {
     }
 }
 
-/// How far away is the farthest that the image shows in some directions of a tile: what is farther is probably hidden by this, and by
-/// what is nearer.
+/// The greatest range that the image shows in some directions of a tile. Polygons beyond it are probably hidden,
+/// together with everything near them.
 fn depth_of(frame: &VisibilityContext<'_>, polygons: &mut PolygonCache, square: &Square) -> f64 {
     /// Directions along each side.
     const LOOKS: u32 = 4;
@@ -275,25 +270,25 @@ fn depth_of(frame: &VisibilityContext<'_>, polygons: &mut PolygonCache, square: 
     depth
 }
 
-/// True if rounding of its distance is far below [`BEHIND`].
+/// Returns true if the rounding of its distance is far below [`BEHIND`].
 fn is_sharp(known: &PreparedPolygon, radius: f64) -> bool {
     known.least_share(2.0, radius, 0.0) < 1.0 + 0.1 * BEHIND
 }
 
 impl Tiles {
-    /// For the sensor of a prediction.
+    /// Tiles for the sensor of a prediction.
     pub fn of_sensor(frame: &VisibilityContext<'_>) -> Self {
         let pixels = if frame.sensor.is_camera() { PIXELS } else { SCANNER_PIXELS };
         Self::new(pixels * frame.sampler.pixel_angle())
     }
 
-    /// Of about that angle, radians.
+    /// Tiles about as wide as an angle, radians.
     fn new(angle: f64) -> Self {
         let across = (2.0 / angle).ceil().clamp(1.0, MAX_ACROSS);
         Self { across, numbers: HashMap::new(), tiles: Vec::new(), found: QueryResult::default() }
     }
 
-    /// The tile of a place that is not the sensor's: its number, and where it is.
+    /// The number and square of the tile that contains a place, which must not be the sensor's.
     #[inline]
     pub fn of(&self, at: DVec3) -> (u32, Square) {
         let size = at.abs();
@@ -308,13 +303,13 @@ impl Tiles {
         ((side * across + numbers[0]) * across + numbers[1], square)
     }
 
-    /// True if the index need not be asked for what is in a tile.
+    /// Returns true if a tile need not be queried to reach this range.
     pub fn knows(&self, number: u32, farthest: f64) -> bool {
         self.numbers.get(&number).is_some_and(|tile| self.tiles[*tile as usize].radius >= farthest)
     }
 
-    /// The tile of a place, with what may hide something in it up to a range in metres, and whether it has all of that. A first look
-    /// may end behind what the image shows: nearly all that is farther is hidden by what is nearer, and much more is there.
+    /// The tile of a place, and whether it has all polygons up to the range `farthest`, metres. A first look may end
+    /// behind the surfaces that the image shows: they hide nearly everything beyond, where most polygons are.
     pub fn tile(
         &mut self,
         frame: &VisibilityContext<'_>,
@@ -343,8 +338,8 @@ impl Tiles {
         (tile, radius >= farthest)
     }
 
-    /// Puts together the polygons, by number in the cache, that may hide something at some places of a tile, or between them: those
-    /// that meet the box around them on the side of the cube, are not behind all of the box around them in space, and are not the
+    /// Collects the polygons, by number in the cache, that may hide something at the places or between them. Such a
+    /// polygon meets the places' box on the side of the cube, is not behind all of their box in space, and is not the
     /// feature's own.
     pub fn between(
         &self,
@@ -406,7 +401,7 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// What is between two places in a tile is in the tile's pyramid, and so are both.
+        /// A line between two places in a tile stays in the tile's pyramid.
         #[test]
         fn tiles_are_convex(
             a in proptest::array::uniform3(-1.0..1.0f64),
@@ -428,7 +423,7 @@ mod tests {
             }
         }
 
-        /// A tile is left where a place on the way is on one of its sides.
+        /// The line leaves the tile where it meets one of its sides.
         #[test]
         fn tiles_are_left_at_their_sides(
             a in proptest::array::uniform3(-1.0..1.0f64),
@@ -446,7 +441,7 @@ mod tests {
         }
     }
 
-    /// Of three polygons those before a distance are visited, the nearest first.
+    /// Only polygons nearer than the given distance are visited, the nearest first.
     #[test]
     fn what_is_farther_is_passed_over() {
         let square = Tiles::new(1.28).of(DVec3::Z).1;
@@ -459,7 +454,7 @@ mod tests {
             numbers
         };
         assert_eq!([2.5, 9.0, 1.0].map(visited), [vec![1, 2], vec![1, 2, 0], vec![]]);
-        // A bound is never beyond what it bounds.
+        // Rounding never raises the distance.
         assert!([1e-3, 1.0, 33.3, 5e6].iter().all(|d| f64::from(before(*d)) < *d) && before(-1.0) == 0.0);
     }
 

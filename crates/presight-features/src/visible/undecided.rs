@@ -1,16 +1,16 @@
-//! Samples that only what is between them and the sensor decides, and what hides them.
+//! Samples that only occlusion can still hide, and their occluders.
 
 use super::polygon::{PolygonCache, PreparedPolygon, RelativeDepth};
 use super::tally::SampleState;
 use crate::Reason;
 use glam::DVec3;
 
-/// A sample that only what is between it and the sensor decides.
+/// A sample that only occlusion can still hide.
 pub(super) struct UndecidedSample {
     /// Image frame.
     pub at: DVec3,
     pub range: f64,
-    /// The nearest polygon that hides it so far, and its share of the range.
+    /// The nearest polygon that hides it so far, and the ratio of the sample's range to the polygon's.
     pub by: Option<u32>,
     share: f64,
     /// A polygon of unknown range covers it.
@@ -18,12 +18,11 @@ pub(super) struct UndecidedSample {
 }
 
 impl UndecidedSample {
-    /// Of a place in the image frame.
+    /// A sample at a place in the image frame.
     pub fn new(at: DVec3, range: f64) -> Self {
         Self { at, range, by: None, share: 0.0, unknown: false }
     }
 
-    /// What was found of it.
     pub fn state(&self) -> SampleState {
         match self.by {
             Some(slot) => SampleState::Hidden(Reason::Occluded, Some(slot)),
@@ -39,7 +38,6 @@ impl UndecidedSample {
         }
     }
 
-    /// Marks it if a polygon hides it.
     #[inline]
     pub fn hide_by(&mut self, known: &PreparedPolygon, polygons: &PolygonCache, rounding: f64) {
         let share = known.inverse.dot(self.at);
@@ -59,12 +57,12 @@ impl UndecidedSample {
 pub(super) struct Line {
     a: DVec3,
     d: DVec3,
-    /// Its product with a place's way from a is t.
+    /// The t of a place p is its product with p - a.
     along: DVec3,
 }
 
 impl Line {
-    /// From a to b.
+    /// The line from a to b.
     pub fn new(a: DVec3, b: DVec3) -> Self {
         let d = b - a;
         Self { a, d, along: d / d.length_squared().max(f64::MIN_POSITIVE) }
@@ -75,8 +73,8 @@ impl Line {
     }
 }
 
-/// Marks what a polygon hides of some samples of a segment, which rise along it. All that decides is linear along it: e_k . p(t) >= 0 leaves
-/// one interval, and n . p(t) / d > 1 is where the polygon is nearer.
+/// Marks the samples of a segment that a polygon hides; they are in order along it. All conditions are linear along it:
+/// e_k . p(t) >= 0 leaves one interval, and the polygon is nearer where n . p(t) / d > 1.
 pub(super) fn hide_along(
     known: &PreparedPolygon,
     planes: &[DVec3],

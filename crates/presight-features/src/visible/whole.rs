@@ -1,7 +1,7 @@
-//! Segments in the image of a scanner that are seen as a whole, or hidden as a whole: no sample is made of them.
+//! Decides segments that a scanner sees completely or not at all, without sampling them.
 //!
-//! What polygons hide of a segment are intervals of a straight line in space, in closed form. If none hides anything, or some together
-//! all of it, clearly beyond rounding, its samples could say nothing else; in all other cases they are asked ([`super::runs`]).
+//! Each polygon hides an interval of the segment, in closed form. If no polygon hides anything, or several together
+//! hide all of it, by more than rounding, every sample would agree. Otherwise [`super::runs`] samples the segment.
 
 use super::candidates::BLOCKS_APART;
 use super::polygon::PreparedPolygon;
@@ -13,35 +13,33 @@ use crate::{FeatureStats, Hidden, VisibleInterval};
 use glam::{DVec2, DVec3};
 use presight_model::environment::FeatureShape;
 
-/// By this part of a length or a share something has to be on one side, so that no rounding brings it to the other.
+/// Margin, relative to a length or share, that rounding cannot exceed.
 const CLEARLY: f64 = 1e-12;
 
-/// Angles below this are no line in the image, radians.
+/// Segments seen under smaller angles are points in the image, radians.
 const SHORT: f64 = 1e-9;
 
-/// Tiles along a segment, at most.
 const MOST_TILES: usize = 1024;
 
-/// What a polygon hides of a stretch.
+/// The part of a stretch that a polygon hides.
 enum Hides {
     Nothing,
-    /// Shares of the way from one end to the other.
+    /// Shares of the stretch, from one end to the other.
     Between(f64, f64),
-    /// Samples have to be asked.
+    /// The segment must be sampled.
     Unclear,
 }
 
 struct Segment {
     ends: [DVec3; 2],
-    /// The share of the way at which it is nearest to the sensor, and where that is.
+    /// The share of the length at which it is nearest to the sensor, and the place.
     share: f64,
     foot: DVec3,
-    /// Least and greatest range.
     ranges: [f64; 2],
     rounding: f64,
 }
 
-/// Decides about a segment that is seen or hidden as a whole.
+/// Decides a segment that is seen completely or not at all; `None` for all others.
 pub(super) fn decide(query: &FeatureQuery<'_>, workspace: &mut Workspace) -> Option<Decision> {
     let FeatureQuery { frame, shape: FeatureShape::Segment { .. }, points: [a, b], own, .. } = query else {
         return None;
@@ -66,7 +64,7 @@ pub(super) fn decide(query: &FeatureQuery<'_>, workspace: &mut Workspace) -> Opt
     let hidden = segment.hidden_by_image(query, workspace)?;
     let samples = asked(query);
     if !hidden.is_empty() {
-        // Of a piece it counts how long it is.
+        // Pieces of curves need their lengths in the image.
         let is_hidden = options.hidden == Hidden::Count && !query.is_piece && are_all(hidden);
         let hidden_by_neighbours = samples;
         let stats = FeatureStats { features: 1, samples, hidden_by_neighbours, ..FeatureStats::default() };
@@ -75,12 +73,12 @@ pub(super) fn decide(query: &FeatureQuery<'_>, workspace: &mut Workspace) -> Opt
     segment.is_seen_in_space(query, workspace).then(|| segment.seen(query)).flatten()
 }
 
-/// Samples that a device was asked about; without one the segment counts as a single sample.
+/// The number of samples that a device tested; without a device the segment counts as one sample.
 fn asked(query: &FeatureQuery<'_>) -> usize {
     query.hints.map_or(1, |hints| hints.len())
 }
 
-/// True if some intervals hold all from 0 to 1.
+/// Returns true if the intervals together cover 0 to 1.
 fn are_all(mut some: Vec<(f64, f64)>) -> bool {
     some.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
     let reach = some.iter().try_fold(0.0, |reach: f64, (from, to)| (*from <= reach).then(|| reach.max(*to)));
@@ -88,7 +86,7 @@ fn are_all(mut some: Vec<(f64, f64)>) -> bool {
 }
 
 impl Segment {
-    /// What polygons that the image shows along it hide; `None` if samples have to be asked.
+    /// The intervals hidden by polygons that the image shows along it; `None` if it must be sampled.
     fn hidden_by_image(&self, query: &FeatureQuery<'_>, workspace: &mut Workspace) -> Option<Vec<(f64, f64)>> {
         let frame = query.frame;
         let Workspace { polygons, candidates, .. } = workspace;
@@ -111,7 +109,7 @@ impl Segment {
         Some(hidden)
     }
 
-    /// True if nothing in space hides any of it, clearly.
+    /// Returns true if surely no polygon hides any of it.
     fn is_seen_in_space(&self, query: &FeatureQuery<'_>, workspace: &mut Workspace) -> bool {
         let FeatureQuery { frame, own, .. } = query;
         let Workspace { polygons, tiles, near, .. } = workspace;
@@ -132,17 +130,17 @@ impl Segment {
                     break;
                 }
             }
-            // Along the side of a tile it gets nowhere.
+            // The end lies along the side of a tile: there is no way forward.
             if is_last || share <= 0.0 {
                 return is_last;
             }
-            // Beyond the side; tiles hold more than they are.
+            // Step past the side; tiles are slightly larger than their nominal size.
             p = p.lerp(b, share + CLEARLY);
         }
         false
     }
 
-    /// What a polygon hides of the stretch between two places on it.
+    /// The part that a polygon hides of the stretch between two places.
     fn hides(&self, known: &PreparedPolygon, planes: &[DVec3], [p, q]: [DVec3; 2]) -> Hides {
         let shares = [known.inverse.dot(p), known.inverse.dot(q)];
         if shares[0] <= 1.0 && shares[1] <= 1.0 {
@@ -181,7 +179,7 @@ impl Segment {
         Hides::Unclear
     }
 
-    /// What its samples would say: all are seen.
+    /// The result that its samples would give if all are seen.
     fn seen(&self, query: &FeatureQuery<'_>) -> Option<Decision> {
         let sampler = &query.frame.sampler;
         let [a, b] = self.ends;

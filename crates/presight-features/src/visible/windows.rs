@@ -1,22 +1,22 @@
-//! In which parts of the image a patch is seen: a box around what is seen in each cell of a grid over its image.
+//! Finds the parts of the image where a patch is seen: one box per cell of a grid over the patch's image.
 //!
-//! One box around all that is seen would also hold what is hidden beside it, which may be much nearer and move much farther.
+//! One box around all visible parts would include other surfaces that hide the patch between them. These may be much
+//! nearer and move much faster in the image.
 
 use glam::DVec2;
 
-/// Cells along each axis.
 const CELLS: usize = 4;
 
-/// Boxes around what is seen, cell by cell.
+/// Boxes around the visible parts, by cell.
 pub(super) struct Windows {
     low: DVec2,
-    /// Cells in a pixel.
+    /// Cells per pixel.
     scale: DVec2,
     found: [Option<[DVec2; 2]>; CELLS * CELLS],
 }
 
 impl Windows {
-    /// Over places in the unwrapped image; what lies beside them belongs to the cells at the border.
+    /// A grid over these places in the unwrapped image. Places outside it belong to the cells at its border.
     pub fn new(places: impl Iterator<Item = DVec2>) -> Self {
         let (low, high) =
             places.fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(low, high), p| (low.min(p), high.max(p)));
@@ -24,12 +24,12 @@ impl Windows {
         Self { low, scale, found: [None; CELLS * CELLS] }
     }
 
-    /// The middle of the places.
+    /// The middle of the grid.
     pub fn middle(&self) -> DVec2 {
         self.low + 0.5 * CELLS as f64 / self.scale
     }
 
-    /// What is between two places is seen.
+    /// Records that everything between two places is seen.
     pub fn reach(&mut self, from: DVec2, to: DVec2) {
         let [a, b] = [from, to].map(|p| (p - self.low) * self.scale);
         let mut cuts = [0.0; 2 * CELLS];
@@ -56,7 +56,7 @@ impl Windows {
         }
     }
 
-    /// Those in which something is seen.
+    /// The boxes of the cells with visible parts.
     pub fn into_seen(self) -> Vec<[DVec2; 2]> {
         self.found.into_iter().flatten().collect()
     }
@@ -66,7 +66,7 @@ impl Windows {
 mod tests {
     use super::*;
 
-    /// A diagonal of 8 x 8 pixels: four cells of 2 x 2, and none beside them.
+    /// A diagonal over 8 x 8 pixels is seen in four cells of 2 x 2 pixels, and in no others.
     #[test]
     fn windows_follow_what_is_seen() {
         let at = |x: f64, y: f64| DVec2::new(x, y);
@@ -75,7 +75,7 @@ mod tests {
         windows.reach(at(1.0, 2.0), at(9.0, 10.0));
         let cells = [0.0, 2.0, 4.0, 6.0].map(|k| [at(1.0 + k, 2.0 + k), at(3.0 + k, 4.0 + k)]);
         assert_eq!(windows.into_seen(), cells);
-        // A point, and what reaches beyond the places.
+        // A point, and a line that leaves the grid.
         let mut windows = Windows::new([at(1.0, 2.0), at(9.0, 10.0)].into_iter());
         windows.reach(at(8.5, 2.5), at(8.5, 2.5));
         windows.reach(at(8.0, 3.0), at(11.0, 3.0));

@@ -1,4 +1,4 @@
-//! One worker: what is seen of a feature, and its report.
+//! One worker: decides which parts of a feature are seen, and builds the result.
 
 use super::strategy::{Decision, FeatureQuery, Workspace, decide};
 use super::surface::FeatureSurface;
@@ -11,7 +11,7 @@ use glam::{DMat3, DVec2, DVec3};
 use presight_model::environment::FeatureShape;
 
 pub(super) struct FeatureResult {
-    /// `None` if nothing is seen, and only what is seen is asked for.
+    /// `None` if nothing is seen and the results of hidden features are not requested.
     pub seen: Option<SeenFeature>,
     pub stats: FeatureStats,
     pub pixels: Vec<u32>,
@@ -24,7 +24,7 @@ pub(super) struct Worker<'a> {
 }
 
 impl Worker<'_> {
-    /// The samples that only what is in between decides.
+    /// The samples that only occlusion can still hide.
     pub fn query_samples(&mut self, placed: &PlacedFeature) -> QuerySamples {
         if placed.feature.shape.is_contour() {
             return Vec::new();
@@ -50,7 +50,7 @@ impl Worker<'_> {
         queries
     }
 
-    /// What is seen of a feature; `hints` are slots that may hide the samples left open, in order, in place of the images.
+    /// Predicts a feature. `hints` replace the images: the slots that may hide the undecided samples, in order.
     pub fn feature(&mut self, placed: &PlacedFeature, hints: Option<&[Option<u32>]>) -> FeatureResult {
         let (frame, workspace) = (self.frame, &mut self.workspace);
         let shape = &placed.feature.shape;
@@ -71,7 +71,7 @@ impl Worker<'_> {
             return FeatureResult { seen: None, stats, pixels: Vec::new() };
         }
         let (visible, hidden) = if shape.is_area() { tally.shares(frame) } else { (tally.visible, tally.hidden) };
-        // What is outside the image is no hidden part.
+        // Parts outside the image are not listed as hidden.
         let is_inside = |p: &DVec3| matches!(frame.sampler.point(*p), Piece::Inside(_));
         let is_whole = || hidden.is_empty() && in_image.0.iter().all(is_inside);
         let windows = tally.windows.take().filter(|_| !visible.is_empty() && !is_whole());
@@ -90,7 +90,7 @@ impl Worker<'_> {
     }
 }
 
-/// What is told of the hidden parts of a feature: only the last reason where nothing is seen and no more is asked for.
+/// The hidden parts to report: if nothing is seen and only the reason is requested, the last reason alone.
 pub(super) fn told(frame: &VisibilityContext<'_>, hidden: &[HiddenPart], is_unseen: bool) -> Vec<HiddenInterval> {
     if frame.options.hidden == Hidden::Reason && is_unseen {
         let last = hidden.iter().map(|h| h.reason).max();
@@ -99,9 +99,9 @@ pub(super) fn told(frame: &VisibilityContext<'_>, hidden: &[HiddenPart], is_unse
     hidden.iter().map(|part| part.told(frame)).collect()
 }
 
-/// The windows of a patch, with what is seen along its sides: between samples a patch is seen as far as its outline is.
+/// The windows of a patch, grown along its visible sides: between samples, a patch is seen up to its outline.
 fn seen_in(mut windows: Box<Windows>, query: &FeatureQuery<'_>, workspace: &mut Workspace) -> Vec<[DVec2; 2]> {
-    /// Pieces of what is seen of a side whose image is curved.
+    /// Pieces of the visible part of a side, whose image may be curved.
     const PIECES: u32 = 8;
     let (frame, middle) = (query.frame, windows.middle());
     let place = |p: DVec3| {

@@ -1,19 +1,19 @@
-//! Where the front of a smooth surface meets its back, seen from a pose: curves along its edges.
+//! The silhouette of a smooth surface from a viewpoint: curves along edges where its front meets its back.
 
 use super::surface::Surface;
 use glam::DVec3;
 
-/// Neighbouring edges of a surface, in order.
+/// A chain of neighbouring edges of a surface.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Curve {
-    /// One more than edges; of a closed curve the last is the first. The object's frame.
+    /// One more point than edges, in the object's frame; a closed curve ends at its first point.
     pub points: Vec<DVec3>,
-    /// By edge.
+    /// By piece: the index of its edge.
     edges: Vec<u32>,
 }
 
 impl Curve {
-    /// Each piece with the slots of the polygons that touch it: these do not hide it.
+    /// Each piece, with the slots of the polygons that touch it; these do not hide it.
     pub fn pieces<'a>(&'a self, surface: &'a Surface) -> impl Iterator<Item = ([DVec3; 2], &'a [u32])> {
         let ends = self.points.windows(2).map(|pair| [pair[0], pair[1]]);
         ends.zip(self.edges.iter().map(|edge| surface.slots_of(&surface.edges[*edge as usize])))
@@ -25,8 +25,8 @@ impl Curve {
 }
 
 impl Surface {
-    /// The curves of a viewpoint (the object's frame), in an order that the surface and the viewpoint decide. A curve ends where none
-    /// or several others go on.
+    /// The curves seen from a viewpoint (the object's frame), in a deterministic order. A curve ends where no other
+    /// edge continues it, or several do.
     pub fn curves(&self, from: DVec3) -> Vec<Curve> {
         let fronts = self.fronts(from);
         let shown: Vec<u32> =
@@ -62,7 +62,7 @@ impl Surface {
         for of_point in at.chunk_by(|a, b| a.0 == b.0).filter(|of_point| of_point.len() != 2) {
             of_point.iter().for_each(|(point, edge)| follow(*point, *edge));
         }
-        // What is left is closed.
+        // The remaining curves are closed.
         shown.iter().for_each(|edge| follow(self.edges[*edge as usize].ends[0], *edge));
         curves
     }

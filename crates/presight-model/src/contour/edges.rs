@@ -1,4 +1,4 @@
-//! The edges of an object's polygons, and which of them its surface crosses smoothly.
+//! The edges of an object's polygons; finds the edges that its surface crosses smoothly.
 
 use crate::environment::{Environment, Object};
 use crate::error::{Error, Result};
@@ -8,63 +8,63 @@ use crate::limits;
 use glam::DVec3;
 use std::collections::HashMap;
 
-/// Polygons that leave an edge in directions nearer to each other than this lie on each other, radians.
+/// Polygons whose directions at an edge differ by less than this lie on each other, radians.
 const SAME_WING: f64 = 0.1 * std::f64::consts::PI / 180.0;
 
-/// A corner lies on a side if it is no farther off, relative to the side's coordinates: what f32 corners of planar polygons may be.
+/// Tolerance for a corner on a side, relative to the side's coordinates: the error of f32 corners of planar polygons.
 const ON_SIDE: f64 = 4e-6;
 
-/// Most polygons around an edge over which a surface goes on: each of them asks for the others.
+/// Most polygons around a smooth edge; the cost grows with the square of their number.
 const MOST_AROUND: usize = 16;
 
-/// Slack of crease angles, radians, so that every edge is a crease, smooth, or both.
+/// Tolerance of crease angles, radians, so that every edge is a crease, smooth, or both.
 const SLACK: f64 = 1e-6;
 
-/// An edge and the polygons around it, each once.
+/// An edge and the polygons around it, without repeats.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct MeshEdge {
-    /// Numbers of its corners, the lower one first.
+    /// The indices of its corners, the lower one first.
     pub ends: [u32; 2],
     around: (u32, u32),
 }
 
-/// All edges of the polygons of one object that a sensor class sees. Polygons that touch along a part of their sides share that part.
+/// The edges of all polygons of one object that a sensor class sees. Polygons whose sides touch share the common part.
 #[derive(Debug)]
 pub(super) struct MeshEdges {
-    /// Of corners, in the object's frame. Equal ones have one number.
+    /// Corners, in the object's frame; equal corners share one index.
     pub positions: Vec<DVec3>,
     pub edges: Vec<MeshEdge>,
     around: Vec<u32>,
-    /// Unit normals by polygon; `None` of those without an area, and of those that the class does not see.
+    /// Unit normals by polygon; `None` if the polygon has no area or the class does not see it.
     pub normals: Vec<Option<DVec3>>,
-    /// A point inside of each polygon.
+    /// A point inside each polygon.
     pub centers: Vec<DVec3>,
-    /// By polygon where its edges begin in `edges_of`.
+    /// By polygon: where its edges begin in `edges_of`.
     starts: Vec<u32>,
     edges_of: Vec<u32>,
 }
 
-/// A side of a polygon: its corners, the lower number first.
+/// A side of a polygon: the indices of its corners, the lower one first, and the polygon.
 type Side = ([u32; 2], u32);
 
-/// Where a surface goes on over an edge.
+/// The two polygons over which a surface crosses an edge.
 pub(super) struct Fold {
-    /// A polygon on either side.
+    /// One polygon on each side.
     pub sides: [u32; 2],
-    /// The normal of one of the two points to the other side of the surface than that of the other.
+    /// True if the normals of the two polygons point to opposite sides of the surface.
     pub flips: bool,
 }
 
 impl MeshEdges {
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if so many corners lie along sides that it would take too long.
+    /// [`crate::ErrorKind::Invalid`] if splitting sides at corners exceeds [`limits::MAX_CONTOUR_STEPS`].
     pub fn new(environment: &Environment, object: &Object, class: &str) -> Result<Self> {
         let mesh = &object.mesh;
         let seen = super::seen_materials(environment, class);
         let is_seen = |polygon: u32| seen[usize::from(mesh.material(polygon))];
         let mut known: HashMap<[u32; 3], u32> = HashMap::with_capacity(mesh.vertices().len());
         let mut positions = Vec::with_capacity(mesh.vertices().len());
-        // Adding 0 makes -0 and 0 the same.
+        // Adding 0 turns -0 into 0.
         let key = |v: glam::Vec3| (v + glam::Vec3::ZERO).to_array().map(f32::to_bits);
         let mut number = |v: &glam::Vec3| {
             *known.entry(key(*v)).or_insert_with(|| {
@@ -118,20 +118,18 @@ impl MeshEdges {
         Self { positions, edges, around, normals, centers, starts, edges_of }
     }
 
-    /// The polygons around an edge.
     pub fn around(&self, edge: u32) -> &[u32] {
         let (first, end) = self.edges[edge as usize].around;
         &self.around[first as usize..end as usize]
     }
 
-    /// The edges of a polygon.
     pub fn edges_of(&self, polygon: u32) -> &[u32] {
         let range = polygon as usize..polygon as usize + 2;
         let [first, end] = [self.starts[range.start], self.starts[range.end - 1]];
         &self.edges_of[first as usize..end as usize]
     }
 
-    /// The unit direction of an edge, and in which direction, across it, a polygon leaves it.
+    /// The unit direction of an edge, and the perpendicular direction in which a polygon extends from it.
     pub fn wing(&self, edge: u32, polygon: u32) -> Option<(DVec3, DVec3)> {
         let [a, b] = self.edges[edge as usize].ends.map(|end| self.positions[end as usize]);
         let along = (b - a).try_normalize()?;
@@ -140,8 +138,8 @@ impl MeshEdges {
         Some((along, if inward < 0.0 { -across } else { across }))
     }
 
-    /// How the surface goes on over an edge, if it is there no crease, border or branching. Polygons that lie on each other
-    /// count once.
+    /// The two polygons of an edge that the surface crosses smoothly; `None` at creases, borders and branchings.
+    /// Polygons that lie on each other count once.
     pub fn fold(&self, edge: u32, crease: f64) -> Option<Fold> {
         let around = self.around(edge);
         if around.len() > MOST_AROUND {
@@ -157,7 +155,7 @@ impl MeshEdges {
             match other {
                 _ if angle.abs() <= SAME_WING => {}
                 Some((known, _)) if (angle - known).abs() <= SAME_WING => {}
-                // Over the seam of the angles.
+                // The difference wraps at half a turn.
                 Some((known, _)) if (angle - known).abs() >= std::f64::consts::TAU - SAME_WING => {}
                 Some(_) => return None,
                 None => other = Some((angle, *polygon)),
@@ -170,7 +168,7 @@ impl MeshEdges {
     }
 }
 
-/// Cuts sides that no other polygon has at corners that lie on them.
+/// Splits sides of single polygons at the corners that lie on them.
 fn split(sides: Vec<Side>, positions: &[DVec3]) -> Result<Vec<Side>> {
     let mut lone = Vec::new();
     let mut rest = Vec::with_capacity(sides.len());
@@ -192,7 +190,7 @@ fn split(sides: Vec<Side>, positions: &[DVec3]) -> Result<Vec<Side>> {
         index.query(&Region::cuboid(&Aabb { min: bounds.min - off, max: bounds.max + off }), &mut found);
         steps += 1 + found.count() as u64;
         if steps > limits::MAX_CONTOUR_STEPS {
-            let what = "too many corners lie beside sides of polygons to find the smooth surfaces";
+            let what = "too many corners lie near sides of other polygons to find the smooth surfaces";
             return Err(Error::invalid(what, "weld the model's corners"));
         }
         on.clear();

@@ -1,4 +1,4 @@
-//! The surfaces of all contours among some features, set up in one version of the world.
+//! The surfaces of all contours among some features, in one version of the world.
 
 use super::edges::MeshEdges;
 use super::surface::Surface;
@@ -11,20 +11,20 @@ use crate::world::World;
 use glam::DVec3;
 use std::collections::HashMap;
 
-/// How far apart things that touch may be, metres: as in generated layers.
+/// Largest distance between things that touch, metres; the same as in generated layers.
 const TOUCH: f64 = 5e-4;
 
-/// Surfaces by number of the feature.
+/// Surfaces by index of the feature.
 #[derive(Debug, Default)]
 pub struct ContourSet {
     surfaces: HashMap<u32, Surface>,
-    /// Numbers of the contours, rising.
+    /// Indices of the contours, ascending.
     numbers: Vec<u32>,
 }
 
 impl ContourSet {
     /// # Errors
-    /// Those of setting up edges.
+    /// The errors of setting up edges.
     pub fn new(world: &World, class: &str, placed: &[PlacedFeature]) -> Result<Self> {
         let mut set = Self::default();
         if !placed.iter().any(|p| p.feature.shape.is_contour()) {
@@ -68,12 +68,12 @@ impl ContourSet {
         Ok(set)
     }
 
-    /// The surface of a contour, by the number of the feature.
+    /// The surface of a contour, by index of the feature.
     pub fn get(&self, number: usize) -> Option<&Surface> {
         self.surfaces.get(&(number as u32))
     }
 
-    /// Numbers of the contours, rising.
+    /// Indices of the contours, ascending.
     pub fn numbers(&self) -> &[u32] {
         &self.numbers
     }
@@ -83,18 +83,18 @@ impl ContourSet {
     }
 }
 
-/// Tells which edges of surfaces are ends that are seen, and no segment.
+/// Finds the edges where surfaces visibly end and no segment lies.
 struct EdgeEnds<'a> {
     world: &'a World,
-    /// By material, whether the class sees it.
+    /// By material: true if the class sees it.
     seen: Vec<bool>,
     segments: Segments,
     found: QueryResult,
 }
 
 impl EdgeEnds<'_> {
-    /// True of an edge (world) of the polygon of a slot that leaves it along `wing`, unless another polygon goes on there
-    /// smoothly, or a segment of the layer has it.
+    /// Returns true for an edge (world) of the polygon in `slot`, which extends from it along `wing`, unless another
+    /// polygon continues smoothly there or a segment of the layer contains the edge.
     fn count(&mut self, edge: [DVec3; 2], slot: u32, wing: DVec3, crease: f64) -> bool {
         !self.goes_on(edge, slot, wing, crease) && !self.segments.have(edge, &mut self.found)
     }
@@ -114,7 +114,7 @@ impl EdgeEnds<'_> {
             let about: Vec<DVec3> = corners.iter().map(|c| *c - middle).collect();
             let Some(normal) = plane_of_polygon(&about).map(|p| p.normal) else { return false };
             let Some(across) = normal.cross(along).try_normalize() else { return false };
-            // Over the edge: on the other side of it than the polygon.
+            // Away from the first polygon.
             let onward = if across.dot(wing) > 0.0 { -across } else { across };
             onward.angle_between(-wing) <= crease
                 && normal.dot(along).abs() < 0.1
@@ -124,7 +124,7 @@ impl EdgeEnds<'_> {
     }
 }
 
-/// True if a point is on a convex polygon, within [`TOUCH`].
+/// Returns true if a point is on a convex polygon, within [`TOUCH`].
 fn holds(corners: &[DVec3], normal: DVec3, p: DVec3) -> bool {
     (normal.dot(p - corners[0])).abs() <= TOUCH
         && (0..corners.len()).all(|k| {
@@ -133,7 +133,7 @@ fn holds(corners: &[DVec3], normal: DVec3, p: DVec3) -> bool {
         })
 }
 
-/// The segments among some features, in the world.
+/// The segments of some features, in the world.
 struct Segments {
     ends: Vec<[DVec3; 2]>,
     index: Skd<3>,
@@ -151,7 +151,7 @@ impl Segments {
         Self { index: Skd::build(Params::default(), &boxes), ends }
     }
 
-    /// True if one of them has all of an edge.
+    /// Returns true if one segment contains all of an edge.
     fn have(&self, edge: [DVec3; 2], found: &mut QueryResult) -> bool {
         let bounds = Aabb::of(edge);
         found.clear();

@@ -1,4 +1,4 @@
-//! The polygons of contours.
+//! Finds the polygons of contours.
 
 use super::edges::MeshEdges;
 use super::surface::{Reached, connected, is_flat};
@@ -9,13 +9,13 @@ use glam::DVec3;
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 
-/// Finds the polygons of contours; the edges of each object are set up once.
+/// Finds the polygons of contours; sets up the edges of each object once.
 pub struct ContourFinder<'a> {
     environment: &'a Environment,
     class: &'a str,
     objects: HashMap<u32, (MeshEdges, Reached)>,
     known: KnownSurfaces,
-    /// Facets of all surfaces found so far.
+    /// Number of facets of all surfaces found so far.
     facets: u64,
 }
 
@@ -24,16 +24,16 @@ impl<'a> ContourFinder<'a> {
         Self { environment, class, objects: HashMap::new(), known: KnownSurfaces::default(), facets: 0 }
     }
 
-    /// True if [`limits::MAX_CONTOUR_FACETS`] is met.
+    /// Returns true if [`limits::MAX_CONTOUR_FACETS`] is exceeded.
     pub fn is_full(&self) -> bool {
         self.facets > limits::MAX_CONTOUR_FACETS
     }
 
-    /// Slots of the surface that has one of the polygons of some slots, all of one object, rising: of several surfaces that with most
-    /// polygons. Empty if the class sees none of them.
+    /// The slots of the surface at some slots of one object, ascending. If there are several surfaces, the one with the
+    /// most polygons. Empty if the class sees none of them.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if [`limits::MAX_CONTOUR_FACETS`] is met, and those of setting up edges.
+    /// [`crate::ErrorKind::Invalid`] if [`limits::MAX_CONTOUR_FACETS`] is exceeded, and the errors of setting up edges.
     pub fn find(&mut self, object: u32, slots: &[u32], crease_deg: f64) -> Result<Vec<u32>> {
         let of = &self.environment.objects()[object as usize];
         let (edges, reached) = match self.objects.entry(object) {
@@ -61,19 +61,19 @@ impl<'a> ContourFinder<'a> {
     }
 }
 
-/// Surfaces found before: many contours may be of one.
+/// Surfaces found before; many contours may share one.
 #[derive(Default)]
 struct KnownSurfaces {
-    /// By object, polygon and crease angle (its bits) the number of the surface.
+    /// The index of the surface by object, polygon and bits of the crease angle.
     numbers: HashMap<(u32, u32, u64), u32>,
-    /// Polygons, rising.
+    /// Polygons of each surface, ascending.
     surfaces: Vec<Vec<u32>>,
-    /// Their facets, no more than [`limits::MAX_CONTOUR_FACETS`].
+    /// Number of their facets, at most [`limits::MAX_CONTOUR_FACETS`].
     facets: u64,
 }
 
 impl KnownSurfaces {
-    /// The surface of a polygon of an object. All polygons of one are connected with each other.
+    /// The surface of a polygon of an object; each of the surface's polygons gives the same one.
     fn of(
         &mut self,
         (object, polygon): (u32, u32),
@@ -98,11 +98,11 @@ impl KnownSurfaces {
     }
 }
 
-/// A smooth surface, for a new contour.
+/// A smooth surface for which a contour may be generated.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SmoothSurface {
     pub object: u32,
-    /// The middle of its largest polygon, in the object's frame; of equal ones the first by place.
+    /// The middle of its largest polygon, in the object's frame; among equal ones, the first by coordinates.
     pub anchor: DVec3,
     pub bounds: crate::geometry::Aabb,
 }
@@ -110,7 +110,7 @@ pub struct SmoothSurface {
 /// The smooth surfaces of an object that are not flat.
 ///
 /// # Errors
-/// Those of setting up edges.
+/// The errors of setting up edges.
 pub fn surfaces(environment: &Environment, object: u32, class: &str, crease: f64) -> Result<Vec<SmoothSurface>> {
     let of = &environment.objects()[object as usize];
     let edges = MeshEdges::new(environment, of, class)?;

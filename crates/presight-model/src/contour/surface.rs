@@ -1,16 +1,16 @@
-//! Smooth surfaces: polygons of one object that are connected over edges that fold by no more than an angle.
+//! Smooth surfaces: polygons of one object, connected over edges with limited angles.
 
 use super::edges::MeshEdges;
 use crate::geometry::Aabb;
 use glam::DVec3;
 
-/// Cosine of the angle between two normals of a surface beyond which it is not flat.
+/// Cosine of the largest angle between normals of a flat surface.
 const FLAT: f64 = 0.999_847_695; // 1 degree
 
 /// No second facet.
 pub(super) const NONE: u32 = u32::MAX;
 
-/// Which polygons of an object have been reached.
+/// Marks the polygons of an object that have been reached.
 pub(super) struct Reached(Vec<bool>);
 
 impl Reached {
@@ -18,18 +18,18 @@ impl Reached {
         Self(vec![false; edges.normals.len()])
     }
 
-    /// True of those that were reached, and of those that are in no surface.
+    /// Returns true if a polygon has been reached.
     pub fn holds(&self, polygon: u32) -> bool {
         self.0[polygon as usize]
     }
 
-    /// Forgets some of them.
+    /// Clears the marks of some polygons.
     pub fn forget(&mut self, polygons: &[u32]) {
         polygons.iter().for_each(|polygon| self.0[*polygon as usize] = false);
     }
 }
 
-/// The polygons connected with one of them, rising. None of them has been reached before.
+/// The polygons connected with one of them, ascending. None of them may have been reached before.
 pub(super) fn connected(edges: &MeshEdges, from: u32, crease: f64, reached: &mut Reached) -> Vec<u32> {
     if edges.normals[from as usize].is_none() {
         return Vec::new();
@@ -54,7 +54,7 @@ pub(super) fn connected(edges: &MeshEdges, from: u32, crease: f64, reached: &mut
     all
 }
 
-/// True if no two of the polygons lean to each other.
+/// Returns true if all polygons are parallel.
 pub(super) fn is_flat(edges: &MeshEdges, polygons: &[u32]) -> bool {
     let normal = |polygon: &u32| edges.normals[*polygon as usize];
     let mut normals = polygons.iter().filter_map(normal);
@@ -62,41 +62,39 @@ pub(super) fn is_flat(edges: &MeshEdges, polygons: &[u32]) -> bool {
     normals.all(|n| n.dot(first).abs() >= FLAT)
 }
 
-/// A polygon of a surface.
 #[derive(Clone, Copy, Debug)]
 struct Facet {
     normal: DVec3,
     at: DVec3,
 }
 
-/// An edge of a surface.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct SurfaceEdge {
-    /// Numbers of its points.
+    /// Indices of its points.
     pub ends: [u32; 2],
-    /// The facets on both sides; the second is [`NONE`] of an edge that is seen from everywhere.
+    /// The facets on both sides; the second is [`NONE`] for an edge that is visible from everywhere.
     facets: [u32; 2],
     flips: bool,
-    /// Of the polygons around it, in `slots`.
+    /// The range in `slots` of the polygons around it.
     slots: (u32, u32),
 }
 
 /// A smooth surface in its object's frame.
 #[derive(Debug)]
 pub struct Surface {
-    /// Index of the object whose polygons it has.
+    /// Index of the object that has its polygons.
     pub object: u32,
     pub(super) points: Vec<DVec3>,
     facets: Vec<Facet>,
     pub(super) edges: Vec<SurfaceEdge>,
     slots: Vec<u32>,
-    /// Corners of a box around all of it, in the frame of the contour.
+    /// Corners of its bounding box, in the frame of the contour.
     pub hull: [DVec3; 8],
 }
 
 impl Surface {
-    /// The surface of some polygons, rising. `keeps` says of an edge over which it does not go on smoothly, with a polygon of
-    /// the surface there, whether it counts.
+    /// The surface of some polygons, ascending. For each edge that it does not cross smoothly, `keeps` decides from the
+    /// edge, the slot and the direction of a polygon there whether the edge counts.
     pub(super) fn new(
         edges: &MeshEdges,
         (object, first_slot): (u32, u32),
@@ -158,17 +156,16 @@ impl Surface {
         surface
     }
 
-    /// Slots of the polygons around an edge.
     pub(super) fn slots_of(&self, edge: &SurfaceEdge) -> &[u32] {
         &self.slots[edge.slots.0 as usize..edge.slots.1 as usize]
     }
 
-    /// Whether each facet has a viewpoint (the object's frame) before it, or in its plane.
+    /// By facet: true if a viewpoint (the object's frame) is in front of it or in its plane.
     pub(super) fn fronts(&self, from: DVec3) -> Vec<bool> {
         self.facets.iter().map(|facet| facet.normal.dot(from - facet.at) >= 0.0).collect()
     }
 
-    /// True if an edge is where front and back meet, or is seen from everywhere.
+    /// Returns true if front and back meet at an edge, or the edge is visible from everywhere.
     pub(super) fn shows(&self, edge: &SurfaceEdge, fronts: &[bool]) -> bool {
         let [a, b] = edge.facets;
         b == NONE || (fronts[a as usize] != fronts[b as usize]) != edge.flips

@@ -1,15 +1,16 @@
-//! Whether polygons together hold all of a patch: an argument about borders, which has nothing to cut up.
+//! Decides whether polygons together cover a patch, by following borders instead of cutting up areas.
 //!
-//! What lies within the tolerance of a polygon is a convex body; K is its cut with the patch's plane. Around each K stands
-//! a convex polygon H with K in its inside, nowhere farther from the polygon than the tolerance and a [`SLACK`] of it. Let
-//! some point of the patch be in a K, and for each polygon what is in the patch of the sides of its H be in the K of the
-//! others. Then all of the patch is in the H together. For the patch is in one piece, and not all of it is in none of them: what
-//! is in none would have a border inside of the patch. A point of that is on a side of an H, so in another's K, so in the inside
-//! of that one's H, where no border is.
+//! The points within the tolerance of a polygon form a convex body; K is its section with the patch's plane. H is a
+//! convex polygon around K that has K in its interior. H is nowhere farther from the polygon than (1 + [`SLACK`]) times
+//! the tolerance. Let some point of the patch be in a K. For each polygon, let the sides of its H, where they are
+//! inside the patch, be covered by the K of other polygons. Then the H together cover the patch. Proof: otherwise the
+//! uncovered part would have a border inside the connected patch. A point of this border is on a side of an H, so it is
+//! in the K of another polygon, and therefore in the interior of that polygon's H, where no border can be.
 //!
-//! The other way round, a point on a side of an H that no K holds is farther than the tolerance from all polygons, its own
-//! included. So a patch that is refused is off, and one that is taken is nowhere off by more than the slack. Doubled,
-//! overlapping and crossing polygons, seams and T-junctions need no care: sides of an H run inside their neighbours.
+//! Conversely, a point on a side of an H that no K contains is farther than the tolerance from all polygons, including
+//! its own. So a rejected patch is off its polygons, and an accepted one exceeds the tolerance nowhere by more than the
+//! slack. Doubled, overlapping and crossing polygons, seams and T-junctions need no special case: sides of an H run
+//! inside their neighbours.
 
 use super::local::Local;
 use super::patch::CoplanarPart;
@@ -21,17 +22,17 @@ use crate::index::{Params, QueryResult, Region, Skd, SpatialIndex};
 use glam::{DVec2, DVec3};
 use std::f64::consts::TAU;
 
-/// Between borders a patch may be farther from its polygons than the tolerance by this part of it.
+/// Part of the tolerance by which a patch may exceed it between borders.
 pub(super) const SLACK: f64 = 1.0 / 16.0;
-/// How far an H stands off its K at least, as a part of the tolerance.
+/// Least distance of an H from its K, as a part of the tolerance.
 const MARGIN: f64 = 0.01;
-/// Places that are tried for one farther off: eight around, of steps and halvings of them.
+/// Evaluations in the search for a point farther off: eight around each of 64 steps.
 const FARTHER: usize = 8 * 64;
-/// Most corners that are cut off an H to bring it near its K: each halves an angle, so that few are ever needed.
+/// Most corners cut off an H to bring it near its K. Each cut halves an angle, so few are needed.
 const MOST_CUTS: usize = 256;
 
-/// A point of a convex outline that is on no polygon, within the tolerance; `None` if all of it is covered. A corner at
-/// least is on one. `compare` is told of how many pairs of polygons are compared.
+/// A point of a convex outline that is off all polygons by more than the tolerance; `None` if all of it is covered. At
+/// least one corner must be on a polygon. `compare` is called with the number of pairs before polygons are compared.
 pub(super) fn uncovered(
     outline: &[DVec2],
     under: &[CoplanarPart<'_>],
@@ -55,7 +56,6 @@ pub(super) fn uncovered(
     Ok(None)
 }
 
-/// The polygons under a patch, with an index over them.
 struct PatchCover<'a> {
     under: &'a [CoplanarPart<'a>],
     flat: &'a PatchPlane,
@@ -73,7 +73,7 @@ impl<'a> PatchCover<'a> {
         Self { under, flat, index: Skd::build(Params::default(), &boxes), found: QueryResult::default() }
     }
 
-    /// A point of a line that none of the other polygons holds.
+    /// A point of a line that none of the other polygons covers.
     fn gap(
         &mut self,
         (u, v): (DVec2, DVec2),
@@ -88,7 +88,7 @@ impl<'a> PatchCover<'a> {
             let all = self.found.all().map(|k| k as usize);
             all.filter(|k| *k != own).map(|k| self.under[k].local)
         };
-        // As a rule it runs inside of one neighbour.
+        // The usual case: the line runs inside one neighbour.
         if others().any(|local| local.over(from, to - from) == Some((0.0, 1.0))) {
             return Ok(None);
         }
@@ -98,15 +98,15 @@ impl<'a> PatchCover<'a> {
 }
 
 impl CoplanarPart<'_> {
-    /// How far K reaches along a direction of the plane: each point of the polygon is the middle of a disc in it, the
-    /// smaller the higher it is, and the farthest of these is on the polygon's outline.
+    /// The greatest extent of K in a direction of the plane. Each point of the polygon contributes a disc in the plane,
+    /// the smaller the higher the point is. The farthest disc belongs to a point on the polygon's outline.
     fn reaches(&self, direction: DVec2) -> f64 {
         let (r, n) = (self.local.reach, self.part.len());
         let of_side = |k: usize| {
             let l = (k + 1) % n;
             let (at, height) = (direction.dot(self.part[k]), self.heights[k]);
             let (along, rise) = (direction.dot(self.part[l]) - at, self.heights[l] - height);
-            // Where along + the disc's growth is 0: at the height r along / hypot(along, rise), on the falling side.
+            // The derivative of along + radius is 0 at the height r along / hypot(along, rise), on the falling side.
             let best = (r * along * rise.signum() / along.hypot(rise) - height) / rise;
             let t = if best.is_finite() { best.clamp(0.0, 1.0) } else { f64::from(along > 0.0) };
             at + t * along + (r * r - (height + t * rise).powi(2)).max(0.0).sqrt()
@@ -114,7 +114,6 @@ impl CoplanarPart<'_> {
         (0..n).map(of_side).fold(f64::NEG_INFINITY, f64::max)
     }
 
-    /// H: a convex polygon around K, counter-clockwise.
     pub(super) fn around(&self, flat: &PatchPlane) -> Vec<DVec2> {
         let stand = MARGIN * self.local.reach + self.local.warp;
         let (low, high) = bounds_of(&self.part);
@@ -141,7 +140,7 @@ impl CoplanarPart<'_> {
     }
 }
 
-/// From a point that is off to one nearby that is farther off: told to people, nothing depends on it.
+/// From a point that is off, climbs to one nearby that is farther off. Only for the message: no result depends on it.
 fn farther(start: DVec2, outline: &[DVec2], under: &[CoplanarPart<'_>], flat: &PatchPlane) -> DVec2 {
     let off = |p: DVec2| under.iter().map(|u| u.local.distance(flat.lift(p))).fold(f64::INFINITY, f64::min);
     let (low, high) = bounds_of(outline);

@@ -1,19 +1,19 @@
-//! A polygon in the frame of a feature, and what is near it.
+//! A polygon in the frame of a feature, and distances from it.
 
 use super::plane::cut;
 use crate::geometry::plane_of_polygon;
 use glam::DVec3;
 
-/// A convex polygon, coordinates about the feature's first point.
+/// A convex polygon; coordinates are relative to the feature's first point.
 pub(super) struct Local {
     pub slot: u32,
     pub corners: Vec<DVec3>,
-    /// `None` where roundings swallow the area: what counts then are its sides.
+    /// `None` if the area is within rounding; then only its sides count.
     pub normal: Option<DVec3>,
     offset: f64,
-    /// How far its corners are off its plane, metres.
+    /// Largest distance of its corners from its plane, metres.
     pub warp: f64,
-    /// How near counts as on it, metres: the tolerance and the roundings.
+    /// Largest distance of a point on it, metres: the tolerance plus rounding.
     pub reach: f64,
 }
 
@@ -30,12 +30,12 @@ impl Local {
         (0..n).map(move |k| (self.corners[k], self.corners[(k + 1) % n]))
     }
 
-    /// Height of a point over the plane.
+    /// Height of a point above the plane.
     fn height(&self, normal: DVec3, p: DVec3) -> f64 {
         normal.dot(p) - self.offset
     }
 
-    /// From a point to the polygon's nearest point.
+    /// Distance from a point to the polygon.
     pub fn distance(&self, p: DVec3) -> f64 {
         if let Some(normal) = self.normal
             && self.sides().all(|(u, v)| normal.cross(v - u).dot(p - u) >= 0.0)
@@ -45,12 +45,12 @@ impl Local {
         self.sides().map(|(u, v)| to_side(p, u, v)).fold(f64::INFINITY, f64::min)
     }
 
-    /// True if a point is on it, within the tolerance.
+    /// Returns true if a point is on it, within the tolerance.
     pub fn holds(&self, p: DVec3) -> bool {
         self.distance(p) <= self.reach
     }
 
-    /// Where the segment from `a` along `d` (t in 0..=1) is straight over or under it, within the tolerance.
+    /// The interval of t in 0..=1 in which a + t d is directly above or below it, within the tolerance.
     pub fn over(&self, a: DVec3, d: DVec3) -> Option<(f64, f64)> {
         let normal = self.normal?;
         let mut t = (0.0, 1.0);
@@ -64,7 +64,7 @@ impl Local {
         (t.0 <= t.1).then_some(t)
     }
 
-    /// True if the segment from `a` along `d` goes on over or under it where it is no more on it: it leans through the polygon.
+    /// Returns true if the segment from `a` along `d` crosses it: it leaves the tolerance while above or below it.
     pub fn is_left_within(&self, a: DVec3, d: DVec3, (from, to): (f64, f64)) -> bool {
         let Some(normal) = self.normal else { return false };
         let mut t = (0.0, 1.0);
@@ -76,8 +76,8 @@ impl Local {
         t.0 <= t.1 && (t.0 < from - more || t.1 > to + more)
     }
 
-    /// True only if two points are on one side of its plane, or beyond one side of it, by far more than the tolerance and roundings:
-    /// so then is all between them.
+    /// Returns true if two points are outside one side of it, or on one side of its plane, by far more than tolerance
+    /// and rounding. Then everything between them is, too.
     fn is_beside(&self, p: DVec3, q: DVec3) -> bool {
         let Some(normal) = self.normal else { return false };
         let far = 2.0 * (self.reach + self.warp);
@@ -90,10 +90,10 @@ impl Local {
             })
     }
 
-    /// Where the segment from `a` along `d` (t in 0..=1) is on it, within the tolerance.
+    /// The interval of t in 0..=1 in which a + t d is on it, within the tolerance.
     ///
-    /// All points within a distance of a convex polygon are a convex body, made of the polygon's prism, a cylinder
-    /// around each side and a ball around each corner; the interval is the hull of those inside each part.
+    /// The points within a distance of a convex polygon form a convex body: the polygon's prism, a cylinder around each
+    /// side and a ball around each corner. The interval is the hull of the intervals of these parts.
     pub fn stretch(&self, a: DVec3, d: DVec3) -> Option<(f64, f64)> {
         if self.is_beside(a, a + d) {
             return None;
@@ -116,11 +116,11 @@ fn to_side(p: DVec3, u: DVec3, v: DVec3) -> f64 {
     (p - u - along * t).length()
 }
 
-/// t in 0..=1 with |w + t d| <= r.
+/// The interval of t in 0..=1 with |w + t d| <= r.
 fn in_ball(w: DVec3, d: DVec3, r: f64) -> Option<(f64, f64)> {
     let speed = d.length_squared();
     let nearest = if speed > 0.0 { -w.dot(d) / speed } else { 0.0 };
-    // Parallel within roundings: the nearest may be anywhere, and it makes no difference where.
+    // Parallel within rounding: any point may be the nearest, and all are equally near.
     let nearest = if nearest.is_finite() { nearest } else { 0.0 };
     let rest = r * r - (w + d * nearest).length_squared();
     if rest < 0.0 {
@@ -131,7 +131,7 @@ fn in_ball(w: DVec3, d: DVec3, r: f64) -> Option<(f64, f64)> {
     (t.0 <= t.1).then_some(t)
 }
 
-/// t in 0..=1 where `w + t d` is within r of the axis from the origin along `side`, between its ends.
+/// The interval of t in 0..=1 in which `w + t d` is within r of the axis `side` from the origin, between its ends.
 fn in_cylinder(w: DVec3, d: DVec3, side: DVec3, r: f64) -> Option<(f64, f64)> {
     let length = side.length();
     if !(length > 0.0) {
@@ -140,7 +140,6 @@ fn in_cylinder(w: DVec3, d: DVec3, side: DVec3, r: f64) -> Option<(f64, f64)> {
     let axis = side / length;
     let across = |v: DVec3| v - axis * axis.dot(v);
     let (w_across, d_across) = (across(w), across(d));
-    // In line with the axis up to roundings.
     let turned = d_across.length() > 8.0 * f64::EPSILON * d.length();
     let mut t = in_ball(w_across, if turned { d_across } else { DVec3::ZERO }, r)?;
     cut(&mut t, axis.dot(w), axis.dot(d));

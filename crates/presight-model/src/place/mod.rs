@@ -1,18 +1,18 @@
-//! Where features lie: their objects and polygons, found by geometry. Layers never name polygons by number, because another
+//! Places features: finds their objects and polygons by geometry. Layers never name polygons by number, because another
 //! export of the model numbers them differently.
 //!
-//! - A point lies on every polygon that it is near to.
-//! - A segment lies on every polygon that contains a stretch of it: both faces of a crease, each of several polygons in line.
+//! - A point lies on every polygon within the tolerance.
+//! - A segment lies on every polygon that contains a stretch of it: both faces of a crease, each of several in line.
 //! - A patch or fiducial lies on the coplanar polygons that it overlaps.
 //! - A contour lies on the smooth surface under its anchor.
 //!
-//! A feature that lies on polygons within rounding lies on no others, however near: those may hide it. A polygon that a segment or
-//! a patch only passes through or touches does not count. The whole feature must lie on its polygons.
-//! A feature that is refused is somewhere farther from them than the tolerance. One that is accepted is nowhere farther, or, inside
-//! a patch, nowhere by more than a sixteenth ([`cover`]).
+//! A feature that lies on polygons within rounding lies on no others, however near; those others may hide it. A polygon
+//! that a segment or patch only crosses or touches does not count. The whole feature must lie on its polygons. A
+//! rejected feature is somewhere farther from them than the tolerance. An accepted one is not, except that the inside
+//! of a patch may exceed the tolerance by a sixteenth ([`cover`]).
 //!
-//! Everything is computed in the frame of the feature's object, relative to its first point, so that no digit is lost at
-//! 5,000,000 m from the origin.
+//! All computations use the frame of the feature's object, relative to the feature's first point. This keeps full
+//! precision 5,000,000 m from the origin.
 
 mod cover;
 mod local;
@@ -38,24 +38,23 @@ use rayon::prelude::*;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Sine of the angle between a polygon and a feature on it, about 5 degrees; more only where both are so small that the
-/// tolerance cannot tell.
+/// Sine of the largest angle between a polygon and a feature on it, about 5 degrees. Larger angles are accepted only if
+/// both are so small that they stay within the tolerance.
 const LYING: f64 = 0.087;
 
-/// What is no farther off than this lies on a polygon within the rounding of files, metres: generated features do, and other faces
-/// are farther off, however thin the sheet between them. Only where that leaves a gap does the layer's tolerance say which polygons a
-/// feature lies on.
+/// A feature this near to a polygon lies on it within the rounding of files, metres. Generated features do; other faces
+/// are farther away, even on the other side of a thin sheet. The layer's tolerance applies only if this leaves a gap.
 const ROUNDING: f64 = 1e-5;
 
-/// What a feature lies on, or where it does not.
+/// The polygons that a feature lies on, or a point where it lies on none.
 enum Support {
     /// Slots of the polygons, in any order.
     On(Vec<u32>),
-    /// A point of it that is off all polygons, in the feature's frame about its first point.
+    /// A point of the feature that is off all polygons, in the feature's frame, relative to its first point.
     Off(DVec3),
 }
 
-/// Finds the object and the polygons of each feature in a world. The result is in the order of the layer.
+/// Finds the object and the polygons of each feature in a world. Returns them in the order of the layer.
 ///
 /// ```
 /// use presight::environment::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
@@ -86,8 +85,8 @@ enum Support {
 /// ```
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] naming the feature: those of [`FeatureLayer::check`], an object that does not exist, or a
-/// feature that is somewhere off its polygons by more than the layer's tolerance, with the distance.
+/// [`crate::ErrorKind::Invalid`], naming the feature: the errors of [`FeatureLayer::check`], an object that does not
+/// exist, or a feature that is off its polygons by more than the layer's tolerance, with the distance.
 pub fn place(world: &World, layer: &FeatureLayer) -> Result<Vec<PlacedFeature>> {
     let mut finder = SupportFinder::new(world, layer)?;
     let lying = finder.lie_all(layer)?;
@@ -95,7 +94,7 @@ pub fn place(world: &World, layer: &FeatureLayer) -> Result<Vec<PlacedFeature>> 
     both.map(|(feature, lying)| finder.place(feature, lying).map_err(|e| e.at(name_of(feature)))).collect()
 }
 
-/// As [`place`], but leaves out features that cannot be placed, and returns their numbers as the second value.
+/// Like [`place`], but leaves out features that cannot be placed, and returns their ids as the second value.
 pub fn place_lying(world: &World, layer: &FeatureLayer) -> Result<(Vec<PlacedFeature>, Vec<u32>)> {
     let mut finder = SupportFinder::new(world, layer)?;
     let (mut placed, mut off) = (Vec::with_capacity(layer.features.len()), Vec::new());
@@ -103,7 +102,7 @@ pub fn place_lying(world: &World, layer: &FeatureLayer) -> Result<(Vec<PlacedFea
         match lying.and_then(|lying| finder.with_surface(feature, lying)) {
             Ok((frame, Support::On(slots))) => placed.push(frame.placed(feature, slots)),
             Err(e) if finder.contours.is_full() => return Err(e.at(name_of(feature))),
-            // How far off it is takes a search of its own.
+            // The distance is not needed here, and would take a search of its own.
             _ => off.push(feature.id),
         }
     }
@@ -117,7 +116,7 @@ fn name_of(feature: &Feature) -> String {
     }
 }
 
-/// A feature's frame, and what it lies on.
+/// A feature's frame and support.
 type Lying<'a> = (FeatureFrame<'a>, Support);
 
 struct SupportFinder<'a> {
@@ -128,17 +127,17 @@ struct SupportFinder<'a> {
     contours: ContourFinder<'a>,
     /// [`limits::MAX_PLACING_PAIRS`].
     most_pairs: u64,
-    /// The object that was asked for last, by its path: neighbours in a layer tend to have the same.
+    /// The object found last, and its path: neighbours in a layer often share their object.
     last_object: Option<(&'a str, u32)>,
     /// Memory for the corners of a polygon.
     corners: Vec<DVec3>,
 }
 
-/// The frame a feature is given in.
+/// The frame in which a feature is given.
 struct FeatureFrame<'a> {
-    /// Its object and the object's index; `None` is the world.
+    /// Its object and the object's index; `None` for the world.
     object: Option<(&'a Object, u32)>,
-    /// First point of the feature: what distances are computed about.
+    /// First point of the feature; computations are relative to it.
     anchor: DVec3,
 }
 
@@ -148,12 +147,12 @@ impl FeatureFrame<'_> {
         PlacedFeature { feature: feature.clone(), object: self.object.map(|(_, index)| index), slots }
     }
 
-    /// A polygon's corners in this frame about the anchor, and the bound of their rounding, metres.
+    /// Gets a polygon's corners in this frame, relative to the anchor. Returns their rounding error bound, metres.
     fn corners(&self, other: &Object, index: u32, polygon: u32, corners: &mut Vec<DVec3>) -> f64 {
         corners.clear();
         let in_other = other.mesh.corners_of(polygon).map(|p| other.object_from_mesh.transform_point3(p));
         let Pose { rotation: _, translation } = other.world_from_object;
-        // Origins are subtracted first: they may be far from the world's and near each other.
+        // Subtract the origins first: they may be far from the world's origin and near each other.
         let apart = match self.object {
             Some((_, own)) if own == index => {
                 corners.extend(in_other.map(|p| p - self.anchor));
@@ -202,12 +201,12 @@ impl<'a> SupportFinder<'a> {
         }
     }
 
-    /// What each feature of a layer lies on, of contours their anchors, in order.
+    /// The support of each feature in the layer's order; for contours, of their anchors.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if [`limits::MAX_PLACING_PAIRS`] is met.
+    /// [`crate::ErrorKind::Invalid`] if [`limits::MAX_PLACING_PAIRS`] is exceeded.
     fn lie_all(&self, layer: &'a FeatureLayer) -> Result<Vec<Result<Lying<'a>>>> {
-        /// Features that a worker takes at a time, at least.
+        /// Smallest number of features per parallel task.
         const BATCH: usize = 256;
         let features = layer.features.par_iter().with_min_len(BATCH);
         let pairs = AtomicU64::new(0);
@@ -221,14 +220,14 @@ impl<'a> SupportFinder<'a> {
         Error::invalid(what, "give a smaller tolerance, or fewer features")
     }
 
-    /// One that knows nothing of contours yet.
+    /// A copy with empty caches, for another thread.
     fn another(&self) -> Self {
         let contours = ContourFinder::new(self.environment, "");
         let (found, corners) = (QueryResult::default(), Vec::new());
         Self { found, contours, last_object: None, corners, ..*self }
     }
 
-    /// A contour's surface in place of what its anchor lies on.
+    /// Replaces the support of a contour's anchor by the contour's surface.
     fn with_surface(&mut self, feature: &Feature, (frame, lying): Lying<'a>) -> Result<Lying<'a>> {
         match (&feature.shape, lying) {
             (FeatureShape::Contour { crease_deg, .. }, Support::On(slots)) => {
@@ -239,7 +238,7 @@ impl<'a> SupportFinder<'a> {
         }
     }
 
-    /// The frame of a feature, and what it lies on, or a contour's anchor. The polygons near it are counted.
+    /// Finds the frame and support of a feature, or of a contour's anchor. Adds the number of near polygons to `pairs`.
     fn lie(&mut self, feature: &'a Feature, pairs: &AtomicU64) -> Result<Lying<'a>> {
         let environment = self.environment;
         let object = feature.object.as_deref().map(|path| self.object_of(path)).transpose()?;
@@ -261,7 +260,7 @@ impl<'a> SupportFinder<'a> {
         if tolerance > ROUNDING && matches!(found, Support::Off(_)) {
             found = within(tolerance, Some(&bounds))?;
         }
-        // Where it is farthest off is told by all that are near.
+        // Finding the point farthest off requires all near polygons.
         if matches!(found, Support::Off(_)) {
             found = within(tolerance, None)?;
         }
@@ -279,7 +278,7 @@ impl<'a> SupportFinder<'a> {
         }
     }
 
-    /// The surface of a contour whose anchor lies on polygons: of its object, in the world of the object that came first.
+    /// The surface of a contour at its anchor's polygons, in the contour's object or, in the world, the first object.
     fn surface(&mut self, object: Option<u32>, mut slots: Vec<u32>, crease_deg: f64) -> Result<Support> {
         slots.sort_unstable();
         let object_of = |slot: &u32| self.environment.locate(*slot).map(|(object, _)| object);
@@ -291,7 +290,7 @@ impl<'a> SupportFinder<'a> {
         Ok(if surface.is_empty() { Support::Off(DVec3::ZERO) } else { Support::On(surface) })
     }
 
-    /// Slots of the polygons that may come within the layer's tolerance of the boxes (world).
+    /// The slots of polygons that may be within the layer's tolerance of boxes in the world.
     fn slots_near(&mut self, boxes: &[Aabb]) -> Vec<u32> {
         self.found.clear();
         for b in boxes {
@@ -306,7 +305,7 @@ impl<'a> SupportFinder<'a> {
         slots
     }
 
-    /// The polygons of slots, without those that are farther from a box (the feature's frame) than counts as on them.
+    /// The polygons in some slots, without polygons surely too far from a box in the feature's frame.
     fn locals(&mut self, frame: &FeatureFrame<'_>, slots: &[u32], tolerance: f64, bounds: Option<&Aabb>) -> Vec<Local> {
         let mut all = Vec::with_capacity(slots.len().min(16));
         for slot in slots {
@@ -319,14 +318,14 @@ impl<'a> SupportFinder<'a> {
         let (index, polygon) = self.environment.locate(slot)?;
         let object = &self.environment.objects()[index as usize];
         let rounding = frame.corners(object, index, polygon, &mut self.corners);
-        // More than counts as on it.
+        // More than the tolerance and rounding.
         let far = 2.0 * (self.tolerance + rounding);
         let own = Aabb::of(self.corners.iter().copied());
         let is_beside = |b: &Aabb| (own.min.cmpgt(b.max + far) | own.max.cmplt(b.min - far)).any();
         if near.is_some_and(is_beside) {
             return None;
         }
-        // Vertices are f32, and so are planes as good as flat.
+        // Vertices are f32, so a polygon is planar only within their rounding.
         let far = object.mesh.corners_of(polygon).map(|p| p.abs().max_element()).fold(0.0, f64::max);
         let reach = (tolerance + 4.0 * f64::from(f32::EPSILON) * far).min(self.tolerance);
         Some(Local::new(slot, self.corners.clone(), reach + rounding))
@@ -343,7 +342,7 @@ impl<'a> SupportFinder<'a> {
         match self.distance(frame, at) {
             Some(distance) if distance <= self.tolerance => Error::invalid(
                 format!(
-                    "the {kind} lies on no polygon at {} {whose}: those within {} m only touch or cross it",
+                    "the {kind} lies on no polygon at {} {whose}: the polygons within {} m only touch or cross it",
                     short_point(p),
                     short(self.tolerance)
                 ),
@@ -351,7 +350,7 @@ impl<'a> SupportFinder<'a> {
             ),
             Some(distance) => Error::invalid(
                 format!(
-                    "the {} is {} m off its polygons at {} {whose}, {} m is allowed",
+                    "the {} is {} m off its polygons at {} {whose}; {} m is allowed",
                     kind,
                     if distance < 1e-3 { format!("{distance:.3e}") } else { format!("{distance:.6}") },
                     short_point(p),
@@ -359,18 +358,17 @@ impl<'a> SupportFinder<'a> {
                 ),
                 remedy,
             ),
-            None => Error::invalid("the world has no polygons it could lie on", "check the scene"),
+            None => Error::invalid("the world has no polygons for the feature to lie on", "check the scene"),
         }
     }
 
-    /// From a point about the anchor to the nearest polygon, metres; `None` if there are no polygons.
+    /// Distance from a point, relative to the anchor, to the nearest polygon, metres; `None` if there are no polygons.
     fn distance(&mut self, frame: &FeatureFrame<'_>, at: DVec3) -> Option<f64> {
         let p_in_world = frame.to_world(at + frame.anchor);
         let everything = self.environment.bounds();
         if everything.is_empty() {
             return None;
         }
-        // Everything lies within this.
         let enough = everything.with(p_in_world).size();
         let mut half = 4.0 * self.tolerance;
         loop {
@@ -379,7 +377,7 @@ impl<'a> SupportFinder<'a> {
             let nearest =
                 self.locals(frame, &slots, self.tolerance, None).iter().map(|l| l.distance(at)).reduce(f64::min);
             match nearest {
-                // Nothing outside of the box can be nearer.
+                // Nothing outside the box can be nearer.
                 Some(d) if d <= half || half > enough => return Some(d),
                 None if half > enough => return None,
                 _ => half *= 4.0,
@@ -388,11 +386,11 @@ impl<'a> SupportFinder<'a> {
     }
 }
 
-/// Boxes in the world that together hold the feature; several for a slanted segment, whose one box would be large.
+/// Boxes in the world that together contain the feature. A slanted segment has several, because one would be large.
 fn boxes_around(frame: &FeatureFrame<'_>, shape: &FeatureShape) -> Vec<Aabb> {
     /// Most boxes along a segment.
     const MOST: f64 = 16.0;
-    /// They are not cut shorter, metres: each is a query.
+    /// Shortest box, metres: each box is a query.
     const SHORT: f64 = 0.5;
     let points: Vec<DVec3> = shape.points().iter().map(|p| frame.to_world(*p)).collect();
     let FeatureShape::Segment { .. } = shape else { return vec![Aabb::of(points)] };
@@ -403,7 +401,7 @@ fn boxes_around(frame: &FeatureFrame<'_>, shape: &FeatureShape) -> Vec<Aabb> {
     (0..count).map(|k| Aabb::of([at(k), at(k + 1)])).collect()
 }
 
-/// A point, the ends of a segment or the corners of a patch, the first of them the origin.
+/// Finds the support of a point, a segment (its ends) or a patch (its corners); the first point is the origin.
 fn lie(near: &[Local], points: &[DVec3], compare: &dyn Fn(usize) -> Result<()>) -> Result<Support> {
     match points {
         [_] => Ok(on_point(near)),
@@ -417,12 +415,12 @@ fn on_point(near: &[Local]) -> Support {
     if on.is_empty() { Support::Off(DVec3::ZERO) } else { Support::On(on) }
 }
 
-/// True if a point, the ends of a segment or the corners of a patch lie on polygons, all of it, within a tolerance; both in
-/// one frame, metres. More polygons than those never make it false. Before polygons are compared with each other, `compare` is
-/// told of how many pairs.
+/// Returns true if a point, a segment (its ends) or a patch (its corners) lies on polygons completely, within a
+/// tolerance. All positions are in one frame, metres. Extra polygons never make the result false. `compare` is called
+/// with the number of pairs before polygons are compared with each other.
 ///
 /// # Errors
-/// Those of `compare`.
+/// The errors of `compare`.
 pub fn lies_on<C: AsRef<[DVec3]>>(
     points: &[DVec3],
     polygons: impl Iterator<Item = C>,

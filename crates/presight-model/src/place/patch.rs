@@ -1,4 +1,4 @@
-//! The polygons under a plane patch.
+//! Finds the polygons under a plane patch.
 
 use super::cover::uncovered;
 use super::local::Local;
@@ -8,16 +8,16 @@ use crate::error::{Error, Result};
 use crate::geometry::plane_of_polygon;
 use glam::{DVec2, DVec3};
 
-/// A polygon that is as good as coplanar.
+/// A polygon that is practically coplanar with the patch.
 pub(super) struct CoplanarPart<'a> {
     pub local: &'a Local,
-    /// The part within the tolerance of the patch's plane, seen from above, counter-clockwise.
+    /// The part within the tolerance of the patch's plane, projected onto it, counter-clockwise.
     pub part: Vec<DVec2>,
-    /// How high its corners are over the plane.
+    /// Heights of its corners above the plane.
     pub heights: Vec<f64>,
 }
 
-/// A patch with these corners, the first of them the origin; `compare` is told of how many pairs of polygons are compared.
+/// A patch with these corners, the first at the origin; `compare` is called with the number of pairs before comparing.
 pub(super) fn lie(near: &[Local], corners: &[DVec3], compare: &dyn Fn(usize) -> Result<()>) -> Result<Support> {
     let plane = plane_of_polygon(corners)
         .ok_or_else(|| Error::invalid("the patch has no area", "give corners that are not on one line"))?;
@@ -33,7 +33,7 @@ pub(super) fn lie(near: &[Local], corners: &[DVec3], compare: &dyn Fn(usize) -> 
     let overlapping = under.iter().filter(|u| u.overlaps(&outline)).map(|u| u.local.slot);
     let mut slots: Vec<u32> = overlapping.collect();
     if slots.is_empty() {
-        // It lies within the tolerance beside them: better those than none.
+        // It lies next to its polygons, within the tolerance; return these rather than none.
         slots.extend(under.iter().filter(|u| corners.iter().any(|c| u.local.holds(*c))).map(|u| u.local.slot));
     }
     Ok(Support::On(slots))
@@ -56,7 +56,7 @@ impl<'a> CoplanarPart<'a> {
         Some(Self { local, part: project(&part), heights: part.iter().map(|p| flat.height(*p)).collect() })
     }
 
-    /// True if more than a seam of both coincides.
+    /// Returns true if the two overlap by more than a seam.
     fn overlaps(&self, outline: &[DVec2]) -> bool {
         let (own, of_outline) = (bounds_of(&self.part), bounds_of(outline));
         if !(own.0.cmple(of_outline.1).all() && own.1.cmpge(of_outline.0).all()) {

@@ -3,7 +3,7 @@
 use crate::geometry::Plane;
 use glam::{DVec2, DVec3};
 
-/// A plane with axes; heights are taken from the mean of the patch's corners.
+/// A plane with axes. Heights are relative to the mean of the patch's corners.
 pub(super) struct PatchPlane {
     pub x: DVec3,
     pub y: DVec3,
@@ -12,7 +12,7 @@ pub(super) struct PatchPlane {
 }
 
 impl PatchPlane {
-    /// x, y and the normal are right-handed, so that what winds about the normal is counter-clockwise in them.
+    /// x, y and the normal are right-handed: a winding about the normal is counter-clockwise in x and y.
     pub fn of(plane: &Plane) -> Self {
         let x = plane.normal.any_orthonormal_vector();
         Self { x, y: plane.normal.cross(x), normal: plane.normal, offset: plane.offset }
@@ -22,7 +22,6 @@ impl PatchPlane {
         DVec2::new(self.x.dot(p), self.y.dot(p))
     }
 
-    /// Over the plane.
     pub fn height(&self, p: DVec3) -> f64 {
         self.normal.dot(p) - self.offset
     }
@@ -48,7 +47,7 @@ impl Point for DVec3 {
     }
 }
 
-/// The part of a side (shares of it) that is in a convex outline, counter-clockwise; `None` if nothing is.
+/// The part of a side, as shares of it, inside a convex counter-clockwise outline; `None` if it is empty.
 pub(super) fn within((u, v): (DVec2, DVec2), outline: &[DVec2]) -> Option<(f64, f64)> {
     let mut t = (0.0, 1.0);
     for side in sides(outline) {
@@ -58,7 +57,7 @@ pub(super) fn within((u, v): (DVec2, DVec2), outline: &[DVec2]) -> Option<(f64, 
     (t.0 < t.1).then_some(t)
 }
 
-/// Keeps of an interval where `at_0 + t slope >= 0`.
+/// Keeps the part of an interval where `at_0 + t slope >= 0`.
 pub(super) fn cut(t: &mut (f64, f64), at_0: f64, slope: f64) {
     if slope > 0.0 {
         t.0 = t.0.max(-at_0 / slope);
@@ -69,7 +68,7 @@ pub(super) fn cut(t: &mut (f64, f64), at_0: f64, slope: f64) {
     }
 }
 
-/// Keeps of a convex polygon where a linear function is not negative.
+/// Keeps the part of a convex polygon where a linear function is not negative.
 pub fn clip<P: Point>(polygon: &[P], value: impl Fn(&P) -> f64) -> Vec<P> {
     let mut kept = Vec::with_capacity(polygon.len() + 1);
     for (k, p) in polygon.iter().enumerate() {
@@ -98,7 +97,7 @@ pub(super) fn doubled_area(polygon: &[DVec2]) -> f64 {
     sides(polygon).map(|(u, v)| (u - polygon[0]).perp_dot(v - polygon[0])).sum()
 }
 
-/// About the width of a narrow polygon: twice its area over its circumference, 0 without area.
+/// Approximate width of a narrow polygon: twice its area over its circumference; 0 without area.
 pub(super) fn width(polygon: &[DVec2]) -> f64 {
     let around: f64 = sides(polygon).map(|(u, v)| u.distance(v)).sum();
     if around > 0.0 { doubled_area(polygon).abs() / around } else { 0.0 }

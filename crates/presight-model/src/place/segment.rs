@@ -1,10 +1,10 @@
-//! The polygons along a segment.
+//! Finds the polygons along a segment.
 
 use super::local::Local;
 use super::{LYING, Support};
 use glam::DVec3;
 
-/// A segment from the origin to `end`.
+/// Finds the support of a segment from the origin to `end`.
 pub(super) fn lie(near: &[Local], end: DVec3) -> Support {
     let length = end.length();
     let (mut on, mut covered) = (Vec::new(), Vec::new());
@@ -20,7 +20,7 @@ pub(super) fn lie(near: &[Local], end: DVec3) -> Support {
         if !crosses {
             covered_along.push((from, to));
         }
-        // One that begins where the segment ends has only the tolerance in common with it.
+        // A polygon that begins where the segment ends shares only the tolerance with it.
         if (to - from) * length > (2.0 * local.reach).min(0.5 * length) {
             on.push(local.slot);
             if !crosses {
@@ -28,7 +28,7 @@ pub(super) fn lie(near: &[Local], end: DVec3) -> Support {
             }
         }
     }
-    // What it leans through hides it, unless nothing else holds it there.
+    // A polygon that the segment crosses hides it, unless no other polygon supports the segment there.
     if widest_gap(&mut covered_along).is_none() {
         return Support::On(along);
     }
@@ -49,11 +49,11 @@ pub(super) fn widest_gap(covered: &mut [(f64, f64)]) -> Option<(f64, f64)> {
         }
         reached = reached.max(to);
     }
-    // An empty list leaves everything; roundings of t leave less than this between neighbours.
+    // An empty list leaves everything; rounding of t leaves less than this between neighbours.
     (gap.1 - gap.0 > 16.0 * f64::EPSILON).then_some(gap)
 }
 
-/// Where in the gap the polygons are farthest, by a few samples: told to people, nothing depends on it.
+/// The place in the gap farthest from the polygons, by a few samples. Only for the message: no result depends on it.
 fn farthest(near: &[Local], end: DVec3, from: f64, to: f64) -> f64 {
     const SAMPLES: usize = 9;
     let at = |k: usize| from + (to - from) * k as f64 / (SAMPLES - 1) as f64;

@@ -1,4 +1,4 @@
-//! The argument about borders, against distances by another library at many places.
+//! Tests the cover of patches against distances from another library at many places.
 use super::super::local::Local;
 use super::super::plane::{self, PatchPlane};
 use super::super::{Support, cover, patch};
@@ -7,13 +7,13 @@ use glam::DVec2;
 
 const R: f64 = 1e-3;
 
-/// The unit square, cut into rows and columns of rectangles, with what goes wrong in models.
+/// The unit square, cut into rows and columns of rectangles, with typical faults of models.
 #[derive(Clone, Debug)]
 struct Quilt {
-    /// Where columns and rows end; each begins before or after the end of the last by its seam.
+    /// Where columns and rows end; the seam is the gap or overlap to the next.
     columns: Vec<(f64, f64)>,
     rows: Vec<(f64, f64)>,
-    /// By rectangle: left out, doubled, and how its corners are lifted: level, and along x.
+    /// By rectangle: left out, doubled or in triangles, and the lift of its corners: level, and slope along x.
     kinds: Vec<(u8, f64, f64)>,
 }
 
@@ -33,7 +33,7 @@ impl Quilt {
             match kind {
                 0 => {}
                 1 => polygons.extend([corners.clone(), corners]),
-                // In triangles, wound either way.
+                // Triangles, wound either way.
                 2 => polygons.extend([corners[..3].to_vec(), vec![corners[2], corners[0], corners[3]]]),
                 _ => polygons.push(corners),
             }
@@ -92,7 +92,7 @@ fn nearest(polygons: &[Vec<DVec3>], p: DVec3) -> f64 {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(256))]
 
-    /// What is refused is off at the place that is told; what is taken is nowhere off by more than the slack.
+    /// A rejected patch is off at the reported point; an accepted patch is nowhere off by more than the slack.
     #[test]
     fn what_is_refused_is_off_and_what_is_taken_is_not(
         quilt in quilt(),
@@ -108,10 +108,10 @@ proptest! {
         match lie_of(&polygons, &corners) {
             Support::Off(at) => {
                 let off = nearest(&polygons, at + corners[0]);
-                prop_assert!(off > R, "refused where it is {off:e} off");
+                prop_assert!(off > R, "rejected where it is {off:e} off");
             }
             Support::On(_) => {
-                // Seams and rims are where it could be off: samples there, and everywhere.
+                // Samples at seams and rims, where it could be off, and everywhere.
                 let seams = |cuts: &[(f64, f64)]| cuts.iter().flat_map(|(end, seam)| (0..=8).map(move |k| end + seam * f64::from(k) / 8.0)).collect::<Vec<_>>();
                 let mut at: Vec<[f64; 2]> = (0..1600).map(|k| [f64::from(k % 40) / 39.0, f64::from(k / 40) / 39.0]).collect();
                 let (xs, ys) = (seams(&quilt.columns), seams(&quilt.rows));
@@ -124,7 +124,7 @@ proptest! {
                 });
                 for p in at.iter().map(|p| DVec3::new(p[0], p[1], 0.0)).filter(|p| inside(*p)) {
                     let off = nearest(&polygons, p);
-                    prop_assert!(off <= (1.0 + cover::SLACK) * R + 1e-12, "taken, and {off:e} off at {p}");
+                    prop_assert!(off <= (1.0 + cover::SLACK) * R + 1e-12, "accepted, but {off:e} off at {p}");
                 }
             }
         }
@@ -134,8 +134,8 @@ proptest! {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(512))]
 
-    /// What is drawn around a polygon holds all that is within the tolerance, and nothing that is farther by more than
-    /// the slack: also where the polygon leans out of the plane.
+    /// The outline around a polygon contains everything within the tolerance, and nothing farther than the slack
+    /// allows, also if the polygon leans out of the plane.
     #[test]
     fn outlines_stand_just_outside_the_tolerance(
         radii in prop::collection::vec(0.05..2.0f64, 3..12),
@@ -144,7 +144,7 @@ proptest! {
         height in prop_oneof![Just(0.0), -0.99e-3..0.99e-3f64],
         seed in any::<u64>(),
     ) {
-        // On an ellipse: any of its points are convex.
+        // Any points of an ellipse are convex.
         let whole: f64 = radii.iter().sum();
         let mut angle = 0.0;
         let corners: Vec<DVec3> = radii.iter().map(|part| {
@@ -166,24 +166,24 @@ proptest! {
             bits = bits.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
             (bits >> 11) as f64 / (1u64 << 53) as f64
         };
-        // Beside corners and sides, where the tolerance ends.
+        // Near corners and sides, where the tolerance ends.
         for k in 0..400 {
             let (u, v) = (flat.project(corners[k % corners.len()]), flat.project(corners[(k + 1) % corners.len()]));
             let beside = DVec2::from_angle(7.0 * uniform()) * R * uniform().sqrt();
             let p = u.lerp(v, if k % 3 == 0 { 0.0 } else { uniform() }) + beside;
             let inside = plane::sides(&around).map(|side| plane::inside(side, p)).fold(f64::INFINITY, f64::min);
-            prop_assert!(reaches(p) > R || inside > 0.0, "{:e} off at {p}, and outside", reaches(p));
+            prop_assert!(reaches(p) > R || inside > 0.0, "{:e} off at {p}, but outside", reaches(p));
         }
     }
 }
 
-/// Coincident slabs, cut differently, over each other: what real offices are made of.
+/// Coincident slabs, cut differently and laid over each other, as in real office models.
 #[test]
 fn doubled_surfaces_and_long_seams_are_settled() {
     let strip = |x0: f64, x1: f64, y0: f64, y1: f64| {
         [[x0, y0], [x1, y0], [x1, y1], [x0, y1]].map(|[x, y]| DVec3::new(x, y, 0.0)).to_vec()
     };
-    // A long seam that slants, of more than one tolerance and less than two: it closes over it.
+    // The polygons span a long slanted seam between one and two tolerances wide.
     let (from, to) = (DVec3::new(0.0, 0.1, 0.0), DVec3::new(40.0, 0.17, 0.0));
     let seam = |w: f64| {
         let up = DVec3::Y * w;
@@ -194,21 +194,21 @@ fn doubled_surfaces_and_long_seams_are_settled() {
     let whole = strip(0.0, 40.0, 0.0, 0.3);
     assert!(matches!(lie_of(&seam(1.9e-3), &whole), Support::On(on) if on.len() == 4));
     assert!(matches!(lie_of(&seam(2.1e-3), &whole), Support::Off(_)));
-    // A hundred strips over a hundred strips, none of them on the other's seams.
+    // A hundred strips over a hundred others, with no common seams.
     let mut both: Vec<_> = (0..100).map(|k| strip(0.4 * f64::from(k), 0.4 * f64::from(k + 1), 0.0, 0.3)).collect();
     both.extend((0..100).map(|k| strip(0.4 * f64::from(k) - 0.17, 0.4 * f64::from(k) + 0.23, -0.05, 0.35)));
     assert!(matches!(lie_of(&both, &whole), Support::On(on) if on.len() == 200));
-    // One of each gone, in the same place: a gap of 6 cm by 30 cm is left.
+    // One strip of each removed in the same place: a gap of 6 cm by 30 cm is left.
     both.remove(150);
     both.remove(49);
-    let Support::Off(at) = lie_of(&both, &whole) else { panic!("it covers nothing there") };
-    assert!(nearest(&both, at) > 0.02, "told where it is farthest off: {at}");
+    let Support::Off(at) = lie_of(&both, &whole) else { panic!("the gap is not found") };
+    assert!(nearest(&both, at) > 0.02, "the reported point is not far off: {at}");
 }
 
-/// The outline of a patch alone would not tell.
+/// The outline of a patch alone would miss this gap.
 #[test]
 fn an_island_is_found_by_its_own_border_only() {
-    // A ring around an island, the gap between them inside of the outline: no side of the outline tells of it.
+    // A ring around an island. The gap between them is inside the outline, so no side of the outline crosses it.
     let ring = |hole: f64| {
         let at = |r: f64, k: u32| (r * DVec2::from_angle(std::f64::consts::TAU * f64::from(k) / 4.0)).extend(0.0);
         (0..4).map(move |k| vec![at(hole, k), at(3.0, k), at(3.0, k + 1), at(hole, k + 1)]).collect::<Vec<_>>()

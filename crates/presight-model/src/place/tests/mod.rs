@@ -11,8 +11,8 @@ use std::sync::Arc;
 
 const TOLERANCE: f64 = 1e-3;
 
-/// A box from the origin, each side cut into `cuts` strips along its first axis, so that lines run over several
-/// polygons; in triangles, or in rectangles.
+/// A box from the origin, in triangles or rectangles. Each side is cut into `cuts` strips along its first axis, so that
+/// lines cross several polygons.
 fn cuboid(size: DVec3, cuts: u32, triangles: bool) -> Arc<Mesh> {
     let (mut vertices, mut polygons) = (Vec::new(), Vec::new());
     for axis in 0..3 {
@@ -72,7 +72,7 @@ fn place_one(world: &World, object: Option<&str>, shape: FeatureShape) -> Result
     place(world, &layer).map(|mut placed| placed.remove(0))
 }
 
-/// Normals of the polygons a feature lies on, in the mesh's frame, signs dropped: x 1, y 2, z 4.
+/// Normals of the polygons a feature lies on, in the mesh's frame, without signs: x 1, y 2, z 4.
 fn axes(world: &World, slots: &[u32]) -> Vec<u32> {
     let object = &world.environment().objects()[0];
     let axis = |s: &u32| object.mesh.plane(*s - object.first_slot).normal.abs().max_position() as u32;
@@ -83,23 +83,23 @@ fn axes(world: &World, slots: &[u32]) -> Vec<u32> {
 
 #[test]
 fn edges_lie_on_both_faces_and_on_all_in_line() {
-    // Far from the origin, turned, and given in the object's frame: no digit is lost.
+    // Far from the origin, rotated, and given in the object's frame: full precision is kept.
     let pose = Pose::from_xyz_rpy(DVec3::new(5e6, -5e6, 512.0), 0.3, -0.2, 1.1);
     let world = world_of(vec![NewObject::new("box", pose, cuboid(DVec3::new(2.0, 1.0, 3.0), 4, false))]);
     // Along y: the x faces are cut along y (four strips each), the z faces along x, the y faces along z.
     let edge = place_one(&world, Some("box"), segment(DVec3::ZERO, DVec3::Y)).unwrap();
     assert_eq!((edge.object, axes(&world, &edge.slots)), (Some(0), vec![0, 0, 0, 0, 2]));
-    // Inside one face, across its strips; and along one strip.
+    // Inside one face, across its strips and along one strip.
     let across = place_one(&world, Some("box"), segment(DVec3::new(0.0, 0.1, 1.0), DVec3::new(0.0, 0.9, 2.0))).unwrap();
     assert_eq!(axes(&world, &across.slots), [0, 0, 0, 0]);
     let along = place_one(&world, Some("box"), segment(DVec3::new(0.0, 0.1, 1.0), DVec3::new(0.0, 0.1, 2.0))).unwrap();
     assert_eq!(axes(&world, &along.slots), [0]);
-    // A corner is on three faces; so is the same point given in the world, within its rounding.
+    // A corner is on three faces; so is the same point given in the world, in spite of its rounding.
     let corner = place_one(&world, Some("box"), point(DVec3::ZERO)).unwrap();
     assert_eq!(axes(&world, &corner.slots), [0, 1, 2]);
     let in_world = place_one(&world, None, point(pose.translation)).unwrap();
     assert_eq!((in_world.object, &in_world.slots), (None, &corner.slots));
-    // A hair within the tolerance, a hair beyond.
+    // Just within the tolerance, and just beyond.
     let near = |d: f64| place_one(&world, Some("box"), segment(DVec3::new(-d, 0.1, 0.1), DVec3::new(-d, 0.8, 0.1)));
     assert_eq!(axes(&world, &near(0.999e-3).unwrap().slots), [0, 0, 0, 0]);
     let error = near(1.001e-3).unwrap_err();
@@ -116,10 +116,10 @@ fn what_is_off_names_feature_object_and_distance() {
     assert!(unknown.contains("feature 7: there is no object \"door\""), "{unknown}");
     assert!(said(None, point(DVec3::new(-0.25, 1.0, 1.0))).contains("0.250000 m off its polygons"));
     assert!(said(None, point(DVec3::splat(1e5))).contains("m off its polygons"));
-    // Both ends on the box, nothing between.
+    // Both ends on the box, with nothing between them.
     let through = said(None, segment(DVec3::new(0.0, 1.0, 1.0), DVec3::new(2.0, 1.0, 1.0)));
     assert!(through.contains("segment is 1.000000 m off its polygons at [1, 1, 1]"), "{through}");
-    // One end over the edge, by more than the tolerance and by less.
+    // One end over the edge, by more and by less than the tolerance.
     let over = |z: f64| segment(DVec3::new(0.0, 1.0, 1.0), DVec3::new(0.0, 1.0, z));
     assert!(said(None, over(2.0 + 2e-3)).contains("0.002000 m off"));
     assert!(place_one(&world, None, over(2.0 + 0.9e-3)).is_ok());
@@ -132,13 +132,13 @@ fn what_is_off_names_feature_object_and_distance() {
         ..FeatureLayer::default()
     };
     assert!(place(&world, &layer).unwrap_err().to_string().contains("pose covariance of object \"door\""));
-    // What no file could hold is refused here too.
+    // Values that no file can hold are rejected here, too.
     assert!(said(None, point(DVec3::NAN)).contains("not a finite position"));
 }
 
 #[test]
 fn a_segment_that_ends_on_a_polygon_does_not_lie_on_it() {
-    // A pillar on a floor of its own object.
+    // A pillar on a floor; the two are separate objects.
     let floor = NewObject::new("floor", Pose::IDENTITY, cuboid(DVec3::new(10.0, 10.0, 1.0), 1, false));
     let pose = Pose::from_xyz_rpy(DVec3::new(4.0, 4.0, 1.0), 0.0, 0.0, 0.5);
     let pillar = NewObject::new("pillar", pose, cuboid(DVec3::new(0.5, 0.5, 3.0), 1, false));
@@ -170,7 +170,7 @@ fn patches_lie_on_what_they_overlap_and_nowhere_else() {
     assert_eq!(on(&[[0., 0., 3.], [0., 4., 3.], [0., 4., 0.], [0., 0., 0.]]).unwrap(), whole);
     assert_eq!(on(&[[0., 0., 0.], [0., 2., 0.], [0., 2., 3.], [0., 0., 3.]]).unwrap().len(), 4);
     assert_eq!(on(&[[0., 0.8, 0.1], [0., 0.9, 0.1], [0., 0.9, 0.2]]).unwrap().len(), 1);
-    // Larger by less than the tolerance; by more; floating; tilted.
+    // Too large by less than the tolerance; by more; floating; tilted.
     assert_eq!(on(&[[0., -9e-4, 0.], [0., 4., 0.], [0., 4., 3.], [0., -9e-4, 3.]]).unwrap(), whole);
     let off = |corners: &[[f64; 3]]| on(corners).unwrap_err().to_string();
     assert!(off(&[[0., -2e-3, 0.], [0., 4., 0.], [0., 4., 3.], [0., -2e-3, 3.]]).contains("0.002000 m off"));
@@ -210,25 +210,25 @@ fn holes_under_patches_are_found() {
     assert_eq!(place_one(&wall_with_hole(1.0), None, beside).unwrap().slots.len(), 3);
 }
 
-/// From a point to a polygon by another library, in the world.
+/// Distance of a point from a polygon by another library, in the world.
 fn oracle_distance(corners: &[DVec3], p: DVec3) -> f64 {
     let v = |p: DVec3| parry3d_f64::math::Vector::new(p.x, p.y, p.z);
     let fan = corners[1..].windows(2).map(|pair| Triangle::new(v(corners[0]), v(pair[0]), v(pair[1])));
     fan.map(|t| t.distance_to_local_point(v(p), true)).fold(f64::INFINITY, f64::min)
 }
 
-/// Along a segment: closer together than the tolerance on all that are tested.
+/// Samples along a segment: less than the tolerance apart in all tests.
 const SAMPLES: u32 = 6000;
 
-/// How much of a segment (by samples) is within the tolerance of a polygon, as a share.
+/// The share of a segment, by samples, within the tolerance of a polygon.
 fn oracle_share(corners: &[DVec3], a: DVec3, b: DVec3, tolerance: f64) -> f64 {
     let on =
         (0..=SAMPLES).filter(|k| oracle_distance(corners, a.lerp(b, f64::from(*k) / f64::from(SAMPLES))) <= tolerance);
     on.count() as f64 / f64::from(SAMPLES + 1)
 }
 
-/// How much of a segment is within a distance of a polygon, metres. The distance from a convex body is a convex function along a line, so
-/// that this is one interval around the nearest place.
+/// The length of a segment within a distance of a polygon, metres. The distance from a convex body is convex along a
+/// line, so the part is one interval around the nearest place.
 fn oracle_stretch(corners: &[DVec3], a: DVec3, b: DVec3, reach: f64) -> f64 {
     const HALVINGS: u32 = 60;
     let distance = |t: f64| oracle_distance(corners, a.lerp(b, t));
@@ -255,8 +255,8 @@ fn oracle_stretch(corners: &[DVec3], a: DVec3, b: DVec3, reach: f64) -> f64 {
     (end(1.0) - end(0.0)) * (b - a).length()
 }
 
-/// What brute force has against the polygons that a segment (world) is said to lie on; thresholds of what is counted by samples are
-/// left the width of two of them. Where polygons hold the segment within rounding, a stretch of twice that is enough.
+/// The first error that brute force finds in the slots of a segment (world). Lengths counted by samples have a slack of
+/// two samples. Where polygons support the segment within rounding, a stretch of twice that is enough.
 fn disagreement(slots: &[u32], all: &[Vec<DVec3>], a: DVec3, b: DVec3) -> Option<String> {
     let length = (b - a).length();
     let margin = 2.0 * length / f64::from(SAMPLES) + 1e-6;
@@ -276,13 +276,13 @@ fn disagreement(slots: &[u32], all: &[Vec<DVec3>], a: DVec3, b: DVec3) -> Option
         if slots.contains(&slot) {
             let lies = stretch > (least - margin).max(0.0) || closely && held(2.0 * ROUNDING) > least_closely - 1e-6;
             let sound = lies && rise < LYING.max(2.0 * TOLERANCE / length) + 1e-6;
-            (!sound).then(|| format!("slot {slot} holds only {stretch} m of {length} m, rising by {rise}"))
+            (!sound).then(|| format!("slot {slot} supports only {stretch} m of {length} m, at a slope of {rise}"))
         } else {
-            // Where others hold it within rounding, what is merely near may hide it; and so may what it passes through.
+            // If other polygons support it within rounding, a near polygon may hide it; so may one that it crosses.
             let near = || held(0.5 * ROUNDING) < 2.0 * least_closely;
             let excused = closely && near() || somehow && passes_through(corners, a, b);
             let sound = stretch < least + margin || rise > 0.99 * LYING || excused;
-            (!sound).then(|| format!("slot {slot}, which holds {stretch} m of {length} m, is missing"))
+            (!sound).then(|| format!("slot {slot}, which supports {stretch} m of {length} m, is missing"))
         }
     })
 }
@@ -331,7 +331,7 @@ fn tolerances_that_reach_very_many_polygons_are_refused() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// Against brute force over all polygons with another library's distances, in the world's frame.
+    /// Compares with brute force over all polygons, by another library's distances, in the world's frame.
     #[test]
     fn segments_and_points_agree_with_brute_force(
         world in scene(),
@@ -353,7 +353,7 @@ proptest! {
         let at = |(s, t): (f64, f64)| corners[0] + s * (corners[1] - corners[0]) + if edge == 0 { 0.0 } else { t } * (corners[2] - corners[1]);
         let [a, b] = [at(from), at(to)].map(|p| p + lift * normal);
         prop_assume!((b - a).length() > 0.01);
-        // Where it is about the rounding of files that decides, either answer is right, and one polygon less is no fault.
+        // At the threshold of the rounding of files either answer is right, and one polygon may be missing.
         prop_assume!(lift == 0.0 || lift.abs() > 4.0 * ROUNDING);
         let name = object.name.clone();
         let to_world = |p: DVec3| object.world_from_object.transform_point(p);
@@ -371,7 +371,7 @@ proptest! {
             all.iter().map(|c| oracle_distance(c, p)).fold(f64::INFINITY, f64::min)
         }).fold(0.0, f64::max);
         if farthest < TOLERANCE - 1e-7 && edge != 2 {
-            // On the picked polygon's face all along: nothing that it merely passes through is needed.
+            // On the chosen polygon's face all along: no crossed polygon is needed.
             prop_assert!(placed.is_ok(), "{farthest}: {}", placed.unwrap_err());
         }
         if farthest > TOLERANCE + 1e-7 {
@@ -379,7 +379,7 @@ proptest! {
         }
         let Ok(placed) = placed else { return Ok(()) };
         prop_assert_eq!(disagreement(&placed.slots, &all, a, b), None);
-        // The comparison sees a polygon left out, and one too many.
+        // The comparison detects a missing polygon, and an extra one.
         let share = |s: &u32| oracle_share(&all[*s as usize], a, b, TOLERANCE);
         let most = placed.slots.iter().copied().max_by(|x, y| share(x).total_cmp(&share(y))).unwrap();
         let fewer: Vec<u32> = placed.slots.iter().copied().filter(|s| *s != most).collect();
@@ -389,7 +389,7 @@ proptest! {
         if let Some(apart) = (0..environment.slot_count()).find(|s| share(s) == 0.0) {
             prop_assert!(disagreement(&[&placed.slots[..], &[apart]].concat(), &all, a, b).is_some());
         }
-        // One that has nothing but the tolerance in common with it.
+        // A polygon that shares only the tolerance with the segment.
         let touches = |s: &u32| {
             let [wide, close] = [TOLERANCE, 2.0 * ROUNDING].map(|reach| oracle_stretch(&all[*s as usize], a, b, reach));
             wide > 0.0 && wide < TOLERANCE.min(0.25 * (b - a).length()) && close == 0.0
@@ -397,12 +397,12 @@ proptest! {
         if let Some(touching) = (0..environment.slot_count()).find(touches) {
             prop_assert!(disagreement(&[&placed.slots[..], &[touching]].concat(), &all, a, b).is_some());
         }
-        // Its first end alone.
+        // The first end alone.
         let first = place_one(&world, None, point(a));
         let near = |most: f64| -> Vec<u32> {
             (0..).zip(&all).filter(|(_, c)| oracle_distance(c, a) <= most).map(|(s, _)| s).collect()
         };
-        // Near polygons count only where none is there within rounding, of vertices too.
+        // Near polygons count only if no polygon is within rounding, including the rounding of vertices.
         let closest = if near(2.0 * ROUNDING).is_empty() { TOLERANCE - 1e-7 } else { 0.5 * ROUNDING };
         let (surely, perhaps) = (near(closest), near(TOLERANCE + 1e-7));
         match first {
@@ -411,8 +411,8 @@ proptest! {
         }
     }
 
-    /// A rectangle inside a face of a box is found on that face, whatever its tessellation; lifted or shifted over the
-    /// rim it is not.
+    /// A rectangle inside a face of a box is found on that face, whatever its tessellation. It is not found there if it
+    /// is lifted, or shifted over the rim.
     #[test]
     fn patches_agree_with_brute_force(
         size in [0.5..3.0f64, 0.5..3.0f64, 0.5..3.0f64],
@@ -444,7 +444,7 @@ proptest! {
                 prop_assert!(!placed.slots.contains(&slot));
                 continue;
             }
-            // Samples of the patch strictly inside the polygon: it overlaps it; none within its box: it does not.
+            // Samples strictly inside the polygon prove an overlap; a polygon beyond the patch has none.
             let sample = |k: u32| {
                 let (s, t) = (f64::from(k % 40) / 39.0, f64::from(k / 40) / 39.0);
                 DVec3::new(x[0] + s * (x[1] - x[0]), y[0] + t * (y[1] - y[0]), 0.0)
@@ -458,7 +458,7 @@ proptest! {
             }
             if (0..1600).all(|k| oracle_distance(&c, sample(k)) > 1e-9) && c.iter().all(|p| p.x < x[0] || p.x > x[1]) {
                 let beyond = c.iter().all(|p| p.x <= x[0]) || c.iter().all(|p| p.x >= x[1]);
-                prop_assert!(!beyond || !placed.slots.contains(&slot), "slot {slot} is too much");
+                prop_assert!(!beyond || !placed.slots.contains(&slot), "slot {slot} does not belong");
             }
         }
     }
