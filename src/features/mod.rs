@@ -1,4 +1,4 @@
-//! Features in a world: which polygons they lie on, how much of each a sensor sees, and where in the image.
+//! Features in a world: their polygons, their visible parts, and their positions in a sensor's image.
 
 mod boxes;
 mod choose;
@@ -52,7 +52,7 @@ pub struct PlacedFeature {
     pub feature: Arc<Feature>,
     /// Index of its object; `None` means the world.
     pub object: Option<u32>,
-    /// Slots of the polygons on which it lies. They never hide it; of a contour, those of its surface, of which those hide no part of
-    /// a curve that touch it there.
+    /// Slots of the polygons on which it lies. They never hide the feature. For a contour these are the polygons of its
+    /// surface; a polygon does not hide the parts of a curve that touch it.
     pub slots: Vec<u32>,
 }
