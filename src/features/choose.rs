@@ -2,8 +2,7 @@
 //!
 //! A measured feature adds J' J / s^2 to the information matrix of the sensor's pose. J is the derivative of its image
 //! coordinates with respect to the pose, and s^2 is the variance of the measurement plus that of the feature's
-//! position. The next feature is the one that increases the log determinant of the total information most (greedy
-//! D-optimal design).
+//! position. Each step adds the feature that increases the log determinant of the total information most (D-optimal).
 
 use super::boxes::Image;
 use super::prediction::given_at;
@@ -70,8 +69,7 @@ pub fn informations(
     .collect()
 }
 
-/// Returns the indices of the chosen features in order. Evaluates gains at most `asked` times, and once more per
-/// feature.
+/// Returns the chosen indices in order. Evaluates gains at most `asked` times, and once more per feature.
 fn greedy(prior: &Matrix, informations: &[(u32, Matrix)], most: usize, mut asked: usize) -> Vec<usize> {
     /// A gain with a total order.
     #[derive(PartialEq)]

@@ -18,13 +18,11 @@ pub fn tail_quantile(p: f64) -> f64 {
     0.5 * (low + high)
 }
 
-/// Tables of normal tails. Their relative error of a few thousandths suffices for regions of interest, in a tenth of
-/// the time.
+/// Tables of normal tails. Their relative error of a few thousandths suffices for regions of interest.
 ///
-/// P(X > x) = M(x) exp(-x^2 / 2) with the smooth Mills ratio M. For two variables with equal thresholds and correlation
-/// rho >= 0, Owen's function (Owen 1956; Drezner and Wesolowsky 1990 for other forms) gives P(X > x and Y > x) = P(X >
-/// x) s(x, a), with a = sqrt((1 - rho) / (1 + rho)) and s = 1 - (1 / (pi M(x))) int_0^a exp(-x^2 t^2 / 2) / (1 + t^2)
-/// dt.
+/// P(X > x) = M(x) exp(-x^2 / 2) with the smooth Mills ratio M. For two thresholds x and correlation rho >= 0, Owen's
+/// function (Owen 1956; Drezner and Wesolowsky 1990 for other forms) gives P(X > x and Y > x) = P(X > x) s(x, a), with
+/// a = sqrt((1 - rho) / (1 + rho)) and s = 1 - (1 / (pi M(x))) int_0^a exp(-x^2 t^2 / 2) / (1 + t^2) dt.
 pub struct Tails {
     /// One row for each x: M, then s for a = 0 .. 1.
     rows: Vec<[f64; TAIL_COLUMNS]>,

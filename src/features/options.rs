@@ -32,19 +32,17 @@ pub enum FeatureSource {
     Placed(PlacedFeatures),
 }
 
-/// How a prediction reports features without a visible part. Partly visible features always list their hidden parts
-/// with reasons.
+/// How a prediction reports features without a visible part. Partly visible features always list all hidden parts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Hidden {
     /// Reports every feature, with each hidden part and its reason. Features entirely out of view are listed separately
     /// with index and reason ([`super::FeaturePrediction::out_of_view`]). All others are tested in full.
     Full,
     /// Reports every feature. A feature without a visible part has one hidden part. Its reason is the last, in the
-    /// order of [`super::Reason`], of those that apply to its parts. Features out of view are listed separately as with
+    /// order of [`super::Reason`], among the reasons of its parts. Features out of view are listed separately as with
     /// `Full`.
     Reason,
-    /// Reports visible features only, and the number of all. The cost depends on the features in view, not on all
-    /// features.
+    /// Reports visible features only, and the number of all. The cost depends on the features in view only.
     #[default]
     Count,
 }

@@ -74,8 +74,7 @@ pub struct VisibleInterval {
     /// Start and end as fractions of the length in space, 0..=1, from the first defining point to the last. [0, 1] for
     /// a point. For a patch, shares of its area in the image: first the visible part, then the hidden parts by reason.
     pub t: [f64; 2],
-    /// Pixel coordinates of both ends (column, row). For a patch, the smallest and largest coordinates of the visible
-    /// part.
+    /// Pixel coordinates of both ends (column, row). For a patch, the bounding box of the visible part.
     pub pixels: [DVec2; 2],
 }
 
@@ -109,8 +108,7 @@ pub struct SeenFeature {
     /// For a contour, the number of the curve. The longest curve of a surface in the image has number 0. The numbers
     /// are valid for this prediction only.
     pub branch: Option<u32>,
-    /// Defining points in the world, metres. For a contour, the points of the curve; a closed curve repeats its first
-    /// point.
+    /// Defining points in the world, metres. For a contour, the points of the curve; if closed, the first is repeated.
     pub points_world: Vec<DVec3>,
     /// Unit normal of its surface in the world, if the layer gives one.
     pub normal_world: Option<DVec3>,
@@ -265,8 +263,7 @@ pub struct FeaturePrediction {
     /// Empty if `features` has every given feature once.
     pub given: Vec<u32>,
     /// The number of the feature in each pixel, row-major; 0 for none. Empty unless requested. Each sample marks one
-    /// pixel. Points and landmarks win over segments, segments over contours, contours over patches, then lower numbers
-    /// win.
+    /// pixel. Points and landmarks win over segments, then contours, then patches; then lower numbers win.
     pub feature_id: Vec<u32>,
     /// How visibility was decided.
     pub stats: FeatureStats,

@@ -5,8 +5,7 @@ use crate::environment::{Feature, FeatureShape};
 use glam::DMat3;
 
 /// Returns the sides of all partly visible patches and fiducials as segments with the id and the polygons of their
-/// patch. The visible share of an area does not say which part of its outline is visible; a prediction of these
-/// segments does.
+/// patch. The visible share of an area does not say which part of its outline is visible; these segments do.
 ///
 /// `placed` are the predicted features in order.
 ///

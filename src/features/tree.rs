@@ -1,5 +1,4 @@
-//! Bounding-box trees over the features of a layer, one per object in the object's frame. The trees stay valid when
-//! objects move.
+//! Bounding-box trees over the features of a layer, one per object in its frame. They stay valid when objects move.
 
 use super::PlacedFeature;
 use super::contour::ContourSet;

@@ -20,8 +20,7 @@ const SHAKE_FRAMES: f64 = 20.0;
 /// Initial and smallest variance of shaking, pixels squared.
 const SHAKE: f64 = 0.04;
 const LEAST_SHAKE: f64 = 1e-3;
-/// Expected squared displacement in units of the shaking variance while the motion does not change. The filter adds to
-/// the shaking itself.
+/// Expected squared displacement by shaking and filter, in units of the shaking variance, while the motion is steady.
 const CALM: f64 = 1.5;
 /// Fewest points that estimate the shared motion.
 const LEAST_WITNESSES: usize = 8;
@@ -120,8 +119,7 @@ impl CommonMotion {
     }
 }
 
-/// Returns the weighted mean innovation and the variance of one coordinate. Innovations far from `before` get less
-/// weight.
+/// Returns the weighted mean innovation and its variance per coordinate. Those far from `before` get less weight.
 fn weigh(witnesses: &[PointEvidence], before: Option<DVec2>) -> (DVec2, f64) {
     let (mut sum, mut pulled) = (DMat2::ZERO, DVec2::ZERO);
     for w in witnesses {

@@ -43,8 +43,7 @@ pub struct Health {
     pub spread: usize,
     /// Share of the tracks since the last full prediction that is left.
     pub share: f64,
-    /// Learnt ratio of squared innovations to their predicted variances. It is 1 if detections state their noise
-    /// correctly.
+    /// Learnt ratio of squared innovations to their predicted variances. 1 if detections state their noise correctly.
     pub noise_scale: f64,
     /// Why a full prediction is needed; `None` if it is not.
     pub wants: Option<PredictionTrigger>,

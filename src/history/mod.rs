@@ -1,5 +1,4 @@
-//! History-based prediction (paper section 3.4): predicts where features will be found from where they were found
-//! before.
+//! History-based prediction (paper section 3.4): predicts the positions of features from earlier ones.
 //!
 //! Between two frames most features move little. A [`Tracker`] follows each feature in the image and returns a small
 //! [`Window`] in which to look for it in the next frame. This takes a fraction of the time of a full prediction and

@@ -42,8 +42,7 @@ impl PointMotion {
         }
     }
 
-    /// Returns the state `interval` seconds later. `jerk` is the spectral density of the white jerk, pixels squared per
-    /// s^5.
+    /// Returns the state `interval` seconds later. `jerk` is a spectral density, pixels squared per s^5.
     pub fn propagated(&self, interval: f64, jerk: f64) -> Self {
         let mut moved = *self;
         moved.advance(interval, jerk);

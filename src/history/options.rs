@@ -44,15 +44,14 @@ pub struct TrackerOptions {
     pub confidence: f64,
     /// Number of consecutive misses after which a track is dropped; the paper uses 3.
     pub misses: u32,
-    /// Time constant of the filter, in frames, while the motion does not change. A longer memory gives smaller windows
-    /// for smooth motion.
+    /// Time constant of the filter, in frames, while the motion is steady. A longer one gives smaller windows for
+    /// smooth motion.
     pub memory: f64,
     /// Standard deviation of a detected coordinate, used until a track has detections.
     pub detection_sigma: f64,
     /// Standard deviation by which a segment's end without a corner slides along the segment.
     pub slide_sigma: f64,
-    /// Standard deviation of the speed of a new track, pixels per second. Tracks nearby give a better estimate if
-    /// present.
+    /// Standard deviation of the speed of a new track, pixels per second. Nearby tracks give a better estimate.
     pub speed_sigma: f64,
     /// Standard deviation of the acceleration of a new track, pixels per s^2.
     pub acceleration_sigma: f64,

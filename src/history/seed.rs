@@ -16,8 +16,8 @@ const UNKNOWN: f64 = 25.0;
 
 impl Seed {
     /// Makes seeds from a full prediction: points, reflectors, the longest visible part of each segment, and patches
-    /// and fiducials that are fully visible. A segment's end is a corner if the model ends there; it slides if the rest
-    /// is hidden.
+    /// and fiducials that are fully visible. The end of a segment is a corner where the model ends, and slides
+    /// elsewhere.
     ///
     /// ```
     /// use presight::environment::{Existence, Feature, FeatureShape, Properties};

@@ -57,8 +57,7 @@ pub(super) struct Flow {
     pub last: Vec<DVec2>,
     /// Positions of the points in the next view; empty unless the view was set.
     pub next: Vec<DVec2>,
-    /// Flow between the last two views, pixels per second, removed from the motions' speeds; empty if no flow was
-    /// removed.
+    /// Flow between the last two views, pixels per second, removed from the motions' speeds; empty if none.
     pub speed: Vec<DVec2>,
 }
 

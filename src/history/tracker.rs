@@ -166,8 +166,7 @@ impl Tracker {
         }
     }
 
-    /// Predicts the windows of all tracked features at `time` (seconds). Features that will be outside the image are
-    /// omitted.
+    /// Predicts the windows of all tracked features at `time` (seconds). Features outside the image are omitted.
     ///
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] for a time that is not finite or not after the last frame.
@@ -506,8 +505,7 @@ impl Tracker {
             let near = &near[..NEIGHBOURS];
             let mean = near.iter().map(|n| n.1).sum::<DVec2>() / NEIGHBOURS as f64;
             let spread: f64 = near.iter().map(|n| n.1.distance_squared(mean)).sum::<f64>() / NEIGHBOURS as f64;
-            // Twice the spread of the neighbours, because depth varies more between features than position in the
-            // image.
+            // Twice the spread of the neighbours, because depths differ more than positions in the image.
             let variance = (2.0 * spread).max(self.options.residual_speed_sigma.powi(2));
             for motion in &mut track.motions {
                 if variance < motion.vv.x_axis.x {

@@ -25,8 +25,7 @@ pub(super) struct BoxLevel {
     first: f64,
     /// k by the number of events, starting at 1.
     by_events: Vec<f64>,
-    /// Share of a tail at `first` that coincides with another tail, by the separation ([`apart`]) of the two, from 0 to
-    /// 1.
+    /// Share of a tail at `first` that coincides with another tail, by their separation ([`apart`]) from 0 to 1.
     together: Vec<f64>,
 }
 

@@ -301,8 +301,7 @@ mod tests {
         }
     }
 
-    /// 2,000 rows compete for the same 2,000 columns. The optimum takes too long for one frame, so the result is greedy
-    /// and reported as such.
+    /// 2,000 rows compete for the same 2,000 columns. The optimum takes too long, so the result is greedy.
     #[test]
     fn a_group_too_large_is_matched_greedily_and_counted() {
         let side = 2000u32;

@@ -87,8 +87,7 @@ pub struct DetectionProperties {
     pub strength: Option<f64>,
     /// Contrast, 0..=1.
     pub contrast: Option<f64>,
-    /// Direction in the image, radians from columns to rows, modulo pi. Segments need none, because their ends define
-    /// it.
+    /// Direction in the image, radians from columns to rows, modulo pi. Segments need none: their ends define it.
     pub direction: Option<f64>,
     /// Identity of a fiducial; different ones never match.
     pub marker: Option<Marker>,

@@ -359,8 +359,7 @@ mod tests {
         assert!((over.squared - 4.0).abs() < 1e-4);
     }
 
-    /// A part of a segment, or one with swapped ends, is as near as the whole. Only the offset across the segment
-    /// counts.
+    /// A part of a segment, or one with swapped ends, is as near as the whole. Only the offset across it counts.
     #[test]
     fn segments_count_across_themselves() {
         let line =

@@ -7,14 +7,12 @@ use super::distance::{Distance, FoundLine, Gate, compare, turn_apart};
 use glam::{DMat2, DVec2};
 use std::f64::consts::PI;
 
-/// Largest number of candidates of one feature; the cheapest are kept. An optimum never needs more than the number of
-/// features in a group.
+/// Largest number of candidates of one feature; the cheapest are kept. An optimum needs one per feature of a group.
 pub const MAX_CANDIDATES: usize = 64;
 
 /// Length along a ray over which clutter is uniform, metres.
 const DEPTHS: f64 = 30.0;
-/// Smallest standard deviation of a measured range, metres. With a smaller one, the gate would reject nearly
-/// everything.
+/// Smallest standard deviation of a measured range, metres. With a smaller one, the gate rejects nearly everything.
 const LEAST_DEPTH: f64 = 1e-3;
 
 /// A feature that may be detected.
@@ -51,8 +49,7 @@ impl Default for PropertyNoise {
 /// Gates and costs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Matcher {
-    /// Standard normal deviate of the probability with which the feature's own detection passes the gate; 3.09 means
-    /// 99.9 %.
+    /// Standard normal deviate of the probability that a feature's own detection passes the gate; 3.09 means 99.9 %.
     pub gate_deviate: f64,
     /// Probability that a feature in its window is detected.
     pub detection_probability: f64,
@@ -124,8 +121,7 @@ impl Matcher {
         -(1.0 - self.detection_probability).ln()
     }
 
-    /// Returns the pairs of the same kind whose detection is in the window and whose position and properties pass the
-    /// gate.
+    /// Returns the pairs of one kind with the detection in the window, and position and properties within the gate.
     pub fn candidates(&self, expected: &[ExpectedFeature], found: &[Detection]) -> Candidates {
         let mut all = Candidates { in_window: vec![0; expected.len()], ..Candidates::default() };
         let mut places = Vec::with_capacity(found.len());

@@ -42,8 +42,7 @@ pub struct CorridorFields {
 const MAX_POINTS: usize = 10_000;
 
 impl Corridor {
-    /// Makes a corridor from a line in the robot's x-y plane, half the width, and the lowest and highest z, all in
-    /// metres.
+    /// Makes a corridor from a line in the robot's x-y plane, half the width, and the lowest and highest z, metres.
     ///
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] for fewer than two or too many points, a line without length, a width of 0,

@@ -13,8 +13,7 @@
 //!
 //! A sensor with one row measures in a plane, so the pose has 3 degrees of freedom: x, y and yaw. Otherwise it has x,
 //! y, z, roll, pitch and yaw. If the landmarks leave directions undetermined, these are listed and there is no
-//! covariance. A fiducial contributes its corners, or its centre for a sensor with one row, and only if it is fully
-//! visible.
+//! covariance. Fiducials count only if fully visible, by their corners, or by their centre for a sensor with one row.
 
 use super::View;
 use super::landmarks::{self, Landmark};

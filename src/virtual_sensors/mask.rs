@@ -105,8 +105,7 @@ impl Mask {
         self.pixels.iter().filter(|on| **on).count()
     }
 
-    /// Returns the connected regions with their outlines. Corners on straight lines are omitted unless `every_corner`
-    /// is set.
+    /// Returns the connected regions with their outlines. Corners on straight lines need `every_corner`.
     ///
     /// ```
     /// use presight::virtual_sensors::Mask;

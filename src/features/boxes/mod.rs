@@ -1,5 +1,4 @@
-//! Regions of interest (boxes) of predicted features: the uncertainty of each feature, and the points that its box must
-//! hold.
+//! Regions of interest (boxes) of predicted features: uncertainties of features, and the points that boxes must hold.
 
 mod image;
 mod outermost;
@@ -30,8 +29,7 @@ pub enum BoxMethod {
     /// confidence.
     #[default]
     AsNeeded,
-    /// Always the derivative, unless the feature may be behind the sensor. Fast, but not a bound for a projection that
-    /// is not linear.
+    /// Always the derivative, unless the feature may be behind the sensor. Fast, but no bound if not linear.
     Linear,
     /// Always a set, unless the feature may be behind the sensor. Slow.
     Set,
@@ -49,11 +47,9 @@ pub enum BoxMethod {
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct BoxOptions {
-    /// Covariance of the sensor's pose along the world's axes: added translation, rotation by Exp(dtheta) from the
-    /// left.
+    /// Covariance of the sensor's pose along the world's axes: translation, and rotation by Exp(dtheta) from the left.
     pub sensor: PoseCovariance,
-    /// Covariances of objects' poses by object index, in the object's own axes. They take precedence over those in
-    /// layers.
+    /// Covariances of objects' poses by object index, in the object's own axes. They override those in layers.
     pub objects: Vec<(u32, PoseCovariance)>,
     /// Probability with which a box holds its feature.
     pub confidence: f64,
@@ -215,8 +211,7 @@ impl<'a> BoxFrame<'a> {
         columns.is_some_and(|[_, low, high]| high - low > 0.5 * turn)
     }
 
-    /// Stores a box. A patch or curve that spans more than half a turn surrounds the axis, so its box takes all
-    /// columns.
+    /// Stores a box. A patch or curve over more than half a turn surrounds the axis, so it gets all columns.
     pub fn set(&self, seen: &mut SeenFeature, found: Option<Roi>) {
         seen.windows = Vec::new();
         let Some(found) = found else { return };
@@ -245,8 +240,7 @@ impl<'a> BoxFrame<'a> {
         }
     }
 
-    /// Sets the covariances of a visible feature, and lists the points that its box must hold. Returns false without
-    /// points.
+    /// Sets the covariances of a visible feature, and lists the points that its box must hold. False if none.
     pub fn prepare(&self, seen: &mut SeenFeature, uncertain: &FeatureErrorModel, room: &mut BoxScratch) -> bool {
         let BoxScratch { points, finder } = room;
         points::defining(&seen.feature.shape, points);

@@ -108,8 +108,7 @@ pub(super) fn see(uncertain: &FeatureErrorModel, all: &[ImagePoint], k: f64, int
     into.extend(chosen.map(|(_, rough)| PointDerivatives::new(uncertain, rough)));
 }
 
-/// Standard deviations beyond the common number at which an event no longer counts. At 3, less than 0.6 % of it is
-/// left.
+/// Standard deviations beyond the common number at which an event no longer counts. At 3, less than 0.6 % is left.
 pub const MARGIN: f64 = 1.5;
 
 /// The equivalent column nearest to `near`, in images that cover a full turn.

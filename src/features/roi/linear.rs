@@ -23,8 +23,7 @@ pub(super) fn linear_bounds(seen: &[PointDerivatives], k: f64) -> [f64; 4] {
     [left, top, right, bottom]
 }
 
-/// Widens the linear bounds by the linearization error at the errors that set the sides. Returns `None` if that error
-/// is large.
+/// Widens the linear bounds by the linearization error at the errors that set the sides. Returns `None` if it is large.
 pub(super) fn bent_bounds(
     projection: &impl Projection,
     uncertain: &FeatureErrorModel,

@@ -2,9 +2,8 @@
 //!
 //! The errors of the sensor's pose, the object's pose and the feature form one standard normal vector, mapped through
 //! square roots of their covariances (`errors`). The feature passes a side of the box when a linear function of that
-//! vector exceeds a threshold. All thresholds are at the same number k of standard deviations, chosen so that the
-//! probability to pass any side is at most 1 - confidence (`exceedance`). For events `A_i` with tails `P(A_i) = 1 -
-//! Phi(b_i)`:
+//! vector exceeds a threshold. All thresholds are at the same number k of standard deviations, chosen so that any side
+//! is passed with probability at most 1 - confidence (`exceedance`). For events `A_i` with tails `P(A_i)`:
 //!
 //! ```text
 //! P(A_1 or .. or A_n) <= sum_i P(A_i) - sum_(i,j in T) P(A_i and A_j)
@@ -158,7 +157,7 @@ pub trait Projection: Sync {
         None
     }
 
-    /// The point on a straight line between two points at which its row is extreme, if it is not an end. Defaults to
+    /// The point between two points of a straight line at which its row is extreme, if not an end. Defaults to
     /// `None`.
     fn culmination(&self, _from: DVec3, _to: DVec3) -> Option<DVec3> {
         None
