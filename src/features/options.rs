@@ -39,8 +39,7 @@ pub enum Hidden {
     /// with index and reason ([`super::FeaturePrediction::out_of_view`]). All others are tested in full.
     Full,
     /// Reports every feature. A feature without a visible part has one hidden part. Its reason is the last, in the
-    /// order of [`super::Reason`], among the reasons of its parts. Features out of view are listed separately as with
-    /// `Full`.
+    /// order of [`super::Reason`], among the reasons of its parts. Features out of view are listed as with `Full`.
     Reason,
     /// Reports visible features only, and the number of all. The cost depends on the features in view only.
     #[default]

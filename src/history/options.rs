@@ -44,8 +44,7 @@ pub struct TrackerOptions {
     pub confidence: f64,
     /// Number of consecutive misses after which a track is dropped; the paper uses 3.
     pub misses: u32,
-    /// Time constant of the filter, in frames, while the motion is steady. A longer one gives smaller windows for
-    /// smooth motion.
+    /// Time constant of the filter, in frames, for steady motion. A longer one gives smaller windows for smooth motion.
     pub memory: f64,
     /// Standard deviation of a detected coordinate, used until a track has detections.
     pub detection_sigma: f64,

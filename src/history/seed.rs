@@ -16,8 +16,8 @@ const UNKNOWN: f64 = 25.0;
 
 impl Seed {
     /// Makes seeds from a full prediction: points, reflectors, the longest visible part of each segment, and patches
-    /// and fiducials that are fully visible. The end of a segment is a corner where the model ends, and slides
-    /// elsewhere.
+    /// and fiducials that are fully visible. The end of a segment is a corner if the model ends there; otherwise it
+    /// slides.
     ///
     /// ```
     /// use presight::environment::{Existence, Feature, FeatureShape, Properties};
