@@ -30,7 +30,7 @@ const OUTLIER: f64 = 2.0;
 /// Evidence from one point of a track.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PointEvidence {
-    /// Measured less predicted position.
+    /// Measured minus predicted position.
     pub innovation: DVec2,
     /// Inverse covariance of the innovation; 0 along directions without information.
     pub information: DMat2,

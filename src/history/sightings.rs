@@ -28,7 +28,7 @@ impl Motions {
 /// The measurement of one defining point of a track.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Sighting {
-    /// Measured less predicted position.
+    /// Measured minus predicted position.
     pub innovation: DVec2,
     pub covariance: DMat2,
     /// Unit direction along which the point is not fixed (the end of a segment without a corner).

@@ -28,7 +28,7 @@ const MOST_OWN: f64 = 8.0;
 const OWN_RATE: f64 = 0.3;
 /// Factor per frame by which the variance of a changed acceleration fades.
 const FADE: f64 = 0.1;
-/// Largest variance of one track's change of motion beyond the shared motion, in units of the detection variance.
+/// Limit on the predicted variance that the inflation of one track multiplies, in units of the detection variance.
 const WIDE: f64 = 1.0;
 /// Limit on the detections of one window that count as clutter.
 const MOST_CLUTTER: u32 = 16;

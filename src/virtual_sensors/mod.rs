@@ -233,10 +233,10 @@ impl VirtualSensor {
     /// # Ok::<(), presight::Error>(())
     /// ```
     ///
-    /// # Errors The errors of [`VirtualSensor::check`] and [`Pose::check`]; [`crate::ErrorKind::Usage`] if features are
-    /// needed but were not predicted; [`crate::ErrorKind::Invalid`] if an image is missing or does not have the
-    /// sensor's size, or if the task needs ids that the view lacks (`free-floor`, `radar-lines`,
-    /// `vertical-planes`).
+    /// # Errors
+    /// The errors of [`VirtualSensor::check`] and [`Pose::check`]; [`crate::ErrorKind::Usage`] if features are needed but
+    /// were not predicted; [`crate::ErrorKind::Invalid`] if an image is missing or has a wrong size, or if the task needs
+    /// ids that the view lacks (`free-floor`, `radar-lines`, `vertical-planes`).
     pub fn reduce(self, view: &View<'_>, settings: &Settings) -> Result<VirtualReading> {
         view.world_from_sensor.check()?;
         self.check(view.sensor)?;

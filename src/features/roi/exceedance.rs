@@ -22,9 +22,9 @@ pub struct Level {
     pub fail: f64,
     /// Standard deviations at which a single event has this probability.
     pub lowest: f64,
-    /// Standard deviations at which four independent events have it together. The search starts here.
+    /// Standard deviations at which each of four events has a quarter of it. The search starts here.
     pub first: f64,
-    /// Standard deviations at which [`EVENTS`] independent events have it together.
+    /// Standard deviations at which each of [`EVENTS`] events has an equal share of it.
     pub highest: f64,
     /// Logarithm of `fail`, tail at `first`, and the hazard rate there.
     wanted: f64,
