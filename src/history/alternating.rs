@@ -41,7 +41,7 @@ pub struct FrameWindows {
 /// use presight::history::{AlternatingTracker, ImageExtent, Seed, Source, Tracker, TrackerOptions};
 /// use presight::matching::{Detection, ExpectedProperties, Shape};
 ///
-// Twenty points move to the right at 60 pixels per second. A full prediction knows their positions.
+/// // Twenty points move to the right at 60 pixels per second. A full prediction knows their positions.
 /// let at = |i: u32, time: f64| DVec2::new(30.0 * f64::from(i % 5) + 60.0 * time, 100.0 * f64::from(i / 5) + 50.0);
 /// let full = |time: f64| -> presight::Result<Vec<Seed>> {
 ///     let seed = |i: u32| Seed {
@@ -59,7 +59,7 @@ pub struct FrameWindows {
 ///     let time = 0.05 * f64::from(k);
 ///     let frame = alternating.predict(time, None, || full(time))?;
 ///     assert_eq!(frame.source == Source::History, k > 0);
-// An extractor would search in `frame.windows`.
+///     // An extractor would search in `frame.windows`.
 ///     let found: Vec<Detection> = (0..20).map(|i| Detection::point(at(i, time), 0.5)).collect();
 ///     assert_eq!(alternating.correct(time, &found)?.matched.len(), 20);
 /// }

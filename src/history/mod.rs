@@ -37,7 +37,7 @@
 //!     areas.push((x1 - x0) * (y1 - y0));
 //!     tracker.correct(time, &[Detection::point(at(time), 0.5)])?;
 //! }
-// The speed was unknown at first.
+//! // The speed was unknown at first.
 //! assert!(areas[19] < 0.1 * areas[1]);
 //! let speed = tracker.tracks()[0].speeds().next().expect("a point has one");
 //! assert!((speed - DVec2::new(80.0, 0.0)).length() < 1.0);

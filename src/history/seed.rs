@@ -29,7 +29,7 @@ impl Seed {
     ///
     /// let geometry = Geometry::Camera(Camera::pinhole(640, 480, 500.0, 500.0, 319.5, 239.5));
     /// let camera = Sensor::new(SensorSpec::new("camera", "video", geometry))?;
-    // A full prediction of one point, as `Predictor::predict` would return it.
+    /// // A full prediction of one point, as `Predictor::predict` would return it.
     /// let feature = Feature {
     ///     id: 7,
     ///     name: None,
@@ -48,7 +48,7 @@ impl Seed {
     /// let seeded = tracker.seed(10.0, seeds)?;
     /// assert_eq!(seeded.begun, [7]);
     ///
-    // Predict the window in the same frame, then correct with a detection.
+    /// // Predict the window in the same frame, then correct with a detection.
     /// let [x0, _, x1, _] = tracker.predict(10.0)?[0].bounds;
     /// assert!(x0 < 315.0 && x1 > 325.0);
     /// let found = [Detection::point(DVec2::new(321.0, 239.0), 0.5)];

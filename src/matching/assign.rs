@@ -46,7 +46,7 @@ pub struct Assignment {
 /// ```
 /// use presight::matching::{CandidatePair, assign};
 /// let pair = |row, column, cost| CandidatePair { row, column, cost };
-// The second row can only take column 0, which is also the best for the first row.
+/// // The second row can only take column 0, which is also the best for the first row.
 /// let pairs = [pair(0, 0, 1.0), pair(0, 1, 1.5), pair(1, 0, 2.0)];
 /// let found = assign(&pairs, &[10.0, 10.0])?;
 /// assert_eq!(found.columns, [Some(1), Some(0)]);

@@ -227,7 +227,7 @@ impl VirtualSensor {
     /// let prediction = predictor.predict(&world, &radar, &Pose::IDENTITY, &Request::of(task.outputs()))?;
     /// let reading = task.reduce(&View::of(&prediction, world.environment()), &Settings::default())?;
     /// let Answer::RadarLines(found) = &reading.answer else { unreachable!() };
-    // The line ends at the hits of the outermost beams, 0.1 degrees apart.
+    /// // The line ends at the hits of the outermost beams, 0.1 degrees apart.
     /// assert!(found.lines.len() == 1 && (found.lines[0].length - 4.0).abs() < 0.02);
     /// assert_eq!(found.lines[0].objects, ["wall"]);
     /// # Ok::<(), presight::Error>(())

@@ -12,7 +12,7 @@ use crate::sensor::Sensor;
 /// ```
 /// use presight::virtual_sensors::{Answer, Settings, View, VirtualSensor};
 /// use presight::Pose;
-// A measured scan: everything is 3 m away except at one beam.
+/// // A measured scan: everything is 3 m away except at one beam.
 /// let radar = presight::preset("microwave-radar-scan")?;
 /// let mut range = vec![3.0; radar.width() as usize];
 /// range[100] = 1.25;

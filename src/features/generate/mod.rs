@@ -175,7 +175,7 @@ pub struct GeneratedLayer {
 /// use presight::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose};
 /// use glam::Vec3;
 ///
-// A square tile has four open borders, which meet in four corners.
+/// // A square tile has four open borders, which meet in four corners.
 /// let mut environment = Environment::new();
 /// let clay = environment.add_material(Material::named("clay"))?;
 /// let corners = vec![Vec3::ZERO, Vec3::X, Vec3::new(1.0, 1.0, 0.0), Vec3::Y];
