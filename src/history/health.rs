@@ -49,6 +49,7 @@ pub struct Health {
     pub wants: Option<PredictionTrigger>,
 }
 
+/// Number of cells of a 3 x 3 grid over the image that hold a track.
 pub(super) fn spread(tracks: &[Track], image: &ImageExtent) -> usize {
     let mut held = [false; 9];
     for track in tracks {

@@ -147,6 +147,7 @@ pub(super) fn sides(corners: &[DVec3], normal: DVec3) -> impl Iterator<Item = (D
     })
 }
 
+/// The part of `range` in which `at + rate * t >= 0`.
 pub(super) fn clip(range: (f64, f64), at: f64, rate: f64) -> (f64, f64) {
     if rate == 0.0 {
         return if at >= 0.0 { range } else { (1.0, 0.0) };
