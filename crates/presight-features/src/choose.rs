@@ -1,8 +1,8 @@
-//! The few features that tell most of the pose: chosen one by one, each for what it adds to those chosen before.
+//! Selects the few features that determine the pose best, greedily by information gain.
 //!
-//! A measured feature adds J' J / s^2 to the information of the sensor's pose, J the derivative of its image coordinates by the pose,
-//! s^2 the variance of the measurement and of the feature's own position. The next feature is the one with which the logarithm of
-//! the determinant of all information grows most (the D-optimal design, greedily).
+//! A measured feature adds J' J / s^2 to the information matrix of the sensor's pose. J is the derivative of its image
+//! coordinates with respect to the pose, and s^2 is the variance of the measurement plus that of the feature's
+//! position. Each step adds the feature that increases the log determinant of the total information most (D-optimal).
 
 use super::boxes::Image;
 use super::prediction::given_at;
@@ -18,13 +18,13 @@ use std::collections::BinaryHeap;
 
 type Matrix = [[f64; 6]; 6];
 
-/// How often it is asked what a feature adds: some seconds. Features that tell nearly the same are asked about again for each that is
-/// chosen; beyond this, what they added when last asked counts.
+/// Limit on the number of gain evaluations; takes some seconds. Nearly equal features need new evaluations after each
+/// choice. Beyond the limit, their last known gains are used.
 const MOST_ASKED: usize = 1 << 24;
 
-/// Keeps `most` of the features that are seen, and all that are not; returns how many were dropped. Information is weighted by
-/// existence and contrast (1 where unknown); of features that add the same the lower id is kept. `known` is the pose's covariance
-/// before (1 m and 1 rad where it says nothing), along the world's axes.
+/// Keeps the best `most` of the visible features and all hidden ones; returns how many were dropped. Information is
+/// weighted by existence and contrast (1 if unknown). Among equal features the lower id is kept. `known` is the prior
+/// covariance of the pose along the world's axes; variances of 0 in it count as 1 m and 1 rad.
 pub fn choose(
     prediction: &mut FeaturePrediction,
     placed: &[PlacedFeature],
@@ -51,8 +51,8 @@ pub fn choose(
     seen.len() - most
 }
 
-/// What each feature that is seen tells of the pose, by its number in the prediction: translation along the world's axes, rotation about
-/// them, weighted by existence and contrast (1 where unknown).
+/// Returns the information of each visible feature about the pose, with its index in the prediction. The pose has
+/// translation along and rotation about the world's axes. Weights are existence and contrast (1 if unknown).
 pub fn informations(
     prediction: &FeaturePrediction,
     placed: &[PlacedFeature],
@@ -69,9 +69,9 @@ pub fn informations(
     .collect()
 }
 
-/// Numbers of the chosen, in order; it is asked at most `asked` times, and once more for each, what a feature adds.
+/// Returns the chosen indices in order. Evaluates gains at most `asked` times, and once more per feature.
 fn greedy(prior: &Matrix, informations: &[(u32, Matrix)], most: usize, mut asked: usize) -> Vec<usize> {
-    /// Comparable as the total order has it.
+    /// A gain with a total order.
     #[derive(PartialEq)]
     struct Gain(f64);
     impl Eq for Gain {}
@@ -86,7 +86,7 @@ fn greedy(prior: &Matrix, informations: &[(u32, Matrix)], most: usize, mut asked
         }
     }
     let mut sum = *prior;
-    // What a feature adds only shrinks while others are chosen: what it once added bounds what it adds now.
+    // Gains only shrink as features are chosen, so an old gain is an upper bound.
     let all = informations.iter().enumerate().map(|(i, (id, _))| (Gain(f64::INFINITY), Reverse(*id), Reverse(i), 0));
     let mut heap: BinaryHeap<_> = all.collect();
     let mut chosen = Vec::with_capacity(most);
@@ -94,7 +94,7 @@ fn greedy(prior: &Matrix, informations: &[(u32, Matrix)], most: usize, mut asked
         if chosen.len() == most {
             break;
         }
-        // Numbered from 1, so that all are worked out once.
+        // Rounds count from 1, so that every gain is computed at least once.
         if known == chosen.len() + 1 || known > 0 && asked == 0 {
             add(&mut sum, &informations[i].1);
             chosen.push(i);
@@ -118,7 +118,7 @@ fn prior(known: Option<&PoseCovariance>) -> Matrix {
     prior
 }
 
-/// What one feature tells of the sensor's pose: translation along the world's axes, rotation about them.
+/// Information of one feature about the sensor's pose: translation along and rotation about the world's axes.
 fn information(image: &Image<'_>, seen: &SeenFeature, pose: &Pose, world_from_frame: DMat3, weight: f64) -> Matrix {
     let sigma = image.sensor.spec().noise.pixel_sigma;
     let variance = if sigma > 0.0 { sigma * sigma } else { 1.0 };
@@ -136,7 +136,7 @@ fn information(image: &Image<'_>, seen: &SeenFeature, pose: &Pose, world_from_fr
     };
     match &seen.feature.shape {
         FeatureShape::Contour { covariance, .. } => {
-            // Across itself, in the middle of what is seen of each of a few pieces.
+            // A curve is measured across itself, at the midpoints of a few visible pieces.
             const PIECES: usize = 16;
             let pixel = |p: DVec3| image.project(rotation.transpose() * (p - pose.translation)).map(DVec2::from);
             let pieces: Vec<[DVec3; 2]> = seen.visible.iter().flat_map(|v| seen.along(v.t)).collect();
@@ -161,7 +161,7 @@ fn information(image: &Image<'_>, seen: &SeenFeature, pose: &Pose, world_from_fr
             if let Some(turn) = image.turn() {
                 along.x -= turn * (along.x / turn).round();
             }
-            // Only across itself a line is found in the image.
+            // A line can only be measured across itself.
             match along.try_normalize() {
                 Some(along) => (0..2).for_each(|k| take(places[k], along.perp(), &covariances[k])),
                 None => DVec2::AXES.into_iter().for_each(|axis| take(places[0], axis, &covariances[0])),
@@ -183,7 +183,7 @@ fn add(sum: &mut Matrix, more: &Matrix) {
     (0..6).for_each(|i| (0..6).for_each(|j| sum[i][j] += more[i][j]));
 }
 
-/// Of a positive definite matrix, by Cholesky's decomposition.
+/// Log determinant of a positive definite matrix by Cholesky decomposition.
 fn log_determinant(matrix: &Matrix) -> f64 {
     let mut l = [[0.0; 6]; 6];
     let mut sum = 0.0;
@@ -238,12 +238,12 @@ mod tests {
             }
             assert_eq!(greedy(&prior(None), &all, 10, usize::MAX), expected, "{seed}");
         }
-        // Equal ones by id, whatever their order.
+        // Equal features are chosen by id, in any input order.
         let one = random(3, 1)[0].1;
         assert_eq!(greedy(&prior(None), &[(9, one), (4, one), (7, one)], 2, usize::MAX), [1, 2]);
     }
 
-    /// Of equal features all would be asked about again for each that is chosen. When no question is left each has been asked about once.
+    /// Equal features would all be evaluated again after each choice. With no evaluations left, each has one old gain.
     #[test]
     fn equal_features_are_not_asked_about_for_ever() {
         let one = random(3, 1)[0].1;
@@ -260,13 +260,13 @@ mod tests {
         let mut m = [[0.0; 6]; 6];
         (0..6).for_each(|i| m[i][i] = (i + 1) as f64);
         assert!((log_determinant(&m) - 720f64.ln()).abs() < 1e-12);
-        // | 2 1 | of two of the axes: 3 in place of 1 * 2.
+        // The block |2 1; 1 2| has determinant 3; it replaces 1 * 2.
         (m[0][0], m[1][1], m[0][1], m[1][0]) = (2.0, 2.0, 1.0, 1.0);
         assert!((log_determinant(&m) - 1080f64.ln()).abs() < 1e-12);
     }
 
-    /// A camera that looks along x sees a point twice and another one to the side. The second tells what the first leaves open; a copy of
-    /// the first tells nearly nothing new. One of no contrast comes last.
+    /// A camera looks along x at two points in one place and another point to the side. The point to the side adds new
+    /// information; the copy adds almost none. A point without contrast comes last.
     #[test]
     fn what_tells_something_new_is_chosen() {
         let point = |id: u32, y: f64, contrast: Option<f64>| {

@@ -1,17 +1,17 @@
-//! Columns of a scanner's image between which something lies, over the seam, too.
+//! Column and row intervals of polygons in a scanner's image, including across the seam.
 
 use glam::DVec3;
 use presight_model::sensor::{Angles, Geometry, Scanner, Sensor};
 
-/// An edge that turns by more than this share of half a turn passes too near to the axis to say on which side.
+/// An edge that turns by more than this share of half a turn passes too near the axis to decide on which side.
 const HALF: f64 = 0.999;
 
-/// Columns between which the image of a convex polygon lies, unwrapped: the lesser one is in the first turn, the greater one may lie beyond
-/// the width. `None` where the polygon is around the axis, or columns are not even.
+/// Column interval of the image of a convex polygon, unwrapped: the lower end is in the first turn, and the upper end
+/// may exceed the width. Returns `None` if the polygon surrounds the axis or the columns are not uniform.
 pub(super) fn of_corners(sensor: &Sensor, corners: &[DVec3]) -> Option<[f64; 2]> {
     let turn = turn(sensor)?;
     let first = sensor.project(*corners.first()?)?.0;
-    // Azimuth along an edge goes one way, and less than half around.
+    // Azimuth is monotonic along an edge and spans less than half a turn.
     let (mut column, mut low, mut high) = (first, first, first);
     for corner in corners.iter().cycle().skip(1).take(corners.len()) {
         let by = sensor.project(*corner)?.0 - column;
@@ -29,8 +29,8 @@ pub(super) fn of_corners(sensor: &Sensor, corners: &[DVec3]) -> Option<[f64; 2]>
     Some([low - back, high - back])
 }
 
-/// The share of the way from one place to another (image frame) at which a scanner sees it highest or lowest, if that is not at an
-/// end: the height by the distance from the axis is stationary there.
+/// Returns the fraction of the way from `a` to `b` (image frame) at which a scanner sees the line highest or lowest, if
+/// that is between the ends. There the ratio of height to distance from the axis is stationary.
 pub(super) fn culmination_share(a: DVec3, b: DVec3) -> Option<f64> {
     let d = b - a;
     let (aa, ad, dd) = (a.x * a.x + a.y * a.y, a.x * d.x + a.y * d.y, d.x * d.x + d.y * d.y);
@@ -38,7 +38,7 @@ pub(super) fn culmination_share(a: DVec3, b: DVec3) -> Option<f64> {
     (t > 0.0 && t < 1.0).then_some(t)
 }
 
-/// Least and greatest row of the outline of a polygon.
+/// Smallest and largest row of the outline of a polygon.
 pub(super) fn rows_of_outline(sensor: &Sensor, corners: &[DVec3]) -> Option<[f64; 2]> {
     let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
     for (k, a) in corners.iter().enumerate() {
@@ -52,7 +52,7 @@ pub(super) fn rows_of_outline(sensor: &Sensor, corners: &[DVec3]) -> Option<[f64
     Some([low, high])
 }
 
-/// Columns of 360 degrees, whether or not the image has as many.
+/// Number of columns for 360 degrees, even if the image has fewer.
 pub fn turn(sensor: &Sensor) -> Option<f64> {
     match &sensor.spec().geometry {
         Geometry::Scanner(Scanner { azimuth: Angles::Uniform { step_deg, .. }, .. }) if *step_deg != 0.0 => {
@@ -94,7 +94,7 @@ mod tests {
         }
     }
 
-    /// Rows of places all along the outlines of walls and of roofs that do not reach over the axis.
+    /// Checks rows along the outlines of walls, and of roofs that do not cover the axis.
     #[test]
     fn rows_of_outlines_hold_all_of_them() {
         let sensor = scanner(-180.0, 1.0);
@@ -116,7 +116,7 @@ mod tests {
                 }
             }
             assert!(least < low + 1e-3 && most > high - 1e-3, "{least} {low} {high} {most}");
-            // Corners alone do not.
+            // The corners alone do not reach these rows.
             let of_corners = corners.map(|c| sensor.project(c).unwrap().1);
             let beyond = |row: f64| of_corners.iter().all(|c| (c - row).abs() > 1.0);
             assert!(beyond(low) || beyond(high));

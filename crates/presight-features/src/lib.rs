@@ -1,4 +1,4 @@
-//! Features in a world: which polygons they lie on, how much of each a sensor sees, and where in the image.
+//! Features in a world: their polygons, their visible parts, and their positions in a sensor's image.
 
 mod boxes;
 mod choose;

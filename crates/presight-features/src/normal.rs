@@ -3,7 +3,7 @@
 use std::f64::consts::{FRAC_1_SQRT_2, PI};
 use std::sync::OnceLock;
 
-/// P(X > x) of a standard normal X.
+/// P(X > x) for a standard normal X.
 pub fn tail(x: f64) -> f64 {
     0.5 * libm::erfc(x * FRAC_1_SQRT_2)
 }
@@ -18,27 +18,27 @@ pub fn tail_quantile(p: f64) -> f64 {
     0.5 * (low + high)
 }
 
-/// Tails by table, for the few thousandths of a tail that a region of interest needs, in a tenth of the time.
+/// Tables of normal tails. Their relative error of a few thousandths suffices for regions of interest.
 ///
-/// P(X > x) = M(x) exp(-x^2 / 2), with Mills' ratio M smooth. For equal thresholds and correlation rho >= 0 Owen's function
-/// (Owen 1956; Drezner and Wesolowsky 1990 for other forms) gives P(X > x and Y > x) = P(X > x) s(x, a), with
+/// P(X > x) = M(x) exp(-x^2 / 2) with the smooth Mills ratio M. For two thresholds x and correlation rho >= 0, Owen's
+/// function (Owen 1956; Drezner and Wesolowsky 1990 for other forms) gives P(X > x and Y > x) = P(X > x) s(x, a), with
 /// a = sqrt((1 - rho) / (1 + rho)) and s = 1 - (1 / (pi M(x))) int_0^a exp(-x^2 t^2 / 2) / (1 + t^2) dt.
 pub struct Tails {
-    /// M, then s at a = 0 .. 1, by rows of x.
+    /// One row for each x: M, then s for a = 0 .. 1.
     rows: Vec<[f64; TAIL_COLUMNS]>,
 }
 
-/// Steps of a.
+/// Number of steps of a.
 pub const TAIL_CELLS: usize = 64;
-/// Numbers of a row.
+/// Entries of a row.
 pub const TAIL_COLUMNS: usize = TAIL_CELLS + 2;
-/// Rows a unit of x.
+/// Rows per unit of x.
 pub const TAIL_STEPS: f64 = 8.0;
-/// Rows; the last is for 9 standard deviations.
+/// Number of rows; the last is for 9 standard deviations.
 pub const TAIL_ROWS: usize = 73;
 
 impl Tails {
-    /// The one table.
+    /// The shared table.
     pub fn get() -> &'static Self {
         static TABLE: OnceLock<Tails> = OnceLock::new();
         TABLE.get_or_init(Self::new)
@@ -62,12 +62,12 @@ impl Tails {
         Self { rows: (0..TAIL_ROWS).map(row).collect() }
     }
 
-    /// Row by row, as shaders have them.
+    /// The rows, for upload to shaders.
     pub fn rows(&self) -> &[[f64; TAIL_COLUMNS]] {
         &self.rows
     }
 
-    /// The row before x, and how far on; x from 0.
+    /// Returns the row at or before x >= 0, and the fraction towards the next row.
     fn row(&self, x: f64) -> (usize, f64) {
         let at = (x * TAIL_STEPS).clamp(0.0, (TAIL_ROWS - 1) as f64);
         let i = (at as usize).min(TAIL_ROWS - 2);
@@ -86,7 +86,7 @@ impl Tails {
         self.mills(x) * (-0.5 * x * x).exp()
     }
 
-    /// P(Y > x | X > x) for x >= 0, by [`apart`].
+    /// P(Y > x | X > x) for x >= 0, with the separation from [`apart`].
     pub fn shared(&self, x: f64, apart: f64) -> f64 {
         let (i, share) = self.row(x);
         let at = (apart * TAIL_CELLS as f64).clamp(0.0, TAIL_CELLS as f64);
@@ -98,14 +98,14 @@ impl Tails {
     }
 }
 
-/// How far apart two directions are: the tangent of half their angle.
+/// Separation of two directions: the tangent of half the angle between them.
 pub fn apart(rho: f64) -> f64 {
     ((1.0 - rho).max(0.0) / (1.0 + rho)).sqrt()
 }
 
-/// F with F F^T the nearest positive semidefinite matrix to the given symmetric one, each entry judged beside the standard
-/// deviations that it belongs to (metres and radians, nanometres and kilometres, stand side by side). What is written with
-/// six digits may have an eigenvalue slightly below 0, which becomes 0; nothing becomes less certain than it was given.
+/// Returns F such that F F^T is the nearest positive semidefinite matrix. Entries are first scaled by their standard
+/// deviations, because metres and radians, or nanometres and kilometres, may be mixed. Rounding to six digits can make
+/// an eigenvalue slightly negative; it becomes 0. No direction gets a smaller variance than given.
 pub(super) fn square_root<const N: usize>(covariance: &[[f64; N]; N]) -> [[f64; N]; N] {
     let sigma: [f64; N] = std::array::from_fn(|i| covariance[i][i].max(0.0).sqrt());
     let mut scaled = [[0.0; N]; N];
@@ -122,11 +122,11 @@ pub(super) fn square_root<const N: usize>(covariance: &[[f64; N]; N]) -> [[f64; 
     factor
 }
 
-/// What is left where a scaled covariance is singular but for rounding.
+/// Remainder of a scaled covariance that counts as rounding.
 const NOTHING: f64 = 1e-12;
 
-/// Pivoted Cholesky; columns beyond the rank are 0. `None` where the matrix is indefinite by more than rounding: there a
-/// pivot too small for its row would blow up.
+/// Pivoted Cholesky decomposition; columns beyond the rank are 0. Returns `None` if the matrix is indefinite beyond
+/// rounding, because a small pivot would then produce huge entries.
 fn by_pivots<const N: usize>(scaled: &[[f64; N]; N]) -> Option<[[f64; N]; N]> {
     let mut rest = *scaled;
     let mut factor = [[0.0; N]; N];
@@ -154,13 +154,13 @@ fn by_pivots<const N: usize>(scaled: &[[f64; N]; N]) -> Option<[[f64; N]; N]> {
     Some(factor)
 }
 
-/// By Jacobi's rotations, eigenvalues below 0 left out (Higham 1988: the nearest positive semidefinite matrix).
+/// Jacobi rotations with negative eigenvalues set to 0 (Higham 1988: the nearest positive semidefinite matrix).
 fn by_eigenvectors<const N: usize>(mut a: [[f64; N]; N]) -> [[f64; N]; N] {
     let mut vectors = [[0.0; N]; N];
     for i in 0..N {
         vectors[i][i] = 1.0;
     }
-    // Six sweeps bring a matrix of six rows to rounding; each is quadratic in what is left.
+    // Six sweeps reduce a matrix of six rows to rounding, because each converges quadratically.
     for _ in 0..12 {
         for p in 0..N {
             for q in p + 1..N {
@@ -202,17 +202,17 @@ mod tests {
         for i in 0..900 {
             let x = f64::from(i) * 0.01;
             let relative = tails.tail(x) / tail(x) - 1.0;
-            // Linear between rows, of a function that is convex: never less.
+            // Linear interpolation of a convex function never underestimates.
             assert!(relative > -1e-12 && relative < if x < 1.5 { 2.1e-3 } else { 7e-4 }, "{x}: {relative}");
         }
-        // Independent and equal; 1/4 + asin(rho) / (2 pi) at the middle.
+        // Independent, then equal, then 1/4 + asin(rho) / (2 pi) at the median.
         assert!((tails.shared(2.5, apart(0.0)) - tail(2.5)).abs() < 1e-4);
         assert_eq!(tails.shared(2.5, apart(1.0)), 1.0);
         for rho in [0.1, 0.5, 0.95] {
             let exact = 0.25 + f64::asin(rho) / TAU;
             assert!((0.5 * tails.shared(0.0, apart(rho)) - exact).abs() < 1e-4, "{rho}");
         }
-        // Against the integral over one variable.
+        // Compared with the integral over one variable.
         for (x, rho) in [(2.5f64, 0.9), (2.03, 0.5), (2.57, 0.99), (3.1, 0.97), (4.4, 0.8), (1.3, 0.2)] {
             let steps = 200_000;
             let width = 10.0 / f64::from(steps);
@@ -243,7 +243,7 @@ mod tests {
         }
     }
 
-    /// Slightly indefinite, as files may be: nothing blows up, and no direction is more certain than it was given.
+    /// Matrices that are slightly indefinite, as in files: no entry becomes huge, and no direction gets more certain.
     #[test]
     fn square_roots_of_what_is_hardly_no_covariance_are_of_the_nearest() {
         let e = 1e-5;
@@ -261,7 +261,7 @@ mod tests {
                 more[i][j] = ((0..3).map(|k| f[i][k] * f[j][k]).sum::<f64>() - m[i][j]) / scale;
                 assert!(more[i][j].abs() <= 1e-4 || m[2][2] == 1e-8, "{m:?}: {more:?}");
             }
-            // What was added has no eigenvalue below 0.
+            // The added part has no negative eigenvalue.
             let left = by_eigenvectors(more.map(|row| row.map(|x| -x)));
             assert!(left.as_flattened().iter().all(|x| x * x < 1e-13), "{m:?}: {left:?}");
         }

@@ -1,4 +1,4 @@
-//! Which features a prediction is asked for, and how finely.
+//! Options of predicted features.
 
 use super::{PlacedFeatures, STEP, Visibility};
 
@@ -8,21 +8,20 @@ pub enum FeatureSource {
     /// The world's own layer for the sensor's class. The predictor finds their polygons once per version of the world.
     #[default]
     World,
-    /// Features whose polygons were found before: by [`crate::placement::place_layer`], or from files.
+    /// Features with known polygons, from [`crate::placement::place_layer`] or from files.
     Placed(PlacedFeatures),
 }
 
-/// What a prediction says of features of which nothing is seen. Of those that are seen in part it always gives the hidden parts,
-/// with their reasons.
+/// How a prediction reports features without a visible part. Partly visible features always list all hidden parts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Hidden {
-    /// Every feature is told of, with each hidden part and its reason. Those that are out of view as a whole are listed apart, by number
-    /// and reason ([`super::FeaturePrediction::out_of_view`]). All others are looked at.
+    /// Reports every feature, with each hidden part and its reason. Features entirely out of view are listed separately
+    /// with index and reason ([`super::FeaturePrediction::out_of_view`]). All others are tested in full.
     Full,
-    /// Every feature is told of. One of which nothing is seen has one hidden part and one reason: of those that apply to
-    /// parts of it the last in the order of [`super::Reason`]. Those out of view are listed apart as with `Full`.
+    /// Reports every feature. A feature without a visible part has one hidden part. Its reason is the last, in the
+    /// order of [`super::Reason`], among the reasons of its parts. Features out of view are listed as with `Full`.
     Reason,
-    /// The prediction holds features that are seen, and the number of all. It costs what is in view, not what there is.
+    /// Reports visible features only, and the number of all. The cost depends on the features in view only.
     #[default]
     Count,
 }
@@ -37,20 +36,20 @@ pub enum Hidden {
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct FeatureOptions {
-    /// Where they come from.
+    /// Source of the features.
     pub source: FeatureSource,
-    /// UTC seconds, for probabilities of existence. `None` means the newest confirmation of all features.
+    /// Time of the probabilities of existence, UTC seconds. `None` means the newest confirmation of all features.
     pub time: Option<f64>,
-    /// What is said of features of which nothing is seen.
+    /// How features without a visible part are reported.
     pub hidden: Hidden,
-    /// Of the features that are seen the most that are kept, those that tell most of the sensor's pose; the rest is counted.
-    /// `feature_id` shows all.
+    /// Largest number of visible features to keep: those with the most information about the sensor's pose. The others
+    /// are only counted. `feature_id` shows all.
     pub max_features: Option<usize>,
     /// How visibility is decided.
     pub visibility: Visibility,
-    /// Longest piece of a feature's image that one sample stands for, 0.001 pixels to [`STEP`]. Finer steps make visible
-    /// fractions more precise and take longer. A patch that covers more than 1,024 pixels is sampled at its pixels. With
-    /// [`Visibility::Rays`] a patch has up to 4,096 samples, and up to 64 times as many where the step is finer.
+    /// Longest piece of a feature's image per sample, 0.001 pixels to [`STEP`]. Finer steps make visible fractions more
+    /// precise and take longer. A patch over more than 1,024 pixels is sampled at its pixels. With [`Visibility::Rays`]
+    /// a patch has up to 4,096 samples, and up to 64 times as many for finer steps.
     pub step: f64,
 }
 
@@ -68,38 +67,38 @@ impl Default for FeatureOptions {
 }
 
 impl FeatureOptions {
-    /// Features whose polygons were found before, instead of the world's own layer.
+    /// Uses features with known polygons instead of the world's own layer.
     #[must_use]
     pub fn with_placed(self, placed: impl Into<PlacedFeatures>) -> Self {
         Self { source: FeatureSource::Placed(placed.into()), ..self }
     }
 
-    /// With another time, UTC seconds.
+    /// Sets the time, UTC seconds.
     #[must_use]
     pub fn with_time(self, seconds: f64) -> Self {
         Self { time: Some(seconds), ..self }
     }
 
-    /// With more or less said of features of which nothing is seen.
+    /// Sets how features without a visible part are reported.
     #[must_use]
     pub fn with_hidden(self, hidden: Hidden) -> Self {
         Self { hidden, ..self }
     }
 
-    /// With no more features that are seen than this: one by one those that add most to the logarithm of the determinant of the
-    /// pose's information, weighted by existence and contrast.
+    /// Keeps at most this many visible features. They are chosen greedily by the log determinant of the pose
+    /// information, weighted by existence and contrast.
     #[must_use]
     pub fn with_max_features(self, most: usize) -> Self {
         Self { max_features: Some(most), ..self }
     }
 
-    /// With another way to decide visibility.
+    /// Sets how visibility is decided.
     #[must_use]
     pub fn with_visibility(self, visibility: Visibility) -> Self {
         Self { visibility, ..self }
     }
 
-    /// With another step of sampling, pixels.
+    /// Sets the step of sampling, pixels.
     #[must_use]
     pub fn with_step(self, step: f64) -> Self {
         Self { step, ..self }

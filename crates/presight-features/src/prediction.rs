@@ -6,12 +6,12 @@ use presight_model::environment::{Environment, Feature};
 use presight_render::plan::CountName;
 use std::sync::Arc;
 
-/// Why a part of a feature is hidden: the first reason that applies, in this order.
+/// Why a part of a feature is hidden. If several reasons apply, the first in this order is given.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Reason {
     /// Behind a camera.
     BehindSensor,
-    /// Outside the image; for a scanner of one row also above or below its beam.
+    /// Outside the image; for a scanner with one row also above or below its beam.
     OutsideImage,
     /// Nearer than `range_min`.
     BelowRangeMin,
@@ -19,7 +19,7 @@ pub enum Reason {
     BeyondRangeMax,
     /// All polygons on which it lies are invisible to the sensor's class.
     Material,
-    /// Seen from behind: a landmark, or a feature that lies only on one-sided polygons.
+    /// Seen from behind. Applies to landmarks, and to features that lie only on one-sided polygons.
     FacingAway,
     /// Seen at a larger angle of incidence than `max_incidence`.
     Oblique,
@@ -27,7 +27,7 @@ pub enum Reason {
     Occluded,
     /// Covered by a polygon that is, within rounding, equally far away.
     Undecided,
-    /// Nothing else hides it, and the pixels that would tell were given up for a deadline.
+    /// The pixels that would decide were given up for a deadline, and nothing else hides it.
     NotPredicted,
 }
 
@@ -62,7 +62,7 @@ impl Reason {
         }
     }
 
-    /// True if the part is outside of what visible shares refer to: outside image or range limits.
+    /// Returns true for parts outside the image or range limits. Visible shares do not include them.
     pub fn is_outside(self) -> bool {
         self <= Self::BeyondRangeMax
     }
@@ -71,17 +71,17 @@ impl Reason {
 /// A visible part of a feature.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VisibleInterval {
-    /// Interval in 0..=1 by length in space, from the first defining point to the last. [0, 1] for a point. For a patch it is a
-    /// share of its area in the image: first the visible part, then the hidden parts by reason.
+    /// Start and end as fractions of the length in space, 0..=1, from the first defining point to the last. [0, 1] for
+    /// a point. For a patch, shares of its area in the image: first the visible part, then the hidden parts by reason.
     pub t: [f64; 2],
-    /// Pixel coordinates of both ends (column, row). For a patch, the least and greatest coordinates of the visible part.
+    /// Pixel coordinates of both ends (column, row). For a patch, the bounding box of the visible part.
     pub pixels: [DVec2; 2],
 }
 
 /// A hidden part of a feature.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HiddenInterval {
-    /// As [`VisibleInterval::t`].
+    /// See [`VisibleInterval::t`].
     pub t: [f64; 2],
     /// The first reason that applies.
     pub reason: Reason,
@@ -100,20 +100,20 @@ pub struct Occluder {
     pub object: u32,
 }
 
-/// One feature as a sensor sees it.
+/// Visibility of one feature from a sensor.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SeenFeature {
     /// The feature from the layer.
     pub feature: Arc<Feature>,
-    /// Of a contour the number of the curve: of those that its surface has at this pose the longest in the image is 0. The number
-    /// holds for this prediction alone.
+    /// For a contour, the number of the curve. The longest curve of a surface in the image has number 0. The numbers
+    /// are valid for this prediction only.
     pub branch: Option<u32>,
-    /// Its defining points in the world, metres. Of a contour those of the curve; a closed one ends where it begins.
+    /// Defining points in the world, metres. For a contour, the points of the curve; if closed, the first is repeated.
     pub points_world: Vec<DVec3>,
     /// Unit normal of its surface in the world, if the layer gives one.
     pub normal_world: Option<DVec3>,
-    /// Visible share of the image length inside image and range limits; of the area for patches, 0 or 1 for points. 0 if
-    /// nothing is inside.
+    /// Visible share of the image length inside image and range limits. For patches a share of the area, for points 0
+    /// or 1. 0 if nothing is inside.
     pub visible_fraction: f64,
     /// The visible parts. Together with `hidden` they cover 0..=1.
     pub visible: Vec<VisibleInterval>,
@@ -121,29 +121,29 @@ pub struct SeenFeature {
     pub hidden: Vec<HiddenInterval>,
     /// Metres to the nearest visible sample.
     pub range: Option<f64>,
-    /// |cos| of the angle between ray and surface normal there; for an edge, of its surface that is seen most directly.
+    /// |cos| of the angle between ray and surface normal there; for an edge, the largest over its visible surfaces.
     pub cos_incidence: Option<f64>,
     /// Probability that it exists at the time of the prediction.
     pub existence: f64,
     /// The region of interest: the pixel box in which the feature will be found, x0, y0, x1, y1.
     pub roi: Option<[f64; 4]>,
-    /// How the region was found: `linear`, `set` or `whole_image`.
+    /// Method of the region: `linear`, `set` or `whole_image`.
     pub roi_flag: Option<&'static str>,
-    /// 2 x 2 covariance in the image of every defining point, pixels squared. Given for visible features whose defining points
-    /// all have an image, but not for contours.
+    /// 2 x 2 covariance in the image of every defining point, pixels squared. Present for visible features whose
+    /// defining points all have an image; never for contours.
     pub image_covariance: Option<Vec<[[f64; 2]; 2]>>,
-    /// Boxes of the image that together hold what is seen of a patch, until its region of interest is found.
+    /// Boxes in the image that together hold the visible part of a patch. Emptied once its region of interest is known.
     #[doc(hidden)]
     pub windows: Vec<[DVec2; 2]>,
 }
 
 impl SeenFeature {
-    /// The pieces of a segment or curve, in the world, in an interval of its length.
+    /// The pieces of a segment or curve between two fractions of its length, in the world.
     pub fn along(&self, t: [f64; 2]) -> Vec<[DVec3; 2]> {
         along(&self.points_world, t)
     }
 
-    /// A feature of which nothing is seen, without a reason, and how likely it exists at a time (UTC seconds).
+    /// A feature without visible or hidden parts, with its probability of existence at a time (UTC seconds).
     pub(super) fn unseen(environment: &Environment, placed: &PlacedFeature, time: f64) -> Self {
         let feature = &placed.feature;
         let pose = placed.object.map(|o| environment.objects()[o as usize].world_from_object);
@@ -167,7 +167,7 @@ impl SeenFeature {
         }
     }
 
-    /// A feature of which everything is visible, given in the world's frame, with nothing else known.
+    /// A feature that is fully visible. It must be given in the world's frame.
     pub fn whole(feature: &Feature) -> Self {
         Self {
             points_world: feature.shape.points().to_vec(),
@@ -188,7 +188,7 @@ impl SeenFeature {
     }
 }
 
-/// The pieces of a line through points in an interval of its length, from 0 to 1.
+/// The pieces of a polyline between two fractions of its length, 0..=1.
 pub fn along(points: &[DVec3], [from, to]: [f64; 2]) -> Vec<[DVec3; 2]> {
     if let [a, b] = *points {
         let at = |t: f64| a + t * (b - a);
@@ -200,7 +200,7 @@ pub fn along(points: &[DVec3], [from, to]: [f64; 2]) -> Vec<[DVec3; 2]> {
         let length = pair[0].distance(pair[1]);
         let [from, to] = [from, to].map(|t| (t * whole - before) / length);
         let part = [from, to].map(|t| t.clamp(0.0, 1.0));
-        // A cut may leave a point.
+        // An interval of length 0 gives one point.
         if part[0] < part[1] || from == to && part == [from, to] && pieces.is_empty() {
             pieces.push(part.map(|t| pair[0].lerp(pair[1], t)));
         }
@@ -214,22 +214,22 @@ pub fn along(points: &[DVec3], [from, to]: [f64; 2]) -> Vec<[DVec3; 2]> {
 pub struct FeatureStats {
     /// Number of features of the sensor's class.
     pub features: usize,
-    /// Features that were looked at one by one: those that may be in view and are not hidden by one polygon as a whole.
+    /// Features tested individually: possibly in view, and not hidden as a whole by one polygon.
     pub asked: usize,
-    /// Samples that reached the test of visibility. One stands for a segment that is seen or hidden as a whole.
+    /// Samples tested for visibility. A segment that is visible or hidden as a whole counts as one.
     pub samples: usize,
     /// Samples hidden by a polygon of the nine neighbouring pixels.
     pub hidden_by_neighbours: usize,
-    /// Samples hidden by a polygon that the nine pixels missed and the index found.
+    /// Samples hidden by a polygon that the index found and the nine pixels missed.
     pub hidden_in_space: usize,
-    /// Visible samples: the index has nothing in between.
+    /// Visible samples: the index found no polygon in between.
     pub visible: usize,
-    /// Samples covered by a polygon whose range is not known.
+    /// Samples covered by a polygon of unknown range.
     pub undecided: usize,
 }
 
 impl FeatureStats {
-    /// Sums.
+    /// Adds the counts of another prediction.
     pub fn add(&mut self, other: &Self) {
         self.features += other.features;
         self.asked += other.asked;
@@ -240,7 +240,7 @@ impl FeatureStats {
         self.undecided += other.undecided;
     }
 
-    /// Names and counts, as in the statistics file.
+    /// Names and counts for the statistics file.
     pub fn counts(&self) -> [(CountName, usize); 7] {
         [
             (CountName::Features, self.features),
@@ -254,29 +254,30 @@ impl FeatureStats {
     }
 }
 
-/// The features that a sensor sees, and how much of each.
+/// The features in a sensor's view, with their visible parts.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FeaturePrediction {
-    /// The features, in the order in which they were given; with [`super::Hidden::Count`] those that are seen.
+    /// The features in the given order; with [`super::Hidden::Count`] only the visible ones.
     pub features: Vec<SeenFeature>,
-    /// Of each of `features` its number among those that were given: the curves of a contour have the same. Empty if all are
-    /// there, each once.
+    /// For each entry of `features`, its index among the given features; all curves of a contour have the same index.
+    /// Empty if `features` has every given feature once.
     pub given: Vec<u32>,
-    /// The number of the feature in each pixel, row-major; 0 is none. Empty unless requested. Each sample marks one pixel. Points
-    /// and landmarks win over segments, these over contours, and these over patches; then the lower number wins.
+    /// The number of the feature in each pixel, row-major; 0 for none. Empty unless requested. Each sample marks one
+    /// pixel. Points and landmarks win over segments, then contours, then patches; then lower numbers win.
     pub feature_id: Vec<u32>,
     /// How visibility was decided.
     pub stats: FeatureStats,
-    /// With [`super::Hidden::Full`] and [`super::Hidden::Reason`] the features that are out of view as a whole, by rising number among
-    /// those that were given, each with its reason. `features` leaves them out until [`FeaturePrediction::spell_out`].
+    /// With [`super::Hidden::Full`] and [`super::Hidden::Reason`], indices of the given features that are entirely out
+    /// of view, in ascending order with reasons. `features` has no entries for them before
+    /// [`FeaturePrediction::spell_out`].
     pub out_of_view: Vec<(u32, Reason)>,
-    /// UTC seconds for which probabilities of existence are told.
+    /// Time of the probabilities of existence, UTC seconds.
     pub time: f64,
 }
 
 impl FeaturePrediction {
-    /// Gives each feature of `out_of_view` an entry among `features`, as files have it. `placed` are the features that were given, of
-    /// which some may be missing ([`super::FeatureOptions::max_features`]).
+    /// Moves the features of `out_of_view` to `features`, as in files. `placed` are the given features. Some may be
+    /// missing in the prediction ([`super::FeatureOptions::max_features`]).
     ///
     /// ```
     /// use presight::features::{FeatureOptions, Hidden, PlacedFeatures};
@@ -308,7 +309,7 @@ impl FeaturePrediction {
         let mut all: Vec<(u32, SeenFeature)> = std::mem::take(&mut self.out_of_view).into_iter().map(unseen).collect();
         let looked_at = std::mem::take(&mut self.given).into_iter().zip(std::mem::take(&mut self.features));
         all.extend(looked_at);
-        // Stable: curves of a contour stay in order.
+        // The sort is stable, so the curves of a contour stay in order.
         all.sort_by_key(|(number, _)| *number);
         (self.given, self.features) = all.into_iter().unzip();
         if self.given.iter().copied().eq(0..placed.len() as u32) {
@@ -316,7 +317,7 @@ impl FeaturePrediction {
         }
     }
 
-    /// Number, among the features that were given, of one of `features`.
+    /// Index of an entry of `features` among the given features.
     pub fn given_at(&self, index: usize) -> usize {
         given_at(&self.given, index)
     }

@@ -1,13 +1,13 @@
-//! Sides of patches, for drawing their visible parts.
+//! Sides of patches, to draw their visible parts.
 
 use super::{FeaturePrediction, PlacedFeature};
 use glam::DMat3;
 use presight_model::environment::{Feature, FeatureShape};
 
-/// The sides of all patches and fiducials that are visible in part, as segments with the number and the polygons of their
-/// patch. The visible share of an area does not say which part of its outline is visible; a prediction of these segments does.
+/// Returns the sides of all partly visible patches and fiducials as segments with the id and the polygons of their
+/// patch. The visible share of an area does not say which part of its outline is visible; these segments do.
 ///
-/// `placed` are the features that were predicted, in that order.
+/// `placed` are the predicted features in order.
 ///
 /// ```
 /// use presight::environment::{Existence, Feature, FeatureShape, Properties};

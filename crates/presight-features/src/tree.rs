@@ -1,5 +1,4 @@
-//! The features of a layer as trees of boxes: one tree for the features of each object, in the object's frame, so that it
-//! serves while objects move.
+//! Bounding-box trees over the features of a layer, one per object in its frame. They stay valid when objects move.
 
 use super::PlacedFeature;
 use super::visible::WorkspaceMemory;
@@ -10,21 +9,21 @@ use presight_model::error::{Error, Result};
 use presight_model::geometry::Aabb;
 use std::ops::Range;
 
-/// Most features of a leaf.
+/// Largest number of features in a leaf.
 const LEAF: usize = 8;
 
-/// Features by where they are, and by the polygons that they lie on.
+/// Features sorted by position, and by the polygons on which they lie.
 #[derive(Debug)]
 pub struct FeatureTree {
     pub groups: Vec<Group>,
     pub nodes: Vec<Node>,
-    /// Numbers of features. Those of a node are neighbours.
+    /// Feature indices. The features of a node are consecutive.
     pub order: Vec<u32>,
-    /// Slots of polygons with places in `order` of features that lie on them, rising.
+    /// Pairs of a polygon's slot and a position in `order` of a feature on it, sorted.
     carried: Vec<(u32, u32)>,
-    /// The newest confirmation, UTC seconds.
+    /// Time of the newest confirmation, UTC seconds.
     pub newest: f64,
-    /// What predictions work in.
+    /// Working memory of predictions.
     pub memory: WorkspaceMemory,
 }
 
@@ -35,18 +34,18 @@ pub struct Group {
     pub root: u32,
 }
 
-/// A box around some features, in the frame of their object.
+/// Bounding box of some features, in the frame of their object.
 #[derive(Clone, Debug)]
 pub struct Node {
     pub bounds: Aabb,
-    /// Places in `order`.
+    /// Range in `order`.
     pub some: Range<u32>,
     /// The second child; the first is the next node. `None` for a leaf.
     pub second: Option<u32>,
 }
 
 impl FeatureTree {
-    /// Of features whose contours are set up.
+    /// Builds the trees. The contours must be prepared.
     pub fn new(placed: &[PlacedFeature], contours: &ContourSet) -> Self {
         let bounds = |(i, p): (usize, &PlacedFeature)| match contours.get(i) {
             Some(surface) => Aabb::of(surface.hull),
@@ -70,19 +69,19 @@ impl FeatureTree {
         Self { groups, nodes, order, carried, newest: newest(placed), memory: WorkspaceMemory::default() }
     }
 
-    /// True if one of some features, by their places in `order`, lies on the polygon of a slot.
+    /// Returns true if a feature in this range of `order` lies on the polygon of a slot.
     pub fn carries(&self, slot: u32, some: &Range<u32>) -> bool {
         let first = self.carried.partition_point(|at| *at < (slot, some.start));
         self.carried.get(first).is_some_and(|at| *at < (slot, some.end))
     }
 }
 
-/// The newest confirmation, UTC seconds.
+/// Time of the newest confirmation, UTC seconds.
 pub(super) fn newest(placed: &[PlacedFeature]) -> f64 {
     placed.iter().map(|p| p.feature.existence.confirmed).fold(f64::NEG_INFINITY, f64::max)
 }
 
-/// Puts a node and all below it behind the others.
+/// Appends a node and its subtree.
 fn split(boxes: &[Aabb], order: &mut [u32], first: u32, nodes: &mut Vec<Node>) {
     let bounds = order.iter().fold(Aabb::EMPTY, |sum, i| sum.union(boxes[*i as usize]));
     let at = nodes.len();
@@ -102,10 +101,10 @@ fn split(boxes: &[Aabb], order: &mut [u32], first: u32, nodes: &mut Vec<Node>) {
     split(boxes, high, first + half as u32, nodes);
 }
 
-/// Checks that objects and polygons of features exist.
+/// Checks that the objects and polygons of features exist.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] naming the first feature of which one does not.
+/// [`crate::ErrorKind::Invalid`] naming the first feature whose object or polygon does not exist.
 pub fn check_placed(environment: &Environment, placed: &[PlacedFeature]) -> Result<()> {
     let objects = environment.objects().len();
     for p in placed {
@@ -120,7 +119,7 @@ pub fn check_placed(environment: &Environment, placed: &[PlacedFeature]) -> Resu
 }
 
 impl Node {
-    /// Middle and half the size, for features whose positions may be off by `rounding`.
+    /// Centre and half size, enlarged by `rounding` for inexact feature positions.
     pub fn middle(&self, rounding: f64) -> [DVec3; 2] {
         [self.bounds.center(), self.bounds.half_extent() + rounding]
     }
@@ -141,7 +140,7 @@ mod tests {
 
     #[test]
     fn every_feature_is_in_one_leaf_and_in_all_boxes_above_it() {
-        // All in one place, in a line, and spread out; of the world and of two objects.
+        // Features in one place, in a line, and spread out; on the world and on two objects.
         let at = |i: u32| match i % 3 {
             0 => DVec3::ONE,
             1 => DVec3::X * f64::from(i),

@@ -1,12 +1,12 @@
-//! Whether something may be in a sensor's image at all, its border and the height of its beams included.
+//! Quick test for boxes that may be in a sensor's image, including its border and the height of its beams.
 
 use glam::DVec3;
 use presight_model::sensor::{Camera, Geometry, PixelGrid, Scanner, Sensor, Sides};
 
-/// What is out of view by less than this may be in it by rounding, radians.
+/// Margin for rounding, radians.
 const SLACK: f64 = 1e-9;
 
-/// The directions and ranges in which a sensor sees features: at least these, and hardly any others.
+/// The directions and ranges in which a sensor sees features, slightly enlarged.
 #[derive(Debug)]
 pub(super) struct View {
     form: Form,
@@ -15,21 +15,21 @@ pub(super) struct View {
 
 #[derive(Debug)]
 enum Form {
-    /// Inward unit normals of planes through the sensor, and the angle by which what is outside of them may be seen.
+    /// Inward unit normals of planes through the sensor, and the angle outside them at which features may be visible.
     Planes(Vec<DVec3>, f64),
     Beams {
-        /// Middle and half the width, radians; `None` all around.
+        /// Centre and half the width, radians; `None` for a full circle.
         azimuth: Option<[f64; 2]>,
-        /// Least and greatest, radians.
+        /// Smallest and largest elevation, radians.
         elevation: [f64; 2],
-        /// Their tangents, the height by the distance from the axis, if both are known.
+        /// Tangents of the elevations, away from the poles.
         slopes: Option<[f64; 2]>,
     },
     Anywhere,
 }
 
 impl View {
-    /// In the image frame.
+    /// The view of a sensor, in its image frame.
     pub fn new(sensor: &Sensor) -> Self {
         let form = match (&sensor.spec().geometry, sensor.grid()) {
             (Geometry::Camera(camera), _) if camera.distortion.is_none() => Form::Planes(sides(camera), 0.0),
@@ -43,13 +43,13 @@ impl View {
         Self { form, range_max: sensor.spec().range_max }
     }
 
-    /// True if a box, given by its middle and half of its edges, may have a point in view.
+    /// Returns true if a box, given by its centre and half edges, may have a point in view.
     pub fn meets(&self, middle: DVec3, axes: &[DVec3; 3]) -> bool {
         let radius = axes.iter().map(|a| a.length_squared()).sum::<f64>().sqrt();
         middle.length() - radius <= self.range_max * (1.0 + SLACK) && self.meets_directions(middle, axes)
     }
 
-    /// True if a box may have a point in a direction in view, however far away.
+    /// Returns true if a box may have a point in a visible direction, at any range.
     pub fn meets_directions(&self, middle: DVec3, axes: &[DVec3; 3]) -> bool {
         let radius = axes.iter().map(|a| a.length_squared()).sum::<f64>().sqrt();
         let range = middle.length();
@@ -64,7 +64,8 @@ impl View {
                     return true;
                 }
                 let flat = (middle.x * middle.x + middle.y * middle.y).sqrt();
-                // Without angles: all of the box is above the beams, or below them, nearest to the axis and farthest from it.
+                // A test without angles: the whole box is above or below the beams, at both its nearest and farthest
+                // distance from the axis.
                 if let Some(slopes) = slopes {
                     let up = axes.iter().map(|a| a.z.abs()).sum::<f64>() + SLACK * (range + radius);
                     let wide = axes.iter().map(|a| a.x.abs() + a.y.abs()).sum::<f64>().min(radius);
@@ -92,7 +93,7 @@ impl View {
     }
 }
 
-/// The sides of a pinhole image, and the half space in front.
+/// Planes for the sides of a pinhole image, and for the half space in front.
 fn sides(camera: &Camera) -> Vec<DVec3> {
     let (low, high) = (
         camera.normalized(-0.5, -0.5),
@@ -107,7 +108,7 @@ fn sides(camera: &Camera) -> Vec<DVec3> {
     ]
 }
 
-/// The greatest angle from a ray at the border to the next one inwards: the border itself is half of that farther out.
+/// Largest angle between a ray at the border and the next one inward. The border itself is half that angle farther out.
 fn widest_step(sensor: &Sensor) -> Option<f64> {
     const PLACES: u32 = 16;
     let (w, h) = (sensor.width(), sensor.height());
@@ -125,7 +126,7 @@ fn widest_step(sensor: &Sensor) -> Option<f64> {
             widest = widest.max(a.angle_between(b));
         }
     }
-    // One row or column alone does not say how far apart more would be.
+    // A single row or column gives no step.
     (w > 1 && h > 1).then_some(widest)
 }
 
@@ -137,11 +138,11 @@ fn beams(sensor: &Sensor, scanner: &Scanner) -> Form {
     };
     let rows = scanner.rows_deg();
     let elevation = bounds(&rows, widest(&rows).max(0.5 * scanner.beam_height_deg.unwrap_or(0.0)));
-    // Beyond the poles there is nothing.
+    // Near the poles the tangent is unusable.
     let slopes = elevation.iter().all(|e| e.abs() < 1.5).then(|| elevation.map(f64::tan));
     let columns: Vec<f64> = (0..scanner.azimuth.len()).map(|i| scanner.azimuth.degrees(i)).collect();
     let [low, high] = bounds(&columns, widest(&columns));
-    // A lone column has a width that its projection knows.
+    // The width of a single column is only known to the projection.
     let all_around = sensor.columns_of_a_turn().is_some() || columns.len() < 2 || high - low >= std::f64::consts::TAU;
     Form::Beams { azimuth: (!all_around).then_some([0.5 * (low + high), 0.5 * (high - low)]), elevation, slopes }
 }
@@ -172,7 +173,7 @@ mod tests {
         presets.chain(own.map(made)).collect()
     }
 
-    /// A point that the sampler finds in the image is in view, with any box around it; most others are not.
+    /// A point that the sampler finds in the image is in view, as is any box around it. Most other points are not.
     #[test]
     fn what_is_in_the_image_is_in_view() {
         let mut random = SplitMix64(5);
@@ -182,7 +183,7 @@ mod tests {
             for k in 0..20_000 {
                 let mut unit = || 2.0 * random.unit() - 1.0;
                 let direction = DVec3::new(unit(), unit(), unit());
-                // Half of them at the border of the image.
+                // Half of the points are at the border of the image.
                 let (u, v) = (unit() * 0.51 + 0.5, if k % 4 == 0 { -0.499 } else { unit() * 0.51 + 0.5 });
                 let pixel = [u * f64::from(sensor.width()), v * f64::from(sensor.height())];
                 let ray = if k % 2 == 0 { sensor.ray_at(pixel[0], pixel[1]) } else { None };
@@ -197,7 +198,7 @@ mod tests {
                     assert!(view.meets(at + by, &[DVec3::X, DVec3::Y, DVec3::Z]), "{}: {at}", sensor.spec().name);
                 }
             }
-            // Beams of one row without a height are met by no point.
+            // No random point hits a single row of beams without height.
             let is_plane = sensor.height() == 1
                 && matches!(&sensor.spec().geometry, Geometry::Scanner(s) if s.beam_height_deg.is_none());
             assert!(inside > 200 || is_plane, "{}: {inside}", sensor.spec().name);

@@ -18,17 +18,17 @@ pub struct PlacedFeature {
     pub feature: Arc<Feature>,
     /// Index of its object; `None` means the world.
     pub object: Option<u32>,
-    /// Slots of the polygons on which it lies. They never hide it; of a contour, those of its surface, of which those hide no part of
-    /// a curve that touch it there.
+    /// Slots of the polygons on which it lies. They never hide the feature. For a contour these are the polygons of its
+    /// surface; a polygon does not hide the parts of a curve that touch it.
     pub slots: Vec<u32>,
 }
 
-/// Features with the polygons on which they lie in one world. Clones share them.
+/// Features with the polygons on which they lie in one world. Clones share the data.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PlacedFeatures {
     /// The features.
     pub features: Arc<[PlacedFeature]>,
-    /// Rising numbers of the features that lie on no polygon any more and are left out.
+    /// Indices, in ascending order, of features that no longer lie on a polygon and are omitted.
     pub lost: Arc<[u32]>,
     /// Covariances of objects' poses by index of the object, in the object's own axes.
     pub objects: Arc<[(u32, PoseCovariance)]>,

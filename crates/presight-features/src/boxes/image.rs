@@ -1,29 +1,29 @@
-//! A sensor's image as a projection of its body frame, with derivatives in closed form where there is one.
+//! A sensor's image as a projection of its body frame, with closed-form derivatives where possible.
 
 use crate::columns;
 use crate::roi::Projection;
 use glam::{DMat3, DVec3};
 use presight_model::sensor::{Angles, Distortion, Geometry, Sensor};
 
-/// A sensor's image.
+/// The projection of a sensor.
 pub struct Image<'a> {
     pub sensor: &'a Sensor,
     pub image_from_body: DMat3,
     pub kind: Kind,
 }
 
-/// What is known of a projection beside its values.
+/// Properties of a projection that give derivatives and singularities.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Kind {
-    /// Straight lines stay straight: focal lengths, pixels.
+    /// Straight lines stay straight. Holds the focal lengths, pixels.
     Pinhole([f64; 2]),
-    /// Columns and rows are linear in azimuth and elevation: their numbers by radian.
+    /// Columns and rows are linear in azimuth and elevation. Holds columns and rows per radian.
     Beams([f64; 2]),
     /// Singular in the plane of the camera's centre.
     Lens,
-    /// Singular on the scanner's axis; beams at any angles.
+    /// Singular on the scanner's axis; beams at arbitrary angles.
     Scanner,
-    /// Singular in the centre only.
+    /// Singular only in the centre.
     Around,
 }
 
@@ -45,8 +45,8 @@ impl<'a> Image<'a> {
         Self { sensor, image_from_body: sensor.body_from_image().transpose(), kind }
     }
 
-    /// The share of the way from one point to another (body frame) at which a scanner sees it highest or lowest, if that is not at an
-    /// end.
+    /// Returns the fraction of the way between two points (body frame) at which a scanner sees the line highest or
+    /// lowest, if that is between the ends.
     pub fn culmination_share(&self, from: DVec3, to: DVec3) -> Option<f64> {
         if !matches!(self.kind, Kind::Beams(_) | Kind::Scanner) {
             return None;
@@ -55,7 +55,7 @@ impl<'a> Image<'a> {
     }
 }
 
-/// Columns and rows a radian, where they are the same everywhere: measured, since lone beams have a height of their own.
+/// Columns and rows per radian, if constant. They are measured, because single beams have their own height.
 fn by_radian(sensor: &Sensor) -> Option<[f64; 2]> {
     let spec = sensor.spec();
     let Geometry::Scanner(scanner) = &spec.geometry else { return None };

@@ -1,4 +1,4 @@
-//! Regions of interest (boxes) for predicted features: how uncertain each feature is, and which of its points the box holds.
+//! Regions of interest (boxes) of predicted features: uncertainties of features, and the points that boxes must hold.
 
 mod image;
 mod outermost;
@@ -24,18 +24,17 @@ use rayon::prelude::*;
 /// How uncertainties are propagated through the projection.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum BoxMethod {
-    /// By the derivative where the projection is nearly linear over the errors, as a set elsewhere. The box holds with the stated
+    /// The derivative if the projection is nearly linear over the errors, otherwise a set. The box has the stated
     /// confidence.
     #[default]
     AsNeeded,
-    /// Always by the derivative, unless the feature may come behind the sensor. Fast, but no bound where the projection is not
-    /// linear.
+    /// Always the derivative, unless the feature may be behind the sensor. Fast, but no bound if not linear.
     Linear,
-    /// Always as a set, unless the feature may come behind the sensor. Slow.
+    /// Always a set, unless the feature may be behind the sensor. Slow.
     Set,
 }
 
-/// How uncertain poses are, and the probability with which regions of interest hold their features.
+/// Uncertainties of poses, and the probability with which regions of interest hold their features.
 ///
 /// ```
 /// use presight::features::BoxOptions;
@@ -47,13 +46,13 @@ pub enum BoxMethod {
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct BoxOptions {
-    /// Covariance of the sensor's pose, along the world's axes: translation added, rotation by Exp(dtheta) from the left.
+    /// Covariance of the sensor's pose along the world's axes: translation, and rotation by Exp(dtheta) from the left.
     pub sensor: PoseCovariance,
-    /// Covariances of objects' poses by index of the object, in the object's own axes. They win over those of the layers.
+    /// Covariances of objects' poses by object index, in the object's own axes. They override those in layers.
     pub objects: Vec<(u32, PoseCovariance)>,
     /// Probability with which a box holds its feature.
     pub confidence: f64,
-    /// How boxes are found.
+    /// Method of propagation.
     pub method: BoxMethod,
 }
 
@@ -64,39 +63,39 @@ impl Default for BoxOptions {
 }
 
 impl BoxOptions {
-    /// With another covariance of the sensor's pose, along the world's axes.
+    /// Sets the covariance of the sensor's pose, along the world's axes.
     #[must_use]
     pub fn with_sensor(self, covariance: PoseCovariance) -> Self {
         Self { sensor: covariance, ..self }
     }
 
-    /// With independent standard deviations of the sensor's pose: x, y, z in metres, then about x, y, z in radians.
+    /// Sets independent standard deviations of the sensor's pose: x, y, z in metres, rotation about x, y, z in radians.
     #[must_use]
     pub fn with_sensor_sigmas(self, sigmas: [f64; 6]) -> Self {
         let variance = |i: usize, j: usize| if i == j { sigmas[i] * sigmas[i] } else { 0.0 };
         self.with_sensor(std::array::from_fn(|i| std::array::from_fn(|j| variance(i, j))))
     }
 
-    /// With covariances of objects' poses, by index of the object.
+    /// Sets covariances of objects' poses by object index.
     #[must_use]
     pub fn with_objects(self, objects: Vec<(u32, PoseCovariance)>) -> Self {
         Self { objects, ..self }
     }
 
-    /// With another probability, 0.5 to below 1.
+    /// Sets the probability, 0.5 to below 1.
     #[must_use]
     pub fn with_confidence(self, confidence: f64) -> Self {
         Self { confidence, ..self }
     }
 
-    /// With another method.
+    /// Sets the method.
     #[must_use]
     pub fn with_method(self, method: BoxMethod) -> Self {
         Self { method, ..self }
     }
 
     /// # Errors
-    /// Those of [`add_boxes`].
+    /// The errors of [`add_boxes`].
     pub fn check(&self) -> Result<()> {
         if !(0.5..1.0).contains(&self.confidence) {
             let what = format!("confidence {} is not in 0.5..1", self.confidence);
@@ -110,33 +109,33 @@ impl BoxOptions {
     }
 }
 
-/// What the boxes of a prediction depend on.
+/// Input for the boxes of a prediction.
 #[doc(hidden)]
 #[derive(Clone, Copy, Debug)]
 pub struct BoxQuery<'a> {
-    /// The features that were predicted, in their order.
+    /// The predicted features in order.
     pub placed: &'a [PlacedFeature],
-    /// The world that they lie in.
+    /// The world in which they lie.
     pub world: &'a World,
     /// The sensor.
     pub sensor: &'a Sensor,
     /// Its pose, body axes.
     pub world_from_sensor: &'a Pose,
-    /// How uncertain poses are, and with which probability boxes hold.
+    /// Uncertainties and confidence.
     pub options: &'a BoxOptions,
 }
 
-/// Adds to every visible feature its box, and the covariance of its defining points in the image.
+/// Adds the box, and the covariance of the defining points in the image, to every visible feature.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Usage`] for a confidence outside 0.5..1, and those of [`Pose::check`]; [`crate::ErrorKind::Invalid`] for a covariance that is not
-/// finite, not symmetric, or has an eigenvalue below 0 by more than six written digits can bring about; those of
-/// [`crate::Threads::new`].
+/// [`crate::ErrorKind::Usage`] for a confidence outside 0.5..1, and the errors of [`Pose::check`];
+/// [`crate::ErrorKind::Invalid`] for a covariance that is not finite, not symmetric, or has an eigenvalue below 0
+/// beyond the rounding of six digits; the errors of [`crate::Threads::new`].
 pub fn add_boxes(prediction: &mut FeaturePrediction, query: &BoxQuery<'_>) -> Result<()> {
     let frame = BoxFrame::new(query)?;
     let FeaturePrediction { features, given, .. } = prediction;
     let add = |room: &mut BoxScratch, (i, seen): (usize, &mut SeenFeature)| {
-        // What is not seen is not looked for.
+        // A hidden feature will not be searched for, so it needs no box.
         if seen.visible.is_empty() {
             return;
         }
@@ -152,15 +151,15 @@ pub fn add_boxes(prediction: &mut FeaturePrediction, query: &BoxQuery<'_>) -> Re
     })
 }
 
-/// What one worker keeps.
+/// Memory that one worker reuses.
 #[derive(Default)]
 pub struct BoxScratch {
-    /// Those that a box is to hold.
+    /// The points that a box must hold.
     pub points: Vec<BodyPoint>,
     finder: BoxFinder,
 }
 
-/// What the boxes of one prediction share.
+/// Data shared by the boxes of one prediction.
 pub struct BoxFrame<'a> {
     pub image: Image<'a>,
     pub viewpoint: Viewpoint,
@@ -172,12 +171,12 @@ pub struct BoxFrame<'a> {
 
 impl<'a> BoxFrame<'a> {
     /// # Errors
-    /// Those of [`add_boxes`].
+    /// The errors of [`add_boxes`].
     pub fn new(query: &BoxQuery<'a>) -> Result<Self> {
         let BoxQuery { world, sensor, world_from_sensor, options, .. } = *query;
         options.check()?;
         let mut objects: Vec<_> = options.objects.iter().map(|(o, c)| (*o, PoseErrors::new(c))).collect();
-        // Of an object named twice the first counts.
+        // The sort is stable, so the first entry of a repeated object counts.
         objects.sort_by_key(|(object, _)| *object);
         Ok(Self {
             image: Image::of(sensor),
@@ -199,7 +198,7 @@ impl<'a> BoxFrame<'a> {
         FeatureErrorModel::seen_from(&self.viewpoint, &world_from_frame, errors, &placed.feature.shape)
     }
 
-    /// True if what is seen of a curve goes over more than half a turn.
+    /// Returns true if the visible part of a curve spans more than half a turn.
     fn turns(&self, seen: &SeenFeature, turn: f64) -> bool {
         let mut columns: Option<[f64; 3]> = None;
         for p in seen.visible.iter().flat_map(|v| seen.along(v.t)).flatten() {
@@ -211,7 +210,7 @@ impl<'a> BoxFrame<'a> {
         columns.is_some_and(|[_, low, high]| high - low > 0.5 * turn)
     }
 
-    /// Writes a box down. A patch or curve that is seen over more than half a turn lies around the axis, and so does its box.
+    /// Stores a box. A patch or curve over more than half a turn surrounds the axis, so it gets all columns.
     pub fn set(&self, seen: &mut SeenFeature, found: Option<Roi>) {
         seen.windows = Vec::new();
         let Some(found) = found else { return };
@@ -239,7 +238,7 @@ impl<'a> BoxFrame<'a> {
         }
     }
 
-    /// Gives a feature that is seen its covariances, and lists the points that its box is to hold; false if there are none.
+    /// Sets the covariances of a visible feature, and lists the points that its box must hold. False if none.
     pub fn prepare(&self, seen: &mut SeenFeature, uncertain: &FeatureErrorModel, room: &mut BoxScratch) -> bool {
         let BoxScratch { points, finder } = room;
         points::defining(&seen.feature.shape, points);
@@ -249,8 +248,8 @@ impl<'a> BoxFrame<'a> {
     }
 }
 
-/// Computes the covariance of a sensor's pose from that of the robot that carries it, both along the world's axes.
-/// `world_axes_lever` is the sensor's position relative to the robot's, along the world's axes, metres.
+/// Computes the covariance of a sensor's pose from that of its robot, both along the world's axes. `world_axes_lever`
+/// is the sensor's position relative to the robot, along the world's axes, metres.
 pub fn sensor_covariance(robot: &PoseCovariance, world_axes_lever: DVec3) -> PoseCovariance {
     let l = world_axes_lever;
     // d_sensor = d_robot + dtheta x lever.
@@ -282,7 +281,7 @@ mod tests {
         let mut robot = [[0.0; 6]; 6];
         robot[5][5] = 0.01;
         let moved = sensor_covariance(&robot, DVec3::new(2.0, 0.0, 1.0));
-        // A turn by 0.1 moves what is 2 m ahead by 0.2 m to the left.
+        // A turn by 0.1 moves a point 2 m ahead by 0.2 m to the left.
         assert!((moved[1][1] - 0.04).abs() < 1e-15 && (moved[1][5] - 0.02).abs() < 1e-15);
         assert_eq!((moved[0][0], moved[2][2], moved[5][5]), (0.0, 0.0, 0.01));
     }

@@ -1,17 +1,17 @@
-//! Of the many points of a curve those that may be outermost, wherever errors bring them.
+//! Reduces the many points of a curve to those that may be outermost under errors.
 
 use super::image::Image;
 use crate::roi::{BodyPoint, FeatureErrorModel, Projection};
 use glam::DVec3;
 
-/// Directions along each axis: -2 to 2.
+/// Directions per axis run from -STEPS to STEPS.
 const STEPS: i32 = 2;
 
-/// How many directions there are, each with its opposite.
+/// Number of directions, opposites included.
 const DIRECTIONS: usize = 98;
 
-/// Keeps of points along curves those that are farthest in some direction of the image and of the inverse range: errors of the
-/// position move near points more than far ones. No more than 98 are left.
+/// Keeps the points along curves that are farthest in some direction of the space of image and inverse range. Position
+/// errors move near points more than far ones. At most 98 points are left.
 pub(super) fn keep(image: &Image<'_>, uncertain: &FeatureErrorModel, points: &mut Vec<BodyPoint>) {
     if points.len() <= DIRECTIONS {
         return;
@@ -33,7 +33,7 @@ pub(super) fn keep(image: &Image<'_>, uncertain: &FeatureErrorModel, points: &mu
     places.iter_mut().for_each(|(_, p)| *p = (*p - low) / size);
     let mut keep = vec![false; points.len()];
     for direction in half_of_directions() {
-        // Farthest this way and the other.
+        // The farthest points in this direction and its opposite.
         let (mut most, mut least) = ((f64::NEG_INFINITY, None), (f64::INFINITY, None));
         for (i, place) in &places {
             let far = place.dot(direction);
@@ -46,7 +46,7 @@ pub(super) fn keep(image: &Image<'_>, uncertain: &FeatureErrorModel, points: &mu
     points.retain(|_| kept.next().unwrap_or(false));
 }
 
-/// To the places of a grid on the faces of a cube, one of every two that are opposite.
+/// Directions to grid points on the faces of a cube, one of each opposite pair.
 fn half_of_directions() -> impl Iterator<Item = DVec3> {
     let line = || -STEPS..=STEPS;
     let grid = line().flat_map(move |x| line().flat_map(move |y| line().map(move |z| [x, y, z])));

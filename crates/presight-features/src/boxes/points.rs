@@ -1,7 +1,7 @@
-//! Which material points of a feature its box is to hold: those seen at the nominal pose.
+//! The material points that a feature's box must hold: those visible at the nominal pose.
 //!
-//! A pinhole image of a straight line is straight wherever errors bring it, so that its extremes stay its ends'; the
-//! image of a plane patch is the convex hull of its corners'. Elsewhere lines curve, and points between are taken too.
+//! In a pinhole image a line stays straight under all errors, so its ends remain its extremes. The image of a planar
+//! patch is the convex hull of its corners. In other images lines curve, so points in between are added.
 
 use super::image::{Image, Kind};
 use super::outermost;
@@ -11,19 +11,19 @@ use glam::{DVec2, DVec3};
 use presight_model::environment::FeatureShape;
 use presight_model::geometry::plane_of_polygon;
 
-/// Points of a segment's visible part where lines curve in no way that is known.
+/// Number of points on a segment's visible part, if the curvature of lines is unknown.
 const POINTS: usize = 9;
 
-/// Cosine of the elevation above which points of a segment are taken all along it.
+/// A point with a smaller cosine of its elevation is steep; its segment gets points along its whole length.
 const STEEP: f64 = 0.5;
 
-/// Parts of an outline's edge.
+/// Number of parts of an outline's edge.
 const PARTS: usize = 8;
 
-/// Pixels by which a line may curve and still count as straight.
+/// Largest curvature of a line that counts as straight: its sagitta in pixels.
 const SAGITTA: f64 = 1.0 / 32.0;
 
-/// The points that define a feature: none of a contour.
+/// The defining points of a feature; a contour has none.
 pub(super) fn defining(shape: &FeatureShape, into: &mut Vec<BodyPoint>) {
     into.clear();
     match shape {
@@ -33,7 +33,7 @@ pub(super) fn defining(shape: &FeatureShape, into: &mut Vec<BodyPoint>) {
     }
 }
 
-/// The points that a feature's box is to hold.
+/// The points that a feature's box must hold.
 pub(super) fn seen(
     image: &Image<'_>,
     viewpoint: &Viewpoint,
@@ -56,7 +56,7 @@ pub(super) fn seen(
     }
 }
 
-/// Pieces of a curve move as one with its surface.
+/// Adds points along the visible pieces of a curve, which moves rigidly with its surface.
 fn curve(
     image: &Image<'_>,
     viewpoint: &Viewpoint,
@@ -94,9 +94,9 @@ fn line(
         Kind::Pinhole(_) => {}
         Kind::Beams([_, rows]) => {
             let [a, b] = [from, to].map(|t| uncertain.nominal(&point(t)).p);
-            // Near a pole columns turn as fast as the line passes it.
+            // Near a pole the columns change quickly along the line.
             let turns = |p: DVec3| p.x.hypot(p.y) < STEEP * p.length();
-            // A great circle leaves the chord between two of its points by an eighth of the square of their angle at most.
+            // The sagitta of a great circle is at most an eighth of the squared angle between its ends.
             if turns(a) || turns(b) {
                 (1..POINTS - 1).for_each(|i| put(from + (to - from) * i as f64 / (POINTS - 1) as f64));
             } else if a.angle_between(b).powi(2) / 8.0 * rows.abs() > SAGITTA {
@@ -122,7 +122,7 @@ fn patch(
     let one = [visible.pixels];
     let windows = if seen.windows.is_empty() { &one[..] } else { &seen.windows[..] };
     let windows: Vec<PatchWindow> = windows.iter().map(|seen| PatchWindow::of(image, *seen)).collect();
-    // What is outside the image is no hidden part: a patch is seen whole only if its corners are in the image.
+    // Parts outside the image are not listed as hidden, so a patch is whole only if its corners are in the image.
     let (w, h) = image.size();
     let inside_image = |corner: &DVec3| {
         let at = image.project(uncertain.nominal(&BodyPoint::rigid(*corner)).p);
@@ -136,7 +136,7 @@ fn patch(
     };
     let straight = matches!(image.kind, Kind::Pinhole(_));
     let parts = if straight && whole { 1 } else { PARTS };
-    // A straight edge is highest, or lowest, in a scanner's image where it passes nearest to the axis.
+    // In a scanner's image, a straight edge is highest or lowest where it is nearest to the axis.
     let in_body = |p: &DVec3| uncertain.nominal(&BodyPoint::rigid(*p)).p;
     for (k, a) in corners.iter().enumerate() {
         let b = corners[(k + 1) % corners.len()];
@@ -162,14 +162,14 @@ fn patch(
         outermost::keep(image, uncertain, into);
     }
     if into.is_empty() {
-        // Seen from its edge, at its middle.
+        // A patch seen edge-on: use the corners that have an image.
         into.extend(
             corners.iter().map(|p| BodyPoint::rigid(*p)).filter(|p| image.project(uncertain.nominal(p).p).is_some()),
         );
     }
 }
 
-/// The last point held between one that is and one that is not.
+/// Finds the last point that is held, between a point that is and one that is not.
 fn crossing(a: (DVec3, bool), b: (DVec3, bool), holds: &impl Fn(DVec3) -> bool) -> DVec3 {
     let (mut inside, mut outside) = if a.1 { (a.0, b.0) } else { (b.0, a.0) };
     for _ in 0..30 {
@@ -179,8 +179,8 @@ fn crossing(a: (DVec3, bool), b: (DVec3, bool), holds: &impl Fn(DVec3) -> bool) 
     inside
 }
 
-/// Points of a patch that are not on its outline: on the border of the part that is seen, and on a scanner's axis, around
-/// which a patch has no outermost points in the image.
+/// Adds points that are not on the outline of a patch: on the border of the visible part, and on a scanner's axis. A
+/// patch around the axis has no outermost points in the image.
 fn inside(
     image: &Image<'_>,
     uncertain: &FeatureErrorModel,
@@ -201,11 +201,11 @@ fn inside(
     let body_from_image = image.image_from_body.transpose();
     let at = |pixel: DVec2| image.sensor.ray_at(pixel.x, pixel.y).and_then(|ray| meet(body_from_image * ray));
     let is_row = image.size().1 == 1;
-    // As many places around few windows as around many.
+    // Several windows get fewer points each.
     let parts = if windows.len() > 1 { 2 } else { PARTS };
     for window in windows {
         for (seen, beyond) in window.border(parts) {
-            // Outlines cross a row between any two of their points.
+            // In a one-row image, the outline crosses the row between any two points.
             let beyond = if is_row { DVec2::new(beyond.x, seen.y) } else { beyond };
             into.extend(at(beyond).or_else(|| if is_row { last_of(seen, beyond, at) } else { at(seen) }));
         }
@@ -220,7 +220,7 @@ fn inside(
     }
 }
 
-/// The last on the way from one pixel to another, if the first is one.
+/// Returns the last hit on the way from one pixel to another; `None` if the first is not a hit.
 fn last_of(from: DVec2, to: DVec2, at: impl Fn(DVec2) -> Option<BodyPoint>) -> Option<BodyPoint> {
     let (mut inside, mut outside, mut last) = (from, to, at(from)?);
     for _ in 0..12 {
@@ -233,19 +233,19 @@ fn last_of(from: DVec2, to: DVec2, at: impl Fn(DVec2) -> Option<BodyPoint>) -> O
     Some(last)
 }
 
-/// The part of the image in which a patch is seen.
+/// The part of the image in which a patch is visible.
 #[derive(Clone, Copy)]
 struct PatchWindow {
     low: DVec2,
     high: DVec2,
-    /// Least and greatest of what is seen.
+    /// Smallest and largest visible pixel.
     seen: [DVec2; 2],
     turn: Option<f64>,
 }
 
 impl PatchWindow {
-    /// Around what is seen at pixels, by one of them: the next is not seen. Where images bulge, samples of a sliver may be
-    /// farther apart: by a step of the coarsest grid that is laid over an image.
+    /// Enlarges the visible pixels by one, since the next pixel is not visible. In curved images, samples of a thin
+    /// patch may be farther apart: up to a step of the coarsest sampling grid.
     fn of(image: &Image<'_>, seen: [DVec2; 2]) -> Self {
         let (w, h) = image.size();
         let most = DVec2::new(f64::from(w), f64::from(h)) - 0.5;
@@ -254,7 +254,7 @@ impl PatchWindow {
             _ => (f64::from(w) * f64::from(h) / MAX_PATCH_SAMPLES as f64).sqrt().max(1.0),
         };
         let (mut low, mut high) = (seen[0] - step, seen[1] + step);
-        // Beyond the border nothing is seen; around a turn there is none at the sides.
+        // Nothing is visible beyond the border. A full circle has no border at the sides.
         let turn = image.turn();
         (low.y, high.y) = (low.y.max(-0.5), high.y.min(most.y));
         if turn.is_none() {
@@ -263,7 +263,7 @@ impl PatchWindow {
         Self { low, high, seen, turn }
     }
 
-    /// Places around what is seen, each with the one beside it where the window ends.
+    /// Points around the visible pixels, each with the corresponding point on the window's border.
     fn border(&self, parts: usize) -> impl Iterator<Item = (DVec2, DVec2)> {
         let around = |low: DVec2, high: DVec2, share: f64| {
             let at = low + share * (high - low);

@@ -1,4 +1,4 @@
-//! Lines that may be edges: sides of polygons that are not plainly smooth, and lines where polygons cross.
+//! Candidate edges: sides of polygons that are not clearly smooth, and lines where polygons cross.
 
 use super::FeatureKind;
 use super::effort::{Effort, steps};
@@ -11,8 +11,8 @@ use presight_model::index::QueryResult;
 use rayon::prelude::*;
 use std::f64::consts::PI;
 
-/// Sides of polygons, one for each pair of corners, without those over which exactly two surfaces of one material go
-/// on smoothly. Sides that only a part of a neighbour meets stay; what surrounds them is judged later.
+/// Sides of polygons, one for each pair of corners. Sides where exactly two surfaces of one material continue smoothly
+/// are omitted. Sides that a neighbour only partly shares stay, and are classified later.
 pub(super) fn sides_of_polygons(soup: &Soup, crease: f64) -> Vec<Line> {
     let mut all: Vec<(u32, u32, u32, u32)> = Vec::new();
     for face in 0..soup.faces.len() as u32 {
@@ -50,8 +50,8 @@ pub(super) fn sides_of_polygons(soup: &Soup, crease: f64) -> Vec<Line> {
     groups.par_iter().filter_map(line).collect()
 }
 
-/// Lines along which two polygons cross that is no side of either: parts sunk into each other. They belong to the
-/// smaller object of the two.
+/// Lines where two polygons cross away from their sides, as in parts sunk into each other. A line belongs to the
+/// smaller of the two objects.
 pub(super) fn crossings(
     soup: &Soup,
     touch: f64,
@@ -74,7 +74,7 @@ pub(super) fn crossings(
             thing.spend(steps::FOUND * others.len(), || f.bounds.center())?;
             let crossing = |&j: &u32| crossing(soup, i, j, touch, sizes);
             let lines: Vec<Line> = others.iter().filter(|&&j| j > i).filter_map(crossing).collect();
-            // Each is looked at again, several times.
+            // Each line will be examined several times.
             thing.spend(steps::LINE * lines.len(), || f.bounds.center())?;
             Ok(lines)
         })
@@ -101,7 +101,7 @@ fn crossing(soup: &Soup, i: u32, j: u32, touch: f64, sizes: &[f64]) -> Option<Li
     }
     let across = f.plane.normal.cross(g.plane.normal);
     let d = across.try_normalize().filter(|_| across.length() > (5.0 * PI / 180.0).sin())?;
-    // The point of both planes nearest to a corner of the first face.
+    // The point on both planes nearest to a corner of the first face.
     let p = corners_f[0];
     let (a, b) = (f.plane.offset - f.plane.normal.dot(p), g.plane.offset - g.plane.normal.dot(p));
     let (n, m) = (f.plane.normal, g.plane.normal);
@@ -116,7 +116,7 @@ fn crossing(soup: &Soup, i: u32, j: u32, touch: f64, sizes: &[f64]) -> Option<Li
     if !(to - from > 2.0 * touch && (to - from).is_finite()) {
         return None;
     }
-    // Along a side of either it is that side's line.
+    // Near a side of either polygon, that side is already a candidate.
     let middle = at + d * (0.5 * (from + to));
     let inner = |corners: &[DVec3], normal: DVec3| {
         sides(corners, normal).all(|(corner, inward)| inward.dot(middle - corner) > 2.0 * touch)

@@ -1,4 +1,4 @@
-//! Points where edges meet that are not in one line.
+//! Corners: points where edges of different directions meet.
 
 use super::effort::{Effort, steps};
 use super::lines::{index_of, query};
@@ -9,8 +9,8 @@ use presight_model::error::Result;
 use presight_model::geometry::Aabb;
 use presight_model::index::QueryResult;
 
-/// Ends of lines at which another line leaves at an angle of at least `turn` (radians) from straight on or back, with
-/// the object of the first line there. Ends within `touch` of each other are one corner.
+/// Finds ends of lines at which another line leaves at an angle of at least `turn` (radians) from the line's direction
+/// or its opposite. Returns each with the object of the first line there. Ends within `touch` form one corner.
 pub(super) fn corners(lines: &[Line], touch: f64, turn: f64, effort: &Effort<'_>) -> Result<Vec<(DVec3, u32)>> {
     let index = index_of(lines);
     let (mut found, mut corners) = (QueryResult::default(), Vec::new());
@@ -24,7 +24,7 @@ pub(super) fn corners(lines: &[Line], touch: f64, turn: f64, effort: &Effort<'_>
             thing.spend(steps::FOUND * near.len(), || p)?;
             for &j in near {
                 let other = &lines[j as usize];
-                // The first end at this place stands for all.
+                // Only the first end at this place makes a corner.
                 let ends = [other.start, other.end];
                 let earlier = |n: usize| ((j as usize), n) < (i, k) && ends[n].distance(p) <= touch;
                 first &= !earlier(0) && !earlier(1);
@@ -32,7 +32,7 @@ pub(super) fn corners(lines: &[Line], touch: f64, turn: f64, effort: &Effort<'_>
                     directions.push(other.direction());
                 }
             }
-            // At the first that meets another it ends.
+            // One pair of different directions is enough.
             for (n, a) in directions.iter().enumerate().filter(|_| first) {
                 thing.spend(n, || p)?;
                 if directions[..n].iter().any(|b| a.dot(*b).abs() < straight) {

@@ -1,4 +1,4 @@
-//! Features before they are numbered, held to what placing them asks.
+//! Draft features before numbering, and the check that they lie on the surface.
 
 use super::FeatureKind;
 use super::effort::{Effort, steps};
@@ -15,11 +15,11 @@ use presight_model::index::QueryResult;
 use rayon::prelude::*;
 use std::cell::RefCell;
 
-/// How far a feature may be off the polygons, metres. The layer's own tolerance leaves room for what a patch may be off
-/// besides, and for the roundings of another frame.
+/// Largest distance of a feature from the polygons, metres. The rest of the layer's tolerance is for patches that are
+/// off their plane, and for rounding in other frames.
 const NEAR: f64 = 0.75 * DEFAULT_TOLERANCE;
 
-/// A feature without its number, in the world.
+/// A feature without a number, in the world.
 #[derive(Clone, Debug)]
 pub(super) struct Draft {
     pub kind: FeatureKind,
@@ -33,7 +33,7 @@ impl Draft {
         Self { kind, object, points, normal: None }
     }
 
-    /// Into the frame of its object, with a key that orders by place.
+    /// Transforms the draft to the frame of its object.
     pub fn placed(mut self, world_from_object: &Pose) -> Self {
         let turn = world_from_object.rotation_matrix().transpose();
         for p in &mut self.points {
@@ -58,8 +58,8 @@ impl From<Patch> for Draft {
     }
 }
 
-/// Those that lie on the polygons; of joined patches that do not, the parts of at least `least` m^2 that do. What is lost
-/// is counted in `off`.
+/// Keeps drafts that lie on the polygons. A joined patch that does not is split, and its parts of at least `least` m^2
+/// that do are kept. `off` counts the drafts that are lost entirely.
 pub(super) fn on_the_surface(
     soup: &Soup,
     drafts: Vec<Draft>,
@@ -95,7 +95,7 @@ pub(super) fn on_the_surface(
 impl Draft {
     fn lies(&self, soup: &Soup, found: &mut QueryResult, effort: &Effort<'_>) -> Result<bool> {
         let near = match self.points[..] {
-            // Several boxes: one around a slanting line would be wide.
+            // One box around a slanting line would be wide, so several are used.
             [start, end] => {
                 let line = Line { start, end, object: self.object, kind: self.kind };
                 soup.near_any(boxes_along(&line, DEFAULT_TOLERANCE), found)
@@ -105,7 +105,7 @@ impl Draft {
         let thing = RefCell::new(effort.allowance(self.object));
         let spend = |steps: usize| thing.borrow_mut().spend(steps, || self.points[0]);
         spend(steps::PLACED * near.len())?;
-        // Under a patch each polygon's sides are looked for on those that overlap it.
+        // Under a patch, the sides of each polygon are compared with the polygons that overlap it.
         let compare = |pairs: usize| spend(steps::COVER * pairs);
         lies_on(&self.points, near.iter().map(|&face| soup.corners(face)), NEAR, &compare)
     }

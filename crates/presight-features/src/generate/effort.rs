@@ -1,9 +1,9 @@
-//! What generating costs: how far it has come, and where it would take too long.
+//! Progress and limits of feature generation.
 //!
-//! Every stage looks at what lies around something: a polygon, a line, a feature. Models spread out, so that this is a few
-//! polygons for each; where thousands lie upon each other it grows with the square of their number, and an hour or the memory
-//! would not do. So what is looked at is counted, in steps of about ten nanoseconds of one core. Some are free for each thing,
-//! so that no model is too large; those beyond are bounded, and the error tells where most were taken.
+//! Every stage examines the neighbourhood of a polygon, line or feature, which normally holds a few polygons. If
+//! thousands of polygons overlap, time and memory grow with the square of their number. Therefore the work is counted
+//! in steps of about ten nanoseconds on one core. Each item has a free allowance, so no model is too large. Steps
+//! beyond it are limited in total, and the error names the place with the most steps.
 
 use glam::DVec3;
 use presight_model::environment::Environment;
@@ -12,10 +12,10 @@ use presight_model::limits;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering::Relaxed};
 use std::sync::{Mutex, PoisonError};
 
-/// How far a stage of [`super::generate`] has come.
+/// Progress of a stage of [`super::generate`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Progress {
-    /// What is being done, in a word or two.
+    /// Name of the stage.
     pub stage: &'static str,
     /// Steps done, 0 to `of`.
     pub done: usize,
@@ -23,40 +23,40 @@ pub struct Progress {
     pub of: usize,
 }
 
-/// Steps of what is looked at again and again, measured on heaps of triangles.
+/// Costs of repeated work in steps, measured on heaps of triangles.
 pub(super) mod steps {
-    /// A polygon or line that an index finds near another, and that is compared with it.
+    /// Comparing a polygon or line with another one near it.
     pub const FOUND: usize = 3;
-    /// The directions in which a polygon leaves a line.
+    /// Computing the directions in which a polygon leaves a line.
     pub const WINGS: usize = 10;
-    /// A line where polygons cross, and what becomes of it.
+    /// Processing a line where polygons cross.
     pub const LINE: usize = 100;
-    /// The hull of two pieces of a plane.
+    /// Computing the hull of two pieces of a plane.
     pub const HULL: usize = 50;
-    /// A polygon that a feature may lie on, in the feature's frame.
+    /// Transforming a polygon on which a feature may lie.
     pub const PLACED: usize = 12;
-    /// One that may cover a side of another under a patch.
+    /// Testing a polygon that may cover a side of another under a patch.
     pub const COVER: usize = 5;
 }
 
-/// Steps that are free for each thing that a stage looks at: more than any takes that lies among a few hundred others.
+/// Free steps per item. An item among a few hundred others takes fewer.
 const FREE: usize = 4096;
 
-/// Times that a stage tells how far it has come.
+/// Number of progress reports per stage.
 const TOLD: usize = 200;
 
 pub(super) struct Effort<'a> {
     environment: &'a Environment,
     watch: &'a (dyn Fn(Progress) + Sync),
-    /// Steps beyond the free ones.
+    /// Steps beyond the free allowances.
     taken: AtomicU64,
     most: u64,
-    /// Steps at the most crowded place so far.
+    /// Largest step count at one place.
     crowd: AtomicUsize,
-    /// Free ones too.
+    /// All steps, including free ones.
     #[cfg(test)]
     all: AtomicU64,
-    /// That place: how many, object, and where in the world.
+    /// The place with the largest step count: steps, object, position in the world.
     place: Mutex<(usize, u32, DVec3)>,
 }
 
@@ -74,13 +74,13 @@ impl<'a> Effort<'a> {
         }
     }
 
-    /// Another limit.
+    /// Sets the limit.
     #[cfg(test)]
     pub fn with_most(self, most: u64) -> Self {
         Self { most, ..self }
     }
 
-    /// Begins with a thing of an object.
+    /// Starts an item of an object.
     pub fn allowance(&self, object: u32) -> EffortAllowance<'_> {
         EffortAllowance { effort: self, object, taken: 0 }
     }
@@ -102,20 +102,20 @@ impl<'a> Effort<'a> {
         let name = self.environment.objects().get(object as usize).map_or("", |o| &o.name);
         let at = at.to_array().map(|x| short((x * 1e3).round() / 1e3)).join(", ");
         let what = format!(
-            "too many polygons lie upon each other, most of them about [{at}] in the world: looking at them takes over {} steps",
+            "too many polygons overlap, most of them near [{at}] in the world: processing them takes over {} steps",
             self.most
         );
-        Error::invalid(what, "take out doubled and overlapping polygons there").at(format!("object {name:?}"))
+        Error::invalid(what, "remove duplicate and overlapping polygons there").at(format!("object {name:?}"))
     }
 
-    /// A stage that looks at so many things begins; the answer counts them.
+    /// Starts a stage with this number of items; the result counts them.
     pub fn stage(&self, stage: &'static str, of: usize) -> Steps<'_> {
         (self.watch)(Progress { stage, done: 0, of });
         Steps { watch: self.watch, stage, of, done: AtomicUsize::new(0), every: (of / TOLD).max(1) }
     }
 }
 
-/// What is looked at at a time: steps of its own are free.
+/// Counts the steps of one item after its free allowance.
 pub(super) struct EffortAllowance<'a> {
     effort: &'a Effort<'a>,
     object: u32,
@@ -123,15 +123,15 @@ pub(super) struct EffortAllowance<'a> {
 }
 
 impl EffortAllowance<'_> {
-    /// One that was looked at before: no step is free.
+    /// Removes the free allowance, for an item that is examined again.
     pub fn again(self) -> Self {
         Self { taken: FREE, ..self }
     }
 
-    /// Counts steps at a place, before they are taken.
+    /// Counts steps at a place, before they are done.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] naming the most crowded place once all together are too many.
+    /// [`crate::ErrorKind::Invalid`] naming the place with the most steps, if the total exceeds the limit.
     #[inline]
     pub fn spend(&mut self, steps: usize, at: impl FnOnce() -> DVec3) -> Result<()> {
         #[cfg(test)]
@@ -154,7 +154,7 @@ pub(super) struct Steps<'a> {
 }
 
 impl Steps<'_> {
-    /// One more is done.
+    /// Counts one finished item.
     #[inline]
     pub fn step(&self) {
         let done = self.done.fetch_add(1, Relaxed) + 1;
@@ -180,7 +180,7 @@ mod tests {
         environment
     }
 
-    /// Triangles around one edge, the z axis from 0 to 1.
+    /// Triangles around one edge on the z axis from 0 to 1.
     fn fan(n: u32) -> Environment {
         let turn = |k: u32| std::f32::consts::TAU * k as f32 / n as f32;
         let mut vertices = vec![Vec3::ZERO, Vec3::Z];
@@ -192,7 +192,7 @@ mod tests {
         environment(vec![Vec3::ZERO, Vec3::X, Vec3::Y], &vec![[0, 1, 2]; n as usize])
     }
 
-    /// Triangles of one plane, most of which overlap.
+    /// Mostly overlapping triangles in one plane.
     fn overlapping(n: u32) -> Environment {
         let mut random = presight_model::random::SplitMix64(3);
         let mut at = |least: f64| Vec3::new((least + random.unit()) as f32, random.unit() as f32, 0.0);
@@ -200,7 +200,7 @@ mod tests {
         environment(corners, &(0..n).map(|k| [3 * k, 3 * k + 1, 3 * k + 2]).collect::<Vec<_>>())
     }
 
-    /// Tiles beside each other.
+    /// Adjacent tiles.
     fn tiles(side: u32) -> Environment {
         let at = |x: u32, y: u32| Vec3::new(x as f32, y as f32, ((x * 7 + y * 3) % 5) as f32 * 0.2);
         let vertices = (0..=side).flat_map(|y| (0..=side).map(move |x| at(x, y))).collect();
@@ -239,15 +239,15 @@ mod tests {
             let effort = Effort::new(&environment, &|_| {}).with_most(100_000);
             let e = generate_with(&environment, "video", &GenerateOptions::default(), &effort).unwrap_err();
             let said = e.to_string();
-            assert!(said.starts_with("object \"hall/heap\": too many polygons lie upon each other"), "{what}: {said}");
+            assert!(said.starts_with("object \"hall/heap\": too many polygons overlap"), "{what}: {said}");
             assert!(e.kind() == presight_model::ErrorKind::Invalid && !e.remedy().is_empty(), "{what}: {said}");
-            // No more is done than is allowed, but for what each thread has in hand.
+            // The work stops at the limit, apart from the current item of each thread.
             let taken = effort.taken.load(Relaxed);
             assert!(taken > 100_000 && taken < 100_000 + 64 * 3000 * 16, "{what}: {taken}");
             let (_, _, at) = *effort.place.lock().unwrap();
             assert!(!near || at.truncate().length() <= 1.0 + 1e-6 && (0.0..=1.0).contains(&at.z), "{what}: {at}");
         }
-        // A hundred around one edge are far from the limit.
+        // A hundred triangles around one edge are far below the limit.
         let hundred = fan(100);
         let effort = Effort::new(&hundred, &|_| {});
         generate_with(&hundred, "video", &GenerateOptions::default(), &effort).unwrap();
@@ -267,7 +267,7 @@ mod tests {
         assert!(spend(&mut effort.allowance(0).again(), 4).is_ok() && taken() == 10);
         assert!(spend(&mut effort.allowance(0), FREE).is_ok());
         let e = spend(&mut one, 1).unwrap_err().to_string();
-        assert!(e.contains("about [1, 0, 0] in the world") && e.contains("over 10 steps"), "{e}");
+        assert!(e.contains("near [1, 0, 0] in the world") && e.contains("over 10 steps"), "{e}");
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! Lines that continue each other become one; what two lines have in common belongs to one of them.
+//! Joins collinear lines, and removes overlaps between lines.
 
 use super::effort::{Effort, Steps, steps};
 use super::soup::grown;
@@ -9,11 +9,11 @@ use presight_model::index::{Params, QueryResult, Region, Skd, SpatialIndex};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// Cosine of one degree, the largest angle between lines that are one.
+/// Cosine of one degree, the largest angle between lines that are joined.
 const PARALLEL: f64 = 0.999_847_695_156_391_2;
 
-/// Joins collinear lines of one object that overlap or meet within `touch`. The longest give the directions; kinds
-/// must agree if `kinds`. By object, then in the order they came.
+/// Joins collinear lines of one object that overlap or meet within `touch`. The longest line gives the direction. If
+/// `kinds` is set, only lines of one kind are joined. The result is sorted by object, then in input order.
 pub(super) fn merged(lines: &[Line], touch: f64, kinds: bool, effort: &Effort<'_>) -> Result<Vec<Line>> {
     let mut by_object: BTreeMap<u32, Vec<Line>> = BTreeMap::new();
     for line in lines {
@@ -46,7 +46,7 @@ fn merged_of_object(
         let line = &lines[seed as usize];
         let mut thing = effort.allowance(line.object);
         let (mut from, mut to) = (0.0f64, line.length());
-        // Parts not yet asked about: first the whole, then what was added at the ends.
+        // Parts still to search along: first the whole line, then extensions at its ends.
         let mut parts = vec![(from, to)];
         near.clear();
         while let Some((a, b)) = parts.pop() {
@@ -58,7 +58,7 @@ fn merged_of_object(
                 let (a, b) = fits.then(|| along(line, other, touch)).flatten()?;
                 Some((o, a, b))
             }));
-            // Again while something joins: one at the far side of another may come first.
+            // Repeat while a line joins, because a farther line may come before the one that connects it.
             loop {
                 let count = near.len();
                 thing.spend(steps::FOUND * count, || line.start)?;
@@ -87,11 +87,11 @@ fn merged_of_object(
     Ok(all.into_iter().map(|(_, line)| line).collect())
 }
 
-/// Boxes that together hold a line grown by a margin: several where one would be wide for a slanting line.
+/// Boxes that together hold a line with a margin. A slanting line gets several, since one box would be wide.
 pub(super) fn boxes_along(line: &Line, margin: f64) -> impl Iterator<Item = Aabb> + '_ {
     let mut extents = (line.end - line.start).abs().to_array();
     extents.sort_by(f64::total_cmp);
-    // Metres that a box may be wide across its longest side.
+    // Largest width of a box across its longest side, metres.
     const WIDE: f64 = 1.0;
     let count = (extents[1] / WIDE).ceil().clamp(1.0, 256.0);
     (0..count as u32).map(move |k| {
@@ -100,7 +100,7 @@ pub(super) fn boxes_along(line: &Line, margin: f64) -> impl Iterator<Item = Aabb
     })
 }
 
-/// Ids of the lines near a line, rising, each once.
+/// Ids of the lines near a line, sorted, without duplicates.
 fn query_along<'a>(index: &Skd<3>, line: &Line, margin: f64, found: &'a mut QueryResult) -> &'a [u32] {
     found.clear();
     for bounds in boxes_along(line, margin) {
@@ -117,7 +117,7 @@ fn sorted(found: &mut QueryResult) -> &[u32] {
     &found.ids
 }
 
-/// Where a collinear line begins and ends along another.
+/// Start and end of a collinear line along another.
 fn along(line: &Line, other: &Line, touch: f64) -> Option<(f64, f64)> {
     let d = line.direction();
     let (p, q) = (other.start - line.start, other.end - line.start);
@@ -127,8 +127,7 @@ fn along(line: &Line, other: &Line, touch: f64) -> Option<(f64, f64)> {
     (near && straight).then_some((a.min(b), a.max(b)))
 }
 
-/// Takes from every line what an earlier one has already, whatever their objects; pieces shorter than `least` are
-/// dropped.
+/// Removes from every line the parts covered by an earlier line of any object. Pieces shorter than `least` are dropped.
 pub(super) fn once(lines: &[Line], touch: f64, least: f64, effort: &Effort<'_>) -> Result<Vec<Line>> {
     let index = index_of(lines);
     let (mut found, mut all) = (QueryResult::default(), Vec::new());
@@ -153,7 +152,7 @@ pub(super) fn once(lines: &[Line], touch: f64, least: f64, effort: &Effort<'_>) 
     Ok(all)
 }
 
-/// The part of a line that runs within `touch` of another.
+/// The part of a line within `touch` of another.
 fn overlap(line: &Line, other: &Line, touch: f64) -> Option<(f64, f64)> {
     let (d, length) = (line.direction(), line.length());
     if d.dot(other.direction()).abs() < PARALLEL {
@@ -175,7 +174,7 @@ pub(super) fn index_of(lines: &[Line]) -> Skd<3> {
     Skd::build(Params::default(), &boxes)
 }
 
-/// Ids of the lines whose boxes meet a box, rising.
+/// Ids of the lines whose boxes meet a box, sorted.
 pub(super) fn query<'a>(index: &Skd<3>, bounds: &Aabb, found: &'a mut QueryResult) -> &'a [u32] {
     found.clear();
     index.query(&Region::cuboid(bounds), found);

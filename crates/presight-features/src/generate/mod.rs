@@ -1,18 +1,18 @@
-//! Features from the CAD model: the edges, corners, planes and smooth surfaces that a sensor can be expected to find.
+//! Generates features from the CAD model: the edges, corners, planes and smooth surfaces that a sensor may find.
 //!
-//! Candidates are the sides of polygons that are not plainly smooth and the lines where polygons cross. Every candidate
-//! is looked at in the world, among all polygons that touch it, of whatever object: what the cut across the line shows
-//! decides ([`FeatureKind`]). So windings do not matter, doubled faces count once, a T-junction or a merged neighbour is no
-//! border, flush tiles have no seam, and a box on a floor has an edge where it stands.
+//! Candidates are the sides of polygons that are not clearly smooth, and the lines where polygons cross. Each candidate
+//! is classified by the cross-section of all polygons that touch it, of any object ([`FeatureKind`]). Therefore
+//! windings do not matter, duplicate faces count once, and neither T-junctions nor merged neighbours make borders.
+//! Flush tiles have no seam, and a box on a floor has an edge along the floor.
 //!
-//! Known limits. Which side of a surface can be seen is known only for closed parts thinner than a room, wound outward:
-//! the edges of a sunk box are kept below the floor too, and flush boxes that are not closed show a seam. Rims of curves
-//! whose facets are shorter than the least length give nothing. Where materials of one plane overlap, the border of
-//! either counts. An edge through another's middle gives a corner only where one of them ends. Patches are not cut where
-//! something stands on them.
+//! Known limits. The visible side of a surface is known only for closed parts that are thinner than a room and wound
+//! outward. Therefore edges of a sunk box are kept below the floor too, and flush boxes that are not closed show a
+//! seam. A curved rim gives no edge if its facets are shorter than the minimum length. If coplanar materials overlap,
+//! the borders of both count. Two edges that cross make a corner only where one of them ends. Patches have no holes for
+//! objects that stand on them.
 //!
-//! Every feature is held to what placing it asks ([`crate::features::place`]): what joining brought off the surface by more
-//! than the layer's tolerance is taken apart again, or left out and counted.
+//! Every feature must meet the conditions of placement ([`crate::features::place`]). If joining moved one off the
+//! surface by more than the layer's tolerance, it is split again, or dropped and counted.
 
 mod candidates;
 mod corners;
@@ -39,24 +39,24 @@ use rayon::prelude::*;
 use std::sync::Arc;
 use wings::{EdgeClass, EdgeClassifier, Line, Scratch};
 
-/// What a generated feature is. It becomes the feature's name.
+/// Kind of a generated feature. It becomes the feature's name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum FeatureKind {
-    /// Surfaces that meet at an angle.
+    /// Two surfaces meet at an angle.
     Crease,
-    /// A surface that ends.
+    /// A surface ends.
     Border,
-    /// A surface that goes on in another material.
+    /// A surface continues in a different material.
     Material,
-    /// Polygons that cross, away from the sides of both.
+    /// Two polygons cross, away from the sides of both.
     Intersection,
-    /// Edges that meet in a point and are not in one line.
+    /// Edges in different directions meet in a point.
     Corner,
-    /// A vertical plane patch.
+    /// A vertical planar patch.
     Vertical,
-    /// A horizontal plane patch.
+    /// A horizontal planar patch.
     Horizontal,
-    /// A smooth surface, of which silhouettes are seen.
+    /// A smooth surface with visible silhouettes.
     Contour,
 }
 
@@ -73,7 +73,7 @@ impl FeatureKind {
         Self::Contour,
     ];
 
-    /// As in flags and files.
+    /// The name in flags and files.
     pub fn name(self) -> &'static str {
         match self {
             Self::Crease => "crease",
@@ -98,23 +98,23 @@ impl std::str::FromStr for FeatureKind {
     }
 }
 
-/// What [`generate`] makes.
+/// Options of [`generate`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct GenerateOptions {
-    /// Which kinds.
+    /// Kinds to generate.
     pub kinds: Vec<FeatureKind>,
     /// Shortest edge, metres.
     pub min_length: f64,
     /// Smallest patch, square metres.
     pub min_area: f64,
-    /// Least deviation from flat of a crease, radians.
+    /// Smallest deviation of a crease from flat, radians.
     pub crease: f64,
-    /// How far from vertical or horizontal a patch may be, radians.
+    /// Largest deviation of a patch from vertical or horizontal, radians.
     pub tilt: f64,
-    /// Standard deviation of positions, metres, the same along all axes.
+    /// Standard deviation of positions along each axis, metres.
     pub sigma: f64,
-    /// Only candidates that come near this box (world); what is found there is what would be found in the whole, but
-    /// numbered from 1.
+    /// Limits candidates to the neighbourhood of this box (world). Features there are as without a limit, but numbered
+    /// from 1.
     pub region: Option<Aabb>,
 }
 
@@ -132,52 +132,52 @@ impl Default for GenerateOptions {
     }
 }
 
-/// What was made, and what became of the rest.
+/// Numbers of generated features and of dropped candidates.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FeatureCounts {
     /// Features by kind, as in [`FeatureKind::ALL`].
     pub made: [usize; 8],
-    /// Polygons looked at.
+    /// Polygons examined.
     pub polygons: usize,
-    /// Polygons left out: invisible to the class.
+    /// Polygons invisible to the class.
     pub invisible: usize,
-    /// Lines judged, after joining what is collinear.
+    /// Lines classified, after joining collinear ones.
     pub candidates: usize,
-    /// Lines shorter than the least length, before they were judged.
+    /// Lines dropped before classification, because they are shorter than the minimum length.
     pub short: usize,
-    /// Lines no part of which shows an edge: smooth, or a seam.
+    /// Lines without an edge: smooth, or a seam.
     pub flat: usize,
-    /// Lines that lie wholly inside matter.
+    /// Lines entirely inside solids.
     pub buried: usize,
-    /// Features that joining brought off the surface, and that could not be taken apart.
+    /// Features that joining moved off the surface and that could not be split.
     pub off: usize,
 }
 
 impl FeatureCounts {
-    /// Features of a kind.
+    /// Number of features of a kind.
     pub fn of(&self, kind: FeatureKind) -> usize {
         self.made[kind as usize]
     }
 }
 
-/// The answer of [`generate`].
+/// The result of [`generate`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct GeneratedLayer {
-    /// The features, in the frames of their objects, ids from 1; contours last, by object, kind and place.
+    /// The features in the frames of their objects, sorted by object, kind and position, contours last. Ids start at 1.
     pub layer: FeatureLayer,
-    /// What was made.
+    /// Numbers of features and candidates.
     pub counts: FeatureCounts,
 }
 
-/// Makes the feature layer of a sensor class from the polygons of an environment. Materials invisible to the class give
-/// no features, transparent ones do. The same environment and options give the same layer.
+/// Generates the feature layer of a sensor class from the polygons of an environment. Materials invisible to the class
+/// give no features; transparent ones do. Equal inputs give equal layers.
 ///
 /// ```
 /// use presight::features::generate::{GenerateOptions, FeatureKind, generate};
 /// use presight::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose};
 /// use glam::Vec3;
 ///
-/// // A square tile: four open borders, which meet in four corners.
+/// // A square tile has four open borders, which meet in four corners.
 /// let mut environment = Environment::new();
 /// let clay = environment.add_material(Material::named("clay"))?;
 /// let corners = vec![Vec3::ZERO, Vec3::X, Vec3::new(1.0, 1.0, 0.0), Vec3::Y];
@@ -193,17 +193,17 @@ pub struct GeneratedLayer {
 /// ```
 ///
 /// # Errors
-/// [`crate::ErrorKind::Usage`] if an option is not finite or out of its range, or the class is empty;
-/// [`crate::ErrorKind::Invalid`] naming a place where so many polygons lie upon each other that it would take too long
-/// ([`crate::limits::MAX_FEATURE_STEPS`]); those of [`crate::Threads::new`].
+/// [`crate::ErrorKind::Usage`] if an option is not finite or out of range, or the class is empty;
+/// [`crate::ErrorKind::Invalid`] naming a place where too many polygons overlap
+/// ([`crate::limits::MAX_FEATURE_STEPS`]); the errors of [`crate::Threads::new`].
 pub fn generate(environment: &Environment, class: &str, options: &GenerateOptions) -> Result<GeneratedLayer> {
     generate_with_progress(environment, class, options, &|_| {})
 }
 
-/// [`generate`], and `watch` is told how far it has come, from any thread.
+/// Same as [`generate`], and reports progress to `watch`, from any thread.
 ///
 /// # Errors
-/// Those of [`generate`].
+/// The errors of [`generate`].
 pub fn generate_with_progress(
     environment: &Environment,
     class: &str,
@@ -221,7 +221,7 @@ fn generate_with(
 ) -> Result<GeneratedLayer> {
     options.check()?;
     if class.is_empty() {
-        return Err(Error::usage("the sensor class is empty", "name one, such as \"video\""));
+        return Err(Error::usage("the sensor class is empty", "give a class such as \"video\""));
     }
     parallel(|| generate_checked(environment, class, options, effort))?
 }
@@ -265,7 +265,7 @@ fn generate_checked(
     Ok(GeneratedLayer { layer: layer_of(environment, class, options, drafts, &mut counts), counts })
 }
 
-/// A contour for each smooth surface that is at least as large as the least edge.
+/// Returns a contour for each smooth surface that is at least as large as the minimum length.
 fn contours(
     environment: &Environment,
     class: &str,
@@ -298,14 +298,14 @@ impl GenerateOptions {
     /// Checks every number.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] naming the one that is not finite or out of its range.
+    /// [`crate::ErrorKind::Usage`] naming the option that is not finite or out of range.
     pub fn check(&self) -> Result<()> {
         let quarter = std::f64::consts::FRAC_PI_2;
-        // People give angles in degrees: a millionth of one is told apart.
+        // Users give angles in degrees, so they are shown to a millionth of a degree.
         let degrees = |angle: f64| format!("{} degrees", (angle.to_degrees() * 1e6).round() / 1e6);
         let checks = [
-            ("the least length", self.min_length, 1e-4..=1e6, short(self.min_length), "give 0.0001 m .. 1000 km"),
-            ("the least area", self.min_area, 0.0..=1e12, short(self.min_area), "give square metres from 0"),
+            ("the minimum length", self.min_length, 1e-4..=1e6, short(self.min_length), "give 0.0001 m .. 1000 km"),
+            ("the minimum area", self.min_area, 0.0..=1e12, short(self.min_area), "give square metres from 0"),
             ("the crease angle", self.crease, 0.01..=quarter, degrees(self.crease), "give 0.6 to 90 degrees"),
             ("the tilt", self.tilt, 0.0..=0.5, degrees(self.tilt), "give 0 to 28 degrees"),
             ("the standard deviation", self.sigma, 0.0..=1e6, short(self.sigma), "give metres from 0"),
@@ -316,13 +316,13 @@ impl GenerateOptions {
         })
     }
 
-    /// How far apart things that touch may be, metres: half a millimetre, less if short edges are asked for.
+    /// Largest distance between touching parts, metres: half a millimetre, or less for short edges.
     fn touch(&self) -> f64 {
         (0.02 * self.min_length).min(5e-4)
     }
 }
 
-/// All edges in the world: each once, joined where they are collinear, at least as long as asked.
+/// Returns all edges in the world without duplicates, with collinear ones joined and short ones dropped.
 fn edges(
     environment: &Environment,
     soup: &soup::Soup,
@@ -390,11 +390,11 @@ fn layer_of(
         let unequal = a.points.iter().zip(&b.points).map(|(p, q)| by_place(p, q)).find(|o| o.is_ne());
         unequal.unwrap_or_else(|| a.points.len().cmp(&b.points.len()))
     };
-    // Contours come last, so that the others are numbered as in layers without.
+    // Contours come last, so that other features keep the numbers that they have without contours.
     let key = |d: &Draft| (d.kind == FeatureKind::Contour, d.object, d.kind);
     drafts.sort_by(|a, b| key(a).cmp(&key(b)).then_with(|| places(a, b)));
     let covariance = DMat3::IDENTITY * (options.sigma * options.sigma);
-    // As people write it.
+    // Rounded to the precision in files.
     let crease_deg = (options.crease.to_degrees() * 1e6).round() / 1e6;
     let feature = |(id, draft): (u32, Draft)| {
         counts.made[draft.kind as usize] += 1;

@@ -1,4 +1,4 @@
-//! Vertical and horizontal plane patches: coplanar polygons of an object, joined where their union is convex.
+//! Vertical and horizontal planar patches: coplanar polygons of an object, joined if their union is convex.
 
 use super::FeatureKind;
 use super::drafts::Draft;
@@ -20,10 +20,10 @@ pub(super) struct Patch {
     pub normal: DVec3,
 }
 
-/// How far the corners of a patch's part may be off its plane, metres.
+/// Largest distance of a part's corners from the plane of its patch, metres.
 const PART: f64 = 1e-3;
 
-/// A convex piece of one plane, counter-clockwise in the plane's coordinates.
+/// A convex piece of a plane, counter-clockwise in the plane's coordinates.
 #[derive(Clone, Debug)]
 struct Piece {
     corners: Vec<DVec2>,
@@ -32,7 +32,7 @@ struct Piece {
     high: DVec2,
 }
 
-/// All patches of at least `least` m^2 whose planes are vertical or horizontal within `tilt` (radians). Doubled faces
+/// All patches of at least `least` m^2 whose planes are vertical or horizontal within `tilt` (radians). Duplicate faces
 /// give one patch.
 pub(super) fn patches(soup: &Soup, tilt: f64, least: f64, touch: f64, effort: &Effort<'_>) -> Result<Vec<Patch>> {
     let mut planes: BTreeMap<(u32, bool), Vec<(Plane, u32)>> = BTreeMap::new();
@@ -56,7 +56,7 @@ pub(super) fn patches(soup: &Soup, tilt: f64, least: f64, touch: f64, effort: &E
     Ok(all)
 }
 
-/// Corners of the patches that faces of one plane make together.
+/// Corners of the patches formed by the faces of one plane.
 fn of_plane(
     soup: &Soup,
     normal: DVec3,
@@ -80,7 +80,7 @@ fn of_plane(
     Ok(large.map(|piece| piece.corners.iter().map(|c| place(*c)).collect()).collect())
 }
 
-/// The patches that a patch is joined of, joined again only where hardly anything is between them.
+/// Splits a patch into its faces and joins them again with a tolerance of 0.
 pub(super) fn parts(
     soup: &Soup,
     whole: &Draft,
@@ -105,9 +105,9 @@ pub(super) fn parts(
     Ok(of_plane(soup, normal, &faces, 0.0, least, effort)?.into_iter().map(patch).collect())
 }
 
-/// Faces by plane, whichever way they are wound; the plane of the first is the group's.
+/// Groups faces by plane, in either winding. A group has the plane of its first face.
 fn coplanar(soup: &Soup, faces: Vec<(Plane, u32)>, touch: f64, effort: &Effort<'_>) -> Result<Vec<(Plane, Vec<u32>)>> {
-    // By rounded normal; what falls apart at a cell's border stays apart, which costs a merge and no truth.
+    // Faces are binned by rounded normal. Faces of one plane in different bins are not merged, which is harmless.
     let mut groups: Vec<(Plane, Vec<u32>)> = Vec::new();
     let mut cells: BTreeMap<[i64; 3], Vec<usize>> = BTreeMap::new();
     for (plane, face) in faces {
@@ -142,7 +142,7 @@ impl Piece {
         points.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));
         points.dedup();
         let mut hull: Vec<DVec2> = Vec::with_capacity(points.len() + 1);
-        // Andrew's monotone chain, lower side then upper one.
+        // Andrew's monotone chain: lower hull, then upper hull.
         for pass in 0..2 {
             let base = hull.len();
             let mut add = |p: DVec2| {
@@ -167,29 +167,29 @@ impl Piece {
         self.low.cmpgt(other.high + touch).any() || other.low.cmpgt(self.high + touch).any()
     }
 
-    /// The union with another piece, if that is convex (or one holds the other).
+    /// The union with another piece, if it is convex or one piece contains the other.
     fn with(&self, other: &Self, touch: f64) -> Option<Self> {
         if self.is_apart(other, touch) {
             return None;
         }
         let hull = Self::around(self.corners.iter().chain(&other.corners).copied().collect())?;
-        // A strip of the tolerance along the perimeter is what rounding of vertices may add.
+        // Rounding of vertices may add a strip along the perimeter.
         let slack = 1e-6 * hull.area + 0.05 * touch * (hull.high - hull.low).length();
         let fits = hull.area <= self.area + other.area + slack || hull.area <= self.area.max(other.area) + slack;
-        // Two that overlap in part have no more area than their hull has, and leave a gap all the same.
+        // Two partly overlapping pieces may match the area of their hull and still leave a gap.
         let overlapping = self.area + other.area > hull.area + slack && hull.area > self.area.max(other.area) + slack;
         (fits && !overlapping && hull.corners.len() <= limits::MAX_CORNERS).then_some(hull)
     }
 }
 
-/// True unless the way a, b, c turns left by more than rounding.
+/// Returns true unless the path a, b, c turns left beyond rounding.
 fn turns_right(a: DVec2, b: DVec2, c: DVec2) -> bool {
     let (ab, bc) = (b - a, c - b);
     ab.perp_dot(bc) <= 1e-7 * ab.length() * bc.length()
 }
 
-/// Joins pieces until no two have a convex union, nearest in order of their low x first. `begin` begins with a piece, for
-/// the first time or again, which then tells of the steps that it takes.
+/// Joins pieces until no two have a convex union. Pieces are tried in order of their lower x. `begin` is called for
+/// each piece, with true if it is tried again, and returns a function that counts steps.
 fn joined<S: FnMut(usize, DVec2) -> Result<()>>(
     mut pieces: Vec<Piece>,
     touch: f64,
@@ -200,7 +200,7 @@ fn joined<S: FnMut(usize, DVec2) -> Result<()>>(
         pieces.sort_by(|a, b| {
             a.low.x.total_cmp(&b.low.x).then(a.low.y.total_cmp(&b.low.y)).then(a.area.total_cmp(&b.area))
         });
-        // Those that became part of an earlier one.
+        // Pieces joined to an earlier one.
         let mut gone = vec![false; pieces.len()];
         for i in 0..pieces.len() {
             if gone[i] {

@@ -1,7 +1,7 @@
-//! Which places lie inside matter, where no sensor can be.
+//! Finds places inside solids, where no sensor can be.
 //!
-//! A *solid* is a connected part of an object that is closed (its vector area vanishes, which T-junctions do not
-//! disturb), wound outward, and so thin (3 V / A below [`ROOM`]) that it is no room which a sensor could stand in.
+//! A *solid* is a connected part of an object that is closed, wound outward, and too thin to be a room that holds a
+//! sensor (3 V / A below [`ROOM`]). A part is closed if its vector area is 0, which T-junctions do not disturb.
 
 use super::effort::steps;
 use super::soup::Soup;
@@ -10,20 +10,20 @@ use presight_model::error::Result;
 use presight_model::geometry::Aabb;
 use presight_model::index::{Params, QueryResult, Region, Skd, SpatialIndex};
 
-/// Largest mean thickness of a solid, three times the volume by the area, metres: a cube of 2 m, a slab of 0.67 m of
-/// any extent. Anything thicker may be a room.
+/// Largest mean thickness of a solid, metres: three times the volume divided by the area. A cube of 2 m or a wide slab
+/// of 0.67 m has this value. A thicker part may be a room.
 const ROOM: f64 = 1.0;
 
-/// Not part of a solid.
+/// Marks faces that bound no solid.
 const NONE: u32 = u32::MAX;
 
-/// For each face the solid it bounds.
+/// The solid that each face bounds.
 #[derive(Debug)]
 pub(super) struct Solids {
     of_face: Vec<u32>,
-    /// Boxes by solid.
+    /// Bounding boxes of the solids.
     boxes: Vec<Aabb>,
-    /// Over the boxes.
+    /// Index over the boxes.
     index: Skd<3>,
 }
 
@@ -37,7 +37,6 @@ struct Sum {
 }
 
 impl Solids {
-    /// Finds the solids.
     pub fn new(soup: &Soup) -> Self {
         let mut parent: Vec<u32> = (0..soup.vertex_count).collect();
         for face in 0..soup.faces.len() as u32 {
@@ -77,10 +76,10 @@ impl Solids {
         solids
     }
 
-    /// True if the point (world) lies in a solid, found by counting faces above and below it.
+    /// Returns true if the point (world) lies in a solid. Counts the faces above and below it.
     ///
     /// # Errors
-    /// Those of `spend`, which is told of the steps.
+    /// The errors of `spend`, which counts the steps.
     pub fn hold(
         &self,
         soup: &Soup,
@@ -88,7 +87,7 @@ impl Solids {
         found: &mut QueryResult,
         mut spend: impl FnMut(usize) -> Result<()>,
     ) -> Result<bool> {
-        // Most points lie in no solid's box; the others need a column no higher than those boxes.
+        // Most points lie in no box. For the others, the search column is limited to the boxes.
         found.clear();
         self.index.query(&Region::cuboid(&Aabb::of([p])), found);
         let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
@@ -99,7 +98,7 @@ impl Solids {
             return Ok(false);
         }
         let column = Aabb { min: p.truncate().extend(low), max: p.truncate().extend(high) };
-        // Solid, exits above, exits below; those of a face each.
+        // One entry for each face: solid, exits above, exits below.
         let mut exits: Vec<(u32, i32, i32)> = Vec::new();
         let faces = soup.near(&column, found);
         spend(steps::FOUND * faces.len())?;
@@ -138,13 +137,13 @@ fn root(parent: &mut [u32], mut v: u32) -> u32 {
     v
 }
 
-/// How often a loop turns about a point, seen from above: by half-open crossings, so that of faces that share an edge
-/// exactly one is crossed.
+/// Winding number of a loop around a point, seen from above. Crossings are half-open, so a vertical line through a
+/// shared edge crosses exactly one of its faces.
 fn turns_around(corners: &[DVec3], p: DVec3) -> i32 {
     let mut turns = 0;
     for k in 0..corners.len() {
         let (a, b) = (corners[k], corners[(k + 1) % corners.len()]);
-        // The same sum whichever way the edge runs: its lower end comes first.
+        // The lower end comes first, so both directions of an edge give the same rounding.
         let left = |a: DVec3, b: DVec3| (b.x - a.x) * (p.y - a.y) - (b.y - a.y) * (p.x - a.x) > 0.0;
         if a.y <= p.y && b.y > p.y && left(a, b) {
             turns += 1;

@@ -1,4 +1,4 @@
-//! All polygons that a sensor class sees, in the world, with a spatial index over them.
+//! All polygons visible to a sensor class, in the world, with a spatial index.
 
 use glam::DVec3;
 use presight_model::environment::{Appearance, Environment, Object};
@@ -11,10 +11,9 @@ use std::collections::{HashMap, HashSet};
 pub(super) struct Face {
     first: u32,
     count: u32,
-    /// Index of its object.
     pub object: u32,
     pub material: u16,
-    /// Its normal points to the front.
+    /// The normal points to the front.
     pub plane: Plane,
     pub bounds: Aabb,
 }
@@ -24,20 +23,19 @@ pub(super) struct Face {
 pub(super) struct Soup {
     pub faces: Vec<Face>,
     corners: Vec<DVec3>,
-    /// Parallel to `corners`: equal positions of an object have equal numbers, others have not.
+    /// Parallel to `corners`: equal positions in one object have equal numbers, all others differ.
     vertices: Vec<u32>,
-    /// How many such numbers there are.
+    /// Number of distinct vertices.
     pub vertex_count: u32,
     index: Skd<3>,
-    /// Polygons that the class does not see.
+    /// Number of polygons invisible to the class.
     pub invisible: usize,
-    /// Polygons equal to another one of their object, wound the same way: that one stands for them.
+    /// Number of duplicates, with equal corners and winding in one object, that are omitted.
     pub equal: usize,
 }
 
 impl Soup {
-    /// The polygons of `environment` that are not invisible to `class`: of all objects, or of those that come near a
-    /// region.
+    /// The polygons of `environment` that are visible to `class`, of all objects or of those near a region.
     pub fn new(environment: &Environment, class: &str, near: Option<&Aabb>) -> Self {
         let seen: Vec<bool> =
             environment.materials().iter().map(|m| m.appearance(class) != Appearance::Invisible).collect();
@@ -64,7 +62,7 @@ impl Soup {
     fn add(&mut self, index: u32, object: &Object, seen: &[bool]) {
         let (mesh, world_from_mesh, mirrored) = (&object.mesh, object.world_from_mesh(), object.mirrors());
         let mut known: HashMap<[u32; 3], u32> = HashMap::with_capacity(mesh.vertices().len());
-        // Adding 0 makes -0 and 0 the same.
+        // Adding 0 turns -0 into 0.
         let key = |v: glam::Vec3| (v + glam::Vec3::ZERO).to_array().map(f32::to_bits);
         let welded: Vec<u32> = mesh
             .vertices()
@@ -86,10 +84,10 @@ impl Soup {
             }
             let corners = mesh.corner_indices(polygon);
             let count = corners.len();
-            // A mirror turns the winding round, and the front stays where it is.
+            // A mirror reverses the winding, but the front stays the same.
             let number = |k: usize| if mirrored { (count - k) % count } else { k };
             let at = |k: usize| placed[corners[number(k)] as usize];
-            // A scale that flattens a sliver beyond f64 leaves nothing that could be seen.
+            // A scale may flatten a sliver beyond f64; it is then invisible.
             let Some(plane) = plane_of_loop(count, at) else { continue };
             if !equal.insert((material, turned(corners.iter().map(|c| welded[*c as usize]).collect()))) {
                 self.equal += 1;
@@ -115,12 +113,12 @@ impl Soup {
         &self.vertices[f.first as usize..][..f.count as usize]
     }
 
-    /// Faces whose box meets a box, rising.
+    /// Faces whose box meets a box, sorted.
     pub fn near<'a>(&self, bounds: &Aabb, found: &'a mut QueryResult) -> &'a [u32] {
         self.near_any([*bounds], found)
     }
 
-    /// Faces whose box meets one of some boxes, rising, each once.
+    /// Faces whose box meets any of some boxes, sorted, without duplicates.
     pub fn near_any<'a>(&self, boxes: impl IntoIterator<Item = Aabb>, found: &'a mut QueryResult) -> &'a [u32] {
         found.clear();
         for bounds in boxes {
@@ -134,14 +132,14 @@ impl Soup {
     }
 }
 
-/// A loop that begins with its lowest number.
+/// Rotates a loop so that it starts with its smallest number.
 fn turned(mut numbers: Vec<u32>) -> Vec<u32> {
     let lowest = (0..numbers.len()).min_by_key(|k| numbers[*k]).unwrap_or(0);
     numbers.rotate_left(lowest);
     numbers
 }
 
-/// Each edge of a convex polygon as its start and the unit normal in the polygon's plane that points inward.
+/// The edges of a convex polygon: start, and unit normal in the polygon's plane that points inward.
 pub(super) fn sides(corners: &[DVec3], normal: DVec3) -> impl Iterator<Item = (DVec3, DVec3)> + '_ {
     (0..corners.len()).filter_map(move |k| {
         let (a, b) = (corners[k], corners[if k + 1 == corners.len() { 0 } else { k + 1 }]);
@@ -158,7 +156,6 @@ pub fn clip(range: (f64, f64), at: f64, rate: f64) -> (f64, f64) {
     if rate > 0.0 { (range.0.max(t), range.1) } else { (range.0, range.1.min(t)) }
 }
 
-/// A box grown by a margin.
 pub(super) fn grown(b: &Aabb, margin: f64) -> Aabb {
     Aabb { min: b.min - margin, max: b.max + margin }
 }

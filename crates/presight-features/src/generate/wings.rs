@@ -1,9 +1,9 @@
-//! What surrounds a line: the cut across it shows every polygon that touches it as *wings*, directions in which a surface
-//! leaves the line, with *sectors* of space between them.
+//! Classifies a line by the cross-section of its surroundings. *Wings* are the directions in which surfaces leave the
+//! line, and *sectors* are the parts of space between them.
 //!
-//! A sector that is not flat shows an edge to whoever looks from it; a flat one shows none unless its two wings differ
-//! in material. Windings do not matter, doubled faces are one wing, and a face that only shares a part of the line
-//! (a T-junction) is a wing along that part.
+//! A sector that is not flat shows an edge to sensors inside it. A flat sector shows an edge only if its two wings
+//! differ in material. Windings do not matter, duplicate faces make one wing, and a face along a part of the line (a
+//! T-junction) is a wing along that part.
 
 use super::FeatureKind;
 use super::effort::{Effort, EffortAllowance, steps};
@@ -15,11 +15,11 @@ use presight_model::geometry::Aabb;
 use presight_model::index::QueryResult;
 use std::f64::consts::{PI, TAU};
 
-/// Wings nearer to each other than this are one, radians.
+/// Wings within this angle are joined, radians.
 const SAME_WING: f64 = 3.0 * PI / 180.0;
-/// Sectors narrower than this show nothing, radians.
+/// Sectors narrower than this show no edge, radians.
 const NARROW: f64 = 5.0 * PI / 180.0;
-/// A face belongs to a line if the sine of their angle is below this; steeper ones pierce it.
+/// A face lies along a line if the sine of their angle is below this. Steeper faces pierce it.
 const ALONG: f64 = 0.05;
 
 /// A straight piece of a possible edge, in the world.
@@ -27,7 +27,7 @@ const ALONG: f64 = 0.05;
 pub(super) struct Line {
     pub start: DVec3,
     pub end: DVec3,
-    /// The object that has it.
+    /// The object to which the line belongs.
     pub object: u32,
     pub kind: FeatureKind,
 }
@@ -52,15 +52,15 @@ impl Line {
     }
 }
 
-/// What lies in one direction.
+/// The surfaces in one direction.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Wing {
     pub angle: f64,
-    /// Rising, each once.
+    /// Sorted, without duplicates.
     pub materials: Vec<u16>,
 }
 
-/// Directions around a line from angle and material of each face; equal ones joined, sorted by angle.
+/// Joins the angles and materials of faces around a line into wings, sorted by angle.
 pub(super) fn join(wings: &mut Vec<(f64, u16)>) -> Vec<Wing> {
     wings.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
     let mut joined: Vec<Wing> = Vec::new();
@@ -74,7 +74,7 @@ pub(super) fn join(wings: &mut Vec<(f64, u16)>) -> Vec<Wing> {
             wing.materials.push(material);
         }
     }
-    // Over the seam of the angles.
+    // Join across the seam of the angles.
     if joined.len() > 1 && joined[0].angle + TAU - last <= SAME_WING {
         let over = joined.pop().unwrap_or_default();
         joined[0].materials.extend(over.materials);
@@ -86,7 +86,7 @@ pub(super) fn join(wings: &mut Vec<(f64, u16)>) -> Vec<Wing> {
     joined
 }
 
-/// The sectors between wings: middle, span, and whether the materials of both sides differ.
+/// The sectors between wings: centre, span, and whether the materials of the two wings differ.
 pub(super) fn sectors(wings: &[Wing]) -> impl Iterator<Item = (f64, f64, bool)> + '_ {
     (0..wings.len()).map(|k| {
         let (a, b) = (&wings[k], &wings[(k + 1) % wings.len()]);
@@ -95,28 +95,28 @@ pub(super) fn sectors(wings: &[Wing]) -> impl Iterator<Item = (f64, f64, bool)> 
     })
 }
 
-/// True if a sector shows a crease.
+/// Returns true if a sector shows a crease.
 pub(super) fn creased(span: f64, crease: f64) -> bool {
     span >= NARROW && (span - PI).abs() >= crease - 1e-6
 }
 
-/// What the surroundings of lines are judged by.
+/// Classifies lines by their surroundings.
 pub(super) struct EdgeClassifier<'a> {
     pub soup: &'a Soup,
     pub effort: &'a Effort<'a>,
     pub solids: &'a super::solids::Solids,
-    /// How far apart things that touch may be, metres.
+    /// Largest distance between touching parts, metres.
     pub touch: f64,
-    /// Least deviation from flat, radians.
+    /// Smallest deviation from flat, radians.
     pub crease: f64,
 }
 
-/// Scratch that is kept from line to line.
+/// Memory reused from line to line.
 #[derive(Debug, Default)]
 pub(super) struct Scratch {
     pub found: QueryResult,
     faces: Vec<NearbyFace>,
-    /// Those that begin before a place and end behind it.
+    /// Faces that span the current position.
     along: Vec<NearbyFace>,
     cuts: Vec<f64>,
     wings: Vec<(f64, u16)>,
@@ -130,21 +130,21 @@ struct NearbyFace {
     to: f64,
 }
 
-/// Why a part of a line shows no edge.
+/// Classification of a part of a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum EdgeClass {
     Shows(FeatureKind),
-    /// Smooth, or the seam of flush surfaces.
+    /// Smooth, or a seam between flush surfaces.
     Flat,
-    /// Inside matter.
+    /// Inside a solid.
     Buried,
 }
 
 impl EdgeClassifier<'_> {
-    /// Cuts a line where its surroundings change and appends what each part shows, in order along it; neighbours differ.
+    /// Splits a line where its surroundings change and appends the class of each part, in order. Neighbours differ.
     ///
     /// # Errors
-    /// Those of [`EffortAllowance::spend`].
+    /// The errors of [`EffortAllowance::spend`].
     pub fn judge(&self, line: &Line, scratch: &mut Scratch, parts: &mut Vec<(f64, f64, EdgeClass)>) -> Result<()> {
         let (d, length) = (line.direction(), line.length());
         let mut thing = self.effort.allowance(line.object);
@@ -160,7 +160,7 @@ impl EdgeClassifier<'_> {
         let mut done: Option<(f64, f64, EdgeClass)> = None;
         for k in 0..cuts.len() {
             let to = cuts[k];
-            // Cuts within reach of each other, and of the ends, are one.
+            // Skip cuts too close to the previous one or to an end.
             if to - from < 3.0 * self.touch && to < length {
                 continue;
             }
@@ -189,7 +189,7 @@ impl EdgeClassifier<'_> {
         Ok(())
     }
 
-    /// Finds the faces along the line and the places where something begins, ends, or pierces it.
+    /// Finds the faces along the line, and the positions where a face starts, ends or pierces it.
     fn gather(
         &self,
         line: &Line,
@@ -208,7 +208,7 @@ impl EdgeClassifier<'_> {
             let f = &self.soup.faces[face as usize];
             let (off, rate) = (f.plane.normal.dot(line.start) - f.plane.offset, f.plane.normal.dot(d));
             let mut range = clip(clip((0.0, length), touch - off, -rate), touch + off, rate);
-            // Mitred corners of slivers reach far; the box does not.
+            // Sharp corners of slivers would extend the range far beyond the face, so it is clipped to the box.
             let b = grown(&f.bounds, touch);
             for axis in 0..3 {
                 range = clip(range, line.start[axis] - b.min[axis], d[axis]);
@@ -225,7 +225,7 @@ impl EdgeClassifier<'_> {
                 scratch.cuts.push(0.5 * (from + to));
             } else if to - from > 4.0 * touch {
                 scratch.faces.push(NearbyFace { face, from, to });
-                // A face that ends here reaches past its end by the tolerance.
+                // The range exceeds the face by the tolerance at both ends.
                 scratch.cuts.extend([from + touch, to - touch]);
             }
         }
@@ -233,7 +233,7 @@ impl EdgeClassifier<'_> {
         Ok(())
     }
 
-    /// Directions in which a face leaves the line at `p`.
+    /// Adds the directions in which a face leaves the line at `p`.
     fn wings_of(&self, face: u32, p: DVec3, d: DVec3, u: DVec3, v: DVec3, wings: &mut Vec<(f64, u16)>) {
         let f = &self.soup.faces[face as usize];
         let Some(w) = f.plane.normal.cross(d).try_normalize() else { return };
@@ -258,7 +258,7 @@ impl EdgeClassifier<'_> {
     ) -> Result<EdgeClass> {
         let mut buried = !wings.is_empty();
         let mut material = false;
-        // Widest first: outside of a solid before inside.
+        // The widest sector is usually outside of solids, so it comes first.
         let mut all: Vec<_> = sectors(wings).collect();
         all.sort_by(|a, b| b.1.total_cmp(&a.1));
         for (middle, span, differ) in all {

@@ -1,8 +1,8 @@
-//! The error model: sensor, object and feature as one standard normal vector, and what it does to material points.
+//! The error model: sensor, object and feature as one standard normal vector, and its effect on material points.
 //!
-//! Everything is turned into the sensor's body axes once, so that a derivative of an image coordinate with gradient g at
-//! p is two scalar products an error: for the sensor -t . g - r . (p x g), for the object t . g + r . (q x g) with q from
-//! the object's origin, for the ends of the feature e0 . (s0 g) + e1 . (s1 g).
+//! Everything is rotated into the sensor's body axes once. The derivative of an image coordinate with gradient g at p
+//! then takes two scalar products per error: -t . g - r . (p x g) for the sensor, t . g + r . (q x g) for the object
+//! with q from the object's origin, and e0 . (s0 g) + e1 . (s1 g) for the ends of the feature.
 
 use super::PoseCovariance;
 use crate::normal::square_root;
@@ -11,27 +11,27 @@ use presight_model::environment::FeatureShape;
 use presight_model::error::Result;
 use presight_model::geometry::Pose;
 
-/// Most errors: six of each pose, three of each end.
+/// Largest number of errors: six for each pose, three for each end.
 pub const ERRORS: usize = 3 * KIND;
 
-/// Errors of one kind.
+/// Number of errors of one kind.
 pub const KIND: usize = 6;
 
-/// One number for each error: the sensor's, the object's, those of the ends.
+/// One entry for each error: sensor, object, ends.
 pub(super) type ErrorVector = [[f64; KIND]; 3];
 
-/// Something of every number.
+/// Applies a function to every entry.
 #[inline]
 pub(super) fn each(xi: &ErrorVector, f: impl Fn(f64) -> f64) -> ErrorVector {
     xi.map(|kind| kind.map(&f))
 }
 
-/// Square root of a pose's covariance: what one unit of each of six standard normals does, (translation, rotation).
+/// Square root of a pose's covariance: (translation, rotation) for one unit of each of six standard normal variables.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct PoseErrors([[DVec3; 2]; KIND]);
 
 impl PoseErrors {
-    /// Of a covariance, along the same axes.
+    /// From a covariance, along the same axes.
     pub fn new(covariance: &PoseCovariance) -> Self {
         Self(pairs(&square_root(covariance)))
     }
@@ -41,22 +41,22 @@ impl PoseErrors {
     }
 }
 
-/// A sensor's uncertain pose, made once for all features seen from there.
+/// A sensor's uncertain pose, shared by all features seen from it.
 #[derive(Clone, Debug)]
 pub struct Viewpoint {
     world_from_body: Pose,
     body_from_world: DMat3,
-    /// What the sensor's errors do to every feature.
+    /// The sensor's errors, which are the same for every feature.
     columns: Columns,
-    /// Roots of the summed squares of translations and rotations.
+    /// Roots of the summed squares of translations and of rotations.
     size: [f64; 2],
 }
 
 impl Viewpoint {
-    /// Of a sensor's pose and its covariance along the world's axes, rotation by Exp(dtheta) from the left.
+    /// From a sensor's pose and its covariance along the world's axes, with rotation by Exp(dtheta) from the left.
     ///
     /// # Errors
-    /// Those of [`Pose::check`].
+    /// The errors of [`Pose::check`].
     pub fn new(world_from_body: &Pose, covariance: &PoseCovariance) -> Result<Self> {
         world_from_body.check()?;
         let body_from_world = world_from_body.rotation_matrix().transpose();
@@ -67,18 +67,18 @@ impl Viewpoint {
 }
 
 impl Viewpoint {
-    /// A place of the world in the body frame.
+    /// Transforms a point from the world to the body frame.
     pub(crate) fn in_body(&self, p_in_world: DVec3) -> DVec3 {
         self.body_from_world * (p_in_world - self.world_from_body.translation)
     }
 
-    /// Both vectors of an error of the sensor, negated, body axes.
+    /// Both vectors of a sensor error, negated, body axes.
     pub fn pair(&self, i: usize) -> [DVec3; 2] {
         self.columns.pair(i)
     }
 }
 
-/// What the errors of a kind do, body axes: two vectors an error, by coordinate.
+/// The errors of one kind, body axes: two vectors per error, stored by coordinate.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Columns {
     first: [[f64; KIND]; 3],
@@ -102,9 +102,9 @@ impl Columns {
         [&self.first, &self.second].map(|of| DVec3::new(of[0][i], of[1][i], of[2][i]))
     }
 
-    /// All errors together, by their coefficients.
+    /// Sum of all errors with these coefficients.
     fn sum(&self, xi: &[f64; KIND]) -> [DVec3; 2] {
-        // In two lanes.
+        // Two lanes.
         let part = |of: &[f64; KIND]| {
             let [a, b] = [0, 1].map(|k| of[k] * xi[k] + of[k + 2] * xi[k + 2] + of[k + 4] * xi[k + 4]);
             a + b
@@ -112,7 +112,7 @@ impl Columns {
         [&self.first, &self.second].map(|of| DVec3::new(part(&of[0]), part(&of[1]), part(&of[2])))
     }
 
-    /// Derivatives by each error, of which the two vectors meet two others.
+    /// Derivatives with respect to each error: the products of its two vectors with `g` and `w`.
     #[inline]
     fn slopes(&self, [g, w]: [DVec3; 2]) -> [f64; KIND] {
         let ([a, b, c], [d, e, f]) = (&self.first, &self.second);
@@ -120,56 +120,56 @@ impl Columns {
     }
 }
 
-/// The uncertain state of one feature: all errors, through one matrix.
+/// All errors that affect one feature.
 #[derive(Clone, Debug)]
 pub struct FeatureErrorModel {
     body_from_frame: DMat3,
-    /// The frame's origin in the body frame, composed in f64 with world positions subtracted first.
+    /// The frame's origin in the body frame, composed in f64; world positions are subtracted first.
     origin: DVec3,
-    /// Of sensor, object, ends.
+    /// Errors of sensor, object and ends.
     columns: [Columns; 3],
-    /// As [`Viewpoint`]'s: of sensor, object, ends.
+    /// As in [`Viewpoint`], for sensor, object and ends.
     sizes: [[f64; 2]; 3],
 }
 
-/// A material point of a feature: its position in the feature's frame, and its share in the error of each end.
+/// A material point of a feature: its position in the feature's frame, and its share of the error of each end.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BodyPoint {
     /// Position in the feature's frame, metres.
     pub at: DVec3,
-    /// Shares of the errors of the first and the second end; (1, 0) for features that move as a whole.
+    /// Shares of the errors of the first and second end; (1, 0) for rigid features.
     pub shares: [f64; 2],
 }
 
 impl BodyPoint {
-    /// A point of a feature: by its share t of the length for segments, or anywhere on one that moves as a whole.
+    /// The point of a segment at the fraction `t` of its length.
     pub fn on_segment(ends: &[DVec3; 2], t: f64) -> Self {
         Self { at: ends[0].lerp(ends[1], t), shares: [1.0 - t, t] }
     }
 
-    /// A point of a feature that moves as a whole.
+    /// A point of a rigid feature.
     pub fn rigid(at: DVec3) -> Self {
         Self { at, shares: [1.0, 0.0] }
     }
 }
 
-/// The nominal place of a material point, without errors, body axes.
+/// The nominal position of a material point, body axes.
 #[derive(Clone, Copy, Debug)]
 pub struct NominalPoint {
-    /// From the sensor.
+    /// Relative to the sensor.
     pub p: DVec3,
-    /// From the origin of the feature's frame.
+    /// Relative to the origin of the feature's frame.
     pub q: DVec3,
     pub shares: [f64; 2],
 }
 
 impl FeatureErrorModel {
     /// The errors of a feature seen from a pose. `world_from_frame` is the pose of the feature's object (identity for
-    /// the world) with its covariance in the object's own axes; the sensor's covariance is along the world's axes,
-    /// rotation by Exp(dtheta) from the left.
+    /// the world). The object's covariance is along its own axes. The sensor's covariance is along the world's axes,
+    /// with rotation by Exp(dtheta) from the left.
     ///
     /// # Errors
-    /// Those of [`Pose::check`], of either pose.
+    /// The errors of [`Pose::check`] for either pose.
     pub fn new(
         world_from_body: &Pose,
         sensor: &PoseCovariance,
@@ -182,7 +182,7 @@ impl FeatureErrorModel {
         Ok(Self::seen_from(&viewpoint, world_from_frame, object.as_ref(), shape))
     }
 
-    /// As [`FeatureErrorModel::new`], with the data that many features share computed beforehand.
+    /// Same as [`FeatureErrorModel::new`], with precomputed data that many features share.
     pub fn seen_from(
         viewpoint: &Viewpoint,
         world_from_frame: &Pose,
@@ -218,7 +218,7 @@ impl FeatureErrorModel {
         self.moved(&self.nominal(point), &all)
     }
 
-    /// Numbers of the errors that are not nothing.
+    /// Indices of the errors that are not 0.
     pub(super) fn used(&self) -> impl Iterator<Item = usize> {
         (0..ERRORS).filter(|i| self.pair(*i) != [DVec3::ZERO; 2])
     }
@@ -228,33 +228,33 @@ impl FeatureErrorModel {
         self.columns[i / KIND].pair(i % KIND)
     }
 
-    /// True if an object's pose is among the errors.
+    /// Returns true if the object's pose has errors.
     pub(crate) fn has_object(&self) -> bool {
         self.sizes[1] != [0.0; 2]
     }
 
-    /// True if the feature's own position is among them.
+    /// Returns true if the feature's own position has errors.
     fn has_ends(&self) -> bool {
         self.sizes[2] != [0.0; 2]
     }
 
-    /// A point with nothing wrong.
+    /// Position without errors.
     pub fn nominal(&self, point: &BodyPoint) -> NominalPoint {
         let q = self.body_from_frame * point.at;
         NominalPoint { p: self.origin + q, q, shares: point.shares }
     }
 
-    /// A place of the body frame in the feature's frame.
+    /// Transforms a point from the body frame to the feature's frame.
     pub(crate) fn in_frame(&self, p_in_body: DVec3) -> DVec3 {
         self.body_from_frame.transpose() * (p_in_body - self.origin)
     }
 
-    /// Where errors bring a point, body frame.
+    /// Position with errors, body frame.
     pub(super) fn moved(&self, point: &NominalPoint, xi: &ErrorVector) -> DVec3 {
         self.motion(xi).place(point)
     }
 
-    /// What errors do to all points. Object and sensor may turn by large angles: exact, not linear.
+    /// Motion of all points under errors. It is exact, because object and sensor may turn by large angles.
     pub(super) fn motion(&self, xi: &ErrorVector) -> Motion {
         let [sensor, object, ends] = &self.columns;
         let object = self.has_object().then(|| object.sum(&xi[1])).map(|[shift, turn]| (Turn::new(turn), shift));
@@ -264,7 +264,7 @@ impl FeatureErrorModel {
         Motion { ends, object, shift: self.origin + shift, turn: Turn::new(turn) }
     }
 
-    /// Derivatives, by each error at none, of what has the gradient `g` at a point.
+    /// Derivatives, with respect to each error at 0, of a function with the gradient `g` at a point.
     #[inline]
     pub(super) fn slopes(&self, point: &NominalPoint, g: DVec3) -> ErrorVector {
         let [sensor, object, ends] = &self.columns;
@@ -276,7 +276,7 @@ impl FeatureErrorModel {
         ]
     }
 
-    /// At least the standard deviation of a point's position, body frame, metres: by the triangle inequality.
+    /// Upper bound on the standard deviation of a point's position, body frame, metres, by the triangle inequality.
     pub fn spread(&self, point: &NominalPoint) -> f64 {
         let [sensor, object, ends] = &self.sizes;
         let a = sensor[0] + sensor[1] * point.p.length();
@@ -286,13 +286,13 @@ impl FeatureErrorModel {
     }
 }
 
-/// Where errors bring the points of a feature, body frame.
+/// Motion of the points of a feature under errors, body frame.
 pub(super) struct Motion {
-    /// Of both ends, in the feature's frame.
+    /// Shifts of both ends, in the feature's frame.
     ends: Option<[DVec3; 2]>,
-    /// Of the object, about the origin of its frame.
+    /// Rotation about the frame's origin, and translation of the object.
     object: Option<(Turn, DVec3)>,
-    /// From the frame's origin to the sensor, before it turns.
+    /// Vector from the sensor to the frame's origin, before the sensor turns.
     shift: DVec3,
     turn: Turn,
 }
@@ -310,7 +310,7 @@ impl Motion {
     }
 }
 
-/// Exp(turn), with sin(a) / a and (1 - cos(a)) / a^2 of its angle; series for the small angles that most are.
+/// Exp(turn) with sin(a) / a and (1 - cos(a)) / a^2 of its angle a; small angles use series.
 #[derive(Clone, Copy)]
 struct Turn {
     turn: DVec3,
@@ -326,7 +326,7 @@ impl Turn {
             let (sin, cos) = angle.sin_cos();
             (sin / angle, (1.0 - cos) / square)
         } else {
-            // To 1e-13 here.
+            // The series are accurate to 1e-13 here.
             (
                 1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0 * (1.0 - square / 72.0))),
                 0.5 - square / 24.0 * (1.0 - square / 30.0 * (1.0 - square / 56.0 * (1.0 - square / 90.0))),
@@ -345,13 +345,13 @@ fn sizes(pairs: &[[DVec3; 2]; KIND]) -> [f64; 2] {
     [0, 1].map(|k| pairs.iter().map(|pair| pair[k].length_squared()).sum::<f64>().sqrt())
 }
 
-/// Columns of a factor of six rows, as pairs of vectors.
+/// Splits the columns of a six-row factor into pairs of vectors.
 fn pairs(f: &[[f64; 6]; 6]) -> [[DVec3; 2]; KIND] {
     std::array::from_fn(|c| [DVec3::new(f[0][c], f[1][c], f[2][c]), DVec3::new(f[3][c], f[4][c], f[5][c])])
 }
 
-/// What unit errors do to both ends, in the feature's frame; features that move as a whole have one end. `None` of what is
-/// known exactly.
+/// Errors of both ends for unit normal variables, in the feature's frame. Rigid features have one end. `None` for
+/// exactly known features.
 fn ends_errors(shape: &FeatureShape) -> Option<[[DVec3; 2]; KIND]> {
     let exact = |m: &DMat3| *m == DMat3::ZERO;
     let rows = |m: &DMat3| m.transpose().to_cols_array_2d();

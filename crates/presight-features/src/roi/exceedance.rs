@@ -1,32 +1,32 @@
-//! With what probability any side is passed: thresholds at a common number of standard deviations.
+//! Probability of passing any side, with thresholds at a common number of standard deviations.
 //!
-//! The probability of a union is at most the sum of the tails less the joint tails along any spanning tree (Hunter 1976;
-//! Worsley 1982), and least along the greatest. Correlations do not depend on the thresholds, so the tree is made once.
-//! The joint tail of two thresholds is taken as that of the greater one for both: never more, and where they differ much the
-//! farther event hardly counts.
+//! The probability of a union is at most the sum of the tails minus the joint tails along any spanning tree (Hunter
+//! 1976; Worsley 1982). The maximum spanning tree gives the tightest bound. Correlations do not depend on the
+//! thresholds, so the tree is built once. The joint tail uses the larger of the two thresholds for both events. It
+//! never overestimates, and if the thresholds differ much, the farther event hardly matters.
 
 use super::SIDES;
 use super::image_point::{MARGIN, PointDerivatives, dot};
 use crate::normal::{Tails, apart, tail_quantile};
 
-/// Most points of a side that are looked at.
+/// Largest number of points considered for a side.
 pub const MOST: usize = 3;
 
-/// Most events.
+/// Largest number of events.
 pub const EVENTS: usize = 4 * MOST;
 
-/// What a confidence says about thresholds, made once for all features.
+/// Thresholds for one confidence, shared by all features.
 #[derive(Clone, Copy)]
 pub struct Level {
-    /// The probability that is left.
+    /// 1 - confidence.
     pub fail: f64,
-    /// Standard deviations at which a single event has it.
+    /// Standard deviations at which a single event has this probability.
     pub lowest: f64,
-    /// At which each of four independent ones has a quarter of it: where the search starts.
+    /// Standard deviations at which each of four events has a quarter of it. The search starts here.
     pub first: f64,
-    /// At which so many as are looked at have it together.
+    /// Standard deviations at which each of [`EVENTS`] events has an equal share of it.
     pub highest: f64,
-    /// Logarithm of `fail`; tail at `first`, and how fast its logarithm falls there.
+    /// Logarithm of `fail`, tail at `first`, and the hazard rate there.
     wanted: f64,
     tail: f64,
     hazard: f64,
@@ -51,51 +51,51 @@ impl Level {
     }
 }
 
-/// A point passing a side.
+/// The event that a point passes a side.
 #[derive(Clone, Copy, Debug)]
 struct Event {
-    /// Whose slopes.
+    /// Index of the point.
     seen: usize,
-    /// Which coordinate, and which way.
+    /// Coordinate and direction.
     side: (usize, f64),
-    /// How many standard deviations away the side is where the search starts.
+    /// Distance of the side at the start of the search, standard deviations.
     deviations: f64,
-    /// By how many more for each that the common number rises.
+    /// Change of that distance per unit of the common number.
     rate: f64,
     tail: f64,
-    /// Number of its direction: both ways through a side are one.
+    /// Index of its direction, shared by both signs of a coordinate.
     direction: usize,
 }
 
-/// A neighbour in the spanning tree, and how far apart the errors are that make the two.
+/// An event's neighbour in the spanning tree, and the separation of the two.
 #[derive(Clone, Copy, Debug)]
 struct Parent {
     event: usize,
-    /// Below 0 of what has none.
+    /// Separation ([`apart`]); below 0 without a neighbour.
     apart: f64,
-    /// Joint tail with it.
+    /// Joint tail with the neighbour.
     joint: f64,
-    /// Not in the tree yet.
+    /// True while not in the tree.
     out: bool,
 }
 
-/// The events that count and the tree between them, in room that is kept.
+/// The relevant events and the tree between them, in reused memory.
 #[derive(Default)]
 pub(super) struct Exceedance {
     events: Vec<Event>,
     /// Point and coordinate by direction.
     directions: Vec<(usize, usize)>,
-    /// Correlations, and what is apart of their amounts: of each direction with those before it, in turn.
+    /// Correlation and separation of each direction with the earlier ones, row by row.
     pairs: Vec<(f64, f64)>,
     parents: Vec<Parent>,
-    /// Deviations and tails by event.
+    /// Deviation and tail of each event.
     reach: Vec<(f64, f64)>,
-    /// Points that a side may count, with their deviations.
+    /// Further points that may pass a side, with their deviations.
     near: Vec<(f64, usize)>,
 }
 
 impl Exceedance {
-    /// The number of standard deviations k at which no side is passed but with the probability that is left.
+    /// Returns the number of standard deviations k at which the probability of passing any side is 1 - confidence.
     pub fn common_deviation(&mut self, seen: &[PointDerivatives], level: &Level) -> f64 {
         self.take_events(seen, level);
         if self.events.is_empty() {
@@ -104,7 +104,7 @@ impl Exceedance {
         self.take_pairs(seen);
         self.join(level.tails);
         let within = |k: f64| k.clamp(level.lowest, level.highest);
-        // The logarithm of a sum of tails is nearly a parabola: one step along a tail's own slope, one along the secant.
+        // The logarithm of a sum of tails is nearly a parabola, so a Newton step and a secant step suffice.
         let before = self.passed_first().ln() - level.wanted;
         let k = within(level.first + before / level.hazard);
         let step = k - level.first;
@@ -116,8 +116,8 @@ impl Exceedance {
         within(if slope < -0.1 { k - after / slope } else { k })
     }
 
-    /// At the level's first number of standard deviations: of each side the point that makes it, and those nearly as likely
-    /// to pass.
+    /// Collects the events at the first number of standard deviations: for each side the point that sets it, and the
+    /// points that are nearly as likely to pass.
     fn take_events(&mut self, seen: &[PointDerivatives], level: &Level) {
         self.events.clear();
         self.directions.clear();
@@ -148,7 +148,7 @@ impl Exceedance {
             {
                 let (deviations, i) = self.near.swap_remove(nearest);
                 let s = &seen[i];
-                // Points that move as one pass as one.
+                // Points that move together pass together.
                 let is_one = |e: &Event| {
                     let (slopes, sigma) = (&seen[e.seen].slopes[c], seen[e.seen].sigma[c]);
                     dot(slopes, &s.slopes[c]) > (1.0 - 1e-6) * s.sigma[c] * sigma
@@ -190,7 +190,7 @@ impl Exceedance {
         }
     }
 
-    /// How far apart the errors are that make two events; `None` if they go opposite ways, or are independent.
+    /// Separation of the errors behind two events; `None` if they are opposite or independent.
     #[inline]
     fn apart(&self, a: &Event, b: &Event) -> Option<f64> {
         let (more, less) = (a.direction.max(b.direction), a.direction.min(b.direction));
@@ -198,7 +198,7 @@ impl Exceedance {
         (a.side.1 * b.side.1 * rho > 0.0).then_some(apart)
     }
 
-    /// The spanning tree of greatest joint tails (Prim).
+    /// Builds the maximum spanning tree of joint tails (Prim).
     fn join(&mut self, tails: &Tails) {
         self.parents.clear();
         self.parents.resize(self.events.len(), Parent { event: 0, apart: -1.0, joint: -1.0, out: true });
@@ -212,7 +212,7 @@ impl Exceedance {
                     continue;
                 }
                 let a = &self.events[i];
-                // What goes opposite ways hardly ever happens together.
+                // Opposite events almost never coincide.
                 if let Some(apart) = self.apart(a, &b) {
                     let (far, less) =
                         if a.deviations > b.deviations { (a.deviations, a.tail) } else { (b.deviations, b.tail) };
@@ -229,19 +229,19 @@ impl Exceedance {
         }
     }
 
-    /// At most this probability that any side is passed at the level's first number of standard deviations.
+    /// Upper bound on the probability of passing any side at the first number of standard deviations.
     fn passed_first(&self) -> f64 {
         let alone: f64 = self.events.iter().map(|e| e.tail).sum();
         let joint: f64 = self.parents.iter().filter(|p| p.apart >= 0.0).map(|p| p.joint).sum();
         (alone - joint).max(f64::MIN_POSITIVE)
     }
 
-    /// The same with the common number of standard deviations so much higher.
+    /// The same bound with the common number increased by `more`.
     fn passed(&mut self, more: f64, tails: &Tails) -> f64 {
         self.reach.clear();
         for e in &self.events {
             let deviations = (e.deviations + more * e.rate).max(0.0);
-            // Those that make a side are all as far.
+            // All events that set a side have the same deviation.
             let known = self.reach.iter().find(|r| r.0 == deviations).map(|r| r.1);
             self.reach.push((deviations, known.unwrap_or_else(|| tails.tail(deviations))));
         }

@@ -1,4 +1,4 @@
-//! Nominal images of material points, with what each error does to them.
+//! Nominal images of material points, and their derivatives with respect to each error.
 
 use super::errors::{BodyPoint, ErrorVector, FeatureErrorModel, KIND, NominalPoint};
 use super::{Projection, SIDES};
@@ -8,22 +8,22 @@ use glam::DVec3;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ImagePoint {
     pub point: NominalPoint,
-    /// Columns are unwrapped to the first point's.
+    /// Pixel coordinates; the column is unwrapped to that of the first point.
     pub at: [f64; 2],
-    /// Of column and row by the position, body frame.
+    /// Derivatives of column and row with respect to the position, body frame.
     pub gradient: [DVec3; 2],
     pub lever: f64,
     /// See [`Projection::clearance`].
     pub clearance: f64,
-    /// At least the standard deviation of its position, body frame.
+    /// Upper bound on the standard deviation of its position, body frame.
     pub spread: f64,
 }
 
-/// A point with what each error does to its image.
+/// A point with the derivatives of its image.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PointDerivatives {
     pub rough: ImagePoint,
-    /// Derivatives of column and row by each error.
+    /// Derivatives of column and row with respect to each error.
     pub slopes: [ErrorVector; 2],
     pub sigma: [f64; 2],
 }
@@ -43,13 +43,13 @@ impl PointDerivatives {
         [[a * a, across], [across, b * b]]
     }
 
-    /// How far towards a side it is at so many standard deviations.
+    /// Position towards a side at `k` standard deviations.
     pub fn reach(&self, (c, sign): (usize, f64), k: f64) -> f64 {
         sign * self.rough.at[c] + k * self.sigma[c]
     }
 }
 
-/// Side by side for each kind: the compiler adds in lanes only what it is told to.
+/// Sums each kind separately, so that the compiler vectorizes the additions.
 #[inline]
 pub(super) fn dot([a, b, c]: &ErrorVector, [d, e, f]: &ErrorVector) -> f64 {
     let sums: [f64; KIND] = std::array::from_fn(|k| a[k] * d[k] + b[k] * e[k] + c[k] * f[k]);
@@ -70,7 +70,7 @@ pub(super) fn rough(
         if let Some(first) = into.first() {
             at[0] = unwrapped(projection, at[0], first.at[0]);
         }
-        // Without a derivative it is where projection is singular.
+        // The projection is singular if it has no derivative.
         let (gradient, lever) = match projection.gradient(point.p, at) {
             Some(gradient) => (gradient, projection.lever(point.p)),
             None => ([DVec3::ZERO; 2], 0.0),
@@ -80,11 +80,11 @@ pub(super) fn rough(
     }
 }
 
-/// Points that are all looked at.
+/// Up to this number, all points are kept.
 const FEW: usize = 4;
 
-/// Those points that may decide a side at `k` standard deviations, with what errors do to them: a point is left out if,
-/// even with its greatest possible deviation, it stays behind another one.
+/// Selects the points that may determine a side at `k` standard deviations, with their derivatives. A point is omitted
+/// if it stays behind another one even with the largest possible deviation.
 pub(super) fn see(uncertain: &FeatureErrorModel, all: &[ImagePoint], k: f64, into: &mut Vec<PointDerivatives>) {
     into.clear();
     if all.len() <= FEW {
@@ -108,10 +108,10 @@ pub(super) fn see(uncertain: &FeatureErrorModel, all: &[ImagePoint], k: f64, int
     into.extend(chosen.map(|(_, rough)| PointDerivatives::new(uncertain, rough)));
 }
 
-/// Standard deviations beyond the common number at which passing a side no longer counts: at 3 less than 0.6 % of it is left.
+/// Standard deviations beyond the common number at which an event no longer counts. At 3, less than 0.6 % is left.
 pub const MARGIN: f64 = 1.5;
 
-/// The column nearest to another, where columns go round.
+/// The equivalent column nearest to `near`, in images that cover a full turn.
 pub(super) fn unwrapped(projection: &impl Projection, column: f64, near: f64) -> f64 {
     match projection.turn() {
         Some(turn) => column - turn * ((column - near) / turn).round(),
@@ -119,7 +119,7 @@ pub(super) fn unwrapped(projection: &impl Projection, column: f64, near: f64) ->
     }
 }
 
-/// Derivatives of column and row by the position, by central differences: their error is of the second order of 1e-5.
+/// Derivatives of column and row by central differences. The step is 1e-5 of the lever, so the error is about 1e-10.
 pub fn differences(projection: &(impl Projection + ?Sized), p: DVec3, at: [f64; 2]) -> Option<[DVec3; 2]> {
     let step = 1e-5 * projection.lever(p).abs().max(1e-9 * p.length());
     let near = |column: f64| match projection.turn() {

@@ -1,17 +1,17 @@
-//! Bounds by the projection's derivative, and how far the projection itself is from them.
+//! Bounds from the projection's derivative, and a check of their linearization error.
 
 use super::errors::{FeatureErrorModel, each};
 use super::image_point::{PointDerivatives, dot, unwrapped};
 use super::{Projection, SIDES};
 
-/// Where the derivative and the projection differ by more than this share of a side's distance, the derivative is given
-/// up; below, the difference widens the box.
+/// The derivative is rejected if it differs from the projection by more than this share of a side's distance. A smaller
+/// difference widens the box.
 pub const SLIGHTLY: f64 = 0.1;
 
-/// And by more than this, pixels.
+/// Absolute difference allowed in addition, pixels.
 pub const SLIGHT: f64 = 0.1;
 
-/// The point that makes a side.
+/// The point that sets a side.
 fn maker(seen: &[PointDerivatives], side: (usize, f64), k: f64) -> Option<&PointDerivatives> {
     seen.iter().max_by(|a, b| a.reach(side, k).total_cmp(&b.reach(side, k)))
 }
@@ -23,8 +23,7 @@ pub(super) fn linear_bounds(seen: &[PointDerivatives], k: f64) -> [f64; 4] {
     [left, top, right, bottom]
 }
 
-/// The linear bounds, widened by what the projection itself says at the errors that the sides stand for; `None` if that
-/// is much.
+/// Widens the linear bounds by the linearization error at the errors that set the sides. Returns `None` if it is large.
 pub(super) fn bent_bounds(
     projection: &impl Projection,
     uncertain: &FeatureErrorModel,
@@ -36,7 +35,7 @@ pub(super) fn bent_bounds(
     let mut widen = [0.0f64; 4];
     for side in SIDES {
         let (c, sign) = side;
-        // The point that makes this side, moved by the error that makes it.
+        // The point that sets this side, moved by the error that sets it.
         let s = maker(seen, side, k)?;
         if s.sigma[c] <= 0.0 {
             continue;

@@ -1,27 +1,27 @@
 //! Regions of interest: the image box in which a feature will be found with a stated probability (paper section 3.2, Fig. 10).
 //!
-//! Errors of the sensor's pose, of the object's pose and of the feature are one standard normal vector, taken through
-//! square roots of their covariances (`errors`). A side of the box is passed by the feature when a linear function of that
-//! vector passes a threshold; the thresholds are set at the same number k of standard deviations on all sides, and k so that
-//! the probability to pass any of them is at most 1 - confidence (`passing`): for events `A_i` of which each has the tail
-//! `P(A_i) = 1 - Phi(b_i)`,
+//! The errors of the sensor's pose, the object's pose and the feature form one standard normal vector, mapped through
+//! square roots of their covariances (`errors`). The feature passes a side of the box when a linear function of that
+//! vector exceeds a threshold. All thresholds are at the same number k of standard deviations, chosen so that any side
+//! is passed with probability at most 1 - confidence (`exceedance`). For events `A_i` with tails `P(A_i)`:
 //!
 //! ```text
 //! P(A_1 or .. or A_n) <= sum_i P(A_i) - sum_(i,j in T) P(A_i and A_j)
 //! ```
 //!
-//! for any spanning tree T (Hunter 1976, "An upper bound for the probability of a union", J. Appl. Prob. 13; Worsley 1982, "An
-//! improved Bonferroni inequality and applications", Biometrika 69), least for the greatest tree, and nearly exact for few
-//! events. Joint tails are tabulated by Owen's function (Owen 1956; Genz 2004, "Numerical computation of rectangular bivariate
-//! and trivariate normal and t probabilities", Stat. Comput. 14, compares the ways).
+//! holds for any spanning tree T (Hunter 1976, "An upper bound for the probability of a union", J. Appl. Prob. 13;
+//! Worsley 1982, "An improved Bonferroni inequality and applications", Biometrika 69). The maximum spanning tree gives
+//! the tightest bound, which is nearly exact for few events. Joint tails are tabulated by Owen's function (Owen 1956;
+//! Genz 2004, "Numerical computation of rectangular bivariate and trivariate normal and t probabilities", Stat. Comput.
+//! 14, compares methods).
 //!
-//! Where projection bends over the reach of the errors, neither derivatives nor second-order terms bound anything: a set of errors
-//! of that probability goes through the projection draw by draw (`set`).
+//! If the projection is strongly curved over the range of the errors, neither derivatives nor second-order terms give a
+//! bound. Then samples of the errors with the required probability are projected one at a time (`set`).
 //!
 //! # The paper's Fig. 10
 //!
-//! A robot knows where it is to 3 cm in x and y, and its heading to 1 degree. In which columns will it find a vertical line
-//! 4 m ahead that is known to 1 cm? Sideways errors count by the distance, the heading as it is:
+//! A robot knows its position to 3 cm in x and y, and its heading to 1 degree. In which columns will it find a vertical
+//! line 4 m ahead that is known to 1 cm? Position errors are divided by the distance; the heading error is not:
 //!
 //! ```
 //! use glam::{DMat3, DVec3};
@@ -60,7 +60,7 @@
 //!
 //! let sigma = 500.0 * ((xy * xy + line * line) / 16.0 + heading * heading).sqrt();
 //! let [left, _, right, _] = found.bounds;
-//! // Left or right alone would be passed at 2.58 sigma; with both ends, top and bottom besides it is a little more.
+//! // One side alone needs 2.58 sigma. Two ends, top and bottom add a little.
 //! let deviations = 0.5 * (right - left) / sigma;
 //! assert!(2.58 < deviations && deviations < 3.1, "{deviations}");
 //! assert!((0.5 * (left + right) - 319.5).abs() < 0.1);
@@ -80,7 +80,7 @@ pub use errors::{BodyPoint, FeatureErrorModel, PoseErrors, Viewpoint};
 pub use exceedance::Level;
 pub use image_point::differences;
 
-// What the shader shares.
+// Constants that the shader shares.
 #[cfg(test)]
 pub use exceedance::{EVENTS, MOST};
 pub use {
@@ -97,14 +97,14 @@ use linear::{bent_bounds, linear_bounds};
 pub use presight_model::geometry::PoseCovariance;
 use set::set_bounds;
 
-/// How a box was found.
+/// Method by which a box was found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RoiFlag {
-    /// Errors were propagated by the derivative of the projection.
+    /// The derivative of the projection propagated the errors.
     Linear,
-    /// The projection is not linear over the errors: a set of drawn errors was projected.
+    /// The projection is not linear over the errors, so samples of the errors were projected.
     Set,
-    /// The feature may come behind the sensor, or anywhere in over half of the image.
+    /// The feature may be behind the sensor, or anywhere in over half of the image.
     WholeImage,
 }
 
@@ -122,50 +122,50 @@ impl RoiFlag {
 /// A box in continuous pixel coordinates.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Roi {
-    /// x0, y0, x1, y1. Over the seam of a full circle x1 is beyond the width.
+    /// x0, y0, x1, y1. Across the seam of a full circle x1 exceeds the width.
     pub bounds: [f64; 4],
-    /// How it was found.
+    /// Method by which it was found.
     pub flag: RoiFlag,
 }
 
 /// A projection from the sensor's body frame to its image.
 pub trait Projection: Sync {
-    /// Continuous pixel coordinates of a point in the body frame, inside or outside the image. `None` where the point has no image
-    /// (behind a camera, in the centre of a scanner).
+    /// Continuous pixel coordinates of a point in the body frame, inside or outside the image. Returns `None` if the
+    /// point has no image (behind a camera, in the centre of a scanner).
     fn project(&self, p_in_body: DVec3) -> Option<[f64; 2]>;
 
-    /// Distance of the point from where the projection is singular: depth in front of a camera, distance from a scanner's axis.
+    /// Distance of the point from the singularity: depth in front of a camera, distance from a scanner's axis.
     fn lever(&self, p_in_body: DVec3) -> f64;
 
-    /// Distance of the point from where it has no image: depth in front of a camera, distance from a scanner's centre. The default is
-    /// the lever.
+    /// Distance of the point from the places without an image: depth in front of a camera, distance from a scanner's
+    /// centre. Defaults to the lever.
     fn clearance(&self, p_in_body: DVec3) -> f64 {
         self.lever(p_in_body)
     }
 
-    /// Columns and rows.
+    /// Number of columns and rows.
     fn size(&self) -> (u32, u32);
 
-    /// Columns of a full turn, if the image goes round: columns are then modulo this number.
+    /// Columns of a full turn, for an image that covers 360 degrees: columns are then modulo this number.
     fn turn(&self) -> Option<f64>;
 
-    /// The row of the pole, where all columns meet, if a row is nearer to it than to the horizon. The default has none.
+    /// The row of the pole, where all columns meet, if a row is nearer to it than to the horizon. Defaults to `None`.
     fn pole_near(&self, _row: f64) -> Option<f64> {
         None
     }
 
-    /// Where between two points of a straight line its row is greatest or least, if that is not at one of them. The default knows of
-    /// no such place.
+    /// The point between two points of a straight line at which its row is extreme, if not an end. Defaults to
+    /// `None`.
     fn culmination(&self, _from: DVec3, _to: DVec3) -> Option<DVec3> {
         None
     }
 
-    /// Derivatives of column and row by the position of a point whose image is `at`. The default uses finite differences.
+    /// Derivatives of column and row with respect to a point with image `at`. Defaults to finite differences.
     fn gradient(&self, p_in_body: DVec3, at: [f64; 2]) -> Option<[DVec3; 2]> {
         differences(self, p_in_body, at)
     }
 
-    /// Derivative of the clearance.
+    /// Derivative of the clearance with respect to the point.
     fn clearance_gradient(&self, p_in_body: DVec3) -> DVec3 {
         let step = 1e-6 * p_in_body.length().max(1e-6);
         let at = |shift: DVec3| self.clearance(p_in_body + shift);
@@ -173,31 +173,31 @@ pub trait Projection: Sync {
     }
 }
 
-/// One of the four sides: which coordinate, and +1 or -1.
+/// The four sides: coordinate, and direction +1 or -1.
 const SIDES: [(usize, f64); 4] = [(0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)];
 
-/// What is left of a point's clearance where it counts as lost.
+/// A point is lost if its clearance falls to this share.
 pub(crate) const GRAZING: f64 = 0.05;
 
-/// Errors that move a point by no more than this share of its lever do not bend its projection.
+/// The projection counts as linear if errors move a point by at most this share of its lever.
 pub const BENT: f64 = 0.02;
 
-/// Those that may move it by more than this share bend it in more ways than the errors that make the sides show.
+/// Beyond this share of the lever, the errors at the sides do not show all of the curvature.
 pub const MUCH: f64 = 0.35;
 
-/// Finds boxes of one feature after the other, in room that is kept.
+/// Finds the boxes of features and reuses its memory.
 #[derive(Default)]
 pub(crate) struct BoxFinder {
     rough: Vec<ImagePoint>,
     seen: Vec<PointDerivatives>,
-    /// The points that `seen` is of, while it is of all of them.
+    /// The points of `seen`; empty unless `seen` has all points.
     whole: Vec<BodyPoint>,
     passing: Exceedance,
 }
 
 impl BoxFinder {
-    /// Covariances in the image, pixels squared, of the points that define a feature; `None` if one has no image. What is
-    /// asked next must be of the same feature.
+    /// Returns the covariances in the image, pixels squared, of a feature's defining points; `None` if one has no
+    /// image. The next call of [`Self::find`] must be for the same feature.
     pub fn covariances(
         &mut self,
         projection: &impl Projection,
@@ -224,7 +224,7 @@ impl BoxFinder {
         level: &Level,
         method: BoxMethod,
     ) -> Option<Roi> {
-        // Most are seen from end to end.
+        // Most features are fully visible, so their points are already prepared.
         if self.whole.is_empty() || self.whole != points {
             rough(projection, uncertain, points, &mut self.rough);
             see(uncertain, &self.rough, level.first, &mut self.seen);
@@ -234,7 +234,7 @@ impl BoxFinder {
             return None;
         }
         let k = self.passing.common_deviation(&self.seen, level);
-        // Where the set reaches behind the sensor, or round its axis, no box holds it.
+        // No box holds a set that reaches behind the sensor or surrounds its axis.
         if self.rough.iter().any(|r| is_lost(projection, uncertain, r, k)) {
             return Some(Roi { bounds: whole(projection), flag: RoiFlag::WholeImage });
         }
@@ -257,8 +257,8 @@ impl BoxFinder {
     }
 }
 
-/// The box that holds all given points of a feature (those visible at the nominal pose) with probability `confidence`. It is
-/// clipped to the image and at least one pixel wide and high. Returns `None` if no point has an image.
+/// Returns the box that holds all given points of a feature (those visible at the nominal pose) with probability
+/// `confidence`. It is clipped to the image and at least one pixel in size. Returns `None` if no point has an image.
 pub fn roi(
     projection: &impl Projection,
     uncertain: &FeatureErrorModel,
@@ -268,7 +268,7 @@ pub fn roi(
     BoxFinder::default().find(projection, uncertain, points, &Level::new(confidence), BoxMethod::AsNeeded)
 }
 
-/// True if errors of `k` standard deviations may bring a point next to where it has no image, or beyond.
+/// Returns true if errors of `k` standard deviations may bring a point near or beyond the places without an image.
 fn is_lost(projection: &impl Projection, uncertain: &FeatureErrorModel, rough: &ImagePoint, k: f64) -> bool {
     let left = (1.0 - GRAZING) * rough.clearance;
     if k * rough.spread < left {
@@ -284,7 +284,7 @@ fn whole(projection: &impl Projection) -> [f64; 4] {
     [-0.5, -0.5, f64::from(w) - 0.5, f64::from(h) - 0.5]
 }
 
-/// Within the image, at least a pixel a side; over a full circle's seam x1 goes on beyond the width.
+/// Clips a box to the image, with at least one pixel per side. Across a full circle's seam x1 exceeds the width.
 fn clip(projection: &impl Projection, [x0, y0, x1, y1]: [f64; 4], flag: RoiFlag) -> Roi {
     let (w, h) = projection.size();
     let (w, h) = (f64::from(w), f64::from(h));

@@ -1,15 +1,14 @@
-//! Bounds where projection bends: a set of errors of the stated probability, propagated draw by draw.
+//! Bounds for strongly curved projections: samples of the errors are projected one at a time.
 //!
-//! Neither a derivative nor second-order terms bound what a large turn does: a point may move towards a side and back again.
-//! So errors are drawn, always the same ones, and each goes through the projection as it is. Draws that pass a side are rare,
-//! so they are made where they are expected: some from the normal distribution itself, some from a wider one, and the rest
-//! around places where errors pass the sides, which first draws have found. Each weighs as much as the normal distribution has
-//! there beside the mixture that it was drawn from (importance sampling from a defensive mixture: Hesterberg 1995,
-//! Technometrics 37). The first part bounds the weights: expecting wrongly makes the estimate uncertain and the box
-//! larger, not the box wrong.
+//! Neither a derivative nor second-order terms bound the effect of a large turn: a point may move towards a side and
+//! back again. Therefore a fixed set of error samples goes through the exact projection. Samples that pass a side are
+//! rare, so they are drawn from a mixture: the normal distribution itself, a wider one, and the places where a first
+//! set of samples passed the sides. The weight of a sample is the ratio of the normal density to the density of the
+//! mixture (importance sampling from a defensive mixture: Hesterberg 1995, Technometrics 37). The normal part bounds
+//! the weights. With badly chosen places the estimate gets uncertain and the box larger, but the box stays valid.
 //!
-//! Draws are left out from the outside, as rare ones on one side as on the others, for as long as their probability, with
-//! twice its standard error, is within what the confidence leaves; the box is that of the others.
+//! Samples are discarded from the outside in, equally on all sides. This stops when their probability plus twice its
+//! standard error reaches 1 - confidence. The box holds the remaining samples.
 
 use super::errors::{ERRORS, ErrorVector, FeatureErrorModel};
 use super::exceedance::Level;
@@ -17,45 +16,45 @@ use super::image_point::{ImagePoint, PointDerivatives, unwrapped};
 use super::{GRAZING, Projection, SIDES};
 use std::sync::OnceLock;
 
-/// Most draws.
+/// Largest number of samples.
 const DRAWS: usize = 2048;
 
-/// Of a probability below this all draws are made, above it half of them.
+/// All samples are drawn if 1 - confidence is below this, otherwise half of them.
 const RARE: f64 = 5e-3;
 
-/// Draws that find where others are to be made.
+/// Number of samples that locate the places for the others.
 const FIRST: usize = 512;
 
-/// Fewest of these of which a place is the mean.
+/// Smallest number of these samples whose mean gives a place.
 const AT_LEAST: usize = 12;
 
-/// The share of them that is drawn from the normal distribution itself.
+/// Share of samples drawn from the normal distribution itself.
 const NORMAL: f64 = 0.2;
 
-/// The share that is drawn from a wider one, for what nothing else expects.
+/// Share drawn from a wider distribution, for places that the first samples missed.
 const WIDE: f64 = 0.3;
 
-/// How many times as wide that is.
+/// Scale of the wider distribution.
 const WIDTH: f64 = 1.6;
 
-/// Most places that the others are drawn around: two for each side.
+/// Largest number of places: two for each side.
 const CENTERS: usize = 8;
 
-/// Standard errors by which the share of draws left out is taken for greater than it is.
+/// Standard errors added to the estimated probability of the discarded samples.
 const STANDARD_ERRORS: f64 = 2.0;
 
-/// The part of what the confidence leaves that is made use of: so few draws hardly know their own standard error. Boxes of
-/// 900 generated cases then missed 0.7 of what they may, and at most 0.9 (1.24 of one at 0.999).
+/// Share of 1 - confidence that is used, because the standard error is itself uncertain for few samples. In 900
+/// generated cases the boxes then missed 0.7 of the allowed share, and at most 0.9 (1.24 in one case at 0.999).
 const USED: f64 = 0.8;
 
-/// Beyond this share of a turn all columns are taken.
+/// Beyond this share of a turn the box takes all columns.
 const MOST_OF_A_TURN: f64 = 0.9;
 
-/// Errors that are not nothing, in turn.
+/// The errors that are not 0, in order.
 type ActiveErrors = [f64; ERRORS];
 
-/// Standard normal numbers, the same for all features, by Box and Muller from multiples of the square roots of primes
-/// (Richtmyer 1951), which are spread more evenly than random numbers.
+/// Standard normal numbers, the same for all features. The method of Box and Muller transforms multiples of the square
+/// roots of primes (Richtmyer 1951), which are more uniform than random numbers.
 fn normals() -> &'static [ActiveErrors] {
     static NORMALS: OnceLock<Vec<ActiveErrors>> = OnceLock::new();
     const PRIMES: [f64; ERRORS] =
@@ -74,9 +73,9 @@ fn normals() -> &'static [ActiveErrors] {
     })
 }
 
-/// Bounds where projection bends; `None` if errors of that probability may bring a point behind the sensor.
+/// Bounds for a strongly curved projection; `None` if errors of that probability may bring a point behind the sensor.
 ///
-/// `k` is the number of standard deviations at which linear bounds would stand.
+/// `k` is the number of standard deviations for linear bounds.
 pub(super) fn set_bounds(
     projection: &impl Projection,
     uncertain: &FeatureErrorModel,
@@ -98,24 +97,24 @@ pub(super) fn set_bounds(
     if right == f64::INFINITY {
         return None;
     }
-    // Round a pole columns say nothing, and where a few are left out is chance.
+    // Near a pole the columns mean nothing, and samples miss some of them by chance.
     let around = projection.turn().filter(|turn| right + left > MOST_OF_A_TURN * turn);
     let Some(turn) = around else { return Some([-left, -top, right, bottom]) };
-    // What may lie all around the axis may lie on it.
+    // A feature that may surround the axis may also lie on it.
     let pole = |row: f64| projection.pole_near(row).unwrap_or(row);
     Some([-left, pole(-top).min(-top), turn - left, pole(bottom).max(bottom)])
 }
 
-/// What is asked of all errors.
+/// Projects samples of the errors of one feature.
 struct Set<'a, P> {
     projection: &'a P,
     uncertain: &'a FeatureErrorModel,
     rough: &'a [ImagePoint],
-    /// Numbers of the errors that are not nothing.
+    /// Indices of the errors that are not 0.
     used: &'a [usize],
 }
 
-/// Errors, how far towards each side they bring a feature, and how many draws of the normal distribution they stand for.
+/// Errors, how far they move a feature towards each side, and the weight relative to the normal distribution.
 #[derive(Clone, Copy)]
 struct Draw {
     few: ActiveErrors,
@@ -124,8 +123,8 @@ struct Draw {
 }
 
 impl<P: Projection> Set<'_, P> {
-    /// How far towards each side errors bring the feature; `None` if they bring it behind the sensor. What leaves the image
-    /// elsewhere need not be found in it.
+    /// How far errors move the feature towards each side; `None` if they move it behind the sensor. Points that leave
+    /// the image elsewhere count where they would be.
     fn reach(&self, few: &ActiveErrors) -> Option<[f64; 4]> {
         let mut xi = ErrorVector::default();
         for (i, x) in self.used.iter().zip(few) {
@@ -139,8 +138,8 @@ impl<P: Projection> Set<'_, P> {
             if !(self.projection.clearance(p) > GRAZING * rough.clearance) {
                 return None;
             }
-            // Near a pole a segment may be highest anywhere between points of it, and may pass on the other side: it goes round by
-            // less than half a turn, all of its points together.
+            // Near a pole a segment may be highest anywhere between its points, and it may pass on the other side. All
+            // its points together span less than half a turn.
             let is_next = rough.point.shares[1] > 0.0;
             let before = before.replace(p).filter(|_| is_next);
             let highest = before.and_then(|before| self.projection.culmination(before, p));
@@ -158,9 +157,9 @@ impl<P: Projection> Set<'_, P> {
         Some(reach)
     }
 
-    /// Errors of length `k` that move the feature far towards the sides: along the derivatives, and along each error, for a turn moves what
-    /// is straight ahead up or down by the second order only. Of each side the farthest, and the farthest on the other
-    /// side of none, if that is nearly as far.
+    /// Errors of length `k` that move the feature far towards the sides. Candidates are the derivatives and each single
+    /// error, because a turn moves a point straight ahead up or down in second order only. For each side, returns the
+    /// farthest and, if it is nearly as far, the farthest in a different direction.
     fn centers(&self, k: f64) -> Vec<ActiveErrors> {
         let n = self.used.len();
         let mut candidates: Vec<ActiveErrors> = Vec::new();
@@ -186,7 +185,7 @@ impl<P: Projection> Set<'_, P> {
             let second = farthest(&mut reached.iter().filter(|(other, _)| dot(other, &first, n) < 0.3 * k * k));
             let nearly = second.filter(|(_, reach)| reach[side] - nominal[side] > 0.5 * (most[side] - nominal[side]));
             for center in [Some(first), nearly.map(|s| s.0)].into_iter().flatten() {
-                // What one side has serves another, too.
+                // One error may serve several sides.
                 if !centers.iter().any(|known| dot(known, &center, n) > 0.95 * k * k) {
                     centers.push(center);
                 }
@@ -195,8 +194,8 @@ impl<P: Projection> Set<'_, P> {
         centers
     }
 
-    /// Where errors that pass a side lie on average, by some draws: for each side one place, and another if many lie on the
-    /// other side of none.
+    /// Mean of the errors that pass each side, from a set of samples. A side gets a second mean if many of its errors
+    /// point in the opposite direction.
     fn passing(&self, draws: &[Draw], fail: f64) -> Vec<ActiveErrors> {
         let n = self.used.len();
         let mut centers = Vec::with_capacity(CENTERS);
@@ -223,7 +222,7 @@ impl<P: Projection> Set<'_, P> {
         centers
     }
 
-    /// Draws by normal numbers; those behind the sensor reach beyond every side.
+    /// Makes samples from normal numbers. A sample behind the sensor passes every side.
     fn draws(&self, normals: &[ActiveErrors], centers: &[ActiveErrors]) -> Vec<Draw> {
         let n = self.used.len();
         let own = if centers.is_empty() { 1.0 - WIDE } else { NORMAL };
@@ -247,10 +246,10 @@ impl<P: Projection> Set<'_, P> {
     }
 }
 
-/// Which draws are left out, from the outside, so that what is left has the confidence.
+/// Discards samples from the outside in, so that the others have the confidence.
 fn left_out(draws: &[Draw], fail: f64) -> Vec<bool> {
     let most = USED * fail * draws.len() as f64;
-    // By draw: the weight of those at least as far towards a side, where that is least.
+    // For each sample, the weight of the samples at least as far towards a side; the minimum over the sides.
     let mut rarest = vec![f64::INFINITY; draws.len()];
     let mut order = Vec::new();
     for side in 0..SIDES.len() {
@@ -277,12 +276,12 @@ fn left_out(draws: &[Draw], fail: f64) -> Vec<bool> {
     out
 }
 
-/// Visits draws, those that reach farthest towards a side first, until told to stop.
+/// Visits samples in the order of their reach towards a side, farthest first, until `visit` returns false.
 fn farthest_first(draws: &[Draw], side: usize, order: &mut Vec<(f64, usize)>, mut visit: impl FnMut(usize) -> bool) {
     order.clear();
     order.extend(draws.iter().map(|d| d.reach[side]).zip(0..));
     let by_reach = |a: &(f64, usize), b: &(f64, usize)| b.0.total_cmp(&a.0);
-    // Hardly ever more than these are asked for.
+    // Rarely are more than these visited, so the rest is not sorted.
     let mut rest = &mut order[..];
     while !rest.is_empty() {
         let some = rest.len().min(128);
@@ -298,7 +297,7 @@ fn farthest_first(draws: &[Draw], side: usize, order: &mut Vec<(f64, usize)>, mu
     }
 }
 
-/// Of the first so many.
+/// Scalar product of the first `n` entries.
 fn dot(a: &ActiveErrors, b: &ActiveErrors, n: usize) -> f64 {
     (0..n).map(|i| a[i] * b[i]).sum()
 }

@@ -1,4 +1,4 @@
-//! Derivatives and special boxes; tests/features/roi_coverage holds boxes to draws of the errors.
+//! Tests derivatives and special boxes. tests/features/roi_coverage compares boxes with samples of the errors.
 
 use super::*;
 use glam::{DMat3, DVec3};
@@ -27,7 +27,7 @@ impl Projection for Camera {
     }
 }
 
-/// A scanner of 720 x 181 half and whole degrees: all round, from pole to pole.
+/// A scanner of 720 x 181 pixels in steps of 0.5 and 1 degree: full circle, from pole to pole.
 struct Scanner;
 
 impl Projection for Scanner {
@@ -97,7 +97,7 @@ fn slopes_are_those_of_place() {
         let slope = DVec3::from_array(slopes.map(|s| s.as_flattened()[i]));
         assert!((difference - slope).length() < 1e-7, "{i}: {difference} and {slope}");
     }
-    // A turn of the sensor to the left moves what it sees to the right.
+    // A turn of the sensor to the left moves the image to the right.
     let turn = FeatureErrorModel::new(
         &Pose::IDENTITY,
         &diagonal([0.0, 0.0, 0.0, 0.0, 0.0, 0.1]),

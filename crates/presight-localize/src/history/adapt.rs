@@ -1,60 +1,60 @@
-//! What innovations say about noise: how large it is, and whether the motion has just changed.
+//! Learns the noise level from innovations and detects changes of motion.
 
 use super::window::BoxLevel;
 
-/// Frames over which the scale of the noise is learnt.
+/// Time constant of the learnt noise scale, frames.
 const SCALE_FRAMES: f64 = 20.0;
-/// Largest factor by which one frame may widen variances.
+/// Largest inflation of variances in the table.
 const MOST_INFLATION: f64 = 64.0;
-/// And what is made of it: larger ones are outliers as often as not.
+/// Limit on the inflation after one frame. Larger values are often outliers.
 const MOST_CHANGE: f64 = 4.0;
-/// The same where features are displaced from their windows.
+/// Limit on the inflation when features are displaced from their windows.
 const MOST_DISPLACEMENT: f64 = 9.0;
-/// Largest factor that is learnt to be usual.
+/// Largest inflation that is learnt as normal.
 const MOST_USUAL: f64 = 3.0;
-/// Standard deviations beyond which a frame's innovations mean that the motion has changed.
+/// A frame's inflation means a change of motion if it is more than this many standard deviations above 1.
 const SIGNIFICANT: f64 = 4.0;
 
-/// Innovations of one frame, all tracks together.
+/// Innovations of all tracks in one frame.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct FrameInnovations {
-    /// Sum of squares, each by its predicted variance.
+    /// Sum of squared innovations, each divided by its predicted variance.
     pub squares: f64,
-    /// Of how many coordinates.
+    /// Number of coordinates in the sum.
     pub coordinates: u32,
-    /// Tracks that should be seen.
+    /// Number of tracks that should be detected.
     pub wanted: u32,
-    /// Of these, those that were.
+    /// Number of these tracks that were detected.
     pub seen: u32,
-    /// Detections in windows that are no track's.
+    /// Detections in windows that belong to no track.
     pub clutter: u32,
-    /// Of all windows, pixels squared.
+    /// Total area of the windows, pixels squared.
     pub area: f64,
 }
 
-/// How the motion has changed.
+/// Inflation of variances after a change of motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct MotionChange {
-    /// Variances are so many times what was predicted; 1 unless the motion changed.
+    /// Factor by which the variance exceeds its prediction; 1 if the motion did not change.
     pub inflation: f64,
-    /// Features are displaced from their windows as if variances were so many times what was predicted; 1 unless they are.
+    /// Variance factor that explains the missed tracks by a displacement from their windows; 1 if there is none.
     pub displacement: f64,
 }
 
-/// Noise as the innovations of past frames have it.
+/// Noise learnt from the innovations of past frames.
 #[derive(Clone, Debug)]
 pub(super) struct Adaptation {
-    /// Variances are so many times what detections and process noise say: at least 1.
+    /// Factor by which the variance exceeds that of detections and process noise; at least 1.
     pub scale: f64,
-    /// Clutter by pixel squared.
+    /// Clutter detections per pixel squared.
     pub clutter: f64,
     /// Mean seconds between frames; 0 before the first.
     pub interval: f64,
-    /// Share of tracks that are seen.
+    /// Share of tracks that are detected.
     pub hit_rate: f64,
-    /// Variance of a frame's inflation beyond what chance explains: all features shake with the sensor.
+    /// Variance of a frame's inflation beyond chance, because all features shake with the sensor.
     unrest: f64,
-    /// Inflation of variances by the mean of squared innovations, from windows of this confidence.
+    /// Table from the mean squared innovation within windows to the inflation of the variance.
     truncation: Truncation,
 }
 
@@ -64,7 +64,7 @@ impl Adaptation {
         Self { scale: 1.0, clutter, interval: 0.0, hit_rate, unrest: 0.0, truncation }
     }
 
-    /// Notes the time between two frames.
+    /// Updates the mean time between frames.
     pub fn pass(&mut self, interval: f64) {
         self.interval = if self.interval > 0.0 { self.interval + 0.2 * (interval - self.interval) } else { interval };
     }
@@ -95,7 +95,7 @@ impl Adaptation {
         MotionChange { inflation, displacement: self.observe_misses(frame).min(MOST_DISPLACEMENT) }
     }
 
-    /// Where far fewer are seen than usual, the windows are at the wrong place.
+    /// If far fewer tracks are detected than normal, the windows are in the wrong place.
     fn observe_misses(&mut self, frame: &FrameInnovations) -> f64 {
         if frame.wanted == 0 {
             return 1.0;
@@ -111,16 +111,16 @@ impl Adaptation {
     }
 }
 
-/// Innovations beyond a window are never seen: what the rest of them says about the variance of all.
+/// Innovations outside a window are never measured. This table derives the full variance from the innovations inside.
 #[derive(Clone, Debug)]
 struct Truncation {
-    /// Sides of windows, standard deviations.
+    /// Half widths of windows, standard deviations.
     deviations: f64,
-    /// Mean squares seen, by the logarithm of the inflation in steps of an eighth.
+    /// Mean squared innovation within the window, for logarithms of the inflation in steps of 1/8.
     means: Vec<f64>,
 }
 
-/// Table steps by factor e.
+/// Table steps per unit of the natural logarithm.
 const STEPS: f64 = 8.0;
 
 impl Truncation {
@@ -130,7 +130,7 @@ impl Truncation {
         Self { deviations, means }
     }
 
-    /// The factor of the variance at which squared innovations within the window have this mean.
+    /// Variance factor at which squared innovations within the window have this mean.
     fn inflation(&self, mean: f64) -> f64 {
         let i = self.means.partition_point(|m| *m < mean);
         let zero = (self.means.len() / 2) as f64;
@@ -143,7 +143,7 @@ impl Truncation {
         ((at - zero) / STEPS).exp()
     }
 
-    /// The factor of the variance at which this share of points stays within windows.
+    /// Variance factor at which this share of points stays within the windows.
     fn inflation_of_share(&self, share: f64) -> f64 {
         let of = |inflation: f64| (1.0 - 2.0 * tail(self.deviations / inflation.sqrt())).powi(2);
         let (mut low, mut high) = (1.0, MOST_INFLATION);
@@ -159,7 +159,7 @@ fn tail(x: f64) -> f64 {
     0.5 * libm::erfc(x * std::f64::consts::FRAC_1_SQRT_2)
 }
 
-/// The mean square of a normal variable of variance `inflation` where its amount is below `k`.
+/// Mean square of a normal variable with variance `inflation`, given that its absolute value is below `k`.
 fn mean_within(k: f64, inflation: f64) -> f64 {
     let a = k / inflation.sqrt();
     let density = (-0.5 * a * a).exp() / std::f64::consts::TAU.sqrt();
@@ -186,7 +186,7 @@ mod tests {
         for inflation in [0.5, 1.0, 2.0, 10.0] {
             assert!((t.inflation(mean_within(2.807, inflation)) / inflation - 1.0).abs() < 0.01);
         }
-        // Evenly spread over the window: k^2 / 3.
+        // A uniform distribution over the window has the mean square k^2 / 3.
         assert_eq!(t.inflation(2.807 * 2.807 / 3.0), MOST_INFLATION);
         assert!((t.inflation_of_share(0.99) - 1.0).abs() < 0.01);
     }

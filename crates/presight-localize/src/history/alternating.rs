@@ -1,4 +1,4 @@
-//! Full predictions and history in turn.
+//! Alternates full predictions and predictions from history.
 
 use super::health::PredictionTrigger;
 use super::outcome::{MatchOutcome, SeedOutcome, Window};
@@ -8,7 +8,7 @@ use crate::matching::Detection;
 use glam::{DVec2, DVec3};
 use presight_model::error::Result;
 
-/// Where a frame's windows are from.
+/// Origin of a frame's windows.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Source {
     /// The tracks' history alone.
@@ -17,31 +17,31 @@ pub enum Source {
     Full {
         /// Why it was made.
         why: PredictionTrigger,
-        /// What it did to the tracks.
+        /// The changes to the tracks.
         seeded: SeedOutcome,
     },
 }
 
-/// Gives the pixel (column, row) of a point in the world, metres; see [`super::view`].
+/// Maps a point in the world (metres) to its pixel (column, row); see [`super::view`].
 pub type PointProjection<'a> = &'a dyn Fn(DVec3) -> Option<DVec2>;
 
 /// One frame's windows.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FrameWindows {
-    /// Where they are from.
+    /// Origin of the windows.
     pub source: Source,
-    /// Where every tracked feature will be found.
+    /// Predicted positions of all tracked features.
     pub windows: Vec<Window>,
 }
 
-/// Makes full predictions when the tracks are not enough, and does with their history otherwise (paper section 3.4).
+/// Makes full predictions when the tracks do not suffice, and otherwise predicts from history (paper section 3.4).
 ///
 /// ```
 /// use glam::{DMat2, DVec2};
 /// use presight::history::{AlternatingTracker, ImageExtent, Seed, Source, Tracker, TrackerOptions};
 /// use presight::matching::{Detection, ExpectedProperties, Shape};
 ///
-/// // Twenty points that move to the right, 60 pixels a second. A full prediction knows where they are.
+/// // Twenty points move to the right at 60 pixels per second. A full prediction knows their positions.
 /// let at = |i: u32, time: f64| DVec2::new(30.0 * f64::from(i % 5) + 60.0 * time, 100.0 * f64::from(i / 5) + 50.0);
 /// let full = |time: f64| -> presight::Result<Vec<Seed>> {
 ///     let seed = |i: u32| Seed {
@@ -59,7 +59,7 @@ pub struct FrameWindows {
 ///     let time = 0.05 * f64::from(k);
 ///     let frame = alternating.predict(time, None, || full(time))?;
 ///     assert_eq!(frame.source == Source::History, k > 0);
-///     // Extraction would look into `frame.windows`.
+///     // An extractor would search in `frame.windows`.
 ///     let found: Vec<Detection> = (0..20).map(|i| Detection::point(at(i, time), 0.5)).collect();
 ///     assert_eq!(alternating.correct(time, &found)?.matched.len(), 20);
 /// }
@@ -69,7 +69,7 @@ pub struct FrameWindows {
 #[derive(Clone, Debug)]
 pub struct AlternatingTracker {
     tracker: Tracker,
-    /// Most frames from one full prediction to the next.
+    /// Largest number of frames from one full prediction to the next.
     every: Option<u32>,
     since: u32,
     full: u64,
@@ -77,7 +77,7 @@ pub struct AlternatingTracker {
 }
 
 impl AlternatingTracker {
-    /// With a full prediction whenever the tracker's health asks for one, and at the latest every `every` frames.
+    /// Makes a full prediction whenever the tracker's health requires one, and at least every `every` frames.
     pub fn new(tracker: Tracker, every: Option<u32>) -> Self {
         Self { tracker, every, since: 0, full: 0, history: 0 }
     }
@@ -87,11 +87,11 @@ impl AlternatingTracker {
         &self.tracker
     }
 
-    /// The windows of the frame at `time` (seconds); `full` is called where a full prediction is needed, and gives what it shows.
-    /// `view` is what [`Tracker::set_view`] is told, if the motion is known.
+    /// Returns the windows of the frame at `time` (seconds). `full` is called if a full prediction is needed and
+    /// returns its seeds. `view` is passed to [`Tracker::set_view`] if the motion is known.
     ///
     /// # Errors
-    /// Those of `full`, [`Tracker::seed`] and [`Tracker::predict`].
+    /// The errors of `full`, [`Tracker::seed`] and [`Tracker::predict`].
     pub fn predict(
         &mut self,
         time: f64,
@@ -112,7 +112,7 @@ impl AlternatingTracker {
         let source = match why {
             Some(why) => {
                 let seeded = self.tracker.seed(time, full()?)?;
-                // New tracks count their flow from this view, whatever pose the prediction took.
+                // The flow of new tracks starts at this view, whichever pose the full prediction used.
                 if let Some(view) = view {
                     self.tracker.set_view(view);
                 }
@@ -130,12 +130,12 @@ impl AlternatingTracker {
     /// See [`Tracker::correct`].
     ///
     /// # Errors
-    /// Those of [`Tracker::correct`].
+    /// The errors of [`Tracker::correct`].
     pub fn correct(&mut self, time: f64, found: &[Detection]) -> Result<MatchOutcome> {
         self.tracker.correct(time, found)
     }
 
-    /// Share of frames so far that history did alone; 0 before the first.
+    /// Share of frames predicted from history alone; 0 before the first frame.
     pub fn history_share(&self) -> f64 {
         self.history as f64 / (self.full + self.history).max(1) as f64
     }

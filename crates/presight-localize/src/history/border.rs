@@ -1,4 +1,4 @@
-//! What happens at the image's borders and at its seam.
+//! Handles tracks at the image border and at the seam of a panoramic image.
 
 use super::motion::PointMotion;
 use super::options::ImageExtent;
@@ -6,13 +6,12 @@ use super::track::Track;
 use crate::matching::Shape;
 use glam::DVec2;
 
-/// Whether a point is in the image.
 pub(super) fn is_within(p: DVec2, image: &ImageExtent) -> bool {
     let inside = |x: f64, size: u32| x >= -0.5 && x <= f64::from(size) - 0.5;
     (image.turn.is_some() || inside(p.x, image.width)) && inside(p.y, image.height)
 }
 
-/// Writes positions into the shape; columns of one turn.
+/// Copies the motions' positions into the shape, with columns wrapped into one turn.
 pub(super) fn place(track: &mut Track, turn: Option<f64>) {
     let Track { shape, motions, .. } = track;
     if let Some(turn) = turn {
@@ -24,8 +23,7 @@ pub(super) fn place(track: &mut Track, turn: Option<f64>) {
     }
 }
 
-/// Whether a track is still in the image. A segment that leaves it goes on with the part that is inside: its end slides along the
-/// border.
+/// Returns true if a track is still in the image. A segment that leaves is clipped: its end slides along the border.
 pub(super) fn stay_within(track: &mut Track, image: &ImageExtent) -> bool {
     let Shape::Segment { .. } = &track.shape else { return is_within(track.shape.centre(), image) };
     let ends = [track.motions[0].position, track.motions[1].position];
@@ -45,7 +43,7 @@ pub(super) fn stay_within(track: &mut Track, image: &ImageExtent) -> bool {
                 acceleration: mix(both[0].acceleration, both[1].acceleration),
                 ..near
             };
-            // What was known of that end's place is of another point of the segment.
+            // The known flow belonged to the old end, not to the point on the border.
             track.flow = Default::default();
             if let Shape::Segment { corners, .. } = &mut track.shape {
                 corners[i] = false;
@@ -57,10 +55,10 @@ pub(super) fn stay_within(track: &mut Track, image: &ImageExtent) -> bool {
     ends[0].distance(ends[1]) >= SHORTEST_PART
 }
 
-/// Shortest part of a segment at the border that is followed on, pixels.
+/// Shortest clipped segment that is still followed, pixels.
 const SHORTEST_PART: f64 = 4.0;
 
-/// The part of a segment inside the image, by shares of it.
+/// Clips a segment to the image. Returns the start and end of the inner part as fractions of the segment.
 fn part_within(ends: [DVec2; 2], image: &ImageExtent) -> Option<[f64; 2]> {
     let (mut from, mut to) = (0.0f64, 1.0f64);
     let d = ends[1] - ends[0];

@@ -1,48 +1,49 @@
-//! The part of the motion that all features share: the sensor turns, and shakes.
+//! The motion that all features share when the sensor turns or shakes.
 //!
-//! A turning or shaking sensor moves its whole image. Each track alone would take frames to tell such a motion from noise; all
-//! tracks together tell it at once, and far better than any of them. The shared displacement is therefore a [`PointMotion`] of
-//! its own, and tracks follow what is left. Where the displacement says that the motion has changed, an unknown acceleration since the
-//! last frame explains it; where it comes and goes it is shaking, which windows have to hold and tracks need not follow.
+//! A single track needs several frames to distinguish such a motion from noise. All tracks together measure it in one
+//! frame, and more accurately. The shared displacement is therefore a [`PointMotion`] of its own, and each track
+//! follows the rest. A displacement beyond its prediction adds an unknown acceleration since the last frame. A
+//! displacement that comes and goes is shaking: windows must cover it, and tracks must not follow it.
 
 use super::motion::{PointMotion, isotropic};
 use glam::{DMat2, DVec2};
 
-/// Frames that the shared motion remembers.
+/// Memory of the shared motion, frames.
 const MEMORY: f64 = 4.0;
-/// Squared deviation, by the variance of one coordinate, beyond which the motion has changed: chi-squared of two, 3 in 100.
+/// Squared deviation, relative to the variance of one coordinate, beyond which the motion has changed. A chi-squared
+/// variable with two degrees of freedom exceeds it with probability 0.03.
 const CHANGED: f64 = 7.0;
-/// What is left, a frame later, of the variance of an acceleration that has changed.
+/// Factor per frame by which the variance of a changed acceleration fades.
 const FADE: f64 = 0.1;
-/// Frames over which shaking is learnt.
+/// Time constant of the learnt shaking, frames.
 const SHAKE_FRAMES: f64 = 20.0;
-/// Variance of shaking at first, and at least, pixels squared.
+/// Initial and smallest variance of shaking, pixels squared.
 const SHAKE: f64 = 0.04;
 const LEAST_SHAKE: f64 = 1e-3;
-/// What is expected of squared displacements while nothing changes, beside shaking: what the filter adds.
+/// Expected squared displacement by shaking and filter, in units of the shaking variance, while the motion is steady.
 const CALM: f64 = 1.5;
-/// Fewer tracks tell too little.
+/// Fewest points that estimate the shared motion.
 const LEAST_WITNESSES: usize = 8;
-/// Residuals beyond so many standard deviations count less.
+/// Residuals beyond this many standard deviations get less weight.
 const OUTLIER: f64 = 2.0;
 
-/// What one track's point tells.
+/// Evidence from one point of a track.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PointEvidence {
-    /// Measured less predicted position.
+    /// Measured minus predicted position.
     pub innovation: DVec2,
-    /// Inverse of its covariance; 0 in directions that tell nothing.
+    /// Inverse covariance of the innovation; 0 along directions without information.
     pub information: DMat2,
 }
 
-/// The shared motion and what is known of it.
+/// The shared motion and its uncertainty.
 #[derive(Clone, Debug)]
 pub(super) struct CommonMotion {
     /// Its position is the displacement since the last frame.
     motion: PointMotion,
-    /// Variance of what comes and goes with each frame, pixels squared.
+    /// Variance of the shaking, pixels squared.
     shake: f64,
-    /// Variance that an unknown acceleration may bring in the next interval, pixels squared.
+    /// Variance that an unknown acceleration may add in the next interval, pixels squared.
     changed: f64,
 }
 
@@ -62,7 +63,7 @@ impl CommonMotion {
         moved
     }
 
-    /// Displacement since the last frame, or by its correction.
+    /// Displacement since the last frame, or since the last [`Self::rebase`].
     pub fn displacement(&self) -> DVec2 {
         self.motion.position
     }
@@ -75,23 +76,23 @@ impl CommonMotion {
         self.motion.acceleration
     }
 
-    /// Covariance of a detection's displacement, shaking included.
+    /// Covariance of the displacement of a detection, including shaking.
     pub fn covariance(&self) -> DMat2 {
         self.motion.pp + isotropic(self.shake)
     }
 
-    /// Displacements count from here on.
+    /// Restarts the displacement at 0.
     pub fn rebase(&mut self) {
         self.motion.position = DVec2::ZERO;
     }
 
-    /// Features are displaced from their windows, nobody knows where to.
+    /// Adds an unknown change of acceleration after features were displaced from their windows.
     pub fn lose(&mut self, variance: f64) {
         self.changed = self.changed.max(variance);
     }
 
-    /// Takes in what tracks tell after a frame of `interval` seconds. Tells by what this frame's detections are displaced from where
-    /// they were predicted, shaking included.
+    /// Corrects the shared motion by the evidence of a frame after `interval` seconds. Returns the mean displacement of
+    /// the detections from their predictions, including shaking.
     pub fn correct(&mut self, witnesses: &[PointEvidence], interval: f64) -> DVec2 {
         if interval <= 0.0 {
             return DVec2::ZERO;
@@ -101,7 +102,7 @@ impl CommonMotion {
             return DVec2::ZERO;
         }
         let prior = 0.5 * (self.motion.pp.x_axis.x + self.motion.pp.y_axis.y) + self.shake;
-        // Where the motion has changed, what was expected says nothing: the witnesses alone are asked.
+        // The prediction is not used here, because it is wrong when the motion has changed.
         let (rough, _) = weigh(witnesses, None);
         let (told, certain) = weigh(witnesses, Some(rough));
         let squared = told.length_squared();
@@ -118,7 +119,7 @@ impl CommonMotion {
     }
 }
 
-/// The mean innovation by weight, and the variance of a coordinate of it; those far from `before` count less.
+/// Returns the weighted mean innovation and its variance per coordinate. Those far from `before` get less weight.
 fn weigh(witnesses: &[PointEvidence], before: Option<DVec2>) -> (DVec2, f64) {
     let (mut sum, mut pulled) = (DMat2::ZERO, DVec2::ZERO);
     for w in witnesses {
@@ -133,7 +134,7 @@ fn weigh(witnesses: &[PointEvidence], before: Option<DVec2>) -> (DVec2, f64) {
         sum += information;
         pulled += information * w.innovation;
     }
-    // Where all witnesses slide in one direction, nothing is known of it: take it as still.
+    // If all points slide in one direction, that direction has no information and its innovation is set to 0.
     let inverse = (sum + isotropic(1e-6)).inverse();
     (inverse * pulled, 0.5 * (inverse.x_axis.x + inverse.y_axis.y))
 }
@@ -150,7 +151,7 @@ mod tests {
         std::iter::repeat_n(seen, 60).chain(std::iter::once(wild)).collect()
     }
 
-    /// All features begin to accelerate by 2 pixels a frame squared: after three frames the shared motion has it.
+    /// All features start to accelerate by 2 pixels per frame squared. After three frames the shared motion follows.
     #[test]
     fn a_turn_is_followed_within_three_frames() {
         let mut common = CommonMotion::still();

@@ -1,13 +1,13 @@
-//! Whether tracks are enough to go on without a full prediction.
+//! Decides when tracks no longer suffice and a full prediction is needed.
 
 use super::options::ImageExtent;
 use super::track::Track;
 use std::fmt;
 
-/// Why a full prediction is wanted.
+/// Why a full prediction is needed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum PredictionTrigger {
-    /// There was none yet.
+    /// No full prediction has been made yet.
     Start,
     /// The last two frames were too far apart in time.
     Gap,
@@ -17,7 +17,7 @@ pub enum PredictionTrigger {
     BadlySpread,
     /// Too many of the tracks since the last full prediction are gone.
     Thinned,
-    /// So many frames have passed as the caller allows.
+    /// The caller's limit of frames between full predictions is reached.
     Due,
 }
 
@@ -34,22 +34,22 @@ impl fmt::Display for PredictionTrigger {
     }
 }
 
-/// Whether tracks are enough to go on without a full prediction.
+/// How well the tracks cover the image, and whether a full prediction is needed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Health {
-    /// Tracks.
+    /// Number of tracks.
     pub tracks: usize,
-    /// Ninths of the image, three by three, that hold one.
+    /// Number of cells of a 3 x 3 grid over the image that hold a track.
     pub spread: usize,
-    /// Share of the tracks at the last full prediction that is left.
+    /// Share of the tracks since the last full prediction that is left.
     pub share: f64,
-    /// Mean square of innovations by their predicted variances, as learnt: 1 where the noise is as detections say.
+    /// Learnt ratio of squared innovations to their predicted variances. 1 if detections state their noise correctly.
     pub noise_scale: f64,
-    /// Why a full prediction is wanted; `None` if it is not.
+    /// Why a full prediction is needed; `None` if it is not.
     pub wants: Option<PredictionTrigger>,
 }
 
-/// Ninths of the image that hold a track.
+/// Number of cells of a 3 x 3 grid over the image that hold a track.
 pub(super) fn spread(tracks: &[Track], image: &ImageExtent) -> usize {
     let mut held = [false; 9];
     for track in tracks {

@@ -1,18 +1,19 @@
-//! History-based prediction (paper section 3.4): where features will be found, from where they were found before.
+//! History-based prediction (paper section 3.4): predicts the positions of features from earlier ones.
 //!
-//! Between two frames most features move little. A [`Tracker`] follows each in the image, and tells a small [`Window`] in which it will
-//! be found in the next frame, in a fraction of the time that a full prediction takes. It needs no world and no engine: full
-//! predictions seed it ([`Seed::of_prediction`]), and what an extractor finds in the windows ([`crate::matching::Detection`]) corrects it.
+//! Between two frames most features move little. A [`Tracker`] follows each feature in the image and returns a small
+//! [`Window`] in which to look for it in the next frame. This takes a fraction of the time of a full prediction and
+//! needs no world and no engine. Full predictions seed the tracker ([`Seed::of_prediction`]), and the detections in the
+//! windows ([`crate::matching::Detection`]) correct it.
 //!
 //! | step | what it does |
 //! |---|---|
-//! | [`Tracker::seed`] | begins tracks from a full prediction, ends those that it does not show |
-//! | [`Tracker::set_view`] | optional: tells where the sensor will be; the flow that this causes is taken out |
-//! | [`Tracker::predict`] | windows that hold each feature with the stated probability |
-//! | [`Tracker::correct`] | finds each track's detection, corrects tracks, drops those missed three times in a row |
-//! | [`Tracker::health`] | whether a full prediction is wanted, and why |
+//! | [`Tracker::seed`] | starts tracks from a full prediction and ends tracks that the prediction does not show |
+//! | [`Tracker::set_view`] | optional: sets the next sensor pose, so that its optical flow is removed |
+//! | [`Tracker::predict`] | returns windows that hold each feature with the stated probability |
+//! | [`Tracker::correct`] | matches detections to tracks, corrects tracks, drops tracks missed three times in a row |
+//! | [`Tracker::health`] | reports whether a full prediction is needed, and why |
 //!
-//! [`AlternatingTracker`] does all of it in turn. The mathematics and what was measured: `docs/history.md`.
+//! [`AlternatingTracker`] runs all these steps. `docs/history.md` has the mathematics and the measurements.
 //!
 //! ```
 //! use glam::{DMat2, DVec2};
@@ -36,7 +37,7 @@
 //!     areas.push((x1 - x0) * (y1 - y0));
 //!     tracker.correct(time, &[Detection::point(at(time), 0.5)])?;
 //! }
-//! // Its speed was not known at first.
+//! // The speed was unknown at first.
 //! assert!(areas[19] < 0.1 * areas[1]);
 //! let speed = tracker.tracks()[0].speeds().next().expect("a point has one");
 //! assert!((speed - DVec2::new(80.0, 0.0)).length() < 1.0);

@@ -1,14 +1,14 @@
-//! Position, speed and acceleration of one image point, by a Kalman filter.
+//! Kalman filter for position, speed and acceleration of one image point.
 
 use glam::{DMat2, DVec2};
 
-/// An image point in motion: constant acceleration, disturbed by white jerk. Pixels and seconds.
+/// State of a moving image point: constant acceleration disturbed by white jerk. Units are pixels and seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct PointMotion {
     pub position: DVec2,
     pub speed: DVec2,
     pub acceleration: DVec2,
-    /// Covariances: position, position with speed, position with acceleration, speed, speed with acceleration, acceleration.
+    /// Covariances of position (p), speed (v) and acceleration (a), by pairs.
     pub pp: DMat2,
     pub pv: DMat2,
     pub pa: DMat2,
@@ -17,7 +17,6 @@ pub(super) struct PointMotion {
     pub aa: DMat2,
 }
 
-/// A variance in all directions.
 pub(super) fn isotropic(variance: f64) -> DMat2 {
     DMat2::from_diagonal(DVec2::splat(variance))
 }
@@ -27,7 +26,7 @@ fn symmetric(m: DMat2) -> DMat2 {
 }
 
 impl PointMotion {
-    /// At rest but for what is not known.
+    /// A point at rest, with the given variances of its unknown speed and acceleration.
     pub fn new(position: DVec2, covariance: DMat2, speed_variance: f64, acceleration_variance: f64) -> Self {
         let zero = DMat2::ZERO;
         Self {
@@ -43,14 +42,14 @@ impl PointMotion {
         }
     }
 
-    /// `interval` seconds later, at most a jerk of spectral density `jerk` (pixels squared by s^5) disturbing it.
+    /// Returns the state `interval` seconds later. `jerk` is a spectral density, pixels squared per s^5.
     pub fn propagated(&self, interval: f64, jerk: f64) -> Self {
         let mut moved = *self;
         moved.advance(interval, jerk);
         moved
     }
 
-    /// The same in place.
+    /// Same as [`Self::propagated`], in place.
     pub fn advance(&mut self, interval: f64, jerk: f64) {
         let t = interval;
         let half = 0.5 * t * t;
@@ -71,7 +70,7 @@ impl PointMotion {
         self.disturb(interval, jerk);
     }
 
-    /// Adds what white jerk does in `interval` seconds.
+    /// Adds the process noise of white jerk over `interval` seconds.
     fn disturb(&mut self, interval: f64, jerk: f64) {
         let t = interval;
         let (t2, t3) = (t * t, t * t * t);
@@ -83,12 +82,12 @@ impl PointMotion {
         self.aa += isotropic(jerk * t);
     }
 
-    /// The acceleration has changed when the interval began, by an amount that is not known: it brings this variance of the position.
+    /// Adds an unknown change of acceleration at the start of the interval that adds `variance` to the position.
     pub fn change_acceleration(&mut self, variance: f64, interval: f64) {
         if variance <= 0.0 || interval <= 0.0 {
             return;
         }
-        // A change a displaces by a t^2 / 2, and adds a t to the speed.
+        // A change of acceleration a displaces the point by a t^2 / 2 and changes the speed by a t.
         let rate = 2.0 / interval;
         let rate_squared = rate / interval;
         self.pp += isotropic(variance);
@@ -99,7 +98,7 @@ impl PointMotion {
         self.aa += isotropic(variance * rate_squared * rate_squared);
     }
 
-    /// Takes in that the innovation (measured less predicted position) was seen, with the covariance of the measurement.
+    /// Kalman update with an innovation (measured minus predicted position) and the covariance of the measurement.
     pub fn correct(&mut self, innovation: DVec2, covariance: DMat2) {
         let inverse = (self.pp + covariance).inverse();
         let gains = [self.pp, self.pv.transpose(), self.pa.transpose()].map(|m| m * inverse);
@@ -115,13 +114,13 @@ impl PointMotion {
         self.aa = symmetric(self.aa - gains[2] * pa);
     }
 
-    /// False after numbers have run away.
+    /// False after numerical overflow.
     pub fn is_finite(&self) -> bool {
         let vectors = self.position.is_finite() && self.speed.is_finite() && self.acceleration.is_finite();
         vectors && [self.pp, self.pv, self.pa, self.vv, self.va, self.aa].iter().all(DMat2::is_finite)
     }
 
-    /// Whether the covariances of position, speed and acceleration can be covariances.
+    /// Returns true if the covariances of position, speed and acceleration are valid.
     #[cfg(test)]
     pub fn is_sound(&self) -> bool {
         let positive =
@@ -145,7 +144,7 @@ mod tests {
         std::array::from_fn(|i| std::array::from_fn(|j| a[j][i]))
     }
 
-    /// x y of position, speed, acceleration, as textbooks write it.
+    /// State and covariance in the textbook order: x and y of position, speed, acceleration.
     fn dense(m: &PointMotion) -> ([f64; 6], Dense) {
         let blocks = [[m.pp, m.pv, m.pa], [m.pv.transpose(), m.vv, m.va], [m.pa.transpose(), m.va.transpose(), m.aa]];
         let at = |i: usize, j: usize| blocks[i / 2][j / 2].col(j % 2)[i % 2];
@@ -164,7 +163,7 @@ mod tests {
         }
     }
 
-    /// The textbook's Kalman filter, in matrices of 6 x 6.
+    /// Compares the block form with the textbook's Kalman filter in 6 x 6 matrices.
     #[test]
     fn blocks_are_the_textbooks_filter() {
         let mut random = SplitMix64(11);
@@ -181,7 +180,7 @@ mod tests {
                         f[at[i]][at[j]] = t.powi((j - i) as i32) / [1.0, 1.0, 2.0][j - i];
                     }
                     for j in 0..3 {
-                        // The integral of the product of what a unit of jerk has become after s seconds.
+                        // Integral over s of the product of the responses to a unit of jerk after s seconds.
                         let [m, n] = [2 - i, 2 - j];
                         let factorial = |n: usize| [1.0, 1.0, 2.0][n];
                         q[at[i]][at[j]] =

@@ -1,17 +1,17 @@
-//! What a tracker is told once.
+//! Options of a tracker.
 
 use crate::matching::PropertyNoise;
 use presight_model::error::{Error, Result};
 use presight_model::sensor::Sensor;
 
-/// The image that features move in.
+/// Size of the image in which features move.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ImageExtent {
     /// Columns.
     pub width: u32,
     /// Rows.
     pub height: u32,
-    /// Columns of a full turn, if the image goes round.
+    /// Columns of a full turn, for an image that covers 360 degrees.
     pub turn: Option<f64>,
 }
 
@@ -27,7 +27,7 @@ impl ImageExtent {
     }
 }
 
-/// What a [`super::Tracker`] is told once; pixels and seconds.
+/// Options of a [`super::Tracker`]; units are pixels and seconds.
 ///
 /// ```
 /// use presight::history::{ImageExtent, TrackerOptions};
@@ -38,43 +38,42 @@ impl ImageExtent {
 /// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrackerOptions {
-    /// Where features are.
+    /// Image in which the features move.
     pub image: ImageExtent,
     /// Probability with which a window holds its feature.
     pub confidence: f64,
-    /// A track is dropped after so many misses in a row. The paper's 3.
+    /// Number of consecutive misses after which a track is dropped; the paper uses 3.
     pub misses: u32,
-    /// Frames that the filter remembers: the time constant with which it follows while nothing changes. Longer windows are
-    /// smaller on smooth motion.
+    /// Time constant of the filter, in frames, for steady motion. A longer one gives smaller windows for smooth motion.
     pub memory: f64,
-    /// One sigma of a detected coordinate, until a track's own detections say.
+    /// Standard deviation of a detected coordinate, used until a track has detections.
     pub detection_sigma: f64,
-    /// How far an end without a corner slides along its segment, one sigma.
+    /// Standard deviation by which a segment's end without a corner slides along the segment.
     pub slide_sigma: f64,
-    /// Speed of a new track, one sigma, pixels a second; tracks around it tell better.
+    /// Standard deviation of the speed of a new track, pixels per second. Nearby tracks give a better estimate.
     pub speed_sigma: f64,
-    /// Its acceleration, pixels by s^2.
+    /// Standard deviation of the acceleration of a new track, pixels per s^2.
     pub acceleration_sigma: f64,
-    /// The same of what is left when the flow of a known motion is taken out.
+    /// Standard deviation of the speed left after the flow of a known motion is removed, pixels per second.
     pub residual_speed_sigma: f64,
-    /// Probability that a feature in its window is detected: the less, the cheaper is not being seen.
+    /// Probability that a feature in its window is detected. The lower it is, the less a miss costs in the assignment.
     pub detection_probability: f64,
-    /// Clutter by pixel squared, until frames say.
+    /// Clutter detections per pixel squared, used until frames give an estimate.
     pub clutter_density: f64,
-    /// How well properties are told.
+    /// Noise of measured properties.
     pub properties: PropertyNoise,
-    /// Longest time between two frames that tracks outlive, seconds.
+    /// Longest time between two frames that tracks survive, seconds.
     pub longest_gap: f64,
-    /// Fewer tracks ask for a full prediction.
+    /// A full prediction is needed if fewer tracks are left.
     pub least_tracks: usize,
-    /// Of the nine ninths of the image at least so many must hold a track.
+    /// Fewest cells of a 3 x 3 grid over the image that must hold a track.
     pub least_spread: usize,
-    /// Share of the tracks of the last full prediction that must be left.
+    /// Smallest share of the tracks since the last full prediction that must be left.
     pub least_share: f64,
 }
 
 impl TrackerOptions {
-    /// Usual ones.
+    /// Default options for this image.
     pub fn new(image: ImageExtent) -> Self {
         Self {
             image,
@@ -97,7 +96,7 @@ impl TrackerOptions {
     }
 
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] naming the first option that is out of its range.
+    /// [`crate::ErrorKind::Usage`] naming the first option that is out of range.
     pub fn check(&self) -> Result<()> {
         if !(0.5..1.0).contains(&self.confidence) {
             let what = format!("confidence {} is not in 0.5..1", self.confidence);
@@ -105,7 +104,7 @@ impl TrackerOptions {
         }
         let image = self.image;
         if image.width == 0 || image.height == 0 || image.turn.is_some_and(|turn| !(turn >= 1.0 && turn.is_finite())) {
-            return Err(Error::usage(format!("there is no image of {image:?}"), "give columns and rows from 1 on"));
+            return Err(Error::usage(format!("{image:?} is not a valid image"), "give columns and rows from 1 on"));
         }
         let positive = [
             ("detection_sigma", self.detection_sigma),
@@ -131,7 +130,7 @@ impl TrackerOptions {
         ];
         match ranges.into_iter().find(|(_, x, low, high)| !within(*x, *low, *high)) {
             Some((name, x, low, high)) => {
-                Err(Error::usage(format!("{name} {x} is not in {low}..{high}"), "give a number of that range"))
+                Err(Error::usage(format!("{name} {x} is not in {low}..{high}"), "give a number in that range"))
             }
             None => Ok(()),
         }

@@ -1,30 +1,30 @@
-//! What a tracker answers.
+//! Results of a tracker.
 
 use crate::matching::{Rejection, Shape};
 use glam::DMat2;
 
-/// Where a feature will be found.
+/// The predicted position of a feature.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Window {
     /// The feature's number.
     pub id: u32,
-    /// Where it is expected.
+    /// Expected position.
     pub shape: Shape,
-    /// Covariance of each defining point as it will be detected, pixels squared.
+    /// Covariance of each defining point as detected, pixels squared.
     pub covariances: Vec<DMat2>,
-    /// x0, y0, x1, y1: holds the feature with the stated probability, clipped to the image. Where the image goes round, x1 may be
-    /// beyond the width.
+    /// x0, y0, x1, y1 of the box that holds the feature with the stated probability, clipped to the image. In a
+    /// 360-degree image x1 may exceed the width.
     pub bounds: [f64; 4],
 }
 
-/// A feature and the detection that is it.
+/// A feature and its detection.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Match {
     /// The feature's number.
     pub id: u32,
     /// Index of the detection.
     pub detection: usize,
-    /// Squared Mahalanobis distance from where it was expected.
+    /// Squared Mahalanobis distance from the expected position.
     pub distance_squared: f64,
     /// Dimensions of that distance.
     pub dimensions: u32,
@@ -37,35 +37,35 @@ pub enum End {
     Lost,
     /// It left the image.
     Left,
-    /// The last frame is too long ago.
+    /// Too much time has passed since the last frame.
     Gap,
-    /// A full prediction does not show it any more.
+    /// A full prediction no longer shows it.
     NotPredicted,
 }
 
-/// What became of a frame's detections and of the tracks.
+/// Result of matching a frame's detections to the tracks.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct MatchOutcome {
     /// Features found.
     pub matched: Vec<Match>,
-    /// Features not found: their histories are extrapolated.
+    /// Features not found. Their positions are extrapolated.
     pub missed: Vec<u32>,
     /// Tracks that ended.
     pub ended: Vec<(u32, End)>,
-    /// Detections that are no tracked feature.
+    /// Indices of detections that match no track.
     pub unmatched: Vec<usize>,
-    /// Detections that nothing can be computed from.
+    /// Detections with invalid values.
     pub rejected: Vec<(usize, Rejection)>,
-    /// Groups of candidates too large for an optimal assignment; 0 but for absurd clutter.
+    /// Groups of candidates too large for an optimal assignment; above 0 only in extreme clutter.
     pub greedy_groups: usize,
 }
 
-/// What a full prediction did to the tracks.
+/// Result of seeding from a full prediction.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SeedOutcome {
-    /// Tracks begun.
+    /// Tracks started.
     pub begun: Vec<u32>,
-    /// Tracks that go on: their histories know more than the prediction.
+    /// Tracks kept, because their history is better known than the prediction.
     pub kept: Vec<u32>,
     /// Tracks that ended.
     pub ended: Vec<(u32, End)>,

@@ -1,4 +1,4 @@
-//! Tracks from full predictions.
+//! Makes track seeds from full predictions.
 
 use super::track::Seed;
 use crate::matching::{ExpectedProperties, Marker, Shape, UncertainValue};
@@ -8,15 +8,16 @@ use presight_model::environment::{FeatureShape, Properties};
 use presight_model::geometry::Pose;
 use presight_model::sensor::Sensor;
 
-/// One sigma of a property as a feature layer has it: another instrument measured it.
+/// Standard deviation of a property in a feature layer, which may come from a different instrument.
 const LAYER_SIGMA: f64 = 0.1;
 
-/// Variance of a defining point of which a prediction tells none, pixels squared.
+/// Variance of a defining point without a predicted covariance, pixels squared.
 const UNKNOWN: f64 = 25.0;
 
 impl Seed {
-    /// What a full prediction shows, to be followed: points, reflectors, segments by their longest visible part, and patches and
-    /// fiducials that are seen whole. An end of a segment is a corner where the model ends it, and slides where something hides the rest.
+    /// Makes seeds from a full prediction: points, reflectors, the longest visible part of each segment, and patches
+    /// and fiducials that are fully visible. The end of a segment is a corner if the model ends there; otherwise it
+    /// slides.
     ///
     /// ```
     /// use presight::environment::{Existence, Feature, FeatureShape, Properties};
@@ -28,7 +29,7 @@ impl Seed {
     ///
     /// let geometry = Geometry::Camera(Camera::pinhole(640, 480, 500.0, 500.0, 319.5, 239.5));
     /// let camera = Sensor::new(SensorSpec::new("camera", "video", geometry))?;
-    /// // A full prediction that shows one point: `Predictor::predict` makes them.
+    /// // A full prediction of one point, as `Predictor::predict` would return it.
     /// let feature = Feature {
     ///     id: 7,
     ///     name: None,
@@ -47,7 +48,7 @@ impl Seed {
     /// let seeded = tracker.seed(10.0, seeds)?;
     /// assert_eq!(seeded.begun, [7]);
     ///
-    /// // The same frame: where to look, and what is found there.
+    /// // Predict the window in the same frame, then correct with a detection.
     /// let [x0, _, x1, _] = tracker.predict(10.0)?[0].bounds;
     /// assert!(x0 < 315.0 && x1 > 325.0);
     /// let found = [Detection::point(DVec2::new(321.0, 239.0), 0.5)];
@@ -108,7 +109,8 @@ fn properties(seen: &SeenFeature) -> ExpectedProperties {
     }
 }
 
-/// The pixel (column, row) at which a sensor at a pose images a point in the world: for [`super::Tracker::set_view`].
+/// Returns the projection from world points to pixels (column, row) for a sensor at a pose, for
+/// [`super::Tracker::set_view`].
 pub fn view<'a>(sensor: &'a Sensor, world_from_sensor: &Pose) -> impl Fn(DVec3) -> Option<DVec2> + use<'a> {
     let sensor_from_world = world_from_sensor.inverse();
     let image_from_body = sensor.body_from_image().transpose();

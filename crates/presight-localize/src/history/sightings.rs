@@ -1,4 +1,4 @@
-//! Where tracks are predicted, and what was measured of them.
+//! Predicted track positions, and the innovations measured against them.
 
 use super::common::{CommonMotion, PointEvidence};
 use super::motion::PointMotion;
@@ -7,10 +7,10 @@ use super::track::Track;
 use crate::matching::{Aligned, Assignment, Detection, ExpectedFeature, align};
 use glam::{DMat2, DVec2};
 
-/// The points of all tracks, one track after the other, and what they share.
+/// The predicted points of all tracks, one track after another, and the motion that all tracks share.
 pub(super) struct Motions {
     pub points: Vec<PointMotion>,
-    /// By track where its points begin, and one more.
+    /// Index of each track's first point, and the total as last entry.
     pub starts: Vec<u32>,
     pub common: CommonMotion,
 }
@@ -25,20 +25,20 @@ impl Motions {
     }
 }
 
-/// What was measured of one defining point of a track.
+/// The measurement of one defining point of a track.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Sighting {
-    /// Measured less predicted position.
+    /// Measured minus predicted position.
     pub innovation: DVec2,
     pub covariance: DMat2,
-    /// Unit direction in which it slides.
+    /// Unit direction along which the point is not fixed (the end of a segment without a corner).
     pub slides: Option<DVec2>,
 }
 
-/// What was measured of all tracks.
+/// The measurements of all tracks.
 pub(super) struct Sightings {
     pub points: Vec<Sighting>,
-    /// By track where its points begin, and one more; of tracks that were missed there are none.
+    /// Index of each track's first point, and the total as last entry. Missed tracks have no points.
     starts: Vec<u32>,
 }
 
@@ -69,7 +69,7 @@ impl Sightings {
         &self.points[self.starts[row] as usize..self.starts[row + 1] as usize]
     }
 
-    /// What tracks that are known well enough tell about the motion that all share.
+    /// Returns the evidence for the shared motion from tracks that are old enough to be well known.
     pub fn witnesses(&self, tracks: &[Track], moved: &Motions, scale: f64) -> Vec<PointEvidence> {
         let mut witnesses = Vec::with_capacity(self.points.len());
         for (row, _) in tracks.iter().enumerate().filter(|(_, t)| t.seen >= super::tracker::OLD_ENOUGH) {
@@ -82,7 +82,7 @@ impl Sightings {
     }
 }
 
-/// Sum of squared innovations by their predicted variances, and of how many coordinates.
+/// Returns the sum of squared innovations divided by their predicted variances, and the number of coordinates in it.
 pub(super) fn squares(seen: &[Sighting], points: &[PointMotion], scale: f64) -> (f64, u32) {
     let (mut squares, mut coordinates) = (0.0, 0);
     for (seen, motion) in seen.iter().zip(points) {

@@ -10,59 +10,59 @@ use crate::matching::{
 use glam::{DMat2, DVec2, DVec3};
 use std::f64::consts::PI;
 
-/// A feature to be followed, as a full prediction or the caller has it.
+/// A feature to follow, from a full prediction or from the caller.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Seed {
     /// The feature's number.
     pub id: u32,
-    /// Where it is in the image. Of a segment, ends that are no corner of the model slide from the start.
+    /// Position in the image. The ends of a segment that are not corners of the model slide from the start.
     pub shape: Shape,
     /// Covariance of each defining point, pixels squared.
     pub covariances: Vec<DMat2>,
-    /// What is known of its properties.
+    /// Expected properties.
     pub properties: ExpectedProperties,
-    /// Its defining points in the world, metres, for [`super::Tracker::set_view`]; empty if not known.
+    /// Defining points in the world, metres, for [`super::Tracker::set_view`]; empty if unknown.
     pub points_world: Vec<DVec3>,
 }
 
-/// How a detection's properties wander from frame to frame, as a share of their noise.
+/// Standard deviation of the change of a property between frames, as a share of its noise.
 const WANDER: f64 = 0.2;
 
 /// A feature that is followed from frame to frame.
 #[derive(Clone, Debug)]
 pub struct Track {
     pub(super) id: u32,
-    /// Kind and corners; its points are those of `motions`.
+    /// Kind and corners. Its points equal the positions in `motions`.
     pub(super) shape: Shape,
     pub(super) motions: Vec<PointMotion>,
     pub(super) properties: ExpectedProperties,
-    /// Of its last detection.
+    /// Covariance of the last detection.
     pub(super) detection: DMat2,
     pub(super) misses: u32,
     pub(super) seen: u32,
-    /// Mean square of its own innovations, by their predicted variances.
+    /// Mean squared innovation of this track, relative to the predicted variance.
     pub(super) own: f64,
-    /// Variance that an unknown acceleration may bring in the next interval, pixels squared.
+    /// Variance that an unknown acceleration may add in the next interval, pixels squared.
     pub(super) changed: f64,
     pub(super) flow: Flow,
-    /// Speed and acceleration that all tracks share, at its centre.
+    /// Speed and acceleration shared by all tracks, at the track's centre.
     pub(super) shared: [DVec2; 2],
 }
 
-/// The motion in the image that the sensor's own motion causes.
+/// Motion in the image caused by the known motion of the sensor.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Flow {
     pub points_world: Vec<DVec3>,
-    /// Where the points were in the image by the last view; empty before the first.
+    /// Positions of the points in the last view; empty before the first.
     pub last: Vec<DVec2>,
-    /// Where they are by the next; empty unless told.
+    /// Positions of the points in the next view; empty unless the view was set.
     pub next: Vec<DVec2>,
-    /// Pixels a second between the last two views, taken out of the speeds of motions; empty where it was not.
+    /// Flow between the last two views, pixels per second, removed from the motions' speeds; empty if none.
     pub speed: Vec<DVec2>,
 }
 
 impl Flow {
-    /// Pixels from the last view to the next, the short way round.
+    /// Displacement from the last view to the next, pixels, the short way round.
     fn shift(&self, i: usize, turn: Option<f64>) -> DVec2 {
         let shift = self.next[i] - self.last[i];
         shift + DVec2::new(unwrap(turn, 0.0, shift.x), 0.0)
@@ -95,18 +95,18 @@ impl Track {
         self.id
     }
 
-    /// Where it is, by its history up to the last frame.
+    /// Position estimated from the history up to the last frame.
     pub fn shape(&self) -> &Shape {
         &self.shape
     }
 
-    /// Speed of each defining point, pixels a second.
+    /// Speed of each defining point, pixels per second.
     pub fn speeds(&self) -> impl Iterator<Item = DVec2> + '_ {
         let flow = |i: usize| self.flow.speed.get(i).copied().unwrap_or(DVec2::ZERO);
         self.motions.iter().enumerate().map(move |(i, m)| m.speed + self.shared[0] + flow(i))
     }
 
-    /// Acceleration of each defining point, pixels by s^2; that of a known motion's flow is not in it.
+    /// Acceleration of each defining point, pixels per s^2, without the acceleration of the flow of a known motion.
     pub fn accelerations(&self) -> impl Iterator<Item = DVec2> + '_ {
         self.motions.iter().map(|m| m.acceleration + self.shared[1])
     }
@@ -116,27 +116,27 @@ impl Track {
         self.motions.iter().map(|m| m.pp)
     }
 
-    /// What is known of its properties.
+    /// Expected properties.
     pub fn properties(&self) -> &ExpectedProperties {
         &self.properties
     }
 
-    /// Misses in a row.
+    /// Number of consecutive misses.
     pub fn misses(&self) -> u32 {
         self.misses
     }
 
-    /// Frames in which it was seen.
+    /// Number of frames in which the feature was detected.
     pub fn seen(&self) -> u32 {
         self.seen
     }
 
-    /// Variance of a detected coordinate, pixels squared.
+    /// Mean variance of a detected coordinate, pixels squared.
     pub(super) fn detection_variance(&self) -> f64 {
         0.5 * (self.detection.x_axis.x + self.detection.y_axis.y)
     }
 
-    /// Its points `interval` seconds later; `jerk` is process noise.
+    /// Appends the points `interval` seconds later; `jerk` is the spectral density of the process noise.
     pub(super) fn propagated(&self, interval: f64, jerk: f64, options: &TrackerOptions, into: &mut Vec<PointMotion>) {
         if interval <= 0.0 {
             into.extend_from_slice(&self.motions);
@@ -153,8 +153,8 @@ impl Track {
                 shift = flow.shift(i, options.image.turn);
                 if was.is_none() {
                     let rest = isotropic(options.residual_speed_sigma.powi(2));
-                    // Unknown so far: what is left beside the flow, of this track and what all share together, is slow. Known:
-                    // the flow was part of it.
+                    // First flow of this track. A new track's speed is unknown, so the speed left after the flow is
+                    // assumed small. An old track's speed included the flow, which is subtracted.
                     if self.seen <= 1 {
                         [motion.speed, motion.acceleration] = self.shared.map(|shared| -shared);
                         motion.vv = rest;
@@ -171,7 +171,7 @@ impl Track {
         }
     }
 
-    /// Keeps what the flow between two frames was.
+    /// Stores the flow between two frames for the next interval.
     pub(super) fn pass_flow(&mut self, interval: f64, turn: Option<f64>) {
         let flow = &mut self.flow;
         if interval > 0.0 {
@@ -179,13 +179,13 @@ impl Track {
             let known = if is_known { flow.next.len() } else { 0 };
             flow.speed = (0..known).map(|i| flow.shift(i, turn) / interval).collect();
         }
-        // A frame without a view ends what was known of the last.
+        // Without a view of this frame, the flow of the next interval is unknown.
         if interval > 0.0 || !flow.next.is_empty() {
             flow.last = std::mem::take(&mut flow.next);
         }
     }
 
-    /// What is expected of it where its points are `motions`, without a window.
+    /// Returns the expected feature for points at `motions`, without a window.
     pub(super) fn expected(&self, motions: &[PointMotion], scale: f64, common: &CommonMotion) -> ExpectedFeature {
         let mut shape = self.shape.clone();
         for (p, motion) in shape.points_mut().iter_mut().zip(motions) {
@@ -195,9 +195,9 @@ impl Track {
         ExpectedFeature { shape, covariances, window: [0.0; 4], properties: self.properties.clone() }
     }
 
-    /// Takes a detection's properties in.
+    /// Updates the expected properties from a detection.
     pub(super) fn learn_properties(&mut self, found: &Detection, noise: &PropertyNoise) {
-        // Ranges change with every pose: nothing is learnt of them.
+        // The range changes with every pose, so it is not learnt.
         let DetectionProperties { strength, contrast, direction, marker, range: _ } = &found.properties;
         let known = &mut self.properties;
         learn(&mut known.strength, *strength, noise.strength, |a, b| a - b);

@@ -1,4 +1,4 @@
-//! Following all features of an image.
+//! Follows all features of an image.
 
 use super::adapt::{Adaptation, FrameInnovations};
 use super::border::{is_within, place, stay_within};
@@ -14,28 +14,27 @@ use crate::matching::{Assignment, Candidates, Detection, ExpectedFeature, Matche
 use glam::{DMat2, DVec2, DVec3};
 use presight_model::error::{Error, Result};
 
-/// Most tracks at a time.
+/// Largest number of tracks at a time.
 pub const MAX_TRACKS: usize = 1 << 16;
-/// Most detections of a frame.
+/// Largest number of detections in a frame.
 pub const MAX_DETECTIONS: usize = 1 << 20;
 
-/// Largest amount of a sliding end's innovation along its segment that counts, standard deviations.
+/// Limit on the innovation of a sliding end along its segment, standard deviations.
 const SLIDES: f64 = 2.0;
-/// Mean square of a track's own innovations that says that its motion has changed, and by how much at most.
+/// A track's motion has changed if its mean squared innovation exceeds this. The second limits the resulting inflation.
 const OWN: f64 = 4.0;
 const MOST_OWN: f64 = 8.0;
-/// Share of a frame in that mean.
+/// Weight of one frame in that mean.
 const OWN_RATE: f64 = 0.3;
-/// What is left, a frame later, of the variance of an acceleration that has changed.
+/// Factor per frame by which the variance of a changed acceleration fades.
 const FADE: f64 = 0.1;
-/// Variances of predictions that count as wide, by a detection's: a change of motion is that much at most for each track, beside what
-/// all share.
+/// Limit on the predicted variance that the inflation of one track multiplies, in units of the detection variance.
 const WIDE: f64 = 1.0;
-/// Most detections of a window that count as clutter everywhere.
+/// Limit on the detections of one window that count as clutter.
 const MOST_CLUTTER: u32 = 16;
-/// Frames a track must have been seen in for its speed to tell those of new ones around it.
+/// A track must have been seen in this many frames before its speed is lent to new tracks.
 pub(super) const OLD_ENOUGH: u32 = 5;
-/// So many tracks around a new one tell its speed.
+/// Number of neighbours that estimate the speed of a new track.
 const NEIGHBOURS: usize = 8;
 
 /// Follows features from frame to frame.
@@ -46,22 +45,22 @@ pub struct Tracker {
     tracks: Vec<Track>,
     noise: Adaptation,
     common: CommonMotion,
-    /// Seconds; of the last frame or seeding.
+    /// Time of the last frame or seeding, seconds.
     time: Option<f64>,
-    /// Whether detections of that time have been taken in.
+    /// True once detections of that time have corrected the tracks.
     is_corrected: bool,
     /// Seconds from the last frame to a seeding after it.
     before_seeding: f64,
-    /// Tracks after the last seeding.
+    /// Number of tracks after the last seeding.
     seeded: usize,
     has_gap: bool,
 }
 
 impl Tracker {
-    /// A tracker of nothing.
+    /// A tracker without tracks.
     ///
     /// # Errors
-    /// Those of [`TrackerOptions::check`].
+    /// The errors of [`TrackerOptions::check`].
     pub fn new(options: TrackerOptions) -> Result<Self> {
         options.check()?;
         let level = BoxLevel::new(options.confidence);
@@ -80,32 +79,32 @@ impl Tracker {
         })
     }
 
-    /// What it was told.
+    /// The options of this tracker.
     pub fn options(&self) -> &TrackerOptions {
         &self.options
     }
 
-    /// The tracks, by rising number.
+    /// The tracks, sorted by number.
     pub fn tracks(&self) -> &[Track] {
         &self.tracks
     }
 
-    /// Seconds: when the tracks were last seeded or corrected.
+    /// Time of the last seeding or correction, seconds.
     pub fn time(&self) -> Option<f64> {
         self.time
     }
 
-    /// Takes over what a full prediction for `time` (seconds) shows: tracks of features that it shows go on, unless they are
-    /// not where it says; tracks of others end; all other features begin.
+    /// Takes over the features of a full prediction for `time` (seconds). A track goes on if its feature is predicted
+    /// near its position. All other predicted features start new tracks, and tracks without a predicted feature end.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] for a time that is not finite or before the last, for two seeds of one number, and for more
-    /// than [`MAX_TRACKS`].
+    /// [`crate::ErrorKind::Invalid`] for a time that is not finite or is before the last time, for two seeds with one
+    /// number, and for more than [`MAX_TRACKS`] seeds.
     pub fn seed(&mut self, time: f64, mut seeds: Vec<Seed>) -> Result<SeedOutcome> {
         let interval = self.interval(time)?;
         if seeds.len() > MAX_TRACKS {
             let what = format!("{} features are more than {MAX_TRACKS}", seeds.len());
-            return Err(Error::invalid(what, "give those that matter most"));
+            return Err(Error::invalid(what, "give the most important ones"));
         }
         seeds.sort_by_key(|s| s.id);
         if let Some(pair) = seeds.windows(2).find(|pair| pair[0].id == pair[1].id) {
@@ -158,8 +157,8 @@ impl Tracker {
         Ok(done)
     }
 
-    /// Tells where the sensor will be at the next frame: `project` gives the pixel (column, row) of a point in the world, metres.
-    /// The motion in the image that follows for features whose place is known is then taken out, and only the rest is tracked.
+    /// Sets the view of the next frame: `project` maps a point in the world (metres) to its pixel (column, row).
+    /// For features with known world points, the resulting flow is removed and only the remaining motion is tracked.
     pub fn set_view(&mut self, project: impl Fn(DVec3) -> Option<DVec2>) {
         for track in &mut self.tracks {
             let points = track.flow.points_world.iter().map(|p| project(*p).filter(|p| p.is_finite()));
@@ -167,10 +166,10 @@ impl Tracker {
         }
     }
 
-    /// Where every tracked feature will be found at `time` (seconds); those that will have left the image are left out.
+    /// Predicts the windows of all tracked features at `time` (seconds). Features outside the image are omitted.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] for a time that is not finite, or not after the last frame's.
+    /// [`crate::ErrorKind::Invalid`] for a time that is not finite or not after the last frame.
     pub fn predict(&self, time: f64) -> Result<Vec<Window>> {
         let interval = self.frame_interval(time)?;
         if interval > self.options.longest_gap {
@@ -189,11 +188,11 @@ impl Tracker {
         Ok(windows)
     }
 
-    /// Takes a frame's detections in.
+    /// Corrects the tracks by the detections of a frame.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] for a time that is not finite, or not after the last frame's, and for more than
-    /// [`MAX_DETECTIONS`]. The tracks are then as before.
+    /// [`crate::ErrorKind::Invalid`] for a time that is not finite or not after the last frame, and for more than
+    /// [`MAX_DETECTIONS`] detections. The tracks are then unchanged.
     pub fn correct(&mut self, time: f64, found: &[Detection]) -> Result<MatchOutcome> {
         let interval = self.frame_interval(time)?;
         if found.len() > MAX_DETECTIONS {
@@ -228,7 +227,7 @@ impl Tracker {
         Ok(matches)
     }
 
-    /// Whether tracks are enough to go on without a full prediction.
+    /// Reports how well the tracks cover the image, and whether a full prediction is needed.
     pub fn health(&self) -> Health {
         let spread = spread(&self.tracks, &self.options.image);
         let share = self.tracks.len() as f64 / self.seeded.max(1) as f64;
@@ -248,10 +247,9 @@ impl Tracker {
         Health { tracks: self.tracks.len(), spread, share, noise_scale: self.noise.scale, wants }
     }
 
-    /// Seconds since the last seeding or frame.
     fn interval(&self, time: f64) -> Result<f64> {
         if !(time.is_finite() && time.abs() <= 1e15) {
-            return Err(Error::invalid(format!("the time stamp {time} is no time"), "give seconds"));
+            return Err(Error::invalid(format!("the time stamp {time} is not a valid time"), "give seconds"));
         }
         let interval = self.time.map_or(0.0, |last| time - last);
         if interval < 0.0 {
@@ -262,7 +260,7 @@ impl Tracker {
         Ok(interval)
     }
 
-    /// The same, which must not be 0 once detections of that time have been taken in.
+    /// Same as [`Self::interval`], but fails for an interval of 0 if that time has been corrected already.
     fn frame_interval(&self, time: f64) -> Result<f64> {
         let interval = self.interval(time)?;
         if interval == 0.0 && self.is_corrected {
@@ -272,7 +270,7 @@ impl Tracker {
         Ok(interval)
     }
 
-    /// Where all tracks are `interval` seconds after the last frame or seeding.
+    /// Predicts all tracks `interval` seconds after the last frame or seeding.
     fn propagated(&self, interval: f64) -> Motions {
         let usual = self.noise.interval;
         let mut common = self.common.propagated(interval, usual);
@@ -295,7 +293,7 @@ impl Tracker {
         Motions { points, starts, common }
     }
 
-    /// What is expected of a track, with its window.
+    /// Returns the expected feature of a track with its window.
     fn expected(&self, track: &Track, motions: &[PointMotion], common: &CommonMotion) -> ExpectedFeature {
         let mut expected = track.expected(motions, self.noise.scale, common);
         let noise = track.detection * self.noise.scale;
@@ -306,7 +304,7 @@ impl Tracker {
             let covariances: Vec<DMat2> = expected.covariances.iter().map(|c| *c + noise).collect();
             self.level.bounds(points, &covariances)
         };
-        // At least a pixel a side.
+        // A window has at least one pixel on each side.
         let [wide, high] = [x1 - x0, y1 - y0].map(|side| (0.5 * (1.0 - side)).max(0.0));
         expected.window = [x0 - wide, y0 - high, x1 + wide, y1 + high];
         expected
@@ -323,7 +321,7 @@ impl Tracker {
         }
     }
 
-    /// Within the image; `None` outside of it.
+    /// Clips a window to the image; `None` if it is outside.
     fn clip(&self, [x0, y0, x1, y1]: [f64; 4]) -> Option<[f64; 4]> {
         let [width, height] = [self.options.image.width, self.options.image.height].map(f64::from);
         let within = |low: f64, high: f64, size: f64| {
@@ -341,7 +339,7 @@ impl Tracker {
         Some([x0, y0, x1, y1])
     }
 
-    /// Lets process noise and the scale of all noise follow the innovations.
+    /// Adapts process noise and noise scale to the innovations.
     fn adapt(
         &mut self,
         interval: f64,
@@ -358,7 +356,7 @@ impl Tracker {
             frame.area += (x1 - x0) * (y1 - y0);
             let (own, points) = (seen.of(row), moved.of(row));
             let clutter = candidates.in_window[row].saturating_sub(u32::from(!own.is_empty()));
-            // One window full of it says nothing about the others.
+            // A single window full of clutter says nothing about the others.
             frame.clutter += clutter.min(MOST_CLUTTER);
             if own.is_empty() {
                 continue;
@@ -366,7 +364,7 @@ impl Tracker {
             let (squares, coordinates) = squares(own, points, self.noise.scale);
             track.own += OWN_RATE * (squares / f64::from(coordinates) - track.own);
             frame.seen += 1;
-            // What a new track's windows are made of was only guessed.
+            // The uncertainty of a new track is only a guess, so it must not affect the noise scale.
             if track.seen >= OLD_ENOUGH {
                 frame.squares += squares;
                 frame.coordinates += coordinates;
@@ -388,14 +386,14 @@ impl Tracker {
             let detection = track.detection_variance();
             let points = moved.of_mut(row);
             let predicted = 0.5 * (points[0].pp.x_axis.x + points[0].pp.y_axis.y) + detection;
-            // Of a window that is wide already nothing more is known.
+            // A wide window already covers the change, so the added variance is limited.
             let variance = (inflation - 1.0) * predicted.min(WIDE * detection);
             points.iter_mut().for_each(|m| m.change_acceleration(variance, interval));
             track.changed = track.changed.max(variance);
         }
     }
 
-    /// Tracks are where they were predicted.
+    /// Moves the tracks to their predicted positions.
     fn take_over(&mut self, moved: &Motions, interval: f64) {
         for (row, track) in self.tracks.iter_mut().enumerate() {
             track.motions.copy_from_slice(moved.of(row));
@@ -403,7 +401,7 @@ impl Tracker {
         }
     }
 
-    /// Detections correct the tracks that they belong to; what all of them tell moves those not seen, too.
+    /// Corrects the tracks by their detections. The shared motion also moves tracks without a detection.
     fn take_in(&mut self, seen: &Sightings, found: &[Detection], assignment: &Assignment, mut common: CommonMotion) {
         for (row, track) in self.tracks.iter_mut().enumerate() {
             for (motion, seen) in track.motions.iter_mut().zip(seen.of(row)) {
@@ -475,7 +473,7 @@ impl Tracker {
         });
     }
 
-    /// Whether a track is where a full prediction has its feature, and of its kind.
+    /// Returns true if a track matches the predicted feature in position and kind.
     fn agrees(&self, track: &Track, seed: &Seed) -> bool {
         let expected = track.expected(&track.motions, self.noise.scale, &self.common);
         let found = Detection {
@@ -486,7 +484,7 @@ impl Tracker {
         self.matcher().is_near(&expected, &found)
     }
 
-    /// New tracks among old ones probably move as these do.
+    /// Initializes the speed of new tracks from older tracks nearby.
     fn lend_speeds(&mut self, begun: &[usize]) {
         let speed = |t: &Track| t.motions.iter().map(|m| m.speed).sum::<DVec2>() / t.motions.len() as f64;
         let is_new = |i: &usize| begun.binary_search(i).is_ok();
@@ -507,7 +505,7 @@ impl Tracker {
             let near = &near[..NEIGHBOURS];
             let mean = near.iter().map(|n| n.1).sum::<DVec2>() / NEIGHBOURS as f64;
             let spread: f64 = near.iter().map(|n| n.1.distance_squared(mean)).sum::<f64>() / NEIGHBOURS as f64;
-            // Twice what neighbours differ by: depths differ more than places in the image.
+            // Twice the spread of the neighbours, because depths differ more than positions in the image.
             let variance = (2.0 * spread).max(self.options.residual_speed_sigma.powi(2));
             for motion in &mut track.motions {
                 if variance < motion.vv.x_axis.x {

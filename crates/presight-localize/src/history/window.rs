@@ -1,31 +1,31 @@
-//! The smallest box that holds points with a stated probability.
+//! The smallest box that holds all of a feature's points with a stated probability.
 
 use glam::{DMat2, DVec2};
 use presight_features::normal::{TAIL_CELLS, Tails, apart, tail_quantile};
 
-/// Events that a box of one point may be left by: four sides.
+/// Number of sides through which one point can leave its box.
 const SIDES: f64 = 4.0;
-/// Largest sum of events that is tabulated; beyond, boxes stay as they are there.
+/// Largest number of events in the table. Boxes do not grow beyond it.
 const MOST: usize = 40;
-/// Table rows an event.
+/// Table rows per event.
 const ROWS: usize = 8;
-/// Points whose distance to a side is this many standard deviations more than its maker's do not count.
+/// Another point counts as an event if it would pass a side with this many more standard deviations.
 const MARGIN: f64 = 1.0;
-/// Points of a feature as a rule at most.
+/// Features with at most this many points need no allocation.
 const FEW: usize = 4;
 
-/// What a confidence says about boxes, made once.
+/// Tables for one confidence, computed once.
 ///
-/// A box is left where any of its sides is passed. All sides stand at the same number k of standard deviations of the points
-/// that make them, which is the smallest box for a normal distribution; k is such that the sum of the tails, less the
-/// joint tails of two sides that one point makes, is what the confidence leaves (as in [`crate::features::roi`]).
+/// A feature leaves its box if a point passes any side. All sides are at the same number k of standard deviations of
+/// the points that set them, which gives the smallest box for a normal distribution. k is chosen so that the sum of the
+/// tails, minus the joint tails of two sides set by one point, equals 1 - confidence (as in [`crate::features::roi`]).
 #[derive(Clone, Debug)]
 pub(super) struct BoxLevel {
     /// k for four independent sides.
     first: f64,
-    /// k by the number of events, from 1 on.
+    /// k by the number of events, starting at 1.
     by_events: Vec<f64>,
-    /// Share of a tail at `first` that happens together with another, by how far apart they are ([`apart`]) from 0 to 1.
+    /// Share of a tail at `first` that coincides with another tail, by their separation ([`apart`]) from 0 to 1.
     together: Vec<f64>,
 }
 
@@ -38,12 +38,12 @@ impl BoxLevel {
         Self { first, by_events, together }
     }
 
-    /// Standard deviations at the sides of a box of one point whose coordinates are independent.
+    /// Number of standard deviations from a point to the sides of its box, for independent coordinates.
     pub fn deviations(&self) -> f64 {
         self.first
     }
 
-    /// x0, y0, x1, y1 of the box that holds all the points, of these covariances, together.
+    /// Returns x0, y0, x1, y1 of the box that holds all points, which have these covariances.
     pub fn bounds(&self, points: &[DVec2], covariances: &[DMat2]) -> [f64; 4] {
         let of = |c: &DMat2| DVec2::new(c.x_axis.x.max(0.0).sqrt(), c.y_axis.y.max(0.0).sqrt());
         let mut few = [DVec2::ZERO; FEW];
@@ -83,7 +83,7 @@ impl BoxLevel {
         self.by_events[i] + share * (self.by_events[i + 1] - self.by_events[i])
     }
 
-    /// Points beside those that make the sides, which may pass them as well.
+    /// Counts how often a point that does not set a side could also pass it.
     fn others(&self, points: &[DVec2], sigma: &[DVec2], makers: &[usize; 4], limits: &[f64; 4]) -> f64 {
         let mut count = 0;
         if points.len() > 1 {
@@ -95,7 +95,7 @@ impl BoxLevel {
         count as f64
     }
 
-    /// Shares of tails that happen together with another, where one point makes two sides.
+    /// Returns the number of events that coincide with another because one point sets two sides.
     fn joint(&self, covariances: &[DMat2], makers: &[usize; 4]) -> f64 {
         let mut sum = 0.0;
         let mut last = None;
@@ -111,7 +111,7 @@ impl BoxLevel {
                 }
             };
             last = Some((*maker, rho, shared));
-            // Right goes with bottom where columns and rows grow together; left then with top.
+            // A positive correlation joins right with bottom and left with top; a negative one joins right with top.
             let partner = if (rho > 0.0) == (side == 0) { 2 } else { 3 };
             if makers[partner] == *maker {
                 sum += shared;
@@ -120,7 +120,7 @@ impl BoxLevel {
         sum
     }
 
-    /// Of a point's tails of this correlation.
+    /// Share of a tail that coincides with the other, for a point with this correlation.
     fn shared(&self, rho: f64) -> f64 {
         if rho == 0.0 {
             return self.together[TAIL_CELLS];
@@ -131,13 +131,13 @@ impl BoxLevel {
     }
 }
 
-/// The correlation of columns and rows; NaN where there is none.
+/// Correlation of column and row; NaN if a variance is 0.
 fn correlation(c: &DMat2) -> f64 {
     let (product, scale) = (c.y_axis.x, c.x_axis.x * c.y_axis.y);
     if product == 0.0 && scale > 0.0 { 0.0 } else { product / scale.sqrt() }
 }
 
-/// How far a point that `reach` surrounds comes to the right, left, bottom and top.
+/// How far a point with half extent `reach` extends to the right, left, bottom and top.
 fn sides(p: DVec2, reach: DVec2) -> [f64; 4] {
     [p.x + reach.x, reach.x - p.x, p.y + reach.y, reach.y - p.y]
 }
@@ -166,7 +166,7 @@ mod tests {
         assert!((b[2] - 2.5758).abs() < 0.01 && (b[3] + b[1]).abs() < 1e-12, "{b:?}");
     }
 
-    /// Drawn points are inside with the probability, and not with much more: the box is small.
+    /// The share of random points inside is the confidence, and not much more: the box is small.
     #[test]
     fn boxes_hold_what_they_say() {
         let mut random = SplitMix64(5);

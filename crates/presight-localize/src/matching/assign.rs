@@ -1,18 +1,18 @@
-//! The assignment with the least total cost.
+//! The assignment with the lowest total cost.
 
 use pathfinding::prelude::{Matrix, kuhn_munkres};
 use presight_model::error::{Error, Result};
 
-/// Work that one group may cost: rows squared times columns, some 50 ms. Larger groups are matched greedily and counted.
+/// Largest work for one group: rows squared times columns, about 50 ms. Larger groups are matched greedily and counted.
 pub const MAX_GROUP_WORK: usize = 1 << 24;
 
-/// Costs are integers for the algorithm: this many steps a unit.
+/// The algorithm needs integer costs; this is the number of steps per unit.
 const STEPS: f64 = (1u64 << 20) as f64;
 
-/// Largest gain of one pair; sums of gains of a million rows stay far from overflow.
+/// Largest gain of one pair. Sums over a million rows cannot overflow.
 const MAX_GAIN: f64 = 1e6;
 
-/// A pair that may be.
+/// A possible pair of an expected feature and a detection.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CandidatePair {
     /// The expected feature.
@@ -23,30 +23,30 @@ pub struct CandidatePair {
     pub cost: f64,
 }
 
-/// Who belongs to whom.
+/// Result of the assignment.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Assignment {
-    /// By row: its column, `None` is not seen.
+    /// Column assigned to each row; `None` if it has no detection.
     pub columns: Vec<Option<u32>>,
-    /// By row: which candidate it was.
+    /// Index of the candidate assigned to each row.
     pub candidates: Vec<Option<u32>>,
-    /// Sum of the costs of pairs, and of rows that are not seen.
+    /// Sum of the costs of the pairs and of the rows without a column.
     pub cost: f64,
-    /// Connected groups of rows and columns, each solved by itself.
+    /// Number of connected groups of rows and columns; each is solved separately.
     pub groups: usize,
-    /// Groups beyond [`MAX_GROUP_WORK`]: best pairs first there, which may cost more than the optimum.
+    /// Number of groups beyond [`MAX_GROUP_WORK`]. They are matched greedily and may cost more than the optimum.
     pub greedy_groups: usize,
 }
 
-/// Assigns to each row one column or none so that the sum of costs is least; no column twice. `unseen[row]` is the cost of
-/// no column. A pair that costs more than that is never taken. Each connected group of candidates is a problem of its own,
-/// solved by Kuhn and Munkres' algorithm on costs rounded to a millionth. Of equal costs the lower column wins where a group has
-/// one row, the lower row where it has one column.
+/// Assigns to each row one column or none so that the total cost is lowest. No column is used twice. `unseen[row]` is
+/// the cost of a row without a column. A pair that costs more than that is never taken. Each connected group of
+/// candidates is solved separately by the algorithm of Kuhn and Munkres on costs rounded to a millionth. If costs are
+/// equal, a group with one row takes the lowest column, and a group with one column the lowest row.
 ///
 /// ```
 /// use presight::matching::{CandidatePair, assign};
 /// let pair = |row, column, cost| CandidatePair { row, column, cost };
-/// // The second row has no other choice than what the first likes best.
+/// // The second row can only take column 0, which is also the best for the first row.
 /// let pairs = [pair(0, 0, 1.0), pair(0, 1, 1.5), pair(1, 0, 2.0)];
 /// let found = assign(&pairs, &[10.0, 10.0])?;
 /// assert_eq!(found.columns, [Some(1), Some(0)]);
@@ -55,7 +55,7 @@ pub struct Assignment {
 /// ```
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] for a candidate whose row has no cost of not being seen, and for costs that are not finite.
+/// [`crate::ErrorKind::Invalid`] for a candidate whose row is not in `unseen`, and for costs that are not finite.
 pub fn assign(candidates: &[CandidatePair], unseen: &[f64]) -> Result<Assignment> {
     check(candidates, unseen)?;
     let mut found =
@@ -85,13 +85,13 @@ pub fn assign(candidates: &[CandidatePair], unseen: &[f64]) -> Result<Assignment
 
 fn check(candidates: &[CandidatePair], unseen: &[f64]) -> Result<()> {
     if let Some(i) = unseen.iter().position(|x| !x.is_finite()) {
-        let what = format!("the cost of row {i} not being seen is {}", unseen[i]);
+        let what = format!("the cost of leaving row {i} unmatched is {}", unseen[i]);
         return Err(Error::invalid(what, "give a finite number"));
     }
     for (i, c) in candidates.iter().enumerate() {
         if c.row as usize >= unseen.len() {
             let what = format!("candidate {i} names row {} of {}", c.row, unseen.len());
-            return Err(Error::invalid(what, "give every row its cost of not being seen"));
+            return Err(Error::invalid(what, "give every row its cost of being unmatched"));
         }
         if !c.cost.is_finite() {
             return Err(Error::invalid(format!("candidate {i} costs {}", c.cost), "give a finite number"));
@@ -105,18 +105,18 @@ fn total(candidates: &[CandidatePair], unseen: &[f64], taken: &[Option<u32>]) ->
     taken.iter().enumerate().map(of).sum()
 }
 
-/// A pair that is better than none.
+/// A pair that costs less than leaving its row unmatched.
 #[derive(Clone, Copy, Debug)]
 struct Saving {
     group: u32,
     row: u32,
     column: u32,
-    /// What it saves.
+    /// Cost saved by the pair.
     gain: f64,
     candidate: u32,
 }
 
-/// Writes the lowest row of its connected group to each edge.
+/// Labels each edge with the lowest row of its connected group.
 fn name_groups(edges: &mut [Saving], rows: usize) {
     let mut parent: Vec<u32> = (0..rows as u32).collect();
     let mut by_column: Vec<u32> = (0..edges.len() as u32).collect();
@@ -141,7 +141,7 @@ fn root(parent: &mut [u32], mut at: u32) -> u32 {
     at
 }
 
-/// Solves one group; its edges are sorted by row.
+/// Solves one group, whose edges are sorted by row.
 fn solve(edges: &[Saving], found: &mut Assignment) {
     let (first, last) = (edges[0], edges[edges.len() - 1]);
     let best = |a: Saving, b: Saving| if b.gain > a.gain { b } else { a };
@@ -150,7 +150,7 @@ fn solve(edges: &[Saving], found: &mut Assignment) {
         return;
     }
     let rows = edges.chunk_by(|a, b| a.row == b.row).count();
-    // An optimum never needs more than a row's best `rows` columns: of so many one is always free.
+    // An optimum never needs more than a row's best `rows` columns, because the other rows cannot use all of them.
     let mut kept: Vec<Saving> = Vec::with_capacity(edges.len());
     for row in edges.chunk_by(|a, b| a.row == b.row) {
         let start = kept.len();
@@ -169,7 +169,7 @@ fn solve(edges: &[Saving], found: &mut Assignment) {
     }
 }
 
-/// Pairs outside of the candidates save nothing: who gets one is not seen.
+/// Pairs that are not candidates have a gain of 0. A row assigned to such a pair stays unmatched.
 fn solve_optimally(edges: &[Saving], rows: usize, columns: &[u32], found: &mut Assignment) {
     let mut gains = Matrix::new(rows, columns.len().max(rows), 0i64);
     let mut of: Vec<(usize, usize, Saving)> = Vec::with_capacity(edges.len());
@@ -177,7 +177,7 @@ fn solve_optimally(edges: &[Saving], rows: usize, columns: &[u32], found: &mut A
         for edge in row {
             let c = columns.partition_point(|c| *c < edge.column);
             let gain = (edge.gain * STEPS).round() as i64;
-            // A pair named twice counts at its best.
+            // The best of duplicate pairs counts.
             if gain > gains[(r, c)] {
                 gains[(r, c)] = gain;
             }
@@ -187,7 +187,7 @@ fn solve_optimally(edges: &[Saving], rows: usize, columns: &[u32], found: &mut A
     let (_, taken) = kuhn_munkres(&gains);
     let mut done = vec![false; rows];
     for (r, c, edge) in of {
-        // Sorted by gain within a row: the first is the best of a pair named twice.
+        // The edges of a row are sorted by gain, so the first duplicate is the best.
         if taken[r] == c && gains[(r, c)] > 0 && !std::mem::replace(&mut done[r], true) {
             take(edge, found);
         }
@@ -214,7 +214,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// The least cost by trying everything.
+    /// The lowest cost by exhaustive search.
     fn by_force(costs: &[Vec<Option<f64>>], unseen: &[f64], row: usize, taken: &mut Vec<bool>) -> f64 {
         if row == unseen.len() {
             return 0.0;
@@ -301,7 +301,7 @@ mod tests {
         }
     }
 
-    /// 2,000 rows that all want the same 2,000 columns: no optimum within a frame's time, but an answer, and it says so.
+    /// 2,000 rows compete for the same 2,000 columns. The optimum takes too long, so the result is greedy.
     #[test]
     fn a_group_too_large_is_matched_greedily_and_counted() {
         let side = 2000u32;

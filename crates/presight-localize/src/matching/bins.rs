@@ -1,24 +1,24 @@
-//! Places in bins, to find those in a box without asking all.
+//! Sorts points into bins, so that a box query need not test all points.
 
 use glam::DVec2;
 
-/// Bins a side at most.
+/// Largest number of bins per axis.
 const SIDE: usize = 64;
 
-/// Points by square bins over their bounding box, each with what its caller wants to know of it.
+/// Items sorted by their points into bins over the bounding box.
 #[derive(Debug, Default)]
 pub(super) struct Bins<T> {
     low: DVec2,
-    /// Bins a pixel.
+    /// Bins per pixel.
     rate: DVec2,
     counts: [usize; 2],
-    /// Where each bin's points begin in `items`, and one more.
+    /// Index of each bin's first item in `items`, and the total as last entry.
     starts: Vec<u32>,
     items: Vec<T>,
 }
 
 impl<T: Copy + Default> Bins<T> {
-    /// Bins of the points, all finite; one or two in each if they are spread evenly.
+    /// Bins of the points, which must be finite. If the points are uniform, each bin holds about four.
     pub fn new(points: &[(T, DVec2)]) -> Self {
         if points.is_empty() {
             return Self::default();
@@ -45,7 +45,7 @@ impl<T: Copy + Default> Bins<T> {
     }
 
     fn column(&self, x: f64, axis: usize) -> usize {
-        // A cast takes what is below 0 to 0.
+        // The cast saturates: negative values become 0.
         (((x - self.low[axis]) * self.rate[axis]) as usize).min(self.counts[axis] - 1)
     }
 
@@ -53,7 +53,7 @@ impl<T: Copy + Default> Bins<T> {
         self.column(p.y, 1) * self.counts[0] + self.column(p.x, 0)
     }
 
-    /// Calls with every point in the bins that the box touches.
+    /// Calls `call` with every item in the bins that the box touches.
     pub fn each_near(&self, [x0, y0, x1, y1]: [f64; 4], mut call: impl FnMut(T)) {
         if self.items.is_empty() {
             return;

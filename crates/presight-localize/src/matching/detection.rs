@@ -1,32 +1,32 @@
-//! What an extractor finds in a sensed image.
+//! Detections: the features that an extractor finds in a measured image.
 
 use glam::{DMat2, DVec2};
 
-/// Corners of an outline at most: extractors deliver few, and every pair of outlines is compared corner by corner.
+/// Largest number of corners of an outline. Outlines are compared corner by corner, at every starting corner.
 pub(super) const MAX_OUTLINE: usize = 16;
 
-/// Where a feature is in the image: pixel coordinates (column, row), the centre of the top-left pixel at (0, 0).
+/// Position of a feature in pixel coordinates (column, row). The centre of the top-left pixel is (0, 0).
 #[derive(Clone, Debug, PartialEq)]
 pub enum Shape {
     /// A point.
     Point(DVec2),
     /// A retro-reflector.
     Reflector(DVec2),
-    /// A straight edge. Extractors break edges anywhere, so an end says nothing along the edge unless a corner ends it.
+    /// A straight edge. Extractors break edges anywhere, so an end has no meaning along the edge unless it is a corner.
     Segment {
         /// Both ends, in any order.
         ends: [DVec2; 2],
-        /// Whether a corner ends it, by end.
+        /// True for each end that is a corner.
         corners: [bool; 2],
     },
-    /// The outline of a plane patch, 3 to 16 corners, beginning anywhere.
+    /// The outline of a planar patch with 3 to 16 corners, starting at any corner.
     Patch(Vec<DVec2>),
     /// A fiducial's corners, clockwise from its own top left.
     Fiducial([DVec2; 4]),
 }
 
 impl Shape {
-    /// The points that define it.
+    /// The defining points.
     pub fn points(&self) -> &[DVec2] {
         match self {
             Self::Point(at) | Self::Reflector(at) => std::slice::from_ref(at),
@@ -36,7 +36,7 @@ impl Shape {
         }
     }
 
-    /// The same, to move them.
+    /// The defining points, mutable.
     pub(crate) fn points_mut(&mut self) -> &mut [DVec2] {
         match self {
             Self::Point(at) | Self::Reflector(at) => std::slice::from_mut(at),
@@ -46,13 +46,13 @@ impl Shape {
         }
     }
 
-    /// Mean of the points that define it.
+    /// Mean of the defining points.
     pub fn centre(&self) -> DVec2 {
         let points = self.points();
         points.iter().sum::<DVec2>() / points.len().max(1) as f64
     }
 
-    /// True unless the points are too many, too few, not finite, or in one place.
+    /// Checks that the coordinates are finite, that a segment has a length, and that a patch has 3 to 16 corners.
     pub fn check(&self) -> Result<(), Rejection> {
         if !self.points().iter().all(|p| p.is_finite() && p.abs().max_element() <= MAX_PIXEL) {
             return Err(Rejection::NotFinite);
@@ -68,7 +68,7 @@ impl Shape {
 /// Shortest segment that has a direction, pixels.
 const SHORTEST: f64 = 1e-3;
 
-/// Largest pixel coordinate; squares of distances stay far from overflow.
+/// Largest pixel coordinate. Squared distances cannot overflow.
 const MAX_PIXEL: f64 = 1e9;
 
 /// A fiducial's identity.
@@ -80,22 +80,22 @@ pub struct Marker {
     pub code: u32,
 }
 
-/// What else an extractor tells; `None` is not known and never compared.
+/// Other properties of a detection; `None` is unknown and not compared.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct DetectionProperties {
     /// Strength or reflectivity, 0..=1.
     pub strength: Option<f64>,
     /// Contrast, 0..=1.
     pub contrast: Option<f64>,
-    /// Direction in the image, radians from columns to rows, modulo pi. Of segments their ends tell it.
+    /// Direction in the image, radians from columns to rows, modulo pi. Segments need none: their ends define it.
     pub direction: Option<f64>,
-    /// Of fiducials: never taken for another.
+    /// Identity of a fiducial; different ones never match.
     pub marker: Option<Marker>,
-    /// Metres along the ray, with the variance of the measurement: of reflectors in scans.
+    /// Metres along the ray, with the variance of the measurement; for reflectors in scans.
     pub range: Option<UncertainValue>,
 }
 
-/// Something found in a sensed image.
+/// A feature found in a measured image.
 ///
 /// ```
 /// use glam::DVec2;
@@ -108,17 +108,17 @@ pub struct DetectionProperties {
 /// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct Detection {
-    /// Where.
+    /// Kind and position.
     pub shape: Shape,
-    /// Covariance of each defining point, pixels squared. Of a segment's end only the part across the segment counts, unless
-    /// a corner ends it.
+    /// Covariance of each defining point, pixels squared. For the end of a segment only the part across the segment
+    /// counts, unless the end is a corner.
     pub covariance: DMat2,
-    /// What else is known.
+    /// Other properties.
     pub properties: DetectionProperties,
 }
 
 impl Detection {
-    /// A shape whose points are each known to `sigma` pixels.
+    /// A shape whose points have the standard deviation `sigma`, pixels.
     pub fn new(shape: Shape, sigma: f64) -> Self {
         Self {
             shape,
@@ -127,20 +127,20 @@ impl Detection {
         }
     }
 
-    /// A point known to `sigma` pixels.
+    /// A point with the standard deviation `sigma`, pixels.
     pub fn point(at: DVec2, sigma: f64) -> Self {
         Self::new(Shape::Point(at), sigma)
     }
 
-    /// An edge that no corner ends, known to `sigma` pixels across itself.
+    /// An edge without corners, with the standard deviation `sigma` across it, pixels.
     pub fn segment(ends: [DVec2; 2], sigma: f64) -> Self {
         Self::new(Shape::Segment { ends, corners: [false; 2] }, sigma)
     }
 
-    /// Whether anything can be computed from it.
+    /// Checks that all values are usable.
     ///
     /// # Errors
-    /// Why not.
+    /// The reason for which the detection is rejected.
     pub fn check(&self) -> Result<(), Rejection> {
         self.shape.check()?;
         let [a, b, c, d] = self.covariance.to_cols_array();
@@ -159,7 +159,7 @@ impl Detection {
     }
 }
 
-/// Why a detection was not looked at.
+/// Reason for rejecting a detection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Rejection {
     /// A coordinate, a covariance or a property is NaN, infinite or absurdly large.
@@ -179,7 +179,7 @@ pub struct UncertainValue {
     pub variance: f64,
 }
 
-/// What is known of a feature's properties; `None` is not known.
+/// Expected properties of a feature; `None` is unknown.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ExpectedProperties {
     /// Strength or reflectivity.
@@ -188,7 +188,7 @@ pub struct ExpectedProperties {
     pub contrast: Option<UncertainValue>,
     /// Direction, radians, modulo pi.
     pub direction: Option<UncertainValue>,
-    /// Of fiducials.
+    /// Identity of a fiducial.
     pub marker: Option<Marker>,
     /// Metres along the ray.
     pub range: Option<UncertainValue>,

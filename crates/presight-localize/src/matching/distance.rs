@@ -1,48 +1,48 @@
-//! How far a detection is from an expected feature.
+//! Distance between a detection and an expected feature.
 
 use super::detection::{Detection, Shape};
 use super::matcher::ExpectedFeature;
 use glam::{DMat2, DVec2};
 use std::f64::consts::PI;
 
-/// Smallest variance of a measured coordinate, pixels squared: extractors that claim more would make a track deaf.
+/// Smallest variance of a measured coordinate, pixels squared. With a smaller one, a track would reject its detections.
 const FLOOR: f64 = 1e-4;
 
-/// Least share of the union of two segments, along them, that both cover.
+/// Smallest overlap of two segments as a share of their union, measured along them.
 const OVERLAP: f64 = 1.0 / 3.0;
 
-/// More than rounding makes of a test that is made in another order, relative.
+/// Relative bound on rounding when the same test is computed in a different order.
 const ROUNDING: f64 = 1e-9;
 
-/// How far a detection is from an expected feature.
+/// Distance between a detection and an expected feature.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Distance {
     /// Squared Mahalanobis distance in the image.
     pub squared: f64,
-    /// Of how many dimensions.
+    /// Number of dimensions.
     pub dimensions: u32,
     /// 1/2 ln det(2 pi S).
     pub log_volume: f64,
-    /// Logarithm of the density of clutter over these dimensions, less that of its density in the image.
+    /// Logarithm of the clutter density over these dimensions, minus the logarithm of its density in the image.
     pub log_clutter: f64,
 }
 
-/// One coordinate of an innovation with its variance.
+/// Adds one coordinate of an innovation with its variance.
 fn scalar(squared: f64, variance: f64, into: &mut Distance) {
     into.squared += squared / variance;
     into.dimensions += 1;
     into.log_volume += 0.5 * (2.0 * PI * variance).ln();
 }
 
-/// Largest squares that pass, by dimensions.
+/// Largest squared distances that pass the gate, by number of dimensions.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Gate {
     deviate: f64,
-    /// From no dimension on.
+    /// The first entry is for 0 dimensions.
     limits: [f64; GATES],
 }
 
-/// Gates that are computed once: of positions, and of segments with all their properties.
+/// Number of limits computed in advance. They suffice for positions, and for segments with all properties.
 const GATES: usize = 8;
 
 impl Gate {
@@ -60,7 +60,7 @@ impl Gate {
     }
 }
 
-/// A detection's covariance, no smaller than any extractor's is.
+/// A detection's covariance, limited from below.
 pub fn floored(covariance: DMat2) -> DMat2 {
     covariance + DMat2::from_diagonal(DVec2::splat(FLOOR))
 }
@@ -69,19 +69,19 @@ fn variance_along(direction: DVec2, covariance: DMat2) -> f64 {
     direction.dot(covariance * direction)
 }
 
-/// The multiple of `turn` to add to a column of a detection at `x` to bring it nearest to `near`.
+/// Multiple of `turn` that brings a detection's column `x` nearest to `near`.
 pub fn unwrap(turn: Option<f64>, near: f64, x: f64) -> f64 {
     turn.map_or(0.0, |turn| turn * ((near - x) / turn).round())
 }
 
-/// How far one direction is from another, modulo pi, -pi/2..pi/2.
+/// Difference of two directions modulo pi, in -pi/2..pi/2.
 pub fn turn_apart(a: f64, b: f64) -> f64 {
     let apart = (a - b) / PI;
     PI * (apart - apart.round())
 }
 
-/// The distance in the image; `None` if they are of different kinds, of segments that do not lie beside each other, or beyond the
-/// gate. `noise` multiplies the detection's covariance.
+/// Returns the distance in the image. Returns `None` if the kinds differ, if segments do not overlap enough, or if the
+/// distance is beyond the gate. `noise` multiplies the detection's covariance.
 pub(super) fn compare(
     expected: &ExpectedFeature,
     found: &Detection,
@@ -97,7 +97,7 @@ pub(super) fn compare(
         (Shape::Point(p), Shape::Point(q)) | (Shape::Reflector(p), Shape::Reflector(q)) => {
             let (innovation, s) = (*q + shift - *p, expected.covariances[0] + covariance);
             let (squared, determinant) = squared_of(innovation, s);
-            // Most are too far: they need no logarithm.
+            // Most pairs fail here, before any logarithm is computed.
             if squared > gate.limit(2) {
                 return None;
             }
@@ -116,7 +116,7 @@ pub(super) fn compare(
                     distance.log_clutter -= seen.length.max(1.0).ln();
                 }
             }
-            // Lines that pass at distances d0 and d1 of both ends: clutter of all directions is spread over pi.
+            // A line is given by its distances d0 and d1 from both ends. Clutter directions are uniform over pi.
             distance.log_clutter -= PI.ln() + seen.overlap.ln();
         }
         (Shape::Fiducial(p), Shape::Fiducial(q)) => add_outline(expected, p, q, 0, shift, covariance, &mut distance),
@@ -134,20 +134,20 @@ pub(super) fn compare(
     gate.passes(&distance).then_some(distance)
 }
 
-/// A found segment, to tell at once that it is surely not an expected one: nearly all pairs of segments.
+/// A detected segment, prepared to reject most expected segments quickly.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct FoundLine {
     from: DVec2,
     whole: DVec2,
     normal: DVec2,
-    /// By its length squared.
+    /// Inverse of the squared length.
     rate: f64,
-    /// Its variance in the direction of `normal`, which is as long as the segment.
+    /// Variance along `normal`, which has the length of the segment.
     noise: f64,
 }
 
 impl FoundLine {
-    /// `None` unless it is a segment.
+    /// Returns `None` if the detection is not a segment.
     pub fn of(found: &Detection, noise: f64) -> Option<Self> {
         let Shape::Segment { ends, .. } = &found.shape else { return None };
         let whole = ends[1] - ends[0];
@@ -156,18 +156,18 @@ impl FoundLine {
         Some(Self { from: ends[0], whole, normal, rate: 1.0 / whole.length_squared(), noise })
     }
 
-    /// False where [`compare`] surely has no distance, told without a root or a logarithm.
+    /// Returns false only if [`compare`] returns `None`. Needs neither a root nor a logarithm.
     #[inline]
     pub fn may_be(&self, ends: &[DVec2; 2], covariances: &[DMat2], turn: Option<f64>, gate: &Gate) -> bool {
         let from = self.from + DVec2::new(unwrap(turn, ends[0].x, self.from.x), 0.0);
-        // Across the segment at an end: the square of the distance, its variance, and where the end is along what was found.
+        // For end i: its squared distance across the line, the variance, and its position along the detected segment.
         let across = |i: usize| {
             let off = ends[i] - from;
             let (across, at) = (self.normal.dot(off), self.whole.dot(off) * self.rate);
             let spread = (1.0 - at) * (1.0 - at) + at * at;
             (across * across, variance_along(self.normal, covariances[i]) + self.noise * spread, at)
         };
-        // Along the segment there may be two squares more. What is NaN is left to the full test.
+        // Corners may add two squares along the segment. NaN passes, and the full test decides.
         let limit = gate.limit(4) * (1.0 + ROUNDING);
         let (first, variance, begin) = across(0);
         let (second, other, end) = across(1);
@@ -180,7 +180,7 @@ impl FoundLine {
     }
 }
 
-/// The squared distance, and the determinant of its covariance.
+/// Squared Mahalanobis distance, and the determinant of the covariance.
 fn squared_of(innovation: DVec2, s: DMat2) -> (f64, f64) {
     let determinant = s.determinant().max(f64::MIN_POSITIVE);
     let adjugate = DMat2::from_cols_array(&[s.y_axis.y, -s.x_axis.y, -s.y_axis.x, s.x_axis.x]);
@@ -198,7 +198,7 @@ fn add_squared(squared: f64, determinant: f64, into: &mut Distance) {
     into.log_volume += (2.0 * PI).ln() + 0.5 * determinant.ln();
 }
 
-/// Corner by corner, the found outline from corner `first` on.
+/// Adds the distance corner by corner, with the detected outline starting at corner `first`.
 fn add_outline(
     expected: &ExpectedFeature,
     p: &[DVec2],
@@ -217,16 +217,16 @@ fn add_outline(
     }
 }
 
-/// A found segment beside an expected one, its ends in the expected one's order.
+/// A detected segment with its ends in the order of the expected segment.
 struct SegmentPair {
     ends: [DVec2; 2],
     corners: [bool; 2],
     normal: DVec2,
     along: DVec2,
     length: f64,
-    /// Share of the union, along the found one, that both cover.
+    /// Overlap as a share of the union, along the detected segment.
     overlap: f64,
-    /// Where the expected ends are along the found one: 0 at its first end, 1 at its second.
+    /// Positions of the expected ends along the detected segment, which runs from 0 to 1.
     at: [f64; 2],
 }
 
@@ -246,26 +246,26 @@ impl SegmentPair {
         (overlap >= OVERLAP).then(|| Self { ends, corners, normal: along.perp(), along, length, overlap, at })
     }
 
-    /// How much less, or more, certain than a found end the found line is at expected end `i`.
+    /// Factor from the variance of a detected end to that of the detected line at expected end `i`.
     fn spread(&self, i: usize) -> f64 {
         let t = self.at[i];
         (1.0 - t) * (1.0 - t) + t * t
     }
 }
 
-/// What was measured of one defining point.
+/// The measurement of one defining point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Aligned {
-    /// Where.
+    /// Measured position.
     pub at: DVec2,
-    /// How well.
+    /// Covariance of the measurement.
     pub covariance: DMat2,
-    /// Unit direction in which it slides: along the segment, unless a corner ends both.
+    /// Unit direction along which the point is not fixed: along the segment, unless both ends are corners.
     pub slides: Option<DVec2>,
 }
 
-/// What a detection says about each of the expected shape's defining points, in their order. A sliding end is known to `slide`
-/// pixels along its segment.
+/// Returns a measurement for each defining point of the expected shape, in order. The end of a segment without a corner
+/// has the standard deviation `slide` along the segment, pixels.
 pub fn align(
     expected: &ExpectedFeature,
     found: &Detection,
@@ -309,8 +309,8 @@ fn outer(v: DVec2) -> DMat2 {
     DMat2::from_cols(v * v.x, v * v.y)
 }
 
-/// The square that a chi-squared variable of `dimensions` degrees of freedom passes with probability `1 - p`, `deviate` being the
-/// standard normal deviate of p: within 3 % for p above 0.9 (E. B. Wilson and M. M. Hilferty 1931).
+/// Quantile of a chi-squared variable with `dimensions` degrees of freedom for probability p, whose standard normal
+/// deviate is `deviate`. It is within 3 % for p above 0.9 (E. B. Wilson and M. M. Hilferty 1931).
 pub fn chi_squared_quantile(dimensions: u32, deviate: f64) -> f64 {
     let n = f64::from(dimensions.max(1));
     let spread = 2.0 / (9.0 * n);
@@ -348,18 +348,18 @@ mod tests {
 
     #[test]
     fn points_are_apart_by_mahalanobis() {
-        // Variances 9 + 16 = 25 in both axes, 10 pixels in x: 4, less the floor of 1e-4.
+        // The variance is 9 + 16 = 25 in both axes. 10 pixels in x give 100 / 25 = 4, apart from the floor of 1e-4.
         let p = expected(Shape::Point(DVec2::ZERO), 3.0);
         let d = compare(&p, &Detection::point(DVec2::new(10.0, 0.0), 4.0), 1.0, None).unwrap();
         assert!((d.squared - 4.0).abs() < 1e-4 && d.dimensions == 2);
         assert!((d.log_volume - (2.0 * PI * 25.0).ln()).abs() < 1e-5);
         assert!(compare(&p, &Detection::new(Shape::Reflector(DVec2::ZERO), 4.0), 1.0, None).is_none());
-        // Over the seam of 720 columns.
+        // Across the seam of a 720-column image.
         let over = compare(&p, &Detection::point(DVec2::new(730.0, 0.0), 4.0), 1.0, Some(720.0)).unwrap();
         assert!((over.squared - 4.0).abs() < 1e-4);
     }
 
-    /// A segment broken in half is as near as a whole one, turned ends or not; across itself it counts.
+    /// A part of a segment, or one with swapped ends, is as near as the whole. Only the offset across it counts.
     #[test]
     fn segments_count_across_themselves() {
         let line =
@@ -370,19 +370,19 @@ mod tests {
             let d = compare(&p, &line(0.0, 0.0, x0, x1), 1.0, None).unwrap();
             assert!(d.squared < 1e-12 && d.dimensions == 2, "{x0}..{x1}: {d:?}");
         }
-        // 2 pixels across at both ends, variance 1 + 1 each: 4 / 2 twice.
+        // 2 pixels across at both ends with variance 1 + 1 give 4 / 2 twice.
         let d = compare(&p, &line(2.0, 2.0, 0.0, 100.0), 1.0, None).unwrap();
         assert!((d.squared - 4.0).abs() < 1e-3);
-        // Its continuation beyond its end is another segment.
+        // A continuation beyond the end is a different segment.
         assert!(compare(&p, &line(0.0, 0.0, 101.0, 200.0), 1.0, None).is_none());
-        // Ended by corners, 2 pixels along count as well.
+        // With corners, 2 pixels along the segment count as well.
         let ends = [DVec2::new(2.0, 0.0), DVec2::new(102.0, 0.0)];
         let fixed = Detection::new(Shape::Segment { ends, corners: [true, false] }, 1.0);
         let d = compare(&p, &fixed, 1.0, None).unwrap();
         assert!((d.squared - 2.0).abs() < 1e-3 && d.dimensions == 3, "{d:?}");
     }
 
-    /// Pairs that pass the gate and are not taken for near, and pairs that are told apart at once, of 20,000.
+    /// Counts, in 20,000 pairs, those rejected by `may_be` that pass the gate, and all those rejected by `may_be`.
     fn told_at_once(first: &Gate, gate: &Gate) -> (usize, usize) {
         let mut random = SplitMix64(17);
         let (mut lost, mut told) = (0, 0);
@@ -409,7 +409,7 @@ mod tests {
         let gate = Gate::new(3.09);
         let (lost, told) = told_at_once(&gate, &gate);
         assert!(lost == 0 && told > 5_000, "{lost} {told}");
-        // A planted fault: a gate that is too narrow for what comes after it.
+        // Planted fault: a first gate that is narrower than the second.
         assert!(told_at_once(&Gate::new(1.0), &gate).0 > 50);
     }
 

@@ -1,4 +1,4 @@
-//! Which detections may be which expected feature, and what each pair costs.
+//! Finds the candidate detections of each expected feature, and the cost of each pair.
 
 use super::assign::CandidatePair;
 use super::bins::Bins;
@@ -7,35 +7,35 @@ use super::distance::{Distance, FoundLine, Gate, compare, turn_apart};
 use glam::{DMat2, DVec2};
 use std::f64::consts::PI;
 
-/// Most candidates of one feature: the nearest are kept. An optimum never needs more than there are features in a group.
+/// Largest number of candidates of one feature; the cheapest are kept. An optimum needs one per feature of a group.
 pub const MAX_CANDIDATES: usize = 64;
 
-/// Over how many metres clutter is spread along a ray.
+/// Length along a ray over which clutter is uniform, metres.
 const DEPTHS: f64 = 30.0;
-/// Least standard deviation of a measured range, metres: extractors that claim more would be deaf.
+/// Smallest standard deviation of a measured range, metres. With a smaller one, the gate rejects nearly everything.
 const LEAST_DEPTH: f64 = 1e-3;
 
-/// A feature that may be found.
+/// A feature that may be detected.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ExpectedFeature {
-    /// Where, most likely.
+    /// Most likely position.
     pub shape: Shape,
-    /// Covariance of each defining point, pixels squared, without the detection's own.
+    /// Covariance of each defining point without the noise of the detection, pixels squared.
     pub covariances: Vec<DMat2>,
-    /// Where it is looked for: x0, y0, x1, y1. What is outside is no candidate, but segments may lead out of it.
+    /// Search window: x0, y0, x1, y1. Detections outside are not candidates, but segments only have to cross it.
     pub window: [f64; 4],
-    /// What else is known of it.
+    /// Expected properties.
     pub properties: ExpectedProperties,
 }
 
-/// How well an extractor tells properties, one sigma each.
+/// Noise of an extractor's properties, as standard deviations.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PropertyNoise {
-    /// Of 0..=1.
+    /// Strength, which is 0..=1.
     pub strength: f64,
-    /// Of 0..=1.
+    /// Contrast, which is 0..=1.
     pub contrast: f64,
-    /// Radians.
+    /// Direction, radians.
     pub direction: f64,
 }
 
@@ -49,17 +49,17 @@ impl Default for PropertyNoise {
 /// Gates and costs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Matcher {
-    /// Standard normal deviate of the probability with which a feature's own detection passes the gate; 3.09 is 99.9 %.
+    /// Standard normal deviate of the probability that a feature's own detection passes the gate; 3.09 means 99.9 %.
     pub gate_deviate: f64,
     /// Probability that a feature in its window is detected.
     pub detection_probability: f64,
-    /// Clutter by pixel squared.
+    /// Clutter detections per pixel squared.
     pub clutter_density: f64,
-    /// Multiplies every detection's covariance.
+    /// Factor on the covariance of every detection.
     pub noise: f64,
-    /// How well properties are told.
+    /// Noise of measured properties.
     pub properties: PropertyNoise,
-    /// Columns of a full turn, if the image goes round.
+    /// Columns of a full turn, for an image that covers 360 degrees.
     pub turn: Option<f64>,
 }
 
@@ -76,31 +76,31 @@ impl Default for Matcher {
     }
 }
 
-/// The pairs that may be.
+/// Candidate pairs of features and detections.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Candidates {
     /// Rows are expected features, columns detections.
     pub pairs: Vec<CandidatePair>,
-    /// Their distances in the image, pair by pair.
+    /// Distances of the pairs in the image.
     pub distances: Vec<Distance>,
-    /// Detections that nothing can be computed from.
+    /// Detections with invalid values.
     pub rejected: Vec<(u32, Rejection)>,
-    /// Detections in each window, whether candidates or not.
+    /// Number of detections in each window, candidates or not.
     pub in_window: Vec<u32>,
 }
 
-/// What gates and costs are made of, computed once.
+/// Constants of gates and costs, computed once.
 struct Level {
     gate: Gate,
     log_clutter: f64,
     log_detection: f64,
 }
 
-/// Where a detection is, for the search in windows.
+/// Position of a detection, for the search in windows.
 #[derive(Clone, Copy, Debug, Default)]
 struct Place {
     centre: DVec2,
-    /// How far a segment leads from its centre; 0 of everything else.
+    /// Half extent of a segment along columns and rows; 0 for other shapes.
     extent: DVec2,
     column: u32,
 }
@@ -116,12 +116,12 @@ impl Place {
 }
 
 impl Matcher {
-    /// The cost of a feature that is not seen.
+    /// Cost of a feature without a detection.
     pub fn unseen_cost(&self) -> f64 {
         -(1.0 - self.detection_probability).ln()
     }
 
-    /// The pairs that may be: of one kind, in the window, within the gate by position and properties together.
+    /// Returns the pairs of one kind with the detection in the window, and position and properties within the gate.
     pub fn candidates(&self, expected: &[ExpectedFeature], found: &[Detection]) -> Candidates {
         let mut all = Candidates { in_window: vec![0; expected.len()], ..Candidates::default() };
         let mut places = Vec::with_capacity(found.len());
@@ -164,8 +164,8 @@ impl Matcher {
         all
     }
 
-    /// The detections in a feature's window. Segments may lead out of it: they have to pass it. `room` is for all of them at each
-    /// shift, and one more.
+    /// Returns the detections in a feature's window. A segment only has to cross the window. `room` must hold all
+    /// detections at each shift, and one more.
     fn find_inside<'a>(&self, feature: &ExpectedFeature, bins: &Bins<Place>, room: &'a mut [u32]) -> &'a [u32] {
         let [x0, y0, x1, y1] = feature.window;
         let middle = DVec2::new(0.5 * (x0 + x1), 0.5 * (y0 + y1));
@@ -176,7 +176,7 @@ impl Matcher {
             bins.each_near([reach[0] + shift, reach[1], reach[2] + shift, reach[3]], |place| {
                 let over = super::distance::unwrap(turn, middle.x, place.centre.x);
                 let off = (place.centre + DVec2::new(over, 0.0) - middle).abs();
-                // Whether one is inside is hard to foresee: it is written in any case, and counts if it is.
+                // The condition is hard to predict, so the column is always written and only counted if it is inside.
                 room[count] = place.column;
                 count += usize::from(off.cmple(half + place.extent).all());
             });
@@ -185,7 +185,7 @@ impl Matcher {
         if turn.is_none() {
             return inside;
         }
-        // A bin may be near on both sides of the seam.
+        // A detection may be found from both sides of the seam.
         inside.sort_unstable();
         let mut kept = 0;
         for i in 0..inside.len() {
@@ -197,7 +197,7 @@ impl Matcher {
         &inside[..kept]
     }
 
-    /// Columns of one turn only, where the image goes round.
+    /// Wraps the column into one turn if the image covers 360 degrees.
     fn wrapped(&self, p: DVec2) -> DVec2 {
         match self.turn {
             Some(turn) => DVec2::new(p.x - turn * (p.x / turn).floor(), p.y),
@@ -205,14 +205,14 @@ impl Matcher {
         }
     }
 
-    /// By how much a window is moved to reach detections within one turn.
+    /// Returns the shifts that move a window to detections within one turn.
     fn shifts(&self, window: &[f64; 4]) -> impl Iterator<Item = f64> + use<> {
         let (x0, turn) = (window[0], self.turn);
         let first = turn.map_or(0.0, |turn| -turn * (x0 / turn).floor());
         [Some(first), turn.map(|turn| first - turn), turn.map(|turn| first + turn)].into_iter().flatten()
     }
 
-    /// Whether a detection is within the gate by its position alone.
+    /// Returns true if a detection is within the gate by position alone.
     pub fn is_near(&self, feature: &ExpectedFeature, detection: &Detection) -> bool {
         compare(feature, detection, self.noise, self.turn, &Gate::new(self.gate_deviate)).is_some()
     }
@@ -222,9 +222,9 @@ impl Matcher {
         Level { gate, log_clutter: self.clutter_density.ln(), log_detection: self.detection_probability.ln() }
     }
 
-    /// What a pair costs; `None` outside of the gate.
+    /// Cost of a pair; `None` outside the gate.
     fn cost(&self, feature: &ExpectedFeature, detection: &Detection, level: &Level) -> Option<(f64, Distance)> {
-        // Most are too far, whatever else they are.
+        // Most pairs fail the position test, which is the cheapest.
         let distance = compare(feature, detection, self.noise, self.turn, &level.gate)?;
         let alike = self.compare_properties(&feature.properties, &detection.properties)?;
         let dimensions = distance.dimensions + alike.dimensions;
@@ -237,7 +237,7 @@ impl Matcher {
         Some((target + clutter - level.log_detection, distance))
     }
 
-    /// How unlike the properties are that both know; `None` for two different markers.
+    /// Returns the distance between the properties that both sides know; `None` for two different markers.
     fn compare_properties(&self, expected: &ExpectedProperties, found: &DetectionProperties) -> Option<Distance> {
         if let (Some(a), Some(b)) = (&expected.marker, &found.marker)
             && a != b
@@ -245,7 +245,7 @@ impl Matcher {
             return None;
         }
         let mut all = Distance { squared: 0.0, dimensions: 0, log_volume: 0.0, log_clutter: 0.0 };
-        // One logarithm for all.
+        // The variances are multiplied, so that one logarithm suffices.
         let mut volume_squared = 1.0;
         let mut add = |apart: f64, variance: f64| {
             all.squared += apart * apart / variance;
@@ -275,7 +275,7 @@ impl Matcher {
     }
 }
 
-/// Where the centre of a detection may be that is the feature: a segment may be found in part, or longer than expected.
+/// Box that holds the centres of possible detections. A segment may be detected in part, or longer than expected.
 fn reach(feature: &ExpectedFeature) -> [f64; 4] {
     let [x0, y0, x1, y1] = feature.window;
     match &feature.shape {
@@ -306,7 +306,7 @@ mod tests {
             [0.0, 1.0, 3.0, 30.0].map(|x| Detection::point(DVec2::new(100.0 + x, 50.0), 1.0)).into();
         let got = Matcher::default().candidates(&[point(100.0, 50.0)], &found);
         assert_eq!(got.pairs.iter().map(|p| p.column).collect::<Vec<_>>(), [0, 1, 2]);
-        // Variance 2: half a squared distance of 1 / 2.
+        // The variance is 2 and the squared distance is 1, so the cost differs by 1/2 * 1/2.
         assert!((got.pairs[1].cost - got.pairs[0].cost - 0.25).abs() < 1e-4);
         assert_eq!(got.in_window, [3]);
     }
@@ -327,7 +327,7 @@ mod tests {
         assert_eq!(columns, [0, 4, 1], "unlike ones are out; directions are modulo pi");
     }
 
-    /// Two in one direction: the one at the right range is taken, one metres off is none.
+    /// Two detections are in one direction: the one at the expected range is first, one metres away is not a candidate.
     #[test]
     fn ranges_gate_and_weigh() {
         let mut feature = point(100.0, 50.0);

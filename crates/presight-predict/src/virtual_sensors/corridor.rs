@@ -1,11 +1,11 @@
-//! Motion corridors: where a robot is going to be.
+//! Motion corridors: the space that a robot's planned path sweeps.
 
 use glam::DVec2;
 use presight_model::error::{Error, Result};
 use presight_model::limits;
 use serde::Deserialize;
 
-/// What a robot sweeps on its way: everything within half a width of a line on the ground, between two heights.
+/// The space within half a width of a line on the ground, between two heights.
 ///
 /// ```
 /// use presight::virtual_sensors::Corridor;
@@ -21,15 +21,15 @@ pub struct Corridor {
     half_width: f64,
     z_min: f64,
     z_max: f64,
-    /// Around everything inside, seen from above: most points are outside.
+    /// Bounding box seen from above, for a quick test: most points are outside.
     bounds: [DVec2; 2],
 }
 
-/// Its fields as files have them.
+/// The fields of a corridor file.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CorridorFields {
-    /// Checked before.
+    /// Checked before these fields are read.
     #[serde(default, rename = "format")]
     pub _format: Option<i64>,
     pub polyline_in_robot: Vec<[f64; 2]>,
@@ -38,15 +38,15 @@ pub struct CorridorFields {
     pub z_max: f64,
 }
 
-/// Most points of a line.
+/// Largest number of points of a line.
 const MAX_POINTS: usize = 10_000;
 
 impl Corridor {
-    /// From a line in the robot's x-y plane, half the width, and least and greatest height over the robot's origin, metres.
+    /// Makes a corridor from a line in the robot's x-y plane, half the width, and the lowest and highest z, metres.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`]: fewer than two or too many points, no length, no width, heights out of order, anything
-    /// not finite or beyond the limits.
+    /// [`crate::ErrorKind::Invalid`] for fewer than two or too many points, a line without length, a width of 0,
+    /// heights out of order, and values that are not finite or beyond the limits.
     pub fn new(polyline_in_robot: Vec<[f64; 2]>, half_width: f64, z_min: f64, z_max: f64) -> Result<Self> {
         let sound = |x: f64| x.abs() <= limits::MAX_COORDINATE;
         let wrong = |what: String, remedy: &str, place: &str| Err(Error::invalid(what, remedy).at(place.to_owned()));
@@ -75,13 +75,13 @@ impl Corridor {
         wrong("has no length".into(), "give points that are apart", "polyline_in_robot")
     }
 
-    /// Length of its line, metres.
+    /// Length of the line, metres.
     pub fn length(&self) -> f64 {
         self.polyline_in_robot.windows(2).map(|w| w[0].distance(w[1])).sum()
     }
 
-    /// How far along its line a point of the robot's frame is, metres: at the nearest place of the first straight piece of
-    /// the line that comes as near as half the width. `None` outside.
+    /// Distance along the line to the point nearest to `p_in_robot`, metres. If several straight pieces are within half
+    /// the width, the first one counts. Returns `None` outside the corridor.
     pub fn arc_length_at(&self, p_in_robot: [f64; 3]) -> Option<f64> {
         let [x, y, z] = p_in_robot;
         let p = DVec2::new(x, y);

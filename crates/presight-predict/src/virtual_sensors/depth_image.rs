@@ -14,9 +14,9 @@ pub struct DepthImage {
     pub height: u32,
     /// Pixels with a point.
     pub points: usize,
-    /// The least box around them in the robot's frame, least and greatest corner, metres; `None` without points.
+    /// Bounding box of the points in the robot's frame, smallest and largest corner, metres; `None` without points.
     pub bounds_robot: Option<[[f64; 3]; 2]>,
-    /// By pixel, row-major: the sensor's f64 ray times the f32 range; `None` where nothing is measured.
+    /// Points by pixel, row-major: the sensor's f64 ray times the f32 range; `None` without a range.
     pub points_robot: Vec<Option<[f64; 3]>>,
 }
 

@@ -1,19 +1,19 @@
-//! Docking: the visible landmarks, and how well their measurement fixes the robot's pose relative to them.
+//! Docking: the visible landmarks, and how accurately they determine the robot's pose relative to them.
 //!
-//! A landmark at q in the robot's frame is measured by what the sensor measures of a point, with the noise that its
-//! specification states:
+//! A landmark at q in the robot's frame gives the measurements that the sensor makes of a point, with the noise in the
+//! sensor's specification:
 //! - scanners: range, azimuth and, with more than one row, elevation;
-//! - cameras: range, column and row (of a camera of class `laser`: a depth camera);
+//! - cameras of class `laser` (depth cameras): range, column and row;
 //! - ray tables: range and two angles across the ray.
 //!
-//! A small motion (t, r) of the robot, along and about its own axes, takes the landmark to q - t + q x r. With J the
-//! derivatives of all measurements by that motion and R their covariance, no unbiased estimate of the pose can be better than
-//! (J^T R^-1 J)^-1 (Cramer and Rao), and least squares comes there as the noise gets small. Landmarks count as exactly known:
-//! the uncertainty of the dock's own position is not in it.
+//! A small motion (t, r) of the robot, along and about its own axes, moves the landmark to q - t + q x r. J holds the
+//! derivatives of all measurements with respect to that motion, and R is their covariance. No unbiased estimate of the
+//! pose can be better than (J^T R^-1 J)^-1 (Cramer and Rao), and least squares reaches this bound for small noise.
+//! Landmark positions are assumed exact; the uncertainty of the dock's own position is not included.
 //!
-//! A sensor of one row sees the plane only: the pose is then x, y and yaw (3 degrees of freedom), otherwise x, y, z, roll,
-//! pitch and yaw. Where the landmarks do not fix all of it, the directions that they leave open are named and there is no
-//! covariance. Fiducials count by their corners, for one row by their middle, and only if they are seen whole.
+//! A sensor with one row measures in a plane, so the pose has 3 degrees of freedom: x, y and yaw. Otherwise it has x,
+//! y, z, roll, pitch and yaw. If the landmarks leave directions undetermined, these are listed and there is no
+//! covariance. Fiducials count only if fully visible, by their corners, or by their centre for a sensor with one row.
 
 use super::View;
 use super::landmarks::{self, Landmark};
@@ -24,44 +24,44 @@ use presight_model::matrix::{Matrix, eigen};
 use presight_model::sensor::{Geometry, Sensor};
 use serde::Serialize;
 
-/// Directions of a pose, in the order of a covariance.
+/// Degrees of freedom of a pose, in the order of a covariance.
 const AXES: [&str; 6] = ["x", "y", "z", "roll", "pitch", "yaw"];
-/// Those that a planar sensor can tell.
+/// Degrees of freedom of a planar sensor, as indices into [`AXES`].
 const PLANAR: [usize; 3] = [0, 1, 5];
-/// A fiducial is decoded if no less of it is seen.
+/// Smallest visible fraction at which a fiducial is decoded.
 const WHOLE: f64 = 0.99;
-/// A direction is open if its information is this small a part of the best one's, both as lengths at the landmarks'
-/// distance: rounding is 10^-16, a standard deviation 10^5 times the best one's helps nobody.
+/// A direction is undetermined if its information is below this share of the largest, with angles scaled to lengths at
+/// the landmarks' distance. Its standard deviation is then over 10^5 times the smallest. Rounding is at 10^-16.
 const OPEN: f64 = 1e-10;
 
-/// The landmarks of a dock, and what they fix.
+/// The landmarks of a dock, and the resulting pose covariance.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Docking {
-    /// The landmarks that are seen.
+    /// The visible landmarks.
     pub landmarks: Vec<Landmark>,
-    /// Landmarks that were looked for, seen or not.
+    /// Number of landmarks in the prediction, visible or not.
     pub known: usize,
-    /// Measured numbers.
+    /// Number of scalar measurements.
     pub measurements: usize,
     /// The degrees of freedom, in the order of `covariance`: `x, y, yaw`, or `x, y, z, roll, pitch, yaw`.
     pub freedom: Vec<&'static str>,
-    /// Of a small motion of the robot along and about its own axes, row by row, metres and radians; `None` if a direction is
-    /// left open.
+    /// Covariance of a small motion of the robot along and about its own axes, row by row, metres and radians; `None`
+    /// if a direction is undetermined.
     pub covariance: Option<Vec<Vec<f64>>>,
-    /// Standard deviations, by degree of freedom; `None` likewise.
+    /// Standard deviations by degree of freedom; `None` if a direction is undetermined.
     pub sigmas: Option<Vec<f64>>,
-    /// J^T R^-1 J.
+    /// Information matrix J^T R^-1 J.
     pub information: Vec<Vec<f64>>,
-    /// What is left open.
+    /// Undetermined directions.
     pub unobservable: Vec<Unobservable>,
 }
 
-/// A direction in which the robot could move without any measurement changing.
+/// A motion of the robot that changes no measurement.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Unobservable {
-    /// The degrees of freedom that take part, joined by `+`.
+    /// The degrees of freedom involved, joined by `+`.
     pub name: String,
-    /// Metres and radians by degree of freedom, of one such motion; the largest is 1.
+    /// The motion by degree of freedom, metres and radians, scaled so that the largest entry is 1.
     pub motion: Vec<f64>,
 }
 
@@ -80,7 +80,7 @@ impl Docking {
     }
 }
 
-/// That the noise of everything measured is stated.
+/// Checks that the noise of everything measured is stated.
 pub(super) fn check_noise(sensor: &Sensor) -> Result<()> {
     let noise = sensor.spec().noise;
     let across = match sensor.spec().geometry {
@@ -90,7 +90,7 @@ pub(super) fn check_noise(sensor: &Sensor) -> Result<()> {
     match [("range_sigma", noise.range_sigma), across].into_iter().find(|(_, sigma)| *sigma == 0.0) {
         None => Ok(()),
         Some((name, _)) => Err(Error::usage(
-            format!("docking: sensor {:?} states no {name}", sensor.spec().name),
+            format!("docking: sensor {:?} does not state {name}", sensor.spec().name),
             format!(
                 "write {name} above 0 under [noise] in the sensor's file (presight sensors NAME prints a preset's)"
             ),
@@ -136,7 +136,7 @@ fn to_rows(matrix: &Matrix, n: usize) -> Vec<Vec<f64>> {
     matrix[..n].iter().map(|row| row[..n].to_vec()).collect()
 }
 
-/// The points of a landmark that are measured, robot frame.
+/// The measured points of a landmark, robot frame.
 fn measured(landmark: &Landmark, planar: bool) -> Vec<DVec3> {
     let middle = vec![DVec3::from(landmark.position_robot)];
     if landmark.corners_robot.is_empty() {
@@ -148,7 +148,7 @@ fn measured(landmark: &Landmark, planar: bool) -> Vec<DVec3> {
     if planar { middle } else { landmark.corners_robot.iter().map(|p| DVec3::from(*p)).collect() }
 }
 
-/// Derivatives of the measurements of a point by the robot's motion, each over its standard deviation.
+/// Derivatives of a point's measurements with respect to the robot's motion, divided by their standard deviations.
 fn rows(sensor: &Sensor, p_in_robot: DVec3) -> Vec<[f64; 6]> {
     let mount = &sensor.spec().mount;
     let s = mount.inverse().transform_point(p_in_robot);
@@ -156,21 +156,21 @@ fn rows(sensor: &Sensor, p_in_robot: DVec3) -> Vec<[f64; 6]> {
         .into_iter()
         .map(|(gradient, sigma)| {
             let g = mount.rotation * gradient / sigma;
-            // q - t + q x r: by t it is -g, by r it is g . (q x r) = (g x q) . r.
+            // The point is at q - t + q x r. The derivative by t is -g; by r it follows from g . (q x r) = (g x q) . r.
             let turned = g.cross(p_in_robot);
             [-g.x, -g.y, -g.z, turned.x, turned.y, turned.z]
         })
         .collect()
 }
 
-/// Gradients of what a sensor measures by the point's place in its body axes, with standard deviations.
+/// Gradients of the measurements with respect to the point's position in body axes, with standard deviations.
 fn gradients(sensor: &Sensor, s: DVec3) -> Vec<(DVec3, f64)> {
     let noise = sensor.spec().noise;
     let (range, flat) = (s.length(), s.x.hypot(s.y));
     let mut found = vec![(s / range, noise.range_sigma)];
     match &sensor.spec().geometry {
         Geometry::Scanner(_) => {
-            // On the axis the azimuth is nobody's.
+            // On the axis the azimuth is undefined.
             if flat > 1e-9 * range {
                 found.push((DVec3::new(-s.y, s.x, 0.0) / (flat * flat), noise.angle_sigma));
                 if sensor.height() > 1 {
@@ -188,7 +188,7 @@ fn gradients(sensor: &Sensor, s: DVec3) -> Vec<(DVec3, f64)> {
     found
 }
 
-/// Of column and row, by central differences: any lens, 8 digits.
+/// Gradients of column and row by central differences, for any lens; accurate to 8 digits.
 fn pixel_gradients(sensor: &Sensor, s: DVec3) -> [DVec3; 2] {
     let image_from_body = sensor.body_from_image().transpose();
     let step = 1e-6 * s.length();
@@ -203,7 +203,7 @@ fn pixel_gradients(sensor: &Sensor, s: DVec3) -> [DVec3; 2] {
     gradients
 }
 
-/// The inverse, or the directions that keep it from being there. Angles are compared with lengths at `reach` metres.
+/// Returns the inverse, or the undetermined directions. `reach` (metres) scales angles to lengths.
 fn invert(information: &Matrix, axes: &[usize], reach: f64) -> (Option<Matrix>, Vec<Unobservable>) {
     let n = axes.len();
     let scale = |i: usize| if axes[i] >= 3 { reach } else { 1.0 };
@@ -224,7 +224,7 @@ fn invert(information: &Matrix, axes: &[usize], reach: f64) -> (Option<Matrix>, 
     (Some(std::array::from_fn(|i| std::array::from_fn(|j| if i < n && j < n { entry(i, j) } else { 0.0 }))), Vec::new())
 }
 
-/// A basis of the same space in which each vector has a component that no other has: the simplest to name.
+/// Changes the basis so that each vector has a component in which all others are 0, which makes it simple to name.
 fn reduced(mut rows: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
     for done in 0..rows.len() {
         let n = rows[done].len();
@@ -244,7 +244,7 @@ fn reduced(mut rows: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
 }
 
 fn named(mut motion: Vec<f64>, axes: &[usize], reach: f64) -> Unobservable {
-    // As lengths at the landmarks' distance, what is below a thousandth takes no part.
+    // Components below a thousandth, as lengths at the landmarks' distance, are left out of the name.
     let length = |i: usize, m: f64| m.abs() * if axes[i] >= 3 { reach } else { 1.0 };
     let longest = motion.iter().enumerate().map(|(i, m)| length(i, *m)).fold(0.0, f64::max);
     let part: Vec<usize> = (0..motion.len()).filter(|i| length(*i, motion[*i]) > 1e-3 * longest).collect();

@@ -1,37 +1,37 @@
-//! Edges: the visible parts of the layer's segments, in the image and in the world.
+//! Edges: the visible parts of a layer's segments, in the image and in the world.
 
 use presight_features::FeaturePrediction;
 use presight_model::environment::FeatureShape;
 use serde::Serialize;
 
-/// The segments that are seen.
+/// The visible segments.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Edges {
-    /// Those with a visible part, in the order of the layer.
+    /// Segments with a visible part, in the order of the layer.
     pub edges: Vec<Edge>,
-    /// Segments that were looked for, seen or not.
+    /// Number of segments in the prediction, visible or not.
     pub segments: usize,
 }
 
-/// A segment that is seen, in part or in whole.
+/// A segment that is visible at least in part.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Edge {
-    /// Its number in the layer.
+    /// Number in the layer.
     pub id: u32,
-    /// Its name there.
+    /// Name in the layer.
     pub name: Option<String>,
-    /// Share of its image length, inside image and range limits, that is seen.
+    /// Visible share of the length in the image, inside image and range limits.
     pub visible_fraction: f64,
-    /// Its visible parts, from its first end to its second.
+    /// Visible parts, from the first end to the second.
     pub visible: Vec<EdgePiece>,
 }
 
 /// A visible part of a segment.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct EdgePiece {
-    /// Part of the segment, 0..=1 by length in space.
+    /// Start and end as fractions of the segment's length in space, 0..=1.
     pub t: [f64; 2],
-    /// Both ends in the image, column and row. What is between is straight without lens distortion.
+    /// Both ends in the image, column and row. The line between them is straight without lens distortion.
     pub pixels: [[f64; 2]; 2],
     /// Both ends in the world, metres.
     pub ends_world: [[f64; 3]; 2],

@@ -1,12 +1,12 @@
-//! Free floor: where the camera sees the floor, the robot may go.
+//! Free floor: visible floor, on which the robot may drive.
 //!
-//! Floor is a polygon that is horizontal within [`FLOOR_TILT`], that the camera sees from above, and that is nowhere farther
-//! than [`FLOOR_HEIGHT`] above or below the floor's height, which is that of the robot's origin unless it is told. Windings
-//! are mixed in real models, so the side that is seen counts, not the winding.
+//! Floor is a polygon that is horizontal within [`FLOOR_TILT`], is seen from above, and lies within [`FLOOR_HEIGHT`] of
+//! the floor's height. That height defaults to the height of the robot's origin. Real models mix windings, so the
+//! visible side counts, not the winding.
 //!
-//! The outline of the pixels that see floor is traced along the sides of pixels, and every corner goes along its own ray,
-//! through lens distortion too, to the floor plane. So the outline is right within a pixel. A pixel counts only if all of it
-//! meets the floor plane within the sensor's range; those that reach over the horizon are counted apart.
+//! The outline of the floor pixels follows pixel sides. Each corner is projected to the floor plane along its own ray,
+//! including lens distortion, so the outline is accurate to a pixel. A pixel counts only if all its corners meet the
+//! floor plane within the sensor's range. Pixels that reach over the horizon are counted separately.
 
 use super::mask::{Mask, MaskRegion};
 use super::pixels::{Pixels, VisiblePlane};
@@ -16,39 +16,39 @@ use presight_model::error::Result;
 use presight_model::sensor::Geometry;
 use serde::Serialize;
 
-/// Floor leans by no more, radians (2 degrees).
+/// Largest tilt of floor, radians (2 degrees).
 pub const FLOOR_TILT: f64 = 2.0 * std::f64::consts::PI / 180.0;
-/// Floor is no farther above or below its stated height, metres.
+/// Largest distance of floor above or below its stated height, metres.
 pub const FLOOR_HEIGHT: f64 = 0.05;
 
-/// Floor seen as free.
+/// Visible free floor.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct FreeFloor {
     /// Height of the floor plane in the world, metres.
     pub floor_z_world: f64,
-    /// Of all regions, square metres.
+    /// Total area of the regions, square metres.
     pub area: f64,
-    /// Pixels that show it.
+    /// Number of pixels in the regions.
     pub pixels: usize,
-    /// Pixels that see floor, and whose corners do not all meet the floor plane within range: not counted above.
+    /// Number of floor pixels whose corners do not all meet the floor plane within range; not included above.
     pub pixels_over_horizon: usize,
-    /// What hangs together in the image, largest area first.
+    /// Connected regions of the image, largest area first.
     pub regions: Vec<FloorRegion>,
-    /// Those pixels.
+    /// The pixels of the regions.
     pub mask: Mask,
 }
 
-/// A piece of floor, as polygons in the robot's frame, metres. Seen from above the outer one runs counter-clockwise, holes
-/// run clockwise.
+/// A region of floor as polygons in the robot's frame, metres. Seen from above, the outer polygon runs
+/// counter-clockwise and holes run clockwise.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct FloorRegion {
-    /// Square metres, holes taken off.
+    /// Area without holes, square metres.
     pub area: f64,
-    /// Its pixels.
+    /// Number of pixels.
     pub pixels: usize,
-    /// Its outline.
+    /// Outer outline.
     pub outer_robot: Vec<[f64; 3]>,
-    /// Outlines of what stands in it, or hides it.
+    /// Outlines of objects that stand on the floor or hide it.
     pub holes_robot: Vec<Vec<[f64; 3]>>,
 }
 
@@ -65,11 +65,11 @@ impl FreeFloor {
     }
 }
 
-/// The floor plane before the camera.
+/// The floor plane relative to the camera.
 struct Floor {
-    /// World's z in the sensor's body axes.
+    /// The world's z axis in the sensor's body axes.
     up: DVec3,
-    /// Height above the sensor, metres: negative.
+    /// Height relative to the sensor, metres; negative below it.
     height: f64,
     range_max: f64,
 }
@@ -78,17 +78,17 @@ impl Floor {
     fn holds(&self, surface: &VisiblePlane) -> bool {
         let [low, high] = surface.heights;
         let level = low >= self.height - FLOOR_HEIGHT && high <= self.height + FLOOR_HEIGHT;
-        // Normals point to the sensor's side: upward is seen from above.
+        // Normals point to the sensor's side, so an upward normal means that the surface is seen from above.
         level && surface.normal.dot(self.up) >= FLOOR_TILT.cos()
     }
 
-    /// Where a ray meets the plane, within range.
+    /// Intersection of a ray with the plane, within range.
     fn meet(&self, ray: DVec3) -> Option<DVec3> {
         let range = self.height / self.up.dot(ray);
         (range > 0.0 && range <= self.range_max).then(|| ray * range)
     }
 
-    /// Where the ray of a corner between pixels meets it.
+    /// Intersection of the ray at a pixel corner with the plane.
     fn meet_at(&self, (i, j): (u32, u32), pixels: &Pixels<'_>) -> Option<DVec3> {
         pixels.ray_at(f64::from(i) - 0.5, f64::from(j) - 0.5).and_then(|ray| self.meet(ray))
     }
@@ -102,7 +102,7 @@ pub(super) fn reduce(view: &View<'_>, settings: &Settings) -> Result<FreeFloor> 
     let floor = Floor { up: pixels.up, height, range_max: pixels.sensor.spec().range_max };
     let mut mask = Mask::new(pixels.sensor.width(), pixels.sensor.height());
     let mut pixels_over_horizon = 0;
-    // Of the corners above and below a row, as far as they were asked for: undistorting is slow.
+    // Results for the corners above and below the row, computed on demand because undistorting is slow.
     let mut meets = [(); 2].map(|()| vec![None; mask.width as usize + 1]);
     for row in 0..mask.height {
         meets.swap(0, 1);
@@ -122,12 +122,12 @@ pub(super) fn reduce(view: &View<'_>, settings: &Settings) -> Result<FreeFloor> 
             }
         }
     }
-    // A lens bends what is straight.
+    // Lens distortion bends straight edges.
     let straight = matches!(&pixels.sensor.spec().geometry, Geometry::Camera(c) if c.distortion.is_none());
     let mut regions: Vec<FloorRegion> =
         mask.regions(!straight).iter().map(|region| project(region, &floor, &pixels)).collect();
     regions.sort_by(|a, b| b.area.total_cmp(&a.area));
-    // Adding 0 makes the sum of nothing, which is -0, plain.
+    // An empty sum is -0; adding 0 makes it 0.
     let area = regions.iter().map(|r| r.area).sum::<f64>() + 0.0;
     Ok(FreeFloor { floor_z_world, area, pixels: mask.count(), pixels_over_horizon, regions, mask })
 }
@@ -145,7 +145,7 @@ fn project(region: &MaskRegion, floor: &Floor, pixels: &Pixels<'_>) -> FloorRegi
     FloorRegion { area, pixels: region.pixels, outer_robot, holes_robot }
 }
 
-/// Positive for what runs counter-clockwise around the axis.
+/// Positive for a counter-clockwise outline about the axis.
 fn signed_area(points: &[DVec3], axis: DVec3) -> f64 {
     let Some((first, rest)) = points.split_first() else { return 0.0 };
     rest.windows(2).map(|w| 0.5 * (w[0] - first).cross(w[1] - first).dot(axis)).sum()

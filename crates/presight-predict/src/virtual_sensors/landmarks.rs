@@ -1,4 +1,4 @@
-//! Artificial landmarks: reflectors and fiducial markers that are seen, and where they are.
+//! Artificial landmarks: visible reflectors and fiducial markers with their positions.
 
 use super::View;
 use glam::DVec3;
@@ -6,43 +6,43 @@ use presight_features::{FeaturePrediction, SeenFeature};
 use presight_model::environment::FeatureShape;
 use serde::Serialize;
 
-/// The artificial landmarks that are seen.
+/// The visible artificial landmarks.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Landmarks {
-    /// In the order of the layer.
+    /// Visible landmarks in the order of the layer.
     pub landmarks: Vec<Landmark>,
-    /// Landmarks that the prediction has an entry for, seen or not ([`crate::features::Hidden`]).
+    /// Number of landmarks in the prediction, visible or not ([`crate::features::Hidden`]).
     pub known: usize,
 }
 
-/// An artificial landmark that is seen.
+/// A visible artificial landmark.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Landmark {
-    /// Its number in the layer.
+    /// Number in the layer.
     pub id: u32,
-    /// Its name there.
+    /// Name in the layer.
     pub name: Option<String>,
     /// `reflector` or `fiducial`.
     pub kind: &'static str,
-    /// OpenCV's name of a fiducial's dictionary.
+    /// A fiducial's dictionary by its OpenCV name.
     pub family: Option<String>,
-    /// A fiducial's number in it.
+    /// A fiducial's number in the dictionary.
     pub code: Option<u32>,
-    /// Where it is, metres; of a fiducial the middle.
+    /// Position, metres; the centre of a fiducial.
     pub position_robot: [f64; 3],
-    /// The same in the world.
+    /// Position in the world, metres.
     pub position_world: [f64; 3],
-    /// A fiducial's corners, clockwise from the top left seen from the front; empty for a reflector.
+    /// A fiducial's corners, clockwise from the top left as seen from the front; empty for a reflector.
     pub corners_robot: Vec<[f64; 3]>,
     /// Metres from the sensor to the position.
     pub range: f64,
-    /// About the sensor's z axis from its x axis, radians.
+    /// Azimuth about the sensor's z axis, from its x axis, radians.
     pub azimuth: f64,
-    /// Above the sensor's x-y plane, radians.
+    /// Elevation above the sensor's x-y plane, radians.
     pub elevation: f64,
-    /// |cos| of the angle between ray and surface, where that is known.
+    /// |cos| of the angle between ray and surface normal, if known.
     pub cos_incidence: Option<f64>,
-    /// How much of it is seen, 0..=1.
+    /// Visible share, 0..=1.
     pub visible_fraction: f64,
     /// Probability that it exists at the time of the prediction.
     pub existence: f64,
@@ -62,7 +62,7 @@ pub(super) fn reduce(view: &View<'_>, features: &FeaturePrediction) -> Landmarks
     Landmarks { landmarks: seen.filter_map(|f| landmark(view, f)).collect(), known }
 }
 
-/// `None` for one that has no points.
+/// Returns `None` for a feature without points.
 fn landmark(view: &View<'_>, seen: &SeenFeature) -> Option<Landmark> {
     let (sensor_from_world, mount) = (view.world_from_sensor.inverse(), view.sensor.spec().mount);
     let points = &seen.points_world;

@@ -2,32 +2,31 @@
 
 use serde::{Serialize, Serializer};
 
-/// Some pixels of an image.
+/// A set of pixels of an image.
 ///
-/// In files: `runs`, each row, first column and number of pixels.
+/// Files store `runs`; each holds row, first column and number of pixels.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Mask {
     /// Columns.
     pub width: u32,
     /// Rows.
     pub height: u32,
-    /// Row-major.
+    /// True for marked pixels, row-major.
     pub pixels: Vec<bool>,
 }
 
-/// Pixels that hang together by their sides.
+/// Pixels connected by their sides.
 ///
-/// Outlines run along the sides of pixels, corner by corner: corner (i, j) is the one at pixel coordinates i - 0.5, j - 0.5.
-/// The marked pixels lie on the left of the way as the image is looked at, so that outer outlines run counter-clockwise and
-/// those of holes clockwise. Pixels that touch at a corner only do not hang together; outlines may touch there, they never
-/// cross.
+/// Outlines follow pixel sides from corner to corner. Corner (i, j) is at the pixel coordinates i - 0.5, j - 0.5.
+/// Marked pixels are on the left of the path as seen in the image, so outer outlines run counter-clockwise and holes
+/// clockwise. Pixels that share only a corner are not connected. Outlines may touch there, but they never cross.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct MaskRegion {
     /// Number of pixels.
     pub pixels: usize,
-    /// Around all of it.
+    /// Outer outline.
     pub outer: Vec<(u32, u32)>,
-    /// Around what is not of it inside.
+    /// Outlines of the holes.
     pub holes: Vec<Vec<(u32, u32)>>,
 }
 
@@ -46,7 +45,7 @@ impl Serialize for Mask {
     }
 }
 
-/// A way along the side of a pixel, by its direction in the image (columns to the right, rows down).
+/// Direction of a step along a pixel side in the image (columns to the right, rows down).
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum PixelSide {
     Right,
@@ -78,7 +77,7 @@ impl PixelSide {
         self.turned_left().turned_left().turned_left()
     }
 
-    /// The pixels ahead of a corner, left and right of the way, relative to the corner.
+    /// The pixels ahead of a corner, left and right of the path, relative to the corner.
     fn ahead(self) -> [(i64, i64); 2] {
         match self {
             Self::Right => [(0, -1), (0, 0)],
@@ -90,12 +89,12 @@ impl PixelSide {
 }
 
 impl Mask {
-    /// An empty one.
+    /// An empty mask.
     pub fn new(width: u32, height: u32) -> Self {
         Self { width, height, pixels: vec![false; width as usize * height as usize] }
     }
 
-    /// True if that pixel is marked; outside the image none is.
+    /// Returns true if that pixel is inside the image and marked.
     pub fn has(&self, column: i64, row: i64) -> bool {
         let inside = (0..i64::from(self.width)).contains(&column) && (0..i64::from(self.height)).contains(&row);
         inside && self.pixels[row as usize * self.width as usize + column as usize]
@@ -106,7 +105,7 @@ impl Mask {
         self.pixels.iter().filter(|on| **on).count()
     }
 
-    /// What hangs together, with its outlines; corners on straight ways are left out unless `every_corner` is asked for.
+    /// Returns the connected regions with their outlines. Corners on straight lines need `every_corner`.
     ///
     /// ```
     /// use presight::virtual_sensors::Mask;
@@ -117,7 +116,7 @@ impl Mask {
     /// ```
     pub fn regions(&self, every_corner: bool) -> Vec<MaskRegion> {
         let (labels, mut regions) = self.labels();
-        // A way down along a pixel's left side starts every outline once.
+        // Every outline has a downward step along the left side of a pixel, so each starts there exactly once.
         let mut done = vec![false; self.pixels.len()];
         for start in 0..self.pixels.len() {
             let (column, row) = (start % self.width as usize, start / self.width as usize);
@@ -126,13 +125,13 @@ impl Mask {
             }
             let outline = self.outline((column as i64, row as i64), every_corner, &mut done);
             let region = &mut regions[labels[start] as usize];
-            // Rows run downward: counter-clockwise is negative.
+            // Rows run downward, so a counter-clockwise outline has a negative area.
             if doubled_area(&outline) < 0 { region.outer = outline } else { region.holes.push(outline) }
         }
         regions
     }
 
-    /// Which region every pixel belongs to.
+    /// Labels every marked pixel with its region.
     fn labels(&self) -> (Vec<u32>, Vec<MaskRegion>) {
         let mut labels = vec![u32::MAX; self.pixels.len()];
         let mut regions = Vec::new();
@@ -166,7 +165,7 @@ impl Mask {
         (labels, regions)
     }
 
-    /// Follows an outline from the top left corner of a pixel downward; `done` notes the left sides passed.
+    /// Follows an outline downward from the top left corner of a pixel; `done` marks the left sides passed.
     fn outline(&self, pixel: (i64, i64), every_corner: bool, done: &mut [bool]) -> Vec<(u32, u32)> {
         let mut corners = Vec::new();
         let (mut at, mut way) = (pixel, PixelSide::Down);
@@ -187,7 +186,7 @@ impl Mask {
             }
             way = next;
             if at == pixel && way == PixelSide::Down {
-                // The corner it began at comes first.
+                // Put the starting corner first.
                 corners.rotate_right(1);
                 return corners;
             }
@@ -235,7 +234,7 @@ mod tests {
     }
 
     proptest! {
-        /// Outlines enclose exactly the pixels: their signed areas add up, and every region has one outer outline.
+        /// The signed areas of the outlines sum to the number of pixels, and every region has one outer outline.
         #[test]
         fn outlines_enclose_what_is_marked(width in 1..14u32, bits in prop::collection::vec(any::<bool>(), 1..180)) {
             let height = bits.len() as u32 / width;

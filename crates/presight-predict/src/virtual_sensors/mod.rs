@@ -2,20 +2,20 @@
 //!
 //! | name | sensor class | delivers | in the paper's Table 1 |
 //! |---|---|---|---|
-//! | `free-floor` | `video` | [`FreeFloor`]: floor seen as free, as image mask and as polygons with holes | free motion space: free floor space |
+//! | `free-floor` | `video` | [`FreeFloor`]: visible free floor, as an image mask and as polygons with holes | free motion space: free floor space |
 //! | `edges` | `video` | [`Edges`]: visible segments of the layer | localization for natural landmarks: edges |
 //! | `radar-lines` | `radar` | [`RadarLines`]: line segments in the scan plane | initial and continuous localization: line segments |
 //! | `radar-nearest` | `radar` | [`Nearest`]: nearest obstacle by direction and in a corridor | obstacle detection and free motion space supervision: distance to closest obstacle |
-//! | `radar-landmarks` | `radar` | [`Landmarks`]: where the visible artificial landmarks are | high precision surveying: position of artificial landmarks |
+//! | `radar-landmarks` | `radar` | [`Landmarks`]: positions of the visible artificial landmarks | high precision surveying: position of artificial landmarks |
 //! | `depth-image` | `laser` | [`DepthImage`]: a point for every pixel | 3D distance measurement: 3D-depth image |
 //! | `vertical-planes` | `laser` | [`VerticalPlanes`]: connected regions of vertical planes | localization: vertical planes |
 //! | `docking` | `laser` | [`Docking`]: visible landmarks, and how well they fix the pose | high precision relative localization for docking: artificial landmarks |
 //!
-//! Each is a request ([`VirtualSensor::class`], [`VirtualSensor::outputs`], and the filter of features
-//! [`VirtualSensor::wants`]) and one pure function of a view ([`VirtualSensor::reduce`]), which is a prediction or a measured
-//! image. Names that end in `_robot` are
-//! in the robot's frame (x forward, y left, z up), which the sensor's mount gives; names that end in `_world` are in the world.
-//! Units are metres, radians and square metres. Unknown values are `null` in files.
+//! Each virtual sensor states its request ([`VirtualSensor::class`], [`VirtualSensor::outputs`], and the feature filter
+//! [`VirtualSensor::wants`]). Its pure function [`VirtualSensor::reduce`] takes a view, which is a prediction or a
+//! measured image. Names that end in `_robot` are in the robot's frame (x forward, y left, z up), which the sensor's
+//! mount defines. Names that end in `_world` are in the world frame. Units are metres, radians and square metres.
+//! Unknown values are `null` in files.
 
 mod corridor;
 mod depth_image;
@@ -53,30 +53,30 @@ use serde::Serialize;
 /// The virtual sensors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum VirtualSensor {
-    /// Floor seen as free, of a camera.
+    /// Visible free floor, for a camera.
     FreeFloor,
-    /// Visible segments, of a camera.
+    /// Visible segments, for a camera.
     Edges,
-    /// Line segments in the scan plane, of a radar.
+    /// Line segments in the scan plane, for a radar.
     RadarLines,
-    /// The nearest obstacle, of a radar.
+    /// The nearest obstacle, for a radar.
     RadarNearest,
-    /// Visible artificial landmarks, of a radar.
+    /// Visible artificial landmarks, for a radar.
     RadarLandmarks,
-    /// A point for every pixel, of a laser.
+    /// A point for every pixel, for a laser.
     DepthImage,
-    /// Regions of vertical planes, of a laser.
+    /// Regions of vertical planes, for a laser.
     VerticalPlanes,
-    /// Landmarks of a dock and the covariance that they allow, of a laser.
+    /// Landmarks of a dock and the resulting pose covariance, for a laser.
     Docking,
 }
 
-/// Settings of a task.
+/// Settings of a virtual sensor.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Settings {
-    /// For `free-floor`: height of the floor in the world, metres. `None` means that of the robot's origin.
+    /// For `free-floor`: height of the floor in the world, metres. `None` means the height of the robot's origin.
     pub floor_z_world: Option<f64>,
-    /// For `radar-nearest`: where the robot is going to move.
+    /// For `radar-nearest`: the robot's planned path.
     pub corridor: Option<Corridor>,
 }
 
@@ -154,7 +154,7 @@ impl VirtualSensor {
         }
     }
 
-    /// True for features that it uses. Others need not be predicted.
+    /// Returns true if the virtual sensor uses features of this shape. Other features need not be predicted.
     pub fn wants(self, shape: &FeatureShape) -> bool {
         match self {
             Self::Edges => matches!(shape, FeatureShape::Segment { .. }),
@@ -165,15 +165,15 @@ impl VirtualSensor {
         }
     }
 
-    /// True if it needs predicted features.
+    /// Returns true if it needs predicted features.
     pub fn needs_features(self) -> bool {
         matches!(self, Self::Edges | Self::RadarLandmarks | Self::Docking)
     }
 
-    /// Checks that a sensor can be used for it, before anything is predicted.
+    /// Checks that the virtual sensor can use a sensor, before anything is predicted.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`]: another class of sensor, a geometry that does not fit the task, or missing noise.
+    /// [`crate::ErrorKind::Usage`] for the wrong sensor class, an unsuitable geometry, or missing noise.
     pub fn check(self, sensor: &Sensor) -> Result<()> {
         let (spec, name) = (sensor.spec(), self.name());
         let preset = match self {
@@ -195,12 +195,12 @@ impl VirtualSensor {
             _ => None,
         };
         match self {
-            Self::FreeFloor if !sensor.is_camera() => wrong("is no camera".into(), format!("take {preset}")),
+            Self::FreeFloor if !sensor.is_camera() => wrong("is not a camera".into(), format!("take {preset}")),
             Self::RadarLines if scanner.and_then(scan_row).is_none() => {
                 wrong("has no beams at elevation 0, which scan a plane".into(), format!("take {preset}"))
             }
             Self::RadarNearest if scanner.is_none() => {
-                wrong("is no scanner: its columns are no directions".into(), format!("take {preset}"))
+                wrong("is not a scanner: its columns are not directions".into(), format!("take {preset}"))
             }
             Self::Docking => docking::check_noise(sensor),
             _ => Ok(()),
@@ -227,16 +227,16 @@ impl VirtualSensor {
     /// let prediction = predictor.predict(&world, &radar, &Pose::IDENTITY, &Request::of(task.outputs()))?;
     /// let reading = task.reduce(&View::of(&prediction, world.environment()), &Settings::default())?;
     /// let Answer::RadarLines(found) = &reading.answer else { unreachable!() };
-    /// // It ends at the hits of its outermost beams, 0.1 degrees apart.
+    /// // The line ends at the hits of the outermost beams, 0.1 degrees apart.
     /// assert!(found.lines.len() == 1 && (found.lines[0].length - 4.0).abs() < 0.02);
     /// assert_eq!(found.lines[0].objects, ["wall"]);
     /// # Ok::<(), presight::Error>(())
     /// ```
     ///
     /// # Errors
-    /// Those of [`VirtualSensor::check`] and [`Pose::check`]; [`crate::ErrorKind::Usage`] if features are needed and none were predicted;
-    /// [`crate::ErrorKind::Invalid`] if an image is missing or of another size than the sensor's, or if it is not known what
-    /// the pixels show and the task needs that (`free-floor`, `radar-lines`, `vertical-planes`).
+    /// The errors of [`VirtualSensor::check`] and [`Pose::check`]; [`crate::ErrorKind::Usage`] if features are needed but
+    /// were not predicted; [`crate::ErrorKind::Invalid`] if an image is missing or has a wrong size, or if the task needs
+    /// ids that the view lacks (`free-floor`, `radar-lines`, `vertical-planes`).
     pub fn reduce(self, view: &View<'_>, settings: &Settings) -> Result<VirtualReading> {
         view.world_from_sensor.check()?;
         self.check(view.sensor)?;
@@ -244,7 +244,7 @@ impl VirtualSensor {
             let class = self.class();
             view.features.ok_or_else(|| {
                 let remedy = format!("give a --layer of class {class:?} (presight features SCENE --class {class})");
-                Error::usage(format!("{} is made from features, and none were predicted", self.name()), remedy)
+                Error::usage(format!("{} needs features, and none were predicted", self.name()), remedy)
             })
         };
         let answer = match self {
@@ -273,14 +273,14 @@ impl std::str::FromStr for VirtualSensor {
     }
 }
 
-/// The row of a scanner whose beams lie in one plane, the sensor's x-y plane.
+/// The row of a scanner at elevation 0, whose beams scan the sensor's x-y plane.
 fn scan_row(scanner: &Scanner) -> Option<u32> {
     let at = scanner.rows_deg().iter().position(|elevation| elevation.abs() < 1e-9)?;
     Some(at as u32)
 }
 
 impl VirtualReading {
-    /// A summary of one line, for people.
+    /// A one-line summary for people.
     pub fn summary(&self) -> String {
         let told = match &self.answer {
             Answer::FreeFloor(a) => a.summary(),
@@ -295,7 +295,7 @@ impl VirtualReading {
         format!("{}: {told}", self.name)
     }
 
-    /// The pixels that it marks in the image, if it marks any pixels.
+    /// The pixels marked in the image, if this virtual sensor marks pixels.
     pub fn mask(&self) -> Option<&Mask> {
         match &self.answer {
             Answer::FreeFloor(floor) => Some(&floor.mask),

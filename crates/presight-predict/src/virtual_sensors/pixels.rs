@@ -1,4 +1,4 @@
-//! What pixels show, in f64, in the sensor's frame.
+//! The surfaces that pixels show, in f64 and in the sensor's frame.
 
 use super::View;
 use glam::{DMat3, DVec3};
@@ -9,10 +9,10 @@ use presight_model::sensor::Sensor;
 use presight_render::plan::{Output, PolygonsOfIds};
 use std::collections::HashMap;
 
-/// Cosine of the angle that normals of one plane may differ by: half a degree.
+/// Cosine of the largest angle between normals of one plane: half a degree.
 pub const PARALLEL: f64 = 0.999_961_923_064_171_3;
 
-/// The plane of a polygon as the sensor has it in front of it.
+/// The plane of a visible polygon.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VisiblePlane {
     pub object: u32,
@@ -20,15 +20,15 @@ pub struct VisiblePlane {
     pub normal: DVec3,
     /// Metres from the sensor to the plane, at least 0: `normal . p = -distance` for its points p.
     pub distance: f64,
-    /// Least and greatest height of the polygon above the sensor, along the world's z, metres.
+    /// Lowest and highest z of the polygon relative to the sensor, along the world's z axis, metres.
     pub heights: [f64; 2],
 }
 
-/// A view as reductions look at it.
+/// A view prepared for the reductions.
 pub struct Pixels<'a> {
     pub sensor: &'a Sensor,
     pub range: &'a [f32],
-    /// Empty where it is not known what pixels show.
+    /// Empty if the ids are unknown.
     pub polygon_id: &'a [u32],
     object_id: &'a [u32],
     objects: &'a [Object],
@@ -39,13 +39,13 @@ pub struct Pixels<'a> {
     body_from_image: DMat3,
     polygons: Option<PolygonsOfIds<'a>>,
     surfaces: HashMap<(u32, u32), Option<VisiblePlane>>,
-    /// Neighbouring pixels mostly show the same polygon.
+    /// The last lookup, because neighbouring pixels mostly show the same polygon.
     last: Option<(u32, Option<VisiblePlane>)>,
     view: View<'a>,
 }
 
 impl<'a> Pixels<'a> {
-    /// Of a view with ranges.
+    /// Prepares a view that has ranges.
     pub fn new(view: &View<'a>) -> Result<Self> {
         let (sensor, ids) = (view.sensor, view.ids);
         let pixels = sensor.width() as usize * sensor.height() as usize;
@@ -75,10 +75,10 @@ impl<'a> Pixels<'a> {
         })
     }
 
-    /// Of a view in which it is known what pixels show.
+    /// Prepares a view that has ranges and ids.
     pub fn with_ids(view: &View<'a>) -> Result<Self> {
         if view.ids.is_none() {
-            let what = "it is not known what the pixels of the view show";
+            let what = "the view has no ids for its pixels";
             return Err(Error::invalid(
                 what,
                 "give polygon_id and object_id of the prediction at this pose (View::with_ids)",
@@ -92,7 +92,7 @@ impl<'a> Pixels<'a> {
         self.range.len()
     }
 
-    /// Number of a pixel in the images.
+    /// Index of a pixel in the images.
     pub fn at(&self, column: u32, row: u32) -> usize {
         row as usize * self.sensor.width() as usize + column as usize
     }
@@ -107,7 +107,7 @@ impl<'a> Pixels<'a> {
         self.sensor.ray_at(u, v).map(|ray| self.body_from_image * ray)
     }
 
-    /// The surface that a pixel measures: something seen, within the sensor's range limits.
+    /// The surface that a pixel measures; `None` without a hit within the sensor's range limits.
     pub fn surface(&mut self, column: u32, row: u32) -> Option<VisiblePlane> {
         let at = self.at(column, row);
         if self.polygon_id.is_empty() || !self.range[at].is_finite() {
@@ -133,7 +133,7 @@ impl<'a> Pixels<'a> {
     fn make(&self, (object, polygon): (u32, u32)) -> Option<VisiblePlane> {
         let slot = self.objects[object as usize].first_slot + polygon;
         let sensor_from_world = self.world_from_sensor.rotation.conjugate();
-        // Differences to the sensor come first: at 5,000,000 m from the origin no digit is lost.
+        // The sensor's position is subtracted first, so that no digits are lost at 5,000,000 m from the origin.
         let corners: Vec<DVec3> = self.view.ids?.environment.polygon_in_world(slot)?;
         let relative: Vec<DVec3> = corners.iter().map(|p| *p - self.world_from_sensor.translation).collect();
         let heights = relative.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[l, h], p| [l.min(p.z), h.max(p.z)]);
@@ -143,15 +143,15 @@ impl<'a> Pixels<'a> {
         Some(VisiblePlane { object, normal, distance: plane.offset.abs(), heights })
     }
 
-    /// The place that a pixel shows of its surface, body axes, exact in f64.
+    /// The point of its surface that a pixel shows, body axes, exact in f64.
     pub fn hit(&self, column: u32, row: u32, surface: &VisiblePlane) -> Option<DVec3> {
         let ray = self.ray(column, row)?;
         let range = -surface.distance / surface.normal.dot(ray);
         range.is_finite().then(|| ray * range)
     }
 
-    /// The place that a pixel measures, body axes, and the index of the object if it is known which polygon it is: exact in
-    /// f64 on that polygon, otherwise as far as the range has digits.
+    /// The point that a pixel measures, body axes, and the index of its object. With ids, the point is exact in f64 on
+    /// the polygon. Without ids, it has the precision of the range and no object.
     pub fn measured(&mut self, column: u32, row: u32) -> Option<(DVec3, Option<u32>)> {
         if self.polygons.is_some() {
             let surface = self.surface(column, row)?;
@@ -162,17 +162,16 @@ impl<'a> Pixels<'a> {
         Some((ray * f64::from(range), None))
     }
 
-    /// A point of the sensor's body axes in the robot's frame.
+    /// Transforms a point from the sensor's body axes to the robot's frame.
     pub fn in_robot(&self, p_in_sensor: DVec3) -> [f64; 3] {
         self.robot_from_sensor.transform_point(p_in_sensor).to_array()
     }
 
-    /// A direction of the sensor's body axes in the robot's frame.
+    /// Rotates a direction from the sensor's body axes to the robot's frame.
     pub fn turned_to_robot(&self, direction: DVec3) -> [f64; 3] {
         (self.robot_from_sensor.rotation * direction).to_array()
     }
 
-    /// The full path of an object.
     pub fn name(&self, object: u32) -> String {
         self.objects[object as usize].name.clone()
     }

@@ -1,8 +1,8 @@
-//! Radar lines: the surfaces that a scan in a plane cuts, as line segments.
+//! Radar lines: the intersections of surfaces with the scan plane, as line segments.
 //!
-//! Neighbouring beams that see the same polygon see one straight line; so do those of polygons whose lines run on in one
-//! another within [`COLLINEAR`]. A segment ends at the hits of its first and last beam: as far as the sensor can say, which
-//! is up to a beam short of the surface's own end. One beam alone gives no segment and is counted.
+//! Neighbouring beams that hit the same polygon form one straight line. Polygons whose lines continue each other within
+//! [`COLLINEAR`] also form one line. A segment ends at the hits of its first and last beam, so it may be up to one beam
+//! shorter than the surface. A single beam forms no segment and is only counted.
 
 use super::pixels::{PARALLEL, Pixels, VisiblePlane};
 use super::{View, scan_row};
@@ -11,36 +11,37 @@ use presight_model::error::Result;
 use presight_model::sensor::Geometry;
 use serde::Serialize;
 
-/// Lines are one if the ends of one are no farther off the other, metres. They lean by less than half a degree, too.
+/// Largest distance of one line's ends from another for them to be one line, metres. Their normals must also differ by
+/// less than half a degree.
 pub const COLLINEAR: f64 = 1e-3;
 
 /// Line segments in the scan plane.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct RadarLines {
-    /// In the order of the beams.
+    /// The lines in the order of the beams.
     pub lines: Vec<RadarLine>,
-    /// Beams that hit something of which no neighbour sees anything.
+    /// Number of beams that hit a surface which neither neighbour hits.
     pub single_beams: usize,
 }
 
-/// A line segment that consecutive beams see.
+/// A line segment hit by consecutive beams.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RadarLine {
-    /// The hits of the first and the last beam, metres; exactly on the polygons.
+    /// The hits of the first and the last beam, metres, exactly on the polygons.
     pub ends_robot: [[f64; 3]; 2],
-    /// Metres.
+    /// Length, metres.
     pub length: f64,
     /// Unit normal in the scan plane, on the sensor's side.
     pub normal_robot: [f64; 3],
     /// Metres from the sensor to the line, along the normal.
     pub distance: f64,
-    /// First and last column; over the seam of a full circle the first is the greater.
+    /// First and last column. Across the seam of a full circle, the first is larger than the last.
     pub columns: [u32; 2],
     /// Number of beams.
     pub beams: u32,
-    /// The polygons, as `polygon_id` numbers them, in the order of the beams.
+    /// The polygons as numbered in `polygon_id`, in the order of the beams.
     pub polygons: Vec<u32>,
-    /// Their objects, each once.
+    /// The objects of these polygons, without duplicates.
     pub objects: Vec<String>,
 }
 
@@ -56,14 +57,14 @@ struct Run {
     columns: [u32; 2],
     beams: u32,
     ends: [DVec3; 2],
-    /// In the scan plane.
+    /// Normal in the scan plane.
     normal: DVec3,
     polygons: Vec<u32>,
     objects: Vec<u32>,
 }
 
 impl Run {
-    /// True if the next one runs on in this line.
+    /// Returns true if `next` continues this line.
     fn goes_on(&self, next: &Run) -> bool {
         let off = |of: &Run, p: DVec3| (p - of.ends[0]).dot(of.normal).abs();
         self.normal.dot(next.normal) >= PARALLEL
@@ -110,10 +111,9 @@ pub(super) fn reduce(view: &View<'_>) -> Result<RadarLines> {
     Ok(RadarLines { lines, single_beams })
 }
 
-/// What one beam sees of a polygon: a run of one.
+/// Makes a run of one beam; `None` for a surface parallel to the scan plane.
 fn beam(pixels: &Pixels<'_>, column: u32, row: u32, surface: &VisiblePlane) -> Option<Run> {
     let at = pixels.hit(column, row, surface)?;
-    // A surface that lies in the scan plane is cut in no line.
     let normal = DVec3::new(surface.normal.x, surface.normal.y, 0.0).try_normalize()?;
     let polygon = pixels.polygon_id[pixels.at(column, row)];
     Some(Run {
@@ -126,7 +126,7 @@ fn beam(pixels: &Pixels<'_>, column: u32, row: u32, surface: &VisiblePlane) -> O
     })
 }
 
-/// Joins the last run with the first where the scan goes all the way round.
+/// Joins the last run with the first if the scan covers a full circle.
 fn close_circle(runs: &mut Vec<Run>, pixels: &Pixels<'_>) {
     let whole =
         pixels.sensor.columns_of_a_turn().is_some_and(|turn| (turn - f64::from(pixels.sensor.width())).abs() < 1e-6);

@@ -1,7 +1,7 @@
-//! Nearest obstacle: by direction, and on the way that the robot is going to take.
+//! Nearest obstacle by direction, and along the robot's planned path.
 //!
-//! Every surface that a beam sees counts, the floor too if beams look down: the corridor's least height keeps it out there.
-//! Of what no beam sees nothing is said.
+//! Every surface hit by a beam counts, including the floor if beams point down. The corridor's lower height limit
+//! excludes the floor there. Surfaces that no beam hits are not reported.
 
 use super::pixels::Pixels;
 use super::{Corridor, View};
@@ -15,11 +15,11 @@ use serde::Serialize;
 pub struct Nearest {
     /// By column of the sensor.
     pub directions: Directions,
-    /// Of all directions; `None` if nothing is seen.
+    /// Nearest in all directions; `None` if no beam hits anything.
     pub nearest: Option<NearestPoint>,
     /// Inside the corridor, if one is given.
     pub corridor: Option<InCorridor>,
-    /// Metres: if beams were given up for a deadline, nothing is said of what is farther away than this, in any direction.
+    /// Completeness limit, metres: if beams were given up for a deadline, nothing farther away than this is reported.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub complete_to: Option<f64>,
 }
@@ -27,40 +27,40 @@ pub struct Nearest {
 /// The closest obstacle of each column, over all its rows.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Directions {
-    /// Of the column, about the sensor's z axis from its x axis, radians, -pi..=pi.
+    /// Azimuth of the column about the sensor's z axis, from its x axis, radians, -pi..=pi.
     pub azimuth: Vec<f64>,
-    /// Metres along the beam; infinite (null in files) where nothing is seen, NaN (null) where nothing is seen up to
-    /// [`Nearest::complete_to`] and beams were given up.
+    /// Metres along the beam. Infinite (null in files) without a hit. NaN (null) if beams were given up and there is no
+    /// hit up to [`Nearest::complete_to`].
     pub range: Vec<f64>,
-    /// What is seen there; 0 is nothing.
+    /// The object hit; 0 for none.
     pub object_id: Vec<u32>,
 }
 
 /// A point of an obstacle.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct NearestPoint {
-    /// Where it is, metres.
+    /// Position, metres.
     pub point_robot: [f64; 3],
     /// Metres from the sensor, along the beam.
     pub range: f64,
     /// Column and row of the beam.
     pub pixel: [u32; 2],
-    /// The polygon, as `polygon_id` numbers it; 0 if it is not known.
+    /// The polygon as numbered in `polygon_id`; 0 if unknown.
     pub polygon: u32,
-    /// Full path of its object; empty if it is not known.
+    /// Full path of the object; empty if unknown.
     pub object: String,
 }
 
-/// What a corridor holds.
+/// Obstacles in the corridor.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct InCorridor {
     /// Length of the corridor's line, metres.
     pub length: f64,
-    /// Metres along that line to the first obstacle that is seen; `None` if none is.
+    /// Metres along that line to the first visible obstacle; `None` if there is none.
     pub arc_length: Option<f64>,
-    /// Its point there. Of several the nearest to the sensor.
+    /// Its point there; the nearest to the sensor if there are several.
     pub first: Option<NearestPoint>,
-    /// Beams that see something inside.
+    /// Number of beams that hit something inside.
     pub beams: usize,
 }
 
@@ -84,7 +84,7 @@ impl Nearest {
     }
 }
 
-/// A hit with what it is compared by.
+/// A hit with its sort key.
 struct Hit {
     key: f64,
     range: f64,
@@ -93,7 +93,7 @@ struct Hit {
     object: Option<u32>,
 }
 
-/// Keeps the hit with the lesser key, then the lesser range.
+/// Keeps the hit with the smaller key, then the smaller range.
 fn keep(best: &mut Option<Hit>, hit: Hit) {
     if best.as_ref().is_none_or(|b| (hit.key, hit.range) < (b.key, b.range)) {
         *best = Some(hit);
@@ -114,7 +114,7 @@ pub(super) fn reduce(view: &View<'_>, corridor: Option<&Corridor>) -> Result<Nea
         for row in 0..height {
             let Some((p_in_sensor, object)) = pixels.measured(column, row) else { continue };
             let range = p_in_sensor.length();
-            // Something that was given up may be nearer.
+            // A beam that was given up might have hit something nearer.
             let is_unsure = complete_to.is_some_and(|complete_to| range > complete_to);
             if is_unsure && is_partial {
                 continue;

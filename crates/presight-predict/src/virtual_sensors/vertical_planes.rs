@@ -1,7 +1,7 @@
-//! Vertical planes: connected regions of the image that show one vertical plane.
+//! Vertical planes: connected image regions that each show one vertical plane.
 //!
-//! A surface is vertical if its normal is within [`VERTICAL`] of horizontal. Neighbouring pixels (by their sides, over the
-//! seam of a full circle too) belong together if they show the same polygon, or polygons in one plane within [`COPLANAR`].
+//! A surface is vertical if its normal is within [`VERTICAL`] of horizontal. Pixels that share a side, also across the
+//! seam of a full circle, belong together if they show the same polygon or polygons in one plane within [`COPLANAR`].
 
 use super::View;
 use super::pixels::{PARALLEL, Pixels, VisiblePlane};
@@ -9,18 +9,18 @@ use glam::DVec3;
 use presight_model::error::Result;
 use serde::Serialize;
 
-/// A vertical plane's normal is no farther from horizontal, radians (2 degrees).
+/// Largest angle between a vertical plane's normal and the horizontal, radians (2 degrees).
 pub const VERTICAL: f64 = 2.0 * std::f64::consts::PI / 180.0;
-/// Planes are one if where the sensor sees the one is no farther off the other, metres; they lean by less than half a
-/// degree, too.
+/// Largest distance between the visible part of one surface and the plane of another for them to be one plane, metres.
+/// Their normals must also differ by less than half a degree.
 pub const COPLANAR: f64 = 1e-3;
 
-/// The vertical planes that are seen.
+/// The visible vertical planes.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct VerticalPlanes {
-    /// Most pixels first.
+    /// The planes, most pixels first.
     pub planes: Vec<VerticalPlane>,
-    /// Pixels that show one.
+    /// Number of pixels that show a vertical plane.
     pub pixels: usize,
 }
 
@@ -31,18 +31,18 @@ pub struct VerticalPlane {
     pub normal_robot: [f64; 3],
     /// Metres from the sensor to the plane, along the normal.
     pub distance: f64,
-    /// Mean of the places seen, metres.
+    /// Mean of the hit points, metres.
     pub centre_robot: [f64; 3],
-    /// Metres between the outermost places seen, horizontally and along the plane upward.
+    /// Distance between the outermost hit points, horizontally and upward in the plane, metres.
     pub extent: [f64; 2],
-    /// Its pixels.
+    /// Number of pixels.
     pub pixels: usize,
-    /// Of what is seen, square metres: solid angles of pixels, by their range and angle. `None` for a sensor of one row,
-    /// whose pixels have no height.
+    /// Visible area, square metres, from the solid angles of the pixels, their ranges and angles of incidence. `None`
+    /// for a sensor with one row, whose pixels have no height.
     pub area: Option<f64>,
-    /// Object of most pixels.
+    /// Object shown by most pixels.
     pub object: String,
-    /// Least column and row, greatest column and row; over the seam of a full circle all columns.
+    /// Smallest column and row, largest column and row. A region across the seam of a full circle spans all columns.
     pub pixel_bounds: [u32; 4],
 }
 
@@ -54,9 +54,9 @@ impl VerticalPlanes {
     }
 }
 
-/// What is gathered of a region.
+/// Sums over the pixels of a region.
 struct Region {
-    /// Of its first pixel: what the others are compared with.
+    /// Surface of the first pixel, with which all others are compared.
     surface: VisiblePlane,
     pixels: usize,
     sum: DVec3,
@@ -110,7 +110,7 @@ pub(super) fn reduce(view: &View<'_>) -> Result<VerticalPlanes> {
     Ok(VerticalPlanes { planes, pixels: count })
 }
 
-/// True if what is seen of a surface at p is in the plane of another.
+/// Returns true if a surface, at its visible point p, lies in the plane of another.
 fn in_one_plane(plane: &VisiblePlane, other: &VisiblePlane, p: DVec3) -> bool {
     plane == other
         || plane.normal.dot(other.normal) >= PARALLEL && (plane.normal.dot(p) + plane.distance).abs() <= COPLANAR
@@ -123,7 +123,7 @@ impl Region {
         Self { surface, pixels: 0, sum: DVec3::ZERO, low, high, area: 0.0, bounds, objects: Vec::new() }
     }
 
-    /// Axes in the plane: horizontal, and upward.
+    /// Axes in the plane: horizontal and upward.
     fn axes(&self, up: DVec3) -> [DVec3; 2] {
         let across = up.cross(self.surface.normal).normalize();
         [across, self.surface.normal.cross(across)]
@@ -161,7 +161,7 @@ impl Region {
     }
 }
 
-/// Of a pixel, as far as its corners' rays are there: two spherical triangles (van Oosterom and Strackee).
+/// Solid angle of a pixel from two spherical triangles (van Oosterom and Strackee); 0 if a corner has no ray.
 fn solid_angle(image: &Pixels<'_>, column: u32, row: u32) -> f64 {
     let corner = |du: f64, dv: f64| image.ray_at(f64::from(column) + du, f64::from(row) + dv);
     let corners = [corner(-0.5, -0.5), corner(0.5, -0.5), corner(0.5, 0.5), corner(-0.5, 0.5)];

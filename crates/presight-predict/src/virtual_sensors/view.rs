@@ -1,4 +1,4 @@
-//! What virtual sensors reduce: a predicted image, or a measured one.
+//! Input of virtual sensors: a predicted or measured image.
 
 use presight_features::FeaturePrediction;
 use presight_model::environment::Environment;
@@ -7,12 +7,12 @@ use presight_model::sensor::Sensor;
 use presight_render::deadline::Degradation;
 use presight_render::plan::IdScheme;
 
-/// What a sensor sees, or should see, at a pose.
+/// A predicted or measured view of a sensor at a pose.
 ///
 /// ```
 /// use presight::virtual_sensors::{Answer, Settings, View, VirtualSensor};
 /// use presight::Pose;
-/// // A measured scan: everything is 3 m away, but for one beam.
+/// // A measured scan: everything is 3 m away except at one beam.
 /// let radar = presight::preset("microwave-radar-scan")?;
 /// let mut range = vec![3.0; radar.width() as usize];
 /// range[100] = 1.25;
@@ -33,18 +33,18 @@ pub struct View<'a> {
     pub world_from_sensor: Pose,
     /// Metres along each pixel's ray, row-major; see [`crate::Images`]. Empty for tasks that need features only.
     pub range: &'a [f32],
-    /// What the pixels show, if that is known.
+    /// Ids of what the pixels show, if known.
     pub ids: Option<ViewIds<'a>>,
-    /// What is seen of features, for tasks that need them ([`super::VirtualSensor::needs_features`]).
+    /// The visible features, for tasks that need them ([`super::VirtualSensor::needs_features`]).
     pub features: Option<&'a FeaturePrediction>,
-    /// What was given up for a deadline: where the range is then NaN although there is a ray, nothing is known.
+    /// Results given up for a deadline. A pixel that has a ray but a NaN range is then unknown.
     pub given_up: Option<&'a Degradation>,
 }
 
-/// What the pixels of a view show.
+/// Ids of the polygons and objects that the pixels show.
 #[derive(Clone, Copy, Debug)]
 pub struct ViewIds<'a> {
-    /// The environment that the ids are of.
+    /// The environment to which the ids refer.
     pub environment: &'a Environment,
     /// Which number `polygon_id` holds.
     pub scheme: IdScheme,
@@ -55,24 +55,24 @@ pub struct ViewIds<'a> {
 }
 
 impl<'a> View<'a> {
-    /// A sensor at a pose (body axes), of which nothing else is known.
+    /// A view of a sensor at a pose (body axes) without images or features.
     pub fn new(sensor: &'a Sensor, world_from_sensor: &Pose) -> Self {
         Self { sensor, world_from_sensor: *world_from_sensor, range: &[], ids: None, features: None, given_up: None }
     }
 
-    /// With ranges, metres along each pixel's ray, row-major.
+    /// Sets the ranges, metres along each pixel's ray, row-major.
     #[must_use]
     pub fn with_range(self, range: &'a [f32]) -> Self {
         Self { range, ..self }
     }
 
-    /// With what the pixels show.
+    /// Sets the ids of what the pixels show.
     #[must_use]
     pub fn with_ids(self, ids: ViewIds<'a>) -> Self {
         Self { ids: Some(ids), ..self }
     }
 
-    /// With what is seen of features.
+    /// Sets the visible features.
     #[must_use]
     pub fn with_features(self, features: &'a FeaturePrediction) -> Self {
         Self { features: Some(features), ..self }
