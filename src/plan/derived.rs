@@ -36,7 +36,7 @@ impl FramePlan {
         if self.request.outputs.has(Output::Normal) { IdScheme::Model } else { self.request.ids }
     }
 
-    /// Derives images from others, then empties those that were drawn only for that. Every engine ends with this step,
+    /// Derives images from others, then empties images that were drawn only for that. Every engine ends with this step,
     /// on images that hold [`FramePlan::drawn`]. Without `echo` and `normal` it costs nothing.
     ///
     /// # Errors

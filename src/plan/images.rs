@@ -7,9 +7,8 @@ use crate::sensor::{ImagePart, PixelGrid, Sensor};
 
 /// The images of one prediction, row-major, from the top row down. An image that was not requested is empty.
 ///
-/// Distances are `+inf` beyond `range_max` or without a hit, `-inf` below `range_min` (the other images keep their
-/// values there), and NaN if the pixel has no ray. `cos_incidence`, `echo` and `normal` are NaN without a hit; ids are
-/// 0.
+/// Distances are `+inf` beyond `range_max` or without a hit, `-inf` below `range_min` (other images keep their values),
+/// and NaN if the pixel has no ray. Without a hit, `cos_incidence`, `echo` and `normal` are NaN, and ids are 0.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Images {
     /// Columns.

@@ -47,15 +47,13 @@ pub struct Instance {
     pub image_from_mesh: DMat3,
     /// The sensor's centre in the mesh frame, metres.
     pub center_in_mesh: DVec3,
-    /// Transforms mesh normals into the image frame, as the inverse transpose of the linear part. The result is not a
-    /// unit vector.
+    /// Transforms mesh normals into the image frame (inverse transpose of the linear part); does not preserve length.
     pub normal_from_mesh: DMat3,
     /// Frobenius norms of `image_from_mesh` and `normal_from_mesh`.
     pub(crate) norms: [f64; 2],
     /// True if the linear part mirrors.
     pub mirrors: bool,
-    /// True if all materials of the mesh are two-sided and opaque to the sensor's class: engines skip the material
-    /// test.
+    /// True if all materials of the mesh are opaque to the sensor's class and two-sided: no material test is needed.
     pub plain: bool,
 }
 

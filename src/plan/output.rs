@@ -161,7 +161,7 @@ impl std::str::FromStr for Output {
         Self::named(name).ok_or_else(|| {
             let what = format!("unknown output {name:?}");
             match name {
-                "depth" => Error::usage(what, "use depth_z for planar depth (cameras only), or range for the distance along the ray"),
+                "depth" => Error::usage(what, "use depth_z (planar, cameras only) or range (along the ray)"),
                 _ => Error::usage(what, format!("choose from {}", Self::WITH_FEATURES.map(Self::name).join(", "))),
             }
         })

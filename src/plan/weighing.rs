@@ -48,9 +48,9 @@ pub struct BeamNumbers {
     pub short: f32,
     /// Logarithm of `short`.
     pub ln_short: f32,
-    /// Probability of a reading below `range_min`.
+    /// Probability of a random reading below `range_min`.
     pub below: f32,
-    /// The same if the prediction is below `range_min`.
+    /// Probability of a reading below `range_min` if one is predicted there.
     pub near_there: f32,
     /// Log-density of random readings.
     pub ln_any: f32,
