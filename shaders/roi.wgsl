@@ -1,6 +1,6 @@
 // Regions of interest, one invocation per feature: the linear case. Nonlinear features are flagged for the CPU, where
-// src/features/roi is the twin, with the same names. Everything is in the image frame. An error is a column of a
-// covariance's square root, two vectors: of the sensor (negated), of the object about the feature's first point, of the
+// src/features/roi is the twin, with the same names. Everything is in the image frame. An error is a column of a square
+// root of a covariance, two vectors: of the sensor (negated), of the object about the feature's first point, of the
 // ends.
 
 const KIND: u32 = 6u;

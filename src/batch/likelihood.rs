@@ -127,8 +127,7 @@ pub(super) struct BeamModel {
 /// Densities of readings for the predicted surfaces, 1 / metre.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Surface<V> {
-    /// Density of a hit at the predicted range, and the exponent's factor of the squared deviation. Meaningless if no
-    /// range is predicted.
+    /// Density of a hit at the predicted range, and the exponent's factor of the squared deviation; only for hits.
     pub peak: V,
     pub sharpness: V,
     /// Density of readings from unexpected nearer objects. Meaningless for surfaces below `range_min`.

@@ -134,7 +134,7 @@ const TOGETHER: usize = 64;
 
 impl Predictor {
     /// Predicts at many poses of a sensor (world from sensor, body axes). The iterator returns items in order and keeps
-    /// at most a chunk in memory. Images are bit-equal to [`Predictor::predict`]. Results do not depend on chunks or
+    /// a chunk in memory at most. Images are bit-equal to [`Predictor::predict`]. Results do not depend on chunks and
     /// threads.
     ///
     /// If a level one-row scanner is only weighed, its view comes from a cut of the world at its height
@@ -158,8 +158,8 @@ impl Predictor {
     /// ```
     ///
     /// # Errors
-    /// The errors of [`Request::check`]; [`crate::ErrorKind::Usage`] for headings without a measured image, an image or
-    /// headings of another sensor, or a chunk of 0. For each pose, the errors of [`Predictor::predict`] and
+    /// The errors of [`Request::check`]; [`crate::ErrorKind::Usage`] for headings without a measured image, another
+    /// sensor's image or headings, or a chunk of 0. For each pose, the errors of [`Predictor::predict`] and
     /// [`Headings::place`].
     pub fn batch<I: IntoIterator<Item = Pose>>(
         &mut self,

@@ -204,9 +204,8 @@ mod tests {
         });
         assert!(before < 1.1 && model.factor() > 2.0, "{before} {}", model.factor());
         // The costs follow as older frames fade; relative errors weight a fast frame nine times as much as a slow one.
-        // With a = 0.98^n / (1 - 0.98^n) after n slow frames, they have risen by (a + 1/3) / (a + 1/9) instead of 3:
-        // too low by
-        // 39 % after 100, 9.3 % after 200, 1.4 % after 300.
+        // With a = 0.98^n / (1 - 0.98^n) after n slow frames, they have risen by (a + 1/3) / (a + 1/9) instead of 3,
+        // which is too low by 39 % after 100, 9.3 % after 200 and 1.4 % after 300.
         let mut slow = |frames| {
             errors(&mut model, frames, || {
                 let (counts, seconds) = frame(&mut random, &COSTS);

@@ -117,9 +117,8 @@ mod tests {
         }
     }
 
-    /// By hand: the watch starts at the first read; the third read after that, at 3 ms, is over. Reads are due after 40
-    /// us of work, then after a sixteenth of the 2 ms left (125 us) and of 1 ms (62.5 us): at pieces 4, 17 and 24 of 10
-    /// us.
+    /// By hand: the watch starts at the first read; the third read after that, at 3 ms, is over. Reads are due after
+    /// 40 us of work, then after a sixteenth of the 2 ms left (125 us) and of 1 ms (62.5 us): at pieces 4, 17 and 24.
     #[test]
     fn the_clock_is_looked_at_once_in_so_much_work() {
         let clock = Arc::new(Looks::default());

@@ -50,14 +50,11 @@ impl Priority {
     /// [`crate::ErrorKind::Usage`] for a radius that is not above 0 and finite, and for a heading that is not finite.
     pub fn check(&self) -> Result<()> {
         if !(self.least_radius > 0.0 && self.least_radius.is_finite()) {
-            let what = format!("the least radius {} m is not valid", self.least_radius);
+            let what = format!("the least radius is {} m", self.least_radius);
             return Err(Error::usage(what, "give metres above 0, such as 2"));
         }
         if !self.heading.is_finite() {
-            return Err(Error::usage(
-                format!("the heading {} rad is not valid", self.heading),
-                "give an angle, such as 0",
-            ));
+            return Err(Error::usage(format!("the heading is {} rad", self.heading), "give an angle, such as 0"));
         }
         Ok(())
     }

@@ -191,8 +191,7 @@ impl Predictor {
         Ok(())
     }
 
-    /// [`engine::add_boxes`], with the CPU as fallback for an automatically chosen device. Returns the device's box
-    /// count.
+    /// [`engine::add_boxes`], with the CPU as fallback for an automatically chosen device. Returns the device's count.
     fn boxes(
         &mut self,
         prediction: &mut FeaturePrediction,

@@ -462,8 +462,7 @@ impl Predictor {
     }
 
     /// Recovers from a fault: opens a lost device again (if `again` allows it) or, with an automatically chosen
-    /// backend, switches to the CPU engine. A hardware rasterizer that draws wrong or loses the device is no longer
-    /// used.
+    /// backend, switches to the CPU engine. Stops using a hardware rasterizer that draws wrong or loses the device.
     fn recover(&mut self, fault: Error, again: bool) -> Result<()> {
         let Some(device) = self.engine.device() else { return Err(fault) };
         let may_be_raster = matches!(fault.kind(), ErrorKind::DeviceLost | ErrorKind::NoDevice);

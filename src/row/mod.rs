@@ -1,5 +1,5 @@
 //! Fast predictions for a level one-row scanner: the world is cut once into segments at its height, and searched
-//! nearest first. Cuts are kept for a version of the world. Ranges agree with images within the range bound
+//! nearest first. Cuts are kept per version of the world. Ranges agree with images within the range bound
 //! ([`crate::verify`]).
 
 mod cut;

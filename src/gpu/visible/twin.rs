@@ -186,8 +186,7 @@ fn the_device_answers_as_its_twin() {
             let ties = differing(&twin);
             eprintln!("{hidden} hidden, {seen} seen of {}, {ties} otherwise than the twin", answers.len());
             assert!(hidden > 100 && seen > 100 && hidden + seen < 3990, "{hidden} {seen}");
-            // The device may fuse products of three terms: answers may differ within 2^-22 of an edge or of the own
-            // range.
+            // The device may fuse products of three terms: answers may differ within 2^-22 of an edge or of a range.
             assert!(ties <= 4, "{ties}");
             // A planted fault: flip the planes of all polygons in the image. Other slots may be stale.
             let pixels = (sensor.width() * sensor.height()) as usize;
