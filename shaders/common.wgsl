@@ -184,8 +184,8 @@ const RECORD_CAP_AXIS: u32 = 5u;
 const RECORD_CAP_CHORD: u32 = 8u;
 const RECORD_WORDS: u32 = 9u;
 const EDGE_WORDS: u32 = 3u;
-// Words of an item. PART: first line | count << 16 (line grids) or first row | first column << 16 (ray grids). WITHIN: first sample |
-// end << 16 (line grids) or end of rows | end of columns << 16 (ray grids).
+// Words of an item. PART: first line | count << 16 (line grids) or first row | first column << 16 (ray grids).
+// WITHIN: first sample | end << 16 (line grids) or end row | end column << 16 (ray grids).
 const ITEM_RECORD: u32 = 0u;
 const ITEM_PART: u32 = 1u;
 const ITEM_WITHIN: u32 = 2u;

@@ -188,7 +188,7 @@ pub(super) struct WorkRun {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub(super) struct MapLevel {
-    /// Squared sine of the half angle of the cones that it serves.
+    /// Squared sine of the largest half angle of its cones.
     pub sine2: f32,
     pub across: u32,
     /// The six sides of a cube.

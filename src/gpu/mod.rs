@@ -114,8 +114,8 @@ struct KnownSensor {
 impl GpuEngine {
     /// Opens the most capable adapter.
     ///
+    /// # Errors
     /// [`ErrorKind::NoDevice`] if no adapter is suitable.
-    /// [`ErrorKind::NoDevice`] if there is none that will do.
     pub fn new(options: DeviceOptions) -> Result<Self> {
         Self::open(options, testing::Setup::default())
     }

@@ -10,7 +10,7 @@
 //! | farthest, before each further wave | keys | coarse depth | `cull::measure` |
 //! | resolve | keys, slots | outputs, slots that are shown | `resolve` |
 //!
-//! On software adapters the CPU resolves images instead, from the same keys: [`super::resolve_keys`].
+//! On software adapters the CPU resolves images instead, from the same keys: [`crate::plan::resolve_keys`].
 
 use super::device::Gpu;
 use super::drawing::{Draw, Drawing};
