@@ -11,7 +11,7 @@ pub(crate) const RATIOS: usize = 200;
 const QUANTILE: f64 = 0.99;
 /// Ratios are kept only after this many frames, when the costs are roughly known.
 const FIRST: u64 = 5;
-/// With fewer ratios than this, the default factor remains the lower limit of caution.
+/// With fewer ratios than this, the upper factor is at least the default.
 const ENOUGH: usize = 20;
 /// Factor for estimates from defaults, which were measured on another machine.
 const UNKNOWN: f64 = 3.0;

@@ -22,7 +22,7 @@ use thinning::Stopping;
 const MARGIN: Duration = Duration::from_micros(100);
 /// Images slower than the mean by this factor are always planned for, whatever must be given up.
 const SLOW: f64 = 1.25;
-/// Each refusal multiplies the doubted estimate by the first factor; the second is the lower limit.
+/// Each refusal multiplies the doubted estimate by the first factor, down to the second in total.
 const DOUBT: f64 = 0.98;
 const MOST_DOUBT: f64 = 0.25;
 /// Factor for estimates that were not learnt: machines differ that much.
