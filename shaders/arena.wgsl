@@ -1,7 +1,7 @@
-// Reading resident geometry: meshes in their own frame, one copy for all instances. Each instance is loaded once and
-// handed on: loads inside loops are not hoisted by every driver.
+// Access to resident geometry: meshes in their own frame, one copy for all instances. Functions take a loaded Instance,
+// because not every driver hoists loads out of loops.
 
-// Few enough instances for a uniform buffer, which software adapters read several times faster.
+// True if the instances fit a uniform buffer, which software adapters read several times faster.
 override FEW: bool = false;
 const FEW_INSTANCES: u32 = 512u;
 
@@ -26,12 +26,12 @@ fn vertex(instance: Instance, index: u32) -> vec3f {
     return vec3f(bitcast<f32>(arena[at]), bitcast<f32>(arena[at + 1u]), bitcast<f32>(arena[at + 2u]));
 }
 
-// A vertex relative to the sensor, mesh frame: relative accuracy of about 2^-23 at any distance.
+// A vertex relative to the sensor, in the mesh frame: relative accuracy of about 2^-23 at any distance.
 fn from_center(instance: Instance, p: vec3f) -> vec3f {
     return (p - instance.center_high) - instance.center_low;
 }
 
-// A direction of the mesh frame in the image frame.
+// Rotates and scales a direction from the mesh frame into the image frame.
 fn to_image(instance: Instance, q: vec3f) -> vec3f {
     return instance.linear_x * q.x + instance.linear_y * q.y + instance.linear_z * q.z;
 }

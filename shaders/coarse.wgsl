@@ -1,10 +1,10 @@
-// Coarse depth: of each tile of TILE_SIDE lines by as many samples the farthest depth that was drawn, as the least inverse depth; 0 where a
-// ray has met nothing yet. Eight by eight tiles are a block, and a block holds the same of 2 x 2, 4 x 4 and 8 x 8 of its tiles.
+// Coarse depth: the farthest depth drawn in each tile of TILE_SIDE lines by TILE_SIDE samples, stored as the least
+// inverse depth; 0 if a ray has met nothing. A block has 8 x 8 tiles and the minima of 2 x 2, 4 x 4 and 8 x 8 of them.
 
 const TILE_SIDE: u32 = 8u;
 const BLOCK_WORDS: u32 = 85u;
 const LEVELS: u32 = 4u;
-// Most tiles that are looked at before the next coarser ones are taken instead.
+// Maximum number of tiles to read before switching to a coarser level.
 const FEW_TILES: u32 = 16u;
 
 fn coarse_at(level: u32, row: u32, column: u32) -> u32 {
@@ -15,7 +15,7 @@ fn coarse_at(level: u32, row: u32, column: u32) -> u32 {
     return params.coarse_at + block * BLOCK_WORDS + start + ((row & mask) << shift) + (column & mask);
 }
 
-// The least inverse depth of the tiles of these lines and samples, first and last; 0 if it is not above `than`.
+// The least inverse depth in these lines and samples (first and last); 0 unless it is above `than`.
 fn least_inverse(lines: vec2u, samples: vec2u, than: f32) -> f32 {
     var level = 0u;
     var shift = 3u;
@@ -36,7 +36,7 @@ fn least_inverse(lines: vec2u, samples: vec2u, than: f32) -> f32 {
     return least;
 }
 
-// The least inverse depth that earlier waves drew around what something may reach, one line and sample further; 0 if it is not above `than`.
+// The least inverse depth that earlier waves drew within a reach widened by one line and sample; 0 unless above `than`.
 fn least_around(reach: Reach, than: f32) -> f32 {
     let samples = vec2u(max(reach.first_sample, 1u) - 1u, min(reach.first_sample + reach.sample_count, params.sample_count - 1u));
     let first = max(reach.first, 1u) - 1u;
@@ -45,7 +45,7 @@ fn least_around(reach: Reach, than: f32) -> f32 {
     if GRID != SCANNER || least == 0.0 {
         return least;
     }
-    // Lines of a scanner go round.
+    // A scanner's lines wrap around.
     var rest = HUGE;
     if last >= params.line_count {
         rest = least_inverse(vec2u(0u, min(last - params.line_count, params.line_count - 1u)), samples, than);
@@ -56,10 +56,10 @@ fn least_around(reach: Reach, than: f32) -> f32 {
     return min(least, rest);
 }
 
-// What rounding may add to an inverse depth, as a share of it: 64 * 2^-24, for each time that a point is as far off as the plane.
+// Relative rounding error of an inverse depth, 64 * 2^-24, times the ratio of a point's distance to the plane's.
 const ROUNDING: f32 = 3.8e-6;
 
-// Lines and samples that a polygon may reach, and a depth that it is not nearer than: 0 if that is not known.
+// Lines and samples that a polygon may cover, and a lower bound of its depth: 0 if unknown.
 struct Reach {
     first: u32,
     // 0 if it covers no ray.

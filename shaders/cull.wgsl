@@ -1,5 +1,5 @@
-// Stage 1: one invocation per selected polygon. Keeps what may cover a ray and is not behind what earlier waves have drawn, with the
-// lines and samples that it may reach.
+// Stage 1: one invocation per selected polygon. Keeps polygons that may cover a ray and are not hidden by earlier
+// waves, with the lines and samples that they may cover.
 
 override PLAIN: bool = false;
 
@@ -73,10 +73,10 @@ fn examine(index: u32, polygon: u32, near: bool) {
     survivors[place].flags = flags;
 }
 
-// How many times farther off than its plane a polygon may be: flatter ones are too much moved by rounding.
+// Maximum ratio of a polygon's distance to its plane's distance: rounding moves flatter polygons too much.
 const CLEAR: f32 = 4096.0;
 
-// True if it is behind what earlier waves drew by more than rounding, its own included, may move it.
+// True if the polygon is behind the depth drawn by earlier waves by more than the rounding of both.
 fn is_hidden(instance: Instance, polygon: u32, first_corner: u32, corner_count: u32, reach: Reach) -> bool {
     if !(reach.nearest > 0.0) {
         return false;
@@ -86,7 +86,7 @@ fn is_hidden(instance: Instance, polygon: u32, first_corner: u32, corner_count: 
     if least == 0.0 {
         return false;
     }
-    // Few come so far: what the plane decides is worked out for them alone.
+    // Few polygons get here, so the costly plane test runs for them only.
     let normal = polygon_normal(instance, polygon);
     let stretch = length(normal_to_image(instance, normal));
     var nearest = HUGE;
@@ -100,6 +100,6 @@ fn is_hidden(instance: Instance, polygon: u32, first_corner: u32, corner_count: 
         reached = max(reached, length(to_image(instance, q)));
     }
     let times = (sqrt(nearest) + stretch * reached) / abs(distance);
-    // Written so that what is not a number hides nothing.
+    // NaN fails these comparisons, so it hides nothing.
     return times < CLEAR && least > inverse * (1.0 + ROUNDING * (4.0 + times));
 }

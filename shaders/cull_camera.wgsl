@@ -1,14 +1,14 @@
 // Bounds of a polygon in a pinhole image.
 
 struct Bounds {
-    // Pixels from the principal point: lines (y) and samples (x); sound only if everything is in front.
+    // Lines (y) and samples (x) in pixels from the principal point; valid only if all vertices are in front.
     lines: vec2f,
     samples: vec2f,
     all_in_front: bool,
     // Greatest signed distance of a vertex inside each side of the frustum: left, right, top, bottom.
     inside: vec4f,
     in_front: f32,
-    // Least depth of a vertex, less what rounding may move it.
+    // Least depth of a vertex, reduced by its rounding.
     nearest: f32,
 }
 
@@ -20,7 +20,7 @@ fn bounds_add(b: ptr<function, Bounds>, v: vec3f, previous: vec3f, first: bool) 
     let x = params.fx * v.x;
     let y = params.fy * v.y;
     let reach = abs(v.x) + abs(v.y) + abs(v.z);
-    // What rounding may move it, metres times focal length.
+    // Rounding error, metres times focal length.
     let slack = 1.0e-6 * (params.fx + params.fy) * reach;
     (*b).inside = max((*b).inside, slack + vec4f(
         x - params.first_sample * v.z,
@@ -30,7 +30,7 @@ fn bounds_add(b: ptr<function, Bounds>, v: vec3f, previous: vec3f, first: bool) 
     ));
     (*b).in_front = max((*b).in_front, v.z);
     (*b).nearest = min((*b).nearest, v.z - 1.0e-6 * reach);
-    // Flatter than 1 : 1000 to the image plane is left to the frustum test.
+    // Vertices within 1 : 1000 of the image plane make the bounds too loose; the frustum test handles them.
     (*b).all_in_front = (*b).all_in_front && v.z > 1.0e-3 * reach;
     let w = 1.0 / v.z;
     let pad = slack * w * (reach * w);
@@ -57,7 +57,7 @@ fn bounds_reach(b: Bounds) -> Reach {
     let last = min(lines.y, f32(params.line_count) - 1.0);
     let left = max(samples.x, 0.0);
     let right = min(samples.y, f32(params.sample_count) - 1.0);
-    // Between pixel centres, or outside.
+    // Between pixel centres, or outside the image.
     if first > last || left > right {
         return no_reach();
     }

@@ -1,25 +1,25 @@
-// Bounds of a polygon in a ray table. Where all rays look ahead, by where they meet a plane at distance 1 (`ahead_at`): right, down and
-// forward; then for each row of tiles, and for each column, the greatest place of it and all before it, and the least of it and all
-// after it. Quadratics (pixel_fit.wgsl) tell the pixels that small polygons may reach, and in wide views the map of directions
-// (direction_map.wgsl) those of what they do not tell, or, where rays look all round, of any that is not too wide. All others may reach every
-// ray, and meet the cones of tiles in the setup stage.
+// Bounds of a polygon in a ray table. Small polygons are bounded by quadratics (pixel_fit.wgsl), others in wide views
+// by the direction map (direction_map.wgsl). Polygons that neither can bound are bounded by `ahead_at` if all rays look
+// ahead; else they may cover any ray, and the setup stage tests the cones of tiles. `ahead_at` describes where rays
+// meet a plane at distance 1: axes right, down and forward; then for each row of tiles, and for each column, the
+// running maximum of places up to it and the running minimum from it on.
 
 const AHEAD_ROWS: u32 = 9u;
 
 struct Bounds {
-    // Places down and to the right, sound only if everything is in front.
+    // Places down and to the right; valid only if all vertices are in front.
     rows: vec2f,
     columns: vec2f,
     all_in_front: bool,
     // Greatest signed distance of a vertex inside each side of the pyramid around the rays.
     inside: vec4f,
     in_front: f32,
-    // The box around the vertices, their greatest distance, squared, and their least one forward.
+    // The box around the vertices, their greatest squared distance, and the least distance forward.
     low: vec3f,
     high: vec3f,
     farthest2: f32,
     forward: f32,
-    // The box around the vertices, all scaled to length one.
+    // The box around the vertices' directions (unit vectors).
     least: vec3f,
     greatest: vec3f,
     fit: Fit,
@@ -47,7 +47,7 @@ fn bounds_add(b: ptr<function, Bounds>, v: vec3f, previous: vec3f, first: bool) 
     (*b).high = max((*b).high, v);
     let length2 = dot(v, v);
     (*b).farthest2 = max((*b).farthest2, length2);
-    // A vertex at the sensor comes out shorter, which makes the cone around the box wider.
+    // A vertex at the sensor gets a shorter vector, which only widens the cone.
     let u = v * inverseSqrt(max(length2, 1.0e-30));
     (*b).least = min((*b).least, u);
     (*b).greatest = max((*b).greatest, u);
@@ -62,7 +62,7 @@ fn bounds_add(b: ptr<function, Bounds>, v: vec3f, previous: vec3f, first: bool) 
     }
     let place = vec3f(dot(ahead_axis(0u), v), dot(ahead_axis(1u), v), dot(ahead_axis(2u), v));
     let reach = abs(v.x) + abs(v.y) + abs(v.z);
-    // What rounding may move it, metres.
+    // Rounding error, metres.
     let slack = 2.0e-6 * reach;
     let columns_at = AHEAD_ROWS + 2u * tile_rows();
     let least = vec2f(ahead(columns_at + 1u), ahead(AHEAD_ROWS + 1u));
@@ -73,7 +73,7 @@ fn bounds_add(b: ptr<function, Bounds>, v: vec3f, previous: vec3f, first: bool) 
     ));
     (*b).in_front = max((*b).in_front, place.z + slack);
     (*b).forward = min((*b).forward, place.z - slack);
-    // Flatter than 1 : 1000 to the plane is left to the sides.
+    // Vertices within 1 : 1000 of the plane make the bounds too loose; the pyramid's sides handle them.
     (*b).all_in_front = (*b).all_in_front && place.z > 1.0e-3 * reach;
     let w = 1.0 / place.z;
     let pad = slack * w * (1.0 + reach * w);
@@ -85,7 +85,7 @@ fn bounds_close(b: ptr<function, Bounds>, start: vec3f, previous: vec3f) {}
 
 fn bounds_of_box(b: ptr<function, Bounds>) {}
 
-// First tile and end of those that have a ray between two places; `count` pairs of bounds are at `at`.
+// First and end tile with a ray between two places; `count` pairs of bounds start at `at`.
 fn tiles_between(at: u32, count: u32, places: vec2f) -> vec2u {
     var first = 0u;
     var end = 0u;
@@ -105,7 +105,7 @@ fn bounds_reach(b: Bounds) -> Reach {
     let distance = length(beside) - 2.0e-6 * sqrt(b.farthest2);
     var found = fit_pixels(b.fit);
     if !found.known {
-        // The sphere around the box of directions holds all of them, and with them the polygon's.
+        // The sphere around the box of directions contains the polygon's directions.
         let halves = 0.5 * (b.greatest - b.least);
         found = pixels_in(0.5 * (b.least + b.greatest), dot(halves, halves));
     }

@@ -7,10 +7,10 @@ struct Bounds {
     least: vec2f,
     greatest: vec2f,
     t: vec2f,
-    // Least share of the horizontal in a vertex's distance, squared: small near the poles.
+    // Least ratio of horizontal to full distance of a vertex, squared: small near the poles.
     flatness: f32,
     z: vec2f,
-    // The box around the vertices, and their greatest distance, squared.
+    // The box around the vertices, and their greatest squared distance.
     low: vec3f,
     high: vec3f,
     farthest2: f32,
@@ -51,7 +51,7 @@ fn bounds_close(b: ptr<function, Bounds>, start: vec3f, previous: vec3f) {
     bounds_edge(b, start, previous);
 }
 
-// Of the corners of a box, which were added in any order: its faces and edges lie between these.
+// Finishes the bounds of a box, whose corners come in any order: its faces and edges lie between these bounds.
 fn bounds_of_box(b: ptr<function, Bounds>) {
     let beside = max(max((*b).low.xy, -(*b).high.xy), vec2f());
     let near = inverseSqrt(max(dot(beside, beside), 1.0e-37));
@@ -61,14 +61,14 @@ fn bounds_of_box(b: ptr<function, Bounds>) {
     (*b).flatness = min((*b).flatness, dot(beside, beside) * far * far);
 }
 
-// Less than the distance of what was added; 0 where the outline may go round the axis.
+// A lower bound of the distance; 0 if the outline may enclose the vertical axis.
 fn nearest_of(b: Bounds, around: bool) -> f32 {
     let beside = max(max(b.low, -b.high), vec3f());
     return select(length(beside) - 2.0e-6 * sqrt(b.farthest2), 0.0, around);
 }
 
 fn bounds_edge(b: ptr<function, Bounds>, v: vec3f, previous: vec3f) {
-    // t = z / h along an edge lies between these, for z is linear and h is least at the foot of the perpendicular.
+    // Bounds of t = z / h along an edge: z is linear, and h is least at the foot of the perpendicular.
     let d = v.xy - previous.xy;
     let foot = previous.xy + d * clamp(-dot(previous.xy, d) / max(dot(d, d), 1.0e-37), 0.0, 1.0);
     let near = inverseSqrt(max(dot(foot, foot), 1.0e-37));
@@ -80,13 +80,13 @@ fn bounds_edge(b: ptr<function, Bounds>, v: vec3f, previous: vec3f) {
 }
 
 fn bounds_reach(b: Bounds) -> Reach {
-    // Within 0.06 deg of a pole, or half a turn wide: the outline may go round the axis.
+    // Within 0.06 deg of a pole, or half a turn wide: the outline may enclose the vertical axis.
     let around = !(b.flatness > 1.0e-6) || b.turn.y - b.turn.x > 1.999;
     var t = b.t;
     if around {
         t = vec2f(select(t.x, -HUGE, !(b.z.x > 0.0)), select(t.y, HUGE, !(b.z.y < 0.0)));
     }
-    // What rounding may move it: 2^-23 of the distance, seen across the elevation.
+    // Rounding error: 2^-23 of the distance, projected on the elevation.
     let pad = 2.0e-6 * (vec2f(1.0) + min(abs(t), vec2f(1.0e15)) * min(abs(t), vec2f(1.0e15)));
     let first_sample = first_at_or_above(t.x - pad.x);
     let end_sample = first_above(t.y + pad.y);
@@ -109,7 +109,7 @@ fn bounds_reach(b: Bounds) -> Reach {
     return Reach(u32((first + n) % n), u32(min(end - first, n)), first_sample, end_sample - first_sample, nearest_of(b, around));
 }
 
-// The first line whose bucket is not below the angle; angles beyond -2..2 are whole turns away.
+// The first line whose bucket is at or above the angle; angles outside -2..2 wrap around.
 fn line_at_or_above(angle: f32) -> i32 {
     let n = i32(params.line_count);
     let turns = select(select(0, -1, angle < -2.0), 1, angle >= 2.0);
@@ -117,7 +117,7 @@ fn line_at_or_above(angle: f32) -> i32 {
     return i32(grid_word(params.line_buckets_at + b)) + turns * n;
 }
 
-// One past the last line whose bucket is not above the angle.
+// One past the last line whose bucket is at or below the angle.
 fn line_above(angle: f32) -> i32 {
     let n = i32(params.line_count);
     let turns = select(select(0, -1, angle < -2.0), 1, angle >= 2.0);

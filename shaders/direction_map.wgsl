@@ -1,13 +1,13 @@
-// Which pixels look in about a direction: boxes of pixels by cells of directions on the sides of a cube, several times, finer for narrow
-// cones than for wide ones (sensor::DirectionMap). In `grid`, at `map_at`: levels, from narrow to wide; then the boxes of their cells.
+// The direction map (sensor::DirectionMap): boxes of pixels by direction, in cells on the sides of a cube. Levels have
+// fine cells for narrow cones and coarse cells for wide ones. In `grid` at `map_at`: levels, narrow first; then boxes.
 
-// SINE2: squared sine of the half angle of the cones that the level serves. ACROSS: cells along an edge of the cube. SIDES: six, each the
-// rectangle of cells that there is room for, twice the axis nearest to a direction and one more where that is negative.
+// SINE2: squared sine of the largest half angle that the level serves. ACROSS: cells along an edge of the cube. SIDES:
+// the stored rectangle of cells on the six sides, at twice the index of the dominant axis, plus one if it is negative.
 const LEVEL_SINE2: u32 = 0u;
 const LEVEL_ACROSS: u32 = 1u;
 const LEVEL_SIDES: u32 = 2u;
 const LEVEL_WORDS: u32 = 32u;
-// FIRST and COUNT: two words each. BOXES_AT: in `grid`; those along the first axis follow one another.
+// FIRST and COUNT: two words each. BOXES_AT: in `grid`; boxes along the first axis are consecutive.
 const SIDE_FIRST: u32 = 0u;
 const SIDE_COUNT: u32 = 2u;
 const SIDE_BOXES_AT: u32 = 4u;
@@ -16,19 +16,19 @@ const SIDE_WORDS: u32 = 5u;
 const PIXEL_BOX_WORDS: u32 = 2u;
 
 struct PixelBox {
-    // False if the cone is too wide.
+    // False if the cone is wider than the widest level.
     known: bool,
-    // First and end; none where the end is not above.
+    // First and end; empty unless the end is above.
     rows: vec2u,
     columns: vec2u,
 }
 
-// The pixels whose rays are in a cone around a direction of any length: the squared sine of its half angle is `radius2 / length^2`.
+// The pixels whose rays are in a cone. The axis may have any length; sin^2 of the half angle is radius2 / length^2.
 fn pixels_in(axis: vec3f, radius2: f32) -> PixelBox {
     let length2 = dot(axis, axis);
     var level = params.map_at;
     let end = level + params.map_levels * LEVEL_WORDS;
-    // Written so that what is not a number is too wide.
+    // The negated comparison treats NaN as too wide.
     while level < end && !(radius2 < bitcast<f32>(grid[level + LEVEL_SINE2]) * length2) {
         level += LEVEL_WORDS;
     }
@@ -38,14 +38,14 @@ fn pixels_in(axis: vec3f, radius2: f32) -> PixelBox {
     let a = abs(axis);
     let is_x = a.x >= a.y && a.x >= a.z;
     let is_z = !is_x && a.z > a.y;
-    // The component along the nearest axis, then those along the next two.
+    // The component along the dominant axis, then the next two in cyclic order.
     let turned = select(select(axis.yzx, axis.zxy, is_z), axis, is_x);
     let side = select(select(2u, 4u, is_z), 0u, is_x) + select(0u, 1u, turned.x < 0.0);
     let across = grid[level + LEVEL_ACROSS];
     let place = turned.yz / abs(turned.x);
     let cell = min(vec2u(max(0.5 * (place + 1.0) * f32(across), vec2f())), vec2u(across - 1u));
     let at = level + LEVEL_SIDES + side * SIDE_WORDS;
-    // What is before the first one is far behind the last one.
+    // Unsigned: a cell before the first wraps to a number beyond the last.
     let within = cell - vec2u(grid[at + SIDE_FIRST], grid[at + SIDE_FIRST + 1u]);
     let columns = grid[at + SIDE_COUNT];
     if within.x >= columns || within.y >= grid[at + SIDE_COUNT + 1u] {

@@ -1,5 +1,5 @@
-// Stage 3 of pinhole cameras by the hardware rasterizer: the shapes of the survivors of a wave. A shape covers more than its polygon;
-// which of its pixels the polygon has is decided as raster_lines.wgsl decides it, and so are the keys.
+// Stage 3 for pinhole cameras with the hardware rasterizer: draws the shapes of a wave's survivors. A shape covers more
+// than its polygon; the fragments test pixels and compute keys exactly as raster_lines.wgsl does.
 
 @group(0) @binding(2) var<storage, read> survivors: array<Survivor>;
 
@@ -13,13 +13,13 @@ fn corner(@builtin(vertex_index) vertex: u32) -> Corner {
     let index = first_of(counted[COUNTED_SURVIVORS_BEFORE]) + vertex / SHAPE_VERTICES;
     let record = survivors[index].record;
     if record == NO_RECORD {
-        // Out of the image.
+        // Outside the image.
         return Corner(vec4f(2.0, 2.0, 0.0, 1.0), record);
     }
     let along = survivors[index].direction;
     let least = survivors[index].least;
     let greatest = survivors[index].greatest;
-    // 0 1 2, 2 1 3: the first bit along, the second across.
+    // Corners 0 1 2, 2 1 3: the first bit selects along, the second across.
     let number = (0x312210u >> (4u * (vertex % SHAPE_VERTICES))) & 3u;
     let at = select(least, greatest, vec2<bool>((number & 1u) != 0u, (number & 2u) != 0u));
     let pixel = at.x * along + at.y * vec2f(-along.y, along.x);

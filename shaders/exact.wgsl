@@ -1,17 +1,17 @@
-// Cross products to about 34 bits. No fma: WGSL does not promise that it rounds once.
+// Cross products accurate to about 34 bits. No fma: WGSL does not guarantee its single rounding.
 
 struct Halves {
     high: vec3f,
     low: vec3f,
 }
 
-// 12 bits and the rest, exactly: products of halves are exact, so contraction cannot change them.
+// Splits exactly into 12 leading bits and the rest. Products of halves are exact, with or without fused operations.
 fn halves(v: vec3f) -> Halves {
     let high = bitcast<vec3f>(bitcast<vec3u>(v) & vec3u(0xfffff000u));
     return Halves(high, v - high);
 }
 
-// a x b; with both swapped or one negated the answer is exactly the negative.
+// a x b. Swapping both arguments or negating one gives exactly the negative.
 fn cross_exact(a: vec3f, b: vec3f) -> vec3f {
     let p = halves(a);
     let q = halves(b);

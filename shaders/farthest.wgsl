@@ -1,5 +1,5 @@
-// Stage 4 of every wave but the last: one workgroup per block of tiles. The farthest depth drawn so far, for what the next wave hides; the
-// lists of the next wave begin where those of this one end.
+// Between waves: one workgroup per block of tiles computes the farthest depth drawn so far, which hides polygons of the
+// next wave. Also sets where the next wave's lists begin.
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> keys: array<vec2u>;
@@ -7,7 +7,7 @@
 @group(0) @binding(3) var<storage, read_write> counters: Counters;
 @group(0) @binding(4) var<uniform> short_grid: array<vec4u, SHORT_GRID>;
 
-// For a test that must find it: the depth of a tile is taken to be nearer by what rounding may add.
+// A planted fault for tests: makes a tile's depth nearer by the allowed rounding.
 override TOO_NEAR: f32 = 0.0;
 
 var<workgroup> tiles: array<f32, 64>;
@@ -42,7 +42,7 @@ fn begin_wave() {
     counters.draw_vertices = 0u;
 }
 
-// Nothing limits where there is no ray.
+// The least inverse depth of a tile's rays; pixels without a ray do not count.
 fn least_of_tile(row: u32, column: u32) -> f32 {
     var least = HUGE;
     let end = min((column + 1u) * TILE_SIDE, params.sample_count);

@@ -1,6 +1,6 @@
-// Reading the tables of a line grid.
+// Access to the tables of a line grid.
 
-// The whole table fits a uniform buffer, which software adapters read several times faster.
+// True if the whole table fits a uniform buffer, which software adapters read several times faster.
 override SHORT: bool = false;
 const SHORT_GRID: u32 = 4096u;
 
@@ -15,7 +15,7 @@ fn grid_float(at: u32) -> f32 {
     return bitcast<f32>(grid_word(at));
 }
 
-// Rises with the azimuth from -2 at -180 deg to 2 at 180 deg, without trigonometry.
+// The diamond angle: rises with the azimuth from -2 at -180 deg to 2 at 180 deg, without trigonometry.
 fn diamond(direction: vec2f) -> f32 {
     let p = direction.x / (abs(direction.x) + abs(direction.y));
     return select(p - 1.0, 1.0 - p, direction.y >= 0.0);
@@ -29,7 +29,7 @@ fn position(sample: u32) -> f32 {
     return grid_float(params.positions_at + sample);
 }
 
-// t / (1 + |t|): spreads all elevations over -1..1.
+// Maps all elevations to -1..1: t / (1 + |t|).
 fn squeezed(t: f32) -> f32 {
     return t / (1.0 + abs(t));
 }
@@ -39,7 +39,7 @@ fn sample_start(t: f32) -> u32 {
     return grid_word(params.sample_buckets_at + b);
 }
 
-// The first sample at or above t. The same t bits give neighbouring polygons the same answer: no cracks.
+// The first sample at or above t. Neighbouring polygons pass the same bits for a shared edge, so there are no cracks.
 fn first_at_or_above(t: f32) -> u32 {
     if GRID == CAMERA {
         return u32(clamp(ceil(t - params.first_sample), 0.0, f32(params.sample_count)));
@@ -65,7 +65,7 @@ fn first_above(t: f32) -> u32 {
 
 struct Line {
     c: vec2f,
-    // Where its keys lie: image row of a camera, image column of a scanner, whose lines are sorted by angle.
+    // Index of the line's keys: image row of a camera, image column of a scanner, whose lines are sorted by angle.
     place: u32,
 }
 

@@ -1,5 +1,5 @@
-// What the stages share that rasterize line grids: on every line a polygon covers one interval of samples, known in closed form:
-// e . s = w0 (A + B t) >= 0 with A = e.x c0 + e.y c1, B = e.z.
+// Shared by the stages that rasterize line grids. On each line a polygon covers one interval of samples, in closed
+// form: e . s = w0 (A + B t) >= 0 with A = e.x c0 + e.y c1, B = e.z.
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> records: array<u32>;
@@ -16,14 +16,14 @@ fn vector_of(at: u32) -> vec3f {
 }
 
 fn edge_at(record: u32, edge_count: u32, k: u32) -> vec3f {
-    // What is not there limits nothing.
+    // A zero edge excludes nothing.
     if k >= edge_count {
         return vec3f();
     }
     return vector_of(record + RECORD_WORDS + k * EDGE_WORDS);
 }
 
-// The positions that an edge leaves of an interval. Both owners of an edge compute the same bits here.
+// Clips an interval of positions by an edge. Both polygons of an edge compute the same bits here.
 fn limited(interval: vec2f, e: vec3f, line: vec2f) -> vec2f {
     let a = e.x * line.x + e.y * line.y;
     let t = clamp(-a / e.z, -1.0e38, 1.0e38);
@@ -32,7 +32,7 @@ fn limited(interval: vec2f, e: vec3f, line: vec2f) -> vec2f {
     return vec2f(select(low, HUGE, e.z == 0.0 && a < 0.0), high);
 }
 
-// True if a ray of the line frame meets the cap around a polygon.
+// True if a ray of the line frame is in a polygon's cap.
 fn in_cap(axis: vec3f, chord: f32, ray: vec3f) -> bool {
     var u = vec3f(ray.x, ray.y, -ray.z);
     if GRID == CAMERA {

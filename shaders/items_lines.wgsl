@@ -1,4 +1,4 @@
-// Work items of a line grid: a polygon, some of its lines and of their samples, so that a big polygon spreads over many invocations.
+// Work items of a line grid: a polygon with some of its lines and samples. Many invocations share a big polygon.
 
 fn add_items(at: u32, index: u32, instance: Instance, survivor: Survivor, first_corner: u32, corner_count: u32) {
     write_cap(at, instance, first_corner, corner_count);
@@ -15,7 +15,7 @@ fn add_items(at: u32, index: u32, instance: Instance, survivor: Survivor, first_
     let base = reserve_items(stretches * parts);
     for (var i = 0u; i < stretches; i++) {
         let lines = (first + i * share) | (min(share, count - i * share) << 16u);
-        // The parts share out the whole line: rounding may draw a sample beyond the polygon's own.
+        // The parts together cover whole lines, because rounding may draw samples outside the survivor's bounds.
         var start = 0u;
         for (var k = 1u; k <= parts; k++) {
             let end = select(begin + k * width / parts, params.sample_count, k == parts);
@@ -25,12 +25,12 @@ fn add_items(at: u32, index: u32, instance: Instance, survivor: Survivor, first_
     }
 }
 
-// |v| / |d| above which a polygon is flat to the sensor.
+// Ratio |v| / |d| above which a polygon counts as edge-on.
 const FLAT: f32 = 16.0;
 
-// The cap of the unit sphere around a polygon that is flat to the sensor: its axis and squared chord, -1 for all others.
-// Seen from so nearly within its plane all edge planes nearly are that plane; rounded to f32 they may meet beyond its
-// end or beside its corner, and only the cap says that nothing is there.
+// Writes the cap of an edge-on polygon: the axis and squared chord of a cone around its corners; -1 for other polygons.
+// Seen edge-on, all edge planes nearly coincide with the polygon's plane, and their f32 roundings may intersect beyond
+// its ends. Only the cap excludes rays there.
 fn write_cap(at: u32, instance: Instance, first_corner: u32, corner_count: u32) {
     var axis = vec3f();
     var nearest = HUGE;
@@ -40,7 +40,7 @@ fn write_cap(at: u32, instance: Instance, first_corner: u32, corner_count: u32) 
         nearest = min(nearest, size);
         axis += v / size;
     }
-    // Its length is 1 / |d|: the first words of the record, turned back from the line frame.
+    // Its length is 1 / |d|: read from the record and transformed back from the line frame.
     var m = vec3f(bitcast<f32>(records[at]), bitcast<f32>(records[at + 1u]), bitcast<f32>(records[at + 2u]));
     if GRID == CAMERA {
         m = vec3f(m.z * params.fx, m.x * params.fy, m.y);
@@ -53,7 +53,7 @@ fn write_cap(at: u32, instance: Instance, first_corner: u32, corner_count: u32) 
             let apart = normalize(v) - axis;
             chord = max(chord, dot(apart, apart));
         }
-        // A little wider than rounding; a cap of a quarter turn and more need not hold the polygon.
+        // Widened by a little more than rounding. A cap of a quarter turn or more may not contain the polygon.
         chord = select(-1.0, chord * 1.00001 + 1.0e-11, chord < 1.9);
     }
     put(at + RECORD_CAP_AXIS, axis);

@@ -1,4 +1,4 @@
-// Work items of a ray table: a polygon and a box of few pixels, or some tiles of a supertile whose cone it may meet.
+// Work items of a ray table: a polygon with a small box of pixels, or with tiles of a supertile that it may meet.
 
 fn add_items(at: u32, index: u32, instance: Instance, survivor: Survivor, first_corner: u32, corner_count: u32) {
     var axis = vec3f();
@@ -13,7 +13,7 @@ fn add_items(at: u32, index: u32, instance: Instance, survivor: Survivor, first_
         let apart = normalize(to_image(instance, from_center(instance, p))) - axis;
         squared = max(squared, dot(apart, apart));
     }
-    // A cap of less than a quarter turn around the vertices is convex and holds the polygon; a wider one is not.
+    // A cap of less than a quarter turn around the vertices is convex, so it contains the polygon; a wider one may not.
     squared = select(-1.0, squared * 1.00001 + 1.0e-11, squared < 1.9);
     put(at + RECORD_CAP_AXIS, axis);
     records[at + RECORD_CAP_CHORD] = bitcast<u32>(squared);
@@ -28,7 +28,7 @@ fn add_items(at: u32, index: u32, instance: Instance, survivor: Survivor, first_
     }
     let chord = cap_chord(squared);
     let m = vec3f(bitcast<f32>(records[at]), bitcast<f32>(records[at + 1u]), bitcast<f32>(records[at + 2u]));
-    // Triangles are most of all: more edges than three would leave out little more.
+    // Most polygons are triangles: further edges would exclude little more.
     let e0 = edge_of(at, 0u);
     let e1 = edge_of(at, 1u);
     let e2 = edge_of(at, 2u);
@@ -56,22 +56,22 @@ fn add_items(at: u32, index: u32, instance: Instance, survivor: Survivor, first_
     }
 }
 
-// First and last of the tiles that a stretch of rays lies in.
+// First and last tile of a range of rays.
 fn tiles_of(stretch: u32) -> vec2u {
     let first = stretch & 0xffffu;
     return vec2u(first, first + (stretch >> 16u) - 1u) / RAYS_PER_TILE;
 }
 
-// First and last of the tiles that lie in a row (or column) of supertiles.
+// The part of a range of tiles that lies in one row or column of supertiles.
 fn clamped(tiles: vec2u, supertile: u32) -> vec2u {
     let first = supertile * TILES_PER_SUPERTILE;
     return vec2u(max(tiles.x, first), min(tiles.y, first + TILES_PER_SUPERTILE - 1u));
 }
 
-// Tiles of an item where there are more.
+// Maximum number of tiles of an item.
 const TILES_PER_ITEM: u32 = 16u;
 
-// Some tiles, as far as they have pixels from the first one to before the end.
+// Adds items for some tiles, cut to the pixels from `first` to before `end`.
 fn put_tiles(record: u32, rows: vec2u, columns: vec2u, first: vec2u, end: vec2u) {
     let share = TILES_PER_ITEM / (columns.y - columns.x + 1u);
     let wanted = (rows.y - rows.x + share) / share;
@@ -84,7 +84,7 @@ fn put_tiles(record: u32, rows: vec2u, columns: vec2u, first: vec2u, end: vec2u)
     }
 }
 
-// Columns and rows from the first to before the end.
+// Adds an item with the columns and rows from `first` to before `end`.
 fn put_box(index: u32, record: u32, first: vec2u, end: vec2u) {
     put_item(index, record, first.y | (first.x << 16u), end.y | (end.x << 16u));
 }

@@ -1,5 +1,5 @@
-// Nearest wins in two passes of 32-bit maxima, laid out as the 64-bit key is: word 1 the inverse depth, word 0 the
-// inverted slot. The second pass may be compiled to other roundings, so it takes whatever is within a few ulp.
+// The nearest surface in two passes of 32-bit maxima, in the layout of the 64-bit key: word 1 the inverse depth, word 0
+// the inverted slot. The compiler may round differently in the second pass, so it accepts depths within a few ulp.
 
 override SECOND: bool = false;
 
@@ -20,7 +20,7 @@ fn offer(pixel: u32, k: f32, slot: u32) {
     }
 }
 
-// Where a wave begins: the second pass goes over all waves again.
+// Start of a wave. The second pass covers all waves.
 fn first_of(wave_begins_at: u32) -> u32 {
     return select(wave_begins_at, 0u, SECOND);
 }

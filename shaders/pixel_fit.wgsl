@@ -1,8 +1,8 @@
-// Where directions lie in a ray table: cells of directions on the sides of a cube, each with a quadratic for columns and one for rows, and how
-// far its rays are off them (sensor::PixelFit). In `grid`, at `fit_at`; sides as in direction_map.wgsl.
+// The pixel fit (sensor::PixelFit): pixel positions by direction, in cells on the sides of a cube. Each cell has
+// quadratics for column and row, and a bound of their error. In `grid` at `fit_at`; sides as in direction_map.wgsl.
 
-// OFF: pixels that no ray is farther off, of columns and rows; negative where nothing is known, -2 where no ray looks. BEND: of the second
-// derivatives. COLUMN and ROW: 1, x, y, xx, xy, yy, from -1 to 1 around the cell.
+// OFF: maximum error of column and row, pixels; -1 if unknown, -2 if no ray looks there. BEND: bounds of the second
+// derivatives. COLUMN and ROW: coefficients of 1, x, y, xx, xy, yy, with x and y from -1 to 1 around the cell.
 const FIT_OFF: u32 = 0u;
 const FIT_BEND: u32 = 2u;
 const FIT_COLUMN: u32 = 4u;
@@ -12,7 +12,7 @@ const FIT_ACROSS: u32 = 20u;
 const FIT_CELL: f32 = 0.1;
 
 struct Fit {
-    // Of the cell that the first vertex is in.
+    // The cell of the first vertex.
     side: u32,
     middle: vec2f,
     off: vec2f,
@@ -21,10 +21,10 @@ struct Fit {
     column2: vec3f,
     row: vec3f,
     row2: vec3f,
-    // Of the vertices: column, row, and their place around the cell.
+    // Bounds over the vertices: column, row, and position around the cell.
     low: vec4f,
     high: vec4f,
-    // All are near the cell.
+    // True if all vertices are near the cell.
     known: bool,
 }
 
@@ -32,7 +32,7 @@ fn fit_start() -> Fit {
     return Fit(0u, vec2f(), vec2f(-1.0), vec2f(), vec3f(), vec3f(), vec3f(), vec3f(), vec4f(HUGE), vec4f(-HUGE), params.fit_at != 0u);
 }
 
-// The component along a side's axis, then those along the next two axes.
+// The component along a side's axis, then the next two in cyclic order.
 fn on_side(side: u32, v: vec3f) -> vec3f {
     let turned = select(select(v.zxy, v.yzx, side < 4u), v, side < 2u);
     return vec3f(select(turned.x, -turned.x, (side & 1u) != 0u), turned.yz);
@@ -46,7 +46,7 @@ fn fit_three(at: u32) -> vec3f {
     return vec3f(fit_float(at), fit_float(at + 1u), fit_float(at + 2u));
 }
 
-// The cell around a vertex.
+// Starts with the cell around a vertex.
 fn fit_around(v: vec3f) -> Fit {
     let a = abs(v);
     let axis = select(select(1u, 2u, a.z > a.y), 0u, a.x >= a.y && a.x >= a.z);
@@ -70,7 +70,7 @@ fn fit_around(v: vec3f) -> Fit {
     );
 }
 
-// With another vertex.
+// Adds a vertex.
 fn fit_with(f: Fit, v: vec3f) -> Fit {
     let turned = on_side(f.side, v);
     let place = (turned.yz / turned.x - f.middle) / FIT_CELL;
@@ -80,12 +80,12 @@ fn fit_with(f: Fit, v: vec3f) -> Fit {
     var grown = f;
     grown.low = min(f.low, vec4f(pixel, place));
     grown.high = max(f.high, vec4f(pixel, place));
-    // Written so that what is not a number is not near.
+    // NaN fails these comparisons.
     grown.known = f.known && turned.x > 0.0 && all(abs(place) < vec2f(1.0));
     return grown;
 }
 
-// The pixels whose rays a polygon of these vertices may hold.
+// The pixels that a polygon with these vertices may cover.
 fn fit_pixels(f: Fit) -> PixelBox {
     if !f.known || f.off.x == -1.0 {
         return PixelBox(false, vec2u(), vec2u());
@@ -95,7 +95,7 @@ fn fit_pixels(f: Fit) -> PixelBox {
     }
     let size = vec2f(f32(params.width), f32(params.height));
     let apart = f.high.zw - f.low.zw;
-    // Between vertices a quadratic leaves the plane through them by so much; the rest is what rounding may move a place.
+    // The second term bounds how far a quadratic leaves the plane through the vertices; the last terms cover rounding.
     let wide = f.off + 0.25 * dot(apart, apart) * f.bend + 2.0e-3 + 4.0e-6 * size;
     let first = ceil(f.low.xy - wide);
     let last = floor(f.high.xy + wide);

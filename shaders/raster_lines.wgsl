@@ -4,7 +4,7 @@
 
 @compute @workgroup_size(64)
 fn raster(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) groups: vec3u) {
-    // No more than fit were written.
+    // The count may exceed the room; only this many items were written.
     let count = min(counted[COUNTED_ITEMS], params.item_room);
     for (var i = first_of(counted[COUNTED_ITEMS_BEFORE]) + id.x; i < count; i += groups.x * GROUP) {
         let part = items[i * ITEM_WORDS + ITEM_PART];
@@ -19,7 +19,7 @@ fn rasterize(record: u32, first: u32, count: u32, first_sample: u32, end_sample:
     let edge_count = records[record + RECORD_EDGE_COUNT];
     let axis = vector_of(record + RECORD_CAP_AXIS);
     let chord = float_of(record + RECORD_CAP_CHORD);
-    // Most polygons have no more than four edges: these stay in registers over all lines.
+    // Most polygons have at most four edges: these stay in registers over all lines.
     let e0 = edge_at(record, edge_count, 0u);
     let e1 = edge_at(record, edge_count, 1u);
     let e2 = edge_at(record, edge_count, 2u);

@@ -1,4 +1,4 @@
-// Stage 3 for ray tables: one invocation per polygon and box of pixels; tiles by their cones, then ray by ray.
+// Stage 3 for ray tables: one invocation per polygon and box of pixels. Tests the cones of tiles, then their rays.
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> records: array<u32>;
@@ -26,12 +26,12 @@ fn vector_of(at: u32) -> vec3f {
     return vec3f(float_of(at), float_of(at + 1u), float_of(at + 2u));
 }
 
-// A record in registers, but for edges from the fifth on: most polygons have no more than four.
+// A record in registers, except edges after the fourth: most polygons have at most four.
 struct Polygon {
     m: vec3f,
     slot: u32,
     axis: vec3f,
-    // Squared chord of the cap around it; negative is none.
+    // Squared chord of the polygon's cap; negative without a cap.
     chord: f32,
     e0: vec3f,
     e1: vec3f,
@@ -58,23 +58,23 @@ fn polygon_at(record: u32) -> Polygon {
 }
 
 fn edge_at(record: u32, edge_count: u32, k: u32) -> vec3f {
-    // What is not there limits nothing.
+    // A zero edge excludes nothing.
     if k >= edge_count {
         return vec3f();
     }
     return vector_of(record + RECORD_WORDS + k * EDGE_WORDS);
 }
 
-// Columns and rows from the first to before the end: of few rays all, else by tiles.
+// Draws columns and rows from `first` to before `end`: all rays of a small box, else by tiles.
 fn box(p: Polygon, first: vec2u, end: vec2u) {
     let few = (end.x - first.x) * (end.y - first.y) <= RAYS_PER_BOX;
-    // One tile that has all.
+    // A single tile that contains the whole small box.
     let side = select(RAYS_PER_TILE, 0x10000u, few);
     let begin = first / side;
     let last = (end - 1u) / side;
     let chord = cap_chord(p.chord);
     let columns = last.x - begin.x + 1u;
-    // Which tiles first, then these one after another, so that neighbouring invocations draw together: no item has more than 32.
+    // First find the tiles (32 at most), then draw them in turn, so that neighbouring invocations draw together.
     var met = select(0u, 1u, few);
     for (var row = begin.y; !few && row <= last.y; row++) {
         for (var column = begin.x; column <= last.x; column++) {
@@ -92,14 +92,14 @@ fn box(p: Polygon, first: vec2u, end: vec2u) {
     }
 }
 
-// Columns and rows from the first to before the end. Rays outside the cap around the polygon's corners are left out, too: towards the vanishing point of a sliver's long sides all edge
-// planes meet, and rounded to f32 may hold rays there, far from the polygon.
+// Draws columns and rows from `first` to before `end`, inside the polygon's cap only. Towards the vanishing point of a
+// sliver's long sides all edge planes intersect, and their f32 roundings may contain rays far from the polygon.
 fn pixels(p: Polygon, first: vec2u, end: vec2u) {
     for (var row = first.y; row < end.y; row++) {
         for (var column = first.x; column < end.x; column++) {
             let pixel = row * params.width + column;
             let at = params.rays_at + pixel * 3u;
-            // No ray is stored as zero: its inverse range is not above zero.
+            // A missing ray is stored as zero, so its inverse range is zero.
             let ray = vec3f(bitcast<f32>(grid[at]), bitcast<f32>(grid[at + 1u]), bitcast<f32>(grid[at + 2u]));
             let k = dot(p.m, ray);
             let apart = ray - p.axis;

@@ -1,11 +1,11 @@
-// Stage 4: one invocation per pixel, row-major. From the winner's id to the asked images; the others cost nothing.
+// Stage 4: one invocation per pixel, row-major. Computes the requested images from the winning slot.
 
 override RANGE: bool = false;
 override DEPTH: bool = false;
 override POLYGON: bool = false;
 override OBJECT: bool = false;
 override COSINE: bool = false;
-// Which slots are shown is noted, too.
+// Record which slots are shown.
 override SHOWN: bool = false;
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -57,7 +57,7 @@ fn resolve(
     }
 }
 
-// Length of the ray whose inverse depth was rasterized, and depth per unit of it.
+// Length of the ray whose inverse depth was rasterized, and its depth per unit of inverse depth.
 struct Scale {
     ray: f32,
     depth: f32,
@@ -78,7 +78,7 @@ fn scale_of(column: u32, row: u32, index: u32) -> Scale {
     return Scale(1.0, 0.0, false);
 }
 
-// Most neighbours find it noted.
+// Most neighbours show the same slot, so the load saves atomics.
 fn note(slot: u32) {
     let bit = 1u << (slot & 31u);
     if (atomicLoad(&shown[slot >> 5u]) & bit) == 0u {

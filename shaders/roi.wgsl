@@ -1,9 +1,10 @@
-// Regions of interest, one invocation per feature: the linear case. What bends is flagged, and finished on the CPU.
-// The twin is src/features/roi; names are the same. Everything is in the image frame. Errors are columns of square
-// roots made in f64: two vectors an error, of the sensor (negated), of the object about the feature's first point, of the ends.
+// Regions of interest, one invocation per feature: the linear case. Nonlinear features are flagged for the CPU, where
+// src/features/roi is the twin, with the same names. Everything is in the image frame. An error is a column of a square
+// root of a covariance, two vectors: of the sensor (negated), of the object about the feature's first point, of the
+// ends.
 
 const KIND: u32 = 6u;
-// Most points of a feature, of a side, and events.
+// Maximum number of points of a feature, of events of a side, and of all events.
 const POINTS: u32 = 16u;
 const MOST: u32 = 3u;
 const EVENTS: u32 = 12u;
@@ -17,20 +18,20 @@ const HALF_PI: f32 = 1.57079633;
 struct RoiParams {
     // Pairs of the sensor's columns.
     sensor: array<vec4f, 12>,
-    // Focal lengths, or columns and rows a radian.
+    // Focal lengths, or columns and rows per radian.
     by: vec2f,
     // Columns and rows.
     size: vec2f,
     // Columns of a full turn, or 0.
     turn: f32,
-    // The logarithm of the probability that is left, and standard deviations where the search starts and may end.
+    // Logarithm of the allowed probability outside the box; standard deviations where the search starts and ends.
     log_fail: f32,
     lowest: f32,
     first: f32,
     highest: f32,
-    // Beyond these many deviations more an event does not count.
+    // Events this many deviations beyond the limit do not count.
     margin: f32,
-    // Limits of nonlinearity: moved by these shares of the lever, off by this share of a side's distance and so many pixels.
+    // Limits of nonlinearity: displacement as shares of the lever; error as a share of a side's distance, plus pixels.
     bent: f32,
     much: f32,
     slightly: f32,
@@ -40,11 +41,11 @@ struct RoiParams {
 }
 
 struct RoiFeature {
-    // The first point from the origin of the object's frame.
+    // The first point relative to the origin of the object's frame.
     origin: vec3f,
     first_point: u32,
     points: u32,
-    // Into `columns`: first the object's, then those of the ends.
+    // Into `columns`: the object's columns, then the ends' columns.
     first_column: u32,
     object_columns: u32,
     columns: u32,
@@ -52,11 +53,11 @@ struct RoiFeature {
 
 struct RoiPoint {
     p: vec3f,
-    // Shares of the errors of both ends.
+    // Shares of the errors of the two ends.
     share: f32,
     at: vec2f,
     other_share: f32,
-    // At least the standard deviation of its position.
+    // An upper bound of the standard deviation of its position.
     spread: f32,
 }
 
@@ -74,10 +75,10 @@ struct RoiBox {
 @group(0) @binding(4) var<storage, read> tails: array<f32>;
 @group(0) @binding(5) var<storage, read_write> boxes: array<RoiBox>;
 
-// An image coordinate's gradient at a point, as errors of each kind meet it.
+// The gradient of an image coordinate at a point, for the errors of each kind.
 struct Way {
     g: vec3f,
-    // Its moments about the sensor and about the first point.
+    // Its moments about the sensor and about the feature's first point.
     about_sensor: vec3f,
     about_object: vec3f,
     shares: vec2f,
@@ -90,7 +91,7 @@ struct Event {
     rate: f32,
     tail: f32,
     parent: u32,
-    // Below 0: none.
+    // Negative: no parent.
     apart: f32,
 }
 
@@ -112,7 +113,7 @@ fn lever_of(p: vec3f) -> f32 {
     return select(length(p.xy), p.z, GRID == CAMERA);
 }
 
-// Of the column (0) or the row (1).
+// Gradient of the column (c = 0) or the row (c = 1).
 fn gradient(p: vec3f, c: u32) -> vec3f {
     if GRID == CAMERA {
         let inverse = 1.0 / p.z;
@@ -136,7 +137,7 @@ fn way_of(i: u32, c: u32) -> Way {
     return Way(g, cross(point.p, g), cross(d, g), vec2f(point.share, point.other_share));
 }
 
-// Derivative by an error.
+// Derivative with respect to an error.
 fn slope(w: Way, i: u32) -> f32 {
     if i < KIND {
         return dot(params.sensor[2u * i].xyz, w.g) + dot(params.sensor[2u * i + 1u].xyz, w.about_sensor);
@@ -158,7 +159,7 @@ fn product(a: Way, b: Way) -> f32 {
     return sum;
 }
 
-// Row of the table of tails, and how far on.
+// Row of the tail table, and the fraction to the next row.
 fn tail_row(x: f32) -> vec2f {
     let at = clamp(x * params.tail_steps, 0.0, f32(TAIL_ROWS - 1u));
     let i = min(floor(at), f32(TAIL_ROWS - 2u));
@@ -196,7 +197,7 @@ fn maker(side: u32, k: f32) -> u32 {
     return best;
 }
 
-// Of each side the point that makes it, and those nearly as likely to pass.
+// For each side, the outermost point and other points almost as likely to cross it.
 fn choose_events(k: f32) {
     event_count = 0u;
     for (var side = 0u; side < 4u; side++) {
@@ -214,7 +215,7 @@ fn choose_events(k: f32) {
             var known = false;
             for (var e = first; e < event_count; e++) {
                 let other = events[e].point;
-                // Points that move as one pass as one; to the digits of f32.
+                // Fully correlated points (to f32 precision) count as one.
                 known |= product(way, way_of(other, c)) > (1.0 - 2e-6) * sigmas[at][c] * sigmas[other][c];
             }
             if !known {
@@ -225,7 +226,7 @@ fn choose_events(k: f32) {
             if event_count == first + MOST {
                 break;
             }
-            // The next nearest, by deviations and then by number.
+            // The next point, by deviations and then by number.
             var next = POINTS;
             var next_deviations = 0.0;
             for (var i = 0u; i < feature.points; i++) {
@@ -247,7 +248,7 @@ fn choose_events(k: f32) {
     }
 }
 
-// The spanning tree of greatest joint tails.
+// The spanning tree with the greatest joint tails.
 fn join_events() {
     var best: array<f32, EVENTS>;
     var out: array<bool, EVENTS>;
@@ -287,7 +288,7 @@ fn join_events() {
     }
 }
 
-// At most this probability that any side is passed, with the common number of standard deviations so much higher.
+// Upper bound of the probability that any side is crossed, with all limits `more` standard deviations farther out.
 fn passed(more: f32) -> f32 {
     var sum = 0.0;
     for (var i = 0u; i < event_count; i++) {
@@ -331,7 +332,7 @@ fn turned_beyond(turn: vec3f, v: vec3f) -> vec3f {
     return sine * across + versine * cross(turn, across);
 }
 
-// The angle of (cosine, sine) within a right angle of 0, to 2e-7 (atan2 may be off by 4096 units in the last place).
+// The angle with this sine and cosine, within a right angle of 0, to 2e-7 (atan2 may be off by 4096 ulp).
 fn angle(sine: f32, cosine: f32) -> f32 {
     let steep = abs(sine) > cosine;
     let x = select(sine / cosine, cosine / sine, steep);
@@ -342,7 +343,7 @@ fn angle(sine: f32, cosine: f32) -> f32 {
     return select(series, sign(sine) * HALF_PI - series, steep);
 }
 
-// How far the image moves when the point does, without the digits that its place takes.
+// Displacement of the image when the point moves, without cancellation.
 fn image_moves(p: vec3f, by: vec3f) -> vec2f {
     if GRID == CAMERA {
         return params.by * (by.xy - p.xy / p.z * by.z) / (p.z + by.z);
@@ -356,7 +357,7 @@ fn image_moves(p: vec3f, by: vec3f) -> vec2f {
     return params.by * vec2f(turn, rise);
 }
 
-// How far the image of the point that makes a side is from where its derivative has it, under the error that makes the side.
+// Error of the linear image position of a side's outermost point, under the most likely error that reaches the side.
 fn bend(i: u32, side: u32, k: f32) -> vec2f {
     let c = side / 2u;
     let point = point_of(i);
@@ -385,7 +386,7 @@ fn bend(i: u32, side: u32, k: f32) -> vec2f {
             own += xi * (point.share * columns[at].xyz + point.other_share * columns[at + 1u].xyz);
         }
     }
-    // About the first point, so that what a turn about a far origin does is not the difference of large numbers.
+    // Relative to the first point, which avoids a difference of large numbers for a far origin.
     let d = point.p - point_of(0u).p + own;
     let object = object_shift + cross(object_turn, d) + turned_beyond(object_turn, feature.origin + d);
     let shift = own + object + sensor_shift;
@@ -393,7 +394,7 @@ fn bend(i: u32, side: u32, k: f32) -> vec2f {
     return image_moves(point.p, moved) - linear;
 }
 
-// Left, top, right, bottom within the image, at least a pixel a side; over a full circle's seam right goes on.
+// Left, top, right, bottom, clipped to the image, at least one pixel wide; right may exceed the seam of a full circle.
 fn clipped(b: vec4f) -> vec4f {
     let short = 0.5 * max(vec2f(1.0) - (b.zw - b.xy), vec2f());
     let low = b.xy - short;
@@ -427,7 +428,7 @@ fn found() -> RoiBox {
         }
         near &= k * point.spread <= params.bent * lever;
     }
-    // Right, left, bottom, top: outward.
+    // Right, left, bottom, top, each positive outward.
     var limits: array<f32, 4>;
     var widen = array<f32, 4>();
     for (var side = 0u; side < 4u; side++) {

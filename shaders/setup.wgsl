@@ -1,6 +1,6 @@
-// Stage 2: one invocation per survivor. Edge planes, the plane m of inverse depth, and the items or the shape to rasterize.
+// Stage 2: one invocation per survivor. Writes edge planes, the inverse depth plane m, and items or a shape.
 
-// The hardware rasterizer draws what it can.
+// The hardware rasterizer draws the polygons that it can draw exactly.
 override RENDER: bool = false;
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -29,9 +29,9 @@ fn setup(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) grou
     }
 }
 
-// |d| / |v| below which f32 does not prove the side: rounding of two subtractions, a dot product and the normal.
+// Ratio |d| / |v| below which f32 cannot decide the side: rounding of two subtractions, a dot product and the normal.
 const EDGE_ON: f32 = 9.6e-7; // 16 * 2^-24
-// |d| / |c| below which the centre's own rounding, 2^-48 of its coordinates, does not.
+// The same for |d| / |c|, because of the centre's own rounding, 2^-48 of its coordinates.
 const EDGE_ON_CENTER: f32 = 2.9e-14; // 2^-45
 
 fn set_up(index: u32, survivor: Survivor) {
@@ -40,7 +40,7 @@ fn set_up(index: u32, survivor: Survivor) {
     let corner_count = polygon_word(instance, survivor.polygon, POLYGON_CORNERS) & 0xffu;
     let normal = polygon_normal(instance, survivor.polygon);
 
-    // Side and plane distance at the nearest vertex, in the mesh frame: fewest roundings.
+    // Side and plane distance from the nearest vertex, in the mesh frame: this needs the fewest roundings.
     var nearest = HUGE;
     var distance = 0.0;
     for (var k = 0u; k < corner_count; k++) {
@@ -53,7 +53,7 @@ fn set_up(index: u32, survivor: Survivor) {
         }
     }
     let image_normal = normal_to_image(instance, normal);
-    // Nothing of it is nearer than its plane; one-sided, it is seen from the side of its mesh's normal only, mirrored or not.
+    // No point is nearer than the plane. One-sided polygons show the side of their mesh's normal only, mirrored or not.
     let too_far = abs(distance) > params.range_max * length(image_normal) * 1.00001;
     if too_far || (survivor.flags & ONE_SIDED) != 0u && distance > 0.0 {
         return;
@@ -61,15 +61,15 @@ fn set_up(index: u32, survivor: Survivor) {
     let near = (survivor.flags & NEAR) != 0u;
     let stamp = (instance.first_slot + survivor.polygon) * SLOT_WORDS + SLOT_RECORD;
     if near && seen_slots[stamp] == params.stamp {
-        // Flat, around the sensor: the CPU has set it up in f64.
+        // Edge-on and around the sensor: the CPU has set it up in f64.
         return;
     }
-    // Within its corners' own spread the edges span no cone.
+    // If the sensor is within the corners' spread, the edges do not span a cone.
     let spread = bitcast<f32>(polygon_word(instance, survivor.polygon, POLYGON_SPREAD));
     let doubt = sqrt(nearest) * EDGE_ON + length(instance.center_high) * EDGE_ON_CENTER + spread;
-    // Written so that what is not a number is doubtful.
+    // The negated comparison treats NaN as doubtful.
     if !(abs(distance) > doubt) {
-        // The CPU counts the near ones that are edge-on in f64 too.
+        // The CPU counts near polygons that are edge-on in f64.
         if !near {
             atomicAdd(&counters.edge_on, 1u);
         }
@@ -78,18 +78,18 @@ fn set_up(index: u32, survivor: Survivor) {
     let words = RECORD_WORDS + corner_count * EDGE_WORDS;
     let at = atomicAdd(&counters.record_words, words);
     if at + words > params.record_words {
-        // The engine sees the count, grows the buffer and runs the frame again.
+        // The engine reads the count, grows the buffer and runs the frame again.
         return;
     }
     atomicAdd(&counters.records, 1u);
     write_head(at, instance, survivor.polygon, corner_count, image_normal, distance);
-    // Inside is where every e . u >= 0: the winding's sign, the mirror's and the side's.
+    // Inside means every e . u >= 0; the sign combines winding, mirroring and side.
     let sign = select(-1.0, 1.0, instance.handedness * distance > 0.0);
     write_edges(at + RECORD_WORDS, instance, first_corner, corner_count, sign);
     add_items(at, index, instance, survivor, first_corner, corner_count);
 }
 
-// A vector that is dotted with image-frame rays, for rays of the line frame.
+// Transforms a covector from the image frame to the line frame.
 fn to_line(e: vec3f) -> vec3f {
     if GRID == CAMERA {
         return vec3f(e.y / params.fy, e.z, e.x / params.fx);
@@ -111,7 +111,7 @@ fn write_head(at: u32, instance: Instance, polygon: u32, corner_count: u32, norm
     put(at + RECORD_M, to_line(normal / distance));
     records[at + RECORD_SLOT] = slot;
     records[at + RECORD_EDGE_COUNT] = corner_count;
-    // What the resolve stage asks of the winner, and where the visible stage finds it.
+    // For the resolve stage, and the record's offset for the visible stage.
     let seen = slot * SLOT_WORDS;
     seen_slots[seen + SLOT_DISTANCE] = bitcast<u32>(abs(distance) / length(normal));
     seen_slots[seen + SLOT_OBJECT] = instance.object_id;
@@ -121,7 +121,7 @@ fn write_head(at: u32, instance: Instance, polygon: u32, corner_count: u32, norm
     }
 }
 
-// True if p comes before q in an order that both owners of an edge agree on.
+// An order of points on which both polygons of an edge agree.
 fn before(p: vec3f, q: vec3f) -> bool {
     return p.x < q.x || p.x == q.x && (p.y < q.y || p.y == q.y && p.z < q.z);
 }
@@ -132,8 +132,8 @@ fn write_edges(at: u32, instance: Instance, first_corner: u32, corner_count: u32
     for (var k = 0u; k < corner_count; k++) {
         let p_next = vertex(instance, arena[first_corner + k * CORNER_WORDS]);
         let v_next = to_image(instance, from_center(instance, p_next));
-        // The edge direction is rounded once, in the mesh frame; the anchor is the nearer end: its rounding then
-        // moves no point of the edge by more than 2^-22 rad. p - q = -(q - p) exactly, so neighbours agree.
+        // The edge direction is rounded once, in the mesh frame. The nearer end is the anchor: its rounding moves no
+        // point of the edge by more than 2^-22 rad. p - q = -(q - p) exactly, so neighbours agree.
         let direction = to_image(instance, p_next - p);
         let d = dot(v, v);
         let d_next = dot(v_next, v_next);

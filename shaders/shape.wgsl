@@ -1,30 +1,30 @@
-// Which polygons the hardware rasterizer draws, and the rectangle that it draws for each: around the polygon's image, wider by what
-// the driver may do to the rectangle's corners (snap them to 1/16 pixel, round them on their way) and by what rounding may move an
-// edge of the polygon. The rest is left to spans.
+// Selects the polygons for the hardware rasterizer, and a rectangle to draw for each. The rectangle encloses the
+// polygon's image with a margin for the driver (corners snapped to 1/16 pixel and rounded) and for the rounding of the
+// polygon's edges. Spans draw all other polygons.
 
-// Pixels for the driver. 0, a fault for tests, does without those for rounding as well.
+// Margin for the driver, pixels. 0 plants a fault for tests: no margin at all.
 override GROWTH: f32 = 1.0;
 
-// Pixels that an edge may be off.
+// Maximum rounding error of an edge, pixels.
 const MOST_OFF: f32 = 1.0;
-// More than any edge may be off that is drawn: keeps divisions finite.
+// Greater than the ratio for any polygon that is drawn; keeps divisions finite.
 const HUGE_RATIO: f32 = 1.0e9;
-// Rounding of an edge's plane, of a corner's place and of a ray: 40 * 2^-24 of an angle for each time that the near corner's distance
-// exceeds the edge line's.
+// Rounding of an edge plane, a corner and a ray: an angle of 40 * 2^-24, multiplied by the ratio of the near corner's
+// distance to the edge line's.
 const EDGE_ROUNDING: f32 = 2.4e-6;
 // 2^-48 of the centre's coordinates, in units of 24 * 2^-24.
 const CENTER_ROUNDING: f32 = 1.0e-8;
-// Larger places lose parts of a pixel in f32.
+// Beyond this, f32 positions lose fractions of a pixel.
 const MOST_PIXELS: f32 = 16384.0;
-// Pixels of a bounding box that is not worth looking for a smaller rectangle.
+// Maximum area in pixels of a box for which a turned rectangle does not pay.
 const SMALL: f32 = 256.0;
-// A turned rectangle is taken if it is smaller than the box by this factor.
+// A turned rectangle is used if its area is below this share of the box.
 const WORTH_TURNING: f32 = 0.8;
 
 struct Outline {
-    // Along the longest side.
+    // Direction of the longest side.
     direction: vec2f,
-    // Pixels that an edge may be off; negative if the polygon cannot be drawn.
+    // Rounding error of an edge, pixels; negative if the polygon cannot be drawn.
     off: f32,
 }
 
@@ -58,7 +58,7 @@ fn outline(instance: Instance, first_corner: u32, corner_count: u32) -> Outline 
         let distance = length(select(q, q_next, from_next)) + center;
         let edge = length(cross(anchor, to_image(instance, p_next - p)));
         let needed = stretch * distance * stretch * length(p_next - p);
-        // Written so that what is not a number, or behind the camera, cannot be drawn.
+        // The negated comparison also rejects NaN.
         if !(v_next.z > 0.0 && needed < edge * HUGE_RATIO) {
             return Outline(direction, -1.0);
         }
@@ -72,7 +72,7 @@ fn outline(instance: Instance, first_corner: u32, corner_count: u32) -> Outline 
     return Outline(normalize(direction), select(-1.0, off, off < MOST_OFF));
 }
 
-// Sets the shape of a survivor; false if spans have to draw it.
+// Sets the shape of a survivor. Returns false if spans must draw it.
 fn set_shape(at: u32, index: u32, instance: Instance, survivor: Survivor, first_corner: u32, corner_count: u32) -> bool {
     let seen = outline(instance, first_corner, corner_count);
     if seen.off < 0.0 {

@@ -1,5 +1,5 @@
-// Stage 0 of every wave but the first: one invocation per run. What lies behind what earlier waves have drawn is dropped, all
-// others are cut into units for the cull stage.
+// Stage 0, from the second wave on: one invocation per run. Drops runs that are hidden by earlier waves, and splits the
+// others into units for the cull stage.
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> instances: array<Instance>;
@@ -10,8 +10,8 @@
 @group(0) @binding(6) var<uniform> few_instances: array<Instance, FEW_INSTANCES>;
 @group(0) @binding(7) var<uniform> short_grid: array<vec4u, SHORT_GRID>;
 
-// A box must be this much farther off than what hides it, as a share. It covers what rounding moves polygons by that are seen under 4 mrad
-// and more; flatter ones in a hidden run would show by their rounding only.
+// A hidden box must be farther than the hiding surface by this share. It covers the rounding of polygons seen at an
+// angle of 4 mrad or more; flatter polygons of a hidden run could only show through rounding.
 const BOX_SLACK: f32 = 1.0e-3;
 
 @compute @workgroup_size(64)
@@ -52,7 +52,7 @@ fn is_hidden(index: u32, box: u32) -> bool {
     bounds_of_box(&bounds);
     let reach = bounds_reach(bounds);
     if reach.count == 0u || !(reach.nearest > 0.0) {
-        // What is out of view is left to the cull stage.
+        // The cull stage drops polygons out of view.
         return false;
     }
     return least_around(reach, (1.0 + BOX_SLACK) / reach.nearest) > 0.0;

@@ -1,29 +1,29 @@
-// Stage 5, if features are asked for: one invocation per sample of a feature. Of the polygons that the nine pixels around
-// it show, the nearest that hides it. What comes of it is a proposal: the CPU tests it in f64, and confirms in space that
-// what nothing hides is seen.
+// Stage 5, if features are requested: one invocation per sample of a feature. Among the polygons that the nine pixels
+// around the sample show, it finds the nearest that hides it. The answer is a proposal: the CPU verifies it in f64, and
+// confirms visible samples with rays.
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> keys: array<vec2u>;
 @group(0) @binding(2) var<storage, read> seen_slots: array<u32>;
 @group(0) @binding(3) var<storage, read> records: array<u32>;
-// Words: SAMPLES_AT words of head (samples, 1 if columns go round), samples of SAMPLE_WORDS (place in the line frame, pixel
-// row-major, where its feature's slots are), then lists of slots (how many, each).
+// Words: SAMPLES_AT words of header (number of samples, 1 if columns wrap around), samples of SAMPLE_WORDS (place in
+// the line frame, row-major pixel, offset of its feature's slots), then lists of slots (count, slots).
 @group(0) @binding(4) var<storage, read> asked: array<u32>;
 @group(0) @binding(5) var<storage, read_write> answers: array<u32>;
 
 const SAMPLES_AT: u32 = 4u;
-// Words of a sample. PLACE: three words. SLOTS: where its list of slots is.
+// Words of a sample. PLACE: three words. SLOTS: offset of its list of slots.
 const SAMPLE_PLACE: u32 = 0u;
 const SAMPLE_PIXEL: u32 = 3u;
 const SAMPLE_SLOTS: u32 = 4u;
 const SAMPLE_WORDS: u32 = 5u;
-// Words of the head.
+// Words of the header.
 const ASKED_COUNT: u32 = 0u;
 const ASKED_ROUND: u32 = 1u;
-// Answers that are no slot.
+// Special answers, not slots.
 const DOUBT: u32 = 0xffffffffu;
 const SEEN: u32 = 0xfffffffeu;
-// Set in stamps of slots, whose records are not known here.
+// Flag of stamps; their records are on the CPU only.
 const STAMPED: u32 = 0x80000000u;
 
 @compute @workgroup_size(64)
@@ -51,7 +51,7 @@ fn answer(at: u32) -> u32 {
     var beside = false;
     var last = DOUBT;
     for (var i = 0u; i < 9u; i++) {
-        // Unsigned: one before the first is beyond the last.
+        // Unsigned: a row or column before the first wraps to a number beyond the last.
         let r = row + i / 3u - 1u;
         var c = column + i % 3u - 1u;
         if round {

@@ -1,9 +1,9 @@
-// After resolve, in batches that ask for no image: the logarithms of the densities of a sensed range image, added up where the
-// predicted one is (docs/batches.md). One workgroup for a part of the beams at one heading; the CPU adds up the parts.
+// After resolve, in batches without images: sums the log-densities of a measured range image given the predicted one
+// (docs/batches.md). One workgroup handles a part of the beams at one heading; the CPU adds the parts.
 
 @group(0) @binding(0) var<uniform> model: WeighParams;
 @group(0) @binding(1) var<storage, read> sensed: array<u32>;
-// Range and cosine at their places, and behind all images the sums, by heading and part.
+// Range and cosine images at their offsets; behind all images the sums, by heading and part.
 @group(0) @binding(2) var<storage, read_write> outputs: array<u32>;
 
 // As in src/plan/weighing.rs.
@@ -25,7 +25,7 @@ struct BeamNumbers {
 }
 
 struct WeighParams {
-    // Beams in all, of a sensed row, of a predicted one.
+    // Number of beams: in total, of a measured row, of a predicted row.
     count: u32,
     sensed_beams: u32,
     predicted_beams: u32,
@@ -39,15 +39,15 @@ struct WeighParams {
     beam: BeamNumbers,
 }
 
-// The bounds of src/batch/likelihood.rs.
+// The limits of src/batch/likelihood.rs.
 const LEAST_COS: f32 = 0.05;
 const LEAST_RANGE: f32 = 1e-6;
 const LEAST: f32 = 1e-30;
-// The logarithm of what adds nothing.
+// A logarithm whose exponential is 0.
 const NEVER: f32 = -2000.0;
-// Standard deviations beyond which nothing is left of a hit.
+// A hit's density is negligible beyond this many standard deviations.
 const FAR_OFF: f32 = 100.0;
-// A variance beyond which a hit says nothing: its square root is a million kilometres.
+// A variance so large that a hit has no information: a standard deviation of a million kilometres.
 const ANYWHERE: f32 = 1e18;
 
 const INFINITE: u32 = 0x7f800000u;
@@ -81,7 +81,7 @@ fn is_nan(bits: u32) -> bool {
     return (bits & ~SIGN) > INFINITE;
 }
 
-// Compared as bits: shaders need not know infinities.
+// Infinities are compared as bits: WGSL does not require support for them.
 fn ln_density(sensed_bits: u32, range_bits: u32, cos_bits: u32) -> f32 {
     let beam = model.beam;
     if is_nan(sensed_bits) || is_nan(range_bits) {

@@ -78,7 +78,7 @@ fn headings_that_are_no_shifts_are_refused() {
     refused(&good, 1440, "1440 headings");
     refused(&scanner(-90.0, 0.7, 100, &[0.0], (0.0, 30.0)), 10, "does not divide");
     refused(&scanner(-90.0, 0.0, 1, &[0.0], (0.0, 30.0)), 10, "does not divide");
-    refused(&presight::preset("video-camera").unwrap(), 10, "no scanner");
+    refused(&presight::preset("video-camera").unwrap(), 10, "not a scanner");
     let listed = Scanner {
         azimuth: Angles::Listed(vec![0.0, 1.0]),
         elevation: Angles::Listed(vec![0.0]),
@@ -92,7 +92,7 @@ fn headings_that_are_no_shifts_are_refused() {
     let request = BatchRequest { likelihood: Some(sensed), headings, ..BatchRequest::default() };
     let leaning = Pose::from_xyz_rpy(glam::DVec3::Z, 0.0, 1e-3, 0.0);
     let e = predictor(1).batch(&world, &good, [leaning], &request).unwrap().next().unwrap().unwrap_err();
-    assert!(e.kind() == ErrorKind::Usage && e.to_string().contains("leans") && e.place() == Some("pose 0"), "{e}");
+    assert!(e.kind() == ErrorKind::Usage && e.to_string().contains("tilted") && e.place() == Some("pose 0"), "{e}");
     let without = BatchRequest { likelihood: None, ..request };
     assert!(predictor(1).batch(&world, &good, [Pose::IDENTITY], &without).is_err());
 }

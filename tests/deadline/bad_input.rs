@@ -28,7 +28,7 @@ fn no_time_is_wrong_usage_and_too_little_is_an_error_in_time() {
     assert_eq!(clock.looks(), 1);
     assert_eq!((too_little.kind(), too_little.kind().exit_status()), (ErrorKind::Deadline, 4));
     let said = too_little.to_string();
-    assert!(said.starts_with("nothing can be predicted within 0.000 ms; give ") && !said.contains('\n'), "{said}");
+    assert!(said.starts_with("no prediction is possible within 0.000 ms; give ") && !said.contains('\n'), "{said}");
     // After it all is as before.
     let all = predictor.predict(&world, &sensor, &Pose::IDENTITY, &within(Duration::MAX)).unwrap();
     assert_eq!(all.degradation(), None);

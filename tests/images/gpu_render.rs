@@ -204,7 +204,7 @@ fn what_rasterizes_is_told_with_the_reason() {
     assert_eq!((stats.raster, why(&stats).0), (Some(Raster::Render), true));
     let (_, stats) = draw(&mut render, &plan(&world, &scanner, &Pose::IDENTITY));
     assert_eq!(stats.raster, Some(Raster::Compute));
-    assert_eq!(why(&stats), (false, "the sensor is no pinhole camera".into()));
+    assert_eq!(why(&stats), (false, "the sensor is not a pinhole camera".into()));
     let (_, stats) = draw(&mut compute, &plan(&world, &camera, &Pose::IDENTITY));
     assert_eq!(stats.raster, Some(Raster::Compute));
     assert_eq!(why(&stats), (false, "compute spans are the default".into()));

@@ -44,7 +44,7 @@ fn differing(
     let (images, stats) = warm(reusing, world, sensor, pose);
     let (mut expected, mut of_other) = (Images::default(), Stats::default());
     other.render(&plan(world, sensor, pose), &mut expected, &mut of_other).expect("the engine renders");
-    assert!(why_anew(&of_other).is_some_and(|why| ["not asked for", "nothing is in view"].contains(&why)));
+    assert!(why_anew(&of_other).is_some_and(|why| ["not requested", "nothing is in view"].contains(&why)));
     each(&stats);
     assert_eq!(images.outputs(), expected.outputs());
     let differ = |output| {
@@ -141,7 +141,7 @@ fn room() -> (World, Pose) {
 
 #[test]
 fn another_world_sensor_or_device_begins_anew() {
-    const ANEW: Option<&str> = Some("there is none of the sensor in this version of the world");
+    const ANEW: Option<&str> = Some("the sensor has no last frame in this version of the world");
     let [Some(reusing), Some(other)] = [Hiding::Always, Hiding::Off].map(|hiding| engine(hiding, false)) else {
         return;
     };
@@ -225,11 +225,11 @@ fn only_predictions_that_ask_for_it_reuse_a_frame() {
     let batch = predictor.batch(&world, &sensor, vec![pose; 3], &images).expect("a sound batch");
     for item in batch {
         let stats = item.expect("it predicts").stats.expect("they were drawn");
-        assert_eq!((why_anew(&stats), brought(&stats)), (Some("not asked for"), 0));
+        assert_eq!((why_anew(&stats), brought(&stats)), (Some("not requested"), 0));
     }
     let mut images = Images::default();
     let stats = predictor.predict_images(&world, &sensor, &pose, Outputs::default(), &mut images).expect("it predicts");
-    assert_eq!(why_anew(&stats), Some("not asked for"));
+    assert_eq!(why_anew(&stats), Some("not requested"));
     let in_time = request.clone().with_deadline(Duration::from_secs(5));
     if let Ok(seen) = predictor.predict(&world, &sensor, &pose, &in_time) {
         assert_eq!(brought(&seen.stats), 0);
@@ -238,6 +238,6 @@ fn only_predictions_that_ask_for_it_reuse_a_frame() {
     let mut plain = self::predictor(false).expect("an adapter");
     for _ in 0..2 {
         let seen = plain.predict(&world, &sensor, &pose, &request).expect("it predicts");
-        assert_eq!((why_anew(&seen.stats), brought(&seen.stats)), (Some("not asked for"), 0));
+        assert_eq!((why_anew(&seen.stats), brought(&seen.stats)), (Some("not requested"), 0));
     }
 }

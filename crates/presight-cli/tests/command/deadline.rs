@@ -31,7 +31,7 @@ fn deadlines_that_cannot_be_are_wrong_usage_and_what_cannot_be_done_is_status_4(
     }
     let outcome = place.run(&format!("{PREDICT} --deadline-ms 0.000001 --out a.exr"));
     assert_eq!(outcome.status, Some(4), "{}", outcome.stderr);
-    assert!(outcome.stderr.contains("nothing can be predicted within"), "{}", outcome.stderr);
+    assert!(outcome.stderr.contains("no prediction is possible within"), "{}", outcome.stderr);
     assert_eq!(place.run(&format!("{PREDICT} --costs costs.json")).status, Some(2), "costs without a deadline");
     assert_eq!(place.names(), ["wall.glb"]);
 }

@@ -115,7 +115,7 @@ fn wrong_frames_and_meshes_are_refused_with_a_remedy() {
 fn remedies_lead_to_what_was_meant() {
     let place = Place::new();
     let predict = "predict wall.glb --sensor video-camera --backend cpu";
-    refused(&place.run(&format!("{predict} --pose 0,0,1,0,0,0 --outputs depth")), 2, &["depth_z is planar"]);
+    refused(&place.run(&format!("{predict} --pose 0,0,1,0,0,0 --outputs depth")), 2, &["use depth_z (planar"]);
     let blanks = place.run_args(&["predict", "wall.glb", "--sensor", "laser-scanner", "--pose", " 0 0 1 0 0 0"]);
     assert_eq!(blanks.status, Some(0), "{}", blanks.stderr);
     // Tips of the parser name what is spelled alike, not what does it.

@@ -224,7 +224,7 @@ fn without_an_output_flag_there_is_one_line() {
 fn statistics_and_explanation_say_what_it_cost() {
     let place = Place::new();
     let told = place.done(&format!("predict wall.glb {VIEW} --threads 1 --repeat 5 --stats s.json --explain"));
-    for word in ["engine", "stages", "left out", "depth_z image: not asked for"] {
+    for word in ["engine", "stages", "left out", "depth_z image: not requested"] {
         assert!(told.contains(word), "{word:?} in {told}");
     }
     let stats = place.json("s.json");

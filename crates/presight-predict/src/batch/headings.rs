@@ -1,5 +1,5 @@
-//! All headings of a level scanner at once: it sees the same panorama whichever way it is turned, so that each heading is a
-//! cyclic shift of the sensed image over the panorama.
+//! All headings of a level scanner at once: the panorama at a place is the same for each heading, so a heading is a
+//! cyclic shift of the measured image over the panorama.
 
 use super::RangeLikelihood;
 use super::likelihood::BeamModel;
@@ -10,21 +10,21 @@ use presight_model::sensor::{Angles, Geometry, Scanner, Sensor, SensorSpec};
 use presight_render::row::is_level;
 use std::array;
 
-/// The headings of a scanner and the panorama that shows them all.
+/// The headings of a scanner, and the panorama that contains all of them.
 #[derive(Clone, Debug)]
 pub struct Headings {
     pub(super) count: u32,
-    /// Beams of the panorama.
+    /// Number of beams in the panorama.
     pub(super) beams: usize,
-    /// Columns of the panorama from one heading to the next, modulo its width.
+    /// Shift of the panorama from one heading to the next, in columns modulo its width.
     pub(super) stride: usize,
     sensor: Sensor,
     panorama: Sensor,
 }
 
 impl Headings {
-    /// `count` headings, evenly over the full turn: heading k turns the scanner's x axis to `360 k / count` degrees about the
-    /// world's z axis, counter-clockwise from its x axis.
+    /// Creates `count` headings, evenly over a full turn. Heading k turns the scanner's x axis `360 k / count` degrees
+    /// counter-clockwise from the world's x axis, about its z axis.
     ///
     /// ```
     /// use presight::batch::Headings;
@@ -36,28 +36,26 @@ impl Headings {
     /// ```
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] if the sensor is no scanner with a uniform azimuth step that divides 360 degrees, or headings
-    /// are no whole multiples of that step.
+    /// [`crate::ErrorKind::Usage`] unless the sensor is a scanner with a uniform azimuth step that divides 360 degrees,
+    /// and headings are multiples of that step.
     pub fn new(sensor: &Sensor, count: u32) -> Result<Self> {
         let spec = sensor.spec();
         let wrong = |what: &str, remedy: &str| {
             Err(Error::usage(format!("all headings at once: {what}"), remedy).at(format!("sensor {:?}", spec.name)))
         };
         let single = "give a pose for each heading instead";
-        let Geometry::Scanner(scanner) = &spec.geometry else { return wrong("the sensor is no scanner", single) };
+        let Geometry::Scanner(scanner) = &spec.geometry else { return wrong("the sensor is not a scanner", single) };
         let Angles::Uniform { start_deg, step_deg, .. } = scanner.azimuth else {
             return wrong("its azimuths are listed, not in equal steps", single);
         };
         let beams = (360.0 / step_deg.abs()).round();
-        // A beam's direction may be off by no more than rounding, all round.
-        if !((beams * step_deg.abs() - 360.0).abs() <= 1e-9
-            && beams <= f64::from(presight_model::limits::MAX_IMAGE_SIDE))
-        {
+        // Over the full turn, a beam's direction may be off only by rounding.
+        if !((beams * step_deg.abs() - 360.0).abs() <= 1e-9 && beams <= f64::from(presight_model::limits::MAX_IMAGE_SIDE)) {
             return wrong(&format!("its step of {step_deg} deg does not divide 360 degrees"), single);
         }
         let beams = beams as u32;
         if count == 0 || !beams.is_multiple_of(count) {
-            let what = format!("{count} headings are no multiples of its step of {step_deg} deg");
+            let what = format!("{count} headings are not multiples of its step of {step_deg} deg");
             return wrong(&what, &format!("give a number that divides {beams}"));
         }
         let azimuth =
@@ -73,78 +71,78 @@ impl Headings {
         self.sensor.spec()
     }
 
-    /// How many.
+    /// Number of headings.
     pub fn count(&self) -> u32 {
         self.count
     }
 
-    /// The scanner with all its beams over the full turn.
+    /// The scanner with its beams extended to the full turn.
     pub fn panorama(&self) -> &Sensor {
         &self.panorama
     }
 
-    /// A heading's angle, degrees.
+    /// The angle of a heading, degrees.
     pub fn degrees(&self, heading: u32) -> f64 {
         360.0 * f64::from(heading) / f64::from(self.count)
     }
 
-    /// The pose of the sensor at a place, turned to a heading. A robot is at this times the inverse of the sensor's mount.
+    /// The pose of the sensor at a position and heading. For the robot's pose, multiply by the inverse of the mount.
     pub fn pose(&self, place: DVec3, heading: u32) -> Pose {
         let (sin, cos) = sin_cos_deg(0.5 * self.degrees(heading));
         Pose { translation: place, rotation: DQuat::from_xyzw(0.0, 0.0, sin, cos) }
     }
 
-    /// The pose at which the panorama is predicted, of a place given by a pose whose heading does not matter.
+    /// The pose at which the panorama for a place is predicted; the given pose's heading is ignored.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] for a pose that leans.
+    /// [`crate::ErrorKind::Usage`] for a tilted pose.
     pub fn place(&self, world_from_sensor: &Pose) -> Result<Pose> {
         world_from_sensor.check()?;
         if !is_level(world_from_sensor) {
-            let what = "all headings at once: the sensor leans, and sees other things when it is turned";
+            let what = "all headings at once: the sensor is tilted, so its panorama depends on the heading";
             return Err(Error::usage(what, "give level poses, or a pose for each heading"));
         }
         Ok(Pose { translation: world_from_sensor.translation, rotation: DQuat::IDENTITY })
     }
 }
 
-/// Beams that are worked on together.
+/// Number of beams processed together.
 const LANES: usize = 16;
 
-/// A range at which no beam ends: its square is finite in f32, and nothing is left of a Gauss so far off.
+/// A range at which no beam ends: its square is finite in f32, and a Gaussian so far away is 0.
 const NOWHERE: f32 = 1e18;
 
-/// Weighs all headings of a sensed image.
+/// Weighs all headings of a measured image.
 #[derive(Clone, Debug)]
 pub(super) struct HeadingWeights {
     headings: Headings,
     model: BeamModel,
     rows: Vec<Row>,
-    /// Beams with a range, in all rows.
+    /// Number of beams with a range, in all rows.
     ranged: usize,
 }
 
-/// A row of the sensed image.
+/// A row of the measured image.
 #[derive(Clone, Debug)]
 struct Row {
-    /// [`NOWHERE`] where no range was sensed, and beyond the row's end.
+    /// [`NOWHERE`] for beams without a range, and beyond the row's end.
     sensed: Vec<f32>,
-    /// Beams that sensed nothing, and those that sensed something too near.
+    /// Beams without a return, and beams with a return below `range_min`.
     none: Vec<u32>,
     near: Vec<u32>,
 }
 
-/// A row of the panorama, once and a sensed row more round. Peaks and densities are in units of the density of anything.
+/// A row of the panorama, extended by a measured row. Densities are relative to the density of random readings.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Panorama {
     range: Vec<f32>,
     peak: Vec<f32>,
     sharpness: Vec<f32>,
     short: Vec<f32>,
-    /// Logarithms.
+    /// Logarithms of probabilities.
     none: Vec<f32>,
     near: Vec<f32>,
-    /// Factors whose product is surely within f32.
+    /// Number of factors whose product certainly stays within f32.
     steps: usize,
 }
 
@@ -167,7 +165,7 @@ impl HeadingWeights {
         }
     }
 
-    /// Log-likelihoods by heading, from the images of the panorama.
+    /// Returns log-likelihoods by heading, from the panorama's images.
     pub fn weigh(&self, range: &[f32], cos_incidence: &[f32], panorama: &mut Panorama) -> Vec<f32> {
         let arch = pulp::Arch::new();
         let count = self.headings.count as usize;
@@ -181,13 +179,13 @@ impl HeadingWeights {
         self.tempered(&sums)
     }
 
-    /// Log-likelihoods from the sums of the beams' logarithms.
+    /// Returns log-likelihoods from the sums of the beams' logarithms.
     pub fn tempered(&self, sums: &[f64]) -> Vec<f32> {
         sums.iter().map(|sum| (sum / self.model.mixture.beam_dependence) as f32).collect()
     }
 }
 
-/// Makes a row of the panorama. A type, so that it is compiled for each vector width.
+/// Fills a row of the panorama. A type, so that it is compiled for each vector width.
 struct Fill<'a> {
     weigher: &'a HeadingWeights,
     row: &'a Row,
@@ -217,7 +215,7 @@ impl pulp::WithSimd for Fill<'_> {
             for l in 0..LANES.min(n - at) {
                 most = most.max(panorama.push(model, range[l], &beams, l));
                 panorama.none.push(if range[l] == f64::INFINITY { none[1] } else { none[0] });
-                // Logarithms take long, and scanners without a range_min sense nothing too near.
+                // Logarithms are slow, and scanners without a range_min never read below it.
                 panorama.near.push(if near { beams.near[l].ln() as f32 } else { 0.0 });
             }
         }
@@ -230,7 +228,7 @@ impl pulp::WithSimd for Fill<'_> {
     }
 }
 
-/// What some beams may sense.
+/// Densities of some beams' possible readings.
 struct Beams {
     peak: [f64; LANES],
     sharpness: [f64; LANES],
@@ -264,15 +262,15 @@ impl Panorama {
         [range, peak, sharpness, short, none, near]
     }
 
-    /// Takes a beam; the largest factor that it may have.
+    /// Adds a beam. Returns the largest factor that it may have.
     #[inline(always)]
     fn push(&mut self, model: &BeamModel, range: f64, beams: &Beams, l: usize) -> f32 {
         let peak = (beams.peak[l] / model.any) as f32;
         let short = (beams.short[l] / model.any) as f32;
-        // For powers of two.
+        // For powers of two instead of e.
         let sharpness = (-beams.sharpness[l] * std::f64::consts::LOG2_E) as f32;
         let [range, peak, sharpness, short] = match range {
-            // Whatever is sensed is nearer than nothing, and nothing is nearer than what is too near.
+            // A reading is always nearer than no return, and never nearer than a surface below range_min.
             f64::INFINITY => [(2.0 * model.range_max) as f32, 0.0, 0.0, short],
             f64::NEG_INFINITY => [0.0; 4],
             range => [range as f32, peak, sharpness, short],
@@ -310,7 +308,7 @@ impl pulp::WithSimd for Shift<'_> {
     }
 }
 
-/// The logarithm of the product of the factors of all ranges of a row, whose first beam is the panorama's `first`.
+/// Logarithm of the product of all range factors of a row whose first beam is the panorama's `first`.
 #[inline(always)]
 fn ranges<'a>(row: &Row, panorama: &'a Panorama, first: usize) -> f64 {
     const MANTISSA: u32 = 0x007f_ffff;
@@ -332,7 +330,7 @@ fn ranges<'a>(row: &Row, panorama: &'a Panorama, first: usize) -> f64 {
         }
         left -= 1;
         if left == 0 {
-            // Factors are 1 or more: a product keeps a mantissa, and its exponent is counted.
+            // Factors are at least 1: keep the product's mantissa and count its exponent.
             for l in 0..LANES {
                 let bits = product[l].to_bits();
                 exponent[l] += (bits >> 23) - 127;
@@ -351,15 +349,15 @@ fn ranges<'a>(row: &Row, panorama: &'a Panorama, first: usize) -> f64 {
     f64::from(whole) * std::f64::consts::LN_2 + f64::ln(mantissas)
 }
 
-/// 2 to the power of what is not above 0, to 3e-7 of it; about 0 below -126. Without branches, for vectors.
+/// 2^x for x <= 0, to a relative error of 3e-7; about 0 below -126. Without branches, so that it vectorizes.
 #[inline(always)]
 fn exp2(x: f32) -> f32 {
-    /// Added, the last bit of a sum is worth 1.
+    /// After adding it, the last bit of the sum is worth 1.
     const ROUND: f32 = 12_582_912.0;
     let x = if x > -126.0 { x } else { -126.0 };
     let rounded = x + ROUND;
     let f = x - (rounded - ROUND);
-    // 2^f by its Taylor series in f ln 2, |f| <= 1/2: the first term left out is 1.1e-7 at most.
+    // 2^f by its Taylor series in f ln 2, |f| <= 1/2: the first omitted term is at most 1.1e-7.
     let p = 1.540_353e-4 * f + 1.333_355_8e-3;
     let p = p * f + 9.618_129e-3;
     let p = p * f + 5.550_411e-2;

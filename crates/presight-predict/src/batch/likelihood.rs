@@ -1,4 +1,4 @@
-//! How likely a sensed range image is at a pose, given the image predicted there (the formula: `docs/batches.md`).
+//! Likelihood of a measured range image at a pose, given the image predicted there (formula in `docs/batches.md`).
 
 use super::weigh::HeadingModel;
 use super::{Headings, PoseCell};
@@ -6,19 +6,19 @@ use presight_model::error::{Error, Result};
 use presight_model::sensor::{Mixture, Sensor, SensorSpec};
 use presight_render::plan::{BeamNumbers, Weighing};
 
-/// Below this cosine of incidence a beam counts as one that meets the surface at it: the spread of its range has no end.
+/// Lower limit of the cosine of incidence; below it, the spread of the range would be unbounded.
 const LEAST_COS: f64 = 0.05;
 
-/// Something unknown is spread over no less than this, metres, so that its density has a bound.
+/// Unexpected objects are spread over at least this distance, metres, so that their density is bounded.
 const LEAST_RANGE: f64 = 1e-6;
 
-/// No probability is less: a `range_min` may be all but 0, a likelihood not.
+/// Lower limit of probabilities, so that a tiny `range_min` does not make the likelihood 0.
 const LEAST: f64 = 1e-30;
 
-/// A larger variance of directions, radians squared, says no less: a beam may go anywhere.
+/// Upper limit of the variance of directions, radians squared: larger ones make no difference.
 const ANY_TURN: f64 = 1e12;
 
-/// A sensed range image of a sensor, ready to be compared with predictions.
+/// A measured range image of a sensor, prepared for comparison with predictions.
 #[derive(Clone, Debug)]
 pub struct RangeLikelihood {
     sensor: Sensor,
@@ -27,8 +27,8 @@ pub struct RangeLikelihood {
 }
 
 impl RangeLikelihood {
-    /// A range image of the sensor, row-major: metres, `+inf` where nothing was sensed, `-inf` where something was nearer than
-    /// `range_min`, NaN where there is no reading ([`crate::io::log::LogFrame::range`]).
+    /// Takes a range image of the sensor, row-major, metres: `+inf` without a return, `-inf` below `range_min`, NaN
+    /// without a reading ([`crate::io::log::LogFrame::range`]).
     ///
     /// ```
     /// use presight::batch::{PoseCell, RangeLikelihood};
@@ -43,18 +43,19 @@ impl RangeLikelihood {
     /// ```
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] for an image of another size, one without any reading, one that holds what this sensor
-    /// cannot sense, a sensor without `range_sigma` or without a finite `range_max`, or a cell that is not finite.
+    /// [`crate::ErrorKind::Invalid`] for an image of the wrong size or without readings, for readings that this sensor
+    /// cannot deliver, for a sensor without `range_sigma` or finite `range_max`, or for a cell that is not finite.
     pub fn new(sensor: &Sensor, range: Vec<f32>, cell: PoseCell) -> Result<Self> {
         let spec = sensor.spec();
         let pixels = sensor.width() as usize * sensor.height() as usize;
         let remedy = "give a range image of the sensor";
         if range.len() != pixels {
-            let what = format!("the sensed image has {} ranges, sensor {:?} has {pixels} rays", range.len(), spec.name);
+            let what =
+                format!("the measured image has {} ranges, but sensor {:?} has {pixels} rays", range.len(), spec.name);
             return Err(Error::invalid(what, remedy));
         }
         if range.iter().all(|r| r.is_nan()) {
-            return Err(Error::invalid("the sensed image holds no reading", remedy));
+            return Err(Error::invalid("the measured image has no readings", remedy));
         }
         let model = BeamModel::new(sensor, cell)?;
         let possible = |r: f32| match r {
@@ -62,7 +63,7 @@ impl RangeLikelihood {
             r => !(r < spec.range_min as f32) && (!(r > spec.range_max as f32) || r == f32::INFINITY),
         };
         if let Some(i) = range.iter().position(|r| !possible(*r)) {
-            let what = format!("sensor {:?} cannot sense {} m", spec.name, range[i]);
+            let what = format!("sensor {:?} cannot measure {} m", spec.name, range[i]);
             return Err(
                 Error::invalid(what, "give inf beyond range_max, -inf below range_min").at(format!("range {i}"))
             );
@@ -74,29 +75,29 @@ impl RangeLikelihood {
         self.sensor.spec()
     }
 
-    /// The image as it was given.
+    /// The image as passed to [`RangeLikelihood::new`].
     pub fn range(&self) -> &[f32] {
         &self.range
     }
 
-    /// Natural logarithm of the likelihood of the sensed image where `range` and `cos_incidence` are predicted, the images of
-    /// one prediction. Readings have densities in 1 / metre: only differences tell something. Rays without a reading or without a
-    /// prediction are left out.
+    /// Natural logarithm of the likelihood of the measured image, given the predicted images `range` and
+    /// `cos_incidence`. Readings have densities in 1 / metre, so only differences are meaningful. Rays without a
+    /// reading or a prediction are ignored.
     ///
     /// # Panics
-    /// If the images are not of the sensor's size.
+    /// If the images do not have the sensor's size.
     pub fn log_likelihood(&self, range: &[f32], cos_incidence: &[f32]) -> f64 {
         assert!(range.len() == self.range.len() && cos_incidence.len() == range.len(), "the sensor's images");
         let weigh = HeadingModel { model: &self.model, sensed: &self.range, range, cos_incidence };
         self.tempered(pulp::Arch::new().dispatch(weigh))
     }
 
-    /// The log-likelihood of an image from the sum of the beams' logarithms.
+    /// The log-likelihood of an image, from the sum of the beams' logarithms.
     pub(super) fn tempered(&self, sum: f64) -> f64 {
         sum / self.model.mixture.beam_dependence
     }
 
-    /// For an engine that weighs itself, at a pose or at all headings.
+    /// The data for an engine that weighs images itself, at a pose or at all headings.
     pub(super) fn weighing(&self, headings: Option<&Headings>) -> Weighing {
         let width = self.sensor.width();
         let [beams, count, stride] = headings.map_or([width, 1, 0], |h| [h.beams as u32, h.count, h.stride as u32]);
@@ -105,7 +106,7 @@ impl RangeLikelihood {
     }
 }
 
-/// What all beams of a sensor have in common.
+/// Parameters common to all beams of a sensor.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct BeamModel {
     pub mixture: Mixture,
@@ -113,24 +114,23 @@ pub(super) struct BeamModel {
     quadratic: f64,
     /// Variance of the beam's direction and the pose's heading together, radians squared.
     turn: f64,
-    /// Variance of the pose's place, metres squared.
+    /// Variance of the pose's position, metres squared.
     place: f64,
     range_min: f64,
     pub range_max: f64,
-    /// Density of anything, 1 / metre.
+    /// Density of random readings, 1 / metre.
     pub any: f64,
-    /// Probability that anything is nearer than `range_min`.
+    /// Probability of a random reading below `range_min`.
     below: f64,
 }
 
-/// What beams may sense of the surfaces predicted, as densities, 1 / metre.
+/// Densities of readings for the predicted surfaces, 1 / metre.
 #[derive(Clone, Copy, Debug)]
 pub struct Surface<V> {
-    /// Density of a hit at the predicted range, and what its distance squared is multiplied by in the exponent. Without a meaning
-    /// where no range is predicted.
+    /// Density of a hit at the predicted range, and the exponent's factor of the squared deviation; only for hits.
     pub peak: V,
     pub sharpness: V,
-    /// Density nearer than predicted, of something that the model does not have. Without a meaning where that is predicted.
+    /// Density of readings from unexpected nearer objects. Meaningless for surfaces below `range_min`.
     pub short: V,
 }
 
@@ -152,7 +152,7 @@ impl BeamModel {
                 "give widths of 0 or more, in metres and radians",
             ));
         }
-        // Variance of what lies anywhere within a width.
+        // Variance of a uniform distribution.
         let variance = |width: f64| width * width / 12.0;
         let any = spec.noise.mixture.any / spec.range_max;
         Ok(Self {
@@ -168,9 +168,9 @@ impl BeamModel {
         })
     }
 
-    /// For an engine that weighs itself, in f32.
+    /// The parameters in f32, for an engine that weighs images itself.
     pub fn numbers(&self) -> BeamNumbers {
-        // Of what has no share, a logarithm from which nothing comes back.
+        // For a share of 0, a logarithm whose exponential is 0.
         let ln = |p: f64| p.ln().max(-1e4) as f32;
         let Mixture { hit, short, none, .. } = self.mixture;
         BeamNumbers {
@@ -191,7 +191,7 @@ impl BeamModel {
         }
     }
 
-    /// The surfaces at predicted ranges.
+    /// Densities for surfaces at predicted ranges.
     #[inline(always)]
     pub fn surface<S: pulp::Simd>(&self, simd: S, range: S::f64s, cos_incidence: S::f64s) -> Surface<S::f64s> {
         const PER_TWO_PI: f64 = 0.5 / std::f64::consts::PI;
@@ -201,7 +201,7 @@ impl BeamModel {
         let squared = mul(range, range);
         let own = add(of(self.range_sigma), mul(of(self.quadratic), squared));
         let turned = mul(mul(squared, of(self.turn)), simd.sub_f64s(of(1.0), cos_squared));
-        // The variance times the square of the cosine: one division makes its inverse.
+        // The variance times the squared cosine: a single division then gives its inverse.
         let spread = add(add(mul(mul(own, own), cos_squared), turned), of(self.place));
         let inverse = simd.div_f64s(cos_squared, spread);
         let far = simd.max_f64s(simd.min_f64s(range, of(self.range_max)), of(LEAST_RANGE));
@@ -212,7 +212,7 @@ impl BeamModel {
         }
     }
 
-    /// Probabilities of something nearer than `range_min`.
+    /// Probabilities of readings below `range_min`.
     #[inline(always)]
     pub fn near<S: pulp::Simd>(&self, simd: S, range: S::f64s, short: S::f64s) -> S::f64s {
         let near = simd.add_f64s(simd.splat_f64s(self.below), simd.mul_f64s(short, simd.splat_f64s(self.range_min)));

@@ -1,8 +1,8 @@
-//! Batches: one sensor at many poses, one after the other, in bounded memory.
+//! Batches: predictions for one sensor at many poses, in bounded memory.
 //!
-//! [`Predictor::batch`] gives an iterator in the order of the poses. On the CPU one pose is one task. Asked for are images, the
-//! log-likelihood of a sensed image at each pose or at all headings of each place, and statistics. The formula and its
-//! reasons are in `docs/batches.md`.
+//! [`Predictor::batch`] returns an iterator in the order of the poses. On the CPU each pose is a task. A batch can
+//! deliver images, the log-likelihood of a measured image at each pose or at all headings of each place, and
+//! statistics. The formula and its reasons are in `docs/batches.md`.
 
 mod headings;
 mod likelihood;
@@ -31,68 +31,68 @@ use std::iter::Peekable;
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
-/// How far apart poses are that are tried, as widths of the cells that they stand for. A hit is expected anywhere within.
+/// Spacing of the candidate poses, as widths of the cells that they represent. A hit is expected anywhere within.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PoseCell {
-    /// Metres, in every direction.
+    /// Width in each direction, metres.
     pub side: f64,
-    /// Radians, of the heading.
+    /// Width of the heading, radians.
     pub turn: f64,
 }
 
-/// What is asked of each pose.
+/// The results requested for each pose.
 #[derive(Clone, Debug, Default)]
 pub struct BatchRequest {
-    /// Images, as single predictions make them.
+    /// Images as single predictions make them.
     pub images: Option<ImageRequest>,
-    /// The sensed image to weigh.
+    /// The measured image to weigh.
     pub likelihood: Option<RangeLikelihood>,
-    /// Weigh it at all these headings of each place. The poses are places of the sensor; which way they look does not matter.
+    /// Headings at which to weigh it for each place. Poses are then places of the sensor; their headings are ignored.
     pub headings: Option<Headings>,
-    /// The height, metres, at which the world is cut for a level scanner of one row that is only weighed; `None` takes the first
-    /// pose's. Poses at other heights take the path of images, which may differ within the range bound: give it where parts of one batch
-    /// must agree to the last bit.
+    /// The height, metres, at which the world is cut for a level one-row scanner that is only weighed; `None` uses the
+    /// first pose's. Poses at other heights are predicted by images, which may differ within the range bound: set it if
+    /// parts of a batch must be bit-equal.
     pub height: Option<f64>,
-    /// What each prediction did and cost.
+    /// Include statistics of each prediction.
     pub statistics: bool,
-    /// Poses that are worked on together; `None` chooses. Results do not depend on it.
+    /// Number of poses processed together; `None` chooses. Results do not depend on it.
     pub chunk: Option<usize>,
 }
 
-/// What was asked, of one pose.
+/// The results for one pose.
 #[derive(Clone, Debug)]
 pub struct BatchItem {
-    /// Number of the pose, from 0.
+    /// Index of the pose, from 0.
     pub index: usize,
     /// The sensor's pose, body axes; with headings its heading is 0.
     pub world_from_sensor: Pose,
-    /// Empty unless asked for. With headings they are the panorama's.
+    /// Empty unless requested. With headings, the panorama's images.
     pub images: Images,
-    /// Of the sensed image at this pose, see [`RangeLikelihood::log_likelihood`].
+    /// Log-likelihood of the measured image at this pose, see [`RangeLikelihood::log_likelihood`].
     pub log_likelihood: Option<f64>,
-    /// The same by heading; empty unless asked for.
+    /// Log-likelihoods by heading; empty unless requested.
     pub headings: Vec<f32>,
-    /// Statistics, if asked for.
+    /// Statistics, if requested.
     pub stats: Option<Stats>,
 }
 
-/// A batch in progress: an iterator over [`BatchItem`]s in the order of the poses. After an error there is none.
+/// A batch in progress: an iterator over [`BatchItem`]s in the order of the poses. It ends after an error.
 pub struct Batch<'p, I: Iterator> {
     predictor: &'p mut Predictor,
     poses: Peekable<I>,
     task: Task,
-    /// Threads for a pose each; `None` where the engine takes one pose after the other.
+    /// Threads that each process one pose; `None` if the engine processes poses in sequence.
     threads: Option<Threads>,
     lanes: Vec<Mutex<Lane>>,
     chunk: usize,
-    /// Memory of plans.
+    /// Memory for plans.
     buffers: Vec<PlanBuffers>,
     next: usize,
     done: std::vec::IntoIter<Result<BatchItem>>,
     ended: bool,
 }
 
-/// What is done at each pose, the same for all.
+/// The work at each pose, the same for all.
 struct Task {
     world: World,
     /// The sensor, or its panorama.
@@ -100,13 +100,13 @@ struct Task {
     request: ImageRequest,
     wanted: Outputs,
     weigh: Option<HeadingModel>,
-    /// The same for an engine that weighs itself; not where images are asked for as well.
+    /// The same for an engine that weighs images itself; `None` if images are requested too.
     weighing: Option<Weighing>,
     headings: Option<Headings>,
     statistics: bool,
-    /// No image is asked for, and the sensor is one that a cut serves where it is level.
+    /// True if no image is requested and a cut can serve the sensor when it is level.
     by_cut: bool,
-    /// Where the world is cut.
+    /// Height of the cut.
     height: Option<f64>,
 }
 
@@ -115,7 +115,7 @@ enum HeadingModel {
     Headings(Box<HeadingWeights>),
 }
 
-/// What a thread works with.
+/// A thread's own memory and engine.
 #[derive(Default)]
 struct Lane {
     engine: Option<Box<dyn Engine>>,
@@ -125,19 +125,20 @@ struct Lane {
     panorama: Panorama,
 }
 
-/// Bytes of images of a chunk.
+/// Maximum size of the images of a chunk, bytes.
 const CHUNK_BYTES: usize = 64 << 20;
-/// Most poses of a chunk.
+/// Maximum number of poses of a chunk.
 const MOST: usize = 512;
-/// Poses that are planned before an engine draws them together.
+/// Number of poses that are planned before an engine draws them together.
 const TOGETHER: usize = 64;
 
 impl Predictor {
-    /// Predicts at many poses of a sensor (body axes, in the world): an iterator in their order that keeps no more than a chunk of
-    /// them in memory. Images are those of [`Predictor::predict`], bit for bit. Results do not depend on chunks or threads.
+    /// Predicts at many poses of a sensor (world from sensor, body axes). The iterator returns items in order and keeps
+    /// a chunk in memory at most. Images are bit-equal to [`Predictor::predict`]. Results do not depend on chunks and
+    /// threads.
     ///
-    /// Where a level scanner of one row is only weighed, what it sees is found in a cut of the world at its height
-    /// ([`BatchRequest::height`]), which is kept for the version of the world. On the GPU many poses go out in one submission.
+    /// If a level one-row scanner is only weighed, its view comes from a cut of the world at its height
+    /// ([`BatchRequest::height`]), kept for the version of the world. A GPU draws many poses in one submission.
     ///
     /// ```
     /// use presight::batch::{BatchRequest, PoseCell, RangeLikelihood};
@@ -151,14 +152,15 @@ impl Predictor {
     /// let world = World::new(Environment::new());
     /// let poses = vec![Pose::IDENTITY; 3];
     /// let all: Vec<_> = predictor.batch(&world, &sensor, poses, &request)?.collect::<Result<_, _>>()?;
-    /// // Nothing is there, and nothing was sensed: p_hit and p_none together, for each beam.
+    /// No surface and no return: p_hit and p_none together, for each beam.
     /// assert!((all[2].log_likelihood.unwrap() - 361.0 * 0.8f64.ln()).abs() < 1e-9);
     /// # Ok::<(), presight::Error>(())
     /// ```
     ///
     /// # Errors
-    /// Those of [`Request::check`]; [`crate::ErrorKind::Usage`] for headings without a sensed image, for a sensed image or headings of another sensor, and
-    /// for a chunk of 0. Of each pose, those of [`Predictor::predict`] and [`Headings::place`], with the pose's number.
+    /// The errors of [`Request::check`]; [`crate::ErrorKind::Usage`] for headings without a measured image, another
+    /// sensor's image or headings, or a chunk of 0. For each pose, the errors of [`Predictor::predict`] and
+    /// [`Headings::place`].
     pub fn batch<I: IntoIterator<Item = Pose>>(
         &mut self,
         world: &World,
@@ -175,7 +177,7 @@ impl Predictor {
         };
         let count = threads.as_ref().map_or(Ok(1), |threads| threads.run(rayon::current_num_threads))?;
         let chunk = match request.chunk {
-            Some(0) => return Err(Error::usage("a batch in chunks of 0 poses", "give 1 or more, or none")),
+            Some(0) => return Err(Error::usage("a chunk cannot have 0 poses", "give 1 or more, or none")),
             Some(chunk) => chunk,
             None => (CHUNK_BYTES / task.bytes().max(1)).clamp(count, MOST.max(count)),
         };
@@ -203,15 +205,15 @@ impl Predictor {
 impl Task {
     fn new(world: &World, sensor: &Sensor, request: &BatchRequest) -> Result<Self> {
         let other = |what: &str| {
-            let what = format!("{what} is of another sensor than {:?}", sensor.spec().name);
+            let what = format!("{what} does not belong to sensor {:?}", sensor.spec().name);
             Err(Error::usage(what, "make it from the sensor of the batch"))
         };
         let weigh = match (&request.likelihood, &request.headings) {
-            (Some(sensed), _) if sensed.sensor() != sensor.spec() => return other("the sensed image"),
+            (Some(sensed), _) if sensed.sensor() != sensor.spec() => return other("the measured image"),
             (Some(_), Some(headings)) if headings.sensor() != sensor.spec() => return other("the set of headings"),
             (None, Some(_)) => {
-                let remedy = "give the likelihood's sensed image, or a pose for each heading";
-                return Err(Error::usage("all headings at once: there is no sensed image to weigh", remedy));
+                let remedy = "give the likelihood's measured image, or a pose for each heading";
+                return Err(Error::usage("all headings at once: there is no measured image to weigh", remedy));
             }
             (Some(sensed), Some(headings)) => {
                 Some(HeadingModel::Headings(Box::new(HeadingWeights::new(headings, sensed))))
@@ -244,24 +246,24 @@ impl Task {
         })
     }
 
-    /// Bytes that an item takes.
+    /// Size of an item, bytes.
     fn bytes(&self) -> usize {
         let pixels = self.sensor.width() as usize * self.sensor.height() as usize;
         4 * pixels * self.wanted.numbers() + self.headings.as_ref().map_or(0, |h| 4 * h.count() as usize)
     }
 
-    /// Room for the images of an item.
+    /// Allocates the images of an item.
     fn room(&self) -> Result<Images> {
         Images::with_room(self.sensor.width() as usize * self.sensor.height() as usize, self.wanted)
     }
 
-    /// The pose at which is predicted.
+    /// The pose for the prediction.
     fn pose(&self, given: &Pose) -> Result<Pose> {
         given.check()?;
         self.headings.as_ref().map_or(Ok(*given), |headings| headings.place(given))
     }
 
-    /// All that is asked of a pose, in a thread's own memory and by its own engine; images that are kept in `room`.
+    /// Produces the item of a pose, with a thread's own memory and engine; kept images go to `room`.
     fn run(&self, index: usize, given: &Pose, room: Images, cuts: &RowCuts, lane: &mut Lane) -> Result<BatchItem> {
         let pose = self.pose(given)?;
         let scratch = std::mem::replace(&mut lane.images, room);
@@ -279,7 +281,7 @@ impl Task {
         Ok(self.finish(index, pose, stats, Drawn::Images(&mut lane.images), &mut lane.panorama))
     }
 
-    /// Fills a lane's range and cos_incidence by a cut of the world; false where none serves.
+    /// Fills a lane's range and cos_incidence from a cut of the world. Returns false if no cut applies.
     fn see_by_cut(&self, pose: &Pose, cuts: &RowCuts, lane: &mut Lane, stats: &mut Stats) -> bool {
         let serves = self.height == Some(pose.translation.z) && is_level(pose);
         let Some(view) = lane.view.as_mut().filter(|_| serves) else { return false };
@@ -291,7 +293,7 @@ impl Task {
         true
     }
 
-    /// Weighs images, unless that was done, and keeps of them what was asked for.
+    /// Weighs images unless the engine did, and keeps the requested ones.
     fn finish(
         &self,
         index: usize,
@@ -322,13 +324,13 @@ impl Task {
         BatchItem { index, world_from_sensor, images, log_likelihood, headings, stats }
     }
 
-    /// The images that were asked for; the others stay.
+    /// Takes the requested images out; the others stay.
     fn keep(&self, images: &mut Images) -> Images {
         let kept = std::mem::take(images);
         self.take_scratch(kept, images)
     }
 
-    /// Moves what is only weighed to other images, and returns the rest.
+    /// Moves images that are only needed for weighing to `to`, and returns the rest.
     fn take_scratch(&self, mut from: Images, to: &mut Images) -> Images {
         if !self.wanted.has(Output::Range) {
             to.range = std::mem::take(&mut from.range);
@@ -341,7 +343,7 @@ impl Task {
 }
 
 impl<I: Iterator<Item = Pose>> Batch<'_, I> {
-    /// Works on the next chunk; false at the end of the poses.
+    /// Processes the next chunk. Returns false after the last pose.
     fn advance(&mut self) -> bool {
         let poses: Vec<(usize, Pose)> = (self.next..).zip(self.poses.by_ref().take(self.chunk)).collect();
         if poses.is_empty() {
@@ -352,10 +354,10 @@ impl<I: Iterator<Item = Pose>> Batch<'_, I> {
         let done: Result<Vec<Result<BatchItem>>> = match &self.threads {
             Some(threads) => {
                 let (task, lanes, cuts) = (&self.task, &self.lanes, self.predictor.row_cuts());
-                // Allocated by the thread that frees them, as is the list: allocators keep memory by thread.
+                // Allocated by the thread that frees it, like the list, because allocators keep memory per thread.
                 let rooms: Result<Vec<Images>> = poses.iter().map(|_| task.room()).collect();
                 let work = |(given, room): (&(usize, Pose), Images)| {
-                    // Nothing in it hands work to other threads: no lane is asked for twice at a time.
+                    // The work never yields to another task, so a thread's lane is used once at a time.
                     let lane = &lanes[rayon::current_thread_index().unwrap_or(0) % lanes.len()];
                     let mut lane = lane.lock().unwrap_or_else(PoisonError::into_inner);
                     task.run(given.0, &given.1, room, cuts, &mut lane).map_err(|e| placed(given, e))
@@ -372,7 +374,7 @@ impl<I: Iterator<Item = Pose>> Batch<'_, I> {
         true
     }
 
-    /// Poses by the predictor's own engine, up to the first error.
+    /// Processes poses with the predictor's own engine, up to the first error.
     fn by_engine(&mut self, poses: &[(usize, Pose)]) -> Vec<Result<BatchItem>> {
         let mut done = Vec::with_capacity(poses.len());
         for some in poses.chunks(TOGETHER) {
@@ -386,7 +388,7 @@ impl<I: Iterator<Item = Pose>> Batch<'_, I> {
         done
     }
 
-    /// Adds the items of some poses; with an error, those before it.
+    /// Adds the items of some poses; on an error, only the items before it.
     fn some_by_engine(&mut self, poses: &[(usize, Pose)], done: &mut Vec<Result<BatchItem>>) -> Result<()> {
         let Self { predictor, task, lanes, buffers, .. } = self;
         let lane = lanes[0].get_mut().unwrap_or_else(PoisonError::into_inner);

@@ -1,4 +1,4 @@
-//! Panoramas of many places, kept, so that sensed images are weighed at all of them without predicting again.
+//! Stored panoramas of many places: measured images are weighed at all of them without another prediction.
 
 use super::headings::{HeadingWeights, Headings, Panorama};
 use super::likelihood::RangeLikelihood;
@@ -12,7 +12,7 @@ use presight_render::plan::{Images, Output, Outputs};
 use presight_render::row::RowView;
 use rayon::prelude::*;
 
-/// What a level scanner sees all round at places of one version of a world.
+/// Full-turn views of a level scanner at places in one version of a world.
 #[derive(Clone, Debug)]
 pub struct Panoramas {
     headings: Headings,
@@ -23,10 +23,11 @@ pub struct Panoramas {
 }
 
 impl Predictor {
-    /// Predicts the panorama of `headings` at places of the sensor, all of one height, and keeps it: eight bytes for each beam.
+    /// Predicts and stores the panorama of `headings` at places of the sensor, all at one height: eight bytes per beam.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::System`] if there is no memory for them; those of [`Predictor::predict_images`].
+    /// [`crate::ErrorKind::Usage`] for places at several heights; [`crate::ErrorKind::System`] if there is no memory
+    /// for them; the errors of [`Predictor::predict_images`].
     pub fn panoramas(&mut self, world: &World, headings: &Headings, places: Vec<DVec3>) -> Result<Panoramas> {
         let sensor = headings.panorama();
         let beams = sensor.width() as usize * sensor.height() as usize;
@@ -42,7 +43,7 @@ impl Predictor {
             };
             let same_height = places.iter().all(|p| p.z == first.z);
             if !same_height {
-                return Err(Error::usage("panoramas at several heights", "give the places of one height at a time"));
+                return Err(Error::usage("the places have several heights", "give the places of one height at a time"));
             }
             let all: Vec<_> = self.on_threads(|| places.par_iter().map_init(|| view.clone(), see).collect())?;
             for (r, c) in all {
@@ -61,13 +62,13 @@ impl Predictor {
         Ok(Panoramas { headings: headings.clone(), places, range, cos_incidence })
     }
 
-    /// Log-likelihoods of a sensed image at all headings of all places, place by place.
+    /// Log-likelihoods of a measured image at all headings of all places, place by place.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] if the image is of another sensor than the panoramas.
+    /// [`crate::ErrorKind::Usage`] if the image belongs to another sensor than the panoramas.
     pub fn weigh_panoramas(&mut self, panoramas: &Panoramas, sensed: &RangeLikelihood) -> Result<Vec<f32>> {
         if sensed.sensor() != panoramas.headings.sensor() {
-            let what = "the sensed image is of another sensor than the panoramas";
+            let what = "the measured image belongs to another sensor than the panoramas";
             return Err(Error::usage(what, "make both from one sensor"));
         }
         let weigher = HeadingWeights::new(&panoramas.headings, sensed);
@@ -80,7 +81,7 @@ impl Predictor {
 }
 
 impl Panoramas {
-    /// The headings that they show.
+    /// The headings of these panoramas.
     pub fn headings(&self) -> &Headings {
         &self.headings
     }
@@ -90,7 +91,7 @@ impl Panoramas {
         &self.places
     }
 
-    /// Leaves out the places whose ranges are refused.
+    /// Removes the places whose ranges `keep` rejects.
     pub fn retain(&mut self, keep: impl Fn(&[f32]) -> bool) {
         let beams = self.beams();
         let kept: Vec<usize> =

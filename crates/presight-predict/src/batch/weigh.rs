@@ -3,14 +3,14 @@
 use super::likelihood::BeamModel;
 use std::f64::consts::{LN_2, LOG2_E};
 
-/// Beams that are worked on together.
+/// Number of beams processed together.
 const LANES: usize = 8;
 
-/// Adds up the logarithms of the densities of all beams. A type, so that it is compiled for each vector width; none of them
-/// changes a bit, for sums and products have the same order and are not fused.
+/// Sums the log-densities of all beams. A type, so that it is compiled for each vector width. The result is bit-equal
+/// for all widths, because the order of operations is fixed and none are fused.
 pub(super) struct HeadingModel<'a> {
     pub model: &'a BeamModel,
-    /// Three images of one size.
+    /// Three images of equal size: measured ranges, predicted ranges, predicted cosines.
     pub sensed: &'a [f32],
     pub range: &'a [f32],
     pub cos_incidence: &'a [f32],
@@ -28,7 +28,7 @@ impl pulp::WithSimd for HeadingModel<'_> {
         for ((sensed, range), cos) in sensed.iter().zip(range).zip(cos) {
             product.take(&Densities::of(simd, self.model, [sensed, range, cos]));
         }
-        // Beams that are not there have no reading.
+        // Beams beyond the end have no reading.
         let filled = |rest: &[f32]| std::array::from_fn(|l| rest.get(l).copied().unwrap_or(f32::NAN));
         let [sensed, range, cos] = [filled(sensed_rest), filled(range_rest), filled(cos_rest)];
         product.take(&Densities::of(simd, self.model, [&sensed, &range, &cos]));
@@ -38,19 +38,19 @@ impl pulp::WithSimd for HeadingModel<'_> {
 
 type Lanes = [f64; LANES];
 
-/// Densities of readings, or probabilities of what has none: `rest` and `peak` times a power of two.
+/// Densities of readings, or probabilities of missing ones: `rest` plus `peak` times a power of two.
 struct Densities {
     peak: Lanes,
-    /// The power in its last bits: see [`ROUND`].
+    /// The exponent, in the last bits: see [`ROUND`].
     power: Lanes,
     rest: Lanes,
 }
 
-/// Added, the last bit of a sum is worth 1.
+/// After adding it, the last bit of the sum is worth 1.
 const ROUND: f64 = 6_755_399_441_055_744.0;
 
 impl Densities {
-    /// From readings, predicted ranges and their cosines; 1 without a reading or a prediction.
+    /// Computes them from readings, predicted ranges and cosines; 1 without a reading or a prediction.
     #[inline(always)]
     fn of<S: pulp::Simd>(simd: S, model: &BeamModel, images: [&[f32; LANES]; 3]) -> Self {
         let [sensed, range, cos] = images.map(|image| image.map(f64::from));
@@ -89,14 +89,14 @@ fn mixed<S: pulp::Simd>(simd: S, model: &BeamModel, sensed: S::f64s, range: S::f
     let near_sensed = simd.equal_f64s(sensed, nearest);
     let rest = simd.select_f64s(none_sensed, none, rest);
     let rest = simd.select_f64s(near_sensed, model.near(simd, range, surface.short), rest);
-    // NaN is not equal to itself.
+    // NaN differs from itself.
     let known = simd.and_m64s(simd.equal_f64s(sensed, sensed), simd.equal_f64s(range, range));
     let finite = |v| simd.less_than_f64s(simd.abs_f64s(v), infinity);
     let hit = simd.and_m64s(finite(sensed), finite(range));
     [simd.select_f64s(hit, peak, zero), rounded, simd.select_f64s(known, rest, of(1.0))]
 }
 
-/// The exponential of t, |t| <= ln 2 / 2, by its Taylor series: the first term left out is 6e-15.
+/// exp(t) for |t| <= ln 2 / 2, by its Taylor series: the first omitted term is 6e-15.
 #[inline(always)]
 fn exp<S: pulp::Simd>(simd: S, t: S::f64s) -> S::f64s {
     const OVER_FACTORIALS: [f64; 11] = [
@@ -119,11 +119,11 @@ fn exp<S: pulp::Simd>(simd: S, t: S::f64s) -> S::f64s {
     p
 }
 
-/// Products of factors above 0, with exponents apart, so that none is too large or too small.
+/// Products of positive factors, with separate exponents against overflow and underflow.
 struct Product {
-    /// In 1..2.
+    /// Each in 1..2.
     mantissas: Lanes,
-    /// Powers of two, each [`BIAS`] too large.
+    /// Exponents of two, each with a surplus of [`BIAS`] per factor.
     exponents: [u64; LANES],
     factors: u64,
 }

@@ -1,4 +1,4 @@
-//! The GPU engine as this build has it. Outside of `gpu` only this file asks whether there is one.
+//! The GPU engine, if this build has it. Outside of `gpu` only this file depends on that.
 
 use super::Engine;
 use presight_model::error::Result;
@@ -38,14 +38,14 @@ mod with_gpu {
     use presight_render::plan::{Drawn, FramePlan, Images, Stats, Weighing, Work};
     use presight_render::verify::Precision;
 
-    /// On the most capable adapter; on hardware or none, if asked.
+    /// Opens the most capable adapter, or only a hardware adapter on request.
     pub fn open_gpu(threads: &Threads, hardware_only: bool, raster: Raster) -> Result<Box<dyn Engine>> {
         let options = DeviceOptions { hardware_only, raster, ..DeviceOptions::default() };
         let engine = gpu::GpuEngine::new(options)?;
         Ok(Box::new(engine.with_threads(threads.clone())))
     }
 
-    /// With 32-bit keys, and every stage on the device.
+    /// Opens it with 32-bit keys and every stage on the device.
     pub fn open_narrow_gpu(threads: &Threads) -> Result<Box<dyn Engine>> {
         let setup = testing::Setup { all_on_device: true, ..testing::Setup::default() };
         let engine = testing::open(DeviceOptions { without_int64: true, ..DeviceOptions::default() }, setup)?;

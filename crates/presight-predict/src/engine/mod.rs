@@ -1,4 +1,4 @@
-//! What every engine can do, and the one list of engines.
+//! The interface of engines, and the list of all engines.
 
 mod backend;
 
@@ -15,7 +15,7 @@ use presight_render::verify::Precision;
 use std::any::Any;
 use std::time::Instant;
 
-/// An engine: it draws the images that a plan requests.
+/// An engine: draws the images that a plan requests.
 ///
 /// ```
 /// use presight::engine::EngineKind;
@@ -30,24 +30,24 @@ use std::time::Instant;
 /// # Ok::<(), presight::Error>(())
 /// ```
 pub trait Engine: Any + Send {
-    /// Its name for people: `reference`, `cpu`, or `gpu` with its adapter.
+    /// Name for messages: `reference`, `cpu`, or `gpu` with its adapter.
     fn name(&self) -> String;
 
-    /// Its arithmetic, which fixes its error bounds.
+    /// Precision of its arithmetic, which determines its error bounds.
     fn precision(&self) -> Precision;
 
-    /// Fills the requested images, and counts what that took.
+    /// Fills the requested images and records statistics.
     ///
     /// # Errors
-    /// Those of [`crate::Pose::check`]; [`crate::ErrorKind::System`] and [`crate::ErrorKind::Invalid`] for images or polygons that
-    /// are too many; [`crate::ErrorKind::DeviceLost`] and [`crate::ErrorKind::DeviceMemory`] of an engine on a device.
+    /// The errors of [`crate::Pose::check`]; [`crate::ErrorKind::System`] or [`crate::ErrorKind::Invalid`] for too many
+    /// images or polygons; [`crate::ErrorKind::DeviceLost`] or [`crate::ErrorKind::DeviceMemory`] from a device.
     fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()>;
 
-    /// Draws plans of one sensor and hands over each one's images, in their order. An engine that can may weigh them itself, and
-    /// hands over sums. After an error those that were handed over are right.
+    /// Draws plans of one sensor and hands over their images in order. An engine may weigh images itself and hand over
+    /// sums instead. Results handed over before an error are valid.
     ///
     /// # Errors
-    /// As [`Engine::render`].
+    /// Same as [`Engine::render`].
     fn render_many(
         &mut self,
         plans: &[FramePlan],
@@ -63,79 +63,79 @@ pub trait Engine: Any + Send {
         Ok(())
     }
 
-    /// An engine of the same images for one task of many on the same threads: it does all its work on the thread that calls.
-    /// `None` for an engine that cannot be one of several.
+    /// Returns an engine with equal images for one of many parallel tasks; it works only on the calling thread. `None`
+    /// if the engine cannot have several instances.
     fn for_task(&self) -> Option<Box<dyn Engine>> {
         None
     }
 
-    /// What it is if it stops by a plan's clock; `None` if it cannot keep a deadline.
+    /// Describes the engine for deadlines; `None` if it cannot stop by a plan's clock.
     fn with_deadline(&self) -> Option<DeadlineEngine> {
         None
     }
 
-    /// The device that it works on, if it works on one.
+    /// The device that the engine uses, if any.
     fn device(&mut self) -> Option<&mut dyn Device> {
         None
     }
 }
 
-/// A device whose driver may be at fault, that can be lost, and that may do a part of the features.
+/// A device whose driver may be faulty, which may be lost, and which may process features.
 pub trait Device {
-    /// Its name, for messages.
+    /// Name for messages.
     fn adapter(&self) -> String;
 
-    /// Opens it again after it was lost.
+    /// Opens the device again after it was lost.
     ///
     /// # Errors
     /// [`crate::ErrorKind::NoDevice`] if it is gone.
     fn reopen(&mut self) -> Result<()>;
 
-    /// What rasterizes images of pinhole cameras.
+    /// The rasterizer for images of pinhole cameras.
     fn raster(&self) -> Raster {
         Raster::Compute
     }
 
-    /// Opens it again for compute spans alone.
+    /// Opens the device again without the hardware rasterizer.
     ///
     /// # Errors
-    /// As [`Device::reopen`].
+    /// Same as [`Device::reopen`].
     fn take_compute(&mut self) -> Result<()> {
         self.reopen()
     }
 
-    /// False if features are left to the CPU: a software adapter would run them on the same cores, by a detour.
+    /// False if features are better left to the CPU: a software adapter uses the same cores, with overhead.
     fn takes_features(&self) -> bool;
 
-    /// True if it still holds the images that were rendered last.
+    /// True if it still holds the last rendered images.
     fn holds_images(&self) -> bool;
 
-    /// Finds what hides samples of features, from the images that were rendered last, in the order of the samples.
+    /// Finds occluders of feature samples in the last rendered images, in the order of the samples.
     ///
     /// # Errors
-    /// As [`Engine::render`].
+    /// Same as [`Engine::render`].
     fn query_occlusion(&mut self, samples: &FeatureSamples<'_>) -> Result<Vec<OcclusionHint>>;
 
     /// [`features::add_boxes`] on the device. Returns how many boxes the device made; the CPU makes the others.
     ///
     /// # Errors
-    /// As [`Engine::render`]; [`crate::ErrorKind::Usage`] for a confidence outside 0.5..1.
+    /// Same as [`Engine::render`], and [`crate::ErrorKind::Usage`] for a confidence outside 0.5..1.
     fn add_boxes(&mut self, prediction: &mut FeaturePrediction, query: &BoxQuery<'_>) -> Result<usize>;
 
-    /// What it has done since it was opened.
+    /// Work done since it was opened.
     fn work(&self) -> Work;
 }
 
-/// The engines of presight, in the order in which studies list them.
+/// The engines of presight, in the order of studies' tables.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum EngineKind {
-    /// The plain rasterizer in f64 that the others are compared with.
+    /// The simple f64 rasterizer that verifies the others.
     Reference,
     /// The CPU engine.
     Cpu,
-    /// The GPU engine as it opens on the most capable adapter, including software adapters.
+    /// The GPU engine on the most capable adapter, including software adapters.
     Gpu,
-    /// The same with the hardware rasterizer for pinhole cameras.
+    /// The GPU engine with the hardware rasterizer for pinhole cameras.
     GpuRender,
     /// The GPU engine with 32-bit keys in two passes, every stage on the device.
     GpuNarrow,
@@ -145,7 +145,7 @@ impl EngineKind {
     /// Every engine.
     pub const ALL: [Self; 5] = [Self::Reference, Self::Cpu, Self::Gpu, Self::GpuRender, Self::GpuNarrow];
 
-    /// Its name in tables.
+    /// Name in tables.
     pub fn name(self) -> &'static str {
         match self {
             Self::Reference => "reference",
@@ -156,12 +156,12 @@ impl EngineKind {
         }
     }
 
-    /// True if it needs a graphics adapter.
+    /// True if it needs a GPU adapter.
     pub fn needs_device(self) -> bool {
         matches!(self, Self::Gpu | Self::GpuRender | Self::GpuNarrow)
     }
 
-    /// Opens it; its work on the CPU is done on these threads.
+    /// Opens the engine; these threads do its CPU work.
     ///
     /// # Errors
     /// [`crate::ErrorKind::NoDevice`] without an adapter, or in a build without the GPU engine;
@@ -177,7 +177,7 @@ impl EngineKind {
     }
 }
 
-/// The reference as an engine. It tests every polygon, whatever the plan selected.
+/// The reference as an engine. It tests every polygon and ignores the plan's selection.
 struct Reference {
     threads: Threads,
 }
@@ -224,11 +224,11 @@ impl Engine for cpu::CpuEngine {
     }
 }
 
-/// Adds regions of interest where this engine does them: on its device, otherwise on these threads. Returns how many boxes
-/// the device made; `None` if it took no part.
+/// Adds regions of interest on the engine's device or, without one, on these threads. Returns how many boxes the device
+/// made; `None` if no device was used.
 ///
 /// # Errors
-/// As [`Device::add_boxes`].
+/// Same as [`Device::add_boxes`].
 #[doc(hidden)]
 pub fn add_boxes(
     engine: &mut dyn Engine,

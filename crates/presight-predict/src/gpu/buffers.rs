@@ -1,4 +1,4 @@
-//! Buffers that grow geometrically and otherwise stay, and the one through which all uploads of a frame go.
+//! Device buffers that grow geometrically and never shrink, and the staging buffer for a frame's uploads.
 
 use super::device::Gpu;
 use presight_model::error::{ErrorKind, Result};
@@ -13,23 +13,23 @@ pub(super) struct Growable {
     bound: bool,
 }
 
-/// Smallest size, bytes.
+/// Minimum size, bytes.
 const LEAST: u64 = 1 << 12;
 
 impl Growable {
-    /// A storage buffer.
+    /// Creates a storage buffer.
     pub fn storage(gpu: &Gpu, label: &'static str) -> Self {
         use wgpu::BufferUsages as U;
         Self::new(gpu, label, U::STORAGE | U::COPY_DST | U::COPY_SRC, true)
     }
 
-    /// A buffer of any use; `bound` says whether it is bound whole, so that the limit of a binding holds.
+    /// Creates a buffer for any usage. `bound`: the whole buffer is bound, so the device's limit for bindings applies.
     pub fn new(gpu: &Gpu, label: &'static str, usage: wgpu::BufferUsages, bound: bool) -> Self {
         let buffer = create(gpu, label, usage, LEAST);
         Self { label, usage, buffer, bound }
     }
 
-    /// A uniform buffer of a size that never changes.
+    /// Creates a uniform buffer of fixed size.
     pub fn uniform(gpu: &Gpu, label: &'static str, bytes: u64) -> Self {
         let usage = wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST;
         Self { label, usage, buffer: create(gpu, label, usage, bytes), bound: false }
@@ -39,10 +39,10 @@ impl Growable {
         &self.buffer
     }
 
-    /// Makes room for so many bytes; true if the buffer is another one now, with unspecified contents.
+    /// Makes room for this many bytes. Returns true if the buffer was replaced; its contents are then unspecified.
     ///
     /// # Errors
-    /// [`ErrorKind::DeviceMemory`] if one binding cannot hold it or the device has no room.
+    /// [`ErrorKind::DeviceMemory`] if the size exceeds the limit of a binding or the device is out of memory.
     pub fn reserve(&mut self, gpu: &Gpu, bytes: u64) -> Result<bool> {
         if bytes <= self.buffer.size() {
             return Ok(false);
@@ -65,7 +65,7 @@ impl Growable {
     }
 }
 
-/// What the host writes to is mapped from the start.
+/// Buffers that the host writes to are created mapped.
 fn create(gpu: &Gpu, label: &str, usage: wgpu::BufferUsages, size: u64) -> wgpu::Buffer {
     gpu.made.buffers.add();
     gpu.made.bytes.add_many(size);
@@ -73,7 +73,7 @@ fn create(gpu: &Gpu, label: &str, usage: wgpu::BufferUsages, size: u64) -> wgpu:
     gpu.device.create_buffer(&wgpu::BufferDescriptor { label: Some(label), size, usage, mapped_at_creation })
 }
 
-/// How a mapping that was asked for went; the device's callback tells.
+/// State of a requested mapping, set by the device's callback.
 #[derive(Clone, Default)]
 pub(super) struct Mapping(Arc<AtomicU8>);
 
@@ -82,7 +82,7 @@ const MAPPED: u8 = 1;
 const REFUSED: u8 = 2;
 
 impl Mapping {
-    /// Asks for it; what comes of it is known after [`Gpu::wait`].
+    /// Requests the mapping; [`Mapping::check`] reports the result after [`Gpu::wait`].
     pub fn ask(&self, buffer: &wgpu::Buffer, mode: wgpu::MapMode, bytes: u64) {
         self.0.store(WAITING, Ordering::Release);
         let told = self.0.clone();
@@ -97,22 +97,22 @@ impl Mapping {
         match self.0.load(Ordering::Acquire) {
             MAPPED => Ok(()),
             REFUSED => Err(gpu.error(ErrorKind::DeviceLost, &format!("{what} cannot be mapped"))),
-            _ => Err(gpu.error(ErrorKind::DeviceLost, &format!("{what} is not mapped in time"))),
+            _ => Err(gpu.error(ErrorKind::DeviceLost, &format!("{what} was not mapped in time"))),
         }
     }
 }
 
-/// All uploads of a frame: collected, then copied to the device from one buffer that is mapped again after each frame.
-/// `Queue::write_buffer` would make a staging buffer inside wgpu every time.
+/// Collects a frame's uploads and copies them to the device from one staging buffer, which is mapped again after each
+/// frame. `Queue::write_buffer` would allocate a staging buffer inside wgpu every time.
 pub(super) struct Uploads {
     staging: Growable,
-    /// Of the staging buffer, from the second frame on.
+    /// Mapping of the staging buffer; `None` for the first frame, when the buffer is mapped by its creation.
     mapping: Option<Mapping>,
     bytes: Vec<u8>,
     copies: Vec<Copy>,
 }
 
-/// From the staging buffer at `from`.
+/// A copy from offset `from` of the staging buffer.
 struct Copy {
     from: u64,
     to: wgpu::Buffer,
@@ -127,13 +127,13 @@ impl Uploads {
         Self { staging, mapping: None, bytes: Vec::new(), copies: Vec::new() }
     }
 
-    /// Begins a frame: forgets what one that failed has left.
+    /// Begins a frame: discards what a failed frame left behind.
     pub fn clear(&mut self) {
         self.bytes.clear();
         self.copies.clear();
     }
 
-    /// Takes whole words that shall lie in a buffer from byte `at` on.
+    /// Schedules whole words for upload to a buffer, from byte `at` on.
     pub fn put(&mut self, to: &Growable, at: u64, bytes: &[u8]) {
         debug_assert!(bytes.len().is_multiple_of(4), "whole words");
         if !bytes.is_empty() {
@@ -143,12 +143,12 @@ impl Uploads {
         }
     }
 
-    /// Copies that wait to be encoded.
+    /// Number of copies not yet encoded.
     pub fn waiting(&self) -> usize {
         self.copies.len()
     }
 
-    /// Writes what was taken to the staging buffer.
+    /// Writes the collected bytes to the staging buffer.
     ///
     /// # Errors
     /// [`ErrorKind::DeviceMemory`], [`ErrorKind::DeviceLost`].
@@ -171,24 +171,24 @@ impl Uploads {
         Ok(())
     }
 
-    /// Writes what was taken and encodes all copies.
+    /// Writes the collected bytes and encodes all copies.
     ///
     /// # Errors
-    /// Those of [`Uploads::write`].
+    /// Same as [`Uploads::write`].
     pub fn encode(&mut self, gpu: &Gpu, encoder: &mut wgpu::CommandEncoder) -> Result<()> {
         self.write(gpu)?;
         self.encode_some(encoder, self.copies.len());
         Ok(())
     }
 
-    /// Encodes the first of the copies that wait.
+    /// Encodes the first `count` waiting copies.
     pub fn encode_some(&mut self, encoder: &mut wgpu::CommandEncoder, count: usize) {
         for copy in self.copies.drain(..count) {
             encoder.copy_buffer_to_buffer(self.staging.buffer(), copy.from, &copy.to, copy.at, copy.bytes);
         }
     }
 
-    /// Asks for the staging buffer again, after the copies were submitted.
+    /// Requests the staging buffer again, after the copies were submitted.
     pub fn recall(&mut self) {
         self.mapping.get_or_insert_default().ask(
             self.staging.buffer(),

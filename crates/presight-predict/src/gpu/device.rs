@@ -1,33 +1,33 @@
-//! The adapter and device, and their faults as typed errors.
+//! The adapter and the device. Device faults become typed errors.
 
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_render::plan::{Raster, Work};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// The adapter that an engine would take or has taken.
+/// An adapter that an engine can use.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Adapter {
-    /// Name as the driver gives it.
+    /// Name reported by the driver.
     pub name: String,
     /// Driver and its version.
     pub driver: String,
     /// `vulkan`, `metal`, `dx12`.
     pub api: String,
-    /// A real GPU, and not a program like lavapipe that plays one.
+    /// A real GPU, not a software implementation such as lavapipe.
     pub hardware: bool,
 }
 
-/// What an engine's device was found able to do.
+/// Capabilities of an engine's device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Abilities {
-    /// Nearest surface and its id in one 64-bit atomic maximum; otherwise in two passes of 32 bits.
+    /// The nearest surface and its id fit one 64-bit atomic maximum; otherwise two 32-bit passes are needed.
     pub int64_atomics: bool,
-    /// Times of stages.
+    /// The device measures stage times.
     pub timestamps: bool,
-    /// The hardware rasterizer can write what the compute stages write.
+    /// The hardware rasterizer can write the buffers that the compute stages write.
     pub render: bool,
-    /// Most bytes of one buffer.
+    /// Maximum size of a bound buffer, bytes.
     pub largest_binding: u64,
 }
 
@@ -40,36 +40,35 @@ impl std::fmt::Display for Adapter {
 /// How to choose and use an adapter.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct DeviceOptions {
-    /// Take a real GPU or none.
+    /// Accept real GPUs only.
     pub hardware_only: bool,
-    /// Take this one of [`adapters`], by its place from 0, instead of the most capable.
+    /// Use this index into [`adapters`] instead of the most capable adapter.
     pub adapter: Option<usize>,
-    /// Do without 64-bit atomics even where there are some: two passes of 32 bits.
+    /// Do not use 64-bit atomics, even if available: draw in two passes of 32 bits.
     pub without_int64: bool,
-    /// What rasterizes. [`Raster::Render`] is taken where the adapter can; [`super::GpuEngine::raster`] tells.
+    /// The requested rasterizer; [`super::GpuEngine::raster`] returns the one in use, which depends on the adapter.
     pub raster: Raster,
 }
 
-/// What an engine has made on its device since it was opened. In steady state nothing is made any more: a frame that
-/// needs no more room and no other kind of sensor, outputs or shaders than those before leaves every count as it is.
+/// Everything an engine allocated on its device since it was opened. In steady state the counts stay constant: only a
+/// frame that needs more room, or a new kind of sensor, outputs or shaders, allocates.
 ///
-/// What wgpu makes by itself for each submission (a command buffer, its book of the resources in use, a closure for each
-/// mapping) is not counted.
+/// Not counted: objects that wgpu creates for each submission (command buffer, resource tracking, mapping closures).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct DeviceAllocations {
-    /// Buffers, and sets of time stamps.
+    /// Buffers, and timestamp query sets.
     pub buffers: u64,
-    /// Bytes of these buffers.
+    /// Their size in bytes.
     pub bytes: u64,
     /// Bind groups.
     pub bind_groups: u64,
     /// Compute pipelines.
     pub pipelines: u64,
-    /// Uploads for which wgpu makes a staging buffer of its own.
+    /// Uploads for which wgpu allocates its own staging buffer.
     pub staged: u64,
 }
 
-/// Counts from behind a shared reference.
+/// Counter that is incremented through a shared reference.
 #[derive(Default)]
 pub(super) struct Counter(AtomicU64);
 
@@ -87,7 +86,7 @@ impl Counter {
     }
 }
 
-/// [`DeviceAllocations`] while it is counted.
+/// Running counts behind [`DeviceAllocations`].
 #[derive(Default)]
 pub(super) struct AllocationCounters {
     pub buffers: Counter,
@@ -109,7 +108,7 @@ impl AllocationCounters {
     }
 }
 
-/// What the device was given to do, while it is counted.
+/// Running counts of the work submitted to the device.
 #[derive(Default)]
 pub(super) struct WorkCounters {
     pub passes: Counter,
@@ -118,18 +117,18 @@ pub(super) struct WorkCounters {
     pub bytes_read: Counter,
 }
 
-/// A device with its queue and what it can do.
+/// A device with its queue and capabilities.
 pub(super) struct Gpu {
     pub device: wgpu::Device,
     pub queue: wgpu::Queue,
     pub adapter: Adapter,
-    /// Nearest and id in one 64-bit atomic maximum.
+    /// Nearest surface and id fit one 64-bit atomic maximum.
     pub int64: bool,
-    /// Times of stages can be asked for.
+    /// Stage times can be measured.
     pub timestamps: bool,
-    /// The hardware rasterizer can be taken.
+    /// The hardware rasterizer is supported.
     pub can_render: bool,
-    /// What was asked for and can be.
+    /// The rasterizer in use: as requested if supported.
     pub raster: Raster,
     pub made: AllocationCounters,
     pub done: WorkCounters,
@@ -157,7 +156,7 @@ impl Gpu {
         let textures = wgpu::Limits::downlevel_defaults().max_texture_dimension_2d;
         let required_limits = wgpu::Limits {
             max_texture_dimension_2d: if raster == Raster::Render { theirs.max_texture_dimension_2d } else { textures },
-            // Everything else stays at what WebGPU promises everywhere.
+            // All other limits stay at the WebGPU defaults, which every device supports.
             max_storage_buffer_binding_size: theirs
                 .max_storage_buffer_binding_size
                 .min(largest_binding.unwrap_or(u64::MAX)),
@@ -177,7 +176,7 @@ impl Gpu {
             ..Default::default()
         };
         let (device, queue) = pollster::block_on(adapter.request_device(&descriptor)).map_err(|e| {
-            Error::new(ErrorKind::NoDevice, format!("{described} gives no device: {e}"), "use --backend cpu")
+            Error::new(ErrorKind::NoDevice, format!("{described} cannot open a device: {e}"), "use --backend cpu")
         })?;
         let fault = Arc::new(Mutex::new(None));
         watch(&device, &fault);
@@ -195,7 +194,7 @@ impl Gpu {
         })
     }
 
-    /// What was done and made so far.
+    /// Work done and memory allocated so far.
     pub fn work(&self) -> Work {
         Work {
             gpu_passes: self.done.passes.get(),
@@ -217,26 +216,26 @@ impl Gpu {
         encoder.begin_compute_pass(descriptor)
     }
 
-    /// Dispatches as many workgroups.
+    /// Dispatches `x` times `y` workgroups.
     pub fn dispatch(&self, pass: &mut wgpu::ComputePass<'_>, (x, y): (u32, u32)) {
         self.done.workgroups.add_many(u64::from(x) * u64::from(y));
         pass.dispatch_workgroups(x, y, 1);
     }
 
-    /// Uploads what does not change from frame to frame.
+    /// Uploads data that stays the same from frame to frame.
     pub fn write(&self, buffer: &wgpu::Buffer, at: u64, bytes: &[u8]) {
         self.made.staged.add();
         self.done.bytes_written.add_many(bytes.len() as u64);
         self.queue.write_buffer(buffer, at, bytes);
     }
 
-    /// The first fault that the device reported, if any.
+    /// Returns the first fault that the device reported, if any.
     pub fn check(&self) -> Result<()> {
         let fault = self.fault.lock().unwrap_or_else(PoisonError::into_inner).clone();
         fault.map_or(Ok(()), |(kind, what)| Err(self.error(kind, &what)))
     }
 
-    /// An error of this device.
+    /// Makes an error that names this device.
     pub fn error(&self, kind: ErrorKind, what: &str) -> Error {
         let remedy = match kind {
             ErrorKind::DeviceMemory => "use a smaller image or model, or --backend cpu",
@@ -259,7 +258,7 @@ pub fn adapters() -> Vec<Adapter> {
     all().iter().map(describe).collect()
 }
 
-/// Which of [`adapters`] an engine takes, of all or of real GPUs only; whether it opens is another matter.
+/// Index into [`adapters`] of the most capable one, among all or among real GPUs. Opening it may still fail.
 pub fn preferred(hardware_only: bool) -> Option<usize> {
     place(&all(), DeviceOptions { hardware_only, ..DeviceOptions::default() })
 }
@@ -267,7 +266,7 @@ pub fn preferred(hardware_only: bool) -> Option<usize> {
 fn all() -> Vec<wgpu::Adapter> {
     let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
     descriptor.backends = wgpu::Backends::VULKAN | wgpu::Backends::METAL | wgpu::Backends::DX12;
-    // Indirect dispatches are clamped where they are written; checking them again costs a dispatch each.
+    // Indirect dispatch counts are clamped where shaders write them; wgpu's own check would cost a dispatch each.
     descriptor.flags = descriptor.flags.with_env() - wgpu::InstanceFlags::VALIDATION_INDIRECT_CALL;
     let backends = descriptor.backends;
     let instance = wgpu::Instance::new(descriptor);
@@ -284,7 +283,7 @@ fn describe(adapter: &wgpu::Adapter) -> Adapter {
     }
 }
 
-/// The place of the most capable adapter: discrete before integrated before virtual before software.
+/// Index of the most capable adapter: discrete before integrated before virtual before software.
 fn place(all: &[wgpu::Adapter], options: DeviceOptions) -> Option<usize> {
     let rank = |a: &wgpu::Adapter| match a.get_info().device_type {
         wgpu::DeviceType::DiscreteGpu => 0,
@@ -308,8 +307,8 @@ fn choose(options: DeviceOptions) -> Result<wgpu::Adapter> {
     let mut all = all();
     place(&all, options).map(|i| all.swap_remove(i)).ok_or_else(|| {
         if let Some(wanted) = adapter {
-            let what = format!("adapter {wanted} is not there, or can bind too few buffers");
-            return Error::new(ErrorKind::NoDevice, what, "take another one, or use --backend cpu");
+            let what = format!("adapter {wanted} does not exist, or can bind too few buffers");
+            return Error::new(ErrorKind::NoDevice, what, "choose another adapter, or use --backend cpu");
         }
         let what =
             if hardware_only { "no hardware GPU was found" } else { "no Vulkan, Metal or DX12 adapter was found" };
@@ -317,7 +316,7 @@ fn choose(options: DeviceOptions) -> Result<wgpu::Adapter> {
     })
 }
 
-/// Keeps the first fault that the device reports outside of a call.
+/// Records the first fault that the device reports asynchronously.
 fn watch(device: &wgpu::Device, fault: &Arc<Mutex<Option<(ErrorKind, String)>>>) {
     let note = |fault: &Mutex<Option<(ErrorKind, String)>>, kind, what: String| {
         fault.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert((kind, what));

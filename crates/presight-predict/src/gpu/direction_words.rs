@@ -1,10 +1,10 @@
-//! Where directions lie in a ray table, as the shaders read it (`pixel_fit.wgsl`, `direction_map.wgsl`).
+//! Maps from direction to pixel for ray tables, packed for `pixel_fit.wgsl` and `direction_map.wgsl`.
 
 use super::layout::{LEVEL_WORDS, MapLevel, MapSide, PIXEL_BOX_WORDS, PackedFit, Params};
 use presight_model::error::Result;
 use presight_model::sensor::{FitCell, MapCells, PixelBox, RayGrid, TileLookup};
 
-/// Appends the cells with their quadratics.
+/// Appends the direction cells and their fitted quadratics.
 pub(super) fn push_fit(grid: &RayGrid, params: &mut Params, words: &mut Vec<u32>) {
     params.fit_at = words.len() as u32;
     let packed = grid.pixel_fit().cells().iter().map(packed_fit);
@@ -24,7 +24,7 @@ fn packed_fit(cell: &FitCell) -> PackedFit {
     }
 }
 
-/// Appends the map of a wide view, of which rays ahead of a plane need no more than small polygons do.
+/// Appends the direction map of a wide view. If all rays look ahead of a plane, levels for small polygons suffice.
 ///
 /// # Errors
 /// [`crate::ErrorKind::System`] if the system refuses the memory.
@@ -40,7 +40,7 @@ pub(super) fn push_map(grid: &RayGrid, params: &mut Params, words: &mut Vec<u32>
     let mut boxes_at = params.map_at + params.map_levels * LEVEL_WORDS;
     for level in levels() {
         let sine = level.half_angle.sin();
-        // Rounded down: a cone that is hardly too wide takes the next level.
+        // Rounded down: a cone at the limit uses the next level.
         let sine2 = ((sine * sine) as f32).next_down();
         let packed = MapLevel { sine2, across: level.cells.across, sides: sides(&level.cells, boxes_at) };
         words.extend_from_slice(bytemuck::cast_slice(&[packed]));

@@ -1,4 +1,4 @@
-//! The stage of the hardware rasterizer: it draws shapes that setup made around polygons, and its fragments write keys.
+//! The hardware rasterizer's stage: draws the shapes that setup made around polygons; fragments write keys.
 
 use super::device::Gpu;
 use super::frame_buffers::FrameBuffers;
@@ -7,16 +7,16 @@ use super::shaders;
 use super::stage::{Binding, Bindings, make};
 use presight_model::error::Result;
 
-/// A pass must have a target. Nothing is written to it.
+/// A render pass needs a target, although nothing is written to it.
 const TARGET: wgpu::TextureFormat = wgpu::TextureFormat::R8Unorm;
 
-/// Pipelines, buffers and target.
+/// The stage's pipelines, bindings and target.
 pub(super) struct Drawing {
     bindings: Bindings,
-    /// The first and the second pass.
+    /// Pipelines of the first and the second pass.
     pipelines: [Option<wgpu::RenderPipeline>; 2],
     target: Option<wgpu::TextureView>,
-    /// Of the target: width and height.
+    /// Width and height of the target.
     size: [u32; 2],
 }
 
@@ -37,10 +37,10 @@ impl Drawing {
         Self { bindings, pipelines: [None, None], target: None, size: [0; 2] }
     }
 
-    /// Makes pipelines, and a target of so many pixels, unless they are there.
+    /// Creates the pipelines, and a target of at least this size, unless they exist.
     ///
     /// # Errors
-    /// The device's, if it refuses the shader.
+    /// The device's error if it rejects the shader.
     pub fn prepare(&mut self, gpu: &Gpu, size: [u32; 2], short: (&'static str, f64)) -> Result<()> {
         let grid = ("GRID", f64::from(GridKind::Camera as u32));
         let text = if gpu.int64 { shaders::DRAW_64 } else { shaders::DRAW_32 };
@@ -90,13 +90,13 @@ impl Drawing {
         })
     }
 
-    /// Binds the buffers as they are now.
+    /// Binds the current buffers.
     pub fn bind(&mut self, gpu: &Gpu, s: &FrameBuffers) {
         let buffers = [&s.params, &s.records, &s.survivors, &s.grid, &s.counters, &s.keys, &s.short_grid];
         self.bindings.bind(gpu, &buffers.map(|b| b.buffer()));
     }
 
-    /// Encodes a pass over a wave's survivors, or over those of all waves, by the counts at `at` of the dispatches.
+    /// Encodes one pass over one wave's survivors or over all survivors, with the counts at `at`.
     pub fn encode(
         &self,
         gpu: &Gpu,
@@ -131,14 +131,14 @@ impl Drawing {
     }
 }
 
-/// What is drawn in one pass.
+/// Arguments of one draw pass.
 pub(super) struct Draw<'a> {
     pub wave: usize,
     pub second: bool,
-    /// Of the image.
+    /// Width and height of the image.
     pub size: [u32; 2],
     pub counts: &'a wgpu::Buffer,
-    /// Where the counts are, bytes.
+    /// Offset of the counts, bytes.
     pub at: u64,
 }
 

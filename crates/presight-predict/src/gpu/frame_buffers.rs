@@ -1,4 +1,4 @@
-//! The buffers of the engine, reused from frame to frame.
+//! The engine's buffers, reused from frame to frame.
 
 use super::buffers::{Growable, Mapping, Uploads};
 use super::device::Gpu;
@@ -11,18 +11,18 @@ use super::uploads::FrameUploads;
 use presight_model::error::Result;
 use std::mem::size_of;
 
-/// Six in each wave, the second pass by spans and by shapes, and resolve.
+/// Six passes in each wave, the second pass by spans and by shapes, and resolve.
 const MOST_PASSES: u32 = 6 * MAX_WAVES as u32 + 3;
 
-/// Every buffer but the meshes'.
+/// All buffers except the meshes.
 pub(super) struct FrameBuffers {
     pub params: Growable,
     pub instances: Growable,
     pub work: Growable,
     pub grid: Growable,
-    /// Instances again, where they are few enough.
+    /// Uniform copy of the instances, used if they are few enough.
     pub few_instances: Growable,
-    /// The rays again, where they are few enough.
+    /// Uniform copy of the rays, used if they are few enough.
     pub short_grid: Growable,
     pub survivors: Growable,
     pub counters: Growable,
@@ -31,13 +31,13 @@ pub(super) struct FrameBuffers {
     pub seen_slots: Growable,
     pub keys: Growable,
     pub outputs: Growable,
-    /// A bit for each slot that the frame shows.
+    /// One bit per slot that the frame shows.
     pub shown: Growable,
     pub dispatch: Growable,
     pub readback: Growable,
     pub readback_mapping: Mapping,
     pub uploads: Uploads,
-    /// Begin and end of every stage, where the device can tell.
+    /// Begin and end time of every stage, if the device has timestamps.
     pub times: Option<(wgpu::QuerySet, Growable)>,
 }
 
@@ -80,13 +80,13 @@ impl FrameBuffers {
         }
     }
 
-    /// Makes room for a frame; true if a bound buffer is another one now.
+    /// Makes room for a frame. Returns true if a bound buffer was replaced.
     ///
     /// # Errors
     /// [`crate::ErrorKind::DeviceMemory`].
     pub fn reserve(&mut self, gpu: &Gpu, frame: &FrameUploads) -> Result<bool> {
         let pixels = u64::from(frame.params.width) * u64::from(frame.params.height);
-        // What is not needed stays as small as it was made: it is bound, and neither written nor read.
+        // Unused buffers keep their minimum size: they are bound, but neither written nor read.
         let instances = if frame.few() { 0 } else { frame.instances.len() * size_of::<Instance>() };
         let outputs = if frame.on_host { 0 } else { (frame.output_words + frame.sum_words) * 4 };
         let mut replaced = self.instances.reserve(gpu, instances as u64)?;
@@ -103,7 +103,7 @@ impl FrameBuffers {
         Ok(replaced)
     }
 
-    /// Makes room for a sensor's tables; true if the buffer is another one now.
+    /// Makes room for a sensor's tables. Returns true if the buffer was replaced.
     ///
     /// # Errors
     /// [`crate::ErrorKind::DeviceMemory`].
@@ -120,7 +120,7 @@ impl FrameBuffers {
         self.uploads.put(&self.grid, 0, bytes);
     }
 
-    /// Uploads a frame, with room and counters as they are at its start.
+    /// Uploads a frame, with the available room and the initial counters.
     pub fn put(&mut self, frame: &FrameUploads) {
         let (record_words, item_room) = (self.record_room(), self.item_room());
         let uploads = &mut self.uploads;
@@ -167,7 +167,7 @@ impl FrameBuffers {
         (self.items.buffer().size() / (4 * u64::from(ITEM_WORDS))).min(u64::from(u32::MAX)) as u32
     }
 
-    /// Makes room for what a frame turned out to need; true if it had too little and must run again.
+    /// Makes the room that a frame turned out to need. Returns true if it overflowed and must run again.
     ///
     /// # Errors
     /// [`crate::ErrorKind::DeviceMemory`].
@@ -177,13 +177,13 @@ impl FrameBuffers {
         Ok(again)
     }
 
-    /// Encodes the copy of the counters alone to where answers begin.
+    /// Encodes a copy of the counters alone to the start of the readback buffer.
     pub fn encode_counters(&self, encoder: &mut wgpu::CommandEncoder) {
         let bytes = size_of::<Counters>() as u64;
         encoder.copy_buffer_to_buffer(self.counters.buffer(), 0, self.readback.buffer(), 0, bytes);
     }
 
-    /// The pass of that number, which notes its times if the frame is alone.
+    /// Descriptor of compute pass `number`. It records timestamps only if the submission holds a single frame.
     pub fn pass(&self, number: u32, frame: &FrameUploads) -> wgpu::ComputePassDescriptor<'_> {
         let times = self.render_times(number, frame).map(|times| wgpu::ComputePassTimestampWrites {
             query_set: times.query_set,
@@ -193,7 +193,7 @@ impl FrameBuffers {
         wgpu::ComputePassDescriptor { label: Some(frame.passes[number as usize].name()), timestamp_writes: times }
     }
 
-    /// Where the render pass of that number notes its times, if the frame is alone.
+    /// Timestamp slots of render pass `number`, if the submission holds a single frame.
     pub fn render_times(&self, number: u32, frame: &FrameUploads) -> Option<wgpu::RenderPassTimestampWrites<'_>> {
         self.times.as_ref().filter(|_| !frame.in_company).map(|(query_set, _)| wgpu::RenderPassTimestampWrites {
             query_set,
@@ -202,7 +202,7 @@ impl FrameBuffers {
         })
     }
 
-    /// Encodes the copies that bring a frame's answers to where they can be mapped, from byte `first` on.
+    /// Encodes the copies of a frame's answer into the readback buffer, from byte `first` on.
     pub fn encode_readback(&self, encoder: &mut wgpu::CommandEncoder, frame: &FrameUploads, first: u64) {
         let at = Readback::of(frame);
         let mut copy = |(from, begin): (&Growable, u64), to: u64, bytes: u64| {
@@ -227,7 +227,7 @@ impl FrameBuffers {
     }
 }
 
-/// Where answers lie in the readback buffer, bytes: images (or sums, or keys and slots), counters, what is shown, times.
+/// Byte offsets in the readback buffer: images (or sums, or keys and slots), counters, shown bits, times.
 #[derive(Clone, Copy)]
 pub(super) struct Readback {
     pub slots: u64,
@@ -246,7 +246,7 @@ impl Readback {
             sums => sums * 4,
         };
         let shown = counters + size_of::<Counters>() as u64;
-        // Query results are 8 bytes and must lie on 8.
+        // Query results are 8 bytes and need 8-byte alignment.
         let times = (shown + 4 * u64::from(frame.shown_words())).next_multiple_of(8);
         Self { slots, counters, shown, times, bytes: times + 16 * frame.passes.len() as u64 }
     }

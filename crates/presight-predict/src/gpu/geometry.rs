@@ -1,4 +1,4 @@
-//! Resident geometry: each mesh once, in its own frame, uploaded when first seen and kept from frame to frame.
+//! Resident geometry: each mesh is uploaded once, in its own frame, and kept from frame to frame.
 
 use super::buffers::Growable;
 use super::device::Gpu;
@@ -9,7 +9,7 @@ use presight_model::error::{ErrorKind, Result};
 use std::collections::HashMap;
 use std::sync::{Arc, Weak};
 
-/// Where a mesh lies in the arena, words.
+/// Offsets of a mesh in the arena, words.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct MeshLocation {
     pub polygons_at: u32,
@@ -19,7 +19,7 @@ pub(super) struct MeshLocation {
 }
 
 struct Resident {
-    /// Keeps the address from being used again, and tells when the mesh is gone.
+    /// Weak: keeps the address from being reused, and shows when the mesh was dropped.
     mesh: Weak<Mesh>,
     place: MeshLocation,
 }
@@ -41,15 +41,15 @@ impl Arena {
         self.words.buffer()
     }
 
-    /// Where a mesh that [`Arena::admit`] took lies.
+    /// Location of a mesh that [`Arena::admit`] uploaded.
     pub fn place(&self, mesh: &Arc<Mesh>) -> Option<MeshLocation> {
         self.residents.get(&key(mesh)).map(|r| r.place)
     }
 
-    /// Uploads those meshes that are not there yet; true if the buffer is another one now.
+    /// Uploads the missing meshes. Returns true if the buffer was replaced.
     ///
     /// # Errors
-    /// [`ErrorKind::DeviceMemory`] if the meshes of this frame alone do not fit.
+    /// [`ErrorKind::DeviceMemory`] if this frame's meshes alone do not fit.
     pub fn admit<'a>(&mut self, gpu: &Gpu, meshes: impl Iterator<Item = &'a Arc<Mesh>> + Clone) -> Result<bool> {
         let mut missing: u64 = 0;
         let mut seen = std::collections::HashSet::new();
@@ -65,7 +65,7 @@ impl Arena {
         let dead = self.residents.values().any(|r| r.mesh.strong_count() == 0);
         if (self.used + missing) * 4 > self.words.buffer().size() {
             if dead || self.grow(gpu, self.used + missing).is_err() {
-                // Start again with this frame's meshes only.
+                // Restart with this frame's meshes only.
                 self.residents.clear();
                 self.used = 0;
                 let mut seen = std::collections::HashSet::new();
@@ -82,7 +82,7 @@ impl Arena {
         Ok(replaced)
     }
 
-    /// A larger buffer with the same contents.
+    /// Enlarges the buffer and keeps its contents.
     fn grow(&mut self, gpu: &Gpu, words: u64) -> Result<()> {
         let old = self.words.buffer().clone();
         if self.words.reserve(gpu, words * 4)? && self.used > 0 {
@@ -96,7 +96,7 @@ impl Arena {
     fn upload(&mut self, gpu: &Gpu, mesh: &Arc<Mesh>) -> Result<()> {
         let words = words_of(mesh);
         if self.used + words > u64::from(u32::MAX) {
-            return Err(gpu.error(ErrorKind::DeviceMemory, "over 2^32 words of meshes"));
+            return Err(gpu.error(ErrorKind::DeviceMemory, "the meshes exceed 2^32 words"));
         }
         self.scratch.clear();
         pack(mesh, &mut self.scratch);
@@ -124,7 +124,7 @@ fn words_of(mesh: &Arc<Mesh>) -> u64 {
         + mesh.clusters().len() as u64 * u64::from(BOX_WORDS)
 }
 
-/// Polygons, corners, vertices, boxes of clusters, as common.wgsl describes them.
+/// Packs polygons, corners, vertices and cluster boxes in the layout of common.wgsl.
 fn pack(mesh: &Mesh, words: &mut Vec<u32>) {
     debug_assert_eq!(mesh.polygons().len(), mesh.planes().len());
     for (polygon, plane) in mesh.polygons().iter().zip(mesh.planes()) {
@@ -141,12 +141,12 @@ fn pack(mesh: &Mesh, words: &mut Vec<u32>) {
     }
     words.extend(mesh.all_corners());
     words.extend(mesh.vertices().iter().flat_map(|v| v.to_array().map(f32::to_bits)));
-    // Around f32 positions: nothing is rounded.
+    // Boxes of f32 positions: the conversion is exact.
     let corners = mesh.clusters().iter().flat_map(|c| [c.bounds.min, c.bounds.max]);
     words.extend(corners.flat_map(|p| p.as_vec3().to_array().map(f32::to_bits)));
 }
 
-/// How far corners are apart along the normal; triangles define their own plane.
+/// Extent of the corners along the normal, metres; 0 for triangles, which define their own plane.
 pub(super) fn spread(mesh: &Mesh, normal: DVec3, corners: &[u32]) -> f64 {
     if corners.len() <= 3 {
         return 0.0;

@@ -1,4 +1,4 @@
-//! A sensor's rays as the shaders read them: line tables with buckets for searching, or ray tables with cones.
+//! A sensor's rays in the shaders' layout: line tables with search buckets, or ray tables with cones.
 
 use super::direction_words;
 use super::layout::{BLOCK_WORDS, GridKind, Params, SHORT_GRID, TILE_SIDE, TILES_PER_BLOCK, TILES_PER_SUPERTILE};
@@ -6,21 +6,21 @@ use glam::{DMat3, DVec3};
 use presight_model::error::Result;
 use presight_model::sensor::{ForwardView, LineAxis, LineGrid, PixelGrid, RayGrid, Sensor, Tile, TileLookup};
 
-/// Tables of one sensor and where they begin, words.
+/// Tables of one sensor and their offsets, words.
 pub(super) struct Tables {
     pub kind: GridKind,
     pub words: Vec<u32>,
-    /// Of [`Params`] only what the sensor decides.
+    /// Only the fields that depend on the sensor.
     pub params: Params,
     /// image_from_line; the identity for ray tables.
     pub image_from_line: DMat3,
-    /// Of coarse depth, which lies behind the words: along a line, and across lines.
+    /// Blocks of coarse depth along a line and across lines. Coarse depth is stored behind the words.
     pub blocks: (u32, u32),
 }
 
-/// Stands for an infinite position at a pole: comparisons stay defined.
+/// Replaces an infinite position at a pole, so that comparisons stay defined.
 const POLE: f32 = 3.0e38;
-/// Most buckets of a search table.
+/// Maximum number of buckets of a search table.
 const MAX_BUCKETS: usize = 1 << 16;
 
 impl Tables {
@@ -49,14 +49,14 @@ impl Tables {
         self.kind != GridKind::Rays && self.words.len() <= 4 * SHORT_GRID as usize
     }
 
-    /// Of the tables and of the coarse depth behind them.
+    /// Size of the tables and of the coarse depth behind them.
     pub fn bytes(&self) -> u64 {
         let blocks = u64::from(self.blocks.0) * u64::from(self.blocks.1);
         4 * (self.words.len() as u64 + blocks * u64::from(BLOCK_WORDS))
     }
 }
 
-/// The diamond angle of common shader code, -2..=2.
+/// The diamond angle, -2..=2; see common.wgsl.
 fn diamond([x, y]: [f64; 2]) -> f64 {
     let p = x / (x.abs() + y.abs());
     if y >= 0.0 { 1.0 - p } else { p - 1.0 }
@@ -75,7 +75,7 @@ fn lines(grid: &LineGrid) -> Tables {
     let mut order: Vec<u32> = (0..params.line_count).collect();
     if camera {
         let line = grid.line_from_image();
-        // (fy y, z, fx x): the focal lengths are the two entries off the middle.
+        // (fy y, z, fx x): the focal lengths are the two off-diagonal entries.
         params.fx = line.x_axis.z as f32;
         params.fy = line.y_axis.x as f32;
         let (first, last) = (grid.lines()[0][0], grid.lines()[grid.lines().len() - 1][0]);
@@ -83,7 +83,7 @@ fn lines(grid: &LineGrid) -> Tables {
         let t = grid.positions();
         (params.first_sample, params.last_sample) = (t[0] as f32, t[t.len() - 1] as f32);
     } else {
-        // By angle, so that a polygon reaches a run of lines; listed azimuths may come in any order.
+        // Sorted by angle, so that a polygon covers consecutive lines; listed azimuths may be in any order.
         order.sort_by(|&a, &b| {
             diamond(grid.lines()[a as usize]).total_cmp(&diamond(grid.lines()[b as usize])).then(a.cmp(&b))
         });
@@ -108,14 +108,14 @@ fn lines(grid: &LineGrid) -> Tables {
     Tables { kind, words, params, image_from_line: grid.image_from_line(), blocks: (0, 0) }
 }
 
-/// For every bucket the first entry that is not below it, in a table of one word more: where it begins, and how many
-/// buckets. Fine enough that a bucket rarely holds two entries.
+/// Appends a table with the first entry at or above the start of each bucket, and one end word. Returns its offset and
+/// the number of buckets. Buckets are so fine that one rarely holds two entries.
 fn buckets(values: &[f64], least: f64, greatest: f64, words: &mut Vec<u32>) -> (u32, u32) {
     let gap = values.windows(2).map(|p| p[1] - p[0]).fold(greatest - least, f64::min).max(1e-9);
     let count = ((4.0 * (greatest - least) / gap).ceil() as usize).clamp(64, MAX_BUCKETS);
     let at = words.len() as u32;
     for b in 0..count {
-        // A little early: the shader's rounding may land one bucket too high.
+        // A little early: rounding in the shader may land one bucket too high.
         let start = least + (greatest - least) * (b as f64 - 0.01) / count as f64;
         words.push(values.partition_point(|v| *v < start) as u32);
     }
@@ -152,7 +152,7 @@ fn rays(grid: &RayGrid) -> Result<Tables> {
     Ok(Tables { kind: GridKind::Rays, words, params, image_from_line: DMat3::IDENTITY, blocks: (0, 0) })
 }
 
-/// Where rays that all look ahead meet a plane at distance 1, as cull_rays.wgsl describes it.
+/// Appends where forward-looking rays meet a plane at distance 1, in the layout of cull_rays.wgsl.
 fn push_ahead(grid: &RayGrid, view: &ForwardView, words: &mut Vec<u32>) {
     let axes = view.turn.unwrap_or([DVec3::X, DVec3::Y, DVec3::Z]);
     words.extend(axes.iter().flat_map(|axis| axis.as_vec3().to_array().map(f32::to_bits)));
@@ -201,7 +201,7 @@ fn supertiles(grid: &RayGrid) -> Vec<Tile> {
     all
 }
 
-/// Axis and chord of the half angle, a little wide; 4 where that bounds nothing, negative without a ray.
+/// Appends a cone: axis and chord of the half angle, rounded up; 4 if it is unbounded, negative if it has no ray.
 fn push_cone(tile: &Tile, words: &mut Vec<u32>) {
     let chord = match tile.half_angle {
         a if a < 0.0 => -1.0,

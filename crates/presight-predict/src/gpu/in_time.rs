@@ -1,8 +1,8 @@
-//! Frames with a deadline. A submission cannot be stopped: the polygons go out in pieces, nearest first, and the next one only if it fits.
-//! Keys stay on the device from piece to piece; images are made of them once.
+//! Frames with a deadline. A submission cannot be stopped, so polygons are submitted in pieces, nearest first, and the
+//! next piece only if it fits. Keys stay on the device between pieces; images are resolved once at the end.
 //!
-//! The cost of a piece is bounded: by what was learnt, and by the slowest piece of the frame so far, it takes no more than half of the
-//! time left. So an estimate may be off by two, and a frame has few pieces.
+//! A piece is sized to take at most half of the time left, by the learnt costs and the slowest piece of the frame so
+//! far. An estimate may thus be off by a factor of two, and a frame still has few pieces.
 
 use super::GpuEngine;
 use super::frame_buffers::Readback;
@@ -14,23 +14,23 @@ use presight_render::plan::{CountName, FramePlan, Images, Output, Pace, Run, Sta
 use std::ops::Range;
 use std::time::{Duration, Instant};
 
-/// What pieces take where nothing was learnt: much.
+/// Pessimistic costs for when nothing was learnt yet.
 const UNKNOWN: Pace = Pace { wave: 1e-3, polygon: 1e-6, sample: 1e-8, saved: [0.0; 3], drawing: 0.0 };
-/// Polygons: a smaller piece is not worth a submission.
+/// Polygons; a smaller piece is not worth a submission.
 const LEAST_PIECE: u64 = 256;
-/// Ranges are rounded to f32. Only what is nearer than what was not drawn by this share of it is final: rounding moves ranges less,
-/// but for polygons met at less than some 1e-4 radians.
+/// Safety margin for ranges rounded to f32: a pixel is final only if it is nearer than the nearest undrawn surface by
+/// this share. Rounding moves a range less, except on polygons met at less than about 1e-4 rad.
 const ROUNDING: f32 = 1.0 / 256.0;
 
 impl GpuEngine {
-    /// What it is to deadlines; `None` on a device without 64-bit atomics, where ids need a second pass over all polygons.
+    /// Describes the engine for deadlines; `None` without 64-bit atomics, where ids need another pass over everything.
     pub fn with_deadline(&self) -> Option<DeadlineEngine> {
         let threads = if self.software { self.threads.count().unwrap_or(1) } else { 0 };
         let adapter = Some(self.gpu.adapter.to_string());
         self.gpu.int64.then_some(DeadlineEngine { name: "gpu", adapter, threads, draws_parts: false })
     }
 
-    /// Fills the images of a plan as far as there is time.
+    /// Fills the images of a plan as far as time allows.
     pub(super) fn draw_in_time(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
         let (start, before) = (Instant::now(), self.gpu.work());
         let mut pieces = Pieces::new(plan);
@@ -74,7 +74,7 @@ impl GpuEngine {
         Ok(())
     }
 
-    /// Draws some runs into the keys, again if there was too little room, and waits for it. The first ones find nothing there.
+    /// Draws some runs into the keys and waits; repeats if the buffers were too small. The first piece clears the keys.
     fn draw_piece(&mut self, plan: &FramePlan, runs: Range<usize>) -> Result<Counters> {
         let is_first = runs.start == 0;
         let mut piece = plan.clone();
@@ -101,12 +101,12 @@ impl GpuEngine {
             if !self.store.grow_for(&self.gpu, &counters)? {
                 return Ok(counters);
             }
-            // What was drawn stays: drawing it again changes no key.
+            // Keys already drawn stay: drawing them again changes nothing.
             self.rebind = true;
         }
     }
 
-    /// Makes images of the keys; the answer is the number of hits without an id.
+    /// Resolves the keys into images. Returns the number of hits without an id.
     fn take_images(&mut self, plan: &FramePlan, images: &mut Images) -> Result<u32> {
         let variants = self.stages.prepare(&self.gpu, &self.sensors[0].tables, &self.frame, self.opened.1)?;
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
@@ -117,7 +117,7 @@ impl GpuEngine {
         self.answer(bytes, |view| self.take_answer(&self.frame, view, plan, images))?.map(|counters| counters.lost_ids)
     }
 
-    /// Waits for an answer of so many bytes and reads it.
+    /// Waits for an answer of this many bytes and reads it.
     fn answer<R>(&self, bytes: u64, read: impl FnOnce(&[u8]) -> R) -> Result<R> {
         self.map_answer(bytes)?;
         let buffer = self.store.readback.buffer();
@@ -130,7 +130,7 @@ impl GpuEngine {
     }
 }
 
-/// Leaves open what the nearest polygon that was not drawn may hide, if there is one.
+/// Marks as unknown the pixels that the nearest undrawn polygon may hide, if any polygon was not drawn.
 fn give_up(plan: &FramePlan, stopped: bool, (beyond, drawn_ms): (f32, f64), images: &mut Images) -> DeadlineOutcome {
     let mut kept = DeadlineOutcome { drawn_ms, ..DeadlineOutcome::default() };
     let complete_to = f64::from(beyond - beyond * ROUNDING);
@@ -146,17 +146,17 @@ fn give_up(plan: &FramePlan, stopped: bool, (beyond, drawn_ms): (f32, f64), imag
     kept
 }
 
-/// Cuts the runs of a frame into pieces.
+/// Divides the runs of a frame into pieces.
 struct Pieces<'a> {
     plan: &'a FramePlan,
     pace: Pace,
-    /// The greatest share of its estimate that a piece took.
+    /// Largest ratio of measured to estimated time among the pieces so far.
     slowest: Option<f64>,
-    /// The piece under way: what it should take, and when it began.
+    /// The current piece: its estimated duration and start time.
     estimate: f64,
     began: Duration,
     number: usize,
-    /// The first one, for the costs.
+    /// The first piece, from which the cost model learns.
     first: Option<Wave>,
 }
 
@@ -166,7 +166,7 @@ impl<'a> Pieces<'a> {
         Self { plan, pace, slowest: None, estimate: 0.0, began, number: 0, first: None }
     }
 
-    /// The runs of the next piece, after the first `done`; `None` if none is left, or none fits.
+    /// Returns the runs of the next piece, which follow the first `done` runs; `None` if none is left or none fits.
     fn next(&mut self, done: usize) -> Option<Range<usize>> {
         let left = self.plan.watch.as_ref().map_or(f64::INFINITY, |watch| watch.left().as_secs_f64());
         let most = left / 2.0 / self.slowest.unwrap_or(1.0);
@@ -191,7 +191,7 @@ impl<'a> Pieces<'a> {
         Some(done..end)
     }
 
-    /// The piece is drawn.
+    /// Records the time of the finished piece.
     fn end(&mut self) {
         let took = self.plan.elapsed().saturating_sub(self.began).as_secs_f64();
         let share = (took / self.estimate).clamp(1e-3, 1e6);
@@ -205,7 +205,7 @@ impl<'a> Pieces<'a> {
     }
 }
 
-/// About how many pixels the image of a run covers: by the size of its clusters, seen from their distance.
+/// Estimates the pixels that a run covers, from the size and distance of its clusters.
 fn covered(plan: &FramePlan, run: &Run) -> u64 {
     let instance = &plan.instances[run.instance as usize];
     let clusters = plan.environment().objects()[instance.object as usize].mesh.clusters();

@@ -1,8 +1,8 @@
-//! Structures shared with the shaders, word for word; a test compares every offset with what naga reads in the WGSL.
+//! Structures shared with the shaders. A test compares every offset with the WGSL, parsed by naga.
 
 use bytemuck::{Pod, Zeroable};
 
-/// How the rays lie; `GRID` in the shaders.
+/// Arrangement of the rays; `GRID` in the shaders.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[repr(u32)]
 pub(super) enum GridKind {
@@ -142,7 +142,7 @@ pub(super) struct Survivor {
 #[repr(C)]
 pub(super) struct ArenaPolygon {
     pub first_corner: u32,
-    /// Number of corners, material in the higher 24 bits.
+    /// Number of corners in the lower 8 bits, material in the higher 24 bits.
     pub corners: u32,
     pub source: u32,
     pub normal: [f32; 3],
@@ -157,7 +157,7 @@ pub(super) struct Record {
     pub slot: u32,
     pub edge_count: u32,
     pub cap_axis: [f32; 3],
-    /// Squared; negative is no cap.
+    /// Squared chord of the cap; negative without a cap.
     pub cap_chord: f32,
 }
 
@@ -168,7 +168,7 @@ pub(super) struct Slot {
     pub distance: f32,
     pub object: u32,
     pub source: u32,
-    /// Where its record is, or a stamp.
+    /// Offset of its record, or a stamp.
     pub record: u32,
 }
 
@@ -178,24 +178,24 @@ pub(super) struct Slot {
 pub(super) struct WorkRun {
     pub instance: u32,
     pub polygon: u32,
-    /// With [`RUN_NEAR`].
+    /// Number of polygons; may include [`RUN_NEAR`].
     pub count: u32,
-    /// Of its cluster, in the arena.
+    /// Offset of its cluster's box in the arena.
     pub r#box: u32,
 }
 
-/// A level of the map of directions; `LEVEL_` in direction_map.wgsl.
+/// A level of the direction map; `LEVEL_` in direction_map.wgsl.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub(super) struct MapLevel {
-    /// Squared sine of the half angle of the cones that it serves.
+    /// Squared sine of the largest half angle of its cones.
     pub sine2: f32,
     pub across: u32,
-    /// Six sides, [`MapSide`].
+    /// The six sides of a cube.
     pub sides: [MapSide; 6],
 }
 
-/// A cell of directions with its quadratics; `FIT_` in pixel_fit.wgsl.
+/// A direction cell with its quadratics; `FIT_` in pixel_fit.wgsl.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub(super) struct PackedFit {
@@ -211,7 +211,7 @@ pub(super) struct PackedFit {
 pub(super) struct MapSide {
     pub first: [u32; 2],
     pub count: [u32; 2],
-    /// Of its first box, a word in the grid.
+    /// Offset of its first box in the grid, words.
     pub boxes_at: u32,
 }
 
@@ -220,20 +220,20 @@ pub(super) struct MapSide {
 #[repr(C)]
 pub(super) struct Item {
     pub record: u32,
-    /// First line, number of lines in the higher 16 bits; or first row and column.
+    /// Line grids: first line, number of lines in the higher 16 bits. Ray grids: first row and column.
     pub part: u32,
-    /// First sample, end in the higher 16 bits; or ends of rows and columns.
+    /// Line grids: first sample, end in the higher 16 bits. Ray grids: end row and column.
     pub within: u32,
 }
 
-/// Words of a type that shaders read word by word.
+/// Size in words of a type that shaders read word by word.
 pub(super) const fn words_of<T>() -> u32 {
     (size_of::<T>() / size_of::<u32>()) as u32
 }
 
 /// Invocations of a workgroup; `GROUP` in the shaders.
 pub(super) const GROUP: u32 = 64;
-/// What one dispatch dimension holds.
+/// Maximum size of one dispatch dimension.
 pub(super) const MAX_GROUPS: u32 = 65_535;
 /// Words of a polygon in the arena.
 pub(super) const POLYGON_WORDS: u32 = words_of::<ArenaPolygon>();
@@ -243,11 +243,11 @@ pub(super) const CORNER_WORDS: u32 = 1;
 pub(super) const VERTEX_WORDS: u32 = 3;
 /// Words of a run in the work table.
 pub(super) const RUN_WORDS: usize = words_of::<WorkRun>() as usize;
-/// In the count of a run: it is around the sensor.
+/// Flag in a run's count: the run is around the sensor.
 pub(super) const RUN_NEAR: u32 = 1 << 31;
-/// Polygons of a unit, in which runs are culled.
+/// Polygons of a unit; runs are culled by units.
 pub(super) const UNIT: u32 = 8;
-/// Bits for the number of a unit in its run.
+/// Bits of a unit's number within its run.
 pub(super) const UNIT_SHIFT: u32 = 3;
 /// Words of a cluster's box in the arena.
 pub(super) const BOX_WORDS: u32 = 6;
@@ -257,36 +257,36 @@ pub(super) const TILE_SIDE: u32 = 8;
 pub(super) const TILES_PER_BLOCK: u32 = 8;
 /// Words of a block of coarse depth.
 pub(super) const BLOCK_WORDS: u32 = 85;
-/// Most waves of a frame.
+/// Maximum number of waves of a frame.
 pub(super) const MAX_WAVES: usize = 4;
-/// Bytes between the parameters of waves: offsets of uniform buffers are multiples of it everywhere.
+/// Bytes between the parameters of waves; satisfies every device's alignment of uniform offsets.
 pub(super) const WAVE_BYTES: u64 = 256;
 /// Words of a record before its edges.
 pub(super) const RECORD_WORDS: u32 = words_of::<Record>();
 /// Words of a slot that has a record.
 pub(super) const SLOT_WORDS: u32 = words_of::<Slot>();
-/// Most instances that are read from a uniform buffer.
+/// Maximum number of instances that fit the uniform buffer.
 pub(super) const FEW_INSTANCES: u32 = 512;
-/// Most words of ray tables, by four, that are read from a uniform buffer.
+/// Maximum size of ray tables in the uniform buffer, in groups of four words.
 pub(super) const SHORT_GRID: u32 = 4096;
 /// Words of an edge.
 pub(super) const EDGE_WORDS: u32 = 3;
 /// Words of an item.
 pub(super) const ITEM_WORDS: u32 = words_of::<Item>();
-/// Most items of one polygon on a line grid.
+/// Maximum number of items of one polygon on a line grid.
 pub(super) const ITEMS_PER_POLYGON: u32 = 256;
-/// Fewest lines of an item.
+/// Minimum number of lines of an item.
 pub(super) const LINES_PER_ITEM: u32 = 4;
 /// Samples of a line in an item of a wide polygon.
 pub(super) const SAMPLES_PER_ITEM: u32 = 64;
-/// Words of a level of the map of directions.
+/// Words of a level of the direction map.
 pub(super) const LEVEL_WORDS: u32 = words_of::<MapLevel>();
-/// Words of a box of pixels in the map of directions.
+/// Words of a pixel box in the direction map.
 pub(super) const PIXEL_BOX_WORDS: u32 = 2;
 /// Tiles along a side of a supertile.
 pub(super) const TILES_PER_SUPERTILE: u32 = 8;
 
-/// Workgroups in two dimensions for so many invocations.
+/// Workgroups in two dimensions for this many invocations.
 pub(super) fn groups_for(invocations: u32) -> (u32, u32) {
     let groups = invocations.div_ceil(GROUP);
     let rows = groups.div_ceil(MAX_GROUPS);

@@ -1,6 +1,6 @@
-//! The GPU engine: exact spans in compute shaders, by wgpu.
+//! The GPU engine: computes exact spans in compute shaders, through wgpu.
 //!
-//! Meshes stay on the device; a frame uploads instances and runs. The stages bear the names of those of [`crate::cpu`]:
+//! Meshes stay on the device; a frame uploads instances and runs. Stages are named like the stages of [`crate::cpu`]:
 //!
 //! | stage | shader | on the CPU |
 //! |---|---|---|
@@ -8,11 +8,11 @@
 //! | cull | `cull.wgsl` and one of `cull_camera`, `cull_scanner`, `cull_rays` | `cpu::setup` |
 //! | setup | `setup.wgsl`, `items_lines` or `items_rays` | `cpu::setup`; `near` for flat polygons around the sensor, in f64 |
 //! | raster | `raster_lines.wgsl` or `raster_rays.wgsl`, `key32` or `key64` | `cpu::raster_lines`, `cpu::raster_rays` |
-//! | draw, if [`Raster::Render`] is asked for | `shape.wgsl` in setup, `draw.wgsl`, `key32` or `key64` | `cpu::raster_lines` |
+//! | draw, for [`Raster::Render`] | `shape.wgsl` in setup, `draw.wgsl`, `key32` or `key64` | `cpu::raster_lines` |
 //! | farthest | `farthest.wgsl`, between waves | `cpu::cull` |
 //! | resolve | `resolve.wgsl` | `cpu::resolve`; `plan::keys` from the device's keys, for software adapters |
-//! | weigh, for batches that ask for no image | `weigh.wgsl` | `batch::weigh` |
-//! | visible | `visible.wgsl` | `features::visible` tests its hints; the twin of the tests is beside it |
+//! | weigh, for batches that keep no image | `weigh.wgsl` | `batch::weigh` |
+//! | visible | `visible.wgsl` | `features::visible` tests its hints; the tests' CPU twin is in `gpu::visible` |
 //! | roi | `roi.wgsl` | `features::roi` |
 
 mod buffers;
@@ -60,7 +60,7 @@ use testing::Hiding;
 use uploads::{FrameUploads, Way};
 use visible::Visible;
 
-/// Most sensors whose tables are kept.
+/// Maximum number of sensors whose tables are kept.
 const MOST_SENSORS: usize = 8;
 
 /// The GPU engine with its device and buffers.
@@ -74,38 +74,38 @@ const MOST_SENSORS: usize = 8;
 pub struct GpuEngine {
     gpu: Gpu,
     stages: Stages,
-    /// Made when samples of features are first asked about.
+    /// Created at the first occlusion query.
     visible: Option<Visible>,
-    /// Made when a sensed image is first weighed.
+    /// Created when a measured image is first weighed.
     weigh: Option<weigh::Weigh>,
-    /// The buffers hold what the last prediction drew.
+    /// True if the buffers hold the last prediction.
     drawn: bool,
     store: FrameBuffers,
     arena: Arena,
     frame: FrameUploads,
-    /// Those of a submission of several.
+    /// Uploads of a submission that holds several frames.
     frames: Vec<FrameUploads>,
-    /// The sensors of late, the first the one whose tables are on the device.
+    /// Recently used sensors. Only the first one has its tables on the device.
     sensors: Vec<KnownSensor>,
-    /// The tables of the first sensor are on the device.
+    /// True if the first sensor's tables are on the device.
     placed: bool,
-    /// A bound buffer is another one now.
+    /// True if a bound buffer was replaced.
     rebind: bool,
-    /// Stages that have a CPU twin run there: the same cores, without the detour.
+    /// True for a software adapter. Stages with a CPU twin then run directly on the CPU, which uses the same cores.
     software: bool,
-    /// Made when boxes are first asked for.
+    /// Created when boxes are first requested.
     roi: Option<roi::RoiStage>,
-    /// What is left to the CPU is done there.
+    /// Threads for the work that the engine leaves to the CPU.
     threads: Threads,
-    /// How it was opened.
+    /// Options that the device was opened with.
     opened: (DeviceOptions, testing::Setup),
-    /// Kinds of grids of which a frame was drawn: the first one, which may be a probe, goes through all stages.
+    /// Grid kinds already drawn. The first frame of a kind may be a probe, so it runs all stages.
     known: Vec<GridKind>,
 }
 
-/// A sensor that was drawn for.
+/// A sensor drawn before.
 struct KnownSensor {
-    /// Held, so that its address is its identity.
+    /// Kept alive because its address is its identity.
     sensor: Sensor,
     tables: Tables,
     shown: Shown,
@@ -115,7 +115,7 @@ impl GpuEngine {
     /// Opens the most capable adapter.
     ///
     /// # Errors
-    /// [`ErrorKind::NoDevice`] if there is none that will do.
+    /// [`ErrorKind::NoDevice`] if no adapter is suitable.
     pub fn new(options: DeviceOptions) -> Result<Self> {
         Self::open(options, testing::Setup::default())
     }
@@ -146,28 +146,28 @@ impl GpuEngine {
         })
     }
 
-    /// Opens the device again, as it was opened first; nothing of the old one is used any more.
+    /// Opens the device again with the original options. Nothing of the old device is reused.
     ///
     /// # Errors
-    /// As [`GpuEngine::new`]; the engine is then as it was.
+    /// Same as [`GpuEngine::new`]; the engine is then unchanged.
     pub fn reopen(&mut self) -> Result<()> {
         let (options, setup) = self.opened;
         *self = Self::open(options, setup)?.with_threads(self.threads.clone());
         Ok(())
     }
 
-    /// The same engine; what it leaves to the CPU is done on these threads, or on so many, and not on the shared ones.
+    /// Makes the engine do its CPU work on these threads (or on that number of threads) instead of the shared pool.
     #[must_use]
     pub fn with_threads(self, threads: impl Into<Threads>) -> Self {
         Self { threads: threads.into(), ..self }
     }
 
-    /// The adapter it works on.
+    /// The adapter in use.
     pub fn adapter(&self) -> &Adapter {
         &self.gpu.adapter
     }
 
-    /// What the device can do.
+    /// The device's capabilities.
     pub fn abilities(&self) -> Abilities {
         Abilities {
             int64_atomics: self.gpu.int64,
@@ -177,30 +177,31 @@ impl GpuEngine {
         }
     }
 
-    /// What rasterizes images of pinhole cameras.
+    /// The rasterizer for images of pinhole cameras.
     pub fn raster(&self) -> Raster {
         self.gpu.raster
     }
 
-    /// Opens the device again for compute spans alone.
+    /// Opens the device again without the hardware rasterizer.
     ///
     /// # Errors
-    /// As [`GpuEngine::reopen`].
+    /// Same as [`GpuEngine::reopen`].
     pub(crate) fn take_compute(&mut self) -> Result<()> {
         let asked = std::mem::take(&mut self.opened.0.raster);
         self.reopen().inspect_err(|_| self.opened.0.raster = asked)
     }
 
-    /// What it has made on the device so far.
+    /// Everything allocated on the device so far.
     pub fn allocations(&self) -> DeviceAllocations {
         self.gpu.made.so_far()
     }
 
-    /// Fills the asked images; `depth_z` only for cameras.
+    /// Fills the requested images; `depth_z` only for cameras.
     ///
     /// # Errors
-    /// [`ErrorKind::DeviceLost`], after which the engine must be built anew; [`ErrorKind::DeviceMemory`], after which
-    /// it can go on with smaller tasks; those of [`crate::Pose::check`], if the plan's pose was changed; those of [`Threads::new`] if the adapter is a program, which leaves work to the CPU.
+    /// [`ErrorKind::DeviceLost`]: the engine must be built again. [`ErrorKind::DeviceMemory`]: smaller tasks may still
+    /// succeed. The errors of [`crate::Pose::check`] if the plan's pose was changed. On a software adapter, which
+    /// leaves work to the CPU, also the errors of [`Threads::new`].
     pub fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
         plan.world_from_sensor.check()?;
         stats.engine = "gpu";
@@ -227,7 +228,7 @@ impl GpuEngine {
             let variants = self.submit()?;
             let counters = self.read(plan, images, stats, start)?;
             self.gpu.done.workgroups.add_many(variants.indirect_groups(&counters));
-            // Nothing that did not fit is lost: make room for all of it and run again.
+            // The counters hold the full need even where buffers overflowed: make that room and run again.
             if !self.store.grow_for(&self.gpu, &counters)? {
                 self.drawn = true;
                 self.know(self.sensors[0].tables.kind);
@@ -256,25 +257,25 @@ impl GpuEngine {
         }
     }
 
-    /// What it has done and made on the device since it was opened.
+    /// Work done and memory allocated on the device since it was opened.
     pub fn work(&self) -> Work {
         self.gpu.work()
     }
 
-    /// True if the last prediction was drawn on the device, so that it can be asked there what its pixels say.
+    /// True if the last prediction was drawn on the device, so that occlusion queries can read its pixels.
     pub(crate) fn holds_prediction(&self) -> bool {
         self.drawn
     }
 
-    /// True if features are asked for on the device; a software adapter's cores find them sooner without it.
+    /// True if features are to be tested on the device. With a software adapter the CPU tests them faster itself.
     pub fn takes_features(&self) -> bool {
         !self.software
     }
 
-    /// What the pixels of the last frame that was rendered say of samples of features, in the order they were pushed.
+    /// Tests feature samples against the last rendered frame. Returns a hint for each sample, in the order pushed.
     ///
     /// # Errors
-    /// As [`GpuEngine::render`].
+    /// Same as [`GpuEngine::render`].
     pub fn query_occlusion(&mut self, query: &OcclusionQuery) -> Result<Vec<OcclusionHint>> {
         let Some(known) = self.sensors.first().filter(|_| query.count() > 0) else { return Ok(Vec::new()) };
         self.gpu.check()?;
@@ -306,7 +307,7 @@ impl GpuEngine {
         Ok(())
     }
 
-    /// Makes a sensor the first, with its tables; those of the sensors that a robot has in turns are made once.
+    /// Moves a sensor to the front, with its tables. A robot that alternates between sensors has each table built once.
     fn take_sensor(&mut self, sensor: &Sensor) -> Result<()> {
         match self.sensors.iter().position(|known| std::ptr::eq(known.sensor.grid(), sensor.grid())) {
             Some(0) => {}
@@ -343,7 +344,7 @@ impl GpuEngine {
         Ok(variants)
     }
 
-    /// Binds buffers that are others now, and has the sensor's tables uploaded if they are not there.
+    /// Binds replaced buffers, and schedules the upload of the sensor's tables if they are not on the device.
     fn bind(&mut self) {
         if self.rebind {
             self.stages.bind(&self.gpu, self.arena.buffer(), &self.store);
@@ -358,7 +359,7 @@ impl GpuEngine {
 
     fn read(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats, start: Instant) -> Result<Counters> {
         let bytes = Readback::of(&self.frame).bytes;
-        // Before the answer is mapped, which an error would leave so.
+        // Before the answer is mapped: an error would leave it mapped.
         images.try_prepare(self.frame.params.width, self.frame.params.height, self.frame.outputs)?;
         self.map_answer(bytes)?;
         stats.stage(StageName::Device, start);
@@ -377,7 +378,7 @@ impl GpuEngine {
         Ok(counters)
     }
 
-    /// Waits for the device, until so many bytes of answers are mapped.
+    /// Waits for the device until this many bytes of its answer are mapped.
     fn map_answer(&self, bytes: u64) -> Result<()> {
         let mapping = &self.store.readback_mapping;
         mapping.ask(self.store.readback.buffer(), wgpu::MapMode::Read, bytes);
@@ -387,7 +388,7 @@ impl GpuEngine {
         Ok(())
     }
 
-    /// A frame's images from its answer.
+    /// Converts the device's answer into a frame's images.
     fn take_answer(
         &self,
         frame: &FrameUploads,
@@ -456,28 +457,28 @@ impl GpuEngine {
         }
     }
 
-    /// Why the hardware rasterizer does not draw a frame.
+    /// Explains why the hardware rasterizer does not draw this frame.
     fn why_compute(&self, frame: &FrameUploads) -> &'static str {
         let is_camera = self.sensors.first().is_some_and(|known| known.tables.kind == GridKind::Camera);
         let side = frame.params.width.max(frame.params.height);
         match (self.opened.0.raster, self.gpu.raster) {
             (Raster::Compute, _) => "compute spans are the default",
             (Raster::Render, Raster::Compute) => "its fragments cannot write storage on this adapter",
-            _ if !is_camera => "the sensor is no pinhole camera",
-            _ if side > self.way().most_rendered => "the image is larger than the adapter's targets",
+            _ if !is_camera => "the sensor is not a pinhole camera",
+            _ if side > self.way().most_rendered => "the image exceeds the adapter's largest render target",
             _ => "compute spans keep the deadline",
         }
     }
 
-    /// Which variants of stages were taken, and which were not.
+    /// Reports which variants of the stages ran, and why the others did not.
     fn report_variants(&self, frame: &FrameUploads, stats: &mut Stats) {
         stats.raster = Some(if frame.rendered { Raster::Render } else { Raster::Compute });
         if self.store.times.is_none() {
             let passes: std::collections::BTreeSet<_> = frame.passes.iter().collect();
-            passes.iter().for_each(|name| stats.take(**name, "within device, which tells no times of stages"));
+            passes.iter().for_each(|name| stats.take(**name, "within device: the adapter has no stage timestamps"));
         }
         if frame.on_host {
-            stats.leave_out(StageName::ResolveOnDevice, "the adapter is a program on the CPU's own cores");
+            stats.leave_out(StageName::ResolveOnDevice, "the adapter is software that runs on the CPU's own cores");
         }
         if frame.waves.len() == 1 {
             stats.leave_out(StageName::Hidden, "too few polygons are in view");
@@ -496,30 +497,30 @@ impl GpuEngine {
         choose(
             StageName::InstancesFromStorage,
             !frame.few(),
-            ["a uniform buffer holds them", "a uniform buffer cannot hold as many"],
+            ["a uniform buffer holds them", "a uniform buffer cannot hold that many"],
         );
         choose(
             StageName::RaysFromStorage,
             !short,
-            ["a uniform buffer holds them", "a uniform buffer cannot hold as many, or the rays lie on no lines"],
+            ["a uniform buffer holds them", "a uniform buffer cannot hold that many, or the rays do not lie on lines"],
         );
         choose(
             StageName::SetupInF64,
             !frame.near.slots.is_empty(),
-            ["no polygon around the sensor is flat to it", "polygons around the sensor are flat to it"],
+            ["no polygon near the sensor is seen edge-on", "polygons near the sensor are seen almost edge-on"],
         );
     }
 }
 
-const WHY_REUSED: &str = "it was asked for: the runs that it showed are the first wave";
+const WHY_REUSED: &str = "requested: the runs visible in the last frame are the first wave";
 
-const WHY_RENDER: &str = "it was asked for; compute spans draw what it cannot draw exactly";
+const WHY_RENDER: &str = "requested; compute spans draw the polygons that it cannot draw exactly";
 
 fn counters_of(view: &[u8], at: Readback) -> Counters {
     bytemuck::pod_read_unaligned(&view[at.counters as usize..][..size_of::<Counters>()])
 }
 
-/// The images that the device resolved.
+/// Copies the images that the device resolved.
 fn copy_images(frame: &FrameUploads, bytes: &[u8], images: &mut Images) {
     let pixels = images.pixels() * 4;
     for (i, output) in frame.outputs.iter().enumerate() {
@@ -527,7 +528,7 @@ fn copy_images(frame: &FrameUploads, bytes: &[u8], images: &mut Images) {
         match images.samples_mut(output) {
             SamplesMut::Floats(to) => bytemuck::cast_slice_mut(to).copy_from_slice(from),
             SamplesMut::Ids(to) => bytemuck::cast_slice_mut(to).copy_from_slice(from),
-            // The plan makes those.
+            // The plan computes normals on the CPU.
             SamplesMut::Vectors(_) => {}
         }
     }

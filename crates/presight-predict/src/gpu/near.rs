@@ -1,6 +1,6 @@
-//! Polygons so flat to the sensor that f32 may not prove their side, or would leave too little of their distance, set up in
-//! f64: `verify::bound` counts on it. There are few: only clusters around the sensor are looked at; what lies farther off
-//! and is as flat is hardly thicker than a ray.
+//! Sets up in f64 the polygons seen so nearly edge-on that f32 cannot decide their side or keeps too little of their
+//! distance; `verify::bound` relies on it. Only clusters near the sensor are checked: farther polygons that are as flat
+//! are hardly thicker than a ray.
 
 use super::geometry::spread;
 use super::grid::Tables;
@@ -13,33 +13,33 @@ use presight_model::environment::Mesh;
 use presight_render::plan::{FramePlan, Instance, Run};
 use presight_render::verify::SET_UP_FINELY;
 
-/// |d| / |v| below which the CPU takes over, far above where the shader leaves off: what is counted on, and rounding.
+/// Ratio |d| / |v| below which the CPU takes over. It includes rounding, and is far above the shader's own limit.
 const FLAT: f64 = 1.001 * SET_UP_FINELY;
-/// |d| / |c| below which it does, for two f32 may not hold the centre.
+/// Ratio |d| / |c| below which the CPU takes over, because two f32 may not represent the centre well enough.
 const CENTER: f64 = 6.0e-11;
 
-/// Marks stamps among the places of records.
+/// Flag that distinguishes stamps from record offsets.
 pub(super) const STAMPED: u32 = 1 << 31;
 
-/// Records and items that the CPU made, as the setup stage writes them.
+/// Records and items made on the CPU, in the layout of the setup stage.
 #[derive(Default)]
 pub(super) struct NearList {
     pub records: Vec<u32>,
     pub items: Vec<Item>,
-    /// Slot of each, and what the resolve stage asks of it.
+    /// Each polygon's slot, with the data that the resolve stage reads.
     pub slots: Vec<(u32, Slot)>,
-    /// Number of the frame, with the highest bit set: the shader passes over what carries it.
+    /// Frame number with the highest bit set. The shader skips polygons whose slot carries it.
     pub stamp: u32,
-    /// Within the rounding of f64: covers no ray.
+    /// Number of polygons that are edge-on within f64 rounding; they cover no ray.
     pub edge_on: u32,
 }
 
-/// The cluster in which a run begins.
+/// Index of the cluster in which a run begins.
 pub(super) fn cluster_of(mesh: &Mesh, run: &Run) -> usize {
     mesh.clusters().partition_point(|c| c.first + c.count <= run.first)
 }
 
-/// True if the sensor is in or near one of the run's clusters, measured by the cluster's own size.
+/// True if the sensor is within one cluster size of a cluster of the run.
 pub(super) fn is_near(mesh: &Mesh, instance: &Instance, run: &Run) -> bool {
     mesh.clusters()[cluster_of(mesh, run)..].iter().take_while(|c| c.first < run.first + run.count).any(|c| {
         let size = c.bounds.size();
@@ -48,7 +48,7 @@ pub(super) fn is_near(mesh: &Mesh, instance: &Instance, run: &Run) -> bool {
 }
 
 impl NearList {
-    /// Begins another frame.
+    /// Begins a new frame.
     pub fn clear(&mut self) {
         self.stamp = STAMPED | self.stamp.wrapping_add(1);
         self.records.clear();
@@ -57,7 +57,7 @@ impl NearList {
         self.edge_on = 0;
     }
 
-    /// Adds the flat polygons of a near run.
+    /// Adds the nearly edge-on polygons of a near run.
     pub fn add(&mut self, plan: &FramePlan, tables: &Tables, instance: &Instance, run: &Run) {
         let mesh = &plan.environment().objects()[instance.object as usize].mesh;
         for polygon in run.first..run.first + run.count {
@@ -75,7 +75,7 @@ impl NearList {
             if !facing.opaque || facing.one_sided && distance > 0.0 {
                 continue;
             }
-            // As the other engines have it: its side is proven, and it is farther off than its corners are.
+            // As in the other engines: the side is certain, and the distance exceeds the corners' spread.
             if distance.abs() <= 16.0 * f64::EPSILON * nearest.length() + spread {
                 self.edge_on += 1;
                 continue;
@@ -96,7 +96,7 @@ impl NearList {
             mesh.corners_of(polygon).map(|p| instance.image_from_mesh * (p - instance.center_in_mesh)).collect();
         let wedge = wedge(&corners, normal.normalize());
         let edge_count = (corners.len() + wedge.len()) as u32;
-        // No cap.
+        // Without a cap.
         let (cap_axis, cap_chord) = ([1.0, 0.0, 0.0], -1.0);
         let record = Record { m: m.as_vec3().to_array(), slot, edge_count, cap_axis, cap_chord };
         self.records.extend_from_slice(bytemuck::cast_slice(&[record]));
@@ -115,7 +115,7 @@ impl NearList {
         self.add_items(at, tables);
     }
 
-    /// Every line: bounds are not worth their while for so few.
+    /// Adds items for every line: computing bounds does not pay for so few polygons.
     fn add_items(&mut self, record: u32, tables: &Tables) {
         let (lines, samples) = (tables.params.line_count, tables.params.sample_count);
         if tables.kind == GridKind::Rays {
@@ -140,20 +140,20 @@ impl NearList {
     }
 }
 
-/// The edge plane in the line frame.
+/// The plane through the sensor and an edge, in the line frame.
 fn edge(a: DVec3, b: DVec3, sign: f64, line_vector: DMat3) -> [f32; 3] {
     let anchor = if b.length_squared() < a.length_squared() { b } else { a };
     scaled(line_vector * (sign * anchor.cross(b - a)))
 }
 
-/// In f32's middle.
+/// Scales to unit magnitude, in the middle of f32's range.
 fn scaled(e: DVec3) -> [f32; 3] {
     let largest = e.abs().max_element();
     if largest > 0.0 { (e / largest).as_vec3().to_array() } else { [0.0; 3] }
 }
 
-/// Two planes across the polygon's own that hold it between them, where the sensor looks at it from beside it. There
-/// all edge planes nearly are the polygon's plane, and once rounded to f32 may meet anywhere along it.
+/// Two planes perpendicular to the polygon's own that enclose it, for a sensor in its plane but outside of it. There
+/// all edge planes nearly coincide with the polygon's plane, and their f32 roundings may intersect anywhere along it.
 fn wedge(corners: &[DVec3], normal: DVec3) -> Vec<DVec3> {
     let turn = |a: DVec3, b: DVec3| normal.dot(a.cross(b));
     let (mut least, mut most) = (corners[0], corners[0]);
@@ -162,13 +162,13 @@ fn wedge(corners: &[DVec3], normal: DVec3) -> Vec<DVec3> {
         most = if turn(most, *v) > 0.0 { *v } else { most };
     }
     let (a, b) = (least.normalize_or_zero(), most.normalize_or_zero());
-    // The outermost corners themselves are within rounding of 0.
+    // The outermost corners are 0 within rounding.
     let beyond = |turned: f64, v: &DVec3| turned < -1e-12 * v.length();
     let around = corners.iter().any(|v| beyond(turn(a, *v), v) || beyond(turn(*v, b), v));
     if around || turn(a, b) <= 0.0 {
         return Vec::new();
     }
-    // Wider by more than an edge may be off.
+    // Wider than an edge's rounding error.
     let slack = 1e-5 * (a + b);
     vec![normal.cross(a) + slack, b.cross(normal) + slack]
 }
@@ -185,7 +185,7 @@ mod tests {
     use proptest::prelude::*;
     use std::sync::Arc;
 
-    /// Plates of all sizes beside each other in the sensor's plane, or nearly, between others that only share their clusters.
+    /// Plates of many sizes in or near the sensor's plane, among others that only share their clusters.
     fn plates(shift: [f64; 3], size: f64, scale: [f64; 3], turn: f64) -> World {
         let mut environment = Environment::new();
         environment.add_material(Material::named("paint")).unwrap();
@@ -207,7 +207,7 @@ mod tests {
     }
 
     proptest! {
-        /// What the bound counts on: no polygon that it takes for set up in f64 is left to the shader.
+        /// Every polygon that `verify::bound` assumes to be set up in f64 is in the list.
         #[test]
         fn what_the_bound_counts_on_is_in_the_list(
             height in -9.0..0.0f64,

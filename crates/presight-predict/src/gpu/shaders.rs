@@ -1,10 +1,10 @@
-//! The shader text, put together from files: every unit is common.wgsl and the parts that its stage needs.
+//! The shader text. Every unit concatenates common.wgsl and the files that its stage needs.
 
 macro_rules! unit {
     ($($file:literal),+) => { concat!($(include_str!(concat!("../../shaders/", $file))),+) };
 }
 
-/// A stage that bounds polygons or boxes, of one kind of grid.
+/// A stage that bounds polygons or boxes on one kind of grid.
 macro_rules! bounding {
     ($stage:literal, $($grid:literal),+) => {
         unit!("common.wgsl", "arena.wgsl", "grid.wgsl", "runs.wgsl", "coarse.wgsl", $stage, $($grid),+)
@@ -97,7 +97,7 @@ mod tests {
         assert!(naga::front::wgsl::parse_str(&RESOLVE.replace("params.range_max", "params.no_such")).is_err());
     }
 
-    /// Names and offsets of a struct's members, and its size, as naga lays them out.
+    /// Names and offsets of a struct's members, and its size, as laid out by naga.
     fn members(module: &naga::Module, name: &str) -> (Vec<(String, usize)>, usize) {
         for (_, t) in module.types.iter() {
             if let (Some(n), naga::TypeInner::Struct { members, span }) = (&t.name, &t.inner)
@@ -149,7 +149,7 @@ mod tests {
         assert_same!(&module, RoiBox: bounds, deviations, flag, padding);
     }
 
-    /// A constant of a module.
+    /// Value of a module's constant.
     fn value(module: &naga::Module, name: &str) -> u32 {
         let found = module.constants.iter().find(|(_, c)| c.name.as_deref() == Some(name));
         let (_, c) = found.unwrap_or_else(|| panic!("no constant {name}"));
@@ -186,7 +186,7 @@ mod tests {
         assert_same_words!(&map, "LEVEL", MapLevel: sine2, across, sides);
         assert_same_words!(&map, "SIDE", MapSide: first, count, boxes_at);
         assert_same_words!(&map, "FIT", PackedFit: off, bend, column, row);
-        // A field that moves is noticed.
+        // A moved field is detected.
         let moved = CULL_CAMERA.replace("RECORD_SLOT: u32 = 3u", "RECORD_SLOT: u32 = 4u");
         assert_ne!(value(&parse("moved", &moved), "RECORD_SLOT") as usize * 4, offset_of!(Record, slot));
     }

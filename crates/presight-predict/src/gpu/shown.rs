@@ -1,42 +1,42 @@
-//! Which polygons a frame of a sensor showed, for the sensor's next frame in the same version of the world. It only decides in which order
-//! runs are drawn: whatever it says, all are drawn that nothing hides.
+//! Polygons that a sensor's last frame showed, for its next frame in the same version of the world. They only affect
+//! the order in which runs are drawn: every run that is not hidden is still drawn.
 
 use super::frame_buffers::Readback;
 use super::uploads::FrameUploads;
 use presight_render::plan::{FramePlan, Run};
 
-/// Most polygons of a world of which it is remembered: 2 MiB for each sensor.
+/// Maximum polygons of a world that is tracked: 2 MiB for each sensor.
 pub(super) const MOST_SLOTS: u32 = 1 << 24;
 
-/// A bit for each slot of the environment.
+/// One bit for each slot of the environment.
 #[derive(Default)]
 pub(super) struct Shown {
-    /// The stamp of the version of the world that was seen.
+    /// The stamp of the drawn version of the world.
     world: Option<u64>,
     words: Vec<u32>,
-    /// Bits that are set.
+    /// Number of set bits.
     polygons: u32,
 }
 
 impl Shown {
-    /// What the last frame showed; `None` if there was none in this version of the world, or nothing in it.
+    /// Returns the last frame's polygons; `None` if it drew another version of the world, or showed nothing.
     pub fn of(&self, plan: &FramePlan) -> Option<&Self> {
         (self.world == Some(plan.world.stamp()) && self.polygons > 0).then_some(self)
     }
 
-    /// True if so many polygons of it are less than half.
+    /// True if this number of polygons is less than half of those shown.
     pub fn is_mostly_without(&self, polygons: u32) -> bool {
         2 * polygons < self.polygons
     }
 
-    /// Polygons of a run.
+    /// Number of shown polygons in a run.
     pub fn count_in(&self, plan: &FramePlan, run: &Run) -> u32 {
         let object = plan.instances[run.instance as usize].object;
         let first = plan.environment().objects()[object as usize].first_slot + run.first;
         self.count(first, first + run.count)
     }
 
-    /// Polygons of these slots.
+    /// Number of shown polygons in these slots.
     fn count(&self, first: u32, end: u32) -> u32 {
         let (mut at, mut count) = (first, 0);
         while at < end {
@@ -48,7 +48,7 @@ impl Shown {
         count
     }
 
-    /// Takes what a frame showed from its answer.
+    /// Records which polygons a frame showed, from the device's answer.
     pub fn note(&mut self, plan: &FramePlan, frame: &FrameUploads, answer: &[u8]) {
         let at = Readback::of(frame);
         self.words.clear();
@@ -57,7 +57,7 @@ impl Shown {
             let keys: &[[u32; 2]] = bytemuck::cast_slice(&answer[..at.slots as usize]);
             // Neighbours mostly show the same polygon.
             for slot in keys.chunk_by(|a, b| a[0] == b[0]).map(|same| !same[0][0]) {
-                // No slot is that of a pixel that shows nothing.
+                // A pixel that shows nothing has no valid slot.
                 if let Some(word) = self.words.get_mut(slot as usize >> 5) {
                     *word |= 1 << (slot & 31);
                 }
@@ -82,7 +82,7 @@ mod tests {
         let shown = Shown { world: None, words: words.collect(), polygons: 0 };
         for first in 0..128 {
             for end in first..140 {
-                // Past the last word nothing is shown.
+                // Nothing is shown beyond the last word.
                 let expected = (first..end.min(128)).filter(slots).count();
                 assert_eq!(shown.count(first, end) as usize, expected, "{first}..{end}");
             }

@@ -1,35 +1,35 @@
-//! A stage: its bindings, and if it computes its pipeline variants, made when first needed and kept.
+//! A stage: its bindings and, if it is a compute stage, its pipeline variants, which are created on demand and kept.
 
 use super::device::Gpu;
 use super::layout::{Params, WAVE_BYTES};
 use presight_model::error::{ErrorKind, Result};
 use std::collections::HashMap;
 
-/// What a binding is.
+/// The kind of a binding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Binding {
-    /// Those of one wave of several, which [`Stage::set`] names.
+    /// The parameters of the wave that [`Stage::set`] selects.
     Params,
     Uniform,
     Read,
     Write,
 }
 
-/// Which pipeline of a stage: the grid kind, and the stage's own bits.
+/// Selects a pipeline of a stage: the grid kind, and the stage's own bits.
 pub(super) type Variant = (u32, u32);
 
-/// The buffers that a stage's pipelines share.
+/// The bind group layout that a stage's pipelines share, with its buffers.
 pub(super) struct Bindings {
     pub name: &'static str,
     layout: wgpu::BindGroupLayout,
     pub pipeline_layout: wgpu::PipelineLayout,
     group: Option<wgpu::BindGroup>,
-    /// The first binding is [`Binding::Params`].
+    /// True if the first binding is [`Binding::Params`].
     of_waves: bool,
 }
 
 impl Bindings {
-    /// Each with the shaders that see it.
+    /// Takes each binding with the shader stages that see it.
     pub fn new(gpu: &Gpu, name: &'static str, bindings: &[(Binding, wgpu::ShaderStages)]) -> Self {
         let entries: Vec<_> = bindings.iter().enumerate().map(|(i, b)| entry(i as u32, *b)).collect();
         let layout = gpu
@@ -44,7 +44,7 @@ impl Bindings {
         Self { name, layout, pipeline_layout, group: None, of_waves }
     }
 
-    /// Binds other buffers.
+    /// Binds these buffers.
     pub fn bind(&mut self, gpu: &Gpu, buffers: &[&wgpu::Buffer]) {
         let entries: Vec<_> = buffers
             .iter()
@@ -64,7 +64,7 @@ impl Bindings {
         buffer.as_entire_binding()
     }
 
-    /// The buffers of a wave as a pass takes them; `None` before they are bound.
+    /// Returns the bind group and offset for a wave; `None` before buffers are bound.
     pub fn of_wave(&self, wave: usize) -> Option<(&wgpu::BindGroup, Option<u32>)> {
         let offset = self.of_waves.then_some(wave as u32 * WAVE_BYTES as u32);
         self.group.as_ref().map(|group| (group, offset))
@@ -78,26 +78,26 @@ pub(super) struct Stage {
 }
 
 impl Stage {
-    /// `name` is the entry point as well.
+    /// `name` is also the entry point.
     pub fn new(gpu: &Gpu, name: &'static str, bindings: &[Binding]) -> Self {
         let bindings: Vec<_> = bindings.iter().map(|b| (*b, wgpu::ShaderStages::COMPUTE)).collect();
         Self { bindings: Bindings::new(gpu, name, &bindings), pipelines: HashMap::new() }
     }
 
-    /// Binds other buffers.
+    /// Binds these buffers.
     pub fn bind(&mut self, gpu: &Gpu, buffers: &[&wgpu::Buffer]) {
         self.bindings.bind(gpu, buffers);
     }
 
-    /// True if a variant's pipeline is there.
+    /// True if a variant's pipeline exists.
     pub fn has(&self, variant: Variant) -> bool {
         self.pipelines.contains_key(&variant)
     }
 
-    /// Makes a variant's pipeline unless it is there.
+    /// Creates a variant's pipeline unless it exists.
     ///
     /// # Errors
-    /// The device's, if it refuses the shader.
+    /// The device's error if it rejects the shader.
     pub fn prepare(&mut self, gpu: &Gpu, variant: Variant, text: &str, constants: &[(&str, f64)]) -> Result<()> {
         if self.has(variant) {
             return Ok(());
@@ -120,7 +120,7 @@ impl Stage {
         Ok(())
     }
 
-    /// Sets the pipeline and bindings for a wave; false if the stage is not ready, which is a bug of the engine.
+    /// Sets a wave's pipeline and bindings. Returns false if the stage is not ready, which is a bug in the engine.
     pub fn set(&self, pass: &mut wgpu::ComputePass<'_>, variant: Variant, wave: usize) -> bool {
         let (Some(pipeline), Some((group, offset))) = (self.pipelines.get(&variant), self.bindings.of_wave(wave))
         else {
@@ -133,10 +133,10 @@ impl Stage {
     }
 }
 
-/// Makes a pipeline of a shader's text.
+/// Compiles a shader and creates a pipeline from it.
 ///
 /// # Errors
-/// The device's, if it refuses the shader.
+/// The device's error if it rejects the shader.
 pub(super) fn make<P>(
     gpu: &Gpu,
     name: &'static str,

@@ -1,4 +1,4 @@
-//! The stages. Each is `prepare` (pipelines), `bind` (buffers), `encode`; none submits or reads back.
+//! The stages. Each has `prepare` (pipelines), `bind` (buffers) and `encode`; none submits or reads back.
 //!
 //! | stage | reads | writes | its twin in `crate::cpu` |
 //! |---|---|---|---|
@@ -10,7 +10,7 @@
 //! | farthest, before each further wave | keys | coarse depth | `cull::measure` |
 //! | resolve | keys, slots | outputs, slots that are shown | `resolve` |
 //!
-//! On software adapters [`super::resolve`] does on the CPU what `resolve.wgsl` does, from the same keys.
+//! On software adapters the CPU resolves images instead, from the same keys: [`crate::plan::resolve_keys`].
 
 use super::device::Gpu;
 use super::drawing::{Draw, Drawing};
@@ -25,10 +25,10 @@ use presight_model::error::Result;
 use presight_render::plan::{Output, Raster};
 use std::mem::offset_of;
 
-/// The share by which a planted fault takes depth to be too near: more than the rounding that is allowed for a polygon near the axis.
+/// A planted fault for tests: depth appears nearer by this share, more than rounding allows near the axis.
 const TOO_NEAR: f64 = 1e-4;
 
-/// Bytes: where the counts of a draw are, behind those of dispatches.
+/// Offset of a draw's counts, bytes; it follows the counts of the dispatches.
 const DRAW_AT: u64 = 24;
 
 /// All stages of the engine.
@@ -37,13 +37,13 @@ pub(super) struct Stages {
     cull: Stage,
     setup: Stage,
     raster: Stage,
-    /// Of a device that was opened for it.
+    /// `None` unless the device was opened for the hardware rasterizer.
     drawing: Option<Drawing>,
     farthest: Stage,
     resolve: Stage,
 }
 
-/// The pipelines that a frame takes.
+/// The pipelines that a frame uses.
 #[derive(Clone, Copy)]
 pub(super) struct Variants {
     sift: Variant,
@@ -51,7 +51,7 @@ pub(super) struct Variants {
     setup: Variant,
     raster: Variant,
     farthest: Variant,
-    /// The second pass where there are no 64-bit atomics.
+    /// The second raster pass, for devices without 64-bit atomics.
     second: Option<Variant>,
     resolve: Variant,
 }
@@ -70,10 +70,10 @@ impl Stages {
         }
     }
 
-    /// Makes the pipelines of a frame unless they are there.
+    /// Creates the pipelines of a frame unless they exist.
     ///
     /// # Errors
-    /// The device's.
+    /// Errors of the device.
     pub fn prepare(
         &mut self,
         gpu: &Gpu,
@@ -93,7 +93,7 @@ impl Stages {
             GridKind::Rays => shaders::CULL_RAYS,
         };
         let short_constant = ("SHORT", f64::from(u32::from(short)));
-        // Rasters of ray tables have no such constant, and a constant that is not there is an error.
+        // The ray rasterizer does not declare SHORT, and wgpu rejects unknown constants.
         let constants = |own: &[(&'static str, f64)]| {
             let lines_only = lines.then_some(short_constant);
             [grid].into_iter().chain(lines_only).chain(own.iter().copied()).collect::<Vec<_>>()
@@ -159,7 +159,7 @@ impl Stages {
         Ok(Variants { sift, cull, setup, raster, farthest, second, resolve })
     }
 
-    /// Binds the buffers as they are now.
+    /// Binds the current buffers.
     pub fn bind(&mut self, gpu: &Gpu, arena: &wgpu::Buffer, s: &FrameBuffers) {
         let (params, grid, counters) = (s.params.buffer(), s.grid.buffer(), s.counters.buffer());
         let (instances, survivors) = (s.instances.buffer(), s.survivors.buffer());
@@ -175,7 +175,7 @@ impl Stages {
         self.resolve.bind(gpu, &[params, keys, slots, grid, s.outputs.buffer(), counters, s.shown.buffer()]);
     }
 
-    /// Encodes a frame of at least one polygon, from cleared keys to outputs.
+    /// Encodes a frame with at least one polygon, from cleared keys to outputs.
     pub fn encode(
         &self,
         gpu: &Gpu,
@@ -189,13 +189,13 @@ impl Stages {
         self.resolve(gpu, encoder, v, frame, store);
     }
 
-    /// Encodes that nothing is seen yet.
+    /// Encodes the clearing of the keys.
     pub fn clear(encoder: &mut wgpu::CommandEncoder, frame: &FrameUploads, store: &FrameBuffers) {
         let pixels = frame.params.width * frame.params.height;
         encoder.clear_buffer(store.keys.buffer(), 0, Some(u64::from(pixels) * 8));
     }
 
-    /// Encodes the drawing of at least one polygon, over what the keys hold already.
+    /// Encodes drawing at least one polygon, on top of the present keys.
     pub fn draw(
         &self,
         gpu: &Gpu,
@@ -211,7 +211,7 @@ impl Stages {
         }
     }
 
-    /// Encodes the making of images, unless the CPU makes them.
+    /// Encodes the resolving of images, unless the CPU resolves them.
     pub fn resolve(
         &self,
         gpu: &Gpu,
@@ -233,7 +233,7 @@ impl Stages {
         }
     }
 
-    /// Encodes a wave: what it hides, sets up and draws, and the coarse depth for the next one.
+    /// Encodes a wave: sift, cull, setup, raster, and the coarse depth for the next wave.
     fn encode_wave(&self, encoder: &mut wgpu::CommandEncoder, wave: usize, r: &mut Recording<'_>) {
         let Recording { gpu, variants: v, frame, store, .. } = *r;
         let (counters, dispatch) = (store.counters.buffer(), store.dispatch.buffer());
@@ -269,7 +269,7 @@ impl Stages {
         }
     }
 
-    /// Encodes what spans and shapes draw of a wave, and in the last one the second pass over all waves.
+    /// Encodes spans and shapes of a wave; the last wave also gets the second pass over all waves.
     fn encode_raster(&self, encoder: &mut wgpu::CommandEncoder, wave: usize, r: &mut Recording<'_>) {
         let (counters, dispatch) = (r.store.counters.buffer(), r.store.dispatch.buffer());
         encoder.copy_buffer_to_buffer(counters, offset_of!(Counters, raster_groups) as u64, dispatch, 0, 12);
@@ -283,7 +283,7 @@ impl Stages {
             self.encode_spans(encoder, wave, &both, r);
             return;
         }
-        // The second pass begins when spans and shapes have done the first.
+        // The second pass starts after both spans and shapes have finished the first.
         self.encode_spans(encoder, wave, &[first], r);
         self.encode_shapes(encoder, (wave, false), r);
         if let Some(second) = second {
@@ -292,7 +292,7 @@ impl Stages {
         }
     }
 
-    /// Variants, each with the place of its count among the dispatches, bytes.
+    /// Encodes span passes; each variant comes with the byte offset of its count among the dispatches.
     fn encode_spans(
         &self,
         encoder: &mut wgpu::CommandEncoder,
@@ -308,7 +308,7 @@ impl Stages {
         }
     }
 
-    /// What the hardware rasterizer draws of a wave, or in the second pass of all waves.
+    /// Encodes the hardware rasterizer's pass over a wave, or in the second pass over all waves.
     fn encode_shapes(&self, encoder: &mut wgpu::CommandEncoder, (wave, second): (usize, bool), r: &mut Recording<'_>) {
         let Some(drawing) = &self.drawing else { return };
         let from = if second { offset_of!(Counters, all_draw_vertices) } else { offset_of!(Counters, draw_vertices) };
@@ -321,13 +321,13 @@ impl Stages {
     }
 }
 
-/// A frame while it is encoded.
+/// State while a frame is encoded.
 struct Recording<'a> {
     gpu: &'a Gpu,
     variants: &'a Variants,
     frame: &'a FrameUploads,
     store: &'a FrameBuffers,
-    /// Of the next pass, among those of the frame.
+    /// Number of the next pass of the frame.
     number: u32,
 }
 
@@ -340,7 +340,7 @@ impl<'a> Recording<'a> {
 }
 
 impl Variants {
-    /// Workgroups that the device dispatched by its own count.
+    /// Number of workgroups that the device dispatched indirectly.
     pub fn indirect_groups(&self, counters: &Counters) -> u64 {
         let of_last = counters.cull_groups + counters.setup_groups + counters.raster_groups;
         let second = if self.second.is_some() { counters.all_raster_groups } else { 0 };

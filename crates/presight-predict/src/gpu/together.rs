@@ -1,5 +1,5 @@
-//! Several frames of one sensor in one submission: they share buffers on the device, one after the other, and each has its own
-//! place in the answer. For batches: what a submission costs besides is paid once, and a sensed image can be weighed on the device.
+//! Several frames of one sensor in one submission, for batches. The frames share the device buffers, and each has its
+//! own part of the answer. A submission's fixed cost is paid once, and the device can weigh a measured image.
 
 use super::frame_buffers::Readback;
 use super::layout::Counters;
@@ -11,21 +11,21 @@ use presight_model::error::{ErrorKind, Result};
 use presight_render::plan::{Drawn, FramePlan, Images, NOTHING_IN_VIEW, StageName, Stats, Weighing, Work};
 use std::time::Instant;
 
-/// Bytes of answers of a submission.
+/// Maximum size of the answers of a submission, bytes.
 const MOST_BYTES: u64 = 64 << 20;
-/// Most frames of a submission.
+/// Maximum number of frames of a submission.
 const MOST_FRAMES: u64 = 64;
 
-/// Takes what was drawn of a plan, with its place in the answer and its counters unless nothing is in view.
+/// Receives a plan's result. If anything was in view, also its index in the answer and its counters.
 type HandOver<'a> = dyn FnMut(Drawn<'_>, Stats, Option<(usize, Counters)>) + 'a;
 
 impl GpuEngine {
-    /// Draws plans of one sensor, and hands over each one's images in their order, or sums where the device weighed them: on hardware,
-    /// for what is in view. After an error those that were handed over are right. The times and the work of a submission are told of
-    /// its first frame.
+    /// Draws plans of one sensor and hands over their results in order: sums if the device weighed the frame (on
+    /// hardware, with polygons in view), else images. Results handed over before an error are valid. Times and work of
+    /// a submission are reported with its first frame.
     ///
     /// # Errors
-    /// As [`GpuEngine::render`].
+    /// Same as [`GpuEngine::render`].
     pub fn render_many(
         &mut self,
         plans: &[FramePlan],
@@ -36,7 +36,7 @@ impl GpuEngine {
         let Some(first) = plans.first() else { return Ok(()) };
         self.drawn = false;
         self.gpu.check()?;
-        // Sensor and world decide how long an answer is.
+        // The length of an answer depends on sensor and world only.
         self.fill_frames(&[first], weighing)?;
         let count = (MOST_BYTES / Readback::of(&self.frames[0]).bytes.max(1)).clamp(1, MOST_FRAMES);
         plans.chunks(count as usize).try_for_each(|plans| self.render_some(plans, weighing, images, each))
@@ -82,7 +82,7 @@ impl GpuEngine {
         handed
     }
 
-    /// Makes each plan's images, or sums, of the answer; `shared` goes to the first.
+    /// Extracts each plan's images or sums from the answer; the first plan reports `shared`.
     fn hand_over(
         &self,
         plans: &[FramePlan],
@@ -102,7 +102,7 @@ impl GpuEngine {
                 number += 1;
                 if let Some(weighing) = weighing.filter(|_| frame.sum_words > 0) {
                     let sums = weigh::sums_of(weighing, &own[..4 * frame.sum_words as usize]);
-                    stats.take(StageName::WeighOnDevice, "no image was asked for");
+                    stats.take(StageName::WeighOnDevice, "no image was requested");
                     each(Drawn::Sums(&sums), stats, Some((number - 1, counters_of(own, Readback::of(frame)))));
                     continue;
                 }
@@ -119,12 +119,12 @@ impl GpuEngine {
         Ok(())
     }
 
-    /// Of one frame; all frames of a sensor and a world have as many.
+    /// Size of one frame's answer, which is the same for all frames of a sensor and a world.
     fn answer_bytes(&self) -> u64 {
         self.frames.first().map_or(0, |frame| Readback::of(frame).bytes)
     }
 
-    /// Works out the frames of plans, and makes room for each.
+    /// Prepares the uploads of plans, and makes room for each frame.
     fn fill_frames(&mut self, plans: &[&FramePlan], weighing: Option<&Weighing>) -> Result<()> {
         self.take_sensor(&plans[0].sensor)?;
         let meshes = plans.iter().flat_map(|plan| {
@@ -137,7 +137,7 @@ impl GpuEngine {
         }
         let way = self.way();
         for (frame, plan) in self.frames.iter_mut().zip(plans) {
-            // What earlier frames left in the slots must not carry this frame's stamp.
+            // Slots keep stamps of earlier frames, so each frame needs a new one.
             frame.near.stamp = self.frame.near.stamp;
             frame.fill(plan, &self.sensors[0].tables, &self.arena, way, None);
             frame.in_company = true;
@@ -161,7 +161,7 @@ impl GpuEngine {
         Ok(())
     }
 
-    /// Draws the first frames and maps their answers; again, if one of them had too little room.
+    /// Draws the first `count` frames and maps their answers; repeats if one overflowed its buffers.
     fn draw(&mut self, count: usize, weighing: Option<&Weighing>, bytes: u64) -> Result<(Vec<Variants>, usize)> {
         let mut reruns = 0;
         loop {

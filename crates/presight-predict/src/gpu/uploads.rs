@@ -1,4 +1,4 @@
-//! What one frame uploads, worked out from the plan without a device: instances, runs, and the f64 list.
+//! Uploads of one frame, computed from the plan without a device: instances, runs, and the f64 list.
 
 use super::geometry::Arena;
 use super::grid::Tables;
@@ -13,30 +13,30 @@ use glam::{DMat3, DVec3, Vec3};
 use presight_render::plan::{FramePlan, IdScheme, Output, Outputs, Run, StageName};
 use std::ops::Range;
 
-/// Most slots that are read back to resolve images on the CPU.
+/// Maximum number of slots that are read back to resolve images on the CPU.
 const MOST_SLOTS_ON_HOST: u32 = 1 << 20;
 
-/// Fewest polygons of which some are looked for that others hide.
+/// Minimum number of polygons for which testing for hidden ones pays.
 const LEAST_TO_HIDE: usize = 4096;
 /// Polygons of the first wave.
 const FIRST_WAVE: usize = 2048;
-/// Each wave has so many times the polygons of the one before it, and the last one all that are left.
+/// Ratio of polygons from one wave to the next; the last wave takes all that are left.
 const WAVE_GROWTH: usize = 4;
 
 /// How frames are drawn.
 #[derive(Clone, Copy)]
 pub(super) struct Way {
-    /// On a software adapter.
+    /// The adapter is software.
     pub software: bool,
-    /// Without 64-bit atomics.
+    /// The device has no 64-bit atomics.
     pub in_two_passes: bool,
-    /// Largest side of an image that the hardware rasterizer draws; 0 if it draws none.
+    /// Largest image side that the hardware rasterizer draws; 0 if it is not used.
     pub most_rendered: u32,
     pub hiding: Hiding,
 }
 
 impl Way {
-    /// Polygons with which the first wave ends, where nothing is known of an earlier frame; all if there is only one wave.
+    /// Number of polygons that ends the first wave if no earlier frame is reused; all polygons for a single wave.
     fn most_of_first_wave(self, plan: &FramePlan) -> usize {
         let most = match self.hiding {
             Hiding::WhereItPays if plan.polygon_count >= LEAST_TO_HIDE => FIRST_WAVE,
@@ -52,47 +52,47 @@ impl Way {
     }
 }
 
-/// The uploads of a frame, in buffers that stay.
+/// The uploads of a frame; the buffers are reused.
 #[derive(Default)]
 pub(super) struct FrameUploads {
     pub params: Params,
     pub instances: Vec<Instance>,
     /// Runs, facings by material, units of the first wave.
     pub work: Vec<u32>,
-    /// The plan's runs, by number, as they are drawn.
+    /// Indices of the plan's runs in drawing order.
     order: Vec<u32>,
-    /// Of these, the first that the sensor's last frame showed.
+    /// Number of runs at the start of `order` that the sensor's last frame showed.
     pub shown_before: u32,
-    /// Why none is.
+    /// The reason if the last frame is not reused.
     pub why_anew: &'static str,
-    /// What it shows is noted for the sensor's next frame.
+    /// True if the visible polygons are recorded for the sensor's next frame.
     pub remembered: bool,
-    /// Of all waves.
+    /// Units of all waves.
     pub units: u32,
     /// The runs of each wave.
     pub waves: Vec<Range<u32>>,
-    /// What runs on the device, in order.
+    /// Passes on the device, in order.
     pub passes: Vec<StageName>,
-    /// Workgroups that coarse depth takes.
+    /// Workgroups of the coarse depth stage.
     pub blocks: (u32, u32),
     /// Polygons of all runs.
     pub polygon_count: u32,
     pub near: NearList,
-    /// Every instance is opaque and two-sided: no material is looked at.
+    /// Every instance is opaque and two-sided, so materials are not checked.
     pub plain: bool,
-    /// What can be delivered of what is asked.
+    /// The requested outputs that can be delivered.
     pub outputs: Outputs,
     /// Words of all images.
     pub output_words: u64,
-    /// Words of the sums that come back in place of the images; 0 if nothing is weighed.
+    /// Words of the sums that are read back instead of images; 0 if nothing is weighed.
     pub sum_words: u64,
     /// Slots of the environment.
     pub slots: u32,
     /// The images are resolved on the CPU.
     pub on_host: bool,
-    /// The hardware rasterizer draws what it can.
+    /// The hardware rasterizer draws the polygons that it can draw exactly.
     pub rendered: bool,
-    /// Drawn in one submission with others, which tells no times.
+    /// Drawn in one submission with other frames, where timestamps are not taken.
     pub in_company: bool,
 }
 
@@ -107,19 +107,19 @@ impl FrameUploads {
         4 * (u64::from(self.params.units_at) + u64::from(self.units))
     }
 
-    /// Size of what is known about slots.
+    /// Size of the slot table, bytes.
     pub fn slot_bytes(&self) -> u64 {
         u64::from(self.slots) * 4 * u64::from(SLOT_WORDS)
     }
 
-    /// Words that tell which slots it shows; 0 if the device does not tell.
+    /// Words of the bit mask of shown slots; 0 if the device does not write it.
     pub fn shown_words(&self) -> u32 {
         if self.remembered && !self.on_host { self.slots.div_ceil(32) } else { 0 }
     }
 
-    /// Works it out; the arena holds every mesh of the plan. On a software adapter the images are resolved on the
-    /// CPU, unless so many slots would have to be read back that nothing is gained. `last` is what the sensor's last frame showed, if
-    /// that may be reused.
+    /// Computes the uploads. The arena must hold every mesh of the plan. On a software adapter the CPU resolves the
+    /// images, unless reading back the slots would cost more than it saves. `last`: the polygons that the sensor's last
+    /// frame showed, if they may be reused.
     pub fn fill(&mut self, plan: &FramePlan, tables: &Tables, arena: &Arena, way: Way, last: Option<&Shown>) {
         self.slots = plan.environment().slot_count();
         self.on_host = way.software && self.slots <= MOST_SLOTS_ON_HOST;
@@ -197,7 +197,7 @@ impl FrameUploads {
         self.work.extend(plan.facings.iter().map(|f| u32::from(f.opaque) | u32::from(f.one_sided) << 1));
         self.params.units_at = self.work.len() as u32;
         let units_of = |run: &Run| run.count.div_ceil(UNIT);
-        // The device adds those of later waves.
+        // The device appends the units of later waves.
         self.units = plan.runs.iter().map(units_of).sum();
         let first = self.waves.first().map_or(0, |wave| wave.end as usize);
         for (index, run) in (0..).zip(&self.order[..first]) {
@@ -206,22 +206,22 @@ impl FrameUploads {
         }
     }
 
-    /// Units that the first wave begins with.
+    /// Number of units that the first wave starts with.
     pub fn first_units(&self) -> u32 {
         self.work.len() as u32 - self.params.units_at
     }
 
-    /// Puts the runs in order, nearest first; before all others those that the sensor's last frame showed, if most of it may be seen again.
+    /// Orders the runs nearest first. If most of the last frame's polygons may be seen again, their runs go first.
     fn fill_order(&mut self, plan: &FramePlan, way: Way, last: Option<&Shown>) {
         let all = 0..plan.runs.len() as u32;
         self.order.clear();
         (self.shown_before, self.why_anew) = (0, "");
         let again = match last {
-            _ if !plan.reuse_visible => Err("not asked for"),
+            _ if !plan.reuse_visible => Err("not requested"),
             None => Err("not in batches, nor with a deadline"),
             Some(_) if !self.remembered => Err("the world has too many polygons"),
             Some(_) if !way.hides(plan) => Err("too few polygons are in view"),
-            Some(last) => last.of(plan).ok_or("there is none of the sensor in this version of the world"),
+            Some(last) => last.of(plan).ok_or("the sensor has no last frame in this version of the world"),
         };
         match again {
             Ok(last) => {
@@ -248,7 +248,7 @@ impl FrameUploads {
         }
     }
 
-    /// Cuts the runs into waves.
+    /// Divides the runs into waves.
     fn fill_waves(&mut self, plan: &FramePlan, way: Way) {
         self.polygon_count = plan.polygon_count as u32;
         self.waves.clear();
@@ -256,7 +256,7 @@ impl FrameUploads {
         let (mut begin, mut polygons, mut most) = (0, 0, way.most_of_first_wave(plan));
         if self.shown_before > 0 && self.shown_before < end {
             self.waves.push(0..self.shown_before);
-            // All others are compared with what these draw.
+            // One wave suffices for the rest: it is tested against the depth of the first.
             (begin, most) = (self.shown_before, usize::MAX);
         }
         let end = if way.hiding == Hiding::LastFrameOnly && begin > 0 { begin } else { end };
@@ -283,7 +283,7 @@ impl FrameUploads {
         self.passes.extend((!self.on_host).then_some(StageName::Resolve));
     }
 
-    /// Parameters of a wave.
+    /// Returns the parameters of a wave.
     pub fn params_of(&self, wave: usize) -> Params {
         let Range { start, end } = self.waves[wave];
         Params { first_run: start, end_run: end, hiding: u32::from(wave > 0), ..self.params }
@@ -295,7 +295,7 @@ impl FrameUploads {
             self.outputs = self.outputs.without(Output::DepthZ);
         }
         if plan.watch.is_some() {
-            // It tells what is final.
+            // Ranges decide which pixels are final.
             self.outputs = self.outputs.with(Output::Range);
         }
         let pixels = plan.sensor.width() * plan.sensor.height();
@@ -307,8 +307,8 @@ impl FrameUploads {
                 Output::PolygonId => self.params.polygon_at = at,
                 Output::ObjectId => self.params.object_at = at,
                 Output::CosIncidence => self.params.cos_at = at,
-                // The plan draws none of those that engines do not make.
-                _ => debug_assert!(false, "{} is made of other images", output.name()),
+                // The plan never passes derived outputs to engines.
+                _ => debug_assert!(false, "{} is derived from other images", output.name()),
             }
         }
         self.output_words = u64::from(pixels) * self.outputs.iter().count() as u64;
@@ -319,7 +319,7 @@ fn columns(m: DMat3) -> [[f32; 3]; 3] {
     [m.x_axis, m.y_axis, m.z_axis].map(|c| c.as_vec3().to_array())
 }
 
-/// Two f32 that together hold 48 bits.
+/// Splits f64 into two f32, which together hold 48 bits.
 fn split(p: DVec3) -> ([f32; 3], [f32; 3]) {
     let high: Vec3 = p.as_vec3();
     (high.to_array(), (p - high.as_dvec3()).as_vec3().to_array())

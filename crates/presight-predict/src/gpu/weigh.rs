@@ -1,4 +1,4 @@
-//! Sensed range images weighed on the device, after resolve: sums come back in place of images.
+//! Weighs measured range images on the device after resolve, so that sums are read back instead of images.
 
 use super::buffers::{Growable, Uploads};
 use super::device::Gpu;
@@ -10,12 +10,12 @@ use bytemuck::{Pod, Zeroable};
 use presight_model::error::Result;
 use presight_render::plan::{BeamNumbers, StageName, Weighing};
 
-/// Beams that an invocation adds up.
+/// Beams that an invocation sums.
 const BEAMS: u32 = 16;
-/// Most parts of an image.
+/// Maximum number of parts of an image.
 const MOST_PARTS: u32 = 1024;
 
-/// As `WeighParams` in weigh.wgsl.
+/// `WeighParams` in weigh.wgsl.
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 #[repr(C)]
 pub(super) struct WeighParams {
@@ -42,10 +42,10 @@ impl Weigh {
         let mut stage = Stage::new(gpu, "weigh", &[Binding::Uniform, Binding::Read, Binding::Write]);
         stage.prepare(gpu, (0, 0), shaders::WEIGH, &[])?;
         let params = Growable::uniform(gpu, "beam model", size_of::<WeighParams>() as u64);
-        Ok(Self { stage, params, sensed: Growable::storage(gpu, "sensed image") })
+        Ok(Self { stage, params, sensed: Growable::storage(gpu, "measured image") })
     }
 
-    /// Makes room for a sensed image; true if its buffer is another one now.
+    /// Makes room for a measured image. Returns true if its buffer was replaced.
     ///
     /// # Errors
     /// [`crate::ErrorKind::DeviceMemory`].
@@ -57,13 +57,13 @@ impl Weigh {
         self.stage.bind(gpu, &[self.params.buffer(), self.sensed.buffer(), outputs]);
     }
 
-    /// Uploads a sensed image for frames of one sensor.
+    /// Uploads a measured image for frames of one sensor.
     pub fn put(&self, uploads: &mut Uploads, weighing: &Weighing, frame: &FrameUploads) {
         uploads.put(&self.params, 0, bytemuck::bytes_of(&params(weighing, frame)));
         uploads.put(&self.sensed, 0, bytemuck::cast_slice(&weighing.sensed));
     }
 
-    /// Encodes the weighing of a frame that was resolved.
+    /// Encodes the weighing of a resolved frame.
     pub fn encode(&self, gpu: &Gpu, encoder: &mut wgpu::CommandEncoder, weighing: &Weighing) {
         let label = Some(StageName::WeighOnDevice.name());
         let mut pass = gpu.pass(encoder, &wgpu::ComputePassDescriptor { label, timestamp_writes: None });
@@ -83,7 +83,7 @@ pub(super) fn sum_words(weighing: &Weighing) -> u64 {
     u64::from(parts(weighing)) * u64::from(weighing.headings)
 }
 
-/// The sums by heading, from those of parts.
+/// Adds the sums of parts by heading.
 pub(super) fn sums_of(weighing: &Weighing, answer: &[u8]) -> Vec<f64> {
     let sum = |part: &[u8]| part.chunks_exact(4).map(|word| f64::from(bytemuck::pod_read_unaligned::<f32>(word))).sum();
     answer.chunks_exact(4 * parts(weighing) as usize).map(sum).collect()

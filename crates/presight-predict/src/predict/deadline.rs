@@ -1,4 +1,4 @@
-//! What a prediction with a deadline gave up, and what predictions cost.
+//! The parts that a prediction with a deadline gave up, and the costs of predictions.
 
 use super::{Prediction, Predictor};
 use presight_render::cost::CostModel;
@@ -6,12 +6,12 @@ use presight_render::deadline::{Clock, Degradation};
 use std::sync::Arc;
 
 impl Prediction {
-    /// What was given up for the deadline; `None` if everything is there.
+    /// The parts given up for the deadline; `None` if the prediction is complete.
     pub fn degradation(&self) -> Option<&Degradation> {
         self.stats.degradation()
     }
 
-    /// [`Prediction::is_not_predicted`] of all pixels, row-major; empty if nothing was given up.
+    /// [`Prediction::is_not_predicted`] for all pixels, row-major; empty if no sample was given up.
     pub fn not_predicted(&self) -> Vec<bool> {
         if !self.misses_samples() {
             return Vec::new();
@@ -20,8 +20,8 @@ impl Prediction {
         rows.map(|(column, row)| self.is_not_predicted(column, row)).collect()
     }
 
-    /// Whether a pixel was given up: it is NaN with id 0 although the sensor has a ray there. Of a prediction of ids alone that is
-    /// said of pixels that see nothing, too.
+    /// True if a pixel was given up: it is NaN with id 0 although the sensor has a ray there. In a prediction with ids
+    /// only, also true for pixels without a hit.
     pub fn is_not_predicted(&self, column: u32, row: u32) -> bool {
         let at = row as usize * self.images.width as usize + column as usize;
         self.misses_samples() && self.images.is_open(at) && self.sensor.ray(column, row).is_some()
@@ -34,17 +34,17 @@ impl Prediction {
 }
 
 impl Predictor {
-    /// What predictions with a deadline cost so far: to be saved with [`crate::io::costs::write`].
+    /// Learnt costs of predictions with a deadline; save them with [`crate::io::costs::write`].
     pub fn costs(&self) -> &CostModel {
         &self.controller.costs
     }
 
-    /// Goes on from what was learnt before.
+    /// Sets the costs learnt earlier.
     pub fn set_costs(&mut self, costs: CostModel) {
         self.controller.costs = costs;
     }
 
-    /// Takes another clock than the system's: for tests.
+    /// Replaces the system clock, for tests.
     #[doc(hidden)]
     pub fn set_clock(&mut self, clock: Arc<dyn Clock>) {
         self.controller.set_clock(clock);

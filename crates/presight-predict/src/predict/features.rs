@@ -1,4 +1,4 @@
-//! Features of a prediction: found on their polygons, seen or not, and where to look for them.
+//! Features of a prediction: their polygons, their visibility, and their regions of interest.
 
 use super::{Prediction, Predictor, faulty};
 use crate::Backend;
@@ -24,7 +24,7 @@ use std::time::Instant;
 /// A world, a sensor and its pose.
 pub(super) type SeenFrom<'a> = (&'a World, &'a Sensor, &'a Pose);
 
-/// The features of a world's own layer, placed in one version of it.
+/// The features of a world's own layer, placed in one version of the world.
 pub(super) struct WorldFeatures {
     /// [`World::stamp`].
     world: u64,
@@ -32,10 +32,10 @@ pub(super) struct WorldFeatures {
     placed: PlacedFeatures,
 }
 
-/// The features that were predicted last: their tree, and the surfaces of contours.
+/// The features of the last prediction: their tree, and the surfaces of contours.
 pub(super) struct KnownTree {
     features: Arc<[PlacedFeature]>,
-    /// [`World::stamp`] of the version in which they were checked.
+    /// [`World::stamp`] of the version that they were checked against.
     world: u64,
     class: String,
     tree: FeatureTree,
@@ -49,7 +49,7 @@ impl KnownTree {
 }
 
 impl Predictor {
-    /// The features of a request, on their polygons.
+    /// The requested features, on their polygons.
     pub(super) fn place(&mut self, world: &World, sensor: &Sensor, options: &FeatureOptions) -> Result<PlacedFeatures> {
         let class = &sensor.spec().class;
         match (&options.source, &self.own) {
@@ -59,7 +59,7 @@ impl Predictor {
             }
             (FeatureSource::World, _) => {
                 let Some(layer) = world.environment().layer(class) else {
-                    let what = format!("features are asked for, and the world has none for class {class:?}");
+                    let what = format!("features are requested, but the world has none for class {class:?}");
                     return Err(Error::usage(what, "generate a layer (presight features), or give placed features"));
                 };
                 let placed = self.on_threads(|| placement::place_layer(world, layer))??;
@@ -69,7 +69,7 @@ impl Predictor {
         }
     }
 
-    /// Features and their regions from images just made, with `feature_id` among the images.
+    /// Predicts features and their regions from images just made; adds `feature_id` to the images.
     pub(super) fn features(
         &mut self,
         (world, sensor, world_from_sensor): SeenFrom<'_>,
@@ -109,12 +109,12 @@ impl Predictor {
         };
         tell_lost(&placed.lost, &sensor.spec().class, stats);
         if regions.is_none() {
-            stats.leave_out(StageName::RegionsOfInterest, "nothing that is asked for shows them");
+            stats.leave_out(StageName::RegionsOfInterest, "no requested output shows them");
         }
         Ok(features)
     }
 
-    /// How much is seen of features.
+    /// Predicts the visibility of features.
     fn see(
         &mut self,
         seen_from @ (world, sensor, world_from_sensor): (&World, &Sensor, &Pose),
@@ -124,7 +124,7 @@ impl Predictor {
         stats: &mut Stats,
     ) -> Result<FeaturePrediction> {
         if placed.is_empty() {
-            stats.leave_out(StageName::Features, "there is none for this class");
+            stats.leave_out(StageName::Features, "there are no features for this class");
         }
         let mut start = Instant::now();
         let tree = self.take_tree(world, &sensor.spec().class, placed)?;
@@ -152,7 +152,7 @@ impl Predictor {
         Ok(prediction)
     }
 
-    /// The tree of features that were checked in the world.
+    /// The tree for features, after checking them in this world.
     pub(super) fn take_tree(&mut self, world: &World, class: &str, placed: &Arc<[PlacedFeature]>) -> Result<KnownTree> {
         let known = self.tree.take().filter(|known| Arc::ptr_eq(&known.features, placed) && known.class == class);
         let known = match known {
@@ -160,7 +160,7 @@ impl Predictor {
             known => known,
         };
         check_placed(world.environment(), placed)?;
-        // Where surfaces go on in others depends on where these are.
+        // The continuation of a surface into others depends on where these are.
         let known = known.filter(|known| known.contours.is_empty());
         let (tree, contours) = match known {
             Some(known) => (known.tree, known.contours),
@@ -192,7 +192,7 @@ impl Predictor {
         Ok(())
     }
 
-    /// [`engine::add_boxes`], on the CPU where a device that was ours to choose fails. Returns how many boxes the device made.
+    /// [`engine::add_boxes`], with the CPU as fallback for an automatically chosen device. Returns the device's count.
     fn boxes(
         &mut self,
         prediction: &mut FeaturePrediction,
@@ -209,7 +209,7 @@ impl Predictor {
                 stats.work.add(self.engine.device().map(|device| device.work().since(before)).unwrap_or_default());
                 Ok(Some(made))
             }
-            // The CPU finds the same; the next prediction opens the device again.
+            // The CPU computes the same boxes; the next prediction opens the device again.
             (Err(e), Some(_)) if self.backend == Backend::Auto && e.kind() != ErrorKind::Usage => {
                 self.threads.run(|| add_boxes(prediction, query))??;
                 Ok(None)
@@ -221,12 +221,12 @@ impl Predictor {
     /// Records that a stage stays on the CPU because the adapter is software.
     fn tell_of_software(&mut self, stage: StageName, stats: &mut Stats) {
         if self.engine.device().is_some_and(|device| !device.takes_features()) {
-            stats.leave_out(stage, "done on the CPU: the adapter is a program on its own cores");
+            stats.leave_out(stage, "done on the CPU: the adapter is software on the CPU's own cores");
         }
     }
 
-    /// What the images on the device say of the samples of features: slots of what may hide them; `None` if the images are
-    /// not there.
+    /// Queries the images on the device for occluders of feature samples. Returns slots that may hide them, or `None`
+    /// if the device does not hold the images.
     fn query_occlusion(
         &mut self,
         prepared: &PreparedFeatures<'_>,
@@ -238,7 +238,7 @@ impl Predictor {
         }
         let samples = self.on_threads(|| prepared.query_samples())?;
         if samples.iter().all(Vec::is_empty) {
-            stats.leave_out(StageName::FeaturesOnDevice, "no sample is where only what is in between decides");
+            stats.leave_out(StageName::FeaturesOnDevice, "no sample depends on surfaces in between");
             return Ok(None);
         }
         let Some(device) = self.engine.device() else { return Ok(None) };
@@ -246,7 +246,7 @@ impl Predictor {
         let placed: Vec<&PlacedFeature> = prepared.asked().collect();
         let hints = match device.query_occlusion(&FeatureSamples { samples: &samples, placed: &placed, sensor }) {
             Ok(hints) => hints,
-            // The images at hand say the same; the next prediction opens the device again.
+            // The images on the CPU hold the same information; the next prediction opens the device again.
             Err(_) if self.backend == Backend::Auto => return Ok(None),
             Err(e) => return Err(e),
         };
@@ -260,8 +260,8 @@ impl Predictor {
         Ok(Some(samples.iter().map(|samples| slots.by_ref().take(samples.len()).collect()).collect()))
     }
 
-    /// Holds a device to the CPU before it makes regions of interest for a kind of sensor for the first time. What it says of
-    /// visibility needs no such proof: each answer is tested on the CPU.
+    /// Verifies a device's regions of interest against the CPU before their first use for a kind of sensor. Visibility
+    /// needs no such check, because the CPU verifies each answer.
     fn prove_regions(&mut self, sensor: &Sensor) -> Result<()> {
         let Some(device) = self.engine.device().filter(|device| device.takes_features()) else { return Ok(()) };
         let task = SensorKind::of(sensor);
@@ -280,17 +280,17 @@ impl Predictor {
         }
     }
 
-    /// Predicts what is seen of the outlines of patches that are seen in part: for pictures. Needs the `polygon_id` image.
+    /// Predicts the visible outlines of partly visible patches, for pictures. Needs the `polygon_id` image.
     ///
     /// # Errors
-    /// [`ErrorKind::Usage`] if the world is another version than that of the prediction; [`ErrorKind::Invalid`] without
+    /// [`ErrorKind::Usage`] if the world's version differs from the prediction's; [`ErrorKind::Invalid`] without
     /// `polygon_id`.
     pub fn predict_outlines(&mut self, world: &World, prediction: &Prediction) -> Result<Vec<SeenFeature>> {
         let Prediction { request, sensor, world_from_sensor, images, .. } = prediction;
         let (Some(options), Some(seen)) = (&request.features, &prediction.features) else { return Ok(Vec::new()) };
         if world.version() != prediction.world_version {
             let (is, was) = (world.version(), prediction.world_version);
-            let what = format!("the world is at version {is}, and the prediction is of version {was}");
+            let what = format!("the world is at version {is}, but the prediction is for version {was}");
             return Err(Error::usage(what, "predict again"));
         }
         let placed = self.place(world, sensor, options)?;
@@ -316,7 +316,7 @@ pub(super) fn settings(request: &Request) -> FeatureSettings {
     }
 }
 
-/// What is to be known of features that are left out because nothing is under them.
+/// Reports features that are left out because their surface is gone.
 fn tell_lost(lost: &[u32], class: &str, stats: &mut Stats) {
     const LISTED: usize = 10;
     if lost.is_empty() {
@@ -328,7 +328,7 @@ fn tell_lost(lost: &[u32], class: &str, stats: &mut Stats) {
     let (count, ids) = (lost.len(), ids.join(", "));
     let subject = if count == 1 { "1 feature".to_owned() } else { format!("{count} features") };
     stats.notices.push(format!(
-        "{subject} for class {class:?} left out: the surface below is gone ({ids}); alter or delete them, or put back what \
-         was moved; presight inspect tells more"
+        "{subject} for class {class:?} left out: the surface below is gone ({ids}); change or delete them, \
+         or restore the surface; see presight inspect"
     ));
 }

@@ -1,4 +1,4 @@
-//! Features of a prediction with a deadline: those that matter most first, in groups, the next only if it fits.
+//! Features of a prediction with a deadline, most important first, in groups: the next group starts only if it fits.
 
 use super::Predictor;
 use super::features::{KnownTree, SeenFrom, settings};
@@ -15,7 +15,7 @@ use std::collections::HashMap;
 use std::time::Instant;
 
 impl Predictor {
-    /// As many features with their regions as there is time for. They are found on the CPU: a device cannot stop.
+    /// Predicts as many features with their regions as time allows. The CPU does it, because a device cannot stop.
     pub(super) fn features_in_time(
         &mut self,
         (world, sensor, world_from_sensor): SeenFrom<'_>,
@@ -57,7 +57,7 @@ impl Predictor {
             groups.took(timed, which.len());
         }
         images.feature_id = marks.into_image();
-        // As they were given.
+        // Restores the given order.
         let mut seen: Vec<(u32, SeenFeature)> = found.given.into_iter().zip(found.features).collect();
         seen.sort_by_key(|(given, _)| *given);
         (found.given, found.features) = seen.into_iter().unzip();
@@ -75,9 +75,9 @@ impl Predictor {
     }
 }
 
-/// Indices of features: those that the caller ranks, then the others, longest image first.
+/// Indices of features: first the ranked ones, then the others, longest image first.
 fn rank(placed: &[PlacedFeature], priority: &Priority, lengths: &[f64]) -> Vec<usize> {
-    // Of a number named twice the first counts.
+    // If a number occurs twice, its first rank counts.
     let ranks: HashMap<u32, usize> = priority.features.iter().enumerate().rev().map(|(rank, id)| (*id, rank)).collect();
     let rank = |i: &usize| ranks.get(&placed[*i].feature.id).copied().unwrap_or(usize::MAX);
     let mut order: Vec<usize> = (0..placed.len()).collect();

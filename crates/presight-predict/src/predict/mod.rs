@@ -35,7 +35,7 @@ pub enum Backend {
     Gpu,
 }
 
-/// How a [`Predictor`] works.
+/// Options of a [`Predictor`].
 ///
 /// ```
 /// use presight::{Backend, Options, Predictor};
@@ -50,34 +50,34 @@ pub struct Options {
     pub backend: Backend,
     /// CPU threads: a handle to share, or a number (`2.into()`), 0 for all cores.
     pub threads: Threads,
-    /// What rasterizes on a GPU.
+    /// The rasterizer on a GPU.
     pub raster: Raster,
-    /// Lets a GPU draw first what a sensor's last frame showed, if the world is the same: see [`Options::with_reuse_visible`].
+    /// Lets a GPU first draw what the sensor's last frame showed, see [`Options::with_reuse_visible`].
     pub reuse_visible: bool,
 }
 
 impl Options {
-    /// With this engine.
+    /// Creates options for this engine.
     pub fn new(backend: Backend) -> Self {
         Self { backend, ..Self::default() }
     }
 
-    /// With another engine.
+    /// Sets the engine.
     #[must_use]
     pub fn with_backend(self, backend: Backend) -> Self {
         Self { backend, ..self }
     }
 
-    /// With another rasterizer on a GPU.
+    /// Sets the rasterizer on a GPU.
     #[must_use]
     pub fn with_raster(self, raster: Raster) -> Self {
         Self { raster, ..self }
     }
 
-    /// Lets a GPU draw first what a sensor's last frame showed, if that was in the same version of the world; what lies behind is then left
-    /// out sooner. For robots that drive: frames must follow each other in [`Predictor::predict`] or [`Predictor::predict_again`]. Images
-    /// are the same without it, and [`Stats`] say whether it was done. It has no effect on the CPU engine, in batches and studies, and for
-    /// predictions with a deadline.
+    /// Lets a GPU first draw the polygons that the sensor's last frame showed in the same version of the world, so that
+    /// hidden polygons are skipped sooner. Useful for moving robots that call [`Predictor::predict`] or
+    /// [`Predictor::predict_again`] for consecutive frames. Images do not change, and [`Stats`] report whether it was
+    /// used. It has no effect on the CPU engine, in batches and studies, or with a deadline.
     ///
     /// ```
     /// use presight::plan::StageName;
@@ -88,7 +88,7 @@ impl Options {
     /// for step in 0..3 {
     ///     let pose = Pose::from_xyz_rpy(0.1 * f64::from(step) * DVec3::X, 0.0, 0.0, 0.0);
     ///     let seen = predictor.predict(&world, &sensor, &pose, &Request::default())?;
-    ///     // Nothing is in view here that could be drawn first.
+    /// This world has no polygons to draw first.
     ///     assert!(!seen.stats.taken.iter().any(|variant| variant.what == StageName::ReuseOfLastFrame));
     /// }
     /// # Ok::<(), presight::Error>(())
@@ -98,14 +98,14 @@ impl Options {
         Self { reuse_visible, ..self }
     }
 
-    /// With other threads: a handle to share, or a number, 0 for all cores.
+    /// Sets the threads: a handle to share, or a number, 0 for all cores.
     #[must_use]
     pub fn with_threads(self, threads: impl Into<Threads>) -> Self {
         Self { threads: threads.into(), ..self }
     }
 }
 
-/// What a sensor should see at one pose: the answer to a [`Request`].
+/// The expected view of a sensor at one pose: the answer to a [`Request`].
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct Prediction {
@@ -121,7 +121,7 @@ pub struct Prediction {
     pub images: Images,
     /// The requested features, with their regions of interest if these were requested.
     pub features: Option<FeaturePrediction>,
-    /// What the prediction did and cost.
+    /// Statistics of the prediction.
     pub stats: Stats,
 }
 
@@ -139,26 +139,26 @@ pub struct Prediction {
 pub struct Predictor {
     backend: Backend,
     reuse_visible: bool,
-    /// Work that no engine does runs here.
+    /// Threads for work outside of engines.
     threads: Threads,
     engine: Box<dyn Engine>,
-    /// Keeps deadlines where that one cannot.
+    /// Keeps deadlines if `engine` cannot.
     stand_in: Option<Box<dyn Engine>>,
-    /// What the engine's device was found able to do.
+    /// Results of the checks of the engine's device.
     proven: ProbeResults,
-    /// Memory for the next plan. Not a plan: that would keep a version of the world, and its next change would copy it.
+    /// Memory for the next plan. A whole plan would keep a version of the world, and its next change would copy it.
     buffers: PlanBuffers,
-    /// The world's own features that were placed last.
+    /// The world's own features, as placed last.
     own: Option<features::WorldFeatures>,
     tree: Option<features::KnownTree>,
-    /// Keeps deadlines.
+    /// The deadline controller.
     controller: Controller,
-    /// What happened to the GPU, if something did.
+    /// The last event that affected the GPU.
     notice: Option<String>,
     row_cuts: RowCuts,
 }
 
-/// What a device has shown, by kind of sensor: that its images are right, and how many of its regions.
+/// Checks that a device passed, by kind of sensor: images, and the results for regions.
 #[derive(Default)]
 struct ProbeResults {
     images: Vec<SensorKind>,
@@ -177,8 +177,8 @@ impl Predictor {
         Ok(Self { notice, ..Self::with_engine(options, engine) })
     }
 
-    /// Makes a predictor of an engine that is open already. With [`Backend::Auto`] the CPU engine takes over if that one's
-    /// device fails.
+    /// Creates a predictor with an open engine. With [`Backend::Auto`] the CPU engine takes over if the engine's device
+    /// fails.
     #[doc(hidden)]
     pub fn with_engine(options: Options, engine: Box<dyn Engine>) -> Self {
         Self {
@@ -203,7 +203,7 @@ impl Predictor {
         &*self.engine
     }
 
-    /// The threads for tasks of batches, running.
+    /// The running threads for tasks of batches.
     ///
     /// # Errors
     /// [`ErrorKind::System`] if they cannot be started.
@@ -216,7 +216,7 @@ impl Predictor {
         &self.row_cuts
     }
 
-    /// The engine, and the threads on which it leaves work to the CPU.
+    /// The engine, and the threads for the work that it leaves to the CPU.
     #[doc(hidden)]
     pub fn engine_mut(&mut self) -> (&mut dyn Engine, &Threads) {
         (&mut *self.engine, &self.threads)
@@ -227,10 +227,10 @@ impl Predictor {
         self.engine.name()
     }
 
-    /// Predicts all that a request asks for, of a sensor at a pose: the sensor's pose in the world, body axes.
+    /// Predicts everything in the request for a sensor at a pose (world from sensor, body axes).
     ///
-    /// If the GPU is lost, it is opened again once per prediction. With [`Backend::Auto`] the CPU engine takes over if that
-    /// fails, or if the device has too little memory. [`Stats::notices`] says so from then on.
+    /// If the GPU is lost, it is opened again once per prediction. With [`Backend::Auto`] the CPU engine takes over if
+    /// that fails, or if the device has too little memory; [`Stats::notices`] reports that from then on.
     ///
     /// ```
     /// use presight::environment::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
@@ -251,7 +251,7 @@ impl Predictor {
     /// let camera = presight::preset("video-camera")?;
     /// let mut predictor = Predictor::new(Options::default())?;
     /// let seen = predictor.predict(&World::new(Environment::new()), &camera, &Pose::IDENTITY, &request)?;
-    /// let edge = &seen.features.as_ref().expect("they were asked for").features[0];
+    /// let edge = &seen.features.as_ref().expect("they were requested").features[0];
     /// assert_eq!((edge.feature.id, edge.visible_fraction), (7, 1.0));
     /// let [x0, y0, x1, y1] = edge.roi.expect("it is seen");
     /// assert!(x0 < x1 && y0 < y1);
@@ -259,12 +259,12 @@ impl Predictor {
     /// ```
     ///
     /// # Errors
-    /// Those of [`Request::check`] and [`Pose::check`]; [`ErrorKind::Usage`] if features are asked for and the world has
-    /// none for the sensor's class; [`ErrorKind::Invalid`] for features of objects or polygons that are not in the world;
-    /// [`ErrorKind::System`] if the system refuses memory or threads; [`ErrorKind::DeviceLost`] and
-    /// [`ErrorKind::DeviceMemory`] with [`Backend::Gpu`]; [`ErrorKind::Deadline`] if nothing can be made within
-    /// [`Request::deadline`], and [`ErrorKind::Usage`] for a deadline of 0 or, with another backend than [`Backend::Auto`], of an
-    /// engine that cannot stop.
+    /// The errors of [`Request::check`] and [`Pose::check`]; [`ErrorKind::Usage`] if features are requested but the
+    /// world has none for the sensor's class; [`ErrorKind::Invalid`] for features of objects or polygons that are not
+    /// in the world; [`ErrorKind::System`] if the system refuses memory or threads; [`ErrorKind::DeviceLost`] and
+    /// [`ErrorKind::DeviceMemory`] with [`Backend::Gpu`]; [`ErrorKind::Deadline`] if no image can be made within
+    /// [`Request::deadline`]; [`ErrorKind::Usage`] for a deadline of 0 or, unless the backend is [`Backend::Auto`], an
+    /// engine that cannot stop early.
     pub fn predict(
         &mut self,
         world: &World,
@@ -285,8 +285,8 @@ impl Predictor {
         Ok(prediction)
     }
 
-    /// Predicts again, into an older prediction whose memory is reused: the same sensor and request, at another pose or in
-    /// another version of the world. After an error the older prediction is not to be used.
+    /// Predicts into an older prediction and reuses its memory: the same sensor and request, at another pose or in
+    /// another version of the world. After an error the older prediction must not be used.
     ///
     /// ```
     /// use presight::{Environment, Options, Pose, Predictor, Request, World};
@@ -300,7 +300,7 @@ impl Predictor {
     /// ```
     ///
     /// # Errors
-    /// As [`Predictor::predict`].
+    /// Same as [`Predictor::predict`].
     pub fn predict_again(
         &mut self,
         world: &World,
@@ -312,7 +312,7 @@ impl Predictor {
         self.fill(world, prediction)
     }
 
-    /// Answers the request of a prediction that has sensor and pose.
+    /// Fulfils the request of a prediction whose sensor and pose are set.
     fn fill(&mut self, world: &World, prediction: &mut Prediction) -> Result<()> {
         let Prediction { request, sensor, world_from_sensor, images, features, stats, .. } = prediction;
         request.check(sensor)?;
@@ -346,7 +346,7 @@ impl Predictor {
         Ok(())
     }
 
-    /// What a device needs once for each kind of sensor is no part of a deadline.
+    /// One-time checks of a device for a kind of sensor do not count towards a deadline.
     fn get_ready(&mut self, sensor: &Sensor, outputs: Outputs) -> Result<()> {
         match self.prove(sensor, outputs) {
             Ok(()) => Ok(()),
@@ -354,7 +354,7 @@ impl Predictor {
         }
     }
 
-    /// Answers a request with a deadline on the CPU engine, where the engine was ours to choose and cannot stop.
+    /// Fulfils a request with a deadline on the CPU engine; the automatically chosen engine cannot stop early.
     fn fill_on_stand_in(&mut self, world: &World, prediction: &mut Prediction) -> Result<()> {
         let engine = match self.stand_in.take() {
             Some(engine) => engine,
@@ -368,7 +368,7 @@ impl Predictor {
         filled
     }
 
-    /// Predicts images alone into the caller's: for studies, which draw for many sensors into the same memory.
+    /// Predicts only images, into the caller's memory, for studies that draw many sensors into the same images.
     #[doc(hidden)]
     pub fn predict_images(
         &mut self,
@@ -381,7 +381,7 @@ impl Predictor {
         self.predict_within((world, sensor, world_from_sensor), (request.into(), false), images, None)
     }
 
-    /// Predicts images, by a deadline if there is one; an engine may reuse what it showed last if the request says so.
+    /// Predicts images, with a deadline if there is one; an engine may reuse its last frame if the request allows it.
     fn predict_within(
         &mut self,
         (world, sensor, world_from_sensor): SeenFrom<'_>,
@@ -417,8 +417,8 @@ impl Predictor {
         self.threads.run(work)
     }
 
-    /// Draws plans of one sensor together, where the engine can, and hands over each one's images in their order, or sums where it
-    /// weighed them. What a fault leaves over is drawn one by one, as single predictions are.
+    /// Draws plans of one sensor together if the engine can, and hands over their results in order: images, or sums
+    /// that the engine weighed. After a fault the remaining plans are drawn individually, like single predictions.
     pub(crate) fn render_many(
         &mut self,
         plans: &[FramePlan],
@@ -429,7 +429,7 @@ impl Predictor {
         let mut done = 0;
         let first = plans.iter().find(|plan| plan.polygon_count > 0);
         if first.is_none_or(|plan| self.prove_for(plan).is_ok()) {
-            // Its fault comes up again with the first plan that is left.
+            // A fault occurs again with the first remaining plan, which handles it.
             let _ = self.engine.render_many(plans, weighing, images, &mut |drawn, mut stats| {
                 tell(&plans[done], self.notice.as_ref(), &mut stats);
                 done += 1;
@@ -456,13 +456,13 @@ impl Predictor {
             let Err(fault) = drawn else { return Ok(()) };
             self.recover(fault, again)?;
             again = false;
-            // Nothing of the attempt that failed is told.
+            // Drop the statistics of the failed attempt.
             stats.clone_from(&selection);
         }
     }
 
-    /// Opens a lost device again, if it may, or, where the backend was ours to choose, goes on with the CPU engine. A device that draws
-    /// wrong or is lost with the hardware rasterizer goes on without it.
+    /// Recovers from a fault: opens a lost device again (if `again` allows it) or, with an automatically chosen
+    /// backend, switches to the CPU engine. Stops using a hardware rasterizer that draws wrong or loses the device.
     fn recover(&mut self, fault: Error, again: bool) -> Result<()> {
         let Some(device) = self.engine.device() else { return Err(fault) };
         let may_be_raster = matches!(fault.kind(), ErrorKind::DeviceLost | ErrorKind::NoDevice);
@@ -484,13 +484,13 @@ impl Predictor {
         Ok(())
     }
 
-    /// [`Predictor::prove`]; where nothing is drawn nothing has to be proven.
+    /// [`Predictor::prove`], unless nothing is drawn.
     fn prove_for(&mut self, plan: &FramePlan) -> Result<()> {
         if plan.polygon_count == 0 { Ok(()) } else { self.prove(&plan.sensor, plan.drawn()) }
     }
 
-    /// Holds a device to the reference on a tiny scene before it draws for a kind of sensor for the first time. The pipelines
-    /// that this makes are those of the prediction to come, so that it costs little besides.
+    /// Verifies a device on a tiny scene before its first use for a kind of sensor. This costs little, because the
+    /// following prediction uses the same pipelines.
     fn prove(&mut self, sensor: &Sensor, outputs: Outputs) -> Result<()> {
         let task = SensorKind::of(sensor);
         if self.engine.device().is_none() || self.proven.images.contains(&task) {
@@ -508,7 +508,7 @@ impl Predictor {
     }
 }
 
-/// Adds to an engine's statistics what the plan and the predictor know.
+/// Adds the plan's and the predictor's notes to an engine's statistics.
 fn tell(plan: &FramePlan, notice: Option<&String>, stats: &mut Stats) {
     let by_engine = std::mem::replace(&mut stats.left_out, plan.left_out());
     stats.left_out.extend(by_engine);
@@ -516,14 +516,14 @@ fn tell(plan: &FramePlan, notice: Option<&String>, stats: &mut Stats) {
     stats.notices.extend(notice.cloned());
 }
 
-/// A device does something wrong.
+/// The error for a device that gives wrong results.
 fn faulty(device: &dyn Device, what: String) -> Error {
     let remedy = "update its driver, or use --backend cpu; see presight doctor";
     Error::new(ErrorKind::NoDevice, format!("{} {what}", device.adapter()), remedy)
 }
 
-/// The engine of a backend, and what is to be said of it. `open_gpu` opens a GPU, on hardware or none if its second argument
-/// says so.
+/// The engine of a backend, with a notice if there is one. `open_gpu` opens a GPU; with `true` it accepts hardware
+/// only.
 fn choose_engine(
     backend: Backend,
     threads: &Threads,
@@ -535,7 +535,7 @@ fn choose_engine(
         Backend::Gpu => Ok((open_gpu(threads, false)?, None)),
         Backend::Auto => match open_gpu(threads, true) {
             Ok(engine) => Ok((engine, None)),
-            // No hardware GPU is the normal case on a robot's CI: nothing worth a notice.
+            // No hardware GPU is the normal case on CI machines, so there is no notice.
             Err(e) if e.kind() == ErrorKind::NoDevice => Ok((on_cpu()?, None)),
             Err(e) => Ok((on_cpu()?, Some(format!("the CPU engine is used: {e}")))),
         },

@@ -1,4 +1,4 @@
-//! What virtual sensors need of predictions.
+//! Access to predictions for virtual sensors.
 
 use super::{Prediction, Predictor};
 use crate::request::Request;
@@ -12,7 +12,7 @@ use presight_model::world::World;
 use presight_render::plan::{Output, Outputs};
 
 impl<'a> View<'a> {
-    /// A prediction in an environment.
+    /// The view of a prediction in an environment.
     pub fn of(prediction: &'a Prediction, environment: &'a Environment) -> Self {
         let (images, scheme) = (&prediction.images, prediction.request.ids);
         let known = !images.polygon_id.is_empty() && !images.object_id.is_empty();
@@ -29,8 +29,8 @@ impl<'a> View<'a> {
 }
 
 impl Predictor {
-    /// Returns the height in the world of what is straight below a sensor, metres: the floor for `free-floor`, where the
-    /// sensor's mount does not say how high it is above the floor.
+    /// Returns the world height of the surface directly below a sensor, metres. This is the floor for `free-floor` if
+    /// the sensor's mount does not specify its height above the floor.
     ///
     /// ```
     /// use presight::{Options, Pose, Predictor, Scene};
@@ -43,7 +43,7 @@ impl Predictor {
     /// ```
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] if nothing is below; those of [`Predictor::predict`].
+    /// [`crate::ErrorKind::Usage`] if nothing is below; the errors of [`Predictor::predict`].
     pub fn floor_below(&mut self, world: &World, sensor: &Sensor, world_from_sensor: &Pose) -> Result<f64> {
         let down = RayTable::new(1, 1, vec![DVec3::NEG_Z])?;
         let probe = Sensor::new(SensorSpec::new("straight down", &sensor.spec().class, Geometry::Rays(down)))?;
@@ -51,7 +51,7 @@ impl Predictor {
         let request = Request::of(Outputs::of(&[Output::Range]));
         let range = f64::from(self.predict(world, &probe, &at, &request)?.images.range[0]);
         if !range.is_finite() {
-            let what = format!("sensor {:?} has no [mount], and nothing is below it", sensor.spec().name);
+            let what = format!("sensor {:?} has no [mount], and there is no surface below it", sensor.spec().name);
             let remedy = "give --floor-z, or robot_from_sensor under [mount] in the sensor's file";
             return Err(Error::usage(what, remedy).at("--virtual free-floor"));
         }

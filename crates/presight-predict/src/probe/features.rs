@@ -1,4 +1,4 @@
-//! What a device says of features: which samples other polygons hide, and boxes around regions of interest.
+//! Checks of a device's feature results: occlusion of samples, and boxes of regions of interest.
 
 use super::{Probe, SensorKind};
 use crate::engine::{Device, Engine};
@@ -13,36 +13,35 @@ use presight_model::geometry::Pose;
 use presight_model::sensor::Sensor;
 use presight_render::plan::{FramePlan, ImageRequest, Images, Output, Outputs, Stats};
 
-/// How far a side of a box may be from the CPU's, pixels.
+/// Tolerance for a side of a box compared to the CPU, pixels.
 const OFF: f64 = 1.0 / 16.0;
 
-/// Where points are between two places.
+/// Positions of points between two places.
 const SHARES: [f64; 3] = [0.25, 0.5, 0.75];
 
-/// What a device said of points on the scene's polygons.
+/// Result of a device's check on points of the scene's polygons.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct DeviceCheck {
-    /// How many were asked for.
+    /// Number of points.
     pub all: usize,
-    /// How many it knew, or made itself.
+    /// Number of points that the device decided.
     pub answered: usize,
-    /// How many of those answers are wrong.
+    /// Number of wrong decisions.
     pub wrong: usize,
 }
 
 impl DeviceCheck {
-    /// True if it is of use: answers are in f32, so that one in a hundred may be wrong at an outline, where the CPU sets it
-    /// right.
+    /// True if the device is usable. Its answers are in f32, so 1 % may be wrong at outlines; the CPU corrects these.
     pub fn is_sound(&self) -> bool {
         100 * self.wrong <= self.answered && 4 * self.answered >= self.all
     }
 }
 
 impl Probe {
-    /// Lets a device say which points of the scene's polygons are hidden; a ray to each tells what is right.
+    /// Tests a device's occlusion answers for points of the scene's polygons against exact rays.
     ///
     /// # Errors
-    /// Those of the engine.
+    /// Errors of the engine.
     pub fn occlusion(&self, task: SensorKind, engine: &mut dyn Engine) -> Result<DeviceCheck> {
         let (sensor, pose, placed) = (task.sensor()?, super::pose(), self.points());
         let request = ImageRequest { outputs: Outputs::of(&[Output::PolygonId]), ..ImageRequest::default() };
@@ -70,14 +69,14 @@ impl Probe {
         Ok(told)
     }
 
-    /// Lets a device make boxes of 99 % around points of the scene's polygons; those of the CPU are right.
+    /// Tests a device's 99 % boxes around points of the scene's polygons against the CPU's.
     ///
     /// # Errors
-    /// Those of the engine.
+    /// Errors of the engine.
     pub fn regions(&self, task: SensorKind, device: &mut dyn Device) -> Result<DeviceCheck> {
         let (sensor, pose, placed) = (task.sensor()?, super::pose(), self.points());
         let mut options = BoxOptions::default();
-        // 1 cm and half a degree.
+        // Standard deviations of 1 cm and half a degree.
         (0..3).for_each(|i| (options.sensor[i][i], options.sensor[3 + i][3 + i]) = (1e-4, 7.6e-5));
         let mut right = self.seen(&sensor, &pose, &placed)?;
         let mut made = right.clone();
@@ -112,7 +111,7 @@ impl Probe {
         Ok(DeviceCheck { all, answered, wrong: (0..placed.len()).filter(differs).count() })
     }
 
-    /// What a ray to each point says.
+    /// The exact visibility of each point, by rays.
     fn seen(&self, sensor: &Sensor, pose: &Pose, placed: &[PlacedFeature]) -> Result<FeaturePrediction> {
         let (width, height) = (sensor.width(), sensor.height());
         let polygon_id = vec![0; width as usize * height as usize];
@@ -121,8 +120,8 @@ impl Probe {
         predict_features(&self.world, sensor, pose, &images, placed, &options)
     }
 
-    /// Points on every polygon: three beside each of its sides, not on them, where neighbours touch them, and three in the
-    /// sensor's horizontal plane, for scanners of one row.
+    /// Points on every polygon: three near each side, but not on it, because neighbours touch there; and three in the
+    /// sensor's horizontal plane, for one-row scanners.
     fn points(&self) -> Vec<PlacedFeature> {
         let (sensor, mut placed) = (super::pose(), Vec::new());
         let mut add = |at: DVec3, slot: u32| {
@@ -182,7 +181,7 @@ mod tests {
             assert!(seen.is_sound() && seen.answered > 20, "{}: {seen:?}", task.name());
             let regions = probe.regions(task, &mut engine).unwrap();
             assert!(regions.wrong == 0 && regions.all > 5, "{}: {regions:?}", task.name());
-            // A lens or table is the CPU's.
+            // The CPU handles lenses and ray tables.
             assert!(regions.answered > 0 || task == SensorKind::Rays, "{}: {regions:?}", task.name());
         }
     }

@@ -1,8 +1,7 @@
-//! Whether an engine draws on this machine what it should: drivers are at fault at times, and a wrong image is worse than
-//! none.
+//! Tests whether an engine draws correctly on this machine: drivers have faults, and a wrong image is worse than none.
 //!
-//! A tiny scene, seen by a tiny sensor of each kind for which engines have a path of their own, is held to the reference
-//! by the same comparison that judges engines in every test ([`crate::verify`]).
+//! A tiny scene, seen by a tiny sensor of each kind that has its own code path, is compared to the reference in the
+//! same way as in every test ([`crate::verify`]).
 
 mod features;
 
@@ -36,7 +35,7 @@ impl SensorKind {
     /// Every kind.
     pub const ALL: [Self; 4] = [Self::Camera, Self::Scanner, Self::Row, Self::Rays];
 
-    /// In words.
+    /// Name for messages.
     pub fn name(self) -> &'static str {
         match self {
             Self::Camera => "camera",
@@ -64,7 +63,7 @@ impl SensorKind {
             Self::Scanner => scanner(uniform(-180.0, 7.5, 48), uniform(-80.0, 5.0, 33)),
             Self::Row => scanner(uniform(-180.0, 1.0, 360), uniform(0.0, 0.0, 1)),
             Self::Rays => {
-                // The faces of a bent sheet, seen from behind it: nothing that spans could do.
+                // Rays on a bent surface, which no engine can draw with spans.
                 let at = |i: u32, n: u32| (f64::from(i) + 0.5) / f64::from(n) * 2.0 - 1.0;
                 let ray = |i: u32| {
                     let (y, z) = (at(i % 24, 24), at(i / 24, 16));
@@ -96,10 +95,10 @@ pub struct Probe {
 }
 
 impl Probe {
-    /// Makes the scene: a room with a slanting pillar, a plate in front of it, one just before the sensor, and a sliver.
+    /// Makes the scene: a room with a slanting pillar, a plate in front of it, one close to the sensor, and a sliver.
     ///
     /// # Errors
-    /// None that can be met.
+    /// Only for a bug in the scene.
     pub fn new() -> Result<Self> {
         let mut environment = Environment::new();
         for name in ["wall", "thing"] {
@@ -125,10 +124,10 @@ impl Probe {
         Ok(Self { world: World::new(environment) })
     }
 
-    /// Lets an engine draw outputs of a task (`depth_z` of cameras only, no `feature_id`), and compares with the reference.
+    /// Draws a task's outputs (`depth_z` only for cameras, no `feature_id`) and compares them with the reference.
     ///
     /// # Errors
-    /// Those of the engine; [`crate::ErrorKind::Invalid`] if an image lacks pixels.
+    /// Errors of the engine; [`crate::ErrorKind::Invalid`] if an image lacks pixels.
     pub fn run(
         &self,
         task: SensorKind,
@@ -147,7 +146,7 @@ impl Probe {
     }
 }
 
-/// Where the sensor is.
+/// The sensor's pose.
 fn pose() -> Pose {
     Pose::from_xyz_rpy(DVec3::new(0.1, -0.2, 0.15), 0.03, -0.05, 0.2)
 }
@@ -185,7 +184,7 @@ mod tests {
         assert!((1..=4).all(|object| by_any.contains(&object)), "{by_any:?}");
     }
 
-    /// One wrong id, one range off by a few ulp more than allowed, one hit too many: each is found.
+    /// The comparison detects one wrong id, one wrong range, and wrong cosines.
     #[test]
     fn what_a_wrong_driver_might_draw_is_found() {
         let probe = Probe::new().unwrap();

@@ -1,23 +1,23 @@
-//! What unit costs depend on.
+//! The key that selects a set of unit costs.
 
 use crate::plan::Outputs;
 use presight_model::sensor::{Geometry, Sensor};
 use std::fmt;
 
-/// At what point of a frame its time is estimated: earlier, the counts are bounds or means, and mean something else.
+/// The point of a frame at which its time is estimated. Before the end, counts are only bounds or means.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Forecast {
-    /// Before anything is done: of the selection alone.
+    /// Before the frame: the selection alone.
     Access,
-    /// After selection: of the drawing.
+    /// After selection: the drawing.
     Selection,
     /// After a wave's setup, from bounds of its counts.
     Wave,
-    /// Of what is left when drawing has ended.
+    /// The steps after drawing.
     Images,
-    /// Of features and their regions of interest.
+    /// Features and their regions of interest.
     Features,
-    /// Of a finished frame, from what was done.
+    /// A finished frame, from its actual work.
     Finished,
 }
 
@@ -26,7 +26,7 @@ impl Forecast {
     pub const ALL: [Self; 6] =
         [Self::Access, Self::Selection, Self::Wave, Self::Images, Self::Features, Self::Finished];
 
-    /// As files name it.
+    /// The name in files.
     pub fn name(self) -> &'static str {
         match self {
             Self::Access => "access",
@@ -39,7 +39,7 @@ impl Forecast {
     }
 }
 
-/// What unit costs depend on: costs learnt for one key say nothing about another.
+/// Everything that unit costs depend on: costs learnt for one key do not apply to another.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Key {
     /// `cpu`, `gpu` or `reference`.
@@ -50,9 +50,9 @@ pub struct Key {
     pub threads: usize,
     /// Image geometry: kind and size, and whether rays come from a table.
     pub geometry: String,
-    /// What is asked for, by name.
+    /// Names of the requested outputs.
     pub outputs: String,
-    /// When the estimate is made.
+    /// The point at which the estimate is made.
     pub forecast: Forecast,
 }
 

@@ -1,20 +1,20 @@
-//! What a frame costs: unit costs learnt from frames, and how far to trust them.
+//! The cost of a frame: unit costs learnt from measured frames, and how reliable they are.
 //!
-//! The paper's formula (section 3.3) gives the time of a frame as a sum of counts times unit costs. [`CostModel`] learns the unit costs
-//! while frames are made. Let n be a frame's counts and t its measured time. The costs c minimize
+//! The paper's formula (section 3.3) gives a frame's time as a sum of counts times unit costs. [`CostModel`] learns the
+//! unit costs while frames run. Let n be a frame's counts and t its measured time. The costs c minimize
 //!
 //! ```text
 //! sum over frames of 0.98^age (1 - c . n / t)^2,    c >= 0
 //! ```
 //!
-//! which is recursive least squares on relative errors: a fast frame weighs as much as a slow one, and costs that
-//! have tripled are followed within some 200 frames. A weak pull towards careful defaults decides about counts that do not vary.
+//! This is recursive least squares on relative errors: fast and slow frames weigh the same, and costs follow a
+//! threefold change in about 200 frames. A weak pull towards pessimistic defaults decides for counts that do not vary.
 //!
-//! An estimate is right on average; a deadline needs more. Beside the costs stand the last 200 ratios of measured over estimated
-//! time. [`TimeEstimate::upper`] is the estimate times their 0.99 quantile, so that a machine that gets busy is planned for
-//! after three slow frames.
+//! An estimate is right on average, but a deadline needs a bound. The model therefore keeps the last 200 ratios of
+//! measured to estimated time. [`TimeEstimate::upper`] is the estimate times their 0.99 quantile, so that it accounts
+//! for a newly busy machine after three slow frames.
 //!
-//! Nothing here reads a clock: times come from the caller, so that recorded counts and times replay to the same numbers.
+//! Nothing here reads a clock: the caller passes times, so recorded counts and times replay to the same numbers.
 
 mod controller;
 mod key;
@@ -26,7 +26,7 @@ pub use key::{Forecast, Key};
 pub use model::{CostModel, MAX_MODELS, TimeEstimate};
 pub use unit_costs::UnitCosts;
 
-/// What a frame consists of: every field counts one kind of work.
+/// The work of a frame: every field counts one kind of work.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct WorkCounts {
     /// Runs of polygons selected.
@@ -35,13 +35,13 @@ pub struct WorkCounts {
     pub polygons: u64,
     /// Waves drawn.
     pub waves: u64,
-    /// Samples that were tested against a polygon's depth.
+    /// Samples tested against a polygon's depth.
     pub samples_tested: u64,
-    /// Samples written by a polygon.
+    /// Samples that polygons wrote.
     pub samples_written: u64,
     /// Pixels resolved, all outputs together.
     pub pixels_resolved: u64,
-    /// Features looked at.
+    /// Features tested.
     pub features: u64,
     /// Samples of features.
     pub feature_samples: u64,
@@ -49,11 +49,11 @@ pub struct WorkCounts {
     pub regions: u64,
 }
 
-/// Kinds of work, the frame itself among them.
+/// Number of kinds of work, including the frame itself.
 pub const KINDS: usize = 10;
 
 impl WorkCounts {
-    /// Kinds of work as files name them; the first is the frame itself, which costs access and set-up.
+    /// Names of the kinds in files. The first is the frame itself, for access and set-up.
     pub const NAMES: [&'static str; KINDS] = [
         "frame",
         "run",

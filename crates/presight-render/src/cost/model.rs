@@ -1,26 +1,26 @@
-//! Unit costs of all keys.
+//! The unit costs of all keys.
 
 use super::{Key, UnitCosts, WorkCounts};
 use presight_model::error::{Error, Result};
 use std::collections::BTreeMap;
 
-/// Most keys of one model.
+/// Maximum number of keys of one model.
 pub const MAX_MODELS: usize = 4096;
 
-/// Seconds that a frame will take.
+/// Predicted time of a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TimeEstimate {
     /// Most likely, seconds.
     pub mean: f64,
-    /// All but a hundredth of frames take less, seconds.
+    /// 99 % of frames take less, seconds.
     pub upper: f64,
-    /// All but a hundredth of frames take more, seconds.
+    /// 99 % of frames take more, seconds.
     pub lower: f64,
-    /// Frames that it was learnt from; 0 is the careful default.
+    /// Number of frames it was learnt from; 0 means pessimistic defaults.
     pub frames: u64,
 }
 
-/// What frames cost, by engine, adapter, threads, sensor geometry and outputs.
+/// The costs of frames, by engine, adapter, threads, sensor geometry and outputs.
 ///
 /// ```
 /// use presight::cost::{CostModel, WorkCounts, Forecast, Key};
@@ -41,7 +41,7 @@ pub struct CostModel {
 }
 
 impl CostModel {
-    /// What a frame of these counts will take; from careful defaults for a key that was never observed.
+    /// Estimates the time of a frame with these counts; uses pessimistic defaults for an unknown key.
     pub fn estimate(&self, key: &Key, counts: &WorkCounts) -> TimeEstimate {
         let of = |costs: &UnitCosts| {
             let mean = costs.mean(counts);
@@ -51,11 +51,11 @@ impl CostModel {
         self.models.get(key).map_or_else(|| of(&UnitCosts::default()), of)
     }
 
-    /// Learns that a frame of these counts took `seconds`.
+    /// Learns from a frame with these counts that took `seconds`.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] for a time that is NaN, infinite or not above 0, as of a clock that was set back, and beyond
-    /// [`MAX_MODELS`] keys. Nothing is learnt then.
+    /// [`crate::ErrorKind::Invalid`] if the time is NaN, infinite or not above 0 (for example after a clock was set
+    /// back), or if there are more than [`MAX_MODELS`] keys. Nothing is learnt then.
     pub fn observe(&mut self, key: &Key, counts: &WorkCounts, seconds: f64) -> Result<()> {
         if !(seconds > 0.0 && seconds <= 1e9) {
             let what = format!("a frame that takes {seconds} s");
@@ -69,12 +69,12 @@ impl CostModel {
         Ok(())
     }
 
-    /// Seconds by kind of work ([`WorkCounts::NAMES`]) of a key; `None` if it was never observed.
+    /// Learnt seconds by kind of work ([`WorkCounts::NAMES`]); `None` for an unknown key.
     pub fn unit_costs(&self, key: &Key) -> Option<&[f64]> {
         self.models.get(key).map(|costs| costs.seconds.as_slice())
     }
 
-    /// Keys that were observed.
+    /// All known keys.
     pub fn keys(&self) -> impl Iterator<Item = &Key> {
         self.models.keys()
     }
@@ -103,7 +103,7 @@ mod tests {
             );
         }
         assert_eq!(model, CostModel::default());
-        // Absurd counts and times leave numbers finite.
+        // Extreme counts and times keep all numbers finite.
         let most = WorkCounts { polygons: u64::MAX, samples_tested: u64::MAX, ..WorkCounts::default() };
         for seconds in [1e-12, 1e9] {
             model.observe(&key, &most, seconds).unwrap();

@@ -1,43 +1,42 @@
-//! Unit costs of one key, learnt on line.
+//! Unit costs of one key, learnt online.
 
 use super::{KINDS, WorkCounts};
 use std::collections::VecDeque;
 
-/// What a frame's weight is after another one.
+/// Factor of a frame's weight after each further frame.
 const FORGETTING: f64 = 0.98;
-/// Ratios of measured over estimated time that are kept.
+/// Number of ratios of measured to estimated time that are kept.
 pub(crate) const RATIOS: usize = 200;
-/// Share of them that a deadline counts on.
+/// Quantile of the ratios that deadlines rely on.
 const QUANTILE: f64 = 0.99;
-/// So many frames teach costs before their ratios are kept.
+/// Ratios are kept only after this many frames, when the costs are roughly known.
 const FIRST: u64 = 5;
-/// So many ratios are told before the default is no longer counted on.
+/// With fewer ratios than this, the upper factor is at least the default.
 const ENOUGH: usize = 20;
-/// Factor of an estimate from defaults, which were measured on another machine.
+/// Factor for estimates from defaults, which were measured on another machine.
 const UNKNOWN: f64 = 3.0;
-/// Weight of the defaults beside that of one frame.
+/// Weight of the defaults relative to one frame.
 const PULL: f64 = 1e-3;
-/// Sweeps over the costs at most, and the change at which they are done. Each frame goes on where the last one ended: what a few sweeps
-/// leave is made up for by the next frames.
+/// Maximum number of sweeps over the costs, and the change at which they stop. Each frame starts from the last
+/// solution, so later frames complete what a few sweeps leave.
 const SWEEPS: usize = 24;
 const DONE: f64 = 1e-6;
 
-/// Seconds by kind of work before a frame has been measured: a slow core of today.
+/// Pessimistic defaults: seconds by kind of work on a slow current core.
 const DEFAULTS: [f64; KINDS] = [1e-4, 5e-7, 5e-7, 2e-5, 2e-9, 2e-9, 5e-9, 2e-6, 5e-7, 1e-5];
 
 /// Unit costs of one key.
 #[derive(Clone, Debug, PartialEq)]
 pub struct UnitCosts {
-    /// Seconds by kind of work, none below 0.
+    /// Seconds by kind of work, never negative.
     pub seconds: [f64; KINDS],
-    /// Sum of x x' over frames, x being counts times default costs by measured time; frames fade.
+    /// Sum of x x' over frames, with exponential forgetting; x is counts times default costs, divided by measured time.
     pub normal: [[f64; KINDS]; KINDS],
-    /// Sum of x.
+    /// Sum of x, with the same forgetting.
     pub right: [f64; KINDS],
-    /// Measured over estimated times, oldest first.
+    /// Ratios of measured to estimated time, oldest first.
     pub ratios: VecDeque<f64>,
-    /// By what factors an estimate is widened so that all but a hundredth of frames are above the first, and all but a hundredth below
-    /// the second: made of the ratios whenever these change, for a frame asks for them often.
+    /// Factors that turn an estimate into its 1 % and 99 % quantile. Cached, because every frame reads them often.
     pub factors: [f64; 2],
     /// Frames learnt from.
     pub frames: u64,
@@ -57,17 +56,17 @@ impl Default for UnitCosts {
 }
 
 impl UnitCosts {
-    /// Sum of counts times costs, seconds; above 0.
+    /// Sum of counts times costs, in seconds; always above 0.
     pub fn mean(&self, counts: &WorkCounts) -> f64 {
         let sum: f64 = counts.by_kind().iter().zip(&self.seconds).map(|(n, c)| n * c).sum();
         sum.max(1e-9)
     }
 
-    /// [`UnitCosts::factors`] of these ratios.
+    /// Computes [`UnitCosts::factors`] from ratios.
     pub fn factors_of(ratios: &VecDeque<f64>) -> [f64; 2] {
         let mut some: Vec<f64> = ratios.iter().copied().collect();
         let rank = (QUANTILE * some.len() as f64).ceil() as usize;
-        // Each frame asks for them after each forecast: two places in the order, not the order.
+        // Selects two ranks instead of sorting, because every forecast needs them.
         let mut at = |i: usize| if i < some.len() { *some.select_nth_unstable_by(i, f64::total_cmp).1 } else { 1.0 };
         let (low, high) = (at(ratios.len() - rank), at(rank.saturating_sub(1)));
         if ratios.len() < ENOUGH { [low.min(1.0 / UNKNOWN), high.max(UNKNOWN)] } else { [low, high] }
@@ -78,9 +77,9 @@ impl UnitCosts {
         self.factors[1]
     }
 
-    /// Learns from a frame that took `seconds`, above 0.
+    /// Learns from a frame that took `seconds` (above 0).
     pub fn observe(&mut self, counts: &WorkCounts, seconds: f64) {
-        // How far the defaults were off says nothing of what was learnt since.
+        // Ratios of the first frames would only measure the defaults.
         if self.frames >= FIRST {
             self.ratios.push_back((seconds / self.mean(counts)).clamp(1e-6, 1e6));
         }
@@ -102,9 +101,9 @@ impl UnitCosts {
         self.solve();
     }
 
-    /// The costs of least squares that are not negative, one after the other until none changes: the sum is convex.
+    /// Solves non-negative least squares by coordinate descent; the sum is convex.
     fn solve(&mut self) {
-        // What was never counted keeps its default, and has no part in the others.
+        // Kinds that were never counted keep their defaults and do not affect the others.
         let counted: Vec<usize> = (0..KINDS).filter(|k| self.normal[*k][*k] > 0.0).collect();
         let mut u = [1.0; KINDS];
         for &k in &counted {
@@ -113,7 +112,7 @@ impl UnitCosts {
         for _ in 0..SWEEPS {
             let mut change: f64 = 0.0;
             for &k in &counted {
-                // What was never counted has 0 here.
+                // Terms of uncounted kinds are 0.
                 let all: f64 = self.normal[k].iter().zip(&u).map(|(n, u)| n * u).sum();
                 let others = all - self.normal[k][k] * u[k];
                 let best = ((self.right[k] + PULL - others) / (self.normal[k][k] + PULL)).max(0.0);
@@ -133,7 +132,7 @@ mod tests {
     use super::*;
     use presight_model::random::SplitMix64;
 
-    /// A frame of a drive, and what it takes at these costs.
+    /// A random frame, and its time at these costs.
     fn frame(random: &mut SplitMix64, costs: &[f64; KINDS]) -> (WorkCounts, f64) {
         let mut many = |most: u64| (random.unit() * most as f64) as u64 + 1;
         let counts = WorkCounts {
@@ -151,7 +150,7 @@ mod tests {
 
     const COSTS: [f64; KINDS] = [2e-4, 2e-7, 9e-7, 1e-5, 8e-10, 5e-9, 1e-9, 0.0, 0.0, 0.0];
 
-    /// Median and 95 % of the relative error of estimates made before each of these frames was seen.
+    /// Median and 95 % quantile of the relative error, with each estimate made before its frame is learnt.
     fn errors(model: &mut UnitCosts, frames: usize, mut next: impl FnMut() -> (WorkCounts, f64)) -> [f64; 2] {
         let mut errors: Vec<f64> = (0..frames)
             .map(|_| {
@@ -187,12 +186,12 @@ mod tests {
         };
         noisy(&mut model, 50);
         let [median, p95] = noisy(&mut model, 400);
-        // Half of the noise is below 5 %, 95 % of it below 9.5 %; what is learnt from it adds some.
+        // Half of the noise is below 5 %, 95 % of it below 9.5 %; the learnt costs add some.
         assert!(median < 0.07 && p95 < 0.15, "{median} {p95}");
         assert!(model.seconds.iter().all(|c| *c >= 0.0 && c.is_finite()));
     }
 
-    /// Three slow frames in 200, and plans count on their like.
+    /// Three slow frames in 200 are enough for plans to expect more.
     #[test]
     fn a_machine_that_gets_busy_is_planned_for_in_a_few_frames() {
         let mut random = SplitMix64(3);
@@ -204,9 +203,9 @@ mod tests {
             (counts, 3.0 * seconds)
         });
         assert!(before < 1.1 && model.factor() > 2.0, "{before} {}", model.factor());
-        // Costs follow as what was learnt before fades: relative errors give a fast frame nine times the weight of a slow one.
-        // With a = 0.98^n / (1 - 0.98^n) after n slow frames, the estimate is (a + 1/3) / (a + 1/9) of three times too little:
-        // 39 % off after 100, 9.3 % after 200, 1.4 % after 300.
+        // The costs follow as older frames fade; relative errors weight a fast frame nine times as much as a slow one.
+        // With a = 0.98^n / (1 - 0.98^n) after n slow frames, they have risen by (a + 1/3) / (a + 1/9) instead of 3,
+        // which is too low by 39 % after 100, 9.3 % after 200 and 1.4 % after 300.
         let mut slow = |frames| {
             errors(&mut model, frames, || {
                 let (counts, seconds) = frame(&mut random, &COSTS);

@@ -1,17 +1,17 @@
-//! The clock, which tests replace.
+//! The clock, which tests can replace.
 
 use std::fmt;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-/// Tells the time since some fixed moment.
+/// Returns the time since a fixed moment.
 pub trait Clock: fmt::Debug + Send + Sync {
     /// Time since that moment.
     fn now(&self) -> Duration;
 }
 
-/// The system's clock that only goes forward.
+/// The system's monotonic clock.
 #[derive(Clone, Copy, Debug)]
 pub struct SystemClock(Instant);
 
@@ -27,53 +27,53 @@ impl Clock for SystemClock {
     }
 }
 
-/// Work between two looks at the clock, all threads together: nanoseconds of a slow core.
+/// Work between two reads of the clock by all threads together, in nanoseconds of a slow core.
 const SPACING: u64 = 40_000;
-/// And at most this share of the time left, where it is far: work may take so many times as long as on a slow core.
+/// Also at most this share of the time left. The divisor allows for machines this many times slower than the slow core.
 const SHARE: u32 = 16;
-/// In place of work done: the time is up, and nobody needs to look again.
+/// Sentinel for the work done: the time is up, and no thread needs to read the clock again.
 const OVER: u64 = 1 << 63;
 
-/// The time of one prediction.
+/// The time budget of one prediction.
 #[derive(Clone, Debug)]
 pub struct Watch {
     clock: Arc<dyn Clock>,
     start: Duration,
-    /// From the start on: when drawing has to stop.
+    /// Time after the start at which drawing must stop.
     stop: Duration,
     spacing: u64,
-    /// Work done since the last look, and after how much the next one follows.
+    /// Work since the last read of the clock, and the work after which the next one is due.
     worked: Arc<AtomicU64>,
     next: Arc<AtomicU64>,
 }
 
 impl Watch {
-    /// Starts now; drawing has to stop after `stop`.
+    /// Starts now. Drawing must stop after `stop`.
     pub fn start(clock: Arc<dyn Clock>, stop: Duration) -> Self {
         let next = Arc::new(AtomicU64::new(SPACING));
         Self { start: clock.now(), clock, stop, spacing: SPACING, worked: Arc::default(), next }
     }
 
-    /// Looks at the clock after any work: for tests, which stop by counted looks.
+    /// Reads the clock after any amount of work, for tests that count reads.
     #[doc(hidden)]
     #[must_use]
     pub fn looking_always(self) -> Self {
         Self { spacing: 0, next: Arc::default(), ..self }
     }
 
-    /// Time since the start. A clock that is set back tells no negative time.
+    /// Time since the start; zero if the clock was set back.
     pub fn elapsed(&self) -> Duration {
         self.clock.now().saturating_sub(self.start)
     }
 
-    /// True when drawing has to stop.
+    /// True if drawing must stop.
     pub fn is_over(&self) -> bool {
         self.elapsed() >= self.stop
     }
 
-    /// The same after so much more work, in nanoseconds of a slow core. A look at the clock may take as long as drawing a polygon: all
-    /// threads together look once in so much work, the more seldom the more time is left, and the first that finds the time up
-    /// tells the others.
+    /// The same after this much more work, in nanoseconds of a slow core. Reading the clock may take as long as drawing
+    /// a polygon. All threads therefore share one read per amount of work, which grows with the time left, and the
+    /// first thread that finds the time up informs the others.
     pub fn is_over_after(&self, work: u64) -> bool {
         let worked = self.worked.fetch_add(work, Ordering::Relaxed) + work;
         if worked < self.next.load(Ordering::Relaxed) {
@@ -107,7 +107,7 @@ impl Watch {
 mod tests {
     use super::*;
 
-    /// Every look takes a millisecond.
+    /// Every read takes a millisecond.
     #[derive(Debug, Default)]
     struct Looks(AtomicU64);
 
@@ -117,8 +117,8 @@ mod tests {
         }
     }
 
-    /// By hand: the watch starts at the first look, and its third one after that, at 3 ms, is over. They come after 40 us of work, after
-    /// a sixteenth of the 2 ms that are left then, 125 us, and of 1 ms, 62.5 us: pieces 4, 17 and 24 of 10 us each. Then nobody looks.
+    /// By hand: the watch starts at the first read; the third read after that, at 3 ms, is over. Reads are due after
+    /// 40 us of work, then after a sixteenth of the 2 ms left (125 us) and of 1 ms (62.5 us): at pieces 4, 17 and 24.
     #[test]
     fn the_clock_is_looked_at_once_in_so_much_work() {
         let clock = Arc::new(Looks::default());
@@ -127,7 +127,7 @@ mod tests {
         assert_eq!(over.iter().position(|over| *over), Some(23));
         assert!(over[23..].iter().all(|over| *over));
         assert_eq!(clock.0.load(Ordering::Relaxed), 4);
-        // Another time to stop is looked for anew.
+        // A changed stop time requires a new read.
         let mut later = watch.clone();
         later.stop_later(Duration::from_secs(1));
         assert!(!later.is_over_after(SPACING) && watch.is_over_after(0));

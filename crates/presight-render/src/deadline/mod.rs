@@ -1,20 +1,20 @@
-//! Deadlines: a prediction that has to be there in time, and what it gives up for that (paper section 3.3).
+//! Deadlines: a prediction that must finish in time, and the parts that it gives up for that (paper section 3.3).
 //!
-//! Polygons are drawn nearest first. Whenever the drawing stops, the image is therefore exact up to a known range: to the nearest
-//! polygon that was not drawn. Samples nearer than that are final; all others are left open. That keeps a deadline without
-//! any estimate. Estimates only save work that would be in vain:
+//! Polygons are drawn nearest first. Whenever drawing stops, the image is therefore exact up to a known range, the
+//! distance of the nearest undrawn polygon. Nearer samples are final; all others are marked as given up. This keeps a
+//! deadline without any estimate. Estimates only avoid useless work:
 //!
-//! | means | when | what it gives up |
+//! | means | when | gives up |
 //! |---|---|---|
-//! | [`DegradationKind::Radius`] | after selection, when even a low estimate of the time is too long | what is farther away than a radius |
-//! | [`DegradationKind::Angle`] | then, when even the least radius is too much | what is off a heading |
-//! | [`DegradationKind::Stride`] | after the setup of the first wave, when thinning leaves more samples than stopping in time | all but every k-th column and row |
-//! | [`DegradationKind::Clock`] | between batches of polygons, when what is left of the time is needed for what follows | what was not drawn |
-//! | [`DegradationKind::Features`] | between features, when the next ones do not fit | features with the least image length |
+//! | [`DegradationKind::Radius`] | after selection, if even a low estimate of the time is too long | surfaces beyond a radius |
+//! | [`DegradationKind::Angle`] | then, if even the least radius is too much | columns away from a heading |
+//! | [`DegradationKind::Stride`] | after the setup of the first wave, if thinning keeps more samples than stopping early | all but every k-th column and row |
+//! | [`DegradationKind::Clock`] | between batches of polygons, when the time left is needed for the later steps | surfaces not drawn yet |
+//! | [`DegradationKind::Features`] | between features, if the next ones do not fit | features with the least image length |
 //!
-//! A sample that was given up is NaN with id 0, never `+inf`. [`Degradation`] says what was given up; without it NaN means that there
-//! is no ray. [`crate::ErrorKind::Deadline`] is the answer where not even an image of nothing can be made in time. `docs/deadline.md`
-//! has the details and what was measured.
+//! A sample that was given up is NaN with id 0, never `+inf`. [`Degradation`] lists the losses; without it, NaN means
+//! that the pixel has no ray. [`crate::ErrorKind::Deadline`] means that not even an empty image can be made in time.
+//! `docs/deadline.md` has details and measurements.
 //!
 //! ```
 //! use presight::{Backend, Environment, ErrorKind, Options, Pose, Predictor, Request, World};
@@ -38,7 +38,7 @@ pub use priority::Priority;
 
 use serde::{Deserialize, Deserializer, Serialize};
 
-/// An engine that keeps deadlines; what frames cost is learnt for each.
+/// An engine that supports deadlines, as the key for learnt costs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DeadlineEngine {
     /// `cpu` or `gpu`.
@@ -47,39 +47,39 @@ pub struct DeadlineEngine {
     pub adapter: Option<String>,
     /// CPU threads.
     pub threads: usize,
-    /// It draws parts of images with the bits of the whole ones, so that the angle may shrink.
+    /// True if it draws parts of images bit-equal to whole images, so that the angle may shrink.
     pub draws_parts: bool,
 }
 
-/// How time was saved.
+/// A way of saving time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum DegradationKind {
-    /// What is farther away than a radius was not asked for.
+    /// Surfaces beyond a radius were not drawn.
     Radius,
-    /// What is off a heading was not asked for.
+    /// Columns away from a heading were not drawn.
     Angle,
     /// Only every k-th column and row was drawn.
     Stride,
-    /// The drawing stopped when the time was up.
+    /// Drawing stopped because the time was up.
     Clock,
-    /// Some features were not asked for.
+    /// Some features were left out.
     Features,
 }
 
-/// A means that was taken.
+/// A way of saving time that was used.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DegradationStep {
-    /// Which.
+    /// The kind.
     pub means: DegradationKind,
     /// Milliseconds after the call.
     pub at_ms: f64,
-    /// Metres: what is farther away was not asked for or, where the drawing stopped, is not known in some part of the image.
+    /// Metres. Radius: surfaces beyond it were left out. Clock: surfaces beyond it may be missing somewhere.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub metres: Option<f64>,
 }
 
-/// The columns of an image that were asked for, seen from above.
+/// The drawn columns of an image, seen from above.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Opening {
     /// Degrees from the sensor's forward axis to the middle of these columns, counter-clockwise.
@@ -88,25 +88,25 @@ pub struct Opening {
     pub opening_deg: f64,
 }
 
-/// What a prediction gave up to be there in time.
+/// The parts that a prediction gave up to finish in time.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Degradation {
-    /// Metres: every sample nearer than this is there, of the columns and rows that `stride` and `opening` leave. Beyond it some
-    /// are not. Infinite, which files show as null, if all of those are there.
+    /// Metres: every sample nearer than this is present, among the columns and rows that `stride` and `opening` leave;
+    /// beyond it some are missing. Infinite (null in files) if none of them is missing.
     #[serde(deserialize_with = "infinite_if_null")]
     pub complete_to: f64,
-    /// Samples that were given up: they are NaN with id 0 although the sensor has a ray there.
+    /// Number of samples given up: NaN with id 0, although the sensor has a ray there.
     pub samples: u64,
-    /// Only columns and rows whose numbers are multiples of this were drawn; 1 is all of them.
+    /// Only columns and rows at multiples of this number were drawn; 1 means all.
     #[serde(default = "every")]
     pub stride: u32,
-    /// The columns that were asked for, unless it were all.
+    /// The drawn columns; `None` if all were drawn.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub opening: Option<Opening>,
-    /// Rising numbers of the features that were not asked for.
+    /// Ascending numbers of the features left out.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub features: Vec<u32>,
-    /// The means that were taken, in order.
+    /// The ways of saving time that were used, in order.
     pub means: Vec<DegradationStep>,
 }
 
@@ -118,7 +118,7 @@ fn infinite_if_null<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D
     Ok(Option::deserialize(deserializer)?.unwrap_or(f64::INFINITY))
 }
 
-/// Nothing given up yet: complete to infinity.
+/// Nothing given up: complete to infinity.
 impl Default for Degradation {
     fn default() -> Self {
         Self {
@@ -133,12 +133,12 @@ impl Default for Degradation {
 }
 
 impl Degradation {
-    /// Metres: every sample of the whole image nearer than this is there. That is 0 where columns and rows were left out.
+    /// Metres: every sample of the whole image nearer than this is present. 0 if columns or rows were left out.
     pub fn complete_everywhere_to(&self) -> f64 {
         if self.stride > 1 || self.opening.is_some() { 0.0 } else { self.complete_to }
     }
 
-    /// One line, for people.
+    /// A summary in one line.
     pub fn summary(&self) -> String {
         let means: Vec<String> = self.means.iter().map(|m| self.in_words(m)).collect();
         let (samples, complete_to) = (self.samples, self.complete_to);
@@ -149,7 +149,7 @@ impl Degradation {
         format!("{images}: {}", means.join(", "))
     }
 
-    /// A means that was taken.
+    /// Describes a step.
     fn in_words(&self, taken: &DegradationStep) -> String {
         let done = match (taken.means, self.opening) {
             (DegradationKind::Radius, _) => format!("the radius was cut to {:.2} m", taken.metres.unwrap_or(f64::NAN)),
@@ -166,23 +166,24 @@ impl Degradation {
         format!("after {:.2} ms {done}", taken.at_ms)
     }
 
-    /// Sentences for people: what was given up of an image of so many pixels, and why.
+    /// Explains in sentences what was given up of an image with this many pixels, and why.
     pub fn explanation(&self, pixels: u64) -> Vec<String> {
         let mut lines = Vec::new();
         if self.samples > 0 {
             let share = 100.0 * self.samples as f64 / pixels.max(1) as f64;
             lines.push(format!("{} of {pixels} samples ({share:.0} %) are not predicted", self.samples));
-            let of = if self.complete_everywhere_to() == self.complete_to { "Every sample" } else { "Every one drawn" };
+            let of =
+                if self.complete_everywhere_to() == self.complete_to { "Every sample" } else { "Every drawn sample" };
             if self.complete_to.is_finite() {
-                lines.push(format!("{of} nearer than {:.3} m is there", self.complete_to));
+                lines.push(format!("{of} nearer than {:.3} m is present", self.complete_to));
             }
         }
         lines.extend(self.means.iter().map(|taken| {
             let why = match taken.means {
-                DegradationKind::Radius => "the costs learnt say that what is farther cannot be drawn in time",
+                DegradationKind::Radius => "by the learnt costs, farther surfaces cannot be drawn in time",
                 DegradationKind::Angle => "even the least radius takes too long",
-                DegradationKind::Stride => "that leaves more samples than stopping in time",
-                DegradationKind::Clock => "the time left was needed for what follows the drawing",
+                DegradationKind::Stride => "this keeps more samples than stopping early",
+                DegradationKind::Clock => "the time left was needed for the steps after drawing",
                 DegradationKind::Features => "the time was up",
             };
             format!("{}: {why}", self.in_words(taken))
@@ -191,7 +192,7 @@ impl Degradation {
             const LISTED: usize = 20;
             let ids: Vec<String> = self.features.iter().take(LISTED).map(u32::to_string).collect();
             let more = if self.features.len() > LISTED { ", .." } else { "" };
-            lines.push(format!("features that were not asked for: {}{more}", ids.join(", ")));
+            lines.push(format!("features left out: {}{more}", ids.join(", ")));
         }
         lines
     }
@@ -200,33 +201,33 @@ impl Degradation {
 /// A deadline and how it was kept.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct DeadlineOutcome {
-    /// What was allowed, milliseconds from the call on.
+    /// The deadline, milliseconds after the call.
     pub deadline_ms: f64,
-    /// What it took.
+    /// The actual time.
     pub time_ms: f64,
-    /// What it should have taken by the unit costs learnt before, from what was done.
+    /// Estimate for the work that was done, by the unit costs learnt before.
     pub estimate_ms: f64,
-    /// What it should have taken when the selection had ended, if anything had been learnt by then and nothing was given up.
+    /// Estimate at the end of selection; `None` if costs were unknown or something was given up.
     pub first_estimate_ms: Option<f64>,
-    /// When drawing had ended and only images were left to make, milliseconds from the call on.
+    /// When drawing ended and only images were left to make, milliseconds after the call.
     pub drawn_ms: f64,
-    /// When the images were there, milliseconds from the call on.
+    /// When the images were finished, milliseconds after the call.
     pub images_ms: f64,
-    /// The first wave of polygons, if it was drawn to its end.
+    /// The first wave of polygons, if it was finished.
     pub wave: Option<Wave>,
-    /// What was given up; `None` if everything is there.
+    /// The parts given up; `None` if the prediction is complete.
     pub given_up: Option<Degradation>,
 }
 
-/// The first wave of polygons: what its drawing should take by its setup, and what it took.
+/// The first wave of polygons: estimated and actual time of its drawing.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Wave {
-    /// Polygons that were set up.
+    /// Number of polygons set up.
     pub polygons: u64,
-    /// Pixels in the boxes around their images: more samples are not tested.
+    /// Pixels in the bounding boxes of the polygons: an upper bound of the samples tested.
     pub samples: u64,
-    /// What the drawing should have taken by the unit costs learnt before; 0 if nothing had been learnt.
+    /// Estimate of the drawing by the unit costs learnt before; 0 if nothing was learnt.
     pub estimate_ms: f64,
-    /// What it took.
+    /// The actual time of the drawing.
     pub time_ms: f64,
 }

@@ -1,23 +1,23 @@
-//! What matters most where not all can be made in time.
+//! Priorities for predictions that cannot finish everything in time.
 
 use presight_model::error::{Error, Result};
 
-/// What matters most where not all can be made in time.
+/// Priorities for predictions that cannot finish everything in time.
 ///
 /// ```
 /// use presight::deadline::Priority;
-/// // A robot that turns left looks there first; door 7 is what it steers by.
+/// // A robot that turns left looks there first; it steers by door 7.
 /// let priority = Priority::default().with_heading(0.5).with_features(vec![7]);
 /// assert_eq!(priority.least_radius, 2.0);
 /// ```
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Priority {
-    /// Metres, above 0: the radius is cut no shorter.
+    /// Minimum radius, metres, above 0.
     pub least_radius: f64,
-    /// Radians from the sensor's forward axis, counter-clockwise: the angle shrinks around it.
+    /// Direction around which the angle shrinks: radians from the sensor's forward axis, counter-clockwise.
     pub heading: f64,
-    /// Numbers of features that go first, in this order. The others follow, those with the most image length first.
+    /// Numbers of features to predict first, in this order. The others follow, longest image first.
     pub features: Vec<u32>,
 }
 
@@ -28,19 +28,19 @@ impl Default for Priority {
 }
 
 impl Priority {
-    /// With another least radius, metres.
+    /// Sets the least radius, metres.
     #[must_use]
     pub fn with_least_radius(self, metres: f64) -> Self {
         Self { least_radius: metres, ..self }
     }
 
-    /// With a heading, radians from the sensor's forward axis, counter-clockwise.
+    /// Sets the heading, radians from the sensor's forward axis, counter-clockwise.
     #[must_use]
     pub fn with_heading(self, radians: f64) -> Self {
         Self { heading: radians, ..self }
     }
 
-    /// With features that go first, by number.
+    /// Sets the features to predict first, by number.
     #[must_use]
     pub fn with_features(self, ids: Vec<u32>) -> Self {
         Self { features: ids, ..self }
@@ -50,11 +50,11 @@ impl Priority {
     /// [`crate::ErrorKind::Usage`] for a radius that is not above 0 and finite, and for a heading that is not finite.
     pub fn check(&self) -> Result<()> {
         if !(self.least_radius > 0.0 && self.least_radius.is_finite()) {
-            let what = format!("a least radius of {} m", self.least_radius);
+            let what = format!("the least radius is {} m", self.least_radius);
             return Err(Error::usage(what, "give metres above 0, such as 2"));
         }
         if !self.heading.is_finite() {
-            return Err(Error::usage(format!("a heading of {} radians", self.heading), "give an angle, such as 0"));
+            return Err(Error::usage(format!("the heading is {} rad", self.heading), "give an angle, such as 0"));
         }
         Ok(())
     }

@@ -1,13 +1,13 @@
 //! Images that are computed from other images: the echo, and the normals of surfaces.
 //!
-//! **Echo.** The paper estimates the intensity of an echo from the reflection angle (section 3.2): echoes are strongest where ray and
-//! plane are perpendicular. Here the echo is the reflection factor of the surface's material times cos_incidence. There is no
-//! range law, because that depends on the amplifier and the lobe of the sensor.
+//! **Echo.** The paper estimates the intensity of an echo from the reflection angle (section 3.2): it is strongest
+//! where the ray is perpendicular to the surface. Here the echo is the material's reflection factor times
+//! cos_incidence. There is no range law, because that depends on the sensor's amplifier and lobe.
 //!
-//! **Normal.** All pixels of a polygon have its normal: the ids say which, and the plan's transform turns it into body axes,
-//! in f64. It points to the side of the plane that the sensor is on.
+//! **Normal.** All pixels of a polygon have its normal, found by their ids and rotated into body axes in f64. It points
+//! to the sensor's side of the plane.
 //!
-//! All engines share this step, which follows their own. It needs only images that they make anyway.
+//! All engines share this step and run it last. It only needs images that they draw anyway.
 
 use super::{FramePlan, IdScheme, Images, Instance, Output, Outputs, PolygonsOfIds, StageName, Stats};
 use glam::{DMat3, DVec3};
@@ -18,7 +18,7 @@ use std::collections::HashMap;
 use std::time::Instant;
 
 impl FramePlan {
-    /// The images that engines fill: the requested ones, and those that are only needed to make others.
+    /// The images that engines fill: the requested ones, and those needed to derive others.
     pub fn drawn(&self) -> Outputs {
         let asked = self.request.outputs;
         let mut drawn = asked.without(Output::Echo).without(Output::Normal);
@@ -31,28 +31,28 @@ impl FramePlan {
         drawn
     }
 
-    /// The ids that engines draw. Normals are found by ids, and several polygons may have one source.
+    /// The ids that engines draw. Normals need model ids, because several polygons may have the same source.
     pub fn drawn_ids(&self) -> IdScheme {
         if self.request.outputs.has(Output::Normal) { IdScheme::Model } else { self.request.ids }
     }
 
-    /// Makes the images that are computed from other images, and empties those that were drawn only for that. This is the last
-    /// step of every engine, on images that hold [`FramePlan::drawn`]. It costs nothing unless `echo` or `normal` is requested.
+    /// Derives images from others, then empties images that were drawn only for that. Every engine ends with this step,
+    /// on images that hold [`FramePlan::drawn`]. Without `echo` and `normal` it costs nothing.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::System`] if there is no memory for them.
+    /// [`crate::ErrorKind::System`] if there is no memory for the derived images.
     pub fn finish(&self, images: &mut Images) -> Result<()> {
         self.derive(images, |_, _| {})
     }
 
-    /// [`FramePlan::finish`], which also records its cost and the bytes of all images.
+    /// Same as [`FramePlan::finish`], and also records its time and the bytes of all images.
     pub fn finish_noting(&self, images: &mut Images, stats: &mut Stats) -> Result<()> {
         self.derive(images, |name, start| stats.stage(name, start))?;
         stats.work.image_bytes = images.bytes();
         Ok(())
     }
 
-    /// Makes each image in turn; `made` is told its name and when it was begun.
+    /// Derives each image in turn; calls `made` with its stage and start time.
     fn derive(&self, images: &mut Images, mut made: impl FnMut(StageName, Instant)) -> Result<()> {
         let asked = self.request.outputs;
         if asked.has(Output::Echo) {
@@ -74,7 +74,7 @@ impl FramePlan {
         Ok(())
     }
 
-    /// From the ids that were drawn to those that are requested.
+    /// Replaces the drawn ids by the requested ones.
     fn rename_polygons(&self, images: &mut Images) {
         let mut polygons = PolygonsOfIds::new(self.environment(), self.drawn_ids());
         for (id, object) in images.polygon_id.iter_mut().zip(&images.object_id) {
@@ -88,7 +88,7 @@ impl FramePlan {
         let mut echo = std::mem::take(&mut images.echo);
         echo.clear();
         memory::reserve(&mut echo, images.cos_incidence.len())?;
-        // f32 times f64 in f64: one rounding on the way back. NaN stays NaN.
+        // Computed in f64, so that the product is rounded once. NaN stays NaN.
         let product = |cos: &f32, reflection: f64| (f64::from(*cos) * reflection) as f32;
         if let Some(reflection) = self.common_reflection() {
             echo.extend(images.cos_incidence.iter().map(|cos| product(cos, reflection)));
@@ -131,7 +131,7 @@ impl FramePlan {
         self.request.outputs.has(Output::Echo) && self.common_reflection().is_none()
     }
 
-    /// The reflection factor that all materials share, if they share one. The ids are not needed then.
+    /// The reflection factor of all materials, if they share one; ids are not needed then.
     fn common_reflection(&self) -> Option<f64> {
         let mut factors = self.environment().materials().iter().map(|m| m.reflection);
         let first = factors.next().unwrap_or(1.0);
@@ -141,7 +141,7 @@ impl FramePlan {
 
 const NO_NORMAL: [f32; 3] = [f32::NAN; 3];
 
-/// Normals by the ids in images.
+/// Normals looked up by a pixel's ids.
 struct Normals<'a> {
     plan: &'a FramePlan,
     polygons: PolygonsOfIds<'a>,
@@ -159,7 +159,7 @@ impl<'a> Normals<'a> {
         Self { plan, polygons, body_from_image, instances: HashMap::new(), known: HashMap::new() }
     }
 
-    /// Of a pixel's object_id and polygon_id.
+    /// The normal for an object_id and polygon_id.
     fn of(&mut self, seen: (u32, u32)) -> [f32; 3] {
         if let Some(normal) = self.known.get(&seen) {
             return *normal;
@@ -178,17 +178,17 @@ impl<'a> Normals<'a> {
 fn facing_normal(instance: &Instance, mesh: &Mesh, polygon: u32) -> DVec3 {
     let normal = (instance.normal_from_mesh * mesh.plane(polygon).normal).normalize();
     let from_sensor = mesh.corners_of(polygon).map(|p| p - instance.center_in_mesh);
-    // The nearest corner tells the side with the least rounding, as in the engines.
+    // The nearest corner decides the side with the least rounding, as in the engines.
     let nearest = from_sensor.min_by(|a, b| a.length_squared().total_cmp(&b.length_squared()));
     let distance = nearest.map_or(0.0, |corner| normal.dot(instance.image_from_mesh * corner));
     if distance > 0.0 { -normal } else { normal }
 }
 
-/// Reflection factors by the ids in images.
+/// Reflection factors looked up by a pixel's ids.
 struct Factors<'a> {
     plan: &'a FramePlan,
     polygons: PolygonsOfIds<'a>,
-    /// Of the object looked at last, its factor if all of it has one: neighbouring pixels mostly show the same object.
+    /// The last object, with its factor if its materials share one: neighbouring pixels mostly show the same object.
     last: Option<(u32, Option<f64>)>,
 }
 
@@ -197,7 +197,7 @@ impl<'a> Factors<'a> {
         Self { plan, polygons: PolygonsOfIds::new(plan.environment(), plan.drawn_ids()), last: None }
     }
 
-    /// Of a pixel's ids; anything where nothing is seen, for its cosine is NaN.
+    /// The factor for a pixel's ids; arbitrary if nothing is hit, because the cosine is NaN then.
     fn of(&mut self, object_id: u32, polygon_id: u32) -> f64 {
         let Some(object) = object_id.checked_sub(1) else { return 1.0 };
         let of_all = match self.last {

@@ -5,10 +5,10 @@ use presight_model::error::Result;
 use presight_model::memory;
 use presight_model::sensor::{ImagePart, PixelGrid, Sensor};
 
-/// The images of one prediction, row-major, row 0 on top. An image that was not requested is empty.
+/// The images of one prediction, row-major, from the top row down. An image that was not requested is empty.
 ///
-/// Distances are `+inf` beyond `range_max` and where nothing is hit, `-inf` below `range_min` (the other images are kept
-/// there), and NaN where the pixel has no ray. `cos_incidence`, `echo` and `normal` are NaN where nothing is hit. Id 0 is nothing.
+/// Distances are `+inf` beyond `range_max` or without a hit, `-inf` below `range_min` (other images keep their values),
+/// and NaN if the pixel has no ray. Without a hit, `cos_incidence`, `echo` and `normal` are NaN, and ids are 0.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Images {
     /// Columns.
@@ -29,18 +29,18 @@ pub struct Images {
     pub echo: Vec<f32>,
     /// Unit vectors in the sensor's body axes.
     pub normal: Vec<[f32; 3]>,
-    /// The feature's own number; filled from [`crate::features::FeaturePrediction`], never by an engine.
+    /// The feature's number; filled from [`crate::features::FeaturePrediction`], never by an engine.
     pub feature_id: Vec<u32>,
 }
 
-/// The samples of one image, a pixel each.
+/// The samples of one image, one per pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Samples<'a> {
-    /// Of [`super::SampleKind::Float`].
+    /// An image of [`super::SampleKind::Float`].
     Floats(&'a [f32]),
-    /// Of [`super::SampleKind::Id`].
+    /// An image of [`super::SampleKind::Id`].
     Ids(&'a [u32]),
-    /// Of [`super::SampleKind::Vector`].
+    /// An image of [`super::SampleKind::Vector`].
     Vectors(&'a [[f32; 3]]),
 }
 
@@ -54,12 +54,12 @@ impl Samples<'_> {
         }
     }
 
-    /// True if the image is not there.
+    /// True if the image was not requested.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// True if nothing is known of a pixel: NaN, or id 0.
+    /// True if the pixel has no value: NaN, or id 0.
     fn is_open(&self, at: usize) -> bool {
         match self {
             Self::Floats(image) => image.get(at).is_none_or(|v| v.is_nan()),
@@ -69,14 +69,14 @@ impl Samples<'_> {
     }
 }
 
-/// One image, to be filled.
+/// One image, for writing.
 #[derive(Debug)]
 pub enum SamplesMut<'a> {
-    /// Of [`super::SampleKind::Float`].
+    /// An image of [`super::SampleKind::Float`].
     Floats(&'a mut Vec<f32>),
-    /// Of [`super::SampleKind::Id`].
+    /// An image of [`super::SampleKind::Id`].
     Ids(&'a mut Vec<u32>),
-    /// Of [`super::SampleKind::Vector`].
+    /// An image of [`super::SampleKind::Vector`].
     Vectors(&'a mut Vec<[f32; 3]>),
 }
 
@@ -107,7 +107,7 @@ impl SamplesMut<'_> {
 }
 
 impl Images {
-    /// An image; `None` if it is empty.
+    /// Returns an image; `None` if it is empty.
     ///
     /// ```
     /// use presight::plan::Samples;
@@ -131,7 +131,7 @@ impl Images {
         (!samples.is_empty()).then_some(samples)
     }
 
-    /// An image to be filled, empty or not.
+    /// Returns an image for writing, empty or not.
     pub fn samples_mut(&mut self, output: Output) -> SamplesMut<'_> {
         match output {
             Output::Range => SamplesMut::Floats(&mut self.range),
@@ -145,7 +145,7 @@ impl Images {
         }
     }
 
-    /// A float image; `None` if it is empty or of another kind.
+    /// Returns a float image; `None` if it is empty or of another kind.
     pub fn floats(&self, output: Output) -> Option<&[f32]> {
         match self.samples(output) {
             Some(Samples::Floats(image)) => Some(image),
@@ -153,7 +153,7 @@ impl Images {
         }
     }
 
-    /// An id image; `None` if it is empty or of another kind.
+    /// Returns an id image; `None` if it is empty or of another kind.
     pub fn ids(&self, output: Output) -> Option<&[u32]> {
         match self.samples(output) {
             Some(Samples::Ids(image)) => Some(image),
@@ -161,7 +161,7 @@ impl Images {
         }
     }
 
-    /// Empties the images that are not among these. Allocations are kept.
+    /// Empties all images except these. Allocations are kept.
     pub fn keep(&mut self, outputs: Outputs) {
         for output in Output::WITH_FEATURES.into_iter().filter(|o| !outputs.has(*o)) {
             self.samples_mut(output).clear();
@@ -178,7 +178,7 @@ impl Images {
         }
     }
 
-    /// [`Images::prepare`], if there is room for them.
+    /// Same as [`Images::prepare`], but reports missing memory as an error.
     ///
     /// # Errors
     /// [`crate::ErrorKind::System`] if the system refuses the memory.
@@ -190,7 +190,7 @@ impl Images {
         Ok(())
     }
 
-    /// Empty images with room for so many pixels.
+    /// Creates empty images with room for this many pixels.
     ///
     /// # Errors
     /// [`crate::ErrorKind::System`] if the system refuses the memory.
@@ -200,7 +200,7 @@ impl Images {
         Ok(images)
     }
 
-    /// Every image that is there shows that nothing is seen, and no ray where the sensor has none.
+    /// Fills every image with "no hit", and with "no ray" where the sensor has none.
     pub fn show_nothing(&mut self, grid: &PixelGrid) {
         for output in Output::WITH_FEATURES {
             match self.samples_mut(output) {
@@ -219,14 +219,14 @@ impl Images {
         }
     }
 
-    /// Whether a sample is not there, of a prediction that gave something up (without that it is one that sees nothing or has no
-    /// ray): its floats are NaN and its ids 0.
+    /// True if a pixel was given up for a deadline: its floats are NaN and its ids 0. In a complete prediction such a
+    /// pixel has no hit or no ray.
     pub fn is_open(&self, at: usize) -> bool {
         Output::WITH_FEATURES.into_iter().filter_map(|o| self.samples(o)).all(|samples| samples.is_open(at))
     }
 
-    /// Leaves every sample open that something beyond `complete_to` metres may hide, by the range image, and returns how many those
-    /// are. What is nearer than `range_min` is nearer than anything beyond it.
+    /// Marks every sample as given up that a surface beyond `complete_to` metres may hide, by the range image. Returns
+    /// their number. A surface nearer than `range_min` hides everything beyond it.
     pub fn leave_open(&mut self, complete_to: f64, range_min: f64) -> u64 {
         let is_final = |range: f32| match range {
             f32::NEG_INFINITY => range_min <= complete_to,
@@ -246,7 +246,7 @@ impl Images {
         open.len() as u64
     }
 
-    /// Makes whole images of those of a part of a sensor's image: what is left out is NaN with id 0. Returns how many rays that is.
+    /// Expands the images of a part to whole images: other pixels are NaN with id 0. Returns the number of their rays.
     pub fn spread(&mut self, part: &Self, which: &ImagePart, sensor: &Sensor) -> Result<u64> {
         let (width, height) = (sensor.width(), sensor.height());
         self.try_prepare(width, height, part.outputs())?;
@@ -277,7 +277,7 @@ impl Images {
         Ok(all - rays(sensor.part(*which)?.grid(), part.pixels() as u64))
     }
 
-    /// Takes one pixel over from images of the same size and outputs.
+    /// Copies one pixel from images of the same size and outputs.
     pub(crate) fn copy_pixel(&mut self, from: &Self, at: usize) {
         fn copy<T: Copy>(to: &mut [T], from: &[T], at: usize) {
             if let (Some(to), Some(from)) = (to.get_mut(at), from.get(at)) {
@@ -294,13 +294,13 @@ impl Images {
         }
     }
 
-    /// Bytes of memory held, including the capacity of images that are empty now.
+    /// Bytes of memory held, including the capacity of empty images.
     pub fn bytes(&self) -> u64 {
         let held = Output::WITH_FEATURES.map(|o| 4 * o.info().kind.numbers() * self.capacity(o));
         held.iter().sum::<usize>() as u64
     }
 
-    /// Pixels that there is room for.
+    /// The image's capacity in pixels.
     fn capacity(&self, output: Output) -> usize {
         match output {
             Output::Range => self.range.capacity(),

@@ -1,34 +1,34 @@
-//! Images from keys, the nearest polygon and inverse depth of every ray, as a device leaves them: the CPU twin of resolve.wgsl. On
-//! a software adapter it takes the stage's place.
+//! The CPU twin of resolve.wgsl, which replaces the stage on a software adapter: converts a device's keys (the nearest
+//! polygon and inverse depth of every ray) to images.
 
 use super::{FramePlan, IdScheme, Images};
 use presight_model::sensor::{LineAxis, PixelGrid};
 
-/// What a pixel shows.
+/// The content of a pixel.
 enum PixelContent {
     NoRay,
     Nothing,
     Hit(Hit),
 }
 
-/// The polygon of a slot, as pixels show it.
+/// The surface of a slot, with the values that pixels show.
 pub struct KeySurface {
-    /// From the sensor to its plane, metres.
+    /// Distance from the sensor to its plane, metres.
     pub distance: f32,
-    /// Object and source as the id images number them, from 1.
+    /// Values of the id images, from 1.
     pub object: u32,
     pub source: u32,
 }
 
-/// Keys of all rays, and what they were drawn with.
+/// Keys of all rays, with the parameters of their drawing.
 pub struct Keys<'a> {
     pub plan: &'a FramePlan,
-    /// Column and row of the first pixel from the principal point, and focal lengths, pixels; for cameras.
+    /// For cameras: column and row of the first pixel relative to the principal point, and focal lengths, pixels.
     pub first: [f32; 2],
     pub focal: [f32; 2],
-    /// Least and greatest range, metres.
+    /// Minimum and maximum range, metres.
     pub range: [f32; 2],
-    /// The slot, inverted, and the bits of the inverse depth; column by column for scanners.
+    /// The inverted slot and the bits of the inverse depth; column-major for scanners.
     pub keys: &'a [[u32; 2]],
 }
 
@@ -37,7 +37,7 @@ impl Keys<'_> {
         [self.plan.sensor.width(), self.plan.sensor.height()]
     }
 
-    /// Length of the ray whose inverse depth was rasterized, depth per unit of it, and where its key lies.
+    /// Length of the ray whose inverse depth was rasterized, depth per unit of it, and index of its key.
     fn scale(&self, column: u32, row: u32) -> Option<(f32, f32, usize)> {
         let [width, height] = self.size();
         let index = (row * width + column) as usize;
@@ -79,7 +79,7 @@ struct Hit {
     below: bool,
 }
 
-/// Some rows of every image; those not asked for are empty.
+/// Some rows of every image; images that were not requested are empty.
 struct Rows<'a> {
     first: u32,
     count: u32,
@@ -90,11 +90,11 @@ struct Rows<'a> {
     cos_incidence: &'a mut [f32],
 }
 
-/// Pixels that are not worth another thread.
+/// An image of at most this size is not split over threads.
 const FEW_PIXELS: u32 = 4096;
 
 impl Rows<'_> {
-    /// The upper and the lower half.
+    /// Splits into the upper and the lower half.
     fn halves(&mut self, width: usize) -> (Rows<'_>, Rows<'_>) {
         let upper = self.count / 2;
         let at = upper as usize * width;
@@ -127,21 +127,25 @@ impl Rows<'_> {
     }
 }
 
-/// Two parts, both empty of an image that is not there.
+/// Splits an image at `at`; both parts of an empty image are empty.
 fn cut<T>(image: &mut [T], at: usize) -> (&mut [T], &mut [T]) {
     let at = at.min(image.len());
     image.split_at_mut(at)
 }
 
-/// Writes where the image is there.
+/// Writes a pixel unless the image is empty.
 fn put<T>(image: &mut [T], index: usize, value: T) {
     if let Some(pixel) = image.get_mut(index) {
         *pixel = value;
     }
 }
 
-/// Fills the images that are there, with the surfaces of slots; returns the number of hits without an id.
-pub fn resolve_keys(keys: &Keys<'_>, surface_of: &(impl Fn(u32) -> KeySurface + Sync), images: &mut Images) -> u32 {
+/// Fills the images that are not empty. Returns the number of hits without an id.
+pub fn resolve_keys(
+    keys: &Keys<'_>,
+    surface_of: &(impl Fn(u32) -> KeySurface + Sync),
+    images: &mut Images,
+) -> u32 {
     let rows = Rows {
         first: 0,
         count: keys.size()[1],
@@ -155,7 +159,7 @@ pub fn resolve_keys(keys: &Keys<'_>, surface_of: &(impl Fn(u32) -> KeySurface + 
     keys.keys.iter().filter(|[id, bits]| *bits != 0 && *id == 0).count() as u32
 }
 
-/// Halves the rows until they are few: no list of them is made.
+/// Splits the rows recursively, without a list of parts.
 fn fill(keys: &Keys<'_>, surface_of: &(impl Fn(u32) -> KeySurface + Sync), mut rows: Rows<'_>) {
     let width = keys.size()[0];
     if rows.count > 1 && rows.count * width > FEW_PIXELS {

@@ -1,4 +1,4 @@
-//! The frame plan: what one prediction has to do. It is made before any engine starts and knows no engine.
+//! The frame plan: the work of one prediction. It is made before any engine starts and does not depend on the engine.
 
 mod derived;
 mod images;
@@ -45,18 +45,18 @@ pub struct Instance {
     pub image_from_mesh: DMat3,
     /// The sensor's centre in the mesh frame, metres.
     pub center_in_mesh: DVec3,
-    /// Turns mesh normals into the image frame: the inverse transpose of the linear part. The result is not of unit length.
+    /// Transforms mesh normals into the image frame (inverse transpose of the linear part); does not preserve length.
     pub normal_from_mesh: DMat3,
-    /// Frobenius norms of these two.
+    /// Frobenius norms of `image_from_mesh` and `normal_from_mesh`.
     pub(crate) norms: [f64; 2],
-    /// The linear part mirrors.
+    /// True if the linear part mirrors.
     pub mirrors: bool,
-    /// True if all materials of the mesh are opaque to the sensor's class and two-sided, so that engines need not look at them.
+    /// True if all materials of the mesh are opaque to the sensor's class and two-sided: no material test is needed.
     pub plain: bool,
 }
 
 impl Instance {
-    /// An object as a sensor at a pose (body axes) sees it; `facings` are those of [`facings`].
+    /// An object seen from a sensor's pose (body axes); `facings` comes from [`facings`].
     pub fn new(
         environment: &Environment,
         sensor: &Sensor,
@@ -87,7 +87,7 @@ impl Instance {
     }
 }
 
-/// What the materials of an environment are to a sensor class, by material index.
+/// How a sensor class sees the materials of an environment, by material index.
 pub fn facings<'a>(environment: &'a Environment, class: &'a str) -> impl Iterator<Item = Facing> + 'a {
     let opaque = move |m: &Material| m.appearance(class) == Appearance::Opaque;
     environment.materials().iter().map(move |m| Facing { opaque: opaque(m), one_sided: m.one_sided })
@@ -107,16 +107,16 @@ pub struct Run {
 }
 
 impl Run {
-    /// A distance, metres, that no point of the run is nearer than. The key is rounded to nearest, this one down.
+    /// Lower bound of the distance to the run, metres: `nearest` is rounded to nearest, this value down.
     pub(crate) fn nearest_below(&self) -> f32 {
         self.nearest.next_down().max(0.0)
     }
 }
 
-/// Why engines have nothing to do.
+/// Reason why engines have nothing to do.
 pub const NOTHING_IN_VIEW: &str = "no polygon is in view";
 
-/// What a material is to the sensor's class.
+/// How the sensor's class sees a material.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Facing {
     /// Opaque to the sensor's class.
@@ -125,10 +125,10 @@ pub struct Facing {
     pub one_sided: bool,
 }
 
-/// What one prediction has to do.
+/// The work of one prediction.
 #[derive(Clone, Debug)]
 pub struct FramePlan {
-    /// The version of the world that it reads.
+    /// The version of the world that is predicted.
     pub world: World,
     /// The sensor.
     pub sensor: Sensor,
@@ -140,52 +140,52 @@ pub struct FramePlan {
     pub instances: Vec<Instance>,
     /// Selected polygons, nearest first.
     pub runs: Vec<Run>,
-    /// By material index.
+    /// Indexed by material.
     pub facings: Vec<Facing>,
     /// Polygons in `runs`.
     pub polygon_count: usize,
-    /// Objects that were not selected, because they are out of view or range.
+    /// Objects that were not selected because they are out of view or out of range.
     pub objects_out_of_view: usize,
     /// Polygons of selected objects that were not selected.
     pub polygons_out_of_view: usize,
     /// Objects in view that the sensor's class cannot see.
     pub objects_not_opaque: usize,
-    /// The clock that drawing stops by, if there is a deadline.
+    /// The clock that stops drawing, if there is a deadline.
     pub watch: Option<Watch>,
-    /// Metres: the radius to which the runs were cut for the deadline, if they were.
+    /// The radius to which the runs were cut for the deadline, if they were, metres.
     pub radius: Option<f32>,
-    /// The part of the image that is drawn, if it is not all of it.
+    /// The part of the image to draw, unless it is the whole image.
     pub part: Option<ImagePart>,
-    /// What drawing takes, if that is known: the image may be thinned by it.
+    /// Drawing costs, if they are known: the engine may thin the image accordingly.
     pub pace: Option<Pace>,
-    /// Engines may begin with what the sensor's last frame showed.
+    /// True if engines may begin with the polygons that the sensor's last frame showed.
     pub reuse_visible: bool,
     /// Scratch memory, kept from frame to frame.
     found: QueryResult,
     selected: Vec<ObjectRun>,
 }
 
-/// Seconds that drawing takes on all threads together, for the second estimate of a prediction with a deadline.
+/// Seconds of drawing on all threads together, for the second estimate of a prediction with a deadline.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Pace {
     pub wave: f64,
     pub polygon: f64,
-    /// For each pixel of the boxes around the images of polygons.
+    /// Per pixel of the bounding boxes of polygons.
     pub sample: f64,
-    /// What less is to be kept free for images of each of [`STRIDES`] than for those that are drawn.
+    /// Time that images of each of [`STRIDES`] save, out of the time reserved for the images as drawn.
     pub saved: [f64; STRIDES.len()],
-    /// Drawing of all runs, from selection on; 0 if that is not known.
+    /// Time to draw all runs, from the end of selection; 0 if unknown.
     pub drawing: f64,
 }
 
 impl Pace {
-    /// Seconds of those kept for images that a thinned image does not need.
+    /// Seconds that a thinned image saves out of the time reserved for images.
     pub fn saved(&self, stride: u32) -> f64 {
         STRIDES.iter().position(|s| *s == stride).map_or(0.0, |i| self.saved[i])
     }
 }
 
-/// Memory of a plan for the next one. It holds nothing of a world: whoever keeps it keeps no version alive.
+/// Memory of a plan, reused for the next one. It refers to no world, so keeping it keeps no version alive.
 #[derive(Debug, Default)]
 pub struct PlanBuffers {
     instances: Vec<Instance>,
@@ -199,7 +199,7 @@ impl FramePlan {
     /// Plans a prediction: composes transforms in f64 and selects the runs that the sensor may see.
     ///
     /// # Errors
-    /// Those of [`Pose::check`].
+    /// Same as [`Pose::check`].
     pub fn new(
         world: &World,
         sensor: &Sensor,
@@ -209,7 +209,7 @@ impl FramePlan {
         Self::within(PlanBuffers::default(), world, sensor, world_from_sensor, request.into())
     }
 
-    /// As [`FramePlan::new`], in the memory of another plan.
+    /// Same as [`FramePlan::new`], reusing another plan's memory.
     pub fn within(
         buffers: PlanBuffers,
         world: &World,
@@ -242,20 +242,20 @@ impl FramePlan {
         Ok(plan)
     }
 
-    /// Lets engines stop drawing by a clock: for tests. A [`crate::Predictor`] does so for [`Request::deadline`].
+    /// Lets a clock stop the engines, for tests. A [`crate::Predictor`] does so for [`Request::deadline`].
     #[doc(hidden)]
     pub fn set_watch(&mut self, watch: Watch) {
         self.watch = Some(watch);
     }
 
-    /// Lets engines begin with what the sensor's last frame showed: for tests. A [`crate::Predictor`] does so for
-    /// [`crate::Options::reuse_visible`].
+    /// Lets engines begin with the polygons that the sensor's last frame showed, for tests. A [`crate::Predictor`] does
+    /// so for [`crate::Options::reuse_visible`].
     #[doc(hidden)]
     pub fn set_reuse_visible(&mut self) {
         self.reuse_visible = true;
     }
 
-    /// Keeps the nearest `runs` only.
+    /// Keeps only the nearest `runs`.
     pub fn cut(&mut self, runs: usize) {
         let Some(first_out) = self.runs.get(runs) else { return };
         self.radius = Some(first_out.nearest_below());
@@ -263,12 +263,12 @@ impl FramePlan {
         self.polygon_count = self.runs.iter().map(|r| r.count as usize).sum();
     }
 
-    /// Time since the call; zero without a deadline.
+    /// Time since the start of the prediction; zero without a deadline.
     pub fn elapsed(&self) -> Duration {
         self.watch.as_ref().map_or(Duration::ZERO, Watch::elapsed)
     }
 
-    /// Metres: no polygon beyond the first `done` runs is nearer.
+    /// Lower bound of the distance to any polygon after the first `done` runs, metres.
     pub fn nearest_after(&self, done: usize) -> f32 {
         match self.runs.get(done) {
             Some(run) => run.nearest_below(),
@@ -276,7 +276,7 @@ impl FramePlan {
         }
     }
 
-    /// Draws some columns only, and selects again what they may see; the radius and the clock stay.
+    /// Restricts the plan to some columns and repeats the selection for them; the radius and the clock stay.
     pub fn narrow(&mut self, part: ImagePart) -> Result<()> {
         let region = region_of(&self.sensor.part(part)?, &self.world_from_sensor)?;
         let (watch, radius, pace) = (self.watch.take(), self.radius, self.pace);
@@ -285,12 +285,12 @@ impl FramePlan {
             let within = self.runs.partition_point(|run| run.nearest_below() < radius);
             self.cut(within);
         }
-        // What is left out stays left out, also where nothing that was selected now lies beyond.
+        // The old radius still applies, even if no run selected now lies beyond it.
         (self.watch, self.radius, self.pace, self.part) = (watch, radius, pace, Some(part));
         Ok(())
     }
 
-    /// The same of a part of the image, that has so much more time to be drawn.
+    /// Returns the same plan for a part of the image, with more time to draw it.
     pub fn of_part(&self, part: ImagePart, more: Duration) -> Result<Self> {
         let mut watch = self.watch.clone();
         watch.iter_mut().for_each(|watch| watch.stop_later(more));
@@ -316,8 +316,8 @@ impl FramePlan {
         })
     }
 
-    /// Draws only every k-th column and row (2, 4 or 8), of columns around a heading (radians, counter-clockwise) if so many are
-    /// given: for tests.
+    /// Draws only every k-th column and row (2, 4 or 8), for tests. `around` restricts it to a number of columns around
+    /// a heading (radians, counter-clockwise).
     ///
     /// # Errors
     /// [`crate::ErrorKind::System`] if there is no memory for the ray tables.
@@ -331,7 +331,7 @@ impl FramePlan {
         Ok(())
     }
 
-    /// Gives up the plan for its memory.
+    /// Drops the plan and returns its memory.
     pub fn into_buffers(self) -> PlanBuffers {
         let Self { instances, runs, facings, found, selected, .. } = self;
         PlanBuffers { instances, runs, facings, found, selected }
@@ -340,7 +340,7 @@ impl FramePlan {
     /// Plans another prediction and reuses the buffers. After an error the plan is unchanged.
     ///
     /// # Errors
-    /// Those of [`FramePlan::new`].
+    /// Same as [`FramePlan::new`].
     pub fn renew(
         &mut self,
         world: &World,
@@ -359,12 +359,12 @@ impl FramePlan {
         Ok(())
     }
 
-    /// The environment that it reads.
+    /// The environment that is predicted.
     pub fn environment(&self) -> &Arc<Environment> {
         self.world.environment()
     }
 
-    /// An object as the sensor sees it, whether selected or not.
+    /// Any object as the sensor sees it, even if it was not selected.
     pub fn instance_of(&self, object: u32) -> Instance {
         Instance::new(self.world.environment(), &self.sensor, &self.world_from_sensor, &self.facings, object)
     }
@@ -374,16 +374,16 @@ impl FramePlan {
         self.request.ids.id_of(&self.world.environment().objects()[object as usize], polygon)
     }
 
-    /// The `polygon_id` that engines draw for a polygon, by [`FramePlan::drawn_ids`].
+    /// The `polygon_id` that engines draw for a polygon, see [`FramePlan::drawn_ids`].
     pub fn drawn_polygon_id(&self, object: u32, polygon: u32) -> u32 {
         self.drawn_ids().id_of(&self.world.environment().objects()[object as usize], polygon)
     }
 
     fn fill(&mut self, region: &Region) {
-        // Made of features afterwards.
+        // Feature ids are derived from features later.
         self.request.outputs = self.request.outputs.without(Output::FeatureId);
         if !self.sensor.is_camera() {
-            // Only a planar image has a planar depth.
+            // Planar depth needs a planar image.
             self.request.outputs = self.request.outputs.without(Output::DepthZ);
         }
         self.instances.clear();
@@ -426,7 +426,7 @@ impl FramePlan {
         self.polygons_out_of_view += mesh.polygon_count() - selected;
     }
 
-    /// What this prediction does not need, and why.
+    /// The stages and images that this prediction does not need, with the reasons.
     pub fn left_out(&self) -> Vec<Omission> {
         let mut all = Vec::new();
         let mut add = |what: Part, why: Cow<'static, str>| all.push(Omission { what, why });
@@ -448,13 +448,13 @@ impl FramePlan {
         let drawn = self.drawn();
         for output in Output::ALL {
             if !self.request.outputs.has(output) && !drawn.has(output) {
-                add(Part::Image(output), "not asked for".into());
+                add(Part::Image(output), "not requested".into());
             }
         }
         all
     }
 
-    /// Variants of stages that cost extra: the name, whether this prediction uses it, and why.
+    /// Variants of stages with extra cost: name, whether this prediction uses it, and why.
     pub fn variants(&self) -> [(StageName, bool, &'static str); 3] {
         let choose = |what, taken, why: [&'static str; 2]| (what, taken, why[usize::from(taken)]);
         let by_rays = matches!(self.sensor.grid(), PixelGrid::Rays(_));
@@ -465,8 +465,8 @@ impl FramePlan {
                 StageName::RayTable,
                 by_rays,
                 [
-                    "no lens distortion and no listed rays: spans are in closed form",
-                    "the rays lie on no lines: polygons are tested on tiles of rays",
+                    "no lens distortion and no listed rays: spans are computed in closed form",
+                    "the rays do not lie on lines: polygons are tested against tiles of rays",
                 ],
             ),
             choose(
@@ -480,7 +480,7 @@ impl FramePlan {
             choose(
                 StageName::ReflectionFactor,
                 by_material,
-                ["no echo is asked for, or all materials have one factor", "an echo is asked for, and factors differ"],
+                ["no echo is requested, or all materials have one factor", "an echo is requested, and factors differ"],
             ),
         ]
     }

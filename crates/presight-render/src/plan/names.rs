@@ -1,10 +1,10 @@
-//! Names of what statistics count: enums in memory, words only where they are shown or written.
+//! Names in statistics: enums in memory, which become words only when shown or written.
 
 use super::Output;
 use serde::{Serialize, Serializer};
 use std::fmt;
 
-/// An enum whose variants are words in files and tables.
+/// Defines an enum whose variants are words in files and tables.
 macro_rules! words {
     ($(#[$about:meta])* $name:ident { $($(#[$meaning:meta])* $variant:ident = $word:literal,)* }) => {
         $(#[$about])*
@@ -15,10 +15,10 @@ macro_rules! words {
         }
 
         impl $name {
-            /// All, in a fixed order.
+            /// All variants, in a fixed order.
             pub const ALL: &[Self] = &[$(Self::$variant,)*];
 
-            /// As files and tables show it.
+            /// The word in files and tables.
             pub const fn name(self) -> &'static str {
                 match self {
                     $(Self::$variant => $word,)*
@@ -80,33 +80,33 @@ words! {
 }
 
 words! {
-    /// What is counted in a prediction.
+    /// A count in a prediction.
     CountName {
         PolygonsTested = "polygons tested",
         PolygonsSelected = "polygons selected",
         PolygonsInView = "polygons in view",
-        /// Polygons of runs that are not hidden: their vertices were placed among the samples.
+        /// Polygons of runs that are not hidden: their vertices were located among the samples.
         PolygonsPlaced = "polygons placed",
-        /// Of these, those that may cover a sample.
+        /// Placed polygons that may cover a sample.
         PolygonsPassed = "polygons passed",
-        /// Of these, those that were bounded one by one, because their vertices did not tell enough.
+        /// Passed polygons that needed individual bounds, because their vertices did not decide.
         PolygonsBounded = "polygons bounded",
         PolygonsSetUp = "polygons set up",
-        /// Single polygons behind what earlier waves drew.
+        /// Single polygons hidden by earlier waves.
         PolygonsHidden = "polygons hidden",
-        /// Polygons that no ray of the sensor can meet.
+        /// Polygons that lie between the sensor's rays.
         PolygonsBetweenSamples = "polygons between samples",
         /// Polygons that the hardware rasterizer drew; compute spans drew the others.
         PolygonsRendered = "polygons rendered",
         PolygonsSetUpInF64 = "polygons set up in f64",
-        /// Polygons that an engine left out because it could not prove on which side of them the sensor is.
+        /// Polygons that an engine left out because it could not decide on which side of them the sensor is.
         PolygonsEdgeOn = "polygons edge-on",
         RunsSelected = "runs selected",
         /// Runs that are drawn first because the sensor's last frame showed them.
         RunsShownBefore = "runs shown before",
         RunsHidden = "runs hidden",
         Waves = "waves",
-        /// Intervals of samples of a polygon on a line; for ray tables tiles that it is drawn in.
+        /// Intervals of samples of a polygon on a line; for ray tables, tiles in which a polygon is drawn.
         Spans = "spans",
         SamplesTested = "samples tested",
         SamplesWritten = "samples written",
@@ -132,7 +132,7 @@ words! {
     }
 }
 
-/// What a prediction may do without.
+/// A part of the work that a prediction may not need.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Part {
@@ -140,9 +140,9 @@ pub enum Part {
     Stage(StageName),
     /// An image.
     Image(Output),
-    /// So many objects.
+    /// This number of objects.
     Objects(usize),
-    /// So many polygons of objects in view.
+    /// This number of polygons of objects in view.
     Polygons(usize),
 }
 

@@ -1,4 +1,4 @@
-//! The outputs: the one table of the images that a prediction can deliver.
+//! The outputs: the table of the images that a prediction can deliver.
 
 use presight_model::error::{Error, Result};
 
@@ -9,36 +9,36 @@ pub enum Output {
     Range,
     /// Planar distance along a camera's optical axis, metres (REP-118).
     DepthZ,
-    /// The visible polygon; 0 is nothing.
+    /// The visible polygon; 0 without a hit.
     PolygonId,
-    /// The visible object (index + 1); 0 is nothing.
+    /// The visible object (index + 1); 0 without a hit.
     ObjectId,
     /// |cos| of the angle between ray and surface normal: the paper's reflection angle (section 3.2).
     CosIncidence,
     /// Strength of the echo: reflection factor of the surface's material times `cos_incidence`, without a range law
     /// (section 3.2). Computed from other images, see [`super::FramePlan::finish`].
     Echo,
-    /// Unit normal of the visible polygon, on the sensor's side, in the sensor's body axes (x forward, y left, z up; of cameras,
-    /// too). Computed from other images, as [`Output::Echo`].
+    /// Unit normal of the visible polygon, on the sensor's side, in the sensor's body axes (x forward, y left, z up;
+    /// also for cameras). Computed from other images, as [`Output::Echo`].
     Normal,
-    /// The visible feature, by its own number; 0 is none. Made from predicted features, not by an engine (see
+    /// The number of the visible feature; 0 without a feature. Derived from predicted features, not by an engine (see
     /// [`crate::features`]).
     FeatureId,
 }
 
-/// What a pixel of an image holds.
+/// The type of an image's pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum SampleKind {
     /// One f32.
     Float,
-    /// One u32; 0 is nothing.
+    /// One u32; 0 means nothing.
     Id,
     /// Three f32: x, y, z.
     Vector,
 }
 
 impl SampleKind {
-    /// Numbers of 4 bytes in a pixel.
+    /// Number of 4-byte values in a pixel.
     pub const fn numbers(self) -> usize {
         match self {
             Self::Float | Self::Id => 1,
@@ -47,12 +47,12 @@ impl SampleKind {
     }
 }
 
-/// What makes an image.
+/// The component that makes an image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Maker {
     /// The resolve stage of every engine.
     Engine,
-    /// A step that all engines share, from images of engines: [`super::FramePlan::finish`].
+    /// A step that all engines share, from the engines' images: [`super::FramePlan::finish`].
     Plan,
     /// The prediction of features.
     Features,
@@ -66,24 +66,24 @@ pub struct OutputInfo {
     pub output: Output,
     /// Its name in requests and files.
     pub name: &'static str,
-    /// What a pixel holds.
+    /// The type of its pixels.
     pub kind: SampleKind,
-    /// Its unit: `m`, or `1` for a number without one. Empty for ids.
+    /// Its unit: `m`, or `1` if dimensionless. Empty for ids.
     pub unit: &'static str,
-    /// The frame of a vector.
+    /// The frame of a vector image.
     pub frame: Option<&'static str>,
-    /// True if only cameras have it.
+    /// True if only cameras have this image.
     pub cameras_only: bool,
-    /// What makes it.
+    /// The component that makes the image.
     pub maker: Maker,
 }
 
-/// An image that engines resolve for every sensor.
+/// A row for an image that engines resolve for every sensor.
 const fn resolved(output: Output, name: &'static str, kind: SampleKind, unit: &'static str) -> OutputInfo {
     OutputInfo { output, name, kind, unit, frame: None, cameras_only: false, maker: Maker::Engine }
 }
 
-/// In the order of [`Output`]. `feature_id` is the last.
+/// In the order of [`Output`]; `feature_id` is last.
 const TABLE: [OutputInfo; 8] = [
     resolved(Output::Range, "range", SampleKind::Float, "m"),
     OutputInfo { cameras_only: true, ..resolved(Output::DepthZ, "depth_z", SampleKind::Float, "m") },
@@ -111,7 +111,7 @@ const fn first<const N: usize>() -> [Output; N] {
 }
 
 impl Output {
-    /// All outputs but `feature_id`: engines make them with the plan.
+    /// All outputs except `feature_id`, which engines and the plan make.
     pub const ALL: [Self; TABLE.len() - 1] = first();
 
     /// All outputs, including `feature_id`.
@@ -135,7 +135,7 @@ impl Output {
         self.info().name
     }
 
-    /// True of images in metres, which are `+inf` where nothing is seen and `-inf` where it is too near.
+    /// True for images in metres: `+inf` without a hit, `-inf` if it is too near.
     pub fn is_distance(self) -> bool {
         self.info().unit == "m"
     }
@@ -148,7 +148,7 @@ impl Output {
         }
     }
 
-    /// The output of a name.
+    /// Returns the output with this name.
     pub fn named(name: &str) -> Option<Self> {
         Self::WITH_FEATURES.into_iter().find(|output| output.name() == name)
     }
@@ -161,7 +161,7 @@ impl std::str::FromStr for Output {
         Self::named(name).ok_or_else(|| {
             let what = format!("unknown output {name:?}");
             match name {
-                "depth" => Error::usage(what, "depth_z is planar, of cameras; range is along the ray"),
+                "depth" => Error::usage(what, "use depth_z (planar, cameras only) or range (along the ray)"),
                 _ => Error::usage(what, format!("choose from {}", Self::WITH_FEATURES.map(Self::name).join(", "))),
             }
         })
@@ -180,10 +180,10 @@ impl std::str::FromStr for Output {
 pub struct Outputs(u16);
 
 impl Outputs {
-    /// All outputs but `feature_id`.
+    /// All outputs except `feature_id`.
     pub const ALL: Self = Self::of(&Output::ALL);
 
-    /// The set of exactly these outputs.
+    /// Creates a set of these outputs.
     pub const fn of(outputs: &[Output]) -> Self {
         let (mut bits, mut i) = (0, 0);
         while i < outputs.len() {
@@ -210,7 +210,7 @@ impl Outputs {
         Self(self.0 & !(1 << output as u16))
     }
 
-    /// Numbers of 4 bytes that a pixel of all these images has.
+    /// Number of 4-byte values that a pixel has in all these images.
     pub fn numbers(self) -> usize {
         self.iter().map(|output| output.info().kind.numbers()).sum()
     }

@@ -1,10 +1,10 @@
-//! From the ids in images back to polygons.
+//! Finds polygons by the ids in images.
 
 use super::IdScheme;
 use presight_model::environment::Environment;
 use std::collections::HashMap;
 
-/// Finds the polygon of a pixel. Source numbers are looked up in tables, which are made per object when first needed.
+/// Finds the polygon of a pixel. Source numbers are looked up in tables, which are built per object on demand.
 ///
 /// ```
 /// use presight::plan::PolygonsOfIds;
@@ -17,17 +17,17 @@ use std::collections::HashMap;
 pub struct PolygonsOfIds<'a> {
     environment: &'a Environment,
     ids: IdScheme,
-    /// By object: polygon number plus one by source number.
+    /// By object: polygon index + 1 by source number.
     of_source: HashMap<u32, Vec<u32>>,
 }
 
 impl<'a> PolygonsOfIds<'a> {
-    /// Makes a finder for images of this environment whose `polygon_id` follows `ids`.
+    /// Creates a finder for images of this environment whose `polygon_id` follows `ids`.
     pub fn new(environment: &'a Environment, ids: IdScheme) -> Self {
         Self { environment, ids, of_source: HashMap::new() }
     }
 
-    /// Object index and polygon index of a pixel. `None` for 0 and for ids that the environment does not have.
+    /// Object and polygon index for a pixel's ids. `None` for 0 and for ids that are not in the environment.
     pub fn find(&mut self, object_id: u32, polygon_id: u32) -> Option<(u32, u32)> {
         let object = object_id.checked_sub(1)?;
         let o = self.environment.objects().get(object as usize)?;

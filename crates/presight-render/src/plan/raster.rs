@@ -1,9 +1,9 @@
-//! What rasterizes on a GPU.
+//! The rasterizer on a GPU.
 
 use serde::Serialize;
 use std::fmt;
 
-/// What rasterizes polygons on a GPU. The images are held to the same bounds with either.
+/// The rasterizer on a GPU. Both choices have the same error bounds.
 ///
 /// ```
 /// use presight::Raster;
@@ -16,13 +16,13 @@ pub enum Raster {
     /// Spans in compute shaders, for every sensor.
     #[default]
     Compute,
-    /// The hardware rasterizer for pinhole cameras; compute spans for all other sensors, for polygons that it cannot draw exactly,
-    /// for predictions with a deadline, and on adapters that lack what it needs.
+    /// The hardware rasterizer for pinhole cameras. Compute spans draw all other sensors, polygons that it cannot draw
+    /// exactly, predictions with a deadline, and everything on adapters without the required features.
     Render,
 }
 
 impl Raster {
-    /// As files and tables show it.
+    /// The word in files and tables.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Compute => "compute",

@@ -1,9 +1,9 @@
-//! Requests: which images a prediction makes.
+//! Requests: the images that a prediction makes.
 
 use super::output::Outputs;
 use presight_model::environment::Object;
 
-/// Which number `polygon_id` holds.
+/// The meaning of `polygon_id`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum IdScheme {
     /// Slot + 1.
@@ -23,12 +23,12 @@ impl IdScheme {
     }
 }
 
-/// The images that a plan is made for.
+/// The images that a plan includes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ImageRequest {
-    /// The images to make; others cost nothing.
+    /// The requested images; others cost nothing.
     pub outputs: Outputs,
-    /// Which number `polygon_id` holds.
+    /// The meaning of `polygon_id`.
     pub ids: IdScheme,
 }
 

@@ -1,4 +1,4 @@
-//! Statistics: what a prediction did and what it cost.
+//! Statistics: the stages of a prediction, their times and their work.
 
 use super::names::{CountName, Part, StageName};
 use super::raster::Raster;
@@ -14,7 +14,7 @@ pub struct Stats {
     pub engine: &'static str,
     /// Adapter and driver, for the GPU engine.
     pub adapter: Option<String>,
-    /// What rasterized on that adapter; `None` if nothing was drawn there.
+    /// The rasterizer used on that adapter; `None` if nothing was drawn there.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub raster: Option<Raster>,
     /// CPU threads.
@@ -25,9 +25,9 @@ pub struct Stats {
     pub stages_ms: Vec<(StageName, f64)>,
     /// Counts by name, in order.
     pub counts: Vec<(CountName, u64)>,
-    /// The work done, in counts that do not depend on other work on the machine.
+    /// The work done, as counts that do not depend on the machine's load.
     pub work: Work,
-    /// Variants of stages that this prediction needed, and why. Their times are part of those stages' times.
+    /// Variants of stages that this prediction needed, and why. Their times are included in the stages' times.
     pub taken: Vec<StageVariant>,
     /// Stages and images that were not needed, and why.
     pub left_out: Vec<Omission>,
@@ -38,7 +38,7 @@ pub struct Stats {
     pub deadline: Option<DeadlineOutcome>,
 }
 
-/// The work of a prediction, counted.
+/// Work counts of a prediction.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Work {
     /// Compute passes submitted to the device.
@@ -51,12 +51,12 @@ pub struct Work {
     pub gpu_bytes_written: u64,
     /// Bytes read back from the device.
     pub gpu_bytes_read: u64,
-    /// Bytes of the caller's images, including unused capacity from before.
+    /// Bytes of the caller's images, including unused capacity of earlier images.
     pub image_bytes: u64,
 }
 
 impl Work {
-    /// The work since `before`; bytes of images are the current ones.
+    /// The work since `before`; `image_bytes` is the current value.
     #[must_use]
     pub fn since(self, before: Self) -> Self {
         Self {
@@ -69,7 +69,7 @@ impl Work {
         }
     }
 
-    /// Adds the work of the device.
+    /// Adds device work.
     pub fn add(&mut self, more: Self) {
         self.gpu_passes += more.gpu_passes;
         self.gpu_workgroups += more.gpu_workgroups;
@@ -78,7 +78,7 @@ impl Work {
         self.gpu_bytes_read += more.gpu_bytes_read;
     }
 
-    /// Names and numbers, as in the statistics file.
+    /// Names and values, as in the statistics file.
     pub fn counts(&self) -> [(&'static str, u64); 6] {
         [
             ("gpu passes", self.gpu_passes),
@@ -96,14 +96,14 @@ impl Work {
 pub struct StageVariant {
     /// Its name.
     pub what: StageName,
-    /// Why it could not be left out.
+    /// Why it was needed.
     pub why: &'static str,
 }
 
 /// A stage or image that this prediction does not need, and why.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Omission {
-    /// What is left out.
+    /// The omitted stage, image or group.
     pub what: Part,
     /// Why it is not needed.
     pub why: Cow<'static, str>,
@@ -118,20 +118,20 @@ pub struct StageRow {
     pub ran: bool,
     /// Why it ran or was left out; empty for a stage that always runs.
     pub why: String,
-    /// Milliseconds in this prediction; `None` for rows that were left out, and for variants, whose time is part of a stage's.
+    /// Milliseconds in this prediction; `None` for omitted rows, and for variants, whose time is included in a stage.
     pub ms: Option<f64>,
 }
 
-/// Stages that follow a prediction only on request.
+/// Stages that run after a prediction, only on request.
 const AFTER: [StageName; 2] = [StageName::Features, StageName::RegionsOfInterest];
 
 impl Stats {
-    /// What was given up for the deadline; `None` if everything is there.
+    /// The parts given up for the deadline; `None` if the prediction is complete.
     pub fn degradation(&self) -> Option<&Degradation> {
         self.deadline.as_ref()?.given_up.as_ref()
     }
 
-    /// Milliseconds of a stage, of all its runs; `None` if it did not run.
+    /// Milliseconds of a stage, summed over its runs; `None` if it did not run.
     ///
     /// ```
     /// use presight::plan::{StageName, Stats};
@@ -146,7 +146,7 @@ impl Stats {
         Some(runs.fold(first, |sum, ms| sum + ms))
     }
 
-    /// The first count of a name; `None` if it was not counted.
+    /// The first count with this name; `None` if there is none.
     pub fn count_of(&self, name: CountName) -> Option<u64> {
         self.counts.iter().find(|(count, _)| *count == name).map(|(_, n)| *n)
     }
@@ -171,8 +171,8 @@ impl Stats {
         self.left_out.push(Omission { what: what.into(), why: why.into() });
     }
 
-    /// Every stage, variant and image of this prediction: first the stages that ran, with their times, then the variants that
-    /// they needed, then what was left out. The command's `--explain` and reports use this list.
+    /// Every stage, variant and image of this prediction: stages that ran, with times; variants that they needed; then
+    /// everything left out. `--explain` and reports show this list.
     ///
     /// ```
     /// use presight::Stats;
@@ -183,7 +183,7 @@ impl Stats {
     /// let rows = stats.stages();
     /// assert_eq!((rows[0].name.as_str(), rows[0].ran, rows[0].ms), ("setup", true, Some(0.25)));
     /// assert_eq!((rows[1].name.as_str(), rows[1].ran, rows[1].ms), ("ray table", false, None));
-    /// assert_eq!(rows[2].why, "not asked for", "features, and after them regions of interest");
+    /// assert_eq!(rows[2].why, "not requested", "features, and after them regions of interest");
     /// ```
     pub fn stages(&self) -> Vec<StageRow> {
         let row = |name: String, ran, why: &str, ms| StageRow { name, ran, why: why.to_owned(), ms };
@@ -193,7 +193,7 @@ impl Stats {
         rows.extend(self.left_out.iter().map(|l| row(l.what.to_string(), false, &l.why, None)));
         for name in AFTER {
             if !rows.iter().any(|r| r.name == name.name()) {
-                rows.push(row(name.to_string(), false, "not asked for", None));
+                rows.push(row(name.to_string(), false, "not requested", None));
             }
         }
         rows

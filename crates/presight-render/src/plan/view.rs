@@ -1,4 +1,4 @@
-//! What a sensor can see at all: its query region.
+//! A sensor's query region: the space that it can see.
 
 use glam::DVec3;
 use presight_model::error::Result;
@@ -6,11 +6,11 @@ use presight_model::geometry::Pose;
 use presight_model::index::Region;
 use presight_model::sensor::{Geometry, LineAxis, PixelGrid, Sensor, Sides};
 
-/// A conservative region around all rays of a sensor, up to its greatest range: the frustum of a pinhole camera, the
-/// spherical segment of a scanner, a pyramid around the rays of a table, or all but one.
+/// A conservative region around all rays of a sensor, up to its maximum range: the frustum of a pinhole camera, the
+/// spherical segment of a scanner, a pyramid around the rays of a table, or the complement of a pyramid.
 ///
 /// # Errors
-/// Those of [`Pose::check`].
+/// Same as [`Pose::check`].
 pub fn region_of(sensor: &Sensor, world_from_sensor: &Pose) -> Result<Region> {
     world_from_sensor.check()?;
     let (apex, radius) = (world_from_sensor.translation, sensor.spec().range_max);
@@ -21,7 +21,7 @@ pub fn region_of(sensor: &Sensor, world_from_sensor: &Pose) -> Result<Region> {
     };
     Ok(match (sensor.grid(), &sensor.spec().geometry) {
         (PixelGrid::Lines(grid), Geometry::Scanner(scanner)) => {
-            // Line-frame positions are -tan(elevation), rising.
+            // Positions in the line frame are -tan(elevation), ascending.
             let t = grid.positions();
             let elevations = ((-t[t.len() - 1]).atan(), (-t[0]).atan());
             let columns = || (0..sensor.width()).map(|column| sensor.whole_column(column) as usize);
@@ -42,7 +42,7 @@ pub fn region_of(sensor: &Sensor, world_from_sensor: &Pose) -> Result<Region> {
     })
 }
 
-/// The four sides of a pinhole image (as wide as its outermost rays) and the half space in front.
+/// The four sides of a pinhole image (through its outermost rays) and the half space in front.
 fn sides(sensor: &Sensor) -> Vec<DVec3> {
     let (w, h) = (sensor.width() - 1, sensor.height() - 1);
     let ray = |c, r| sensor.ray(c, r).unwrap_or(DVec3::Z);
@@ -104,7 +104,7 @@ mod tests {
                 made(Geometry::Rays(RayTable::new(2, 3, d).unwrap()))
             },
         );
-        // Fisheyes past 90 degrees from the axis, and rays all round.
+        // Fisheyes that see beyond 90 degrees from the axis, and rays in all directions.
         let wide = (1.0..170.0f64, direction(), direction()).prop_map(move |(half_deg, a, b)| {
             let aside = (b - a * a.dot(b)).try_normalize().unwrap_or_else(|| a.any_orthonormal_vector());
             let ray = |k: u32| {
@@ -122,7 +122,7 @@ mod tests {
         some.prop_filter("no direction", |v| v.length() > 0.1).prop_map(DVec3::normalize)
     }
 
-    /// An object at any turn and scale, mirrored or not, near the sensor or not so near.
+    /// An object with any rotation and scale, mirrored or not, at various distances from the sensor.
     fn placements() -> impl Strategy<Value = (Pose, DVec3)> {
         let scale = prop_oneof![0.01..10.0f64, -10.0..-0.01f64, Just(1.0)];
         let far = prop_oneof![Just(0.0), -10.0..10.0f64, -600.0..600.0f64];
@@ -143,7 +143,7 @@ mod tests {
             .prop_map(|(at, rpy)| Pose::from_xyz_rpy(at.into(), rpy[0], rpy[1], rpy[2]))
     }
 
-    /// A world of one triangle that has a corner near that point, and where that corner is.
+    /// A world with one triangle that has a corner near this point; also returns the stored corner.
     fn triangle_at(p_in_world: DVec3, (world_from_object, scale): (Pose, DVec3), size: f32) -> (Environment, DVec3) {
         let p_in_object = world_from_object.inverse().transform_point(p_in_world);
         let p = (p_in_object / scale).as_vec3();
@@ -163,8 +163,8 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(2000))]
 
-        /// Selection may keep too much, never too little, with any index: a polygon with a point of a ray in it is
-        /// kept, and no nearer point is promised away.
+        /// Selection may keep too much, but never too little, with any index: a polygon that touches a ray is kept, and
+        /// `nearest` does not exceed the distance.
         #[test]
         fn a_polygon_on_a_ray_is_kept(
             sensor in sensors(), pose in poses(), placement in placements(),
@@ -179,7 +179,7 @@ mod tests {
             let (mut placement, scale) = placement;
             placement.translation += pose.translation;
             let (environment, corner) = triangle_at(p_in_world, (placement, scale), size);
-            // The sensor is moved so that its ray meets the corner as it is stored.
+            // Move the sensor so that its ray meets the stored corner.
             let pose = Pose { translation: pose.translation + (corner - p_in_world), ..pose };
             for scheme in Scheme::ALL {
                 let index = WorldIndex::new(&environment, scheme, Params::default());
@@ -198,7 +198,7 @@ mod tests {
         region_of(sensor, &Pose::IDENTITY).unwrap().meets(&Aabb { min: at - half, max: at + half })
     }
 
-    /// Keeping everything would pass the test above: what is clearly out of sight must go.
+    /// Keeping everything would pass the test above, so polygons clearly out of sight must be dropped.
     #[test]
     fn what_is_out_of_sight_is_dropped() {
         let scanner = presight_files::preset("laser-range-camera").unwrap();
@@ -215,7 +215,7 @@ mod tests {
         let table = RayTable::new(2, 1, vec![DVec3::X, DVec3::new(1.0, 0.1, 0.0)]).unwrap();
         let rays = Sensor::new(SensorSpec::new("r", "laser", Geometry::Rays(table))).unwrap();
         assert!(keeps(&rays, DVec3::X * 9.0) && !keeps(&rays, DVec3::Y * 9.0) && !keeps(&rays, DVec3::NEG_X * 9.0));
-        // A fisheye that sees 100 degrees from its axis to either side, and a lens whose image has three rows.
+        // A fisheye with a half angle of 100 degrees, and a lens with an image of three rows.
         let camera = |f: f64, distortion| {
             let camera = Camera { distortion, ..Camera::pinhole(81, 3, f, f, 40.0, 1.0) };
             Sensor::new(SensorSpec::new("c", "video", Geometry::Camera(camera))).unwrap()

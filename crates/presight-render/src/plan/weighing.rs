@@ -1,63 +1,63 @@
-//! What an engine needs to weigh a sensed range image itself, where it keeps the predicted ones.
+//! Data for engines that weigh a measured range image where they keep the predicted images.
 
 use super::Images;
 use bytemuck::{Pod, Zeroable};
 
-/// What an engine hands over of each of many frames.
+/// An engine's result for one of many frames.
 #[derive(Debug)]
 pub enum Drawn<'a> {
-    /// The images that were asked for.
+    /// The requested images.
     Images(&'a mut Images),
-    /// The images were weighed where they were drawn: sums of the logarithms of the beams' densities, by heading.
+    /// The device weighed the images: sums of the beams' log-densities, by heading.
     Sums(&'a [f64]),
 }
 
-/// A sensed range image and the model of its beams (the formula: `docs/batches.md`). An engine that weighs gives back sums and no
-/// image.
+/// A measured range image and the beam model (formula in `docs/batches.md`). An engine that weighs returns sums instead
+/// of images.
 #[derive(Clone, Debug)]
 pub struct Weighing {
-    /// Row-major, metres, as [`crate::batch::RangeLikelihood`] takes them.
+    /// Row-major, metres, as in [`crate::batch::RangeLikelihood`].
     pub sensed: Vec<f32>,
-    /// Beams of a row, sensed and predicted. More are predicted where they go all the way round.
+    /// Beams of a measured row and of a predicted row. The predicted row is longer if it covers a full turn.
     pub beams: [u32; 2],
-    /// Headings at which it is weighed: the sensed row begins at the predicted column `k * stride`, modulo the row.
+    /// Number of headings: at heading k the measured row begins at the predicted column `k * stride`, modulo the row.
     pub headings: u32,
     /// Columns from one heading to the next.
     pub stride: u32,
-    /// What all beams have in common.
+    /// Parameters common to all beams.
     pub model: BeamNumbers,
 }
 
-/// Numbers of the mixture of a beam: metres, radians, densities in 1 / metre; `ln` are natural logarithms.
+/// Parameters of a beam's mixture: metres, radians, densities in 1 / metre; `ln` are natural logarithms.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub struct BeamNumbers {
     /// Standard deviation of a range.
     pub range_sigma: f32,
-    /// What is added to it, times the square of the range.
+    /// Added to `range_sigma`, times the squared range.
     pub quadratic: f32,
-    /// Variance of direction and heading together.
+    /// Variance of direction and heading together, radians squared.
     pub turn: f32,
-    /// Variance of the place.
+    /// Variance of the position, metres squared.
     pub place: f32,
-    /// Ranges that the sensor can sense: from.
+    /// Minimum range of the sensor, metres.
     pub range_min: f32,
-    /// Ranges that the sensor can sense: to.
+    /// Maximum range of the sensor, metres.
     pub range_max: f32,
-    /// Share of what is nearer than predicted.
+    /// Share of readings shorter than predicted.
     pub short: f32,
-    /// Its logarithm.
+    /// Logarithm of `short`.
     pub ln_short: f32,
-    /// Probability of anything nearer than `range_min`.
+    /// Probability of a random reading below `range_min`.
     pub below: f32,
-    /// The same where that is predicted.
+    /// Probability of a reading below `range_min` if one is predicted there.
     pub near_there: f32,
-    /// Density of anything.
+    /// Log-density of random readings.
     pub ln_any: f32,
-    /// Share of hits over the root of two pi.
+    /// Logarithm of the share of hits over the root of two pi.
     pub ln_hit: f32,
-    /// Probability of no return where a surface is predicted.
+    /// Log-probability of no return if a surface is predicted.
     pub ln_none: f32,
-    /// Probability of no return where none is predicted.
+    /// Log-probability of no return if none is predicted.
     pub ln_nothing: f32,
 }

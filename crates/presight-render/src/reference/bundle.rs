@@ -1,4 +1,4 @@
-//! Generous bounds: which polygons may touch which rays, by cones around both.
+//! Conservative bounds: which polygons may touch which rays, by cones around both.
 
 use super::face::Face;
 use crate::plan::{FramePlan, Instance};
@@ -7,15 +7,14 @@ use presight_model::sensor::Sensor;
 use rayon::prelude::*;
 use std::f64::consts::PI;
 
-/// Cones are widened by this, radians: far above rounding (2e-8 for the arcsine of nearly 1), far below what would cost
-/// time.
+/// Margin of cones, radians: far above rounding (2e-8 for the arcsine near 1), but too small to cost time.
 const SLACK: f64 = 1e-6;
-/// A cone wider than this to either side is taken for everything: it may not be convex.
+/// A cone with a larger half angle counts as unbounded, because it may not be convex.
 const WIDEST: f64 = 1.4;
-/// A bundle of so few rays is not split any further.
+/// Bundles of at most this many rays are not split.
 const LEAF: usize = 16;
 
-/// A ray and what is found out about it.
+/// A ray and its result.
 #[derive(Clone, Debug)]
 pub struct Beam<T> {
     pub column: u32,
@@ -24,7 +23,7 @@ pub struct Beam<T> {
     pub found: T,
 }
 
-/// The beams of some pixels; pixels without a ray are left out.
+/// The beams of some pixels; pixels without a ray are skipped.
 pub fn beams<T: Default>(sensor: &Sensor, pixels: impl Iterator<Item = (u32, u32)>) -> Vec<Beam<T>> {
     pixels
         .filter_map(|(column, row)| Some(Beam { column, row, ray: sensor.ray(column, row)?, found: T::default() }))
@@ -37,17 +36,17 @@ pub struct Cone {
     pub object: u32,
     pub polygon: u32,
     axis: DVec3,
-    /// Half angle, radians; above [`WIDEST`] it is everything.
+    /// Half angle, radians; above [`WIDEST`] the cone is unbounded.
     half_angle: f64,
 }
 
-/// All objects as the sensor sees them, selected or not.
+/// All objects as the sensor sees them, even if they were not selected.
 pub fn instances(plan: &FramePlan) -> Vec<Instance> {
     (0..plan.environment().objects().len() as u32).map(|object| plan.instance_of(object)).collect()
 }
 
-/// The cones of all polygons that their material lets the sensor see; `grown` says by which angle a polygon's
-/// cone is to be widened, `None` drops it. The number dropped comes second.
+/// The cones of all polygons that the sensor can see by their material. `grown` returns the angle by which to widen a
+/// polygon's cone, or `None` to drop it. Also returns the number of dropped polygons.
 pub fn cones(
     plan: &FramePlan,
     instances: &[Instance],
@@ -81,18 +80,22 @@ fn cone_around(object: u32, polygon: u32, corners: &[DVec3], grown: f64) -> Cone
     Cone { object, polygon, axis, half_angle: half_angle + grown + SLACK }
 }
 
-/// Axis and half angle of a cone around unit vectors; a zero vector (a corner at the sensor) makes it everything.
+/// Axis and half angle of a cone around unit vectors. A zero vector (a corner at the sensor) makes the cone unbounded.
 fn around(units: impl Iterator<Item = DVec3> + Clone) -> (DVec3, f64) {
     let axis = units.clone().sum::<DVec3>().normalize_or_zero();
-    // The farthest has the longest chord: one angle is computed and not one for each.
+    // The largest chord belongs to the largest angle, so only one angle is computed.
     let chord = |u: DVec3| if u == DVec3::ZERO { 2.0 } else { axis.distance(u) };
     let farthest = if axis == DVec3::ZERO { 2.0 } else { units.map(chord).fold(0.0, f64::max) };
     (axis, 2.0 * (farthest / 2.0).min(1.0).asin())
 }
 
-/// Halves a bundle of rays again and again, keeping the polygons whose cones touch it, and hands what remains to
-/// `leaf`. Neither threads nor the order of rays change what a ray gets to see.
-pub fn descend<T: Send>(beams: &mut [Beam<T>], cones: &[Cone], leaf: &(impl Fn(&mut [Beam<T>], &[Cone]) + Sync)) {
+/// Halves a bundle of rays recursively, keeps the polygons whose cones touch it, and passes small bundles to `leaf`.
+/// Results do not depend on threads or the order of rays.
+pub fn descend<T: Send>(
+    beams: &mut [Beam<T>],
+    cones: &[Cone],
+    leaf: &(impl Fn(&mut [Beam<T>], &[Cone]) + Sync),
+) {
     let (axis, half_angle) = around(beams.iter().map(|b| b.ray));
     let touches = |c: &Cone| {
         let reach = c.half_angle + half_angle;

@@ -12,33 +12,33 @@ pub const UNIT_ROUNDOFF: f64 = f64::EPSILON / 2.0;
 pub struct Face {
     /// Corners in the mesh frame, p.
     pub in_mesh: Vec<DVec3>,
-    /// Corners less the sensor's centre in the mesh frame, p - c.
+    /// Corners relative to the sensor's centre in the mesh frame, p - c.
     pub relative: Vec<DVec3>,
     /// Corners in the image frame, v = M (p - c).
     pub corners: Vec<DVec3>,
     /// Planes through the centre and the edges; edge k runs from corner k to the next.
     pub edges: Vec<Edge>,
-    /// Unit normal: the mesh's, by the inverse transpose. A mirrored polygon keeps its front.
+    /// Unit normal, transformed by the inverse transpose. A mirrored polygon keeps its front.
     pub normal: DVec3,
-    /// normal . v of the nearest corner, metres; negative where the sensor is on the normal's side.
+    /// normal . v of the nearest corner, metres; negative if the sensor is on the normal's side.
     pub distance: f64,
-    /// Distance of the nearest corner before the transform, times the transform's norm: what `distance` rounds like.
+    /// Distance of the nearest corner in the mesh frame times `norm`; the rounding of `distance` is proportional to it.
     pub nearest: f64,
     /// Frobenius norm of the linear part of the transform.
     pub norm: f64,
-    /// How much the normal's own transform magnifies rounding: 1.7 if it is rigid.
+    /// Amplification of rounding by the normal's transform: 1.7 for a rigid transform.
     pub normal_condition: f64,
-    /// Distance of the plane over that of the nearest corner, both before the transform: how flat it is to the sensor.
+    /// Ratio of the plane's to the nearest corner's distance in the mesh frame: small if seen edge-on.
     pub flatness: f64,
-    /// Longest side by thickness, in the mesh frame: how much rounding of corners tilts the plane.
+    /// Squared longest side over twice the area, in the mesh frame: how strongly rounded corners tilt the plane.
     pub aspect: f64,
 }
 
-/// The plane v_a x (v_b - v_a), with a the first of the two in the order of their coordinates, so that neighbours get
-/// exactly opposite planes.
+/// The plane v_a x (v_b - v_a), where a has the smaller coordinates (lexicographic), so that neighbours compute exactly
+/// opposite planes.
 #[derive(Clone, Copy, Debug)]
 pub struct Edge {
-    /// Turned so that the cone is where `plane . u >= 0`.
+    /// Signed so that the cone satisfies `plane . u >= 0`.
     pub plane: DVec3,
     /// Corner number of a.
     pub a: usize,
@@ -47,14 +47,14 @@ pub struct Edge {
 }
 
 impl Face {
-    /// Of a polygon of the mesh of an instance.
+    /// Computes the face of a polygon in an instance's mesh.
     pub fn new(instance: &Instance, mesh: &Mesh, polygon: u32) -> Self {
         let mut face = Self::default();
         face.renew(instance, mesh, polygon);
         face
     }
 
-    /// Becomes another polygon, in the same memory.
+    /// Computes another polygon's face in the same memory.
     pub fn renew(&mut self, instance: &Instance, mesh: &Mesh, polygon: u32) {
         let image_from_mesh = instance.image_from_mesh;
         let Self { in_mesh, relative, corners, edges, .. } = self;
@@ -66,7 +66,7 @@ impl Face {
         relative.extend(in_mesh.iter().map(|p| p - instance.center_in_mesh));
         corners.extend(relative.iter().map(|p| image_from_mesh * *p));
         let turned = instance.normal_from_mesh * mesh.plane(polygon).normal;
-        // A mirror keeps the normal on its side and turns the winding round.
+        // A mirror keeps the normal's side and reverses the winding.
         let mirrored = instance.mirrors;
         self.normal = turned.normalize();
         let length = |k: usize| relative[k].length_squared();
@@ -88,38 +88,38 @@ impl Face {
         self.aspect = aspect(in_mesh);
     }
 
-    /// True if the polygon's plane passes through the sensor as far as f64, and its own corners, can tell: it covers no
-    /// ray.
+    /// True if the polygon is edge-on: its plane passes through the sensor within f64 rounding and the deviation of its
+    /// corners, so it covers no ray.
     ///
-    /// `distance` = n . M (p - c) carries at most 8 roundings of terms no larger than `nearest`, and a tilt of n
-    /// that is as many roundings times the aspect. Where corners are farther off their plane than the sensor is, the
-    /// edges span no cone and would hold rays far from the polygon.
+    /// `distance` = n . M (p - c) carries at most 8 roundings of terms no larger than `nearest`, plus a tilt of n by as
+    /// many roundings times the aspect. If corners deviate from their plane by more than the sensor's distance, the
+    /// edges do not span a cone and would contain rays far from the polygon.
     pub fn edge_on(&self) -> bool {
         let rounding = 8.0 * UNIT_ROUNDOFF * self.nearest * (1.0 + self.aspect);
-        // Written so that NaN is edge-on.
+        // NaN counts as edge-on.
         let proven = self.distance.abs() > rounding + if self.corners.len() > 3 { self.spread() } else { 0.0 };
         !proven
     }
 
-    /// How far apart the corners are along the normal, metres: 0 but for rounding if they are in one plane.
+    /// Extent of the corners along the normal, metres: 0 up to rounding if they are coplanar.
     pub fn spread(&self) -> f64 {
         let along = |most: f64, v: &DVec3| most.max(self.normal.dot(*v) - self.distance);
         let against = |most: f64, v: &DVec3| most.max(self.distance - self.normal.dot(*v));
         self.corners.iter().fold(0.0, along) + self.corners.iter().fold(0.0, against)
     }
 
-    /// True if the ray lies in the cone of the polygon.
+    /// True if the ray is in the cone of the polygon.
     pub fn holds(&self, ray: DVec3) -> bool {
         self.edges.iter().all(|e| e.plane.dot(ray) >= 0.0)
     }
 
-    /// One over the range along a unit ray.
+    /// Inverse range along a unit ray.
     pub fn inverse_range(&self, ray: DVec3) -> f64 {
         self.normal.dot(ray) / self.distance
     }
 }
 
-/// Longest side squared by area.
+/// Squared longest side over twice the area.
 fn aspect(corners: &[DVec3]) -> f64 {
     let n = corners.len();
     let doubled_area: DVec3 = (1..n - 1).map(|k| (corners[k] - corners[0]).cross(corners[k + 1] - corners[0])).sum();

@@ -1,12 +1,12 @@
-//! The reference: a plain z-buffer in f64 that the engines are held to.
+//! The reference: a simple f64 z-buffer that verifies the engines.
 //!
-//! Every polygon of every object of the environment is tested against every ray inside a generous cone around it;
-//! materials decide what is there at all, nothing else is left out. Three facts make it exact (DESIGN of the
-//! rasterizer, paper section 3.2):
-//! - a ray `u` lies in the cone of a convex polygon exactly if `s (v_a x (v_b - v_a)) . u >= 0` for every edge,
-//!   with s the side of the polygon's plane that the sensor is on;
-//! - if that side is within its own rounding the polygon is edge-on: it covers no ray and is counted;
-//! - one over the range is `n . u / d`: the greatest is the nearest, on equal bits the lower slot.
+//! Every polygon of every object is tested against every ray in a conservative cone around it. Only polygons that the
+//! sensor cannot see by their material are left out. Three facts make it exact (DESIGN of the rasterizer, paper section
+//! 3.2):
+//! - a ray `u` is in the cone of a convex polygon if and only if `s (v_a x (v_b - v_a)) . u >= 0` for every edge, where
+//!   s is the side of the polygon's plane that the sensor is on;
+//! - if that side is uncertain within rounding, the polygon is edge-on: it covers no ray and is counted;
+//! - the inverse range is `n . u / d`: the greatest is nearest, and the lower slot wins a tie.
 
 mod bundle;
 mod face;
@@ -24,12 +24,12 @@ use glam::DVec3;
 use presight_model::error::Result;
 use presight_model::threads::parallel_or_here;
 
-/// What [`render`] counted.
+/// Counts of [`render`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct RenderCounts {
     /// Polygons tested.
     pub polygons: usize,
-    /// Polygons whose plane passes through the sensor as far as f64 can tell.
+    /// Polygons whose plane passes through the sensor within f64 rounding.
     pub edge_on: usize,
 }
 
@@ -42,19 +42,19 @@ struct Hit {
     polygon: u32,
 }
 
-/// Fills the asked images.
+/// Fills the requested images.
 ///
 /// # Errors
-/// Those of [`crate::Pose::check`], if the plan's pose was changed.
+/// Same as [`crate::Pose::check`], if the plan's pose was changed.
 pub fn render(plan: &FramePlan, images: &mut Images) -> Result<RenderCounts> {
     let (width, height) = (plan.sensor.width(), plan.sensor.height());
     render_pixels(plan, images, (0..height).flat_map(|row| (0..width).map(move |column| (column, row))))
 }
 
-/// Fills the asked images at some pixels (column, row); the others look as if they had no ray.
+/// Fills the requested images at some pixels (column, row); other pixels are marked as having no ray.
 ///
 /// # Errors
-/// Those of [`render`].
+/// Same as [`render`].
 pub fn render_pixels(
     plan: &FramePlan,
     images: &mut Images,
@@ -73,7 +73,7 @@ pub fn render_pixels(
     Ok(counts)
 }
 
-/// The nearest polygon of some pixels' rays.
+/// Finds the nearest polygon for each pixel's ray.
 fn cast(plan: &FramePlan, pixels: impl Iterator<Item = (u32, u32)>) -> (Vec<Beam<Option<Hit>>>, RenderCounts) {
     let mut beams = beams(&plan.sensor, pixels);
     let counts = parallel_or_here(|| cast_beams(plan, &mut beams));
@@ -101,7 +101,7 @@ fn paint(plan: &FramePlan, face: &Face, cone: &Cone, beams: &mut [Beam<Option<Hi
     for beam in beams.iter_mut().filter(|b| face.holds(b.ray)) {
         let inverse_range = face.inverse_range(beam.ray);
         let nearer = match beam.found {
-            // Inside the cone it is positive but for rounding.
+            // Inside the cone it is positive up to rounding.
             None => inverse_range > 0.0,
             Some(hit) if inverse_range == hit.inverse_range => {
                 slot(cone.object, cone.polygon) < slot(hit.object, hit.polygon)

@@ -1,4 +1,4 @@
-//! The world cut at one height: what a level scanner of one row can meet, as segments in a tree.
+//! The world cut at one height: everything that a level one-row scanner can meet, as segments in a tree.
 
 use crate::plan::facings;
 use glam::{DVec2, DVec3};
@@ -7,49 +7,49 @@ use presight_model::geometry::Aabb;
 use presight_model::index::{QueryResult, Region};
 use presight_model::world::World;
 
-/// Corners this near their plane, relatively, are on it: far less than f32 rounds ranges, far more than f64 rounds places.
+/// Relative tolerance for corners on their plane: far below f32 rounding of ranges, far above f64 rounding.
 const PLANE: f64 = 1e-10;
 
-/// Segments in a leaf.
+/// Maximum number of segments in a leaf.
 const LEAF: usize = 2;
 
-/// Below this depth of the tree segments are halved.
+/// Maximum depth of optimized splits; deeper nodes are halved.
 const MOST_DEPTH: usize = 40;
 
-/// A version of the world at one height, for one sensor class.
+/// One version of the world at one height, for one sensor class.
 #[derive(Debug, Default)]
 pub struct RowCut {
     pub segments: Vec<Segment>,
-    /// The first is the root; the left child of a node follows it.
+    /// The root is first; a node's left child follows it.
     pub nodes: Vec<Node>,
-    /// In the world, with the offset of the plane through each.
+    /// World positions, each with the offset of the plane through it.
     pub corners: Vec<(DVec3, f64)>,
 }
 
-/// Where a polygon meets the height.
+/// Intersection of a polygon with the height.
 #[derive(Clone, Copy, Debug)]
 pub struct Segment {
     pub a: DVec2,
     pub b: DVec2,
-    /// Of the polygon's unit normal, which need not be level.
+    /// Horizontal part of the polygon's unit normal.
     pub normal: DVec2,
-    /// The polygon's plane at the height is where `normal . p` is this.
+    /// The polygon's plane at this height is `normal . p = offset`.
     pub offset: f64,
-    /// Of a polygon that is not quite plane: its corners in [`RowCut::corners`]. As in images its plane then goes through the corner
-    /// that is nearest to the scanner.
+    /// For a polygon that is not exactly planar: its range in [`RowCut::corners`]. As in images, its plane passes
+    /// through the corner nearest to the scanner.
     pub corners: (u32, u32),
-    /// Seen only from where the normal points.
+    /// Visible only from the normal's side.
     pub one_sided: bool,
 }
 
-/// A box around segments.
+/// A bounding box of segments.
 #[derive(Clone, Copy, Debug)]
 pub struct Node {
     pub min: DVec2,
     pub max: DVec2,
     /// First segment of a leaf, or the right child.
     pub at: u32,
-    /// Segments of a leaf; 0 for an inner node.
+    /// Number of segments of a leaf; 0 for an inner node.
     pub count: u32,
 }
 
@@ -85,7 +85,7 @@ impl RowCut {
                 }
                 let corners = (first as u32, cut.corners.len() as u32);
                 let segment = Segment { a, b, normal: normal.truncate(), offset, corners, one_sided: facing.one_sided };
-                // Level polygons are edge-on to the row.
+                // Horizontal polygons are edge-on to the row.
                 if segment.normal != DVec2::ZERO {
                     cut.segments.push(segment);
                 }
@@ -103,7 +103,7 @@ impl RowCut {
         }
     }
 
-    /// Sorts segments into a tree of nodes; `placed` counts those in leaves before.
+    /// Sorts segments into a tree; `placed` counts the segments in earlier leaves.
     fn grow_from(&mut self, segments: &mut [Segment], placed: usize, depth: usize) {
         let (mut min, mut max) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
         for s in &*segments {
@@ -123,8 +123,8 @@ impl RowCut {
     }
 }
 
-/// Sorts segments along an axis, and says where to part them: where boxes around both parts, each times its number of segments, have the
-/// least sides. A box is seen by as many beams as its sides are long.
+/// Sorts segments along the best axis and returns the best split: it minimizes the perimeters of both boxes, weighted
+/// by their segments. The number of beams that see a box is proportional to its perimeter.
 fn best_split(segments: &mut [Segment]) -> usize {
     let key = |s: &Segment, axis: usize| s.a[axis] + s.b[axis];
     let sides = |(min, max): (DVec2, DVec2)| (max - min).element_sum();
@@ -153,7 +153,7 @@ fn best_split(segments: &mut [Segment]) -> usize {
     best.2
 }
 
-/// The ends of a convex polygon's part at a height, if it has one of some length.
+/// Endpoints of a convex polygon's intersection with a height, if it has a positive length.
 fn cross(object: &Object, polygon: u32, height: f64) -> Option<[DVec2; 2]> {
     let world_from_mesh = object.world_from_mesh();
     let mut points = object.mesh.corners_of(polygon).map(|p| world_from_mesh.transform_point3(p));
@@ -166,7 +166,7 @@ fn cross(object: &Object, polygon: u32, height: f64) -> Option<[DVec2; 2]> {
     ends.0.filter(|[a, b]| a != b)
 }
 
-/// The two points found that are farthest apart.
+/// The two most distant points so far.
 #[derive(Default)]
 struct Ends(Option<[DVec2; 2]>);
 
@@ -176,7 +176,7 @@ impl Ends {
         if below == 0.0 {
             self.add(from.truncate());
         } else if (below < 0.0) != (above < 0.0) && above != 0.0 {
-            // From the end that comes first in a fixed order: neighbours get the same point.
+            // The end that is first in a fixed order is the origin, so that neighbours compute the same point.
             let (p, q) = if from.to_array() <= to.to_array() { (from, to) } else { (to, from) };
             let t = (height - p.z) / (q.z - p.z);
             self.add((p + (q - p) * t).truncate());

@@ -1,5 +1,6 @@
-//! One row at one height: what a level scanner of one row can meet of the world is cut once into segments, kept for each version of
-//! the world, and searched nearest first. Ranges agree with those of images within the range bound ([`crate::verify`]).
+//! Fast predictions for a level one-row scanner: the world is cut once into segments at its height, and searched
+//! nearest first. Cuts are kept per version of the world. Ranges agree with images within the range bound
+//! ([`crate::verify`]).
 
 mod cut;
 mod view;
@@ -13,7 +14,7 @@ use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// True if the sensor's z axis is the world's, but for what poses in text files round.
+/// True if the sensor's z axis is vertical, up to the rounding of poses in text files.
 pub fn is_level(pose: &Pose) -> bool {
     let up = pose.rotation * DVec3::Z;
     up.z > 0.0 && up.x.abs().max(up.y.abs()) <= 1e-8
@@ -27,15 +28,15 @@ pub struct RowCuts(Mutex<CutCache>);
 struct CutCache {
     /// [`World::stamp`].
     world: u64,
-    /// Oldest use first.
+    /// Least recently used first.
     cuts: Vec<(String, f64, Arc<RowCut>)>,
 }
 
 impl RowCuts {
-    /// Heights and classes that are kept.
+    /// Maximum number of heights and classes that are kept.
     const MOST: usize = 8;
 
-    /// The cut of a version of the world for a sensor class at a height; made if it is not kept.
+    /// Returns the cut for a version of the world, a sensor class and a height; makes it if it is not cached.
     pub fn get(&self, world: &World, class: &str, height: f64) -> Arc<RowCut> {
         let mut kept = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if kept.world != world.stamp() {
@@ -55,7 +56,7 @@ impl RowCuts {
     }
 }
 
-/// The images of range and cos_incidence by a cut of the world, for tests; `None` for other sensors and poses that lean.
+/// The images range and cos_incidence from a cut, for tests; `None` for unsupported sensors and tilted poses.
 pub fn see(world: &World, sensor: &Sensor, world_from_sensor: &Pose) -> Option<(Vec<f32>, Vec<f32>)> {
     let mut view = RowView::new(sensor).filter(|_| is_level(world_from_sensor))?;
     let cut = RowCut::new(world, &sensor.spec().class, world_from_sensor.translation.z);

@@ -1,4 +1,4 @@
-//! What a level scanner of one row sees of a [`RowCut`]: nodes nearest first, and none behind what is seen already.
+//! The view of a level one-row scanner in a [`RowCut`]: visits nodes nearest first, and skips hidden ones.
 
 use super::cut::{Node, RowCut, Segment};
 use glam::{DVec2, DVec3};
@@ -6,39 +6,39 @@ use presight_model::geometry::Pose;
 use presight_model::sensor::{Geometry, Sensor};
 use std::ops::Range;
 
-/// Beams whose farthest is kept.
+/// Beams that share one farthest range.
 const BLOCK: usize = 4;
 
-/// Nodes and segments this much nearer, relatively, than what they are compared with are not behind it.
+/// Relative margin: a node or segment must be farther by this much to count as hidden.
 const SLACK: f64 = 1e-9;
 
-/// The beams of a one-row scanner, by rising azimuth, and scratch memory.
+/// The beams of a one-row scanner, by ascending azimuth, with scratch memory.
 #[derive(Clone, Debug)]
 pub struct RowView {
-    /// Unit, in the sensor's frame.
+    /// Unit vectors in the sensor's frame.
     rays: Vec<DVec2>,
-    /// [`turn_of`] the first ray.
+    /// Value of [`turn_of`] for the first ray.
     first_turn: f64,
-    /// For each of equal slices of 0..4, which [`turn_of`] rays rise through from the first on, the first beam that is not before it.
+    /// For equal slices of 0..4 ([`turn_of`] minus `first_turn`): the first beam at or after the slice's start.
     slices: Vec<u32>,
-    /// True if the last pixel is the first ray.
+    /// True if the last pixel belongs to the first ray.
     reversed: bool,
     range_min: f64,
     range_max: f64,
-    /// By ray: the largest inverse range so far and its segment, [`NONE`] for none.
+    /// Per ray: the largest inverse range so far, and its segment or [`NONE`].
     inverse: Vec<f64>,
     winner: Vec<u32>,
     /// The least inverse range of each block.
     farthest: Vec<f64>,
     stack: Vec<(u32, f64)>,
-    /// Segments that were tested since [`RowView::see`] began.
+    /// Number of segments tested by the last [`RowView::see`].
     pub tested: usize,
 }
 
 const NONE: u32 = u32::MAX;
 
 impl RowView {
-    /// `None` for sensors that are no one-row scanner in their own horizontal plane.
+    /// Returns `None` unless the sensor is a one-row scanner in its own horizontal plane.
     pub fn new(sensor: &Sensor) -> Option<Self> {
         let Geometry::Scanner(scanner) = &sensor.spec().geometry else { return None };
         if scanner.elevation.len() != 1 || scanner.elevation.degrees(0) != 0.0 {
@@ -73,7 +73,7 @@ impl RowView {
 
     /// Fills the images of range and cos_incidence.
     pub fn see(&mut self, cut: &RowCut, world_from_sensor: &Pose, range: &mut Vec<f32>, cos_incidence: &mut Vec<f32>) {
-        // A little beyond the limit: what is exactly there is decided by its range.
+        // Slightly beyond the limit, so that surfaces exactly at the limit are decided by their range.
         let horizon = (1.0 - SLACK) / self.range_max;
         self.inverse.fill(horizon);
         self.winner.fill(NONE);
@@ -97,7 +97,7 @@ impl RowView {
                 continue;
             }
             let children = [at + 1, node.at].map(|child| (child, eye.nearest(&cut.nodes[child as usize])));
-            // The nearer one comes off first.
+            // The nearer child is popped first.
             let [one, other] = children;
             stack.extend(if one.1 <= other.1 { [other, one] } else { [one, other] });
         }
@@ -127,7 +127,7 @@ impl RowView {
         }
     }
 
-    /// True if nothing in the node can be seen.
+    /// True if nothing in the node is visible.
     fn hides(&self, eye: &ScannerView, node: &Node, nearest: f64) -> bool {
         if nearest == 0.0 {
             return false;
@@ -138,14 +138,14 @@ impl RowView {
         self.blocks(first, count).into_iter().flatten().all(|block| inverse < self.farthest[block])
     }
 
-    /// The blocks of some beams, which may go round.
+    /// The blocks of some beams, which may wrap around.
     fn blocks(&self, first: usize, count: usize) -> [Range<usize>; 2] {
         let (n, end) = (self.rays.len(), first + count);
         let up = if count == 0 { 0..0 } else { first / BLOCK..end.min(n).div_ceil(BLOCK) };
         [up, 0..end.saturating_sub(n).div_ceil(BLOCK)]
     }
 
-    /// The first beam and the number of beams from one turn counter-clockwise to another, and maybe a beam more at either end.
+    /// The first beam and number of beams counter-clockwise between two turns; may include one more at each end.
     fn between(&self, from: f64, to: f64) -> (usize, usize) {
         let margin = 1e-9;
         let from = since(from - margin, self.first_turn);
@@ -161,7 +161,7 @@ impl RowView {
         self.tested += 1;
         let segment = &cut.segments[number as usize];
         let (mut a, mut b) = (eye.seen(segment.a), eye.seen(segment.b));
-        // Negative where the scanner is on the normal's side.
+        // Negative if the scanner is on the normal's side.
         let distance = eye.offset(cut, segment) - segment.normal.dot(eye.place);
         if segment.one_sided && distance >= 0.0 {
             return;
@@ -170,7 +170,7 @@ impl RowView {
         if doubled < 0.0 {
             (a, b) = (b, a);
         }
-        // As flat as rounding: edge-on, it covers no ray.
+        // Edge-on within rounding: it covers no ray.
         let (near, far) = (a.length().min(b.length()), a.length().max(b.length()));
         if !(doubled.abs() > 8.0 * f64::EPSILON * near * far && distance.abs() > 8.0 * f64::EPSILON * near) {
             return;
@@ -179,7 +179,7 @@ impl RowView {
         let (first, count) = self.between(turn_of(a), turn_of(b));
         let n = self.rays.len();
         let mut drawn = false;
-        // Which may go round.
+        // The beams may wrap around.
         for beams in [first..(first + count).min(n), 0..(first + count).saturating_sub(n)] {
             let so_far = self.inverse[beams.clone()].iter_mut().zip(&mut self.winner[beams.clone()]);
             for (ray, (nearest, winner)) in self.rays[beams].iter().zip(so_far) {
@@ -201,11 +201,11 @@ impl RowView {
     }
 }
 
-/// Where the scanner is, and how it is turned.
+/// Position and heading of the scanner.
 struct ScannerView {
     place: DVec2,
     height: f64,
-    /// Its x axis in the world.
+    /// The sensor's x axis in the world.
     ahead: DVec2,
 }
 
@@ -220,12 +220,12 @@ impl ScannerView {
         DVec2::new(self.ahead.dot(direction), self.ahead.perp_dot(direction))
     }
 
-    /// A point of the world in the sensor's frame.
+    /// Transforms a point from the world into the sensor's frame.
     fn seen(&self, point: DVec2) -> DVec2 {
         self.turned(point - self.place)
     }
 
-    /// That of the plane of a segment's polygon.
+    /// Offset of the plane of a segment's polygon.
     fn offset(&self, cut: &RowCut, segment: &Segment) -> f64 {
         let corners = &cut.corners[segment.corners.0 as usize..segment.corners.1 as usize];
         let apart = |p: &DVec3| p.distance_squared(self.place.extend(self.height));
@@ -233,12 +233,12 @@ impl ScannerView {
         nearest.map_or(segment.offset, |(_, offset)| *offset)
     }
 
-    /// Distance of a box.
+    /// Distance to a box.
     fn nearest(&self, node: &Node) -> f64 {
         (node.min - self.place).max(self.place - node.max).max(DVec2::ZERO).length()
     }
 
-    /// The outermost corners of a box seen from outside, the right one first, in the sensor's frame.
+    /// The silhouette corners of a box seen from outside, right corner first, in the sensor's frame.
     fn silhouette(&self, node: &Node) -> (DVec2, DVec2) {
         let (low, high, p) = (node.min, node.max, self.place);
         let side = |x: f64, low: f64, high: f64| i32::from(x > high) - i32::from(x < low);
@@ -256,7 +256,7 @@ impl ScannerView {
     }
 }
 
-/// A number in 0..4 that rises with the direction, counter-clockwise, and is quicker made than an angle.
+/// A number in 0..4 that increases counter-clockwise with the direction; cheaper than an angle.
 fn turn_of(v: DVec2) -> f64 {
     let p = v.y / (v.x.abs() + v.y.abs());
     if v.x < 0.0 {
@@ -268,7 +268,7 @@ fn turn_of(v: DVec2) -> f64 {
     }
 }
 
-/// From one turn on to another, 0..4.
+/// Counter-clockwise difference of two turns, 0..4.
 fn since(turn: f64, first: f64) -> f64 {
     let t = turn - first;
     let t = if t < 0.0 { t + 4.0 } else { t };

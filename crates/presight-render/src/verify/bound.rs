@@ -1,56 +1,56 @@
-//! How far two right engines may be apart: the error bounds, derived.
+//! Derivation of the error bounds: how much two correct engines may differ.
 //!
-//! A polygon has corners p_k in its mesh, the sensor's centre is c there, M turns the mesh frame into the image frame:
-//! v_k = M (p_k - c). Its unit normal is n = N n_mesh / |N n_mesh| with N the inverse transpose of M, its plane is
-//! n . x = d, and along the unit ray u one over the range is k = n . u / d. `eps` is the unit roundoff of the
-//! engine's arithmetic (2^-24 for f32, 2^-53 for f64) *plus* that of the reference (2^-53); |M| is the Frobenius norm.
+//! Let p_k be a polygon's corners in the mesh frame, c the sensor's centre there, and M the transform to the image
+//! frame: v_k = M (p_k - c). The unit normal is n = N n_mesh / |N n_mesh| with N the inverse transpose of M, the plane
+//! is n . x = d, and the inverse range along a unit ray u is k = n . u / d. `eps` is the unit roundoff of the engine's
+//! arithmetic (2^-24 for f32, 2^-53 for f64) *plus* that of the reference (2^-53); |M| is the Frobenius norm.
 //!
-//! **Distance.** p - c is rounded once where c is one number, twice where it is two f32 (c = high + low, which itself
-//! is off by eps^2 |c|). M and the three products and sums of each component add 4 more: v_k is off by
-//! 6 eps |M| |p_k - c| + eps^2 |M| |c|. n is rounded in the mesh, in N, in the product and when it is normalized:
-//! `off_n` = 6 eps |N| / |N n_mesh|. d = n . v of the nearest corner has 3 roundings of its own:
-//! `off_d` = 12 eps |M| min|p - c| (1 + |N| / |N n_mesh|) covers all of it: the term c2 min|v_k| / |d|. In f32 that is a
-//! thousandth of d where d is a thousandth of |v|, as over a large floor. So polygons flatter than `SET_UP_FINELY` around
-//! the sensor are set up in f64 by every compute engine, and eps here is 2^-53 for them; n / d is then rounded once more on its way
-//! to f32, which is one of the 6 eps of the ray and the product below.
+//! **Distance.** p - c is rounded once if c is one number, twice if c is two f32 (c = high + low, which itself is off
+//! by eps^2 |c|). M and the three products and sums of each component add 4 roundings: v_k is off by 6 eps |M| |p_k -
+//! c| + eps^2 |M| |c|. n is rounded in the mesh, in N, in the product and by its normalization: `off_n` = 6 eps |N| /
+//! |N n_mesh|. d = n . v of the nearest corner has 3 roundings of its own. In total: `off_d` = 12 eps |M| min|p - c| (1
+//! + |N| / |N n_mesh|), the term c2 min|v_k| / |d|. In f32 this reaches a thousandth of d if d is a thousandth of |v|,
+//! as over a large floor. Therefore every compute engine sets up polygons flatter than `SET_UP_FINELY` around the
+//! sensor in f64, and eps here is 2^-53 for them; n / d is then rounded once more to f32, which is one of the 6 eps of
+//! the ray and the product below.
 //!
-//! **Plane.** What is not the engine's arithmetic but the polygon's own: corners off the common plane by up to
-//! `deviation` (merging and f32 vertices allow some, and another engine may take another corner for d, or cut the
-//! polygon into triangles: twice that), the centre c, which the plan itself can only round to 2^-53 |c|, and the
-//! plane's tilt when it is worked out from rounded corners: 2^-53 |p - c| size / thickness (slivers).
+//! **Plane.** Errors of the polygon itself, not of the engine's arithmetic: corners that deviate from the common plane
+//! by up to `deviation` (allowed by merging and f32 vertices; doubled, because another engine may use another corner
+//! for d or triangulate); the centre c, which the plan itself rounds to 2^-53 |c|; and the tilt of a plane computed
+//! from rounded corners, 2^-53 |p - c| size / thickness (slivers).
 //!
-//! **Range.** With `off` the sum of the distance's and the plane's error, k' = (n . u + a) / (d + b), |a| <= off_n +
-//! 6 eps for the ray and the product, |b| <= off, so |k' - k| <= (|a| + |k| off) / (|d| - off) exactly: relative to k
-//! that is the c1 eps / |n . u| + c2 eps min|v_k| / |d| + off_plane / |d| of the design, and it stays finite where a
-//! ray grazes the plane. If off >= |d| nothing is known about the range. Division, square root and the last
-//! rounding add [`Precision::output_ulps`] ulp of the result. depth_z is the range times u.z: the same relative bound.
+//! **Range.** Let `off` be the sum of the distance's and the plane's error. Then k' = (n . u + a) / (d + b) with |a| <=
+//! off_n + 6 eps for the ray and the product, and |b| <= off, so |k' - k| <= (|a| + |k| off) / (|d| - off) exactly.
+//! Relative to k this is the design's c1 eps / |n . u| + c2 eps min|v_k| / |d| + off_plane / |d|, and it stays finite
+//! for a ray that grazes the plane. If off >= |d|, the range is unknown. Division, square root and the last rounding
+//! add [`Precision::output_ulps`] ulp of the result. depth_z is the range times u.z: the same relative bound.
 //! cos_incidence is |n . u|: |a|, the tilt's angle, and the output's ulps.
 //!
-//! **Side.** The sign of d is proven only if |d| exceeds its error; an engine that cannot prove it leaves the polygon
-//! out. So where |d| <= 4 off_d + 2 deviation a polygon may be missing, though never where |d| is clear.
+//! **Side.** The sign of d is certain only if |d| exceeds its error; an engine that cannot decide it leaves the polygon
+//! out. A polygon may therefore be missing if |d| <= 4 off_d + 2 deviation.
 //!
-//! **Edge.** e = v_a x w, w = M (p_b - p_a), and h = |e| / |w| is the distance of the edge's line from the sensor. v_a and
-//! w being off by their roundings, and 4 more in the product, |e' - e| <= 10 eps |M| (|p_a - c| |w| + |v_a| |p_b - p_a|)
-//! ... <= 24 eps |M| |p_a - c| |M| |p_b - p_a|; against |e| = h |w| that is an angle of the order of
-//! eps |v_a| / h: long edges that pass close by are the worst, and f32 vertices cannot do better. To that come
-//! the centre's rounding over h, a recomputation from corners that were rounded on their own (2^-53 only:
-//! (|v_a| + |v_b|) / (|w| h) times |v|), the ray's own rounding, 8 eps, and the span's: a stated part of the
-//! angle between neighbouring rays ([`Precision::pixel_fraction`]).
+//! **Edge.** e = v_a x w, w = M (p_b - p_a), and h = |e| / |w| is the distance of the edge's line from the sensor. v_a
+//! and w carry their roundings, and the product 4 more: |e' - e| <= 10 eps |M| (|p_a - c| |w| + |v_a| |p_b - p_a|) ...
+//! <= 24 eps |M| |p_a - c| |M| |p_b - p_a|. Relative to |e| = h |w| this is an angle of the order of eps |v_a| / h:
+//! long edges that pass close to the sensor are the worst, and f32 vertices cannot do better. Added to that are the
+//! centre's rounding over h, a recomputation from individually rounded corners (2^-53 only: (|v_a| + |v_b|) / (|w| h)
+//! times |v|), the ray's own rounding, 8 eps, and the span's: a fixed fraction of the angle between neighbouring rays
+//! ([`Precision::pixel_fraction`]).
 //!
-//! **Dent.** A corner may turn inwards by as much as [`Mesh::new`](crate::Mesh::new) lets pass. The cone of such a polygon is
-//! the part within all its edges' planes, which cuts off what lies beyond the sides of the dent: no farther from an edge's
-//! plane than the corner that is farthest beyond it.
+//! **Dent.** A corner may turn inwards by as much as [`Mesh::new`](crate::Mesh::new) accepts. The cone of such a
+//! polygon is the part within all its edges' planes, which cuts off the areas beyond the sides of the dent. The cut
+//! reaches no farther from an edge's plane than the corner farthest beyond it.
 
 use crate::reference::{Edge, Face, UNIT_ROUNDOFF};
 use glam::DVec3;
 use presight_model::geometry::Aabb;
 
-/// The arithmetic of an engine, which decides how far from the reference it may be.
+/// The precision of an engine's arithmetic, which determines its error bounds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 pub enum Precision {
-    /// f64 throughout, f32 output: the reference and the CPU engine.
+    /// f64 arithmetic and f32 output: the reference and the CPU engine.
     F64,
-    /// f32 corners relative to the sensor, spans or ray tables in f32: the GPU engine, however it rasterizes.
+    /// f32 corners relative to the sensor, and f32 spans or ray tables: the GPU engine with any rasterizer.
     F32,
 }
 
@@ -63,7 +63,7 @@ impl Precision {
         }
     }
 
-    /// Edges may be off by this part of the angle between neighbouring rays, on top of all rounding.
+    /// Allowed error of edges beyond rounding, as a fraction of the angle between neighbouring rays.
     pub fn pixel_fraction(self) -> f64 {
         match self {
             Self::F64 => (-20f64).exp2(),
@@ -71,8 +71,8 @@ impl Precision {
         }
     }
 
-    /// Rounding of an output on its way to f32, both images together, in its units in the last place: half an ulp
-    /// each for f64; WGSL allows 2.5 for a division and 4.5 for a square root.
+    /// Rounding of an output to f32, for both images together, in units in the last place: half an ulp each for f64;
+    /// WGSL allows 2.5 for a division and 4.5 for a square root.
     pub fn output_ulps(self) -> f64 {
         match self {
             Self::F64 => 1.0,
@@ -80,42 +80,42 @@ impl Precision {
         }
     }
 
-    /// Ranges may be compared with each other and with the limits when they are rounded already: by this factor.
+    /// Factor for comparisons of already rounded ranges with each other and with the limits.
     #[doc(hidden)]
     pub fn limit_slack(self) -> f64 {
         1.0 + self.output_ulps() * f64::from(f32::EPSILON)
     }
 }
 
-/// Plane distance over that of the nearest corner, in the mesh's frame, below which compute engines in f32 set up polygons
-/// in f64 if the sensor is no farther from their box than the box is large.
+/// Ratio of a plane's to its nearest corner's distance, in the mesh frame, below which f32 compute engines set up
+/// polygons in f64, if the sensor is within one box size of their box.
 pub const SET_UP_FINELY: f64 = 2e-3;
 
-/// True of polygons that they surely do.
+/// True if engines certainly set up this polygon in f64.
 pub fn is_set_up_finely(face: &Face) -> bool {
-    // From the sensor.
+    // Corners are relative to the sensor.
     let around = || face.relative.iter().fold(Aabb::EMPTY, |b, p| b.with(*p));
     let is_near = |b: Aabb| b.distance_squared(DVec3::ZERO) <= (0.999 * b.size()).powi(2);
     face.flatness <= SET_UP_FINELY && is_near(around())
 }
 
-/// The error bounds of a polygon's plane, and what they are made of.
+/// The error bounds of a polygon's plane, with their parts.
 #[derive(Clone, Copy, Debug)]
 pub struct PlaneBound {
     /// Error of n . u.
     pub cosine: f64,
     /// Error of d, metres: arithmetic and plane.
     pub distance: f64,
-    /// An engine need not have proven the side that the sensor is on.
+    /// True if engines may fail to decide the sensor's side.
     may_be_edge_on: bool,
-    /// What the centre's own rounding adds, metres.
+    /// Contribution of the centre's own rounding, metres.
     centre: f64,
-    /// What the plane's own tilt adds at its farthest corner, metres.
+    /// Contribution of the plane's own tilt at its farthest corner, metres.
     tilt: f64,
 }
 
 impl PlaneBound {
-    /// Works them out; `centre_in_mesh` is c.
+    /// Computes the bounds; `centre_in_mesh` is c.
     pub fn new(face: &Face, centre_in_mesh: DVec3, precision: Precision) -> Self {
         let eps = precision.unit_roundoff();
         let centre = 4.0 * face.norm * centre_in_mesh.length() * (UNIT_ROUNDOFF + eps * eps);
@@ -139,20 +139,20 @@ impl PlaneBound {
 /// The error bounds of one polygon.
 #[derive(Clone, Debug)]
 pub struct FaceBound {
-    /// Radians by edge, for the ray too but without the span's share; infinite where the edge's line meets the centre.
+    /// Angle per edge, radians, with the ray's rounding but without the span's; infinite if its line meets the centre.
     pub edges: Vec<f64>,
     /// Error of n . u.
     cosine: f64,
-    /// Error of cos_incidence: that, and the plane's tilt.
+    /// Error of cos_incidence: `cosine` plus the plane's tilt.
     pub shown_cosine: f64,
     /// Error of d, metres: arithmetic and plane.
     distance: f64,
-    /// An engine need not have proven the side that the sensor is on.
+    /// True if engines may fail to decide the sensor's side.
     pub may_be_edge_on: bool,
 }
 
 impl FaceBound {
-    /// Works the bounds out; `centre_in_mesh` is c.
+    /// Computes the bounds; `centre_in_mesh` is c.
     pub fn new(face: &Face, centre_in_mesh: DVec3, precision: Precision) -> Self {
         let eps = precision.unit_roundoff();
         let plane = PlaneBound::new(face, centre_in_mesh, precision);
@@ -166,15 +166,15 @@ impl FaceBound {
         }
     }
 
-    /// Error of one over the range along a unit ray, 1/m; infinite where nothing is known.
+    /// Error of the inverse range along a unit ray, 1/m; infinite if the range is unknown.
     pub fn inverse_range(&self, face: &Face, ray: DVec3) -> f64 {
         let known = face.distance.abs() - self.distance;
         let inverse = face.inverse_range(ray).abs();
         if known > 0.0 { (self.cosine + inverse * self.distance) / known } else { f64::INFINITY }
     }
 
-    /// How far inside the cone the ray is, in units of the edges' bounds: at least 1 is inside for every engine,
-    /// below -1 is outside for every engine. `span` is the span's share, radians.
+    /// Distance of the ray inside the cone, in units of the edges' bounds: from 1 on it is inside for every engine,
+    /// below -1 it is outside for every engine. `span` is the span's share, radians.
     pub fn inside(&self, face: &Face, ray: DVec3, span: f64) -> f64 {
         let of_edge = |(edge, bound): (&Edge, &f64)| {
             let length = edge.plane.length();
@@ -183,13 +183,13 @@ impl FaceBound {
         face.edges.iter().zip(&self.edges).map(of_edge).fold(f64::INFINITY, f64::min)
     }
 
-    /// The widest an outline may grow, radians.
+    /// Maximum angle by which an outline may grow, radians.
     pub fn widest(&self) -> f64 {
         self.edges.iter().copied().fold(0.0, f64::max)
     }
 }
 
-/// See "Dent" above; radians, 0 but for rounding where the polygon is convex.
+/// See "Dent" above; radians, 0 up to rounding for a convex polygon.
 fn dent(face: &Face, edge: &Edge) -> f64 {
     let beyond = |v: &DVec3| -edge.plane.dot(*v) / (edge.plane.length() * v.length());
     if face.corners.len() > 3 { face.corners.iter().map(beyond).fold(0.0, f64::max) } else { 0.0 }

@@ -1,4 +1,4 @@
-//! Which polygons a right engine may show at a pixel.
+//! Candidates: the polygons that a correct engine may show at a pixel.
 
 use super::bound::{FaceBound, Precision};
 use crate::plan::{FramePlan, Instance};
@@ -7,20 +7,20 @@ use glam::DVec3;
 use presight_model::threads::parallel_or_here;
 use std::collections::HashMap;
 
-/// A polygon that a right engine may show at a pixel, and what it may say of it there.
+/// A polygon that a correct engine may show at a pixel, with the values that it may have there.
 #[derive(Clone, Copy, Debug)]
 pub struct Candidate {
-    /// What `polygon_id` shows.
+    /// Value of `polygon_id`.
     pub polygon_id: u32,
-    /// What `object_id` shows.
+    /// Value of `object_id`.
     pub object_id: u32,
-    /// Every right engine finds the ray inside this polygon; else only some do.
+    /// True if the ray is inside this polygon for every correct engine; otherwise only some find it.
     pub sure: bool,
-    /// Range on the polygon's own plane, metres; infinite or negative only beyond the outline of grazing polygons.
+    /// Range on the polygon's plane, metres; infinite or negative only beyond the outline of grazing polygons.
     pub range: f64,
-    /// Least range within the error bound.
+    /// Minimum range within the error bound.
     pub nearest: f64,
-    /// Greatest range within the error bound; may be infinite.
+    /// Maximum range within the error bound; may be infinite.
     pub farthest: f64,
     /// |cos| of the angle between ray and normal.
     pub cos_incidence: f64,
@@ -28,26 +28,26 @@ pub struct Candidate {
     pub cos_error: f64,
     /// Reflection factor of its material.
     pub reflection: f64,
-    /// depth_z over range.
+    /// Ratio of depth_z to range.
     pub depth_per_range: f64,
-    /// Unit normal in the image frame, on the side that the ray comes from.
+    /// Unit normal in the image frame, on the side of the sensor.
     pub(super) normal: DVec3,
 }
 
-/// What a right engine may show at a pixel.
+/// Everything that a correct engine may show at a pixel.
 #[derive(Clone, Debug, Default)]
 pub struct CandidateSet {
     /// Nearest first.
     pub candidates: Vec<Candidate>,
-    /// A right engine may find nothing at all.
+    /// True if a correct engine may find no hit.
     pub may_miss: bool,
-    /// The sensor has no ray here.
+    /// True if the sensor has no ray here.
     pub no_ray: bool,
     span: f64,
 }
 
-/// The candidate sets of some pixels (column, row): of the polygons whose outline, grown by the edge bound, holds the
-/// ray those that are not farther than the nearest one which every right engine must see, within the range bound.
+/// The candidate sets of some pixels (column, row). A polygon is a candidate if its outline, enlarged by the edge
+/// bound, contains the ray, and it is not behind a polygon that every correct engine must see, within the range bound.
 pub fn candidates(plan: &FramePlan, pixels: &[(u32, u32)], precision: Precision) -> Vec<CandidateSet> {
     if pixels.is_empty() {
         return Vec::new();
@@ -60,13 +60,13 @@ pub fn candidates(plan: &FramePlan, pixels: &[(u32, u32)], precision: Precision)
         widest = widest.max(beam.found.span);
     }
     parallel_or_here(|| find(plan, &mut beams, precision, widest));
-    // Beams come back in another order than they went.
+    // Beams come back in another order.
     let found: HashMap<(u32, u32), CandidateSet> = beams.into_iter().map(|b| ((b.column, b.row), b.found)).collect();
     let no_ray = CandidateSet { no_ray: true, ..CandidateSet::default() };
     pixels.iter().map(|pixel| found.get(pixel).unwrap_or(&no_ray).clone()).collect()
 }
 
-/// Fills the candidate sets of rays, of which the greatest span is `widest`.
+/// Fills the candidate sets of rays; `widest` is the largest span.
 fn find(plan: &FramePlan, beams: &mut [Beam<CandidateSet>], precision: Precision, widest: f64) {
     let instances = instances(plan);
     let bound = |face: &Face, object: u32| FaceBound::new(face, instances[object as usize].center_in_mesh, precision);
@@ -89,7 +89,7 @@ fn find(plan: &FramePlan, beams: &mut [Beam<CandidateSet>], precision: Precision
     });
 }
 
-/// A polygon on whose plane pixels are compared.
+/// A polygon whose plane pixels are compared with.
 pub(super) struct PlaneCandidate {
     face: Face,
     bound: FaceBound,
@@ -106,7 +106,7 @@ impl PlaneCandidate {
         Self { face, bound, ids, reflection: plan.reflection(instance.object, polygon) }
     }
 
-    /// What it would show along a ray that met it.
+    /// Its values for a ray, as if the ray met it.
     pub fn at(&self, ray: DVec3) -> Candidate {
         Candidate::new(&self.face, &self.bound, ray, (self.ids, self.reflection), false)
     }
@@ -116,7 +116,7 @@ fn face_of(plan: &FramePlan, instances: &[Instance], object: u32, polygon: u32) 
     Face::new(&instances[object as usize], &plan.environment().objects()[object as usize].mesh, polygon)
 }
 
-/// The part of the angle to the nearest neighbouring ray that a span's end may be off by, radians.
+/// Allowed error of a span's end at a pixel: a fraction of the angle to the nearest neighbouring ray, radians.
 pub fn span(plan: &FramePlan, column: u32, row: u32, precision: Precision) -> f64 {
     let sensor = &plan.sensor;
     let Some(ray) = sensor.ray(column, row) else {
@@ -134,7 +134,7 @@ pub fn span(plan: &FramePlan, column: u32, row: u32, precision: Precision) -> f6
 }
 
 impl Candidate {
-    /// `told` is what the plan knows of the polygon: its ids and its reflection factor.
+    /// `told` has the polygon's ids and its reflection factor.
     fn new(face: &Face, bound: &FaceBound, ray: DVec3, told: ((u32, u32), f64), sure: bool) -> Self {
         let ((polygon_id, object_id), reflection) = told;
         let inverse = face.inverse_range(ray);
@@ -155,7 +155,7 @@ impl Candidate {
         }
     }
 
-    /// True if both are sure to be met and lie in one plane as far as anyone can tell: a face stored twice.
+    /// True if both are certain hits in the same plane, within the bounds: a face that is stored twice.
     pub(super) fn coincides_with(&self, other: &Self) -> bool {
         let parallel = self.normal.cross(other.normal).length() < 1e-5;
         self.sure && other.sure && parallel && self.nearest <= other.farthest && other.nearest <= self.farthest
@@ -163,7 +163,7 @@ impl Candidate {
 }
 
 impl CandidateSet {
-    /// Drops what lies behind a polygon that every right engine sees.
+    /// Drops polygons behind one that every correct engine sees.
     fn keep_nearest(&mut self, precision: Precision, range_max: f64) {
         let wall = self.candidates.iter().filter(|c| c.sure).map(|c| c.farthest).fold(f64::INFINITY, f64::min);
         let wall = wall * precision.limit_slack();

@@ -1,12 +1,12 @@
-//! Comparison of two predictions: the one judge of what counts as right, for every engine and every test.
+//! Comparison of two predictions: the single criterion of correctness, for every engine and every test.
 //!
 //! A pixel is
-//! - **same** if it has the reference's id and every asked output is within its bound ([`bound`] derives them);
-//! - **edge** if it shows another polygon, or nothing, and that is in the reference's candidate set there
-//!   ([`candidates()`]), all outputs fitting;
-//! - **coincident** if that other polygon lies in the reference's own plane and both are surely met: models store
-//!   faces twice;
-//! - a **fault** otherwise. Faults must be 0, and edge pixels few: [`Report::check`].
+//! - **same** if it has the reference's id and every requested output is within its bound (derived in [`bound`]);
+//! - **edge** if it shows another polygon, or nothing, and the reference's candidate set there ([`candidates()`])
+//!   contains that, with all outputs within bounds;
+//! - **coincident** if that other polygon is in the reference's plane and both are certain hits, because models store
+//!   some faces twice;
+//! - a **fault** otherwise. There must be no faults, and few edge pixels: [`Report::check`].
 
 pub mod bound;
 mod candidates;
@@ -29,27 +29,27 @@ use pixel::{Lookup, pixel};
 use presight_model::error::{Error, Result};
 use serde::Serialize;
 
-/// Faults described one by one; the others are only counted.
+/// Maximum number of faults that are described; further faults are only counted.
 const FAULTS_SHOWN: usize = 20;
 
-/// What a comparison found.
+/// Result of a comparison.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Report {
     /// Pixels compared.
     pub pixels: usize,
     /// Pixels that are the same.
     pub same: usize,
-    /// Pixels at an edge or tie, with another id that a right engine may show.
+    /// Pixels at an edge or tie, with another id that a correct engine may show.
     pub edge: usize,
-    /// Pixels with another id for a face that is stored more than once.
+    /// Pixels with another id of a face that is stored more than once.
     pub coincident: usize,
-    /// Pixels that one of the two gave up for its deadline: nothing is said of them. They are no part of `pixels`.
+    /// Pixels that one of the two gave up for a deadline. They are not compared and not included in `pixels`.
     pub not_predicted: usize,
     /// Wrong pixels.
     pub fault: usize,
-    /// The worst share of its bound that an output of a same pixel is off by.
+    /// The largest error among same pixels, as a share of its bound.
     pub worst: BoundShares,
-    /// The pixel (column, row) of the worst share.
+    /// The pixel (column, row) with the largest share.
     pub worst_pixel: Option<(u32, u32)>,
     /// The first faults.
     pub faults: Vec<Fault>,
@@ -62,11 +62,11 @@ pub struct Fault {
     pub column: u32,
     /// Image row.
     pub row: u32,
-    /// What the reference shows.
+    /// Values of the reference.
     pub reference: PixelValues,
-    /// What the other image shows.
+    /// Values of the other image.
     pub other: PixelValues,
-    /// What would have been right.
+    /// The values that would be correct.
     pub why: String,
 }
 
@@ -92,7 +92,7 @@ impl Report {
         self.edge as f64 / self.pixels.max(1) as f64
     }
 
-    /// Refuses faults, and more edge pixels than a share (a handful is always allowed).
+    /// Fails for any fault, and if the share of edge pixels is too large (a few are always allowed).
     ///
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] with the first fault.
@@ -110,7 +110,7 @@ impl Report {
                     "{} of {} pixels are at edges, more than a share of {most_edge_share:e}",
                     self.edge, self.pixels
                 ),
-                "edges are off by too much",
+                "the edges deviate too much",
             ));
         }
         Ok(())
@@ -145,8 +145,8 @@ enum PixelClass {
     Fault(String),
 }
 
-/// Compares two predictions of which one gave something up (see [`crate::deadline::Degradation`]), by one of the other functions:
-/// pixels that are not in `partial` are not compared, but counted.
+/// Compares two predictions, where `partial` gave something up (see [`crate::deadline::Degradation`]). `compare`
+/// compares the others; pixels missing in `partial` are only counted.
 ///
 /// ```
 /// use presight::verify::{compare_exactly, compare_partial};
@@ -162,7 +162,7 @@ enum PixelClass {
 /// ```
 ///
 /// # Errors
-/// Those of the comparison.
+/// Same as the comparison's.
 pub fn compare_partial(
     whole: &Images,
     partial: &Images,
@@ -181,7 +181,7 @@ pub fn compare_partial(
     Ok(report)
 }
 
-/// Compares an engine's images with the reference's; every pixel that differs is a fault.
+/// Compares an engine's images with the reference's. Every different pixel is a fault.
 ///
 /// # Errors
 /// [`crate::ErrorKind::Invalid`] if sizes or outputs differ.
@@ -198,7 +198,7 @@ pub fn compare_exactly(reference: &Images, other: &Images) -> Result<Report> {
     Ok(report)
 }
 
-/// Compares an engine's images with the reference's, judging by the scene that both show.
+/// Compares an engine's images with the reference's, within the bounds for the scene that both show.
 ///
 /// # Errors
 /// [`crate::ErrorKind::Invalid`] if sizes or outputs differ, from each other or from the plan's sensor.
@@ -206,8 +206,8 @@ pub fn compare(reference: &Images, other: &Images, plan: &FramePlan, precision: 
     check_shape(reference, other)?;
     if (reference.width, reference.height) != (plan.sensor.width(), plan.sensor.height()) {
         return Err(Error::invalid(
-            "the images are not of the plan's sensor",
-            "compare with the sensor they were made by",
+            "the images do not have the size of the plan's sensor",
+            "use the plan that made the images",
         ));
     }
     let all = (0..reference.pixels()).map(|at| (pixel(reference.width, at), at));
@@ -218,7 +218,7 @@ pub fn compare(reference: &Images, other: &Images, plan: &FramePlan, precision: 
     ))
 }
 
-/// Compares pixel by pixel, for images of which only some pixels are known: (column, row), reference, other.
+/// Compares individual pixels, for images that are only partly known: (column, row), reference, other.
 pub fn compare_values(
     pixels: impl Iterator<Item = ((u32, u32), PixelValues, PixelValues)>,
     plan: &FramePlan,
@@ -241,7 +241,7 @@ pub fn compare_values(
     report
 }
 
-/// The largest amounts by which the outputs at a pixel may exceed the reference's; `None` where nothing is seen.
+/// The tolerances of the outputs at a pixel, above the reference's values; `None` without a hit.
 pub fn allowed(
     reference: &Images,
     plan: &FramePlan,
@@ -274,7 +274,7 @@ fn check_shape(reference: &Images, other: &Images) -> Result<()> {
         let names = [reference, other].map(|i| i.outputs().iter().map(Output::name).collect::<Vec<_>>().join(","));
         return Err(Error::invalid(
             format!("outputs {} against {}", names[0], names[1]),
-            "ask both engines for the same outputs",
+            "request the same outputs from both engines",
         ));
     }
     Ok(())
@@ -285,12 +285,12 @@ struct PixelCheck<'a> {
     precision: Precision,
     instances: Vec<Instance>,
     lookup: Lookup,
-    /// The polygon of the last pixel that was compared on one, which the next mostly shows too.
+    /// The last polygon that was compared: the next pixel mostly shows the same one.
     last: Option<(u32, PlaneCandidate)>,
 }
 
 impl PixelCheck<'_> {
-    /// What needs no candidates: identical pixels, and those that show the same polygon within the bounds.
+    /// Decides pixels without candidates: identical ones, and the same polygon within the bounds.
     fn at_a_glance(
         &mut self,
         (column, row): (u32, u32),
@@ -315,7 +315,7 @@ impl PixelCheck<'_> {
     fn by_candidates(&self, set: &CandidateSet, reference: &PixelValues, other: &PixelValues) -> PixelClass {
         if set.no_ray {
             return PixelClass::Fault(format!(
-                "there is no ray here, yet it shows {}",
+                "there is no ray here, but it shows {}",
                 if other.is_no_ray() { reference } else { other }
             ));
         }
@@ -327,9 +327,9 @@ impl PixelCheck<'_> {
             v.off(c, base, spec, self.precision).filter(|s| s.most() <= 1.0)
         };
         let shown_by_reference = |c: &Candidate| fits(reference, None, c).is_some();
-        // Against the reference's own values where both show the same polygon.
+        // Relative to the reference's values if both show the same polygon.
         let shown = |c: &Candidate| fits(other, shown_by_reference(c).then_some(reference), c);
-        // Without ids several polygons may fit; one that fits both images makes them the same.
+        // Without ids several polygons may fit. One that fits both images makes them the same.
         let common = set.candidates.iter().filter(|c| shown_by_reference(c)).find_map(shown);
         if let Some(shares) = common {
             return PixelClass::Same(shares);
@@ -342,7 +342,7 @@ impl PixelCheck<'_> {
     }
 }
 
-/// What would have been right, in words.
+/// Describes the correct values.
 fn why(set: &CandidateSet, other: &PixelValues) -> String {
     let mut right: Vec<String> = set
         .candidates

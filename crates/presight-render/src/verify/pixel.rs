@@ -1,4 +1,4 @@
-//! One pixel: its values, and whether they fit a polygon.
+//! One pixel: its values, and its comparison with a polygon.
 
 use super::bound::Precision;
 use super::candidates::Candidate;
@@ -6,16 +6,16 @@ use crate::plan::{FramePlan, Images};
 use presight_model::sensor::{Geometry, SensorSpec, body_from_optical};
 use serde::Serialize;
 
-/// The values of one pixel; `None` for images that are not there.
+/// The values of one pixel; `None` for images that were not requested.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct PixelValues {
     /// Metres.
     pub range: Option<f32>,
     /// Metres.
     pub depth_z: Option<f32>,
-    /// 0 is nothing.
+    /// 0 without a hit.
     pub polygon_id: Option<u32>,
-    /// 0 is nothing.
+    /// 0 without a hit.
     pub object_id: Option<u32>,
     /// 0..=1 or NaN.
     pub cos_incidence: Option<f32>,
@@ -26,18 +26,18 @@ pub struct PixelValues {
     pub normal: Option<[f32; 3]>,
 }
 
-/// The share of its error bound that each output of a pixel is off by; 1 is the bound itself.
+/// Errors of a pixel's outputs as shares of their bounds; 1 is the bound itself.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct BoundShares {
-    /// Of the range bound.
+    /// Share of the range bound.
     pub range: f64,
-    /// Of the depth_z bound.
+    /// Share of the depth_z bound.
     pub depth_z: f64,
-    /// Of the cos_incidence bound.
+    /// Share of the cos_incidence bound.
     pub cos_incidence: f64,
-    /// Of the echo bound.
+    /// Share of the echo bound.
     pub echo: f64,
-    /// Of the bound of each component of the normal; the most.
+    /// Largest share of the bound among the normal's components.
     pub normal: f64,
 }
 
@@ -79,7 +79,7 @@ impl PixelValues {
         }
     }
 
-    /// Equal to the bit, NaN of any kind being one value.
+    /// Bit-equal, except that all NaN are equal.
     pub(super) fn identical(&self, other: &Self) -> bool {
         let to_bits = |x: f32| if x.is_nan() { f32::NAN.to_bits() } else { x.to_bits() };
         let floats = |v: &Self| [v.range, v.depth_z, v.cos_incidence, v.echo].map(|x| x.map(to_bits));
@@ -90,13 +90,13 @@ impl PixelValues {
             && self.object_id == other.object_id
     }
 
-    /// True if the pixel shows nothing: `+inf`, ids 0, no angle.
+    /// True if the pixel has no hit: `+inf`, ids 0, no angle.
     pub(super) fn is_miss(&self) -> bool {
         let far = |v: Option<f32>| v.is_none_or(|x| x == f32::INFINITY);
         self.has_no_ids() && far(self.range) && far(self.depth_z)
     }
 
-    /// True if the pixel says that there is no ray: all NaN, ids 0.
+    /// True if the pixel has no ray: all NaN, ids 0.
     pub(super) fn is_no_ray(&self) -> bool {
         let nan = |v: Option<f32>| v.is_none_or(f32::is_nan);
         self.has_no_ids() && nan(self.range) && nan(self.depth_z)
@@ -109,8 +109,8 @@ impl PixelValues {
         zero(self.polygon_id) && zero(self.object_id) && no_share && no_normal
     }
 
-    /// How far the values are off what a polygon shows, in shares of the bounds; `None` if they do not fit it at all
-    /// (other ids, a limit out of the bound's reach). `base` replaces the exact values by those of another image.
+    /// Errors of the values relative to a polygon, as shares of the bounds; `None` if they do not fit it at all (other
+    /// ids, a limit outside the bound). `base` replaces the exact values by another image's.
     pub(super) fn off(
         &self,
         c: &Candidate,
@@ -150,8 +150,8 @@ impl PixelValues {
         })
     }
 
-    /// How far the normal is off. Each component is the normal times an axis of the body, a unit vector as a ray is: the bound is
-    /// that of cos_incidence. Where the side of the plane that the sensor is on is not proven, either normal fits.
+    /// Error of the normal, as a share. A component is the normal times a body axis, a unit vector like a ray, so the
+    /// bound is that of cos_incidence. If the sensor's side of the plane is uncertain, either normal fits.
     fn normal_off(&self, c: &Candidate, base: Option<[f32; 3]>, spec: &SensorSpec, p: Precision) -> f64 {
         let Some(normal) = self.normal else { return 0.0 };
         let is_camera = matches!(spec.geometry, Geometry::Camera(_));
@@ -166,7 +166,7 @@ impl PixelValues {
     }
 }
 
-/// |value - base| in shares of the bound below or above it; infinite for NaN and infinities.
+/// value - base| as a share of the bound below or above it; infinite for NaN and infinities.
 fn share(value: Option<f32>, base: f64, [below, above]: [f64; 2], p: Precision) -> f64 {
     let Some(value) = value else {
         return 0.0;
@@ -183,8 +183,8 @@ fn share(value: Option<f32>, base: f64, [below, above]: [f64; 2], p: Precision) 
     if off == 0.0 { 0.0 } else { off.abs() / bound }
 }
 
-/// echo is the material's factor times cos_incidence as f32: that one's bound and output rounding, scaled; the product's own
-/// rounding comes on top.
+/// The echo is the material's factor times cos_incidence as f32: its bound and output rounding are scaled, and the
+/// product adds its own rounding.
 fn echo_error(c: &Candidate, cos_incidence: f32, p: Precision) -> f64 {
     c.reflection * (c.cos_error + p.output_ulps() * ulp(cos_incidence))
 }
@@ -195,23 +195,23 @@ pub fn ulp(x: f32) -> f64 {
     f64::from(x.next_up()) - f64::from(x)
 }
 
-/// The largest amounts by which an output may differ from the reference at a pixel.
+/// Maximum differences of a pixel's outputs from the reference.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tolerances {
     /// Metres.
     pub range: f64,
     /// Metres.
     pub depth_z: f64,
-    /// Of cos_incidence.
+    /// Tolerance of cos_incidence.
     pub cos_incidence: f64,
-    /// Of echo.
+    /// Tolerance of echo.
     pub echo: f64,
-    /// Of each component of the normal.
+    /// Tolerance of each component of the normal.
     pub normal: [f64; 3],
 }
 
 impl Tolerances {
-    /// What a polygon allows above a reference's values.
+    /// The tolerances of a polygon above a reference's values.
     pub(super) fn above(c: &Candidate, reference: &PixelValues, p: Precision) -> Self {
         let out = |v: Option<f32>| v.map_or(0.0, |x| p.output_ulps() * ulp(x));
         let range = c.farthest - c.range;
@@ -230,7 +230,7 @@ pub(super) fn pixel(plan_width: u32, at: usize) -> (u32, u32) {
     ((at % plan_width as usize) as u32, (at / plan_width as usize) as u32)
 }
 
-/// Object and polygon that a `polygon_id` names.
+/// Finds the object and polygon of a `polygon_id`.
 pub(super) struct Lookup {
     by_source: std::collections::HashMap<u32, (u32, u32)>,
 }

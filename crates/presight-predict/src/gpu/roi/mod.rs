@@ -1,5 +1,5 @@
-//! Regions of interest on the device: the linear case of roi.wgsl. Its CPU twin is `features::roi`, which finishes what the
-//! shader flags as beyond it, and takes the stage's place on software adapters.
+//! Regions of interest on the device: roi.wgsl handles the linear case. The CPU twin `features::roi` finishes the
+//! features that the shader flags as nonlinear, and replaces the stage on software adapters.
 
 mod plan;
 
@@ -17,10 +17,10 @@ use presight_features::roi::{Roi, RoiFlag};
 use presight_features::{BoxFrame, BoxQuery, FeaturePrediction, Tails};
 use presight_model::error::{ErrorKind, Result};
 
-/// `LINEAR` in roi.wgsl: the box is good.
+/// `LINEAR` in roi.wgsl: the linear box is accurate.
 pub(super) const LINEAR: u32 = 1;
 
-/// The stage with its buffers, made when boxes are first asked for.
+/// The stage with its buffers, created when boxes are first requested.
 pub(super) struct RoiStage {
     stage: Stage,
     plan: RoiPlan,
@@ -33,7 +33,7 @@ pub(super) struct RoiStage {
     readback: Growable,
     mapping: Mapping,
     uploads: Uploads,
-    /// The table of tails is on the device.
+    /// True if the tail table is on the device.
     placed: bool,
     rebind: bool,
 }
@@ -59,10 +59,10 @@ impl RoiStage {
         }
     }
 
-    /// Makes room for the plan, its pipeline, and the uploads.
+    /// Makes room for the plan, creates the pipeline and collects the uploads.
     ///
     /// # Errors
-    /// The device's.
+    /// Errors of the device.
     fn prepare(&mut self, gpu: &Gpu, kind: GridKind) -> Result<()> {
         let constants = [("GRID", f64::from(kind as u32))];
         self.stage.prepare(gpu, (kind as u32, 0), shaders::ROI, &constants)?;
@@ -93,7 +93,7 @@ impl RoiStage {
         Ok(())
     }
 
-    /// From uploaded features to boxes.
+    /// Encodes the pass from uploaded features to boxes.
     fn encode(&self, gpu: &Gpu, encoder: &mut wgpu::CommandEncoder, kind: GridKind) {
         let label = Some("roi");
         let mut pass = gpu.pass(encoder, &wgpu::ComputePassDescriptor { label, timestamp_writes: None });
@@ -102,7 +102,7 @@ impl RoiStage {
         }
     }
 
-    /// Runs it and reads the answer: boxes in the plan's order.
+    /// Runs the stage and reads its answer: boxes in the plan's order.
     fn run(&mut self, gpu: &Gpu, kind: GridKind) -> Result<Vec<RoiBox>> {
         let bytes = (self.plan.features.len() * size_of::<RoiBox>()) as u64;
         if bytes == 0 {
@@ -132,13 +132,13 @@ impl RoiStage {
 }
 
 impl GpuEngine {
-    /// [`crate::features::add_boxes`] on the device: features whose projection bends over their errors are finished on the CPU,
-    /// and all of them for lenses, ray tables and uneven beams.
-    /// Returns how many boxes the device made.
+    /// Same as [`crate::features::add_boxes`], on the device. The CPU finishes features whose projection is nonlinear
+    /// over their errors, and all features of lenses, ray tables and uneven beams. Returns the number of boxes the
+    /// device made.
     ///
     /// # Errors
-    /// [`ErrorKind::Usage`] for a confidence outside 0.5..1; [`ErrorKind::DeviceLost`] and [`ErrorKind::DeviceMemory`] as
-    /// [`GpuEngine::render`]: the boxes may then be found on the CPU; those of [`crate::Threads::new`].
+    /// [`ErrorKind::Usage`] for a confidence outside 0.5..1; [`ErrorKind::DeviceLost`] and [`ErrorKind::DeviceMemory`]
+    /// as in [`GpuEngine::render`], after which the CPU can make the boxes; the errors of [`crate::Threads::new`].
     pub fn add_boxes(&mut self, prediction: &mut FeaturePrediction, query: &BoxQuery<'_>) -> Result<usize> {
         let frame = BoxFrame::new(query)?;
         let stage = self.roi.get_or_insert_with(|| RoiStage::new(&self.gpu));

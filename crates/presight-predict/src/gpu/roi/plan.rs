@@ -1,5 +1,5 @@
-//! What the boxes of one prediction upload, worked out without a device: points and square roots of covariances, made in
-//! f64, turned into the image frame and rounded once.
+//! Uploads for the boxes of one prediction, computed without a device. Points and square roots of covariances are
+//! computed in f64, rotated into the image frame, and rounded once.
 
 use crate::gpu::layout::GridKind;
 use bytemuck::{Pod, Zeroable};
@@ -7,7 +7,7 @@ use glam::{DMat3, DVec3};
 use presight_features::roi::{BodyPoint, ERRORS, FeatureErrorModel, KIND, Projection};
 use presight_features::{BoxFrame, BoxMethod, BoxScratch, FeaturePrediction, ImageKind, PlacedFeature};
 
-/// Most points of a feature on the device; features of more are the CPU's. `POINTS` in roi.wgsl.
+/// Maximum points of a feature on the device; larger features go to the CPU. `POINTS` in roi.wgsl.
 pub(in crate::gpu) const MAX_POINTS: usize = 16;
 
 /// `RoiParams` in roi.wgsl.
@@ -64,23 +64,23 @@ pub(in crate::gpu) struct RoiBox {
     pub padding: [u32; 2],
 }
 
-/// The uploads of one prediction's boxes, in buffers that stay.
+/// Uploads of one prediction's boxes; the buffers are reused.
 #[derive(Default)]
 pub(in crate::gpu) struct RoiPlan {
     pub params: RoiParams,
     pub features: Vec<RoiFeature>,
     pub points: Vec<RoiPoint>,
-    /// Two of four numbers an error, the last 0.
+    /// Two columns of four numbers per error; the last number is 0.
     pub columns: Vec<[f32; 4]>,
-    /// For each feature on the device its number in the prediction.
+    /// For each feature on the device, its index in the prediction.
     pub on_device: Vec<u32>,
-    /// Numbers of those that are seen and are the CPU's from the start.
+    /// Indices of the visible features that go to the CPU from the start.
     pub on_host: Vec<u32>,
 }
 
 impl RoiPlan {
-    /// Works it out, and gives the features their covariances. The kind of grid that the shader is to know, or `None` if
-    /// it does not know the sensor's projection: then all features are the CPU's.
+    /// Computes the uploads and sets the features' covariances. Returns the kind of grid for the shader, or `None` if
+    /// it does not support the sensor's projection; all features then go to the CPU.
     pub fn fill(
         &mut self,
         frame: &BoxFrame<'_>,
@@ -102,7 +102,7 @@ impl RoiPlan {
         for i in 0..prediction.features.len() {
             let placed = &placed[prediction.given_at(i)];
             let seen = &mut prediction.features[i];
-            // What is not seen is not looked for.
+            // Invisible features need no box.
             if seen.visible.is_empty() {
                 continue;
             }
@@ -121,7 +121,7 @@ impl RoiPlan {
         Some(kind)
     }
 
-    /// False if it is not for the device: too many points, or one without an image.
+    /// Returns false if the feature does not suit the device: too many points, or a point outside the image.
     fn add(&mut self, frame: &BoxFrame<'_>, uncertain: &FeatureErrorModel, points: &[BodyPoint]) -> bool {
         let (image, turn) = (&frame.image, frame.image.image_from_body);
         let first_point = self.points.len();
@@ -159,7 +159,7 @@ impl RoiPlan {
         true
     }
 
-    /// Adds the errors of a kind that are not nothing; poses about another point than their own origin.
+    /// Adds the nonzero columns of some errors; `about` moves the reference point of pose errors.
     fn add_columns(
         &mut self,
         uncertain: &FeatureErrorModel,

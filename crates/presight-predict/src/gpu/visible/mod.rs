@@ -1,7 +1,7 @@
-//! Samples of features against what the nine pixels around each show: the fifth stage; its CPU twin is beside it.
+//! Tests feature samples against the surfaces that the nine pixels around each show: the fifth stage.
 //!
-//! The nearest polygons of the last frame, with their records, are still on the device: no image travels. Answers are
-//! proposals in f32, tested in f64 by who asked ([`crate::features`]).
+//! It reads the last frame's nearest polygons and their records on the device, so no image is transferred. Answers are
+//! f32 proposals; the caller verifies them in f64 ([`crate::features`]).
 
 #[cfg(test)]
 mod twin;
@@ -18,7 +18,7 @@ use presight_features::{FeatureSamples, OcclusionHint};
 use presight_model::error::{ErrorKind, Result};
 use presight_model::sensor::{PixelGrid, Sensor};
 
-/// Words before the samples: how many, 1 if columns go round, padding.
+/// Words before the samples: their number, 1 if columns wrap around, padding.
 pub(super) const SAMPLES_AT: usize = 4;
 /// Words of a sample.
 pub(super) const SAMPLE_WORDS: usize = words_of::<Sample>() as usize;
@@ -27,20 +27,20 @@ pub(super) const SAMPLE_WORDS: usize = words_of::<Sample>() as usize;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub(super) struct Sample {
-    /// In the line frame.
+    /// Position in the line frame.
     pub place: [f32; 3],
-    /// Row-major.
+    /// Row-major index of the middle pixel.
     pub pixel: u32,
-    /// Where the list of its feature's slots is.
+    /// Offset of the slots of its feature.
     pub slots: u32,
 }
 
-/// Neither hidden nor seen, as a word.
+/// Word for an undecided sample.
 const DOUBT: u32 = u32::MAX;
-/// Seen, as a word.
+/// Word for a visible sample.
 const SEEN: u32 = u32::MAX - 1;
 
-/// A hint from its word.
+/// Decodes a hint from its word.
 pub(super) fn hint_of_word(word: u32) -> OcclusionHint {
     match word {
         DOUBT => OcclusionHint::Doubt,
@@ -49,18 +49,18 @@ pub(super) fn hint_of_word(word: u32) -> OcclusionHint {
     }
 }
 
-/// Samples of features, as the stage takes them.
+/// Feature samples in the stage's input format.
 #[derive(Clone, Debug)]
 pub struct OcclusionQuery {
     words: Vec<u32>,
-    /// The records' planes are in that frame.
+    /// Transforms samples into the line frame of the records' planes.
     line_from_image: DMat3,
     count: u32,
     own_at: u32,
 }
 
 impl OcclusionQuery {
-    /// Of samples of features.
+    /// Takes the samples of all features.
     pub fn new(of: &FeatureSamples<'_>) -> Self {
         let mut query = Self::with_room(of.samples.iter().map(Vec::len).sum(), of.sensor);
         for (samples, placed) in of.samples.iter().zip(of.placed) {
@@ -70,7 +70,7 @@ impl OcclusionQuery {
         query
     }
 
-    /// For `count` samples on the image of a sensor.
+    /// Makes room for `count` samples on a sensor's image.
     pub(super) fn with_room(count: usize, sensor: &Sensor) -> Self {
         let mut words = vec![0; SAMPLES_AT + count * SAMPLE_WORDS];
         words[1] = u32::from(sensor.columns_of_a_turn().is_some());
@@ -81,14 +81,14 @@ impl OcclusionQuery {
         Self { words, line_from_image, count: 0, own_at: 0 }
     }
 
-    /// The samples that follow are of a feature on these slots.
+    /// Starts a feature on these slots; the samples that follow belong to it.
     pub(super) fn begin(&mut self, slots: &[u32]) {
         self.own_at = self.words.len() as u32;
         self.words.push(slots.len() as u32);
         self.words.extend_from_slice(slots);
     }
 
-    /// A sample at a place of the image frame, in the middle one of nine pixels (row-major number).
+    /// Adds a sample at a position in the image frame; `pixel` is the row-major index of the middle pixel.
     pub(super) fn push(&mut self, at: DVec3, pixel: u32) {
         let place = (self.line_from_image * at).as_vec3().to_array();
         let first = SAMPLES_AT + self.count as usize * SAMPLE_WORDS;
@@ -98,13 +98,13 @@ impl OcclusionQuery {
         self.words[0] = self.count;
     }
 
-    /// How many were pushed.
+    /// Number of samples pushed.
     pub fn count(&self) -> u32 {
         self.count
     }
 }
 
-/// The stage with its buffers, made when samples are first asked about.
+/// The stage with its buffers, created at the first query.
 pub(super) struct Visible {
     stage: Stage,
     asked: Growable,
@@ -128,15 +128,15 @@ impl Visible {
         }
     }
 
-    /// A buffer of the frame is another one now.
+    /// Marks a frame buffer as replaced.
     pub fn rebind(&mut self) {
         self.rebind = true;
     }
 
-    /// Encodes the uploads and the stage for at least one sample, on what the last frame left in its buffers.
+    /// Encodes the uploads and the stage for at least one sample, on the last frame's buffers.
     ///
     /// # Errors
-    /// [`ErrorKind::DeviceMemory`], or the device's.
+    /// [`ErrorKind::DeviceMemory`], or errors of the device.
     pub fn encode(
         &mut self,
         gpu: &Gpu,
@@ -167,7 +167,7 @@ impl Visible {
         Ok(())
     }
 
-    /// Waits for the answers.
+    /// Waits for the answers and returns them.
     ///
     /// # Errors
     /// [`ErrorKind::DeviceLost`].

@@ -1,4 +1,4 @@
-//! The CPU twin of the stage, and the test that holds one to the other.
+//! The CPU twin of the stage, and the test that compares the two.
 
 use super::*;
 use crate::gpu::layout::{Params, RECORD_WORDS, Record, Slot};
@@ -14,7 +14,7 @@ use std::collections::BTreeSet;
 use std::mem::offset_of;
 use std::sync::Arc;
 
-/// What the last frame left on the device.
+/// The buffers that the last frame left on the device.
 struct LastFrame {
     params: Params,
     scanner: bool,
@@ -79,7 +79,7 @@ fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-/// All of a buffer, word by word.
+/// Reads back a whole buffer as words.
 fn words(engine: &GpuEngine, buffer: &Growable) -> Vec<u32> {
     use wgpu::BufferUsages as U;
     let bytes = buffer.buffer().size();
@@ -95,7 +95,7 @@ fn words(engine: &GpuEngine, buffer: &Growable) -> Vec<u32> {
     bytemuck::pod_collect_to_vec(&view)
 }
 
-/// Draws cases.
+/// Random test cases.
 struct Random(SplitMix64);
 
 impl Random {
@@ -108,7 +108,7 @@ impl Random {
     }
 }
 
-/// Triangles of all sizes around the sensor, slivers and such as look at it from their edge among them.
+/// Triangles of many sizes around the sensor, including slivers and edge-on ones.
 fn hard(random: &mut Random) -> World {
     let mut environment = Environment::new();
     environment.add_material(Material::named("grey")).unwrap();
@@ -186,9 +186,9 @@ fn the_device_answers_as_its_twin() {
             let ties = differing(&twin);
             eprintln!("{hidden} hidden, {seen} seen of {}, {ties} otherwise than the twin", answers.len());
             assert!(hidden > 100 && seen > 100 && hidden + seen < 3990, "{hidden} {seen}");
-            // Products of three terms may be contracted: what is within 2^-22 of an edge or of its own range.
+            // The device may fuse products of three terms: answers may differ within 2^-22 of an edge or of a range.
             assert!(ties <= 4, "{ties}");
-            // A planted fault: the planes of all polygons in the image turned round. Slots of others tell of earlier frames.
+            // A planted fault: flip the planes of all polygons in the image. Other slots may be stale.
             let pixels = (sensor.width() * sensor.height()) as usize;
             let shown = left.keys[..pixels].iter().filter(|[id, bits]| *id != 0 && *bits != 0);
             let records: BTreeSet<u32> = shown.map(|[id, _]| left.slots[!id as usize].record).collect();

@@ -1,4 +1,4 @@
-//! The first estimate (paper, section 3.3): the query region shrinks, first its radius, then its angle.
+//! The first estimate (paper, section 3.3): the query region shrinks, first in radius, then in angle.
 
 use super::{Controller, DeadlineFrame, counts_of, milliseconds};
 use crate::cost::Forecast;
@@ -7,20 +7,20 @@ use crate::plan::{FramePlan, Run};
 use presight_model::error::Result;
 use presight_model::sensor::ImagePart;
 
-/// Columns that are drawn: the angle shrinks no further.
+/// Minimum number of columns: the angle shrinks no further.
 const LEAST_COLUMNS: u32 = 8;
 
-/// Share of the least radius that can be drawn in time: above it the clock decides, for narrowing takes another selection.
+/// The angle shrinks only if less than this share of the least radius fits, because it needs another selection.
 const WORTH_NARROWING: f64 = 0.8;
 
 impl Controller {
-    /// Leaves out what surely cannot be drawn: runs are sorted by distance, so that a radius is a prefix of them. What is left of the
-    /// least radius is narrowed to columns around the heading.
+    /// Leaves out runs that certainly cannot be drawn in time. Runs are sorted by distance, so a radius is a prefix of
+    /// them. If even the least radius is too much, narrows the image to columns around the heading.
     pub(super) fn cut(&self, timed: &mut DeadlineFrame, plan: &mut FramePlan) -> Result<()> {
         let left = timed.watch.left().as_secs_f64();
         let low = |runs: &[Run]| {
             let estimate = self.at_stride(timed, (Forecast::Selection, &counts_of(runs)), timed.stride);
-            // Nothing that was not learnt gives anything up.
+            // Without learnt costs, nothing is given up.
             if estimate.frames == 0 { 0.0 } else { estimate.lower }
         };
         if low(&plan.runs) <= left {

@@ -1,26 +1,26 @@
-//! Features within a deadline, in groups: the next one only if it fits.
+//! Features with a deadline, in groups: the next group starts only if it fits.
 
 use super::{Controller, DeadlineFrame};
 use crate::cost::Forecast;
 use std::time::Duration;
 
-/// Features of the first group where nothing was learnt.
+/// Size of the first group if nothing was learnt.
 const FIRST_GROUP: usize = 64;
-/// Fewer than this are no group unless they are the last ones.
+/// Minimum size of a group, unless fewer features are left.
 const LEAST_GROUP: usize = 4;
 
-/// How many features fit.
+/// Decides how many features fit.
 pub struct FeatureGroups {
-    /// Seconds for each feature, a high estimate.
+    /// Seconds per feature, a high estimate.
     pace: f64,
-    /// When the group began.
+    /// Start time of the group.
     since: Duration,
-    /// Most features of the next group.
+    /// Maximum size of the next group.
     most: usize,
 }
 
 impl Controller {
-    /// Time to be kept for features, of what images leave: no more than half of it.
+    /// Time reserved for features: at most half of the time that images leave.
     pub(super) fn reserve(&self, timed: &DeadlineFrame, left: Duration) -> Duration {
         if timed.features.features == 0 {
             return Duration::ZERO;
@@ -29,7 +29,7 @@ impl Controller {
         Duration::from_secs_f64(estimate.upper.min(1e6)).min(left / 2)
     }
 
-    /// Begins to find features.
+    /// Starts finding features.
     pub fn feature_groups(&self, timed: &DeadlineFrame) -> FeatureGroups {
         let estimate = self.costs.estimate(&timed.key_of(Forecast::Features), &timed.features);
         let pace = estimate.upper / timed.features.features.max(1) as f64;
@@ -39,8 +39,8 @@ impl Controller {
 }
 
 impl FeatureGroups {
-    /// How many of the rest to find next; 0 if the time is up. As long as more are to come, a group takes half of the time left at
-    /// most: what is found out by then corrects the pace.
+    /// Returns the size of the next group; 0 if the time is up. A group that is not the last takes at most half of the
+    /// time left, and its measured time corrects the pace.
     pub fn next(&mut self, timed: &DeadlineFrame, rest: usize) -> usize {
         self.since = timed.watch.elapsed();
         let all = (timed.left().as_secs_f64() / self.pace) as usize;
@@ -53,10 +53,10 @@ impl FeatureGroups {
         }
     }
 
-    /// So many were found.
+    /// Records that a group of this size was found.
     pub fn took(&mut self, timed: &DeadlineFrame, features: usize) {
         let took = timed.watch.elapsed().saturating_sub(self.since).as_secs_f64();
-        // A little more than it was: groups are not alike.
+        // A margin, because groups differ.
         self.pace = (1.25 * took / features.max(1) as f64).max(1e-9);
         self.most = usize::MAX;
     }

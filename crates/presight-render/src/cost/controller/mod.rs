@@ -1,8 +1,8 @@
-//! Keeps deadlines: says what cannot be done in time, when drawing has to stop, and learns from what was done.
+//! Keeps deadlines: decides what cannot be done in time and when drawing must stop, and learns from finished frames.
 //!
-//! The clock that the engine stops by keeps the deadline. The unit costs decide three things only: whether even an image of nothing
-//! would be late, how much time images take after the drawing, and which runs need not be begun because even a low estimate
-//! of their time is too long.
+//! The engine stops by the clock, which keeps the deadline. The unit costs decide only three things: whether even an
+//! empty image would be late, how much time images need after drawing, and which runs to skip because even a low
+//! estimate of their time is too long.
 
 mod cut;
 mod features;
@@ -18,54 +18,54 @@ use std::sync::Arc;
 use std::time::Duration;
 use thinning::Stopping;
 
-/// Time for what no cost counts: learning, and the way back to the caller.
+/// Time for uncounted work: learning, and the return to the caller.
 const MARGIN: Duration = Duration::from_micros(100);
-/// Images that take so much longer than on average are planned for, whatever else is given up.
+/// Images slower than the mean by this factor are always planned for, whatever must be given up.
 const SLOW: f64 = 1.25;
-/// What is left of a doubted estimate after each refusal by it, and at least.
+/// Each refusal multiplies the doubted estimate by the first factor, down to the second in total.
 const DOUBT: f64 = 0.98;
 const MOST_DOUBT: f64 = 0.25;
-/// The same of estimates that nothing was learnt for: machines differ by as much.
+/// Factor for estimates that were not learnt: machines differ that much.
 const UNKNOWN_MACHINE: f64 = 0.125;
 
-/// Keeps the deadlines of one engine.
+/// The deadline controller of one engine.
 #[derive(Debug)]
 pub struct Controller {
     clock: Arc<dyn Clock>,
     pub costs: CostModel,
-    /// By what factor estimates are doubted that refused the last frames: only frames that are tried can correct them.
+    /// Factors on estimates that refused recent frames: without a frame that runs, they would never be corrected.
     doubts: BTreeMap<Key, f64>,
-    /// By stride.
+    /// By key, which includes the stride.
     stopping: BTreeMap<Key, Stopping>,
 }
 
-/// A prediction with a deadline.
+/// State of a prediction with a deadline.
 #[derive(Debug)]
 pub struct DeadlineFrame {
     limit: Duration,
     watch: Watch,
     key: Key,
     priority: Priority,
-    /// Images may be thinned and narrowed.
+    /// True if the engine can thin and narrow images.
     draws_parts: bool,
-    /// Width and height of an image, and how many images there are.
+    /// Image width and height, and number of images.
     size: [u32; 2],
     images: u64,
-    /// Selection began and ended so long after the call, and images were there.
+    /// Times after the call: start of selection, end of selection, images finished.
     begun: Duration,
     selected: Duration,
     images_made: Duration,
-    /// What the drawing was to draw, before a cut.
+    /// The work of drawing, before a cut.
     counts: WorkCounts,
     cut: Vec<DegradationStep>,
-    /// Chosen after selection.
+    /// The stride chosen after selection.
     stride: u32,
-    /// The share of its estimated time that there was for the drawing.
+    /// Ratio of the time available for drawing to its estimate.
     time: Option<f64>,
     first_estimate: Option<f64>,
-    /// What was expected of features, before any was found.
+    /// Expected work of features, before any was found.
     features: WorkCounts,
-    /// Features that were found, and rising numbers of those left out.
+    /// Number of features found, and ascending numbers of features left out.
     pub found: u64,
     pub left_out: Vec<u32>,
 }
@@ -78,16 +78,16 @@ impl Default for Controller {
 }
 
 impl Controller {
-    /// Takes another clock.
+    /// Replaces the clock.
     pub fn set_clock(&mut self, clock: Arc<dyn Clock>) {
         self.clock = clock;
     }
 
-    /// Begins a prediction; `None` without a deadline, and `engine` if it cannot stop.
+    /// Begins a prediction; `None` without a deadline. `engine` is `None` if the engine cannot stop early.
     ///
     /// # Errors
-    /// [`ErrorKind::Usage`] for no time at all, and for an engine that cannot stop; [`ErrorKind::Deadline`] if not even an image
-    /// of nothing can be made.
+    /// [`ErrorKind::Usage`] for a deadline of zero, or an engine that cannot stop early; [`ErrorKind::Deadline`] if not
+    /// even an empty image can be made in time.
     pub fn begin(
         &mut self,
         deadline: Option<(Duration, &Priority)>,
@@ -100,8 +100,8 @@ impl Controller {
             return Err(Error::usage("a deadline of 0 ms", "give a time above 0, or no deadline"));
         }
         let Some(DeadlineEngine { name, adapter, threads, draws_parts }) = engine else {
-            let what = "this engine cannot stop when its time is up, and keeps no deadline";
-            return Err(Error::usage(what, "take the CPU engine (--backend cpu), or give no deadline"));
+            let what = "this engine cannot stop early, so it does not support deadlines";
+            return Err(Error::usage(what, "use the CPU engine (--backend cpu), or give no deadline"));
         };
         let key = Key::new(name, adapter.as_deref(), threads, sensor, outputs, Forecast::Images);
         let (size, images) = ([sensor.width(), sensor.height()], outputs.iter().count() as u64);
@@ -121,7 +121,7 @@ impl Controller {
         Ok(Some(timed))
     }
 
-    /// After selection: when drawing has to stop, and which runs need not be begun.
+    /// After selection, decides when drawing must stop and which runs to skip.
     ///
     /// # Errors
     /// [`ErrorKind::Deadline`] if the selection took so long that no image can be made in time.
@@ -155,7 +155,7 @@ impl Controller {
         Ok(())
     }
 
-    /// What drawing takes, by what was learnt, where so much time was left after selection.
+    /// Learnt costs of drawing, for this much time left after selection.
     fn pace(&self, timed: &DeadlineFrame, left: Duration, runs: &[Run]) -> Option<Pace> {
         let key = timed.key_of(Forecast::Wave);
         let estimate = |counts: WorkCounts| self.costs.estimate(&key, &counts);
@@ -163,7 +163,7 @@ impl Controller {
         let each = |counts| (estimate(counts).mean - none.mean).max(0.0) / most as f64;
         let drawing = self.at_stride(timed, (Forecast::Selection, &counts_of(runs)), timed.stride);
         let kept = |stride| self.kept_for_images(timed, stride, left).as_secs_f64();
-        // Nothing is thinned where there is plenty.
+        // Nothing is thinned if there is plenty of time.
         let saved = |stride| (kept(timed.stride) - kept(stride)).max(0.0);
         let saved = if self.has_plenty(timed, left) { [0.0; STRIDES.len()] } else { STRIDES.map(saved) };
         (none.frames > 0).then(|| Pace {
@@ -175,12 +175,12 @@ impl Controller {
         })
     }
 
-    /// Images of nothing, thinned as far as the engine can.
+    /// Estimate for empty images, thinned as far as the engine can.
     fn least_images(&self, timed: &DeadlineFrame) -> TimeEstimate {
         self.images(timed, timed.strides().next_back().unwrap_or(1))
     }
 
-    /// Tells how the deadline was kept, and learns.
+    /// Reports how the deadline was kept, and learns.
     pub fn end(&mut self, timed: &DeadlineFrame, stats: &mut Stats) {
         let took = timed.watch.elapsed().max(timed.images_made);
         let mut kept = stats.deadline.take().unwrap_or_default();
@@ -217,7 +217,7 @@ impl Controller {
         }
         if timed.cut.is_empty() && has_all_columns && stride == timed.stride {
             let (took, key) = (drawn - timed.selected, Self::key_at(timed, Forecast::Selection, stride));
-            // What was stopped would have taken longer.
+            // A stopped drawing would have taken longer, so only a time above the estimate is informative.
             if !stopped || took.as_secs_f64() > self.costs.estimate(&key, &timed.counts).mean {
                 self.learn(timed, (Forecast::Selection, stride), &timed.counts, took);
             }
@@ -238,14 +238,14 @@ impl Controller {
         stats.deadline = Some(kept);
     }
 
-    /// By what factor estimates of the images are believed.
+    /// Factor on estimates that recent refusals put in doubt.
     fn doubt(&self, key: &Key) -> f64 {
         self.doubts.get(key).copied().unwrap_or(1.0)
     }
 
-    /// Learns what a forecast of images of a stride should have said.
+    /// Learns the time that a forecast at a stride should have predicted.
     fn learn(&mut self, timed: &DeadlineFrame, about: (Forecast, u32), counts: &WorkCounts, took: Duration) {
-        // Times that cannot be, of a clock that jumps, teach nothing.
+        // Impossible times, from a clock that jumps, are ignored.
         let _ = self.costs.observe(&Self::key_at(timed, about.0, about.1), counts, took.as_secs_f64());
     }
 }
@@ -278,16 +278,16 @@ impl DeadlineFrame {
         }
     }
 
-    /// Features are placed, with regions of interest if they are asked for, and selection begins.
+    /// Records the placed features, with regions of interest if requested; selection begins now.
     pub fn expect_features(&mut self, features: usize, regions: bool) {
         let features = features as u64;
         self.features = WorkCounts { features, regions: if regions { features } else { 0 }, ..WorkCounts::default() };
         self.begun = self.watch.elapsed();
     }
 
-    /// Images are made, and features follow.
+    /// Records that the images are finished; features follow.
     pub fn images_are_made(&mut self) {
-        // Also by a clock that was set back.
+        // The clock may have been set back.
         self.images_made = self.watch.elapsed().max(self.selected);
     }
 
@@ -296,7 +296,7 @@ impl DeadlineFrame {
         self.limit.saturating_sub(self.watch.elapsed() + MARGIN)
     }
 
-    /// Of some of the features.
+    /// Work counts for this number of features.
     fn of_features(&self, features: u64) -> WorkCounts {
         WorkCounts { features, regions: self.features.regions.min(features), ..WorkCounts::default() }
     }
@@ -315,11 +315,11 @@ impl DeadlineFrame {
 }
 
 fn impossible(limit: Duration, needed: f64) -> Error {
-    let what = format!("nothing can be predicted within {:.3} ms", milliseconds(limit));
-    Error::new(ErrorKind::Deadline, what, format!("give {:.3} ms or more, or ask for fewer images", 1e3 * needed))
+    let what = format!("no prediction is possible within {:.3} ms", milliseconds(limit));
+    Error::new(ErrorKind::Deadline, what, format!("give {:.3} ms or more, or request fewer images", 1e3 * needed))
 }
 
-/// A time that is kept free, with the margin.
+/// A reserved time, including the margin.
 fn seconds(s: f64) -> Duration {
     Duration::from_secs_f64(s.min(1e6)) + MARGIN
 }
@@ -333,7 +333,7 @@ fn counts_of(runs: &[Run]) -> WorkCounts {
     WorkCounts { runs: runs.len() as u64, polygons, ..WorkCounts::default() }
 }
 
-/// What a frame did, by its statistics.
+/// The work of a frame, from its statistics.
 fn finished(stats: &Stats, timed: &DeadlineFrame) -> WorkCounts {
     let of = |name| stats.count_of(name).unwrap_or(0);
     WorkCounts {

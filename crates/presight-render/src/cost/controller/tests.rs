@@ -1,4 +1,4 @@
-//! Recorded counts and times, replayed: no clock runs here.
+//! Replays recorded counts and times: no real clock is used.
 
 use super::*;
 use crate::deadline::{DeadlineOutcome, Degradation};
@@ -7,7 +7,7 @@ use presight_model::geometry::Pose;
 use presight_model::world::World;
 use std::sync::Mutex;
 
-/// Stands until it is set.
+/// A clock that only moves when it is set.
 #[derive(Debug, Default)]
 struct Standing(Mutex<Duration>);
 
@@ -23,16 +23,16 @@ impl Clock for Standing {
     }
 }
 
-/// An engine by its recorded times, microseconds.
+/// Recorded times of an engine, microseconds.
 #[derive(Clone, Copy)]
 struct Recorded {
     selection: f64,
-    /// For each polygon.
+    /// Per polygon.
     polygon: f64,
     images: f64,
-    /// All of it takes so many times as long.
+    /// Factor on all times.
     slow: f64,
-    /// The share of drawing and images that thinning does not save.
+    /// Share of drawing and images that thinning does not save.
     fixed: f64,
 }
 
@@ -44,13 +44,13 @@ struct Replay {
     world: World,
     sensor: Sensor,
     priority: Priority,
-    /// Metres from run to run.
+    /// Distance between runs, metres.
     spacing: f32,
-    /// Images may be thinned and narrowed.
+    /// True if the engine can thin and narrow images.
     draws_parts: bool,
 }
 
-/// What became of a frame.
+/// Outcome of a frame.
 #[derive(Debug)]
 struct TimedFrame {
     took_us: f64,
@@ -77,7 +77,7 @@ impl Replay {
         }
     }
 
-    /// A frame of runs of 10 polygons each, a decimetre apart, by an engine that stops between two runs.
+    /// Draws a frame with runs of 10 polygons each, `spacing` apart; the engine can stop between runs.
     fn frame(&mut self, deadline_us: f64, runs: usize, recorded: Recorded) -> Result<TimedFrame> {
         let (deadline, outputs) = (Duration::from_secs_f64(deadline_us * 1e-6), Outputs::default());
         let engine = DeadlineEngine { name: "cpu", adapter: None, threads: 1, draws_parts: self.draws_parts };
@@ -123,7 +123,7 @@ impl Replay {
         Ok(TimedFrame { took_us, kept: stats.deadline.unwrap(), drawn, radius: plan.radius, columns })
     }
 
-    /// Fifty frames without need.
+    /// Learns from fifty frames with ample time.
     fn learn(&mut self) {
         for k in 0..50 {
             self.frame(1e9, 100 + 17 * (k % 20), RECORDED).unwrap();
@@ -149,7 +149,7 @@ fn deadlines_are_kept_by_stopping_in_time_for_the_images() {
     for deadline in [1000.0, 1500.0, 2500.0, 3500.0] {
         let frame = replay.frame(deadline, 300, RECORDED).unwrap();
         assert!(frame.took_us <= deadline, "{} of {deadline}", frame.took_us);
-        // What is kept back is what images take, and the margin: little more is given up than must be.
+        // Only the time for images and the margin is reserved, so little more is given up than necessary.
         let possible = (deadline - 700.0) / 10.0;
         assert!(
             frame.drawn as f64 > possible - 25.0 && (frame.drawn as f64) < possible,
@@ -159,19 +159,19 @@ fn deadlines_are_kept_by_stopping_in_time_for_the_images() {
     }
 }
 
-/// The radius is cut by what surely cannot be drawn; by hand: 1000 microseconds less 200, 500 and 100 are 20 runs of 10.
+/// By hand: 1000 microseconds minus 200, 500 and 100 suffice for 20 runs of 10; the rest certainly cannot be drawn.
 #[test]
 fn a_radius_is_a_prefix_of_the_runs() {
     let mut replay = Replay::new();
     replay.learn();
     let frame = replay.frame(1000.0, 300, RECORDED).unwrap();
     let radius = frame.radius.expect("it is cut");
-    // Runs within 2 m are never cut, and 20 of them are.
+    // Runs within 2 m are never cut; there are 20 of them.
     assert!((2.0..2.4).contains(&radius), "{radius}");
     let means = &frame.kept.given_up.as_ref().unwrap().means;
     assert_eq!(means[0].means, DegradationKind::Radius);
     assert!((means[0].metres.unwrap() - f64::from(radius)).abs() < 1e-9);
-    // Rounded down: nothing that was cut off is nearer.
+    // Rounded down: no run that was cut off is nearer.
     let first_out = (0..300).map(|i| 0.1 * i as f32).find(|nearest| *nearest > radius).unwrap();
     assert!(radius < first_out && radius > first_out - 1e-5);
     // A larger least radius is kept.
@@ -181,9 +181,9 @@ fn a_radius_is_a_prefix_of_the_runs() {
     assert_eq!(replay.frame(4500.0, 300, RECORDED).unwrap().radius, None);
 }
 
-/// By hand: all 300 runs are within 2 m. Of every fourth column, a quarter of all, they take 3000 (0.4 + 0.6 / 4) = 1650 microseconds, for
-/// which there are 1000 less 200, 500 (0.4 + 0.6 / 4) and 100. That is a quarter, so that of 361 columns about 92 stay, 46 degrees to
-/// either side of the heading.
+/// By hand: all 300 runs are within 2 m. With every fourth column, a quarter of all, they need (0.4 + 0.6 / 4) of 3000
+/// microseconds: 1650. Available are 1000 minus 200, 500 (0.4 + 0.6 / 4) and 100. That is a quarter, so about 92 of 361
+/// columns stay, 46 degrees to either side of the heading.
 #[test]
 fn the_angle_shrinks_when_the_least_radius_is_too_much() {
     let mut replay = Replay::new();
@@ -191,9 +191,9 @@ fn the_angle_shrinks_when_the_least_radius_is_too_much() {
     (replay.spacing, replay.draws_parts) = (0.005, true);
     let columns = |replay: &mut Replay| replay.frame(1000.0, 300, RECORDED).unwrap().columns.expect("it is narrowed");
     let (first, end) = columns(&mut replay);
-    // From a multiple of the largest stride on; the estimate is a low one.
+    // The first column is a multiple of the largest stride; the estimate is a low one.
     assert!((88..=104).contains(&(end - first)) && first.is_multiple_of(8), "{first}..{end}");
-    // Two columns a degree, 180 ahead; the first one is rounded down to a multiple of 8.
+    // Two columns per degree, 180 is straight ahead; the first column is rounded down to a multiple of 8.
     let off = |(first, end): (u32, u32), middle: u32| first.midpoint(end).abs_diff(middle);
     assert!(off((first, end), 180) <= 8, "{first}..{end}");
     replay.priority.heading = 45f64.to_radians();
@@ -205,8 +205,9 @@ fn the_angle_shrinks_when_the_least_radius_is_too_much() {
     assert_eq!(replay.frame(4500.0, 300, RECORDED).unwrap().columns, None);
 }
 
-/// By hand: after selection 2000 microseconds are left. Whole images leave 1400 of the 3000 that all takes: by the first expectations a
-/// fifth of the samples. Every second column takes 0.7 of all: 350 and the margin, and 1550 of 2100, which is half of half of the samples.
+/// By hand: after selection 2000 microseconds are left. Whole images leave 1400 of the 3000 for drawing: by the initial
+/// curve, a fifth of the samples. Every second column takes 0.7 of both: 350 and the margin for images leave 1550 of
+/// 2100, which gives half of the thinned samples.
 #[test]
 fn images_are_thinned_where_that_leaves_more_samples() {
     let stride = |frame: &TimedFrame| frame.kept.given_up.as_ref().map_or(1, |given_up| given_up.stride);
@@ -217,14 +218,14 @@ fn images_are_thinned_where_that_leaves_more_samples() {
     assert_eq!(stride(&frame), 2);
     assert!(frame.took_us <= 2200.0, "{}", frame.took_us);
     assert_eq!(stride(&replay.frame(4500.0, 300, RECORDED).unwrap()), 1);
-    // An engine that saves nothing by it is found out.
+    // The controller notices an engine that saves nothing by thinning.
     let in_vain = Recorded { fixed: 1.0, ..RECORDED };
     let strides: Vec<u32> = (0..30).map(|_| stride(&replay.frame(2200.0, 300, in_vain).unwrap())).collect();
     assert!(strides[0] > 1 && strides[20..].iter().all(|stride| *stride == 1), "{strides:?}");
 }
 
-/// One frame in twenty takes ten times as long for its images, 5000 microseconds. Kept free for that, nothing would be left of 3500 to
-/// draw in; half of it is.
+/// One frame in twenty takes ten times as long for its images, 5000 microseconds. Reserving that would leave nothing of
+/// 3500 for drawing, so only half is reserved.
 #[test]
 fn slow_frames_that_may_come_do_not_stop_all_others() {
     let mut replay = Replay::new();
@@ -257,14 +258,14 @@ fn what_cannot_be_done_is_refused_at_once_and_tried_when_that_may_be_wrong() {
         assert_eq!((refused.kind(), replay.clock.now()), (ErrorKind::Deadline, before));
         assert!(refused.to_string().contains("; give 0."), "{refused}");
     }
-    // A machine that was three times as slow for long, and is no longer: its estimates are doubted until one frame is tried.
+    // A machine was three times slower for a long time and is fast again: doubt grows until one frame is tried.
     let busy = Recorded { slow: 3.0, ..RECORDED };
     (0..300).for_each(|_| drop(replay.frame(1e9, 300, busy)));
     let tries = (0..200).position(|_| replay.frame(1100.0, 300, RECORDED).is_ok());
     assert!(tries.is_some_and(|tries| tries < 100), "{tries:?}");
 }
 
-/// The same records give the same decisions, to the bit, also from a saved model.
+/// The same records give bit-equal decisions, also from a saved model.
 #[test]
 fn decisions_replay() {
     let run = |saved: bool| {
