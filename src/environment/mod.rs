@@ -397,7 +397,7 @@ mod tests {
         assert!(nan.starts_with("the pose [0.5, NaN, 0.0, 0.0, 0.0, 0.0, 1.0] is not finite; "), "{nan}");
         let long = said(DVec3::ZERO, DQuat::from_xyzw(0.0, 0.0, 0.0, 2.0));
         assert!(
-            long.starts_with("the pose [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 2.0] is no rotation")
+            long.starts_with("the pose [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 2.0] is not a rotation")
                 && long.contains("length 2,"),
             "{long}"
         );

@@ -54,7 +54,7 @@ impl Distortion {
     /// let ray = barrel.undistort(0.4, -0.2).unwrap();
     /// let (xd, yd) = barrel.distort(ray).unwrap();
     /// assert!((xd - 0.4).abs() < 1e-12 && (yd + 0.2).abs() < 1e-12);
-    /// r (1 - 0.3 r^2) never exceeds 0.703, so nothing is imaged further out.
+    /// // r (1 - 0.3 r^2) never exceeds 0.703, so nothing is imaged further out.
     /// assert!(barrel.undistort(0.71, 0.0).is_none());
     /// ```
     pub fn undistort(&self, xd: f64, yd: f64) -> Option<DVec3> {
