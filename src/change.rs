@@ -6,8 +6,7 @@ use crate::geometry::Pose;
 /// A change of an environment. [`crate::World::apply`] applies it and returns its inverse.
 ///
 /// Objects and groups are named by their full path, features by sensor class and id. Numbers are never reused: a
-/// restored object gets new slots and therefore new polygon ids. A restored feature ([`Change::RestoreFeature`]) keeps
-/// its id.
+/// restored object gets new slots and polygon ids. A restored feature ([`Change::RestoreFeature`]) keeps its id.
 #[derive(Clone, Debug)]
 pub enum Change {
     /// Adds a material for later meshes. Its inverse does nothing, because an unused material is not content.

@@ -14,8 +14,7 @@ pub const MAX_CORNERS: usize = 64;
 pub const MAX_THREADS: usize = 64;
 /// Largest file read into memory, in bytes.
 pub const MAX_FILE_BYTES: u64 = 4 << 30;
-/// Most bytes of memory for importing a scene file (with its buffers) or reading JSON, as far as they can be estimated
-/// in advance.
+/// Most bytes of memory, as estimated in advance, for importing a scene file (with its buffers) or reading JSON.
 pub const MAX_IMPORT_BYTES: u64 = 4 << 30;
 /// Largest settings file (sensor, robot or materials), in bytes: parsed TOML takes about a dozen times as much.
 pub const MAX_SETTINGS_BYTES: u64 = 32 << 20;
@@ -56,8 +55,7 @@ pub const MAX_SCRIPT_TEXT: usize = 4 << 20;
 /// Most operations of a script, its modules included: some seconds. Reading a large value counts by its size. This also
 /// bounds the growth of maps by index.
 pub const MAX_SCRIPT_OPERATIONS: u64 = 5_000_000;
-/// Most seconds of a script, without importing and building: a last resort. A valid script should meet another limit
-/// first.
+/// Most seconds of a script, without importing and building: a last resort that a valid script should not reach.
 pub const MAX_SCRIPT_SECONDS: u64 = 30;
 /// Largest value of a module's variable, in elements, including elements of nested arrays (16 bytes of text count as
 /// one): it is copied at every use.

@@ -1,5 +1,4 @@
-//! Matrices of six by six: covariances and information of poses, and eigenvalues of symmetric matrices by Jacobi
-//! rotations.
+//! Six-by-six matrices: covariances and information of poses, and eigenvalues of symmetric ones by Jacobi rotations.
 
 /// The numbers of a pose, at most six.
 pub type Matrix = [[f64; 6]; 6];

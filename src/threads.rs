@@ -130,8 +130,7 @@ pub fn parallel_or_here<R: Send>(work: impl FnOnce() -> R + Send) -> R {
     }
 }
 
-/// [`rayon::in_place_scope`] on the pool of the calling thread or, outside of any pool, on the process's shared
-/// threads.
+/// [`rayon::in_place_scope`] on the pool of the calling thread or, outside of any, on the process's shared threads.
 ///
 /// # Errors
 /// As [`Threads::new`], if these do not run yet.

@@ -1,10 +1,9 @@
 //! Rates a layer: how well its features determine a sensor's pose at each place, and which features suffice.
 //!
 //! At each free place of a grid, the sensor looks in eight directions. Each view sums the information of its visible
-//! features about x, y and heading: J' J / s^2 for each measured image coordinate, with J its derivative and s^2 the
-//! variance of the measurement plus that of the feature's own position. The inverse is the best covariance that
-//! measuring them can reach (Cramer-Rao bound); height, roll and pitch are assumed known from the mount. A place is
-//! rated by the worst of its eight views.
+//! features about x, y and heading: J' J / s^2 per measured image coordinate, J its derivative, s^2 the variance of the
+//! measurement plus the feature's position. The inverse bounds the covariance (Cramer-Rao); height, roll and pitch are
+//! assumed known from the mount. A place is rated by the worst of its eight views.
 
 use crate::error::{Error, Result, short};
 use crate::features::{FeatureOptions, PlacedFeatures, informations};
@@ -24,8 +23,7 @@ use std::collections::BinaryHeap;
 /// Directions in which the sensor looks at each place.
 pub const HEADINGS: u32 = 8;
 
-/// Threshold of the information's determinant relative to the product of its diagonal. Below it, a direction is
-/// undetermined.
+/// Below this ratio of the information's determinant to the product of its diagonal, a direction is undetermined.
 const OPEN: f64 = 1e-12;
 
 /// Bytes of views for which memory is checked at once.
@@ -56,8 +54,8 @@ pub struct WorthPlace {
     pub cell: [u32; 2],
     /// Smallest number of features visible in one of the views.
     pub features: usize,
-    /// Largest standard deviation of the position along any direction in any view, metres. Infinite if a view leaves a
-    /// direction undetermined.
+    /// Largest standard deviation of the position, any direction and view, metres. Infinite if a direction is
+    /// undetermined.
     pub position_sigma: f64,
     /// Largest standard deviation of the heading in any view, radians.
     pub heading_sigma: f64,
@@ -315,8 +313,8 @@ mod tests {
     const ALONG_Y: Planar = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0];
     const TURN: Planar = [0.0, 0.0, 0.0, 0.0, 0.0, 100.0];
 
-    /// Information 4, 1 and 100 along the axes: standard deviations of 1/2, 1 and 1/10. Rotated by 45 degrees, the
-    /// largest stays 1.
+    /// Information 4, 1 and 100 along the axes: deviations of 1/2, 1 and 1/10. Rotated by 45 degrees, the largest stays
+    /// 1.
     #[test]
     fn standard_deviations_are_those_worked_out() {
         assert_eq!(sigmas(&[4.0, 0.0, 0.0, 1.0, 0.0, 100.0]), [1.0, 0.1]);
@@ -330,8 +328,7 @@ mod tests {
         assert_eq!(sigmas(&[1.0, 1.0, 1.0, 1.0 + 1e-15, 1.0, 1.0]), [f64::INFINITY; 2]);
     }
 
-    /// Seven features give 1 each for y, which needs 7 / 1.1^2 = 5.8: one can be dropped. x and heading have one
-    /// feature each.
+    /// Seven features give 1 each for y, which needs 7 / 1.1^2 = 5.8: one can go. x and heading have one feature each.
     #[test]
     fn features_go_while_the_rest_is_enough() {
         let mut told = vec![(0, ALONG_X), (1, TURN)];

@@ -19,8 +19,7 @@ const UNIT: f64 = 1e-9;
 const SQUARE: f64 = 0.05;
 /// Cosine of the largest allowed angle between a surface's normal and that of its corners, 8 degrees.
 const AGREE: f64 = 0.99;
-/// How far a patch's corner may lie inside the hull of the others, relative to the patch size; the same as for
-/// polygons.
+/// How far a patch's corner may lie inside the hull of the others, relative to the patch size; as for polygons.
 const CONVEX: f64 = 4e-6;
 /// Most corners of a patch.
 const MAX_PATCH_CORNERS: usize = 1024;
@@ -52,8 +51,7 @@ const FAMILIES: [(&str, u32); 22] = [
 ];
 
 impl FeatureLayer {
-    /// Checks everything that does not need the world: each feature, rising ids, the tolerance, the covariances of
-    /// poses.
+    /// Checks everything that does not need the world: features, rising ids, the tolerance, covariances of poses.
     ///
     /// # Errors
     /// [`crate::ErrorKind::Invalid`], naming the feature.
@@ -121,8 +119,8 @@ impl Feature {
         self.check_normal()
     }
 
-    /// Checks that a fiducial belongs to one of OpenCV's dictionaries. Only new features are checked, because stores
-    /// may hold older ones.
+    /// Checks that a fiducial belongs to one of OpenCV's dictionaries. Only for new features: stores may hold older
+    /// ones.
     pub fn check_dictionary(&self) -> Result<()> {
         match &self.shape {
             FeatureShape::Fiducial { family, .. } if codes_of(family).is_none() => {
@@ -356,9 +354,8 @@ fn joint(covariances: &[DMat3; 2], cross: &DMat3) -> [[f64; 6]; 6] {
 
 /// Checks that a covariance is finite, symmetric and positive semidefinite, as far as six printed digits allow.
 ///
-/// Entries are scaled by their standard deviations, so that mixed units and magnitudes do not affect the result. An
-/// error of `WRITTEN` in each entry moves eigenvalues by at most 2 n `WRITTEN`; with that much added to the diagonal, a
-/// Cholesky decomposition must succeed.
+/// Entries are scaled by their standard deviations, so that mixed units do not matter. An error of `WRITTEN` in each
+/// entry moves eigenvalues by at most 2 n `WRITTEN`; with that much on the diagonal, Cholesky must succeed.
 pub fn check_covariance<const N: usize>(covariance: &[[f64; N]; N]) -> Result<()> {
     if covariance.as_flattened().iter().all(|x| *x == 0.0) {
         return Ok(());

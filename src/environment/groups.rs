@@ -87,8 +87,7 @@ impl Environment {
     /// ([`crate::Change::MoveObject`] moves them). A frame may be set before there are objects below; until then it is
     /// not content.
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if the path is that of an object, empty or too long, or the pose is not finite or
-    /// out of bounds.
+    /// [`crate::ErrorKind::Invalid`] if the path belongs to an object, is empty or too long, or the pose is invalid.
     pub fn set_frame(&mut self, path: &str, world_from_group: Option<Pose>) -> Result<Option<Pose>> {
         let place = || format!("group {path:?}");
         let Some(pose) = world_from_group else { return Ok(self.groups.remove(path)) };

@@ -118,8 +118,8 @@ impl Environment {
         Err(Error::invalid(what, "give each feature an id that was never used"))
     }
 
-    /// Adds a feature; a class without a layer gets one with the default tolerance. A `restored` feature may reuse the
-    /// id of a deleted one.
+    /// Adds a feature; a missing layer is created with the default tolerance. `restored` allows the id of a deleted
+    /// feature.
     pub(crate) fn insert_feature(&mut self, class: &str, feature: Feature, restored: bool) -> Result<()> {
         let place = format!("feature {} for class {class:?}", feature.id);
         let check = || {

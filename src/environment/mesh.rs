@@ -58,8 +58,7 @@ impl PolygonRecord {
     #[inline]
     pub fn extent(self, all: &[u32], vertices: &[Vec3]) -> (Vec3, Vec3) {
         let own = self.corners(all);
-        // Nearly all polygons have three or four corners. Avoids a branch between these two, which would be
-        // mispredicted.
+        // Nearly all polygons have three or four corners: avoids a mispredicted branch between the two.
         let fourth = own[3.min(own.len() - 1)];
         let at = |corner: u32| vertices[corner as usize];
         let (a, b, c, d) = (at(own[0]), at(own[1]), at(own[2]), at(fourth));
@@ -168,8 +167,7 @@ impl Mesh {
         Self::assemble(name.to_owned(), Vec::new(), &Parts::default(), PolygonOrder::Given)
     }
 
-    /// Like [`Mesh::new`], for parts that have been checked already. Keeps only vertices in use, in the order of their
-    /// use.
+    /// Like [`Mesh::new`], for parts that have been checked already. Keeps only used vertices, in the order of use.
     pub fn from_parts(name: String, vertices: Vec<Vec3>, parts: &Parts, order: PolygonOrder) -> Self {
         let mut mesh = Self::assemble(name, vertices, parts, order);
         let mut moved = vec![u32::MAX; mesh.vertices.len()];
@@ -516,8 +514,7 @@ fn check_shape(points: &[DVec3], plane: Plane, extent: f64) -> Result<()> {
     Ok(())
 }
 
-/// Orders the polygons by halving them at the median centre along the longest axis until each run fits a cluster. Order
-/// rises within a run.
+/// Halves the polygons at the median centre along the longest axis until each run fits a cluster; rising inside a run.
 fn spatial_sequence(boxes: &[Aabb]) -> Vec<u32> {
     // Stores centres next to the indices, in f32: that is precise enough for ordering and keeps the loops in cache.
     let mut items: Vec<(Vec3, u32)> = boxes.iter().zip(0..).map(|(b, i)| (b.center().as_vec3(), i)).collect();

@@ -188,8 +188,7 @@ impl Environment {
         Ok(index)
     }
 
-    /// Adds an object and returns its index. Its `object_id` in images is the index plus one. The object replaces a
-    /// group at its path.
+    /// Adds an object and returns its index (`object_id` in images minus one). The object replaces a group at its path.
     ///
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] if the mesh names a material that does not exist, the pose is not finite or out

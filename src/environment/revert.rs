@@ -1,7 +1,6 @@
 //! Takes a change back exactly, including numbers and slots, when a group of changes fails halfway.
 //!
-//! [`crate::Change`]s only undo content, and restored objects get new numbers. A failed group must leave no trace at
-//! all.
+//! [`crate::Change`]s only undo content, and restored objects get new numbers. A failed group must leave no trace.
 
 use super::{Environment, Feature};
 use crate::geometry::Pose;

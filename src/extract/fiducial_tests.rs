@@ -43,8 +43,7 @@ fn view(code: usize, size: f64, noise: f64, random: &mut SplitMix64) -> (GreyIma
     (GreyImage::new(SIZE.0, SIZE.1, (0..SIZE.0 * SIZE.1).map(value).collect()).unwrap(), map)
 }
 
-/// Single tags with at least three pixels per cell are all found and identified correctly, with corner errors as
-/// stated.
+/// Single tags with at least three pixels per cell are all found and identified, with corner errors as stated.
 #[test]
 fn rendered_tags_are_found() {
     let mut finder = FiducialFinder::new("DICT_APRILTAG_36h11").unwrap();
@@ -75,8 +74,7 @@ fn rendered_tags_are_found() {
     assert!((0.3..2.0).contains(&mean), "normalized squared errors of {mean}");
 }
 
-/// Planted faults: a mirrored tag, a tag of another dictionary, and empty images are not detected; boxes without a
-/// pixel are empty.
+/// Planted faults: a mirrored tag, a tag of another dictionary and empty images give nothing, nor do empty boxes.
 #[test]
 fn what_is_no_tag_is_not_found() {
     let mut finder = FiducialFinder::new("DICT_APRILTAG_36h11").unwrap();

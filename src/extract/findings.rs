@@ -57,8 +57,7 @@ pub struct FeatureFinding {
     pub id: u32,
     /// World points, metres: both ends of a part of an edge, a point, or the four corners of a fiducial.
     pub points_world: Vec<DVec3>,
-    /// Covariance of the modelled position as a whole, world axes, metres squared; for points, fiducials and
-    /// reflectors.
+    /// Covariance of the modelled position, world axes, metres squared; for points, fiducials and reflectors.
     pub place: DMat3,
     /// The predicted shape in the image.
     pub predicted: Shape,
@@ -377,8 +376,7 @@ fn is_same(a: &Detection, b: &Detection, turn: Option<f64>) -> bool {
     }
 }
 
-/// Verdicts at a reflector, which may stand free of any surface. If the ranges meet its surface but the echo is weak,
-/// it counts as missing.
+/// Verdicts at a reflector, which may stand free. Where ranges meet its surface but the echo is weak, it is missing.
 fn upon(ranges: &MeasuredRanges<'_>, points_world: &[DVec3]) -> [usize; 7] {
     let view = View { sensor: ranges.sensor, world_from_sensor: &ranges.world_from_sensor };
     let Some([at]) = view.pixels(points_world).as_deref().map(|p| [p[0]]) else { return [0; 7] };

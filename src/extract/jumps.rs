@@ -91,8 +91,7 @@ fn profile(frame: &Frame, edge: &EdgeFrame, along: f64, to: &mut Vec<(f64, f64)>
     }
 }
 
-/// Finds jumps between the pixels of a profile. Adjacent jumps, caused by mixed pixels, are combined at their weighted
-/// middle.
+/// Finds jumps between the pixels of a profile. Adjacent jumps, due to mixed pixels, give one at their weighted middle.
 fn steps_across(
     profile: &[(f64, f64)],
     along: f64,

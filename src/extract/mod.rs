@@ -11,8 +11,7 @@
 //! | reflectors | scans with intensities | [`reflectors_in`] |
 //!
 //! Each detection has the covariance of its measurement. [`find_features`] searches all edges, corners, fiducials and
-//! reflectors of a prediction. [`classify`] decides which of them were matched and, from nearby ranges, why others were
-//! not.
+//! reflectors of a prediction. [`classify`] decides which were matched and, from nearby ranges, why others were not.
 
 mod classes;
 mod corners;

@@ -114,8 +114,8 @@ impl<'a> BrightScan<'a> {
         Self { frame, intensity, options, size, is_round }
     }
 
-    /// First and last column and row of a region. On a full turn, the last column may be beyond the width. A single row
-    /// is always included.
+    /// First and last column and row of a region. On a full turn, columns may exceed the width. A single row is always
+    /// in.
     fn pixels(&self, region: &PixelBox) -> Option<[i64; 4]> {
         let [x0, y0, x1, y1] = region.0;
         let of_row = if self.size.1 == 1 { [-0.5, 0.5] } else { [y0, y1] };
@@ -155,7 +155,7 @@ impl<'a> BrightScan<'a> {
     }
 
     /// The bright pixels connected to a first one at similar ranges; `None` if they are too wide. `seen` maps visited
-    /// pixels to whether they belong to a spot that is too wide, no part of which is a reflector.
+    /// pixels to true if they belong to a spot that is too wide; its parts are no reflectors either.
     fn spot(&self, first: Pixel, seen: &mut BTreeMap<Pixel, bool>) -> Option<BrightSpot> {
         let mut spot = BrightSpot { ranges: Vec::new(), columns: (first.0, first.0), rows: (first.1, first.1) };
         let (mut open, mut own, mut wide) = (vec![first], vec![first], false);
@@ -208,8 +208,7 @@ impl<'a> BrightScan<'a> {
         Some(across.max(down) * spot.ranges.first()?.1)
     }
 
-    /// True if it is unknown whether the reflector continues beyond its end: there is no reading, or a mixed reading of
-    /// two surfaces.
+    /// True if the reflector may continue beyond its end: there is no reading, or a mixed one of two surfaces.
     fn is_open(&self, end: Pixel, direction: Pixel, range: f64) -> bool {
         let at = |k: i64| self.reading((end.0 + k * direction.0, end.1 + k * direction.1));
         let Some(next) = at(1) else { return false };
@@ -240,8 +239,7 @@ impl<'a> BrightScan<'a> {
         let (x, of_column) = middle(spot.columns, |c, by| self.is_open((c, spot.rows.0), (by, 0), range));
         let (y, of_row) = middle(spot.rows, |r, by| self.is_open((spot.columns.0, r), (0, by), range));
         let of_row = if sensor.height() == 1 { UNKNOWN } else { of_row + jitter };
-        // On a flat reflector seen obliquely, the nearer half covers more columns, so its middle is not the middle
-        // column.
+        // On a flat reflector seen obliquely, the nearer half covers more columns, which shifts the middle.
         let (slope, of_slope) = spot.slope();
         let (sigma, half) = (noise.range_sigma(range), 0.5 * (spot.columns.1 - spot.columns.0 + 1) as f64);
         let lever = half * half / range;
@@ -298,9 +296,8 @@ fn middle((first, last): (i64, i64), is_open: impl Fn(i64, i64) -> bool) -> (f64
     (0.5 * (a.0 + b.0), 0.25 * (a.1 + b.1))
 }
 
-/// The predicted range of a reflector at `p` (image frame). In a scan of one row it is where the row meets the vertical
-/// through `p`, because a reflector stands upright and extends from its point to the row; elsewhere it is the distance
-/// of `p`.
+/// The predicted range of a reflector at `p` (image frame). A reflector extends upright from its point to the row of a
+/// single-row scan, so there it is the range where the row meets the vertical through `p`.
 pub fn range_to(sensor: &Sensor, p: glam::DVec3) -> f64 {
     match &sensor.spec().geometry {
         crate::Geometry::Scanner(scanner) if sensor.height() == 1 => {

@@ -4,8 +4,7 @@ use crate::frame::GreyImage;
 use crate::sensor::Sensor;
 use glam::DVec2;
 
-/// A box in pixel coordinates, as for regions of interest: x0, y0, x1, y1. The image spans -0.5 .. width - 0.5 and so
-/// on.
+/// A box in pixel coordinates, as for regions of interest: x0, y0, x1, y1. The image starts at -0.5, -0.5.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PixelBox(pub [f64; 4]);
 

@@ -70,8 +70,7 @@ const BLOCK: i64 = 6;
 /// Largest root mean square distance of a flat block's points from its plane, in standard deviations.
 const FLAT: f64 = 1.25;
 
-/// The flat surfaces in a box of a range frame, the largest first. For a full turn, the box may extend over the seam,
-/// with columns beyond the width.
+/// The flat surfaces in a box of a range frame, the largest first. On a full turn, the box may extend over the seam.
 ///
 /// # Examples
 /// A wall 2 m ahead of a scanner fills the beams from -60 to 60 degrees.
@@ -226,8 +225,7 @@ impl<'a> Patch<'a> {
         readings.windows(2).map(both).fold(0.0, f64::max)
     }
 
-    /// The surface through readings, weighted by their noise and without outliers; `None` if there are too few or they
-    /// are too close together.
+    /// The surface through readings, weighted by noise and without outliers; `None` if they are too few or too close.
     fn fitted(&self, readings: &[Reading]) -> Option<FoundSurface> {
         if readings.len() < self.options.least_points.max(3) {
             return None;
@@ -279,8 +277,7 @@ impl<'a> Patch<'a> {
         })
     }
 
-    /// Splits runs of neighbouring readings where they deviate from a line, and merges them where they do not (T.
-    /// Pavlidis and S. Horowitz 1974).
+    /// Splits runs of readings where they deviate from a line, and merges others (T. Pavlidis and S. Horowitz 1974).
     fn lines(&self) -> Vec<FoundSurface> {
         let mut pieces: Vec<(usize, usize)> = Vec::new();
         let mut first = 0;

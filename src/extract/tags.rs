@@ -1,5 +1,4 @@
-//! Fiducials for [`super::find_features`]: only with the Cargo feature `fiducials`, and only dictionaries that the
-//! library supports.
+//! Fiducials for [`super::find_features`], with the Cargo feature `fiducials` and for dictionaries of its library.
 
 #[cfg(feature = "fiducials")]
 use super::FiducialFinder;

@@ -48,8 +48,7 @@ impl GreyImage {
         self.values[row as usize * self.width as usize + column as usize]
     }
 
-    /// Bilinear interpolation at a place (column, row). NaN outside of the image and next to a pixel without a
-    /// measurement.
+    /// Bilinear interpolation at a place (column, row). NaN outside of the image and next to an unmeasured pixel.
     pub fn at(&self, place: DVec2) -> f64 {
         let (w, h) = (self.width as usize, self.height as usize);
         if !(place.x >= 0.0 && place.y >= 0.0 && place.x <= w as f64 - 1.0 && place.y <= h as f64 - 1.0) {

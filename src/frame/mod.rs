@@ -162,7 +162,7 @@ impl Frame {
     /// ```
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] for an image of another size, a value outside of 0 to 1, and a frame without
+    /// [`crate::ErrorKind::Invalid`] for an image of another size, a value outside of 0 to 1, or a frame without
     /// ranges.
     pub fn with_intensities(self, intensities: GreyImage) -> Result<Self> {
         let (width, height) = (self.sensor.width(), self.sensor.height());
@@ -217,8 +217,7 @@ impl Frame {
         self.intensities.as_ref()
     }
 
-    /// Metres along each ray, row by row, for any measurement. A measured 0 becomes NaN (no measurement). For a grey
-    /// image, all are NaN.
+    /// Metres along each ray, row by row, for any measurement. A measured 0 becomes NaN; a grey image has only NaN.
     pub fn ranges(&self) -> &[f32] {
         &self.ranges
     }

@@ -17,9 +17,8 @@ pub struct RangeNoise {
 const UNSTATED_SIGMA: f64 = 0.01;
 
 impl RangeNoise {
-    /// The noise from the sensor's specification. A sensor without range noise gets 1 cm, because no measurement is
-    /// exact and every weight is relative to a noise. Without a stated angle noise, it follows from the pixel noise, or
-    /// is 0.
+    /// The noise from the sensor's specification. A sensor without range noise gets 1 cm, because every weight is
+    /// relative to a noise. Without a stated angle noise, it follows from the pixel noise, or is 0.
     pub fn of(sensor: &Sensor) -> Self {
         let spec = sensor.spec();
         let noise = spec.noise;

@@ -8,9 +8,8 @@ use crate::geometry::Aabb;
 
 /// A uniform grid.
 ///
-/// Its area and cell size are fitted to its content, and refitted after as many changes as it had entries. Border cells
-/// reach to infinity and hold everything outside the area. An id that overlaps very many cells is kept in a separate
-/// list, so that memory stays linear.
+/// Area and cell size are refitted after as many changes as it had entries. Border cells reach to infinity and hold
+/// everything outside the area. An id that overlaps very many cells is kept in a separate list: memory stays linear.
 #[derive(Clone, Debug)]
 pub struct Grid {
     params: Params,

@@ -85,8 +85,7 @@ impl MeshTree {
         self.nodes[index].next = self.nodes.len() as u32;
     }
 
-    /// The next part, from node `at` on, that meets the shape: a node wholly inside it, or a leaf. Parts are returned
-    /// once each, in rising order.
+    /// The next part, from node `at` on, that meets the shape: a node wholly inside it, or a leaf. In rising order.
     #[inline(always)]
     pub(super) fn next_part<S: Shape>(
         &self,

@@ -10,9 +10,8 @@ use crate::geometry::Aabb;
 
 /// A PLOP hash table over x and y.
 ///
-/// It grows as in the paper: when the load exceeds the most polygons per cell, one slice of one axis is cut at the
-/// median of its content, alternating between the axes. After as many changes as it had entries when built, it is
-/// rebuilt.
+/// It grows as in the paper: when the load exceeds the most polygons per cell, one slice of one axis, in turn, is cut
+/// at the median of its content. After as many changes as it had entries when built, it is rebuilt.
 #[derive(Clone, Debug)]
 pub struct Plop {
     params: Params,

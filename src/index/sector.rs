@@ -69,8 +69,7 @@ impl Sector {
         p.length_squared() <= self.radius * self.radius && self.wedge.contains(p)
     }
 
-    /// True if the rectangle has a point in the sector. Exact, except that rounding may keep a rectangle that just
-    /// misses.
+    /// True if the rectangle has a point in the sector; rounding may also keep a rectangle that just misses.
     ///
     /// If the rectangle's point nearest to the apex is in the sector, it is a witness. If that point is too far, so are
     /// all others. Otherwise, moving any witness towards that nearest point only brings it closer to the apex, until it

@@ -27,8 +27,7 @@ struct Caps {
 }
 
 impl Caps {
-    /// In place of cosine and sine: a cone that meets nothing, and one that meets everything (for half angles from a
-    /// right angle up).
+    /// In place of cosine and sine: a cone that meets nothing, and one that meets everything (at least a right angle).
     const NOTHING: [f64; 2] = [2.0, -2.0];
     const EVERYTHING: [f64; 2] = [-2.0, 2.0];
 
@@ -86,8 +85,7 @@ impl Cone {
     }
 }
 
-/// Nodes of one size; level 0 are the tiles. The children of a node of the next level are stored together, in two
-/// groups of eight.
+/// Nodes of one size; level 0 holds the tiles. The children of one parent are stored together, in two groups of eight.
 #[derive(Clone, Debug)]
 struct Level {
     caps: Vec<Caps>,
@@ -148,8 +146,7 @@ impl ConeTree {
         }
     }
 
-    /// A rectangle of tiles that contains every tile whose cone meets the given cone, which is narrower than a right
-    /// angle.
+    /// A rectangle of tiles with every tile whose cone meets the given cone, which is narrower than a right angle.
     #[inline(always)]
     pub fn tiles_met<S: Simd>(&self, simd: S, axis: DVec3, cosine: f64) -> TileRange {
         let cosine = cosine - SLACK;

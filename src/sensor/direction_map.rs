@@ -1,5 +1,4 @@
-//! Finds the pixels of a ray table that look in a given direction: a lookup for small polygons that works for any lens
-//! or table.
+//! A lookup from a direction to pixels of a ray table, for small polygons and for any lens or table.
 
 #[cfg(any(feature = "gpu", test))]
 use super::ray_grid::Tile;
@@ -135,8 +134,8 @@ fn place(d: DVec3) -> (usize, [f64; 2]) {
     (2 * axis + usize::from(along < 0.0), [u / along.abs(), v / along.abs()])
 }
 
-/// Calls `rectangle` for the cube sides near a direction. Together the rectangles cover all directions up to `reach`
-/// radians from `d`.
+/// Calls `rectangle` for cube sides near `d`. The rectangles together cover all directions up to `reach` radians from
+/// it.
 fn near(d: DVec3, reach: f64, mut rectangle: impl FnMut(usize, [[f64; 2]; 2])) {
     for (axis, [along, u, v]) in [[d.x, d.y, d.z], [d.y, d.z, d.x], [d.z, d.x, d.y]].into_iter().enumerate() {
         for (sign, along) in [along, -along].into_iter().enumerate() {
@@ -277,8 +276,7 @@ impl DirectionMap {
         Ok(levels)
     }
 
-    /// A box around the pixels whose rays lie in a cone with this axis and cosine of the half angle. Returns `None` if
-    /// the cone is too wide.
+    /// A box around the pixels whose rays lie in a cone with this axis and cosine; `None` if the cone is too wide.
     #[inline(always)]
     pub fn pixels_in(&self, axis: DVec3, cosine: f64) -> Option<PixelBox> {
         let cells = &self.levels.iter().find(|level| cosine >= level.cosine)?.cells;

@@ -3,8 +3,7 @@
 use super::RayGrid;
 use glam::{DVec2, DVec3};
 
-/// Pixels by direction. The sphere is mapped to a square (octahedral map) of cells; each cell holds a pixel near its
-/// middle.
+/// Pixels by direction. An octahedral map turns the sphere into square cells; each holds a pixel near its middle.
 #[derive(Debug)]
 pub(crate) struct Directory {
     side: usize,
@@ -46,8 +45,7 @@ impl Directory {
         Self { side, pixels }
     }
 
-    /// A pixel whose ray is nearer to a direction than the rays of its neighbours. Returns `None` only for a table
-    /// without rays.
+    /// A pixel whose ray is nearer to a direction than its neighbours' rays are. `None` only for a table without rays.
     pub(super) fn near(&self, table: &RayGrid, direction: DVec3) -> Option<(u32, u32)> {
         let first = self.pixels[cell(direction, self.side)];
         if first == NONE {
@@ -72,7 +70,7 @@ impl Directory {
     }
 }
 
-/// The cell of a direction (Z. H. Cigolle et al., A Survey of Efficient Representations for Independent Unit Vectors,
+/// The cell of a direction (Z. H. Cigolle et al., Survey of Efficient Representations for Independent Unit Vectors,
 /// 2014).
 fn cell(d: DVec3, side: usize) -> usize {
     let d = d / (d.x.abs() + d.y.abs() + d.z.abs());
@@ -91,8 +89,7 @@ mod tests {
     use crate::random::SplitMix64;
     use crate::sensor::{Geometry, RayTable, Sensor, SensorSpec};
 
-    /// Compared with all rays: the result is nearly always the nearest ray and never far from it, inside and outside
-    /// the table.
+    /// The result is nearly always the nearest of all rays and never far from it, inside and outside the table.
     #[test]
     fn directions_are_found() {
         let mut random = SplitMix64(3);

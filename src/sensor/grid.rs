@@ -1,5 +1,4 @@
-//! The rays of a sensor as engines use them: straight lines of samples where the geometry allows it, else a table in
-//! tiles.
+//! The rays of a sensor as engines use them: straight lines of samples where possible, else a table in tiles.
 
 use super::part::ImagePart;
 use super::ray_grid::RayGrid;

@@ -236,9 +236,8 @@ impl Sensor {
         inside.then(|| self.0.grid.ray(column, row)).flatten()
     }
 
-    /// A pixel of a ray table whose ray is near a unit direction of the image frame, and nearer than the rays of its
-    /// neighbours. Returns `None` for other sensors. Much faster than [`Sensor::project`], which searches for the
-    /// nearest of all rays.
+    /// A pixel of a ray table whose ray is nearer to a unit direction (image frame) than its neighbours' rays are.
+    /// `None` for other sensors. Much faster than [`Sensor::project`], which finds the nearest of all rays.
     pub(crate) fn near_pixel(&self, direction: DVec3) -> Option<(u32, u32)> {
         let PixelGrid::Rays(table) = self.grid() else { return None };
         self.0.directory.get_or_init(|| Directory::of(table)).near(table, direction)

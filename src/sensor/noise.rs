@@ -1,5 +1,4 @@
-//! Measurement noise: the error of a sensor's readings, and how often they come from something other than the predicted
-//! surface.
+//! Measurement noise: errors of a sensor's readings, and how often they come from another surface than predicted.
 
 use crate::error::{Error, Result};
 

@@ -91,9 +91,8 @@ impl Sensor {
         })))
     }
 
-    /// A part of `columns` columns around a heading (radians from the forward axis, counter-clockwise), starting at a
-    /// multiple of the largest stride. Returns `None` for sensors whose columns have no order, or if the part would be
-    /// the whole image.
+    /// `columns` columns around a heading (radians from the forward axis, counter-clockwise), starting at a multiple of
+    /// the largest stride. `None` for sensors whose columns have no order, and if the part would be the whole image.
     pub fn columns_around(&self, heading: f64, columns: u32) -> Option<ImagePart> {
         if columns >= self.width() || matches!(self.spec().geometry, Geometry::Rays(_)) {
             return None;
@@ -115,8 +114,8 @@ impl Sensor {
         Some(ray.y.atan2(ray.x))
     }
 
-    /// The heading of a part's columns, counter-clockwise from the forward axis, and the angle that they span, degrees
-    /// seen from above.
+    /// Heading of a part's columns, counter-clockwise from the forward axis, and the angle they span, degrees from
+    /// above.
     pub fn opening_of(&self, part: &ImagePart) -> [f64; 2] {
         let azimuths: Vec<f64> =
             (part.first_column..part.end_column).filter_map(|column| self.azimuth_of(column)).collect();

@@ -1,6 +1,5 @@
-//! Approximates the pixel of any direction in a ray table. Each cell of directions has one quadratic for the column and
-//! one for the row, with the largest error over its rays. The errors are measured ray by ray, so they hold for any
-//! table.
+//! Approximates the pixel of any direction in a ray table. Each cell of directions has quadratics for column and row,
+//! with their largest error over its rays. Errors are measured ray by ray, so they hold for any table.
 
 use super::ImagePart;
 use crate::error::Result;
@@ -35,8 +34,7 @@ pub struct FitCell {
     pub middle: [f64; 2],
     /// True if no ray points there.
     pub is_empty: bool,
-    /// Quadratics for column and row. Their arguments run from -1 to 1 across the cell and its margin. `None` if no
-    /// quadratic fits well enough.
+    /// Quadratics for column and row, over -1..1 across the cell and its margin. `None` if they do not fit well enough.
     pub fitted: Option<[Fitted; 2]>,
 }
 

@@ -310,8 +310,7 @@ impl Sensor {
     }
 }
 
-/// The pixel of the nearest ray of a table, plus a fraction. Returns `None` if that ray is farther away than its own
-/// neighbours are.
+/// The pixel of the nearest ray of a table, plus a fraction; `None` farther from that ray than its neighbours are.
 fn in_table(table: &RayGrid, ray: DVec3) -> Option<DVec2> {
     let (column, row, near) = nearest_ray(table, ray)?;
     let at = |dc: i64, dr: i64| {

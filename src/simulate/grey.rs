@@ -1,6 +1,5 @@
-//! Grey images of a camera with a light at its centre. Brightness is the echo ([`Output::Echo`]), pixels average the
-//! surfaces that they see, and blur and noise are added. This is not a renderer: there are no shadows, highlights or
-//! textures.
+//! Grey images of a camera with a light at its centre: brightness is the echo ([`Output::Echo`]), averaged over each
+//! pixel, with blur and noise. This is not a renderer: there are no shadows, highlights or textures.
 
 use super::normal;
 use crate::error::{Error, Result};
@@ -39,8 +38,7 @@ pub struct GreySimulator {
 }
 
 impl GreySimulator {
-    /// Makes a simulator; the same seed gives the same images. `blur` is the standard deviation of a Gaussian, pixels;
-    /// `noise` is that of a grey value.
+    /// Makes a simulator; the same seed gives the same images. `blur` (pixels) and `noise` are standard deviations.
     ///
     /// # Errors
     /// [`crate::ErrorKind::Usage`] for a sensor that is not a camera, for a blur outside of 0 to 10 pixels, and for a

@@ -1,8 +1,7 @@
 //! Simulated logs: measurements of a sensor with noise, drop-outs and mixed pixels, odometry that slips, and a scene
 //! that differs from its model.
 //!
-//! The same seed gives the same log. The noise is generated independently of the estimator's noise model; they share
-//! only the sensor's stated deviations.
+//! The same seed gives the same log. The noise shares only the sensor's stated deviations with the estimator's model.
 
 mod grey;
 mod surroundings;
@@ -139,8 +138,7 @@ impl Simulator {
         let width = self.sensor.width() as usize;
         let mut measured = Vec::with_capacity(range.len());
         for (i, r) in range.iter().enumerate() {
-            // Every pixel draws the same random numbers, so that a change of the world affects only the pixels that see
-            // it.
+            // Every pixel draws the same random numbers, so a change of the world affects only the pixels that see it.
             let (along, across) = (self.normal(), self.normal());
             let (lost, mixed, between) = (self.random.unit(), self.random.unit(), self.random.unit());
             if !r.is_finite() {

@@ -21,8 +21,7 @@ const WAY: f64 = 4.0;
 /// Lateral distance between a person's path and a pose of the robot, metres.
 const ASIDE: (f64, f64) = (1.0, 2.5);
 
-/// Moves every object by `metres`, each in a random direction, to make the model inexact. The same seed gives the same
-/// displacements.
+/// Displaces every object by `metres` in a random direction, so that the model is inexact. Repeatable by the seed.
 ///
 /// # Examples
 /// ```
@@ -77,8 +76,7 @@ impl Walkers {
     /// Adds people to a world. `path` holds poses of the robot, whose height above the floor is `height` metres.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] without a pose, for too many people, or for a height that is not finite; errors of
-    /// [`World::apply`].
+    /// [`crate::ErrorKind::Usage`] for too many people, no pose or a non-finite height; errors of [`World::apply`].
     pub fn new(world: &mut World, path: &[Pose], height: f64, count: usize, seed: u64) -> Result<Self> {
         if count > MOST_WALKERS || !height.is_finite() || (path.is_empty() && count > 0) {
             let what = format!("{count} walkers near {} poses {height} m above the floor", path.len());

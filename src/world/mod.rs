@@ -178,8 +178,8 @@ impl World {
         self.row = Some(FEW_FEATURES);
     }
 
-    /// Calls `work` with a change. Opens the layers first if this change and earlier ones of the series touch many
-    /// features.
+    /// Calls `work` with a change. If this and earlier changes of the series touch many features, opens the layers
+    /// first.
     fn with_open_layers(
         &mut self,
         change: Change,

@@ -18,8 +18,7 @@ impl World {
         let name = environment.objects()[object as usize].name.clone();
         let mut undo = vec![Change::DeleteObject { name: name.clone() }];
         if frame.is_some() || environment.has_below(&name) {
-            // Deleting the object again leaves its pose as the frame of the group, so the undo restores the group's own
-            // frame.
+            // Deleting the object leaves its pose as the frame of the group: the undo restores the group's own frame.
             undo.push(Change::SetFrame { name, world_from_group: frame });
         }
         Ok(Change::of(undo))

@@ -370,8 +370,7 @@ fn many_changes(seed: u64) -> Vec<Change> {
     (0..120).map(|_| change()).collect()
 }
 
-/// Changing many features at once, or in a series, uses other code than single changes. Environment and undo must be
-/// the same.
+/// Changes of many features, or in a series, use other code than single ones. Environment and undo must be equal.
 #[test]
 fn many_features_at_once_are_as_one_by_one() {
     for seed in 0..40 {
@@ -418,8 +417,7 @@ fn own_seconds() -> f64 {
     worked.map_or_else(|| START.elapsed().as_secs_f64(), |ns| ns as f64 * 1e-9)
 }
 
-/// The time to delete a group grows linearly with its features, not quadratically. The limit is far from both, so it
-/// holds on any machine.
+/// Deleting a group takes time linear in its features, not quadratic. The limit is far from both on any machine.
 #[test]
 fn a_group_with_many_features_is_deleted_and_brought_back_soon() {
     const SOON: f64 = 30.0;

@@ -1,16 +1,13 @@
 //! The inverse of the lens models, in the region where it exists.
 //!
-//! The polynomials of lens models are fitted inside the image and turn back somewhere outside it. Beyond that fold,
-//! several rays share one image point. The model is used in the connected region around the axis where it is one to
-//! one:
-//! - Without tangential terms this region is a disc. It ends where the derivative of the image radius or the
-//!   denominator first falls to zero (roots of polynomials, see [`super::polynomial`]). The inverse is a root in one
-//!   unknown.
-//! - With tangential terms the Jacobian J = R I + 2 R' x x^T + 2 p x^T + 2 x p^T + 2 (p . x) I is still symmetric. The
-//!   model is therefore a gradient, and one to one on every convex region in which J is positive definite. J is the
-//!   identity at the axis, and it stays positive definite until det J falls to zero on the way out. With u the unit
-//!   vector towards x, a = p . u and b = p x u: det J = (g' + 6 a r) (R + 2 a r) - 4 b^2 r^2, where g' is the radial
-//!   derivative.
+//! The polynomials of lens models are fitted inside the image and turn back outside it. Beyond that fold, several rays
+//! share one image point. The model is used in the connected region around the axis where it is one to one:
+//! - Without tangential terms this is a disc. It ends where the derivative of the image radius or the denominator first
+//!   falls to zero (roots of polynomials, see [`super::polynomial`]). The inverse is a root in one unknown.
+//! - With tangential terms the Jacobian J = R I + 2 R' x x^T + 2 p x^T + 2 x p^T + 2 (p . x) I is still symmetric: the
+//!   model is a gradient, and one to one on every convex region where J is positive definite. J is the identity at the
+//!   axis, and positive definite until det J falls to zero on the way out. With u the unit vector towards x, a = p . u
+//!   and b = p x u: det J = (g' + 6 a r) (R + 2 a r) - 4 b^2 r^2, g' the radial derivative.
 
 #[cfg(test)]
 mod tests;
@@ -222,8 +219,7 @@ impl Brown {
             || self.tangential != DVec2::ZERO && radius < self.pole && self.fold(x / radius, radius).is_none()
     }
 
-    /// The first radius in direction `towards`, beyond the safe one and up to `end`, at which J is not positive
-    /// definite.
+    /// The first radius along `towards`, beyond the safe one and up to `end`, at which J is not positive definite.
     fn fold(&self, towards: DVec2, end: f64) -> Option<f64> {
         let (a, b) = (self.tangential.dot(towards), self.tangential.perp_dot(towards));
         let mut r = self.safe;
