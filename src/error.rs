@@ -40,7 +40,8 @@ impl ErrorKind {
     }
 }
 
-/// An error with file, place and remedy; its `Display` is one line, printable, and of bounded length whatever the names in it.
+/// An error with file, place and remedy. Its `Display` is one printable line of bounded length, whatever the names in
+/// it.
 ///
 /// ```
 /// use presight::{Error, ErrorKind};
@@ -155,12 +156,12 @@ impl Error {
         self.0.place.as_deref()
     }
 
-    /// What is wrong, without file, place and remedy.
+    /// The fault, without file, place and remedy.
     pub fn what(&self) -> &str {
         &self.0.what
     }
 
-    /// What to do about it; may be empty.
+    /// The remedy; may be empty.
     pub fn remedy(&self) -> &str {
         &self.0.remedy
     }
@@ -209,7 +210,7 @@ mod tests {
     fn messages_are_one_printable_line_of_bounded_length() {
         let e = Error::invalid("no wall\n\u{1b}[2J here", "ask\nsomebody").at("mesh a\nb").in_file("a\u{7}.glb");
         assert_eq!(e.to_string(), "a\\u{7}.glb: mesh a\\nb: no wall \\u{1b}[2J here; ask\\nsomebody");
-        assert_eq!(e.what(), "no wall\n\u{1b}[2J here", "programs get it as it is");
+        assert_eq!(e.what(), "no wall\n\u{1b}[2J here", "programs get it unchanged");
         let long = "\u{1}x".repeat(1 << 20);
         let line = Error::invalid(&long, &long).at(&long).in_file(format!("{long}/end.glb")).to_string();
         assert!(line.len() < 40 * limits::MAX_SHOWN && line.contains("end.glb: "), "{} bytes", line.len());

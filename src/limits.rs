@@ -52,8 +52,7 @@ pub const MAX_OUTLINE: usize = 512;
 pub const MAX_SCRIPT_BYTES: u64 = 1 << 20;
 /// Most bytes of a script and all its modules together.
 pub const MAX_SCRIPT_TEXT: usize = 4 << 20;
-/// Most operations of a script, its modules included: some seconds. Reading a large value counts by its size. This also
-/// bounds the growth of maps by index.
+/// Most operations of a script and its modules: some seconds. Large values count by size, which also bounds maps.
 pub const MAX_SCRIPT_OPERATIONS: u64 = 5_000_000;
 /// Most seconds of a script, without importing and building: a last resort that a valid script should not reach.
 pub const MAX_SCRIPT_SECONDS: u64 = 30;

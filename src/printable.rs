@@ -63,7 +63,7 @@ mod tests {
         ];
         for (text, line) in cases {
             assert_eq!(printable(text), line);
-            assert_eq!(printable(line), line, "what is printable stays");
+            assert_eq!(printable(line), line, "printable text is unchanged");
         }
     }
 

@@ -54,8 +54,7 @@ pub struct WorthPlace {
     pub cell: [u32; 2],
     /// Smallest number of features visible in one of the views.
     pub features: usize,
-    /// Largest standard deviation of the position, any direction and view, metres. Infinite if a direction is
-    /// undetermined.
+    /// Largest standard deviation of the position, metres. Infinite if a view leaves a direction undetermined.
     pub position_sigma: f64,
     /// Largest standard deviation of the heading in any view, radians.
     pub heading_sigma: f64,
@@ -313,8 +312,7 @@ mod tests {
     const ALONG_Y: Planar = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0];
     const TURN: Planar = [0.0, 0.0, 0.0, 0.0, 0.0, 100.0];
 
-    /// Information 4, 1 and 100 along the axes: deviations of 1/2, 1 and 1/10. Rotated by 45 degrees, the largest stays
-    /// 1.
+    /// Information 4, 1 and 100: standard deviations of 1/2, 1 and 1/10. Rotated by 45 degrees, the largest stays 1.
     #[test]
     fn standard_deviations_are_those_worked_out() {
         assert_eq!(sigmas(&[4.0, 0.0, 0.0, 1.0, 0.0, 100.0]), [1.0, 0.1]);

@@ -119,8 +119,7 @@ impl Feature {
         self.check_normal()
     }
 
-    /// Checks that a fiducial belongs to one of OpenCV's dictionaries. Only for new features: stores may hold older
-    /// ones.
+    /// Checks that a fiducial belongs to one of OpenCV's dictionaries. Not for stored features, which may be older.
     pub fn check_dictionary(&self) -> Result<()> {
         match &self.shape {
             FeatureShape::Fiducial { family, .. } if codes_of(family).is_none() => {

@@ -18,8 +18,7 @@ impl Environment {
         found.ok().map(|i| &self.layers[i])
     }
 
-    /// Adds a layer. If the class has a layer already, the features join it. [`crate::features::place`] checks later
-    /// that they lie on polygons.
+    /// Adds a layer, or its features to the class's layer. [`crate::features::place`] checks that they lie on polygons.
     ///
     /// ```
     /// use presight::Environment;
@@ -118,7 +117,7 @@ impl Environment {
         Err(Error::invalid(what, "give each feature an id that was never used"))
     }
 
-    /// Adds a feature; a missing layer is created with the default tolerance. `restored` allows the id of a deleted
+    /// Adds a feature, and a layer with the default tolerance if missing. `restored` allows the id of a deleted
     /// feature.
     pub(crate) fn insert_feature(&mut self, class: &str, feature: Feature, restored: bool) -> Result<()> {
         let place = format!("feature {} for class {class:?}", feature.id);

@@ -144,7 +144,7 @@ const BESIDE: f64 = 2.5;
 /// skipped. [`Findings::explain`] then classifies the features that were not found.
 ///
 /// # Errors
-/// Errors of [`classify`]; [`crate::ErrorKind::System`] if the fiducial library gets no memory.
+/// Errors of [`classify`]; [`crate::ErrorKind::System`] if the fiducial library runs out of memory.
 pub fn find_features(
     frame: &Frame,
     world_from_sensor: &Pose,

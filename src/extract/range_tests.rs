@@ -210,8 +210,8 @@ fn reflectors_are_small_and_bright() {
     let nothing = Frame::new(0.0, scanner.clone(), Measurement::Range(vec![f32::INFINITY; 360])).unwrap();
     assert!(find(&nothing, &[10], whole).is_empty());
     // Each end of three beams is uniform within a beam's pitch: the middle has an error of 1 / sqrt(24) of a column.
-    // With 1 cm of range noise, the slope has 1 / sqrt(2) cm per column, which moves the middle by 1.5^2 / 3 m times
-    // that.
+    // With 1 cm of range noise, the slope's error is 1 / sqrt(2) cm per column. It moves the middle by 1.5^2 / 3 m
+    // times that.
     let one = reflectors_in(&frame(400), &bright(&[10, 11, 12]), whole, &options).unwrap().remove(0);
     assert!((one.detection.covariance.x_axis.x - (1.0 / 24.0 + 0.0075f64.powi(2) / 2.0)).abs() < 1e-12);
     // The error of a median of three is sqrt(pi / 2) times that of a mean.
@@ -254,16 +254,15 @@ fn reflectors_are_found_as_a_whole() {
         let found = find(&[], &[358, 359, 0, 1], region);
         assert!(found.len() == 1 && (found[0].0 - 359.5).rem_euclid(360.0) < 1e-9, "{region:?}: {found:?}");
     }
-    // By hand: the slope has 1 cm over the root of the columns' squared distances from their mean; the middle 3^2 / 3 m
-    // times.
+    // By hand: the slope's error is 1 cm over the root of the columns' squared deviations. The middle has 3^2 / 3 m of
+    // it.
     let of_slope = |squares: f64| 0.03f64.powi(2) / squares;
     let is_at = |found: &[(f64, f64)], (x, variance): (f64, f64)| {
         found.len() == 1 && (found[0].0 - x).abs() < 1e-12 && (found[0].1 - variance).abs() < 1e-12
     };
     let lost = find(&[102], &six, [90.0, 110.0]);
     assert!(is_at(&lost, (102.5, 1.0 / 24.0 + of_slope(17.2))), "{lost:?}");
-    // An end within two pitches is half a pitch further out, with a variance of 4 / 12, of which the middle gets a
-    // quarter.
+    // An end within two pitches is half a pitch further out, with a variance of 4 / 12. The middle gets a quarter.
     let open = find(&[106], &six, [90.0, 110.0]);
     assert!(is_at(&open, (102.75, 5.0 / 48.0 + of_slope(17.5))), "{open:?}");
 }

@@ -114,8 +114,7 @@ impl<'a> BrightScan<'a> {
         Self { frame, intensity, options, size, is_round }
     }
 
-    /// First and last column and row of a region. On a full turn, columns may exceed the width. A single row is always
-    /// in.
+    /// First and last column and row of a region. A full turn may exceed the width; a single row is always included.
     fn pixels(&self, region: &PixelBox) -> Option<[i64; 4]> {
         let [x0, y0, x1, y1] = region.0;
         let of_row = if self.size.1 == 1 { [-0.5, 0.5] } else { [y0, y1] };
@@ -155,7 +154,7 @@ impl<'a> BrightScan<'a> {
     }
 
     /// The bright pixels connected to a first one at similar ranges; `None` if they are too wide. `seen` maps visited
-    /// pixels to true if they belong to a spot that is too wide; its parts are no reflectors either.
+    /// pixels to true if they belong to a spot that is too wide; no part of it counts as a reflector.
     fn spot(&self, first: Pixel, seen: &mut BTreeMap<Pixel, bool>) -> Option<BrightSpot> {
         let mut spot = BrightSpot { ranges: Vec::new(), columns: (first.0, first.0), rows: (first.1, first.1) };
         let (mut open, mut own, mut wide) = (vec![first], vec![first], false);

@@ -28,8 +28,7 @@ fn off_line(found: &FoundEdge, on: DVec2, angle: f64) -> f64 {
     found.detection.shape.points().iter().map(|p| across.dot(*p - on).abs()).fold(0.0, f64::max)
 }
 
-/// Edges at all angles are found to a fraction of a pixel from wrong expectations, with errors as their covariance
-/// states.
+/// Edges at all angles are found to a fraction of a pixel from wrong expectations. Errors are as the covariance states.
 #[test]
 fn edges_are_found_to_a_fraction_of_a_pixel() {
     let (mut squares, mut count) = (0.0, 0.0);
@@ -171,7 +170,7 @@ fn what_ranges_say_of_a_feature_that_was_not_found() {
     let classes = classify(&all, &[], &Default::default(), &told).unwrap();
     use FeatureClass::{Missing, Occluded, Undecidable};
     assert_eq!(classes.features, [Occluded, Missing, Undecidable, Undecidable, Undecidable]);
-    // In a row of pixels, the left half is nearer, the right half farther. Counts verdicts along a segment in either
+    // The left half of a row of pixels is nearer, the right half farther. Counts verdicts along a segment in either
     // half.
     let pixels: Vec<Verdict> = (0..200).map(|i| if i % 20 < 10 { Verdict::Nearer } else { Verdict::Farther }).collect();
     let verdicts = crate::verdict::Verdicts { width: 20, height: 10, pixels, difference: vec![0.0; 200] };

@@ -1,4 +1,4 @@
-//! Measured frames: the measurement of a sensor, in the pixels of its own image.
+//! Frames measured by a sensor, in the pixels of its own image.
 //!
 //! A [`Frame`] has the pixel order, the frames and the special values of a prediction, so that the two can be compared
 //! pixel by pixel. Values follow REP-117: `-inf` means too near, `+inf` nothing within reach, NaN no measurement.
@@ -162,8 +162,7 @@ impl Frame {
     /// ```
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] for an image of another size, a value outside of 0 to 1, or a frame without
-    /// ranges.
+    /// [`crate::ErrorKind::Invalid`] for an image of another size, a value outside 0 to 1, or a frame without ranges.
     pub fn with_intensities(self, intensities: GreyImage) -> Result<Self> {
         let (width, height) = (self.sensor.width(), self.sensor.height());
         if self.grey().is_some() {

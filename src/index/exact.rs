@@ -4,8 +4,7 @@ use super::Region;
 use crate::geometry::Aabb;
 use glam::DVec3;
 
-/// True if a convex polygon (corners in the world, metres) has a point in the region. A polygon within a millimetre of
-/// the region may count as well.
+/// True if a convex polygon (corners in the world, metres) has a point in the region, or comes within a millimetre.
 ///
 /// Halves triangles along their longest side until a corner lies in the region, the box does not meet it, or the side
 /// is shorter than a millimetre.

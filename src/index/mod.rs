@@ -7,8 +7,7 @@
 //! | [`Scheme::S2d`], [`Scheme::S3d`] | halves of halves | the leaf of its centroid | Ooi, Sacks-Davis, McDonell 1987/1991 |
 //! | [`Scheme::TwoLevel`] | a spatial-kD tree of objects over trees of their meshes | its mesh | here |
 //!
-//! The first four are [`SpatialIndex`]es over ids with boxes. [`WorldIndex`] keeps a scheme in step with an
-//! environment.
+//! The first four are [`SpatialIndex`]es over ids with boxes. [`WorldIndex`] keeps one in step with an environment.
 
 mod boxes;
 mod cells;

@@ -134,8 +134,7 @@ fn place(d: DVec3) -> (usize, [f64; 2]) {
     (2 * axis + usize::from(along < 0.0), [u / along.abs(), v / along.abs()])
 }
 
-/// Calls `rectangle` for cube sides near `d`. The rectangles together cover all directions up to `reach` radians from
-/// it.
+/// Calls `rectangle` for cube sides near `d`. Together they cover all directions up to `reach` radians from it.
 fn near(d: DVec3, reach: f64, mut rectangle: impl FnMut(usize, [[f64; 2]; 2])) {
     for (axis, [along, u, v]) in [[d.x, d.y, d.z], [d.y, d.z, d.x], [d.z, d.x, d.y]].into_iter().enumerate() {
         for (sign, along) in [along, -along].into_iter().enumerate() {
@@ -214,8 +213,7 @@ impl Cells {
 }
 
 impl DirectionMap {
-    /// `directions` are unit vectors, row-major; NaN means no ray. Neighbours are about `spacing` radians apart, which
-    /// sets the resolution.
+    /// `directions` are unit vectors, row-major; NaN means no ray. Their `spacing` (radians) sets the resolution.
     ///
     /// # Errors
     /// [`crate::ErrorKind::System`] if the system refuses the memory, at most 12 bytes a ray.

@@ -70,8 +70,8 @@ impl Directory {
     }
 }
 
-/// The cell of a direction (Z. H. Cigolle et al., Survey of Efficient Representations for Independent Unit Vectors,
-/// 2014).
+/// The cell of a direction, by the octahedral map (Z. H. Cigolle et al., A Survey of Efficient Representations for
+/// Independent Unit Vectors, 2014).
 fn cell(d: DVec3, side: usize) -> usize {
     let d = d / (d.x.abs() + d.y.abs() + d.z.abs());
     let sign = |x: f64| if x < 0.0 { -1.0 } else { 1.0 };
@@ -89,7 +89,7 @@ mod tests {
     use crate::random::SplitMix64;
     use crate::sensor::{Geometry, RayTable, Sensor, SensorSpec};
 
-    /// The result is nearly always the nearest of all rays and never far from it, inside and outside the table.
+    /// The result is nearly always the nearest ray and never far from it, inside and outside the table.
     #[test]
     fn directions_are_found() {
         let mut random = SplitMix64(3);

@@ -28,7 +28,7 @@ impl PixelGrid {
     }
 }
 
-/// Whether a line of a [`LineGrid`] is an image row or column.
+/// The image axis of the lines of a [`LineGrid`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LineAxis {
     /// A line is an image row, a sample a column (pinhole cameras).

@@ -46,8 +46,7 @@ impl Sensor {
         ImagePart { first_column: 0, end_column: self.width(), stride: 1 }
     }
 
-    /// The sensor with a part of this one's rays, identical to the bit. Its specification remains that of the whole;
-    /// only [`Sensor::grid`] describes the part.
+    /// The sensor with a part of this one's rays, identical to the bit. Its specification is still that of the whole.
     ///
     /// # Errors
     /// [`crate::ErrorKind::System`] if there is no memory for the ray tables.
@@ -114,8 +113,7 @@ impl Sensor {
         Some(ray.y.atan2(ray.x))
     }
 
-    /// Heading of a part's columns, counter-clockwise from the forward axis, and the angle they span, degrees from
-    /// above.
+    /// Heading of a part's columns, counter-clockwise from the forward axis, and the angle they span, degrees.
     pub fn opening_of(&self, part: &ImagePart) -> [f64; 2] {
         let azimuths: Vec<f64> =
             (part.first_column..part.end_column).filter_map(|column| self.azimuth_of(column)).collect();

@@ -178,8 +178,7 @@ impl World {
         self.row = Some(FEW_FEATURES);
     }
 
-    /// Calls `work` with a change. If this and earlier changes of the series touch many features, opens the layers
-    /// first.
+    /// Calls `work` with a change. Opens the layers first if the series of changes so far touches many features.
     fn with_open_layers(
         &mut self,
         change: Change,

@@ -51,7 +51,7 @@ fn there_and_back(world: &mut World, change: Change) -> World {
     assert_eq!(hash(world), before);
     world.index().assert_well_formed(world.environment());
     let undo = world.apply_unchecked(redo).unwrap();
-    assert_eq!(hash(world), hash(&between), "what undoes the undoing is the change");
+    assert_eq!(hash(world), hash(&between), "undoing the undo restores the change");
     world.apply_unchecked(undo).unwrap();
     assert_eq!(hash(world), before);
     between
