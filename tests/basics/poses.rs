@@ -31,8 +31,8 @@ fn bad() -> Vec<(&'static str, Pose, &'static str)> {
         ("the rotation is infinite", turned(0.0, 0.0, 0.0, inf), "not finite"),
         ("no rotation", turned(0.0, 0.0, 0.0, 0.0), "length 0,"),
         ("too long", turned(0.0, 0.0, 0.0, 2.0), "length 2,"),
-        ("a little too short", turned(0.0, 0.0, 0.0, 1.0 - 1e-6), "is no rotation"),
-        ("overflows", turned(1e200, 0.0, 0.0, 0.0), "is no rotation"),
+        ("a little too short", turned(0.0, 0.0, 0.0, 1.0 - 1e-6), "is not a rotation"),
+        ("overflows", turned(1e200, 0.0, 0.0, 0.0), "is not a rotation"),
     ]
 }
 

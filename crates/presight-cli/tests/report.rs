@@ -227,7 +227,7 @@ fn a_path_that_cannot_be_costs_no_other() {
     let said = |at: usize| json["findings"][at]["not_measured"].to_string();
     assert_eq!(said(0), "[]");
     assert!(said(1).contains("features by images, 1/4 resolution: sensor"), "{}", said(1));
-    assert!(said(1).contains("without a nearest ray") && !said(1).contains("1/2"), "{}", said(1));
+    assert!(said(1).contains("fewer than two rays") && !said(1).contains("1/2"), "{}", said(1));
     assert!(said(2).contains("features and regions of interest: sensor"), "{}", said(2));
     for finding in json["findings"].as_array().unwrap() {
         assert!(finding["rows"].as_array().unwrap().iter().any(|r| r["variant"] == "1 thread"), "{finding}");

@@ -1,10 +1,10 @@
-//! Small motions of a pose: six numbers.
+//! Small motions of a pose as six numbers.
 
 use glam::{DMat3, DQuat, DVec3};
 use presight_model::geometry::Pose;
 use presight_model::matrix::{Matrix, inverse, quadratic};
 
-/// Six numbers of a small motion: x y z in metres, then rotation about fixed x y z in radians.
+/// A small motion: x y z in metres, then rotation about fixed x y z in radians.
 pub type Vector = [f64; 6];
 
 /// The pose after a small motion in world axes.
@@ -16,7 +16,7 @@ pub fn moved(pose: &Pose, motion: &Vector) -> Pose {
     }
 }
 
-/// The motion in world axes that takes one pose to another: the inverse of [`moved`].
+/// The motion in world axes from one pose to another: the inverse of [`moved`].
 pub fn motion_between(from: &Pose, to: &Pose) -> Vector {
     let t = to.translation - from.translation;
     let turn = to.rotation * from.rotation.conjugate();
@@ -25,8 +25,8 @@ pub fn motion_between(from: &Pose, to: &Pose) -> Vector {
     [t.x, t.y, t.z, r.x, r.y, r.z]
 }
 
-/// The normalized estimation error squared (NEES): e' C^-1 e, e the motion from a pose to where it truly was, C its covariance (as
-/// in [`moved`]), and how many numbers e has. Numbers without a variance were not looked for and do not count.
+/// The normalized estimation error squared (NEES) and its number of axes: e' C^-1 e, with e the motion from a pose to
+/// the true pose, and C its covariance (as in [`moved`]). Axes with zero variance were not estimated and do not count.
 ///
 /// # Examples
 /// ```
@@ -44,7 +44,7 @@ pub fn nees(pose: &Pose, covariance: &Matrix, truth: &Pose) -> (f64, usize) {
     (quadratic(&inverse(covariance, &axes), &error), axes.len())
 }
 
-/// The matrix that turns the motions of one frame into those of another with other axes.
+/// The matrix that rotates motions into the axes of another frame.
 pub fn turn(rotation: DQuat) -> Matrix {
     let m = DMat3::from_quat(rotation);
     std::array::from_fn(|i| std::array::from_fn(|j| if i / 3 == j / 3 { m.col(j % 3)[i % 3] } else { 0.0 }))

@@ -1,24 +1,23 @@
-//! Changes of an environment: what [`crate::World::apply`] does, and what undoes it.
+//! Changes of an environment, applied by [`crate::World::apply`], and their inverses.
 
 use crate::environment::{Feature, Material, NewObject};
 use crate::geometry::Pose;
 
 /// A change of an environment. [`crate::World::apply`] applies it and returns its inverse.
 ///
-/// Objects and groups are named by their full path, features by sensor class and id. Numbers are never used again. An object
-/// that comes back gets new slots and therefore new polygon ids. A feature that comes back ([`Change::RestoreFeature`]) is the same
-/// feature and keeps its id.
+/// Objects and groups are named by their full path, features by sensor class and id. Numbers are never reused: a
+/// restored object gets new slots and polygon ids. A restored feature ([`Change::RestoreFeature`]) keeps its id.
 #[derive(Clone, Debug)]
 pub enum Change {
-    /// Adds a material for later meshes. Its inverse does nothing, because a material that no polygon uses is not content.
+    /// Adds a material for later meshes. Its inverse does nothing, because an unused material is not content.
     AddMaterial(Material),
-    /// Adds an object. It replaces a group of its path, and objects below that path then belong to it.
+    /// Adds an object. It replaces a group at its path, and objects below that path then belong to it.
     InsertObject(NewObject),
     /// Sets the pose of an object or a group. Everything below its path (`cart/wheel` below `cart`) moves with it, rigidly.
     MoveObject {
-        /// Full path of the object, or a path that objects are below.
+        /// Full path of an object or a group.
         name: String,
-        /// The new pose; of a group, that of its frame ([`crate::Environment::frame`]).
+        /// The new pose; for a group, the new frame ([`crate::Environment::frame`]).
         world_from_object: Pose,
     },
     /// Sets the pose of this object alone. A group moves with everything below it.
@@ -28,14 +27,14 @@ pub enum Change {
         /// The new pose.
         world_from_object: Pose,
     },
-    /// Deletes an object with the features and pose covariances that are given in its frame. Its number and its slots are
-    /// never used again. Objects below its path stay; the path becomes a group whose frame is the object's last pose. Deleting a
+    /// Deletes an object, with the features and pose covariances in its frame. Its number and its slots are never
+    /// reused. Objects below its path stay; the path becomes a group whose frame is the object's last pose. Deleting a
     /// group deletes everything below it.
     DeleteObject {
         /// Its full path.
         name: String,
     },
-    /// Sets or removes the frame of a group. Objects below stay where they are.
+    /// Sets or removes the frame of a group. Objects below keep their poses.
     SetFrame {
         /// Its full path; no object may have it.
         name: String,
@@ -74,7 +73,7 @@ pub enum Change {
     SetTolerance {
         /// Sensor class.
         class: String,
-        /// How far features may be off their polygons, metres.
+        /// Allowed distance of features from their polygons, metres.
         tolerance: f64,
     },
     /// Sets or removes the covariance of an object's pose.
@@ -94,7 +93,7 @@ impl Change {
     /// Does nothing.
     pub const NOTHING: Self = Self::Group(Vec::new());
 
-    /// One change of many.
+    /// A single change, or a group of several.
     #[doc(hidden)]
     pub fn of(mut changes: Vec<Change>) -> Self {
         match changes.len() {

@@ -1,4 +1,4 @@
-//! The one error type: whose fault, which file, which place, what, and what to do about it.
+//! The error type: kind, file, place, fault and remedy.
 
 use crate::limits;
 use crate::printable::{clipped, clipped_inside, printable};
@@ -6,7 +6,7 @@ use std::error::Error as StdError;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-/// The cause of an error, by whose fault it is. It decides the exit status of the command.
+/// The cause of an error, by who is at fault. It decides the exit status of the command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum ErrorKind {
@@ -40,7 +40,8 @@ impl ErrorKind {
     }
 }
 
-/// An error with file, place and remedy; its `Display` is one line, printable, and of bounded length whatever the names in it.
+/// An error with file, place and remedy. Its `Display` is one printable line of bounded length, whatever the names in
+/// it.
 ///
 /// ```
 /// use presight::{Error, ErrorKind};
@@ -66,11 +67,11 @@ struct Inner {
     source: Option<Box<dyn StdError + Send + Sync>>,
 }
 
-/// The result of everything in presight that can fail.
+/// The result of every fallible function in presight.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
 impl Error {
-    /// An error of `kind`: `what` is wrong, and the `remedy` for it (may be empty).
+    /// An error of `kind`: `what` is wrong, and the `remedy` (may be empty).
     pub fn new(kind: ErrorKind, what: impl Into<String>, remedy: impl Into<String>) -> Self {
         Self(Box::new(Inner { kind, file: None, place: None, what: what.into(), remedy: remedy.into(), source: None }))
     }
@@ -90,7 +91,7 @@ impl Error {
         use std::io::ErrorKind as Io;
         let (kind, remedy) = match source.kind() {
             Io::NotFound | Io::NotADirectory => (ErrorKind::Invalid, "check the path"),
-            Io::InvalidFilename | Io::InvalidInput => (ErrorKind::Invalid, "give a path that the system takes"),
+            Io::InvalidFilename | Io::InvalidInput => (ErrorKind::Invalid, "give a path that the system accepts"),
             Io::UnexpectedEof => (ErrorKind::Invalid, "the file is truncated; fetch it again"),
             Io::PermissionDenied => (ErrorKind::System, "check the permissions"),
             Io::StorageFull => (ErrorKind::System, "free some disk space"),
@@ -101,7 +102,7 @@ impl Error {
         e
     }
 
-    /// Names the file at fault, unless one is named already.
+    /// Names the file at fault, unless a file is named already.
     #[must_use]
     pub fn in_file(mut self, file: impl AsRef<Path>) -> Self {
         self.0.file.get_or_insert_with(|| file.as_ref().to_owned());
@@ -118,13 +119,13 @@ impl Error {
         self
     }
 
-    /// Names the place in `file` that named what is at fault: it comes before a file that is named already.
+    /// Names the file and the place that refer to the faulty file. They come before a file that is named already.
     #[must_use]
     pub fn named_in(self, file: impl AsRef<Path>, place: impl fmt::Display) -> Self {
         self.in_place().at(place).in_file(file)
     }
 
-    /// The file at fault, if there is one, becomes the place: what comes before it is then of whatever named the file.
+    /// Turns the file at fault, if any, into a place, so that the file referring to it can be named in front.
     #[must_use]
     pub fn in_place(mut self) -> Self {
         match self.0.file.take() {
@@ -140,27 +141,27 @@ impl Error {
         self
     }
 
-    /// The cause, by whose fault it is.
+    /// The cause, by who is at fault.
     pub fn kind(&self) -> ErrorKind {
         self.0.kind
     }
 
-    /// The file at fault, if there is one.
+    /// The file at fault, if any.
     pub fn file(&self) -> Option<&Path> {
         self.0.file.as_deref()
     }
 
-    /// The place inside the file or value, if there is one.
+    /// The place inside the file or value, if any.
     pub fn place(&self) -> Option<&str> {
         self.0.place.as_deref()
     }
 
-    /// What is wrong, without file, place and remedy.
+    /// The fault, without file, place and remedy.
     pub fn what(&self) -> &str {
         &self.0.what
     }
 
-    /// What to do about it; may be empty.
+    /// The remedy; may be empty.
     pub fn remedy(&self) -> &str {
         &self.0.remedy
     }
@@ -175,7 +176,7 @@ impl fmt::Display for Error {
         if let Some(place) = &e.place {
             write!(f, "{}: ", printable(&clipped(place, limits::MAX_SHOWN)))?;
         }
-        // Messages of other crates may span lines; ours is one line.
+        // Messages of other crates may span lines; ours must be one line.
         let what = e.what.split_whitespace().collect::<Vec<_>>().join(" ");
         f.write_str(&printable(&clipped(&what, limits::MAX_SHOWN)))?;
         if !e.remedy.is_empty() {
@@ -185,12 +186,12 @@ impl fmt::Display for Error {
     }
 }
 
-/// A number for messages: in full where that is short, with a power of ten where it would take many digits.
+/// Formats a number for messages: in full if that is short, else with a power of ten.
 pub fn short(x: f64) -> String {
     if x == 0.0 || !x.is_finite() || (1e-5..1e15).contains(&x.abs()) { x.to_string() } else { format!("{x:e}") }
 }
 
-/// [`short`] of the coordinates of a point.
+/// [`short`] for the coordinates of a point.
 pub fn short_point(p: impl Into<[f64; 3]>) -> String {
     format!("[{}]", p.into().map(short).join(", "))
 }
@@ -209,7 +210,7 @@ mod tests {
     fn messages_are_one_printable_line_of_bounded_length() {
         let e = Error::invalid("no wall\n\u{1b}[2J here", "ask\nsomebody").at("mesh a\nb").in_file("a\u{7}.glb");
         assert_eq!(e.to_string(), "a\\u{7}.glb: mesh a\\nb: no wall \\u{1b}[2J here; ask\\nsomebody");
-        assert_eq!(e.what(), "no wall\n\u{1b}[2J here", "programs get it as it is");
+        assert_eq!(e.what(), "no wall\n\u{1b}[2J here", "programs get it unchanged");
         let long = "\u{1}x".repeat(1 << 20);
         let line = Error::invalid(&long, &long).at(&long).in_file(format!("{long}/end.glb")).to_string();
         assert!(line.len() < 40 * limits::MAX_SHOWN && line.contains("end.glb: "), "{} bytes", line.len());

@@ -1,12 +1,11 @@
-//! Matrices of six by six: covariances and information of poses, and the eigenvalues of symmetric ones by Jacobi's rotations.
+//! Six-by-six matrices: covariances and information of poses, and eigenvalues of symmetric ones by Jacobi rotations.
 
-/// At most six by six: a pose.
+/// The numbers of a pose, at most six.
 pub type Matrix = [[f64; 6]; 6];
 
 /// Eigenvalues and eigenvectors (vector k is column k) of the upper left n x n part of a symmetric matrix.
 ///
-/// Rotations run until nothing is left off the diagonal that f64 could tell; that takes some six sweeps, and 64 are never
-/// exceeded.
+/// Rotates until the off-diagonal elements vanish in f64, which takes about six sweeps, and at most 64.
 pub fn eigen(mut a: Matrix, n: usize) -> ([f64; 6], Matrix) {
     let mut v = [[0.0; 6]; 6];
     (0..n).for_each(|i| v[i][i] = 1.0);
@@ -24,10 +23,10 @@ pub fn eigen(mut a: Matrix, n: usize) -> ([f64; 6], Matrix) {
     (std::array::from_fn(|i| if i < n { a[i][i] } else { 0.0 }), v)
 }
 
-/// Makes a[p][q] zero.
+/// The Jacobi rotation that zeroes a[p][q].
 fn rotate(a: &mut Matrix, v: &mut Matrix, p: usize, q: usize, n: usize) {
     let apq = a[p][q];
-    // Too small to move either of the two.
+    // Too small to change either diagonal element.
     if apq == 0.0 || apq.abs() < 1e-300 || apq.abs() <= f64::EPSILON * 1e-4 * (a[p][p] * a[q][q]).abs().sqrt() {
         (a[p][q], a[q][p]) = (0.0, 0.0);
         return;
@@ -82,13 +81,13 @@ pub fn quadratic(m: &Matrix, v: &[f64; 6]) -> f64 {
     (0..6).map(|i| (0..6).map(|j| v[i] * m[i][j] * v[j]).sum::<f64>()).sum()
 }
 
-/// The rows and columns of the axes that are looked for; 0 elsewhere.
+/// The rows and columns of the estimated axes; 0 elsewhere.
 pub fn restricted(m: &Matrix, axes: &[usize]) -> Matrix {
     std::array::from_fn(|i| std::array::from_fn(|j| if axes.contains(&i) && axes.contains(&j) { m[i][j] } else { 0.0 }))
 }
 
-/// Eigenvalues and unit eigenvectors of the numbers that are looked for, rotations counted as lengths at `reach` metres.
-/// Vectors are motions: metres, and radians times reach.
+/// Eigenvalues and unit eigenvectors on the estimated axes, with rotations scaled to lengths at `reach` metres. Vectors
+/// are motions: metres, and radians times reach.
 pub fn directions(m: &Matrix, axes: &[usize], reach: f64) -> Vec<(f64, [f64; 6])> {
     let scale = |i: usize| if i >= 3 { reach } else { 1.0 };
     let n = axes.len();
@@ -107,11 +106,11 @@ pub fn directions(m: &Matrix, axes: &[usize], reach: f64) -> Vec<(f64, [f64; 6])
     (0..n).map(|k| (values[k], vector(k))).collect()
 }
 
-/// An eigenvalue below this, with ones on the diagonal, is rounding.
+/// With ones on the diagonal, an eigenvalue below this is rounding.
 const OPEN: f64 = 1e-12;
 
-/// The inverse on the axes that are looked for, without the directions that are open: along these it is 0. Axes are scaled by
-/// their own diagonal first, so that what is known far better does not make the rest look open.
+/// The inverse on the estimated axes. Along undetermined directions it is 0. Axes are first scaled by their own
+/// diagonal, so that one known far better does not make the others look undetermined.
 pub fn inverse(m: &Matrix, axes: &[usize]) -> Matrix {
     let root: [f64; 6] = std::array::from_fn(|i| if m[i][i] > 0.0 { m[i][i].sqrt() } else { 1.0 });
     let even = std::array::from_fn(|i| std::array::from_fn(|j| m[i][j] / (root[i] * root[j])));
@@ -136,7 +135,7 @@ mod tests {
         std::array::from_fn(|i| std::array::from_fn(|j| if i == j { d[i] } else { 0.0 }))
     }
 
-    /// What is known a million times better does not make the rest look open; what nothing is known of stays 0.
+    /// An axis known a million times better does not make the others look undetermined; unknown axes stay 0.
     #[test]
     fn inverses_keep_all_that_is_known() {
         let all = [0, 1, 2, 3, 4, 5];
@@ -145,7 +144,7 @@ mod tests {
         for (i, expected) in [25.0, 1.0, 1e12, 1e-12, 0.0, 0.5].into_iter().enumerate() {
             assert!((inverse[i][i] - expected).abs() <= 1e-9 * expected, "{i}: {}", inverse[i][i]);
         }
-        // Two axes of which only the sum is known.
+        // Two axes for which only the sum is known.
         let mut m = diagonal([1.0, 1.0, 1.0, 1.0, 1.0, 1.0]);
         (m[0][1], m[1][0]) = (1.0, 1.0);
         let inverse = super::inverse(&m, &all);

@@ -1,25 +1,25 @@
-//! Memory: what the system would still give this process, asked before work begins.
+//! Memory: the amount that the system still grants this process, checked before work begins.
 //!
-//! Linux promises more memory than there is and ends programs that use it; a limit on addresses makes allocations fail in
-//! libraries that cannot answer with an error. So commands add up what they will take and ask here first.
+//! Linux grants more memory than there is and kills programs that use it. A limit on address space makes allocations
+//! fail in libraries that cannot return an error. Commands therefore estimate their needs and check here first.
 
 use crate::error::{Error, ErrorKind, Result};
 use std::path::Path;
 
-/// What a process may still take.
+/// The memory that a process may still use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MemoryLimit {
     /// Bytes.
     pub bytes: u64,
-    /// What sets the bound.
+    /// The limit that applies, for messages.
     pub by: &'static str,
 }
 
-/// Address space that the C library sets aside for each thread that allocates.
+/// Address space that the C library reserves for each thread that allocates.
 const ARENA: u64 = 64 << 20;
 
-/// The least of what the limit on addresses, the control groups (version 1 and 2) and the machine leave to this process;
-/// `None` where the system does not tell.
+/// The memory left to this process: the least of the address space limit, the control groups (versions 1 and 2) and the
+/// machine's free memory. `None` if the system does not report any.
 pub fn room() -> Option<MemoryLimit> {
     let read = |path: &str| std::fs::read_to_string(path).unwrap_or_default();
     let status = read("/proc/self/status");
@@ -41,22 +41,22 @@ pub fn room() -> Option<MemoryLimit> {
     told.min_by_key(|room| room.bytes)
 }
 
-/// That so many bytes more can be had.
+/// Checks that this many more bytes are available.
 ///
 /// # Errors
-/// [`ErrorKind::System`] with what is needed and what is left.
+/// [`ErrorKind::System`], with the bytes needed and the bytes left.
 pub fn require(bytes: u64) -> Result<()> {
     match (bytes > 0).then(room).flatten() {
         Some(room) if bytes > room.bytes => {
             let what =
-                format!("it takes about {} of memory, and {} leaves {}", sized(bytes), room.by, sized(room.bytes));
+                format!("this needs about {} of memory, but {} leaves {}", sized(bytes), room.by, sized(room.bytes));
             Err(Error::new(ErrorKind::System, what, REMEDY))
         }
         _ => Ok(()),
     }
 }
 
-/// A vector that there is room for.
+/// An empty vector with reserved capacity.
 ///
 /// # Errors
 /// [`ErrorKind::System`] if the system refuses.
@@ -66,7 +66,7 @@ pub fn reserved<T>(len: usize) -> Result<Vec<T>> {
     Ok(vector)
 }
 
-/// Room for so many elements in all, and no more, in a vector that may hold some.
+/// Reserves capacity for exactly `len` elements in total.
 ///
 /// # Errors
 /// [`ErrorKind::System`] if the system refuses.
@@ -77,26 +77,26 @@ pub fn reserve<T>(vector: &mut Vec<T>, len: usize) -> Result<()> {
     })
 }
 
-/// What one prediction and its files will take, besides the scene and what the sensor holds.
+/// Memory of one prediction and its files, in addition to the scene and the sensor.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct FrameMemory {
     /// Columns times rows.
     pub pixels: u64,
-    /// A scanner: its image is turned on the way from the engine.
+    /// A scanner's image is transposed on its way from the engine.
     pub scanner: bool,
-    /// On a device rather than by the CPU engine; of a device's own memory nothing is said.
+    /// Predicted on a device instead of the CPU; the device's own memory is not counted.
     pub on_device: bool,
-    /// Images in memory, one of vectors counted as three.
+    /// Number of images in memory; a vector image counts as three.
     pub images: u64,
-    /// Channels that an EXR file gets.
+    /// Channels of the EXR file.
     pub exr: u64,
-    /// Pixels of the picture, if one is drawn.
+    /// Pixels of the picture, or 0.
     pub picture: u64,
-    /// A depth image is written.
+    /// True if a depth image is written.
     pub depth_png: bool,
-    /// Bytes by pixel of points that are written.
+    /// Bytes per pixel of the points that are written.
     pub points: u64,
-    /// Bytes by pixel of what a virtual sensor reads from the images.
+    /// Bytes per pixel that a virtual sensor reads from the images.
     pub reading: u64,
 }
 
@@ -106,7 +106,7 @@ impl FrameMemory {
         4 * self.images * self.pixels
     }
 
-    /// Bytes at the peak: buffers and images stay while one file after the other is made.
+    /// Bytes at the peak: buffers and images stay allocated while one file after the other is written.
     ///
     /// ```
     /// use presight::memory::FrameMemory;
@@ -114,16 +114,16 @@ impl FrameMemory {
     /// assert!((48_000_000..50_000_000).contains(&frame.bytes()));
     /// ```
     pub fn bytes(&self) -> u64 {
-        // Inverse depth and winner of the CPU engine; of a device what is read back.
+        // Inverse depth and winner of the CPU engine, or the images read back from a device.
         let engine = if self.on_device { 4 * self.images } else { 16 };
-        // A pointer and a length for each row of each image in each band of at least 32 columns; padding of the buffers.
+        // For each band of at least 32 columns, a pointer and a length per row and image; padding of the buffers.
         let turning = if self.scanner { 1 + self.images.div_ceil(2) } else { 0 };
         let drawn = self.pixels * (engine + turning) + self.of_images() + self.pixels / 2;
         let files = [
             4 * self.exr * self.pixels,
-            // Colours, and by pixel how crowded with borders it is and a sum for that; the page.
+            // Colours; per pixel, a border density and its sum; the page.
             if self.picture > 0 { 11 * self.pixels + 3 * self.picture } else { 0 },
-            // Millimetres, their bytes, and what they are packed to.
+            // Millimetres, their bytes, and the packed output.
             if self.depth_png { 7 * self.pixels } else { 0 },
             self.points * self.pixels,
         ];
@@ -131,7 +131,7 @@ impl FrameMemory {
     }
 }
 
-/// What meshes of so many triangles each will take while they are imported, besides the file.
+/// Memory to import meshes with these numbers of triangles, in addition to the file.
 pub fn of_meshes(triangles: impl Iterator<Item = u64>) -> u64 {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let triangles: Vec<u64> = triangles.collect();
@@ -139,14 +139,14 @@ pub fn of_meshes(triangles: impl Iterator<Item = u64>) -> u64 {
     of_kept(all).saturating_add(of_building(triangles, threads))
 }
 
-/// What so many triangles take in meshes: at worst, where no two are merged. Measured on wavy ground of 720,000 triangles.
+/// Memory of triangles stored in meshes, if no two can be merged. Measured on wavy ground of 720,000 triangles.
 pub fn of_kept(triangles: u64) -> u64 {
     const KEPT: u64 = 100;
     KEPT.saturating_mul(triangles)
 }
 
-/// What meshes of so many triangles each take besides while they are built, so many of them at a time. Measured: 110 bytes a
-/// triangle of wavy ground, 160 where no two share a vertex.
+/// Additional memory to build meshes with these numbers of triangles, `at_once` of them at a time. Measured per
+/// triangle: 110 bytes for wavy ground, 160 if no two triangles share a vertex.
 pub fn of_building(mut triangles: Vec<u64>, at_once: usize) -> u64 {
     const BUILT: u64 = 140;
     triangles.sort_unstable_by(|a, b| b.cmp(a));
@@ -154,21 +154,21 @@ pub fn of_building(mut triangles: Vec<u64>, at_once: usize) -> u64 {
     BUILT.saturating_mul(built)
 }
 
-/// What meshes of so many bytes in a store will take, with the trees of an index or without. Measured on the same ground.
+/// Memory of meshes that take `bytes` in a store, with or without the trees of an index. Measured on the same ground.
 pub fn of_stored(bytes: u64, with_trees: bool) -> u64 {
     bytes + bytes / 10 * if with_trees { 7 } else { 3 }
 }
 
-/// What writing meshes into a store will take, by the polygons of each: the largest is laid out, and copied. Measured as
+/// Memory to write meshes into a store, from the polygons of each: the largest is laid out and copied. Measured as for
 /// [`of_meshes`].
 pub fn of_writing(polygons: impl Iterator<Item = u64>) -> u64 {
     const LAID_OUT: u64 = 110;
     LAID_OUT.saturating_mul(polygons.max().unwrap_or(0))
 }
 
-const REMEDY: &str = "raise the limit, close other programs, or ask for smaller images or fewer of them";
+const REMEDY: &str = "raise the limit, close other programs, or request smaller or fewer images";
 
-/// Bytes for people.
+/// Formats bytes for messages.
 fn sized(bytes: u64) -> String {
     match bytes {
         1_000_000_000.. => format!("{:.2} GB", bytes as f64 / 1e9),
@@ -176,7 +176,7 @@ fn sized(bytes: u64) -> String {
     }
 }
 
-/// The soft limit on address space, of `/proc/self/limits`.
+/// The soft limit on address space in `/proc/self/limits`.
 fn address_limit(limits: &str) -> Option<u64> {
     let line = limits.lines().find(|line| line.starts_with("Max address space"))?;
     line.split_whitespace().nth(3)?.parse().ok()
@@ -188,7 +188,7 @@ fn kilobytes(text: &str, name: &str) -> Option<u64> {
     line.split_whitespace().nth(1)?.parse::<u64>().ok()?.checked_mul(1024)
 }
 
-/// Folders of the memory control groups that a process is in, inner ones first, of both versions.
+/// Folders of the memory control groups of a process, inner ones first, for both versions.
 fn group_folders(groups: &str, root: &Path) -> Vec<std::path::PathBuf> {
     let mut folders = Vec::new();
     for line in groups.lines() {
@@ -200,14 +200,14 @@ fn group_folders(groups: &str, root: &Path) -> Vec<std::path::PathBuf> {
             _ if controllers.split(',').any(|c| c == "memory") => root.join("memory"),
             _ => continue,
         };
-        // In a container the path may be that of the host, where the own group is the root.
+        // In a container the path may be that of the host, while the process's own group is mounted at the root.
         let inside = Path::new(path.trim_start_matches('/'));
         folders.extend(inside.ancestors().map(|part| mount.join(part)));
     }
     folders
 }
 
-/// What a group's limit leaves; what is cached of files can be given up.
+/// The bytes that a group's limit leaves. Cached files do not count, because the kernel can drop them.
 fn left_in_group(folder: &Path) -> Option<u64> {
     let number = |name: &str| std::fs::read_to_string(folder.join(name)).ok()?.trim().parse::<u64>().ok();
     let limit = number("memory.max").or_else(|| number("memory.limit_in_bytes"))?;
@@ -255,7 +255,7 @@ mod tests {
         write("a/memory.current", "600\n");
         write("a/memory.stat", "anon 450\ninactive_file 100\nactive_file 50\n");
         assert_eq!(left("0::/a/b\n"), [550]);
-        // Version 1, where all numbers of the group's own children are the totals; a path that is not to be seen from here.
+        // Version 1, where the totals include the group's children; the path is not visible from here.
         write("memory/memory.limit_in_bytes", "2000\n");
         write("memory/memory.usage_in_bytes", "2500\n");
         write("memory/memory.stat", "inactive_file 1\ntotal_inactive_file 700\ntotal_active_file 100\n");

@@ -1,11 +1,11 @@
-//! Texts of files and users on their way into a line that people read. Data formats keep such texts as they are.
+//! Makes texts of files and users safe to print in a message. Data formats keep such texts unchanged.
 
 use std::borrow::Cow;
 
 /// Longest quotation of a file's own text in a message, in characters.
 const QUOTED: usize = 60;
 
-/// The text with what cannot be printed, line breaks included, as escapes: a name cannot break a line, or drive a terminal.
+/// Escapes unprintable characters, including line breaks, so that a name cannot break a line or control a terminal.
 pub fn printable(text: &str) -> Cow<'_, str> {
     if text.bytes().all(|byte| (b' '..=b'~').contains(&byte)) {
         return Cow::Borrowed(text);
@@ -14,14 +14,14 @@ pub fn printable(text: &str) -> Cow<'_, str> {
     for c in text.chars() {
         match c {
             ' '..='~' => line.push(c),
-            // After a letter, marks that combine with it are printable.
+            // Combining marks are printable only after a letter.
             _ => line.extend(String::from_iter(['a', c]).escape_debug().skip(1)),
         }
     }
     Cow::Owned(line)
 }
 
-/// The first `longest` characters, and a sign that there are more.
+/// The first `longest` characters, and `..` if there are more.
 pub fn clipped(text: &str, longest: usize) -> Cow<'_, str> {
     match text.char_indices().nth(longest) {
         None => Cow::Borrowed(text),
@@ -29,7 +29,7 @@ pub fn clipped(text: &str, longest: usize) -> Cow<'_, str> {
     }
 }
 
-/// At most about `longest` characters: of a longer text its start and its end, for paths end in what tells them apart.
+/// At most about `longest` characters: the start and the end of a longer text, because paths differ mostly at the end.
 pub fn clipped_inside(text: &str, longest: usize) -> Cow<'_, str> {
     if text.chars().nth(longest).is_none() {
         return Cow::Borrowed(text);
@@ -39,7 +39,7 @@ pub fn clipped_inside(text: &str, longest: usize) -> Cow<'_, str> {
     Cow::Owned(format!("{}..{}", &text[..end], &text[start..]))
 }
 
-/// A text in quotation marks for a message; of a long one its start and its length.
+/// A text in quotation marks for a message; a long one is cut and its length added.
 pub fn quoted(text: &str) -> String {
     match text.char_indices().nth(QUOTED) {
         None => format!("{text:?}"),
@@ -57,13 +57,13 @@ mod tests {
             ("a \"b\" \\ 'c'", "a \"b\" \\ 'c'"),
             ("wall\nnorth\r\t", "wall\\nnorth\\r\\t"),
             ("\u{1b}[31mred\u{9b}\u{7f}\0", "\\u{1b}[31mred\\u{9b}\\u{7f}\\0"),
-            // Both forms of an accent; turned text, a line of its own, a space without width.
+            // Both forms of an accent; bidirectional text, a line separator, a zero-width space.
             ("é e\u{301} 壁 🤖", "é e\u{301} 壁 🤖"),
             ("\u{202e}a\u{2028}b\u{200b}\u{feff}", "\\u{202e}a\\u{2028}b\\u{200b}\\u{feff}"),
         ];
         for (text, line) in cases {
             assert_eq!(printable(text), line);
-            assert_eq!(printable(line), line, "what is printable stays");
+            assert_eq!(printable(line), line, "printable text is unchanged");
         }
     }
 

@@ -1,7 +1,7 @@
-//! Worker threads: one handle that predictors, importers and everything else that works in parallel share.
+//! Worker threads: one handle shared by predictors, importers and everything else that works in parallel.
 //!
-//! Nothing runs on rayon's global pool. That one starts lazily and panics where the system has no more threads; a pool of
-//! our own is an error that a caller can handle.
+//! Nothing runs on rayon's global pool, which starts lazily and panics if the system has no more threads. Starting our
+//! own pool returns an error that a caller can handle.
 
 use crate::error::{Error, ErrorKind, Result};
 use crate::limits;
@@ -11,12 +11,12 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
 
 /// Worker threads, as a handle that is cheap to clone; clones share the same threads.
 ///
-/// [`Threads::new`] starts threads of one's own. A number stands for threads that the whole process shares: all handles
-/// made from the same number use the same threads, which start when they are first needed and end with the last engine
-/// that holds them. 0, the default, stands for one thread a core (or for `RAYON_NUM_THREADS`, where that is set); these stay.
+/// [`Threads::new`] starts separate threads. A number refers to threads shared by the whole process: all handles made
+/// from the same number use the same threads, which start on first use and end with the last engine that holds them. 0,
+/// the default, means one thread per core (or `RAYON_NUM_THREADS`, if set); these threads are never stopped.
 ///
-/// What takes no handle, such as [`crate::World::new`] or [`crate::features::generate::generate`], works on the threads of
-/// [`Threads::run`] if it is called there, otherwise on the default ones.
+/// Functions without a handle, such as [`crate::World::new`] or [`crate::features::generate::generate`], use the
+/// threads of [`Threads::run`] if called inside it, otherwise the default threads.
 ///
 /// ```
 /// use presight::{Backend, Environment, Options, Predictor, Threads, World};
@@ -28,26 +28,26 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
 /// ```
 #[derive(Clone, Default)]
 pub struct Threads {
-    /// Of the shared ones: how many, 0 for the default.
+    /// Number of shared threads, 0 for the default.
     count: usize,
     pool: Option<Arc<ThreadPool>>,
 }
 
 impl Threads {
-    /// The process's shared threads, one a core.
+    /// The process's shared threads, one per core.
     pub const SHARED: Self = Self { count: 0, pool: None };
 
-    /// Starts threads that nobody else has; 0 starts as many as there are cores.
+    /// Starts threads for this handle alone; 0 starts one per core.
     ///
     /// # Errors
-    /// [`ErrorKind::Usage`] for more than max(64, twice the cores), in `RAYON_NUM_THREADS` too; [`ErrorKind::System`] if
-    /// they cannot be started.
+    /// [`ErrorKind::Usage`] for more than max(64, twice the cores), also from `RAYON_NUM_THREADS`;
+    /// [`ErrorKind::System`] if they cannot be started.
     pub fn new(count: usize) -> Result<Self> {
         let count = resolve(count)?;
         Ok(Self { count, pool: Some(Arc::new(start(count)?)) })
     }
 
-    /// The same threads, running: a handle to shared ones keeps them alive from now on.
+    /// The same threads, started. The handle keeps shared threads alive.
     ///
     /// # Errors
     /// As [`Threads::new`].
@@ -56,7 +56,7 @@ impl Threads {
         Ok(Self { count: pool.current_num_threads(), pool: Some(pool) })
     }
 
-    /// How many they are, started if they do not run yet.
+    /// Number of threads; starts them if necessary.
     ///
     /// # Errors
     /// As [`Threads::new`].
@@ -64,7 +64,7 @@ impl Threads {
         Ok(self.pool()?.current_num_threads())
     }
 
-    /// Does work on these threads: what it does in parallel uses no others.
+    /// Runs work on these threads. Parallel work inside it uses no other threads.
     ///
     /// # Errors
     /// As [`Threads::new`], if they do not run yet.
@@ -82,7 +82,7 @@ impl Threads {
 }
 
 impl From<usize> for Threads {
-    /// The process's shared threads, so many; 0 for one a core.
+    /// `count` threads shared by the process; 0 means one per core.
     fn from(count: usize) -> Self {
         Self { count, pool: None }
     }
@@ -99,7 +99,7 @@ impl fmt::Debug for Threads {
 }
 
 impl PartialEq for Threads {
-    /// True for handles to the same threads; shared ones that were started are not looked up.
+    /// True for handles to the same threads. Shared threads are compared by number unless started.
     fn eq(&self, other: &Self) -> bool {
         self.count == other.count && self.pool.as_ref().map(Arc::as_ptr) == other.pool.as_ref().map(Arc::as_ptr)
     }
@@ -107,7 +107,7 @@ impl PartialEq for Threads {
 
 impl Eq for Threads {}
 
-/// Works on the pool of the calling thread, or, outside of any, on the process's shared threads.
+/// Runs work on the pool of the calling thread or, outside of any pool, on the process's shared threads.
 ///
 /// # Errors
 /// As [`Threads::new`], if these do not run yet.
@@ -115,7 +115,7 @@ pub fn parallel<R: Send>(work: impl FnOnce() -> R + Send) -> Result<R> {
     if rayon::current_thread_index().is_some() { Ok(work()) } else { Threads::SHARED.run(work) }
 }
 
-/// `parallel` for work that cannot fail: where no thread can be started the calling one does it all.
+/// `parallel` for work that cannot fail: if no thread can be started, the calling thread does it all.
 pub fn parallel_or_here<R: Send>(work: impl FnOnce() -> R + Send) -> R {
     if rayon::current_thread_index().is_some() {
         return work();
@@ -123,14 +123,14 @@ pub fn parallel_or_here<R: Send>(work: impl FnOnce() -> R + Send) -> R {
     match default_pool() {
         Ok(pool) => pool.install(work),
         Err(_) => {
-            // A pool of this thread alone starts none. It lasts as long as the thread.
+            // A pool of only this thread starts no thread. It lasts as long as the thread.
             std::mem::forget(ThreadPoolBuilder::new().num_threads(1).use_current_thread().build());
             work()
         }
     }
 }
 
-/// [`rayon::in_place_scope`] on the pool of the calling thread, or, outside of any, on the process's shared threads.
+/// [`rayon::in_place_scope`] on the pool of the calling thread or, outside of any, on the process's shared threads.
 ///
 /// # Errors
 /// As [`Threads::new`], if these do not run yet.
@@ -141,7 +141,7 @@ pub fn in_place_scope<'scope, R>(work: impl FnOnce(&rayon::Scope<'scope>) -> R) 
     Ok(default_pool()?.in_place_scope(work))
 }
 
-/// The threads of those who name no number: kept, so that many short tasks do not start them again and again.
+/// The default threads. They are never stopped, so that many short tasks do not restart them.
 fn default_pool() -> Result<Arc<ThreadPool>> {
     static POOL: OnceLock<Arc<ThreadPool>> = OnceLock::new();
     match POOL.get() {
@@ -153,7 +153,7 @@ fn default_pool() -> Result<Arc<ThreadPool>> {
     }
 }
 
-/// The threads of all who ask for so many.
+/// The shared threads for a number.
 fn shared_pool(count: usize) -> Result<Arc<ThreadPool>> {
     static POOLS: Mutex<Vec<(usize, Weak<ThreadPool>)>> = Mutex::new(Vec::new());
     let count = resolve(count)?;
@@ -176,7 +176,7 @@ fn start(count: usize) -> Result<ThreadPool> {
     })
 }
 
-/// How many threads a number stands for, if it is not too many.
+/// The number of threads that `count` means; an error if too many.
 fn resolve(count: usize) -> Result<usize> {
     match count {
         0 => match std::env::var_os(VARIABLE) {
@@ -187,7 +187,7 @@ fn resolve(count: usize) -> Result<usize> {
     }
 }
 
-/// rayon's variable, for all who know it.
+/// rayon's own variable.
 const VARIABLE: &str = "RAYON_NUM_THREADS";
 
 fn from_environment(text: &str) -> Result<usize> {
@@ -196,7 +196,7 @@ fn from_environment(text: &str) -> Result<usize> {
         _ if text.trim().is_empty() => Ok(cores()),
         Ok(0) => Ok(cores()),
         Ok(count) => within_limit(count).map_err(place),
-        Err(_) => Err(place(Error::usage("is no number of threads", "give one, or 0 for all cores"))),
+        Err(_) => Err(place(Error::usage("not a valid number of threads", "give one, or 0 for all cores"))),
     }
 }
 
@@ -208,7 +208,7 @@ fn within_limit(count: usize) -> Result<usize> {
     Ok(count)
 }
 
-/// Those that this process may use, by affinity and by the quota of its cgroup.
+/// The cores that this process may use, by affinity and by the quota of its cgroup.
 fn cores() -> usize {
     std::thread::available_parallelism().map_or(1, usize::from)
 }

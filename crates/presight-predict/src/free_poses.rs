@@ -1,4 +1,4 @@
-//! Poses at which a sensor could stand: what tests, benches and the index's statistics are taken at.
+//! Poses at which a sensor could stand, for tests, benches and the index's statistics.
 
 use glam::DVec3;
 use presight_model::environment::Object;
@@ -11,16 +11,16 @@ use presight_render::plan::{Facing, facings};
 
 /// Least distance of a free pose from any polygon, metres.
 pub const FREE_DISTANCE: f64 = 0.3;
-/// Least share of rays, spread evenly over all directions, that hit something.
+/// Least fraction of rays, spread evenly over all directions, that hit something.
 pub const FREE_HITS: f64 = 0.6;
 /// Rays of the hit test.
 const RAYS: u32 = 192;
-/// Tries for each wanted pose.
+/// Tries for each requested pose.
 const TRIES: usize = 2000;
 
 /// `n` poses (body axes in the world) inside the bounds of the world, at least [`FREE_DISTANCE`] from every polygon,
-/// from which at least [`FREE_HITS`] of all directions hit something. Every other one is level, the others lean by up to
-/// 10 degrees; yaw is free. The same seed gives the same poses.
+/// from which at least [`FREE_HITS`] of all directions hit something. Every other pose is level, the others lean by up
+/// to 10 degrees; yaw is free. The same seed gives the same poses.
 ///
 /// # Errors
 /// [`crate::ErrorKind::Invalid`] if the world has too little free space among its polygons.
@@ -64,7 +64,7 @@ fn all_round() -> Vec<DVec3> {
     (0..RAYS).map(ray).collect()
 }
 
-/// True if at least [`FREE_HITS`] of the rays hit something that a sensor of no class sees.
+/// True if at least [`FREE_HITS`] of the rays hit something that is opaque to sensors of an unnamed class.
 fn is_surrounded(world: &World, rays: &[DVec3], pose: &Pose, found: &mut QueryResult) -> bool {
     let (environment, bounds) = (world.environment(), world.environment().bounds());
     let facings: Vec<Facing> = facings(environment, "").collect();
@@ -79,7 +79,7 @@ fn is_surrounded(world: &World, rays: &[DVec3], pose: &Pose, found: &mut QueryRe
             facing.opaque && is_hit(object, polygon, at, direction, facing.one_sided)
         })
     };
-    // No more rays than it takes to know.
+    // Stops as soon as the answer is certain.
     let wanted = (FREE_HITS * rays.len() as f64).ceil() as usize;
     let (mut hit, mut missed) = (0, 0);
     for ray in rays {
@@ -102,12 +102,12 @@ fn corners_from(object: &Object, polygon: u32, at: DVec3) -> Vec<DVec3> {
     corners
 }
 
-/// Not of unit length.
+/// Not normalized.
 fn normal_of(corners: &[DVec3]) -> DVec3 {
     (1..corners.len() - 1).map(|k| (corners[k] - corners[0]).cross(corners[k + 1] - corners[0])).sum()
 }
 
-/// True if a ray meets the polygon, on its front if that is the only side there is.
+/// True if a ray meets the polygon, for a one-sided polygon only on its front.
 fn is_hit(object: &Object, polygon: u32, at: DVec3, direction: DVec3, one_sided: bool) -> bool {
     let corners = corners_from(object, polygon, at);
     let n = corners.len();
@@ -117,7 +117,7 @@ fn is_hit(object: &Object, polygon: u32, at: DVec3, direction: DVec3, one_sided:
     inside && normal.dot(direction) * distance > 0.0 && (!one_sided || distance < 0.0)
 }
 
-/// How far below a point the nearest polygon is, metres; `None` if there is none within `reach`.
+/// Distance down to the nearest polygon below a point, metres; `None` if there is none within `reach`.
 pub(crate) fn height_above(world: &World, at: DVec3, reach: f64, found: &mut QueryResult) -> Option<f64> {
     let (environment, down) = (world.environment(), DVec3::NEG_Z);
     found.clear();
@@ -211,7 +211,7 @@ mod tests {
         assert!(!floor(down, true, 1.0) && floor(DVec3::Z, true, -1.0));
     }
 
-    /// A mirror moves the front of a face with the face.
+    /// A mirror keeps the front of a face.
     #[test]
     fn the_front_of_a_mirrored_polygon_is_its_front() {
         // The floor's front is below; mirrored in z it is a ceiling below the origin, with its front above.
@@ -231,7 +231,7 @@ mod tests {
         }
     }
 
-    /// Rays find what an image of them shows.
+    /// The ray test agrees with an image of the same rays.
     #[test]
     fn as_many_rays_hit_as_an_image_of_them_shows() {
         let (world, rays, mut found) = (hall(), all_round(), QueryResult::default());

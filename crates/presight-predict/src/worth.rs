@@ -1,9 +1,9 @@
-//! What a layer is worth: how well its features fix a sensor's pose, place by place, and which of them are enough.
+//! Rates a layer: how well its features determine a sensor's pose at each place, and which features suffice.
 //!
-//! At each free place of a grid the sensor looks in eight directions. Each view sums up what the features that it shows tell of x, y and
-//! heading: J' J / s^2 of each measured image coordinate, J its derivative, s^2 the variance of the measurement and of the feature's own
-//! position. The inverse is the best covariance that measuring them can reach (the bound of Cramer and Rao); height, roll and pitch
-//! are taken as known, by the mount. A place is as good as the worst of its eight views.
+//! At each free place of a grid, the sensor looks in eight directions. Each view sums the information of its visible
+//! features about x, y and heading: J' J / s^2 per measured image coordinate, J its derivative, s^2 the variance of the
+//! measurement plus the feature's position. The inverse bounds the covariance (Cramer-Rao); height, roll and pitch are
+//! assumed known from the mount. A place is rated by the worst of its eight views.
 
 use crate::free_poses::{height_above, is_clear};
 use crate::predict::Predictor;
@@ -23,19 +23,19 @@ use std::collections::BinaryHeap;
 /// Directions in which the sensor looks at each place.
 pub const HEADINGS: u32 = 8;
 
-/// Of the information's determinant, beside what its diagonal makes: below this a direction is open.
+/// Below this ratio of the information's determinant to the product of its diagonal, a direction is undetermined.
 const OPEN: f64 = 1e-12;
 
-/// Bytes of views that are asked for at once.
+/// Bytes of views for which memory is checked at once.
 const A_LOT: u64 = 64 << 20;
 
-/// Where a layer is tried.
+/// Options for rating a layer.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct WorthOptions {
     /// Metres between the places of the grid.
     pub spacing: f64,
-    /// Height of the robot's frame, metres. The sensor is above it by its mount's height.
+    /// Height of the robot's frame, metres. The sensor is higher by its mount's height.
     pub floor: f64,
 }
 
@@ -52,51 +52,50 @@ pub struct WorthPlace {
     pub at: DVec3,
     /// Column and row of the grid: along x and along y.
     pub cell: [u32; 2],
-    /// Fewest features that one of the views shows.
+    /// Smallest number of features visible in one of the views.
     pub features: usize,
-    /// Largest standard deviation of the position along any direction in any of the views, metres. Infinite if a view leaves a direction
-    /// open.
+    /// Largest standard deviation of the position, metres. Infinite if a view leaves a direction undetermined.
     pub position_sigma: f64,
-    /// Of the heading, radians, likewise.
+    /// Largest standard deviation of the heading in any view, radians.
     pub heading_sigma: f64,
 }
 
 /// Information of x, y and heading: xx, xy, xh, yy, yh, hh.
 type Planar = [f64; 6];
 
-/// What each feature that a view shows tells.
+/// The information of each feature that a view shows.
 type View = Vec<(u32, Planar)>;
 
-/// What a layer is worth at the places of a grid.
+/// The rating of a layer at the places of a grid.
 #[derive(Clone, Debug)]
 pub struct Worth {
     /// The free places, by row and column.
     pub places: Vec<WorthPlace>,
     /// Columns and rows of the grid.
     pub size: [u32; 2],
-    /// How many features were given.
+    /// Number of features in the layer.
     pub given: usize,
     views: Vec<View>,
 }
 
-/// The features that are enough.
+/// The features that suffice.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Thinned {
-    /// By feature as given.
+    /// For each feature: true to keep it.
     pub keep: Vec<bool>,
-    /// By how much the standard deviation of the position grows at most, as a part of it.
+    /// Largest relative growth of the position's standard deviation.
     pub position_growth: f64,
-    /// Of the heading.
+    /// Largest relative growth of the heading's standard deviation.
     pub heading_growth: f64,
 }
 
 impl Worth {
-    /// Looks at the features from every free place. `watch` is told how many views of how many are done.
+    /// Predicts the features from every free place. Calls `watch` with the number of views done and the total.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] for a spacing that is none, a grid of more places than [`limits::MAX_WORTH_PLACES`], or a sensor
-    /// without noise of its pixels; [`crate::ErrorKind::Invalid`] if no place is free; [`crate::ErrorKind::System`] if there is no memory for
-    /// what all views show; those of [`Predictor::predict`].
+    /// [`crate::ErrorKind::Usage`] for a spacing that is not positive, a grid of more than [`limits::MAX_WORTH_PLACES`]
+    /// places, or a sensor without pixel noise; [`crate::ErrorKind::Invalid`] if no place is free;
+    /// [`crate::ErrorKind::System`] if there is not enough memory for all views; errors of [`Predictor::predict`].
     pub fn of(
         world: &World,
         sensor: &Sensor,
@@ -106,8 +105,8 @@ impl Worth {
         mut watch: impl FnMut(usize, usize),
     ) -> Result<Self> {
         if !(sensor.spec().noise.pixel_sigma > 0.0) {
-            let what = format!("sensor {} has no noise of its pixels", sensor.spec().name);
-            return Err(Error::usage(what, "give it pixel_sigma in [noise]"));
+            let what = format!("sensor {} states no pixel noise", sensor.spec().name);
+            return Err(Error::usage(what, "set pixel_sigma in [noise]"));
         }
         let (size, free) = grid(world, sensor, options)?;
         let outputs = Outputs::of(&[Output::PolygonId]);
@@ -126,7 +125,7 @@ impl Worth {
                     .into_iter()
                     .map(|(i, m)| (seen.given_at(i) as u32, [m[0][0], m[0][1], m[0][5], m[1][1], m[1][5], m[5][5]]))
                     .collect();
-                // The list that it was made of, in place, was five times as long.
+                // The list was collected in place, in an allocation five times as large.
                 told.shrink_to_fit();
                 let [position, turn] = sigmas(&sum(told.iter().map(|(_, told)| told)));
                 place.features = place.features.min(told.len());
@@ -146,14 +145,14 @@ impl Worth {
         Ok(worth)
     }
 
-    /// Drops features one by one, each time the one that tells least beside the others where it tells most, while neither standard
-    /// deviation of any view grows by more than `growth`, a part of it. Views that leave a direction open ask for nothing. What no view
-    /// shows is dropped.
+    /// Drops features one at a time, each time the least informative one (at the view where it matters most), as long
+    /// as no standard deviation of any view grows by more than the fraction `growth`. Views with an undetermined
+    /// direction impose no condition. Features that no view shows are dropped.
     pub fn thinned(&self, growth: f64) -> Thinned {
         let mut of_feature: Vec<Vec<(u32, Planar)>> = vec![Vec::new(); self.given];
         for (number, view) in (0..).zip(&self.views) {
             for (feature, told) in view {
-                // A contour is seen as several curves, which go together.
+                // A contour appears as several curves, which are kept or dropped together.
                 match of_feature[*feature as usize].last_mut().filter(|(before, _)| *before == number) {
                     Some((_, sum)) => (0..6).for_each(|i| sum[i] += told[i]),
                     None => of_feature[*feature as usize].push((number, *told)),
@@ -174,7 +173,8 @@ impl Worth {
             of_feature[feature].iter().map(of_view).fold(0.0, f64::max)
         };
         let mut keep = vec![false; self.given];
-        // What a feature tells beside the others only grows while others go. Numbers of finite floats that are not negative rise as their bits do.
+        // A feature's share only grows while others are dropped, so stale heap entries are lower bounds. Bits of
+        // non-negative floats order like their values.
         let entry = |feature: usize, sums: &[Planar]| Reverse((share(feature, sums).to_bits(), feature));
         let mut heap: BinaryHeap<_> = (0..self.given).map(|feature| entry(feature, &sums)).collect();
         while let Some(Reverse((known, feature))) = heap.pop() {
@@ -204,7 +204,7 @@ impl Worth {
         Thinned { keep, position_growth, heading_growth }
     }
 
-    /// As CSV: a line for each free place.
+    /// CSV with a line for each free place.
     pub fn csv(&self) -> String {
         let mut text = String::from("x,y,z,features,position_sigma_m,heading_sigma_deg\n");
         for p in &self.places {
@@ -214,7 +214,7 @@ impl Worth {
         text
     }
 
-    /// A value of every place of the grid, row by row from the least y; NaN where none is free.
+    /// A value for every place of the grid, row by row from the least y; NaN where no place is free.
     pub fn map(&self, value: impl Fn(&WorthPlace) -> f64) -> Vec<f64> {
         let mut map = vec![f64::NAN; self.size[0] as usize * self.size[1] as usize];
         for place in &self.places {
@@ -226,7 +226,7 @@ impl Worth {
 
 type Free = Vec<([u32; 2], DVec3)>;
 
-/// Columns and rows of the grid, and its free places: clear of polygons, with something under the robot.
+/// Columns and rows of the grid, and its free places: clear of polygons, with a floor below the robot.
 fn grid(world: &World, sensor: &Sensor, options: &WorthOptions) -> Result<([u32; 2], Free)> {
     let WorthOptions { spacing, floor } = *options;
     if !(spacing > 0.0 && spacing.is_finite() && floor.is_finite()) {
@@ -239,7 +239,7 @@ fn grid(world: &World, sensor: &Sensor, options: &WorthOptions) -> Result<([u32;
         let what = format!("a grid every {} m has {} places", short(spacing), short(count.x * count.y));
         return Err(Error::usage(
             what,
-            format!("at most {} are looked at: give a wider spacing", limits::MAX_WORTH_PLACES),
+            format!("at most {} are allowed: give a wider spacing", limits::MAX_WORTH_PLACES),
         ));
     }
     let size = [count.x.max(1.0) as u32, count.y.max(1.0) as u32];
@@ -256,12 +256,12 @@ fn grid(world: &World, sensor: &Sensor, options: &WorthOptions) -> Result<([u32;
     }
     if free.is_empty() {
         let what = format!("no place {} m above the floor at {} m is free", short(height - floor), short(floor));
-        return Err(Error::invalid(what, "give the height of the floor, or a sensor whose mount has one"));
+        return Err(Error::invalid(what, "give the height of the floor, or a sensor with a mount height"));
     }
     Ok((size, free))
 }
 
-/// True if the floor is below a place, within a step, and nothing above it.
+/// True if the nearest polygon below a place is the floor, within a step.
 fn stands(world: &World, place: DVec3, floor: f64, found: &mut QueryResult) -> bool {
     /// Metres.
     const STEP: f64 = 0.1;
@@ -273,7 +273,7 @@ fn sum<'a>(all: impl Iterator<Item = &'a Planar>) -> Planar {
     all.fold([0.0; 6], |sum, told| std::array::from_fn(|i| sum[i] + told[i]))
 }
 
-/// The covariance, in the same order; `None` if a direction is open.
+/// The covariance, in the same order; `None` if a direction is undetermined.
 fn inverse(&[xx, xy, xh, yy, yh, hh]: &Planar) -> Option<Planar> {
     let cofactors = [
         yy * hh - yh * yh,
@@ -287,14 +287,14 @@ fn inverse(&[xx, xy, xh, yy, yh, hh]: &Planar) -> Option<Planar> {
     (determinant > OPEN * xx * yy * hh).then(|| cofactors.map(|c| c / determinant))
 }
 
-/// The largest standard deviation of the position along any direction, and that of the heading.
+/// The largest standard deviation of the position along any direction, and the standard deviation of the heading.
 fn sigmas(information: &Planar) -> [f64; 2] {
     let Some([xx, xy, _, yy, _, hh]) = inverse(information) else { return [f64::INFINITY; 2] };
     let largest = 0.5 * (xx + yy) + (0.5 * (xx - yy)).hypot(xy);
     [largest.sqrt(), hh.sqrt()]
 }
 
-/// Of the product of two symmetric matrices.
+/// Trace of the product of two symmetric matrices.
 fn product_trace(a: &Planar, b: &Planar) -> f64 {
     let diagonal = a[0] * b[0] + a[3] * b[3] + a[5] * b[5];
     (diagonal + 2.0 * (a[1] * b[1] + a[2] * b[2] + a[4] * b[4])).max(0.0)
@@ -312,21 +312,21 @@ mod tests {
     const ALONG_Y: Planar = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0];
     const TURN: Planar = [0.0, 0.0, 0.0, 0.0, 0.0, 100.0];
 
-    /// 4, 1 and 100 along the axes: standard deviations of 1/2, 1 and 1/10. Turned by 45 degrees the largest stays 1.
+    /// Information 4, 1 and 100: standard deviations of 1/2, 1 and 1/10. Rotated by 45 degrees, the largest stays 1.
     #[test]
     fn standard_deviations_are_those_worked_out() {
         assert_eq!(sigmas(&[4.0, 0.0, 0.0, 1.0, 0.0, 100.0]), [1.0, 0.1]);
         let [position, heading] = sigmas(&[2.5, 1.5, 0.0, 2.5, 0.0, 100.0]);
         assert!((position - 1.0).abs() < 1e-12 && (heading - 0.1).abs() < 1e-12);
-        // x and heading told together only: [[2, 1], [1, 1]] of x and heading has the inverse [[1, -1], [-1, 2]].
+        // x and heading only together: [[2, 1], [1, 1]] has the inverse [[1, -1], [-1, 2]].
         let [position, heading] = sigmas(&[2.0, 0.0, 1.0, 1.0, 0.0, 1.0]);
         assert!((position - 1.0).abs() < 1e-12 && (heading - 2f64.sqrt()).abs() < 1e-12);
         assert_eq!(sigmas(&[4.0, 0.0, 0.0, 0.0, 0.0, 100.0]), [f64::INFINITY; 2]);
-        // One line alone, seen with rounding.
+        // A single line, with rounding.
         assert_eq!(sigmas(&[1.0, 1.0, 1.0, 1.0 + 1e-15, 1.0, 1.0]), [f64::INFINITY; 2]);
     }
 
-    /// y is told by seven features of 1, 1, .., less than x, and needs 7 / 1.1^2 = 5.8 of them: one can go. x and heading are told once.
+    /// Seven features give 1 each for y, which needs 7 / 1.1^2 = 5.8: one can go. x and heading have one feature each.
     #[test]
     fn features_go_while_the_rest_is_enough() {
         let mut told = vec![(0, ALONG_X), (1, TURN)];
@@ -335,16 +335,16 @@ mod tests {
         assert_eq!(thinned.keep, [true, true, false, true, true, true, true, true, true, false]);
         assert!((thinned.position_growth - ((7.0f64 / 6.0).sqrt() - 1.0)).abs() < 1e-12);
         assert_eq!(thinned.heading_growth, 0.0);
-        // A view that shows only two of them needs both, and one that leaves a direction open needs nothing.
+        // A view that shows only two of them needs both. A view with an undetermined direction needs none.
         let few = vec![(0, ALONG_X), (1, TURN), (2, ALONG_Y), (3, ALONG_Y)];
         let thinned = worth(vec![told, few, vec![(9, ALONG_Y)]], 10).thinned(0.1);
         assert_eq!(thinned.keep, [true, true, true, true, false, true, true, true, true, false]);
-        // Two curves of one contour, of 9 that tell y: without both 7 are left, and sqrt(9 / 7) is over 1.1.
+        // Two curves of one contour, out of 9 for y: without both, 7 are left, and sqrt(9 / 7) exceeds 1.1.
         let mut curves = vec![(0, ALONG_X), (1, TURN), (2, ALONG_Y), (2, ALONG_Y)];
         curves.extend((3..10).map(|_| (3, ALONG_Y)));
         let thinned = worth(vec![curves], 4).thinned(0.1);
         assert_eq!((thinned.keep, thinned.position_growth), (vec![true; 4], 0.0));
-        // Nothing may grow: everything that tells stays.
+        // With no growth allowed, every informative feature is kept.
         assert_eq!(worth(vec![vec![(0, ALONG_X), (1, TURN), (2, ALONG_Y)]], 3).thinned(0.0).keep, [true; 3]);
     }
 }

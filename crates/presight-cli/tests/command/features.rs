@@ -164,7 +164,7 @@ fn what_cannot_be_placed_names_its_file() {
         bad(with("huge.json"), 1, &["huge.json: features[0] (id 1): ", "[1e308, 0, 1]"]),
         bad(with("bow.json"), 1, &["bow.json: features[0] (id 3): ", "crosses itself", "; "]),
         bad(with("list.json"), 1, &["list.json: line 1", "expected an object"]),
-        bad(format!("{lone} --layer good.json --features f.json"), 1, &["lone.toml: ", "without a nearest ray", "; "]),
+        bad(format!("{lone} --layer good.json --features f.json"), 1, &["lone.toml: ", "fewer than two rays", "; "]),
     ];
     check(&place, cases);
 }

@@ -35,7 +35,7 @@ fn peak(place: &Place, line: &str) -> u64 {
 
 /// What a refusal says that is needed, in bytes.
 fn said(message: &str) -> f64 {
-    let (_, rest) = message.split_once("it takes about ").unwrap_or_else(|| panic!("{message}"));
+    let (_, rest) = message.split_once("needs about ").unwrap_or_else(|| panic!("{message}"));
     let mut words = rest.split(' ');
     let number: f64 = words.next().unwrap().parse().unwrap();
     number * if words.next() == Some("GB") { 1e9 } else { 1e6 }

@@ -147,7 +147,7 @@ fn lines_that_are_no_changes_name_their_place() {
             "wood",
         ),
         (r#"{"op":"add_material","name":"x","reflection":2}"#, "reflection"),
-        (r#"{"op":"insert_feature","class":"video","feature":{"id":2,"kind":"point","points":[[0,0,0]]}}"#, "taken"),
+        (r#"{"op":"insert_feature","class":"video","feature":{"id":2,"kind":"point","points":[[0,0,0]]}}"#, "in use"),
         (r#"{"op":"delete_feature","class":"video","feature":77}"#, "77"),
         (r#"{"op":"restore_feature","class":"video","feature":{"id":2,"kind":"blob"}}"#, "blob"),
         (r#"{"op":"set_pose_covariance","class":"video","object":"a","covariance":[1]}"#, "36"),
@@ -159,7 +159,7 @@ fn lines_that_are_no_changes_name_their_place() {
         (r#"{"op":"group","changes":[{"op":"delete_object","object":"a","object":"b"}]}"#, "\"object\" is given twice"),
         (r#"{"op":"move","object":"a","pose":[0,0,0,0,0,0,0]}"#, "length"),
         (r#"{"op":"move","object":"g/","pose":[0,0,0,0,0,0]}"#, "no object \"g/\""),
-        (r#"{"op":"set_group","group":"a","pose":[0,0,0,0,0,0]}"#, "there is an object of this path"),
+        (r#"{"op":"set_group","group":"a","pose":[0,0,0,0,0,0]}"#, "this path is an object"),
         (r#"{"op":"set_group","group":"","pose":[0,0,0,0,0,0]}"#, "0 bytes"),
         (r#"{"op":"set_group","group":"g","pose":[0,0]}"#, "2 numbers"),
         (

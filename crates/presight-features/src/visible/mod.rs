@@ -138,9 +138,9 @@ impl Default for FeatureSettings {
 /// ```
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] if there is no `polygon_id` image of the sensor's size, a feature's object or slot
-/// does not exist, or the sensor is a ray table without a nearest ray; [`crate::ErrorKind::Usage`] if the step is out
-/// of range; the errors of [`Pose::check`] and [`crate::Threads::new`].
+/// [`crate::ErrorKind::Invalid`] if there is no `polygon_id` image of the sensor's size, a feature's object or slot does
+/// not exist, or the sensor is a ray table with fewer than two rays; [`crate::ErrorKind::Usage`] for a step out of its range, and those of [`Pose::check`];
+/// those of [`crate::Threads::new`].
 #[doc(hidden)]
 pub fn predict_features(
     world: &World,

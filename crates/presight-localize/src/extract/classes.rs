@@ -1,20 +1,20 @@
-//! What became of each feature (paper, section 3.5): matched, only predicted, only found.
+//! Classifies features (paper section 3.5): matched, only predicted, only found.
 
 use crate::matching::{Detection, ExpectedFeature, Matcher, assign};
 use crate::verdict::{Verdict, Verdicts};
 use glam::DVec2;
 use presight_model::error::Result;
 
-/// What became of a predicted feature.
+/// The classification of a predicted feature.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FeatureClass {
-    /// It is this detection.
+    /// Matched to the detection with this index.
     Matched(usize),
-    /// Not found, and something unknown stands before it: that says nothing against it.
+    /// Not found, because an unknown object is in front of it. The feature may still exist.
     Occluded,
-    /// Not found, and rays passed through the place where it should be.
+    /// Not found, and rays passed through its predicted place.
     Missing,
-    /// Not found, and ranges do not say why.
+    /// Not found, and ranges do not show why.
     Undecidable,
 }
 
@@ -33,20 +33,20 @@ impl FeatureClass {
     }
 }
 
-/// What became of all features and detections.
+/// The classification of all features and detections.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Classes {
     /// By predicted feature.
     pub features: Vec<FeatureClass>,
-    /// Detections that are no predicted feature.
+    /// Detections that match no predicted feature.
     pub only_found: Vec<usize>,
 }
 
-/// Assigns detections to features at least cost, and says what became of the rest. `verdicts` are counts by [`Verdict::ALL`] beside
-/// each feature, as [`verdicts_along`] makes them; an empty list if no range was measured.
+/// Assigns detections to features at least total cost, and classifies the rest. `verdicts` holds counts by
+/// [`Verdict::ALL`] near each feature, as from [`verdicts_along`]; it is empty if no ranges were measured.
 ///
 /// # Examples
-/// Of two features one is found; rays passed through the place of the other.
+/// One of two features is found; rays passed through the place of the other.
 /// ```
 /// use glam::{DMat2, DVec2};
 /// use presight::extract::{FeatureClass, classify};
@@ -67,7 +67,7 @@ pub struct Classes {
 /// ```
 ///
 /// # Errors
-/// Those of [`assign`].
+/// Errors of [`assign`].
 pub fn classify(
     expected: &[ExpectedFeature],
     found: &[Detection],
@@ -89,7 +89,7 @@ pub fn classify(
     Ok(Classes { features, only_found })
 }
 
-/// More than half of the pixels that say anything have to say it.
+/// Classifies an unmatched feature: more than half of the decided pixels must agree.
 pub(super) fn unmatched(counts: &[usize; 7]) -> FeatureClass {
     let of = |v: Verdict| counts[v as usize];
     let decided = of(Verdict::Confirmed) + of(Verdict::Nearer) + of(Verdict::Farther);
@@ -102,8 +102,8 @@ pub(super) fn unmatched(counts: &[usize; 7]) -> FeatureClass {
     }
 }
 
-/// Counts of verdicts, by [`Verdict::ALL`], along a segment of the image and beside it by so many pixels: upon an edge itself hardly
-/// anything can be decided. Both images have the same pixels.
+/// Counts verdicts, by [`Verdict::ALL`], along both sides of an image segment at a distance of `beside` pixels: on an
+/// edge itself, hardly any verdict is certain. Both images must have the same pixels.
 pub fn verdicts_along(verdicts: &Verdicts, ends: [DVec2; 2], beside: f64) -> [usize; 7] {
     let mut counts = [0; 7];
     let way = ends[1] - ends[0];

@@ -1,22 +1,22 @@
-//! Corners in grey images: where edges of several directions meet.
+//! Corners in grey images, where edges of several directions meet.
 //!
-//! Candidates are places where brightness changes in all directions (the smaller eigenvalue of the structure tensor: C. Harris and
-//! M. Stephens 1988, J. Shi and C. Tomasi 1994). The corner is the point nearest to all edge lines through the pixels around
-//! (W. Förstner and E. Gülch 1987), and its covariance is that of this least squares problem.
+//! Candidates are pixels where brightness changes in all directions (smaller eigenvalue of the structure tensor: C.
+//! Harris and M. Stephens 1988, J. Shi and C. Tomasi 1994). The corner is the point nearest to all edge lines through
+//! the surrounding pixels (W. Förstner and E. Gülch 1987), with the covariance of this least-squares problem.
 
 use super::PixelBox;
 use crate::matching::Detection;
 use glam::{DMat2, DVec2};
 use presight_model::frame::GreyImage;
 
-/// What counts as a corner.
+/// Thresholds of the corner detector.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CornerOptions {
     /// Standard deviation of a grey value.
     pub noise: f64,
-    /// Least difference of grey values across the weaker of the edges that meet.
+    /// Least grey-value difference across the weaker of the edges that meet.
     pub least_contrast: f64,
-    /// Most corners that are told, the strongest first.
+    /// Most corners returned, the strongest first.
     pub most: usize,
 }
 
@@ -27,19 +27,19 @@ impl Default for CornerOptions {
     }
 }
 
-/// Half of the window that is asked for a corner, pixels.
+/// Half side of the detection window, pixels.
 const HALF: i64 = 3;
-/// How far from each other corners are, pixels.
+/// Least distance between corners, pixels.
 const APART: i64 = 3;
-/// How far a corner may come to lie from where it was looked for, pixels: a wedge is strongest where both of its edges are long in the
-/// window, which is the farther inside the narrower it is (5 pixels for 52 degrees).
+/// Largest distance of a corner from its peak, pixels. The response of a wedge peaks where both edges are long in the
+/// window: further inside for a narrower wedge (5 pixels for 52 degrees).
 const FARTHEST: f64 = 5.0;
-/// Least share of the larger eigenvalue that the smaller one is: edges that meet at 35 degrees.
+/// Least ratio of the smaller eigenvalue to the larger: edges that meet at 35 degrees.
 const LEAST_ROUND: f64 = 0.1;
-/// What blur and sampling leave at best, pixels: edge lines bend where they meet.
+/// Error left by blur and sampling at best, pixels: edge lines bend where they meet.
 const FLOOR: f64 = 0.1;
 
-/// The corners in a part of an image, the strongest first: points with covariance. With [`PixelBox::whole`] it is the whole image.
+/// The corners in a box of an image, the strongest first, as points with covariance.
 ///
 /// # Examples
 /// The bright quarter of an image begins at column 10 and row 12.
@@ -58,7 +58,7 @@ const FLOOR: f64 = 0.1;
 pub fn corners_in(image: &GreyImage, region: PixelBox, options: &CornerOptions) -> Vec<Detection> {
     let Some(gradients) = Gradients::of(image, region) else { return Vec::new() };
     let strengths = gradients.strengths();
-    // An edge of contrast k has gradients that add up to about k^2 / 4 a row of the window; noise adds the same everywhere.
+    // An edge of contrast k adds gradients of about k^2 / 4 per window row; noise adds the same everywhere.
     let rows = f64::from(2 * HALF as i32 + 1);
     let of_noise = rows * rows * 0.1875 * options.noise * options.noise;
     let least = 0.125 * rows * options.least_contrast.max(4.0 * options.noise).powi(2) + 2.0 * of_noise;
@@ -86,12 +86,12 @@ struct Gradients {
     top: i64,
     width: usize,
     height: usize,
-    /// Grey values a pixel; NaN where a neighbour has none.
+    /// Grey values per pixel; NaN next to a pixel without a measurement.
     values: Vec<DVec2>,
 }
 
 impl Gradients {
-    /// As far as windows at the box's pixels reach, within the image; `None` if no pixel is inside.
+    /// Gradients within reach of the windows in the box, clipped to the image; `None` if no pixel is inside.
     fn of(image: &GreyImage, region: PixelBox) -> Option<Self> {
         let [x0, y0, x1, y1] = region.pixels(image.width(), image.height())?;
         let reach = HALF + FARTHEST.ceil() as i64;
@@ -106,7 +106,7 @@ impl Gradients {
         for r in top..=bottom {
             for c in left..=right {
                 let v = |dc: i64, dr: i64| f64::from(image.pixel((c + dc) as u32, (r + dr) as u32));
-                // Smoothed across (Sobel): the steps of a slanted edge are no corners.
+                // Smoothed across (Sobel), so that the steps of a slanted edge are not detected as corners.
                 let right = v(1, -1) + 2.0 * v(1, 0) + v(1, 1) - v(-1, -1) - 2.0 * v(-1, 0) - v(-1, 1);
                 let down = v(-1, 1) + 2.0 * v(0, 1) + v(1, 1) - v(-1, -1) - 2.0 * v(0, -1) - v(1, -1);
                 values.push(DVec2::new(right, down) / 8.0);
@@ -115,20 +115,20 @@ impl Gradients {
         Some(Self { left, top, width, height, values })
     }
 
-    /// The smaller eigenvalue of the structure tensor around each pixel; 0 near the sides.
+    /// The smaller eigenvalue of the structure tensor around each pixel; 0 near the image border.
     fn strengths(&self) -> Vec<f64> {
         let products = |f: fn(&DVec2) -> f64| self.window_sums(&self.values.iter().map(f).collect::<Vec<f64>>());
         let (xx, xy, yy) = (products(|g| g.x * g.x), products(|g| g.x * g.y), products(|g| g.y * g.y));
         let smaller = |i: usize| {
             let (half, off) = (0.5 * (xx[i] + yy[i]), 0.5 * (xx[i] - yy[i]));
             let apart = off.hypot(xy[i]);
-            // The steps of a slanted edge are no corner. NaN beside a pixel without a measurement.
+            // Rejects the steps of a slanted edge, and NaN next to a pixel without a measurement.
             if half - apart > LEAST_ROUND * (half + apart) { half - apart } else { 0.0 }
         };
         (0..xx.len()).map(smaller).collect()
     }
 
-    /// Sums over windows, first along rows and then along columns; 0 where a window leads out.
+    /// Window sums, first along rows, then along columns; 0 where the window leaves the image.
     fn window_sums(&self, of: &[f64]) -> Vec<f64> {
         let (w, h, half) = (self.width, self.height, HALF as usize);
         let mut along = vec![0.0; of.len()];
@@ -148,7 +148,7 @@ impl Gradients {
         sums
     }
 
-    /// Pixels that are stronger than all around them.
+    /// Local maxima of the response.
     fn peaks(&self, strengths: &[f64], least: f64) -> Vec<(f64, (i64, i64))> {
         let mut peaks = Vec::new();
         let (w, h) = (self.width as i64, self.height as i64);
@@ -160,7 +160,7 @@ impl Gradients {
                 }
                 let around = (-APART..=APART).flat_map(|j| (-APART..=APART).map(move |i| (c + i, r + j)));
                 let mut near = around.filter(|(x, y)| (0..w).contains(x) && (0..h).contains(y));
-                // Of equal ones the first in reading order.
+                // Among equal ones, the first in reading order wins.
                 let is_peak = near.all(|(x, y)| {
                     let other = strengths[(y * w + x) as usize];
                     other < own || (other == own && (y, x) >= (r, c))
@@ -173,7 +173,7 @@ impl Gradients {
         peaks
     }
 
-    /// The point nearest to the edge lines through the pixels around, and its covariance; `None` if there is no such point near.
+    /// The point nearest to the surrounding edge lines, and its covariance; `None` if it is not near the peak.
     fn corner(&self, peak: (i64, i64), noise: f64) -> Option<(DVec2, DMat2)> {
         let first = DVec2::new(peak.0 as f64, peak.1 as f64);
         let mut place = first;
@@ -193,7 +193,7 @@ impl Gradients {
                     n += 1.0;
                 }
             }
-            // Gradients of noise are no edges: they pull everything to the middle of the window.
+            // Noise gradients alone do not determine a point.
             let determinant = tensor.determinant();
             if !(determinant > 1e-12) {
                 return None;

@@ -1,4 +1,4 @@
-//! Edges near a predicted one: searched across it, to a fraction of a pixel.
+//! Finds the edges near a predicted one to a fraction of a pixel, by searching across it.
 
 use super::lines::{EdgeFrame, LineOptions, Step, StepNoise};
 use crate::matching::Detection;
@@ -7,27 +7,27 @@ use presight_features::{SeenFeature, VisibleInterval};
 use presight_model::environment::FeatureShape;
 use presight_model::frame::GreyImage;
 
-/// Where an edge is expected in the image.
+/// The predicted image of an edge.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ExpectedEdge {
-    /// Its visible ends: column, row.
+    /// Its visible ends as (column, row).
     pub ends: [DVec2; 2],
-    /// How far across itself it may be off, pixels.
+    /// Search distance across the edge on either side, pixels.
     pub reach: f64,
-    /// Which side is brighter, if that is known: `Some(true)` if it is the right one, seen from the first end to the second in the
+    /// The brighter side, if known: `Some(true)` for the right side, looking from the first end to the second in the
     /// image (rows grow downwards).
     pub is_right_brighter: Option<bool>,
 }
 
 impl ExpectedEdge {
-    /// The visible parts of a predicted segment that are long enough, as far across as its uncertainty goes: so many standard
-    /// deviations, and a pixel for what rounding and the image's own blur may add. Empty for other features, and without regions of
-    /// interest (their covariances are asked for).
+    /// The visible parts of a predicted segment that are long enough. The search reaches `deviations` standard
+    /// deviations across, plus a pixel for rounding and blur. Empty for other features, and for predictions without
+    /// regions of interest, whose covariances are needed.
     pub fn of(seen: &SeenFeature, deviations: f64) -> Vec<Self> {
         Self::of_parts(seen, deviations).into_iter().map(|(_, expected)| expected).collect()
     }
 
-    /// As [`ExpectedEdge::of`], with the visible parts.
+    /// [`ExpectedEdge::of`] with the visible parts.
     pub(super) fn of_parts(seen: &SeenFeature, deviations: f64) -> Vec<(&VisibleInterval, Self)> {
         let (FeatureShape::Segment { .. }, Some(covariances)) = (&seen.feature.shape, &seen.image_covariance) else {
             return Vec::new();
@@ -45,19 +45,19 @@ impl ExpectedEdge {
     }
 }
 
-/// Shortest edge that is looked for, pixels.
+/// Shortest edge that is searched, pixels.
 const SHORTEST: f64 = 12.0;
 
-/// What counts as an edge.
+/// Thresholds of the edge detector.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EdgeOptions {
     /// Standard deviation of a grey value.
     pub noise: f64,
-    /// Least difference of grey values across an edge.
+    /// Least grey-value difference across an edge.
     pub least_contrast: f64,
-    /// Least share of its length at which it has to be seen.
+    /// Least fraction of the edge's length with measured steps.
     pub least_support: f64,
-    /// Most edges that are told for one that is expected.
+    /// Most edges returned for an expected one.
     pub most: usize,
 }
 
@@ -68,23 +68,23 @@ impl Default for EdgeOptions {
     }
 }
 
-/// An edge that was found.
+/// A detected edge.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FoundEdge {
-    /// A segment, as [`crate::matching`] takes it; no end is a corner.
+    /// A segment for [`crate::matching`]; its ends are not corners.
     pub detection: Detection,
-    /// Brightness of the right side less that of the left one.
+    /// Brightness of the right side minus that of the left.
     pub contrast: f64,
-    /// Share of the expected length at which it was seen.
+    /// Fraction of the expected length with measured steps.
     pub support: f64,
     /// Root mean square distance of its points from the line, pixels.
     pub scatter: f64,
 }
 
-/// What sampling and interpolation leave at best, pixels.
+/// Error left by sampling and interpolation at best, pixels.
 const FLOOR: f64 = 0.02;
 
-/// The edges in the image that may be an expected one, the best supported first.
+/// The edges that may correspond to an expected one, the best supported first.
 ///
 /// # Examples
 /// A white half of an image begins at column 10.3; the edge is expected at 8.
@@ -98,7 +98,7 @@ const FLOOR: f64 = 0.02;
 /// let expected = ExpectedEdge { ends: [DVec2::new(8.0, 5.0), DVec2::new(8.0, 35.0)], reach: 4.0, is_right_brighter: None };
 /// let found = edges_near(&image, &expected, &EdgeOptions::default());
 /// assert_eq!(found.len(), 1);
-/// // Seen from the first end downwards, the right side is the left of the image: it is the darker one.
+/// // Looking down from the first end, the right side is the left of the image: the darker side.
 /// assert!(found[0].contrast < -0.85);
 /// assert!(found[0].detection.shape.points().iter().all(|p| (p.x - 10.3).abs() < 0.1));
 /// # Ok::<(), presight::Error>(())
@@ -117,22 +117,22 @@ pub fn edges_near(image: &GreyImage, expected: &ExpectedEdge, options: &EdgeOpti
     found
 }
 
-/// Looks for places of steepest change along lines across an edge.
+/// Finds the steepest grey-value changes along lines across an edge.
 struct Profiler<'a> {
     image: &'a GreyImage,
-    /// Of the mean of three lines side by side.
+    /// Least change, for the mean of three adjacent lines.
     least: f64,
     is_right_brighter: Option<bool>,
-    /// As a Gaussian's derivative: far from the edge as blind as beside it.
+    /// Derivative of a Gaussian.
     weights: [f64; WIDTH],
     profile: Vec<f64>,
     changes: Vec<f64>,
     steps: Vec<Step>,
 }
 
-/// Between samples across an edge, pixels.
+/// Distance between samples across an edge, pixels.
 const STEP: f64 = 0.5;
-/// Samples on either side that a difference is taken of: two pixels.
+/// Samples on either side of a difference: two pixels.
 const WIDTH: usize = 4;
 
 impl<'a> Profiler<'a> {
@@ -141,7 +141,7 @@ impl<'a> Profiler<'a> {
             let k = (k + 1) as f64;
             k * (-0.5 * (STEP * k / 0.9).powi(2)).exp()
         });
-        // Three lines are added up, not averaged.
+        // The profile is the sum of three lines.
         let total = 3.0 * weights.iter().sum::<f64>();
         weights.iter_mut().for_each(|w| *w /= total);
         let least = options.least_contrast.max(4.0 * options.noise / 3f64.sqrt());
@@ -152,7 +152,7 @@ impl<'a> Profiler<'a> {
     fn steps_across(&mut self, frame: &EdgeFrame, along: f64) {
         let n = (frame.reach / STEP).ceil() as i32 + 1;
         let width = WIDTH as i32;
-        // Three lines side by side: noise falls, the edge stays.
+        // Three adjacent lines: their sum reduces the noise and keeps the edge.
         self.profile.clear();
         self.profile.resize((2 * (n + width) + 1) as usize, 0.0);
         for beside in [-0.7, 0.0, 0.7] {

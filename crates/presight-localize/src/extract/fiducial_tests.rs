@@ -1,4 +1,4 @@
-//! Rendered fiducials are found where they are, as what they are.
+//! Rendered fiducials are found at their place and with their identity.
 
 use super::*;
 use crate::matching::Shape;
@@ -21,7 +21,7 @@ fn through(map: &DMat3, at: DVec2) -> DVec2 {
     p.truncate() / p.z
 }
 
-/// A tag seen aslant, `size` pixels wide, turned any way; and the map from its cells to pixels.
+/// A tag seen obliquely, `size` pixels wide, at any rotation; and the map from its cells to pixels.
 fn view(code: usize, size: f64, noise: f64, random: &mut SplitMix64) -> (GreyImage, DMat3) {
     const SIZE: (u32, u32) = (160, 120);
     let turned = DMat3::from_angle(random.uniform(0.0, std::f64::consts::TAU));
@@ -43,7 +43,7 @@ fn view(code: usize, size: f64, noise: f64, random: &mut SplitMix64) -> (GreyIma
     (GreyImage::new(SIZE.0, SIZE.1, (0..SIZE.0 * SIZE.1).map(value).collect()).unwrap(), map)
 }
 
-/// Single tags of three pixels a cell and more are all found, none is taken for another, and corners are as far off as they claim.
+/// Single tags with at least three pixels per cell are all found and identified, with corner errors as stated.
 #[test]
 fn rendered_tags_are_found() {
     let mut finder = FiducialFinder::new("DICT_APRILTAG_36h11").unwrap();
@@ -74,7 +74,7 @@ fn rendered_tags_are_found() {
     assert!((0.3..2.0).contains(&mean), "normalized squared errors of {mean}");
 }
 
-/// Planted faults: a mirrored tag, one of another dictionary, and images of nothing are none; boxes without a pixel are empty.
+/// Planted faults: a mirrored tag, a tag of another dictionary and empty images give nothing, nor do empty boxes.
 #[test]
 fn what_is_no_tag_is_not_found() {
     let mut finder = FiducialFinder::new("DICT_APRILTAG_36h11").unwrap();

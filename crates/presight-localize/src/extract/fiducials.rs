@@ -7,33 +7,33 @@ use glam::DVec2;
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::frame::GreyImage;
 
-/// Sides of an image that is too small for a tag, pixels.
+/// Least width and height of a searched image, pixels.
 const SMALLEST: i64 = 16;
-/// What blur, sampling and 1 % of noise leave of a corner, pixels: measured on rendered tags (`cargo test fiducials`).
+/// Corner error from blur, sampling and 1 % of noise, pixels; measured on rendered tags (`cargo test fiducials`).
 const FLOOR: f64 = 0.06;
-/// What is added for cells of a pixel; it falls with the square of their size.
+/// Additional corner error for cells of one pixel; it falls with the square of the cell size.
 const OF_CELLS: f64 = 0.36;
-/// Wrong bits that are put right. Two take the library seconds to prepare.
+/// Bits of error that are corrected. With two, the library takes seconds to prepare.
 const CORRECTED: usize = 1;
 
 /// Finds the fiducials of one dictionary.
 pub struct FiducialFinder {
     detector: Detector,
     family: &'static str,
-    /// Cells between neighbouring corners.
+    /// Number of cells between neighbouring corners.
     cells: f64,
 }
 
 impl FiducialFinder {
-    /// True of the dictionaries that [`FiducialFinder::new`] takes.
+    /// True for the dictionaries that [`FiducialFinder::new`] accepts.
     pub fn knows(family: &str) -> bool {
         matches!(family, "DICT_APRILTAG_16h5" | "DICT_APRILTAG_25h9" | "DICT_APRILTAG_36h11")
     }
 
-    /// For a dictionary by OpenCV's name: DICT_APRILTAG_16h5, 25h9 or 36h11.
+    /// Makes a finder for a dictionary by OpenCV's name: DICT_APRILTAG_16h5, 25h9 or 36h11.
     ///
     /// # Errors
-    /// [`ErrorKind::Usage`] for any other; [`ErrorKind::System`] if the library gets no memory.
+    /// [`ErrorKind::Usage`] for any other name; [`ErrorKind::System`] if the library gets no memory.
     pub fn new(family: &str) -> Result<Self> {
         let (family, tags, cells) = match family {
             "DICT_APRILTAG_16h5" => ("DICT_APRILTAG_16h5", Family::tag_16h5(), 6.0),
@@ -41,19 +41,19 @@ impl FiducialFinder {
             "DICT_APRILTAG_36h11" => ("DICT_APRILTAG_36h11", Family::tag_36h11(), 8.0),
             other => {
                 let remedy = "give DICT_APRILTAG_16h5, DICT_APRILTAG_25h9 or DICT_APRILTAG_36h11";
-                return Err(Error::usage(format!("fiducials of {other:?}"), remedy));
+                return Err(Error::usage(format!("fiducial dictionary {other:?} is not supported"), remedy));
             }
         };
         let made = DetectorBuilder::new().add_family_bits(tags, CORRECTED).build();
         let refused = |e| Error::new(ErrorKind::System, format!("fiducials: {e}"), "free some memory");
         let mut detector = made.map_err(refused)?;
-        // Half the resolution would lose tags of few pixels.
+        // At half the resolution, small tags would be lost.
         detector.set_decimation(1.0);
         Ok(Self { detector, family, cells })
     }
 
-    /// The fiducials in a part of an image: corners clockwise from each one's own top left, with covariance and identity. With
-    /// [`PixelBox::whole`] it is the whole image. Pixels without a measurement count as black.
+    /// The fiducials in a box of an image: corners clockwise from each tag's own top left, with covariance and
+    /// identity. Pixels without a measurement count as black.
     ///
     /// # Errors
     /// [`ErrorKind::System`] if the library gets no memory for its image.
@@ -79,7 +79,7 @@ impl FiducialFinder {
     }
 
     fn detection(&self, tag: &apriltag::Detection, first: DVec2) -> Detection {
-        // The library counts from the corner of the first pixel, and corners counter-clockwise from the lower left.
+        // The library's origin is the corner of the first pixel; its corners run counter-clockwise from the lower left.
         let [lower_left, lower_right, upper_right, upper_left] =
             tag.corners().map(|corner| DVec2::from(corner) - 0.5 + first);
         let corners = [upper_left, upper_right, lower_right, lower_left];

@@ -1,4 +1,4 @@
-//! All of one frame: each predicted feature looked for in its region, matched, and classed.
+//! Processes a whole frame: searches each predicted feature in its region, matches and classifies it.
 
 use super::classes::unmatched;
 use super::tags::{is_sought, tags_in};
@@ -16,23 +16,23 @@ use presight_model::frame::{Frame, GreyImage};
 use presight_model::geometry::Pose;
 use presight_model::sensor::Sensor;
 
-/// How features are looked for.
+/// Options of [`find_features`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FindOptions {
-    /// In grey images.
+    /// For grey images.
     pub edges: EdgeOptions,
-    /// In grey images.
+    /// For grey images.
     pub corners: CornerOptions,
-    /// In range images.
+    /// For range images.
     pub jumps: JumpOptions,
-    /// In scans with intensities.
+    /// For scans with intensities.
     pub reflectors: ReflectorOptions,
-    /// Covariance of where the sensor is, world axes, metres squared: of a reflector's range. `None` is not known; a reflector at any range
-    /// is then the one that was predicted.
+    /// Covariance of the sensor's position, world axes, metres squared, used to match reflectors by range. `None` if
+    /// unknown; then a reflector at any range matches.
     pub place: Option<DMat3>,
-    /// How far across itself an edge is looked for, in standard deviations of where it is predicted.
+    /// Search distance across an edge, in standard deviations of its predicted position.
     pub deviations: f64,
-    /// Standard deviation of where the model has its features, pixels, beside that of the pose.
+    /// Standard deviation of feature positions in the model, pixels, in addition to that of the pose.
     pub model: f64,
 }
 
@@ -50,34 +50,34 @@ impl Default for FindOptions {
     }
 }
 
-/// A visible part of a predicted feature, and what became of it.
+/// A visible part of a predicted feature, and its classification.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FeatureFinding {
-    /// The feature's own number.
+    /// The id of the feature.
     pub id: u32,
-    /// In the world, metres: both ends of a part of an edge, a point, or the four corners of a fiducial.
+    /// World points, metres: both ends of a part of an edge, a point, or the four corners of a fiducial.
     pub points_world: Vec<DVec3>,
-    /// Covariance of where the model has it as a whole, world axes, metres squared; of points, fiducials and reflectors.
+    /// Covariance of the modelled position, world axes, metres squared; for points, fiducials and reflectors.
     pub place: DMat3,
-    /// Where it was predicted in the image.
+    /// The predicted shape in the image.
     pub predicted: Shape,
-    /// What became of it; a match names a detection of [`Findings::detections`].
+    /// The classification; a match refers to [`Findings::detections`].
     pub class: FeatureClass,
 }
 
-/// What a frame shows of predicted features (paper, section 3.5).
+/// Predicted features found and not found in a frame (paper section 3.5).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Findings {
-    /// What was found, each once.
+    /// All detections, each once.
     pub detections: Vec<Detection>,
-    /// The predicted features that can be found in such a frame.
+    /// The predicted features that can be detected in this kind of frame.
     pub features: Vec<FeatureFinding>,
-    /// Detections that are no predicted feature.
+    /// Detections that match no predicted feature.
     pub only_found: Vec<usize>,
 }
 
 impl Findings {
-    /// Features with their detections.
+    /// Matched features with their detections.
     pub fn matched(&self) -> impl Iterator<Item = (&FeatureFinding, &Detection)> {
         self.features.iter().filter_map(|f| match f.class {
             FeatureClass::Matched(at) => Some((f, &self.detections[at])),
@@ -85,8 +85,8 @@ impl Findings {
         })
     }
 
-    /// Says of what was not matched why, as far as ranges tell: *nearer* ones mean that something unknown stands before it, *farther*
-    /// ones that it is missing.
+    /// Classifies unmatched features by measured ranges: *nearer* ranges mean that an unknown object occludes the
+    /// feature, *farther* ones that it is missing.
     pub fn explain(&mut self, ranges: &MeasuredRanges<'_>) {
         for feature in self.features.iter_mut().filter(|f| f.class == FeatureClass::Undecidable) {
             feature.class = match feature.predicted {
@@ -96,7 +96,7 @@ impl Findings {
         }
     }
 
-    /// As if a feature had not been matched.
+    /// The same findings, with a feature treated as unmatched.
     pub fn without(&self, id: u32) -> Self {
         let mut some = self.clone();
         let own = some.features.iter_mut().filter(|f| f.id == id);
@@ -104,27 +104,27 @@ impl Findings {
         some
     }
 
-    /// How many features are of a class by name ([`FeatureClass::name`]).
+    /// Number of features in a class, by its name ([`FeatureClass::name`]).
     pub fn count(&self, class: &str) -> usize {
         self.features.iter().filter(|f| f.class.name() == class).count()
     }
 }
 
-/// Ranges that were measured at the same time, by the same sensor or by one beside it: they tell why a feature was not found.
+/// Ranges measured at the same time, by the same sensor or a nearby one. They show why a feature was not found.
 #[derive(Clone, Copy, Debug)]
 pub struct MeasuredRanges<'a> {
-    /// What they say of the prediction.
+    /// Their comparison with the prediction.
     pub verdicts: &'a Verdicts,
     /// The sensor that measured them.
     pub sensor: &'a Sensor,
     /// Its pose, body axes.
     pub world_from_sensor: Pose,
-    /// How strong the echoes were: a reflector that is not bright is not there.
+    /// Echo intensities: where the echo is not bright, there is no reflector.
     pub intensities: Option<&'a GreyImage>,
 }
 
 impl MeasuredRanges<'_> {
-    /// True if an echo came from there that is no reflector's. A sensor that tells 0 tells nothing.
+    /// True if the echo there is too weak for a reflector. An intensity of 0 means that the sensor reports none.
     fn is_dark_at(&self, place: DVec2) -> bool {
         let Some(image) = self.intensities else { return false };
         let [c, r] = [place.x.round(), place.y.round()];
@@ -134,17 +134,17 @@ impl MeasuredRanges<'_> {
     }
 }
 
-/// Pixels beside an edge at which ranges are asked: upon the edge itself hardly anything can be decided.
+/// Distance from an edge at which ranges are evaluated, pixels: on the edge itself, hardly any verdict is certain.
 const BESIDE: f64 = 2.5;
 
-/// Looks for predicted features in a frame, each in its region, and matches all of them at least cost. In grey images these are edges,
-/// corners and, with the feature `fiducials`, fiducials ([`is_sought`]), in range images depth edges and, where they have intensities,
-/// reflectors. The prediction was made for the
-/// frame's sensor at `world_from_sensor` and has to have regions of interest ([`crate::Request::with_regions`]); features without one are
-/// left out. Why a feature is not found, [`Findings::explain`] says.
+/// Searches each predicted feature of a frame in its region, and matches all detections at least total cost. Grey
+/// images are searched for edges, corners and, with the Cargo feature `fiducials`, fiducials ([`is_sought`]); range
+/// images for depth edges and, if they have intensities, reflectors. The prediction must be for the frame's sensor at
+/// `world_from_sensor` and have regions of interest ([`crate::Request::with_regions`]); features without a region are
+/// skipped. [`Findings::explain`] then classifies the features that were not found.
 ///
 /// # Errors
-/// Those of [`classify`]; [`crate::ErrorKind::System`] if the library of fiducials gets no memory.
+/// Errors of [`classify`]; [`crate::ErrorKind::System`] if the fiducial library runs out of memory.
 pub fn find_features(
     frame: &Frame,
     world_from_sensor: &Pose,
@@ -181,9 +181,10 @@ pub fn find_features(
     Ok(findings)
 }
 
-/// Spots in a column of a scan that are bright and no reflector of the layer.
+/// Expected number of bright spots per scan column that are not reflectors of the layer.
 const CLUTTER_OF_A_COLUMN: f64 = 1e-3;
-/// As many columns of pixels, where nothing is known of the row (variance [`super::reflectors::UNKNOWN`]): the density that leaves a column's.
+/// Number of pixel rows with the same effect where the row is unknown (variance [`super::reflectors::UNKNOWN`]):
+/// dividing by it gives the density per column.
 const ROWS: f64 = 2507.0;
 
 fn matcher(frame: &Frame) -> Matcher {
@@ -194,7 +195,7 @@ fn matcher(frame: &Frame) -> Matcher {
     }
 }
 
-/// A part of a feature that can be looked for.
+/// A part of a feature to search.
 struct Part {
     points_world: Vec<DVec3>,
     expected: ExpectedFeature,
@@ -207,14 +208,14 @@ impl Part {
     }
 }
 
-/// From where features are predicted.
+/// The viewpoint of a prediction.
 struct View<'a> {
     sensor: &'a Sensor,
     world_from_sensor: &'a Pose,
 }
 
 impl View<'_> {
-    /// Pixels of points of the world; `None` if one of them has none.
+    /// Pixels of world points; `None` if one of them is not imaged.
     fn pixels(&self, points_world: &[DVec3]) -> Option<Vec<DVec2>> {
         let image_from_world = (*self.world_from_sensor * crate::verdict::body_from_image(self.sensor)).inverse();
         let pixel = |p: &DVec3| self.sensor.project(image_from_world.transform_point(*p)).map(DVec2::from);
@@ -222,17 +223,17 @@ impl View<'_> {
     }
 }
 
-/// Share of a fiducial that has to be in view: one that is covered in part cannot be read.
+/// Fraction of a fiducial that must be visible: a partly covered one cannot be read.
 const WHOLE: f64 = 0.95;
 
-/// A fiducial that is seen as a whole.
+/// A fiducial that is visible as a whole.
 fn fiducial(view: &View<'_>, seen: &SeenFeature, covariances: Vec<DMat2>, window: [f64; 4]) -> Option<Part> {
     let FeatureShape::Fiducial { family, code, .. } = &seen.feature.shape else { return None };
     if seen.visible_fraction < WHOLE {
         return None;
     }
     let corners: [DVec2; 4] = view.pixels(&seen.points_world)?.try_into().ok()?;
-    // Its region is that of the black square: the white around it is a cell wide, of 6 to 8 between the corners.
+    // The region covers the black square. The white border around it is one cell wide; the square has 6 to 8 cells.
     let side = (0..4).map(|k| corners[k].distance(corners[(k + 1) % 4])).fold(0.0, f64::max);
     let margin = 0.25 * side + 2.0;
     let [x0, y0, x1, y1] = window;
@@ -249,7 +250,7 @@ fn fiducial(view: &View<'_>, seen: &SeenFeature, covariances: Vec<DMat2>, window
     })
 }
 
-/// A reflector, at the range that it is predicted at; `own` bounds the covariance of its place, whatever its axes.
+/// A reflector at its predicted range. `own` bounds its position covariance in every direction.
 fn reflector(
     view: &View<'_>,
     (at, pixel): (DVec3, DVec2),
@@ -263,7 +264,7 @@ fn reflector(
     let variance = options.place.map(|place| ray.dot((place + own) * ray).max(0.0));
     let range = variance.map(|variance| UncertainValue { mean, variance });
     let [x0, y0, x1, y1] = window;
-    // A lone row is all there is to look in.
+    // A scan with a single row is searched in that row.
     let [y0, y1] = if view.sensor.height() == 1 { [y0.min(-0.5), y1.max(0.5)] } else { [y0, y1] };
     Part {
         points_world: vec![at],
@@ -277,7 +278,7 @@ fn reflector(
     }
 }
 
-/// The visible parts of a segment that are long enough, a point, a fiducial, or a reflector.
+/// The visible parts of a segment that are long enough, or a point, a fiducial, or a reflector.
 fn parts(view: &View<'_>, seen: &SeenFeature, options: &FindOptions) -> Vec<Part> {
     let Some(covariances) = &seen.image_covariance else { return Vec::new() };
     let model = DMat2::from_diagonal(DVec2::splat(options.model * options.model));
@@ -323,7 +324,7 @@ fn parts(view: &View<'_>, seen: &SeenFeature, options: &FindOptions) -> Vec<Part
     }
 }
 
-/// Reflectors are found by intensities, and by nothing else.
+/// Reflectors can only be found by intensities.
 fn can_be_found(frame: &Frame, part: &Part) -> bool {
     frame.intensities().is_some() || !part.is_reflector()
 }
@@ -351,7 +352,7 @@ fn look(frame: &Frame, part: &Part, options: &FindOptions) -> Result<Vec<Detecti
     Ok(found)
 }
 
-/// True if two detections are one that was found in two regions: nearer than a pixel, and beside each other.
+/// True if two detections from different regions are the same: less than a pixel apart, and overlapping.
 fn is_same(a: &Detection, b: &Detection, turn: Option<f64>) -> bool {
     match (&a.shape, &b.shape) {
         (Shape::Segment { ends: p, .. }, Shape::Segment { ends: q, .. }) => {
@@ -363,7 +364,7 @@ fn is_same(a: &Detection, b: &Detection, turn: Option<f64>) -> bool {
             off[0].max(off[1]) < 1.0 && both > 0.5 * way.length().min((at[1] - at[0]).abs())
         }
         (Shape::Point(p), Shape::Point(q)) => p.distance(*q) < 1.0,
-        // One behind the other is another one.
+        // A reflector behind another has a different range.
         (Shape::Reflector(p), Shape::Reflector(q)) => {
             let off = *q + DVec2::new(unwrap(turn, p.x, q.x), 0.0) - *p;
             off.length() < 0.5 && a.properties.range == b.properties.range
@@ -375,11 +376,11 @@ fn is_same(a: &Detection, b: &Detection, turn: Option<f64>) -> bool {
     }
 }
 
-/// What ranges say at a reflector: it may stand free. Where they meet the surface that it is on, and it is not bright, it is not there.
+/// Verdicts at a reflector, which may stand free. Where ranges meet its surface but the echo is weak, it is missing.
 fn upon(ranges: &MeasuredRanges<'_>, points_world: &[DVec3]) -> [usize; 7] {
     let view = View { sensor: ranges.sensor, world_from_sensor: &ranges.world_from_sensor };
     let Some([at]) = view.pixels(points_world).as_deref().map(|p| [p[0]]) else { return [0; 7] };
-    // Of the other beams nobody knows whether they should have met it.
+    // The other beams need not have met it.
     let at = if ranges.sensor.height() == 1 { DVec2::new(at.x, 0.0) } else { at };
     let mut counts = verdicts_along(ranges.verdicts, [at; 2], 0.0);
     if ranges.is_dark_at(at) {
@@ -388,12 +389,12 @@ fn upon(ranges: &MeasuredRanges<'_>, points_world: &[DVec3]) -> [usize; 7] {
     counts
 }
 
-/// What ranges say beside a feature, as far as their sensor sees its place.
+/// Verdicts near a feature, where the range sensor sees its place.
 fn beside(ranges: &MeasuredRanges<'_>, points_world: &[DVec3]) -> [usize; 7] {
     let view = View { sensor: ranges.sensor, world_from_sensor: &ranges.world_from_sensor };
     match view.pixels(points_world).as_deref() {
         Some([a, b]) => verdicts_along(ranges.verdicts, [*a, *b], BESIDE),
-        // Around a point: above and below, and on both sides.
+        // Around a point: above, below, left and right.
         Some([at]) => {
             let half = DVec2::new(BESIDE, 0.0);
             let mut counts = verdicts_along(ranges.verdicts, [*at - half, *at + half], BESIDE);
@@ -401,7 +402,7 @@ fn beside(ranges: &MeasuredRanges<'_>, points_world: &[DVec3]) -> [usize; 7] {
             counts.iter_mut().zip(more).for_each(|(c, m)| *c += m);
             counts
         }
-        // A fiducial is flat: ranges tell of its middle whether its surface is there.
+        // A fiducial is flat: the range at its middle shows whether its surface is there.
         Some(corners @ [_, _, _, _]) => {
             let middle = 0.25 * corners.iter().sum::<DVec2>();
             verdicts_along(ranges.verdicts, [middle; 2], 0.0)

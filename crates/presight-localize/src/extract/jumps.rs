@@ -1,18 +1,18 @@
-//! Depth edges in range images: where neighbouring pixels measure surfaces one behind the other.
+//! Depth edges in range images, where neighbouring pixels measure surfaces one behind the other.
 
 use super::lines::{EdgeFrame, LineOptions, Step, StepNoise};
 use super::{ExpectedEdge, FoundEdge};
 use glam::DVec2;
 use presight_model::frame::{Frame, RangeNoise};
 
-/// What counts as a depth edge.
+/// Thresholds of the depth edge detector.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct JumpOptions {
-    /// Least jump, as a share of the nearer range; beside that it is more than noise and than what the surfaces' slopes make of it.
+    /// Least jump as a fraction of the nearer range. A jump must also exceed the noise and the slopes of the surfaces.
     pub least_jump: f64,
-    /// Least share of its length at which it has to be seen.
+    /// Least fraction of the edge's length with measured jumps.
     pub least_support: f64,
-    /// Most edges that are told for one that is expected.
+    /// Most edges returned for an expected one.
     pub most: usize,
 }
 
@@ -22,16 +22,16 @@ impl Default for JumpOptions {
     }
 }
 
-/// Standard deviations of noise that are no jump.
+/// Jumps must exceed this many standard deviations of noise.
 const FAR: f64 = 5.0;
-/// A slope may go on by so many times what it was.
+/// Factor by which a slope may continue to grow without being a jump.
 const BEND: f64 = 3.0;
-/// A pixel sees one of both surfaces: the edge is anywhere between two of their middles, along the whole edge if that follows a row
-/// or a column. One standard deviation, pixels.
+/// A pixel measures one of the two surfaces, so the edge may be anywhere between two pixel centres, even along its
+/// whole length if it follows a row or a column. One standard deviation, pixels.
 const HALF_OPEN: f64 = 0.2887;
 
-/// The depth edges that may be an expected one, the best supported first. `contrast` is the range on the right side less that on the left,
-/// metres.
+/// The depth edges that may correspond to an expected one, the best supported first. `contrast` is the range on the
+/// right side minus that on the left, metres.
 ///
 /// # Examples
 /// A pillar 2 m away stands before a wall 5 m away, from column 20 on.
@@ -48,7 +48,7 @@ const HALF_OPEN: f64 = 0.2887;
 /// let found = jumps_near(&frame, &expected, &JumpOptions::default());
 /// assert_eq!(found.len(), 1);
 /// assert!(found[0].detection.shape.points().iter().all(|p| (p.x - 19.5).abs() < 0.1));
-/// // Seen downwards, the right side is the left of the image: the far one.
+/// // Looking down, the right side is the left of the image: the far surface.
 /// assert!(found[0].contrast > 3.0);
 /// # Ok::<(), presight::Error>(())
 /// ```
@@ -72,7 +72,7 @@ pub fn jumps_near(frame: &Frame, expected: &ExpectedEdge, options: &JumpOptions)
     edge.lines_through(steps, &lines)
 }
 
-/// The pixels that a line across an edge passes, one after the other: their ranges, and where the line comes to each.
+/// The pixels along a line across an edge: their ranges, and where the line enters each.
 fn profile(frame: &Frame, edge: &EdgeFrame, along: f64, to: &mut Vec<(f64, f64)>) {
     const STEP: f64 = 0.125;
     let (width, height) = (frame.sensor().width() as usize, frame.sensor().height() as usize);
@@ -91,7 +91,7 @@ fn profile(frame: &Frame, edge: &EdgeFrame, along: f64, to: &mut Vec<(f64, f64)>
     }
 }
 
-/// Jumps between the pixels of a profile; of several beside each other, as mixed pixels make them, their middle.
+/// Finds jumps between the pixels of a profile. Adjacent jumps, due to mixed pixels, give one at their weighted middle.
 fn steps_across(
     profile: &[(f64, f64)],
     along: f64,
@@ -102,7 +102,7 @@ fn steps_across(
 ) {
     let jump = |i: usize| -> f64 {
         let (a, b) = (profile[i - 1].1, profile[i].1);
-        // Nothing within reach is behind everything; where nothing was measured nobody knows.
+        // Nothing within reach counts as far behind; NaN is not compared.
         let far = |r: f64| if r == f64::INFINITY { 1e3 } else { r };
         let (a, b) = (far(a), far(b));
         let near = a.min(b);
@@ -113,7 +113,7 @@ fn steps_across(
             let pair = k.filter(|k| *k >= 1 && *k < profile.len()).map(|k| (profile[k].1 - profile[k - 1].1).abs());
             pair.filter(|s| s.is_finite()).unwrap_or(0.0)
         };
-        // The gentler of both sides: beside a mixed pixel one of them is a jump, too.
+        // The smaller slope of both sides, because next to a mixed pixel one of them is a jump too.
         let goes_on = BEND * slope(i.checked_sub(1)).min(slope(Some(i + 1)));
         let least = (options.least_jump * near).max(FAR * noise.range_sigma(near) + goes_on);
         if (b - a).abs() >= least { b - a } else { 0.0 }

@@ -1,4 +1,4 @@
-//! Lines through steps that were found across an expected edge: the one that most support, then least squares.
+//! Fits lines to steps measured across an expected edge: selects the best supported line, then solves least squares.
 
 use super::FoundEdge;
 use crate::matching::Detection;
@@ -6,21 +6,21 @@ use glam::{DMat2, DVec2};
 
 /// Most stations along an edge.
 const STATIONS: usize = 96;
-/// How far a step may be from the line that it supports, pixels.
+/// Largest distance of a step from the line that it supports, pixels.
 const NEAR: f64 = 1.2;
-/// Steps on either side through which lines are tried.
+/// Most steps at either end that are tried as pairs.
 const TRIED: usize = 24;
 
-/// A line that so large a share of the stations supports is taken at once.
+/// A line supported by this fraction of the stations is accepted at once.
 const PLENTY: f64 = 0.9;
 
-/// A place across the edge at which the image changes most.
+/// A position across the edge where the image changes most.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Step {
-    /// Along the edge and across it, from its middle, pixels.
+    /// Position along and across the edge, from its middle, pixels.
     pub along: f64,
     pub across: f64,
-    /// What is right of it less what is left.
+    /// Value on the right minus value on the left.
     pub contrast: f64,
 }
 
@@ -29,21 +29,21 @@ pub(super) struct EdgeFrame {
     middle: DVec2,
     along: DVec2,
     length: f64,
-    /// How far across the edge is looked for, pixels.
+    /// Search distance across the edge, pixels.
     pub reach: f64,
 }
 
-/// How well steps are known.
+/// Errors of steps.
 pub(super) struct StepNoise {
-    /// Of a grey value, or of what else the contrast is told in.
+    /// Standard deviation of a grey value, or of another unit of contrast.
     pub value: f64,
-    /// Pixels that no number of steps takes away.
+    /// Error that does not average out over steps, pixels.
     pub floor: f64,
 }
 
-/// Which lines are told.
+/// Selects the lines to return.
 pub(super) struct LineOptions {
-    /// Least share of the stations at which a line is seen.
+    /// Least fraction of stations that support a line.
     pub least_support: f64,
     /// Most lines.
     pub most: usize,
@@ -51,7 +51,7 @@ pub(super) struct LineOptions {
 }
 
 impl EdgeFrame {
-    /// `None` for what is too short, too long or no number. `longest` bounds the reach.
+    /// Returns `None` for edges that are too short, too long or not finite. `longest` bounds the reach.
     pub fn new(ends: [DVec2; 2], reach: f64, longest: f64) -> Option<Self> {
         let [a, b] = ends;
         let length = a.distance(b);
@@ -68,13 +68,13 @@ impl EdgeFrame {
         self.middle + along * self.along + across * self.right()
     }
 
-    /// Where along the edge steps are looked for.
+    /// Positions along the edge at which steps are searched.
     pub fn stations(&self) -> impl ExactSizeIterator<Item = f64> + use<> {
         let (count, length) = (((self.length / 1.5).ceil() as usize).clamp(3, STATIONS), self.length);
         (0..count).map(move |k| length * ((k as f64 + 0.5) / count as f64 - 0.5))
     }
 
-    /// The lines that steps lie on, the best supported first.
+    /// The lines through the steps, the best supported first.
     pub fn lines_through(&self, mut steps: Vec<Step>, options: &LineOptions) -> Vec<FoundEdge> {
         let mut found = Vec::new();
         while found.len() < options.most {
@@ -93,12 +93,12 @@ impl EdgeFrame {
         found
     }
 
-    /// The line that most steps support, each by one at a station. Lines through pairs of far steps are tried.
+    /// The line with most supporting steps. Tries lines through pairs of steps near opposite ends.
     fn best_line(&self, steps: &[Step]) -> Option<Line> {
         let third = self.length / 6.0;
         let (left, right): (Vec<&Step>, Vec<&Step>) =
             (steps.iter().filter(|s| s.along < -third).collect(), steps.iter().filter(|s| s.along > third).collect());
-        // A turn is limited by the reach, too.
+        // The reach also limits the slope.
         let steepest = 2.0 * (self.reach + NEAR) / self.length;
         let enough = (PLENTY * self.stations().len() as f64).ceil() as usize;
         let some = |all: &[&Step]| all.len().div_ceil(TRIED).max(1);
@@ -107,7 +107,7 @@ impl EdgeFrame {
             for b in right.iter().step_by(some(&right)) {
                 let slope = (b.across - a.across) / (b.along - a.along);
                 let line = Line { across: a.across - slope * a.along, slope };
-                // Of the same sense of contrast, too: an edge does not change it.
+                // Both steps need the same sign of contrast, which does not change along an edge.
                 if slope.abs() > steepest || a.contrast.signum() != b.contrast.signum() {
                     continue;
                 }
@@ -115,7 +115,7 @@ impl EdgeFrame {
                 if best.is_none_or(|(most, _)| votes > most) {
                     best = Some((votes, line));
                 }
-                // Hardly anything is left for another line to be better by.
+                // No other line could have much more support.
                 if votes >= enough {
                     return Some(line);
                 }
@@ -141,14 +141,14 @@ impl EdgeFrame {
         let scatter = (own.iter().map(|s| line.distance(s).powi(2)).sum::<f64>() / (n - 2.0).max(1.0)).sqrt();
         let (first, last) = own.iter().fold((f64::MAX, f64::MIN), |(a, b), s| (a.min(s.along), b.max(s.along)));
         let end = |along: f64| self.place(along, line.across + line.slope * along);
-        // One step's own error: the slope of the blurred edge turns noise of values into pixels.
+        // Error of a single step: the slope of the blurred edge converts value noise into pixels.
         let own_sigma = scatter.max(1.5 * noise.value / contrast.abs().max(1e-6)).max(noise.floor);
-        // At the ends the line is known least: a quarter of the points' variance each, and the turn's part.
+        // The line is least certain at its ends: variance of the mean plus the contribution of the slope.
         let variance =
             own_sigma * own_sigma * (1.0 / n + (0.5 * (last - first)).powi(2) / spread) + noise.floor * noise.floor;
         let mut detection = Detection::segment([end(first), end(last)], variance.sqrt());
         detection.covariance = DMat2::from_diagonal(DVec2::splat(variance));
-        // Two steps at one station are no more than one.
+        // Two steps at one station count once.
         let mut seen: Vec<i64> = own.iter().map(|s| (s.along * 1e3) as i64).collect();
         seen.sort_unstable();
         seen.dedup();
@@ -157,7 +157,7 @@ impl EdgeFrame {
     }
 }
 
-/// A line by its distance across the edge in the middle and its slope.
+/// A line by its offset across the edge at the middle, and its slope.
 #[derive(Clone, Copy)]
 struct Line {
     across: f64,

@@ -1,4 +1,4 @@
-//! Features in measured images: looked for only where they are predicted, or, by the same code, everywhere.
+//! Detects features in measured images, either only where they are predicted or, with the same code, everywhere.
 //!
 //! | what | in | by |
 //! |---|---|---|
@@ -10,8 +10,8 @@
 //! | planes | range images | [`surfaces_in`] |
 //! | reflectors | scans with intensities | [`reflectors_in`] |
 //!
-//! Each is told with the covariance of its measurement. [`find_features`] looks for all edges, corners, fiducials and reflectors of a prediction, and
-//! [`classify`] says of each whether it was matched, and if not, what the ranges beside it say of why.
+//! Each detection has the covariance of its measurement. [`find_features`] searches all edges, corners, fiducials and
+//! reflectors of a prediction. [`classify`] decides which were matched and, from nearby ranges, why others were not.
 
 mod classes;
 mod corners;

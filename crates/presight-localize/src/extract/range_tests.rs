@@ -40,7 +40,7 @@ fn inside(sensor: &Sensor, walls: &[(DVec3, f64)], random: &mut SplitMix64) -> F
     Frame::new(0.0, sensor.clone(), Measurement::Range(noisy)).unwrap()
 }
 
-/// Of a found surface and the wall it is of: the mean of its points' squared distances in variances.
+/// The mean squared distance of a found surface's points from its wall, in variances.
 fn off(found: &FoundSurface, walls: &[(DVec3, f64)]) -> f64 {
     let to = |(n, d): &(DVec3, f64)| {
         let wall = presight_model::geometry::Plane { normal: *n, offset: *d };
@@ -49,7 +49,7 @@ fn off(found: &FoundSurface, walls: &[(DVec3, f64)]) -> f64 {
     walls.iter().map(to).fold(f64::INFINITY, f64::min)
 }
 
-/// A room of four walls is four lines, the one behind over the seam if the box leads over it, with errors as they claim.
+/// A room has four lines. The wall behind is found over the seam if the box extends over it. Errors are as stated.
 #[test]
 fn a_room_is_four_lines() {
     let walls = [(DVec3::X, 3.0), (-DVec3::X, 2.0), (DVec3::Y, 1.5), (-DVec3::Y, 2.5)];
@@ -66,7 +66,7 @@ fn a_room_is_four_lines() {
             assert!(s.plane.offset < 0.0, "normals look to the sensor");
             assert!(s.sigma < 0.5 * NOISE && s.scatter < 2.0, "{s:?}");
         }
-        // In a box of one wall only this one; its normal is told to a few degrees.
+        // In a box of one wall only this one is found, with its normal to a few degrees.
         let ahead = surfaces_in(&frame, PixelBox([165.0, -0.5, 195.0, 0.5]), &SurfaceOptions::default());
         assert_eq!(ahead.len(), 1);
         assert!(ahead[0].plane.normal.dot(-DVec3::X) > 0.995 && ahead[0].count == 31);
@@ -75,8 +75,8 @@ fn a_room_is_four_lines() {
     assert!((0.6..2.0).contains(&mean), "squared errors of {mean} variances");
 }
 
-/// By hand: nine beams meet a wall 2 m ahead square on (nearly), 1 cm of noise each. The middle of the line is known to 1 cm / 3, its
-/// two independent points to sqrt(2) of that.
+/// By hand: nine beams meet a wall 2 m ahead almost perpendicularly, with 1 cm of noise each. The middle of the line
+/// has an error of 1 cm / 3, and its two independent points have sqrt(2) of that.
 #[test]
 fn nine_beams() {
     let azimuth = Angles::Uniform { start_deg: -0.4, step_deg: 0.1, count: 9 };
@@ -88,13 +88,13 @@ fn nine_beams() {
     let found = surfaces_in(&frame, PixelBox::whole_of(&narrow), &options);
     assert_eq!(found.len(), 1);
     assert!((found[0].sigma - 2f64.sqrt() * NOISE / 3.0).abs() < 1e-6, "{}", found[0].sigma);
-    // Shorter than asked for, or of fewer points: none.
+    // Nothing is found if it is shorter than required, or has fewer points.
     for strict in [SurfaceOptions { least_extent: 0.1, ..options }, SurfaceOptions { least_points: 10, ..options }] {
         assert!(surfaces_in(&frame, PixelBox::whole_of(&narrow), &strict).is_empty());
     }
 }
 
-/// A corner of a room is three planes; a box that sees one of them finds one.
+/// A corner of a room has three planes; in a box on one of them only this one is found.
 #[test]
 fn a_corner_is_three_planes() {
     // Optical axes: the right wall, the floor, and the wall ahead.
@@ -135,7 +135,7 @@ fn what_is_no_surface_is_not_found() {
         }
         let frame = inside(sensor, &[(DVec3::Z, 2.0), (DVec3::X, 2.0), (-DVec3::X, 2.0)], &mut random);
         for odd in [[f64::NAN; 4], [9.0, 9.0, 1.0, 1.0], [-1e300, 0.0, 1e300, 5.0], [5e3, 0.0, 6e3, 5.0]] {
-            // A scan of a full turn is met beyond its width, too.
+            // On a full turn, columns continue beyond the width.
             assert!(sensor.height() == 1 || surfaces_in(&frame, PixelBox(odd), &SurfaceOptions::default()).is_empty());
         }
     }
@@ -145,8 +145,7 @@ fn what_is_no_surface_is_not_found() {
     assert!(surfaces_in(&frame, PixelBox::whole_of(&camera), &SurfaceOptions::default()).is_empty());
 }
 
-/// A slanted pillar before a wall: the edge is found to a fraction of a pixel as far as pixels tell; its slope, noise, and edges that
-/// are no jump are none.
+/// A slanted pillar before a wall is found to a fraction of a pixel; slopes, noise and edges without a jump are not.
 #[test]
 fn depth_edges_are_found_between_pixels() {
     let (camera, mut random) = (camera(), SplitMix64(3));
@@ -172,7 +171,7 @@ fn depth_edges_are_found_between_pixels() {
         let elsewhere = ExpectedEdge { ends: expected.ends.map(|e| e + 14.0 * right), ..expected };
         assert!(jumps_near(&frame, &elsewhere, &JumpOptions::default()).is_empty());
     }
-    // A floor that is seen flat has steps of its own, and no edge.
+    // A floor at a flat angle has steps of its own, but no edge.
     let floor = inside(&camera, &[(DVec3::Y, 1.0), (DVec3::Z, 40.0)], &mut random);
     let across =
         ExpectedEdge { ends: [DVec2::new(5.0, 40.0), DVec2::new(75.0, 40.0)], reach: 6.0, is_right_brighter: None };
@@ -201,20 +200,21 @@ fn reflectors_are_small_and_bright() {
         found.iter().map(|r| (r.detection.shape.centre().x, r.range.mean)).collect::<Vec<_>>()
     };
     assert_eq!(find(&frame(400), &[10, 11, 12, 50], whole), [(11.0, 3.0), (50.0, 3.0)]);
-    // Two one behind the other are two; in a box only what is in it.
+    // Two reflectors, one behind the other, are both found; in a box only those inside it.
     assert_eq!(find(&frame(11), &[10, 11], whole), [(10.0, 3.0), (11.0, 5.0)]);
     assert_eq!(find(&frame(400), &[10, 50], PixelBox([40.0, -0.5, 60.0, 0.5])), [(50.0, 3.0)]);
-    // As wide as a wall, or where nothing was measured: none. Nine beams of 1 degree at 3 m are 0.47 m.
+    // Spots as wide as a wall, or without measurements, are rejected. Nine beams of 1 degree at 3 m are 0.47 m.
     assert!(find(&frame(400), &[1, 2, 3, 4, 5, 6, 7, 8, 9], whole).is_empty());
     let all: Vec<usize> = (0..360).collect();
     assert!(find(&frame(400), &all, whole).is_empty(), "a blinded receiver");
     let nothing = Frame::new(0.0, scanner.clone(), Measurement::Range(vec![f32::INFINITY; 360])).unwrap();
     assert!(find(&nothing, &[10], whole).is_empty());
-    // Each end of three beams lies anywhere within a beam's pitch: the middle is off by 1 / sqrt(24) of a column. Ranges of 1 cm noise tell
-    // their slope to 1 / sqrt(2) cm a column, and that moves the middle by 1.5^2 / 3 m times as much.
+    // Each end of three beams is uniform within a beam's pitch: the middle has an error of 1 / sqrt(24) of a column.
+    // With 1 cm of range noise, the slope's error is 1 / sqrt(2) cm per column. It moves the middle by 1.5^2 / 3 m
+    // times that.
     let one = reflectors_in(&frame(400), &bright(&[10, 11, 12]), whole, &options).unwrap().remove(0);
     assert!((one.detection.covariance.x_axis.x - (1.0 / 24.0 + 0.0075f64.powi(2) / 2.0)).abs() < 1e-12);
-    // A median of three errs by sqrt(pi / 2) more than a mean.
+    // The error of a median of three is sqrt(pi / 2) times that of a mean.
     assert!((one.range.variance - std::f64::consts::FRAC_PI_2 * NOISE * NOISE / 3.0).abs() < 1e-12);
     let other = GreyImage::new(359, 1, vec![1.0; 359]).unwrap();
     assert_eq!(
@@ -228,8 +228,9 @@ fn reflectors_are_small_and_bright() {
     );
 }
 
-/// A region that shows a part of something bright finds all of it: a narrow one makes no reflector of a wall that blinds the receiver. A
-/// reflector on the seam of a turn is one, and so is one with a beam without a reading; where its end has none, nobody knows where it ends.
+/// A region with a part of a bright spot finds the whole spot: a narrow region does not make a reflector of a wall that
+/// blinds the receiver. A reflector on the seam is found once, and so is one with a beam without a reading. If the
+/// reading at its end is missing, its end is uncertain.
 #[test]
 fn reflectors_are_found_as_a_whole() {
     let scanner = scanner();
@@ -245,31 +246,32 @@ fn reflectors_are_found_as_a_whole() {
     };
     let wide: Vec<usize> = (100..130).collect();
     assert!(find(&[], &wide, [110.0, 114.0]).is_empty() && find(&[], &wide, [99.0, 101.0]).is_empty());
-    // Six columns are seen from both of its ends and its middle, as one and the same.
+    // The spot is found once from regions at both of its ends and in its middle.
     let six: Vec<usize> = (100..106).collect();
     for region in [[99.0, 100.4], [102.0, 103.0], [105.0, 108.0], [90.0, 110.0]] {
         let found = find(&[], &six, region);
         assert!(found.len() == 1 && (found[0].0 - 102.5).abs() < 1e-12, "{region:?}: {found:?}");
     }
-    // Over the seam: columns 358 to 1 have their middle at 359.5, from either side, and where the region goes on beyond the width.
+    // Over the seam: columns 358 to 1 have their middle at 359.5, from either side, and in a region beyond the width.
     for region in [[357.0, 363.0], [-1.0, 2.0], [356.0, 358.0], [1.0, 3.0], [-0.5, 359.5]] {
         let found = find(&[], &[358, 359, 0, 1], region);
         assert!(found.len() == 1 && (found[0].0 - 359.5).rem_euclid(360.0) < 1e-9, "{region:?}: {found:?}");
     }
-    // By hand: ranges tell the slope to 1 cm over the root of the columns' squared distances from their mean; 3^2 / 3 m of it are the middle's.
+    // By hand: the slope's error is 1 cm over the root of the columns' squared deviations. The middle has 3^2 / 3 m of
+    // it.
     let of_slope = |squares: f64| 0.03f64.powi(2) / squares;
     let is_at = |found: &[(f64, f64)], (x, variance): (f64, f64)| {
         found.len() == 1 && (found[0].0 - x).abs() < 1e-12 && (found[0].1 - variance).abs() < 1e-12
     };
     let lost = find(&[102], &six, [90.0, 110.0]);
     assert!(is_at(&lost, (102.5, 1.0 / 24.0 + of_slope(17.2))), "{lost:?}");
-    // An end within two pitches is half a pitch farther on, with a variance of 4 / 12; the middle has a quarter of both.
+    // An end within two pitches is half a pitch further out, with a variance of 4 / 12. The middle gets a quarter.
     let open = find(&[106], &six, [90.0, 110.0]);
     assert!(is_at(&open, (102.75, 5.0 / 48.0 + of_slope(17.5))), "{open:?}");
 }
 
-/// By hand: a plate of 20 cm on a wall 0.8 m to the left, 2 m ahead, is seen from 20.854 to 22.834 degrees. Its middle is at 21.801, while that
-/// of its columns is at 21.844, more than two columns of 0.02 degrees off.
+/// By hand: a plate of 20 cm on a wall 0.8 m to the left, 2 m ahead, spans 20.854 to 22.834 degrees. Its middle is at
+/// 21.801, that of its columns at 21.844: more than two columns of 0.02 degrees apart.
 #[test]
 fn the_middle_of_a_reflector_that_is_seen_aslant() {
     const STEP: f64 = 0.02;

@@ -1,4 +1,4 @@
-//! Retro-reflectors in scans: what comes back far brighter than any wall.
+//! Retro-reflectors in scans: echoes far brighter than from any wall.
 
 use super::PixelBox;
 use crate::matching::{Detection, Shape, UncertainValue};
@@ -8,12 +8,12 @@ use presight_model::frame::{Frame, GreyImage, RangeNoise};
 use presight_model::sensor::Sensor;
 use std::collections::BTreeMap;
 
-/// What counts as a reflector.
+/// Thresholds of the reflector detector.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ReflectorOptions {
-    /// Least intensity; nothing diffuse comes near to it.
+    /// Least intensity; diffuse surfaces stay far below it.
     pub least: f64,
-    /// Largest extent, metres: what is wider is a wall, or a receiver that is blinded.
+    /// Largest extent, metres: wider spots are walls or a blinded receiver.
     pub widest: f64,
 }
 
@@ -23,23 +23,23 @@ impl Default for ReflectorOptions {
     }
 }
 
-/// A reflector that was found.
+/// A detected reflector.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FoundReflector {
-    /// Where in the image, with covariance. In a scan of one row nothing is known of the row.
+    /// Position in the image, with covariance. In a scan of one row, the row is unknown.
     pub detection: Detection,
     /// Metres along the ray.
     pub range: UncertainValue,
 }
 
-/// Pixels squared: as good as unknown.
+/// Variance of an unknown position, pixels squared.
 const UNKNOWN: f64 = 1e6;
-/// How ranges may differ on one reflector, metres.
+/// Largest range difference within one reflector, metres.
 const DEPTH: f64 = 0.2;
 
-/// The reflectors in a part of a scan, in the order of its pixels. `intensity` has the pixels of the scan, 1 for the brightest.
-/// With [`PixelBox::whole_of`] it is the whole scan. One that lies partly in the region is found as a whole, over the seam of a full
-/// turn, too, and how wide it is counts all of it. A pixel without a reading does not divide it.
+/// The reflectors in a box of a scan, in pixel order. `intensity` has the pixels of the scan, 1 for the brightest. A
+/// reflector partly inside the box is found as a whole, also over the seam of a full turn, and its whole width counts.
+/// A pixel without a reading does not divide it.
 ///
 /// # Examples
 /// Two beams of a scanner meet a reflector 3 m away.
@@ -57,7 +57,7 @@ const DEPTH: f64 = 0.2;
 /// ```
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] if the intensities are of another size than the scan.
+/// [`crate::ErrorKind::Invalid`] if the intensities have another size than the scan.
 pub fn reflectors_in(
     frame: &Frame,
     intensity: &GreyImage,
@@ -67,9 +67,12 @@ pub fn reflectors_in(
     let sensor = frame.sensor();
     let (width, height) = (sensor.width(), sensor.height());
     if (intensity.width(), intensity.height()) != (width, height) {
-        let what =
-            format!("intensities of {} x {}, a scan of {width} x {height}", intensity.width(), intensity.height());
-        return Err(Error::invalid(what, "give those of the scan's own pixels"));
+        let what = format!(
+            "intensities of {} x {} pixels for a scan of {width} x {height}",
+            intensity.width(),
+            intensity.height()
+        );
+        return Err(Error::invalid(what, "give one intensity per pixel of the scan"));
     }
     let scan = BrightScan::new(frame, intensity, options);
     let Some([x0, y0, x1, y1]) = scan.pixels(&region) else { return Ok(Vec::new()) };
@@ -84,7 +87,7 @@ pub fn reflectors_in(
     Ok(found)
 }
 
-/// Column and row. Columns of a spot over the seam go on beyond the width.
+/// Column and row. Over the seam, columns continue beyond the width.
 type Pixel = (i64, i64);
 
 struct BrightScan<'a> {
@@ -92,11 +95,11 @@ struct BrightScan<'a> {
     intensity: &'a GreyImage,
     options: &'a ReflectorOptions,
     size: Pixel,
-    /// Whether the last column's neighbour is the first.
+    /// True if the last column is next to the first.
     is_round: bool,
 }
 
-/// Bright pixels that hang together, with their columns and ranges, and first and last column and row.
+/// Connected bright pixels with their columns and ranges, and the first and last column and row.
 struct BrightSpot {
     ranges: Vec<(i64, f64)>,
     columns: (i64, i64),
@@ -111,14 +114,14 @@ impl<'a> BrightScan<'a> {
         Self { frame, intensity, options, size, is_round }
     }
 
-    /// First and last column and row of a region; where columns go round, the last may be beyond the width. A lone row is all there is.
+    /// First and last column and row of a region. A full turn may exceed the width; a single row is always included.
     fn pixels(&self, region: &PixelBox) -> Option<[i64; 4]> {
         let [x0, y0, x1, y1] = region.0;
         let of_row = if self.size.1 == 1 { [-0.5, 0.5] } else { [y0, y1] };
         let (width, height) = (self.size.0 as u32, self.size.1 as u32);
         let rows = PixelBox([0.0, of_row[0], 0.0, of_row[1]]).pixels(width, height)?;
         let [first, last] = match self.is_round && x0.is_finite() && x1.is_finite() {
-            // No column twice.
+            // At most one turn, so that no column occurs twice.
             true => [x0.ceil() as i64, x1.floor().min(x0.ceil() + self.size.0 as f64 - 1.0) as i64],
             false => PixelBox([x0, 0.0, x1, 0.0]).pixels(width, 1).map(|p| [p[0], p[2]])?,
         };
@@ -129,7 +132,7 @@ impl<'a> BrightScan<'a> {
         (if self.is_round { c.rem_euclid(self.size.0) } else { c }, r)
     }
 
-    /// What was measured at a pixel; `None` outside of the scan.
+    /// The range measured at a pixel; `None` outside of the scan.
     fn reading(&self, at: Pixel) -> Option<f64> {
         let (c, r) = self.wrapped(at);
         let inside = (0..self.size.0).contains(&c) && (0..self.size.1).contains(&r);
@@ -144,14 +147,14 @@ impl<'a> BrightScan<'a> {
         (bright && range.is_finite() && range > 0.0).then_some(range)
     }
 
-    /// The next pixel in a direction; one without a reading is passed over.
+    /// The next pixel in a direction, skipping one without a reading.
     fn next(&self, (c, r): Pixel, (dc, dr): Pixel) -> Pixel {
         let next = (c + dc, r + dr);
         if self.reading(next).is_some_and(f64::is_nan) { (c + 2 * dc, r + 2 * dr) } else { next }
     }
 
-    /// The bright pixels that hang together with one, at about its range; `None` if they are too wide. `seen` says of pixels that were
-    /// looked at whether they belong to something too wide: no part of that is a reflector.
+    /// The bright pixels connected to a first one at similar ranges; `None` if they are too wide. `seen` maps visited
+    /// pixels to true if they belong to a spot that is too wide; no part of it counts as a reflector.
     fn spot(&self, first: Pixel, seen: &mut BTreeMap<Pixel, bool>) -> Option<BrightSpot> {
         let mut spot = BrightSpot { ranges: Vec::new(), columns: (first.0, first.0), rows: (first.1, first.1) };
         let (mut open, mut own, mut wide) = (vec![first], vec![first], false);
@@ -185,26 +188,26 @@ impl<'a> BrightScan<'a> {
         (!wide).then_some(spot)
     }
 
-    /// Angles from one column to the next, and over all rows, radians.
+    /// Angle between columns, and angle over all rows, radians.
     fn angles(&self, spot: &BrightSpot) -> Option<(f64, f64)> {
         let sensor = self.frame.sensor();
         let (x, _) = self.wrapped((spot.columns.0, 0));
         let (x, y) = (x as f64, spot.rows.0 as f64);
-        // By the pitch, as a full turn ends where it begins.
+        // Uses the pitch, because the ends of a full turn coincide.
         let pitch = sensor.ray_at(x - 0.5, y)?.angle_between(sensor.ray_at(x + 0.5, y)?);
         let rows = || Some(sensor.ray_at(x, y)?.angle_between(sensor.ray_at(x, spot.rows.1 as f64)?));
         let down = if spot.rows.1 > spot.rows.0 { rows()? } else { 0.0 };
         Some((pitch, down))
     }
 
-    /// The larger one of width and height, metres.
+    /// The larger of width and height, metres.
     fn extent(&self, spot: &BrightSpot) -> Option<f64> {
         let (pitch, down) = self.angles(spot)?;
         let across = pitch * (spot.columns.1 - spot.columns.0 + 1) as f64;
         Some(across.max(down) * spot.ranges.first()?.1)
     }
 
-    /// Whether nobody knows if the reflector goes on beyond its end: there is no reading, or one of two surfaces at once.
+    /// True if the reflector may continue beyond its end: there is no reading, or a mixed one of two surfaces.
     fn is_open(&self, end: Pixel, direction: Pixel, range: f64) -> bool {
         let at = |k: i64| self.reading((end.0 + k * direction.0, end.1 + k * direction.1));
         let Some(next) = at(1) else { return false };
@@ -213,8 +216,8 @@ impl<'a> BrightScan<'a> {
         next.is_nan() || (between && (beyond - next).signum() == (next - range).signum())
     }
 
-    /// Whether bright pixels beside it go on for longer than a reflector is wide, whatever their ranges: of a wall that is seen aslant and blinds
-    /// the receiver neighbouring beams are far apart.
+    /// True if bright pixels continue on both sides for more than a reflector's width, at any range. On a wall that
+    /// blinds the receiver at a flat angle, ranges of neighbouring beams differ a lot.
     fn is_part_of_a_wall(&self, spot: &BrightSpot, pitch: f64, range: f64) -> bool {
         let most = (self.options.widest / (pitch * range)).ceil().min(1e6) as i64;
         let beside = |from: i64, by: i64| {
@@ -235,7 +238,7 @@ impl<'a> BrightScan<'a> {
         let (x, of_column) = middle(spot.columns, |c, by| self.is_open((c, spot.rows.0), (by, 0), range));
         let (y, of_row) = middle(spot.rows, |r, by| self.is_open((spot.columns.0, r), (0, by), range));
         let of_row = if sensor.height() == 1 { UNKNOWN } else { of_row + jitter };
-        // The nearer half of a flat one that is seen aslant takes up more columns than the other: its middle is not that of the columns.
+        // On a flat reflector seen obliquely, the nearer half covers more columns, which shifts the middle.
         let (slope, of_slope) = spot.slope();
         let (sigma, half) = (noise.range_sigma(range), 0.5 * (spot.columns.1 - spot.columns.0 + 1) as f64);
         let lever = half * half / range;
@@ -244,9 +247,9 @@ impl<'a> BrightScan<'a> {
         let mut detection = Detection::new(Shape::Reflector(DVec2::new(x + aside, y)), 1.0);
         detection.covariance = DMat2::from_diagonal(DVec2::new(of_column, of_row));
         detection.properties.strength = Some(1.0);
-        // A median of many is off by a little more than a mean.
+        // The variance of a median is larger than that of a mean.
         let of_median = if count > 2.0 { std::f64::consts::FRAC_PI_2 } else { 1.0 };
-        // Another middle has another range.
+        // A shift of the middle also changes its range.
         let variance = of_median * sigma * sigma / count + slope * slope * of_column;
         let range = UncertainValue { mean: range + slope * aside, variance };
         detection.properties.range = Some(range);
@@ -261,7 +264,7 @@ impl BrightSpot {
         self.rows = (self.rows.0.min(r), self.rows.1.max(r));
     }
 
-    /// By how much ranges rise from column to column, metres, and its variance in that of a range.
+    /// Change of range per column, metres, and its variance in units of a range's variance.
     fn slope(&self) -> (f64, f64) {
         let count = self.ranges.len() as f64;
         let (c, r) = self.ranges.iter().fold((0.0, 0.0), |(c, r), of| (c + of.0 as f64, r + of.1));
@@ -282,8 +285,8 @@ impl BrightSpot {
     }
 }
 
-/// Middle of the pixels from first to last, and its variance. Each end lies anywhere within its pixel's pitch, 1/12 of variance, or within two
-/// pitches where the next pixel is open.
+/// Middle of the pixels from first to last, and its variance. Each end is uniform within its pixel (variance 1/12), or
+/// within two pixels if the next one is open.
 fn middle((first, last): (i64, i64), is_open: impl Fn(i64, i64) -> bool) -> (f64, f64) {
     let end = |at: i64, by: i64| {
         if is_open(at, by) { (at as f64 + 0.5 * by as f64, 4.0 / 12.0) } else { (at as f64, 1.0 / 12.0) }
@@ -292,8 +295,8 @@ fn middle((first, last): (i64, i64), is_open: impl Fn(i64, i64) -> bool) -> (f64
     (0.5 * (a.0 + b.0), 0.25 * (a.1 + b.1))
 }
 
-/// The range at which a scanner of one row meets a point's vertical: a reflector stands upright, and reaches from its point to the row.
-/// Elsewhere the distance of the point. Image frame.
+/// The predicted range of a reflector at `p` (image frame). A reflector extends upright from its point to the row of a
+/// single-row scan, so there it is the range where the row meets the vertical through `p`.
 pub fn range_to(sensor: &Sensor, p: glam::DVec3) -> f64 {
     match &sensor.spec().geometry {
         presight_model::Geometry::Scanner(scanner) if sensor.height() == 1 => {

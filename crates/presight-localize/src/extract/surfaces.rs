@@ -1,9 +1,9 @@
 //! Flat surfaces in ranges: line segments in scans of one row, planes in range images.
 //!
-//! What is told of a surface are points on it whose errors do not depend on each other: with weights w = 1 / s^2 of the measured
-//! points and their spreads a, b along the surface, a line is known to 1 / sum w + t^2 / (a^2 sum w) at t from its middle, so that
-//! the points at t = +-a are known to 2 / sum w each, and independently. Three points of a plane on the ellipse sqrt(2) (a, b) are
-//! known to 3 / sum w.
+//! A surface is returned as points on it with independent errors. With weights w = 1 / s^2 of the measured points and
+//! their spreads a, b along the surface, the variance of a line at distance t from its middle is 1 / sum w + t^2 / (a^2
+//! sum w). The points at t = +-a thus have independent errors of variance 2 / sum w each. Three points of a plane on
+//! the ellipse sqrt(2) (a, b) have variance 3 / sum w each.
 
 use super::PixelBox;
 use glam::{DMat3, DVec3};
@@ -11,14 +11,14 @@ use presight_model::frame::{Frame, RangeNoise};
 use presight_model::geometry::Plane;
 use presight_model::matrix::eigen;
 
-/// What counts as a surface.
+/// Thresholds of the surface detector.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SurfaceOptions {
     /// Fewest measured points.
     pub least_points: usize,
     /// Shortest extent along the surface, metres.
     pub least_extent: f64,
-    /// How far points may be off, beside the sensor's noise, one standard deviation, metres: no wall is flat.
+    /// Allowed unevenness of a surface in addition to the sensor's noise, one standard deviation, metres.
     pub flatness: f64,
 }
 
@@ -28,49 +28,48 @@ impl Default for SurfaceOptions {
     }
 }
 
-/// A flat surface that was found. Image frame of the sensor, metres.
+/// A detected flat surface, in the image frame of the sensor, metres.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FoundSurface {
-    /// Normal, towards the sensor, and offset. Of a line in a scan the plane that stands upright on the scan.
+    /// Normal, towards the sensor, and offset. For a line in a scan, the plane perpendicular to the scan.
     pub plane: Plane,
-    /// Points on it whose errors are independent: two of a line, three of a plane.
+    /// Points on it with independent errors: two for a line, three for a plane.
     pub points: Vec<DVec3>,
-    /// Of each of these along the normal, one standard deviation, metres.
+    /// Standard deviation of each of these points along the normal, metres.
     pub sigma: f64,
-    /// Measured points on it.
+    /// Number of measured points on it.
     pub count: usize,
-    /// Where these are in the image.
+    /// The pixels of the measured points.
     pub pixels: PixelBox,
-    /// Root mean square of the measured points' distances, in their own standard deviations.
+    /// Root mean square distance of the measured points, in standard deviations.
     pub scatter: f64,
 }
 
 impl FoundSurface {
-    /// How far it is from a plane (image frame), as the sum of the squares of its points' distances in standard deviations. `more`
-    /// is what the plane itself may be off at them, metres. Of as many dimensions as it has points.
+    /// Squared distance from a plane (image frame): the sum over its points of the squared distance in standard
+    /// deviations. `more` is the error of the plane itself at the points, metres. Has one degree of freedom per point.
     pub fn squared_distance(&self, plane: &Plane, more: f64) -> f64 {
         let variance = self.sigma * self.sigma + more * more;
         self.points.iter().map(|p| (plane.normal.dot(*p) - plane.offset).powi(2) / variance).sum()
     }
 }
 
-/// Points farther off than this many standard deviations are of another surface.
+/// Points farther away than this, in standard deviations, belong to another surface.
 const FAR: f64 = 4.0;
-/// Two neighbours that are both as far off show that a line bends.
+/// Two neighbours this far away on the same side, in standard deviations, show that a line bends.
 const BEND: f64 = 3.0;
-/// Readings that may be missing within one surface of a scan.
+/// Readings that may be missing inside one surface of a scan.
 const MISSING: i64 = 3;
-/// Flattest incidence at which neighbours count as one surface, as a tangent.
+/// Flattest incidence at which neighbours may belong to one surface, as a tangent.
 const STEEPEST: f64 = 12.0;
-/// In a region of so few blocks one is enough.
+/// In a region of at most this many blocks, a single block may form a plane.
 const FEW: usize = 4;
-/// Side of the blocks that planes are grown from, pixels.
+/// Side of the blocks from which planes are grown, pixels.
 const BLOCK: i64 = 6;
-/// Root mean square distance from its plane at which a block is flat, in standard deviations.
+/// Largest root mean square distance of a flat block's points from its plane, in standard deviations.
 const FLAT: f64 = 1.25;
 
-/// The flat surfaces in a part of a frame of ranges, the largest first. With [`PixelBox::whole_of`] it is the whole frame. Of a full
-/// turn the box may lead over the seam, its last column beyond the width.
+/// The flat surfaces in a box of a range frame, the largest first. On a full turn, the box may extend over the seam.
 ///
 /// # Examples
 /// A wall 2 m ahead of a scanner fills the beams from -60 to 60 degrees.
@@ -101,7 +100,7 @@ struct Reading {
     point: DVec3,
 }
 
-/// Weighted sums over points: what a line or a plane through them is fitted to.
+/// Weighted sums over points, to fit a line or a plane.
 #[derive(Clone, Copy, Default)]
 struct Moments {
     weight: f64,
@@ -126,7 +125,7 @@ impl Moments {
         self
     }
 
-    /// Middle, unit axes and variances along them, the widest first.
+    /// Mean, unit axes and variances along them, the largest first.
     fn axes(&self) -> (DVec3, [DVec3; 3], [f64; 3]) {
         let middle = self.first / self.weight;
         let spread = self.second * (1.0 / self.weight)
@@ -145,13 +144,13 @@ impl Moments {
     }
 }
 
-/// The readings of a box.
+/// The readings in a box.
 struct Patch<'a> {
     readings: Vec<Reading>,
     noise: RangeNoise,
     options: &'a SurfaceOptions,
     is_row: bool,
-    /// Radians from one column to the next.
+    /// Angle between neighbouring columns, radians.
     pitch: f64,
 }
 
@@ -163,7 +162,7 @@ impl<'a> Patch<'a> {
         if !region.0.iter().all(|x| x.is_finite() && x.abs() < 1e9) {
             return None;
         }
-        // Over the seam of a turn columns go on beyond the width.
+        // Over the seam of a full turn, column numbers continue beyond the width.
         let (least, most) = (x0.ceil() as i64, x1.floor() as i64);
         let whole = i64::from(width);
         let turns = presight_features::turn(sensor).is_some_and(|turn| (turn - f64::from(width)).abs() < 0.01);
@@ -199,22 +198,22 @@ impl<'a> Patch<'a> {
         self.noise.variance_along_normal(range, cos) + self.options.flatness.powi(2) + 1e-12
     }
 
-    /// As if met square on: before a normal is known.
+    /// Moments for perpendicular incidence, before the normal is known.
     fn rough(&self, readings: &[Reading]) -> Moments {
         let mut m = Moments::default();
         readings.iter().for_each(|r| m.add(r.point, self.noise.range_sigma(r.point.length()).powi(-2)));
         m
     }
 
-    /// The normal of the surface through points, towards the sensor.
+    /// Mean and normal (towards the sensor) of the surface through points.
     fn normal(&self, m: &Moments) -> (DVec3, DVec3) {
         let (middle, axes, _) = m.axes();
         let normal = if self.is_row { axes[0].cross(DVec3::Z).normalize_or_zero() } else { axes[2] };
         (middle, if normal.dot(middle) > 0.0 { -normal } else { normal })
     }
 
-    /// How far readings are from the line through them, in standard deviations: the farthest of two neighbours on one side of it, as
-    /// a single one may be an outlier.
+    /// Largest deviation of readings from their line, in standard deviations. Takes the smaller of two neighbours on
+    /// the same side, because a single one may be an outlier.
     fn worst(&self, readings: &[Reading]) -> f64 {
         let (middle, normal) = self.normal(&self.rough(readings));
         let off = |r: &Reading| normal.dot(r.point - middle) / self.variance(r.point, normal).sqrt();
@@ -225,8 +224,7 @@ impl<'a> Patch<'a> {
         readings.windows(2).map(both).fold(0.0, f64::max)
     }
 
-    /// The surface through readings, each weighed by its own noise and outliers left out; `None` if they are too few or too near to
-    /// each other.
+    /// The surface through readings, weighted by noise and without outliers; `None` if they are too few or too close.
     fn fitted(&self, readings: &[Reading]) -> Option<FoundSurface> {
         if readings.len() < self.options.least_points.max(3) {
             return None;
@@ -251,7 +249,7 @@ impl<'a> Patch<'a> {
         let scatter = (squares / (readings.len() - dimensions).max(1) as f64).sqrt();
         let own = scatter.max(1.0) / weighed.weight.sqrt();
         let [a, b] = [spread[0].sqrt(), spread[1].sqrt()];
-        // Evenly spread points lie within sqrt(3) of their deviation.
+        // Evenly spread points lie within sqrt(3) standard deviations.
         let narrowest = if self.is_row { a } else { b };
         if !(narrowest * 12f64.sqrt() >= self.options.least_extent) {
             return None;
@@ -278,7 +276,7 @@ impl<'a> Patch<'a> {
         })
     }
 
-    /// Runs of neighbouring readings, split where they leave a line and merged where they do not (T. Pavlidis and S. Horowitz 1974).
+    /// Splits runs of readings where they deviate from a line, and merges others (T. Pavlidis and S. Horowitz 1974).
     fn lines(&self) -> Vec<FoundSurface> {
         let mut pieces: Vec<(usize, usize)> = Vec::new();
         let mut first = 0;
@@ -293,7 +291,7 @@ impl<'a> Patch<'a> {
         pieces.iter().filter_map(|(a, b)| self.fitted(&self.readings[*a..*b])).collect()
     }
 
-    /// Whether two readings, one after the other, cannot be of one surface.
+    /// True if two consecutive readings cannot belong to one surface.
     fn is_apart(&self, a: &Reading, b: &Reading) -> bool {
         let (ra, rb) = (a.point.length(), b.point.length());
         let columns = (b.column - a.column) as f64;
@@ -302,7 +300,7 @@ impl<'a> Patch<'a> {
     }
 
     fn split(&self, first: usize, end: usize, pieces: &mut Vec<(usize, usize)>) {
-        // Without recursion: a scan may have many thousand readings.
+        // Iterative, because a scan may have many thousand readings.
         let mut open = vec![(first, end)];
         while let Some((a, b)) = open.pop() {
             let readings = &self.readings[a..b];
@@ -319,13 +317,13 @@ impl<'a> Patch<'a> {
             let off = |r: &Reading| if along == DVec3::ZERO { (r.point - start).length_squared() } else { off(r) };
             let far = (1..readings.len() - 1).max_by(|i, j| off(&readings[*i]).total_cmp(&off(&readings[*j])));
             let at = a + far.unwrap_or(readings.len() / 2);
-            // The left part is taken up first, so that pieces are in order.
+            // The left part is processed first, so that pieces stay in order.
             open.push((at, b));
             open.push((a, at));
         }
     }
 
-    /// Joins pieces that lie beside each other on one line.
+    /// Merges neighbouring pieces on one line.
     fn merge(&self, begun: usize, pieces: &mut Vec<(usize, usize)>) {
         let mut i = begun;
         while i + 1 < pieces.len() {
@@ -341,18 +339,18 @@ impl<'a> Patch<'a> {
         }
     }
 
-    /// Planes, grown from flat blocks over neighbouring flat blocks, the flattest first.
+    /// Grows planes from flat blocks over neighbouring flat blocks, starting with the flattest.
     fn planes(&self) -> Vec<FoundSurface> {
         let Some(mut blocks) = Blocks::of(self) else { return Vec::new() };
         let mut found = Vec::new();
         for start in blocks.flattest() {
             let Some(mut grown) = blocks.grow(self, start) else { continue };
             grown.sort_unstable();
-            // A lone flat block among many is two planes that happen to look like one.
+            // A single flat block among many is usually a crease that happens to look flat.
             if grown.len() == 1 && blocks.scatter.len() > FEW {
                 continue;
             }
-            // Blocks at a crease hold points of both planes: without them the plane is smaller, and not bent.
+            // Blocks at a crease hold points of both planes. Omitting them makes the plane smaller but keeps it flat.
             let own: Vec<Reading> = grown.iter().flat_map(|b| &blocks.readings[*b]).copied().collect();
             grown.iter().for_each(|b| blocks.scatter[*b] = f64::INFINITY);
             found.extend(self.fitted(&own));
@@ -361,13 +359,13 @@ impl<'a> Patch<'a> {
     }
 }
 
-/// A box's readings by square blocks.
+/// A box's readings in square blocks.
 struct Blocks {
     across: i64,
     down: i64,
     readings: Vec<Vec<Reading>>,
     moments: Vec<Moments>,
-    /// Root mean square distance in standard deviations; infinite where a block is no plane, or belongs to one already.
+    /// Root mean square distance in standard deviations; infinite if a block is not flat, or already part of a plane.
     scatter: Vec<f64>,
 }
 
@@ -376,7 +374,7 @@ impl Blocks {
         let columns = || patch.readings.iter().map(|r| r.column);
         let rows = || patch.readings.iter().map(|r| r.row);
         let (left, right, top, bottom) = (columns().min()?, columns().max()?, rows().min()?, rows().max()?);
-        // Thin images have thin blocks.
+        // Thin images get thin blocks.
         let side = |length: i64| BLOCK.min((length / 2).max(2));
         let (wide, high) = (side(right - left + 1), side(bottom - top + 1));
         let (across, down) = ((right - left) / wide + 1, (bottom - top) / high + 1);
@@ -387,7 +385,7 @@ impl Blocks {
         let moments: Vec<Moments> = readings.iter().map(|r| patch.rough(r)).collect();
         let full = (wide * high) as usize;
         let flat = |r: &Vec<Reading>| {
-            // Half of a block at least, and more than any three points lie in one plane.
+            // At least half of a block, and more than three points, which always lie in a plane.
             let scatter = if 2 * r.len() >= full && r.len() >= 4 { scatter_of(patch, r) } else { f64::INFINITY };
             if scatter <= FLAT { scatter } else { f64::INFINITY }
         };
@@ -401,7 +399,7 @@ impl Blocks {
         order
     }
 
-    /// The flat blocks that lie in one plane with a first one; `None` if that is taken.
+    /// The flat blocks in one plane with a start block; `None` if the start block is already used.
     fn grow(&self, patch: &Patch<'_>, start: usize) -> Option<Vec<usize>> {
         if !self.scatter[start].is_finite() {
             return None;
@@ -417,7 +415,7 @@ impl Blocks {
                     continue;
                 }
                 let (middle, normal) = patch.normal(&sum);
-                // All of a block has to lie in the plane, but for noise and what the plane is not yet known to.
+                // The whole block must lie in the plane, up to noise and the plane's current uncertainty.
                 let readings = &self.readings[b];
                 let squares =
                     readings.iter().map(|r| normal.dot(r.point - middle).powi(2) / patch.variance(r.point, normal));

@@ -1,4 +1,4 @@
-//! Fiducials as [`super::find_features`] looks for them: with the feature `fiducials`, and only of dictionaries that the library knows.
+//! Fiducials for [`super::find_features`], with the Cargo feature `fiducials` and for dictionaries of its library.
 
 #[cfg(feature = "fiducials")]
 use super::FiducialFinder;
@@ -8,8 +8,8 @@ use presight_model::environment::FeatureShape;
 use presight_model::error::Result;
 use presight_model::frame::GreyImage;
 
-/// Whether features of a shape are looked for in grey images: segments, points and, with the feature `fiducials`, the fiducials of a
-/// dictionary that `FiducialFinder` knows.
+/// True if features of this shape are searched in grey images: segments, points and, with the Cargo feature
+/// `fiducials`, fiducials of a dictionary that `FiducialFinder` supports.
 pub fn is_sought(shape: &FeatureShape) -> bool {
     match shape {
         FeatureShape::Segment { .. } | FeatureShape::Point { .. } => true,
@@ -19,13 +19,13 @@ pub fn is_sought(shape: &FeatureShape) -> bool {
     }
 }
 
-/// The fiducials of a dictionary in a part of an image.
+/// The fiducials of a dictionary in a box of an image.
 #[cfg(feature = "fiducials")]
 pub(super) fn tags_in(image: &GreyImage, region: PixelBox, family: &str) -> Result<Vec<Detection>> {
     use std::cell::RefCell;
     use std::collections::BTreeMap;
     thread_local! {
-        // The library takes a while to prepare a dictionary, and a finder may not leave its thread.
+        // The library takes a while to prepare a dictionary, and a finder must not leave its thread.
         static FINDERS: RefCell<BTreeMap<String, FiducialFinder>> = const { RefCell::new(BTreeMap::new()) };
     }
     FINDERS.with_borrow_mut(|finders| {
@@ -36,7 +36,7 @@ pub(super) fn tags_in(image: &GreyImage, region: PixelBox, family: &str) -> Resu
     })
 }
 
-/// None: the library is not built in.
+/// Finds nothing: the library is not built in.
 #[cfg(not(feature = "fiducials"))]
 pub(super) fn tags_in(_: &GreyImage, _: PixelBox, _: &str) -> Result<Vec<Detection>> {
     Ok(Vec::new())

@@ -4,7 +4,7 @@ use glam::DVec2;
 use presight_model::frame::GreyImage;
 use presight_model::random::SplitMix64;
 
-/// Dark and bright halves, parted by a line through `on` at an angle; what a pixel sees of each is counted finely.
+/// Dark and bright halves, separated by a line through `on` at an angle, with finely sampled pixels.
 fn halves(on: DVec2, angle: f64, noise: f64, seed: u64) -> GreyImage {
     const SIDE: u32 = 64;
     let across = DVec2::from_angle(angle).perp();
@@ -17,7 +17,7 @@ fn halves(on: DVec2, angle: f64, noise: f64, seed: u64) -> GreyImage {
             if across.dot(at - on) > 0.0 { 0.7 } else { 0.3 }
         });
         let bright = fine.sum::<f64>() / 64.0;
-        // Uniform, of the deviation asked for.
+        // Uniform noise with the requested deviation.
         values.push((bright + noise * 3f64.sqrt() * random.uniform(-1.0, 1.0)) as f32);
     }
     GreyImage::new(SIDE, SIDE, values).unwrap()
@@ -28,7 +28,7 @@ fn off_line(found: &FoundEdge, on: DVec2, angle: f64) -> f64 {
     found.detection.shape.points().iter().map(|p| across.dot(*p - on).abs()).fold(0.0, f64::max)
 }
 
-/// Edges at all angles, expected pixels off and turned, are found to a fraction of a pixel, with errors as the covariance claims.
+/// Edges at all angles are found to a fraction of a pixel from wrong expectations. Errors are as the covariance states.
 #[test]
 fn edges_are_found_to_a_fraction_of_a_pixel() {
     let (mut squares, mut count) = (0.0, 0.0);
@@ -48,7 +48,7 @@ fn edges_are_found_to_a_fraction_of_a_pixel() {
         assert_eq!(found.len(), 1, "{k}: {found:?}");
         let off = off_line(&found[0], on, angle);
         assert!(off < 0.2, "{k}: {off} pixels");
-        // perp() of an angle points to the right of its way, rows growing downwards: the bright side.
+        // perp() of an angle points to the right of its direction (rows grow downwards): the bright side.
         assert!(found[0].contrast > 0.25 && found[0].support > 0.9);
         squares += off * off / found[0].detection.covariance.x_axis.x;
         count += 1.0;
@@ -61,7 +61,7 @@ fn edges_are_found_to_a_fraction_of_a_pixel() {
     assert!((0.1..4.0).contains(&mean), "normalized squared errors of {mean}");
 }
 
-/// Noise alone, an edge out of reach, and one across the expected one are none.
+/// Noise alone, an edge out of reach, and one across the expected edge are not detected.
 #[test]
 fn what_is_no_edge_is_not_found() {
     let centre = DVec2::splat(31.5);
@@ -92,7 +92,7 @@ fn what_is_no_edge_is_not_found() {
     assert!(edges_near(&blind, &expected(DVec2::X, 0.0), &options).is_empty());
 }
 
-/// The bright wedge between two directions from a point; what a pixel sees of it is counted finely.
+/// A bright wedge between two directions from a point, with finely sampled pixels.
 fn wedge(tip: DVec2, from: f64, opening: f64, noise: f64, seed: u64) -> GreyImage {
     const SIDE: u32 = 48;
     let mut random = SplitMix64(seed);
@@ -108,8 +108,8 @@ fn wedge(tip: DVec2, from: f64, opening: f64, noise: f64, seed: u64) -> GreyImag
     GreyImage::new(SIDE, SIDE, values.collect()).unwrap()
 }
 
-/// Corners of 52 to 132 degrees in all directions are found to a fraction of a pixel, in the whole image as in a box, with errors as the
-/// covariance claims; an edge, noise and a blind image have none.
+/// Corners of 52 to 132 degrees in all directions are found to a fraction of a pixel, in the whole image and in a box,
+/// with errors as their covariance states. An edge, noise and a blind image have no corners.
 #[test]
 fn corners_are_found_to_a_fraction_of_a_pixel() {
     let options = CornerOptions { noise: 0.01, ..CornerOptions::default() };
@@ -170,7 +170,8 @@ fn what_ranges_say_of_a_feature_that_was_not_found() {
     let classes = classify(&all, &[], &Default::default(), &told).unwrap();
     use FeatureClass::{Missing, Occluded, Undecidable};
     assert_eq!(classes.features, [Occluded, Missing, Undecidable, Undecidable, Undecidable]);
-    // A row of pixels: the left half nearer, the right half farther; beside a segment in either half these are counted.
+    // The left half of a row of pixels is nearer, the right half farther. Counts verdicts along a segment in either
+    // half.
     let pixels: Vec<Verdict> = (0..200).map(|i| if i % 20 < 10 { Verdict::Nearer } else { Verdict::Farther }).collect();
     let verdicts = crate::verdict::Verdicts { width: 20, height: 10, pixels, difference: vec![0.0; 200] };
     let at = |x: f64| verdicts_along(&verdicts, [DVec2::new(x, 1.0), DVec2::new(x, 8.0)], 2.0);

@@ -1,5 +1,5 @@
-//! Grey images as a camera with a light beside it takes them: brightness is the echo ([`Output::Echo`]), pixels mix what they see, and blur
-//! and noise are added. It is no renderer: there are no shadows, no highlights and no textures.
+//! Grey images of a camera with a light at its centre: brightness is the echo ([`Output::Echo`]), averaged over each
+//! pixel, with blur and noise. This is not a renderer: there are no shadows, highlights or textures.
 
 use super::normal;
 use presight_model::error::{Error, Result};
@@ -30,7 +30,7 @@ const FINE: u32 = 3;
 pub struct GreySimulator {
     predictor: Predictor,
     camera: Sensor,
-    /// The same camera with finer pixels.
+    /// The same camera with smaller pixels.
     fine: Sensor,
     blur: f64,
     noise: f64,
@@ -38,19 +38,19 @@ pub struct GreySimulator {
 }
 
 impl GreySimulator {
-    /// Makes a simulator; the same seed gives the same images. `blur` is the deviation of a Gaussian, pixels; `noise` that of a grey value.
+    /// Makes a simulator; the same seed gives the same images. `blur` (pixels) and `noise` are standard deviations.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] for a sensor that is no camera, and for a blur outside of 0 to 10 pixels or a noise outside of 0 to 1;
-    /// [`crate::ErrorKind::Invalid`] for an image too large for its pixels to be divided.
+    /// [`crate::ErrorKind::Usage`] for a sensor that is not a camera, for a blur outside of 0 to 10 pixels, and for a
+    /// noise outside of 0 to 1; [`crate::ErrorKind::Invalid`] for an image too large to divide its pixels.
     pub fn new(predictor: Predictor, camera: Sensor, blur: f64, noise: f64, seed: u64) -> Result<Self> {
         let Geometry::Camera(c) = &camera.spec().geometry else {
-            let what = format!("sensor {:?} is no camera and takes no grey images", camera.spec().name);
+            let what = format!("sensor {:?} is not a camera and takes no grey images", camera.spec().name);
             return Err(Error::usage(what, "give a camera"));
         };
         if !((0.0..=10.0).contains(&blur) && (0.0..=1.0).contains(&noise)) {
             let what = format!("a blur of {blur} pixels and a noise of {noise}");
-            return Err(Error::usage(what, "give 0 to 10 pixels and 0 to 1"));
+            return Err(Error::usage(what, "give a blur of 0 to 10 pixels and a noise of 0 to 1"));
         }
         let n = f64::from(FINE);
         let centre = |x: f64| n * (x + 0.5) - 0.5;
@@ -65,10 +65,10 @@ impl GreySimulator {
         &self.camera
     }
 
-    /// What the camera sees with the robot at a pose.
+    /// The image that the camera takes with the robot at a pose.
     ///
     /// # Errors
-    /// Those of [`Predictor::predict_images`], and a stamp that is no number.
+    /// Errors of [`Predictor::predict_images`], and a stamp that is not finite.
     pub fn frame(&mut self, world: &World, stamp: f64, world_from_robot: &Pose) -> Result<Frame> {
         let mut images = Images::default();
         let world_from_sensor = *world_from_robot * self.camera.spec().mount;
@@ -79,7 +79,7 @@ impl GreySimulator {
         let side = FINE as usize;
         for (i, echo) in images.echo.iter().enumerate() {
             let (column, row) = (i % (w * side) / side, i / (w * side) / side);
-            // Nothing is black.
+            // Pixels without an echo are black.
             let share = f64::from(FINE * FINE);
             picture[row * w + column] += if echo.is_finite() { f64::from(*echo) / share } else { 0.0 };
         }
@@ -90,7 +90,7 @@ impl GreySimulator {
     }
 }
 
-/// Along rows (`step` 1) or columns (`step` w); what is beyond a side is as the side is.
+/// Gaussian blur along rows (`step` 1) or columns (`step` w). Beyond the border, the border pixel repeats.
 fn blurred(picture: &[f64], w: usize, blur: f64, step: usize) -> Vec<f64> {
     let reach = (3.0 * blur).ceil() as i64;
     let weights: Vec<f64> = (-reach..=reach).map(|k| (-0.5 * (k as f64 / blur.max(1e-6)).powi(2)).exp()).collect();

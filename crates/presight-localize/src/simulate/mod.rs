@@ -1,8 +1,7 @@
-//! Simulated logs: what a sensor with noise, drop-outs and mixed pixels would measure, odometry that slips, and a scene that is not
-//! quite its model.
+//! Simulated logs: measurements of a sensor with noise, drop-outs and mixed pixels, odometry that slips, and a scene
+//! that differs from its model.
 //!
-//! The same seed gives the same log. The generator is its own: nothing here is shared with the estimator's model of noise but the
-//! sensor's stated deviations.
+//! The same seed gives the same log. The noise shares only the sensor's stated deviations with the estimator's model.
 
 mod grey;
 mod surroundings;
@@ -20,16 +19,16 @@ use presight_model::world::World;
 use presight_predict::predict::Predictor;
 use presight_render::plan::{Images, Output, Outputs};
 
-/// How a simulated sensor and its robot err beyond the sensor's stated noise.
+/// Errors of a simulated sensor and its robot beyond the sensor's stated noise.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Disturbances {
-    /// Share of the pixels without a measurement.
+    /// Fraction of the pixels without a measurement.
     pub drop_outs: f64,
-    /// Share of the pixels at a jump in range that measure something in between.
+    /// Fraction of the pixels at a range jump that measure a range in between.
     pub mixed_pixels: f64,
-    /// Share of the way that odometry is wrong by, one standard deviation.
+    /// Odometry error as a fraction of the distance, one standard deviation.
     pub slip: f64,
-    /// Radians that odometry is wrong by for each radian turned and for each metre, one standard deviation.
+    /// Odometry error in radians per radian turned and per metre driven, one standard deviation.
     pub turn_slip: f64,
 }
 
@@ -39,7 +38,7 @@ impl Default for Disturbances {
     }
 }
 
-/// A range that differs from its neighbour's by more than this share is behind an edge.
+/// A range that differs from its neighbour's by more than this fraction is behind an edge.
 const JUMP: f64 = 0.05;
 
 /// Simulates the frames of one sensor on one robot.
@@ -64,14 +63,14 @@ pub struct Simulator {
     intensities: Option<Intensities>,
 }
 
-/// How intensities err.
+/// Simulates intensities.
 struct Intensities {
     noise: f64,
-    /// Of their own: ranges are the same with them and without.
+    /// Separate, so that ranges are the same with and without intensities.
     random: SplitMix64,
 }
 
-/// What a simulated pixel is: its range, and how much of it is its neighbour's.
+/// A simulated pixel: its range, and the fraction that comes from its neighbour.
 #[derive(Clone, Copy)]
 struct MeasuredPixel {
     range: f32,
@@ -82,25 +81,25 @@ impl Simulator {
     /// Makes a simulator; the same seed gives the same frames.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] for shares outside 0..=1 and slips that are negative or no numbers.
+    /// [`crate::ErrorKind::Usage`] for fractions outside 0..=1, and for slips that are negative or not finite.
     pub fn new(predictor: Predictor, sensor: Sensor, disturbances: Disturbances, seed: u64) -> Result<Self> {
         let d = &disturbances;
         let shares = [("drop_outs", d.drop_outs), ("mixed_pixels", d.mixed_pixels)];
         if let Some((name, share)) = shares.into_iter().find(|(_, s)| !(0.0..=1.0).contains(s)) {
-            return Err(Error::usage(format!("{name} of {share}"), "give a share of 0 to 1"));
+            return Err(Error::usage(format!("{name} of {share}"), "give a fraction of 0 to 1"));
         }
         if ![d.slip, d.turn_slip].iter().all(|s| *s >= 0.0 && s.is_finite()) {
             return Err(Error::usage(
                 format!("slips of {} and {}", d.slip, d.turn_slip),
-                "give finite shares of at least 0",
+                "give finite fractions of at least 0",
             ));
         }
         let random = SplitMix64(seed);
         Ok(Self { predictor, sensor, disturbances, random, before: None, intensities: None })
     }
 
-    /// With intensities beside the ranges: the echo ([`Output::Echo`]) with noise of this standard deviation, 0 to 1. They saturate at 1; a
-    /// pixel that mixes two surfaces mixes their echoes.
+    /// Adds intensities to the ranges: the echo ([`Output::Echo`]) with noise of this standard deviation, 0 to 1. They
+    /// saturate at 1. A pixel that mixes two surfaces mixes their echoes.
     ///
     /// # Errors
     /// [`crate::ErrorKind::Usage`] for a noise outside of 0 to 1.
@@ -112,10 +111,10 @@ impl Simulator {
         Ok(Self { intensities: Some(Intensities { noise, random }), ..self })
     }
 
-    /// What the sensor measures with the robot at a pose, and the odometry since the frame before.
+    /// The measurement with the robot at a pose, and the odometry since the previous frame.
     ///
     /// # Errors
-    /// Those of [`Predictor::predict_images`], and a stamp that is no number.
+    /// Errors of [`Predictor::predict_images`], and a stamp that is not finite.
     pub fn frame(&mut self, world: &World, stamp: f64, world_from_robot: &Pose) -> Result<Frame> {
         let asked = [Output::Range, Output::CosIncidence, Output::Echo];
         let outputs = Outputs::of(&asked[..if self.intensities.is_some() { 3 } else { 2 }]);
@@ -139,7 +138,7 @@ impl Simulator {
         let width = self.sensor.width() as usize;
         let mut measured = Vec::with_capacity(range.len());
         for (i, r) in range.iter().enumerate() {
-            // Every pixel draws the same numbers, whatever it sees: a change of the world changes only what is seen.
+            // Every pixel draws the same random numbers, so a change of the world affects only the pixels that see it.
             let (along, across) = (self.normal(), self.normal());
             let (lost, mixed, between) = (self.random.unit(), self.random.unit(), self.random.unit());
             if !r.is_finite() {
@@ -175,7 +174,7 @@ impl Simulator {
         let truth = before.inverse() * *now;
         let way = truth.translation.length();
         let turned = truth.rotation.angle_between(glam::DQuat::IDENTITY);
-        // Never certain: a robot that stands may have been pushed.
+        // Never zero: a standing robot may have been pushed.
         let t = self.disturbances.slip * way + 1e-4;
         let r = self.disturbances.turn_slip * (turned + way) + 1e-4;
         let error: [f64; 6] = std::array::from_fn(|i| if i < 3 { t } else { r } * self.normal());
@@ -192,7 +191,7 @@ impl Simulator {
 }
 
 impl Intensities {
-    /// Where nothing was measured, there is none.
+    /// NaN where no range was measured.
     fn measure(&mut self, echo: &[f32], pixels: &[MeasuredPixel]) -> Vec<f32> {
         let value = |(i, pixel): (usize, &MeasuredPixel)| {
             let noise = self.noise * normal(&mut self.random);
@@ -205,7 +204,7 @@ impl Intensities {
     }
 }
 
-/// Mean 0, variance 1 (Box and Muller).
+/// Standard normal distribution (Box and Muller).
 fn normal(random: &mut SplitMix64) -> f64 {
     let radius = (-2.0 * (1.0 - random.unit()).ln()).sqrt();
     radius * (std::f64::consts::TAU * random.unit()).cos()

@@ -1,4 +1,4 @@
-//! What differs between the scene and its model: objects that stand elsewhere, and people who walk through.
+//! Differences between the scene and its model: displaced objects, and people who walk through.
 
 use glam::{DQuat, DVec3, Vec3};
 use presight_model::change::Change;
@@ -10,18 +10,18 @@ use presight_model::world::World;
 use std::f64::consts::TAU;
 use std::sync::Arc;
 
-/// Most people of a scene.
+/// Most people in a scene.
 const MOST_WALKERS: usize = 1000;
 /// Half of a person's width, depth and height, metres.
 const PERSON: [f32; 3] = [0.25, 0.15, 0.85];
 /// Metres per second.
 const SPEED: f64 = 1.0;
-/// How far people walk before they turn round, metres.
+/// How far people walk before they turn around, metres.
 const WAY: f64 = 4.0;
-/// How far beside a pose of the robot their ways pass, metres.
+/// Lateral distance between a person's path and a pose of the robot, metres.
 const ASIDE: (f64, f64) = (1.0, 2.5);
 
-/// Moves every object by so many metres, each in a direction of its own: a model that is not exact. The same seed moves them alike.
+/// Displaces every object by `metres` in a random direction, so that the model is inexact. Repeatable by the seed.
 ///
 /// # Examples
 /// ```
@@ -40,14 +40,14 @@ const ASIDE: (f64, f64) = (1.0, 2.5);
 /// ```
 ///
 /// # Errors
-/// [`crate::ErrorKind::Usage`] for a distance that is negative or no number; those of [`World::apply`].
+/// [`crate::ErrorKind::Usage`] for a distance that is negative or not finite; errors of [`World::apply`].
 pub fn displace(world: &mut World, metres: f64, seed: u64) -> Result<()> {
     if !(metres >= 0.0 && metres.is_finite()) {
         return Err(Error::usage(format!("objects moved by {metres} m"), "give a finite distance of at least 0"));
     }
     let mut random = SplitMix64(seed);
     let moves = world.environment().objects().iter().map(|object| {
-        // Even over the sphere: height and azimuth are uniform.
+        // Uniform on the sphere: height and azimuth are uniform.
         let (z, azimuth) = (random.uniform(-1.0, 1.0), random.uniform(0.0, TAU));
         let flat = (1.0 - z * z).sqrt();
         let direction = DVec3::new(flat * azimuth.cos(), flat * azimuth.sin(), z);
@@ -59,7 +59,7 @@ pub fn displace(world: &mut World, metres: f64, seed: u64) -> Result<()> {
     world.apply(Change::Group(moves)).map(drop)
 }
 
-/// People who walk to and fro near the robot's way, on the floor below it.
+/// People who walk back and forth near the robot's path, on the floor below it.
 pub struct Walkers {
     walkers: Vec<Walker>,
 }
@@ -68,15 +68,15 @@ struct Walker {
     name: String,
     from: DVec3,
     direction: DVec3,
-    /// Seconds that this one is ahead.
+    /// Offset of this person's clock, seconds.
     ahead: f64,
 }
 
 impl Walkers {
-    /// Adds people to a world. `path` are poses of the robot, whose height above the floor is `height` metres.
+    /// Adds people to a world. `path` holds poses of the robot, whose height above the floor is `height` metres.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] without a pose, for too many people, or for a height that is no number; those of [`World::apply`].
+    /// [`crate::ErrorKind::Usage`] for too many people, no pose or a non-finite height; errors of [`World::apply`].
     pub fn new(world: &mut World, path: &[Pose], height: f64, count: usize, seed: u64) -> Result<Self> {
         if count > MOST_WALKERS || !height.is_finite() || (path.is_empty() && count > 0) {
             let what = format!("{count} walkers near {} poses {height} m above the floor", path.len());
@@ -102,10 +102,10 @@ impl Walkers {
         Ok(walkers)
     }
 
-    /// Moves all of them to where they are at a time, seconds.
+    /// Moves all people to their positions at a time, seconds.
     ///
     /// # Errors
-    /// Those of [`World::apply`].
+    /// Errors of [`World::apply`].
     pub fn walk(&self, world: &mut World, time: f64) -> Result<()> {
         if self.walkers.is_empty() {
             return Ok(());
@@ -116,7 +116,7 @@ impl Walkers {
 }
 
 impl Walker {
-    /// To and fro: once there and back takes twice the way.
+    /// Walks back and forth; a full cycle is twice the path.
     fn pose(&self, time: f64) -> Pose {
         let gone = (SPEED * (time + self.ahead)).rem_euclid(2.0 * WAY);
         let along = if gone <= WAY { gone } else { 2.0 * WAY - gone };
@@ -125,7 +125,7 @@ impl Walker {
     }
 }
 
-/// A box as tall and wide as a person, its origin between the feet.
+/// A box of a person's size, with the origin between the feet.
 fn person(world: &mut World) -> Result<Arc<Mesh>> {
     let cloth = world.environment().materials().len() as u16;
     world.apply(Change::AddMaterial(Material::named("walker's cloth")))?;
@@ -139,7 +139,7 @@ mod tests {
     use super::*;
     use presight_model::environment::Environment;
 
-    /// A walker is at most 4 m of its way and 2.5 m beside it from the pose it is near, walks at 1 m/s, and stands on the floor.
+    /// A walker stays within its 4 m path and 2.5 m to the side of the pose, walks at 1 m/s, and stands on the floor.
     #[test]
     fn walkers_walk_near_the_robot() {
         let path = [Pose::from_xyz_rpy(DVec3::new(10.0, -3.0, 1.2), 0.0, 0.0, 0.5)];
@@ -163,7 +163,7 @@ mod tests {
             }
             before = now;
         }
-        // Those who turn within a step get less far in it.
+        // A walker that turns around within a step covers less distance in it.
         assert!(way > 0.9 * 20.0 * 4.0 && way <= 20.0 * 4.0 + 1e-6, "{way}");
         assert!(world.environment().bounds().max.z < 1.71);
     }

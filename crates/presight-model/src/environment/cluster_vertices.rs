@@ -1,13 +1,13 @@
-//! The vertices of each cluster side by side, each once: a mesh of triangles has half as many vertices as triangles, and six times as many
-//! corners as vertices.
+//! The vertices of each cluster, stored contiguously and each only once. A triangle mesh has half as many vertices as
+//! triangles, and six times as many corners as vertices.
 
 use super::mesh::{Cluster, PolygonRecord};
 use glam::Vec3;
 
-/// Vertices that are looked at together.
+/// Vertices that are processed together.
 const TOGETHER: usize = 8;
 
-/// Most vertices of a cluster that are numbered.
+/// Most vertices that a cluster may have; local indices are one byte.
 const MOST: usize = 256;
 
 /// Eight positions, by axis.
@@ -15,14 +15,14 @@ pub type Positions = [[f32; TOGETHER]; 3];
 
 /// The vertices of a mesh by cluster.
 #[derive(Clone, Debug, Default)]
-pub struct ClusterVertices {
-    /// By cluster, where its positions begin, and the end of all. A cluster of too many vertices has none.
+pub(crate) struct ClusterVertices {
+    /// For each cluster, the start of its positions, then the total. A cluster with too many vertices has no positions.
     starts: Vec<u32>,
-    /// Past the last vertex of a cluster it is repeated.
+    /// Padded with the last vertex of the cluster.
     positions: Vec<Positions>,
-    /// By corner of the mesh, its vertex, counted from the first one of its cluster.
+    /// For each corner of the mesh, the index of its vertex within the cluster.
     locals: Vec<u8>,
-    /// By cluster: two corners of a polygon are no farther apart.
+    /// For each cluster, the largest diagonal of a polygon's bounding box.
     widest: Vec<f32>,
 }
 
@@ -34,7 +34,7 @@ impl ClusterVertices {
             locals: vec![0; corners.len()],
             widest: Vec::with_capacity(clusters.len()),
         };
-        // By vertex: the cluster that it was last met in, and its number there.
+        // For each vertex: the last cluster in which it occurred, and its index there.
         let mut met = vec![(u32::MAX, 0u8); vertices.len()];
         let mut own: Vec<Vec3> = Vec::with_capacity(MOST);
         for (number, cluster) in (0u32..).zip(clusters) {
@@ -66,17 +66,17 @@ impl ClusterVertices {
         made
     }
 
-    /// Two corners of a polygon of a cluster are no farther apart.
+    /// Upper bound of the distance between two corners of a polygon of the cluster.
     pub fn widest(&self, cluster: usize) -> f64 {
         f64::from(self.widest[cluster])
     }
 
-    /// Of a cluster; none if it has too many.
+    /// The vertices of a cluster; empty if it has too many.
     pub fn of(&self, cluster: usize) -> &[Positions] {
         &self.positions[self.starts[cluster] as usize..self.starts[cluster + 1] as usize]
     }
 
-    /// The vertices of a polygon, counted from the first one of its cluster.
+    /// The vertices of a polygon, as indices within its cluster.
     #[inline(always)]
     pub fn locals(&self, polygon: &PolygonRecord) -> &[u8] {
         let first = polygon.first_corner as usize;

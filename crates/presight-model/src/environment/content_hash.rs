@@ -1,9 +1,10 @@
-//! The content hash: equal for environments that hold the same things, whatever way they came to be.
+//! The content hash: equal for environments with the same content, however they were built.
 //!
-//! BLAKE3 over this canonical encoding, version 2, or version 1 where no group was given a frame: it then is the same but for
-//! its first text and the list of groups, which it lacks, so that hashes from before groups still hold. Integers and floats are little-endian, floats by their bits (so -0
-//! is not 0), `text` is its length in bytes as u32, then UTF-8, `list` is its length as u32, then the items, an optional
-//! value is a byte 0, or 1 and the value. Matrices go column by column.
+//! BLAKE3 over this canonical encoding, version 2. An environment in which no group was given a frame uses version 1,
+//! which differs only in its first text and omits the list of groups; hashes from before groups thus stay valid.
+//! Integers and floats are little-endian; floats are encoded by their bits (so -0 is not 0). `text` is its length in
+//! bytes as u32, then UTF-8. `list` is its length as u32, then the items. An optional value is a byte 0, or 1 and the
+//! value. Matrices are written column by column.
 //!
 //! | what | encoding |
 //! |---|---|
@@ -16,9 +17,9 @@
 //! | layer | text class; f64 tolerance; list of (text object; 36 f64 pose covariance) by rising object; list of features |
 //! | feature | u32 id; optional text name; optional text object; u8 shape: 0 point, 1 segment, 2 patch, 3 reflector, 4 fiducial, 5 contour; list of points, each 3 f64; list of covariances, each 9 f64 (a segment has three: both ends', then the cross-covariance); a fiducial's text family and u32 code; a contour's f64 crease angle in degrees; f64 p0, confirmed, rate; optional f64 strength; optional f64 contrast; optional 3 f64 normal |
 //!
-//! Not in it, because it is no content: numbers and slots of objects, what was deleted, the order in which things
-//! were added, materials that no polygon has, frames of groups that nothing is below, layers without features and covariances,
-//! which meshes are shared, clusters and indexes.
+//! Not encoded, because it is not content: numbers and slots of objects, deleted objects, the order in which things
+//! were added, materials that no polygon has, frames of groups without objects below, layers without features and
+//! covariances, sharing of meshes, clusters and indexes.
 
 use super::{Appearance, Environment, Feature, FeatureLayer, FeatureShape, Material, Mesh, Object};
 use crate::geometry::Pose;
@@ -85,7 +86,7 @@ impl Material {
         to.f64s(&[self.reflection]);
         to.bytes(&[u8::from(self.one_sided)]);
         self.color.iter().for_each(|c| to.bytes(&c.to_le_bytes()));
-        // A class that sees it opaque may be named or not.
+        // A class that sees the material opaque may be listed or not.
         let special = || self.appearance.iter().filter(|(_, a)| **a != Appearance::Opaque);
         to.count(special().count());
         for (class, appearance) in special() {
@@ -97,7 +98,7 @@ impl Material {
 }
 
 impl Mesh {
-    /// The hash of vertices, polygons and materials; `material` gives the hash of the material of an index.
+    /// The hash of vertices, polygons and materials; `material` returns the hash of the material at an index.
     pub fn content_hash(&self, material: impl Fn(u16) -> ContentHash) -> ContentHash {
         let mut to = Encoder::default();
         to.text(self.name());
@@ -129,7 +130,7 @@ impl Mesh {
 #[derive(Default)]
 struct Encoder {
     hasher: blake3::Hasher,
-    /// BLAKE3 is fast on long inputs only.
+    /// BLAKE3 is fast only on long inputs.
     buffer: Vec<u8>,
 }
 
@@ -147,7 +148,7 @@ impl Encoder {
         self.bytes(&value.to_le_bytes());
     }
 
-    /// Lengths are below the limits on everything, which fit.
+    /// Lengths fit: the limits on all lists are below u32::MAX.
     fn count(&mut self, length: usize) {
         self.u32(length as u32);
     }
@@ -333,7 +334,7 @@ mod tests {
         assert_eq!(with(&[("a/b", 2.0), ("a", 1.0)]), with(&[("a", 1.0), ("a/b", 2.0)]));
     }
 
-    /// A change of the encoding changes every stored hash: it needs a new version in its first text.
+    /// A change of the encoding changes every stored hash and needs a new version in the first text.
     #[test]
     fn the_encoding_stays() {
         let empty = Environment::new().content_hash().to_string();

@@ -8,9 +8,9 @@ use std::sync::Arc;
 pub struct FeatureLayer {
     /// The sensor class they are for.
     pub class: String,
-    /// How far a feature may be off its polygons, metres.
+    /// Allowed distance of a feature from its polygons, metres.
     pub tolerance: f64,
-    /// The features, by rising id; clones of the layer, features on their polygons and predictions share them.
+    /// The features, by rising id. They are shared with clones of the layer, placed features and predictions.
     pub features: Vec<Arc<Feature>>,
     /// Covariances of objects' poses, shared by all features of the object, by object path: x y z, then rotation about
     /// the fixed axes x y z, metres and radians, in the object's frame.
@@ -18,8 +18,8 @@ pub struct FeatureLayer {
 }
 
 impl FeatureLayer {
-    /// The newest confirmation of all features, UTC seconds (0 without features). Predictions report existence for this time unless
-    /// another is given. The clock is never read: the same input gives the same prediction.
+    /// The newest confirmation of all features, UTC seconds (0 without features). Predictions report existence for this
+    /// time by default. The clock is never read: the same input gives the same prediction.
     ///
     /// ```
     /// use presight::environment::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
@@ -49,7 +49,7 @@ pub const DEFAULT_TOLERANCE: f64 = 1e-3;
 /// A feature: something that a sensor can extract from its image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Feature {
-    /// Stable number, never used again; 0 is nothing.
+    /// Stable number, never reused; 0 means no feature.
     pub id: u32,
     /// Name, for people.
     pub name: Option<String>,
@@ -71,51 +71,51 @@ pub enum FeatureShape {
     Point {
         /// Position.
         at: DVec3,
-        /// Of the position.
+        /// Covariance of the position.
         covariance: DMat3,
     },
     /// A straight edge.
     Segment {
-        /// Both ends, apart.
+        /// Both ends; they must differ.
         ends: [DVec3; 2],
-        /// Of each end.
+        /// Covariance of each end.
         covariances: [DMat3; 2],
         /// Cross-covariance of the first end with the second.
         cross: DMat3,
     },
-    /// A plane, convex patch.
+    /// A planar convex patch.
     Patch {
         /// At least three corners, in winding order.
         corners: Vec<DVec3>,
-        /// Of its position as a whole.
+        /// Covariance of its position as a whole.
         covariance: DMat3,
     },
     /// A retro-reflector.
     Reflector {
         /// Position.
         at: DVec3,
-        /// Of the position.
+        /// Covariance of the position.
         covariance: DMat3,
     },
     /// A square fiducial marker.
     Fiducial {
         /// Clockwise from the top left, seen from the front.
         corners: [DVec3; 4],
-        /// Of its position as a whole.
+        /// Covariance of its position as a whole.
         covariance: DMat3,
         /// OpenCV's name of the dictionary.
         family: String,
         /// Number in the dictionary.
         code: u32,
     },
-    /// The silhouettes of a smooth surface: the polygons of one object that are connected with the one under the anchor over
-    /// edges that fold by no more than an angle. Where its front meets its back depends on the pose.
+    /// The silhouettes of a smooth surface: the polygons of one object that are connected to the polygon under the
+    /// anchor over edges with at most the crease angle. The line between front and back depends on the pose.
     Contour {
         /// A point on the surface.
         anchor: DVec3,
         /// The angle, degrees, above 0 and at most 90.
         crease_deg: f64,
-        /// Of its position as a whole.
+        /// Covariance of its position as a whole.
         covariance: DMat3,
     },
 }
@@ -138,7 +138,7 @@ impl Default for Existence {
 }
 
 impl Existence {
-    /// The probability at a time (UTC seconds); before the confirmation that of the confirmation.
+    /// The probability at a time (UTC seconds). Before the confirmation it is `p0`.
     pub fn at(&self, time: f64) -> f64 {
         self.p0 * (-self.rate * (time - self.confirmed).max(0.0)).exp()
     }
@@ -151,7 +151,7 @@ pub struct Properties {
     pub strength: Option<f64>,
     /// Contrast across an edge, 0..=1.
     pub contrast: Option<f64>,
-    /// Unit normal of the surface, in the frame of the feature's object; landmarks are seen from its side only.
+    /// Unit normal of the surface, in the frame of the feature's object. Landmarks are visible only from its side.
     pub normal: Option<DVec3>,
 }
 
@@ -185,7 +185,7 @@ impl FeatureShape {
         }
     }
 
-    /// True of contours.
+    /// True for contours.
     pub fn is_contour(&self) -> bool {
         matches!(self, Self::Contour { .. })
     }

@@ -1,4 +1,4 @@
-//! What must hold of features before anything is computed from them.
+//! Checks features before anything is computed from them.
 
 use super::{Feature, FeatureLayer, FeatureShape};
 use crate::error::{Error, Result, short, short_point};
@@ -10,21 +10,21 @@ use rayon::prelude::*;
 use std::collections::HashSet;
 use std::sync::Arc;
 
-/// How far a covariance's entries may be off a positive semidefinite one, relative to the standard deviations they
-/// belong to: half a unit of the sixth significant digit, the shortest that programs print by default.
+/// Allowed deviation of covariance entries from a positive semidefinite matrix, relative to their standard deviations:
+/// half a unit of the sixth significant digit, which is the shortest that programs print by default.
 const WRITTEN: f64 = 5e-6;
-/// How far a normal's squared length may be off 1.
+/// Allowed deviation of a normal's squared length from 1.
 const UNIT: f64 = 1e-9;
-/// How far a fiducial's corners may be off a square, relative to its side.
+/// Allowed deviation of a fiducial's corners from a square, relative to its side.
 const SQUARE: f64 = 0.05;
-/// Cosine of the angle by which a surface's normal may disagree with its corners, 8 degrees.
+/// Cosine of the largest allowed angle between a surface's normal and that of its corners, 8 degrees.
 const AGREE: f64 = 0.99;
-/// How far a patch's corner may lie inside the hull of the others, relative to its size: as for polygons.
+/// How far a patch's corner may lie inside the hull of the others, relative to the patch size; as for polygons.
 const CONVEX: f64 = 4e-6;
 /// Most corners of a patch.
 const MAX_PATCH_CORNERS: usize = 1024;
 
-/// Codes in OpenCV's dictionaries.
+/// Number of codes in OpenCV's dictionaries.
 const FAMILIES: [(&str, u32); 22] = [
     ("DICT_4X4_50", 50),
     ("DICT_4X4_100", 100),
@@ -51,10 +51,10 @@ const FAMILIES: [(&str, u32); 22] = [
 ];
 
 impl FeatureLayer {
-    /// Checks everything that needs no world: each feature, rising ids, the tolerance, the covariances of poses.
+    /// Checks everything that does not need the world: features, rising ids, the tolerance, covariances of poses.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] naming the feature.
+    /// [`crate::ErrorKind::Invalid`], naming the feature.
     pub fn check(&self) -> Result<()> {
         self.check_header()?;
         let wrong = |(i, feature): (usize, &Arc<Feature>)| {
@@ -69,19 +69,19 @@ impl FeatureLayer {
             None => Ok(()),
             Some(pair) => Err(Error::invalid(
                 format!("id {} comes after id {}", pair[1].id, pair[0].id),
-                "sort the features, and give each an id of its own",
+                "sort the features, and give each a unique id",
             )),
         }
     }
 
-    /// Checks all but the features.
+    /// Checks everything except the features.
     pub fn check_header(&self) -> Result<()> {
         if self.class.is_empty() {
             return Err(Error::invalid("the sensor class is empty", "name one, such as \"video\""));
         }
         if !(self.tolerance > 0.0 && self.tolerance <= limits::MAX_COORDINATE) {
             return Err(Error::invalid(
-                format!("the tolerance {} is no length in metres", short(self.tolerance)),
+                format!("the tolerance {} is not a valid length in metres", short(self.tolerance)),
                 "give a small one above 0, such as 0.001",
             ));
         }
@@ -98,10 +98,10 @@ impl FeatureLayer {
 }
 
 impl Feature {
-    /// Checks everything that needs no world, for a layer of that tolerance (metres).
+    /// Checks everything that does not need the world, for a layer with this tolerance (metres).
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] naming what is wrong.
+    /// [`crate::ErrorKind::Invalid`], naming the fault.
     pub fn check(&self, tolerance: f64) -> Result<()> {
         if self.id == 0 {
             return Err(Error::invalid("id 0 is nothing", "count from 1"));
@@ -119,8 +119,7 @@ impl Feature {
         self.check_normal()
     }
 
-    /// That a fiducial is of one of OpenCV's dictionaries. It is asked of what is new: stores may hold others from before it
-    /// was.
+    /// Checks that a fiducial belongs to one of OpenCV's dictionaries. Not for stored features, which may be older.
     pub fn check_dictionary(&self) -> Result<()> {
         match &self.shape {
             FeatureShape::Fiducial { family, .. } if codes_of(family).is_none() => {
@@ -143,7 +142,7 @@ impl Feature {
         if !(e.rate.is_finite() && e.rate >= 0.0) {
             return Err(Error::invalid(
                 format!("the decay rate {} is negative or not finite", e.rate),
-                "give 1 / s, 0 for what lasts",
+                "give 1 / s, 0 for no decay",
             ));
         }
         Ok(())
@@ -162,7 +161,7 @@ impl Feature {
         }
     }
 
-    /// A surface's normal and corners tell the same.
+    /// Checks that a surface's normal agrees with its corners.
     fn check_normal(&self) -> Result<()> {
         let Some(normal) = self.properties.normal else { return Ok(()) };
         let plane = match &self.shape {
@@ -180,9 +179,9 @@ impl Feature {
             return Ok(());
         }
         let remedy = if sided {
-            "list the corners clockwise from the top left as seen from the front, or leave the normal out"
+            "list the corners clockwise from the top left as seen from the front, or omit the normal"
         } else {
-            "correct it, or leave it out"
+            "correct it, or omit it"
         };
         let off = cosine.clamp(-1.0, 1.0).acos().to_degrees();
         Err(Error::invalid(format!("the normal is {off:.1} degrees off that of the corners"), remedy))
@@ -200,7 +199,7 @@ impl FeatureShape {
                 for (k, covariance) in covariances.iter().enumerate() {
                     check_covariance(&rows(covariance)).map_err(|e| e.at(format!("end {k}")))?;
                 }
-                // Without a cross-covariance that of both is as sound as that of each.
+                // Without a cross-covariance, both ends being valid suffices.
                 if *cross == DMat3::ZERO {
                     return Ok(());
                 }
@@ -230,7 +229,7 @@ fn check_share(name: &str, value: f64) -> Result<()> {
     if (0.0..=1.0).contains(&value) {
         return Ok(());
     }
-    Err(Error::invalid(format!("the {name} {value} is outside 0..=1"), "give a share of 1"))
+    Err(Error::invalid(format!("the {name} {value} is outside 0..=1"), "give a value from 0 to 1"))
 }
 
 fn check_patch(corners: &[DVec3], tolerance: f64) -> Result<()> {
@@ -241,21 +240,21 @@ fn check_patch(corners: &[DVec3], tolerance: f64) -> Result<()> {
     }
     let crossing = || Error::invalid("the outline crosses itself", "list each corner once, in order around the patch");
     let plane = plane_of_polygon(corners).ok_or_else(|| match crosses_itself(corners) {
-        // Such as a bow-tie of two equal halves.
+        // For example a bow-tie of two equal halves.
         true => crossing(),
         false => Error::invalid("the patch has no area", "give corners that are not on one line"),
     })?;
     let size = Aabb::of(corners.iter().copied()).size();
     let dent = CONVEX * size;
-    // About the first corner: at world coordinates the plane's offset would be rounded.
+    // Relative to the first corner: in world coordinates the plane's offset would be rounded.
     let offset = plane.normal.dot(corners.iter().map(|c| *c - corners[0]).sum::<DVec3>() / n as f64);
     let mut turned = 0.0;
     for k in 0..n {
         let off = plane.normal.dot(corners[k] - corners[0]) - offset;
         if off.abs() > tolerance {
             return Err(Error::invalid(
-                format!("corner {k} is {:.3e} m off the patch's plane, {tolerance:e} is allowed", off.abs()),
-                "split the patch into plane ones",
+                format!("corner {k} is {:.3e} m off the patch's plane; {tolerance:e} m is allowed", off.abs()),
+                "split the patch into planar ones",
             ));
         }
         let before = corners[k] - corners[(k + n - 1) % n];
@@ -279,13 +278,13 @@ fn check_patch(corners: &[DVec3], tolerance: f64) -> Result<()> {
     Ok(())
 }
 
-/// True if two sides cross, seen along the normal of the largest triangle at the first corner.
+/// True if two sides cross, as seen along the normal of the largest triangle at the first corner.
 fn crosses_itself(corners: &[DVec3]) -> bool {
     let from_first = |k: usize| corners[k] - corners[0];
     let normals = (1..corners.len() - 1).map(|k| from_first(k).cross(from_first(k + 1)));
     let normal = normals.max_by(|a, b| a.length().total_cmp(&b.length())).unwrap_or(DVec3::ZERO);
     let side = |k: usize| [corners[k], corners[(k + 1) % corners.len()]];
-    // On both sides of a side's line, clear of rounding.
+    // True if c and d lie on opposite sides of the line a b, clear of rounding.
     let parts = |[a, b]: [DVec3; 2], [c, d]: [DVec3; 2]| {
         let [left, right] = [c, d].map(|p| normal.dot((b - a).cross(p - a)));
         let rounding =
@@ -300,7 +299,7 @@ fn check_fiducial(corners: &[DVec3; 4]) -> Result<()> {
     let [a, b, c, d] = *corners;
     let (right, down) = (0.5 * ((b - a) + (c - d)), 0.5 * ((d - a) + (c - b)));
     let side = 0.5 * (right.length() + down.length());
-    // The parallelogram that fits best leaves each corner off by this much.
+    // Residual of each corner to the best-fitting parallelogram.
     let left_over = 0.25 * ((a - b) + (c - d)).length();
     let square = side > 0.0
         && left_over <= SQUARE * side
@@ -310,7 +309,7 @@ fn check_fiducial(corners: &[DVec3; 4]) -> Result<()> {
         return Ok(());
     }
     Err(Error::invalid(
-        format!("the corners {} are no square", corners.map(short_point).join(", ")),
+        format!("the corners {} do not form a square", corners.map(short_point).join(", ")),
         "give the marker's four corners clockwise from the top left, seen from the front",
     ))
 }
@@ -320,17 +319,17 @@ fn check_family(family: &str, code: u32) -> Result<()> {
     match codes_of(family) {
         Some(count) if code >= count => {
             let remedy = "give its number in the dictionary";
-            Err(Error::invalid(format!("code {code} is not among its {count}"), remedy).at(place()))
+            Err(Error::invalid(format!("code {code} is not below {count}, the dictionary's size"), remedy).at(place()))
         }
         None if family.is_empty() => Err(Error::invalid("it has no name", FAMILY).at(place())),
         _ => Ok(()),
     }
 }
 
-/// How to name a family.
+/// Remedy for a wrong family name.
 const FAMILY: &str = "write OpenCV's name of the dictionary, such as \"DICT_APRILTAG_36h11\"";
 
-/// Codes in one of OpenCV's dictionaries.
+/// Number of codes in one of OpenCV's dictionaries.
 fn codes_of(family: &str) -> Option<u32> {
     FAMILIES.iter().find(|(name, _)| *name == family).map(|(_, count)| *count)
 }
@@ -352,19 +351,18 @@ fn joint(covariances: &[DMat3; 2], cross: &DMat3) -> [[f64; 6]; 6] {
     })
 }
 
-/// Finite, symmetric and positive semidefinite, as far as numbers written with six digits can be.
+/// Checks that a covariance is finite, symmetric and positive semidefinite, as far as six printed digits allow.
 ///
-/// Entries are judged relative to the standard deviations they belong to, so that metres beside radians, or a
-/// nanometre beside a kilometre, lose nothing. Entries wrong by `WRITTEN` then move no eigenvalue by more than
-/// 2 n `WRITTEN`; with that much added to the diagonal a Cholesky decomposition must succeed.
+/// Entries are scaled by their standard deviations, so that mixed units do not matter. An error of `WRITTEN` in each
+/// entry moves eigenvalues by at most 2 n `WRITTEN`; with that much on the diagonal, Cholesky must succeed.
 pub fn check_covariance<const N: usize>(covariance: &[[f64; N]; N]) -> Result<()> {
     if covariance.as_flattened().iter().all(|x| *x == 0.0) {
         return Ok(());
     }
-    let wrong = |what: String| Err(Error::invalid(what, "give a covariance: symmetric, no eigenvalue below 0"));
+    let wrong = |what: String| Err(Error::invalid(what, "give a covariance: symmetric, without negative eigenvalues"));
     let most = limits::MAX_COORDINATE * limits::MAX_COORDINATE;
     if let Some(x) = covariance.as_flattened().iter().find(|x| !(x.abs() <= most)) {
-        return wrong(format!("the covariance holds {}, which is not finite or too large", short(*x)));
+        return wrong(format!("the covariance contains {}, which is not finite or too large", short(*x)));
     }
     if let Some(i) = (0..N).find(|&i| covariance[i][i] < 0.0) {
         return wrong(format!("the variance at [{i}][{i}] is negative: {}", short(covariance[i][i])));
@@ -379,7 +377,7 @@ pub fn check_covariance<const N: usize>(covariance: &[[f64; N]; N]) -> Result<()
                 return wrong(format!("the covariance is not symmetric: [{i}][{j}] is {a}, [{j}][{i}] is {b}"));
             }
             if scale == 0.0 && a != 0.0 {
-                return wrong(format!("the covariance is indefinite: [{i}][{j}] is {a} beside a variance of 0"));
+                return wrong(format!("the covariance is indefinite: [{i}][{j}] is {a}, but a variance is 0"));
             }
             scaled[i][j] = if scale == 0.0 { 0.0 } else { 0.5 * (a + b) / scale };
         }
@@ -387,10 +385,10 @@ pub fn check_covariance<const N: usize>(covariance: &[[f64; N]; N]) -> Result<()
     if is_positive(&mut scaled, 2.0 * N as f64 * WRITTEN) {
         return Ok(());
     }
-    wrong("the covariance is indefinite: it has an eigenvalue below 0".to_owned())
+    wrong("the covariance is indefinite: it has a negative eigenvalue".to_owned())
 }
 
-/// Cholesky's decomposition of `a + slack`, in place; false at a pivot that is not above 0.
+/// Cholesky decomposition of `a + slack`, in place. Returns false at a pivot that is not positive.
 fn is_positive<const N: usize>(a: &mut [[f64; N]; N], slack: f64) -> bool {
     for k in 0..N {
         let pivot = a[k][k] + slack - (0..k).map(|j| a[k][j] * a[k][j]).sum::<f64>();
@@ -415,10 +413,10 @@ mod tests {
         let check = |a: [[f64; 3]; 3]| check_covariance(&a);
         assert!(check([[0.0; 3]; 3]).is_ok());
         assert!(check([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1e-18]]).is_ok());
-        // Singular, written with six digits.
+        // Singular, printed with six digits.
         assert!(check([[0.333333, 0.57735, 0.0], [0.57735, 1.0, 0.0], [0.0, 0.0, 1.0]]).is_ok());
         assert!(check([[1.0, 1.0005, 0.0], [1.0005, 1.0, 0.0], [0.0, 0.0, 1.0]]).is_err());
-        // Indefinite in a block that is small beside the rest.
+        // Indefinite in a block much smaller than the rest.
         assert!(check([[1e6, 0.0, 0.0], [0.0, 1e-18, 1.001e-18], [0.0, 1.001e-18, 1e-18]]).is_err());
         assert!(check([[1.0, 0.0, 0.0], [0.0, -1e-30, 0.0], [0.0, 0.0, 1.0]]).is_err());
         assert!(check([[1.0, 0.1, 0.0], [0.1001, 1.0, 0.0], [0.0, 0.0, 1.0]]).is_err());
@@ -441,7 +439,7 @@ mod tests {
                 }
             }
             prop_assert!(check_covariance(&sum).is_ok(), "{sum:?}");
-            // Less than nothing along x.
+            // Negative along x.
             let mut less = sum;
             less[0][0] = less[0][0] * 0.999 - 1.0;
             let det2 = less[0][0] * less[1][1] - less[0][1] * less[1][0];

@@ -1,5 +1,5 @@
-//! Groups: paths that have objects below them and are not objects, such as `hall/line 1` of `hall/line 1/press`. Each
-//! has a frame, so that it can be moved with everything below it.
+//! Groups: paths that have objects below them and are not objects, such as `hall/line 1` above `hall/line 1/press`.
+//! Each has a frame, so that it can be moved with everything below it.
 
 use super::{Environment, check_pose};
 use crate::error::{Error, Result};
@@ -7,7 +7,7 @@ use crate::geometry::Pose;
 use crate::limits;
 use std::collections::BTreeMap;
 
-/// The entries below a path: those whose path starts with it and a slash.
+/// The entries below a path: entries whose key starts with it and a slash.
 pub(super) fn below<'a, T>(
     all: &'a BTreeMap<String, T>,
     path: &str,
@@ -17,7 +17,7 @@ pub(super) fn below<'a, T>(
     from.take_while(move |(name, _)| name.starts_with(&prefix))
 }
 
-/// The path above one.
+/// The parent path.
 fn above(path: &str) -> Option<&str> {
     path.rsplit_once('/').map(|(above, _)| above)
 }
@@ -41,7 +41,7 @@ impl Environment {
         let mut found = BTreeMap::new();
         let mut last = "";
         for name in self.names.keys() {
-            // What is below a path is together: what the last name shared is known.
+            // Names are sorted, so the paths shared with the previous name are known already.
             let shared = last.bytes().zip(name.bytes()).take_while(|(a, b)| a == b).count();
             for (at, _) in name.match_indices('/').filter(|(at, _)| *at >= shared) {
                 let path = &name[..at];
@@ -57,8 +57,8 @@ impl Environment {
         found
     }
 
-    /// The frame of a path, `world_from_path`: the pose of its object, or the frame of a group. A group without a frame of its own
-    /// has that of the nearest path above, or the world's. `None` if there is nothing at the path or below it.
+    /// The frame of a path, `world_from_path`: the pose of its object, or the frame of a group. A group without its own
+    /// frame inherits the nearest one above, or the world's. Returns `None` if there is no object at or below the path.
     pub fn frame(&self, path: &str) -> Option<Pose> {
         let there = self.object(path).is_some() || (!path.is_empty() && self.has_below(path));
         there.then(|| self.frame_at(path))
@@ -75,26 +75,25 @@ impl Environment {
     /// The frame of a path.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if there is nothing at the path or below it.
+    /// [`crate::ErrorKind::Invalid`] if there is no object at or below the path.
     pub fn frame_of(&self, path: &str) -> Result<Pose> {
         self.frame(path).ok_or_else(|| {
-            let what = format!("there is no object {path:?}, and none below it");
+            let what = format!("there is no object {path:?}, and no object below it");
             Error::invalid(what, "presight inspect lists the objects")
         })
     }
 
-    /// Sets or removes the frame of a group, and returns the previous one. Objects below stay where they are
-    /// ([`crate::Change::MoveObject`] moves them). A frame may be set before anything is below; it is not content until then.
-    ///
+    /// Sets or removes the frame of a group, and returns the previous one. Objects below keep their poses
+    /// ([`crate::Change::MoveObject`] moves them). A frame may be set before there are objects below; until then it is
+    /// not content.
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if the path is that of an object, empty or too long, or the pose is not finite or out
-    /// of bounds.
+    /// [`crate::ErrorKind::Invalid`] if the path belongs to an object, is empty or too long, or the pose is invalid.
     pub fn set_frame(&mut self, path: &str, world_from_group: Option<Pose>) -> Result<Option<Pose>> {
         let place = || format!("group {path:?}");
         let Some(pose) = world_from_group else { return Ok(self.groups.remove(path)) };
         check_pose(&pose).map_err(|e| e.at(place()))?;
         if self.names.contains_key(path) {
-            return Err(Error::invalid("there is an object of this path", "move that").at(place()));
+            return Err(Error::invalid("this path is an object", "move the object").at(place()));
         }
         if path.is_empty() || path.len() > limits::MAX_NAME_BYTES {
             let what = format!("the path has {} bytes", path.len());
@@ -103,27 +102,27 @@ impl Environment {
         Ok(self.keep_frame(path.to_owned(), pose))
     }
 
-    /// [`Environment::set_frame`] of a path that something is below and a pose that was checked.
+    /// [`Environment::set_frame`] for a path with objects below and a pose that is already checked.
     pub(crate) fn keep_frame(&mut self, path: String, world_from_group: Pose) -> Option<Pose> {
         self.groups.insert(path, world_from_group)
     }
 
-    /// The frame that a group was given.
+    /// The frame that was set for a group.
     pub fn group(&self, path: &str) -> Option<&Pose> {
         self.groups.get(path)
     }
 
-    /// Every frame that a group was given, those too that nothing is below.
+    /// All frames that were set for groups, including groups without objects below.
     pub fn given_groups(&self) -> impl Iterator<Item = (&str, &Pose)> {
         self.groups.iter().map(|(path, pose)| (path.as_str(), pose))
     }
 
-    /// The groups that were given a frame of their own: these frames are content.
+    /// The frames that were set for groups with objects below. These are content.
     pub fn framed_groups(&self) -> impl Iterator<Item = (&str, &Pose)> {
         self.given_groups().filter(|(path, _)| self.has_below(path))
     }
 
-    /// Those below a path that were given a frame.
+    /// The groups below a path for which a frame was set.
     pub(crate) fn groups_below<'a>(&'a self, path: &str) -> impl Iterator<Item = (&'a str, &'a Pose)> + use<'a> {
         below(&self.groups, path).map(|(path, pose)| (path.as_str(), pose))
     }
@@ -133,10 +132,10 @@ impl Environment {
         below(&self.names, path).next().is_some()
     }
 
-    /// Takes the frames away that nothing is below, and those that the path above gives anyway: in models half of all nodes
-    /// stand where their parent does.
+    /// Drops the frames of groups without objects below, and frames equal to the inherited one: in models half of all
+    /// nodes have the same frame as their parent.
     pub fn settle_groups(&mut self) {
-        // Paths above come first.
+        // Parents come first.
         for (path, pose) in std::mem::take(&mut self.groups) {
             let inherited = above(&path).map_or(Pose::IDENTITY, |above| self.frame_at(above));
             if inherited != pose && self.has_below(&path) {
@@ -145,7 +144,7 @@ impl Environment {
         }
     }
 
-    /// Takes in frames of poses that were checked.
+    /// Restores frames whose poses are already checked.
     ///
     /// # Errors
     /// As [`Environment::set_frame`].
@@ -153,7 +152,7 @@ impl Environment {
         match groups.iter().find(|(path, _)| self.names.contains_key(path)) {
             Some((path, pose)) => self.set_frame(path, Some(*pose)).map(drop),
             None => {
-                // At once: they come in order.
+                // The entries are sorted, so one pass builds the map.
                 self.groups = groups.into_iter().collect();
                 Ok(())
             }

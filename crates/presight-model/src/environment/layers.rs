@@ -7,7 +7,7 @@ use std::collections::HashSet;
 use std::sync::Arc;
 
 impl Environment {
-    /// Its feature layers, by rising class name.
+    /// The feature layers, by rising class name.
     pub fn layers(&self) -> &[FeatureLayer] {
         &self.layers
     }
@@ -18,8 +18,7 @@ impl Environment {
         found.ok().map(|i| &self.layers[i])
     }
 
-    /// Adds a layer. If the class has a layer already, the features join it. Whether they lie on polygons is checked when
-    /// the layer is placed ([`crate::features::place`]).
+    /// Adds a layer, or its features to the class's layer. [`crate::features::place`] checks that they lie on polygons.
     ///
     /// ```
     /// use presight::Environment;
@@ -34,8 +33,8 @@ impl Environment {
     /// ```
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if the layer is invalid, names an object that does not exist, or repeats an id or an
-    /// object's pose covariance. Nothing is added then.
+    /// [`crate::ErrorKind::Invalid`] if the layer is invalid, names an object that does not exist, or repeats an id or
+    /// an object's pose covariance. Then nothing is added.
     pub fn add_layer(&mut self, layer: FeatureLayer) -> Result<()> {
         let place = format!("layer for class {:?}", layer.class);
         self.check_new_layer(&layer).map_err(|e| e.at(place))?;
@@ -62,8 +61,8 @@ impl Environment {
         let Some(present) = self.layer(&layer.class) else { return Ok(()) };
         let taken = |id: u32| present.features.binary_search_by_key(&id, |f| f.id).is_ok();
         if let Some(feature) = layer.features.iter().find(|f| taken(f.id)) {
-            let what = format!("id {} is taken", feature.id);
-            return Err(Error::invalid(what, "give each feature of a class an id of its own"));
+            let what = format!("id {} is already in use", feature.id);
+            return Err(Error::invalid(what, "give each feature of a class a unique id"));
         }
         let known: HashSet<&String> = present.pose_covariances.iter().map(|(object, _)| object).collect();
         let twice = |(object, _): &&(String, _)| known.contains(object);
@@ -90,17 +89,17 @@ impl Environment {
         self.retired.get(class).into_iter().flatten().copied()
     }
 
-    /// True if the id is that of a deleted feature.
+    /// True if the id belonged to a deleted feature.
     pub fn is_retired(&self, class: &str, id: u32) -> bool {
         self.retired.get(class).is_some_and(|ids| ids.contains(&id))
     }
 
-    /// Marks an id as that of a deleted feature.
+    /// Marks an id as deleted.
     pub fn retire(&mut self, class: &str, id: u32) {
         self.retired.entry(class.to_owned()).or_default().insert(id);
     }
 
-    /// Lets an id be that of a feature again.
+    /// Makes the id of a deleted feature usable again.
     pub(super) fn unretire(&mut self, class: &str, id: u32) {
         if let Some(ids) = self.retired.get_mut(class) {
             ids.remove(&id);
@@ -114,11 +113,12 @@ impl Environment {
         if !self.is_retired(class, id) {
             return Ok(());
         }
-        let what = format!("id {id} was that of a deleted feature");
+        let what = format!("id {id} belonged to a deleted feature");
         Err(Error::invalid(what, "give each feature an id that was never used"))
     }
 
-    /// Adds a feature; a class without a layer gets one with the default tolerance. A `restored` one may have its id again.
+    /// Adds a feature, and a layer with the default tolerance if missing. `restored` allows the id of a deleted
+    /// feature.
     pub(crate) fn insert_feature(&mut self, class: &str, feature: Feature, restored: bool) -> Result<()> {
         let place = format!("feature {} for class {class:?}", feature.id);
         let check = || {
@@ -127,7 +127,7 @@ impl Environment {
                 feature.check_dictionary()?;
             }
             if self.feature(class, feature.id).is_some() {
-                return Err(Error::invalid("the id is taken", "give each feature of a class an id of its own"));
+                return Err(Error::invalid("the id is already in use", "give each feature of a class a unique id"));
             }
             self.check_feature(class, &feature)
         };
@@ -138,7 +138,7 @@ impl Environment {
         Ok(())
     }
 
-    /// Puts another feature in the place of the one with its id, which is the answer.
+    /// Replaces the feature with the same id and returns the previous one.
     pub(crate) fn replace_feature(&mut self, class: &str, feature: Feature) -> Result<Feature> {
         let place = || format!("feature {} for class {class:?}", feature.id);
         let check = || feature.check_dictionary().and_then(|()| self.check_feature(class, &feature));
@@ -152,14 +152,14 @@ impl Environment {
         }
     }
 
-    /// Deletes a feature, which is the answer; its id is never used again.
+    /// Deletes a feature and returns it. Its id is never used again.
     pub fn delete_feature(&mut self, class: &str, id: u32) -> Result<Feature> {
         let feature = self.take_feature(class, id).ok_or_else(|| no_feature(class, id))?;
         self.retire(class, id);
         Ok(feature)
     }
 
-    /// Puts a feature into a layer that is there; returns the one that had its id.
+    /// Puts a feature into an existing layer and returns the previous feature with its id.
     pub(super) fn put_feature(&mut self, class: &str, feature: Feature) -> Option<Feature> {
         if let Some(open) = &mut self.open {
             return open.entry(class.to_owned()).or_default().insert(feature.into()).map(Arc::unwrap_or_clone);
@@ -175,7 +175,7 @@ impl Environment {
         }
     }
 
-    /// Takes a feature out of its layer.
+    /// Removes a feature from its layer and returns it.
     pub(super) fn take_feature(&mut self, class: &str, id: u32) -> Option<Feature> {
         if let Some(open) = &mut self.open {
             return open.get_mut(class)?.remove(id).map(Arc::unwrap_or_clone);
@@ -185,7 +185,7 @@ impl Environment {
         Some(Arc::unwrap_or_clone(layer.features.remove(at)))
     }
 
-    /// The covariance of an object's pose, with its place among those of the layer.
+    /// The covariance of an object's pose, with its position in the layer's list.
     pub(crate) fn covariance_and_place(&self, class: &str, object: &str) -> Option<(usize, [[f64; 6]; 6])> {
         if let Some(open) = &self.open {
             return open.get(class)?.covariance_and_place(object);
@@ -195,7 +195,7 @@ impl Environment {
         Some((place, all[place].1))
     }
 
-    /// What goes with an object: by class, whether its pose has a covariance, and the ids of its features.
+    /// The data attached to an object, by class: whether its pose has a covariance, and the ids of its features.
     pub fn attached_to(&self, object: &str) -> Vec<(String, bool, Vec<u32>)> {
         if let Some(open) = &self.open {
             let of = |(class, layer): (&String, &OpenLayer)| {
@@ -211,7 +211,7 @@ impl Environment {
         self.layers.iter().map(of).collect()
     }
 
-    /// How many features hang on an object, or on all objects below a path; `most` are counted.
+    /// Number of features attached to an object, or to all objects below a path; counts up to `most`.
     pub(crate) fn attached_to_path(&self, path: &str, below: bool, most: usize) -> usize {
         let is_on = |object: &str| match object.strip_prefix(path) {
             Some(rest) if below => rest.starts_with('/'),
@@ -222,7 +222,7 @@ impl Environment {
         objects.filter(|object| is_on(object)).take(most).count()
     }
 
-    /// The features for a class, open or not, rising ids.
+    /// The features for a class by rising id, whether the layers are open or not.
     fn features_of(&self, class: &str) -> impl Iterator<Item = &Arc<Feature>> {
         let listed = self.layer(class).into_iter().flat_map(|layer| &layer.features);
         let open = self.open.as_ref().and_then(|open| open.get(class));
@@ -248,7 +248,7 @@ impl Environment {
         Ok(&mut self.layers[at])
     }
 
-    /// Gives a layer, made where there is none, another tolerance; the answer is the one before, if there was a layer.
+    /// Sets the tolerance of a layer, which is created if missing. Returns the previous tolerance if there was a layer.
     pub(crate) fn set_tolerance(&mut self, class: &str, tolerance: f64) -> Result<Option<f64>> {
         let before = self.layer(class).map(|l| l.tolerance);
         let header = FeatureLayer { class: class.to_owned(), tolerance, ..FeatureLayer::default() };
@@ -259,7 +259,7 @@ impl Environment {
         Ok(before)
     }
 
-    /// Gives an object's pose a covariance for the features of a class, or none; the answer is the one before.
+    /// Sets or removes the covariance of an object's pose for the features of a class. Returns the previous one.
     pub(crate) fn set_pose_covariance(
         &mut self,
         class: &str,

@@ -8,10 +8,10 @@ use std::collections::BTreeMap;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Appearance {
-    /// Visible, and hides what is behind it.
+    /// Visible, and hides everything behind it.
     #[default]
     Opaque,
-    /// No range and no occlusion, but its features stay.
+    /// No range and no occlusion, but its features remain visible.
     Transparent,
     /// Absent: no range, no occlusion, no features.
     Invisible,
@@ -49,7 +49,7 @@ impl Material {
         }
         Err(Error::invalid(
             format!("reflection factor {} is outside 0..=1", self.reflection),
-            "give the share of power that comes back",
+            "give the fraction of power that is reflected",
         )
         .at(format!("material {:?}", self.name)))
     }

@@ -27,16 +27,16 @@ impl Polygon {
     }
 }
 
-/// In which order a mesh keeps its polygons.
+/// The order in which a mesh stores its polygons.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PolygonOrder {
-    /// Neighbours together, so that clusters have small boxes. Use this for everything except comparisons.
+    /// Neighbours together, so that clusters have small boxes. Use this except for comparisons.
     Spatial,
     /// The given order, so that slots rise with source numbers.
     Given,
 }
 
-/// A stored polygon: where its corners are, and its attributes.
+/// A stored polygon: the position of its corners in the corner list, and its attributes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PolygonRecord {
     pub first_corner: u32,
@@ -46,7 +46,7 @@ pub struct PolygonRecord {
 }
 
 impl PolygonRecord {
-    /// Its part of all corners.
+    /// The polygon's corners, out of the corners of the mesh.
     #[inline]
     pub fn corners(self, all: &[u32]) -> &[u32] {
         let first = self.first_corner as usize;
@@ -57,7 +57,7 @@ impl PolygonRecord {
     #[inline]
     pub fn extent(self, all: &[u32], vertices: &[Vec3]) -> (Vec3, Vec3) {
         let own = self.corners(all);
-        // Nearly all polygons have three or four corners: without a branch on that, which could not be foretold.
+        // Nearly all polygons have three or four corners: avoids a mispredicted branch between the two.
         let fourth = own[3.min(own.len() - 1)];
         let at = |corner: u32| vertices[corner as usize];
         let (a, b, c, d) = (at(own[0]), at(own[1]), at(own[2]), at(fourth));
@@ -76,7 +76,7 @@ impl PolygonRecord {
     }
 }
 
-/// Polygons in one piece: records with their planes over one list of corners.
+/// Polygons without an order yet: records and planes over one list of corners.
 #[derive(Debug, Default)]
 pub struct Parts {
     pub corners: Vec<u32>,
@@ -120,14 +120,14 @@ pub struct Mesh {
     planes: Vec<Plane>,
     clusters: Vec<Cluster>,
     bounds: Aabb,
-    /// Those in use, rising.
+    /// Material indices in use, rising.
     materials: Vec<u16>,
-    /// Made when the CPU engine first draws it.
+    /// Built when the CPU engine first draws the mesh.
     by_cluster: OnceLock<ClusterVertices>,
 }
 
-/// How far off its plane a vertex may be, relative to the polygon's largest coordinate extent; what f32 vertices of
-/// a planar polygon can need, and what merging may leave.
+/// Allowed distance of a vertex from its polygon's plane, relative to the polygon's largest coordinate extent. Covers
+/// f32 rounding of planar polygons and the residual of merging.
 const PLANARITY: f64 = 4e-6;
 
 impl Mesh {
@@ -143,8 +143,8 @@ impl Mesh {
     /// ```
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] naming the polygon: fewer than 3 or over 64 corners, an index out of range,
-    /// NaN or infinity, no area, not planar, not convex.
+    /// [`crate::ErrorKind::Invalid`], naming the polygon: fewer than 3 or over 64 corners, an index out of range, NaN
+    /// or infinity, no area, not planar, not convex.
     pub fn new(
         name: impl Into<String>,
         vertices: Vec<Vec3>,
@@ -174,13 +174,12 @@ impl Mesh {
         Ok(Self::assemble(name, vertices, &Parts { corners, records, planes }, order))
     }
 
-    /// Holds nothing.
+    /// A mesh without polygons.
     pub fn empty(name: &str) -> Self {
         Self::assemble(name.to_owned(), Vec::new(), &Parts::default(), PolygonOrder::Given)
     }
 
-    /// As [`Mesh::new`], of parts that were proven sound when they were made; only vertices in use are kept, in the
-    /// order of their use.
+    /// Like [`Mesh::new`], for parts that have been checked already. Keeps only used vertices, in the order of use.
     pub fn from_parts(name: String, vertices: Vec<Vec3>, parts: &Parts, order: PolygonOrder) -> Self {
         let mut mesh = Self::assemble(name, vertices, parts, order);
         let mut moved = vec![u32::MAX; mesh.vertices.len()];
@@ -231,12 +230,12 @@ impl Mesh {
         mesh
     }
 
-    /// A mesh as it was, polygons in the order in which they were kept, with their planes if these are known. The extents
-    /// of its polygons are told to `visit` one by one, for an index of it needs them as well.
+    /// Rebuilds a stored mesh: polygons in the stored order, and their planes if known. Calls `visit` with the extent
+    /// of each polygon, because an index needs the extents too.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] naming the polygon or vertex: not finite, out of range, no area. That polygons are
-    /// planar and convex was checked when the mesh was made.
+    /// [`crate::ErrorKind::Invalid`], naming the polygon or vertex: not finite, out of range, no area. Planarity and
+    /// convexity were checked when the mesh was made.
     pub fn restored(
         name: String,
         vertices: Vec<Vec3>,
@@ -262,7 +261,7 @@ impl Mesh {
             None => polygons.iter().enumerate().map(plane_of).collect::<Result<_>>()?,
         };
         let sound = |p: &Plane| (p.normal.length_squared() - 1.0).abs() <= 1e-6 && p.offset.is_finite();
-        // To the last one: a loop that may end early is not unrolled.
+        // No early exit: the loop would not be unrolled otherwise.
         if planes.len() != polygons.len() || !planes.iter().fold(true, |all, plane| all & sound(plane)) {
             return Err(Error::invalid("planes without a normal, or not one for each polygon", ""));
         }
@@ -293,8 +292,8 @@ impl Mesh {
         mesh
     }
 
-    /// The same polygons, transformed and with other materials, rounded to f32 once. A mirror reverses the windings, so that
-    /// fronts stay fronts, as they do for an object's own.
+    /// The same polygons, transformed and with other materials, rounded to f32 once. A mirror reverses the windings, so
+    /// that fronts stay fronts, as in a mirrored object.
     ///
     /// # Errors
     /// Those of [`Mesh::new`]: rounding may flatten tiny polygons.
@@ -312,7 +311,7 @@ impl Mesh {
         Self::new(self.name.clone(), vertices, polygons, PolygonOrder::Spatial)
     }
 
-    /// The order that its clusters show; where both have the same clusters it is [`PolygonOrder::Given`].
+    /// The order, as far as the clusters show it: [`PolygonOrder::Given`] if both orders would have the same clusters.
     pub fn order(&self) -> PolygonOrder {
         let even = self.clusters.iter().enumerate().all(|(i, c)| c.first as usize == i * limits::CLUSTER_POLYGONS);
         if even { PolygonOrder::Given } else { PolygonOrder::Spatial }
@@ -358,7 +357,7 @@ impl Mesh {
         self.polygons[polygon as usize].source
     }
 
-    /// Runs of neighbouring polygons, in order, together all of them.
+    /// Runs of neighbouring polygons, in order; together they hold all polygons.
     pub fn clusters(&self) -> &[Cluster] {
         &self.clusters
     }
@@ -376,7 +375,7 @@ impl Mesh {
         &self.corners
     }
 
-    /// The cluster that holds a polygon, and its number. All are of about one size, so that a guess is off by few.
+    /// The cluster that holds a polygon, and its index. Clusters have similar sizes, so a linear guess is nearly right.
     #[inline(always)]
     pub fn cluster_of(&self, polygon: u32) -> (usize, &Cluster) {
         let clusters = &self.clusters;
@@ -390,7 +389,7 @@ impl Mesh {
         (i, &clusters[i])
     }
 
-    /// Made on the first call.
+    /// Built on the first call.
     pub fn cluster_vertices(&self) -> &ClusterVertices {
         let made = || ClusterVertices::new(&self.vertices, &self.corners, &self.polygons, &self.clusters);
         self.by_cluster.get_or_init(made)
@@ -408,7 +407,7 @@ impl Mesh {
 
 fn materials_of(records: &[PolygonRecord]) -> Vec<u16> {
     let mut materials: Vec<u16> = Vec::new();
-    // Neighbours mostly share theirs.
+    // Neighbours usually share a material.
     for run in records.chunk_by(|a, b| a.material == b.material) {
         if !materials.contains(&run[0].material) {
             materials.push(run[0].material);
@@ -420,7 +419,7 @@ fn materials_of(records: &[PolygonRecord]) -> Vec<u16> {
 
 fn check_vertices(vertices: &[Vec3]) -> Result<()> {
     let sound = |x: &f32| x.abs() <= limits::MAX_COORDINATE as f32;
-    // To the last one: a loop that may end early is not unrolled.
+    // No early exit: the loop would not be unrolled otherwise.
     let all: &[f32] = bytemuck::cast_slice(vertices);
     if all.iter().fold(true, |all, x| all & sound(x)) {
         return Ok(());
@@ -434,7 +433,7 @@ fn check_vertices(vertices: &[Vec3]) -> Result<()> {
     }
 }
 
-/// Records that were kept: one polygon after the other, of some number of corners each.
+/// Checks stored records: consecutive polygons with a valid number of corners each.
 fn check_records(polygons: &[PolygonRecord], corners: usize) -> Result<()> {
     let follows = |end: &mut usize, record: &PolygonRecord| {
         let n = usize::from(record.corner_count);
@@ -455,7 +454,7 @@ fn check_polygon(polygon: &Polygon, vertices: &[Vec3], extent: f64) -> Result<Pl
     let n = polygon.corners.len();
     if !(3..=limits::MAX_CORNERS).contains(&n) {
         return Err(Error::invalid(
-            format!("{n} corners, where 3 to {} are possible", limits::MAX_CORNERS),
+            format!("{n} corners; 3 to {} are allowed", limits::MAX_CORNERS),
             "split the polygon",
         ));
     }
@@ -474,8 +473,8 @@ fn check_polygon(polygon: &Polygon, vertices: &[Vec3], extent: f64) -> Result<Pl
     Ok(plane)
 }
 
-/// The plane computed from the loop turned and reversed to a canonical start, so that coincident faces of either
-/// winding get the same bits up to the sign and their ties go to the lower id. `None` if it has no area.
+/// The plane, computed from a canonical start and direction of the loop. Coincident faces of either winding thus get
+/// the same bits up to the sign, and their ties go to the lower id. Returns `None` if the loop has no area.
 pub fn canonical_plane(n: usize, point: impl Fn(usize) -> DVec3) -> Option<Plane> {
     let key = |k: usize| point(k).to_array();
     let start = (1..n).fold(0, |least, k| if key(k) < key(least) { k } else { least });
@@ -497,7 +496,7 @@ fn check_shape(points: &[DVec3], plane: Plane, extent: f64) -> Result<()> {
         let off = (plane.normal.dot(points[k]) - plane.offset).abs();
         if off > tolerance {
             return Err(Error::invalid(
-                format!("corner {k} is {off:.3e} m off the plane, {tolerance:.3e} is allowed"),
+                format!("corner {k} is {off:.3e} m off the plane; {tolerance:.3e} m is allowed"),
                 "split the polygon into planar ones",
             ));
         }
@@ -511,7 +510,7 @@ fn check_shape(points: &[DVec3], plane: Plane, extent: f64) -> Result<()> {
             ));
         }
     }
-    // Locally convex all round but turning more than once: a star.
+    // A star is locally convex everywhere but winds more than once.
     let turning: f64 = (0..n)
         .map(|k| {
             let a = points[(k + 1) % n] - points[k];
@@ -525,9 +524,9 @@ fn check_shape(points: &[DVec3], plane: Plane, extent: f64) -> Result<()> {
     Ok(())
 }
 
-/// The polygons halved at the middle centre along the longest axis until runs fit a cluster; rising inside a run.
+/// Halves the polygons at the median centre along the longest axis until each run fits a cluster; rising inside a run.
 fn spatial_sequence(boxes: &[Aabb]) -> Vec<u32> {
-    // Centres beside the indices, in f32: ordering needs no more, and the loops stay in cache.
+    // Stores centres next to the indices, in f32: that is precise enough for ordering and keeps the loops in cache.
     let mut items: Vec<(Vec3, u32)> = boxes.iter().zip(0..).map(|(b, i)| (b.center().as_vec3(), i)).collect();
     if items.len() >= 2 * PARALLEL {
         parallel_or_here(|| halve(&mut items));
@@ -537,7 +536,7 @@ fn spatial_sequence(boxes: &[Aabb]) -> Vec<u32> {
     items.iter().map(|item| item.1).collect()
 }
 
-/// Below this a task of its own costs more than it saves.
+/// Smaller tasks are not worth running in parallel.
 const PARALLEL: usize = 4096;
 
 fn halve(items: &mut [(Vec3, u32)]) {
@@ -559,7 +558,7 @@ fn halve(items: &mut [(Vec3, u32)]) {
     }
 }
 
-/// Where the clusters of so many polygons start.
+/// Start indices of the clusters of `count` polygons.
 fn cuts_of(count: usize, order: PolygonOrder) -> Vec<usize> {
     let mut cuts = Vec::with_capacity(2 * count / limits::CLUSTER_POLYGONS + 2);
     match order {
@@ -569,7 +568,7 @@ fn cuts_of(count: usize, order: PolygonOrder) -> Vec<usize> {
     cuts
 }
 
-/// Where the runs of [`halve`] start: it depends on nothing but the count.
+/// Start indices of the runs of [`halve`], which depend only on the count.
 fn halving_cuts(start: usize, count: usize, cuts: &mut Vec<usize>) {
     if count <= limits::CLUSTER_POLYGONS {
         if count > 0 {

@@ -44,7 +44,7 @@ pub struct Object {
     pub object_from_mesh: DAffine3,
     /// Shared by all instances.
     pub mesh: Arc<Mesh>,
-    /// Slot of the mesh's polygon 0; polygon i has slot `first_slot + i` and `model` id one more.
+    /// Slot of the mesh's polygon 0. Polygon i has slot `first_slot + i`; its `model` id is the slot plus one.
     pub first_slot: u32,
     /// Number of the object's first triangle in the source file (`source` ids).
     pub first_source: u32,
@@ -57,8 +57,8 @@ impl Object {
         self.world_from_object.to_affine() * self.object_from_mesh
     }
 
-    /// True if its mesh is mirrored on its way into the world: the winding turns round. Normals go through the inverse
-    /// transpose, so that the front of a polygon stays its front (glTF 2.0, section 3.7.4).
+    /// True if the mesh is mirrored in the world, which reverses the winding. Normals are transformed by the inverse
+    /// transpose, so the front of a polygon stays its front (glTF 2.0, section 3.7.4).
     pub fn mirrors(&self) -> bool {
         self.object_from_mesh.matrix3.determinant() < 0.0
     }
@@ -69,7 +69,7 @@ impl Object {
         let mut corners: Vec<DVec3> =
             self.mesh.corners_of(polygon).map(|p| world_from_mesh.transform_point3(p)).collect();
         if self.mirrors() {
-            // The first stays the first.
+            // The first corner stays first.
             corners[1..].reverse();
         }
         corners
@@ -81,22 +81,22 @@ impl Object {
         let world_from_mesh = self.world_from_mesh();
         let m = world_from_mesh.matrix3;
         let turned = b.transformed(&world_from_mesh);
-        // The transform's roundings.
+        // Covers the rounding of the transform.
         let reach = b.min.abs().max(b.max.abs());
         let size = m.x_axis.abs() * reach.x + m.y_axis.abs() * reach.y + m.z_axis.abs() * reach.z;
         let slack = 16.0 * f64::EPSILON * (size + world_from_mesh.translation.abs());
         if b.is_empty() { b } else { Aabb { min: turned.min - slack, max: turned.max + slack } }
     }
 
-    /// Transforms a point of the world into the mesh's frame. World positions are subtracted first, so that the difference is
-    /// exact even at 5,000,000 m.
+    /// Transforms a point of the world into the mesh's frame. Subtracts the translation first, so that the difference
+    /// is exact even at 5,000,000 m.
     pub fn point_in_mesh(&self, p_in_world: DVec3) -> DVec3 {
         let object_from_world = self.world_from_object.rotation_matrix().transpose();
         let p_in_object = object_from_world * (p_in_world - self.world_from_object.translation);
         self.object_from_mesh.inverse().transform_point3(p_in_object)
     }
 
-    /// True if the object is deleted. It keeps its number and its slots, which are never used again, and has no polygons.
+    /// True if the object is deleted. It keeps its number and its slots, which are never reused, and has no polygons.
     pub fn is_deleted(&self) -> bool {
         self.deleted
     }
@@ -143,7 +143,7 @@ impl NewObject {
         }
         let pose = Pose::rigid_part(&world_from_mesh);
         let mut rest = pose.rotation_matrix().transpose() * m;
-        // A plain rotation leaves an identity with rounding in it: make it exact.
+        // A pure rotation leaves an identity with rounding errors: make it exact.
         if (rest - DMat3::IDENTITY).to_cols_array().iter().all(|d| d.abs() < 1e-15) {
             rest = DMat3::IDENTITY;
         }
@@ -151,19 +151,19 @@ impl NewObject {
     }
 }
 
-/// Objects in groups, materials and feature layers. Polygons live in slots; a slot is never used again.
+/// Objects in groups, materials and feature layers. Each polygon has a slot; slots are never reused.
 #[derive(Clone, Debug, Default)]
 pub struct Environment {
     objects: Vec<Object>,
     materials: Vec<Material>,
     layers: Vec<FeatureLayer>,
-    /// What they hold while many changes are made at once, by class ([`Environment::open_layers`]).
+    /// The content of the layers while many changes are made at once, by class ([`Environment::open_layers`]).
     open: Option<BTreeMap<String, open::OpenLayer>>,
-    /// In order: what is below a path follows it.
+    /// Sorted, so that everything below a path follows it.
     names: BTreeMap<String, u32>,
-    /// Frames that groups were given; none of these paths is an object.
+    /// Frames that were set for groups. None of these paths is an object.
     groups: BTreeMap<String, Pose>,
-    /// Ids of deleted features, by class: no feature gets one of them again.
+    /// Ids of deleted features, by class; they are never reused.
     retired: BTreeMap<String, BTreeSet<u32>>,
     next_slot: u32,
 }
@@ -188,7 +188,7 @@ impl Environment {
         Ok(index)
     }
 
-    /// Adds an object and returns its index. Its `object_id` in images is one more. The object replaces a group of its path.
+    /// Adds an object and returns its index (`object_id` in images minus one). The object replaces a group at its path.
     ///
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] if the mesh names a material that does not exist, the pose is not finite or out
@@ -217,7 +217,7 @@ impl Environment {
         let index = self.objects.len() as u32;
         let name = self.unique_name(&new.name);
         self.names.insert(name.clone(), index);
-        // The path is an object from now on, and its pose the frame of what is below.
+        // The path now belongs to an object, whose pose is the frame of everything below.
         self.groups.remove(&name);
         self.objects.push(Object {
             name,
@@ -243,7 +243,7 @@ impl Environment {
         Ok(index)
     }
 
-    /// Deletes an object and returns its index. Its name may be used again, its number and slots never.
+    /// Deletes an object and returns its index. Its name may be reused; its number and slots are not.
     ///
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] if there is no such object.
@@ -258,18 +258,18 @@ impl Environment {
     /// The index of the object with this full path.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if there is none.
+    /// [`crate::ErrorKind::Invalid`] if there is no such object.
     pub fn index_of(&self, name: &str) -> Result<u32> {
         let remedy = "presight inspect lists the objects";
         self.names.get(name).copied().ok_or_else(|| Error::invalid(format!("there is no object {name:?}"), remedy))
     }
 
-    /// Indices of the objects below a path: those whose path starts with it and a slash.
+    /// Indices of the objects below a path: objects whose path starts with it and a slash.
     pub fn below(&self, path: &str) -> impl Iterator<Item = u32> + '_ {
         groups::below(&self.names, path).map(|(_, index)| *index)
     }
 
-    /// Adds an object under the index and the slots that it had before; what lies between is gone for good.
+    /// Adds an object with the index and slots that it had before. The numbers skipped on the way stay unused.
     pub fn insert_at(&mut self, index: u32, first_slot: u32, new: NewObject) -> Result<()> {
         let name = new.name.clone();
         if self.names.contains_key(&name) {
@@ -279,13 +279,13 @@ impl Environment {
         self.insert(new).map(drop)
     }
 
-    /// Fills up with deleted objects, so that the next one gets this index and this slot.
+    /// Fills up with deleted objects, so that the next object gets this index and this slot.
     pub fn skip_to(&mut self, index: u32, slot: u32) -> Result<()> {
         let known = self.objects.len();
         if (index as usize) < known || slot < self.next_slot || index as usize > limits::MAX_OBJECTS {
             let what =
                 format!("object number {index} with slot {slot} after {known} objects and {} slots", self.next_slot);
-            return Err(Error::invalid(what, "numbers and slots rise"));
+            return Err(Error::invalid(what, "numbers and slots must rise"));
         }
         let gone = Object {
             name: String::new(),
@@ -341,7 +341,7 @@ impl Environment {
         ((polygon as usize) < self.objects[object].mesh.polygon_count()).then_some((object as u32, polygon))
     }
 
-    /// [`Object::polygon_in_world`] of the polygon in a slot; `None` if there is none.
+    /// [`Object::polygon_in_world`] of the polygon in a slot; `None` for an empty slot.
     pub fn polygon_in_world(&self, slot: u32) -> Option<Vec<DVec3>> {
         let (object, polygon) = self.locate(slot)?;
         Some(self.objects[object as usize].polygon_in_world(polygon))
@@ -394,7 +394,7 @@ mod tests {
         assert!(nan.starts_with("the pose [0.5, NaN, 0.0, 0.0, 0.0, 0.0, 1.0] is not finite; "), "{nan}");
         let long = said(DVec3::ZERO, DQuat::from_xyzw(0.0, 0.0, 0.0, 2.0));
         assert!(
-            long.starts_with("the pose [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 2.0] is no rotation")
+            long.starts_with("the pose [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 2.0] is not a rotation")
                 && long.contains("length 2,"),
             "{long}"
         );

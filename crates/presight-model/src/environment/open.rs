@@ -1,5 +1,5 @@
-//! Feature layers while many changes are made to them at once. In a list each feature that is put in or taken out moves all
-//! that come after it, and finding those of an object looks at every one: for a hundred thousand features that is minutes.
+//! Feature layers while many features change at once. In a list, every insertion and removal shifts all later features,
+//! and finding the features of an object scans them all: minutes for a hundred thousand features.
 
 use super::{Environment, Feature};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
@@ -8,13 +8,13 @@ use std::sync::Arc;
 /// The covariance of an object's pose.
 pub(super) type Covariance = [[f64; 6]; 6];
 
-/// What a layer holds, each part as quick to find as to put in and to take out.
+/// The content of a layer, with fast lookup, insertion and removal.
 #[derive(Clone, Debug, Default)]
 pub(super) struct OpenLayer {
     features: BTreeMap<u32, Arc<Feature>>,
     /// Ids by object.
     of_object: HashMap<String, BTreeSet<u32>>,
-    /// By object, with their places in the list.
+    /// By object, each with its position in the list.
     covariances: HashMap<String, (usize, Covariance)>,
     next_place: usize,
 }
@@ -33,7 +33,7 @@ impl OpenLayer {
         self.of_object.get(object).into_iter().flatten().copied().collect()
     }
 
-    /// The answer is the one that had the id.
+    /// Returns the previous feature with this id.
     pub fn insert(&mut self, feature: Arc<Feature>) -> Option<Arc<Feature>> {
         let before = self.remove(feature.id);
         if let Some(object) = &feature.object {
@@ -59,7 +59,7 @@ impl OpenLayer {
         self.covariances.get(object).copied()
     }
 
-    /// What [`OpenLayer::covariance_and_place`] told is so again.
+    /// Restores the covariance and position from [`OpenLayer::covariance_and_place`].
     pub fn restore_covariance(&mut self, object: String, before: Option<(usize, Covariance)>) {
         match before {
             Some(before) => self.covariances.insert(object, before),
@@ -67,7 +67,7 @@ impl OpenLayer {
         };
     }
 
-    /// The answer is the one before, whose place a new one takes.
+    /// Returns the previous covariance. The new one takes its position.
     pub fn set_covariance(&mut self, object: &str, covariance: Option<Covariance>) -> Option<Covariance> {
         let before = self.covariances.remove(object);
         if let Some(covariance) = covariance {
@@ -80,8 +80,8 @@ impl OpenLayer {
 }
 
 impl Environment {
-    /// Makes features quick to put in and to take out, one by one, until [`Environment::close_layers`]; in between
-    /// [`Environment::layers`] shows none.
+    /// Makes insertion and removal of single features fast until [`Environment::close_layers`]. Until then
+    /// [`Environment::layers`] has no features.
     pub(crate) fn open_layers(&mut self) {
         let mut all = BTreeMap::new();
         for layer in &mut self.layers {
@@ -98,12 +98,12 @@ impl Environment {
         self.open = Some(all);
     }
 
-    /// True between the two.
+    /// True between [`Environment::open_layers`] and [`Environment::close_layers`].
     pub(crate) fn has_open_layers(&self) -> bool {
         self.open.is_some()
     }
 
-    /// Makes them lists again.
+    /// Turns the open layers into lists again.
     pub(crate) fn close_layers(&mut self) {
         let mut all = self.open.take().unwrap_or_default();
         for layer in &mut self.layers {

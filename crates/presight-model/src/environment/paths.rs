@@ -1,16 +1,16 @@
-//! Names of things that are made one after the other, each but once.
+//! Assigns unique paths.
 
 use std::collections::HashMap;
 
 /// The paths taken so far.
 #[derive(Debug, Default)]
 pub struct Paths {
-    /// With the number that its next repetition may get: looking from 2 each time would take quadratic time.
+    /// With the number to try for its next repetition: starting from 2 each time would take quadratic time.
     next: HashMap<String, u32>,
 }
 
 impl Paths {
-    /// The wanted path, or where it is taken the first free one of `#2`, `#3` and so on.
+    /// Takes the wanted path, or the first free one of `#2`, `#3` and so on, and returns it.
     pub fn take(&mut self, wanted: String) -> String {
         let Some(mut number) = self.next.get(&wanted).copied() else {
             self.next.insert(wanted.clone(), 2);
@@ -28,7 +28,7 @@ impl Paths {
         free
     }
 
-    /// True if the path was free; now it is taken.
+    /// Takes the path; returns true if it was free.
     pub fn reserve(&mut self, path: &str) -> bool {
         let free = !self.next.contains_key(path);
         if free {

@@ -1,40 +1,40 @@
-//! What takes a change back exactly, numbers and slots included: for groups of changes that fail halfway.
+//! Takes a change back exactly, including numbers and slots, when a group of changes fails halfway.
 //!
-//! [`crate::Change`]s undo content and give what comes back new numbers; a group that failed must leave no trace at all.
+//! [`crate::Change`]s only undo content, and restored objects get new numbers. A failed group must leave no trace.
 
 use super::{Environment, Feature};
 use crate::geometry::Pose;
 use std::sync::Arc;
 
-/// How one step of a change is taken back. Steps are reverted newest first, so that each meets what it left.
+/// Takes back one step of a change. Steps are reverted newest first, so that each finds the state that it left.
 #[derive(Clone, Debug)]
 pub enum Revert {
-    /// The object added last is removed; a group of its path gets its frame back.
+    /// Removes the object that was added last; a group at its path gets its frame back.
     Insert { frame: Option<Pose> },
-    /// An object stands where it stood.
+    /// Restores the pose of an object.
     Pose { object: u32, world_from_object: Pose },
-    /// A deleted object has its polygons and its name again.
+    /// Restores a deleted object's polygons and name.
     Delete { object: u32, mesh: Arc<super::Mesh> },
-    /// A group has the frame that it had.
+    /// Restores the frame of a group.
     Frame { path: String, frame: Option<Pose> },
-    /// The material added last is removed.
+    /// Removes the material that was added last.
     Material,
-    /// A feature is removed, and its id is as used or unused as before.
+    /// Removes a feature and restores whether its id was retired.
     InsertFeature { class: String, id: u32, retired: bool },
-    /// A feature is what it was.
+    /// Restores the previous feature with this id.
     SetFeature { class: String, feature: Feature },
-    /// A deleted feature is back.
+    /// Restores a deleted feature.
     DeleteFeature { class: String, feature: Feature },
-    /// A layer has the tolerance that it had.
+    /// Restores the tolerance of a layer.
     Tolerance { class: String, tolerance: f64 },
-    /// The pose of an object has the covariance that it had, if any, in its place among the others.
+    /// Restores the covariance of an object's pose, if it had one, at its position in the list.
     PoseCovariance { class: String, object: String, before: Option<(usize, [[f64; 6]; 6])> },
-    /// A layer that was made on the way is removed.
+    /// Removes a layer that the change created.
     NewLayer { class: String },
 }
 
 impl Environment {
-    /// Takes one step back.
+    /// Reverts one step.
     pub(crate) fn revert(&mut self, step: Revert) {
         match step {
             Revert::Insert { frame } => {

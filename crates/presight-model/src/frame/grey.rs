@@ -3,7 +3,7 @@
 use crate::error::{Error, Result};
 use glam::DVec2;
 
-/// A grey image, 0 black and 1 white, row by row. NaN is no measurement.
+/// A grey image, 0 black and 1 white, row by row. NaN means no measurement.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GreyImage {
     width: u32,
@@ -12,14 +12,14 @@ pub struct GreyImage {
 }
 
 impl GreyImage {
-    /// Makes an image of its values.
+    /// Makes an image from its values.
     ///
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] if there is not one value for each pixel, or one is infinite.
     pub fn new(width: u32, height: u32, values: Vec<f32>) -> Result<Self> {
         if values.len() as u64 != u64::from(width) * u64::from(height) {
             let what = format!("{} grey values for {width} x {height} pixels", values.len());
-            return Err(Error::invalid(what, "give one value a pixel, row by row"));
+            return Err(Error::invalid(what, "give one value per pixel, row by row"));
         }
         if let Some(at) = values.iter().position(|v| v.is_infinite()) {
             let what = format!("pixel {},{} is {}", at % width as usize, at / width as usize, values[at]);
@@ -48,7 +48,7 @@ impl GreyImage {
         self.values[row as usize * self.width as usize + column as usize]
     }
 
-    /// Between the four pixels around a place (column, row); NaN outside of the image and beside a pixel without a measurement.
+    /// Bilinear interpolation at a place (column, row). NaN outside of the image and next to an unmeasured pixel.
     pub fn at(&self, place: DVec2) -> f64 {
         let (w, h) = (self.width as usize, self.height as usize);
         if !(place.x >= 0.0 && place.y >= 0.0 && place.x <= w as f64 - 1.0 && place.y <= h as f64 - 1.0) {
@@ -61,7 +61,7 @@ impl GreyImage {
         (1.0 - y) * ((1.0 - x) * v(c, r) + x * v(c1, r)) + y * ((1.0 - x) * v(c, r1) + x * v(c1, r1))
     }
 
-    /// Adds to each sum what is at a place, and one step further at the next; as [`GreyImage::at`], NaN outside.
+    /// Adds the values at `first`, one `step` further, and so on to the sums. NaN outside, as for [`GreyImage::at`].
     pub fn add_along(&self, first: DVec2, step: DVec2, sums: &mut [f64]) {
         let (w, h) = (self.width as usize, self.height as usize);
         let last = DVec2::new(w as f64 - 1.0, h as f64 - 1.0);

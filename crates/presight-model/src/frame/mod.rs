@@ -1,7 +1,7 @@
-//! Sensed frames: what a sensor really saw, in the pixels of its own image.
+//! Frames measured by a sensor, in the pixels of its own image.
 //!
-//! A [`Frame`] has the pixel order, the frames and the special values of a prediction, so that the two can be compared pixel by
-//! pixel. Values follow REP-117: `-inf` is too near, `+inf` is nothing within reach, NaN is no measurement.
+//! A [`Frame`] has the pixel order, the frames and the special values of a prediction, so that the two can be compared
+//! pixel by pixel. Values follow REP-117: `-inf` means too near, `+inf` nothing within reach, NaN no measurement.
 
 mod grey;
 mod noise;
@@ -13,7 +13,7 @@ use crate::error::{Error, Result};
 use crate::geometry::Pose;
 use crate::sensor::{Angles, Camera, Geometry, RayTable, Scanner, Sensor, SensorSpec};
 
-/// What a sensor measured, row by row.
+/// The values that a sensor measured, row by row.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Measurement {
     /// Metres along each ray.
@@ -34,39 +34,39 @@ impl Measurement {
     }
 }
 
-/// How the robot moved since the frame before, as odometry tells it.
+/// The robot's motion since the previous frame, from odometry.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Motion {
-    /// The robot's pose now, in its frame of then.
+    /// The current pose of the robot, in its previous frame.
     pub previous_from_current: Pose,
-    /// x y z, then rotation about fixed x y z, in the robot's frame of then, row by row; metres and radians.
+    /// Covariance of x y z, then of rotation about fixed x y z, in the robot's previous frame; metres and radians.
     pub covariance: [[f64; 6]; 6],
 }
 
-/// How far odometry may be off, one standard deviation: parts of what was driven and turned, and what is left at rest.
+/// Errors of odometry, one standard deviation: parts proportional to distance and turn, and a constant part.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OdometryNoise {
-    /// Metres along each axis for each metre of way.
+    /// Metres along each axis per metre driven.
     pub way: f64,
-    /// Radians for each radian of turn.
+    /// Radians per radian turned.
     pub turn: f64,
-    /// Radians for each metre of way.
+    /// Radians per metre driven.
     pub turn_on_way: f64,
-    /// Metres, at rest.
+    /// Constant part, metres.
     pub least: f64,
-    /// Radians, at rest.
+    /// Constant part, radians.
     pub least_turn: f64,
 }
 
 impl Default for OdometryNoise {
-    /// Wheels that slip, as robots without a calibration have them.
+    /// Slipping wheels, typical of robots without a calibration.
     fn default() -> Self {
         Self { way: 0.1, turn: 0.1, turn_on_way: 0.05, least: 0.01, least_turn: 0.005 }
     }
 }
 
 impl Motion {
-    /// A motion that odometry tells without saying how well.
+    /// A motion from odometry that does not report its accuracy.
     ///
     /// # Examples
     /// ```
@@ -95,7 +95,7 @@ impl Motion {
 /// let scanner = presight::preset("laser-scanner")?; // 361 beams
 /// let frame = Frame::new(0.0, scanner.clone(), Measurement::Range(vec![2.0; 361]))?;
 /// assert_eq!(frame.ranges()[180], 2.0);
-/// // Of another size than the sensor's image:
+/// // The sensor's image has another size:
 /// assert!(Frame::new(0.0, scanner, Measurement::Range(vec![2.0; 360])).is_err());
 /// # Ok::<(), presight::Error>(())
 /// ```
@@ -103,7 +103,7 @@ impl Motion {
 pub struct Frame {
     /// Seconds, on the log's own clock.
     pub stamp: f64,
-    /// Since the frame before; `None` if nothing was told.
+    /// Motion since the previous frame; `None` if unknown.
     pub motion: Option<Motion>,
     sensor: Sensor,
     sensed: Measurement,
@@ -115,8 +115,8 @@ impl Frame {
     /// Makes a frame of measured values.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if there is not one value for each pixel of the sensor, if a distance is negative, if the
-    /// stamp is no number, or if depth is given for a sensor that is no camera.
+    /// [`crate::ErrorKind::Invalid`] if there is not one value for each pixel of the sensor, if a distance is negative,
+    /// if the stamp is not finite, or if depth is given for a sensor that is not a camera.
     pub fn new(stamp: f64, sensor: Sensor, sensed: Measurement) -> Result<Self> {
         let (width, height) = (sensor.width() as usize, sensor.height() as usize);
         let values = sensed.values();
@@ -129,7 +129,7 @@ impl Frame {
         if values.len() != width * height {
             return Err(Error::invalid(
                 format!("{} measured values for a sensor of {width} x {height} pixels", values.len()),
-                "give one value a pixel, or the sensor that measured them",
+                "give one value per pixel, or the sensor that measured them",
             ));
         }
         let negative = |v: &f32| *v < 0.0 && v.is_finite();
@@ -148,7 +148,7 @@ impl Frame {
         Ok(Self { stamp, motion: None, sensor, sensed, ranges, intensities: None })
     }
 
-    /// With how strong the echo of each pixel was, beside its range: 1 is as bright as a retro-reflector, NaN no echo.
+    /// Adds the echo intensity of each pixel: 1 is as bright as a retro-reflector, NaN means no echo.
     ///
     /// # Examples
     /// ```
@@ -162,16 +162,16 @@ impl Frame {
     /// ```
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] for an image of another size, a value outside of 0 to 1, and a frame without ranges.
+    /// [`crate::ErrorKind::Invalid`] for an image of another size, a value outside 0 to 1, or a frame without ranges.
     pub fn with_intensities(self, intensities: GreyImage) -> Result<Self> {
         let (width, height) = (self.sensor.width(), self.sensor.height());
         if self.grey().is_some() {
-            return Err(Error::invalid("intensities of a grey image", "give those of ranges"));
+            return Err(Error::invalid("intensities for a grey image", "give intensities with ranges only"));
         }
         if (intensities.width(), intensities.height()) != (width, height) {
             let size = format!("{} x {}", intensities.width(), intensities.height());
             let what = format!("intensities of {size} pixels for a sensor of {width} x {height}");
-            return Err(Error::invalid(what, "give one for each pixel, NaN for none"));
+            return Err(Error::invalid(what, "give one value per pixel, NaN for none"));
         }
         check_intensities(intensities.values())?;
         Ok(Self { intensities: Some(intensities), ..self })
@@ -185,9 +185,9 @@ impl Frame {
                 image.width(),
                 image.height()
             );
-            return Err(Error::invalid(what, "give the sensor that took it"));
+            return Err(Error::invalid(what, "give the sensor that measured it"));
         }
-        // Nothing is known of ranges.
+        // A grey image has no ranges.
         let ranges = vec![f32::NAN; image.values().len()];
         let sensed = Measurement::Grey(image);
         Ok(Self { stamp, motion: None, sensor, sensed, ranges, intensities: None })
@@ -198,7 +198,7 @@ impl Frame {
         &self.sensor
     }
 
-    /// What was measured.
+    /// The measured values.
     pub fn sensed(&self) -> &Measurement {
         &self.sensed
     }
@@ -211,17 +211,17 @@ impl Frame {
         }
     }
 
-    /// How strong the echo of each pixel was; `None` if the sensor does not tell.
+    /// The echo intensity of each pixel; `None` if the sensor does not report it.
     pub fn intensities(&self) -> Option<&GreyImage> {
         self.intensities.as_ref()
     }
 
-    /// Metres along each ray, row by row, whatever was measured. 0 is told as NaN: no measurement. Of a grey image all are NaN.
+    /// Metres along each ray, row by row, for any measurement. A measured 0 becomes NaN; a grey image has only NaN.
     pub fn ranges(&self) -> &[f32] {
         &self.ranges
     }
 
-    /// Every `stride`-th column and row, as a frame of a sensor of its own: each pixel that is kept has its ray and its value.
+    /// Every `stride`-th column and row, as a frame of its own sensor, in which each pixel keeps its ray and its value.
     /// Sides shorter than the stride keep one pixel.
     ///
     /// # Errors
@@ -255,18 +255,18 @@ impl Frame {
     }
 }
 
-/// That intensities are 0 to 1 or NaN; names the first that is not.
+/// Checks that intensities are 0 to 1 or NaN; the error names the first that is not.
 pub fn check_intensities(values: &[f32]) -> Result<()> {
     let is_none = |v: &f32| !v.is_nan() && !(0.0..=1.0).contains(v);
     let Some(at) = values.iter().position(is_none) else { return Ok(()) };
     let remedy = match values[at] {
-        v if v > 1.0 => "divide by what the sensor tells of a retro-reflector: 1 is as bright as one",
-        _ => "give 0 to 1, and none (null, NaN) where there was no echo",
+        v if v > 1.0 => "divide by the value that the sensor reports for a retro-reflector, so that it becomes 1",
+        _ => "give 0 to 1, or no value (null, NaN) where there was no echo",
     };
     Err(Error::invalid(format!("an intensity of {}", values[at]), remedy).at(format!("intensity {at}")))
 }
 
-/// The pixels of one side that are kept.
+/// The selected pixels of one side.
 #[derive(Clone, Copy)]
 struct PixelStride {
     first: u32,
@@ -275,7 +275,7 @@ struct PixelStride {
 }
 
 impl PixelStride {
-    /// In the middle of each stretch, as far as the side goes.
+    /// Centred in the side.
     fn of(side: u32, stride: u32) -> Self {
         let stride = stride.min(side);
         let count = side / stride;
@@ -324,7 +324,7 @@ fn thinned_spec(spec: &SensorSpec, columns: PixelStride, rows: PixelStride) -> R
 fn ranges_of_depth(sensor: &Sensor, depth_z: &[f32]) -> Result<Vec<f32>> {
     if !sensor.is_camera() {
         return Err(Error::invalid(
-            format!("depth_z of sensor {:?}, which is no camera", sensor.spec().name),
+            format!("depth_z of sensor {:?}, which is not a camera", sensor.spec().name),
             "give ranges",
         ));
     }

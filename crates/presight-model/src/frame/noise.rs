@@ -2,23 +2,23 @@
 
 use crate::sensor::Sensor;
 
-/// Standard deviations of one range measurement: `sigma + quadratic * range^2` along the ray, and `angle` across it.
+/// Standard deviations of a range measurement: `sigma + quadratic * range^2` along the ray, and `angle` across it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RangeNoise {
     /// Metres.
     pub sigma: f64,
-    /// Per metre: the part that grows with the square of the range, as triangulation does.
+    /// 1 / metre: the part that grows with the square of the range, as for triangulation.
     pub quadratic: f64,
     /// Radians.
     pub angle: f64,
 }
 
-/// What a sensor that states no noise is taken to have, metres.
+/// Range noise of a sensor that states none, metres.
 const UNSTATED_SIGMA: f64 = 0.01;
 
 impl RangeNoise {
-    /// As the sensor's specification states it. A sensor that states no range noise is taken to have 1 cm: exact measurements
-    /// do not exist, and every weight is relative to a noise. Where no noise of angles is stated it is that of its pixels, or 0.
+    /// The noise from the sensor's specification. A sensor without range noise gets 1 cm, because every weight is
+    /// relative to a noise. Without a stated angle noise, it follows from the pixel noise, or is 0.
     pub fn of(sensor: &Sensor) -> Self {
         let spec = sensor.spec();
         let noise = spec.noise;
@@ -34,13 +34,13 @@ impl RangeNoise {
         }
     }
 
-    /// Of a range, along the ray, metres.
+    /// Standard deviation of a range along the ray, metres.
     pub fn range_sigma(&self, range: f64) -> f64 {
         self.sigma + self.quadratic * range * range
     }
 
-    /// Variance of the distance of a measured point from a surface that its ray meets at this cosine, square metres: the range's
-    /// part along the normal and the angle's part along it.
+    /// Variance of the distance between a measured point and the surface that its ray meets at this cosine of
+    /// incidence, square metres: the range error projected on the normal, plus the angle error projected on it.
     ///
     /// # Examples
     /// ```

@@ -34,7 +34,7 @@ fn what_is_no_measurement_is_refused_or_nan() {
     assert!(Frame::new(0.0, camera(), Measurement::Range(vec![1.0; 23])).is_err());
 }
 
-/// Every pixel that is kept has its ray and its value, whatever the geometry.
+/// For every geometry, each selected pixel keeps its ray and its value.
 #[test]
 fn thinned_pixels_keep_their_rays() {
     let table: Vec<DVec3> =
@@ -65,7 +65,7 @@ fn thinned_pixels_keep_their_rays() {
     }
 }
 
-/// As stated, 1 mm and 2 mm a square metre: 9 mm at 2 m; a camera that states nothing has 1 cm everywhere.
+/// Stated noise of 1 mm plus 2 mm per square metre: 9 mm at 2 m. A camera that states none gets 1 cm everywhere.
 #[test]
 fn noise_grows_as_stated() {
     let mut spec = camera().spec().clone();

@@ -12,27 +12,27 @@ pub struct Aabb {
 }
 
 impl Aabb {
-    /// Holds nothing.
+    /// The box without points.
     pub const EMPTY: Self = Self { min: DVec3::INFINITY, max: DVec3::NEG_INFINITY };
 
-    /// The least box around points.
+    /// The smallest box around points.
     pub fn of(points: impl IntoIterator<Item = DVec3>) -> Self {
         points.into_iter().fold(Self::EMPTY, Self::with)
     }
 
-    /// The least box around this one and a point.
+    /// The smallest box around this one and a point.
     #[must_use]
     pub fn with(self, p: DVec3) -> Self {
         Self { min: self.min.min(p), max: self.max.max(p) }
     }
 
-    /// The least box around this one and another.
+    /// The smallest box around this one and another.
     #[must_use]
     pub fn union(self, other: Self) -> Self {
         Self { min: self.min.min(other.min), max: self.max.max(other.max) }
     }
 
-    /// True if the box holds no point.
+    /// True if the box contains no point.
     pub fn is_empty(&self) -> bool {
         self.min.cmpgt(self.max).any()
     }
@@ -47,7 +47,7 @@ impl Aabb {
         0.5 * (self.max - self.min)
     }
 
-    /// Length of the diagonal: what "the object's size" means in tolerances.
+    /// Length of the diagonal. Tolerances use it as the size of an object.
     pub fn size(&self) -> f64 {
         if self.is_empty() { 0.0 } else { (self.max - self.min).length() }
     }

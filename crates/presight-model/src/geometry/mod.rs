@@ -1,4 +1,4 @@
-//! Poses, boxes and planes: the few shapes everything else is made of.
+//! Poses, boxes, planes and angles.
 
 mod aabb;
 mod plane;

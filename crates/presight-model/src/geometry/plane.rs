@@ -12,16 +12,15 @@ pub struct Plane {
     pub offset: f64,
 }
 
-/// The best plane of a closed vertex loop by Newell's sum, or `None` when its area is within its own rounding.
+/// The best plane of a closed vertex loop by Newell's sum. Returns `None` if the area is within rounding.
 ///
-/// Vertices are taken as exact. With longest side l the sum's rounding is below
-/// `n * 2^-52 * l^2`; an area under that says nothing about the direction.
-/// Aspects of 10^6, even 10^9, are far above it.
+/// Vertices are treated as exact. With longest side l, the rounding of the sum is below `n * 2^-52 * l^2`; a smaller
+/// area does not determine the direction. Aspect ratios of 10^6, even 10^9, are far above it.
 pub fn plane_of_polygon(vertices: &[DVec3]) -> Option<Plane> {
     plane_of_loop(vertices.len(), |k| vertices[k])
 }
 
-/// [`plane_of_polygon`] of the `count` vertices that `vertex` gives for 0, 1 and so on.
+/// [`plane_of_polygon`] of `count` vertices, which `vertex` returns for 0, 1 and so on.
 pub fn plane_of_loop(count: usize, vertex: impl Fn(usize) -> DVec3) -> Option<Plane> {
     if count == 0 {
         return None;

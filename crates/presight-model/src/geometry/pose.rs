@@ -32,16 +32,16 @@ impl Default for Pose {
 }
 
 impl Pose {
-    /// No motion.
+    /// The identity.
     pub const IDENTITY: Self = Self { rotation: DQuat::IDENTITY, translation: DVec3::ZERO };
 
     /// From a translation and a rotation; the quaternion is normalized.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] on NaN, infinity, a translation beyond [`limits::MAX_COORDINATE`], or a quaternion whose
-    /// length is no number that can be divided by.
+    /// [`crate::ErrorKind::Usage`] on NaN, infinity, a translation beyond [`limits::MAX_COORDINATE`], or a quaternion
+    /// whose length is not finite or near 0.
     pub fn new(translation: DVec3, rotation: DQuat) -> Result<Self> {
-        // A square that overflows makes the length infinite, and the quaternion divided by it no rotation at all.
+        // A squared component that overflows makes the length infinite, and normalizing would not give a rotation.
         let length = rotation.length();
         let near = translation.is_finite() && translation.abs().max_element() <= limits::MAX_COORDINATE;
         if !(near && length > 1e-6 && length.is_finite()) {
@@ -54,7 +54,7 @@ impl Pose {
     }
 
     /// Checks that this is a rigid transform: finite numbers, a quaternion of length 1, no translation beyond
-    /// [`limits::MAX_COORDINATE`]. All that takes a sensor's pose does so.
+    /// [`limits::MAX_COORDINATE`]. Every function that takes a sensor's pose does this check.
     ///
     /// ```
     /// use presight::{ErrorKind, Pose};
@@ -64,7 +64,7 @@ impl Pose {
     /// ```
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] naming the pose and what is wrong with it.
+    /// [`crate::ErrorKind::Usage`], naming the pose and the fault.
     pub fn check(&self) -> Result<()> {
         self.check_as(ErrorKind::Usage)
     }
@@ -72,18 +72,18 @@ impl Pose {
     /// [`Pose::check`] with another kind of error.
     pub fn check_as(&self, kind: ErrorKind) -> Result<()> {
         let Self { rotation, translation } = self;
-        // As exact as quaternions are written, so that reading one never has to change its bits.
+        // The tolerance matches the precision of written quaternions, so that reading one never has to change its bits.
         let (rule, remedy) = if !translation.is_finite() || !rotation.is_finite() {
             ("is not finite".to_owned(), "give finite numbers")
         } else if (rotation.length_squared() - 1.0).abs() > 1e-9 {
             let length = rotation.length();
-            (format!("is no rotation: its quaternion has length {length}, not 1"), "divide it by its length")
+            (format!("is not a rotation: its quaternion has length {length}, not 1"), "divide it by its length")
         } else if translation.abs().max_element() > limits::MAX_COORDINATE {
             (format!("is too far away: over {:e} m", limits::MAX_COORDINATE), "give metres; subtract a common offset")
         } else {
             return Ok(());
         };
-        // Display has no exponents: 1e300 would fill the screen.
+        // Debug format, because Display has no exponents: 1e300 would fill the screen.
         let numbers: Vec<String> =
             translation.to_array().into_iter().chain(rotation.to_array()).map(|x| format!("{x:?}")).collect();
         Err(Error::new(kind, format!("the pose [{}] {rule}", numbers.join(", ")), remedy))
@@ -96,11 +96,11 @@ impl Pose {
         Self { rotation: trig::quat_of_halves(half(roll), half(pitch), half(yaw)), translation }
     }
 
-    /// The rigid part of a transform: its origin, its x axis, and its y axis as far as that is square to x. What remains
-    /// is scale, mirror and shear. Not finite where an axis has no length.
+    /// The rigid part of a transform: its origin, its x axis, and the part of its y axis orthogonal to x. The remainder
+    /// is scale, mirror and shear. Not finite if an axis has zero length.
     pub fn rigid_part(transform: &DAffine3) -> Self {
         let m = transform.matrix3;
-        // Gram-Schmidt, right-handed; a mirror stays in the remainder.
+        // Gram-Schmidt, right-handed, so a mirror stays in the remainder.
         let x = m.x_axis.normalize();
         let y = (m.y_axis - x * x.dot(m.y_axis)).normalize();
         let rotation = DQuat::from_mat3(&DMat3::from_cols(x, y, x.cross(y))).normalize();
@@ -114,7 +114,7 @@ impl Pose {
         Self { rotation, translation: -(rotation * self.translation) }
     }
 
-    /// The point in frame a of a point in frame b.
+    /// Transforms a point from frame b to frame a.
     pub fn transform_point(&self, p_in_b: DVec3) -> DVec3 {
         self.rotation * p_in_b + self.translation
     }
@@ -134,7 +134,7 @@ impl Pose {
         let m = self.rotation_matrix();
         let pitch = (-m.x_axis.z).clamp(-1.0, 1.0).asin();
         if m.x_axis.x.hypot(m.x_axis.y) < 1e-12 {
-            // Gimbal lock: only roll -/+ yaw is known; put it all into yaw.
+            // Gimbal lock: only the difference or sum of roll and yaw is known. Put it all into yaw.
             return (0.0, pitch, (-m.y_axis.x).atan2(m.y_axis.y));
         }
         (m.y_axis.z.atan2(m.z_axis.z), pitch, m.x_axis.y.atan2(m.x_axis.x))

@@ -1,11 +1,11 @@
-//! Angles that give the same bits on every machine: sine and cosine by `libm`, exact at quarter turns.
+//! Sine and cosine with the same bits on every machine: computed by `libm`, exact at quarter turns.
 
 use glam::{DMat3, DQuat};
 use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_2};
 
 /// Sine and cosine of `numerator / denominator` of a quarter turn, both >= 0 and the first at most the second.
 fn in_quarter(numerator: f64, denominator: f64) -> (f64, f64) {
-    // By the nearer axis, so that mirrored angles get mirrored values.
+    // Measured from the nearer axis, so that mirrored angles get mirrored values.
     if 2.0 * numerator > denominator {
         let (s, c) = libm::sincos((denominator - numerator) / denominator * FRAC_PI_2);
         (c, s)
@@ -41,7 +41,7 @@ pub fn sin_cos_of_turn(k: u32, n: u32) -> (f64, f64) {
     in_quadrant((quarters / n) as u8, in_quarter((quarters % n) as f64, n as f64))
 }
 
-/// Sine and cosine of degrees: exact at multiples of 90, equal at 45. NaN for what is not finite.
+/// Sine and cosine of degrees: exact at multiples of 90, equal at 45. NaN for non-finite angles.
 ///
 /// ```
 /// use presight::geometry::sin_cos_deg;
@@ -56,7 +56,7 @@ pub fn sin_cos_deg(deg: f64) -> (f64, f64) {
     in_quadrant((quadrant as i64).rem_euclid(4) as u8, in_quarter(rest - 90.0 * quadrant, 90.0))
 }
 
-/// Rz(yaw) Ry(pitch) Rx(roll) of degrees, as a matrix: exact at multiples of 90.
+/// Rz(yaw) Ry(pitch) Rx(roll) as a matrix, from degrees; exact at multiples of 90.
 pub fn rotation_deg(roll: f64, pitch: f64, yaw: f64) -> DMat3 {
     let ((sr, cr), (sp, cp), (sy, cy)) = (sin_cos_deg(roll), sin_cos_deg(pitch), sin_cos_deg(yaw));
     let x = DMat3::from_cols_array(&[1.0, 0.0, 0.0, 0.0, cr, sr, 0.0, -sr, cr]);
@@ -65,13 +65,13 @@ pub fn rotation_deg(roll: f64, pitch: f64, yaw: f64) -> DMat3 {
     z * y * x
 }
 
-/// Rz(yaw) Ry(pitch) Rx(roll) of degrees, as a unit quaternion.
+/// Rz(yaw) Ry(pitch) Rx(roll) as a unit quaternion, from degrees.
 pub fn quat_deg(roll: f64, pitch: f64, yaw: f64) -> DQuat {
     let half = |deg: f64| sin_cos_deg(0.5 * deg);
     quat_of_halves(half(roll), half(pitch), half(yaw))
 }
 
-/// The same from sine and cosine of the half angles.
+/// Rz(yaw) Ry(pitch) Rx(roll), from sine and cosine of the half angles.
 pub(super) fn quat_of_halves(roll: (f64, f64), pitch: (f64, f64), yaw: (f64, f64)) -> DQuat {
     let x = DQuat::from_xyzw(roll.0, 0.0, 0.0, roll.1);
     let y = DQuat::from_xyzw(0.0, pitch.0, 0.0, pitch.1);

@@ -1,4 +1,4 @@
-//! Boxes in f32, rounded outward, of which eight are tested at once.
+//! Boxes in f32, rounded outward, tested eight at a time.
 
 use super::shapes::Shape;
 use crate::geometry::Aabb;
@@ -7,7 +7,7 @@ use glam::DVec3;
 /// Lanes of a test.
 pub(super) const LANES: usize = 8;
 
-/// A box in f32 relative to an origin; holds the box it was made of.
+/// A box in f32 relative to an origin; contains the box from which it was made.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Box32 {
     pub min: [f32; 3],
@@ -17,14 +17,14 @@ pub(super) struct Box32 {
 impl Box32 {
     pub const EMPTY: Self = Self { min: [f32::INFINITY; 3], max: [f32::NEG_INFINITY; 3] };
 
-    /// Outward, the roundings of the subtraction included.
+    /// Rounds outward, including the rounding of the subtraction.
     pub fn around(b: &Aabb, origin: DVec3) -> Self {
         let slack = 2.0 * f64::EPSILON * (b.min.abs().max(b.max.abs()) + origin.abs());
         let (min, max) = (b.min - origin - slack, b.max - origin + slack);
         Self { min: min.to_array().map(down), max: max.to_array().map(up) }
     }
 
-    /// The box in the world; outward by the rounding of the sums.
+    /// The box in the world, rounded outward.
     pub fn in_world(&self, origin: DVec3) -> Aabb {
         let wide = |v: [f32; 3]| DVec3::from_array(v.map(f64::from));
         let (min, max) = (wide(self.min) + origin, wide(self.max) + origin);
@@ -32,7 +32,7 @@ impl Box32 {
         Aabb { min: min - slack, max: max + slack }
     }
 
-    /// Twice the centre, on one axis: what splits compare.
+    /// Twice the centre on one axis; splits compare this.
     pub fn middle(&self, axis: usize) -> f32 {
         self.min[axis] + self.max[axis]
     }
@@ -61,17 +61,17 @@ fn up(x: f64) -> f32 {
     if f64::from(near) < x { near.next_up() } else { near }
 }
 
-/// Where a region's origin is as seen from the boxes' origin: what moves boxes into the region's place.
+/// The offset from the boxes' origin to the region's, which moves boxes into the region's frame.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Shift {
     low: DVec3,
     high: DVec3,
-    /// For indexes of two axes: heights of everything, in place of those of a box.
+    /// For indexes of two axes: the overall heights, used in place of a box's own.
     flat: Option<(f64, f64)>,
 }
 
 impl Shift {
-    /// From the boxes' origin and the region's; the rounding of the sums below is added outward.
+    /// The offset between the two origins, with the rounding of the sums below added outward.
     pub fn new(origin: DVec3, region_origin: DVec3, reach: &Box32, axes: usize) -> Self {
         let by = origin - region_origin;
         let far = (0..3).map(|k| reach.min[k].abs().max(reach.max[k].abs())).fold(0.0, f32::max);
@@ -82,7 +82,7 @@ impl Shift {
         Self { low, high, flat }
     }
 
-    /// The same with boxes wider by a slack on all sides.
+    /// The same, with boxes grown by a slack on all sides.
     #[must_use]
     pub fn grown(self, slack: f64) -> Self {
         Self { low: self.low - slack, high: self.high + slack, ..self }
@@ -99,7 +99,7 @@ impl Shift {
     }
 }
 
-/// Eight boxes, coordinate by coordinate.
+/// Eight boxes, as one array per coordinate.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Boxes8 {
     min: [[f32; LANES]; 3],
@@ -107,7 +107,7 @@ pub(super) struct Boxes8 {
 }
 
 impl Boxes8 {
-    /// Holds boxes that meet nothing.
+    /// Eight empty boxes, which meet nothing.
     pub const EMPTY: Self = Self { min: [[f32::INFINITY; LANES]; 3], max: [[f32::NEG_INFINITY; LANES]; 3] };
 
     pub fn set(&mut self, lane: usize, b: &Box32) {
@@ -121,7 +121,7 @@ impl Boxes8 {
         Box32 { min: [0, 1, 2].map(|k| self.min[k][lane]), max: [0, 1, 2].map(|k| self.max[k][lane]) }
     }
 
-    /// Which of the boxes meet the shape, a bit each.
+    /// The boxes that meet the shape, one bit each.
     #[inline(always)]
     pub fn meet<S: Shape>(&self, shape: &S, shift: &Shift) -> u32 {
         let mut met = [0u32; LANES];

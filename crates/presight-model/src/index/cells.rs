@@ -1,4 +1,4 @@
-//! What the two cell schemes share: boxes by id, and filtering a cell.
+//! Shared by the two cell schemes: boxes by id, and filtering a cell.
 
 use super::QueryResult;
 use super::boxes::{Box32, Boxes8, LANES, Shift};
@@ -10,10 +10,10 @@ use glam::DVec3;
 #[derive(Clone, Debug)]
 pub(super) struct Boxes {
     pub origin: DVec3,
-    /// Holds every box since the last build.
+    /// Contains every box since the last build.
     pub reach: Box32,
     pub count: usize,
-    /// EMPTY where there is none.
+    /// EMPTY for ids without a box.
     by_id: Vec<Box32>,
 }
 
@@ -56,7 +56,7 @@ impl Boxes {
         (0..).zip(self.by_id.iter().copied()).filter(|(_, b)| *b != Box32::EMPTY)
     }
 
-    /// The tight box of everything held.
+    /// Shrinks `reach` to the current boxes.
     pub fn tighten(&mut self) {
         self.reach = self.iter().fold(Box32::EMPTY, |all, (_, b)| all.union(&b));
     }

@@ -1,14 +1,13 @@
-//! Does a polygon, not only its box, have a point in a region? What selectivity is measured against.
+//! Decides whether a polygon itself, not only its box, has a point in a region. Selectivity is measured against this.
 
 use super::Region;
 use crate::geometry::Aabb;
 use glam::DVec3;
 
-/// True if a convex polygon (corners in the world, metres) has a point in the region; one that comes within a
-/// millimetre of it may count as well.
+/// True if a convex polygon (corners in the world, metres) has a point in the region, or comes within a millimetre.
 ///
-/// Triangles are halved along their longest side until a corner lies in the region, the box does not meet it, or a
-/// millimetre is reached.
+/// Halves triangles along their longest side until a corner lies in the region, the box does not meet it, or the side
+/// is shorter than a millimetre.
 pub fn polygon_meets(region: &Region, corners: &[DVec3]) -> bool {
     /// Metres.
     const FINEST: f64 = 1e-3;
@@ -45,7 +44,7 @@ mod tests {
         let wall = |x: f64| [[x, -50.0, 0.0], [x, 50.0, 0.0], [x, 50.0, 3.0], [x, -50.0, 3.0]].map(DVec3::from);
         assert!(polygon_meets(&region, &wall(5.0)));
         assert!(!polygon_meets(&region, &wall(-0.01)) && !polygon_meets(&region, &wall(10.01)));
-        // Its box meets the region, itself it passes by.
+        // Its box meets the region, but the polygon does not.
         let slanted = [[-4.0, 0.0, 0.0], [4.0, 8.0, 0.0], [4.0, 8.0, 1.0], [-4.0, 0.0, 1.0]].map(DVec3::from);
         assert!(region.meets(&Aabb::of(slanted)) && !polygon_meets(&region, &slanted));
     }

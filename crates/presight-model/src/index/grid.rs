@@ -1,4 +1,4 @@
-//! Uniform grid: equal square cells over x and y, a polygon in every cell it overlaps (paper section 2.2).
+//! Uniform grid: equal square cells over x and y; each polygon is in every cell that it overlaps (paper section 2.2).
 
 use super::boxes::{Box32, Shift};
 use super::cells::Boxes;
@@ -8,29 +8,28 @@ use crate::geometry::Aabb;
 
 /// A uniform grid.
 ///
-/// Its area and the side of its cells are fitted to what it holds, again whenever that has changed by as much as it
-/// was; what lies outside meanwhile is in the border cells, which reach to infinity. An id that overlaps very many cells
-/// is kept in a list apart, so that memory stays linear.
+/// Area and cell size are refitted after as many changes as it had entries. Border cells reach to infinity and hold
+/// everything outside the area. An id that overlaps very many cells is kept in a separate list: memory stays linear.
 #[derive(Clone, Debug)]
 pub struct Grid {
     params: Params,
     boxes: Boxes,
-    /// Least corner, metres from the origin, and side of a cell.
+    /// Least corner relative to the origin, and side of a cell, metres.
     corner: [f32; 2],
     side: f32,
     size: [usize; 2],
-    /// Row by row.
+    /// By row, then by column.
     cells: Vec<Vec<u32>>,
-    /// What overlaps over [`WIDE`] cells.
+    /// Ids that overlap more than [`WIDE`] cells.
     wide: Vec<u32>,
-    /// Entries when it was fitted, and changes since.
+    /// Number of entries at the last fit, and changes since.
     built: usize,
     changes: usize,
 }
 
-/// An id that overlaps more cells than this is kept apart.
+/// Most cells that an id may overlap before it moves to the separate list.
 const WIDE: usize = 1024;
-/// Most cells for each id.
+/// Most cells per id.
 const CELLS_PER_ID: usize = 2;
 
 impl Grid {
@@ -51,7 +50,7 @@ impl Grid {
         grid
     }
 
-    /// Area and side from what is held, and all of it in its cells.
+    /// Fits area and cell size to the content, and fills the cells.
     fn fit(&mut self) {
         self.boxes.tighten();
         let count = self.boxes.count;
@@ -65,7 +64,7 @@ impl Grid {
         let reach = self.boxes.reach;
         let extent = [0, 1].map(|k| f64::from(reach.max[k]) - f64::from(reach.min[k]));
         let cells = (count.div_ceil(self.params.cell_polygons.max(1)) as f64).max(1.0);
-        // Square cells; a line of things has no area, so its length decides.
+        // Square cells. Things on a line have no area, so their length decides.
         let by_area = (extent[0] * extent[1] / cells).sqrt();
         let by_length = extent[0].max(extent[1]) / (CELLS_PER_ID * count + 64) as f64;
         self.side = (by_area.max(by_length).max(self.params.least_cell).max(1e-6)) as f32;
@@ -81,7 +80,7 @@ impl Grid {
     /// The cell of a coordinate; border cells reach to infinity.
     fn slot(&self, axis: usize, x: f64) -> usize {
         let at = (x - f64::from(self.corner[axis])) / f64::from(self.side);
-        // A cast saturates.
+        // The cast saturates.
         (at.floor().max(0.0) as usize).min(self.size[axis] - 1)
     }
 
@@ -114,7 +113,7 @@ impl Grid {
         }
     }
 
-    /// A cell's box: border cells reach as far as anything does.
+    /// The box of a cell. Border cells reach as far as the content.
     fn cell_box(&self, x: usize, y: usize) -> Box32 {
         let mut b = self.boxes.reach;
         for (k, i) in [x, y].into_iter().enumerate() {
@@ -148,7 +147,7 @@ impl Grid {
         Shift::new(self.boxes.origin, region.origin(), &self.boxes.reach, 2)
     }
 
-    /// Appends ids of a cell that no cell before had, all of them or those that meet the shape.
+    /// Appends the ids of a cell that no earlier cell had; unless `whole`, only those meeting the shape.
     #[inline(always)]
     fn first_time<S: Shape>(&self, ids: &[u32], whole: bool, shape: &S, shift: &Shift, found: &mut QueryResult) {
         const AT_ONCE: usize = 64;

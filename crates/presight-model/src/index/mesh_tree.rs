@@ -1,5 +1,5 @@
-//! The tree of one mesh, in its own frame and shared by its instances: nodes over the mesh's clusters, and a box for
-//! each polygon. A mesh keeps its polygons in the order of such a tree, so that every node is one contiguous run.
+//! The tree of one mesh, in the mesh's own frame and shared by its instances: nodes over clusters, and a box for each
+//! polygon. A mesh keeps its polygons in the order of such a tree, so that every node is one contiguous run.
 
 use super::boxes::{Box32, Boxes8, LANES, Shift};
 use super::shapes::Shape;
@@ -12,15 +12,15 @@ use std::ops::Range;
 #[derive(Clone, Debug)]
 pub struct MeshTree {
     nodes: Vec<Node>,
-    /// Of polygons, eight by eight.
+    /// Boxes of the polygons, in groups of eight.
     boxes: Vec<Boxes8>,
 }
 
-/// Boxes of a mesh's polygons, eight by eight.
+/// Boxes of a mesh's polygons, in groups of eight.
 pub struct PolygonBoxes(Vec<Boxes8>);
 
 impl PolygonBoxes {
-    /// Of none so far.
+    /// Empty boxes for `polygons` polygons.
     pub fn new(polygons: usize) -> Self {
         Self(vec![Boxes8::EMPTY; polygons.div_ceil(LANES)])
     }
@@ -37,17 +37,17 @@ struct Node {
     /// Its polygons.
     first: u32,
     count: u32,
-    /// The node after all that is below this one.
+    /// The next node outside this subtree.
     next: u32,
 }
 
-/// A cluster, or a part of one, that a walk came to.
+/// A cluster, or a part of one, reached by a walk.
 pub(super) struct Part {
     pub first: u32,
     pub count: u32,
     /// Its box relative to the region's origin, in the mesh's axes.
     pub bounds: Aabb,
-    /// All of it is in the region.
+    /// True if all of it is in the region.
     pub whole: bool,
 }
 
@@ -60,7 +60,7 @@ impl MeshTree {
         Self::with_boxes(mesh, boxes)
     }
 
-    /// The tree of a mesh of which all boxes are known.
+    /// The tree of a mesh whose polygon boxes are known.
     pub fn with_boxes(mesh: &Mesh, PolygonBoxes(boxes): PolygonBoxes) -> Self {
         assert_eq!(boxes.len(), mesh.polygon_count().div_ceil(LANES));
         let clusters: Vec<Box32> = mesh.clusters().iter().map(|c| Box32::around(&c.bounds, DVec3::ZERO)).collect();
@@ -85,8 +85,7 @@ impl MeshTree {
         self.nodes[index].next = self.nodes.len() as u32;
     }
 
-    /// The next part from node `at` on that meets the shape: a node wholly in it, or a leaf. Parts come once each, in
-    /// rising order.
+    /// The next part, from node `at` on, that meets the shape: a node wholly inside it, or a leaf. In rising order.
     #[inline(always)]
     pub(super) fn next_part<S: Shape>(
         &self,
@@ -113,12 +112,12 @@ impl MeshTree {
         None
     }
 
-    /// Groups of eight polygons that a part has members in.
+    /// Groups of eight polygons that overlap a part.
     pub(super) fn groups(part: &Part) -> Range<u32> {
         part.first / LANES as u32..(part.first + part.count).div_ceil(LANES as u32)
     }
 
-    /// Polygons of a group that are of the part and meet the shape, a bit each.
+    /// The polygons of a group that belong to the part and meet the shape, one bit each.
     #[inline(always)]
     pub(super) fn filter<S: Shape>(&self, group: u32, part: &Part, shape: &S, shift: &Shift) -> u32 {
         let first = i64::from(group) * LANES as i64;

@@ -1,4 +1,4 @@
-//! Spatial indexes over the world's polygons (paper section 2.2): which of them have a point in a region?
+//! Spatial indexes over the world's polygons (paper section 2.2). They find the polygons that have a point in a region.
 //!
 //! | scheme | cells | a polygon is in | source |
 //! |---|---|---|---|
@@ -7,7 +7,7 @@
 //! | [`Scheme::S2d`], [`Scheme::S3d`] | halves of halves | the leaf of its centroid | Ooi, Sacks-Davis, McDonell 1987/1991 |
 //! | [`Scheme::TwoLevel`] | a spatial-kD tree of objects over trees of their meshes | its mesh | here |
 //!
-//! The first four are [`SpatialIndex`]es over ids with boxes; [`WorldIndex`] keeps any scheme in step with an environment.
+//! The first four are [`SpatialIndex`]es over ids with boxes. [`WorldIndex`] keeps one in step with an environment.
 
 mod boxes;
 mod cells;
@@ -40,7 +40,7 @@ use crate::geometry::Aabb;
 use boxes::Box32;
 use shapes::Shape;
 
-/// How polygons are found.
+/// A method to find polygons.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Scheme {
     /// No index: every cluster of every object is tested.
@@ -62,7 +62,7 @@ impl Scheme {
     /// Every scheme.
     pub const ALL: [Self; 6] = [Self::None, Self::Grid, Self::Plop, Self::S2d, Self::S3d, Self::TwoLevel];
 
-    /// As in flags and files.
+    /// The name in flags and files.
     pub fn name(self) -> &'static str {
         match self {
             Self::None => "none",
@@ -85,27 +85,27 @@ impl std::str::FromStr for Scheme {
     }
 }
 
-/// Where a spatial-kD tree splits.
+/// The split axis of a spatial-kD tree.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum SplitAxis {
-    /// The one along which centroids spread most.
+    /// The axis along which centroids spread most.
     #[default]
     Longest,
     /// x, y(, z), x, ...
     Alternating,
 }
 
-/// What can be tuned. The default is for trees; [`Params::tuned`] has what `presight index --sweep` favoured for each
-/// scheme (benches/RESULTS.md).
+/// Tuning parameters. The default suits trees; [`Params::tuned`] returns the best values of `presight index --sweep`
+/// for each scheme (benches/RESULTS.md).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Params {
-    /// Cells are no smaller than this, metres.
+    /// Least size of a cell, metres.
     pub least_cell: f64,
-    /// Most polygons of a cell, before it is split.
+    /// Most polygons per cell; a cell with more is split.
     pub cell_polygons: usize,
-    /// Of spatial-kD trees.
+    /// For spatial-kD trees.
     pub split_axis: SplitAxis,
-    /// Test the polygons of cells that are partly in the region one by one; without it they are returned whole.
+    /// If true, tests each polygon in cells that are partly in the region; if false, such cells are returned whole.
     pub filter: bool,
 }
 
@@ -116,7 +116,7 @@ impl Default for Params {
 }
 
 impl Params {
-    /// What suits a scheme.
+    /// The best parameters for a scheme.
     pub fn tuned(scheme: Scheme) -> Self {
         let cell_polygons = match scheme {
             Scheme::Grid | Scheme::Plop => 32,
@@ -126,27 +126,27 @@ impl Params {
     }
 }
 
-/// What a query found, and scratch that is kept from query to query.
+/// The result of a query, with scratch memory that is reused between queries.
 #[derive(Clone, Debug, Default)]
 pub struct QueryResult {
-    /// Ids of what was found, each once, in no particular order.
+    /// Ids found, each once, in no particular order.
     pub ids: Vec<u32>,
-    /// Contiguous ids of what was found besides: whole nodes of meshes, resident in this order.
+    /// Further ids found, as contiguous ranges: whole nodes of meshes, stored in this order.
     pub runs: Vec<std::ops::Range<u32>>,
-    /// Nodes or cells looked at.
+    /// Number of nodes or cells visited.
     pub visited: usize,
-    /// Boxes of polygons tested.
+    /// Number of polygon boxes tested.
     pub tested: usize,
-    /// Epoch of the last query that met an id: how the grid drops duplicates.
+    /// Epoch of the last query that met an id; the grid uses it to drop duplicates.
     seen: Vec<u32>,
     epoch: u32,
     stack: Vec<(u32, Box32)>,
-    /// Of the tree of objects, in two levels.
+    /// Result for the tree of objects, in two-level indexes.
     near: Option<Box<QueryResult>>,
 }
 
 impl QueryResult {
-    /// Forgets what was found, keeps the memory.
+    /// Clears the result and keeps its memory.
     pub fn clear(&mut self) {
         self.ids.clear();
         self.runs.clear();
@@ -168,36 +168,36 @@ impl QueryResult {
 
 /// An index over ids (slots of polygons, or objects) with boxes in the world. Boxes are kept in f32, rounded outward.
 pub trait SpatialIndex: std::fmt::Debug + Send + Sync {
-    /// Ids held.
+    /// Number of ids.
     fn len(&self) -> usize;
 
-    /// True if nothing is held.
+    /// True if there are no ids.
     fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// The stored box of an id; holds the one that was given.
+    /// The stored box of an id; contains the box that was inserted.
     fn bounds_of(&self, id: u32) -> Option<Aabb>;
 
-    /// Adds an id, or moves it if it is there. Boxes are finite and not empty.
+    /// Adds an id, or moves it if present. Boxes must be finite and not empty.
     fn insert(&mut self, id: u32, bounds: &Aabb);
 
-    /// Takes an id out; false if it was not there.
+    /// Removes an id; returns false if it was not present.
     fn remove(&mut self, id: u32) -> bool;
 
-    /// Appends to `found` every id whose box meets the region, and hardly any other.
+    /// Appends to `found` every id whose box meets the region, with few others.
     fn query(&self, region: &Region, found: &mut QueryResult);
 
     /// Memory in bytes.
     fn bytes(&self) -> usize;
 
-    /// A copy.
+    /// A boxed clone.
     fn boxed_clone(&self) -> Box<dyn SpatialIndex>;
 
-    /// Checks all that must hold between its parts.
+    /// Checks the invariants between its parts.
     ///
     /// # Panics
-    /// If something does not: a bug.
+    /// If one is violated, which is a bug.
     fn assert_well_formed(&self);
 }
 
@@ -207,12 +207,12 @@ impl Clone for Box<dyn SpatialIndex> {
     }
 }
 
-/// How an index answers a query, compiled for each shape.
+/// The traversal of an index for a query, compiled for each shape.
 trait Traversal {
     fn walk<S: Shape>(&self, shape: &S, region: &Region, found: &mut QueryResult);
 }
 
-/// Walks an index, compiled for the vector width of this machine.
+/// Traverses an index, compiled for the vector width of this machine.
 fn ask<T: Traversal>(index: &T, region: &Region, found: &mut QueryResult) {
     struct IndexQuery<'a, T>(&'a T, &'a Region, &'a mut QueryResult);
     struct ShapeQuery<'a, T, S>(IndexQuery<'a, T>, &'a S);
@@ -235,7 +235,7 @@ fn ask<T: Traversal>(index: &T, region: &Region, found: &mut QueryResult) {
     region.with(IndexQuery(index, region, found));
 }
 
-/// An index of a scheme over ids 0, 1, .. with these boxes; `None` for the schemes that are none over polygons.
+/// An index over ids 0, 1, .. with these boxes; `None` for schemes that do not index polygons.
 pub fn build(scheme: Scheme, params: Params, boxes: &[(u32, Aabb)]) -> Option<Box<dyn SpatialIndex>> {
     match scheme {
         Scheme::None | Scheme::TwoLevel => None,

@@ -1,6 +1,6 @@
 //! PLOP hashing (piecewise linear order preserving): H.-P. Kriegel and B. Seeger, "PLOP-Hashing: A grid file without
-//! directory", 1988. Each axis is cut into slices by hyperplanes that follow the distribution; an id is in the cell of
-//! its centroid's slices, and each slice keeps how far its ids extend.
+//! directory", 1988. Hyperplanes that follow the distribution cut each axis into slices. An id is in the cell of its
+//! centroid's slices, and each slice records the extent of its ids.
 
 use super::boxes::{Box32, Shift};
 use super::cells::Boxes;
@@ -10,18 +10,18 @@ use crate::geometry::Aabb;
 
 /// A PLOP hash table over x and y.
 ///
-/// It grows as in the paper: when the load passes the most polygons per cell, one slice of one axis is cut at the median of
-/// what it holds, the axes taking turns. When it has changed as much as it held when it was built, it is built anew.
+/// It grows as in the paper: when the load exceeds the most polygons per cell, one slice of one axis, in turn, is cut
+/// at the median of its content. After as many changes as it had entries when built, it is rebuilt.
 #[derive(Clone, Debug)]
 pub struct Plop {
     params: Params,
     boxes: Boxes,
     axes: [Axis; 2],
-    /// A column for each x slice in the order of their making, in it a cell for each y slice likewise.
+    /// A column for each x slice, in order of creation; in it a cell for each y slice, also in order of creation.
     columns: Vec<Vec<Vec<u32>>>,
     built: usize,
     changes: usize,
-    /// Which axis grows next, and with how many ids at the earliest.
+    /// The axis that grows next, and the number of ids from which it may grow.
     turn: usize,
     grow_at: usize,
 }
@@ -37,10 +37,10 @@ struct Axis {
 
 #[derive(Clone, Copy, Debug)]
 struct Slice {
-    /// Where its cells are: its number in the order of making.
+    /// Index of its cells: the order of creation.
     address: usize,
     count: usize,
-    /// Extension of what it holds.
+    /// Extent of its ids.
     min: f32,
     max: f32,
 }
@@ -68,7 +68,7 @@ impl Plop {
         table
     }
 
-    /// Slices at quantiles of what is held, and all of it in its cells.
+    /// Places slices at quantiles of the content, and fills the cells.
     fn fit(&mut self) {
         self.boxes.tighten();
         let count = self.boxes.count;
@@ -106,7 +106,7 @@ impl Plop {
         self.columns[x][y].push(id);
     }
 
-    /// Addresses of the cell of a box, after a change of its slices.
+    /// The address of a box's cell. Calls `change` on both of its slices.
     fn addresses(&mut self, b: &Box32, change: impl Fn(&mut Slice, f32, f32)) -> [usize; 2] {
         [0, 1].map(|k| {
             let at = self.axes[k].slot(b.middle(k));
@@ -123,7 +123,7 @@ impl Plop {
         }
     }
 
-    /// Cuts the fullest slice of the axis whose turn it is, if there are too many ids for the cells.
+    /// Cuts the fullest slice of the axis whose turn it is, if there are too many ids per cell.
     fn grow(&mut self) {
         let cells = self.axes[0].slices.len() * self.axes[1].slices.len();
         if self.boxes.count <= (cells * self.params.cell_polygons.max(1)).max(self.grow_at) {
@@ -151,7 +151,7 @@ impl Plop {
         let empty = |address| Slice { address, count: 0, min: f32::INFINITY, max: f32::NEG_INFINITY };
         axis.slices[at] = empty(address);
         if !wide {
-            // All at one place: a cut there would separate nothing, so try again when much has come.
+            // All centroids coincide, so a cut would separate nothing. Try again after more insertions.
             self.grow_at = self.boxes.count + self.boxes.count / 4;
         } else {
             axis.planes.insert(at, plane);
@@ -164,7 +164,7 @@ impl Plop {
         }
         for (_, id) in held {
             let Some(b) = self.boxes.get(id) else { continue };
-            // The other axis's slice holds it already.
+            // The slice of the other axis counts it already.
             let other = self.axes[1 - k].slot(b.middle(1 - k));
             self.axes[1 - k].slices[other].count -= 1;
             self.place(id, &b);
@@ -175,7 +175,7 @@ impl Plop {
         Shift::new(self.boxes.origin, region.origin(), &self.boxes.reach, 2)
     }
 
-    /// Slices of both axes whose extensions meet the region's bounds.
+    /// Slices of both axes whose extents meet the region's bounds.
     fn slices(&self, region: &Region) -> [Vec<Slice>; 2] {
         let bounds = region.bounds();
         [0, 1].map(|k| {

@@ -1,4 +1,4 @@
-//! Query regions: plain geometry in the world, made from a sensor and its pose (paper section 2.2).
+//! Query regions: geometry in the world, derived from a sensor and its pose (paper section 2.2).
 
 use super::sector::Sector;
 use super::shapes::{
@@ -9,8 +9,8 @@ use crate::geometry::{Aabb, Pose};
 use glam::{DMat3, DVec2, DVec3};
 use std::f64::consts::{FRAC_PI_2, TAU};
 
-/// Where polygons are asked for. All regions are closed, and answers are conservative: every box with a point in the
-/// region is found, and hardly any other.
+/// A region of space to query. All regions are closed, and answers are conservative: every box with a point in the
+/// region is found, with few others.
 ///
 /// ```
 /// use presight::{Aabb, index::Region};
@@ -25,13 +25,13 @@ use std::f64::consts::{FRAC_PI_2, TAU};
 pub struct Region {
     /// Apex or centre, in the world.
     pub(super) origin: DVec3,
-    /// Turns the world's axes into the region's; identity but for sensors that lean.
+    /// Rotates the world's axes into the region's; identity except for sensors that lean.
     pub(super) region_from_world: DMat3,
     pub(super) form: Form,
 }
 
-/// From so many radians on a segment is tested as one of every azimuth, without looking at the gap that scanners of 360 degrees leave between
-/// their last column and the first: the tests saved are half of all, the polygons in the gap a hundredth.
+/// Radians. A segment with a larger opening is tested as a full turn, ignoring the gap between the last and the first
+/// column of a 360 degree scanner. This saves half of the tests and adds about a hundredth of the polygons.
 const NEARLY_ROUND: f64 = 0.99 * TAU;
 
 #[derive(Clone, Copy, Debug)]
@@ -59,8 +59,8 @@ impl Region {
     /// A spherical segment: the directions with azimuth within `opening / 2` of `heading` and elevation (positive up)
     /// in `elevations`, all in the frame of the pose, radians, up to a radius in metres.
     ///
-    /// A level pose is tested in the world's axes by two sector-rectangle tests in perpendicular planes, as the paper
-    /// does; for one that leans boxes are turned into its frame first.
+    /// For a level pose, boxes are tested in the world's axes by two sector-rectangle tests in perpendicular planes, as
+    /// in the paper. For a leaning pose, boxes are first rotated into its frame.
     ///
     /// # Errors
     /// Those of [`Pose::check`].
@@ -75,10 +75,10 @@ impl Region {
         Ok(Self::around(world_from_body, heading, opening, elevations, radius))
     }
 
-    /// [`Region::segment`] of a pose that was checked.
+    /// [`Region::segment`] for a pose that is already checked.
     fn around(world_from_body: &Pose, heading: f64, opening: f64, elevations: (f64, f64), radius: f64) -> Self {
         let rotation = world_from_body.rotation_matrix();
-        // Exactly: near the poles the least lean turns azimuths by any angle.
+        // An exact comparison: near the poles the slightest lean turns azimuths by any angle.
         let level = rotation.z_axis == DVec3::Z;
         let (turn, region_from_world) = if level {
             (rotation.x_axis.y.atan2(rotation.x_axis.x), DMat3::IDENTITY)
@@ -101,16 +101,16 @@ impl Region {
         Self::around(&pose, 0.0, TAU, (-FRAC_PI_2, FRAC_PI_2), radius)
     }
 
-    /// A pyramid with its apex at `apex`: inward unit normals (world axes) of planes through the apex, at most
-    /// [`Region::MAX_PLANES`] (more are left out, which keeps too much), and a radius in metres. Without planes it is
-    /// a ball.
+    /// A pyramid with its apex at `apex`, given by inward unit normals (world axes) of planes through the apex, and a
+    /// radius in metres. Planes beyond [`Region::MAX_PLANES`] are ignored, which keeps too much. Without planes: a ball.
     pub fn frustum(apex: DVec3, normals: &[DVec3], radius: f64) -> Self {
         let form = Form::Frustum(pyramid(normals, radius));
         Self { origin: apex, region_from_world: DMat3::IDENTITY, form }
     }
 
-    /// A ball but for a pyramid: what is seen by rays that look every way but one. Apex, inward unit normals of the pyramid's planes
-    /// (world axes, 1 to [`Region::MAX_PLANES`]; for any other number it is the whole ball) and the ball's radius in metres.
+    /// A ball minus a pyramid: the region of rays that look everywhere except in some directions. Takes the apex,
+    /// inward unit normals of the pyramid's planes (world axes, 1 to [`Region::MAX_PLANES`]; with any other number it
+    /// is the whole ball) and the ball's radius in metres.
     ///
     /// ```
     /// use presight::{Aabb, index::Region};
@@ -134,7 +134,7 @@ impl Region {
         Self { origin: bounds.center(), region_from_world: DMat3::IDENTITY, form }
     }
 
-    /// A straight line from `from` along a unit `direction` (world axes), of that length in metres: the boxes that a ray
+    /// A line segment from `from` along a unit `direction` (world axes) with a length in metres: the boxes that a ray
     /// meets.
     ///
     /// ```
@@ -150,7 +150,7 @@ impl Region {
         Self { origin: from, region_from_world: DMat3::IDENTITY, form: Form::Ray(Ray { direction, length }) }
     }
 
-    /// Everywhere.
+    /// All of space.
     pub fn everything() -> Self {
         Self::frustum(DVec3::ZERO, &[], f64::INFINITY)
     }
@@ -172,7 +172,7 @@ impl Region {
         self.with(PointTest(p_in_world - self.origin))
     }
 
-    /// Hands the shape to a visitor, compiled for it.
+    /// Calls a visitor with the shape, compiled for the shape's type.
     #[inline(always)]
     pub(super) fn with<V: ShapeVisitor>(&self, visitor: V) -> V::Out {
         let shape_from_box = self.region_from_world;
@@ -189,7 +189,7 @@ impl Region {
         }
     }
 
-    /// The same for boxes of another frame, of which `region_from_box` is the linear part.
+    /// The same for boxes of another frame, where `region_from_box` is the linear part of the transform.
     #[inline(always)]
     pub(super) fn with_turned<V: ShapeVisitor>(&self, region_from_box: DMat3, visitor: V) -> V::Out {
         let axes = Axes::of(region_from_box);
@@ -202,7 +202,7 @@ impl Region {
     }
 }
 
-/// Of at most so many planes; more are left out.
+/// Uses at most `MAX_PLANES` planes and ignores the rest.
 fn pyramid(normals: &[DVec3], radius: f64) -> Frustum {
     let count = normals.len().min(Region::MAX_PLANES);
     let mut planes = [DVec3::ZERO; Region::MAX_PLANES];
@@ -232,7 +232,7 @@ fn visit_turned<V: ShapeVisitor>(form: Form, region_from_box: DMat3, visitor: V)
 }
 
 impl Region {
-    /// A box in the world that holds the region; infinite sides where it has none.
+    /// A box in the world that contains the region; infinite where the region is unbounded.
     pub fn bounds(&self) -> Aabb {
         let around = |half: DVec3| Aabb { min: self.origin - half, max: self.origin + half };
         match self.form {
@@ -247,9 +247,9 @@ impl Region {
     }
 }
 
-/// Something done with a shape, whichever it is.
+/// An operation on any shape.
 pub(super) trait ShapeVisitor {
-    /// What comes of it.
+    /// The result.
     type Out;
     fn visit<S: Shape>(self, shape: &S) -> Self::Out;
 }

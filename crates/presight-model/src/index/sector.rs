@@ -1,4 +1,4 @@
-//! Circular sector against rectangle: the test that every query is made of (paper section 2.2).
+//! Circular sector against rectangle: the basic test of every query (paper section 2.2).
 
 use glam::{DMat2, DVec2};
 use std::f64::consts::{PI, TAU};
@@ -12,8 +12,8 @@ pub struct Rect {
     pub max: DVec2,
 }
 
-/// All points within `radius` of the apex (the origin) whose direction is at most half the opening off the heading.
-/// Closed: what touches it meets it.
+/// All points within `radius` of the apex (the origin) whose direction is within half the opening of the heading.
+/// Closed: rectangles that touch it meet it.
 #[derive(Clone, Copy, Debug)]
 pub struct Sector {
     wedge: Wedge,
@@ -29,7 +29,7 @@ struct Wedge {
     from: Side,
     to: Side,
     whole: bool,
-    /// Wider than half a turn: its complement is the convex one.
+    /// Wider than half a turn, so that its complement is the convex one.
     reflex: bool,
 }
 
@@ -39,7 +39,7 @@ struct Side {
     inverse: DVec2,
 }
 
-/// Roundings of the products below, relative: what touches by a hair is kept.
+/// Relative rounding errors of the products below. Rectangles that miss by less are kept.
 const SLACK: f64 = 8.0 * f64::EPSILON;
 
 impl Sector {
@@ -51,8 +51,8 @@ impl Sector {
         Self { wedge, complement: Wedge::new(heading + PI, TAU - opening.clamp(0.0, TAU), false), radius }
     }
 
-    /// The same sector in a plane of other axes: `turn` is a rotation or a reflection that takes directions there,
-    /// `scale` the length there of a metre here.
+    /// The same sector in a plane with other axes: `turn` is a rotation or reflection that maps directions to it, and
+    /// `scale` is the length there of a metre here.
     pub(super) fn in_axes(&self, turn: DMat2, scale: f64) -> Self {
         let mirrored = turn.determinant() < 0.0;
         let wedge = self.wedge.in_axes(turn, mirrored);
@@ -69,10 +69,10 @@ impl Sector {
         p.length_squared() <= self.radius * self.radius && self.wedge.contains(p)
     }
 
-    /// True if the rectangle has a point in the sector, exactly but for rounding (which keeps).
+    /// True if the rectangle has a point in the sector; rounding may also keep a rectangle that just misses.
     ///
-    /// If the point of the rectangle nearest to the apex is in the sector, it is a witness. If it is too far, so are
-    /// all. Else any witness can be drawn towards that nearest point, coming ever nearer to the apex, until it
+    /// If the rectangle's point nearest to the apex is in the sector, it is a witness. If that point is too far, so are
+    /// all others. Otherwise, moving any witness towards that nearest point only brings it closer to the apex, until it
     /// crosses a side of the sector: then a side meets the rectangle within the radius. This holds for every opening.
     #[inline(always)]
     pub fn meets(&self, r: &Rect) -> bool {
@@ -82,7 +82,7 @@ impl Sector {
         near & (w.contains(q) | w.from.hits(r, self.radius) | w.to.hits(r, self.radius))
     }
 
-    /// True if all of the rectangle is in the sector; rounding may deny it.
+    /// True if all of the rectangle is in the sector. Rounding may turn true into false.
     #[inline(always)]
     pub fn covers(&self, r: &Rect) -> bool {
         let far = r.min.abs().max(r.max.abs());
@@ -125,7 +125,7 @@ impl Wedge {
 
 impl Side {
     fn new(direction: DVec2) -> Self {
-        // A component of 0 would make 0 * infinity in the slab test; this one makes the same decision.
+        // A component of 0 would give 0 * infinity in the slab test; this value leads to the same decision.
         let inverse = |d: f64| if d.abs() < 1e-300 { 1e300f64.copysign(d) } else { 1.0 / d };
         Self { direction, inverse: DVec2::new(inverse(direction.x), inverse(direction.y)) }
     }
@@ -146,7 +146,7 @@ fn nearest(min: f64, max: f64) -> f64 {
     lesser(greater(0.0, min), max)
 }
 
-// Unlike f64::min and max these are one instruction each: no operand here is NaN.
+// Unlike f64::min and max, these are one instruction each. No operand here is NaN.
 #[inline(always)]
 pub(super) fn lesser(a: f64, b: f64) -> f64 {
     if a < b { a } else { b }
@@ -214,7 +214,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(20_000))]
 
-        /// Exact: never wrong by more than 1e-9 m either way.
+        /// Exact to 1e-9 m in both directions.
         #[test]
         fn meets_as_the_witness_points_say(r in rect(), heading in angle(), opening in opening(), radius in 0.01..9.0f64) {
             let met = Sector::new(heading, opening, radius).meets(&r);
@@ -226,7 +226,7 @@ mod tests {
             }
         }
 
-        /// What is covered has all its points inside, and what has all its points well inside is covered.
+        /// A covered rectangle has all its points inside, and one with all points well inside is covered.
         #[test]
         fn covers_as_points_say(r in rect(), heading in angle(), opening in opening(), radius in 0.01..9.0f64) {
             let sector = Sector::new(heading, opening, radius);

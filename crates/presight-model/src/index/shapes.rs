@@ -7,14 +7,14 @@ use glam::{DMat2, DMat3, DVec2, DVec3};
 /// Most planes of a frustum.
 pub(super) const MAX_PLANES: usize = 6;
 
-/// Angles are widened by this much, radians: a region may hold too much, never too little.
+/// Margin of angles, radians: a region may hold too much, never too little.
 pub(super) const SLACK: f64 = 1e-9;
 
-/// What an index asks of a region about boxes relative to its origin.
+/// Tests of a region against boxes relative to its origin.
 pub(super) trait Shape: Copy + Sync {
     /// True if the box has a point in it; may keep too much.
     fn meets(&self, b: &Aabb) -> bool;
-    /// True only if all of the box is in it, but for rounding.
+    /// True only if all of the box is in it, up to rounding.
     fn covers(&self, b: &Aabb) -> bool;
     /// True if the point is in it.
     fn contains(&self, p: DVec3) -> bool;
@@ -37,7 +37,7 @@ pub(super) struct Segment {
     pub elevation: Sector,
 }
 
-/// A segment of every azimuth: scanners that look all round are many, and half of the tests are left out for them.
+/// A segment with all azimuths. It needs half of the tests, and scanners with a full turn are common.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Zone(
     /// In the half plane of horizontal distance and height.
@@ -52,10 +52,10 @@ pub(super) struct Frustum {
     pub radius: f64,
 }
 
-/// A ball but for a pyramid of directions.
+/// A ball minus a pyramid of directions.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Outside {
-    /// Of any radius.
+    /// Its radius is ignored.
     pub hole: Frustum,
     pub radius: f64,
 }
@@ -64,7 +64,7 @@ pub(super) struct Outside {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Cuboid(pub DVec3);
 
-/// A piece of a straight line from the origin: parameters 0 to `length` along `direction`, of any length.
+/// A line segment from the origin: parameters 0 to `length` along `direction`, which need not be a unit vector.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Ray {
     pub direction: DVec3,
@@ -72,49 +72,49 @@ pub(super) struct Ray {
 }
 
 impl Ray {
-    /// The parameter stays the same in any linear frame.
+    /// The parameter is the same in any linear frame.
     pub fn turned(&self, shape_from_box: DMat3) -> Self {
         Self { direction: shape_from_box.inverse() * self.direction, length: self.length }
     }
 }
 
-/// A shape whose axes are turned (or scaled) against those of the boxes.
+/// A shape whose axes are rotated (or scaled) relative to those of the boxes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RotatedShape<S> {
     pub shape: S,
     pub shape_from_box: DMat3,
 }
 
-/// A frustum whose axes are turned against those of the boxes.
+/// A frustum whose axes are rotated relative to those of the boxes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RotatedFrustum {
     planes: Frustum,
     ball: RotatedShape<Frustum>,
 }
 
-/// A shape given in the axes of boxes that stand or lie: axis `UP` is the shape's vertical, so turning is exact.
+/// A shape for boxes with one vertical axis. Axis `UP` of a box is the shape's vertical, so the rotation is exact.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct AxisPermuted<S, const UP: usize> {
     pub shape: S,
     pub axes: Axes,
 }
 
-/// How a box's axes stand in a region's, where one of them is vertical and the scale is uniform.
+/// The orientation of a box's axes in a region, if one of them is vertical and the scale is uniform.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Axes {
-    /// Which axis of the box is the region's z, or its opposite.
+    /// The axis of the box that is the region's z, up or down.
     pub up: usize,
     down: bool,
-    /// Takes the region's horizontal directions to the box's other two axes, in cyclic order.
+    /// Maps the region's horizontal directions to the box's other two axes, in cyclic order.
     box_from_region: DMat2,
-    /// Metres of a box's unit.
+    /// Metres per unit of the box.
     scale: f64,
 }
 
 impl Axes {
     /// `None` for any other matrix.
     pub fn of(region_from_box: DMat3) -> Option<Self> {
-        /// A few roundings of a rotation's elements.
+        /// A few rounding errors of a rotation's elements.
         const NOTHING: f64 = 8.0 * f64::EPSILON;
         let m = region_from_box.to_cols_array_2d();
         let scale = region_from_box.x_axis.length();
@@ -130,7 +130,7 @@ impl Axes {
 }
 
 impl<S: Shape, const UP: usize> AxisPermuted<S, UP> {
-    /// The box with its vertical last.
+    /// The box with its vertical axis last.
     #[inline(always)]
     fn stand(&self, b: &Aabb) -> Aabb {
         let (min, max) = (b.min.to_array(), b.max.to_array());
@@ -187,7 +187,7 @@ impl Shape for UprightSector {
         self.0.contains(p.truncate())
     }
 
-    /// Heights do not count: the origin has none.
+    /// Ignores heights: the origin of a sector has none.
     #[inline(always)]
     fn distance(&self, b: &Aabb) -> f64 {
         let flat = |p: DVec3| p.truncate().extend(0.0);
@@ -204,7 +204,7 @@ impl Segment {
         }
     }
 
-    /// Horizontal distances and heights of a box: what its second test is about.
+    /// The horizontal distances and the heights of a box, for its elevation test.
     #[inline(always)]
     fn upright(b: &Aabb) -> Rect {
         let gap = |min: f64, max: f64| greater(greater(min, -max), 0.0);
@@ -256,7 +256,7 @@ impl Shape for Segment {
     }
 }
 
-/// Greatest squared distance of a point of the box.
+/// Greatest squared distance from the origin to a point of the box.
 #[inline(always)]
 fn farthest_squared(b: &Aabb) -> f64 {
     b.min.abs().max(b.max.abs()).length_squared()
@@ -301,7 +301,7 @@ impl Shape for Frustum {
 }
 
 impl Frustum {
-    /// Planes turn exactly where boxes only grow.
+    /// Rotates the planes exactly, whereas rotated boxes grow.
     pub fn turned(&self, shape_from_box: DMat3) -> RotatedFrustum {
         let box_from_normal = shape_from_box.transpose();
         let planes = self.planes.map(|n| (box_from_normal * n).normalize_or_zero());
@@ -373,7 +373,7 @@ impl Shape for Cuboid {
 }
 
 impl Shape for Ray {
-    /// Slabs, the box widened by what turning the direction can have rounded at the box's far corner.
+    /// Slab test, with the box grown by the rounding of the rotated direction at the box's far corner.
     #[inline(always)]
     fn meets(&self, b: &Aabb) -> bool {
         let far = greater(greater(-b.min.x, b.max.x), greater(greater(-b.min.y, b.max.y), greater(-b.min.z, b.max.z)));
@@ -404,7 +404,7 @@ impl Shape for Ray {
         (0.0..=self.length).contains(&t) && p.distance(t * self.direction) <= SLACK * p.length()
     }
 
-    /// Boxes of other frames have other units: no promise.
+    /// 0 is always a lower bound. Boxes of other frames have other units.
     #[inline(always)]
     fn distance(&self, _: &Aabb) -> f64 {
         0.0
@@ -412,14 +412,14 @@ impl Shape for Ray {
 }
 
 impl<S: Shape> RotatedShape<S> {
-    /// The box around the turned box.
+    /// The box around the rotated box.
     #[inline(always)]
     pub fn turn(&self, b: &Aabb) -> Aabb {
         let m = &self.shape_from_box;
         let (center, half) = (0.5 * (b.min + b.max), 0.5 * (b.max - b.min));
         let c = m.x_axis * center.x + m.y_axis * center.y + m.z_axis * center.z;
         let h = m.x_axis.abs() * half.x + m.y_axis.abs() * half.y + m.z_axis.abs() * half.z;
-        // Roundings of the sums, those of the matrix's elements included (a unit quaternion is one to a few eps).
+        // Covers the rounding of the sums and of the matrix elements (a unit quaternion is off by one to a few eps).
         let slack = 64.0 * f64::EPSILON * (c.abs() + h + (c.x.abs() + c.y.abs() + c.z.abs()));
         Aabb { min: c - h - slack, max: c + h + slack }
     }

@@ -13,8 +13,8 @@ fn point() -> impl Strategy<Value = DVec3> {
     [-30.0..30.0f64, -30.0..30.0f64, -3.0..6.0f64].prop_map(DVec3::from)
 }
 
-/// Boxes as worlds have them, and as they should not: evenly spread, in a line, at one point, a giant floor with
-/// screws, and all of it far away.
+/// Typical and extreme sets of boxes: evenly spread, in a line, at one point, a giant floor with screws, and all of
+/// these far away.
 fn boxes() -> impl Strategy<Value = Vec<Aabb>> {
     let around = |p: DVec3, half: DVec3| Aabb { min: p - half, max: p + half };
     let spread = prop::collection::vec((point(), point()), 0..300)
@@ -55,16 +55,16 @@ fn regions() -> impl Strategy<Value = Region> {
     prop_oneof![sector, segment, frustum, cuboid, Just(Region::everything())]
 }
 
-/// The region moved along with boxes.
+/// The region moved by the same offset as the boxes.
 fn at(region: &Region, far: f64) -> Region {
     Region { origin: region.origin + far, ..*region }
 }
 
-/// True of boxes that have a point in the region.
+/// True for boxes that have a point in the region.
 ///
-/// Of sectors and cuboids [`Region::meets`] says so exactly. Of others it keeps more: tests are made apart from each other,
-/// and boxes turned into a leaning frame grow. An index is free to know better by its cells or by the region's bounds, so
-/// the box is halved until a point of it lies in the region.
+/// [`Region::meets`] is exact for sectors and cuboids. For other regions it keeps more, because their tests are
+/// independent of each other, and boxes grow when they are rotated into a leaning frame. An index may exclude more by
+/// its cells or by the region's bounds, so the box is halved until a point of it lies in the region.
 fn must_be_found(region: &Region, b: &Aabb) -> bool {
     const HALVINGS: usize = 10;
     fn witness(region: &Region, b: &Aabb, halvings: usize) -> bool {
@@ -84,7 +84,7 @@ fn must_be_found(region: &Region, b: &Aabb) -> bool {
     region.meets(b) && (exact || witness(region, b, HALVINGS))
 }
 
-/// What any index must find, and nothing found twice or far from the region.
+/// Checks that an index finds all it must, and nothing twice or far from the region.
 fn check(index: &dyn SpatialIndex, scheme: Scheme, held: &[Option<Aabb>], region: &Region) {
     let mut found = QueryResult::default();
     index.query(region, &mut found);
@@ -109,7 +109,7 @@ fn check(index: &dyn SpatialIndex, scheme: Scheme, held: &[Option<Aabb>], region
             let slack = 1e-6 + 1e-12 * near.max.abs().max_element();
             (near.min, near.max) = (near.min - slack, near.max + slack);
             if two_axes {
-                // Heights are not theirs to know, and those of removed boxes linger.
+                // These schemes do not index heights, and their overall heights still include removed boxes.
                 (near.min.z, near.max.z) = (heights.min.z - 1e3, heights.max.z + 1e3);
             }
             assert!(region.meets(&near), "{}: {id} at {near:?} should not be found", scheme.name());
@@ -142,7 +142,7 @@ fn params() -> impl Strategy<Value = Params> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(1000))]
 
-    /// Points at the rim of a radius above all: there bounds could be too small.
+    /// Mainly points at the rim of a radius, where bounds could be too small.
     #[test]
     fn bounds_hold_what_regions_contain(
         region in regions(), places in prop::collection::vec((point(), prop_oneof![0.0..60.0f64, Just(1.0)]), 100),
@@ -213,7 +213,7 @@ proptest! {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(300))]
 
-    /// All schemes, over an environment that changes: objects are inserted, moved and deleted.
+    /// All schemes, over an environment in which objects are inserted, moved and deleted.
     #[test]
     fn worlds_keep_their_index_in_step(
         places in prop::collection::vec((point(), -4.0..4.0f64, -1.0..1.0f64, 0.2..3.0f64), 1..20),
@@ -237,7 +237,7 @@ proptest! {
                 } else {
                     crate::Change::MoveObject { name, world_from_object: Pose::from_xyz_rpy(*p, 0.1, 0.2, 0.3) }
                 };
-                // What is deleted already is refused.
+                // A repeated deletion is refused.
                 let _ = world.apply(change);
                 world.index().assert_well_formed(world.environment());
             }
@@ -294,7 +294,7 @@ fn check_world(world: &crate::World, region: &Region) {
     }
 }
 
-/// A planted fault: an index that has lost one id is caught.
+/// Planted fault: an index that has lost one id is caught.
 #[test]
 #[should_panic(expected = "is missing")]
 fn a_lost_id_is_noticed() {
@@ -302,7 +302,7 @@ fn a_lost_id_is_noticed() {
     let index = build(Scheme::S3d, Params::default(), &[(0, b)]).unwrap();
     let mut held = vec![Some(b); 1];
     held.push(Some(b));
-    // Id 1 was never inserted; its box is claimed to be stored as id 0's is.
+    // Id 1 was never inserted; its box is claimed to equal that of id 0.
     struct Lying(Box<dyn SpatialIndex>);
     impl std::fmt::Debug for Lying {
         fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
@@ -336,7 +336,7 @@ fn a_lost_id_is_noticed() {
     check(&Lying(index), Scheme::S3d, &held, &Region::sector(DVec2::ZERO, 0.0, TAU, 10.0));
 }
 
-/// A giant floor with 100,000 screws: answers stay small, memory too.
+/// A giant floor with 100,000 screws: queries and memory stay small.
 #[test]
 fn a_floor_with_screws_stays_cheap() {
     let screws = (0..100_000u32).map(|i| {
@@ -359,7 +359,7 @@ fn a_floor_with_screws_stays_cheap() {
     }
 }
 
-/// 100,000 random changes leave a tree that answers nearly as cheaply as one built anew.
+/// After 100,000 random changes, a tree answers nearly as fast as a fresh one.
 #[test]
 fn trees_stay_balanced() {
     let mut state = 1u64;
@@ -377,7 +377,7 @@ fn trees_stay_balanced() {
         for i in 0..100_000u32 {
             let id = i.wrapping_mul(7919) % 20_000;
             let b = place();
-            // Half of them are taken out first.
+            // Half of them are removed first.
             if i % 2 == 0 {
                 index.remove(id);
             }

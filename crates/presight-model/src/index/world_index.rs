@@ -1,4 +1,4 @@
-//! An index in step with an environment, whatever the scheme.
+//! An index kept in step with an environment, for any scheme.
 
 use super::boxes::{Box32, LANES, Shift};
 use super::mesh_tree::MeshTree;
@@ -33,9 +33,9 @@ pub struct WorldIndex {
 #[derive(Clone, Debug)]
 enum Kind {
     None,
-    /// Over slots.
+    /// An index of slots.
     Flat(Box<dyn SpatialIndex>),
-    /// Over objects, and the tree of each object's mesh.
+    /// An index of objects, and the tree of each object's mesh.
     TwoLevel {
         objects: Box<Skd<3>>,
         trees: Vec<Arc<MeshTree>>,
@@ -43,7 +43,7 @@ enum Kind {
     },
 }
 
-/// Trees of meshes, known by their address.
+/// Trees of meshes, by the address of the mesh.
 pub type Trees = HashMap<*const Mesh, Arc<MeshTree>>;
 
 /// Neighbouring polygons of one cluster of an object's mesh.
@@ -65,7 +65,7 @@ impl WorldIndex {
         Self::with_trees(environment, scheme, params, &Trees::default())
     }
 
-    /// As [`WorldIndex::new`]; a scheme that has trees for meshes takes those that are there.
+    /// [`WorldIndex::new`], but schemes with mesh trees use the given ones where present.
     pub fn with_trees(environment: &Environment, scheme: Scheme, params: Params, trees: &Trees) -> Self {
         let kind = match scheme {
             Scheme::None => Kind::None,
@@ -83,12 +83,12 @@ impl WorldIndex {
         self.scheme
     }
 
-    /// How it was tuned.
+    /// The tuning parameters.
     pub fn params(&self) -> Params {
         self.params
     }
 
-    /// Takes an object in, or moves it where it is now; `environment` has it already.
+    /// Adds an object, or moves it to its current pose; `environment` must have it already.
     pub fn insert_object(&mut self, environment: &Environment, object: u32) {
         let o = &environment.objects()[object as usize];
         match &mut self.kind {
@@ -106,7 +106,7 @@ impl WorldIndex {
         }
     }
 
-    /// Takes an object out that `environment` still has.
+    /// Removes an object that `environment` still has.
     pub fn remove_object(&mut self, environment: &Environment, object: u32) {
         let o = &environment.objects()[object as usize];
         match &mut self.kind {
@@ -122,7 +122,7 @@ impl WorldIndex {
         }
     }
 
-    /// Takes out the object that was taken in last, as if it had never been there.
+    /// Removes the object that was added last, as if it had never been there.
     pub(crate) fn remove_last(&mut self, environment: &Environment, object: u32) {
         self.remove_object(environment, object);
         if let Kind::TwoLevel { trees, .. } = &mut self.kind {
@@ -130,7 +130,7 @@ impl WorldIndex {
         }
     }
 
-    /// Slots of all polygons whose box meets the region, appended.
+    /// Appends the slots of all polygons whose box meets the region.
     pub fn query(&self, environment: &Environment, region: &Region, found: &mut QueryResult) {
         match &self.kind {
             Kind::Flat(index) => index.query(region, found),
@@ -157,8 +157,8 @@ impl WorldIndex {
         }
     }
 
-    /// What a prediction draws: runs of polygons that may have a point in the region, each within one cluster, object by
-    /// object, appended.
+    /// Appends the polygons for a prediction to draw: runs of polygons that may have a point in the region, each within
+    /// one cluster, object by object.
     pub fn select(
         &self,
         environment: &Environment,
@@ -209,10 +209,10 @@ impl WorldIndex {
         }
     }
 
-    /// Checks all that must hold between its parts and the environment.
+    /// Checks the invariants between its parts and the environment.
     ///
     /// # Panics
-    /// If something does not: a bug.
+    /// If one is violated, which is a bug.
     pub fn assert_well_formed(&self, environment: &Environment) {
         match &self.kind {
             Kind::None => {}
@@ -241,7 +241,7 @@ impl WorldIndex {
     }
 }
 
-/// True the first time it is asked for a pointer of the sorted list.
+/// True on the first call for a pointer of the sorted list.
 fn first_of(sorted: &mut Vec<*const MeshTree>, pointer: *const MeshTree) -> bool {
     let range = sorted.partition_point(|p| *p < pointer)..sorted.partition_point(|p| *p <= pointer);
     let first = !range.is_empty();
@@ -249,7 +249,7 @@ fn first_of(sorted: &mut Vec<*const MeshTree>, pointer: *const MeshTree) -> bool
     first
 }
 
-/// Meshes without a tree in `known` get one.
+/// Builds trees for meshes without one in `known`.
 fn two_level(environment: &Environment, params: Params, known: &Trees) -> Kind {
     let mut numbers: HashMap<*const Mesh, usize> = HashMap::new();
     let mut meshes = Vec::new();
@@ -274,8 +274,8 @@ fn two_level(environment: &Environment, params: Params, known: &Trees) -> Kind {
     Kind::TwoLevel { objects: Box::new(Skd::build(params, &boxes)), trees, holders }
 }
 
-/// The tree of a new object's mesh, shared with an object that has it already. Each mesh that an object before has, has a
-/// holder; who held it may be gone, or another mesh be at its address by now.
+/// The tree of a new object's mesh, shared with an object that already has this mesh. Every mesh of an earlier object
+/// has a holder. That holder may be gone, and another mesh may have its address by now.
 fn tree_of(new: usize, environment: &Environment, trees: &[Arc<MeshTree>], holders: &mut Holders) -> Arc<MeshTree> {
     let objects = environment.objects();
     let mesh = &objects[new].mesh;
@@ -286,7 +286,7 @@ fn tree_of(new: usize, environment: &Environment, trees: &[Arc<MeshTree>], holde
     known.map_or_else(|| Arc::new(MeshTree::new(mesh)), |holder| trees[holder].clone())
 }
 
-/// An object that has the mesh of an address, the latest.
+/// By mesh address, the latest object with that mesh.
 type Holders = HashMap<usize, usize>;
 
 fn address_of(mesh: &Arc<Mesh>) -> usize {
@@ -305,7 +305,7 @@ fn polygon_boxes(o: &Object) -> impl Iterator<Item = (u32, Aabb)> + '_ {
             b = b.with(world_from_mesh.transform_point3(p));
             reach = reach.max(p.abs().max_element());
         }
-        // The transform's roundings.
+        // Covers the rounding of the transform.
         let slack = 8.0 * f64::EPSILON * (reach * growth + world_from_mesh.translation.abs().max_element());
         (o.first_slot + polygon, Aabb { min: b.min - slack, max: b.max + slack })
     })
@@ -316,19 +316,19 @@ fn all_boxes(environment: &Environment) -> impl Iterator<Item = (u32, u32, Aabb)
     objects.flat_map(|(object, o)| polygon_boxes(o).map(move |(slot, b)| (object, slot, b)))
 }
 
-/// Visits the region's shape in the frame of an object's mesh.
+/// Calls the visitor with the region's shape in the frame of an object's mesh.
 fn with_mesh<V: MeshVisitor>(o: &Object, tree: &MeshTree, region: &Region, visitor: V) {
     let matrix = region.region_from_world * o.world_from_mesh().matrix3;
     let origin = o.point_in_mesh(region.origin());
     let shift = Shift::new(DVec3::ZERO, origin, &tree.bounds(), 3);
-    // The subtraction of world positions is exact to their own last digits: in the mesh's units, these.
+    // The subtraction of world positions is exact up to their last digits: this slack, in the mesh's units.
     let slack = point_slack(o, region.origin());
     region.with_turned(matrix, Dispatch { shift: shift.grown(slack), visitor });
 }
 
-/// How far [`Object::point_in_mesh`] may be off, in the mesh's units.
+/// Error bound of [`Object::point_in_mesh`], in the mesh's units.
 fn point_slack(o: &Object, p: DVec3) -> f64 {
-    // The mesh's own extent stands for the roundings of the matrix's elements.
+    // The mesh's extent covers the rounding of the matrix elements.
     let apart = p.abs().max_element() + o.world_from_object.translation.abs().max_element() + o.world_bounds().size();
     let least = {
         let m = o.object_from_mesh.matrix3.inverse();
@@ -337,7 +337,7 @@ fn point_slack(o: &Object, p: DVec3) -> f64 {
     32.0 * f64::EPSILON * apart * least
 }
 
-/// What is done in the frame of a mesh.
+/// An operation in the frame of a mesh.
 trait MeshVisitor {
     fn visit<S: Shape>(self, shape: &S, shift: &Shift);
 }
@@ -364,7 +364,7 @@ impl<V: MeshVisitor> ShapeVisitor for Dispatch<V> {
     }
 }
 
-/// Slots of a mesh's polygons.
+/// Collects the slots of a mesh's polygons.
 struct MeshQuery<'a> {
     tree: &'a MeshTree,
     first_slot: u32,
@@ -396,7 +396,7 @@ impl MeshVisitor for MeshQuery<'_> {
     }
 }
 
-/// Runs of a mesh's polygons.
+/// Collects runs of a mesh's polygons.
 struct MeshSelect<'a> {
     tree: &'a MeshTree,
     mesh: &'a Mesh,
@@ -422,7 +422,7 @@ impl MeshVisitor for MeshSelect<'_> {
             }
             let (mut first, mut end) = (part.first, part.first + part.count);
             if filter {
-                // What lies between the first and the last is drawn with them: one run costs less than several.
+                // Also draws the polygons between the first and the last: one run is cheaper than several.
                 (first, end) = (u32::MAX, 0);
                 for group in MeshTree::groups(&part) {
                     let met = tree.filter(group, &part, shape, shift);
@@ -440,7 +440,7 @@ impl MeshVisitor for MeshSelect<'_> {
     }
 }
 
-/// Clusters of a mesh, without any tree.
+/// Collects the clusters of a mesh, without a tree.
 struct Clusters<'a> {
     object: u32,
     o: &'a Object,
@@ -470,7 +470,7 @@ impl ShapeVisitor for Clusters<'_> {
     }
 }
 
-/// Runs of rising slots: in each cluster from the first to the last that was found.
+/// Turns rising slots into runs: in each cluster, from the first to the last slot found.
 fn gather(
     environment: &Environment,
     index: &dyn SpatialIndex,
@@ -497,7 +497,7 @@ fn gather(
                 at += 1;
             }
             let first = polygon;
-            // Polygons between those found may be nearer, but were not asked for: the key is of what was found.
+            // Polygons between the found ones may be nearer. The key ignores them because they were not requested.
             runs.push(ObjectRun { object, first, count: last - o.first_slot - first + 1, nearest: nearest.sqrt() });
         }
     }
@@ -509,7 +509,7 @@ mod tests {
     use crate::environment::{Material, NewObject, Polygon, PolygonOrder};
     use crate::{Change, Pose, World};
 
-    /// Meshes are told apart and shared, whoever of those that had one is gone.
+    /// Meshes are distinguished and shared, even after an object that had one is deleted.
     #[test]
     fn a_mesh_has_one_tree_while_an_object_has_the_mesh() {
         let mut environment = Environment::new();
@@ -532,11 +532,11 @@ mod tests {
         let last = insert(&mut world, "c", &shared);
         assert_eq!(tree(&world, "c"), tree(&world, "a"));
         assert_ne!(tree(&world, "b"), tree(&world, "a"));
-        // The latest that had it goes; the first still has it.
+        // The latest object with the mesh is deleted; the first still has it.
         world.apply(last).unwrap();
         insert(&mut world, "d", &shared);
         assert_eq!(tree(&world, "d"), tree(&world, "a"));
-        // A group that fails takes its objects back.
+        // A group that fails removes its objects again.
         let failing = Change::Group(vec![
             Change::InsertObject(NewObject::new("e", Pose::IDENTITY, other.clone())),
             Change::DeleteObject { name: "none".into() },
@@ -547,7 +547,7 @@ mod tests {
         assert_eq!(tree(&world, "f"), tree(&world, "b"));
         assert_ne!(tree(&world, "e"), tree(&world, "b"));
         world.index().assert_well_formed(world.environment());
-        // As many as there are objects, and no more looked at for one than for another.
+        // One holder per object, so that lookups do not grow.
         let Kind::TwoLevel { holders, .. } = &world.index().kind else { panic!("another index") };
         assert_eq!(holders.len(), 3);
     }

@@ -37,8 +37,8 @@ impl Camera {
         ((u - self.cx) / self.fx, (v - self.cy) / self.fy)
     }
 
-    /// Projects a point of the optical frame to pixel coordinates, which may lie outside the image. `None` as for
-    /// [`Distortion::distort`].
+    /// Projects a point of the optical frame to pixel coordinates, which may lie outside the image. Returns `None` as
+    /// [`Distortion::distort`] does.
     pub fn project(&self, p_in_optical: DVec3) -> Option<(f64, f64)> {
         let (xd, yd) = self.distortion.distort(p_in_optical)?;
         Some((self.fx * xd + self.cx, self.fy * yd + self.cy))
@@ -111,7 +111,7 @@ mod tests {
         }
     }
 
-    /// Lens models without an effect use straight lines, which give the same rays.
+    /// A lens model whose coefficients are all zero uses straight lines, with the same rays as a pinhole.
     #[test]
     fn a_lens_without_effect_needs_no_table() {
         let plain = Camera::pinhole(5, 4, 3.0, 2.0, 1.7, 1.2);
@@ -141,7 +141,7 @@ mod tests {
             let (line, sample) = grid.line_sample(column, row);
             prop_assert_eq!((line, sample), (row as usize, column as usize));
             let of_line = grid.image_from_line() * grid.line_ray(line, sample);
-            // Not normalized: z is 1, so that 1 / (m . s) is depth_z.
+            // Not normalized: z is 1, so 1 / (m . s) is depth_z.
             prop_assert!(of_line.distance(p) < 1e-15 * p.length() * 4.0 && (of_line.z - 1.0).abs() < 1e-15);
             prop_assert!((grid.line_from_image() * of_line).distance(grid.line_ray(line, sample)) < 1e-12);
             let (u, v) = camera.project(ray * 7.0).unwrap();

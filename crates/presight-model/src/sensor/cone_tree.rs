@@ -1,4 +1,4 @@
-//! A tree of cones over the tiles of a ray table: which of them a polygon's own cone may meet.
+//! A tree of cones over the tiles of a ray table. It finds the tiles that a polygon's cone may meet.
 
 use super::grid::Octet;
 use super::ray_grid::Tile;
@@ -9,13 +9,13 @@ use std::ops::Range;
 /// Children of a node along each side.
 const SIDE: usize = 4;
 
-/// Fewest nodes of the uppermost level that are worth another one above them.
+/// A level with fewer nodes than this gets no level above it.
 const TOP: usize = 32;
 
-/// Far more than the roundings of cosines and of products of unit vectors.
+/// Far above the rounding errors of cosines and of products of unit vectors.
 const SLACK: f64 = 1e-14;
 
-/// Eight cones; `cosine` and `sine` are those of the half angle.
+/// Eight cones, with the cosine and the sine of the half angle.
 #[derive(Clone, Debug)]
 #[repr(align(64))]
 struct Caps {
@@ -27,7 +27,7 @@ struct Caps {
 }
 
 impl Caps {
-    /// Where a cosine and a sine would be: meets nothing, or, half angles from a right angle on, everything.
+    /// In place of cosine and sine: a cone that meets nothing, and one that meets everything (at least a right angle).
     const NOTHING: [f64; 2] = [2.0, -2.0];
     const EVERYTHING: [f64; 2] = [-2.0, 2.0];
 
@@ -46,7 +46,7 @@ impl Caps {
         };
     }
 
-    /// A bit for each cone that meets another one of less than a right angle.
+    /// Sets a bit for each cone that meets the given cone, which is narrower than a right angle.
     #[inline(always)]
     fn met<S: Simd>(&self, simd: S, axis: DVec3, cosine: f64, sine: f64) -> u32 {
         let [ax, ay, az] = [axis.x, axis.y, axis.z].map(|v| simd.splat_f64s(v));
@@ -57,7 +57,7 @@ impl Caps {
         for i in 0..Octet::LEN / S::F64_LANES {
             let xy = simd.add_f64s(simd.mul_f64s(ax, of(&self.x, i)), simd.mul_f64s(ay, of(&self.y, i)));
             let dot = simd.add_f64s(simd.add_f64s(xy, simd.mul_f64s(az, of(&self.z, i))), slack);
-            // cos(a + b), for the axes are no farther apart than a + b.
+            // cos(a + b): cones meet if their axes are at most a + b apart.
             let least = simd.sub_f64s(simd.mul_f64s(ca, of(&self.cosine, i)), simd.mul_f64s(sa, of(&self.sine, i)));
             let meets = simd.greater_than_or_equal_f64s(dot, least);
             S::as_mut_simd_u64s(&mut flags).0[i] = simd.select_u64s(meets, all, none);
@@ -69,12 +69,12 @@ impl Caps {
 #[derive(Clone, Copy, Debug)]
 struct Cone {
     axis: DVec3,
-    /// Negative holds nothing.
+    /// Negative for a cone that holds nothing.
     half_angle: f64,
 }
 
 impl Cone {
-    /// Around some cones.
+    /// A cone that contains the given cones.
     fn around(cones: &[Self]) -> Self {
         let some = || cones.iter().filter(|c| c.half_angle >= 0.0);
         let sum: DVec3 = some().map(|c| c.axis).sum();
@@ -85,11 +85,11 @@ impl Cone {
     }
 }
 
-/// Nodes of one size, from the tiles up. The children of one node of the next level are together, in two eights.
+/// Nodes of one size; level 0 holds the tiles. The children of one parent are stored together, in two groups of eight.
 #[derive(Clone, Debug)]
 struct Level {
     caps: Vec<Caps>,
-    /// Nodes in a row, and parents in a row.
+    /// Nodes per row.
     across: usize,
     parents_across: usize,
     /// Tiles along a side of a node.
@@ -107,7 +107,7 @@ pub struct ConeTree {
 /// Rows and columns of tiles.
 pub(crate) type TileRange = [Range<u32>; 2];
 
-/// No tile yet: whatever is found widens it.
+/// No tile yet; `TileBox::take` extends it.
 const NOTHING: Range<usize> = Range { start: usize::MAX, end: 0 };
 
 /// Tiles found so far.
@@ -117,7 +117,7 @@ struct TileBox {
 }
 
 impl ConeTree {
-    /// Over tiles in rows of `across`.
+    /// Builds the tree over tiles in rows of `across`.
     pub fn new(tiles: &[Tile], across: usize) -> Self {
         let down = tiles.len() / across;
         let mut nodes: Vec<Cone> = tiles.iter().map(|t| Cone { axis: t.axis, half_angle: t.half_angle }).collect();
@@ -146,13 +146,13 @@ impl ConeTree {
         }
     }
 
-    /// A rectangle of tiles around all whose cones meet a cone of less than a right angle.
+    /// A rectangle of tiles with every tile whose cone meets the given cone, which is narrower than a right angle.
     #[inline(always)]
     pub fn tiles_met<S: Simd>(&self, simd: S, axis: DVec3, cosine: f64) -> TileRange {
         let cosine = cosine - SLACK;
         let sine = (1.0 - cosine * cosine).max(0.0).sqrt();
         let mut found = TileBox { rows: NOTHING, columns: NOTHING };
-        // Blocks of siblings that wait: at most 16 of each level but the uppermost.
+        // Pending blocks of siblings: at most 16 from each level but the top.
         let mut waiting = [(0u32, 0u32); 160];
         let top = self.levels.len() - 1;
         for block in 0..self.levels[top].caps.len() / 2 {

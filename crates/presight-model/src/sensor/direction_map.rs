@@ -1,4 +1,4 @@
-//! Which pixels of a ray table look in about a direction: a look-up for small polygons, whatever lens or table it is.
+//! A lookup from a direction to pixels of a ray table, for small polygons and for any lens or table.
 
 use super::ray_grid::Tile;
 use crate::error::Result;
@@ -15,7 +15,7 @@ pub struct PixelBox {
 }
 
 impl PixelBox {
-    /// No pixel: whatever is held widens it.
+    /// No pixel; extended by `hold`.
     const NOTHING: Self = Self { first_row: u16::MAX, end_row: 0, first_column: u16::MAX, end_column: 0 };
 
     fn of_pixel(row: u32, column: u32) -> Self {
@@ -41,48 +41,48 @@ impl PixelBox {
     }
 }
 
-/// Side of a cell beside the half angle of the cones that its level serves.
+/// Side of a cell, as a multiple of the half angle of the cones that its level serves.
 const CELL: f64 = 1.5;
 
-/// Levels, each for cones twice as wide as the one before. Of wider cones other look-ups tell more.
+/// Number of levels, each for cones twice as wide as the one before. For wider cones, other lookups select better.
 const LEVELS: u32 = 3;
 
-/// Bounds of the half angle that the finest level is made for, radians.
+/// Bounds of the half angle of the finest level, radians.
 const FINEST: [f64; 2] = [1e-5, 0.1];
 
-/// Widening of all reaches, radians: far above the rounding of directions to f32.
+/// Margin of all reaches, radians: far above the rounding of directions to f32.
 const SLACK: f64 = 2e-5;
 
-/// Most cells of the finest level beside the number of rays.
+/// Most cells of the finest level per ray.
 const CELLS_A_RAY: usize = 1;
 
-/// Most cells of a level of tiles beside the number of tiles.
+/// Most cells of a level of tiles per tile.
 const CELLS_A_TILE: usize = 4;
 
-/// Half angle of the widest cones that a level of tiles is made for, radians.
+/// Half angle of the widest cones that get a level of tiles, radians.
 const WIDEST: f64 = 0.4;
 
-/// There may always be so many more.
+/// Cells that are always allowed, however few the rays or tiles.
 const LEAST_CELLS: usize = 4096;
 
-/// The direction of a side's middle and a direction on it are no farther apart than the inverse cosine of this.
+/// Cosine of the largest angle between the middle of a cube side and a direction on that side.
 const FACING: f64 = 0.577;
 
-/// Directions in cells on the sides of a cube, several times: finer for narrow cones than for wide ones.
+/// Cells of directions on the sides of a cube, in several levels: finer ones for narrow cones than for wide ones.
 #[derive(Clone, Debug)]
 pub struct DirectionMap {
     /// From narrow cones to wide ones.
     levels: Vec<Level>,
 }
 
-/// For cones of up to a half angle.
+/// The cells for cones of up to `half_angle`.
 #[derive(Clone, Debug)]
 pub struct Level {
     /// Radians.
     pub half_angle: f64,
-    /// Of the half angle.
+    /// Cosine of the half angle.
     cosine: f64,
-    /// Of each cell, the pixels whose rays a cone around one of its directions may hold.
+    /// For each cell, the pixels whose rays may lie in a cone around any of its directions.
     pub cells: Cells,
 }
 
@@ -92,26 +92,26 @@ impl Level {
     }
 }
 
-/// Pixels by cells.
+/// A box of pixels for each cell.
 #[derive(Clone, Debug)]
 pub struct Cells {
     /// Along an edge of the cube.
     pub across: u32,
-    /// Twice the axis that is nearest to a direction, and one more where that is negative.
+    /// Indexed by twice the dominant axis of a direction, plus one if that component is negative.
     pub sides: [Side; 6],
     pub boxes: Vec<PixelBox>,
 }
 
-/// The rectangle of a side's cells that there is room for.
+/// The rectangle of stored cells on one side.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Side {
     pub first: [u32; 2],
     pub count: [u32; 2],
-    /// Its first box; those along the first axis follow one another.
+    /// Index of its first box. Boxes along the first axis are consecutive.
     pub start: usize,
 }
 
-/// The side of the cube on which a direction is, and where, each -1..=1.
+/// The cube side of a direction, and the position on that side, each -1..=1.
 #[inline(always)]
 fn place(d: DVec3) -> (usize, [f64; 2]) {
     let [x, y, z] = [d.x.abs(), d.y.abs(), d.z.abs()];
@@ -124,11 +124,11 @@ fn place(d: DVec3) -> (usize, [f64; 2]) {
     (2 * axis + usize::from(along < 0.0), [u / along.abs(), v / along.abs()])
 }
 
-/// Names a rectangle on each side of the cube; together they hold all directions up to `reach` radians from `d`.
+/// Calls `rectangle` for cube sides near `d`. Together they cover all directions up to `reach` radians from it.
 fn near(d: DVec3, reach: f64, mut rectangle: impl FnMut(usize, [[f64; 2]; 2])) {
     for (axis, [along, u, v]) in [[d.x, d.y, d.z], [d.y, d.z, d.x], [d.z, d.x, d.y]].into_iter().enumerate() {
         for (sign, along) in [along, -along].into_iter().enumerate() {
-            // No component differs by more than the angle.
+            // A component changes by at most the angle.
             let [low, high] = [(along - reach).max(FACING), (along + reach).min(1.0)];
             if low > high {
                 continue;
@@ -144,15 +144,15 @@ fn near(d: DVec3, reach: f64, mut rectangle: impl FnMut(usize, [[f64; 2]; 2])) {
     }
 }
 
-/// The cell of a place along an axis.
+/// The cell of a position along an axis.
 #[inline(always)]
 fn cell(t: f64, across: u32) -> u32 {
-    // A cast saturates.
+    // The cast saturates.
     ((0.5 * (t + 1.0) * f64::from(across)) as u32).min(across - 1)
 }
 
 impl Cells {
-    /// Room for all cells up to a reach from some directions.
+    /// Reserves a rectangle on each side that holds all cells up to a reach from the directions.
     fn around(reaches: impl Iterator<Item = (DVec3, f64)>, across: u32) -> Self {
         let mut held = [[[u32::MAX, 0]; 2]; 6];
         for (d, reach) in reaches {
@@ -172,12 +172,12 @@ impl Cells {
         Self { across, sides, boxes: Vec::new() }
     }
 
-    /// The most cells that there is room for.
+    /// Number of reserved cells.
     fn room(&self) -> usize {
         self.sides.iter().map(|side| side.count[0] as usize * side.count[1] as usize).sum()
     }
 
-    /// Lets each cell hold all pixels up to their reach from one of its directions.
+    /// Fills the cells: each holds all pixels whose reach includes one of its directions.
     fn holding(mut self, pixels: impl Iterator<Item = (DVec3, f64, PixelBox)>) -> Result<Self> {
         self.boxes = memory::reserved(self.room())?;
         self.boxes.resize(self.room(), PixelBox::NOTHING);
@@ -203,7 +203,7 @@ impl Cells {
 }
 
 impl DirectionMap {
-    /// For unit vectors, row-major; NaN is no ray. Neighbours are about `spacing` radians apart, which decides how fine the map is.
+    /// `directions` are unit vectors, row-major; NaN means no ray. Their `spacing` (radians) sets the resolution.
     ///
     /// # Errors
     /// [`crate::ErrorKind::System`] if the system refuses the memory, at most 12 bytes a ray.
@@ -232,12 +232,12 @@ impl DirectionMap {
         Ok(Self { levels })
     }
 
-    /// Its levels, from narrow cones to wide ones.
+    /// All levels, from narrow cones to wide ones.
     pub fn levels(&self) -> &[Level] {
         &self.levels
     }
 
-    /// Levels for wider cones than those of the map, made of whole tiles.
+    /// Levels for cones too wide for the map, built from whole tiles.
     ///
     /// # Errors
     /// [`crate::ErrorKind::System`] if the system refuses the memory.
@@ -262,7 +262,7 @@ impl DirectionMap {
         Ok(levels)
     }
 
-    /// A box around the pixels whose rays are in a cone of that axis and cosine of the half angle; `None` if it is too wide.
+    /// A box around the pixels whose rays lie in a cone with this axis and cosine; `None` if the cone is too wide.
     #[inline(always)]
     pub fn pixels_in(&self, axis: DVec3, cosine: f64) -> Option<PixelBox> {
         let cells = &self.levels.iter().find(|level| cosine >= level.cosine)?.cells;
@@ -324,7 +324,7 @@ mod tests {
         }
     }
 
-    /// As above, for cones that are wider than the map's own.
+    /// The same for cones that are wider than the map's own.
     #[test]
     fn all_rays_of_a_wide_cone_are_in_its_box_of_tiles() {
         let directions = table(DVec3::new(0.3, -0.5, 0.6).normalize(), 0.01);
@@ -352,7 +352,7 @@ mod tests {
         assert!(tight, "the whole table would pass");
     }
 
-    /// The whole table would pass the test above.
+    /// A box of the whole table would pass the test above.
     #[test]
     fn boxes_are_tight() {
         for axis in [DVec3::Z, DVec3::new(1.0, 1.0, 0.9).normalize(), DVec3::NEG_X] {

@@ -1,9 +1,9 @@
-//! Where in a ray table a direction is, about: fast enough to ask for every measured point.
+//! Finds the approximate pixel of a direction in a ray table, fast enough to do it for every measured point.
 
 use super::RayGrid;
 use glam::{DVec2, DVec3};
 
-/// Pixels by direction: the sphere as a square (octahedral map), in cells that hold a pixel near their middle.
+/// Pixels by direction. An octahedral map turns the sphere into square cells; each holds a pixel near its middle.
 #[derive(Debug)]
 pub(crate) struct Directory {
     side: usize,
@@ -26,7 +26,7 @@ impl Directory {
             }
             pixels[at] = i;
         }
-        // Cells without a ray get their neighbour's, ring by ring.
+        // Cells without a ray inherit a neighbour's pixel, ring by ring.
         while !ends.is_empty() {
             let mut next = Vec::new();
             for at in ends {
@@ -45,7 +45,7 @@ impl Directory {
         Self { side, pixels }
     }
 
-    /// A pixel whose ray is near a direction: none of its neighbours' is nearer. `None` only for a table without a ray.
+    /// A pixel whose ray is nearer to a direction than its neighbours' rays are. `None` only for a table without rays.
     pub(super) fn near(&self, table: &RayGrid, direction: DVec3) -> Option<(u32, u32)> {
         let first = self.pixels[cell(direction, self.side)];
         if first == NONE {
@@ -70,7 +70,8 @@ impl Directory {
     }
 }
 
-/// The cell of a direction (Z. H. Cigolle et al., A Survey of Efficient Representations for Independent Unit Vectors, 2014).
+/// The cell of a direction, by the octahedral map (Z. H. Cigolle et al., A Survey of Efficient Representations for
+/// Independent Unit Vectors, 2014).
 fn cell(d: DVec3, side: usize) -> usize {
     let d = d / (d.x.abs() + d.y.abs() + d.z.abs());
     let sign = |x: f64| if x < 0.0 { -1.0 } else { 1.0 };
@@ -88,7 +89,7 @@ mod tests {
     use crate::random::SplitMix64;
     use crate::sensor::{Geometry, RayTable, Sensor, SensorSpec};
 
-    /// Against all rays: nearly always the nearest, and never far from it, within the table and beyond its sides.
+    /// The result is nearly always the nearest ray and never far from it, inside and outside the table.
     #[test]
     fn directions_are_found() {
         let mut random = SplitMix64(3);

@@ -1,6 +1,6 @@
 //! The lens distortion models of OpenCV and ROS, with their inverses.
 //!
-//! With normalized coordinates (x, y) = (X / Z, Y / Z), r^2 = x^2 + y^2 and p = (p2, p1):
+//! Normalized coordinates are (x, y) = (X / Z, Y / Z), with r^2 = x^2 + y^2 and p = (p2, p1):
 //! - `plumb_bob`, `rational_polynomial`: (xd, yd) = R(r^2) (x, y) + r^2 p + 2 (p . (x, y)) (x, y) with
 //!   R(s) = (1 + k1 s + k2 s^2 + k3 s^3) / (1 + k4 s + k5 s^2 + k6 s^3);
 //! - `equidistant`: the image radius of a ray at angle theta from the axis is theta (1 + k1 theta^2 + k2 theta^4 +

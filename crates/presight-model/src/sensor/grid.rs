@@ -1,4 +1,4 @@
-//! The rays of a sensor as engines use them: straight lines of samples where the geometry allows, a table with tiles otherwise.
+//! The rays of a sensor as engines use them: straight lines of samples where possible, else a table in tiles.
 
 use super::part::ImagePart;
 use super::ray_grid::RayGrid;
@@ -28,7 +28,7 @@ impl PixelGrid {
     }
 }
 
-/// Whether a line of a [`LineGrid`] is an image row or column.
+/// The image axis of the lines of a [`LineGrid`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LineAxis {
     /// A line is an image row, a sample a column (pinhole cameras).
@@ -53,12 +53,12 @@ pub struct LineGrid {
     /// Pixels of a camera from line to line and from sample to sample.
     stride: f64,
     finder: PositionFinder,
-    /// The same numbers apart, for vector loops; those of the lines are followed by eight zeros.
+    /// The same values as separate arrays for vector loops. The arrays of the lines are padded by eight zeros.
     c: [Vec<f64>; 2],
     octets: Vec<Octet>,
 }
 
-/// Eight samples of a line, for vector loops; past the last sample t is NaN and w0, w1 are 0.
+/// Eight samples of a line for vector loops. Past the last sample, t is NaN and w0, w1 are 0.
 #[derive(Clone, Copy, Debug)]
 #[repr(align(64))]
 pub struct Octet {
@@ -93,7 +93,7 @@ impl LineGrid {
         Self { axis, line_from_image, image_from_line, lines, weights, positions, stride: 1.0, finder, c, octets }
     }
 
-    /// Some of its lines and samples, with their numbers.
+    /// The lines and samples of an image part.
     pub(super) fn part(&self, part: &ImagePart) -> Self {
         let step = part.stride as usize;
         let columns = part.first_column as usize..part.end_column as usize;
@@ -106,7 +106,7 @@ impl LineGrid {
         Self { stride: f64::from(part.stride), ..Self::new(self.axis, self.line_from_image, lines, weights) }
     }
 
-    /// Pixels of a camera from line to line and from sample to sample: 1 unless this is a part of a grid.
+    /// Distance between neighbouring lines and samples in camera pixels: 1 unless this is a part of a grid.
     pub fn stride(&self) -> f64 {
         self.stride
     }
@@ -123,7 +123,7 @@ impl LineGrid {
         self.finder.find(&self.positions, t, |position, t| position <= t)
     }
 
-    /// Whether a line is an image row or column.
+    /// The image axis along which a line runs.
     pub fn axis(&self) -> LineAxis {
         self.axis
     }
@@ -159,8 +159,8 @@ impl LineGrid {
         &self.octets
     }
 
-    /// For each of some intervals of t, the first and the end of samples that hold all of its own and at most one more
-    /// at either side; an interval without samples may get an end at or before its first.
+    /// For each interval of t: the first and the end index of a sample range that holds all samples of the interval and
+    /// at most one more on either side. For an interval without samples, the end may be at or before the first.
     #[inline(always)]
     pub fn samples_around<S: Simd>(
         &self,
@@ -197,16 +197,16 @@ impl LineGrid {
     }
 }
 
-/// Finds a position among the rising positions of a line in constant time: a table over equal cells, then a step or
-/// two. Exact whatever the table says, for it only has to start low enough.
+/// Finds a position among the rising positions of a line in constant time: it looks up an equal-width cell, then steps
+/// once or twice. The result is exact because the table only has to start low enough.
 #[derive(Clone, Debug)]
 pub(super) struct PositionFinder {
     start: f64,
     cells_per_unit: f64,
-    /// By cell: number of positions below its lower end.
+    /// For each cell, the number of positions below its lower end.
     below: Vec<u32>,
-    /// By entry, which are the ends of the cells and one before them: number of positions surely below any t nearest to
-    /// it, and of those that may be up to it.
+    /// For each entry (the cell ends and one before them): the number of positions certainly below any t nearest to
+    /// that entry, and the number of positions possibly up to it.
     surely_below: Vec<u32>,
     up_to: Vec<u32>,
 }
@@ -220,13 +220,13 @@ impl PositionFinder {
         let cells_per_unit = if end > start { cells as f64 / (end - start) } else { 0.0 };
         let below: Vec<u32> = (0..=cells)
             .map(|cell| {
-                // A little low, so that rounding in `find` cannot start too high.
+                // Slightly low, so that rounding in `find` cannot start too high.
                 let t = if cells_per_unit > 0.0 { start + (cell as f64 - 1e-3) / cells_per_unit } else { start };
                 positions.partition_point(|&p| p < t) as u32
             })
             .collect();
         let n = positions.len() as u32;
-        // A t belongs to the nearest entry; widened a little for rounding in `entries`.
+        // A t belongs to its nearest entry. The margin covers rounding in `entries`.
         let at = |entry: f64| start + (entry - 1.0) / cells_per_unit;
         let entries = 0..cells + 2;
         let surely_below = entries.clone().map(|i| match i {
@@ -241,19 +241,19 @@ impl PositionFinder {
         Self { start, cells_per_unit, below, surely_below, up_to }
     }
 
-    /// For each of some t, no more than the number of positions below it.
+    /// For each t, at most the number of positions below it.
     #[inline(always)]
     pub fn surely_below<S: Simd>(&self, simd: S, t: &[f64; Octet::LEN]) -> [u32; Octet::LEN] {
         self.entries(simd, t).map(|entry| self.surely_below[entry as u32 as usize])
     }
 
-    /// For each of some t, no fewer than the number of positions up to and including it.
+    /// For each t, at least the number of positions up to and including it.
     #[inline(always)]
     pub fn perhaps_up_to<S: Simd>(&self, simd: S, t: &[f64; Octet::LEN]) -> [u32; Octet::LEN] {
         self.entries(simd, t).map(|entry| self.up_to[entry as u32 as usize])
     }
 
-    /// Indices into `surely_below` and `up_to` for some t, in the low 32 bits: adding 2^52 leaves no bits for a fraction.
+    /// Indices into `surely_below` and `up_to`, in the low 32 bits: adding 2^52 leaves no fraction bits.
     #[inline(always)]
     fn entries<S: Simd>(&self, simd: S, t: &[f64; Octet::LEN]) -> [u64; Octet::LEN] {
         let (start, scale) = (simd.splat_f64s(self.start), simd.splat_f64s(self.cells_per_unit));

@@ -75,7 +75,7 @@ pub struct SensorSpec {
     pub class: String,
     /// Image geometry.
     pub geometry: Geometry,
-    /// Metres, inclusive; a nearer surface still occludes.
+    /// Metres, inclusive. A nearer surface is not measured but still occludes.
     pub range_min: f64,
     /// Metres, inclusive; may be infinite.
     pub range_max: f64,
@@ -83,7 +83,7 @@ pub struct SensorSpec {
     pub max_incidence: Option<f64>,
     /// robot_from_sensor, body axes.
     pub mount: Pose,
-    /// See [`Noise`].
+    /// Measurement noise.
     pub noise: Noise,
 }
 
@@ -120,7 +120,7 @@ impl SensorSpec {
         Self { geometry, ..self }
     }
 
-    /// With other limits of the range, metres, inclusive; the second may be infinite.
+    /// With other range limits, metres, inclusive; `range_max` may be infinite.
     #[must_use]
     pub fn with_limits(self, range_min: f64, range_max: f64) -> Self {
         Self { range_min, range_max, ..self }
@@ -164,10 +164,10 @@ struct SensorData {
     projector: Projector,
     width: u32,
     height: u32,
-    /// The part of another sensor that this is.
+    /// Set if this sensor is a part of another one.
     part: Option<ImagePart>,
     thinned: Thinned,
-    /// Of a ray table, once somebody asks for it.
+    /// Only for ray tables; built on first use.
     directory: OnceLock<Directory>,
 }
 
@@ -235,8 +235,8 @@ impl Sensor {
         inside.then(|| self.0.grid.ray(column, row)).flatten()
     }
 
-    /// A pixel of a ray table whose ray is near a unit direction of the image frame, and nearer than its neighbours'; `None` for
-    /// other sensors. Much faster than [`Sensor::project`], which finds the nearest of all.
+    /// A pixel of a ray table whose ray is nearer to a unit direction (image frame) than its neighbours' rays are.
+    /// `None` for other sensors. Much faster than [`Sensor::project`], which finds the nearest of all rays.
     pub(crate) fn near_pixel(&self, direction: DVec3) -> Option<(u32, u32)> {
         let PixelGrid::Rays(table) = self.grid() else { return None };
         self.0.directory.get_or_init(|| Directory::of(table)).near(table, direction)
@@ -264,10 +264,10 @@ impl Geometry {
     }
 }
 
-/// Bytes that a sensor takes which needs a table of rays.
+/// Bytes that the ray table of a sensor takes, if it needs one.
 fn ray_table_bytes(spec: &SensorSpec) -> u64 {
     let (width, height) = spec.geometry.size();
-    // A lens's directions are listed first.
+    // A lens's directions are computed into a list first.
     let listed = u64::from(width) * u64::from(height) * size_of::<DVec3>() as u64;
     match &spec.geometry {
         Geometry::Camera(c) if !c.distortion.is_none() => listed + RayGrid::bytes_for(width, height),

@@ -1,34 +1,34 @@
-//! Measurement noise: how far off a sensor's readings are, and how often they are of something else.
+//! Measurement noise: errors of a sensor's readings, and how often they come from another surface than predicted.
 
 use crate::error::{Error, Result};
 
-/// Measurement noise, one standard deviation each. It is used when poses are estimated and never added to predictions.
+/// Measurement noise, as standard deviations. It is used to estimate poses and never added to predictions.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Noise {
-    /// Metres.
+    /// Range error, metres.
     pub range_sigma: f64,
-    /// Added to `range_sigma` for each square metre of range, 1 / metre: `range_sigma + range_sigma_quadratic * range^2`.
+    /// Growth of the range error, 1 / metre: the error is `range_sigma + range_sigma_quadratic * range^2`.
     pub range_sigma_quadratic: f64,
-    /// Radians.
+    /// Angle error, radians.
     pub angle_sigma: f64,
-    /// Pixels.
+    /// Pixel error, pixels.
     pub pixel_sigma: f64,
-    /// What else a beam may have met.
+    /// Where a beam's reading may come from.
     pub mixture: Mixture,
 }
 
-/// How often a beam measures the predicted surface, or something else. The four shares add up to 1.
+/// How often a beam measures the predicted surface, and how often something else. The four shares add up to 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Mixture {
     /// The predicted surface.
     pub hit: f64,
-    /// Something nearer that the model does not have.
+    /// An unmodelled surface nearer than the predicted one.
     pub short: f64,
-    /// Nothing is sensed.
+    /// No return is measured.
     pub none: f64,
-    /// Any range at all.
+    /// A random range.
     pub any: f64,
-    /// How many beams tell as much as one independent beam, 1 or more: beams on one wall share its error.
+    /// How many beams carry as much information as one independent beam, at least 1. Beams on one wall share its error.
     pub beam_dependence: f64,
 }
 
@@ -39,10 +39,10 @@ impl Default for Mixture {
 }
 
 impl Noise {
-    /// Checks that all numbers are possible.
+    /// Checks that all values are valid.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] naming what is not.
+    /// [`crate::ErrorKind::Invalid`], naming the invalid value.
     pub(super) fn check(&self) -> Result<()> {
         let Self { range_sigma, range_sigma_quadratic, angle_sigma, pixel_sigma, mixture } = *self;
         let sigmas = [range_sigma, range_sigma_quadratic, angle_sigma, pixel_sigma];
@@ -50,7 +50,7 @@ impl Noise {
             return Err(Error::invalid(format!("noise {sigmas:?}"), "give finite sigmas of at least 0"));
         }
         let Mixture { hit, short, none, any, beam_dependence } = mixture;
-        // Above 0: no reading is impossible then.
+        // Above 0, so that no reading is impossible.
         let sound = hit >= 0.0 && short >= 0.0 && none >= 1e-9 && any >= 1e-9;
         let sum = hit + short + none + any;
         if !(sound && (sum - 1.0).abs() <= 1e-9) {

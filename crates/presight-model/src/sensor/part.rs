@@ -1,40 +1,40 @@
-//! Parts of a sensor's image: some of its columns, and of these and of the rows only every k-th.
+//! Parts of a sensor's image: a range of columns, and every k-th column and row.
 
 use super::{Angles, Geometry, PixelGrid, Projector, RayGrid, Sensor, SensorData};
 use crate::error::Result;
 use std::sync::{Arc, OnceLock};
 
-/// Which pixels of an image belong to a part: columns `first_column + i stride` before `end_column`, rows `i stride`.
+/// The pixels of an image part: columns `first_column + i stride` before `end_column`, rows `i stride`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ImagePart {
     /// First column.
     pub first_column: u32,
-    /// The column after the last one.
+    /// Exclusive.
     pub end_column: u32,
-    /// From column to column and from row to row, at least 1.
+    /// Step between columns and between rows, at least 1.
     pub stride: u32,
 }
 
-/// Strides that a frame may take.
+/// Strides that are allowed for frames.
 pub const STRIDES: [u32; 3] = [2, 4, 8];
 
 const LARGEST_STRIDE: u32 = STRIDES[STRIDES.len() - 1];
 
-/// Parts of all columns by stride, made when they are first asked for.
+/// Parts with all columns, by stride; made on first use.
 pub(super) type Thinned = [OnceLock<Sensor>; STRIDES.len()];
 
 impl ImagePart {
-    /// Columns of the part.
+    /// Number of columns of the part.
     pub fn width(&self) -> u32 {
         (self.end_column - self.first_column).div_ceil(self.stride)
     }
 
-    /// Rows of the part of an image of so many.
+    /// Number of rows of the part, in an image of `rows` rows.
     pub fn height(&self, rows: u32) -> u32 {
         rows.div_ceil(self.stride)
     }
 
-    /// The column of the whole image.
+    /// The column of the whole image that is column `column` of the part.
     pub fn column(&self, column: u32) -> u32 {
         self.first_column + column * self.stride
     }
@@ -46,8 +46,7 @@ impl Sensor {
         ImagePart { first_column: 0, end_column: self.width(), stride: 1 }
     }
 
-    /// The sensor that has a part of this one's rays, to the bit. Its specification is still that of the whole: rays come from
-    /// [`Sensor::grid`] alone.
+    /// The sensor with a part of this one's rays, identical to the bit. Its specification is still that of the whole.
     ///
     /// # Errors
     /// [`crate::ErrorKind::System`] if there is no memory for the ray tables.
@@ -61,7 +60,7 @@ impl Sensor {
         Ok(slot.map_or(made.clone(), |slot| self.0.thinned[slot].get_or_init(|| made).clone()))
     }
 
-    /// From column to column and from row to row of the sensor that it is a part of; 1 if it is no part.
+    /// Step between columns and between rows in the whole sensor's pixels; 1 if this is not a part.
     pub fn part_stride(&self) -> u32 {
         self.0.part.map_or(1, |part| part.stride)
     }
@@ -91,8 +90,8 @@ impl Sensor {
         })))
     }
 
-    /// So many columns around a heading (radians from the forward axis, counter-clockwise), from a multiple of the largest stride on;
-    /// `None` of sensors whose columns have no order, and if it is all of them.
+    /// `columns` columns around a heading (radians from the forward axis, counter-clockwise), starting at a multiple of
+    /// the largest stride. `None` for sensors whose columns have no order, and if the part would be the whole image.
     pub fn columns_around(&self, heading: f64, columns: u32) -> Option<ImagePart> {
         if columns >= self.width() || matches!(self.spec().geometry, Geometry::Rays(_)) {
             return None;
@@ -108,13 +107,13 @@ impl Sensor {
         Some(ImagePart { first_column, end_column: first + columns, stride: 1 })
     }
 
-    /// Radians from the forward axis to a column at half the height of the image, counter-clockwise.
+    /// Azimuth of a column at half the image height, radians counter-clockwise from the forward axis.
     fn azimuth_of(&self, column: u32) -> Option<f64> {
         let ray = self.body_from_image() * self.ray(column, self.height() / 2)?;
         Some(ray.y.atan2(ray.x))
     }
 
-    /// The heading of a part's columns, counter-clockwise from the forward axis, and their opening, degrees seen from above.
+    /// Heading of a part's columns, counter-clockwise from the forward axis, and the angle they span, degrees.
     pub fn opening_of(&self, part: &ImagePart) -> [f64; 2] {
         let azimuths: Vec<f64> =
             (part.first_column..part.end_column).filter_map(|column| self.azimuth_of(column)).collect();
@@ -127,8 +126,8 @@ impl Sensor {
         [heading.to_degrees(), opening.abs().to_degrees()]
     }
 
-    /// Degrees of a scanner's columns, those of the part that this is: the first one, and from column to column. `None` for listed
-    /// azimuths and of other sensors.
+    /// The azimuth of a scanner's first column and the step between columns, degrees, for the part if this is one.
+    /// Returns `None` for listed azimuths and for other sensors.
     pub fn uniform_columns(&self) -> Option<[f64; 2]> {
         match &self.spec().geometry {
             Geometry::Scanner(scanner) => match scanner.azimuth {
@@ -144,7 +143,7 @@ impl Sensor {
         }
     }
 
-    /// The column of the whole image that a column of the part that this is comes from.
+    /// The column of the whole image that a column of this sensor corresponds to.
     pub fn whole_column(&self, column: u32) -> u32 {
         self.0.part.map_or(column, |part| part.column(column))
     }

@@ -1,15 +1,15 @@
-//! Where directions lie in a ray table, as a lens would tell it: in each cell of directions a quadratic for the column and one for the row, and
-//! how far the pixels of its rays are off them at most. That is measured ray by ray, so it holds for any table.
+//! Approximates the pixel of any direction in a ray table. Each cell of directions has quadratics for column and row,
+//! with their largest error over its rays. Errors are measured ray by ray, so they hold for any table.
 
 use super::ImagePart;
 use crate::error::Result;
 use crate::memory;
 use glam::DVec3;
 
-/// Quadratics are worth nothing that miss pixels by more.
+/// Pixels. Quadratics with a larger error are discarded.
 const MOST_OFF: f64 = 0.4;
 
-/// Rays that are enough for quadratics of all cells.
+/// Rays that suffice to fit the quadratics of all cells.
 const ENOUGH: usize = 60_000;
 
 /// 1, x, y, xx, xy, yy.
@@ -17,24 +17,24 @@ const TERMS: usize = 6;
 
 type Terms = [f64; TERMS];
 
-/// What is known of the columns, or of the rows, of the rays around a cell.
+/// The quadratic for the columns, or for the rows, of the rays around a cell.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Fitted {
     pub terms: Terms,
-    /// Pixels: no ray is farther off.
+    /// Largest error over the rays, pixels.
     pub off: f64,
-    /// Of the second derivative.
+    /// Norm of the second derivative.
     pub bend: f64,
 }
 
-/// A cell of directions, with as much again around it as half of it on each side.
+/// A cell of directions. Its quadratics also cover a margin of half a cell on every side.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct FitCell {
-    /// On its side of the cube.
+    /// Position on the cube side.
     pub middle: [f64; 2],
-    /// No ray looks there.
+    /// True if no ray points there.
     pub is_empty: bool,
-    /// Of columns and rows, over places -1..1 from the middle to both sides; `None` where no quadratic tells them.
+    /// Quadratics for column and row, over -1..1 across the cell and its margin. `None` if they do not fit well enough.
     pub fitted: Option<[Fitted; 2]>,
 }
 
@@ -44,7 +44,7 @@ pub struct PixelFit {
     cells: Vec<FitCell>,
 }
 
-/// What is needed of the rays of a cell: the sums of a least-squares fit.
+/// The sums of a least-squares fit over the rays of a cell.
 #[derive(Clone, Copy)]
 struct Sums {
     count: f64,
@@ -52,8 +52,8 @@ struct Sums {
     right: [Terms; 2],
 }
 
-/// The components of a direction along a side's axis and along the two of the side. Sides are numbered by twice the axis, and one more where
-/// it is negative.
+/// The components of a direction along a cube side's axis and along its two edges. The index of a side is twice its
+/// axis, plus one for the negative direction.
 #[inline(always)]
 pub fn on_side(side: usize, d: [f64; 3]) -> [f64; 3] {
     let [along, u, v] = match side / 2 {
@@ -69,7 +69,7 @@ fn terms(x: f64, y: f64) -> Terms {
     [1.0, x, y, x * x, x * y, y * y]
 }
 
-/// The cells, of all, to whose surroundings a direction belongs, each with its place there.
+/// Calls `cell` for every cell whose margin contains the direction, with the position in that cell.
 fn surroundings(d: DVec3, mut cell: impl FnMut(usize, [f64; 2])) {
     for side in 0..6 {
         let [along, u, v] = on_side(side, d.to_array());
@@ -117,7 +117,7 @@ impl Sums {
         }
     }
 
-    /// The quadratics that fit best, by Cholesky's factors. What many rays in one place leave open comes out flat.
+    /// The least-squares quadratics, by Cholesky decomposition. Terms that the rays do not determine come out near 0.
     fn solve(&self) -> [Terms; 2] {
         let mut l = [[0.0; TERMS]; TERMS];
         for i in 0..TERMS {
@@ -146,7 +146,7 @@ const CELL: f64 = FitCell::SIDE;
 const ACROSS: u32 = FitCell::ACROSS;
 
 impl PixelFit {
-    /// For unit vectors, row-major; NaN is no ray.
+    /// Fits the cells. `directions` are unit vectors, row-major; NaN means no ray.
     ///
     /// # Errors
     /// [`crate::ErrorKind::System`] if the system refuses the memory, about a megabyte.
@@ -156,7 +156,7 @@ impl PixelFit {
         let pixel = |i: u32| [i % width, i / width].map(f64::from);
         let mut sums = memory::reserved(count)?;
         sums.resize(count, Sums::NONE);
-        // Of large tables some rays are enough to find quadratics by; all of them are compared with these.
+        // A large table is sampled for the fit. The errors are then measured on all rays.
         let step = (directions.len() / ENOUGH) | 1;
         for (d, i) in rays().step_by(step) {
             surroundings(*d, |cell, [x, y]| sums[cell].add(terms(x, y), pixel(i)));
@@ -181,7 +181,7 @@ impl PixelFit {
         Ok(Self { cells })
     }
 
-    /// What it tells of the rays of a part alone.
+    /// The same approximation in the pixel coordinates of a part of the image.
     pub fn part(&self, part: &ImagePart) -> Self {
         let stride = f64::from(part.stride);
         let of_part = |fitted: Fitted, first: f64| {
@@ -196,18 +196,18 @@ impl PixelFit {
         Self { cells: self.cells.iter().map(cell).collect() }
     }
 
-    /// The side and the cell of a direction of any length but 0.
+    /// The side and the cell of a direction of any nonzero length.
     pub fn around(&self, d: DVec3) -> Option<(usize, &FitCell)> {
         let [x, y, z] = d.abs().to_array();
         let axis = if x >= y && x >= z { 0 } else { 1 + usize::from(z > y) };
         let side = 2 * axis + usize::from(d[axis] < 0.0);
         let [along, u, v] = on_side(side, d.to_array());
-        // A cast saturates, and what is no number is far off.
+        // The cast saturates, and NaN becomes 0.
         let cell = [u, v].map(|t| (((t / along + 1.0) / CELL) as u32).min(ACROSS - 1));
         (along > 0.0).then(|| (side, &self.cells[index(side, cell)]))
     }
 
-    /// By side, then by row.
+    /// All cells, by side, then by row.
     pub fn cells(&self) -> &[FitCell] {
         &self.cells
     }
@@ -217,7 +217,7 @@ impl PixelFit {
     }
 }
 
-/// The best quadratics, not yet compared with the rays.
+/// The best quadratics; their errors are not measured yet.
 fn fitted(sums: &Sums) -> Option<[Fitted; 2]> {
     let bend = |t: &Terms| (4.0 * (t[3] * t[3] + t[5] * t[5]) + 2.0 * t[4] * t[4]).sqrt();
     (sums.count > 0.0).then(|| sums.solve().map(|terms| Fitted { bend: bend(&terms), terms, off: 0.0 }))
@@ -232,13 +232,13 @@ impl Fitted {
 }
 
 impl FitCell {
-    /// Of a cell on the sides of a cube of half edge 1.
+    /// Edge of a cell, on a cube of half edge 1.
     pub const SIDE: f64 = 0.1;
 
     /// Cells along an edge of the cube.
     pub const ACROSS: u32 = 20;
 
-    /// Of a place on the side of the cube, from -1 to 1 around the cell.
+    /// Converts an offset on the cube side to the argument of the quadratics.
     pub const PER_UNIT: f64 = 1.0 / CELL;
 }
 
@@ -271,7 +271,7 @@ mod tests {
                 assert!(x.abs() <= 0.5 + 1e-9 && y.abs() <= 0.5 + 1e-9, "{x} {y}");
                 for (fitted, pixel) in fitted.iter().zip([i % 80, i / 80]) {
                     assert!((fitted.at(x, y) - f64::from(pixel)).abs() <= fitted.off, "{i}");
-                    // Anything might be told that is off by enough.
+                    // Otherwise a large enough stated error would pass any fit.
                     assert!(fitted.off < 0.05, "{}", fitted.off);
                 }
                 told += 1;

@@ -1,4 +1,4 @@
-//! Where a polynomial first changes its sign: the place at which a lens model folds over.
+//! Sign changes of polynomials. A lens model folds over at the first one.
 
 /// Value of `coefficients[0] + coefficients[1] x + ..`.
 pub(super) fn evaluate(coefficients: &[f64], x: f64) -> f64 {
@@ -21,11 +21,11 @@ pub(super) fn derivative(a: &[f64]) -> Vec<f64> {
     a.iter().enumerate().skip(1).map(|(i, c)| i as f64 * c).collect()
 }
 
-/// Every place in (0, upper) where the polynomial changes its sign, rising, to the last bit of its evaluation.
+/// Every x in (0, upper) where the polynomial changes sign, rising, to the last bit of its evaluation.
 ///
-/// Between two neighbouring sign changes of the derivative a polynomial is monotone and has at most one: so the
-/// derivative's are found first, by the same function, and each interval between them is bisected. No scan can step
-/// over a narrow pair of roots this way.
+/// A polynomial is monotone between two neighbouring sign changes of its derivative and has at most one sign change
+/// there. The recursion finds those of the derivative first and bisects each interval between them, so it cannot step
+/// over a narrow pair of roots.
 pub(super) fn sign_changes(a: &[f64], upper: f64) -> Vec<f64> {
     if a.len() < 2 {
         return Vec::new();
@@ -35,7 +35,7 @@ pub(super) fn sign_changes(a: &[f64], upper: f64) -> Vec<f64> {
     for x in sign_changes(&derivative(a), upper).into_iter().chain([upper]) {
         let value = evaluate(a, x);
         if value == 0.0 {
-            // An extremum that touches zero is no change; the last sign goes on.
+            // An extremum that touches zero does not change the sign.
             continue;
         }
         if last.1 * value.signum() < 0.0 {
@@ -46,7 +46,7 @@ pub(super) fn sign_changes(a: &[f64], upper: f64) -> Vec<f64> {
     found
 }
 
-/// The change of sign between two places of opposite signs; returns its lower side.
+/// Bisects an interval whose ends have opposite signs. Returns the lower side of the sign change.
 fn bisect(a: &[f64], mut low: f64, mut high: f64) -> f64 {
     let sign = evaluate(a, low).signum();
     loop {

@@ -1,14 +1,14 @@
 //! Sensor presets, stored as the text of sensor files and read by the same reader as user files.
 //!
 //! Real multi-beam lidars have offset beam origins and staggered azimuths, and depth cameras have two imagers. A preset is
-//! the ideal grid with one centre. Its text names its source and what it omits. [`crate::preset`] makes a sensor from one.
+//! the ideal grid with one centre. Its text names the source and the omissions. [`crate::preset`] makes a sensor from one.
 
 /// A named sensor with its text.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Preset {
     /// The name, as `--sensor` accepts it.
     pub name: &'static str,
-    /// Its sensor TOML, with comments on the source and on what the ideal sensor omits.
+    /// Its sensor TOML, whose comments name the source and what the ideal sensor omits.
     pub toml: &'static str,
 }
 

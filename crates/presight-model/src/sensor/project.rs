@@ -1,7 +1,7 @@
-//! Projection of points to continuous pixel coordinates, and its inverse, the ray at pixel coordinates.
+//! Projects points to continuous pixel coordinates, and finds the ray at given pixel coordinates.
 //!
-//! The centre of the top-left pixel is (0, 0), and pixel i spans i - 0.5 .. i + 0.5. The ray of a pixel projects to that pixel's
-//! own numbers. Between the beams of a scanner coordinates are linear in the angles.
+//! The centre of the top-left pixel is (0, 0), and pixel i spans i - 0.5 .. i + 0.5. The ray of a pixel projects to the
+//! pixel's own indices. Between the beams of a scanner, coordinates are linear in the angles.
 
 use super::grid::PixelGrid;
 use super::ray_grid::RayGrid;
@@ -43,7 +43,7 @@ enum Axis {
 }
 
 impl Axis {
-    /// `lone` is the angle of a pixel where there is but one.
+    /// `lone` is the angle that one pixel spans if there is only one.
     fn new(angles: &[f64], uniform: Option<f64>, lone: f64) -> Self {
         match (angles, uniform) {
             ([only], step) => {
@@ -61,7 +61,7 @@ impl Axis {
         }
     }
 
-    /// Number of the pixel, with a fraction, at an angle.
+    /// Continuous pixel index at an angle.
     fn number(&self, angle: f64) -> f64 {
         match self {
             Self::Uniform { start, step, .. } => (angle - start) / step,
@@ -74,7 +74,7 @@ impl Axis {
         }
     }
 
-    /// The angle at a number.
+    /// The angle at a continuous pixel index.
     fn angle(&self, number: f64) -> f64 {
         match self {
             Self::Uniform { start, step, .. } => start + number * step,
@@ -97,7 +97,7 @@ impl Beams {
         let azimuth = Axis::new(&azimuths, step(&scanner.azimuth), 1.0);
         let (first, last) = azimuth.ends();
         let across = if azimuths.len() > 1 { (last - first).abs() / (azimuths.len() - 1) as f64 } else { 1.0 };
-        // Rows fall, whatever the order in the file. A lone row's pixel is as high as its beam, or square.
+        // Rows have falling elevation, whatever the order in the file. A single row is as high as its beam, or square.
         let lone = scanner.beam_height_deg.filter(|h| *h > 0.0).unwrap_or(across);
         let falling = if rows.len() > 1 { step(&scanner.elevation).map(|s| -s.abs()) } else { Some(-lone) };
         Self { azimuth, elevation: Axis::new(&rows, falling, -lone) }
@@ -107,14 +107,14 @@ impl Beams {
         let flat = p.x.hypot(p.y);
         let azimuth = p.y.atan2(p.x).to_degrees();
         let elevation = p.z.atan2(flat).to_degrees();
-        // Of all turns the one nearest to the middle of the image.
+        // Uses the turn nearest to the middle of the image.
         let (first, last) = self.azimuth.ends();
         let middle = 0.5 * (first + last);
         let azimuth = azimuth + 360.0 * ((middle - azimuth) / 360.0).round();
         (self.azimuth.number(azimuth), self.elevation.number(elevation))
     }
 
-    /// [`Beams::project`] for what needs no more than the pixel.
+    /// [`Beams::project`] in f32, accurate enough to find the pixel.
     #[inline(always)]
     fn project_nearly(&self, p: Vec3) -> (f32, f32) {
         let flat = (p.x * p.x + p.y * p.y).sqrt();
@@ -141,7 +141,7 @@ fn atan2_nearly(y: f32, x: f32) -> f32 {
     let (ax, ay) = (x.abs(), y.abs());
     let t = ax.min(ay) / ax.max(ay);
     let s = t * t;
-    // The odd polynomial of degree 11 that is nearest to the arc tangent from 0 to 1.
+    // Minimax odd polynomial of degree 11 for the arc tangent on 0..1.
     let p = ((((-0.011_721_2 * s + 0.052_653_32) * s - 0.116_432_87) * s + 0.193_543_46) * s - 0.332_623_47) * s
         + 0.999_977_26;
     let first = if ay > ax { FRAC_PI_2 - p * t } else { p * t };
@@ -163,11 +163,11 @@ impl Sensor {
     /// Continuous pixel coordinates (column, row) of a point of the image frame at any distance; the centre of the
     /// top-left pixel is (0, 0). They may lie outside the image, which spans -0.5..width - 0.5 by -0.5..height - 0.5.
     ///
-    /// Returns `None` where the sensor images nothing: behind a camera, beyond the fold of a lens, in a hole of a ray table, and at
-    /// the sensor itself. For a scanner the azimuth nearest to the middle of the image is used, so that there is one
-    /// seam, opposite to it; at the poles every column is correct. The pixel of a single row is as high as the beam
-    /// (`beam_height_deg`), or square if that is 0. In a ray table the result is the nearest ray's pixel, with a fraction from
-    /// that ray's neighbours.
+    /// Returns `None` where the sensor images nothing: behind a camera, beyond the fold of a lens, in a hole of a ray
+    /// table, and at the sensor itself. For a scanner, the azimuth nearest to the middle of the image is used, so the
+    /// one seam lies opposite to it; at the poles every column is correct. The pixel of a single row is as high as the
+    /// beam (`beam_height_deg`), or square if that is 0. For a ray table, the result is the nearest ray's pixel plus a
+    /// fraction interpolated from that ray's neighbours.
     ///
     /// ```
     /// use presight::{Camera, Geometry, Sensor, SensorSpec};
@@ -200,8 +200,8 @@ impl Sensor {
         }
     }
 
-    /// [`Sensor::project`] in f32, to 1e-5 radians, for what looks around in an image; in a ray table to a pixel. At the sensor itself the result
-    /// is `None` or no number.
+    /// [`Sensor::project`] in f32 for searches in an image. Accurate to 1e-5 radians, and to a pixel for a ray table.
+    /// At the sensor itself the result is `None` or NaN.
     #[inline(always)]
     pub fn project_nearly(&self, p: Vec3) -> Option<(f32, f32)> {
         match (self.projector(), &self.spec().geometry) {
@@ -235,8 +235,8 @@ impl Sensor {
         }
     }
 
-    /// Rays at columns and rows, not of unit length, as sums of a part of the column and a multiple of one axis: the columns'
-    /// parts, that axis, and the rows' multiples. `None` where rays are no such sums.
+    /// Factors the rays at columns and rows as `ray = column part + row multiple * axis`, not normalized. Returns the
+    /// column parts, the axis and the row multiples, or `None` if the rays do not factor this way.
     pub fn rays_by_column(&self, columns: &[f64], rows: &[f64]) -> Option<(Vec<DVec3>, DVec3, Vec<f64>)> {
         match (self.projector(), &self.spec().geometry) {
             (Projector::Pinhole, Geometry::Camera(c)) => {
@@ -256,7 +256,7 @@ impl Sensor {
         }
     }
 
-    /// The mean of the rays around a place in a table, by their nearness.
+    /// Bilinear interpolation between the rays of a table.
     fn between_rays(&self, u: f64, v: f64) -> Option<DVec3> {
         let (w, h) = (self.width(), self.height());
         let inside = u >= -0.5 && v >= -0.5 && u <= f64::from(w) - 0.5 && v <= f64::from(h) - 0.5;
@@ -280,7 +280,7 @@ impl Sensor {
         sum.try_normalize()
     }
 
-    /// Number of columns of a full turn, for scanners whose last column is next to the first.
+    /// Number of columns of a full turn, if the last column of a scanner is next to the first.
     pub fn columns_of_a_turn(&self) -> Option<f64> {
         let Geometry::Scanner(Scanner { azimuth: Angles::Uniform { step_deg, count, .. }, .. }) = &self.spec().geometry
         else {
@@ -290,10 +290,10 @@ impl Sensor {
         (*count > 1 && f64::from(*count) > turn - 1.0 + 1e-6).then_some(turn)
     }
 
-    /// Checks that features can be projected into the sensor's image.
+    /// Checks that features can be projected onto the sensor's image.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] for a ray table with fewer than two rays: the angle that a single ray stands for is
+    /// [`crate::ErrorKind::Invalid`] for a ray table with fewer than two rays: the angle that a single ray covers is
     /// unknown.
     pub fn check_projection(&self) -> Result<()> {
         let PixelGrid::Rays(table) = self.grid() else { return Ok(()) };
@@ -302,7 +302,7 @@ impl Sensor {
         }
         let rays = table.directions().filter(|d| !d.is_nan()).take(2).count();
         if rays < 2 {
-            let what = "features on a ray-table sensor without a nearest ray";
+            let what = "cannot project features onto a ray table with fewer than two rays";
             return Err(Error::invalid(what, "list at least two rays, or predict without features")
                 .at(format!("sensor {:?}", self.spec().name)));
         }
@@ -310,7 +310,7 @@ impl Sensor {
     }
 }
 
-/// The pixel of the nearest ray of a table, with its fraction; `None` farther from it than its neighbours are.
+/// The pixel of the nearest ray of a table, plus a fraction; `None` farther from that ray than its neighbours are.
 fn in_table(table: &RayGrid, ray: DVec3) -> Option<DVec2> {
     let (column, row, near) = nearest_ray(table, ray)?;
     let at = |dc: i64, dr: i64| {
@@ -319,9 +319,9 @@ fn in_table(table: &RayGrid, ray: DVec3) -> Option<DVec2> {
         let d = inside.then(|| table.direction(c as u32, r as u32))?;
         (!d.is_nan()).then_some(d)
     };
-    // Where the ray meets the plane that touches the sphere at its neighbour, seen from there.
+    // Offset from the nearest ray to this one, in the plane that touches the unit sphere at the nearest ray.
     let off = ray / ray.dot(near) - near;
-    // A step along an axis: towards the neighbour on the ray's side, or away from the other one.
+    // One pixel step along an axis: towards the neighbour on the ray's side, or away from the other neighbour.
     let step = |dc: i64, dr: i64| {
         let ahead = at(dc, dr).map(|d| d / d.dot(near) - near);
         let behind = at(-dc, -dr).map(|d| near - d / d.dot(near));
@@ -422,7 +422,7 @@ mod tests {
         all
     }
 
-    /// Of the rays of tables it is only the pixel.
+    /// Ray tables are accurate to the pixel only.
     #[test]
     fn what_is_projected_nearly_is_near() {
         for sensor in sensors() {
@@ -470,7 +470,7 @@ mod tests {
         assert!(rays.check_projection().is_ok());
         let lone = sensor(Geometry::Rays(RayTable::new(2, 1, vec![DVec3::X, DVec3::NAN]).unwrap()));
         let e = lone.check_projection().unwrap_err();
-        assert!(e.to_string().contains("without a nearest ray"), "{e}");
+        assert!(e.to_string().contains("fewer than two rays"), "{e}");
     }
 
     #[test]
@@ -482,7 +482,7 @@ mod tests {
     }
 
     proptest! {
-        /// Between pixels, too.
+        /// Also between pixels.
         #[test]
         fn projection_undoes_rays(which in 0..15usize, u in 0.0..1.0f64, v in 0.0..1.0f64) {
             let all = sensors();
@@ -491,7 +491,7 @@ mod tests {
             if let Some(ray) = sensor.ray_at(u, v) {
                 prop_assert!((ray.length() - 1.0).abs() < 1e-12);
                 let (pu, pv) = sensor.project(ray * 0.2).unwrap();
-                // In tables both ways are only linear.
+                // For tables, both directions are linear approximations.
                 let near = if matches!(sensor.spec().geometry, Geometry::Rays(_)) { 0.1 } else { 1e-7 };
                 prop_assert!((pu - u).hypot(pv - v) < near, "{}: {u} {v} {pu} {pv}", sensor.spec().name);
             }

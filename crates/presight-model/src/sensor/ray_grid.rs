@@ -1,5 +1,4 @@
-//! Tables of rays: tiles of 8 x 8 rays with the cones around them, and what is known of all rays together. Made once for each
-//! sensor.
+//! Tables of rays in tiles of 8 x 8, with the cone around each tile and bounds on all rays. Built once per sensor.
 
 use super::cone_tree::ConeTree;
 use super::direction_map::DirectionMap;
@@ -43,7 +42,7 @@ pub const TILE_SIDE: u32 = Octet::LEN as u32;
 
 const SIDE: usize = TILE_SIDE as usize;
 
-/// The rays of a tile by row and column, for vector loops; NaN where there is none.
+/// The rays of a tile by row and column, for vector loops; NaN where a ray is missing.
 #[derive(Clone, Debug)]
 #[repr(align(64))]
 pub struct TileRays {
@@ -56,22 +55,22 @@ impl TileRays {
     const NONE: Self = Self { x: [[f64::NAN; SIDE]; SIDE], y: [[f64::NAN; SIDE]; SIDE], z: [[f64::NAN; SIDE]; SIDE] };
 }
 
-/// The cones of eight tiles side by side, for vector loops. A ray of a tile is no farther from the axis than `chord`, both of length one.
+/// The cones of eight neighbouring tiles, for vector loops. A tile's unit rays are within `chord` of its unit axis.
 #[derive(Clone, Debug)]
 #[repr(align(64))]
 pub struct Cones {
     pub x: [f64; Octet::LEN],
     pub y: [f64; Octet::LEN],
     pub z: [f64; Octet::LEN],
-    /// Of the half angle; above 1 where that is no bound.
+    /// Squared sine of the half angle; above 1 if the cone is too wide to bound.
     pub sine_squared: [f64; Octet::LEN],
     pub chord: [f64; Octet::LEN],
 }
 
 impl Cones {
-    /// Of up to eight tiles; lanes without one hold anything.
+    /// Packs up to eight tiles; unused lanes hold arbitrary values.
     fn of(tiles: &[Tile]) -> Self {
-        /// Far more than the roundings of angles and products.
+        /// Far above the rounding errors of angles and products.
         const SLACK: f64 = 1e-9;
         let nothing = [0.0; Octet::LEN];
         let mut cones = Self { x: nothing, y: nothing, z: nothing, sine_squared: nothing, chord: nothing };
@@ -86,44 +85,44 @@ impl Cones {
     }
 }
 
-/// Half angle of the cone around all rays from which on there is a [`DirectionMap`], radians.
+/// Half angle of the cone around all rays, radians. Wider tables get a [`DirectionMap`].
 const WIDE: f64 = 0.75;
 
-/// How the tiles that a polygon may cover are found but where the [`DirectionMap`] tells.
+/// Finds the tiles that a polygon may cover, where there is no [`DirectionMap`] or the polygon is too large for it.
 #[derive(Clone, Debug)]
 pub enum TileLookup {
-    /// All rays lie ahead of one plane.
+    /// All rays lie in front of one plane.
     Ahead(Box<ForwardView>),
-    /// Fisheyes past 90 degrees, rays all round.
+    /// Fisheyes past 90 degrees, and rays in all directions.
     Around(ConeTree),
 }
 
-/// Rays ahead of a plane, as they meet another one parallel to it at distance 1.
+/// Rays in front of a plane, as points on the parallel plane at distance 1.
 #[derive(Clone, Debug)]
 pub struct ForwardView {
-    /// right, down and forward in the image frame, unless they are its axes.
+    /// right, down and forward in the image frame; `None` if these are the axes of the image frame.
     pub turn: Option<[DVec3; 3]>,
-    /// Of rows of tiles, downwards.
+    /// Rows of tiles, downwards.
     pub rows: TileSpans,
-    /// Of columns of tiles, to the right.
+    /// Columns of tiles, to the right.
     pub columns: TileSpans,
 }
 
-/// Where rays of some rows (or columns) of tiles meet the plane, and how to find the rows of a place there.
+/// The intervals that rows (or columns) of tiles cover on the plane, and lookups from an interval to its rows.
 #[derive(Clone, Debug)]
-pub struct TileSpans {
-    /// Of all together.
+pub(crate) struct TileSpans {
+    /// Bounds over all rows.
     pub least: f64,
     pub greatest: f64,
-    /// Rising: the greatest of each and of all before it.
+    /// Running maximum of the upper ends; rising.
     greatest_so_far: PositionFinder,
-    /// Rising: the least of each and of all after it.
+    /// Running minimum of the lower ends, from the last row back; rising.
     least_from_here: PositionFinder,
 }
 
-/// Spreads all places over -1..1; rising, also for what is infinite or no number.
+/// Maps all positions to -1..1, monotonically. Infinities and NaN are clamped.
 #[inline(always)]
-#[expect(clippy::manual_clamp, reason = "what is no number becomes one")]
+#[expect(clippy::manual_clamp, reason = "clamp would keep NaN")]
 fn squeezed(t: f64) -> f64 {
     let t = t.max(-1e30).min(1e30);
     t / (1.0 + t.abs())
@@ -139,7 +138,7 @@ impl TileSpans {
         for i in (1..of_each.len()).rev() {
             least_from_here[i - 1] = least_from_here[i - 1].min(least_from_here[i]);
         }
-        // Rows without rays are infinitely far off, and stay so.
+        // Rows without rays are infinitely far away and must stay so.
         let place = |t: &f64| if t.is_infinite() { *t } else { squeezed(*t) };
         let finder = |bounds: &[f64]| PositionFinder::new(&bounds.iter().map(place).collect::<Vec<_>>());
         Self {
@@ -150,7 +149,7 @@ impl TileSpans {
         }
     }
 
-    /// For each of some intervals the first and the end of the rows of tiles that have a ray in it, or a little too many.
+    /// For each interval, the first and the end of the rows of tiles that have a ray in it, or slightly more rows.
     #[inline(always)]
     pub fn tiles_around<S: Simd>(
         &self,
@@ -164,10 +163,10 @@ impl TileSpans {
 }
 
 impl ForwardView {
-    /// Rays flatter to the plane than this leave it too far off.
+    /// Flatter rays would meet the plane too far away.
     const FLATTEST: f64 = 0.05;
 
-    /// `None` if a ray is not ahead. The axes of the image frame are tried first, then ones along the rays' own middle.
+    /// Returns `None` if a ray is not in front. Tries the axes of the image frame first, then axes along the mean ray.
     fn of(width: u32, height: u32, directions: &[DVec3], whole: &Tile) -> Option<Self> {
         let known = || directions.iter().filter(|d| !d.is_nan());
         let is_ahead = |forward: DVec3| known().all(|d| d.dot(forward) >= Self::FLATTEST);
@@ -199,7 +198,7 @@ impl ForwardView {
         Some(Self { turn, rows: TileSpans::new(&rows), columns: TileSpans::new(&columns) })
     }
 
-    /// Inward normals of the planes around all rays.
+    /// Inward normals of the planes that enclose all rays.
     fn sides(&self) -> Vec<DVec3> {
         let [right, down, forward] = self.turn.unwrap_or([DVec3::X, DVec3::Y, DVec3::Z]);
         let beyond = |axis: DVec3, least: f64| (axis - forward * (least - SLACK * (1.0 + least.abs()))).normalize();
@@ -213,20 +212,20 @@ impl ForwardView {
     }
 }
 
-/// Widening of what holds all rays, radians: selection may keep too much, never too little.
+/// Margin of bounds, radians: selection may keep too much, never too little.
 const SLACK: f64 = 1e-9;
 
-/// Where the rays of a table lie, as planes through the centre with unit normals in the image frame.
+/// Bounds on the rays of a table, as planes through the centre with unit normals in the image frame.
 #[derive(Clone, Debug)]
 pub enum Sides {
-    /// In the pyramid between some planes, normals inwards; without any, anywhere.
+    /// Inside the pyramid between these planes, with inward normals; no planes means anywhere.
     Within(Vec<DVec3>),
-    /// Anywhere but in it.
+    /// Outside the pyramid between these planes.
     Outside(Vec<DVec3>),
 }
 
 impl Sides {
-    /// Of a cone: planes around it, or in the cone that it leaves.
+    /// Planes around a cone, or around a pyramid in the complement of a wide cone.
     fn of(cone: &Tile) -> Self {
         let (side, up) = cone.axis.any_orthonormal_pair();
         let half_angle = cone.half_angle + SLACK;
@@ -240,7 +239,7 @@ impl Sides {
         if half_angle < 1.65 {
             return Self::Within(Vec::new());
         }
-        // A pyramid of six sides whose edges lie in what is left, a microradian in.
+        // A hexagonal pyramid whose edges lie in the complement, a microradian inside.
         let left = std::f64::consts::PI - half_angle - 1e-6;
         let (sin, cos) = (left.tan() * (std::f64::consts::PI / 6.0).cos()).atan().sin_cos();
         let turned = (0..6).map(|k| DVec2::from_angle(f64::from(k) * std::f64::consts::TAU / 6.0));
@@ -248,7 +247,7 @@ impl Sides {
     }
 }
 
-/// Radians between neighbouring rays, in the middle of all tiles.
+/// Median angle between neighbouring rays of a tile, radians.
 fn spacing(tiles: &[Tile]) -> f64 {
     let of_tile = |t: &Tile| {
         let pixels = DVec2::new(f64::from(t.width - 1), f64::from(t.height - 1));
@@ -265,11 +264,11 @@ pub struct RayGrid {
     width: u32,
     height: u32,
     tiles: Vec<Tile>,
-    /// By tile.
+    /// For each tile.
     rays: Vec<TileRays>,
-    /// By tile: it lacks a ray.
+    /// For each tile: true if a ray is missing.
     gaps: Vec<bool>,
-    /// By row of tiles, then by eight tiles.
+    /// By row of tiles, in groups of eight tiles.
     cones: Vec<Cones>,
     map: Option<DirectionMap>,
     fit: PixelFit,
@@ -278,13 +277,13 @@ pub struct RayGrid {
 }
 
 impl RayGrid {
-    /// Bytes of a table of so many rays, but for the map of a wide view.
+    /// Bytes of a table of `width` x `height` rays, without the direction map of a wide view.
     pub(super) fn bytes_for(width: u32, height: u32) -> u64 {
         let tiles = u64::from(width.div_ceil(TILE_SIDE)) * u64::from(height.div_ceil(TILE_SIDE));
         tiles * (size_of::<Tile>() + size_of::<TileRays>() + size_of::<Cones>() / Octet::LEN + 1) as u64
     }
 
-    /// `directions` are unit, row-major, in the image frame; NaN is no ray.
+    /// `directions` are unit vectors in the image frame, row-major; NaN means no ray.
     ///
     /// # Errors
     /// [`crate::ErrorKind::System`] if the system refuses the memory.
@@ -292,7 +291,7 @@ impl RayGrid {
         Self::with_fit(width, height, directions, PixelFit::new(width, directions)?)
     }
 
-    /// As [`RayGrid::new`], with what is known of the rays already.
+    /// [`RayGrid::new`] with a given pixel fit.
     ///
     /// # Errors
     /// As [`RayGrid::new`].
@@ -328,7 +327,7 @@ impl RayGrid {
             }
             _ => (TileLookup::Around(ConeTree::new(&tiles, across)), Sides::of(&whole)),
         };
-        // Of wide views rows and columns of tiles tell too little, and a tree takes its time.
+        // For a wide view, rows and columns of tiles select poorly, and the tree is slow.
         let wide = matches!(view, TileLookup::Around(_)) || whole.half_angle > WIDE;
         let map = if wide { Some(DirectionMap::new(width, directions, spacing(&tiles))?) } else { None };
         Ok(Self { width, height, tiles, rays, gaps, cones, map, fit, view, sides })
@@ -344,14 +343,14 @@ impl RayGrid {
         self.height
     }
 
-    /// Unit direction of a pixel in the image frame; NaN is no ray.
+    /// Unit direction of a pixel in the image frame; NaN means no ray.
     pub fn direction(&self, column: u32, row: u32) -> DVec3 {
         let tile = &self.rays[(row / TILE_SIDE) as usize * self.tiles_across() + (column / TILE_SIDE) as usize];
         let (r, c) = ((row % TILE_SIDE) as usize, (column % TILE_SIDE) as usize);
         DVec3::new(tile.x[r][c], tile.y[r][c], tile.z[r][c])
     }
 
-    /// Unit directions, row-major, image frame; NaN is no ray.
+    /// Unit directions in the image frame, row-major; NaN means no ray.
     pub fn directions(&self) -> impl Iterator<Item = DVec3> + '_ {
         (0..self.height).flat_map(move |r| (0..self.width).map(move |c| self.direction(c, r)))
     }
@@ -361,7 +360,7 @@ impl RayGrid {
         &self.tiles
     }
 
-    /// Tiles in a row of them.
+    /// Number of tiles in a row.
     pub fn tiles_across(&self) -> usize {
         self.width.div_ceil(TILE_SIDE) as usize
     }
@@ -377,31 +376,31 @@ impl RayGrid {
         self.gaps[tile]
     }
 
-    /// The cones of a row of tiles, in eights.
+    /// The cones of a row of tiles, in groups of eight.
     #[inline(always)]
     pub fn cones_of_row(&self, row: usize) -> &[Cones] {
         let eights = self.tiles_across().div_ceil(Octet::LEN);
         &self.cones[row * eights..(row + 1) * eights]
     }
 
-    /// Tells the pixels that a small polygon may cover, if the view is wide.
+    /// Finds the pixels that a small polygon may cover; present if the view is wide.
     #[inline(always)]
     pub fn direction_map(&self) -> Option<&DirectionMap> {
         self.map.as_ref()
     }
 
-    /// Tells between which rays directions lie.
+    /// Approximates the pixel of a direction.
     #[inline(always)]
     pub fn pixel_fit(&self) -> &PixelFit {
         &self.fit
     }
 
-    /// How the tiles are found that another polygon may cover.
+    /// Finds the tiles that a polygon may cover.
     pub fn view(&self) -> &TileLookup {
         &self.view
     }
 
-    /// Where all rays lie.
+    /// Bounds on all rays.
     pub fn sides(&self) -> &Sides {
         &self.sides
     }

@@ -1,4 +1,4 @@
-//! Free ray tables.
+//! Arbitrary ray tables.
 
 use crate::error::{Error, Result};
 use glam::DVec3;
@@ -30,7 +30,7 @@ impl RayTable {
         if directions.len() as u64 != u64::from(width) * u64::from(height) {
             return Err(Error::invalid(
                 format!("{} directions for {width} x {height} pixels", directions.len()),
-                "give one direction a pixel, row by row",
+                "give one direction per pixel, row by row",
             ));
         }
         let mut unit = directions;
@@ -43,7 +43,7 @@ impl RayTable {
             if !(longest > 0.0 && longest.is_finite()) {
                 return Err(Error::invalid(
                     format!("direction {i} is {d}"),
-                    "give a finite direction with a length, or NaN for no ray",
+                    "give a finite nonzero direction, or NaN for no ray",
                 ));
             }
             // Unit directions keep their bits, so that a table written to a file reads back equal.

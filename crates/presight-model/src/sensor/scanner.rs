@@ -5,7 +5,7 @@ use crate::error::{Error, Result};
 use crate::limits;
 use glam::{DMat3, DVec3};
 
-/// Beam angles in degrees, as in files. Degrees keep the usual values exact, which radians would round.
+/// Beam angles in degrees, as in files. Degrees represent the common values exactly; radians would round them.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Angles {
     /// `start + i * step`.
@@ -51,11 +51,11 @@ pub struct Scanner {
     pub azimuth: Angles,
     /// Elevations in any order. Image rows are sorted by falling elevation.
     pub elevation: Angles,
-    /// How far off a row a feature still counts, degrees. `None` means the step, or 0 for one row.
+    /// How far from a row a feature still counts, degrees. `None` means the row step, or 0 if there is one row.
     pub beam_height_deg: Option<f64>,
 }
 
-/// Degrees: azimuths that are closer have no line between them for rounding.
+/// Degrees. Closer azimuths have no representable separating line between them.
 const LEAST_STEP: f64 = 1e-9;
 
 impl Scanner {
@@ -66,8 +66,8 @@ impl Scanner {
         rows
     }
 
-    /// Columns go round once at most, in one direction: no direction is there twice, and an interval of angles is an
-    /// interval of columns.
+    /// Checks that columns go round at most once, in one direction. Then no direction occurs twice, and an interval of
+    /// angles is an interval of columns.
     fn check_azimuths(&self, azimuths: &[f64]) -> Result<()> {
         let [first, .., last] = azimuths else { return Ok(()) };
         let rising = last > first;
@@ -78,11 +78,11 @@ impl Scanner {
         }
         if let Some([a, b]) = azimuths.array_windows().find(|[a, b]| !((b - a).abs() >= LEAST_STEP)) {
             return Err(Error::invalid(
-                format!("azimuths {a:e} and {b:e} deg cannot be told apart"),
+                format!("azimuths {a:e} and {b:e} deg are too close together"),
                 "keep them 1e-6 deg apart",
             ));
         }
-        // A little less than once: 360 degrees in rounded steps are the first direction again.
+        // 360 degrees in rounded steps would reach the first direction again.
         if last == first || (last - first).abs() >= 360.0 - 1e-9 {
             return Err(Error::invalid(
                 format!("azimuths from {first} to {last} deg, {} of them", azimuths.len()),
@@ -107,10 +107,7 @@ impl Scanner {
             ));
         }
         if let Some(pair) = rows.windows(2).find(|pair| pair[0] == pair[1]) {
-            return Err(Error::invalid(
-                format!("elevation {} deg is there twice", pair[0]),
-                "give every elevation once",
-            ));
+            return Err(Error::invalid(format!("elevation {} deg occurs twice", pair[0]), "give every elevation once"));
         }
         self.check_azimuths(&azimuths)?;
         let height = self.beam_height_deg.unwrap_or(0.0);
@@ -128,7 +125,7 @@ impl Scanner {
         let too_close = |i: &usize| !(weights[*i][1] / weights[*i][0] < weights[i + 1][1] / weights[i + 1][0]);
         if let Some(i) = (0..m.saturating_sub(1)).find(too_close) {
             return Err(Error::invalid(
-                format!("elevations {} and {} deg cannot be told apart", rows[i], rows[i + 1]),
+                format!("elevations {} and {} deg are too close together", rows[i], rows[i + 1]),
                 "keep them 1e-6 deg apart",
             ));
         }
@@ -146,7 +143,7 @@ impl Scanner {
 /// with the sign of w1.
 fn cos_sin_deg(degrees: f64) -> [f64; 2] {
     let quarter = (degrees / 90.0).round();
-    // Exact: the difference is a multiple of the last place of `degrees`, and no larger.
+    // The subtraction is exact: its result is a multiple of the last place of `degrees` and not larger.
     let (sin, cos) = (degrees - 90.0 * quarter).to_radians().sin_cos();
     let [x, y] = match quarter.rem_euclid(4.0) as u32 {
         0 => [cos, sin],

@@ -1,4 +1,4 @@
-//! The world: a version of the environment with its index, which predictions read; changes make the next version.
+//! The world: a version of the environment with its index, for predictions to read. Each change makes the next version.
 
 use crate::change::Change;
 use crate::environment::{Environment, Revert};
@@ -11,11 +11,11 @@ mod objects;
 #[cfg(test)]
 mod tests;
 
-/// Features that a change touches one by one in the lists of their layers; for more these are opened first.
+/// Number of features that a change may touch in the lists of their layers. For more, the layers are opened first.
 const FEW_FEATURES: usize = 32;
 
-/// One version of the environment with its spatial index. It is cheap to clone, and a running prediction keeps the version with
-/// which it started.
+/// One version of the environment with its spatial index. It is cheap to clone, and a running prediction keeps the
+/// version with which it started.
 ///
 /// ```
 /// use presight::{Change, Environment, Pose, World};
@@ -29,11 +29,11 @@ pub struct World {
     environment: Arc<Environment>,
     index: Arc<WorldIndex>,
     version: u64,
-    /// Unlike that of any other content of any world in this process.
+    /// Differs from the stamp of any other content of any world in this process.
     stamp: u64,
-    /// While many changes are made in a row: how many features of them may still be touched in the lists of their layers.
+    /// During a series of changes: the number of features that may still be touched in the lists of their layers.
     row: Option<usize>,
-    /// While a group of changes is applied: how what was done of it is taken back, oldest first.
+    /// While a group of changes is applied: the steps that take it back, oldest first.
     journal: Option<Vec<Revert>>,
 }
 
@@ -48,7 +48,7 @@ impl World {
         Self::of(WorldIndex::new(&environment, scheme, params), environment)
     }
 
-    /// The first version of a world whose index is there.
+    /// The first version of a world, with an existing index.
     pub fn of(index: WorldIndex, environment: Environment) -> Self {
         Self {
             environment: Arc::new(environment),
@@ -87,16 +87,16 @@ impl World {
         self.version
     }
 
-    /// Tells this version from every other one of this process, those of other worlds included.
+    /// A number that differs from that of every other version in this process, including versions of other worlds.
     pub fn stamp(&self) -> u64 {
         self.stamp
     }
 
-    /// Applies a change as [`World::apply`] does, but does not check that its features lie on polygons. Use it for inverses:
-    /// they bring back what was there, and a feature of that may have lost its surface.
+    /// Applies a change like [`World::apply`], but does not check that its features lie on polygons. Use it for
+    /// inverses: a feature that they restore may have lost its surface.
     ///
-    /// The inverse of a change restores the content ([`Environment::content_hash`]) to the last bit. It does not restore
-    /// numbers: an object that comes back has new slots.
+    /// The inverse of a change restores the content ([`Environment::content_hash`]) to the last bit. It does not
+    /// restore numbers: a restored object has new slots.
     ///
     /// ```
     /// use presight::{Change, Environment, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose, World};
@@ -114,10 +114,10 @@ impl World {
     /// ```
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if there is no such object, group or feature, an id was used before, a feature names an
-    /// object that does not exist, or a value is impossible (those of [`Environment::insert`],
-    /// [`Environment::set_pose`], [`Environment::set_frame`] and [`Environment::add_material`]). Content and version then
-    /// stay as they are, of all changes of a [`Change::Group`].
+    /// [`crate::ErrorKind::Invalid`] if there is no such object, group or feature, an id was used before, a feature
+    /// names an object that does not exist, or a value is invalid (see [`Environment::insert`],
+    /// [`Environment::set_pose`], [`Environment::set_frame`] and [`Environment::add_material`]). Content and version
+    /// then do not change, even for a [`Change::Group`].
     pub fn apply_unchecked(&mut self, change: Change) -> Result<Change> {
         match change {
             Change::Group(_) => self.apply_if(change, |_| Ok(())),
@@ -129,8 +129,8 @@ impl World {
         }
     }
 
-    /// Makes the next version if `check` then finds it sound; else content, numbers and version stay as they are. Nothing
-    /// is copied for that: what was done is taken back step by step.
+    /// Applies a change and makes the next version if `check` then succeeds; otherwise content, numbers and version do
+    /// not change. Nothing is copied for this: the change is reverted step by step.
     pub fn apply_if(&mut self, change: Change, check: impl FnOnce(&Self) -> Result<()>) -> Result<Change> {
         self.with_open_layers(change, |world, change| {
             world.journal = Some(Vec::new());
@@ -149,7 +149,7 @@ impl World {
         self.stamp = new_stamp();
     }
 
-    /// Notes how the step to come is taken back, where it may have to be.
+    /// Records how to revert the next step, if a journal is kept.
     fn note(&mut self, revert: impl FnOnce(&Environment) -> Revert) {
         if let Some(journal) = &mut self.journal {
             journal.push(revert(&self.environment));
@@ -172,12 +172,12 @@ impl World {
         }
     }
 
-    /// From now on layers that were opened stay open: many changes are made one by one, and nobody reads the features' lists.
+    /// Starts a series of changes. Opened layers stay open, because nobody reads the lists of features in between.
     pub fn begin_row(&mut self) {
         self.row = Some(FEW_FEATURES);
     }
 
-    /// Does `work` with a change; one that touches many features, with those before it in a row, finds the layers open.
+    /// Calls `work` with a change. Opens the layers first if the series of changes so far touches many features.
     fn with_open_layers(
         &mut self,
         change: Change,
@@ -200,7 +200,7 @@ impl World {
         done
     }
 
-    /// False once a change puts in, alters or takes out more features, one by one, than are `left`.
+    /// False if a change inserts, alters or removes more than `left` features one at a time.
     fn touches_few(&self, change: &Change, left: &mut usize) -> bool {
         let count = match change {
             Change::Group(changes) => return changes.iter().all(|change| self.touches_few(change, left)),
@@ -209,7 +209,7 @@ impl World {
             | Change::SetFeature { .. }
             | Change::DeleteFeature { .. }
             | Change::SetPoseCovariance { .. } => 1,
-            // Each object that is deleted asks for its features, even if it has none.
+            // Deleting an object searches for its features, so the object itself counts too.
             Change::DeleteObject { name } => {
                 let is_object = self.environment.object(name).is_some();
                 let objects = if is_object { 1 } else { self.environment.below(name).take(*left + 1).count() };
@@ -224,7 +224,7 @@ impl World {
         true
     }
 
-    /// A change; only a group can fail halfway.
+    /// Applies a change. Only a group can fail halfway.
     fn step(&mut self, change: Change) -> Result<Change> {
         if let Change::Group(changes) = change {
             let mut inverses = Vec::with_capacity(changes.len());
@@ -284,10 +284,10 @@ impl World {
             },
             Change::SetPoseCovariance { class, object, covariance } => {
                 let covariance = environment.set_pose_covariance(&class, &object, covariance)?;
-                // Noted before, with its place among the others.
+                // The journal has it already, with its position in the list.
                 (Change::SetPoseCovariance { class, object, covariance }, None)
             }
-            // Of objects and paths, and many at once: they went another way.
+            // Groups and changes of objects are handled by `step`.
             _ => (Change::NOTHING, None),
         };
         if let (Some(journal), Some(revert)) = (&mut self.journal, revert) {
@@ -296,8 +296,8 @@ impl World {
         Ok(done)
     }
 
-    /// Notes what a change of a layer may have to give back besides: a layer that it makes, a pose covariance in its place.
-    /// Reverting that is right even where the change fails.
+    /// Records what a change of a layer may have to revert in addition: a new layer, or a pose covariance at its
+    /// position. Reverting this is correct even if the change fails.
     fn note_layer(&mut self, change: &Change) {
         if self.journal.is_none() {
             return;
@@ -320,7 +320,7 @@ impl World {
         self.note(|_| revert);
     }
 
-    /// This world with another environment: after a failed write, what the disk has.
+    /// Replaces the environment by the state on disk, after a failed write.
     pub fn reset(&mut self, environment: Environment) {
         self.index = Arc::new(WorldIndex::new(&environment, self.index.scheme(), self.index.params()));
         self.environment = Arc::new(environment);

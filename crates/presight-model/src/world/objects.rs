@@ -1,4 +1,4 @@
-//! Changes of objects, and of the groups that they are in.
+//! Changes of objects and of their groups.
 
 use super::World;
 use crate::change::Change;
@@ -18,7 +18,7 @@ impl World {
         let name = environment.objects()[object as usize].name.clone();
         let mut undo = vec![Change::DeleteObject { name: name.clone() }];
         if frame.is_some() || environment.has_below(&name) {
-            // Deleting it again would leave its own pose as the frame of what is below.
+            // Deleting the object leaves its pose as the frame of the group: the undo restores the group's own frame.
             undo.push(Change::SetFrame { name, world_from_group: frame });
         }
         Ok(Change::of(undo))
@@ -28,7 +28,7 @@ impl World {
         if self.environment.object(&name).is_none() {
             return self.move_path(&name, world_from_object);
         }
-        // Refused before anything is copied.
+        // Check before anything is copied.
         check_pose(&world_from_object).map_err(|e| e.at(format!("object {name:?}")))?;
         let environment = Arc::make_mut(&mut self.environment);
         let object = environment.index_of(&name)?;
@@ -46,14 +46,14 @@ impl World {
         Ok(Change::SetFrame { name, world_from_group })
     }
 
-    /// Moves an object or a group, and what is below, by one rigid motion.
+    /// Moves an object or a group, and everything below it, by one rigid motion.
     pub(super) fn move_path(&mut self, path: &str, world_from_path: Pose) -> Result<Change> {
         let environment = &self.environment;
         let new_from_old = world_from_path * environment.frame_of(path)?.inverse();
         let is_object = environment.object(path).is_some();
         let mut objects: Vec<(String, Pose)> = Vec::new();
         let mut groups: Vec<(String, Pose)> = Vec::new();
-        // Exactly the pose that is asked for.
+        // The path itself gets exactly the requested pose.
         if is_object { &mut objects } else { &mut groups }.push((path.to_owned(), world_from_path));
         for index in environment.below(path) {
             let below = &environment.objects()[index as usize];
@@ -77,7 +77,7 @@ impl World {
         Ok(Change::of(undo))
     }
 
-    /// Deletes an object alone, or a group with all that is below.
+    /// Deletes an object alone, or a group with everything below it.
     pub(super) fn delete_path(&mut self, path: String) -> Result<Change> {
         if self.environment.object(&path).is_some() {
             return self.delete_object(path);
@@ -89,7 +89,7 @@ impl World {
         let mut groups: Vec<String> = environment.groups_below(&path).map(|(path, _)| path.to_owned()).collect();
         groups.push(path);
         let mut undo = Vec::with_capacity(groups.len() + objects.len());
-        // What is below first: no path then becomes a group by the way.
+        // Delete the objects below first, so that no path turns into a group on the way.
         while let Some(name) = objects.pop() {
             undo.push(self.delete_object(name)?);
         }
@@ -126,13 +126,13 @@ impl World {
         environment.delete(&name)?;
         self.note(|_| Revert::Delete { object, mesh });
         if self.environment.has_below(&name) {
-            // Inserting the object again takes this away.
+            // Inserting the object again removes this frame.
             self.keep_frame(name, world_from_object);
         }
         Ok(Change::of(undo))
     }
 
-    /// Gives a path a frame of a pose that was checked; returns the one before.
+    /// Sets the frame of a path to a checked pose; returns the previous frame.
     fn keep_frame(&mut self, path: String, pose: Pose) -> Option<Pose> {
         let before = Arc::make_mut(&mut self.environment).keep_frame(path.clone(), pose);
         self.note(|_| Revert::Frame { path, frame: before });

@@ -41,7 +41,7 @@ fn hash(world: &World) -> crate::environment::ContentHash {
     world.environment().content_hash()
 }
 
-/// Applies and undoes; the answer is the world in between.
+/// Applies and undoes a change; returns the world in between.
 fn there_and_back(world: &mut World, change: Change) -> World {
     let before = hash(world);
     let undo = world.apply_unchecked(change).unwrap();
@@ -51,7 +51,7 @@ fn there_and_back(world: &mut World, change: Change) -> World {
     assert_eq!(hash(world), before);
     world.index().assert_well_formed(world.environment());
     let undo = world.apply_unchecked(redo).unwrap();
-    assert_eq!(hash(world), hash(&between), "what undoes the undoing is the change");
+    assert_eq!(hash(world), hash(&between), "undoing the undo restores the change");
     world.apply_unchecked(undo).unwrap();
     assert_eq!(hash(world), before);
     between
@@ -70,7 +70,7 @@ fn what_is_below_moves_along_and_back_to_the_bit() {
     assert_eq!(pose(&alone, "cart/wheel"), pose(&world, "cart/wheel"));
 }
 
-/// A hall in which nothing but the doors has a mesh; one group was given a frame.
+/// A hall in which only the doors have a mesh, and one group was given a frame.
 fn hall() -> World {
     let mut environment = Arc::unwrap_or_clone(world().into_environment());
     let mesh = environment.objects()[0].mesh.clone();
@@ -114,7 +114,7 @@ fn a_group_moves_with_all_that_is_below_and_back_to_the_bit() {
         }
         assert_eq!(pose_of(&moved, "hall door"), pose_of(&world, "hall door"));
     }
-    // A group without a frame of its own has that of the one above, until it is moved.
+    // A group without its own frame inherits the one above until it is moved.
     assert_eq!(pose_of(&world, "hall/door"), pose_of(&world, "hall"));
     let moved = there_and_back(&mut world, Change::MoveObject { name: "hall/door".into(), world_from_object: to });
     assert_eq!((pose_of(&moved, "hall/door"), pose_of(&moved, "hall")), (to, pose_of(&world, "hall")));
@@ -157,7 +157,7 @@ fn a_group_is_deleted_with_all_that_is_below() {
     assert!(world.apply_unchecked(Change::DeleteObject { name: "hal".into() }).is_err());
 }
 
-/// A path stays movable when its object goes, and takes over what is below when an object comes.
+/// A path stays movable when its object is deleted, and owns everything below when an object is inserted.
 #[test]
 fn paths_change_between_object_and_group() {
     let mut world = hall();
@@ -173,7 +173,7 @@ fn paths_change_between_object_and_group() {
         assert_eq!(pose_of(&with, name), at(9.0, 0.5));
         assert!(!with.environment().groups().contains_key(name));
     }
-    // What stands between does not hinder.
+    // Other changes in between do not interfere.
     let all = Change::Group(vec![
         Change::DeleteObject { name: "cart".into() },
         Change::MoveObject { name: "cart".into(), world_from_object: at(2.0, 2.0) },
@@ -255,7 +255,7 @@ fn impossible_changes_are_refused() {
         Change::SetTolerance { class: String::new(), tolerance: 1.0 },
         Change::InsertFeature { class: String::new(), feature: point(1, None) },
     ];
-    // Below a path nothing may go too far either.
+    // Objects below a moved path must not go too far away either.
     let near_the_end = Pose { translation: DVec3::new(9.999_999_999_99e11, 0.0, 0.0), ..Pose::IDENTITY };
     let e =
         world.apply_unchecked(Change::MoveObject { name: "hall".into(), world_from_object: near_the_end }).unwrap_err();
@@ -269,7 +269,7 @@ fn impossible_changes_are_refused() {
     assert_eq!(world.version(), 1);
 }
 
-/// All that an environment holds, numbers, slots and what is used up included.
+/// The whole environment, including numbers, slots and retired ids.
 fn everything(world: &World) -> String {
     format!("{:?} {}", world.environment(), world.version())
 }
@@ -325,7 +325,7 @@ fn a_group_that_fails_leaves_no_trace() {
 }
 
 impl World {
-    /// That the steps of the test above do something: else nothing would have to be taken back.
+    /// Checks that the steps of the test above change something, so that there is something to revert.
     fn step_and_back(&self, changes: Vec<Change>) {
         let mut other = World::new(self.environment().as_ref().clone());
         let empty = changes.is_empty();
@@ -334,10 +334,10 @@ impl World {
     }
 }
 
-/// Of a class: ids and objects of its features, and the objects with covariances.
+/// For a class: ids and objects of its features, and the objects with covariances.
 type Listed = (String, Vec<(u32, Option<String>)>, Vec<String>);
 
-/// What the layers hold, in order.
+/// The content of all layers, in order.
 fn listed(world: &World) -> Vec<Listed> {
     let of = |layer: &crate::environment::FeatureLayer| {
         let features = layer.features.iter().map(|f| (f.id, f.object.clone())).collect();
@@ -346,7 +346,7 @@ fn listed(world: &World) -> Vec<Listed> {
     world.environment().layers().iter().map(of).collect()
 }
 
-/// Some 120 changes of features, covariances and objects, in an order that only its seed knows; some are refused.
+/// Some 120 changes of features, covariances and objects, in random order; some are refused.
 fn many_changes(seed: u64) -> Vec<Change> {
     let mut random = crate::random::SplitMix64(seed);
     let mesh = world().environment().objects()[0].mesh.clone();
@@ -370,8 +370,7 @@ fn many_changes(seed: u64) -> Vec<Change> {
     (0..120).map(|_| change()).collect()
 }
 
-/// Changes of many features at once take another way than one by one, and so do those in a row, to the same environment and the
-/// same undoing.
+/// Changes of many features, or in a series, use other code than single ones. Environment and undo must be equal.
 #[test]
 fn many_features_at_once_are_as_one_by_one() {
     for seed in 0..40 {
@@ -399,7 +398,7 @@ fn many_features_at_once_are_as_one_by_one() {
         together.index().assert_well_formed(together.environment());
         together.apply_unchecked(inverse).unwrap();
         assert_eq!(hash(&together), hash(&world()), "{seed}");
-        // What is refused at the end leaves nothing behind.
+        // A refused change at the end leaves no trace of the others.
         let refused = Change::DeleteFeature { class: "video".into(), id: 41 };
         let mut together = world();
         let before = everything(&together);
@@ -410,7 +409,7 @@ fn many_features_at_once_are_as_one_by_one() {
     }
 }
 
-/// Seconds that this thread has worked, as far as the system tells; what else the machine does is not among them.
+/// CPU seconds of this thread if the system reports them, so that other load does not count.
 fn own_seconds() -> f64 {
     static START: std::sync::LazyLock<std::time::Instant> = std::sync::LazyLock::new(std::time::Instant::now);
     let told = std::fs::read_to_string("/proc/thread-self/schedstat").ok();
@@ -418,7 +417,7 @@ fn own_seconds() -> f64 {
     worked.map_or_else(|| START.elapsed().as_secs_f64(), |ns| ns as f64 * 1e-9)
 }
 
-/// What deletes a group costs by its features, not by their square. The limit is far from both: it holds on any machine.
+/// Deleting a group takes time linear in its features, not quadratic. The limit is far from both on any machine.
 #[test]
 fn a_group_with_many_features_is_deleted_and_brought_back_soon() {
     const SOON: f64 = 30.0;
@@ -454,7 +453,7 @@ fn a_group_with_many_features_is_deleted_and_brought_back_soon() {
     }
 }
 
-/// A predictor keeps no version of the world: the next change works in place. A reader that does keep one costs a copy.
+/// A predictor keeps no version of the world, so the next change works in place. A reader that keeps one causes a copy.
 #[test]
 fn a_change_after_a_prediction_copies_nothing() {
     use presight_predict::{Backend, Options, Predictor, Request};

@@ -143,15 +143,15 @@ const FEATURES: &[(&str, &str)] = &[
     ),
     (
         r#"{"id": 1, "kind": "fiducial", "points": [[0, 0, 1], [2, 0, 1], [2, 0, 0], [0, 0, 0]], "properties": {"family": "x", "code": 1}}"#,
-        "are no square",
+        "do not form a square",
     ),
     (
         r#"{"id": 1, "kind": "fiducial", "points": [[0, 0, 1], [1, 0, 0], [1, 0, 1], [0, 0, 0]], "properties": {"family": "x", "code": 1}}"#,
-        "are no square",
+        "do not form a square",
     ),
     (
         r#"{"id": 1, "kind": "fiducial", "points": [[0, 0, 1], [1, 0, 1], [1, 0, 0], [0, 0, 0]], "properties": {"family": "DICT_4X4_50", "code": 50}}"#,
-        "code 50 is not among its 50",
+        "code 50 is not below 50",
     ),
     (
         r#"{"id": 1, "kind": "fiducial", "points": [[0, 0, 1], [1, 0, 1], [1, 0, 0], [0, 0, 0]], "properties": {"family": "DICT_8X8_50", "code": 1}}"#,
@@ -192,8 +192,8 @@ const FILES: &[(&str, &str, &str)] = &[
     ("\"class\": \"video\",", "", "missing field `class`"),
     ("\"video\"", "\"\"", "the sensor class is empty"),
     ("\"video\"", "7", "line 4"),
-    ("\"tolerance\": 0.002", "\"tolerance\": 0", "the tolerance 0 is no length"),
-    ("\"tolerance\": 0.002", "\"tolerance\": -1", "the tolerance -1 is no length"),
+    ("\"tolerance\": 0.002", "\"tolerance\": 0", "the tolerance 0 is not a valid length"),
+    ("\"tolerance\": 0.002", "\"tolerance\": -1", "the tolerance -1 is not a valid length"),
     ("\"tolerance\"", "\"tolerence\"", "unknown field `tolerence`"),
     ("1e-6]", "]", "line 7"),
     ("0, 1e-6]", "1e-6]", "35 numbers for object \"hall/door\""),

@@ -1,4 +1,4 @@
-//! Building a tree, or a part of one anew: sorting by halves, then linking nodes and buckets.
+//! Builds a tree, or rebuilds a part of one: orders entries by halving, then links nodes and buckets.
 
 use super::{Bucket, Entry, LEAF, NOWHERE, Node, Skd};
 use crate::index::SplitAxis;
@@ -6,11 +6,11 @@ use crate::index::boxes::{Box32, Boxes8};
 use crate::threads::parallel_or_here;
 use std::sync::atomic::{AtomicU8, Ordering};
 
-/// Below this a task of its own costs more than it saves.
+/// Smaller tasks are not worth running in parallel.
 const PARALLEL: usize = 8192;
 
 impl<const K: usize> Skd<K> {
-    /// Makes everything anew from entries.
+    /// Rebuilds the whole tree from entries.
     pub(super) fn fill(&mut self, entries: &mut [Entry]) {
         self.nodes.clear();
         self.buckets.clear();
@@ -31,7 +31,7 @@ impl<const K: usize> Skd<K> {
         }
     }
 
-    /// Builds a subtree of entries, at most `capacity` in a bucket; the answer is its reference and its box.
+    /// Builds a subtree of entries, with at most `capacity` in a bucket. Returns its reference and its box.
     pub(super) fn subtree(&mut self, entries: &mut [Entry], parent: u32, capacity: usize) -> (u32, Box32) {
         let levels = (usize::BITS - entries.len().div_ceil(capacity).leading_zeros() + 1) as usize;
         let axes: Vec<AtomicU8> = (0..1usize << levels).map(|_| AtomicU8::new(0)).collect();
@@ -112,11 +112,11 @@ impl<const K: usize> Skd<K> {
     }
 }
 
-/// Sorts entries into halves of halves until they fit a bucket, and notes the axis of each split at its place (1 is the
-/// root, 2 and 3 its halves, ..).
+/// Orders entries by recursive halving until they fit a bucket, and records the axis of each split by heap position (1
+/// is the root, 2 and 3 its halves, ..).
 fn order<const K: usize>(entries: &mut [Entry], capacity: usize, place: usize, split: SplitAxis, axes: &[AtomicU8]) {
     if entries.len() <= capacity {
-        // Rising ids: neighbours of a mesh stay together.
+        // By rising id, so that neighbours of a mesh stay together.
         entries.sort_unstable_by_key(|e| e.id);
         return;
     }
@@ -149,13 +149,13 @@ fn order<const K: usize>(entries: &mut [Entry], capacity: usize, place: usize, s
     }
 }
 
-/// Buckets that halving makes of so many entries.
+/// Number of buckets that halving makes of `count` entries.
 fn leaves_of(count: usize, capacity: usize) -> usize {
     if count <= capacity {
         return 1;
     }
     let half = count / 2;
-    // Both halves differ by at most one: the same depth but at a boundary.
+    // Both halves differ by at most one entry.
     if count.is_multiple_of(2) {
         2 * leaves_of(half, capacity)
     } else {

@@ -1,5 +1,5 @@
-//! Spatial-kD tree: ids by centroid; nodes hold the hyperplane and how far the ids of each side reach over it (Ooi,
-//! Sacks-Davis and McDonell, "Spatial indexing by binary decomposition and spatial bounding", 1987/1991).
+//! Spatial-kD tree: ids by centroid. Each node holds a hyperplane and how far the ids of each side extend across it
+//! (Ooi, Sacks-Davis and McDonell, "Spatial indexing by binary decomposition and spatial bounding", 1987/1991).
 
 mod build;
 mod query;
@@ -11,44 +11,44 @@ use glam::DVec3;
 
 /// A spatial-kD tree over the first `K` axes.
 ///
-/// Leaves are buckets of boxes, tested eight at a time. A subtree in which as many changes were made as it had entries
-/// when it was built is built anew, so that the whole stays near what a fresh build would be.
+/// Leaves are buckets of boxes, tested eight at a time. A subtree is rebuilt after as many changes as it had entries
+/// when built, so the tree stays close to a fresh build.
 #[derive(Clone, Debug)]
 pub struct Skd<const K: usize> {
     params: Params,
     origin: DVec3,
-    /// Holds every box since the last full build.
+    /// Contains every box since the last full build.
     reach: Box32,
     root: u32,
     count: usize,
     nodes: Vec<Node>,
     buckets: Vec<Bucket>,
-    /// `width` groups of eight lanes a bucket, and the id in each lane.
+    /// `width` groups of eight lanes per bucket, and the id in each lane.
     boxes: Vec<Boxes8>,
     ids: Vec<u32>,
     /// Lane of each id, or NOWHERE.
     places: Vec<u32>,
     free_nodes: Vec<u32>,
     free_buckets: Vec<u32>,
-    /// Groups of lanes of a bucket.
+    /// Groups of lanes per bucket.
     width: usize,
 }
 
 #[derive(Clone, Copy, Debug)]
 struct Node {
-    /// Hyperplane: twice a centroid's coordinate; below goes low.
+    /// Hyperplane: twice a centroid's coordinate; smaller values are on the low side.
     split: f32,
-    /// How far the low side reaches up, and the high side down.
+    /// Upper end of the low side's boxes, and lower end of the high side's.
     low_max: f32,
     high_min: f32,
     low: u32,
     high: u32,
     parent: u32,
-    /// Entries below, when it was built, and changes since.
+    /// Number of entries below when it was built, and changes since.
     built: u32,
     changes: u32,
     axis: u8,
-    /// No larger than the least cell: its children are not tested.
+    /// No larger than the least cell, so its children are not tested.
     small: bool,
 }
 
@@ -71,7 +71,7 @@ const NOWHERE: u32 = u32::MAX;
 const LEAF: u32 = 1 << 31;
 
 impl<const K: usize> Skd<K> {
-    /// Builds a tree; of an id given twice the last box counts.
+    /// Builds a tree. If an id occurs twice, its last box is used.
     pub fn build(params: Params, boxes: &[(u32, Aabb)]) -> Self {
         let whole = boxes.iter().fold(Aabb::EMPTY, |all, (_, b)| all.union(*b));
         let width = params.cell_polygons.clamp(1, 1 << 16).div_ceil(LANES);
@@ -94,7 +94,7 @@ impl<const K: usize> Skd<K> {
             boxes.iter().map(|(id, b)| Entry { b: Box32::around(b, tree.origin), id: *id }).collect();
         let ids = entries.iter().map(|e| e.id as usize + 1).max().unwrap_or(0);
         tree.places = vec![NOWHERE; ids];
-        // The last of equal ids wins: earlier ones are dropped before anything is built.
+        // The last of equal ids is kept; earlier ones are dropped before building.
         for (i, e) in entries.iter().enumerate() {
             tree.places[e.id as usize] = i as u32;
         }
@@ -133,7 +133,7 @@ impl<const K: usize> Skd<K> {
         Entry { b: self.boxes[at / LANES].get(at % LANES), id: self.ids[at] }
     }
 
-    /// Entries below a reference, appended; what held them is freed.
+    /// Appends the entries below a reference and frees its nodes and buckets.
     fn unlink(&mut self, from: u32, entries: &mut Vec<Entry>) {
         let mut stack = vec![from];
         while let Some(at) = stack.pop() {
@@ -152,7 +152,7 @@ impl<const K: usize> Skd<K> {
         }
     }
 
-    /// Notes a change below `parent` on the way to the root, and builds the highest worn-out subtree anew.
+    /// Counts a change on the path from `parent` to the root, and rebuilds the highest worn-out subtree.
     fn wear(&mut self, parent: u32) {
         let mut worn = None;
         let mut at = parent;
@@ -169,7 +169,7 @@ impl<const K: usize> Skd<K> {
         }
     }
 
-    /// Builds the subtree at a reference anew and tightens what its parent knows of it.
+    /// Rebuilds the subtree at a reference and tightens the bound in its parent.
     fn renew(&mut self, at: u32) {
         let parent =
             if at & LEAF == 0 { self.nodes[at as usize].parent } else { self.buckets[(at & !LEAF) as usize].parent };
@@ -193,7 +193,7 @@ impl<const K: usize> Skd<K> {
         }
     }
 
-    /// Takes a child out that holds nothing: its sibling moves up in its parent's place.
+    /// Removes an empty child: its sibling takes its parent's place.
     fn drop_child(&mut self, parent: u32, child: u32) {
         let node = self.nodes[parent as usize];
         let sibling = if node.low == child { node.high } else { node.low };
@@ -216,7 +216,7 @@ impl<const K: usize> Skd<K> {
         }
     }
 
-    /// The bucket for a box; nodes on the way are widened.
+    /// The bucket for a box. Widens the nodes on the way.
     fn descend(&mut self, b: &Box32) -> u32 {
         let mut at = self.root;
         while at & LEAF == 0 {
@@ -240,7 +240,7 @@ impl<const K: usize> Skd<K> {
         let mut entries: Vec<Entry> = (first..first + self.capacity()).map(|i| self.entry(i)).collect();
         self.buckets[bucket as usize].count = 0;
         self.free_buckets.push(bucket);
-        // As if a bucket held one less: two halves.
+        // A capacity lower by one forces two halves.
         let (new, _) = self.subtree(&mut entries, parent, self.capacity() - 1);
         if parent == NOWHERE {
             self.root = new;

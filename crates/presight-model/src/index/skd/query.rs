@@ -1,4 +1,4 @@
-//! Queries of a tree.
+//! Queries of a spatial-kD tree.
 
 use super::{LEAF, NOWHERE, Node, Skd};
 use crate::index::boxes::{Box32, LANES, Shift};
@@ -29,7 +29,7 @@ impl<const K: usize> Traversal for Skd<K> {
             }
             let node = &self.nodes[at as usize];
             if node.small {
-                // Below the least cell: no more cells, only what they hold.
+                // Below the least cell size, test only the boxes.
                 self.leaves_below(at, shape, shift, found);
                 continue;
             }
@@ -41,7 +41,7 @@ impl<const K: usize> Traversal for Skd<K> {
 }
 
 impl<const K: usize> Skd<K> {
-    /// The boxes of a node's children within its own.
+    /// The boxes of a node's children, within its own box.
     #[inline(always)]
     pub(super) fn halves(node: &Node, b: &Box32) -> (Box32, Box32) {
         let (mut low, mut high) = (*b, *b);
@@ -51,7 +51,7 @@ impl<const K: usize> Skd<K> {
         (low, high)
     }
 
-    /// Ids of everything below a reference, without a test.
+    /// Collects all ids below a reference without testing them.
     #[inline(always)]
     fn take(&self, from: u32, found: &mut QueryResult) {
         let floor = found.stack.len();
@@ -110,7 +110,7 @@ impl<const K: usize> Skd<K> {
         let ids = &self.ids[bucket * self.capacity()..][..count];
         let boxes = &self.boxes[bucket * self.width..][..self.width];
         for (ids, boxes) in ids.chunks(LANES).zip(boxes) {
-            // Lanes beyond the count are empty, but an infinite region knows no difference.
+            // Lanes beyond the count are empty boxes, but an infinite region would still accept them.
             let mut met = boxes.meet(shape, shift) & ((1 << ids.len()) - 1);
             while met != 0 {
                 found.ids.push(ids[met.trailing_zeros() as usize]);

@@ -1,13 +1,13 @@
 //! The inverse of the lens models, in the region where it exists.
 //!
-//! The polynomials of lens models are fitted inside the image and turn back somewhere outside: from there on several
-//! rays share one image point. The model is used in the connected region around the axis where it is one to one:
-//! - without tangential terms this is a disc; it ends where the derivative of the image radius first falls to zero,
-//!   or the denominator does (roots of polynomials, see [`super::polynomial`]); the inverse is a root in one unknown;
-//! - with them the Jacobian J = R I + 2 R' x x^T + 2 p x^T + 2 x p^T + 2 (p . x) I is still symmetric: the model is a
-//!   gradient, and one to one on every convex region in which J is positive definite. That holds as long as det J has
-//!   not fallen to zero on the way out from the axis, where J is the identity. With u the unit vector towards x,
-//!   a = p . u and b = p x u: det J = (g' + 6 a r) (R + 2 a r) - 4 b^2 r^2, g' the radial derivative.
+//! The polynomials of lens models are fitted inside the image and turn back outside it. Beyond that fold, several rays
+//! share one image point. The model is used in the connected region around the axis where it is one to one:
+//! - Without tangential terms this is a disc. It ends where the derivative of the image radius or the denominator first
+//!   falls to zero (roots of polynomials, see [`super::polynomial`]). The inverse is a root in one unknown.
+//! - With tangential terms the Jacobian J = R I + 2 R' x x^T + 2 p x^T + 2 x p^T + 2 (p . x) I is still symmetric: the
+//!   model is a gradient, and one to one on every convex region where J is positive definite. J is the identity at the
+//!   axis, and positive definite until det J falls to zero on the way out. With u the unit vector towards x, a = p . u
+//!   and b = p x u: det J = (g' + 6 a r) (R + 2 a r) - 4 b^2 r^2, g' the radial derivative.
 
 #[cfg(test)]
 mod tests;
@@ -16,7 +16,7 @@ use super::distortion::Distortion;
 use super::polynomial::{derivative, evaluate, product, sign_changes};
 use glam::{DMat2, DVec2, DVec3};
 
-/// Radii beyond this (within a microradian of 90 degrees from the axis) are not imaged by any lens that is no fisheye.
+/// Radii beyond this (within a microradian of 90 degrees from the axis) are imaged only by fisheyes.
 const RADIUS_LIMIT: f64 = 1e6;
 
 /// How far a solution may miss its image point, relative to the point's radius (1 if that is less).
@@ -40,10 +40,10 @@ impl Distortion {
     }
 
     /// The ray that is imaged at distorted normalized coordinates. It is not normalized, and z may be 0 or negative for
-    /// fisheyes. Returns `None` where the model folds over: beyond the image of the region around the axis in which
-    /// the model is one to one. [`Distortion::distort`] returns the coordinates of that ray to 1e-12.
+    /// fisheyes. Returns `None` beyond the fold: outside the image of the region around the axis in which the model is
+    /// one to one. [`Distortion::distort`] maps the ray back to these coordinates to 1e-12.
     ///
-    /// Finding that region costs more than using it. For many points use [`Distortion::lens`].
+    /// Finding that region takes longer than inverting a point. For many points use [`Distortion::lens`].
     ///
     /// ```
     /// use presight::Distortion;
@@ -51,16 +51,16 @@ impl Distortion {
     /// let ray = barrel.undistort(0.4, -0.2).unwrap();
     /// let (xd, yd) = barrel.distort(ray).unwrap();
     /// assert!((xd - 0.4).abs() < 1e-12 && (yd + 0.2).abs() < 1e-12);
-    /// // r (1 - 0.3 r^2) never exceeds 0.703: nothing is imaged further out.
+    /// // r (1 - 0.3 r^2) never exceeds 0.703, so nothing is imaged further out.
     /// assert!(barrel.undistort(0.71, 0.0).is_none());
     /// ```
     pub fn undistort(&self, xd: f64, yd: f64) -> Option<DVec3> {
         self.lens().undistort(xd, yd)
     }
 
-    /// Distorted normalized coordinates of a point of the optical frame (any length): pixel = (fx xd + cx,
-    /// fy yd + cy). Returns `None` for points that the model does not image: behind a lens that is not a fisheye, or outside
-    /// the region around the axis in which the model is one to one.
+    /// Distorted normalized coordinates of a point of the optical frame (any length): pixel = (fx xd + cx, fy yd + cy).
+    /// Returns `None` for points that the model does not image: points behind a lens that is not a fisheye, and points
+    /// outside the region around the axis in which the model is one to one.
     pub fn distort(&self, p_in_optical: DVec3) -> Option<(f64, f64)> {
         self.lens().distort(p_in_optical)
     }
@@ -184,7 +184,7 @@ impl Brown {
         DMat2::from_cols(DVec2::new(xx, cross), DVec2::new(cross, yy))
     }
 
-    /// True if J is positive definite at radius r where p has the components a along and b across the direction.
+    /// True if J is positive definite at radius r, where p has component a along the direction and b across it.
     fn definite(&self, r: f64, a: f64, b: f64) -> bool {
         let Radial { stretch, slope } = self.radial(r * r);
         let along = stretch + 2.0 * slope * r * r + 6.0 * a * r;
@@ -192,13 +192,13 @@ impl Brown {
         along > 0.0 && across > 0.0 && along * across > 4.0 * b * b * r * r
     }
 
-    /// The radius up to which J is positive definite whatever the direction of the tangential terms.
+    /// The radius up to which J is positive definite for any direction of the tangential terms.
     fn safe_radius(&self) -> f64 {
         let p = self.tangential.length();
         if p == 0.0 {
             return self.radial_fold;
         }
-        // |a| and |b| are at most |p|, and not both; this asks for a little more than is needed.
+        // Conservative: |a| and |b| are at most |p|, but cannot both reach it.
         let mut good = 0.0;
         let mut bad = 1e-3;
         while bad < self.radial_fold && self.definite(bad, -p, p) {
@@ -219,12 +219,12 @@ impl Brown {
             || self.tangential != DVec2::ZERO && radius < self.pole && self.fold(x / radius, radius).is_none()
     }
 
-    /// The first radius towards a unit vector, beyond the safe one and up to `end`, at which J is not positive definite.
+    /// The first radius along `towards`, beyond the safe one and up to `end`, at which J is not positive definite.
     fn fold(&self, towards: DVec2, end: f64) -> Option<f64> {
         let (a, b) = (self.tangential.dot(towards), self.tangential.perp_dot(towards));
         let mut r = self.safe;
         while r < end {
-            // Not clamp, which panics where the end comes before the first step.
+            // Not `clamp`, which panics if `end` is below the first step.
             r = (r * 1.002).max(1e-6).min(end);
             if !self.definite(r, a, b) {
                 return Some(r);
@@ -233,7 +233,7 @@ impl Brown {
         None
     }
 
-    /// The largest image radius on the boundary of the region; its outline is smooth, so some directions suffice.
+    /// The largest image radius on the boundary of the region. Its outline is smooth, so sampled directions suffice.
     fn image_reach(&self) -> f64 {
         let mut reach: f64 = 0.0;
         for k in 0..90 {
@@ -262,12 +262,12 @@ impl Brown {
         if self.tangential == DVec2::ZERO {
             return radial.map(|r| xd * (r / radius));
         }
-        // The radial solution is near; where it leads nowhere the way from the axis decides.
+        // The radial solution is usually close. If Newton fails from there, follow the path from the axis.
         let near = radial.map(|r| xd * (r / radius)).and_then(|start| self.newton(start, xd));
         near.filter(|x| self.contains(*x)).or_else(|| self.follow(xd)).filter(|x| self.contains(*x))
     }
 
-    /// Newton's method, never leaving the region where J is positive definite; `None` if it does not get there.
+    /// Newton's method, kept inside the region where J is positive definite. Returns `None` if it does not converge.
     fn newton(&self, start: DVec2, target: DVec2) -> Option<DVec2> {
         let tolerance = RESIDUAL * target.length().max(1.0);
         let mut x = start;
@@ -288,7 +288,7 @@ impl Brown {
                 }
                 scale *= 0.5;
                 if scale < 1e-9 {
-                    // No nearer in floating point: as good as it gets.
+                    // No further progress in floating point.
                     return (miss.length() <= tolerance).then_some(x);
                 }
             };
@@ -300,7 +300,7 @@ impl Brown {
         (miss.length() <= tolerance).then_some(x)
     }
 
-    /// Moves the image point from the axis outwards and the solution with it, so that it stays in the region.
+    /// Moves the image point outwards from the axis and tracks the solution, which thus stays in the region.
     fn follow(&self, target: DVec2) -> Option<DVec2> {
         let (mut x, mut done, mut stride) = (DVec2::ZERO, 0.0f64, 0.25);
         while done < 1.0 {

@@ -15,7 +15,7 @@ fn models() -> impl Strategy<Value = Distortion> {
     ]
 }
 
-/// The formulas of OpenCV's documentation, written once more and without any region.
+/// The formulas of OpenCV's documentation, written independently and without a valid region.
 fn textbook(model: &Distortion, p: DVec3) -> (f64, f64) {
     let (x, y) = (p.x / p.z, p.y / p.z);
     let s = x * x + y * y;
@@ -37,7 +37,7 @@ fn textbook(model: &Distortion, p: DVec3) -> (f64, f64) {
     }
 }
 
-/// The radius (angle for fisheyes) at which the image point first stops moving outwards, by small steps.
+/// The radius (angle for fisheyes) at which the image point first stops moving outwards, found by small steps.
 fn fold_by_steps(model: &Distortion, direction: f64, end: f64) -> f64 {
     let ray = |r: f64| match model {
         Distortion::Equidistant(_) => DVec3::new(r.sin() * direction.cos(), r.sin() * direction.sin(), r.cos()),
@@ -74,7 +74,7 @@ proptest! {
     #[test]
     fn rays_before_the_fold_come_back(model in models(), direction in -3.2..3.2f64, t in 0.0..0.98f64) {
         let fisheye = matches!(model, Distortion::Equidistant(_));
-        // A tangential term bends the way outwards: stay a little further away from the fold.
+        // A tangential term bends the path outwards, so stay further away from the fold.
         let r = t * fold_by_steps(&model, direction, if fisheye { std::f64::consts::PI } else { 2.0 })
             * if model.coefficients().len() > 4 { 0.9 } else { 1.0 };
         let ray = if fisheye {
@@ -104,7 +104,7 @@ proptest! {
     }
 }
 
-/// Neighbouring image points have neighbouring rays all over the region, and it has no holes.
+/// Neighbouring image points have neighbouring rays across the whole region, and it has no holes.
 #[test]
 fn the_inverse_is_continuous_and_its_region_has_no_holes() {
     let barrel = Distortion::PlumbBob([-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05, 0.0]);
@@ -121,7 +121,7 @@ fn the_inverse_is_continuous_and_its_region_has_no_holes() {
                 match lens.undistort(r * cos, r * sin).map(DVec3::normalize) {
                     Some(ray) => {
                         assert!(!ended, "{model:?}: a hole before {r} at {k}");
-                        // Before the fold the step grows like a square root.
+                        // Near the fold the step grows like a square root.
                         assert!(ray.angle_between(last) < 0.08, "{model:?}: a jump at {r}, {k}");
                         last = ray;
                     }
@@ -132,7 +132,7 @@ fn the_inverse_is_continuous_and_its_region_has_no_holes() {
     }
 }
 
-/// A polynomial maps far rays back inside the image: they must not be taken for the near ones, nor the near for far.
+/// The fold of this polynomial lies nearer than the first search step; results must still be finite.
 #[test]
 fn a_fold_nearer_than_the_first_step_is_found() {
     let lens = Distortion::PlumbBob([-0.25, 0.07, 1e9, -0.002, 0.0]).lens();
@@ -168,7 +168,7 @@ fn fold_over_is_no_ray() {
     assert!(lens.undistort(f64::NAN, 0.0).is_none());
 }
 
-/// The planted fault: a forward map whose fold is ignored reaches the same image point twice.
+/// Planted fault: a forward map that ignores its fold reaches the same image point twice.
 #[test]
 fn the_fold_by_steps_is_a_fold() {
     let fold = Distortion::PlumbBob([-0.3, 0.0, 0.0, 0.0, 0.0]);
