@@ -1,19 +1,19 @@
-//! Who may do what with a file that takes the place of another.
+//! Access rights of a file that replaces another.
 
 use std::fs::File;
 use std::io;
 
-/// Gives a new file owner, group, mode and access list of the one whose place it takes, as far as the system allows, and
-/// nobody more rights than before.
+/// Copies owner, group, mode and access list of the replaced file, as far as the system allows. Nobody gets more rights
+/// than before.
 ///
 /// # Errors
-/// The system's, if what it allows cannot be known or set.
+/// The system's error, if rights cannot be read or set.
 #[cfg(unix)]
 pub(super) fn keep(old: &File, new: &File) -> io::Result<()> {
     use std::fs::Permissions;
     use std::os::unix::fs::{MetadataExt, PermissionsExt, fchown};
     let (was, is) = (old.metadata()?, new.metadata()?);
-    // The group first: who gave the file away may not change it any more.
+    // Group first: once the owner is changed, this process may no longer change the group.
     let group = is.gid() == was.gid() || fchown(new, None, Some(was.gid())).is_ok();
     let owner = is.uid() == was.uid() || fchown(new, Some(was.uid()), None).is_ok();
     let mode = match list_kept(old, new, owner && group)? {
@@ -29,8 +29,8 @@ pub(super) fn keep(_: &File, _: &File) -> io::Result<()> {
     Ok(())
 }
 
-/// A mode without the rights of those who were in another class before: who lost the file is now of its group or among all
-/// others, and its new group was among all others.
+/// Reduces a mode if owner or group could not be kept: the old owner is now among group or others, and the new group
+/// was among others.
 #[cfg(unix)]
 fn mode_kept(mode: u32, owner: bool, group: bool) -> u32 {
     let [of_owner, mut of_group, mut of_others] = [6, 3, 0].map(|shift| (mode >> shift) & 0o7);
@@ -43,8 +43,8 @@ fn mode_kept(mode: u32, owner: bool, group: bool) -> u32 {
     (of_owner << 6) | (of_group << 3) | of_others
 }
 
-/// Copies the list of other users' and groups' rights, or removes the one that the folder gave. False if rights were listed
-/// and cannot be kept.
+/// Copies the access list (POSIX ACL), or removes the one inherited from the folder. Returns false if there was a list
+/// and it cannot be kept.
 #[cfg(target_os = "linux")]
 fn list_kept(old: &File, new: &File, same_owners: bool) -> io::Result<bool> {
     use rustix::fs::{XattrFlags, fgetxattr, fremovexattr, fsetxattr};
@@ -67,7 +67,7 @@ fn list_kept(old: &File, new: &File, same_owners: bool) -> io::Result<bool> {
     remove().map(|()| false)
 }
 
-/// Lists of other systems are not looked at.
+/// Access lists of other systems are ignored.
 #[cfg(all(unix, not(target_os = "linux")))]
 fn list_kept(_: &File, _: &File, _: bool) -> io::Result<bool> {
     Ok(true)
@@ -82,11 +82,11 @@ mod tests {
         for (mode, owner, group, expected) in [
             (0o100640, true, true, 0o640),
             (0o4755, true, true, 0o755),
-            // Another group: it was among all others, and the old group is now.
+            // Another group: it was among others, and the old group is now.
             (0o664, true, false, 0o644),
             (0o640, true, false, 0o600),
             (0o604, true, false, 0o600),
-            // Another owner: the old one is of the group or among all others.
+            // Another owner: the old owner is now among group or others.
             (0o644, false, true, 0o644),
             (0o277, false, true, 0o222),
             (0o246, false, false, 0o200),
@@ -95,7 +95,7 @@ mod tests {
         }
     }
 
-    /// Of a file that user 4711 may read and write, and the group may not.
+    /// The list allows user 4711 to read and write, but not the group.
     #[cfg(target_os = "linux")]
     #[test]
     fn lists_of_others_rights_are_kept_and_none_comes_from_the_folder() {
