@@ -157,7 +157,7 @@ fn notice_keys(keys: &BTreeMap<String, IgnoredAny>, notices: &mut Vec<String>) {
 fn camera(file: &File, notices: &mut Vec<String>) -> Result<Camera> {
     let &[fx, skew, cx, zero_1, fy, cy, zero_2, zero_3, one] = file.camera_matrix.as_slice() else {
         let count = file.camera_matrix.as_slice().len();
-        return Err(Error::invalid(format!("{count} numbers"), "give the 9 numbers of K, row by row").at("camera_matrix"));
+        return Err(Error::invalid(format!("{count} numbers"), "give 9 numbers, row by row").at("camera_matrix"));
     };
     if fx == 0.0 && fy == 0.0 {
         return Err(

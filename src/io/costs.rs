@@ -43,8 +43,7 @@ struct Entry {
 /// Reads learnt costs.
 ///
 /// # Errors
-/// [`ErrorKind::Invalid`] naming place and field: invalid JSON, unknown or missing keys, NaN, costs below 0, repeated
-/// keys;
+/// [`ErrorKind::Invalid`] naming place and field: invalid JSON, wrong or repeated keys, NaN, costs below 0;
 /// [`ErrorKind::Unsupported`] for a newer format.
 pub fn read(path: &Path) -> Result<CostModel> {
     read_text(path).and_then(|text| parse(&text)).map_err(|e| e.in_file(path))

@@ -77,7 +77,7 @@ impl Faults {
     pub fn check_empty(&mut self, text: &str, table: Table<'_>, known: &str) {
         for key in table.into_iter().map(|(key, _)| key) {
             let line = line_of(text, key.span().start);
-            self.note(format!("line {line}"), format!("unknown key {:?}", key.get_ref()), format!("known keys are {known}"));
+            self.note(format!("line {line}"), format!("unknown key {:?}", key.get_ref()), format!("known: {known}"));
         }
     }
 

@@ -145,8 +145,7 @@ pub fn write_rays(path: &Path, sensor: &Sensor) -> Result<()> {
 }
 
 /// An array of the images of many poses, written pose by pose. Its shape is (poses, rows, columns), or (poses, rows,
-/// columns, 3) for vectors. Until it is complete, it is named `NAME.npy.unfinished`, and a later process can continue
-/// it.
+/// columns, 3) for vectors. Until complete, it is named `NAME.npy.unfinished`, and a later process can continue it.
 #[derive(Debug)]
 pub struct Stack {
     file: File,
@@ -194,7 +193,7 @@ impl Stack {
     /// Writes the image of one pose.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] for an image of another size or type; [`crate::ErrorKind::System`] if it cannot be written.
+    /// [`crate::ErrorKind::Invalid`] for an image of another size or type; [`crate::ErrorKind::System`] for I/O errors.
     pub fn put(&mut self, pose: usize, values: Values<'_>) -> Result<()> {
         if values.descr() != self.descr || 4 * values.len() as u64 != self.bytes_per_pose {
             let what = format!("an image of {} {} does not fit the array", values.len(), values.descr());

@@ -49,8 +49,8 @@ impl<'a> PointCloud<'a> {
     /// Computes the points of a range image: the sensor's f64 ray times the range. Pixels without a range become NaN.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if there is no range image, or an image does not have the sensor's size; errors of
-    /// [`Pose::check`].
+    /// [`crate::ErrorKind::Invalid`] if the range image is missing, or an image does not have the sensor's size;
+    /// errors of [`Pose::check`].
     pub fn new(images: &'a Images, sensor: &Sensor, world_from_sensor: &Pose, frame: PointsFrame) -> Result<Self> {
         world_from_sensor.check()?;
         let pixels = sensor.width() as usize * sensor.height() as usize;

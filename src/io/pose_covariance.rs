@@ -7,7 +7,7 @@ use crate::features::roi::PoseCovariance;
 use crate::limits;
 use std::path::Path;
 
-/// Reads `sx,sy,sz,sroll_deg,spitch_deg,syaw_deg` (standard deviations, metres and degrees), or the JSON file that the text names.
+/// Reads `sx,sy,sz,sroll_deg,spitch_deg,syaw_deg` (standard deviations, metres and degrees), or the named JSON file.
 ///
 /// ```
 /// let covariance = presight::io::pose_covariance::parse("0.1,0.1,0,0,0,2")?;
@@ -17,8 +17,7 @@ use std::path::Path;
 /// ```
 ///
 /// # Errors
-/// [`crate::ErrorKind::Usage`] for invalid or negative numbers; [`crate::ErrorKind::Invalid`] for a file without a
-/// valid covariance.
+/// [`crate::ErrorKind::Usage`] for invalid or negative numbers; [`crate::ErrorKind::Invalid`] for an invalid file.
 pub fn parse(text: &str) -> Result<PoseCovariance> {
     file(text).map_or_else(|| deviations(text), from_file)
 }

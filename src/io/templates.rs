@@ -110,7 +110,7 @@ impl Template {
 fn sound<'a>(field: &str, name: &'a str) -> Result<&'a str> {
     let strange = |c: char| c.is_control() || matches!(c, '/' | '\\');
     if name.is_empty() {
-        return Err(Error::usage(format!("{field} is empty here"), "leave it out of the name"));
+        return Err(Error::usage(format!("{field} has no value here"), "leave it out of the name"));
     }
     if name.contains(strange) || name.starts_with('.') {
         let what = format!("{field} is {}, which cannot be part of a file name", quoted(name));

@@ -95,7 +95,7 @@ pub(crate) fn line_of(text: &str, offset: usize) -> usize {
 pub(crate) fn toml_from_str<T: DeserializeOwned>(text: &str) -> Result<T> {
     if text.len() as u64 > limits::MAX_SETTINGS_BYTES {
         let what = format!("the TOML has {} bytes", text.len());
-        return Err(Error::invalid(what, format!("the limit is {}: put rays into a separate file", limits::MAX_SETTINGS_BYTES)));
+        return Err(Error::invalid(what, format!("the limit is {}: put rays in a file", limits::MAX_SETTINGS_BYTES)));
     }
     toml::from_str(text).map_err(|e| {
         let wrong = Error::invalid(e.message().to_owned(), "correct the file; docs/formats.md describes its keys");

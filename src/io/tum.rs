@@ -69,8 +69,7 @@ pub struct Stream {
     ended: bool,
 }
 
-/// Opens a trajectory that may be larger than memory. An invalid line gives an error when it is reached, and ends the
-/// stream.
+/// Opens a trajectory that may be larger than memory. An invalid line gives an error when reached, and ends the stream.
 ///
 /// # Errors
 /// As for opening a file; pipes are refused, because callers read the file twice.

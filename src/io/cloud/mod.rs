@@ -80,7 +80,7 @@ fn checked(mut cloud: Cloud) -> Result<Cloud> {
     Ok(cloud)
 }
 
-/// Splits a file into the lines of its header, of which the last starts with `end`, and the data.
+/// Splits a file into the lines of its header and the data. The last line of the header starts with `end`.
 fn header<'a>(bytes: &'a [u8], end: &str) -> Result<(Vec<&'a str>, &'a [u8])> {
     const LONGEST: usize = 1 << 16;
     let mut lines = Vec::new();
@@ -89,7 +89,7 @@ fn header<'a>(bytes: &'a [u8], end: &str) -> Result<(Vec<&'a str>, &'a [u8])> {
         let length = bytes[at..].iter().position(|b| *b == b'\n').map_or(bytes.len() - at, |n| n + 1);
         let line = std::str::from_utf8(&bytes[at..at + length]);
         let wrong =
-            |_| Error::invalid("its header is not text", "give a complete file").at(format!("line {}", lines.len() + 1));
+            |_| Error::invalid("its header is not text", "give a whole file").at(format!("line {}", lines.len() + 1));
         let line = line.map_err(wrong)?.trim();
         at += length;
         lines.push(line);
@@ -97,7 +97,7 @@ fn header<'a>(bytes: &'a [u8], end: &str) -> Result<(Vec<&'a str>, &'a [u8])> {
             return Ok((lines, &bytes[at..]));
         }
     }
-    Err(Error::invalid(format!("its header has no {end}"), "give a complete file"))
+    Err(Error::invalid(format!("its header has no {end}"), "give a whole file"))
 }
 
 /// Parses a whole number of a header.

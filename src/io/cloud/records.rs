@@ -1,4 +1,4 @@
-//! Records of numbers, three of which are the coordinates of a point.
+//! Records of numbers: three are the coordinates of a point, others are ignored.
 
 use super::super::text::line_of;
 use crate::error::{Error, Result};
@@ -99,7 +99,7 @@ impl Records {
             points.push(DVec3::new(x, y, z));
         }
         if points.len() < self.count {
-            let what = format!("it has {} of the {} points in its header", points.len(), self.count);
+            let what = format!("it has {} points, but its header announces {}", points.len(), self.count);
             return Err(Error::invalid(what, "the file is truncated: write it again"));
         }
         Ok(())

@@ -1,7 +1,7 @@
 //! Folders of images: `camera.json`, 16-bit `depth/*.png`, `grey/*.png` or both, and optionally `poses.txt`.
 //!
-//! `camera.json` has `width`, `height`, `fx`, `fy`, `cx`, `cy`, optionally `distortion` (five numbers of a plumb-bob lens) and
-//! `depth_unit_m` (default 0.001). A depth of 0 means no measurement. Images are read in the order of their names. A
+//! `camera.json` has `width`, `height`, `fx`, `fy`, `cx`, `cy`, and optionally `distortion` (five numbers, plumb bob)
+//! and `depth_unit_m` (default 0.001). A depth of 0 means no measurement. Images are read in the order of their names. A
 //! name that is a number is the time in seconds; otherwise the time is the index of the frame from 0.
 //!
 //! Grey images have 8 or 16 bits; colour images are converted to luminance. A grey image belongs to the depth image of
@@ -125,7 +125,7 @@ impl DepthFolder {
         &self.sensor
     }
 
-    /// Ground truth of `poses.txt`: world_from_sensor, body axes, z up. Estimates must not use it.
+    /// Reference poses of `poses.txt`: world_from_sensor, body axes, z up. Estimates must not use them.
     pub fn reference(&self) -> &[StampedPose] {
         &self.reference
     }

@@ -373,7 +373,7 @@ fn check_format(text: &str) -> Result<()> {
 }
 
 pub(crate) fn pose_from_text(text: &str) -> Result<Pose> {
-    let wrong = || Error::invalid(format!("{} is not a valid pose", quoted(text)), "write x,y,z,qx,qy,qz,qw, finite numbers");
+    let wrong = || Error::invalid(format!("{} is not a valid pose", quoted(text)), "write finite x,y,z,qx,qy,qz,qw");
     let numbers: Vec<f64> = text.split(',').map_while(|word| word.trim().parse().ok()).collect();
     let Ok([x, y, z, qx, qy, qz, qw]) = <[f64; 7]>::try_from(numbers) else {
         return Err(wrong());

@@ -29,13 +29,12 @@ use scale::Scale;
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
-/// Writes a preview for people: one output in colours, with thin borders where `polygon_id` changes (if that image was made),
-/// a title and a scale bar.
+/// Writes a preview for people: one output in colours, with title and scale bar. If there is a `polygon_id` image, thin
+/// borders separate its ids.
 ///
 /// Range and depth_z are coloured from near (yellow) to far (violet), ids have distinct colours, cos_incidence and echo
 /// are grey, and unit vectors have 127.5 (x + 1), 127.5 (y + 1) and 127.5 (z + 1) as red, green and blue.
-/// The aspect ratio of pixels follows their angles. Images of scanners that turn counter-clockwise are mirrored, so
-/// that left is left.
+/// The aspect ratio of pixels follows their angles. Images of counter-clockwise scanners are mirrored: left is left.
 /// A scan of one row is drawn from above, with x (forward) up.
 ///
 /// # Errors

@@ -135,8 +135,7 @@ fn comparisons_have_three_panels() {
     }
 }
 
-/// Each measured point is a dot in the colour of its verdict, here ahead of a wall 4 m away, left or right of the
-/// sensor.
+/// Each measured point is a dot in the colour of its verdict, here to the left or right ahead of a wall 4 m away.
 #[test]
 fn scans_are_compared_from_above() {
     for (step, left) in [(10.0, false), (-10.0, true)] {

@@ -35,8 +35,8 @@
 //! ```
 //!
 //! `kind = "camera"`: `width, height, fx, fy, cx, cy`, and `[distortion]` with `model = "none" | "plumb_bob" |
-//! "rational_polynomial" | "equidistant" | "kannala_brandt" | "fisheye"` and `coefficients` in OpenCV's order (4 or 5, 8, 4).
-//! `kind = "rays"`: `width, height` and `directions = [[x, y, z], ..]`, row-major, body axes, `nan` for no ray; or
+//! "rational_polynomial" | "equidistant" | "kannala_brandt" | "fisheye"` and `coefficients` in OpenCV's order (4 or 5,
+//! 8, 4). `kind = "rays"`: `width, height` and `directions = [[x, y, z], ..]`, row-major, body axes, `nan` for no ray; or
 //! `file = "X.csv"`, relative to the sensor file, with one direction `x,y,z` per line and `#` for comments.
 
 #[cfg(test)]

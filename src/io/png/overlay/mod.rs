@@ -219,8 +219,7 @@ impl<F: Fn(DVec2) -> [f64; 2]> PageView<'_, F> {
         if let Some(turn) = self.turn.filter(|_| segment) {
             to.x += turn * ((from.x - to.x) / turn).round();
         }
-        // For an area, `from` and `to` bound the visible part. Across a seam that is the whole image, so its centre is
-        // tried first.
+        // `from` and `to` bound an area's visible part; across a seam that is the whole image. So try its centre first.
         let points = self.overlay.points(feature);
         let own = self.project(points.iter().sum::<DVec3>() / points.len() as f64).filter(|_| !segment);
         let mut middle = None;
