@@ -1,8 +1,8 @@
 //! presight predicts what a robot's sensors should see.
 //!
-//! It takes a polygonal 3D model, a sensor and a pose, and returns images: range, depth, which polygon and object each
-//! pixel sees, and at which angle. It also predicts which features of the model are visible, and in which image box each
-//! will be found.
+//! It takes a polygonal 3D model, a sensor and a pose, and returns images: range, depth, polygon, object and incidence
+//! angle of each pixel. It also predicts which features of the model are visible, and the image box that will contain
+//! each.
 //!
 //! # A tour
 //!

@@ -34,14 +34,14 @@ pub struct ImportReport {
     pub polygons_in_scene: u64,
     /// Merges of two neighbours into one polygon, in all used meshes.
     pub merges: u64,
-    /// Largest distance of any source vertex from the plane of the polygon it went into, metres in the world.
+    /// Largest distance of any source vertex from the plane of its merged polygon, metres in the world.
     pub largest_deviation_m: f64,
     /// Problems by kind; kinds that did not occur are left out.
     pub problems: Vec<Problem>,
 }
 
 impl ImportReport {
-    /// How often a kind of problem was found.
+    /// Number of problems of a kind.
     pub fn total(&self, kind: ProblemKind) -> u64 {
         self.problems.iter().find(|p| p.kind == kind).map_or(0, |p| p.total)
     }
@@ -67,11 +67,11 @@ pub enum ProblemKind {
     InsideOut,
     /// Points, lines, or a primitive without positions: left out.
     IgnoredPrimitive,
-    /// Indices at the end that make no whole triangle: left out.
+    /// Indices left over at the end, too few for a triangle: left out.
     LeftoverIndices,
     /// An object whose mesh has no polygon: left out.
     EmptyMesh,
-    /// Something that moves or multiplies geometry and is not followed: skins, morph targets, instancing extensions.
+    /// An unsupported glTF feature that moves or multiplies geometry: skins, morph targets, instancing extensions.
     IgnoredFeature,
     /// A feature of the scene's own layers whose surface was moved or deleted: left out of predictions.
     LostFeature,
@@ -107,7 +107,7 @@ impl ProblemKind {
             Self::IgnoredPrimitive => "primitives without triangles (left out)",
             Self::LeftoverIndices => "primitives with leftover indices (left out)",
             Self::EmptyMesh => "objects without polygons (left out)",
-            Self::IgnoredFeature => "features not followed",
+            Self::IgnoredFeature => "unsupported glTF features (ignored)",
             Self::LostFeature => "features that no longer lie on a polygon (left out of predictions)",
         }
     }

@@ -52,7 +52,7 @@ impl Number {
 pub struct Records {
     pub encoding: Encoding,
     pub count: usize,
-    /// The numbers of one record, with their names.
+    /// Names and types of the numbers in one record.
     pub numbers: Vec<(String, Number)>,
 }
 

@@ -44,7 +44,7 @@ pub fn draw(
     canvas
 }
 
-/// Draws the pixels, the borders of polygons and features into a frame.
+/// Draws pixels, polygon borders and features into a frame.
 pub fn draw_image(
     canvas: &mut Canvas,
     frame: PageRect,
