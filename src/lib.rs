@@ -1,8 +1,8 @@
 //! presight predicts what a robot's sensors should see.
 //!
-//! It takes a polygonal 3D model, a sensor and a pose, and returns images: range, depth, which polygon and object each
-//! pixel sees, and at which angle. It also predicts which features of the model are visible, and in which image box each
-//! will be found.
+//! It takes a polygonal 3D model, a sensor and a pose, and returns images: range, depth, polygon, object and incidence
+//! angle of each pixel. It also predicts which features of the model are visible, and the image box that will contain
+//! each.
 //!
 //! # A tour
 //!
@@ -34,10 +34,10 @@
 //! 2. **Sensor.** A [`Sensor`] is a [`preset`], a file ([`io::load_sensor`]), or made from a [`SensorSpec`]. [`frames`] turns
 //!    poses of robots, optical frames and glTF axes into the [`Pose`] of a sensor.
 //! 3. **Prediction.** [`Predictor::predict`] takes world, sensor, pose and [`Request`]. Its [`Prediction`] holds the
-//!    [`Images`], what is seen of each feature, the region of interest of each, and [`Stats`].
+//!    [`Images`], the visible parts and region of interest of each feature, and [`Stats`].
 //! 4. **Tasks.** [`virtual_sensors`] reduce a view, predicted or measured, to what one task needs, such as free floor.
-//! 5. **Reality.** A [`frame::Frame`] is what a sensor measured. [`verdict`] says pixel by pixel whether it is as predicted,
-//!    [`estimate`] where the robot is, and [`localize`] follows it.
+//! 5. **Reality.** A [`frame::Frame`] holds a measurement. [`verdict`] compares it with the prediction pixel by pixel,
+//!    [`estimate`] computes the robot's pose, and [`localize`] tracks it.
 //! 6. **Files.** [`io`] has one module per format: EXR, PNG, PLY, PCD, JSON, TOML.
 //!
 //! ```text
@@ -45,7 +45,7 @@
 //! Sensor, Pose, Request-+-> FramePlan -> cpu | gpu -> Prediction { images, features, stats } -> io::exr, png, ply, pcd
 //! ```
 //!
-//! A world can also be made by hand:
+//! A world can also be built in code:
 //!
 //! ```
 //! use presight::{Environment, Material, Mesh, NewObject, Options, Polygon, PolygonOrder};
@@ -117,7 +117,7 @@ pub use scene::{Scene, SceneFeatures, SceneOptions, blake3_of};
 #[doc = include_str!("../README.md")]
 struct Readme;
 
-/// So is that of the guide on features.
+/// The examples of the guide on features are doc tests, too.
 #[cfg(doctest)]
 #[doc = include_str!("../docs/features.md")]
 struct FeaturesGuide;

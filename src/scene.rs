@@ -1,4 +1,4 @@
-//! Scenes: a model from a file, as the world that predictions are made in.
+//! Scenes: models from files, opened as worlds for predictions.
 
 use crate::environment::{Feature, FeatureLayer, FeatureShape};
 use crate::error::{Error, ErrorKind, Result};
@@ -15,10 +15,10 @@ use crate::world::World;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// What a store starts with.
+/// The first bytes of a store.
 const SQLITE: &[u8; 16] = b"SQLite format 3\0";
 
-/// A scene: the world of a model, and what its file says besides.
+/// A scene: the world of a model, and further data of its file.
 ///
 /// ```
 /// use presight::Scene;
@@ -29,15 +29,15 @@ const SQLITE: &[u8; 16] = b"SQLite format 3\0";
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct Scene {
-    /// Where it was read.
+    /// The file of the scene.
     pub path: PathBuf,
-    /// The world it becomes.
+    /// The world of the scene.
     pub world: World,
-    /// How the file lies in the world; `None` for scripts and stores, which are in the world's frame.
+    /// The file's placement in the world; `None` for scripts and stores, which are in the world's frame.
     pub frame: Option<SceneFrame>,
-    /// Turns the file's axes (glTF's: y up), in metres, into the world's (z up), the `world_from_scene` of the materials file included.
+    /// Transforms the file's axes (glTF's: y up), metres, into the world (z up), `world_from_scene` included.
     pub world_from_gltf: Pose,
-    /// What the import found.
+    /// Counts and problems of the import.
     pub report: ImportReport,
 }
 
@@ -47,7 +47,7 @@ pub struct Scene {
 /// use presight::index::Scheme;
 /// use presight::io::gltf::ImportOptions;
 /// use presight::{Scene, SceneOptions};
-/// // For `source` ids: every triangle stays a polygon.
+/// // Without merging, every triangle stays a polygon, as `source` ids need it.
 /// let import = ImportOptions { merge: false, ..ImportOptions::default() };
 /// let options = SceneOptions::default().with_import(import).with_index(Scheme::S3d);
 /// let scene = Scene::open_with("scenes/room.glb", &options, &mut |line| println!("{line}"))?;
@@ -64,13 +64,13 @@ pub struct SceneOptions {
 }
 
 impl SceneOptions {
-    /// With other options of the import.
+    /// Sets the options of the import.
     #[must_use]
     pub fn with_import(self, import: ImportOptions) -> Self {
         Self { import, ..self }
     }
 
-    /// With another index.
+    /// Sets the index.
     #[must_use]
     pub fn with_index(self, index: Scheme) -> Self {
         Self { index, ..self }
@@ -88,16 +88,16 @@ pub struct SceneFeatures {
 
 impl Scene {
     /// Opens a scene with the default options: a glTF model (`.glb`, `.gltf`) with its `SCENE.materials.toml`, a scene script
-    /// (`.rhai`), or a stored environment (`.presight`). What a script prints is dropped.
+    /// (`.rhai`), or a stored environment (`.presight`). The output of a script is dropped.
     ///
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] naming file and place; [`crate::ErrorKind::System`] if it cannot be read;
-    /// [`crate::ErrorKind::Unsupported`] for what this build cannot read.
+    /// [`crate::ErrorKind::Unsupported`] for a format that this build cannot read.
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
         Self::open_with(path, &SceneOptions::default(), &mut |_| {})
     }
 
-    /// As [`Scene::open`], with options; `say` hears each line that a script prints.
+    /// As [`Scene::open`], with options; `say` receives each line that a script prints.
     ///
     /// # Errors
     /// As [`Scene::open`].
@@ -123,9 +123,9 @@ impl Scene {
         Ok(Self { path: path.to_owned(), world, frame, world_from_gltf, report: imported.report })
     }
 
-    /// Reads layer files over the scene's own layer for a sensor class, and finds the polygons of the features. Later layers
-    /// win by id. Features of the scene's own layer that have lost their surface are left out and listed; those of a file
-    /// must lie on polygons, unless the file says that they lost theirs.
+    /// Reads layer files on top of the scene's own layer for a sensor class, and finds the polygons of the features. A
+    /// later layer replaces features with the same id. Features of the scene's own layer that have lost their surface
+    /// are left out and listed. Features of a file must lie on polygons, unless the file lists them as lost.
     ///
     /// ```
     /// use presight::Scene;
@@ -141,12 +141,12 @@ impl Scene {
     /// ```
     ///
     /// # Errors
-    /// Those of [`layer::load`] and [`place`], naming the layer's file.
+    /// Errors of [`layer::load`] and [`place`], naming the layer's file.
     pub fn place_layers<P: AsRef<Path>>(&self, files: &[P], class: &str) -> Result<SceneFeatures> {
         self.place_layers_of(files, class, |_| true)
     }
 
-    /// As [`Scene::place_layers`], of some shapes of features only.
+    /// As [`Scene::place_layers`], only for features whose shape is `wanted`.
     ///
     /// # Errors
     /// As [`Scene::place_layers`].
@@ -192,20 +192,20 @@ impl Scene {
 /// BLAKE3 of a scene's file, hexadecimal, as predictions in EXR files name it.
 ///
 /// # Errors
-/// Those of reading it; [`crate::ErrorKind::Invalid`] for a file too large for a scene.
+/// Errors of reading the file; [`crate::ErrorKind::Invalid`] for a file too large for a scene.
 pub fn blake3_of(path: &Path) -> Result<String> {
     let file = file::open(path)?;
     if file.limit() > limits::MAX_FILE_BYTES && !file::starts_with(path, SQLITE) {
-        // No scene: it is not read for minutes to be told so.
+        // Too large for a scene: refused before reading it for minutes.
         let what = format!("the file is too large: it has {} bytes", file.limit());
-        return Err(Error::invalid(what, format!("{} are the limit", limits::MAX_FILE_BYTES)).in_file(path));
+        return Err(Error::invalid(what, format!("the limit is {}", limits::MAX_FILE_BYTES)).in_file(path));
     }
     let mut hasher = blake3::Hasher::new();
     hasher.update_reader(file).map_err(|e| Error::io(path, "read it", e))?;
     Ok(hasher.finalize().to_hex().to_string())
 }
 
-/// Refuses --up and --scale for what has its frame.
+/// Refuses --up and --scale for a scene that has its own frame.
 fn check_unframed(path: &Path, options: &ImportOptions, why: &str) -> Result<()> {
     let flag = match (options.up, options.scale) {
         (None, None) => return Ok(()),
@@ -216,7 +216,7 @@ fn check_unframed(path: &Path, options: &ImportOptions, why: &str) -> Result<()>
     Err(Error::usage(format!("{flag}: {why}"), remedy).in_file(path))
 }
 
-/// Meshes of other formats: what converts them.
+/// The error for meshes of other formats, with a command that converts them.
 fn mesh_file(path: &Path) -> Error {
     let (from, to) = (path.display(), path.with_extension("glb"));
     let remedy = format!(
@@ -238,12 +238,12 @@ fn script(path: &Path, _options: &ImportOptions, _say: &mut dyn FnMut(&str)) -> 
     Err(io::not_built("scene scripts", "script").in_file(path))
 }
 
-/// True for a stored environment, whatever its name.
+/// True for a stored environment, by its extension or its content.
 fn is_store(path: &Path) -> bool {
     path.extension().is_some_and(|e| e.eq_ignore_ascii_case("presight")) || file::starts_with(path, SQLITE)
 }
 
-/// A store is in presight's frame already.
+/// Opens a store, which is already in presight's frame.
 #[cfg(feature = "store")]
 fn stored(path: &Path, scheme: Scheme) -> Result<Scene> {
     let world = io::store::read_world(path, scheme, Params::tuned(scheme))?;

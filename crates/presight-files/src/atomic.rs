@@ -6,12 +6,12 @@ use std::fs::{self, File, Metadata};
 use std::io::{self, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-/// Writes a file through a temporary one in the same folder: filled, synced to the disk, then renamed. Whatever goes
-/// wrong before, the final name keeps what it held, and the temporary file is removed.
+/// Writes a file through a temporary file in the same folder, which is filled, synced to disk and renamed. If any step
+/// fails, the old file stays and the temporary file is removed.
 ///
-/// A file that is there keeps its mode, and owner and group as far as the system allows: it never gives anybody more rights
-/// than before. Links are followed, also those to a file that is not there yet. A target that exists and is no regular file
-/// (`/dev/null`, a pipe, `/dev/stdout`) is never renamed over: it gets the finished bytes.
+/// A replaced file keeps its mode and, as far as the system allows, its owner and group; nobody gets more rights than
+/// before. Links are followed, even to a file that does not exist yet. An existing target that is not a regular file
+/// (`/dev/null`, a pipe, `/dev/stdout`) is not replaced: the finished bytes are written into it.
 ///
 /// ```
 /// use presight::io::atomic::write_atomically;
@@ -24,8 +24,7 @@ use std::path::{Path, PathBuf};
 /// ```
 ///
 /// # Errors
-/// [`ErrorKind::System`] naming the file, whatever the system's reason: for an output a folder that is not there is
-/// no fault of a file. So is a file that nobody, or not this user, may write.
+/// [`ErrorKind::System`] naming the file, for whatever reason, including a missing folder and missing write permission.
 pub fn write_atomically(path: &Path, fill: impl FnOnce(&mut File) -> io::Result<()>) -> Result<()> {
     let refused = |e| refused(path, e);
     match fs::metadata(path) {
@@ -49,7 +48,7 @@ pub fn write_atomically(path: &Path, fill: impl FnOnce(&mut File) -> io::Result<
     temporary.keep_as(&target).map_err(refused)
 }
 
-/// The file that is to be replaced, if there is one. Root may write anything: a file without any write bit is meant to stay.
+/// Opens the file to be replaced, if it exists. Fails if it has no write bit, even for root, who could write it.
 pub(super) fn open_to_replace(path: &Path) -> Result<Option<File>> {
     fs::metadata(path).ok().map(|old| open_old(path, &old)).transpose()
 }
@@ -62,10 +61,10 @@ fn open_old(path: &Path, old: &Metadata) -> Result<File> {
     File::options().write(true).open(path).map_err(|e| refused(path, e))
 }
 
-/// What a path leads to through symbolic links, which may be nothing yet.
+/// The path that symbolic links lead to; it need not exist.
 #[doc(hidden)]
 pub fn target_of(path: &Path) -> io::Result<PathBuf> {
-    /// As many as Linux follows.
+    /// The limit of Linux.
     const LINKS: usize = 40;
     let mut target = path.to_owned();
     for _ in 0..LINKS {
@@ -74,10 +73,10 @@ pub fn target_of(path: &Path) -> io::Result<PathBuf> {
             Err(_) => return Ok(target),
         }
     }
-    Err(io::Error::other("too many links, one after the other"))
+    Err(io::Error::other("too many levels of symbolic links"))
 }
 
-/// True for what this process was given open: it goes on where that is, whatever it is.
+/// True for a path of an open file of this process: output is appended to it, whatever it is.
 #[doc(hidden)]
 pub fn is_given(path: &Path) -> bool {
     ["/dev/stdout", "/dev/stderr", "/dev/fd", "/proc/self/fd"].iter().any(|given| path.starts_with(given))
@@ -95,7 +94,7 @@ fn open_through(path: &Path) -> io::Result<File> {
     #[cfg(unix)]
     {
         use std::os::fd::AsFd;
-        // The same open file: opened anew, one that stdout was led into would be written from its start.
+        // Shares the open file: opening it again would overwrite a file that stdout is redirected to from its start.
         if path == Path::new("/dev/stdout") {
             return io::stdout().as_fd().try_clone_to_owned().map(File::from);
         }
@@ -113,8 +112,8 @@ pub(super) fn refused(path: &Path, e: io::Error) -> Error {
         Io::PermissionDenied | Io::ReadOnlyFilesystem => "check the permissions of folder and file, or write elsewhere",
         Io::IsADirectory => "name a file, not a folder",
         Io::StorageFull | Io::QuotaExceeded => "free some disk space, or write elsewhere",
-        Io::FileTooLarge => "raise the limit on sizes of files (ulimit -f), or write elsewhere",
-        _ => "write elsewhere, or see what the system says",
+        Io::FileTooLarge => "raise the file size limit (ulimit -f), or write elsewhere",
+        _ => "write elsewhere, or see the system's message",
     };
     Error::new(ErrorKind::System, format!("cannot write: {e}"), remedy).in_file(path).caused_by(e)
 }
@@ -171,7 +170,7 @@ mod tests {
         assert!(fs::metadata("/dev/null").unwrap().file_type().is_char_device());
     }
 
-    /// Files of others can be made by root only.
+    /// Only root can create files of other owners.
     #[cfg(unix)]
     #[test]
     fn owner_and_group_stay_as_far_as_the_system_allows() {

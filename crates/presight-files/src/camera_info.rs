@@ -1,18 +1,18 @@
-//! ROS camera_info YAML: what `camera_calibration` writes, and a `sensor_msgs/CameraInfo` message as `topic echo`
-//! prints it.
+//! ROS camera_info YAML: a file of `camera_calibration`, or a `sensor_msgs/CameraInfo` message as `topic echo` prints
+//! it.
 //!
-//! The sensor is the *raw* image: K, D, binning and region of interest count; R and P describe the rectified image
+//! The sensor is the *raw* image, given by K, D, binning and region of interest. R and P describe the rectified image
 //! and are ignored, with a notice.
 //!
-//! The region of interest is given in pixels of the full resolution and cut out first; then `binning_x` x `binning_y`
+//! The region of interest is given in pixels of the full resolution and cut out first. Then `binning_x` x `binning_y`
 //! pixels become one ("combines rectangular neighborhoods of pixels into larger super-pixels", CameraInfo.msg). With
-//! pixel centres at whole numbers a super-pixel i covers pixels b i .. b i + b - 1 and has its centre at
-//! b i + (b - 1) / 2, so
+//! pixel centres at integers, super-pixel i covers pixels b i .. b i + b - 1 and has its centre at b i + (b - 1) / 2,
+//! so
 //!
 //! `fx' = fx / b`, `cx' = (cx - x_offset + 0.5) / b - 0.5`
 //!
-//! ROS's own `image_geometry` leaves the two halves out, `cx' = (cx - x_offset) / b`, which is right only for cameras
-//! that skip pixels and keep the first: it differs by (b - 1) / (2 b), under half a binned pixel. A notice says so.
+//! ROS's `image_geometry` omits both halves, `cx' = (cx - x_offset) / b`, which is right only for cameras that skip
+//! pixels and keep the first. The difference is (b - 1) / (2 b), under half a binned pixel; a notice reports it.
 
 use super::text::{line_of, read_settings};
 use presight_model::error::{Error, ErrorKind, Result};
@@ -25,8 +25,8 @@ use std::path::Path;
 /// Reads a camera_info YAML. Also returns notices on parts of the file that are not used.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] with the line or key at fault; [`crate::ErrorKind::Unsupported`] on a distortion
-/// model that presight does not have; [`crate::ErrorKind::System`] if the system refuses.
+/// [`crate::ErrorKind::Invalid`] with the line or key at fault; [`crate::ErrorKind::Unsupported`] for a distortion
+/// model that presight lacks; [`crate::ErrorKind::System`] if the system refuses.
 pub fn read(path: &Path) -> Result<(SensorSpec, Vec<String>)> {
     let name = path.file_stem().map_or_else(|| "camera".into(), |s| s.to_string_lossy());
     parse(&read_settings(path)?, &name).map_err(|e| e.in_file(path))
@@ -53,7 +53,7 @@ struct File {
     roi: Roi,
 }
 
-/// A matrix as calibration files give it, or the bare list of a message.
+/// A matrix in a calibration file, or a plain list in a message.
 #[derive(Deserialize)]
 #[serde(untagged)]
 enum Numbers {
@@ -79,7 +79,7 @@ struct Roi {
     do_rectify: bool,
 }
 
-/// Reads the text of a camera_info YAML. `name` serves if the text gives no `camera_name`.
+/// Reads the text of a camera_info YAML. `name` is used if the text gives no `camera_name`.
 ///
 /// # Errors
 /// As [`read`], without the file.
@@ -94,18 +94,18 @@ pub fn parse(text: &str, name: &str) -> Result<(SensorSpec, Vec<String>)> {
     Ok((SensorSpec::new(name, "video", Geometry::Camera(camera)), notices))
 }
 
-/// `topic echo` ends every message with `---`.
+/// The text up to the `---` with which `topic echo` ends every message.
 fn first_document(text: &str) -> &str {
     let first_key = text.find(':').unwrap_or(text.len());
     let end = text[first_key..].find("\n---").map_or(text.len(), |i| first_key + i + 1);
     &text[..end]
 }
 
-/// Most nodes of a file, those of its aliases counted each time.
+/// Most nodes of a file, with every use of an alias counted.
 const MAX_NODES: usize = 10_000;
 
 fn yaml<T: DeserializeOwned>(text: &str) -> Result<T> {
-    // Aliases make many nodes of few: a camera has under a hundred.
+    // Aliases can expand into very many nodes; a camera has under a hundred.
     let options = serde_saphyr::options! { budget: serde_saphyr::budget! { max_nodes: MAX_NODES } };
     serde_saphyr::from_str_with_options(text, options).map_err(|e| {
         let wrong = Error::invalid(
@@ -113,7 +113,7 @@ fn yaml<T: DeserializeOwned>(text: &str) -> Result<T> {
             "give a ROS camera_info: image_width, image_height, camera_matrix, distortion_coefficients",
         );
         match e.location() {
-            // Line 0 is "unknown" there.
+            // Line 0 means unknown.
             Some(place) if place.line() > 0 => {
                 wrong.at(format!("line {}", place.line().min(line_of(text, text.len()) as u64)))
             }
@@ -157,7 +157,7 @@ fn notice_keys(keys: &BTreeMap<String, IgnoredAny>, notices: &mut Vec<String>) {
 fn camera(file: &File, notices: &mut Vec<String>) -> Result<Camera> {
     let &[fx, skew, cx, zero_1, fy, cy, zero_2, zero_3, one] = file.camera_matrix.as_slice() else {
         let count = file.camera_matrix.as_slice().len();
-        return Err(Error::invalid(format!("{count} numbers"), "give the 9 of K, row by row").at("camera_matrix"));
+        return Err(Error::invalid(format!("{count} numbers"), "give 9 numbers, row by row").at("camera_matrix"));
     };
     if fx == 0.0 && fy == 0.0 {
         return Err(
@@ -177,7 +177,7 @@ fn camera(file: &File, notices: &mut Vec<String>) -> Result<Camera> {
     let (bx, by) = (file.binning_x.max(1), file.binning_y.max(1));
     if bx > 1 || by > 1 {
         notices.push(format!(
-            "binning {bx} x {by}: the principal point is that of averaged pixels, which image_geometry has {} and {} \
+            "binning {bx} x {by}: the principal point is that of averaged pixels; image_geometry places it {} and {} \
              pixels further right and down",
             shift(bx),
             shift(by)
@@ -195,7 +195,7 @@ fn camera(file: &File, notices: &mut Vec<String>) -> Result<Camera> {
     })
 }
 
-/// Principal point after cutting and binning; see the head of the module.
+/// Principal point after cutting and binning; see the module documentation.
 fn binned(c: f64, offset: u32, binning: u32) -> f64 {
     if binning == 1 {
         return c - f64::from(offset);
@@ -203,12 +203,12 @@ fn binned(c: f64, offset: u32, binning: u32) -> f64 {
     (c - f64::from(offset) + 0.5) / f64::from(binning) - 0.5
 }
 
-/// How much further image_geometry has the principal point: it leaves out 0.5 / b - 0.5.
+/// Offset of the principal point in image_geometry, which omits 0.5 / b - 0.5.
 fn shift(binning: u32) -> f64 {
     0.5 - 0.5 / f64::from(binning)
 }
 
-/// The region of interest, the whole image if it is all zero.
+/// The region of interest, or the whole image if all its numbers are zero.
 fn region(file: &File, notices: &mut Vec<String>) -> Result<Roi> {
     let r = &file.roi;
     if r.do_rectify {
@@ -250,7 +250,7 @@ fn distortion(file: &File, notices: &mut Vec<String>) -> Result<Distortion> {
     if coefficients.is_empty() && model == "plumb_bob" {
         return Ok(Distortion::None);
     }
-    // OpenCV goes on with thin prism and tilt terms; drivers fill them with zeros.
+    // In OpenCV, thin prism and tilt terms follow; drivers fill them with zeros.
     if model == "rational_polynomial" && coefficients.len() > 8 && coefficients[8..].iter().all(|c| *c == 0.0) {
         coefficients = &coefficients[..8];
     }
@@ -316,7 +316,7 @@ projection_matrix: {rows: 3, cols: 4, data: [1854., 0., 649., 0., 0., 1863., 485
         assert_eq!(camera.distortion, Distortion::Equidistant([0.1, -0.01, 0.0, 0.0]));
     }
 
-    /// A ray of the full image and of the binned region: four pixels' mean is the super-pixel's centre.
+    /// A binned pixel has the ray of the full image through the mean position of its pixels.
     #[test]
     fn region_first_then_binning_and_the_half_pixel_is_kept() {
         let full = camera_of(CALIBRATION);
@@ -351,12 +351,12 @@ projection_matrix: {rows: 3, cols: 4, data: [1854., 0., 649., 0., 0., 1863., 485
         for (good, bad, place) in faults {
             let text = CALIBRATION.replace(good, bad);
             assert_ne!(text, CALIBRATION);
-            // Only the first focal length becomes 0 here: make both 0.
+            // The case zeroes one focal length; zero the other too.
             let text = if place == "camera_matrix" { text.replace("1879.55762", "0.0") } else { text };
             let e = parse(&text, "c").unwrap_err();
             assert_eq!(e.place(), Some(place), "{e}");
         }
-        // Each line means the one before ten times over.
+        // Each line repeats the one before ten times.
         let bomb: String =
             (0..4).map(|i| format!("k{}: &a{} [{}]\n", i + 1, i + 1, vec![format!("*a{i}"); 10].join(", "))).collect();
         let e = parse(&format!("k0: &a0 [{}]\n{bomb}", ["1"; 10].join(", ")), "c").unwrap_err();

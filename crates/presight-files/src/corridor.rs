@@ -1,11 +1,11 @@
-//! Motion corridors as JSON: where a robot is going to be.
+//! Motion corridors as JSON: the space through which a robot will move.
 //!
 //! ```json
 //! {"format": 1, "polyline_in_robot": [[0, 0], [4, 0], [6, 1]], "half_width": 0.4, "z_min": 0.05, "z_max": 1.8}
 //! ```
 //!
-//! A line on the ground in the robot's frame, half the width that the robot sweeps along it, and the heights over the robot's
-//! origin between which something is in its way; metres. `format` may be left out.
+//! A polyline on the ground in the robot's frame, half the width of the corridor along it, and the least and greatest
+//! height of obstacles above the robot's origin; metres. `format` is optional.
 
 use super::text::{FORMAT, read_settings};
 use presight_model::error::{Error, ErrorKind, Result};
@@ -24,7 +24,7 @@ use std::path::Path;
 /// ```
 ///
 /// # Errors
-/// [`ErrorKind::Invalid`] naming place and field: invalid JSON, unknown or missing keys, and those of [`Corridor::new`];
+/// [`ErrorKind::Invalid`] naming place and field: invalid JSON, unknown or missing keys, errors of [`Corridor::new`];
 /// [`ErrorKind::Unsupported`] for a newer format.
 pub fn read(path: &Path) -> Result<Corridor> {
     read_settings(path).and_then(|text| parse(&text)).map_err(|e| e.in_file(path))
@@ -42,9 +42,9 @@ pub fn parse(text: &str) -> Result<Corridor> {
     let remedy = "write polyline_in_robot, half_width, z_min and z_max, metres";
     let wrong = |e: serde_json::Error| {
         let place = format!("line {}, column {}", e.line(), e.column());
-        Error::invalid(format!("is no corridor: {e}"), remedy).at(place).caused_by(e)
+        Error::invalid(format!("is not a valid corridor: {e}"), remedy).at(place).caused_by(e)
     };
-    // Before anything else: a newer file may hold keys that this build cannot know.
+    // Checked first, because a newer file may hold keys that this build cannot know.
     let header: Header = serde_json::from_str(text).map_err(wrong)?;
     match header.format {
         None | Some(FORMAT) => {}

@@ -1,9 +1,9 @@
-//! Learnt costs as JSON, so that the first frames of a run are planned with what the last run learnt.
+//! Learnt costs as JSON, so that a run can plan its first frames with the costs of the last run.
 //!
-//! `format` is 1; `models` has one entry for each engine, adapter, number of threads, sensor geometry, set of outputs and forecast:
-//! `seconds` by kind of work ([`WorkCounts::NAMES`]), the sums that learning goes on from, and the last ratios of measured over estimated
-//! time. Entries of another machine's adapters and threads do no harm: their keys are never asked for. The CPU has no name in a key, so
-//! keep a file for each machine.
+//! `format` is 1. `models` has one entry for each combination of engine, adapter, number of threads, sensor geometry,
+//! outputs and forecast: `seconds` by kind of work ([`WorkCounts::NAMES`]), the sums from which learning continues, and
+//! the last ratios of measured to estimated time. Entries for other adapters or numbers of threads are not used. A key
+//! does not name the CPU, so keep one file per machine.
 
 use super::atomic::write_atomically;
 use super::text::{FORMAT, read_text};
@@ -14,7 +14,7 @@ use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::Path;
 
-/// Most ratios of an entry.
+/// Most ratios in an entry.
 const MAX_RATIOS: usize = 200;
 
 #[derive(Serialize, Deserialize)]
@@ -43,7 +43,7 @@ struct Entry {
 /// Reads learnt costs.
 ///
 /// # Errors
-/// [`ErrorKind::Invalid`] naming place and field: no JSON, unknown or missing keys, NaN, costs below 0, a key twice;
+/// [`ErrorKind::Invalid`] naming place and field: invalid JSON, wrong or repeated keys, NaN, costs below 0;
 /// [`ErrorKind::Unsupported`] for a newer format.
 pub fn read(path: &Path) -> Result<CostModel> {
     read_text(path).and_then(|text| parse(&text)).map_err(|e| e.in_file(path))
@@ -60,7 +60,7 @@ pub fn parse(text: &str) -> Result<CostModel> {
     }
     let wrong = |e: serde_json::Error| {
         let place = format!("line {}, column {}", e.line(), e.column());
-        Error::invalid(format!("is no file of costs: {e}"), REMEDY).at(place).caused_by(e)
+        Error::invalid(format!("is not a valid file of costs: {e}"), REMEDY).at(place).caused_by(e)
     };
     let header: Header = serde_json::from_str(text).map_err(wrong)?;
     match header.format {
@@ -81,19 +81,19 @@ pub fn parse(text: &str) -> Result<CostModel> {
         let at = |e: Error| e.at(format!("models[{i}]"));
         let (key, costs) = entry.check().map_err(at)?;
         if model.models.contains_key(&key) {
-            return Err(at(Error::invalid(format!("is there twice: {key}"), REMEDY)));
+            return Err(at(Error::invalid(format!("occurs twice: {key}"), REMEDY)));
         }
         model.models.insert(key, costs);
     }
     Ok(model)
 }
 
-const REMEDY: &str = "delete the file: costs are learnt anew within some 50 frames";
+const REMEDY: &str = "delete the file: costs are learnt again within about 50 frames";
 
 impl Entry {
     fn check(self) -> Result<(Key, UnitCosts)> {
         let Some(forecast) = Forecast::ALL.into_iter().find(|f| f.name() == self.forecast) else {
-            return Err(Error::invalid(format!("{:?} is no forecast", self.forecast), REMEDY).at("forecast"));
+            return Err(Error::invalid(format!("{:?} is not a forecast", self.forecast), REMEDY).at("forecast"));
         };
         let mut seconds = [0.0; KINDS];
         for (cost, name) in seconds.iter_mut().zip(WorkCounts::NAMES) {
@@ -103,7 +103,7 @@ impl Entry {
             *cost = within(*told, 0.0, 1e9).map_err(|e| e.at(format!("seconds: {name}")))?;
         }
         if let Some(name) = self.seconds.keys().find(|name| !WorkCounts::NAMES.contains(&name.as_str())) {
-            return Err(Error::invalid(format!("{name:?} is no kind of work"), REMEDY).at("seconds"));
+            return Err(Error::invalid(format!("{name:?} is not a kind of work"), REMEDY).at("seconds"));
         }
         let line = |of: Vec<f64>, place: &str| -> Result<[f64; KINDS]> {
             let many = of.len();
@@ -135,7 +135,7 @@ fn within(x: f64, low: f64, high: f64) -> Result<f64> {
     if x >= low && x <= high { Ok(x) } else { Err(Error::invalid(format!("{x} is not in {low:e}..{high:e}"), REMEDY)) }
 }
 
-/// Writes learnt costs; the file appears whole.
+/// Writes learnt costs atomically.
 ///
 /// ```
 /// use presight::cost::CostModel;
@@ -168,7 +168,7 @@ pub fn to_text(model: &CostModel) -> String {
         ratios: costs.ratios.iter().copied().collect(),
     };
     let file = File { format: FORMAT, models: model.models.iter().map(entry).collect() };
-    // Numbers and text only: nothing that JSON cannot say.
+    // Numbers and strings always serialize.
     serde_json::to_string_pretty(&file).unwrap_or_default() + "\n"
 }
 
@@ -194,7 +194,7 @@ mod tests {
         (model, key)
     }
 
-    /// What was saved goes on as if it had never stopped: the same counts and times replay to the same bits.
+    /// A saved model continues as if it had never stopped: the same counts and times give the same bits.
     #[test]
     fn learning_goes_on_where_it_was() {
         let (mut model, key) = learnt();
@@ -219,8 +219,8 @@ mod tests {
             (&polygon, "\"polygon\": null,", "line", ErrorKind::Invalid),
             (&polygon, "\"polygon\": 1e400,", "line", ErrorKind::Invalid),
             (&polygon, "", "there is no polygon", ErrorKind::Invalid),
-            (&polygon, "\"polygon\": 1e-7, \"quad\": 1e-7,", "no kind of work", ErrorKind::Invalid),
-            ("\"wave\",\n", "\"wafe\",\n", "no forecast", ErrorKind::Invalid),
+            (&polygon, "\"polygon\": 1e-7, \"quad\": 1e-7,", "not a kind of work", ErrorKind::Invalid),
+            ("\"wave\",\n", "\"wafe\",\n", "not a forecast", ErrorKind::Invalid),
             ("\"right\": [", "\"right\": [1.0,", "11 numbers", ErrorKind::Invalid),
             ("\"ratios\": [", "\"ratios\": [-1.0,", "ratios", ErrorKind::Invalid),
             ("{", "", "line 2", ErrorKind::Invalid),

@@ -1,4 +1,4 @@
-//! All that is wrong with a file of settings, told at once: a mistake a run would cost as many runs.
+//! Collects all mistakes in a settings file, so that one run reports them all.
 
 use super::text::line_of;
 use presight_model::error::{Error, Result};
@@ -6,7 +6,7 @@ use serde::de::{DeserializeOwned, IntoDeserializer};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-/// A table of a TOML text: keys are taken from it, and what is left is unknown.
+/// A table of a TOML text. Known keys are taken from it; the keys left over are unknown.
 pub type Table<'t> = DeTable<'t>;
 
 /// Mistakes, in the order in which they were found.
@@ -21,7 +21,7 @@ struct Fault {
 }
 
 impl Faults {
-    /// Notes one.
+    /// Notes a mistake.
     pub fn note(&mut self, place: impl Into<String>, what: impl Into<String>, remedy: impl Into<String>) {
         self.0.push(Fault { place: place.into(), what: what.into(), remedy: remedy.into() });
     }
@@ -29,7 +29,7 @@ impl Faults {
     /// Parses a text.
     ///
     /// # Errors
-    /// All mistakes of its syntax.
+    /// All syntax errors.
     pub fn parse(text: &str) -> Result<Table<'_>> {
         let (table, wrong) = DeTable::parse_recoverable(text);
         let mut faults = Self::default();
@@ -43,24 +43,24 @@ impl Faults {
         self.note(format!("line {line}"), e.message(), "correct the file; docs/formats.md describes its keys");
     }
 
-    /// Takes a value from a table; `None`, noted, if it is of another type.
+    /// Takes a value from a table. A value of another type is noted as a mistake and gives `None`.
     pub fn take<T: DeserializeOwned>(&mut self, text: &str, table: &mut Table<'_>, key: &str) -> Option<T> {
         let value = table.remove(key)?;
         self.read(text, value)
     }
 
-    /// Reads a value; `None`, noted, if it is of another type.
+    /// Reads a value. A value of another type is noted as a mistake and gives `None`.
     pub fn read<T: DeserializeOwned>(&mut self, text: &str, value: Spanned<DeValue<'_>>) -> Option<T> {
         let start = value.span().start;
         T::deserialize(value.into_deserializer()).map_err(|e| self.note_of(text, &e, start)).ok()
     }
 
-    /// Takes a table of tables, or nothing.
+    /// Takes a table of tables; a missing one is empty.
     pub fn take_table<'t>(&mut self, text: &str, table: &mut Table<'t>, key: &str) -> Table<'t> {
         table.remove(key).map(|value| self.as_table(text, value)).unwrap_or_default()
     }
 
-    /// A value as a table; an empty one, noted, if it is none.
+    /// Returns a value as a table. Any other value is noted as a mistake and gives an empty table.
     pub fn as_table<'t>(&mut self, text: &str, value: Spanned<DeValue<'t>>) -> Table<'t> {
         let line = line_of(text, value.span().start);
         match value.into_inner() {
@@ -77,14 +77,14 @@ impl Faults {
     pub fn check_empty(&mut self, text: &str, table: Table<'_>, known: &str) {
         for key in table.into_iter().map(|(key, _)| key) {
             let line = line_of(text, key.span().start);
-            self.note(format!("line {line}"), format!("unknown key {:?}", key.get_ref()), format!("known are {known}"));
+            self.note(format!("line {line}"), format!("unknown key {:?}", key.get_ref()), format!("known: {known}"));
         }
     }
 
-    /// Refuses if there are mistakes.
+    /// Fails if there are mistakes.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] with all of them.
+    /// [`crate::ErrorKind::Invalid`] listing all of them.
     pub fn check(&self) -> Result<()> {
         match &self.0[..] {
             [] => Ok(()),

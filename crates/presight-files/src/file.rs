@@ -1,9 +1,8 @@
-//! How files are read, the one place for it: what is no file, such as a pipe that nobody writes to, must not keep us waiting
-//! for ever, and no file, whatever the system says of it, may give more than a limit.
+//! The only place that opens files for reading. A pipe without a writer must not block for ever, and no file may
+//! deliver more than a limit, whatever size the system reports.
 //!
-//! A regular file is read up to the length that it has when it is opened. So a file that grows ends, and those that the
-//! system makes up while they are read, such as `/proc/kmsg` that waits for messages, give nothing: they say that they are
-//! empty.
+//! A regular file is read up to its length when it was opened, so reading a growing file ends. Files that the system
+//! generates on reading, such as `/proc/kmsg`, report length 0 and read as empty.
 
 use super::inputs;
 use presight_model::error::{Error, ErrorKind, Result};
@@ -11,29 +10,29 @@ use std::fs::File;
 use std::io::{Read, Take};
 use std::path::Path;
 
-/// Opens a file to read; folders, devices and pipes are refused.
+/// Opens a file for reading; refuses folders, devices and pipes.
 pub fn open(path: &Path) -> Result<Take<File>> {
     open_as(path, path)
 }
 
-/// As [`open`], of a file that errors know by another path.
+/// As [`open`]; errors name the file `shown`.
 pub(crate) fn open_as(path: &Path, shown: &Path) -> Result<Take<File>> {
-    // Before it is opened: opening a pipe waits for a writer.
+    // Checked before opening, because opening a pipe waits for a writer.
     let metadata = std::fs::metadata(path).map_err(|e| Error::io(shown, "open it", e))?;
     if !metadata.is_file() && !metadata.is_dir() {
         let what = "this is a pipe or a device, not a file";
-        return Err(Error::invalid(what, "write what it gives to a file, and name that").in_file(shown));
+        return Err(Error::invalid(what, "write its output to a file, and name that file").in_file(shown));
     }
     open_any(path, shown)
 }
 
-/// As [`open`], but for pipes that this process was given, such as `/dev/stdin` and a shell's `<(..)`.
+/// As [`open`], but also accepts pipes passed to this process, such as `/dev/stdin` and a shell's `<(..)`.
 pub(crate) fn open_or_given(path: &Path) -> Result<Take<File>> {
     let given = ["/dev/stdin", "/dev/fd", "/proc/self/fd"].iter().any(|folder| path.starts_with(folder));
     if given { open_any(path, path) } else { open(path) }
 }
 
-/// Opens what is read piece by piece: a file, or a pipe or device, which may keep its reader waiting.
+/// Opens a file, pipe or device that is read piece by piece. Reading a pipe or device may block.
 pub fn open_any(path: &Path, shown: &Path) -> Result<Take<File>> {
     inputs::note(path);
     let refused = |e| Error::io(shown, "open it", e);
@@ -45,12 +44,12 @@ pub fn open_any(path: &Path, shown: &Path) -> Result<Take<File>> {
     Ok(file.take(if metadata.is_file() { metadata.len() } else { u64::MAX }))
 }
 
-/// All of an opened file, if it is at most `limit` bytes.
+/// Reads an opened file completely; fails if it has more than `limit` bytes.
 pub fn read(file: Take<File>, shown: &Path, limit: u64) -> Result<Vec<u8>> {
     let too_large = || {
-        let remedy = format!("{limit} are the limit: give less, or several files");
+        let remedy = format!("the limit is {limit}: give less, or several files");
         let what = match file.limit() {
-            u64::MAX => format!("it is too large: it gives over {limit} bytes"),
+            u64::MAX => format!("it is too large: it delivers over {limit} bytes"),
             length => format!("the file is too large: it has {length} bytes"),
         };
         Error::invalid(what, remedy).in_file(shown)
@@ -61,7 +60,7 @@ pub fn read(file: Take<File>, shown: &Path, limit: u64) -> Result<Vec<u8>> {
     }
     let mut bytes = Vec::new();
     if known {
-        // Within 64 bits, as the limit is.
+        // At most `limit`, which fits a 64-bit usize.
         bytes.try_reserve_exact(file.limit() as usize).map_err(|_| no_memory(file.limit()).in_file(shown))?;
     }
     let refused = |e| Error::io(shown, "read it", e);
@@ -71,16 +70,16 @@ pub fn read(file: Take<File>, shown: &Path, limit: u64) -> Result<Vec<u8>> {
 }
 
 fn no_memory(bytes: u64) -> Error {
-    Error::new(ErrorKind::System, format!("there is no memory for its {bytes} bytes"), "free some memory")
+    Error::new(ErrorKind::System, format!("there is not enough memory for its {bytes} bytes"), "free some memory")
 }
 
-/// True for a file that starts with these bytes; false for what cannot be read.
+/// True if the file starts with these bytes; false if it cannot be read.
 pub fn starts_with<const N: usize>(path: &Path, bytes: &[u8; N]) -> bool {
     let mut start = [0; N];
     open(path).is_ok_and(|mut file| file.read_exact(&mut start).is_ok()) && start == *bytes
 }
 
-/// A text without the mark that some editors put before UTF-8.
+/// Removes the byte order mark that some editors put before UTF-8 text.
 pub fn without_mark(mut text: String) -> String {
     const MARK: char = '\u{feff}';
     if text.starts_with(MARK) {
@@ -102,7 +101,7 @@ mod tests {
         let read_to = |limit| read(open(&path).unwrap(), &path, limit);
         assert_eq!(read_to(5).unwrap(), b"12345");
         let e = read_to(4).unwrap_err();
-        assert!(e.to_string().contains("too large: it has 5 bytes") && e.remedy().contains("4 are the limit"), "{e}");
+        assert!(e.to_string().contains("too large: it has 5 bytes") && e.remedy().contains("the limit is 4"), "{e}");
         assert!(starts_with(&path, b"123") && !starts_with(&path, b"124") && !starts_with(&path, b"123456"));
     }
 
@@ -116,12 +115,12 @@ mod tests {
         assert_eq!(read(opened, &path, 100).unwrap(), b"12345");
     }
 
-    /// What the system makes up while it is read says that it is empty, and may wait, or never end.
+    /// Files that the system generates on reading report length 0; reading them may block, or never end.
     #[cfg(target_os = "linux")]
     #[test]
     fn files_that_the_system_makes_up_give_nothing() {
         for path in ["/proc/self/pagemap", "/proc/kmsg", "/proc/self/maps"].map(Path::new) {
-            // Some systems have none, or let nobody read it.
+            // Missing or unreadable on some systems.
             let Ok(file) = open(path) else { continue };
             assert_eq!(read(file, path, 100).unwrap(), b"", "{}", path.display());
             assert!(!starts_with(path, b"1"));
@@ -135,6 +134,6 @@ mod tests {
         assert!(open(zeros).unwrap_err().to_string().contains("a pipe or a device"));
         assert!(open_any(Path::new("/"), Path::new("/")).unwrap_err().to_string().contains("a folder"));
         let e = read(open_any(zeros, zeros).unwrap(), zeros, 1000).unwrap_err();
-        assert!(e.to_string().contains("it gives over 1000 bytes"), "{e}");
+        assert!(e.to_string().contains("it delivers over 1000 bytes"), "{e}");
     }
 }

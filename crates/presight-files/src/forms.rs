@@ -1,13 +1,14 @@
-//! serde's forms of sensors and requests: those of the files and of the command.
+//! Serde representations of poses, sensors and requests, as in files and on the command line.
 //!
 //! | type | form |
 //! |---|---|
-//! | [`SensorSpec`], [`Sensor`] | the keys of a sensor file ([`super::sensor_toml`]); an infinite `range_max` is left out, a ray that is not there is three nulls |
+//! | [`Pose`] | `[x, y, z, qx, qy, qz, qw]`; `[x, y, z, roll_deg, pitch_deg, yaw_deg]` is also accepted |
+//! | [`SensorSpec`], [`Sensor`] | the keys of a sensor file ([`super::sensor_toml`]); an infinite `range_max` is omitted, a missing ray is three nulls |
 //! | [`Outputs`] | a list of names |
 //! | [`IdScheme`] | `"model"` or `"source"` |
-//! | [`Request`] | `outputs`, `ids`, `features` (`time`, `step`, `visibility`), `regions` (`pose_covariance`: 36 numbers, `objects`, `confidence`, `method`) and `deadline_ms`; each may be left out |
+//! | [`Request`] | `outputs`, `ids`, `features` (`time`, `step`, `visibility`), `regions` (`pose_covariance`: 36 numbers, `objects`, `confidence`, `method`) and `deadline_ms`; each is optional |
 //!
-//! What predictions say of features is in [`super::prediction_json`].
+//! [`super::prediction_json`] describes predicted features.
 
 use super::sensor_toml;
 use presight_features::{BoxMethod, BoxOptions, FeatureOptions, FeatureSource, Hidden, STEP, Visibility};
@@ -64,7 +65,7 @@ impl<'de> Deserialize<'de> for Form<Sensor> {
     }
 }
 
-/// NaN becomes null, which JSON has.
+/// JSON has no NaN: it becomes null.
 fn json_of(value: toml::Value) -> Value {
     match value {
         toml::Value::Float(x) => Value::from(x),
@@ -77,14 +78,14 @@ fn json_of(value: toml::Value) -> Value {
     }
 }
 
-/// Null is NaN in a list; a key whose value is null is not there.
+/// In a list, null becomes NaN. A key whose value is null is dropped.
 fn toml_of(value: Value) -> Result<toml::Value, String> {
     Ok(match value {
         Value::Null => toml::Value::Float(f64::NAN),
         Value::Bool(b) => b.into(),
         Value::Number(n) => match n.as_i64() {
             Some(n) => n.into(),
-            None => n.as_f64().ok_or_else(|| format!("{n} is no number"))?.into(),
+            None => n.as_f64().ok_or_else(|| format!("{n} is not a valid number"))?.into(),
         },
         Value::String(text) => text.into(),
         Value::Array(all) => toml::Value::Array(all.into_iter().map(toml_of).collect::<Result<_, _>>()?),
@@ -214,12 +215,12 @@ fn matrix(numbers: &[f64]) -> Result<[[f64; 6]; 6], String> {
 
 impl Serialize for Form<&Request> {
     /// # Errors
-    /// For features that are placed already: they hold for one world in memory.
+    /// If the request holds placed features: they belong to one world in memory.
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let request = self.0;
         let features = match &request.features {
             Some(FeatureOptions { source: FeatureSource::Placed(_), .. }) => {
-                return Err(S::Error::custom("placed features are of one world in memory and are not written"));
+                return Err(S::Error::custom("placed features belong to one world in memory and cannot be written"));
             }
             Some(f) => Some(FeaturesForm {
                 time: f.time,

@@ -1,5 +1,5 @@
-//! Poses as people and other programs give them: of a sensor or of the robot that carries it, with body or optical axes, in
-//! presight's world or in that of a glTF file.
+//! Poses from people and other programs: of a sensor or of its robot, with body or optical axes, in presight's world or
+//! along the axes of a glTF file.
 
 use glam::DVec3;
 use presight_features::roi::PoseCovariance;
@@ -8,10 +8,10 @@ use presight_model::error::{Error, Result};
 use presight_model::geometry::Pose;
 use presight_model::sensor::{SensorSpec, body_from_optical_rotation};
 
-/// Which axes a pose turns.
+/// The axes of a pose.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum PoseFrame {
-    /// x forward, y left, z up, for cameras, too.
+    /// x forward, y left, z up, also for cameras.
     #[default]
     Body,
     /// z forward, x right, y down.
@@ -28,17 +28,17 @@ pub enum PoseOf {
     Robot,
 }
 
-/// In which world a pose is.
+/// The world frame of a pose.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum WorldFrame {
     /// presight's: z up, metres.
     #[default]
     ZUp,
-    /// That of the glTF file's axes (y up, unless it says otherwise), in metres.
+    /// The axes of the glTF file (y up unless set otherwise), in metres.
     Gltf,
 }
 
-/// A pose as it is given, and what it means.
+/// A pose from outside, with its conventions.
 ///
 /// ```
 /// use presight::frames::{ExternalPose, PoseOf};
@@ -56,13 +56,13 @@ pub enum WorldFrame {
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct ExternalPose {
-    /// The numbers.
+    /// The pose as given.
     pub pose: Pose,
-    /// Which axes it turns.
+    /// Its axes.
     pub frame: PoseFrame,
     /// Whose pose it is.
     pub of: PoseOf,
-    /// In which world it is.
+    /// Its world frame.
     pub world: WorldFrame,
 }
 
@@ -73,25 +73,25 @@ impl ExternalPose {
         Self { pose, frame, of, world }
     }
 
-    /// With other axes.
+    /// Sets the axes.
     #[must_use]
     pub fn with_frame(self, frame: PoseFrame) -> Self {
         Self { frame, ..self }
     }
 
-    /// With another carrier.
+    /// Sets whose pose it is.
     #[must_use]
     pub fn with_of(self, of: PoseOf) -> Self {
         Self { of, ..self }
     }
 
-    /// With another world.
+    /// Sets the world frame.
     #[must_use]
     pub fn with_world(self, world: WorldFrame) -> Self {
         Self { world, ..self }
     }
 
-    /// Checks that it means something.
+    /// Checks that the conventions fit together.
     ///
     /// # Errors
     /// [`crate::ErrorKind::Usage`] for the optical axes of a robot.
@@ -106,7 +106,7 @@ impl ExternalPose {
     /// The sensor's pose in presight's world, body axes. `world_from_gltf` is [`crate::Scene::world_from_gltf`].
     ///
     /// # Errors
-    /// Those of [`ExternalPose::check`].
+    /// Errors of [`ExternalPose::check`].
     pub fn of_sensor(&self, sensor: &SensorSpec, world_from_gltf: &Pose) -> Result<Pose> {
         self.check()?;
         let mut pose = self.pose;
@@ -123,7 +123,7 @@ impl ExternalPose {
         Ok(pose)
     }
 
-    /// The covariance of the sensor's pose along the axes of presight's world, from that of the pose as given.
+    /// Converts the covariance of the given pose to that of the sensor's pose, along the axes of presight's world.
     pub fn covariance_of_sensor(
         &self,
         covariance: &PoseCovariance,

@@ -1,4 +1,4 @@
-//! Files: one module per format. This module depends on the data types and on no engine.
+//! Files: one module per format. This module depends on the data types, but on no engine.
 
 pub mod atomic;
 pub mod camera_info;

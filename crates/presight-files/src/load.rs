@@ -1,4 +1,4 @@
-//! Sensors by name: a preset, or a file of one of the formats that describe sensors.
+//! Sensors by name: a preset, or a sensor file in one of the supported formats.
 
 use super::{camera_info, sensor_toml};
 use presight_model::error::{Error, Result};
@@ -26,11 +26,11 @@ pub(super) fn preset_names() -> String {
     PRESETS.iter().map(|p| p.name).collect::<Vec<_>>().join(", ")
 }
 
-/// Makes the sensor that `--sensor PRESET|FILE` names: a preset, a sensor TOML, or a ROS camera_info YAML. Also returns notices on
-/// parts of the file that are not used.
+/// Makes the sensor that `--sensor PRESET|FILE` names: a preset, a sensor TOML, or a ROS camera_info YAML. Also returns
+/// notices on unused parts of the file.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Usage`] if it is neither a preset nor ends in `.toml`, `.yaml` or `.yml`; otherwise those of
+/// [`crate::ErrorKind::Usage`] if it is neither a preset nor ends in `.toml`, `.yaml` or `.yml`; errors of
 /// [`sensor_toml::read`] and [`camera_info::read`].
 pub fn load_sensor(arg: &str) -> Result<(Sensor, Vec<String>)> {
     if PRESETS.iter().any(|p| p.name == arg) {
@@ -115,7 +115,7 @@ mod tests {
         let (sensor, notices) = load_sensor(&path("eye.YAML")).unwrap();
         assert_eq!((sensor.spec().name.as_str(), sensor.width(), sensor.height()), ("eye", 4, 3));
         assert!(notices.len() == 1 && notices[0].contains("foo"), "{notices:?}");
-        // A fault that only the finished sensor shows names the file too.
+        // The error of a complete but invalid sensor names the file too.
         std::fs::write(path("eye.YAML"), yaml.replace("4", "0")).unwrap();
         let e = load_sensor(&path("eye.YAML")).unwrap_err();
         assert!(e.kind() == ErrorKind::Invalid && e.file().is_some() && e.to_string().contains("0 x 3"), "{e}");

@@ -1,33 +1,33 @@
-//! Material properties beside a scene: the sidecar `SCENE.materials.toml`, and the same keys in a glTF's
+//! Material properties of a scene, from the sidecar `SCENE.materials.toml` or the same keys in a glTF's
 //! `extras.presight`.
 //!
 //! For `hospital.glb` the sidecar is `hospital.materials.toml`:
 //!
 //! ```toml
 //! format = 1
-//! # Where the scene's origin (z-up, after the turn from glTF's y-up) stands in the world:
-//! # x, y, z in metres, then roll, pitch, yaw in degrees. Default: at the world's origin.
+//! # Pose of the scene (z-up, after the turn from glTF's y-up) in the world:
+//! # x, y, z in metres, then roll, pitch, yaw in degrees. Default: the world's origin.
 //! world_from_scene = [4469320.25, 5333710.5, 512.0, 0.0, 0.0, 90.0]
 //! up = "z"                     # the axis of the file that points up: "y" (default, glTF's) or "z"
 //! scale = 0.001                # metres in one unit of the file, default 1
 //!
-//! [material."Glass"]           # the material's name in the scene; every material of that name is meant
+//! [material."Glass"]           # every material of the scene with this name
 //! reflection = 0.1             # reflection factor, 0 to 1, default 1
-//! one_sided = false            # true: seen from its front only, mirrored or not; default false
+//! one_sided = false            # true: visible from its front only, even if mirrored; default false
 //!
 //! [material."Glass".classes]   # by sensor class: "opaque" (default), "transparent" or "invisible"
 //! laser = "transparent"
 //! radar = "invisible"
 //! ```
 //!
-//! `scale` comes first, then the turn, then `world_from_scene`. All mistakes of a sidecar are told at once.
+//! `scale` is applied first, then the turn, then `world_from_scene`. One error lists all mistakes of a sidecar.
 //!
 //! In a glTF file a material's `extras` may hold `"presight": {"reflection": 0.1, "one_sided": false,
-//! "classes": {"laser": "transparent"}}`. What the sidecar names wins, key by key. Unknown keys and materials that
-//! the scene does not have are errors: a typing mistake would otherwise change images silently.
+//! "classes": {"laser": "transparent"}}`. The sidecar overrides single keys. Unknown keys and materials are errors,
+//! because a typing mistake would otherwise change images silently.
 //!
-//! glTF's own `doubleSided` is not used: it tells a renderer what to draw, and its default would make the backs of
-//! most models vanish.
+//! glTF's own `doubleSided` is ignored: it is meant for rendering, and its default would make the back faces of most
+//! models invisible.
 
 use super::faults::{Faults, Table};
 use crate::preparation::{SceneFrame, Up};
@@ -46,12 +46,12 @@ use std::path::{Path, PathBuf};
 pub struct Sidecar {
     /// Pose of the z-up scene in the world.
     pub world_from_scene: Pose,
-    /// The axis of the file that points up, if it says so.
+    /// The axis of the file that points up, if given.
     pub up: Option<Up>,
-    /// Metres in one unit of the file, if it says so.
+    /// Metres in one unit of the file, if given.
     pub scale: Option<f64>,
     materials: BTreeMap<String, MaterialProperties>,
-    /// What is wrong with the text.
+    /// Mistakes in the text.
     faults: Faults,
 }
 
@@ -96,8 +96,8 @@ pub fn sidecar_path(scene: &Path) -> PathBuf {
 }
 
 impl Sidecar {
-    /// Reads the sidecar of a scene. If there is none, the result changes nothing. [`Sidecar::apply_to`] reports wrong keys and
-    /// values, with what does not fit the scene.
+    /// Reads the sidecar of a scene. If there is none, the result changes nothing. [`Sidecar::apply_to`] reports wrong
+    /// keys and values, together with materials that the scene lacks.
     pub(crate) fn for_scene(scene: &Path) -> Result<Self> {
         let path = sidecar_path(scene);
         match std::fs::metadata(&path) {
@@ -151,8 +151,8 @@ impl Sidecar {
     /// Changes the named materials of a scene.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] with all names that belong to no material, all reflection factors outside 0..=1, and what is
-    /// wrong with the text.
+    /// [`crate::ErrorKind::Invalid`] listing all unknown materials, reflection factors outside 0..=1 and mistakes in
+    /// the text.
     pub fn apply_to(&self, materials: &mut [Material]) -> Result<()> {
         let mut faults = self.faults.clone();
         for (name, properties) in &self.materials {
@@ -233,7 +233,7 @@ mod tests {
             assert!(e.contains(part) && !e.contains('\n'), "{text:?}: {e}");
         }
         for (text, part) in
-            [("up = \"x\"", "line 2"), ("scale = 0", "0 is no scale"), ("scale = nan", "NaN is no scale")]
+            [("up = \"x\"", "line 2"), ("scale = 0", "0 is not a valid"), ("scale = nan", "NaN is not a valid scale")]
         {
             let e = Sidecar::parse(&format!("format = 1\n{text}")).unwrap_err().to_string();
             assert!(e.contains(part), "{text:?}: {e}");
@@ -248,7 +248,7 @@ mod tests {
             [material.a.classes]\nradar = \"glassy\"\n[material.b]\nreflection = 2.0\n[material.c]\n";
         let e = Sidecar::read(text).unwrap().apply_to(&mut [Material::named("a"), Material::named("b")]).unwrap_err();
         let said = e.to_string();
-        for part in ["7 mistakes", "-1 is no scale", "line 3", "line 5", "line 6", "line 8", "\"b\"", "\"c\""] {
+        for part in ["7 mistakes", "-1 is not a valid", "line 3", "line 5", "line 6", "line 8", "\"b\"", "\"c\""] {
             assert!(said.contains(part), "{part}: {said}");
         }
         let syntax = Sidecar::parse("format = 1\na = = 2\nb = [\n").unwrap_err().to_string();

@@ -1,7 +1,7 @@
 //! NumPy arrays (`.npy`, format 1.0): little-endian, C order.
 //!
-//! `numpy.load` and nearly every other program for numbers reads them, without a reader of EXR. They hold numbers alone: what
-//! they are of is in the EXR file or in their names.
+//! `numpy.load` and most numerical software read them, without an EXR library. They hold only numbers: sensor, pose and
+//! scene are in the EXR file or the file name.
 
 use super::atomic::{open_to_replace, refused, target_of, write_atomically};
 use glam::DVec3;
@@ -26,7 +26,7 @@ pub enum Values<'a> {
 }
 
 impl<'a> Values<'a> {
-    /// An image; `None` if it is not among these. Of an image of vectors, the components of a pixel follow each other.
+    /// The values of an image; `None` if it is missing. The components of a vector are adjacent.
     pub fn of(images: &'a Images, output: Output) -> Option<Self> {
         Some(match images.samples(output)? {
             Samples::Floats(image) => Self::F32(image),
@@ -69,7 +69,7 @@ impl<'a> Values<'a> {
     }
 }
 
-/// The bytes before the numbers: a multiple of 64.
+/// The header; its length is a multiple of 64.
 pub(super) fn header(descr: &str, shape: &[usize]) -> Vec<u8> {
     let sides: String = shape.iter().map(|side| format!("{side}, ")).collect();
     let mut text = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({}), }}", sides.trim_end());
@@ -78,11 +78,11 @@ pub(super) fn header(descr: &str, shape: &[usize]) -> Vec<u8> {
         text.push(' ');
     }
     text.push('\n');
-    // Short: a shape has a few sides.
+    // Fits 16 bits, because a shape has few dimensions.
     [b"\x93NUMPY\x01\x00".as_slice(), &(text.len() as u16).to_le_bytes(), text.as_bytes()].concat()
 }
 
-/// Writes an array of that shape, the last side running fastest. The file appears whole or not at all.
+/// Writes an array of that shape, with the last dimension varying fastest. The file is written atomically.
 ///
 /// ```
 /// use presight::io::npy::{self, Values};
@@ -97,12 +97,12 @@ pub(super) fn header(descr: &str, shape: &[usize]) -> Vec<u8> {
 /// ```
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] if the shape is not that of so many numbers; [`crate::ErrorKind::System`] if the file cannot be
-/// written.
+/// [`crate::ErrorKind::Invalid`] if the shape does not match the number of values; [`crate::ErrorKind::System`] if the
+/// file cannot be written.
 pub fn write(path: &Path, shape: &[usize], values: Values<'_>) -> Result<()> {
     if shape.iter().try_fold(1usize, |product, side| product.checked_mul(*side)) != Some(values.len()) {
-        let what = format!("{} numbers are no array of shape {shape:?}", values.len());
-        return Err(Error::invalid(what, "give the sides that they have").in_file(path));
+        let what = format!("{} numbers do not fill an array of shape {shape:?}", values.len());
+        return Err(Error::invalid(what, "give the shape of the numbers").in_file(path));
     }
     let header = header(values.descr(), shape);
     write_atomically(path, |file| {
@@ -120,9 +120,9 @@ pub fn image_shape(width: u32, height: u32, output: Output) -> Vec<usize> {
 /// Writes an image as `<f4` or `<u4` of shape (rows, columns), vectors as `<f4` of shape (rows, columns, 3).
 ///
 /// # Errors
-/// As [`write()`]; [`crate::ErrorKind::Invalid`] if the image is not there.
+/// As [`write()`]; [`crate::ErrorKind::Invalid`] if the image is missing.
 pub fn write_image(path: &Path, images: &Images, output: Output) -> Result<()> {
-    let missing = || Error::invalid(format!("there is no {} image", output.name()), "ask for it").in_file(path);
+    let missing = || Error::invalid(format!("there is no {} image", output.name()), "request it").in_file(path);
     let values = Values::of(images, output).ok_or_else(missing)?;
     write(path, &image_shape(images.width, images.height, output), values)
 }
@@ -131,7 +131,7 @@ pub fn write_image(path: &Path, images: &Images, output: Output) -> Result<()> {
 /// every kind of sensor, NaN where a pixel has no ray. A point is its ray times its range.
 ///
 /// # Errors
-/// As [`write()`]; [`crate::ErrorKind::System`] if there is no memory for them.
+/// As [`write()`]; [`crate::ErrorKind::System`] if memory is short.
 pub fn write_rays(path: &Path, sensor: &Sensor) -> Result<()> {
     let (width, height) = (sensor.width(), sensor.height());
     let body_from_image = sensor.body_from_image();
@@ -143,9 +143,8 @@ pub fn write_rays(path: &Path, sensor: &Sensor) -> Result<()> {
     write(path, &[height as usize, width as usize, 3], Values::F64(&rays))
 }
 
-/// One array of the images of many poses, of shape (poses, rows, columns) or, of vectors, (poses, rows, columns, 3), written pose
-/// by pose. Until all are there it is kept
-/// as `NAME.npy.unfinished`, which outlives the process: a series can go on with it.
+/// An array of the images of many poses, written pose by pose. Its shape is (poses, rows, columns), or (poses, rows,
+/// columns, 3) for vectors. Until complete, it is named `NAME.npy.unfinished`, and a later process can continue it.
 #[derive(Debug)]
 pub struct Stack {
     file: File,
@@ -158,8 +157,8 @@ pub struct Stack {
 }
 
 impl Stack {
-    /// Opens what is unfinished of an array of that shape, if it is of that size and nobody wrote to it after `until`; otherwise, or
-    /// with `None`, begins it. It returns false if it was begun.
+    /// Continues an unfinished array if it has the size of that shape and was not modified after `until`. Otherwise, or
+    /// if `until` is `None`, starts a new one and returns false.
     ///
     /// # Errors
     /// [`crate::ErrorKind::System`] if the file cannot be written; [`crate::ErrorKind::Usage`] for a device or pipe.
@@ -175,7 +174,7 @@ impl Stack {
         name.push(".unfinished");
         let unfinished = PathBuf::from(name);
         let header = header(descr, shape);
-        // Each side is limited; so is the number of poses.
+        // Cannot overflow: image sides and the number of poses are limited.
         let bytes_per_pose = shape.iter().skip(1).fold(4, |bytes, side| bytes * *side as u64);
         let length = header.len() as u64 + shape.first().map_or(1, |poses| *poses as u64) * bytes_per_pose;
         let mut file =
@@ -193,7 +192,7 @@ impl Stack {
     /// Writes the image of one pose.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] for an image of another size or type; [`crate::ErrorKind::System`] if it cannot be written.
+    /// [`crate::ErrorKind::Invalid`] for an image of another size or type; [`crate::ErrorKind::System`] for I/O errors.
     pub fn put(&mut self, pose: usize, values: Values<'_>) -> Result<()> {
         if values.descr() != self.descr || 4 * values.len() as u64 != self.bytes_per_pose {
             let what = format!("an image of {} {} does not fit the array", values.len(), values.descr());
@@ -207,7 +206,7 @@ impl Stack {
         write().map_err(|e| refused(&self.path, e))
     }
 
-    /// Gives the file its name, when all images are in it.
+    /// Gives the complete file its final name.
     ///
     /// # Errors
     /// [`crate::ErrorKind::System`] if the system refuses.

@@ -8,15 +8,15 @@ use presight_model::geometry::Pose;
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
-/// From here on, in metres, an f32 is off by up to half a millimetre.
+/// Distance from the origin, metres, from which an f32 coordinate may be off by half a millimetre.
 const FAR: f64 = 8192.0;
 
-/// Writes `x`, `y`, `z` of every pixel and the fields of the cloud, normals as `normal_x`, `normal_y`, `normal_z`. `VIEWPOINT`
-/// transforms the points into the world: it is the sensor's pose for points in the sensor frame, and the identity for points in
-/// the world.
+/// Writes `x`, `y`, `z` and the fields of the cloud for every pixel; normals are `normal_x`, `normal_y`, `normal_z`.
+/// `VIEWPOINT` transforms the points into the world: it is the sensor's pose for points in the sensor frame, and the
+/// identity for points in the world.
 ///
-/// Coordinates are 4 bytes, as PCL and Open3D want them, unless a point in the world is so far from the origin that they would
-/// lose its millimetre: then they are 8 bytes, and a notice comes back.
+/// Coordinates take 4 bytes, as PCL and Open3D expect. If a point in the world is too far from the origin for
+/// millimetres, they take 8 bytes and the function returns a notice.
 ///
 /// # Errors
 /// [`crate::ErrorKind::System`] if the file cannot be written.
@@ -29,8 +29,8 @@ pub fn write(path: &Path, cloud: &PointCloud<'_>) -> Result<Vec<String>> {
     let notice = || {
         let path = path.display();
         format!(
-            "{path}: x, y and z are written in 8 bytes, for points {FAR} m and more from the origin; PCL and Open3D read 4: \
-             give them PLY, or points in the sensor's frame"
+            "{path}: x, y and z are written as 8 bytes because points are {FAR} m or more from the origin; PCL and Open3D \
+             read only 4 bytes: write PLY, or points in the sensor's frame"
         )
     };
     Ok(is_wide(cloud).then(notice).into_iter().collect())
@@ -40,7 +40,7 @@ fn is_wide(cloud: &PointCloud<'_>) -> bool {
     cloud.frame() == PointsFrame::World && cloud.seen().any(|(_, p)| p.abs().max_element() >= FAR)
 }
 
-/// Names, sizes, types and counts, a line each.
+/// The lines FIELDS, SIZE, TYPE and COUNT.
 fn header(fields: &[Field<'_, '_>], size: u32) -> String {
     let mut columns = vec![("x", size, 'F'), ("y", size, 'F'), ("z", size, 'F')];
     for field in fields {

@@ -7,9 +7,9 @@ use presight_model::error::Result;
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
-/// Writes `x`, `y`, `z` of every measured point and the fields of the cloud, normals as `nx`, `ny`, `nz`. Positions are `double`
-/// in the world, where `float` would lose the millimetres of a site in UTM coordinates. Ids are `int`, which Open3D reads, as
-/// long as all fit, otherwise `uint`: then a notice comes back.
+/// Writes `x`, `y`, `z` and the fields of the cloud for every measured point; normals are `nx`, `ny`, `nz`. Positions
+/// in the world are `double`, because `float` would lose the millimetres of UTM coordinates. Ids are `int`, which
+/// Open3D reads, if all fit; otherwise they are `uint` and the function returns a notice.
 ///
 /// # Errors
 /// [`crate::ErrorKind::System`] if the file cannot be written.
@@ -23,12 +23,12 @@ pub fn write(path: &Path, cloud: &PointCloud<'_>) -> Result<Vec<String>> {
     let unsigned = fields.iter().filter(|field| id_type(field) == "uint");
     let notice = |field: &Field<'_, '_>| {
         let (path, name) = (path.display(), field.name());
-        format!("{path}: {name} has numbers of 2147483648 and more: it is written as uint, which Open3D leaves out")
+        format!("{path}: {name} has values of 2147483648 and more and is written as uint, which Open3D ignores")
     };
     Ok(unsigned.map(notice).collect())
 }
 
-/// The type of a field of numbers.
+/// The PLY type of an integer field.
 fn id_type(field: &Field<'_, '_>) -> &'static str {
     match field {
         Field::Id(_, image) if image.iter().any(|id| *id > i32::MAX as u32) => "uint",

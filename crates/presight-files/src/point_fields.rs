@@ -1,4 +1,4 @@
-//! What PLY and PCD say of a point besides its position.
+//! The fields of points in PLY and PCD files, except the position.
 
 use glam::{DVec3, Vec3};
 use presight_render::plan::Output;
@@ -8,13 +8,13 @@ use presight_render::plan::Output;
 pub enum Field<'a, 'b> {
     Normal(&'b [Vec3]),
     Float(Output, &'a [f32]),
-    /// The row of the image, which has so many columns.
+    /// The row of the image; holds its number of columns.
     Ring(usize),
     Id(Output, &'a [u32]),
 }
 
 impl Field<'_, '_> {
-    /// The name that other programs know it by.
+    /// The conventional name of the field.
     pub fn name(&self) -> &'static str {
         match self {
             Self::Normal(_) => "normal",
@@ -24,7 +24,7 @@ impl Field<'_, '_> {
         }
     }
 
-    /// Appends the bytes of a pixel, little-endian; a ring in 4 bytes, or in the 2 that PCL's points of scanners have.
+    /// Appends the bytes of a pixel, little-endian. A ring has 4 bytes, or 2 as in PCL's scanner points.
     pub fn append(&self, pixel: usize, wide_ring: bool, bytes: &mut Vec<u8>) {
         match *self {
             Self::Normal(normals) => bytes.extend(normals[pixel].to_array().iter().flat_map(|v| v.to_le_bytes())),

@@ -20,7 +20,7 @@ pub enum PointsFrame {
 }
 
 impl PointsFrame {
-    /// For the comment in both formats.
+    /// Description for the comment in both formats.
     pub(super) fn in_words(self) -> &'static str {
         match self {
             Self::Sensor => "sensor body axes: x forward, y left, z up; metres",
@@ -29,10 +29,11 @@ impl PointsFrame {
     }
 }
 
-/// The points of a range image, one per pixel, row-major, with what other images say of them.
+/// The points of a range image, one per pixel, row-major, with the values of other images.
 ///
-/// Files get a field for each image of range, echo (`intensity`), object_id and polygon_id that is there, `ring` (the row of the
-/// image) if the sensor is no camera, and normals if there is an image of them or after [`PointCloud::with_normals`].
+/// Files get a field for each existing image of range, echo (`intensity`), object_id and polygon_id. They also get
+/// `ring` (the row of the image) unless the sensor is a camera, and normals if there is a normal image or after
+/// [`PointCloud::with_normals`].
 #[derive(Clone, Debug)]
 pub struct PointCloud<'a> {
     images: &'a Images,
@@ -48,8 +49,8 @@ impl<'a> PointCloud<'a> {
     /// Computes the points of a range image: the sensor's f64 ray times the range. Pixels without a range become NaN.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if there is no range image, or an image is not of the sensor's size;
-    /// those of [`Pose::check`].
+    /// [`crate::ErrorKind::Invalid`] if the range image is missing, or an image does not have the sensor's size;
+    /// errors of [`Pose::check`].
     pub fn new(images: &'a Images, sensor: &Sensor, world_from_sensor: &Pose, frame: PointsFrame) -> Result<Self> {
         world_from_sensor.check()?;
         let pixels = sensor.width() as usize * sensor.height() as usize;
@@ -96,17 +97,17 @@ impl<'a> PointCloud<'a> {
         self
     }
 
-    /// Adds the unit normals of the polygons that are seen, on the sensor's side, in the frame of the points. `ids` is what the
-    /// `polygon_id` image holds. NaN where nothing is seen.
+    /// Adds the unit normals of visible polygons, towards the sensor, in the frame of the points; NaN where nothing is
+    /// seen. `ids` is the numbering of the `polygon_id` image.
     ///
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] if there is no image of polygon_id or object_id;
-    /// [`crate::ErrorKind::System`] if there is no memory for them.
+    /// [`crate::ErrorKind::System`] if memory is short.
     pub fn with_normals(mut self, environment: &Environment, ids: IdScheme) -> Result<Self> {
         let (objects, polygons) = (&self.images.object_id, &self.images.polygon_id);
         if objects.is_empty() || polygons.is_empty() {
             let remedy = "predict object_id and polygon_id";
-            return Err(Error::invalid("normals need to know which polygons are seen", remedy));
+            return Err(Error::invalid("normals need the images that identify polygons", remedy));
         }
         let mut found = PolygonsOfIds::new(environment, ids);
         let mut known: HashMap<(u32, u32), Vec3> = HashMap::new();
@@ -127,7 +128,7 @@ impl<'a> PointCloud<'a> {
     fn normal(&self, environment: &Environment, object: u32, polygon: u32) -> Vec3 {
         let pose = &self.world_from_sensor;
         let corners = environment.objects()[object as usize].polygon_in_world(polygon);
-        // Differences to the sensor come first: far from the origin no digit is lost.
+        // Positions relative to the sensor keep their digits far from the origin.
         let relative: Vec<DVec3> = corners.iter().map(|p| *p - pose.translation).collect();
         let Some(plane) = plane_of_polygon(&relative) else { return Vec3::NAN };
         let normal = if plane.offset > 0.0 { -plane.normal } else { plane.normal };
@@ -142,12 +143,12 @@ impl<'a> PointCloud<'a> {
         &self.positions
     }
 
-    /// Pixels that have a position, with it.
+    /// Index and position of each pixel that has a position.
     pub(super) fn seen(&self) -> impl Iterator<Item = (usize, DVec3)> + '_ {
         self.positions.iter().copied().enumerate().filter(|(_, p)| !p.is_nan())
     }
 
-    /// What is written of each point after its position, in the order of both formats.
+    /// The fields of each point after its position, in the order of both formats.
     pub(super) fn fields(&self) -> Vec<Field<'a, '_>> {
         let images = self.images;
         let mut fields = Vec::new();

@@ -1,4 +1,4 @@
-//! Covariances of poses as text: standard deviations, or 36 numbers as a ROS message has them.
+//! Pose covariances as text: standard deviations, or 36 numbers in the order of ROS messages.
 
 use super::text::read_settings;
 use presight_features::roi::PoseCovariance;
@@ -7,7 +7,7 @@ use presight_model::error::{Error, Result};
 use presight_model::limits;
 use std::path::Path;
 
-/// Reads `sx,sy,sz,sroll_deg,spitch_deg,syaw_deg` (standard deviations, metres and degrees), or the JSON file that the text names.
+/// Reads `sx,sy,sz,sroll_deg,spitch_deg,syaw_deg` (standard deviations, metres and degrees), or the named JSON file.
 ///
 /// ```
 /// let covariance = presight::io::pose_covariance::parse("0.1,0.1,0,0,0,2")?;
@@ -17,8 +17,7 @@ use std::path::Path;
 /// ```
 ///
 /// # Errors
-/// [`crate::ErrorKind::Usage`] for numbers that are none or negative; [`crate::ErrorKind::Invalid`] for a file that is no
-/// covariance.
+/// [`crate::ErrorKind::Usage`] for invalid or negative numbers; [`crate::ErrorKind::Invalid`] for an invalid file.
 pub fn parse(text: &str) -> Result<PoseCovariance> {
     file(text).map_or_else(|| deviations(text), from_file)
 }
@@ -38,7 +37,7 @@ fn deviations(text: &str) -> Result<PoseCovariance> {
     let mut covariance = [[0.0; 6]; 6];
     for (i, word) in words.into_iter().enumerate() {
         let value = word.parse::<f64>().ok().filter(|v| (0.0..=limits::MAX_COORDINATE).contains(v));
-        let sigma = value.ok_or_else(|| wrong(format!("{word:?} is no standard deviation")))?;
+        let sigma = value.ok_or_else(|| wrong(format!("{word:?} is not a standard deviation")))?;
         let sigma = if i < 3 { sigma } else { sigma.to_radians() };
         covariance[i][i] = sigma * sigma;
     }
@@ -52,11 +51,11 @@ fn from_file(path: &Path) -> Result<PoseCovariance> {
 /// Reads the JSON text of 36 numbers: row-major, x y z, then rotation about x y z, metres and radians.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] for text that is no covariance.
+/// [`crate::ErrorKind::Invalid`] for text that is not a covariance.
 pub fn from_json(text: &str) -> Result<PoseCovariance> {
     let remedy = "give 36 numbers, row-major: x y z, then rotation about x y z, metres and radians";
     let numbers: Vec<f64> = serde_json::from_str(text)
-        .map_err(|e| Error::invalid(format!("no list of numbers: {e}"), remedy).caused_by(e))?;
+        .map_err(|e| Error::invalid(format!("not a list of numbers: {e}"), remedy).caused_by(e))?;
     if numbers.len() != 36 {
         return Err(Error::invalid(format!("{} numbers where 36 are needed", numbers.len()), remedy));
     }

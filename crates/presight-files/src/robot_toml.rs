@@ -5,8 +5,8 @@
 //! name = "kurt"                # optional, default: the file's stem
 //!
 //! [[sensors]]
-//! name = "front"               # optional, default: the sensor's own name; no two alike
-//! sensor = "laser-scanner"     # a preset, or a sensor file beside this one
+//! name = "front"               # optional, default: the sensor's own name; names must differ
+//! sensor = "laser-scanner"     # a preset, or a sensor file relative to this file
 //! mount = { xyz = [0.2, 0.0, 0.3], rpy_deg = [0.0, 0.0, 0.0] }  # optional, default: the sensor's own [mount]
 //! ```
 
@@ -46,10 +46,10 @@ struct Entry {
     mount: Option<MountTable>,
 }
 
-/// Reads a robot file with all its sensors. Also returns notices on parts of the sensors' files that are not used.
+/// Reads a robot file with all its sensors. Also returns notices on unused parts of the sensor files.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] with file and place, and those of the sensor file at fault.
+/// [`crate::ErrorKind::Invalid`] with file and place, and errors of sensor files.
 pub fn load_robot(path: &Path) -> Result<(Robot, Vec<String>)> {
     let text = read_settings(path)?;
     let folder = path.parent().unwrap_or(Path::new(""));
@@ -87,7 +87,7 @@ impl Entry {
         let arg =
             if is_preset { self.sensor.clone() } else { folder.join(&self.sensor).to_string_lossy().into_owned() };
         let (sensor, more) = load_sensor(&arg).map_err(|e| match e.kind() {
-            // The name stands in a file, not on the command line: the file is at fault.
+            // The name comes from a file, not from the command line, so the file is at fault.
             ErrorKind::Usage => Error::invalid(
                 format!("{:?} is neither a preset nor a sensor file", self.sensor),
                 format!("choose one of {}, or name a file that ends in .toml, .yaml or .yml", preset_names()),

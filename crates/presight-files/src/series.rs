@@ -1,5 +1,5 @@
-//! Work on many poses that can be interrupted: what is finished is recorded beside the files, and the same work goes on
-//! from there. The record of a batch is its table of results, which gets its name when it is whole.
+//! Resumable work on many poses: a record next to the output files lists the finished poses, and the next run continues
+//! after them. The record of a batch is its table of results, which gets its final name once complete.
 
 use super::atomic::refused;
 use presight_model::error::{Error, ErrorKind, Result};
@@ -9,8 +9,9 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-/// How far a series of poses is. The record is a file of lines: a head that names the job, then for each finished pose the same
-/// number of lines, which begin with the pose's number, and a comma if there is more. One process at a time works on it.
+/// The progress of a series of poses. The record is a text file: a head line that identifies the job, then a fixed
+/// number of lines for each finished pose. Such a line is the pose's number, alone or followed by a comma and more
+/// text. The file is locked, so that only one process works on it.
 ///
 /// ```
 /// use presight::io::series::SeriesProgress;
@@ -42,11 +43,11 @@ pub struct SeriesProgress {
 }
 
 impl SeriesProgress {
-    /// Opens the record of a job on some poses, or begins one. A record of another job is begun anew. `head` is one line without
-    /// its end that tells what must be the same, such as a hash of scene, sensors, poses and request.
+    /// Opens the record of a job, or starts a new one. A record of another job is replaced. `head` identifies the job
+    /// in one line without line end, such as a hash of scene, sensors, poses and request.
     ///
     /// # Errors
-    /// [`ErrorKind::System`] if the record cannot be written, or another process is at work on it.
+    /// [`ErrorKind::System`] if the record cannot be written, or another process is working on it.
     pub fn open(path: &Path, head: &str, poses: Range<usize>, lines_per_pose: usize) -> Result<Self> {
         let failed = |e| refused(path, e);
         let opened = File::options().read(true).write(true).create(true).truncate(false).open(path);
@@ -62,7 +63,7 @@ impl SeriesProgress {
         Ok(progress)
     }
 
-    /// Takes the first pose of which `is_there` says that its files are lost, and all after it, as unfinished.
+    /// Marks the first pose whose files are lost (`is_there` returns false), and all poses after it, as unfinished.
     ///
     /// # Errors
     /// [`ErrorKind::System`] if the record cannot be read or written.
@@ -79,13 +80,13 @@ impl SeriesProgress {
         Ok(())
     }
 
-    /// The first pose that is missing, and the bytes before it; 0 bytes where the head is another one.
+    /// The first unfinished pose, and the number of bytes recorded before it: 0 if the head belongs to another job.
     fn sound_part(&self, is_there: impl Fn(usize) -> bool) -> io::Result<(usize, u64)> {
         let mut reader = BufReader::new(&self.file);
         let mut line = Vec::new();
         let mut next_line = |line: &mut Vec<u8>| -> io::Result<bool> {
             line.clear();
-            // A line without its end was being written when the process ended.
+            // A line without line end is incomplete: the process ended while writing it.
             Ok(reader.read_until(b'\n', line)? > 0 && line.ends_with(b"\n"))
         };
         if !next_line(&mut line)? || line != self.head.as_bytes() {
@@ -116,32 +117,32 @@ impl SeriesProgress {
         self.next
     }
 
-    /// How many poses are finished.
+    /// The number of finished poses.
     pub fn finished(&self) -> usize {
         self.next - self.poses.start
     }
 
-    /// True if there was a record of another job, which was never completed.
+    /// True if this record replaced the unfinished record of another job.
     pub fn replaced(&self) -> bool {
         self.replaced
     }
 
-    /// When a pose was finished last, before the record was opened. A file that was written later is not of this series any more.
+    /// When the record was last written before it was opened. A file written later does not belong to this series.
     pub fn written(&self) -> Option<SystemTime> {
         self.written
     }
 
-    /// Records all poses up to `last` as finished; `lines` are theirs, each with its end.
+    /// Records all poses up to `last` as finished. `lines` are their lines, each with its line end.
     ///
     /// # Errors
-    /// [`ErrorKind::System`] if they cannot be written; what of them is there is dropped by the next [`SeriesProgress::open`].
+    /// [`ErrorKind::System`] if they cannot be written; the next [`SeriesProgress::open`] drops incomplete lines.
     pub fn append(&mut self, last: usize, lines: &str) -> Result<()> {
         self.file.write_all(lines.as_bytes()).map_err(|e| refused(&self.path, e))?;
         self.next = last + 1;
         Ok(())
     }
 
-    /// Removes the record, if everything is finished.
+    /// Removes the record if all poses are finished.
     ///
     /// # Errors
     /// [`ErrorKind::System`] if the system refuses.
@@ -153,7 +154,7 @@ impl SeriesProgress {
         Ok(())
     }
 
-    /// Gives the record another name: that of the table which it has become.
+    /// Renames the record, which has become the finished table.
     ///
     /// # Errors
     /// [`ErrorKind::System`] if the system refuses.

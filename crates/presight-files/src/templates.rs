@@ -1,9 +1,9 @@
-//! Names of files for many poses, sensors and images, such as `run/{i:06}.{output}.npy`.
+//! File names for many poses, sensors and images, such as `run/{i:06}.{output}.npy`.
 //!
-//! | field | stands for |
+//! | field | meaning |
 //! |---|---|
-//! | `{i}` | the number of the pose from 0; `{i:06}` in six digits with zeros before it |
-//! | `{t}` | the time stamp of the pose, as it is written |
+//! | `{i}` | the index of the pose from 0; `{i:06}` pads it with zeros to six digits |
+//! | `{t}` | the time stamp of the pose, with the digits of its file |
 //! | `{sensor}` | the name of the sensor |
 //! | `{output}` | the name of the image, such as `range` |
 //! | `{{`, `}}` | a brace |
@@ -12,7 +12,7 @@ use presight_model::error::{Error, Result};
 use presight_model::printable::quoted;
 use std::path::{Path, PathBuf};
 
-/// What a field stands for.
+/// A field of a template.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Field {
     /// `{i}`.
@@ -28,11 +28,11 @@ pub enum Field {
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Part {
     Text(String),
-    /// With the least number of digits.
+    /// A field and its minimum number of digits.
     Field(Field, usize),
 }
 
-/// A name with fields.
+/// A file name with fields.
 ///
 /// ```
 /// use presight::io::templates::{Field, Names, Template};
@@ -51,10 +51,10 @@ enum Kind {
     Name(PathBuf),
 }
 
-/// What the fields of one file stand for.
+/// The values of the fields for one file.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Names<'a> {
-    /// Number of the pose, from 0.
+    /// Index of the pose, from 0.
     pub index: usize,
     /// Its time stamp as written; empty if there is none.
     pub stamp: &'a str,
@@ -64,10 +64,10 @@ pub struct Names<'a> {
     pub output: &'a str,
 }
 
-const REMEDY: &str = "the fields are {i}, {i:06}, {t}, {sensor} and, for arrays, {output}; {{ is a brace";
+const REMEDY: &str = "the fields are {i}, {i:06}, {t}, {sensor} and, for arrays, {output}; write {{ for a brace";
 
 impl Template {
-    /// The template that stands for exactly this file.
+    /// A template without fields: always this file.
     pub fn literal(path: &Path) -> Self {
         Self(Kind::Name(path.to_owned()))
     }
@@ -78,7 +78,7 @@ impl Template {
         parts.iter().any(|part| matches!(part, Part::Field(f, _) if *f == field))
     }
 
-    /// True if every pose gets a name of its own, as far as their time stamps differ.
+    /// True if every pose gets its own name, provided that time stamps differ.
     pub fn tells_poses_apart(&self) -> bool {
         self.has(Field::Index) || self.has(Field::Stamp)
     }
@@ -86,7 +86,7 @@ impl Template {
     /// The name of one file.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] if a name in it is empty, or would lead into another folder.
+    /// [`crate::ErrorKind::Usage`] if a field is empty, or would lead into another folder.
     pub fn path(&self, names: &Names<'_>) -> Result<PathBuf> {
         let parts = match &self.0 {
             Kind::Name(path) => return Ok(path.clone()),
@@ -106,14 +106,14 @@ impl Template {
     }
 }
 
-/// A name that can be part of the name of a file.
+/// Checks that the value of a field can be part of a file name.
 fn sound<'a>(field: &str, name: &'a str) -> Result<&'a str> {
     let strange = |c: char| c.is_control() || matches!(c, '/' | '\\');
     if name.is_empty() {
-        return Err(Error::usage(format!("{field} stands for nothing here"), "leave it out of the name"));
+        return Err(Error::usage(format!("{field} has no value here"), "leave it out of the name"));
     }
     if name.contains(strange) || name.starts_with('.') {
-        let what = format!("{field} stands for {}, which is no part of a file's name", quoted(name));
+        let what = format!("{field} is {}, which cannot be part of a file name", quoted(name));
         return Err(Error::usage(what, "give it another name"));
     }
     Ok(name)
@@ -141,7 +141,7 @@ impl std::str::FromStr for Template {
             if !plain.is_empty() {
                 parts.push(Part::Text(std::mem::take(&mut plain)));
             }
-            let unknown = || wrong(format!("{{{inside}}} is no field of a name"));
+            let unknown = || wrong(format!("{{{inside}}} is not a valid field"));
             parts.push(field(inside).ok_or_else(unknown)?);
             rest = after;
         }
@@ -154,7 +154,7 @@ impl std::str::FromStr for Template {
 }
 
 fn field(inside: &str) -> Option<Part> {
-    /// As many as the largest number has.
+    /// Digits of the largest index.
     const DIGITS: usize = 20;
     let (name, digits) = match inside.split_once(':') {
         None => (inside, 0),

@@ -1,4 +1,4 @@
-//! Temporary files beside the files that they become: locked while they are written, removed when they are left behind.
+//! Temporary files in the folder of the final file: locked while written, and removed if a killed process leaves them.
 
 use std::collections::{BTreeSet, HashMap};
 use std::ffi::OsStr;
@@ -16,10 +16,10 @@ const SUFFIX: &str = ".part";
 /// Letters and digits between prefix and suffix.
 const RANDOM: usize = 6;
 
-/// Files younger than this may be of a process that has not locked them yet; folders are searched no more often.
+/// A younger file may belong to a process that has not locked it yet. Also the least time between searches of a folder.
 const MINUTE: Duration = Duration::from_secs(60);
 
-/// The files that this process is writing. Whoever holds the lock keeps them as they are.
+/// The files that this process is writing. While the mutex is locked, none is created or renamed.
 static LIVE: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -29,15 +29,15 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 /// Who may read a new file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Access {
-    /// Whoever the user's umask lets.
+    /// Everybody whom the user's umask allows.
     Umask,
-    /// The user alone.
+    /// Only the user.
     Private,
 }
 
 /// A temporary file; removed when it is dropped.
 pub struct Temporary {
-    // Dropped in this order.
+    // Fields drop in this order: the file is removed before it leaves the list.
     file: NamedTempFile,
     _listed: ListedFile,
 }
@@ -52,10 +52,10 @@ impl Drop for ListedFile {
 }
 
 impl Temporary {
-    /// A new file in a folder. What was left behind there is removed first.
+    /// Creates a file in a folder, after removing temporary files that killed processes left there.
     ///
     /// # Errors
-    /// The system's own, without the file's name.
+    /// The system's error, without the file's name.
     pub fn new(folder: &Path, access: Access) -> io::Result<Self> {
         let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
         remove_left_behind(folder);
@@ -63,14 +63,14 @@ impl Temporary {
         builder.prefix(PREFIX).suffix(SUFFIX).rand_bytes(RANDOM);
         let mut live = lock(&LIVE);
         let file = builder.make_in(folder, |path| create(path, access))?;
-        // Where files cannot be locked, nobody takes this one for left behind either.
+        // Where files cannot be locked, no other process can lock and remove this one.
         let _ = file.as_file().lock();
         let path = file.path().to_owned();
         live.insert(path.clone());
         Ok(Self { file, _listed: ListedFile(path) })
     }
 
-    /// Where it is.
+    /// The path of the temporary file.
     #[cfg(any(feature = "store", test))]
     pub fn path(&self) -> &Path {
         self.file.path()
@@ -81,12 +81,12 @@ impl Temporary {
         self.file.as_file_mut()
     }
 
-    /// Gives it its final name, in the place of what has that name.
+    /// Renames the file to its final name and replaces a file of that name.
     pub fn keep_as(self, path: &Path) -> io::Result<()> {
         self.keep(|file| file.persist(path))
     }
 
-    /// Gives it its final name, unless something has that name.
+    /// Renames the file to its final name; fails if that name exists.
     #[cfg(feature = "store")]
     pub fn keep_as_new(self, path: &Path) -> io::Result<()> {
         self.keep(|file| file.persist_noclobber(path))
@@ -95,11 +95,11 @@ impl Temporary {
     fn keep(self, rename: impl FnOnce(NamedTempFile) -> Result<File, tempfile::PersistError>) -> io::Result<()> {
         let Self { file, _listed } = self;
         let kept = {
-            // Not while the process is about to end.
+            // Blocks while [`abandon`] ends the process.
             let _live = lock(&LIVE);
             rename(file)
         };
-        // What failed is removed with the error's file.
+        // Dropping the error removes a file that could not be renamed.
         kept.map(drop).map_err(|e| e.error)
     }
 }
@@ -117,11 +117,11 @@ fn create(path: &Path, access: Access) -> io::Result<File> {
     options.open(path)
 }
 
-/// Removes what this process is writing. While the answer lives, no other file is begun and none gets its final name: it is
-/// for a process that is about to end.
+/// Removes the files that this process is writing, because it is about to end. While the returned guard lives, no file
+/// is created or gets its final name.
 #[cfg(unix)]
 pub fn abandon() -> impl Sized {
-    /// How long a file system may take to rename a file before the process ends all the same.
+    /// How long to wait for the renaming of a file before the process ends anyway.
     const PATIENCE: Duration = Duration::from_secs(2);
     let start = Instant::now();
     let live = loop {
@@ -133,15 +133,15 @@ pub fn abandon() -> impl Sized {
         }
     };
     for path in live.iter().flat_map(|live| live.iter()) {
-        // Nobody is left who could be told.
+        // The process ends: nobody could read an error.
         let _ = fs::remove_file(path);
     }
     live
 }
 
-/// Removes files of our name that nobody holds and that are over a minute old: those of processes that were killed.
+/// Removes temporary files of killed processes: files with our name that are over a minute old and not locked.
 fn remove_left_behind(folder: &Path) {
-    /// When folders were searched. A folder may hold very many files.
+    /// The last search of each folder: a folder may hold very many files.
     static SEARCHED: LazyLock<Mutex<HashMap<PathBuf, Instant>>> = LazyLock::new(Mutex::default);
     const FOLDERS: usize = 1000;
     {
@@ -154,7 +154,7 @@ fn remove_left_behind(folder: &Path) {
         }
         searched.insert(folder.to_owned(), Instant::now());
     }
-    // Who cannot list or remove leaves it to the next.
+    // A later process may succeed, so errors are ignored.
     for entry in fs::read_dir(folder).into_iter().flatten().flatten().filter(|e| is_ours(&e.file_name())) {
         if let Some(_held) = left_behind(&entry) {
             let _ = fs::remove_file(entry.path());
@@ -167,7 +167,7 @@ fn is_ours(name: &OsStr) -> bool {
     random.is_some_and(|r| r.len() == RANDOM && r.bytes().all(|b| b.is_ascii_alphanumeric()))
 }
 
-/// The file, locked, if it is old and nobody else holds it.
+/// Locks and returns the file if it is old and no other process has locked it.
 fn left_behind(entry: &DirEntry) -> Option<File> {
     let metadata = entry.metadata().ok()?;
     let age = metadata.modified().ok()?.elapsed().ok()?;

@@ -1,4 +1,4 @@
-//! Shared code of the readers of presight's own text files: bounded reading, the format number, errors with the line.
+//! Shared code for reading presight's text files: bounded reading, the format number, errors with line numbers.
 
 use crate::file;
 use presight_model::error::{Error, ErrorKind, Result};
@@ -8,10 +8,10 @@ use serde::de::DeserializeOwned;
 use std::io::{BufRead, Read};
 use std::path::Path;
 
-/// The only version of the TOML files that this build reads.
+/// The only format version that this build reads.
 pub(crate) const FORMAT: i64 = 1;
 
-/// A name of one or more path segments, for a new object.
+/// Checks the name of a new object: one or more path segments.
 ///
 /// # Errors
 /// [`ErrorKind::Invalid`] if a segment is empty or has control characters, or the name is too long.
@@ -22,15 +22,14 @@ pub(crate) fn check_name(name: &str) -> Result<()> {
         return Ok(());
     }
     let remedy = format!("give segments such as \"cell1/robot\", at most {} bytes", limits::MAX_NAME_BYTES);
-    Err(Error::invalid(format!("{} is no name of an object", presight_model::printable::quoted(name)), remedy))
+    Err(Error::invalid(format!("{} is not a valid object name", presight_model::printable::quoted(name)), remedy))
 }
 
-/// Bytes of memory for each object of JSON text, and each element of its lists: more than the largest of them takes that we
-/// read.
+/// Upper bounds on the memory, bytes, of a JSON object and of a list element, for all types read here.
 const JSON_OBJECT: u64 = 768;
 const JSON_ELEMENT: u64 = 32;
 
-/// The bytes that reading JSON text takes at most.
+/// Upper bound on the memory, bytes, that reading JSON text takes.
 pub(crate) fn json_memory(text: &[u8]) -> u64 {
     let (mut objects, mut elements) = (0, 0);
     for byte in text {
@@ -40,14 +39,14 @@ pub(crate) fn json_memory(text: &[u8]) -> u64 {
     text.len() as u64 + JSON_OBJECT * objects + JSON_ELEMENT * elements
 }
 
-/// Refuses JSON text that would take too much memory, before any is taken.
+/// Refuses JSON text that could take too much memory, before any is allocated.
 pub(crate) fn check_json_memory(text: &str) -> Result<()> {
     let bytes = json_memory(text.as_bytes());
     if bytes <= limits::MAX_IMPORT_BYTES {
         return Ok(());
     }
     let what = format!("reading its JSON could take {bytes} bytes of memory");
-    Err(Error::invalid(what, format!("{} are the limit: split it", limits::MAX_IMPORT_BYTES)))
+    Err(Error::invalid(what, format!("the limit is {}: split the file", limits::MAX_IMPORT_BYTES)))
 }
 
 /// Reads a whole file as text, or the content of a pipe that was passed to this process.
@@ -55,7 +54,7 @@ pub(crate) fn read_text(path: &Path) -> Result<String> {
     read_up_to(path, limits::MAX_FILE_BYTES)
 }
 
-/// As `read_text`, of a file that is small unless something is wrong.
+/// As `read_text`, with the lower size limit of settings files.
 pub fn read_settings(path: &Path) -> Result<String> {
     read_up_to(path, limits::MAX_SETTINGS_BYTES)
 }
@@ -68,7 +67,7 @@ fn read_up_to(path: &Path, limit: u64) -> Result<String> {
     })
 }
 
-/// The next line of a file that is read line by line, with its end; `None` at the end of the file.
+/// Reads the next line, with its line end; `None` at the end of the file.
 pub(crate) fn read_line(reader: &mut impl BufRead, number: usize) -> Result<Option<String>> {
     let mut line = Vec::new();
     let read = reader.by_ref().take(limits::MAX_LINE_BYTES + 1).read_until(b'\n', &mut line);
@@ -87,16 +86,16 @@ pub(crate) fn read_line(reader: &mut impl BufRead, number: usize) -> Result<Opti
     Ok(Some(text))
 }
 
-/// The line (from 1) of a byte offset.
+/// The line number (from 1) of a byte offset.
 pub(crate) fn line_of(text: &str, offset: usize) -> usize {
     1 + text.as_bytes().iter().take(offset).filter(|&&b| b == b'\n').count()
 }
 
-/// Reads TOML into a type, with the line in the error.
+/// Parses TOML into a type; errors name the line.
 pub(crate) fn toml_from_str<T: DeserializeOwned>(text: &str) -> Result<T> {
     if text.len() as u64 > limits::MAX_SETTINGS_BYTES {
         let what = format!("the TOML has {} bytes", text.len());
-        return Err(Error::invalid(what, format!("{} are the limit: give rays in a file", limits::MAX_SETTINGS_BYTES)));
+        return Err(Error::invalid(what, format!("the limit is {}: put rays in a file", limits::MAX_SETTINGS_BYTES)));
     }
     toml::from_str(text).map_err(|e| {
         let wrong = Error::invalid(e.message().to_owned(), "correct the file; docs/formats.md describes its keys");

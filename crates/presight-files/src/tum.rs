@@ -27,7 +27,7 @@ pub fn read(path: &Path) -> Result<Vec<StampedPose>> {
     read_text(path).and_then(|text| parse(&text)).map_err(|e| e.in_file(path))
 }
 
-/// As [`read`], each pose with its time as it is written.
+/// As [`read`], with the time stamp of each pose as text.
 ///
 /// # Errors
 /// As [`read`].
@@ -45,7 +45,7 @@ pub fn parse(text: &str) -> Result<Vec<StampedPose>> {
     Ok(parse_with_stamps(text)?.into_iter().map(|(_, stamped)| stamped).collect())
 }
 
-/// As [`parse`], each pose with its time as it is written.
+/// As [`parse`], with the time stamp of each pose as text.
 ///
 /// # Errors
 /// As [`parse`].
@@ -69,10 +69,10 @@ pub struct Stream {
     ended: bool,
 }
 
-/// Opens a trajectory that may be longer than memory. What is wrong with a line is told when it is read; then the stream ends.
+/// Opens a trajectory that may be larger than memory. An invalid line gives an error when reached, and ends the stream.
 ///
 /// # Errors
-/// Those of opening a file; pipes are refused, for what is read twice.
+/// As for opening a file; pipes are refused, because callers read the file twice.
 pub fn stream(path: &Path) -> Result<Stream> {
     let reader = BufReader::new(file::open(path)?);
     Ok(Stream { path: path.to_owned(), reader, line: 0, ended: false })

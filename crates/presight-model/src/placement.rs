@@ -1,5 +1,5 @@
-//! Features and the polygons under them, as both change: a feature that is put in must lie on polygons, and one whose
-//! surface is later moved or deleted is kept, left out of predictions, and told of.
+//! Features and the polygons they lie on, as both change. A new feature must lie on polygons. A feature whose surface
+//! is later moved or deleted is kept and reported, but left out of predictions.
 
 use crate::change::Change;
 use crate::environment::{DEFAULT_TOLERANCE, Environment, Feature, FeatureLayer};
@@ -45,14 +45,14 @@ impl From<Vec<PlacedFeature>> for PlacedFeatures {
 pub struct Placement {
     /// The features that lie on polygons, in the order of the layer.
     pub placed: Vec<PlacedFeature>,
-    /// Rising numbers of the others.
+    /// Ids of the others, in rising order.
     pub off: Vec<u32>,
 }
 
 /// Finds the object and the polygons of each feature, as [`place`] does, and separates features that are off their polygons.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] if the layer is not sound, or names the pose of an object that is not there.
+/// [`crate::ErrorKind::Invalid`] if the layer is not valid, or names the pose of a missing object.
 pub fn find(world: &World, layer: &FeatureLayer) -> Result<Placement> {
     let (placed, off) = place_lying(world, layer)?;
     Ok(Placement { placed, off })
@@ -70,7 +70,7 @@ pub fn place_layer(world: &World, layer: &FeatureLayer) -> Result<PlacedFeatures
     Ok(PlacedFeatures { features: placed.into(), lost: off.into(), objects: objects.into() })
 }
 
-/// The features of the environment's own layers that lie on no polygon any more, by class and id.
+/// The features of the environment's own layers that no longer lie on a polygon, by class and id.
 ///
 /// # Errors
 /// As [`find`].
@@ -86,7 +86,7 @@ pub fn lost(environment: &Environment) -> Result<Vec<(String, u32)>> {
     Ok(lost)
 }
 
-/// Why a feature of a class lies on no polygon: an error that names class and feature; `None` if it does lie on some.
+/// Explains why a feature lies on no polygon, in an error that names class and feature; `None` if it lies on one.
 pub fn why_off(world: &World, class: &str, tolerance: f64, feature: &Feature) -> Option<Error> {
     let (class_name, features) = (class.to_owned(), vec![Arc::new(feature.clone())]);
     let layer = FeatureLayer { class: class_name, tolerance, features, pose_covariances: Vec::new() };
@@ -94,11 +94,11 @@ pub fn why_off(world: &World, class: &str, tolerance: f64, feature: &Feature) ->
 }
 
 impl World {
-    /// Applies a change, which makes the next version, and returns its inverse. New and altered features must lie on polygons
-    /// at the end of the change; restored ones need not, because they may have lost their surface before they were deleted.
+    /// Applies a change, which makes the next version, and returns its inverse. After the change, new and altered
+    /// features must lie on polygons. Restored features need not: they may have lost their surface before deletion.
     ///
-    /// Environment and index change together, in place unless a clone still holds this version. If features have to be checked,
-    /// a world without an index gets the default one. Apply an inverse with [`World::apply_unchecked`].
+    /// Environment and index change together, in place unless a clone still holds this version. If features must be
+    /// checked, a world without an index gets the default one. Apply an inverse with [`World::apply_unchecked`].
     ///
     /// ```
     /// use presight::environment::{Existence, Feature, FeatureShape, Properties};
@@ -126,15 +126,15 @@ impl World {
     /// ```
     ///
     /// # Errors
-    /// Those of [`World::apply_unchecked`], and [`crate::ErrorKind::Invalid`] naming class and feature if a feature lies on no
-    /// polygon; content and version then stay as they are.
+    /// Errors of [`World::apply_unchecked`], and [`crate::ErrorKind::Invalid`] naming class and feature if a feature
+    /// lies on no polygon; content and version are then unchanged.
     pub fn apply(&mut self, change: Change) -> Result<Change> {
         apply(self, change, false, &[])
     }
 }
 
-/// As [`World::apply`]. Restored features are checked, too, with `restored_too`. The features `lost` (class, id) are known to
-/// have lost their surface and are not checked.
+/// As [`World::apply`]. With `restored_too`, restored features are checked as well. The features `lost` (class, id) are
+/// known to have lost their surface and are not checked.
 pub fn apply(world: &mut World, change: Change, restored_too: bool, lost: &[(String, u32)]) -> Result<Change> {
     let mut named = Vec::new();
     name_features(&change, restored_too, &mut named);
@@ -149,7 +149,7 @@ pub fn apply(world: &mut World, change: Change, restored_too: bool, lost: &[(Str
         let scheme = Scheme::default();
         *world = world.reindexed(scheme, Params::tuned(scheme));
     }
-    // A change of one feature moves no polygon: it can be asked for before, and nothing has to be copied.
+    // A change of one feature moves no polygon, so it is checked first, and nothing has to be copied.
     if let Change::InsertFeature { class, feature }
     | Change::SetFeature { class, feature }
     | Change::RestoreFeature { class, feature } = &change
@@ -163,7 +163,7 @@ pub fn apply(world: &mut World, change: Change, restored_too: bool, lost: &[(Str
     })
 }
 
-/// Classes and ids of the features that a change puts in or alters.
+/// Collects classes and ids of the features that a change inserts or alters.
 fn name_features(change: &Change, restored_too: bool, to: &mut Vec<(String, u32)>) {
     match change {
         Change::InsertFeature { class, feature } | Change::SetFeature { class, feature } => {
@@ -188,7 +188,7 @@ mod tests {
     use glam::{DMat3, DVec3, Vec3};
     use presight_files::preparation::{ProblemKind, lost_features};
 
-    /// A tile at the origin, one 5 m away.
+    /// Two tiles: one at the origin, one 5 m away.
     fn world() -> World {
         let mut environment = Environment::new();
         environment.add_material(Material::named("m")).unwrap();
@@ -254,7 +254,7 @@ mod tests {
             group(&[insert(3, 3.75), Change::DeleteFeature { class: "video".into(), id: 3 }]),
             alter(5.5),
             restore,
-            // Not asked of what is there already.
+            // Existing features are not checked.
             move_to("far", 7.0),
         ];
         for change in taken {

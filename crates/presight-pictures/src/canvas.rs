@@ -5,13 +5,13 @@ use super::font;
 /// sRGB.
 pub type Rgb = [u8; 3];
 
-/// The page behind everything.
+/// Background of the page.
 pub const PAGE: Rgb = [0x15, 0x17, 0x1c];
 /// Text and ticks.
 pub const INK: Rgb = [0xc8, 0xcd, 0xd6];
 /// Secondary text and lines.
 pub const FAINT: Rgb = [0x6a, 0x72, 0x80];
-/// Text is drawn with pixels of this side.
+/// Side of a font dot, pixels.
 const TEXT_SCALE: u32 = 2;
 /// Height of a line of text, pixels.
 pub const TEXT_HEIGHT: u32 = font::HEIGHT * TEXT_SCALE;
@@ -31,13 +31,13 @@ impl PageRect {
         [self.left, self.top, self.left + self.width, self.top + self.height].map(f64::from)
     }
 
-    /// True of a place no farther than `by` outside of it.
+    /// True for a point inside the rectangle, or at most `by` outside.
     pub fn holds(self, [x, y]: [f64; 2], by: f64) -> bool {
         let [left, top, right, bottom] = self.borders();
         (left - by..=right + by).contains(&x) && (top - by..=bottom + by).contains(&y)
     }
 
-    /// The part of a straight line, as shares of it, that is no farther than `by` outside.
+    /// The part of a straight line inside the rectangle or at most `by` outside, as fractions of the line.
     pub fn part_of_line(self, a: [f64; 2], b: [f64; 2], by: f64) -> Option<(f64, f64)> {
         let [left, top, right, bottom] = self.borders();
         let (mut from, mut to) = (0.0f64, 1.0f64);
@@ -53,17 +53,17 @@ impl PageRect {
             let (t, u) = ((low - start) / along, (high - start) / along);
             (from, to) = (from.max(t.min(u)), to.min(t.max(u)));
         }
-        // Written so that NaN is nowhere.
+        // False for NaN.
         (from <= to).then_some((from, to))
     }
 }
 
-/// An RGB picture; drawing outside of it is cut off.
+/// An RGB picture; drawing is clipped to it.
 pub struct Canvas {
     width: u32,
     height: u32,
     bytes: Vec<u8>,
-    /// Outside of it nothing is drawn for the time being.
+    /// The current clipping rectangle.
     frame: PageRect,
 }
 
@@ -74,7 +74,7 @@ impl Canvas {
         Self { width, height, bytes, frame: PageRect { left: 0, top: 0, width, height } }
     }
 
-    /// Draws only inside of a frame.
+    /// Clips drawing to a frame.
     pub fn inside(&mut self, frame: PageRect, draw: impl FnOnce(&mut Self)) {
         let before = std::mem::replace(&mut self.frame, frame);
         draw(self);
@@ -105,7 +105,7 @@ impl Canvas {
         }
     }
 
-    /// The colour of a pixel, the page's outside.
+    /// The colour of a pixel; outside the picture, that of the page.
     pub fn get(&self, x: i64, y: i64) -> Rgb {
         self.index(x, y).map_or(PAGE, |at| [self.bytes[at], self.bytes[at + 1], self.bytes[at + 2]])
     }
@@ -123,7 +123,7 @@ impl Canvas {
         }
     }
 
-    /// A disc about a point; its edge is smooth.
+    /// Draws a disc with an anti-aliased edge.
     pub fn disc(&mut self, center: [f64; 2], radius: f64, color: Rgb) {
         let reach = radius.ceil() as i64 + 1;
         if !self.frame.holds(center, reach as f64) {
@@ -141,7 +141,7 @@ impl Canvas {
         }
     }
 
-    /// A line of discs.
+    /// Draws a line as a row of discs.
     pub fn stroke(&mut self, from: [f64; 2], to: [f64; 2], radius: f64, color: Rgb) {
         let Some((start, end)) = self.frame.part_of_line(from, to, radius + 1.0) else { return };
         let at = |t: f64| [0, 1].map(|i| from[i] + t * (to[i] - from[i]));
@@ -154,7 +154,7 @@ impl Canvas {
         }
     }
 
-    /// A line of text from its top left corner.
+    /// Draws a line of text with its top left corner at `x`, `y`.
     pub fn text(&mut self, x: u32, y: u32, text: &str, color: Rgb) {
         for (i, c) in text.chars().enumerate() {
             let left = x + i as u32 * font::ADVANCE * TEXT_SCALE;
@@ -170,7 +170,7 @@ pub fn text_width(text: &str) -> u32 {
     (text.chars().count() as u32 * font::ADVANCE).saturating_sub(1) * TEXT_SCALE
 }
 
-/// From `a` (share 0) to `b` (share 1).
+/// Blends from `a` (share 0) to `b` (share 1).
 pub fn mix(a: Rgb, b: Rgb, share: f64) -> Rgb {
     std::array::from_fn(|i| (f64::from(a[i]) + share * (f64::from(b[i]) - f64::from(a[i]))).round() as u8)
 }

@@ -11,8 +11,8 @@ pub const TOO_NEAR: Rgb = [0x8c, 0x2f, 0x39];
 /// The sensor has no ray there.
 pub const NO_RAY: Rgb = [0x0b, 0x0c, 0x0f];
 
-/// Viridis by Smith and van der Walt (CC0), every tenth of the way; lightness rises evenly, and people who see no
-/// red or no green read it too. Its darkest tenth is left out: it could not be told from the page.
+/// Viridis by Smith and van der Walt (CC0), in tenths. Lightness rises evenly, which also suits colour-blind readers.
+/// The darkest tenth is left out because it resembles the page.
 const VIRIDIS: [Rgb; 10] = [
     [0x48, 0x24, 0x75],
     [0x41, 0x44, 0x87],
@@ -35,15 +35,15 @@ pub fn by_distance(share: f64) -> Rgb {
 
 /// Marked pixels.
 const MARKED: Rgb = [0x35, 0xd0, 0xff];
-/// Stripes over what was given up.
+/// Stripes over pixels dropped for a deadline.
 const GIVEN_UP: Rgb = [0x7a, 0x80, 0x8c];
 
-/// Grey that looks evenly stepped.
+/// Grey in perceptually even steps.
 pub fn grey(share: f64) -> Rgb {
     [(share.clamp(0.0, 1.0) * 255.0).round() as u8; 3]
 }
 
-/// A colour for an id: neighbouring numbers lie 137 degrees of hue apart, at one of three lightnesses.
+/// A colour for an id. Hues of consecutive ids are 137 degrees apart; lightness has one of three values.
 pub fn by_id(id: u32) -> Rgb {
     const GOLDEN: f64 = 0.618_033_988_749_895;
     let hue = (f64::from(id) * GOLDEN).fract() * std::f64::consts::TAU;
@@ -72,7 +72,7 @@ fn oklab(l: f64, a: f64, b: f64) -> Rgb {
 /// The colours of all pixels of one output.
 pub struct Palette {
     colors: Vec<Rgb>,
-    /// What else than values is to be seen, for the legend.
+    /// Colours that are not values, with their names, for the legend.
     pub specials: Vec<(Rgb, &'static str)>,
 }
 
@@ -97,7 +97,7 @@ impl Palette {
         Self { colors, specials }
     }
 
-    /// Of classes, by index into a list of names and colours; pixels of no class are left as the page is.
+    /// Colours of classes by index into `legend`; a pixel without a class gets the page's colour.
     pub fn of_classes(classes: &[u8], legend: &[(&str, Rgb)]) -> Self {
         let color = |class: &u8| legend.get(usize::from(*class)).map_or(PAGE, |(_, color)| *color);
         Self { colors: classes.iter().map(color).collect(), specials: Vec::new() }
@@ -113,7 +113,7 @@ impl Palette {
         }
     }
 
-    /// Hatches pixels that were given up.
+    /// Hatches pixels that were dropped for a deadline.
     pub fn hatch(&mut self, given_up: &[bool], width: u32) {
         let is_dark = |at: usize| (at % width as usize + at / width as usize) % 6 < 3;
         for (at, color) in self.colors.iter_mut().enumerate().filter(|(at, _)| given_up[*at]) {
@@ -128,13 +128,13 @@ impl Palette {
     }
 }
 
-/// Of -1..=1, as maps of normals show it; NaN is black.
+/// Maps -1..=1 to 0..=255, as normal maps do; NaN is black.
 fn of_component(v: f32) -> u8 {
     (127.5 * (v + 1.0)).round() as u8
 }
 
 fn of_value(v: f32, output: Output, scale: &Scale) -> Rgb {
-    // Numbers without a unit are shares: 0..=1, NaN where nothing is seen.
+    // Outputs without a unit are in 0..=1, and NaN where nothing is seen.
     let is_share = !output.is_distance();
     match v {
         v if v.is_nan() && is_share => MISS,

@@ -1,4 +1,4 @@
-//! What was predicted beside what was sensed, and what each pixel says of it.
+//! Pictures that compare a prediction with a measurement and show the verdict of each pixel.
 
 use super::canvas::{Canvas, FAINT, INK, PageRect, Rgb, TEXT_HEIGHT, text_width};
 use super::color::{MISS, Palette, grey as gray};
@@ -19,42 +19,42 @@ use presight_render::plan::{Images, Output};
 use std::io::BufWriter;
 use std::path::Path;
 
-/// A measured image beside the prediction it is compared with.
+/// A measured image and the prediction it is compared with.
 #[derive(Clone, Copy, Debug)]
 pub struct Comparison<'a> {
     /// The sensor that measured.
     pub sensor: &'a Sensor,
-    /// `range`; with `polygon_id`, borders of polygons are drawn.
+    /// The predicted `range`; with `polygon_id`, borders of polygons are drawn.
     pub predicted: &'a Images,
-    /// Metres along each ray, row by row; `-inf`, `+inf` and NaN as REP-117 has them.
+    /// Measured ranges in metres, row by row; `-inf`, `+inf` and NaN as in REP-117.
     pub sensed: &'a [f32],
-    /// What each pixel says of the prediction, by index into `legend`; empty if nothing was compared.
+    /// The verdict of each pixel, as an index into `legend`; empty if nothing was compared.
     pub verdicts: &'a [u8],
     /// Names and colours (sRGB) of verdicts.
     pub legend: &'a [(&'a str, [u8; 3])],
-    /// Features, and the regions of interest in which they are looked for.
+    /// Features and their regions of interest.
     pub features: Option<&'a Overlay<'a>>,
-    /// A grey image that was taken at the same time, and what was found in it.
+    /// A grey image taken at the same time, with the features found in it.
     pub grey: Option<GreyPanel<'a>>,
-    /// What was predicted and found of features in a scan of one row.
+    /// Predicted and found features in a scan of one row.
     pub plan: Option<PlanMarks<'a>>,
 }
 
 /// Points over the plan of a scan of one row.
 #[derive(Clone, Copy, Debug)]
 pub struct PlanMarks<'a> {
-    /// Points in metres, x forward and y left of the sensor; the first lowest.
+    /// Points in metres, x forward and y left of the sensor; later ones cover earlier ones.
     pub marks: &'a [GreyMark],
     /// Names and colours (sRGB) of marks.
     pub legend: &'a [(&'a str, [u8; 3])],
 }
 
-/// A grey image with what was predicted and found in it.
+/// A grey image with predicted and found features.
 #[derive(Clone, Copy, Debug)]
 pub struct GreyPanel<'a> {
     /// The image.
     pub image: &'a GreyImage,
-    /// What is drawn over it, the first lowest.
+    /// Marks over the image; later ones cover earlier ones.
     pub marks: &'a [GreyMark],
     /// Names and colours (sRGB) of marks.
     pub legend: &'a [(&'a str, [u8; 3])],
@@ -63,27 +63,28 @@ pub struct GreyPanel<'a> {
 /// A point or a line over an image or a plan.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GreyMark {
-    /// Columns and rows; in a plan metres.
+    /// Columns and rows in an image, metres in a plan.
     pub points: Vec<DVec2>,
     /// Index into the legend.
     pub kind: usize,
-    /// Half of its width on the page, pixels.
+    /// Half the width on the page, pixels.
     pub radius: f64,
 }
 
-/// Widest panel where three stand side by side, pixels.
+/// Widest panel of three side by side, pixels.
 const PANEL: f64 = 560.0;
-/// Panels that are this many times wider than high stand below each other.
+/// Panels at least this many times wider than high are stacked.
 const FLAT: f64 = 2.0;
 /// Side of a legend's squares, pixels.
 const SQUARE: u32 = 16;
 
-/// Writes a picture of a comparison: predicted, sensed and verdicts as three panels with one scale of ranges; of a scan of
-/// one row, a plan from above with the predicted surfaces as lines and what was sensed as dots in the colours of their verdicts.
+/// Writes a picture of a comparison: panels with predicted ranges, measured ranges and verdicts, on one scale of
+/// ranges. For a scan of one row it is a plan from above, with predicted surfaces as lines and measured points as dots
+/// in the colours of their verdicts.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] if an image is not of the sensor's size, [`crate::ErrorKind::System`] if the file cannot be
-/// written.
+/// [`crate::ErrorKind::Invalid`] for an image of another size than the sensor's, [`crate::ErrorKind::System`] for I/O
+/// errors.
 pub fn write_comparison(path: &Path, comparison: &Comparison<'_>) -> Result<()> {
     let canvas = draw(comparison).map_err(|e| e.in_file(path))?;
     write_atomically(path, |file| {
@@ -91,10 +92,10 @@ pub fn write_comparison(path: &Path, comparison: &Comparison<'_>) -> Result<()> 
     })
 }
 
-/// The picture.
+/// Draws the picture.
 pub(super) fn draw(c: &Comparison<'_>) -> Result<Canvas> {
     let pixels = c.sensor.width() as usize * c.sensor.height() as usize;
-    let images = [("predicted", c.predicted.range.len()), ("sensed", c.sensed.len()), ("judged", c.verdicts.len())];
+    let images = [("predicted", c.predicted.range.len()), ("measured", c.sensed.len()), ("judged", c.verdicts.len())];
     if let Some(grey) = &c.grey
         && c.sensed.is_empty()
         && c.predicted.range.is_empty()
@@ -115,11 +116,11 @@ fn panels(c: &Comparison<'_>) -> Canvas {
     let shrink = if stacked { 1.0 } else { (PANEL / f64::from(width)).min(1.0) };
     let [width, height] = [width, height].map(|side| ((f64::from(side) * shrink).round() as u32).max(24));
     let sensed = Images { range: c.sensed.to_vec(), polygon_id: Vec::new(), ..c.predicted.clone() };
-    // One scale, so that one colour is one range.
+    // One scale, so that a colour means the same range in both panels.
     let both = Images { range: [&c.predicted.range[..], c.sensed].concat(), ..Images::default() };
     let scale = Scale::of(&both, Output::Range);
     let palette = |images: &Images| Palette::new(images, Output::Range, &scale);
-    // Over what was sensed stand the regions of interest alone: what is to be found in them must be seen.
+    // Only regions of interest are drawn over the measured image: lines would cover the features in them.
     let bare = c.features.map(|overlay| without_lines(overlay.features));
     let regions = c.features.zip(bare.as_ref()).map(|(overlay, features)| Overlay { features, sides: &[], ..*overlay });
     let mut drawn = vec![
@@ -154,14 +155,14 @@ fn panels(c: &Comparison<'_>) -> Canvas {
         draw_names(&mut canvas, &of_features, below + FOOTER + own);
     }
     let mut colors = palette(&both);
-    // Where something was sensed, NaN is no measurement.
+    // In a measured image, NaN means a missing measurement rather than a missing ray.
     colors.specials.iter_mut().filter(|(_, name)| *name == "no ray").for_each(|(_, name)| *name = "no value");
     view::footer(&mut canvas, below, Output::Range, &colors, &scale);
     draw_legends(&mut canvas, c, &lines, below + FOOTER);
     canvas
 }
 
-/// The features with their regions of interest, and nothing of them seen or hidden.
+/// The features with their regions of interest, without visible and hidden parts.
 fn without_lines(features: &FeaturePrediction) -> FeaturePrediction {
     let mut bare = features.clone();
     for feature in &mut bare.features {
@@ -201,7 +202,7 @@ fn from_above(c: &Comparison<'_>) -> Canvas {
         let color = if c.verdicts.is_empty() { FAINT } else { palette.color(i) };
         match (seen, expected) {
             (Some(p), _) => canvas.disc(map.page(*p), 2.5, color),
-            // What was not measured is told where it was predicted.
+            // Without a measurement, the verdict is shown at the predicted point.
             (None, Some(p)) => canvas.disc(map.page(*p), 1.2, color),
             (None, None) => {}
         }
@@ -222,7 +223,7 @@ fn from_above(c: &Comparison<'_>) -> Canvas {
     canvas
 }
 
-/// Names of verdicts with their colours, as many in a line as fit.
+/// Breaks the names and colours of a legend into lines that fit the page.
 fn legend_lines<'a>(names: &[(&'a str, Rgb)], page_width: u32) -> Vec<Vec<(u32, &'a str, Rgb)>> {
     let (mut lines, mut x) = (vec![Vec::new()], MARGIN);
     for (name, color) in names {
@@ -264,7 +265,7 @@ fn draw_names(canvas: &mut Canvas, lines: &[Vec<(u32, &str, Rgb)>], top: u32) {
     }
 }
 
-/// A grey image that nothing else was measured with.
+/// Draws a grey image without ranges.
 fn grey_alone(grey: &GreyPanel<'_>) -> Canvas {
     let enlarged = (2.0 * PANEL / f64::from(grey.image.width())).clamp(1.0, 4.0);
     let [width, height] =
@@ -279,7 +280,7 @@ fn grey_alone(grey: &GreyPanel<'_>) -> Canvas {
     canvas
 }
 
-/// As large as fits into a frame.
+/// Draws a grey image as large as fits into a frame.
 fn draw_grey(canvas: &mut Canvas, cell: PageRect, grey: &GreyPanel<'_>) {
     let (w, h) = (grey.image.width(), grey.image.height());
     let scale = (f64::from(cell.width) / f64::from(w)).min(f64::from(cell.height) / f64::from(h));

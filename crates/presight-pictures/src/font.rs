@@ -1,8 +1,8 @@
-//! The usual 5 x 7 dot-matrix letters of character displays, for titles and scale bars.
+//! The 5 x 7 dot-matrix font of character displays, for titles and scale bars.
 
-/// Dots of a line of text.
+/// Height of a line of text, dots.
 pub const HEIGHT: u32 = 7;
-/// Dots from letter to letter.
+/// Distance from letter to letter, dots.
 pub const ADVANCE: u32 = 6;
 
 /// Columns of the letters from ' ' to '~', lowest bit on top.
@@ -104,7 +104,7 @@ const COLUMNS: [[u8; 5]; 95] = [
     [0x08, 0x04, 0x08, 0x10, 0x08], // ~
 ];
 
-/// The dots of a letter as (column, row); letters it does not know are a question mark.
+/// The dots of a letter as (column, row); an unknown letter becomes a question mark.
 pub fn dots(c: char) -> impl Iterator<Item = (u32, u32)> {
     let index = (c as usize).checked_sub(' ' as usize).filter(|i| *i < COLUMNS.len()).unwrap_or('?' as usize - 32);
     let columns = COLUMNS[index];

@@ -29,34 +29,35 @@ use scale::Scale;
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
-/// Writes a preview for people: one output in colours, with thin borders where `polygon_id` changes (if that image was made),
-/// a title and a scale bar.
+/// Writes a preview for people: one output in colours, with title and scale bar. If there is a `polygon_id` image, thin
+/// borders separate its ids.
 ///
-/// Range and depth_z are coloured from near (yellow) to far (violet), ids by distinct colours, cos_incidence and echo
-/// grey, vectors of length one with 127.5 (x + 1), 127.5 (y + 1) and 127.5 (z + 1) as red, green and blue.
-/// The shape of pixels follows their angles. Images of scanners that turn counter-clockwise are mirrored, so that left is left.
-/// A scan of one row is drawn from above, x forward being up.
+/// Range and depth_z are coloured from near (yellow) to far (violet), ids have distinct colours, cos_incidence and echo
+/// are grey, and unit vectors have 127.5 (x + 1), 127.5 (y + 1) and 127.5 (z + 1) as red, green and blue.
+/// The aspect ratio of pixels follows their angles. Images of counter-clockwise scanners are mirrored: left is left.
+/// A scan of one row is drawn from above, with x (forward) up.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] if the image is not there or not of the sensor's size,
+/// [`crate::ErrorKind::Invalid`] if the image is missing or does not have the sensor's size,
 /// [`crate::ErrorKind::System`] if the file cannot be written.
 pub fn write_preview(path: &Path, images: &Images, sensor: &Sensor, output: Output) -> Result<()> {
     write_preview_with(path, images, sensor, output, &Marks::default())
 }
 
-/// What a preview shows beside an image.
+/// Marks on the image of a preview.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Marks<'a> {
     /// Features drawn over it.
     pub overlay: Option<&'a Overlay<'a>>,
     /// Pixels to tint.
     pub mask: Option<&'a Mask>,
-    /// Pixels to hatch, row-major: those that were given up for a deadline. Empty if none were.
+    /// Pixels to hatch because they were dropped for a deadline, row-major. Empty if none were.
     pub given_up: &'a [bool],
 }
 
-/// As [`write_preview`], with features drawn over it, marked pixels tinted and those given up hatched. Visible parts are solid, hidden parts dashed,
-/// regions of interest boxes (in two parts over the seam of a turn) or, seen from above, arcs.
+/// As [`write_preview`], with features drawn over it, marked pixels tinted and dropped pixels hatched. Visible parts
+/// are solid and hidden parts dashed. Regions of interest are boxes (in two parts across the seam of a turn), or arcs
+/// in the view from above.
 ///
 /// # Errors
 /// As [`write_preview`].
@@ -77,12 +78,12 @@ pub fn write_preview_with(
 /// [`write_preview`] into memory: the bytes of a PNG file.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] if the image is not there or not of the sensor's size.
+/// [`crate::ErrorKind::Invalid`] if the image is missing or does not have the sensor's size.
 pub fn preview_png(images: &Images, sensor: &Sensor, output: Output) -> Result<Vec<u8>> {
     let canvas = preview(images, sensor, output, &Marks::default())?;
     let mut bytes = Vec::new();
     encode(&mut bytes, canvas.bytes(), canvas.width(), canvas.height(), ExtendedColorType::Rgb8)
-        .map_err(|e| Error::invalid(format!("the preview is no PNG: {e}"), ""))?;
+        .map_err(|e| Error::invalid(format!("the preview cannot be encoded as PNG: {e}"), ""))?;
     Ok(bytes)
 }
 
@@ -93,7 +94,7 @@ fn preview(images: &Images, sensor: &Sensor, output: Output, marks: &Marks<'_>) 
     if len != width as usize * height as usize {
         return Err(Error::invalid(
             format!("the {} image has {len} pixels, the sensor {width} x {height}", output.name()),
-            "ask for this output",
+            "request this output",
         ));
     }
     let scale = Scale::of(images, output);
@@ -115,13 +116,13 @@ fn is_one_row_scan(sensor: &Sensor) -> bool {
     sensor.height() == 1 && matches!(sensor.spec().geometry, Geometry::Scanner(_))
 }
 
-/// Columns and rows of the image in a preview, about: text and a scale stand around it.
+/// Approximate columns and rows of the image in a preview, without the text and scale around it.
 #[doc(hidden)]
 pub fn preview_size(sensor: &Sensor) -> (u32, u32) {
     view::drawn_size(sensor)
 }
 
-/// The images that a preview of one output is drawn from.
+/// The images that the preview of an output needs.
 pub fn preview_needs(sensor: &Sensor, output: Output) -> Outputs {
     let places = if is_one_row_scan(sensor) { Output::Range } else { output };
     Outputs::of(&[output, Output::PolygonId, places])
@@ -136,12 +137,12 @@ pub fn depth_output(sensor: &Sensor) -> Output {
 /// or beyond the 65.535 m that 16 bits can hold. Returns a notice if the last case occurs.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] if [`depth_output`]'s image is not there, [`crate::ErrorKind::System`] if the file
+/// [`crate::ErrorKind::Invalid`] if the image of [`depth_output`] is missing, [`crate::ErrorKind::System`] if the file
 /// cannot be written.
 pub fn write_depth(path: &Path, images: &Images, sensor: &Sensor) -> Result<Vec<String>> {
     let output = depth_output(sensor);
     let Some(metres) = images.floats(output).filter(|image| image.len() == images.pixels()) else {
-        return Err(Error::invalid(format!("there is no {} image", output.name()), "ask for it").in_file(path));
+        return Err(Error::invalid(format!("there is no {} image", output.name()), "request it").in_file(path));
     };
     let (millimetres, beyond) = to_millimetres(metres);
     let bytes: Vec<u8> = millimetres.iter().flat_map(|mm| mm.to_ne_bytes()).collect();
@@ -152,12 +153,12 @@ pub fn write_depth(path: &Path, images: &Images, sensor: &Sensor) -> Result<Vec<
     Ok((beyond > 0).then(notice).into_iter().collect())
 }
 
-/// Writes a 16-bit grey image, 0 black and 1 white; what is beyond is as these, and NaN is black.
+/// Writes a 16-bit grey image: 0 is black and 1 white, values outside are clamped, and NaN is black.
 ///
 /// # Errors
 /// [`crate::ErrorKind::System`] if the file cannot be written.
 pub fn write_grey(path: &Path, image: &GreyImage) -> Result<()> {
-    // A cast takes NaN to 0.
+    // The cast turns NaN into 0.
     let values = image.values().iter().map(|v| (v.clamp(0.0, 1.0) * f32::from(u16::MAX)).round() as u16);
     let bytes: Vec<u8> = values.flat_map(u16::to_ne_bytes).collect();
     write_atomically(path, |file| {
@@ -174,7 +175,7 @@ pub fn write_mask(path: &Path, mask: &Mask) -> Result<()> {
     write_atomically(path, |file| encode(BufWriter::new(file), &bytes, mask.width, mask.height, ExtendedColorType::L8))
 }
 
-/// Rounded millimetres, and how many finite values did not fit.
+/// Rounded millimetres, and the number of finite values that did not fit.
 fn to_millimetres(metres: &[f32]) -> (Vec<u16>, usize) {
     let mut beyond = 0;
     let convert = |m: &f32| {

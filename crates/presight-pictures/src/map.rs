@@ -10,29 +10,29 @@ use presight_model::error::{Error, Result};
 use std::io::BufWriter;
 use std::path::Path;
 
-/// Pixels of the longer side of a map, about.
+/// Approximate length of the longer side of a map, pixels.
 const SIDE: u32 = 640;
-/// Narrowest page on which titles and scales have their place.
+/// Smallest page width that holds titles and scales, pixels.
 const NARROWEST: u32 = 360;
 
 /// Values on a grid.
 #[derive(Clone, Copy, Debug)]
 pub struct GridMap<'a> {
-    /// What they are.
+    /// The name of the quantity.
     pub title: &'a str,
-    /// Their unit.
+    /// The unit of the values.
     pub unit: &'a str,
-    /// Places along x.
+    /// Cells along x.
     pub columns: u32,
-    /// Row by row from the least y. NaN: nothing is asked for there. Infinite: red.
+    /// Row by row from the least y. NaN means no value; infinite values are red.
     pub values: &'a [f64],
 }
 
-/// Writes maps below each other, x to the right and y upwards, each with a scale of its own: least values are yellow, greatest violet,
-/// infinite ones red.
+/// Writes maps below each other, x to the right and y upwards. Each has its own scale: the least values are yellow, the
+/// greatest violet, and infinite ones red.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] if values are no whole rows, or a map is larger than 65,535 places along a side;
+/// [`crate::ErrorKind::Invalid`] if values do not fill whole rows, or a map has more than 65,535 cells along a side;
 /// [`crate::ErrorKind::System`] if the file cannot be written.
 pub fn write_maps(path: &Path, maps: &[GridMap<'_>]) -> Result<()> {
     for map in maps {
@@ -40,7 +40,7 @@ pub fn write_maps(path: &Path, maps: &[GridMap<'_>]) -> Result<()> {
         let whole = rows > 0 && rows * map.columns as usize == map.values.len();
         if !whole || rows.max(map.columns as usize) > usize::from(u16::MAX) {
             let what = format!("a map of {} values in {} columns", map.values.len(), map.columns);
-            return Err(Error::invalid(what, "give whole rows, of 65,535 places at most").in_file(path));
+            return Err(Error::invalid(what, "give whole rows, and at most 65,535 cells along a side").in_file(path));
         }
     }
     let canvas = draw(maps);
@@ -49,7 +49,7 @@ pub fn write_maps(path: &Path, maps: &[GridMap<'_>]) -> Result<()> {
     })
 }
 
-/// Columns, rows, and pixels of a place.
+/// Columns, rows, and the side of a cell in pixels.
 fn size(map: &GridMap<'_>) -> [u32; 3] {
     let rows = map.values.len() as u32 / map.columns;
     [map.columns, rows, (SIDE / rows.max(map.columns)).clamp(1, 32)]

@@ -1,14 +1,14 @@
-//! Lines of features: solid where they are seen, dashed where they are hidden.
+//! Lines of features: solid where visible, dashed where hidden.
 
 use super::canvas::{Canvas, PageRect, Rgb};
 
-/// What is seen.
+/// Visible parts.
 pub const SEEN: Rgb = [0xff, 0x4f, 0xd8];
-/// What is hidden: none of the colours of ranges.
+/// Hidden parts; ranges never have this colour.
 pub const HIDDEN: Rgb = [0xff, 0x8f, 0x2e];
 /// Regions of interest.
 pub const REGION: Rgb = [0xf2, 0xf4, 0xf8];
-/// Dashes and the gaps between them, page pixels.
+/// Length of a dash and of a gap, page pixels.
 const DASH: f64 = 7.0;
 
 /// How a part of a feature is drawn.
@@ -18,12 +18,12 @@ pub enum Style {
     Seen,
     /// Hidden.
     Hidden,
-    /// Seen in part, where that part is not known.
+    /// Partly visible, without knowing which part.
     InPart,
 }
 
 impl Style {
-    /// Of what is seen or not.
+    /// The style of visible or of hidden parts.
     pub fn of(seen: bool) -> Self {
         if seen { Self::Seen } else { Self::Hidden }
     }
@@ -33,12 +33,12 @@ impl Style {
     }
 }
 
-/// Draws one line after another; dashes go on from each to the next.
+/// Draws consecutive lines; the dash pattern continues from one to the next.
 pub struct Pen<'a> {
     pub canvas: &'a mut Canvas,
     pub frame: PageRect,
     pub style: Style,
-    /// Length drawn so far, in dashes and gaps.
+    /// Length drawn so far, modulo the dash pattern.
     walked: f64,
 }
 
@@ -47,12 +47,12 @@ impl<'a> Pen<'a> {
         Self { canvas, frame, style, walked: 0.0 }
     }
 
-    /// A place by itself.
+    /// Draws a single point.
     pub fn dot(&mut self, at: [f64; 2], radius: f64) {
         self.canvas.disc(at, radius, self.style.color());
     }
 
-    /// A straight line, as far as it is in the frame: what is outside costs nothing, however long it is.
+    /// Draws the part of a straight line inside the frame. The part outside costs nothing, however long.
     pub fn line(&mut self, a: [f64; 2], b: [f64; 2]) {
         let color = self.style.color();
         if self.style == Style::Seen {
@@ -65,7 +65,7 @@ impl<'a> Pen<'a> {
             while done < end {
                 let phase = (self.walked + done) % (2.0 * DASH);
                 let left = if phase < DASH { DASH - phase } else { 2.0 * DASH - phase };
-                // At least a step, whatever is left of a dash of a line that began far outside.
+                // Always advances: on a line from far outside, rounding may leave a dash no length.
                 let next = (done + left.max(1e-3)).min(end);
                 if phase < DASH {
                     self.canvas.stroke(at(done), at(next), 0.6, color);

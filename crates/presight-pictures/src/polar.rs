@@ -24,7 +24,7 @@ pub struct Map {
 }
 
 impl Map {
-    /// Around all hits and the sensor.
+    /// A map that shows all hits and the sensor.
     pub fn around(hits: &[Option<DVec2>]) -> Self {
         let seen = || hits.iter().flatten().copied();
         let (low, high) = seen().fold((DVec2::ZERO, DVec2::ZERO), |(lo, hi), p| (lo.min(p), hi.max(p)));
@@ -77,7 +77,7 @@ pub fn draw(
     for (i, hit) in hits.iter().enumerate() {
         let Some(point) = hit else { continue };
         let color = palette.color(i);
-        // Neighbouring beams on one polygon saw what is between them too.
+        // Neighbouring hits on one polygon are connected.
         let next = (i + 1 < hits.len()).then(|| hits[i + 1]).flatten();
         let same = images.polygon_id.get(i).is_some_and(|id| images.polygon_id.get(i + 1) == Some(id));
         if let Some(next) = next.filter(|_| same) {
@@ -94,7 +94,7 @@ pub fn draw(
     canvas
 }
 
-/// Lightens what the beams passed through, from the sensor to each hit.
+/// Lightens the free space between the sensor and each hit.
 pub fn free_space(canvas: &mut Canvas, map: &Map, hits: &[Option<DVec2>], ray: impl Fn(u32) -> Option<DVec2>) {
     let turn = std::f64::consts::TAU;
     let mut beams: Vec<(f64, f64)> = Vec::new();
@@ -122,7 +122,7 @@ pub fn free_space(canvas: &mut Canvas, map: &Map, hits: &[Option<DVec2>], ray: i
     }
 }
 
-/// Circles of equal distance with their metres, and the forward direction.
+/// Draws circles of equal distance, labelled in metres.
 pub fn rings(canvas: &mut Canvas, map: &Map) {
     let reach = f64::from(map.size[0].max(map.size[1])) / map.pixels_per_metre;
     let (step, decimals) = nice_step(reach / 7.0);
@@ -141,7 +141,7 @@ pub fn rings(canvas: &mut Canvas, map: &Map) {
             }
         }
         let label = format!("{radius:.decimals$} m");
-        // Along the forward axis if there is room, otherwise to the right.
+        // On the forward axis if there is room, otherwise to the right or left.
         let spots = [DVec2::new(radius, 0.0), DVec2::new(0.0, -radius), DVec2::new(0.0, radius)];
         let spot = spots.map(|p| map.page(p)).into_iter().find(|[x, y]| {
             let (x, y) = (*x as i64, *y as i64);
@@ -153,7 +153,7 @@ pub fn rings(canvas: &mut Canvas, map: &Map) {
     }
 }
 
-/// The sensor: an arrowhead that points forward.
+/// Draws the sensor as an arrowhead that points forward.
 pub fn marker(canvas: &mut Canvas, map: &Map) {
     let [x, y] = map.origin;
     let corners = [[x, y - 11.0], [x + 7.0, y + 8.0], [x, y + 4.0], [x - 7.0, y + 8.0]];

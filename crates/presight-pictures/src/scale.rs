@@ -1,4 +1,4 @@
-//! From metres to places on a scale bar.
+//! Maps values to positions on a scale bar.
 
 use presight_render::plan::{Images, Output};
 
@@ -10,21 +10,20 @@ pub struct Scale {
     logarithmic: bool,
 }
 
-/// From this ratio of far to near on, equal steps of the scale are equal ratios: otherwise all that is near would
-/// have one colour.
+/// Ratio of far to near above which the scale is logarithmic: on a linear one, everything near would have one colour.
 const LOGARITHMIC_FROM: f64 = 6.0;
-/// Share of the pixels at either end that the scale need not tell apart: one near corner must not take the colours
-/// of a whole hall.
+/// Fraction of pixels clipped at either end of the scale, so that one near corner does not take the colours of a whole
+/// hall.
 const OUTLIERS: f64 = 0.002;
 
 impl Scale {
-    /// Of the finite values of an output; 0..1 for what has no metres.
+    /// The scale of an output's finite values; 0..1 for an output that is not in metres.
     pub fn of(images: &Images, output: Output) -> Self {
         let values = images.floats(output).filter(|_| output.is_distance()).unwrap_or(&[]);
         Self::of_values(values.iter().copied())
     }
 
-    /// Of the finite values above 0.
+    /// The scale of the finite values above 0.
     pub fn of_values(values: impl Iterator<Item = f32>) -> Self {
         let mut finite: Vec<f32> = values.filter(|v| v.is_finite() && *v > 0.0).collect();
         if finite.is_empty() {
@@ -47,7 +46,7 @@ impl Scale {
         share.clamp(0.0, 1.0)
     }
 
-    /// Round values on the scale with their labels, rising.
+    /// Round values on the scale with their labels, in rising order.
     pub fn ticks(&self) -> Vec<(f64, String)> {
         let mut ticks = Vec::new();
         if self.logarithmic {
@@ -62,7 +61,7 @@ impl Scale {
             let first = (self.low / step).ceil() as i64;
             ticks.extend((first..first + 20).map(|i| (i as f64 * step, decimals)));
         }
-        // An end that f32 rounded inwards keeps its tick.
+        // The slack keeps the tick at an end that f32 rounding moved inwards.
         let slack = 1e-5 * (self.high - self.low);
         let on_scale = ticks.into_iter().filter(|(v, _)| (self.low - slack..=self.high + slack).contains(v));
         on_scale.map(|(v, decimals)| (v, format!("{v:.decimals$}"))).collect()

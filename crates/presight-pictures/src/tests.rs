@@ -1,4 +1,4 @@
-//! Left is left, top is top, and millimetres are millimetres.
+//! Orientation of previews, and units of depth images.
 
 use super::*;
 use presight_model::sensor::{Angles, Camera, Scanner, SensorSpec};
@@ -16,7 +16,7 @@ fn camera() -> Sensor {
     Sensor::new(SensorSpec::new("c", "video", Geometry::Camera(camera))).unwrap()
 }
 
-/// All one range, but near at the first column of the first row.
+/// One range everywhere, except for a near first pixel.
 fn near_corner(sensor: &Sensor) -> Images {
     let mut images = Images::default();
     images.prepare(sensor.width(), sensor.height(), Outputs::of(&[Output::Range]));
@@ -25,10 +25,10 @@ fn near_corner(sensor: &Sensor) -> Images {
     images
 }
 
-/// Where the colour is on the page, between 0 and 1 from left and top, mean of its pixels.
+/// Mean position of a colour's pixels on the page, from 0 to 1 from left and top.
 fn place_of(canvas: &Canvas, color: [u8; 3]) -> [f64; 2] {
     let (mut sum, mut n) = ([0.0; 2], 0.0);
-    // The legend below repeats the colours.
+    // Leaves out the legend below, which repeats the colours.
     for y in 0..canvas.height() - view::FOOTER - view::MARGIN {
         for x in 0..canvas.width() {
             if canvas.get(x.into(), y.into()) == color {
@@ -106,12 +106,12 @@ const CONFIRMED: [u8; 3] = [1, 2, 3];
 const NEARER: [u8; 3] = [4, 5, 6];
 const LEGEND: [(&str, [u8; 3]); 2] = [("confirmed", CONFIRMED), ("nearer", NEARER)];
 
-/// What is sensed is near at the first pixel, all else is as predicted.
+/// A comparison of ranges alone.
 fn compared<'a>(sensor: &'a Sensor, predicted: &'a Images, sensed: &'a [f32], verdicts: &'a [u8]) -> Comparison<'a> {
     Comparison { sensor, predicted, sensed, verdicts, legend: &LEGEND, features: None, grey: None, plan: None }
 }
 
-/// Predicted, sensed and verdicts stand in this order, side by side or below each other, in one scale of ranges.
+/// The panels are predicted, measured and verdicts, side by side or stacked, with one scale of ranges.
 #[test]
 fn comparisons_have_three_panels() {
     let verdicts = [1, 0, 0, 0, 0, 0, 0, 0];
@@ -122,7 +122,7 @@ fn comparisons_have_three_panels() {
         let canvas = comparison::draw(&compared(&sensor, &predicted, &sensed.range, &verdicts)).unwrap();
         let stacked = canvas.height() > canvas.width();
         assert_eq!(stacked, !wide || sensor.width() == 2 * sensor.height());
-        // The nearest range of all has the nearest colour: it is sensed, not predicted.
+        // The nearest range is measured, not predicted, so the nearest colour is in the second panel.
         let at = place_of(&canvas, color::by_distance(0.0));
         let along = usize::from(stacked);
         assert!((0.3..0.6).contains(&at[along]), "{}: {at:?}", sensor.spec().name);
@@ -135,7 +135,7 @@ fn comparisons_have_three_panels() {
     }
 }
 
-/// A dot stands where it was sensed, in the colour of its verdict: ahead of a wall 4 m away, left or right of the sensor.
+/// Each measured point is a dot in the colour of its verdict, here to the left or right ahead of a wall 4 m away.
 #[test]
 fn scans_are_compared_from_above() {
     for (step, left) in [(10.0, false), (-10.0, true)] {
@@ -157,9 +157,9 @@ fn comparisons_of_another_size_are_refused() {
     let refused = |sensed: &[f32], verdicts: &[u8]| {
         comparison::draw(&compared(&sensor, &images, sensed, verdicts)).err().map(|e| e.to_string())
     };
-    assert!(refused(&images.range[1..], &[]).is_some_and(|e| e.contains("7 pixels are sensed")));
+    assert!(refused(&images.range[1..], &[]).is_some_and(|e| e.contains("7 pixels are measured")));
     assert!(refused(&images.range, &[0; 9]).is_some_and(|e| e.contains("9 pixels are judged")));
     assert!(refused(&images.range, &[]).is_none());
-    // Classes without a name are drawn as nothing.
+    // Classes without a name are not drawn.
     assert!(refused(&images.range, &[9; 8]).is_none());
 }

@@ -1,7 +1,7 @@
 //! Features over a scan of one row, seen from above.
 //!
-//! A patch is drawn where the row's rays meet it: its outline would run out and back over itself. Regions of interest are
-//! intervals of the row, drawn as arcs at the feature's range.
+//! A patch is drawn where the row's rays meet it, because from above its outline would overlap itself. A region of
+//! interest is an interval of the row, drawn as an arc at the feature's range.
 
 use super::canvas::{Canvas, PageRect};
 use super::overlay::Overlay;
@@ -11,13 +11,13 @@ use presight_features::{SeenFeature, along};
 use presight_model::environment::FeatureShape;
 use presight_model::geometry::plane_of_polygon;
 
-/// What the ray of a column meets farther than the scan by this part of its range is hidden: more than f32 rounds, less than
-/// can be told apart on a picture.
+/// A patch is hidden where a ray meets it beyond the scan by this fraction of the range: more than f32 rounding, too
+/// little to see in a picture.
 const HIDDEN_FROM: f64 = 2e-3;
 /// How far beyond the feature an arc is drawn, and how far its ends reach back, page pixels.
 const OFF: f64 = 9.0;
 
-/// Draws over a scan; `page` turns metres (x forward, y left) into places on the page, and `ranges` are the scan's.
+/// Draws over a scan with these `ranges`; `page` maps metres (x forward, y left) to the page.
 pub fn draw_from_above(
     overlay: &Overlay<'_>,
     canvas: &mut Canvas,
@@ -28,7 +28,7 @@ pub fn draw_from_above(
     let rays = (0..overlay.sensor.width()).map(|column| overlay.sensor.ray(column, 0)).collect();
     let above = TopView { overlay, frame, ranges, page, rays };
     canvas.inside(frame, |canvas| {
-        // Hidden parts first: what is seen lies over them.
+        // Hidden parts first, so that visible parts cover them.
         for seen in [false, true] {
             overlay.features.features.iter().for_each(|f| above.feature(canvas, f, seen));
         }
@@ -46,7 +46,7 @@ struct TopView<'a, F> {
     rays: Vec<Option<DVec3>>,
 }
 
-/// Where the ray of a column meets a patch, and whether the scan went as far.
+/// Where the ray of a column meets a patch; true if it is visible there.
 type PatchHit = Option<(DVec3, bool)>;
 
 impl<F: Fn(DVec2) -> [f64; 2]> TopView<'_, F> {
@@ -64,7 +64,7 @@ impl<F: Fn(DVec2) -> [f64; 2]> TopView<'_, F> {
             FeatureShape::Segment { .. } | FeatureShape::Contour { .. } => {
                 for (t, ends) in parts.iter().flat_map(|t| along(&points, *t).into_iter().map(move |ends| (t, ends))) {
                     let [from, to] = ends.map(|p| self.place(p));
-                    // What a row without height sees of an edge is a point.
+                    // A row without height sees an edge as a point.
                     if t[0] == t[1] { pen.dot(from, 3.0) } else { pen.line(from, to) }
                 }
             }
@@ -73,7 +73,7 @@ impl<F: Fn(DVec2) -> [f64; 2]> TopView<'_, F> {
                 if met.iter().any(Option::is_some) {
                     self.along(&mut pen, &met, seen);
                 } else if let Some(style) = Overlay::outline(feature, seen) {
-                    // Within the beam, beside the middle of the row.
+                    // Within the height of the beam, but off the middle of the row.
                     pen.style = style;
                     (0..points.len()).for_each(|k| {
                         pen.line(self.place(points[k]), self.place(points[(k + 1) % points.len()]));
@@ -101,7 +101,7 @@ impl<F: Fn(DVec2) -> [f64; 2]> TopView<'_, F> {
         self.rays.iter().zip(self.ranges).map(meet).collect()
     }
 
-    /// Lines from column to column, over the seam too.
+    /// Draws lines from column to column, also across the seam.
     fn along(&self, pen: &mut Pen<'_>, met: &[PatchHit], seen: bool) {
         let n = met.len();
         let closed = self.overlay.sensor.columns_of_a_turn().is_some();
@@ -110,7 +110,7 @@ impl<F: Fn(DVec2) -> [f64; 2]> TopView<'_, F> {
         for (i, here) in met.iter().enumerate() {
             let Some((p, p_seen)) = *here else { continue };
             match after(i) {
-                // A pair is seen if both of it are.
+                // A line is visible if both of its ends are.
                 Some((q, q_seen)) if (p_seen && q_seen) == seen => pen.line(self.place(p), self.place(q)),
                 None if before(i).is_none() && p_seen == seen => pen.dot(self.place(p), 3.0),
                 _ => {}
@@ -118,7 +118,7 @@ impl<F: Fn(DVec2) -> [f64; 2]> TopView<'_, F> {
         }
     }
 
-    /// A region of interest: an arc beyond what it is for, between short lines towards the sensor.
+    /// Draws a region of interest as an arc behind its feature, with short lines towards the sensor at its ends.
     fn region(&self, canvas: &mut Canvas, feature: &SeenFeature) {
         let Some(([x0, _, x1, _], range)) = feature.roi.zip(feature.range) else { return };
         let origin = DVec2::from((self.page)(DVec2::ZERO));
@@ -139,7 +139,7 @@ impl<F: Fn(DVec2) -> [f64; 2]> TopView<'_, F> {
         [x0, x1].into_iter().for_each(|u| line(canvas, at(u, OFF), at(u, -OFF)));
     }
 
-    /// The middle of what is seen of a feature.
+    /// The middle of a feature's visible part.
     fn middle(&self, feature: &SeenFeature) -> Option<[f64; 2]> {
         let points = self.overlay.points(feature);
         let seen = feature.visible.first()?;

@@ -8,21 +8,21 @@ use glam::DVec2;
 use presight_model::sensor::{Angles, Geometry, Sensor};
 use presight_render::plan::{Images, Output, SampleKind};
 
-/// Free page around and between, pixels.
+/// Free space around and between panels, pixels.
 pub const MARGIN: u32 = 20;
-/// The image is enlarged to fit this, pixels; a larger one is left as it is.
+/// Size to which a smaller image is enlarged, pixels.
 const WISHED: [f64; 2] = [1280.0, 900.0];
 /// How much a border darkens.
 const BORDER: f64 = 0.45;
 /// Height of the scale bar, pixels.
 const BAR: u32 = 16;
-/// Height of all that is below the image, pixels.
+/// Height of everything below the image, pixels.
 pub const FOOTER: u32 = MARGIN + BAR + 8 + TEXT_HEIGHT;
 /// Height of the title with its gap, pixels.
 pub const HEADER: u32 = TEXT_HEIGHT + 12;
 /// An image is drawn at least this wide and high, pixels.
 const THINNEST: f64 = 24.0;
-/// Narrower pages cannot hold title and legend.
+/// Smallest page width that holds title and legend, pixels.
 const NARROWEST: u32 = 560;
 
 /// Draws the image pixel by pixel.
@@ -44,7 +44,7 @@ pub fn draw(
     canvas
 }
 
-/// Draws the pixels, the borders of polygons and features into a frame.
+/// Draws pixels, polygon borders and features into a frame.
 pub fn draw_image(
     canvas: &mut Canvas,
     frame: PageRect,
@@ -85,7 +85,7 @@ pub fn draw_image(
     }
 }
 
-/// A blank page around an image of that height, with a line for the legend of features if there are any.
+/// A blank page for an image of that height, with a legend of features if there is an overlay.
 pub fn page(width: u32, height: u32, overlay: Option<&Overlay<'_>>) -> Canvas {
     let below = MARGIN + HEADER + height + FOOTER;
     let mut canvas = Canvas::new(width, below + MARGIN + if overlay.is_some() { LEGEND } else { 0 });
@@ -95,7 +95,7 @@ pub fn page(width: u32, height: u32, overlay: Option<&Overlay<'_>>) -> Canvas {
     canvas
 }
 
-/// The size in which pixels have the shape of their angles (a camera's: of its chip).
+/// The image's size on the page: pixels have the aspect ratio of their angles, or of the chip for a camera.
 pub fn drawn_size(sensor: &Sensor) -> (u32, u32) {
     let (w, h) = (f64::from(sensor.width()), f64::from(sensor.height()));
     let shape = match &sensor.spec().geometry {
@@ -103,11 +103,11 @@ pub fn drawn_size(sensor: &Sensor) -> (u32, u32) {
         Geometry::Scanner(s) => mean_step(&s.elevation) / mean_step(&s.azimuth),
         Geometry::Rays(_) => 1.0,
     };
-    // Height of a pixel by its width; a lone beam has no shape.
+    // Height over width of a pixel; a single beam has none.
     let shape = if shape.is_finite() && shape > 0.0 { shape.clamp(1.0 / 32.0, 32.0) } else { 1.0 };
     let fitting = (WISHED[0] / w).min(WISHED[1] / (h * shape));
     let across = fitting.max(1.0).max(1.0 / shape);
-    // A lone row or column is stretched until it can be seen.
+    // A single row or column is stretched to be visible.
     let (width, height) = ((w * across).round().max(THINNEST), (h * across * shape).round().max(THINNEST));
     if width * height > 1e8 { (w as u32, h as u32) } else { (width as u32, height as u32) }
 }
@@ -117,7 +117,7 @@ fn mean_step(angles: &Angles) -> f64 {
     if n < 2 { f64::NAN } else { ((angles.degrees(n - 1) - angles.degrees(0)) / (n - 1) as f64).abs() }
 }
 
-/// Beams that turn counter-clockwise run from right to left.
+/// True for scanners that turn counter-clockwise: their columns run from right to left.
 fn is_mirrored(sensor: &Sensor) -> bool {
     match &sensor.spec().geometry {
         Geometry::Scanner(s) => s.azimuth.len() > 1 && s.azimuth.degrees(s.azimuth.len() - 1) > s.azimuth.degrees(0),
@@ -125,8 +125,8 @@ fn is_mirrored(sensor: &Sensor) -> bool {
     }
 }
 
-/// Where polygons meet, and how crowded it is there: where nearly every pixel is a border, darkening all of them would
-/// only falsify the colours.
+/// Borders between polygons, and their local density. Where nearly every pixel is a border, darkening them all would
+/// only distort the colours.
 struct Borders<'a> {
     ids: &'a [u32],
     crowding: Vec<f32>,
@@ -143,7 +143,7 @@ impl<'a> Borders<'a> {
             let at = y * w + x;
             (x > 0 && ids[at] != ids[at - 1]) || (y > 0 && ids[at] != ids[at - w])
         };
-        // Sums over everything above and to the left give the mean of any window.
+        // A summed-area table gives the mean of any window.
         let mut sums = vec![0u32; (w + 1) * (h + 1)];
         for y in 0..h {
             let mut row = 0;
@@ -175,7 +175,7 @@ impl<'a> Borders<'a> {
     }
 }
 
-/// The first line of a picture.
+/// Draws the title line.
 pub fn title(canvas: &mut Canvas, sensor: &Sensor, output: Output) {
     canvas.text(MARGIN, MARGIN, output.name(), INK);
     let about = format!("{} {} x {}", sensor.spec().name, sensor.width(), sensor.height());
@@ -185,7 +185,7 @@ pub fn title(canvas: &mut Canvas, sensor: &Sensor, output: Output) {
     }
 }
 
-/// Scale bar and legend.
+/// Draws scale bar and legend.
 pub fn footer(canvas: &mut Canvas, top: u32, output: Output, palette: &Palette, scale: &Scale) {
     let mut right = canvas.width() - MARGIN;
     for (color, name) in palette.specials.iter().rev() {

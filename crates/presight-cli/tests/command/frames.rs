@@ -96,13 +96,13 @@ fn wrong_frames_and_meshes_are_refused_with_a_remedy() {
         refused(&place.run(&format!("inspect {name}")), 1, &[name, "import trimesh", ".export('hall.glb')"]);
     }
     refused(&place.run("inspect none.obj"), 1, &["none.obj", "; check the path"]);
-    refused(&place.run("inspect wall.glb --scale 0"), 2, &["--scale", "0 is no scale", "; give"]);
-    refused(&place.run("inspect wall.glb --scale inf"), 2, &["--scale", "inf is no scale"]);
+    refused(&place.run("inspect wall.glb --scale 0"), 2, &["--scale", "0 is not a valid scale", "; give"]);
+    refused(&place.run("inspect wall.glb --scale inf"), 2, &["--scale", "inf is not a valid scale"]);
     refused(&place.run("inspect wall.glb --up x"), 2, &["--up", "y or z"]);
     refused(&place.run("inspect wall.glb --scale 1e15"), 1, &["wall.glb: node 0", "; give every axis"]);
     place.write("wall.materials.toml", b"format = 1\nscale = 0\nupp = \"z\"\n[material.gone]\nreflection = 0.5\n");
     let outcome = place.run("inspect wall.glb");
-    refused(&outcome, 1, &["wall.materials.toml: 3 mistakes", "line 3", "0 is no scale", "\"gone\""]);
+    refused(&outcome, 1, &["wall.materials.toml: 3 mistakes", "line 3", "0 is not a valid scale", "\"gone\""]);
     fs::remove_file(place.path("wall.materials.toml")).unwrap();
     #[cfg(feature = "script")]
     {

@@ -171,7 +171,7 @@ fn scans_of_points_are_logs() {
     place.write("cut.ply", &fs::read(place.path("scan.ply")).unwrap()[..2000]);
     let cut = place.run("localize cut.ply --map room.glb --init reference --out x.tum");
     assert_eq!(cut.status, Some(1), "{}", cut.stderr);
-    assert!(cut.stderr.contains("cut.ply") && cut.stderr.contains("the file is cut"), "{}", cut.stderr);
+    assert!(cut.stderr.contains("cut.ply") && cut.stderr.contains("the file is truncated"), "{}", cut.stderr);
 }
 
 /// Fiducials of a layer are looked for in grey images by a build that can, and left out with a word by one that cannot, or whose library

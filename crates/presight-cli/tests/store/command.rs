@@ -530,10 +530,10 @@ fn changes_of_a_group_see_those_before_them() {
             "change 1 of the group: object \"m\": there is no object",
         ),
         (format!("{c},{{\"op\":\"group\",\"changes\":[{}]}}", insert("z", "c")), "there is no object \"c\""),
-        (insert("a//b", "d"), "is no name of an object"),
-        (insert("/a", "d"), "is no name of an object"),
-        (insert("a/", "d"), "is no name of an object"),
-        (insert("a\\u0000", "d"), "is no name of an object"),
+        (insert("a//b", "d"), "is not a valid object name"),
+        (insert("/a", "d"), "is not a valid object name"),
+        (insert("a/", "d"), "is not a valid object name"),
+        (insert("a\\u0000", "d"), "is not a valid object name"),
     ] {
         let e = apply(&changes, 1);
         assert!(e.contains(what), "{changes}: {e}");

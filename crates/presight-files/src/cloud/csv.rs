@@ -16,7 +16,7 @@ pub fn parse(bytes: &[u8]) -> Result<Cloud> {
     if count as u64 > limits::MAX_PIXELS {
         return Err(Error::invalid(
             format!("it has {count} points"),
-            format!("{} are the limit: give less", limits::MAX_PIXELS),
+            format!("the limit is {}: give fewer points", limits::MAX_PIXELS),
         ));
     }
     let mut points = memory::reserved(count)?;
@@ -25,14 +25,14 @@ pub fn parse(bytes: &[u8]) -> Result<Cloud> {
         let words: Vec<&str> = line.split(',').map(str::trim).collect();
         if i == 0 && words.iter().any(|w| w.parse::<f64>().is_err()) {
             columns = named(&words).ok_or_else(|| {
-                Error::invalid("its first line names no x, y and z", "name the columns so, or give numbers alone")
+                Error::invalid("its first line does not name x, y and z", "name these columns, or give only numbers")
                     .at(format!("line {number}"))
             })?;
             continue;
         }
         let value = |k: usize| words.get(k).and_then(|w| w.parse::<f64>().ok());
         let [Some(x), Some(y), Some(z)] = columns.map(value) else {
-            return Err(Error::invalid("it is no point", "give x,y,z in metres").at(format!("line {number}")));
+            return Err(Error::invalid("this is not a point", "give x,y,z in metres").at(format!("line {number}")));
         };
         points.push(DVec3::new(x, y, z));
     }

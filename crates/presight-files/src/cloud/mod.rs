@@ -1,12 +1,12 @@
 //! Point clouds of scans: PLY, PCD and CSV.
 //!
-//! Coordinates are metres in the axes of the sensor: x forward, y left, z up, the sensor at the origin. Other fields are not read.
+//! Coordinates are metres in the body frame of the sensor: x forward, y left, z up. Other fields are ignored.
 //!
-//! - **PLY** of format 1.0: text or binary, the element `vertex` first. A file of ours in the world says where the sensor was, and its
-//!   points are moved back.
-//! - **PCD** 0.7 and before: `ascii` or `binary`. `VIEWPOINT` is the sensor's pose in the world. A cloud of several rows is organized:
-//!   a point for each pixel, NaN where nothing was measured.
-//! - **CSV**: a point a line, `x,y,z` first, or columns named by the first line; `#` begins a comment.
+//! - **PLY** 1.0: text or binary, with `vertex` as the first element. A file of presight with points in the world also
+//!   holds the sensor's pose, and the points are transformed back.
+//! - **PCD** up to 0.7: `ascii` or `binary`. `VIEWPOINT` is the sensor's pose in the world. A cloud of several rows is
+//!   organized: one point per pixel, NaN where nothing was measured.
+//! - **CSV**: one point per line, with `x,y,z` first or columns named by the first line; `#` starts a comment.
 
 mod csv;
 mod pcd;
@@ -29,11 +29,11 @@ pub struct Cloud {
     pub points: Vec<DVec3>,
     /// Columns and rows of an organized cloud.
     pub size: Option<(u32, u32)>,
-    /// Where the sensor was, if the file says so.
+    /// The sensor's pose, if the file gives it.
     pub world_from_sensor: Option<Pose>,
 }
 
-/// Reads a cloud; its name's ending says which format it has.
+/// Reads a cloud in the format of its file extension.
 ///
 /// # Examples
 /// ```
@@ -46,7 +46,7 @@ pub struct Cloud {
 /// ```
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] or [`crate::ErrorKind::Unsupported`] naming what is wrong with the file;
+/// [`crate::ErrorKind::Invalid`] or [`crate::ErrorKind::Unsupported`] naming the fault of the file;
 /// [`crate::ErrorKind::System`] if the system refuses.
 pub fn read(path: &Path) -> Result<Cloud> {
     let bytes = file::read(file::open(path)?, path, limits::MAX_FILE_BYTES)?;
@@ -59,12 +59,12 @@ pub fn read(path: &Path) -> Result<Cloud> {
     cloud.and_then(checked).map_err(|e| e.in_file(path))
 }
 
-/// What follows the last dot of a name, in small letters.
+/// The extension of a file name, in lower case.
 pub(crate) fn ending(path: &Path) -> String {
     path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default()
 }
 
-/// A number that is none is no measurement, in each of a point's coordinates; infinite ones and huge ones are refused.
+/// Makes a point with any NaN coordinate a missing measurement; refuses infinite and huge coordinates.
 fn checked(mut cloud: Cloud) -> Result<Cloud> {
     for (i, point) in cloud.points.iter_mut().enumerate() {
         if point.is_nan() {
@@ -80,7 +80,7 @@ fn checked(mut cloud: Cloud) -> Result<Cloud> {
     Ok(cloud)
 }
 
-/// The lines of a header, and what follows it. The last line of a header starts with `end`.
+/// Splits a file into the lines of its header and the data. The last line of the header starts with `end`.
 fn header<'a>(bytes: &'a [u8], end: &str) -> Result<(Vec<&'a str>, &'a [u8])> {
     const LONGEST: usize = 1 << 16;
     let mut lines = Vec::new();
@@ -89,7 +89,7 @@ fn header<'a>(bytes: &'a [u8], end: &str) -> Result<(Vec<&'a str>, &'a [u8])> {
         let length = bytes[at..].iter().position(|b| *b == b'\n').map_or(bytes.len() - at, |n| n + 1);
         let line = std::str::from_utf8(&bytes[at..at + length]);
         let wrong =
-            |_| Error::invalid("its header is no text", "give a whole file").at(format!("line {}", lines.len() + 1));
+            |_| Error::invalid("its header is not text", "give a whole file").at(format!("line {}", lines.len() + 1));
         let line = line.map_err(wrong)?.trim();
         at += length;
         lines.push(line);
@@ -100,7 +100,7 @@ fn header<'a>(bytes: &'a [u8], end: &str) -> Result<(Vec<&'a str>, &'a [u8])> {
     Err(Error::invalid(format!("its header has no {end}"), "give a whole file"))
 }
 
-/// A whole number of a header.
+/// Parses a whole number of a header.
 fn whole(word: &str, what: &str) -> Result<usize> {
     word.parse().map_err(|_| {
         Error::invalid(format!("{what} is {}", presight_model::printable::quoted(word)), "give a whole number")

@@ -44,10 +44,10 @@ pub fn parse(bytes: &[u8]) -> Result<Cloud> {
     };
     if in_world {
         let remedy = "write points in the sensor's frame";
-        return Err(Error::invalid("its points are in the world, and where the sensor was is not told", remedy));
+        return Err(Error::invalid("its points are in the world, and the sensor's pose is missing", remedy));
     }
     let points = Records { encoding, count, numbers }.points(body)?;
-    // The identity is what writers put where they do not know.
+    // Writers put the identity if they do not know the pose.
     let world_from_sensor = viewpoint.filter(|pose| *pose != Pose::IDENTITY);
     Ok(Cloud { points, size: (height > 1).then_some((width as u32, height as u32)), world_from_sensor })
 }
@@ -92,13 +92,13 @@ fn encoding_of(name: &str) -> Result<Encoding> {
     }
 }
 
-/// x y z, then the rotation as w x y z.
+/// Parses x y z, then the rotation as w x y z.
 fn pose(values: &[&str]) -> Result<Pose> {
-    let wrong = || Error::invalid("VIEWPOINT is no pose", "give x y z qw qx qy qz");
+    let wrong = || Error::invalid("VIEWPOINT is not a valid pose", "give x y z qw qx qy qz");
     let numbers: Vec<f64> = values.iter().filter_map(|v| v.parse().ok()).collect();
     let [x, y, z, qw, qx, qy, qz] = numbers[..] else { return Err(wrong()) };
     let rotation = DQuat::from_xyzw(qx, qy, qz, qw);
     let pose = Pose { translation: DVec3::new(x, y, z), rotation };
-    // One of unit length keeps its bits.
+    // A unit quaternion keeps its bits.
     if pose.check().is_ok() { Ok(pose) } else { Pose::new(pose.translation, rotation).map_err(|_| wrong()) }
 }

@@ -48,8 +48,8 @@ pub fn parse(bytes: &[u8]) -> Result<Cloud> {
     if in_world {
         let world_from_sensor: Pose = pose.ok_or_else(|| {
             Error::invalid(
-                "its points are in the world, and where the sensor was is not told",
-                "give points of the sensor",
+                "its points are in the world, and the sensor's pose is missing",
+                "give points in the sensor's frame",
             )
         })?;
         let sensor_from_world = world_from_sensor.inverse();

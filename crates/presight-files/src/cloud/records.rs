@@ -1,4 +1,4 @@
-//! Records of numbers, of which three are a point.
+//! Records of numbers: three are the coordinates of a point, others are ignored.
 
 use super::super::text::line_of;
 use glam::DVec3;
@@ -13,13 +13,13 @@ pub enum Encoding {
     Big,
 }
 
-/// A kind of number.
+/// The type of a number.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Number {
-    /// Whole, of so many bytes.
+    /// An integer of this many bytes.
     Signed(usize),
     Unsigned(usize),
-    /// Of 4 or 8 bytes.
+    /// 4 or 8 bytes.
     Float(usize),
 }
 
@@ -30,7 +30,7 @@ impl Number {
         }
     }
 
-    /// Reads the number from its bytes, the least significant first.
+    /// Reads the number from little-endian bytes.
     fn read(self, bytes: &[u8]) -> f64 {
         let mut eight = [0; 8];
         eight[..bytes.len()].copy_from_slice(bytes);
@@ -47,34 +47,34 @@ impl Number {
     }
 }
 
-/// What a header says of its records.
+/// The records as the header describes them.
 #[derive(Debug)]
 pub struct Records {
     pub encoding: Encoding,
     pub count: usize,
-    /// The numbers of one record, with their names.
+    /// Names and types of the numbers in one record.
     pub numbers: Vec<(String, Number)>,
 }
 
 impl Records {
-    /// The points of what follows the header.
+    /// Reads the points from the data after the header.
     pub fn points(&self, body: &[u8]) -> Result<Vec<DVec3>> {
         if self.count as u64 > limits::MAX_PIXELS {
             let what = format!("it has {} points", self.count);
-            return Err(Error::invalid(what, format!("{} are the limit: give less", limits::MAX_PIXELS)));
+            return Err(Error::invalid(what, format!("the limit is {}: give fewer points", limits::MAX_PIXELS)));
         }
         let column = |name: &str| self.numbers.iter().position(|(n, _)| n == name);
         let (Some(x), Some(y), Some(z)) = (column("x"), column("y"), column("z")) else {
-            return Err(Error::invalid("its points have no x, y and z", "name the coordinates so"));
+            return Err(Error::invalid("its points have no x, y and z", "name the coordinates x, y and z"));
         };
-        // A point of text takes two bytes a number.
+        // In text, a number takes at least two bytes.
         let least = match self.encoding {
             Encoding::Text => 2 * self.numbers.len(),
             _ => self.numbers.iter().map(|(_, n)| n.bytes()).sum(),
         };
         if (self.count as u64).saturating_mul(least as u64) > body.len() as u64 + 1 {
             let what = format!("{} bytes follow its header, too few for {} points", body.len(), self.count);
-            return Err(Error::invalid(what, "the file is cut: write it again"));
+            return Err(Error::invalid(what, "the file is truncated: write it again"));
         }
         let mut points = memory::reserved(self.count)?;
         match self.encoding {
@@ -86,21 +86,21 @@ impl Records {
 
     fn read_text(&self, body: &[u8], xyz: [usize; 3], points: &mut Vec<DVec3>) -> Result<()> {
         let text = std::str::from_utf8(body);
-        let text = text.map_err(|_| Error::invalid("its points are no text", "name its real encoding"))?;
+        let text = text.map_err(|_| Error::invalid("its points are not text", "name the actual encoding"))?;
         let lines = text.lines().filter(|line| !line.trim().is_empty());
         for line in lines.take(self.count) {
             let words: Vec<&str> = line.split_whitespace().take(self.numbers.len()).collect();
             let number = |i: usize| words.get(i).and_then(|word| word.parse::<f64>().ok());
             let [Some(x), Some(y), Some(z)] = xyz.map(number) else {
                 let offset = line.as_ptr() as usize - text.as_ptr() as usize;
-                let what = format!("line {} after its header is no point", line_of(text, offset));
-                return Err(Error::invalid(what, format!("give {} numbers a line", self.numbers.len())));
+                let what = format!("line {} after its header is not a point", line_of(text, offset));
+                return Err(Error::invalid(what, format!("give {} numbers per line", self.numbers.len())));
             };
             points.push(DVec3::new(x, y, z));
         }
         if points.len() < self.count {
-            let what = format!("it has {} points of the {} that its header tells", points.len(), self.count);
-            return Err(Error::invalid(what, "the file is cut: write it again"));
+            let what = format!("it has {} points, but its header announces {}", points.len(), self.count);
+            return Err(Error::invalid(what, "the file is truncated: write it again"));
         }
         Ok(())
     }

@@ -61,7 +61,7 @@ fn whole_numbers_keep_their_sign() {
     assert_eq!(told("a.pcd", &with(header, &body)).unwrap().points, [DVec3::new(-300.0, 200.0, -5.0)]);
 }
 
-/// An organized cloud keeps its pixels; what has no number is no measurement.
+/// An organized cloud keeps its pixels; NaN is a missing measurement.
 #[test]
 fn organized_clouds_keep_their_pixels() {
     let header = "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 2\nHEIGHT 2\nDATA ascii\n";
@@ -70,7 +70,7 @@ fn organized_clouds_keep_their_pixels() {
     assert!(cloud.points[2].is_nan() && cloud.points[3] == DVec3::new(2.0, 0.0, 1.0));
 }
 
-/// What presight writes is what it reads, in both frames.
+/// Clouds that presight wrote are read back, in both frames.
 #[test]
 fn written_clouds_are_read_again() {
     use super::super::points::tests::camera_view;
@@ -109,7 +109,7 @@ fn what_is_wrong_is_named() {
         ("1 2 3\n", "1 2\n", Some("bytes follow")),
         ("1 2 3\n", "1 2 north\n", Some("line 1 after its header")),
         ("vertex 1", "vertex 2", Some("bytes follow")),
-        ("vertex 1", "vertex 99999999999", Some("are the limit")),
+        ("vertex 1", "vertex 99999999999", Some("the limit is")),
         ("vertex 1", "vertex -1", Some("number of its points")),
         ("property float z", "property float height", Some("no x, y and z")),
         ("property float z", "property list uchar int z", Some("lists")),

@@ -1,14 +1,14 @@
-//! Folders of images: `camera.json`, `depth/*.png` of 16 bits, `grey/*.png` beside or instead of these, and optionally `poses.txt`.
+//! Folders of images: `camera.json`, 16-bit `depth/*.png`, `grey/*.png` or both, and optionally `poses.txt`.
 //!
-//! `camera.json` has `width`, `height`, `fx`, `fy`, `cx`, `cy`, optionally `distortion` (five numbers of a plumb-bob lens) and
-//! `depth_unit_m` (default 0.001). A pixel of 0 is no measurement. Images are taken in the order of their names; where a name is a
-//! number, that is the frame's time in seconds, otherwise frames are counted from 0.
+//! `camera.json` has `width`, `height`, `fx`, `fy`, `cx`, `cy`, and optionally `distortion` (five numbers, plumb bob)
+//! and `depth_unit_m` (default 0.001). A depth of 0 means no measurement. Images are read in the order of their names. A
+//! name that is a number is the time in seconds; otherwise the time is the index of the frame from 0.
 //!
-//! Grey images have 8 or 16 bits, or colours, of which the luminance is taken. Those beside depth images belong to the depth images of
-//! the same times. They may be of another camera: then `grey.toml` is its sensor file.
+//! Grey images have 8 or 16 bits; colour images are converted to luminance. A grey image belongs to the depth image of
+//! the same time. If another camera took the grey images, `grey.toml` is its sensor file.
 //!
-//! A line of `poses.txt` is `time tx ty tz qx qy qz qw`; what follows is not read. These poses are world_from_camera in optical
-//! axes, in the frame of the scene's file (y up).
+//! A line of `poses.txt` is `time tx ty tz qx qy qz qw`; further words are ignored. These poses are world_from_camera
+//! with optical axes, in the frame of the scene's file (y up).
 
 use super::file;
 use super::text::read_text;
@@ -24,7 +24,7 @@ use serde::Deserialize;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
-/// Times that differ by less, seconds, are one.
+/// Times that differ by less are equal, seconds.
 const SAME_TIME: f64 = 1e-6;
 
 /// The frames of a folder, one at a time.
@@ -53,8 +53,8 @@ struct File {
 }
 
 impl DepthFolder {
-    /// Opens a folder: its depth images, or its grey ones where there are no others. `sensor` says what `camera.json` does not: noise,
-    /// limits, mount; its image must have the same size.
+    /// Opens the depth images of a folder, or its grey images if it has no depth images. `sensor` replaces the camera
+    /// of `camera.json`, which has no noise, limits or mount; its image must have the same size.
     ///
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] naming the file at fault; [`crate::ErrorKind::System`] if the system refuses.
@@ -63,11 +63,11 @@ impl DepthFolder {
         Self::of_images(folder, sensor, is_grey)
     }
 
-    /// Opens the grey images beside the depth images of a folder; `None` if there are none. `sensor` is the camera that took them: by
-    /// default the one of `grey.toml`, or else the one that measured depths, `depth`.
+    /// Opens the grey images of a folder with depth images; `None` if there are none. `sensor` is the camera that took
+    /// them. It defaults to the camera of `grey.toml`, or else to `depth`, which measured the depths.
     ///
     /// # Errors
-    /// As [`DepthFolder::open`], and those of the sensor file.
+    /// As [`DepthFolder::open`], and errors of the sensor file.
     pub fn grey_beside(folder: &Path, sensor: Option<&Sensor>, depth: &Sensor) -> Result<Option<Self>> {
         if !folder.join("grey").is_dir() || !folder.join("depth").exists() {
             return Ok(None);
@@ -102,7 +102,7 @@ impl DepthFolder {
         Ok(Self { sensor, is_grey, unit, images, count: 0, reference })
     }
 
-    /// The next frame, if it is of this time; frames before it are passed over.
+    /// Returns the frame of this time, if there is one, and skips earlier frames.
     ///
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] for an image that cannot be read.
@@ -125,7 +125,7 @@ impl DepthFolder {
         &self.sensor
     }
 
-    /// world_from_sensor (body axes, z up) by the folder's own `poses.txt`, at times of frames. No estimate may use them.
+    /// Reference poses of `poses.txt`: world_from_sensor, body axes, z up. Estimates must not use them.
     pub fn reference(&self) -> &[StampedPose] {
         &self.reference
     }
@@ -136,11 +136,11 @@ impl DepthFolder {
     }
 
     fn frame(&self, path: &Path) -> Result<Frame> {
-        let remedy = if self.is_grey { "give a grey PNG" } else { "give a PNG of 16 bits grey, depth in whole units" };
+        let remedy = if self.is_grey { "give a grey PNG" } else { "give a 16-bit grey PNG, depth in whole units" };
         let wrong = |what: String| Error::invalid(what, remedy).in_file(path);
         let file = BufReader::new(file::open(path)?);
         let decoder = PngDecoder::new(file).map_err(|e| wrong(e.to_string()))?;
-        // Before anything is decoded: a small file may claim a huge image.
+        // Checked before decoding, because a small file may claim a huge image.
         let size = (self.sensor.width(), self.sensor.height());
         let (w, h) = decoder.dimensions();
         if (w, h) != size {
@@ -153,7 +153,7 @@ impl DepthFolder {
             Measurement::Grey(GreyImage::new(w, h, grey.into_iter().map(bright).collect())?)
         } else {
             let DynamicImage::ImageLuma16(picture) = picture else {
-                return Err(wrong("this is no image of 16 bits grey".into()));
+                return Err(wrong("this is not a 16-bit grey image".into()));
             };
             let metres = |v: &u16| if *v == 0 { f32::NAN } else { (f64::from(*v) * self.unit) as f32 };
             Measurement::DepthZ(picture.as_raw().iter().map(metres).collect())
@@ -193,18 +193,18 @@ impl Iterator for DepthFolder {
 /// The text of `camera.json` for a camera whose depths are written in millimetres.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Usage`] for a sensor that is no camera, or whose lens is no plumb-bob one.
+/// [`crate::ErrorKind::Usage`] for a sensor that is not a camera, or a lens with another distortion than plumb bob.
 pub fn camera_json(sensor: &Sensor) -> Result<String> {
     let name = &sensor.spec().name;
     let Geometry::Camera(c) = &sensor.spec().geometry else {
-        return Err(Error::usage(format!("sensor {name:?} is no camera and has no depth images"), "give a camera"));
+        return Err(Error::usage(format!("sensor {name:?} is not a camera and has no depth images"), "give a camera"));
     };
     let lens = match &c.distortion {
         Distortion::None => [0.0; 5],
         Distortion::PlumbBob(k) => *k,
         _ => {
             let remedy = "give a camera without distortion, or with a plumb-bob lens";
-            return Err(Error::usage(format!("the lens of sensor {name:?} has no place in camera.json"), remedy));
+            return Err(Error::usage(format!("camera.json cannot describe the lens of sensor {name:?}"), remedy));
         }
     };
     let json = serde_json::json!({
@@ -214,7 +214,7 @@ pub fn camera_json(sensor: &Sensor) -> Result<String> {
     Ok(format!("{json}\n"))
 }
 
-/// The name of the image of a time, seconds of at least 0: names sort as times do.
+/// The name of the image at a time in seconds, 0 or more. Names sort in the order of times.
 pub fn image_name(time: f64) -> String {
     format!("{time:018.6}.png")
 }
@@ -226,7 +226,7 @@ pub fn poses_txt(sensor: &Sensor, world_from_robot: &[StampedPose]) -> String {
     for s in world_from_robot {
         let pose = y_up * s.pose * sensor.spec().mount * body_from_optical;
         let (t, q) = (pose.translation, pose.rotation);
-        // The time as the image's name tells it.
+        // With the digits of the image's name.
         text += &format!("{:.6} {} {} {} {} {} {} {}\n", s.time, t.x, t.y, t.z, q.x, q.y, q.z, q.w);
     }
     text
@@ -252,12 +252,12 @@ fn camera(text: &str) -> Result<(Sensor, f64)> {
     let distortion = file.distortion.map_or(Distortion::None, Distortion::PlumbBob);
     let camera = Camera { distortion, ..Camera::pinhole(file.width, file.height, file.fx, file.fy, file.cx, file.cy) };
     let mut spec = SensorSpec::new("depth camera", "laser", Geometry::Camera(camera));
-    // Triangulating cameras are about as good as this at one metre.
+    // Typical of triangulating cameras at one metre.
     spec.noise.range_sigma = 0.005;
     Ok((Sensor::new(spec)?, unit))
 }
 
-/// Poses of optical axes in a world with y up, as those of the body in one with z up.
+/// Reads poses with optical axes in a y-up world, and converts them to body axes in a z-up world.
 fn reference(path: &Path) -> Result<Vec<StampedPose>> {
     let text = read_text(path)?;
     let first_eight = |line: &str| line.split_whitespace().take(8).collect::<Vec<_>>().join(" ");

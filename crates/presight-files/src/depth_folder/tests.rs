@@ -23,7 +23,7 @@ fn images_are_read_in_order_with_their_times() {
     assert!(frames[1].ranges().iter().all(|r| r.is_nan()));
 }
 
-/// The camera looks along -z of a world with y up, 2 m above its floor: along y of the world with z up.
+/// The camera is 2 m above the floor and looks along -z of a y-up world, which is y of the z-up world.
 #[test]
 fn poses_are_turned_to_body_axes_and_z_up() {
     let folder = folder(CAMERA, &[("0.png", 3, 1)]);
@@ -53,7 +53,7 @@ fn what_is_wrong_is_named() {
     assert!(log.next().unwrap().unwrap_err().to_string().contains("0.png"));
 }
 
-/// What the simulator writes is what is read.
+/// Camera, images and poses as the simulator writes them.
 #[test]
 fn written_cameras_and_poses_are_read_again() {
     let camera = Camera {

@@ -1,5 +1,5 @@
-//! OpenEXR images of a prediction, lossless: floats as FLOAT and ids as UINT, bit for bit, vectors as three FLOAT channels. Text attributes `presight:*` hold
-//! sensor, pose and scene.
+//! Lossless OpenEXR images of a prediction: floats as FLOAT, ids as UINT, vectors as three FLOAT channels. Text
+//! attributes `presight:*` hold sensor, pose and scene.
 
 use super::atomic::write_atomically;
 use super::file;
@@ -20,25 +20,25 @@ use std::fs::File;
 use std::io::{self, BufRead, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::Path;
 
-/// The version of the attributes this code writes, and the newest it reads.
+/// The version of the attributes that this code writes, and the newest that it reads.
 const FORMAT: u32 = 1;
 
-/// Origin of the images in a file. Files of other programs may lack any of it.
+/// Origin of the images in a file. Files of other programs may lack any field.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Attributes {
     /// The sensor as sensor TOML.
     pub sensor: Option<String>,
     /// The sensor's pose, body axes. The file keeps every bit.
     pub world_from_sensor: Option<Pose>,
-    /// The scene's path as it was given.
+    /// The scene's path, as given.
     pub scene: Option<String>,
     /// BLAKE3 of the scene file, hexadecimal.
     pub scene_blake3: Option<String>,
-    /// Which number `polygon_id` holds.
+    /// Which numbering `polygon_id` uses.
     pub ids: Option<IdScheme>,
-    /// What was given up for a deadline: pixels that are NaN with id 0 then may be such, or have no ray.
+    /// Work dropped to meet a deadline. If set, a pixel that is NaN with id 0 was dropped or has no ray.
     pub given_up: Option<Degradation>,
-    /// What rasterized, if a GPU drew the images.
+    /// The rasterizer, if a GPU made the images.
     pub raster: Option<Raster>,
     /// Object names by `object_id`.
     pub objects: BTreeMap<u32, String>,
@@ -47,7 +47,7 @@ pub struct Attributes {
 /// The content of an EXR file.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ImageFile {
-    /// The images of known name.
+    /// The images whose channel names presight knows.
     pub images: Images,
     /// Their origin.
     pub attributes: Attributes,
@@ -55,7 +55,7 @@ pub struct ImageFile {
     pub ignored: Vec<String>,
 }
 
-/// Writes the images of `outputs` that were made. The same images and attributes give the same bytes.
+/// Writes the images of `outputs` that exist. The same images and attributes give the same bytes.
 ///
 /// ```
 /// use presight::{Images, Output, Outputs, io::exr};
@@ -88,7 +88,7 @@ pub fn write(path: &Path, images: &Images, outputs: Outputs, attributes: &Attrib
         channels.extend(named.map(|(name, samples)| AnyChannel::new(name.as_str(), samples)));
     }
     if channels.is_empty() {
-        return Err(Error::invalid("there is no image to write", "ask for an output").in_file(path));
+        return Err(Error::invalid("there is no image to write", "request an output").in_file(path));
     }
     let mut layer = LayerAttributes::default();
     let frames = outputs.iter().filter(|o| images.samples(*o).is_some()).filter_map(frame_attribute);
@@ -96,8 +96,8 @@ pub fn write(path: &Path, images: &Images, outputs: Outputs, attributes: &Attrib
         let value = AttributeValue::Text(Text::from_slice_unchecked(value.as_bytes()));
         layer.other.insert(Text::from(format!("presight:{name}").as_str()), value);
     }
-    // Measured on 1280 x 200 of a hospital, four outputs, two busy cores: none 5 ms and 4.1 MB, RLE 10 ms and 3.5 MB
-    // (a simple room: a tenth), ZIP 40 to 320 ms and 1.4 MB. A prediction itself takes less than ZIP.
+    // Measured with four 1280 x 200 outputs of a hospital on two busy cores: uncompressed 5 ms and 4.1 MB, RLE 10 ms
+    // and 3.5 MB (a tenth for a simple room), ZIP 40 to 320 ms and 1.4 MB. ZIP takes longer than the prediction.
     let encoding =
         Encoding { compression: Compression::RLE, blocks: Blocks::ScanLines, line_order: LineOrder::Increasing };
     let size = (images.width as usize, images.height as usize);
@@ -114,7 +114,7 @@ fn collected<T>(samples: impl ExactSizeIterator<Item = T>) -> Result<Vec<T>> {
     Ok(plane)
 }
 
-/// What a file says of the frame of vectors.
+/// Name and value of the attribute with the frame of vectors.
 fn frame_attribute(output: Output) -> Option<(String, String)> {
     let info = output.info();
     info.frame.map(|frame| (format!("{}_frame", info.name), frame.to_owned()))
@@ -136,7 +136,7 @@ fn to_texts(attributes: &Attributes) -> Vec<(String, String)> {
     texts.extend(attributes.ids.map(|ids| ("ids", if ids == IdScheme::Model { "model" } else { "source" }.into())));
     texts.extend(attributes.raster.map(|raster| ("raster", raster.name().into())));
     texts.extend(attributes.given_up.iter().flat_map(serde_json::to_string).map(|text| ("given_up", text)));
-    // A map of numbers to texts cannot fail to be JSON.
+    // A map of numbers to strings always serializes.
     texts.push(("objects", serde_json::to_string(&attributes.objects).unwrap_or_default()));
     texts.into_iter().map(|(name, text)| (name.to_owned(), text)).collect()
 }
@@ -147,8 +147,8 @@ pub fn pose_to_text(pose: &Pose) -> String {
     [t.x, t.y, t.z, q.x, q.y, q.z, q.w].map(|v| format!("{v:?}")).join(",")
 }
 
-/// The exr crate keeps free attributes in a hash map: their order would change from run to run. Sorts the
-/// attributes of the written header in place; its length stays.
+/// Sorts the attributes of the written header in place. The exr crate keeps free attributes in a hash map, so their
+/// order would otherwise change from run to run.
 fn sort_header(file: &mut File) -> io::Result<()> {
     const MAGIC_AND_VERSION: u64 = 8;
     file.seek(SeekFrom::Start(MAGIC_AND_VERSION))?;
@@ -176,12 +176,12 @@ fn sort_header(file: &mut File) -> io::Result<()> {
     file.write_all(&sorted)
 }
 
-/// Reads the images of known name and the attributes.
+/// Reads the attributes, and the images whose channel names presight knows.
 ///
 /// # Errors
-/// [`ErrorKind::Invalid`] or [`ErrorKind::Unsupported`] naming the channel or attribute: missing or truncated, no
-/// EXR, deep or with several layers, sides beyond the limits, a channel of the wrong type or subsampled, attributes
-/// of a newer format. [`ErrorKind::System`] if the system refuses.
+/// [`ErrorKind::Invalid`] or [`ErrorKind::Unsupported`], naming the channel or attribute, for a file that is missing,
+/// truncated or not EXR, has deep data, several layers or sides beyond the limits, a channel that is subsampled or of
+/// the wrong type, or attributes of a newer format. [`ErrorKind::System`] if the system refuses.
 pub fn read(path: &Path) -> Result<ImageFile> {
     read_unnamed(path).map_err(|e| e.in_file(path))
 }
@@ -235,16 +235,16 @@ fn from_exr(e: ::exr::error::Error) -> Error {
     match e {
         Exr::Io(e) => Error::new(ErrorKind::System, format!("cannot read: {e}"), "see the system's message"),
         Exr::NotSupported(what) => unsupported(format!("EXR feature: {what}"), "write a plain scan-line file"),
-        other => Error::invalid(format!("is no sound EXR file: {other}"), "check the path, or write the file again"),
+        other => Error::invalid(format!("is not a valid EXR file: {other}"), "check the path, or write the file again"),
     }
 }
 
-/// Everything that decides about memory, before any is taken.
+/// Checks everything that determines memory use, before any is allocated.
 fn check_header(header: &Header) -> Result<()> {
     let (width, height) = (header.layer_size.width() as u64, header.layer_size.height() as u64);
     let side = 1..=u64::from(limits::MAX_IMAGE_SIDE);
     if header.deep {
-        return Err(unsupported("deep data".into(), "write one sample a pixel"));
+        return Err(unsupported("deep data".into(), "write one sample per pixel"));
     }
     if !side.contains(&width) || !side.contains(&height) || width * height > limits::MAX_PIXELS {
         return Err(Error::invalid(
@@ -270,7 +270,7 @@ fn check_header(header: &Header) -> Result<()> {
             );
         }
         if let Some(missing) = output.channels().into_iter().find(|wanted| !names.contains(wanted)) {
-            let what = format!("has no channel {missing:?} beside it");
+            let what = format!("lacks the channel {missing:?} of the same vector");
             return Err(Error::invalid(what, "write all components of a vector").at(format!("channel {name:?}")));
         }
     }
@@ -293,7 +293,7 @@ fn keep(images: &mut Images, output: Output, axis: usize, samples: FlatSamples) 
         }
         _ => {
             let remedy = "write floats as FLOAT and ids as UINT";
-            return Err(Error::invalid("is of the wrong type", remedy).at(format!("channel {:?}", output.name())));
+            return Err(Error::invalid("has the wrong type", remedy).at(format!("channel {:?}", output.name())));
         }
     }
     Ok(())
@@ -307,7 +307,7 @@ fn from_texts(header: &Header) -> Result<Attributes> {
         let Some(name) = name.strip_prefix("presight:") else { continue };
         let place = |e: Error| e.at(format!("attribute \"presight:{name}\""));
         let AttributeValue::Text(text) = value else {
-            return Err(place(Error::invalid("is no text", "write it as a string")));
+            return Err(place(Error::invalid("is not text", "write it as a string")));
         };
         let text = std::str::from_utf8(text.as_slice())
             .map_err(|e| place(Error::invalid("is not UTF-8", "write it as UTF-8").caused_by(e)))?;
@@ -337,12 +337,12 @@ impl Attributes {
                 self.raster = Some(known.ok_or_else(wrong)?);
             }
             "given_up" => {
-                let wrong = |e| Error::invalid(format!("says not what was given up: {e}"), "predict again");
+                let wrong = |e| Error::invalid(format!("is not a valid list of dropped work: {e}"), "predict again");
                 self.given_up = Some(serde_json::from_str(text).map_err(wrong)?);
             }
             "objects" => {
                 self.objects = serde_json::from_str(text).map_err(|e| {
-                    Error::invalid(format!("is no map of ids to names: {e}"), "write {\"1\": \"name\"}")
+                    Error::invalid(format!("is not a map of ids to names: {e}"), "write {\"1\": \"name\"}")
                 })?;
             }
             _ => check_frame(name, text)?,
@@ -351,7 +351,7 @@ impl Attributes {
     }
 }
 
-/// Vectors in another frame are not those that the output's name promises.
+/// Refuses vectors in a frame other than the output's own.
 fn check_frame(name: &str, text: &str) -> Result<()> {
     let known = Output::WITH_FEATURES.into_iter().filter_map(frame_attribute).find(|(attribute, _)| attribute == name);
     match known {
@@ -366,21 +366,21 @@ fn check_format(text: &str) -> Result<()> {
     match text.parse::<u32>() {
         Ok(FORMAT) => Ok(()),
         Ok(newer) if newer > FORMAT => {
-            Err(unsupported(format!("is {newer}, this presight reads up to {FORMAT}"), "use a newer presight"))
+            Err(unsupported(format!("is {newer}; this presight reads up to {FORMAT}"), "use a newer presight"))
         }
         _ => Err(Error::invalid(format!("is {}", quoted(text)), format!("write {FORMAT}"))),
     }
 }
 
 pub(crate) fn pose_from_text(text: &str) -> Result<Pose> {
-    let wrong = || Error::invalid(format!("{} is no pose", quoted(text)), "write x,y,z,qx,qy,qz,qw, finite numbers");
+    let wrong = || Error::invalid(format!("{} is not a valid pose", quoted(text)), "write finite x,y,z,qx,qy,qz,qw");
     let numbers: Vec<f64> = text.split(',').map_while(|word| word.trim().parse().ok()).collect();
     let Ok([x, y, z, qx, qy, qz, qw]) = <[f64; 7]>::try_from(numbers) else {
         return Err(wrong());
     };
     let (translation, rotation) = (DVec3::new(x, y, z), DQuat::from_xyzw(qx, qy, qz, qw));
     let pose = Pose::new(translation, rotation).map_err(|_| wrong())?;
-    // A unit quaternion is kept to the bit: normalizing again could change its last digits.
+    // A unit quaternion keeps its bits: normalizing it again could change the last digits.
     let unit = (rotation.length_squared() - 1.0).abs() < 1e-9;
     Ok(if unit { Pose { rotation, translation } } else { pose })
 }

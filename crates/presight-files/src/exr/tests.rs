@@ -1,4 +1,4 @@
-//! Round trips to the bit, and what broken files give.
+//! Bit-exact round trips, and errors for broken files.
 
 use super::*;
 use presight_render::deadline::{DegradationKind, DegradationStep};
@@ -153,7 +153,7 @@ fn vectors_are_three_channels_and_say_their_frame() {
     let (channels, frame) = header_of(&path, "presight:normal_frame");
     assert_eq!(channels, ["normal.x", "normal.y", "normal.z", "object_id"]);
     assert_eq!(frame.as_deref(), Some("body"));
-    // In another frame they are another image.
+    // Vectors in another frame are refused.
     let mut bytes = std::fs::read(&path).unwrap();
     let at = bytes.windows(21).position(|w| w == b"presight:normal_frame").unwrap();
     let value = at + 21 + 1 + "string\0".len() + 4;
@@ -161,10 +161,10 @@ fn vectors_are_three_channels_and_say_their_frame() {
     std::fs::write(&path, bytes).unwrap();
     let e = error_of(&path);
     assert_eq!((e.kind(), e.place()), (ErrorKind::Unsupported, Some("attribute \"presight:normal_frame\"")));
-    // Without vectors there is no frame to say.
+    // Without vectors the attribute is absent.
     write(&path, &images, Outputs::of(&[Output::ObjectId]), &Attributes::default()).unwrap();
     assert_eq!(header_of(&path, "presight:normal_frame"), (vec!["object_id".to_owned()], None));
-    // Nor is a vector of two components one.
+    // A vector with two components is refused.
     let two = vec![("normal.x", FlatSamples::F32(vec![1.0; 6])), ("normal.z", FlatSamples::F32(vec![0.0; 6]))];
     write_foreign(&path, two, (3, 2));
     assert_eq!(error_of(&path).place(), Some("channel \"normal.x\""));
@@ -197,7 +197,7 @@ fn wrong_channels_are_named() {
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(300))]
-    /// Cut or flipped files give an error or an image of sound size, never a panic.
+    /// Truncated or bit-flipped files give an error or an image of valid size, never a panic.
     #[test]
     fn broken_files_never_panic(cut in 0.0..1.0f64, flips in prop::collection::vec((0.0..1.0f64, 0u8..8), 0..4)) {
         let folder = tempfile::tempdir().unwrap();

@@ -1,14 +1,14 @@
-//! JSON that people and editors can read: a line for each key of an entry, and lists of numbers whole on it.
+//! Readable JSON: one line for each key of an entry, and each list of numbers on one line.
 
 use serde::Serialize;
 use serde_json::Serializer;
 use serde_json::ser::{CompactFormatter, Formatter, PrettyFormatter};
 use std::io::{self, Write};
 
-/// Deeper lists and objects are not broken into lines: a point cloud would have one a number.
+/// Deeper lists and objects stay on one line; otherwise a point cloud would take a line per number.
 const DEEPEST: usize = 3;
 
-/// The text of a value.
+/// Formats a value.
 pub fn to_string(value: &impl Serialize) -> serde_json::Result<String> {
     let mut bytes = Vec::new();
     let (pretty, compact) = (PrettyFormatter::new(), CompactFormatter);
@@ -21,13 +21,13 @@ struct Lines {
     depth: usize,
     pretty: PrettyFormatter<'static>,
     compact: CompactFormatter,
-    /// A value of a list is to come, and whether it is the first.
+    /// Set while the next value of a list is awaited; true for the first value.
     due: Option<bool>,
-    /// The value of a list that is being written goes on in its line: it is a number.
+    /// True while a list's value stays on the line, because it is a number.
     in_line: bool,
 }
 
-/// Hands a call on to the one or the other formatter.
+/// Forwards a call to one of the two formatters, by depth.
 macro_rules! by_depth {
     ($name:ident $(, $argument:ident: $type:ty)?) => {
         fn $name<W: ?Sized + Write>(&mut self, writer: &mut W $(, $argument: $type)?) -> io::Result<()> {
@@ -40,7 +40,7 @@ macro_rules! by_depth {
     };
 }
 
-/// Writes what goes on in the line of its list.
+/// Writes a value that stays on the line of its list.
 macro_rules! in_line {
     ($($name:ident: $type:ty),+) => {
         $(fn $name<W: ?Sized + Write>(&mut self, writer: &mut W, value: $type) -> io::Result<()> {
@@ -51,14 +51,14 @@ macro_rules! in_line {
 }
 
 impl Lines {
-    /// Before a number: lists of numbers are not broken.
+    /// Called before a number: lists of numbers stay on one line.
     fn number<W: ?Sized + Write>(&mut self, writer: &mut W) -> io::Result<()> {
         let Some(first) = self.due.take() else { return Ok(()) };
         self.in_line = true;
         self.compact.begin_array_value(writer, first)
     }
 
-    /// Before anything else: a value of a shallow list has a line.
+    /// Called before any other value: in a shallow list it gets its own line.
     fn line<W: ?Sized + Write>(&mut self, writer: &mut W) -> io::Result<()> {
         self.due.take().map_or(Ok(()), |first| self.pretty.begin_array_value(writer, first))
     }
@@ -106,7 +106,7 @@ impl Formatter for Lines {
         if self.depth > DEEPEST {
             return self.compact.begin_array_value(writer, first);
         }
-        // Whether it begins a line its first word tells.
+        // The type of the value decides if it starts a line.
         self.due = Some(first);
         Ok(())
     }
@@ -151,7 +151,7 @@ mod tests {
         assert_eq!(serde_json::from_str::<Value>(&text).unwrap(), value);
         assert!(text.contains("\n      \"b\": [1,2,[3,{\"c\":4}]]"), "{text}");
         assert_eq!(text.lines().count(), 16, "{text}");
-        // A covariance is a line, not 36; what is no number keeps its own.
+        // A covariance is one line, not 36; values other than numbers get their own lines.
         let value = json!({"a": [1.5, null, -2, 3], "b": [[1], [2]], "c": ["x", "y"], "d": [{"e": 1}]});
         let text = to_string(&value).unwrap();
         assert_eq!(serde_json::from_str::<Value>(&text).unwrap(), value);

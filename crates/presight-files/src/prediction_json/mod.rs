@@ -2,19 +2,20 @@
 //!
 //! | key | meaning |
 //! |---|---|
-//! | `sensor` | its name |
+//! | `sensor` | name of the sensor |
 //! | `world_from_sensor` | x, y, z, qx, qy, qz, qw; body axes |
 //! | `pose_covariance` | 36 numbers, row-major, or null |
-//! | `confidence` | of the regions of interest, or null |
-//! | `given_up` | what was given up for a deadline, see [`Degradation`]; absent if nothing was |
+//! | `confidence` | probability of the regions of interest, or null |
+//! | `given_up` | work dropped to meet a deadline, see [`Degradation`]; absent if none was |
 //! | `features` | one entry each, see [`crate::features::SeenFeature`] |
 //! | `virtual` | the reading of a virtual sensor; absent if none was requested |
 //!
-//! An entry has `id`, `kind`, `name`, `branch` (of contours alone: each of their curves is an entry), `points_world`, `visible_fraction`, `visible` (`t`, `pixels`), `hidden` (`t`,
-//! `reason`, `by` with `polygon` and `object`), `range`, `cos_incidence`, `roi`, `roi_flag`, `image_covariance`,
-//! `properties` (`strength`, `contrast`, `normal` and `direction` in the world, `family`, `code`, `existence` at the time
-//! of the prediction) and `history` (null without a store). Of what is not seen at all `range`, `cos_incidence`, `roi`, `roi_flag` and
-//! `image_covariance` are null, the last also where a defining point has no image (behind a camera).
+//! An entry has `id`, `kind`, `name`, `branch` (only for contours: each curve is an entry), `points_world`,
+//! `visible_fraction`, `visible` (`t`, `pixels`), `hidden` (`t`, `reason`, `by` with `polygon` and `object`), `range`,
+//! `cos_incidence`, `roi`, `roi_flag`, `image_covariance`, `properties` (`strength`, `contrast`, `normal` and
+//! `direction` in the world, `family`, `code`, `existence` at the time of the prediction) and `history` (null without a
+//! store). `range`, `cos_incidence`, `roi`, `roi_flag` and `image_covariance` are null for an invisible feature;
+//! `image_covariance` also if a defining point has no image (behind a camera).
 //!
 //! `virtual` has `name`, `robot_from_sensor` (the sensor's mount: x, y, z, qx, qy, qz, qw) and, by name:
 //!
@@ -23,7 +24,7 @@
 //! | `free-floor` | `floor_z_world`, `area`, `pixels`, `pixels_over_horizon`, `regions` (`area`, `pixels`, `outer_robot`, `holes_robot`: points), `mask` (`runs`: row, first column, count) | [`FreeFloor`](crate::virtual_sensors::FreeFloor) |
 //! | `edges` | `edges` (`id`, `name`, `visible_fraction`, `visible`: `t`, `pixels`, `ends_world`), `segments` | [`Edges`](crate::virtual_sensors::Edges) |
 //! | `radar-lines` | `lines` (`ends_robot`, `length`, `normal_robot`, `distance`, `columns`, `beams`, `polygons`, `objects`), `single_beams` | [`RadarLines`](crate::virtual_sensors::RadarLines) |
-//! | `radar-nearest` | `directions` (`azimuth`, `range`, `object_id`, by column), `nearest` (`point_robot`, `range`, `pixel`, `polygon`, `object`), `corridor` (`length`, `arc_length`, `first`, `beams`), `complete_to` if something was given up | [`Nearest`](crate::virtual_sensors::Nearest) |
+//! | `radar-nearest` | `directions` (`azimuth`, `range`, `object_id`, by column), `nearest` (`point_robot`, `range`, `pixel`, `polygon`, `object`), `corridor` (`length`, `arc_length`, `first`, `beams`), `complete_to` if work was dropped | [`Nearest`](crate::virtual_sensors::Nearest) |
 //! | `radar-landmarks` | `landmarks` (`id`, `name`, `kind`, `family`, `code`, `position_robot`, `position_world`, `corners_robot`, `range`, `azimuth`, `elevation`, `cos_incidence`, `visible_fraction`, `existence`), `known` | [`Landmarks`](crate::virtual_sensors::Landmarks) |
 //! | `depth-image` | `width`, `height`, `points`, `bounds_robot`, `points_robot` (row-major, null without a point) | [`DepthImage`](crate::virtual_sensors::DepthImage) |
 //! | `vertical-planes` | `planes` (`normal_robot`, `distance`, `centre_robot`, `extent`, `pixels`, `area`, `object`, `pixel_bounds`), `pixels` | [`VerticalPlanes`](crate::virtual_sensors::VerticalPlanes) |
@@ -58,9 +59,9 @@ pub struct Header {
     pub world_from_sensor: Pose,
     /// Covariance of that pose: x y z, then rotation about the fixed axes x y z; metres and radians.
     pub pose_covariance: Option<[[f64; 6]; 6]>,
-    /// Probability with which a feature lies in its region of interest.
+    /// Probability that a feature lies in its region of interest.
     pub confidence: Option<f64>,
-    /// What was given up for a deadline.
+    /// Work dropped to meet a deadline.
     pub given_up: Option<Degradation>,
 }
 
@@ -112,13 +113,13 @@ pub fn to_string(
         reading,
     };
     let text = lines::to_string(&file);
-    text.map(|t| t + "\n").map_err(|e| Error::invalid(format!("the prediction is no JSON: {e}"), ""))
+    text.map(|t| t + "\n").map_err(|e| Error::invalid(format!("the prediction cannot be written as JSON: {e}"), ""))
 }
 
-/// A file of predicted features, as it is read. The reading of a virtual sensor is skipped.
+/// The content of a file of predicted features, without the reading of a virtual sensor.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PredictionFile {
-    /// Of the format.
+    /// Version of the format.
     pub format: u32,
     /// The sensor's name.
     pub sensor: String,
@@ -126,23 +127,23 @@ pub struct PredictionFile {
     pub world_from_sensor: Pose,
     /// 36 numbers, row-major, or none.
     pub pose_covariance: Option<Vec<f64>>,
-    /// Of the regions of interest, if there are any.
+    /// Probability that a feature lies in its region of interest, if there are regions.
     pub confidence: Option<f64>,
-    /// What was given up for a deadline, if anything was.
+    /// Work dropped to meet a deadline, if any was.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub given_up: Option<Degradation>,
-    /// What is seen of each feature.
+    /// The predicted features.
     pub features: Vec<FeatureRecord<'static>>,
 }
 
 /// Reads the text of [`write()`].
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] for text that is no such file; [`crate::ErrorKind::Unsupported`] for a newer format.
+/// [`crate::ErrorKind::Invalid`] for any other text; [`crate::ErrorKind::Unsupported`] for a newer format.
 pub fn parse(text: &str) -> Result<PredictionFile> {
     let remedy = "give a file that presight predict --features wrote";
     let file: PredictionFile = serde_json::from_str(text)
-        .map_err(|e| Error::invalid(format!("no prediction of features: {e}"), remedy).caused_by(e))?;
+        .map_err(|e| Error::invalid(format!("not a prediction of features: {e}"), remedy).caused_by(e))?;
     match file.format {
         FORMAT => Ok(file),
         newer => {
@@ -166,7 +167,7 @@ struct File<'a> {
     reading: Option<&'a VirtualReading>,
 }
 
-/// What is seen of a feature, as the file holds it.
+/// A predicted feature, as the file holds it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[expect(missing_docs, reason = "the keys of the file, see the module")]
 pub struct FeatureRecord<'a> {
@@ -206,7 +207,7 @@ pub struct Hidden<'a> {
     pub by: Option<By<'a>>,
 }
 
-/// What hides it: `polygon_id`, and the path of the object.
+/// The occluder: its `polygon_id`, and the path of its object.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[expect(missing_docs, reason = "the keys of the file")]
 pub struct By<'a> {
@@ -390,7 +391,7 @@ mod tests {
         let text = to_string(&header, &prediction, &Environment::new(), None).unwrap();
         let read = parse(&text).unwrap();
         assert_eq!(read.given_up, given_up);
-        assert_eq!((read.world_from_sensor, read.features[0].range), (pose, None), "what is not finite is null");
+        assert_eq!((read.world_from_sensor, read.features[0].range), (pose, None), "NaN is written as null");
         assert_eq!(
             read.features[0],
             FeatureRecord { range: None, ..entry(&prediction.features[0], &Environment::new()) }

@@ -1,17 +1,17 @@
 //! Which triangles meet at which edge.
 //!
-//! Half-edge 3 t + k runs from corner k of triangle t to its next corner. All half-edges over one pair of vertices are
-//! found by sorting them into buckets by their lower vertex: linear, without hashing.
+//! Half-edge 3 t + k runs from corner k of triangle t to its next corner. Half-edges between the same two vertices are
+//! found by sorting into buckets by lower vertex, which takes linear time and no hashing.
 
 use super::{Triangle, TriangleMesh};
 
 /// No half-edge.
 pub const NONE: u32 = u32::MAX;
 
-/// Half-edges ordered so that those over the same two vertices stand together.
+/// Half-edges, sorted so that those between the same two vertices are adjacent.
 pub struct Edges<'a> {
     triangles: &'a [Triangle],
-    /// By lower vertex; upper vertex in the high half, half-edge in the low one.
+    /// Sorted by lower vertex; the high half holds the upper vertex, the low half the half-edge.
     sorted: Vec<u64>,
 }
 
@@ -52,10 +52,9 @@ impl<'a> Edges<'a> {
         Self { triangles, sorted }
     }
 
-    /// All half-edges over one pair of vertices, for each such pair; rising.
+    /// The half-edges between each pair of vertices, in rising order.
     pub fn groups(&self) -> impl Iterator<Item = &[u64]> {
-        // Two half-edges of one bucket with the same upper vertex stand together; those of neighbouring buckets may
-        // have the same upper vertex too, so the lower one is compared as well.
+        // Neighbouring buckets may meet at the same upper vertex, so the lower vertex is compared too.
         self.sorted.chunk_by(|&x, &y| x >> 32 == y >> 32 && self.lower(x) == self.lower(y))
     }
 
@@ -64,8 +63,8 @@ impl<'a> Edges<'a> {
         a.min(b)
     }
 
-    /// For each half-edge the one that runs the other way, where exactly two different triangles with consistent
-    /// windings meet; [`NONE`] at borders, non-manifold edges, duplicate faces and inconsistent windings.
+    /// For each half-edge its opposite, if exactly two different triangles with consistent windings meet there;
+    /// [`NONE`] at borders, non-manifold edges, duplicate faces and inconsistent windings.
     pub fn twins(&self) -> Vec<u32> {
         let mut twins = vec![NONE; self.sorted.len()];
         for group in self.groups() {
@@ -100,7 +99,7 @@ mod tests {
         let mut fin = mesh.clone();
         fin.push([1, 2, 4], 0);
         assert!(Edges::of(&fin).twins().iter().all(|&t| t == NONE));
-        // The neighbour wound the other way, and a face on its own back.
+        // A neighbour with opposite winding, and a duplicate face with opposite winding.
         for other in [[1, 2, 3], [2, 1, 0]] {
             let mut pair = TriangleMesh { vertices: mesh.vertices.clone(), ..Default::default() };
             pair.push([0, 1, 2], 0);

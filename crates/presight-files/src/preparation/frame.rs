@@ -1,4 +1,4 @@
-//! How the axes and the unit of a scene file become the world's.
+//! Conversion from the axes and unit of a scene file to the world.
 
 use glam::{DAffine3, DMat3, DVec3};
 use presight_model::error::{Error, Result};
@@ -12,7 +12,7 @@ pub enum Up {
     /// glTF's own: y up, and z towards the viewer.
     #[default]
     Y,
-    /// Of many exporters of robotics: z up, as in presight's world.
+    /// z up, as many robotics exporters write and as in presight's world.
     Z,
 }
 
@@ -41,12 +41,12 @@ impl std::str::FromStr for Up {
         match text {
             "y" => Ok(Self::Y),
             "z" => Ok(Self::Z),
-            _ => Err(Error::usage(format!("{text:?} is no axis that can point up"), "give y or z")),
+            _ => Err(Error::usage(format!("{text:?} is not a valid up axis"), "give y or z")),
         }
     }
 }
 
-/// How a scene file lies in the world: turned upright, scaled to metres, then placed.
+/// The placement of a scene file in the world: it is turned upright, scaled to metres, then placed.
 ///
 /// ```
 /// use presight::preparation::{SceneFrame, Up};
@@ -70,7 +70,7 @@ impl Default for SceneFrame {
 }
 
 impl SceneFrame {
-    /// Refuses what is no scale.
+    /// Checks a scale.
     ///
     /// # Errors
     /// [`crate::ErrorKind::Usage`] unless it is finite and above 0.
@@ -79,15 +79,15 @@ impl SceneFrame {
             return Ok(());
         }
         let remedy = "give the metres in one unit of the file, such as 0.001 for millimetres";
-        Err(Error::usage(format!("{scale} is no scale"), remedy))
+        Err(Error::usage(format!("{scale} is not a valid scale"), remedy))
     }
 
-    /// Turns coordinates of the file into the world's.
+    /// Transforms coordinates of the file into the world.
     pub fn world_from_file(&self) -> DAffine3 {
         self.world_from_scene.to_affine() * DAffine3::from_mat3(self.up.turn() * self.scale)
     }
 
-    /// Turns coordinates along the file's axes, in metres, into the world's.
+    /// Transforms coordinates along the file's axes, in metres, into the world.
     pub fn world_from_axes(&self) -> Pose {
         match self.up {
             Up::Y => self.world_from_scene * Pose::from_xyz_rpy(DVec3::ZERO, std::f64::consts::FRAC_PI_2, 0.0, 0.0),
@@ -95,11 +95,11 @@ impl SceneFrame {
         }
     }
 
-    /// What the bounds of the upright scene make one suspect: it lies on its side, or its unit is another. Empty for most.
+    /// Hints if the bounds of the upright scene suggest that it lies on its side or has another unit. Usually empty.
     pub fn hints(&self, scene: &Aabb) -> Vec<String> {
-        /// Heights in metres from which on, and up to which, a building is unlikely.
+        /// A building is unlikely to be this low or lower, or this high or higher, metres.
         const HEIGHTS: [f64; 2] = [0.2, 200.0];
-        /// Of a storey.
+        /// Height of a storey, metres.
         const USUAL: f64 = 3.0;
         let mut hints = Vec::new();
         if scene.is_empty() {

@@ -1,9 +1,9 @@
-//! Merging coplanar neighbours of one material into convex polygons.
+//! Merges coplanar neighbours of one material into convex polygons.
 //!
-//! Hertel-Mehlhorn: take the inner edges one after the other, the longest first, and drop each whose removal leaves a
-//! convex polygon. "Convex" is meant as the rasterizer needs it: no corner of the true f32 vertices turns inwards,
-//! because the half-spaces of its edges would cut area away. Afterwards a vertex is dropped that lies straight between
-//! its two neighbours in *every* polygon that uses it: dropped in one only, the others would keep a T-junction.
+//! Hertel-Mehlhorn: visits inner edges, the longest first, and drops each whose removal leaves a convex polygon.
+//! "Convex" is strict, as the rasterizer needs it: no corner of the actual f32 vertices turns inwards, because the
+//! half-spaces of the edges would cut area away. Afterwards a vertex is dropped if it lies straight between its two
+//! neighbours in *every* polygon that uses it; dropping it in only some of them would leave a T-junction.
 
 use super::edges::NONE;
 use super::{Triangle, TriangleMesh};
@@ -11,20 +11,20 @@ use glam::{DVec3, Vec3};
 use presight_model::environment::{Parts, PolygonRecord, canonical_plane};
 use presight_model::geometry::{Aabb, Plane};
 
-/// Most corners of a merged polygon. More would merge a few fans further and cost every engine a larger worst case.
+/// Most corners of a merged polygon. A higher limit would merge a few more fans, but slow every engine's worst case.
 pub const MERGED_CORNERS: usize = 8;
 
-/// Largest angle, in radians, between a source triangle and the polygon it goes into: keeps the reflection angle of
-/// details far smaller than the mesh, which the tolerance on distances alone would flatten.
+/// Largest angle, radians, between a source triangle and its merged polygon. It keeps the reflection angle of details
+/// much smaller than the mesh, which the tolerance on distances alone would flatten.
 const MAX_TILT: f64 = 1e-3;
 
-/// Corners within this sine of straight count as straight; a corner turning inwards by less is no reflex corner.
+/// A corner whose sine is below this is straight, even if it turns inwards.
 const STRAIGHT: f64 = 1e-12;
 
-/// Merging and dropping alternate until nothing changes, at most this often.
+/// Merging edges and dropping vertices alternate until nothing changes, at most this many times.
 const ROUNDS: usize = 3;
 
-/// What merging a mesh gave.
+/// The result of merging a mesh.
 pub(crate) struct MergeResult {
     pub parts: Parts,
     /// Merges of two polygons into one.
@@ -33,7 +33,7 @@ pub(crate) struct MergeResult {
     pub largest_deviation: f64,
 }
 
-/// Each triangle a polygon of its own.
+/// Makes each triangle a polygon.
 pub fn unmerged(mesh: &TriangleMesh) -> MergeResult {
     let mut parts = Parts::default();
     for t in &mesh.triangles {
@@ -42,7 +42,7 @@ pub fn unmerged(mesh: &TriangleMesh) -> MergeResult {
     MergeResult { parts, merges: 0, largest_deviation: 0.0 }
 }
 
-/// Merges neighbours as far as all vertices stay within `tolerance` times the mesh's size of their polygon's plane.
+/// Merges neighbours while all vertices stay within `tolerance` times the mesh's size of their polygon's plane.
 pub fn merge(mesh: &TriangleMesh, twins: Vec<u32>, tolerance: f64) -> MergeResult {
     let size = Aabb::of(mesh.vertices.iter().map(|v| v.as_dvec3())).size();
     let mut outlines = Outlines::new(mesh, twins, tolerance * size);
@@ -57,17 +57,17 @@ pub fn merge(mesh: &TriangleMesh, twins: Vec<u32>, tolerance: f64) -> MergeResul
     outlines.finish(merges)
 }
 
-/// A polygon in the making, kept at its lowest triangle.
+/// A polygon being merged, stored at its lowest triangle.
 #[derive(Clone, Copy)]
 struct Face {
-    /// Twice the area, along the normal. Adds up exactly enough over merges.
+    /// Twice the area, along the normal. Its sum over merges is precise enough.
     doubled_area: DVec3,
     /// Any half-edge of the outline.
     first: u32,
     corners: u32,
     /// Largest distance of a corner from the plane.
     flatness: f64,
-    /// Bound on the distance of source vertices that are corners no more; negative infinity while there are none.
+    /// Bound on the distance of source vertices that are no longer corners; negative infinity if there are none.
     hidden: f64,
     /// Bound on the angle of the source triangles to the normal.
     tilt: f64,
@@ -159,7 +159,7 @@ impl<'a> Outlines<'a> {
                 found.push((h, length_class(length)));
             }
         }
-        // Counting sort, falling: linear, and classes of lengths are order enough.
+        // Counting sort by descending length class takes linear time; the order within a class does not matter.
         let mut starts = vec![0u32; usize::from(LENGTH_CLASSES) + 1];
         for &(_, class) in &found {
             starts[usize::from(LENGTH_CLASSES - class)] += 1;
@@ -204,7 +204,7 @@ impl<'a> Outlines<'a> {
         let tilt = [face_a, face_b].map(|f| f.tilt + f.doubled_area.normalize().cross(normal).length());
         let tilt = tilt[0].max(tilt[1]);
         let (flatness, hidden) = self.deviations(&shared, &union, normal, &face_a, &face_b);
-        // Written so that NaN refuses.
+        // False for NaN, which refuses the merge.
         let flat = tilt <= MAX_TILT && flatness.max(hidden) <= self.tolerance;
         if !flat {
             return false;
@@ -250,14 +250,14 @@ impl<'a> Outlines<'a> {
         union
     }
 
-    /// Largest distance of a corner of the union from its plane, and a bound for the vertices that are inside.
+    /// Largest distance of a corner of the union from its plane, and a bound for the vertices inside.
     fn deviations(&self, shared: &SharedEdges, union: &Union, normal: DVec3, a: &Face, b: &Face) -> (f64, f64) {
         let points = &union.points[..union.count];
         let origin = points[0];
         let offset = points.iter().map(|&p| (p - origin).dot(normal)).sum::<f64>() / union.count as f64;
         let off = |p: DVec3| ((p - origin).dot(normal) - offset).abs();
         let flatness = points.iter().map(|&p| off(p)).fold(0.0, f64::max);
-        // Corners that the merge makes inner points: between the shared edges.
+        // Corners between the shared edges, which become inner points.
         let mut hidden = f64::NEG_INFINITY;
         let mut h = shared.first_a;
         while h != shared.last_a {
@@ -267,8 +267,8 @@ impl<'a> Outlines<'a> {
         let flatness_all = flatness.max(hidden);
         for face in [a, b] {
             if face.hidden >= 0.0 {
-                // A hidden vertex is within `hidden` of a point of its old polygon's plane, which lies between that
-                // polygon's corners moved by at most `flatness`; and those are this far off the new plane.
+                // A hidden vertex is within `hidden` of its old polygon's plane. That plane is within `flatness` of the
+                // old corners, and these are within `flatness_all` of the new plane.
                 hidden = hidden.max(face.hidden + face.flatness + flatness_all);
             }
         }
@@ -299,7 +299,7 @@ impl<'a> Outlines<'a> {
         dropped
     }
 
-    /// For each vertex the half-edges of outlines that start there: a list of lists.
+    /// For each vertex, the outline half-edges that start there: starts of the lists, and the lists.
     fn uses(&self) -> (Vec<u32>, Vec<u32>) {
         let mut starts = vec![0u32; self.vertices.len() + 1];
         self.for_each_outline_edge(|h| starts[self.start[h as usize] as usize + 1] += 1);
@@ -368,7 +368,7 @@ impl<'a> Outlines<'a> {
             let face = &mut self.faces[root as usize];
             face.first = before;
             face.corners -= 1;
-            // It lies between two corners: no farther off than they are, but for rounding.
+            // Apart from rounding, it is as close to the plane as the two corners that it lies between.
             face.hidden = face.hidden.max(face.flatness);
         }
         if let Some((g, h)) = neighbours {
@@ -413,12 +413,12 @@ impl<'a> Outlines<'a> {
 
 const LENGTH_CLASSES: u16 = 1 << 12;
 
-/// Rises with a squared length, by a sixteenth to a thirty-second of it: exponent and the first bits of a float.
+/// A class that rises with a squared length, in steps of 1/32 to 1/16: the float's exponent and first mantissa bits.
 fn length_class(squared: f32) -> u16 {
     ((squared.to_bits() >> 19) as u16).min(LENGTH_CLASSES - 1)
 }
 
-/// True if no corner turns inwards, seen against the normal, and none folds back on itself.
+/// True if no corner turns inwards, seen against the normal, and no side folds back on the one before.
 fn is_convex(points: &[DVec3], normal: DVec3) -> bool {
     let n = points.len();
     (0..n).all(|k| {

@@ -6,7 +6,7 @@ use proptest::prelude::*;
 
 const TOLERANCE: f64 = 1e-6;
 
-/// A height field over a grid with steps, each cell cut along one of its diagonals: flat parts, ridges, borders.
+/// A stepped height field over a grid, each cell cut along a diagonal: it has flat parts, ridges and borders.
 #[derive(Debug, Clone)]
 struct Field {
     width: usize,
@@ -80,7 +80,7 @@ fn doubled_area(points: &[DVec3], normal: DVec3) -> f64 {
     (1..points.len() - 1).map(|k| (points[k] - points[0]).cross(points[k + 1] - points[0]).dot(normal)).sum()
 }
 
-/// How far inside the outline a point is, as the least sine-like distance to its edges.
+/// How far inside the outline a point is: the least signed distance to its edges.
 fn depth_inside(p: DVec3, points: &[DVec3], normal: DVec3) -> f64 {
     let edge = |k: usize| {
         let (a, b) = (points[k], points[(k + 1) % points.len()]);
@@ -89,7 +89,7 @@ fn depth_inside(p: DVec3, points: &[DVec3], normal: DVec3) -> f64 {
     (0..points.len()).map(edge).fold(f64::INFINITY, f64::min)
 }
 
-/// Everything that must hold after merging; an error names what does not.
+/// Checks all conditions after merging; an error names the one that fails.
 fn check(mesh: &TriangleMesh, merged: &MergeResult) -> Result<(), String> {
     let size = Aabb::of(mesh.vertices.iter().map(|v| v.as_dvec3())).size();
     if merged.parts.records.len() as u64 + merged.merges != mesh.triangles.len() as u64 {
@@ -162,7 +162,7 @@ proptest! {
         if let Err(what) = check(&mesh, &merged) {
             prop_assert!(false, "{}", what);
         }
-        // What merging made is what the public constructor would accept.
+        // The public constructor accepts the merged mesh.
         let order = PolygonOrder::Given;
         let stored = Mesh::from_parts("m".into(), mesh.vertices.clone(), &merged.parts, order);
         let polygons = (0..stored.polygon_count() as u32)
@@ -218,7 +218,7 @@ fn reflex_pairs_stay_apart() {
     mesh.push([0, 1, 2], 0);
     mesh.push([0, 2, 3], 0);
     assert_eq!(merged(&mesh).merges, 0);
-    // Straight is not reflex, and the straight vertex of an open border goes.
+    // A straight corner is not reflex, and the straight vertex of an open border is dropped.
     mesh.vertices[2] = Vec3::new(0.5, 0.5, 0.0);
     let merged = merged(&mesh);
     assert_eq!((merged.merges, merged.parts.corners.len()), (1, 3));
@@ -226,7 +226,7 @@ fn reflex_pairs_stay_apart() {
 
 #[test]
 fn tiny_details_keep_their_angles() {
-    // A ridge of 20 um on a mesh of 50 m: within the tolerance on distances.
+    // A ridge of 20 um on a mesh of 50 m is within the tolerance on distances.
     let mut mesh = grid(2, 1);
     for v in &mut mesh.vertices {
         *v *= 1e-5;

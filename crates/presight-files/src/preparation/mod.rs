@@ -1,5 +1,5 @@
-//! Making environments: triangles of a file welded, checked and merged into convex polygons, and what was found
-//! on the way; solids from parameters.
+//! Preparation of environments: welds, checks and merges the triangles of a file into convex polygons, and reports
+//! problems. Also makes solids from parameters.
 
 mod edges;
 mod frame;

@@ -1,4 +1,4 @@
-//! What is wrong with the triangles of a mesh: counted and listed, never repaired.
+//! Problems of the triangles of a mesh: counted and listed, never repaired.
 
 use super::edges::{Edges, NONE, ends, opposite};
 use super::{ProblemKind, ProblemList, Site, TriangleMesh};
@@ -43,7 +43,7 @@ impl TriangleMesh {
         if group.len() < 2 {
             return;
         }
-        // Duplicate faces meet at all three of their edges: look where the third vertex is the highest of the three.
+        // Duplicate faces share all three edges: count them only at the edge opposite their highest vertex.
         thirds.clear();
         let all = group.iter().map(|&e| (opposite(&self.triangles, e as u32), e as u32));
         thirds.extend(all.filter(|&(third, _)| third > a.max(b)));
@@ -80,7 +80,7 @@ impl TriangleMesh {
                     }
                 }
             }
-            // A flat shell has a volume of rounding only, of either sign.
+            // The volume of a flat shell is only rounding, of either sign.
             if closed && volume < -1e-9 * scale {
                 list.add(ProblemKind::InsideOut, Site { triangle: self.triangles[start].source, edge: None });
             }

@@ -1,4 +1,4 @@
-//! What an import found: counts, and every kind of problem with its first places.
+//! The report of an import: counts, and every kind of problem with its first places.
 
 use super::SceneFrame;
 use glam::Vec3;
@@ -10,14 +10,14 @@ use presight_model::world::World;
 use serde::Serialize;
 use std::fmt;
 
-/// A scene as it was read.
+/// An imported scene.
 #[derive(Clone, Debug)]
 pub struct ImportedScene {
     /// Objects and materials.
     pub environment: Environment,
     /// Counts and problems.
     pub report: ImportReport,
-    /// How the file lies in the world; `None` for a script, which is in the world's frame.
+    /// The file's placement in the world; `None` for a script, which is in the world's frame.
     pub frame: Option<SceneFrame>,
 }
 
@@ -34,20 +34,20 @@ pub struct ImportReport {
     pub polygons_in_scene: u64,
     /// Merges of two neighbours into one polygon, in all used meshes.
     pub merges: u64,
-    /// Largest distance of any source vertex from the plane of the polygon it went into, metres in the world.
+    /// Largest distance of any source vertex from the plane of its merged polygon, metres in the world.
     pub largest_deviation_m: f64,
-    /// By kind; kinds without a case are left out.
+    /// Problems by kind; kinds that did not occur are left out.
     pub problems: Vec<Problem>,
 }
 
 impl ImportReport {
-    /// How often a kind of problem was found.
+    /// Number of problems of a kind.
     pub fn total(&self, kind: ProblemKind) -> u64 {
         self.problems.iter().find(|p| p.kind == kind).map_or(0, |p| p.total)
     }
 }
 
-/// What may be wrong with a model. Only what has no area or no triangles is left out; nothing is repaired.
+/// A kind of problem of a model. Only parts without area or triangles are left out; nothing is repaired.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ProblemKind {
@@ -55,11 +55,11 @@ pub enum ProblemKind {
     DegenerateTriangle,
     /// A triangle over the same three vertices as an earlier one, in either winding.
     DuplicateFace,
-    /// An edge of more than two triangles; never merged across.
+    /// An edge of more than two triangles; merging never crosses it.
     NonManifoldEdge,
     /// An edge of one triangle only.
     OpenBorder,
-    /// An edge that its two triangles run through in the same direction.
+    /// An edge that both of its triangles traverse in the same direction.
     InconsistentWinding,
     /// A triangle whose height is under a thousandth of its longest side.
     Sliver,
@@ -67,11 +67,11 @@ pub enum ProblemKind {
     InsideOut,
     /// Points, lines, or a primitive without positions: left out.
     IgnoredPrimitive,
-    /// Indices at the end that make no whole triangle: left out.
+    /// Indices left over at the end, too few for a triangle: left out.
     LeftoverIndices,
     /// An object whose mesh has no polygon: left out.
     EmptyMesh,
-    /// Something that moves or multiplies geometry and is not followed: skins, morph targets, instancing extensions.
+    /// An unsupported glTF feature that moves or multiplies geometry: skins, morph targets, instancing extensions.
     IgnoredFeature,
     /// A feature of the scene's own layers whose surface was moved or deleted: left out of predictions.
     LostFeature,
@@ -94,7 +94,7 @@ impl ProblemKind {
         Self::LostFeature,
     ];
 
-    /// In words, for many of it.
+    /// The name of the kind, in the plural.
     pub fn title(self) -> &'static str {
         match self {
             Self::DegenerateTriangle => "degenerate triangles (left out)",
@@ -107,25 +107,25 @@ impl ProblemKind {
             Self::IgnoredPrimitive => "primitives without triangles (left out)",
             Self::LeftoverIndices => "primitives with leftover indices (left out)",
             Self::EmptyMesh => "objects without polygons (left out)",
-            Self::IgnoredFeature => "features not followed",
-            Self::LostFeature => "features that lie on no polygon any more (left out of predictions)",
+            Self::IgnoredFeature => "unsupported glTF features (ignored)",
+            Self::LostFeature => "features that no longer lie on a polygon (left out of predictions)",
         }
     }
 }
 
-/// One kind of problem: how often, and where first.
+/// One kind of problem with its count and first places.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Problem {
-    /// What is wrong.
+    /// The kind of problem.
     pub kind: ProblemKind,
-    /// How often, each mesh counted once however many instances it has.
+    /// Number of cases; each mesh counts once, however many instances it has.
     pub total: u64,
     /// The first places, at most [`limits::LISTED_PROBLEMS`].
     pub places: Vec<String>,
 }
 
 impl Problem {
-    /// One line for the whole, and one for each place, which are indented by `indent`.
+    /// One line for the total, and one for each place, indented by `indent`.
     #[doc(hidden)]
     pub fn lines(&self, indent: &str) -> Vec<String> {
         let mut lines = vec![format!("{} {}", self.total, self.kind.title())];
@@ -142,7 +142,7 @@ impl fmt::Display for Problem {
     }
 }
 
-/// The features of the environment's own layers that lie on no polygon any more, as a problem with places; `None` if all do.
+/// The features of the environment's own layers that no longer lie on a polygon, as a problem; `None` if all do.
 ///
 /// # Errors
 /// As [`crate::placement::find`].
@@ -160,12 +160,12 @@ pub fn lost_features(environment: &Environment) -> Result<Option<Problem>> {
     Ok(Some(Problem { kind: ProblemKind::LostFeature, total: lost.len() as u64, places }))
 }
 
-/// Where in a mesh a problem is; words are made only for those that are listed.
+/// The place of a problem in a mesh. Only listed problems are described in words.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Site {
     /// Source number within the mesh.
     pub triangle: u32,
-    /// The edge, where the problem is one.
+    /// The edge, if the problem concerns an edge.
     pub edge: Option<[Vec3; 2]>,
 }
 
@@ -195,7 +195,7 @@ pub struct ProblemBook {
 }
 
 impl ProblemBook {
-    /// Notes a problem that has words of its own.
+    /// Notes a problem with its own description.
     pub fn note(&mut self, kind: ProblemKind, place: impl FnOnce() -> String) {
         self.totals[kind as usize] += 1;
         let places = &mut self.places[kind as usize];
@@ -204,7 +204,7 @@ impl ProblemBook {
         }
     }
 
-    /// Takes over the problems of a mesh; `words` describes a source triangle.
+    /// Adds the problems of a mesh; `words` describes a source triangle.
     pub fn extend(&mut self, list: &ProblemList, words: impl Fn(u32) -> String) {
         for (sum, n) in self.totals.iter_mut().zip(list.totals) {
             *sum += n;
@@ -221,7 +221,7 @@ impl ProblemBook {
         }
     }
 
-    /// Only the kinds that occurred.
+    /// The kinds of problems that occurred.
     pub fn into_problems(self) -> Vec<Problem> {
         let each = ProblemKind::ALL.into_iter().zip(self.totals).zip(self.places);
         each.filter(|((_, total), _)| *total > 0)

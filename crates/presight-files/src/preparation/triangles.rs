@@ -1,4 +1,4 @@
-//! Triangles as a file has them, over welded vertices: the step between a file format and a mesh.
+//! Triangles of a file over welded vertices: the step between a file format and a mesh.
 
 use glam::{DVec3, Vec3};
 use presight_model::environment::canonical_plane;
@@ -14,7 +14,7 @@ pub struct Triangle {
     pub material: u16,
 }
 
-/// The triangles with an area of one mesh, over vertices of which no two are equal.
+/// The triangles of one mesh that have an area, over distinct vertices.
 #[derive(Clone, Debug, Default)]
 pub struct TriangleMesh {
     /// Positions, metres, mesh frame: the f32 bits of the file (negative zeros made positive).
@@ -49,7 +49,7 @@ impl TriangleMesh {
         let points @ [p, q, r] = self.positions(corners);
         let doubled_area_squared = (q - p).cross(r - p).length_squared();
         let sides = (q - p).length_squared() + (r - p).length_squared();
-        // Far from the rounding in question, as nearly all are, the plane need not be computed.
+        // Nearly all triangles are far from degenerate, so their plane need not be computed.
         doubled_area_squared <= (1e-9 * sides).powi(2) && canonical_plane(3, |k| points[k]).is_none()
     }
 
@@ -86,7 +86,7 @@ impl Welder {
         if vertices.len() * 2 >= self.table.len() {
             self.grow(vertices);
         }
-        // -0 equals 0 but has other bits: adding 0 makes them the same.
+        // -0 equals 0 but has other bits: adding 0 makes it 0.
         let position = position + Vec3::ZERO;
         let mask = self.table.len() - 1;
         let mut slot = hash(position) as usize & mask;

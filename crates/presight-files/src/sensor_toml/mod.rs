@@ -1,4 +1,4 @@
-//! Sensor TOML, `format = 1`; unknown keys are errors, angles are degrees where the key says so.
+//! Sensor TOML, `format = 1`. Unknown keys are errors. Angles are degrees in keys that end in `_deg`.
 //!
 //! ```toml
 //! format = 1
@@ -8,36 +8,36 @@
 //! range_min = 0.5             # metres, default 0
 //! range_max = 100.0           # metres, default inf
 //! max_incidence_deg = 80.0    # optional: features seen at a flatter angle are not extracted
-//! beam_height_deg = 2.0       # scanner, optional: how far off a row a feature still counts
+//! beam_height_deg = 2.0       # scanner, optional: height of a beam, within which a row sees features
 //!
 //! [azimuth]                   # scanner: beam i is column i, counter-clockwise about +z
 //! start_deg = -180.0
 //! step_deg = 0.2              # either sign
 //! count = 1800                # or angles_deg = [..]
 //!
-//! [elevation]                 # scanner, in any order: rows are sorted by falling elevation
+//! [elevation]                 # scanner, in any order: rows are sorted by descending elevation
 //! angles_deg = [-15.0, 0.0, 15.0]  # or start_deg, step_deg, count
 //!
 //! [mount]                     # robot_from_sensor, body axes, default identity
 //! xyz = [0.2, 0.0, 1.1]       # metres
 //! rpy_deg = [0.0, 10.0, 0.0]  # roll, pitch, yaw about fixed axes, or quaternion = [x, y, z, w]
 //!
-//! [noise]                     # one sigma, default 0
+//! [noise]                     # standard deviations, default 0
 //! range_sigma = 0.02          # metres
-//! range_sigma_quadratic = 0.0 # times the range squared, added to range_sigma, 1 / metre
+//! range_sigma_quadratic = 0.0 # 1 / metre: this times the range squared is added to range_sigma
 //! angle_sigma_deg = 0.01
 //! pixel_sigma = 0.0
-//! p_hit = 0.75                # shares of beams, which add up to 1: they meet the predicted surface,
-//! p_short = 0.1               # something nearer that the model does not have,
-//! p_none = 0.05               # nothing,
-//! p_any = 0.1                 # or anything
-//! beam_dependence = 1.0       # so many beams tell as much as one independent beam
+//! p_hit = 0.75                # fractions of beams, with sum 1: hit the predicted surface,
+//! p_short = 0.1               # hit something nearer that the model lacks,
+//! p_none = 0.05               # hit nothing,
+//! p_any = 0.1                 # or return any range
+//! beam_dependence = 1.0       # number of beams that carry the information of one independent beam
 //! ```
 //!
 //! `kind = "camera"`: `width, height, fx, fy, cx, cy`, and `[distortion]` with `model = "none" | "plumb_bob" |
-//! "rational_polynomial" | "equidistant" | "kannala_brandt" | "fisheye"` and `coefficients` in OpenCV's order (4 or 5, 8, 4).
-//! `kind = "rays"`: `width, height` and `directions = [[x, y, z], ..]`, row-major, body axes, `nan` for no ray; or
-//! `file = "X.csv"` beside the sensor file, a direction `x,y,z` a line, `#` for comments.
+//! "rational_polynomial" | "equidistant" | "kannala_brandt" | "fisheye"` and `coefficients` in OpenCV's order (4 or 5,
+//! 8, 4). `kind = "rays"`: `width, height` and `directions = [[x, y, z], ..]`, row-major, body axes, `nan` for no ray; or
+//! `file = "X.csv"`, relative to the sensor file, with one direction `x,y,z` per line and `#` for comments.
 
 #[cfg(test)]
 mod tests;
@@ -58,8 +58,8 @@ use std::path::Path;
 /// Reads a sensor file.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] with the line or key at fault, [`crate::ErrorKind::Unsupported`] if it is of a newer
-/// format, [`crate::ErrorKind::System`] if the system refuses.
+/// [`crate::ErrorKind::Invalid`] with the line or key at fault, [`crate::ErrorKind::Unsupported`] for a newer format,
+/// [`crate::ErrorKind::System`] if the system refuses.
 pub fn read(path: &Path) -> Result<SensorSpec> {
     let name = path.file_stem().map_or_else(|| "sensor".into(), |s| s.to_string_lossy());
     parse(&read_settings(path)?, &name, path.parent()).map_err(|e| e.in_file(path))
@@ -86,7 +86,7 @@ pub fn parse(text: &str, name: &str, folder: Option<&Path>) -> Result<SensorSpec
     }
 }
 
-/// serde cannot flatten and refuse unknown keys at once: so each kind of file repeats the common keys.
+/// Serde cannot combine `flatten` with `deny_unknown_fields`, so each kind of file repeats the common keys.
 macro_rules! sensor_file {
     ($file:ident { $($key:ident: $type:ty),* $(,)? }) => {
         #[derive(Deserialize)]
@@ -213,12 +213,12 @@ impl MountTable {
             (None, Some(q)) => {
                 let q = DQuat::from_array(q);
                 let near = Pose::new(translation, q).map_err(|_| wrong(UNSOUND))?;
-                // A quaternion that is a unit one already keeps its bits, so that what we wrote reads back equal.
+                // A unit quaternion keeps its bits, so that a written pose reads back equal.
                 let rotation = if (q.length_squared() - 1.0).abs() <= 1e-12 { q } else { near.rotation };
                 Pose { rotation, translation }
             }
         };
-        // Angles that are not finite make a rotation that is not.
+        // Non-finite angles give a non-finite rotation.
         Pose::new(pose.translation, pose.rotation).map_err(|_| wrong(UNSOUND))?;
         Ok(pose)
     }
@@ -276,7 +276,7 @@ impl RaysFile {
             }
             _ => {
                 return Err(Error::invalid(
-                    "a ray table needs directions or file, and not both",
+                    "a ray table needs either directions or file",
                     "give directions = [[x, y, z], ..] or file = \"X.csv\"",
                 ));
             }
@@ -286,7 +286,7 @@ impl RaysFile {
     }
 }
 
-/// Directions `x,y,z`, one a line; empty lines and lines that start with `#` do not count.
+/// Parses directions `x,y,z`, one per line; skips empty lines and lines that start with `#`.
 fn parse_directions(text: &str) -> Result<Vec<DVec3>> {
     let mut directions = Vec::new();
     for (i, line) in text.lines().enumerate() {
@@ -297,7 +297,7 @@ fn parse_directions(text: &str) -> Result<Vec<DVec3>> {
         let numbers: Option<Vec<f64>> = line.split(',').map(|n| n.trim().parse().ok()).collect();
         let Some(&[x, y, z]) = numbers.as_deref() else {
             return Err(Error::invalid(
-                format!("{} is no direction", quoted(line)),
+                format!("{} is not a direction", quoted(line)),
                 "write x,y,z (nan,nan,nan for no ray)",
             )
             .at(format!("line {}", i + 1)));

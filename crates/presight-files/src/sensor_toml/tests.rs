@@ -75,7 +75,7 @@ fn ray_tables_come_from_the_text_or_from_a_file_beside_it() {
     assert_eq!(missing.kind(), ErrorKind::Invalid);
 }
 
-/// One fault each: what is replaced, by what, what the message must hold.
+/// One fault per case: text, part to replace, its replacement, and a part of the expected message.
 #[test]
 fn faults_are_refused_with_place_and_remedy() {
     let cases = [

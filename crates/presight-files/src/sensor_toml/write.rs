@@ -3,10 +3,10 @@
 use presight_model::geometry::Pose;
 use presight_model::sensor::{Angles, Camera, Distortion, Geometry, Mixture, Noise, RayTable, Scanner, SensorSpec};
 
-/// The sensor as TOML, from which [`super::parse`] makes an equal one.
+/// Writes a sensor as TOML that [`super::parse`] reads back as an equal sensor.
 ///
-/// Numbers have enough digits to read back with the same bits. The exception are angles that were never given in degrees: they may
-/// read back one ulp away, because two neighbouring values in radians can be less than an ulp of a degree apart.
+/// Numbers read back with the same bits. The exception is an angle that was never given in degrees: it may read back
+/// one ulp off, because neighbouring values in radians can be less than one ulp of a degree apart.
 ///
 /// ```
 /// use presight::io::sensor_toml;
@@ -105,7 +105,7 @@ impl Writer {
         }
     }
 
-    /// What is not as usual.
+    /// Writes the parts of the beam model that differ from the default.
     fn beams(&mut self, noise: &Noise) {
         if noise.range_sigma_quadratic != 0.0 {
             self.number("range_sigma_quadratic", noise.range_sigma_quadratic);
@@ -125,7 +125,7 @@ impl Writer {
     }
 }
 
-/// Rust's shortest digits that read back; TOML writes NaN in small letters.
+/// Rust's shortest round-trip digits; TOML spells NaN `nan`.
 fn number(value: f64) -> String {
     if value.is_nan() { "nan".to_owned() } else { format!("{value:?}") }
 }
@@ -138,7 +138,7 @@ fn quoted(text: &str) -> String {
     toml::Value::String(text.to_owned()).to_string()
 }
 
-/// Degrees that turn into exactly these radians if there are any, and the roundest of those.
+/// The roundest degrees that convert to exactly these radians, or the nearest if none do.
 fn degrees(radians: f64) -> f64 {
     let near = radians.to_degrees();
     let round = format!("{near:.12e}").parse().unwrap_or(near);

@@ -1,4 +1,4 @@
-//! Features drawn over a preview: what is seen solid, what is hidden dashed, regions of interest as boxes.
+//! Features drawn over a preview: visible parts solid, hidden parts dashed, regions of interest as boxes.
 
 use super::canvas::{Canvas, INK, PageRect, TEXT_HEIGHT, text_width};
 use super::pen::{Pen, REGION, Style};
@@ -11,7 +11,7 @@ use std::collections::HashSet;
 
 /// Longest piece of a curve that is drawn straight, radians: curves bend by less than a pixel over it.
 const PIECE: f64 = 0.5 * std::f64::consts::PI / 180.0;
-/// Fewest pieces of a curve: of a lens within a narrow field.
+/// Fewest pieces of a curve, for a distorting lens with a narrow field of view.
 const FEWEST: f64 = 16.0;
 /// Height of the legend with its gap, page pixels.
 pub const LEGEND: u32 = TEXT_HEIGHT + 10;
@@ -19,25 +19,25 @@ pub const LEGEND: u32 = TEXT_HEIGHT + 10;
 /// Features to draw over a preview.
 #[derive(Clone, Copy, Debug)]
 pub struct Overlay<'a> {
-    /// What the sensor of the preview sees of them.
+    /// The features as the sensor of the preview sees them.
     pub features: &'a FeaturePrediction,
-    /// The sides of patches that are seen in part ([`crate::features::sides_seen_in_part`]), as the sensor sees them: of
-    /// others that are seen in part, all of the outline is dashed in the colour of what is seen.
+    /// Sides of partly visible patches ([`crate::features::sides_seen_in_part`]), as the sensor sees them. Without
+    /// them, the whole outline of such a patch is dashed in the colour of visible features.
     pub sides: &'a [SeenFeature],
     /// The sensor.
     pub sensor: &'a Sensor,
     /// Its pose, body axes.
     pub world_from_sensor: &'a Pose,
-    /// Write their numbers beside them.
+    /// If true, the ids of visible features are written next to them.
     pub numbers: bool,
 }
 
 impl Overlay<'_> {
-    /// Over an image; `page` turns pixel coordinates into places on the page, evenly.
+    /// Draws over an image; `page` maps pixel coordinates to the page linearly.
     pub(super) fn draw(&self, canvas: &mut Canvas, frame: PageRect, page: &impl Fn(DVec2) -> [f64; 2]) {
         let view = PageView { overlay: self, frame, page, turn: turn_of(self.sensor), by_sides: self.by_sides() };
         canvas.inside(frame, |canvas| {
-            // Hidden parts first: what is seen lies over them.
+            // Hidden parts first, so that visible parts cover them.
             for seen in [false, true] {
                 self.features.features.iter().for_each(|f| view.feature(canvas, f, seen));
                 self.sides.iter().for_each(|side| view.feature(canvas, side, seen));
@@ -57,18 +57,18 @@ impl Overlay<'_> {
         (self.world_from_sensor.rotation_matrix() * self.sensor.body_from_image()).transpose()
     }
 
-    /// The parts of a segment, from 0 to 1, that are seen, or that are in the image and hidden.
+    /// The visible parts of a segment, or those in the image but hidden, as intervals of 0..1.
     pub(super) fn parts(feature: &SeenFeature, seen: bool) -> Vec<[f64; 2]> {
         let hidden = feature.hidden.iter().filter(|h| !h.reason.is_outside());
         if seen { feature.visible.iter().map(|v| v.t).collect() } else { hidden.map(|h| h.t).collect() }
     }
 
-    /// Numbers of features whose sides are drawn by themselves.
+    /// Ids of features whose sides are drawn separately.
     fn by_sides(&self) -> HashSet<u32> {
         self.sides.iter().map(|side| side.feature.id).collect()
     }
 
-    /// How the outline of an area is drawn, as a whole, with what is seen or with what is not.
+    /// The style of an area's whole outline; `None` if it is not drawn with the visible (`seen`) or hidden parts.
     pub(super) fn outline(feature: &SeenFeature, seen: bool) -> Option<Style> {
         let any = |seen| !Self::parts(feature, seen).is_empty();
         match (any(true), any(false)) {
@@ -79,7 +79,7 @@ impl Overlay<'_> {
         }
     }
 
-    /// Numbers of what is seen, all of each in the frame.
+    /// Writes the ids of visible features, each completely inside the frame.
     pub(super) fn number(&self, canvas: &mut Canvas, frame: PageRect, at: &impl Fn(&SeenFeature) -> Option<[f64; 2]>) {
         let seen = self.features.features.iter().filter(|f| self.numbers && !f.visible.is_empty());
         for (feature, [x, y]) in seen.filter_map(|f| Some((f, at(f).filter(|p| frame.holds(*p, 0.0))?))) {
@@ -92,7 +92,7 @@ impl Overlay<'_> {
     }
 }
 
-/// What the styles mean: a line of the page from `top`, as wide as it needs.
+/// Draws the legend of the styles in one line from `top`.
 pub fn legend(canvas: &mut Canvas, left: u32, top: u32) {
     const SAMPLE: u32 = 42;
     let mut x = left;
@@ -113,7 +113,7 @@ pub fn legend(canvas: &mut Canvas, left: u32, top: u32) {
     }
 }
 
-/// Columns of a whole turn, of scanners whose columns are even.
+/// Columns of a full turn, for scanners with evenly spaced columns.
 fn turn_of(sensor: &Sensor) -> Option<f64> {
     match &sensor.spec().geometry {
         Geometry::Scanner(s) => match s.azimuth {
@@ -124,7 +124,7 @@ fn turn_of(sensor: &Sensor) -> Option<f64> {
     }
 }
 
-/// The image as it is on the page.
+/// The placement of the image on the page.
 struct PageView<'a, F> {
     overlay: &'a Overlay<'a>,
     frame: PageRect,
@@ -161,7 +161,7 @@ impl<F: Fn(DVec2) -> [f64; 2]> PageView<'_, F> {
         self.overlay.sensor.project(p).map(DVec2::from)
     }
 
-    /// The image of a straight line: pieces of the arc between the directions to its ends.
+    /// Draws the image of a straight line in pieces of equal angle as seen from the sensor.
     fn curve(&self, pen: &mut Pen<'_>, a: DVec3, b: DVec3) {
         let (near, far) = (a.length(), b.length());
         let angle = a.cross(b).length().atan2(a.dot(b));
@@ -183,7 +183,7 @@ impl<F: Fn(DVec2) -> [f64; 2]> PageView<'_, F> {
                 if let Some(turn) = self.turn {
                     q.x += turn * ((p.x - q.x) / turn).round();
                 }
-                // Without a known turn what jumps goes over a seam.
+                // Without a known turn, a jump means that the line crosses a seam.
                 if self.turn.is_some() || (q.x - p.x).abs() < 0.5 * f64::from(self.overlay.sensor.width()) {
                     self.each_turn([p, q], |[p, q]| pen.line(p, q));
                 }
@@ -192,7 +192,7 @@ impl<F: Fn(DVec2) -> [f64; 2]> PageView<'_, F> {
         }
     }
 
-    /// Places on the page of two in the image: once for each turn of a scanner that may bring them into the image.
+    /// Calls `draw` with two image points on the page, for each turn of a scanner that may bring them into the image.
     fn each_turn(&self, ends: [DVec2; 2], mut draw: impl FnMut([[f64; 2]; 2])) {
         let shifts: &[f64] = if self.turn.is_some() { &[0.0, -1.0, 1.0] } else { &[0.0] };
         for shift in shifts {
@@ -204,7 +204,7 @@ impl<F: Fn(DVec2) -> [f64; 2]> PageView<'_, F> {
         }
     }
 
-    /// A region of interest: over the seam both of its parts.
+    /// Draws a region of interest; across the seam, both of its parts.
     fn region(&self, canvas: &mut Canvas, [x0, y0, x1, y1]: [f64; 4]) {
         let corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)].map(DVec2::from);
         for k in 0..4 {
@@ -212,14 +212,14 @@ impl<F: Fn(DVec2) -> [f64; 2]> PageView<'_, F> {
         }
     }
 
-    /// The middle of what is seen of a feature.
+    /// The middle of a feature's visible part.
     fn middle(&self, feature: &SeenFeature) -> Option<[f64; 2]> {
         let [from, mut to] = feature.visible.first()?.pixels;
         let segment = matches!(feature.feature.shape, FeatureShape::Segment { .. } | FeatureShape::Contour { .. });
         if let Some(turn) = self.turn.filter(|_| segment) {
             to.x += turn * ((from.x - to.x) / turn).round();
         }
-        // Of an area `from` and `to` bound what is seen, over a seam all of the image: first where its own middle is.
+        // `from` and `to` bound an area's visible part; across a seam that is the whole image. So try its centre first.
         let points = self.overlay.points(feature);
         let own = self.project(points.iter().sum::<DVec3>() / points.len() as f64).filter(|_| !segment);
         let mut middle = None;

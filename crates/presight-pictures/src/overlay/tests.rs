@@ -25,7 +25,7 @@ fn all_round(rows: u32) -> Sensor {
     Sensor::new(SensorSpec::new("s", "video", Geometry::Scanner(scanner))).unwrap()
 }
 
-/// A feature of which nothing but its shape is known; in world axes, x forward.
+/// A visible feature with a shape and no properties; world axes, x forward.
 fn seen(id: u32, points: &[[f64; 3]]) -> SeenFeature {
     let points: Vec<DVec3> = points.iter().map(|p| DVec3::from_array(*p)).collect();
     let covariance = DMat3::ZERO;
@@ -48,7 +48,7 @@ fn in_part(feature: SeenFeature) -> SeenFeature {
     SeenFeature { hidden, visible_fraction: 0.5, ..feature }
 }
 
-/// What features change on a page, and the rectangle of the image on it.
+/// The pixels of a page that features change, and the image's rectangle on it.
 struct Drawn {
     page: Canvas,
     /// Changed pixels.
@@ -59,7 +59,7 @@ struct Drawn {
 fn draw(sensor: &Sensor, features: Vec<SeenFeature>, sides: &[SeenFeature], numbers: bool) -> Drawn {
     let mut images = Images::default();
     images.prepare(sensor.width(), sensor.height(), Outputs::of(&[Output::Range]));
-    // Dark behind what is drawn, whose colours are looked for; a scan from above needs something hit.
+    // A dark background, on which lines have their own colours; a scan from above needs hits.
     images.range.fill(if sensor.height() == 1 { 4.0 } else { f32::INFINITY });
     let of = |features| FeaturePrediction { features, ..FeaturePrediction::default() };
     let draw = |features: &FeaturePrediction, sides| {
@@ -85,7 +85,7 @@ impl Drawn {
         self.at.iter().all(|(x, y)| inside(*x, left, width) && inside(*y, top, height))
     }
 
-    /// Shares of the frame's width at which something is drawn.
+    /// Horizontal positions of changed pixels, as fractions of the frame's width.
     fn across(&self) -> impl Iterator<Item = f64> + '_ {
         self.at.iter().map(|(x, _)| (*x as f64 + 0.5 - f64::from(self.frame.left)) / f64::from(self.frame.width))
     }
@@ -98,7 +98,7 @@ impl Drawn {
         self.at.iter().filter(|at| self.is(color, **at)).count()
     }
 
-    /// Lines are smooth: what is nearer to that colour than to that of the other style.
+    /// True if a pixel of an anti-aliased line is closer to this colour than to the other style's.
     fn is(&self, color: Rgb, (x, y): (i64, i64)) -> bool {
         let away = |other: Rgb| self.page.get(x, y).iter().zip(other).map(|(a, b)| a.abs_diff(b)).max().unwrap_or(0);
         away(color) < 100
@@ -112,13 +112,13 @@ fn regions_over_the_seam_are_on_both_sides() {
     let with_roi = |roi: [f64; 4]| SeenFeature { roi: Some(roi), ..hidden(seen(1, &[[0.0, 0.0, 9e9]])) };
     let drawn = draw(&sensor, vec![with_roi([350.0, 5.0, 365.0, 15.0])], &[], false);
     assert!(drawn.is_framed());
-    // Columns run from right to left: the first is on the right. To 5.5 columns from either side.
+    // Columns run from right to left, so the first is on the right.
     let (left, right): (Vec<f64>, Vec<f64>) = drawn.across().partition(|x| *x < 0.5);
     assert!(
         left.iter().all(|x| *x < 10.5 / 360.0) && right.iter().all(|x| *x > 1.0 - 6.0 / 360.0),
         "{left:?} {right:?}"
     );
-    // Upper and lower lines all along, and a side each.
+    // Both parts have upper and lower lines and one side.
     assert!(left.len() > 50 && right.len() > 30, "{} {}", left.len(), right.len());
     let whole = draw(&sensor, vec![with_roi([-0.5, -0.5, 359.5, 20.5])], &[], false);
     assert!(whole.is_framed() && !whole.at.is_empty());
@@ -126,7 +126,7 @@ fn regions_over_the_seam_are_on_both_sides() {
 
 #[test]
 fn lines_reach_the_border_of_the_image() {
-    // A hair outside by rounding, as ends that were cut at the border are.
+    // Rounding leaves ends that were cut at the border slightly outside.
     for (y, first) in [(1.0 + 1e-13, true), (-1.0 - 1e-13, false)] {
         let edge = seen(1, &[[1.0, 0.5 * y, 0.1], [1.0, y, 0.1]]);
         let drawn = draw(&camera(false), vec![edge], &[], false);
@@ -142,9 +142,9 @@ fn what_is_seen_of_a_patch_in_part_is_told_apart() {
     let of = |feature, sides: &[SeenFeature]| draw(&camera(false), vec![feature], sides, false);
     let (whole, none, part) = (of(patch(), &[]), of(hidden(patch()), &[]), of(in_part(patch()), &[]));
     assert!(whole.has(SEEN) && !whole.has(HIDDEN) && none.has(HIDDEN) && !none.has(SEEN));
-    // Not known which: dashed, in the colour of what is seen.
+    // It is unknown which part is visible: dashed, in the colour of visible features.
     assert!(part.has(SEEN) && !part.has(HIDDEN) && 3 * part.count(SEEN) < 2 * whole.count(SEEN));
-    // Known: the lower side is seen up to its middle.
+    // Known: the lower side is visible up to its middle.
     let corner = |k: usize| patch().points_world[k % 4].to_array();
     let sides: Vec<SeenFeature> = (0..4)
         .map(|k| {
@@ -170,17 +170,17 @@ fn scans_seen_from_above_show_walls_once_and_regions() {
     let sensor = all_round(1);
     let wall = || seen(1, &[[3.0, -1.0, -1.0], [3.0, 1.0, -1.0], [3.0, 1.0, 1.0], [3.0, -1.0, 1.0]]);
     let whole = draw(&sensor, vec![wall()], &[], false);
-    // All hits are 4 m away, so that 3 m ahead is at an eighth of the height, about.
+    // All hits are 4 m away, so 3 m ahead is at about an eighth of the height.
     assert!(whole.is_framed() && whole.has(SEEN) && !whole.has(HIDDEN));
     let rows: Vec<i64> = whole.at.iter().map(|(_, y)| *y).collect();
     assert!(rows.iter().max().unwrap() - rows.iter().min().unwrap() < 6, "one straight line across");
-    // Hidden: out and back its dashes would fill its gaps.
+    // Hidden: drawn out and back, the dashes would fill their own gaps.
     let none = draw(&sensor, vec![hidden(wall())], &[], false);
     assert!(none.has(HIDDEN) && 10 * none.at.len() < 7 * whole.at.len(), "{} {}", none.at.len(), whole.at.len());
-    // Beyond what the beams reached.
+    // Behind the hits.
     let far = |x: f64| seen(1, &[[x, -1.0, -1.0], [x, 1.0, -1.0], [x, 1.0, 1.0], [x, -1.0, 1.0]]);
     assert!(draw(&sensor, vec![in_part(far(4.2))], &[], false).has(HIDDEN));
-    // An arc about what is ahead, beyond it.
+    // A region is an arc behind its feature.
     let roi = |feature| SeenFeature { roi: Some([170.0, -0.5, 190.0, 0.5]), range: Some(3.0), ..feature };
     let with_roi = draw(&sensor, vec![roi(wall())], &[], false);
     assert!(with_roi.is_framed() && with_roi.at.len() > whole.at.len() + 100);
@@ -209,7 +209,7 @@ fn numbers_stay_in_the_picture() {
     }
 }
 
-/// Lines that run to where the page never was cost what is on it.
+/// The cost of a line depends on its part on the page, not on its length.
 #[test]
 fn what_is_far_away_takes_no_time() {
     let start = std::time::Instant::now();
@@ -251,7 +251,6 @@ prop_compose! {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(32))]
 
-    /// Whatever is drawn is in the picture.
     #[test]
     fn nothing_is_drawn_outside_of_the_image(features in prop::collection::vec(feature(), 1..12), which in 0..4usize) {
         let sensor = match which {

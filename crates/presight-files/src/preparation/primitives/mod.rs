@@ -1,8 +1,8 @@
 //! Solids from parameters: closed surfaces of planar convex polygons, corners counter-clockwise seen from outside.
 //!
-//! Metres. Everything stands on z = 0, centred about the z axis, unless its function says otherwise. Round things are
-//! regular polygons with a corner on +x, inscribed: their corners lie on the circle. Neighbours share their corners by
-//! index, so that their edges have the same bits. The same parameters give the same bits on every machine.
+//! Lengths are metres. A solid stands on z = 0, centred on the z axis, unless its function says otherwise. Circles
+//! become inscribed regular polygons with a corner on +x. Neighbours share corners by index, so that their edges have
+//! the same bits. The same parameters give the same bits on every machine.
 
 mod outline;
 mod round;
@@ -33,7 +33,7 @@ pub struct Solid {
     /// Positions, metres.
     pub vertices: Vec<DVec3>,
     corners: Vec<u32>,
-    /// For each polygon one past its last corner.
+    /// For each polygon, one past its last corner.
     ends: Vec<u32>,
 }
 
@@ -51,12 +51,12 @@ impl Solid {
         })
     }
 
-    /// Every corner of every polygon, in order.
+    /// Number of corners of all polygons.
     pub fn corner_count(&self) -> usize {
         self.corners.len()
     }
 
-    /// Appends a convex polygon; one of more corners than a mesh takes is cut along chords.
+    /// Appends a convex polygon; one with more corners than a mesh allows is cut along chords.
     pub fn push(&mut self, corners: impl IntoIterator<Item = u32>) {
         let start = self.corners.len();
         self.corners.extend(corners);
@@ -76,7 +76,7 @@ impl Solid {
         }
     }
 
-    /// Appends all polygons of another.
+    /// Appends all polygons of another solid.
     pub fn append(&mut self, other: &Self) {
         let (vertex, corner) = (self.vertices.len() as u32, self.corners.len() as u32);
         self.vertices.extend_from_slice(&other.vertices);
@@ -84,7 +84,7 @@ impl Solid {
         self.ends.extend(other.ends.iter().map(|e| e + corner));
     }
 
-    /// Moves every corner; a map that mirrors turns the windings with it, so that outside stays outside.
+    /// Transforms every corner. If the transform mirrors, windings are reversed, so that outside stays outside.
     pub fn map(&mut self, mirrors: bool, mut a_from_b: impl FnMut(DVec3) -> DVec3) {
         for v in &mut self.vertices {
             *v = a_from_b(*v);

@@ -1,4 +1,4 @@
-//! Outlines drawn out into solids.
+//! Outlines extruded into solids.
 
 use super::split::convex_parts;
 use super::{Solid, length};
@@ -6,8 +6,8 @@ use glam::{DVec2, DVec3};
 use presight_model::error::{Error, Result};
 use presight_model::limits;
 
-/// An outline in x and y, drawn out upwards from z = 0. It may be concave and run either way round, but must not cross
-/// or touch itself.
+/// Extrudes an outline in x and y upwards from z = 0. The outline may be concave and run in either direction, but must
+/// not cross or touch itself.
 ///
 /// ```
 /// use presight::preparation::primitives::extrude;
@@ -24,7 +24,7 @@ pub fn extrude(outline: &[DVec2], height: f64) -> Result<Solid> {
     prismatic(outline, 0.0, length("height", height)?, |p, w| p.extend(w))
 }
 
-/// The outline drawn out from `low` to `high`, put into space by `place`, a rotation.
+/// Extrudes an outline from `low` to `high`; `place`, a rotation, puts it into space.
 pub(super) fn prismatic(outline: &[DVec2], low: f64, high: f64, place: impl Fn(DVec2, f64) -> DVec3) -> Result<Solid> {
     let outline = counter_clockwise(outline)?;
     let n = outline.len() as u32;
@@ -43,7 +43,7 @@ pub(super) fn prismatic(outline: &[DVec2], low: f64, high: f64, place: impl Fn(D
     Ok(solid)
 }
 
-/// The checked outline, turned round if need be.
+/// Checks an outline and makes it counter-clockwise.
 fn counter_clockwise(outline: &[DVec2]) -> Result<Vec<DVec2>> {
     let n = outline.len();
     if !(3..=limits::MAX_OUTLINE).contains(&n) {
@@ -62,7 +62,7 @@ fn counter_clockwise(outline: &[DVec2]) -> Result<Vec<DVec2>> {
     Ok(outline)
 }
 
-/// Twice the area of a triangle; above 0 if it runs counter-clockwise.
+/// Twice the signed area of a triangle; positive if it runs counter-clockwise.
 pub(super) fn turn(a: DVec2, b: DVec2, c: DVec2) -> f64 {
     (b - a).perp_dot(c - a)
 }

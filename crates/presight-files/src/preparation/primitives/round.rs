@@ -8,14 +8,14 @@ use presight_model::geometry::sin_cos_of_turn;
 /// An upright prism over a regular polygon.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] naming the parameter that is impossible.
+/// [`crate::ErrorKind::Invalid`] naming the invalid parameter.
 pub fn prism(sides: u32, radius: f64, height: f64) -> Result<Solid> {
     let n = count("sides", sides, 3)?;
     let (radius, height) = (length("radius", radius)?, length("height", height)?);
     Ok(frustum(n, radius, radius, height))
 }
 
-/// An upright cylinder of so many facets.
+/// An upright cylinder with this many facets.
 ///
 /// # Errors
 /// As [`prism`].
@@ -23,10 +23,10 @@ pub fn cylinder(radius: f64, height: f64, facets: u32) -> Result<Solid> {
     prism(count("facets", facets, 3)?, radius, height)
 }
 
-/// An upright cone; cut off where neither radius is 0.
+/// An upright cone; truncated if neither radius is 0.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] naming the parameter that is impossible, or if both radii are 0.
+/// [`crate::ErrorKind::Invalid`] naming the invalid parameter, or if both radii are 0.
 pub fn cone(radius_bottom: f64, radius_top: f64, height: f64, facets: u32) -> Result<Solid> {
     let n = count("facets", facets, 3)?;
     let low = length_or_none("radius_bottom", radius_bottom)?;
@@ -37,7 +37,7 @@ pub fn cone(radius_bottom: f64, radius_top: f64, height: f64, facets: u32) -> Re
     Ok(frustum(n, low, high, length("height", height)?))
 }
 
-/// The indices of a new ring of corners, or of one corner on the axis.
+/// Adds a ring of corners, or one corner on the axis, and returns their indices.
 fn ring(solid: &mut Solid, n: u32, radius: f64, z: f64) -> Vec<u32> {
     let first = solid.vertices.len() as u32;
     if radius == 0.0 {
@@ -51,7 +51,7 @@ fn ring(solid: &mut Solid, n: u32, radius: f64, z: f64) -> Vec<u32> {
     (first..first + n).collect()
 }
 
-/// Facets between two rings, seen from outside where `low` is below `high`.
+/// Adds facets between two rings. They face outwards if `low` is below `high`.
 fn band(solid: &mut Solid, low: &[u32], high: &[u32]) {
     let n = low.len();
     for k in 0..n {
@@ -76,17 +76,17 @@ fn frustum(n: u32, low: f64, high: f64, height: f64) -> Solid {
     solid
 }
 
-/// A sphere about the origin, poles on the z axis: `facets` around, half as many from pole to pole.
+/// A sphere about the origin with its poles on the z axis: `facets` around, half as many from pole to pole.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] naming the parameter that is impossible.
+/// [`crate::ErrorKind::Invalid`] naming the invalid parameter.
 pub fn sphere(radius: f64, facets: u32) -> Result<Solid> {
     let (n, radius) = (count("facets", facets, 4)?, length("radius", radius)?);
     let bands = n / 2;
     let mut solid = Solid::default();
     let mut below = ring(&mut solid, n, 0.0, -radius);
     for k in 1..=bands {
-        // From the south pole: half a turn in all.
+        // Half a turn from the south pole to the north pole.
         let (s, c) = sin_cos_of_turn(k, 2 * bands);
         let above = ring(&mut solid, n, if k == bands { 0.0 } else { radius * s }, -radius * c);
         band(&mut solid, &below, &above);
@@ -98,7 +98,7 @@ pub fn sphere(radius: f64, facets: u32) -> Result<Solid> {
 /// An upright tube: a cylinder with a coaxial hole through it.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] naming the parameter that is impossible, or if the hole leaves no wall.
+/// [`crate::ErrorKind::Invalid`] naming the invalid parameter, or if the hole leaves no wall.
 pub fn tube(radius_outer: f64, radius_inner: f64, height: f64, facets: u32) -> Result<Solid> {
     let n = count("facets", facets, 3)?;
     let (outer, inner) = (length("radius_outer", radius_outer)?, length("radius_inner", radius_inner)?);

@@ -1,13 +1,13 @@
-//! Simple polygons into convex parts: ears are cut off, then triangles joined again where the union stays convex
-//! (S. Hertel, K. Mehlhorn, Fast triangulation of simple polygons, 1983: at most four times as many parts as the fewest).
+//! Splits simple polygons into convex parts: cuts off ears, then joins triangles while the union stays convex (S.
+//! Hertel, K. Mehlhorn, Fast triangulation of simple polygons, 1983: at most four times the least number of parts).
 
 use super::outline::turn;
 use glam::DVec2;
 use presight_model::error::{Error, Result};
 use presight_model::limits;
 
-/// Convex parts of a simple counter-clockwise outline, as indices of its points, counter-clockwise. All points are
-/// corners of parts, those within straight sides, too, so that no part's corner lies within another's side.
+/// Convex parts of a simple counter-clockwise outline, as indices of its points, counter-clockwise. Points within
+/// straight sides stay corners, so that no corner lies within another part's side.
 pub(super) fn convex_parts(outline: &[DVec2]) -> Result<Vec<Vec<u32>>> {
     let whole: Vec<u32> = (0..outline.len() as u32).collect();
     if outline.len() <= limits::MAX_CORNERS && is_convex(outline, &whole) {
@@ -40,7 +40,7 @@ fn joined(outline: &[DVec2], a: &[u32], b: &[u32]) -> Option<Vec<u32>> {
     for i in 0..a.len() {
         let (from, to) = (a[i], a[(i + 1) % a.len()]);
         let Some(j) = (0..b.len()).find(|&j| b[j] == to && b[(j + 1) % b.len()] == from) else { continue };
-        // a from `to` round to `from`, then b's corners between them.
+        // The corners of `a` from `to` round to `from`, then the other corners of `b`.
         let mut union: Vec<u32> = (1..=a.len()).map(|k| a[(i + k) % a.len()]).collect();
         union.extend((2..b.len()).map(|k| b[(j + k) % b.len()]));
         return is_convex(outline, &union).then_some(union);
@@ -56,7 +56,7 @@ fn ears(outline: &[DVec2]) -> Result<Vec<[u32; 3]>> {
         let corners = |k: usize| [left[(k + n - 1) % n], left[k], left[(k + 1) % n]];
         let Some(ear) = (0..n).find(|&k| is_ear(outline, &left, corners(k))) else {
             return Err(Error::invalid(
-                "the outline comes too near to itself",
+                "the outline comes too close to itself",
                 "give one that does not cross or touch itself",
             ));
         };
@@ -67,7 +67,7 @@ fn ears(outline: &[DVec2]) -> Result<Vec<[u32; 3]>> {
     Ok(triangles)
 }
 
-/// True if the triangle has an area and no other point, on its border neither.
+/// True if the triangle has an area, and no other point lies inside it or on its border.
 fn is_ear(outline: &[DVec2], left: &[u32], corners: [u32; 3]) -> bool {
     let [a, b, c] = corners.map(|k| outline[k as usize]);
     if !(turn(a, b, c) > 0.0) {

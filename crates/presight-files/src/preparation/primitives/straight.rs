@@ -15,8 +15,8 @@ pub fn cuboid(size_x: f64, size_y: f64, size_z: f64) -> Result<Solid> {
     pyramid_like([size_x, size_y, size_z], [size_x, size_y])
 }
 
-/// A pyramid over a rectangle, cut off at the height where its top is `top_x` by `top_y`; an apex where both are 0, a
-/// ridge (a roof) where one is.
+/// A pyramid over a rectangle, cut off where its top is `top_x` by `top_y`: an apex if both are 0, a ridge (roof) if
+/// one is.
 ///
 /// # Errors
 /// [`crate::ErrorKind::Invalid`] naming a size that is not a length.
@@ -31,7 +31,7 @@ fn pyramid_like([x, y, z]: [f64; 3], [top_x, top_y]: [f64; 2]) -> Result<Solid> 
     let corner = |(sx, sy): (f64, f64), x: f64, y: f64, z: f64| DVec3::new(sx * x, sy * y, z);
     let round = [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)];
     solid.vertices.extend(round.map(|at| corner(at, x, y, 0.0)));
-    // Corners of the top that coincide are one.
+    // Coinciding corners of the top are merged.
     let mut top = [0u32; 4];
     for (k, at) in round.into_iter().enumerate() {
         let p = corner(at, 0.5 * top_x, 0.5 * top_y, z);
@@ -53,7 +53,7 @@ fn pyramid_like([x, y, z]: [f64; 3], [top_x, top_y]: [f64; 2]) -> Result<Solid> 
     Ok(solid)
 }
 
-/// A ramp that rises along +x from nothing to its height.
+/// A ramp that rises along +x from 0 to its height.
 ///
 /// # Errors
 /// [`crate::ErrorKind::Invalid`] naming a size that is not a length above 0.
@@ -82,13 +82,12 @@ pub fn stairs(steps: u32, width: f64, run: f64, rise: f64) -> Result<Solid> {
     upright(&outline, y)
 }
 
-/// An outline in x and z, drawn out to both sides of y = 0.
+/// Extrudes an outline in x and z to both sides of y = 0.
 fn upright(outline: &[DVec2], half: f64) -> Result<Solid> {
     prismatic(outline, -half, half, |p, w| DVec3::new(p.x, -w, p.y))
 }
 
-/// A flat rectangle in the plane z = 0, its normal up: not closed, seen from both sides unless its material says
-/// otherwise.
+/// A flat rectangle in the plane z = 0 with its normal up, visible from both sides unless its material says otherwise.
 ///
 /// # Errors
 /// [`crate::ErrorKind::Invalid`] naming a size that is not a length above 0.
@@ -97,12 +96,11 @@ pub fn rectangle(size_x: f64, size_y: f64) -> Result<Solid> {
     face(&[DVec3::new(-x, -y, 0.0), DVec3::new(x, -y, 0.0), DVec3::new(x, y, 0.0), DVec3::new(-x, y, 0.0)])
 }
 
-/// One flat convex polygon, its normal towards those who see its corners counter-clockwise: not closed. Whether it is
-/// planar and convex is checked when it becomes part of a mesh.
+/// One flat convex polygon. Its normal points to the side from which its corners run counter-clockwise. The mesh checks
+/// later that it is planar and convex.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] if there are fewer than 3 corners or too many, a corner is not finite, or they have no
-/// area.
+/// [`crate::ErrorKind::Invalid`] for fewer than 3 or too many corners, a corner that is not finite, or no area.
 pub fn face(corners: &[DVec3]) -> Result<Solid> {
     if !(3..=limits::MAX_CORNERS).contains(&corners.len()) {
         let what = format!("{} corners", corners.len());

@@ -1,5 +1,5 @@
-//! Every solid is closed, its normals point outwards, its polygons are planar and convex, and it has the volume and area
-//! that geometry books give.
+//! Every solid is closed, its normals point outwards, its polygons are planar and convex, and its volume and area agree
+//! with the textbook formulas.
 
 use super::*;
 use glam::DVec2;
@@ -30,7 +30,7 @@ fn size(solid: &Solid) -> f64 {
     solid.vertices.iter().map(|v| v.abs().max_element()).fold(0.0, f64::max)
 }
 
-/// What is wrong with it, if anything.
+/// The first fault of a solid, if it has any.
 fn fault(solid: &Solid) -> Option<String> {
     let mut sides: HashMap<(u32, u32), u32> = HashMap::new();
     for polygon in solid.polygons() {
@@ -129,7 +129,7 @@ fn round_solids() {
     }
 }
 
-/// An octahedron, then ever nearer to the round one, from inside.
+/// An octahedron, then solids whose volume approaches that of the sphere from below.
 #[test]
 fn spheres() {
     check(sphere(1.0, 4).unwrap(), 4.0 / 3.0, 4.0 * 3f64.sqrt());
@@ -241,7 +241,7 @@ fn the_check_finds_planted_faults() {
     assert!(fault(&dented).unwrap().contains("not convex"));
 }
 
-/// A star-shaped outline about the origin: simple by construction, as concave as it gets.
+/// A star-shaped outline about the origin: simple by construction, and very concave.
 fn star() -> impl Strategy<Value = Vec<DVec2>> {
     prop::collection::vec(0.05..1.0f64, 3..40).prop_map(|radii| {
         let n = radii.len() as u32;
@@ -264,7 +264,7 @@ proptest! {
         prop_assert_eq!(fault(&solid), None);
         prop_assert!((volume(&solid) - 0.5 * doubled.abs() * h).abs() < 1e-11);
         prop_assert!((area(&solid) - (doubled.abs() + around * h)).abs() < 1e-10);
-        // Fewer parts than triangles as soon as anything is convex.
+        // There are never more parts than triangles.
         let caps = solid.polygon_count() - n;
         prop_assert!(caps / 2 <= n - 2);
     }
