@@ -80,8 +80,6 @@
 //! `gpu` (the wgpu engine), `script` (scenes as scripts) and `store` (stored environments) are on by default. Everything else
 //! works without them.
 
-#[doc(hidden)]
-pub mod internal;
 mod scene;
 
 pub use presight_features as features;

@@ -9,13 +9,13 @@ use common::{plan, reference};
 use glam::{DAffine3, DQuat, DVec3, Vec3};
 use presight::gpu::testing::{self, Setup};
 use presight::gpu::{DeviceOptions, GpuEngine};
-use presight::internal::{CUBOID_FACES, cuboid_corners};
 use presight::plan::StageName;
 use presight::verify::{Precision, Report};
 use presight::{
     Angles, Camera, Distortion, Environment, ErrorKind, Geometry, Images, Material, Mesh, NewObject, Output, Outputs,
     Polygon, PolygonOrder, Pose, RayTable, Request, Scanner, Sensor, SensorSpec, Stats, World,
 };
+use presight_model::environment::{CUBOID_FACES, cuboid_corners};
 use std::sync::Arc;
 
 /// The engine, or `None` where there is no adapter and the machine may lack one.

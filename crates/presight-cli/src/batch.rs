@@ -7,7 +7,6 @@ use super::{CommandOutcome, bar, folder, open_scene, print};
 use presight::batch::{BatchItem, BatchRequest, Headings, PoseCell, RangeLikelihood};
 use presight::frames::ExternalPose;
 use presight::index::Scheme;
-use presight::internal::{inputs, text};
 use presight::io::atomic::write_atomically;
 use presight::io::gltf::ImportOptions;
 use presight::io::series::SeriesProgress;
@@ -15,6 +14,7 @@ use presight::io::{exr, load_sensor, log, sensor_toml, tum};
 use presight::{
     Error, IdScheme, ImageRequest, Output, Outputs, Pose, Predictor, Raster, Result, Scene, Sensor, Threads, blake3_of,
 };
+use presight_files::{inputs, text};
 use rayon::prelude::*;
 use std::fmt::Write as _;
 use std::io::Write as _;

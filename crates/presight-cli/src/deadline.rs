@@ -1,9 +1,9 @@
 //! Deadlines of predictions, and the file of what they cost.
 
 use presight::deadline::Priority;
-use presight::internal::inputs;
 use presight::io::costs;
 use presight::{Error, Predictor, Request, Result};
+use presight_files::inputs;
 use std::path::PathBuf;
 use std::time::Duration;
 

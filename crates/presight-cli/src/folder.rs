@@ -1,9 +1,9 @@
 //! Folders that commands write their findings into.
 
 use presight::geometry::Pose;
-use presight::internal::temporary::{Access, Temporary};
 use presight::io::tum;
 use presight::{Error, ErrorKind, Result};
+use presight_files::temporary::{Access, Temporary};
 use std::path::Path;
 
 /// Makes a folder, and a file in it that is removed again: what cannot be written is better known before minutes of work

@@ -1,8 +1,8 @@
 //! The files that a command is going to write, compared with all that it reads and with each other before it writes any.
 
-use presight::internal::inputs;
-use presight::internal::{is_given, target_of};
 use presight::{Error, Result};
+use presight_files::atomic::{is_given, target_of};
+use presight_files::inputs;
 use same_file::Handle;
 use std::collections::HashMap;
 use std::fs;

@@ -19,7 +19,7 @@ use presight::index::Scheme;
 use presight::io::atomic::write_atomically;
 use presight::io::gltf::ImportOptions;
 use presight::io::templates::Names;
-use presight::io::{PointCloud, PointsFrame, exr, load_robot, load_sensor, npy, pcd, ply, png, sensor_toml, tum};
+use presight::io::{PointCloud, PointsFrame, exr, load_robot, load_sensor, npy, pcd, ply, sensor_toml, tum};
 use presight::limits;
 use presight::memory::{self, FrameMemory};
 use presight::plan::{IdScheme, Output, Outputs, Stats};
@@ -27,6 +27,7 @@ use presight::sensor::{Geometry, Sensor};
 use presight::virtual_sensors::{Settings, VirtualReading};
 use presight::{Error, Result};
 use presight::{Options, Prediction, Predictor, Request, Scene, blake3_of};
+use presight_pictures as png;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -383,7 +384,7 @@ impl Args {
         if images.has(Output::Normal) {
             images = images.with(Output::PolygonId).with(Output::ObjectId);
         }
-        let picture = self.png.as_ref().map(|_| presight::internal::preview_size(sensor)).unwrap_or_default();
+        let picture = self.png.as_ref().map(|_| presight_pictures::preview_size(sensor)).unwrap_or_default();
         FrameMemory {
             pixels: u64::from(sensor.width()) * u64::from(sensor.height()),
             scanner: matches!(sensor.spec().geometry, Geometry::Scanner(_)),

@@ -1,9 +1,9 @@
 //! Printing that survives a reader who went away.
 
-use presight::internal::{clipped, printable};
 use presight::io::series::SeriesProgress;
 use presight::limits;
 use presight::{Error, ErrorKind, Result};
+use presight_model::printable::{clipped, printable};
 use std::io::{self, Write};
 
 /// Prints lines for people to stdout: names in them cannot break a line, or drive the terminal.

@@ -20,7 +20,7 @@ pub fn listen() {
     let wait = move || {
         // Ends without a byte if nothing is left that could send one.
         if told.read_exact(&mut [0]).is_ok() {
-            let _nothing_new = presight::internal::temporary::abandon();
+            let _nothing_new = presight_files::temporary::abandon();
             let _ = low_level::emulate_default_handler(signal.load(Ordering::Relaxed) as i32);
         }
     };

@@ -8,9 +8,10 @@ use presight::io::atomic::write_atomically;
 use presight::io::gltf::ImportOptions;
 use presight::io::log::{LogFrame, lines};
 use presight::io::tum::StampedPose;
-use presight::io::{depth_folder, load_sensor, png, sensor_toml, tum};
+use presight::io::{depth_folder, load_sensor, sensor_toml, tum};
 use presight::simulate::{Disturbances, GreySimulator, Simulator, Walkers, displace};
 use presight::{Backend, Error, Images, Options, Pose, Predictor, Result, Scene, Sensor, Threads};
+use presight_pictures as png;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 

@@ -2,11 +2,12 @@
 
 use super::print;
 use presight::geometry::Pose;
-use presight::io::{corridor, png};
+use presight::io::corridor;
 use presight::plan::Outputs;
 use presight::sensor::Sensor;
 use presight::virtual_sensors::{Settings, View, VirtualReading, VirtualSensor};
 use presight::{Error, Prediction, Predictor, Result, Scene};
+use presight_pictures as png;
 use std::path::{Path, PathBuf};
 
 /// The virtual sensor of a prediction.

@@ -1,9 +1,11 @@
 //! Real scenes and sensors.
 
 use super::skip::skip;
-use presight::free_poses::free_poses;
-use presight::io::gltf::{ImportOptions, import};
-use presight::{Pose, Sensor, World};
+use presight_files::gltf::{ImportOptions, import};
+use presight_model::geometry::Pose;
+use presight_model::sensor::Sensor;
+use presight_model::world::World;
+use presight_predict::free_poses::free_poses;
 use std::path::PathBuf;
 
 /// The scenes that every engine is held to.
@@ -40,13 +42,13 @@ pub fn poses(world: &World, n: usize, seed: u64) -> Vec<Pose> {
 
 /// Every preset sensor.
 pub fn presets() -> Vec<Sensor> {
-    presight::sensor::PRESETS.iter().map(|p| presight::preset(p.name).expect("a sound preset")).collect()
+    presight_model::sensor::PRESETS.iter().map(|p| presight_files::preset(p.name).expect("a sound preset")).collect()
 }
 
 /// `share` of the presets, those whose turn it is: `turn` and `pose` rotate the list, so that consecutive poses, or
 /// consecutive turns at one pose, go through all of them.
 pub fn presets_at(turn: usize, pose: usize, share: usize) -> Vec<Sensor> {
-    let (all, count) = (presets(), presight::sensor::PRESETS.len());
+    let (all, count) = (presets(), presight_model::sensor::PRESETS.len());
     let share = share.min(count);
     let first = (turn + pose) * share % count;
     all.iter().cycle().skip(first).take(share).cloned().collect()

@@ -1,10 +1,10 @@
 //! The engines under test, each as a function from a plan to images.
 
 use super::skip::no_adapter;
-use presight::engine::{Engine, EngineKind};
-use presight::plan::{CountName, SamplesMut};
-use presight::verify::Precision;
-use presight::{FramePlan, Images, Output, Stats};
+use presight_predict::engine::{Engine, EngineKind};
+use presight_render::plan::{CountName, SamplesMut};
+use presight_render::plan::{FramePlan, Images, Output, Stats};
+use presight_render::verify::Precision;
 
 /// Images that held something else before: an engine must write every pixel.
 fn used(plan: &FramePlan) -> Images {

@@ -1,11 +1,14 @@
 //! Engines with something wrong, around the GPU engine on whatever adapter there is.
 
-use presight::engine::{Device, Engine};
-use presight::features::{BoxQuery, FeaturePrediction, FeatureSamples, OcclusionHint};
-use presight::gpu::testing::{self, Setup};
-use presight::gpu::{self, DeviceOptions};
-use presight::verify::Precision;
-use presight::{Error, ErrorKind, FramePlan, Images, Raster, Result, Stats, Work};
+use presight_features::{BoxQuery, FeaturePrediction, FeatureSamples, OcclusionHint};
+use presight_model::error::{Error, ErrorKind, Result};
+use presight_predict::engine::{Device, Engine};
+use presight_predict::gpu;
+use presight_predict::gpu::DeviceOptions;
+use presight_predict::gpu::testing;
+use presight_predict::gpu::testing::Setup;
+use presight_render::plan::{FramePlan, Images, Raster, Stats, Work};
+use presight_render::verify::Precision;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 

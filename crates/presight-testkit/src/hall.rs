@@ -2,7 +2,8 @@
 
 use super::Random;
 use glam::{DVec3, Vec3};
-use presight::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose};
+use presight_model::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
+use presight_model::geometry::Pose;
 use std::f64::consts::TAU;
 use std::sync::Arc;
 

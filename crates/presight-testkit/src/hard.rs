@@ -6,7 +6,10 @@
 
 use super::scenes;
 use glam::{DAffine3, DMat3, DQuat, DVec3, Vec3};
-use presight::{NewObject, Pose, Sensor, World};
+use presight_model::environment::NewObject;
+use presight_model::geometry::Pose;
+use presight_model::sensor::Sensor;
+use presight_model::world::World;
 use proptest::prelude::*;
 use std::sync::Arc;
 
@@ -75,7 +78,10 @@ impl Case {
         self.build_from(|polygons| scenes::try_mesh(&triangles(polygons)))
     }
 
-    fn build_from(&self, mesh_of: impl Fn(&[Vec<Vec3>]) -> Option<presight::Mesh>) -> (World, Pose, Vec<Sensor>) {
+    fn build_from(
+        &self,
+        mesh_of: impl Fn(&[Vec<Vec3>]) -> Option<presight_model::environment::Mesh>,
+    ) -> (World, Pose, Vec<Sensor>) {
         let mut environment = scenes::empty();
         let pose = Pose::from_xyz_rpy(DVec3::from(self.at), self.turn[0], self.turn[1], self.turn[2]);
         for (shape, placing) in &self.shapes {
@@ -125,7 +131,7 @@ impl Case {
 }
 
 /// Rounding to f32 may leave a polygon that the mesh refuses: then its triangles.
-fn mesh_of(polygons: &[Vec<Vec3>]) -> Option<presight::Mesh> {
+fn mesh_of(polygons: &[Vec<Vec3>]) -> Option<presight_model::environment::Mesh> {
     scenes::try_mesh(polygons).or_else(|| scenes::try_mesh(&triangles(polygons)))
 }
 

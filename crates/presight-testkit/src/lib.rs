@@ -16,9 +16,13 @@ pub mod skip;
 pub mod tags;
 
 pub use pictures::compare_or_show;
-pub use presight::internal::SplitMix64 as Random;
-use presight::plan::Samples;
-use presight::{FramePlan, Images, Output, Outputs, Pose, Request, Sensor, World};
+use presight_model::geometry::Pose;
+pub use presight_model::random::SplitMix64 as Random;
+use presight_model::sensor::Sensor;
+use presight_model::world::World;
+use presight_predict::request::Request;
+use presight_render::plan::Samples;
+use presight_render::plan::{FramePlan, Images, Output, Outputs};
 
 /// A plan that asks for everything.
 pub fn plan(world: &World, sensor: &Sensor, world_from_sensor: &Pose) -> FramePlan {
@@ -30,7 +34,7 @@ pub fn plan(world: &World, sensor: &Sensor, world_from_sensor: &Pose) -> FramePl
 /// The reference's images.
 pub fn reference(plan: &FramePlan) -> Images {
     let mut images = Images::default();
-    presight::reference::render(plan, &mut images).expect("the reference renders");
+    presight_render::reference::render(plan, &mut images).expect("the reference renders");
     images
 }
 
@@ -53,7 +57,7 @@ pub fn env_number(name: &str, default: u64) -> u64 {
 }
 
 /// One line on a comparison.
-pub fn summary(report: &presight::verify::Report) -> String {
+pub fn summary(report: &presight_render::verify::Report) -> String {
     format!(
         "{} pixels: {} same, {} edge, {} coincident, {} faults; worst share of the bound: {}",
         report.pixels, report.same, report.edge, report.coincident, report.fault, report.worst

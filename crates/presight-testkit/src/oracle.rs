@@ -4,8 +4,10 @@ use glam::{DMat3, DVec3};
 use parry3d_f64::math::Vector;
 use parry3d_f64::query::Ray;
 use parry3d_f64::shape::{CompositeShapeRef, TriMesh};
-use presight::verify::PixelValues;
-use presight::{Environment, Pose, Sensor};
+use presight_model::environment::Environment;
+use presight_model::geometry::Pose;
+use presight_model::sensor::Sensor;
+use presight_render::verify::PixelValues;
 
 /// The triangles of an environment, each polygon cut into a fan, relative to an origin near the sensor.
 pub struct Oracle {

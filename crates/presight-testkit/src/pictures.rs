@@ -1,9 +1,9 @@
 //! Pictures of what failed: expected, actual and wrong pixels, as PNG files below `target/failed-images`.
 
-use presight::io::png;
-use presight::verify::{PixelValues, Precision, Report, compare, compare_values};
-use presight::virtual_sensors::Mask;
-use presight::{FramePlan, Images, Output};
+use presight_pictures as png;
+use presight_predict::virtual_sensors::Mask;
+use presight_render::plan::{FramePlan, Images, Output};
+use presight_render::verify::{PixelValues, Precision, Report, compare, compare_values};
 use std::path::{Path, PathBuf};
 
 /// [`compare`], which leaves pictures and prints where they are if a pixel is wrong.
@@ -33,10 +33,11 @@ pub fn leave(
     actual: &Images,
     plan: &FramePlan,
     precision: Precision,
-) -> presight::Result<()> {
+) -> presight_model::error::Result<()> {
     std::fs::create_dir_all(folder).map_err(|e| {
-        let kind = presight::ErrorKind::System;
-        presight::Error::new(kind, format!("no folder for pictures: {e}"), "see the system's message").in_file(folder)
+        let kind = presight_model::error::ErrorKind::System;
+        presight_model::error::Error::new(kind, format!("no folder for pictures: {e}"), "see the system's message")
+            .in_file(folder)
     })?;
     let shown = expected.outputs().iter().next().unwrap_or(Output::Range);
     png::write_preview(&folder.join("expected.png"), expected, &plan.sensor, shown)?;

@@ -2,10 +2,10 @@
 
 use super::Random;
 use glam::{DVec3, Vec3};
-use presight::{
-    Angles, Camera, Distortion, Environment, Geometry, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose,
-    RayTable, Scanner, Sensor, SensorSpec, World,
-};
+use presight_model::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
+use presight_model::geometry::Pose;
+use presight_model::sensor::{Angles, Camera, Distortion, Geometry, RayTable, Scanner, Sensor, SensorSpec};
+use presight_model::world::World;
 use std::sync::Arc;
 
 /// A mesh of polygons; equal corners become one vertex. `None` if the mesh refuses a polygon.

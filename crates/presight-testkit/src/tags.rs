@@ -1,7 +1,8 @@
 //! AprilTags of 36h11 for rendered images: the first codes, cell by cell, and boards of them for scenes.
 
 use glam::{DVec3, Vec3};
-use presight::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose};
+use presight_model::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
+use presight_model::geometry::Pose;
 use std::sync::Arc;
 
 /// The first codes of the dictionary.

@@ -8,8 +8,8 @@ use crate::contours::bodies::ball;
 use glam::{DMat3, DQuat, DVec3};
 use presight::environment::FeatureShape;
 use presight::features::{BoxOptions, BoxQuery, add_boxes, place};
-use presight::internal::SplitMix64;
 use presight::{Pose, Sensor};
+use presight_model::random::SplitMix64;
 
 fn normal(random: &mut SplitMix64) -> f64 {
     let (x, y) = (random.unit().max(1e-300), random.unit());

@@ -6,8 +6,8 @@ use super::plant::plant;
 use presight::environment::FeatureLayer;
 use presight::features::generate::{GenerateOptions, generate};
 use presight::features::{FeatureOptions, Hidden, place};
-use presight::io::png::{Marks, Overlay, write_preview_with};
 use presight::{Backend, Options, Output, Outputs, Predictor, Request};
+use presight_pictures::{Marks, Overlay, write_preview_with};
 
 #[test]
 #[ignore = "writes pictures for people"]

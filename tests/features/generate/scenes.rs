@@ -2,8 +2,8 @@
 
 use glam::{DAffine3, DVec3, Vec3};
 use presight::features::generate::{FeatureKind, GenerateOptions, generate};
-use presight::internal::{CUBOID_FACES, cuboid_corners};
 use presight::{Appearance, Environment, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose};
+use presight_model::environment::{CUBOID_FACES, cuboid_corners};
 use std::sync::Arc;
 
 /// A loop of corners in a material.

@@ -12,12 +12,12 @@ mod features;
 use common::engines::{self, Renderer};
 use glam::{DAffine3, DMat3, DVec3, Vec3};
 use presight::engine::EngineKind;
-use presight::internal::{CUBOID_FACES, cuboid_corners};
 use presight::verify::Precision;
 use presight::{
     Angles, Camera, Distortion, Environment, Geometry, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose,
     RayTable, Scanner, Sensor, SensorSpec, World,
 };
+use presight_model::environment::{CUBOID_FACES, cuboid_corners};
 use std::sync::Arc;
 
 /// Where the sensor stands: before the cube, and in its middle.

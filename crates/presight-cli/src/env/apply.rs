@@ -2,9 +2,10 @@
 
 use super::{NoteArgs, open_store};
 use crate::print;
-use presight::internal::file::{self, without_mark};
 use presight::limits;
 use presight::{Error, Result};
+use presight_files::file;
+use presight_files::file::without_mark;
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
@@ -64,7 +65,7 @@ pub fn run(args: &Args) -> Result<()> {
         (Box::new(file::open_any(&args.changes, &args.changes)?), args.changes.parent().unwrap_or(Path::new(".")))
     };
     let mut store = open_store(&args.store)?;
-    presight::internal::row::begin(&mut store);
+    store.begin_row();
     let mut lines = Lines { reader: BufReader::with_capacity(1 << 16, input), number: 0, path };
     let mut ended = false;
     while !ended {

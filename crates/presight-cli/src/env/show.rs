@@ -2,10 +2,10 @@
 
 use crate::print;
 use presight::environment::{Environment, Object};
-use presight::internal::clipped;
 use presight::io::store::{self, LogEntry};
 use presight::preparation::lost_features;
 use presight::{Error, Result};
+use presight_model::printable::clipped;
 use serde_json::{Value, json};
 use std::path::Path;
 

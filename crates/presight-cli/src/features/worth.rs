@@ -5,10 +5,10 @@ use crate::outputs::OutputFiles;
 use presight::environment::FeatureLayer;
 use presight::features::PlacedFeatures;
 use presight::io::atomic::write_atomically;
-use presight::io::png::{GridMap, write_maps};
 use presight::io::{layer, load_sensor};
 use presight::worth::{HEADINGS, Thinned, Worth, WorthOptions};
 use presight::{Error, Options, Predictor, Result, Scene, Sensor};
+use presight_pictures::{GridMap, write_maps};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 

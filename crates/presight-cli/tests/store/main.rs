@@ -12,9 +12,9 @@ mod undo;
 
 use glam::{DMat3, DVec3, Vec3};
 use presight::environment::{Existence, Feature, FeatureShape, Properties};
-use presight::internal::{CUBOID_FACES, cuboid_corners};
 use presight::io::store::{self, Note};
 use presight::{Change, Environment, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose, World};
+use presight_model::environment::{CUBOID_FACES, cuboid_corners};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::Arc;

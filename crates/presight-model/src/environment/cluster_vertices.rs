@@ -15,7 +15,7 @@ pub type Positions = [[f32; TOGETHER]; 3];
 
 /// The vertices of a mesh by cluster.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct ClusterVertices {
+pub struct ClusterVertices {
     /// For each cluster, the start of its positions, then the total. A cluster with too many vertices has no positions.
     starts: Vec<u32>,
     /// Padded with the last vertex of the cluster.

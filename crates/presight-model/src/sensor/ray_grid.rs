@@ -110,7 +110,7 @@ pub struct ForwardView {
 
 /// The intervals that rows (or columns) of tiles cover on the plane, and lookups from an interval to its rows.
 #[derive(Clone, Debug)]
-pub(crate) struct TileSpans {
+pub struct TileSpans {
     /// Bounds over all rows.
     pub least: f64,
     pub greatest: f64,

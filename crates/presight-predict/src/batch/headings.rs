@@ -50,7 +50,9 @@ impl Headings {
         };
         let beams = (360.0 / step_deg.abs()).round();
         // Over the full turn, a beam's direction may be off only by rounding.
-        if !((beams * step_deg.abs() - 360.0).abs() <= 1e-9 && beams <= f64::from(presight_model::limits::MAX_IMAGE_SIDE)) {
+        if !((beams * step_deg.abs() - 360.0).abs() <= 1e-9
+            && beams <= f64::from(presight_model::limits::MAX_IMAGE_SIDE))
+        {
             return wrong(&format!("its step of {step_deg} deg does not divide 360 degrees"), single);
         }
         let beams = beams as u32;

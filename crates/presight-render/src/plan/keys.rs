@@ -141,11 +141,7 @@ fn put<T>(image: &mut [T], index: usize, value: T) {
 }
 
 /// Fills the images that are not empty. Returns the number of hits without an id.
-pub fn resolve_keys(
-    keys: &Keys<'_>,
-    surface_of: &(impl Fn(u32) -> KeySurface + Sync),
-    images: &mut Images,
-) -> u32 {
+pub fn resolve_keys(keys: &Keys<'_>, surface_of: &(impl Fn(u32) -> KeySurface + Sync), images: &mut Images) -> u32 {
     let rows = Rows {
         first: 0,
         count: keys.size()[1],

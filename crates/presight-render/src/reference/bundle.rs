@@ -91,11 +91,7 @@ fn around(units: impl Iterator<Item = DVec3> + Clone) -> (DVec3, f64) {
 
 /// Halves a bundle of rays recursively, keeps the polygons whose cones touch it, and passes small bundles to `leaf`.
 /// Results do not depend on threads or the order of rays.
-pub fn descend<T: Send>(
-    beams: &mut [Beam<T>],
-    cones: &[Cone],
-    leaf: &(impl Fn(&mut [Beam<T>], &[Cone]) + Sync),
-) {
+pub fn descend<T: Send>(beams: &mut [Beam<T>], cones: &[Cone], leaf: &(impl Fn(&mut [Beam<T>], &[Cone]) + Sync)) {
     let (axis, half_angle) = around(beams.iter().map(|b| b.ray));
     let touches = |c: &Cone| {
         let reach = c.half_angle + half_angle;

@@ -1,10 +1,11 @@
 //! An engine's images against the truth, pixel by pixel, within the bounds that the product publishes.
 
 use super::oracle::{ExactFace, Oracle, PolygonOnRay, Truth};
-use presight::internal::{parallel_or_here, span, ulp};
 use presight::plan::{FramePlan, Images};
 use presight::sensor::Sensor;
 use presight::verify::{PixelValues, Precision};
+use presight_model::threads::parallel_or_here;
+use presight_render::verify::{span, ulp};
 use rayon::prelude::*;
 
 /// The truth of all pixels of a plan, row by row.

@@ -8,10 +8,11 @@ use super::big::{Big, Vector};
 use super::lens::Exact;
 use glam::DVec3;
 use presight::environment::Object;
-use presight::internal::{Face, FaceBound, instances};
 use presight::plan::FramePlan;
 use presight::sensor::{Angles, Geometry};
 use presight::verify::Precision;
+use presight_render::reference::{Face, instances};
+use presight_render::verify::FaceBound;
 
 /// What is true at a pixel.
 #[derive(Clone, Debug)]

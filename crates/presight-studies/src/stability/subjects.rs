@@ -6,9 +6,9 @@ use presight::World;
 use presight::engine::{Engine, EngineKind};
 use presight::features::{BoxOptions, BoxQuery, FeaturePrediction, PlacedFeature};
 use presight::geometry::Pose;
-use presight::internal::add_boxes;
 use presight::plan::{CountName, FramePlan, Images, Stats};
 use presight::sensor::Sensor;
+use presight_predict::engine::add_boxes;
 
 /// Features before a sensor, and how uncertain all is.
 #[derive(Clone, Debug)]

@@ -192,8 +192,8 @@ fn distance(beside: &[i32], w: usize, at: usize) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use presight::internal::SplitMix64;
     use presight::probe::{Probe, SensorKind};
+    use presight_model::random::SplitMix64;
 
     fn error(errors: &ImageErrors, kind: &str) -> f64 {
         errors.kinds().into_iter().find(|k| k.0 == kind).unwrap().1

@@ -8,11 +8,11 @@ use super::{Effort, Finding, PathNotes, Row, Scene, advice, features, pareto, re
 use presight::World;
 use presight::geometry::Pose;
 use presight::index::Params;
-use presight::io::png;
 use presight::plan::{FramePlan, Images, Output};
 use presight::reference;
 use presight::sensor::Sensor;
 use presight::{Error, Result};
+use presight_pictures as png;
 
 /// Whom the measurement tells what comes next.
 pub(super) type Progress<'a> = &'a mut dyn FnMut(&str);

@@ -47,7 +47,7 @@ pub(super) fn mark(rows: &mut [Row]) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use presight::internal::SplitMix64;
+    use presight_model::random::SplitMix64;
 
     #[test]
     fn the_front_is_what_brute_force_finds() {

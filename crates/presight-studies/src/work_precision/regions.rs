@@ -14,9 +14,11 @@ use presight::features::{
     BoxMethod, BoxOptions, BoxQuery, FeaturePrediction, PlacedFeature, SeenFeature, VisibleInterval,
 };
 use presight::geometry::Pose;
-use presight::internal::{SplitMix64, add_boxes, parallel_or_here};
 use presight::plan::{CountName, StageName, Stats};
 use presight::sensor::Sensor;
+use presight_model::random::SplitMix64;
+use presight_model::threads::parallel_or_here;
+use presight_predict::engine::add_boxes;
 use rayon::prelude::*;
 use std::f64::consts::TAU;
 use std::time::Instant;

@@ -10,8 +10,8 @@ use presight::World;
 use presight::environment::{Environment, Existence, Feature, FeatureShape, Properties};
 use presight::features::{BoxOptions, FeaturePrediction, PlacedFeature, SeenFeature};
 use presight::geometry::Pose;
-use presight::internal::SplitMix64;
 use presight::sensor::{Camera, Geometry, Sensor, SensorSpec};
+use presight_model::random::SplitMix64;
 
 /// Of an entry of an image covariance J S J^T, beside sum |J_ai| sigma_i sum |J_bj| sigma_j: square roots of covariances leave
 /// out what is below 1e-12 of the scaled matrix (`features::normal`), a few roundings of f64 come on top.

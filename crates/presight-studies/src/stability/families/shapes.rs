@@ -6,8 +6,8 @@ use presight::Result;
 use presight::World;
 use presight::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
 use presight::geometry::Pose;
-use presight::internal::{CUBOID_FACES, cuboid_corners};
 use presight::sensor::{Angles, Camera, Geometry, Scanner, Sensor, SensorSpec};
+use presight_model::environment::{CUBOID_FACES, cuboid_corners};
 use std::sync::Arc;
 
 /// Where a study's own frame stands in the world: turned, so that nothing is exact by luck.
