@@ -249,7 +249,7 @@ fn bad_input_is_refused_before_any_work() {
         (&[room.as_str()][..], 2, "--out"),
         (&[room.as_str(), "--quick", "--out", "file/study"][..], 4, "file/study"),
         (&["--stability", "--out", "file/study"][..], 4, "file/study"),
-        (&[room.as_str(), "--out", "study", "--poses", "empty.tum"][..], 1, "empty.tum: there is no pose"),
+        (&[room.as_str(), "--out", "study", "--poses", "empty.tum"][..], 1, "empty.tum: the file has no poses"),
     ] {
         let done = report(folder.path(), arguments);
         let message = String::from_utf8(done.stderr).unwrap();

@@ -100,7 +100,7 @@ fn wrong_usage() {
             bad(with("--pose 0,0,1,0,0,0,0"), 2, &["--pose", "quaternion", "; give x,y,z"]),
             bad(with(""), 2, &["--pose is missing", "; give x,y,z"]),
             bad(posed("--outputs range,colour"), 2, &["colour", "choose from range"]),
-            bad(posed("--outputs depth_z"), 2, &["depth_z", "no camera", "; ask for range"]),
+            bad(posed("--outputs depth_z"), 2, &["depth_z", "not a camera", "; use range"]),
             bad(posed("--png-of range"), 2, &["--png", "; see presight predict --help"]),
             bad(posed("--points cloud.xyz"), 2, &["cloud.xyz", "; end the name in .ply or .pcd"]),
             bad(posed("--png view.exr"), 2, &["view.exr", "writes .png; end the name in .png"]),

@@ -115,7 +115,7 @@ fn wrong_series_are_refused_before_any_work() {
         place.write(name, text.as_bytes());
     }
     for (line, status, words) in [
-        ("--poses empty.tum", 1, "empty.tum: there is no pose"),
+        ("--poses empty.tum", 1, "empty.tum: the file has no poses"),
         ("--poses broken.tum", 1, "broken.tum: line 2: there are fewer than eight numbers"),
         ("--poses nan.tum", 1, "nan.tum: line 1: \"nan\" is not a finite number"),
         ("--poses none.tum", 1, "none.tum"),
@@ -165,7 +165,7 @@ fn a_series_that_was_stopped_goes_on_where_it_was() {
         let before = written(&first);
         let outcome = place.run(&line);
         assert_eq!(outcome.status, Some(0), "{}", outcome.stderr);
-        assert_eq!(outcome.stderr, "note: 2 of 3 poses are finished already; this goes on with the others\n");
+        assert_eq!(outcome.stderr, "note: 2 of 3 poses are already finished; continuing with the rest\n");
         assert_eq!(written(&first), before);
         let left = in_run(&place).into_iter().filter(|n| n.starts_with('.') || n.ends_with("unfinished")).count();
         assert_eq!(left, 0, "{:?}", in_run(&place));
