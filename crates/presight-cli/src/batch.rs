@@ -212,7 +212,7 @@ impl Args {
             let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
             if path.parent() == Some(&folder) && may_write(&name) {
                 let what =
-                    format!("--out {}: this would overwrite the input {}", self.out.display(), input.display());
+                    format!("--out {}: this would overwrite {}, an input file", self.out.display(), input.display());
                 return Err(Error::usage(what, "write elsewhere"));
             }
         }
