@@ -31,8 +31,8 @@ const EXAMPLES: &str = "Examples:
 ///
 /// LOG is a folder of 16-bit depth images (camera.json, depth/*.png, optionally poses.txt), of grey images
 /// (grey/*.png), or of both; a file of ranges (a log of format 1, or a document of planar scans); a scan; or a folder
-/// of scans (.ply, .pcd, .csv, .exr). Grey images are searched for the features of --layer, scans with intensities for
-/// its reflectors. With a level scanner of one row only x, y and yaw are estimated. FILE.jsonl next to FILE.tum gets
+/// of scans (.ply, .pcd, .csv, .exr). Features of --layer are detected in grey images, its reflectors in scans with
+/// intensities. With a level scanner of one row only x, y and yaw are estimated. FILE.jsonl next to FILE.tum gets
 /// covariance, state and verdicts of every frame. FILE.tum has no line for a frame whose pose is not known.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
@@ -396,11 +396,11 @@ fn not_sought_in_scans(placed: &PlacedFeatures, first: &Frame) -> Option<String>
     if row {
         let remedy = "set beam_height_deg in the sensor file";
         return Some(format!(
-            "the scanner's row has no height, so only reflectors exactly in its plane are searched for; {remedy}"
+            "the scanner's row has no height, so only reflectors exactly in its plane are found; {remedy}"
         ));
     }
     (others > 0)
-        .then(|| format!("scans are searched for reflectors only; {others} other features of the layer are ignored"))
+        .then(|| format!("only reflectors are found in scans; {others} other features of the layer are ignored"))
 }
 
 /// A notice about fiducials that are not searched for, if any.

@@ -91,7 +91,7 @@ fn all_sensors_of_a_robot_predict_from_its_pose() {
     for (rest, words) in [
         ("--poses drive.tum --out run/{i}.exr", "--out: one name for 2 sensors; put {sensor}"),
         ("--poses drive.tum --rays a.npy", "--rays: one name for 2 sensors"),
-        ("--pose 0,0,1,0,0,0 --pose-of sensor", "--pose-of sensor: each sensor"),
+        ("--pose 0,0,1,0,0,0 --pose-of sensor", "--pose-of sensor: the sensors"),
         ("--pose 0,0,1,0,0,0 --sensor small.toml", "--sensor"),
     ] {
         refused(&place.run(&format!("{line} {rest}")), 2, words);
@@ -129,7 +129,7 @@ fn wrong_series_are_refused_before_any_work() {
         ("--poses drive.tum --out run/{i}.txt", 2, "end the name in .exr"),
         ("--poses twice.tum --out run/{t}.exr", 2, "run/1.0.exr: the same file as --out run/1.0.exr"),
         ("--poses drive.tum --png run/{i}.png --depth-png run/{i}.png", 2, "the same file as --png"),
-        ("--poses drive.tum --out none/{i}.exr", 4, "none/0.exr: cannot write: its folder is not there; create"),
+        ("--poses drive.tum --out none/{i}.exr", 4, "none/0.exr: cannot write: its folder does not exist; create"),
         ("--poses drive.tum --explain", 2, "--explain works for one"),
         ("--poses drive.tum --repeat 3", 2, "--repeat works for one"),
         ("--poses drive.tum --repeat 3 --reuse-visible", 2, "--repeat works for one"),
