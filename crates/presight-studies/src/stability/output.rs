@@ -92,8 +92,8 @@ pub fn to_html(study: &Study, rows: &[Row], about: &RunInfo) -> Result<String> {
         }
         sections.push(Section { title: family.name().into(), parts });
     }
-    let lead = "Every engine against a truth computed with a hundred digits, in cases of increasing difficulty: does the error \
-                stay within presight's published bound until the case is refused?";
+    let lead = "Every engine against a truth computed with a hundred digits, in cases of increasing difficulty: does \
+                the error stay within presight's published bound until the case is refused?";
     Ok(page("Numerical stability", lead, &sections))
 }
 
@@ -158,10 +158,10 @@ fn summary(study: &Study, rows: &[Row], about: &RunInfo) -> Section {
         rows: about.machine.lines(),
         marked: Vec::new(),
     };
-    let counted = "A pixel may differ from the truth at an outline, or where a polygon was left out as edge-on: the engine \
-                   could not prove on which side of its plane the sensor is, so the surface behind it is shown. Errors are \
-                   measured at pixels that show the true polygon, and without a bound at pixels where it was left out. Counts \
-                   of polygons left out are sums over images.";
+    let counted = "A pixel may differ from the truth at an outline, or where a polygon was left out as edge-on: the \
+                   engine could not prove on which side of its plane the sensor is, so the surface behind it is shown. \
+                   Errors are measured at pixels that show the true polygon, and without a bound at pixels where it \
+                   was left out. Counts of polygons left out are sums over images.";
     let mut parts = vec![Part::Advice(verdict), Part::Table(table), Part::Text(counted.into())];
     parts.extend(about.notes.iter().map(|note| Part::Text(note.clone())));
     parts.push(Part::Table(machine));

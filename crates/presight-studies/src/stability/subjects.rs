@@ -65,9 +65,10 @@ impl Subject {
 }
 
 /// A note for software adapters.
-const LEFT_TO_CPU: &str = "gpu: this adapter is a software GPU, for which the engine computes regions of interest on the CPU. Its \
-                           rows of condition-box, stiff-box and indefinite are results of the CPU; gpu-32-bit computes on the \
-                           device whatever it can. Image covariances (condition, stiff) are always computed on the CPU.";
+const LEFT_TO_CPU: &str = "gpu: this adapter is a software GPU, for which the engine computes regions of interest on \
+                           the CPU. Its rows of condition-box, stiff-box and indefinite are results of the CPU; \
+                           gpu-32-bit computes on the device whatever it can. Image covariances (condition, stiff) are \
+                           always computed on the CPU.";
 
 /// Every engine of this build and machine, and notes about them: the adapter, or why there is none.
 ///

@@ -62,8 +62,8 @@ const CONDITION: Boxes = Boxes {
 
 const STIFF: Boxes = Boxes {
     name: "stiff",
-    about: "Features known to 1e-9 m, and a pose of ever larger uncertainty in translation and rotation (m, rad); measures \
-            covariances of image points.",
+    about: "Features known to 1e-9 m, and a pose of ever larger uncertainty in translation and rotation (m, rad); \
+            measures covariances of image points.",
     axis: "standard deviation of the pose",
     difficulties: |quick| powers(-9, 3, quick),
     factors: by_stiffness,
@@ -88,8 +88,8 @@ pub(super) const ALL: [Boxes; 5] = [
     },
     Boxes {
         name: "indefinite",
-        about: "A pose covariance with an ever more negative eigenvalue: one explained by rounding to six digits is treated as \
-                0, a more negative one is refused.",
+        about: "A pose covariance with an ever more negative eigenvalue: one explained by rounding to six digits is \
+                treated as 0, a more negative one is refused.",
         axis: "negative eigenvalue / largest eigenvalue",
         difficulties: |quick| powers(-16, -1, quick),
         factors: |negative| Factors { negative, ..by_condition(1e30) },

@@ -50,8 +50,9 @@ impl Family for Fold {
 
     fn about(&self) -> &'static str {
         if self.side < 0.0 {
-            "Image points ever closer to the fold of four lens models (for tangential terms, the fold of the radial part; the \
-             true fold is known to 1e-9): image coordinates of rays (engine \"sensor\"), and ranges of a wall."
+            "Image points ever closer to the fold of four lens models (for tangential terms, the fold of the radial \
+             part; the true fold is known to 1e-9): image coordinates of rays (engine \"sensor\"), and ranges of a \
+             wall."
         } else {
             "The same beyond the fold, where no pixel may have a ray."
         }

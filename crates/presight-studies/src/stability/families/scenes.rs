@@ -77,8 +77,8 @@ pub(super) const SCENES: &[SceneFamily] = &[
     },
     SceneFamily {
         name: "dent",
-        about: "A side of 2 m with an ever shallower reflex corner in its middle, and a neighbour that fills the dent; too \
-                deep a dent is refused.",
+        about: "A side of 2 m with an ever shallower reflex corner in its middle, and a neighbour that fills the dent; \
+                too deep a dent is refused.",
         axis: "depth of the dent, m",
         difficulties: |quick| powers(-1, -9, quick),
         cases: dented,
