@@ -26,8 +26,7 @@ pub struct LayerArgs {
 
     /// Keep only the N visible features that determine the sensor's pose best
     ///
-    /// Greedy selection: each step adds the feature with the largest gain in pose information, weighted by existence
-    /// and contrast.
+    /// Each step adds the feature with the largest gain in pose information, weighted by existence and contrast.
     #[arg(long, value_name = "N")]
     max_features: Option<usize>,
 

@@ -256,8 +256,7 @@ impl Drive {
         Ok(followed)
     }
 
-    /// Advice if most frames of a depth folder have no pose: the folder does not specify the noise, and the default may
-    /// be too small.
+    /// Advice if most frames of a depth folder have no pose: the assumed noise may be too small.
     fn noise_is_assumed(&self, followed: &Followed) -> Option<String> {
         let known = followed.steps.iter().filter(|s| s.is_known()).count();
         let assumed = self.log.join("depth").is_dir() && self.sensor.is_none() && 2 * known < followed.steps.len();
@@ -378,8 +377,7 @@ impl Drive {
     }
 }
 
-/// A notice about features that are not searched for in scans: all but reflectors, and reflectors if the scans or the
-/// sensor lack the data.
+/// A notice about features that are not searched for in scans, or only in a limited way.
 fn not_sought_in_scans(placed: &PlacedFeatures, first: &Frame) -> Option<String> {
     let is_reflector = |shape: &FeatureShape| matches!(shape, FeatureShape::Reflector { .. });
     let reflectors = placed.features.iter().filter(|p| is_reflector(&p.feature.shape)).count();

@@ -136,8 +136,7 @@ type Folders = HashMap<PathBuf, PathBuf>;
 impl Identity {
     fn of(path: &Path, folders: &mut Folders) -> Result<Self> {
         match fs::metadata(path) {
-            // Hard links make different paths the same file, so existing files are compared by id. An unreadable file
-            // cannot be an input.
+            // Existing files are compared by id because of hard links. An unreadable file cannot be an input.
             Ok(metadata) if metadata.is_file() => match id_of(path) {
                 Ok(file) => Ok(Self { file: Some(file), place: None }),
                 Err(e) if e.kind() == io::ErrorKind::PermissionDenied => {

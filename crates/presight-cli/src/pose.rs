@@ -62,8 +62,7 @@ impl PoseArgs {
     /// Parses `--pose`.
     ///
     /// # Errors
-    /// [`presight::ErrorKind::Usage`] for text, NaN, infinity, too distant positions, a wrong count, or an optical
-    /// frame of a robot.
+    /// Those of [`parse_pose`] and [`PoseArgs::given`].
     pub fn parse(&self) -> Result<ExternalPose> {
         self.parse_as(PoseOf::Sensor)
     }
@@ -84,8 +83,7 @@ impl PoseArgs {
     /// Interprets a pose from another source according to the flags.
     ///
     /// # Errors
-    /// [`presight::ErrorKind::Usage`] for an optical frame of a robot, or a sensor's pose for a robot with several
-    /// sensors.
+    /// [`presight::ErrorKind::Usage`] for an optical frame of a robot, or a sensor's pose with `--robot`.
     pub fn given(&self, pose: Pose, of: PoseOf) -> Result<ExternalPose> {
         if of == PoseOf::Robot && self.pose_of == Some(PoseOf::Sensor) {
             let remedy = "drop --pose-of sensor, or give one --sensor";

@@ -109,8 +109,7 @@ pub struct Args {
     #[arg(long, value_name = "TEMPLATE.npy")]
     npy: Option<String>,
 
-    /// Write the sensor's unit rays as a NumPy array of (rows, columns, 3), <f8, body axes, NaN for pixels without a
-    /// ray
+    /// Write the sensor's unit rays as a NumPy array of (rows, columns, 3), <f8, body axes, NaN without a ray
     #[arg(long, value_name = "FILE.npy")]
     rays: Option<PathBuf>,
 

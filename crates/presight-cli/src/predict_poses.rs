@@ -23,8 +23,7 @@ use std::time::Instant;
 /// Predicts at every pose for every sensor, and writes the files that are missing.
 ///
 /// # Errors
-/// Errors from reading the scene and sensors, from the engine, and from writing. Finished files are kept, and the same
-/// command continues.
+/// Errors from reading, from the engine, and from writing. Finished files are kept, and the same command continues.
 pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     let requests = job.sensors.iter().map(|s| args.request(s)).collect::<Result<Vec<Request>>>()?;
     let mut predictor = Predictor::new(job.options.clone())?;

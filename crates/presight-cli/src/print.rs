@@ -6,8 +6,7 @@ use presight::limits;
 use presight::{Error, ErrorKind, Result};
 use std::io::{self, Write};
 
-/// Prints lines for people to stdout. Control characters are escaped: names cannot break a line or control the
-/// terminal.
+/// Prints lines for people to stdout. Escapes control characters: names cannot break a line or control the terminal.
 ///
 /// # Errors
 /// As [`data`].

@@ -26,8 +26,7 @@ const EXAMPLES: &str = "Examples:
 ///
 /// Tracks the robot as `localize` does. DIR gets frames/*.png with predicted and measured ranges and the verdict of
 /// each pixel, and index.html with the trajectory, the states, and the errors and uncertainty of the poses. With
-/// --layer the images show its features, their regions of interest, and their matches in grey images and in scans with
-/// intensities.
+/// --layer the images show its features, their regions of interest, and their matches in grey images and scans.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {

@@ -59,8 +59,7 @@ pub struct Args {
     #[arg(long, value_name = "VALUE", default_value_t = 0.03, requires = "intensities")]
     intensity_noise: f64,
 
-    /// Poses of the robot: lines of timestamp tx ty tz qx qy qz qw; times must be at least 0 for cameras, rising for
-    /// scanners
+    /// Poses of the robot: lines of timestamp tx ty tz qx qy qz qw; times at least 0 for cameras, rising for scanners
     #[arg(long, value_name = "FILE.tum")]
     poses: PathBuf,
 

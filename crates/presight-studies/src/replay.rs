@@ -228,8 +228,7 @@ mod tests {
         assert_eq!(read[4]["reason"], "</script><b>");
     }
 
-    /// From (0, 0) to (4, 2) within 380 of 420 pixels: 95 pixels per metre, with the highest point, y = 2.1, at the
-    /// top.
+    /// From (0, 0) to (4, 2) within 380 of 420 pixels: 95 pixels per metre, with the highest y of 2.1 at the top.
     #[test]
     fn the_plan_has_one_scale() {
         let html = plan(&drive()).into_string();

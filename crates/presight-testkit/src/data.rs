@@ -26,7 +26,7 @@ pub fn file(relative: &str) -> Option<PathBuf> {
     None
 }
 
-/// A scene of the shared data. Without `merge`, ids are those of the source triangles.
+/// A scene of the shared data. Without `merge`, triangles stay separate, as with `--ids source`.
 pub fn scene(name: &str, merge: bool) -> Option<World> {
     let path = file(&format!("env/{name}.glb"))?;
     let options = ImportOptions { merge, ..ImportOptions::default() };
@@ -43,8 +43,7 @@ pub fn presets() -> Vec<Sensor> {
     presight::sensor::PRESETS.iter().map(|p| presight::preset(p.name).expect("a sound preset")).collect()
 }
 
-/// A selection of `share` presets. `turn` and `pose` rotate the list, so consecutive poses, or consecutive turns at one
-/// pose, cover all of them.
+/// A selection of `share` presets. Consecutive poses, or consecutive turns at one pose, cover all presets.
 pub fn presets_at(turn: usize, pose: usize, share: usize) -> Vec<Sensor> {
     let (all, count) = (presets(), presight::sensor::PRESETS.len());
     let share = share.min(count);

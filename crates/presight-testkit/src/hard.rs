@@ -17,8 +17,7 @@ pub enum Shape {
     Disc { at: [f64; 3], normal: [f64; 3], radius: f64, corners: usize },
     /// A triangle of length `long` and width `long / aspect`.
     Sliver { at: [f64; 3], along: [f64; 3], long: f64, aspect: f64 },
-    /// A polygon whose plane is `off` units from the sensor, shifted in its plane by `shift` radii (below 1: in front
-    /// of the sensor).
+    /// A polygon whose plane is `off` units from the sensor, shifted in its plane by `shift` radii (below 1: over it).
     InPlane { normal: [f64; 3], off: f64, shift: f64, radius: f64, corners: usize },
     /// A square that touches the sensor with a corner or an edge.
     Touching { normal: [f64; 3], radius: f64, edge: bool },

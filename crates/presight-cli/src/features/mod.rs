@@ -75,8 +75,7 @@ enum Command {
 /// Flags of the generator.
 #[derive(Clone, Debug, clap::Args)]
 struct OptionArgs {
-    /// Kinds to generate, from crease, border, material, intersection, corner, vertical, horizontal, contour [default:
-    /// all]
+    /// Kinds, from crease, border, material, intersection, corner, vertical, horizontal, contour [default: all]
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     kinds: Vec<FeatureKind>,
 

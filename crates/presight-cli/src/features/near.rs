@@ -15,8 +15,7 @@ pub struct NearbyFeature {
     pub feature: Arc<Feature>,
     /// Distance from the point that the pixel sees, metres.
     pub metres: f64,
-    /// Distance in the image from the pixel to the visible part, pixels; `None` if nothing is visible or it is not
-    /// known.
+    /// Distance in the image from the pixel to the visible part, pixels; `None` if not visible or not known.
     pub pixels: Option<f64>,
 }
 

@@ -48,8 +48,7 @@ pub struct WorthArgs {
     #[arg(long, value_name = "FILE.png", requires = "worth")]
     png: Option<PathBuf>,
 
-    /// Write a thinned layer to --out, with as few features as keep all standard deviations within 10 % of the full
-    /// layer's
+    /// Write a thinned layer to --out: as few features as let standard deviations grow by at most 10 %
     #[arg(long, requires = "worth", requires = "out")]
     thin: bool,
 }
@@ -81,8 +80,7 @@ impl WorthArgs {
         Ok(Some(given))
     }
 
-    /// Evaluates the layer, writes the files, and with `--thin` removes features from the layer. Returns the lines to
-    /// print.
+    /// Evaluates the layer, writes the files, and with `--thin` thins the layer. Returns the lines to print.
     pub fn tell(&self, scene: &Scene, sensor: &Sensor, layer: &mut FeatureLayer) -> Result<Vec<String>> {
         let mut options = WorthOptions::default();
         options.spacing = self.spacing.unwrap_or(options.spacing);

@@ -14,8 +14,7 @@ impl Rect {
         Self { left: x - 5, top: y - 5, right: x + 5, bottom: y + 5 }
     }
 
-    /// Finds a free place for a label: above or below its mark, line by line away from it. If all are taken, it
-    /// overlaps.
+    /// Finds a free place for a label, line by line above and then below its mark. It overlaps if all are taken.
     pub fn beside((x, y): (i32, i32), label: &str, taken: &[Self]) -> Self {
         let (wide, high) = (7 * label.chars().count() as i32, 13);
         let at = |left: i32, top: i32| Self { left, top, right: left + wide, bottom: top + high };

@@ -14,8 +14,7 @@ const BITS: usize = 350;
 pub(super) struct Big(FBig<HalfEven, 2>);
 
 impl Big {
-    /// The exact value of a finite number. A number that is not finite is a bug in the study, and becomes 0 in release
-    /// builds.
+    /// The exact value of a finite number. Other numbers are bugs in the study, and become 0 in release builds.
     pub fn new(x: f64) -> Self {
         debug_assert!(x.is_finite(), "{x}");
         // Raise the precision from the 53 bits of an f64, because results inherit the precision of their operands.

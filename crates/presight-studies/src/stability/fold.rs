@@ -30,8 +30,7 @@ fn evaluate(polynomial: &[f64; 4], s: f64) -> (f64, f64) {
 }
 
 impl Outline {
-    /// Distance of an image point beyond the outline, negative inside, and its accuracy; `None` if the lens does not
-    /// fold in this direction.
+    /// Distance of an image point beyond the outline, negative inside, and its accuracy; `None` without a fold there.
     pub fn beyond(&self, xd: f64, yd: f64) -> Option<(f64, f64)> {
         let radius = xd.hypot(yd);
         let wanted = yd.atan2(xd);

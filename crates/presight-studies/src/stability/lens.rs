@@ -25,8 +25,7 @@ pub(super) struct Exact {
     denominator: Vec<Big>,
     /// (p2, p1).
     tangential: [Big; 2],
-    /// Image radius of the fold, beyond which nothing is imaged; `None` if the lens does not fold or has tangential
-    /// terms.
+    /// Image radius of the fold, beyond which nothing is imaged; `None` without a fold or with tangential terms.
     pub fold: Option<Big>,
     /// The fold of a model with tangential terms.
     outline: Option<Outline>,
@@ -126,8 +125,7 @@ impl Exact {
         self.fold.as_ref().map(|fold| ((&radius - fold).to_f64(), TOLERANCE * radius.to_f64().max(1.0)))
     }
 
-    /// The ray that is imaged at (xd, yd). The iteration starts at the product's f64 ray `near`; only the fold decides
-    /// whether a ray exists.
+    /// The ray that is imaged at (xd, yd), by iteration from the product's f64 ray `near`. It exists up to the fold.
     ///
     /// # Errors
     /// [`Truth::NoRay`] beyond the fold, [`Truth::Either`] within its accuracy.

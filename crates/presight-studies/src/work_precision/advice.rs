@@ -18,8 +18,7 @@ const AS_RAYS: f64 = 1e-3;
 /// The minimum number of features for advice.
 const FEW_FEATURES: usize = 10;
 
-/// The advice for one scene and sensor, given the fraction of pixels that show a polygon and the number of features in
-/// view.
+/// The advice for one scene and sensor. `features` is the number of features in view.
 pub(super) fn of(scene: &str, sensor: &str, seen_share: f64, features: usize, rows: &[Row]) -> String {
     let whose = format!("For {scene} and {sensor}");
     if seen_share == 0.0 {
@@ -255,8 +254,12 @@ mod tests {
         let rough = path("default", 0.03, 0.0023, 3.0);
         let text = for_features(&[rays.clone(), rough, path("finer", 0.02, 0.001, 3.5)].concat(), 40);
         assert!(text.contains("take cpu, finer (--take finer): errors of visible fractions at most 0.0200"), "{text}");
-        let price = "the default, cpu, default, takes 3.00 ms with errors of visible fractions at most 0.0300, 0.00230";
-        assert!(text.contains(price), "{text}");
+        assert!(
+            text.contains(
+                "the default, cpu, default, takes 3.00 ms with errors of visible fractions at most 0.0300, 0.00230"
+            ),
+            "{text}"
+        );
         let text = for_features(&[rays, lucky].concat(), 10);
         assert!(text.contains("features by rays (--take features by rays)"), "{text}");
         assert_eq!(for_features(&default, 40), "");

@@ -83,8 +83,7 @@ impl ImageErrors {
     }
 }
 
-/// Compares images of the same pixels. `exact` is the precision of an exact path, whose faults [`verify::compare`]
-/// counts.
+/// Compares images of the same pixels. For an exact path of precision `exact`, [`verify::compare`] counts faults.
 ///
 /// # Errors
 /// Images of different sizes.

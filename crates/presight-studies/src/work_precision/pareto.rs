@@ -11,8 +11,7 @@ pub(super) fn front(points: &[(f64, f64)]) -> Vec<bool> {
     let mut on = vec![false; points.len()];
     let mut last: Option<(f64, f64)> = None;
     for i in order {
-        // All earlier points are faster. Keep a point if it is more exact than all of them, or equal to the last one
-        // kept.
+        // All earlier points are faster. Keep a point that is more exact than all of them, or equal to the last kept.
         if last.is_none_or(|kept| points[i].1 < kept.1 || points[i] == kept) {
             on[i] = true;
             last = Some(points[i]);
@@ -22,8 +21,7 @@ pub(super) fn front(points: &[(f64, f64)]) -> Vec<bool> {
 }
 
 /// Marks the front among the rows of each kind of error. Regions of interest are compared only at the same pose errors,
-/// which are in their labels. Their size is not an error, and a part of the image cannot replace the whole; these are
-/// never marked.
+/// which are in their labels. Never marks their size, which is not an error, nor paths to a part of the image.
 pub(super) fn mark(rows: &mut [Row]) {
     let path = |r: &Row| (r.engine.clone(), r.variant.clone());
     let partial: Vec<_> = rows.iter().filter(|r| r.error_kind == "missing_share").map(path).collect();

@@ -4,8 +4,7 @@ use super::{PathNotes, Row};
 use crate::page::Table;
 use presight::plan::Omission;
 
-/// The tables of errors: caption, kinds, and whether cells include bounds. The table of images has too many columns for
-/// them.
+/// The tables of errors: caption, kinds, and whether cells include bounds (too wide for images).
 const FAMILIES: [(&str, &[&str], bool); 3] = [
     (
         "Images",

@@ -33,8 +33,7 @@ impl<T> TimedPath<T> {
 
 /// Runs all paths in turns, so that changes in the machine's speed or load affect all paths alike. In each round, each
 /// path runs until it has its share of runs or of time. All paths must have been warmed up ([`Timing::warm`]). A short
-/// path has an additional uncounted run at the beginning of its turn, because the other paths have evicted its data
-/// from the caches.
+/// path begins its turn with an uncounted run, because other paths have evicted its data from the caches.
 pub(super) fn by_turns<T>(
     effort: &Effort,
     all: &mut [TimedPath<T>],

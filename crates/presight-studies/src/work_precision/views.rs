@@ -140,8 +140,7 @@ fn reduced(geometry: &Geometry, n: u32) -> Result<Option<(Geometry, (u32, u32))>
         }
         Geometry::Scanner(s) => {
             let Some(azimuth) = thinned(&s.azimuth, n) else { return Ok(None) };
-            // Rows are numbered from the top in any order of the angles, so groups of n match only if they divide all
-            // rows.
+            // Rows are numbered from the top in any order of angles, so groups of n match only if they divide all rows.
             let rows = thinned(&s.elevation, n).filter(|_| s.elevation.len() % n as usize == 0);
             let by = (n, if rows.is_some() { n } else { 1 });
             let elevation = rows.unwrap_or_else(|| s.elevation.clone());

@@ -1,5 +1,4 @@
-//! Uncertain features in front of a camera: covariances that are nearly singular, indefinite, or of very different
-//! sizes.
+//! Uncertain features in front of a camera: nearly singular, indefinite and stiff covariances.
 
 use super::{Family, Finding, powers};
 use crate::stability::big::{Big, Vector};
@@ -15,8 +14,7 @@ use presight::internal::SplitMix64;
 use presight::sensor::{Camera, Geometry, Sensor, SensorSpec};
 
 /// Error bound of an entry (a, b) of an image covariance J S J^T, relative to sum |J_ai| sigma_i times sum |J_bj|
-/// sigma_j. Square roots of covariances drop eigenvalues below 1e-12 of the scaled matrix (`features::normal`); f64
-/// rounding adds to that.
+/// sigma_j: 1e-12 for the eigenvalues that square roots of covariances drop (`features::normal`), plus f64 rounding.
 pub(super) const COVARIANCE_BOUND: f64 = 2e-12;
 
 const CONFIDENCE: f64 = 0.99;

@@ -23,8 +23,7 @@ impl Fold {
     pub const BEYOND: Self = Self { side: 1.0 };
 }
 
-/// One lens of each model that folds. The fold of the last, with tangential terms, has a different radius in each
-/// direction.
+/// One folding lens of each model. The last has tangential terms, so the radius of its fold depends on the direction.
 fn models() -> [Distortion; 4] {
     [
         Distortion::PlumbBob([-0.3, 0.0, 0.0, 0.0, 0.0]),
