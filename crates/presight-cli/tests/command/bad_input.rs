@@ -163,7 +163,7 @@ fn bad_comparisons() {
             bad("compare a.exr gone.exr", 1, &["gone.exr", "; check the path"]),
             bad("compare text.exr a.exr", 1, &["text.exr", "no sound EXR", "; "]),
             bad("compare a.exr cut.exr", 1, &["cut.exr", "; "]),
-            bad("compare a.exr a.exr --scene other.glb", 1, &["other.glb", "a.exr", "; give wall.glb"]),
+            bad("compare a.exr a.exr --scene other.glb", 1, &["other.glb", "a.exr", "; give the original wall.glb"]),
             bad("compare a.exr a.exr --json none/verdict.json", 4, &["none/verdict.json", "; create the folder"]),
             bad("compare a.exr", 2, &["OTHER", "; see presight compare --help"]),
         ],
