@@ -11,7 +11,7 @@ pub fn listen() {
     use std::sync::Arc;
     use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
-    // A handler for SIGXFSZ makes the write fail; nobody reads the flag. If a step below fails, defaults stay valid.
+    // A handler for SIGXFSZ makes the write fail; nobody reads the flag. If a step below fails, default actions remain.
     let _ = flag::register(SIGXFSZ, Arc::<AtomicBool>::default());
     let Ok((mut told, tell)) = UnixStream::pair() else { return };
     let last = Arc::new(AtomicUsize::new(0));
