@@ -1,4 +1,4 @@
-//! `presight batch`: one sensor at many poses, into a folder.
+//! `presight batch`: predictions of one sensor at many poses, written into a folder.
 
 use super::engine_args::EngineArgs;
 use super::outputs::check_no_dash;
@@ -22,25 +22,26 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 const EXAMPLES: &str = "Examples:
-  All images at the poses of a trajectory, as 000000.exr and so on, and poses.csv:
+  All images at the poses of a trajectory, as 000000.exr, 000001.exr, .., and poses.csv:
     presight batch hall.glb --poses drive.tum --sensor vlp-16 --out images
 
-  How likely scan 3 of a log is at each pose:
+  The log-likelihood of scan 3 of a log at each pose:
     presight batch map.glb --poses particles.tum --sensor sick.toml --likelihood run.json#3 --out weights
 
   The same at 360 headings of each place, with places 0.25 m apart:
     presight batch map.glb --poses places.tum --sensor sick.toml --likelihood run.json#3 \\
       --headings 360 --cell-m 0.25 --out weights
 
-  A half of it, on another machine:
+  The second half of a batch, on another machine:
     presight batch hall.glb --poses drive.tum --sensor vlp-16 --out images --shard 2/2
 
-Stopped at any time, the same command goes on where it was.";
+After an interruption, run the same command again to continue.";
 
-/// Predict a sensor's images at many poses, or weigh a sensed image at each
+/// Predict a sensor's images at many poses, or weigh a measured image at each pose
 ///
-/// Writes an image for each pose and poses.csv (with --shard poses-I-of-N.csv). Files appear whole. With --likelihood the
-/// table has the log-likelihood of the sensed image at each pose, and images are written only if --outputs names some.
+/// Writes an image for each pose and poses.csv (with --shard poses-I-of-N.csv). Files are complete as soon as they
+/// appear. With --likelihood the table has the log-likelihood of the measured image at each pose, and images are
+/// written only if --outputs is given.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -59,40 +60,40 @@ pub struct Args {
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
 
-    /// Weigh this sensed image: an OpenEXR file with a range image, or FILE#INDEX, a frame of a log, from 0
+    /// Weigh this measured image: an OpenEXR file with a range image, or FILE#INDEX for a frame of a log, from 0
     #[arg(long, value_name = "FRAME")]
     likelihood: Option<String>,
 
-    /// Weigh it at N headings of each place, evenly over the full turn; which way the poses look does not matter
+    /// Weigh it at N headings at each position, evenly spaced over a full turn; the poses' own headings are ignored
     #[arg(long, value_name = "N", requires = "likelihood")]
     headings: Option<u32>,
 
-    /// Width of the cell that each pose stands for, metres
+    /// Width of the cell that each pose represents, metres
     #[arg(long, value_name = "X", default_value_t = 0.0, requires = "likelihood")]
     cell_m: f64,
 
-    /// Width of the headings that each pose stands for, degrees [default: 0, with --headings the step between them]
+    /// Range of headings that each pose represents, degrees [default: 0, with --headings the step between them]
     #[arg(long, value_name = "X", requires = "likelihood")]
     cell_deg: Option<f64>,
 
-    /// Images to write, of range, depth_z, polygon_id, object_id, cos_incidence, echo, normal [default: without --likelihood
-    /// range,polygon_id,object_id,cos_incidence]
+    /// Images to write, from range, depth_z, polygon_id, object_id, cos_incidence, echo, normal [default:
+    /// range,polygon_id,object_id,cos_incidence, with --likelihood none]
     #[arg(long, value_name = "LIST")]
     outputs: Option<Outputs>,
 
-    /// Do the I-th of N parts of the poses, from 1
+    /// Process the I-th of N parts of the poses, from 1
     #[arg(long, value_name = "I/N", value_parser = parse_shard)]
     shard: Option<(u32, u32)>,
 
-    /// Which axes the poses turn
+    /// The axes of the frame that the poses describe
     #[arg(long, value_enum, default_value_t = PoseFrame::Body)]
     pose_frame: PoseFrame,
 
-    /// Whose poses they are
+    /// Poses of the sensor or of the robot
     #[arg(long, value_enum, default_value_t = PoseOf::Sensor)]
     pose_of: PoseOf,
 
-    /// In which world the poses are
+    /// The world frame of the poses
     #[arg(long, value_enum, default_value_t = WorldFrame::ZUp)]
     world_frame: WorldFrame,
 
@@ -108,15 +109,15 @@ fn parse_shard(text: &str) -> Result<(u32, u32)> {
     let numbers = text.split_once('/').and_then(|(i, n)| Some((i.parse().ok()?, n.parse().ok()?)));
     match numbers {
         Some((i, n)) if 1 <= i && i <= n => Ok((i, n)),
-        _ => Err(Error::usage("this is no part", "give I/N with I from 1 to N, such as 1/4")),
+        _ => Err(Error::usage("invalid shard", "give I/N with I from 1 to N, such as 1/4")),
     }
 }
 
 /// Runs the command.
 ///
 /// # Errors
-/// Those of scene, sensor, poses and sensed image, of the engine, and of writing; a folder that holds another batch. What was
-/// written before stays, and the same command goes on.
+/// Errors from reading the scene, sensor, poses and measured image, from the engine, and from writing; a folder that
+/// holds another batch. Finished files are kept, and the same command continues.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     check_no_dash(&args.out)?;
     inputs::record();
@@ -131,7 +132,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         request.headings.as_ref().map_or(Ok(()), |headings| headings.place(&pose).map(drop))?;
         Ok(pose)
     })?;
-    // The same for all parts.
+    // All shards must use the same height.
     request.height = Some(poses.first.translation.z);
     let items = args.items(poses.count);
     args.check_inputs()?;
@@ -140,7 +141,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let mut job = Job::new(args, scene, sensor, request)?;
     let table = args.table();
     if table.exists() {
-        print::message(&format!("note: {} is finished already", table.display()));
+        print::message(&format!("note: {} is already finished", table.display()));
         return Ok(CommandOutcome::Done);
     }
     let mut progress = job.progress(&table, items.clone())?;
@@ -159,7 +160,7 @@ impl Args {
     fn request(&self, sensor: &Sensor) -> Result<BatchRequest> {
         let headings = self.headings.map(|count| Headings::new(sensor, count)).transpose()?;
         if headings.is_some() && self.pose_of == PoseOf::Robot {
-            let what = "--headings: places are those of the sensor, whose place on a robot turns with it";
+            let what = "--headings with --pose-of robot: the sensor's position on the robot changes with the heading";
             return Err(Error::usage(what, "give poses of the sensor"));
         }
         let outputs = match (self.outputs, &self.likelihood) {
@@ -176,7 +177,7 @@ impl Args {
             None => None,
         };
         let images = outputs.map(ImageRequest::from);
-        // Its files tell what rasterized.
+        // Image files name the rasterizer.
         let statistics = images.is_some();
         Ok(BatchRequest { images, likelihood, headings, statistics, ..BatchRequest::default() })
     }
@@ -186,13 +187,13 @@ impl Args {
             return Err(Error::usage("--outputs feature_id: a batch predicts no features", "drop it"));
         }
         if outputs.has(Output::DepthZ) && !sensor.is_camera() {
-            let what = format!("depth_z: sensor {:?} is no camera and has no optical axis", sensor.spec().name);
-            return Err(Error::usage(what, "ask for range"));
+            let what = format!("depth_z: sensor {:?} is not a camera and has no optical axis", sensor.spec().name);
+            return Err(Error::usage(what, "use range"));
         }
         Ok(())
     }
 
-    /// The poses of this part.
+    /// The indices of the poses of this shard.
     fn items(&self, count: usize) -> Range<usize> {
         let (i, n) = self.shard.map_or((1, 1), |(i, n)| (i as usize, n as usize));
         let at = |k: usize| (count as u128 * k as u128 / n as u128) as usize;
@@ -203,7 +204,7 @@ impl Args {
         self.out.join(self.shard.map_or("poses.csv".into(), |(i, n)| format!("poses-{i}-of-{n}.csv")))
     }
 
-    /// That nothing that is read would be written over.
+    /// Checks that no input file would be overwritten.
     fn check_inputs(&self) -> Result<()> {
         let Ok(folder) = self.out.canonicalize() else { return Ok(()) };
         for input in inputs::so_far() {
@@ -211,14 +212,14 @@ impl Args {
             let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
             if path.parent() == Some(&folder) && may_write(&name) {
                 let what =
-                    format!("--out {}: this would overwrite {}, which is read", self.out.display(), input.display());
+                    format!("--out {}: this would overwrite {}, an input file", self.out.display(), input.display());
                 return Err(Error::usage(what, "write elsewhere"));
             }
         }
         Ok(())
     }
 
-    /// What must be the same for a batch to go on, by name: all parts of it share it.
+    /// The inputs of the batch, by name. They must not change between its runs and shards.
     fn job(&self, scene: &Scene, sensor: &Sensor, poses: &PoseFile) -> Result<serde_json::Value> {
         let hash = |text: String| blake3::hash(text.as_bytes()).to_hex().to_string();
         let environment = scene.world.environment();
@@ -248,17 +249,17 @@ impl Args {
     }
 }
 
-/// True for the name of a file that a batch writes.
+/// Returns true if a batch writes files of this name.
 fn may_write(name: &str) -> bool {
     let image = name.strip_suffix(".exr").is_some_and(|n| n.len() >= 6 && n.bytes().all(|b| b.is_ascii_digit()));
     image || name == JOB || name.starts_with("poses") && (name.ends_with(".csv") || name.ends_with(".part"))
 }
 
-/// Names the batch that a folder holds.
+/// The file that identifies the batch of a folder.
 const JOB: &str = "batch.json";
 
-/// That the folder holds this batch, or none. The answer is what rasterizes, for all parts and as long as the batch goes on: what was
-/// asked for where it began.
+/// Checks that the folder holds this batch or none. Returns the rasterizer that was chosen when the batch began: all
+/// its runs and shards use that one.
 fn check_job(folder: &Path, mut job: serde_json::Value, asked: Option<Raster>) -> Result<Raster> {
     let path = folder.join(JOB);
     if !path.exists() {
@@ -268,16 +269,16 @@ fn check_job(folder: &Path, mut job: serde_json::Value, asked: Option<Raster>) -
         return Ok(raster);
     }
     let record = text::read_settings(&path)?;
-    let remedy = "give another --out, or remove the folder";
-    let broken = |e| Error::invalid(format!("it is no record of a batch: {e}"), remedy).in_file(&path);
+    let remedy = "choose another --out, or remove the folder";
+    let broken = |e| Error::invalid(format!("it is not a valid record of a batch: {e}"), remedy).in_file(&path);
     let before: serde_json::Value = serde_json::from_str(&record).map_err(broken)?;
     let names = ["format", "presight", "scene", "sensor", "poses", "request"];
     match names.iter().find(|name| before[**name] != job[**name]) {
         None => {
-            // Records from before there was a choice name none.
+            // Older records do not name a rasterizer.
             let name = before["raster"].as_str().unwrap_or(Raster::default().name());
             let raster = [Raster::Compute, Raster::Render].into_iter().find(|raster| raster.name() == name);
-            let other = || Error::invalid("this batch began with another --raster", "drop it, or give another --out");
+            let other = || Error::invalid("this batch began with another --raster", "drop it, or choose another --out");
             raster.filter(|raster| asked.is_none_or(|asked| asked == *raster)).ok_or_else(|| other().in_file(&path))
         }
         Some(name) => {
@@ -285,7 +286,7 @@ fn check_job(folder: &Path, mut job: serde_json::Value, asked: Option<Raster>) -
                 "scene" => "the scene has changed since this batch began",
                 "sensor" => "this batch began with another sensor",
                 "poses" => "this batch began with other poses",
-                "request" => "this batch began with another sensed image or other flags",
+                "request" => "this batch began with another measured image or other flags",
                 _ => "another version of presight began this batch",
             };
             Err(Error::invalid(what, remedy).in_file(&path))
@@ -293,7 +294,7 @@ fn check_job(folder: &Path, mut job: serde_json::Value, asked: Option<Raster>) -
     }
 }
 
-/// File and index of a sensed image.
+/// Splits `FILE#INDEX` of a measured image into file and index.
 fn frame_of(frame: &str) -> (PathBuf, Option<usize>) {
     let numbered = frame.rsplit_once('#').and_then(|(file, index)| Some((file, index.parse().ok()?)));
     numbered.map_or_else(|| (frame.into(), None), |(file, index)| (file.into(), Some(index)))
@@ -305,7 +306,7 @@ fn read_sensed(frame: &str, sensor: &Sensor, cell: PoseCell) -> Result<RangeLike
         Some(index) => {
             let (of_log, sensed) = log::read_frame(&path, index)?;
             if of_log.spec().geometry != sensor.spec().geometry {
-                let what = format!("the log's sensor has other rays than {:?}", sensor.spec().name);
+                let what = format!("the rays of the log's sensor differ from {:?}", sensor.spec().name);
                 return Err(Error::invalid(what, "give a sensor with the log's rays").in_file(&path));
             }
             sensed.range
@@ -313,8 +314,8 @@ fn read_sensed(frame: &str, sensor: &Sensor, cell: PoseCell) -> Result<RangeLike
         None => {
             let range = exr::read(&path)?.images.range;
             if range.is_empty() {
-                let remedy = "give an image with range, or FILE#INDEX of a log";
-                return Err(Error::invalid("there is no range image", remedy).in_file(&path));
+                let remedy = "give a file with a range image, or FILE#INDEX of a log";
+                return Err(Error::invalid("the file has no range image", remedy).in_file(&path));
             }
             range
         }
@@ -322,10 +323,10 @@ fn read_sensed(frame: &str, sensor: &Sensor, cell: PoseCell) -> Result<RangeLike
     RangeLikelihood::new(sensor, range, cell).map_err(|e| e.in_file(&path))
 }
 
-/// A file of poses that was read once: whatever is wrong with it is known before anything is done.
+/// A summary of the pose file, which is read in full at the start so that errors in it are found before any work.
 struct PoseFile {
     count: usize,
-    /// Of the sensor.
+    /// The sensor's first pose.
     first: Pose,
     blake3: String,
 }
@@ -346,13 +347,13 @@ impl PoseFile {
         }
         let Some(first) = first else {
             let remedy = "give at least one line of timestamp tx ty tz qx qy qz qw";
-            return Err(Error::invalid("there is no pose", remedy).in_file(path));
+            return Err(Error::invalid("the file has no poses", remedy).in_file(path));
         };
         Ok(Self { count, first, blake3: hasher.finalize().to_hex().to_string() })
     }
 }
 
-/// What is the same for all poses.
+/// The inputs shared by all poses.
 struct Job<'a> {
     args: &'a Args,
     scene: Scene,
@@ -374,12 +375,12 @@ impl<'a> Job<'a> {
             given_up: None,
             raster: None,
             objects: (1..).zip(objects.iter().map(|o| o.name.clone())).collect(),
-            // No batch has a deadline.
+            // `given_up` is empty because a batch has no deadline.
         };
         Ok(Self { args, scene, sensor, request, attributes })
     }
 
-    /// The table, with what an earlier run left.
+    /// Opens the table, keeping the rows of an earlier run.
     fn progress(&self, table: &Path, items: Range<usize>) -> Result<SeriesProgress> {
         let per_item = self.request.headings.as_ref().map_or(1, |h| h.count() as usize);
         let mut progress = SeriesProgress::open(&table.with_added_extension("part"), HEADER, items, per_item)?;
@@ -389,7 +390,7 @@ impl<'a> Job<'a> {
         Ok(progress)
     }
 
-    /// Everything that is missing, from the table's next row on.
+    /// Computes and writes all missing items, starting at the table's next row.
     fn write(
         &mut self,
         predictor: &mut Predictor,
@@ -400,7 +401,7 @@ impl<'a> Job<'a> {
         let first = progress.next();
         let stream = || Ok::<_, Error>(tum::stream(&self.args.poses)?.skip(first).take(items.end - first));
         let mut times = stream()?.map(|stamped| stamped.map(|s| s.time));
-        // Checked before; what changed since ends the batch.
+        // The poses were checked before; an error here means that the file has changed, and ends the batch.
         let mut fault = None;
         let place = |pose| self.args.given(pose)?.of_sensor(self.sensor.spec(), &self.scene.world_from_gltf);
         let poses = stream()?.map_while(|stamped| match stamped.and_then(|s| place(s.pose)) {
@@ -439,8 +440,8 @@ impl<'a> Job<'a> {
         match fault {
             Some(e) => Err(e),
             None if progress.next() < items.end => {
-                let what = "the file has lost poses since this batch began";
-                Err(Error::invalid(what, "give another --out").in_file(&self.args.poses))
+                let what = "the file has fewer poses than when this batch began";
+                Err(Error::invalid(what, "choose another --out").in_file(&self.args.poses))
             }
             None => Ok(()),
         }
@@ -453,7 +454,7 @@ impl<'a> Job<'a> {
         exr::write(&self.args.out.join(image_name(index)), &item.images, Outputs::ALL, &attributes)
     }
 
-    /// The rows of an item.
+    /// Appends the table rows of an item to `text`.
     fn tell(&self, text: &mut String, index: usize, time: f64, item: &BatchItem) {
         let image = if self.request.images.is_some() { image_name(index) } else { String::new() };
         let mut row = |pose: &Pose, heading: &str, weight: &str| {
@@ -483,7 +484,7 @@ fn image_name(index: usize) -> String {
     format!("{index:06}.exr")
 }
 
-/// The next items, and what ended the batch before there were so many.
+/// Takes the next `count` items. If an item fails, returns the ones before it and the error.
 fn take(batch: &mut impl Iterator<Item = Result<BatchItem>>, count: usize) -> (Vec<BatchItem>, Option<Error>) {
     let mut some = Vec::with_capacity(count);
     for item in batch.take(count) {
@@ -509,7 +510,7 @@ mod tests {
         }
         let refused = begin(Some(Raster::Compute)).unwrap_err();
         assert!(refused.to_string().contains("this batch began with another --raster"), "{refused}");
-        // A record of before there was a choice.
+        // An older record, which names no rasterizer.
         std::fs::write(folder.path().join(JOB), job().to_string()).unwrap();
         assert_eq!(begin(None).unwrap(), Raster::Compute);
         assert!(begin(Some(Raster::Render)).is_err());

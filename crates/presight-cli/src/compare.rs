@@ -1,4 +1,4 @@
-//! `presight compare`: do two predictions agree?
+//! `presight compare`: compares two predictions pixel by pixel.
 
 use super::frame_args::FrameArgs;
 use super::outputs::OutputFiles;
@@ -21,31 +21,31 @@ const EXAMPLES: &str = "Examples:
   presight compare reference.exr other.exr
   presight compare reference.exr other.exr --scene hall.glb --json verdict.json";
 
-/// The version of the comparison JSON.
+/// Format version of the comparison JSON.
 const FORMAT: u32 = 1;
 
 /// Compare two predictions pixel by pixel
 ///
-/// Every pixel is the same, an accepted edge or tie, or a fault. Edges, ties and rounding can be told from faults only
-/// with the scene; without it every mismatch is a fault. Exit status 0 without a fault, 1 with.
+/// Every pixel is equal, an accepted edge or tie, or a fault. Only --scene distinguishes edges, ties and rounding from
+/// faults; without it every mismatch is a fault. Exit status 0 without faults, 1 with faults.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
-    /// The images to be held to
+    /// The reference images
     reference: PathBuf,
 
-    /// The images to judge
+    /// The images to check
     other: PathBuf,
 
-    /// The model that both show; sensor and pose are read from REFERENCE
+    /// The model of both predictions; sensor and pose are read from REFERENCE
     #[arg(long, value_name = "SCENE")]
     scene: Option<PathBuf>,
 
-    /// The arithmetic that the other images may have been made with
+    /// The floating-point precision of the images to check
     #[arg(long, value_enum, default_value_t = PrecisionArg::F32, requires = "scene")]
     precision: PrecisionArg,
 
-    /// The merging tolerance that both were predicted with [default: 1e-6]
+    /// The merge tolerance of both predictions [default: 1e-6]
     #[arg(long, value_name = "X", requires = "scene")]
     merge_tolerance: Option<f64>,
 
@@ -88,7 +88,7 @@ struct Document<'a> {
 /// Runs the command.
 ///
 /// # Errors
-/// Those of reading the files; images that cannot be compared.
+/// Read errors, and images that cannot be compared.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     let mut files = OutputFiles::new();
     files.add("--json", args.json.as_deref(), &["json"])?;
@@ -106,7 +106,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         (None, Some(_)) => compare_partial(a, b, compare),
         (Some(_), None) => compare_partial(b, a, |b, a| compare(a, b)),
         (Some(_), Some(_)) => {
-            Err(Error::invalid("both gave something up for a deadline", "compare with a full prediction"))
+            Err(Error::invalid("both files are incomplete because of a deadline", "compare with a full prediction"))
         }
     }
     .map_err(|e| e.in_file(&args.other))?;
@@ -122,24 +122,24 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
             report: &report,
         };
         let json = serde_json::to_string_pretty(&document)
-            .map_err(|e| Error::invalid(format!("the result is no JSON: {e}"), "").in_file(path))?;
+            .map_err(|e| Error::invalid(format!("cannot write the result as JSON: {e}"), "").in_file(path))?;
         write_atomically(path, |file| writeln!(file, "{json}"))?;
     }
     print::lines(in_words(&report))?;
     Ok(if report.fault == 0 { CommandOutcome::Done } else { CommandOutcome::Found })
 }
 
-/// Foreign files may lack an image: what one of the two lacks is not compared, and that is said.
+/// Keeps only the images that both files have, and prints notes about the others.
 fn keep_common(reference: &mut ImageFile, other: &mut ImageFile) -> Result<()> {
     let (a, b) = (reference.images.outputs(), other.images.outputs());
-    // Which feature a pixel shows is no engine's answer.
+    // feature_id is not compared: it is not computed by the engine.
     let common: Vec<Output> = a.iter().filter(|o| b.has(*o) && *o != Output::FeatureId).collect();
     if common.is_empty() {
         return Err(Error::invalid("has no image that the reference has", "predict both with the same --outputs"));
     }
     for output in Output::WITH_FEATURES {
         if a.has(output) != b.has(output) {
-            print::message(&format!("note: {} is in one file only and not compared", output.name()));
+            print::message(&format!("note: {} is in one file only and is not compared", output.name()));
         } else if output == Output::FeatureId && a.has(output) {
             print::message("note: feature_id is not compared");
         }
@@ -148,12 +148,12 @@ fn keep_common(reference: &mut ImageFile, other: &mut ImageFile) -> Result<()> {
         images.keep(Outputs::of(&common));
     }
     if differ(&reference.attributes, &other.attributes) {
-        print::message("note: the two files say that they were made by different sensors, poses or scenes");
+        print::message("note: according to their attributes, the files have different sensors, poses or scenes");
     }
     Ok(())
 }
 
-/// True if both files say something and not the same.
+/// Returns true if an attribute is set in both files and differs.
 fn differ(a: &Attributes, b: &Attributes) -> bool {
     fn apart<T: PartialEq>(a: &Option<T>, b: &Option<T>) -> bool {
         a.is_some() && b.is_some() && a != b
@@ -171,7 +171,7 @@ fn compare_by_scene(
     other: &Images,
 ) -> Result<Report> {
     let missing = |what: &str| {
-        let remedy = "predict it with presight, or compare without --scene";
+        let remedy = "write the file with presight predict, or compare without --scene";
         Error::invalid("is missing", remedy).at(format!("attribute \"presight:{what}\"")).in_file(&args.reference)
     };
     let text = attributes.sensor.as_deref().ok_or_else(|| missing("sensor"))?;
@@ -181,7 +181,7 @@ fn compare_by_scene(
     if attributes.scene_blake3.as_ref().is_some_and(|wanted| blake3_of(scene).is_ok_and(|is| is != *wanted)) {
         let was = attributes.scene.as_deref().unwrap_or("another file");
         let what = format!("is not the scene that {} was predicted from", args.reference.display());
-        return Err(Error::invalid(what, format!("give {was} as it was then, or predict again")).in_file(scene));
+        return Err(Error::invalid(what, format!("give the original {was}, or predict again")).in_file(scene));
     }
     let ids = attributes.ids.unwrap_or_default();
     let default = args.frame.options()?;
@@ -202,7 +202,7 @@ fn in_words(report: &Report) -> Vec<String> {
         report.pixels, report.same, report.edge, report.coincident, report.fault
     )];
     if report.not_predicted > 0 {
-        lines.push(format!("{} more were given up for a deadline and not compared", report.not_predicted));
+        lines.push(format!("{} more were given up for a deadline and are not compared", report.not_predicted));
     }
     if let Some((column, row)) = report.worst_pixel {
         lines.push(format!("largest share of the error bound: {}; at pixel ({column}, {row})", report.worst));

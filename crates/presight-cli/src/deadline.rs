@@ -1,4 +1,4 @@
-//! Deadlines of predictions, and the file of what they cost.
+//! Deadlines of predictions, and the file of learnt costs.
 
 use presight::deadline::Priority;
 use presight::io::costs;
@@ -7,34 +7,34 @@ use presight_files::inputs;
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// The deadline of a prediction.
+/// Flags of a prediction's deadline.
 #[derive(Debug, clap::Args)]
 pub struct DeadlineArgs {
-    /// Give up what cannot be predicted in this time; exit status 4 if nothing can (CPU engine only)
+    /// Give up what does not fit in this time, milliseconds; exit status 4 if nothing fits (CPU engine only)
     ///
-    /// Of repeated predictions, and of those at many poses, each one has this time.
+    /// With --repeat or --poses the limit applies to each prediction.
     #[arg(long, value_name = "MS", allow_negative_numbers = true)]
     deadline_ms: Option<f64>,
 
-    /// Least radius to which the view shrinks; if that is too much, it shrinks to an angle around the heading
+    /// Smallest radius to which the view shrinks; if that still takes too long, an angle around the heading is kept
     #[arg(long, value_name = "M", default_value_t = 2.0, allow_negative_numbers = true, requires = "deadline_ms")]
     deadline_radius: f64,
 
-    /// Give up what is near this heading last: degrees from the sensor's forward axis, to the left
+    /// Keep directions near this heading longest: degrees to the left of the sensor's forward axis
     #[arg(long, value_name = "DEG", default_value_t = 0.0, allow_negative_numbers = true, requires = "deadline_ms")]
     deadline_heading: f64,
 
-    /// Find these features first, by number; then those with the longest images
+    /// Predict the features with these ids first, then the others from the longest image to the shortest
     #[arg(long, value_name = "ID,..", value_delimiter = ',', requires = "deadline_ms")]
     deadline_features: Vec<u32>,
 
-    /// Learn what predictions cost, and go on from what the file holds; it is made if it is not there
+    /// File of learnt prediction costs: read if it exists, and updated
     #[arg(long, value_name = "FILE.json", requires = "deadline_ms")]
     pub costs: Option<PathBuf>,
 }
 
 impl DeadlineArgs {
-    /// Checks them without touching the world.
+    /// Checks the flags without opening any file.
     pub fn check(&self) -> Result<()> {
         match self.deadline_ms {
             Some(ms) if !(ms > 0.0 && ms <= 1e9) => {
@@ -52,7 +52,7 @@ impl DeadlineArgs {
         }
     }
 
-    /// A request with the time of each prediction.
+    /// Adds the deadline, if any, to a request.
     pub fn add_to(&self, request: Request) -> Request {
         let Some(ms) = self.deadline_ms else { return request };
         let priority = Priority::default()
@@ -62,7 +62,7 @@ impl DeadlineArgs {
         request.with_deadline(Duration::from_secs_f64(ms / 1e3)).with_priority(priority)
     }
 
-    /// Goes on from the file, if it is there.
+    /// Loads the costs file, if it exists.
     pub fn read_costs(&self, predictor: &mut Predictor) -> Result<()> {
         if let Some(path) = self.costs.as_ref().filter(|path| path.exists()) {
             predictor.set_costs(costs::read(path)?);
@@ -71,7 +71,7 @@ impl DeadlineArgs {
         Ok(())
     }
 
-    /// Keeps what was learnt.
+    /// Saves the learnt costs.
     pub fn write_costs(&self, predictor: &Predictor) -> Result<()> {
         self.costs.as_ref().map_or(Ok(()), |path| costs::write(path, predictor.costs()))
     }

@@ -1,16 +1,16 @@
-//! Which engine predicts, as the command line says it.
+//! Engine selection on the command line.
 
 use clap::ValueEnum;
 use presight::{Backend, Options, Raster, Threads};
 
-/// The flags by which commands choose their engine.
+/// Flags that choose the engine.
 #[derive(Clone, Debug, clap::Args)]
 pub struct EngineArgs {
-    /// Which engine predicts
+    /// The engine that predicts
     #[arg(long, value_enum, default_value_t = BackendArg::Auto)]
     backend: BackendArg,
 
-    /// What rasterizes on a GPU; the images keep the same bounds with either [default: compute]
+    /// The rasterizer on a GPU; the same error bounds hold for both [default: compute]
     #[arg(long, value_enum)]
     raster: Option<RasterArg>,
 }
@@ -21,7 +21,7 @@ enum BackendArg {
     Auto,
     /// The CPU engine
     Cpu,
-    /// wgpu on any adapter, a software one too
+    /// wgpu on any adapter, including software adapters
     Gpu,
 }
 
@@ -34,7 +34,7 @@ enum RasterArg {
 }
 
 impl EngineArgs {
-    /// Options with them.
+    /// Predictor options with these flags set.
     pub fn options(&self, threads: Threads) -> Options {
         let backend = match self.backend {
             BackendArg::Auto => Backend::Auto,
@@ -44,7 +44,7 @@ impl EngineArgs {
         Options::new(backend).with_threads(threads).with_raster(self.raster().unwrap_or_default())
     }
 
-    /// The asked rasterizer, if one was asked for.
+    /// The rasterizer given with `--raster`, if any.
     pub fn raster(&self) -> Option<Raster> {
         self.raster.map(|raster| match raster {
             RasterArg::Compute => Raster::Compute,

@@ -1,4 +1,4 @@
-//! Names of the files that predictions write: as given for one prediction, templates for several.
+//! File names of predictions: literal for one prediction, templates for several.
 
 use super::outputs::OutputFiles;
 use presight::io::templates::{Field, Names, Template};
@@ -9,18 +9,18 @@ use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-/// The files of all predictions.
+/// The file names of all predictions.
 #[derive(Debug)]
 pub struct FileNames {
     /// A template for each kind of file, in the order of [`KINDS`].
     templates: [Option<Template>; KINDS.len()],
     npy: Option<Template>,
     rays: Option<Template>,
-    /// The images that arrays are written of.
+    /// The images written as arrays.
     outputs: Vec<Output>,
 }
 
-/// Options and the endings of their files.
+/// Options and the file name endings that they accept.
 const KINDS: [(&str, &[&str]); 6] = [
     ("--out", &["exr"]),
     ("--png", &["png"]),
@@ -39,12 +39,12 @@ pub struct Paths {
     pub mask: Option<PathBuf>,
     pub points: Option<PathBuf>,
     pub features: Option<PathBuf>,
-    /// An array for each image.
+    /// One array per image.
     pub npy: Vec<(Output, PathBuf)>,
 }
 
 impl Paths {
-    /// True if all files are there and nobody wrote to them after `until`, those of arrays of all poses aside.
+    /// Returns true if all files exist and were not modified after `until`. Stacked arrays are not checked.
     pub fn are_there(&self, stacked: bool, until: SystemTime) -> bool {
         let untouched = |path: &PathBuf| {
             let metadata = path.metadata();
@@ -57,11 +57,11 @@ impl Paths {
 }
 
 impl FileNames {
-    /// `given` in the order of `--out`, `--png`, `--depth-png`, `--mask`, `--points` and `--features`: names, or templates for
-    /// `many` predictions. Arrays always have a template.
+    /// Parses the names in `given`, which are in the order of [`KINDS`]: templates for `many` predictions, literal
+    /// names for one. `npy` is always a template.
     ///
     /// # Errors
-    /// [`ErrorKind::Usage`] for a template that is none.
+    /// [`ErrorKind::Usage`] for an invalid template.
     pub fn new(
         given: [Option<&PathBuf>; KINDS.len()],
         npy: Option<&str>,
@@ -78,12 +78,12 @@ impl FileNames {
         Ok(Self { templates, npy: npy.map(array).transpose()?, rays, outputs: outputs.iter().collect() })
     }
 
-    /// True if a file is written for each prediction, or a part of one.
+    /// Returns true if each prediction writes a file or a part of one.
     pub fn write_predictions(&self) -> bool {
         self.npy.is_some() || self.templates.iter().any(Option::is_some)
     }
 
-    /// True if one array holds the images of all poses.
+    /// Returns true if one array holds the images of all poses.
     pub fn are_stacked(&self) -> bool {
         self.npy.as_ref().is_some_and(|npy| !npy.tells_poses_apart())
     }
@@ -112,7 +112,7 @@ impl FileNames {
         })
     }
 
-    /// The file of a sensor's rays.
+    /// The file for a sensor's rays.
     ///
     /// # Errors
     /// Those of [`Template::path`].
@@ -121,11 +121,11 @@ impl FileNames {
         self.rays.as_ref().map(|rays| rays.path(&names).map_err(|e| e.at("--rays"))).transpose()
     }
 
-    /// Adds the files of all predictions, of poses with these time stamps.
+    /// Adds the files of all predictions to `files`, for poses with these time stamps.
     ///
     /// # Errors
-    /// [`ErrorKind::Usage`] for a name that would hold more than one prediction, and those of [`OutputFiles::add`];
-    /// [`ErrorKind::System`] for a folder that is not there.
+    /// [`ErrorKind::Usage`] for a name shared by several predictions, and those of [`OutputFiles::add`];
+    /// [`ErrorKind::System`] for a missing folder.
     pub fn add_to(&self, files: &mut OutputFiles, stamps: &[&str], sensors: &[Sensor]) -> Result<()> {
         self.check_fields(stamps.len(), sensors.len())?;
         let mut folders = HashSet::new();
@@ -147,7 +147,7 @@ impl FileNames {
         Ok(())
     }
 
-    /// That a name is of one prediction, as far as the fields in it tell.
+    /// Checks that the fields of each template distinguish all predictions.
     fn check_fields(&self, poses: usize, sensors: usize) -> Result<()> {
         let kinds = KINDS.iter().zip(&self.templates).map(|((option, _), template)| (*option, template));
         for (option, template) in kinds.chain([("--npy", &self.npy), ("--rays", &self.rays)]) {
@@ -177,14 +177,14 @@ fn template_of(option: &str, path: &Path, many: bool) -> Result<Template> {
     text.parse().map_err(|e: Error| e.at(format!("{option} {text}")))
 }
 
-/// That the folder of a file is there, looked at once.
+/// Checks that the folder of a file exists. `seen` caches the folders found.
 fn check_folder(path: &Path, seen: &mut HashSet<PathBuf>) -> Result<()> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     if seen.contains(folder) {
         return Ok(());
     }
     if !folder.is_dir() {
-        let what = "cannot write: its folder is not there";
+        let what = "cannot write: its folder does not exist";
         return Err(Error::new(ErrorKind::System, what, "create the folder first, or write elsewhere").in_file(path));
     }
     seen.insert(folder.to_owned());

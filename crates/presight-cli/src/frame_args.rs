@@ -1,26 +1,26 @@
-//! How a scene's file lies in the world, as the command line says it.
+//! The up axis and unit of a scene file, from the command line.
 
 use presight::Result;
 use presight::io::gltf::ImportOptions;
 use presight::preparation::{SceneFrame, Up};
 
-/// The flags by which every command reads a scene.
+/// Flags shared by all commands that read a scene.
 #[derive(Clone, Debug, clap::Args)]
 pub struct FrameArgs {
-    /// The axis of the scene file that points up, y or z [default: the sidecar's, else y as glTF has it]
+    /// The axis of the scene file that points up, y or z [default: from the sidecar, else y as in glTF]
     #[arg(long, value_name = "AXIS")]
     up: Option<Up>,
 
-    /// Metres in one unit of the scene file, such as 0.001 [default: the sidecar's, else 1]
+    /// Metres in one unit of the scene file, such as 0.001 [default: from the sidecar, else 1]
     #[arg(long, value_name = "X")]
     scale: Option<f64>,
 }
 
 impl FrameArgs {
-    /// Import options with them.
+    /// Import options with these flags set.
     ///
     /// # Errors
-    /// [`presight::ErrorKind::Usage`] for what is no scale.
+    /// [`presight::ErrorKind::Usage`] if the scale is invalid.
     pub fn options(&self) -> Result<ImportOptions> {
         self.scale.map_or(Ok(()), SceneFrame::check_scale).map_err(|e| e.at("--scale"))?;
         Ok(ImportOptions { up: self.up, scale: self.scale, ..ImportOptions::default() })

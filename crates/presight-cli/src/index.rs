@@ -1,4 +1,4 @@
-//! `presight index`: what the spatial indexes cost and how well they select.
+//! `presight index`: measures the cost and selectivity of the spatial indexes.
 
 use super::frame_args::FrameArgs;
 use super::outputs::OutputFiles;
@@ -19,13 +19,13 @@ use std::path::{Path, PathBuf};
 
 const EXAMPLES: &str = "Examples:
   presight index hall.glb
-  presight index hall.glb --out study                  index.csv besides
+  presight index hall.glb --out study                  also write study/index.csv
   presight index hall.glb --sweep --sensor vlp-16 --out study";
 
 /// Measure the spatial indexes: build time, memory, access time, selectivity, whole predictions
 ///
-/// For every index and every query - `sector` (10 m, 60 degrees, any height) and each preset's region - medians over
-/// many free poses. needed: polygons with a point in the region; selectivity: needed / returned.
+/// Prints medians over many free poses for every index and every query: `sector` (10 m, 60 degrees, any height) and the
+/// region of each preset. needed: polygons with a point in the region; selectivity: needed / returned.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -39,35 +39,35 @@ pub struct Args {
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
 
-    /// How many free poses
+    /// Number of free poses
     #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     count: u32,
 
-    /// Which free poses
+    /// Seed of the random free poses
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
 
-    /// Poses of the sensors instead: lines of timestamp tx ty tz qx qy qz qw
+    /// Use these poses of the sensors: lines of timestamp tx ty tz qx qy qz qw
     #[arg(long, value_name = "FILE.tum", conflicts_with_all = ["count", "seed"])]
     poses: Option<PathBuf>,
 
-    /// Only these indexes [default: all]
+    /// Measure only these indexes [default: all]
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     only: Vec<Scheme>,
 
-    /// Only this sensor's region beside the sector [default: all presets]
+    /// Query only the sector and this sensor's region [default: all presets]
     #[arg(long, value_name = "PRESET|FILE")]
     sensor: Option<String>,
 
-    /// Try many cell sizes of every index
+    /// Measure many cell sizes of every index
     #[arg(long)]
     sweep: bool,
 
-    /// Return the polygons of cells partly in the region whole, as the paper's indexes did
+    /// Return all polygons of cells that are partly in the region, as the paper's indexes do
     #[arg(long)]
     unfiltered: bool,
 
-    /// Repeats of each query and prediction, of which the fastest counts
+    /// Repetitions of each query and prediction; the fastest counts
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
     repeat: u32,
 
@@ -76,13 +76,13 @@ pub struct Args {
     threads: usize,
 }
 
-/// What `--out` gets.
+/// The files in `--out`.
 const FILES: [&str; 1] = ["index.csv"];
 
 /// Runs the command.
 ///
 /// # Errors
-/// Those of the scene, the sensor and the poses, of predictions, and of writing.
+/// Errors from reading the scene, sensor and poses, from predictions, and from writing.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     let mut files = OutputFiles::new();
     args.out.as_deref().map_or(Ok(()), |folder| files.add_folder(folder, &FILES))?;

@@ -1,4 +1,4 @@
-//! `presight inspect`: what is in a model, and what is wrong with it.
+//! `presight inspect`: the contents and problems of a model.
 
 use super::frame_args::FrameArgs;
 use super::open_scene;
@@ -15,7 +15,7 @@ const EXAMPLES: &str = "Examples:
   presight inspect hall.glb
   presight inspect hall.glb --json | jq '.problems[] | {kind, total}'";
 
-/// The version of the inspection JSON.
+/// Format version of the inspection JSON.
 const FORMAT: u32 = 1;
 
 /// Show objects, polygons, bounds, materials and every problem of a model
@@ -25,7 +25,7 @@ pub struct Args {
     /// The model: a .glb or .gltf file, a .rhai script, or a store
     scene: PathBuf,
 
-    /// Merge coplanar neighbours within this part of an object's size [default: 1e-6]
+    /// Merge coplanar neighbours within this fraction of an object's size [default: 1e-6]
     #[arg(long, value_name = "X")]
     merge_tolerance: Option<f64>,
 
@@ -37,10 +37,10 @@ pub struct Args {
     json: bool,
 }
 
-/// Runs the command. Problems of a model are worth knowing but no error: real models have them.
+/// Runs the command. Problems of a model are not errors: most real models have some.
 ///
 /// # Errors
-/// Those of the import.
+/// Import errors.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     let mut options = args.frame.options()?;
     options.merge_tolerance = args.merge_tolerance.unwrap_or(options.merge_tolerance);
@@ -48,7 +48,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     scene.report.problems.extend(lost_features(scene.world.environment())?);
     if args.json {
         let value = as_json(&args.scene, &scene);
-        let wrong = |e| Error::invalid(format!("the inspection is no JSON: {e}"), "").in_file(&args.scene);
+        let wrong = |e| Error::invalid(format!("cannot write the inspection as JSON: {e}"), "").in_file(&args.scene);
         print::data(&(serde_json::to_string_pretty(&value).map_err(wrong)? + "\n"))?;
     } else {
         print::lines(in_words(&args.scene, &scene))?;
@@ -56,7 +56,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     Ok(CommandOutcome::Done)
 }
 
-/// Polygons of each material, over all objects.
+/// The number of polygons of each material, over all objects.
 fn polygons_by_material(environment: &Environment) -> Vec<u64> {
     let mut counts = vec![0; environment.materials().len()];
     for object in environment.objects() {
@@ -67,7 +67,7 @@ fn polygons_by_material(environment: &Environment) -> Vec<u64> {
     counts
 }
 
-/// Objects that are not deleted, with their numbers.
+/// Objects that are not deleted, with their indices.
 fn live(environment: &Environment) -> impl Iterator<Item = (usize, &Object)> {
     environment.objects().iter().enumerate().filter(|(_, o)| !o.is_deleted())
 }
@@ -132,7 +132,7 @@ fn as_json(path: &Path, scene: &Scene) -> Value {
     })
 }
 
-/// What makes one suspect that the file was read in a wrong frame.
+/// Hints that the file was read with a wrong up axis or scale.
 fn hints(scene: &Scene) -> Vec<String> {
     let Some(frame) = scene.frame else { return Vec::new() };
     let scene_from_world = frame.world_from_scene.inverse().to_affine();
@@ -152,7 +152,7 @@ fn in_words(path: &Path, scene: &Scene) -> Vec<String> {
         let deviation = report.largest_deviation_m;
         lines.push(format!("merging    {} merges, largest deviation {deviation:.3e} m", report.merges));
     } else {
-        // What was never triangles: a store.
+        // A store holds polygons, not triangles.
         lines.push(format!("polygons   {}, {} stored", report.polygons_in_scene, report.polygons_stored));
     }
     lines.push(format!("bounds     {}", bounds_in_words(&environment.bounds())));
@@ -181,7 +181,7 @@ fn bounds_in_words(b: &Aabb) -> String {
     if b.is_empty() {
         return "empty".into();
     }
-    // Rounded, and -0 made plain by adding 0.
+    // Adding 0 turns -0 into 0.
     let plain = |x: f64| (x * 1e3).round() / 1e3 + 0.0;
     let side = |low: f64, high: f64| format!("{:.3}..{:.3}", plain(low), plain(high));
     format!("x {} y {} z {} m", side(b.min.x, b.max.x), side(b.min.y, b.max.y), side(b.min.z, b.max.z))

@@ -1,4 +1,4 @@
-//! Features in a prediction: layers read and placed, visibility predicted, results written.
+//! Features in a prediction: reads layers, requests their visibility, and writes the results.
 
 use super::predict::Shown;
 use super::print;
@@ -13,50 +13,50 @@ use presight::virtual_sensors::VirtualSensor;
 use presight::{Error, Prediction, Request, Result, Scene, SceneFeatures};
 use std::path::{Path, PathBuf};
 
-/// Which features are predicted, and where they go.
+/// Flags of features.
 #[derive(Debug, clap::Args)]
 pub struct LayerArgs {
-    /// Predict the features of this layer, too, over the scene's own; later ones win by id
+    /// Add the features of this layer to those of the scene; of two with the same id the later one wins
     #[arg(long = "layer", value_name = "FILE.json")]
     layers: Vec<PathBuf>,
 
-    /// Write what is seen of the features
+    /// Write the visible parts of the features
     #[arg(long, value_name = "OUT.json")]
     pub features: Option<PathBuf>,
 
-    /// Of the features seen, keep those N that tell most of the sensor's pose
+    /// Keep only the N visible features that determine the sensor's pose best
     ///
-    /// One by one the feature that adds most to the information of the pose, weighted by existence and contrast.
+    /// Each step adds the feature with the largest gain in pose information, weighted by existence and contrast.
     #[arg(long, value_name = "N")]
     max_features: Option<usize>,
 
-    /// UTC seconds for which features' probabilities of existence are told [default: the newest confirmation]
+    /// UTC seconds at which features' probabilities of existence are evaluated [default: the newest confirmation]
     #[arg(long, value_name = "T", allow_negative_numbers = true)]
     time: Option<f64>,
 
-    /// How uncertain the pose is, for regions of interest: sx,sy,sz,sroll_deg,spitch_deg,syaw_deg, or a file of 36 numbers
+    /// Pose uncertainty for regions of interest: sx,sy,sz,sroll_deg,spitch_deg,syaw_deg, or a file of 36 numbers
     ///
-    /// Standard deviations, or a covariance as a JSON list, row-major, in metres and radians; along the world's axes.
+    /// Standard deviations, or a covariance as a row-major JSON list in metres and radians, along the world's axes.
     #[arg(long, value_name = "S|FILE.json")]
     pose_cov: Option<String>,
 
-    /// Probability with which features are in their regions of interest [default: 0.99]
+    /// Probability that a feature is inside its region of interest [default: 0.99]
     #[arg(long, value_name = "P")]
     confidence: Option<f64>,
 
-    /// Write the numbers of features into the preview
+    /// Label features with their numbers in the preview
     #[arg(long)]
     feature_numbers: bool,
 }
 
-/// What is asked for by name, as far as features depend on it.
+/// The requests on the command line that features depend on.
 #[derive(Clone, Copy, Debug)]
 pub struct NamedRequest {
-    /// All outputs wanted.
+    /// All requested images.
     pub outputs: Outputs,
     /// The virtual sensor.
     pub virtual_sensor: Option<VirtualSensor>,
-    /// A preview is drawn, which shows boxes.
+    /// True if a preview is drawn, which shows regions of interest.
     pub preview: bool,
 }
 
@@ -70,18 +70,18 @@ impl NamedRequest {
     }
 }
 
-/// What is asked for of features.
+/// The features of a prediction.
 pub struct Layers {
     options: FeatureOptions,
-    /// Of the poses as they are given.
+    /// Covariance of the poses in the frame in which they are given.
     covariance: PoseCovariance,
     boxes: BoxOptions,
-    /// Something shows the boxes, or only they were asked for.
+    /// True if regions of interest are predicted.
     boxed: bool,
 }
 
 impl LayerArgs {
-    /// Checks them without touching the world.
+    /// Checks the flags without opening any file.
     pub fn check(&self, asked: NamedRequest) -> Result<()> {
         if let Some(time) = self.time.filter(|t| !t.is_finite()) {
             return Err(Error::usage(format!("--time {time}"), "give finite UTC seconds"));
@@ -99,40 +99,40 @@ impl LayerArgs {
         match of_features.iter().find(|(_, given)| *given && !self.is_asked(asked)) {
             None => Ok(()),
             Some((flag, _)) => {
-                let what = format!("--{flag} is of features, and none are asked for");
+                let what = format!("--{flag} needs features, and none are requested");
                 Err(Error::usage(what, "give a --layer, or --features OUT.json for the scene's own"))
             }
         }
     }
 
-    /// Files that are named to be read.
+    /// The input files named on the command line.
     pub fn inputs(&self) -> impl Iterator<Item = &Path> {
         let covariance = self.pose_cov.as_deref().and_then(pose_covariance::file);
         self.layers.iter().map(PathBuf::as_path).chain(covariance)
     }
 
-    /// True if features are to be predicted.
+    /// Returns true if features are requested.
     fn is_asked(&self, asked: NamedRequest) -> bool {
         !self.layers.is_empty() || self.features.is_some() || asked.feature_id() || asked.by_virtual_sensor()
     }
 
-    /// Images that features are predicted from.
+    /// The image that features are predicted from, if features are requested.
     pub fn needs(&self, asked: NamedRequest) -> Option<Output> {
         self.is_asked(asked).then_some(Output::PolygonId)
     }
 
-    /// True if a file of their own is asked for.
+    /// Returns true if a features file is written.
     pub fn writes_something(&self) -> bool {
         self.features.is_some()
     }
 
-    /// True if features' numbers go into the preview.
+    /// Returns true if the preview shows feature numbers.
     pub fn numbers(&self) -> bool {
         self.feature_numbers
     }
 
-    /// Reads the layers over the scene's own and finds the polygons that their features lie on; `None` if none are asked
-    /// for.
+    /// Reads the layers, merges them over the scene's own layer, and finds the polygons under their features. Returns
+    /// `None` if no features are requested.
     pub fn load(&self, scene: &Scene, sensor: &Sensor, asked: NamedRequest) -> Result<Option<Layers>> {
         if !self.is_asked(asked) {
             return Ok(None);
@@ -140,25 +140,23 @@ impl LayerArgs {
         let class = &sensor.spec().class;
         let own = scene.world.environment().layer(class);
         if self.layers.is_empty() && own.is_none() {
-            // The file of features is then the virtual sensor's alone.
+            // The features file then holds the virtual sensor's reading only.
             if asked.virtual_sensor.is_some() && !asked.by_virtual_sensor() && !asked.feature_id() {
                 return Ok(None);
             }
-            let what = format!("features are asked for, and the scene has none for class {class:?}");
+            let what = format!("features are requested, and the scene has none for class {class:?}");
             return Err(Error::usage(what, "give a --layer (presight features generates one)"));
         }
         let wanted = asked.virtual_sensor.filter(|v| v.needs_features());
         let SceneFeatures { placed, other_classes } =
             scene.place_layers_of(&self.layers, class, |shape| wanted.is_none_or(|v| v.wants(shape)))?;
         if other_classes > 0 {
-            print::message(&format!(
-                "note: {other_classes} features are for other classes than {class:?} and left out"
-            ));
+            print::message(&format!("note: ignoring {other_classes} features for other classes than {class:?}"));
         }
         let mut options = FeatureOptions::default().with_placed(placed);
         options.time = self.time;
         options.max_features = self.max_features;
-        // Files and pictures show what is hidden, too.
+        // Files and pictures also show hidden parts.
         if self.features.is_some() || asked.preview || asked.virtual_sensor.is_some() {
             options.hidden = Hidden::Full;
         }
@@ -171,13 +169,13 @@ impl LayerArgs {
             .unwrap_or_default();
         let mut boxes = BoxOptions::default();
         boxes.confidence = self.confidence.unwrap_or(boxes.confidence);
-        // An image of numbers and the answer of a virtual sensor are made without boxes.
+        // A feature_id image and a virtual sensor need no regions of interest.
         let only_without = (asked.feature_id() || asked.virtual_sensor.is_some()) && self.pose_cov.is_none();
         let boxed = self.features.is_some() || asked.preview || !only_without;
         Ok(Some(Layers { options, covariance, boxes, boxed }))
     }
 
-    /// Writes the prediction's file, if one is asked for.
+    /// Writes the features file, if one is requested.
     pub fn write(&self, scene: &Scene, prediction: &Prediction, shown: &Shown, path: Option<&Path>) -> Result<()> {
         let Some(path) = path else { return Ok(()) };
         let header = prediction_json::Header {
@@ -194,25 +192,25 @@ impl LayerArgs {
 }
 
 impl Layers {
-    /// Takes the uncertainty of the sensor's next pose, along the axes of the world.
+    /// Sets the covariance of the sensor's next pose, along the axes of the world.
     pub fn move_to(&mut self, pose: &ExternalPose, sensor: &Sensor, world_from_sensor: &Pose, scene: &Scene) {
         let (covariance, world_from_gltf) = (&self.covariance, &scene.world_from_gltf);
         self.boxes.sensor = pose.covariance_of_sensor(covariance, sensor.spec(), world_from_sensor, world_from_gltf);
     }
 
-    /// What regions of interest are of.
+    /// The options of regions of interest.
     pub fn boxes(&self) -> &BoxOptions {
         &self.boxes
     }
 
-    /// Gives what is out of view its entries, as files and readings hold them.
+    /// Adds entries for features out of view, which files and readings list too.
     pub fn spell_out(&self, scene: &Scene, prediction: &mut Prediction) {
         if let (Some(features), FeatureSource::Placed(placed)) = (&mut prediction.features, &self.options.source) {
             features.spell_out(scene.world.environment(), &placed.features);
         }
     }
 
-    /// The request with their features.
+    /// Adds the features to a request.
     pub fn add_to(&self, request: Request) -> Request {
         let request = request.with_features(self.options.clone());
         if self.boxed { request.with_regions(self.boxes.clone()) } else { request }

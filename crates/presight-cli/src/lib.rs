@@ -1,4 +1,4 @@
-//! The command: parse first, then touch the world. The only place that prints.
+//! The command line. Arguments are checked before any file is opened. Only this crate prints.
 
 mod bar;
 mod batch;
@@ -45,10 +45,10 @@ use std::process::ExitCode;
 
 /// Predicts what a robot's sensors should see.
 ///
-/// presight reads a polygonal 3D model (glTF 2.0, a scene script or a stored environment), takes a sensor at a pose, and
-/// answers with exact images: range, which polygon and which object each pixel sees, and at which reflection angle.
+/// presight reads a polygonal 3D model (glTF 2.0, a scene script or a stored environment) and predicts exact images of
+/// a sensor at a pose: for each pixel the range, the polygon, the object and the angle of incidence.
 ///
-/// SCENE is a .glb or .gltf file, a script (.rhai) or a store (.presight), in every command.
+/// In every command SCENE is a .glb or .gltf file, a script (.rhai) or a store (.presight).
 #[derive(Debug, Parser)]
 #[command(name = "presight", version, max_term_width = 100, after_help = EXAMPLES)]
 struct Cli {
@@ -57,16 +57,16 @@ struct Cli {
 }
 
 const EXAMPLES: &str = "Examples:
-  presight sensors                              list the sensors that are built in
-  presight inspect hall.glb                     what is in a model, and what is wrong with it
+  presight sensors                              list the built-in sensors
+  presight inspect hall.glb                     the contents of a model, and its problems
   presight predict hall.glb --sensor microwave-radar-image --pose 2,1,1.2,0,0,90 --png view.png
   presight compare reference.exr other.exr      do two predictions agree?
   presight doctor                               which engines work here
-  presight report hall.glb --out study          error against run time, as a page
+  presight report hall.glb --out study          a page of error against run time
   presight env create hall.presight hall.glb    keep a model, and every change to it
 
-Exit status: 0 done, 1 a file is at fault or a check found something, 2 wrong usage,
-3 no device for the asked backend, 4 the system refused (disk full, memory, locked, permission).";
+Exit status: 0 success, 1 an invalid file or a check that found something, 2 wrong usage,
+3 no device for the requested backend, 4 a system error (disk full, memory, locked, permission).";
 
 #[derive(Debug, Subcommand)]
 enum Command {
@@ -109,7 +109,7 @@ enum Command {
     },
 }
 
-/// The optional parts that were built in.
+/// The cargo features of this build.
 fn features() -> Vec<&'static str> {
     let all = [
         ("gpu", cfg!(feature = "gpu")),
@@ -120,7 +120,7 @@ fn features() -> Vec<&'static str> {
     all.into_iter().filter(|(_, built)| *built).map(|(name, _)| name).collect()
 }
 
-/// Runs the command on the process's arguments.
+/// Runs the command with the arguments of the process.
 pub fn main() -> ExitCode {
     signals::listen();
     let parsed = command().try_get_matches().and_then(|matches| Cli::from_arg_matches(&matches));
@@ -155,7 +155,7 @@ pub fn main() -> ExitCode {
     conclude(done)
 }
 
-/// The command line: numbers may be negative, so that what is wrong with one is said of the number.
+/// The command line. All options accept negative numbers, so that an error names the number and not an unknown flag.
 fn command() -> clap::Command {
     fn numbers(command: clap::Command) -> clap::Command {
         let negative = |arg: clap::Arg| {
@@ -163,7 +163,7 @@ fn command() -> clap::Command {
             match (arg.get_action().takes_values(), real) {
                 (false, _) => arg,
                 (true, false) => arg.allow_negative_numbers(true),
-                // Clap does not take -1e-9 and -inf for numbers.
+                // Clap does not recognize -1e-9 and -inf as numbers.
                 (true, true) => arg.allow_hyphen_values(true),
             }
         };
@@ -172,18 +172,18 @@ fn command() -> clap::Command {
     numbers(Cli::command())
 }
 
-/// Opens a scene; what a script prints goes to stderr.
+/// Opens a scene. Output of a script's `print` goes to stderr.
 fn open_scene(path: &Path, import: &ImportOptions, index: Scheme) -> Result<Scene> {
     let options = SceneOptions::default().with_import(import.clone()).with_index(index);
     Scene::open_with(path, &options, &mut print::message)
 }
 
-/// What a command found, if it ended.
+/// The outcome of a command that did not fail.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum CommandOutcome {
-    /// Done, nothing to object.
+    /// Exit status 0.
     Done,
-    /// Done; a check found something.
+    /// A check found something: exit status 1.
     Found,
 }
 
@@ -198,19 +198,19 @@ fn conclude(done: Result<CommandOutcome>) -> ExitCode {
     }
 }
 
-/// Help and version go to stdout whole; a usage error is one line like every other error.
+/// Prints help and version to stdout. Prints a usage error as one line, like every other error.
 fn refuse(e: &clap::Error) -> ExitCode {
     use clap::error::ErrorKind as Clap;
     let help = [Clap::DisplayHelp, Clap::DisplayVersion, Clap::DisplayHelpOnMissingArgumentOrSubcommand];
     if help.contains(&e.kind()) {
-        // Nothing is left to do if the terminal is gone.
+        // There is nowhere to report that stdout is closed.
         let _ = e.print();
         return ExitCode::from(e.exit_code() as u8);
     }
     let text = e.to_string();
     let words = |line: &str| line.split_whitespace().collect::<Vec<_>>().join(" ");
     let before_usage = text.lines().take_while(|line| !line.starts_with("Usage:") && !line.starts_with("For more"));
-    // Tips name what is spelled like it, not what does it.
+    // Clap suggests flags with a similar spelling, which may have another purpose.
     let useful = |line: &String| !line.is_empty() && !line.starts_with("tip:");
     let message: Vec<String> = before_usage.map(words).filter(useful).collect();
     let command = std::env::args_os()

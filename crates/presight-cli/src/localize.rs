@@ -1,4 +1,4 @@
-//! `presight localize`: where the robot was at each frame of a log.
+//! `presight localize`: the robot's pose at each frame of a log.
 
 use super::outputs::OutputFiles;
 use super::pose::parse_pose;
@@ -27,13 +27,13 @@ const EXAMPLES: &str = "Examples:
   presight localize livingroom --map livingroom/livingroom_map.glb --stride 4 --from 30 --init unknown --floor 0.75 --floor-to 1.3 --lean 0,16.6 --margin 1 --surrounded 0.02 --out run.tum
   presight localize street_1.ply --map street_map.glb --init 0,0,0,0,0,0 --init-sigma 0.3 --init-sigma-deg 8 --out run.tum";
 
-/// Follow a robot through a log: its pose at every frame, with covariance and state
+/// Track a robot through a log: its pose at every frame, with covariance and state
 ///
-/// LOG is a folder of depth images (camera.json, depth/*.png of 16 bits, and optionally poses.txt) or of grey images (grey/*.png beside
-/// or instead of the depth images, in which the features of --layer are looked for), a file of ranges (a log of
-/// format 1, or a document of planar scans; where it has intensities, the reflectors of --layer are looked for), or a scan or a folder of scans (.ply, .pcd, .csv, .exr). With a level scanner of one row the robot stays on its floor: x, y and yaw are looked
-/// for. Beside FILE.tum, FILE.jsonl gets covariance, state and verdicts of every frame. A frame at which the pose is not known has
-/// no line in FILE.tum.
+/// LOG is a folder of 16-bit depth images (camera.json, depth/*.png, optionally poses.txt), of grey images
+/// (grey/*.png), or of both; a file of ranges (a log of format 1, or a document of planar scans); a scan; or a folder
+/// of scans (.ply, .pcd, .csv, .exr). Features of --layer are detected in grey images, its reflectors in scans with
+/// intensities. With a level scanner of one row only x, y and yaw are estimated. FILE.jsonl next to FILE.tum gets
+/// covariance, state and verdicts of every frame. FILE.tum has no line for a frame whose pose is not known.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -45,7 +45,7 @@ pub struct Args {
     out: PathBuf,
 }
 
-/// A log, its map, and how the robot is followed through them.
+/// Flags shared by `localize` and `replay`: the log, the map, and the options of the localizer.
 #[derive(Debug, clap::Args)]
 pub struct Drive {
     /// The log
@@ -55,62 +55,62 @@ pub struct Drive {
     #[arg(long, value_name = "SCENE")]
     pub map: PathBuf,
 
-    /// Where the robot starts: x,y,z,roll_deg,pitch_deg,yaw_deg or x,y,z,qx,qy,qz,qw, `reference` for the log's own first pose, or
-    /// `unknown`: the robot is then looked for in the whole map, at the height and leaning as --floor and --lean say
+    /// Start pose of the robot: x,y,z,roll_deg,pitch_deg,yaw_deg or x,y,z,qx,qy,qz,qw, `reference` for the log's first
+    /// pose, or `unknown` to search the whole map at the height of --floor with the roll and pitch of --lean
     #[arg(long, value_name = "POSE", allow_hyphen_values = true)]
     init: String,
 
-    /// How far off that may be, one standard deviation along each axis, metres
+    /// Standard deviation of the start position along each axis, metres
     #[arg(long, value_name = "METRES", default_value_t = 0.05)]
     init_sigma: f64,
 
-    /// Likewise about each axis, degrees
+    /// Standard deviation of the start orientation about each axis, degrees
     #[arg(long, value_name = "DEG", default_value_t = 2.0)]
     init_sigma_deg: f64,
 
-    /// The sensor, with its noise and mount [default: as the log says]
+    /// The sensor, with its noise and mount [default: from the log]
     #[arg(long, value_name = "PRESET|FILE")]
     sensor: Option<String>,
 
-    /// How far the model's surfaces may be off, each by its own, one standard deviation, metres [default: 0.03 for a scanner of
+    /// Standard deviation of the model's surfaces, independent for each surface, metres [default: 0.03 for a scanner of
     /// one row, 0.1 for scans of points, otherwise 0]
     #[arg(long, value_name = "METRES")]
     model_sigma: Option<f64>,
 
-    /// How far odometry may be off, one standard deviation: part of the way and of the turn
+    /// Standard deviation of odometry, as a fraction of the distance and of the turn
     #[arg(long, value_name = "PART", default_value_t = 0.1)]
     odometry_sigma: f64,
 
-    /// The camera of the grey images beside depth images [default: LOG/grey.toml, or the sensor of the depth images]
+    /// The camera of grey images in a log of depth images [default: LOG/grey.toml, or the sensor of the depth images]
     #[arg(long, value_name = "PRESET|FILE")]
     grey_sensor: Option<String>,
 
-    /// Features of this layer: those that are looked for in grey images, and the reflectors in scans with intensities
+    /// Search for the features of this layer: in grey images, and for reflectors in scans with intensities
     #[arg(long = "layer", value_name = "FILE.json")]
     pub layers: Vec<PathBuf>,
 
-    /// The features that the scene has itself, too
+    /// Also search for the scene's own features
     #[arg(long)]
     pub own_features: bool,
 
-    /// Height of the robot's frame where it is looked for in the whole map, metres
+    /// Height of the robot's frame in a search of the whole map, metres
     #[arg(long, value_name = "METRES", default_value_t = 0.0, allow_hyphen_values = true)]
     floor: f64,
 
-    /// Up to so high, metres, where that height is not known
+    /// Largest height in a search of the whole map, metres, if the height is not known [default: --floor]
     #[arg(long, value_name = "METRES", allow_hyphen_values = true)]
     floor_to: Option<f64>,
 
-    /// How far beyond the bounds of the map the robot may be, metres: a map of surfaces that were seen need not reach to where they were
-    /// seen from
+    /// Distance beyond the bounds of the map that is searched, metres: for a map of measured surfaces that does not
+    /// include the places they were measured from
     #[arg(long, value_name = "METRES", default_value_t = 0.0)]
     margin: f64,
 
-    /// Share of all directions in which a robot that is looked for in the whole map has to be surrounded by it
+    /// In a search of the whole map, the fraction of directions in which a place must be surrounded by the map
     #[arg(long, value_name = "SHARE", default_value_t = 0.5)]
     surrounded: f64,
 
-    /// Roll and pitch of a robot that is looked for in the whole map, degrees
+    /// Roll and pitch of the robot in a search of the whole map, degrees
     #[arg(
         long,
         value_name = "ROLL,PITCH",
@@ -134,33 +134,33 @@ pub struct Drive {
     pub threads: usize,
 }
 
-/// What was sensed at one time.
+/// The measurements at one time.
 pub struct Sensed<'a> {
-    /// What the log is of.
+    /// Ranges, or a grey image in a log of grey images only.
     pub frame: &'a Frame,
-    /// The grey image beside it.
+    /// The grey image in addition to ranges.
     pub grey: Option<&'a Frame>,
 }
 
-#[cfg_attr(not(feature = "report"), expect(dead_code, reason = "only replays show what was sensed"))]
+#[cfg_attr(not(feature = "report"), expect(dead_code, reason = "only replays show measurements"))]
 impl Sensed<'_> {
-    /// The frame that is a grey image, whether beside ranges or instead of them.
+    /// The grey image, with or without ranges.
     pub fn grey(&self) -> Option<&Frame> {
         self.grey.or(self.frame.grey().map(|_| self.frame))
     }
 }
 
-/// What became of the features of one frame.
+/// Feature counts of one frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FeatureCounts {
-    /// Predicted ones, by [`FeatureClass::NAMES`].
+    /// Predicted features, in the order of [`FeatureClass::NAMES`].
     pub classes: [usize; 4],
-    /// Found ones that nothing predicted.
+    /// Detections without a predicted feature.
     pub only_found: usize,
 }
 
 impl FeatureCounts {
-    /// Of all grey images of a time; `None` without one.
+    /// Sums over all images in which features were searched; `None` without one.
     fn of(findings: &[Findings]) -> Option<Self> {
         let count = |name: &str| findings.iter().map(|f| f.count(name)).sum();
         let only_found = findings.iter().map(|f| f.only_found.len()).sum();
@@ -173,24 +173,25 @@ impl FeatureCounts {
     }
 }
 
-/// A drive that was followed to its end.
+/// The results of a whole drive.
 #[derive(Default)]
 pub struct Followed {
-    /// What became of each frame; images of verdicts are left out.
+    /// The localizer's step for each frame, without verdict images and findings.
     pub steps: Vec<Step>,
     /// Pixels of each verdict, by frame.
     pub counts: Vec<[usize; 7]>,
-    /// What became of predicted features, where there was a grey image.
+    /// Feature counts, by frame; `None` if no features were searched.
     pub features: Vec<Option<FeatureCounts>>,
-    /// world_from_robot by the log itself, by frame.
+    /// world_from_robot from the log, by frame.
     pub reference: Vec<Option<Pose>>,
 }
 
 impl Drive {
-    /// Follows the robot. `visit` sees each frame with what became of it; before the first, `files` are held against what was read.
+    /// Tracks the robot through the log. Calls `visit` with each frame and its step. Before the first call it checks
+    /// that `files` would not overwrite an input.
     ///
     /// # Errors
-    /// Those of the log, the map and the sensor, of estimates, and of `visit`.
+    /// Errors from reading the log, map and sensor, from the estimator, and from `visit`.
     pub fn follow(
         &self,
         files: OutputFiles,
@@ -209,8 +210,8 @@ impl Drive {
             .skip_while(|o| matches!(o, Ok(o) if self.from.is_some_and(|from| o.frame.stamp < from)))
             .map(|o| o.and_then(|o| self.thinned(o)));
         let Some(first) = log.next().transpose()? else {
-            let remedy = "give one with frames, or an earlier --from";
-            return Err(Error::invalid("the log has no frame", remedy).in_file(&self.log));
+            let remedy = "give a log with frames, or an earlier --from";
+            return Err(Error::invalid("the log has no frames", remedy).in_file(&self.log));
         };
         let threads = Threads::from(self.threads).started()?;
         let import = ImportOptions { threads: threads.clone(), ..ImportOptions::default() };
@@ -227,7 +228,7 @@ impl Drive {
             estimator = estimator.with_features(placed);
         }
         let mut localizer = self.localizer(estimator, start, &scene, first.frame.sensor())?;
-        // Panoramas of the whole map are not made before they are needed.
+        // The search of the whole map predicts many panoramas, so it is set up only when it is needed.
         let mut may_search = start.is_some() && options.freedom == Freedom::Planar;
         files.check_read()?;
         let mut followed = Followed::default();
@@ -241,7 +242,7 @@ impl Drive {
                 may_search = false;
                 let search = self.search_about(&step.pose)?;
                 if let Err(e) = localizer.search_everywhere(&scene.world, frame.sensor(), search) {
-                    print::notices(&[format!("the robot is looked for around its last pose only: {e}")]);
+                    print::notices(&[format!("searching for the robot only around its last pose: {e}")]);
                 }
             }
             visit(&scene, &Sensed { frame: &frame, grey: grey.as_ref() }, &step)?;
@@ -255,18 +256,18 @@ impl Drive {
         Ok(followed)
     }
 
-    /// What may help if most frames of a folder of depth images have no pose: such a folder does not say how noisy they are.
+    /// Advice if most frames of a depth folder have no pose: the assumed noise may be too small.
     fn noise_is_assumed(&self, followed: &Followed) -> Option<String> {
         let known = followed.steps.iter().filter(|s| s.is_known()).count();
         let assumed = self.log.join("depth").is_dir() && self.sensor.is_none() && 2 * known < followed.steps.len();
         assumed.then(|| {
-            "the log does not say how noisy its depths are; if they scatter more than 5 mm, give a --sensor file with [noise] \
+            "the log does not specify the noise of its depths; if it exceeds 5 mm, give a --sensor file with [noise] \
              range_sigma and range_sigma_quadratic (docs/formats.md)"
                 .to_owned()
         })
     }
 
-    /// The grey images beside depth images, if the log has some.
+    /// Opens the grey images of a log of depth images, if it has any.
     fn grey(&self, depth: &Sensor) -> Result<Option<DepthFolder>> {
         let sensor = self.grey_sensor.as_deref().map(load_sensor).transpose()?;
         print::notices(sensor.iter().flat_map(|(_, notices)| notices));
@@ -276,7 +277,7 @@ impl Drive {
         DepthFolder::grey_beside(&self.log, sensor.as_ref().map(|(sensor, _)| sensor), depth)
     }
 
-    /// The features that a sensor may find; `None` if none are asked for.
+    /// The features that the sensor can detect; `None` if none are requested.
     pub fn placed(&self, scene: &Scene, sensor: &Sensor) -> Result<Option<PlacedFeatures>> {
         let class = &sensor.spec().class;
         if self.own_features && scene.world.environment().layer(class).is_none() {
@@ -287,13 +288,13 @@ impl Drive {
         let Some(found) = asked.then(|| scene.place_layers(&self.layers, class)).transpose()? else { return Ok(None) };
         if found.placed.features.is_empty() && found.other_classes > 0 {
             let what = format!("--layer: {} features, none of them of class {class:?}", found.other_classes);
-            return Err(Error::usage(what, "give a layer of the sensor's class, or a sensor of the layer's"));
+            return Err(Error::usage(what, "give a layer and a sensor of the same class"));
         }
         Ok(Some(found.placed))
     }
 
     fn thinned(&self, observation: Observation) -> Result<Observation> {
-        // Edges would be lost in a grey image of every N-th pixel.
+        // A grey image keeps all pixels: thinning would destroy its edges.
         let frame: Frame = if self.stride > 1 && observation.frame.grey().is_none() {
             observation.frame.thinned(self.stride)?
         } else {
@@ -302,7 +303,7 @@ impl Drive {
         Ok(Observation { frame, ..observation })
     }
 
-    /// `None` if it is unknown.
+    /// The start pose; `None` for `--init unknown`.
     fn start(&self, first: &Observation) -> Result<Option<Pose>> {
         match self.init.as_str() {
             "unknown" => Ok(None),
@@ -344,7 +345,7 @@ impl Drive {
         Ok(SearchOptions { floor, floor_to, margin, lean, surrounded, ..SearchOptions::default() })
     }
 
-    /// The whole map, at the height of a robot that was followed.
+    /// Options for a search of the whole map at the last height of the robot.
     fn search_about(&self, pose: &Pose) -> Result<SearchOptions> {
         let height = pose.translation.z;
         Ok(SearchOptions { floor: height, floor_to: height, ..self.search()? })
@@ -353,12 +354,12 @@ impl Drive {
     fn odometry(&self) -> Result<OdometryNoise> {
         let part = self.odometry_sigma;
         if !(part >= 0.0 && part.is_finite()) {
-            return Err(Error::usage(format!("--odometry-sigma {part}"), "give a finite part of at least 0"));
+            return Err(Error::usage(format!("--odometry-sigma {part}"), "give a finite fraction of at least 0"));
         }
         Ok(OdometryNoise { way: part, turn: part, turn_on_way: 0.5 * part, ..OdometryNoise::default() })
     }
 
-    /// A level row tells x, y and yaw.
+    /// Estimator options for the sensor: a scanner of one row determines x, y and yaw only.
     fn options(&self, sensor: &Sensor) -> Result<EstimateOptions> {
         let row = matches!(sensor.spec().geometry, Geometry::Scanner(_)) && sensor.height() == 1;
         let options = match sensor.spec().geometry {
@@ -370,49 +371,52 @@ impl Drive {
         if !(model_sigma >= 0.0 && model_sigma.is_finite()) {
             return Err(Error::usage(format!("--model-sigma {model_sigma}"), "give finite metres of at least 0"));
         }
-        // What polygons of one plane share is of the same size as what each has of its own.
+        // The offset shared by the polygons of one plane is about as large as the offset of each polygon.
         let offset_sigma = if self.model_sigma.is_some() { 0.7 * model_sigma } else { options.offset_sigma };
         Ok(EstimateOptions { model_sigma, offset_sigma: offset_sigma.max(1e-3), ..options })
     }
 }
 
-/// Says of reflectors why they are not looked for, if so, and of other features that they are not.
+/// A notice about features that are not searched for in scans, or only in a limited way.
 fn not_sought_in_scans(placed: &PlacedFeatures, first: &Frame) -> Option<String> {
     let is_reflector = |shape: &FeatureShape| matches!(shape, FeatureShape::Reflector { .. });
     let reflectors = placed.features.iter().filter(|p| is_reflector(&p.feature.shape)).count();
     let others = placed.features.len() - reflectors;
     let row = matches!(&first.sensor().spec().geometry, Geometry::Scanner(s) if s.elevation.len() == 1 && s.beam_height_deg.is_none());
     if reflectors == 0 {
-        return Some("the layer has no reflectors: nothing of it is looked for in scans".to_owned());
+        return Some("the layer has no reflectors, so scans are not searched for its features".to_owned());
     }
     if first.intensities().is_none() {
-        return Some("the first scan has no intensities: reflectors are looked for in scans that have some".to_owned());
+        return Some(
+            "the first scan has no intensities; reflectors are found only in scans with intensities".to_owned(),
+        );
     }
     if row {
-        let remedy = "say in the sensor file how far off it a feature counts";
+        let remedy = "set beam_height_deg in the sensor file";
         return Some(format!(
-            "the scanner's row has no height: only reflectors exactly in it are looked for; {remedy} (beam_height_deg)"
+            "the scanner's row has no height, so only reflectors exactly in its plane are found; {remedy}"
         ));
     }
-    (others > 0).then(|| format!("{others} features of the layer are no reflectors and are not looked for in scans"))
+    (others > 0)
+        .then(|| format!("only reflectors are found in scans; {others} other features of the layer are ignored"))
 }
 
-/// Says of fiducials that they are not looked for, if so.
+/// A notice about fiducials that are not searched for, if any.
 fn not_sought(placed: &PlacedFeatures) -> Option<String> {
     let is_left = |shape: &FeatureShape| matches!(shape, FeatureShape::Fiducial { .. }) && !is_sought(shape);
     let count = placed.features.iter().filter(|p| is_left(&p.feature.shape)).count();
     let why = if cfg!(feature = "fiducials") {
-        "of other dictionaries than DICT_APRILTAG_16h5, 25h9 and 36h11"
+        "their dictionaries are other than DICT_APRILTAG_16h5, 25h9 and 36h11"
     } else {
-        "by a presight that was built without the feature `fiducials`"
+        "this presight was built without the feature `fiducials`"
     };
-    (count > 0).then(|| format!("{count} fiducials of the layer are not looked for {why}"))
+    (count > 0).then(|| format!("{count} fiducials of the layer are not searched for: {why}"))
 }
 
 /// Runs the command.
 ///
 /// # Errors
-/// Those of [`Drive::follow`], and of writing.
+/// Those of [`Drive::follow`], and write errors.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     let mut files = OutputFiles::new();
     let details = args.out.with_extension("jsonl");
@@ -426,7 +430,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     Ok(CommandOutcome::Done)
 }
 
-/// A line for each frame at which the pose is known; `{}` of an f64 has all of its digits.
+/// Writes a line for each frame whose pose is known. `{}` prints an f64 with all of its digits.
 fn write(path: &Path, steps: &[Step]) -> Result<()> {
     write_atomically(path, |file| {
         for s in steps.iter().filter(|s| s.is_known()) {
@@ -467,7 +471,7 @@ fn candidate(c: &Candidate) -> serde_json::Value {
     })
 }
 
-/// How many frames are known, and how far they are from the log's own poses.
+/// The number of frames with a pose, the changes of state, and the errors against the log's own poses.
 pub fn summary(followed: &Followed) -> String {
     let Followed { steps, reference, .. } = followed;
     let known = steps.iter().filter(|s| s.is_known()).count();

@@ -1,4 +1,4 @@
-//! The `presight` command; everything is in the library of this crate.
+//! The `presight` command. Its code is in this crate's library.
 
 use std::process::ExitCode;
 

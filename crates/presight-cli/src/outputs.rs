@@ -1,4 +1,4 @@
-//! The files that a command is going to write, compared with all that it reads and with each other before it writes any.
+//! Output files of a command. Before any is written, they are checked against the input files and against each other.
 
 use presight::{Error, Result};
 use presight_files::atomic::{is_given, target_of};
@@ -9,32 +9,31 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Files to be written.
+/// The output files of a command.
 #[derive(Debug, Default)]
 pub struct OutputFiles {
-    /// As messages call them, such as `--out a.exr`.
+    /// Values are names for messages, such as `--out a.exr`.
     by_file: HashMap<FileId, String>,
     by_place: HashMap<PathBuf, String>,
     folders: Folders,
 }
 
 impl OutputFiles {
-    /// None; from now on it is noted what is read.
+    /// Starts with no output files, and starts recording input files.
     pub fn new() -> Self {
         inputs::record();
         Self::default()
     }
 
-    /// Adds a file that is named on the command line and holds a format, by the option and the endings of names that the
-    /// format has. Devices and pipes take any name.
+    /// Adds the file of a command line option. Its name must have one of the endings, unless it is a device or pipe.
     ///
     /// # Errors
-    /// [`presight::ErrorKind::Usage`] for `-`, another ending, or a file that is among these already.
+    /// [`presight::ErrorKind::Usage`] for `-`, another ending, or a file that has already been added.
     pub fn add(&mut self, option: &str, path: Option<&Path>, endings: &[&str]) -> Result<()> {
         let Some(path) = path else { return Ok(()) };
         let name = format!("{option} {}", path.display());
         if path == Path::new("-") {
-            return Err(Error::usage(format!("{name}: this is no name of a file"), "/dev/stdout writes to stdout"));
+            return Err(Error::usage(format!("{name}: not a file name"), "use /dev/stdout to write to stdout"));
         }
         let ending = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
         let free = is_given(path) || fs::metadata(path).is_ok_and(|m| !m.is_file());
@@ -47,15 +46,15 @@ impl OutputFiles {
         self.add_named(name, path)
     }
 
-    /// Adds a file that is bound to no ending: a store, or what a command writes into a folder.
+    /// Adds a file with any ending: a store, or a file in an output folder.
     ///
     /// # Errors
-    /// [`presight::ErrorKind::Usage`] for a file that is among these already.
+    /// [`presight::ErrorKind::Usage`] for a file that has already been added.
     pub fn add_any(&mut self, path: &Path) -> Result<()> {
         self.add_named(path.display().to_string(), path)
     }
 
-    /// Adds what a command will write into a folder that is named on the command line.
+    /// Adds the files that a command writes into an output folder.
     ///
     /// # Errors
     /// As [`OutputFiles::add_any`], and for `-`.
@@ -68,36 +67,36 @@ impl OutputFiles {
         let identity = Identity::of(path, &mut self.folders)?;
         if let Some(other) = self.find(&identity) {
             let what = format!("{name}: the same file as {other}");
-            return Err(Error::usage(what, "give each a file of its own"));
+            return Err(Error::usage(what, "give each its own file"));
         }
         self.by_file.extend(identity.file.map(|file| (file, name.clone())));
         self.by_place.extend(identity.place.map(|place| (place, name)));
         Ok(())
     }
 
-    /// The output that is this file.
+    /// The name of the output with this identity.
     fn find(&self, identity: &Identity) -> Option<&String> {
         let by_file = identity.file.as_ref().and_then(|file| self.by_file.get(file));
         by_file.or_else(|| identity.place.as_ref().and_then(|place| self.by_place.get(place)))
     }
 
-    /// That none is a file that will be read: before any work.
+    /// Checks before any work that no output is one of these input files.
     ///
     /// # Errors
-    /// [`presight::ErrorKind::Usage`] naming both.
+    /// [`presight::ErrorKind::Usage`] naming the output and the input.
     pub fn check_named<'a>(&self, inputs: impl IntoIterator<Item = &'a Path>) -> Result<()> {
         for input in inputs {
             let identity = Identity::of(input, &mut Folders::new())?;
             if let Some(output) = self.find(&identity) {
-                let what = format!("{output}: this would overwrite {}, which is read", input.display());
+                let what = format!("{output}: this would overwrite {}, an input file", input.display());
                 return Err(Error::usage(what, "write elsewhere"));
             }
         }
         Ok(())
     }
 
-    /// That none is a file that was read, by whatever included it: before the first is written. They are given up here: some
-    /// systems replace no file that is open.
+    /// Checks before the first write that no output is a file that has been read, even indirectly. Consumes `self` to
+    /// close its handles: some systems cannot replace an open file.
     ///
     /// # Errors
     /// As [`OutputFiles::check_named`].
@@ -105,39 +104,39 @@ impl OutputFiles {
         if self.by_file.is_empty() && self.by_place.is_empty() {
             return Ok(());
         }
-        // No store is open now: whoever closes one, even a second time, gives up this process's locks on it.
+        // No store may be open here: closing any handle to its file drops this process's locks on it.
         self.check_named(inputs::so_far().iter().map(PathBuf::as_path))
     }
 }
 
-/// That a store or a folder, which no format binds to an ending, is not meant to be stdout.
+/// Refuses `-` as the name of a store or folder, which cannot be written to stdout.
 ///
 /// # Errors
 /// [`presight::ErrorKind::Usage`] for `-`.
 pub fn check_no_dash(path: &Path) -> Result<()> {
     if path == Path::new("-") {
-        let remedy = "name a file or folder; ./- if that is its name, and /dev/stdout where one file is written";
-        return Err(Error::usage("-: stdout takes no store and no folder", remedy));
+        let remedy = "name a file or folder: ./- if that is its name, /dev/stdout to write a single file";
+        return Err(Error::usage("-: cannot write a store or folder to stdout", remedy));
     }
     Ok(())
 }
 
-/// Which file a path leads to, however it is spelled. Nothing for devices, pipes and folders.
+/// The file behind a path, independent of spelling and links. Both fields are `None` for devices, pipes and folders.
 #[derive(Debug)]
 struct Identity {
-    /// If it is there and may be read.
+    /// Set if the file exists and is readable.
     file: Option<FileId>,
-    /// Folder and name without links.
+    /// Set otherwise: the path with links resolved.
     place: Option<PathBuf>,
 }
 
-/// Folders without links, by how they are given.
+/// Folders with links resolved, by the path as given.
 type Folders = HashMap<PathBuf, PathBuf>;
 
 impl Identity {
     fn of(path: &Path, folders: &mut Folders) -> Result<Self> {
         match fs::metadata(path) {
-            // Two that are there at different places may be one; one that cannot be read was not read.
+            // Existing files are compared by id because of hard links. An unreadable file cannot be an input.
             Ok(metadata) if metadata.is_file() => match id_of(path) {
                 Ok(file) => Ok(Self { file: Some(file), place: None }),
                 Err(e) if e.kind() == io::ErrorKind::PermissionDenied => {
@@ -151,7 +150,7 @@ impl Identity {
     }
 }
 
-/// Device and inode: without open files, of which there may be few.
+/// Device and inode. Unlike a [`Handle`] they keep no file open: the number of open files is limited.
 #[cfg(unix)]
 type FileId = (u64, u64);
 
@@ -168,11 +167,11 @@ fn id_of(path: &Path) -> io::Result<FileId> {
     Handle::from_path(path)
 }
 
-/// Where a file would come to be.
+/// The resolved path at which a new file would be created.
 fn new_place(path: &Path, folders: &mut Folders) -> Option<PathBuf> {
     let target = std::path::absolute(target_of(path).ok()?).ok()?;
     let (folder, name) = (target.parent()?, target.file_name()?);
-    // Many files go into few folders.
+    // Cache the folders: many files go into few folders.
     if !folders.contains_key(folder) {
         let real = fs::canonicalize(folder).unwrap_or_else(|_| folder.to_owned());
         folders.insert(folder.to_owned(), real);

@@ -1,28 +1,28 @@
-//! Files of one prediction are written while the next is made.
+//! Writes the files of one prediction while the next one is computed.
 
 use presight::{Error, ErrorKind, Result};
 use std::sync::mpsc;
 use std::thread;
 
-/// Makes a value for each number, and writes each, in the same order, on a thread of its own. `make` gets back a value that was
-/// written, whose memory it can take; there are never more than two.
+/// Makes a value for each number, and writes the values in the same order on a second thread. `make` receives a value
+/// that has been written, to reuse its memory; at most two values exist.
 ///
 /// # Errors
-/// The first of `write`, after which nothing more is made or written; else that of `make`, when all before it is written;
-/// [`ErrorKind::System`] if there is no thread to be had.
+/// The first error of `write`, after which nothing more is made or written. Otherwise the error of `make`, after all
+/// earlier values have been written. [`ErrorKind::System`] if the thread cannot be started.
 pub fn make_and_write<T: Send>(
     mut numbers: impl Iterator<Item = usize>,
     mut make: impl FnMut(usize, Option<T>) -> Result<T>,
     mut write: impl FnMut(usize, &mut T) -> Result<()> + Send,
 ) -> Result<()> {
-    // Without room between the threads: a value waits until the one before it is written.
+    // A rendezvous channel: a value waits until the one before it has been written.
     let (made, to_write) = mpsc::sync_channel::<(usize, T)>(0);
     let (written, to_use) = mpsc::channel();
     thread::scope(|scope| {
         let write_all = move || {
             to_write.into_iter().try_for_each(|(number, mut value)| {
                 write(number, &mut value)?;
-                // Nobody takes the last ones.
+                // Nobody receives the last ones.
                 let _ = written.send(value);
                 Ok(())
             })
@@ -34,8 +34,8 @@ pub fn make_and_write<T: Send>(
         })?;
         let all_made = numbers.try_for_each(|number| {
             let value = make(number, to_use.try_recv().ok())?;
-            // The writer is gone after an error, which is returned below.
-            made.send((number, value)).map_err(|_| Error::usage("nothing is written any more", ""))
+            // The writer stops after an error, which is returned below.
+            made.send((number, value)).map_err(|_| Error::usage("the writer has stopped", ""))
         });
         drop(made);
         let all_written = writer.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
@@ -43,10 +43,10 @@ pub fn make_and_write<T: Send>(
     })
 }
 
-/// The same on the caller's thread alone.
+/// As [`make_and_write`], on the caller's thread.
 ///
 /// # Errors
-/// The first of `make` or `write`.
+/// The first error of `make` or `write`.
 pub fn make_then_write<T>(
     mut numbers: impl Iterator<Item = usize>,
     mut make: impl FnMut(usize, Option<T>) -> Result<T>,

@@ -1,4 +1,4 @@
-//! Poses as the command line gives them.
+//! Poses on the command line.
 
 use clap::ValueEnum;
 use glam::{DQuat, DVec3};
@@ -8,7 +8,7 @@ use presight::limits;
 use presight::{Error, Result};
 use std::path::Path;
 
-/// Which axes a pose turns.
+/// The axes of the frame that a pose describes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum PoseFrame {
     /// x forward, y left, z up, for cameras too
@@ -17,16 +17,16 @@ pub enum PoseFrame {
     Optical,
 }
 
-/// Whose pose it is.
+/// The body that a pose describes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum PoseOf {
     /// The sensor's
     Sensor,
-    /// The robot's; the sensor sits on it as its `[mount]` says
+    /// The robot's; the sensor's pose follows from its `[mount]`
     Robot,
 }
 
-/// In which world a pose is.
+/// The world frame of a pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum WorldFrame {
     /// presight's: z up, metres
@@ -35,65 +35,65 @@ pub enum WorldFrame {
     Gltf,
 }
 
-/// The flags by which every command reads poses.
+/// Flags shared by all commands that read poses.
 #[derive(Clone, Debug, clap::Args)]
 pub struct PoseArgs {
-    /// Where the sensor is: x,y,z,roll_deg,pitch_deg,yaw_deg or x,y,z,qx,qy,qz,qw
+    /// Pose of the sensor: x,y,z,roll_deg,pitch_deg,yaw_deg or x,y,z,qx,qy,qz,qw
     ///
     /// Metres; rotation about the fixed axes x, then y, then z; positive pitch looks down, positive yaw to the left.
-    /// Commas or blanks stand between the numbers.
+    /// Numbers are separated by commas or blanks.
     #[arg(long, value_name = "POSE", allow_hyphen_values = true)]
     pose: Option<String>,
 
-    /// Which axes the pose turns
+    /// The axes of the frame that the pose describes
     #[arg(long, value_enum, default_value_t = PoseFrame::Body)]
     pose_frame: PoseFrame,
 
-    /// Whose pose it is [default: sensor, with --robot robot]
+    /// Pose of the sensor or of the robot [default: sensor, with --robot robot]
     #[arg(long, value_enum)]
     pose_of: Option<PoseOf>,
 
-    /// In which world the pose is
+    /// The world frame of the pose
     #[arg(long, value_enum, default_value_t = WorldFrame::ZUp)]
     world_frame: WorldFrame,
 }
 
 impl PoseArgs {
-    /// Reads the numbers.
+    /// Parses `--pose`.
     ///
     /// # Errors
-    /// [`presight::ErrorKind::Usage`] on text, NaN, infinity, what is too far away, a wrong count, or an optical frame of a robot.
+    /// Those of [`parse_pose`] and [`PoseArgs::given`].
     pub fn parse(&self) -> Result<ExternalPose> {
         self.parse_as(PoseOf::Sensor)
     }
 
-    /// As [`PoseArgs::parse`], of a sensor or robot unless the flags say otherwise.
+    /// As [`PoseArgs::parse`], with a default for `--pose-of`.
     pub fn parse_as(&self, of: PoseOf) -> Result<ExternalPose> {
         let meaning = self.given(Pose::IDENTITY, of)?;
         let text = self.pose.as_deref().ok_or_else(|| Error::usage("--pose is missing", REMEDY))?;
         let file = Path::new(text);
         if file.extension().is_some_and(|e| e.eq_ignore_ascii_case("tum")) || file.is_file() {
-            let remedy = "predict --poses FILE takes the poses of a file, one a line";
+            let remedy = "presight predict --poses FILE reads poses from a file, one per line";
             return Err(Error::usage("this is a file, not a pose", remedy).at(format!("--pose {text}")));
         }
         let pose = parse_pose(text).map_err(|e| e.at(format!("--pose {text}")))?;
         Ok(ExternalPose::new(pose).with_frame(meaning.frame).with_of(meaning.of).with_world(meaning.world))
     }
 
-    /// A pose that was read elsewhere, as the flags say that it is meant.
+    /// Interprets a pose from another source according to the flags.
     ///
     /// # Errors
-    /// [`presight::ErrorKind::Usage`] for an optical frame of a robot, or one sensor's pose for all of a robot.
+    /// [`presight::ErrorKind::Usage`] for an optical frame of a robot, or a sensor's pose with `--robot`.
     pub fn given(&self, pose: Pose, of: PoseOf) -> Result<ExternalPose> {
         if of == PoseOf::Robot && self.pose_of == Some(PoseOf::Sensor) {
             let remedy = "drop --pose-of sensor, or give one --sensor";
-            return Err(Error::usage("--pose-of sensor: each sensor of a robot has its own place on it", remedy));
+            return Err(Error::usage("--pose-of sensor: the sensors of a robot have different poses", remedy));
         }
         given_pose(pose, self.pose_frame, self.pose_of.unwrap_or(of), self.world_frame)
     }
 }
 
-/// A pose that means what the flags say.
+/// Interprets a pose according to the flags.
 ///
 /// # Errors
 /// [`presight::ErrorKind::Usage`] for an optical frame of a robot.
@@ -117,10 +117,10 @@ pub fn given_pose(pose: Pose, frame: PoseFrame, of: PoseOf, world: WorldFrame) -
 
 const REMEDY: &str = "give x,y,z,roll_deg,pitch_deg,yaw_deg or x,y,z,qx,qy,qz,qw";
 
-/// Reads `x,y,z,roll_deg,pitch_deg,yaw_deg` or `x,y,z,qx,qy,qz,qw`, with blanks for commas, too.
+/// Parses `x,y,z,roll_deg,pitch_deg,yaw_deg` or `x,y,z,qx,qy,qz,qw`, separated by commas or blanks.
 ///
 /// # Errors
-/// [`presight::ErrorKind::Usage`] on text, NaN, infinity, a wrong count, or a quaternion without length.
+/// [`presight::ErrorKind::Usage`] for text, NaN, infinity, too distant positions, a wrong count, or a zero quaternion.
 pub fn parse_pose(text: &str) -> Result<Pose> {
     let mut numbers = Vec::new();
     let words: Vec<&str> = match text.contains(',') {
@@ -128,14 +128,14 @@ pub fn parse_pose(text: &str) -> Result<Pose> {
         false => text.split_whitespace().collect(),
     };
     for word in words {
-        let number: f64 = word.parse().map_err(|_| Error::usage(format!("{word:?} is no number"), REMEDY))?;
+        let number: f64 = word.parse().map_err(|_| Error::usage(format!("{word:?} is not a number"), REMEDY))?;
         if !number.is_finite() {
             return Err(Error::usage(format!("{word} is not finite"), REMEDY));
         }
         numbers.push(number);
     }
     if let Some(far) = numbers.iter().take(3).find(|x| x.abs() > limits::MAX_COORDINATE) {
-        return Err(Error::usage(format!("{far} m is beyond {:e} m", limits::MAX_COORDINATE), REMEDY));
+        return Err(Error::usage(format!("{far} m exceeds the limit of {:e} m", limits::MAX_COORDINATE), REMEDY));
     }
     match numbers[..] {
         [x, y, z, roll, pitch, yaw] => {
@@ -184,7 +184,7 @@ mod tests {
             "1,2 3 4 5 6",
             "t.tum",
         ];
-        // Squares that overflow: no rotation is left of such a quaternion, and no range of such a place.
+        // Their squares overflow, so such a quaternion has no rotation and such a position no range.
         let huge = ["0,0,0,1e200,0,0,1", "1e300,0,0,0,0,0", "0,-1e13,0,0,0,0,1"];
         for text in wrong.into_iter().chain(huge) {
             let e = given(text).parse().unwrap_err();

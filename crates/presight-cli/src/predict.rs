@@ -1,4 +1,4 @@
-//! `presight predict`: what a sensor at a pose sees.
+//! `presight predict`: the images of a sensor at one or more poses.
 
 use super::deadline::DeadlineArgs;
 use super::engine_args::EngineArgs;
@@ -33,7 +33,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 const EXAMPLES: &str = "Examples:
-  A picture of what a radar sees from 1.2 m above the point (2, 1), looking along +y:
+  A preview image of a radar 1.2 m above the point (2, 1), looking along +y:
     presight predict hall.glb --sensor microwave-radar-image --pose 2,1,1.2,0,0,90 --png view.png
 
   All images of a camera looking 10 degrees down, as OpenEXR:
@@ -43,26 +43,26 @@ const EXAMPLES: &str = "Examples:
     presight predict hall.glb --sensor realsense-d435 --pose 0,0,1,0,0,0 \\
       --points cloud.ply --points-frame world --depth-png depth.png
 
-  Which features are seen, where to look for them, and a picture of them:
+  The visible features, their regions of interest, and a preview of them:
     presight predict hall.glb --sensor video-camera --pose 0,0,1.5,0,10,0 \\
       --layer hall.video.layer.json --pose-cov 0.05,0.05,0,0,0,2 --features seen.json --png seen.png
 
-  Where the floor is free, as polygons in the robot's frame, and a picture of it:
+  The free floor as polygons in the robot's frame, and a preview of it:
     presight predict hall.glb --sensor video-camera --pose 0,0,1.5,0,20,0 \\
       --virtual free-floor --features floor.json --png floor.png
 
-  Depth images along a trajectory as one NumPy array of (poses, rows, columns), and a picture of each:
+  Depth images along a trajectory as one NumPy array of (poses, rows, columns), and a preview of each:
     presight predict hall.glb --sensor realsense-d435 --poses drive.tum \\
       --outputs depth_z --npy depth.npy --png 'drive/{i:06}.png'
 
-  How fast, and what was left out:
+  Timing, and the stages that were skipped:
     presight predict hall.glb --sensor vlp-16 --pose 0,0,1,0,0,0 --repeat 50 --stats stats.json --explain";
 
 /// Predict the images of a sensor at a pose
 ///
-/// Without an output flag a one-line summary is printed. With --poses or --robot the names of files are templates: {i} is the
-/// number of the pose from 0 ({i:06} in six digits), {t} its time stamp as written, {sensor} the sensor. A series that was
-/// interrupted goes on when the same command is given again.
+/// Without an output flag a one-line summary is printed. With --poses or --robot file names are templates: {i} is the
+/// number of the pose from 0 ({i:06} in six digits), {t} its time stamp as written, {sensor} the sensor. To continue an
+/// interrupted series, run the same command again.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -73,29 +73,29 @@ pub struct Args {
     #[arg(long, value_name = "PRESET|FILE", required_unless_present = "robot", conflicts_with = "robot")]
     sensor: Option<String>,
 
-    /// Predict for all sensors of a robot; poses are the robot's
+    /// Predict for all sensors of a robot; poses are those of the robot
     #[arg(long, value_name = "ROBOT.toml")]
     robot: Option<PathBuf>,
 
     #[command(flatten)]
     pose: PoseArgs,
 
-    /// Predict at every pose of a file, `timestamp tx ty tz qx qy qz qw` a line; - reads stdin
+    /// Predict at every pose of a file, one `timestamp tx ty tz qx qy qz qw` per line; - reads stdin
     #[arg(long, value_name = "FILE.tum|-", conflicts_with = "pose")]
     poses: Option<PathBuf>,
 
     #[command(flatten)]
     engine: EngineArgs,
 
-    /// On a GPU, draw first what the sensor's last pose showed: for poses of a drive; the images are the same
+    /// On a GPU, first draw the polygons visible at the previous pose: faster along a drive, with the same images
     #[arg(long, conflicts_with = "deadline_ms")]
     reuse_visible: bool,
 
-    /// How polygons are selected: none, grid, plop, s2d, s3d or two-level; the images are the same with any
+    /// The spatial index that selects polygons: none, grid, plop, s2d, s3d or two-level; all give the same images
     #[arg(long, value_name = "INDEX", default_value = Scheme::default().name())]
     index: Scheme,
 
-    /// Images to predict, of range, depth_z, polygon_id, object_id, cos_incidence, echo, normal, feature_id
+    /// Images to predict, from range, depth_z, polygon_id, object_id, cos_incidence, echo, normal, feature_id
     #[arg(long, value_name = "LIST", default_value = "range,polygon_id,object_id,cos_incidence")]
     outputs: Outputs,
 
@@ -103,22 +103,22 @@ pub struct Args {
     #[arg(long, value_name = "FILE.exr")]
     out: Option<PathBuf>,
 
-    /// Write each image as a NumPy array of (rows, columns), <f4 or <u4, normals of (rows, columns, 3), such as 'run/{i:06}.{output}.npy'
+    /// Write each image as a NumPy array of (rows, columns), <f4 or <u4; normals are (rows, columns, 3)
     ///
-    /// {output} is the image; of one image it may be left out. With --poses and neither {i} nor {t} in the name, the array is of
-    /// (poses, rows, columns).
+    /// An example is 'run/{i:06}.{output}.npy'. {output} is the image; it is optional if there is one image. With
+    /// --poses and neither {i} nor {t} in the name, the array has the shape (poses, rows, columns).
     #[arg(long, value_name = "TEMPLATE.npy")]
     npy: Option<String>,
 
-    /// Write the sensor's unit rays as a NumPy array of (rows, columns, 3), <f8, body axes, NaN where there is no ray
+    /// Write the sensor's unit rays as a NumPy array of (rows, columns, 3), <f8, body axes, NaN without a ray
     #[arg(long, value_name = "FILE.npy")]
     rays: Option<PathBuf>,
 
-    /// Write a preview for people
+    /// Write a preview image for people
     #[arg(long, value_name = "FILE.png")]
     png: Option<PathBuf>,
 
-    /// What the preview shows
+    /// The image shown in the preview
     #[arg(long, value_name = "OUTPUT", default_value = "range", requires = "png")]
     png_of: Output,
 
@@ -128,29 +128,29 @@ pub struct Args {
     #[command(flatten)]
     virtual_sensor: VirtualArgs,
 
-    /// Write a 16-bit depth image in millimetres, 0 = no value (a camera's depth_z, otherwise range)
+    /// Write a 16-bit depth image in millimetres, 0 = no value (depth_z for cameras, otherwise range)
     #[arg(long, value_name = "FILE.png")]
     depth_png: Option<PathBuf>,
 
-    /// Write the seen points as a point cloud; to a device or pipe without an ending as PLY
+    /// Write the visible points as a point cloud; a device or pipe whose name has no ending gets PLY
     ///
-    /// Each has a field for every asked image of range, echo (as intensity), object_id and polygon_id, the normal where it or both
-    /// ids are asked, and the row of a scanner as ring.
+    /// Points have a field for each requested image: range, echo (as intensity), object_id and polygon_id. They have
+    /// normals if `normal` or both ids are requested. Points of scanners have their row as ring.
     #[arg(long, value_name = "FILE.ply|FILE.pcd")]
     points: Option<PathBuf>,
 
-    /// In which frame the points are
+    /// The frame of the points
     #[arg(long, value_enum, default_value_t = PointsFrameArg::Sensor, requires = "points")]
     points_frame: PointsFrameArg,
 
     #[command(flatten)]
     frame: FrameArgs,
 
-    /// What polygon_id numbers: merged polygons of the model, or triangles of the file
+    /// The meaning of polygon_id: merged polygons of the model, or triangles of the file
     #[arg(long, value_enum, default_value_t = IdsArg::Model)]
     ids: IdsArg,
 
-    /// Merge coplanar neighbours within this part of an object's size [default: 1e-6]
+    /// Merge coplanar neighbours within this fraction of an object's size [default: 1e-6]
     #[arg(long, value_name = "X")]
     merge_tolerance: Option<f64>,
 
@@ -158,18 +158,18 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 0)]
     threads: usize,
 
-    /// Print the summary as JSON, an object a line
+    /// Print the summary as JSON, one object per line
     #[arg(long, conflicts_with = "explain")]
     pub json: bool,
 
     #[command(flatten)]
     deadline: DeadlineArgs,
 
-    /// Print what was done, what it cost, what was left out and why
+    /// Print the stages with their times, the counts, and the skipped stages with the reason
     #[arg(long)]
     explain: bool,
 
-    /// Predict N times more after a first one that warms up, and report on these
+    /// Predict N more times after a warm-up prediction, and report on these
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     repeat: Option<u32>,
 
@@ -194,9 +194,9 @@ enum PointsFrameArg {
     World,
 }
 
-/// The arguments, checked as far as they go without touching the world.
+/// The arguments, checked as far as possible without opening the scene.
 pub struct Job {
-    /// With their time stamps as written; without --poses one, with none.
+    /// Poses with their time stamps as written. Without --poses, one pose with an empty stamp.
     pub poses: Vec<(String, ExternalPose)>,
     pub sensors: Vec<Sensor>,
     pub files: OutputFiles,
@@ -212,7 +212,7 @@ impl Args {
         self.deadline.check()?;
         self.check_series()?;
         let import = self.import_options()?;
-        // From here on it is noted what is read.
+        // Records every file read from here on.
         let mut files = OutputFiles::new();
         let (poses, sensors) = (self.given_poses()?, self.sensors()?);
         let names = self.names()?;
@@ -234,22 +234,22 @@ impl Args {
         })
     }
 
-    /// True if there may be more than one prediction.
+    /// Returns true if there can be more than one prediction.
     fn is_series(&self) -> bool {
         self.poses.is_some() || self.robot.is_some()
     }
 
     fn check_series(&self) -> Result<()> {
         if self.reuse_visible && self.poses.is_none() {
-            return Err(Error::usage("--reuse-visible is of a series of poses", "give --poses FILE, or leave it out"));
+            return Err(Error::usage("--reuse-visible needs a series of poses", "give --poses FILE, or drop it"));
         }
         let of_one =
             [("--repeat", self.repeat.is_some()), ("--stats", self.stats.is_some()), ("--explain", self.explain)];
         match of_one.iter().find(|(_, given)| *given && self.is_series()) {
             None => Ok(()),
             Some((flag, _)) => {
-                let what = format!("{flag} is of one sensor at one pose");
-                Err(Error::usage(what, "give --pose and --sensor; --json tells what each pose took"))
+                let what = format!("{flag} works for one sensor at one pose only");
+                Err(Error::usage(what, "give --pose and --sensor; --json reports the time of each pose"))
             }
         }
     }
@@ -262,7 +262,7 @@ impl Args {
         FileNames::new(given, self.npy.as_deref(), self.rays.as_ref(), self.outputs, self.is_series())
     }
 
-    /// Files that are named to be read.
+    /// The input files named on the command line.
     pub fn inputs(&self) -> impl Iterator<Item = &Path> {
         let sensor = self.sensor.as_deref().map(Path::new).or(self.robot.as_deref());
         let poses = self.poses.as_deref().filter(|path| *path != Path::new("-"));
@@ -289,43 +289,43 @@ impl Args {
         let poses = tum::read_with_stamps(path)?;
         let remedy = "give at least one line of timestamp tx ty tz qx qy qz qw";
         if poses.is_empty() {
-            return Err(Error::invalid("there is no pose", remedy).in_file(path));
+            return Err(Error::invalid("the file has no poses", remedy).in_file(path));
         }
         if poses.len() > limits::MAX_SERIES {
             let what = format!("there are {} poses", poses.len());
             return Err(
-                Error::invalid(what, format!("{} are the limit: split the file", limits::MAX_SERIES)).in_file(path)
+                Error::invalid(what, format!("the limit is {}: split the file", limits::MAX_SERIES)).in_file(path)
             );
         }
         poses.into_iter().map(|(stamp, p)| Ok((stamp, self.pose.given(p.pose, of)?))).collect()
     }
 
-    /// The virtual sensor, its reading included.
+    /// The flags of the virtual sensor.
     pub fn virtual_sensor(&self) -> &VirtualArgs {
         &self.virtual_sensor
     }
 
-    /// The deadline.
+    /// The flags of the deadline.
     pub fn deadline(&self) -> &DeadlineArgs {
         &self.deadline
     }
 
-    /// Which features are asked for.
+    /// The flags of features.
     pub fn layers(&self) -> &LayerArgs {
         &self.layers
     }
 
-    /// The model.
+    /// The path of the model.
     pub fn scene(&self) -> &Path {
         &self.scene
     }
 
-    /// How polygons are selected.
+    /// The spatial index.
     pub fn index(&self) -> Scheme {
         self.index
     }
 
-    /// True if EXR files are written.
+    /// Returns true if EXR files are written.
     pub fn writes_exr(&self) -> bool {
         self.out.is_some()
     }
@@ -335,7 +335,7 @@ impl Args {
         match (self.ids, self.merge_tolerance) {
             (IdsArg::Source, Some(_)) => {
                 let remedy = "drop --merge-tolerance or --ids source";
-                Err(Error::usage("--merge-tolerance: source ids are of unmerged triangles", remedy))
+                Err(Error::usage("--merge-tolerance: --ids source leaves triangles unmerged", remedy))
             }
             (IdsArg::Source, None) => Ok(ImportOptions { merge: false, ..default }),
             (IdsArg::Model, given) => {
@@ -344,14 +344,14 @@ impl Args {
         }
     }
 
-    /// Everything asked for by name.
+    /// The outputs named on the command line.
     pub fn asked(&self) -> NamedRequest {
         let of_preview = self.png.as_ref().map(|_| self.png_of);
         let outputs = Outputs::of(&self.outputs.iter().chain(of_preview).collect::<Vec<_>>());
         NamedRequest { outputs, virtual_sensor: self.virtual_sensor.task, preview: self.png.is_some() }
     }
 
-    /// The images to predict: what was asked for, and what the other files are drawn from.
+    /// The images to predict: the requested ones, and those needed for the other files.
     pub fn request(&self, sensor: &Sensor) -> Result<Request> {
         let mut wanted: Vec<Output> = self.outputs.iter().collect();
         if self.png.is_some() {
@@ -363,8 +363,8 @@ impl Args {
             wanted.push(Output::Range);
         }
         if wanted.contains(&Output::DepthZ) && !sensor.is_camera() {
-            let what = format!("depth_z: sensor {:?} is no camera and has no optical axis", sensor.spec().name);
-            return Err(Error::usage(what, "ask for range"));
+            let what = format!("depth_z: sensor {:?} is not a camera and has no optical axis", sensor.spec().name);
+            return Err(Error::usage(what, "use range"));
         }
         if self.depth_png.is_some() {
             wanted.push(png::depth_output(sensor));
@@ -373,11 +373,11 @@ impl Args {
         Ok(self.deadline.add_to(request))
     }
 
-    /// What the prediction and its files take of memory.
+    /// The memory that the prediction and its files need.
     pub fn memory(&self, sensor: &Sensor, request: &Request, predictor: &Predictor) -> FrameMemory {
         let mut images = request.outputs;
-        // What the echo is made of, for which there may be no other reason; more only where reflection factors differ, as is
-        // known when the scene is.
+        // The echo is computed from cos_incidence. It also needs polygon ids if reflection factors differ, which is
+        // known only once the scene is open.
         if images.has(Output::Echo) {
             images = images.with(Output::CosIncidence);
         }
@@ -393,13 +393,13 @@ impl Args {
             exr: self.out.as_ref().map_or(0, |_| self.outputs.numbers() as u64),
             picture: u64::from(picture.0) * u64::from(picture.1),
             depth_png: self.depth_png.is_some(),
-            // Positions in f64, and normals.
+            // Bytes per point: a position in f64, and a normal in f32.
             points: self.points.as_ref().map_or(0, |_| 24 + if self.normals() { 12 } else { 0 }),
             reading: self.virtual_sensor.bytes_by_pixel(self.layers.writes_something()),
         }
     }
 
-    /// Points get normals where they are asked for, or which polygons they are on.
+    /// Returns true if points get normals: if these are requested, or both ids, from which they follow.
     fn normals(&self) -> bool {
         self.outputs.has(Output::Normal) || self.outputs.has(Output::PolygonId) && self.outputs.has(Output::ObjectId)
     }
@@ -419,7 +419,7 @@ impl Args {
 /// Runs the command.
 ///
 /// # Errors
-/// Wrong usage, those of scene and sensor, of the engine, and of writing.
+/// Wrong usage; errors from reading the scene and sensor, from the engine, and from writing files.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     let job = args.check()?;
     if args.is_series() { predict_poses::run(args, job) } else { run_one(args, job) }
@@ -441,7 +441,7 @@ fn run_one(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     }
     let request = layers.as_ref().map_or(request.clone(), |layers| layers.add_to(request));
     let settings = args.virtual_sensor.settings(&scene, &sensor, &world_from_sensor, &mut predictor)?;
-    // What the scene has left.
+    // Check again: the scene has taken some of the memory.
     memory::require(frame.bytes())?;
     let start = Instant::now();
     let mut prediction = predictor.predict(&scene.world, &sensor, &world_from_sensor, &request)?;
@@ -477,7 +477,7 @@ fn run_one(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     job.names.rays(&sensor)?.iter().try_for_each(|path| npy::write_rays(path, &sensor))?;
     if let Some(path) = &args.stats {
         let json = serde_json::to_string_pretty(&statistics)
-            .map_err(|e| Error::invalid(format!("statistics are no JSON: {e}"), "").in_file(path))?;
+            .map_err(|e| Error::invalid(format!("cannot write the statistics as JSON: {e}"), "").in_file(path))?;
         write_atomically(path, |file| writeln!(file, "{json}"))?;
     }
     let summary = Summary::of(&scene, &prediction);
@@ -492,18 +492,18 @@ fn run_one(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     Ok(CommandOutcome::Done)
 }
 
-/// What files show beside images and features.
+/// Data for output files that the prediction itself does not hold.
 pub struct Shown {
-    /// What the regions of interest are of.
+    /// The options of the regions of interest.
     pub boxes: Option<BoxOptions>,
-    /// Sides of patches, as pictures show them.
+    /// Sides of partly visible patches, drawn in previews.
     pub sides: Vec<SeenFeature>,
-    /// Of the virtual sensor.
+    /// The virtual sensor's reading.
     pub reading: Option<VirtualReading>,
 }
 
 impl Shown {
-    /// Of a prediction with these layers and settings.
+    /// Computes the data from a prediction with these layers and settings.
     pub fn of(
         args: &Args,
         scene: &Scene,
@@ -520,7 +520,7 @@ impl Shown {
     }
 }
 
-/// Writes all files of a prediction but arrays; `sides` are of patches that are seen in part.
+/// Writes all files of a prediction except NumPy arrays.
 pub fn write_files(
     args: &Args,
     paths: &Paths,
@@ -575,7 +575,7 @@ pub fn write_files(
     Ok(())
 }
 
-/// What an EXR file says besides the pose.
+/// The attributes of an EXR file that do not depend on the pose.
 pub fn attributes(args: &Args, scene: &Scene, sensor: &Sensor) -> Result<exr::Attributes> {
     let objects = scene.world.environment().objects();
     Ok(exr::Attributes {

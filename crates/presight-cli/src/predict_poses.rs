@@ -1,4 +1,4 @@
-//! `presight predict --poses`, `--robot`: many predictions in one world, with one predictor.
+//! `presight predict --poses` and `--robot`: many predictions in one world, with one predictor.
 
 use super::file_names::{FileNames, Paths};
 use super::layers::Layers;
@@ -20,15 +20,15 @@ use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// Predicts at every pose for every sensor, and writes what is not yet written.
+/// Predicts at every pose for every sensor, and writes the files that are missing.
 ///
 /// # Errors
-/// Those of scene and sensors, of the engine, and of writing. What was written before stays, and the same command goes on.
+/// Errors from reading, from the engine, and from writing. Finished files are kept, and the same command continues.
 pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     let requests = job.sensors.iter().map(|s| args.request(s)).collect::<Result<Vec<Request>>>()?;
     let mut predictor = Predictor::new(job.options.clone())?;
     args.deadline().read_costs(&mut predictor)?;
-    // With one thread everything is done in turns; otherwise a frame is written while the next one is made.
+    // With more than one thread, a frame is written while the next one is predicted.
     let overlapped = job.import.threads.count()? > 1;
     let frames = job.sensors.iter().zip(&requests).map(|(s, request)| args.memory(s, request, &predictor));
     let largest = of_frames(frames, if overlapped { 2 } else { 1 });
@@ -39,7 +39,7 @@ pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     for (sensor, request) in sensors.into_iter().zip(requests) {
         setups.push(Setup::new(args, &scene, sensor, request)?);
     }
-    // What the scene has left.
+    // Check again: the scene has taken some of the memory.
     memory::require(largest)?;
     let files = std::mem::take(&mut job.files);
     files.check_read()?;
@@ -73,7 +73,7 @@ pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     Ok(CommandOutcome::Done)
 }
 
-/// What predictions of all sensors take, of which so many are kept, and work on one.
+/// The memory for `kept` predictions of all sensors, and for the work on one of them, bytes.
 fn of_frames(frames: impl Iterator<Item = FrameMemory>, kept: u64) -> u64 {
     let (mut images, mut work) = (0, 0);
     for frame in frames {
@@ -83,10 +83,10 @@ fn of_frames(frames: impl Iterator<Item = FrameMemory>, kept: u64) -> u64 {
     images + work
 }
 
-/// A sensor with what its predictions need.
+/// A sensor with its request, features and EXR attributes.
 struct Setup {
     sensor: Sensor,
-    /// The images, without features.
+    /// The request for images, without features.
     request: Request,
     layers: Option<Layers>,
     attributes: Option<exr::Attributes>,
@@ -103,17 +103,17 @@ impl Setup {
     }
 }
 
-/// A prediction with all that is written of it.
+/// A prediction with the data for its files.
 struct Frame {
     prediction: Prediction,
     shown: Shown,
     attributes: Option<exr::Attributes>,
-    /// How long it took, and on which engine.
+    /// Time of the prediction, milliseconds.
     ms: f64,
     engine: String,
 }
 
-/// Arrays of all poses, of one sensor.
+/// The arrays of one sensor that hold all poses.
 type Stacks = Vec<(Output, Stack)>;
 
 /// Predictions at all poses.
@@ -130,7 +130,7 @@ impl Series<'_> {
         self.names.paths(&Names { index, stamp, sensor: &sensor.spec().name, output: "" })
     }
 
-    /// What an interrupted series left, with the arrays that it was filling; `None` if nothing is written.
+    /// Opens the record of an interrupted series and its unfinished arrays; `None` if the series writes no files.
     fn progress(&self, setups: &[Setup]) -> Result<(Option<SeriesProgress>, Vec<Stacks>)> {
         if !self.names.write_predictions() {
             return Ok((None, Vec::new()));
@@ -158,12 +158,12 @@ impl Series<'_> {
         progress.keep_while(|i| kept && setups.iter().all(|setup| are_there(setup, i)))?;
         print::finished_before(&progress, self.poses.len());
         if progress.replaced() {
-            print::message("note: another series was left unfinished here; all files are written anew");
+            print::message("note: another series was left unfinished here; writing all files again");
         }
         Ok((Some(progress), stacks))
     }
 
-    /// The record of what is finished: beside the first file.
+    /// The path of the record of finished poses, in the folder of the first file.
     fn record(&self, setups: &[Setup]) -> Result<PathBuf> {
         let paths = self.paths(&setups[0].sensor, 0)?;
         let named = [paths.out, paths.png, paths.depth_png, paths.mask, paths.points, paths.features];
@@ -171,14 +171,14 @@ impl Series<'_> {
             named.into_iter().flatten().chain(paths.npy.into_iter().map(|(_, path)| path)).collect();
         let regular = |path: &&PathBuf| path.metadata().map_or(true, |m| m.is_file());
         let Some(first) = all.iter().find(regular) else {
-            let what = "a series writes files, and only devices and pipes are named";
+            let what = "a series needs an output file, and only devices and pipes are named";
             return Err(Error::usage(what, "name a file, or give one --pose"));
         };
         let hash = blake3::hash(format!("{all:?}").as_bytes()).to_hex();
         Ok(first.parent().unwrap_or(Path::new("")).join(format!(".presight-{}.series", &hash[..12])))
     }
 
-    /// A hash over all that the files depend on.
+    /// A hash over all inputs of the files.
     fn job(&self, setups: &[Setup]) -> Result<String> {
         let mut hasher = blake3::Hasher::new();
         let environment = self.scene.world.environment();
@@ -197,7 +197,7 @@ impl Series<'_> {
         Ok(hasher.finalize().to_hex().to_string())
     }
 
-    /// Predicts at one pose for one sensor, into the memory of an older prediction.
+    /// Predicts at one pose for one sensor, reusing the memory of an older prediction.
     fn predict(
         &self,
         predictor: &mut Predictor,
@@ -229,7 +229,7 @@ impl Series<'_> {
         Ok(Frame { prediction, shown, attributes: attributes.clone(), ms, engine: predictor.engine_name() })
     }
 
-    /// Writes the files of a prediction, and prints its line.
+    /// Writes the files of a prediction, and prints its summary.
     fn write(&self, frame: &Frame, stacks: Option<&mut Stacks>, index: usize) -> Result<()> {
         let Frame { prediction, shown, attributes, ms, engine } = frame;
         let paths = self.paths(&prediction.sensor, index)?;

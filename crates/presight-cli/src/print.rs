@@ -1,4 +1,4 @@
-//! Printing that survives a reader who went away.
+//! Printing to stdout and stderr that tolerates closed pipes.
 
 use presight::io::series::SeriesProgress;
 use presight::limits;
@@ -6,7 +6,7 @@ use presight::{Error, ErrorKind, Result};
 use presight_model::printable::{clipped, printable};
 use std::io::{self, Write};
 
-/// Prints lines for people to stdout: names in them cannot break a line, or drive the terminal.
+/// Prints lines for people to stdout. Escapes control characters: names cannot break a line or control the terminal.
 ///
 /// # Errors
 /// As [`data`].
@@ -19,10 +19,10 @@ pub fn lines<S: AsRef<str>>(lines: impl IntoIterator<Item = S>) -> Result<()> {
     data(&text)
 }
 
-/// Prints a text to stdout as it is. A closed pipe (`presight sensors | head -1`) is no error: nobody wants more.
+/// Prints text to stdout unchanged. A closed pipe is not an error: see `presight sensors | head -1`.
 ///
 /// # Errors
-/// [`ErrorKind::System`] if stdout cannot be written for another reason (a full disk behind it).
+/// [`ErrorKind::System`] if writing to stdout fails for another reason, such as a full disk.
 pub fn data(text: &str) -> Result<()> {
     let mut out = io::stdout().lock();
     match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
@@ -34,22 +34,22 @@ pub fn data(text: &str) -> Result<()> {
     }
 }
 
-/// Prints one line to stderr, printable and of bounded length. If stderr is gone nobody can be told.
+/// Prints one line to stderr, escaped and of bounded length. Errors are ignored: there is nowhere to report them.
 pub fn message(line: &str) {
-    // An error has four parts.
+    // An error has up to four parts of MAX_SHOWN each.
     let line = clipped(line, 5 * limits::MAX_SHOWN);
     let _ = writeln!(io::stderr().lock(), "{}", printable(&line));
 }
 
-/// Tells what an interrupted run of a series left, if anything.
+/// Prints how many poses an interrupted run has finished, if any.
 pub fn finished_before(progress: &SeriesProgress, count: usize) {
     if progress.finished() > 0 {
         let finished = progress.finished();
-        message(&format!("note: {finished} of {count} poses are finished already; this goes on with the others"));
+        message(&format!("note: {finished} of {count} poses are already finished; continuing with the rest"));
     }
 }
 
-/// Prints things to know that stopped nothing, one line each.
+/// Prints notices, one line each.
 pub fn notices<'a>(notices: impl IntoIterator<Item = &'a String>) {
     for notice in notices {
         message(&format!("note: {notice}"));

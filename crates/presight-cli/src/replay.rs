@@ -1,4 +1,4 @@
-//! `presight replay`: a drive as pictures, and a page to leaf through them.
+//! `presight replay`: a drive as images, with a page to browse them.
 
 use super::localize::{Drive, FeatureCounts, Followed, Sensed, summary};
 use super::outputs::OutputFiles;
@@ -22,22 +22,22 @@ const EXAMPLES: &str = "Examples:
   presight replay livingroom --map livingroom/livingroom_map.glb --init reference --stride 4 --out flight
   presight replay run --map hall.glb --init reference --layer edges.json --out drive";
 
-/// Show a drive: a picture for each frame, and a page to leaf through them
+/// Show a drive: an image for each frame, and a page to browse them
 ///
-/// The robot is followed as `localize` does. DIR gets frames/*.png - predicted, sensed, and the verdict of each pixel - and
-/// index.html with the trajectory, states, and how far off and how sure the poses are. With --layer they show its features and the
-/// regions of interest in which they are looked for, and of grey images, and of scans with intensities, what was matched.
+/// Tracks the robot as `localize` does. DIR gets frames/*.png with predicted and measured ranges and the verdict of
+/// each pixel, and index.html with the trajectory, the states, and the errors and uncertainty of the poses. With
+/// --layer the images show its features, their regions of interest, and their matches in grey images and scans.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
     #[command(flatten)]
     drive: Drive,
 
-    /// How far off the log's own poses may be, one standard deviation, metres: it counts in the NEES
+    /// Standard deviation of the log's own positions, metres: part of the NEES
     #[arg(long, value_name = "METRES", default_value_t = 0.0)]
     reference_sigma: f64,
 
-    /// Likewise, degrees
+    /// Standard deviation of the log's own orientations, degrees: part of the NEES
     #[arg(long, value_name = "DEG", default_value_t = 0.0)]
     reference_sigma_deg: f64,
 
@@ -46,7 +46,7 @@ pub struct Args {
     out: PathBuf,
 }
 
-/// Colours of verdicts: quiet where all is as it should be, and told apart by people who see no red or no green.
+/// Colours of verdicts: muted for confirmed pixels, and distinguishable with red-green colour blindness.
 const LEGEND: [(&str, [u8; 3]); 7] = [
     ("confirmed", [0x2f, 0x6f, 0x5e]),
     ("nearer", [0xff, 0x8c, 0x42]),
@@ -57,7 +57,7 @@ const LEGEND: [(&str, [u8; 3]); 7] = [
     ("not predicted", [0xcc, 0x79, 0xa7]),
 ];
 
-/// Predicted features of a grey image or a scan by class, and what was found, likewise.
+/// Colours of predicted features by class, and of detections.
 const FEATURES: [(&str, [u8; 3]); 6] = [
     ("matched", [0x00, 0xd0, 0x9c]),
     ("occluded", [0xff, 0x8c, 0x42]),
@@ -70,7 +70,7 @@ const FEATURES: [(&str, [u8; 3]); 6] = [
 /// Runs the command.
 ///
 /// # Errors
-/// Those of following the log, of layers, and of writing.
+/// Those of [`Drive::follow`], and errors from reading layers and from writing.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     for (flag, sigma) in
         [("--reference-sigma", args.reference_sigma), ("--reference-sigma-deg", args.reference_sigma_deg)]
@@ -98,7 +98,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         Ok(())
     })?;
     if pictures.is_empty() {
-        return Err(Error::invalid("there is no frame to show", "give an earlier --from").in_file(&args.drive.log));
+        return Err(Error::invalid("there are no frames to show", "give an earlier --from").in_file(&args.drive.log));
     }
     let extra = (args.reference_sigma, args.reference_sigma_deg.to_radians());
     let leaves: Vec<Leaf> = (0..pictures.len()).map(|k| leaf(&followed, k, &pictures[k], extra)).collect();
@@ -110,7 +110,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     Ok(CommandOutcome::Done)
 }
 
-/// Predicts once more where the robot was found to be, and draws.
+/// Predicts again at the estimated pose, and draws the comparison.
 struct Painter {
     predictor: Predictor,
     features: Option<FeatureOptions>,
@@ -120,7 +120,7 @@ impl Painter {
     fn new(args: &Args, scene: &Scene, sensed: &Sensed<'_>) -> Result<Self> {
         let threads = presight::Threads::from(args.drive.threads).started()?;
         let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads))?;
-        // Features of grey images are drawn over these.
+        // In logs with grey images, features are drawn over the grey image.
         let own = sensed.grey().is_none();
         let placed = own.then(|| args.drive.placed(scene, sensed.frame.sensor())).transpose()?.flatten();
         Ok(Self {
@@ -189,7 +189,7 @@ impl Painter {
     }
 }
 
-/// What was predicted in a grey image in the colours of its classes, and over it what was found.
+/// Marks for a grey image: predicted features in the colours of their classes, with detections on top.
 fn marks(findings: &Findings) -> Vec<GreyMark> {
     let kind = |name: &str| FEATURES.iter().position(|(known, _)| *known == name).unwrap_or_default();
     let mark = |shape: &Shape, kind: usize, radius: f64| GreyMark { points: shape.points().to_vec(), kind, radius };
@@ -201,7 +201,7 @@ fn marks(findings: &Findings) -> Vec<GreyMark> {
     marks
 }
 
-/// The same of reflectors in a scan of one row, from above: where each was predicted, and where one was found.
+/// Marks for a top view of a scan of one row: predicted and detected reflectors.
 fn plan(findings: &Findings, sensor: &Sensor, world_from_sensor: &Pose) -> Vec<GreyMark> {
     let kind = |name: &str| FEATURES.iter().position(|(known, _)| *known == name).unwrap_or_default();
     let sensor_from_world = world_from_sensor.inverse();
@@ -223,7 +223,7 @@ fn plan(findings: &Findings, sensor: &Sensor, world_from_sensor: &Pose) -> Vec<G
     predicted.chain(only).chain(matched).collect()
 }
 
-/// What the page tells of a frame. `extra` is what the log's own poses may be off, metres and radians.
+/// The page's data of a frame. `extra` is the standard deviation of the log's own poses, metres and radians.
 fn leaf(followed: &Followed, k: usize, picture: &str, extra: (f64, f64)) -> Leaf {
     let (step, counts) = (&followed.steps[k], &followed.counts[k]);
     let truth: Option<Pose> = followed.reference[k];

@@ -1,4 +1,4 @@
-//! `presight report`: studies as pages.
+//! `presight report`: studies as HTML pages.
 
 use super::bar::bar;
 use super::frame_args::FrameArgs;
@@ -19,23 +19,23 @@ use std::path::{Path, PathBuf};
 
 const EXAMPLES: &str = "Examples:
   presight report hall.glb --out study                     index.html, work_precision.csv, report.json
-  presight report hall.glb --out study --quick             in well under a minute
+  presight report hall.glb --out study --quick             less than a minute
   presight report hall.glb --sensor my-camera.toml --out study
-  presight report --stability --out study                  every engine against a hundred digits: stability.csv
+  presight report --stability --out study                  every engine against 100-digit arithmetic: stability.csv
 
-Exit status: 1 if a path that is to be exact shows pixels that no rounding explains, or an error leaves its bound.";
+Exit status: 1 if an exact path differs by more than rounding, or an error exceeds its bound.";
 
-/// Measure error against run time, or where errors leave their bounds, and say what to take
+/// Measure error against run time and recommend settings, or check error bounds with --stability
 ///
-/// Every engine and every knob that trades the one for the other: resolution, part of the image, ray table, index,
-/// visibility of features, regions of interest. Errors are against the reference engine.
+/// Measures every engine and every setting that trades error for run time: resolution, part of the image, ray table,
+/// index, visibility of features, regions of interest. Errors are relative to the reference engine.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
     /// The models: .glb or .gltf files, .rhai scripts, or stores
     scenes: Vec<PathBuf>,
 
-    /// Instead, how far errors keep to their bounds in stiff and extreme cases of its own; faults end with status 1
+    /// Check error bounds in built-in ill-conditioned and extreme cases; exit status 1 if there are faults
     #[arg(long, conflicts_with_all = ["scenes", "sensors", "poses", "seed"])]
     stability: bool,
 
@@ -46,34 +46,34 @@ pub struct Args {
     #[command(flatten)]
     frame: FrameArgs,
 
-    /// Fewer poses, runs and draws: under a minute on two cores
+    /// Use fewer poses, runs and random samples: less than a minute on two cores
     #[arg(long)]
     quick: bool,
 
-    /// With this sensor; may be given again [default: video-camera, vlp-16, and a fisheye camera if not --quick]
+    /// Use this sensor; repeatable [default: video-camera, vlp-16, and without --quick a fisheye camera]
     #[arg(long = "sensor", value_name = "PRESET|FILE")]
     sensors: Vec<String>,
 
-    /// Poses of the sensors, instead of free ones: lines of timestamp tx ty tz qx qy qz qw
+    /// Use these poses of the sensors instead of free ones: lines of timestamp tx ty tz qx qy qz qw
     #[arg(long, value_name = "FILE.tum")]
     poses: Option<PathBuf>,
 
-    /// Which free poses
+    /// Seed of the random free poses
     #[arg(long, value_name = "N", default_value_t = 1, conflicts_with = "poses")]
     seed: u64,
 }
 
-/// What studies write.
+/// The files of each study.
 const STABILITY: [&str; 3] = ["index.html", "stability.csv", "report.json"];
 const WORK_PRECISION: [&str; 3] = ["index.html", "work_precision.csv", "report.json"];
 
-/// Free poses in a full study; a quick one has one.
+/// Number of free poses in a full study. A quick one has one.
 const POSES: usize = 3;
 
-/// Runs the command: each study has a function of its own here.
+/// Runs the command.
 ///
 /// # Errors
-/// Wrong usage, those of scenes and sensors, of predictions, and of writing.
+/// Wrong usage; errors from reading scenes and sensors, from predictions, and from writing.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     let mut files = OutputFiles::new();
     files.add_folder(&args.out, &if args.stability { STABILITY } else { WORK_PRECISION })?;
@@ -138,7 +138,7 @@ fn work_precision(args: &Args, files: OutputFiles) -> Result<CommandOutcome> {
     Ok(if findings.faults() == 0 { CommandOutcome::Done } else { CommandOutcome::Found })
 }
 
-/// As it was given; what is no UTF-8 is replaced.
+/// The arguments of the process. Invalid UTF-8 is replaced.
 fn command_line() -> Vec<String> {
     std::env::args_os().map(|arg| arg.to_string_lossy().into_owned()).collect()
 }
@@ -158,8 +158,8 @@ fn summary(folder: &Path, findings: &Findings) -> impl Iterator<Item = String> {
 impl Args {
     fn study(&self) -> Result<Study> {
         if self.scenes.is_empty() {
-            let remedy = "name one or more: .glb, .gltf, .rhai or a store";
-            return Err(Error::usage("there is no scene to measure", remedy));
+            let remedy = "give one or more: .glb, .gltf, .rhai or a store";
+            return Err(Error::usage("no scene is given", remedy));
         }
         let sensors = self.sensors()?;
         let given = self.poses.as_deref().map(folder::poses).transpose()?;

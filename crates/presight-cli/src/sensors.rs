@@ -1,4 +1,4 @@
-//! `presight sensors`: the sensors that are built in.
+//! `presight sensors`: the built-in sensors.
 
 use super::{CommandOutcome, print};
 use presight::Result;
@@ -7,7 +7,7 @@ use presight::sensor::PRESETS;
 
 const EXAMPLES: &str = "Examples:
   presight sensors
-  presight sensors video-camera > my-camera.toml     then edit it, and use it with --sensor my-camera.toml";
+  presight sensors video-camera > my-camera.toml     edit it, then pass --sensor my-camera.toml";
 
 /// List the built-in sensors, or print one as sensor TOML
 #[derive(Debug, clap::Args)]
@@ -33,7 +33,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     Ok(CommandOutcome::Done)
 }
 
-/// One line a preset: name, size, class, range, and the first sentence of its comment.
+/// One line per preset: name, size, class, range, and the first sentence of its comment.
 fn list() -> Result<String> {
     let width = PRESETS.iter().map(|p| p.name.len()).max().unwrap_or(0);
     let mut text = String::new();

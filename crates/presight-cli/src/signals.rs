@@ -1,7 +1,7 @@
-//! What the command does when it is told to end.
+//! Handling of signals that end the process.
 
-/// From now on nothing half written is left behind by an interrupt or a request to end, and a write beyond the limit on
-/// files' sizes fails as on a full disk.
+/// Installs signal handlers: SIGINT and SIGTERM remove half-written files before the process ends, and a write beyond
+/// the file size limit fails with an error, as on a full disk.
 #[cfg(unix)]
 pub fn listen() {
     use signal_hook::consts::{SIGINT, SIGTERM, SIGXFSZ};
@@ -11,20 +11,19 @@ pub fn listen() {
     use std::sync::Arc;
     use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
-    // That it is taken at all is what makes the write fail; nobody reads the flag. Without it, as without what follows, the
-    // process ends as it always did.
+    // A handler for SIGXFSZ makes the write fail; nobody reads the flag. If a step below fails, default actions remain.
     let _ = flag::register(SIGXFSZ, Arc::<AtomicBool>::default());
     let Ok((mut told, tell)) = UnixStream::pair() else { return };
     let last = Arc::new(AtomicUsize::new(0));
     let signal = Arc::clone(&last);
     let wait = move || {
-        // Ends without a byte if nothing is left that could send one.
+        // Fails without a byte once all senders are dropped.
         if told.read_exact(&mut [0]).is_ok() {
             let _nothing_new = presight_files::temporary::abandon();
             let _ = low_level::emulate_default_handler(signal.load(Ordering::Relaxed) as i32);
         }
     };
-    // Before anything is registered: without the thread a signal would have no effect.
+    // Start the thread before registering handlers: without it a signal would have no effect.
     if std::thread::Builder::new().name("signals".into()).spawn(wait).is_err() {
         return;
     }
@@ -38,7 +37,7 @@ pub fn listen() {
 #[cfg(not(unix))]
 pub fn listen() {}
 
-/// True for a signal that this process was told to let pass, as shells tell those in the background.
+/// Returns true if this process ignores the signal. Shells start background processes with SIGINT ignored.
 #[cfg(unix)]
 fn is_ignored(signal: i32) -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();

@@ -1,4 +1,4 @@
-//! `presight simulate`: a log of what a robot's depth camera or scanner would measure on a drive.
+//! `presight simulate`: a simulated log of a robot's depth camera or scanner on a drive.
 
 use super::outputs::OutputFiles;
 use super::{CommandOutcome, folder, open_scene};
@@ -24,27 +24,27 @@ const EXAMPLES: &str = "Examples:
   presight simulate hall.glb --sensor laser.toml --grey video-camera --poses drive.tum --out both
   presight localize both --map hall.glb --sensor both/sensor.toml --layer edges.json --init reference --out both.tum";
 
-/// The log of a scanner.
+/// File name of a scanner's log.
 const SCANS: &str = "scans.jsonl";
-/// Blur of a camera that is in focus, one standard deviation, pixels.
+/// Blur of a camera in focus, one standard deviation, pixels.
 const BLUR: f64 = 0.7;
 
-/// Simulate a log: depth images of a drive with noise, drop-outs and mixed pixels, and the truth beside them
+/// Simulate a log: depth images or scans of a drive with noise, drop-outs and mixed pixels, and the true poses
 ///
-/// DIR gets what `localize` reads - camera.json, depth/*.png, poses.txt - and sensor.toml. Depths are whole millimetres. With
-/// --grey it gets grey images of a second camera, too: grey/*.png and grey.toml. Their light is at that camera. The same seed
-/// gives the same log.
+/// DIR gets the files that `localize` reads - camera.json, depth/*.png, poses.txt, or scans.jsonl for a scanner - and
+/// sensor.toml. Depths are whole millimetres. With --grey it also gets grey images of a second camera, grey/*.png and
+/// grey.toml, lit from that camera. The same seed gives the same log.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
     /// The model: a .glb or .gltf file, a .rhai script, or a store
     scene: PathBuf,
 
-    /// The camera or the scanner, with its noise and mount
+    /// The camera or scanner, with its noise and mount
     #[arg(long, value_name = "PRESET|FILE")]
     sensor: String,
 
-    /// A camera beside it, whose grey images are simulated, too
+    /// Also simulate grey images of this camera
     #[arg(long, value_name = "PRESET|FILE")]
     grey: Option<String>,
 
@@ -52,7 +52,7 @@ pub struct Args {
     #[arg(long, value_name = "VALUE", default_value_t = 0.01)]
     grey_noise: f64,
 
-    /// Write the intensities of a scanner's echoes, too
+    /// Also write the intensities of a scanner's echoes
     #[arg(long)]
     intensities: bool,
 
@@ -60,7 +60,7 @@ pub struct Args {
     #[arg(long, value_name = "VALUE", default_value_t = 0.03, requires = "intensities")]
     intensity_noise: f64,
 
-    /// Poses of the robot: lines of timestamp tx ty tz qx qy qz qw, of cameras times of at least 0, of scanners rising ones
+    /// Poses of the robot: lines of timestamp tx ty tz qx qy qz qw; times at least 0 for cameras, rising for scanners
     #[arg(long, value_name = "FILE.tum")]
     poses: PathBuf,
 
@@ -68,27 +68,27 @@ pub struct Args {
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
 
-    /// Which noise
+    /// Seed of the random numbers
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
 
-    /// Share of the pixels without a measurement
+    /// Fraction of pixels without a measurement
     #[arg(long, value_name = "SHARE", default_value_t = Disturbances::default().drop_outs)]
     drop_outs: f64,
 
-    /// Share of the pixels at edges that measure something in between
+    /// Fraction of edge pixels that measure a range between the two surfaces
     #[arg(long, value_name = "SHARE", default_value_t = Disturbances::default().mixed_pixels)]
     mixed_pixels: f64,
 
-    /// Move every object by so much, each in a direction of its own, so that the scene is not quite its model
+    /// Move every object by this distance in a random direction, so that the scene differs from its model
     #[arg(long, value_name = "METRES", default_value_t = 0.0)]
     displace: f64,
 
-    /// So many people walk to and fro near the robot
+    /// Number of people who walk to and fro near the robot
     #[arg(long, value_name = "N", default_value_t = 0)]
     walkers: usize,
 
-    /// How high above the floor the robot's poses are, for people to stand on it
+    /// Height of the robot's poses above the floor, on which the people stand
     #[arg(long, value_name = "METRES", default_value_t = 0.0)]
     height: f64,
 
@@ -100,7 +100,7 @@ pub struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// Those of the scene, the sensor and the poses, and of writing.
+/// Errors from reading the scene, sensor and poses, and from writing.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     let mut files = OutputFiles::new();
     files.add_folder(&args.out, &["camera.json", "poses.txt", "sensor.toml", "grey.toml", SCANS])?;
@@ -157,7 +157,7 @@ fn write_text(path: &Path, text: &str) -> Result<()> {
     write_atomically(path, |file| file.write_all(text.as_bytes()))
 }
 
-/// The log of a scanner, whole or not at all.
+/// Writes the log of a scanner. If a frame fails, no file is written.
 fn write_scans(
     path: &Path,
     sensor: &Sensor,
@@ -192,7 +192,7 @@ fn log_frame(frame: &Frame, pose: &StampedPose) -> LogFrame {
     }
 }
 
-/// The images of one time.
+/// Writes the images of one time.
 fn write_images(
     out: &Path,
     frame: &Frame,
@@ -211,11 +211,11 @@ fn write_images(
 impl Args {
     fn check_flags(&self, sensor: &Sensor) -> Result<()> {
         if self.intensities && sensor.is_camera() {
-            let remedy = "leave it out: --grey gives grey images of a camera";
-            return Err(Error::usage("--intensities of a camera: its images have no place for them", remedy));
+            let remedy = "drop it; --grey writes grey images of a camera";
+            return Err(Error::usage("--intensities: depth images cannot store intensities", remedy));
         }
         if self.grey.is_some() && !sensor.is_camera() {
-            return Err(Error::usage("--grey beside a scanner: logs of scans have no images", "give a depth camera"));
+            return Err(Error::usage("--grey: logs of scans cannot store images", "give a depth camera as --sensor"));
         }
         Ok(())
     }
@@ -223,17 +223,17 @@ impl Args {
     fn check_times(&self, poses: &[StampedPose], sensor: &Sensor) -> Result<()> {
         if let Some(early) = poses.iter().find(|p| p.time < 0.0 && sensor.is_camera()) {
             let what = format!("a time of {} s", early.time);
-            return Err(Error::invalid(what, "give times of at least 0: images are named by them").in_file(&self.poses));
+            return Err(Error::invalid(what, "give times of at least 0: they name the images").in_file(&self.poses));
         }
         let falling = poses.windows(2).find(|pair| !(pair[1].time > pair[0].time));
         if let Some([a, b]) = falling.filter(|_| !sensor.is_camera()) {
             let what = format!("a time of {} s after one of {} s", b.time, a.time);
-            return Err(Error::invalid(what, "sort the poses by time, each once").in_file(&self.poses));
+            return Err(Error::invalid(what, "sort the poses by time, without duplicates").in_file(&self.poses));
         }
         Ok(())
     }
 
-    /// With another seed than the ranges have.
+    /// The simulator of grey images. Its seed differs from that of the ranges, so that their noise is independent.
     fn grey_simulator(&self, threads: &Threads) -> Result<Option<GreySimulator>> {
         let Some(name) = &self.grey else { return Ok(None) };
         let (camera, notices) = load_sensor(name)?;

@@ -1,26 +1,26 @@
-//! Statistics over repeated predictions, as JSON and in words.
+//! Statistics of repeated predictions, as JSON and as text.
 
 use presight::deadline::DeadlineOutcome;
 use presight::plan::{CountName, Raster, StageName, StageRow, StageVariant, Stats, Work};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// The version of the statistics JSON.
+/// Format version of the statistics JSON.
 const FORMAT: u32 = 1;
 
 /// Milliseconds over all measured predictions.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Milliseconds {
-    /// The middle one (the mean of the two middle ones).
+    /// The median. For an even count, the mean of the two middle values.
     pub median: f64,
-    /// 95 % took at most this long (nearest rank).
+    /// The 95th percentile by nearest rank.
     pub p95: f64,
-    /// The fastest.
+    /// The minimum.
     pub min: f64,
 }
 
 impl Milliseconds {
-    /// Of at least one time; all zero of none.
+    /// Computes the statistics; all are zero if `times` is empty.
     pub fn of(times: &[f64]) -> Self {
         let mut sorted = times.to_vec();
         sorted.sort_by(f64::total_cmp);
@@ -31,7 +31,7 @@ impl Milliseconds {
     }
 }
 
-/// What the statistics JSON holds.
+/// The statistics JSON.
 #[derive(Debug, Serialize)]
 pub struct Statistics {
     format: u32,
@@ -43,23 +43,23 @@ pub struct Statistics {
     outputs: Vec<&'static str>,
     engine: &'static str,
     adapter: Option<String>,
-    /// What rasterized on that adapter.
+    /// The rasterizer on that adapter.
     #[serde(skip_serializing_if = "Option::is_none")]
     raster: Option<Raster>,
     threads: usize,
     index: &'static str,
-    /// Measured predictions; one before them, unmeasured, warmed up.
+    /// The number of measured predictions, without the warm-up.
     repeat: usize,
     prediction_ms: Milliseconds,
-    /// Medians.
+    /// Median times.
     stages_ms: OrderedMap<StageName, f64>,
     counts: OrderedMap<CountName, u64>,
-    /// Of the last prediction.
+    /// Work of the last prediction.
     work: Work,
     taken: Vec<StageVariant>,
     left_out: Vec<LeftOutRow>,
     notices: Vec<String>,
-    /// How the last prediction's deadline was kept.
+    /// The deadline outcome of the last prediction.
     #[serde(skip_serializing_if = "Option::is_none")]
     deadline: Option<DeadlineOutcome>,
     #[serde(skip)]
@@ -76,14 +76,14 @@ impl<K: Serialize, T: Serialize> Serialize for OrderedMap<K, T> {
     }
 }
 
-/// A stage or image that was not needed, with those that nobody asked for.
+/// A stage or image that was skipped.
 #[derive(Debug, Serialize)]
 struct LeftOutRow {
     what: String,
     why: String,
 }
 
-/// What was predicted, for the head of the statistics.
+/// The inputs named in the statistics.
 #[derive(Debug)]
 pub struct Subject {
     /// The scene's path as given.
@@ -92,12 +92,12 @@ pub struct Subject {
     pub sensor: String,
     /// Columns and rows.
     pub size: (u32, u32),
-    /// Images asked for.
+    /// Names of the requested images.
     pub outputs: Vec<&'static str>,
 }
 
 impl Statistics {
-    /// Of measured predictions: the whole time of each in ms, and what each says of itself.
+    /// Computes the statistics from the total time of each measured prediction in ms, and from their own statistics.
     pub fn of(subject: Subject, times_ms: &[f64], runs: &[Stats]) -> Self {
         let mut last = runs.last().cloned().unwrap_or_default();
         let mut names: Vec<StageName> = Vec::new();
@@ -140,7 +140,7 @@ impl Statistics {
         }
     }
 
-    /// The middle time of a prediction.
+    /// The median time of a prediction.
     pub fn median_ms(&self) -> f64 {
         self.prediction_ms.median
     }
@@ -154,7 +154,7 @@ impl Statistics {
         }
     }
 
-    /// What was done, what it cost, what was left out and why: the answer to `--explain`.
+    /// The text of `--explain`: stages with their times, counts, and skipped stages with the reason.
     pub fn explanation(&self) -> Vec<String> {
         let mut lines = vec![
             format!("scene     {}", self.scene),
@@ -171,7 +171,7 @@ impl Statistics {
         });
         if let Some(kept) = &self.deadline {
             let DeadlineOutcome { deadline_ms, time_ms, estimate_ms, .. } = kept;
-            lines.push(format!("deadline  {time_ms:.2} of {deadline_ms} ms, by the costs learnt {estimate_ms:.2} ms"));
+            lines.push(format!("deadline  {time_ms:.2} of {deadline_ms} ms, estimate {estimate_ms:.2} ms"));
             let given_up = kept.given_up.as_ref();
             let told = given_up.map(|given_up| given_up.explanation(u64::from(self.width) * u64::from(self.height)));
             lines.extend(told.iter().flatten().map(|line| format!("given up  {line}")));

@@ -1,4 +1,4 @@
-//! A prediction in a line, for people and for programs.
+//! One-line summaries of a prediction, as text and as JSON.
 
 use presight::features::FeaturePrediction;
 use presight::{Prediction, Scene};
@@ -6,11 +6,11 @@ use serde_json::{Value, json};
 use std::collections::HashSet;
 use std::path::Path;
 
-/// What was predicted, and what is in it.
+/// Counts over the images of a prediction.
 pub struct Summary {
-    /// Rays that hit, the nearest and the farthest range; `None` without a range image.
+    /// The number of rays that hit, and the nearest and farthest range in metres; `None` without a range image.
     hits: Option<(usize, f32, f32)>,
-    /// Objects seen, of how many; `None` without an image of them.
+    /// The number of objects seen, and of all objects; `None` without an object_id image.
     objects: Option<(usize, usize)>,
     features: Option<(usize, usize)>,
 }
@@ -20,7 +20,7 @@ impl Summary {
         let images = &prediction.images;
         let seen = || images.range.iter().copied().filter(|r| r.is_finite());
         let (near, far) = seen().fold((f32::INFINITY, 0f32), |(lo, hi), r| (lo.min(r), hi.max(r)));
-        // Neighbours mostly are the same: few are looked up.
+        // Neighbouring pixels mostly have the same id, so runs save lookups.
         let mut ids: HashSet<u32> = images.object_id.chunk_by(|a, b| a == b).map(|run| run[0]).collect();
         ids.remove(&0);
         let there = || scene.world.environment().objects().iter().filter(|o| !o.is_deleted()).count();
@@ -33,7 +33,7 @@ impl Summary {
         }
     }
 
-    /// A line without its end.
+    /// The summary as text, without a line end.
     pub fn in_words(&self, prediction: &Prediction) -> String {
         let (sensor, pixels) = (&prediction.sensor, prediction.images.pixels());
         let mut parts = vec![format!("{} {} x {}", sensor.spec().name, sensor.width(), sensor.height())];
@@ -47,7 +47,7 @@ impl Summary {
         parts.join(", ")
     }
 
-    /// An object of format 1; null is what was not asked for or is not there.
+    /// The summary as a JSON object (format 1). Values are null if they were not requested or do not exist.
     pub fn json(&self, scene: &Path, prediction: &Prediction, ms: f64, engine: &str) -> Value {
         let (sensor, pose) = (&prediction.sensor, &prediction.world_from_sensor);
         let hit = self.hits.filter(|(hits, ..)| *hits > 0);

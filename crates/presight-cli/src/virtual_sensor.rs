@@ -1,4 +1,4 @@
-//! Virtual sensors in a prediction: what they need, and where their answer goes.
+//! Virtual sensors in a prediction: their flags, inputs and results.
 
 use super::print;
 use presight::geometry::Pose;
@@ -10,21 +10,21 @@ use presight::{Error, Prediction, Predictor, Result, Scene};
 use presight_pictures as png;
 use std::path::{Path, PathBuf};
 
-/// The virtual sensor of a prediction.
+/// Flags of the virtual sensor.
 #[derive(Debug, clap::Args)]
 pub struct VirtualArgs {
     /// Use the sensor for one task: free-floor, edges, radar-lines, radar-nearest, radar-landmarks, depth-image,
     /// vertical-planes or docking
     ///
-    /// The answer goes under "virtual" into the file of --features; without that file one line is printed.
+    /// The result goes under "virtual" into the --features file; without that file one line is printed.
     #[arg(long = "virtual", value_name = "NAME")]
     pub task: Option<VirtualSensor>,
 
-    /// Where the robot is going to move, for radar-nearest: {polyline_in_robot, half_width, z_min, z_max}, metres
+    /// The robot's planned path, for radar-nearest: {polyline_in_robot, half_width, z_min, z_max}, metres
     #[arg(long, value_name = "FILE.json", requires = "task")]
     pub corridor: Option<PathBuf>,
 
-    /// Height of the floor in the world, for free-floor [default: of the robot's origin; without a [mount], of what is
+    /// Height of the floor in the world, for free-floor [default: the robot's origin; without a [mount], the surface
     /// straight below the sensor]
     #[arg(long, value_name = "Z", requires = "task", allow_negative_numbers = true)]
     floor_z: Option<f64>,
@@ -35,12 +35,12 @@ pub struct VirtualArgs {
 }
 
 impl VirtualArgs {
-    /// Checks them without touching the world.
+    /// Checks the flags without opening any file.
     pub fn check(&self) -> Result<()> {
         let only = |of: VirtualSensor, flag: &str, given: bool| {
             if given && self.task != Some(of) {
                 let what = format!("--{flag} is for --virtual {}", of.name());
-                return Err(Error::usage(what, format!("drop --{flag}, or ask for {}", of.name())));
+                return Err(Error::usage(what, format!("drop --{flag}, or give --virtual {}", of.name())));
             }
             Ok(())
         };
@@ -53,17 +53,17 @@ impl VirtualArgs {
         }
     }
 
-    /// That the sensor can be used for it.
+    /// Checks that the virtual sensor works with this sensor.
     pub fn check_sensor(&self, sensor: &Sensor) -> Result<()> {
         self.task.map_or(Ok(()), |v| v.check(sensor).map_err(|e| e.at("--virtual")))
     }
 
-    /// The images it is made from.
+    /// The images that the virtual sensor reads.
     pub fn outputs(&self) -> Outputs {
         self.task.map_or(Outputs::of(&[]), VirtualSensor::outputs)
     }
 
-    /// What the reading takes of memory for each pixel, and where it is written, its text too.
+    /// Memory of the reading in bytes per pixel; if it is written, its text is included.
     pub fn bytes_by_pixel(&self, written: bool) -> u64 {
         match self.task {
             None => 0,
@@ -73,7 +73,7 @@ impl VirtualArgs {
         }
     }
 
-    /// What the task says: the corridor is read, and the floor found.
+    /// Reads the corridor file, and finds the floor height if it is not known.
     pub fn settings(&self, scene: &Scene, sensor: &Sensor, pose: &Pose, predictor: &mut Predictor) -> Result<Settings> {
         let corridor = self.corridor.as_deref().map(corridor::read).transpose()?;
         let unknown = self.task == Some(VirtualSensor::FreeFloor)
@@ -83,13 +83,13 @@ impl VirtualArgs {
         Ok(Settings { floor_z_world: self.floor_z.or(below), corridor })
     }
 
-    /// Its answer, if one is asked for.
+    /// The virtual sensor's reading; `None` without `--virtual`.
     pub fn read(&self, scene: &Scene, prediction: &Prediction, settings: &Settings) -> Result<Option<VirtualReading>> {
         let Some(task) = self.task else { return Ok(None) };
         task.reduce(&View::of(prediction, scene.world.environment()), settings).map(Some)
     }
 
-    /// Writes the mask, if it is asked for, and says in a line what was found unless that goes into a file.
+    /// Writes the mask, if `--mask` is given, and prints a one-line summary unless the reading goes into a file.
     pub fn tell(&self, reading: Option<&VirtualReading>, mask: Option<&Path>, in_file: bool) -> Result<()> {
         let Some(reading) = reading else { return Ok(()) };
         if let (Some(path), Some(mask)) = (mask, reading.mask()) {

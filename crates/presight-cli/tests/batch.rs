@@ -120,7 +120,7 @@ fn images_and_table_are_those_of_single_predictions() {
         assert_eq!(one.attributes, many.attributes);
     }
     // Again: nothing is done.
-    assert!(place.done("batch room.glb --poses a.tum --sensor vlp-16 --out all").contains("finished already"));
+    assert!(place.done("batch room.glb --poses a.tum --sensor vlp-16 --out all").contains("already finished"));
 }
 
 #[test]
@@ -175,7 +175,7 @@ fn a_killed_batch_goes_on_where_it_was() {
     assert!(part.lines().count() > 20, "{part}");
     std::fs::remove_file(place.path("killed/000017.exr")).unwrap();
     let said = place.done(&format!("{line} killed"));
-    assert!(said.contains("17 of 400 poses are finished already"), "{said}");
+    assert!(said.contains("17 of 400 poses are already finished"), "{said}");
     let (killed, whole) = (place.files("killed"), place.files("whole"));
     let names = |files: &BTreeMap<String, Vec<u8>>| files.keys().cloned().collect::<Vec<_>>();
     assert!(names(&killed) == names(&whole), "{:?}", names(&killed));
@@ -199,7 +199,7 @@ fn a_batch_without_room_on_the_disk_goes_on_when_there_is_some() {
     assert!(!output.status.success() && said.contains("poses.csv.part") && said.lines().count() == 1, "{said}");
     assert!(!place.path("full/poses.csv").exists());
     let said = place.done(&format!("{line} full"));
-    assert!(said.contains("are finished already"), "{said}");
+    assert!(said.contains("are already finished"), "{said}");
     assert!(place.files("full") == place.files("whole"));
 }
 
@@ -209,7 +209,7 @@ fn another_batch_is_not_mixed_in() {
     let line = "batch room.glb --poses a.tum --sensor s.toml --likelihood run.jsonl#0 --out all";
     place.done(line);
     let before = place.files("all");
-    place.fails(&line.replace("#0", "#1"), 1, "another sensed image");
+    place.fails(&line.replace("#0", "#1"), 1, "another measured image");
     place.fails(&format!("{line} --cell-m 0.5"), 1, "other flags");
     place.fails(&format!("{line} --pose-of robot"), 1, "other flags");
     place.write("a.tum", &tum(POSES + 1));
@@ -223,7 +223,7 @@ fn another_batch_is_not_mixed_in() {
     place.fails(line, 1, "the scene has changed");
     assert!(place.files("all") == before);
     place.write("all/batch.json", "{");
-    place.fails(line, 1, "no record of a batch");
+    place.fails(line, 1, "not a valid record of a batch");
 }
 
 #[test]
@@ -233,8 +233,8 @@ fn what_is_wrong_is_told_before_anything_is_written() {
     let weigh = format!("{line} --likelihood run.jsonl#0");
     let good = tum(3);
     let poses = [
-        ("", "there is no pose"),
-        ("# none\n\n", "there is no pose"),
+        ("", "the file has no poses"),
+        ("# none\n\n", "the file has no poses"),
         ("0 1 2", "line 1"),
         ("NaN 0 0 0 0 0 0 1\n", "line 1"),
         ("0 0 0 inf 0 0 0 1\n", "line 1"),
@@ -252,13 +252,13 @@ fn what_is_wrong_is_told_before_anything_is_written() {
     place.fails(&weigh.replace("#0", "#2"), 2, "there is no frame 2: the log has 2");
     place.fails(&weigh.replace("run.jsonl#0", "run.jsonl"), 1, "run.jsonl");
     place.fails(&weigh.replace("s.toml", "laser-scanner"), 1, "noise of ranges");
-    place.fails(&weigh.replace("s.toml", "vlp-16"), 1, "other rays");
+    place.fails(&weigh.replace("s.toml", "vlp-16"), 1, "rays of the log's sensor differ");
     place.fails(&format!("{weigh} --headings 7"), 2, "7 headings");
     place.fails(&format!("{weigh} --headings 360 --pose-of robot"), 2, "--headings");
     place.fails(&format!("{weigh} --cell-m=-1"), 1, "pose cell");
     place.write("b.tum", &format!("{good}9 0 0 1 0 0.1 0 1\n"));
     place.fails(&format!("{} --headings 360", weigh.replace("a.tum", "b.tum")), 2, "b.tum: pose 3: all headings");
-    place.fails(&format!("{line} --outputs depth_z"), 2, "no camera");
+    place.fails(&format!("{line} --outputs depth_z"), 2, "not a camera");
     place.fails(&format!("{line} --outputs feature_id"), 2, "no features");
     for shard in ["0/3", "4/3", "1", "a/b"] {
         place.fails(&format!("{line} --shard {shard}"), 2, "--shard");

@@ -62,7 +62,7 @@ fn a_quick_study_writes_what_it_found() {
     assert_eq!(done.status.code(), Some(0));
     let said = String::from_utf8(done.stdout).unwrap();
     assert_eq!(said.matches("on this machine take cpu, ").count(), 2, "{said}");
-    assert_eq!(said.matches(" of them.").count(), 2, "{said}");
+    assert_eq!(said.matches(" features.").count(), 2, "{said}");
     check_csv(&fs::read_to_string(folder.path().join("study/work_precision.csv")).unwrap());
     check_html(&fs::read_to_string(folder.path().join("study/index.html")).unwrap());
     let json = json_of(folder.path());
@@ -200,7 +200,7 @@ fn check_html(html: &str) {
     for inside in ["<svg", "data:image/png;base64,", "prefers-color-scheme:dark", "@media print", "Pareto front"] {
         assert!(html.contains(inside), "{inside}");
     }
-    for told in ["adapter and driver", "Left out", "ray table", "--quick", "How to take them", "--index s3d"] {
+    for told in ["adapter and driver", "Skipped", "ray table", "--quick", "How to select them", "--index s3d"] {
         assert!(html.contains(told), "{told}");
     }
     // There is no such flag here.
@@ -249,7 +249,7 @@ fn bad_input_is_refused_before_any_work() {
         (&[room.as_str()][..], 2, "--out"),
         (&[room.as_str(), "--quick", "--out", "file/study"][..], 4, "file/study"),
         (&["--stability", "--out", "file/study"][..], 4, "file/study"),
-        (&[room.as_str(), "--out", "study", "--poses", "empty.tum"][..], 1, "empty.tum: there is no pose"),
+        (&[room.as_str(), "--out", "study", "--poses", "empty.tum"][..], 1, "empty.tum: the file has no poses"),
     ] {
         let done = report(folder.path(), arguments);
         let message = String::from_utf8(done.stderr).unwrap();

@@ -1,4 +1,4 @@
-//! What each index costs and how well it selects, over poses (paper section 2.2, Fig. 5).
+//! Measures the cost and selectivity of each spatial index over poses (paper section 2.2, Fig. 5).
 
 use super::{csv_field, median};
 use glam::DVec3;
@@ -14,31 +14,31 @@ use std::time::Instant;
 /// The paper's query: radius in metres, opening in degrees.
 pub const PAPER_SECTOR: (f64, f64) = (10.0, 60.0);
 
-/// What is measured.
+/// The settings of a study.
 #[derive(Clone, Debug)]
 pub struct Study {
-    /// Where.
+    /// The poses of the sensors.
     pub poses: Vec<Pose>,
-    /// Whose regions are asked for, beside the paper's.
+    /// Names and sensors whose regions are queried, in addition to the paper's sector.
     pub sensors: Vec<(String, Sensor)>,
-    /// How predictions are made.
+    /// Options of the predictor.
     pub options: Options,
-    /// Each query and each prediction is repeated so often, and the fastest counts.
+    /// Repetitions of each query and prediction; the fastest counts.
     pub repeats: usize,
 }
 
-/// One scheme and one query; medians over poses.
+/// The results of one scheme and one query: medians over poses.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Row {
     /// The scheme.
     pub scheme: Scheme,
-    /// How it was tuned.
+    /// Its parameters.
     pub params: Params,
     /// `sector` (the paper's), or a sensor's name.
     pub query: String,
     /// Time to build the index of the whole environment.
     pub build_ms: f64,
-    /// Its memory, boxes included.
+    /// Memory of the index, including its boxes.
     pub bytes: usize,
     /// Time of one query.
     pub access_us: f64,
@@ -46,13 +46,13 @@ pub struct Row {
     pub needed: f64,
     /// Polygons that the index returned.
     pub returned: f64,
-    /// Needed / returned, of all poses together.
+    /// The sum of needed over the sum of returned polygons of all poses.
     pub selectivity: f64,
-    /// Time of a whole prediction with this index; none for the paper's query, which has no sensor.
+    /// Time of a whole prediction with this index; `None` for the paper's query, which has no sensor.
     pub prediction_ms: Option<f64>,
 }
 
-/// Regions of one query at all poses, and how many polygons each needs.
+/// The regions of one query at all poses, and the number of polygons that each needs.
 struct Query<'a> {
     name: String,
     sensor: Option<&'a Sensor>,
@@ -61,12 +61,12 @@ struct Query<'a> {
 }
 
 impl Study {
-    /// Measures schemes with their parameters, one after the other.
+    /// Measures all schemes with their parameters.
     ///
     /// # Errors
-    /// Those of predictions.
+    /// Prediction errors.
     pub fn run(&self, world: &World, variants: &[(Scheme, Params)], progress: impl Fn(&str)) -> Result<Vec<Row>> {
-        progress("counting what each query needs");
+        progress("counting the polygons that each query needs");
         let queries = self.queries(world)?;
         let mut predictor = Predictor::new(self.options.clone())?;
         let mut rows = Vec::new();
@@ -152,7 +152,7 @@ impl Study {
 /// The paper's query region at a pose: a sector of 10 m and 60 degrees along its heading.
 ///
 /// # Errors
-/// Those of [`Pose::check`].
+/// As [`Pose::check`].
 pub fn paper_sector(pose: &Pose) -> Result<Region> {
     pose.check()?;
     let ahead = pose.rotation * DVec3::X;
@@ -160,7 +160,7 @@ pub fn paper_sector(pose: &Pose) -> Result<Region> {
     Ok(Region::sector(pose.translation.truncate(), ahead.y.atan2(ahead.x), opening_deg.to_radians(), radius))
 }
 
-/// What a sweep tries of each scheme: cell sizes, and for trees where they split.
+/// The variants of a sweep: cell sizes of each scheme, and split axes of trees.
 pub fn sweep() -> Vec<(Scheme, Params)> {
     let mut variants = Vec::new();
     for scheme in [Scheme::Grid, Scheme::Plop, Scheme::S2d, Scheme::S3d, Scheme::TwoLevel] {
@@ -179,7 +179,7 @@ pub fn sweep() -> Vec<(Scheme, Params)> {
     variants
 }
 
-/// Rows as CSV, with the columns that scripts rely on first.
+/// Formats rows as CSV. The first columns, up to prediction_ms, are stable for scripts.
 pub fn to_csv(rows: &[Row], poses: usize, seed: Option<u64>) -> String {
     let mut text = String::from(
         "scheme,query,poses,seed,build_ms,bytes,access_us,needed,returned,selectivity,prediction_ms,cell_polygons,least_cell,split_axis,filter\n",
@@ -206,7 +206,7 @@ pub fn to_csv(rows: &[Row], poses: usize, seed: Option<u64>) -> String {
     text
 }
 
-/// Seconds of the fastest of some runs.
+/// The time of the fastest run, seconds.
 fn fastest(repeats: usize, mut run: impl FnMut() -> Result<()>) -> Result<f64> {
     let mut best = f64::INFINITY;
     for _ in 0..repeats.max(1) {
@@ -217,10 +217,10 @@ fn fastest(repeats: usize, mut run: impl FnMut() -> Result<()>) -> Result<f64> {
     Ok(best)
 }
 
-/// Refuses a study of nothing.
+/// Checks that there is at least one pose.
 ///
 /// # Errors
-/// [`presight::ErrorKind::Invalid`] if there are no poses.
+/// [`presight::ErrorKind::Invalid`] without poses.
 pub fn check_poses(poses: &[Pose]) -> Result<()> {
     if poses.is_empty() {
         return Err(Error::invalid("there are no poses", "give at least one"));

@@ -1,4 +1,4 @@
-//! Studies: what things cost, measured, and where they stop to hold.
+//! Studies that measure costs and errors, and check where error bounds stop holding.
 
 #[cfg(feature = "report")]
 pub mod chart;
@@ -17,13 +17,13 @@ pub mod work_precision;
 #[cfg(feature = "report")]
 pub use machine::Machine;
 
-/// A text as a field of CSV (RFC 4180): other fields and rows stay what they are whatever is in it.
+/// Quotes a CSV field if necessary (RFC 4180).
 fn csv_field(text: &str) -> std::borrow::Cow<'_, str> {
     let special = text.contains([',', '"', '\n', '\r']);
     if special { format!("\"{}\"", text.replace('"', "\"\"")).into() } else { text.into() }
 }
 
-/// The middle value; the mean of both of an even number, 0 of none.
+/// The median; for an even count the mean of the two middle values, for no values 0.
 fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     let n = values.len();
@@ -31,7 +31,7 @@ fn median(mut values: Vec<f64>) -> f64 {
     0.5 * (at(n.saturating_sub(1) / 2) + at(n / 2))
 }
 
-/// The least value that so large a share of them does not exceed (nearest rank), 0 of none.
+/// The quantile by nearest rank; 0 for no values.
 #[cfg(feature = "report")]
 fn quantile(values: &[f64], share: f64) -> f64 {
     let mut sorted = values.to_vec();

@@ -1,28 +1,28 @@
-//! What the figures were taken on.
+//! The machine on which a study was run.
 
 use serde::Serialize;
 
-/// The machine, the program and how it was called.
+/// The machine, the build and the command line.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Machine {
-    /// As the system names it; the architecture where it does not.
+    /// The model name, or the architecture if the system does not report one.
     pub cpu: String,
-    /// Threads that run at once.
+    /// The number of hardware threads.
     pub threads: usize,
     /// Operating system and architecture.
     pub system: String,
-    /// Of presight.
+    /// The version of presight.
     pub version: &'static str,
-    /// Optional parts that were built in.
+    /// The cargo features of the build.
     pub features: Vec<&'static str>,
-    /// Built with the compiler's checks: slower.
+    /// True if built with debug assertions, which is slower.
     pub debug: bool,
     /// The command line.
     pub command: Vec<String>,
 }
 
 impl Machine {
-    /// This one; `features` are the optional parts that the program was built with, `command` is how it was called.
+    /// Describes this machine. `features` are the cargo features of the build, `command` is the command line.
     pub fn this(features: Vec<&'static str>, command: Vec<String>) -> Self {
         Self {
             cpu: cpu().unwrap_or_else(|| std::env::consts::ARCH.to_owned()),
@@ -35,7 +35,7 @@ impl Machine {
         }
     }
 
-    /// Names and values, as pages show them.
+    /// Names and values for tables on pages.
     pub(crate) fn lines(&self) -> Vec<Vec<String>> {
         let build = if self.debug { ", built with assertions: slower than a release" } else { "" };
         let features = self.features.join(", ");
@@ -50,7 +50,7 @@ impl Machine {
     }
 }
 
-/// Linux tells it in a file.
+/// The model name of the CPU, on Linux.
 fn cpu() -> Option<String> {
     let text = std::fs::read_to_string("/proc/cpuinfo").ok()?;
     let line = text.lines().find(|l| l.starts_with("model name"))?;
@@ -58,7 +58,7 @@ fn cpu() -> Option<String> {
     (!name.is_empty()).then(|| name.to_owned())
 }
 
-/// As a shell takes it for one word.
+/// Quotes a word for a POSIX shell if necessary.
 fn quoted(word: &str) -> String {
     let plain = |c: char| c.is_alphanumeric() || "-_./=:,+@%".contains(c);
     if !word.is_empty() && word.chars().all(plain) {

@@ -1,65 +1,65 @@
-//! A study as one HTML file that needs nothing else: styles, charts and pictures are inside.
+//! A study as one self-contained HTML file: styles, charts and pictures are embedded.
 
 use super::chart::PALETTE;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
-/// A chapter of a page.
+/// A section of a page.
 #[derive(Clone, Debug, Default)]
 pub struct Section {
-    /// Its heading.
+    /// The heading.
     pub title: String,
-    /// What it holds, in order.
+    /// The contents, in order.
     pub parts: Vec<Part>,
 }
 
-/// A piece of a section. Texts are escaped; only an SVG is taken as it is.
+/// A part of a section. Texts are escaped, SVG is inserted unchanged.
 #[derive(Clone, Debug)]
 pub enum Part {
     /// A paragraph.
     Text(String),
-    /// A paragraph that stands out: the answer.
+    /// A highlighted paragraph with the conclusion.
     Advice(String),
     /// A heading inside the section.
     Heading(String),
     /// A table.
     Table(Table),
-    /// An `<svg>` element, as [`super::chart::Chart::svg`] makes it, and what it shows.
+    /// A chart.
     Chart {
-        /// The element.
+        /// An `<svg>` element, as from [`super::chart::Chart::svg`].
         svg: String,
-        /// Below it.
+        /// The text below the chart.
         caption: String,
     },
-    /// A PNG file's bytes, and what it shows.
+    /// A picture.
     Picture {
-        /// The file.
+        /// The bytes of a PNG file.
         png: Vec<u8>,
-        /// Below it.
+        /// The text below the picture.
         caption: String,
     },
 }
 
-/// A table; a row that is `marked` stands out. Columns whose cells are all numbers are aligned as such.
+/// A table. Columns whose cells are all numbers are right-aligned.
 #[derive(Clone, Debug, Default)]
 pub struct Table {
-    /// Above it.
+    /// The text above the table.
     pub caption: String,
     /// Names of the columns.
     pub head: Vec<String>,
     /// Cells by row.
     pub rows: Vec<Vec<String>>,
-    /// Indices of rows that stand out.
+    /// Indices of highlighted rows.
     pub marked: Vec<usize>,
 }
 
-/// The page: `lead` is the paragraph below the title. It refers to nothing outside itself.
+/// Makes a page without external references. `lead` is the paragraph below the title.
 ///
 /// ```
 /// use presight_studies::page::{Part, Section, page};
 /// let section = Section { title: "Times".into(), parts: vec![Part::Text("a < b".into())] };
-/// let html = page("Study", "What things cost.", &[section]);
+/// let html = page("Study", "Costs of predictions.", &[section]);
 /// assert!(html.contains("a &lt; b") && !html.contains("src=\"http"));
 /// ```
 pub fn page(title: &str, lead: &str, sections: &[Section]) -> String {
@@ -125,7 +125,7 @@ fn table(table: &Table) -> Markup {
     }
 }
 
-/// The heading of a column may break after each underscore.
+/// A column heading that can wrap after each underscore.
 fn heading(name: &str) -> Markup {
     html! { @for (i, piece) in name.split_inclusive('_').enumerate() { @if i > 0 { wbr; } (piece) } }
 }
@@ -135,7 +135,7 @@ fn is_number(cell: &str) -> bool {
     matches!(first, "-" | "none") || first.parse::<f64>().is_ok()
 }
 
-/// Colours for a light screen and for paper, for a dark screen; the same names everywhere.
+/// The style sheet. Its colour variables have values for light screens and print, and for dark screens.
 pub(crate) fn style() -> String {
     let series = |dark: bool| {
         let one = |(i, (light, night)): (usize, &(&str, &str))| format!("--s{i}:{};", if dark { night } else { light });

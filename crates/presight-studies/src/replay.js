@@ -17,8 +17,8 @@ function rows(leaf) {
     ["weak directions", leaf.weak.join(", ") || "none"],
     ["explained", percent(leaf.explained)],
   ];
-  if (leaf.off) known.push(["off", `${number(1e3 * leaf.off[0], 1)} mm  ${number(leaf.off[1], 3)}°`]);
-  if (leaf.nees !== null) known.push(["NEES by numbers", number(leaf.nees, 2)]);
+  if (leaf.off) known.push(["error", `${number(1e3 * leaf.off[0], 1)} mm  ${number(leaf.off[1], 3)}°`]);
+  if (leaf.nees !== null) known.push(["NEES per degree of freedom", number(leaf.nees, 2)]);
   for (const [name, count] of leaf.features) known.push([`features ${name.replace("_", " ")}`, `${count}`]);
   return known.concat(leaf.verdicts.map(([name, share]) => [name.replace("_", " "), percent(share)]));
 }

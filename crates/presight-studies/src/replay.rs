@@ -1,50 +1,50 @@
-//! A drive as a page to leaf through: a picture a frame, and beside it where the robot was believed to be, how sure, and why.
+//! A drive as a page to browse: an image for each frame, with the estimated pose, its uncertainty and the state.
 
 use super::page::style;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use serde::Serialize;
 
-/// What the page tells of one frame.
+/// The page's data of one frame.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Leaf {
-    /// The picture's file, as the page refers to it.
+    /// Path of the image, relative to the page.
     pub picture: String,
-    /// Seconds.
+    /// Time stamp, seconds.
     pub time: f64,
-    /// What is known: `unknown`, `candidates`, `tracking` or `lost`.
+    /// State of the localizer: `unknown`, `candidates`, `tracking` or `lost`.
     pub state: &'static str,
-    /// Why, with numbers.
+    /// Reason for the state, with numbers.
     pub reason: String,
-    /// Where the robot is believed to be, metres.
+    /// Estimated position of the robot, metres.
     pub position: [f64; 3],
-    /// Likewise, degrees: roll, pitch, yaw.
+    /// Estimated roll, pitch and yaw, degrees.
     pub attitude_deg: [f64; 3],
     /// Standard deviations of x, y, z in metres and about x, y, z in degrees.
     pub sigmas: [f64; 6],
-    /// Directions in which the measurement says little.
+    /// Directions that the measurement hardly constrains.
     pub weak: Vec<String>,
-    /// Share of the measured points that are explained.
+    /// Fraction of the measured points that are explained.
     pub explained: f64,
-    /// Share of the pixels of each verdict, by name.
+    /// Fraction of the pixels with each verdict, by name.
     pub verdicts: Vec<(&'static str, f64)>,
-    /// Predicted features of a grey image by what became of them, and what else was found; empty without one.
+    /// Counts of predicted features by class, and of other detections; empty if no features were searched.
     pub features: Vec<(&'static str, usize)>,
-    /// Where the robot was by the log itself, metres.
+    /// Position of the robot in the log's own poses, metres.
     pub reference: Option<[f64; 3]>,
-    /// How far off that is, metres and degrees.
+    /// Error against the log's own pose, metres and degrees.
     pub off: Option<(f64, f64)>,
-    /// Normalized estimation error squared, by the numbers of a pose: 1 in the mean if the covariance is right.
+    /// Normalized estimation error squared per degree of freedom: 1 on average if the covariance is right.
     pub nees: Option<f64>,
 }
 
-/// Colours of states: their names in the page's style sheet.
+/// States, and their colour variables in the style sheet.
 const STATES: [(&str, &str); 4] = [("tracking", "--s2"), ("candidates", "--s3"), ("lost", "--s1"), ("unknown", "--s7")];
-/// Longest side of the plan, and width of the strips, pixels.
+/// Side of the plan, pixels.
 const SIDE: f64 = 420.0;
-/// Height of a strip, pixels.
+/// Height of a strip chart, pixels.
 const STRIP: f64 = 90.0;
 
-/// The page: `lead` is the paragraph below the title. It refers to the pictures and to nothing else.
+/// Makes a page that refers only to the images. `lead` is the paragraph below the title.
 ///
 /// ```
 /// use presight_studies::replay::{Leaf, page};
@@ -53,7 +53,7 @@ const STRIP: f64 = 90.0;
 /// assert!(html.contains("src=\"0.png\"") && !html.contains("http"));
 /// ```
 pub fn page(title: &str, lead: &str, leaves: &[Leaf]) -> String {
-    // `<` may not stand in a script: a text in the data could end it.
+    // Escape `<`: a text such as `</script>` in the data would end the script element.
     let data = serde_json::to_string(leaves).unwrap_or_else(|_| "[]".into()).replace('<', "\\u003c");
     let first = leaves.first().map(|leaf| leaf.picture.as_str()).unwrap_or_default();
     html! {
@@ -75,13 +75,13 @@ pub fn page(title: &str, lead: &str, leaves: &[Leaf]) -> String {
                         button id="after" aria-label="next frame" { "▶" }
                         button id="play" { "play" }
                     }
-                    figure.picture { img id="picture" src=(first) alt="predicted, sensed and verdicts"; }
+                    figure.picture { img id="picture" src=(first) alt="predicted, measured and verdicts"; }
                     div.beside {
-                        figure { (plan(leaves)) figcaption { "From above, x to the right, y up: believed, and the log's own poses dashed." } }
+                        figure { (plan(leaves)) figcaption { "From above, x to the right, y up: the estimate; dashed: the log's own poses." } }
                         div.told { dl id="told" {} }
                     }
                     (strips(leaves))
-                    noscript { p { "Without scripts the page shows the first frame; the pictures lie beside it." } }
+                    noscript { p { "Without JavaScript the page shows only the first frame; all images are in its folder." } }
                 }
                 script id="leaves" type="application/json" { (PreEscaped(data)) }
                 script { (PreEscaped(include_str!("replay.js"))) }
@@ -91,11 +91,11 @@ pub fn page(title: &str, lead: &str, leaves: &[Leaf]) -> String {
     .into_string()
 }
 
-/// A value by frame, as a curve.
+/// A strip chart: a curve of a value by frame.
 struct Strip<'a> {
     name: &'a str,
     values: Vec<Option<f64>>,
-    /// Marked by a line: what is to be expected.
+    /// The expected value, drawn as a dashed line.
     expected: Option<f64>,
     logarithmic: bool,
 }
@@ -103,9 +103,9 @@ struct Strip<'a> {
 fn strips(leaves: &[Leaf]) -> Markup {
     let of = |value: fn(&Leaf) -> Option<f64>| leaves.iter().map(value).collect::<Vec<_>>();
     let all = [
-        Strip { name: "share explained", values: of(|l| Some(l.explained)), expected: None, logarithmic: false },
-        Strip { name: "off, m", values: of(|l| l.off.map(|o| o.0)), expected: None, logarithmic: false },
-        Strip { name: "NEES by numbers of the pose", values: of(|l| l.nees), expected: Some(1.0), logarithmic: true },
+        Strip { name: "explained fraction", values: of(|l| Some(l.explained)), expected: None, logarithmic: false },
+        Strip { name: "position error, m", values: of(|l| l.off.map(|o| o.0)), expected: None, logarithmic: false },
+        Strip { name: "NEES per degree of freedom", values: of(|l| l.nees), expected: Some(1.0), logarithmic: true },
     ];
     html! {
         figure {
@@ -126,7 +126,7 @@ fn range(strip: &Strip<'_>) -> String {
     format!(": {least:.3} to {most:.3}{scale}{expected}")
 }
 
-/// The middle of a frame's stretch of a strip, from 0 to 1000.
+/// The x coordinate of a frame in a strip, from 0 to 1000.
 fn across(k: usize, count: usize) -> f64 {
     1000.0 * (k as f64 + 0.5) / count.max(1) as f64
 }
@@ -145,7 +145,7 @@ fn states(leaves: &[Leaf]) -> Markup {
     }
 }
 
-/// Where the page is: the script moves it.
+/// The cursor at the current frame, which the script moves.
 fn now(height: f64) -> Markup {
     html! { line.now x1="0" x2="0" y1="0" y2=(height) {} }
 }
@@ -156,7 +156,7 @@ fn curve(strip: &Strip<'_>) -> Markup {
     let (least, most) = (known().fold(f64::INFINITY, f64::min), known().fold(f64::NEG_INFINITY, f64::max));
     let height = |v: f64| STRIP - 4.0 - (STRIP - 8.0) * (place(v) - least) / (most - least).max(1e-9);
     let count = strip.values.len();
-    // A stretch ends where there is no value.
+    // The curve breaks at frames without a value.
     let numbered: Vec<(usize, Option<f64>)> = strip.values.iter().copied().enumerate().collect();
     let lines = numbered.split(|(_, v)| !v.is_some_and(f64::is_finite)).filter(|s| !s.is_empty()).map(|stretch| {
         let at = |(k, v): &(usize, Option<f64>)| format!("{:.2},{:.2}", across(*k, count), height(v.unwrap_or(0.0)));
@@ -171,7 +171,7 @@ fn curve(strip: &Strip<'_>) -> Markup {
     }
 }
 
-/// The way from above: the same scale along both axes.
+/// The trajectory from above, with the same scale along both axes.
 fn plan(leaves: &[Leaf]) -> Markup {
     let believed: Vec<[f64; 2]> = leaves.iter().map(|l| [l.position[0], l.position[1]]).collect();
     let reference: Vec<[f64; 2]> = leaves.iter().filter_map(|l| l.reference).map(|p| [p[0], p[1]]).collect();
@@ -185,7 +185,7 @@ fn plan(leaves: &[Leaf]) -> Markup {
         let text = |p: &[f64; 2]| at(*p).map(|x| format!("{x:.2}")).join(",");
         points.iter().map(text).collect::<Vec<_>>().join(" ")
     };
-    // A round length that is easy to see.
+    // A round length for the scale bar.
     let power = 10f64.powf(extent.log10().floor());
     let metres = [5.0, 2.0, 1.0, 0.5, 0.2].map(|d| d * power).into_iter().find(|m| *m <= 0.5 * extent).unwrap_or(power);
     let bar = (SIDE - 40.0) * metres / extent;
@@ -228,7 +228,7 @@ mod tests {
         assert_eq!(read[4]["reason"], "</script><b>");
     }
 
-    /// The way goes from (0, 0) to (4, 2) within 380 of 420 pixels: 95 a metre, and the highest point, 2.1, at the top.
+    /// From (0, 0) to (4, 2) within 380 of 420 pixels: 95 pixels per metre, with the highest y of 2.1 at the top.
     #[test]
     fn the_plan_has_one_scale() {
         let html = plan(&drive()).into_string();
@@ -244,7 +244,7 @@ mod tests {
         let html = strips(&drive()).into_string();
         let nees = html.split("aria-label=\"NEES").nth(1).unwrap().split("</svg>").next().unwrap();
         assert_eq!(nees.matches("<polyline").count(), 2, "{nees}");
-        assert!(html.contains("NEES by numbers of the pose: 1.000 to 5.000, logarithmic, 1 expected"), "{html}");
-        assert!(!html.contains("aria-label=\"off, m\""));
+        assert!(html.contains("NEES per degree of freedom: 1.000 to 5.000, logarithmic, 1 expected"), "{html}");
+        assert!(!html.contains("aria-label=\"position error, m\""));
     }
 }

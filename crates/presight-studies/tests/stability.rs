@@ -65,7 +65,10 @@ fn check_left_out(rows: &[Row], html: &str, json: &serde_json::Value) {
     assert!(found.note.contains("left out as edge-on"), "{found:?}");
     assert_eq!(json["rows"][at]["other_pixels"], found.other);
     assert_eq!(json["rows"][at]["edge_on_polygons"], found.edge_on);
-    assert!(html.contains("there is none from 1e-6 on for gpu and gpu-32-bit"), "no word of where there is no bound");
+    assert!(
+        html.contains("there is no bound from 1e-6 on for gpu and gpu-32-bit"),
+        "the missing bound is not reported"
+    );
     let exact = |r: &&Row| r.family == "grazing" && r.finding.engine == "cpu";
     assert!(rows.iter().filter(exact).all(|r| r.finding.other == 0 && r.finding.edge_on == 0));
 }

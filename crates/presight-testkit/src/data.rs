@@ -8,7 +8,7 @@ use presight_model::world::World;
 use presight_predict::free_poses::free_poses;
 use std::path::PathBuf;
 
-/// The scenes that every engine is held to.
+/// The scenes on which every engine is tested.
 pub const SCENES: [&str; 5] = ["warehouse_small", "office_willowgarage", "factory_hall", "hospital", "city"];
 
 /// The root of this repository.
@@ -16,7 +16,7 @@ pub fn root() -> PathBuf {
     PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."))
 }
 
-/// A file of the shared data; `None` where it is not there and need not be.
+/// A file of the shared data; `None` if it is missing and not required.
 pub fn file(relative: &str) -> Option<PathBuf> {
     let root = std::env::var_os("PRESIGHT_DATA").map_or_else(|| root().join("../shared/data"), PathBuf::from);
     let path = root.join(relative);
@@ -28,7 +28,7 @@ pub fn file(relative: &str) -> Option<PathBuf> {
     None
 }
 
-/// A scene of the shared data, merged unless `ids source` is meant.
+/// A scene of the shared data. Without `merge`, triangles stay separate, as with `--ids source`.
 pub fn scene(name: &str, merge: bool) -> Option<World> {
     let path = file(&format!("env/{name}.glb"))?;
     let options = ImportOptions { merge, ..ImportOptions::default() };
@@ -45,8 +45,7 @@ pub fn presets() -> Vec<Sensor> {
     presight_model::sensor::PRESETS.iter().map(|p| presight_files::preset(p.name).expect("a sound preset")).collect()
 }
 
-/// `share` of the presets, those whose turn it is: `turn` and `pose` rotate the list, so that consecutive poses, or
-/// consecutive turns at one pose, go through all of them.
+/// A selection of `share` presets. Consecutive poses, or consecutive turns at one pose, cover all presets.
 pub fn presets_at(turn: usize, pose: usize, share: usize) -> Vec<Sensor> {
     let (all, count) = (presets(), presight_model::sensor::PRESETS.len());
     let share = share.min(count);

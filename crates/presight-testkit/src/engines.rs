@@ -6,7 +6,7 @@ use presight_render::plan::{CountName, SamplesMut};
 use presight_render::plan::{FramePlan, Images, Output, Stats};
 use presight_render::verify::Precision;
 
-/// Images that held something else before: an engine must write every pixel.
+/// Images filled with other values, because an engine must write every pixel.
 fn used(plan: &FramePlan) -> Images {
     let mut images = Images::default();
     images.prepare(plan.sensor.width(), plan.sensor.height(), plan.request.outputs);
@@ -20,21 +20,21 @@ fn used(plan: &FramePlan) -> Images {
     images
 }
 
-/// A function from a plan to the images that an engine makes of it.
+/// A function that renders a plan with an engine.
 pub type Renderer = Box<dyn FnMut(&FramePlan) -> Images>;
 
-/// Every engine that there is here, on two threads: the kind, its arithmetic, and how it renders.
+/// Every available engine, with two threads: its kind, precision and renderer.
 pub fn all() -> Vec<(EngineKind, Precision, Renderer)> {
     let engines = EngineKind::ALL.into_iter().filter_map(|kind| Some((kind, open(kind, 2)?)));
     engines.map(|(kind, engine)| (kind, engine.precision(), renderer(engine))).collect()
 }
 
-/// The CPU engine on so many threads.
+/// The CPU engine with a number of threads.
 pub fn cpu(threads: usize) -> Renderer {
     renderer(EngineKind::Cpu.open(&threads.into()).expect("threads"))
 }
 
-/// The GPU engine on whatever adapter there is; `None` where there is none and none is required.
+/// The GPU engine on any available adapter; `None` if there is none and none is required.
 #[expect(clippy::print_stderr, reason = "it says which adapter is tested")]
 pub fn gpu() -> Option<Renderer> {
     let engine = open(EngineKind::Gpu, 0)?;
@@ -42,7 +42,7 @@ pub fn gpu() -> Option<Renderer> {
     Some(renderer(engine))
 }
 
-/// `None` where there is no adapter and none is required (also by `PRESIGHT_REQUIRE_GPU`).
+/// Opens an engine; `None` if there is no adapter and none is required (see [`no_adapter`] and `PRESIGHT_REQUIRE_GPU`).
 fn open(kind: EngineKind, threads: usize) -> Option<Box<dyn Engine>> {
     match kind.open(&threads.into()) {
         Ok(engine) => Some(engine),

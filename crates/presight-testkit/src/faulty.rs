@@ -1,4 +1,4 @@
-//! Engines with something wrong, around the GPU engine on whatever adapter there is.
+//! Faulty engines, which wrap the GPU engine on any available adapter.
 
 use presight_features::{BoxQuery, FeaturePrediction, FeatureSamples, OcclusionHint};
 use presight_model::error::{Error, ErrorKind, Result};
@@ -12,42 +12,42 @@ use presight_render::verify::Precision;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 
-/// The hand of a test on an engine that a predictor holds.
+/// Switches by which a test controls a faulty engine inside a predictor.
 #[derive(Clone)]
 pub struct Switches {
-    /// No adapter is found any more, as after a driver's crash.
+    /// True if no adapter is found, as after a driver crash.
     pub gone: Arc<AtomicBool>,
     loss: Arc<Mutex<Box<dyn Fn() + Send>>>,
 }
 
 impl Switches {
-    /// Takes the present device away.
+    /// Loses the current device.
     pub fn lose(&self) {
         self.loss.lock().unwrap()();
     }
 
-    /// Whether none is found.
+    /// Sets whether no adapter is found.
     pub fn set_gone(&self, gone: bool) {
         self.gone.store(gone, Ordering::Relaxed);
     }
 }
 
-/// The GPU engine, which may draw wrong and whose device may go away for good.
+/// The GPU engine with optional faults: wrong images, and a device that can be lost permanently.
 pub struct Faulty {
     engine: gpu::GpuEngine,
     wrong: bool,
-    /// Only the hardware rasterizer draws wrong.
+    /// True if only images of the hardware rasterizer are wrong.
     of_render: bool,
     switches: Switches,
 }
 
 impl Faulty {
-    /// One that draws right, or every range 1 % too long.
+    /// An engine that draws correctly, or with `wrong` makes every range 1 % too long.
     pub fn new(setup: Setup, wrong: bool) -> Result<(Self, Switches)> {
         Self::open(Raster::Compute, setup, wrong)
     }
 
-    /// The same with the hardware rasterizer, without which it draws right.
+    /// As [`Faulty::new`] with the hardware rasterizer. Images of compute spans are always correct.
     pub fn with_render(wrong: bool) -> Result<(Self, Switches)> {
         Self::open(Raster::Render, Setup::default(), wrong)
     }

@@ -1,4 +1,4 @@
-//! An open hall without walls and roof, full of turned parts in small triangles: the scene in which setup costs most.
+//! An open hall without walls and roof, full of lathe-turned parts with small triangles: the worst case for setup time.
 
 use super::Random;
 use glam::{DVec3, Vec3};
@@ -10,7 +10,7 @@ use std::sync::Arc;
 /// Metres between the axes of neighbouring parts.
 const SPACING: f64 = 1.6;
 
-/// A floor with standing parts on it, whose triangles have legs of 1 to 5 cm: at least `triangles` of them. The same seed makes the
+/// A floor with standing parts that have at least `triangles` triangles with legs of 1 to 5 cm. The same seed makes the
 /// same hall.
 pub fn open_hall(seed: u64, triangles: usize) -> Environment {
     let mut random = Random(seed);
@@ -51,7 +51,7 @@ pub fn hall_poses(hall: &Environment, seed: u64, count: usize) -> Vec<Pose> {
     (0..count).map(|_| pose()).collect()
 }
 
-/// Parts in a row of the hall.
+/// The number of parts in a row of the hall.
 fn side_of(parts: usize) -> usize {
     (1..).find(|side| side * side >= parts).unwrap_or(1)
 }
@@ -61,7 +61,7 @@ fn place(side: usize, column: usize, row: usize) -> DVec3 {
     DVec3::new(from_middle(column), from_middle(row), 0.0)
 }
 
-/// A standing part turned on a lathe, open at both ends.
+/// A standing surface of revolution, open at both ends.
 fn turned_part(random: &mut Random) -> Mesh {
     let (leg, radius, height) = (random.uniform(0.012, 0.04), random.uniform(0.15, 0.4), random.uniform(0.8, 2.2));
     let (waves, phase) = (random.uniform(2.0, 12.0), random.uniform(0.0, TAU));

@@ -1,8 +1,8 @@
-//! Generated hard scenes: everything that makes rasterizers and ray casters fail, shrinkable.
+//! Generated hard scenes for rasterizers and ray casters.
 //!
-//! A case is plain data; [`Case::build`] makes the world, the sensors and the pose from it, so that proptest can shrink it
-//! and a failure can be told from its `Debug` text.
-#![allow(missing_docs, reason = "the fields of shapes say what they are")]
+//! A case is plain data, from which [`Case::build`] makes the world, the sensors and the pose. So proptest can shrink
+//! it, and its `Debug` text reproduces a failure.
+#![allow(missing_docs, reason = "the names of the fields of shapes suffice")]
 
 use super::scenes;
 use glam::{DAffine3, DMat3, DQuat, DVec3, Vec3};
@@ -13,67 +13,67 @@ use presight_model::world::World;
 use proptest::prelude::*;
 use std::sync::Arc;
 
-/// Where a polygon is relative to the sensor, in its own small frame; the sensor stands at the origin.
+/// A polygon or several, in units, with the sensor at the origin.
 #[derive(Clone, Debug)]
 pub enum Shape {
-    /// A regular polygon of `corners` in the plane through `at` with a normal, `radius` around it.
+    /// A regular polygon around `at` with a normal, a number of corners and a radius.
     Disc { at: [f64; 3], normal: [f64; 3], radius: f64, corners: usize },
     /// A triangle of length `long` and width `long / aspect`.
     Sliver { at: [f64; 3], along: [f64; 3], long: f64, aspect: f64 },
-    /// The sensor is `off` metres from its plane; `shift` moves it in that plane, in radii (below 1: over the polygon).
+    /// A polygon whose plane is `off` units from the sensor, shifted in its plane by `shift` radii (below 1: over it).
     InPlane { normal: [f64; 3], off: f64, shift: f64, radius: f64, corners: usize },
-    /// Touches the sensor with a corner or an edge.
+    /// A square that touches the sensor with a corner or an edge.
     Touching { normal: [f64; 3], radius: f64, edge: bool },
-    /// Around the pole above or below, wide or narrow.
+    /// A polygon around the pole above or below, wide or narrow.
     Pole { height: f64, radius: f64, corners: usize },
-    /// Over the azimuth seam (behind a scanner).
+    /// A square across the azimuth seam (behind a scanner).
     Seam { distance: f64, half: f64 },
     /// A ring of quads around the whole horizon.
     Horizon { radius: f64, half_height: f64, quads: usize },
-    /// The same face again, `turns` of its corners and perhaps the other way round.
+    /// Two equal polygons. The corners of the second are rotated by `turn`, and optionally reversed.
     Twice { at: [f64; 3], normal: [f64; 3], radius: f64, turn: usize, reversed: bool },
-    /// Overlapping faces in one plane that the rays meet squarely, with corners on pixel rays.
+    /// Overlapping squares in one plane perpendicular to the forward axis, with corners on pixel rays.
     Wall { distance: f64, half: f64, shift: f64 },
-    /// A grid of shared corners, many far smaller than a pixel.
+    /// A grid of cells with shared corners, often far smaller than a pixel.
     Carpet { at: [f64; 3], normal: [f64; 3], cell: f64, cells: usize },
 }
 
-/// How an object is placed.
+/// The transform of an object. Its mesh has the inverse, so the shape stays the same.
 #[derive(Clone, Debug)]
 pub struct ShapePlacement {
-    /// Turn of the object's own frame, which its pose undoes.
+    /// Rotation vector.
     pub turn: [f64; 3],
-    /// Scale of the axes, mirrored where negative.
+    /// Scale of the axes; negative factors mirror.
     pub scale: [f64; 3],
-    /// x by y.
+    /// Shear of x by y.
     pub shear: f64,
 }
 
 /// One generated scene.
 #[derive(Clone, Debug)]
 pub struct Case {
-    /// Shapes with their placing.
+    /// Shapes with their transforms.
     pub shapes: Vec<(Shape, ShapePlacement)>,
-    /// Metres that one unit of the shapes is.
+    /// Size of one unit of the shapes, metres.
     pub unit: f64,
-    /// The sensor in the world.
+    /// Position of the sensor in the world, metres.
     pub at: [f64; 3],
-    /// Roll, pitch, yaw.
+    /// Roll, pitch and yaw of the sensor, radians.
     pub turn: [f64; 3],
     /// Range limits in units, if any.
     pub limits: Option<(f64, f64)>,
-    /// Seen by sensors of small pixels ahead instead of by those that see all round.
+    /// Use sensors with small pixels ahead instead of wide ones.
     pub fine: bool,
 }
 
 impl Case {
-    /// The world, the pose and the sensors to try.
+    /// The world, the pose and the sensors to test.
     pub fn build(&self) -> (World, Pose, Vec<Sensor>) {
         self.build_from(mesh_of)
     }
 
-    /// The same of triangles only, whose corners define their planes: what a caster of triangles can be held to when
-    /// the sensor is as near a plane as f32 corners of larger polygons are off it.
+    /// As [`Case::build`] with triangles only, for comparison with a ray caster of triangles. Corners of larger
+    /// polygons are not exactly in one plane in f32, which matters if the sensor is equally close to that plane.
     pub fn build_triangles(&self) -> (World, Pose, Vec<Sensor>) {
         self.build_from(|polygons| scenes::try_mesh(&triangles(polygons)))
     }
@@ -130,7 +130,7 @@ impl Case {
     }
 }
 
-/// Rounding to f32 may leave a polygon that the mesh refuses: then its triangles.
+/// A mesh of the polygons, or of their triangles if the mesh refuses a polygon after rounding to f32.
 fn mesh_of(polygons: &[Vec<Vec3>]) -> Option<presight_model::environment::Mesh> {
     scenes::try_mesh(polygons).or_else(|| scenes::try_mesh(&triangles(polygons)))
 }
@@ -151,7 +151,7 @@ fn unit(v: [f64; 3]) -> DVec3 {
 }
 
 impl Shape {
-    /// Corners in units, body axes of the sensor.
+    /// The corners of each polygon in units, body axes of the sensor.
     fn faces(&self) -> Vec<Vec<DVec3>> {
         match *self {
             Self::Disc { at, normal, radius, corners } => vec![ring(at.into(), normal, radius, corners)],
@@ -207,7 +207,7 @@ impl Shape {
     }
 }
 
-/// A length over many orders of magnitude.
+/// A length, uniform in its logarithm.
 fn length(least: f64, most: f64) -> impl Strategy<Value = f64> {
     (least.ln()..most.ln()).prop_map(f64::exp)
 }
@@ -256,7 +256,7 @@ fn placing() -> impl Strategy<Value = ShapePlacement> {
     prop_oneof![1 => plain, 1 => any]
 }
 
-/// Any hard scene: 1 mm to 10 km across, at the origin or 5,000,000 m off.
+/// Hard scenes of 1 mm to 10 km, at the world's origin or 5,000,000 m from it.
 pub fn case() -> impl Strategy<Value = Case> {
     let at =
         prop::sample::select(vec![[0.0, 0.0, 0.0], [12.3, -4.5, 1.7], [5e6, -5e6, 100.0], [5e6 + 0.1, 3e6 + 0.7, 0.0]]);
@@ -267,7 +267,7 @@ pub fn case() -> impl Strategy<Value = Case> {
         .prop_map(|(shapes, unit, at, turn, limits)| Case { shapes, unit, at, turn, limits, fine: false })
 }
 
-/// Directions of all kinds of rows and columns: towards the poles and a camera's middle, exactly or nearly, or anywhere.
+/// Directions exactly or nearly towards the poles, forward or backward, or random ones.
 fn towards() -> impl Strategy<Value = [f64; 3]> {
     let axis = prop::sample::select(vec![[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]);
     let beside = (axis, [-1.0..1.0f64, -1.0..1.0f64, -1.0..1.0f64], prop_oneof![Just(0.0), length(1e-7, 0.3)]);
@@ -275,7 +275,7 @@ fn towards() -> impl Strategy<Value = [f64; 3]> {
     prop_oneof![3 => beside, 1 => direction()]
 }
 
-/// One carpet of up to 11 x 11 cells seen at 1e-1 to 1e-8 rad, over or beside the ray that it is placed on.
+/// A carpet of up to 11 x 11 cells seen at 1e-1 to 1e-8 rad, near a given ray.
 fn grazing_carpet() -> impl Strategy<Value = Shape> {
     let size = (length(1e-2, 1e2), length(1e-4, 1.0), prop_oneof![1 => Just(11usize), 2 => 1..12usize]);
     let tilt = (length(1e-8, 0.1), any::<bool>()).prop_map(|(t, back)| if back { -t } else { t });
@@ -291,7 +291,7 @@ fn grazing_carpet() -> impl Strategy<Value = Shape> {
     )
 }
 
-/// Carpets of small cells, nearly edge-on: all edge planes of a cell nearly are its plane.
+/// Nearly edge-on carpets of small cells, whose edge planes nearly coincide with their own plane.
 pub fn grazing() -> impl Strategy<Value = Case> {
     let at = prop::sample::select(vec![[0.0, 0.0, 0.0], [12.3, -4.5, 1.7], [5e6 + 0.1, 3e6 + 0.7, 0.0]]);
     let turn = prop_oneof![Just([0.0; 3]), [-3.0..3.0f64, -1.5..1.5f64, -3.0..3.0f64]];

@@ -1,7 +1,7 @@
-//! What tests of presight share: scenes, engines, an oracle, data, and the rule for tests that lack something.
+//! Shared test support of presight: scenes, engines, an oracle, data, and the rule for skipped tests.
 //!
-//! Tests of the library inside `src` cannot use what takes or returns types of the library: to them those are of another
-//! copy of it.
+//! Unit tests inside the library's `src` cannot use functions with types of the library: for them, these types belong
+//! to another copy of the library.
 
 pub mod data;
 pub mod engines;
@@ -24,7 +24,7 @@ use presight_predict::request::Request;
 use presight_render::plan::Samples;
 use presight_render::plan::{FramePlan, Images, Output, Outputs};
 
-/// A plan that asks for everything.
+/// A plan that requests all images that the sensor has.
 pub fn plan(world: &World, sensor: &Sensor, world_from_sensor: &Pose) -> FramePlan {
     let all = Outputs::ALL;
     let outputs = if sensor.is_camera() { all } else { all.without(Output::DepthZ) };
@@ -38,7 +38,7 @@ pub fn reference(plan: &FramePlan) -> Images {
     images
 }
 
-/// The bits of an image, whatever a pixel of it holds; empty if it is not there.
+/// The bits of an image of any sample type; empty if the image does not exist.
 pub fn bits(images: &Images, output: Output) -> Vec<u32> {
     match images.samples(output) {
         Some(Samples::Floats(image)) => image.iter().map(|v| v.to_bits()).collect(),
@@ -48,7 +48,7 @@ pub fn bits(images: &Images, output: Output) -> Vec<u32> {
     }
 }
 
-/// A number from the environment, for spreading runs and for reproducing one.
+/// Reads a number from an environment variable, to vary runs or to reproduce one.
 pub fn env_number(name: &str, default: u64) -> u64 {
     match std::env::var(name) {
         Ok(text) => text.parse().unwrap_or_else(|_| panic!("{name}={text} is not a number")),
@@ -56,7 +56,7 @@ pub fn env_number(name: &str, default: u64) -> u64 {
     }
 }
 
-/// One line on a comparison.
+/// A one-line summary of a comparison.
 pub fn summary(report: &presight_render::verify::Report) -> String {
     format!(
         "{} pixels: {} same, {} edge, {} coincident, {} faults; worst share of the bound: {}",
@@ -64,11 +64,11 @@ pub fn summary(report: &presight_render::verify::Report) -> String {
     )
 }
 
-/// From now on everything that runs on rayon's global pool panics: the product has its own threads, whose start can fail
+/// Makes any later use of rayon's global pool panic. The product must use its own threads, which can fail to start
 /// without a panic.
 pub fn forbid_global_pool() {
     let refuse = |_| Err(std::io::Error::other("forbidden here"));
-    // The first call fails and leaves the pool without threads for good; a later one finds it so.
+    // The first call fails and leaves the pool without threads permanently, so later calls fail too.
     let started = rayon::ThreadPoolBuilder::new().num_threads(1).spawn_handler(refuse).build_global();
     assert!(started.is_err());
     let used = std::panic::catch_unwind(|| rayon::join(|| (), || ()));

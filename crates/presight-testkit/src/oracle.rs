@@ -1,4 +1,4 @@
-//! parry3d-f64 as an oracle that shares no code with what is tested: ray casts against triangles.
+//! An independent oracle: ray casts against triangles by parry3d-f64.
 
 use glam::{DMat3, DVec3};
 use parry3d_f64::math::Vector;
@@ -12,21 +12,21 @@ use presight_render::verify::PixelValues;
 /// The triangles of an environment, each polygon cut into a fan, relative to an origin near the sensor.
 pub struct Oracle {
     mesh: TriMesh,
-    /// Object, slot, unit normal and reflection factor of the polygon by triangle: of the whole polygon, for its triangles
-    /// tilt by as much as f32 corners are off their plane.
+    /// For each triangle the object, slot, unit normal and reflection factor of its polygon. The normal of the triangle
+    /// would differ from it, because f32 corners are not exactly in one plane.
     of_triangle: Vec<(u32, u32, DVec3, f64)>,
     origin: DVec3,
 }
 
 impl Oracle {
-    /// `None` if there are no triangles. Differences to `origin` are taken before anything is added up, so that
-    /// scenes far from the world's origin keep their digits.
+    /// Builds the oracle; `None` if there are no triangles. Subtracts `origin` before all other sums, so that scenes
+    /// far from the world's origin keep their precision.
     pub fn new(environment: &Environment, origin: DVec3) -> Option<Self> {
         Self::of_polygons(environment, origin, |_, _| true)
     }
 
-    /// Without the triangles in whose plane the origin, where the sensor stands, lies as far as f64 can tell: they
-    /// cover no ray by definition.
+    /// As [`Oracle::new`], without polygons whose plane contains the origin, the sensor's position, within f64
+    /// rounding. By definition they cover no rays.
     pub fn off_plane(environment: &Environment, origin: DVec3) -> Option<Self> {
         Self::of_polygons(environment, origin, |corners, normal| {
             let nearest =
@@ -64,12 +64,12 @@ impl Oracle {
         Some(Self { mesh, of_triangle, origin })
     }
 
-    /// Is there a triangle between a place and `length` metres farther along a unit direction, world, but for those of
-    /// some polygons?
+    /// Returns true if a triangle lies within `length` metres of a point along a unit direction, both in the world.
+    /// Ignores triangles of the polygons with the slots in `but`.
     pub fn hides(&self, from: DVec3, direction: DVec3, length: f64, but: &[u32]) -> bool {
         let vector = |v: DVec3| Vector::new(v.x, v.y, v.z);
         let mut done = 0.0;
-        // A hit that does not count is stepped over.
+        // Continue behind a hit that is ignored.
         for _ in 0..64 {
             let start = from - self.origin + done * direction;
             let ray = Ray::new(vector(start), vector(direction));
@@ -86,7 +86,7 @@ impl Oracle {
         panic!("64 polygons of one feature on one ray");
     }
 
-    /// What a right engine shows at a pixel; `None` without a ray.
+    /// The correct values of a pixel; `None` if it has no ray.
     pub fn cast(&self, sensor: &Sensor, world_from_sensor: &Pose, (column, row): (u32, u32)) -> Option<PixelValues> {
         let ray = sensor.ray(column, row)?;
         let direction = DMat3::from_quat(world_from_sensor.rotation) * (sensor.body_from_image() * ray);
@@ -125,7 +125,7 @@ impl Oracle {
     }
 }
 
-/// Longest side and doubled area.
+/// The longest side and twice the area.
 fn size(corners: &[DVec3]) -> (f64, f64) {
     let n = corners.len();
     let longest = (0..n).map(|k| corners[k].distance(corners[(k + 1) % n])).fold(0.0, f64::max);

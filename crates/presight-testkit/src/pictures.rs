@@ -1,4 +1,4 @@
-//! Pictures of what failed: expected, actual and wrong pixels, as PNG files below `target/failed-images`.
+//! Pictures of failed comparisons: expected, actual and wrong pixels, as PNG files in `target/failed-images`.
 
 use presight_pictures as png;
 use presight_predict::virtual_sensors::Mask;
@@ -6,10 +6,10 @@ use presight_render::plan::{FramePlan, Images, Output};
 use presight_render::verify::{PixelValues, Precision, Report, compare, compare_values};
 use std::path::{Path, PathBuf};
 
-/// [`compare`], which leaves pictures and prints where they are if a pixel is wrong.
+/// As [`compare`]. If a pixel is wrong, also writes pictures and prints their folder.
 ///
 /// # Panics
-/// If the images are not of one shape.
+/// If the images have different shapes.
 #[expect(clippy::print_stderr, reason = "where a failing test left its pictures is worth reading")]
 pub fn compare_or_show(expected: &Images, actual: &Images, plan: &FramePlan, precision: Precision) -> Report {
     let report = compare(expected, actual, plan, precision).expect("images of one shape");
@@ -26,7 +26,7 @@ pub fn compare_or_show(expected: &Images, actual: &Images, plan: &FramePlan, pre
 /// Writes `expected.png`, `actual.png` and `difference.png` (wrong pixels white) into a folder.
 ///
 /// # Errors
-/// Those of writing.
+/// Write errors.
 pub fn leave(
     folder: &Path,
     expected: &Images,
@@ -47,7 +47,7 @@ pub fn leave(
     png::write_mask(&folder.join("difference.png"), &mask)
 }
 
-/// Marks the wrong pixels from number `first` on. Halves what is wrong in part: few pixels are looked at more than once.
+/// Marks the wrong pixels, starting at pixel `first`. Uses bisection, so that few pixels are compared more than once.
 fn mark(expected: &Images, actual: &Images, plan: &FramePlan, precision: Precision, first: usize, wrong: &mut [bool]) {
     let width = expected.width as usize;
     let pixels = (first..first + wrong.len()).map(|at| {
@@ -65,7 +65,7 @@ fn mark(expected: &Images, actual: &Images, plan: &FramePlan, precision: Precisi
     mark(expected, actual, plan, precision, first + half, right);
 }
 
-/// A folder of its own for the test that runs and this sensor.
+/// A separate folder for the running test and this sensor.
 fn folder_of_test(sensor: &str) -> PathBuf {
     let target = std::env::var_os("CARGO_TARGET_DIR")
         .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../target"), PathBuf::from);

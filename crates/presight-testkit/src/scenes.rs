@@ -1,4 +1,4 @@
-//! Small scenes made by hand.
+//! Small synthetic scenes and sensors.
 
 use super::Random;
 use glam::{DVec3, Vec3};
@@ -8,7 +8,7 @@ use presight_model::sensor::{Angles, Camera, Distortion, Geometry, RayTable, Sca
 use presight_model::world::World;
 use std::sync::Arc;
 
-/// A mesh of polygons; equal corners become one vertex. `None` if the mesh refuses a polygon.
+/// A mesh of polygons, in which equal corners share one vertex. `None` if the mesh refuses a polygon.
 pub fn try_mesh(polygons: &[Vec<Vec3>]) -> Option<Mesh> {
     let mut vertices: Vec<Vec3> = Vec::new();
     let mut known = std::collections::HashMap::new();
@@ -25,17 +25,17 @@ pub fn try_mesh(polygons: &[Vec<Vec3>]) -> Option<Mesh> {
     Mesh::new("test", vertices, list, PolygonOrder::Given).ok()
 }
 
-/// [`try_mesh`] for polygons known to be sound.
+/// As [`try_mesh`], for valid polygons.
 pub fn mesh(polygons: &[Vec<Vec3>]) -> Mesh {
     try_mesh(polygons).expect("a sound mesh")
 }
 
-/// The six faces of a box, sharing corners.
+/// The six faces of a box, with shared corners.
 pub fn cuboid(least: Vec3, most: Vec3) -> Mesh {
     Mesh::cuboid("box", least, most, 0).expect("a sound box")
 }
 
-/// An environment of one opaque material.
+/// An empty environment with one opaque material.
 pub fn empty() -> Environment {
     let mut environment = Environment::new();
     environment.add_material(Material::named("grey")).expect("a sound material");
@@ -66,7 +66,7 @@ pub fn room_world(seed: u64, boxes: usize) -> World {
     World::new(room(seed, boxes))
 }
 
-/// A camera, not square.
+/// A camera with different focal lengths in x and y.
 pub fn camera(width: u32, height: u32) -> Sensor {
     let f = f64::from(width);
     let (cx, cy) = (f64::from(width - 1) / 2.0, f64::from(height - 1) / 2.0);
@@ -74,7 +74,7 @@ pub fn camera(width: u32, height: u32) -> Sensor {
     Sensor::new(SensorSpec::new("camera", "video", Geometry::Camera(camera))).expect("a sound camera")
 }
 
-/// A scanner all the way round, `rows` from -45 to 45 degrees.
+/// A scanner of the full turn, with `rows` from -45 to 45 degrees.
 pub fn scanner(columns: u32, rows: u32) -> Sensor {
     let azimuth = Angles::Uniform { start_deg: -180.0, step_deg: 360.0 / f64::from(columns), count: columns };
     let step_deg = 90.0 / f64::from(rows.max(2) - 1);
@@ -96,7 +96,7 @@ pub fn all_round(columns: u32, rows: u32) -> Sensor {
     Sensor::new(SensorSpec::new("all round", "laser", Geometry::Rays(table))).expect("a sound sensor")
 }
 
-/// A camera whose lens bends straight lines, with no ray in its corners, where the model folds over.
+/// A camera with a distorting lens. Its corners have no rays, because the lens model folds there.
 pub fn lens(width: u32, height: u32) -> Sensor {
     let f = 0.55 * f64::from(width);
     let (cx, cy) = (f64::from(width) / 2.1, f64::from(height) / 1.9);
@@ -105,7 +105,7 @@ pub fn lens(width: u32, height: u32) -> Sensor {
     Sensor::new(SensorSpec::new("lens", "video", Geometry::Camera(camera))).expect("a sound camera")
 }
 
-/// An equidistant fisheye that sees 110 degrees from its axis, and farther in its corners.
+/// An equidistant fisheye that sees up to 110 degrees from its axis, and farther in its corners.
 pub fn fisheye(width: u32, height: u32) -> Sensor {
     let f = 0.5 * f64::from(width) / 110f64.to_radians();
     let (cx, cy) = (f64::from(width - 1) / 2.0, f64::from(height - 1) / 2.0);

@@ -1,4 +1,4 @@
-//! AprilTags of 36h11 for rendered images: the first codes, cell by cell, and boards of them for scenes.
+//! AprilTags of the dictionary 36h11 for rendered images: the first codes, their cells, and boards for scenes.
 
 use glam::{DVec3, Vec3};
 use presight_model::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
@@ -8,7 +8,7 @@ use std::sync::Arc;
 /// The first codes of the dictionary.
 const CODES: [u64; 4] = [0xd_7e00_984b, 0xd_da66_4ca7, 0xd_c4a1_c821, 0xe_17b4_70e9];
 
-/// Where the bits of a code are, the highest first: column and row of the black square, from its top left.
+/// Column and row of each bit of a code, highest bit first, in the black square from its top left.
 const BITS: [(i32, i32); 36] = [
     (1, 1),
     (2, 1),
@@ -48,15 +48,16 @@ const BITS: [(i32, i32); 36] = [
     (3, 4),
 ];
 
-/// Whether a cell of a tag is white: column and row of the black square, 8 cells wide. Around it one row of cells is white.
+/// Returns true if a cell of a tag is white. `column` and `row` count from the top left of the black square, which is 8
+/// cells wide and surrounded by white cells.
 pub fn is_white(tag: usize, column: i32, row: i32) -> bool {
     let outside = !(0..8).contains(&column) || !(0..8).contains(&row);
     let bit = BITS.iter().position(|bit| *bit == (column, row));
     outside || bit.is_some_and(|bit| CODES[tag] >> (35 - bit) & 1 == 1)
 }
 
-/// Puts up a board with a tag, its black square so wide, metres. Seen from the front x is to the right, y up and z towards the viewer.
-/// Returns the square's corners in the world, clockwise from the top left.
+/// Adds a board with a tag whose black square is `side` metres wide. Seen from the front, x points right, y up and z
+/// towards the viewer. Returns the square's corners in the world, clockwise from the top left.
 pub fn add_tag(environment: &mut Environment, name: &str, tag: usize, pose: &Pose, side: f64) -> [DVec3; 4] {
     let [black, white] = [("black", 0.15), ("white", 0.9)].map(|(name, reflection)| {
         let known = environment.materials().iter().position(|m| m.name == name);

@@ -1,37 +1,37 @@
-//! Which engine is taken on a machine, and what would help, from what became of its adapters.
+//! Advice from the test results of all adapters: the engine that each `--backend` uses, and how to fix problems.
 
-/// What became of an adapter.
+/// The test result of an adapter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AdapterState {
-    /// It draws what it should.
+    /// All images are correct.
     Right,
-    /// It opens, and draws something wrong.
+    /// It opens, but draws wrong images.
     Wrong,
     /// It cannot be opened.
     Unusable,
 }
 
-/// An adapter that was tried.
+/// A tested adapter.
 #[derive(Clone, Copy, Debug)]
 pub struct AdapterTrial {
-    /// It is a real GPU.
+    /// True for a hardware GPU.
     pub hardware: bool,
-    /// What became of it.
+    /// The test result.
     pub state: AdapterState,
 }
 
 /// All adapters of a machine.
 #[derive(Clone, Debug, Default)]
 pub struct Machine {
-    /// In the driver's order.
+    /// The adapters in the driver's order.
     pub tried: Vec<AdapterTrial>,
-    /// Which of them `--backend auto` takes.
+    /// Index of the adapter that `--backend auto` uses.
     pub auto: Option<usize>,
-    /// Which of them `--backend gpu` takes.
+    /// Index of the adapter that `--backend gpu` uses.
     pub any: Option<usize>,
-    /// `VARIABLE=value` if the environment tells the Vulkan loader where drivers are.
+    /// `VARIABLE=value` of the environment variable that sets the drivers of the Vulkan loader.
     pub drivers: Option<String>,
-    /// The same if it tells the loader which drivers to pass over.
+    /// `VARIABLE=value` of the environment variable that disables drivers of the Vulkan loader.
     pub disabled: Option<String>,
 }
 
@@ -40,41 +40,42 @@ impl Machine {
         place.and_then(|i| self.tried.get(i).copied())
     }
 
-    /// False if an adapter draws wrong, or one that would be used cannot be opened.
+    /// Returns false if an adapter draws wrong images, or one that would be used cannot be opened.
     pub fn is_sound(&self) -> bool {
         let used = [self.auto, self.any].map(|place| self.at(place).map(|t| t.state));
         !self.tried.iter().any(|t| t.state == AdapterState::Wrong) && !used.contains(&Some(AdapterState::Unusable))
     }
 
-    /// What each `--backend` takes, and what would help, line by line.
+    /// The advice, one line per `--backend` and problem.
     pub fn advice(&self) -> String {
         let auto = match self.at(self.auto).map(|t| t.state) {
             Some(AdapterState::Right) => "--backend auto takes the GPU.",
-            Some(AdapterState::Wrong) => "--backend auto takes the GPU, unless it draws wrong what is asked of it.",
+            Some(AdapterState::Wrong) => "--backend auto takes the GPU, unless it draws the requested images wrong.",
             Some(AdapterState::Unusable) => "--backend auto takes the CPU engine: the GPU cannot be opened.",
             None => "--backend auto takes the CPU engine: no hardware GPU was found.",
         };
         let mut lines = vec![auto.to_owned(), self.of_any()];
         if self.tried.iter().any(|t| t.state == AdapterState::Wrong) {
             lines.push(
-                "Update the driver of what is wrong above, or use --backend cpu, and please report it.".to_owned(),
+                "Update the driver of each adapter with errors above, or use --backend cpu, and please report it."
+                    .to_owned(),
             );
         }
         lines.join("\n")
     }
 
-    /// What `--backend gpu` takes.
+    /// Advice for `--backend gpu`.
     fn of_any(&self) -> String {
         let text = match self.at(self.any) {
             Some(AdapterTrial { state: AdapterState::Unusable, .. }) => {
-                "--backend gpu ends with status 3: the adapter that it takes cannot be opened. Free what the message above \
-                 says is lacking (memory: also ulimit -v), or update the driver; --backend cpu needs none of it."
+                "--backend gpu ends with status 3: the adapter that it takes cannot be opened. Free the resource named \
+                 in the message above (for memory, also check ulimit -v), or update the driver, or use --backend cpu."
             }
             Some(AdapterTrial { state: AdapterState::Wrong, .. }) => {
-                "--backend gpu ends with status 3 where its adapter draws wrong."
+                "--backend gpu ends with status 3 if its adapter draws wrong images."
             }
             Some(AdapterTrial { hardware: false, .. }) => {
-                "--backend gpu takes a program that plays a GPU: slower than the CPU engine, good for tests."
+                "--backend gpu takes a software GPU: slower than the CPU engine, good for tests."
             }
             Some(AdapterTrial { hardware: true, .. }) => "Nothing needs to be installed.",
             None => return self.of_none(),
@@ -82,24 +83,24 @@ impl Machine {
         text.to_owned()
     }
 
-    /// Why there may be no adapter.
+    /// Advice if `--backend gpu` finds no adapter.
     fn of_none(&self) -> String {
         if !self.tried.is_empty() {
-            return "--backend gpu finds nothing that it can use: the adapters above can bind too few buffers.".into();
+            return "--backend gpu finds no usable adapter: the adapters above can bind too few buffers.".into();
         }
         if let Some(set) = &self.disabled {
             return format!(
-                "--backend gpu finds nothing. {set} is set: drivers of these names are passed over. Unset it."
+                "--backend gpu finds nothing. {set} is set, which disables drivers of these names. Unset it."
             );
         }
         match &self.drivers {
             Some(set) => format!(
-                "--backend gpu finds nothing. {set} is set: drivers are looked for there and nowhere else. Unset it, or name \
-                 a driver's JSON file."
+                "--backend gpu finds nothing. {set} is set, so drivers are loaded only from there. Unset it, or set it \
+                 to a driver's JSON file."
             ),
             None if cfg!(target_os = "linux") => {
-                "--backend gpu finds nothing. For a GPU install its Vulkan driver (mesa-vulkan-drivers and libvulkan1 on \
-                 Debian and Ubuntu, or NVIDIA's); the former bring lavapipe, too, which runs on the CPU."
+                "--backend gpu finds nothing. For a GPU install its Vulkan driver (NVIDIA's, or mesa-vulkan-drivers \
+                 and libvulkan1 on Debian and Ubuntu, which include lavapipe, a software GPU)."
                     .into()
             }
             None => "--backend gpu finds nothing. Install the GPU's driver.".into(),
@@ -123,14 +124,14 @@ mod tests {
         use AdapterState::{Right, Unusable, Wrong};
         for (hardware, software, sound, told, untold) in [
             (None, None, true, "no hardware GPU was found.\n--backend gpu finds nothing", "takes the GPU"),
-            (None, Some(Right), true, "takes a program that plays a GPU", "status 3"),
-            (None, Some(Unusable), false, "--backend gpu ends with status 3: the adapter", "plays a GPU"),
+            (None, Some(Right), true, "takes a software GPU", "status 3"),
+            (None, Some(Unusable), false, "--backend gpu ends with status 3: the adapter", "software GPU"),
             (None, Some(Wrong), false, "Update the driver", "good for tests"),
             (Some(Right), None, true, "takes the GPU.\nNothing needs to be installed.", "CPU engine"),
             (Some(Right), Some(Unusable), true, "takes the GPU.\nNothing needs", "status 3"),
             (Some(Right), Some(Wrong), false, "Update the driver", "status 3"),
             (Some(Unusable), Some(Right), false, "the CPU engine: the GPU cannot be opened.", "takes the GPU"),
-            (Some(Wrong), None, false, "unless it draws wrong", "Nothing needs"),
+            (Some(Wrong), None, false, "unless it draws the requested images wrong", "Nothing needs"),
         ] {
             let machine = machine(hardware, software);
             let advice = machine.advice();

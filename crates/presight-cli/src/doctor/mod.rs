@@ -1,4 +1,4 @@
-//! `presight doctor`: which engine will be used here, whether each draws what it should, and what to install.
+//! `presight doctor`: tests the engines of this machine, and advises which to use and what to install.
 
 #[cfg(feature = "gpu")]
 mod advice;
@@ -20,12 +20,12 @@ use std::fmt::Write;
 const EXAMPLES: &str = "Examples:
   presight doctor
 
-Exit status: 0 every engine draws what it should, 1 one does not, or an adapter that would be used cannot be opened.";
+Exit status: 0 if all engines draw correct images, 1 if one does not or an adapter that would be used cannot be opened.";
 
 /// Check the engines of this machine
 ///
-/// Lists the adapters, lets each draw a tiny scene through every stage, compares with the reference, and says which
-/// engine will be used and what to install.
+/// Lists the adapters, draws a small scene with each through every stage, compares the images with the reference, and
+/// reports which engine will be used and what to install.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {}
@@ -47,14 +47,14 @@ pub fn run(_: &Args) -> Result<CommandOutcome> {
     Ok(if sound { CommandOutcome::Done } else { CommandOutcome::Found })
 }
 
-/// One line a task; true if none shows a fault.
+/// Appends one line per task to `text`. Returns true if all images are correct.
 fn check(probe: &Probe, text: &mut String, engine: &mut dyn Engine, tasks: &[SensorKind]) -> bool {
     let mut sound = true;
     for &task in tasks {
         let drawn = probe.run(task, Outputs::ALL, |plan, images| engine.render(plan, images, &mut Stats::default()));
         let verdict = match drawn {
             Ok(report) if report.fault == 0 => {
-                format!("right: {} of {} pixels as the reference has them", report.same, report.pixels)
+                format!("right: {} of {} pixels equal the reference", report.same, report.pixels)
             }
             Ok(report) => {
                 sound = false;
@@ -81,7 +81,7 @@ fn gpus(_: &Probe, text: &mut String) -> bool {
 fn gpus(probe: &Probe, text: &mut String) -> bool {
     let mut tried = Vec::new();
     for (i, adapter) in adapters().iter().enumerate() {
-        let kind = if adapter.hardware { "a GPU" } else { "a program that plays a GPU on the CPU" };
+        let kind = if adapter.hardware { "a GPU" } else { "a software GPU that runs on the CPU" };
         let _ = writeln!(text, "\n{adapter}: {kind}");
         let open = |without_int64, raster| {
             let options = DeviceOptions { adapter: Some(i), without_int64, raster, ..DeviceOptions::default() };
@@ -89,7 +89,7 @@ fn gpus(probe: &Probe, text: &mut String) -> bool {
         };
         tried.push(AdapterTrial { hardware: adapter.hardware, state: device(probe, text, open) });
     }
-    // The loader's own variables; the newer one comes first.
+    // Variables of the Vulkan loader; VK_DRIVER_FILES is the newer one and takes precedence.
     let set = |name: &'static str| std::env::var(name).ok().map(|value| format!("{name}={value}"));
     let drivers = ["VK_DRIVER_FILES", "VK_ICD_FILENAMES"].into_iter().find_map(set);
     let disabled = set("VK_LOADER_DRIVERS_DISABLE");
@@ -98,7 +98,7 @@ fn gpus(probe: &Probe, text: &mut String) -> bool {
     machine.is_sound()
 }
 
-/// The paths of one device: with 64-bit atomics, if it has them, and without, each by compute spans and by the hardware rasterizer.
+/// Tests one device: with 64-bit atomics, if it has them, and without; each with both rasterizers.
 #[cfg(feature = "gpu")]
 fn device(probe: &Probe, text: &mut String, open: impl Fn(bool, Raster) -> Result<gpu::GpuEngine>) -> AdapterState {
     let mut sound = true;
@@ -146,7 +146,7 @@ fn device(probe: &Probe, text: &mut String, open: impl Fn(bool, Raster) -> Resul
     if sound { AdapterState::Right } else { AdapterState::Wrong }
 }
 
-/// One line a task: what the device says of features, which no image shows.
+/// Appends one line per task to `text`: the device's results for features, which images do not show.
 #[cfg(feature = "gpu")]
 fn features_of(probe: &Probe, text: &mut String, engine: &mut gpu::GpuEngine) -> bool {
     let mut sound = true;
@@ -154,7 +154,7 @@ fn features_of(probe: &Probe, text: &mut String, engine: &mut gpu::GpuEngine) ->
         let told = probe.occlusion(task, engine).and_then(|seen| Ok((seen, probe.regions(task, engine)?)));
         let verdict = match told {
             Ok((seen, regions)) => {
-                // No region may be wrong: the first that a device makes are held to the same.
+                // No region may be wrong.
                 let right = seen.is_sound() && regions.wrong == 0;
                 sound &= right;
                 format!(
@@ -190,7 +190,7 @@ mod tests {
     use presight::plan::{FramePlan, Images};
     use presight::verify::Precision;
 
-    /// The CPU engine, with images spoiled or none.
+    /// The CPU engine with corrupted images or errors.
     struct Faulty(Box<dyn Engine>, fn(&mut Images) -> Result<()>);
 
     impl Engine for Faulty {

@@ -1,4 +1,4 @@
-//! `presight env apply`: lines of changes, each acknowledged when it is on the disk.
+//! `presight env apply`: applies changes from lines of JSON, and acknowledges each line once it is safely on disk.
 
 use super::{NoteArgs, open_store};
 use crate::print;
@@ -9,34 +9,34 @@ use presight_files::file::without_mark;
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
-/// Most changes that become durable together.
+/// The maximum number of lines committed together.
 const BATCH: usize = 100;
 
-const EXAMPLES: &str = r#"One change a line; poses are [x, y, z, roll_deg, pitch_deg, yaw_deg] or [x, y, z, qx, qy, qz, qw].
-PATH is an object's; "move", "set_pose" and "delete_object" also take a path above objects, a group:
-  {"op":"move","object":PATH,"pose":[..]}      what is below PATH moves with it
+const EXAMPLES: &str = r#"One change per line; poses are [x, y, z, roll_deg, pitch_deg, yaw_deg] or [x, y, z, qx, qy, qz, qw].
+PATH names an object; "move", "set_pose" and "delete_object" also accept the path of a group:
+  {"op":"move","object":PATH,"pose":[..]}      everything below PATH moves with it
   {"op":"set_pose","object":PATH,"pose":[..]}  an object moves alone
-  {"op":"delete_object","object":PATH}         its features go with it; of a group all that is below
-  {"op":"set_group","group":PATH,"pose":[..]}  where a group's frame is; nothing else moves
+  {"op":"delete_object","object":PATH}         also deletes its features; for a group all below it
+  {"op":"set_group","group":PATH,"pose":[..]}  sets a group's frame; nothing else moves
   {"op":"insert_object","object":PATH,"pose":[..],"from":"press.glb"}
-                                               "from_object" where the file holds several
+                                               "from_object" if the file holds several
   {"op":"insert_object","object":PATH,"pose":[..],"like":PATH}
   {"op":"insert_object","object":PATH,"vertices":[[x,y,z],..],"polygons":[[0,1,2],..],
    "material":NAME}
   {"op":"add_material","name":NAME,"reflection":0.4,"classes":{"radar":"transparent"}}
-  {"op":"insert_feature","class":C,"feature":{..}}  as in a layer file, also "set_feature":
+  {"op":"insert_feature","class":C,"feature":{..}}  as in a layer file; also "set_feature";
                                                it must lie on polygons
   {"op":"delete_feature","class":C,"feature":ID}
   {"op":"set_tolerance","class":C,"tolerance":M}
   {"op":"set_pose_covariance","class":C,"object":PATH,"covariance":[36 numbers]}
   {"op":"group","changes":[..]}                all of them or none
-A line may have a "cause", and an "id": applied again after a crash it is acknowledged and does
-nothing, while another change under the same id is an error."#;
+A line may have a "cause" and an "id". A line whose id has been applied before is acknowledged
+and has no effect; another change with the same id is an error."#;
 
-/// Apply changes, one JSON object a line; prints `ack K` when line K is on the disk
+/// Apply changes, one JSON object per line; prints `ack K` once line K is safely on disk
 ///
-/// Lines are committed together as far as they are there already, at most 100 at a time: a program that waits for each
-/// acknowledgement gets it at once. A wrong line ends it; those before are acknowledged.
+/// Lines that have already arrived are committed together, at most 100 at a time, so a program that waits for each
+/// acknowledgement gets it at once. Stops at the first invalid line; those before it are still acknowledged.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -53,11 +53,11 @@ pub struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// Those of the store; of a line with its number.
+/// Store errors; an error in a line names its number.
 pub fn run(args: &Args) -> Result<()> {
     let from_stdin = args.changes == Path::new("-");
     let path = if from_stdin { Path::new("stdin") } else { &args.changes };
-    // Refused before the store is touched.
+    // Check --time before opening the store.
     args.note.note(String::new)?;
     let (input, folder): (Box<dyn Read>, &Path) = if from_stdin {
         (Box::new(std::io::stdin()), Path::new("."))
@@ -79,7 +79,7 @@ pub fn run(args: &Args) -> Result<()> {
                     ended = true;
                     break;
                 }
-                // Those before it are stored and acknowledged first, as before a wrong change.
+                // As with an invalid change, first commit and acknowledge the lines before it.
                 Err(e) => {
                     wrong = Some(e);
                     break;
@@ -97,7 +97,7 @@ pub fn run(args: &Args) -> Result<()> {
                 break;
             }
         }
-        // After the store refused, nothing of the batch is left.
+        // After a store error the batch is empty.
         if wrong.as_ref().is_none_or(|_| batch.is_whole()) {
             batch.commit()?;
             let acks: String = applied.iter().map(|number| format!("ack {number}\n")).collect();
@@ -117,7 +117,7 @@ struct Lines<'a> {
 }
 
 impl Lines<'_> {
-    /// The next line with its number, from 1; waits for it.
+    /// Waits for the next line, and returns it with its number, from 1.
     fn next(&mut self) -> Result<Option<(u64, String)>> {
         let mut bytes = Vec::new();
         let limit = limits::MAX_LINE_BYTES;
@@ -130,7 +130,7 @@ impl Lines<'_> {
         let place = |e: Error| e.at(format!("line {}", self.number)).in_file(self.path);
         if bytes.len() as u64 > limit {
             let what = format!("it is over {limit} bytes long");
-            return Err(place(Error::invalid(what, "give one change a line, large shapes by \"from\"")));
+            return Err(place(Error::invalid(what, "give one change per line, and large shapes by \"from\"")));
         }
         let text = String::from_utf8(bytes)
             .map_err(|_| place(Error::invalid("it is not UTF-8", "write the changes as UTF-8 text")))?;
@@ -138,7 +138,7 @@ impl Lines<'_> {
         Ok(Some((self.number, text.trim().to_owned())))
     }
 
-    /// True if a whole line is there without waiting.
+    /// Returns true if a whole line has already arrived.
     fn has_another(&self) -> bool {
         self.reader.buffer().contains(&b'\n')
     }

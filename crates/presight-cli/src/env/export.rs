@@ -1,4 +1,4 @@
-//! `presight env export`: a store as a scene with layer files.
+//! `presight env export`: exports a store as a scene with layer files.
 
 use crate::outputs::{OutputFiles, check_no_dash};
 use crate::print;
@@ -11,16 +11,17 @@ use std::path::{Path, PathBuf};
 
 /// Write a store as glTF with layer files, which create and import read back without loss
 ///
-/// A folder gets scene.glb and CLASS.layer.json; beside FILE.glb layers are FILE.CLASS.layer.json. In CLASS, what is no letter,
-/// digit, - _ or . is written as %XX. Features that lost their surface are marked "surface": "lost". Layer files that are there
-/// already, and would not be written, are refused: what was deleted would come back with them. The log stays behind, and so do numbers of objects, ids of deleted features, and objects
-/// without polygons; a store without any polygon is refused, for no scene is read without one.
+/// Writes scene.glb and CLASS.layer.json into a folder, or FILE.glb and FILE.CLASS.layer.json next to it. Characters of
+/// CLASS other than letters, digits, - _ and . are written as %XX. Features that lost their surface are marked
+/// "surface": "lost". Other layer files in the folder are an error: importing them would restore deleted features. The
+/// export leaves out the log, the numbers of objects, the ids of deleted features, and objects without polygons. A
+/// store without polygons is an error: it would not make a valid scene.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// The store
     store: PathBuf,
 
-    /// A folder, made where there is none, or a file that ends in .glb
+    /// A folder, created if it does not exist, or a .glb file
     #[arg(value_name = "DIR|FILE.glb")]
     out: PathBuf,
 }
@@ -28,7 +29,7 @@ pub struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// Those of reading the store and writing the files.
+/// Errors from reading the store and writing the files.
 pub fn run(args: &Args) -> Result<()> {
     check_no_dash(&args.out)?;
     let is_file = args.out.extension().is_some_and(|e| e.eq_ignore_ascii_case("glb"));
@@ -51,7 +52,7 @@ pub fn run(args: &Args) -> Result<()> {
     if !is_file {
         std::fs::create_dir_all(&args.out).map_err(|e| {
             let remedy = "check the permissions, or write elsewhere";
-            let what = format!("cannot make the folder: {e}");
+            let what = format!("cannot create the folder: {e}");
             Error::new(ErrorKind::System, what, remedy).in_file(&args.out).caused_by(e)
         })?;
     }
@@ -66,18 +67,18 @@ pub fn run(args: &Args) -> Result<()> {
     print::lines(written.map(|path| path.display().to_string()))
 }
 
-/// Layer files of an export before, of classes that are gone: who imports all that is there would bring back what was deleted.
-/// They are the user's, so they are not removed.
+/// Refuses layer files from an earlier export whose class no longer exists: importing the whole folder would restore
+/// deleted features. They belong to the user, so they are not removed.
 fn refuse_others(folder: &Path, prefix: &str, files: &[(PathBuf, &FeatureLayer)]) -> Result<()> {
     const LISTED: usize = 5;
     let here = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
     let mut others = Vec::new();
-    // A folder that cannot be listed cannot be written into either, or tells by writing why not.
+    // Ignore a folder that cannot be listed: if it cannot be written either, writing reports why.
     for entry in std::fs::read_dir(here).into_iter().flatten().flatten() {
         let name = entry.file_name();
         let Some(text) = name.to_str() else { continue };
         let ours = text.starts_with(prefix) && text.len() > prefix.len() + SUFFIX.len() && text.ends_with(SUFFIX);
-        // Beside x.glb, x.y.video.layer.json may be of x.y.glb.
+        // Next to x.glb, x.y.video.layer.json may belong to x.y.glb.
         let longer = || text.match_indices('.').filter(|(i, _)| *i >= prefix.len()).map(|(i, _)| &text[..i]);
         let ours = ours && (prefix.is_empty() || !longer().any(|stem| here.join(format!("{stem}.glb")).exists()));
         if ours && !files.iter().any(|(path, _)| path.file_name() == Some(&name)) {
@@ -94,10 +95,10 @@ fn refuse_others(folder: &Path, prefix: &str, files: &[(PathBuf, &FeatureLayer)]
     Err(Error::invalid(what, "move or delete them, or export elsewhere").in_file(here))
 }
 
-/// How names of layer files end.
+/// The ending of layer file names.
 const SUFFIX: &str = ".layer.json";
 
-/// A class as a part of a file's name; no two have the same.
+/// Encodes a class as part of a file name. Different classes get different names.
 fn file_name(class: &str) -> String {
     let mut name = String::new();
     for c in class.chars() {

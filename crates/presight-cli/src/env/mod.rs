@@ -1,4 +1,4 @@
-//! `presight env`: the stored environment.
+//! `presight env`: stored environments.
 
 mod apply;
 mod export;
@@ -21,25 +21,25 @@ use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 const EXAMPLES: &str = "Examples:
-  A store of a model, with the features that a camera may find:
+  A store of a model, with features for a camera:
     presight env create hall.presight hall.glb
     presight env import hall.presight hall.video.layer.json
 
-  A machine was moved, and one was taken away; both or none. A path above objects moves and goes with all of them:
+  Move one machine and remove another, both or none. The path of a group moves or removes all its objects:
     echo '{\"op\":\"group\",\"changes\":[{\"op\":\"move\",\"object\":\"press 1\",\"pose\":[3,1,0,0,0,90]},
       {\"op\":\"delete_object\",\"object\":\"press 2\"}]}' | tr -d '\\n' | presight env apply hall.presight -
 
-  What was done, and the last change undone:
+  List all changes, and undo change 1:
     presight env log hall.presight
     presight env undo hall.presight 1
 
   Every command takes a store as its scene:
     presight predict hall.presight --sensor laser-scanner --pose 2,1,0.5,0,0,90 --png view.png";
 
-/// Keep an environment in a file that never loses an update: create, change, explain, undo
+/// Store an environment in a file, and change it safely: create, apply, log, undo
 ///
-/// A store (.presight) is one SQLite file: objects, meshes, materials, feature layers, and a log of every change with its
-/// time and cause. A change that was acknowledged is on the disk.
+/// A store (.presight) is one SQLite file: objects, meshes, materials, feature layers, and a log of every change with
+/// its time and cause. An acknowledged change is safely on disk.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -49,11 +49,11 @@ pub struct Args {
 
 #[derive(Debug, clap::Subcommand)]
 enum Command {
-    /// Make a store of a scene; its log is empty
+    /// Create a store from a scene; its log is empty
     Create {
-        /// The file to make, such as hall.presight
+        /// The file to create, such as hall.presight
         store: PathBuf,
-        /// The scene: .glb, .gltf, or whatever else is read as a scene
+        /// The scene: .glb, .gltf, or another file that is read as a scene
         scene: PathBuf,
         #[command(flatten)]
         frame: FrameArgs,
@@ -62,15 +62,16 @@ enum Command {
     },
     /// Merge a scene or a layer file (.json), as one change
     ///
-    /// What is there already, equal in everything, stays as it is; an object of the same path but another content is an
-    /// error, unless --replace is given. Features of the file win by id, `"remove": true` deletes; they must lie on polygons,
-    /// but for those that a layer file marks `"surface": "lost"`, and those that lie on none in another store.
+    /// Objects that already exist unchanged are kept. An object with the same path but different content is an error,
+    /// unless --replace is given. Features of the file replace those with the same id; `"remove": true` deletes one.
+    /// Features must lie on polygons, unless a layer file marks them `"surface": "lost"`, or they have already lost
+    /// their surface in the imported store.
     Import {
         /// The store
         store: PathBuf,
         /// The scene or layer file
         file: PathBuf,
-        /// Put objects of the file in the place of those of the same path; features given in their frame stay
+        /// Replace objects that have the same path; features in their frame are kept
         #[arg(long)]
         replace: bool,
         #[command(flatten)]
@@ -80,7 +81,7 @@ enum Command {
     },
     Export(export::Args),
     Apply(apply::Args),
-    /// Show what a store is and holds
+    /// Show the contents of a store
     Info {
         /// The store
         store: PathBuf,
@@ -88,49 +89,49 @@ enum Command {
         #[arg(long)]
         json: bool,
     },
-    /// List all changes: number, time, cause, and what was changed
+    /// List all changes: number, time, cause, and change
     Log {
         /// The store
         store: PathBuf,
-        /// Print JSON, one change a line, with what undoes it
+        /// Print JSON, one change per line, with its inverse
         #[arg(long)]
         json: bool,
     },
-    /// Undo a change by appending what undoes it; the log only grows
+    /// Undo a change by appending its inverse; the log only grows
     Undo {
         /// The store
         store: PathBuf,
-        /// The number of the change, as the log has it
+        /// The number of the change in the log
         change: u64,
-        /// Undo later changes of the same objects and features, too, newest first; it says which before
+        /// Also undo later changes of the same objects and features, newest first, after listing them
         #[arg(long)]
         cascade: bool,
         #[command(flatten)]
         note: NoteArgs,
     },
-    /// Prove every row, the whole log and the file's structure; list features that lie on no polygon any more
+    /// Verify every row, the whole log and the file's structure; list features that no longer lie on a polygon
     ///
-    /// Such features are a problem of the model, not of the file: the store is sound, and predictions leave them out.
+    /// Such features are a problem of the model, not of the file: the store is sound, and predictions ignore them.
     Check {
         /// The store
         store: PathBuf,
     },
 }
 
-/// What goes into the log besides a change.
+/// The log entry of a change.
 #[derive(Debug, clap::Args)]
 struct NoteArgs {
-    /// Why, for the log [default: the command; of apply the file, or stdin, and the line]
+    /// Cause of the change, for the log [default: the command; for apply the file, or stdin, and the line]
     #[arg(long, value_name = "TEXT")]
     cause: Option<String>,
 
-    /// When, UTC seconds, for the log [default: now]
+    /// Time of the change, UTC seconds, for the log [default: now]
     #[arg(long, value_name = "T", allow_negative_numbers = true)]
     time: Option<f64>,
 }
 
 impl NoteArgs {
-    /// The note of a change made now; the command is the only place that asks the clock.
+    /// The note of a change made now. Only the command reads the clock, the library never does.
     fn note(&self, cause: impl FnOnce() -> String) -> Result<Note> {
         if let Some(time) = self.time.filter(|t| !t.is_finite()) {
             return Err(Error::usage(format!("--time {time}"), "give finite UTC seconds"));
@@ -143,7 +144,7 @@ impl NoteArgs {
 /// Runs the command.
 ///
 /// # Errors
-/// Those of the store.
+/// Store errors.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     match &args.command {
         Command::Create { store, scene, frame, note } => create(store, scene, frame, note)?,
@@ -158,7 +159,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     Ok(CommandOutcome::Done)
 }
 
-/// A scene, and how its file lay, for the log.
+/// Opens a scene. Also returns its up axis and scale as text for the log, if they are not the default.
 fn environment_of(scene: &Path, frame: &FrameArgs) -> Result<(Environment, String)> {
     let scene = open_scene(scene, &frame.options()?, Scheme::None)?;
     let lay = scene.frame.filter(|f| (f.up, f.scale) != (Up::Y, 1.0));
@@ -166,7 +167,7 @@ fn environment_of(scene: &Path, frame: &FrameArgs) -> Result<(Environment, Strin
     Ok((std::sync::Arc::unwrap_or_clone(scene.world.into_environment()), lay))
 }
 
-/// A store for changes: nothing is predicted, so its world needs no index.
+/// Opens a store for changes, without a spatial index because nothing is predicted.
 fn open_store(path: &Path) -> Result<Store> {
     Store::open_with_index(path, Scheme::None, presight::index::Params::default())
 }
@@ -190,10 +191,10 @@ fn import(path: &Path, file: &Path, replace: bool, frame: &FrameArgs, note: &Not
     let mut note = note.note(|| format!("import of {}", file.display()))?;
     let is_layer = file.extension().is_some_and(|e| e.eq_ignore_ascii_case("json"));
     if is_layer && replace {
-        let what = "--replace is of objects, and this is a layer file";
-        return Err(Error::usage(what, "drop --replace: features of a file win by id").in_file(file));
+        let what = "--replace is for objects, and this is a layer file";
+        return Err(Error::usage(what, "drop --replace: features replace those with the same id").in_file(file));
     }
-    // Read before the store is locked: it may be the same file.
+    // Read the file before the store is locked: it may be the same file.
     let (layer, scene) = match is_layer {
         true => (Some(layer::read(file)?), None),
         false => {
@@ -206,7 +207,7 @@ fn import(path: &Path, file: &Path, replace: bool, frame: &FrameArgs, note: &Not
         memory::require(memory::of_writing(scene.objects().iter().map(|o| o.mesh.polygon_count() as u64)))?;
     }
     let mut store = open_store(path)?;
-    // What the file says lost its surface, or lost it in the other store, is kept as it is there.
+    // Features that have already lost their surface in the imported file or store are accepted.
     let lost = match (&layer, &scene) {
         (Some(file), _) => file.lost.iter().map(|id| (file.layer.class.clone(), *id)).collect(),
         (None, Some(scene)) => placement::lost(scene).map_err(|e| e.in_file(file))?,

@@ -1,4 +1,4 @@
-//! What a store is and was.
+//! `presight env info`, `check` and `log`.
 
 use crate::print;
 use presight::environment::{Environment, Object};
@@ -9,7 +9,7 @@ use presight_model::printable::clipped;
 use serde_json::{Value, json};
 use std::path::Path;
 
-/// The version of the JSON of both commands.
+/// Format version of the JSON of `info`.
 const FORMAT: u32 = 1;
 
 /// Objects that are not deleted.
@@ -77,7 +77,7 @@ pub fn log(path: &Path, as_json: bool) -> Result<()> {
 }
 
 fn line(e: &LogEntry) -> String {
-    /// Longer causes, ids and changes are cut.
+    /// The length at which causes, ids and changes are cut, in characters.
     const WIDTH: usize = 160;
     let undoes = e.undoes.map(|n| format!(" (undoes {n})")).unwrap_or_default();
     let id = e.id.as_ref().map(|id| format!(" [{}]", clipped(id, WIDTH))).unwrap_or_default();
@@ -103,10 +103,10 @@ fn json_line(e: &LogEntry, path: &Path) -> Result<String> {
 }
 
 fn pretty(value: &Value, path: &Path) -> Result<String> {
-    serde_json::to_string_pretty(value).map_err(|e| Error::invalid(format!("no JSON: {e}"), "").in_file(path))
+    serde_json::to_string_pretty(value).map_err(|e| Error::invalid(format!("not valid JSON: {e}"), "").in_file(path))
 }
 
-/// A time as people read it (Gregorian, UTC), to the millisecond.
+/// Formats UTC seconds as an ISO 8601 date and time (Gregorian calendar) with milliseconds.
 fn utc(time: f64) -> String {
     let millis = (time * 1e3).round();
     if !(millis.abs() < 2e14) {
@@ -114,7 +114,7 @@ fn utc(time: f64) -> String {
     }
     let millis = millis as i64;
     let (days, rest) = (millis.div_euclid(86_400_000), millis.rem_euclid(86_400_000));
-    // Days since 1970 to a date: eras of 400 years that begin in March.
+    // Convert days since 1970 to a date, with years that begin in March and eras of 400 years.
     let shifted = days + 719_468;
     let (era, day_of_era) = (shifted.div_euclid(146_097), shifted.rem_euclid(146_097));
     let year_of_era = (day_of_era - day_of_era / 1_460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;

@@ -1,4 +1,4 @@
-//! `presight features`: layers generated from the CAD model.
+//! `presight features`: generates feature layers from the model.
 
 mod near;
 mod pick;
@@ -18,16 +18,16 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 const EXAMPLES: &str = "Examples:
-  All edges, corners and planes that a camera may find, and how many of each:
+  All edges, corners and planes for a camera, with their counts:
     presight features hall.glb --class video --out hall.video.layer.json
 
-  Only longer creases and borders, for a radar:
+  Only long creases and borders, for a radar:
     presight features hall.glb --class radar --kinds crease,border --min-length 0.5
 
-  Where the layer fixes a camera's pose, and a layer of as few features as it takes:
+  How well the layer determines a camera's pose across the map, and a layer with as few features as necessary:
     presight features hall.glb --worth --sensor camera.toml --csv worth.csv --png worth.png --thin --out few.layer.json
 
-  What is at a pixel, with an entry to paste into a layer:
+  The surface at a pixel, with an entry to paste into a layer:
     presight features pick hall.glb --sensor video-camera --pose 0,0,1.5,0,10,0 --pixel 320,240
 
   The JSON schema of layer files, for editors and tools:
@@ -35,8 +35,8 @@ const EXAMPLES: &str = "Examples:
 
 /// Generate a layer of features from a model
 ///
-/// Edges are found where surfaces meet at an angle, end, change material or cross, whatever the windings; corners where
-/// edges meet; patches where planes are vertical or horizontal.
+/// Edges are generated where surfaces meet at an angle, end, change material or intersect, independent of polygon
+/// winding; corners where edges meet; patches on vertical and horizontal planes.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES, args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
 pub struct Args {
@@ -47,7 +47,7 @@ pub struct Args {
     #[arg(required = true)]
     scene: Option<PathBuf>,
 
-    /// The sensor class the features are for
+    /// The sensor class of the features
     #[arg(long, value_name = "CLASS", required_unless_present = "worth", conflicts_with = "worth", value_parser = NonEmptyStringValueParser::new())]
     class: Option<String>,
 
@@ -72,26 +72,26 @@ enum Command {
     Schema,
 }
 
-/// The flags that say what is generated.
+/// Flags of the generator.
 #[derive(Clone, Debug, clap::Args)]
 struct OptionArgs {
-    /// Kinds to make, of crease, border, material, intersection, corner, vertical, horizontal, contour [default: all]
+    /// Kinds, from crease, border, material, intersection, corner, vertical, horizontal, contour [default: all]
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     kinds: Vec<FeatureKind>,
 
-    /// Shortest edge in metres [default: 0.05]
+    /// Minimum length of an edge, metres [default: 0.05]
     #[arg(long, value_name = "M")]
     min_length: Option<f64>,
 
-    /// Smallest patch in square metres [default: 0.25]
+    /// Minimum area of a patch, square metres [default: 0.25]
     #[arg(long, value_name = "M2")]
     min_area: Option<f64>,
 
-    /// Least angle from flat of a crease, degrees [default: 30]
+    /// Minimum angle between the surfaces of a crease, degrees, 0 is flat [default: 30]
     #[arg(long, value_name = "DEG")]
     crease_deg: Option<f64>,
 
-    /// Standard deviation of positions in metres [default: 0.01]
+    /// Standard deviation of positions, metres [default: 0.01]
     #[arg(long, value_name = "M")]
     sigma: Option<f64>,
 }
@@ -113,7 +113,7 @@ impl OptionArgs {
 /// Runs the command.
 ///
 /// # Errors
-/// Wrong usage, those of the scene and of writing.
+/// Wrong usage; errors from reading the scene and from writing.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     if let Some(command) = &args.command {
         return match command {
@@ -121,8 +121,8 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
             Command::Schema => print::data(layer::schema()).map(|()| CommandOutcome::Done),
         };
     }
-    // Clap asks for both where there is no subcommand.
-    let missing = || Error::usage("a scene, and --class or --worth, are needed", "see presight features --help");
+    // Clap requires both if there is no subcommand.
+    let missing = || Error::usage("a scene and --class or --worth are required", "see presight features --help");
     let sensor = args.worth.sensor()?;
     let class = sensor.as_ref().map(|s| s.spec().class.clone()).or_else(|| args.class.clone());
     let (scene, class) = args.scene.as_ref().zip(class).ok_or_else(missing)?;
@@ -154,7 +154,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     Ok(CommandOutcome::Done)
 }
 
-/// With a bar that shows how far it has come.
+/// Generates the layer with a progress bar.
 fn generated(environment: &Environment, class: &str, options: &GenerateOptions) -> Result<GeneratedLayer> {
     let bar = super::bar::bar(0);
     let generated = generate_with_progress(environment, class, options, &|progress| {
@@ -179,7 +179,7 @@ fn in_words(generated: &GeneratedLayer, options: &GenerateOptions, seconds: f64)
     lines.push(format!("looked at    {} polygons{invisible}; {} lines", counts.polygons, counts.candidates));
     let off = match counts.off {
         0 => String::new(),
-        n => format!("; {n} features that joining brought off the surface"),
+        n => format!("; {n} features moved off the surface by joining"),
     };
     lines.push(format!(
         "left out     {} lines under {} m, {} smooth or flush, {} inside matter{off}",

@@ -1,4 +1,4 @@
-//! Edges and corners near what a pixel sees, those first that are seen beside it.
+//! Edges and corners near the point that a pixel sees.
 
 use glam::{DVec2, DVec3};
 use presight::Result;
@@ -13,13 +13,13 @@ use std::sync::Arc;
 /// An edge or a corner.
 pub struct NearbyFeature {
     pub feature: Arc<Feature>,
-    /// Metres from the point that the pixel sees.
+    /// Distance from the point that the pixel sees, metres.
     pub metres: f64,
-    /// Pixels from the pixel to what the sensor sees of it; `None` if that is nothing, or not known.
+    /// Distance in the image from the pixel to the visible part, pixels; `None` if not visible or not known.
     pub pixels: Option<f64>,
 }
 
-/// What the sensor sees, and from where.
+/// A prediction at a pose.
 pub struct PickView<'a> {
     pub world: &'a World,
     pub sensor: &'a Sensor,
@@ -28,8 +28,8 @@ pub struct PickView<'a> {
 }
 
 impl PickView<'_> {
-    /// Edges and corners of a layer within `reach` metres of a point that a pixel sees: those seen, nearest in the image
-    /// first, then the others, nearest in space first.
+    /// Edges and corners of a layer within `reach` metres of the point that a pixel sees: first the visible ones,
+    /// sorted by distance in the image, then the others, sorted by distance in space.
     pub fn near(&self, layer: FeatureLayer, p_in_world: DVec3, pixel: DVec2, reach: f64) -> Result<Vec<NearbyFeature>> {
         let metres = |f: &Feature| distance(self.world, f, p_in_world).filter(|d| *d <= reach);
         let (found, features): (Vec<f64>, Vec<Arc<Feature>>) =
@@ -39,7 +39,7 @@ impl PickView<'_> {
         let all = layer.features.into_iter().zip(found).zip(pixels);
         let mut near: Vec<NearbyFeature> =
             all.map(|((feature, metres), pixels)| NearbyFeature { feature, metres, pixels }).collect();
-        // In whole pixels: what meets in a corner is told apart by its place in space.
+        // Rounded to whole pixels, so that edges that meet in a corner are sorted by their distance in space.
         let by_image = |n: &NearbyFeature| n.pixels.map_or(f64::INFINITY, f64::round);
         near.sort_by(|a, b| {
             let in_image = by_image(a).total_cmp(&by_image(b));
@@ -48,10 +48,10 @@ impl PickView<'_> {
         Ok(near)
     }
 
-    /// By feature, how far what is seen of it is from a pixel.
+    /// For each feature, the distance in the image from a pixel to its visible part.
     fn pixels(&self, layer: &FeatureLayer, pixel: DVec2) -> Result<Vec<Option<f64>>> {
         if self.sensor.check_projection().is_err() {
-            // A table of a single ray images nothing beside it.
+            // A ray table without a projection, such as a single ray, has no image around the pixel.
             return Ok(vec![None; layer.features.len()]);
         }
         let placed = place(self.world, layer)?;
@@ -61,7 +61,7 @@ impl PickView<'_> {
     }
 
     fn pixels_to(&self, seen: &SeenFeature, pixel: DVec2) -> Option<f64> {
-        /// Pieces that an image is followed in.
+        /// The number of straight pieces that approximate the image of a segment.
         const PIECES: u32 = 64;
         let image_from_world = (self.pose.rotation_matrix() * self.sensor.body_from_image()).transpose();
         let points: Vec<DVec3> =
@@ -87,7 +87,7 @@ impl PickView<'_> {
     }
 }
 
-/// Metres from a point to a point or segment; `None` for patches.
+/// Distance from a point to a point or segment feature, metres; `None` for patches.
 fn distance(world: &World, feature: &Feature, p_in_world: DVec3) -> Option<f64> {
     let object = world.environment().object(feature.object.as_deref()?)?;
     let p = object.world_from_object.inverse().transform_point(p_in_world);

@@ -1,4 +1,4 @@
-//! `presight features pick`: what is at a pixel.
+//! `presight features pick`: the surface and features at a pixel.
 
 use super::super::frame_args::FrameArgs;
 use super::super::open_scene;
@@ -17,7 +17,7 @@ use presight::sensor::Sensor;
 use presight::{Backend, Error, Options, Predictor, Request, Result, Scene};
 use std::path::PathBuf;
 
-/// Show what a pixel sees: polygon, point, edges beside it, and a layer entry to paste
+/// Show the polygon and point that a pixel sees, nearby edges, and a layer entry to paste
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// The model: a .glb or .gltf file, a .rhai script, or a store
@@ -37,7 +37,7 @@ pub struct Args {
     #[arg(long, value_name = "U,V", value_parser = parse_pixel)]
     pixel: (u32, u32),
 
-    /// How far from the point edges are listed, metres
+    /// Distance from the point within which edges are listed, metres
     #[arg(long, value_name = "M", default_value_t = 0.5)]
     reach: f64,
 
@@ -50,12 +50,12 @@ fn parse_pixel(text: &str) -> Result<(u32, u32)> {
     let both = text.split_once(',').and_then(|(u, v)| Some((number(u)?, number(v)?)));
     // Pixel i spans i - 0.5 .. i + 0.5.
     both.map(|(u, v)| ((u + 0.5).floor() as u32, (v + 0.5).floor() as u32))
-        .ok_or_else(|| Error::usage(format!("{text:?} is no pixel"), "give column,row"))
+        .ok_or_else(|| Error::usage(format!("{text:?} is not a pixel"), "give column,row"))
 }
 
-/// What a pixel sees.
+/// The point that a pixel sees.
 struct Hit {
-    /// Slot of the polygon.
+    /// Slot of the polygon in the environment.
     slot: u32,
     object: u32,
     polygon: u32,
@@ -67,8 +67,8 @@ struct Hit {
 /// Runs the command.
 ///
 /// # Errors
-/// Wrong usage, those of scene and sensor and of the engine. A pixel that sees nothing is no error: the check found
-/// nothing, exit status 1.
+/// Wrong usage; errors from reading the scene and sensor, and from the engine. A pixel that sees nothing is not an
+/// error, but sets exit status 1.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     let pose = args.pose.parse()?;
     let mut options = args.options.options();
@@ -95,7 +95,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     Ok(CommandOutcome::Done)
 }
 
-/// What the sensor sees.
+/// The predicted image at a pose.
 struct PickImages {
     world_from_sensor: Pose,
     images: Images,
@@ -116,7 +116,7 @@ impl PickImages {
         let (object, polygon) = environment.locate(slot)?;
         let plane = plane_of_polygon(&environment.polygon_in_world(slot)?)?;
         let direction = pose.rotation * (sensor.body_from_image() * sensor.ray(column, row)?);
-        // On the polygon's plane in f64 rather than at the range, which is f32.
+        // Intersect with the polygon's plane in f64, because the predicted range is f32.
         let range = (plane.offset - plane.normal.dot(pose.translation)) / plane.normal.dot(direction);
         let normal = if plane.normal.dot(direction) > 0.0 { -plane.normal } else { plane.normal };
         let p_in_world = pose.translation + direction * range;
@@ -157,17 +157,17 @@ fn describe(
     let (seen, hidden): (Vec<NearbyFeature>, Vec<NearbyFeature>) = near.into_iter().partition(|n| n.pixels.is_some());
     lines.push(String::new());
     lines.push(format!(
-        "edges and corners seen within {} m of it, nearest in the image first (pixels, metres, kind, points in the object, object)",
+        "visible edges and corners within {} m of it, nearest in the image first (pixels, metres, kind, points in the object, object)",
         args.reach
     ));
     lines.extend(listed(&seen));
     lines.push(String::new());
-    lines.push("others as near that cannot be seen from here, nearest first".into());
+    lines.push("hidden edges and corners within the same distance, nearest first".into());
     lines.extend(listed(&hidden));
     let point = point_at(hit, &object.name, p_in_object, normal_in_object, options);
     lines.push(String::new());
-    lines.push("an entry for a layer; give it an id that the layer never used".into());
-    // What is seen beside the pixel may be meant, or the point itself.
+    lines.push("an entry for a layer; give it an id that the layer has never used".into());
+    // The user may mean the nearest feature or the point itself.
     match seen.first() {
         Some(nearest) => {
             lines.push(layer::entry(&nearest.feature)?);
@@ -201,7 +201,7 @@ fn point_at(hit: &Hit, object: &str, at: DVec3, normal: DVec3, options: &Generat
 }
 
 fn vector(v: DVec3) -> String {
-    // Adding 0 makes -0 plain.
+    // Adding 0 turns -0 into 0.
     let [x, y, z] = v.to_array().map(|c| (c * 1e6).round() / 1e6 + 0.0);
     format!("[{x}, {y}, {z}]")
 }

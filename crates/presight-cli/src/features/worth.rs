@@ -1,4 +1,4 @@
-//! `presight features --worth`: where a layer fixes the pose, and which of its features are enough.
+//! `presight features --worth`: how well a layer determines the pose, and which of its features are sufficient.
 
 use super::super::{bar, print};
 use crate::outputs::OutputFiles;
@@ -12,15 +12,15 @@ use presight_pictures::{GridMap, write_maps};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// By how much a thinned layer may let a standard deviation grow.
+/// Allowed relative growth of a standard deviation by thinning.
 const GROWTH: f64 = 0.1;
 
-/// The flags that say what a layer is worth.
+/// Flags of `--worth`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct WorthArgs {
-    /// Tell how well the layer fixes the pose of a sensor, at every free place of a grid and in eight headings
+    /// Report how well the layer determines a sensor's pose, at every free place of a grid and in eight headings
     ///
-    /// The layer is that of --layer, or the generated one. Its mount says how high the sensor is above the floor.
+    /// The layer is read from --layer or generated. The sensor's mount gives its height above the floor.
     #[arg(long, requires = "sensor")]
     pub worth: bool,
 
@@ -28,11 +28,11 @@ pub struct WorthArgs {
     #[arg(long, value_name = "PRESET|FILE", requires = "worth")]
     sensor: Option<String>,
 
-    /// The layer, in place of a generated one
+    /// Read the layer from this file instead of generating it
     #[arg(long, value_name = "FILE.layer.json", requires = "worth")]
     layer: Option<PathBuf>,
 
-    /// Metres between places [default: 1]
+    /// Distance between places, metres [default: 1]
     #[arg(long, value_name = "M", requires = "worth")]
     spacing: Option<f64>,
 
@@ -44,17 +44,17 @@ pub struct WorthArgs {
     #[arg(long, value_name = "FILE.csv", requires = "worth")]
     csv: Option<PathBuf>,
 
-    /// Draw both as maps
+    /// Draw both standard deviations as maps
     #[arg(long, value_name = "FILE.png", requires = "worth")]
     png: Option<PathBuf>,
 
-    /// Keep as few features as it takes: no view's standard deviations grow by over a tenth; --out gets what is left
+    /// Write a thinned layer to --out: as few features as let standard deviations grow by at most 10 %
     #[arg(long, requires = "worth", requires = "out")]
     thin: bool,
 }
 
 impl WorthArgs {
-    /// The sensor that is asked about.
+    /// Loads the sensor; `None` without `--worth`.
     pub fn sensor(&self) -> Result<Option<Sensor>> {
         let Some(sensor) = &self.sensor else { return Ok(None) };
         let (sensor, notices) = load_sensor(sensor)?;
@@ -62,25 +62,25 @@ impl WorthArgs {
         Ok(Some(sensor))
     }
 
-    /// Takes note of the files that are written.
+    /// Adds the output files to `files`.
     pub fn name_files(&self, files: &mut OutputFiles) -> Result<()> {
         files.add("--csv", self.csv.as_deref(), &["csv"])?;
         files.add("--png", self.png.as_deref(), &["png"])?;
         files.check_named(self.layer.as_deref())
     }
 
-    /// The layer, if a file has it.
+    /// Reads the layer of `--layer`, if given.
     pub fn given(&self, class: &str) -> Result<Option<FeatureLayer>> {
         let Some(path) = &self.layer else { return Ok(None) };
         let given = layer::read(path)?.layer;
         if given.class != class {
-            let what = format!("the layer is for {:?}, the sensor of class {class:?}", given.class);
+            let what = format!("the layer has class {:?}, the sensor has class {class:?}", given.class);
             return Err(Error::usage(what, "give a layer of the sensor's class").in_file(path));
         }
         Ok(Some(given))
     }
 
-    /// Tells what the layer is worth, writes the files, and leaves in the layer what is enough if it is to be thinned.
+    /// Evaluates the layer, writes the files, and with `--thin` thins the layer. Returns the lines to print.
     pub fn tell(&self, scene: &Scene, sensor: &Sensor, layer: &mut FeatureLayer) -> Result<Vec<String>> {
         let mut options = WorthOptions::default();
         options.spacing = self.spacing.unwrap_or(options.spacing);
@@ -122,7 +122,7 @@ fn write_png(path: &Path, worth: &Worth) -> Result<()> {
     write_maps(path, &maps)
 }
 
-/// Median and largest of what is known, and how many places leave a direction open.
+/// Median and maximum of the finite standard deviations, and the number of places where a direction is not determined.
 fn in_words(worth: &Worth) -> Vec<String> {
     let open = worth.places.iter().filter(|p| p.position_sigma.is_infinite()).count();
     let told = |name: &str, unit: &str, value: &dyn Fn(usize) -> f64| {
@@ -130,14 +130,14 @@ fn in_words(worth: &Worth) -> Vec<String> {
         known.sort_by(f64::total_cmp);
         match known.last() {
             Some(last) => {
-                format!("{name:<12} 1 sd {:.4} {unit} in the median, {last:.4} {unit} at most", known[known.len() / 2])
+                format!("{name:<12} 1 sd: median {:.4} {unit}, maximum {last:.4} {unit}", known[known.len() / 2])
             }
-            None => format!("{name:<12} nowhere known"),
+            None => format!("{name:<12} not determined anywhere"),
         }
     };
     vec![
         format!(
-            "places       {} of {} x {}, {HEADINGS} headings each; {open} leave a direction open",
+            "places       {} of {} x {}, {HEADINGS} headings each; a direction is not determined at {open}",
             worth.places.len(),
             worth.size[0],
             worth.size[1]

@@ -240,7 +240,7 @@ fn picking_proposes_what_is_seen() {
     assert_eq!((&top["kind"], &top["object"]), (&json!("segment"), &json!("wall")), "{said}");
     let at_top = |p: &Value| [1, 2].iter().any(|axis| (p[axis].as_f64().unwrap() - 2.0).abs() < 1e-6);
     assert!(top["points"].as_array().unwrap().iter().all(at_top), "{said}");
-    let hidden: Vec<&str> = said.lines().skip_while(|l| !l.starts_with("others as near")).skip(1).collect();
+    let hidden: Vec<&str> = said.lines().skip_while(|l| !l.starts_with("hidden edges and corners")).skip(1).collect();
     assert!(hidden[0].contains(" border ") && hidden[0].ends_with("back"), "{said}");
     // Nothing is within a centimetre of the middle: the point itself.
     assert_eq!(entry(&pick("256,256 --reach 0.01"))["kind"], "point");

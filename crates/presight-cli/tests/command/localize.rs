@@ -220,15 +220,15 @@ fn fiducials_of_a_layer_are_looked_for() {
     };
     let (matched, told) = run("tags.json");
     if cfg!(feature = "fiducials") {
-        assert!(matched == Some(4) && !told.contains("not looked for"), "{matched:?} {told}");
+        assert!(matched == Some(4) && !told.contains("not searched for"), "{matched:?} {told}");
     } else {
         assert!(
-            matched == Some(0) && told.contains("4 fiducials of the layer are not looked for"),
+            matched == Some(0) && told.contains("4 fiducials of the layer are not searched for"),
             "{matched:?} {told}"
         );
     }
     let (matched, told) = run("other.json");
-    assert!(matched == Some(0) && told.contains("4 fiducials of the layer are not looked for"), "{matched:?} {told}");
+    assert!(matched == Some(0) && told.contains("4 fiducials of the layer are not searched for"), "{matched:?} {told}");
 }
 
 /// Grey images beside depth images, and instead of them: features of a layer are looked for, classed, told and drawn.

@@ -250,7 +250,7 @@ fn a_dash_is_no_file() {
         ("index wall.glb --out -".into(), &["-:", "/dev/stdout"]),
     ];
     for flag in ["--out", "--png", "--depth-png", "--points", "--stats", "--features"] {
-        lines.push((predict("wall.glb", &format!("{flag} -")), &["-: ", "; /dev/stdout"]));
+        lines.push((predict("wall.glb", &format!("{flag} -")), &["-: ", "; use /dev/stdout"]));
     }
     if cfg!(feature = "store") {
         lines.push(("env create - wall.glb".into(), &["-:", "./-"]));

@@ -91,7 +91,7 @@ fn all_sensors_of_a_robot_predict_from_its_pose() {
     for (rest, words) in [
         ("--poses drive.tum --out run/{i}.exr", "--out: one name for 2 sensors; put {sensor}"),
         ("--poses drive.tum --rays a.npy", "--rays: one name for 2 sensors"),
-        ("--pose 0,0,1,0,0,0 --pose-of sensor", "--pose-of sensor: each sensor"),
+        ("--pose 0,0,1,0,0,0 --pose-of sensor", "--pose-of sensor: the sensors"),
         ("--pose 0,0,1,0,0,0 --sensor small.toml", "--sensor"),
     ] {
         refused(&place.run(&format!("{line} {rest}")), 2, words);
@@ -115,7 +115,7 @@ fn wrong_series_are_refused_before_any_work() {
         place.write(name, text.as_bytes());
     }
     for (line, status, words) in [
-        ("--poses empty.tum", 1, "empty.tum: there is no pose"),
+        ("--poses empty.tum", 1, "empty.tum: the file has no poses"),
         ("--poses broken.tum", 1, "broken.tum: line 2: there are fewer than eight numbers"),
         ("--poses nan.tum", 1, "nan.tum: line 1: \"nan\" is not a finite number"),
         ("--poses none.tum", 1, "none.tum"),
@@ -129,10 +129,10 @@ fn wrong_series_are_refused_before_any_work() {
         ("--poses drive.tum --out run/{i}.txt", 2, "end the name in .exr"),
         ("--poses twice.tum --out run/{t}.exr", 2, "run/1.0.exr: the same file as --out run/1.0.exr"),
         ("--poses drive.tum --png run/{i}.png --depth-png run/{i}.png", 2, "the same file as --png"),
-        ("--poses drive.tum --out none/{i}.exr", 4, "none/0.exr: cannot write: its folder is not there; create"),
-        ("--poses drive.tum --explain", 2, "--explain is of one"),
-        ("--poses drive.tum --repeat 3", 2, "--repeat is of one"),
-        ("--poses drive.tum --repeat 3 --reuse-visible", 2, "--repeat is of one"),
+        ("--poses drive.tum --out none/{i}.exr", 4, "none/0.exr: cannot write: its folder does not exist; create"),
+        ("--poses drive.tum --explain", 2, "--explain works for one"),
+        ("--poses drive.tum --repeat 3", 2, "--repeat works for one"),
+        ("--poses drive.tum --repeat 3 --reuse-visible", 2, "--repeat works for one"),
         ("--pose 0,0,1,0,0,0 --repeat 3 --reuse-visible", 2, "--poses"),
         ("--poses drive.tum --deadline-ms 5 --reuse-visible", 2, "--reuse-visible"),
         ("--poses drive.tum --pose 0,0,1,0,0,0", 2, "--pose"),
@@ -165,7 +165,7 @@ fn a_series_that_was_stopped_goes_on_where_it_was() {
         let before = written(&first);
         let outcome = place.run(&line);
         assert_eq!(outcome.status, Some(0), "{}", outcome.stderr);
-        assert_eq!(outcome.stderr, "note: 2 of 3 poses are finished already; this goes on with the others\n");
+        assert_eq!(outcome.stderr, "note: 2 of 3 poses are already finished; continuing with the rest\n");
         assert_eq!(written(&first), before);
         let left = in_run(&place).into_iter().filter(|n| n.starts_with('.') || n.ends_with("unfinished")).count();
         assert_eq!(left, 0, "{:?}", in_run(&place));

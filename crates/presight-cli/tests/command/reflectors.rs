@@ -86,8 +86,8 @@ fn what_does_not_fit_a_scanner_is_refused() {
     place.write("camera.toml", camera.as_bytes());
     place.write("again.tum", b"1 0 0 0.8 0 0 0 1\n1 0 0 0.8 0 0 0 1\n");
     for (args, told) in [
-        ("--sensor camera.toml --intensities --poses drive.tum", "--intensities of a camera"),
-        ("--sensor scanner.toml --grey camera.toml --poses drive.tum", "--grey beside a scanner"),
+        ("--sensor camera.toml --intensities --poses drive.tum", "--intensities: depth images"),
+        ("--sensor scanner.toml --grey camera.toml --poses drive.tum", "--grey: logs of scans"),
         ("--sensor scanner.toml --intensities --intensity-noise 2 --poses drive.tum", "noise of intensities"),
         ("--sensor scanner.toml --intensity-noise 0.1 --poses drive.tum", "--intensities"),
         ("--sensor scanner.toml --poses again.tum", "a time of 1 s after one of 1 s"),

@@ -1,26 +1,26 @@
-//! One axis of a chart: where values stand, and where its ticks are.
+//! One axis of a chart: the positions of values and ticks.
 
 use plotters::coord::ranged1d::{KeyPointHint, NoDefaultFormatting, Ranged, ValueFormatter};
 
-/// Ticks on an axis, at most.
+/// The maximum number of ticks on an axis.
 const MOST_TICKS: i32 = 9;
 
-/// One axis: where values go, and where its ticks are. Plotters sees drawn units only.
+/// One axis: the positions of values and ticks. Plotters sees only drawn units.
 #[derive(Clone)]
 pub(super) struct Axis {
     log: bool,
     /// Ends in drawn units: decades if logarithmic.
     low: f64,
     high: f64,
-    /// Where 0 stands on a logarithmic axis; `None` if nothing is 0.
+    /// Position of 0 on a logarithmic axis; `None` if no value is 0.
     zero: Option<f64>,
-    /// Where bounds stand that are none; `None` if there are none of these.
+    /// Position of infinite bounds; `None` if all bounds are finite.
     pub top: Option<f64>,
     pub ticks: Vec<f64>,
 }
 
 impl Axis {
-    /// Around values; `None` if none can be shown.
+    /// An axis that covers the values; `None` if no value can be shown.
     pub fn over(values: impl Iterator<Item = f64> + Clone, log: bool) -> Option<Self> {
         let shown =
             values.clone().filter(|v| v.is_finite() && (!log || *v > 0.0)).map(|v| if log { v.log10() } else { v });
@@ -37,7 +37,7 @@ impl Axis {
         }
         let margin = (0.07 * (high - low)).max(0.4);
         let (first, last) = ((low - margin).floor() as i32, (high + margin).ceil() as i32);
-        // Short axes get 2 and 5 as well.
+        // Axes of at most three decades also get ticks at 2 and 5.
         let (low, high) =
             if last - first <= 3 { (low - margin, high + margin) } else { (f64::from(first), f64::from(last)) };
         let step = (last - first).div_euclid(MOST_TICKS) + 1;
@@ -54,7 +54,7 @@ impl Axis {
         Some(Self { log, low: zero.map_or(low, |z| z - 0.4 * gap), high, zero, top: None, ticks })
     }
 
-    /// Makes room above all values for what is infinite.
+    /// Adds a position above all values for infinite bounds.
     pub fn add_top(&mut self) {
         let gap = 0.08 * (self.high - self.low);
         self.top = Some(self.high + gap);
@@ -62,18 +62,18 @@ impl Axis {
         self.high += 1.6 * gap;
     }
 
-    /// Ticks at 1, 2 or 5 times a power of ten.
+    /// Sets ticks in steps of 1, 2 or 5 times a power of ten.
     fn with_round_ticks(mut self) -> Self {
         let raw = (self.high - self.low) / f64::from(MOST_TICKS);
         let power = 10f64.powf(raw.log10().floor());
         let step = [1.0, 2.0, 5.0, 10.0].map(|m| m * power).into_iter().find(|s| *s >= raw).unwrap_or(raw);
         let first = (self.low / step).ceil();
-        // Each tick is rounded on its own: sums of steps drift.
+        // Multiply rather than add up steps, which would accumulate rounding.
         self.ticks = (0..=MOST_TICKS).map(|k| (first + f64::from(k)) * step).filter(|t| *t <= self.high).collect();
         self
     }
 
-    /// Where a value stands; `None` if it cannot be shown.
+    /// The position of a value; `None` if it cannot be shown.
     pub fn place(&self, value: f64) -> Option<f64> {
         match (self.log, value) {
             (_, v) if !v.is_finite() => None,
@@ -103,7 +103,7 @@ impl Ranged for Axis {
     }
 
     fn key_points<Hint: KeyPointHint>(&self, hint: Hint) -> Vec<f64> {
-        // The mesh asks for light lines, too; there are none.
+        // Plotters also requests light grid lines; there are none.
         if hint.weight().allow_light_points() { Vec::new() } else { self.ticks.clone() }
     }
 
@@ -122,7 +122,7 @@ impl ValueFormatter<f64> for Axis {
     }
 }
 
-/// Short: `0.02`, `500`, `1e-7`.
+/// Formats a number briefly: `0.02`, `500`, `1e-7`.
 fn number(value: f64) -> String {
     let size = value.abs();
     if size < 1e-12 && size == 0.0 {

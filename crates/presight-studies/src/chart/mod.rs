@@ -1,4 +1,4 @@
-//! Charts of points and lines as SVG that follows the colours of the page around it.
+//! Charts of points and lines as SVG that uses the colours of the surrounding page.
 
 mod axis;
 mod rect;
@@ -12,16 +12,16 @@ use rect::Rect;
 const SIZE: (u32, u32) = (980, 500);
 /// Width of the legend, pixels.
 const LEGEND: u32 = 290;
-/// Heights of texts as plotters counts them, a quarter more than they come out: title, axes and legend, beside marks.
+/// Text heights for plotters, a quarter larger than drawn: the title; axes and legend; labels of marks.
 const TEXT: [i32; 3] = [21, 18, 15];
-/// Names in the legend longer than this are cut.
+/// Longer names in the legend are cut.
 const LONGEST_NAME: usize = 36;
 
-/// How many colours there are; series take them in turn.
+/// The number of colours; series use them in turn.
 pub const COLORS: usize = 8;
 
-/// What is drawn in the page's own text colour. Plotters knows only numbers, so each role has a number nothing else
-/// uses, and [`Chart::svg`] puts CSS in its place.
+/// The page's text colour. Plotters supports only fixed colours, so each role has a unique placeholder that
+/// [`Chart::svg`] replaces by CSS.
 const INK: RGBColor = RGBColor(1, 1, 1);
 /// Grid lines.
 const FAINT: RGBColor = RGBColor(1, 1, 2);
@@ -34,31 +34,31 @@ pub enum Style {
     Points,
     /// A line through the points, with marks.
     LinePoints,
-    /// A dashed line without marks: a bound. Where it is infinite there is none, which has a line of its own above all others.
+    /// A dashed line without marks: a bound. Infinite values are arrows above all others, at "no bound".
     Bound,
-    /// Rings around points and a thin line through them, in the text's colour: the Pareto front.
+    /// Rings around points and a thin line through them, in the text colour: the Pareto front.
     Front,
 }
 
-/// Points of one name.
+/// A series of points.
 #[derive(Clone, Debug, Default)]
 pub struct Series {
-    /// In the legend; without one it is not in it.
+    /// The name in the legend; a series without a name is not listed.
     pub name: String,
-    /// x and y in the units of the axes; points that are not finite are left out, and lines break there.
+    /// x and y in the units of the axes. Lines break at points that are not finite, which are not drawn.
     pub points: Vec<(f64, f64)>,
-    /// A short text beside each point; empty for none.
+    /// A short label for each point; may be empty.
     pub labels: Vec<String>,
-    /// How they are drawn.
+    /// The style.
     pub style: Style,
-    /// Which colour and mark (modulo [`COLORS`]); a bound may share its engine's.
+    /// Index of the colour and mark (modulo [`COLORS`]). A bound can share the colour of its engine.
     pub color: usize,
 }
 
 /// A chart with axes, series and a legend.
 ///
-/// On a logarithmic axis a value of 0 (an exact result) stands on a line of its own below all others, labelled 0;
-/// negative values are left out. An infinite bound stands above all others, labelled "no bound".
+/// On a logarithmic axis a value of 0 (an exact result) is drawn below all others at the label 0, and negative values
+/// are not drawn. An infinite bound is drawn above all others at the label "no bound".
 ///
 /// ```
 /// use presight_studies::chart::{Chart, Series};
@@ -70,33 +70,33 @@ pub struct Series {
 /// ```
 #[derive(Clone, Debug, Default)]
 pub struct Chart {
-    /// Above the chart.
+    /// The title above the chart.
     pub title: String,
-    /// Below the x axis, with its unit.
+    /// Label of the x axis, with its unit.
     pub x_label: String,
-    /// Beside the y axis, with its unit.
+    /// Label of the y axis, with its unit.
     pub y_label: String,
-    /// The x axis is logarithmic.
+    /// True for a logarithmic x axis.
     pub x_log: bool,
-    /// The y axis is logarithmic.
+    /// True for a logarithmic y axis.
     pub y_log: bool,
-    /// What is drawn, in this order.
+    /// The series, in drawing order.
     pub series: Vec<Series>,
 }
 
 type Drawn<T> = std::result::Result<T, Box<dyn std::error::Error>>;
 
 impl Chart {
-    /// The chart as an `<svg>` element. Its colours are the page's CSS variables `--s0` .. `--s7` and `currentColor`, so
-    /// that it follows a light or dark page; alone it falls back to colours for a light one.
+    /// The chart as an `<svg>` element. Its colours are the page's CSS variables `--s0` .. `--s7` and `currentColor`,
+    /// so it fits a light or dark page. Outside a page it falls back to colours for light backgrounds.
     ///
     /// # Errors
-    /// [`ErrorKind::Invalid`] if there is nothing to draw: no series has a finite point.
+    /// [`ErrorKind::Invalid`] if no series has a finite point.
     pub fn svg(&self) -> Result<String> {
         let x = Axis::over(self.series.iter().flat_map(|s| &s.points).map(|p| p.0), self.x_log);
         let y = Axis::over(self.series.iter().flat_map(|s| &s.points).map(|p| p.1), self.y_log);
         let (Some(x), Some(mut y)) = (x, y) else {
-            return Err(Error::invalid(format!("the chart {:?} has no point", self.title), "give it one"));
+            return Err(Error::invalid(format!("the chart {:?} has no finite point", self.title), "add a point"));
         };
         if self.series.iter().any(|s| s.points.iter().any(|p| s.lacks_bound(*p))) {
             y.add_top();
@@ -143,7 +143,7 @@ impl Chart {
             }
             let lacking = series.points.iter().filter(|p| series.lacks_bound(**p));
             let at: Vec<_> = lacking.filter_map(|p| Some(pixel(x.place(p.0)?, y.top?))).collect();
-            // Side by side, that none hides another.
+            // Offset the arrows so that none hides another.
             at.iter().try_for_each(|(cx, cy)| draw_arrow(&area, series.color, (cx + 12 * without_bound, *cy)))?;
             without_bound += i32::from(!at.is_empty());
         }
@@ -153,7 +153,7 @@ impl Chart {
         for series in &self.series {
             for (point, label) in series.points.iter().zip(&series.labels).filter(|(_, label)| !label.is_empty()) {
                 let Some(at) = place(point) else { continue };
-                // Marks in one place need one label.
+                // Nearby marks with the same label share one.
                 if told.iter().any(|(other, by)| other == label && at.0.abs_diff(by.0).max(at.1.abs_diff(by.1)) < 10) {
                     continue;
                 }
@@ -180,7 +180,7 @@ impl Chart {
 }
 
 impl Series {
-    /// True at a point at which this is a bound, and there is none.
+    /// Returns true if the series is a bound that is infinite at this point.
     fn lacks_bound(&self, (x, y): (f64, f64)) -> bool {
         self.style == Style::Bound && x.is_finite() && y == f64::INFINITY
     }
@@ -188,7 +188,7 @@ impl Series {
 
 type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
 
-/// An arrow to beyond the axis.
+/// Draws an upward arrow for an infinite bound.
 fn draw_arrow(area: &Area<'_>, index: usize, (x, y): (i32, i32)) -> Drawn<()> {
     let corners = vec![(x - 5, y + 4), (x, y - 6), (x + 5, y + 4), (x - 5, y + 4)];
     area.draw(&PathElement::new(corners, color(index).stroke_width(2)))?;
@@ -218,7 +218,7 @@ fn draw_series(area: &Area<'_>, series: &Series, at: &[(i32, i32)]) -> Drawn<()>
     Ok(())
 }
 
-/// Marks differ in shape as well as in colour.
+/// Draws marks that differ in shape as well as in colour.
 fn draw_marks(area: &Area<'_>, index: usize, at: &[(i32, i32)]) -> Drawn<()> {
     let fill = color(index).filled();
     for &(x, y) in at {
@@ -232,7 +232,7 @@ fn draw_marks(area: &Area<'_>, index: usize, at: &[(i32, i32)]) -> Drawn<()> {
     Ok(())
 }
 
-/// A path cut into dashes of 7 pixels and gaps of 5.
+/// Splits a path into dashes of 7 pixels with gaps of 5.
 fn dashes(at: &[(i32, i32)]) -> Vec<[(i32, i32); 2]> {
     const ON: f64 = 7.0;
     const PERIOD: f64 = 12.0;
@@ -254,7 +254,7 @@ fn color(index: usize) -> RGBColor {
     RGBColor(2, 2, (index % COLORS) as u8)
 }
 
-/// Okabe and Ito's colours, told apart by everybody: for a light page, for a dark one.
+/// The colour-blind safe palette of Okabe and Ito, for light and for dark pages.
 pub(crate) const PALETTE: [(&str, &str); COLORS] = [
     ("#0072b2", "#56b4e9"),
     ("#d55e00", "#ff8c42"),
@@ -266,7 +266,7 @@ pub(crate) const PALETTE: [(&str, &str); COLORS] = [
     ("#606060", "#b0b0b0"),
 ];
 
-/// Numbers become CSS. An element of ours has one colour only, so one `style` attribute.
+/// Replaces placeholder colours by CSS. Each element has only one of them, so it gets one `style` attribute.
 fn themed(svg: &str, title: &str) -> String {
     let mut svg = svg.to_owned();
     let mut set = |color: RGBColor, css: &str| {
@@ -310,7 +310,7 @@ mod tests {
         assert!(svg.contains("t &lt;&amp;"));
     }
 
-    /// A line in two parts, and between them an arrow at the top.
+    /// The line has two parts, with an arrow at the top between them.
     #[test]
     fn lines_break_where_there_is_no_bound() {
         let points = vec![(1e-3, 1e-5), (1e-2, 1e-4), (1e-1, f64::INFINITY), (1.0, 1e-6), (10.0, 1e-5)];

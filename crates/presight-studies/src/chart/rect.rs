@@ -1,6 +1,6 @@
-//! Where labels have room.
+//! Placement of labels without overlap.
 
-/// Pixels that something covers.
+/// The pixels that a mark or label covers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Rect {
     pub left: i32,
@@ -14,7 +14,7 @@ impl Rect {
         Self { left: x - 5, top: y - 5, right: x + 5, bottom: y + 5 }
     }
 
-    /// Where a label has room: above or below its mark, each time a line farther off; on what is there if all are taken.
+    /// Finds a free place for a label, line by line above and then below its mark. It overlaps if all are taken.
     pub fn beside((x, y): (i32, i32), label: &str, taken: &[Self]) -> Self {
         let (wide, high) = (7 * label.chars().count() as i32, 13);
         let at = |left: i32, top: i32| Self { left, top, right: left + wide, bottom: top + high };

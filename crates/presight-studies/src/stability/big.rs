@@ -1,4 +1,4 @@
-//! Numbers of a hundred digits, and vectors of them: what the truth is worked out in.
+//! Numbers with a hundred digits, and vectors of them, for computing the truth.
 
 use dashu_float::FBig;
 use dashu_float::round::mode::HalfEven;
@@ -6,18 +6,18 @@ use glam::{DQuat, DVec3};
 use std::cmp::Ordering;
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-/// Bits of a number: 105 decimal digits.
+/// Precision in bits: 105 decimal digits.
 const BITS: usize = 350;
 
-/// A number of a hundred digits. Of an f64 it is the exact value.
+/// A number with a hundred digits, which represents every f64 exactly.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Big(FBig<HalfEven, 2>);
 
 impl Big {
-    /// The exact value of a finite number; what is not finite is a mistake of the study's own, and 0.
+    /// The exact value of a finite number. Other numbers are bugs in the study, and become 0 in release builds.
     pub fn new(x: f64) -> Self {
         debug_assert!(x.is_finite(), "{x}");
-        // An f64 comes with 53 bits, and results have the bits of their operands.
+        // Raise the precision from the 53 bits of an f64, because results inherit the precision of their operands.
         Self(FBig::try_from(x).unwrap_or(FBig::ZERO).with_precision(BITS).value())
     }
 
@@ -26,7 +26,7 @@ impl Big {
         self.0.to_f64().value()
     }
 
-    /// Of a number of at least 0.
+    /// The square root of a number of at least 0.
     pub fn sqrt(&self) -> Self {
         if self.is_zero() { self.clone() } else { Self(self.0.sqrt()) }
     }
@@ -122,13 +122,13 @@ impl Vector {
         self.dot(self).sqrt()
     }
 
-    /// Of unit length; the zero vector stays.
+    /// The vector scaled to unit length; a zero vector is returned unchanged.
     pub fn normalized(&self) -> Self {
         let length = self.length();
         if length.is_zero() { self.clone() } else { Self([0, 1, 2].map(|i| &self.0[i] / &length)) }
     }
 
-    /// Turned by a quaternion, as if that had unit length exactly.
+    /// Rotated by a quaternion, which is normalized exactly.
     pub fn turned(&self, by: DQuat) -> Self {
         let q = Self::new(DVec3::new(by.x, by.y, by.z));
         let w = Big::new(by.w);
@@ -160,7 +160,7 @@ mod tests {
     use super::*;
     use std::str::FromStr;
 
-    /// A decimal text as a number.
+    /// Parses a decimal number.
     fn known(digits: &str) -> Big {
         let decimal = dashu_float::DBig::from_str(digits).unwrap();
         Big(decimal.with_base_and_precision::<2>(BITS + 20).value().with_rounding().with_precision(BITS).value())
@@ -196,7 +196,7 @@ mod tests {
         for x in [0.1, -3e300, 5e-324, 1.0 / 3.0] {
             assert_eq!(Big::new(x).to_f64(), x);
         }
-        // A sum that f64 loses.
+        // A sum that f64 would round away.
         let kept = &(&Big::new(1e60) + &Big::new(1.0)) - &Big::new(1e60);
         assert_eq!(kept.to_f64(), 1.0);
     }
@@ -206,7 +206,7 @@ mod tests {
         let q = DQuat::from_euler(glam::EulerRot::ZYX, 0.3, -1.1, 2.0);
         let v = DVec3::new(1.0, -2.0, 0.5);
         assert!(Vector::new(v).turned(q).to_f64().distance(q * v) < 1e-15);
-        // Whatever the quaternion's length, a turn keeps lengths.
+        // A rotation preserves lengths even if the quaternion is not a unit quaternion.
         let off = &Vector::new(v).turned(q * 3.0).length() - &Vector::new(v).length();
         assert!(off.abs().to_f64() < 1e-100);
         let (a, b) = (Vector::new(DVec3::X), Vector::new(DVec3::Y));

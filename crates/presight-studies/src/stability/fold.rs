@@ -1,19 +1,19 @@
-//! Where a lens with tangential terms folds over: elsewhere in each direction. Worked out from the formula of the model in
-//! f64, from nothing of the product.
+//! The fold of a lens with tangential terms, which has a different radius in each direction. Computed in f64 from the
+//! model's formula, independently of the product.
 //!
-//! Rays are those of the plane z = 1. Along each of its directions the model is used from the axis as far as its Jacobian
-//! stays positive definite; the images of where it no longer is are the outline beyond which nothing is imaged.
+//! Rays are points of the plane z = 1. In each direction from the axis the model is valid as long as its Jacobian is
+//! positive definite. The images of the last valid points are the outline, beyond which nothing is imaged.
 
 use super::lens::{FARTHEST, STEP};
 
-/// How well the outline is known, relative to the image radius (1 if that is less). At it the Jacobian is singular across
-/// the outline, so that the radius's own error counts by its square.
+/// Accuracy of the outline, relative to the image radius (1 if that is less). The Jacobian is singular across the
+/// outline, so an error of the ray's radius enters only by its square.
 const TOLERANCE: f64 = 1e-9;
 
-/// An outline that is followed in no more steps than these is not found at all.
+/// The maximum number of iterations for a direction of the outline.
 const MOST_STEPS: usize = 60;
 
-/// The model's numbers.
+/// The parameters of the model.
 #[derive(Clone, Debug)]
 pub(super) struct Outline {
     /// 1, k1, k2, k3 and 1, k4, k5, k6 in powers of the squared radius.
@@ -23,19 +23,18 @@ pub(super) struct Outline {
     pub tangential: [f64; 2],
 }
 
-/// Value and derivative.
+/// Value and derivative of a polynomial.
 fn evaluate(polynomial: &[f64; 4], s: f64) -> (f64, f64) {
     let [a, b, c, d] = *polynomial;
     (a + s * (b + s * (c + s * d)), b + s * (2.0 * c + 3.0 * s * d))
 }
 
 impl Outline {
-    /// How far an image point is beyond the outline, negative inside, and how well that is known; `None` if the lens does
-    /// not fold in this direction.
+    /// Distance of an image point beyond the outline, negative inside, and its accuracy; `None` without a fold there.
     pub fn beyond(&self, xd: f64, yd: f64) -> Option<(f64, f64)> {
         let radius = xd.hypot(yd);
         let wanted = yd.atan2(xd);
-        // Tangential terms turn directions by little: what the image is off by is taken off the ray's direction.
+        // Tangential terms change directions only slightly, so correct the ray's direction by the error of its image.
         let mut direction = wanted;
         for _ in 0..MOST_STEPS {
             let [u, v] = self.fold_towards(direction)?;
@@ -48,7 +47,7 @@ impl Outline {
         Some((0.0, f64::INFINITY))
     }
 
-    /// The image of the first point in a direction at which the model folds over.
+    /// The image of the first point in a direction where the model folds.
     fn fold_towards(&self, direction: f64) -> Option<[f64; 2]> {
         let (sin, cos) = direction.sin_cos();
         let at = |r: f64| [r * cos, r * sin];
@@ -68,7 +67,7 @@ impl Outline {
         [x * stretch + s * px, y * stretch + s * py]
     }
 
-    /// True if the Jacobian is positive definite.
+    /// Returns true if the Jacobian is positive definite.
     fn is_one_to_one(&self, [x, y]: [f64; 2]) -> bool {
         let ([px, py], s) = (self.tangential, x * x + y * y);
         let ((n, dn), (d, dd)) = (evaluate(&self.numerator, s), evaluate(&self.denominator, s));

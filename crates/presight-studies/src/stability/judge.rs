@@ -1,4 +1,4 @@
-//! An engine's images against the truth, pixel by pixel, within the bounds that the product publishes.
+//! Checks an engine's images against the truth, pixel by pixel, within the product's published bounds.
 
 use super::oracle::{ExactFace, Oracle, PolygonOnRay, Truth};
 use presight::plan::{FramePlan, Images};
@@ -15,36 +15,36 @@ pub(super) struct TruthImage<'a> {
     pixels: Vec<Truth>,
 }
 
-/// What an engine's pixels come to.
+/// The judgement of an engine's image.
 #[derive(Clone, Debug, Default)]
 pub(super) struct ErrorSummary {
-    /// Greatest relative error of the range, where the polygon of the truth is shown or was left out as edge-on; that of the
-    /// first wrong pixel if there is one.
+    /// Largest relative error of the range at pixels where the true polygon is shown or was left out as edge-on. If
+    /// there is a fault, the error at the first faulty pixel.
     pub error: f64,
-    /// Greatest bound of all pixels, each of which is held to its own; infinite where one knows nothing of the range.
+    /// Largest bound of all pixels, each of which is checked against its own. Infinite if a pixel has no finite bound.
     pub bound: f64,
-    /// Pixels that show another polygon than the truth, or one of the two shows nothing, and that is within the bounds.
+    /// Pixels that differ from the truth in their polygon, or in hitting one at all, as the bounds allow.
     pub other: usize,
-    /// Pixels that show something.
+    /// Pixels that show a polygon.
     pub hits: usize,
-    /// Pixels at which the bound knows nothing.
+    /// Pixels without a finite bound.
     pub unbounded: usize,
-    /// What is wrong, at the first such pixel.
+    /// Description of the first faulty pixel.
     pub fault: Option<String>,
 }
 
-/// A pixel that is right, as far as the bounds tell.
+/// A pixel that is correct within the bounds.
 #[derive(Default)]
 struct PixelPass {
-    /// It shows something.
+    /// It shows a polygon.
     hit: bool,
-    /// It shows something else than the truth.
+    /// It differs from the truth in its polygon, or in hitting one at all.
     other: bool,
-    /// Relative error of the range, and its bound, where they are of the truth's polygon.
+    /// Relative error of the range and its bound, if they refer to the true polygon.
     range: Option<(f64, f64)>,
 }
 
-/// A pixel that is not: the error of its range, as far as it has one, the bound, and what is wrong.
+/// A faulty pixel: the error of its range, if it has one, the bound, and a description.
 struct PixelFault(f64, f64, String);
 
 impl<'a> TruthImage<'a> {
@@ -97,12 +97,12 @@ impl<'a> TruthImage<'a> {
         let shares_nan = [shown.cos_incidence, shown.echo].into_iter().flatten().all(f32::is_nan);
         let no_ray = nothing && all(f32::is_nan) && shares_nan;
         let sights = match truth {
-            Truth::NoRay => return if no_ray { Ok(PixelPass::default()) } else { Err(wrong("there is no ray here")) },
+            Truth::NoRay => return if no_ray { Ok(PixelPass::default()) } else { Err(wrong("this pixel has no ray")) },
             Truth::Either => return Ok(PixelPass::default()),
             Truth::Ray(sights) => sights,
         };
         if no_ray {
-            return Err(wrong("there is a ray here"));
+            return Err(wrong("this pixel has a ray"));
         }
         let looked = PixelTruth::new(self, pixel, sights, p);
         if nothing {
@@ -117,7 +117,7 @@ impl<'a> TruthImage<'a> {
             return Err(wrong("no such polygon"));
         };
         if Some(self.oracle.faces[k].object_id) != shown.object_id {
-            return Err(wrong("that polygon is another object's"));
+            return Err(wrong("the polygon belongs to another object"));
         }
         let (error, bound) =
             looked.shown(k, shown).map_err(|PixelFault(e, b, what)| PixelFault(e, b, format!("{shown}: {what}")))?;
@@ -128,18 +128,18 @@ impl<'a> TruthImage<'a> {
     }
 }
 
-/// What an engine may show at a pixel.
+/// The values that an engine is allowed to show at a pixel.
 struct PixelTruth<'a> {
     faces: &'a [ExactFace],
     sights: &'a [PolygonOnRay],
     sensor: &'a Sensor,
     pixel: (u32, u32),
     precision: Precision,
-    /// By polygon, in units of the bound.
+    /// How far the ray is inside each polygon, in units of the bound.
     inside: Vec<f64>,
     /// The polygon that the ray meets first.
     truth: Option<usize>,
-    /// The nearest of what is surely hit is at most so far.
+    /// Largest possible range of the nearest polygon that is surely hit.
     wall: f64,
     surely_hit: Option<usize>,
 }
@@ -158,7 +158,7 @@ impl<'a> PixelTruth<'a> {
         let mut looked =
             Self { faces, sights, sensor, pixel, precision, inside, truth, wall: f64::INFINITY, surely_hit: None };
         for k in 0..faces.len() {
-            // Sides are proven in f64 by every engine, whatever it draws in.
+            // Every engine decides in f64 whether a polygon is edge-on, independent of its drawing precision.
             let sure = looked.inside[k] >= 1.0 && !faces[k].bound(Precision::F64).may_be_edge_on;
             if !sure {
                 continue;
@@ -171,20 +171,20 @@ impl<'a> PixelTruth<'a> {
         looked
     }
 
-    /// Bound of one over the range.
+    /// Error bound of the inverse range.
     fn inverse_error(&self, k: usize) -> f64 {
         let ray = self.sensor.ray(self.pixel.0, self.pixel.1);
         ray.map_or(f64::INFINITY, |ray| self.faces[k].bound(self.precision).inverse_range(&self.faces[k].face, ray))
     }
 
-    /// Least and greatest range within the bound.
+    /// Smallest and largest range within the bound.
     fn reach(&self, k: usize) -> [f64; 2] {
         let (inverse, error) = (self.sights[k].inverse_range, self.inverse_error(k));
         [inverse + error, inverse - error].map(|i| if i > 0.0 { i.recip() } else { f64::INFINITY })
     }
 
-    /// What the range comes to of a pixel that rightly does not show the truth's polygon. At an outline there is nothing to
-    /// compare; where that polygon may be left out as edge-on, what is behind it is shown at a range that no bound knows.
+    /// Passes a pixel that is allowed not to show the true polygon. At an outline its range is not compared. If the
+    /// true polygon may be left out as edge-on, the range of the polygon behind it counts as an error without a bound.
     fn instead(&self, range: f64) -> PixelPass {
         let Some(truth) = self.truth else { return PixelPass { other: range.is_finite(), ..PixelPass::default() } };
         let left_out = self.faces[truth].bound(self.precision).may_be_edge_on;
@@ -192,7 +192,7 @@ impl<'a> PixelTruth<'a> {
         PixelPass { hit: false, other: true, range: left_out.then_some((off, f64::INFINITY)) }
     }
 
-    /// Judges a hit: relative error of the range on the polygon that is shown, and its bound.
+    /// Judges a hit. Returns the relative error of the range on the polygon shown, and its bound.
     fn shown(&self, k: usize, shown: &PixelValues) -> Result<(f64, f64), PixelFault> {
         let sight = &self.sights[k];
         let ulps = |x: f64| self.precision.output_ulps() * ulp(x as f32);
@@ -200,7 +200,7 @@ impl<'a> PixelTruth<'a> {
         let [nearest, farthest] = self.reach(k);
         let range = f64::from(shown.range.unwrap_or(f32::NAN));
         let off = (range - true_range) / true_range;
-        // Beyond its outline a polygon's plane may be met behind the sensor.
+        // Outside its outline, a polygon's plane can lie behind the sensor along the ray.
         let ahead = true_range > 0.0;
         let known = ahead && farthest.is_finite();
         let below_or_above = if off < 0.0 { true_range - nearest } else { farthest - true_range };
@@ -216,7 +216,7 @@ impl<'a> PixelTruth<'a> {
             return wrong(format!("at {nearest:e} m it is hidden by {hiding} at {:e} m", self.wall));
         }
         if !range.is_finite() || !(error <= bound) {
-            return wrong(format!("range {true_range:e} m would be right, off by {error:e} of {bound:e}"));
+            return wrong(format!("range {true_range:e} m would be right; its error {error:e} exceeds {bound:e}"));
         }
         let ray_z = self.sensor.ray(self.pixel.0, self.pixel.1).map_or(f64::NAN, |r| r.z);
         if let Some(z) = shown.depth_z.map(f64::from).filter(|_| known)

@@ -1,5 +1,5 @@
-//! Lens models in a hundred digits: forward, the inverse near an approximate one, and where they fold over (with tangential
-//! terms in [`super::fold`], to fewer digits).
+//! Lens models with a hundred digits: projection, its inverse from an approximate ray, and the fold. With tangential
+//! terms the fold comes from [`super::fold`], with fewer digits.
 
 use super::big::{Big, Vector};
 use super::fold::Outline;
@@ -7,13 +7,13 @@ use super::oracle::Truth;
 use glam::DVec3;
 use presight::sensor::Distortion;
 
-/// The published tolerance of a ray: [`Distortion::distort`] gives the image coordinates back to this, relative to the image
-/// radius (1 if that is less).
+/// The published tolerance of a ray: [`Distortion::distort`] reproduces the image coordinates to this, relative to the
+/// image radius (1 if that is less).
 pub(super) const TOLERANCE: f64 = 1e-12;
 
-/// Steps in which the first fold is looked for: of the radius, or of the angle from the axis.
+/// Step of the search for the first fold: of the radius, or of the angle from the axis in radians.
 pub(super) const STEP: f64 = 1e-3;
-/// Lenses that do not fold up to this radius, 87 degrees from the axis, count as not folding.
+/// The search ends at this radius, 87 degrees from the axis. Lenses without a fold up to there count as not folding.
 pub(super) const FARTHEST: f64 = 20.0;
 
 /// A lens model, exact.
@@ -25,9 +25,9 @@ pub(super) struct Exact {
     denominator: Vec<Big>,
     /// (p2, p1).
     tangential: [Big; 2],
-    /// Image radius from which nothing is imaged; `None` if there is no such, or the model has tangential terms.
+    /// Image radius of the fold, beyond which nothing is imaged; `None` without a fold or with tangential terms.
     pub fold: Option<Big>,
-    /// Where a model with tangential terms folds.
+    /// The fold of a model with tangential terms.
     outline: Option<Outline>,
 }
 
@@ -64,21 +64,21 @@ impl Exact {
         lens
     }
 
-    /// Stretch at a squared radius, and its derivative by that square.
+    /// The radial stretch at a squared radius, and its derivative with respect to the squared radius.
     fn radial(&self, s: &Big) -> (Big, Big) {
         let (n, d) = (evaluate(&self.numerator, s), evaluate(&self.denominator, s));
         let (dn, dd) = (evaluate(&derivative(&self.numerator), s), evaluate(&derivative(&self.denominator), s));
         (&n / &d, &(&(&dn * &d) - &(&n * &dd)) / &(&d * &d))
     }
 
-    /// Derivative of the image radius by the radius.
+    /// Derivative of the image radius with respect to the radius.
     fn rising(&self, r: &Big) -> Big {
         let s = r * r;
         let (stretch, slope) = self.radial(&s);
         &stretch + &(&(&slope * &s) * &Big::new(2.0))
     }
 
-    /// The image radius of the first radius at which the radial model turns back.
+    /// The image radius at the first radius where the radial model turns back.
     fn first_fold(&self) -> Option<Big> {
         let end = if self.fisheye { std::f64::consts::PI } else { FARTHEST };
         let steps = (end / STEP) as u32;
@@ -92,7 +92,7 @@ impl Exact {
         Some(&low * &self.radial(&(&low * &low)).0)
     }
 
-    /// Image coordinates of a ray of the optical frame.
+    /// Image coordinates of a ray in the optical frame.
     pub fn forward(&self, ray: &Vector) -> [Big; 2] {
         let [x, y, z] = &ray.0;
         if self.fisheye {
@@ -115,7 +115,7 @@ impl Exact {
         [&(&stretch * x) + &(&s * px), &(&stretch * y) + &(&s * py)]
     }
 
-    /// How far an image point is beyond the fold, negative before it, and how well that is known; `None` if the lens does not
+    /// Distance of an image point beyond the fold, negative before it, and its accuracy; `None` if the lens does not
     /// fold.
     pub fn beyond_fold(&self, xd: &Big, yd: &Big) -> Option<(f64, f64)> {
         if let Some(outline) = &self.outline {
@@ -125,17 +125,17 @@ impl Exact {
         self.fold.as_ref().map(|fold| ((&radius - fold).to_f64(), TOLERANCE * radius.to_f64().max(1.0)))
     }
 
-    /// The ray that is imaged at (xd, yd), begun at the product's f64 one; whether there is one the fold alone decides.
+    /// The ray that is imaged at (xd, yd), by iteration from the product's f64 ray `near`. It exists up to the fold.
     ///
     /// # Errors
-    /// [`Truth::NoRay`] beyond the fold, [`Truth::Either`] as near to it as it is known.
+    /// [`Truth::NoRay`] beyond the fold, [`Truth::Either`] within its accuracy.
     pub fn inverse(&self, xd: &Big, yd: &Big, near: Option<DVec3>) -> Result<Vector, Truth> {
         match self.beyond_fold(xd, yd) {
             Some((beyond, tolerance)) if beyond.abs() <= tolerance => return Err(Truth::Either),
             Some((beyond, _)) if beyond > 0.0 => return Err(Truth::NoRay),
             _ => {}
         }
-        // Without a ray from the product one begins on the axis: the pixel will be told to lack it.
+        // If the product has no ray, start on the axis; the pixel will be judged as lacking its ray.
         let near = near.unwrap_or(DVec3::Z);
         if self.fisheye {
             let radius = (&(xd * xd) + &(yd * yd)).sqrt();
@@ -143,7 +143,7 @@ impl Exact {
         }
         let mut found = self.inverse_from([near.x / near.z, near.y / near.z].map(Big::new), [xd, yd]);
         let ([xx, xy, yy], zero) = (self.jacobian(&found), Big::new(0.0));
-        // Beyond the fold the same point is imaged again: a ray from there is none.
+        // A ray beyond the fold is another preimage of the same point, and not valid.
         if !(xx > zero && &xx * &yy > &xy * &xy) {
             found = self.inverse_from([zero.clone(), zero], [xd, yd]);
         }
@@ -165,7 +165,7 @@ impl Exact {
         x
     }
 
-    /// J, symmetric (see `sensor::undistort`): xx, xy, yy.
+    /// The symmetric Jacobian J (see `sensor::undistort`): xx, xy, yy.
     fn jacobian(&self, [x, y]: &[Big; 2]) -> [Big; 3] {
         let two = Big::new(2.0);
         let (stretch, slope) = self.radial(&(&(x * x) + &(y * y)));

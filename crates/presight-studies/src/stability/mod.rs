@@ -1,8 +1,8 @@
-//! Stability: cases that grow harder along one difficulty each, every engine's error against the bound that the product
-//! publishes, and against the truth in a hundred digits. Where the error leaves its bound is a fault; a case that is refused
-//! with a typed error is not.
+//! Numerical stability: checks that the error of every engine stays within its published bound.
 //!
-//! Later parts add families of their own: anything that implements [`Family`] can be put into a [`Study`].
+//! Each [`Family`] has cases of increasing difficulty along one axis. Errors are measured against a truth computed with
+//! a hundred digits. An error beyond its bound is a fault; a case that is refused with a typed error is not. Any type
+//! that implements [`Family`] can be added to a [`Study`].
 
 mod big;
 mod families;
@@ -21,11 +21,11 @@ pub use subjects::{BoxSetting, Subject, subjects};
 
 use presight::Result;
 
-/// What is tried.
+/// A stability study.
 pub struct Study {
-    /// In the order of the report.
+    /// The families in the order of the report.
     pub families: Vec<Box<dyn Family>>,
-    /// Fewer difficulties and draws.
+    /// Use fewer difficulties and random samples.
     pub quick: bool,
 }
 
@@ -34,27 +34,27 @@ pub struct Study {
 pub struct Row {
     /// The family's name.
     pub family: &'static str,
-    /// On the family's axis.
+    /// Position on the family's axis.
     pub difficulty: f64,
-    /// What an engine made of it.
+    /// The result of one engine.
     pub finding: Finding,
 }
 
 impl Study {
-    /// Every family.
+    /// A study of all families.
     pub fn new(quick: bool) -> Self {
         Self { families: all(), quick }
     }
 
-    /// Number of steps that [`Study::run`] tells of.
+    /// The number of steps that [`Study::run`] reports.
     pub fn steps(&self) -> usize {
         self.families.iter().map(|f| f.difficulties(self.quick).len()).sum()
     }
 
-    /// Tries every family at every difficulty with every engine; `progress` hears each step before it is taken.
+    /// Measures every family at every difficulty with every engine. Calls `progress` before each step.
     ///
     /// # Errors
-    /// Those of an engine that breaks down.
+    /// Engine failures.
     pub fn run(&self, subjects: &mut [Subject], mut progress: impl FnMut(&str)) -> Result<Vec<Row>> {
         let mut rows = Vec::new();
         for family in &self.families {

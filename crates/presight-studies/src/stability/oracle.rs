@@ -1,8 +1,8 @@
-//! The truth: what a sensor sees, worked out from the numbers of scene, pose and sensor as they are given, a hundred digits
-//! wide. For studies only; no prediction uses it.
+//! The truth: the exact view of a sensor, computed with a hundred digits from the given numbers of scene, pose and
+//! sensor. For studies only; no prediction uses it.
 //!
-//! Quaternions are taken for the rotations that they mean, whatever their length; planes are Newell's through the exact
-//! corners, at the nearest of them as the engines have it; a ray meets a polygon if it lies in the cone of its corners.
+//! Quaternions are normalized exactly. The plane of a polygon has Newell's normal of the exact corners and goes through
+//! the nearest corner, as in the engines. A ray meets a polygon if it lies in the cone of its corners.
 
 use super::big::{Big, Vector};
 use super::lens::Exact;
@@ -14,21 +14,21 @@ use presight::verify::Precision;
 use presight_render::reference::{Face, instances};
 use presight_render::verify::FaceBound;
 
-/// What is true at a pixel.
+/// The truth at a pixel.
 #[derive(Clone, Debug)]
 pub(super) enum Truth {
     /// The sensor has no ray here.
     NoRay,
-    /// Where a lens folds over, within its tolerance: a ray or none.
+    /// Too near to the fold of a lens to decide whether there is a ray.
     Either,
-    /// Of each polygon what a ray makes of it.
+    /// The geometry of each polygon along the ray.
     Ray(Vec<PolygonOnRay>),
 }
 
 /// One polygon along one ray.
 #[derive(Clone, Debug)]
 pub(super) struct PolygonOnRay {
-    /// How far inside each edge's plane the ray is, radians; negative outside.
+    /// Angle of the ray inside the plane of each edge, radians; negative outside.
     pub margins: Vec<f64>,
     /// One over the range on the polygon's plane.
     pub inverse_range: f64,
@@ -36,16 +36,16 @@ pub(super) struct PolygonOnRay {
     pub cos_incidence: f64,
 }
 
-/// A polygon about the sensor, exact, with the bounds that the product gives it.
+/// An exact polygon relative to the sensor, with the product's error bounds.
 pub(super) struct ExactFace {
     pub polygon_id: u32,
     pub object_id: u32,
-    /// What the product makes of it in f64.
+    /// The product's f64 setup of the polygon.
     pub face: Face,
     bounds: [FaceBound; 2],
     /// Inward unit normals of the planes through the sensor and the edges; edge k runs from corner k to the next.
     edges: Vec<Vector>,
-    /// Edges k - 1 and k meet in a corner that turns inwards.
+    /// True if edges k - 1 and k meet in a reflex corner.
     inward: Vec<bool>,
     normal: Vector,
     distance: Big,
@@ -61,7 +61,7 @@ pub(super) struct Oracle<'a> {
 }
 
 impl<'a> Oracle<'a> {
-    /// Of all objects, as opaque to the sensor as they may be.
+    /// Covers all objects, and treats all of them as opaque.
     pub fn new(plan: &'a FramePlan) -> Self {
         let centre = Vector::new(plan.world_from_sensor.translation);
         let instances = instances(plan);
@@ -89,7 +89,7 @@ impl<'a> Oracle<'a> {
         Self { plan, faces, turns, lens }
     }
 
-    /// What is true at a pixel.
+    /// The truth at a pixel.
     pub fn look(&self, column: u32, row: u32) -> Truth {
         let ray = match self.ray(column, row) {
             Ok(ray) => ray,
@@ -143,14 +143,14 @@ impl ExactFace {
         Self { polygon_id, object_id, face, bounds, edges, inward, normal, distance }
     }
 
-    /// The bounds of an engine.
+    /// The error bounds of an engine with this precision.
     pub fn bound(&self, precision: Precision) -> &FaceBound {
         &self.bounds[usize::from(precision != Precision::F64)]
     }
 
     fn along(&self, ray: &Vector) -> PolygonOnRay {
         let cos = self.normal.dot(ray);
-        // A plane through the sensor is met nowhere.
+        // No ray meets a plane through the sensor.
         let inverse_range = if self.distance.is_zero() { 0.0 } else { (&cos / &self.distance).to_f64() };
         let covers = |e: &Vector| if self.distance.is_zero() { -1.0 } else { e.dot(ray).to_f64() };
         PolygonOnRay {
@@ -160,23 +160,23 @@ impl ExactFace {
         }
     }
 
-    /// How far inside its outline a ray is, in units of an engine's bounds: at least 1 is surely inside, below -1 outside.
-    /// `span` is the part of a pixel that an engine's spans may be off by, radians.
+    /// How far a ray is inside the outline, in units of an engine's bounds: at least 1 is surely inside, below -1
+    /// surely outside. `span` is the error of the engine's spans, radians.
     pub fn inside(&self, sight: &PolygonOnRay, precision: Precision, span: f64) -> f64 {
         let bounds = &self.bound(precision).edges;
         self.least(|k| if bounds[k].is_finite() { sight.margins[k] / (bounds[k] + span) } else { 0.0 })
     }
 
-    /// True if a ray meets the polygon.
+    /// Returns true if a ray meets the polygon.
     pub fn is_met(&self, sight: &PolygonOnRay) -> bool {
         sight.inverse_range > 0.0 && self.least(|k| sight.margins[k]) >= 0.0
     }
 
-    /// The least of a share of each edge.
+    /// The minimum of a value over all edges.
     fn least(&self, share: impl Fn(usize) -> f64) -> f64 {
         let n = self.edges.len();
         (0..n).fold(f64::INFINITY, |least, k| {
-            // Beside a corner that turns inwards one of its two edges will do.
+            // At a reflex corner it suffices to be inside one of the two edges.
             let mut own = share(k);
             if self.inward[k] {
                 own = own.max(share((k + n - 1) % n));
@@ -189,7 +189,7 @@ impl ExactFace {
     }
 }
 
-/// A point of a mesh in the world.
+/// A point of an object's mesh in the world.
 fn in_world(object: &Object, p: DVec3) -> Vector {
     let m = object.object_from_mesh;
     let p = Vector::new(p);

@@ -1,4 +1,4 @@
-//! The study as a page, as CSV and as JSON.
+//! The study as an HTML page, CSV and JSON.
 
 use super::{Outcome, Row, Study};
 use crate::Machine;
@@ -7,28 +7,28 @@ use crate::page::{Part, Section, Table, page};
 use presight::{Error, ErrorKind, Result};
 use serde_json::{Value, json};
 
-/// Version of `report.json`.
+/// Format version of `report.json`.
 const FORMAT: u32 = 1;
 
-/// A bound above this leaves fewer than three digits: from there on a result is hardly one.
+/// A bound above this leaves fewer than three significant digits, so the result is hardly usable.
 const THREE_DIGITS: f64 = 1e-3;
 
-/// What the report says of the run.
+/// Information about the run.
 #[derive(Clone, Debug, Default)]
 pub struct RunInfo {
-    /// What it ran on, and how it was called.
+    /// The machine and the command line.
     pub machine: Machine,
-    /// Of the engines: adapters, and which were skipped.
+    /// Notes about engines: adapters, and engines that were skipped.
     pub notes: Vec<String>,
 }
 
-/// Number of faults.
+/// The number of faults.
 pub fn faults(rows: &[Row]) -> usize {
     rows.iter().filter(|r| r.finding.outcome == Outcome::Fault).count()
 }
 
-/// `stability.csv`: family, difficulty, engine, error, bound, outcome. What was refused has neither error nor bound; a bound
-/// that knows nothing is `inf`.
+/// `stability.csv`: family, difficulty, engine, error, bound, outcome. Error and bound are empty for refused cases. A
+/// bound that is not finite is `inf`.
 pub fn to_csv(rows: &[Row]) -> String {
     let number = |x: f64| if x.is_nan() { String::new() } else { format!("{x:e}") };
     let mut csv = String::from("family,difficulty,engine,error,bound,outcome\n");
@@ -39,10 +39,10 @@ pub fn to_csv(rows: &[Row]) -> String {
     csv
 }
 
-/// `report.json`; what is not finite is null.
+/// `report.json`; numbers that are not finite are null.
 ///
 /// # Errors
-/// None that can be met.
+/// None in practice; [`ErrorKind::System`] if serialization fails.
 pub fn to_json(study: &Study, rows: &[Row], about: &RunInfo) -> Result<String> {
     let families: Vec<Value> = study
         .families
@@ -70,10 +70,10 @@ pub fn to_json(study: &Study, rows: &[Row], about: &RunInfo) -> Result<String> {
         .map_err(|e| Error::new(ErrorKind::System, format!("cannot write JSON: {e}"), "").caused_by(e))
 }
 
-/// `index.html`.
+/// `index.html`. A family without finite values has no chart.
 ///
 /// # Errors
-/// None that can be met: a family without a finite point has no chart.
+/// None.
 pub fn to_html(study: &Study, rows: &[Row], about: &RunInfo) -> Result<String> {
     let mut sections = vec![summary(study, rows, about)];
     for family in &study.families {
@@ -86,19 +86,19 @@ pub fn to_html(study: &Study, rows: &[Row], about: &RunInfo) -> Result<String> {
         }
         let notes: Vec<Vec<String>> = notes(&own);
         if !notes.is_empty() {
-            let head = ["difficulty", "engine", "outcome", "what"].map(String::from).to_vec();
+            let head = ["difficulty", "engine", "outcome", "note"].map(String::from).to_vec();
             let faults = notes.iter().enumerate().filter(|(_, n)| n[2] == "fault").map(|(i, _)| i).collect();
-            parts.push(Part::Table(Table { caption: "What is to be said".into(), head, rows: notes, marked: faults }));
+            parts.push(Part::Table(Table { caption: "Notes".into(), head, rows: notes, marked: faults }));
         }
         sections.push(Section { title: family.name().into(), parts });
     }
-    let lead = "Every engine against a truth in a hundred digits, along difficulties that grow until something gives: is the \
-                error within the bound that presight publishes, or does it refuse before?";
+    let lead = "Every engine against a truth computed with a hundred digits, in cases of increasing difficulty: does \
+                the error stay within presight's published bound until the case is refused?";
     Ok(page("Numerical stability", lead, &sections))
 }
 
 impl Study {
-    /// True if a family's difficulties get smaller.
+    /// Returns true if a family becomes harder towards smaller values of its difficulty.
     fn falls(&self, family: &str) -> bool {
         let all = self.families.iter().find(|f| f.name() == family).map(|f| f.difficulties(self.quick));
         all.is_some_and(|d| d.first() > d.last())
@@ -115,11 +115,11 @@ fn summary(study: &Study, rows: &[Row], about: &RunInfo) -> Section {
     );
     let head = [
         "family",
-        "error stays below",
-        "of its bound",
+        "largest error",
+        "largest error / bound",
         "bound leaves 3 digits",
         "refused from",
-        "pixels that show something else",
+        "pixels that differ",
         "left out as edge-on",
         "faults",
     ];
@@ -147,30 +147,31 @@ fn summary(study: &Study, rows: &[Row], about: &RunInfo) -> Section {
         }
     }
     let table = Table {
-        caption: "Where errors leave their bounds, and what happens before".into(),
+        caption: "Errors and bounds of each family and engine".into(),
         head: head.map(String::from).to_vec(),
         rows: table,
         marked,
     };
     let machine = Table {
         caption: "The run".into(),
-        head: ["what", "value"].map(String::from).to_vec(),
+        head: ["item", "value"].map(String::from).to_vec(),
         rows: about.machine.lines(),
         marked: Vec::new(),
     };
-    let counted = "Something else than the truth may be shown at an outline, or where a polygon was left out as edge-on: its \
-                   side could not be proven, and what is behind it is seen. Errors are of pixels that show the truth's \
-                   polygon, and of those where it was left out, at which there is no bound. Polygons are summed over images.";
+    let counted = "A pixel may differ from the truth at an outline, or where a polygon was left out as edge-on: the \
+                   engine could not prove on which side of its plane the sensor is, so the surface behind it is shown. \
+                   Errors are measured at pixels that show the true polygon, and without a bound at pixels where it \
+                   was left out. Counts of polygons left out are sums over images.";
     let mut parts = vec![Part::Advice(verdict), Part::Table(table), Part::Text(counted.into())];
     parts.extend(about.notes.iter().map(|note| Part::Text(note.clone())));
     parts.push(Part::Table(machine));
     Section { title: "Summary".into(), parts }
 }
 
-/// How far an engine gets in a family.
+/// The results of one engine in one family.
 struct Reach {
     error: f64,
-    /// The greatest error by its bound.
+    /// The largest ratio of error to bound.
     share: f64,
     /// The last difficulty before the bound leaves fewer than three digits; `None` if it never does.
     vague_from: Option<f64>,
@@ -196,7 +197,7 @@ impl Reach {
     }
 }
 
-/// Engines in the order of the rows, without what was refused.
+/// Engines in the order of the rows, without refused cases.
 fn engines<'a>(rows: &[&'a Row]) -> Vec<&'a str> {
     let mut engines: Vec<&str> = Vec::new();
     for row in rows.iter().filter(|r| r.finding.outcome != Outcome::Rejected) {
@@ -211,7 +212,7 @@ fn refused_from(rows: &[&Row]) -> Option<f64> {
     rows.iter().find(|r| r.finding.outcome == Outcome::Rejected).map(|r| r.difficulty)
 }
 
-/// One sentence on a family.
+/// A one-sentence summary of a family.
 fn advice(rows: &[&Row]) -> String {
     let faults = rows.iter().filter(|r| r.finding.outcome == Outcome::Fault).count();
     let refused: Vec<f64> =
@@ -219,7 +220,7 @@ fn advice(rows: &[&Row]) -> String {
     let unbounded = unbounded(rows);
     let within = match (faults, unbounded.is_empty()) {
         (0, true) => "Every error is within its bound".to_owned(),
-        (0, false) => format!("Every error that has a bound is within it; there is none {}", unbounded.join(", ")),
+        (0, false) => format!("Every error that has a bound is within it; there is no bound {}", unbounded.join(", ")),
         (n, _) => format!("{n} cases are wrong"),
     };
     match (refused.first(), refused.last()) {
@@ -229,7 +230,7 @@ fn advice(rows: &[&Row]) -> String {
     }
 }
 
-/// Where there is no bound, and for which engines: `from 1e-6 on for gpu and gpu-32-bit`.
+/// The difficulties and engines without a bound: `from 1e-6 on for gpu and gpu-32-bit`.
 fn unbounded(rows: &[&Row]) -> Vec<String> {
     let mut found: Vec<(String, Vec<&str>)> = Vec::new();
     for engine in engines(rows) {
@@ -267,7 +268,7 @@ fn notes(rows: &[&Row]) -> Vec<Vec<String>> {
     .collect()
 }
 
-/// Error and bound by difficulty, a colour an engine.
+/// A chart of error and bound by difficulty, with one colour per engine.
 fn chart(rows: &[&Row], axis: &str, error: &str, falling: bool) -> Chart {
     let mut series = Vec::new();
     for (color, engine) in engines(rows).into_iter().enumerate() {

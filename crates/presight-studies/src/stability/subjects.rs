@@ -1,4 +1,4 @@
-//! What is studied: engines, by what they draw and which boxes they give.
+//! The subjects of the study: engines, judged by their images and regions of interest.
 
 use presight::Result;
 use presight::Threads;
@@ -10,48 +10,48 @@ use presight::plan::{CountName, FramePlan, Images, Stats};
 use presight::sensor::Sensor;
 use presight_predict::engine::add_boxes;
 
-/// Features before a sensor, and how uncertain all is.
+/// Features in front of a sensor, with their uncertainty and that of the pose.
 #[derive(Clone, Debug)]
 pub struct BoxSetting {
     /// The world of the features.
     pub world: World,
     /// The sensor.
     pub sensor: Sensor,
-    /// Its pose, body axes.
+    /// The sensor's pose, body axes.
     pub world_from_sensor: Pose,
-    /// Where the features are.
+    /// The features.
     pub placed: Vec<PlacedFeature>,
-    /// What is seen of them.
+    /// Their predicted visibility.
     pub prediction: FeaturePrediction,
     /// Covariances and confidence.
     pub options: BoxOptions,
 }
 
-/// An engine under study, or one that tests have spoiled.
+/// An engine under study. Tests also use faulty ones.
 pub struct Subject {
-    /// As the tables name it.
+    /// The name in tables.
     pub name: String,
-    /// What is studied.
+    /// The engine.
     pub engine: Box<dyn Engine>,
-    /// Its work on the CPU is done there.
+    /// Threads for its work on the CPU.
     pub threads: Threads,
 }
 
 impl Subject {
-    /// Fills the requested images. Returns how many polygons it left out as edge-on.
+    /// Fills the requested images. Returns the number of polygons left out as edge-on.
     ///
     /// # Errors
-    /// The engine's.
+    /// Engine errors.
     pub fn draw(&mut self, plan: &FramePlan, images: &mut Images) -> Result<usize> {
         let mut stats = Stats::default();
         self.engine.render(plan, images, &mut stats)?;
         Ok(stats.counts.iter().filter(|(name, _)| *name == CountName::PolygonsEdgeOn).map(|(_, n)| *n as usize).sum())
     }
 
-    /// Gives the features of a setting their boxes; `None` for the reference, which has no part in that.
+    /// Predicts the regions of interest of a setting's features; `None` for the reference, which does not compute them.
     ///
     /// # Errors
-    /// The engine's.
+    /// Engine errors.
     pub fn boxes(&mut self, setting: &BoxSetting) -> Result<Option<FeaturePrediction>> {
         if self.name == EngineKind::Reference.name() {
             return Ok(None);
@@ -64,19 +64,20 @@ impl Subject {
     }
 }
 
-/// Of adapters that are programs.
-const LEFT_TO_CPU: &str = "gpu: this adapter is a program that plays a GPU, on which the engine leaves regions of interest to the \
-                           CPU: its rows of condition-box, stiff-box and indefinite are the CPU's; gpu-32-bit is asked to do on the \
-                           device what it can. Image covariances (condition, stiff) are the CPU's on every device.";
+/// A note for software adapters.
+const LEFT_TO_CPU: &str = "gpu: this adapter is a software GPU, for which the engine computes regions of interest on \
+                           the CPU. Its rows of condition-box, stiff-box and indefinite are results of the CPU; \
+                           gpu-32-bit computes on the device whatever it can. Image covariances (condition, stiff) are \
+                           always computed on the CPU.";
 
-/// Every engine of this build and machine, and what is to be said of them: which adapter, or that there is none.
+/// Every engine of this build and machine, and notes about them: the adapter, or why there is none.
 ///
 /// # Errors
 /// [`presight::ErrorKind::System`] if threads cannot be started.
 pub fn subjects(threads: usize) -> Result<(Vec<Subject>, Vec<String>)> {
     let (mut all, mut notes) = (Vec::new(), Vec::new());
     let threads = Threads::from(threads).started()?;
-    // The hardware rasterizer decides nothing that is measured here: setup, edges and depth are those of compute spans.
+    // The hardware rasterizer would add nothing here: it shares setup, edges and depth with compute spans.
     for kind in EngineKind::ALL.into_iter().filter(|kind| *kind != EngineKind::GpuRender) {
         let mut engine = match kind.open(&threads) {
             Ok(engine) => engine,
@@ -84,7 +85,7 @@ pub fn subjects(threads: usize) -> Result<(Vec<Subject>, Vec<String>)> {
                 if kind == EngineKind::Gpu {
                     notes.push(match cfg!(feature = "gpu") {
                         true => format!("SKIPPED: the GPU engine: {}; see presight doctor", e.what()),
-                        false => "SKIPPED: the GPU engine: this build is without it".into(),
+                        false => "SKIPPED: the GPU engine is not in this build".into(),
                     });
                 }
                 continue;

@@ -1,4 +1,4 @@
-//! The oracle against rationals worked out by hand, and against parry in easy cases.
+//! Checks the oracle against rational numbers computed by hand, and against parry in easy cases.
 
 use super::big::{Big, Vector};
 use super::judge::TruthImage;
@@ -39,8 +39,8 @@ fn sight(plan: &FramePlan, column: u32, row: u32, polygon: usize) -> super::orac
     }
 }
 
-/// The plane through (2, 0, 0), (0, 4, 0), (0, 0, 4) is 2x + y + z = 4: along (2, 1, 2) / 3 it is met at 12/7, with cosine
-/// 7 / (3 sqrt 6).
+/// The plane through (2, 0, 0), (0, 4, 0), (0, 0, 4) is 2x + y + z = 4. The ray (2, 1, 2) / 3 meets it at 12/7, with
+/// the cosine 7 / (3 sqrt 6).
 #[test]
 fn a_ray_meets_a_triangle_where_it_does_by_hand() {
     let world = world(&[[[2.0, 0.0, 0.0], [0.0, 4.0, 0.0], [0.0, 0.0, 4.0]]], Pose::IDENTITY);
@@ -51,7 +51,7 @@ fn a_ray_meets_a_triangle_where_it_does_by_hand() {
     assert_eq!(hit.inverse_range, 7.0 / 12.0);
     // The expected value is rounded three times.
     assert!((hit.cos_incidence - 7.0 / (3.0 * 6f64.sqrt())).abs() < 3e-16);
-    // The planes through the origin and the edges are those of the axes.
+    // The planes through the origin and the edges are the coordinate planes.
     let mut margins = hit.margins.clone();
     margins.sort_by(f64::total_cmp);
     assert_eq!(margins, [1.0 / 3.0, 2.0 / 3.0, 2.0 / 3.0]);
@@ -59,7 +59,8 @@ fn a_ray_meets_a_triangle_where_it_does_by_hand() {
     assert!(matches!(Oracle::new(&plan).look(2, 0), Truth::NoRay));
 }
 
-/// A quarter turn about z by a quaternion whose length is 1 only nearly, and a step of 1e8 m that f64 could not add: the wall is at 3 - 2^-30.
+/// A quarter turn about z by a quaternion of nearly unit length, and an offset of 1e8 m to which f64 cannot add 2^-30:
+/// the wall is at 3 - 2^-30.
 #[test]
 fn poses_and_offsets_are_exact() {
     let half = std::f64::consts::FRAC_1_SQRT_2;
@@ -75,7 +76,7 @@ fn poses_and_offsets_are_exact() {
     assert_eq!(sight(&plan, 0, 1, 0).inverse_range, ((3.0 - 2f64.powi(-30)) * 2f64.sqrt()).recip());
 }
 
-/// At 60 degrees a wall 1 m ahead is met at 2 m; the beam's angle is its number times the step, not a sum.
+/// A beam at 60 degrees meets a wall 1 m ahead at 2 m. Angles are start + i * step, not accumulated sums.
 #[test]
 fn beams_are_at_start_plus_steps() {
     let world = world(&[[[1.0, -9.0, -9.0], [1.0, 9.0, -9.0], [1.0, 0.0, 9.0]]], Pose::IDENTITY);
@@ -88,7 +89,7 @@ fn beams_are_at_start_plus_steps() {
     assert_eq!(sight(&plan, 1, 0, 0).inverse_range, 1.0);
 }
 
-/// r (1 - 0.3 r^2) turns at r = sqrt(10 / 9) with the image radius 2/3 r; the fisheye's model at its own.
+/// r (1 - 0.3 r^2) turns back at r = sqrt(10 / 9), where the image radius is 2/3 r.
 #[test]
 fn lenses_fold_where_they_do_by_hand() {
     let lens = Exact::new(&Distortion::PlumbBob([-0.3, 0.0, 0.0, 0.0, 0.0]));
@@ -97,13 +98,14 @@ fn lenses_fold_where_they_do_by_hand() {
     let [u, v] = lens.forward(&Vector::new(DVec3::new(1.0, 0.0, 2.0)));
     assert_eq!((u.to_f64(), v.to_f64()), (0.4625, 0.0));
     let fisheye = Exact::new(&Distortion::Equidistant([-0.1, 0.0, 0.0, 0.0]));
-    // theta (1 - theta^2 / 10) turns at sqrt(10 / 3).
+    // theta (1 - theta^2 / 10) turns back at sqrt(10 / 3).
     let turn = (10f64 / 3.0).sqrt();
     assert!((fisheye.fold.unwrap().to_f64() - turn * 2.0 / 3.0).abs() < 1e-15);
     assert!(Exact::new(&Distortion::PlumbBob([0.1, 0.0, 0.0, 0.0, 0.0])).fold.is_none());
 }
 
-/// Along p = (p2, 0) the image radius is r + k1 r^3 + 3 p2 r^2 sideways: it turns where 1 + 6 p2 r + 3 k1 r^2 is 0.
+/// Along the x axis, with p = (p2, 0), the image radius is r + k1 r^3 + 3 p2 r^2: it turns back where
+/// 1 + 6 p2 r + 3 k1 r^2 = 0.
 #[test]
 fn tangential_terms_fold_where_they_do_by_hand() {
     let (k1, p2) = (-0.3, -0.02);
@@ -118,14 +120,14 @@ fn tangential_terms_fold_where_they_do_by_hand() {
             assert!((beyond - off).abs() < 1e-12 && known == 1e-9, "{side} {off}: {beyond}");
         }
     }
-    // Without them it is the radial fold in every direction.
+    // With negligible tangential terms it is the radial fold in every direction.
     let [round, exact] = [1e-300, 0.0].map(|p1| Exact::new(&Distortion::PlumbBob([k1, 0.0, p1, 0.0, 0.0])));
     let at = [0.5, -0.3].map(Big::new);
     let [a, b] = [round, exact].map(|lens| lens.beyond_fold(&at[0], &at[1]).unwrap().0);
     assert!((a - b).abs() < 1e-12, "{a} {b}");
 }
 
-/// What the product says of a ray is not believed: that there is none, or one from beyond the fold.
+/// The inverse is correct even if the product's ray is missing or lies beyond the fold.
 #[test]
 fn a_lens_is_inverted_whatever_the_product_says() {
     let lens = Exact::new(&Distortion::PlumbBob([-0.3, 0.0, 0.003, -0.002, 0.0]));
@@ -140,7 +142,7 @@ fn a_lens_is_inverted_whatever_the_product_says() {
     assert!(matches!(lens.inverse(&beyond[0], &beyond[1], Some(ray)), Err(Truth::NoRay)));
 }
 
-/// A plate that rays meet at 1e-7 rad, left out as if it were edge-on: no fault in f32, but told; in f64 it is a fault.
+/// Leaving out a plate that rays meet at 1e-7 rad, as if it were edge-on, is counted in f32 and a fault in f64.
 #[test]
 fn a_polygon_that_is_left_out_as_edge_on_is_told() {
     let at = |dx: f32, y: f32| [10.0 + dx, y, 1e-7 * dx];
@@ -164,7 +166,7 @@ fn a_polygon_that_is_left_out_as_edge_on_is_told() {
     assert!(picture.judge(&behind, Precision::F64).fault.is_some());
 }
 
-/// parry has a glam of its own.
+/// Converts to parry's version of glam.
 fn parry(v: DVec3) -> parry3d_f64::math::Vector {
     parry3d_f64::math::Vector::new(v.x, v.y, v.z)
 }
@@ -203,7 +205,7 @@ fn parry_agrees_in_easy_cases() {
     assert!(hits > 100, "{hits}");
 }
 
-/// One image judged: as it is, and spoiled in each way that the judge has to see.
+/// The judge accepts a correct image, and finds each kind of planted fault.
 #[test]
 fn the_judge_sees_each_planted_fault() {
     let triangles = [

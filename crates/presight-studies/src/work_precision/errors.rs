@@ -1,46 +1,46 @@
-//! How far images are from the truth.
+//! Errors of images.
 
 use super::FAULT_SHARE;
 use presight::Result;
 use presight::plan::{FramePlan, Images};
 use presight::verify::{self, Precision};
 
-/// Borders are looked for so many pixels away; farther ones count as this far.
+/// Distances between borders are clamped to this, pixels.
 const REACH: i32 = 16;
 
-/// Errors of images; the worst over poses, shares and means over all pixels.
+/// Errors of images: the worst over poses; fractions and means over all pixels.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct ImageErrors {
     pixels: usize,
-    /// Pixels with another polygon, or something where nothing is, or the other way round.
+    /// Pixels with another polygon, or where only one of the two images has a hit.
     other_id: usize,
-    /// Of paths that claim to be exact: pixels that no rounding explains.
+    /// Pixels that rounding does not explain; `None` for paths that are not exact.
     faults: Option<usize>,
-    /// The greatest difference of ranges where both show the same polygon, in units in the last place.
+    /// The largest difference of ranges where both show the same polygon, in units in the last place.
     ulps: u32,
-    /// The same in metres, and what is allowed at that pixel.
+    /// The same in metres, and the difference allowed at that pixel.
     range_m: f64,
     allowed_m: f64,
-    /// The greatest share of what is allowed at its pixel.
+    /// The largest ratio of the difference to that allowed at its pixel.
     of_bound: f64,
-    /// Sum of |difference| over pixels at which both see something, whatever it is.
+    /// Sum of |difference| over pixels where both ranges are finite, and their number.
     range_sum_m: f64,
     both_see: usize,
-    /// Sum of distances between borders of objects, their number, and the greatest distance, pixels.
+    /// Sum of distances between borders of objects, their number, and the largest distance, pixels.
     border_sum: f64,
     borders: usize,
     border_most: f64,
-    /// Pixels of the sensor that the path leaves out.
+    /// Fraction of the sensor's pixels that the path leaves out.
     missing_share: f64,
 }
 
 impl ImageErrors {
-    /// Of a path that leaves out a share of the sensor's pixels; none yet.
+    /// No errors yet, for a path that leaves out a fraction of the sensor's pixels.
     pub fn of_all_but(missing_share: f64) -> Self {
         Self { missing_share, ..Self::default() }
     }
 
-    /// Adds those of another pose.
+    /// Adds the errors of another pose.
     pub fn add(&mut self, other: &Self) {
         self.pixels += other.pixels;
         self.other_id += other.other_id;
@@ -59,14 +59,14 @@ impl ImageErrors {
         self.border_most = self.border_most.max(other.border_most);
     }
 
-    /// Kind, error, and bound where there is one.
+    /// All kinds of errors: name, error, and the bound if there is one.
     pub fn kinds(&self) -> Vec<(&'static str, f64, Option<f64>)> {
         let share = |n: usize, of: usize| n as f64 / of.max(1) as f64;
         let exact = self.faults.is_some();
         let mut kinds = vec![
             ("id_mismatch", share(self.other_id, self.pixels), None),
             ("range_ulp", f64::from(self.ulps), None),
-            // Where nothing differs there is no such pixel.
+            // If no range differs, there is no pixel of the largest error.
             ("range_m", self.range_m, (exact && self.range_m > 0.0).then_some(self.allowed_m)),
             ("range_mean_m", self.range_sum_m / self.both_see.max(1) as f64, None),
             ("range_of_bound", self.of_bound, exact.then_some(1.0)),
@@ -83,11 +83,10 @@ impl ImageErrors {
     }
 }
 
-/// Compares images of the same pixels. `exact` is the arithmetic of a path that claims to show what the truth shows, to its
-/// rounding: it is held to that by [`verify::compare`].
+/// Compares images of the same pixels. For an exact path of precision `exact`, [`verify::compare`] counts faults.
 ///
 /// # Errors
-/// Those of the comparison: images of different sizes.
+/// Images of different sizes.
 pub(super) fn compare_images(
     truth: &Images,
     other: &Images,
@@ -98,7 +97,7 @@ pub(super) fn compare_images(
     if let Some(precision) = exact {
         errors.faults = Some(verify::compare(truth, other, plan, precision)?.fault);
     }
-    // What is not claimed to be exact is measured by the strictest bound.
+    // Paths that are not exact are compared with the strictest bound.
     let precision = exact.unwrap_or(Precision::F64);
     for at in 0..truth.pixels() {
         let (r, o) = (truth.range[at], other.range[at]);
@@ -125,7 +124,7 @@ pub(super) fn compare_images(
     Ok(errors)
 }
 
-/// Distances from each border pixel of one image to the nearest of the other, both ways.
+/// Adds the distances from each border pixel of one image to the nearest of the other, both ways.
 fn displacement(truth: &Images, other: &Images, errors: &mut ImageErrors) {
     let (a, b) = (borders(truth), borders(other));
     for (from, to) in [(&a, &b), (&b, &a)] {
@@ -153,7 +152,7 @@ fn borders(images: &Images) -> Vec<bool> {
     (0..id.len()).map(border).collect()
 }
 
-/// Pixels along the row to the nearest one that is set, at most [`REACH`].
+/// Distance along the row to the nearest pixel that is set, at most [`REACH`].
 fn beside(set: &[bool], w: usize) -> Vec<i32> {
     let mut distances = vec![REACH; set.len()];
     for (row, on) in distances.chunks_mut(w).zip(set.chunks(w)) {
@@ -199,7 +198,7 @@ mod tests {
         errors.kinds().into_iter().find(|k| k.0 == kind).unwrap().1
     }
 
-    /// Errors of the probe's reference images after they were spoiled.
+    /// Errors of the probe's reference images after `spoil`.
     fn spoiled(spoil: impl Fn(&mut Images)) -> ImageErrors {
         let mut found = None;
         let outputs = presight::Outputs::default();
@@ -220,7 +219,7 @@ mod tests {
     fn the_truth_has_no_error() {
         for (kind, error, bound) in spoiled(|_| ()).kinds() {
             assert_eq!(error, 0.0, "{kind}");
-            assert!(kind != "range_m" || bound.is_none(), "{bound:?} m of what is nowhere");
+            assert!(kind != "range_m" || bound.is_none(), "a bound of {bound:?} m without an error");
         }
     }
 

@@ -1,6 +1,6 @@
-//! Features: how much of each is seen.
+//! Errors of visible fractions of features.
 //!
-//! Knobs: by images or by a ray to every sample, how finely features are sampled, the sensor's resolution.
+//! Settings: visibility from images or from a ray to every sample, the sampling step, and the sensor's resolution.
 
 use super::one::{Progress, SceneStudy, Truth};
 use super::paths::{EnginePath, PathName};
@@ -18,14 +18,14 @@ use presight::plan::Stats;
 use presight::sensor::Sensor;
 use presight::{Prediction, Request, Result};
 
-/// Features are made of what is so near, metres.
+/// Features are generated within this distance of the sensor, metres.
 const NEAR: f64 = 6.0;
-/// The truth has a sample so often, pixels.
+/// Sampling step of the truth, pixels.
 const TRUE_STEP: f64 = STEP / 8.0;
-/// Visible fractions that differ by less are the same: lengths were added up in another order.
+/// Smaller differences of visible fractions are rounding: lengths are summed in different orders.
 pub(super) const ROUNDING: f64 = 1e-12;
 
-/// Features before the sensor at one pose, and what is true of them.
+/// Features in view at one pose, with their true visibility.
 pub(super) struct Case<'a> {
     pub pose: &'a Pose,
     pub placed: PlacedFeatures,
@@ -39,15 +39,15 @@ struct FeaturePath {
     step: f64,
     view: ImageVariant,
     sensor: Sensor,
-    /// The last one, whose memory is reused.
+    /// The last prediction, whose memory is reused.
     found: Option<Prediction>,
-    /// Greatest error of a visible fraction, the sum of all and their number.
+    /// The largest error of a visible fraction, the sum of all errors, and their number.
     worst: f64,
     sum: f64,
     count: usize,
 }
 
-/// Rows of all paths from images to features, and to their regions of interest; the number of features.
+/// Adds rows of all paths from images to features, and to their regions of interest. Returns the number of features.
 pub(super) fn rows(
     one: &mut SceneStudy<'_>,
     truths: &[Truth],
@@ -89,7 +89,7 @@ pub(super) fn rows(
     Ok(count)
 }
 
-/// All paths that this machine and sensor have.
+/// All paths that work with this machine and sensor.
 fn paths(one: &mut SceneStudy<'_>) -> Vec<TimedPath<FeaturePath>> {
     use Visibility::{Image, Rays};
     let all = [
@@ -108,7 +108,7 @@ fn paths(one: &mut SceneStudy<'_>) -> Vec<TimedPath<FeaturePath>> {
         }
         let path =
             |sensor| FeaturePath { which, visibility, step, view, sensor, found: None, worst: 0.0, sum: 0.0, count: 0 };
-        // Fewer rays may be too few for features.
+        // At a reduced resolution, a ray table may have too few rays for a projection.
         let seen = view
             .of(one.sensor)
             .and_then(|seen| seen.map(|seen| seen.sensor.check_projection().map(|()| seen)).transpose());
@@ -141,7 +141,7 @@ impl FeaturePath {
         }
     }
 
-    /// Image and features together.
+    /// Predicts the image and the features.
     fn look(&mut self, one: &mut SceneStudy<'_>, case: &Case<'_>) -> Result<Stats> {
         let (world, pose) = (&one.scene.world, case.pose);
         let predictor = one.engines.predictor(self.which)?;
@@ -152,7 +152,7 @@ impl FeaturePath {
             Some(found) if found.request == request => predictor.predict_again(world, pose, found)?,
             found => *found = Some(predictor.predict(world, &self.sensor, pose, &request)?),
         }
-        // One entry for each, as the truth has.
+        // Add entries for features out of view, as in the truth.
         let found = self.found.as_mut();
         Ok(found
             .map(|found| {
@@ -175,11 +175,11 @@ impl FeaturePath {
     }
 }
 
-/// The features that have a part in the image, spread over all there are, and how they are seen.
+/// An evenly spaced selection of the features in the image, with their true visibility.
 fn case<'a>(one: &SceneStudy<'_>, pose: &'a Pose, truth: &Truth) -> Result<Case<'a>> {
     let (world, at) = (&one.scene.world, pose.translation);
     let near = Aabb { min: at - DVec3::splat(NEAR), max: at + DVec3::splat(NEAR) };
-    // Features of which each has one entry.
+    // Contours can have several entries, which would not match those of the truth.
     let kinds = FeatureKind::ALL.into_iter().filter(|kind| *kind != FeatureKind::Contour).collect();
     let options = GenerateOptions { kinds, region: Some(near), ..GenerateOptions::default() };
     let layer = generate(world.environment(), &one.sensor.spec().class, &options)?.layer;

@@ -1,11 +1,11 @@
-//! How a user takes a path: flags of `presight predict`, keys of the sensor's file, or the library.
+//! How a user selects a path: flags of `presight predict`, keys of the sensor file, or library calls.
 
 use super::paths::{EnginePath, Path};
 use super::views::ImageVariant;
 use presight::features::{BoxMethod, STEP, Visibility};
 use presight::sensor::{Angles, Geometry, Scanner, Sensor};
 
-/// Of a path to images. What begins with flags is for `presight predict`; the rest follows after a semicolon.
+/// Settings of a path to images: flags of `presight predict` first, then the others after a semicolon.
 pub(super) fn of_image(path: &Path, sensor: &Sensor) -> String {
     let engine = match path.which {
         EnginePath::Reference => "library: reference::render",
@@ -13,21 +13,21 @@ pub(super) fn of_image(path: &Path, sensor: &Sensor) -> String {
         EnginePath::CpuAll => "--backend cpu",
         EnginePath::Gpu => "--backend gpu",
         EnginePath::GpuNarrow => {
-            "library: gpu::DeviceOptions::without_int64 (by itself on devices without 64-bit atomics)"
+            "library: gpu::DeviceOptions::without_int64 (automatic on devices without 64-bit atomics)"
         }
     };
     let index = path.index.map(|s| format!(" --index {}", s.name())).unwrap_or_default();
     format!("{engine}{index}{}", of_view(path.view, sensor))
 }
 
-/// What is to be changed in the sensor's file: the keys of the very geometry that was measured.
+/// Changes to the sensor file that give exactly the measured geometry.
 fn of_view(view: ImageVariant, sensor: &Sensor) -> String {
     match view {
         ImageVariant::Whole => return String::new(),
         ImageVariant::Rays => return "; sensor file: kind = \"rays\" with the directions of all pixels".into(),
         ImageVariant::Reduced(_) | ImageVariant::Region => {}
     }
-    // Paths without such a view are not measured.
+    // A path is not measured if its sensor has no such view.
     let Ok(Some(seen)) = view.of(sensor) else { return String::new() };
     match (view, &sensor.spec().geometry, &seen.sensor.spec().geometry) {
         (_, _, Geometry::Camera(c)) => format!(
@@ -46,7 +46,7 @@ fn of_view(view: ImageVariant, sensor: &Sensor) -> String {
     }
 }
 
-/// Keys that differ; what is not named stays.
+/// The keys that differ.
 fn of_scanner(old: &Scanner, new: &Scanner) -> String {
     let mut keys = Vec::new();
     if let Some(height) = new.beam_height_deg.filter(|_| new.beam_height_deg != old.beam_height_deg) {
@@ -62,7 +62,7 @@ fn of_scanner(old: &Scanner, new: &Scanner) -> String {
     keys.join(", ")
 }
 
-/// Of a path to features.
+/// Settings of a path to features.
 pub(super) fn of_features(
     which: EnginePath,
     visibility: Visibility,
@@ -84,7 +84,7 @@ pub(super) fn of_features(
     }
 }
 
-/// Of a path to regions of interest.
+/// Settings of a path to regions of interest.
 pub(super) fn of_regions(which: EnginePath, method: BoxMethod) -> String {
     match (which, method) {
         (_, BoxMethod::Linear) => "library: BoxOptions::method = BoxMethod::Linear".into(),
@@ -110,7 +110,7 @@ mod tests {
         Sensor::new(sensor_toml::parse(&text, "s", None).unwrap_or_else(|e| panic!("{e}: {text}"))).unwrap()
     }
 
-    /// The keys of a file with those of a recipe in their place.
+    /// Replaces keys of a file by those of a recipe.
     fn changed(keys: &str, recipe: &str) -> String {
         let recipe = recipe.strip_prefix("; sensor file: ").unwrap().replace("] ", "]\n").replace(", ", "\n");
         let mut all: toml::Table = keys.parse().unwrap();
@@ -123,7 +123,7 @@ mod tests {
         toml::to_string(&all).unwrap()
     }
 
-    /// Who follows the words has the sensor that was measured, to the bit.
+    /// The recipes give exactly the measured sensor.
     #[test]
     fn recipes_give_what_was_measured() {
         let tall = format!("beam_height_deg = 0.5\n{TURN}{ROWS}");
@@ -142,7 +142,7 @@ mod tests {
                 assert_eq!(taken.spec().geometry, measured.spec().geometry, "{view:?}: {recipe}");
             }
         }
-        // The height of beams is part of it, and rows that stay are not named.
+        // Recipes include the height of beams, and omit rows that do not change.
         let rows = of_view(ImageVariant::Reduced(2), &sensor("scanner", &format!("{TURN}{ROWS}")));
         assert!(rows.contains("beam_height_deg = 2.0") && rows.contains("[elevation]"), "{rows}");
         assert!(

@@ -1,14 +1,13 @@
-//! Error against run time: every path that the product has from a scene to an image, and every knob that trades the one
-//! for the other, against one named truth.
+//! Error against run time of every path from a scene to an image, and of every setting that trades error for run time.
 //!
-//! | truth | of |
+//! | truth | used for |
 //! |---|---|
-//! | the reference's images | ids, ranges, silhouettes |
-//! | a ray through space to every sample of every feature | visible fractions |
-//! | draws of the errors of pose and feature, projected one by one | how often a region of interest misses its feature |
+//! | images of the reference engine | ids, ranges, silhouettes |
+//! | a ray to every sample of every feature | visible fractions |
+//! | projected random samples of the errors of pose and feature | how often a region of interest misses its feature |
 //!
-//! Which paths there are is in `paths`, how a user takes them in `how`; how images are told apart in `errors`; features are in
-//! `features`, regions of interest in `regions`; times, taken by turns, in `timing`; what to take of all that in `advice`.
+//! `paths` lists the paths, and `how` describes their flags. `errors` compares images, `features` features, and
+//! `regions` regions of interest. `timing` measures times, and `advice` recommends paths.
 
 mod advice;
 mod errors;
@@ -36,25 +35,25 @@ use presight::{Error, Result};
 use serde::Serialize;
 use std::time::Duration;
 
-/// How much is measured.
+/// The amount of measurement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Effort {
-    /// All paths take their turns so often, each with its share of runs.
+    /// Rounds in which the paths take turns; each path has an equal part of its runs in each round.
     pub rounds: usize,
-    /// Each path is run at least so often at a pose; runs that warm it up are not counted.
+    /// Minimum runs of each path at a pose, without warm-up runs.
     pub least_runs: usize,
-    /// And at most so often.
+    /// Maximum runs of each path at a pose.
     pub most_runs: usize,
-    /// In between it is run until this much time is spent.
+    /// Above the minimum, a path is run until this much time is spent.
     pub patience: Duration,
-    /// Features looked at, per sensor and pose.
+    /// Maximum number of features per sensor and pose.
     pub features: usize,
-    /// Draws of the errors for each region of interest.
+    /// Random samples of the errors for each region of interest.
     pub draws: usize,
 }
 
 impl Effort {
-    /// A study in well under a minute on two cores.
+    /// A study of less than a minute on two cores.
     pub const QUICK: Self = Self {
         rounds: 7,
         least_runs: 2,
@@ -63,7 +62,7 @@ impl Effort {
         features: 40,
         draws: 1_000,
     };
-    /// A study to rely on.
+    /// A study with reliable times.
     pub const FULL: Self = Self {
         rounds: 20,
         least_runs: 5,
@@ -74,25 +73,25 @@ impl Effort {
     };
 }
 
-/// A scene and the poses that sensors take in it.
+/// A scene with the poses of sensors.
 #[derive(Clone, Debug)]
 pub struct Scene {
-    /// As it was named.
+    /// The name as given.
     pub name: String,
-    /// What it holds.
+    /// The world.
     pub world: World,
-    /// Of the sensor in the world, body axes; errors are the worst over them, times of all of them.
+    /// Poses of the sensor in the world, body axes. Errors are the worst over all poses, times include all poses.
     pub poses: Vec<Pose>,
 }
 
-/// What is to be measured.
+/// A work-precision study.
 #[derive(Clone, Debug)]
 pub struct Study {
-    /// Where.
+    /// The scenes.
     pub scenes: Vec<Scene>,
-    /// With which sensors.
+    /// The sensors.
     pub sensors: Vec<Sensor>,
-    /// How thoroughly.
+    /// The amount of measurement.
     pub effort: Effort,
 }
 
@@ -105,71 +104,71 @@ pub struct Row {
     pub sensor: String,
     /// `reference`, `cpu` or `gpu`.
     pub engine: String,
-    /// Which path of this engine.
+    /// The path of this engine.
     pub variant: String,
-    /// What kind of error: see [`to_html`]'s table.
+    /// The kind of error: see the table of [`to_html`].
     pub error_kind: &'static str,
     /// The error, in the unit of its kind; the worst over all poses.
     pub error: f64,
-    /// What it may be at most, where that is known; of ranges at the pixel of the greatest error, and so of none where
-    /// nothing differs.
+    /// The bound of the error, if known. For `range_m` it is the bound at the pixel of the largest error, and `None` if
+    /// all ranges are equal.
     pub bound: Option<f64>,
     /// Median time of the path, milliseconds.
     pub median_ms: f64,
-    /// A quarter and three quarters of the runs took at most so long, milliseconds.
+    /// First and third quartile of the times, milliseconds.
     pub quartiles_ms: [f64; 2],
-    /// 95 of 100 runs took at most so long, milliseconds.
+    /// 95th percentile of the times, milliseconds.
     pub p95_ms: f64,
-    /// No other path to the same is both as fast and as exact.
+    /// True on the Pareto front: no other path is at least as fast and as exact, and better in one of them.
     pub pareto: bool,
-    /// Runs that were timed.
+    /// Number of timed runs.
     pub runs: usize,
-    /// What a user gets who asks for nothing else.
+    /// True for the path that a user gets by default.
     pub default: bool,
-    /// How a user takes it.
+    /// Flags or settings that select the path.
     #[serde(skip)]
     how: String,
-    /// In charts: whose mark it bears.
+    /// The series in charts.
     #[serde(skip)]
     family: String,
-    /// In charts: the text beside it.
+    /// The label in charts.
     #[serde(skip)]
     label: String,
 }
 
-/// Milliseconds of a stage.
+/// Times of a stage.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct StageTime {
-    /// Its name.
+    /// The stage.
     pub stage: StageName,
-    /// The middle one.
+    /// Median, milliseconds.
     pub median_ms: f64,
-    /// 95 of 100 runs took at most so long.
+    /// 95th percentile, milliseconds.
     pub p95_ms: f64,
 }
 
-/// How to take a path, times of its stages, and what it left out.
+/// How to select a path, the times of its stages, and the stages that it skipped.
 #[derive(Clone, Debug, Serialize)]
 pub struct PathNotes {
     /// `reference`, `cpu` or `gpu`.
     pub engine: String,
-    /// Which path of this engine.
+    /// The path of this engine.
     pub variant: String,
-    /// Flags of `presight predict`, keys of the sensor's file, or the library.
+    /// Flags of `presight predict`, keys of the sensor file, or library calls.
     pub how: String,
-    /// What a user gets who asks for nothing else.
+    /// True for the path that a user gets by default.
     pub default: bool,
-    /// Runs that were timed.
+    /// Number of timed runs.
     pub runs: usize,
     /// Times by stage, in order.
     pub stages: Vec<StageTime>,
     /// Counts of the last run.
     pub counts: Vec<(CountName, u64)>,
-    /// What was not needed in the last run, and why.
+    /// Stages and images skipped in the last run, and why.
     pub left_out: Vec<Omission>,
 }
 
-/// What was found of one scene and sensor.
+/// The results of one scene and sensor.
 #[derive(Clone, Debug, Serialize)]
 pub struct Finding {
     /// Scene.
@@ -178,15 +177,15 @@ pub struct Finding {
     pub sensor: String,
     /// Columns and rows.
     pub size: (u32, u32),
-    /// Share of the truth's pixels that show something.
+    /// Fraction of pixels in the true images that show a polygon.
     pub seen_share: f64,
-    /// Features that errors of features are of, over all poses.
+    /// Number of features measured, over all poses.
     pub features: usize,
-    /// What to take, in a few sentences made of the rows.
+    /// Recommended paths, in a few sentences derived from the rows.
     pub advice: String,
     /// Errors and times.
     pub rows: Vec<Row>,
-    /// Stages and what was left out.
+    /// Settings and stages of each path.
     pub notes: Vec<PathNotes>,
     /// Paths that could not be measured, and why.
     pub not_measured: Vec<String>,
@@ -195,35 +194,35 @@ pub struct Finding {
     pub preview: Vec<u8>,
 }
 
-/// What a study found.
+/// The results of a study.
 #[derive(Clone, Debug, Serialize)]
 pub struct Findings {
-    /// Scene by scene, sensor by sensor.
+    /// Results by scene, then by sensor.
     pub findings: Vec<Finding>,
     /// Adapter and driver, or why there is none.
     pub adapter: String,
 }
 
 impl Findings {
-    /// Paths that are to be exact and show pixels that no rounding explains.
+    /// The number of exact paths with pixels that rounding does not explain.
     pub fn faults(&self) -> usize {
         let rows = self.findings.iter().flat_map(|f| &f.rows);
         rows.filter(|r| r.error_kind == FAULT_SHARE && r.error > 0.0).count()
     }
 }
 
-/// The kind of error that only paths have that are to be exact.
+/// The kind of error that only exact paths have.
 const FAULT_SHARE: &str = "fault_share";
 
-/// Images that every path makes.
+/// The images that every path predicts.
 fn request() -> ImageRequest {
     ImageRequest::default()
 }
 
-/// The sensor of full studies that needs a ray table: a fisheye of 180 degrees.
+/// A sensor for full studies that needs a ray table: a fisheye of 180 degrees.
 ///
 /// # Errors
-/// None for these constants; the sensor's own check.
+/// None in practice; as [`Sensor::new`].
 pub fn fisheye() -> Result<Sensor> {
     let distortion = Distortion::Equidistant([0.0; 4]);
     let camera = Camera { width: 512, height: 512, fx: 163.0, fy: 163.0, cx: 255.5, cy: 255.5, distortion };
@@ -231,24 +230,25 @@ pub fn fisheye() -> Result<Sensor> {
 }
 
 impl Study {
-    /// How often [`Study::run`] tells its progress, at most.
+    /// The maximum number of progress reports of [`Study::run`].
     pub fn steps(&self) -> usize {
         let measured = self.sensors.len() * self.scenes.len();
         let poses: usize = self.sensors.len() * self.scenes.iter().map(|s| s.poses.len()).sum::<usize>();
-        // The truth and features; every path, and all of them by turns at each pose: images, features, regions of interest.
+        // Per measurement one for the truth and one for features. Per pose one for each path, and the rounds of images,
+        // features and regions of interest.
         2 * measured + poses * (Path::all(true).len() + 3 * self.effort.rounds)
     }
 
-    /// Measures everything. `progress` is told what comes next.
+    /// Runs the study. Calls `progress` with the name of each step.
     ///
     /// # Errors
-    /// Those of predictions, of generating features, and of an image that cannot be drawn.
+    /// Errors from predictions, from generating features, and from drawing the preview.
     pub fn run(&self, mut progress: impl FnMut(&str)) -> Result<Findings> {
         let mut engines = Engines::open()?;
         let mut findings = Vec::new();
         for scene in &self.scenes {
             if scene.poses.is_empty() {
-                return Err(Error::invalid("there is no pose", "give at least one").in_file(&scene.name));
+                return Err(Error::invalid("there are no poses", "give at least one").in_file(&scene.name));
             }
             for sensor in &self.sensors {
                 let mut one =
@@ -262,7 +262,7 @@ impl Study {
     }
 }
 
-/// The arithmetic by which an engine is judged.
+/// The precision whose bounds apply to an engine.
 fn precision_of(gpu: bool) -> Precision {
     if gpu { Precision::F32 } else { Precision::F64 }
 }

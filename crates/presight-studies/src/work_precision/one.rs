@@ -14,20 +14,20 @@ use presight::sensor::Sensor;
 use presight::{Error, Result};
 use presight_pictures as png;
 
-/// Whom the measurement tells what comes next.
+/// A callback that receives the name of each step.
 pub(super) type Progress<'a> = &'a mut dyn FnMut(&str);
 
-/// One scene and sensor.
+/// The study of one scene and sensor.
 pub(super) struct SceneStudy<'a> {
     pub scene: &'a Scene,
     pub sensor: &'a Sensor,
     pub effort: &'a Effort,
     pub engines: &'a mut Engines,
-    /// Paths that could not be measured, and why: one that is impossible must not cost what the others tell.
+    /// Paths that could not be measured, and why. One impossible path must not end the study of the others.
     pub not_measured: Vec<String>,
 }
 
-/// What the reference says at one pose.
+/// The reference image at one pose.
 pub(super) struct Truth {
     pub plan: FramePlan,
     pub images: Images,
@@ -43,7 +43,7 @@ struct ImagePath {
 
 impl SceneStudy<'_> {
     pub fn run(&mut self, progress: Progress<'_>) -> Result<Finding> {
-        // Lines may be cut: what changes most comes first.
+        // The step comes first, because long lines can be cut.
         let place = self.place();
         progress(&format!("the truth: {place}"));
         let truths = self.scene.poses.iter().map(|pose| self.truth(pose)).collect::<Result<Vec<_>>>()?;
@@ -69,7 +69,7 @@ impl SceneStudy<'_> {
         })
     }
 
-    /// Notes that a path cannot be measured.
+    /// Records that a path cannot be measured.
     pub fn leave_out(&mut self, path: &PathName, why: &Error) {
         self.not_measured.push(format!("{}, {}: {why}", path.engine, path.variant));
     }
@@ -113,7 +113,7 @@ impl SceneStudy<'_> {
             all.push(TimedPath::new(ImagePath { path, view, world, errors }));
         }
         let place = self.place();
-        // What all paths draw into while they are timed: the buffers of a user who keeps them.
+        // All timed runs reuse these buffers, as a careful user would.
         let mut images = Images::default();
         for (pose, truth) in self.scene.poses.iter().zip(truths) {
             for one in &mut all {
@@ -141,7 +141,7 @@ impl SceneStudy<'_> {
         Ok(())
     }
 
-    /// The first run of a path at a pose: its images against the truth.
+    /// Makes the first run of a path at a pose, and compares its images with the truth.
     fn compare(
         &mut self,
         TimedPath { what, timing }: &mut TimedPath<ImagePath>,
@@ -152,7 +152,7 @@ impl SceneStudy<'_> {
         let predictor = self.engines.predictor(what.path.which)?;
         timing.warm(|| predictor.predict_images(&what.world, &view.sensor, pose, request(), &mut images))?;
         let (truth_images, shown) = view.beside(&truth.images, &images);
-        // A part of the image is judged by its own sensor: pixels have their places there.
+        // A part of the image is compared using its own sensor, to which its pixels belong.
         let own = (!view.whole).then(|| FramePlan::new(&self.scene.world, &view.judge, pose, request())).transpose()?;
         let plan = own.as_ref().unwrap_or(&truth.plan);
         let exact = view.exact.then_some(what.path.precision());
@@ -160,7 +160,7 @@ impl SceneStudy<'_> {
         Ok(())
     }
 
-    /// A row without its error.
+    /// A row without an error.
     pub fn row(&self, named: &PathName, timing: &Timing) -> Row {
         Row {
             scene: self.scene.name.clone(),
@@ -183,7 +183,7 @@ impl SceneStudy<'_> {
     }
 }
 
-/// The share of pixels that show something.
+/// The fraction of pixels that show a polygon.
 fn seen_share(truths: &[Truth]) -> f64 {
     let ids = || truths.iter().flat_map(|t| &t.images.polygon_id);
     ids().filter(|id| **id != 0).count() as f64 / ids().count().max(1) as f64

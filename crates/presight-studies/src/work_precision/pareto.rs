@@ -1,9 +1,9 @@
-//! Which paths nothing beats.
+//! Pareto fronts of time and error.
 
 use super::Row;
 
-/// True for each (time, error) that no other is at least as good as in both and better in one. Values that are no numbers
-/// are never on the front.
+/// Decides for each (time, error) whether it is on the Pareto front: no other is at least as good in both and better in
+/// one. NaN values are never on the front.
 pub(super) fn front(points: &[(f64, f64)]) -> Vec<bool> {
     let mut order: Vec<usize> =
         (0..points.len()).filter(|i| !points[*i].0.is_nan() && !points[*i].1.is_nan()).collect();
@@ -11,7 +11,7 @@ pub(super) fn front(points: &[(f64, f64)]) -> Vec<bool> {
     let mut on = vec![false; points.len()];
     let mut last: Option<(f64, f64)> = None;
     for i in order {
-        // Faster ones came before: only what is more exact than all of them stays, and twins of the last that stayed.
+        // All earlier points are faster. Keep a point that is more exact than all of them, or equal to the last kept.
         if last.is_none_or(|kept| points[i].1 < kept.1 || points[i] == kept) {
             on[i] = true;
             last = Some(points[i]);
@@ -20,8 +20,8 @@ pub(super) fn front(points: &[(f64, f64)]) -> Vec<bool> {
     on
 }
 
-/// Marks the front among the rows of each kind of error. Regions of interest are compared at the same errors of the pose,
-/// which their labels tell, and their size is no error; a part of the image cannot take the place of the whole.
+/// Marks the front among the rows of each kind of error. Regions of interest are compared only at the same pose errors,
+/// which are in their labels. Never marks their size, which is not an error, nor paths to a part of the image.
 pub(super) fn mark(rows: &mut [Row]) {
     let path = |r: &Row| (r.engine.clone(), r.variant.clone());
     let partial: Vec<_> = rows.iter().filter(|r| r.error_kind == "missing_share").map(path).collect();
@@ -53,7 +53,7 @@ mod tests {
     fn the_front_is_what_brute_force_finds() {
         let mut random = SplitMix64(5);
         for n in 0..200 {
-            // Few distinct values, so that ties and twins come up.
+            // Few distinct values, so that ties and duplicates occur.
             let mut value = || (random.bits() % 6) as f64;
             let points: Vec<(f64, f64)> = (0..n % 17).map(|_| (value(), value())).collect();
             let beats = |a: &(f64, f64), b: &(f64, f64)| a.0 <= b.0 && a.1 <= b.1 && a != b;

@@ -1,4 +1,4 @@
-//! Every path of the product from a scene to an image.
+//! All paths from a scene to an image.
 
 use super::views::ImageVariant;
 use super::{how, precision_of};
@@ -10,7 +10,7 @@ use presight::verify::Precision;
 use presight::{Backend, Options, Predictor};
 use presight::{Error, ErrorKind, Result};
 
-/// Who draws.
+/// The engine of a path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum EnginePath {
     /// The reference, on all cores.
@@ -19,9 +19,9 @@ pub(super) enum EnginePath {
     CpuOne,
     /// The CPU engine on all cores.
     CpuAll,
-    /// The GPU engine as it opens: 64-bit keys where the device has them.
+    /// The GPU engine with its defaults: 64-bit keys if the device supports them.
     Gpu,
-    /// The GPU engine with keys of 32 bits, in two passes.
+    /// The GPU engine with 32-bit keys, in two passes.
     GpuNarrow,
 }
 
@@ -37,20 +37,20 @@ impl EnginePath {
     }
 }
 
-/// A path as tables, charts and advice name it.
+/// The names of a path in tables, charts and advice.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct PathName {
     /// `reference`, `cpu` or `gpu`.
     pub engine: &'static str,
-    /// What tells it from the engine's other paths.
+    /// The name among the paths of the engine.
     pub variant: String,
-    /// How a user takes it.
+    /// Flags or settings that select the path.
     pub how: String,
-    /// The one that a user gets who asks for nothing else.
+    /// True for the path that a user gets by default.
     pub default: bool,
-    /// In charts: whose mark it bears.
+    /// The series in charts.
     pub family: String,
-    /// In charts: the text beside it.
+    /// The label in charts.
     pub label: String,
 }
 
@@ -64,7 +64,7 @@ pub(super) struct Path {
 }
 
 impl Path {
-    /// All of them.
+    /// All paths, with those of the GPU if `gpu` is set.
     pub fn all(gpu: bool) -> Vec<Self> {
         let path = |which, view| Self { which, view, index: None };
         let views = [
@@ -86,7 +86,7 @@ impl Path {
         all
     }
 
-    /// As the files name the engine.
+    /// The name of the engine in files.
     pub fn engine(&self) -> &'static str {
         match self.which {
             EnginePath::Reference => "reference",
@@ -95,7 +95,7 @@ impl Path {
         }
     }
 
-    /// Its names for a sensor.
+    /// The names of the path for a sensor.
     pub fn named(&self, engines: &Engines, sensor: &Sensor) -> PathName {
         let (engine, manner) = (self.engine(), engines.manner(self.which));
         let index = self.index.map(|s| format!(", index {}", s.name())).unwrap_or_default();
@@ -119,14 +119,14 @@ impl Path {
 pub(super) struct Engines {
     all: Vec<(EnginePath, Predictor)>,
     gpu_keys: &'static str,
-    /// The adapter is a real GPU.
+    /// True if the adapter is a hardware GPU.
     hardware: bool,
     adapter: String,
     threads: usize,
 }
 
 impl Engines {
-    /// Opens what there is; a GPU that is not there is no error, lavapipe counts as one.
+    /// Opens all available engines. A missing GPU is not an error. Software adapters such as lavapipe are used too.
     pub fn open() -> Result<Self> {
         let (mut all, mut missing) = (Vec::new(), None);
         for which in
@@ -150,7 +150,7 @@ impl Engines {
         Ok(Self { all, gpu_keys, hardware, adapter, threads })
     }
 
-    /// Who draws where a user chooses nothing (`--backend auto`).
+    /// The engine that a user gets by default (`--backend auto`).
     pub fn default(&self) -> EnginePath {
         if self.hardware { EnginePath::Gpu } else { EnginePath::CpuAll }
     }
@@ -164,7 +164,7 @@ impl Engines {
         self.adapter.clone()
     }
 
-    /// How an engine runs.
+    /// The threads or keys of an engine, as part of a path's name.
     fn manner(&self, which: EnginePath) -> String {
         match which {
             EnginePath::CpuOne => "1 thread".into(),
@@ -181,7 +181,7 @@ impl Engines {
     }
 }
 
-/// How the GPU engine keeps its nearest surfaces, whether its adapter is hardware, and its name.
+/// The keys of the GPU engine, whether its adapter is hardware, and the adapter's name.
 #[cfg(feature = "gpu")]
 fn about_gpu(all: &[(EnginePath, Predictor)]) -> (&'static str, bool, String) {
     let gpu = all.iter().find(|(which, _)| *which == EnginePath::Gpu);

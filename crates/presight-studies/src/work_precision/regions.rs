@@ -1,6 +1,6 @@
-//! Regions of interest: how often each misses its feature, by draws of the errors, and how large it is.
+//! Regions of interest: how often each misses its feature for random samples of the errors, and how large it is.
 //!
-//! Knob: how errors go through the projection, with errors of the pose from small to large.
+//! Settings: the method of propagating errors through the projection, at small to large pose errors.
 
 use super::features::Case;
 use super::one::{Progress, SceneStudy};
@@ -25,36 +25,36 @@ use std::time::Instant;
 
 /// Standard deviations of the pose: metres, degrees.
 const POSE_ERRORS: [(f64, f64); 3] = [(0.01, 0.3), (0.1, 3.0), (0.2, 8.0)];
-/// Times of regions of interest are told for so many.
+/// Times are reported for this number of regions of interest.
 const PER: f64 = 100.0;
-/// Points of each visible stretch that a region is to hold.
+/// Test points on each visible interval of a segment.
 const POINTS: usize = 5;
 
 /// A path to regions of interest while it is measured.
 struct RegionPath {
     which: EnginePath,
     method: BoxMethod,
-    /// Of the pose: metres, degrees.
+    /// Standard deviations of the pose: metres, degrees.
     errors: (f64, f64),
     options: BoxOptions,
     found: Vec<Region>,
 }
 
-/// What is told of one region.
+/// The results of one region.
 struct Region {
-    /// Share of draws in which it misses its feature.
+    /// Fraction of samples in which it misses its feature.
     missed: f64,
-    /// Its share of the image.
+    /// Fraction of the image that it covers.
     area: f64,
 }
 
-/// The features of a case that are seen, to get regions.
+/// The visible features of a case.
 struct VisibleFeatures {
     placed: Vec<PlacedFeature>,
     seen: FeaturePrediction,
 }
 
-/// Rows of regions of the same features by every path.
+/// Adds rows of all paths to regions of interest, for the same features.
 pub(super) fn rows(
     one: &mut SceneStudy<'_>,
     cases: &[Case<'_>],
@@ -76,7 +76,7 @@ pub(super) fn rows(
         by_turns(effort, &mut all, make, |round| progress(&format!("regions by turns, {round}: {place}")))?;
     }
     for TimedPath { what, timing } in all.into_iter().filter(|one| !one.what.found.is_empty()) {
-        // Of so many at each pose.
+        // Scale from the mean number of regions per pose to PER.
         let timing = timing.scaled(PER * cases.len() as f64 / what.found.len() as f64);
         let named = what.named(one);
         let row = one.row(&named, &timing);
@@ -87,7 +87,7 @@ pub(super) fn rows(
     Ok(())
 }
 
-/// All paths that this machine has, at every error of the pose.
+/// All paths that work on this machine, at every pose error.
 fn paths(one: &SceneStudy<'_>) -> Vec<TimedPath<RegionPath>> {
     use BoxMethod::{AsNeeded, Linear, Set};
     let all = [
@@ -111,7 +111,7 @@ fn paths(one: &SceneStudy<'_>) -> Vec<TimedPath<RegionPath>> {
 }
 
 fn judged(case: &Case<'_>) -> VisibleFeatures {
-    // The region of what has an area is of the part that is seen, which no list of points holds.
+    // Areas are left out: their regions are for the visible part, which is not given by a list of points.
     let judged =
         |i: &usize| !case.placed.features[*i].feature.shape.is_area() && !case.truth.features[*i].visible.is_empty();
     let judged: Vec<usize> = (0..case.placed.features.len()).filter(judged).collect();
@@ -163,7 +163,7 @@ impl RegionPath {
         Ok(stats)
     }
 
-    /// What draws of the errors say of the regions that were made.
+    /// Evaluates the predicted regions with random samples of the errors.
     fn told(&self, one: &SceneStudy<'_>, case: &Case<'_>, seen: &FeaturePrediction) -> Vec<Region> {
         let (sensor, draws) = (one.sensor, one.effort.draws);
         let pixels = f64::from(sensor.width()) * f64::from(sensor.height());
@@ -175,10 +175,10 @@ impl RegionPath {
         parallel_or_here(|| seen.features.par_iter().enumerate().filter_map(told).collect())
     }
 
-    /// Kind, error, and bound where there is one.
+    /// The kinds of errors: name, error, and the bound if there is one.
     fn kinds(&self, draws: usize) -> [(&'static str, f64, Option<f64>); 3] {
         let fail = 1.0 - self.options.confidence;
-        // What chance alone may add to the share of one region, at three sigma.
+        // Three standard deviations of the fraction of one region by chance.
         let luck = 3.0 * (fail * self.options.confidence / draws as f64).sqrt();
         let mean = |of: fn(&Region) -> f64| self.found.iter().map(of).sum::<f64>() / self.found.len().max(1) as f64;
         let worst = self.found.iter().map(|r| r.missed).fold(0.0, f64::max);
@@ -190,8 +190,8 @@ impl RegionPath {
     }
 }
 
-/// The share of draws in which what is seen of a feature is not in its region. Poses and points are moved in space and
-/// imaged by [`Sensor::project`]; nothing of the code under test is used.
+/// The fraction of samples in which a visible point of a feature is outside its region. Poses and points are moved in
+/// space and projected by [`Sensor::project`], independently of the code under test.
 fn missed(
     sensor: &Sensor,
     pose: &Pose,
@@ -206,7 +206,7 @@ fn missed(
     let along = |v: &VisibleInterval| (0..POINTS).map(|i| v.t[0] + (v.t[1] - v.t[0]) * spread(i)).collect::<Vec<_>>();
     let shares: Vec<f64> = match seen.feature.shape {
         FeatureShape::Segment { .. } => seen.visible.iter().flat_map(along).collect(),
-        // A point has one error, whatever part of it.
+        // A point feature has one point.
         _ => vec![0.0],
     };
     let sigma = deviation(&seen.feature.shape);
@@ -218,7 +218,7 @@ fn missed(
         let ends = [random.vector() * sigma, random.vector() * sigma];
         let turned = image_from_world * DMat3::from_quat(DQuat::from_scaled_axis(-angle));
         let at = |t: &f64| turned * (a.lerp(b, *t) + ends[0].lerp(ends[1], *t) - pose.translation - shift);
-        // What left the image need not be found in it.
+        // Points that leave the image are not expected in the region.
         shares
             .iter()
             .map(at)
@@ -238,7 +238,7 @@ fn holds(bounds: &[f64; 4], (u, v): (f64, f64), turn: f64) -> bool {
     (across(u) || across(u + turn)) && v >= bounds[1] - 1e-9 && v <= bounds[3] + 1e-9
 }
 
-/// Standard deviation of a generated feature's points: the same along all axes.
+/// Standard deviation of a generated feature's points, which is the same along all axes.
 fn deviation(shape: &FeatureShape) -> f64 {
     match shape {
         FeatureShape::Segment { covariances, .. } => covariances[0].x_axis.x,
@@ -250,7 +250,7 @@ fn deviation(shape: &FeatureShape) -> f64 {
     .sqrt()
 }
 
-/// Standard normal numbers, by Box and Muller.
+/// Standard normal random numbers, by the Box-Muller transform.
 struct Normal(SplitMix64, Option<f64>);
 
 impl Normal {
@@ -275,7 +275,7 @@ mod tests {
     use presight::environment::{Existence, Feature, Properties};
     use presight::preset;
 
-    /// A point 3 m before a camera with a region of so many pixels to each side.
+    /// A point 3 m in front of a camera, with a region of `half` pixels to each side.
     fn point(half: f64) -> (Sensor, SeenFeature) {
         let sensor = preset("video-camera").unwrap();
         let (at, covariance) = (DVec3::X * 3.0, DMat3::IDENTITY * 1e-4);
@@ -287,8 +287,8 @@ mod tests {
         (sensor, seen)
     }
 
-    /// Sideways errors of 3 cm at 3 m and of the point's centimetre go by columns of 5.2 / 1.7 pixels: a region of two
-    /// standard deviations misses 4.55 %.
+    /// Lateral errors of 3 cm of the pose and 1 cm of the point, at 3 m, spread over columns. A region of two standard
+    /// deviations misses 4.55 % of the samples.
     #[test]
     fn draws_miss_as_often_as_normal_tails_say() {
         let sigma = 523.636 / 3.0 * (0.03f64 * 0.03 + 0.01 * 0.01).sqrt();

@@ -1,4 +1,4 @@
-//! Findings as CSV, JSON and a page.
+//! The results as CSV, JSON and an HTML page.
 
 use super::{Finding, Findings, Row, tables};
 use crate::chart::{Chart, Series, Style};
@@ -7,61 +7,61 @@ use crate::{Machine, csv_field};
 use presight::{Error, Result};
 use serde::Serialize;
 
-/// The version of report.json.
+/// Format version of report.json.
 const FORMAT: u32 = 1;
 
-/// The columns that scripts rely on.
+/// The columns of the CSV, stable for scripts.
 const COLUMNS: &str = "scene,sensor,engine,variant,error_kind,error,bound,median_ms,p95_ms,pareto";
 
-/// Kinds of errors: name, unit, what it is.
+/// Kinds of errors: name, and description with the unit.
 const KINDS: [(&str, &str); 14] = [
     (
         "id_mismatch",
-        "share of pixels that show another polygon than the reference, or something where it shows nothing",
+        "fraction of pixels that show another polygon than the reference, or where only one of the two has a hit",
     ),
     (
         "range_ulp",
-        "greatest difference of ranges where both show the same polygon, in units in the last place of an f32",
+        "largest difference of ranges where both show the same polygon, in units in the last place of an f32",
     ),
     (
         "range_m",
-        "the same in metres; its bound is what rounding allows at that pixel, and is left empty where nothing differs",
+        "the same in metres; its bound is the rounding error allowed at that pixel, and empty if nothing differs",
     ),
-    ("range_mean_m", "mean difference of ranges over all pixels where both see something, metres"),
+    ("range_mean_m", "mean difference of ranges over all pixels where both have a finite range, metres"),
     (
         "range_of_bound",
-        "greatest share of what rounding allows at its pixel; 1 is the bound of paths that are to be exact",
+        "largest ratio of the difference to the rounding error allowed at its pixel; the bound of exact paths is 1",
     ),
     ("silhouette_px", "mean distance between the borders of objects in both images, pixels, both ways, at most 16"),
-    ("silhouette_most_px", "the greatest such distance"),
-    ("fault_share", "of paths that are to be exact: share of pixels that no rounding, edge or tie explains"),
-    ("missing_share", "share of the sensor's pixels that the path leaves out; its other errors are of the rest"),
+    ("silhouette_most_px", "the largest such distance"),
+    ("fault_share", "only for exact paths: fraction of pixels that no rounding, edge or tie explains"),
+    ("missing_share", "fraction of the sensor's pixels that the path leaves out; its other errors are for the rest"),
     (
         "visible_fraction",
-        "greatest error of a feature's visible fraction; the truth is a ray every 1/16 of a pixel; below 1e-12 it counts as none",
+        "largest error of a feature's visible fraction; the truth has a ray every 1/16 pixel; below 1e-12 it counts as 0",
     ),
     ("visible_fraction_mean", "the mean error over all features"),
     (
         "roi_missed",
-        "share of draws of the errors in which a feature is outside its region of interest, mean over regions",
+        "fraction of random error samples in which a feature is outside its region of interest, mean over regions",
     ),
-    ("roi_missed_worst", "the same of the worst region; its bound has room for chance"),
+    ("roi_missed_worst", "the same for the worst region; its bound includes a margin for chance"),
     (
         "roi_area_share",
-        "no error, but what certainty costs: mean share of the image that a region takes; times of all three are of 100 regions",
+        "not an error, but the cost of certainty: mean fraction of the image in a region; times of all are for 100 regions",
     ),
 ];
 
 /// Charts: kind, title, label of the axis.
 const CHARTS: [(&str, &str, &str); 5] = [
-    ("id_mismatch", "Other polygons against time", "share of pixels"),
-    ("range_m", "Range error against time", "greatest error, m"),
+    ("id_mismatch", "Other polygons against time", "fraction of pixels"),
+    ("range_m", "Range error against time", "largest error, m"),
     ("silhouette_px", "Silhouettes against time", "mean displacement, pixels"),
-    ("visible_fraction", "Visible fractions against time", "greatest error"),
-    ("roi_missed", "Missed regions of interest against time of 100 regions", "share of draws"),
+    ("visible_fraction", "Visible fractions against time", "largest error"),
+    ("roi_missed", "Missed regions of interest against time for 100 regions", "fraction of samples"),
 ];
 
-/// One line a row, with the contract's columns.
+/// The rows as CSV, one per line.
 pub fn to_csv(findings: &Findings) -> String {
     let mut csv = format!("{COLUMNS}\n");
     for r in findings.findings.iter().flat_map(|f| &f.rows) {
@@ -83,44 +83,45 @@ struct Document<'a> {
     findings: &'a Findings,
 }
 
-/// Everything, for programs. Infinite bounds are null.
+/// The results as JSON. Infinite bounds are null.
 ///
 /// # Errors
-/// None for what studies find; the serializer's own.
+/// None in practice; [`presight::ErrorKind::Invalid`] if serialization fails.
 pub fn to_json(findings: &Findings, machine: &Machine) -> Result<String> {
     serde_json::to_string_pretty(&Document { format: FORMAT, machine, findings })
-        .map_err(|e| Error::invalid(format!("the findings are no JSON: {e}"), ""))
+        .map_err(|e| Error::invalid(format!("cannot write the results as JSON: {e}"), ""))
 }
 
-/// Everything, for people: one HTML file.
+/// The results as one HTML page.
 ///
 /// # Errors
-/// Those of charts.
+/// Chart errors.
 pub fn to_html(findings: &Findings, machine: &Machine) -> Result<String> {
     let mut sections = vec![answer(findings), about(findings, machine)];
     for finding in &findings.findings {
         sections.push(section(finding)?);
     }
     sections.push(kinds());
-    let lead = "What each way from a scene to an image costs, and how far its images are from the truth. The truth is the \
-                reference, a plain z-buffer in f64.";
+    let lead = "The run time of each path from a scene to an image, and the error of its images. The truth is the \
+                reference engine, a plain z-buffer in f64.";
     Ok(page("presight: error against run time", lead, &sections))
 }
 
 fn answer(findings: &Findings) -> Section {
     let parts = findings.findings.iter().map(|f| Part::Advice(f.advice.clone())).collect();
-    Section { title: "What to take".into(), parts }
+    Section { title: "Recommendations".into(), parts }
 }
 
 fn about(findings: &Findings, machine: &Machine) -> Section {
     let mut rows = machine.lines();
     rows.push(vec!["adapter and driver".into(), findings.adapter.clone()]);
-    let head = ["what", "value"].map(String::from).to_vec();
-    let missing = "Not here: the GPU's hardware rasterizer for cameras (measured in benches/raster). Not in the product, and so not here: \
-                   planar images resampled to curved ones (benches/resampling). A request names \
-                   no region of the image: a smaller sensor does, as the roi of a ROS camera_info file; it is measured \
-                   as \"middle part\". Features are sampled every half pixel unless it is said otherwise. Where the adapter is a program that plays a \
-                   GPU, the GPU engine leaves regions of interest to the CPU.";
+    let head = ["item", "value"].map(String::from).to_vec();
+    let missing = "Not measured here: the GPU's hardware rasterizer for cameras (see benches/raster), and planar \
+                   images resampled to curved ones, which the product does not have (see benches/resampling). A \
+                   request cannot select a region of the image, but a smaller sensor can, such as the roi of a ROS \
+                   camera_info file; it is measured as \"middle part\". Features are sampled every half pixel unless \
+                   stated otherwise. If the adapter is a software GPU, the GPU engine computes regions of interest on \
+                   the CPU.";
     let parts = vec![
         Part::Table(Table { caption: "How it was measured".into(), head, rows, marked: Vec::new() }),
         Part::Text(missing.into()),
@@ -130,18 +131,19 @@ fn about(findings: &Findings, machine: &Machine) -> Section {
 
 fn kinds() -> Section {
     let rows = KINDS.iter().map(|(kind, text)| vec![(*kind).to_owned(), (*text).to_owned()]).collect();
-    let head = vec!["error_kind".into(), "what it is".into()];
+    let head = vec!["error_kind".into(), "description".into()];
     let texts = [
-        "Errors are the worst over all poses, shares and means are over all of them. Times are of all runs but those that \
-         warm up; paths take turns, so that a machine that grows busier does so for all of them alike. Times include \
-         selection and all images in memory, with the GPU synchronised; those of features include their image. p95: 95 of \
-         100 runs took at most so long.",
-        "A row is on the Pareto front if no other of its kind is as fast and as exact; paths that leave a part of the image out \
-         have no place on it. Regions of interest are compared at the same errors of the pose.",
-        "Advice keeps to what a user gets anyway, unless another path is clearly faster: its median is below nine tenths, \
-         and three quarters of its runs are faster than three quarters of the other's. What is less exact is told only where at \
-         most a tenth of the pixels shows another polygon. On features advice rests on ten of them at least, and what has \
-         errors no more than a thousandth above those of rays, the greatest and the mean, is as exact.",
+        "Errors are the worst over all poses; fractions and means are over all poses. Times are from all runs except \
+         warm-ups. Paths take turns, so that changes in the machine's load affect all paths alike. Times include \
+         selection and all images in memory, with the GPU synchronised; times of features include their image. p95 is \
+         the 95th percentile.",
+        "A row is on the Pareto front if no other row of its kind is as fast and as exact. Paths that leave out a part \
+         of the image are never on it. Regions of interest are compared at the same pose errors.",
+        "The advice recommends the default unless another path is clearly faster: its median is below nine tenths of \
+         the other's, and its third quartile is below the other's first quartile. Less exact paths are mentioned only \
+         if at most a tenth of the pixels show another polygon. Advice on features needs at least ten features. A path \
+         is as exact as rays if neither its largest nor its mean error exceeds that of rays by more than a \
+         thousandth.",
     ];
     let mut parts: Vec<Part> = texts.map(|text| Part::Text(text.into())).to_vec();
     parts.push(Part::Table(Table { caption: "Kinds of errors".into(), head, rows, marked: Vec::new() }));
@@ -158,9 +160,9 @@ fn section(finding: &Finding) -> Result<Section> {
     for (kind, title, label) in CHARTS {
         let rows: Vec<&Row> = finding.rows.iter().filter(|r| r.error_kind == kind).collect();
         if !rows.is_empty() {
-            let caption = "Rings: the Pareto front. 1/2, 1/4: reduced resolution; table: the same rays from a table; part: \
-                           the middle of the image only. A mark at 0 has no error at all.";
-            let roi = "One mark for each size of the pose's error, by how errors went through the projection; dashed: what was asked for.";
+            let caption = "Rings: the Pareto front. 1/2, 1/4: reduced resolution; table: the same rays from a table; \
+                           part: only the middle of the image. A mark at 0 has no error.";
+            let roi = "One mark for each pose error and propagation method; dashed: the allowed fraction.";
             let caption = if kind == "roi_missed" { roi } else { caption };
             parts.push(Part::Chart { svg: chart(&rows, title, label).svg()?, caption: caption.into() });
         }
@@ -172,9 +174,9 @@ fn section(finding: &Finding) -> Result<Section> {
         parts.extend(finding.not_measured.iter().cloned().map(Part::Text));
     }
     for (title, table) in [
-        ("How to take them", tables::how(&finding.notes)),
+        ("How to select them", tables::how(&finding.notes)),
         ("Stages", tables::stages(&finding.notes)),
-        ("Left out", tables::left_out(&finding.notes)),
+        ("Skipped", tables::left_out(&finding.notes)),
     ] {
         parts.extend([Part::Heading(title.into()), Part::Table(table)]);
     }
@@ -195,7 +197,7 @@ fn chart(rows: &[&Row], title: &str, label: &str) -> Chart {
         points.sort_by(|a, b| a.0.total_cmp(&b.0));
         series.push(Series { name, points, style: Style::Front, ..Series::default() });
     }
-    // A bound that all share is a line across; others are in the table.
+    // A bound shared by all rows is drawn as a horizontal line; other bounds are in the table.
     let bounds: Vec<f64> = rows.iter().filter_map(|r| r.bound).collect();
     if let Some(bound) = bounds.first().filter(|b| **b > 0.0 && bounds.iter().all(|x| x == *b)) {
         let times = || rows.iter().map(|r| r.median_ms);
@@ -207,7 +209,7 @@ fn chart(rows: &[&Row], title: &str, label: &str) -> Chart {
     Chart { title, x_label, y_label, x_log: true, y_log: true, series }
 }
 
-/// Pareto fronts: one, or one for each size of the pose's error, of which only the first is named.
+/// The Pareto front; for regions of interest one front for each size of the pose error. Only the first has a name.
 fn fronts(rows: &[&Row]) -> Vec<(String, Vec<(f64, f64)>)> {
     let group = |r: &Row| if r.error_kind.starts_with("roi") { r.label.clone() } else { String::new() };
     let mut fronts: Vec<(String, Vec<(f64, f64)>)> = Vec::new();

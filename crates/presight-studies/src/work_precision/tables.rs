@@ -1,10 +1,10 @@
-//! Tables of the page: errors and times, how paths are taken, stages, what was left out.
+//! Tables of the page: errors and times, settings of paths, stages, and skipped stages.
 
 use super::{PathNotes, Row};
 use crate::page::Table;
 use presight::plan::Omission;
 
-/// Kinds of errors in one table: caption, kinds, and whether cells tell bounds, of which images have too many columns.
+/// The tables of errors: caption, kinds, and whether cells include bounds (too wide for images).
 const FAMILIES: [(&str, &[&str], bool); 3] = [
     (
         "Images",
@@ -22,10 +22,10 @@ const FAMILIES: [(&str, &[&str], bool); 3] = [
         false,
     ),
     ("Features", &["visible_fraction", "visible_fraction_mean"], true),
-    ("Regions of interest: times of 100", &["roi_missed", "roi_missed_worst", "roi_area_share"], true),
+    ("Regions of interest: times for 100", &["roi_missed", "roi_missed_worst", "roi_area_share"], true),
 ];
 
-/// One table for images, one for features, one for regions of interest: a row for each path, a column for each kind.
+/// Tables for images, features and regions of interest, with a row for each path and a column for each kind of error.
 pub(super) fn errors(rows: &[Row]) -> Vec<Table> {
     let table = |(caption, kinds, bounds)| of_kinds(rows, caption, kinds, bounds);
     FAMILIES.into_iter().filter_map(table).collect()
@@ -57,7 +57,7 @@ fn of_kinds(rows: &[Row], caption: &str, kinds: &[&str], bounds: bool) -> Option
         cells.extend(kinds.iter().map(cell));
         table.rows.push(cells);
     }
-    table.caption += "; bold: on the Pareto front of some kind";
+    table.caption += "; bold: on the Pareto front of a kind of error";
     Some(table)
 }
 
@@ -84,19 +84,19 @@ fn short(value: f64) -> String {
     }
 }
 
-/// What a user has to write.
+/// Flags and settings that select each path.
 pub(super) fn how(notes: &[PathNotes]) -> Table {
     Table {
-        caption: "Flags are of presight predict, which takes features from --layer and makes regions of interest with \
-                  --pose-cov; presight sensors NAME prints a sensor file to start from"
+        caption: "Flags are for presight predict, which reads features from --layer and predicts regions of interest \
+                  with --pose-cov; presight sensors NAME prints a sensor file to start from"
             .into(),
-        head: head(&["path", "how to take it"]),
+        head: head(&["path", "how to select it"]),
         rows: notes.iter().map(|n| vec![of_notes(n), n.how.clone()]).collect(),
         marked: Vec::new(),
     }
 }
 
-/// Times of stages, and counts.
+/// Times of stages, and counts of the last run.
 pub(super) fn stages(notes: &[PathNotes]) -> Table {
     let row = |n: &PathNotes| {
         let stage = |s: &super::StageTime| format!("{} {} ({})", s.stage, short(s.median_ms), short(s.p95_ms));
@@ -112,7 +112,7 @@ pub(super) fn stages(notes: &[PathNotes]) -> Table {
     }
 }
 
-/// What was not needed, each with its reason and by which paths.
+/// Skipped stages and images, with the reason and the paths that skip them.
 pub(super) fn left_out(notes: &[PathNotes]) -> Table {
     let leaving: Vec<&PathNotes> = notes.iter().filter(|n| !n.left_out.is_empty()).collect();
     let all: Vec<String> = leaving.iter().map(|n| of_notes(n)).collect();
@@ -128,16 +128,14 @@ pub(super) fn left_out(notes: &[PathNotes]) -> Table {
     let row =
         |(left, by): (&Omission, Vec<String>)| vec![left.what.to_string(), left.why.to_string(), in_short(&by, &all)];
     Table {
-        caption: "What the predictions did not need, and why nothing is lost by that (last pose); all: of the paths that leave \
-                  something out"
-            .into(),
-        head: head(&["left out", "why", "by"]),
+        caption: "Stages and images skipped without loss (last pose); all: every path that skips something".into(),
+        head: head(&["skipped", "why", "by"]),
         rows: rows.into_iter().map(row).collect(),
         marked: Vec::new(),
     }
 }
 
-/// The names of some of all, or of those that are missing, whichever are fewer.
+/// The names in `some`, or "all but" the missing names if these are fewer.
 fn in_short(some: &[String], all: &[String]) -> String {
     let others: Vec<&String> = all.iter().filter(|name| !some.contains(name)).collect();
     let names = |names: &[&String]| names.iter().map(|n| n.as_str()).collect::<Vec<_>>().join("; ");

@@ -1,4 +1,4 @@
-//! Times of paths: warmed up, repeated by turns, by stage.
+//! Times of paths and their stages, with warm-up, in interleaved runs.
 
 use super::paths::PathName;
 use super::{Effort, PathNotes, StageTime};
@@ -7,19 +7,19 @@ use presight::Result;
 use presight::plan::{StageName, Stats};
 use std::time::{Duration, Instant};
 
-/// What takes longer than this hardly feels what others left in the caches.
+/// A run longer than this is hardly affected by what other paths left in the caches.
 const SHORT: Duration = Duration::from_millis(10);
 
-/// All runs of one path.
+/// The runs of one path.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Timing {
     times_ms: Vec<f64>,
     stats: Vec<Stats>,
-    /// How long the last run took, counted or not.
+    /// Time of the last run, counted or not.
     last: Duration,
 }
 
-/// A path, and what is known of its times.
+/// A path with its times.
 pub(super) struct TimedPath<T> {
     pub what: T,
     pub timing: Timing,
@@ -31,9 +31,9 @@ impl<T> TimedPath<T> {
     }
 }
 
-/// Runs all paths by turns, so that a machine that grows slower or busier does so for all of them alike: in each round each
-/// path runs until it has its share of runs or of time. Each must have been warmed up ([`Timing::warm`]); a short one is
-/// run once more uncounted at the beginning of its turn, because the others have taken the caches.
+/// Runs all paths in turns, so that changes in the machine's speed or load affect all paths alike. In each round, each
+/// path runs until it has its share of runs or of time. All paths must have been warmed up ([`Timing::warm`]). A short
+/// path begins its turn with an uncounted run, because other paths have evicted its data from the caches.
 pub(super) fn by_turns<T>(
     effort: &Effort,
     all: &mut [TimedPath<T>],
@@ -61,7 +61,7 @@ pub(super) fn by_turns<T>(
 }
 
 impl Timing {
-    /// Runs without counting it.
+    /// Runs once without counting the time.
     pub fn warm(&mut self, run: impl FnOnce() -> Result<Stats>) -> Result<Stats> {
         let start = Instant::now();
         let stats = run()?;
@@ -84,7 +84,7 @@ impl Timing {
         median(self.times_ms.clone())
     }
 
-    /// A quarter and three quarters of the runs took at most so long.
+    /// First and third quartile of the times.
     pub fn quartiles(&self) -> [f64; 2] {
         [0.25, 0.75].map(|share| quantile(&self.times_ms, share))
     }
@@ -93,13 +93,13 @@ impl Timing {
         quantile(&self.times_ms, 0.95)
     }
 
-    /// The same times another `factor` long: of so many features instead of those that were there.
+    /// Multiplies all times by `factor`, to scale them to another number of features.
     pub fn scaled(mut self, factor: f64) -> Self {
         self.times_ms.iter_mut().for_each(|ms| *ms *= factor);
         self
     }
 
-    /// Times of stages; counts and what was left out of the last run.
+    /// Times of stages, and the counts and skipped stages of the last run.
     pub fn notes(&self, named: &PathName) -> PathNotes {
         let last = self.stats.last().cloned().unwrap_or_default();
         let mut names: Vec<StageName> = Vec::new();
@@ -129,7 +129,7 @@ impl Timing {
 mod tests {
     use super::*;
 
-    /// Paths that take no time, and one that takes long: who ran, in order.
+    /// Runs paths that sleep. Returns their indices in the order of the runs, and the number of counted runs of each.
     fn ran(effort: &Effort, sleeps: &[u64]) -> (Vec<usize>, Vec<usize>) {
         let mut order = Vec::new();
         let mut all: Vec<_> = (0..sleeps.len()).map(TimedPath::new).collect();
@@ -154,7 +154,7 @@ mod tests {
         assert!(order.len() > 2 + 8, "short paths are warmed up again in each turn: {order:?}");
         order.dedup();
         assert_eq!(order, [0, 1, 0, 1, 0, 1]);
-        // Without patience there are the least runs only; a long path needs no other warming up.
+        // Without patience only the minimum runs; a long path needs no additional warm-up.
         let effort = Effort { patience: Duration::ZERO, ..effort };
         let (order, counted) = ran(&effort, &[0, 12]);
         assert_eq!(counted, [2, 2]);

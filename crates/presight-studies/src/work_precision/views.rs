@@ -1,4 +1,4 @@
-//! What a path images instead of the sensor: the same rays from a table, fewer of them, or a part of them.
+//! Variants of the sensor that paths predict: the same rays from a table, fewer rays, or a part of the image.
 
 use super::request;
 use glam::DVec3;
@@ -6,38 +6,38 @@ use presight::Result;
 use presight::plan::Images;
 use presight::sensor::{Angles, Camera, Geometry, RayTable, Scanner, Sensor};
 
-/// The ways to image less, or the same otherwise.
+/// A variant of the sensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum ImageVariant {
     /// The sensor itself.
     Whole,
     /// Its rays as a table (`kind = "rays"`).
     Rays,
-    /// Every so many pixels one, each shown that many times.
+    /// One pixel for every n columns and rows.
     Reduced(u32),
-    /// The middle half of the columns and, of a camera, of the rows.
+    /// The middle half of the columns and, for a camera, of the rows.
     Region,
 }
 
-/// A view of one sensor.
+/// A variant applied to a sensor.
 pub(super) struct StudyView {
-    /// What is predicted.
+    /// The sensor that is predicted.
     pub sensor: Sensor,
-    /// Whose pixels the errors are of.
+    /// The sensor whose pixels are compared.
     pub judge: Sensor,
-    /// The judge is the sensor itself.
+    /// True if the whole image of the original sensor is compared.
     pub whole: bool,
-    /// Every pixel is what the sensor itself would show, to the engine's rounding.
+    /// True if every pixel equals that of the original sensor, up to the engine's rounding.
     pub exact: bool,
     view: ImageVariant,
     /// Column and row of the view's first pixel in the sensor's image.
     first: (u32, u32),
-    /// Columns and rows that one of its pixels is shown for.
+    /// Columns and rows of the original image that one pixel covers.
     times: (u32, u32),
 }
 
 impl ImageVariant {
-    /// Beside the mark in charts.
+    /// The label in charts.
     pub fn label(self) -> &'static str {
         match self {
             Self::Whole => "",
@@ -48,7 +48,7 @@ impl ImageVariant {
         }
     }
 
-    /// In tables.
+    /// The name in tables.
     pub fn name(self) -> String {
         match self {
             Self::Whole => String::new(),
@@ -58,13 +58,13 @@ impl ImageVariant {
         }
     }
 
-    /// What it makes of a sensor; `None` if there is no such view of it.
+    /// Applies the variant to a sensor; `None` if the sensor has no such variant.
     pub fn of(self, sensor: &Sensor) -> Result<Option<StudyView>> {
         let mut spec = sensor.spec().clone();
         let (mut first, mut times) = ((0, 0), (1, 1));
         let geometry = match (self, &spec.geometry) {
             (Self::Whole, geometry) => Some(geometry.clone()),
-            // Its rays are in a table anyway.
+            // Its rays are already a table.
             (Self::Rays, Geometry::Rays(_)) => None,
             (Self::Rays, _) => Some(Geometry::Rays(table(sensor)?)),
             (Self::Reduced(n), geometry) => reduced(geometry, n)?.map(|(geometry, by)| {
@@ -86,7 +86,7 @@ impl ImageVariant {
 }
 
 impl StudyView {
-    /// The truth and the images made, pixel beside pixel.
+    /// The truth and the predicted images, resampled to the same pixels.
     pub fn beside(&self, truth: &Images, made: &Images) -> (Images, Images) {
         let (w, h) = (self.judge.width(), self.judge.height());
         match self.view {
@@ -99,14 +99,14 @@ impl StudyView {
         }
     }
 
-    /// The share of the sensor's pixels that are not predicted at all.
+    /// The fraction of the sensor's pixels that are not predicted.
     pub fn missing_share(&self, sensor: &Sensor) -> f64 {
         let pixels = |s: &Sensor| f64::from(s.width()) * f64::from(s.height());
         1.0 - pixels(&self.judge) / pixels(sensor)
     }
 }
 
-/// Images of w x h pixels whose pixels are those at other places of others; beyond the last, the last.
+/// Images of w x h pixels, copied from the pixels of `from` that `place` returns, clamped to its last column and row.
 fn pick(from: &Images, w: u32, h: u32, place: impl Fn(u32, u32) -> (u32, u32)) -> Images {
     let mut to = Images::default();
     to.prepare(w, h, request().outputs);
@@ -121,7 +121,7 @@ fn pick(from: &Images, w: u32, h: u32, place: impl Fn(u32, u32) -> (u32, u32)) -
     to
 }
 
-/// A sensor's rays, body axes.
+/// A sensor's rays as a table, body axes.
 fn table(sensor: &Sensor) -> Result<RayTable> {
     let (w, h) = (sensor.width(), sensor.height());
     let body_from_image = sensor.body_from_image();
@@ -129,7 +129,7 @@ fn table(sensor: &Sensor) -> Result<RayTable> {
     RayTable::new(w, h, (0..h).flat_map(|y| (0..w).map(move |x| ray(x, y))).collect())
 }
 
-/// One pixel in the middle of every n x n (of every n, where rows are few or listed).
+/// One pixel in the middle of every n x n pixels. Rows are kept if they are few or listed.
 fn reduced(geometry: &Geometry, n: u32) -> Result<Option<(Geometry, (u32, u32))>> {
     Ok(match geometry {
         Geometry::Camera(c) => {
@@ -140,11 +140,11 @@ fn reduced(geometry: &Geometry, n: u32) -> Result<Option<(Geometry, (u32, u32))>
         }
         Geometry::Scanner(s) => {
             let Some(azimuth) = thinned(&s.azimuth, n) else { return Ok(None) };
-            // Rows are from the top, whatever the order of angles: only whole groups keep their places.
+            // Rows are numbered from the top in any order of angles, so groups of n match only if they divide all rows.
             let rows = thinned(&s.elevation, n).filter(|_| s.elevation.len() % n as usize == 0);
             let by = (n, if rows.is_some() { n } else { 1 });
             let elevation = rows.unwrap_or_else(|| s.elevation.clone());
-            // Fewer rows, but features count as far off a row as before.
+            // Features stay visible at the same distance from a row, although there are fewer rows.
             let beam_height_deg = s.beam_height_deg.or(match s.elevation {
                 Angles::Uniform { step_deg, count, .. } if count > 1 => Some(step_deg.abs()),
                 _ => None,
@@ -161,7 +161,7 @@ fn reduced(geometry: &Geometry, n: u32) -> Result<Option<(Geometry, (u32, u32))>
     })
 }
 
-/// Angles in the middle of every n; `None` of listed ones and of fewer than two groups.
+/// The middle angles of groups of n; `None` for listed angles and for fewer than two groups.
 fn thinned(angles: &Angles, n: u32) -> Option<Angles> {
     match angles {
         Angles::Uniform { start_deg, step_deg, count } if *count >= 2 * n => {
@@ -172,7 +172,7 @@ fn thinned(angles: &Angles, n: u32) -> Option<Angles> {
     }
 }
 
-/// The middle half, and where it begins.
+/// The middle half of the image, and its first column and row.
 fn part(geometry: &Geometry) -> Option<(Geometry, (u32, u32))> {
     match geometry {
         Geometry::Camera(c) if c.width >= 4 && c.height >= 4 => {
@@ -199,7 +199,7 @@ mod tests {
     use super::*;
     use presight::preset;
 
-    /// A pixel of a reduced or partial view looks where the pixels it stands for look.
+    /// A pixel of a reduced or partial view looks in the mean direction of the pixels that it covers.
     #[test]
     fn views_look_where_their_pixels_are() {
         for name in ["video-camera", "vlp-16", "laser-scanner", "realsense-d435", "microwave-radar-image"] {

@@ -1,4 +1,4 @@
-//! Uncertain features before a camera: covariances that are nearly singular, indefinite, or of very different sizes.
+//! Uncertain features in front of a camera: nearly singular, indefinite and stiff covariances.
 
 use super::{Family, Finding, powers};
 use crate::stability::big::{Big, Vector};
@@ -13,8 +13,8 @@ use presight::geometry::Pose;
 use presight::sensor::{Camera, Geometry, Sensor, SensorSpec};
 use presight_model::random::SplitMix64;
 
-/// Of an entry of an image covariance J S J^T, beside sum |J_ai| sigma_i sum |J_bj| sigma_j: square roots of covariances leave
-/// out what is below 1e-12 of the scaled matrix (`features::normal`), a few roundings of f64 come on top.
+/// Error bound of an entry (a, b) of an image covariance J S J^T, relative to sum |J_ai| sigma_i times sum |J_bj|
+/// sigma_j: 1e-12 for the eigenvalues that square roots of covariances drop (`features::normal`), plus f64 rounding.
 pub(super) const COVARIANCE_BOUND: f64 = 2e-12;
 
 const CONFIDENCE: f64 = 0.99;
@@ -22,19 +22,19 @@ const CONFIDENCE: f64 = 0.99;
 const F: f64 = 500.0;
 const CENTRE: [f64; 2] = [319.5, 239.5];
 
-/// How uncertain the sensor's pose and the features are, as factors F of F F^T.
+/// Covariances of the sensor's pose and the features, as factors F of F F^T.
 struct Factors {
     sensor: [[f64; 6]; 6],
     feature: [[f64; 3]; 3],
-    /// Taken off the smallest eigenvalue of the pose's covariance, relative to the largest.
+    /// Subtracted from the smallest eigenvalue of the pose's covariance, relative to the largest.
     negative: f64,
 }
 
 #[derive(Clone, Copy, PartialEq)]
 enum BoxMeasure {
-    /// Covariances of image points, against J S J^T in a hundred digits.
+    /// Covariances of image points, compared with J S J^T computed with a hundred digits.
     Covariance,
-    /// How often boxes hold the draws.
+    /// How often regions of interest contain random samples.
     Coverage,
 }
 
@@ -51,7 +51,7 @@ pub(super) struct Boxes {
 
 const CONDITION: Boxes = Boxes {
     name: "condition",
-    about: "Covariances of pose and feature, turned, ever nearer to singular; covariances of image points.",
+    about: "Rotated covariances of pose and feature, ever nearer to singular; measures covariances of image points.",
     axis: "condition number of the covariances",
     difficulties: |quick| powers(0, 16, quick),
     factors: by_condition,
@@ -60,8 +60,8 @@ const CONDITION: Boxes = Boxes {
 
 const STIFF: Boxes = Boxes {
     name: "stiff",
-    about: "Features known to 1e-9 m from a pose that is ever less certain, by translation and by turn (m, rad); covariances \
-            of image points.",
+    about: "Features known to 1e-9 m, and a pose of ever larger uncertainty in translation and rotation (m, rad); \
+            measures covariances of image points.",
     axis: "standard deviation of the pose",
     difficulties: |quick| powers(-9, 3, quick),
     factors: by_stiffness,
@@ -73,22 +73,22 @@ pub(super) const ALL: [Boxes; 5] = [
     CONDITION,
     Boxes {
         name: "condition-box",
-        about: "The same; how often boxes of 99 % hold draws of the errors.",
+        about: "As condition, but measures how often regions of interest of 99 % contain random samples of the errors.",
         measured: BoxMeasure::Coverage,
         ..CONDITION
     },
     STIFF,
     Boxes {
         name: "stiff-box",
-        about: "The same; how often boxes of 99 % hold draws of the errors.",
+        about: "As stiff, but measures how often regions of interest of 99 % contain random samples of the errors.",
         measured: BoxMeasure::Coverage,
         ..STIFF
     },
     Boxes {
         name: "indefinite",
-        about: "A pose covariance with an eigenvalue ever further below 0: what six written digits can bring about is let pass and \
-                taken for 0, more is refused.",
-        axis: "negative eigenvalue by the greatest",
+        about: "A pose covariance with an ever more negative eigenvalue: one explained by rounding to six digits is \
+                treated as 0, a more negative one is refused.",
+        axis: "negative eigenvalue / largest eigenvalue",
         difficulties: |quick| powers(-16, -1, quick),
         factors: |negative| Factors { negative, ..by_condition(1e30) },
         measured: BoxMeasure::Coverage,
@@ -111,7 +111,7 @@ impl Family for Boxes {
     fn error(&self) -> &'static str {
         match self.measured {
             BoxMeasure::Covariance => "error of an image covariance, in |J| sigma |J| sigma",
-            BoxMeasure::Coverage => "lack of coverage (bound: four sigma of the draws)",
+            BoxMeasure::Coverage => "lack of coverage (bound: four sigma of the samples)",
         }
     }
 
@@ -143,7 +143,7 @@ impl Family for Boxes {
     }
 }
 
-/// An orthonormal basis from a seed, by Gram and Schmidt.
+/// An orthonormal basis from a seed, by Gram-Schmidt.
 fn basis<const N: usize>(seed: u64) -> [[f64; N]; N] {
     let mut random = SplitMix64(seed);
     let mut columns: Vec<[f64; N]> = Vec::new();
@@ -163,7 +163,7 @@ fn basis<const N: usize>(seed: u64) -> [[f64; N]; N] {
     std::array::from_fn(|i| std::array::from_fn(|j| columns[j][i]))
 }
 
-/// Standard deviations from the greatest down to it by the root of the condition, along a basis of its own.
+/// A factor whose standard deviations fall from `greatest` to `greatest` / sqrt(`condition`), along a random basis.
 fn turned<const N: usize>(seed: u64, greatest: f64, condition: f64) -> [[f64; N]; N] {
     let basis = basis::<N>(seed);
     let sigma = |j: usize| greatest * condition.powf(-0.5 * j as f64 / (N - 1) as f64);
@@ -179,7 +179,7 @@ fn by_stiffness(sigma: f64) -> Factors {
     Factors { sensor, feature: turned(3, 1e-9, 4.0), negative: 0.0 }
 }
 
-/// F F^T, symmetric to the bit, with its last direction made negative.
+/// F F^T, exactly symmetric, with `negative` subtracted in its last direction.
 fn product<const N: usize>(f: &[[f64; N]; N], negative: f64) -> [[f64; N]; N] {
     let square = |j: usize| (0..N).map(|i| f[i][j] * f[i][j]).sum::<f64>();
     let greatest = (0..N).map(square).fold(0.0, f64::max);
@@ -193,7 +193,7 @@ fn product<const N: usize>(f: &[[f64; N]; N], negative: f64) -> [[f64; N]; N] {
     })
 }
 
-/// Points before a camera, put into a world through its own door.
+/// Points in front of a camera, inserted into a world by a regular change.
 fn setting(factors: &Factors) -> Result<BoxSetting> {
     let camera = Camera::pinhole(640, 480, F, F, CENTRE[0], CENTRE[1]);
     let sensor = Sensor::new(SensorSpec::new("camera", "study", Geometry::Camera(camera)))?;
@@ -212,7 +212,7 @@ fn setting(factors: &Factors) -> Result<BoxSetting> {
             existence: Existence::default(),
             properties: Properties::default(),
         };
-        // The layer's tolerance only tells how near to a polygon a feature has to be when it is placed.
+        // Unchecked: there are no polygons, on which features would have to lie.
         world.apply_unchecked(Change::InsertFeature { class: "study".into(), feature: feature.clone() })?;
         features.push(SeenFeature::whole(&feature));
         placed.push(PlacedFeature { feature: feature.into(), object: None, slots: Vec::new() });
@@ -223,7 +223,7 @@ fn setting(factors: &Factors) -> Result<BoxSetting> {
     Ok(BoxSetting { world, sensor, world_from_sensor, placed, prediction, options })
 }
 
-/// The worst entry of all image covariances; infinite if one is missing or not a number.
+/// The largest error of an entry of all image covariances; infinite if one is missing or NaN.
 fn covariance_error(setting: &BoxSetting, found: &FeaturePrediction) -> f64 {
     let mut worst = 0.0f64;
     for (feature, placed) in found.features.iter().zip(&setting.placed) {
@@ -239,9 +239,9 @@ fn covariance_error(setting: &BoxSetting, found: &FeaturePrediction) -> f64 {
     worst
 }
 
-/// J S J^T of a point in a hundred digits, and of each row the sum |J_i| sigma_i.
+/// J S J^T of a point with a hundred digits, and the sum of |J_i| sigma_i for each row of J.
 ///
-/// With p = R^T (P - t), a pose with errors (tau, theta) brings it to R^T Exp(-theta) (P - t - tau).
+/// With p = R^T (P - t), pose errors (tau, theta) move it to R^T Exp(-theta) (P - t - tau).
 fn true_covariance(setting: &BoxSetting, placed: &PlacedFeature) -> ([[Big; 2]; 2], [f64; 2]) {
     let FeatureShape::Point { at, covariance } = &placed.feature.shape else {
         return (std::array::from_fn(|_| std::array::from_fn(|_| Big::new(0.0))), [f64::INFINITY; 2]);
@@ -251,7 +251,7 @@ fn true_covariance(setting: &BoxSetting, placed: &PlacedFeature) -> ([[Big; 2]; 
     let apart = &Vector::new(*at) - &Vector::new(pose.translation);
     let p = apart.turned(back);
     let [x, y, z] = &p.0;
-    // u = cx - f y / x, v = cy - f z / x, by the position in body axes.
+    // Derivatives of u = cx - f y / x and v = cy - f z / x with respect to the position in body axes.
     let (f, square) = (Big::new(F), x * x);
     let along = |c: &Big| &(&f * c) / &square;
     let across = -&(&f / x);
@@ -285,14 +285,14 @@ fn true_covariance(setting: &BoxSetting, placed: &PlacedFeature) -> ([[Big; 2]; 
     ([[product(0, 0), product(0, 1)], [product(1, 0), product(1, 1)]], scale)
 }
 
-/// How much less often than promised the worst box holds its feature, and four standard deviations of that share. A draw in
-/// which the feature has left the image need not be found there.
+/// The confidence minus the coverage of the worst region of interest, at least 0, and four standard deviations of the
+/// coverage. A sample that leaves the image counts as covered.
 fn lack_of_coverage(setting: &BoxSetting, factors: &Factors, found: &FeaturePrediction, draws: usize) -> (f64, f64) {
     let bound = 4.0 * (CONFIDENCE * (1.0 - CONFIDENCE) / draws as f64).sqrt();
     let mut held = vec![0usize; setting.placed.len()];
     let mut random = SplitMix64(7);
     let mut normal = || {
-        // Box and Muller.
+        // Box-Muller transform.
         let length = (-2.0 * random.unit().max(1e-300).ln()).sqrt();
         length * (std::f64::consts::TAU * random.unit()).cos()
     };
@@ -306,7 +306,7 @@ fn lack_of_coverage(setting: &BoxSetting, factors: &Factors, found: &FeaturePred
             let p = back * (at - setting.world_from_sensor.translation - shift);
             let (u, v) = (CENTRE[0] - F * p.y / p.x, CENTRE[1] - F * p.z / p.x);
             let seen = p.x > 0.0 && (-0.5..639.5).contains(&u) && (-0.5..479.5).contains(&v);
-            // Without a box, or with one that is no number, nothing is held.
+            // A missing or NaN region contains nothing.
             let holds = |[x0, y0, x1, y1]: [f64; 4]| x0 <= u && u <= x1 && y0 <= v && v <= y1;
             held[i] += usize::from(found.features[i].roi.is_some_and(|roi| !seen || holds(roi)));
         }

@@ -1,4 +1,4 @@
-//! Lenses up to where they fold over, and beyond.
+//! Lenses near their fold, inside and beyond.
 
 use super::scenes::measure;
 use super::shapes::{Scene, frame, wall};
@@ -11,7 +11,7 @@ use presight::Result;
 use presight::geometry::Pose;
 use presight::sensor::{Camera, Distortion, Geometry, Sensor, SensorSpec};
 
-/// Image points ever closer to the fold, on one side of it.
+/// Image points ever closer to the fold, on one side.
 #[derive(Clone, Copy)]
 pub(super) struct Fold {
     /// -1 inside, +1 beyond.
@@ -23,7 +23,7 @@ impl Fold {
     pub const BEYOND: Self = Self { side: 1.0 };
 }
 
-/// Of each model one that folds over; the last, with tangential terms, folds elsewhere in each direction.
+/// One folding lens of each model. The last has tangential terms, so the radius of its fold depends on the direction.
 fn models() -> [Distortion; 4] {
     [
         Distortion::PlumbBob([-0.3, 0.0, 0.0, 0.0, 0.0]),
@@ -33,7 +33,7 @@ fn models() -> [Distortion; 4] {
     ]
 }
 
-/// Image radius of the fold; of models with tangential terms that of their radial part.
+/// Image radius of the fold; for models with tangential terms, of their radial part.
 fn fold(model: &Distortion) -> f64 {
     let radial = match model {
         Distortion::PlumbBob([k1, k2, _, _, k3]) => Distortion::PlumbBob([*k1, *k2, 0.0, 0.0, *k3]),
@@ -49,15 +49,16 @@ impl Family for Fold {
 
     fn about(&self) -> &'static str {
         if self.side < 0.0 {
-            "Lenses of four models ever closer to where they fold over (the radial part of one with tangential terms, whose own \
-             fold is known to 1e-9): rays (engine \"sensor\", by their image coordinates) and a wall seen along them."
+            "Image points ever closer to the fold of four lens models (for tangential terms, the fold of the radial \
+             part; the true fold is known to 1e-9): image coordinates of rays (engine \"sensor\"), and ranges of a \
+             wall."
         } else {
             "The same beyond the fold, where no pixel may have a ray."
         }
     }
 
     fn axis(&self) -> &'static str {
-        "distance from the fold, in its image radius"
+        "distance from the fold / its image radius"
     }
 
     fn error(&self) -> &'static str {
@@ -82,7 +83,7 @@ impl Family for Fold {
     }
 }
 
-/// The lens models by themselves: image coordinates to rays and, exactly, back; at a share of the fold's radius.
+/// Checks the lens models alone: from image coordinates, at a fraction of the fold's radius, to rays and exactly back.
 fn rays(share: f64) -> Finding {
     let (mut worst, mut wrong) = (0.0f64, None);
     for model in models() {
@@ -102,7 +103,7 @@ fn rays(share: f64) -> Finding {
             }
             let Some((beyond, known)) = exact.beyond_fold(&target[0], &target[1]) else { continue };
             if beyond.abs() > known && found.is_some() != (beyond < 0.0) {
-                wrong = Some(format!("{}: image radius {radius} is {beyond:e} beyond its fold", model.model()));
+                wrong = Some(format!("{}: image radius {radius} is {beyond:e} beyond the fold", model.model()));
             }
         }
     }
@@ -113,7 +114,7 @@ fn rays(share: f64) -> Finding {
     finding
 }
 
-/// A wall before a camera whose left and right columns are at that share of the fold's radius.
+/// A wall in front of a camera whose left and right columns are at a fraction of the fold's radius.
 fn case(model: Distortion, share: f64) -> Result<Vec<Case>> {
     let mut scene = Scene::new(frame(DVec3::new(0.2, 0.4, -0.3)))?;
     scene.add(&[wall(2.0, [-40.0, 3.0], [-40.0, 40.0])], Pose::from_xyz_rpy(DVec3::ZERO, 0.0, 0.1, 0.2))?;

@@ -1,7 +1,7 @@
-//! The families of cases, each along one growing difficulty.
+//! The families of cases, each with one increasing difficulty.
 //!
-//! A family is anything that implements [`Family`]; [`all`] is the list. Most are scenes, of which a table in `scenes` holds
-//! name, difficulty and a function that makes the cases; their judge is the same.
+//! A family is a type that implements [`Family`]; [`all`] lists them. Most are scenes from the table in `scenes`, which
+//! has their names, difficulties and functions that make the cases, and share one judge.
 
 mod boxes;
 mod lens;
@@ -18,16 +18,16 @@ use presight::sensor::Sensor;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Outcome {
-    /// Right, and the error within its bound.
+    /// Correct, with the error within its bound.
     Ok,
-    /// Refused with a typed error before anything was predicted.
+    /// Refused with a typed error before any prediction.
     Rejected,
-    /// Wrong, or the error beyond its bound.
+    /// Wrong, or with the error beyond its bound.
     Fault,
 }
 
 impl Outcome {
-    /// As in files.
+    /// The name in files.
     pub fn name(self) -> &'static str {
         match self {
             Self::Ok => "ok",
@@ -37,55 +37,55 @@ impl Outcome {
     }
 }
 
-/// What became of one engine at one difficulty.
+/// The result of one engine at one difficulty.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Finding {
-    /// The engine; `all` for what was refused at the door, `sensor` for rays that all engines share.
+    /// The engine; `all` for a case refused on input, `sensor` for rays that all engines share.
     pub engine: String,
-    /// The greatest error, in the family's unit.
+    /// The largest error, in the family's unit.
     pub error: f64,
-    /// The bound that the product publishes for it; infinite where it says that nothing is known.
+    /// The product's published bound; infinite if it has none.
     pub bound: f64,
-    /// How it ended.
+    /// The outcome.
     pub outcome: Outcome,
-    /// Pixels that show another polygon than the truth, or nothing where it shows one, and may: at an outline, or where the
-    /// truth's polygon was left out as edge-on.
+    /// Pixels that differ from the truth in their polygon, or in hitting one at all, as the bounds allow: at an
+    /// outline, or where the true polygon was left out as edge-on.
     pub other: usize,
     /// Polygons that the engine left out as edge-on, summed over images.
     pub edge_on: usize,
-    /// The fault or the error's text, or what else there is to say; may be empty.
+    /// Description of the fault or error, or other notes; may be empty.
     pub note: String,
 }
 
 impl Finding {
-    /// Of what was refused.
+    /// The finding of a refused case.
     pub fn rejected(error: &presight::Error) -> Self {
         let note = error.to_string();
         let (engine, outcome) = ("all".into(), Outcome::Rejected);
         Self { engine, error: f64::NAN, bound: f64::NAN, outcome, other: 0, edge_on: 0, note }
     }
 
-    /// Of an error and its bound.
+    /// A finding from an error and its bound.
     pub fn of(engine: impl Into<String>, error: f64, bound: f64) -> Self {
         let ok = error <= bound;
-        let note = if ok { String::new() } else { format!("off by {error:e}, the bound is {bound:e}") };
+        let note = if ok { String::new() } else { format!("the error {error:e} exceeds the bound {bound:e}") };
         let outcome = if ok { Outcome::Ok } else { Outcome::Fault };
         Self { engine: engine.into(), error, bound, outcome, other: 0, edge_on: 0, note }
     }
 }
 
-/// Cases along one growing difficulty.
+/// Cases of one increasing difficulty.
 pub trait Family {
-    /// As files name it.
+    /// The name in files.
     fn name(&self) -> &'static str;
 
-    /// One sentence: what grows, and what is measured.
+    /// One sentence about the difficulty and the measured error.
     fn about(&self) -> &'static str;
 
-    /// What the difficulty is, with its unit.
+    /// Label of the difficulty, with its unit.
     fn axis(&self) -> &'static str;
 
-    /// What the error is, with its unit.
+    /// Label of the error, with its unit.
     fn error(&self) -> &'static str {
         "relative error of the range"
     }
@@ -93,21 +93,21 @@ pub trait Family {
     /// The difficulties, easiest first; fewer for a quick study.
     fn difficulties(&self, quick: bool) -> Vec<f64>;
 
-    /// Tries every engine at one difficulty. Errors at the door are findings, not errors.
+    /// Measures every engine at one difficulty. A case that is refused on input is a finding, not an error.
     ///
     /// # Errors
-    /// Those of an engine that breaks down.
+    /// Engine failures.
     fn measure(&self, difficulty: f64, quick: bool, subjects: &mut [Subject]) -> Result<Vec<Finding>>;
 }
 
-/// One scene before one sensor.
+/// One scene with one sensor.
 #[derive(Clone, Debug)]
 pub struct Case {
-    /// Everything is opaque and seen from both sides.
+    /// The world; all its polygons are opaque and two-sided.
     pub world: World,
-    /// Without range limits.
+    /// The sensor, without range limits.
     pub sensor: Sensor,
-    /// Body axes.
+    /// Pose of the sensor, body axes.
     pub pose: Pose,
 }
 
@@ -120,7 +120,7 @@ pub fn all() -> Vec<Box<dyn Family>> {
     all
 }
 
-/// Powers of ten from one exponent to another, each or, for a quick study, every third.
+/// Powers of ten from one exponent to another; for a quick study every third and the last.
 pub(super) fn powers(from: i32, to: i32, quick: bool) -> Vec<f64> {
     let step = if quick { 3 } else { 1 };
     let mut all: Vec<i32> = (0..(to - from).abs()).step_by(step).map(|k| from + k * (to - from).signum()).collect();

@@ -1,4 +1,4 @@
-//! Scenes before sensors: the table, and what makes its cases.
+//! Families of scenes: the table, and functions that make the cases.
 
 use super::shapes::{Scene, camera, cuboid, frame, mesh, point, scanner, sensors, wall};
 use super::{Case, Family, Finding, Outcome, powers};
@@ -21,11 +21,11 @@ pub(super) struct SceneFamily {
     cases: fn(f64) -> Result<Vec<Case>>,
 }
 
-/// The table: a family more is a row more.
+/// The table of families.
 pub(super) const SCENES: &[SceneFamily] = &[
     SceneFamily {
         name: "grazing",
-        about: "A plate 10 m away that all rays meet at an ever flatter angle.",
+        about: "A plate 10 m away that all rays meet at an ever smaller angle.",
         axis: "angle between ray and plate, rad",
         difficulties: |quick| powers(0, -9, quick),
         cases: grazing,
@@ -40,13 +40,13 @@ pub(super) const SCENES: &[SceneFamily] = &[
     SceneFamily {
         name: "sliver",
         about: "A triangle 1 m long and ever thinner, 2 m away.",
-        axis: "length by width",
+        axis: "length / width",
         difficulties: |quick| powers(0, 9, quick),
         cases: sliver,
     },
     SceneFamily {
         name: "scale",
-        about: "A room with furniture, of any size: from a grain to a planet.",
+        about: "A room with furniture, from the size of a grain to that of a planet.",
         axis: "size of the unit, m",
         difficulties: |quick| powers(-6, 7, quick),
         cases: scale,
@@ -61,13 +61,13 @@ pub(super) const SCENES: &[SceneFamily] = &[
     SceneFamily {
         name: "depth-span",
         about: "Plates 1 mm and ever farther away in one image.",
-        axis: "farthest by nearest range",
+        axis: "farthest / nearest range",
         difficulties: |quick| powers(0, 10, quick),
         cases: depth_span,
     },
     SceneFamily {
         name: "corners",
-        about: "Polygons of ever more corners; over 64 are refused.",
+        about: "Polygons with ever more corners; more than 64 are refused.",
         axis: "corners",
         difficulties: |quick| {
             let all: &[f64] = if quick { &[3.0, 7.0, 64.0, 65.0] } else { &CORNERS };
@@ -77,22 +77,22 @@ pub(super) const SCENES: &[SceneFamily] = &[
     },
     SceneFamily {
         name: "dent",
-        about: "A side of 2 m with a corner in its middle that turns inwards ever less, and a neighbour that fills the \
-                dent; where it turns too far it is refused.",
+        about: "A side of 2 m with an ever shallower reflex corner in its middle, and a neighbour that fills the dent; \
+                too deep a dent is refused.",
         axis: "depth of the dent, m",
         difficulties: |quick| powers(-1, -9, quick),
         cases: dented,
     },
     SceneFamily {
         name: "bulge",
-        about: "The same corner turning outwards ever less: nearly three corners in a line.",
+        about: "The same with an ever flatter convex corner: three corners nearly in a line.",
         axis: "height of the bulge, m",
         difficulties: |quick| powers(-1, -9, quick),
         cases: |height| dented(-height),
     },
     SceneFamily {
         name: "warp",
-        about: "A quadrilateral of 2 m with one corner ever farther off the plane of the others; too far is refused.",
+        about: "A quadrilateral of 2 m with one corner ever farther from the plane of the others; too far is refused.",
         axis: "height of the corner, m",
         difficulties: |quick| powers(-9, -2, quick),
         cases: warped,
@@ -140,7 +140,7 @@ impl Family for SceneFamily {
     }
 }
 
-/// The findings of all engines on some cases together: the first fault, else the greatest error and bound.
+/// The findings of all engines over all cases: the first fault, otherwise the largest error and bound.
 pub(super) fn measure(cases: &[Case], subjects: &mut [Subject]) -> Result<Vec<Finding>> {
     let mut verdicts = vec![(ErrorSummary::default(), 0); subjects.len()];
     for case in cases {
@@ -170,8 +170,8 @@ fn finding(engine: String, verdict: ErrorSummary, edge_on: usize) -> Finding {
     let ErrorSummary { error, bound, other, hits, unbounded, fault } = verdict;
     let outcome = if fault.is_some() { Outcome::Fault } else { Outcome::Ok };
     let told = [
-        (unbounded, format!("the bound knows nothing of the range at {unbounded} of {hits} pixels")),
-        (other, format!("{other} pixels show something else than the truth, as bounds of sides and outlines allow")),
+        (unbounded, format!("the range has no bound at {unbounded} of {hits} pixels")),
+        (other, format!("{other} pixels differ from the truth, as the bounds of edges and outlines allow")),
         (edge_on, format!("left out as edge-on: {edge_on} polygons, summed over images")),
     ];
     let told = told.into_iter().filter(|(n, _)| *n > 0).map(|(_, text)| text);
@@ -216,7 +216,7 @@ fn room(unit: f64, world_from_scene: Pose) -> Result<Vec<Case>> {
     scene.add(&scaled(cuboid([-5.0, -4.0, 0.0], [5.0, 4.0, 3.0])), Pose::IDENTITY)?;
     let at = |x: f64, y: f64, z: f64, yaw: f64| Pose::from_xyz_rpy(DVec3::new(x, y, z) * unit, 0.2, -0.4, yaw);
     scene.add(&scaled(vec![wall(0.0, [-0.7, 0.6], [-0.5, 0.4])]), at(2.2, 0.9, 1.3, 0.5))?;
-    // A pillar of one unit of its own, scaled when it is placed.
+    // The pillar's mesh has its own unit, and is scaled by its placement.
     let pillar = Arc::new(mesh(&cuboid([-0.3, -0.2, -1.0], [0.3, 0.2, 1.0]))?);
     let pose = scene.world_from_scene * at(-1.5, 1.0, 1.2, 1.1);
     let object_from_mesh = DAffine3::from_scale(DVec3::splat(unit));
@@ -257,10 +257,11 @@ fn corners(count: f64) -> Result<Vec<Case>> {
     Ok(scene.seen_by([(camera(30.0, 16.0, 16.3, 8.1)?, Pose::IDENTITY), all, around]))
 }
 
-/// The corner in the middle of the upper polygon's lower side is moved up by `dent`, and fills a neighbour below; or down.
+/// Moves the corner in the middle of the upper polygon's lower side up by `dent`, with a lower polygon that fills the
+/// dent. A negative `dent` moves it down, without the lower polygon.
 fn dented(dent: f64) -> Result<Vec<Case>> {
     let mut scene = Scene::new(frame(DVec3::new(0.2, 0.4, -0.3)))?;
-    // About the sensor's height, so that f32 keeps the dent.
+    // Near z = 0, where f32 resolves the dent.
     let [a, b] = [[2.0, -1.0, 0.0], [2.0, 1.0, 0.0]].map(point);
     let middle = point([2.0, 0.0, dent]);
     let upper = vec![b, point([2.0, 1.0, 2.0]), point([2.0, -1.0, 2.0]), a, middle];
@@ -276,7 +277,7 @@ fn warped(height: f64) -> Result<Vec<Case>> {
     let mut scene = Scene::new(frame(DVec3::new(0.2, 0.4, -0.3)))?;
     let sheet = [[0.0, -1.0, -1.0], [0.0, 1.0, -1.0], [height, 1.0, 1.0], [0.0, -1.0, 1.0]].map(point).to_vec();
     scene.add(std::slice::from_ref(&sheet), Pose::from_xyz_rpy(DVec3::new(2.0, 0.1, 0.05), 0.2, 0.5, -0.3))?;
-    // Seen nearly along its plane, too.
+    // The same sheet again, seen nearly along its plane.
     scene.add(&[sheet], Pose::from_xyz_rpy(DVec3::new(1.5, 0.6, -1.0), 0.1, 1.55, 0.0))?;
     scene.add(&[wall(5.0, [-9.0, 9.0], [-9.0, 9.0])], Pose::IDENTITY)?;
     let [all, around] = sensors(DVec3::ZERO)?;

@@ -1,4 +1,4 @@
-//! Meshes, sensors and frames that several families use.
+//! Meshes, sensors and frames shared by several families.
 
 use super::Case;
 use glam::{DVec3, Vec3};
@@ -10,29 +10,29 @@ use presight::sensor::{Angles, Camera, Geometry, Scanner, Sensor, SensorSpec};
 use presight_model::environment::{CUBOID_FACES, cuboid_corners};
 use std::sync::Arc;
 
-/// Where a study's own frame stands in the world: turned, so that nothing is exact by luck.
+/// The pose of a scene's frame in the world: rotated, so that no coordinates are exact by chance.
 pub fn frame(at: DVec3) -> Pose {
     Pose::from_xyz_rpy(at, 0.3, -0.2, 0.7)
 }
 
-/// A world in the making.
+/// A world under construction.
 pub struct Scene {
     environment: Environment,
     pub world_from_scene: Pose,
 }
 
 impl Scene {
-    /// Empty, in a frame.
+    /// An empty scene in a frame.
     ///
     /// # Errors
-    /// None that can be met.
+    /// None in practice.
     pub fn new(world_from_scene: Pose) -> Result<Self> {
         let mut environment = Environment::new();
         environment.add_material(Material::named("grey"))?;
         Ok(Self { environment, world_from_scene })
     }
 
-    /// Adds polygons, in the scene's frame or, with `at`, in one of their own.
+    /// Adds polygons as one object, with the pose `at` in the scene's frame.
     ///
     /// # Errors
     /// Those of [`Mesh::new`] and [`Environment::insert`].
@@ -42,7 +42,7 @@ impl Scene {
         self.environment.insert(NewObject::new("thing", pose, Arc::new(mesh))).map(|_| ())
     }
 
-    /// Adds an object as it is.
+    /// Adds an object, with a pose in the world.
     ///
     /// # Errors
     /// Those of [`Environment::insert`].
@@ -50,7 +50,7 @@ impl Scene {
         self.environment.insert(new).map(|_| ())
     }
 
-    /// Seen by some sensors, at poses in the scene's frame.
+    /// Makes a case for each sensor, with poses in the scene's frame.
     pub fn seen_by(self, sensors: impl IntoIterator<Item = (Sensor, Pose)>) -> Vec<Case> {
         let world = World::new(self.environment);
         let pose = |at: &Pose| self.world_from_scene * *at;
@@ -58,7 +58,7 @@ impl Scene {
     }
 }
 
-/// A mesh of polygons; equal corners become one vertex.
+/// A mesh of polygons. Equal corners share one vertex.
 ///
 /// # Errors
 /// Those of [`Mesh::new`].
@@ -74,12 +74,12 @@ pub fn mesh(polygons: &[Vec<Vec3>]) -> Result<Mesh> {
     Mesh::new("case", vertices, list, PolygonOrder::Given)
 }
 
-/// A rectangle across the x axis: y and z from least to most.
+/// A rectangle perpendicular to the x axis, with intervals of y and z.
 pub fn wall(x: f64, [y0, y1]: [f64; 2], [z0, z1]: [f64; 2]) -> Vec<Vec3> {
     [[x, y0, z0], [x, y1, z0], [x, y1, z1], [x, y0, z1]].map(point).to_vec()
 }
 
-/// Rounded to f32, which is what the case then is.
+/// Rounds a point to f32. The rounded point is the exact input of the case.
 pub fn point(p: [f64; 3]) -> Vec3 {
     DVec3::from_array(p).as_vec3()
 }
@@ -109,10 +109,10 @@ pub fn scanner(start_deg: f64, step_deg: f64, count: u32, rows_deg: &[f64]) -> R
     Sensor::new(SensorSpec::new("scanner", "study", Geometry::Scanner(scanner)))
 }
 
-/// A camera and a scanner that see all kinds of directions.
+/// A camera and a scanner that cover a wide range of directions.
 ///
 /// # Errors
-/// None that can be met.
+/// None in practice.
 pub fn sensors(at: DVec3) -> Result<[(Sensor, Pose); 2]> {
     let pose = |roll, pitch, yaw| Pose::from_xyz_rpy(at, roll, pitch, yaw);
     Ok([
