@@ -1,7 +1,6 @@
 //! Scenes: models from files, opened as worlds for predictions.
 
 use crate::environment::{Feature, FeatureLayer, FeatureShape};
-use presight_model::error::{Error, ErrorKind, Result};
 use crate::features::{PlacedFeatures, place};
 use crate::geometry::Pose;
 use crate::index::{Params, Scheme};
@@ -11,6 +10,7 @@ use crate::io::{self, file};
 use crate::limits;
 use crate::placement::{self, Placement};
 use crate::preparation::{ImportReport, ImportedScene, SceneFrame};
+use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::world::World;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

@@ -8,3 +8,4 @@ mod pictures;
 mod poses;
 mod skipped;
 mod verify;
+mod versions;

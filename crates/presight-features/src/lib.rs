@@ -20,7 +20,6 @@ pub use boxes::{BoxMethod, BoxOptions, sensor_covariance};
 pub use boxes::{BoxQuery, add_boxes};
 pub use choose::{choose, informations};
 pub use columns::turn;
-#[cfg(test)]
 pub use normal::{TAIL_CELLS, TAIL_COLUMNS, TAIL_ROWS};
 pub use normal::{TAIL_STEPS, Tails};
 pub use options::{FeatureOptions, FeatureSource, Hidden};

@@ -156,7 +156,7 @@ mod tests {
     fn camera() -> SensorSpec {
         let geometry = Geometry::Camera(Camera::pinhole(2, 2, 1.0, 1.0, 0.5, 0.5));
         let mount = Pose::from_xyz_rpy(DVec3::new(0.0, 0.0, 2.0), 0.0, 0.0, 0.0);
-        SensorSpec { mount, ..SensorSpec::new("c", "video", geometry) }
+        SensorSpec::new("c", "video", geometry).with_mount(mount)
     }
 
     fn sensor_pose(given: ExternalPose) -> Pose {

@@ -81,7 +81,6 @@ pub use exceedance::Level;
 pub use image_point::differences;
 
 // Constants that the shader shares.
-#[cfg(test)]
 pub use exceedance::{EVENTS, MOST};
 pub use {
     errors::{ERRORS, KIND},

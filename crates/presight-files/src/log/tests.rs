@@ -7,7 +7,7 @@ use proptest::prelude::*;
 fn scanner(beams: u32) -> SensorSpec {
     let uniform = |count| Angles::Uniform { start_deg: 0.0, step_deg: 1.0, count };
     let geometry = Scanner { azimuth: uniform(beams), elevation: uniform(1), beam_height_deg: None };
-    SensorSpec { range_min: 0.5, range_max: 30.0, ..SensorSpec::new("s", "laser", Geometry::Scanner(geometry)) }
+    SensorSpec::new("s", "laser", Geometry::Scanner(geometry)).with_limits(0.5, 30.0)
 }
 
 fn write(text: &str) -> (tempfile::TempDir, std::path::PathBuf) {

@@ -7,14 +7,19 @@ fn camera() -> Sensor {
     Sensor::new(SensorSpec::new("c", "laser", Geometry::Camera(camera))).unwrap()
 }
 
+fn scanner(columns: u32, rows: u32) -> Sensor {
+    let uniform = |step_deg, count| Angles::Uniform { start_deg: -10.0, step_deg, count };
+    let geometry = Scanner { azimuth: uniform(0.25, columns), elevation: uniform(0.5, rows), beam_height_deg: None };
+    Sensor::new(SensorSpec::new("s", "laser", Geometry::Scanner(geometry))).unwrap()
+}
+
 #[test]
 fn depth_is_told_as_range() {
     let frame = Frame::new(1.0, camera(), Measurement::DepthZ(vec![2.0; 24])).unwrap();
     // Pixel (0, 0) looks along (-0.5, -0.375, 1).
     let length = DVec3::new(-0.5, -0.375, 1.0).length();
     assert!((f64::from(frame.ranges()[0]) - 2.0 * length).abs() < 1e-6);
-    let scanner = presight_files::preset("laser-scanner").unwrap();
-    assert!(Frame::new(0.0, scanner, Measurement::DepthZ(vec![1.0; 361])).is_err());
+    assert!(Frame::new(0.0, scanner(361, 1), Measurement::DepthZ(vec![1.0; 361])).is_err());
 }
 
 #[test]
@@ -41,12 +46,7 @@ fn thinned_pixels_keep_their_rays() {
         (0..77).map(|i| DVec3::new(1.0, 0.01 * f64::from(i % 11), 0.02 * f64::from(i / 11))).collect();
     let table = Geometry::Rays(RayTable::new(11, 7, table).unwrap());
     let table = Sensor::new(SensorSpec::new("t", "laser", table)).unwrap();
-    for sensor in [
-        camera(),
-        table,
-        presight_files::preset("laser-scanner").unwrap(),
-        presight_files::preset("laser-range-camera").unwrap(),
-    ] {
+    for sensor in [camera(), table, scanner(361, 1), scanner(321, 41)] {
         let (width, height) = (sensor.width(), sensor.height());
         let values: Vec<f32> = (0..width * height).map(|i| 1.0 + i as f32).collect();
         let frame = Frame::new(0.0, sensor.clone(), Measurement::Range(values)).unwrap();

@@ -86,6 +86,7 @@ fn cell(d: DVec3, side: usize) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sensor::{Angles, Scanner};
     use crate::random::SplitMix64;
     use crate::sensor::{Geometry, RayTable, Sensor, SensorSpec};
 
@@ -115,6 +116,9 @@ mod tests {
             worst = worst.max(found - best);
         }
         assert!(nearest >= 475 && worst < 0.1, "{nearest} of 500, worst by {worst}");
-        assert_eq!(presight_files::preset("laser-scanner").unwrap().near_pixel(DVec3::X), None);
+        let uniform = |count| Angles::Uniform { start_deg: 0.0, step_deg: 0.5, count };
+        let beams = Scanner { azimuth: uniform(361), elevation: uniform(1), beam_height_deg: None };
+        let scanner = Sensor::new(SensorSpec::new("s", "laser", Geometry::Scanner(beams))).unwrap();
+        assert_eq!(scanner.near_pixel(DVec3::X), None);
     }
 }

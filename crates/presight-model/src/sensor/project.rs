@@ -409,8 +409,7 @@ mod tests {
                 DVec3::new(1.0, 0.04 * f64::from(15 - c), 0.05 * f64::from(10 - r) + 0.003 * f64::from(c))
             })
             .collect();
-        let mut all: Vec<Sensor> = PRESETS.iter().map(|p| presight_files::preset(p.name).unwrap()).collect();
-        all.extend([
+        vec![
             lens(Distortion::None),
             lens(Distortion::PlumbBob([-0.28, 0.07, 1e-3, -5e-4, 0.0])),
             lens(Distortion::Equidistant([0.02, -0.01, 0.0, 0.0])),
@@ -418,8 +417,11 @@ mod tests {
             scanner(uniform(200.0, -0.7, 300), Angles::Listed(vec![-80.0, 3.0, 4.0, 40.0, 89.0])),
             scanner(Angles::Listed(vec![-50.0, -10.0, 0.0, 1.0, 90.0]), uniform(0.0, 0.0, 1)),
             sensor(Geometry::Rays(RayTable::new(30, 20, table).unwrap())),
-        ]);
-        all
+            sensor(Geometry::Camera(Camera::pinhole(512, 512, 443.4, 443.4, 255.5, 255.5))),
+            scanner(uniform(-90.0, 0.5, 361), uniform(0.0, 0.0, 1)),
+            scanner(uniform(-180.0, 0.28125, 1280), uniform(-20.0, 0.2, 200)),
+            scanner(uniform(-180.0, 0.2, 1800), Angles::Listed((0..16).map(|i| f64::from(2 * i - 15)).collect())),
+        ]
     }
 
     /// Ray tables are accurate to the pixel only.

@@ -452,23 +452,3 @@ fn a_group_with_many_features_is_deleted_and_brought_back_soon() {
         assert!(took < SOON, "{objects} objects with {each} features each took {took} s");
     }
 }
-
-/// A predictor keeps no version of the world, so the next change works in place. A reader that keeps one causes a copy.
-#[test]
-fn a_change_after_a_prediction_copies_nothing() {
-    use presight_predict::{Backend, Options, Predictor, Request};
-    let (mut world, sensor) = (hall(), presight_files::preset("laser-scanner").unwrap());
-    let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).unwrap();
-    let place = |world: &World| (Arc::as_ptr(&world.environment), Arc::as_ptr(&world.index));
-    let before = place(&world);
-    let moved = |name: &str, x| Change::MoveObject { name: name.into(), world_from_object: at(x, 0.2) };
-    for change in [moved("cart", 1.5), Change::Group(vec![moved("hall", 2.0), moved("cart", 2.5)])] {
-        predictor.predict(&world, &sensor, &Pose::IDENTITY, &Request::default()).unwrap();
-        world.apply_unchecked(change).unwrap();
-        assert_eq!(place(&world), before, "in place");
-    }
-    let reader = world.clone();
-    world.apply_unchecked(moved("cart", 3.0)).unwrap();
-    assert_ne!(place(&world).0, before.0);
-    assert_eq!(place(&reader), before, "the reader keeps its version");
-}

@@ -15,7 +15,6 @@ mod pixel;
 pub use bound::PlaneBound;
 pub use bound::Precision;
 pub use bound::SET_UP_FINELY;
-#[cfg(test)]
 pub use bound::is_set_up_finely;
 use candidates::PlaneCandidate;
 pub use candidates::{Candidate, CandidateSet, candidates};
