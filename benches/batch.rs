@@ -11,11 +11,16 @@
 #![allow(missing_docs, reason = "a bench has no interface")]
 #![allow(clippy::print_stdout, reason = "the table is what it is for")]
 
-use presight::batch::{BatchRequest, Headings, PoseCell, RangeLikelihood};
-use presight::free_poses::free_poses;
-use presight::io::gltf::{ImportOptions, import};
-use presight::io::log;
-use presight::{Backend, Images, Noise, Options, Output, Outputs, Pose, Predictor, Request, Sensor, SensorSpec, World};
+use presight_files::gltf::{ImportOptions, import};
+use presight_files::log;
+use presight_model::geometry::Pose;
+use presight_model::sensor::{Noise, Sensor, SensorSpec};
+use presight_model::world::World;
+use presight_predict::batch::{BatchRequest, Headings, PoseCell, RangeLikelihood};
+use presight_predict::free_poses::free_poses;
+use presight_predict::predict::{Backend, Options, Predictor};
+use presight_predict::request::Request;
+use presight_render::plan::{Images, Output, Outputs};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -85,7 +90,7 @@ fn malaga() {
     let mut best = f32::NEG_INFINITY;
     let ms = least(5, || {
         // Another version of the world each time: the cut is counted.
-        let world = world.reindexed(presight::index::Scheme::default(), Default::default());
+        let world = world.reindexed(presight_model::index::Scheme::default(), Default::default());
         let batch = predictor.batch(&world, &sensor, places.clone(), &request).expect("a sound request");
         best = batch.flat_map(|item| item.expect("a place").headings).fold(f32::NEG_INFINITY, f32::max);
     });
@@ -102,7 +107,7 @@ fn malaga() {
 }
 
 fn scene(name: &str, preset: &str, poses: &[Pose], world: &World) {
-    let sensor = noisy(presight::preset(preset).expect("a preset").spec());
+    let sensor = noisy(presight_files::preset(preset).expect("a preset").spec());
     let mut predictor = predictor();
     let outputs = Outputs::of(&[Output::Range, Output::CosIncidence]);
     let asked = Request::of(outputs);
@@ -133,7 +138,7 @@ fn scene(name: &str, preset: &str, poses: &[Pose], world: &World) {
 
 /// What a pose's image takes by stage, and how much it does, on average.
 fn stages(name: &str, preset: &str, poses: &[Pose], world: &World) {
-    let sensor = noisy(presight::preset(preset).expect("a preset").spec());
+    let sensor = noisy(presight_files::preset(preset).expect("a preset").spec());
     let mut predictor = predictor();
     let range = vec![2.0; (sensor.width() * sensor.height()) as usize];
     let sensed = RangeLikelihood::new(&sensor, range, PoseCell::default()).expect("a sound image");
@@ -160,7 +165,7 @@ fn peak() -> Option<f64> {
 /// Images and weights of few poses, then of many: a batch may hold no more for these.
 fn memory() {
     let world = world("env/factory_hall.glb");
-    let sensor = noisy(presight::preset("laser-scanner").expect("a preset").spec());
+    let sensor = noisy(presight_files::preset("laser-scanner").expect("a preset").spec());
     let place = free_poses(&world, 1, 1).expect("a free pose")[0];
     let range = vec![2.0; 361];
     let request = BatchRequest {

@@ -5,7 +5,12 @@
 
 #![allow(missing_docs, clippy::print_stdout, reason = "a program that prints figures")]
 
-use presight::{Backend, Change, Options, Pose, Predictor, Request, Scene, World};
+use presight::Scene;
+use presight_model::change::Change;
+use presight_model::geometry::Pose;
+use presight_model::world::World;
+use presight_predict::predict::{Backend, Options, Predictor};
+use presight_predict::request::Request;
 use std::error::Error;
 use std::time::Instant;
 
@@ -36,7 +41,7 @@ fn moves(world: &World, step: f64) -> Vec<Change> {
 }
 
 fn measure(world: &mut World, group: bool, before: Before) -> Result<f64, Box<dyn Error>> {
-    let sensor = presight::preset("laser-scanner")?;
+    let sensor = presight_files::preset("laser-scanner")?;
     let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1))?;
     let mut times = Vec::with_capacity(RUNS);
     for run in 0..RUNS {

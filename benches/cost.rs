@@ -11,9 +11,12 @@
 #[path = "common/scenes.rs"]
 mod scenes;
 
-use presight::cpu::CpuEngine;
-use presight::plan::{CountName, StageName};
-use presight::{FramePlan, Images, Request, Stats, World, preset};
+use presight_files::preset;
+use presight_model::world::World;
+use presight_predict::request::Request;
+use presight_render::cpu::CpuEngine;
+use presight_render::plan::{CountName, StageName};
+use presight_render::plan::{FramePlan, Images, Stats};
 use std::hint::black_box;
 use std::time::Instant;
 

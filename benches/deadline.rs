@@ -20,9 +20,14 @@ mod figures;
 #[path = "deadline/steadiness.rs"]
 mod steadiness;
 
-use presight::deadline::{Clock, SystemClock};
-use presight::io::gltf::{ImportOptions, import};
-use presight::{Backend, Options, Pose, Predictor, Request, Sensor, Stats, World};
+use presight_files::gltf::{ImportOptions, import};
+use presight_model::geometry::Pose;
+use presight_model::sensor::Sensor;
+use presight_model::world::World;
+use presight_predict::predict::{Backend, Options, Predictor};
+use presight_predict::request::Request;
+use presight_render::deadline::{Clock, SystemClock};
+use presight_render::plan::Stats;
 use std::error::Error;
 use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
@@ -77,7 +82,7 @@ impl Setting {
 
 impl Bench {
     fn new(scene: &str, sensor: Option<&String>, setting: &Setting) -> Outcome<Self> {
-        let sensor = presight::preset(sensor.map_or("microwave-radar-image", String::as_str))?;
+        let sensor = presight_files::preset(sensor.map_or("microwave-radar-image", String::as_str))?;
         let world = World::new(import(scene, &ImportOptions::default())?.environment);
         let threads = usize::from(setting.by_cpu_time);
         let mut predictor = Predictor::new(Options::new(setting.backend).with_threads(threads))?;
@@ -91,7 +96,7 @@ impl Bench {
     }
 
     /// Milliseconds of one prediction from outside, and what it says.
-    fn frame(&mut self, pose: &Pose, deadline_ms: Option<f64>) -> (f64, presight::Result<Stats>) {
+    fn frame(&mut self, pose: &Pose, deadline_ms: Option<f64>) -> (f64, presight_model::error::Result<Stats>) {
         let mut request = Request::default();
         request.deadline = deadline_ms.map(|ms| Duration::from_secs_f64(ms / 1e3));
         let start = self.clock.now();

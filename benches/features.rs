@@ -13,14 +13,20 @@ mod common;
 
 use common::fastest;
 use glam::{DMat3, DVec3};
-use presight::environment::FeatureShape;
-use presight::features::generate::{GenerateOptions, generate};
-use presight::features::{
+use presight_features::generate::{GenerateOptions, generate};
+use presight_features::{
     BoxOptions, FeatureOptions, FeatureSettings, Hidden, Piece, PlacedFeature, Sampler, Visibility, place,
     predict_features,
 };
-use presight::io::gltf::{ImportOptions, import};
-use presight::{Backend, Options, Output, Outputs, Pose, Predictor, Request, Sensor, World, preset};
+use presight_files::gltf::{ImportOptions, import};
+use presight_files::preset;
+use presight_model::environment::FeatureShape;
+use presight_model::geometry::Pose;
+use presight_model::sensor::Sensor;
+use presight_model::world::World;
+use presight_predict::predict::{Backend, Options, Predictor};
+use presight_predict::request::Request;
+use presight_render::plan::{Output, Outputs};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 

@@ -5,8 +5,8 @@
 
 use criterion::{BatchSize, Criterion, criterion_group, criterion_main};
 use glam::{DMat2, DVec2};
-use presight::history::{ImageExtent, Seed, Tracker, TrackerOptions};
-use presight::matching::{Detection, ExpectedProperties, Shape, UncertainValue};
+use presight_localize::history::{ImageExtent, Seed, Tracker, TrackerOptions};
+use presight_localize::matching::{Detection, ExpectedProperties, Shape, UncertainValue};
 
 /// SplitMix64.
 struct Random(u64);

@@ -12,16 +12,22 @@
 #![allow(clippy::print_stdout, clippy::print_stderr, reason = "its tables are what it is for")]
 
 use glam::DVec3;
-use presight::environment::{Feature, FeatureLayer};
-use presight::features::generate::{GenerateOptions, generate};
-use presight::features::{BoxOptions, FeatureOptions, Hidden, PlacedFeatures, place};
-use presight::free_poses::free_poses;
-use presight::io::gltf::{ImportOptions, import};
-use presight::io::layer;
-use presight::{
-    Backend, Environment, NewObject, Options, Output, Outputs, Pose, Prediction, Predictor, Request, Scene, Sensor,
-    World, placement, preset,
-};
+use presight::Scene;
+use presight_features::generate::{GenerateOptions, generate};
+use presight_features::{BoxOptions, FeatureOptions, Hidden, PlacedFeatures, place};
+use presight_files::gltf::{ImportOptions, import};
+use presight_files::layer;
+use presight_files::preset;
+use presight_model::environment::{Environment, NewObject};
+use presight_model::environment::{Feature, FeatureLayer};
+use presight_model::geometry::Pose;
+use presight_model::placement;
+use presight_model::sensor::Sensor;
+use presight_model::world::World;
+use presight_predict::free_poses::free_poses;
+use presight_predict::predict::{Backend, Options, Prediction, Predictor};
+use presight_predict::request::Request;
+use presight_render::plan::{Output, Outputs};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
@@ -204,8 +210,8 @@ fn load(mut environment: Environment) {
     {
         let (count, store) = (million.features.len(), path("many.presight"));
         environment.add_layer(million).expect("it fits");
-        let note = presight::io::store::Note::new("bench", 0.0);
-        presight::io::store::create(&store, &environment, &note).expect("a store");
+        let note = presight_files::store::Note::new("bench", 0.0);
+        presight_files::store::create(&store, &environment, &note).expect("a store");
         in_a_process(&format!("{count} | store"), &store, Path::new(""));
     }
     #[cfg(not(feature = "store"))]

@@ -4,17 +4,22 @@
 //! hospital where `PRESIGHT_DATA` (default `../shared/data`) holds them, else `scenes/room.glb`.
 #![expect(clippy::print_stdout, reason = "the table is the result")]
 
-use presight::features::generate::{GenerateOptions, generate};
-use presight::features::{BoxOptions, FeatureOptions, PlacedFeatures, place};
-use presight::free_poses::free_poses;
+use presight_features::generate::{GenerateOptions, generate};
+use presight_features::{BoxOptions, FeatureOptions, PlacedFeatures, place};
+use presight_files::gltf::{ImportOptions, import};
+use presight_files::preset;
+use presight_model::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
+use presight_model::geometry::Pose;
+use presight_model::index::{Params, Scheme};
+use presight_model::sensor::{Distortion, Geometry, Sensor, SensorSpec};
+use presight_model::world::World;
+use presight_predict::free_poses::free_poses;
 #[cfg(feature = "gpu")]
-use presight::gpu::testing::{self, Setup};
-use presight::index::{Params, Scheme};
-use presight::io::gltf::{ImportOptions, import};
-use presight::{
-    Backend, Distortion, Environment, Geometry, Material, Mesh, NewObject, Options, Output, Outputs, Polygon,
-    PolygonOrder, Pose, Prediction, Predictor, Request, Sensor, SensorSpec, Stats, World, preset,
-};
+use presight_predict::gpu::testing;
+use presight_predict::gpu::testing::Setup;
+use presight_predict::predict::{Backend, Options, Prediction, Predictor};
+use presight_predict::request::Request;
+use presight_render::plan::{Output, Outputs, Stats};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
@@ -214,8 +219,8 @@ fn stages(side: &mut Side<'_>, pose: &Pose) {
 /// What the device could leave to the CPU, and what 64-bit atomics save.
 #[cfg(feature = "gpu")]
 fn device(scene: &Scene) {
-    use presight::FramePlan;
-    use presight::gpu::DeviceOptions;
+    use presight_predict::gpu::DeviceOptions;
+    use presight_render::plan::FramePlan;
     let sensor = preset("video-camera").expect("a preset");
     let plan = FramePlan::new(&scene.world, &sensor, &scene.pose, &Request::default()).expect("a sound pose");
     let engine = |(without_int64, all_on_device)| {
@@ -229,7 +234,7 @@ fn device(scene: &Scene) {
     for (what, left_out_by, with, without) in pairs {
         let mut engines = [engine(with), engine(without)];
         let mut times: [Vec<f64>; 3] = Default::default();
-        let mut images = presight::Images::default();
+        let mut images = presight_render::plan::Images::default();
         for i in 0..PAIRS + 2 {
             let both = [0, 1].map(|k| {
                 let start = Instant::now();

@@ -3,9 +3,10 @@
 //! In a loop, where caches and memory stay warm, `store` measures the same.
 #![expect(clippy::print_stdout, reason = "its figures are what it is for")]
 
-use presight::Threads;
-use presight::index::{Params, Scheme, WorldIndex};
-use presight::io::store::{self, Note};
+use presight_files::store;
+use presight_files::store::Note;
+use presight_model::index::{Params, Scheme, WorldIndex};
+use presight_model::threads::Threads;
 use std::error::Error;
 use std::hint::black_box;
 use std::path::{Path, PathBuf};
@@ -32,7 +33,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     let folder = tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR"))?;
     let path = folder.path().join("hospital.presight");
-    let environment = presight::io::gltf::import(scene, &Default::default())?.environment;
+    let environment = presight_files::gltf::import(scene, &Default::default())?.environment;
     store::create(&path, &environment, &Note::new("bench", 0.0))?;
     let mut times = MODES.map(|_| Vec::with_capacity(TURNS));
     for _ in 0..TURNS {

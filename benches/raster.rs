@@ -15,11 +15,16 @@ mod drive;
 mod scenes;
 
 use cpu_time::ProcessTime;
-use presight::free_poses::free_poses;
-use presight::gpu::{DeviceOptions, GpuEngine};
-use presight::io::gltf::{ImportOptions, import};
-use presight::plan::{CountName, StageName};
-use presight::{FramePlan, Images, Pose, Raster, Request, Sensor, Stats, World, preset};
+use presight_files::gltf::{ImportOptions, import};
+use presight_files::preset;
+use presight_model::geometry::Pose;
+use presight_model::sensor::Sensor;
+use presight_model::world::World;
+use presight_predict::free_poses::free_poses;
+use presight_predict::gpu::{DeviceOptions, GpuEngine};
+use presight_predict::request::Request;
+use presight_render::plan::{CountName, StageName};
+use presight_render::plan::{FramePlan, Images, Raster, Stats};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 

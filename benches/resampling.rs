@@ -8,11 +8,14 @@
 #![expect(clippy::print_stdout, reason = "a bench prints what it measures")]
 
 use glam::DVec3;
-use presight::io::gltf::{ImportOptions, import};
-use presight::{
-    Angles, Backend, Camera, FramePlan, Geometry, ImageRequest, Images, Options, Output, Pose, Predictor, RayTable,
-    Result, Scanner, Sensor, SensorSpec, World, reference,
-};
+use presight_files::gltf::{ImportOptions, import};
+use presight_model::error::Result;
+use presight_model::geometry::Pose;
+use presight_model::sensor::{Angles, Camera, Geometry, RayTable, Scanner, Sensor, SensorSpec};
+use presight_model::world::World;
+use presight_predict::predict::{Backend, Options, Predictor};
+use presight_render::plan::{FramePlan, ImageRequest, Images, Output};
+use presight_render::reference;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 

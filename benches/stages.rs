@@ -6,10 +6,15 @@
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use glam::{DMat3, DVec3};
-use presight::environment::{Existence, Feature, FeatureShape, Properties};
-use presight::features::{BoxOptions, BoxQuery, FeaturePrediction, PlacedFeature, SeenFeature, add_boxes};
-use presight::io::gltf::{ImportOptions, import};
-use presight::{Backend, FramePlan, Options, Pose, Predictor, Request, World, preset};
+use presight_features::{BoxOptions, BoxQuery, FeaturePrediction, PlacedFeature, SeenFeature, add_boxes};
+use presight_files::gltf::{ImportOptions, import};
+use presight_files::preset;
+use presight_model::environment::{Existence, Feature, FeatureShape, Properties};
+use presight_model::geometry::Pose;
+use presight_model::world::World;
+use presight_predict::predict::{Backend, Options, Predictor};
+use presight_predict::request::Request;
+use presight_render::plan::FramePlan;
 use std::hint::black_box;
 use std::path::{Path, PathBuf};
 
@@ -61,7 +66,7 @@ fn importing(c: &mut Criterion) {
 fn script(c: &mut Criterion) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/factory.rhai");
     let environment = || {
-        let loaded = presight::io::script::load(&path, &ImportOptions::default(), &mut |_| {});
+        let loaded = presight_files::script::load(&path, &ImportOptions::default(), &mut |_| {});
         loaded.unwrap_or_else(|e| panic!("{e}")).environment
     };
     let mut group = c.benchmark_group("script");
@@ -108,7 +113,7 @@ fn prediction(c: &mut Criterion) {
 /// Boxes of 1,000 segments of about 60 pixels, on one thread: per element, what a box and both covariances cost.
 fn boxes(c: &mut Criterion) {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a thread");
-    let world = World::new(presight::environment::Environment::default());
+    let world = World::new(presight_model::environment::Environment::default());
     let mut group = c.benchmark_group("boxes");
     group.throughput(Throughput::Elements(1000));
     // Sigmas of position and heading, nearest and farthest distance.

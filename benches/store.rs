@@ -2,9 +2,12 @@
 
 use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
 use glam::{DVec3, Vec3};
-use presight::index::{Params, Scheme, WorldIndex};
-use presight::io::store::{self, Note, Store};
-use presight::{Change, Environment, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose};
+use presight_files::store;
+use presight_files::store::{Note, Store};
+use presight_model::change::Change;
+use presight_model::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
+use presight_model::geometry::Pose;
+use presight_model::index::{Params, Scheme, WorldIndex};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -71,7 +74,7 @@ fn opening(c: &mut Criterion) {
     let Some(scene) = hospital() else { return };
     let folder = tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).expect("a folder");
     let path: &Path = &folder.path().join("hospital.presight");
-    let environment = presight::io::gltf::import(scene, &Default::default()).expect("it imports").environment;
+    let environment = presight_files::gltf::import(scene, &Default::default()).expect("it imports").environment;
     store::create(path, &environment, &Note::new("bench", 0.0)).expect("a store");
     let params = Params::tuned(Scheme::default());
     let mut group = c.benchmark_group("hospital");

@@ -2,14 +2,21 @@
 #![cfg(feature = "script")]
 
 use glam::DVec3;
-use presight::features::generate::{GenerateOptions, generate};
-use presight::features::{
+use presight_features::generate::{GenerateOptions, generate};
+use presight_features::{
     BoxOptions, BoxQuery, FeatureOptions, FeatureSettings, Visibility, add_boxes, place, predict_features,
 };
-use presight::index::{Params, Scheme};
-use presight::io::gltf::{self, ImportOptions};
-use presight::verify::{Precision, candidates};
-use presight::{Backend, FramePlan, Options, Output, Outputs, Pose, Predictor, Request, Threads, World, preset};
+use presight_files::gltf;
+use presight_files::gltf::ImportOptions;
+use presight_files::preset;
+use presight_model::geometry::Pose;
+use presight_model::index::{Params, Scheme};
+use presight_model::threads::Threads;
+use presight_model::world::World;
+use presight_predict::predict::{Backend, Options, Predictor};
+use presight_predict::request::Request;
+use presight_render::plan::{FramePlan, Output, Outputs};
+use presight_render::verify::{Precision, candidates};
 use presight_testkit::{self as common, forbid_global_pool};
 use std::path::{Path, PathBuf};
 
@@ -24,7 +31,7 @@ const BALLS: &str = r#"
 fn scene(folder: &Path) -> (PathBuf, PathBuf) {
     let (script, glb) = (folder.join("balls.rhai"), folder.join("balls.glb"));
     std::fs::write(&script, BALLS).unwrap();
-    let made = presight::io::script::load(&script, &ImportOptions::default(), &mut |_| ()).unwrap();
+    let made = presight_files::script::load(&script, &ImportOptions::default(), &mut |_| ()).unwrap();
     gltf::write_glb(&glb, &made.environment).unwrap();
     (script, glb)
 }
@@ -63,10 +70,10 @@ fn nothing_uses_the_global_pool() {
     }
     #[cfg(feature = "store")]
     {
-        use presight::io::store::{Note, Store, create};
+        use presight_files::store::{Note, Store, create};
         let path = folder.path().join("balls.presight");
         create(&path, world.environment(), &Note::default()).unwrap();
-        let stored = presight::io::store::read_world(&path, Scheme::default(), Params::default()).unwrap();
+        let stored = presight_files::store::read_world(&path, Scheme::default(), Params::default()).unwrap();
         assert_eq!(stored.environment().content_hash(), world.environment().content_hash());
         drop(Store::open(&path).unwrap());
     }
@@ -82,7 +89,7 @@ fn predict_all(
     predictor: &mut Predictor,
     world: &World,
     plan: &FramePlan,
-    layer: &presight::environment::FeatureLayer,
+    layer: &presight_model::environment::FeatureLayer,
 ) {
     let options = FeatureOptions::default().with_placed(place(world, layer).unwrap());
     let request = Request::of(Outputs::of(&[Output::Range, Output::PolygonId]))
@@ -103,7 +110,7 @@ fn a_script_that_imports_may_be_loaded_on_a_single_thread() {
     let threads = Threads::new(1).unwrap();
     let options = ImportOptions { threads: threads.clone(), ..ImportOptions::default() };
     let mut said = Vec::new();
-    let load = || presight::io::script::load(&script, &options, &mut |line| said.push(line.to_owned()));
+    let load = || presight_files::script::load(&script, &options, &mut |line| said.push(line.to_owned()));
     let made = threads.run(load).unwrap().unwrap();
     assert_eq!((made.environment.objects().len(), said), (3, vec!["hello".to_owned()]));
 }

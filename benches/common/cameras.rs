@@ -1,7 +1,7 @@
 //! Cameras of 640 x 480 pixels with lenses, and free tables of as many rays.
 
 use glam::DVec3;
-use presight::{Camera, Distortion, Geometry, RayTable, Sensor, SensorSpec};
+use presight_model::sensor::{Camera, Distortion, Geometry, RayTable, Sensor, SensorSpec};
 
 pub const SIZE: (u32, u32) = (640, 480);
 

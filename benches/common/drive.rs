@@ -3,9 +3,14 @@
 use crate::{cameras, middle, number, scenes};
 use cpu_time::ProcessTime;
 use glam::DVec3;
-use presight::gpu::{DeviceOptions, GpuEngine};
-use presight::plan::{CountName, StageName};
-use presight::{Angles, FramePlan, Geometry, Images, Pose, Request, Scanner, Sensor, SensorSpec, Stats, World, preset};
+use presight_files::preset;
+use presight_model::geometry::Pose;
+use presight_model::sensor::{Angles, Geometry, Scanner, Sensor, SensorSpec};
+use presight_model::world::World;
+use presight_predict::gpu::{DeviceOptions, GpuEngine};
+use presight_predict::request::Request;
+use presight_render::plan::{CountName, StageName};
+use presight_render::plan::{FramePlan, Images, Stats};
 
 const STEPS: usize = 30;
 
@@ -36,7 +41,7 @@ fn drives(scene: &str, world: &World) -> Vec<Vec<Pose>> {
     let around = Sensor::new(SensorSpec::new("around", "laser", around)).expect("a sound scanner");
     let is_clear = |pose: &Pose| {
         let (plan, mut images) = (FramePlan::new(world, &around, pose, &Request::default()), Images::default());
-        presight::reference::render(&plan.expect("a sound pose"), &mut images).expect("it renders");
+        presight_render::reference::render(&plan.expect("a sound pose"), &mut images).expect("it renders");
         images.range.iter().all(|range| *range > 0.15)
     };
     let wanted = number("PRESIGHT_POSES", 4);

@@ -1,7 +1,8 @@
 //! Offices of any size that all look the same from within: closed pairs of rooms, of which the first is seeded alike in all.
 
 use glam::{DVec3, Vec3};
-use presight::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose};
+use presight_model::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
+use presight_model::geometry::Pose;
 use presight_testkit::Random;
 use std::f64::consts::{PI, TAU};
 use std::sync::Arc;

@@ -4,10 +4,12 @@
 //! of it took. The clairvoyant controller takes the best record that is in time.
 
 use super::{Bench, Outcome, Setting, quantile};
-use presight::cpu::CpuEngine;
-use presight::deadline::Watch;
-use presight::free_poses::free_poses;
-use presight::{FramePlan, Images, Pose, Request, Stats};
+use presight_model::geometry::Pose;
+use presight_predict::free_poses::free_poses;
+use presight_predict::request::Request;
+use presight_render::cpu::CpuEngine;
+use presight_render::deadline::Watch;
+use presight_render::plan::{FramePlan, Images, Stats};
 use std::time::Duration;
 
 const POSES: usize = 20;

@@ -2,8 +2,9 @@
 
 use super::{Bench, Outcome, Setting, quantile};
 use plotters::prelude::*;
-use presight::free_poses::free_poses;
-use presight::{ErrorKind, Pose};
+use presight_model::error::ErrorKind;
+use presight_model::geometry::Pose;
+use presight_predict::free_poses::free_poses;
 use std::path::Path;
 
 /// Name, value at each frame, and colour.
@@ -46,8 +47,10 @@ pub fn draw(args: &[String], setting: &Setting) -> Outcome {
         match answer {
             Ok(stats) => {
                 if let Some(given_up) = stats.degradation() {
-                    let cut =
-                        given_up.means.iter().find(|taken| taken.means == presight::deadline::DegradationKind::Radius);
+                    let cut = given_up
+                        .means
+                        .iter()
+                        .find(|taken| taken.means == presight_render::deadline::DegradationKind::Radius);
                     frame.radius = cut.and_then(|taken| taken.metres).unwrap_or(f64::INFINITY);
                     (frame.complete_to, frame.stride) = (given_up.complete_to, given_up.stride);
                 }

@@ -1,8 +1,9 @@
 //! How many deadlines are kept, how far estimates are off, what is given up, and what a generous deadline costs.
 
 use super::{Bench, Outcome, Setting, quantile, steadiness};
-use presight::free_poses::free_poses;
-use presight::{ErrorKind, Pose};
+use presight_model::error::ErrorKind;
+use presight_model::geometry::Pose;
+use presight_predict::free_poses::free_poses;
 
 /// Poses of the frames with a deadline.
 const POSES: usize = 20;

@@ -4,14 +4,18 @@
 use super::{map, predictor};
 use cpu_time::ProcessTime;
 use glam::DVec3;
-use presight::estimate::{
+use presight_files::preset;
+use presight_localize::estimate::{
     Estimate, EstimateOptions, Estimator, Freedom, Prior, measured_points, motion_between, moved, nees,
 };
-use presight::frame::{Frame, Measurement};
-use presight::free_poses::free_poses;
-use presight::localize::{LocalizeOptions, Localizer, Phase, Step};
-use presight::simulate::{Disturbances, Simulator};
-use presight::{Backend, Camera, Distortion, Geometry, Options, Pose, Predictor, Sensor, SensorSpec, World, preset};
+use presight_localize::localize::{LocalizeOptions, Localizer, Phase, Step};
+use presight_localize::simulate::{Disturbances, Simulator};
+use presight_model::frame::{Frame, Measurement};
+use presight_model::geometry::Pose;
+use presight_model::sensor::{Camera, Distortion, Geometry, Sensor, SensorSpec};
+use presight_model::world::World;
+use presight_predict::free_poses::free_poses;
+use presight_predict::predict::{Backend, Options, Predictor};
 use presight_testkit::{Random, data};
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -150,7 +154,7 @@ fn halls() -> Vec<(&'static str, World, Pose)> {
     #[cfg(feature = "script")]
     let factory = {
         let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/factory.rhai");
-        let loaded = presight::io::script::load(path, &Default::default(), &mut |_| {}).expect("the scene loads");
+        let loaded = presight_files::script::load(path, &Default::default(), &mut |_| {}).expect("the scene loads");
         Some(("scenes/factory.rhai", World::new(loaded.environment)))
     };
     #[cfg(not(feature = "script"))]
@@ -331,7 +335,7 @@ pub fn kidnapped() {
     let (mut lost, mut found, mut drives) = (0, 0, 0);
     for pair in level.chunks_exact(2).take(10) {
         let height = pair[0].translation.z;
-        let search = presight::localize::SearchOptions { floor: height, cell: 0.5, ..Default::default() };
+        let search = presight_localize::localize::SearchOptions { floor: height, cell: 0.5, ..Default::default() };
         let mut robot = Localizer::new(
             Estimator::new(predictor(), options),
             Prior::of_sigmas(on_the_way(pair[0], 0), 0.03, 0.02),

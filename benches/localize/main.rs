@@ -9,12 +9,14 @@ mod drives;
 
 use cpu_time::ProcessTime;
 use glam::DVec3;
-use presight::estimate::{EstimateOptions, Estimator, Freedom, Prior, measured_points};
-use presight::frame::Frame;
-use presight::io::gltf::import;
-use presight::io::log::{Frames, Observation};
-use presight::simulate::{Disturbances, Simulator};
-use presight::{Backend, Options, Pose, Predictor, World};
+use presight_files::gltf::import;
+use presight_files::log::{Frames, Observation};
+use presight_localize::estimate::{EstimateOptions, Estimator, Freedom, Prior, measured_points};
+use presight_localize::simulate::{Disturbances, Simulator};
+use presight_model::frame::Frame;
+use presight_model::geometry::Pose;
+use presight_model::world::World;
+use presight_predict::predict::{Backend, Options, Predictor};
 use presight_testkit::data;
 use std::path::Path;
 use std::time::Instant;
@@ -147,7 +149,7 @@ fn hall() -> Option<Case> {
     let path = data::file("env/factory_hall.glb")?;
     let world = map(&path);
     let mut simulator = Simulator::new(predictor(), drives::laser(), Disturbances::default(), 1).expect("a simulator");
-    let places = presight::free_poses::free_poses(&world, 20, 11).expect("free poses");
+    let places = presight_predict::free_poses::free_poses(&world, 20, 11).expect("free poses");
     let known = |(k, place): (usize, &Pose)| {
         let off = Pose { translation: place.translation + DVec3::new(0.01, -0.01, 0.0), ..*place };
         let frame = simulator.frame(&world, k as f64, place).expect("a frame");

@@ -17,12 +17,16 @@ use glam::DVec3;
 use parry3d_f64::math::Vector;
 use parry3d_f64::query::Ray;
 use parry3d_f64::shape::{CompositeShapeRef, TriMesh};
-use presight::io::gltf::write_glb;
-use presight::sensor::PixelGrid;
-use presight::{
-    Backend, Environment, Material, NewObject, Options, Output, Outputs, Pose, Predictor, Request, Sensor, World,
-    preset,
-};
+use presight_files::gltf::write_glb;
+use presight_files::preset;
+use presight_model::environment::{Environment, Material, NewObject};
+use presight_model::geometry::Pose;
+use presight_model::sensor::PixelGrid;
+use presight_model::sensor::Sensor;
+use presight_model::world::World;
+use presight_predict::predict::{Backend, Options, Predictor};
+use presight_predict::request::Request;
+use presight_render::plan::{Output, Outputs};
 use rayon::prelude::*;
 use serde_json::{Value, json};
 use std::io::BufRead;

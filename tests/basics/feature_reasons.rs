@@ -4,13 +4,14 @@ use presight_testkit as common;
 
 use common::scenes;
 use glam::{DMat3, DVec3, Vec3};
-use presight::environment::{Existence, Feature, FeatureShape, Properties};
-use presight::features::{FeaturePrediction, FeatureSettings, PlacedFeature, Reason, SeenFeature, predict_features};
-use presight::plan::{CountName, StageName};
-use presight::{
-    Angles, Appearance, Environment, ErrorKind, Geometry, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose,
-    RayTable, Scanner, Sensor, SensorSpec, World,
-};
+use presight_features::{FeaturePrediction, FeatureSettings, PlacedFeature, Reason, SeenFeature, predict_features};
+use presight_model::environment::{Appearance, Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
+use presight_model::environment::{Existence, Feature, FeatureShape, Properties};
+use presight_model::error::ErrorKind;
+use presight_model::geometry::Pose;
+use presight_model::sensor::{Angles, Geometry, RayTable, Scanner, Sensor, SensorSpec};
+use presight_model::world::World;
+use presight_render::plan::{CountName, StageName};
 use std::sync::Arc;
 
 /// A wall at x = 3, from y = -1 to 1 and z = -1 to 1, whose normal looks at the origin.
@@ -240,7 +241,7 @@ fn what_cannot_be_placed_is_refused() {
     let e = predict_features(&world, &camera, &Pose::IDENTITY, &images, &bad, &options).unwrap_err();
     assert!(e.to_string().contains("feature 3"), "{e}");
     let good = [placed(3, point([3.0, 0.0, 0.0]), &[0])];
-    let none = presight::Images::default();
+    let none = presight_render::plan::Images::default();
     let e = predict_features(&world, &camera, &Pose::IDENTITY, &none, &good, &options).unwrap_err();
     assert!(e.to_string().contains("polygon_id"), "{e}");
     let table = RayTable::new(1, 1, vec![DVec3::X]).unwrap();
@@ -253,8 +254,9 @@ fn what_cannot_be_placed_is_refused() {
 /// On as many threads as it was given, to the same answers.
 #[test]
 fn a_predictor_predicts_features_on_its_own_threads() {
-    use presight::features::{FeatureOptions, Hidden};
-    use presight::{Backend, Options, Predictor, Request};
+    use presight_features::{FeatureOptions, Hidden};
+    use presight_predict::predict::{Backend, Options, Predictor};
+    use presight_predict::request::Request;
     let (world, camera) = (wall(Appearance::Opaque, false), scenes::camera(101, 81));
     let features = [placed(3, point([3.0, 0.0, 0.0]), &[0]), placed(4, point([4.0, 0.1, 0.0]), &[])];
     let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(3)).unwrap();

@@ -4,7 +4,7 @@ use presight_testkit as common;
 
 use common::data;
 use glam::DVec3;
-use presight::{Camera, Distortion, Geometry, Sensor, SensorSpec};
+use presight_model::sensor::{Camera, Distortion, Geometry, Sensor, SensorSpec};
 
 /// Pixels; OpenCV computes in f64 and prints 16 digits, so a difference is rounding.
 const PIXELS: f64 = 1e-9;

@@ -1,7 +1,7 @@
 //! The table of outputs in docs/formats.md, held against the library's own.
 
-use presight::Output;
-use presight::plan::{Maker, SampleKind};
+use presight_render::plan::Output;
+use presight_render::plan::{Maker, SampleKind};
 
 /// The row of an output as the page has it.
 fn row(output: Output) -> String {

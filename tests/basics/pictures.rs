@@ -4,8 +4,8 @@ use presight_testkit as common;
 
 use common::{plan, reference, scenes};
 use glam::DVec3;
-use presight::Pose;
-use presight::verify::Precision;
+use presight_model::geometry::Pose;
+use presight_render::verify::Precision;
 
 #[test]
 fn the_difference_shows_the_wrong_pixels_and_no_others() {

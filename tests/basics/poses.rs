@@ -4,18 +4,24 @@ use presight_testkit as common;
 
 use common::scenes;
 use glam::{DMat3, DQuat, DVec3};
-use presight::engine::EngineKind;
-use presight::environment::FeatureShape;
-use presight::features::roi::{FeatureErrorModel, Viewpoint};
-use presight::features::{
+use presight_features::roi::{FeatureErrorModel, Viewpoint};
+use presight_features::{
     BoxOptions, BoxQuery, FeatureOptions, FeaturePrediction, FeatureSettings, PlacedFeature, add_boxes, place,
     predict_features,
 };
-use presight::index::Region;
-use presight::io::{PointCloud, PointsFrame};
-use presight::plan::region_of;
-use presight::virtual_sensors::{Settings, View, VirtualSensor};
-use presight::{Backend, Error, ErrorKind, FramePlan, Images, Options, Pose, Predictor, Request, Sensor, Stats, World};
+use presight_files::{PointCloud, PointsFrame};
+use presight_model::environment::FeatureShape;
+use presight_model::error::{Error, ErrorKind};
+use presight_model::geometry::Pose;
+use presight_model::index::Region;
+use presight_model::sensor::Sensor;
+use presight_model::world::World;
+use presight_predict::engine::EngineKind;
+use presight_predict::predict::{Backend, Options, Predictor};
+use presight_predict::request::Request;
+use presight_predict::virtual_sensors::{Settings, View, VirtualSensor};
+use presight_render::plan::region_of;
+use presight_render::plan::{FramePlan, Images, Stats};
 
 /// What is wrong, a pose with it, and what the message has to say.
 fn bad() -> Vec<(&'static str, Pose, &'static str)> {
@@ -54,8 +60,7 @@ struct Scene {
 fn scene() -> Scene {
     let (world, sensor) = (scenes::room_world(5, 3), scenes::camera(24, 18));
     let images = common::reference(&common::plan(&world, &sensor, &Pose::IDENTITY));
-    let layer =
-        presight::features::generate::generate(world.environment(), "video", &Default::default()).unwrap().layer;
+    let layer = presight_features::generate::generate(world.environment(), "video", &Default::default()).unwrap().layer;
     let placed = place(&world, &layer).unwrap();
     assert!(placed.len() > 10);
     Scene { world, sensor, images, placed }
@@ -163,7 +168,7 @@ fn engines_and_virtual_sensors_look_again() {
                 _ if task == VirtualSensor::Docking => "laser-scanner",
                 _ => "laser-range-camera",
             };
-            let sensor = presight::preset(name).unwrap();
+            let sensor = presight_files::preset(name).unwrap();
             let request = Request::of(task.outputs());
             let mut prediction = predictor.predict(&s.world, &sensor, &Pose::IDENTITY, &request).unwrap();
             prediction.world_from_sensor = pose;

@@ -6,8 +6,11 @@ use presight_testkit as common;
 
 use common::{plan, reference, scenes};
 use glam::DVec3;
-use presight::verify::{Precision, Report, allowed, compare, compare_exactly};
-use presight::{FramePlan, Images, NewObject, Pose, World};
+use presight_model::environment::NewObject;
+use presight_model::geometry::Pose;
+use presight_model::world::World;
+use presight_render::plan::{FramePlan, Images};
+use presight_render::verify::{Precision, Report, allowed, compare, compare_exactly};
 use std::sync::Arc;
 
 fn frames() -> Vec<(FramePlan, Images)> {

@@ -1,18 +1,22 @@
 //! Versions of a world: who keeps one, and what a change copies.
 
-use presight::{Backend, Change, Options, Pose, Predictor, Request, World};
+use presight_model::change::Change;
+use presight_model::geometry::Pose;
+use presight_model::world::World;
+use presight_predict::predict::{Backend, Options, Predictor};
+use presight_predict::request::Request;
 use presight_testkit::scenes;
 
 /// A predictor keeps no version of the world, so the next change works in place. A reader that keeps one causes a copy.
 #[test]
 fn a_change_after_a_prediction_copies_nothing() {
-    let mut environment = presight::Environment::new();
+    let mut environment = presight_model::environment::Environment::new();
     let mesh = std::sync::Arc::new(scenes::mesh(&[vec![glam::Vec3::ZERO, glam::Vec3::X, glam::Vec3::Y]]));
-    environment.add_material(presight::Material::named("paint")).unwrap();
+    environment.add_material(presight_model::environment::Material::named("paint")).unwrap();
     for name in ["hall", "cart"] {
-        environment.insert(presight::NewObject::new(name, Pose::IDENTITY, mesh.clone())).unwrap();
+        environment.insert(presight_model::environment::NewObject::new(name, Pose::IDENTITY, mesh.clone())).unwrap();
     }
-    let (mut world, sensor) = (World::new(environment), presight::preset("laser-scanner").unwrap());
+    let (mut world, sensor) = (World::new(environment), presight_files::preset("laser-scanner").unwrap());
     let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).unwrap();
     let place = |world: &World| (std::ptr::from_ref(world.environment()), std::ptr::from_ref(world.index()));
     let before = place(&world);

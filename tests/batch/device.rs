@@ -3,13 +3,17 @@
 use super::{common, likelihood::disturbed, noisy, predictor, single};
 use common::{Random, data, scenes, skip};
 use glam::{DVec3, Vec3};
-use presight::batch::{BatchRequest, Headings, PoseCell, RangeLikelihood};
-use presight::gpu::testing::{self, Setup};
-use presight::gpu::{DeviceOptions, GpuEngine};
-use presight::plan::StageName;
-use presight::{
-    Backend, Camera, Geometry, NewObject, Noise, Options, Output, Outputs, Pose, Predictor, Sensor, SensorSpec, World,
-};
+use presight_model::environment::NewObject;
+use presight_model::geometry::Pose;
+use presight_model::sensor::{Camera, Geometry, Noise, Sensor, SensorSpec};
+use presight_model::world::World;
+use presight_predict::batch::{BatchRequest, Headings, PoseCell, RangeLikelihood};
+use presight_predict::gpu::testing;
+use presight_predict::gpu::testing::Setup;
+use presight_predict::gpu::{DeviceOptions, GpuEngine};
+use presight_predict::predict::{Backend, Options, Predictor};
+use presight_render::plan::StageName;
+use presight_render::plan::{Output, Outputs};
 use std::sync::Arc;
 
 /// Every stage on the device, on software adapters too.
@@ -78,10 +82,10 @@ fn sums_of_the_device_are_those_of_its_images() {
         // One row level with the world is cut on the CPU; the poses lean.
         println!("{}", check(&mut engine, &noisy(preset, noise), None));
     }
-    let near = presight::preset("laser-range-camera").unwrap().spec().clone().with_limits(1.5, 3.0);
+    let near = presight_files::preset("laser-range-camera").unwrap().spec().clone().with_limits(1.5, 3.0);
     println!("{}", check(&mut engine, &noisy(&Sensor::new(near).unwrap(), noise), None));
     println!("{}", check(&mut engine, &noisy(&scenes::lens(80, 60), noise), None));
-    let rows = noisy(&presight::preset("vlp-16").unwrap(), noise);
+    let rows = noisy(&presight_files::preset("vlp-16").unwrap(), noise);
     let headings = Headings::new(&rows, 90).unwrap();
     println!("{}", check(&mut engine, &rows, Some(headings)));
 }

@@ -3,9 +3,12 @@
 use super::likelihood::disturbed;
 use super::{common, noisy, oracle, predictor, single};
 use common::{Random, data, scenes};
-use presight::batch::{BatchRequest, Headings, PoseCell, RangeLikelihood};
-use presight::io::log;
-use presight::{Angles, ErrorKind, Geometry, Mixture, Noise, Pose, Scanner, Sensor, SensorSpec, World};
+use presight_files::log;
+use presight_model::error::ErrorKind;
+use presight_model::geometry::Pose;
+use presight_model::sensor::{Angles, Geometry, Mixture, Noise, Scanner, Sensor, SensorSpec};
+use presight_model::world::World;
+use presight_predict::batch::{BatchRequest, Headings, PoseCell, RangeLikelihood};
 
 const NOISE: Noise = Noise {
     range_sigma: 0.03,
@@ -78,7 +81,7 @@ fn headings_that_are_no_shifts_are_refused() {
     refused(&good, 1440, "1440 headings");
     refused(&scanner(-90.0, 0.7, 100, &[0.0], (0.0, 30.0)), 10, "does not divide");
     refused(&scanner(-90.0, 0.0, 1, &[0.0], (0.0, 30.0)), 10, "does not divide");
-    refused(&presight::preset("video-camera").unwrap(), 10, "not a scanner");
+    refused(&presight_files::preset("video-camera").unwrap(), 10, "not a scanner");
     let listed = Scanner {
         azimuth: Angles::Listed(vec![0.0, 1.0]),
         elevation: Angles::Listed(vec![0.0]),
@@ -103,8 +106,8 @@ fn headings_that_are_no_shifts_are_refused() {
 fn real_scans_are_found_in_their_map() {
     let Some(log) = data::file("lidar2d/malaga_corridor_run_scans.json") else { return };
     let Some(map) = data::file("lidar2d/malaga_corridor_map.glb") else { return };
-    let options = presight::io::gltf::ImportOptions::default();
-    let world = World::new(presight::io::gltf::import(map, &options).unwrap().environment);
+    let options = presight_files::gltf::ImportOptions::default();
+    let world = World::new(presight_files::gltf::import(map, &options).unwrap().environment);
     let log = log::open(&log).unwrap();
     let noise = Noise {
         range_sigma: 0.05,

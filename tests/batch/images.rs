@@ -2,8 +2,12 @@
 
 use super::{common, predictor};
 use common::{Random, data, scenes};
-use presight::batch::BatchRequest;
-use presight::{ErrorKind, Images, Outputs, Pose, Request, World};
+use presight_model::error::ErrorKind;
+use presight_model::geometry::Pose;
+use presight_model::world::World;
+use presight_predict::batch::BatchRequest;
+use presight_predict::request::Request;
+use presight_render::plan::{Images, Outputs};
 
 fn poses(n: usize) -> Vec<Pose> {
     let mut random = Random(8);
@@ -17,12 +21,13 @@ fn poses(n: usize) -> Vec<Pose> {
 
 /// Bits, for NaN is unlike itself.
 fn bits(images: &Images) -> Vec<Vec<u32>> {
-    presight::Output::ALL.map(|output| common::bits(images, output)).to_vec()
+    presight_render::plan::Output::ALL.map(|output| common::bits(images, output)).to_vec()
 }
 
 fn check(world: &World, poses: &[Pose]) {
     for sensor in data::presets() {
-        let outputs = if sensor.is_camera() { Outputs::ALL } else { Outputs::ALL.without(presight::Output::DepthZ) };
+        let outputs =
+            if sensor.is_camera() { Outputs::ALL } else { Outputs::ALL.without(presight_render::plan::Output::DepthZ) };
         let asked = Request::of(outputs);
         let mut one = predictor(2);
         let singles: Vec<_> = poses.iter().map(|p| one.predict(world, &sensor, p, &asked).unwrap().images).collect();
@@ -59,7 +64,7 @@ fn images_are_those_of_single_predictions_in_a_real_scene() {
 #[test]
 fn statistics_are_there_if_asked_for() {
     let world = World::new(scenes::room(2, 10));
-    let sensor = presight::preset("vlp-16").unwrap();
+    let sensor = presight_files::preset("vlp-16").unwrap();
     for statistics in [false, true] {
         let request = BatchRequest { statistics, ..BatchRequest::default() };
         let mut predictor = predictor(2);
@@ -74,7 +79,7 @@ fn statistics_are_there_if_asked_for() {
 #[test]
 fn a_wrong_pose_ends_the_batch_at_its_place() {
     let world = World::new(scenes::room(2, 10));
-    let sensor = presight::preset("vlp-16").unwrap();
+    let sensor = presight_files::preset("vlp-16").unwrap();
     let mut poses = poses(9);
     poses[5].translation.x = f64::NAN;
     for chunk in [None, Some(2), Some(5)] {
@@ -96,7 +101,7 @@ fn a_wrong_pose_ends_the_batch_at_its_place() {
 #[test]
 fn poses_are_taken_a_chunk_at_a_time() {
     let world = World::new(scenes::room(2, 10));
-    let sensor = presight::preset("laser-scanner").unwrap();
+    let sensor = presight_files::preset("laser-scanner").unwrap();
     let taken = std::cell::Cell::new(0);
     let turned = |i: u32| {
         taken.set(taken.get() + 1);
@@ -113,22 +118,22 @@ fn poses_are_taken_a_chunk_at_a_time() {
 /// The GPU engine draws the poses of a chunk in one submission.
 #[test]
 fn the_gpu_engine_makes_its_single_predictions() {
-    let options = presight::Options::new(presight::Backend::Gpu).with_threads(2);
-    let mut gpu = match presight::Predictor::new(options) {
+    let options = presight_predict::predict::Options::new(presight_predict::predict::Backend::Gpu).with_threads(2);
+    let mut gpu = match presight_predict::predict::Predictor::new(options) {
         Ok(gpu) => gpu,
         Err(e) => return common::skip::no_adapter(e),
     };
     let world = World::new(scenes::room(2, 40));
-    let noise = presight::Noise { range_sigma: 0.02, ..Default::default() };
+    let noise = presight_model::sensor::Noise { range_sigma: 0.02, ..Default::default() };
     let asked = Request::default();
     // Some see nothing, and there are more than one submission takes.
     let away = Pose::from_xyz_rpy(glam::DVec3::X * 1e4, 0.0, 0.0, 0.0);
     let mut poses = poses(70);
     (poses[0], poses[3], poses[4], poses[69]) = (away, away, away, away);
     for preset in ["laser-range-camera", "vlp-16"] {
-        let sensor = super::noisy(&presight::preset(preset).unwrap(), noise);
+        let sensor = super::noisy(&presight_files::preset(preset).unwrap(), noise);
         let (range, _) = super::single(&mut predictor(1), &world, &sensor, &poses[1]);
-        let sensed = presight::batch::RangeLikelihood::new(&sensor, range, Default::default()).unwrap();
+        let sensed = presight_predict::batch::RangeLikelihood::new(&sensor, range, Default::default()).unwrap();
         for chunk in [None, Some(3)] {
             let request = BatchRequest {
                 images: Some((&asked).into()),
@@ -146,8 +151,9 @@ fn the_gpu_engine_makes_its_single_predictions() {
                 let truth = sensed.log_likelihood(&single.images.range, &single.images.cos_incidence);
                 assert_eq!((item.index, item.log_likelihood), (i, Some(truth)));
                 let stats = item.stats.unwrap();
-                let without_reruns = |stats: &presight::Stats| {
-                    let counts = stats.counts.iter().filter(|(name, _)| *name != presight::plan::CountName::Reruns);
+                let without_reruns = |stats: &presight_render::plan::Stats| {
+                    let counts =
+                        stats.counts.iter().filter(|(name, _)| *name != presight_render::plan::CountName::Reruns);
                     counts.cloned().collect::<Vec<_>>()
                 };
                 assert_eq!(stats.engine, "gpu");
@@ -161,19 +167,20 @@ fn the_gpu_engine_makes_its_single_predictions() {
 /// before it or behind it, where the density has a step; and at an edge a beam may see what is beside it. Without these beams they agree.
 #[test]
 fn gpu_likelihoods_differ_by_beams_on_a_step() {
-    let options = presight::Options::new(presight::Backend::Gpu).with_threads(2);
-    let mut gpu = match presight::Predictor::new(options) {
+    let options = presight_predict::predict::Options::new(presight_predict::predict::Backend::Gpu).with_threads(2);
+    let mut gpu = match presight_predict::predict::Predictor::new(options) {
         Ok(gpu) => gpu,
         Err(e) => return common::skip::no_adapter(e),
     };
     let world = World::new(scenes::room(2, 40));
-    let noise = presight::Noise { range_sigma: 0.02, ..Default::default() };
-    let sensor = super::noisy(&presight::preset("laser-range-camera").unwrap(), noise);
+    let noise = presight_model::sensor::Noise { range_sigma: 0.02, ..Default::default() };
+    let sensor = super::noisy(&presight_files::preset("laser-range-camera").unwrap(), noise);
     let mut cpu = predictor(2);
     let exact = super::single(&mut cpu, &world, &sensor, &poses(1)[0]).0;
     let noisy = super::likelihood::disturbed(&mut Random(3), sensor.spec(), &exact);
     let weigh = |sensed: &[f32], (range, cos): &(Vec<f32>, Vec<f32>)| {
-        let sensed = presight::batch::RangeLikelihood::new(&sensor, sensed.to_vec(), Default::default()).unwrap();
+        let sensed =
+            presight_predict::batch::RangeLikelihood::new(&sensor, sensed.to_vec(), Default::default()).unwrap();
         sensed.log_likelihood(range, cos)
     };
     for (name, sensed) in [("exact", &exact), ("noisy", &noisy)] {

@@ -2,8 +2,11 @@
 
 use super::{common, noisy, oracle, predictor, single};
 use common::{Random, data, scenes};
-use presight::batch::{BatchRequest, PoseCell, RangeLikelihood};
-use presight::{ErrorKind, Mixture, Noise, Pose, Sensor, SensorSpec, World};
+use presight_model::error::ErrorKind;
+use presight_model::geometry::Pose;
+use presight_model::sensor::{Mixture, Noise, Sensor, SensorSpec};
+use presight_model::world::World;
+use presight_predict::batch::{BatchRequest, PoseCell, RangeLikelihood};
 
 fn noises() -> [Noise; 3] {
     let mixture = Mixture { hit: 0.5, short: 0.2, none: 0.1, any: 0.2, beam_dependence: 3.0 };
@@ -83,7 +86,7 @@ fn every_preset_is_weighed_as_the_formula_says() {
 fn real_scenes_are_weighed_as_the_formula_says() {
     let Some(world) = data::scene("factory_hall", true) else { return };
     let poses: Vec<Pose> = data::poses(&world, 8, 4).iter().map(lean).collect();
-    let sensors = ["laser-range-camera", "laser-scanner"].map(|name| presight::preset(name).unwrap());
+    let sensors = ["laser-range-camera", "laser-scanner"].map(|name| presight_files::preset(name).unwrap());
     check(&world, &poses, &sensors, 1e-9);
 }
 
@@ -94,10 +97,10 @@ fn lean(pose: &Pose) -> Pose {
 /// Worked out by hand. A wall 2 m ahead is met squarely, range sigma 0.1 m, limits 0.5 .. 10 m. The usual shares.
 #[test]
 fn one_beam_by_hand() {
-    let mut spec = presight::preset("laser-scanner").unwrap().spec().clone();
-    let one = |start_deg| presight::Angles::Uniform { start_deg, step_deg: 0.0, count: 1 };
-    let scanner = presight::Scanner { azimuth: one(0.0), elevation: one(0.0), beam_height_deg: None };
-    spec.geometry = presight::Geometry::Scanner(scanner);
+    let mut spec = presight_files::preset("laser-scanner").unwrap().spec().clone();
+    let one = |start_deg| presight_model::sensor::Angles::Uniform { start_deg, step_deg: 0.0, count: 1 };
+    let scanner = presight_model::sensor::Scanner { azimuth: one(0.0), elevation: one(0.0), beam_height_deg: None };
+    spec.geometry = presight_model::sensor::Geometry::Scanner(scanner);
     (spec.range_min, spec.range_max) = (0.5, 10.0);
     spec.noise = Noise { range_sigma: 0.1, ..Noise::default() };
     let sensor = Sensor::new(spec).unwrap();
@@ -127,7 +130,7 @@ fn one_beam_by_hand() {
 
 #[test]
 fn what_cannot_be_weighed_is_refused() {
-    let plain = presight::preset("laser-scanner").unwrap();
+    let plain = presight_files::preset("laser-scanner").unwrap();
     let sensor = noisy(&plain, noises()[0]);
     let refused = |sensor: &Sensor, range: Vec<f32>, cell: PoseCell| {
         let e = RangeLikelihood::new(sensor, range, cell).unwrap_err();
@@ -146,7 +149,7 @@ fn what_cannot_be_weighed_is_refused() {
     assert!(refused(&endless, vec![1.0; 361], cell).contains("finite range_max"));
 
     let sensed = RangeLikelihood::new(&sensor, vec![1.0; 361], cell).unwrap();
-    let world = World::new(presight::Environment::new());
+    let world = World::new(presight_model::environment::Environment::new());
     let request = BatchRequest { likelihood: Some(sensed), ..BatchRequest::default() };
     let e = predictor(1).batch(&world, &plain, [Pose::IDENTITY], &request).err().unwrap();
     assert_eq!(e.kind(), ErrorKind::Usage, "{e}");

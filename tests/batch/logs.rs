@@ -2,8 +2,8 @@
 
 use super::common;
 use common::data;
-use presight::io::log;
-use presight::{Angles, Geometry};
+use presight_files::log;
+use presight_model::sensor::{Angles, Geometry};
 
 #[test]
 fn the_scan_logs_of_others_are_read() {

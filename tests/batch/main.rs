@@ -11,7 +11,12 @@ mod row;
 
 use presight_testkit as common;
 
-use presight::{Backend, Noise, Options, Output, Outputs, Pose, Predictor, Request, Sensor, World};
+use presight_model::geometry::Pose;
+use presight_model::sensor::{Noise, Sensor};
+use presight_model::world::World;
+use presight_predict::predict::{Backend, Options, Predictor};
+use presight_predict::request::Request;
+use presight_render::plan::{Output, Outputs};
 
 /// A predictor on the CPU engine.
 fn predictor(threads: usize) -> Predictor {

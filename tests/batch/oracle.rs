@@ -1,7 +1,7 @@
 //! The formula of docs/batches.md, beam by beam, with a logarithm for each: slow, plain, in f64.
 
-use presight::batch::PoseCell;
-use presight::{Mixture, SensorSpec};
+use presight_model::sensor::{Mixture, SensorSpec};
+use presight_predict::batch::PoseCell;
 use std::f64::consts::PI;
 
 /// One term of the mixture each.

@@ -2,7 +2,10 @@
 
 use super::{common, predictor, single};
 use common::{Random, data, scenes};
-use presight::{Angles, Geometry, Pose, Scanner, Sensor, SensorSpec, World, row};
+use presight_model::geometry::Pose;
+use presight_model::sensor::{Angles, Geometry, Scanner, Sensor, SensorSpec};
+use presight_model::world::World;
+use presight_render::row;
 
 fn scanner(azimuth: Angles, limits: (f64, f64)) -> Sensor {
     let elevation = Angles::Uniform { start_deg: 0.0, step_deg: 0.0, count: 1 };
@@ -88,7 +91,7 @@ fn other_sensors_and_leaning_ones_are_not_served() {
     assert!(row::see(&world, one, &Pose::from_xyz_rpy(glam::DVec3::Z, 1e-6, 0.0, 1.0)).is_none());
     assert!(row::see(&world, one, &Pose::from_xyz_rpy(glam::DVec3::Z, std::f64::consts::PI, 0.0, 1.0)).is_none());
     for name in ["vlp-16", "video-camera"] {
-        assert!(row::see(&world, &presight::preset(name).unwrap(), &Pose::IDENTITY).is_none());
+        assert!(row::see(&world, &presight_files::preset(name).unwrap(), &Pose::IDENTITY).is_none());
     }
     // Above everything nothing is seen.
     let above = Pose::from_xyz_rpy(glam::DVec3::Z * 50.0, 0.0, 0.0, 0.0);

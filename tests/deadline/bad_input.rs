@@ -2,9 +2,12 @@
 
 use crate::common::scenes::{camera, room_world};
 use crate::ticks::{Jumping, Ticks, Untouchable};
-use presight::deadline::Priority;
-use presight::engine::EngineKind;
-use presight::{Backend, ErrorKind, Options, Pose, Predictor, Request};
+use presight_model::error::ErrorKind;
+use presight_model::geometry::Pose;
+use presight_predict::engine::EngineKind;
+use presight_predict::predict::{Backend, Options, Predictor};
+use presight_predict::request::Request;
+use presight_render::deadline::Priority;
 use std::sync::Arc;
 use std::time::Duration;
 

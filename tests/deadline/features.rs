@@ -3,10 +3,15 @@
 use crate::common::scenes::{camera, room_world};
 use crate::ticks::Sudden;
 use glam::{DMat3, DVec3};
-use presight::deadline::{DegradationKind, Priority};
-use presight::environment::{Existence, Feature, FeatureShape, Properties};
-use presight::features::{BoxOptions, FeatureOptions, Hidden, PlacedFeature, SeenFeature};
-use presight::{Backend, ErrorKind, Options, Output, Outputs, Pose, Prediction, Predictor, Request, World};
+use presight_features::{BoxOptions, FeatureOptions, Hidden, PlacedFeature, SeenFeature};
+use presight_model::environment::{Existence, Feature, FeatureShape, Properties};
+use presight_model::error::ErrorKind;
+use presight_model::geometry::Pose;
+use presight_model::world::World;
+use presight_predict::predict::{Backend, Options, Prediction, Predictor};
+use presight_predict::request::Request;
+use presight_render::deadline::{DegradationKind, Priority};
+use presight_render::plan::{Output, Outputs};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -31,7 +36,7 @@ fn request() -> Request {
         .with_regions(BoxOptions::default().with_sensor_sigmas([0.02, 0.02, 0.02, 0.0, 0.0, 0.01]))
 }
 
-fn predict(world: &World, request: &Request, look: u64) -> presight::Result<Prediction> {
+fn predict(world: &World, request: &Request, look: u64) -> presight_model::error::Result<Prediction> {
     let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).unwrap();
     predictor.set_clock(Arc::new(Sudden::at(look)));
     predictor.predict(world, &camera(120, 90), &Pose::IDENTITY, request)

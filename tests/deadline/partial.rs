@@ -3,9 +3,12 @@
 use crate::common::scenes::{all_round, camera, fisheye, lens, room_world, scanner};
 use crate::common::{Random, data, env_number, plan};
 use crate::ticks::Ticks;
-use presight::cpu::CpuEngine;
-use presight::deadline::Watch;
-use presight::{Images, Output, Pose, Sensor, Stats, World};
+use presight_model::geometry::Pose;
+use presight_model::sensor::Sensor;
+use presight_model::world::World;
+use presight_render::cpu::CpuEngine;
+use presight_render::deadline::Watch;
+use presight_render::plan::{Images, Output, Stats};
 use std::sync::Arc;
 use std::time::Duration;
 

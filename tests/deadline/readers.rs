@@ -2,11 +2,16 @@
 
 use crate::common::scenes::{camera, cuboid, empty, scanner};
 use glam::{DMat3, DVec3, Vec3};
-use presight::deadline::{DeadlineOutcome, Degradation};
-use presight::environment::{Existence, Feature, FeatureShape, Properties};
-use presight::features::{FeatureSettings, PlacedFeature, Reason, predict_features};
-use presight::virtual_sensors::{Answer, FreeFloor, Nearest, Settings, View, VirtualSensor};
-use presight::{Backend, NewObject, Options, Pose, Prediction, Predictor, Request, Sensor, World};
+use presight_features::{FeatureSettings, PlacedFeature, Reason, predict_features};
+use presight_model::environment::NewObject;
+use presight_model::environment::{Existence, Feature, FeatureShape, Properties};
+use presight_model::geometry::Pose;
+use presight_model::sensor::Sensor;
+use presight_model::world::World;
+use presight_predict::predict::{Backend, Options, Prediction, Predictor};
+use presight_predict::request::Request;
+use presight_predict::virtual_sensors::{Answer, FreeFloor, Nearest, Settings, View, VirtualSensor};
+use presight_render::deadline::{DeadlineOutcome, Degradation};
 use std::sync::Arc;
 
 /// A pillar from 2 m to 2.4 m ahead in a room with walls at 4 m; the floor at 0, the sensor 1 m above it.

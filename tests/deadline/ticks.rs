@@ -1,6 +1,6 @@
 //! Clocks without time.
 
-use presight::deadline::Clock;
+use presight_render::deadline::Clock;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 

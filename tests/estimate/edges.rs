@@ -2,14 +2,16 @@
 //! only source of a pose.
 
 use super::*;
-use presight::estimate::{Freedom, ImageSource, Prior, SeenPoint, SeenSegment, fit, nees};
-use presight::extract::{CornerOptions, EdgeOptions, ExpectedEdge, FoundEdge, PixelBox, corners_in, edges_near};
-use presight::features::generate::{GenerateOptions, generate};
-use presight::features::{BoxOptions, FeatureOptions, FeaturePrediction};
-use presight::frame::GreyImage;
-use presight::matching::Detection;
-use presight::placement::place_layer;
-use presight::simulate::GreySimulator;
+use presight_features::generate::{GenerateOptions, generate};
+use presight_features::{BoxOptions, FeatureOptions, FeaturePrediction};
+use presight_localize::estimate::{Freedom, ImageSource, Prior, SeenPoint, SeenSegment, fit, nees};
+use presight_localize::extract::{
+    CornerOptions, EdgeOptions, ExpectedEdge, FoundEdge, PixelBox, corners_in, edges_near,
+};
+use presight_localize::matching::Detection;
+use presight_localize::simulate::GreySimulator;
+use presight_model::frame::GreyImage;
+use presight_model::placement::place_layer;
 use std::time::Duration;
 
 const NOISE: f64 = 0.01;

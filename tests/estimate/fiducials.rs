@@ -3,13 +3,13 @@
 
 use super::*;
 use glam::{DMat3, DQuat, DVec2};
-use presight::environment::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
-use presight::estimate::{Estimate, EstimateState, Prior, nees};
-use presight::extract::FeatureClass;
-use presight::features::PlacedFeatures;
-use presight::localize::Phase;
-use presight::matching::Shape;
-use presight::placement::place_layer;
+use presight_features::PlacedFeatures;
+use presight_localize::estimate::{Estimate, EstimateState, Prior, nees};
+use presight_localize::extract::FeatureClass;
+use presight_localize::localize::Phase;
+use presight_localize::matching::Shape;
+use presight_model::environment::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
+use presight_model::placement::place_layer;
 use presight_testkit::tags::add_tag;
 use std::sync::Arc;
 

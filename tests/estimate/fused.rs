@@ -2,14 +2,14 @@
 //! 1 cm of noise, and by both.
 
 use super::*;
-use presight::ErrorKind;
-use presight::estimate::{Estimate, EstimateState, Prior, nees};
-use presight::extract::FeatureClass;
-use presight::features::PlacedFeatures;
-use presight::features::generate::{GenerateOptions, generate};
-use presight::frame::GreyImage;
-use presight::localize::Phase;
-use presight::placement::place_layer;
+use presight_features::PlacedFeatures;
+use presight_features::generate::{GenerateOptions, generate};
+use presight_localize::estimate::{Estimate, EstimateState, Prior, nees};
+use presight_localize::extract::FeatureClass;
+use presight_localize::localize::Phase;
+use presight_model::error::ErrorKind;
+use presight_model::frame::GreyImage;
+use presight_model::placement::place_layer;
 
 /// 240 x 180 pixels, 65 degrees wide, 10 cm beside the range camera.
 fn video() -> Sensor {

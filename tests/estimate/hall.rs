@@ -2,11 +2,11 @@
 //! object of it 1 cm off. PRESIGHT_HALL_FRAMES says how many frames a drive has.
 
 use super::*;
-use presight::estimate::{Prior, nees};
-use presight::free_poses::free_poses;
-use presight::io::gltf::import;
-use presight::localize::{LocalizeOptions, Localizer};
-use presight::simulate::{Disturbances, Simulator, displace};
+use presight_files::gltf::import;
+use presight_localize::estimate::{Prior, nees};
+use presight_localize::localize::{LocalizeOptions, Localizer};
+use presight_localize::simulate::{Disturbances, Simulator, displace};
+use presight_predict::free_poses::free_poses;
 
 fn hall() -> Option<World> {
     let path = presight_testkit::data::file("env/factory_hall.glb")?;
@@ -14,7 +14,7 @@ fn hall() -> Option<World> {
 }
 
 fn laser() -> Sensor {
-    let mut spec = presight::preset("laser-range-camera").unwrap().spec().clone();
+    let mut spec = presight_files::preset("laser-range-camera").unwrap().spec().clone();
     spec.noise.range_sigma = 0.01;
     Sensor::new(spec).unwrap()
 }
@@ -47,7 +47,7 @@ fn drive(map: &World, real: &World, places: &[Pose]) -> Errors {
             assert!(step.estimate.is_determined(), "place {seed}, frame {k}: {}", step.reason);
             let (squared, numbers) = nees(&step.pose, &step.covariance, &pose(k));
             all.push(squared / numbers as f64);
-            let off = presight::estimate::motion_between(&step.pose, &pose(k));
+            let off = presight_localize::estimate::motion_between(&step.pose, &pose(k));
             squares[0] += off[..3].iter().map(|x| x * x).sum::<f64>();
             squares[1] += off[5].to_degrees().powi(2);
         }
@@ -88,7 +88,7 @@ fn objects_that_are_off_show_in_the_covariance() {
 #[cfg(feature = "script")]
 fn scripted_hall() -> World {
     let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/factory.rhai");
-    World::new(presight::io::script::load(path, &Default::default(), &mut |_| {}).unwrap().environment)
+    World::new(presight_files::script::load(path, &Default::default(), &mut |_| {}).unwrap().environment)
 }
 
 /// Where things repeat every few decimetres: from priors of 2 cm and 0.6 degrees an axis that are off by as much, the search comes to rest 15 cm
@@ -122,7 +122,7 @@ fn a_pose_is_told_where_the_robot_may_be() {
 #[test]
 fn two_sensors_in_a_scripted_hall() {
     let map = scripted_hall();
-    let mut spec = presight::preset("microwave-radar-scan").unwrap().spec().clone();
+    let mut spec = presight_files::preset("microwave-radar-scan").unwrap().spec().clone();
     spec.noise.range_sigma = 0.03;
     let radar = Sensor::new(spec).unwrap();
     // In the aisle before the machine tools.

@@ -1,11 +1,11 @@
 //! Real depth images in a real map (../shared/data/rgbd/livingroom). Figures beside each bound are those reached.
 
 use super::*;
-use presight::environment::{Polygon, PolygonOrder};
-use presight::estimate::Prior;
-use presight::io::gltf::import;
-use presight::io::log::Frames;
-use presight::localize::{LocalizeOptions, Localizer, Phase, Search, SearchOptions};
+use presight_files::gltf::import;
+use presight_files::log::Frames;
+use presight_localize::estimate::Prior;
+use presight_localize::localize::{LocalizeOptions, Localizer, Phase, Search, SearchOptions};
+use presight_model::environment::{Polygon, PolygonOrder};
 use std::path::Path;
 
 fn map() -> Option<World> {
@@ -17,7 +17,7 @@ fn map() -> Option<World> {
 fn poses(name: &str) -> Vec<Pose> {
     let path = presight_testkit::data::file(&format!("rgbd/livingroom/{name}")).unwrap();
     let z_up = Pose::from_xyz_rpy(DVec3::ZERO, std::f64::consts::FRAC_PI_2, 0.0, 0.0);
-    let optical_from_body = presight::sensor::body_from_optical_rotation().conjugate();
+    let optical_from_body = presight_model::sensor::body_from_optical_rotation().conjugate();
     let optical_from_body = Pose { rotation: optical_from_body, translation: DVec3::ZERO };
     let text = std::fs::read_to_string(path).unwrap();
     let pose = |line: &str| {
@@ -38,7 +38,7 @@ fn camera_of(range_sigma: f64) -> Sensor {
 
 /// The camera of the noisy frames: its noise grows with the square of the range.
 fn noisy_camera() -> Sensor {
-    presight::io::load_sensor(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/estimate/noisy_camera.toml")).unwrap().0
+    presight_files::load_sensor(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/estimate/noisy_camera.toml")).unwrap().0
 }
 
 /// Every fourth column and row of a depth image.

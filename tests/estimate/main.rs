@@ -20,15 +20,17 @@ mod verdicts;
 mod willow;
 
 use glam::{DVec3, Vec3};
-use presight::estimate::{EstimateOptions, Estimator, Prior, moved};
-use presight::features::PlacedFeatures;
-use presight::frame::{Frame, Measurement};
-use presight::localize::{LocalizeOptions, Localizer, Step};
-use presight::simulate::GreySimulator;
-use presight::{
-    Angles, Backend, Camera, Environment, Geometry, Material, Mesh, NewObject, Options, Pose, Predictor, Request,
-    Scanner, Sensor, SensorSpec, World,
-};
+use presight_features::PlacedFeatures;
+use presight_localize::estimate::{EstimateOptions, Estimator, Prior, moved};
+use presight_localize::localize::{LocalizeOptions, Localizer, Step};
+use presight_localize::simulate::GreySimulator;
+use presight_model::environment::{Environment, Material, Mesh, NewObject};
+use presight_model::frame::{Frame, Measurement};
+use presight_model::geometry::Pose;
+use presight_model::sensor::{Angles, Camera, Geometry, Scanner, Sensor, SensorSpec};
+use presight_model::world::World;
+use presight_predict::predict::{Backend, Options, Predictor};
+use presight_predict::request::Request;
 use presight_testkit::Random;
 use std::sync::Arc;
 

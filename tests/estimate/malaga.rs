@@ -1,10 +1,10 @@
 //! Real planar scans in a map of another run (../shared/data/lidar2d/malaga_corridor*). Figures beside each bound are those reached.
 
 use super::*;
-use presight::estimate::{Prior, motion_between};
-use presight::io::gltf::import;
-use presight::io::log::{Frames, Observation};
-use presight::localize::{LocalizeOptions, Localizer, Phase, Search, SearchOptions};
+use presight_files::gltf::import;
+use presight_files::log::{Frames, Observation};
+use presight_localize::estimate::{Prior, motion_between};
+use presight_localize::localize::{LocalizeOptions, Localizer, Phase, Search, SearchOptions};
 use presight_testkit::data;
 
 fn map() -> Option<World> {
@@ -73,7 +73,7 @@ fn mirrored(frame: &Frame) -> Frame {
         let (at, (yaw, ..)) =
             (m.previous_from_current.translation, m.previous_from_current.rotation.to_euler(glam::EulerRot::ZYX));
         let previous_from_current = Pose::from_xyz_rpy(DVec3::new(at.x, -at.y, at.z), 0.0, 0.0, -yaw);
-        presight::frame::Motion { previous_from_current, ..m }
+        presight_model::frame::Motion { previous_from_current, ..m }
     });
     there
 }

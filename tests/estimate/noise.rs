@@ -2,13 +2,13 @@
 //! how much it counts, or where it pulls.
 
 use super::*;
-use presight::estimate::{Gate, Kernel, Normal, RangeSource, Residuals, measured_points, nees};
-use presight::frame::RangeNoise;
-use presight::free_poses::free_poses;
-use presight::io::gltf::import;
-use presight::simulate::{Disturbances, Simulator};
-use presight::verdict::{ExpectedImage, Surfaces};
-use presight::{Distortion, Noise};
+use presight_files::gltf::import;
+use presight_localize::estimate::{Gate, Kernel, Normal, RangeSource, Residuals, measured_points, nees};
+use presight_localize::simulate::{Disturbances, Simulator};
+use presight_localize::verdict::{ExpectedImage, Surfaces};
+use presight_model::frame::RangeNoise;
+use presight_model::sensor::{Distortion, Noise};
+use presight_predict::free_poses::free_poses;
 
 const NONE: Disturbances = Disturbances { drop_outs: 0.0, mixed_pixels: 0.0, slip: 0.0, turn_slip: 0.0 };
 

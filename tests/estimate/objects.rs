@@ -1,11 +1,11 @@
 //! Objects whose poses are known with a stored covariance: what that says of the robot's pose, and of verdicts.
 
 use super::*;
-use presight::environment::{FeatureLayer, Polygon, PolygonOrder};
-use presight::estimate::{Freedom, Prior};
-use presight::frame::RangeNoise;
-use presight::simulate::{Disturbances, Simulator};
-use presight::verdict::{ExpectedImage, Surfaces, Uncertainty, Verdict, judge};
+use presight_localize::estimate::{Freedom, Prior};
+use presight_localize::simulate::{Disturbances, Simulator};
+use presight_localize::verdict::{ExpectedImage, Surfaces, Uncertainty, Verdict, judge};
+use presight_model::environment::{FeatureLayer, Polygon, PolygonOrder};
+use presight_model::frame::RangeNoise;
 
 fn diagonal(d: [f64; 6]) -> [[f64; 6]; 6] {
     std::array::from_fn(|i| std::array::from_fn(|j| if i == j { d[i] } else { 0.0 }))
@@ -31,7 +31,7 @@ fn wall(stored: Option<[f64; 6]>) -> World {
 
 /// One ray along x, and one beside it that measures nothing.
 fn ray(range: f32) -> Frame {
-    let table = presight::RayTable::new(2, 1, vec![DVec3::X, DVec3::new(1.0, 0.01, 0.0)]).unwrap();
+    let table = presight_model::sensor::RayTable::new(2, 1, vec![DVec3::X, DVec3::new(1.0, 0.01, 0.0)]).unwrap();
     let mut spec = SensorSpec::new("ray", "laser", Geometry::Rays(table));
     spec.noise.range_sigma = 0.01;
     Frame::new(0.0, Sensor::new(spec).unwrap(), Measurement::Range(vec![range, f32::NAN])).unwrap()
@@ -83,7 +83,7 @@ fn docking_is_relative() {
     let moved_by = DVec3::new(-0.04, 0.0, 0.0);
     let mut real = map.clone();
     let shelf = Pose { translation: moved_by, ..Pose::IDENTITY };
-    real.apply(presight::Change::SetPose { name: "shelf".into(), world_from_object: shelf }).unwrap();
+    real.apply(presight_model::change::Change::SetPose { name: "shelf".into(), world_from_object: shelf }).unwrap();
     let truth = Pose::from_xyz_rpy(DVec3::new(2.0, 3.0, 1.8), 0.0, 0.2, 0.3);
     let none = Disturbances { drop_outs: 0.0, mixed_pixels: 0.0, slip: 0.0, turn_slip: 0.0 };
     let frame = Simulator::new(predictor(), camera(0.003), none, 4).unwrap().frame(&real, 0.0, &truth).unwrap();
@@ -94,7 +94,7 @@ fn docking_is_relative() {
         let found = estimator(options).estimate(&map, &[&frame], &prior).unwrap();
         assert!(found.is_determined(), "{only:?}: {:?}", found.state);
         let (relative, covariance) = found.relative_to(&map.environment().objects()[index as usize].world_from_object);
-        let error = presight::estimate::motion_between(&relative, &(shelf.inverse() * truth));
+        let error = presight_localize::estimate::motion_between(&relative, &(shelf.inverse() * truth));
         (error[0].abs(), covariance[0][0].sqrt())
     };
     let (by_shelf, sigma) = off(Some(index));

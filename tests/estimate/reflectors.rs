@@ -4,13 +4,13 @@
 
 use super::*;
 use glam::DMat3;
-use presight::environment::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
-use presight::estimate::{Estimate, Freedom, Prior, motion_between, nees};
-use presight::extract::FeatureClass;
-use presight::features::PlacedFeatures;
-use presight::frame::{GreyImage, Motion, OdometryNoise};
-use presight::localize::{Phase, Search, SearchOptions};
-use presight::placement::place_layer;
+use presight_features::PlacedFeatures;
+use presight_localize::estimate::{Estimate, Freedom, Prior, motion_between, nees};
+use presight_localize::extract::FeatureClass;
+use presight_localize::localize::{Phase, Search, SearchOptions};
+use presight_model::environment::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
+use presight_model::frame::{GreyImage, Motion, OdometryNoise};
+use presight_model::placement::place_layer;
 
 /// Degrees from beam to beam.
 const PITCH: f64 = 0.25;

@@ -1,10 +1,13 @@
 //! Simulated rooms, and a corner worked out by hand.
 
 use super::*;
-use presight::estimate::{Freedom, Gate, Kernel, Prior, RangeSource, Residuals, measured_points, motion_between};
-use presight::frame::RangeNoise;
-use presight::verdict::{ExpectedImage, Surfaces};
-use presight::{ErrorKind, RayTable};
+use presight_localize::estimate::{
+    Freedom, Gate, Kernel, Prior, RangeSource, Residuals, measured_points, motion_between,
+};
+use presight_localize::verdict::{ExpectedImage, Surfaces};
+use presight_model::error::ErrorKind;
+use presight_model::frame::RangeNoise;
+use presight_model::sensor::RayTable;
 
 fn exact() -> EstimateOptions {
     EstimateOptions { offset_sigma: 0.0, ..EstimateOptions::default() }

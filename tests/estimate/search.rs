@@ -1,9 +1,9 @@
 //! Robots that nothing is known of, in rooms whose look-alikes are known by hand.
 
 use super::*;
-use presight::ErrorKind;
-use presight::frame::{Motion, OdometryNoise};
-use presight::localize::{LocalizeOptions, Localizer, Phase, Search, SearchOptions};
+use presight_localize::localize::{LocalizeOptions, Localizer, Phase, Search, SearchOptions};
+use presight_model::error::ErrorKind;
+use presight_model::frame::{Motion, OdometryNoise};
 
 /// A scanner of one row all round, 1.2 m above the floor, that reaches 20 m.
 fn row_scanner() -> Sensor {

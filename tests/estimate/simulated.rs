@@ -1,9 +1,9 @@
 //! The simulator, and logs of it.
 
 use super::*;
-use presight::estimate::Prior;
-use presight::localize::{LocalizeOptions, Localizer, Phase};
-use presight::simulate::{Disturbances, Simulator};
+use presight_localize::estimate::Prior;
+use presight_localize::localize::{LocalizeOptions, Localizer, Phase};
+use presight_localize::simulate::{Disturbances, Simulator};
 
 fn simulator(disturbances: Disturbances, seed: u64) -> Simulator {
     Simulator::new(predictor(), camera(0.01), disturbances, seed).unwrap()
@@ -56,7 +56,7 @@ fn mixed_pixels_are_at_edges() {
 fn intensities_are_echoes_with_noise() {
     let world = room(Vec3::ZERO);
     let pose = Pose::from_xyz_rpy(DVec3::new(0.9, 2.2, 1.4), 0.0, 0.3, -0.3);
-    let asked = Request::of(presight::Outputs::of(&[presight::Output::Echo]));
+    let asked = Request::of(presight_render::plan::Outputs::of(&[presight_render::plan::Output::Echo]));
     let echo = predictor().predict(&world, &camera(0.01), &pose, &asked).unwrap().images.echo;
     let lossy = Disturbances { drop_outs: 0.1, ..NONE };
     let frame = simulator(lossy, 1).with_intensities(0.05).unwrap().frame(&world, 0.0, &pose).unwrap();

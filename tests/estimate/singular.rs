@@ -1,7 +1,7 @@
 //! What a measurement does not say must not be claimed.
 
 use super::*;
-use presight::estimate::{Estimate, Freedom, Prior};
+use presight_localize::estimate::{Estimate, Freedom, Prior};
 
 /// Standard deviation of the estimate along an axis.
 fn sigma(answer: &Estimate, axis: usize) -> f64 {

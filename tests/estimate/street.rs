@@ -1,9 +1,9 @@
 //! Real scans of a street as points (../shared/data/lidar3d): two of them in the surface of the first.
 
 use super::*;
-use presight::estimate::{Estimate, Prior};
-use presight::io::gltf::import;
-use presight::io::log::{Frames, Observation};
+use presight_files::gltf::import;
+use presight_files::log::{Frames, Observation};
+use presight_localize::estimate::{Estimate, Prior};
 
 fn map() -> Option<World> {
     let path = presight_testkit::data::file("lidar3d/street_map.glb")?;
@@ -60,7 +60,7 @@ fn a_mirrored_scan_is_undetermined() {
     let Observation { frame, reference } = &scans()[1];
     let Geometry::Rays(table) = &frame.sensor().spec().geometry else { panic!("a table of rays") };
     let mirrored = table.directions().iter().map(|d| DVec3::new(d.x, -d.y, d.z)).collect();
-    let table = presight::RayTable::new(table.width(), table.height(), mirrored).unwrap();
+    let table = presight_model::sensor::RayTable::new(table.width(), table.height(), mirrored).unwrap();
     let sensor = Sensor::new(SensorSpec::new("mirrored", "laser", Geometry::Rays(table))).unwrap();
     let frame = Frame::new(0.0, sensor, Measurement::Range(frame.ranges().to_vec())).unwrap();
     let prior = Prior::of_sigmas(reference.unwrap(), 0.1, 0.05);

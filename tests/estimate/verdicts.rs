@@ -1,8 +1,8 @@
 //! Verdicts on changed rooms.
 
 use super::*;
-use presight::frame::RangeNoise;
-use presight::verdict::{ExpectedImage, Surfaces, Uncertainty, Verdict, Verdicts, judge};
+use presight_localize::verdict::{ExpectedImage, Surfaces, Uncertainty, Verdict, Verdicts, judge};
+use presight_model::frame::RangeNoise;
 
 const POSE_SIGMA: f64 = 1e-3;
 

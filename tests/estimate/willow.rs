@@ -3,11 +3,12 @@
 
 use super::*;
 use glam::DVec2;
-use presight::estimate::Prior;
-use presight::frame::{Motion, OdometryNoise};
-use presight::io::gltf::import;
-use presight::io::log::{self, Frames};
-use presight::localize::{LocalizeOptions, Localizer, Phase, Step};
+use presight_files::gltf::import;
+use presight_files::log;
+use presight_files::log::Frames;
+use presight_localize::estimate::Prior;
+use presight_localize::localize::{LocalizeOptions, Localizer, Phase, Step};
+use presight_model::frame::{Motion, OdometryNoise};
 use presight_testkit::data;
 
 /// Metres of a cell of the map.

@@ -3,12 +3,17 @@
 
 use super::contours::bodies::ball;
 use glam::{DMat3, DVec3, Vec3};
-use presight::environment::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
-use presight::features::generate::{GenerateOptions, generate};
-use presight::features::{
+use presight_features::generate::{GenerateOptions, generate};
+use presight_features::{
     FeatureOptions, FeaturePrediction, FeatureSettings, FeatureStats, Hidden, place, predict_features,
 };
-use presight::{Backend, NewObject, Options, Output, Outputs, Pose, Predictor, Request, World};
+use presight_model::environment::NewObject;
+use presight_model::environment::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
+use presight_model::geometry::Pose;
+use presight_model::world::World;
+use presight_predict::predict::{Backend, Options, Predictor};
+use presight_predict::request::Request;
+use presight_render::plan::{Output, Outputs};
 use presight_testkit::{plan, reference, scenes};
 use std::sync::Arc;
 
@@ -146,7 +151,7 @@ fn too_many_contours_of_large_surfaces_are_refused() {
     let world = ball_ahead(100, 50);
     let made = generate(world.environment(), "video", &GenerateOptions::default()).unwrap().layer;
     let facets = place(&world, &made).unwrap()[0].slots.len();
-    let fits = (presight::limits::MAX_CONTOUR_FACETS as usize) / facets;
+    let fits = (presight_model::limits::MAX_CONTOUR_FACETS as usize) / facets;
     let crowd = |count: usize| {
         let copy = |id: u32| Arc::new(Feature { id, ..Feature::clone(&made.features[0]) });
         let features = (1..=count as u32).map(copy).collect();
@@ -156,6 +161,6 @@ fn too_many_contours_of_large_surfaces_are_refused() {
     let refused = crowd(fits + 1).unwrap_err();
     let said = refused.to_string();
     assert!(said.starts_with(&format!("feature {} ", fits + 1)) && said.contains("over 4194304 polygons"), "{said}");
-    assert_eq!(refused.kind(), presight::ErrorKind::Invalid);
+    assert_eq!(refused.kind(), presight_model::error::ErrorKind::Invalid);
     assert!(!refused.remedy().is_empty());
 }

@@ -9,16 +9,22 @@ use presight_testkit as common;
 use common::skip::no_adapter;
 use common::{Random, data, hard, scenes};
 use glam::{DMat3, DVec3};
-use presight::environment::{Existence, Feature, FeatureShape, Properties};
-use presight::features::{
+use presight_features::{
     FeatureOptions, FeaturePrediction, FeatureSettings, FeatureStats, Hidden, PlacedFeature, SeenFeature,
     predict_features,
 };
+use presight_model::environment::{Existence, Feature, FeatureShape, Properties};
 
-use presight::gpu::DeviceOptions;
-use presight::gpu::testing::{self, Setup};
-use presight::plan::StageName;
-use presight::{Backend, Images, Options, Output, Outputs, Pose, Predictor, Request, Sensor, Stats, World};
+use presight_model::geometry::Pose;
+use presight_model::sensor::Sensor;
+use presight_model::world::World;
+use presight_predict::gpu::DeviceOptions;
+use presight_predict::gpu::testing;
+use presight_predict::gpu::testing::Setup;
+use presight_predict::predict::{Backend, Options, Predictor};
+use presight_predict::request::Request;
+use presight_render::plan::StageName;
+use presight_render::plan::{Images, Output, Outputs, Stats};
 use proptest::strategy::{Strategy, ValueTree};
 use proptest::test_runner::TestRunner;
 
@@ -222,7 +228,7 @@ fn steady_state_makes_nothing_and_no_features_cost_nothing() {
 /// On an adapter that is a program the CPU does features and regions, and that is said.
 #[test]
 fn what_stays_on_the_cpu_is_said() {
-    use presight::features::BoxOptions;
+    use presight_features::BoxOptions;
     let mut predictor = match Predictor::new(Options::new(Backend::Gpu).with_threads(2)) {
         Ok(predictor) => predictor,
         Err(e) => return no_adapter(e),

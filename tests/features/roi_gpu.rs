@@ -8,14 +8,17 @@ use presight_testkit as common;
 use common::skip::no_adapter;
 use common::{Random, data, scenes};
 use glam::{DMat3, DQuat, DVec3};
-use presight::environment::{Existence, Feature, FeatureShape, Properties};
-use presight::features::{
+use presight_features::{
     BoxOptions, BoxQuery, FeaturePrediction, FeatureSettings, PlacedFeature, SeenFeature, add_boxes, place,
     predict_features,
 };
-use presight::gpu::{DeviceOptions, GpuEngine, testing};
-use presight::io::gltf::{ImportOptions, import};
-use presight::{Pose, Sensor, World, preset};
+use presight_files::gltf::{ImportOptions, import};
+use presight_files::preset;
+use presight_model::environment::{Existence, Feature, FeatureShape, Properties};
+use presight_model::geometry::Pose;
+use presight_model::sensor::Sensor;
+use presight_model::world::World;
+use presight_predict::gpu::{DeviceOptions, GpuEngine, testing};
 use std::sync::Arc;
 
 const TOLERANCE: f64 = 1.0 / 16.0;
@@ -224,10 +227,17 @@ fn pose_covariance(position: f64, angle: f64) -> [[f64; 6]; 6] {
 }
 
 fn sensors() -> Vec<Sensor> {
-    let lens = presight::Distortion::PlumbBob([-0.2, 0.05, 1e-3, -5e-4, 0.0]);
-    let camera =
-        presight::Camera { distortion: lens, ..presight::Camera::pinhole(320, 240, 250.0, 252.0, 158.0, 121.0) };
-    let lens = Sensor::new(presight::SensorSpec::new("lens", "video", presight::Geometry::Camera(camera))).unwrap();
+    let lens = presight_model::sensor::Distortion::PlumbBob([-0.2, 0.05, 1e-3, -5e-4, 0.0]);
+    let camera = presight_model::sensor::Camera {
+        distortion: lens,
+        ..presight_model::sensor::Camera::pinhole(320, 240, 250.0, 252.0, 158.0, 121.0)
+    };
+    let lens = Sensor::new(presight_model::sensor::SensorSpec::new(
+        "lens",
+        "video",
+        presight_model::sensor::Geometry::Camera(camera),
+    ))
+    .unwrap();
     let named = ["video-camera", "microwave-radar-image", "laser-range-camera", "microwave-radar-scan"];
     named.iter().map(|name| preset(name).unwrap()).chain([scenes::camera(201, 150), lens]).collect()
 }
@@ -270,16 +280,20 @@ fn boxes_are_those_of_the_twin_in_real_scenes() {
     for name in ["factory_hall", "hospital"] {
         let Some(world) = data::scene(name, true) else { continue };
         let generated =
-            presight::features::generate::generate(world.environment(), "video", &Default::default()).unwrap();
+            presight_features::generate::generate(world.environment(), "video", &Default::default()).unwrap();
         let placed = place(&world, &generated.layer).unwrap();
         let mut made = 0;
         for pose in data::poses(&world, 1, 5) {
             for name in ["video-camera", "microwave-radar-image"] {
                 let sensor = preset(name).unwrap();
-                let mut images = presight::Images::default();
-                let mut cpu = presight::cpu::CpuEngine::new(1).unwrap();
-                cpu.render(&common::plan(&world, &sensor, &pose), &mut images, &mut presight::Stats::default())
-                    .unwrap();
+                let mut images = presight_render::plan::Images::default();
+                let mut cpu = presight_render::cpu::CpuEngine::new(1).unwrap();
+                cpu.render(
+                    &common::plan(&world, &sensor, &pose),
+                    &mut images,
+                    &mut presight_render::plan::Stats::default(),
+                )
+                .unwrap();
                 let options = FeatureSettings::default();
                 let prediction = predict_features(&world, &sensor, &pose, &images, &placed, &options).unwrap();
                 let options = BoxOptions::default().with_sensor(pose_covariance(0.03, 0.01));

@@ -1,8 +1,10 @@
 //! Makes glTF files.
 
-use presight::io::gltf::{ImportOptions, import};
-use presight::preparation::ImportedScene;
-use presight::{Error, Object, Threads};
+use presight_files::gltf::{ImportOptions, import};
+use presight_files::preparation::ImportedScene;
+use presight_model::environment::Object;
+use presight_model::error::Error;
+use presight_model::threads::Threads;
 use serde_json::{Value, json};
 use std::path::PathBuf;
 use tempfile::TempDir;

@@ -9,9 +9,9 @@ mod check;
 mod generate;
 
 use check::{check_world, near_unit, sound_sensor};
-use presight::Pose;
-use presight::io::{camera_info, corridor, exr, layer, log, materials, pose_covariance, sensor_toml, tum};
 use presight_cli::pose::parse_pose;
+use presight_files::{camera_info, corridor, exr, layer, log, materials, pose_covariance, sensor_toml, tum};
+use presight_model::geometry::Pose;
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
@@ -57,7 +57,7 @@ fn check_pose(pose: &Pose) {
 
 /// `.glb` and `.gltf`: what is imported can be seen, and is the same after writing it.
 pub fn gltf(bytes: &[u8]) -> bool {
-    use presight::io::gltf::{import, write_glb};
+    use presight_files::gltf::{import, write_glb};
     let name = if bytes.starts_with(b"glTF") { "scene.glb" } else { "scene.gltf" };
     with_file(name, bytes, |path| {
         let Ok(scene) = import(path, &Default::default()) else { return false };
@@ -74,7 +74,7 @@ pub fn gltf(bytes: &[u8]) -> bool {
 #[cfg(feature = "script")]
 pub fn script(bytes: &[u8]) -> bool {
     with_file("scene.rhai", bytes, |path| {
-        let scene = presight::io::script::load(path, &Default::default(), &mut |_| {});
+        let scene = presight_files::script::load(path, &Default::default(), &mut |_| {});
         scene.is_ok_and(|scene| {
             check_world(scene.environment);
             true
@@ -113,7 +113,7 @@ pub fn layer(bytes: &[u8]) -> bool {
 /// A store file: what is found sound can be opened, and is all that was proven.
 #[cfg(feature = "store")]
 pub fn store(bytes: &[u8]) -> bool {
-    use presight::io::store;
+    use presight_files::store;
     with_file("fuzz.presight", bytes, |path| {
         let _ = std::fs::remove_file(path.with_extension("presight-journal"));
         let Ok(info) = store::check(path) else {
@@ -124,7 +124,7 @@ pub fn store(bytes: &[u8]) -> bool {
         let store = store::Store::open(path).expect("a sound store opens");
         assert_eq!(store.world().environment().content_hash(), info.environment.content_hash());
         assert_eq!(store.changes(), info.changes);
-        check_world(presight::Environment::clone(store.world().environment()));
+        check_world(presight_model::environment::Environment::clone(store.world().environment()));
         true
     })
 }
@@ -132,14 +132,14 @@ pub fn store(bytes: &[u8]) -> bool {
 /// Lines of changes to a store, taken back again.
 #[cfg(feature = "store")]
 pub fn changes(bytes: &[u8]) -> bool {
-    use presight::io::store::{Note, Store, create};
+    use presight_files::store::{Note, Store, create};
     use std::cell::RefCell;
     thread_local! {
         static OPEN: RefCell<Store> = FOLDER.with(|folder| {
             let path = folder.0.path().join("changed.presight");
             create(&path, &check::stage(), &Note::new("fuzz", 1.5)).expect("a store");
-            let none = presight::index::Scheme::None;
-            let params = presight::index::Params::tuned(none);
+            let none = presight_model::index::Scheme::None;
+            let params = presight_model::index::Params::tuned(none);
             let mut store = Store::open_with_index(&path, none, params).expect("a sound store opens");
             store.without_sync().expect("an open store");
             RefCell::new(store)
@@ -209,7 +209,7 @@ pub fn corridor(bytes: &[u8]) -> bool {
 pub fn materials(bytes: &[u8]) -> bool {
     let Ok(sidecar) = materials::Sidecar::parse(&text(bytes)) else { return false };
     check_pose(&sidecar.world_from_scene);
-    let mut materials = ["paint", "glass"].map(presight::Material::named);
+    let mut materials = ["paint", "glass"].map(presight_model::environment::Material::named);
     if sidecar.apply_to(&mut materials).is_err() {
         return false;
     }
@@ -220,7 +220,7 @@ pub fn materials(bytes: &[u8]) -> bool {
 /// Robot files, beside sensor files.
 pub fn robot(bytes: &[u8]) -> bool {
     with_file("robot.toml", bytes, |path| {
-        let Ok((robot, _)) = presight::io::load_robot(path) else { return false };
+        let Ok((robot, _)) = presight_files::load_robot(path) else { return false };
         assert!(!robot.sensors.is_empty());
         robot.sensors.iter().for_each(|s| check_pose(&s.spec().mount));
         true
@@ -274,7 +274,7 @@ pub fn exr(bytes: &[u8]) -> bool {
         file.attributes.world_from_sensor.iter().for_each(check_pose);
         exr::write(path, images, outputs, &file.attributes).expect("what was read can be written");
         let again = exr::read(path).expect("what was written can be read");
-        let report = presight::verify::compare_exactly(images, &again.images).expect("images of one shape");
+        let report = presight_render::verify::compare_exactly(images, &again.images).expect("images of one shape");
         assert_eq!(report.fault, 0);
         assert_eq!(format!("{:?}", again.attributes), format!("{:?}", file.attributes));
         true

@@ -2,11 +2,16 @@
 
 use crate::common::{plan, reference, scenes};
 use glam::{DQuat, DVec3, Vec3};
-use presight::environment::FeatureLayer;
-use presight::features::{BoxOptions, BoxQuery, FeatureSettings, add_boxes, place, predict_features};
-use presight::io::{prediction_json, sensor_toml};
-use presight::verify::{Precision, compare};
-use presight::{Camera, Environment, Geometry, Images, NewObject, Output, Pose, Sensor, SensorSpec, Stats, World, cpu};
+use presight_features::{BoxOptions, BoxQuery, FeatureSettings, add_boxes, place, predict_features};
+use presight_files::{prediction_json, sensor_toml};
+use presight_model::environment::FeatureLayer;
+use presight_model::environment::{Environment, NewObject};
+use presight_model::geometry::Pose;
+use presight_model::sensor::{Camera, Geometry, Sensor, SensorSpec};
+use presight_model::world::World;
+use presight_render::cpu;
+use presight_render::plan::{Images, Output, Stats};
+use presight_render::verify::{Precision, compare};
 use std::cell::RefCell;
 use std::sync::Arc;
 
@@ -90,7 +95,7 @@ pub fn sound_sensor(spec: &SensorSpec) -> bool {
     assert!(near_unit(spec.mount.rotation) && spec.mount.translation.is_finite(), "{:?}", spec.mount);
     let (width, height) = spec.geometry.size();
     let pixels = u64::from(width) * u64::from(height);
-    if (MOST_PIXELS..=presight::limits::MAX_PIXELS).contains(&pixels) {
+    if (MOST_PIXELS..=presight_model::limits::MAX_PIXELS).contains(&pixels) {
         return false;
     }
     let Ok(sensor) = Sensor::new(spec.clone()) else { return false };

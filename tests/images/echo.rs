@@ -6,11 +6,13 @@ use presight_testkit as common;
 
 use common::{engines, reference, scenes, summary};
 use glam::{DVec3, Vec3};
-use presight::verify::compare;
-use presight::{
-    Environment, FramePlan, IdScheme, Images, Material, Mesh, NewObject, Output, Outputs, Polygon, PolygonOrder, Pose,
-    Request, Sensor, World,
-};
+use presight_model::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
+use presight_model::geometry::Pose;
+use presight_model::sensor::Sensor;
+use presight_model::world::World;
+use presight_predict::request::Request;
+use presight_render::plan::{FramePlan, IdScheme, Images, Output, Outputs};
+use presight_render::verify::compare;
 
 /// Reflection factors by material; none is a power of two, so that every product rounds.
 const FACTORS: [f64; 4] = [0.9, 0.3, 0.07, 0.0];

@@ -10,9 +10,11 @@ use presight_testkit as common;
 use common::data;
 use flate2::read::GzDecoder;
 use glam::{DMat3, DQuat, DVec3};
-use presight::{
-    Camera, FramePlan, Geometry, IdScheme, Images, Outputs, Pose, RayTable, Request, Sensor, SensorSpec, World,
-};
+use presight_model::geometry::Pose;
+use presight_model::sensor::{Camera, Geometry, RayTable, Sensor, SensorSpec};
+use presight_model::world::World;
+use presight_predict::request::Request;
+use presight_render::plan::{FramePlan, IdScheme, Images, Outputs};
 use serde_json::Value;
 use std::io::Read;
 

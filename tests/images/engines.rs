@@ -10,8 +10,9 @@ use presight_testkit as common;
 
 use common::{compare_or_show, data, engines, env_number, plan, reference, scenes, summary};
 use glam::DVec3;
-use presight::verify::{Precision, Report};
-use presight::{FramePlan, Images, Pose};
+use presight_model::geometry::Pose;
+use presight_render::plan::{FramePlan, Images};
+use presight_render::verify::{Precision, Report};
 use std::time::Instant;
 
 /// Edge pixels beyond this share fail, in scenes where rays and edges meet by chance only.

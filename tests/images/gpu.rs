@@ -7,15 +7,19 @@ use presight_testkit as common;
 use common::skip::no_adapter;
 use common::{plan, reference};
 use glam::{DAffine3, DQuat, DVec3, Vec3};
-use presight::gpu::testing::{self, Setup};
-use presight::gpu::{DeviceOptions, GpuEngine};
-use presight::plan::StageName;
-use presight::verify::{Precision, Report};
-use presight::{
-    Angles, Camera, Distortion, Environment, ErrorKind, Geometry, Images, Material, Mesh, NewObject, Output, Outputs,
-    Polygon, PolygonOrder, Pose, RayTable, Request, Scanner, Sensor, SensorSpec, Stats, World,
-};
 use presight_model::environment::{CUBOID_FACES, cuboid_corners};
+use presight_model::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
+use presight_model::error::ErrorKind;
+use presight_model::geometry::Pose;
+use presight_model::sensor::{Angles, Camera, Distortion, Geometry, RayTable, Scanner, Sensor, SensorSpec};
+use presight_model::world::World;
+use presight_predict::gpu::testing;
+use presight_predict::gpu::testing::Setup;
+use presight_predict::gpu::{DeviceOptions, GpuEngine};
+use presight_predict::request::Request;
+use presight_render::plan::StageName;
+use presight_render::plan::{Images, Output, Outputs, Stats};
+use presight_render::verify::{Precision, Report};
 use std::sync::Arc;
 
 /// The engine, or `None` where there is no adapter and the machine may lack one.
@@ -129,7 +133,7 @@ fn scene(seed: u64, boxes: usize, offset: DVec3) -> World {
     let mut environment = Environment::new();
     environment.add_material(Material::named("wall")).unwrap();
     environment.add_material(Material { one_sided: true, ..Material::named("inside") }).unwrap();
-    let appearance = [("laser".to_owned(), presight::Appearance::Invisible)].into();
+    let appearance = [("laser".to_owned(), presight_model::environment::Appearance::Invisible)].into();
     environment.add_material(Material { appearance, ..Material::named("glass") }).unwrap();
     let cube = mesh(CUBOID_FACES.iter().map(|f| Polygon::new(f.to_vec(), 0)).collect());
     let halves = |(i, f): (usize, &[u32; 4])| {
@@ -267,7 +271,7 @@ fn only_what_is_asked_is_delivered_and_it_is_the_same() {
                 continue;
             }
             let request = Request::of(Outputs::of(&[output]));
-            let plan = presight::FramePlan::new(&world, sensor, &pose, &request).unwrap();
+            let plan = presight_render::plan::FramePlan::new(&world, sensor, &pose, &request).unwrap();
             let mut images = poisoned(sensor);
             engine.render(&plan, &mut images, &mut Stats::default()).unwrap();
             assert_eq!(images.outputs(), request.outputs);
@@ -369,7 +373,7 @@ fn too_much_for_the_device_is_a_typed_error_and_the_engine_goes_on() {
 
 #[test]
 fn a_software_adapter_is_not_taken_for_hardware() {
-    let adapters = presight::gpu::adapters();
+    let adapters = presight_predict::gpu::adapters();
     let found = GpuEngine::new(DeviceOptions { hardware_only: true, ..Default::default() });
     if adapters.iter().any(|a| a.hardware) {
         assert!(found.unwrap().adapter().hardware);

@@ -7,10 +7,15 @@ use common::hall::{hall_poses, open_hall};
 use common::skip::no_adapter;
 use common::{data, plan, scenes};
 use glam::{DVec3, Vec3};
-use presight::gpu::testing::{self, Hiding, Setup};
-use presight::gpu::{DeviceOptions, GpuEngine};
-use presight::plan::CountName;
-use presight::{Environment, Images, NewObject, Pose, Sensor, Stats, World};
+use presight_model::environment::{Environment, NewObject};
+use presight_model::geometry::Pose;
+use presight_model::sensor::Sensor;
+use presight_model::world::World;
+use presight_predict::gpu::testing;
+use presight_predict::gpu::testing::{Hiding, Setup};
+use presight_predict::gpu::{DeviceOptions, GpuEngine};
+use presight_render::plan::CountName;
+use presight_render::plan::{Images, Stats};
 use std::sync::Arc;
 
 fn engine(hiding: Hiding, without_int64: bool) -> Option<GpuEngine> {

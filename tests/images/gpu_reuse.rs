@@ -8,13 +8,19 @@ use common::hall::{hall_poses, open_hall};
 use common::skip::no_adapter;
 use common::{data, plan, scenes};
 use glam::DVec3;
-use presight::batch::BatchRequest;
-use presight::gpu::testing::{self, Hiding, Setup};
-use presight::gpu::{DeviceOptions, GpuEngine};
-use presight::plan::{CountName, Omission, StageName};
-use presight::{
-    Backend, Change, ImageRequest, Images, Options, Outputs, Pose, Predictor, Request, Sensor, Stats, World, preset,
-};
+use presight_files::preset;
+use presight_model::change::Change;
+use presight_model::geometry::Pose;
+use presight_model::sensor::Sensor;
+use presight_model::world::World;
+use presight_predict::batch::BatchRequest;
+use presight_predict::gpu::testing;
+use presight_predict::gpu::testing::{Hiding, Setup};
+use presight_predict::gpu::{DeviceOptions, GpuEngine};
+use presight_predict::predict::{Backend, Options, Predictor};
+use presight_predict::request::Request;
+use presight_render::plan::{CountName, Omission, StageName};
+use presight_render::plan::{ImageRequest, Images, Outputs, Stats};
 use std::f64::consts::PI;
 use std::time::Duration;
 

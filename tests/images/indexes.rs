@@ -8,8 +8,12 @@ use presight_testkit as common;
 
 use common::{data, engines, env_number, plan, scenes};
 use glam::DVec3;
-use presight::index::{Params, Scheme};
-use presight::{Change, FramePlan, Images, Output, Pose, Sensor, World};
+use presight_model::change::Change;
+use presight_model::geometry::Pose;
+use presight_model::index::{Params, Scheme};
+use presight_model::sensor::Sensor;
+use presight_model::world::World;
+use presight_render::plan::{FramePlan, Images, Output};
 
 /// The first channel and pixel in which two predictions differ in any bit.
 fn difference(a: &Images, b: &Images) -> Option<String> {

@@ -8,14 +8,17 @@ use presight_testkit as common;
 use common::skip::no_adapter;
 use common::{Random, scenes};
 use glam::{DMat3, DVec3, Vec3};
-use presight::environment::{Appearance, Existence, Feature, FeatureShape, Properties};
-use presight::features::{BoxOptions, FeatureOptions, Hidden, PlacedFeature};
-use presight::index::{Params, Scheme};
-use presight::plan::{Part, SamplesMut, StageName};
-use presight::{
-    Backend, Camera, Distortion, Environment, Geometry, IdScheme, Images, Material, Mesh, NewObject, Options, Output,
-    Outputs, Polygon, PolygonOrder, Pose, Predictor, Request, Sensor, SensorSpec, Stats, Work, World,
-};
+use presight_features::{BoxOptions, FeatureOptions, Hidden, PlacedFeature};
+use presight_model::environment::{Appearance, Existence, Feature, FeatureShape, Properties};
+use presight_model::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
+use presight_model::geometry::Pose;
+use presight_model::index::{Params, Scheme};
+use presight_model::sensor::{Camera, Distortion, Geometry, Sensor, SensorSpec};
+use presight_model::world::World;
+use presight_predict::predict::{Backend, Options, Predictor};
+use presight_predict::request::Request;
+use presight_render::plan::{IdScheme, Images, Output, Outputs, Stats, Work};
+use presight_render::plan::{Part, SamplesMut, StageName};
 use std::sync::Arc;
 
 /// Where a prediction is made.
@@ -167,7 +170,7 @@ impl Case<'_> {
             let mut of_name = rows.iter().filter(|r| r.name == name).map(|r| r.ran);
             (of_name.next(), of_name.next())
         };
-        let rays = matches!(self.sensor.grid(), presight::sensor::PixelGrid::Rays(_));
+        let rays = matches!(self.sensor.grid(), presight_model::sensor::PixelGrid::Rays(_));
         let materials = self.world.environment().materials();
         let mixed = |m: &Material| m.one_sided || m.appearance(&self.sensor.spec().class) != Appearance::Opaque;
         same("ray table", state("ray table"), (Some(rays), None))?;
@@ -427,12 +430,13 @@ fn one_stage_pass_group_byte_or_image_too_many_is_found() {
 #[cfg(feature = "gpu")]
 mod device {
     use super::*;
-    use presight::FramePlan;
-    use presight::gpu::testing::{self, Setup};
-    use presight::gpu::{DeviceOptions, GpuEngine};
+    use presight_predict::gpu::testing;
+    use presight_predict::gpu::testing::Setup;
+    use presight_predict::gpu::{DeviceOptions, GpuEngine};
+    use presight_render::plan::FramePlan;
 
     /// `None` where there is no adapter and the machine may lack one.
-    fn there<T>(made: presight::Result<T>) -> Option<T> {
+    fn there<T>(made: presight_model::error::Result<T>) -> Option<T> {
         made.inspect_err(|e| no_adapter(e)).ok()
     }
 
@@ -441,7 +445,7 @@ mod device {
         Some(Predictor::with_engine(Options::new(Backend::Gpu).with_threads(2), Box::new(engine)))
     }
 
-    fn engine(all_on_device: bool) -> presight::Result<GpuEngine> {
+    fn engine(all_on_device: bool) -> presight_model::error::Result<GpuEngine> {
         testing::open(DeviceOptions::default(), Setup { all_on_device, ..Setup::default() })
     }
 

@@ -9,8 +9,11 @@ use presight_testkit as common;
 
 use common::{Random, compare_or_show, data, engines, env_number, plan, reference, scenes, summary};
 use glam::DVec3;
-use presight::verify::{Precision, Report};
-use presight::{Camera, Distortion, FramePlan, Geometry, Images, Pose, RayTable, Sensor, SensorSpec, World};
+use presight_model::geometry::Pose;
+use presight_model::sensor::{Camera, Distortion, Geometry, RayTable, Sensor, SensorSpec};
+use presight_model::world::World;
+use presight_render::plan::{FramePlan, Images};
+use presight_render::verify::{Precision, Report};
 
 fn camera(name: &str, f: f64, distortion: Distortion) -> Sensor {
     let camera = Camera { distortion, ..Camera::pinhole(480, 360, f, 1.05 * f, 244.0, 171.0) };

@@ -9,8 +9,11 @@ use presight_testkit as common;
 
 use common::{data, env_number, plan, reference, scenes};
 use glam::DVec3;
-use presight::io::gltf::{ImportOptions, import};
-use presight::{Images, Pose, Sensor, World};
+use presight_files::gltf::{ImportOptions, import};
+use presight_model::geometry::Pose;
+use presight_model::sensor::Sensor;
+use presight_model::world::World;
+use presight_render::plan::Images;
 
 /// A scene as it is used, as it is stored, and how far merging moved anything, metres.
 fn both(scene: &str) -> Option<(World, World, f64)> {

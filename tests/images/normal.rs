@@ -4,16 +4,18 @@ use presight_testkit as common;
 
 use common::{engines, reference, scenes};
 use glam::{DVec3, Vec3};
-use presight::verify::compare;
-use presight::{
-    Environment, FramePlan, Geometry, IdScheme, Images, Mesh, NewObject, Output, Outputs, Polygon, PolygonOrder, Pose,
-    Request, Sensor, World,
-};
+use presight_model::environment::{Environment, Mesh, NewObject, Polygon, PolygonOrder};
+use presight_model::geometry::Pose;
+use presight_model::sensor::{Geometry, Sensor};
+use presight_model::world::World;
+use presight_predict::request::Request;
+use presight_render::plan::{FramePlan, IdScheme, Images, Output, Outputs};
+use presight_render::verify::compare;
 
 /// A wall 1.75 m ahead whose plane leans, 3 ahead for 4 up, so its normal is (-0.8, 0, 0.6) or its opposite.
 fn leaning_wall(reversed: bool, mirrored: bool) -> World {
     let mut environment = Environment::new();
-    environment.add_material(presight::Material::named("paint")).unwrap();
+    environment.add_material(presight_model::environment::Material::named("paint")).unwrap();
     let corners = [[1.0, -4.0, -1.0], [1.0, 4.0, -1.0], [2.5, 4.0, 1.0], [2.5, -4.0, 1.0]].map(Vec3::from);
     let order = if reversed { vec![3, 2, 1, 0] } else { vec![0, 1, 2, 3] };
     let mesh = Mesh::new("wall", corners.to_vec(), vec![Polygon::new(order, 0)], PolygonOrder::Given).unwrap();

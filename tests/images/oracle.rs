@@ -10,8 +10,11 @@ use presight_testkit as common;
 
 use common::oracle::Oracle;
 use common::{Random, data, env_number, plan};
-use presight::verify::{PixelValues, Precision, Report, compare_values};
-use presight::{FramePlan, Images, Pose, Sensor, World};
+use presight_model::geometry::Pose;
+use presight_model::sensor::Sensor;
+use presight_model::world::World;
+use presight_render::plan::{FramePlan, Images};
+use presight_render::verify::{PixelValues, Precision, Report, compare_values};
 
 /// Random pixels of one image, both ways round.
 fn check_image(world: &World, oracle: &Oracle, sensor: &Sensor, pose: &Pose, random: &mut Random) -> [Report; 2] {
@@ -23,7 +26,8 @@ fn check_image(world: &World, oracle: &Oracle, sensor: &Sensor, pose: &Pose, ran
     pixels.sort_unstable();
     pixels.dedup();
     let mut images = Images::default();
-    presight::reference::render_pixels(&plan, &mut images, pixels.iter().copied()).expect("the reference renders");
+    presight_render::reference::render_pixels(&plan, &mut images, pixels.iter().copied())
+        .expect("the reference renders");
     let of_reference = |(c, r): (u32, u32)| PixelValues::of(&images, (r * images.width + c) as usize);
     let pairs: Vec<_> =
         pixels.iter().filter_map(|p| Some((*p, of_reference(*p), oracle.cast(sensor, pose, *p)?))).collect();
@@ -79,7 +83,7 @@ fn a_polygon_out_of_place_is_seen_by_the_oracle() {
     let higher = Pose::from_xyz_rpy(glam::DVec3::new(0.1, 0.2, 1.300_01), 0.0, 0.0, 0.3);
     let plan = plan(&world, &sensor, &pose);
     let mut images = Images::default();
-    presight::reference::render(&plan, &mut images).unwrap();
+    presight_render::reference::render(&plan, &mut images).unwrap();
     let pairs = (0..sensor.height()).flat_map(|r| (0..sensor.width()).map(move |c| (c, r))).filter_map(|p| {
         let reference = PixelValues::of(&images, (p.1 * images.width + p.0) as usize);
         Some((p, reference, moved.cast(&sensor, &higher, p)?))

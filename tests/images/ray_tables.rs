@@ -12,10 +12,11 @@ use presight_testkit as common;
 
 use common::{Random, engines, plan, scenes};
 use glam::{DAffine3, DVec3, Vec3};
-use presight::{
-    Camera, Distortion, Geometry, Images, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose, RayTable, Sensor,
-    SensorSpec, World,
-};
+use presight_model::environment::{Material, Mesh, NewObject, Polygon, PolygonOrder};
+use presight_model::geometry::Pose;
+use presight_model::sensor::{Camera, Distortion, Geometry, RayTable, Sensor, SensorSpec};
+use presight_model::world::World;
+use presight_render::plan::Images;
 use std::fmt::Write as _;
 use std::sync::Arc;
 

@@ -8,15 +8,18 @@ use common::faulty::{Faulty, Switches};
 use common::scenes;
 use common::skip::no_adapter;
 use glam::DVec3;
-use presight::batch::BatchRequest;
-use presight::gpu::testing::Setup;
-use presight::gpu::{DeviceOptions, GpuEngine};
-use presight::plan::StageName;
-use presight::verify::Precision;
-use presight::{
-    Backend, ErrorKind, FramePlan, Images, Options, Output, Outputs, Pose, Prediction, Predictor, Raster, Request,
-    Sensor, World,
-};
+use presight_model::error::ErrorKind;
+use presight_model::geometry::Pose;
+use presight_model::sensor::Sensor;
+use presight_model::world::World;
+use presight_predict::batch::BatchRequest;
+use presight_predict::gpu::testing::Setup;
+use presight_predict::gpu::{DeviceOptions, GpuEngine};
+use presight_predict::predict::{Backend, Options, Prediction, Predictor};
+use presight_predict::request::Request;
+use presight_render::plan::StageName;
+use presight_render::plan::{FramePlan, Images, Output, Outputs, Raster};
+use presight_render::verify::Precision;
 use std::time::Duration;
 
 /// What a test predicts over and over.
@@ -40,7 +43,7 @@ impl Task {
         Some(Self { world: scenes::room_world(1, 40), sensor, pose, request })
     }
 
-    fn predict(&self, predictor: &mut Predictor) -> presight::Result<Prediction> {
+    fn predict(&self, predictor: &mut Predictor) -> presight_model::error::Result<Prediction> {
         predictor.predict(&self.world, &self.sensor, &self.pose, &self.request)
     }
 

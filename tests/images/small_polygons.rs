@@ -5,10 +5,12 @@ use presight_testkit as common;
 
 use common::hall::{hall_poses, open_hall};
 use common::{plan, reference, scenes};
-use presight::cpu::CpuEngine;
-use presight::plan::CountName;
-use presight::verify::{Precision, compare};
-use presight::{Images, Sensor, Stats, World};
+use presight_model::sensor::Sensor;
+use presight_model::world::World;
+use presight_render::cpu::CpuEngine;
+use presight_render::plan::CountName;
+use presight_render::plan::{Images, Stats};
+use presight_render::verify::{Precision, compare};
 
 fn sensors() -> Vec<Sensor> {
     let [camera, scanner] = [scenes::camera(161, 121), scenes::scanner(360, 61)];

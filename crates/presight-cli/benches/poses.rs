@@ -6,10 +6,15 @@
 
 #![expect(clippy::print_stdout, reason = "a bench reports")]
 
-use presight::free_poses::free_poses;
-use presight::io::gltf::import;
-use presight::io::npy::{self, Values};
-use presight::{Backend, Options, Output, Outputs, Pose, Predictor, Request, World};
+use presight_files::gltf::import;
+use presight_files::npy;
+use presight_files::npy::Values;
+use presight_model::geometry::Pose;
+use presight_model::world::World;
+use presight_predict::free_poses::free_poses;
+use presight_predict::predict::{Backend, Options, Predictor};
+use presight_predict::request::Request;
+use presight_render::plan::{Output, Outputs};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -70,9 +75,9 @@ fn text(poses: &[Pose]) -> String {
 /// Opens the scene and predicts; nothing is written.
 fn by_library(scene: &Path, poses: &[Pose]) -> f64 {
     let start = Instant::now();
-    let predict = || -> presight::Result<()> {
+    let predict = || -> presight_model::error::Result<()> {
         let world = World::new(import(scene, &Default::default())?.environment);
-        let sensor = presight::preset("vlp-16")?;
+        let sensor = presight_files::preset("vlp-16")?;
         let mut predictor = Predictor::new(Options::new(Backend::Cpu))?;
         let request = Request::of(Outputs::of(&[Output::Range]));
         let mut prediction = predictor.predict(&world, &sensor, &poses[0], &request)?;

@@ -4,15 +4,18 @@ use super::frame_args::FrameArgs;
 use super::outputs::OutputFiles;
 use super::{CommandOutcome, open_scene, print};
 use clap::ValueEnum;
-use presight::index::Scheme;
-use presight::io::atomic::write_atomically;
-use presight::io::exr::{self, Attributes, ImageFile};
-use presight::io::gltf::ImportOptions;
-use presight::io::sensor_toml;
-use presight::plan::{FramePlan, IdScheme, Images, Output, Outputs};
-use presight::sensor::Sensor;
-use presight::verify::{Precision, Report, compare, compare_exactly, compare_partial};
-use presight::{Error, ImageRequest, Result, blake3_of};
+use presight::blake3_of;
+use presight_files::atomic::write_atomically;
+use presight_files::exr;
+use presight_files::exr::{Attributes, ImageFile};
+use presight_files::gltf::ImportOptions;
+use presight_files::sensor_toml;
+use presight_model::error::{Error, Result};
+use presight_model::index::Scheme;
+use presight_model::sensor::Sensor;
+use presight_render::plan::ImageRequest;
+use presight_render::plan::{FramePlan, IdScheme, Images, Output, Outputs};
+use presight_render::verify::{Precision, Report, compare, compare_exactly, compare_partial};
 use serde::Serialize;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -207,7 +210,7 @@ fn in_words(report: &Report) -> Vec<String> {
     if let Some((column, row)) = report.worst_pixel {
         lines.push(format!("largest share of the error bound: {}; at pixel ({column}, {row})", report.worst));
     }
-    let fault = |f: &presight::verify::Fault| format!("fault at pixel ({}, {}): {}", f.column, f.row, f.why);
+    let fault = |f: &presight_render::verify::Fault| format!("fault at pixel ({}, {}): {}", f.column, f.row, f.why);
     lines.extend(report.faults.iter().map(fault));
     let more = report.fault - report.faults.len().min(report.fault);
     if more > 0 {

@@ -1,9 +1,11 @@
 //! Deadlines of predictions, and the file of learnt costs.
 
-use presight::deadline::Priority;
-use presight::io::costs;
-use presight::{Error, Predictor, Request, Result};
+use presight_files::costs;
 use presight_files::inputs;
+use presight_model::error::{Error, Result};
+use presight_predict::predict::Predictor;
+use presight_predict::request::Request;
+use presight_render::deadline::Priority;
 use std::path::PathBuf;
 use std::time::Duration;
 

@@ -1,7 +1,9 @@
 //! Engine selection on the command line.
 
 use clap::ValueEnum;
-use presight::{Backend, Options, Raster, Threads};
+use presight_model::threads::Threads;
+use presight_predict::predict::{Backend, Options};
+use presight_render::plan::Raster;
 
 /// Flags that choose the engine.
 #[derive(Clone, Debug, clap::Args)]

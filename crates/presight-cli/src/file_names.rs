@@ -1,10 +1,10 @@
 //! File names of predictions: literal for one prediction, templates for several.
 
 use super::outputs::OutputFiles;
-use presight::io::templates::{Field, Names, Template};
-use presight::plan::{Output, Outputs};
-use presight::sensor::Sensor;
-use presight::{Error, ErrorKind, Result};
+use presight_files::templates::{Field, Names, Template};
+use presight_model::error::{Error, ErrorKind, Result};
+use presight_model::sensor::Sensor;
+use presight_render::plan::{Output, Outputs};
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;

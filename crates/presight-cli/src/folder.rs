@@ -1,9 +1,9 @@
 //! Output folders of commands.
 
-use presight::geometry::Pose;
-use presight::io::tum;
-use presight::{Error, ErrorKind, Result};
 use presight_files::temporary::{Access, Temporary};
+use presight_files::tum;
+use presight_model::error::{Error, ErrorKind, Result};
+use presight_model::geometry::Pose;
 use std::path::Path;
 
 /// Creates a folder and checks that it is writable, so that a command fails before minutes of work, not after.

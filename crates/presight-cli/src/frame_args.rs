@@ -1,8 +1,8 @@
 //! The up axis and unit of a scene file, from the command line.
 
-use presight::Result;
-use presight::io::gltf::ImportOptions;
-use presight::preparation::{SceneFrame, Up};
+use presight_files::gltf::ImportOptions;
+use presight_files::preparation::{SceneFrame, Up};
+use presight_model::error::Result;
 
 /// Flags shared by all commands that read a scene.
 #[derive(Clone, Debug, clap::Args)]

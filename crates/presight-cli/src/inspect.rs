@@ -3,11 +3,12 @@
 use super::frame_args::FrameArgs;
 use super::open_scene;
 use super::{CommandOutcome, print};
-use presight::environment::{Appearance, Environment, Material, Object};
-use presight::geometry::{Aabb, Pose};
-use presight::index::Scheme;
-use presight::preparation::lost_features;
-use presight::{Error, Result, Scene};
+use presight::Scene;
+use presight_files::preparation::lost_features;
+use presight_model::environment::{Appearance, Environment, Material, Object};
+use presight_model::error::{Error, Result};
+use presight_model::geometry::{Aabb, Pose};
+use presight_model::index::Scheme;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 

@@ -2,15 +2,18 @@
 
 use super::predict::Shown;
 use super::print;
-use presight::features::roi::PoseCovariance;
-use presight::features::{BoxOptions, FeatureOptions, FeaturePrediction, FeatureSource, Hidden};
-use presight::frames::ExternalPose;
-use presight::geometry::Pose;
-use presight::io::{pose_covariance, prediction_json};
-use presight::plan::{Output, Outputs};
-use presight::sensor::Sensor;
-use presight::virtual_sensors::VirtualSensor;
-use presight::{Error, Prediction, Request, Result, Scene, SceneFeatures};
+use presight::{Scene, SceneFeatures};
+use presight_features::roi::PoseCovariance;
+use presight_features::{BoxOptions, FeatureOptions, FeaturePrediction, FeatureSource, Hidden};
+use presight_files::frames::ExternalPose;
+use presight_files::{pose_covariance, prediction_json};
+use presight_model::error::{Error, Result};
+use presight_model::geometry::Pose;
+use presight_model::sensor::Sensor;
+use presight_predict::predict::Prediction;
+use presight_predict::request::Request;
+use presight_predict::virtual_sensors::VirtualSensor;
+use presight_render::plan::{Output, Outputs};
 use std::path::{Path, PathBuf};
 
 /// Flags of features.

@@ -34,11 +34,12 @@ mod summary;
 mod virtual_sensor;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
-use presight::index::Scheme;
+use presight::{Scene, SceneOptions};
+use presight_files::gltf::ImportOptions;
 #[cfg(not(all(feature = "report", feature = "store")))]
-use presight::io;
-use presight::io::gltf::ImportOptions;
-use presight::{Result, Scene, SceneOptions};
+use presight_files::not_built;
+use presight_model::error::Result;
+use presight_model::index::Scheme;
 use std::any::TypeId;
 use std::path::Path;
 use std::process::ExitCode;
@@ -141,16 +142,16 @@ pub fn main() -> ExitCode {
         #[cfg(feature = "report")]
         Command::Replay(args) => replay::run(&args),
         #[cfg(not(feature = "report"))]
-        Command::Replay { .. } => Err(io::not_built("pages", "report")),
+        Command::Replay { .. } => Err(not_built("pages", "report")),
         Command::Simulate(args) => simulate::run(&args),
         #[cfg(feature = "report")]
         Command::Report(args) => report::run(&args),
         #[cfg(not(feature = "report"))]
-        Command::Report { .. } => Err(io::not_built("studies", "report")),
+        Command::Report { .. } => Err(not_built("studies", "report")),
         #[cfg(feature = "store")]
         Command::Env(args) => env::run(&args),
         #[cfg(not(feature = "store"))]
-        Command::Env { .. } => Err(io::not_built("stored environments", "store")),
+        Command::Env { .. } => Err(not_built("stored environments", "store")),
     };
     conclude(done)
 }

@@ -2,10 +2,11 @@
 
 use clap::ValueEnum;
 use glam::{DQuat, DVec3};
-use presight::frames::{self, ExternalPose};
-use presight::geometry::Pose;
-use presight::limits;
-use presight::{Error, Result};
+use presight_files::frames;
+use presight_files::frames::ExternalPose;
+use presight_model::error::{Error, Result};
+use presight_model::geometry::Pose;
+use presight_model::limits;
 use std::path::Path;
 
 /// The axes of the frame that a pose describes.
@@ -188,7 +189,7 @@ mod tests {
         let huge = ["0,0,0,1e200,0,0,1", "1e300,0,0,0,0,0", "0,-1e13,0,0,0,0,1"];
         for text in wrong.into_iter().chain(huge) {
             let e = given(text).parse().unwrap_err();
-            assert_eq!(e.kind(), presight::ErrorKind::Usage, "{text}");
+            assert_eq!(e.kind(), presight_model::error::ErrorKind::Usage, "{text}");
             assert!(!e.remedy().is_empty() && e.place().is_some_and(|p| p.contains("--pose")), "{e}");
         }
         let args = PoseArgs { pose_of: Some(PoseOf::Robot), pose_frame: PoseFrame::Optical, ..given("0,0,0,0,0,0") };

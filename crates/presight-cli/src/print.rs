@@ -1,8 +1,8 @@
 //! Printing to stdout and stderr that tolerates closed pipes.
 
-use presight::io::series::SeriesProgress;
-use presight::limits;
-use presight::{Error, ErrorKind, Result};
+use presight_files::series::SeriesProgress;
+use presight_model::error::{Error, ErrorKind, Result};
+use presight_model::limits;
 use presight_model::printable::{clipped, printable};
 use std::io::{self, Write};
 

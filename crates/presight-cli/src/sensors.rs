@@ -1,9 +1,9 @@
 //! `presight sensors`: the built-in sensors.
 
 use super::{CommandOutcome, print};
-use presight::Result;
-use presight::io::preset;
-use presight::sensor::PRESETS;
+use presight_files::preset;
+use presight_model::error::Result;
+use presight_model::sensor::PRESETS;
 
 const EXAMPLES: &str = "Examples:
   presight sensors

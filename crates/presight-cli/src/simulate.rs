@@ -2,16 +2,22 @@
 
 use super::outputs::OutputFiles;
 use super::{CommandOutcome, folder, open_scene};
-use presight::frame::Frame;
-use presight::index::Scheme;
-use presight::io::atomic::write_atomically;
-use presight::io::gltf::ImportOptions;
-use presight::io::log::{LogFrame, lines};
-use presight::io::tum::StampedPose;
-use presight::io::{depth_folder, load_sensor, sensor_toml, tum};
-use presight::simulate::{Disturbances, GreySimulator, Simulator, Walkers, displace};
-use presight::{Backend, Error, Images, Options, Pose, Predictor, Result, Scene, Sensor, Threads};
+use presight::Scene;
+use presight_files::atomic::write_atomically;
+use presight_files::gltf::ImportOptions;
+use presight_files::log::{LogFrame, lines};
+use presight_files::tum::StampedPose;
+use presight_files::{depth_folder, load_sensor, sensor_toml, tum};
+use presight_localize::simulate::{Disturbances, GreySimulator, Simulator, Walkers, displace};
+use presight_model::error::{Error, Result};
+use presight_model::frame::Frame;
+use presight_model::geometry::Pose;
+use presight_model::index::Scheme;
+use presight_model::sensor::Sensor;
+use presight_model::threads::Threads;
 use presight_pictures as png;
+use presight_predict::predict::{Backend, Options, Predictor};
+use presight_render::plan::Images;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 

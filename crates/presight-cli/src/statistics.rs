@@ -1,7 +1,7 @@
 //! Statistics of repeated predictions, as JSON and as text.
 
-use presight::deadline::DeadlineOutcome;
-use presight::plan::{CountName, Raster, StageName, StageRow, StageVariant, Stats, Work};
+use presight_render::deadline::DeadlineOutcome;
+use presight_render::plan::{CountName, Raster, StageName, StageRow, StageVariant, Stats, Work};
 use serde::Serialize;
 use std::collections::BTreeMap;
 

@@ -1,7 +1,8 @@
 //! One-line summaries of a prediction, as text and as JSON.
 
-use presight::features::FeaturePrediction;
-use presight::{Prediction, Scene};
+use presight::Scene;
+use presight_features::FeaturePrediction;
+use presight_predict::predict::Prediction;
 use serde_json::{Value, json};
 use std::collections::HashSet;
 use std::path::Path;

@@ -1,13 +1,15 @@
 //! Virtual sensors in a prediction: their flags, inputs and results.
 
 use super::print;
-use presight::geometry::Pose;
-use presight::io::corridor;
-use presight::plan::Outputs;
-use presight::sensor::Sensor;
-use presight::virtual_sensors::{Settings, View, VirtualReading, VirtualSensor};
-use presight::{Error, Prediction, Predictor, Result, Scene};
+use presight::Scene;
+use presight_files::corridor;
+use presight_model::error::{Error, Result};
+use presight_model::geometry::Pose;
+use presight_model::sensor::Sensor;
 use presight_pictures as png;
+use presight_predict::predict::{Prediction, Predictor};
+use presight_predict::virtual_sensors::{Settings, View, VirtualReading, VirtualSensor};
+use presight_render::plan::Outputs;
 use std::path::{Path, PathBuf};
 
 /// Flags of the virtual sensor.

@@ -1,8 +1,9 @@
 //! `presight batch` from outside.
 
 use assert_cmd::cargo::cargo_bin;
-use presight::io::{exr, gltf, log, sensor_toml};
-use presight::{Noise, Pose, Sensor};
+use presight_files::{exr, gltf, log, sensor_toml};
+use presight_model::geometry::Pose;
+use presight_model::sensor::{Noise, Sensor};
 use presight_testkit::scenes;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -30,7 +31,7 @@ fn tum(count: usize) -> String {
 }
 
 fn scanner() -> Sensor {
-    let spec = presight::preset("laser-scanner").unwrap().spec().clone();
+    let spec = presight_files::preset("laser-scanner").unwrap().spec().clone();
     Sensor::new(spec.with_noise(Noise { range_sigma: 0.05, ..Noise::default() })).unwrap()
 }
 

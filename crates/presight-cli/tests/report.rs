@@ -103,7 +103,7 @@ fn check_ways(folder: &Path, notes: &serde_json::Value) {
 #[cfg(feature = "gpu")]
 #[test]
 fn the_gpu_engine_is_studied_where_there_is_one() {
-    if presight::gpu::adapters().is_empty() {
+    if presight_predict::gpu::adapters().is_empty() {
         return skip::no_adapter("none is listed");
     }
     let folder = tempfile::tempdir().unwrap();

@@ -2,13 +2,13 @@
 
 use super::{csv_field, median};
 use glam::DVec3;
-use presight::World;
-use presight::geometry::{Aabb, Pose};
-use presight::index::{Params, QueryResult, Region, Scheme, SplitAxis, polygon_meets};
-use presight::plan::{ImageRequest, Images, region_of};
-use presight::sensor::Sensor;
-use presight::{Error, Result};
-use presight::{Options, Predictor};
+use presight_model::error::{Error, Result};
+use presight_model::geometry::{Aabb, Pose};
+use presight_model::index::{Params, QueryResult, Region, Scheme, SplitAxis, polygon_meets};
+use presight_model::sensor::Sensor;
+use presight_model::world::World;
+use presight_predict::predict::{Options, Predictor};
+use presight_render::plan::{ImageRequest, Images, region_of};
 use std::time::Instant;
 
 /// The paper's query: radius in metres, opening in degrees.
@@ -231,7 +231,7 @@ pub fn check_poses(poses: &[Pose]) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use presight::ErrorKind;
+    use presight_model::error::ErrorKind;
 
     #[test]
     fn a_pose_that_is_none_has_no_sector() {

@@ -1,9 +1,10 @@
 //! A quick stability study of every engine: no fault; and planted faults, each of which it has to find.
 
-use presight::engine::{Device, Engine, EngineKind};
-use presight::features::{BoxQuery, FeaturePrediction, FeatureSamples, OcclusionHint, add_boxes};
-use presight::verify::Precision;
-use presight::{FramePlan, Images, Result, Stats, Work};
+use presight_features::{BoxQuery, FeaturePrediction, FeatureSamples, OcclusionHint, add_boxes};
+use presight_model::error::Result;
+use presight_predict::engine::{Device, Engine, EngineKind};
+use presight_render::plan::{FramePlan, Images, Stats, Work};
+use presight_render::verify::Precision;
 use presight_studies::stability::{
     Outcome, Row, RunInfo, Study, Subject, all, faults, subjects, to_csv, to_html, to_json,
 };

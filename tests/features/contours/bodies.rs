@@ -2,7 +2,7 @@
 
 use super::scenes;
 use glam::{DQuat, DVec3, Vec3};
-use presight::Mesh;
+use presight_model::environment::Mesh;
 use std::f64::consts::{PI, TAU};
 
 fn f32s(p: DVec3) -> Vec3 {

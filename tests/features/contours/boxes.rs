@@ -6,10 +6,11 @@
 use super::{around, contour, lens, pinhole, see, world};
 use crate::contours::bodies::ball;
 use glam::{DMat3, DQuat, DVec3};
-use presight::environment::FeatureShape;
-use presight::features::{BoxOptions, BoxQuery, add_boxes, place};
-use presight::{Pose, Sensor};
+use presight_features::{BoxOptions, BoxQuery, add_boxes, place};
+use presight_model::environment::FeatureShape;
+use presight_model::geometry::Pose;
 use presight_model::random::SplitMix64;
+use presight_model::sensor::Sensor;
 
 fn normal(random: &mut SplitMix64) -> f64 {
     let (x, y) = (random.unit().max(1e-300), random.unit());

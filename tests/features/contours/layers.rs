@@ -3,11 +3,14 @@
 use super::bodies::prism;
 use super::{contour, layer, pinhole, see, side_of, world};
 use glam::{DVec3, Vec3};
-use presight::environment::FeatureShape;
-use presight::features::place;
-use presight::io::layer::{parse, to_string};
-use presight::placement::place_layer;
-use presight::{Change, Mesh, Polygon, PolygonOrder, Pose, World};
+use presight_features::place;
+use presight_files::layer::{parse, to_string};
+use presight_model::change::Change;
+use presight_model::environment::FeatureShape;
+use presight_model::environment::{Mesh, Polygon, PolygonOrder};
+use presight_model::geometry::Pose;
+use presight_model::placement::place_layer;
+use presight_model::world::World;
 
 fn post() -> World {
     world(vec![("post", DVec3::new(4.0, 0.0, -1.0), prism(24, 0.3, 2.0, true))])
@@ -121,7 +124,7 @@ fn surfaces_go_on_in_other_objects() {
         world(vec![("low", at(-1.0), prism(24, 0.3, 1.0, false)), ("high", at(0.0), prism(24, 0.3, 1.0, false))]);
     let anchor = side_of(0.3).with_z(0.5);
     let seen = see(&both, &pinhole(), &Pose::IDENTITY, vec![contour(1, "low", anchor), contour(2, "high", anchor)]);
-    let level = |f: &&presight::features::SeenFeature| {
+    let level = |f: &&presight_features::SeenFeature| {
         let z = f.points_world[0].z;
         f.points_world.iter().all(|p| (p.z - z).abs() < 1e-6)
     };
@@ -137,7 +140,8 @@ fn surfaces_go_on_in_other_objects() {
 #[cfg(feature = "store")]
 #[test]
 fn stores_keep_contours() {
-    use presight::io::store::{self, Note, Store};
+    use presight_files::store;
+    use presight_files::store::{Note, Store};
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("post.presight");
     let note = Note::new("", 0.0);

@@ -11,14 +11,17 @@ mod truth;
 use bodies::{ball, prism, sheet};
 use common::scenes;
 use glam::{DMat3, DVec2, DVec3};
-use presight::environment::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
-use presight::features::{
+use presight_features::{
     FeatureOptions, FeaturePrediction, Hidden, PlacedFeature, Reason, SeenFeature, Visibility, place,
 };
-use presight::{
-    Angles, Backend, Camera, Distortion, Geometry, Mesh, NewObject, Options, Output, Outputs, Pose, Predictor, Request,
-    Scanner, Sensor, SensorSpec, World,
-};
+use presight_model::environment::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
+use presight_model::environment::{Mesh, NewObject};
+use presight_model::geometry::Pose;
+use presight_model::sensor::{Angles, Camera, Distortion, Geometry, Scanner, Sensor, SensorSpec};
+use presight_model::world::World;
+use presight_predict::predict::{Backend, Options, Predictor};
+use presight_predict::request::Request;
+use presight_render::plan::{Output, Outputs};
 
 fn pinhole() -> Sensor {
     let camera = Camera::pinhole(640, 480, 500.0, 500.0, 319.5, 239.5);
@@ -135,8 +138,8 @@ fn the_silhouette_of_a_prism_is_where_it_was_worked_out() {
 fn edges_that_are_segments_are_no_contours() {
     let post = prism(24, 0.3, 2.0, true);
     let world = world(vec![("post", DVec3::new(4.0, 0.0, -1.0), post)]);
-    let options = presight::features::generate::GenerateOptions::default();
-    let made = presight::features::generate::generate(world.environment(), "video", &options).unwrap();
+    let options = presight_features::generate::GenerateOptions::default();
+    let made = presight_features::generate::generate(world.environment(), "video", &options).unwrap();
     let placed = place(&world, &made.layer).unwrap();
     let seen = see_with(&world, &pinhole(), &Pose::IDENTITY, &placed, Hidden::Full);
     let curves: Vec<&SeenFeature> = seen.features.iter().filter(|f| f.branch.is_some()).collect();
@@ -224,12 +227,12 @@ fn what_is_behind_the_camera_is_cut_off() {
 #[test]
 fn images_only_save_time() {
     let world = plant::plant(3);
-    let options = presight::features::generate::GenerateOptions::default();
-    let made = presight::features::generate::generate(world.environment(), "video", &options).unwrap();
+    let options = presight_features::generate::GenerateOptions::default();
+    let made = presight_features::generate::generate(world.environment(), "video", &options).unwrap();
     let mut layer = made.layer;
     layer.features.retain(|f| f.shape.kind() == "contour");
     let placed = place(&world, &layer).unwrap();
-    for pose in presight::free_poses::free_poses(&world, 1, 5).unwrap() {
+    for pose in presight_predict::free_poses::free_poses(&world, 1, 5).unwrap() {
         for sensor in [scenes::camera(160, 120), scenes::lens(160, 120), scenes::scanner(180, 31)] {
             let outputs = Outputs::of(&[Output::PolygonId]);
             let by = |visibility| {

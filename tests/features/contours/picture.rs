@@ -3,11 +3,13 @@
 
 use super::common::data;
 use super::plant::plant;
-use presight::environment::FeatureLayer;
-use presight::features::generate::{GenerateOptions, generate};
-use presight::features::{FeatureOptions, Hidden, place};
-use presight::{Backend, Options, Output, Outputs, Predictor, Request};
+use presight_features::generate::{GenerateOptions, generate};
+use presight_features::{FeatureOptions, Hidden, place};
+use presight_model::environment::FeatureLayer;
 use presight_pictures::{Marks, Overlay, write_preview_with};
+use presight_predict::predict::{Backend, Options, Predictor};
+use presight_predict::request::Request;
+use presight_render::plan::{Output, Outputs};
 
 #[test]
 #[ignore = "writes pictures for people"]

@@ -3,14 +3,16 @@
 use super::bodies::{elbow, prism, turned};
 use super::scenes;
 use glam::{DQuat, DVec3, Vec3};
-use presight::{NewObject, Pose, World};
+use presight_model::environment::NewObject;
+use presight_model::geometry::Pose;
+use presight_model::world::World;
 use std::f64::consts::FRAC_PI_2;
 
 /// A hall with pipes along the walls, elbows between them, posts, and tanks.
 pub fn plant(seed: u64) -> World {
     let mut random = super::common::Random(seed);
     let mut environment = scenes::empty();
-    let mut put = |name: &str, at: DVec3, yaw: f64, mesh: presight::Mesh| {
+    let mut put = |name: &str, at: DVec3, yaw: f64, mesh: presight_model::environment::Mesh| {
         let pose = Pose::from_xyz_rpy(at, 0.0, 0.0, yaw);
         environment.insert(NewObject::new(name, pose, mesh.into())).unwrap();
     };

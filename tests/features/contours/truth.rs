@@ -11,14 +11,17 @@ use super::common::oracle::Oracle;
 use super::common::{data, env_number};
 use super::plant::plant;
 use glam::{DVec2, DVec3};
-use presight::environment::FeatureLayer;
-use presight::environment::FeatureShape;
-use presight::features::generate::{GenerateOptions, generate};
-use presight::features::{FeatureOptions, PlacedFeature, PlacedFeatures, SeenFeature, place};
-use presight::io::gltf::{ImportOptions, import};
-use presight::{
-    Backend, Camera, Geometry, Options, Output, Outputs, Pose, Predictor, Request, Sensor, SensorSpec, World,
-};
+use presight_features::generate::{GenerateOptions, generate};
+use presight_features::{FeatureOptions, PlacedFeature, PlacedFeatures, SeenFeature, place};
+use presight_files::gltf::{ImportOptions, import};
+use presight_model::environment::FeatureLayer;
+use presight_model::environment::FeatureShape;
+use presight_model::geometry::Pose;
+use presight_model::sensor::{Camera, Geometry, Sensor, SensorSpec};
+use presight_model::world::World;
+use presight_predict::predict::{Backend, Options, Predictor};
+use presight_predict::request::Request;
+use presight_render::plan::{Output, Outputs};
 use rayon::prelude::*;
 use std::cell::RefCell;
 use std::collections::{BTreeMap, HashSet};

@@ -10,9 +10,10 @@ use glam::DVec3;
 use parry3d_f64::math::Vector;
 use parry3d_f64::query::Ray;
 use parry3d_f64::shape::{CompositeShapeRef, TriMesh};
-use presight::environment::FeatureShape;
-use presight::features::generate::{FeatureCounts, FeatureKind, GenerateOptions, generate};
-use presight::{Environment, World};
+use presight_features::generate::{FeatureCounts, FeatureKind, GenerateOptions, generate};
+use presight_model::environment::Environment;
+use presight_model::environment::FeatureShape;
+use presight_model::world::World;
 use std::time::Instant;
 
 fn counts_of(name: &str) -> Option<FeatureCounts> {
@@ -148,8 +149,8 @@ fn rays_confirm_the_edges_of_real_models() {
             .collect();
         assert_eq!(edges.len(), FeatureKind::ALL[..4].iter().map(|k| generated.counts.of(*k)).sum::<usize>());
         // What was made is sound, and its file reads back the same.
-        let text = presight::io::layer::to_string(&generated.layer).expect("a sound layer");
-        assert!(presight::io::layer::parse(&text).expect("its own text").layer == generated.layer, "{name}");
+        let text = presight_files::layer::to_string(&generated.layer).expect("a sound layer");
+        assert!(presight_files::layer::parse(&text).expect("its own text").layer == generated.layer, "{name}");
         let (right, shifted) = shares(&world, &edges, 1000, 7);
         eprintln!(
             "{name}: {:?} in {seconds:.2} s, confirmed {right:.3}, shifted by 5 cm {shifted:.3}",
@@ -174,7 +175,7 @@ fn all_that_is_generated_can_be_placed() {
         let generated = generate(world.environment(), "video", &GenerateOptions::default()).expect("features");
         let (features, seconds) = (generated.layer.features.len(), start.elapsed().as_secs_f64());
         let start = Instant::now();
-        let placed = presight::features::place(&world, &generated.layer).unwrap_or_else(|e| panic!("{name}: {e}"));
+        let placed = presight_features::place(&world, &generated.layer).unwrap_or_else(|e| panic!("{name}: {e}"));
         eprintln!(
             "{name}: {features} in {seconds:.2} s, {} off the surface; placed in {:.2} s",
             generated.counts.off,
@@ -208,8 +209,8 @@ fn what_was_moved_off_is_refused() {
             let mut planted = feature.clone();
             std::sync::Arc::make_mut(&mut planted).shape = shape;
             let features = vec![planted];
-            let one = presight::environment::FeatureLayer { features, ..layer.clone() };
-            refused[k] += usize::from(presight::features::place(&world, &one).is_err());
+            let one = presight_model::environment::FeatureLayer { features, ..layer.clone() };
+            refused[k] += usize::from(presight_features::place(&world, &one).is_err());
         }
     }
     eprintln!("refused of {n}: {refused:?} moved off, grown");

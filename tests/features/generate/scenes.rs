@@ -1,9 +1,10 @@
 //! Unit scenes with counts that follow from their geometry.
 
 use glam::{DAffine3, DVec3, Vec3};
-use presight::features::generate::{FeatureKind, GenerateOptions, generate};
-use presight::{Appearance, Environment, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose};
+use presight_features::generate::{FeatureKind, GenerateOptions, generate};
+use presight_model::environment::{Appearance, Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
 use presight_model::environment::{CUBOID_FACES, cuboid_corners};
+use presight_model::geometry::Pose;
 use std::sync::Arc;
 
 /// A loop of corners in a material.
@@ -234,7 +235,7 @@ fn patches_are_not_joined_over_a_notch() {
     let patches = |cut: f32| {
         let environment = of(&[left(), right(cut)]);
         let generated = generate(&environment, "video", &GenerateOptions::default()).unwrap();
-        let placed = presight::features::place(&presight::World::new(environment), &generated.layer);
+        let placed = presight_features::place(&presight_model::world::World::new(environment), &generated.layer);
         assert!(placed.is_ok(), "cut by {cut}: {}", placed.unwrap_err());
         (generated.counts.of(FeatureKind::Horizontal), generated.counts.off)
     };
@@ -251,10 +252,13 @@ fn options_are_checked_and_kinds_kept_to() {
         GenerateOptions { crease: 0.0, ..default() },
         GenerateOptions { sigma: -1.0, ..default() },
     ] {
-        assert_eq!(generate(&environment, "video", &wrong).unwrap_err().kind(), presight::ErrorKind::Usage);
+        assert_eq!(
+            generate(&environment, "video", &wrong).unwrap_err().kind(),
+            presight_model::error::ErrorKind::Usage
+        );
     }
     let nameless = generate(&environment, "", &default()).unwrap_err();
-    assert_eq!(nameless.kind(), presight::ErrorKind::Usage);
+    assert_eq!(nameless.kind(), presight_model::error::ErrorKind::Usage);
     // As people give angles.
     let steep = GenerateOptions { crease: 200f64.to_radians(), ..default() };
     assert!(steep.check().unwrap_err().to_string().contains("200 degrees is out of its range"));

@@ -3,9 +3,9 @@
 use super::simulator::Random;
 use cpu_time::ThreadTime;
 use glam::{DMat2, DVec2};
-use presight::ErrorKind;
-use presight::history::{End, ImageExtent, PredictionTrigger, Seed, Tracker, TrackerOptions};
-use presight::matching::{Detection, ExpectedProperties, Rejection, Shape};
+use presight_localize::history::{End, ImageExtent, PredictionTrigger, Seed, Tracker, TrackerOptions};
+use presight_localize::matching::{Detection, ExpectedProperties, Rejection, Shape};
+use presight_model::error::ErrorKind;
 
 fn seed(id: u32, at: DVec2) -> Seed {
     Seed {

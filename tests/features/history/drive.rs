@@ -2,7 +2,9 @@
 
 use super::simulator::{Disturbance, HEIGHT, Leg, Simulator, WIDTH, holds, leg};
 use super::told::DeviceCheck;
-use presight::history::{AlternatingTracker, End, ImageExtent, PointProjection, Source, Tracker, TrackerOptions};
+use presight_localize::history::{
+    AlternatingTracker, End, ImageExtent, PointProjection, Source, Tracker, TrackerOptions,
+};
 use std::collections::BTreeMap;
 
 /// A long straight, a curve, a straight, a curve the other way, a stop, standing, and off again.

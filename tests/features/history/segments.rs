@@ -2,8 +2,8 @@
 
 use super::simulator::{Disturbance, Edges, HEIGHT, Random, Simulator, TOLD, WIDTH, leg};
 use glam::{DMat2, DVec2};
-use presight::history::{ImageExtent, Seed, Tracker, TrackerOptions};
-use presight::matching::{Detection, ExpectedProperties, Shape, UncertainValue};
+use presight_localize::history::{ImageExtent, Seed, Tracker, TrackerOptions};
+use presight_localize::matching::{Detection, ExpectedProperties, Shape, UncertainValue};
 use std::f64::consts::PI;
 
 const SIGMA: f64 = 0.5;

@@ -2,8 +2,8 @@
 //! unicycle with limits on its accelerations, points stay in space, and pixels follow by projection.
 
 use glam::{DMat2, DVec2, DVec3};
-use presight::history::{Seed, Window};
-use presight::matching::{Detection, DetectionProperties, ExpectedProperties, Shape, UncertainValue};
+use presight_localize::history::{Seed, Window};
+use presight_localize::matching::{Detection, DetectionProperties, ExpectedProperties, Shape, UncertainValue};
 use std::f64::consts::{PI, TAU};
 
 /// xorshift64* of G. Marsaglia and S. Vigna.

@@ -3,9 +3,11 @@
 use super::common::Random;
 use super::{CONFIDENCES, Covariance, draws};
 use glam::{DMat3, DQuat, DVec3};
-use presight::environment::{Environment, Existence, Feature, FeatureShape, Properties};
-use presight::features::{BoxOptions, BoxQuery, FeaturePrediction, PlacedFeature, SeenFeature, add_boxes};
-use presight::{Pose, Sensor, World};
+use presight_features::{BoxOptions, BoxQuery, FeaturePrediction, PlacedFeature, SeenFeature, add_boxes};
+use presight_model::environment::{Environment, Existence, Feature, FeatureShape, Properties};
+use presight_model::geometry::Pose;
+use presight_model::sensor::Sensor;
+use presight_model::world::World;
 use rayon::prelude::*;
 use std::f64::consts::TAU;
 

@@ -12,9 +12,12 @@ mod study;
 use common::{Random, env_number, scenes};
 use draws::{Best, Case};
 use glam::{DMat3, DVec3, Vec3};
-use presight::environment::{Existence, Feature, FeatureShape, Properties};
-use presight::features::{BoxOptions, BoxQuery, FeatureSettings, PlacedFeature, add_boxes, predict_features};
-use presight::{Angles, Camera, Distortion, Geometry, NewObject, Pose, Scanner, Sensor, SensorSpec, World};
+use presight_features::{BoxOptions, BoxQuery, FeatureSettings, PlacedFeature, add_boxes, predict_features};
+use presight_model::environment::NewObject;
+use presight_model::environment::{Existence, Feature, FeatureShape, Properties};
+use presight_model::geometry::Pose;
+use presight_model::sensor::{Angles, Camera, Distortion, Geometry, Scanner, Sensor, SensorSpec};
+use presight_model::world::World;
 use std::sync::Arc;
 
 type Covariance = [[f64; 6]; 6];

@@ -8,11 +8,15 @@ use super::{
     CONFIDENCES, Covariance, any_covariance, any_shape, camera, diagonal, isotropic, lenses, robot, scanner, segment,
 };
 use glam::{DMat3, DQuat, DVec3, Vec3};
-use presight::environment::{Existence, Feature, FeatureShape, Properties};
-use presight::features::{
+use presight_features::{
     BoxOptions, BoxQuery, FeatureSettings, PlacedFeature, add_boxes, predict_features, sensor_covariance,
 };
-use presight::{Angles, Geometry, Images, NewObject, Output, Outputs, Pose, Scanner, Sensor, SensorSpec, World};
+use presight_model::environment::NewObject;
+use presight_model::environment::{Existence, Feature, FeatureShape, Properties};
+use presight_model::geometry::Pose;
+use presight_model::sensor::{Angles, Geometry, Scanner, Sensor, SensorSpec};
+use presight_model::world::World;
+use presight_render::plan::{Images, Output, Outputs};
 use rayon::prelude::*;
 use std::sync::Arc;
 

@@ -2,7 +2,7 @@
 
 use super::*;
 use common::Random;
-use presight::virtual_sensors::Docking;
+use presight_predict::virtual_sensors::Docking;
 
 /// A planar scanner on a robot, a little turned.
 fn planar() -> SensorSpec {

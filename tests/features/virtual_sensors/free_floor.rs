@@ -2,8 +2,8 @@
 
 use super::*;
 use glam::DVec2;
-use presight::Distortion;
-use presight::virtual_sensors::{FreeFloor, Mask};
+use presight_model::sensor::Distortion;
+use presight_predict::virtual_sensors::{FreeFloor, Mask};
 use proptest::prelude::*;
 
 /// A camera straight above the robot's origin, looking down; image up is forward.
@@ -21,7 +21,7 @@ fn floor(world: &World, sensor: &Sensor, pose: &Pose, settings: &Settings) -> Fr
     }
 }
 
-fn ground() -> presight::Mesh {
+fn ground() -> presight_model::environment::Mesh {
     quad([[-10.0, -10.0, 0.0], [10.0, -10.0, 0.0], [10.0, 10.0, 0.0], [-10.0, 10.0, 0.0]])
 }
 

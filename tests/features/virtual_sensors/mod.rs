@@ -9,16 +9,20 @@ mod radar;
 
 use common::scenes;
 use glam::{DMat3, DVec3, Vec3};
-use presight::environment::{Existence, Feature, FeatureShape, Properties};
-use presight::features::{FeaturePrediction, FeatureSettings, PlacedFeature, predict_features};
-use presight::virtual_sensors::{Answer, Settings, View, VirtualSensor};
-use presight::{
-    Angles, Backend, Camera, Environment, ErrorKind, Geometry, NewObject, Options, Outputs, Pose, Prediction,
-    Predictor, Request, Scanner, Sensor, SensorSpec, World,
-};
+use presight_features::{FeaturePrediction, FeatureSettings, PlacedFeature, predict_features};
+use presight_model::environment::{Environment, NewObject};
+use presight_model::environment::{Existence, Feature, FeatureShape, Properties};
+use presight_model::error::ErrorKind;
+use presight_model::geometry::Pose;
+use presight_model::sensor::{Angles, Camera, Geometry, Scanner, Sensor, SensorSpec};
+use presight_model::world::World;
+use presight_predict::predict::{Backend, Options, Prediction, Predictor};
+use presight_predict::request::Request;
+use presight_predict::virtual_sensors::{Answer, Settings, View, VirtualSensor};
+use presight_render::plan::Outputs;
 
 /// A world of named meshes where they are made.
-fn world(objects: Vec<(&str, presight::Mesh)>) -> World {
+fn world(objects: Vec<(&str, presight_model::environment::Mesh)>) -> World {
     let mut environment = scenes::empty();
     for (name, mesh) in objects {
         environment.insert(NewObject::new(name, Pose::IDENTITY, mesh.into())).unwrap();
@@ -27,12 +31,12 @@ fn world(objects: Vec<(&str, presight::Mesh)>) -> World {
 }
 
 /// One polygon.
-fn quad(corners: [[f32; 3]; 4]) -> presight::Mesh {
+fn quad(corners: [[f32; 3]; 4]) -> presight_model::environment::Mesh {
     scenes::mesh(&[corners.map(Vec3::from).to_vec()])
 }
 
 /// A box; 0.1 mm are no matter to f32.
-fn cuboid(least: [f32; 3], most: [f32; 3]) -> presight::Mesh {
+fn cuboid(least: [f32; 3], most: [f32; 3]) -> presight_model::environment::Mesh {
     scenes::cuboid(least.into(), most.into())
 }
 
@@ -183,7 +187,7 @@ fn visible_segments_are_edges() {
     // The post's nearer face, 1.9 m away and 0.2 m wide, hides 0.2 * 4 / 1.9 m of it.
     let hidden = 0.2 * 4.0 / 1.9;
     let pixel = 4.0 / 40.0;
-    let length = |p: &presight::virtual_sensors::EdgePiece| p.ends_world[1][1] - p.ends_world[0][1];
+    let length = |p: &presight_predict::virtual_sensors::EdgePiece| p.ends_world[1][1] - p.ends_world[0][1];
     let shown: f64 = edge.visible.iter().map(length).sum();
     assert!((shown - (2.0 - hidden)).abs() < pixel, "{shown}");
     assert!((edge.visible_fraction - shown / 2.0).abs() < 0.03);

@@ -2,7 +2,7 @@
 
 use super::*;
 use glam::DVec2;
-use presight::virtual_sensors::{Corridor, Nearest, RadarLines};
+use presight_predict::virtual_sensors::{Corridor, Nearest, RadarLines};
 use proptest::prelude::*;
 
 /// A full circle of one row, from behind, counter-clockwise.

@@ -4,11 +4,17 @@ use super::common::{Random, data, env_number, plan, reference, scenes};
 use super::patches::patches_and_points;
 use super::{edges, sensors};
 use glam::{DMat3, DVec3, Vec3};
-use presight::environment::{Existence, Feature, FeatureShape, Properties};
-use presight::features::{
+use presight_features::{
     FeatureOptions, FeaturePrediction, FeatureSettings, Hidden, PlacedFeature, Reason, SeenFeature, predict_features,
 };
-use presight::{Backend, NewObject, Options, Output, Outputs, Pose, Predictor, Request, Sensor, World};
+use presight_model::environment::NewObject;
+use presight_model::environment::{Existence, Feature, FeatureShape, Properties};
+use presight_model::geometry::Pose;
+use presight_model::sensor::Sensor;
+use presight_model::world::World;
+use presight_predict::predict::{Backend, Options, Predictor};
+use presight_predict::request::Request;
+use presight_render::plan::{Output, Outputs};
 use std::sync::Arc;
 
 fn ask(world: &World, sensor: &Sensor, pose: &Pose, placed: &[PlacedFeature], hidden: Hidden) -> FeaturePrediction {
@@ -244,9 +250,9 @@ fn a_predictor_follows_changes() {
     let mut on_wall = edge();
     on_wall.object = Some(0);
     Arc::make_mut(&mut on_wall.feature).object = Some("walls".into());
-    let one: presight::features::PlacedFeatures = vec![edge(), on_wall].into();
+    let one: presight_features::PlacedFeatures = vec![edge(), on_wall].into();
     let camera = scenes::camera(200, 150);
-    let mut count = |world: &World, placed: &presight::features::PlacedFeatures| {
+    let mut count = |world: &World, placed: &presight_features::PlacedFeatures| {
         let features = FeatureOptions::default().with_placed(placed.clone());
         let request = Request::of(Outputs::of(&[Output::PolygonId])).with_features(features);
         predictor.predict(world, &camera, &Pose::IDENTITY, &request).map(|p| p.features.unwrap().given)
@@ -254,9 +260,9 @@ fn a_predictor_follows_changes() {
     assert_eq!(count(&world, &one).unwrap(), [] as [u32; 0]);
     // 4 m nearer, the wall is behind the sensor, and its edge before it.
     let near = Pose::from_xyz_rpy(DVec3::X * -4.0, 0.0, 0.0, 0.0);
-    world.apply(presight::Change::MoveObject { name: "walls".into(), world_from_object: near }).unwrap();
+    world.apply(presight_model::change::Change::MoveObject { name: "walls".into(), world_from_object: near }).unwrap();
     assert_eq!(count(&world, &one).unwrap(), [0, 1]);
-    let other: presight::features::PlacedFeatures = vec![edge()].into();
+    let other: presight_features::PlacedFeatures = vec![edge()].into();
     assert_eq!(count(&world, &other).unwrap(), [0]);
     // Of another world there is no such object.
     let empty = World::new(scenes::empty());

@@ -6,8 +6,13 @@
 use super::common::oracle::Oracle;
 use super::common::{Random, data, env_number};
 use super::{near_edges, seen_length, sensors};
-use presight::features::{FeatureOptions, Hidden, PlacedFeatures};
-use presight::{Backend, Geometry, Options, Output, Outputs, Pose, Predictor, Request, Sensor, World};
+use presight_features::{FeatureOptions, Hidden, PlacedFeatures};
+use presight_model::geometry::Pose;
+use presight_model::sensor::{Geometry, Sensor};
+use presight_model::world::World;
+use presight_predict::predict::{Backend, Options, Predictor};
+use presight_predict::request::Request;
+use presight_render::plan::{Output, Outputs};
 use rayon::prelude::*;
 
 /// Pixels above which a segment counts.

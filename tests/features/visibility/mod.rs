@@ -18,14 +18,16 @@ mod whole;
 use common::oracle::Oracle;
 use common::{Random, data, env_number, scenes};
 use glam::{DMat3, DVec2, DVec3};
-use presight::environment::{Existence, Feature, FeatureShape, Properties};
-use presight::features::{
+use presight_features::{
     FeaturePrediction, FeatureSettings, FeatureStats, Piece, PlacedFeature, Reason, Sampler, SeenFeature, Visibility,
     predict_features,
 };
-use presight::{
-    Angles, Camera, Distortion, Environment, Geometry, Images, Pose, RayTable, Scanner, Sensor, SensorSpec, World,
-};
+use presight_model::environment::Environment;
+use presight_model::environment::{Existence, Feature, FeatureShape, Properties};
+use presight_model::geometry::Pose;
+use presight_model::sensor::{Angles, Camera, Distortion, Geometry, RayTable, Scanner, Sensor, SensorSpec};
+use presight_model::world::World;
+use presight_render::plan::Images;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -377,13 +379,13 @@ fn planted_in(sensor: &Sensor, two_pixels: f64) {
 /// Layers generated from the model and placed as files are.
 #[test]
 fn generated_layers_agree_with_rays_in_space() {
-    use presight::features::generate::{GenerateOptions, generate};
+    use presight_features::generate::{GenerateOptions, generate};
     let wanted = std::env::var("PRESIGHT_FEATURE_SCENES").unwrap_or_else(|_| "factory_hall,hospital".into());
     for scene in wanted.split(',') {
         let Some(world) = data::scene(scene, true) else { return };
         let mut layer = generate(world.environment(), "video", &GenerateOptions::default()).unwrap().layer;
         layer.features.retain(|f| matches!(f.shape, FeatureShape::Segment { .. }));
-        let placed = presight::features::place(&world, &layer).unwrap();
+        let placed = presight_features::place(&world, &layer).unwrap();
         let mut total = Total::default();
         for pose in data::poses(&world, 2, env_number("PRESIGHT_SEED", 1)) {
             let oracle = Oracle::new(world.environment(), pose.translation).unwrap();

@@ -3,9 +3,12 @@
 use super::common::scenes;
 use super::{in_both_ways, predict};
 use glam::{DMat3, DVec3};
-use presight::environment::{Existence, Feature, FeatureShape, Properties};
-use presight::features::{PlacedFeature, Reason};
-use presight::{Images, NewObject, Pose, World};
+use presight_features::{PlacedFeature, Reason};
+use presight_model::environment::NewObject;
+use presight_model::environment::{Existence, Feature, FeatureShape, Properties};
+use presight_model::geometry::Pose;
+use presight_model::world::World;
+use presight_render::plan::Images;
 
 /// A wall 5 m ahead, something 2 m ahead, and an edge on the wall, 80 pixels long, every half pixel of it a sample.
 fn behind(occluder: &[Vec<glam::Vec3>]) -> (World, Vec<PlacedFeature>) {

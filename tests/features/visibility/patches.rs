@@ -4,9 +4,12 @@ use super::common::oracle::Oracle;
 use super::common::{Random, env_number, scenes};
 use super::{SHORT, predict, sensors};
 use glam::{DMat3, DVec3};
-use presight::environment::{Existence, Feature, FeatureShape, Properties};
-use presight::features::{BoxOptions, BoxQuery, Piece, PlacedFeature, Sampler, add_boxes};
-use presight::{Angles, Environment, Geometry, Pose, Scanner, Sensor, SensorSpec, World};
+use presight_features::{BoxOptions, BoxQuery, Piece, PlacedFeature, Sampler, add_boxes};
+use presight_model::environment::Environment;
+use presight_model::environment::{Existence, Feature, FeatureShape, Properties};
+use presight_model::geometry::Pose;
+use presight_model::sensor::{Angles, Geometry, Scanner, Sensor, SensorSpec};
+use presight_model::world::World;
 
 /// The same places as patches (the polygons) and points (their corners).
 pub(super) fn patches_and_points(environment: &Environment, random: &mut Random) -> Vec<PlacedFeature> {
@@ -244,7 +247,7 @@ fn a_wall_behind_a_fence_is_seen_by_half() {
         let mut environment = scenes::empty();
         let insert = |environment: &mut Environment, name: &str, low: [f32; 3], high: [f32; 3]| {
             let mesh = std::sync::Arc::new(scenes::cuboid(low.into(), high.into()));
-            environment.insert(presight::NewObject::new(name, Pose::IDENTITY, mesh)).unwrap()
+            environment.insert(presight_model::environment::NewObject::new(name, Pose::IDENTITY, mesh)).unwrap()
         };
         let wall = insert(&mut environment, "wall", [4.0, -3.0, -3.0], [4.1, 3.0, 3.0]);
         let pixel = {

@@ -5,9 +5,12 @@
 use super::common::{plan, reference, scenes};
 use super::{FeatureSettings, PlacedFeature, predict_features};
 use glam::{DMat3, DVec3, Vec3};
-use presight::environment::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
-use presight::features::{Hidden, SeenFeature, Visibility, place};
-use presight::{NewObject, Pose, Sensor, World};
+use presight_features::{Hidden, SeenFeature, Visibility, place};
+use presight_model::environment::NewObject;
+use presight_model::environment::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
+use presight_model::geometry::Pose;
+use presight_model::sensor::Sensor;
+use presight_model::world::World;
 use std::sync::Arc;
 
 type Polygons<'a> = &'a [&'a [[f32; 3]]];
@@ -22,7 +25,7 @@ fn world(polygons: Polygons<'_>) -> World {
     World::new(environment)
 }
 
-fn try_place(world: &World, shape: FeatureShape) -> presight::Result<Vec<PlacedFeature>> {
+fn try_place(world: &World, shape: FeatureShape) -> presight_model::error::Result<Vec<PlacedFeature>> {
     let (existence, properties) = (Existence::default(), Properties::default());
     let feature = Feature { id: 1, name: None, object: None, shape, existence, properties };
     let layer =

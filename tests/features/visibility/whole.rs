@@ -5,8 +5,11 @@ use super::common::{Random, data, plan, reference, scenes};
 use super::counted::same;
 use super::edges;
 use glam::DVec3;
-use presight::features::{FeaturePrediction, FeatureSettings, Hidden, PlacedFeature, SeenFeature, predict_features};
-use presight::{Pose, Sensor, World, preset};
+use presight_features::{FeaturePrediction, FeatureSettings, Hidden, PlacedFeature, SeenFeature, predict_features};
+use presight_files::preset;
+use presight_model::geometry::Pose;
+use presight_model::sensor::Sensor;
+use presight_model::world::World;
 
 /// Features of which something else is said: of what is seen bit by bit.
 fn differing(with: &[SeenFeature], without: &[SeenFeature]) -> usize {

@@ -1,8 +1,8 @@
 //! One case of every way a scene file can be broken: a one-line error with file, place and remedy.
 
 use crate::build::*;
-use presight::io::gltf::import;
-use presight::{Error, ErrorKind};
+use presight_files::gltf::import;
+use presight_model::error::{Error, ErrorKind};
 use serde_json::{Value, json};
 
 struct Case {

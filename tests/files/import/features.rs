@@ -2,9 +2,10 @@
 
 use crate::build::*;
 use glam::{DMat3, DQuat, DVec3};
-use presight::io::gltf::{ImportOptions, import};
-use presight::preparation::ProblemKind;
-use presight::{Appearance, ErrorKind};
+use presight_files::gltf::{ImportOptions, import};
+use presight_files::preparation::ProblemKind;
+use presight_model::environment::Appearance;
+use presight_model::error::ErrorKind;
 use serde_json::json;
 use std::sync::Arc;
 
@@ -184,11 +185,14 @@ fn repeated_names_are_numbered_where_they_are_repeated() {
     assert_eq!(names, ["arm/hand", "arm#2/hand", "arm#2/hand#2", "arm#3", "arm#3/hand", "arm#2#2", "hand"]);
     assert_eq!(read.environment.groups().into_keys().collect::<Vec<_>>(), ["arm", "arm#2"]);
     // Moving the second one moves what hangs on it, and nothing else.
-    let at = |w: &presight::World, path: &str| w.environment().frame(path).unwrap().translation;
-    let mut world = presight::World::new(read.environment);
+    let at = |w: &presight_model::world::World, path: &str| w.environment().frame(path).unwrap().translation;
+    let mut world = presight_model::world::World::new(read.environment);
     let before = world.clone();
-    let to = presight::Pose { translation: DVec3::new(5.0, 0.0, 2.0), ..before.environment().frame("arm#2").unwrap() };
-    world.apply(presight::Change::MoveObject { name: "arm#2".into(), world_from_object: to }).unwrap();
+    let to = presight_model::geometry::Pose {
+        translation: DVec3::new(5.0, 0.0, 2.0),
+        ..before.environment().frame("arm#2").unwrap()
+    };
+    world.apply(presight_model::change::Change::MoveObject { name: "arm#2".into(), world_from_object: to }).unwrap();
     for path in ["arm/hand", "arm#2/hand", "arm#2/hand#2", "arm#3", "arm#3/hand", "hand"] {
         let moved = if path.starts_with("arm#2/") { DVec3::X * 5.0 } else { DVec3::ZERO };
         assert!((at(&world, path) - at(&before, path) - moved).length() < 1e-12, "{path}");
@@ -276,7 +280,7 @@ fn a_site_in_utm_metres_keeps_its_millimetres() {
         {"mesh": 0},
         {"mesh": 0, "matrix": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0.0001, 0, 0, 1]},
     ]);
-    let check = |read: presight::preparation::ImportedScene| {
+    let check = |read: presight_files::preparation::ImportedScene| {
         let [a, b] = [0, 1].map(|i| read.environment.objects()[i].world_from_object.translation);
         assert!((a - DVec3::new(4469320.2512, 5333710.5021, 0.0)).length() < 1e-9, "{a}");
         assert!(((b - a).x - 1e-4).abs() < 2e-9);

@@ -2,8 +2,8 @@
 
 use crate::build::SOURCE;
 use glam::DVec3;
-use presight::io::gltf::{ImportOptions, import};
-use presight::preparation::ProblemKind;
+use presight_files::gltf::{ImportOptions, import};
+use presight_files::preparation::ProblemKind;
 use presight_testkit::data;
 use std::path::{Path, PathBuf};
 
@@ -104,14 +104,15 @@ fn paths_above_objects_move_what_is_below() {
     let groups: Vec<String> = environment.groups().into_keys().map(str::to_owned).collect();
     // Half of them stand where their parent does.
     assert_eq!((groups.len(), environment.framed_groups().count()), (143, 71));
-    let mut world = presight::World::new(environment);
+    let mut world = presight_model::world::World::new(environment);
     let before = world.environment().content_hash();
     for path in groups.iter().step_by(7) {
         let start = world.clone();
-        let pose = |w: &presight::World, path: &str| w.environment().frame(path).unwrap();
+        let pose = |w: &presight_model::world::World, path: &str| w.environment().frame(path).unwrap();
         let old = pose(&start, path);
-        let to = presight::Pose::from_xyz_rpy(old.translation + DVec3::new(1.0, 2.0, 0.0), 0.1, 0.2, 1.0);
-        let change = presight::Change::MoveObject { name: path.clone(), world_from_object: to };
+        let to =
+            presight_model::geometry::Pose::from_xyz_rpy(old.translation + DVec3::new(1.0, 2.0, 0.0), 0.1, 0.2, 1.0);
+        let change = presight_model::change::Change::MoveObject { name: path.clone(), world_from_object: to };
         let undo = world.apply(change).unwrap();
         assert_eq!(pose(&world, path), to);
         let motion = to * old.inverse();
@@ -190,7 +191,7 @@ fn points_of_source_triangles_lie_in_as_many_merged_polygons() {
 }
 
 /// How many polygons facing along `normal` hold the point; `None` if one may or may not.
-fn covering(mesh: &presight::Mesh, p: DVec3, normal: DVec3, slack: f64) -> Option<u32> {
+fn covering(mesh: &presight_model::environment::Mesh, p: DVec3, normal: DVec3, slack: f64) -> Option<u32> {
     let mut count = 0;
     for i in 0..mesh.polygon_count() as u32 {
         let plane = mesh.plane(i);
@@ -212,7 +213,7 @@ fn covering(mesh: &presight::Mesh, p: DVec3, normal: DVec3, slack: f64) -> Optio
     Some(count)
 }
 
-fn area(mesh: &presight::Mesh) -> f64 {
+fn area(mesh: &presight_model::environment::Mesh) -> f64 {
     (0..mesh.polygon_count() as u32)
         .map(|i| {
             let v: Vec<_> = mesh.corners_of(i).collect();

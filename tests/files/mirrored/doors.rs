@@ -3,8 +3,11 @@
 use super::{BOX, CUBOID_FACES, INSIDE, ROOM, check_on_cpu, corners, cube, one_sided};
 use crate::build::{Folder, Gltf, U16};
 use glam::{DAffine3, DVec3};
-use presight::io::gltf::{ImportOptions, import, write_glb};
-use presight::{Change, Environment, NewObject, Pose, World};
+use presight_files::gltf::{ImportOptions, import, write_glb};
+use presight_model::change::Change;
+use presight_model::environment::{Environment, NewObject};
+use presight_model::geometry::Pose;
+use presight_model::world::World;
 use serde_json::{Value, json};
 
 /// A file with the cube as mesh 0, of a one-sided material; its fronts are outside, or inside.
@@ -119,7 +122,7 @@ fn a_script_mirrors_shapes_and_imports_mirrored_nodes() {
     let folder = Folder::new();
     let load = |text: &str| {
         let path = folder.write("s.rhai", text.as_bytes());
-        presight::io::script::load(path, &ImportOptions::default(), &mut |_| {}).unwrap().environment
+        presight_files::script::load(path, &ImportOptions::default(), &mut |_| {}).unwrap().environment
     };
     let plate = "material(\"plate\", #{ one_sided: true });\n";
     // A box stands on its frame's floor.
@@ -139,7 +142,8 @@ fn a_script_mirrors_shapes_and_imports_mirrored_nodes() {
 #[cfg(feature = "store")]
 mod stored {
     use super::*;
-    use presight::io::store::{self, Note, Store};
+    use presight_files::store;
+    use presight_files::store::{Note, Store};
 
     fn note() -> Note {
         Note::new("test", 1.0)

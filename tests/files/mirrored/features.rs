@@ -2,10 +2,14 @@
 
 use super::{INSIDE, OUTSIDE, cube, sensors, ways, world};
 use glam::{DMat3, DVec3};
-use presight::environment::{DEFAULT_TOLERANCE, Existence, Feature, FeatureLayer, FeatureShape, Properties};
-use presight::features::generate::{GenerateOptions, generate};
-use presight::features::{FeatureOptions, Hidden, Reason, SeenFeature, Visibility, place};
-use presight::{Backend, NewObject, Options, Pose, Predictor, Request, World};
+use presight_features::generate::{GenerateOptions, generate};
+use presight_features::{FeatureOptions, Hidden, Reason, SeenFeature, Visibility, place};
+use presight_model::environment::NewObject;
+use presight_model::environment::{DEFAULT_TOLERANCE, Existence, Feature, FeatureLayer, FeatureShape, Properties};
+use presight_model::geometry::Pose;
+use presight_model::world::World;
+use presight_predict::predict::{Backend, Options, Predictor};
+use presight_predict::request::Request;
 
 /// Points on the walls at x = 2 and x = 3, off the middle so that no pixel's ray meets them by chance; a patch on either.
 fn layer() -> FeatureLayer {

@@ -11,13 +11,13 @@ mod features;
 
 use common::engines::{self, Renderer};
 use glam::{DAffine3, DMat3, DVec3, Vec3};
-use presight::engine::EngineKind;
-use presight::verify::Precision;
-use presight::{
-    Angles, Camera, Distortion, Environment, Geometry, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose,
-    RayTable, Scanner, Sensor, SensorSpec, World,
-};
 use presight_model::environment::{CUBOID_FACES, cuboid_corners};
+use presight_model::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
+use presight_model::geometry::Pose;
+use presight_model::sensor::{Angles, Camera, Distortion, Geometry, RayTable, Scanner, Sensor, SensorSpec};
+use presight_model::world::World;
+use presight_predict::engine::EngineKind;
+use presight_render::verify::Precision;
 use std::sync::Arc;
 
 /// Where the sensor stands: before the cube, and in its middle.

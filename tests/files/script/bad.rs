@@ -1,7 +1,7 @@
 //! What scripts must not do: each is a typed error with file, line, column, call and remedy, within bounded time.
 
 use super::load;
-use presight::{Error, ErrorKind};
+use presight_model::error::{Error, ErrorKind};
 use std::fs;
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -411,7 +411,7 @@ fn buffers_of_models_that_lead_outside() {
     let folder = with_link_to(&|folder| folder.join("real.bin"));
     load(&folder.path().join("scene.rhai")).0.unwrap();
     let outside = with_link_to(&|_| secret.path().join("m.bin"));
-    presight::io::gltf::import(outside.path().join("m.gltf"), &Default::default()).unwrap();
+    presight_files::gltf::import(outside.path().join("m.gltf"), &Default::default()).unwrap();
 }
 
 #[test]

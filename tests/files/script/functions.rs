@@ -1,8 +1,8 @@
 //! Every function that is documented, called: each case names one way to call one, and its script checks what it gives.
 
 use super::{load, run};
-use presight::environment::{Appearance, FeatureShape};
-use presight::io::script::reference;
+use presight_files::script::reference;
+use presight_model::environment::{Appearance, FeatureShape};
 
 /// Signature and script; a floor is placed before it.
 const CASES: &[(&str, &str)] = &[
@@ -301,9 +301,9 @@ fn assemblies_are_groups_where_they_are_placed() {
     ] {
         assert!((at(path) - glam::DVec3::new(x, y, z)).length() < 1e-12, "{path}: {}", at(path));
     }
-    let mut world = presight::World::new(e.clone());
-    let to = presight::Pose::from_xyz_rpy(glam::DVec3::new(20.0, 0.0, 7.0), 0.0, 0.0, 0.0);
-    world.apply(presight::Change::MoveObject { name: "cart#2".into(), world_from_object: to }).unwrap();
+    let mut world = presight_model::world::World::new(e.clone());
+    let to = presight_model::geometry::Pose::from_xyz_rpy(glam::DVec3::new(20.0, 0.0, 7.0), 0.0, 0.0, 0.0);
+    world.apply(presight_model::change::Change::MoveObject { name: "cart#2".into(), world_from_object: to }).unwrap();
     let moved: Vec<&str> = world
         .environment()
         .objects()
@@ -330,14 +330,14 @@ fn groups_of_imported_models_are_placed_with_them() {
     let part =
         run("let a = assembly(); a.add(\"lid\", box(1, 1, 1), pose(1, 0, 0)); place(\"cart\", a, pose(0, 2, 0));")
             .unwrap();
-    presight::io::gltf::write_glb(&folder.path().join("part.glb"), &part.environment).unwrap();
+    presight_files::gltf::write_glb(&folder.path().join("part.glb"), &part.environment).unwrap();
     let path = folder.path().join("scene.rhai");
     let text = "let p = import_gltf(\"part.glb\"); place(\"a\", p, pose(0, 0, 3, 90)); place(\"a\", p); let q = p; q.add(\"top\", box(1, 1, 1)); place(\"b\", q);";
     std::fs::write(&path, text).unwrap();
     let e = load(&path).0.unwrap().environment;
     let given: Vec<&str> = e.framed_groups().map(|(path, _)| path).collect();
     assert_eq!(given, ["a", "a#2/cart", "a/cart", "b/cart"], "what stands where its parent does needs no frame");
-    assert!(["a#2", "b"].iter().all(|path| e.frame(path) == Some(presight::Pose::IDENTITY)));
+    assert!(["a#2", "b"].iter().all(|path| e.frame(path) == Some(presight_model::geometry::Pose::IDENTITY)));
     let at = e.frame("a/cart").unwrap().translation;
     assert!((at - glam::DVec3::new(-2.0, 0.0, 3.0)).length() < 1e-12, "{at}");
 }
@@ -363,9 +363,9 @@ fn features_move_with_their_shapes_and_are_numbered() {
     assert!((*at - glam::DVec3::new(0.0, 0.1, 2.5)).length() < 1e-15, "{at}");
     assert!((covariance.x_axis.x - 0.04).abs() < 1e-15 && (covariance.y_axis.y - 0.01).abs() < 1e-15);
     assert_eq!(laser[0].properties.normal, Some(glam::DVec3::Y));
-    let world = presight::World::new(e.clone());
+    let world = presight_model::world::World::new(e.clone());
     for layer in e.layers() {
-        presight::features::place(&world, layer).expect("they lie on their objects");
+        presight_features::place(&world, layer).expect("they lie on their objects");
     }
 }
 
@@ -380,7 +380,7 @@ fn imported_objects_are_placed_with_their_materials() {
     )
     .unwrap();
     let scene = load(&path).0.unwrap();
-    let alone = presight::io::gltf::import("scenes/room.glb", &Default::default()).unwrap();
+    let alone = presight_files::gltf::import("scenes/room.glb", &Default::default()).unwrap();
     let (e, room) = (&scene.environment, &alone.environment);
     assert_eq!(e.objects().len(), 2 * room.objects().len());
     for (i, object) in room.objects().iter().enumerate() {
@@ -391,7 +391,8 @@ fn imported_objects_are_placed_with_their_materials() {
         assert_eq!(a.first_source, object.first_source);
         assert_eq!(b.world_from_object.translation.x, object.world_from_object.translation.x + 100.0);
         for k in 0..object.mesh.polygon_count() as u32 {
-            let name = |e: &presight::Environment, m: u16| e.materials()[usize::from(m)].name.clone();
+            let name =
+                |e: &presight_model::environment::Environment, m: u16| e.materials()[usize::from(m)].name.clone();
             assert_eq!(name(e, a.mesh.material(k)), name(room, object.mesh.material(k)));
         }
     }

@@ -6,20 +6,20 @@ mod same;
 mod scenes;
 mod size;
 
-use presight::io::script;
-use presight::preparation::ImportedScene;
+use presight_files::preparation::ImportedScene;
+use presight_files::script;
 use presight_testkit as common;
 use std::path::Path;
 
 /// Runs a file; what it prints is the second answer.
-fn load(path: &Path) -> (presight::Result<ImportedScene>, Vec<String>) {
+fn load(path: &Path) -> (presight_model::error::Result<ImportedScene>, Vec<String>) {
     let mut said = Vec::new();
     let outcome = script::load(path, &Default::default(), &mut |line| said.push(line.to_owned()));
     (outcome, said)
 }
 
 /// Runs a text in a folder of its own.
-fn run(text: &str) -> presight::Result<ImportedScene> {
+fn run(text: &str) -> presight_model::error::Result<ImportedScene> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scene.rhai");
     std::fs::write(&path, text).unwrap();

@@ -2,8 +2,11 @@
 
 use super::common::{compare_or_show, engines, plan, reference, scenes};
 use super::load;
-use presight::verify::Precision;
-use presight::{FramePlan, Images, Pose, Sensor, World};
+use presight_model::geometry::Pose;
+use presight_model::sensor::Sensor;
+use presight_model::world::World;
+use presight_render::plan::{FramePlan, Images};
+use presight_render::verify::Precision;
 use std::path::Path;
 
 fn world(name: &str) -> World {
@@ -13,7 +16,7 @@ fn world(name: &str) -> World {
 }
 
 fn sensor(file: &str) -> Sensor {
-    presight::io::load_sensor(&format!("scenes/{file}.toml")).unwrap().0
+    presight_files::load_sensor(&format!("scenes/{file}.toml")).unwrap().0
 }
 
 /// Images of every engine, each held to the reference, with the engine's name.
@@ -110,7 +113,9 @@ fn behind() {
 #[test]
 fn empty() {
     let world = world("empty");
-    for sensor in [sensor("small"), presight::preset("laser-scanner").unwrap(), presight::preset("vlp-16").unwrap()] {
+    for sensor in
+        [sensor("small"), presight_files::preset("laser-scanner").unwrap(), presight_files::preset("vlp-16").unwrap()]
+    {
         for (name, images) in seen(&world, &sensor) {
             assert!(images.range.iter().all(|r| *r == f32::INFINITY), "{name}");
             assert_eq!(ids(&images), [0].into(), "{name}");
@@ -139,7 +144,7 @@ fn the_halls_features_lie_on_their_objects() {
         let world = world(name);
         assert_eq!(world.environment().layers().len(), classes, "{name}");
         for layer in world.environment().layers() {
-            let placed = presight::features::place(&world, layer).unwrap_or_else(|e| panic!("{name}: {e}"));
+            let placed = presight_features::place(&world, layer).unwrap_or_else(|e| panic!("{name}: {e}"));
             assert!(placed.len() >= 3 && placed.iter().all(|f| !f.slots.is_empty()), "{name}, {}", layer.class);
         }
     }

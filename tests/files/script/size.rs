@@ -2,7 +2,7 @@
 
 use super::load;
 use cpu_time::ThreadTime;
-use presight::ErrorKind;
+use presight_model::error::ErrorKind;
 use std::fs;
 use std::time::{Duration, Instant};
 
@@ -12,7 +12,7 @@ const SOON: Duration = Duration::from_secs(12);
 /// The largest script.
 const MEGABYTE: usize = 1 << 20;
 
-fn loaded(text: &str) -> Result<usize, presight::Error> {
+fn loaded(text: &str) -> Result<usize, presight_model::error::Error> {
     let start = ThreadTime::now();
     let loaded = load_text(text);
     let took = start.elapsed();
@@ -184,11 +184,11 @@ fn a_script_that_only_copies_ends() {
     let start = Instant::now();
     let e = load_text(&format!("let a = []; a.pad(4000, 1); loop {{ a{chain}; }}")).unwrap_err().to_string();
     assert!(e.contains("the script takes over"), "{e}");
-    let most = Duration::from_secs(presight::limits::MAX_SCRIPT_SECONDS) + SOON;
+    let most = Duration::from_secs(presight_model::limits::MAX_SCRIPT_SECONDS) + SOON;
     assert!(start.elapsed() < most, "{:?}", start.elapsed());
 }
 
-fn load_text(text: &str) -> Result<usize, presight::Error> {
+fn load_text(text: &str) -> Result<usize, presight_model::error::Error> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scene.rhai");
     fs::write(&path, text).unwrap();

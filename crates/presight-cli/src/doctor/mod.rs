@@ -6,15 +6,16 @@ mod advice;
 use super::{CommandOutcome, features, print};
 #[cfg(feature = "gpu")]
 use advice::{AdapterState, AdapterTrial, Machine};
+use presight_model::error::Result;
+use presight_model::threads::Threads;
+use presight_predict::engine::{Engine, EngineKind};
 #[cfg(feature = "gpu")]
-use presight::Raster;
-use presight::Result;
-use presight::Threads;
-use presight::engine::{Engine, EngineKind};
+use presight_predict::gpu;
+use presight_predict::gpu::{DeviceOptions, adapters, preferred, testing};
+use presight_predict::probe::{Probe, SensorKind};
 #[cfg(feature = "gpu")]
-use presight::gpu::{self, DeviceOptions, adapters, preferred, testing};
-use presight::plan::{Outputs, Stats};
-use presight::probe::{Probe, SensorKind};
+use presight_render::plan::Raster;
+use presight_render::plan::{Outputs, Stats};
 use std::fmt::Write;
 
 const EXAMPLES: &str = "Examples:
@@ -186,9 +187,9 @@ fn yes(able: bool) -> &'static str {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use presight::Error;
-    use presight::plan::{FramePlan, Images};
-    use presight::verify::Precision;
+    use presight_model::error::Error;
+    use presight_render::plan::{FramePlan, Images};
+    use presight_render::verify::Precision;
 
     /// The CPU engine with corrupted images or errors.
     struct Faulty(Box<dyn Engine>, fn(&mut Images) -> Result<()>);

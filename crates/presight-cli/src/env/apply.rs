@@ -2,10 +2,10 @@
 
 use super::{NoteArgs, open_store};
 use crate::print;
-use presight::limits;
-use presight::{Error, Result};
 use presight_files::file;
 use presight_files::file::without_mark;
+use presight_model::error::{Error, Result};
+use presight_model::limits;
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 

@@ -2,11 +2,11 @@
 
 use crate::outputs::{OutputFiles, check_no_dash};
 use crate::print;
-use presight::environment::FeatureLayer;
-use presight::io::gltf::write_glb;
-use presight::io::{layer, store};
-use presight::placement;
-use presight::{Error, ErrorKind, Result};
+use presight_files::gltf::write_glb;
+use presight_files::{layer, store};
+use presight_model::environment::FeatureLayer;
+use presight_model::error::{Error, ErrorKind, Result};
+use presight_model::placement;
 use std::path::{Path, PathBuf};
 
 /// Write a store as glTF with layer files, which create and import read back without loss

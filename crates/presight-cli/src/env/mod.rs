@@ -8,15 +8,16 @@ use super::frame_args::FrameArgs;
 use super::open_scene;
 use super::outputs::{OutputFiles, check_no_dash};
 use super::{CommandOutcome, print};
-use presight::Change;
-use presight::environment::Environment;
-use presight::index::Scheme;
-use presight::io::layer;
-use presight::io::store::{self, Note, Store};
-use presight::memory;
-use presight::placement;
-use presight::preparation::Up;
-use presight::{Error, Result};
+use presight_files::layer;
+use presight_files::preparation::Up;
+use presight_files::store;
+use presight_files::store::{Note, Store};
+use presight_model::change::Change;
+use presight_model::environment::Environment;
+use presight_model::error::{Error, Result};
+use presight_model::index::Scheme;
+use presight_model::memory;
+use presight_model::placement;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -169,7 +170,7 @@ fn environment_of(scene: &Path, frame: &FrameArgs) -> Result<(Environment, Strin
 
 /// Opens a store for changes, without a spatial index because nothing is predicted.
 fn open_store(path: &Path) -> Result<Store> {
-    Store::open_with_index(path, Scheme::None, presight::index::Params::default())
+    Store::open_with_index(path, Scheme::None, presight_model::index::Params::default())
 }
 
 fn create(store: &Path, scene: &Path, frame: &FrameArgs, note: &NoteArgs) -> Result<()> {

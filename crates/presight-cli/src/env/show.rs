@@ -1,10 +1,11 @@
 //! `presight env info`, `check` and `log`.
 
 use crate::print;
-use presight::environment::{Environment, Object};
-use presight::io::store::{self, LogEntry};
-use presight::preparation::lost_features;
-use presight::{Error, Result};
+use presight_files::preparation::lost_features;
+use presight_files::store;
+use presight_files::store::LogEntry;
+use presight_model::environment::{Environment, Object};
+use presight_model::error::{Error, Result};
 use presight_model::printable::clipped;
 use serde_json::{Value, json};
 use std::path::Path;
@@ -22,7 +23,7 @@ pub fn info(path: &Path, as_json: bool) -> Result<()> {
     let info = store::info(path)?;
     let environment = &info.environment;
     let groups = environment.groups();
-    let layer = |l: &presight::environment::FeatureLayer| json!({"class": l.class, "features": l.features.len()});
+    let layer = |l: &presight_model::environment::FeatureLayer| json!({"class": l.class, "features": l.features.len()});
     let value = json!({
         "format": FORMAT,
         "store": path.display().to_string(),
@@ -97,7 +98,7 @@ fn json_line(e: &LogEntry, path: &Path) -> Result<String> {
         "undoes": e.undoes,
         "change": parse(&e.change)?,
         "inverse": parse(&e.inverse)?,
-        "hash": presight::environment::ContentHash(e.hash).to_string(),
+        "hash": presight_model::environment::ContentHash(e.hash).to_string(),
     });
     Ok(value.to_string())
 }

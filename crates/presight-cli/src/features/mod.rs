@@ -9,11 +9,11 @@ use super::open_scene;
 use super::outputs::OutputFiles;
 use super::{CommandOutcome, print};
 use clap::builder::NonEmptyStringValueParser;
-use presight::environment::Environment;
-use presight::features::generate::{FeatureKind, GenerateOptions, GeneratedLayer, generate_with_progress};
-use presight::index::Scheme;
-use presight::io::layer;
-use presight::{Error, Result};
+use presight_features::generate::{FeatureKind, GenerateOptions, GeneratedLayer, generate_with_progress};
+use presight_files::layer;
+use presight_model::environment::Environment;
+use presight_model::error::{Error, Result};
+use presight_model::index::Scheme;
 use std::path::PathBuf;
 use std::time::Instant;
 

@@ -1,13 +1,13 @@
 //! Edges and corners near the point that a pixel sees.
 
 use glam::{DVec2, DVec3};
-use presight::Result;
-use presight::World;
-use presight::environment::{Feature, FeatureLayer, FeatureShape};
-use presight::features::{FeatureSettings, SeenFeature, place, predict_features};
-use presight::geometry::Pose;
-use presight::plan::Images;
-use presight::sensor::Sensor;
+use presight_features::{FeatureSettings, SeenFeature, place, predict_features};
+use presight_model::environment::{Feature, FeatureLayer, FeatureShape};
+use presight_model::error::Result;
+use presight_model::geometry::Pose;
+use presight_model::sensor::Sensor;
+use presight_model::world::World;
+use presight_render::plan::Images;
 use std::sync::Arc;
 
 /// An edge or a corner.

@@ -7,14 +7,17 @@ use super::super::{CommandOutcome, print};
 use super::OptionArgs;
 use super::near::{NearbyFeature, PickView};
 use glam::{DMat3, DVec2, DVec3};
-use presight::environment::{Existence, Feature, FeatureShape, Properties};
-use presight::features::generate::{GenerateOptions, generate};
-use presight::geometry::{Aabb, Pose, plane_of_polygon};
-use presight::index::Scheme;
-use presight::io::{layer, load_sensor};
-use presight::plan::{Images, Output, Outputs};
-use presight::sensor::Sensor;
-use presight::{Backend, Error, Options, Predictor, Request, Result, Scene};
+use presight::Scene;
+use presight_features::generate::{GenerateOptions, generate};
+use presight_files::{layer, load_sensor};
+use presight_model::environment::{Existence, Feature, FeatureShape, Properties};
+use presight_model::error::{Error, Result};
+use presight_model::geometry::{Aabb, Pose, plane_of_polygon};
+use presight_model::index::Scheme;
+use presight_model::sensor::Sensor;
+use presight_predict::predict::{Backend, Options, Predictor};
+use presight_predict::request::Request;
+use presight_render::plan::{Images, Output, Outputs};
 use std::path::PathBuf;
 
 /// Show the polygon and point that a pixel sees, nearby edges, and a layer entry to paste

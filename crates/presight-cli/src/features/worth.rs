@@ -2,13 +2,16 @@
 
 use super::super::{bar, print};
 use crate::outputs::OutputFiles;
-use presight::environment::FeatureLayer;
-use presight::features::PlacedFeatures;
-use presight::io::atomic::write_atomically;
-use presight::io::{layer, load_sensor};
-use presight::worth::{HEADINGS, Thinned, Worth, WorthOptions};
-use presight::{Error, Options, Predictor, Result, Scene, Sensor};
+use presight::Scene;
+use presight_features::PlacedFeatures;
+use presight_files::atomic::write_atomically;
+use presight_files::{layer, load_sensor};
+use presight_model::environment::FeatureLayer;
+use presight_model::error::{Error, Result};
+use presight_model::sensor::Sensor;
 use presight_pictures::{GridMap, write_maps};
+use presight_predict::predict::{Options, Predictor};
+use presight_predict::worth::{HEADINGS, Thinned, Worth, WorthOptions};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -85,7 +88,7 @@ impl WorthArgs {
         let mut options = WorthOptions::default();
         options.spacing = self.spacing.unwrap_or(options.spacing);
         options.floor = self.floor.unwrap_or(options.floor);
-        let placed: PlacedFeatures = presight::features::place(&scene.world, layer)?.into();
+        let placed: PlacedFeatures = presight_features::place(&scene.world, layer)?.into();
         let mut predictor = Predictor::new(Options::default())?;
         let bar = bar::bar(0);
         let worth = Worth::of(&scene.world, sensor, &placed, &options, &mut predictor, |done, of| {

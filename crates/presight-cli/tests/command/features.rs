@@ -1,7 +1,7 @@
 //! Features from outside: layers, what is said of them, where they are drawn, and what is refused.
 
 use super::{Bad, Place, WALL, WALL_INDICES, bad, check, wall};
-use presight::io::exr;
+use presight_files::exr;
 use serde_json::{Value, json};
 use std::fs;
 

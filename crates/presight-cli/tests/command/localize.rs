@@ -1,7 +1,7 @@
 //! `presight simulate`, `localize` and `replay`: a drive is simulated, followed, compared with what it was, and shown.
 
 use super::Place;
-use presight::io::tum;
+use presight_files::tum;
 use std::fs;
 
 const CAMERA: &str = "format = 1\nkind = \"camera\"\nclass = \"laser\"\nwidth = 80\nheight = 60\nfx = 70.0\nfy = 70.0\ncx = 39.5\n\
@@ -178,12 +178,16 @@ fn scans_of_points_are_logs() {
 /// does not know their dictionary.
 #[test]
 fn fiducials_of_a_layer_are_looked_for() {
-    use presight::{Environment, Material, Pose, io::gltf};
+    use presight_files::gltf;
+    use presight_model::environment::{Environment, Material};
+    use presight_model::geometry::Pose;
     let place = Place::new();
     let mut environment = Environment::new();
     environment.add_material(Material::named("paint")).unwrap();
-    let room = presight::Mesh::cuboid("room", [0.0; 3].into(), [6.0, 4.0, 2.6].into(), 0).unwrap();
-    environment.insert(presight::NewObject::new("room", Pose::IDENTITY, std::sync::Arc::new(room))).unwrap();
+    let room = presight_model::environment::Mesh::cuboid("room", [0.0; 3].into(), [6.0, 4.0, 2.6].into(), 0).unwrap();
+    environment
+        .insert(presight_model::environment::NewObject::new("room", Pose::IDENTITY, std::sync::Arc::new(room)))
+        .unwrap();
     // Facing the robot, which looks along x.
     let facing = glam::DQuat::from_mat3(&glam::DMat3::from_cols_array(&[0., -1., 0., 0., 0., 1., -1., 0., 0.]));
     let tags = [(0, [5.9, 1.2, 1.9]), (1, [5.9, 2.0, 1.1]), (2, [5.9, 2.9, 1.8]), (3, [4.4, 2.4, 0.7])];

@@ -22,7 +22,7 @@ mod special;
 mod virtual_sensors;
 
 use assert_cmd::Command;
-use presight::io::exr;
+use presight_files::exr;
 use serde_json::{Value, json};
 use std::fs;
 use std::path::PathBuf;

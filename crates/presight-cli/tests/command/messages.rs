@@ -1,7 +1,7 @@
 //! Messages: one line, printable, of bounded length, and not misleading, whatever names and files hold.
 
 use super::{Outcome, Place, VIEW, WALL, WALL_INDICES, camera, wall};
-use presight::io::sensor_toml;
+use presight_files::sensor_toml;
 use serde_json::json;
 
 /// A name that breaks lines, colours a terminal, turns text round and hides.

@@ -2,7 +2,7 @@
 
 use super::signals::interrupts_pass;
 use super::{Outcome, Place, camera};
-use presight::io::exr;
+use presight_files::exr;
 use std::fs;
 
 const TRAJECTORY: &str = "# t x y z q\n1305031102.175304 0 0 1 0 0 0 1\n\n1305031102.2 -0.5 0.25 1 0 0 0 1\n\

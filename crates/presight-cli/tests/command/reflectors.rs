@@ -1,7 +1,7 @@
 //! Logs of scanners: simulated with intensities and without, followed by the reflectors of a layer, shown, and refused.
 
 use super::Place;
-use presight::io::tum;
+use presight_files::tum;
 use std::fs;
 
 /// A corridor of plain walls with three plates of foil across it, the layer of the scene.

@@ -1,7 +1,7 @@
 //! Every command, with what it reads and what it writes.
 
 use super::process::{Ended, Limits, open_folder, run};
-use presight::io::exr;
+use presight_files::exr;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -179,8 +179,8 @@ impl Pantry {
 
     /// Images that are large in memory and small on the disk, made when they are first needed.
     pub fn make_large(&self) {
-        let mut images = presight::Images::default();
-        let range = presight::Outputs::of(&[presight::Output::Range]);
+        let mut images = presight_render::plan::Images::default();
+        let range = presight_render::plan::Outputs::of(&[presight_render::plan::Output::Range]);
         images.prepare(16_384, 4096, range);
         exr::write(&self.folder.path().join("large.exr"), &images, range, &exr::Attributes::default()).unwrap();
     }

@@ -1,8 +1,9 @@
 //! What is no store, or may not be written.
 
 use super::{create, presight, small};
-use presight::ErrorKind;
-use presight::io::store::{self, Note, Store};
+use presight_files::store;
+use presight_files::store::{Note, Store};
+use presight_model::error::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::process::Output;
 
@@ -198,7 +199,7 @@ fn lines_that_are_no_changes_name_their_place() {
 /// Whatever is wrong with a line: those before it are stored and acknowledged.
 #[test]
 fn lines_before_one_that_cannot_be_read_are_stored() {
-    let long = format!("{{\"op\":\"{}\"}}\n", "x".repeat(presight::limits::MAX_LINE_BYTES as usize));
+    let long = format!("{{\"op\":\"{}\"}}\n", "x".repeat(presight_model::limits::MAX_LINE_BYTES as usize));
     for (bad, says) in [(&b"{\"op\":\"\xff\"}\n"[..], "UTF-8"), (long.as_bytes(), "bytes long"), (b"{\n", "EOF")] {
         let (folder, path) = folder_with_store();
         let good: String = (1..=99).map(|k| super::numbered(k).1 + "\n").collect();

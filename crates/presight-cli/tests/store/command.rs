@@ -2,8 +2,10 @@
 
 use super::exports::with_a_lost_feature;
 use super::{create, note, numbered, presight, small};
-use presight::io::store::{self, Store};
-use presight::{Change, World};
+use presight_files::store;
+use presight_files::store::Store;
+use presight_model::change::Change;
+use presight_model::world::World;
 use std::path::Path;
 use std::process::Stdio;
 
@@ -151,7 +153,7 @@ fn another_change_under_a_known_id_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     create(here, &small());
-    presight::io::gltf::write_glb(&here.join("p.glb"), &small()).unwrap();
+    presight_files::gltf::write_glb(&here.join("p.glb"), &small()).unwrap();
     let lines = [
         r#"{"id":"m","op":"move","object":"a","pose":[1,2,3,0,0,90]}"#,
         r#"{"id":"d","op":"delete_object","object":"b/lid"}"#,
@@ -177,7 +179,8 @@ fn another_change_under_a_known_id_is_refused() {
     let before = hash();
     // The same in other words: keys in another order, another form of the pose, with a cause.
     let same = r#"{"pose":[1.0,2,3,0,0,0.7071067811865475,0.7071067811865476],"cause":"again","object":"a","op":"move","id":"m"}"#;
-    let rotation = presight::Pose::from_xyz_rpy(glam::DVec3::ZERO, 0.0, 0.0, 90f64.to_radians()).rotation;
+    let rotation =
+        presight_model::geometry::Pose::from_xyz_rpy(glam::DVec3::ZERO, 0.0, 0.0, 90f64.to_radians()).rotation;
     let same =
         same.replace("0,0,0.7071067811865475,0.7071067811865476", &format!("0,0,{:?},{:?}", rotation.z, rotation.w));
     assert_eq!(apply(&same).stdout, b"ack 1\n", "{}", String::from_utf8_lossy(&apply(&same).stderr));
@@ -220,7 +223,7 @@ fn changes_of_the_library_are_known_by_their_ids() {
     let named = |id: &str| store::Note { id: Some(id.to_owned()), ..note(1.0) };
     let new = |name: &str, size| {
         let mesh = super::block("new", size, [0; 6]);
-        Change::InsertObject(presight::NewObject::new(name, super::at(1.0, 0.0, 0.0), mesh))
+        Change::InsertObject(presight_model::environment::NewObject::new(name, super::at(1.0, 0.0, 0.0), mesh))
     };
     let delete = |name: &str| Change::DeleteObject { name: name.into() };
     assert_eq!(store.apply(new("x", 1.0), &named("n")).unwrap(), 1);
@@ -231,7 +234,8 @@ fn changes_of_the_library_are_known_by_their_ids() {
     for (change, id) in [(new("x", 2.0), "n"), (new("z", 1.0), "n"), (delete("b"), "d"), (new("x", 1.0), "d")] {
         let e = store.apply(change, &named(id)).unwrap_err();
         assert!(
-            e.kind() == presight::ErrorKind::Invalid && e.to_string().contains(&format!("id {id:?} is that")),
+            e.kind() == presight_model::error::ErrorKind::Invalid
+                && e.to_string().contains(&format!("id {id:?} is that")),
             "{e}"
         );
     }
@@ -254,7 +258,7 @@ fn objects_come_from_files_and_from_each_other() {
     let here = folder.path();
     create(here, &small());
     std::fs::create_dir(here.join("parts")).unwrap();
-    presight::io::gltf::write_glb(&here.join("parts/p.glb"), &small()).unwrap();
+    presight_files::gltf::write_glb(&here.join("parts/p.glb"), &small()).unwrap();
     let lines = r#"{"op":"insert_object","object":"x","pose":[1,2,3,0,0,0],"from":"p.glb","from_object":"b/lid"}
 {"op":"insert_object","object":"y","pose":[1,2,4,0,0,0],"like":"x"}
 {"op":"add_material","name":"tin","reflection":0.9,"classes":{"radar":"opaque","laser":"invisible"}}
@@ -442,13 +446,13 @@ fn a_scene_brings_its_groups_along() {
     create(here, &small());
     let mut other = small();
     other.set_frame("g", Some(super::at(1.0, 2.0, 3.0))).unwrap();
-    presight::io::gltf::write_glb(&here.join("o.glb"), &other).unwrap();
+    presight_files::gltf::write_glb(&here.join("o.glb"), &other).unwrap();
     assert_eq!(run(here, &["env", "import", "env.presight", "o.glb"]), "change 1\n");
     assert_eq!(run(here, &["env", "import", "env.presight", "o.glb"]), "nothing to change\n");
     let read = || store::check(&here.join("env.presight")).unwrap().environment;
     assert_eq!(read().frame("g"), Some(super::at(1.0, 2.0, 3.0)));
     other.set_frame("g", Some(super::at(1.0, 2.0, 4.0))).unwrap();
-    presight::io::gltf::write_glb(&here.join("o.glb"), &other).unwrap();
+    presight_files::gltf::write_glb(&here.join("o.glb"), &other).unwrap();
     let refused = presight().args(["env", "import", "env.presight", "o.glb"]).current_dir(here).output().unwrap();
     let message = String::from_utf8(refused.stderr).unwrap();
     assert!(

@@ -7,8 +7,9 @@
 
 use super::common::skip::skip;
 use super::{create, note, numbered, presight, small};
-use presight::World;
-use presight::io::store::{self, Store};
+use presight_files::store;
+use presight_files::store::Store;
+use presight_model::world::World;
 use std::collections::{BTreeMap, HashMap};
 use std::io::Write;
 use std::path::{Path, PathBuf};

@@ -11,10 +11,14 @@ mod random;
 mod undo;
 
 use glam::{DMat3, DVec3, Vec3};
-use presight::environment::{Existence, Feature, FeatureShape, Properties};
-use presight::io::store::{self, Note};
-use presight::{Change, Environment, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose, World};
+use presight_files::store;
+use presight_files::store::Note;
+use presight_model::change::Change;
 use presight_model::environment::{CUBOID_FACES, cuboid_corners};
+use presight_model::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
+use presight_model::environment::{Existence, Feature, FeatureShape, Properties};
+use presight_model::geometry::Pose;
+use presight_model::world::World;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::Arc;

@@ -2,9 +2,15 @@
 //! sensor sees in them.
 
 use super::{at, block, create, note, point, small};
-use presight::index::{Params, Scheme};
-use presight::io::store::{self, Store};
-use presight::{Backend, Change, Environment, NewObject, Options, Pose, Predictor, Request, World};
+use presight_files::store;
+use presight_files::store::Store;
+use presight_model::change::Change;
+use presight_model::environment::{Environment, NewObject};
+use presight_model::geometry::Pose;
+use presight_model::index::{Params, Scheme};
+use presight_model::world::World;
+use presight_predict::predict::{Backend, Options, Predictor};
+use presight_predict::request::Request;
 use proptest::prelude::*;
 use std::collections::HashMap;
 
@@ -70,7 +76,7 @@ fn from_scratch(environment: &Environment) -> Environment {
 /// What a sensor sees: range bits, and by name which polygon of which object.
 fn seen(world: &World) -> Vec<(u32, Option<(String, u32)>)> {
     let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).unwrap();
-    let sensor = presight::preset("laser-range-camera").unwrap();
+    let sensor = presight_files::preset("laser-range-camera").unwrap();
     let pose = Pose::from_xyz_rpy(glam::DVec3::new(0.1, 0.2, 2.0), 0.0, 0.2, 0.1);
     let images = predictor.predict(world, &sensor, &pose, &Request::default()).unwrap().images;
     let environment = world.environment();

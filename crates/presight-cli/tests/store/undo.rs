@@ -1,8 +1,10 @@
 //! The log: listed, explained, undone; groups, ids, batches.
 
 use super::{at, create, note, numbered, point, presight, small};
-use presight::io::store::{self, Note, Store};
-use presight::{Change, ErrorKind};
+use presight_files::store;
+use presight_files::store::{Note, Store};
+use presight_model::change::Change;
+use presight_model::error::ErrorKind;
 
 fn mover(name: &str, x: f64) -> Change {
     Change::MoveObject { name: name.into(), world_from_object: at(x, 0.0, 0.5) }
@@ -40,7 +42,7 @@ fn same_on_disk(store: Store) {
     assert_eq!(info.changes, changes);
     assert_eq!(info.environment.slot_count(), world.environment().slot_count());
     for class in ["video", "radar"] {
-        let retired = |e: &presight::Environment| e.retired(class).collect::<Vec<_>>();
+        let retired = |e: &presight_model::environment::Environment| e.retired(class).collect::<Vec<_>>();
         assert_eq!(retired(&info.environment), retired(world.environment()));
     }
 }

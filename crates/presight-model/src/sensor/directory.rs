@@ -86,8 +86,8 @@ fn cell(d: DVec3, side: usize) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sensor::{Angles, Scanner};
     use crate::random::SplitMix64;
+    use crate::sensor::{Angles, Scanner};
     use crate::sensor::{Geometry, RayTable, Sensor, SensorSpec};
 
     /// The result is nearly always the nearest ray and never far from it, inside and outside the table.

@@ -5,7 +5,7 @@ mod rect;
 
 use axis::Axis;
 use plotters::prelude::*;
-use presight::{Error, ErrorKind, Result};
+use presight_model::error::{Error, ErrorKind, Result};
 use rect::Rect;
 
 /// Width and height of a chart, pixels.

@@ -1,10 +1,10 @@
 //! Checks an engine's images against the truth, pixel by pixel, within the product's published bounds.
 
 use super::oracle::{ExactFace, Oracle, PolygonOnRay, Truth};
-use presight::plan::{FramePlan, Images};
-use presight::sensor::Sensor;
-use presight::verify::{PixelValues, Precision};
+use presight_model::sensor::Sensor;
 use presight_model::threads::parallel_or_here;
+use presight_render::plan::{FramePlan, Images};
+use presight_render::verify::{PixelValues, Precision};
 use presight_render::verify::{span, ulp};
 use rayon::prelude::*;
 

@@ -5,7 +5,7 @@ use super::big::{Big, Vector};
 use super::fold::Outline;
 use super::oracle::Truth;
 use glam::DVec3;
-use presight::sensor::Distortion;
+use presight_model::sensor::Distortion;
 
 /// The published tolerance of a ray: [`Distortion::distort`] reproduces the image coordinates to this, relative to the
 /// image radius (1 if that is less).

@@ -19,7 +19,7 @@ pub use families::{Family, Finding, Outcome, all};
 pub use output::{RunInfo, faults, to_csv, to_html, to_json};
 pub use subjects::{BoxSetting, Subject, subjects};
 
-use presight::Result;
+use presight_model::error::Result;
 
 /// A stability study.
 pub struct Study {

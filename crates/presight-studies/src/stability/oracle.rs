@@ -7,12 +7,12 @@
 use super::big::{Big, Vector};
 use super::lens::Exact;
 use glam::DVec3;
-use presight::environment::Object;
-use presight::plan::FramePlan;
-use presight::sensor::{Angles, Geometry};
-use presight::verify::Precision;
+use presight_model::environment::Object;
+use presight_model::sensor::{Angles, Geometry};
+use presight_render::plan::FramePlan;
 use presight_render::reference::{Face, instances};
 use presight_render::verify::FaceBound;
+use presight_render::verify::Precision;
 
 /// The truth at a pixel.
 #[derive(Clone, Debug)]

@@ -4,7 +4,7 @@ use super::{Outcome, Row, Study};
 use crate::Machine;
 use crate::chart::{Chart, Series, Style};
 use crate::page::{Part, Section, Table, page};
-use presight::{Error, ErrorKind, Result};
+use presight_model::error::{Error, ErrorKind, Result};
 use serde_json::{Value, json};
 
 /// Format version of `report.json`.

@@ -1,14 +1,14 @@
 //! The subjects of the study: engines, judged by their images and regions of interest.
 
-use presight::Result;
-use presight::Threads;
-use presight::World;
-use presight::engine::{Engine, EngineKind};
-use presight::features::{BoxOptions, BoxQuery, FeaturePrediction, PlacedFeature};
-use presight::geometry::Pose;
-use presight::plan::{CountName, FramePlan, Images, Stats};
-use presight::sensor::Sensor;
+use presight_features::{BoxOptions, BoxQuery, FeaturePrediction, PlacedFeature};
+use presight_model::error::Result;
+use presight_model::geometry::Pose;
+use presight_model::sensor::Sensor;
+use presight_model::threads::Threads;
+use presight_model::world::World;
 use presight_predict::engine::add_boxes;
+use presight_predict::engine::{Engine, EngineKind};
+use presight_render::plan::{CountName, FramePlan, Images, Stats};
 
 /// Features in front of a sensor, with their uncertainty and that of the pose.
 #[derive(Clone, Debug)]

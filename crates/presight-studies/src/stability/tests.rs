@@ -7,13 +7,13 @@ use super::oracle::{Oracle, Truth};
 use glam::{DVec3, Vec3};
 use parry3d_f64::query::{Ray, RayCast};
 use parry3d_f64::shape::Triangle;
-use presight::World;
-use presight::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
-use presight::geometry::Pose;
-use presight::plan::{FramePlan, IdScheme, ImageRequest, Images, Outputs};
-use presight::reference;
-use presight::sensor::{Angles, Camera, Distortion, Geometry, RayTable, Scanner, Sensor, SensorSpec};
-use presight::verify::Precision;
+use presight_model::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
+use presight_model::geometry::Pose;
+use presight_model::sensor::{Angles, Camera, Distortion, Geometry, RayTable, Scanner, Sensor, SensorSpec};
+use presight_model::world::World;
+use presight_render::plan::{FramePlan, IdScheme, ImageRequest, Images, Outputs};
+use presight_render::reference;
+use presight_render::verify::Precision;
 use std::sync::Arc;
 
 fn world(triangles: &[[[f32; 3]; 3]], pose: Pose) -> World {

@@ -1,9 +1,10 @@
 //! Errors of images.
 
 use super::FAULT_SHARE;
-use presight::Result;
-use presight::plan::{FramePlan, Images};
-use presight::verify::{self, Precision};
+use presight_model::error::Result;
+use presight_render::plan::{FramePlan, Images};
+use presight_render::verify;
+use presight_render::verify::Precision;
 
 /// Distances between borders are clamped to this, pixels.
 const REACH: i32 = 16;
@@ -191,8 +192,8 @@ fn distance(beside: &[i32], w: usize, at: usize) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use presight::probe::{Probe, SensorKind};
     use presight_model::random::SplitMix64;
+    use presight_predict::probe::{Probe, SensorKind};
 
     fn error(errors: &ImageErrors, kind: &str) -> f64 {
         errors.kinds().into_iter().find(|k| k.0 == kind).unwrap().1
@@ -201,10 +202,10 @@ mod tests {
     /// Errors of the probe's reference images after `spoil`.
     fn spoiled(spoil: impl Fn(&mut Images)) -> ImageErrors {
         let mut found = None;
-        let outputs = presight::Outputs::default();
+        let outputs = presight_render::plan::Outputs::default();
         let probe = Probe::new().unwrap();
         let draw = |plan: &FramePlan, images: &mut Images| {
-            presight::reference::render(plan, images)?;
+            presight_render::reference::render(plan, images)?;
             let truth = images.clone();
             let mut other = truth.clone();
             spoil(&mut other);

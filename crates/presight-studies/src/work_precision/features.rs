@@ -8,15 +8,17 @@ use super::timing::{TimedPath, by_turns};
 use super::views::ImageVariant;
 use super::{PathNotes, Row, how, regions};
 use glam::DVec3;
-use presight::features::generate::{FeatureKind, GenerateOptions, generate};
-use presight::features::{
+use presight_features::generate::{FeatureKind, GenerateOptions, generate};
+use presight_features::{
     FeatureOptions, FeaturePrediction, FeatureSettings, Hidden, PlacedFeature, PlacedFeatures, STEP, SeenFeature,
     Visibility, place, predict_features,
 };
-use presight::geometry::{Aabb, Pose};
-use presight::plan::Stats;
-use presight::sensor::Sensor;
-use presight::{Prediction, Request, Result};
+use presight_model::error::Result;
+use presight_model::geometry::{Aabb, Pose};
+use presight_model::sensor::Sensor;
+use presight_predict::predict::Prediction;
+use presight_predict::request::Request;
+use presight_render::plan::Stats;
 
 /// Features are generated within this distance of the sensor, metres.
 const NEAR: f64 = 6.0;

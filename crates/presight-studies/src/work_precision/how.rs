@@ -2,8 +2,8 @@
 
 use super::paths::{EnginePath, Path};
 use super::views::ImageVariant;
-use presight::features::{BoxMethod, STEP, Visibility};
-use presight::sensor::{Angles, Geometry, Scanner, Sensor};
+use presight_features::{BoxMethod, STEP, Visibility};
+use presight_model::sensor::{Angles, Geometry, Scanner, Sensor};
 
 /// Settings of a path to images: flags of `presight predict` first, then the others after a semicolon.
 pub(super) fn of_image(path: &Path, sensor: &Sensor) -> String {
@@ -97,7 +97,7 @@ pub(super) fn of_regions(which: EnginePath, method: BoxMethod) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use presight::io::sensor_toml;
+    use presight_files::sensor_toml;
 
     const CAMERA: &str = "width = 61\nheight = 48\nfx = 40.0\nfy = 41.0\ncx = 31.5\ncy = 23.25\n";
     const TURN: &str = "[azimuth]\nstart_deg = -180.0\nstep_deg = 0.3\ncount = 1200\n";

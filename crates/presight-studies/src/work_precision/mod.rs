@@ -26,12 +26,12 @@ pub use show::{to_csv, to_html, to_json};
 
 use one::SceneStudy;
 use paths::{Engines, Path};
-use presight::World;
-use presight::geometry::Pose;
-use presight::plan::{CountName, ImageRequest, Omission, StageName};
-use presight::sensor::{Camera, Distortion, Geometry, Sensor, SensorSpec};
-use presight::verify::Precision;
-use presight::{Error, Result};
+use presight_model::error::{Error, Result};
+use presight_model::geometry::Pose;
+use presight_model::sensor::{Camera, Distortion, Geometry, Sensor, SensorSpec};
+use presight_model::world::World;
+use presight_render::plan::{CountName, ImageRequest, Omission, StageName};
+use presight_render::verify::Precision;
 use serde::Serialize;
 use std::time::Duration;
 

@@ -5,14 +5,14 @@ use super::paths::{Engines, Path, PathName};
 use super::timing::{TimedPath, Timing, by_turns};
 use super::views::StudyView;
 use super::{Effort, Finding, PathNotes, Row, Scene, advice, features, pareto, request};
-use presight::World;
-use presight::geometry::Pose;
-use presight::index::Params;
-use presight::plan::{FramePlan, Images, Output};
-use presight::reference;
-use presight::sensor::Sensor;
-use presight::{Error, Result};
+use presight_model::error::{Error, Result};
+use presight_model::geometry::Pose;
+use presight_model::index::Params;
+use presight_model::sensor::Sensor;
+use presight_model::world::World;
 use presight_pictures as png;
+use presight_render::plan::{FramePlan, Images, Output};
+use presight_render::reference;
 
 /// A callback that receives the name of each step.
 pub(super) type Progress<'a> = &'a mut dyn FnMut(&str);

@@ -2,13 +2,13 @@
 
 use super::views::ImageVariant;
 use super::{how, precision_of};
-use presight::Threads;
-use presight::engine::EngineKind;
-use presight::index::Scheme;
-use presight::sensor::Sensor;
-use presight::verify::Precision;
-use presight::{Backend, Options, Predictor};
-use presight::{Error, ErrorKind, Result};
+use presight_model::error::{Error, ErrorKind, Result};
+use presight_model::index::Scheme;
+use presight_model::sensor::Sensor;
+use presight_model::threads::Threads;
+use presight_predict::engine::EngineKind;
+use presight_predict::predict::{Backend, Options, Predictor};
+use presight_render::verify::Precision;
 
 /// The engine of a path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -185,7 +185,8 @@ impl Engines {
 #[cfg(feature = "gpu")]
 fn about_gpu(all: &[(EnginePath, Predictor)]) -> (&'static str, bool, String) {
     let gpu = all.iter().find(|(which, _)| *which == EnginePath::Gpu);
-    let engine = gpu.and_then(|(_, p)| (p.engine() as &dyn std::any::Any).downcast_ref::<presight::gpu::GpuEngine>());
+    let engine =
+        gpu.and_then(|(_, p)| (p.engine() as &dyn std::any::Any).downcast_ref::<presight_predict::gpu::GpuEngine>());
     engine.map_or_else(Default::default, |engine| {
         let keys = if engine.abilities().int64_atomics { "64-bit keys" } else { "its 32-bit keys" };
         (keys, engine.adapter().hardware, engine.adapter().to_string())

@@ -8,17 +8,17 @@ use super::paths::{EnginePath, PathName};
 use super::timing::{TimedPath, by_turns};
 use super::{PathNotes, Row, how};
 use glam::{DMat3, DQuat, DVec3};
-use presight::Result;
-use presight::environment::FeatureShape;
-use presight::features::{
+use presight_features::{
     BoxMethod, BoxOptions, BoxQuery, FeaturePrediction, PlacedFeature, SeenFeature, VisibleInterval,
 };
-use presight::geometry::Pose;
-use presight::plan::{CountName, StageName, Stats};
-use presight::sensor::Sensor;
+use presight_model::environment::FeatureShape;
+use presight_model::error::Result;
+use presight_model::geometry::Pose;
 use presight_model::random::SplitMix64;
+use presight_model::sensor::Sensor;
 use presight_model::threads::parallel_or_here;
 use presight_predict::engine::add_boxes;
+use presight_render::plan::{CountName, StageName, Stats};
 use rayon::prelude::*;
 use std::f64::consts::TAU;
 use std::time::Instant;
@@ -272,8 +272,8 @@ impl Normal {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use presight::environment::{Existence, Feature, Properties};
-    use presight::preset;
+    use presight_files::preset;
+    use presight_model::environment::{Existence, Feature, Properties};
 
     /// A point 3 m in front of a camera, with a region of `half` pixels to each side.
     fn point(half: f64) -> (Sensor, SeenFeature) {

@@ -4,7 +4,7 @@ use super::{Finding, Findings, Row, tables};
 use crate::chart::{Chart, Series, Style};
 use crate::page::{Part, Section, Table, page};
 use crate::{Machine, csv_field};
-use presight::{Error, Result};
+use presight_model::error::{Error, Result};
 use serde::Serialize;
 
 /// Format version of report.json.

@@ -2,7 +2,7 @@
 
 use super::{PathNotes, Row};
 use crate::page::Table;
-use presight::plan::Omission;
+use presight_render::plan::Omission;
 
 /// The tables of errors: caption, kinds, and whether cells include bounds (too wide for images).
 const FAMILIES: [(&str, &[&str], bool); 3] = [
@@ -149,7 +149,7 @@ fn in_short(some: &[String], all: &[String]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use presight::plan::StageName;
+    use presight_render::plan::StageName;
 
     #[test]
     fn what_nearly_all_leave_out_is_said_in_short() {

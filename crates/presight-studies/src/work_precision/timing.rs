@@ -3,8 +3,8 @@
 use super::paths::PathName;
 use super::{Effort, PathNotes, StageTime};
 use crate::{median, quantile};
-use presight::Result;
-use presight::plan::{StageName, Stats};
+use presight_model::error::Result;
+use presight_render::plan::{StageName, Stats};
 use std::time::{Duration, Instant};
 
 /// A run longer than this is hardly affected by what other paths left in the caches.

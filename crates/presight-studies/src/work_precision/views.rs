@@ -2,9 +2,9 @@
 
 use super::request;
 use glam::DVec3;
-use presight::Result;
-use presight::plan::Images;
-use presight::sensor::{Angles, Camera, Geometry, RayTable, Scanner, Sensor};
+use presight_model::error::Result;
+use presight_model::sensor::{Angles, Camera, Geometry, RayTable, Scanner, Sensor};
+use presight_render::plan::Images;
 
 /// A variant of the sensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -197,7 +197,7 @@ fn part(geometry: &Geometry) -> Option<(Geometry, (u32, u32))> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use presight::preset;
+    use presight_files::preset;
 
     /// A pixel of a reduced or partial view looks in the mean direction of the pixels that it covers.
     #[test]

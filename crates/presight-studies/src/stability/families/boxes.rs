@@ -4,14 +4,14 @@ use super::{Family, Finding, powers};
 use crate::stability::big::{Big, Vector};
 use crate::stability::subjects::{BoxSetting, Subject};
 use glam::{DMat3, DQuat, DVec3};
-use presight::Change;
-use presight::Result;
-use presight::World;
-use presight::environment::{Environment, Existence, Feature, FeatureShape, Properties};
-use presight::features::{BoxOptions, FeaturePrediction, PlacedFeature, SeenFeature};
-use presight::geometry::Pose;
-use presight::sensor::{Camera, Geometry, Sensor, SensorSpec};
+use presight_features::{BoxOptions, FeaturePrediction, PlacedFeature, SeenFeature};
+use presight_model::change::Change;
+use presight_model::environment::{Environment, Existence, Feature, FeatureShape, Properties};
+use presight_model::error::Result;
+use presight_model::geometry::Pose;
 use presight_model::random::SplitMix64;
+use presight_model::sensor::{Camera, Geometry, Sensor, SensorSpec};
+use presight_model::world::World;
 
 /// Error bound of an entry (a, b) of an image covariance J S J^T, relative to sum |J_ai| sigma_i times sum |J_bj|
 /// sigma_j: 1e-12 for the eigenvalues that square roots of covariances drop (`features::normal`), plus f64 rounding.
@@ -130,7 +130,9 @@ impl Family for Boxes {
             let found = match subject.boxes(&setting) {
                 Ok(None) => continue,
                 Ok(Some(found)) => found,
-                Err(e) if e.kind() == presight::ErrorKind::Invalid => return Ok(vec![Finding::rejected(&e)]),
+                Err(e) if e.kind() == presight_model::error::ErrorKind::Invalid => {
+                    return Ok(vec![Finding::rejected(&e)]);
+                }
                 Err(e) => return Err(e),
             };
             let (error, bound) = match self.measured {

@@ -7,9 +7,9 @@ use crate::stability::big::{Big, Vector};
 use crate::stability::lens::{Exact, TOLERANCE};
 use crate::stability::subjects::Subject;
 use glam::DVec3;
-use presight::Result;
-use presight::geometry::Pose;
-use presight::sensor::{Camera, Distortion, Geometry, Sensor, SensorSpec};
+use presight_model::error::Result;
+use presight_model::geometry::Pose;
+use presight_model::sensor::{Camera, Distortion, Geometry, Sensor, SensorSpec};
 
 /// Image points ever closer to the fold, on one side.
 #[derive(Clone, Copy)]

@@ -9,10 +9,10 @@ mod scenes;
 mod shapes;
 
 use super::subjects::Subject;
-use presight::Result;
-use presight::World;
-use presight::geometry::Pose;
-use presight::sensor::Sensor;
+use presight_model::error::Result;
+use presight_model::geometry::Pose;
+use presight_model::sensor::Sensor;
+use presight_model::world::World;
 
 /// How a case ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
@@ -59,7 +59,7 @@ pub struct Finding {
 
 impl Finding {
     /// The finding of a refused case.
-    pub fn rejected(error: &presight::Error) -> Self {
+    pub fn rejected(error: &presight_model::error::Error) -> Self {
         let note = error.to_string();
         let (engine, outcome) = ("all".into(), Outcome::Rejected);
         Self { engine, error: f64::NAN, bound: f64::NAN, outcome, other: 0, edge_on: 0, note }

@@ -5,10 +5,10 @@ use super::{Case, Family, Finding, Outcome, powers};
 use crate::stability::judge::{ErrorSummary, TruthImage};
 use crate::stability::subjects::Subject;
 use glam::{DAffine3, DVec3, Vec3};
-use presight::Result;
-use presight::environment::NewObject;
-use presight::geometry::Pose;
-use presight::plan::{FramePlan, IdScheme, ImageRequest, Images, Output, Outputs};
+use presight_model::environment::NewObject;
+use presight_model::error::Result;
+use presight_model::geometry::Pose;
+use presight_render::plan::{FramePlan, IdScheme, ImageRequest, Images, Output, Outputs};
 use std::sync::Arc;
 
 /// A family of scenes.

@@ -2,12 +2,12 @@
 
 use super::Case;
 use glam::{DVec3, Vec3};
-use presight::Result;
-use presight::World;
-use presight::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
-use presight::geometry::Pose;
-use presight::sensor::{Angles, Camera, Geometry, Scanner, Sensor, SensorSpec};
 use presight_model::environment::{CUBOID_FACES, cuboid_corners};
+use presight_model::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
+use presight_model::error::Result;
+use presight_model::geometry::Pose;
+use presight_model::sensor::{Angles, Camera, Geometry, Scanner, Sensor, SensorSpec};
+use presight_model::world::World;
 use std::sync::Arc;
 
 /// The pose of a scene's frame in the world: rotated, so that no coordinates are exact by chance.
