@@ -18,7 +18,7 @@ fn a_change_after_a_prediction_copies_nothing() {
     }
     let (mut world, sensor) = (World::new(environment), presight_files::preset("laser-scanner").unwrap());
     let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).unwrap();
-    let place = |world: &World| (std::ptr::from_ref(world.environment()), std::ptr::from_ref(world.index()));
+    let place = |world: &World| (std::sync::Arc::as_ptr(world.environment()), std::ptr::from_ref(world.index()));
     let before = place(&world);
     let at = |x| Pose::from_xyz_rpy(glam::DVec3::new(x, 0.0, 0.0), 0.0, 0.0, 0.2);
     let moved = |name: &str, x| Change::MoveObject { name: name.into(), world_from_object: at(x) };

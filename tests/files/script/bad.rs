@@ -118,7 +118,7 @@ fn arguments_of_the_wrong_type_and_number() {
     refused("bux(1, 2);", &["line 1", "no function bux"]);
     refused("place(\"a\", 3);", &["line 1", "thing is 3", "a shape or an assembly"]);
     refused("place(\"a\", box(1, 1, 1), [1, 2, 3]);", &["line 1", "pose is an array", "a pose"]);
-    refused("place(\"/a\", box(1, 1, 1));", &["line 1", "no name"]);
+    refused("place(\"/a\", box(1, 1, 1));", &["line 1", "not a valid object name"]);
     refused("let b = box(1, 1, 1); b.add(\"x\", b);", &["line 1", "assembly is a shape"]);
     refused("extrude([[0, 0], [1, 0], [1]], 1);", &["line 1", "outline[2]", "2 numbers"]);
     refused("extrude([[0, 0], [1, 1], [1, 0], [0, 1]], 1);", &["line 1", "meets side"]);
