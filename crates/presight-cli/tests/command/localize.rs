@@ -97,8 +97,7 @@ fn errors_in_a_log_are_named() {
     refused("log", "0.3,0.35,1.35,0,0,38", 1, &name);
 }
 
-/// `replay` writes a picture for each frame and a page that refers to all of them. It draws regions of interest if
-/// features are requested.
+/// `replay` writes a picture for each frame and a page with all of them. Features come with regions of interest.
 #[cfg(feature = "report")]
 #[test]
 fn a_drive_is_drawn() {
@@ -137,8 +136,7 @@ fn a_drive_is_drawn() {
     }
 }
 
-/// A single scan, as points or as a range image, is a log of one frame. Points in the world frame also give the
-/// sensor's position.
+/// A scan, as points or as a range image, is a log of one frame. World-frame points include the sensor position.
 #[test]
 fn scans_of_points_are_logs() {
     let place = drive();

@@ -312,8 +312,7 @@ fn indexes_are_measured() {
     let schemes: Vec<&str> = lines[1..].iter().step_by(2).map(|l| l[0]).collect();
     assert_eq!(schemes, ["none", "grid", "plop", "s2d", "s3d", "two-level"]);
     for line in &lines[1..] {
-        // The polygon is in view from the first pose and behind the second, so the median is between 1 and 0. The index
-        // returns no polygon needlessly.
+        // The polygon is in view from the first pose only: the medians are 0.5, and nothing needless is returned.
         assert_eq!((line[2], line[3], line[7], line[8], line[9]), ("2", "", "0.5", "0.5", "1.0000"), "{line:?}");
         assert_eq!(line[10].is_empty(), line[1] == "sector", "{line:?}");
     }

@@ -1,5 +1,4 @@
-//! Scanner logs with intensities and without: simulation, localization by the layer's reflectors, drawing, and
-//! refusals.
+//! Scanner logs with and without intensities: simulation, localization by reflectors, drawing, and refusals.
 
 use super::Place;
 use presight_files::tum;

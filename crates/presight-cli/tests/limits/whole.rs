@@ -74,7 +74,7 @@ fn left_behind(row: &Row, folder: &Path, done: bool) -> Vec<String> {
     faults
 }
 
-/// Images and points must equal those of an unlimited run. Other files contain times and are only parsed.
+/// Images and points must be the same as without limits. Other files contain times and are only parsed.
 fn whole(row: &Row, path: &Path, name: &str, bytes: &[u8]) -> Result<(), String> {
     let usual = Pantry::get().usual.get(row.line).and_then(|usual| usual.files.get(name));
     let text = || std::str::from_utf8(bytes).map_err(|e| e.to_string());

@@ -215,8 +215,7 @@ fn lines_before_one_that_cannot_be_read_are_stored() {
     }
 }
 
-/// An error in a file that a line names gives the place in that file. The line number is the one in the file of
-/// changes.
+/// An error in a file that a line names gives the line in the file of changes and the place in the named file.
 #[test]
 fn errors_in_a_file_that_a_line_names_give_the_place_in_that_file() {
     let (folder, path) = folder_with_store();

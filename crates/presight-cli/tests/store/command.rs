@@ -300,8 +300,7 @@ fn log_undo_and_check_use_the_same_numbers() {
     assert_eq!(refused.status.code(), Some(1), "3 moved it again");
 }
 
-/// Importing a re-exported model overwrites nothing without the flag. With the flag the import is one change, which can
-/// be undone.
+/// Importing a re-exported model overwrites only with the flag, and then as one change, which can be undone.
 #[test]
 fn a_scene_imported_again_replaces_objects_only_on_request() {
     let folder = tempfile::tempdir().unwrap();
@@ -343,8 +342,7 @@ fn a_scene_imported_again_replaces_objects_only_on_request() {
     assert_eq!(layer.unwrap().status.code(), Some(2), "layers have rules of their own");
 }
 
-/// A feature whose surface moved away is kept, excluded from predictions and reported. A new feature must lie on a
-/// surface.
+/// A feature whose surface moved away is kept but not predicted, and reported. A new feature must lie on a surface.
 #[test]
 fn features_that_lost_their_surface_are_kept_and_reported() {
     let folder = tempfile::tempdir().unwrap();

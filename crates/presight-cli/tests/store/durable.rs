@@ -142,7 +142,7 @@ impl Disk {
         }
     }
 
-    /// Writes the folder as it is after a power cut: only synced data, or all operations.
+    /// Writes the folder's state after a power cut: only synced data, or all operations.
     fn after_power_cut(&self, all: bool, to: &Path) -> PathBuf {
         for (name, file) in &self.files {
             let there = if all { file.there } else { self.names.get(name) == Some(&true) };
