@@ -121,7 +121,7 @@ pub fn store(bytes: &[u8]) -> bool {
             let _ = (store::read(path), store::log(path, |_| Ok(())), store::Store::open(path).is_ok());
             return false;
         };
-        let store = store::Store::open(path).expect("a sound store opens");
+        let store = store::Store::open(path).expect("a valid store opens");
         assert_eq!(store.world().environment().content_hash(), info.environment.content_hash());
         assert_eq!(store.changes(), info.changes);
         check_world(presight_model::environment::Environment::clone(store.world().environment()));
@@ -140,7 +140,7 @@ pub fn changes(bytes: &[u8]) -> bool {
             create(&path, &check::stage(), &Note::new("fuzz", 1.5)).expect("a store");
             let none = presight_model::index::Scheme::None;
             let params = presight_model::index::Params::tuned(none);
-            let mut store = Store::open_with_index(&path, none, params).expect("a sound store opens");
+            let mut store = Store::open_with_index(&path, none, params).expect("a valid store opens");
             store.without_sync().expect("an open store");
             RefCell::new(store)
         });

@@ -36,9 +36,9 @@ pub fn stage() -> Environment {
         .map(Vec3::from)
         .to_vec()]));
     let at = |x: f64| Pose::from_xyz_rpy(DVec3::new(x, 0.0, 0.0), 0.0, 0.0, 0.1);
-    environment.insert(NewObject::new("box", at(4.0), boxes.clone())).expect("a sound object");
-    environment.insert(NewObject::new("hall/door", at(6.0), boxes)).expect("a sound object");
-    environment.insert(NewObject::new("wall", at(8.0), wall)).expect("a sound object");
+    environment.insert(NewObject::new("box", at(4.0), boxes.clone())).expect("a valid object");
+    environment.insert(NewObject::new("hall/door", at(6.0), boxes)).expect("a valid object");
+    environment.insert(NewObject::new("wall", at(8.0), wall)).expect("a valid object");
     environment
 }
 
@@ -120,7 +120,7 @@ pub fn check_layer(layer: &FeatureLayer) -> bool {
     let world = World::new(environment);
     let Ok(placed) = place(&world, &layer) else { return false };
     let camera = Camera::pinhole(33, 25, 20.0, 20.0, 16.0, 12.0);
-    let sensor = Sensor::new(SensorSpec::new("camera", "video", Geometry::Camera(camera))).expect("a sound camera");
+    let sensor = Sensor::new(SensorSpec::new("camera", "video", Geometry::Camera(camera))).expect("a valid camera");
     let pose = Pose::from_xyz_rpy(DVec3::new(0.0, 0.3, 1.0), 0.0, 0.0, 0.0);
     let images = reference(&plan(&world, &sensor, &pose));
     let options = FeatureSettings { feature_id: true, ..FeatureSettings::default() };

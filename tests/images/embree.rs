@@ -52,7 +52,7 @@ fn vector(v: &Value) -> DVec3 {
 
 fn images(world: &World, sensor: &Sensor, pose: &Pose) -> Images {
     let request = Request::of(Outputs::ALL).with_ids(IdScheme::Source);
-    common::reference(&FramePlan::new(world, sensor, pose, &request).expect("a sound pose"))
+    common::reference(&FramePlan::new(world, sensor, pose, &request).expect("a valid pose"))
 }
 
 /// Compares lengths, then depths, then ids; the number of stable pixels whose depth agrees comes back.

@@ -106,7 +106,7 @@ fn tied() -> World {
     };
     let insert = |environment: &mut Environment, name: &str, polygons: &[Vec<Vec3>]| {
         let mesh = Arc::new(scenes::mesh(polygons));
-        environment.insert(NewObject::new(name, Pose::IDENTITY, mesh)).expect("a sound object");
+        environment.insert(NewObject::new(name, Pose::IDENTITY, mesh)).expect("a valid object");
     };
     for (i, (y, z)) in [(2.0, 1.5), (-2.0, 1.5), (2.0, -1.5), (-2.0, -1.5)].into_iter().enumerate() {
         insert(&mut environment, &format!("plate {i}"), &[square(y, z, 0.4, 5.0)]);
@@ -145,7 +145,7 @@ fn a_large_polygon_is_shared_out() {
     let wall = [(-8.0, -8.0), (8.0, -8.0), (8.0, 8.0), (-8.0, 8.0)].map(|(y, z)| Vec3::new(5.0, y, z)).to_vec();
     environment
         .insert(NewObject::new("wall", Pose::IDENTITY, Arc::new(scenes::mesh(&[wall]))))
-        .expect("a sound object");
+        .expect("a valid object");
     let (images, stats) = render(&mut engine, &World::new(environment), &scenes::camera(160, 120), &Pose::IDENTITY);
     assert!(images.polygon_id.iter().all(|id| *id == 1));
     assert_eq!(count(&stats, CountName::WorkItems), 60);

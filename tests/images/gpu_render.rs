@@ -147,7 +147,7 @@ fn world(polygons: &[Vec<Vec3>]) -> World {
     let mut environment = scenes::empty();
     for (i, polygon) in polygons.iter().enumerate() {
         let mesh = Arc::new(scenes::mesh(std::slice::from_ref(polygon)));
-        environment.insert(NewObject::new(format!("plate {i}"), Pose::IDENTITY, mesh)).expect("a sound object");
+        environment.insert(NewObject::new(format!("plate {i}"), Pose::IDENTITY, mesh)).expect("a valid object");
     }
     World::new(environment)
 }

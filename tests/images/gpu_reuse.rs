@@ -228,7 +228,7 @@ fn only_predictions_that_ask_for_it_reuse_a_frame() {
     assert_eq!((why_anew(&seen.stats), brought(&seen.stats) > 0), (None, true));
     // A batch of neighbours, a study, and a deadline.
     let images = BatchRequest { images: Some(ImageRequest::default()), statistics: true, ..BatchRequest::default() };
-    let batch = predictor.batch(&world, &sensor, vec![pose; 3], &images).expect("a sound batch");
+    let batch = predictor.batch(&world, &sensor, vec![pose; 3], &images).expect("a valid batch");
     for item in batch {
         let stats = item.expect("it predicts").stats.expect("they were drawn");
         assert_eq!((why_anew(&stats), brought(&stats)), (Some("not requested"), 0));

@@ -2,7 +2,7 @@
 //!
 //! `PROPTEST_CASES` says how many, `PRESIGHT_SEED` which: the same ones each time without it.
 
-#![allow(clippy::print_stderr)] // Skips and what was found are said.
+#![allow(clippy::print_stderr)] // Prints skips and results.
 
 use presight_testkit as common;
 

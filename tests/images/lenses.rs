@@ -17,7 +17,7 @@ use presight_render::verify::{Precision, Report};
 
 fn camera(name: &str, f: f64, distortion: Distortion) -> Sensor {
     let camera = Camera { distortion, ..Camera::pinhole(480, 360, f, 1.05 * f, 244.0, 171.0) };
-    Sensor::new(SensorSpec::new(name, "video", Geometry::Camera(camera))).expect("a sound camera")
+    Sensor::new(SensorSpec::new(name, "video", Geometry::Camera(camera))).expect("a valid camera")
 }
 
 /// Beams of 48 rows that do not lie on straight lines, one in 13 missing.
@@ -32,7 +32,7 @@ fn table(random: &mut Random) -> Sensor {
         }
     }
     let table = RayTable::new(720, 48, rays).expect("sound rays");
-    Sensor::new(SensorSpec::new("table", "laser", Geometry::Rays(table))).expect("a sound sensor")
+    Sensor::new(SensorSpec::new("table", "laser", Geometry::Rays(table))).expect("a valid sensor")
 }
 
 fn sensors(random: &mut Random) -> Vec<Sensor> {

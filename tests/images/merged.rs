@@ -3,7 +3,7 @@
 //! A pixel agrees if what the merged world shows there is, within the deviation that the import reports, in the plane
 //! and at the range of the triangle that the source world shows. Another polygon may be shown only beside a border.
 
-#![allow(clippy::print_stderr)] // Skips and what was found are said.
+#![allow(clippy::print_stderr)] // Prints skips and results.
 
 use presight_testkit as common;
 

@@ -4,7 +4,7 @@
 //! image) spread runs, `PRESIGHT_SCENES` names scenes. By default half of the 8 presets take their turn at each of 20
 //! poses: a run holds every preset in every scene at 10 poses. `PRESIGHT_PRESETS=8` takes all at every pose.
 
-#![allow(clippy::print_stderr)] // Skips and what was found are said.
+#![allow(clippy::print_stderr)] // Prints skips and results.
 
 use presight_testkit as common;
 

@@ -151,7 +151,7 @@ fn sensor(random: &mut Random, kind: usize) -> Sensor {
         spec.range_min = random.uniform(0.0, 1.5);
         spec.range_max = random.uniform(2.0, 8.0);
     }
-    Sensor::new(spec).expect("a sound sensor")
+    Sensor::new(spec).expect("a valid sensor")
 }
 
 /// Triangles of one size anywhere in the room, as a mesh and as one that is wound the other way round.
@@ -172,7 +172,7 @@ fn soup(random: &mut Random, count: usize, size: f64) -> [Arc<Mesh>; 2] {
         polygons.iter().map(|p| Polygon::new(vec![p.corners[0], p.corners[2], p.corners[1]], p.material)).collect();
     [polygons, turned].map(|polygons| {
         let mesh = Mesh::new("soup", vertices.clone(), polygons, PolygonOrder::Spatial);
-        Arc::new(mesh.expect("a sound mesh"))
+        Arc::new(mesh.expect("a valid mesh"))
     })
 }
 
@@ -181,11 +181,11 @@ fn soup(random: &mut Random, count: usize, size: f64) -> [Arc<Mesh>; 2] {
 fn world(random: &mut Random) -> World {
     let boxes = random.below(30);
     let mut environment = scenes::room(random.bits(), boxes);
-    environment.add_material(Material { one_sided: true, ..Material::named("sheet") }).expect("a sound material");
-    environment.add_material(Material::named("red")).expect("a sound material");
+    environment.add_material(Material { one_sided: true, ..Material::named("sheet") }).expect("a valid material");
+    environment.add_material(Material::named("red")).expect("a valid material");
     for object in environment.objects().to_vec().into_iter().skip(1).step_by(3) {
         let again = NewObject::new("again", object.world_from_object, object.mesh.clone());
-        environment.insert(again).expect("a sound object");
+        environment.insert(again).expect("a valid object");
     }
     let (count, size) = [(20, 1.5), (300, 0.4), (3000, 0.1), (9000, 0.05)][random.below(4)];
     let [mesh, turned] = soup(random, count, size);
@@ -193,8 +193,8 @@ fn world(random: &mut Random) -> World {
     // Wound the other way round, for a mirrored object keeps its fronts: the hashes are of a time when it turned them round.
     let mut mirrored = NewObject::new("mirrored", pose, turned);
     mirrored.object_from_mesh = DAffine3::from_scale(DVec3::new(-1.0, 1.0, 0.9));
-    environment.insert(NewObject::new("loose", pose, mesh)).expect("a sound object");
-    environment.insert(mirrored).expect("a sound object");
+    environment.insert(NewObject::new("loose", pose, mesh)).expect("a valid object");
+    environment.insert(mirrored).expect("a valid object");
     World::new(environment)
 }
 
@@ -249,11 +249,11 @@ fn images_of_ray_tables_have_the_bits_that_they_always_had() {
 fn in_a_full_room(geometry: Geometry) -> Images {
     let mut random = Random(7);
     let mut environment = scenes::room(7, 20);
-    environment.add_material(Material::named("red")).expect("a sound material");
-    environment.add_material(Material::named("green")).expect("a sound material");
+    environment.add_material(Material::named("red")).expect("a valid material");
+    environment.add_material(Material::named("green")).expect("a valid material");
     let [mesh, _] = soup(&mut random, 9000, 0.2);
-    environment.insert(NewObject::new("loose", Pose::IDENTITY, mesh)).expect("a sound object");
-    let sensor = Sensor::new(SensorSpec::new("odd", "laser", geometry)).expect("a sound sensor");
+    environment.insert(NewObject::new("loose", Pose::IDENTITY, mesh)).expect("a valid object");
+    let sensor = Sensor::new(SensorSpec::new("odd", "laser", geometry)).expect("a valid sensor");
     let pose = Pose::from_xyz_rpy(DVec3::new(0.1, 0.2, 1.4), 0.0, 0.0, 0.3);
     engines::cpu(0)(&plan(&World::new(environment), &sensor, &pose))
 }

@@ -1,6 +1,6 @@
 //! Features generated from real models: known counts, and edges confirmed by rays of another library.
 
-#![allow(clippy::print_stderr)] // Skips and what was found are said.
+#![allow(clippy::print_stderr)] // Prints skips and results.
 
 use presight_testkit as common;
 mod scenes;
@@ -149,7 +149,7 @@ fn rays_confirm_the_edges_of_real_models() {
             .collect();
         assert_eq!(edges.len(), FeatureKind::ALL[..4].iter().map(|k| generated.counts.of(*k)).sum::<usize>());
         // What was made is sound, and its file reads back the same.
-        let text = presight_files::layer::to_string(&generated.layer).expect("a sound layer");
+        let text = presight_files::layer::to_string(&generated.layer).expect("a valid layer");
         assert!(presight_files::layer::parse(&text).expect("its own text").layer == generated.layer, "{name}");
         let (right, shifted) = shares(&world, &edges, 1000, 7);
         eprintln!(
