@@ -17,7 +17,7 @@ use std::time::Duration;
 
 const FEATURES: u32 = 100;
 
-/// Upright edges 1 m ahead; the image of edge i is i times as long as that of edge 1.
+/// Upright edges 1 m ahead; edge i is i times as long in the image as edge 1.
 fn edges() -> Vec<PlacedFeature> {
     let edge = |id: u32| {
         let (y, half) = (0.4 - 0.005 * f64::from(id), 0.001 * f64::from(id));
@@ -73,7 +73,7 @@ fn the_longest_features_go_first_and_the_rest_are_named() {
             expected.sort_unstable();
             rest.sort_unstable();
             assert_eq!((ids(&found.features), left_out), (expected, &rest[..]), "look {look}");
-            // The features found equal those of the full prediction, with their regions.
+            // These features and their regions equal the full prediction's.
             for seen in &found.features {
                 let same = full.features.iter().find(|f| f.feature.id == seen.feature.id).unwrap();
                 assert_eq!(format!("{seen:?}"), format!("{same:?}"), "look {look}");

@@ -1,9 +1,9 @@
-//! Lens cameras, fisheyes and free tables on every engine against the reference.
+//! Compares lens cameras, fisheyes and free ray tables on every engine with the reference.
 //!
-//! `PRESIGHT_LENS_ROOMS` (1) is the number of generated rooms, `PRESIGHT_LENS_POSES` (0) that of poses in each real scene;
-//! `PRESIGHT_SEED` makes other ones. 92 rooms and 10 poses are 10^8 pixels.
+//! `PRESIGHT_LENS_ROOMS` (1) is the number of generated rooms, `PRESIGHT_LENS_POSES` (0) the number of poses in each
+//! real scene, and `PRESIGHT_SEED` sets the seed. 92 rooms and 10 poses are 10^8 pixels.
 
-#![expect(clippy::print_stderr, reason = "what was compared is worth reading")]
+#![expect(clippy::print_stderr, reason = "the tests print their comparisons")]
 
 use presight_testkit as common;
 
