@@ -1,4 +1,4 @@
-//! The images of a batch equal those of single predictions bit for bit, for any threads and chunks.
+//! Batches and single predictions give the same images bit for bit, for any threads and chunks.
 
 use super::{common, predictor};
 use common::{Random, data, scenes};

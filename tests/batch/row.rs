@@ -26,8 +26,8 @@ fn scanners() -> Vec<Sensor> {
     ]
 }
 
-/// Returns the number of differing pixels, and how many of them are at edges, where a slightly rotated ray gives the
-/// compared value.
+/// Returns the number of pixels and of differing ones. Without a shift only pixels at edges may differ: a slightly
+/// rotated ray gives the same value there.
 fn compare(world: &World, sensor: &Sensor, pose: &Pose, shift: f64) -> (usize, usize) {
     let mut predictor = predictor(1);
     let moved = Pose { translation: pose.translation + glam::DVec3::new(shift, 0.0, 0.0), ..*pose };

@@ -197,7 +197,7 @@ fn a_pose_is_known_no_better_than_its_tags() {
     assert!(exact < 0.002, "{exact}");
 }
 
-/// A drive by tags alone, and one by tags and ranges: together they are no worse than ranges alone.
+/// A drive by tags alone, and one by tags and ranges, which is at least as accurate as ranges alone.
 #[test]
 fn drives_are_tracked_by_tags() {
     let (world, corners) = with_tags(&TAGS);

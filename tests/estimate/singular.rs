@@ -35,8 +35,7 @@ fn floor_only() {
     assert!((answer.pose.translation.z - 1.5).abs() < 4.0 * sigma(&answer, 2));
 }
 
-/// The search ends on a frame that no pose explains, though every iteration improves on its own prediction: a sensor
-/// ten times as noisy as stated.
+/// The estimator gives up on a frame that no pose explains: the sensor is ten times as noisy as stated.
 #[test]
 fn a_frame_that_no_pose_explains_is_given_up() {
     let world = room(Vec3::ZERO);

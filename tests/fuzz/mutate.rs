@@ -125,7 +125,7 @@ impl<'a> Mutator<'a> {
     }
 }
 
-/// Writes bytes over `over` others, or between.
+/// Replaces `over` bytes by others, or inserts these if `over` is 0.
 fn put(out: &mut Vec<u8>, at: usize, over: usize, bytes: &[u8]) {
     let end = (at + over).min(out.len());
     out.splice(at..end, bytes.iter().copied());
