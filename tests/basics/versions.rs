@@ -1,4 +1,4 @@
-//! Versions of a world: who keeps one, and what a change copies.
+//! Versions of a world: their owners, and what a change copies.
 
 use presight_model::change::Change;
 use presight_model::geometry::Pose;
@@ -7,7 +7,8 @@ use presight_predict::predict::{Backend, Options, Predictor};
 use presight_predict::request::Request;
 use presight_testkit::scenes;
 
-/// A predictor keeps no version of the world, so the next change works in place. A reader that keeps one causes a copy.
+/// A predictor keeps no version of the world, so the next change works in place. A reader that holds a version makes
+/// the change copy.
 #[test]
 fn a_change_after_a_prediction_copies_nothing() {
     let mut environment = presight_model::environment::Environment::new();
