@@ -68,7 +68,7 @@ fn priorities_are_checked() {
 fn broken_cost_files_are_named_and_left_unchanged() {
     let place = Place::new();
     for (text, said) in
-        [("{}", "has no format"), ("{\"format\": 9, \"models\": []}", "newer"), ("no", "no file of costs")]
+        [("{}", "has no format"), ("{\"format\": 9, \"models\": []}", "newer"), ("no", "not a valid file of costs")]
     {
         place.write("costs.json", text.as_bytes());
         let outcome = place.run(&format!("{PREDICT} --deadline-ms 60000 --costs costs.json"));

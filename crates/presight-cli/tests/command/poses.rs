@@ -121,7 +121,7 @@ fn wrong_series_are_refused_before_any_work() {
         ("--poses none.tum", 1, "none.tum"),
         ("--poses drive.tum --out run/a.exr", 2, "--out: one name for 3 poses; put {i} or {t} into it"),
         ("--poses drive.tum --out run/{i.exr", 2, "--out run/{i.exr"),
-        ("--poses drive.tum --out run/{n}.exr", 2, "{n} is no field"),
+        ("--poses drive.tum --out run/{n}.exr", 2, "{n} is not a valid field"),
         ("--poses drive.tum --out run/{output}{i}.exr", 2, "{output} has no value here"),
         ("--poses drive.tum --npy run/{i}.npy", 2, "--npy: one name for 4 images; put {output}"),
         ("--pose 0,0,1,0,0,0 --npy run/a.npy", 2, "--npy: one name for 4 images"),
