@@ -70,10 +70,10 @@ fn record(bench: &Bench, engine: &mut CpuEngine, pose: &Pose, full: f64) -> Outc
             for _ in 0..TIMES {
                 let start = bench.clock.now();
                 let mut plan = FramePlan::new(&bench.world, &bench.sensor, pose, &Request::default())?;
+                plan.set_watch(Watch::start(bench.clock.clone(), after));
                 if stride > 1 {
                     plan.set_part(stride, None)?;
                 }
-                plan.set_watch(Watch::start(bench.clock.clone(), after));
                 let mut stats = Stats::default();
                 engine.render(&plan, &mut images, &mut stats)?;
                 times.push(bench.since(start));
