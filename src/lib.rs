@@ -31,12 +31,12 @@
 //! 1. **Scene.** [`Scene::open`] reads a glTF model, a script or a stored environment. Its [`World`] is one version of an
 //!    [`Environment`] (objects, polygons, materials, feature layers) with its spatial index. [`World::apply`] makes the next
 //!    version.
-//! 2. **Sensor.** A [`Sensor`] is a [`preset`], a file ([`io::load_sensor`]), or made from a [`SensorSpec`]. [`frames`] turns
+//! 2. **Sensor.** A [`Sensor`] is a [`preset`], a file ([`io::load_sensor`]), or made from a [`SensorSpec`]. [`poses`] turns
 //!    poses of robots, optical frames and glTF axes into the [`Pose`] of a sensor.
 //! 3. **Prediction.** [`Predictor::predict`] takes world, sensor, pose and [`Request`]. Its [`Prediction`] holds the
 //!    [`Images`], the visible parts and region of interest of each feature, and [`Stats`].
 //! 4. **Tasks.** [`virtual_sensors`] reduce a view, predicted or measured, to what one task needs, such as free floor.
-//! 5. **Reality.** A [`frame::Frame`] holds a measurement. [`verdict`] compares it with the prediction pixel by pixel,
+//! 5. **Reality.** A [`measured::Frame`] holds a measurement. [`verdict`] compares it with the prediction pixel by pixel,
 //!    [`estimate`] computes the robot's pose, and [`localize`] tracks it.
 //! 6. **Files.** [`io`] has one module per format: EXR, PNG, PLY, PCD, JSON, TOML.
 //!
@@ -84,7 +84,7 @@ mod scene;
 
 pub use presight_features as features;
 pub use presight_files as io;
-pub use presight_files::{frames, preparation, preset};
+pub use presight_files::{poses, preparation, preset};
 pub use presight_localize::{estimate, extract, history, localize, matching, simulate, verdict};
 pub use presight_model::change::Change;
 pub use presight_model::environment::{
@@ -98,7 +98,7 @@ pub use presight_model::sensor::{
 };
 pub use presight_model::threads::Threads;
 pub use presight_model::world::World;
-pub use presight_model::{frame, index, limits, memory};
+pub use presight_model::{index, limits, measured, memory};
 #[cfg(feature = "gpu")]
 pub use presight_predict::gpu;
 pub use presight_predict::predict::{Backend, Options, Prediction, Predictor};

@@ -3,8 +3,8 @@
 use super::scans::{self, Scans};
 use crate::depth_folder::DepthFolder;
 use presight_model::error::{Error, Result};
-use presight_model::frame::{Frame, OdometryNoise};
 use presight_model::geometry::Pose;
+use presight_model::measured::{Frame, OdometryNoise};
 use presight_model::sensor::Sensor;
 use std::path::Path;
 

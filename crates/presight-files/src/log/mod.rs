@@ -21,9 +21,9 @@ pub use frames::{Frames, Observation};
 use super::file;
 use super::text::read_line;
 use presight_model::error::{Error, Result};
-use presight_model::frame::{GreyImage, Measurement, Motion, OdometryNoise, check_intensities};
 use presight_model::geometry::Pose;
 use presight_model::limits;
+use presight_model::measured::{GreyImage, Measurement, Motion, OdometryNoise, check_intensities};
 use presight_model::sensor::{Sensor, SensorSpec};
 use std::io::{BufReader, Read};
 use std::path::Path;
@@ -48,9 +48,10 @@ impl LogFrame {
     /// Converts to a frame for the estimator. `noise` is the odometry's, which logs do not contain.
     ///
     /// # Errors
-    /// As [`crate::frame::Frame::new`].
-    pub fn sensed(self, sensor: &Sensor, noise: &OdometryNoise) -> Result<presight_model::frame::Frame> {
-        let mut frame = presight_model::frame::Frame::new(self.time, sensor.clone(), Measurement::Range(self.range))?;
+    /// As [`crate::measured::Frame::new`].
+    pub fn sensed(self, sensor: &Sensor, noise: &OdometryNoise) -> Result<presight_model::measured::Frame> {
+        let mut frame =
+            presight_model::measured::Frame::new(self.time, sensor.clone(), Measurement::Range(self.range))?;
         if let Some(values) = self.intensities {
             frame = frame.with_intensities(GreyImage::new(sensor.width(), sensor.height(), values)?)?;
         }

@@ -7,7 +7,7 @@
 use super::PixelBox;
 use crate::matching::Detection;
 use glam::{DMat2, DVec2};
-use presight_model::frame::GreyImage;
+use presight_model::measured::GreyImage;
 
 /// Thresholds of the corner detector.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -46,7 +46,7 @@ const FLOOR: f64 = 0.1;
 /// ```
 /// use glam::DVec2;
 /// use presight::extract::{CornerOptions, PixelBox, corners_in};
-/// use presight::frame::GreyImage;
+/// use presight::measured::GreyImage;
 /// let grey = (0..24 * 24).map(|i| if i % 24 >= 10 && i / 24 >= 12 { 0.8 } else { 0.2 });
 /// let image = GreyImage::new(24, 24, grey.collect())?;
 /// let found = corners_in(&image, PixelBox::whole(&image), &CornerOptions::default());

@@ -5,7 +5,7 @@ use crate::matching::Detection;
 use glam::{DMat2, DVec2};
 use presight_features::{SeenFeature, VisibleInterval};
 use presight_model::environment::FeatureShape;
-use presight_model::frame::GreyImage;
+use presight_model::measured::GreyImage;
 
 /// The predicted image of an edge.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -91,7 +91,7 @@ const FLOOR: f64 = 0.02;
 /// ```
 /// use glam::DVec2;
 /// use presight::extract::{EdgeOptions, ExpectedEdge, edges_near};
-/// use presight::frame::GreyImage;
+/// use presight::measured::GreyImage;
 /// // Each pixel is as bright as the white part of it.
 /// let row = (0..24).map(|c| (c as f32 + 0.5 - 10.3).clamp(0.0, 1.0));
 /// let image = GreyImage::new(24, 40, row.cycle().take(24 * 40).collect())?;

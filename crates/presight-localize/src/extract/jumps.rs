@@ -3,7 +3,7 @@
 use super::lines::{EdgeFrame, LineOptions, Step, StepNoise};
 use super::{ExpectedEdge, FoundEdge};
 use glam::DVec2;
-use presight_model::frame::{Frame, RangeNoise};
+use presight_model::measured::{Frame, RangeNoise};
 
 /// Thresholds of the depth edge detector.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -38,7 +38,7 @@ const HALF_OPEN: f64 = 0.2887;
 /// ```
 /// use glam::DVec2;
 /// use presight::extract::{ExpectedEdge, JumpOptions, jumps_near};
-/// use presight::frame::{Frame, Measurement};
+/// use presight::measured::{Frame, Measurement};
 /// use presight::{Camera, Geometry, Sensor, SensorSpec};
 /// let camera = Camera::pinhole(40, 30, 40.0, 40.0, 19.5, 14.5);
 /// let sensor = Sensor::new(SensorSpec::new("camera", "laser", Geometry::Camera(camera)))?;

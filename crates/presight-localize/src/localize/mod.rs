@@ -61,9 +61,9 @@ pub use search::{Candidate, Search, SearchOptions};
 use crate::estimate::{Estimate, Estimator, Freedom, Prior};
 use crate::motion::{motion_between, moved, turn};
 use presight_model::error::{Error, Result};
-use presight_model::frame::{Frame, Motion};
 use presight_model::geometry::Pose;
 use presight_model::matrix::{Matrix, add_to, restricted, sandwich};
+use presight_model::measured::{Frame, Motion};
 use presight_model::sensor::Sensor;
 
 use presight_model::world::World;

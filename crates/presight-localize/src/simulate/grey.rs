@@ -3,8 +3,8 @@
 
 use super::normal;
 use presight_model::error::{Error, Result};
-use presight_model::frame::{Frame, GreyImage, Measurement};
 use presight_model::geometry::Pose;
+use presight_model::measured::{Frame, GreyImage, Measurement};
 use presight_model::random::SplitMix64;
 use presight_model::sensor::{Camera, Geometry, Sensor};
 use presight_model::world::World;

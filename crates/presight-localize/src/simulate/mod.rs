@@ -11,8 +11,8 @@ pub use surroundings::{Walkers, displace};
 
 use crate::estimate::moved;
 use presight_model::error::{Error, Result};
-use presight_model::frame::{Frame, GreyImage, Measurement, Motion, RangeNoise};
 use presight_model::geometry::Pose;
+use presight_model::measured::{Frame, GreyImage, Measurement, Motion, RangeNoise};
 use presight_model::random::SplitMix64;
 use presight_model::sensor::Sensor;
 use presight_model::world::World;

@@ -5,7 +5,7 @@
 //!
 //! # Examples
 //! ```
-//! use presight::frame::{Frame, RangeNoise, Measurement};
+//! use presight::measured::{Frame, RangeNoise, Measurement};
 //! use presight::verdict::{ExpectedImage, Surfaces, Uncertainty, Verdict, judge};
 //! use presight::{Material, Mesh, NewObject, Options, Polygon, PolygonOrder, Pose, Predictor, World};
 //! use std::sync::Arc;
