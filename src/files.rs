@@ -18,6 +18,8 @@ pub use presight_files::gltf::{ImportOptions, import as import_gltf, write_glb};
 #[doc(inline)]
 pub use presight_files::layer::{LayerFile, read as read_layer, schema as layer_schema, write as write_layer};
 #[doc(inline)]
+pub use presight_files::log::lines::{header as range_log_header, line as range_log_line};
+#[doc(inline)]
 pub use presight_files::log::{Frames as LogFrames, Log, LogFrame, open as open_log};
 #[doc(inline)]
 pub use presight_files::npy::{write_image as write_npy, write_rays as write_rays_npy};

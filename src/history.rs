@@ -31,9 +31,10 @@
 
 #[doc(inline)]
 pub use presight_localize::history::{
-    AlternatingTracker, ImageExtent, MatchOutcome, PredictionTrigger, Seed, Track, Tracker, TrackerOptions, Window,
+    AlternatingTracker, ImageExtent, MatchOutcome, PredictionTrigger, Seed, Source, Track, Tracker, TrackerOptions,
+    Window,
 };
 #[doc(inline)]
 pub use presight_localize::matching::{
-    Detection, DetectionProperties, ExpectedFeature, ExpectedProperties, Matcher, Shape, assign,
+    CandidatePair, Detection, DetectionProperties, ExpectedFeature, ExpectedProperties, Matcher, Shape, assign,
 };

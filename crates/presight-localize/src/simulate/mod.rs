@@ -46,7 +46,8 @@ const JUMP: f64 = 0.05;
 /// # Examples
 /// ```
 /// use presight::simulate::{Disturbances, Simulator};
-/// use presight::{Environment, Options, Pose, Predictor, World};
+/// use presight::environment::Environment;
+/// use presight::{Options, Pose, Predictor, World};
 /// let world = World::new(Environment::new());
 /// let scanner = presight::preset("laser-scanner")?;
 /// let mut simulator = Simulator::new(Predictor::new(Options::default())?, scanner, Disturbances::default(), 7)?;
