@@ -1,16 +1,16 @@
 //! Scenes: models from files, opened as worlds for predictions.
 
-use crate::environment::{Feature, FeatureLayer, FeatureShape};
-use crate::features::{PlacedFeatures, place};
-use crate::geometry::Pose;
-use crate::index::{Params, Scheme};
-use crate::io::gltf::{ImportOptions, import};
-use crate::io::layer::{self, LayerFile};
-use crate::io::{self, file};
-use crate::limits;
-use crate::placement::{self, Placement};
-use crate::preparation::{ImportReport, ImportedScene, SceneFrame};
+use presight_features::{PlacedFeatures, place};
+use presight_files::gltf::{ImportOptions, import};
+use presight_files::layer::{self, LayerFile};
+use presight_files::preparation::{ImportReport, ImportedScene, SceneFrame};
+use presight_files::{file, not_built};
+use presight_model::environment::{Feature, FeatureLayer, FeatureShape};
 use presight_model::error::{Error, ErrorKind, Result};
+use presight_model::geometry::Pose;
+use presight_model::index::{Params, Scheme};
+use presight_model::limits;
+use presight_model::placement::{self, Placement};
 use presight_model::world::World;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -44,14 +44,14 @@ pub struct Scene {
 /// How a scene is opened.
 ///
 /// ```
-/// use presight::index::Scheme;
-/// use presight::io::gltf::ImportOptions;
+/// use presight::environment::IndexScheme;
+/// use presight::files::ImportOptions;
 /// use presight::{Scene, SceneOptions};
 /// // Without merging, every triangle stays a polygon, as `source` ids need it.
 /// let import = ImportOptions { merge: false, ..ImportOptions::default() };
-/// let options = SceneOptions::default().with_import(import).with_index(Scheme::S3d);
+/// let options = SceneOptions::default().with_import(import).with_index(IndexScheme::S3d);
 /// let scene = Scene::open_with("scenes/room.glb", &options, &mut |line| println!("{line}"))?;
-/// assert_eq!(scene.world.index().scheme(), Scheme::S3d);
+/// assert_eq!(scene.world.index().scheme(), IndexScheme::S3d);
 /// # Ok::<(), presight::Error>(())
 /// ```
 #[derive(Clone, Debug, Default)]
@@ -129,12 +129,12 @@ impl Scene {
     ///
     /// ```
     /// use presight::Scene;
-    /// # use presight::features::generate::{GenerateOptions, generate};
+    /// # use presight::features::{GenerateOptions, generate};
     /// let scene = Scene::open("scenes/room.glb")?;
     /// # let folder = tempfile::tempdir().unwrap();
     /// # let path = folder.path().join("room.video.layer.json");
     /// # let layer = generate(scene.world.environment(), "video", &GenerateOptions::default())?.layer;
-    /// # presight::io::layer::write(&path, &layer)?;
+    /// # presight::files::write_layer(&path, &layer)?;
     /// let features = scene.place_layers(&[&path], "video")?;
     /// assert!(features.placed.features.len() > 10);
     /// # Ok::<(), presight::Error>(())
@@ -230,12 +230,12 @@ fn mesh_file(path: &Path) -> Error {
 /// Runs a scene script.
 #[cfg(feature = "script")]
 fn script(path: &Path, options: &ImportOptions, say: &mut dyn FnMut(&str)) -> Result<ImportedScene> {
-    io::script::load(path, options, say)
+    presight_files::script::load(path, options, say)
 }
 
 #[cfg(not(feature = "script"))]
 fn script(path: &Path, _options: &ImportOptions, _say: &mut dyn FnMut(&str)) -> Result<ImportedScene> {
-    Err(io::not_built("scene scripts", "script").in_file(path))
+    Err(not_built("scene scripts", "script").in_file(path))
 }
 
 /// True for a stored environment, by its extension or its content.
@@ -246,7 +246,7 @@ fn is_store(path: &Path) -> bool {
 /// Opens a store, which is already in presight's frame.
 #[cfg(feature = "store")]
 fn stored(path: &Path, scheme: Scheme) -> Result<Scene> {
-    let world = io::store::read_world(path, scheme, Params::tuned(scheme))?;
+    let world = presight_files::store::read_world(path, scheme, Params::tuned(scheme))?;
     let mut report = ImportReport::default();
     let mut seen = std::collections::HashSet::new();
     for object in world.environment().objects() {
@@ -263,13 +263,12 @@ fn stored(path: &Path, scheme: Scheme) -> Result<Scene> {
 
 #[cfg(not(feature = "store"))]
 fn stored(path: &Path, _scheme: Scheme) -> Result<Scene> {
-    Err(io::not_built("stored environments", "store").in_file(path))
+    Err(not_built("stored environments", "store").in_file(path))
 }
 
 #[cfg(all(test, not(feature = "script")))]
 mod tests {
     use super::*;
-    use crate::error::ErrorKind;
 
     #[test]
     fn without_scripts_one_is_refused_with_a_remedy() {

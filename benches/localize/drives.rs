@@ -10,8 +10,8 @@ use presight_localize::estimate::{
 };
 use presight_localize::localize::{LocalizeOptions, Localizer, Phase, Step};
 use presight_localize::simulate::{Disturbances, Simulator};
-use presight_model::frame::{Frame, Measurement};
 use presight_model::geometry::Pose;
+use presight_model::measured::{Frame, Measurement};
 use presight_model::sensor::{Camera, Distortion, Geometry, Sensor, SensorSpec};
 use presight_model::world::World;
 use presight_predict::free_poses::free_poses;

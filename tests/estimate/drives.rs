@@ -112,11 +112,12 @@ fn frames_out_of_order_and_bad_odometry_are_refused() {
     }
     let mut broken = frame(2.0);
     let nowhere = Pose { translation: DVec3::NAN, ..Pose::IDENTITY };
-    broken.motion = Some(presight_model::frame::Motion { previous_from_current: nowhere, covariance: [[0.0; 6]; 6] });
+    broken.motion =
+        Some(presight_model::measured::Motion { previous_from_current: nowhere, covariance: [[0.0; 6]; 6] });
     assert!(robot.step(&world, &broken).unwrap_err().to_string().contains("odometry"));
     let mut broken = frame(2.0);
     let covariance = [[f64::NAN; 6]; 6];
-    broken.motion = Some(presight_model::frame::Motion { previous_from_current: Pose::IDENTITY, covariance });
+    broken.motion = Some(presight_model::measured::Motion { previous_from_current: Pose::IDENTITY, covariance });
     assert_eq!(robot.step(&world, &broken).unwrap_err().kind(), ErrorKind::Invalid);
     assert_eq!(robot.step(&world, &frame(2.0)).unwrap().stamp, 2.0);
 }

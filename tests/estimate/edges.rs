@@ -10,7 +10,7 @@ use presight_localize::extract::{
 };
 use presight_localize::matching::Detection;
 use presight_localize::simulate::GreySimulator;
-use presight_model::frame::GreyImage;
+use presight_model::measured::GreyImage;
 use presight_model::placement::place_layer;
 use std::time::Duration;
 

@@ -8,7 +8,7 @@ use presight_localize::estimate::{Estimate, EstimateState, Prior, nees};
 use presight_localize::extract::FeatureClass;
 use presight_localize::localize::Phase;
 use presight_model::error::ErrorKind;
-use presight_model::frame::GreyImage;
+use presight_model::measured::GreyImage;
 use presight_model::placement::place_layer;
 
 /// 240 x 180 pixels, 65 degrees wide, 10 cm from the range camera.

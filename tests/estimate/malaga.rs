@@ -75,7 +75,7 @@ fn mirrored(frame: &Frame) -> Frame {
         let (at, (yaw, ..)) =
             (m.previous_from_current.translation, m.previous_from_current.rotation.to_euler(glam::EulerRot::ZYX));
         let previous_from_current = Pose::from_xyz_rpy(DVec3::new(at.x, -at.y, at.z), 0.0, 0.0, -yaw);
-        presight_model::frame::Motion { previous_from_current, ..m }
+        presight_model::measured::Motion { previous_from_current, ..m }
     });
     there
 }

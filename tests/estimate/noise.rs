@@ -6,7 +6,7 @@ use presight_files::gltf::import;
 use presight_localize::estimate::{Gate, Kernel, Normal, RangeSource, Residuals, measured_points, nees};
 use presight_localize::simulate::{Disturbances, Simulator};
 use presight_localize::verdict::{ExpectedImage, Surfaces};
-use presight_model::frame::RangeNoise;
+use presight_model::measured::RangeNoise;
 use presight_model::sensor::{Distortion, Noise};
 use presight_predict::free_poses::free_poses;
 

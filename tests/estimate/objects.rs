@@ -5,7 +5,7 @@ use presight_localize::estimate::{Freedom, Prior};
 use presight_localize::simulate::{Disturbances, Simulator};
 use presight_localize::verdict::{ExpectedImage, Surfaces, Uncertainty, Verdict, judge};
 use presight_model::environment::{FeatureLayer, Polygon, PolygonOrder};
-use presight_model::frame::RangeNoise;
+use presight_model::measured::RangeNoise;
 
 fn diagonal(d: [f64; 6]) -> [[f64; 6]; 6] {
     std::array::from_fn(|i| std::array::from_fn(|j| if i == j { d[i] } else { 0.0 }))

@@ -9,7 +9,7 @@ use presight_localize::estimate::{Estimate, Freedom, Prior, motion_between, nees
 use presight_localize::extract::FeatureClass;
 use presight_localize::localize::{Phase, Search, SearchOptions};
 use presight_model::environment::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
-use presight_model::frame::{GreyImage, Motion, OdometryNoise};
+use presight_model::measured::{GreyImage, Motion, OdometryNoise};
 use presight_model::placement::place_layer;
 
 /// The angle between beams, degrees.

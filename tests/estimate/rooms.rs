@@ -6,7 +6,7 @@ use presight_localize::estimate::{
 };
 use presight_localize::verdict::{ExpectedImage, Surfaces};
 use presight_model::error::ErrorKind;
-use presight_model::frame::RangeNoise;
+use presight_model::measured::RangeNoise;
 use presight_model::sensor::RayTable;
 
 fn exact() -> EstimateOptions {

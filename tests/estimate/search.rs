@@ -3,7 +3,7 @@
 use super::*;
 use presight_localize::localize::{LocalizeOptions, Localizer, Phase, Search, SearchOptions};
 use presight_model::error::ErrorKind;
-use presight_model::frame::{Motion, OdometryNoise};
+use presight_model::measured::{Motion, OdometryNoise};
 
 /// A scanner of one row all round, 1.2 m above the floor, with a range of 20 m.
 fn row_scanner() -> Sensor {

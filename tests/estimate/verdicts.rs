@@ -2,7 +2,7 @@
 
 use super::*;
 use presight_localize::verdict::{ExpectedImage, Surfaces, Uncertainty, Verdict, Verdicts, judge};
-use presight_model::frame::RangeNoise;
+use presight_model::measured::RangeNoise;
 
 const POSE_SIGMA: f64 = 1e-3;
 

@@ -9,7 +9,7 @@ use presight_files::log;
 use presight_files::log::Frames;
 use presight_localize::estimate::Prior;
 use presight_localize::localize::{LocalizeOptions, Localizer, Phase, Step};
-use presight_model::frame::{Motion, OdometryNoise};
+use presight_model::measured::{Motion, OdometryNoise};
 use presight_testkit::data;
 
 /// The side of a map cell, metres.

@@ -13,16 +13,6 @@ use std::path::{Path, PathBuf};
 /// before. Links are followed, even to a file that does not exist yet. An existing target that is not a regular file
 /// (`/dev/null`, a pipe, `/dev/stdout`) is not replaced: the finished bytes are written into it.
 ///
-/// ```
-/// use presight::io::atomic::write_atomically;
-/// use std::io::Write;
-/// let folder = tempfile::tempdir()?;
-/// let path = folder.path().join("a.txt");
-/// write_atomically(&path, |file| file.write_all(b"whole"))?;
-/// assert_eq!(std::fs::read(&path)?, b"whole");
-/// # Ok::<(), Box<dyn std::error::Error>>(())
-/// ```
-///
 /// # Errors
 /// [`ErrorKind::System`] naming the file, for whatever reason, including a missing folder and missing write permission.
 pub fn write_atomically(path: &Path, fill: impl FnOnce(&mut File) -> io::Result<()>) -> Result<()> {

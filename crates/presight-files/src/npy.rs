@@ -84,18 +84,6 @@ pub(super) fn header(descr: &str, shape: &[usize]) -> Vec<u8> {
 
 /// Writes an array of that shape, with the last dimension varying fastest. The file is written atomically.
 ///
-/// ```
-/// use presight::io::npy::{self, Values};
-/// let folder = tempfile::tempdir()?;
-/// let path = folder.path().join("range.npy");
-/// npy::write(&path, &[1, 2], Values::F32(&[1.5, f32::INFINITY]))?;
-/// let bytes = std::fs::read(&path)?;
-/// assert_eq!(bytes.len(), 128 + 8);
-/// assert!(bytes.starts_with(b"\x93NUMPY\x01\x00"));
-/// assert_eq!(bytes[128..], [0, 0, 0xc0, 0x3f, 0, 0, 0x80, 0x7f]);
-/// # Ok::<(), Box<dyn std::error::Error>>(())
-/// ```
-///
 /// # Errors
 /// [`crate::ErrorKind::Invalid`] if the shape does not match the number of values; [`crate::ErrorKind::System`] if the
 /// file cannot be written.

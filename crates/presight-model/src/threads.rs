@@ -19,7 +19,8 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
 /// threads of [`Threads::run`] if called inside it, otherwise the default threads.
 ///
 /// ```
-/// use presight::{Backend, Environment, Options, Predictor, Threads, World};
+/// use presight::environment::Environment;
+/// use presight::{Backend, Options, Predictor, Threads, World};
 /// let threads = Threads::new(2)?;
 /// let world = threads.run(|| World::new(Environment::new()))?;
 /// let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads.clone()))?;

@@ -5,31 +5,6 @@
 //! scenes; [`reference()`] returns the same list. Lengths are in metres, parameters ending in `_deg` in degrees; z is
 //! up.
 //!
-//! ```
-//! # let folder = tempfile::tempdir().unwrap();
-//! # let path = folder.path().join("table.rhai");
-//! # std::fs::write(&path, r#"
-//! material("wood", #{ reflection: 0.6 });
-//!
-//! fn table(length, width) {                              // a function is a macro
-//!     let leg = box(0.06, 0.06, 0.72);
-//!     let top = box(length, width, 0.03).translate(0, 0, 0.72);
-//!     let pair = leg.translate(-0.5, 0.3, 0) + leg.translate(-0.5, -0.3, 0);
-//!     (top + pair.repeat(2, 1, 0, 0)).made_of("wood")
-//! }
-//!
-//! place("floor", rectangle(6, 4));
-//! let t = table(1.2, 0.8);
-//! for i in 0..3 {
-//!     place("tables/table", t, pose(2 * i - 2, 0, 0, 30 * i));   // one mesh, three objects
-//! }
-//! # "#).unwrap();
-//! let scene = presight::io::script::load(&path, &Default::default(), &mut |line| println!("{line}"))?;
-//! let names: Vec<&str> = scene.environment.objects().iter().map(|o| o.name.as_str()).collect();
-//! assert_eq!(names, ["floor", "tables/table", "tables/table#2", "tables/table#3"]);
-//! # Ok::<(), presight::Error>(())
-//! ```
-//!
 //! **The same script gives the same environment on every machine.** Trigonometry comes from `libm`, random numbers from
 //! a seed in the script; there is no operator `**` and no clock. Scripts read files only from their own folder (with
 //! symbolic links resolved), write no files, and cannot use `eval`. Limits on operations (large values count by size),

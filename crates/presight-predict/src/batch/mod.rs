@@ -142,7 +142,9 @@ impl Predictor {
     ///
     /// ```
     /// use presight::batch::{BatchRequest, PoseCell, RangeLikelihood};
-    /// use presight::{Environment, Noise, Options, Pose, Predictor, Sensor, World};
+    /// use presight::environment::Environment;
+    /// use presight::sensor::Noise;
+    /// use presight::{Options, Pose, Predictor, Sensor, World};
     /// let mut spec = presight::preset("laser-scanner")?.spec().clone();
     /// spec.noise = Noise { range_sigma: 0.02, ..Noise::default() };
     /// let sensor = Sensor::new(spec)?;

@@ -16,19 +16,6 @@ use std::any::Any;
 use std::time::Instant;
 
 /// An engine: draws the images that a plan requests.
-///
-/// ```
-/// use presight::engine::EngineKind;
-/// use presight::{Environment, FramePlan, Images, Pose, Request, Stats, World};
-/// let (world, sensor) = (World::new(Environment::new()), presight::preset("laser-scanner")?);
-/// let plan = FramePlan::new(&world, &sensor, &Pose::IDENTITY, &Request::default())?;
-/// for kind in [EngineKind::Reference, EngineKind::Cpu] {
-///     let (mut images, mut stats) = (Images::default(), Stats::default());
-///     kind.open(&1.into())?.render(&plan, &mut images, &mut stats)?;
-///     assert!(images.range.iter().all(|r| *r == f32::INFINITY), "{}", kind.name());
-/// }
-/// # Ok::<(), presight::Error>(())
-/// ```
 pub trait Engine: Any + Send {
     /// Name for messages: `reference`, `cpu`, or `gpu` with its adapter.
     fn name(&self) -> String;

@@ -64,13 +64,6 @@ use visible::Visible;
 const MOST_SENSORS: usize = 8;
 
 /// The GPU engine with its device and buffers.
-///
-/// ```no_run
-/// use presight::gpu::{DeviceOptions, GpuEngine};
-/// let engine = GpuEngine::new(DeviceOptions { hardware_only: true, ..Default::default() })?;
-/// println!("predicting on {}", engine.adapter());
-/// # Ok::<(), presight::Error>(())
-/// ```
 pub struct GpuEngine {
     gpu: Gpu,
     stages: Stages,

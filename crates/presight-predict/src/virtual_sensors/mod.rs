@@ -211,7 +211,8 @@ impl VirtualSensor {
     ///
     /// ```
     /// use presight::virtual_sensors::{Answer, Settings, View, VirtualSensor};
-    /// use presight::{Environment, Material, Mesh, NewObject, Options, Polygon, PolygonOrder};
+    /// use presight::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
+    /// use presight::Options;
     /// use presight::{Pose, Predictor, Request, World};
     /// // A wall 2 m ahead of a radar, 4 m wide.
     /// let mut environment = Environment::new();
