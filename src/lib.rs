@@ -87,6 +87,7 @@ pub use presight_files as io;
 pub use presight_files::{frames, preparation, preset};
 pub use presight_localize::{estimate, extract, history, localize, matching, simulate, verdict};
 pub use presight_model::change::Change;
+pub use presight_model::clock::set_clock;
 pub use presight_model::environment::{
     self, Appearance, Environment, Material, Mesh, NewObject, Object, Polygon, PolygonOrder,
 };

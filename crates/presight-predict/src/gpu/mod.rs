@@ -46,6 +46,7 @@ use geometry::Arena;
 use grid::Tables;
 use layout::{Counters, GridKind};
 use presight_features::OcclusionHint;
+use presight_model::clock::Instant;
 use presight_model::error::{ErrorKind, Result};
 use presight_model::sensor::Sensor;
 use presight_model::threads::Threads;
@@ -55,7 +56,6 @@ use presight_render::plan::{
 };
 use shown::Shown;
 use stages::{Stages, Variants};
-use std::time::Instant;
 use testing::Hiding;
 use uploads::{FrameUploads, Way};
 use visible::Visible;

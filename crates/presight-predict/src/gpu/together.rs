@@ -7,9 +7,9 @@ use super::stages::Variants;
 use super::uploads::FrameUploads;
 use super::weigh::{self, Weigh};
 use super::{GpuEngine, counters_of};
+use presight_model::clock::Instant;
 use presight_model::error::{ErrorKind, Result};
 use presight_render::plan::{Drawn, FramePlan, Images, NOTHING_IN_VIEW, StageName, Stats, Weighing, Work};
-use std::time::Instant;
 
 /// Maximum size of the answers of a submission, bytes.
 const MOST_BYTES: u64 = 64 << 20;
