@@ -7,11 +7,12 @@
 use super::GpuEngine;
 use super::layout::Counters;
 use super::submission::{Part, Submission};
+use presight_model::clock::Instant;
 use presight_model::error::Result;
 use presight_render::deadline::{DeadlineEngine, DeadlineOutcome, Degradation, DegradationKind, DegradationStep, Wave};
 use presight_render::plan::{CountName, FramePlan, Images, Output, Pace, Run, StageName, Stats, Work};
 use std::ops::Range;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 /// Pessimistic costs for when nothing was learnt yet.
 const UNKNOWN: Pace = Pace { wave: 1e-3, polygon: 1e-6, sample: 1e-8, saved: [0.0; 3], drawing: 0.0 };

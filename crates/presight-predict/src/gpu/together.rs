@@ -5,9 +5,9 @@ use super::GpuEngine;
 use super::layout::Counters;
 use super::submission::{Part, Submission};
 use super::weigh;
+use presight_model::clock::Instant;
 use presight_model::error::Result;
 use presight_render::plan::{Drawn, FramePlan, Images, NOTHING_IN_VIEW, StageName, Stats, Weighing, Work};
-use std::time::Instant;
 
 /// Maximum size of the answers of a submission, bytes.
 const MOST_BYTES: u64 = 64 << 20;

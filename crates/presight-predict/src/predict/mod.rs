@@ -10,6 +10,7 @@ use crate::probe::{DeviceCheck, Probe, SensorKind};
 use crate::request::Request;
 use features::SeenFrom;
 use presight_features::FeaturePrediction;
+use presight_model::clock::Instant;
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::geometry::Pose;
 use presight_model::sensor::Sensor;
@@ -21,7 +22,7 @@ use presight_render::plan::{
     Drawn, FramePlan, ImageRequest, Images, Output, Outputs, PlanBuffers, Raster, StageName, Stats, Weighing,
 };
 use presight_render::row::RowCuts;
-use std::time::Instant;
+use std::sync::Arc;
 
 /// The engine that predicts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -136,7 +137,7 @@ pub struct Predictor {
     buffers: PlanBuffers,
     /// The world's own features, as placed last.
     own: Option<features::WorldFeatures>,
-    tree: Option<features::KnownTree>,
+    tree: Option<Arc<features::KnownTree>>,
     /// The deadline controller.
     controller: Controller,
     /// The last event that affected the GPU.

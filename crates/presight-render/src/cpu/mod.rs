@@ -30,6 +30,7 @@ use crate::plan::{CountName, FramePlan, Images, NOTHING_IN_VIEW, Run, StageName,
 use batch::{Batch, Winners};
 use bounds::Bounds;
 use cull::Occlusion;
+use presight_model::clock::Instant;
 use presight_model::error::{Error, Result};
 use presight_model::memory::{self, FrameMemory};
 use presight_model::sensor::{ImagePart, LineAxis, PixelGrid};
@@ -39,7 +40,7 @@ use raster_lines::Buffer;
 use rayon::prelude::*;
 use std::ops::{Range, RangeInclusive};
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 /// The CPU engine with its threads and buffers.
 pub struct CpuEngine {
