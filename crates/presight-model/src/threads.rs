@@ -171,7 +171,7 @@ fn shared_pool(count: usize) -> Result<Arc<ThreadPool>> {
 fn start(count: usize) -> Result<ThreadPool> {
     let threads = ThreadPoolBuilder::new().num_threads(count).thread_name(|i| format!("presight-{i}"));
     threads.build().map_err(|e| {
-        let (what, remedy) = (format!("cannot start {count} threads: {e}"), "lower --threads, or raise ulimit -u");
+        let (what, remedy) = (format!("cannot start {count} threads: {e}"), "start fewer `Threads`, or raise ulimit -u");
         Error::new(ErrorKind::System, what, remedy).caused_by(e)
     })
 }
