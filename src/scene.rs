@@ -265,15 +265,15 @@ pub fn blake3_of(path: &Path) -> Result<String> {
     Ok(hasher.finalize().to_hex().to_string())
 }
 
-/// Refuses --up and --scale for a scene that has its own frame.
+/// Refuses an up axis or a scale for a scene that has its own frame.
 fn check_unframed(path: &Path, options: &ImportOptions, why: &str) -> Result<()> {
-    let flag = match (options.up, options.scale) {
+    let option = match (options.up, options.scale) {
         (None, None) => return Ok(()),
-        (Some(_), _) => "--up",
-        _ => "--scale",
+        (Some(_), _) => "`ImportOptions::up`",
+        _ => "`ImportOptions::scale`",
     };
-    let remedy = format!("drop {flag}, or give it where the glTF file is read");
-    Err(Error::usage(format!("{flag}: {why}"), remedy).in_file(path))
+    let remedy = format!("drop {option}, or give it where the glTF file is read");
+    Err(Error::usage(format!("{option}: {why}"), remedy).in_file(path))
 }
 
 /// The error for meshes of other formats, with a command that converts them.
@@ -281,7 +281,7 @@ fn mesh_file(path: &Path) -> Error {
     let (from, to) = (path.display(), path.with_extension("glb"));
     let remedy = format!(
         "convert it: python3 -c \"import trimesh; trimesh.load('{from}', force='scene').export('{}')\" (pip install trimesh), \
-         then --up z if it is z-up",
+         then give `ImportOptions::up` z if it is z-up",
         to.display()
     );
     Error::new(ErrorKind::Unsupported, "presight reads scenes from glTF, scripts and stores", remedy).in_file(path)

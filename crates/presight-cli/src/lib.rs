@@ -10,6 +10,7 @@ mod engine_args;
 mod env;
 mod features;
 mod file_names;
+mod flags;
 mod folder;
 mod frame_args;
 mod index;

@@ -213,6 +213,10 @@ fn a_different_batch_in_the_same_folder_is_refused() {
     place.fails(&line.replace("#0", "#1"), 1, "another measured image");
     place.fails(&format!("{line} --cell-m 0.5"), 1, "other flags");
     place.fails(&format!("{line} --pose-of robot"), 1, "other flags");
+    let mut on_gpu = Command::new(cargo_bin("presight"));
+    on_gpu.current_dir(place.0.path()).args(line.split_whitespace()).args(["--backend", "gpu"]);
+    let said = String::from_utf8(on_gpu.output().unwrap().stderr).unwrap();
+    assert!(said.contains("batch.json: this batch began with another --backend"), "{said}");
     place.write("a.tum", &tum(POSES + 1));
     place.fails(line, 1, "other poses");
     place.write("a.tum", &tum(POSES));

@@ -252,6 +252,8 @@ fn bad_input_is_refused_before_any_work() {
         (&[room.as_str()][..], 2, "--out"),
         (&[room.as_str(), "--quick", "--out", "file/study"][..], 4, "file/study"),
         (&["--stability", "--out", "file/study"][..], 4, "file/study"),
+        (&["--stability", "--out", "study", "--up", "z"][..], 2, "--up"),
+        (&["--stability", "--out", "study", "--scale", "2"][..], 2, "--scale"),
         (&[room.as_str(), "--out", "study", "--poses", "empty.tum"][..], 1, "empty.tum: the file has no poses"),
     ] {
         let done = report(folder.path(), arguments);

@@ -44,6 +44,44 @@ fn a_simulated_drive_is_localized() {
     assert!(last["covariance"][0][0].as_f64().unwrap() > 0.0 && last["verdicts"]["confirmed"].as_u64().unwrap() > 2000);
 }
 
+/// Images are named by their time in microseconds, so two poses within one would overwrite each other's image.
+#[test]
+fn poses_with_images_of_one_name_are_refused() {
+    let place = Place::new();
+    place.write("camera.toml", CAMERA.as_bytes());
+    place.write("twice.tum", b"1.0000001 0 0 1 0 0 0 1\n2 0 0 1 0 0 0 1\n1.0000002 0 0 1 0 0 0 1\n");
+    let line = "simulate wall.glb --sensor camera.toml --poses twice.tum --out log";
+    super::check(
+        &place,
+        vec![super::bad(line, 1, &["twice.tum", "1.0000001 s and 1.0000002 s", "00000000001.000000.png"])],
+    );
+}
+
+/// Every value is checked before a file is opened, whatever the start.
+#[test]
+fn invalid_flags_of_a_search_are_named_first() {
+    let place = Place::new();
+    for init in ["unknown", "reference", "0,0,0,0,0,0"] {
+        for (flag, value) in [
+            ("--lean", "1"),
+            ("--lean", "1,2,3"),
+            ("--lean", "nan,0"),
+            ("--lean", "0,inf"),
+            ("--floor", "nan"),
+            ("--floor-to", "inf"),
+            ("--margin", "-1"),
+            ("--surrounded", "1.5"),
+            ("--init-sigma", "0"),
+            ("--init-sigma-deg", "nan"),
+            ("--model-sigma", "-1"),
+            ("--odometry-sigma", "-1"),
+        ] {
+            let line = format!("localize none --map none.glb --init {init} {flag} {value} --out x.tum");
+            super::check(&place, vec![super::bad(line, 2, &[flag, "; give"])]);
+        }
+    }
+}
+
 /// The log has people and moved objects that the model lacks. The same seed gives the same ones.
 #[test]
 fn simulated_scenes_differ_from_their_model() {

@@ -508,7 +508,7 @@ fn tell(plan: &FramePlan, notice: Option<&String>, stats: &mut Stats) {
 
 /// The error for a device that gives wrong results.
 fn faulty(device: &dyn Device, what: String) -> Error {
-    let remedy = "update its driver, or use --backend cpu; see presight doctor";
+    let remedy = "update its driver, or use `Backend::Cpu`; see presight doctor";
     Error::new(ErrorKind::NoDevice, format!("{} {what}", device.adapter()), remedy)
 }
 
@@ -539,7 +539,7 @@ mod tests {
     #[test]
     fn without_an_adapter_auto_takes_the_cpu_and_gpu_is_an_error() {
         let fails =
-            |kind: ErrorKind| move |_: &Threads, _: bool| Err(Error::new(kind, "no adapter", "use --backend cpu"));
+            |kind: ErrorKind| move |_: &Threads, _: bool| Err(Error::new(kind, "no adapter", "use `Backend::Cpu`"));
         let threads = Threads::from(1);
         let (engine, notice) = choose_engine(Backend::Auto, &threads, fails(ErrorKind::NoDevice)).unwrap();
         assert_eq!((engine.name().as_str(), notice), ("cpu", None));

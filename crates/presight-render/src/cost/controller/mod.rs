@@ -101,7 +101,7 @@ impl Controller {
         }
         let Some(DeadlineEngine { name, adapter, threads, draws_parts }) = engine else {
             let what = "this engine cannot stop early, so it does not support deadlines";
-            return Err(Error::usage(what, "use the CPU engine (--backend cpu), or give no deadline"));
+            return Err(Error::usage(what, "use the CPU engine (`Backend::Cpu`), or give no deadline"));
         };
         let key = Key::new(name, adapter.as_deref(), threads, sensor, outputs, Forecast::Images);
         let (size, images) = ([sensor.width(), sensor.height()], outputs.iter().count() as u64);
