@@ -217,7 +217,8 @@ fn calling_thread() -> Result<Arc<ThreadPool>> {
 
 fn built(count: usize, threads: ThreadPoolBuilder) -> Result<Arc<ThreadPool>> {
     threads.build().map(Arc::new).map_err(|e| {
-        let (what, remedy) = (format!("cannot start {count} threads: {e}"), "start fewer `Threads`, or raise ulimit -u");
+        let (what, remedy) =
+            (format!("cannot start {count} threads: {e}"), "start fewer `Threads`, or raise ulimit -u");
         Error::new(ErrorKind::System, what, remedy).caused_by(e)
     })
 }
