@@ -4,7 +4,7 @@ use presight_features::{PlacedFeatures, place};
 use presight_files::gltf::{ImportOptions, import};
 use presight_files::layer::{self, LayerFile};
 use presight_files::preparation::{ImportReport, ImportedScene, SceneFrame};
-use presight_files::{file, not_built};
+use presight_files::file;
 use presight_model::environment::{Feature, FeatureLayer, FeatureShape};
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::geometry::Pose;
@@ -235,7 +235,7 @@ fn script(path: &Path, options: &ImportOptions, say: &mut dyn FnMut(&str)) -> Re
 
 #[cfg(not(feature = "script"))]
 fn script(path: &Path, _options: &ImportOptions, _say: &mut dyn FnMut(&str)) -> Result<ImportedScene> {
-    Err(not_built("scene scripts", "script").in_file(path))
+    Err(presight_files::not_built("scene scripts", "script").in_file(path))
 }
 
 /// True for a stored environment, by its extension or its content.
@@ -263,7 +263,7 @@ fn stored(path: &Path, scheme: Scheme) -> Result<Scene> {
 
 #[cfg(not(feature = "store"))]
 fn stored(path: &Path, _scheme: Scheme) -> Result<Scene> {
-    Err(not_built("stored environments", "store").in_file(path))
+    Err(presight_files::not_built("stored environments", "store").in_file(path))
 }
 
 #[cfg(all(test, not(feature = "script")))]

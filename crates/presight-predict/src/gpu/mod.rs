@@ -30,7 +30,6 @@ mod shaders;
 mod shown;
 mod stage;
 mod stages;
-#[doc(hidden)]
 pub mod testing;
 mod together;
 mod uploads;
