@@ -1,10 +1,10 @@
 //! Scenes: models from files, opened as worlds for predictions.
 
 use presight_features::{PlacedFeatures, place};
+use presight_files::file;
 use presight_files::gltf::{ImportOptions, import};
 use presight_files::layer::{self, LayerFile};
 use presight_files::preparation::{ImportReport, ImportedScene, SceneFrame};
-use presight_files::file;
 use presight_model::environment::{Feature, FeatureLayer, FeatureShape};
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::geometry::Pose;
