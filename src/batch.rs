@@ -2,4 +2,4 @@
 #![doc = include_str!("../docs/batches.md")]
 
 #[doc(inline)]
-pub use presight_predict::batch::{BatchItem, BatchRequest, Headings, Panoramas, PoseCell, RangeLikelihood};
+pub use presight_predict::batch::{BatchItem, BatchRequest, Headings, PoseCell, RangeLikelihood};

@@ -19,4 +19,4 @@
 #[doc(inline)]
 pub use presight_render::cost::CostModel;
 #[doc(inline)]
-pub use presight_render::deadline::{DeadlineOutcome, Degradation, DegradationKind, Priority};
+pub use presight_render::deadline::{Degradation, Priority};

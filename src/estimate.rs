@@ -31,4 +31,4 @@
 //! ```
 
 #[doc(inline)]
-pub use presight_localize::estimate::{Estimate, EstimateOptions, EstimateState, Estimator, Freedom, Prior};
+pub use presight_localize::estimate::{Estimate, EstimateOptions, Estimator, Freedom, Prior};

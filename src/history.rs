@@ -30,11 +30,6 @@
 #![doc = include_str!("../docs/history.md")]
 
 #[doc(inline)]
-pub use presight_localize::history::{
-    AlternatingTracker, ImageExtent, MatchOutcome, PredictionTrigger, Seed, Source, Track, Tracker, TrackerOptions,
-    Window,
-};
+pub use presight_localize::history::{AlternatingTracker, ImageExtent, Seed, Source, Tracker, TrackerOptions};
 #[doc(inline)]
-pub use presight_localize::matching::{
-    CandidatePair, Detection, DetectionProperties, ExpectedFeature, ExpectedProperties, Matcher, Shape, assign,
-};
+pub use presight_localize::matching::{Detection, DetectionProperties, ExpectedProperties, Matcher, Shape};

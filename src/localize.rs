@@ -42,4 +42,4 @@
 #![doc = include_str!("../docs/localization.md")]
 
 #[doc(inline)]
-pub use presight_localize::localize::{LocalizeOptions, Localizer, Phase, Search, SearchOptions, Step};
+pub use presight_localize::localize::{LocalizeOptions, Localizer, Phase, Search, SearchOptions};

@@ -1,10 +1,10 @@
 //! Scenes: models from files, opened as worlds for predictions.
 
 use presight_features::{PlacedFeatures, place};
+use presight_files::file;
 use presight_files::gltf::{ImportOptions, import, import_bytes};
 use presight_files::layer::{self, LayerFile};
 use presight_files::preparation::{ImportReport, ImportedScene, SceneFrame};
-use presight_files::{file, not_built};
 use presight_model::environment::{Feature, FeatureLayer, FeatureShape};
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::geometry::Pose;
@@ -298,7 +298,7 @@ fn script(source: Source<'_>, options: &ImportOptions, say: &mut dyn FnMut(&str)
 
 #[cfg(not(feature = "script"))]
 fn script(source: Source<'_>, _options: &ImportOptions, _say: &mut dyn FnMut(&str)) -> Result<ImportedScene> {
-    Err(not_built("scene scripts", "script").in_file(source.path()))
+    Err(presight_files::not_built("scene scripts", "script").in_file(source.path()))
 }
 
 /// The error for a store that is not in a file.
@@ -327,7 +327,7 @@ fn stored(path: &Path, scheme: Scheme) -> Result<Scene> {
 
 #[cfg(not(feature = "store"))]
 fn stored(path: &Path, _scheme: Scheme) -> Result<Scene> {
-    Err(not_built("stored environments", "store").in_file(path))
+    Err(presight_files::not_built("stored environments", "store").in_file(path))
 }
 
 #[cfg(all(test, not(feature = "script")))]

@@ -2,4 +2,4 @@
 #![doc = include_str!("../docs/virtual-sensors.md")]
 
 #[doc(inline)]
-pub use presight_predict::virtual_sensors::{Answer, Corridor, Mask, Settings, View, VirtualReading, VirtualSensor};
+pub use presight_predict::virtual_sensors::{Answer, Corridor, Mask, Settings, View, VirtualSensor};

@@ -133,7 +133,6 @@ pub struct SeenFeature {
     /// defining points all have an image; never for contours.
     pub image_covariance: Option<Vec<[[f64; 2]; 2]>>,
     /// Boxes in the image that together hold the visible part of a patch. Emptied once its region of interest is known.
-    #[doc(hidden)]
     pub windows: Vec<[DVec2; 2]>,
 }
 

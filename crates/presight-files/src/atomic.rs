@@ -52,7 +52,6 @@ fn open_old(path: &Path, old: &Metadata) -> Result<File> {
 }
 
 /// The path that symbolic links lead to; it need not exist.
-#[doc(hidden)]
 pub fn target_of(path: &Path) -> io::Result<PathBuf> {
     /// The limit of Linux.
     const LINKS: usize = 40;
@@ -67,7 +66,6 @@ pub fn target_of(path: &Path) -> io::Result<PathBuf> {
 }
 
 /// True for a path of an open file of this process: output is appended to it, whatever it is.
-#[doc(hidden)]
 pub fn is_given(path: &Path) -> bool {
     ["/dev/stdout", "/dev/stderr", "/dev/fd", "/proc/self/fd"].iter().any(|given| path.starts_with(given))
 }

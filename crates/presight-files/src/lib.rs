@@ -42,7 +42,6 @@ pub use robot_toml::{Robot, load_robot};
 use presight_model::error::{Error, ErrorKind};
 
 /// The error of a build without a cargo feature.
-#[doc(hidden)]
 pub fn not_built(what: &str, feature: &str) -> Error {
     let what = format!("this presight was built without {what}");
     Error::new(ErrorKind::Unsupported, what, format!("build it with the cargo feature `{feature}`"))

@@ -220,6 +220,12 @@ mod tests {
     use super::*;
 
     #[test]
+    fn a_frame_takes_the_bytes_of_its_images() {
+        let frame = FrameMemory { pixels: 1_000_000, images: 4, exr: 4, ..FrameMemory::default() };
+        assert!((48_000_000..50_000_000).contains(&frame.bytes()), "{}", frame.bytes());
+    }
+
+    #[test]
     fn texts_of_the_system_are_read() {
         let limits = "Limit                     Soft Limit           Hard Limit           Units     \n\
             Max cpu time              unlimited            unlimited            seconds   \n\

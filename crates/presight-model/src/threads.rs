@@ -76,6 +76,7 @@ impl Threads {
         Ok(self.pool()?.install(work))
     }
 
+    /// The pool of these threads; starts them if necessary.
     pub fn pool(&self) -> Result<Arc<ThreadPool>> {
         match (&self.pool, self.count) {
             (Some(pool), _) => Ok(pool.clone()),

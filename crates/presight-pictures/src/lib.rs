@@ -117,7 +117,6 @@ fn is_one_row_scan(sensor: &Sensor) -> bool {
 }
 
 /// Approximate columns and rows of the image in a preview, without the text and scale around it.
-#[doc(hidden)]
 pub fn preview_size(sensor: &Sensor) -> (u32, u32) {
     view::drawn_size(sensor)
 }

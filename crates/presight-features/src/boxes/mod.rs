@@ -110,7 +110,6 @@ impl BoxOptions {
 }
 
 /// Input for the boxes of a prediction.
-#[doc(hidden)]
 #[derive(Clone, Copy, Debug)]
 pub struct BoxQuery<'a> {
     /// The predicted features in order.
@@ -161,9 +160,13 @@ pub struct BoxScratch {
 
 /// Data shared by the boxes of one prediction.
 pub struct BoxFrame<'a> {
+    /// The image.
     pub image: Image<'a>,
+    /// The sensor with its pose errors.
     pub viewpoint: Viewpoint,
+    /// The probability of a box.
     pub level: Level,
+    /// How boxes are found.
     pub method: BoxMethod,
     world: &'a World,
     objects: Vec<(u32, PoseErrors)>,

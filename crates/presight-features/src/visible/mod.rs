@@ -72,7 +72,6 @@ pub enum Visibility {
 }
 
 /// Settings for predicting features from existing images.
-#[doc(hidden)]
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FeatureSettings {
     /// UTC seconds, for probabilities of existence. `None` means the newest confirmation of all features.
@@ -118,7 +117,6 @@ impl Default for FeatureSettings {
 /// [`crate::ErrorKind::Invalid`] if there is no `polygon_id` image of the sensor's size, a feature's object or slot does
 /// not exist, or the sensor is a ray table with fewer than two rays; [`crate::ErrorKind::Usage`] for a step out of its range, and those of [`Pose::check`];
 /// those of [`crate::Threads::new`].
-#[doc(hidden)]
 pub fn predict_features(
     world: &World,
     sensor: &Sensor,

@@ -51,14 +51,14 @@ mod tests;
 mod write;
 
 #[cfg(feature = "store")]
-pub use fields::FeatureFields;
+pub(crate) use fields::FeatureFields;
 pub use merge::{MergedLayers, load, merge};
 #[cfg(feature = "store")]
-pub use read::from_fields;
+pub(crate) use read::from_fields;
 pub use read::{LayerFile, parse, read};
 pub use schema::schema;
 #[cfg(feature = "store")]
-pub use write::fields as to_fields;
+pub(crate) use write::fields as to_fields;
 pub use write::{entry, to_string, write, write_with_lost};
 
 /// The newest format that this build reads, used for files with contours.

@@ -77,7 +77,7 @@ fn json(value: &impl Serialize) -> Result<String> {
     serde_json::to_string(value).map_err(|e| Error::invalid(format!("cannot be written as JSON: {e}"), "").caused_by(e))
 }
 
-pub fn fields(feature: &Feature) -> FeatureFields {
+pub(crate) fn fields(feature: &Feature) -> FeatureFields {
     let mut to = FeatureFields {
         id: feature.id,
         kind: Some(kind(&feature.shape)),

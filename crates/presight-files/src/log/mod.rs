@@ -107,20 +107,6 @@ pub trait Log: Iterator<Item = Result<LogFrame>> {
 
 /// Opens a log of format 1 or a document.
 ///
-/// ```
-/// use presight::files::{Log, LogFrame, open_log, range_log_header, range_log_line};
-/// let folder = tempfile::tempdir()?;
-/// let path = folder.path().join("run.log.jsonl");
-/// let sensor = presight::preset("laser-scanner")?;
-/// let frame = LogFrame { time: 0.5, range: vec![2.0; 361], intensities: None, odometry: None, reference: None };
-/// std::fs::write(&path, format!("{}\n{}\n", range_log_header(sensor.spec()), range_log_line(&frame)))?;
-/// let mut log = open_log(&path)?;
-/// assert_eq!(log.sensor().spec(), sensor.spec());
-/// assert_eq!(log.next().transpose()?, Some(frame));
-/// assert!(log.next().is_none());
-/// # Ok::<(), Box<dyn std::error::Error>>(())
-/// ```
-///
 /// # Errors
 /// [`crate::ErrorKind::Invalid`] naming file and line if it is not a valid log; [`crate::ErrorKind::Unsupported`] for a
 /// newer format; [`crate::ErrorKind::System`] if the file cannot be read. A bad frame is reported when it is read.

@@ -126,7 +126,6 @@ pub struct Problem {
 
 impl Problem {
     /// One line for the total, and one for each place, indented by `indent`.
-    #[doc(hidden)]
     pub fn lines(&self, indent: &str) -> Vec<String> {
         let mut lines = vec![format!("{} {}", self.total, self.kind.title())];
         lines.extend(self.places.iter().map(|place| format!("{indent}{place}")));
@@ -162,7 +161,7 @@ pub fn lost_features(environment: &Environment) -> Result<Option<Problem>> {
 
 /// The place of a problem in a mesh. Only listed problems are described in words.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Site {
+pub(crate) struct Site {
     /// Source number within the mesh.
     pub triangle: u32,
     /// The edge, if the problem concerns an edge.
@@ -171,7 +170,7 @@ pub struct Site {
 
 /// Problems of one mesh, counted and listed up to the limit.
 #[derive(Clone, Debug, Default)]
-pub struct ProblemList {
+pub(crate) struct ProblemList {
     totals: [u64; ProblemKind::ALL.len()],
     first: Vec<(ProblemKind, Site)>,
 }
@@ -189,7 +188,7 @@ impl ProblemList {
 
 /// The problems of all meshes.
 #[derive(Debug, Default)]
-pub struct ProblemBook {
+pub(crate) struct ProblemBook {
     totals: [u64; ProblemKind::ALL.len()],
     places: [Vec<String>; ProblemKind::ALL.len()],
 }

@@ -348,7 +348,6 @@ impl Store {
     }
 
     /// Commits without waiting for the disk: a deliberate fault that the durability tests must detect.
-    #[doc(hidden)]
     pub fn without_sync(&mut self) -> Result<()> {
         let sql = "ROLLBACK; PRAGMA synchronous = OFF; BEGIN IMMEDIATE";
         self.connection.execute_batch(sql).map_err(|e| refusal(&self.path, "open the store", e))

@@ -76,9 +76,11 @@ impl EstimateOptions {
 
 /// Estimates poses from frames, one after the other.
 pub struct Estimator {
+    /// Makes the predictions.
     pub predictor: Predictor,
     surfaces: Surfaces,
     features: FeatureOptions,
+    /// The options.
     pub options: EstimateOptions,
     /// Of the offsets of polygon groups.
     offsets: OffsetVariance,

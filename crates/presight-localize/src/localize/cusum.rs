@@ -101,3 +101,15 @@ impl fmt::Display for Cusum {
         write!(f, "usually {:.2} +- {:.2}; {:.1} against {:.1}", self.mean, sigma, self.sum, self.threshold)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_steady_share_raises_no_alarm_and_a_drop_does() {
+        let mut explained = Cusum::new(30_000.0);
+        assert!((0..100).all(|k| !explained.add(0.95 + 0.01 * f64::from(k % 3))));
+        assert!((0..5).any(|_| explained.add(0.3)));
+    }
+}

@@ -169,7 +169,6 @@ impl FeatureShape {
     }
 
     /// True for shapes with an area: patches and fiducials.
-    #[doc(hidden)]
     pub fn is_area(&self) -> bool {
         matches!(self, Self::Patch { .. } | Self::Fiducial { .. })
     }

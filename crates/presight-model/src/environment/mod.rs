@@ -15,16 +15,14 @@ mod revert;
 
 pub use cluster_vertices::Positions;
 pub use content_hash::ContentHash;
-#[doc(hidden)]
 pub use cuboid::{CUBOID_FACES, cuboid_corners};
 pub use feature::{DEFAULT_TOLERANCE, Existence, Feature, FeatureLayer, FeatureShape, Properties};
-#[doc(hidden)]
 pub use feature_check::check_covariance;
 pub use material::{Appearance, Material};
 pub use mesh::{Cluster, Mesh, Polygon, PolygonOrder};
 pub use mesh::{Parts, PolygonRecord, canonical_plane};
 pub use paths::Paths;
-pub use revert::Revert;
+pub(crate) use revert::Revert;
 
 use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::{Aabb, Pose};
@@ -353,6 +351,7 @@ impl Environment {
     }
 }
 
+/// Returns an error unless the pose is finite and its rotation a unit quaternion.
 pub fn check_pose(pose: &Pose) -> Result<()> {
     pose.check_as(ErrorKind::Invalid)
 }

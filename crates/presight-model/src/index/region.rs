@@ -244,3 +244,27 @@ impl ShapeVisitor for PointTest {
         shape.contains(self.0)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn around(p: DVec3) -> Aabb {
+        Aabb::of([p - 0.1, p + 0.1])
+    }
+
+    #[test]
+    fn a_ball_without_a_pyramid_leaves_out_what_is_behind() {
+        let all_but_behind = Region::outside(DVec3::ZERO, &[DVec3::NEG_X], 10.0);
+        assert!(all_but_behind.meets(&around(DVec3::X)) && all_but_behind.meets(&around(DVec3::Y)));
+        assert!(!all_but_behind.meets(&around(DVec3::NEG_X)) && !all_but_behind.meets(&around(DVec3::X * 11.0)));
+    }
+
+    #[test]
+    fn a_ray_meets_the_boxes_on_its_way() {
+        let ray = Region::ray(DVec3::ZERO, DVec3::X, 10.0);
+        assert!(ray.meets(&around(DVec3::X * 10.05)));
+        assert!(!ray.meets(&around(DVec3::X * 10.2)) && !ray.meets(&around(DVec3::new(5.0, 0.2, 0.0))));
+        assert!(!ray.meets(&around(DVec3::X * -0.2)));
+    }
+}

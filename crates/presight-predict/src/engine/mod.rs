@@ -216,7 +216,6 @@ impl Engine for cpu::CpuEngine {
 ///
 /// # Errors
 /// Same as [`Device::add_boxes`].
-#[doc(hidden)]
 pub fn add_boxes(
     engine: &mut dyn Engine,
     threads: &Threads,

@@ -31,7 +31,6 @@ mod shown;
 mod stage;
 mod stages;
 mod submission;
-#[doc(hidden)]
 pub mod testing;
 mod together;
 mod uploads;

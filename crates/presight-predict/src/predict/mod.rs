@@ -166,7 +166,6 @@ impl Predictor {
 
     /// Creates a predictor with an open engine. With [`Backend::Auto`] the CPU engine takes over if the engine's device
     /// fails.
-    #[doc(hidden)]
     pub fn with_engine(options: Options, engine: Box<dyn Engine>) -> Self {
         Self {
             backend: options.backend,
@@ -185,7 +184,6 @@ impl Predictor {
     }
 
     /// The engine.
-    #[doc(hidden)]
     pub fn engine(&self) -> &dyn Engine {
         &*self.engine
     }
@@ -204,7 +202,6 @@ impl Predictor {
     }
 
     /// The engine, and the threads for the work that it leaves to the CPU.
-    #[doc(hidden)]
     pub fn engine_mut(&mut self) -> (&mut dyn Engine, &Threads) {
         (&mut *self.engine, &self.threads)
     }
@@ -359,7 +356,6 @@ impl Predictor {
     }
 
     /// Predicts only images, into the caller's memory, for studies that draw many sensors into the same images.
-    #[doc(hidden)]
     pub fn predict_images(
         &mut self,
         world: &World,

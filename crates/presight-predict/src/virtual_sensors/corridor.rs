@@ -32,9 +32,13 @@ pub struct CorridorFields {
     /// Checked before these fields are read.
     #[serde(default, rename = "format")]
     pub _format: Option<i64>,
+    /// Points of the middle line, metres.
     pub polyline_in_robot: Vec<[f64; 2]>,
+    /// Metres to each side.
     pub half_width: f64,
+    /// Lower end, metres.
     pub z_min: f64,
+    /// Upper end, metres.
     pub z_max: f64,
 }
 

@@ -23,6 +23,7 @@ pub struct TimeEstimate {
 /// The costs of frames, by engine, adapter, threads, sensor geometry and outputs.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct CostModel {
+    /// The costs of each kind of frame.
     pub models: BTreeMap<Key, UnitCosts>,
 }
 

@@ -182,7 +182,9 @@ impl TimeLimit {
 /// Seconds of drawing on all threads together, for the second estimate of a prediction with a deadline.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Pace {
+    /// Per wave.
     pub wave: f64,
+    /// Per polygon.
     pub polygon: f64,
     /// Per pixel of the bounding boxes of polygons.
     pub sample: f64,
@@ -254,14 +256,12 @@ impl FramePlan {
     }
 
     /// Lets a clock stop the engines, for tests. A [`crate::Predictor`] does so for [`Request::deadline`].
-    #[doc(hidden)]
     pub fn set_watch(&mut self, watch: Watch) {
         self.limit = Some(TimeLimit::new(watch));
     }
 
     /// Lets engines begin with the polygons that the sensor's last frame showed, for tests. A [`crate::Predictor`] does
     /// so for [`crate::Options::reuse_visible`].
-    #[doc(hidden)]
     pub fn set_reuse_visible(&mut self) {
         self.reuse_visible = true;
     }
@@ -353,7 +353,6 @@ impl FramePlan {
     ///
     /// # Errors
     /// [`crate::ErrorKind::Usage`] without a watch; [`crate::ErrorKind::System`] if there is no memory for the ray tables.
-    #[doc(hidden)]
     pub fn set_part(&mut self, stride: u32, around: Option<(f64, u32)>) -> Result<()> {
         let narrow = around.and_then(|(heading, columns)| self.sensor.columns_around(heading, columns));
         if let Some(part) = narrow {

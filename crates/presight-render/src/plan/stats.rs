@@ -179,3 +179,20 @@ impl Stats {
         rows
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_of_one_stage_add_up_and_stages_left_out_say_why() {
+        let mut stats = Stats::default();
+        stats.stages_ms.extend([(StageName::Setup, 0.25), (StageName::Setup, 0.5)]);
+        assert_eq!((stats.stage_ms(StageName::Setup), stats.stage_ms(StageName::Echo)), (Some(0.75), None));
+        stats.leave_out(StageName::RayTable, "no lens distortion");
+        let rows = stats.stages();
+        assert_eq!((rows[0].name.as_str(), rows[0].ran), ("setup", true));
+        let left_out = rows.iter().find(|row| row.name == "ray table").unwrap();
+        assert_eq!((left_out.ran, left_out.ms, left_out.why), (false, None, "no lens distortion"));
+    }
+}

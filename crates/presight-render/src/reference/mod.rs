@@ -12,10 +12,8 @@ mod bundle;
 mod face;
 
 use bundle::Cone;
-#[doc(hidden)]
 pub use bundle::instances;
 pub use bundle::{Beam, beams, cones, descend};
-#[doc(hidden)]
 pub use face::Face;
 pub use face::{Edge, UNIT_ROUNDOFF};
 

@@ -81,7 +81,6 @@ impl Precision {
     }
 
     /// Factor for comparisons of already rounded ranges with each other and with the limits.
-    #[doc(hidden)]
     pub fn limit_slack(self) -> f64 {
         1.0 + self.output_ulps() * f64::from(f32::EPSILON)
     }

@@ -19,7 +19,6 @@ pub use bound::is_set_up_finely;
 use candidates::PlaneCandidate;
 pub use candidates::{Candidate, CandidateSet, candidates};
 pub use pixel::{BoundShares, PixelValues, Tolerances};
-#[doc(hidden)]
 pub use {bound::FaceBound, candidates::span, pixel::ulp};
 
 use crate::plan::{FramePlan, Images, Instance, Output};
@@ -346,4 +345,21 @@ fn why(set: &CandidateSet, other: &PixelValues) -> String {
         right.push("nothing".into());
     }
     format!("{other}, where only {} would be right", right.join(" or "))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plan::Outputs;
+
+    #[test]
+    fn what_was_given_up_is_counted_and_not_compared() {
+        let mut whole = Images::default();
+        whole.prepare(2, 1, Outputs::of(&[Output::Range]));
+        let mut partial = whole.clone();
+        partial.range[1] = f32::NAN;
+        assert_eq!(compare_exactly(&whole, &partial).unwrap().fault, 1);
+        let report = compare_partial(&whole, &partial, compare_exactly).unwrap();
+        assert_eq!((report.fault, report.same, report.not_predicted), (0, 1, 1));
+    }
 }

@@ -32,6 +32,7 @@ const UNKNOWN_MACHINE: f64 = 0.125;
 #[derive(Debug)]
 pub struct Controller {
     clock: Arc<dyn Clock>,
+    /// The learnt costs.
     pub costs: CostModel,
     /// Factors on estimates that refused recent frames: without a frame that runs, they would never be corrected.
     doubts: BTreeMap<Key, f64>,
@@ -67,6 +68,7 @@ pub struct DeadlineFrame {
     features: WorkCounts,
     /// Number of features found, and ascending numbers of features left out.
     pub found: u64,
+    /// Ascending numbers of features left out.
     pub left_out: Vec<u32>,
 }
 
