@@ -140,8 +140,11 @@ fn import_bytes(
     let root: json::Root = parse(container.json)?;
     let nodes: NodeText = parse(container.json)?;
     check_version(&root)?;
-    container::note_images(&root, path);
+    let images = container::images(&root, path);
     let buffers = Buffers::load(&root, container.bin, (path, within), memory)?;
+    let sidecar_file = Some(materials::sidecar_path(path)).filter(|path| path.exists());
+    let own = std::iter::once(path.to_owned()).chain(sidecar_file);
+    let files = own.chain(buffers.files.iter().cloned()).chain(images).collect();
     let document = Document { root, buffers };
     let mut book = ProblemBook::default();
     note_extensions(&document.root, &mut book);
@@ -173,7 +176,7 @@ fn import_bytes(
         return Err(Error::invalid("the scene has no polygons", "export meshes of triangles into the default scene"));
     }
     report.problems = book.into_problems();
-    Ok(ImportedScene { environment, report, frame: Some(frame) })
+    Ok(ImportedScene { environment, report, frame: Some(frame), files })
 }
 
 /// Quotes a name for a message. Long names are cut.

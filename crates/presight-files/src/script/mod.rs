@@ -68,7 +68,7 @@ use rhai::packages::{
 };
 use rhai::{Engine, OptimizationLevel, Scope};
 use std::cell::{Cell, RefCell};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::rc::Rc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::time::Duration;
@@ -132,7 +132,9 @@ fn run(path: &Path, options: &ImportOptions, say: Sender<String>) -> Result<Impo
     ast.set_source(&name);
     let ended = engine.run_ast_with_scope(&mut Scope::new(), &ast);
     ended.map_err(|e| explain(*e, &name, &sources.borrow()))?;
-    studio.finish(path)
+    let mut scene = studio.finish(path)?;
+    scene.files.extend(sources.borrow().keys().map(PathBuf::from));
+    Ok(scene)
 }
 
 /// Refuses a sidecar with materials, which a script would silently ignore. A sidecar of a model with the same name is
