@@ -39,6 +39,8 @@ pub struct Scene {
     pub world_from_gltf: Pose,
     /// Counts and problems of the import.
     pub report: ImportReport,
+    /// The files that the scene consists of: `path`, and all that it names, such as buffers, images and modules.
+    pub files: Vec<PathBuf>,
 }
 
 /// How a scene is opened.
@@ -151,7 +153,7 @@ impl Scene {
         let world = threads.run(|| World::with_index(imported.environment, scheme, Params::tuned(scheme)))?;
         let frame = imported.frame;
         let world_from_gltf = frame.unwrap_or_default().world_from_axes();
-        Ok(Self { path: path.to_owned(), world, frame, world_from_gltf, report: imported.report })
+        Ok(Self { path: path.to_owned(), world, frame, world_from_gltf, report: imported.report, files: imported.files })
     }
 
     /// Reads layer files on top of the scene's own layer for a sensor class, and finds the polygons of the features. A
@@ -322,7 +324,7 @@ fn stored(path: &Path, scheme: Scheme) -> Result<Scene> {
     }
     // The axes of the file that `env export` writes.
     let world_from_gltf = SceneFrame::default().world_from_axes();
-    Ok(Scene { path: path.to_owned(), world, frame: None, world_from_gltf, report })
+    Ok(Scene { path: path.to_owned(), world, frame: None, world_from_gltf, report, files: vec![path.to_owned()] })
 }
 
 #[cfg(not(feature = "store"))]

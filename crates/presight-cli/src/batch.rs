@@ -10,7 +10,7 @@ use presight_files::atomic::write_atomically;
 use presight_files::gltf::ImportOptions;
 use presight_files::poses::ExternalPose;
 use presight_files::{exr, load_sensor, log, sensor_toml, tum};
-use presight_files::{inputs, text};
+use presight_files::{files_named_by, text};
 use presight_model::error::{Error, Result};
 use presight_model::geometry::Pose;
 use presight_model::index::Scheme;
@@ -124,7 +124,6 @@ fn parse_shard(text: &str) -> Result<(u32, u32)> {
 /// holds another batch. Finished files are kept, and the same command continues.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     check_no_dash(&args.out)?;
-    inputs::record();
     let threads = Threads::from(args.threads).started()?;
     let (sensor, notices) = load_sensor(&args.sensor)?;
     print::notices(&notices);
@@ -139,7 +138,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     // All shards must use the same height.
     request.height = Some(poses.first.translation.z);
     let items = args.items(poses.count);
-    args.check_inputs()?;
+    args.check_inputs(&scene.files)?;
     folder::ready(&args.out)?;
     let record = args.job(&scene, &sensor, &poses)?;
     let chosen =
@@ -214,10 +213,14 @@ impl Args {
         self.out.join(self.shard.map_or("poses.csv".into(), |(i, n)| format!("poses-{i}-of-{n}.csv")))
     }
 
-    /// Checks that no input file would be overwritten.
-    fn check_inputs(&self) -> Result<()> {
+    /// Checks that no input file would be overwritten. `scene` are the files of the scene.
+    fn check_inputs(&self, scene: &[PathBuf]) -> Result<()> {
         let Ok(folder) = self.out.canonicalize() else { return Ok(()) };
-        for input in inputs::so_far() {
+        let sensor = PathBuf::from(&self.sensor);
+        let table = files_named_by(&sensor);
+        let frame = self.likelihood.as_deref().map(|frame| frame_of(frame).0);
+        let named = table.iter().chain([&sensor, &self.poses]).chain(&frame);
+        for input in scene.iter().chain(named) {
             let Ok(path) = input.canonicalize() else { continue };
             let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
             if path.parent() == Some(&folder) && may_write(&name) {

@@ -203,8 +203,10 @@ impl Drive {
         mut visit: impl FnMut(&Scene, &Sensed<'_>, &Step) -> Result<()>,
     ) -> Result<Followed> {
         self.check()?;
-        files.check_named([self.log.as_path(), self.map.as_path()])?;
-        files.check_named(self.layers.iter().map(PathBuf::as_path))?;
+        let beside = ["camera.json", "grey.toml", "poses.json", "poses.txt"].map(|name| self.log.join(name));
+        let sensors = [&self.sensor, &self.grey_sensor].into_iter().flatten().map(Path::new);
+        files.check_named([self.log.as_path(), self.map.as_path()].into_iter().chain(sensors))?;
+        files.check_named(self.layers.iter().chain(&beside).map(PathBuf::as_path))?;
         let sensor = self.sensor.as_deref().map(load_sensor).transpose()?;
         print::notices(sensor.iter().flat_map(|(_, notices)| notices));
         let log = Frames::open(&self.log, sensor.as_ref().map(|(sensor, _)| sensor), &self.odometry()?)?;
@@ -233,7 +235,7 @@ impl Drive {
         let mut localizer = self.localizer(estimator, start, &scene, first.frame.sensor())?;
         // The search of the whole map predicts many panoramas, so it is set up only when it is needed.
         let mut may_search = start.is_some() && options.freedom == Freedom::Planar;
-        files.check_read()?;
+        files.check_scene(&scene.files)?;
         let mut followed = Followed::default();
         for observation in std::iter::once(Ok(first)).chain(log) {
             let Observation { frame, reference } = observation?;
@@ -450,7 +452,7 @@ fn not_sought(placed: &PlacedFeatures) -> Option<String> {
 /// # Errors
 /// Those of [`Drive::follow`], and write errors.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
-    let mut files = OutputFiles::new();
+    let mut files = OutputFiles::default();
     let details = args.out.with_extension("jsonl");
     files.add("--out", Some(&args.out), &["tum"])?;
     files.add_any(&details)?;

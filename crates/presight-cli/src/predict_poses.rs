@@ -46,7 +46,7 @@ pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     // Check again: the scene has taken some of the memory.
     memory::require(largest)?;
     let files = std::mem::take(&mut job.files);
-    files.check_read()?;
+    files.check_scene(&scene.files)?;
     for setup in &setups {
         job.names.rays(&setup.sensor)?.iter().try_for_each(|path| npy::write_rays(path, &setup.sensor))?;
     }

@@ -85,7 +85,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
             return Err(Error::usage(format!("{flag} {sigma}"), "give a finite number of at least 0"));
         }
     }
-    let mut files = OutputFiles::new();
+    let mut files = OutputFiles::default();
     files.add_folder(&args.out, &["index.html"])?;
     let frames = args.out.join("frames");
     let (mut painter, mut pictures) = (None, Vec::new());

@@ -108,9 +108,10 @@ pub struct Args {
 /// # Errors
 /// Errors from reading the scene, sensor and poses, and from writing.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
-    let mut files = OutputFiles::new();
+    let mut files = OutputFiles::default();
     files.add_folder(&args.out, &["camera.json", "poses.txt", "sensor.toml", "grey.toml", SCANS])?;
-    files.check_named([args.scene.as_path(), args.poses.as_path(), Path::new(&args.sensor)])?;
+    let sensors = [Some(&args.sensor), args.grey.as_ref()].into_iter().flatten().map(Path::new);
+    files.check_named([args.scene.as_path(), args.poses.as_path()].into_iter().chain(sensors))?;
     let (sensor, notices) = load_sensor(&args.sensor)?;
     super::print::notices(&notices);
     args.check_flags(&sensor)?;
@@ -131,7 +132,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     displace(&mut scene.world, args.displace, args.seed)?;
     let path: Vec<Pose> = poses.iter().map(|p| p.pose).collect();
     let walkers = Walkers::new(&mut scene.world, &path, args.height, args.walkers, args.seed)?;
-    files.check_read()?;
+    files.check_scene(&scene.files)?;
     folder::ready(&args.out)?;
     let mut next = |scene: &mut Scene, pose: &StampedPose| {
         walkers.walk(&mut scene.world, pose.time)?;

@@ -11,7 +11,6 @@ mod faults;
 pub mod file;
 pub mod forms;
 pub mod gltf;
-pub mod inputs;
 pub mod layer;
 mod load;
 pub mod log;
@@ -35,7 +34,7 @@ pub mod temporary;
 pub mod text;
 pub mod tum;
 
-pub use load::{load_sensor, preset};
+pub use load::{files_named_by, load_sensor, preset};
 pub use points::{PointCloud, PointsFrame};
 pub use robot_toml::{Robot, load_robot};
 

@@ -110,8 +110,12 @@ fn nothing_included_is_overwritten() {
     place.write("rays.png", b"1,0,0\n");
     place.write("table.toml", b"format = 1\nkind = \"rays\"\nwidth = 1\nheight = 1\nfile = \"rays.png\"\n");
     place.done("predict wall.glb --sensor table.toml --pose 0,0,1,0,0,0 --backend cpu");
-    let lines: [(String, &[&str]); 3] = [
+    place.write("robot.toml", b"format = 1\n[[sensors]]\nsensor = \"table.toml\"\n");
+    place.write("poses.tum", b"0 0 0 1 0 0 0 1\n");
+    let lines: [(String, &[&str]); 5] = [
         (predict("apart.gltf", "--png before.png --stats bin.json"), &["--stats bin.json"]),
+        ("predict wall.glb --robot robot.toml --poses poses.tum --backend cpu --png rays.png".into(), &["rays.png"]),
+        ("predict apart.gltf --robot robot.toml --poses poses.tum --backend cpu --features bin.json".into(), &["bin.json"]),
         (
             predict("wall.glb", "--out before.exr --stats sidecar.json"),
             &["--stats sidecar.json", "wall.materials.toml"],

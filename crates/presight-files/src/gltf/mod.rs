@@ -191,8 +191,16 @@ fn import_from(
     let root: json::Root = parse(container.json)?;
     let nodes: NodeText = parse(container.json)?;
     check_version(&root)?;
-    container::note_images(&root, origin.scene);
+    let images = container::images(&root, origin.scene);
     let buffers = Buffers::load(&root, container.bin, origin, memory)?;
+    let files = match origin.buffers {
+        BufferFiles::None => Vec::new(),
+        _ => {
+            let sidecar_file = Some(materials::sidecar_path(origin.scene)).filter(|path| path.exists());
+            let own = std::iter::once(origin.scene.to_owned()).chain(sidecar_file);
+            own.chain(buffers.files.iter().cloned()).chain(images).collect()
+        }
+    };
     let document = Document { root, buffers };
     let mut book = ProblemBook::default();
     note_extensions(&document.root, &mut book);
@@ -224,7 +232,7 @@ fn import_from(
         return Err(Error::invalid("the scene has no polygons", "export meshes of triangles into the default scene"));
     }
     report.problems = book.into_problems();
-    Ok(ImportedScene { environment, report, frame: Some(frame) })
+    Ok(ImportedScene { environment, report, frame: Some(frame), files })
 }
 
 /// Quotes a name for a message. Long names are cut.

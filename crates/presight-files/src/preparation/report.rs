@@ -9,6 +9,7 @@ use presight_model::placement::{lost, why_off};
 use presight_model::world::World;
 use serde::Serialize;
 use std::fmt;
+use std::path::PathBuf;
 
 /// An imported scene.
 #[derive(Clone, Debug)]
@@ -19,6 +20,8 @@ pub struct ImportedScene {
     pub report: ImportReport,
     /// The file's placement in the world; `None` for a script, which is in the world's frame.
     pub frame: Option<SceneFrame>,
+    /// The files that the scene consists of: the given one, and all that it names, also images, which are not read.
+    pub files: Vec<PathBuf>,
 }
 
 /// Counts and problems of an import. "Stored" counts each mesh once, "scene" each of its instances.

@@ -43,7 +43,7 @@ use rhai::packages::{
 };
 use rhai::{Engine, OptimizationLevel, Scope};
 use std::cell::{Cell, RefCell};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::rc::Rc;
 use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
 use std::time::Duration;
@@ -140,7 +140,9 @@ fn run(path: &Path, bytes: Option<&[u8]>, options: &ImportOptions, say: Sender<S
     ast.set_source(&name);
     let ended = engine.run_ast_with_scope(&mut Scope::new(), &ast);
     ended.map_err(|e| explain(*e, &name, &sources.borrow()))?;
-    studio.finish(path)
+    let mut scene = studio.finish(path)?;
+    scene.files.extend(sources.borrow().keys().map(PathBuf::from));
+    Ok(scene)
 }
 
 /// Refuses a sidecar with materials, which a script would silently ignore. A sidecar of a model with the same name is
