@@ -112,7 +112,7 @@ pub trait Log: Iterator<Item = Result<LogFrame>> {
 /// let path = folder.path().join("run.log.jsonl");
 /// let sensor = presight::preset("laser-scanner")?;
 /// let frame = log::LogFrame { time: 0.5, range: vec![2.0; 361], intensities: None, odometry: None, reference: None };
-/// std::fs::write(&path, format!("{}\n{}\n", log::lines::header(sensor.spec()), log::lines::line(&frame)))?;
+/// std::fs::write(&path, format!("{}\n{}\n", log::lines::header(sensor.spec()), log::lines::line(&frame)?))?;
 /// let mut log = log::open(&path)?;
 /// assert_eq!(log.sensor().spec(), sensor.spec());
 /// assert_eq!(log.next().transpose()?, Some(frame));
