@@ -5,9 +5,9 @@
 
 use glam::{DMat3, DVec3};
 use plotters::prelude::*;
-use presight::Pose;
-use presight::environment::FeatureShape;
-use presight::features::roi::{BodyPoint, FeatureErrorModel, PoseCovariance, Projection, Roi, roi};
+use presight::features::FeatureShape;
+use presight::regions::{BodyPoint, FeatureErrorModel, Projection, Roi, roi};
+use presight::{Pose, PoseCovariance};
 use std::f64::consts::TAU;
 
 type Failure = Box<dyn std::error::Error>;

@@ -1,26 +1,26 @@
-//! ARCHITECTURE's table of modules and its import rule, held against the sources.
+//! Checks the sources against ARCHITECTURE's table of modules and its import rule.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Crates that only one module may name.
+/// Crates that only one module may use.
 const HOMES: [(&str, &[&str]); 3] = [
     ("gpu", &["wgpu", "pollster"]),
     ("extract", &["apriltag"]),
     ("io", &["exr", "gltf", "rhai", "rusqlite", "serde_saphyr", "toml", "twox_hash"]),
 ];
 
-/// The modules that draw. The rows between them and `predict` know them all.
+/// The rendering modules. The rows between them and `predict` may use all of them.
 const ENGINES: [&str; 3] = ["reference", "cpu", "gpu"];
 
-/// A module and what it depends on, as a row of the table says; modules of one row may import each other.
+/// A row of the table: modules and their dependencies. Modules of one row may import each other.
 struct Row {
     modules: Vec<String>,
     depends: Vec<String>,
 }
 
-/// The rows of the table of modules, those of `crates/` left out.
+/// Parses the table of modules, without the rows of `crates/`.
 fn table(text: &str) -> Vec<Row> {
     let start = text.find("| module | holds | depends on |").expect("the table of modules");
     let names = |cell: &str| -> Vec<String> {
@@ -36,8 +36,8 @@ fn table(text: &str) -> Vec<Row> {
         .collect()
 }
 
-/// What each module may import: what is in its own row, and what its row names, row by row. Faults of the table itself are
-/// the second answer.
+/// Returns what each module may import: the modules of its own row, and of the rows that it names, transitively. Also
+/// returns faults of the table itself.
 fn allowed(rows: &[Row]) -> (BTreeMap<&str, BTreeSet<&str>>, Vec<String>) {
     let (mut allowed, mut faults) = (BTreeMap::<&str, BTreeSet<&str>>::new(), Vec::new());
     for row in rows {
@@ -59,7 +59,7 @@ fn allowed(rows: &[Row]) -> (BTreeMap<&str, BTreeSet<&str>>, Vec<String>) {
     (allowed, faults)
 }
 
-/// The source without comments and without what is only for tests, which stands at the end.
+/// The source without comments and without the test module at its end.
 fn code(text: &str) -> String {
     let lines = text.lines().map(|line| line.split("//").next().unwrap_or_default());
     let text = lines.collect::<Vec<_>>().join("\n");
@@ -67,7 +67,7 @@ fn code(text: &str) -> String {
     text[..tests.unwrap_or(text.len())].to_owned()
 }
 
-/// What a source imports of this crate: modules, through the names that `lib.rs` gives again.
+/// The modules of this crate that a source imports, resolved through the re-exports of `lib.rs`.
 fn imports(code: &str, again: &BTreeMap<String, String>) -> BTreeSet<String> {
     let words = |text: &str| -> Vec<String> {
         text.split(|c: char| !c.is_alphanumeric() && c != '_').filter(|w| !w.is_empty()).map(str::to_owned).collect()
@@ -80,7 +80,7 @@ fn imports(code: &str, again: &BTreeMap<String, String>) -> BTreeSet<String> {
     named.map(|name| again.get(&name).cloned().unwrap_or(name)).collect()
 }
 
-/// The names that `lib.rs` gives again, and the modules they come from.
+/// The names that `lib.rs` re-exports, with their modules.
 fn given_again(lib: &str) -> BTreeMap<String, String> {
     let mut names = BTreeMap::new();
     for rest in lib.split("\npub use ").skip(1) {
@@ -93,7 +93,7 @@ fn given_again(lib: &str) -> BTreeMap<String, String> {
     names
 }
 
-/// Sources below a folder, without tests.
+/// Collects the sources below a folder, without tests.
 fn sources(folder: &Path, to: &mut Vec<PathBuf>) {
     for entry in fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();
@@ -107,7 +107,7 @@ fn sources(folder: &Path, to: &mut Vec<PathBuf>) {
     }
 }
 
-/// What breaks the rule: `files` are top-level modules with a source of theirs.
+/// Returns the violations of the rule: `files` are top-level modules with one of their sources.
 fn breaches(architecture: &str, lib: &str, files: &[(String, String)]) -> Vec<String> {
     let rows = table(architecture);
     let (allowed, mut faults) = allowed(&rows);
@@ -146,7 +146,7 @@ fn breaches(architecture: &str, lib: &str, files: &[(String, String)]) -> Vec<St
 }
 
 #[test]
-fn modules_import_what_the_table_says() {
+fn modules_import_only_what_the_table_allows() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let read = |path: &Path| fs::read_to_string(path).unwrap();
     let (mut paths, mut files) = (Vec::new(), Vec::new());

@@ -3,12 +3,12 @@
 use super::engine_args::EngineArgs;
 use super::outputs::check_no_dash;
 use super::pose::{PoseFrame, PoseOf, WorldFrame, given_pose};
+use super::series::SeriesProgress;
 use super::{CommandOutcome, bar, folder, open_scene, print};
 use presight::{Scene, blake3_of};
 use presight_files::atomic::write_atomically;
-use presight_files::frames::ExternalPose;
 use presight_files::gltf::ImportOptions;
-use presight_files::series::SeriesProgress;
+use presight_files::poses::ExternalPose;
 use presight_files::{exr, load_sensor, log, sensor_toml, tum};
 use presight_files::{inputs, text};
 use presight_model::error::{Error, Result};

@@ -16,9 +16,9 @@ use presight_localize::localize::{Candidate, LocalizeOptions, Localizer, Phase, 
 use presight_localize::verdict::{Verdict as Judged, Verdicts};
 use presight_model::environment::FeatureShape;
 use presight_model::error::{Error, Result};
-use presight_model::frame::{Frame, OdometryNoise};
 use presight_model::geometry::Pose;
 use presight_model::index::Scheme;
+use presight_model::measured::{Frame, OdometryNoise};
 use presight_model::sensor::{Geometry, Sensor};
 use presight_model::threads::Threads;
 use presight_predict::predict::{Backend, Options, Predictor};

@@ -1,7 +1,7 @@
 //! Printing to stdout and stderr that tolerates closed pipes.
 
 use super::flags;
-use presight_files::series::SeriesProgress;
+use super::series::SeriesProgress;
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::limits;
 use presight_model::printable::{clipped, printable};

@@ -282,7 +282,7 @@ impl FeaturePrediction {
     /// ```
     /// use presight::features::{FeatureOptions, Hidden, PlacedFeatures};
     /// use presight::{Backend, Options, Output, Outputs, Pose, Predictor, Request, Scene};
-    /// # use presight::features::generate::{GenerateOptions, generate};
+    /// # use presight::features::{GenerateOptions, generate};
     /// # use presight::features::place;
     /// let scene = Scene::open("scenes/room.glb")?;
     /// let layer = generate(scene.world.environment(), "video", &GenerateOptions::default())?.layer;

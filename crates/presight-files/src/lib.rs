@@ -10,7 +10,6 @@ pub mod exr;
 mod faults;
 pub mod file;
 pub mod forms;
-pub mod frames;
 pub mod gltf;
 pub mod inputs;
 pub mod layer;
@@ -23,16 +22,15 @@ pub mod ply;
 mod point_fields;
 mod points;
 pub mod pose_covariance;
+pub mod poses;
 pub mod prediction_json;
 pub mod preparation;
 pub mod robot_toml;
 #[cfg(feature = "script")]
 pub mod script;
 pub mod sensor_toml;
-pub mod series;
 #[cfg(feature = "store")]
 pub mod store;
-pub mod templates;
 pub mod temporary;
 pub mod text;
 pub mod tum;

@@ -10,7 +10,7 @@ use std::path::Path;
 /// Reads `sx,sy,sz,sroll_deg,spitch_deg,syaw_deg` (standard deviations, metres and degrees), or the named JSON file.
 ///
 /// ```
-/// let covariance = presight::io::pose_covariance::parse("0.1,0.1,0,0,0,2")?;
+/// let covariance = presight::files::parse_pose_covariance("0.1,0.1,0,0,0,2")?;
 /// assert!((covariance[1][1] - 0.01).abs() < 1e-15);
 /// assert!((covariance[5][5].sqrt().to_degrees() - 2.0).abs() < 1e-12);
 /// # Ok::<(), presight::Error>(())

@@ -27,17 +27,6 @@ pub fn motion_between(from: &Pose, to: &Pose) -> Vector {
 
 /// The normalized estimation error squared (NEES) and its number of axes: e' C^-1 e, with e the motion from a pose to
 /// the true pose, and C its covariance (as in [`moved`]). Axes with zero variance were not estimated and do not count.
-///
-/// # Examples
-/// ```
-/// use presight::estimate::{moved, nees};
-/// let there = moved(&presight::Pose::IDENTITY, &[0.02, 0.0, 0.0, 0.0, 0.0, 0.03]);
-/// // x is known to 1 cm, y to 1 cm, yaw to 0.01: (2 + 0 + 3 deviations) squared each.
-/// let mut covariance = [[0.0; 6]; 6];
-/// [(0, 1e-4), (1, 1e-4), (5, 1e-4)].map(|(i, variance)| covariance[i][i] = variance);
-/// let (squared, numbers) = nees(&presight::Pose::IDENTITY, &covariance, &there);
-/// assert!((squared - 13.0).abs() < 1e-9 && numbers == 3);
-/// ```
 pub fn nees(pose: &Pose, covariance: &Matrix, truth: &Pose) -> (f64, usize) {
     let axes: Vec<usize> = (0..6).filter(|i| covariance[*i][*i] > 0.0).collect();
     let error = motion_between(pose, truth);

@@ -13,7 +13,7 @@ use image::ExtendedColorType;
 use presight_features::FeaturePrediction;
 use presight_files::atomic::write_atomically;
 use presight_model::error::{Error, Result};
-use presight_model::frame::GreyImage;
+use presight_model::measured::GreyImage;
 use presight_model::sensor::Sensor;
 use presight_render::plan::{Images, Output};
 use std::io::BufWriter;

@@ -21,7 +21,7 @@ pub use map::{GridMap, write_maps};
 pub use overlay::Overlay;
 use presight_files::atomic::write_atomically;
 use presight_model::error::{Error, Result};
-use presight_model::frame::GreyImage;
+use presight_model::measured::GreyImage;
 use presight_model::sensor::{Geometry, Sensor};
 use presight_predict::virtual_sensors::Mask;
 use presight_render::plan::{Images, Output, Outputs};

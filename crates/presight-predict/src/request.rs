@@ -10,7 +10,8 @@ use std::time::Duration;
 /// Everything that one prediction should deliver. Outputs that are not requested cost no time.
 ///
 /// ```
-/// use presight::features::{BoxOptions, FeatureOptions};
+/// use presight::features::FeatureOptions;
+/// use presight::regions::BoxOptions;
 /// use presight::{Output, Outputs, Request};
 /// let request = Request::of(Outputs::of(&[Output::Range]))
 ///     .with_features(FeatureOptions::default())

@@ -37,7 +37,7 @@ pub enum BoxMethod {
 /// Uncertainties of poses, and the probability with which regions of interest hold their features.
 ///
 /// ```
-/// use presight::features::BoxOptions;
+/// use presight::regions::BoxOptions;
 /// // 5 cm along x and y, and 2 degrees of heading.
 /// let heading = 2f64.to_radians();
 /// let options = BoxOptions::default().with_sensor_sigmas([0.05, 0.05, 0.0, 0.0, 0.0, heading]).with_confidence(0.95);

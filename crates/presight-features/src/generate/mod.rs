@@ -173,8 +173,9 @@ pub struct GeneratedLayer {
 /// give no features; transparent ones do. Equal inputs give equal layers.
 ///
 /// ```
-/// use presight::features::generate::{GenerateOptions, FeatureKind, generate};
-/// use presight::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose};
+/// use presight::features::{FeatureKind, GenerateOptions, generate};
+/// use presight::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
+/// use presight::Pose;
 /// use glam::Vec3;
 ///
 /// // A square tile has four open borders, which meet in four corners.

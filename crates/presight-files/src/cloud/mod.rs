@@ -40,7 +40,7 @@ pub struct Cloud {
 /// let folder = tempfile::tempdir()?;
 /// let path = folder.path().join("corner.csv");
 /// std::fs::write(&path, "x,y,z,intensity\n3,0,0.5,12\n0,2,0.5,9\n")?;
-/// let cloud = presight::io::cloud::read(&path)?;
+/// let cloud = presight::files::read_cloud(&path)?;
 /// assert_eq!(cloud.points, [glam::DVec3::new(3.0, 0.0, 0.5), glam::DVec3::new(0.0, 2.0, 0.5)]);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```

@@ -41,19 +41,6 @@
 //! from the polygons it lies on; they are found by geometry when the layer is used ([`crate::features::place`]).
 //! `pose_covariances` are 6 x 6, row-major: x y z, then rotation about the fixed axes x y z, in the object's frame. A
 //! `$schema` key is allowed for editors; it should point to [`schema`].
-//!
-//! ```
-//! use presight::io::layer;
-//! let base = r#"{"format": 1, "class": "video", "features": [
-//!     {"id": 1, "kind": "point", "points": [[1, 2, 3]], "sigma": 0.01},
-//!     {"id": 2, "kind": "point", "points": [[4, 5, 6]]}]}"#;
-//! let later = r#"{"format": 1, "class": "video", "features": [{"id": 2, "remove": true}]}"#;
-//! let left = layer::merge([layer::parse(base)?, layer::parse(later)?])?;
-//! assert_eq!(left[0].layer.features.len(), 1);
-//! // A written layer reads back with the same bits.
-//! assert_eq!(layer::parse(&layer::to_string(&left[0].layer)?)?.layer, left[0].layer);
-//! # Ok::<(), presight::Error>(())
-//! ```
 
 mod fields;
 mod merge;

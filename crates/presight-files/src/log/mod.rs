@@ -21,9 +21,9 @@ pub use frames::{Frames, Observation};
 use super::file;
 use super::text::read_line;
 use presight_model::error::{Error, Result};
-use presight_model::frame::{GreyImage, Measurement, Motion, OdometryNoise, check_intensities};
 use presight_model::geometry::Pose;
 use presight_model::limits;
+use presight_model::measured::{GreyImage, Measurement, Motion, OdometryNoise, check_intensities};
 use presight_model::sensor::{Sensor, SensorSpec};
 use std::io::{BufReader, Read};
 use std::path::Path;
@@ -48,9 +48,10 @@ impl LogFrame {
     /// Converts to a frame for the estimator. `noise` is the odometry's, which logs do not contain.
     ///
     /// # Errors
-    /// As [`crate::frame::Frame::new`].
-    pub fn sensed(self, sensor: &Sensor, noise: &OdometryNoise) -> Result<presight_model::frame::Frame> {
-        let mut frame = presight_model::frame::Frame::new(self.time, sensor.clone(), Measurement::Range(self.range))?;
+    /// As [`crate::measured::Frame::new`].
+    pub fn sensed(self, sensor: &Sensor, noise: &OdometryNoise) -> Result<presight_model::measured::Frame> {
+        let mut frame =
+            presight_model::measured::Frame::new(self.time, sensor.clone(), Measurement::Range(self.range))?;
         if let Some(values) = self.intensities {
             frame = frame.with_intensities(GreyImage::new(sensor.width(), sensor.height(), values)?)?;
         }
@@ -107,13 +108,13 @@ pub trait Log: Iterator<Item = Result<LogFrame>> {
 /// Opens a log of format 1 or a document.
 ///
 /// ```
-/// use presight::io::log;
+/// use presight::files::{Log, LogFrame, open_log, range_log_header, range_log_line};
 /// let folder = tempfile::tempdir()?;
 /// let path = folder.path().join("run.log.jsonl");
 /// let sensor = presight::preset("laser-scanner")?;
-/// let frame = log::LogFrame { time: 0.5, range: vec![2.0; 361], intensities: None, odometry: None, reference: None };
-/// std::fs::write(&path, format!("{}\n{}\n", log::lines::header(sensor.spec()), log::lines::line(&frame)?))?;
-/// let mut log = log::open(&path)?;
+/// let frame = LogFrame { time: 0.5, range: vec![2.0; 361], intensities: None, odometry: None, reference: None };
+/// std::fs::write(&path, format!("{}\n{}\n", range_log_header(sensor.spec()), range_log_line(&frame)?))?;
+/// let mut log = open_log(&path)?;
 /// assert_eq!(log.sensor().spec(), sensor.spec());
 /// assert_eq!(log.next().transpose()?, Some(frame));
 /// assert!(log.next().is_none());

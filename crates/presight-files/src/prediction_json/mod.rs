@@ -68,16 +68,6 @@ pub struct Header {
 /// Writes predicted features, and the reading of a virtual sensor if there is one. `environment` names the objects that hide
 /// features.
 ///
-/// ```
-/// use presight::features::FeaturePrediction;
-/// use presight::io::prediction_json::{Header, to_string};
-/// use presight::Environment;
-/// let text = to_string(&Header::default(), &FeaturePrediction::default(), &Environment::new(), None)?;
-/// let json: serde_json::Value = serde_json::from_str(&text)?;
-/// assert_eq!(json["format"], 1);
-/// # Ok::<(), Box<dyn std::error::Error>>(())
-/// ```
-///
 /// # Errors
 /// [`crate::ErrorKind::System`] if the file cannot be written; nothing is left under its name then.
 pub fn write(

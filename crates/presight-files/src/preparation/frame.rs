@@ -49,7 +49,7 @@ impl std::str::FromStr for Up {
 /// The placement of a scene file in the world: it is turned upright, scaled to metres, then placed.
 ///
 /// ```
-/// use presight::preparation::{SceneFrame, Up};
+/// use presight::files::{SceneFrame, Up};
 /// let frame = SceneFrame { up: Up::Z, scale: 0.001, ..SceneFrame::default() };
 /// assert_eq!(frame.world_from_file().transform_point3(glam::DVec3::new(0.0, 0.0, 2000.0)).z, 2.0);
 /// ```

@@ -16,9 +16,9 @@ use crate::verdict::{ExpectedImage, Surfaces, Uncertainty, Verdicts, body_from_i
 use glam::DVec3;
 use presight_features::{FeatureOptions, PlacedFeatures};
 use presight_model::error::{Error, Result};
-use presight_model::frame::{Frame, RangeNoise};
 use presight_model::geometry::Pose;
 use presight_model::matrix::{Matrix, add_to, eigen, inverse, quadratic, restricted, scaled};
+use presight_model::measured::{Frame, RangeNoise};
 use presight_model::random::SplitMix64;
 use presight_model::world::World;
 use presight_predict::predict::Predictor;

@@ -44,7 +44,7 @@ pub struct Assignment {
 /// equal, a group with one row takes the lowest column, and a group with one column the lowest row.
 ///
 /// ```
-/// use presight::matching::{CandidatePair, assign};
+/// use presight::history::{CandidatePair, assign};
 /// let pair = |row, column, cost| CandidatePair { row, column, cost };
 /// // The second row can only take column 0, which is also the best for the first row.
 /// let pairs = [pair(0, 0, 1.0), pair(0, 1, 1.5), pair(1, 0, 2.0)];

@@ -3,8 +3,8 @@
 
 use super::normal;
 use presight_model::error::{Error, Result};
-use presight_model::frame::{Frame, GreyImage, Measurement};
 use presight_model::geometry::Pose;
+use presight_model::measured::{Frame, GreyImage, Measurement};
 use presight_model::random::SplitMix64;
 use presight_model::sensor::{Camera, Geometry, Sensor};
 use presight_model::world::World;
@@ -19,7 +19,9 @@ const FINE: u32 = 3;
 /// # Examples
 /// ```
 /// use presight::simulate::GreySimulator;
-/// use presight::{Camera, Environment, Geometry, Options, Pose, Predictor, Sensor, SensorSpec, World};
+/// use presight::environment::Environment;
+/// use presight::sensor::{Camera, Geometry, SensorSpec};
+/// use presight::{Options, Pose, Predictor, Sensor, World};
 /// let camera = Camera::pinhole(32, 24, 30.0, 30.0, 15.5, 11.5);
 /// let camera = Sensor::new(SensorSpec::new("camera", "video", Geometry::Camera(camera)))?;
 /// let mut simulator = GreySimulator::new(Predictor::new(Options::default())?, camera, 0.7, 0.0, 1)?;

@@ -11,8 +11,8 @@ pub use surroundings::{Walkers, displace};
 
 use crate::estimate::moved;
 use presight_model::error::{Error, Result};
-use presight_model::frame::{Frame, GreyImage, Measurement, Motion, RangeNoise};
 use presight_model::geometry::Pose;
+use presight_model::measured::{Frame, GreyImage, Measurement, Motion, RangeNoise};
 use presight_model::random::SplitMix64;
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
@@ -46,7 +46,8 @@ const JUMP: f64 = 0.05;
 /// # Examples
 /// ```
 /// use presight::simulate::{Disturbances, Simulator};
-/// use presight::{Environment, Options, Pose, Predictor, World};
+/// use presight::environment::Environment;
+/// use presight::{Options, Pose, Predictor, World};
 /// let world = World::new(Environment::new());
 /// let scanner = presight::preset("laser-scanner")?;
 /// let mut simulator = Simulator::new(Predictor::new(Options::default())?, scanner, Disturbances::default(), 7)?;

@@ -26,7 +26,8 @@ const ASIDE: (f64, f64) = (1.0, 2.5);
 /// # Examples
 /// ```
 /// use presight::simulate::displace;
-/// use presight::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose, World};
+/// use presight::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
+/// use presight::{Pose, World};
 /// let mut environment = Environment::new();
 /// let paint = environment.add_material(Material::named("paint"))?;
 /// let corners = [glam::Vec3::ZERO, glam::Vec3::X, glam::Vec3::Y].to_vec();

@@ -6,9 +6,9 @@ use super::surfaces::ObjectError;
 use crate::motion::turn;
 use glam::DVec3;
 use presight_model::error::{Error, Result};
-use presight_model::frame::{Frame, RangeNoise};
 use presight_model::geometry::Pose;
 use presight_model::matrix::{Matrix, quadratic, sandwich};
+use presight_model::measured::{Frame, RangeNoise};
 use presight_model::threads::parallel_or_here;
 use rayon::prelude::*;
 

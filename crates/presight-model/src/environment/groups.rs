@@ -26,7 +26,8 @@ impl Environment {
     /// All groups with their frames, `world_from_group`.
     ///
     /// ```
-    /// use presight::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose};
+    /// use presight::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
+    /// use presight::Pose;
     /// let mut environment = Environment::new();
     /// let paint = environment.add_material(Material::named("paint"))?;
     /// let corners = [glam::Vec3::ZERO, glam::Vec3::X, glam::Vec3::Y].to_vec();

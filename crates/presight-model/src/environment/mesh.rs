@@ -134,7 +134,7 @@ impl Mesh {
     /// Checks and stores polygons.
     ///
     /// ```
-    /// use presight::{Mesh, Polygon, PolygonOrder};
+    /// use presight::environment::{Mesh, Polygon, PolygonOrder};
     /// use glam::Vec3;
     /// let square = vec![Vec3::ZERO, Vec3::X, Vec3::new(1.0, 1.0, 0.0), Vec3::Y];
     /// let mesh = Mesh::new("tile", square, vec![Polygon::new(vec![0, 1, 2, 3], 0)], PolygonOrder::Spatial)?;

@@ -170,7 +170,8 @@ impl Sensor {
     /// fraction interpolated from that ray's neighbours.
     ///
     /// ```
-    /// use presight::{Camera, Geometry, Sensor, SensorSpec};
+    /// use presight::sensor::{Camera, Geometry, SensorSpec};
+    /// use presight::Sensor;
     /// use glam::DVec3;
     /// let camera = Camera::pinhole(640, 480, 500.0, 500.0, 319.5, 239.5);
     /// let sensor = Sensor::new(SensorSpec::new("camera", "video", Geometry::Camera(camera)))?;

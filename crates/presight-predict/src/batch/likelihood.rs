@@ -32,7 +32,8 @@ impl RangeLikelihood {
     ///
     /// ```
     /// use presight::batch::{PoseCell, RangeLikelihood};
-    /// use presight::{Noise, Sensor, SensorSpec};
+    /// use presight::sensor::{Noise, SensorSpec};
+    /// use presight::Sensor;
     /// let mut spec: SensorSpec = presight::preset("laser-scanner")?.spec().clone();
     /// spec.noise = Noise { range_sigma: 0.02, ..Noise::default() };
     /// let sensor = Sensor::new(spec)?;

@@ -5,6 +5,7 @@ mod backend;
 pub use backend::open_gpu;
 
 use presight_features::{BoxQuery, FeaturePrediction, FeatureSamples, OcclusionHint};
+use presight_model::clock::Instant;
 use presight_model::error::Result;
 use presight_model::threads::Threads;
 use presight_render::cpu;
@@ -13,22 +14,8 @@ use presight_render::plan::{CountName, Drawn, FramePlan, Images, Raster, StageNa
 use presight_render::reference;
 use presight_render::verify::Precision;
 use std::any::Any;
-use std::time::Instant;
 
 /// An engine: draws the images that a plan requests.
-///
-/// ```
-/// use presight::engine::EngineKind;
-/// use presight::{Environment, FramePlan, Images, Pose, Request, Stats, World};
-/// let (world, sensor) = (World::new(Environment::new()), presight::preset("laser-scanner")?);
-/// let plan = FramePlan::new(&world, &sensor, &Pose::IDENTITY, &Request::default())?;
-/// for kind in [EngineKind::Reference, EngineKind::Cpu] {
-///     let (mut images, mut stats) = (Images::default(), Stats::default());
-///     kind.open(&1.into())?.render(&plan, &mut images, &mut stats)?;
-///     assert!(images.range.iter().all(|r| *r == f32::INFINITY), "{}", kind.name());
-/// }
-/// # Ok::<(), presight::Error>(())
-/// ```
 pub trait Engine: Any + Send {
     /// Name for messages: `reference`, `cpu`, or `gpu` with its adapter.
     fn name(&self) -> String;

@@ -217,7 +217,7 @@ impl Gpu {
     }
 
     /// Dispatches `x` times `y` workgroups.
-    pub fn dispatch(&self, pass: &mut wgpu::ComputePass<'_>, (x, y): (u32, u32)) {
+    pub fn dispatch(&self, pass: &mut wgpu::ComputePass<'_>, [x, y]: [u32; 2]) {
         self.done.workgroups.add_many(u64::from(x) * u64::from(y));
         pass.dispatch_workgroups(x, y, 1);
     }

@@ -10,6 +10,7 @@ use crate::probe::{DeviceCheck, Probe, SensorKind};
 use crate::request::Request;
 use features::SeenFrom;
 use presight_features::FeaturePrediction;
+use presight_model::clock::Instant;
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::geometry::Pose;
 use presight_model::sensor::Sensor;
@@ -21,7 +22,7 @@ use presight_render::plan::{
     Drawn, FramePlan, ImageRequest, Images, Output, Outputs, PlanBuffers, Raster, StageName, Stats, Weighing,
 };
 use presight_render::row::RowCuts;
-use std::time::Instant;
+use std::sync::Arc;
 
 /// The engine that predicts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -78,21 +79,6 @@ impl Options {
     /// hidden polygons are skipped sooner. Useful for moving robots that call [`Predictor::predict`] or
     /// [`Predictor::predict_again`] for consecutive frames. Images do not change, and [`Stats`] report whether it was
     /// used. It has no effect on the CPU engine, in batches and studies, or with a deadline.
-    ///
-    /// ```
-    /// use presight::plan::StageName;
-    /// use presight::{Environment, Options, Pose, Predictor, Request, World};
-    /// use glam::DVec3;
-    /// let (world, sensor) = (World::new(Environment::new()), presight::preset("laser-scanner")?);
-    /// let mut predictor = Predictor::new(Options::default().with_reuse_visible(true))?;
-    /// for step in 0..3 {
-    ///     let pose = Pose::from_xyz_rpy(0.1 * f64::from(step) * DVec3::X, 0.0, 0.0, 0.0);
-    ///     let seen = predictor.predict(&world, &sensor, &pose, &Request::default())?;
-    /// This world has no polygons to draw first.
-    ///     assert!(!seen.stats.taken.iter().any(|variant| variant.what == StageName::ReuseOfLastFrame));
-    /// }
-    /// # Ok::<(), presight::Error>(())
-    /// ```
     #[must_use]
     pub fn with_reuse_visible(self, reuse_visible: bool) -> Self {
         Self { reuse_visible, ..self }
@@ -128,7 +114,8 @@ pub struct Prediction {
 /// Predicts with one engine, reusing its buffers from call to call.
 ///
 /// ```
-/// use presight::{Backend, Environment, Options, Pose, Predictor, Request, World};
+/// use presight::environment::Environment;
+/// use presight::{Backend, Options, Pose, Predictor, Request, World};
 /// let world = World::new(Environment::new());
 /// let sensor = presight::preset("laser-scanner")?;
 /// let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1))?;
@@ -150,7 +137,7 @@ pub struct Predictor {
     buffers: PlanBuffers,
     /// The world's own features, as placed last.
     own: Option<features::WorldFeatures>,
-    tree: Option<features::KnownTree>,
+    tree: Option<Arc<features::KnownTree>>,
     /// The deadline controller.
     controller: Controller,
     /// The last event that affected the GPU.
@@ -233,9 +220,11 @@ impl Predictor {
     /// that fails, or if the device has too little memory; [`Stats::notices`] reports that from then on.
     ///
     /// ```
-    /// use presight::environment::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
-    /// use presight::features::{BoxOptions, FeatureOptions, PlacedFeature};
-    /// use presight::{Environment, Options, Pose, Predictor, Request, World};
+    /// use presight::features::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
+    /// use presight::features::{FeatureOptions, PlacedFeature};
+    /// use presight::regions::BoxOptions;
+    /// use presight::environment::Environment;
+    /// use presight::{Options, Pose, Predictor, Request, World};
     /// use glam::{DMat3, DVec3};
     ///
     /// // An edge 3 m ahead in an empty world.
@@ -289,7 +278,8 @@ impl Predictor {
     /// another version of the world. After an error the older prediction must not be used.
     ///
     /// ```
-    /// use presight::{Environment, Options, Pose, Predictor, Request, World};
+    /// use presight::environment::Environment;
+    /// use presight::{Options, Pose, Predictor, Request, World};
     /// let (world, sensor) = (World::new(Environment::new()), presight::preset("laser-scanner")?);
     /// let mut predictor = Predictor::new(Options::default())?;
     /// let mut prediction = predictor.predict(&world, &sensor, &Pose::IDENTITY, &Request::default())?;

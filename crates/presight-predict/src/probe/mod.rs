@@ -77,18 +77,6 @@ impl SensorKind {
 }
 
 /// The scene of all tasks.
-///
-/// ```
-/// use presight::probe::{Probe, SensorKind};
-/// use presight::{Outputs, Stats, cpu};
-/// let probe = Probe::new()?;
-/// let mut engine = cpu::CpuEngine::new(1)?;
-/// for task in SensorKind::ALL {
-///     let report = probe.run(task, Outputs::ALL, |plan, images| engine.render(plan, images, &mut Stats::default()))?;
-///     assert_eq!(report.fault, 0, "{}", task.name());
-/// }
-/// # Ok::<(), presight::Error>(())
-/// ```
 #[derive(Debug)]
 pub struct Probe {
     world: World,

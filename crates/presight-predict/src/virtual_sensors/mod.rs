@@ -211,7 +211,8 @@ impl VirtualSensor {
     ///
     /// ```
     /// use presight::virtual_sensors::{Answer, Settings, View, VirtualSensor};
-    /// use presight::{Environment, Material, Mesh, NewObject, Options, Polygon, PolygonOrder};
+    /// use presight::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
+    /// use presight::Options;
     /// use presight::{Pose, Predictor, Request, World};
     /// // A wall 2 m ahead of a radar, 4 m wide.
     /// let mut environment = Environment::new();
@@ -243,7 +244,8 @@ impl VirtualSensor {
         let features = || {
             let class = self.class();
             view.features.ok_or_else(|| {
-                let remedy = format!("give `View::features` of a layer of class {class:?} (presight features generates one)");
+                let remedy =
+                    format!("give `View::features` of a layer of class {class:?} (presight features generates one)");
                 Error::usage(format!("{} needs features, and none were predicted", self.name()), remedy)
             })
         };

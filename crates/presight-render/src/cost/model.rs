@@ -21,20 +21,6 @@ pub struct TimeEstimate {
 }
 
 /// The costs of frames, by engine, adapter, threads, sensor geometry and outputs.
-///
-/// ```
-/// use presight::cost::{CostModel, WorkCounts, Forecast, Key};
-/// use presight::{Outputs, preset};
-/// let key = Key::new("cpu", None, 2, &preset("video-camera")?, Outputs::default(), Forecast::Finished);
-/// let mut model = CostModel::default();
-/// // Each polygon takes a microsecond.
-/// for polygons in (1000..3000).step_by(10) {
-///     model.observe(&key, &WorkCounts { polygons, ..WorkCounts::default() }, polygons as f64 * 1e-6)?;
-/// }
-/// let estimate = model.estimate(&key, &WorkCounts { polygons: 5000, ..WorkCounts::default() });
-/// assert!((estimate.mean - 5e-3).abs() < 1e-4);
-/// # Ok::<(), presight::Error>(())
-/// ```
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct CostModel {
     pub models: BTreeMap<Key, UnitCosts>,

@@ -108,15 +108,6 @@ impl SamplesMut<'_> {
 
 impl Images {
     /// Returns an image; `None` if it is empty.
-    ///
-    /// ```
-    /// use presight::plan::Samples;
-    /// use presight::{Images, Output, Outputs};
-    /// let mut images = Images::default();
-    /// images.prepare(2, 1, Outputs::of(&[Output::ObjectId]));
-    /// assert_eq!(images.samples(Output::ObjectId), Some(Samples::Ids(&[0, 0])));
-    /// assert_eq!(images.samples(Output::Range), None);
-    /// ```
     pub fn samples(&self, output: Output) -> Option<Samples<'_>> {
         let samples = match output {
             Output::Range => Samples::Floats(&self.range),

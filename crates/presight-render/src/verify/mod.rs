@@ -147,19 +147,6 @@ enum PixelClass {
 /// Compares two predictions, where `partial` gave something up (see [`crate::deadline::Degradation`]). `compare`
 /// compares the others; pixels missing in `partial` are only counted.
 ///
-/// ```
-/// use presight::verify::{compare_exactly, compare_partial};
-/// use presight::{Images, Output, Outputs};
-/// let mut whole = Images::default();
-/// whole.prepare(2, 1, Outputs::of(&[Output::Range]));
-/// let mut partial = whole.clone();
-/// partial.range[1] = f32::NAN;
-/// assert_eq!(compare_exactly(&whole, &partial)?.fault, 1);
-/// let report = compare_partial(&whole, &partial, |whole, partial| compare_exactly(whole, partial))?;
-/// assert_eq!((report.fault, report.same, report.not_predicted), (0, 1, 1));
-/// # Ok::<(), presight::Error>(())
-/// ```
-///
 /// # Errors
 /// Same as the comparison's.
 pub fn compare_partial(

@@ -41,7 +41,7 @@ pub enum WorldFrame {
 /// A pose from outside, with its conventions.
 ///
 /// ```
-/// use presight::frames::{ExternalPose, PoseOf};
+/// use presight::files::{ExternalPose, PoseOf};
 /// use presight::{Pose, Scene};
 /// use glam::DVec3;
 /// let scene = Scene::open("scenes/room.glb")?;
