@@ -176,8 +176,8 @@ fn write_scans(
         let mut file = BufWriter::new(file);
         writeln!(file, "{}", lines::header(sensor.spec()))?;
         for pose in poses {
-            match next(pose) {
-                Ok(frame) => writeln!(file, "{}", lines::line(&log_frame(&frame, pose)))?,
+            match next(pose).and_then(|frame| lines::line(&log_frame(&frame, pose))) {
+                Ok(line) => writeln!(file, "{line}")?,
                 Err(e) => {
                     failed = Some(e);
                     return Err(std::io::Error::other("a frame was not simulated"));

@@ -48,7 +48,7 @@ impl Place {
             odometry: None,
             reference: None,
         };
-        let lines = [1.0, 2.0].map(|t| log::lines::line(&frame(t, 1.5 * t as f32)));
+        let lines = [1.0, 2.0].map(|t| log::lines::line(&frame(t, 1.5 * t as f32)).unwrap());
         place.write("run.jsonl", &format!("{}\n{}\n", log::lines::header(scanner().spec()), lines.join("\n")));
         place
     }

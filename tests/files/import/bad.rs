@@ -56,6 +56,10 @@ fn node_cases() -> Vec<Case> {
         changed("two parents", &["node 2", "two parents", "0 and 1"], {
             nodes(json!([{"children": [1, 2]}, {"children": [2]}, {"mesh": 0}]))
         }),
+        changed("a root that is a child", &["node 1", "child of node 0 \"mover\"", "; list"], |g| {
+            g.json["nodes"] = json!([{"name": "mover", "translation": [5, 0, 0], "children": [1]}, {"mesh": 0}]);
+            g.json["scenes"][0]["nodes"] = json!([1]);
+        }),
         changed("same root twice", &["node 0", "twice"], set("/scenes/0/nodes", json!([0, 0]))),
         changed("child out of range", &["node 0", "child 7"], set("/nodes/0/children", json!([7]))),
         changed("root out of range", &["scene", "node 9"], set("/scenes/0/nodes", json!([9]))),

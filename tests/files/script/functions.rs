@@ -168,11 +168,11 @@ const CASES: &[(&str, &str)] = &[
     ),
     (
         "uniform(rng, low, high) -> float",
-        "let r = rng(2); for i in 0..99 { let x = r.uniform(-1, 3); require(x >= -1 && x < 3, \"range\"); }",
+        "let r = rng(2); for i in 0..99 { let x = r.uniform(-1, 3); require(x >= -1 && x < 3, \"range\"); } let high = 1.0 + 2.220446049250313e-16; for i in 0..99 { require(r.uniform(1, high) <= high, \"clamped\"); } require(r.uniform(-0.3, 0.7) <= 0.7, \"clamped\");",
     ),
     (
         "integer(rng, low, high) -> int",
-        "let r = rng(3); let seen = [0, 0, 0]; for i in 0..99 { let k = r.integer(4, 6); seen[k - 4] += 1; } for n in seen { require(n > 10, \"fair\"); }",
+        "let r = rng(3); let seen = [0, 0, 0]; for i in 0..99 { let k = r.integer(4, 6); seen[k - 4] += 1; } for n in seen { require(n > 10, \"fair\"); } let low = -9223372036854775807 - 1; let k = r.integer(low, 9223372036854775807); require(k != r.integer(low, 9223372036854775807), \"all whole numbers\");",
     ),
     (
         "chance(rng, share) -> bool",

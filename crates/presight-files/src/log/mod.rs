@@ -107,6 +107,7 @@ pub trait Log: Iterator<Item = Result<LogFrame>> {
 
 /// Opens a log of format 1 or a document.
 ///
+
 /// # Errors
 /// [`crate::ErrorKind::Invalid`] naming file and line if it is not a valid log; [`crate::ErrorKind::Unsupported`] for a
 /// newer format; [`crate::ErrorKind::System`] if the file cannot be read. A bad frame is reported when it is read.
