@@ -7,7 +7,7 @@ use glam::{DMat3, DVec3};
 use plotters::prelude::*;
 use presight::Pose;
 use presight::environment::FeatureShape;
-use presight::features::roi::{BodyPoint, FeatureErrorModel, PoseCovariance, Projection, Roi, roi};
+use presight::features::roi::{BodyPoint, FeatureErrorModel, Projection, Roi, roi};
 use std::f64::consts::TAU;
 
 type Failure = Box<dyn std::error::Error>;
@@ -46,10 +46,7 @@ fn line(distance: f64) -> (FeatureShape, [BodyPoint; 2]) {
 }
 
 fn uncertain(shape: &FeatureShape) -> FeatureErrorModel {
-    let mut robot: PoseCovariance = [[0.0; 6]; 6];
-    for (i, sigma) in [(0, SIGMAS[0]), (1, SIGMAS[0]), (5, SIGMAS[1])] {
-        robot[i][i] = sigma * sigma;
-    }
+    let robot = presight::geometry::PoseCovariance::from_sigmas([SIGMAS[0], SIGMAS[0], 0.0, 0.0, 0.0, SIGMAS[1]]);
     FeatureErrorModel::new(&Pose::IDENTITY, &robot, &Pose::IDENTITY, None, shape).expect("sound poses")
 }
 

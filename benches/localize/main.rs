@@ -11,10 +11,10 @@ use cpu_time::ProcessTime;
 use glam::DVec3;
 use presight_files::gltf::import;
 use presight_files::log::{Frames, Observation};
-use presight_localize::estimate::{EstimateOptions, Estimator, Freedom, Prior, measured_points};
+use presight_localize::estimate::{EstimateOptions, Estimator, Freedom, measured_points};
 use presight_localize::simulate::{Disturbances, Simulator};
 use presight_model::frame::Frame;
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, PoseEstimate};
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
 use presight_testkit::data;
@@ -32,7 +32,7 @@ fn map(path: &Path) -> World {
 /// A frame, what is known before it, and where the robot was.
 struct Known {
     frame: Frame,
-    prior: Prior,
+    prior: PoseEstimate,
     truth: Pose,
 }
 
@@ -58,7 +58,7 @@ impl Case {
             if k >= warm {
                 cpu.push(1e3 * cpu_start.elapsed().as_secs_f64());
                 wall.push(1e3 * start.elapsed().as_secs_f64());
-                found.push(estimate.pose);
+                found.push(estimate.pose.world_from_robot);
             }
         }
         if let Some(out) = out {
@@ -104,7 +104,7 @@ impl Case {
             }
             frames.push(serde_json::json!({
                 "points": measured.len(), "origin": mount.translation.to_array(), "ms": ms, "cpu_ms": cpu,
-                "prior": numbers(&known.prior.pose), "truth": numbers(&known.truth), "found": numbers(found),
+                "prior": numbers(&known.prior.world_from_robot), "truth": numbers(&known.truth), "found": numbers(found),
             }));
         }
         let planar = self.options.freedom == Freedom::Planar;
@@ -122,7 +122,7 @@ fn livingroom() -> Option<Case> {
     let frames: Vec<Observation> = frames.map(|o| o.expect("a frame")).collect();
     // Each frame with the reference of the one before as its prior.
     let known = |pair: &[Observation]| {
-        let prior = Prior::of_sigmas(pair[0].reference?, 0.03, 0.02);
+        let prior = PoseEstimate::of_sigmas(pair[0].reference?, 0.03, 0.02);
         Some(Known { frame: pair[1].frame.thinned(4).expect("a stride"), prior, truth: pair[1].reference? })
     };
     let frames = frames.windows(2).filter_map(known).collect();
@@ -137,7 +137,7 @@ fn malaga() -> Option<Case> {
     let known = |o: Observation| {
         let truth = o.reference?;
         let beside = truth * Pose::from_xyz_rpy(DVec3::new(0.03, -0.02, 0.0), 0.0, 0.0, 0.015);
-        Some(Known { frame: o.frame, prior: Prior::of_sigmas(beside, 0.03, 0.02), truth })
+        Some(Known { frame: o.frame, prior: PoseEstimate::of_sigmas(beside, 0.03, 0.02), truth })
     };
     let frames = Frames::open(&log, None, &Default::default()).expect("a log").map(|o| o.expect("a scan"));
     let frames = frames.filter_map(known).collect();
@@ -153,7 +153,7 @@ fn hall() -> Option<Case> {
     let known = |(k, place): (usize, &Pose)| {
         let off = Pose { translation: place.translation + DVec3::new(0.01, -0.01, 0.0), ..*place };
         let frame = simulator.frame(&world, k as f64, place).expect("a frame");
-        Known { frame, prior: Prior::of_sigmas(off, 0.02, 0.01), truth: *place }
+        Known { frame, prior: PoseEstimate::of_sigmas(off, 0.02, 0.01), truth: *place }
     };
     let frames = places.iter().enumerate().map(known).collect();
     let (name, aim) = ("hall, laser range camera", "8 ms p95");

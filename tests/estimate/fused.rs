@@ -4,11 +4,12 @@
 use super::*;
 use presight_features::PlacedFeatures;
 use presight_features::generate::{GenerateOptions, generate};
-use presight_localize::estimate::{Estimate, EstimateState, Prior, nees};
+use presight_localize::estimate::{Estimate, EstimateState, nees};
 use presight_localize::extract::FeatureClass;
 use presight_localize::localize::Phase;
 use presight_model::error::ErrorKind;
 use presight_model::frame::GreyImage;
+use presight_model::geometry::PoseEstimate;
 use presight_model::placement::place_layer;
 
 /// 240 x 180 pixels, 65 degrees wide, 10 cm beside the range camera.
@@ -28,7 +29,7 @@ fn edges(world: &World) -> PlacedFeatures {
     place_layer(world, &layer).unwrap()
 }
 
-fn estimate(world: &World, features: &PlacedFeatures, frames: &[&Frame], prior: &Prior) -> Estimate {
+fn estimate(world: &World, features: &PlacedFeatures, frames: &[&Frame], prior: &PoseEstimate) -> Estimate {
     estimator(EstimateOptions::default()).with_features(features.clone()).estimate(world, frames, prior).unwrap()
 }
 
@@ -41,13 +42,13 @@ fn errors(map: &World, real: &World) -> [(f64, f64, f64); 3] {
     for seed in 0..draws {
         let truth = off_by(&place(), 0.2, 4.0, &mut random);
         let believed = off_by(&truth, 0.03, 0.6, &mut random);
-        let prior = Prior::of_sigmas(believed, 0.03, 0.01);
+        let prior = PoseEstimate::of_sigmas(believed, 0.03, 0.01);
         let (grey, ranges) = (grey(&video(), real, &truth, 0.0, seed), sense(real, &camera(0.01), &truth, &mut random));
         for (frames, sums) in [vec![&ranges], vec![&grey], vec![&ranges, &grey]].into_iter().zip(&mut all) {
             let found = estimate(map, &features, &frames, &prior);
             assert!(found.is_determined(), "{:?}", found.state);
-            let (m, d) = apart(&found.pose, &truth);
-            let (squared, numbers) = nees(&found.pose, &found.covariance, &truth);
+            let (m, d) = apart(&found.pose.world_from_robot, &truth);
+            let (squared, numbers) = nees(&found.pose, &truth);
             *sums = (sums.0 + m * m, sums.1 + d * d, sums.2.max(squared / numbers as f64));
         }
     }
@@ -77,7 +78,7 @@ fn features_are_classed_by_ranges() {
     add_box(&mut environment, "screen", Vec3::new(4.0, 3.0, 0.0), Vec3::new(4.05, 4.0, 2.2));
     let real = World::new(environment);
     let frames = [sense(&real, &camera(0.01), &place(), &mut Random(3)), grey(&video(), &real, &place(), 0.0, 3)];
-    let prior = Prior::of_sigmas(place(), 0.01, 0.005);
+    let prior = PoseEstimate::of_sigmas(place(), 0.01, 0.005);
     let options = EstimateOptions { least_explained: 0.4, ..EstimateOptions::default() };
     let mut estimator = estimator(options).with_features(features);
     let found = estimator.estimate(&map, &[&frames[0], &frames[1]], &prior).unwrap();
@@ -110,7 +111,7 @@ fn grey_images_are_followed() {
     let features = edges(&world);
     for with_ranges in [false, true] {
         for (k, (truth, step)) in drive(&video(), &world, &features, &place(), with_ranges).iter().enumerate() {
-            let (m, d) = apart(&step.pose, truth);
+            let (m, d) = apart(&step.pose.world_from_robot, truth);
             assert!(m < 0.02 && d < 0.4, "{k}: {m} m, {d} deg; {}", step.reason);
             assert_eq!(step.phase, if k < 2 { Phase::Candidates } else { Phase::Tracking });
         }
@@ -121,7 +122,7 @@ fn grey_images_are_followed() {
 fn images_that_say_nothing_determine_nothing() {
     let world = room(Vec3::ZERO);
     let features = edges(&world);
-    let prior = Prior::of_sigmas(place(), 0.03, 0.01);
+    let prior = PoseEstimate::of_sigmas(place(), 0.03, 0.01);
     let frame = |value: f32| {
         let image = GreyImage::new(240, 180, vec![value; 240 * 180]).unwrap();
         Frame::new(0.0, video(), Measurement::Grey(image)).unwrap()
@@ -130,8 +131,8 @@ fn images_that_say_nothing_determine_nothing() {
         let found = estimate(&world, &features, &[&frame(value)], &prior);
         assert!(matches!(&found.state, EstimateState::Undetermined(why) if why.contains("0 features")), "{found:?}");
         // What was known before is still known, and no more.
-        assert!((found.covariance[0][0].sqrt() - 0.03).abs() < 1e-6);
-        assert!(apart(&found.pose, &place()).0 < 1e-9);
+        assert!((found.pose.covariance[0][0].sqrt() - 0.03).abs() < 1e-6);
+        assert!(apart(&found.pose.world_from_robot, &place()).0 < 1e-9);
     }
     let other = GreyImage::new(24, 18, vec![0.5; 24 * 18]).unwrap();
     let error = Frame::new(0.0, video(), Measurement::Grey(other)).unwrap_err();

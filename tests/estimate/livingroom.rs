@@ -3,9 +3,9 @@
 use super::*;
 use presight_files::gltf::import;
 use presight_files::log::Frames;
-use presight_localize::estimate::Prior;
 use presight_localize::localize::{LocalizeOptions, Localizer, Phase, Search, SearchOptions};
 use presight_model::environment::{Polygon, PolygonOrder};
+use presight_model::geometry::PoseEstimate;
 use std::path::Path;
 
 fn map() -> Option<World> {
@@ -99,8 +99,9 @@ fn against_the_first_frame() {
         for k in 1..5 {
             let frame = whole_frame(folder, k, camera.clone()).thinned(4).unwrap();
             // From where the frame before was.
-            let answer = found.estimate(&surface, &[&frame], &Prior::of_sigmas(truth[k - 1], 0.03, 0.02)).unwrap();
-            let (metres, degrees) = apart(&answer.pose, &truth[k]);
+            let answer =
+                found.estimate(&surface, &[&frame], &PoseEstimate::of_sigmas(truth[k - 1], 0.03, 0.02)).unwrap();
+            let (metres, degrees) = apart(&answer.pose.world_from_robot, &truth[k]);
             assert!(metres <= most_metres && degrees <= most_degrees, "{folder} {k}: {metres} m {degrees} deg");
             assert!(answer.is_determined(), "{folder} {k}: {:?}", answer.state);
         }
@@ -118,8 +119,8 @@ fn against_exact_poses() {
     {
         for (k, truth) in truth.iter().enumerate() {
             let frame = whole_frame(folder, k, camera.clone()).thinned(4).unwrap();
-            let answer = found.estimate(&map, &[&frame], &Prior::of_sigmas(*truth, 0.03, 0.02)).unwrap();
-            let (metres, degrees) = apart(&answer.pose, truth);
+            let answer = found.estimate(&map, &[&frame], &PoseEstimate::of_sigmas(*truth, 0.03, 0.02)).unwrap();
+            let (metres, degrees) = apart(&answer.pose.world_from_robot, truth);
             assert!(metres <= most_metres && degrees <= most_degrees, "{folder} {k}: {metres} m {degrees} deg");
             assert!(answer.is_determined(), "{folder} {k}: {:?}", answer.state);
         }
@@ -138,12 +139,12 @@ fn from_far_off() {
         let (mut right, mut predictions) = (0, Vec::new());
         for k in (1..200).step_by(every) {
             let frame = frame("depth", k, 0.005);
-            let there = found.estimate(&map, &[&frame], &Prior::of_sigmas(reference[k], 0.03, 0.02)).unwrap();
+            let there = found.estimate(&map, &[&frame], &PoseEstimate::of_sigmas(reference[k], 0.03, 0.02)).unwrap();
             let off = off_by(&reference[k], metres, degrees, &mut random);
             let axis = 3f64.sqrt();
-            let prior = Prior::of_sigmas(off, metres / axis, f64::to_radians(degrees) / axis);
+            let prior = PoseEstimate::of_sigmas(off, metres / axis, f64::to_radians(degrees) / axis);
             let answer = found.estimate(&map, &[&frame], &prior).unwrap();
-            let (m, d) = apart(&answer.pose, &there.pose);
+            let (m, d) = apart(&answer.pose.world_from_robot, &there.pose.world_from_robot);
             let ok = m < 0.01 && d < 0.5;
             right += usize::from(ok);
             predictions.push(answer.predictions);
@@ -161,7 +162,7 @@ fn from_far_off() {
 #[test]
 fn the_flight_is_followed() {
     let Some(map) = map() else { return };
-    let prior = Prior::of_sigmas(poses("poses.txt")[0], 0.05, 0.035);
+    let prior = PoseEstimate::of_sigmas(poses("poses.txt")[0], 0.05, 0.035);
     let mut robot = Localizer::new(estimator(EstimateOptions::default()), prior, LocalizeOptions::default());
     for k in 0..40 {
         let seen = frame("depth", k, 0.005);
@@ -196,7 +197,7 @@ fn an_unknown_start_is_found() {
         let step = robot.step(&map, &frame).unwrap();
         assert!(k >= 4 || step.phase != Phase::Tracking, "{k}: {}", step.reason);
         if step.phase == Phase::Tracking {
-            let (metres, degrees) = apart(&step.pose, &truth);
+            let (metres, degrees) = apart(&step.pose.world_from_robot, &truth);
             assert!(metres < 0.05 && degrees < 1.5, "{metres} m {degrees} deg");
             return;
         }

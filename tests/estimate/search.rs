@@ -62,7 +62,7 @@ fn a_robot_is_found_and_found_again_after_it_was_carried_away() {
             }
             if step.phase == Phase::Tracking && !(carried..carried + 5).contains(&k) {
                 found.push(k);
-                let (metres, degrees) = apart(&step.pose, &truth);
+                let (metres, degrees) = apart(&step.pose.world_from_robot, &truth);
                 assert!(metres < 0.05 && degrees < 1.0, "{k}: {metres} m {degrees} deg, {}", step.reason);
             }
         }
@@ -93,7 +93,7 @@ fn a_robot_is_followed_on_where_the_map_has_changed() {
                 lost.get_or_insert(k);
             }
             if step.phase == Phase::Tracking && lost.is_some() {
-                told.push((k, apart(&step.pose, &truth), step.reason));
+                told.push((k, apart(&step.pose.world_from_robot, &truth), step.reason));
             }
         }
         assert!(lost.is_some_and(|k| k < 19), "lost at {lost:?}");
@@ -126,7 +126,7 @@ fn a_room_with_a_double_stays_undetermined() {
         let half = Pose::from_xyz_rpy(DVec3::new(6.0, 4.0, 0.0), 0.0, 0.0, std::f64::consts::PI);
         for place in [truth, half * truth] {
             let near = |pose: &Pose| apart(pose, &place).0 < 0.05 && apart(pose, &place).1 < 1.0;
-            assert!(step.candidates.iter().any(|c| near(&c.pose)), "{k}: {place:?} is missing");
+            assert!(step.candidates.iter().any(|c| near(&c.pose.world_from_robot)), "{k}: {place:?} is missing");
         }
     }
 }
@@ -191,7 +191,7 @@ fn a_camera_is_found_in_its_map_and_not_in_a_mirrored_one() {
             frame.motion = Some(Motion::of_odometry(step, &OdometryNoise::default()));
             let step = robot.step(&map, &frame).unwrap();
             if step.phase == Phase::Tracking {
-                let (metres, degrees) = apart(&step.pose, &truth);
+                let (metres, degrees) = apart(&step.pose.world_from_robot, &truth);
                 assert!(is_right && metres < 0.03 && degrees < 1.0, "{k}: {metres} m {degrees} deg, {}", step.reason);
                 found.get_or_insert(k);
             }
@@ -213,7 +213,7 @@ fn a_camera_that_is_held_in_the_hand_is_found() {
     let search = Search::new(&mut found, &world, &sensor, heights).unwrap();
     let seen = sense(&world, &sensor, &truth, &mut Random(25));
     let best = &search.candidates(&mut found, &world, &seen).unwrap()[0];
-    let (metres, degrees) = apart(&best.pose, &truth);
+    let (metres, degrees) = apart(&best.pose.world_from_robot, &truth);
     assert!(metres < 0.02 && degrees < 0.5, "{metres} m {degrees} deg of {} places", search.places().len());
 }
 
@@ -239,5 +239,5 @@ fn beams_that_are_too_near_say_nothing() {
     ranges[40..60].fill(f32::NEG_INFINITY);
     let near = Frame::new(0.0, row_scanner(), Measurement::Range(ranges)).unwrap();
     let step = robot.step(&world, &near).unwrap();
-    assert!(apart(&step.pose, &truth).0 < 0.05, "{}", step.reason);
+    assert!(apart(&step.pose.world_from_robot, &truth).0 < 0.05, "{}", step.reason);
 }

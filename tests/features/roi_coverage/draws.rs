@@ -5,7 +5,7 @@ use super::{CONFIDENCES, Covariance, draws};
 use glam::{DMat3, DQuat, DVec3};
 use presight_features::{BoxOptions, BoxQuery, FeaturePrediction, PlacedFeature, SeenFeature, add_boxes};
 use presight_model::environment::{Environment, Existence, Feature, FeatureShape, Properties};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, PoseCovariance};
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use rayon::prelude::*;
@@ -115,7 +115,8 @@ impl Case {
         let placed = PlacedFeature { feature: feature.into(), object: None, slots: Vec::new() };
         let mut prediction = FeaturePrediction { features: vec![seen], ..FeaturePrediction::default() };
         let world = World::new(Environment::default());
-        let options = BoxOptions::default().with_sensor(self.covariance).with_confidence(confidence);
+        let options =
+            BoxOptions::default().with_sensor(PoseCovariance::from_rows(self.covariance)).with_confidence(confidence);
         add_boxes(
             &mut prediction,
             &BoxQuery {

@@ -27,6 +27,7 @@
 //! use glam::{DMat3, DVec3};
 //! use presight::Pose;
 //! use presight::environment::FeatureShape;
+//! use presight::geometry::PoseCovariance;
 //! use presight::features::roi::{BodyPoint, Projection, RoiFlag, FeatureErrorModel, roi};
 //!
 //! /// A pinhole camera of 640 x 480 pixels, body axes: x forward, y left, z up.
@@ -47,10 +48,7 @@
 //! }
 //!
 //! let (xy, heading, line) = (0.03, 1f64.to_radians(), 0.01);
-//! let mut robot = [[0.0; 6]; 6];
-//! for (i, sigma) in [(0, xy), (1, xy), (5, heading)] {
-//!     robot[i][i] = sigma * sigma;
-//! }
+//! let robot = PoseCovariance::from_sigmas([xy, xy, 0.0, 0.0, 0.0, heading]);
 //! let ends = [DVec3::new(4.0, 0.0, -0.6), DVec3::new(4.0, 0.0, 0.6)];
 //! let covariances = [DMat3::from_diagonal(DVec3::splat(line * line)); 2];
 //! let shape = FeatureShape::Segment { ends, covariances, cross: DMat3::ZERO };
@@ -93,7 +91,6 @@ use exceedance::Exceedance;
 use glam::DVec3;
 use image_point::{ImagePoint, PointDerivatives, dot, rough, see};
 use linear::{bent_bounds, linear_bounds};
-pub use presight_model::geometry::PoseCovariance;
 use set::set_bounds;
 
 /// Method by which a box was found.

@@ -39,7 +39,7 @@ use glam::{DVec2, DVec3};
 use presight_features::{FeaturePrediction, HiddenInterval, SeenFeature, VisibleInterval};
 use presight_model::environment::{Environment, FeatureShape};
 use presight_model::error::{Error, ErrorKind, Result};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{InWorld, Pose, PoseCovariance};
 use presight_predict::virtual_sensors::VirtualReading;
 use presight_render::deadline::Degradation;
 use serde::{Deserialize, Serialize};
@@ -57,8 +57,8 @@ pub struct Header {
     pub sensor: String,
     /// The sensor's pose, body axes.
     pub world_from_sensor: Pose,
-    /// Covariance of that pose: x y z, then rotation about the fixed axes x y z; metres and radians.
-    pub pose_covariance: Option<[[f64; 6]; 6]>,
+    /// Covariance of that pose.
+    pub pose_covariance: Option<PoseCovariance<InWorld>>,
     /// Probability that a feature lies in its region of interest.
     pub confidence: Option<f64>,
     /// Work dropped to meet a deadline.
@@ -106,7 +106,7 @@ pub fn to_string(
         format: FORMAT,
         sensor: &header.sensor,
         world_from_sensor: [t.x, t.y, t.z, q.x, q.y, q.z, q.w],
-        pose_covariance: header.pose_covariance.map(|c| c.into_iter().flatten().collect()),
+        pose_covariance: header.pose_covariance.map(|c| c.as_rows().as_flattened().to_vec()),
         confidence: header.confidence,
         given_up: header.given_up.as_ref(),
         features: prediction.features.iter().map(|f| entry(f, environment)).collect(),

@@ -7,7 +7,8 @@
 //! # Examples
 //! A scanner at the origin has a corner before it: walls at x = 3 and y = 2. It stands 2 cm farther forward than it believes.
 //! ```
-//! use presight::estimate::{EstimateOptions, Estimator, Freedom, Prior};
+//! use presight::estimate::{EstimateOptions, Estimator, Freedom};
+//! use presight::geometry::PoseEstimate;
 //! use presight::simulate::{Disturbances, Simulator};
 //! use presight::{Material, Mesh, NewObject, Options, Polygon, PolygonOrder, Pose, Predictor, World};
 //! use glam::{DVec3, Vec3};
@@ -28,9 +29,9 @@
 //! let frame = Simulator::new(predictor()?, scanner, Disturbances::default(), 1)?.frame(&world, 0.0, &truth)?;
 //! let believed = Pose::from_xyz_rpy(DVec3::new(0.0, 0.0, 0.5), 0.0, 0.0, 0.0);
 //! let options = EstimateOptions { freedom: Freedom::Planar, ..EstimateOptions::default() };
-//! let found = Estimator::new(predictor()?, options).estimate(&world, &[&frame], &Prior::of_sigmas(believed, 0.05, 0.03))?;
+//! let found = Estimator::new(predictor()?, options).estimate(&world, &[&frame], &PoseEstimate::of_sigmas(believed, 0.05, 0.03))?;
 //! assert!(found.is_determined() && found.weak.is_empty());
-//! assert!((found.pose.translation.x - 0.02).abs() < 4.0 * found.covariance[0][0].sqrt());
+//! assert!((found.pose.world_from_robot.translation.x - 0.02).abs() < 4.0 * found.pose.covariance[0][0].sqrt());
 //! # Ok::<(), presight::Error>(())
 //! ```
 
@@ -53,7 +54,6 @@ pub use answer::{Estimate, EstimateState, Hypothesis, WeakDirection};
 pub use fit::{Fit, fit};
 pub use image::{ImageSource, SeenPoint, SeenSegment};
 pub use normal::{CommonError, Freedom, GroupSum, Normal};
-pub use prior::Prior;
 pub use range::{MeasuredPoint, RangeSource, measured_points};
 pub use solve::drawn;
 pub use solve::{EstimateOptions, Estimator};

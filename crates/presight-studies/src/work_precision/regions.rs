@@ -99,12 +99,8 @@ fn paths(one: &SceneStudy<'_>) -> Vec<TimedPath<RegionPath>> {
     let all = all.into_iter().filter(|(which, _)| *which != EnginePath::Gpu || one.engines.has_gpu());
     let paths = all.flat_map(|(which, method)| POSE_ERRORS.map(|errors| (which, method, errors)));
     let path = |(which, method, errors): (EnginePath, BoxMethod, (f64, f64))| {
-        let mut sensor = [[0.0; 6]; 6];
-        for (i, row) in sensor.iter_mut().enumerate() {
-            let sigma = if i < 3 { errors.0 } else { errors.1.to_radians() };
-            row[i] = sigma * sigma;
-        }
-        let options = BoxOptions::default().with_sensor(sensor).with_method(method);
+        let (t, r) = (errors.0, errors.1.to_radians());
+        let options = BoxOptions::default().with_sensor_sigmas([t, t, t, r, r, r]).with_method(method);
         TimedPath::new(RegionPath { which, method, errors, options, found: Vec::new() })
     };
     paths.map(path).collect()
