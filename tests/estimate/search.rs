@@ -131,6 +131,25 @@ fn a_room_with_a_double_stays_undetermined() {
     }
 }
 
+/// A scanner that states no greatest range reaches as far as the map: it finds the robot, and hypotheses follow it.
+#[test]
+fn a_sensor_without_a_greatest_range_is_searched_with() {
+    let (world, mut random) = (room(Vec3::ZERO), Random(21));
+    let mut spec = row_scanner().spec().clone();
+    spec.range_max = f64::INFINITY;
+    let endless = Sensor::new(spec).unwrap();
+    let search = Search::new(&mut planar(), &world, &endless, options()).unwrap();
+    let mut robot = Localizer::unknown(planar(), search, LocalizeOptions::default());
+    for k in 0..5 {
+        let (finite, truth) = frame(&world, &start(), k, &mut random);
+        let mut frame = Frame::new(finite.stamp, endless.clone(), finite.sensed().clone()).unwrap();
+        frame.motion = finite.motion;
+        let step = robot.step(&world, &frame).unwrap();
+        assert_eq!(step.phase == Phase::Tracking, k == 4, "{}", step.reason);
+        assert!(k < 4 || apart(&step.pose.world_from_robot, &truth).0 < 0.05, "{:?}", step.pose);
+    }
+}
+
 #[test]
 fn what_cannot_be_searched_is_told() {
     let world = room(Vec3::ZERO);

@@ -72,3 +72,47 @@ fn values_that_are_no_ranges_have_their_verdicts() {
         assert_eq!(verdicts.share(verdict), 1.0, "{value}: {:?}", verdicts.counts());
     }
 }
+
+/// A scanner mounted at (0.4, 0, 0.5) on a robot at (1, 2, 0) in an empty box of 20 m x 20 m. By hand: a beam at azimuth a
+/// ends at (10 - 1.4) / cos a on the wall ahead, or at (10 - 2) / sin a and (10 + 2) / -sin a on the walls beside.
+#[test]
+fn the_mount_leads_from_the_robot_to_the_sensor() {
+    let mut environment = Environment::new();
+    environment.add_cuboid("hall", Pose::IDENTITY, DVec3::new(20.0, 20.0, 4.0)).unwrap();
+    let world = World::new(environment);
+    let mut spec = presight_files::preset("laser-scanner").unwrap().spec().clone();
+    spec.mount = Pose::from_xyz_rpy(DVec3::new(0.4, 0.0, 0.5), 0.0, 0.0, 0.0);
+    let scanner = Sensor::new(spec).unwrap();
+    let azimuth = |i: usize| (0.5 * i as f64 - 90.0).to_radians();
+    let range = |x: f64, i: usize| {
+        let (s, c) = azimuth(i).sin_cos();
+        let beside = if s > 0.0 { 8.0 / s } else { 12.0 / -s };
+        ((10.0 - x) / c.max(1e-12)).min(beside)
+    };
+    let measured = (0..361).map(|i| range(1.4, i) as f32).collect();
+    let frame = Frame::new(0.0, scanner.clone(), Measurement::Range(measured)).unwrap();
+    let judged = |x: f64, y: f64| {
+        let robot = PoseEstimate::exact(Pose::from_xyz_rpy(DVec3::new(x, y, 0.0), 0.0, 0.0, 0.0));
+        of_frame(&mut predictor(), &world, &frame, &robot).unwrap()
+    };
+    assert_eq!(judged(1.0, 2.0).counts()[Verdict::Confirmed as usize], 361);
+    // A robot believed half a metre too far ahead: the wall ahead is measured farther than predicted, those beside are
+    // confirmed. Two beams on either side of a corner may be either.
+    let ahead = judged(1.5, 2.0);
+    for i in 0..361usize {
+        let sure = |x: f64| {
+            let on_wall = |j: usize| (range(x, j) * azimuth(j).cos() - (10.0 - x)).abs() < 1e-9;
+            let near: Vec<bool> = (i.saturating_sub(2)..(i + 3).min(361)).map(on_wall).collect();
+            near.iter().all(|wall| *wall == near[0]).then_some(near[0])
+        };
+        match (sure(1.4), sure(1.9)) {
+            (Some(true), Some(true)) => assert_eq!(ahead.pixels[i], Verdict::Farther, "{i}"),
+            (Some(false), Some(false)) => assert_eq!(ahead.pixels[i], Verdict::Confirmed, "{i}"),
+            _ => {}
+        }
+        let off = f64::from(ahead.difference[i]) - (range(1.4, i) - range(1.9, i));
+        assert!(off.abs() < 1e-4, "{i}: {off}");
+    }
+    // Half a metre too far back, it is nearer.
+    assert_eq!(judged(0.5, 2.0).pixels[180], Verdict::Nearer);
+}

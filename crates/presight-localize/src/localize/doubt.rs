@@ -19,7 +19,7 @@ impl Localizer {
         let followed = matches!(self.phase, Phase::Tracking | Phase::Candidates);
         let spec = frame.sensor().spec();
         let level = is_level(&spec.mount) && !frame.sensor().is_camera();
-        let weighable = self.estimator.options.freedom == Freedom::Planar && level && spec.range_max.is_finite();
+        let weighable = self.estimator.options.freedom == Freedom::Planar && level;
         let coarse = self.is_coarse();
         let little = !estimate.rests_on_reflectors()
             && (coarse || estimate.explained < self.options.little || !estimate.is_determined());
@@ -27,9 +27,9 @@ impl Localizer {
     }
 
     /// Draws hypotheses from what was known before the frame.
-    pub(super) fn doubt(&mut self, frame: &Frame, prior: &PoseEstimate) -> Result<()> {
+    pub(super) fn doubt(&mut self, world: &World, frame: &Frame, prior: &PoseEstimate) -> Result<()> {
         let model_sigma = self.estimator.options.model_sigma;
-        let likelihood = PoseLikelihood::new(frame.sensor(), model_sigma, self.options.beam_dependence)?;
+        let likelihood = PoseLikelihood::new(frame.sensor(), world, model_sigma, self.options.beam_dependence)?;
         self.hypotheses = Some(Hypotheses::new(prior, self.options.hypotheses, likelihood));
         self.agreed_again = 0;
         Ok(())

@@ -11,7 +11,7 @@
 //! use presight::estimate::{EstimateOptions, Estimator};
 //! use presight::localize::{LocalizeOptions, Localizer, Phase, Search, SearchOptions};
 //! use presight::simulate::{Disturbances, Simulator};
-//! use presight::{Material, Mesh, NewObject, Noise, Options, Polygon, PolygonOrder, Pose, Predictor, Sensor, World};
+//! use presight::{Material, Mesh, NewObject, Options, Polygon, PolygonOrder, Pose, Predictor, Sensor, World};
 //! use glam::{DVec3, Vec3};
 //! use std::sync::Arc;
 //!
@@ -26,7 +26,7 @@
 //! }
 //! let world = World::new(environment);
 //! let mut spec = presight::preset("laser-scanner")?.spec().clone();
-//! (spec.range_max, spec.mount.translation.z, spec.noise) = (10.0, 1.0, Noise { range_sigma: 0.02, ..Noise::default() });
+//! spec.mount.translation.z = 1.0;
 //! let scanner = Sensor::new(spec)?;
 //!
 //! let mut estimator = Estimator::new(Predictor::new(Options::default())?, EstimateOptions::planar());
@@ -305,7 +305,7 @@ impl Localizer {
             estimate = self.estimator.estimate(world, &frames, &prior)?;
         }
         if self.is_doubtful(frame, &estimate) {
-            self.doubt(frame, &prior)?;
+            self.doubt(world, frame, &prior)?;
             return self.follow_hypotheses(world, frame, None);
         }
         let reason = self.decide(&estimate);

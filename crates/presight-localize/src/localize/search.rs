@@ -118,16 +118,14 @@ impl Search {
         }
         let (model_sigma, dependence) = (estimator.options.model_sigma, options.beam_dependence);
         let (views, likelihood) = if level && planar {
-            let likelihood = PoseLikelihood::new(sensor, model_sigma, dependence)?;
+            let likelihood = PoseLikelihood::new(sensor, world, model_sigma, dependence)?;
             let headings = Headings::new(likelihood.scanner(), headings_of(sensor, options.headings))?;
             let places = grid(world, options.floor + sensor.spec().mount.translation.z, &options)?;
             let mut panoramas = estimator.predictor.panoramas(world, &headings, places)?;
             panoramas.retain(|range| options.is_free(range));
             (Views::Level(panoramas), likelihood)
         } else {
-            let bounds = world.environment().bounds();
-            let reach = if bounds.is_empty() { 1.0 } else { (bounds.max - bounds.min).length() };
-            let likelihood = PoseLikelihood::of_image(sensor, model_sigma, dependence, reach)?;
+            let likelihood = PoseLikelihood::of_image(sensor, world, model_sigma, dependence)?;
             (Views::Round(round_views(estimator, world, sensor, &options)?), likelihood)
         };
         let search = Self { options, views, likelihood };

@@ -142,11 +142,11 @@ impl Predictor {
     ///
     /// ```
     /// use presight::batch::{BatchRequest, PoseCell, RangeLikelihood};
-    /// use presight::{Environment, Noise, Options, Pose, Predictor, Sensor, World};
-    /// let mut spec = presight::preset("laser-scanner")?.spec().clone();
-    /// spec.noise = Noise { range_sigma: 0.02, ..Noise::default() };
-    /// let sensor = Sensor::new(spec)?;
-    /// let nothing = RangeLikelihood::new(&sensor, vec![f32::INFINITY; 361], PoseCell::default())?;
+    /// use presight::frame::{Frame, Measurement};
+    /// use presight::{Environment, Options, Pose, Predictor, World};
+    /// let sensor = presight::preset("laser-scanner")?;
+    /// let nothing = Frame::new(0.0, sensor.clone(), Measurement::Range(vec![f32::INFINITY; 361]))?;
+    /// let nothing = RangeLikelihood::new(&nothing, PoseCell::default())?;
     /// let request = BatchRequest { likelihood: Some(nothing), ..BatchRequest::default() };
     /// let mut predictor = Predictor::new(Options::default())?;
     /// let world = World::new(Environment::new());
