@@ -118,7 +118,8 @@ fn scene(name: &str, preset: &str, poses: &[Pose], world: &World) {
     let asked = Request::of(outputs);
     let mut images = Images::default();
     predictor.predict_images(world, &sensor, &poses[0], &asked, &mut images).expect("it predicts");
-    let sensed = RangeLikelihood::new(&frame_of(&sensor, images.range.clone()), PoseCell::default()).expect("a sound image");
+    let sensed =
+        RangeLikelihood::new(&frame_of(&sensor, images.range.clone()), PoseCell::default()).expect("a sound image");
     let request = BatchRequest { likelihood: Some(sensed.clone()), ..BatchRequest::default() };
     let mut sums = [0.0, 0.0];
     let batch = least(3, || {

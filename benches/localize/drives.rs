@@ -78,7 +78,7 @@ pub fn alarms(least: u64) {
     let drive = |seed: u64, place: &Pose| {
         let mut simulator =
             Simulator::new(single(), scanner.clone(), Disturbances::default(), seed).expect("a simulator");
-        let planar = EstimateOptions { model_sigma: 0.01, ..EstimateOptions::planar() };
+        let planar = EstimateOptions::planar().with_model_sigma(0.01);
         let prior = PoseEstimate::of_sigmas(on_the_way(place, 0), 0.03, 0.02);
         let mut robot = Localizer::new(Estimator::new(single(), planar), prior, LocalizeOptions::default());
         for k in 0..FRAMES {
@@ -191,7 +191,7 @@ fn drive(world: &World, place: &Pose, sensors: Vec<Sensor>, frames: usize) -> Er
         |s: &Sensor| Simulator::new(predictor(), s.clone(), Disturbances::default(), 3).expect("a simulator");
     let mut simulators: Vec<Simulator> = sensors.iter().map(simulator).collect();
     let options = if is_row {
-        EstimateOptions { model_sigma: 0.0, offset_sigma: 0.003, ..EstimateOptions::planar() }
+        EstimateOptions::planar().with_model_sigma(0.0).with_offset_sigma(0.003)
     } else {
         EstimateOptions::default()
     };
@@ -331,11 +331,11 @@ pub fn kidnapped() {
     let places = free_poses(&world, 200, 23).expect("free poses");
     // Level scanners are looked for at one height.
     let level: Vec<&Pose> = places.iter().step_by(2).collect();
-    let options = EstimateOptions { model_sigma: 0.01, ..EstimateOptions::planar() };
+    let options = EstimateOptions::planar().with_model_sigma(0.01);
     let (mut lost, mut found, mut drives) = (0, 0, 0);
     for pair in level.chunks_exact(2).take(10) {
         let height = pair[0].translation.z;
-        let search = presight_localize::localize::SearchOptions { floor: height, cell: 0.5, ..Default::default() };
+        let search = presight_localize::localize::SearchOptions::default().with_floor(height).with_cell(0.5);
         let mut robot = Localizer::new(
             Estimator::new(predictor(), options),
             PoseEstimate::of_sigmas(on_the_way(pair[0], 0), 0.03, 0.02),

@@ -1,9 +1,9 @@
 //! Log-likelihoods of single poses against the oracle.
 
 use super::{common, frame_of, noisy, oracle, predictor, single};
-use presight_model::frame::{Frame, Measurement};
 use common::{Random, data, scenes};
 use presight_model::error::ErrorKind;
+use presight_model::frame::{Frame, Measurement};
 use presight_model::geometry::Pose;
 use presight_model::sensor::{Mixture, Noise, Sensor, SensorSpec};
 use presight_model::world::World;

@@ -184,7 +184,7 @@ fn a_pose_is_known_no_better_than_its_tags() {
     let place = Pose { translation: DVec3::new(2.2, 1.7, 4.9 / 3.0), ..place() };
     let prior = PoseEstimate::of_sigmas(place, 0.05, 1e-4);
     let sigma_of = |sigma: f64| {
-        let options = EstimateOptions { offset_sigma: 1e-4, ..EstimateOptions::default() };
+        let options = EstimateOptions::default().with_offset_sigma(1e-4);
         let mut estimator = estimator(options).with_features(layer(&world, &TAGS[..3], &corners, sigma));
         let found = estimator.estimate(&world, &[&grey(&video(), &world, &place, 0.0, 1)], &prior).unwrap();
         assert!(found.is_determined(), "{:?}", found.state);

@@ -79,7 +79,7 @@ fn features_are_classed_by_ranges() {
     let real = World::new(environment);
     let frames = [sense(&real, &camera(0.01), &place(), &mut Random(3)), grey(&video(), &real, &place(), 0.0, 3)];
     let prior = PoseEstimate::of_sigmas(place(), 0.01, 0.005);
-    let options = EstimateOptions { least_explained: 0.4, ..EstimateOptions::default() };
+    let options = EstimateOptions::default().with_least_explained(0.4);
     let mut estimator = estimator(options).with_features(features);
     let found = estimator.estimate(&map, &[&frames[0], &frames[1]], &prior).unwrap();
     let findings = &found.findings[0];

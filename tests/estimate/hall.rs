@@ -135,7 +135,7 @@ fn two_sensors_in_a_scripted_hall() {
             .zip(&sensors)
             .map(|(seed, s)| Simulator::new(predictor(), s.clone(), Disturbances::default(), seed).unwrap())
             .collect();
-        let planar = EstimateOptions { model_sigma: 0.0, offset_sigma: 0.003, ..EstimateOptions::planar() };
+        let planar = EstimateOptions::planar().with_model_sigma(0.0).with_offset_sigma(0.003);
         let options = if sensors.iter().all(|s| s.height() == 1) { planar } else { EstimateOptions::default() };
         let mut robot =
             Localizer::new(estimator(options), PoseEstimate::of_sigmas(start, 0.03, 0.02), LocalizeOptions::default());

@@ -187,9 +187,14 @@ fn an_unknown_start_is_found() {
     let mut frames = frames.map(|o| (o.frame.thinned(4).unwrap(), o.reference.unwrap())).take(10).peekable();
     let (floor, floor_to, lean) = (0.75, 1.3, [0.0, 16.6f64.to_radians()]);
     // Coarser than by default, and with half of the candidates: 5 seconds instead of 14.
-    let options =
-        SearchOptions { cell: 0.5, candidates: 20, floor, floor_to, lean, margin: 1.0, ..SearchOptions::default() };
-    let options = SearchOptions { surrounded: 0.02, ..options };
+    let options = SearchOptions::default()
+        .with_cell(0.5)
+        .with_candidates(20)
+        .with_floor(floor)
+        .with_floor_to(floor_to)
+        .with_lean(lean)
+        .with_margin(1.0);
+    let options = options.with_surrounded(0.02);
     let mut estimator = estimator(EstimateOptions::default());
     let search = Search::new(&mut estimator, &map, frames.peek().unwrap().0.sensor(), options).unwrap();
     let mut robot = Localizer::unknown(estimator, search, LocalizeOptions::default());

@@ -44,7 +44,7 @@ fn ray(range: f32, sigma: f64) -> Frame {
 fn the_robot_knows_no_more_than_its_map() {
     let pose = Pose::from_xyz_rpy(DVec3::new(2.0, 2.0, 1.0), 0.0, 0.0, 0.0);
     let prior = PoseEstimate::new(pose, PoseCovariance::from_sigmas([0.2, 1e-6, 1e-6, 1e-6, 1e-6, 1e-6]));
-    let options = EstimateOptions { freedom: Freedom::Planar, offset_sigma: 0.0, ..EstimateOptions::default() };
+    let options = EstimateOptions::default().with_freedom(Freedom::Planar).with_offset_sigma(0.0);
     let variance = |world: &World| {
         let found = estimator(options).estimate(world, &[&ray(4.0, 0.01)], &prior).unwrap();
         assert!(found.is_determined(), "{:?}", found.state);
@@ -87,7 +87,7 @@ fn docking_is_relative() {
     let prior = PoseEstimate::of_sigmas(moved(&truth, &[0.01, -0.01, 0.0, 0.0, 0.005, 0.0]), 0.024, 0.01);
     let index = map.environment().index_of("shelf").unwrap();
     let off = |only: Option<u32>| {
-        let options = EstimateOptions { only, ..EstimateOptions::default() };
+        let options = EstimateOptions::default().with_only(only);
         let found = estimator(options).estimate(&map, &[&frame], &prior).unwrap();
         assert!(found.is_determined(), "{only:?}: {:?}", found.state);
         let (relative, covariance) = found.relative_to(&map.environment().objects()[index as usize].world_from_object);

@@ -89,7 +89,7 @@ fn layer(world: &World, spots: &[Spot], sigma: f64) -> PlacedFeatures {
 }
 
 fn options() -> EstimateOptions {
-    EstimateOptions { freedom: Freedom::Planar, ..EstimateOptions::default() }
+    EstimateOptions::default().with_freedom(Freedom::Planar)
 }
 
 /// Where the robot is by a frame and a map, from 25 cm down the corridor; each reflector of the map is known to 5 mm.
@@ -343,7 +343,7 @@ fn an_unknown_start_goes_by_reflectors() {
     for (known, starts, is_told) in cases {
         for (k, start) in starts.iter().enumerate() {
             let mut estimator = estimator(options()).with_features(layer(&map, known, 0.005));
-            let search = SearchOptions { floor: 1.0, ..SearchOptions::default() };
+            let search = SearchOptions::default().with_floor(1.0);
             let search = Search::new(&mut estimator, &map, &scanner, search).unwrap();
             let mut robot = Localizer::unknown(estimator, search, LocalizeOptions::default());
             let (mut told, mut reasons) = (None, Vec::new());

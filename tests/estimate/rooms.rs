@@ -9,7 +9,7 @@ use presight_model::geometry::PoseEstimate;
 use presight_model::sensor::RayTable;
 
 fn exact() -> EstimateOptions {
-    EstimateOptions { offset_sigma: 0.0, ..EstimateOptions::default() }
+    EstimateOptions::default().with_offset_sigma(0.0)
 }
 
 /// Three rays meet three walls square on. Each tells the robot's place along its own axis with the variance of one range, and
@@ -129,7 +129,7 @@ fn a_planar_robot_is_found_by_its_scanner() {
     let world = room(Vec3::ZERO);
     let sensor = scanner(0.01);
     let mut random = Random(2);
-    let mut found = estimator(EstimateOptions { freedom: Freedom::Planar, ..EstimateOptions::default() });
+    let mut found = estimator(EstimateOptions::default().with_freedom(Freedom::Planar));
     for k in 0..20 {
         let truth = Pose::from_xyz_rpy(DVec3::new(1.2, 2.0 + 0.05 * f64::from(k), 0.4), 0.0, 0.0, 0.3 * f64::from(k));
         let frame = sense(&world, &sensor, &truth, &mut random);
@@ -148,7 +148,7 @@ fn a_planar_robot_is_found_by_its_scanner() {
 /// Mean of the normalized squared error of six numbers, over many frames; every box is off by `off` in a direction of its own.
 fn nees(off: f64, offset_sigma: f64) -> f64 {
     let (sensor, mut random) = (camera(0.01), Random(3));
-    let options = EstimateOptions { offset_sigma, ..EstimateOptions::default() };
+    let options = EstimateOptions::default().with_offset_sigma(offset_sigma);
     let mut found = estimator(options);
     let (mut sum, frames) = (0.0, 40);
     for k in 0..frames {

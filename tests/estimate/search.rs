@@ -15,7 +15,7 @@ fn row_scanner() -> Sensor {
 
 /// Coarser than the default, for a small room.
 fn options() -> SearchOptions {
-    SearchOptions { cell: 0.5, headings: 90, candidates: 12, ..SearchOptions::default() }
+    SearchOptions::default().with_cell(0.5).with_headings(90).with_candidates(12)
 }
 
 fn planar() -> Estimator {
@@ -159,11 +159,11 @@ fn what_cannot_be_searched_is_told() {
         e.to_string()
     };
     assert!(refused(&World::new(Environment::new()), &row_scanner(), options()).contains("without a polygon"));
-    assert!(refused(&world, &row_scanner(), SearchOptions { cell: f64::NAN, ..options() }).contains("cell"));
-    assert!(refused(&world, &row_scanner(), SearchOptions { cell: 1e-4, ..options() }).contains("places"));
+    assert!(refused(&world, &row_scanner(), options().with_cell(f64::NAN)).contains("cell"));
+    assert!(refused(&world, &row_scanner(), options().with_cell(1e-4)).contains("places"));
     // Above the ceiling.
-    assert!(refused(&world, &row_scanner(), SearchOptions { floor: 5.0, ..options() }).contains("no free place"));
-    let heights = SearchOptions { floor_to: 1e9, ..options() };
+    assert!(refused(&world, &row_scanner(), options().with_floor(5.0)).contains("no free place"));
+    let heights = options().with_floor_to(1e9);
     assert!(refused(&world, &camera(0.01), heights).contains("heights"));
     let six = Search::new(&mut estimator(EstimateOptions::default()), &world, &row_scanner(), options());
     assert_eq!(six.expect_err("six numbers").kind(), ErrorKind::Usage);
@@ -227,7 +227,7 @@ fn a_camera_that_is_held_in_the_hand_is_found() {
     spec.mount = Pose::IDENTITY;
     let sensor = Sensor::new(spec).unwrap();
     let truth = Pose::from_xyz_rpy(DVec3::new(1.5, 2.6, 1.35), 0.1, 0.25, 0.4);
-    let heights = SearchOptions { floor: 1.0, floor_to: 1.6, lean: [0.1, 0.25], ..options() };
+    let heights = options().with_floor(1.0).with_floor_to(1.6).with_lean([0.1, 0.25]);
     let mut found = estimator(EstimateOptions::default());
     let search = Search::new(&mut found, &world, &sensor, heights).unwrap();
     let seen = sense(&world, &sensor, &truth, &mut Random(25));

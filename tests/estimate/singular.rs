@@ -63,7 +63,7 @@ fn corridor() {
     let sensor = Sensor::new(sensor).unwrap();
     let truth = Pose::from_xyz_rpy(DVec3::new(0.0, 0.2, 1.0), 0.0, 0.0, 0.1);
     let frame = sense(&world, &sensor, &truth, &mut Random(2));
-    let options = EstimateOptions { freedom: Freedom::Planar, ..EstimateOptions::default() };
+    let options = EstimateOptions::default().with_freedom(Freedom::Planar);
     let off = moved(&truth, &[0.25, 0.05, 0.0, 0.0, 0.0, 0.03]);
     let answer = estimator(options).estimate(&world, &[&frame], &PoseEstimate::of_sigmas(off, 0.3, 0.05)).unwrap();
     assert_eq!(names(&answer), ["x"], "{:?}", answer.weak);
@@ -133,7 +133,7 @@ fn a_repeating_corridor_has_two_places() {
     spec.range_max = 8.0;
     let sensor = Sensor::new(spec).unwrap();
     let truth = Pose::from_xyz_rpy(DVec3::new(0.6, 0.1, 1.0), 0.0, 0.0, 0.05);
-    let options = EstimateOptions { freedom: Freedom::Planar, ..EstimateOptions::default() };
+    let options = EstimateOptions::default().with_freedom(Freedom::Planar);
     let mut prior = PoseEstimate::of_sigmas(moved(&truth, &[0.1, 0.02, 0.0, 0.0, 0.0, 0.01]), 0.5, 0.02);
     prior.covariance[1][1] = 0.01;
     let answer = |crate_too: bool| {

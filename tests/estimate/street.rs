@@ -65,7 +65,7 @@ fn a_mirrored_scan_is_undetermined() {
     let sensor = Sensor::new(SensorSpec::new("mirrored", "laser", Geometry::Rays(table))).unwrap();
     let frame = Frame::new(0.0, sensor, Measurement::Range(frame.ranges().to_vec())).unwrap();
     let prior = PoseEstimate::of_sigmas(reference.unwrap(), 0.1, 0.05);
-    let options = EstimateOptions { most_predictions: 3, ..EstimateOptions::scan() };
+    let options = EstimateOptions::scan().with_most_predictions(3);
     let found = estimator(options).estimate(&map, &[&frame], &prior).unwrap();
     assert!(!found.is_determined(), "{:.2} explained", found.explained);
 }

@@ -144,7 +144,7 @@ fn model() -> Option<World> {
 
 /// For a model that is off by two decimetres.
 fn robot(start: PoseEstimate) -> Localizer {
-    let options = EstimateOptions { model_sigma: 0.2, offset_sigma: 0.14, ..EstimateOptions::planar() };
+    let options = EstimateOptions::planar().with_model_sigma(0.2).with_offset_sigma(0.14);
     Localizer::new(estimator(options), start, LocalizeOptions::default())
 }
 

@@ -8,6 +8,7 @@ use presight_testkit as common;
 use common::skip::no_adapter;
 use common::{Random, data, scenes};
 use glam::{DMat3, DQuat, DVec3};
+use presight_features::roi::RoiFlag;
 use presight_features::{
     BoxOptions, BoxQuery, FeaturePrediction, FeatureSettings, PlacedFeature, SeenFeature, add_boxes, place,
     predict_features,
@@ -138,7 +139,7 @@ fn check(name: &str, engine: &mut GpuEngine, setting: &Setting<'_>) -> usize {
     let twin = setting.twin(&setting.options, &setting.placed);
     let (device, made) = setting.on_device(engine, &setting.options);
     let found = compare(&twin, &device);
-    let linear = twin.features.iter().filter(|f| f.roi_flag == Some("linear")).count();
+    let linear = twin.features.iter().filter(|f| f.roi_flag == Some(RoiFlag::Linear)).count();
     eprintln!(
         "{name}: {} boxes, {linear} linear, {made} made on the device; worst {:.5} px, other flags {}",
         found.boxes,

@@ -347,13 +347,18 @@ impl Drive {
         let lean = [roll.to_radians(), pitch.to_radians()];
         let floor_to = self.floor_to.unwrap_or(self.floor);
         let (floor, margin, surrounded) = (self.floor, self.margin, self.surrounded);
-        Ok(SearchOptions { floor, floor_to, margin, lean, surrounded, ..SearchOptions::default() })
+        Ok(SearchOptions::default()
+            .with_floor(floor)
+            .with_floor_to(floor_to)
+            .with_margin(margin)
+            .with_lean(lean)
+            .with_surrounded(surrounded))
     }
 
     /// Options for a search of the whole map at the last height of the robot.
     fn search_about(&self, pose: &Pose) -> Result<SearchOptions> {
         let height = pose.translation.z;
-        Ok(SearchOptions { floor: height, floor_to: height, ..self.search()? })
+        Ok(self.search()?.with_floor(height).with_floor_to(height))
     }
 
     fn odometry(&self) -> Result<OdometryNoise> {
@@ -378,7 +383,7 @@ impl Drive {
         }
         // The offset shared by the polygons of one plane is about as large as the offset of each polygon.
         let offset_sigma = if self.model_sigma.is_some() { 0.7 * model_sigma } else { options.offset_sigma };
-        Ok(EstimateOptions { model_sigma, offset_sigma: offset_sigma.max(1e-3), ..options })
+        Ok(options.with_model_sigma(model_sigma).with_offset_sigma(offset_sigma.max(1e-3)))
     }
 }
 

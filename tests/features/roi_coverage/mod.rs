@@ -12,6 +12,7 @@ mod study;
 use common::{Random, env_number, scenes};
 use draws::{Best, Case};
 use glam::{DMat3, DVec3, Vec3};
+use presight_features::roi::RoiFlag;
 use presight_features::{BoxOptions, BoxQuery, FeatureSettings, PlacedFeature, add_boxes, predict_features};
 use presight_model::environment::NewObject;
 use presight_model::environment::{Existence, Feature, FeatureShape, Properties};
@@ -170,7 +171,7 @@ fn at_a_pole_few_rows_are_taken() {
         let case = Case { pose, ..case };
         assert_all(std::slice::from_ref(&case));
         let ([x0, y0, x1, y1], flag) = case.found(0.99);
-        assert_eq!((flag, x1 - x0 > 715.0), ("set", all_columns), "{x}: {x0} {x1}");
+        assert_eq!((flag, x1 - x0 > 715.0), (RoiFlag::Set, all_columns), "{x}: {x0} {x1}");
         assert!(y1 - y0 < 20.0, "{x}: {y0} {y1}");
     }
 }

@@ -392,7 +392,7 @@ fn outcome(condition: &str, features: usize, draws: usize) -> Outcome {
         .map(|(trial, boxes)| {
             let reaches = trial.reaches(draws);
             let held: Vec<f64> =
-                boxes.iter().map(|(bounds, flag)| 1.0 - trial.case.missed(bounds, flag, &reaches)).collect();
+                boxes.iter().map(|(bounds, flag)| 1.0 - trial.case.missed(bounds, *flag, &reaches)).collect();
             let known: Vec<Reach> = reaches.iter().map(|r| r.filter(|r| r[0] <= r[2])).collect();
             let b = boxes[1].0;
             let size = trial.case.sensor.width() as f64 - 0.5;

@@ -232,7 +232,7 @@ impl<'a> BoxFrame<'a> {
             || seen.feature.shape.is_contour() && self.image.turn().is_some_and(|turn| self.turns(seen, turn));
         let width = f64::from(self.image.size().0);
         seen.roi = Some(if is_around { [-0.5, y0, width - 0.5, y1] } else { found.bounds });
-        seen.roi_flag = Some(found.flag.name());
+        seen.roi_flag = Some(found.flag);
     }
 
     /// Finds the boxes of some features of a prediction.

@@ -66,7 +66,7 @@
 //! # Ok::<(), presight::Error>(())
 //! ```
 //!
-//! `examples/region_of_interest.rs` prints widths at other distances and draws the picture in `docs/region_of_interest.svg`.
+//! `docs/region_of_interest.svg` shows regions at other distances.
 
 mod errors;
 mod exceedance;

@@ -247,7 +247,7 @@ fn entry<'a>(seen: &'a SeenFeature, environment: &'a Environment) -> FeatureReco
         range: seen.range,
         cos_incidence: seen.cos_incidence,
         roi: seen.roi,
-        roi_flag: seen.roi_flag.map(Cow::from),
+        roi_flag: seen.roi_flag.map(|flag| flag.name().into()),
         image_covariance: seen.image_covariance.as_deref().map(Cow::from),
         properties: properties(seen),
         history: None,
@@ -373,7 +373,7 @@ mod tests {
     fn what_is_written_reads_back_and_is_written_the_same() {
         let mut feature = seen();
         feature.image_covariance = Some(vec![[[1.0 / 3.0, 0.0], [0.0, 2.0]]]);
-        (feature.roi, feature.roi_flag) = (Some([0.1, 0.2, 3.0, 4.0]), Some("linear"));
+        (feature.roi, feature.roi_flag) = (Some([0.1, 0.2, 3.0, 4.0]), Some(presight_features::roi::RoiFlag::Linear));
         let prediction = FeaturePrediction { features: vec![feature], ..FeaturePrediction::default() };
         let pose = Pose::from_xyz_rpy(DVec3::new(1.0, 2.0, 3.0), 0.1, 0.2, 0.3);
         let taken = DegradationStep { means: DegradationKind::Clock, at_ms: 1.0 / 3.0, metres: Some(2.5) };

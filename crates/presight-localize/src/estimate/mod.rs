@@ -28,7 +28,7 @@
 //! let truth = Pose::from_xyz_rpy(DVec3::new(0.02, 0.0, 0.5), 0.0, 0.0, 0.01);
 //! let frame = Simulator::new(predictor()?, scanner, Disturbances::default(), 1)?.frame(&world, 0.0, &truth)?;
 //! let believed = Pose::from_xyz_rpy(DVec3::new(0.0, 0.0, 0.5), 0.0, 0.0, 0.0);
-//! let options = EstimateOptions { freedom: Freedom::Planar, ..EstimateOptions::default() };
+//! let options = EstimateOptions::default().with_freedom(Freedom::Planar);
 //! let found = Estimator::new(predictor()?, options).estimate(&world, &[&frame], &PoseEstimate::of_sigmas(believed, 0.05, 0.03))?;
 //! assert!(found.is_determined() && found.weak.is_empty());
 //! assert!((found.pose.world_from_robot.translation.x - 0.02).abs() < 4.0 * found.pose.covariance[0][0].sqrt());

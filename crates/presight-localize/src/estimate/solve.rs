@@ -27,6 +27,7 @@ use std::sync::Arc;
 
 /// How an [`Estimator`] works.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct EstimateOptions {
     /// Which numbers of the pose are looked for.
     pub freedom: Freedom,
@@ -58,6 +59,17 @@ impl Default for EstimateOptions {
         }
     }
 }
+
+crate::options::with_options!(
+    EstimateOptions:
+    with_freedom freedom: Freedom,
+    with_least_explained least_explained: f64,
+    with_most_predictions most_predictions: usize,
+    with_model_sigma model_sigma: f64,
+    with_offset_sigma offset_sigma: f64,
+    with_loosest loosest: f64,
+    with_only only: Option<u32>,
+);
 
 impl EstimateOptions {
     /// For a level scanner of one row on a level floor. Plans and maps of buildings are off by centimetres, and a row meets much

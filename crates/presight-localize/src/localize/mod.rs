@@ -30,7 +30,7 @@
 //! let scanner = Sensor::new(spec)?;
 //!
 //! let mut estimator = Estimator::new(Predictor::new(Options::default())?, EstimateOptions::planar());
-//! let coarse = SearchOptions { headings: 72, candidates: 10, ..SearchOptions::default() };
+//! let coarse = SearchOptions::default().with_headings(72).with_candidates(10);
 //! let search = Search::new(&mut estimator, &world, &scanner, coarse)?;
 //! let mut localizer = Localizer::unknown(estimator, search, LocalizeOptions::default());
 //! let mut simulator = Simulator::new(Predictor::new(Options::default())?, scanner, Disturbances::default(), 1)?;
@@ -122,6 +122,7 @@ impl Step {
 
 /// How a [`Localizer`] works.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct LocalizeOptions {
     /// Without odometry: how much the motion may change from one frame to the next, one standard deviation, metres.
     pub drift: f64,
@@ -183,6 +184,26 @@ impl Default for LocalizeOptions {
         }
     }
 }
+
+crate::options::with_options!(
+    LocalizeOptions:
+    with_drift drift: f64,
+    with_turn_drift turn_drift: f64,
+    with_search search: f64,
+    with_search_turn search_turn: f64,
+    with_agreeing agreeing: usize,
+    with_least_standing least_standing: f64,
+    with_least_agreeing least_agreeing: f64,
+    with_frames_per_false_alarm frames_per_false_alarm: f64,
+    with_little little: f64,
+    with_hypotheses hypotheses: usize,
+    with_beam_dependence beam_dependence: f64,
+    with_spread spread: f64,
+    with_lead lead: f64,
+    with_least_found least_found: f64,
+    with_least_frames least_frames: usize,
+    with_patience patience: usize,
+);
 
 /// Follows a robot through the frames of its sensor.
 pub struct Localizer {

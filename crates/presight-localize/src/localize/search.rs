@@ -17,6 +17,7 @@ use rayon::prelude::*;
 
 /// How a [`Search`] looks for a robot.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct SearchOptions {
     /// Distance between neighbouring places, metres.
     pub cell: f64,
@@ -57,6 +58,20 @@ impl Default for SearchOptions {
         }
     }
 }
+
+crate::options::with_options!(
+    SearchOptions:
+    with_cell cell: f64,
+    with_headings headings: u32,
+    with_floor floor: f64,
+    with_floor_to floor_to: f64,
+    with_margin margin: f64,
+    with_lean lean: [f64; 2],
+    with_clearance clearance: f64,
+    with_surrounded surrounded: f64,
+    with_candidates candidates: usize,
+    with_beam_dependence beam_dependence: f64,
+);
 
 /// A place where the robot may be.
 #[derive(Clone, Debug)]

@@ -8,6 +8,7 @@ use super::paths::{EnginePath, PathName};
 use super::timing::{TimedPath, by_turns};
 use super::{PathNotes, Row, how};
 use glam::{DMat3, DQuat, DVec3};
+use presight_features::roi::RoiFlag;
 use presight_features::{
     BoxMethod, BoxOptions, BoxQuery, FeaturePrediction, PlacedFeature, SeenFeature, VisibleInterval,
 };
@@ -150,9 +151,9 @@ impl RegionPath {
         made.into_iter().for_each(|made| stats.count(CountName::RegionsOnDevice, made));
         stats.stage(StageName::RegionsOfInterest, start);
         for (flag, name) in [
-            ("linear", CountName::LinearRegions),
-            ("set", CountName::SetRegions),
-            ("whole_image", CountName::WholeImages),
+            (RoiFlag::Linear, CountName::LinearRegions),
+            (RoiFlag::Set, CountName::SetRegions),
+            (RoiFlag::WholeImage, CountName::WholeImages),
         ] {
             stats.count(name, seen.features.iter().filter(|f| f.roi_flag == Some(flag)).count());
         }
@@ -279,7 +280,7 @@ mod tests {
         let (existence, properties) = (Existence::default(), Properties::default());
         let feature = Feature { id: 1, name: None, object: None, shape, existence, properties };
         let roi = Some([255.5 - half, -0.5, 255.5 + half, 511.5]);
-        let seen = SeenFeature { roi, roi_flag: Some("linear"), ..SeenFeature::whole(&feature) };
+        let seen = SeenFeature { roi, roi_flag: Some(RoiFlag::Linear), ..SeenFeature::whole(&feature) };
         (sensor, seen)
     }
 
