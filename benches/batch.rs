@@ -13,6 +13,7 @@
 
 use presight_files::gltf::{ImportOptions, import};
 use presight_files::log;
+use presight_model::measured::{Frame, Measurement};
 use presight_model::geometry::Pose;
 use presight_model::sensor::{Noise, Sensor, SensorSpec};
 use presight_model::world::World;
@@ -43,6 +44,10 @@ fn predictor() -> Predictor {
     let threads = number("PRESIGHT_THREADS", 2);
     let backend = if std::env::var_os("PRESIGHT_GPU").is_some() { Backend::Gpu } else { Backend::Cpu };
     Predictor::new(Options::new(backend).with_threads(threads)).expect("an engine")
+}
+
+fn frame_of(sensor: &Sensor, ranges: Vec<f32>) -> Frame {
+    Frame::new(0.0, sensor.clone(), Measurement::Range(ranges)).expect("a sound scan")
 }
 
 fn noisy(spec: &SensorSpec) -> Sensor {
@@ -83,7 +88,7 @@ fn malaga() {
     let places: Vec<Pose> = (0..3714).map(|i| places[(i as f64 * every) as usize]).collect();
     let beams = frame.range.iter().filter(|r| r.is_finite()).count();
     let cell = PoseCell { side: 0.25, turn: 1f64.to_radians() };
-    let sensed = RangeLikelihood::new(&sensor, frame.range, cell).expect("a valid scan");
+    let sensed = RangeLikelihood::new(&frame_of(&sensor, frame.range), cell).expect("a valid scan");
     let request = BatchRequest { likelihood: Some(sensed), headings: Some(headings), ..BatchRequest::default() };
     let mut predictor = predictor();
     let mut cut_ms = 0.0;
@@ -113,7 +118,8 @@ fn scene(name: &str, preset: &str, poses: &[Pose], world: &World) {
     let asked = Request::of(outputs);
     let mut images = Images::default();
     predictor.predict_images(world, &sensor, &poses[0], &asked, &mut images).expect("it predicts");
-    let sensed = RangeLikelihood::new(&sensor, images.range.clone(), PoseCell::default()).expect("a valid image");
+    let sensed =
+        RangeLikelihood::new(&frame_of(&sensor, images.range.clone()), PoseCell::default()).expect("a valid image");
     let request = BatchRequest { likelihood: Some(sensed.clone()), ..BatchRequest::default() };
     let mut sums = [0.0, 0.0];
     let batch = least(3, || {
@@ -141,7 +147,7 @@ fn stages(name: &str, preset: &str, poses: &[Pose], world: &World) {
     let sensor = noisy(presight_files::preset(preset).expect("a preset").spec());
     let mut predictor = predictor();
     let range = vec![2.0; (sensor.width() * sensor.height()) as usize];
-    let sensed = RangeLikelihood::new(&sensor, range, PoseCell::default()).expect("a valid image");
+    let sensed = RangeLikelihood::new(&frame_of(&sensor, range), PoseCell::default()).expect("a valid image");
     let request = BatchRequest { likelihood: Some(sensed), statistics: true, ..BatchRequest::default() };
     let (mut times, mut counts) = (BTreeMap::new(), BTreeMap::new());
     for item in predictor.batch(world, &sensor, poses.to_vec(), &request).expect("a valid request") {
@@ -170,7 +176,7 @@ fn memory() {
     let range = vec![2.0; 361];
     let request = BatchRequest {
         images: Some(Outputs::of(&[Output::Range]).into()),
-        likelihood: Some(RangeLikelihood::new(&sensor, range, PoseCell::default()).expect("a valid image")),
+        likelihood: Some(RangeLikelihood::new(&frame_of(&sensor, range), PoseCell::default()).expect("a valid image")),
         ..BatchRequest::default()
     };
     let mut predictor = predictor();

@@ -156,6 +156,24 @@ impl Scene {
         Ok(Self { path: path.to_owned(), world, frame, world_from_gltf, report: imported.report, files: imported.files })
     }
 
+    /// Finds the polygons of the features of a layer in memory. Features that lie on no polygon are listed and left out.
+    ///
+    /// ```
+    /// use presight::Scene;
+    /// use presight::features::generate::{GenerateOptions, generate};
+    /// let scene = Scene::open("scenes/room.glb")?;
+    /// let layer = generate(scene.world.environment(), "video", &GenerateOptions::default())?.layer;
+    /// let placed = scene.place(&layer)?;
+    /// assert!(placed.features.len() > 10 && placed.lost.is_empty());
+    /// # Ok::<(), presight::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Invalid`] if the layer is not valid, or names an object that the scene does not have.
+    pub fn place(&self, layer: &FeatureLayer) -> Result<PlacedFeatures> {
+        placement::place_layer(&self.world, layer)
+    }
+
     /// Reads layer files on top of the scene's own layer for a sensor class, and finds the polygons of the features. A
     /// later layer replaces features with the same id. Features of the scene's own layer that have lost their surface
     /// are left out and listed. Features of a file must lie on polygons, unless the file lists them as lost.

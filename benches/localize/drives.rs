@@ -6,11 +6,11 @@ use cpu_time::ProcessTime;
 use glam::DVec3;
 use presight_files::preset;
 use presight_localize::estimate::{
-    Estimate, EstimateOptions, Estimator, Freedom, Prior, measured_points, motion_between, moved, nees,
+    Estimate, EstimateOptions, Estimator, Freedom, measured_points, motion_between, moved, nees,
 };
 use presight_localize::localize::{LocalizeOptions, Localizer, Phase, Step};
 use presight_localize::simulate::{Disturbances, Simulator};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, PoseEstimate};
 use presight_model::measured::{Frame, Measurement};
 use presight_model::sensor::{Camera, Distortion, Geometry, Sensor, SensorSpec};
 use presight_model::world::World;
@@ -78,8 +78,8 @@ pub fn alarms(least: u64) {
     let drive = |seed: u64, place: &Pose| {
         let mut simulator =
             Simulator::new(single(), scanner.clone(), Disturbances::default(), seed).expect("a simulator");
-        let planar = EstimateOptions { model_sigma: 0.01, ..EstimateOptions::planar() };
-        let prior = Prior::of_sigmas(on_the_way(place, 0), 0.03, 0.02);
+        let planar = EstimateOptions::planar().with_model_sigma(0.01);
+        let prior = PoseEstimate::of_sigmas(on_the_way(place, 0), 0.03, 0.02);
         let mut robot = Localizer::new(Estimator::new(single(), planar), prior, LocalizeOptions::default());
         for k in 0..FRAMES {
             let frame = simulator.frame(&world, k as f64, &on_the_way(place, k)).expect("a frame");
@@ -120,11 +120,11 @@ struct Errors {
 
 impl Errors {
     fn add(&mut self, found: &Estimate, truth: &Pose) {
-        let off = motion_between(&found.pose, truth);
+        let off = motion_between(&found.pose.world_from_robot, truth);
         self.undetermined += usize::from(!found.is_determined());
         self.squares[0] += off[..3].iter().map(|x| x * x).sum::<f64>();
         self.squares[1] += off[5].to_degrees().powi(2);
-        self.nees.push(nees(&found.pose, &found.covariance, truth));
+        self.nees.push(nees(&found.pose, truth));
     }
 
     fn row(&self, name: &str) {
@@ -192,7 +192,7 @@ fn drive(world: &World, place: &Pose, sensors: Vec<Sensor>, frames: usize) -> Er
         |s: &Sensor| Simulator::new(predictor(), s.clone(), Disturbances::default(), 3).expect("a simulator");
     let mut simulators: Vec<Simulator> = sensors.iter().map(simulator).collect();
     let options = if is_row {
-        EstimateOptions { model_sigma: 0.0, offset_sigma: 0.003, ..EstimateOptions::planar() }
+        EstimateOptions::planar().with_model_sigma(0.0).with_offset_sigma(0.003)
     } else {
         EstimateOptions::default()
     };
@@ -214,7 +214,7 @@ fn drive(world: &World, place: &Pose, sensors: Vec<Sensor>, frames: usize) -> Er
 
 /// A prior with these deviations, in metres and radians, and with random errors of that size. A prior better than it
 /// states would also make the estimate better than it states.
-fn drawn_around(truth: &Pose, (metres, radians): (f64, f64), freedom: Freedom, random: &mut Random) -> Prior {
+fn drawn_around(truth: &Pose, (metres, radians): (f64, f64), freedom: Freedom, random: &mut Random) -> PoseEstimate {
     let mut off = [0.0; 6];
     for axis in freedom.axes() {
         // The Box-Muller transform.
@@ -222,7 +222,7 @@ fn drawn_around(truth: &Pose, (metres, radians): (f64, f64), freedom: Freedom, r
         let normal = radius * random.uniform(0.0, std::f64::consts::TAU).cos();
         off[*axis] = normal * if *axis < 3 { metres } else { radians };
     }
-    Prior::of_sigmas(moved(truth, &off), metres, radians)
+    PoseEstimate::of_sigmas(moved(truth, &off), metres, radians)
 }
 
 /// A depth camera with lens distortion, noise that grows with the square of the range, and angular noise.
@@ -300,7 +300,7 @@ pub fn fidelity(frames: usize) {
             let start = ProcessTime::now();
             let before = on_the_way(&place, k.saturating_sub(1));
             let found = estimator
-                .estimate(&world, &[&frame.expect("a frame")], &Prior::of_sigmas(before, 0.03, 0.03))
+                .estimate(&world, &[&frame.expect("a frame")], &PoseEstimate::of_sigmas(before, 0.03, 0.03))
                 .expect("an estimate");
             errors.cpu_ms += 1e3 * start.elapsed().as_secs_f64();
             errors.add(&found, &truth);
@@ -314,14 +314,14 @@ pub fn fidelity(frames: usize) {
 fn is_right(frame: &Frame, step: &Step, truth: &Pose) -> bool {
     let squares = measured_points(frame).iter().map(|p| f64::from(p.point.length_squared())).collect::<Vec<f64>>();
     let reach = (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt();
-    let off = motion_between(&step.pose, truth);
+    let off = motion_between(&step.pose.world_from_robot, truth);
     let mut off: [f64; 6] = std::array::from_fn(|i| if i < 3 { off[i] } else { off[i] * reach });
     // A direction that the beams determine well must not be exempt, however much better it was known before.
     for weak in step.estimate.weak.iter().filter(|w| w.sigma > 0.05) {
         let along: f64 = off.iter().zip(&weak.motion).map(|(a, b)| a * b).sum();
         (0..6).for_each(|i| off[i] -= along * weak.motion[i]);
     }
-    let (squared, _) = nees(&step.pose, &step.covariance, truth);
+    let (squared, _) = nees(&step.pose, truth);
     off[..3].iter().map(|x| x * x).sum::<f64>().sqrt() < 0.1 && squared < 21.1
 }
 
@@ -333,14 +333,14 @@ pub fn kidnapped() {
     let places = free_poses(&world, 200, 23).expect("free poses");
     // The search for a level scanner covers one height only.
     let level: Vec<&Pose> = places.iter().step_by(2).collect();
-    let options = EstimateOptions { model_sigma: 0.01, ..EstimateOptions::planar() };
+    let options = EstimateOptions::planar().with_model_sigma(0.01);
     let (mut lost, mut found, mut drives) = (0, 0, 0);
     for pair in level.chunks_exact(2).take(10) {
         let height = pair[0].translation.z;
-        let search = presight_localize::localize::SearchOptions { floor: height, cell: 0.5, ..Default::default() };
+        let search = presight_localize::localize::SearchOptions::default().with_floor(height).with_cell(0.5);
         let mut robot = Localizer::new(
             Estimator::new(predictor(), options),
-            Prior::of_sigmas(on_the_way(pair[0], 0), 0.03, 0.02),
+            PoseEstimate::of_sigmas(on_the_way(pair[0], 0), 0.03, 0.02),
             LocalizeOptions::default(),
         );
         if robot.search_everywhere(&world, &scanner, search).is_err() {
@@ -364,7 +364,7 @@ pub fn kidnapped() {
             if lost_at.is_some() && step.phase == Phase::Tracking && is_right(&frame, &step, &truth) {
                 found_at.get_or_insert(k - 14);
             }
-            let off = (step.pose.translation - truth.translation).length();
+            let off = (step.pose.world_from_robot.translation - truth.translation).length();
             let weak: Vec<&str> = step.estimate.weak.iter().map(|w| w.name.as_str()).collect();
             reason = format!("{}, {off:.2} m off, weak {weak:?}: {}", step.phase.name(), step.reason);
         }

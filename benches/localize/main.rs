@@ -12,9 +12,9 @@ use cpu_time::ProcessTime;
 use glam::DVec3;
 use presight_files::gltf::import;
 use presight_files::log::{Frames, Observation};
-use presight_localize::estimate::{EstimateOptions, Estimator, Freedom, Prior, measured_points};
+use presight_localize::estimate::{EstimateOptions, Estimator, Freedom, measured_points};
 use presight_localize::simulate::{Disturbances, Simulator};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, PoseEstimate};
 use presight_model::measured::Frame;
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
@@ -33,7 +33,7 @@ fn map(path: &Path) -> World {
 /// A frame, the prior knowledge of its pose, and the robot's true pose.
 struct Known {
     frame: Frame,
-    prior: Prior,
+    prior: PoseEstimate,
     truth: Pose,
 }
 
@@ -60,7 +60,7 @@ impl Case {
             if k >= warm {
                 cpu.push(1e3 * cpu_start.elapsed().as_secs_f64());
                 wall.push(1e3 * start.elapsed().as_secs_f64());
-                found.push(estimate.pose);
+                found.push(estimate.pose.world_from_robot);
             }
         }
         if let Some(out) = out {
@@ -106,7 +106,7 @@ impl Case {
             }
             frames.push(serde_json::json!({
                 "points": measured.len(), "origin": mount.translation.to_array(), "ms": ms, "cpu_ms": cpu,
-                "prior": numbers(&known.prior.pose), "truth": numbers(&known.truth), "found": numbers(found),
+                "prior": numbers(&known.prior.world_from_robot), "truth": numbers(&known.truth), "found": numbers(found),
             }));
         }
         let planar = self.options.freedom == Freedom::Planar;
@@ -124,7 +124,7 @@ fn livingroom() -> Option<Case> {
     let frames: Vec<Observation> = frames.map(|o| o.expect("a frame")).collect();
     // The prior of each frame is the previous frame's reference.
     let known = |pair: &[Observation]| {
-        let prior = Prior::of_sigmas(pair[0].reference?, 0.03, 0.02);
+        let prior = PoseEstimate::of_sigmas(pair[0].reference?, 0.03, 0.02);
         Some(Known { frame: pair[1].frame.thinned(4).expect("a stride"), prior, truth: pair[1].reference? })
     };
     let frames = frames.windows(2).filter_map(known).collect();
@@ -139,7 +139,7 @@ fn malaga() -> Option<Case> {
     let known = |o: Observation| {
         let truth = o.reference?;
         let beside = truth * Pose::from_xyz_rpy(DVec3::new(0.03, -0.02, 0.0), 0.0, 0.0, 0.015);
-        Some(Known { frame: o.frame, prior: Prior::of_sigmas(beside, 0.03, 0.02), truth })
+        Some(Known { frame: o.frame, prior: PoseEstimate::of_sigmas(beside, 0.03, 0.02), truth })
     };
     let frames = Frames::open(&log, None, &Default::default()).expect("a log").map(|o| o.expect("a scan"));
     let frames = frames.filter_map(known).collect();
@@ -155,7 +155,7 @@ fn hall() -> Option<Case> {
     let known = |(k, place): (usize, &Pose)| {
         let off = Pose { translation: place.translation + DVec3::new(0.01, -0.01, 0.0), ..*place };
         let frame = simulator.frame(&world, k as f64, place).expect("a frame");
-        Known { frame, prior: Prior::of_sigmas(off, 0.02, 0.01), truth: *place }
+        Known { frame, prior: PoseEstimate::of_sigmas(off, 0.02, 0.01), truth: *place }
     };
     let frames = places.iter().enumerate().map(known).collect();
     let (name, aim) = ("hall, laser range camera", "8 ms p95");

@@ -12,7 +12,7 @@ use presight_features::{
 use presight_files::{PointCloud, PointsFrame};
 use presight_model::environment::FeatureShape;
 use presight_model::error::{Error, ErrorKind};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, PoseCovariance};
 use presight_model::index::Region;
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
@@ -98,7 +98,7 @@ fn plans_and_regions_refuse_it() {
     let s = scene();
     let request = Request::default();
     let shape = FeatureShape::Point { at: DVec3::X, covariance: DMat3::ZERO };
-    let covariance = [[0.0; 6]; 6];
+    let covariance = PoseCovariance::ZERO;
     for (what, pose, said) in bad() {
         refused("FramePlan::new", what, said, FramePlan::new(&s.world, &s.sensor, &pose, &request));
         let mut plan = common::plan(&s.world, &s.sensor, &Pose::IDENTITY);

@@ -1,7 +1,7 @@
 //! Weighs images on the device without reading them back, and compares the weights with those of images that are read
 //! back, and with a calculation by hand.
 
-use super::{common, likelihood::disturbed, noisy, predictor, single};
+use super::{common, frame_of, likelihood::disturbed, noisy, predictor, single};
 use common::{Random, data, scenes, skip};
 use glam::{DVec3, Vec3};
 use presight_model::environment::NewObject;
@@ -57,7 +57,7 @@ fn check(engine: &mut Predictor, sensor: &Sensor, headings: Option<Headings>) ->
         single(&mut predictor(2), &world, sensor, &Pose::from_xyz_rpy(DVec3::new(0.1, 0.1, 1.4), 0.0, 0.0, 0.3)).0;
     let sensed = disturbed(&mut random, sensor.spec(), &exact);
     let cell = PoseCell { side: 0.05, turn: 0.01 };
-    let of = |sensed: &[f32]| Some(RangeLikelihood::new(sensor, sensed.to_vec(), cell).unwrap());
+    let of = |sensed: &[f32]| Some(RangeLikelihood::new(&frame_of(sensor, sensed.to_vec()), cell).unwrap());
     let sums = BatchRequest { likelihood: of(&sensed), headings, ..BatchRequest::default() };
     let images = BatchRequest { images: Some(Outputs::of(&[Output::Range]).into()), ..sums.clone() };
     let (ours, bytes) = weighed(engine, &world, sensor, &sums, true);
@@ -103,7 +103,7 @@ fn one_beam_by_hand() {
     environment.insert(NewObject::new("wall", Pose::IDENTITY, Arc::new(wall))).unwrap();
     let world = World::new(environment);
     let mut weigh = |sensed: f32| {
-        let likelihood = Some(RangeLikelihood::new(&sensor, vec![sensed], PoseCell::default()).unwrap());
+        let likelihood = Some(RangeLikelihood::new(&frame_of(&sensor, vec![sensed]), PoseCell::default()).unwrap());
         let request = BatchRequest { likelihood, statistics: true, ..BatchRequest::default() };
         let item = engine.batch(&world, &sensor, [Pose::IDENTITY], &request).unwrap().next().unwrap().unwrap();
         assert!(item.stats.unwrap().taken.iter().any(|v| v.what == StageName::WeighOnDevice));

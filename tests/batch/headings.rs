@@ -1,7 +1,7 @@
 //! Compares all headings at once with the oracle and with single predictions at rotated poses.
 
 use super::likelihood::disturbed;
-use super::{common, noisy, oracle, predictor, single};
+use super::{common, frame_of, noisy, oracle, predictor, single};
 use common::{Random, data, scenes};
 use presight_files::log;
 use presight_model::error::ErrorKind;
@@ -36,7 +36,7 @@ fn check(world: &World, sensor: &Sensor, count: u32, place: Pose) {
     );
     let cell = PoseCell { side: 0.05, turn: 0.01 };
     let request = BatchRequest {
-        likelihood: Some(RangeLikelihood::new(sensor, sensed.clone(), cell).unwrap()),
+        likelihood: Some(RangeLikelihood::new(&frame_of(sensor, sensed.clone()), cell).unwrap()),
         headings: Some(headings.clone()),
         ..BatchRequest::default()
     };
@@ -89,7 +89,7 @@ fn headings_between_columns_are_refused() {
     };
     refused(&Sensor::new(SensorSpec::new("l", "laser", Geometry::Scanner(listed))).unwrap(), 10, "listed");
 
-    let sensed = RangeLikelihood::new(&good, vec![1.0; 361], PoseCell::default()).unwrap();
+    let sensed = RangeLikelihood::new(&frame_of(&good, vec![1.0; 361]), PoseCell::default()).unwrap();
     let headings = Some(Headings::new(&good, 360).unwrap());
     let world = World::new(scenes::room(1, 3));
     let request = BatchRequest { likelihood: Some(sensed), headings, ..BatchRequest::default() };
@@ -125,7 +125,7 @@ fn real_scans_are_found_in_their_map() {
         let off = glam::DVec3::new(0.11, -0.07, 0.0);
         let places = (-8..=8).flat_map(|i| (-8..=8).map(move |k| (i, k))).map(|(i, k)| at(i, k) + off);
         let places = places.map(|translation| Pose { translation, ..Pose::IDENTITY });
-        let sensed = RangeLikelihood::new(&sensor, frame.range.clone(), cell).unwrap();
+        let sensed = RangeLikelihood::new(&frame_of(&sensor, frame.range.clone()), cell).unwrap();
         let request =
             BatchRequest { likelihood: Some(sensed), headings: Some(headings.clone()), ..BatchRequest::default() };
         let mut best = (f32::NEG_INFINITY, Pose::IDENTITY);

@@ -133,7 +133,9 @@ fn the_gpu_engine_equals_its_single_predictions() {
     for preset in ["laser-range-camera", "vlp-16"] {
         let sensor = super::noisy(&presight_files::preset(preset).unwrap(), noise);
         let (range, _) = super::single(&mut predictor(1), &world, &sensor, &poses[1]);
-        let sensed = presight_predict::batch::RangeLikelihood::new(&sensor, range, Default::default()).unwrap();
+        let sensed =
+            presight_predict::batch::RangeLikelihood::new(&super::frame_of(&sensor, range), Default::default())
+                .unwrap();
         for chunk in [None, Some(3)] {
             let request = BatchRequest {
                 images: Some((&asked).into()),
@@ -180,8 +182,11 @@ fn gpu_likelihoods_differ_by_beams_on_a_step() {
     let exact = super::single(&mut cpu, &world, &sensor, &poses(1)[0]).0;
     let noisy = super::likelihood::disturbed(&mut Random(3), sensor.spec(), &exact);
     let weigh = |sensed: &[f32], (range, cos): &(Vec<f32>, Vec<f32>)| {
-        let sensed =
-            presight_predict::batch::RangeLikelihood::new(&sensor, sensed.to_vec(), Default::default()).unwrap();
+        let sensed = presight_predict::batch::RangeLikelihood::new(
+            &super::frame_of(&sensor, sensed.to_vec()),
+            Default::default(),
+        )
+        .unwrap();
         sensed.log_likelihood(range, cos)
     };
     for (name, sensed) in [("exact", &exact), ("noisy", &noisy)] {

@@ -1,8 +1,9 @@
 //! Compares log-likelihoods of single poses with the oracle.
 
-use super::{common, noisy, oracle, predictor, single};
+use super::{common, frame_of, noisy, oracle, predictor, single};
 use common::{Random, data, scenes};
 use presight_model::error::ErrorKind;
+use presight_model::measured::{Frame, Measurement};
 use presight_model::geometry::Pose;
 use presight_model::sensor::{Mixture, Noise, Sensor, SensorSpec};
 use presight_model::world::World;
@@ -49,7 +50,7 @@ fn check(world: &World, poses: &[Pose], sensors: &[Sensor], tolerance: f64) {
         let cell = if s % 2 == 0 { PoseCell::default() } else { PoseCell { side: 0.1, turn: 0.01 } };
         let mut engine = predictor(2);
         let sensed = disturbed(&mut random, sensor.spec(), &single(&mut engine, world, &sensor, &poses[0]).0);
-        let likelihood = Some(RangeLikelihood::new(&sensor, sensed.clone(), cell).unwrap());
+        let likelihood = Some(RangeLikelihood::new(&frame_of(&sensor, sensed.clone()), cell).unwrap());
         let request = BatchRequest { likelihood, ..BatchRequest::default() };
         let items: Vec<_> = predictor(2).batch(world, &sensor, poses.to_vec(), &request).unwrap().collect();
         assert_eq!(items.len(), poses.len());
@@ -106,7 +107,7 @@ fn one_beam_by_hand() {
     spec.noise = Noise { range_sigma: 0.1, ..Noise::default() };
     let sensor = Sensor::new(spec).unwrap();
     let weigh = |sensed: f32, range: f32| {
-        let sensed = RangeLikelihood::new(&sensor, vec![sensed], PoseCell::default()).unwrap();
+        let sensed = RangeLikelihood::new(&frame_of(&sensor, vec![sensed]), PoseCell::default()).unwrap();
         sensed.log_likelihood(&[range], &[1.0]).exp()
     };
     let near = |a: f64, b: f64| assert!((a - b).abs() < 1e-6, "{a}, by hand {b}");
@@ -136,22 +137,23 @@ fn images_that_cannot_be_weighed_are_refused() {
     let plain = presight_files::preset("laser-scanner").unwrap();
     let sensor = noisy(&plain, noises()[0]);
     let refused = |sensor: &Sensor, range: Vec<f32>, cell: PoseCell| {
-        let e = RangeLikelihood::new(sensor, range, cell).unwrap_err();
+        let frame = Frame::new(0.0, sensor.clone(), Measurement::Range(range));
+        let e = frame.and_then(|frame| RangeLikelihood::new(&frame, cell)).unwrap_err();
         assert!(e.kind() == ErrorKind::Invalid && !e.remedy().is_empty(), "{e}");
         e.to_string()
     };
     let cell = PoseCell::default();
-    assert!(refused(&sensor, vec![1.0; 360], cell).contains("360 ranges"));
-    assert!(refused(&sensor, vec![f32::NAN; 361], cell).contains("no reading"));
+    assert!(refused(&sensor, vec![1.0; 360], cell).contains("360 measured values"));
+    assert!(refused(&sensor, vec![f32::NAN; 361], cell).contains("no range readings"));
     assert!(refused(&sensor, vec![31.0; 361], cell).contains("range 0"));
-    assert!(refused(&sensor, vec![-1.0; 361], cell).contains("range 0"));
+    assert!(refused(&sensor, vec![-1.0; 361], cell).contains("pixel 0,0"));
     assert!(refused(&sensor, vec![f32::NEG_INFINITY; 361], cell).contains("range 0"));
     assert!(refused(&plain, vec![1.0; 361], cell).contains("noise of ranges"));
     assert!(refused(&sensor, vec![1.0; 361], PoseCell { side: f64::NAN, turn: 0.0 }).contains("pose cell"));
     let endless = Sensor::new(sensor.spec().clone().with_limits(sensor.spec().range_min, f64::INFINITY)).unwrap();
     assert!(refused(&endless, vec![1.0; 361], cell).contains("finite range_max"));
 
-    let sensed = RangeLikelihood::new(&sensor, vec![1.0; 361], cell).unwrap();
+    let sensed = RangeLikelihood::new(&frame_of(&sensor, vec![1.0; 361]), cell).unwrap();
     let world = World::new(presight_model::environment::Environment::new());
     let request = BatchRequest { likelihood: Some(sensed), ..BatchRequest::default() };
     let e = predictor(1).batch(&world, &plain, [Pose::IDENTITY], &request).err().unwrap();

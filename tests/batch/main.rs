@@ -11,6 +11,7 @@ mod row;
 
 use presight_testkit as common;
 
+use presight_model::measured::{Frame, Measurement};
 use presight_model::geometry::Pose;
 use presight_model::sensor::{Noise, Sensor};
 use presight_model::world::World;
@@ -28,6 +29,11 @@ fn noisy(sensor: &Sensor, noise: Noise) -> Sensor {
     let spec = sensor.spec().clone();
     let range_max = if spec.range_max.is_finite() { spec.range_max } else { 100.0 };
     Sensor::new(spec.clone().with_limits(spec.range_min, range_max).with_noise(noise)).expect("a valid sensor")
+}
+
+/// A frame of ranges of a sensor.
+fn frame_of(sensor: &Sensor, ranges: Vec<f32>) -> Frame {
+    Frame::new(0.0, sensor.clone(), Measurement::Range(ranges)).expect("a valid scan")
 }
 
 /// The range and cos_incidence images of a single prediction.

@@ -1,9 +1,9 @@
 //! Robots localized from frame to frame.
 
 use super::*;
-use presight_localize::estimate::Prior;
 use presight_localize::localize::{LocalizeOptions, Localizer, Phase};
 use presight_model::error::ErrorKind;
+use presight_model::geometry::{PoseCovariance, PoseEstimate};
 
 /// A pose on a round trip through the room, looking ahead and slightly down.
 fn on_the_way(k: usize) -> Pose {
@@ -17,7 +17,7 @@ fn at(stamp: f64, frame: Frame) -> Frame {
 }
 
 fn localizer(start: &Pose) -> Localizer {
-    let prior = Prior::of_sigmas(*start, 0.05, 0.03);
+    let prior = PoseEstimate::of_sigmas(*start, 0.05, 0.03);
     Localizer::new(estimator(EstimateOptions::default()), prior, LocalizeOptions::default())
 }
 
@@ -28,7 +28,7 @@ fn a_drive_is_tracked_without_odometry() {
     for k in 0..60 {
         let truth = on_the_way(k);
         let step = robot.step(&world, &at(k as f64, sense(&world, &sensor, &truth, &mut random))).unwrap();
-        let (metres, degrees) = apart(&step.pose, &truth);
+        let (metres, degrees) = apart(&step.pose.world_from_robot, &truth);
         assert!(metres < 0.01 && degrees < 0.3, "{k}: {metres} m {degrees} deg, {}", step.reason);
         assert!(k < 3 || step.phase == Phase::Tracking, "{k}: {}", step.reason);
     }
@@ -47,7 +47,7 @@ fn a_robot_that_stops_and_goes_is_followed() {
         let ahead = Pose::from_xyz_rpy(DVec3::ZERO, 0.0, 0.0, 0.2 * f64::from(moves % 2));
         let truth = turn * on_the_way(0) * ahead;
         let step = robot.step(&world, &at(f64::from(k), sense(&world, &sensor, &truth, &mut random))).unwrap();
-        let (metres, degrees) = apart(&step.pose, &truth);
+        let (metres, degrees) = apart(&step.pose.world_from_robot, &truth);
         assert!(step.is_known() && metres < 0.01 && degrees < 0.3, "{k}: {metres} m {degrees} deg, {}", step.reason);
         assert!(k < 3 || step.phase == Phase::Tracking, "{k}: {}", step.reason);
     }
@@ -75,7 +75,7 @@ fn a_kidnapped_robot_is_lost() {
             if k >= taken + 8 && step.phase == Phase::Tracking {
                 back.get_or_insert(k);
             }
-            let (metres, _) = apart(&step.pose, &truth);
+            let (metres, _) = apart(&step.pose.world_from_robot, &truth);
             assert!(
                 step.phase != Phase::Tracking || metres < 0.05 || k < taken + 5,
                 "{k}: tracking and {metres} m off"
@@ -113,10 +113,10 @@ fn frames_out_of_order_and_bad_odometry_are_refused() {
     let mut broken = frame(2.0);
     let nowhere = Pose { translation: DVec3::NAN, ..Pose::IDENTITY };
     broken.motion =
-        Some(presight_model::measured::Motion { previous_from_current: nowhere, covariance: [[0.0; 6]; 6] });
+        Some(presight_model::measured::Motion { previous_from_current: nowhere, covariance: PoseCovariance::ZERO });
     assert!(robot.step(&world, &broken).unwrap_err().to_string().contains("odometry"));
     let mut broken = frame(2.0);
-    let covariance = [[f64::NAN; 6]; 6];
+    let covariance = PoseCovariance::from_sigmas([f64::NAN; 6]);
     broken.motion = Some(presight_model::measured::Motion { previous_from_current: Pose::IDENTITY, covariance });
     assert_eq!(robot.step(&world, &broken).unwrap_err().kind(), ErrorKind::Invalid);
     assert_eq!(robot.step(&world, &frame(2.0)).unwrap().stamp, 2.0);

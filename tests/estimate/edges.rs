@@ -4,12 +4,13 @@
 use super::*;
 use presight_features::generate::{GenerateOptions, generate};
 use presight_features::{BoxOptions, FeatureOptions, FeaturePrediction};
-use presight_localize::estimate::{Freedom, ImageSource, Prior, SeenPoint, SeenSegment, fit, nees};
+use presight_localize::estimate::{Freedom, ImageSource, SeenPoint, SeenSegment, fit, nees};
 use presight_localize::extract::{
     CornerOptions, EdgeOptions, ExpectedEdge, FoundEdge, PixelBox, corners_in, edges_near,
 };
 use presight_localize::matching::Detection;
 use presight_localize::simulate::GreySimulator;
+use presight_model::geometry::PoseEstimate;
 use presight_model::measured::GreyImage;
 use presight_model::placement::place_layer;
 use std::time::Duration;
@@ -101,10 +102,10 @@ fn edges_alone_determine_the_pose() {
             SeenSegment { ends: p.ends, found: [ends[0], ends[1]], sigma: sigma.hypot(0.1), feature: 0 }
         };
         let source = ImageSource::new(&camera, Vec::new(), pairs.iter().map(segment).collect());
-        let found = fit(&[&source], &Prior::of_sigmas(believed, KNOWN.0, KNOWN.1), Freedom::Full).unwrap();
-        let (m, d) = apart(&found.pose, &truth);
+        let found = fit(&[&source], &PoseEstimate::of_sigmas(believed, KNOWN.0, KNOWN.1), Freedom::Full).unwrap();
+        let (m, d) = apart(&found.pose.world_from_robot, &truth);
         (metres, degrees) = (metres.max(m), degrees.max(d));
-        let (squared, numbers) = nees(&found.pose, &found.covariance, &truth);
+        let (squared, numbers) = nees(&found.pose, &truth);
         scores.push(squared / numbers as f64);
         assert!(found.weak.is_empty(), "{:?}", found.weak);
     }
@@ -128,20 +129,24 @@ fn a_point_ahead() {
         feature: 0,
     };
     let source = ImageSource::new(&camera, vec![point; 4], Vec::new());
-    let mut prior = Prior::of_sigmas(Pose::IDENTITY, 1e-6, 1e-6);
+    let mut prior = PoseEstimate::of_sigmas(Pose::IDENTITY, 1e-6, 1e-6);
     prior.covariance[1][1] = 100.0;
     let answer = fit(&[&source], &prior, Freedom::Full).unwrap();
-    let t = answer.pose.translation;
+    let t = answer.pose.world_from_robot.translation;
     assert!((t - DVec3::new(0.0, 0.02, 0.0)).length() < 1e-5, "{t}");
     // Four points of 2 cm each.
-    assert!((answer.covariance[1][1].sqrt() - 0.01).abs() < 1e-5, "{}", answer.covariance[1][1].sqrt());
+    assert!((answer.pose.covariance[1][1].sqrt() - 0.01).abs() < 1e-5, "{}", answer.pose.covariance[1][1].sqrt());
     // A point that is off by a thousand pixels is an outlier and gets no weight.
     let far = SeenPoint { found: glam::DVec2::new(950.0, 49.5), ..point };
     prior.covariance[1][1] = 1e-3;
     let mut points = vec![point; 4];
     points.push(far);
     let answer = fit(&[&ImageSource::new(&camera, points, Vec::new())], &prior, Freedom::Full).unwrap();
-    assert!((answer.pose.translation.y - 0.02).abs() < 0.003, "{}", answer.pose.translation);
+    assert!(
+        (answer.pose.world_from_robot.translation.y - 0.02).abs() < 0.003,
+        "{}",
+        answer.pose.world_from_robot.translation
+    );
 }
 
 /// Compares with a search of the whole image for every edge and corner, without predictions. CPU times are printed, not

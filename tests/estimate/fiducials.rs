@@ -4,11 +4,12 @@
 use super::*;
 use glam::{DMat3, DQuat, DVec2};
 use presight_features::PlacedFeatures;
-use presight_localize::estimate::{Estimate, EstimateState, Prior, nees};
+use presight_localize::estimate::{Estimate, EstimateState, nees};
 use presight_localize::extract::FeatureClass;
 use presight_localize::localize::Phase;
 use presight_localize::matching::Shape;
 use presight_model::environment::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
+use presight_model::geometry::PoseEstimate;
 use presight_model::placement::place_layer;
 use presight_testkit::tags::add_tag;
 use std::sync::Arc;
@@ -73,7 +74,7 @@ fn layer(world: &World, tags: &[Tag], corners: &[[DVec3; 4]], sigma: f64) -> Pla
 fn seen_in(real: &World, tags: &[Tag], believed: &Pose, truth: &Pose, seed: u64) -> Estimate {
     let (map, corners) = with_tags(tags);
     let features = layer(&map, tags, &corners, 0.0);
-    let prior = Prior::of_sigmas(*believed, KNOWN.0, KNOWN.1);
+    let prior = PoseEstimate::of_sigmas(*believed, KNOWN.0, KNOWN.1);
     let mut estimator = estimator(EstimateOptions::default()).with_features(features);
     estimator.estimate(&map, &[&grey(&video(), real, truth, 0.0, seed)], &prior).unwrap()
 }
@@ -86,7 +87,7 @@ fn a_tag_square_ahead() {
     let corners = add_tag(&mut environment, "board", 3, &facing(2.0 * DVec3::X), 0.4);
     let world = World::new(environment);
     let features = layer(&world, &[(3, [2.0, 0.0, 0.0], 0.4)], &[corners], 0.0);
-    let prior = Prior::of_sigmas(Pose::IDENTITY, 0.01, 0.005);
+    let prior = PoseEstimate::of_sigmas(Pose::IDENTITY, 0.01, 0.005);
     let mut estimator = estimator(EstimateOptions::default()).with_features(features);
     let found = estimator.estimate(&world, &[&grey(&video(), &world, &Pose::IDENTITY, 0.0, 1)], &prior).unwrap();
     let findings = &found.findings[0];
@@ -121,7 +122,7 @@ fn tags_alone_determine_the_pose() {
         assert_eq!(found.findings[0].count("matched"), 4);
         let (m, d) = apart(&found.pose, &truth);
         assert!(m < 0.015 && d < 0.25, "{seed}: {m} m, {d} deg");
-        let (squared, numbers) = nees(&found.pose, &found.covariance, &truth);
+        let (squared, numbers) = nees(&found.pose, &truth);
         scores += squared / numbers as f64 / 4.0;
     }
     assert!(scores < 2.5, "NEES {scores}");
@@ -165,7 +166,7 @@ fn a_tag_that_was_moved_is_not_believed() {
             for some in [vec![0, 1, 2, 3], vec![0, 1, 2], pair.to_vec()] {
                 let [real, map] = [real, TAGS].map(|all| some.iter().map(|k| all[*k]).collect::<Vec<Tag>>());
                 let found = seen_in(&with_tags(&real).0, &map, &believed, &place(), 5);
-                let (squared, numbers) = nees(&found.pose, &found.covariance, &place());
+                let (squared, numbers) = nees(&found.pose, &place());
                 let (score, off) = (squared / numbers as f64, apart(&found.pose, &place()));
                 eprintln!("{some:?}, {moved} by {dy} {dz}: NEES {score}, {off:?}, {:?}", found.state);
                 assert!(!found.is_determined() || score < 4.0, "{some:?}, {moved}: NEES {score}, {off:?}");
@@ -183,9 +184,9 @@ fn a_pose_is_known_no_better_than_its_tags() {
     let (world, corners) = with_tags(&TAGS[..3]);
     // In front of the middle of the three.
     let place = Pose { translation: DVec3::new(2.2, 1.7, 4.9 / 3.0), ..place() };
-    let prior = Prior::of_sigmas(place, 0.05, 1e-4);
+    let prior = PoseEstimate::of_sigmas(place, 0.05, 1e-4);
     let sigma_of = |sigma: f64| {
-        let options = EstimateOptions { offset_sigma: 1e-4, ..EstimateOptions::default() };
+        let options = EstimateOptions::default().with_offset_sigma(1e-4);
         let mut estimator = estimator(options).with_features(layer(&world, &TAGS[..3], &corners, sigma));
         let found = estimator.estimate(&world, &[&grey(&video(), &world, &place, 0.0, 1)], &prior).unwrap();
         assert!(found.is_determined(), "{:?}", found.state);

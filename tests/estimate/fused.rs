@@ -4,10 +4,11 @@
 use super::*;
 use presight_features::PlacedFeatures;
 use presight_features::generate::{GenerateOptions, generate};
-use presight_localize::estimate::{Estimate, EstimateState, Prior, nees};
+use presight_localize::estimate::{Estimate, EstimateState, nees};
 use presight_localize::extract::FeatureClass;
 use presight_localize::localize::Phase;
 use presight_model::error::ErrorKind;
+use presight_model::geometry::PoseEstimate;
 use presight_model::measured::GreyImage;
 use presight_model::placement::place_layer;
 
@@ -28,7 +29,7 @@ fn edges(world: &World) -> PlacedFeatures {
     place_layer(world, &layer).unwrap()
 }
 
-fn estimate(world: &World, features: &PlacedFeatures, frames: &[&Frame], prior: &Prior) -> Estimate {
+fn estimate(world: &World, features: &PlacedFeatures, frames: &[&Frame], prior: &PoseEstimate) -> Estimate {
     estimator(EstimateOptions::default()).with_features(features.clone()).estimate(world, frames, prior).unwrap()
 }
 
@@ -41,13 +42,13 @@ fn errors(map: &World, real: &World) -> [(f64, f64, f64); 3] {
     for seed in 0..draws {
         let truth = off_by(&place(), 0.2, 4.0, &mut random);
         let believed = off_by(&truth, 0.03, 0.6, &mut random);
-        let prior = Prior::of_sigmas(believed, 0.03, 0.01);
+        let prior = PoseEstimate::of_sigmas(believed, 0.03, 0.01);
         let (grey, ranges) = (grey(&video(), real, &truth, 0.0, seed), sense(real, &camera(0.01), &truth, &mut random));
         for (frames, sums) in [vec![&ranges], vec![&grey], vec![&ranges, &grey]].into_iter().zip(&mut all) {
             let found = estimate(map, &features, &frames, &prior);
             assert!(found.is_determined(), "{:?}", found.state);
-            let (m, d) = apart(&found.pose, &truth);
-            let (squared, numbers) = nees(&found.pose, &found.covariance, &truth);
+            let (m, d) = apart(&found.pose.world_from_robot, &truth);
+            let (squared, numbers) = nees(&found.pose, &truth);
             *sums = (sums.0 + m * m, sums.1 + d * d, sums.2.max(squared / numbers as f64));
         }
     }
@@ -78,8 +79,8 @@ fn features_are_classed_by_ranges() {
     add_box(&mut environment, "screen", Vec3::new(4.0, 3.0, 0.0), Vec3::new(4.05, 4.0, 2.2));
     let real = World::new(environment);
     let frames = [sense(&real, &camera(0.01), &place(), &mut Random(3)), grey(&video(), &real, &place(), 0.0, 3)];
-    let prior = Prior::of_sigmas(place(), 0.01, 0.005);
-    let options = EstimateOptions { least_explained: 0.4, ..EstimateOptions::default() };
+    let prior = PoseEstimate::of_sigmas(place(), 0.01, 0.005);
+    let options = EstimateOptions::default().with_least_explained(0.4);
     let mut estimator = estimator(options).with_features(features);
     let found = estimator.estimate(&map, &[&frames[0], &frames[1]], &prior).unwrap();
     let findings = &found.findings[0];
@@ -111,7 +112,7 @@ fn drives_are_tracked_by_grey_images() {
     let features = edges(&world);
     for with_ranges in [false, true] {
         for (k, (truth, step)) in drive(&video(), &world, &features, &place(), with_ranges).iter().enumerate() {
-            let (m, d) = apart(&step.pose, truth);
+            let (m, d) = apart(&step.pose.world_from_robot, truth);
             assert!(m < 0.02 && d < 0.4, "{k}: {m} m, {d} deg; {}", step.reason);
             assert_eq!(step.phase, if k < 2 { Phase::Candidates } else { Phase::Tracking });
         }
@@ -122,7 +123,7 @@ fn drives_are_tracked_by_grey_images() {
 fn images_without_content_determine_nothing() {
     let world = room(Vec3::ZERO);
     let features = edges(&world);
-    let prior = Prior::of_sigmas(place(), 0.03, 0.01);
+    let prior = PoseEstimate::of_sigmas(place(), 0.03, 0.01);
     let frame = |value: f32| {
         let image = GreyImage::new(240, 180, vec![value; 240 * 180]).unwrap();
         Frame::new(0.0, video(), Measurement::Grey(image)).unwrap()
@@ -131,8 +132,8 @@ fn images_without_content_determine_nothing() {
         let found = estimate(&world, &features, &[&frame(value)], &prior);
         assert!(matches!(&found.state, EstimateState::Undetermined(why) if why.contains("0 features")), "{found:?}");
         // The prior knowledge is kept, and nothing is added.
-        assert!((found.covariance[0][0].sqrt() - 0.03).abs() < 1e-6);
-        assert!(apart(&found.pose, &place()).0 < 1e-9);
+        assert!((found.pose.covariance[0][0].sqrt() - 0.03).abs() < 1e-6);
+        assert!(apart(&found.pose.world_from_robot, &place()).0 < 1e-9);
     }
     let other = GreyImage::new(24, 18, vec![0.5; 24 * 18]).unwrap();
     let error = Frame::new(0.0, video(), Measurement::Grey(other)).unwrap_err();

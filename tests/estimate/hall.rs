@@ -3,9 +3,10 @@
 
 use super::*;
 use presight_files::gltf::import;
-use presight_localize::estimate::{Prior, nees};
+use presight_localize::estimate::nees;
 use presight_localize::localize::{LocalizeOptions, Localizer};
 use presight_localize::simulate::{Disturbances, Simulator, displace};
+use presight_model::geometry::PoseEstimate;
 use presight_predict::free_poses::free_poses;
 
 fn hall() -> Option<World> {
@@ -39,15 +40,15 @@ fn drive(map: &World, real: &World, places: &[Pose]) -> Errors {
             Pose::from_xyz_rpy(place.translation + aside, 0.0, 0.0, yaw + 0.5 * (0.7 * a).sin())
         };
         let mut simulator = Simulator::new(predictor(), laser(), Disturbances::default(), seed).unwrap();
-        let prior = Prior::of_sigmas(pose(0), 0.03, 0.02);
+        let prior = PoseEstimate::of_sigmas(pose(0), 0.03, 0.02);
         let mut robot = Localizer::new(estimator(EstimateOptions::default()), prior, LocalizeOptions::default());
         for k in 0..frames {
             let frame = simulator.frame(real, k as f64, &pose(k)).unwrap();
             let step = robot.step(map, &frame).unwrap();
             assert!(step.estimate.is_determined(), "place {seed}, frame {k}: {}", step.reason);
-            let (squared, numbers) = nees(&step.pose, &step.covariance, &pose(k));
+            let (squared, numbers) = nees(&step.pose, &pose(k));
             all.push(squared / numbers as f64);
-            let off = presight_localize::estimate::motion_between(&step.pose, &pose(k));
+            let off = presight_localize::estimate::motion_between(&step.pose.world_from_robot, &pose(k));
             squares[0] += off[..3].iter().map(|x| x * x).sum::<f64>();
             squares[1] += off[5].to_degrees().powi(2);
         }
@@ -111,8 +112,9 @@ fn a_pose_is_told_where_the_robot_may_be() {
         let truth = Pose::from_xyz_rpy(at, 0.0, 0.0, yaw + 0.5 * (0.35 * a).sin());
         let frame = simulator.frame(&map, f64::from(k), &truth).unwrap();
         let off = std::array::from_fn(|axis| if axis < 3 { 0.02 } else { 0.01 } * normal(&mut random));
-        let found = estimator.estimate(&map, &[&frame], &Prior::of_sigmas(moved(&truth, &off), 0.02, 0.01)).unwrap();
-        let (metres, degrees) = apart(&found.pose, &truth);
+        let found =
+            estimator.estimate(&map, &[&frame], &PoseEstimate::of_sigmas(moved(&truth, &off), 0.02, 0.01)).unwrap();
+        let (metres, degrees) = apart(&found.pose.world_from_robot, &truth);
         assert!(found.is_determined() && metres < 0.02 && degrees < 0.1, "{k}: {metres} m {degrees} deg");
     }
 }
@@ -134,19 +136,19 @@ fn two_sensors_in_a_scripted_hall() {
             .zip(&sensors)
             .map(|(seed, s)| Simulator::new(predictor(), s.clone(), Disturbances::default(), seed).unwrap())
             .collect();
-        let planar = EstimateOptions { model_sigma: 0.0, offset_sigma: 0.003, ..EstimateOptions::planar() };
+        let planar = EstimateOptions::planar().with_model_sigma(0.0).with_offset_sigma(0.003);
         let options = if sensors.iter().all(|s| s.height() == 1) { planar } else { EstimateOptions::default() };
         let mut robot =
-            Localizer::new(estimator(options), Prior::of_sigmas(start, 0.03, 0.02), LocalizeOptions::default());
+            Localizer::new(estimator(options), PoseEstimate::of_sigmas(start, 0.03, 0.02), LocalizeOptions::default());
         let mut squares = 0.0;
         for k in 0..frames {
             let truth = start * Pose::from_xyz_rpy(DVec3::new(0.05 * k as f64, 0.0, 0.0), 0.0, 0.0, 0.02 * k as f64);
             let all: Vec<Frame> = simulators.iter_mut().map(|s| s.frame(&map, k as f64, &truth).unwrap()).collect();
             let step = robot.step_together(&map, &all[0], &all[1..].iter().collect::<Vec<_>>()).unwrap();
             assert!(step.estimate.is_determined(), "{} sensors, frame {k}: {}", sensors.len(), step.reason);
-            let (squared, numbers) = nees(&step.pose, &step.covariance, &truth);
+            let (squared, numbers) = nees(&step.pose, &truth);
             assert!(squared / (numbers as f64) < 6.0, "{} sensors, frame {k}: {squared}", sensors.len());
-            squares += apart(&step.pose, &truth).0.powi(2);
+            squares += apart(&step.pose.world_from_robot, &truth).0.powi(2);
         }
         (squares / frames as f64).sqrt()
     });

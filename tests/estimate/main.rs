@@ -22,11 +22,11 @@ mod willow;
 
 use glam::{DVec3, Vec3};
 use presight_features::PlacedFeatures;
-use presight_localize::estimate::{EstimateOptions, Estimator, Prior, moved};
+use presight_localize::estimate::{EstimateOptions, Estimator, moved};
 use presight_localize::localize::{LocalizeOptions, Localizer, Step};
 use presight_localize::simulate::GreySimulator;
 use presight_model::environment::{Environment, Material, Mesh, NewObject};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, PoseEstimate};
 use presight_model::measured::{Frame, Measurement};
 use presight_model::sensor::{Angles, Camera, Geometry, Scanner, Sensor, SensorSpec};
 use presight_model::world::World;
@@ -140,7 +140,7 @@ pub fn drive(
     with_ranges: bool,
 ) -> Vec<(Pose, Step)> {
     let estimator = estimator(EstimateOptions::default()).with_features(features.clone());
-    let mut robot = Localizer::new(estimator, Prior::of_sigmas(*from, 0.02, 0.01), LocalizeOptions::default());
+    let mut robot = Localizer::new(estimator, PoseEstimate::of_sigmas(*from, 0.02, 0.01), LocalizeOptions::default());
     let step = |k: u32| {
         let stamp = f64::from(k);
         let truth = Pose { translation: from.translation + 0.03 * stamp * DVec3::X, ..*from };

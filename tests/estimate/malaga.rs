@@ -4,8 +4,9 @@
 use super::*;
 use presight_files::gltf::import;
 use presight_files::log::{Frames, Observation};
-use presight_localize::estimate::{Prior, motion_between};
+use presight_localize::estimate::motion_between;
 use presight_localize::localize::{LocalizeOptions, Localizer, Phase, Search, SearchOptions};
+use presight_model::geometry::{InWorld, PoseCovariance, PoseEstimate};
 use presight_testkit::data;
 
 fn map() -> Option<World> {
@@ -20,7 +21,7 @@ fn frames() -> Vec<Observation> {
 
 /// The squared error over the variance, per dimension, including the uncertainty of the reference: 1 cm and 0.06
 /// degrees.
-fn nees(off: &[f64; 6], covariance: &[[f64; 6]; 6]) -> f64 {
+fn nees(off: &[f64; 6], covariance: &PoseCovariance<InWorld>) -> f64 {
     let worth = [0.01, 0.01, f64::to_radians(0.06)].map(|s: f64| s * s);
     let axes = [0, 1, 5];
     let c: [[f64; 3]; 3] = std::array::from_fn(|i| {
@@ -36,16 +37,16 @@ fn nees(off: &[f64; 6], covariance: &[[f64; 6]; 6]) -> f64 {
 fn a_run_of_scans_is_tracked() {
     let Some(map) = map() else { return };
     let frames = frames();
-    let start = Prior::of_sigmas(frames[0].reference.unwrap(), 0.1, 0.05);
+    let start = PoseEstimate::of_sigmas(frames[0].reference.unwrap(), 0.1, 0.05);
     let mut robot = Localizer::new(estimator(EstimateOptions::planar()), start, LocalizeOptions::default());
     let (mut metres, mut degrees, mut sum, mut near, mut beams) = (Vec::new(), Vec::new(), 0.0, 0, 0);
     for (k, Observation { frame, reference }) in frames.iter().enumerate() {
         let step = robot.step(&map, frame).unwrap();
         assert!(k < 2 || step.phase == Phase::Tracking, "{k}: {}", step.reason);
-        let (m, d) = apart(&step.pose, &reference.unwrap());
+        let (m, d) = apart(&step.pose.world_from_robot, &reference.unwrap());
         metres.push(m);
         degrees.push(d);
-        sum += nees(&motion_between(&reference.unwrap(), &step.pose), &step.covariance);
+        sum += nees(&motion_between(&reference.unwrap(), &step.pose.world_from_robot), &step.pose.covariance);
         let off = step.estimate.verdicts[0].difference.iter().filter(|d| !d.is_nan());
         (near, beams) = off.fold((near, beams), |(n, b), d| (n + usize::from(d.abs() <= 0.1), b + 1));
     }
@@ -86,7 +87,7 @@ fn mirrored(frame: &Frame) -> Frame {
 fn a_mirrored_robot_is_not_tracked_from_its_true_pose() {
     let Some(map) = map() else { return };
     let frames = frames();
-    let start = Prior::of_sigmas(frames[0].reference.unwrap(), 0.1, 0.05);
+    let start = PoseEstimate::of_sigmas(frames[0].reference.unwrap(), 0.1, 0.05);
     let mut robot = Localizer::new(estimator(EstimateOptions::planar()), start, LocalizeOptions::default());
     for (k, Observation { frame, .. }) in frames.iter().enumerate() {
         let ranges = frame.ranges().iter().rev().copied().collect();
@@ -122,7 +123,7 @@ fn an_unknown_start_is_found_and_a_mirrored_map_is_not() {
                 let step = robot.step(&map, &frame).unwrap();
                 phase = step.phase;
                 if phase == Phase::Tracking {
-                    let (m, d) = apart(&step.pose, &reference.unwrap());
+                    let (m, d) = apart(&step.pose.world_from_robot, &reference.unwrap());
                     assert!(
                         !mirror && m < 0.1 && d < 1.0,
                         "{start}, {k}, mirrored {mirror}: {m} m {d} deg, {}",
@@ -152,7 +153,7 @@ fn the_best_candidate_of_a_scan_is_right() {
     let mut wrong = 0;
     for Observation { frame, reference } in frames.iter().step_by(every).take(if every > 1 { 2 } else { 37 }) {
         let best = &search.candidates(&mut found, &map, frame).unwrap()[0];
-        let (m, d) = apart(&best.pose, &reference.unwrap());
+        let (m, d) = apart(&best.pose.world_from_robot, &reference.unwrap());
         wrong += usize::from(m > 0.1 || d > 1.0);
     }
     assert!(wrong <= 1 && (wrong == 0 || every == 1), "{wrong} are wrong");

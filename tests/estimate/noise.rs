@@ -6,6 +6,7 @@ use presight_files::gltf::import;
 use presight_localize::estimate::{Gate, Kernel, Normal, RangeSource, Residuals, measured_points, nees};
 use presight_localize::simulate::{Disturbances, Simulator};
 use presight_localize::verdict::{ExpectedImage, Surfaces};
+use presight_model::geometry::PoseEstimate;
 use presight_model::measured::RangeNoise;
 use presight_model::sensor::{Distortion, Noise};
 use presight_predict::free_poses::free_poses;
@@ -143,10 +144,10 @@ fn a_noisy_depth_camera_has_consistent_covariances() {
             let truth = Pose::from_xyz_rpy(at, 0.0, 0.0, yaw + 0.5 * (0.35 * a).sin());
             let frame = simulator.frame(&world, f64::from(k), &truth).unwrap();
             let off = std::array::from_fn(|axis| if axis < 3 { 0.02 } else { 0.01 } * normal(&mut random));
-            let prior = Prior::of_sigmas(moved(&truth, &off), 0.02, 0.01);
+            let prior = PoseEstimate::of_sigmas(moved(&truth, &off), 0.02, 0.01);
             let found = estimator.estimate(&world, &[&frame], &prior).unwrap();
-            sum += nees(&found.pose, &found.covariance, &truth).0 / 6.0 / f64::from(frames);
-            turned += apart(&found.pose, &truth).1.powi(2) / f64::from(frames);
+            sum += nees(&found.pose, &truth).0 / 6.0 / f64::from(frames);
+            turned += apart(&found.pose.world_from_robot, &truth).1.powi(2) / f64::from(frames);
         }
         let degrees = turned.sqrt();
         println!("NEES {sum}, {degrees} deg");

@@ -1,14 +1,14 @@
 //! Objects with stored pose covariances: their effect on the robot's pose and on verdicts.
 
 use super::*;
-use presight_localize::estimate::{Freedom, Prior};
+use presight_localize::estimate::Freedom;
 use presight_localize::simulate::{Disturbances, Simulator};
-use presight_localize::verdict::{ExpectedImage, Surfaces, Uncertainty, Verdict, judge};
+use presight_localize::verdict::{Verdict, of_coarse_model};
 use presight_model::environment::{FeatureLayer, Polygon, PolygonOrder};
-use presight_model::measured::RangeNoise;
+use presight_model::geometry::{InObject, PoseCovariance, PoseEstimate};
 
-fn diagonal(d: [f64; 6]) -> [[f64; 6]; 6] {
-    std::array::from_fn(|i| std::array::from_fn(|j| if i == j { d[i] } else { 0.0 }))
+fn diagonal(variances: [f64; 6]) -> PoseCovariance<InObject> {
+    PoseCovariance::from_sigmas(variances.map(f64::sqrt))
 }
 
 /// A wall at x = 6: an object with its origin at (6, 0, 0), its own x axis along y, and this stored pose covariance in
@@ -31,10 +31,10 @@ fn wall(stored: Option<[f64; 6]>) -> World {
 }
 
 /// One ray along x, and a second one without a measurement.
-fn ray(range: f32) -> Frame {
+fn ray(range: f32, sigma: f64) -> Frame {
     let table = presight_model::sensor::RayTable::new(2, 1, vec![DVec3::X, DVec3::new(1.0, 0.01, 0.0)]).unwrap();
     let mut spec = SensorSpec::new("ray", "laser", Geometry::Rays(table));
-    spec.noise.range_sigma = 0.01;
+    spec.noise.range_sigma = sigma;
     Frame::new(0.0, Sensor::new(spec).unwrap(), Measurement::Range(vec![range, f32::NAN])).unwrap()
 }
 
@@ -45,12 +45,12 @@ fn ray(range: f32) -> Frame {
 #[test]
 fn the_pose_is_no_more_certain_than_the_map() {
     let pose = Pose::from_xyz_rpy(DVec3::new(2.0, 2.0, 1.0), 0.0, 0.0, 0.0);
-    let prior = Prior { pose, covariance: diagonal([0.04, 1e-12, 1e-12, 1e-12, 1e-12, 1e-12]) };
-    let options = EstimateOptions { freedom: Freedom::Planar, offset_sigma: 0.0, ..EstimateOptions::default() };
+    let prior = PoseEstimate::new(pose, PoseCovariance::from_sigmas([0.2, 1e-6, 1e-6, 1e-6, 1e-6, 1e-6]));
+    let options = EstimateOptions::default().with_freedom(Freedom::Planar).with_offset_sigma(0.0);
     let variance = |world: &World| {
-        let found = estimator(options).estimate(world, &[&ray(4.0)], &prior).unwrap();
+        let found = estimator(options).estimate(world, &[&ray(4.0, 0.01)], &prior).unwrap();
         assert!(found.is_determined(), "{:?}", found.state);
-        found.covariance[0][0]
+        found.pose.covariance[0][0]
     };
     let h: f64 = 1e4 + 25.0;
     let near = |got: f64, wanted: f64| assert!((got / wanted - 1.0).abs() < 1e-4, "{got} {wanted}");
@@ -65,12 +65,9 @@ fn the_pose_is_no_more_certain_than_the_map() {
 fn uncertain_walls_are_not_contradicted() {
     let pose = Pose::from_xyz_rpy(DVec3::new(2.0, 2.0, 1.0), 0.0, 0.0, 0.0);
     let verdict = |stored: Option<[f64; 6]>| {
-        let (world, frame) = (wall(stored), ray(3.95));
-        let mut surfaces = Surfaces::default();
-        let expected = ExpectedImage::predict(&mut predictor(), &world, &mut surfaces, frame.sensor(), &pose).unwrap();
-        let noise = RangeNoise { sigma: 0.005, quadratic: 0.0, angle: 0.0 };
-        let known = Uncertainty { noise, pose: [[0.0; 6]; 6], polygons: 0.001 };
-        judge(&frame, &expected, &pose, &known).unwrap().pixels[0]
+        let (world, frame) = (wall(stored), ray(3.95, 0.005));
+        let known = PoseEstimate::exact(pose);
+        of_coarse_model(&mut predictor(), &world, &frame, &known, 0.001).unwrap().pixels[0]
     };
     assert_eq!(verdict(None), Verdict::Nearer);
     assert_eq!(verdict(Some([0.0, 4e-4, 0.0, 0.0, 0.0, 0.0])), Verdict::Confirmed);
@@ -91,10 +88,10 @@ fn docking_is_relative() {
     let truth = Pose::from_xyz_rpy(DVec3::new(2.0, 3.0, 1.8), 0.0, 0.2, 0.3);
     let none = Disturbances { drop_outs: 0.0, mixed_pixels: 0.0, slip: 0.0, turn_slip: 0.0 };
     let frame = Simulator::new(predictor(), camera(0.003), none, 4).unwrap().frame(&real, 0.0, &truth).unwrap();
-    let prior = Prior::of_sigmas(moved(&truth, &[0.01, -0.01, 0.0, 0.0, 0.005, 0.0]), 0.024, 0.01);
+    let prior = PoseEstimate::of_sigmas(moved(&truth, &[0.01, -0.01, 0.0, 0.0, 0.005, 0.0]), 0.024, 0.01);
     let index = map.environment().index_of("shelf").unwrap();
     let off = |only: Option<u32>| {
-        let options = EstimateOptions { only, ..EstimateOptions::default() };
+        let options = EstimateOptions::default().with_only(only);
         let found = estimator(options).estimate(&map, &[&frame], &prior).unwrap();
         assert!(found.is_determined(), "{only:?}: {:?}", found.state);
         let (relative, covariance) = found.relative_to(&map.environment().objects()[index as usize].world_from_object);

@@ -5,10 +5,11 @@
 use super::*;
 use glam::DMat3;
 use presight_features::PlacedFeatures;
-use presight_localize::estimate::{Estimate, Freedom, Prior, motion_between, nees};
+use presight_localize::estimate::{Estimate, Freedom, motion_between, nees};
 use presight_localize::extract::FeatureClass;
 use presight_localize::localize::{Phase, Search, SearchOptions};
 use presight_model::environment::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
+use presight_model::geometry::PoseEstimate;
 use presight_model::measured::{GreyImage, Motion, OdometryNoise};
 use presight_model::placement::place_layer;
 
@@ -88,14 +89,14 @@ fn layer(world: &World, spots: &[Spot], sigma: f64) -> PlacedFeatures {
 }
 
 fn options() -> EstimateOptions {
-    EstimateOptions { freedom: Freedom::Planar, ..EstimateOptions::default() }
+    EstimateOptions::default().with_freedom(Freedom::Planar)
 }
 
 /// Estimates the robot's pose from 25 cm down the corridor; each reflector of the map has a sigma of 5 mm.
 fn estimate(map: &World, known: &[Spot], frame: &Frame) -> Estimate {
     let off = moved(&truth(), &[0.25, 0.05, 0.0, 0.0, 0.0, 0.03]);
     let mut estimator = estimator(options()).with_features(layer(map, known, 0.005));
-    estimator.estimate(map, &[frame], &Prior::of_sigmas(off, 0.3, 0.05)).unwrap()
+    estimator.estimate(map, &[frame], &PoseEstimate::of_sigmas(off, 0.3, 0.05)).unwrap()
 }
 
 fn classes(found: &Estimate) -> Vec<&'static str> {
@@ -103,7 +104,7 @@ fn classes(found: &Estimate) -> Vec<&'static str> {
 }
 
 fn along(found: &Estimate) -> (f64, f64) {
-    (motion_between(&truth(), &found.pose)[0], found.covariance[0][0].sqrt())
+    (motion_between(&truth(), &found.pose.world_from_robot)[0], found.pose.covariance[0][0].sqrt())
 }
 
 /// Ranges alone leave the position along the corridor at its prior; two reflectors determine it.
@@ -124,7 +125,7 @@ fn reflectors_determine_the_position_along_a_corridor() {
             assert_eq!(classes(&found), vec!["matched"; count]);
             // One of several reflectors may be beyond 3.3 standard deviations.
             assert!(found.reflectors.1 == count && found.reflectors.0 + 1 >= count, "{:?}", found.reflectors);
-            let (squared, numbers) = nees(&found.pose, &found.covariance, &truth());
+            let (squared, numbers) = nees(&found.pose, &truth());
             scores += squared / numbers as f64 / 12.0;
         }
     }
@@ -140,7 +141,7 @@ fn a_reflector_abeam() {
     let map = corridor(&[]);
     let frame = scan(&map, &[(0.0, WALL)], &truth(), 3);
     for (sigma, by_hand) in [(0.005, 0.00507), (0.03, 0.03001)] {
-        let prior = Prior::of_sigmas(truth(), 0.3, 0.05);
+        let prior = PoseEstimate::of_sigmas(truth(), 0.3, 0.05);
         let mut estimator = estimator(options()).with_features(layer(&map, &[(0.0, WALL)], sigma));
         let found = estimator.estimate(&map, &[&frame], &prior).unwrap();
         let (x, told) = along(&found);
@@ -229,7 +230,7 @@ fn reflectors_that_repeat_leave_places_open() {
     let frame = scan(&map, &spots, &truth(), 7);
     let mut estimator = estimator(options()).with_features(layer(&map, &spots, 0.005));
     for off in [0.0, 0.45, 0.7, 1.0] {
-        let mut prior = Prior::of_sigmas(moved(&truth(), &[off, 0.02, 0.0, 0.0, 0.0, 0.0]), 0.6, 0.02);
+        let mut prior = PoseEstimate::of_sigmas(moved(&truth(), &[off, 0.02, 0.0, 0.0, 0.0, 0.0]), 0.6, 0.02);
         prior.covariance[1][1] = 0.01;
         let found = estimator.estimate(&map, &[&frame], &prior).unwrap();
         let (x, sigma) = along(&found);
@@ -247,7 +248,8 @@ fn a_drive_is_tracked_by_reflectors() {
     let mut ends = Vec::new();
     for known in [&spots[..], &[]] {
         let estimator = estimator(options()).with_features(layer(&map, known, 0.005));
-        let mut robot = Localizer::new(estimator, Prior::of_sigmas(truth(), 0.03, 0.02), LocalizeOptions::default());
+        let mut robot =
+            Localizer::new(estimator, PoseEstimate::of_sigmas(truth(), 0.03, 0.02), LocalizeOptions::default());
         let mut worst = 0.0f64;
         for k in 0..16 {
             let pose = moved(&truth(), &[0.2 * f64::from(k), 0.0, 0.0, 0.0, 0.0, 0.0]);
@@ -258,7 +260,7 @@ fn a_drive_is_tracked_by_reflectors() {
             frame.motion = (k > 0).then(|| Motion::of_odometry(told, &OdometryNoise::default()));
             let step = robot.step(&map, &frame).unwrap();
             assert!(k < 3 || step.phase == Phase::Tracking, "{k}: {}", step.reason);
-            worst = worst.max(apart(&step.pose, &pose).0);
+            worst = worst.max(apart(&step.pose.world_from_robot, &pose).0);
         }
         ends.push(worst);
     }
@@ -285,14 +287,14 @@ fn reflectors_determine_the_pose_where_walls_are_hidden() {
     let real = corridor(&boxes);
     let known_to = |spots: &[Spot]| {
         let mut estimator = estimator(options()).with_features(layer(&map, spots, 0.005));
-        let prior = Prior::of_sigmas(moved(&truth(), &[0.03, 0.02, 0.0, 0.0, 0.0, 0.01]), 0.02, 0.01);
+        let prior = PoseEstimate::of_sigmas(moved(&truth(), &[0.03, 0.02, 0.0, 0.0, 0.0, 0.01]), 0.02, 0.01);
         estimator.estimate(&map, &[&scan(&real, &THREE, &truth(), 8)], &prior).unwrap()
     };
     let found = known_to(&THREE);
     let (x, sigma) = along(&found);
     eprintln!("{:.2} explained, {x} {sigma} {:?}", found.explained, found.reflectors);
     assert!(found.explained < 0.75 && found.rests_on_reflectors() && found.is_determined(), "{:?}", found.state);
-    assert!(apart(&found.pose, &truth()).0 < 0.03, "{x}");
+    assert!(apart(&found.pose.world_from_robot, &truth()).0 < 0.03, "{x}");
     // Two are too few for that.
     let two = known_to(&THREE[..2]);
     assert!(!two.is_determined() && !two.rests_on_reflectors(), "{:?}", two.state);
@@ -342,7 +344,7 @@ fn an_unknown_start_goes_by_reflectors() {
     for (known, starts, is_told) in cases {
         for (k, start) in starts.iter().enumerate() {
             let mut estimator = estimator(options()).with_features(layer(&map, known, 0.005));
-            let search = SearchOptions { floor: 1.0, ..SearchOptions::default() };
+            let search = SearchOptions::default().with_floor(1.0);
             let search = Search::new(&mut estimator, &map, &scanner, search).unwrap();
             let mut robot = Localizer::unknown(estimator, search, LocalizeOptions::default());
             let (mut told, mut reasons) = (None, Vec::new());
@@ -354,7 +356,7 @@ fn an_unknown_start_goes_by_reflectors() {
                 frame.motion = (step > 0).then(|| Motion::of_odometry(way, &OdometryNoise::default()));
                 let found = robot.step(&map, &frame).unwrap();
                 if found.phase == Phase::Tracking {
-                    let (metres, degrees) = apart(&found.pose, &pose);
+                    let (metres, degrees) = apart(&found.pose.world_from_robot, &pose);
                     assert!(metres < 0.03 && degrees < 0.5, "{start}: {metres} m, {degrees} deg: {}", found.reason);
                     told = told.or(Some(step));
                 }

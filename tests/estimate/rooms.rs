@@ -1,16 +1,15 @@
 //! Simulated rooms, and a corner calculated by hand.
 
 use super::*;
-use presight_localize::estimate::{
-    Freedom, Gate, Kernel, Prior, RangeSource, Residuals, measured_points, motion_between,
-};
+use presight_localize::estimate::{Freedom, Gate, Kernel, RangeSource, Residuals, measured_points, motion_between};
 use presight_localize::verdict::{ExpectedImage, Surfaces};
 use presight_model::error::ErrorKind;
+use presight_model::geometry::PoseEstimate;
 use presight_model::measured::RangeNoise;
 use presight_model::sensor::RayTable;
 
 fn exact() -> EstimateOptions {
-    EstimateOptions { offset_sigma: 0.0, ..EstimateOptions::default() }
+    EstimateOptions::default().with_offset_sigma(0.0)
 }
 
 /// Three rays meet three walls at normal incidence. Each determines the robot's position along its own axis with the
@@ -32,29 +31,20 @@ fn a_corner_of_three_planes() {
     };
     // The robot is at (2.02, 1.97, 1.01): 3.98 m before the wall x = 6, 2.03 m before y = 4, 1.01 m above the floor.
     let frames = [ray(DVec3::X, 3.98), ray(DVec3::Y, 2.03), ray(DVec3::NEG_Z, 1.01)];
-    let prior = Prior {
-        pose: Pose::from_xyz_rpy(DVec3::new(2.0, 2.0, 1.0), 0.0, 0.0, 0.0),
-        covariance: std::array::from_fn(|i| {
-            std::array::from_fn(|j| {
-                if i != j {
-                    0.0
-                } else if i < 3 {
-                    0.04
-                } else {
-                    1e-12
-                }
-            })
-        }),
-    };
+    let prior = PoseEstimate::of_sigmas(Pose::from_xyz_rpy(DVec3::new(2.0, 2.0, 1.0), 0.0, 0.0, 0.0), 0.2, 1e-6);
     let found = estimator(exact()).estimate(&world, &frames.each_ref(), &prior).unwrap();
     // The prior pulls each axis back by 0.0001 / 0.0401 of the distance.
     let kept = 1.0 - 0.0001 / 0.0401;
     let expected = DVec3::new(2.0 + 0.02 * kept, 2.0 - 0.03 * kept, 1.0 + 0.01 * kept);
-    assert!(found.pose.translation.distance(expected) < 1e-6, "{}", found.pose.translation);
+    assert!(
+        found.pose.world_from_robot.translation.distance(expected) < 1e-6,
+        "{}",
+        found.pose.world_from_robot.translation
+    );
     let variance = 1.0 / (1.0 / 1e-4 + 1.0 / 0.04);
     for i in 0..3 {
-        assert!((found.covariance[i][i] / variance - 1.0).abs() < 1e-6, "{i}: {}", found.covariance[i][i]);
-        assert!((found.covariance[i + 3][i + 3] / 1e-12 - 1.0).abs() < 1e-6);
+        assert!((found.pose.covariance[i][i] / variance - 1.0).abs() < 1e-6, "{i}: {}", found.pose.covariance[i][i]);
+        assert!((found.pose.covariance[i + 3][i + 3] / 1e-12 - 1.0).abs() < 1e-6);
     }
     let mut weak: Vec<&str> = found.weak.iter().map(|w| w.name.as_str()).collect();
     weak.sort_unstable();
@@ -78,8 +68,7 @@ fn jacobians_equal_finite_differences() {
         let at = DVec3::new(random.uniform(0.5, 1.8), random.uniform(1.8, 3.5), random.uniform(0.9, 2.0));
         let robot = Pose::from_xyz_rpy(at, 0.1, -0.1, random.uniform(-3.0, 3.0));
         let expected =
-            ExpectedImage::predict(&mut predictor(), &world, &mut Surfaces::default(), &sensor, &(robot * mount))
-                .unwrap();
+            ExpectedImage::predict(&mut predictor(), &world, &mut Surfaces::default(), &sensor, &robot).unwrap();
         let pixel = expected.pixels()[0];
         if !pixel.range.is_finite() || expected.pixels()[1].group != pixel.group {
             continue;
@@ -127,9 +116,9 @@ fn a_room_is_found_from_far_off() {
         let at = DVec3::new(1.0 + 0.03 * f64::from(k), 2.4, 1.4);
         let truth = Pose::from_xyz_rpy(at, 0.0, 0.25, -0.4 + 0.05 * f64::from(k));
         let frame = sense(&world, &sensor, &truth, &mut random);
-        let prior = Prior::of_sigmas(off_by(&truth, 0.2, 10.0, &mut random), 0.12, 0.1);
+        let prior = PoseEstimate::of_sigmas(off_by(&truth, 0.2, 10.0, &mut random), 0.12, 0.1);
         let answer = found.estimate(&world, &[&frame], &prior).unwrap();
-        let (metres, degrees) = apart(&answer.pose, &truth);
+        let (metres, degrees) = apart(&answer.pose.world_from_robot, &truth);
         let ok = metres < 0.01 && degrees < 0.5;
         right += usize::from(ok);
         assert!(ok || !answer.is_determined(), "wrong and certain: {metres} m, {degrees} deg, {answer:?}");
@@ -142,19 +131,19 @@ fn a_planar_robot_is_found_by_its_scanner() {
     let world = room(Vec3::ZERO);
     let sensor = scanner(0.01);
     let mut random = Random(2);
-    let mut found = estimator(EstimateOptions { freedom: Freedom::Planar, ..EstimateOptions::default() });
+    let mut found = estimator(EstimateOptions::default().with_freedom(Freedom::Planar));
     for k in 0..20 {
         let truth = Pose::from_xyz_rpy(DVec3::new(1.2, 2.0 + 0.05 * f64::from(k), 0.4), 0.0, 0.0, 0.3 * f64::from(k));
         let frame = sense(&world, &sensor, &truth, &mut random);
         let off = moved(&truth, &[0.1, -0.12, 0.0, 0.0, 0.0, 0.12]);
-        let answer = found.estimate(&world, &[&frame], &Prior::of_sigmas(off, 0.1, 0.1)).unwrap();
-        let (metres, degrees) = apart(&answer.pose, &truth);
+        let answer = found.estimate(&world, &[&frame], &PoseEstimate::of_sigmas(off, 0.1, 0.1)).unwrap();
+        let (metres, degrees) = apart(&answer.pose.world_from_robot, &truth);
         assert!(
             answer.is_determined() && metres < 0.01 && degrees < 0.3,
             "{metres} m {degrees} deg {:?}",
             answer.state
         );
-        assert_eq!(answer.pose.translation.z, 0.4, "a planar robot keeps its height");
+        assert_eq!(answer.pose.world_from_robot.translation.z, 0.4, "a planar robot keeps its height");
     }
 }
 
@@ -162,7 +151,7 @@ fn a_planar_robot_is_found_by_its_scanner() {
 /// direction.
 fn nees(off: f64, offset_sigma: f64) -> f64 {
     let (sensor, mut random) = (camera(0.01), Random(3));
-    let options = EstimateOptions { offset_sigma, ..EstimateOptions::default() };
+    let options = EstimateOptions::default().with_offset_sigma(offset_sigma);
     let mut found = estimator(options);
     let (mut sum, frames) = (0.0, 40);
     for k in 0..frames {
@@ -183,10 +172,10 @@ fn nees(off: f64, offset_sigma: f64) -> f64 {
         }
         let truth = Pose::from_xyz_rpy(DVec3::new(0.9, 2.2, 1.4), 0.0, 0.3, -0.5 + 0.02 * f64::from(k));
         let frame = sense(&World::new(real), &sensor, &truth, &mut random);
-        let prior = Prior::of_sigmas(off_by(&truth, 0.05, 2.0, &mut random), 0.1, 0.1);
+        let prior = PoseEstimate::of_sigmas(off_by(&truth, 0.05, 2.0, &mut random), 0.1, 0.1);
         let answer = found.estimate(&room(Vec3::ZERO), &[&frame], &prior).unwrap();
-        let e = motion_between(&truth, &answer.pose);
-        sum += normalized(&answer.covariance, &e);
+        let e = motion_between(&truth, &answer.pose.world_from_robot);
+        sum += normalized(answer.pose.covariance.as_rows(), &e);
     }
     sum / f64::from(frames) / 6.0
 }
@@ -228,13 +217,13 @@ fn bad_priors_are_usage_errors() {
     let world = room(Vec3::ZERO);
     let truth = Pose::from_xyz_rpy(DVec3::new(1.0, 2.0, 1.4), 0.0, 0.3, 0.0);
     let frame = sense(&world, &camera(0.01), &truth, &mut Random(4));
-    let good = Prior::of_sigmas(truth, 0.1, 0.1);
+    let good = PoseEstimate::of_sigmas(truth, 0.1, 0.1);
     let with = |i: usize, j: usize, x: f64| {
         let mut prior = good;
         prior.covariance[i][j] = x;
         prior
     };
-    let nowhere = Prior { pose: Pose { translation: DVec3::NAN, ..truth }, ..good };
+    let nowhere = PoseEstimate { world_from_robot: Pose { translation: DVec3::NAN, ..truth }, ..good };
     let both = |x: f64| {
         let mut prior = with(0, 1, x);
         prior.covariance[1][0] = x;

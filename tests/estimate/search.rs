@@ -15,7 +15,7 @@ fn row_scanner() -> Sensor {
 
 /// A coarser search than the default, for a small room.
 fn options() -> SearchOptions {
-    SearchOptions { cell: 0.5, headings: 90, candidates: 12, ..SearchOptions::default() }
+    SearchOptions::default().with_cell(0.5).with_headings(90).with_candidates(12)
 }
 
 fn planar() -> Estimator {
@@ -62,7 +62,7 @@ fn a_robot_is_found_and_found_again_after_it_was_carried_away() {
             }
             if step.phase == Phase::Tracking && !(carried..carried + 5).contains(&k) {
                 found.push(k);
-                let (metres, degrees) = apart(&step.pose, &truth);
+                let (metres, degrees) = apart(&step.pose.world_from_robot, &truth);
                 assert!(metres < 0.05 && degrees < 1.0, "{k}: {metres} m {degrees} deg, {}", step.reason);
             }
         }
@@ -93,7 +93,7 @@ fn a_robot_is_followed_on_where_the_map_has_changed() {
                 lost.get_or_insert(k);
             }
             if step.phase == Phase::Tracking && lost.is_some() {
-                told.push((k, apart(&step.pose, &truth), step.reason));
+                told.push((k, apart(&step.pose.world_from_robot, &truth), step.reason));
             }
         }
         assert!(lost.is_some_and(|k| k < 19), "lost at {lost:?}");
@@ -127,8 +127,27 @@ fn a_room_with_a_double_stays_undetermined() {
         let half = Pose::from_xyz_rpy(DVec3::new(6.0, 4.0, 0.0), 0.0, 0.0, std::f64::consts::PI);
         for place in [truth, half * truth] {
             let near = |pose: &Pose| apart(pose, &place).0 < 0.05 && apart(pose, &place).1 < 1.0;
-            assert!(step.candidates.iter().any(|c| near(&c.pose)), "{k}: {place:?} is missing");
+            assert!(step.candidates.iter().any(|c| near(&c.pose.world_from_robot)), "{k}: {place:?} is missing");
         }
+    }
+}
+
+/// A scanner that states no greatest range reaches as far as the map: it finds the robot, and hypotheses follow it.
+#[test]
+fn a_sensor_without_a_greatest_range_is_searched_with() {
+    let (world, mut random) = (room(Vec3::ZERO), Random(21));
+    let mut spec = row_scanner().spec().clone();
+    spec.range_max = f64::INFINITY;
+    let endless = Sensor::new(spec).unwrap();
+    let search = Search::new(&mut planar(), &world, &endless, options()).unwrap();
+    let mut robot = Localizer::unknown(planar(), search, LocalizeOptions::default());
+    for k in 0..5 {
+        let (finite, truth) = frame(&world, &start(), k, &mut random);
+        let mut frame = Frame::new(finite.stamp, endless.clone(), finite.sensed().clone()).unwrap();
+        frame.motion = finite.motion;
+        let step = robot.step(&world, &frame).unwrap();
+        assert_eq!(step.phase == Phase::Tracking, k == 4, "{}", step.reason);
+        assert!(k < 4 || apart(&step.pose.world_from_robot, &truth).0 < 0.05, "{:?}", step.pose);
     }
 }
 
@@ -141,11 +160,11 @@ fn unsearchable_input_is_refused() {
         e.to_string()
     };
     assert!(refused(&World::new(Environment::new()), &row_scanner(), options()).contains("without a polygon"));
-    assert!(refused(&world, &row_scanner(), SearchOptions { cell: f64::NAN, ..options() }).contains("cell"));
-    assert!(refused(&world, &row_scanner(), SearchOptions { cell: 1e-4, ..options() }).contains("places"));
+    assert!(refused(&world, &row_scanner(), options().with_cell(f64::NAN)).contains("cell"));
+    assert!(refused(&world, &row_scanner(), options().with_cell(1e-4)).contains("places"));
     // Above the ceiling.
-    assert!(refused(&world, &row_scanner(), SearchOptions { floor: 5.0, ..options() }).contains("no free place"));
-    let heights = SearchOptions { floor_to: 1e9, ..options() };
+    assert!(refused(&world, &row_scanner(), options().with_floor(5.0)).contains("no free place"));
+    let heights = options().with_floor_to(1e9);
     assert!(refused(&world, &camera(0.01), heights).contains("heights"));
     let six = Search::new(&mut estimator(EstimateOptions::default()), &world, &row_scanner(), options());
     assert_eq!(six.expect_err("six numbers").kind(), ErrorKind::Usage);
@@ -192,7 +211,7 @@ fn a_camera_is_found_in_its_map_and_not_in_a_mirrored_one() {
             frame.motion = Some(Motion::of_odometry(step, &OdometryNoise::default()));
             let step = robot.step(&map, &frame).unwrap();
             if step.phase == Phase::Tracking {
-                let (metres, degrees) = apart(&step.pose, &truth);
+                let (metres, degrees) = apart(&step.pose.world_from_robot, &truth);
                 assert!(is_right && metres < 0.03 && degrees < 1.0, "{k}: {metres} m {degrees} deg, {}", step.reason);
                 found.get_or_insert(k);
             }
@@ -209,12 +228,12 @@ fn a_camera_that_is_held_in_the_hand_is_found() {
     spec.mount = Pose::IDENTITY;
     let sensor = Sensor::new(spec).unwrap();
     let truth = Pose::from_xyz_rpy(DVec3::new(1.5, 2.6, 1.35), 0.1, 0.25, 0.4);
-    let heights = SearchOptions { floor: 1.0, floor_to: 1.6, lean: [0.1, 0.25], ..options() };
+    let heights = options().with_floor(1.0).with_floor_to(1.6).with_lean([0.1, 0.25]);
     let mut found = estimator(EstimateOptions::default());
     let search = Search::new(&mut found, &world, &sensor, heights).unwrap();
     let seen = sense(&world, &sensor, &truth, &mut Random(25));
     let best = &search.candidates(&mut found, &world, &seen).unwrap()[0];
-    let (metres, degrees) = apart(&best.pose, &truth);
+    let (metres, degrees) = apart(&best.pose.world_from_robot, &truth);
     assert!(metres < 0.02 && degrees < 0.5, "{metres} m {degrees} deg of {} places", search.places().len());
 }
 
@@ -240,5 +259,5 @@ fn beams_that_are_too_near_are_ignored() {
     ranges[40..60].fill(f32::NEG_INFINITY);
     let near = Frame::new(0.0, row_scanner(), Measurement::Range(ranges)).unwrap();
     let step = robot.step(&world, &near).unwrap();
-    assert!(apart(&step.pose, &truth).0 < 0.05, "{}", step.reason);
+    assert!(apart(&step.pose.world_from_robot, &truth).0 < 0.05, "{}", step.reason);
 }

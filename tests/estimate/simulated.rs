@@ -1,9 +1,9 @@
 //! The simulator and its logs.
 
 use super::*;
-use presight_localize::estimate::Prior;
 use presight_localize::localize::{LocalizeOptions, Localizer, Phase};
 use presight_localize::simulate::{Disturbances, Simulator};
+use presight_model::geometry::PoseEstimate;
 
 fn simulator(disturbances: Disturbances, seed: u64) -> Simulator {
     Simulator::new(predictor(), camera(0.01), disturbances, seed).unwrap()
@@ -85,7 +85,7 @@ fn a_simulated_log_is_tracked_with_odometry() {
         let t = 0.05 * k as f64;
         Pose::from_xyz_rpy(DVec3::new(1.2 + 0.4 * t.sin(), 2.3 + 0.3 * t.cos(), 1.4), 0.0, 0.25, -0.25 + 0.2 * t.sin())
     };
-    let prior = Prior::of_sigmas(pose(0), 0.03, 0.02);
+    let prior = PoseEstimate::of_sigmas(pose(0), 0.03, 0.02);
     let mut robot = Localizer::new(estimator(EstimateOptions::default()), prior, LocalizeOptions::default());
     let mut squares = 0.0;
     for k in 0..60 {
@@ -93,7 +93,7 @@ fn a_simulated_log_is_tracked_with_odometry() {
         assert_eq!(frame.motion.is_some(), k > 0);
         let step = robot.step(&world, &frame).unwrap();
         assert!(k < 3 || step.phase == Phase::Tracking, "{k}: {}", step.reason);
-        squares += apart(&step.pose, &pose(k)).0.powi(2);
+        squares += apart(&step.pose.world_from_robot, &pose(k)).0.powi(2);
     }
     let rms = (squares / 60.0).sqrt();
     assert!(rms < 0.003, "{rms}");

@@ -3,7 +3,8 @@
 use super::*;
 use presight_files::gltf::import;
 use presight_files::log::{Frames, Observation};
-use presight_localize::estimate::{Estimate, Prior};
+use presight_localize::estimate::Estimate;
+use presight_model::geometry::PoseEstimate;
 
 fn map() -> Option<World> {
     let path = presight_testkit::data::file("lidar3d/street_map.glb")?;
@@ -39,9 +40,9 @@ fn scans_are_found_in_the_surface_of_the_first() {
         let mut starts = vec![Pose::IDENTITY];
         starts.extend((0..draws).map(|_| off_by(&reference, 1.0, 15.0, &mut random)));
         for (i, start) in starts.iter().enumerate() {
-            let prior = Prior::of_sigmas(*start, 0.6, 0.15);
+            let prior = PoseEstimate::of_sigmas(*start, 0.6, 0.15);
             let found = estimator(EstimateOptions::scan()).estimate(&map, &[frame], &prior).unwrap();
-            let ((m, d), residual) = (apart(&found.pose, &reference), residual(&found));
+            let ((m, d), residual) = (apart(&found.pose.world_from_robot, &reference), residual(&found));
             eprintln!(
                 "scan {k}, start {i}: {m:.4} m {d:.3} deg, residual {residual:.3} m, {:.2} explained",
                 found.explained
@@ -63,8 +64,8 @@ fn a_mirrored_scan_is_undetermined() {
     let table = presight_model::sensor::RayTable::new(table.width(), table.height(), mirrored).unwrap();
     let sensor = Sensor::new(SensorSpec::new("mirrored", "laser", Geometry::Rays(table))).unwrap();
     let frame = Frame::new(0.0, sensor, Measurement::Range(frame.ranges().to_vec())).unwrap();
-    let prior = Prior::of_sigmas(reference.unwrap(), 0.1, 0.05);
-    let options = EstimateOptions { most_predictions: 3, ..EstimateOptions::scan() };
+    let prior = PoseEstimate::of_sigmas(reference.unwrap(), 0.1, 0.05);
+    let options = EstimateOptions::scan().with_most_predictions(3);
     let found = estimator(options).estimate(&map, &[&frame], &prior).unwrap();
     assert!(!found.is_determined(), "{:.2} explained", found.explained);
 }

@@ -7,8 +7,8 @@ use glam::DVec2;
 use presight_files::gltf::import;
 use presight_files::log;
 use presight_files::log::Frames;
-use presight_localize::estimate::Prior;
 use presight_localize::localize::{LocalizeOptions, Localizer, Phase, Step};
+use presight_model::geometry::PoseEstimate;
 use presight_model::measured::{Motion, OdometryNoise};
 use presight_testkit::data;
 
@@ -145,8 +145,8 @@ fn model() -> Option<World> {
 }
 
 /// A localizer for a model that is off by two decimetres.
-fn robot(start: Prior) -> Localizer {
-    let options = EstimateOptions { model_sigma: 0.2, offset_sigma: 0.14, ..EstimateOptions::planar() };
+fn robot(start: PoseEstimate) -> Localizer {
+    let options = EstimateOptions::planar().with_model_sigma(0.2).with_offset_sigma(0.14);
     Localizer::new(estimator(options), start, LocalizeOptions::default())
 }
 
@@ -160,11 +160,11 @@ fn drives_through_an_outdated_model_are_tracked() {
     let (mut turned, mut far) = (Vec::new(), 0);
     for seed in 1..=count {
         let frames = drive(&map, &sensor, seed);
-        let mut robot = robot(Prior::of_sigmas(frames[0].1, 0.2, 0.05));
+        let mut robot = robot(PoseEstimate::of_sigmas(frames[0].1, 0.2, 0.05));
         let mut worst: f64 = 0.0;
         for (frame, truth) in &frames {
             let step: Step = robot.step(&model, frame).unwrap();
-            let (metres, degrees) = apart(&step.pose, truth);
+            let (metres, degrees) = apart(&step.pose.world_from_robot, truth);
             if !step.is_known() {
                 println!("drive {seed}: tracking is given up at {} s, {metres:.2} m off: {}", frame.stamp, step.reason);
                 worst = f64::INFINITY;
@@ -199,8 +199,8 @@ fn single_scans_in_an_outdated_model() {
         let truth = reference.unwrap();
         let mut off = |sigma: f64| sigma * normal(&mut random);
         let start = moved(&truth, &[off(0.3), off(0.3), 0.0, 0.0, 0.0, off(3f64.to_radians())]);
-        let step = robot(Prior::of_sigmas(start, 0.3, 3f64.to_radians())).step(&model, &frame).unwrap();
-        let (m, d) = apart(&step.pose, &truth);
+        let step = robot(PoseEstimate::of_sigmas(start, 0.3, 3f64.to_radians())).step(&model, &frame).unwrap();
+        let (m, d) = apart(&step.pose.world_from_robot, &truth);
         metres.push(m);
         degrees.push(d);
     }
@@ -226,11 +226,11 @@ fn scans_from_elsewhere_are_never_tracked() {
     for start in starts {
         let mut scans = log_of_scans().map(Result::unwrap).skip(start);
         let first = scans.next().unwrap();
-        let mut robot = robot(Prior::of_sigmas(first.reference.unwrap(), 0.05, 0.03));
+        let mut robot = robot(PoseEstimate::of_sigmas(first.reference.unwrap(), 0.05, 0.03));
         robot.step(&model, &first.frame).unwrap();
         for log::Observation { frame, reference } in scans {
             let step = robot.step(&model, &frame).unwrap();
-            let (metres, _) = apart(&step.pose, &reference.unwrap());
+            let (metres, _) = apart(&step.pose.world_from_robot, &reference.unwrap());
             frames += 1;
             fitting += usize::from(metres > 0.75 && step.phase == Phase::Candidates);
             assert!(step.phase != Phase::Tracking || metres < 0.75, "{start}: {metres:.1} m off: {}", step.reason);

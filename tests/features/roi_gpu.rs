@@ -8,6 +8,7 @@ use presight_testkit as common;
 use common::skip::no_adapter;
 use common::{Random, data, scenes};
 use glam::{DMat3, DQuat, DVec3};
+use presight_features::roi::RoiFlag;
 use presight_features::{
     BoxOptions, BoxQuery, FeaturePrediction, FeatureSettings, PlacedFeature, SeenFeature, add_boxes, place,
     predict_features,
@@ -15,7 +16,7 @@ use presight_features::{
 use presight_files::gltf::{ImportOptions, import};
 use presight_files::preset;
 use presight_model::environment::{Existence, Feature, FeatureShape, Properties};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, PoseCovariance};
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_predict::gpu::{DeviceOptions, GpuEngine, testing};
@@ -81,10 +82,8 @@ impl Setting<'_> {
         let flags = |scale: f64| {
             let square = scale * scale;
             let mut options = self.options.clone();
-            let objects = options.objects.iter_mut().map(|o| &mut o.1);
-            for x in [&mut options.sensor].into_iter().chain(objects).flat_map(|m| m.as_flattened_mut()) {
-                *x *= square;
-            }
+            options.sensor = scaled(&options.sensor, square);
+            options.objects.iter_mut().for_each(|(_, own)| *own = scaled(own, square));
             let mut placed = self.placed.clone();
             placed.iter_mut().for_each(|p| scale_covariance(&mut Arc::make_mut(&mut p.feature).shape, square));
             self.twin(&options, &placed).features.iter().map(|f| f.roi_flag).collect::<Vec<_>>()
@@ -140,7 +139,7 @@ fn check(name: &str, engine: &mut GpuEngine, setting: &Setting<'_>) -> usize {
     let twin = setting.twin(&setting.options, &setting.placed);
     let (device, made) = setting.on_device(engine, &setting.options);
     let found = compare(&twin, &device);
-    let linear = twin.features.iter().filter(|f| f.roi_flag == Some("linear")).count();
+    let linear = twin.features.iter().filter(|f| f.roi_flag == Some(RoiFlag::Linear)).count();
     eprintln!(
         "{name}: {} boxes, {linear} linear, {made} made on the device; worst {:.5} px, other flags {}",
         found.boxes,
@@ -215,12 +214,13 @@ fn ahead(
     (1..=count).map(&mut one).collect()
 }
 
+fn scaled<A>(covariance: &PoseCovariance<A>, by: f64) -> PoseCovariance<A> {
+    PoseCovariance::from_rows(covariance.as_rows().map(|row| row.map(|x| by * x)))
+}
+
 /// Diagonal except for a correlation of heading and position.
-fn pose_covariance(position: f64, angle: f64) -> [[f64; 6]; 6] {
-    let mut m = [[0.0; 6]; 6];
-    for i in 0..6 {
-        m[i][i] = if i < 3 { position * position } else { angle * angle };
-    }
+fn pose_covariance<A>(position: f64, angle: f64) -> PoseCovariance<A> {
+    let mut m = PoseCovariance::from_sigmas([position, position, position, angle, angle, angle]);
     m[1][5] = 0.6 * position * angle;
     m[5][1] = m[1][5];
     m

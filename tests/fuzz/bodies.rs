@@ -189,7 +189,7 @@ pub fn pose_covariance(bytes: &[u8]) -> bool {
         (false, false) => return false,
     };
     let Ok(covariance) = parsed else { return false };
-    assert!(covariance.as_flattened().iter().all(|x| x.is_finite()), "{covariance:?}");
+    assert!(covariance.as_rows().as_flattened().iter().all(|x| x.is_finite()), "{covariance:?}");
     assert!((0..6).all(|i| covariance[i][i] >= 0.0), "{covariance:?}");
     true
 }

@@ -125,8 +125,7 @@ pub fn check_layer(layer: &FeatureLayer) -> bool {
     let images = reference(&plan(&world, &sensor, &pose));
     let options = FeatureSettings { feature_id: true, ..FeatureSettings::default() };
     let Ok(mut seen) = predict_features(&world, &sensor, &pose, &images, &placed, &options) else { return false };
-    let covariance = std::array::from_fn(|i| std::array::from_fn(|j| if i == j { 1e-4 } else { 0.0 }));
-    let boxes = BoxOptions::default().with_sensor(covariance);
+    let boxes = BoxOptions::default().with_sensor_sigmas([0.01; 6]);
     if add_boxes(
         &mut seen,
         &BoxQuery { placed: &placed, world: &world, sensor: &sensor, world_from_sensor: &pose, options: &boxes },

@@ -12,6 +12,7 @@ use presight_files::poses::ExternalPose;
 use presight_files::{exr, load_sensor, log, sensor_toml, tum};
 use presight_files::{files_named_by, text};
 use presight_model::error::{Error, Result};
+use presight_model::measured::{Frame, Measurement};
 use presight_model::geometry::Pose;
 use presight_model::index::Scheme;
 use presight_model::sensor::Sensor;
@@ -364,7 +365,8 @@ fn read_sensed(frame: &str, sensor: &Sensor, cell: PoseCell) -> Result<RangeLike
             range
         }
     };
-    RangeLikelihood::new(sensor, range, cell).map_err(|e| e.in_file(&path))
+    let frame = Frame::new(0.0, sensor.clone(), Measurement::Range(range));
+    frame.and_then(|frame| RangeLikelihood::new(&frame, cell)).map_err(|e| e.in_file(&path))
 }
 
 /// A summary of the pose file, which is read in full at the start so that errors in it are found before any work.

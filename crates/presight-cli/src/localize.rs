@@ -10,13 +10,13 @@ use presight_files::depth_folder::DepthFolder;
 use presight_files::gltf::ImportOptions;
 use presight_files::load_sensor;
 use presight_files::log::{Frames, Observation};
-use presight_localize::estimate::{EstimateOptions, Estimator, Freedom, Prior};
+use presight_localize::estimate::{EstimateOptions, Estimator, Freedom};
 use presight_localize::extract::{FeatureClass, Findings, is_sought};
 use presight_localize::localize::{Candidate, LocalizeOptions, Localizer, Phase, Search, SearchOptions, Step};
 use presight_localize::verdict::{Verdict as Judged, Verdicts};
 use presight_model::environment::FeatureShape;
 use presight_model::error::{Error, Result};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, PoseEstimate};
 use presight_model::index::Scheme;
 use presight_model::measured::{Frame, OdometryNoise};
 use presight_model::sensor::{Geometry, Sensor};
@@ -245,7 +245,7 @@ impl Drive {
             let mut step = localizer.step_together(&scene.world, &frame, &beside).map_err(place)?;
             if may_search && matches!(step.phase, Phase::Lost | Phase::Unknown) {
                 may_search = false;
-                let search = self.search_about(&step.pose)?;
+                let search = self.search_about(&step.pose.world_from_robot)?;
                 if let Err(e) = localizer.search_everywhere(&scene.world, frame.sensor(), search) {
                     print::notices(&[format!("searching for the robot only around its last pose: {e}")]);
                 }
@@ -356,7 +356,7 @@ impl Drive {
             let search = Search::new(&mut estimator, &scene.world, sensor, self.search()?);
             return Ok(Localizer::unknown(estimator, search.map_err(|e| e.at("--init unknown"))?, options));
         };
-        let prior = Prior::of_sigmas(start, self.init_sigma, self.init_sigma_deg.to_radians());
+        let prior = PoseEstimate::of_sigmas(start, self.init_sigma, self.init_sigma_deg.to_radians());
         Ok(Localizer::new(estimator, prior, options))
     }
 
@@ -379,13 +379,18 @@ impl Drive {
                 return Err(Error::usage(format!("{flag} {value}"), remedy));
             }
         }
-        Ok(SearchOptions { floor, floor_to, margin, lean, surrounded, ..SearchOptions::default() })
+        Ok(SearchOptions::default()
+            .with_floor(floor)
+            .with_floor_to(floor_to)
+            .with_margin(margin)
+            .with_lean(lean)
+            .with_surrounded(surrounded))
     }
 
     /// Options for a search of the whole map at the last height of the robot.
     fn search_about(&self, pose: &Pose) -> Result<SearchOptions> {
         let height = pose.translation.z;
-        Ok(SearchOptions { floor: height, floor_to: height, ..self.search()? })
+        Ok(self.search()?.with_floor(height).with_floor_to(height))
     }
 
     fn odometry(&self) -> Result<OdometryNoise> {
@@ -407,7 +412,7 @@ impl Drive {
         let model_sigma = self.model_sigma.unwrap_or(options.model_sigma);
         // The offset shared by the polygons of one plane is about as large as the offset of each polygon.
         let offset_sigma = if self.model_sigma.is_some() { 0.7 * model_sigma } else { options.offset_sigma };
-        EstimateOptions { model_sigma, offset_sigma: offset_sigma.max(1e-3), ..options }
+        options.with_model_sigma(model_sigma).with_offset_sigma(offset_sigma.max(1e-3))
     }
 }
 
@@ -468,7 +473,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
 fn write(path: &Path, steps: &[Step]) -> Result<()> {
     write_atomically(path, |file| {
         for s in steps.iter().filter(|s| s.is_known()) {
-            let (t, q) = (s.pose.translation, s.pose.rotation);
+            let (t, q) = (s.pose.world_from_robot.translation, s.pose.world_from_robot.rotation);
             writeln!(file, "{} {} {} {} {} {} {} {}", s.stamp, t.x, t.y, t.z, q.x, q.y, q.z, q.w)?;
         }
         Ok(())
@@ -486,8 +491,8 @@ fn write_details(path: &Path, followed: &Followed) -> Result<()> {
                 Judged::ALL.iter().zip(counts).map(|(v, n)| (v.name().to_owned(), (*n).into())).collect();
             let line = serde_json::json!({
                 "time": s.stamp, "state": s.phase.name(), "reason": s.reason,
-                "translation": s.pose.translation.to_array(), "rotation_xyzw": s.pose.rotation.to_array(),
-                "covariance": s.covariance, "explained": s.estimate.explained, "weak": weak, "verdicts": verdicts,
+                "translation": s.pose.world_from_robot.translation.to_array(), "rotation_xyzw": s.pose.world_from_robot.rotation.to_array(),
+                "covariance": s.pose.covariance, "explained": s.estimate.explained, "weak": weak, "verdicts": verdicts,
                 "features": features,
                 "predictions": s.estimate.predictions,
                 "candidates": s.candidates.iter().map(candidate).collect::<Vec<_>>(),
@@ -500,7 +505,7 @@ fn write_details(path: &Path, followed: &Followed) -> Result<()> {
 
 fn candidate(c: &Candidate) -> serde_json::Value {
     serde_json::json!({
-        "translation": c.pose.translation.to_array(), "rotation_xyzw": c.pose.rotation.to_array(),
+        "translation": c.pose.world_from_robot.translation.to_array(), "rotation_xyzw": c.pose.world_from_robot.rotation.to_array(),
         "log_likelihood": c.log_likelihood, "explained": c.explained, "frames": c.frames,
     })
 }
@@ -517,8 +522,8 @@ pub fn summary(followed: &Followed) -> String {
     let mut off: Vec<(f64, f64)> = Vec::new();
     for (step, there) in steps.iter().zip(reference).filter(|(step, _)| step.is_known()) {
         let Some(there) = there else { continue };
-        let degrees = step.pose.rotation.angle_between(there.rotation).to_degrees();
-        off.push(((step.pose.translation - there.translation).length(), degrees));
+        let degrees = step.pose.world_from_robot.rotation.angle_between(there.rotation).to_degrees();
+        off.push(((step.pose.world_from_robot.translation - there.translation).length(), degrees));
     }
     if !off.is_empty() {
         let rms = |f: fn(&(f64, f64)) -> f64| (off.iter().map(|o| f(o).powi(2)).sum::<f64>() / off.len() as f64).sqrt();

@@ -15,7 +15,7 @@ mod view;
 mod visible;
 
 pub use boxes::{BoxFrame, BoxScratch, Kind as ImageKind};
-pub use boxes::{BoxMethod, BoxOptions, sensor_covariance};
+pub use boxes::{BoxMethod, BoxOptions};
 pub use boxes::{BoxQuery, add_boxes};
 pub use choose::{choose, informations};
 pub use columns::turn;

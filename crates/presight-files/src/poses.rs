@@ -2,10 +2,8 @@
 //! along the axes of a glTF file.
 
 use glam::DVec3;
-use presight_features::roi::PoseCovariance;
-use presight_features::sensor_covariance;
 use presight_model::error::{Error, Result};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{InWorld, Pose, PoseCovariance};
 use presight_model::sensor::{SensorSpec, body_from_optical_rotation};
 
 /// The axes of a pose.
@@ -123,14 +121,15 @@ impl ExternalPose {
         Ok(pose)
     }
 
-    /// Converts the covariance of the given pose to that of the sensor's pose, along the axes of presight's world.
+    /// Converts the covariance of the given pose, along the axes of its own world frame, to that of the sensor's pose,
+    /// along the axes of presight's world.
     pub fn covariance_of_sensor(
         &self,
-        covariance: &PoseCovariance,
+        covariance: &PoseCovariance<InWorld>,
         sensor: &SensorSpec,
         world_from_sensor: &Pose,
         world_from_gltf: &Pose,
-    ) -> PoseCovariance {
+    ) -> PoseCovariance<InWorld> {
         let mut moved = *covariance;
         if self.world == WorldFrame::Gltf {
             let turn = world_from_gltf.rotation_matrix().transpose().to_cols_array_2d();
@@ -138,11 +137,11 @@ impl ExternalPose {
             let cell = |i: usize, j: usize| {
                 (0..36).map(|kl| turn(i, kl / 6) * covariance[kl / 6][kl % 6] * turn(j, kl % 6)).sum()
             };
-            moved = std::array::from_fn(|i| std::array::from_fn(|j| cell(i, j)));
+            moved = PoseCovariance::from_rows(std::array::from_fn(|i| std::array::from_fn(|j| cell(i, j))));
         }
         if self.of == PoseOf::Robot {
             let world_from_robot = world_from_sensor.rotation * sensor.mount.rotation.conjugate();
-            moved = sensor_covariance(&moved, world_from_robot * sensor.mount.translation);
+            moved = moved.moved_by(world_from_robot * sensor.mount.translation);
         }
         moved
     }

@@ -95,7 +95,7 @@ impl Tally {
 }
 
 fn options() -> TrackerOptions {
-    TrackerOptions { detection_probability: 0.8, ..TrackerOptions::new(ImageExtent::new(WIDTH, HEIGHT)) }
+    TrackerOptions::new(ImageExtent::new(WIDTH, HEIGHT)).with_detection_probability(0.8)
 }
 
 fn drive(disturbance: Disturbance, options: &TrackerOptions, knows_motion: bool) -> Tally {

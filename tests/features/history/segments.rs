@@ -30,8 +30,7 @@ fn edges_are_tracked_across_their_direction() {
         let edges = Edges::new(&mut random, 1500);
         let mut simulator = Simulator::new(round, Disturbance::default());
         let frames = simulator.drive(&[leg(4.0, 0.6, 0.0), leg(3.0, 0.6, 0.25), leg(2.0, 0.6, 0.0)]);
-        let options =
-            TrackerOptions { detection_probability: 0.8, ..TrackerOptions::new(ImageExtent::new(WIDTH, HEIGHT)) };
+        let options = TrackerOptions::new(ImageExtent::new(WIDTH, HEIGHT)).with_detection_probability(0.8);
         let mut tracker = Tracker::new(options).unwrap();
         for frame in &frames {
             if tracker.health().wants.is_some() {

@@ -3,9 +3,10 @@
 use super::common::Random;
 use super::{CONFIDENCES, Covariance, draws};
 use glam::{DMat3, DQuat, DVec3};
+use presight_features::roi::RoiFlag;
 use presight_features::{BoxOptions, BoxQuery, FeaturePrediction, PlacedFeature, SeenFeature, add_boxes};
 use presight_model::environment::{Environment, Existence, Feature, FeatureShape, Properties};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, PoseCovariance};
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use rayon::prelude::*;
@@ -115,7 +116,8 @@ impl Case {
         let placed = PlacedFeature { feature: feature.into(), object: None, slots: Vec::new() };
         let mut prediction = FeaturePrediction { features: vec![seen], ..FeaturePrediction::default() };
         let world = World::new(Environment::default());
-        let options = BoxOptions::default().with_sensor(self.covariance).with_confidence(confidence);
+        let options =
+            BoxOptions::default().with_sensor(PoseCovariance::from_rows(self.covariance)).with_confidence(confidence);
         add_boxes(
             &mut prediction,
             &BoxQuery {
@@ -173,14 +175,14 @@ impl Case {
         (0..draws.div_ceil(CHUNK)).into_par_iter().flat_map_iter(chunk).collect()
     }
 
-    pub fn missed(&self, bounds: &[f64; 4], flag: &str, reaches: &[Reach]) -> f64 {
+    pub fn missed(&self, bounds: &[f64; 4], flag: RoiFlag, reaches: &[Reach]) -> f64 {
         let turn = self.sensor.columns_of_a_turn().unwrap_or(0.0);
         let holds = |reach: &Reach| {
             let Some(r) = reach else { return false };
             let all_around = turn > 0.0 && bounds[2] - bounds[0] >= turn - 1e-9;
             let across =
                 |shift: f64| all_around || r[0] + shift >= bounds[0] - 1e-9 && r[2] + shift <= bounds[2] + 1e-9;
-            flag == "whole_image"
+            flag == RoiFlag::WholeImage
                 || r[0] > r[2]
                 || [-turn, 0.0, turn].into_iter().any(across) && r[1] >= bounds[1] - 1e-9 && r[3] <= bounds[3] + 1e-9
         };
@@ -198,7 +200,7 @@ impl Case {
             let missed = self.missed(&bounds, flag, &reaches);
             let fail = 1.0 - confidence;
             let most = 1.1 * fail + 3.0 * (fail * confidence / n as f64).sqrt();
-            let name = format!("{}, {}, {confidence}: {bounds:.2?} {flag}", self.name, self.sensor.spec().name);
+            let name = format!("{}, {}, {confidence}: {bounds:.2?} {flag:?}", self.name, self.sensor.spec().name);
             let mut line = format!("{name}: missed {missed:.5} of {fail:.3}");
             if missed > most {
                 wrong.push(format!("{name}: missed {missed}, at most {most}"));
@@ -209,7 +211,7 @@ impl Case {
             if let (Some(tight), Some(best), false) = (self.tight, &others, cut) {
                 let ratio = (bounds[2] - bounds[0]) * (bounds[3] - bounds[1]) / best.area(confidence);
                 line += &format!(", {ratio:.3} x the best");
-                if !(ratio <= tight) || flag == "whole_image" {
+                if !(ratio <= tight) || flag == RoiFlag::WholeImage {
                     wrong.push(format!("{name}: {ratio} times the best area"));
                 }
             }

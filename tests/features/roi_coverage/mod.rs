@@ -13,10 +13,11 @@ mod study;
 use common::{Random, env_number, scenes};
 use draws::{Best, Case};
 use glam::{DMat3, DVec3, Vec3};
+use presight_features::roi::RoiFlag;
 use presight_features::{BoxOptions, BoxQuery, FeatureSettings, PlacedFeature, add_boxes, predict_features};
 use presight_model::environment::NewObject;
 use presight_model::environment::{Existence, Feature, FeatureShape, Properties};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, PoseCovariance};
 use presight_model::sensor::{Angles, Camera, Distortion, Geometry, Scanner, Sensor, SensorSpec};
 use presight_model::world::World;
 use std::sync::Arc;
@@ -172,7 +173,7 @@ fn at_a_pole_few_rows_are_taken() {
         let case = Case { pose, ..case };
         assert_all(std::slice::from_ref(&case));
         let ([x0, y0, x1, y1], flag) = case.found(0.99);
-        assert_eq!((flag, x1 - x0 > 715.0), ("set", all_columns), "{x}: {x0} {x1}");
+        assert_eq!((flag, x1 - x0 > 715.0), (RoiFlag::Set, all_columns), "{x}: {x0} {x1}");
         assert!(y1 - y0 < 20.0, "{x}: {y0} {y1}");
     }
 }
@@ -338,7 +339,8 @@ fn box_in(world: &World, case: &Case, confidence: f64) -> [f64; 4] {
     let images = common::reference(&common::plan(world, &case.sensor, &case.pose));
     let options = FeatureSettings { regions: true, ..FeatureSettings::default() };
     let mut prediction = predict_features(world, &case.sensor, &case.pose, &images, &placed, &options).unwrap();
-    let options = BoxOptions::default().with_sensor(case.covariance).with_confidence(confidence);
+    let options =
+        BoxOptions::default().with_sensor(PoseCovariance::from_rows(case.covariance)).with_confidence(confidence);
     add_boxes(
         &mut prediction,
         &BoxQuery { placed: &placed, world, sensor: &case.sensor, world_from_sensor: &case.pose, options: &options },

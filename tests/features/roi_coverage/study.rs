@@ -8,12 +8,10 @@ use super::{
     CONFIDENCES, Covariance, any_covariance, any_shape, camera, diagonal, isotropic, lenses, robot, scanner, segment,
 };
 use glam::{DMat3, DQuat, DVec3, Vec3};
-use presight_features::{
-    BoxOptions, BoxQuery, FeatureSettings, PlacedFeature, add_boxes, predict_features, sensor_covariance,
-};
+use presight_features::{BoxOptions, BoxQuery, FeatureSettings, PlacedFeature, add_boxes, predict_features};
 use presight_model::environment::NewObject;
 use presight_model::environment::{Existence, Feature, FeatureShape, Properties};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, PoseCovariance};
 use presight_model::sensor::{Angles, Geometry, Scanner, Sensor, SensorSpec};
 use presight_model::world::World;
 use presight_render::plan::{Images, Output, Outputs};
@@ -213,8 +211,8 @@ impl Trial {
         }
         let lever = self.case.pose.rotation * self.mount.translation;
         let options = BoxOptions::default()
-            .with_sensor(sensor_covariance(&self.case.covariance, lever))
-            .with_objects(vec![(0, self.object_covariance)]);
+            .with_sensor(PoseCovariance::from_rows(self.case.covariance).moved_by(lever))
+            .with_objects(vec![(0, PoseCovariance::from_rows(self.object_covariance))]);
         let found = CONFIDENCES.map(|confidence| {
             let mut prediction = prediction.clone();
             let options = options.clone().with_confidence(confidence);
@@ -394,7 +392,7 @@ fn outcome(condition: &str, features: usize, draws: usize) -> Outcome {
         .map(|(trial, boxes)| {
             let reaches = trial.reaches(draws);
             let held: Vec<f64> =
-                boxes.iter().map(|(bounds, flag)| 1.0 - trial.case.missed(bounds, flag, &reaches)).collect();
+                boxes.iter().map(|(bounds, flag)| 1.0 - trial.case.missed(bounds, *flag, &reaches)).collect();
             let known: Vec<Reach> = reaches.iter().map(|r| r.filter(|r| r[0] <= r[2])).collect();
             let b = boxes[1].0;
             let size = trial.case.sensor.width() as f64 - 0.5;

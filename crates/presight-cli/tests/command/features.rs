@@ -291,7 +291,7 @@ pixel_sigma = 0.5
     }
     for (line, said) in [
         ("features room.glb --worth --csv a.csv", "--sensor"),
-        ("features room.glb --worth --sensor video-camera --csv a.csv", "pixel_sigma"),
+        ("features room.glb --worth --sensor realsense-d435 --csv a.csv", "pixel_sigma"),
         ("features room.glb --worth --sensor eye.toml --spacing 0", "spacing above 0"),
         ("features room.glb --worth --sensor eye.toml --floor 50", "is free"),
         ("features room.glb --class video --csv a.csv", "--worth"),

@@ -6,7 +6,7 @@ use presight_files::store;
 use presight_files::store::Store;
 use presight_model::change::Change;
 use presight_model::environment::{Environment, NewObject};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, PoseCovariance};
 use presight_model::index::{Params, Scheme};
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
@@ -33,8 +33,7 @@ fn change(kind: u8, which: u8, x: f64, depth: u8) -> Change {
         7 => Change::DeleteFeature { class, id },
         8 => Change::SetPose { name, world_from_object: at(x, 0.0, -x) },
         9 => {
-            let mut covariance = [[0.0; 6]; 6];
-            covariance[0][0] = x * x;
+            let covariance = PoseCovariance::from_sigmas([x, 0.0, 0.0, 0.0, 0.0, 0.0]);
             Change::SetPoseCovariance {
                 class,
                 object: name,

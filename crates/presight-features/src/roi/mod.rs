@@ -43,7 +43,6 @@ use exceedance::Exceedance;
 use glam::DVec3;
 use image_point::{ImagePoint, PointDerivatives, dot, rough, see};
 use linear::{bent_bounds, linear_bounds};
-pub use presight_model::geometry::PoseCovariance;
 use set::set_bounds;
 
 /// Method by which a box was found.

@@ -50,7 +50,9 @@ fn text_of(layer: &FeatureLayer, lost: &[u32]) -> Result<String> {
         let lines: Result<Vec<String>> = layer
             .pose_covariances
             .iter()
-            .map(|(path, covariance)| Ok(format!("    {}: {}", json(path)?, json(&covariance.as_flattened())?)))
+            .map(|(path, covariance)| {
+                Ok(format!("    {}: {}", json(path)?, json(&covariance.as_rows().as_flattened())?))
+            })
             .collect();
         text.push_str(&format!("  \"pose_covariances\": {{\n{}\n  }},\n", lines?.join(",\n")));
     }

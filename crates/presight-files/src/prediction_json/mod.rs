@@ -39,7 +39,7 @@ use glam::{DVec2, DVec3};
 use presight_features::{FeaturePrediction, HiddenInterval, SeenFeature, VisibleInterval};
 use presight_model::environment::{Environment, FeatureShape};
 use presight_model::error::{Error, ErrorKind, Result};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{InWorld, Pose, PoseCovariance};
 use presight_predict::virtual_sensors::VirtualReading;
 use presight_render::deadline::Degradation;
 use serde::{Deserialize, Serialize};
@@ -57,8 +57,8 @@ pub struct Header {
     pub sensor: String,
     /// The sensor's pose, body axes.
     pub world_from_sensor: Pose,
-    /// Covariance of that pose: x y z, then rotation about the fixed axes x y z; metres and radians.
-    pub pose_covariance: Option<[[f64; 6]; 6]>,
+    /// Covariance of that pose.
+    pub pose_covariance: Option<PoseCovariance<InWorld>>,
     /// Probability that a feature lies in its region of interest.
     pub confidence: Option<f64>,
     /// Work dropped to meet a deadline.
@@ -96,7 +96,7 @@ pub fn to_string(
         format: FORMAT,
         sensor: &header.sensor,
         world_from_sensor: [t.x, t.y, t.z, q.x, q.y, q.z, q.w],
-        pose_covariance: header.pose_covariance.map(|c| c.into_iter().flatten().collect()),
+        pose_covariance: header.pose_covariance.map(|c| c.as_rows().as_flattened().to_vec()),
         confidence: header.confidence,
         given_up: header.given_up.as_ref(),
         features: prediction.features.iter().map(|f| entry(f, environment)).collect(),
@@ -237,7 +237,7 @@ fn entry<'a>(seen: &'a SeenFeature, environment: &'a Environment) -> FeatureReco
         range: seen.range,
         cos_incidence: seen.cos_incidence,
         roi: seen.roi,
-        roi_flag: seen.roi_flag.map(Cow::from),
+        roi_flag: seen.roi_flag.map(|flag| flag.name().into()),
         image_covariance: seen.image_covariance.as_deref().map(Cow::from),
         properties: properties(seen),
         history: None,
@@ -363,7 +363,7 @@ mod tests {
     fn what_is_written_reads_back_and_is_written_the_same() {
         let mut feature = seen();
         feature.image_covariance = Some(vec![[[1.0 / 3.0, 0.0], [0.0, 2.0]]]);
-        (feature.roi, feature.roi_flag) = (Some([0.1, 0.2, 3.0, 4.0]), Some("linear"));
+        (feature.roi, feature.roi_flag) = (Some([0.1, 0.2, 3.0, 4.0]), Some(presight_features::roi::RoiFlag::Linear));
         let prediction = FeaturePrediction { features: vec![feature], ..FeaturePrediction::default() };
         let pose = Pose::from_xyz_rpy(DVec3::new(1.0, 2.0, 3.0), 0.1, 0.2, 0.3);
         let taken = DegradationStep { means: DegradationKind::Clock, at_ms: 1.0 / 3.0, metres: Some(2.5) };

@@ -4,6 +4,7 @@
 //! all others (the form of an iterated extended Kalman filter). The covariance knows that beams share the errors of surfaces, and
 //! directions that the measurement leaves open are named. See `docs/design/localization.md` for the maths.
 
+
 mod answer;
 mod descent;
 mod findings;
@@ -23,7 +24,6 @@ pub use answer::{Estimate, EstimateState, Hypothesis, WeakDirection};
 pub use fit::{Fit, fit};
 pub use image::{ImageSource, SeenPoint, SeenSegment};
 pub use normal::{CommonError, Freedom, GroupSum, Normal};
-pub use prior::Prior;
 pub use range::{MeasuredPoint, RangeSource, measured_points};
 pub use solve::drawn;
 pub use solve::{EstimateOptions, Estimator};

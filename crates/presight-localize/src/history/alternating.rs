@@ -53,7 +53,7 @@ pub struct FrameWindows {
 ///     };
 ///     Ok((0..20).map(seed).collect())
 /// };
-/// let tracker = Tracker::new(TrackerOptions { least_spread: 2, ..TrackerOptions::new(ImageExtent::new(640, 480)) })?;
+/// let tracker = Tracker::new(TrackerOptions::new(ImageExtent::new(640, 480)).with_least_spread(2))?;
 /// let mut alternating = AlternatingTracker::new(tracker, None);
 /// for k in 0..20 {
 ///     let time = 0.05 * f64::from(k);

@@ -11,7 +11,7 @@ pub use surroundings::{Walkers, displace};
 
 use crate::estimate::moved;
 use presight_model::error::{Error, Result};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, PoseCovariance};
 use presight_model::measured::{Frame, GreyImage, Measurement, Motion, RangeNoise};
 use presight_model::random::SplitMix64;
 use presight_model::sensor::Sensor;
@@ -179,11 +179,8 @@ impl Simulator {
         let t = self.disturbances.slip * way + 1e-4;
         let r = self.disturbances.turn_slip * (turned + way) + 1e-4;
         let error: [f64; 6] = std::array::from_fn(|i| if i < 3 { t } else { r } * self.normal());
-        let variance = |i: usize| if i < 3 { t * t } else { r * r };
-        Motion {
-            previous_from_current: moved(&truth, &error),
-            covariance: std::array::from_fn(|i| std::array::from_fn(|j| if i == j { variance(i) } else { 0.0 })),
-        }
+        let covariance = PoseCovariance::from_sigmas([t, t, t, r, r, r]);
+        Motion { previous_from_current: moved(&truth, &error), covariance }
     }
 
     fn normal(&mut self) -> f64 {

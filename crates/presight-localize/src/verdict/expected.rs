@@ -68,7 +68,7 @@ pub fn body_from_image(sensor: &Sensor) -> Pose {
 }
 
 impl ExpectedImage {
-    /// Predicts what a sensor should see at a pose (body axes), with the plane of each pixel's polygon.
+    /// Predicts what a sensor should see from a robot at a pose, with the plane of each pixel's polygon.
     ///
     /// # Errors
     /// Those of [`Predictor::predict_images`].
@@ -77,14 +77,15 @@ impl ExpectedImage {
         world: &World,
         surfaces: &mut Surfaces,
         sensor: &Sensor,
-        world_from_sensor: &Pose,
+        world_from_robot: &Pose,
     ) -> Result<Self> {
+        let world_from_sensor = *world_from_robot * sensor.spec().mount;
         let outputs = Outputs::of(&[Output::Range, Output::PolygonId]);
         let mut images = Images::default();
-        predictor.predict_images(world, sensor, world_from_sensor, outputs, &mut images)?;
+        predictor.predict_images(world, sensor, &world_from_sensor, outputs, &mut images)?;
         surfaces.follow(world);
         let errors = surfaces.object_errors(world, &sensor.spec().class);
-        let world_from_image = *world_from_sensor * body_from_image(sensor);
+        let world_from_image = world_from_sensor * body_from_image(sensor);
         let image_from_world = world_from_image.inverse();
         let (width, height) = (sensor.width() as usize, sensor.height() as usize);
         images.polygon_id.iter().for_each(|id| surfaces.see(world, *id));

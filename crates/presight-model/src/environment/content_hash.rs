@@ -190,7 +190,7 @@ impl Encoder {
         self.count(covariances.len());
         for (object, covariance) in covariances {
             self.text(object);
-            self.f64s(covariance.as_flattened());
+            self.f64s(covariance.as_rows().as_flattened());
         }
         self.count(layer.features.len());
         layer.features.iter().for_each(|feature| self.feature(feature));

@@ -1,5 +1,6 @@
 //! Features: what a sensor can extract from its image, with position and uncertainty (paper section 2.3).
 
+use crate::geometry::{InObject, PoseCovariance};
 use glam::{DMat3, DVec3};
 use std::sync::Arc;
 
@@ -12,9 +13,8 @@ pub struct FeatureLayer {
     pub tolerance: f64,
     /// The features, by rising id. They are shared with clones of the layer, placed features and predictions.
     pub features: Vec<Arc<Feature>>,
-    /// Covariances of objects' poses, shared by all features of the object, by object path: x y z, then rotation about
-    /// the fixed axes x y z, metres and radians, in the object's frame.
-    pub pose_covariances: Vec<(String, [[f64; 6]; 6])>,
+    /// Covariances of objects' poses, shared by all features of the object, by object path.
+    pub pose_covariances: Vec<(String, PoseCovariance<InObject>)>,
 }
 
 impl FeatureLayer {

@@ -3,6 +3,7 @@
 use super::open::OpenLayer;
 use super::{DEFAULT_TOLERANCE, Environment, Feature, FeatureLayer};
 use crate::error::{Error, Result};
+use crate::geometry::{InObject, PoseCovariance};
 use std::collections::HashSet;
 use std::sync::Arc;
 
@@ -189,7 +190,7 @@ impl Environment {
     }
 
     /// The covariance of an object's pose, with its position in the layer's list.
-    pub(crate) fn covariance_and_place(&self, class: &str, object: &str) -> Option<(usize, [[f64; 6]; 6])> {
+    pub(crate) fn covariance_and_place(&self, class: &str, object: &str) -> Option<(usize, PoseCovariance<InObject>)> {
         if let Some(open) = &self.open {
             return open.get(class)?.covariance_and_place(object);
         }
@@ -267,12 +268,12 @@ impl Environment {
         &mut self,
         class: &str,
         object: &str,
-        covariance: Option<[[f64; 6]; 6]>,
-    ) -> Result<Option<[[f64; 6]; 6]>> {
+        covariance: Option<PoseCovariance<InObject>>,
+    ) -> Result<Option<PoseCovariance<InObject>>> {
         let place = || format!("pose covariance of object {object:?} for class {class:?}");
         if let Some(covariance) = &covariance {
             self.index_of(object).map_err(|e| e.at(place()))?;
-            super::check_covariance(covariance).map_err(|e| e.at(place()))?;
+            covariance.check().map_err(|e| e.at(place()))?;
         }
         self.layer_or_new(class)?;
         if let Some(open) = &mut self.open {

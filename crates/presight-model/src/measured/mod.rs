@@ -10,7 +10,7 @@ pub use grey::GreyImage;
 pub use noise::RangeNoise;
 
 use crate::error::{Error, Result};
-use crate::geometry::Pose;
+use crate::geometry::{InRobot, Pose, PoseCovariance};
 use crate::sensor::{Angles, Camera, Geometry, RayTable, Scanner, Sensor, SensorSpec};
 
 /// The values that a sensor measured, row by row.
@@ -39,8 +39,8 @@ impl Measurement {
 pub struct Motion {
     /// The current pose of the robot, in its previous frame.
     pub previous_from_current: Pose,
-    /// Covariance of x y z, then of rotation about fixed x y z, in the robot's previous frame; metres and radians.
-    pub covariance: [[f64; 6]; 6],
+    /// Its covariance, along the axes of the robot's previous frame.
+    pub covariance: PoseCovariance<InRobot>,
 }
 
 /// Errors of odometry, one standard deviation: parts proportional to distance and turn, and a constant part.
@@ -81,9 +81,8 @@ impl Motion {
         let turn = previous_from_current.rotation.angle_between(glam::DQuat::IDENTITY);
         let metres = noise.way * way + noise.least;
         let radians = noise.turn * turn + noise.turn_on_way * way + noise.least_turn;
-        let variance = |i: usize| if i < 3 { metres * metres } else { radians * radians };
-        let covariance = std::array::from_fn(|i| std::array::from_fn(|j| if i == j { variance(i) } else { 0.0 }));
-        Self { previous_from_current, covariance }
+        let sigmas = [metres, metres, metres, radians, radians, radians];
+        Self { previous_from_current, covariance: PoseCovariance::from_sigmas(sigmas) }
     }
 }
 
