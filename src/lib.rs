@@ -97,6 +97,8 @@ pub mod virtual_sensors;
 #[doc(inline)]
 pub use presight_files::preset;
 #[doc(inline)]
+pub use presight_model::clock::set_clock;
+#[doc(inline)]
 pub use presight_model::geometry::{Pose, PoseCovariance};
 #[doc(inline)]
 pub use presight_model::{Change, Error, ErrorKind, Result, Sensor, Threads, World};

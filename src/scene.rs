@@ -2,7 +2,7 @@
 
 use presight_features::{PlacedFeatures, place};
 use presight_files::file;
-use presight_files::gltf::{ImportOptions, import};
+use presight_files::gltf::{ImportOptions, import, import_bytes};
 use presight_files::layer::{self, LayerFile};
 use presight_files::preparation::{ImportReport, ImportedScene, SceneFrame};
 use presight_model::environment::{Feature, FeatureLayer, FeatureShape};
@@ -29,7 +29,7 @@ const SQLITE: &[u8; 16] = b"SQLite format 3\0";
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct Scene {
-    /// The file of the scene.
+    /// The file of the scene, or the name of a scene from memory.
     pub path: PathBuf,
     /// The world of the scene.
     pub world: World,
@@ -102,20 +102,51 @@ impl Scene {
     /// # Errors
     /// As [`Scene::open`].
     pub fn open_with(path: impl AsRef<Path>, options: &SceneOptions, say: &mut dyn FnMut(&str)) -> Result<Self> {
-        let (path, scheme) = (path.as_ref(), options.index);
+        Self::read(Source::File(path.as_ref()), options, say)
+    }
+
+    /// Opens a scene that is in memory, such as one that a program downloaded or embeds: a `.glb`, a `.gltf` with
+    /// embedded buffers, or a script (`.rhai`) that imports no files. `name` stands for the file in messages; its
+    /// extension selects the format, as for [`Scene::open`]. There is no `SCENE.materials.toml`. The output of a script is
+    /// dropped.
+    ///
+    /// ```
+    /// use presight::{Scene, SceneOptions};
+    /// # let downloaded = std::fs::read("scenes/room.glb").unwrap();
+    /// let scene = Scene::from_bytes("room.glb", &downloaded, &SceneOptions::default())?;
+    /// let opened = Scene::open("scenes/room.glb")?;
+    /// assert_eq!(scene.world.environment().content_hash(), opened.world.environment().content_hash());
+    /// # Ok::<(), presight::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// As [`Scene::open`], naming `name`; [`crate::ErrorKind::Unsupported`] for a stored environment and for buffers in
+    /// files of their own.
+    pub fn from_bytes(name: &str, bytes: &[u8], options: &SceneOptions) -> Result<Self> {
+        Self::read(Source::Memory(Path::new(name), bytes), options, &mut |_| {})
+    }
+
+    fn read(source: Source<'_>, options: &SceneOptions, say: &mut dyn FnMut(&str)) -> Result<Self> {
+        let (path, scheme) = (source.path(), options.index);
         let threads = options.import.threads.started()?;
-        if is_store(path) {
+        if source.is_store() {
             check_unframed(path, &options.import, "a store keeps the frame that it was made with")?;
-            return threads.run(|| stored(path, scheme))?;
+            return match source {
+                Source::File(path) => threads.run(|| stored(path, scheme))?,
+                Source::Memory(..) => Err(store_in_memory(path)),
+            };
         }
         let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
         let imported = match extension.as_str() {
             "rhai" => {
                 check_unframed(path, &options.import, "a script is in metres and z-up")?;
-                script(path, &options.import, say)?
+                script(source, &options.import, say)?
             }
-            "obj" | "stl" | "ply" | "off" | "dae" if path.exists() => return Err(mesh_file(path)),
-            _ => import(path, &options.import)?,
+            "obj" | "stl" | "ply" | "off" | "dae" if source.exists() => return Err(mesh_file(path)),
+            _ => match source {
+                Source::File(path) => import(path, &options.import)?,
+                Source::Memory(name, bytes) => import_bytes(name, bytes, &options.import)?,
+            },
         };
         let world = threads.run(|| World::with_index(imported.environment, scheme, Params::tuned(scheme)))?;
         let frame = imported.frame;
@@ -189,6 +220,35 @@ impl Scene {
     }
 }
 
+/// Where a scene comes from.
+#[derive(Clone, Copy)]
+enum Source<'a> {
+    File(&'a Path),
+    /// A name for messages, and the content.
+    Memory(&'a Path, &'a [u8]),
+}
+
+impl<'a> Source<'a> {
+    fn path(self) -> &'a Path {
+        match self {
+            Self::File(path) | Self::Memory(path, _) => path,
+        }
+    }
+
+    fn exists(self) -> bool {
+        matches!(self, Self::Memory(..)) || self.path().exists()
+    }
+
+    /// True for a stored environment, by its extension or its content.
+    fn is_store(self) -> bool {
+        self.path().extension().is_some_and(|e| e.eq_ignore_ascii_case("presight"))
+            || match self {
+                Self::File(path) => file::starts_with(path, SQLITE),
+                Self::Memory(_, bytes) => bytes.starts_with(SQLITE),
+            }
+    }
+}
+
 /// BLAKE3 of a scene's file, hexadecimal, as predictions in EXR files name it.
 ///
 /// # Errors
@@ -205,15 +265,15 @@ pub fn blake3_of(path: &Path) -> Result<String> {
     Ok(hasher.finalize().to_hex().to_string())
 }
 
-/// Refuses --up and --scale for a scene that has its own frame.
+/// Refuses an up axis or a scale for a scene that has its own frame.
 fn check_unframed(path: &Path, options: &ImportOptions, why: &str) -> Result<()> {
-    let flag = match (options.up, options.scale) {
+    let option = match (options.up, options.scale) {
         (None, None) => return Ok(()),
-        (Some(_), _) => "--up",
-        _ => "--scale",
+        (Some(_), _) => "`ImportOptions::up`",
+        _ => "`ImportOptions::scale`",
     };
-    let remedy = format!("drop {flag}, or give it where the glTF file is read");
-    Err(Error::usage(format!("{flag}: {why}"), remedy).in_file(path))
+    let remedy = format!("drop {option}, or give it where the glTF file is read");
+    Err(Error::usage(format!("{option}: {why}"), remedy).in_file(path))
 }
 
 /// The error for meshes of other formats, with a command that converts them.
@@ -221,7 +281,7 @@ fn mesh_file(path: &Path) -> Error {
     let (from, to) = (path.display(), path.with_extension("glb"));
     let remedy = format!(
         "convert it: python3 -c \"import trimesh; trimesh.load('{from}', force='scene').export('{}')\" (pip install trimesh), \
-         then --up z if it is z-up",
+         then give `ImportOptions::up` z if it is z-up",
         to.display()
     );
     Error::new(ErrorKind::Unsupported, "presight reads scenes from glTF, scripts and stores", remedy).in_file(path)
@@ -229,18 +289,22 @@ fn mesh_file(path: &Path) -> Error {
 
 /// Runs a scene script.
 #[cfg(feature = "script")]
-fn script(path: &Path, options: &ImportOptions, say: &mut dyn FnMut(&str)) -> Result<ImportedScene> {
-    presight_files::script::load(path, options, say)
+fn script(source: Source<'_>, options: &ImportOptions, say: &mut dyn FnMut(&str)) -> Result<ImportedScene> {
+    match source {
+        Source::File(path) => presight_files::script::load(path, options, say),
+        Source::Memory(name, bytes) => presight_files::script::load_bytes(name, bytes, options, say),
+    }
 }
 
 #[cfg(not(feature = "script"))]
-fn script(path: &Path, _options: &ImportOptions, _say: &mut dyn FnMut(&str)) -> Result<ImportedScene> {
-    Err(presight_files::not_built("scene scripts", "script").in_file(path))
+fn script(source: Source<'_>, _options: &ImportOptions, _say: &mut dyn FnMut(&str)) -> Result<ImportedScene> {
+    Err(presight_files::not_built("scene scripts", "script").in_file(source.path()))
 }
 
-/// True for a stored environment, by its extension or its content.
-fn is_store(path: &Path) -> bool {
-    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("presight")) || file::starts_with(path, SQLITE)
+/// The error for a store that is not in a file.
+fn store_in_memory(name: &Path) -> Error {
+    let remedy = "write it to a file and open that, or export its scene.glb: presight env export STORE DIR";
+    Error::new(ErrorKind::Unsupported, "a stored environment in memory cannot be opened", remedy).in_file(name)
 }
 
 /// Opens a store, which is already in presight's frame.

@@ -1,4 +1,4 @@
-//! Batches: against single predictions, and against the formula written down as plainly as it can be.
+//! Compares batches with single predictions and with a plain implementation of the formula.
 
 #[cfg(feature = "gpu")]
 mod device;
@@ -23,14 +23,14 @@ fn predictor(threads: usize) -> Predictor {
     Predictor::new(Options::new(Backend::Cpu).with_threads(threads)).expect("threads start")
 }
 
-/// The sensor with other noise, and with a finite range if it has none.
+/// The sensor with another noise model, and with a finite range if it has none.
 fn noisy(sensor: &Sensor, noise: Noise) -> Sensor {
     let spec = sensor.spec().clone();
     let range_max = if spec.range_max.is_finite() { spec.range_max } else { 100.0 };
-    Sensor::new(spec.clone().with_limits(spec.range_min, range_max).with_noise(noise)).expect("a sound sensor")
+    Sensor::new(spec.clone().with_limits(spec.range_min, range_max).with_noise(noise)).expect("a valid sensor")
 }
 
-/// Range and cos_incidence of a single prediction.
+/// The range and cos_incidence images of a single prediction.
 fn single(predictor: &mut Predictor, world: &World, sensor: &Sensor, pose: &Pose) -> (Vec<f32>, Vec<f32>) {
     let outputs = Outputs::of(&[Output::Range, Output::CosIncidence]);
     let request = Request::of(outputs);

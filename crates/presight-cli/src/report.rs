@@ -36,7 +36,7 @@ pub struct Args {
     scenes: Vec<PathBuf>,
 
     /// Check error bounds in built-in ill-conditioned and extreme cases; exit status 1 if there are faults
-    #[arg(long, conflicts_with_all = ["scenes", "sensors", "poses", "seed"])]
+    #[arg(long, conflicts_with_all = ["scenes", "sensors", "poses", "seed", "up", "scale"])]
     stability: bool,
 
     /// Write the study into this folder

@@ -231,6 +231,15 @@ impl Args {
             let what = format!("a time of {} s", early.time);
             return Err(Error::invalid(what, "give times of at least 0: they name the images").in_file(&self.poses));
         }
+        if sensor.is_camera() {
+            let mut named: Vec<(String, f64)> =
+                poses.iter().map(|p| (depth_folder::image_name(p.time), p.time)).collect();
+            named.sort_unstable_by(|a, b| a.0.cmp(&b.0));
+            if let Some([a, b]) = named.array_windows().find(|[a, b]| a.0 == b.0) {
+                let what = format!("the images at {} s and {} s would both be named {}", a.1, b.1, a.0);
+                return Err(Error::invalid(what, "give times at least 2 us apart").in_file(&self.poses));
+            }
+        }
         let falling = poses.windows(2).find(|pair| !(pair[1].time > pair[0].time));
         if let Some([a, b]) = falling.filter(|_| !sensor.is_camera()) {
             let what = format!("a time of {} s after one of {} s", b.time, a.time);

@@ -39,7 +39,7 @@ pub fn write_atomically(path: &Path, fill: impl FnOnce(&mut File) -> io::Result<
 }
 
 /// Opens the file to be replaced, if it exists. Fails if it has no write bit, even for root, who could write it.
-pub(super) fn open_to_replace(path: &Path) -> Result<Option<File>> {
+pub fn open_to_replace(path: &Path) -> Result<Option<File>> {
     fs::metadata(path).ok().map(|old| open_old(path, &old)).transpose()
 }
 
@@ -93,7 +93,8 @@ fn open_through(path: &Path) -> io::Result<File> {
     File::options().write(true).append(is_given(path)).open(path)
 }
 
-pub(super) fn refused(path: &Path, e: io::Error) -> Error {
+/// The error of a file that cannot be written, with a remedy for its cause.
+pub fn refused(path: &Path, e: io::Error) -> Error {
     use io::ErrorKind as Io;
     let remedy = match e.kind() {
         Io::NotFound | Io::NotADirectory => "create the folder first, or write elsewhere",

@@ -29,10 +29,8 @@ pub mod robot_toml;
 #[cfg(feature = "script")]
 pub mod script;
 pub mod sensor_toml;
-pub mod series;
 #[cfg(feature = "store")]
 pub mod store;
-pub mod templates;
 pub mod temporary;
 pub mod text;
 pub mod tum;

@@ -97,8 +97,8 @@ impl ExternalPose {
     /// [`crate::ErrorKind::Usage`] for the optical axes of a robot.
     pub fn check(&self) -> Result<()> {
         if self.of == PoseOf::Robot && self.frame == PoseFrame::Optical {
-            let remedy = "drop --pose-frame optical, or give the pose of the sensor";
-            return Err(Error::usage("--pose-of robot: a robot has no optical frame", remedy));
+            let remedy = "drop `PoseFrame::Optical`, or give the pose of the sensor";
+            return Err(Error::usage("`PoseOf::Robot`: a robot has no optical frame", remedy));
         }
         Ok(())
     }

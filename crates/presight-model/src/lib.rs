@@ -3,6 +3,7 @@
 //! Use it through the crate `presight`, which gives the same names.
 
 pub mod change;
+pub mod clock;
 pub mod contour;
 pub mod environment;
 pub mod error;

@@ -131,7 +131,7 @@ pub struct PredictionFile {
 /// # Errors
 /// [`crate::ErrorKind::Invalid`] for any other text; [`crate::ErrorKind::Unsupported`] for a newer format.
 pub fn parse(text: &str) -> Result<PredictionFile> {
-    let remedy = "give a file that presight predict --features wrote";
+    let remedy = "give a file that `prediction_json::write` wrote";
     let file: PredictionFile = serde_json::from_str(text)
         .map_err(|e| Error::invalid(format!("not a prediction of features: {e}"), remedy).caused_by(e))?;
     match file.format {

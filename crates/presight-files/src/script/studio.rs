@@ -144,7 +144,7 @@ impl Studio {
         self.budget.work(0)?;
         let mut memory = *self.imported.borrow();
         // `shown`, not `real`: it appears in messages, and its sidecar applies.
-        let outcome = gltf::import_within(&shown, Some(self.folder.real()), &self.options, &mut memory);
+        let outcome = gltf::import_within(&shown, self.folder.real(), &self.options, &mut memory);
         if outcome.is_err() {
             // A failed import is not cached, so the script may repeat it: count its work.
             let taken = memory.bytes() - self.imported.borrow().bytes();

@@ -165,7 +165,7 @@ impl<'a> Batch<'a> {
         let wrong = |e: serde_json::Error| {
             let what = e.to_string();
             let what = what.split(" at line ").next().unwrap_or(&what).to_owned();
-            Error::invalid(what, "presight env apply --help lists the changes").caused_by(e)
+            Error::invalid(what, "the help of presight env apply lists the changes").caused_by(e)
         };
         check_json_memory(line)?;
         let UniqueKeys(mut value) = serde_json::from_str(line).map_err(wrong)?;

@@ -17,6 +17,7 @@ use crate::engine::Engine;
 use crate::predict::Predictor;
 use crate::request::Request;
 use headings::{HeadingWeights, Panorama};
+use presight_model::clock::Instant;
 use presight_model::error::{Error, Result};
 use presight_model::geometry::Pose;
 use presight_model::sensor::Sensor;
@@ -29,7 +30,6 @@ use presight_render::row::{RowCuts, RowView, is_level};
 use rayon::prelude::*;
 use std::iter::Peekable;
 use std::sync::{Mutex, PoisonError};
-use std::time::Instant;
 
 /// Spacing of the candidate poses, as widths of the cells that they represent. A hit is expected anywhere within.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -5,6 +5,7 @@ mod backend;
 pub use backend::open_gpu;
 
 use presight_features::{BoxQuery, FeaturePrediction, FeatureSamples, OcclusionHint};
+use presight_model::clock::Instant;
 use presight_model::error::Result;
 use presight_model::threads::Threads;
 use presight_render::cpu;
@@ -13,7 +14,6 @@ use presight_render::plan::{CountName, Drawn, FramePlan, Images, Raster, StageNa
 use presight_render::reference;
 use presight_render::verify::Precision;
 use std::any::Any;
-use std::time::Instant;
 
 /// An engine: draws the images that a plan requests.
 pub trait Engine: Any + Send {

@@ -10,6 +10,7 @@ use crate::probe::{DeviceCheck, Probe, SensorKind};
 use crate::request::Request;
 use features::SeenFrom;
 use presight_features::FeaturePrediction;
+use presight_model::clock::Instant;
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::geometry::Pose;
 use presight_model::sensor::Sensor;
@@ -21,7 +22,7 @@ use presight_render::plan::{
     Drawn, FramePlan, ImageRequest, Images, Output, Outputs, PlanBuffers, Raster, StageName, Stats, Weighing,
 };
 use presight_render::row::RowCuts;
-use std::time::Instant;
+use std::sync::Arc;
 
 /// The engine that predicts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -136,7 +137,7 @@ pub struct Predictor {
     buffers: PlanBuffers,
     /// The world's own features, as placed last.
     own: Option<features::WorldFeatures>,
-    tree: Option<features::KnownTree>,
+    tree: Option<Arc<features::KnownTree>>,
     /// The deadline controller.
     controller: Controller,
     /// The last event that affected the GPU.
@@ -503,7 +504,7 @@ fn tell(plan: &FramePlan, notice: Option<&String>, stats: &mut Stats) {
 
 /// The error for a device that gives wrong results.
 fn faulty(device: &dyn Device, what: String) -> Error {
-    let remedy = "update its driver, or use --backend cpu; see presight doctor";
+    let remedy = "update its driver, or use `Backend::Cpu`; see presight doctor";
     Error::new(ErrorKind::NoDevice, format!("{} {what}", device.adapter()), remedy)
 }
 
@@ -534,7 +535,7 @@ mod tests {
     #[test]
     fn without_an_adapter_auto_takes_the_cpu_and_gpu_is_an_error() {
         let fails =
-            |kind: ErrorKind| move |_: &Threads, _: bool| Err(Error::new(kind, "no adapter", "use --backend cpu"));
+            |kind: ErrorKind| move |_: &Threads, _: bool| Err(Error::new(kind, "no adapter", "use `Backend::Cpu`"));
         let threads = Threads::from(1);
         let (engine, notice) = choose_engine(Backend::Auto, &threads, fails(ErrorKind::NoDevice)).unwrap();
         assert_eq!((engine.name().as_str(), notice), ("cpu", None));

@@ -244,7 +244,8 @@ impl VirtualSensor {
         let features = || {
             let class = self.class();
             view.features.ok_or_else(|| {
-                let remedy = format!("give a --layer of class {class:?} (presight features SCENE --class {class})");
+                let remedy =
+                    format!("give `View::features` of a layer of class {class:?} (presight features generates one)");
                 Error::usage(format!("{} needs features, and none were predicted", self.name()), remedy)
             })
         };

@@ -1,9 +1,10 @@
 //! The clock, which tests can replace.
 
+use presight_model::clock::Instant;
 use std::fmt;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 /// Returns the time since a fixed moment.
 pub trait Clock: fmt::Debug + Send + Sync {

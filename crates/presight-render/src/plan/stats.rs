@@ -3,9 +3,9 @@
 use super::names::{CountName, Part, StageName};
 use super::raster::Raster;
 use crate::deadline::{DeadlineOutcome, Degradation};
+use presight_model::clock::Instant;
 use serde::Serialize;
 use std::borrow::Cow;
-use std::time::Instant;
 
 /// Statistics of one prediction.
 #[derive(Clone, Debug, Default, Serialize)]

@@ -10,7 +10,7 @@ mod thinning;
 
 use super::{CostModel, Forecast, Key, TimeEstimate, WorkCounts};
 use crate::deadline::{Clock, DeadlineEngine, DegradationKind, DegradationStep, Priority, SystemClock, Watch};
-use crate::plan::{CountName, FramePlan, Outputs, Pace, Run, Stats};
+use crate::plan::{CountName, FramePlan, Outputs, Pace, Run, Stats, TimeLimit};
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::sensor::{STRIDES, Sensor};
 use std::collections::BTreeMap;
@@ -103,7 +103,7 @@ impl Controller {
         }
         let Some(DeadlineEngine { name, adapter, threads, draws_parts }) = engine else {
             let what = "this engine cannot stop early, so it does not support deadlines";
-            return Err(Error::usage(what, "use the CPU engine (--backend cpu), or give no deadline"));
+            return Err(Error::usage(what, "use the CPU engine (`Backend::Cpu`), or give no deadline"));
         };
         let key = Key::new(name, adapter.as_deref(), threads, sensor, outputs, Forecast::Images);
         let (size, images) = ([sensor.width(), sensor.height()], outputs.iter().count() as u64);
@@ -141,7 +141,6 @@ impl Controller {
         }
         timed.counts = counts_of(&plan.runs);
         timed.stride = self.stride(timed, left);
-        plan.part = thinning::part_of(&plan.sensor, timed.stride);
         let after = self.kept_for_images(timed, timed.stride, left);
         let features = self.reserve(timed, left.saturating_sub(after));
         timed.watch.stop_after(timed.limit.saturating_sub(after + features));
@@ -151,9 +150,11 @@ impl Controller {
         timed.first_estimate = is_known.then_some(timed.selected.as_secs_f64() + drawing.mean + images.mean);
         let drawing = self.at_stride(timed, (Forecast::Selection, &timed.counts), timed.stride);
         timed.time = is_known.then(|| timed.watch.left().as_secs_f64() / drawing.mean);
+        let part = thinning::part_of(&plan.sensor, timed.stride);
+        plan.limit = Some(TimeLimit { part, ..TimeLimit::new(timed.watch.clone()) });
         self.cut(timed, plan)?;
-        plan.watch = Some(timed.watch.clone());
-        plan.pace = self.pace(timed, left, &plan.runs);
+        let pace = self.pace(timed, left, &plan.runs);
+        plan.limit.iter_mut().for_each(|limit| limit.pace = pace);
         Ok(())
     }
 
