@@ -13,8 +13,8 @@
 
 use presight_files::gltf::{ImportOptions, import};
 use presight_files::log;
-use presight_model::measured::{Frame, Measurement};
 use presight_model::geometry::Pose;
+use presight_model::measured::{Frame, Measurement};
 use presight_model::sensor::{Noise, Sensor, SensorSpec};
 use presight_model::world::World;
 use presight_predict::batch::{BatchRequest, Headings, PoseCell, RangeLikelihood};

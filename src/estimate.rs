@@ -2,10 +2,10 @@
 //!
 //! A scanner at the origin has a corner before it: walls at x = 3 and y = 2. It stands 2 cm farther forward than it believes.
 //! ```
-//! use presight::estimate::{EstimateOptions, Estimator, Freedom, Prior};
+//! use presight::estimate::{EstimateOptions, Estimator, Freedom};
 //! use presight::simulate::{Disturbances, Simulator};
 //! use presight::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
-//! use presight::{Options, Pose, Predictor, World};
+//! use presight::{Options, Pose, PoseEstimate, Predictor, World};
 //! use glam::{DVec3, Vec3};
 //! use std::sync::Arc;
 //!
@@ -23,12 +23,13 @@
 //! let truth = Pose::from_xyz_rpy(DVec3::new(0.02, 0.0, 0.5), 0.0, 0.0, 0.01);
 //! let frame = Simulator::new(predictor()?, scanner, Disturbances::default(), 1)?.frame(&world, 0.0, &truth)?;
 //! let believed = Pose::from_xyz_rpy(DVec3::new(0.0, 0.0, 0.5), 0.0, 0.0, 0.0);
-//! let options = EstimateOptions { freedom: Freedom::Planar, ..EstimateOptions::default() };
-//! let found = Estimator::new(predictor()?, options).estimate(&world, &[&frame], &Prior::of_sigmas(believed, 0.05, 0.03))?;
+//! let options = EstimateOptions::default().with_freedom(Freedom::Planar);
+//! let prior = PoseEstimate::of_sigmas(believed, 0.05, 0.03);
+//! let found = Estimator::new(predictor()?, options).estimate(&world, &[&frame], &prior)?;
 //! assert!(found.is_determined() && found.weak.is_empty());
-//! assert!((found.pose.translation.x - 0.02).abs() < 4.0 * found.covariance[0][0].sqrt());
+//! assert!((found.pose.world_from_robot.translation.x - 0.02).abs() < 4.0 * found.pose.covariance[0][0].sqrt());
 //! # Ok::<(), presight::Error>(())
 //! ```
 
 #[doc(inline)]
-pub use presight_localize::estimate::{Estimate, EstimateOptions, Estimator, Freedom, Prior};
+pub use presight_localize::estimate::{Estimate, EstimateOptions, Estimator, Freedom};

@@ -99,7 +99,7 @@ pub use presight_files::preset;
 #[doc(inline)]
 pub use presight_model::clock::set_clock;
 #[doc(inline)]
-pub use presight_model::geometry::{Pose, PoseCovariance};
+pub use presight_model::geometry::{InObject, InRobot, InWorld, Pose, PoseCovariance, PoseEstimate};
 #[doc(inline)]
 pub use presight_model::{Change, Error, ErrorKind, Result, Sensor, Threads, World};
 #[doc(inline)]

@@ -3,7 +3,7 @@
 //! A scanner that nothing is known of, in a room of which no two places look alike:
 //! ```
 //! use presight::estimate::{EstimateOptions, Estimator};
-//! use presight::localize::{LocalizeOptions, Localizer, Phase, Search, SearchOptions};
+//! use presight::localize::{LocalizeOptions, Localizer, Phase, Search, SearchOptions, Step};
 //! use presight::simulate::{Disturbances, Simulator};
 //! use presight::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
 //! use presight::sensor::Noise;
@@ -42,4 +42,4 @@
 #![doc = include_str!("../docs/localization.md")]
 
 #[doc(inline)]
-pub use presight_localize::localize::{LocalizeOptions, Localizer, Phase, Search, SearchOptions};
+pub use presight_localize::localize::{LocalizeOptions, Localizer, Phase, Search, SearchOptions, Step};

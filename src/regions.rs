@@ -9,7 +9,7 @@
 //!
 //! ```
 //! use glam::{DMat3, DVec3};
-//! use presight::Pose;
+//! use presight::{Pose, PoseCovariance};
 //! use presight::features::FeatureShape;
 //! use presight::regions::{BodyPoint, FeatureErrorModel, Projection, RoiFlag, roi};
 //!
@@ -31,10 +31,7 @@
 //! }
 //!
 //! let (xy, heading, line) = (0.03, 1f64.to_radians(), 0.01);
-//! let mut robot = [[0.0; 6]; 6];
-//! for (i, sigma) in [(0, xy), (1, xy), (5, heading)] {
-//!     robot[i][i] = sigma * sigma;
-//! }
+//! let robot = PoseCovariance::from_sigmas([xy, xy, 0.0, 0.0, 0.0, heading]);
 //! let ends = [DVec3::new(4.0, 0.0, -0.6), DVec3::new(4.0, 0.0, 0.6)];
 //! let covariances = [DMat3::from_diagonal(DVec3::splat(line * line)); 2];
 //! let shape = FeatureShape::Segment { ends, covariances, cross: DMat3::ZERO };
@@ -55,4 +52,4 @@
 #[doc(inline)]
 pub use presight_features::roi::{BodyPoint, FeatureErrorModel, Projection, Roi, RoiFlag, roi};
 #[doc(inline)]
-pub use presight_features::{BoxMethod, BoxOptions, sensor_covariance};
+pub use presight_features::{BoxMethod, BoxOptions};

@@ -153,7 +153,14 @@ impl Scene {
         let world = threads.run(|| World::with_index(imported.environment, scheme, Params::tuned(scheme)))?;
         let frame = imported.frame;
         let world_from_gltf = frame.unwrap_or_default().world_from_axes();
-        Ok(Self { path: path.to_owned(), world, frame, world_from_gltf, report: imported.report, files: imported.files })
+        Ok(Self {
+            path: path.to_owned(),
+            world,
+            frame,
+            world_from_gltf,
+            report: imported.report,
+            files: imported.files,
+        })
     }
 
     /// Finds the polygons of the features of a layer in memory. Features that lie on no polygon are listed and left out.

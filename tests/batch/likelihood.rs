@@ -3,8 +3,8 @@
 use super::{common, frame_of, noisy, oracle, predictor, single};
 use common::{Random, data, scenes};
 use presight_model::error::ErrorKind;
-use presight_model::measured::{Frame, Measurement};
 use presight_model::geometry::Pose;
+use presight_model::measured::{Frame, Measurement};
 use presight_model::sensor::{Mixture, Noise, Sensor, SensorSpec};
 use presight_model::world::World;
 use presight_predict::batch::{BatchRequest, PoseCell, RangeLikelihood};

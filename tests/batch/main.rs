@@ -11,8 +11,8 @@ mod row;
 
 use presight_testkit as common;
 
-use presight_model::measured::{Frame, Measurement};
 use presight_model::geometry::Pose;
+use presight_model::measured::{Frame, Measurement};
 use presight_model::sensor::{Noise, Sensor};
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};

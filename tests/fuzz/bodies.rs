@@ -250,7 +250,8 @@ pub fn log(bytes: &[u8]) -> bool {
             [frame.odometry, frame.reference].iter().flatten().for_each(check_pose);
             frames.push(frame);
         }
-        let lines: String = frames.iter().map(|frame| log::lines::line(frame).expect("a frame that was read") + "\n").collect();
+        let lines: String =
+            frames.iter().map(|frame| log::lines::line(frame).expect("a frame that was read") + "\n").collect();
         let again = path.with_file_name("again.jsonl");
         std::fs::write(&again, format!("{}\n{lines}", log::lines::header(&spec))).expect("a file");
         let read = log::open(&again).expect("a written file can be read");

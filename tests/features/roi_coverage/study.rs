@@ -55,7 +55,7 @@ struct Trial {
 }
 
 /// A box, and its method.
-type Found = ([f64; 4], &'static str);
+type Found = ([f64; 4], RoiFlag);
 
 /// One level row, full circle.
 fn row(beam_height_deg: Option<f64>) -> Sensor {

@@ -115,7 +115,10 @@ fn nothing_included_is_overwritten() {
     let lines: [(String, &[&str]); 5] = [
         (predict("apart.gltf", "--png before.png --stats bin.json"), &["--stats bin.json"]),
         ("predict wall.glb --robot robot.toml --poses poses.tum --backend cpu --png rays.png".into(), &["rays.png"]),
-        ("predict apart.gltf --robot robot.toml --poses poses.tum --backend cpu --features bin.json".into(), &["bin.json"]),
+        (
+            "predict apart.gltf --robot robot.toml --poses poses.tum --backend cpu --features bin.json".into(),
+            &["bin.json"],
+        ),
         (
             predict("wall.glb", "--out before.exr --stats sidecar.json"),
             &["--stats sidecar.json", "wall.materials.toml"],

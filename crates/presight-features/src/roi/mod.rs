@@ -18,7 +18,7 @@
 //! If the projection is strongly curved over the range of the errors, neither derivatives nor second-order terms give a
 //! bound. Then samples of the errors with the required probability are projected one at a time (`set`).
 //!
-//! `examples/region_of_interest.rs` prints widths at other distances and draws the picture in `docs/region_of_interest.svg`.
+//! `docs/region_of_interest.svg` shows the widths at other distances.
 
 mod errors;
 mod exceedance;

@@ -4,7 +4,6 @@
 //! all others (the form of an iterated extended Kalman filter). The covariance knows that beams share the errors of surfaces, and
 //! directions that the measurement leaves open are named. See `docs/design/localization.md` for the maths.
 
-
 mod answer;
 mod descent;
 mod findings;

@@ -5,7 +5,6 @@
 //! and updates it with one estimate. It says [`Phase::Lost`] with its reason instead of a pose that it does not know, and looks
 //! around the last pose it knew, or in the whole map, until several frames in a row agree.
 
-
 mod cusum;
 mod decide;
 mod doubt;

@@ -1,6 +1,6 @@
 //! Verdicts: what a measured image says of the model, pixel by pixel.
 //!
-//! [`ExpectedImage`] is a prediction with the exact plane of each pixel's polygon. [`judge`] compares a [`crate::frame::Frame`] with
+//! [`ExpectedImage`] is a prediction with the exact plane of each pixel's polygon. [`judge`] compares a [`Frame`] with
 //! it: each pixel is confirmed, nearer, farther and so on ([`Verdict`]), tight by what is known of the noise and of the pose.
 
 mod expected;
@@ -9,7 +9,6 @@ mod strided;
 mod surfaces;
 
 pub use expected::body_from_image;
-#[doc(hidden)]
 pub use expected::{ExpectedImage, ExpectedPixel};
 pub(crate) use judge::judge;
 pub use judge::{Verdict, Verdicts};
@@ -17,8 +16,8 @@ pub use strided::LANES;
 pub use surfaces::{ObjectError, Surface, Surfaces};
 
 use presight_model::error::{Error, Result};
-use presight_model::measured::Frame;
 use presight_model::geometry::PoseEstimate;
+use presight_model::measured::Frame;
 use presight_model::world::World;
 use presight_predict::predict::Predictor;
 
