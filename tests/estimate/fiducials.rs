@@ -120,7 +120,7 @@ fn tags_alone_determine_the_pose() {
         let found = seen_in(&world, &TAGS, &believed, &truth, seed);
         assert!(found.is_determined(), "{:?}", found.state);
         assert_eq!(found.findings[0].count("matched"), 4);
-        let (m, d) = apart(&found.pose, &truth);
+        let (m, d) = apart(&found.pose.world_from_robot, &truth);
         assert!(m < 0.015 && d < 0.25, "{seed}: {m} m, {d} deg");
         let (squared, numbers) = nees(&found.pose, &truth);
         scores += squared / numbers as f64 / 4.0;
@@ -147,7 +147,7 @@ fn a_tag_with_another_number_is_not_matched() {
         .map(|at| findings.detections[*at].properties.marker.as_ref().unwrap().code)
         .collect();
     assert_eq!(only, [3]);
-    let (m, d) = apart(&found.pose, &place());
+    let (m, d) = apart(&found.pose.world_from_robot, &place());
     assert!(found.is_determined() && m < 0.02 && d < 0.3, "{m} m, {d} deg; {:?}", found.state);
 }
 
@@ -167,7 +167,7 @@ fn a_tag_that_was_moved_is_not_believed() {
                 let [real, map] = [real, TAGS].map(|all| some.iter().map(|k| all[*k]).collect::<Vec<Tag>>());
                 let found = seen_in(&with_tags(&real).0, &map, &believed, &place(), 5);
                 let (squared, numbers) = nees(&found.pose, &place());
-                let (score, off) = (squared / numbers as f64, apart(&found.pose, &place()));
+                let (score, off) = (squared / numbers as f64, apart(&found.pose.world_from_robot, &place()));
                 eprintln!("{some:?}, {moved} by {dy} {dz}: NEES {score}, {off:?}, {:?}", found.state);
                 assert!(!found.is_determined() || score < 4.0, "{some:?}, {moved}: NEES {score}, {off:?}");
                 outvoted += usize::from(some.len() == 4 && found.is_determined() && off.0 < 0.03);
@@ -190,7 +190,7 @@ fn a_pose_is_known_no_better_than_its_tags() {
         let mut estimator = estimator(options).with_features(layer(&world, &TAGS[..3], &corners, sigma));
         let found = estimator.estimate(&world, &[&grey(&video(), &world, &place, 0.0, 1)], &prior).unwrap();
         assert!(found.is_determined(), "{:?}", found.state);
-        found.covariance[1][1].sqrt()
+        found.pose.covariance[1][1].sqrt()
     };
     let (exact, loose) = (sigma_of(0.0), sigma_of(0.02));
     // The heading is known; the prior of 5 cm reduces the value slightly.
@@ -205,7 +205,7 @@ fn drives_are_tracked_by_tags() {
     let features = layer(&world, &TAGS, &corners, 0.0);
     for with_ranges in [false, true] {
         for (k, (truth, step)) in drive(&video(), &world, &features, &place(), with_ranges).iter().enumerate() {
-            let (m, d) = apart(&step.pose, truth);
+            let (m, d) = apart(&step.pose.world_from_robot, truth);
             assert!(m < if with_ranges { 0.004 } else { 0.02 } && d < 0.3, "{k}: {m} m, {d} deg; {}", step.reason);
             assert_eq!(step.estimate.findings[0].count("matched"), 4);
             assert_eq!(step.phase, if k < 2 { Phase::Candidates } else { Phase::Tracking });

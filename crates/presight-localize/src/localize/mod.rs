@@ -334,7 +334,7 @@ impl Localizer {
 fn on_the_floor(from: &Pose, motion: &Motion) -> Motion {
     let (axes, off) = (Freedom::Planar.axes(), motion_between(from, &(*from * motion.previous_from_current)));
     let level = std::array::from_fn(|i| if axes.contains(&i) { off[i] } else { 0.0 });
-    let in_world = restricted(&motion.covariance.in_world(from).as_rows(), axes);
+    let in_world = restricted(motion.covariance.in_world(from).as_rows(), axes);
     Motion {
         previous_from_current: from.inverse() * moved(from, &level),
         covariance: PoseCovariance::from_rows(sandwich(&turn(from.rotation.conjugate()), &in_world)),

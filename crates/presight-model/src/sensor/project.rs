@@ -381,7 +381,7 @@ fn nearest_ray(table: &RayGrid, ray: DVec3) -> Option<(u32, u32, DVec3)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sensor::{Camera, Distortion, PRESETS, RayTable};
+    use crate::sensor::{Camera, Distortion, RayTable};
     use proptest::prelude::*;
 
     fn sensor(geometry: Geometry) -> Sensor {

@@ -193,6 +193,6 @@ mod tests {
         let rows = stats.stages();
         assert_eq!((rows[0].name.as_str(), rows[0].ran), ("setup", true));
         let left_out = rows.iter().find(|row| row.name == "ray table").unwrap();
-        assert_eq!((left_out.ran, left_out.ms, left_out.why), (false, None, "no lens distortion".to_owned()));
+        assert_eq!((left_out.ran, left_out.ms, left_out.why.as_str()), (false, None, "no lens distortion"));
     }
 }
