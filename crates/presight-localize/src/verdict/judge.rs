@@ -110,7 +110,7 @@ const TASK: usize = 512;
 /// polygon's: stated, and by the stored covariance of its object's pose. Nearer than the nearest by 3.3 s is [`Verdict::Nearer`], farther than the farthest [`Verdict::Farther`].
 ///
 /// # Errors
-/// [`crate::ErrorKind::Usage`] if frame and prediction have not the same size.
+/// [`presight_model::ErrorKind::Usage`] if frame and prediction have not the same size.
 pub fn judge(
     frame: &Frame,
     expected: &ExpectedImage,

@@ -1,7 +1,8 @@
 //! Verdicts: what a measured image says of the prediction, pixel by pixel.
 //!
-//! [`ExpectedImage`] is a prediction with the exact plane of each pixel's polygon. [`judge`] compares a [`crate::frame::Frame`] with
-//! it: each pixel is confirmed, nearer, farther and so on ([`Verdict`]), tight by what is known of the noise and of the pose.
+//! [`ExpectedImage`] is a prediction with the exact plane of each pixel's polygon. [`judge`] compares a
+//! [`presight_model::measured::Frame`] with it: each pixel is confirmed, nearer, farther and so on ([`Verdict`]), tight
+//! by what is known of the noise and of the pose.
 
 mod expected;
 mod judge;

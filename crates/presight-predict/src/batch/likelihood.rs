@@ -28,7 +28,7 @@ pub struct RangeLikelihood {
 
 impl RangeLikelihood {
     /// Takes a range image of the sensor, row-major, metres: `+inf` without a return, `-inf` below `range_min`, NaN
-    /// without a reading ([`crate::io::log::LogFrame::range`]).
+    /// without a reading (`log::LogFrame::range`).
     ///
     /// ```
     /// use presight::batch::{PoseCell, RangeLikelihood};
@@ -44,8 +44,9 @@ impl RangeLikelihood {
     /// ```
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] for an image of the wrong size or without readings, for readings that this sensor
-    /// cannot deliver, for a sensor without `range_sigma` or finite `range_max`, or for a cell that is not finite.
+    /// [`presight_model::ErrorKind::Invalid`] for an image of the wrong size or without readings, for readings that
+    /// this sensor cannot deliver, for a sensor without `range_sigma` or finite `range_max`, or for a cell that is not
+    /// finite.
     pub fn new(sensor: &Sensor, range: Vec<f32>, cell: PoseCell) -> Result<Self> {
         let spec = sensor.spec();
         let pixels = sensor.width() as usize * sensor.height() as usize;
