@@ -12,7 +12,7 @@ pub use presight_files::costs::{read as read_costs, write as write_costs};
 #[doc(inline)]
 pub use presight_files::exr::{Attributes as ExrAttributes, read as read_exr, write as write_exr};
 #[doc(inline)]
-pub use presight_files::gltf::{ImportOptions, import as import_gltf, write_glb};
+pub use presight_files::gltf::{ImportOptions, import as import_gltf, import_bytes as import_gltf_bytes, write_glb};
 #[doc(inline)]
 pub use presight_files::layer::{read as read_layer, schema as layer_schema, write as write_layer};
 #[doc(inline)]

@@ -106,7 +106,7 @@ fn split(boxes: &[Aabb], order: &mut [u32], first: u32, nodes: &mut Vec<Node>) {
 /// Checks that the objects and polygons of features exist.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] naming the first feature whose object or polygon does not exist.
+/// [`presight_model::ErrorKind::Invalid`] naming the first feature whose object or polygon does not exist.
 pub fn check_placed(environment: &Environment, placed: &[PlacedFeature]) -> Result<()> {
     let objects = environment.objects().len();
     for p in placed {

@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 /// ```
 ///
 /// # Errors
-/// [`crate::ErrorKind::Usage`] if there is no preset of this name; the remedy lists the names.
+/// [`presight_model::ErrorKind::Usage`] if there is no preset of this name; the remedy lists the names.
 pub fn preset(name: &str) -> Result<Sensor> {
     let Some(preset) = PRESETS.iter().find(|p| p.name == name) else {
         return Err(Error::usage(format!("unknown preset {name:?}"), format!("choose one of {}", preset_names())));
@@ -32,7 +32,7 @@ pub(super) fn preset_names() -> String {
 /// notices on unused parts of the file.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Usage`] if it is neither a preset nor ends in `.toml`, `.yaml` or `.yml`; errors of
+/// [`presight_model::ErrorKind::Usage`] if it is neither a preset nor ends in `.toml`, `.yaml` or `.yml`; errors of
 /// [`sensor_toml::read`] and [`camera_info::read`].
 pub fn load_sensor(arg: &str) -> Result<(Sensor, Vec<String>)> {
     if PRESETS.iter().any(|p| p.name == arg) {

@@ -84,8 +84,8 @@ pub fn header(descr: &str, shape: &[usize]) -> Vec<u8> {
 /// Writes an array of that shape, with the last dimension varying fastest. The file is written atomically.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] if the shape does not match the number of values; [`crate::ErrorKind::System`] if the
-/// file cannot be written.
+/// [`presight_model::ErrorKind::Invalid`] if the shape does not match the number of values;
+/// [`presight_model::ErrorKind::System`] if the file cannot be written.
 pub fn write(path: &Path, shape: &[usize], values: Values<'_>) -> Result<()> {
     if shape.iter().try_fold(1usize, |product, side| product.checked_mul(*side)) != Some(values.count()) {
         let what = format!("{} numbers do not fill an array of shape {shape:?}", values.count());
@@ -107,7 +107,7 @@ pub fn image_shape(width: u32, height: u32, output: Output) -> Vec<usize> {
 /// Writes an image as `<f4` or `<u4` of shape (rows, columns), vectors as `<f4` of shape (rows, columns, 3).
 ///
 /// # Errors
-/// As [`write()`]; [`crate::ErrorKind::Invalid`] if the image is missing.
+/// As [`write()`]; [`presight_model::ErrorKind::Invalid`] if the image is missing.
 pub fn write_image(path: &Path, images: &Images, output: Output) -> Result<()> {
     let missing = || Error::invalid(format!("there is no {} image", output.name()), "request it").in_file(path);
     let values = Values::of(images, output).ok_or_else(missing)?;
@@ -118,7 +118,7 @@ pub fn write_image(path: &Path, images: &Images, output: Output) -> Result<()> {
 /// every kind of sensor, NaN where a pixel has no ray. A point is its ray times its range.
 ///
 /// # Errors
-/// As [`write()`]; [`crate::ErrorKind::System`] if memory is short.
+/// As [`write()`]; [`presight_model::ErrorKind::System`] if memory is short.
 pub fn write_rays(path: &Path, sensor: &Sensor) -> Result<()> {
     let (width, height) = (sensor.width(), sensor.height());
     let body_from_image = sensor.body_from_image();

@@ -16,7 +16,8 @@ use std::path::Path;
 /// ```
 ///
 /// # Errors
-/// [`crate::ErrorKind::Usage`] for invalid or negative numbers; [`crate::ErrorKind::Invalid`] for an invalid file.
+/// [`presight_model::ErrorKind::Usage`] for invalid or negative numbers; [`presight_model::ErrorKind::Invalid`] for an
+/// invalid file.
 pub fn parse(text: &str) -> Result<PoseCovariance<InWorld>> {
     file(text).map_or_else(|| deviations(text), from_file)
 }
@@ -49,7 +50,7 @@ fn from_file(path: &Path) -> Result<PoseCovariance<InWorld>> {
 /// Reads the JSON text of 36 numbers: row-major, x y z, then rotation about x y z, metres and radians.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] for text that is not a covariance.
+/// [`presight_model::ErrorKind::Invalid`] for text that is not a covariance.
 pub fn from_json(text: &str) -> Result<PoseCovariance<InWorld>> {
     let remedy = "give 36 numbers, row-major: x y z, then rotation about x y z, metres and radians";
     let numbers: Vec<f64> = serde_json::from_str(text)

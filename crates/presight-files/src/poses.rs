@@ -92,7 +92,7 @@ impl ExternalPose {
     /// Checks that the conventions fit together.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] for the optical axes of a robot.
+    /// [`presight_model::ErrorKind::Usage`] for the optical axes of a robot.
     pub fn check(&self) -> Result<()> {
         if self.of == PoseOf::Robot && self.frame == PoseFrame::Optical {
             let remedy = "drop `PoseFrame::Optical`, or give the pose of the sensor";
@@ -101,7 +101,7 @@ impl ExternalPose {
         Ok(())
     }
 
-    /// The sensor's pose in presight's world, body axes. `world_from_gltf` is [`crate::Scene::world_from_gltf`].
+    /// The sensor's pose in presight's world, body axes. `world_from_gltf` is `Scene::world_from_gltf`.
     ///
     /// # Errors
     /// Errors of [`ExternalPose::check`].

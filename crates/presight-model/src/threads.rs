@@ -18,7 +18,7 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
 /// from the same number use the same threads, which start on first use and end with the last engine that holds them. 0,
 /// the default, means one thread per core (or `RAYON_NUM_THREADS`, if set); these threads are never stopped.
 ///
-/// Functions without a handle, such as [`crate::World::new`] or [`crate::features::generate::generate`], use the
+/// Functions without a handle, such as [`crate::World::new`] or `features::generate::generate`, use the
 /// threads of [`Threads::run`] if called inside it, otherwise the default threads.
 ///
 /// ```

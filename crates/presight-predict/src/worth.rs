@@ -93,9 +93,10 @@ impl Worth {
     /// Predicts the features from every free place. Calls `watch` with the number of views done and the total.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] for a spacing that is not positive, a grid of more than [`limits::MAX_WORTH_PLACES`]
-    /// places, or a sensor without pixel noise; [`crate::ErrorKind::Invalid`] if no place is free;
-    /// [`crate::ErrorKind::System`] if there is not enough memory for all views; errors of [`Predictor::predict`].
+    /// [`presight_model::ErrorKind::Usage`] for a spacing that is not positive, a grid of more than
+    /// [`limits::MAX_WORTH_PLACES`] places, or a sensor without pixel noise; [`presight_model::ErrorKind::Invalid`] if
+    /// no place is free; [`presight_model::ErrorKind::System`] if there is not enough memory for all views; errors of
+    /// [`Predictor::predict`].
     pub fn of(
         world: &World,
         sensor: &Sensor,

@@ -139,9 +139,9 @@ pub struct BoxQuery<'a> {
 /// Adds the box, and the covariance of the defining points in the image, to every visible feature.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Usage`] for a confidence outside 0.5..1, and the errors of [`Pose::check`];
-/// [`crate::ErrorKind::Invalid`] for a covariance that is not finite, not symmetric, or has an eigenvalue below 0
-/// beyond the rounding of six digits; the errors of [`crate::Threads::new`].
+/// [`presight_model::ErrorKind::Usage`] for a confidence outside 0.5..1, and the errors of [`Pose::check`];
+/// [`presight_model::ErrorKind::Invalid`] for a covariance that is not finite, not symmetric, or has an eigenvalue
+/// below 0 beyond the rounding of six digits; the errors of [`presight_model::Threads::new`].
 pub fn add_boxes(prediction: &mut FeaturePrediction, query: &BoxQuery<'_>) -> Result<()> {
     let frame = BoxFrame::new(query)?;
     let FeaturePrediction { features, given, .. } = prediction;

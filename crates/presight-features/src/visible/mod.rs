@@ -89,7 +89,7 @@ pub struct FeatureSettings {
     /// [`Visibility::Rays`] a patch has up to 4,096 samples, and up to 64 times that number with finer steps.
     pub step: f64,
     /// A deadline left the images incomplete: pixels with NaN and id 0 hold no information. Large patches, which the
-    /// images decide, are [`crate::features::Reason::NotPredicted`] there; the index decides the others as usual.
+    /// images decide, are [`crate::Reason::NotPredicted`] there; the index decides the others as usual.
     pub is_partial: bool,
     /// Regions of interest will be computed: record where partly visible patches are seen.
     pub regions: bool,
@@ -114,9 +114,9 @@ impl Default for FeatureSettings {
 /// world, sensor and pose.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] if there is no `polygon_id` image of the sensor's size, a feature's object or slot does
-/// not exist, or the sensor is a ray table with fewer than two rays; [`crate::ErrorKind::Usage`] for a step out of its range, and those of [`Pose::check`];
-/// those of [`crate::Threads::new`].
+/// [`presight_model::ErrorKind::Invalid`] if there is no `polygon_id` image of the sensor's size, a feature's object or
+/// slot does not exist, or the sensor is a ray table with fewer than two rays; [`presight_model::ErrorKind::Usage`] for
+/// a step out of its range, and those of [`Pose::check`]; those of [`presight_model::Threads::new`].
 pub fn predict_features(
     world: &World,
     sensor: &Sensor,

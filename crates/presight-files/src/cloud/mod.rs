@@ -46,8 +46,8 @@ pub struct Cloud {
 /// ```
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] or [`crate::ErrorKind::Unsupported`] naming the fault of the file;
-/// [`crate::ErrorKind::System`] if the system refuses.
+/// [`presight_model::ErrorKind::Invalid`] or [`presight_model::ErrorKind::Unsupported`] naming the fault of the file;
+/// [`presight_model::ErrorKind::System`] if the system refuses.
 pub fn read(path: &Path) -> Result<Cloud> {
     let bytes = file::read(file::open(path)?, path, limits::MAX_FILE_BYTES)?;
     let cloud = match ending(path).as_str() {

@@ -104,10 +104,10 @@ pub fn import(path: impl AsRef<Path>, options: &ImportOptions) -> Result<Importe
 /// file. There is no sidecar: `options` and the materials' `extras` hold what it would say.
 ///
 /// ```
-/// use presight::io::gltf::{ImportOptions, import, import_bytes};
+/// use presight::files::{ImportOptions, import_gltf, import_gltf_bytes};
 /// let bytes = std::fs::read("scenes/room.glb")?;
-/// let scene = import_bytes("room.glb", &bytes, &ImportOptions::default())?;
-/// assert_eq!(scene.report, import("scenes/room.glb", &ImportOptions::default())?.report);
+/// let scene = import_gltf_bytes("room.glb", &bytes, &ImportOptions::default())?;
+/// assert_eq!(scene.report, import_gltf("scenes/room.glb", &ImportOptions::default())?.report);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 ///

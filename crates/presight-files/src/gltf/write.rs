@@ -41,8 +41,8 @@ const UNSIGNED_INT: u32 = 5125;
 /// ```
 ///
 /// # Errors
-/// [`crate::ErrorKind::System`] if the file cannot be written, [`crate::ErrorKind::Invalid`] if it would exceed 4 GiB
-/// or have no polygons, because [`super::import`] refuses a scene without polygons.
+/// [`presight_model::ErrorKind::System`] if the file cannot be written, [`presight_model::ErrorKind::Invalid`] if it
+/// would exceed 4 GiB or have no polygons, because [`super::import`] refuses a scene without polygons.
 pub fn write_glb(path: &Path, environment: &Environment) -> Result<()> {
     if environment.objects().iter().all(|o| o.mesh.polygon_count() == 0) {
         let what = "the environment has no polygons, so the scene could not be read back";

@@ -25,7 +25,7 @@ pub struct Frames {
 }
 
 impl Frames {
-    /// Opens a log: a folder of depth or grey images ([`crate::io::depth_folder`]), a scan or a folder of scans
+    /// Opens a log: a folder of depth or grey images ([`crate::depth_folder`]), a scan or a folder of scans
     /// ([`super::scans`]), or a file of ranges ([`super::open`]). `sensor` supplies noise, limits and mount, and must
     /// have the log's image size; scans of points keep their own rays. `noise` is the odometry's.
     ///
@@ -45,8 +45,8 @@ impl Frames {
     /// ```
     ///
     /// # Errors
-    /// As [`super::open`], [`Scans::open`] and [`DepthFolder::open`]; [`crate::ErrorKind::Usage`] for a sensor with
-    /// another image size.
+    /// As [`super::open`], [`Scans::open`] and [`DepthFolder::open`]; [`presight_model::ErrorKind::Usage`] for a sensor
+    /// with another image size.
     pub fn open(path: &Path, sensor: Option<&Sensor>, noise: &OdometryNoise) -> Result<Self> {
         match path.is_dir() {
             true if ["camera.json", "depth", "grey"].iter().any(|name| path.join(name).exists()) => {

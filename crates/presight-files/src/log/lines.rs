@@ -5,7 +5,7 @@
 //! {"t": 12.5, "range": [2.47, null, "inf"], "odometry": [0.2, 0, 0, 0, 0, 8.1], "reference": [3.4, -10.2, 0, 0, 0, 1, 0]}
 //! ```
 //!
-//! - `sensor`: the text of a sensor file ([`crate::io::sensor_toml`]) with its mount and limits.
+//! - `sensor`: the text of a sensor file ([`crate::sensor_toml`]) with its mount and limits.
 //! - `t`: seconds, rising.
 //! - `range`: metres, one for each ray, row by row; `null` for no reading, `"inf"` if nothing was detected, `"-inf"` for
 //!   an object nearer than `range_min`.

@@ -48,7 +48,7 @@ impl LogFrame {
     /// Converts to a frame for the estimator. `noise` is the odometry's, which logs do not contain.
     ///
     /// # Errors
-    /// As [`crate::measured::Frame::new`].
+    /// As [`presight_model::measured::Frame::new`].
     pub fn sensed(self, sensor: &Sensor, noise: &OdometryNoise) -> Result<presight_model::measured::Frame> {
         let mut frame =
             presight_model::measured::Frame::new(self.time, sensor.clone(), Measurement::Range(self.range))?;
@@ -63,7 +63,7 @@ impl LogFrame {
     /// limits, and that intensities are from 0 to 1.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] naming the wrong value.
+    /// [`presight_model::ErrorKind::Invalid`] naming the wrong value.
     pub fn check(&self, sensor: &SensorSpec) -> Result<()> {
         let (width, height) = sensor.geometry.size();
         let pixels = width as usize * height as usize;
@@ -109,8 +109,9 @@ pub trait Log: Iterator<Item = Result<LogFrame>> {
 ///
 
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] naming file and line if it is not a valid log; [`crate::ErrorKind::Unsupported`] for a
-/// newer format; [`crate::ErrorKind::System`] if the file cannot be read. A bad frame is reported when it is read.
+/// [`presight_model::ErrorKind::Invalid`] naming file and line if it is not a valid log;
+/// [`presight_model::ErrorKind::Unsupported`] for a newer format; [`presight_model::ErrorKind::System`] if the file
+/// cannot be read. A bad frame is reported when it is read.
 pub fn open(path: &Path) -> Result<Box<dyn Log + Send>> {
     let mut reader = BufReader::new(file::open_or_given(path)?);
     let placed = |e: Error| e.in_file(path);
@@ -129,7 +130,7 @@ pub fn open(path: &Path) -> Result<Box<dyn Log + Send>> {
 /// Reads frame `index` of a log, from 0, and its sensor.
 ///
 /// # Errors
-/// As [`open`], and the errors of all frames up to this one; [`crate::ErrorKind::Usage`] if the log has fewer.
+/// As [`open`], and the errors of all frames up to this one; [`presight_model::ErrorKind::Usage`] if the log has fewer.
 pub fn read_frame(path: &Path, index: usize) -> Result<(Sensor, LogFrame)> {
     let mut log = open(path)?;
     for i in 0..=index {

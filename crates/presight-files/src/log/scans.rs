@@ -1,4 +1,4 @@
-//! Scans of points (PLY, PCD, CSV: [`crate::io::cloud`]) and images of ranges (EXR) as frames: one file, or all files
+//! Scans of points (PLY, PCD, CSV: [`crate::cloud`]) and images of ranges (EXR) as frames: one file, or all files
 //! of a folder in the order of their names.
 //!
 //! If all names are numbers, they are the times in seconds; otherwise the times count up from 0.
@@ -48,8 +48,8 @@ impl Scans {
     /// images use the rays of `sensor`, or of their own sensor if `sensor` is `None`.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] for a folder without a scan and for invalid poses; [`crate::ErrorKind::System`] if
-    /// a file cannot be read. Errors in a scan are reported when it is read.
+    /// [`presight_model::ErrorKind::Invalid`] for a folder without a scan and for invalid poses;
+    /// [`presight_model::ErrorKind::System`] if a file cannot be read. Errors in a scan are reported when it is read.
     pub fn open(path: &Path, sensor: Option<&Sensor>) -> Result<Self> {
         let (folder, files) = if path.is_dir() { (path, listed(path)?) } else { (parent(path), vec![path.to_owned()]) };
         if files.is_empty() {

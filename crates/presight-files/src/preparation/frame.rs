@@ -73,7 +73,7 @@ impl SceneFrame {
     /// Checks a scale.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] unless it is finite and above 0.
+    /// [`presight_model::ErrorKind::Usage`] unless it is finite and above 0.
     pub fn check_scale(scale: f64) -> Result<()> {
         if scale.is_finite() && scale > 0.0 {
             return Ok(());

@@ -147,7 +147,7 @@ impl fmt::Display for Problem {
 /// The features of the environment's own layers that no longer lie on a polygon, as a problem; `None` if all do.
 ///
 /// # Errors
-/// As [`crate::placement::find`].
+/// As [`presight_model::placement::find`].
 pub fn lost_features(environment: &Environment) -> Result<Option<Problem>> {
     let lost = lost(environment)?;
     if lost.is_empty() {

@@ -8,8 +8,8 @@
 //! **The same script gives the same environment on every machine.** Trigonometry comes from `libm`, random numbers from
 //! a seed in the script; there is no operator `**` and no clock. Scripts read files only from their own folder (with
 //! symbolic links resolved), write no files, and cannot use `eval`. Limits on operations (large values count by size),
-//! depth, sizes, polygons and memory ([`crate::limits`], `MAX_SCRIPT_..`) end a script with an error that names file,
-//! line, column and call. A limit on time is only a last resort.
+//! depth, sizes, polygons and memory ([`presight_model::limits`], `MAX_SCRIPT_..`) end a script with an error that
+//! names file, line, column and call. A limit on time is only a last resort.
 //!
 //! `source` ids number triangles in the order of placing, as an exported scene would have them.
 
@@ -60,7 +60,7 @@ const STACK: usize = 256 << 20;
 ///
 /// # Errors
 /// [`Invalid`](presight_model::error::ErrorKind::Invalid) with file, line, column, call and remedy for a script that is missing, not UTF-8 or not Rhai,
-/// calls a function wrongly, exceeds a limit, or fails a `require`. As [`crate::io::gltf::import`] for models that it
+/// calls a function wrongly, exceeds a limit, or fails a `require`. As [`crate::gltf::import`] for models that it
 /// imports.
 pub fn load(path: impl AsRef<Path>, options: &ImportOptions, say: &mut dyn FnMut(&str)) -> Result<ImportedScene> {
     load_from(path.as_ref(), None, options, say)
@@ -73,7 +73,7 @@ pub fn load(path: impl AsRef<Path>, options: &ImportOptions, say: &mut dyn FnMut
 ///
 /// ```
 /// let text = b"place(\"floor\", rectangle(6, 4));";
-/// let scene = presight::io::script::load_bytes("floor.rhai", text, &Default::default(), &mut |_| {})?;
+/// let scene = presight_files::script::load_bytes("floor.rhai", text, &Default::default(), &mut |_| {})?;
 /// assert_eq!(scene.environment.objects().len(), 1);
 /// # Ok::<(), presight::Error>(())
 /// ```

@@ -81,7 +81,7 @@ pub(super) fn mesh_of_file(
 /// features in the frame of the replaced object are kept.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] if an object or a group's frame differs and `replace` is false.
+/// [`presight_model::ErrorKind::Invalid`] if an object or a group's frame differs and `replace` is false.
 pub(super) fn merge_scene(environment: &Environment, scene: &Environment, replace: bool) -> Result<Change> {
     let (mut changes, mut added) = (Vec::new(), Vec::new());
     let map = Materials::new(environment, &mut added).map(scene, &mut changes)?;

@@ -144,8 +144,8 @@ impl Estimator {
     /// Where the robot is, by frames of its sensors taken at one time: ranges, and grey images in which features are looked for.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] without a frame, for a prior that is none, and for a grey image without features to look for;
-    /// those of [`Predictor::predict`].
+    /// [`presight_model::ErrorKind::Usage`] without a frame, for a prior that is none, and for a grey image without
+    /// features to look for; those of [`Predictor::predict`].
     pub fn estimate(&mut self, world: &World, frames: &[&Frame], prior: &PoseEstimate) -> Result<Estimate> {
         // One hand-over to the threads: one for each part of it costs as much as the parts of a scan.
         let threads = self.predictor.task_threads()?;

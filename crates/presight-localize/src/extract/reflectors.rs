@@ -45,7 +45,7 @@ const DEPTH: f64 = 0.2;
 /// Two beams of a scanner meet a reflector 3 m away.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] if the intensities have another size than the scan.
+/// [`presight_model::ErrorKind::Invalid`] if the intensities have another size than the scan.
 pub fn reflectors_in(
     frame: &Frame,
     intensity: &GreyImage,

@@ -251,8 +251,8 @@ impl Localizer {
     /// Takes in the next frame.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if the frame is not later than the one before, or if its motion is none; those of
-    /// [`Estimator::estimate`].
+    /// [`presight_model::ErrorKind::Invalid`] if the frame is not later than the one before, or if its motion is none;
+    /// those of [`Estimator::estimate`].
     pub fn step(&mut self, world: &World, frame: &Frame) -> Result<Step> {
         self.step_together(world, frame, &[])
     }

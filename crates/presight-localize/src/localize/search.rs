@@ -121,8 +121,9 @@ impl Search {
     /// beams and needs [`Freedom::Planar`]. What any other sensor sees is compared in steps of 5 degrees; its robot leans as `options` say.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] for a level scanner that is not in equal steps, if the world has no free place or too many;
-    /// those of [`crate::Predictor::panoramas`] and [`crate::Predictor::batch`].
+    /// [`presight_model::ErrorKind::Usage`] for a level scanner that is not in equal steps, if the world has no free
+    /// place or too many; those of [`presight_predict::Predictor::panoramas`] and
+    /// [`presight_predict::Predictor::batch`].
     pub fn new(estimator: &mut Estimator, world: &World, sensor: &Sensor, options: SearchOptions) -> Result<Self> {
         options.check()?;
         let planar = estimator.options.freedom == Freedom::Planar;
@@ -162,7 +163,7 @@ impl Search {
     /// The best distinct places for a frame, refined, the likeliest first. None if the frame has no reading.
     ///
     /// # Errors
-    /// Those of [`crate::batch::RangeLikelihood::new`] and of [`Estimator::estimate`].
+    /// Those of [`presight_predict::batch::RangeLikelihood::new`] and of [`Estimator::estimate`].
     pub fn candidates(&self, estimator: &mut Estimator, world: &World, frame: &Frame) -> Result<Vec<Candidate>> {
         let mut found: Vec<Candidate> = Vec::new();
         for prior in self.starts(estimator, world, frame)? {

@@ -44,7 +44,8 @@ pub struct Assignment {
 /// equal, a group with one row takes the lowest column, and a group with one column the lowest row.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] for a candidate whose row is not in `unseen`, and for costs that are not finite.
+/// [`presight_model::ErrorKind::Invalid`] for a candidate whose row is not in `unseen`, and for costs that are not
+/// finite.
 pub fn assign(candidates: &[CandidatePair], unseen: &[f64]) -> Result<Assignment> {
     check(candidates, unseen)?;
     let mut found =

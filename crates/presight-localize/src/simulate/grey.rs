@@ -43,8 +43,9 @@ impl GreySimulator {
     /// Makes a simulator; the same seed gives the same images. `blur` (pixels) and `noise` are standard deviations.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] for a sensor that is not a camera, for a blur outside of 0 to 10 pixels, and for a
-    /// noise outside of 0 to 1; [`crate::ErrorKind::Invalid`] for an image too large to divide its pixels.
+    /// [`presight_model::ErrorKind::Usage`] for a sensor that is not a camera, for a blur outside of 0 to 10 pixels,
+    /// and for a noise outside of 0 to 1; [`presight_model::ErrorKind::Invalid`] for an image too large to divide its
+    /// pixels.
     pub fn new(predictor: Predictor, camera: Sensor, blur: f64, noise: f64, seed: u64) -> Result<Self> {
         let Geometry::Camera(c) = &camera.spec().geometry else {
             let what = format!("sensor {:?} is not a camera and takes no grey images", camera.spec().name);

@@ -82,7 +82,7 @@ impl Simulator {
     /// Makes a simulator; the same seed gives the same frames.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] for fractions outside 0..=1, and for slips that are negative or not finite.
+    /// [`presight_model::ErrorKind::Usage`] for fractions outside 0..=1, and for slips that are negative or not finite.
     pub fn new(predictor: Predictor, sensor: Sensor, disturbances: Disturbances, seed: u64) -> Result<Self> {
         let d = &disturbances;
         let shares = [("drop_outs", d.drop_outs), ("mixed_pixels", d.mixed_pixels)];
@@ -103,7 +103,7 @@ impl Simulator {
     /// saturate at 1. A pixel that mixes two surfaces mixes their echoes.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] for a noise outside of 0 to 1.
+    /// [`presight_model::ErrorKind::Usage`] for a noise outside of 0 to 1.
     pub fn with_intensities(self, noise: f64) -> Result<Self> {
         if !(0.0..=1.0).contains(&noise) {
             return Err(Error::usage(format!("noise of intensities of {noise}"), "give 0 to 1"));

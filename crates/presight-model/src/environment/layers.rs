@@ -19,7 +19,7 @@ impl Environment {
         found.ok().map(|i| &self.layers[i])
     }
 
-    /// Adds a layer, or its features to the class's layer. [`crate::features::place`] checks that they lie on polygons.
+    /// Adds a layer, or its features to the class's layer. `features::place` checks that they lie on polygons.
     ///
     /// ```
     /// use presight::environment::Environment;

@@ -177,8 +177,8 @@ impl Sensor {
     /// Checks the specification and builds the ray tables, f64.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`]: an image side of 0 or beyond [`limits::MAX_IMAGE_SIDE`], non-finite
-    /// intrinsics, duplicate elevations, range limits out of order; [`crate::ErrorKind::System`] if there is no memory for the
+    /// [`ErrorKind::Invalid`]: an image side of 0 or beyond [`limits::MAX_IMAGE_SIDE`], non-finite
+    /// intrinsics, duplicate elevations, range limits out of order; [`ErrorKind::System`] if there is no memory for the
     /// ray tables.
     pub fn new(spec: SensorSpec) -> Result<Self> {
         let checked = check(&spec).and_then(|()| {

@@ -160,8 +160,8 @@ impl Predictor {
     /// ```
     ///
     /// # Errors
-    /// The errors of [`Request::check`]; [`crate::ErrorKind::Usage`] for headings without a measured image, another
-    /// sensor's image or headings, or a chunk of 0. For each pose, the errors of [`Predictor::predict`] and
+    /// The errors of [`Request::check`]; [`presight_model::ErrorKind::Usage`] for headings without a measured image,
+    /// another sensor's image or headings, or a chunk of 0. For each pose, the errors of [`Predictor::predict`] and
     /// [`Headings::place`].
     pub fn batch<I: IntoIterator<Item = Pose>>(
         &mut self,

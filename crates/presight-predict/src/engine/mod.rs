@@ -26,8 +26,9 @@ pub trait Engine: Any + Send {
     /// Fills the requested images and records statistics.
     ///
     /// # Errors
-    /// The errors of [`crate::Pose::check`]; [`crate::ErrorKind::System`] or [`crate::ErrorKind::Invalid`] for too many
-    /// images or polygons; [`crate::ErrorKind::DeviceLost`] or [`crate::ErrorKind::DeviceMemory`] from a device.
+    /// The errors of [`presight_model::Pose::check`]; [`presight_model::ErrorKind::System`] or
+    /// [`presight_model::ErrorKind::Invalid`] for too many images or polygons;
+    /// [`presight_model::ErrorKind::DeviceLost`] or [`presight_model::ErrorKind::DeviceMemory`] from a device.
     fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()>;
 
     /// Draws plans of one sensor and hands over their images in order. An engine may weigh images itself and hand over
@@ -75,7 +76,7 @@ pub trait Device {
     /// Opens the device again after it was lost.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::NoDevice`] if it is gone.
+    /// [`presight_model::ErrorKind::NoDevice`] if it is gone.
     fn reopen(&mut self) -> Result<()>;
 
     /// The rasterizer for images of pinhole cameras.
@@ -106,7 +107,7 @@ pub trait Device {
     /// [`features::add_boxes`] on the device. Returns how many boxes the device made; the CPU makes the others.
     ///
     /// # Errors
-    /// Same as [`Engine::render`], and [`crate::ErrorKind::Usage`] for a confidence outside 0.5..1.
+    /// Same as [`Engine::render`], and [`presight_model::ErrorKind::Usage`] for a confidence outside 0.5..1.
     fn add_boxes(&mut self, prediction: &mut FeaturePrediction, query: &BoxQuery<'_>) -> Result<usize>;
 
     /// Work done since it was opened.
@@ -151,8 +152,8 @@ impl EngineKind {
     /// Opens the engine; these threads do its CPU work.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::NoDevice`] without an adapter, or in a build without the GPU engine;
-    /// [`crate::ErrorKind::System`] if threads cannot be started.
+    /// [`presight_model::ErrorKind::NoDevice`] without an adapter, or in a build without the GPU engine;
+    /// [`presight_model::ErrorKind::System`] if threads cannot be started.
     pub fn open(self, threads: &Threads) -> Result<Box<dyn Engine>> {
         match self {
             Self::Reference => Ok(Box::new(Reference { threads: threads.clone() })),

@@ -79,7 +79,7 @@ impl FrameBuffers {
     /// Makes room for a frame. Returns true if a bound buffer was replaced.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::DeviceMemory`].
+    /// [`presight_model::ErrorKind::DeviceMemory`].
     pub fn reserve(&mut self, gpu: &Gpu, frame: &FrameUploads) -> Result<bool> {
         let pixels = u64::from(frame.params.width) * u64::from(frame.params.height);
         // Unused buffers keep their minimum size: they are bound, but neither written nor read.
@@ -101,7 +101,7 @@ impl FrameBuffers {
     /// Makes room for a sensor's tables. Returns true if the buffer was replaced.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::DeviceMemory`].
+    /// [`presight_model::ErrorKind::DeviceMemory`].
     pub fn reserve_grid(&mut self, gpu: &Gpu, tables: &Tables) -> Result<bool> {
         self.grid.reserve(gpu, tables.bytes())
     }
@@ -164,7 +164,7 @@ impl FrameBuffers {
     /// Makes the room that a frame turned out to need. Returns true if it overflowed and must run again.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::DeviceMemory`].
+    /// [`presight_model::ErrorKind::DeviceMemory`].
     pub fn grow_for(&mut self, gpu: &Gpu, counters: &Counters) -> Result<bool> {
         let mut again = self.records.reserve(gpu, u64::from(counters.record_words) * 4)?;
         again |= self.items.reserve(gpu, u64::from(counters.items) * 4 * u64::from(ITEM_WORDS))?;

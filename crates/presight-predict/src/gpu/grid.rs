@@ -25,7 +25,7 @@ const MAX_BUCKETS: usize = 1 << 16;
 
 impl Tables {
     /// # Errors
-    /// [`crate::ErrorKind::System`] if the system refuses the memory.
+    /// [`presight_model::ErrorKind::System`] if the system refuses the memory.
     pub fn new(sensor: &Sensor) -> Result<Self> {
         let mut tables = match sensor.grid() {
             PixelGrid::Lines(grid) => lines(grid),

@@ -1,6 +1,7 @@
 //! The GPU engine: computes exact spans in compute shaders, through wgpu.
 //!
-//! Meshes stay on the device; a frame uploads instances and runs. Stages are named like the stages of [`crate::cpu`]:
+//! Meshes stay on the device; a frame uploads instances and runs. Stages are named like the stages of
+//! [`presight_render::cpu`]:
 //!
 //! | stage | shader | on the CPU |
 //! |---|---|---|
@@ -196,8 +197,8 @@ impl GpuEngine {
     ///
     /// # Errors
     /// [`presight_model::error::ErrorKind::DeviceLost`]: the engine must be built again. [`ErrorKind::DeviceMemory`]: smaller tasks may still
-    /// succeed. The errors of [`crate::Pose::check`] if the plan's pose was changed. On a software adapter, which
-    /// leaves work to the CPU, also the errors of [`Threads::new`].
+    /// succeed. The errors of [`presight_model::Pose::check`] if the plan's pose was changed. On a software adapter,
+    /// which leaves work to the CPU, also the errors of [`Threads::new`].
     pub fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
         plan.world_from_sensor.check()?;
         stats.engine = "gpu";

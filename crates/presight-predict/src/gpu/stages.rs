@@ -6,11 +6,11 @@
 //! | cull | instances, units, meshes, coarse depth | survivors | `setup` |
 //! | setup | survivors, meshes | records, items | `setup` |
 //! | raster | records, items | keys | `raster_lines` or `raster_rays` |
-//! | draw, with [`crate::Raster::Render`] | records, shapes | keys | `raster_lines` |
+//! | draw, with [`presight_render::Raster::Render`] | records, shapes | keys | `raster_lines` |
 //! | farthest, before each further wave | keys | coarse depth | `cull::measure` |
 //! | resolve | keys, slots | outputs, slots that are shown | `resolve` |
 //!
-//! On software adapters the CPU resolves images instead, from the same keys: [`crate::plan::resolve_keys`].
+//! On software adapters the CPU resolves images instead, from the same keys: [`presight_render::plan::resolve_keys`].
 
 use super::device::Gpu;
 use super::drawing::{Draw, Drawing};

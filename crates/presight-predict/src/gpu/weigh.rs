@@ -50,7 +50,7 @@ impl Weigh {
     /// Makes room for a measured image. Returns true if its buffer was replaced.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::DeviceMemory`].
+    /// [`presight_model::ErrorKind::DeviceMemory`].
     pub fn reserve(&mut self, gpu: &Gpu, weighing: &Weighing) -> Result<bool> {
         self.sensed.reserve(gpu, size_of_val(&weighing.sensed[..]) as u64)
     }

@@ -34,7 +34,7 @@ impl Prediction {
 }
 
 impl Predictor {
-    /// Learnt costs of predictions with a deadline; save them with [`crate::io::costs::write`].
+    /// Learnt costs of predictions with a deadline; save them with `costs::write`.
     pub fn costs(&self) -> &CostModel {
         &self.controller.costs
     }

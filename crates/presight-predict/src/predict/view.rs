@@ -43,7 +43,7 @@ impl Predictor {
     /// ```
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] if nothing is below; the errors of [`Predictor::predict`].
+    /// [`presight_model::ErrorKind::Usage`] if nothing is below; the errors of [`Predictor::predict`].
     pub fn floor_below(&mut self, world: &World, sensor: &Sensor, world_from_sensor: &Pose) -> Result<f64> {
         let down = RayTable::new(1, 1, vec![DVec3::NEG_Z])?;
         let probe = Sensor::new(SensorSpec::new("straight down", &sensor.spec().class, Geometry::Rays(down)))?;

@@ -173,7 +173,7 @@ impl VirtualSensor {
     /// Checks that the virtual sensor can use a sensor, before anything is predicted.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] for the wrong sensor class, an unsuitable geometry, or missing noise.
+    /// [`presight_model::ErrorKind::Usage`] for the wrong sensor class, an unsuitable geometry, or missing noise.
     pub fn check(self, sensor: &Sensor) -> Result<()> {
         let (spec, name) = (sensor.spec(), self.name());
         let preset = match self {
@@ -235,9 +235,9 @@ impl VirtualSensor {
     /// ```
     ///
     /// # Errors
-    /// The errors of [`VirtualSensor::check`] and [`Pose::check`]; [`crate::ErrorKind::Usage`] if features are needed but
-    /// were not predicted; [`crate::ErrorKind::Invalid`] if an image is missing or has a wrong size, or if the task needs
-    /// ids that the view lacks (`free-floor`, `radar-lines`, `vertical-planes`).
+    /// The errors of [`VirtualSensor::check`] and [`Pose::check`]; [`presight_model::ErrorKind::Usage`] if features are
+    /// needed but were not predicted; [`presight_model::ErrorKind::Invalid`] if an image is missing or has a wrong
+    /// size, or if the task needs ids that the view lacks (`free-floor`, `radar-lines`, `vertical-planes`).
     pub fn reduce(self, view: &View<'_>, settings: &Settings) -> Result<VirtualReading> {
         view.world_from_sensor.check()?;
         self.check(view.sensor)?;

@@ -108,9 +108,9 @@ impl CpuEngine {
     /// Fills the asked images.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if the plan holds more polygons than the engine can number;
-    /// [`crate::ErrorKind::System`] if there is no memory for the images; those of
-    /// [`crate::Pose::check`], if the plan's pose was changed.
+    /// [`presight_model::ErrorKind::Invalid`] if the plan holds more polygons than the engine can number;
+    /// [`presight_model::ErrorKind::System`] if there is no memory for the images; those of
+    /// [`presight_model::Pose::check`], if the plan's pose was changed.
     pub fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
         match plan.part() {
             Some(part) => self.draw_part((plan, Duration::ZERO), part, images, stats),

@@ -13,8 +13,8 @@
 //! | [`DegradationKind::Features`] | between features, if the next ones do not fit | features with the least image length |
 //!
 //! A sample that was given up is NaN with id 0, never `+inf`. [`Degradation`] lists the losses; without it, NaN means
-//! that the pixel has no ray. [`crate::ErrorKind::Deadline`] means that not even an empty image can be made in time.
-//! `docs/deadline.md` has details and measurements.
+//! that the pixel has no ray. [`presight_model::ErrorKind::Deadline`] means that not even an empty image can be made in
+//! time. `docs/deadline.md` has details and measurements.
 
 mod clock;
 mod priority;

@@ -255,13 +255,13 @@ impl FramePlan {
         Ok(plan)
     }
 
-    /// Lets a clock stop the engines, for tests. A [`crate::Predictor`] does so for [`Request::deadline`].
+    /// Lets a clock stop the engines, for tests. A `Predictor` does so for [`Request::deadline`].
     pub fn set_watch(&mut self, watch: Watch) {
         self.limit = Some(TimeLimit::new(watch));
     }
 
-    /// Lets engines begin with the polygons that the sensor's last frame showed, for tests. A [`crate::Predictor`] does
-    /// so for [`crate::Options::reuse_visible`].
+    /// Lets engines begin with the polygons that the sensor's last frame showed, for tests. A `Predictor` does
+    /// so for `Options::reuse_visible`.
     pub fn set_reuse_visible(&mut self) {
         self.reuse_visible = true;
     }
@@ -352,7 +352,8 @@ impl FramePlan {
     /// a heading (radians, counter-clockwise). Needs a watch.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] without a watch; [`crate::ErrorKind::System`] if there is no memory for the ray tables.
+    /// [`presight_model::ErrorKind::Usage`] without a watch; [`presight_model::ErrorKind::System`] if there is no
+    /// memory for the ray tables.
     pub fn set_part(&mut self, stride: u32, around: Option<(f64, u32)>) -> Result<()> {
         let narrow = around.and_then(|(heading, columns)| self.sensor.columns_around(heading, columns));
         if let Some(part) = narrow {

@@ -22,7 +22,7 @@ pub enum Output {
     /// also for cameras). Computed from other images, as [`Output::Echo`].
     Normal,
     /// The number of the visible feature; 0 without a feature. Derived from predicted features, not by an engine (see
-    /// [`crate::features`]).
+    /// `features`).
     FeatureId,
 }
 

@@ -93,7 +93,7 @@ impl Report {
     /// Fails for any fault, and if the share of edge pixels is too large (a few are always allowed).
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] with the first fault.
+    /// [`presight_model::ErrorKind::Invalid`] with the first fault.
     pub fn check(&self, most_edge_share: f64) -> Result<()> {
         if let Some(first) = self.faults.first() {
             return Err(Error::invalid(
@@ -169,7 +169,7 @@ pub fn compare_partial(
 /// Compares an engine's images with the reference's. Every different pixel is a fault.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] if sizes or outputs differ.
+/// [`presight_model::ErrorKind::Invalid`] if sizes or outputs differ.
 pub fn compare_exactly(reference: &Images, other: &Images) -> Result<Report> {
     check_shape(reference, other)?;
     let mut report = Report::default();
@@ -186,7 +186,7 @@ pub fn compare_exactly(reference: &Images, other: &Images) -> Result<Report> {
 /// Compares an engine's images with the reference's, within the bounds for the scene that both show.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] if sizes or outputs differ, from each other or from the plan's sensor.
+/// [`presight_model::ErrorKind::Invalid`] if sizes or outputs differ, from each other or from the plan's sensor.
 pub fn compare(reference: &Images, other: &Images, plan: &FramePlan, precision: Precision) -> Result<Report> {
     check_shape(reference, other)?;
     if (reference.width, reference.height) != (plan.sensor.width(), plan.sensor.height()) {

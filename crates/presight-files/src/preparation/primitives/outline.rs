@@ -10,7 +10,7 @@ use presight_model::limits;
 /// not cross or touch itself.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] naming the point or the sides at fault.
+/// [`presight_model::ErrorKind::Invalid`] naming the point or the sides at fault.
 pub fn extrude(outline: &[DVec2], height: f64) -> Result<Solid> {
     prismatic(outline, 0.0, length("height", height)?, |p, w| p.extend(w))
 }

@@ -115,13 +115,14 @@ impl RoiStage {
 }
 
 impl GpuEngine {
-    /// Same as [`crate::features::add_boxes`], on the device. The CPU finishes features whose projection is nonlinear
+    /// Same as [`presight_features::add_boxes`], on the device. The CPU finishes features whose projection is nonlinear
     /// over their errors, and all features of lenses, ray tables and uneven beams. Returns the number of boxes the
     /// device made.
     ///
     /// # Errors
     /// [`presight_model::error::ErrorKind::Usage`] for a confidence outside 0.5..1; [`ErrorKind::DeviceLost`] and [`ErrorKind::DeviceMemory`]
-    /// as in [`GpuEngine::render`], after which the CPU can make the boxes; the errors of [`crate::Threads::new`].
+    /// as in [`GpuEngine::render`], after which the CPU can make the boxes; the errors of
+    /// [`presight_model::Threads::new`].
     pub fn add_boxes(&mut self, prediction: &mut FeaturePrediction, query: &BoxQuery<'_>) -> Result<usize> {
         let frame = BoxFrame::new(query)?;
         let stage = self.roi.get_or_insert_with(|| RoiStage::new(&self.gpu));

@@ -1,7 +1,7 @@
 //! Tests feature samples against the surfaces that the nine pixels around each show: the fifth stage.
 //!
 //! It reads the last frame's nearest polygons and their records on the device, so no image is transferred. Answers are
-//! f32 proposals; the caller verifies them in f64 ([`crate::features`]).
+//! f32 proposals; the caller verifies them in f64 ([`presight_features`]).
 
 #[cfg(test)]
 mod twin;
