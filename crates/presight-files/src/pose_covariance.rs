@@ -1,6 +1,6 @@
 //! Pose covariances as text: standard deviations, or 36 numbers in the order of ROS messages.
 
-use super::text::read_settings;
+use super::text::from_settings;
 use presight_features::roi::PoseCovariance;
 use presight_model::environment::check_covariance;
 use presight_model::error::{Error, Result};
@@ -45,7 +45,7 @@ fn deviations(text: &str) -> Result<PoseCovariance> {
 }
 
 fn from_file(path: &Path) -> Result<PoseCovariance> {
-    read_settings(path).and_then(|text| from_json(&text)).map_err(|e| e.in_file(path))
+    from_settings(path, from_json)
 }
 
 /// Reads the JSON text of 36 numbers: row-major, x y z, then rotation about x y z, metres and radians.
