@@ -11,6 +11,7 @@ use presight_model::geometry::Pose;
 use presight_model::index::{Params, Scheme};
 use presight_model::limits;
 use presight_model::placement::{self, Placement};
+use presight_model::threads::Threads;
 use presight_model::world::World;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -129,19 +130,28 @@ impl Scene {
     }
 
     fn read(source: Source<'_>, options: &SceneOptions, say: &mut dyn FnMut(&str)) -> Result<Self> {
-        let (path, scheme) = (source.path(), options.index);
         let threads = options.import.threads.started()?;
+        Self::read_unnamed(source, options, &threads, say).map_err(|e| e.in_file(source.path()))
+    }
+
+    fn read_unnamed(
+        source: Source<'_>,
+        options: &SceneOptions,
+        threads: &Threads,
+        say: &mut dyn FnMut(&str),
+    ) -> Result<Self> {
+        let (path, scheme) = (source.path(), options.index);
         if source.is_store() {
-            check_unframed(path, &options.import, "a store keeps the frame that it was made with")?;
+            check_unframed(&options.import, "a store keeps the frame that it was made with")?;
             return match source {
                 Source::File(path) => threads.run(|| stored(path, scheme))?,
-                Source::Memory(..) => Err(store_in_memory(path)),
+                Source::Memory(..) => Err(store_in_memory()),
             };
         }
         let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
         let imported = match extension.as_str() {
             "rhai" => {
-                check_unframed(path, &options.import, "a script is in metres and z-up")?;
+                check_unframed(&options.import, "a script is in metres and z-up")?;
                 script(source, &options.import, say)?
             }
             "obj" | "stl" | "ply" | "off" | "dae" if source.exists() => return Err(mesh_file(path)),
@@ -293,14 +303,14 @@ pub fn blake3_of(path: &Path) -> Result<String> {
 }
 
 /// Refuses an up axis or a scale for a scene that has its own frame.
-fn check_unframed(path: &Path, options: &ImportOptions, why: &str) -> Result<()> {
+fn check_unframed(options: &ImportOptions, why: &str) -> Result<()> {
     let option = match (options.up, options.scale) {
         (None, None) => return Ok(()),
         (Some(_), _) => "`ImportOptions::up`",
         _ => "`ImportOptions::scale`",
     };
     let remedy = format!("drop {option}, or give it where the glTF file is read");
-    Err(Error::usage(format!("{option}: {why}"), remedy).in_file(path))
+    Err(Error::usage(format!("{option}: {why}"), remedy))
 }
 
 /// The error for meshes of other formats, with a command that converts them.
@@ -311,7 +321,7 @@ fn mesh_file(path: &Path) -> Error {
          then give `ImportOptions::up` z if it is z-up",
         to.display()
     );
-    Error::new(ErrorKind::Unsupported, "presight reads scenes from glTF, scripts and stores", remedy).in_file(path)
+    Error::new(ErrorKind::Unsupported, "presight reads scenes from glTF, scripts and stores", remedy)
 }
 
 /// Runs a scene script.
@@ -324,14 +334,14 @@ fn script(source: Source<'_>, options: &ImportOptions, say: &mut dyn FnMut(&str)
 }
 
 #[cfg(not(feature = "script"))]
-fn script(source: Source<'_>, _options: &ImportOptions, _say: &mut dyn FnMut(&str)) -> Result<ImportedScene> {
-    Err(presight_files::not_built("scene scripts", "script").in_file(source.path()))
+fn script(_source: Source<'_>, _options: &ImportOptions, _say: &mut dyn FnMut(&str)) -> Result<ImportedScene> {
+    Err(presight_files::not_built("scene scripts", "script"))
 }
 
 /// The error for a store that is not in a file.
-fn store_in_memory(name: &Path) -> Error {
+fn store_in_memory() -> Error {
     let remedy = "write it to a file and open that, or export its scene.glb: presight env export STORE DIR";
-    Error::new(ErrorKind::Unsupported, "a stored environment in memory cannot be opened", remedy).in_file(name)
+    Error::new(ErrorKind::Unsupported, "a stored environment in memory cannot be opened", remedy)
 }
 
 /// Opens a store, which is already in presight's frame.
@@ -353,8 +363,8 @@ fn stored(path: &Path, scheme: Scheme) -> Result<Scene> {
 }
 
 #[cfg(not(feature = "store"))]
-fn stored(path: &Path, _scheme: Scheme) -> Result<Scene> {
-    Err(presight_files::not_built("stored environments", "store").in_file(path))
+fn stored(_path: &Path, _scheme: Scheme) -> Result<Scene> {
+    Err(presight_files::not_built("stored environments", "store"))
 }
 
 #[cfg(all(test, not(feature = "script")))]

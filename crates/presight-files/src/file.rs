@@ -44,13 +44,17 @@ pub fn open_any(path: &Path, shown: &Path) -> Result<Take<File>> {
 
 /// Reads an opened file completely; fails if it has more than `limit` bytes.
 pub fn read(file: Take<File>, shown: &Path, limit: u64) -> Result<Vec<u8>> {
+    read_unnamed(file, shown, limit).map_err(|e| e.in_file(shown))
+}
+
+fn read_unnamed(file: Take<File>, shown: &Path, limit: u64) -> Result<Vec<u8>> {
     let too_large = || {
         let remedy = format!("the limit is {limit}: give less, or several files");
         let what = match file.limit() {
             u64::MAX => format!("it is too large: it delivers over {limit} bytes"),
             length => format!("the file is too large: it has {length} bytes"),
         };
-        Error::invalid(what, remedy).in_file(shown)
+        Error::invalid(what, remedy)
     };
     let known = file.limit() != u64::MAX;
     if known && file.limit() > limit {
@@ -59,7 +63,7 @@ pub fn read(file: Take<File>, shown: &Path, limit: u64) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
     if known {
         // At most `limit`, which fits a 64-bit usize.
-        bytes.try_reserve_exact(file.limit() as usize).map_err(|_| no_memory(file.limit()).in_file(shown))?;
+        bytes.try_reserve_exact(file.limit() as usize).map_err(|_| no_memory(file.limit()))?;
     }
     let refused = |e| Error::io(shown, "read it", e);
     let over = too_large();

@@ -102,7 +102,7 @@ impl Sidecar {
         let path = sidecar_path(scene);
         match std::fs::metadata(&path) {
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(Self::default()),
-            _ => Self::read(&text::read_settings(&path)?).map_err(|e| e.in_file(&path)),
+            _ => text::from_settings(&path, Self::read),
         }
     }
 

@@ -1,6 +1,6 @@
 //! Pose covariances as text: standard deviations, or 36 numbers in the order of ROS messages.
 
-use super::text::read_settings;
+use super::text::from_settings;
 use presight_model::error::{Error, Result};
 use presight_model::geometry::{InWorld, PoseCovariance};
 use presight_model::limits;
@@ -44,7 +44,7 @@ fn deviations(text: &str) -> Result<PoseCovariance<InWorld>> {
 }
 
 fn from_file(path: &Path) -> Result<PoseCovariance<InWorld>> {
-    read_settings(path).and_then(|text| from_json(&text)).map_err(|e| e.in_file(path))
+    from_settings(path, from_json)
 }
 
 /// Reads the JSON text of 36 numbers: row-major, x y z, then rotation about x y z, metres and radians.

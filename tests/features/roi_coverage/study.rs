@@ -400,7 +400,7 @@ fn outcome(condition: &str, features: usize, draws: usize) -> Outcome {
             let height = trial.case.sensor.height() as f64 - 0.5;
             let all_round = trial.case.sensor.columns_of_a_turn().is_some();
             let cut = height > 1.0 && (b[1] <= -0.5 || b[3] >= height) || !all_round && (b[0] <= -0.5 || b[2] >= size);
-            let area = (!cut && boxes[1].1 != "whole_image" && known.iter().any(Option::is_some))
+            let area = (!cut && boxes[1].1 != RoiFlag::WholeImage && known.iter().any(Option::is_some))
                 .then(|| (b[2] - b[0]) * (b[3] - b[1]).max(1.0) / Best::new(&known).area(0.99));
             (trial.case.name.clone(), trial.case.shape.kind(), held, area)
         })

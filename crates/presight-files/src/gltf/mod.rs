@@ -114,17 +114,22 @@ pub fn import(path: impl AsRef<Path>, options: &ImportOptions) -> Result<Importe
 /// # Errors
 /// As [`import`]; [`ErrorKind::Unsupported`] if a buffer is in a file of its own.
 pub fn import_bytes(name: impl AsRef<Path>, bytes: &[u8], options: &ImportOptions) -> Result<ImportedScene> {
-    let (name, length) = (name.as_ref(), bytes.len() as u64);
     check_options(options)?;
+    let name = name.as_ref();
+    import_memory(name, bytes, options).map_err(|e| e.in_file(name))
+}
+
+fn import_memory(name: &Path, bytes: &[u8], options: &ImportOptions) -> Result<ImportedScene> {
+    let length = bytes.len() as u64;
     if length > limits::MAX_FILE_BYTES {
         let remedy = format!("the limit is {}: give several scenes", limits::MAX_FILE_BYTES);
-        return Err(Error::invalid(format!("the scene is too large: it has {length} bytes"), remedy).in_file(name));
+        return Err(Error::invalid(format!("the scene is too large: it has {length} bytes"), remedy));
     }
     // The caller holds the bytes already, but other limits count them too.
     let mut memory = Memory::default();
-    memory.take(length, "the scene itself").map_err(|e| e.in_file(name))?;
+    memory.take(length, "the scene itself")?;
     let (sidecar, origin) = (Sidecar::default(), Origin { scene: name, buffers: BufferFiles::None });
-    import_from(bytes, origin, &sidecar, options, &mut memory).map_err(|e| e.in_file(name))
+    import_from(bytes, origin, &sidecar, options, &mut memory)
 }
 
 /// A scene and the files that it may name.
@@ -158,15 +163,24 @@ pub(crate) fn import_within(
     memory: &mut Memory,
 ) -> Result<ImportedScene> {
     check_options(options)?;
+    import_file(path, within, options, memory).map_err(|e| e.in_file(path))
+}
+
+fn import_file(
+    path: &Path,
+    within: Option<&Path>,
+    options: &ImportOptions,
+    memory: &mut Memory,
+) -> Result<ImportedScene> {
     if let Some(within) = within {
-        container::check_within(&materials::sidecar_path(path), within).map_err(|e| e.in_file(path))?;
+        container::check_within(&materials::sidecar_path(path), within)?;
     }
     let file = file::open(path)?;
-    memory.take(file.limit(), "the file itself").map_err(|e| e.in_file(path))?;
+    memory.take(file.limit(), "the file itself")?;
     let bytes = file::read(file, path, limits::MAX_FILE_BYTES)?;
     let sidecar = Sidecar::for_scene(path)?;
     let origin = Origin { scene: path, buffers: within.map_or(BufferFiles::Linked, BufferFiles::Within) };
-    import_from(&bytes, origin, &sidecar, options, memory).map_err(|e| e.in_file(path))
+    import_from(&bytes, origin, &sidecar, options, memory)
 }
 
 fn check_options(options: &ImportOptions) -> Result<()> {

@@ -48,20 +48,21 @@ impl Frames {
     /// As [`super::open`], [`Scans::open`] and [`DepthFolder::open`]; [`presight_model::ErrorKind::Usage`] for a sensor
     /// with another image size.
     pub fn open(path: &Path, sensor: Option<&Sensor>, noise: &OdometryNoise) -> Result<Self> {
-        match path.is_dir() {
+        let opened = match path.is_dir() {
             true if ["camera.json", "depth", "grey"].iter().any(|name| path.join(name).exists()) => {
                 Self::of_folder(path, sensor)
             }
             false if !scans::is_scan(path) => Self::of_file(path, sensor, *noise),
             _ => Self::of_scans(path, sensor),
-        }
+        };
+        opened.map_err(|e| e.in_file(path))
     }
 
     fn of_scans(path: &Path, sensor: Option<&Sensor>) -> Result<Self> {
         let mut scans = Scans::open(path, sensor)?;
         // Each scan has its own sensor; the first one represents them.
         let Some(first) = scans.next().transpose()? else {
-            return Err(Error::invalid("there is no scan", "give PLY, PCD, CSV or EXR files").in_file(path));
+            return Err(Error::invalid("there is no scan", "give PLY, PCD, CSV or EXR files"));
         };
         let sensor = first.frame.sensor().clone();
         Ok(Self { sensor, frames: Box::new(std::iter::once(Ok(first)).chain(scans)), ended: false })
@@ -92,7 +93,7 @@ impl Frames {
                 own.width(),
                 own.height()
             );
-            return Err(Error::usage(what, "give the sensor that measured").in_file(path));
+            return Err(Error::usage(what, "give the sensor that measured"));
         }
         let (file, used) = (path.to_owned(), sensor.clone());
         let frames = log.enumerate().map(move |(index, frame)| {

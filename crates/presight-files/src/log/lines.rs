@@ -117,7 +117,7 @@ fn reading(range: f32) -> String {
 
 impl Lines {
     pub(super) fn new(path: &Path, reader: BufReader<Take<File>>, first: &str) -> Result<Self> {
-        let sensor = read_header(first, path).map_err(|e| e.at("line 1").in_file(path))?;
+        let sensor = read_header(first, path).map_err(|e| e.at("line 1"))?;
         Ok(Self { path: path.to_owned(), reader, sensor, line: 1, time: None, ended: false })
     }
 

@@ -107,17 +107,18 @@ pub trait Log: Iterator<Item = Result<LogFrame>> {
 
 /// Opens a log of format 1 or a document.
 ///
-
 /// # Errors
 /// [`presight_model::ErrorKind::Invalid`] naming file and line if it is not a valid log;
 /// [`presight_model::ErrorKind::Unsupported`] for a newer format; [`presight_model::ErrorKind::System`] if the file
 /// cannot be read. A bad frame is reported when it is read.
 pub fn open(path: &Path) -> Result<Box<dyn Log + Send>> {
+    open_unnamed(path).map_err(|e| e.in_file(path))
+}
+
+fn open_unnamed(path: &Path) -> Result<Box<dyn Log + Send>> {
     let mut reader = BufReader::new(file::open_or_given(path)?);
-    let placed = |e: Error| e.in_file(path);
-    let first = read_line(&mut reader, 1).map_err(placed)?;
-    let first =
-        first.ok_or_else(|| Error::invalid("the log is empty", "give a header, then frames")).map_err(placed)?;
+    let first = read_line(&mut reader, 1)?;
+    let first = first.ok_or_else(|| Error::invalid("the log is empty", "give a header, then frames"))?;
     if lines::is_header(&first) {
         return Ok(Box::new(lines::Lines::new(path, reader, &first)?));
     }

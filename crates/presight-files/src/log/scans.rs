@@ -17,7 +17,7 @@ mod grid;
 mod tests;
 
 use super::{Observation, check_time};
-use crate::text::{check_json_memory, read_text};
+use crate::text::{check_json_memory, from_text};
 use crate::{cloud, exr, sensor_toml};
 use glam::{DQuat, DVec3};
 use presight_model::error::{Error, Result};
@@ -117,7 +117,7 @@ impl Iterator for Scans {
         if read.is_err() {
             self.files = Vec::new().into_iter();
         }
-        Some(read.map_err(|e| if e.file().is_some() { e } else { e.in_file(&path) }))
+        Some(read.map_err(|e| e.in_file(&path)))
     }
 }
 
@@ -160,19 +160,20 @@ struct NamedPose {
 }
 
 fn read_poses(path: &Path) -> Result<HashMap<String, Pose>> {
-    let text = read_text(path)?;
-    let wrong = |what: String| {
-        Error::invalid(what, "give {\"name\": {\"translation\": .., \"quaternion_xyzw\": ..}}").in_file(path)
-    };
-    check_json_memory(&text).map_err(|e| e.in_file(path))?;
-    let all: HashMap<String, serde_json::Value> = serde_json::from_str(&text).map_err(|e| wrong(e.to_string()))?;
+    from_text(path, parse_poses)
+}
+
+fn parse_poses(text: &str) -> Result<HashMap<String, Pose>> {
+    let wrong = |what: String| Error::invalid(what, "give {\"name\": {\"translation\": .., \"quaternion_xyzw\": ..}}");
+    check_json_memory(text)?;
+    let all: HashMap<String, serde_json::Value> = serde_json::from_str(text).map_err(|e| wrong(e.to_string()))?;
     let mut poses = HashMap::new();
     // Values that are not objects are notes, such as the source of the poses.
     for (name, value) in all.into_iter().filter(|(_, value)| value.is_object()) {
         let NamedPose { translation, quaternion_xyzw } = serde_json::from_value(value)
             .map_err(|e| wrong(format!("{}: {e}", presight_model::printable::quoted(&name))))?;
         let pose = Pose::new(DVec3::from(translation), DQuat::from_array(quaternion_xyzw));
-        poses.insert(name, pose.map_err(|e| e.in_file(path))?);
+        poses.insert(name, pose?);
     }
     Ok(poses)
 }

@@ -97,7 +97,12 @@ fn load_from(
     say: &mut dyn FnMut(&str),
 ) -> Result<ImportedScene> {
     let (sender, receiver) = channel();
-    threads::aside("script", STACK, || run(path, bytes, options, sender), || listen_to(&receiver, say))?
+    threads::aside(
+        "script",
+        STACK,
+        || run(path, bytes, options, sender).map_err(|e| e.in_file(path)),
+        || listen_to(&receiver, say),
+    )?
 }
 
 /// Passes on the lines that the script prints, until it ends and drops the sender.
@@ -120,7 +125,7 @@ fn listen_to(lines: &Receiver<String>, say: &mut dyn FnMut(&str)) {
 
 fn run(path: &Path, bytes: Option<&[u8]>, options: &ImportOptions, say: Sender<String>) -> Result<ImportedScene> {
     let (folder, real, text) = match bytes {
-        Some(bytes) => (Folder::default(), path.to_owned(), script_of(bytes, path)?),
+        Some(bytes) => (Folder::default(), path.to_owned(), script_of(bytes)?),
         None => {
             let folder = Folder::of(path)?;
             let real = path.canonicalize().map_err(|e| Error::io(path, "open it", e))?;
@@ -136,11 +141,11 @@ fn run(path: &Path, bytes: Option<&[u8]>, options: &ImportOptions, say: Sender<S
     let tokens = Tokens::default();
     tokens.watch(&mut engine);
     engine.set_module_resolver(Modules::new(folder, real, sources.clone(), tokens.clone()));
-    let mut ast = tokens.parse(&engine, &text, path)?;
+    let mut ast = tokens.parse(&engine, &text)?;
     ast.set_source(&name);
     let ended = engine.run_ast_with_scope(&mut Scope::new(), &ast);
     ended.map_err(|e| explain(*e, &name, &sources.borrow()))?;
-    let mut scene = studio.finish(path)?;
+    let mut scene = studio.finish()?;
     scene.files.extend(sources.borrow().keys().map(PathBuf::from));
     Ok(scene)
 }

@@ -82,7 +82,7 @@ pub(super) fn walk(
     let (mut head, mut count) = (meta.first_head(), 0);
     while let Some(row) = rows.next().map_err(wrap)? {
         count += 1;
-        let place = |e: Error| e.at(format!("log entry {count}")).in_file(path);
+        let place = |e: Error| e.at(format!("log entry {count}"));
         let entry = LogEntry::read(row).map_err(place)?;
         if entry.number != count || entry.hash_after(&head) != entry.hash {
             return Err(place(damaged("it does not match its hash, or the entry before is missing")));
@@ -92,7 +92,7 @@ pub(super) fn walk(
     }
     if head != meta.head || count as i64 != meta.changes {
         let what = format!("the log ends after {count} of {} entries", meta.changes);
-        return Err(damaged(what).in_file(path));
+        return Err(damaged(what));
     }
     Ok(())
 }

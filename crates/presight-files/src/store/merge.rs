@@ -56,6 +56,15 @@ pub(super) fn mesh_of_file(
     changes: &mut Vec<Change>,
 ) -> Result<Arc<Mesh>> {
     let scene = import(path, &ImportOptions::default())?.environment;
+    mesh_of(&scene, object, materials, changes).map_err(|e| e.in_file(path))
+}
+
+fn mesh_of(
+    scene: &Environment,
+    object: Option<&str>,
+    materials: &mut Materials<'_>,
+    changes: &mut Vec<Change>,
+) -> Result<Arc<Mesh>> {
     let found = match (object, scene.objects()) {
         (None, [only]) => Some(only),
         (None, _) => None,
@@ -68,12 +77,12 @@ pub(super) fn mesh_of_file(
             None => format!("it holds {} objects", scene.objects().len()),
         };
         let remedy = format!("name one as \"from_object\", such as {}", names.join(", "));
-        return Err(Error::invalid(what, remedy).in_file(path));
+        return Err(Error::invalid(what, remedy));
     };
-    let map = materials.map(&scene, changes)?;
+    let map = materials.map(scene, changes)?;
     // The rotation from y-up and the node's scale become part of the shape; its position does not.
     let turn = found.world_from_object.rotation_matrix() * found.object_from_mesh.matrix3;
-    found.mesh.transformed(turn, |m| map[usize::from(m)]).map(Arc::new).map_err(|e| e.in_file(path))
+    found.mesh.transformed(turn, |m| map[usize::from(m)]).map(Arc::new)
 }
 
 /// Returns the change that merges a scene into an environment: materials, objects, frames of groups, features. Equal

@@ -31,7 +31,7 @@ pub(super) struct StoreVersion {
 /// Reads the store in the caller's transaction. `with_trees` also builds trees for the meshes, which indexing needs.
 pub(super) fn load(connection: &Connection, path: &Path, with_trees: bool) -> Result<StoreVersion> {
     let reader = Reader { connection, path, with_trees, digest: std::cell::Cell::default() };
-    reader.load().map_err(|e| e.in_file(path))
+    reader.load()
 }
 
 pub(super) struct Reader<'a> {
