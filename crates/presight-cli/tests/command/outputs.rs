@@ -112,13 +112,9 @@ fn nothing_included_is_overwritten() {
     place.done("predict wall.glb --sensor table.toml --pose 0,0,1,0,0,0 --backend cpu");
     place.write("robot.toml", b"format = 1\n[[sensors]]\nsensor = \"table.toml\"\n");
     place.write("poses.tum", b"0 0 0 1 0 0 0 1\n");
-    let lines: [(String, &[&str]); 5] = [
+    let lines: [(String, &[&str]); 4] = [
         (predict("apart.gltf", "--png before.png --stats bin.json"), &["--stats bin.json"]),
         ("predict wall.glb --robot robot.toml --poses poses.tum --backend cpu --png rays.png".into(), &["rays.png"]),
-        (
-            "predict apart.gltf --robot robot.toml --poses poses.tum --backend cpu --features bin.json".into(),
-            &["bin.json"],
-        ),
         (
             predict("wall.glb", "--out before.exr --stats sidecar.json"),
             &["--stats sidecar.json", "wall.materials.toml"],
