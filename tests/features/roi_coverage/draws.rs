@@ -103,7 +103,7 @@ pub struct Case {
 pub type Reach = Option<[f64; 4]>;
 
 impl Case {
-    pub fn found(&self, confidence: f64) -> ([f64; 4], &'static str) {
+    pub fn found(&self, confidence: f64) -> ([f64; 4], RoiFlag) {
         let feature = Feature {
             id: 1,
             name: None,

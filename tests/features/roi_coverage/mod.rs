@@ -362,7 +362,7 @@ fn patches_seen_in_part_have_the_boxes_of_that_part() {
         for confidence in CONFIDENCES {
             let bounds = box_in(&world, &case, confidence);
             let fail = 1.0 - confidence;
-            let missed = half.missed(&bounds, "linear", &reaches);
+            let missed = half.missed(&bounds, RoiFlag::Linear, &reaches);
             let most = 1.1 * fail + 3.0 * (fail * confidence / reaches.len() as f64).sqrt();
             assert!(missed <= most, "{}: missed {missed}", case.sensor.spec().name);
             let best = Best::new(&half.reaches(4, 100_000, false)).area(confidence);

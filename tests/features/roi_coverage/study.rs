@@ -8,6 +8,7 @@ use super::{
     CONFIDENCES, Covariance, any_covariance, any_shape, camera, diagonal, isotropic, lenses, robot, scanner, segment,
 };
 use glam::{DMat3, DQuat, DVec3, Vec3};
+use presight_features::roi::RoiFlag;
 use presight_features::{BoxOptions, BoxQuery, FeatureSettings, PlacedFeature, add_boxes, predict_features};
 use presight_model::environment::NewObject;
 use presight_model::environment::{Existence, Feature, FeatureShape, Properties};
@@ -55,7 +56,7 @@ struct Trial {
 }
 
 /// A box, and how it was found.
-type Found = ([f64; 4], &'static str);
+type Found = ([f64; 4], RoiFlag);
 
 /// One row all round, level.
 fn row(beam_height_deg: Option<f64>) -> Sensor {

@@ -10,17 +10,13 @@
 //! use presight::estimate::{EstimateOptions, Estimator, Freedom};
 //! use presight::geometry::PoseEstimate;
 //! use presight::simulate::{Disturbances, Simulator};
-//! use presight::{Material, Mesh, NewObject, Options, Polygon, PolygonOrder, Pose, Predictor, World};
-//! use glam::{DVec3, Vec3};
-//! use std::sync::Arc;
+//! use presight::{Environment, Options, Pose, Predictor, World};
+//! use glam::DVec3;
 //!
-//! let mut environment = presight::Environment::new();
-//! let paint = environment.add_material(Material::named("paint"))?;
-//! for (name, a, b) in [("ahead", [3.0, -4.0], [3.0, 2.0]), ("left", [3.0, 2.0], [-4.0, 2.0])] {
-//!     let corners = [[a[0], a[1], 0.0], [b[0], b[1], 0.0], [b[0], b[1], 2.0], [a[0], a[1], 2.0]].map(Vec3::from);
-//!     let mesh = Mesh::new(name, corners.to_vec(), vec![Polygon::new(vec![0, 1, 2, 3], paint)], PolygonOrder::Given)?;
-//!     environment.insert(NewObject::new(name, Pose::IDENTITY, Arc::new(mesh)))?;
-//! }
+//! let mut environment = Environment::new();
+//! let at = |x, y| Pose::from_xyz_rpy(DVec3::new(x, y, 1.0), 0.0, 0.0, 0.0);
+//! environment.add_cuboid("ahead", at(3.05, -1.0), DVec3::new(0.1, 6.0, 2.0))?;
+//! environment.add_cuboid("left", at(-0.5, 2.05), DVec3::new(7.0, 0.1, 2.0))?;
 //! let world = World::new(environment);
 //! let scanner = presight::preset("laser-scanner")?;
 //! let predictor = || Predictor::new(Options::default());

@@ -11,19 +11,14 @@
 //! use presight::estimate::{EstimateOptions, Estimator};
 //! use presight::localize::{LocalizeOptions, Localizer, Phase, Search, SearchOptions};
 //! use presight::simulate::{Disturbances, Simulator};
-//! use presight::{Material, Mesh, NewObject, Options, Polygon, PolygonOrder, Pose, Predictor, Sensor, World};
-//! use glam::{DVec3, Vec3};
-//! use std::sync::Arc;
+//! use presight::{Environment, Options, Pose, Predictor, Sensor, World};
+//! use glam::DVec3;
 //!
-//! let mut environment = presight::Environment::new();
-//! let paint = environment.add_material(Material::named("paint"))?;
-//! let corners = [[0.0, 0.0], [5.0, 0.0], [5.0, 2.0], [3.0, 2.5], [2.0, 4.0], [0.0, 3.0]];
-//! for (k, (a, b)) in corners.iter().zip(corners.iter().cycle().skip(1)).enumerate() {
-//!     let wall = [[a[0], a[1], 0.0], [b[0], b[1], 0.0], [b[0], b[1], 2.0], [a[0], a[1], 2.0]].map(Vec3::from);
-//!     let name = format!("wall {k}");
-//!     let mesh = Mesh::new(&name, wall.to_vec(), vec![Polygon::new(vec![0, 1, 2, 3], paint)], PolygonOrder::Given)?;
-//!     environment.insert(NewObject::new(&name, Pose::IDENTITY, Arc::new(mesh)))?;
-//! }
+//! let mut environment = Environment::new();
+//! let at = |x, y| Pose::from_xyz_rpy(DVec3::new(x, y, 1.0), 0.0, 0.0, 0.0);
+//! environment.add_cuboid("room", at(2.5, 2.0), DVec3::new(5.0, 4.0, 2.0))?;
+//! environment.add_cuboid("shelf", at(0.4, 3.4), DVec3::new(0.8, 1.2, 2.0))?;
+//! environment.add_cuboid("pillar", at(3.7, 2.9), DVec3::new(0.4, 0.6, 2.0))?;
 //! let world = World::new(environment);
 //! let mut spec = presight::preset("laser-scanner")?.spec().clone();
 //! spec.mount.translation.z = 1.0;

@@ -36,12 +36,13 @@ mod judge;
 mod strided;
 mod surfaces;
 
-pub use expected::body_from_image;
 #[doc(hidden)]
-pub use expected::{ExpectedImage, ExpectedPixel};
+pub use expected::{ExpectedImage, ExpectedPixel, body_from_image};
 pub(crate) use judge::judge;
 pub use judge::{Verdict, Verdicts};
+#[doc(hidden)]
 pub use strided::LANES;
+#[doc(hidden)]
 pub use surfaces::{ObjectError, Surface, Surfaces};
 
 use presight_model::error::{Error, Result};
