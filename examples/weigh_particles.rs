@@ -5,7 +5,7 @@
 
 use glam::DVec3;
 use presight::batch::{BatchRequest, PoseCell, RangeLikelihood};
-use presight::frame::{Frame, Measurement};
+use presight::measured::{Frame, Measurement};
 use presight::{Options, Pose, Predictor, Request, Result, Scene};
 
 /// The logarithm of the likelihood of a scan at each pose of its sensor.

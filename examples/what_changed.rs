@@ -4,11 +4,11 @@
 #![allow(clippy::print_stdout, reason = "an example prints its result")]
 
 use glam::DVec3;
-use presight::frame::Frame;
-use presight::geometry::PoseEstimate;
+use presight::environment::Environment;
+use presight::measured::Frame;
 use presight::simulate::{Disturbances, Simulator};
 use presight::verdict::{self, Verdict, Verdicts};
-use presight::{Environment, Options, Pose, Predictor, Result, Scene, Sensor, World};
+use presight::{Options, Pose, PoseEstimate, Predictor, Result, Scene, Sensor, World};
 
 /// Where the robot stands, known to 1 cm and 0.005 rad.
 fn believed() -> PoseEstimate {

@@ -5,8 +5,8 @@
 
 use glam::DVec3;
 use presight::estimate::{EstimateOptions, Estimator};
-use presight::frame::Frame;
 use presight::localize::{LocalizeOptions, Localizer, Search, SearchOptions, Step};
+use presight::measured::Frame;
 use presight::simulate::{Disturbances, Simulator};
 use presight::{Options, Pose, Predictor, Result, Scene, Sensor};
 

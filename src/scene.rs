@@ -1,16 +1,16 @@
 //! Scenes: models from files, opened as worlds for predictions.
 
-use crate::environment::{Feature, FeatureLayer, FeatureShape};
-use crate::features::{PlacedFeatures, place};
-use crate::geometry::Pose;
-use crate::index::{Params, Scheme};
-use crate::io::gltf::{ImportOptions, import};
-use crate::io::layer::{self, LayerFile};
-use crate::io::{self, file};
-use crate::limits;
-use crate::placement::{self, Placement};
-use crate::preparation::{ImportReport, ImportedScene, SceneFrame};
+use presight_features::{PlacedFeatures, place};
+use presight_files::file;
+use presight_files::gltf::{ImportOptions, import, import_bytes};
+use presight_files::layer::{self, LayerFile};
+use presight_files::preparation::{ImportReport, ImportedScene, SceneFrame};
+use presight_model::environment::{Feature, FeatureLayer, FeatureShape};
 use presight_model::error::{Error, ErrorKind, Result};
+use presight_model::geometry::Pose;
+use presight_model::index::{Params, Scheme};
+use presight_model::limits;
+use presight_model::placement::{self, Placement};
 use presight_model::world::World;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -29,7 +29,7 @@ const SQLITE: &[u8; 16] = b"SQLite format 3\0";
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct Scene {
-    /// The file of the scene.
+    /// The file of the scene, or the name of a scene from memory.
     pub path: PathBuf,
     /// The world of the scene.
     pub world: World,
@@ -39,19 +39,21 @@ pub struct Scene {
     pub world_from_gltf: Pose,
     /// Counts and problems of the import.
     pub report: ImportReport,
+    /// The files that the scene consists of: `path`, and all that it names, such as buffers, images and modules.
+    pub files: Vec<PathBuf>,
 }
 
 /// How a scene is opened.
 ///
 /// ```
-/// use presight::index::Scheme;
-/// use presight::io::gltf::ImportOptions;
+/// use presight::environment::IndexScheme;
+/// use presight::files::ImportOptions;
 /// use presight::{Scene, SceneOptions};
 /// // Without merging, every triangle stays a polygon, as `source` ids need it.
 /// let import = ImportOptions { merge: false, ..ImportOptions::default() };
-/// let options = SceneOptions::default().with_import(import).with_index(Scheme::S3d);
+/// let options = SceneOptions::default().with_import(import).with_index(IndexScheme::S3d);
 /// let scene = Scene::open_with("scenes/room.glb", &options, &mut |line| println!("{line}"))?;
-/// assert_eq!(scene.world.index().scheme(), Scheme::S3d);
+/// assert_eq!(scene.world.index().scheme(), IndexScheme::S3d);
 /// # Ok::<(), presight::Error>(())
 /// ```
 #[derive(Clone, Debug, Default)]
@@ -102,25 +104,63 @@ impl Scene {
     /// # Errors
     /// As [`Scene::open`].
     pub fn open_with(path: impl AsRef<Path>, options: &SceneOptions, say: &mut dyn FnMut(&str)) -> Result<Self> {
-        let (path, scheme) = (path.as_ref(), options.index);
+        Self::read(Source::File(path.as_ref()), options, say)
+    }
+
+    /// Opens a scene that is in memory, such as one that a program downloaded or embeds: a `.glb`, a `.gltf` with
+    /// embedded buffers, or a script (`.rhai`) that imports no files. `name` stands for the file in messages; its
+    /// extension selects the format, as for [`Scene::open`]. There is no `SCENE.materials.toml`. The output of a script is
+    /// dropped.
+    ///
+    /// ```
+    /// use presight::{Scene, SceneOptions};
+    /// # let downloaded = std::fs::read("scenes/room.glb").unwrap();
+    /// let scene = Scene::from_bytes("room.glb", &downloaded, &SceneOptions::default())?;
+    /// let opened = Scene::open("scenes/room.glb")?;
+    /// assert_eq!(scene.world.environment().content_hash(), opened.world.environment().content_hash());
+    /// # Ok::<(), presight::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// As [`Scene::open`], naming `name`; [`crate::ErrorKind::Unsupported`] for a stored environment and for buffers in
+    /// files of their own.
+    pub fn from_bytes(name: &str, bytes: &[u8], options: &SceneOptions) -> Result<Self> {
+        Self::read(Source::Memory(Path::new(name), bytes), options, &mut |_| {})
+    }
+
+    fn read(source: Source<'_>, options: &SceneOptions, say: &mut dyn FnMut(&str)) -> Result<Self> {
+        let (path, scheme) = (source.path(), options.index);
         let threads = options.import.threads.started()?;
-        if is_store(path) {
+        if source.is_store() {
             check_unframed(path, &options.import, "a store keeps the frame that it was made with")?;
-            return threads.run(|| stored(path, scheme))?;
+            return match source {
+                Source::File(path) => threads.run(|| stored(path, scheme))?,
+                Source::Memory(..) => Err(store_in_memory(path)),
+            };
         }
         let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
         let imported = match extension.as_str() {
             "rhai" => {
                 check_unframed(path, &options.import, "a script is in metres and z-up")?;
-                script(path, &options.import, say)?
+                script(source, &options.import, say)?
             }
-            "obj" | "stl" | "ply" | "off" | "dae" if path.exists() => return Err(mesh_file(path)),
-            _ => import(path, &options.import)?,
+            "obj" | "stl" | "ply" | "off" | "dae" if source.exists() => return Err(mesh_file(path)),
+            _ => match source {
+                Source::File(path) => import(path, &options.import)?,
+                Source::Memory(name, bytes) => import_bytes(name, bytes, &options.import)?,
+            },
         };
         let world = threads.run(|| World::with_index(imported.environment, scheme, Params::tuned(scheme)))?;
         let frame = imported.frame;
         let world_from_gltf = frame.unwrap_or_default().world_from_axes();
-        Ok(Self { path: path.to_owned(), world, frame, world_from_gltf, report: imported.report })
+        Ok(Self {
+            path: path.to_owned(),
+            world,
+            frame,
+            world_from_gltf,
+            report: imported.report,
+            files: imported.files,
+        })
     }
 
     /// Finds the polygons of the features of a layer in memory. Features that lie on no polygon are listed and left out.
@@ -147,12 +187,12 @@ impl Scene {
     ///
     /// ```
     /// use presight::Scene;
-    /// # use presight::features::generate::{GenerateOptions, generate};
+    /// # use presight::features::{GenerateOptions, generate};
     /// let scene = Scene::open("scenes/room.glb")?;
     /// # let folder = tempfile::tempdir().unwrap();
     /// # let path = folder.path().join("room.video.layer.json");
     /// # let layer = generate(scene.world.environment(), "video", &GenerateOptions::default())?.layer;
-    /// # presight::io::layer::write(&path, &layer)?;
+    /// # presight::files::write_layer(&path, &layer)?;
     /// let features = scene.place_layers(&[&path], "video")?;
     /// assert!(features.placed.features.len() > 10);
     /// # Ok::<(), presight::Error>(())
@@ -207,6 +247,35 @@ impl Scene {
     }
 }
 
+/// Where a scene comes from.
+#[derive(Clone, Copy)]
+enum Source<'a> {
+    File(&'a Path),
+    /// A name for messages, and the content.
+    Memory(&'a Path, &'a [u8]),
+}
+
+impl<'a> Source<'a> {
+    fn path(self) -> &'a Path {
+        match self {
+            Self::File(path) | Self::Memory(path, _) => path,
+        }
+    }
+
+    fn exists(self) -> bool {
+        matches!(self, Self::Memory(..)) || self.path().exists()
+    }
+
+    /// True for a stored environment, by its extension or its content.
+    fn is_store(self) -> bool {
+        self.path().extension().is_some_and(|e| e.eq_ignore_ascii_case("presight"))
+            || match self {
+                Self::File(path) => file::starts_with(path, SQLITE),
+                Self::Memory(_, bytes) => bytes.starts_with(SQLITE),
+            }
+    }
+}
+
 /// BLAKE3 of a scene's file, hexadecimal, as predictions in EXR files name it.
 ///
 /// # Errors
@@ -223,15 +292,15 @@ pub fn blake3_of(path: &Path) -> Result<String> {
     Ok(hasher.finalize().to_hex().to_string())
 }
 
-/// Refuses --up and --scale for a scene that has its own frame.
+/// Refuses an up axis or a scale for a scene that has its own frame.
 fn check_unframed(path: &Path, options: &ImportOptions, why: &str) -> Result<()> {
-    let flag = match (options.up, options.scale) {
+    let option = match (options.up, options.scale) {
         (None, None) => return Ok(()),
-        (Some(_), _) => "--up",
-        _ => "--scale",
+        (Some(_), _) => "`ImportOptions::up`",
+        _ => "`ImportOptions::scale`",
     };
-    let remedy = format!("drop {flag}, or give it where the glTF file is read");
-    Err(Error::usage(format!("{flag}: {why}"), remedy).in_file(path))
+    let remedy = format!("drop {option}, or give it where the glTF file is read");
+    Err(Error::usage(format!("{option}: {why}"), remedy).in_file(path))
 }
 
 /// The error for meshes of other formats, with a command that converts them.
@@ -239,7 +308,7 @@ fn mesh_file(path: &Path) -> Error {
     let (from, to) = (path.display(), path.with_extension("glb"));
     let remedy = format!(
         "convert it: python3 -c \"import trimesh; trimesh.load('{from}', force='scene').export('{}')\" (pip install trimesh), \
-         then --up z if it is z-up",
+         then give `ImportOptions::up` z if it is z-up",
         to.display()
     );
     Error::new(ErrorKind::Unsupported, "presight reads scenes from glTF, scripts and stores", remedy).in_file(path)
@@ -247,24 +316,28 @@ fn mesh_file(path: &Path) -> Error {
 
 /// Runs a scene script.
 #[cfg(feature = "script")]
-fn script(path: &Path, options: &ImportOptions, say: &mut dyn FnMut(&str)) -> Result<ImportedScene> {
-    io::script::load(path, options, say)
+fn script(source: Source<'_>, options: &ImportOptions, say: &mut dyn FnMut(&str)) -> Result<ImportedScene> {
+    match source {
+        Source::File(path) => presight_files::script::load(path, options, say),
+        Source::Memory(name, bytes) => presight_files::script::load_bytes(name, bytes, options, say),
+    }
 }
 
 #[cfg(not(feature = "script"))]
-fn script(path: &Path, _options: &ImportOptions, _say: &mut dyn FnMut(&str)) -> Result<ImportedScene> {
-    Err(io::not_built("scene scripts", "script").in_file(path))
+fn script(source: Source<'_>, _options: &ImportOptions, _say: &mut dyn FnMut(&str)) -> Result<ImportedScene> {
+    Err(presight_files::not_built("scene scripts", "script").in_file(source.path()))
 }
 
-/// True for a stored environment, by its extension or its content.
-fn is_store(path: &Path) -> bool {
-    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("presight")) || file::starts_with(path, SQLITE)
+/// The error for a store that is not in a file.
+fn store_in_memory(name: &Path) -> Error {
+    let remedy = "write it to a file and open that, or export its scene.glb: presight env export STORE DIR";
+    Error::new(ErrorKind::Unsupported, "a stored environment in memory cannot be opened", remedy).in_file(name)
 }
 
 /// Opens a store, which is already in presight's frame.
 #[cfg(feature = "store")]
 fn stored(path: &Path, scheme: Scheme) -> Result<Scene> {
-    let world = io::store::read_world(path, scheme, Params::tuned(scheme))?;
+    let world = presight_files::store::read_world(path, scheme, Params::tuned(scheme))?;
     let mut report = ImportReport::default();
     let mut seen = std::collections::HashSet::new();
     for object in world.environment().objects() {
@@ -276,18 +349,17 @@ fn stored(path: &Path, scheme: Scheme) -> Result<Scene> {
     }
     // The axes of the file that `env export` writes.
     let world_from_gltf = SceneFrame::default().world_from_axes();
-    Ok(Scene { path: path.to_owned(), world, frame: None, world_from_gltf, report })
+    Ok(Scene { path: path.to_owned(), world, frame: None, world_from_gltf, report, files: vec![path.to_owned()] })
 }
 
 #[cfg(not(feature = "store"))]
 fn stored(path: &Path, _scheme: Scheme) -> Result<Scene> {
-    Err(io::not_built("stored environments", "store").in_file(path))
+    Err(presight_files::not_built("stored environments", "store").in_file(path))
 }
 
 #[cfg(all(test, not(feature = "script")))]
 mod tests {
     use super::*;
-    use crate::error::ErrorKind;
 
     #[test]
     fn without_scripts_one_is_refused_with_a_remedy() {

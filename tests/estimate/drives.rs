@@ -1,11 +1,11 @@
-//! Robots followed from frame to frame.
+//! Robots localized from frame to frame.
 
 use super::*;
 use presight_localize::localize::{LocalizeOptions, Localizer, Phase};
 use presight_model::error::ErrorKind;
 use presight_model::geometry::{PoseCovariance, PoseEstimate};
 
-/// A pose on a round through the room, looking ahead and down a little.
+/// A pose on a round trip through the room, looking ahead and slightly down.
 fn on_the_way(k: usize) -> Pose {
     let t = 0.02 * k as f64;
     let at = DVec3::new(1.3 + 0.5 * t.sin(), 2.3 + 0.4 * t.cos(), 1.4);
@@ -22,7 +22,7 @@ fn localizer(start: &Pose) -> Localizer {
 }
 
 #[test]
-fn a_drive_is_followed_without_odometry() {
+fn a_drive_is_tracked_without_odometry() {
     let (world, sensor, mut random) = (room(Vec3::ZERO), camera(0.01), Random(11));
     let mut robot = localizer(&off_by(&on_the_way(0), 0.04, 1.5, &mut random));
     for k in 0..60 {
@@ -34,7 +34,8 @@ fn a_drive_is_followed_without_odometry() {
     }
 }
 
-/// Moved 0.3 m and 11 degrees at a time, at the second frame and again after it stood still, without odometry: known all the time.
+/// The robot moves 0.3 m and 11 degrees at a time, at the second frame and again after a stop, without odometry. Its
+/// pose is known at every frame.
 #[test]
 fn a_robot_that_stops_and_goes_is_followed() {
     let (world, sensor, mut random) = (room(Vec3::ZERO), camera(0.01), Random(15));
@@ -52,12 +53,12 @@ fn a_robot_that_stops_and_goes_is_followed() {
     }
 }
 
-/// A robot that is carried away says so within five frames, and is found again when it is put back.
+/// The estimator reports a carried-away robot as lost within five frames, and finds it again after it is put back.
 #[test]
 fn a_kidnapped_robot_is_lost() {
     let (world, sensor) = (room(Vec3::ZERO), camera(0.01));
     let elsewhere = Pose::from_xyz_rpy(DVec3::new(4.6, 1.2, 1.2), 0.0, 0.1, 2.9);
-    // At the first frame after those that have to agree, and when much is known of what is usual.
+    // Carries it away at the first frame at which that can be noticed, and after the usual level is well known.
     for taken in [3, 20] {
         let (mut robot, mut random) = (localizer(&on_the_way(0)), Random(12));
         let (mut lost, mut back) = (None, None);
@@ -112,11 +113,11 @@ fn frames_out_of_order_and_bad_odometry_are_refused() {
     let mut broken = frame(2.0);
     let nowhere = Pose { translation: DVec3::NAN, ..Pose::IDENTITY };
     broken.motion =
-        Some(presight_model::frame::Motion { previous_from_current: nowhere, covariance: PoseCovariance::ZERO });
+        Some(presight_model::measured::Motion { previous_from_current: nowhere, covariance: PoseCovariance::ZERO });
     assert!(robot.step(&world, &broken).unwrap_err().to_string().contains("odometry"));
     let mut broken = frame(2.0);
     let covariance = PoseCovariance::from_sigmas([f64::NAN; 6]);
-    broken.motion = Some(presight_model::frame::Motion { previous_from_current: Pose::IDENTITY, covariance });
+    broken.motion = Some(presight_model::measured::Motion { previous_from_current: Pose::IDENTITY, covariance });
     assert_eq!(robot.step(&world, &broken).unwrap_err().kind(), ErrorKind::Invalid);
     assert_eq!(robot.step(&world, &frame(2.0)).unwrap().stamp, 2.0);
 }

@@ -1,5 +1,5 @@
-//! Grey images and ranges together: poses by edges in simulated grey images (light at the camera, blur, noise), by a range camera with
-//! 1 cm of noise, and by both.
+//! Grey images and ranges together: poses by edges in simulated grey images (light at the camera, blur, noise), by a
+//! range camera with 1 cm of noise, and by both.
 
 use super::*;
 use presight_features::PlacedFeatures;
@@ -8,11 +8,11 @@ use presight_localize::estimate::{Estimate, EstimateState, nees};
 use presight_localize::extract::FeatureClass;
 use presight_localize::localize::Phase;
 use presight_model::error::ErrorKind;
-use presight_model::frame::GreyImage;
 use presight_model::geometry::PoseEstimate;
+use presight_model::measured::GreyImage;
 use presight_model::placement::place_layer;
 
-/// 240 x 180 pixels, 65 degrees wide, 10 cm beside the range camera.
+/// 240 x 180 pixels, 65 degrees wide, 10 cm from the range camera.
 fn video() -> Sensor {
     let camera = Camera::pinhole(240, 180, 188.0, 188.0, 119.5, 89.5);
     let mut spec = SensorSpec::new("camera", "video", Geometry::Camera(camera));
@@ -33,7 +33,7 @@ fn estimate(world: &World, features: &PlacedFeatures, frames: &[&Frame], prior: 
     estimator(EstimateOptions::default()).with_features(features.clone()).estimate(world, frames, prior).unwrap()
 }
 
-/// Of both alone and together: root mean squares of metres and degrees, and the largest NEES by numbers.
+/// For each sensor alone and for both: the RMS errors in metres and degrees, and the largest NEES per dimension.
 fn errors(map: &World, real: &World) -> [(f64, f64, f64); 3] {
     let features = edges(map);
     let mut random = Random(7);
@@ -56,7 +56,8 @@ fn errors(map: &World, real: &World) -> [(f64, f64, f64); 3] {
     all.map(|(m, d, worst)| (mean(m), mean(d), worst))
 }
 
-/// Edges alone are good to a centimetre; with ranges the pose is no worse than by the better of both, and the covariances are true.
+/// Edges alone are accurate to a centimetre. With ranges the pose is no worse than with the better sensor alone, and
+/// the covariances are consistent.
 #[test]
 fn together_no_worse_than_the_best() {
     let world = room(Vec3::ZERO);
@@ -67,8 +68,8 @@ fn together_no_worse_than_the_best() {
     assert!(ranges.2 < 6.0 && grey.2 < 6.0 && both.2 < 6.0);
 }
 
-/// What stands in the room as the model has it is matched; of the table that is gone rays tell that it is missing, and of the shelf's
-/// edges that a screen hides that something unknown stands before them.
+/// Unchanged objects of the room are matched. Rays show that the table is missing, and that an unknown object hides the
+/// shelf's edges, which a screen covers.
 #[test]
 fn features_are_classed_by_ranges() {
     let map = room(Vec3::ZERO);
@@ -83,7 +84,7 @@ fn features_are_classed_by_ranges() {
     let mut estimator = estimator(options).with_features(features);
     let found = estimator.estimate(&map, &[&frames[0], &frames[1]], &prior).unwrap();
     let findings = &found.findings[0];
-    // By where the model has them: on the table, or on the shelf behind the screen.
+    // Grouped by the model's positions: on the table, or on the shelf behind the screen.
     let of = |inside: fn(DVec3) -> bool| -> Vec<FeatureClass> {
         let on = findings.features.iter().filter(|f| f.points_world.iter().all(|p| inside(*p)));
         on.map(|f| f.class).collect()
@@ -96,17 +97,17 @@ fn features_are_classed_by_ranges() {
     assert!(!shelf.is_empty() && 2 * count(&shelf, FeatureClass::Occluded) > shelf.len(), "{shelf:?}");
     assert_eq!(count(&shelf, FeatureClass::Missing), 0, "{shelf:?}");
     assert!(findings.count("matched") >= 8, "{:?}", findings.features);
-    // The screen's own edges are predicted by nothing.
+    // No prediction covers the screen's own edges.
     assert!(!findings.only_found.is_empty());
-    // Without ranges nobody knows why.
+    // Without ranges the reason is unknown.
     let alone = estimator.estimate(&map, &[&frames[1]], &prior).unwrap();
     assert_eq!(alone.findings[0].count("missing") + alone.findings[0].count("occluded"), 0);
     assert!(alone.findings[0].count("undecidable") > 0);
 }
 
-/// A drive by grey images alone, then with ranges beside them.
+/// A drive by grey images alone, then with ranges.
 #[test]
-fn grey_images_are_followed() {
+fn drives_are_tracked_by_grey_images() {
     let world = room(Vec3::ZERO);
     let features = edges(&world);
     for with_ranges in [false, true] {
@@ -119,7 +120,7 @@ fn grey_images_are_followed() {
 }
 
 #[test]
-fn images_that_say_nothing_determine_nothing() {
+fn images_without_content_determine_nothing() {
     let world = room(Vec3::ZERO);
     let features = edges(&world);
     let prior = PoseEstimate::of_sigmas(place(), 0.03, 0.01);
@@ -130,7 +131,7 @@ fn images_that_say_nothing_determine_nothing() {
     for value in [0.0, 0.5, 1.0, f32::NAN] {
         let found = estimate(&world, &features, &[&frame(value)], &prior);
         assert!(matches!(&found.state, EstimateState::Undetermined(why) if why.contains("0 features")), "{found:?}");
-        // What was known before is still known, and no more.
+        // The prior knowledge is kept, and nothing is added.
         assert!((found.pose.covariance[0][0].sqrt() - 0.03).abs() < 1e-6);
         assert!(apart(&found.pose.world_from_robot, &place()).0 < 1e-9);
     }

@@ -1,5 +1,5 @@
-//! Simulated drives through a factory hall (../shared/data/env), by the laser range camera with 1 cm of noise: the map exact, and every
-//! object of it 1 cm off. PRESIGHT_HALL_FRAMES says how many frames a drive has.
+//! Simulated drives through a factory hall (../shared/data/env), by the laser range camera with 1 cm of noise: with an
+//! exact map, and with every object of it 1 cm off. PRESIGHT_HALL_FRAMES sets the number of frames of a drive.
 
 use super::*;
 use presight_files::gltf::import;
@@ -20,7 +20,7 @@ fn laser() -> Sensor {
     Sensor::new(spec).unwrap()
 }
 
-/// Root mean squares of position, metres, and heading, degrees, and the mean and largest NEES by the numbers of a pose.
+/// RMS errors of position in metres and heading in degrees, and the mean and largest NEES per dimension.
 struct Errors {
     metres: f64,
     degrees: f64,
@@ -28,7 +28,7 @@ struct Errors {
     worst_nees: f64,
 }
 
-/// A round of 25 cm from each of these places, known to 3 cm and 0.02 rad at first, with odometry that slips.
+/// A circle of 25 cm from each of these places, with a prior of 3 cm and 0.02 rad and odometry that slips.
 fn drive(map: &World, real: &World, places: &[Pose]) -> Errors {
     let frames = presight_testkit::env_number("PRESIGHT_HALL_FRAMES", 4) as usize;
     let (mut squares, mut all) = ([0.0; 2], Vec::new());
@@ -63,13 +63,13 @@ fn drive(map: &World, real: &World, places: &[Pose]) -> Errors {
     }
 }
 
-/// Level places, a few of those that are free.
+/// A selection of the free level poses.
 fn places(map: &World) -> Vec<Pose> {
     free_poses(map, 6, 11).unwrap().into_iter().step_by(2).collect()
 }
 
 #[test]
-fn an_exact_map_is_exact_to_millimetres() {
+fn an_exact_map_gives_poses_to_millimetres() {
     let Some(map) = hall() else { return };
     let off = drive(&map, &map, &places(&map));
     assert!(off.metres <= 0.002 && off.degrees <= 0.02, "{} m {} deg", off.metres, off.degrees);
@@ -77,7 +77,7 @@ fn an_exact_map_is_exact_to_millimetres() {
 }
 
 #[test]
-fn objects_that_are_off_show_in_the_covariance() {
+fn displaced_objects_show_in_the_covariance() {
     let Some(map) = hall() else { return };
     let mut real = map.clone();
     displace(&mut real, 0.01, 5).unwrap();
@@ -92,9 +92,9 @@ fn scripted_hall() -> World {
     World::new(presight_files::script::load(path, &Default::default(), &mut |_| {}).unwrap().environment)
 }
 
-/// Where things repeat every few decimetres: from priors of 2 cm and 0.6 degrees an axis that are off by as much, the search comes to rest 15 cm
-/// away in two of these 14 frames, with 97 % explained. That is seven deviations of what was known before, and a place near it explains as
-/// much: that one is told.
+/// In a place that repeats every few decimetres: from priors that are off by 2 cm and 0.6 degrees an axis, the search
+/// ends 15 cm away in two of these 14 frames, with 97 % explained. That is seven standard deviations of the prior, and
+/// a place near the prior explains as much; the estimate must be that place.
 #[cfg(feature = "script")]
 #[test]
 fn a_pose_is_told_where_the_robot_may_be() {
@@ -119,7 +119,8 @@ fn a_pose_is_told_where_the_robot_may_be() {
     }
 }
 
-/// Radar scan and laser range camera in the scripted hall, alone and together: no worse together than the better one alone.
+/// Radar scan and laser range camera in the scripted hall, alone and together: together they are no worse than the
+/// better one alone.
 #[cfg(feature = "script")]
 #[test]
 fn two_sensors_in_a_scripted_hall() {

@@ -1,4 +1,5 @@
-//! Real planar scans in a map of another run (../shared/data/lidar2d/malaga_corridor*). Figures beside each bound are those reached.
+//! Real planar scans in a map of another run (../shared/data/lidar2d/malaga_corridor*). The figure next to each bound
+//! is the value reached.
 
 use super::*;
 use presight_files::gltf::import;
@@ -18,7 +19,8 @@ fn frames() -> Vec<Observation> {
     Frames::open(&path, None, &Default::default()).unwrap().map(Result::unwrap).collect()
 }
 
-/// Squared error over variance, per number, with what the reference is worth added: 1 cm and 0.06 degrees.
+/// The squared error over the variance, per dimension, including the uncertainty of the reference: 1 cm and 0.06
+/// degrees.
 fn nees(off: &[f64; 6], covariance: &PoseCovariance<InWorld>) -> f64 {
     let worth = [0.01, 0.01, f64::to_radians(0.06)].map(|s: f64| s * s);
     let axes = [0, 1, 5];
@@ -30,7 +32,7 @@ fn nees(off: &[f64; 6], covariance: &PoseCovariance<InWorld>) -> f64 {
     off.dot(c.inverse() * off) / 3.0
 }
 
-/// From a start that is known to a decimetre the whole run is tracked. The reference is worth 1.5 cm and 0.12 degrees.
+/// From a start known to a decimetre the whole run is tracked. The reference is accurate to 1.5 cm and 0.12 degrees.
 #[test]
 fn a_run_of_scans_is_tracked() {
     let Some(map) = map() else { return };
@@ -58,15 +60,15 @@ fn a_run_of_scans_is_tracked() {
         most(&metres),
         most(&degrees)
     );
-    // 2.1 cm, 0.15 degrees.
+    // Reached: 2.1 cm, 0.15 degrees.
     assert!(rms(&metres) <= 0.022 && rms(&degrees) <= 0.17, "{} m {} deg", rms(&metres), rms(&degrees));
-    // 5.4 cm, 0.35 degrees.
+    // Reached: 5.4 cm, 0.35 degrees.
     assert!(most(&metres) <= 0.07 && most(&degrees) <= 0.5, "{} m {} deg", most(&metres), most(&degrees));
     assert!((0.5..=1.5).contains(&n), "NEES/3 of {n}");
     assert!(share >= 0.87, "{share} of the beams within 0.1 m");
 }
 
-/// The scan of a mirrored robot in the map, which is one of the robot in a mirrored map.
+/// The scan that a mirrored robot measures in the map, which is that of the robot in a mirrored map.
 fn mirrored(frame: &Frame) -> Frame {
     let ranges = frame.ranges().iter().rev().copied().collect();
     let mut there = Frame::new(frame.stamp, frame.sensor().clone(), Measurement::Range(ranges)).unwrap();
@@ -74,15 +76,15 @@ fn mirrored(frame: &Frame) -> Frame {
         let (at, (yaw, ..)) =
             (m.previous_from_current.translation, m.previous_from_current.rotation.to_euler(glam::EulerRot::ZYX));
         let previous_from_current = Pose::from_xyz_rpy(DVec3::new(at.x, -at.y, at.z), 0.0, 0.0, -yaw);
-        presight_model::frame::Motion { previous_from_current, ..m }
+        presight_model::measured::Motion { previous_from_current, ..m }
     });
     there
 }
 
-/// A scanner whose beams are read the wrong way round, from its true pose on: a corridor mirrored looks like one, and half of its points are
-/// explained for many frames, but it is never tracked.
+/// A scanner whose beams are read in reverse order, starting at its true pose. A mirrored corridor still looks like a
+/// corridor, and half of the points are explained for many frames, but the robot is never tracked.
 #[test]
-fn a_mirrored_robot_is_not_tracked_from_where_it_was_said_to_be() {
+fn a_mirrored_robot_is_not_tracked_from_its_true_pose() {
     let Some(map) = map() else { return };
     let frames = frames();
     let start = PoseEstimate::of_sigmas(frames[0].reference.unwrap(), 0.1, 0.05);
@@ -100,8 +102,8 @@ fn search(map: &World, frame: &Frame) -> Search {
     Search::new(&mut estimator(EstimateOptions::planar()), map, frame.sensor(), SearchOptions::default()).unwrap()
 }
 
-/// Nothing is known of the start. Of 33 starts 32 are found within five frames, the mirrored robot at none; here every 16th start.
-/// PRESIGHT_MALAGA_EVERY=1 takes all.
+/// From an unknown start, 32 of 33 starts are found within five frames, and the mirrored robot is found at none. By
+/// default every 16th start; PRESIGHT_MALAGA_EVERY=1 takes all.
 #[test]
 fn an_unknown_start_is_found_and_a_mirrored_map_is_not() {
     let Some(map) = map() else { return };
@@ -135,11 +137,12 @@ fn an_unknown_start_is_found_and_a_mirrored_map_is_not() {
         }
         starts += 1;
     }
-    // Start 32, the last one, stays undecided: at its end the run is where the map is worst.
+    // The last start, 32, stays undecided: at its end the map is worst.
     assert!(found >= starts - starts.div_ceil(11), "{found} of {starts}");
 }
 
-/// Of a single scan the best candidate is the right one: 36 of 37, at most 5.5 cm and 0.35 degrees off; here two of them.
+/// For a single scan the best candidate is right in 36 of 37 cases, at most 5.5 cm and 0.35 degrees off; two of them
+/// run by default.
 #[test]
 fn the_best_candidate_of_a_scan_is_right() {
     let Some(map) = map() else { return };

@@ -1,6 +1,6 @@
-//! Reflectors on the walls of a corridor, whose ranges do not tell the way along it. Which beams meet a reflector is worked out here by hand:
-//! nothing of the library says what is bright. Planted faults: one moved by 10 cm, one too many, one missing, one hidden, intensities that
-//! say nothing, and reflectors that repeat.
+//! Reflectors on the walls of a corridor, where ranges do not determine the position along it. The test calculates by
+//! itself which beams meet a reflector, without the library. Planted faults: one reflector moved by 10 cm, one too
+//! many, one missing, one hidden, uninformative intensities, and reflectors at regular intervals.
 
 use super::*;
 use glam::DMat3;
@@ -9,22 +9,22 @@ use presight_localize::estimate::{Estimate, Freedom, motion_between, nees};
 use presight_localize::extract::FeatureClass;
 use presight_localize::localize::{Phase, Search, SearchOptions};
 use presight_model::environment::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
-use presight_model::frame::{GreyImage, Motion, OdometryNoise};
 use presight_model::geometry::PoseEstimate;
+use presight_model::measured::{GreyImage, Motion, OdometryNoise};
 use presight_model::placement::place_layer;
 
-/// Degrees from beam to beam.
+/// The angle between beams, degrees.
 const PITCH: f64 = 0.25;
 /// Half of a reflector's width along the wall, metres.
 const HALF: f64 = 0.1;
 /// Half of the corridor's width, metres.
 const WALL: f64 = 1.0;
 
-/// Where reflectors are: x, and the wall's y.
+/// A reflector's x, and the y of its wall.
 type Spot = (f64, f64);
 const THREE: [Spot; 3] = [(2.0, WALL), (3.1, -WALL), (-2.4, WALL)];
 
-/// A full turn, one row that counts features 2.5 degrees above and below it.
+/// A full circle of one row that counts features up to 2.5 degrees above and below it.
 fn laser() -> Sensor {
     let azimuth = Angles::Uniform { start_deg: -180.0, step_deg: PITCH, count: 1440 };
     let scanner = Scanner { azimuth, elevation: Angles::Listed(vec![0.0]), beam_height_deg: Some(5.0) };
@@ -33,7 +33,7 @@ fn laser() -> Sensor {
     Sensor::new(spec).unwrap()
 }
 
-/// Walls at y = -1 and y = 1, with boxes that stand in it.
+/// Walls at y = -1 and y = 1, and boxes between them.
 fn corridor(boxes: &[[Vec3; 2]]) -> World {
     let mut environment = Environment::new();
     environment.add_material(Material::named("m")).unwrap();
@@ -48,7 +48,7 @@ fn truth() -> Pose {
     Pose::from_xyz_rpy(DVec3::new(0.0, 0.2, 1.0), 0.0, 0.0, 0.1)
 }
 
-/// What is measured; a beam is bright where it ends on a wall within a reflector.
+/// Simulates a scan; a beam is bright if it ends on a wall within a reflector.
 fn scan(world: &World, spots: &[Spot], pose: &Pose, seed: u64) -> Frame {
     scan_of(&laser(), world, spots, pose, seed)
 }
@@ -58,7 +58,7 @@ fn scan_of(scanner: &Sensor, world: &World, spots: &[Spot], pose: &Pose, seed: u
     let yaw = 2.0 * pose.rotation.z.atan2(pose.rotation.w);
     let bright = |(k, range): (usize, &f32)| {
         let azimuth = yaw + (PITCH * k as f64 - 180.0).to_radians();
-        // Where the beam meets the reflector's wall, and whether it got there.
+        // Decides whether the beam reaches the reflector's wall within the reflector.
         let on = |(x, y): &Spot| {
             let way = (y - pose.translation.y) / azimuth.sin();
             let at = pose.translation.x + way * azimuth.cos();
@@ -70,7 +70,7 @@ fn scan_of(scanner: &Sensor, world: &World, spots: &[Spot], pose: &Pose, seed: u
     frame.with_intensities(GreyImage::new(1440, 1, values).unwrap()).unwrap()
 }
 
-/// The layer, each reflector known to so many metres an axis.
+/// The layer with this sigma of each reflector in metres an axis.
 fn layer(world: &World, spots: &[Spot], sigma: f64) -> PlacedFeatures {
     let feature = |(k, (x, y)): (usize, &Spot)| {
         let covariance = DMat3::from_diagonal(DVec3::splat(sigma * sigma));
@@ -92,7 +92,7 @@ fn options() -> EstimateOptions {
     EstimateOptions::default().with_freedom(Freedom::Planar)
 }
 
-/// Where the robot is by a frame and a map, from 25 cm down the corridor; each reflector of the map is known to 5 mm.
+/// Estimates the robot's pose from 25 cm down the corridor; each reflector of the map has a sigma of 5 mm.
 fn estimate(map: &World, known: &[Spot], frame: &Frame) -> Estimate {
     let off = moved(&truth(), &[0.25, 0.05, 0.0, 0.0, 0.0, 0.03]);
     let mut estimator = estimator(options()).with_features(layer(map, known, 0.005));
@@ -107,9 +107,9 @@ fn along(found: &Estimate) -> (f64, f64) {
     (motion_between(&truth(), &found.pose.world_from_robot)[0], found.pose.covariance[0][0].sqrt())
 }
 
-/// By ranges alone the way along the corridor stays as it was known; two reflectors tell it.
+/// Ranges alone leave the position along the corridor at its prior; two reflectors determine it.
 #[test]
-fn reflectors_tell_the_way_along_a_corridor() {
+fn reflectors_determine_the_position_along_a_corridor() {
     let map = corridor(&[]);
     let mut scores = 0.0;
     for seed in 0..6 {
@@ -123,7 +123,7 @@ fn reflectors_tell_the_way_along_a_corridor() {
             assert!(found.is_determined() && found.weak.is_empty(), "{:?} {:?}", found.state, found.weak);
             assert!(x.abs() < 0.02 && sigma < 0.01, "{seed}: {x} {sigma}");
             assert_eq!(classes(&found), vec!["matched"; count]);
-            // One of so many may be beyond 3.3 deviations.
+            // One of several reflectors may be beyond 3.3 standard deviations.
             assert!(found.reflectors.1 == count && found.reflectors.0 + 1 >= count, "{:?}", found.reflectors);
             let (squared, numbers) = nees(&found.pose, &truth());
             scores += squared / numbers as f64 / 12.0;
@@ -133,9 +133,9 @@ fn reflectors_tell_the_way_along_a_corridor() {
     assert!((0.2..2.0).contains(&scores), "NEES {scores}");
 }
 
-/// By hand: a reflector abeam, 0.8 m to the left. Its bearing alone tells x: the middle of the beams that meet it is off by sqrt(1 / 24) of a
-/// beam, and the calibration by 0.1 of one, 0.227 together, or 0.99 mrad: 0.8 mm. With its own place known to s, x is known to
-/// sqrt(s^2 + 0.8^2) mm.
+/// By hand: a reflector abeam, 0.8 m to the left. Its bearing alone determines x: the centre of the beams that meet it
+/// is off by sqrt(1 / 24) of a beam, and the calibration by 0.1 of one, 0.227 together, or 0.99 mrad: 0.8 mm. If the
+/// reflector's place has a sigma of s, x has a sigma of sqrt(s^2 + 0.8^2) mm.
 #[test]
 fn a_reflector_abeam() {
     let map = corridor(&[]);
@@ -145,14 +145,14 @@ fn a_reflector_abeam() {
         let mut estimator = estimator(options()).with_features(layer(&map, &[(0.0, WALL)], sigma));
         let found = estimator.estimate(&map, &[&frame], &prior).unwrap();
         let (x, told) = along(&found);
-        // A prior of 30 cm takes a little off; residuals may be a little wider than stated.
+        // A prior of 30 cm reduces the value slightly; residuals may be a little wider than stated.
         assert!((told / by_hand - 1.0).abs() < 0.1, "{sigma}: {told}, by hand {by_hand}");
         assert!(x.abs() < 4.0 * 0.0008 + 0.001, "{x}");
     }
 }
 
-/// Planted: one reflector hangs 10 cm down the wall from where the map has it. Of three it is outvoted; of two nobody knows which it is, and
-/// no pose is told as certain that is wrong.
+/// Planted fault: one reflector hangs 10 cm along the wall from its place in the map. Among three it is outvoted; among
+/// two the wrong one cannot be identified, and no wrong pose is reported as determined.
 #[test]
 fn a_moved_reflector_is_not_believed() {
     let map = corridor(&[]);
@@ -177,23 +177,23 @@ fn a_moved_reflector_is_not_believed() {
     }
 }
 
-/// Planted: bright spots that the map does not have, one of them 35 cm beside a reflector, are found and belong to none.
+/// Planted fault: bright spots that are not in the map, one of them 35 cm from a reflector, are found but not matched.
 #[test]
-fn what_is_no_reflector_of_the_map_is_only_found() {
+fn unmapped_bright_spots_are_found_but_not_matched() {
     let map = corridor(&[]);
     let real = [&THREE[..], &[(2.35, WALL), (-1.2, -WALL)]].concat();
     let found = estimate(&map, &THREE, &scan(&map, &real, &truth(), 4));
     let (x, _) = along(&found);
     assert!(found.is_determined() && x.abs() < 0.02, "{x}");
     assert_eq!((found.reflectors, classes(&found)), ((3, 3), vec!["matched"; 3]));
-    // Only regions are searched: the one far from all of them is not even seen.
+    // Only regions are searched, so the spot far from all of them is not reported.
     assert!(found.findings[0].only_found.len() <= 1);
 }
 
-/// Planted: a reflector that was taken off is missing, as the wall behind it is seen and dark; one behind a box is occluded; where there are
-/// no intensities to speak of, nobody knows.
+/// Planted faults: a removed reflector is missing, because the wall behind it is in view and dark; one behind a box is
+/// occluded. Without usable intensities the reason is undecidable.
 #[test]
-fn what_is_not_found_is_told_with_its_reason() {
+fn missing_reflectors_are_reported_with_a_reason() {
     let map = corridor(&[]);
     let of = |real: &World, spots: &[Spot]| {
         let found = estimate(&map, &THREE, &scan(real, spots, &truth(), 5));
@@ -206,9 +206,9 @@ fn what_is_not_found_is_told_with_its_reason() {
     assert_eq!(of(&crate_before, &THREE), ["matched", "occluded", "matched"]);
 }
 
-/// Intensities that are all alike, or none, tell nothing: the answer is that of the ranges.
+/// Constant or absent intensities carry no information: the estimate equals that of ranges alone.
 #[test]
-fn intensities_that_say_nothing_tell_nothing() {
+fn uninformative_intensities_change_nothing() {
     let map = corridor(&[]);
     let frame = scan(&map, &THREE, &truth(), 6);
     for value in [0.0, 0.3, 1.0, f32::NAN] {
@@ -216,13 +216,13 @@ fn intensities_that_say_nothing_tell_nothing() {
         let found = estimate(&map, &THREE, &frame.clone().with_intensities(image).unwrap());
         let (x, sigma) = along(&found);
         assert!(sigma > 0.27 && found.reflectors == (0, 0) && found.findings[0].detections.is_empty(), "{value}: {x}");
-        // A wall that is seen and dark has no reflectors; a sensor that tells nothing, or only that it is blinded, does not say so.
+        // A visible dark wall has no reflectors. Absent or saturated intensities do not prove that.
         let expected = if value == 0.3 { FeatureClass::Missing } else { FeatureClass::Undecidable };
         assert!(found.findings[0].features.iter().all(|f| f.class == expected), "{value}: {:?}", classes(&found));
     }
 }
 
-/// Reflectors a metre apart look the same a metre on: where the prior leaves room for that, no place is claimed.
+/// Reflectors a metre apart look the same after a metre: where the prior allows several places, none is reported.
 #[test]
 fn reflectors_that_repeat_leave_places_open() {
     let map = corridor(&[]);
@@ -239,9 +239,9 @@ fn reflectors_that_repeat_leave_places_open() {
     }
 }
 
-/// A drive of 3 m by odometry that is 5 % short: reflectors hold it, ranges alone do not.
+/// A drive of 3 m with odometry that is 5 % short: it is tracked with reflectors and not by ranges alone.
 #[test]
-fn a_drive_is_held_by_reflectors() {
+fn a_drive_is_tracked_by_reflectors() {
     let map = corridor(&[]);
     let spots: Vec<Spot> =
         [-2.4, 0.9, 2.0, 3.3, 5.1, 6.2].iter().zip([1.0, -1.0].iter().cycle()).map(|(x, y)| (*x, *y)).collect();
@@ -267,9 +267,9 @@ fn a_drive_is_held_by_reflectors() {
     assert!(ends[0] < 0.02 && ends[1] > 0.1, "{ends:?}");
 }
 
-/// Goods before both walls leave little of what the map has; three reflectors that are seen between them tell the pose all the same.
+/// Goods in front of both walls hide most of the map; three visible reflectors between them still determine the pose.
 #[test]
-fn reflectors_hold_where_walls_are_hidden() {
+fn reflectors_determine_the_pose_where_walls_are_hidden() {
     let map = corridor(&[]);
     let mut boxes = Vec::new();
     for k in -8..8 {
@@ -300,7 +300,7 @@ fn reflectors_hold_where_walls_are_hidden() {
     assert!(!two.is_determined() && !two.rests_on_reflectors(), "{:?}", two.state);
 }
 
-/// Thousands of reflectors come to an end, and so do thousands of bright spots.
+/// Thousands of reflectors, and thousands of bright spots, are processed in finite time.
 #[test]
 fn thousands_of_reflectors() {
     let map = corridor(&[]);
@@ -315,7 +315,7 @@ fn thousands_of_reflectors() {
     assert!(start.elapsed().as_secs() < 60);
 }
 
-/// Reflectors at uneven distances, on either wall.
+/// Reflectors at uneven distances on both walls.
 fn uneven(seed: u64) -> Vec<Spot> {
     let mut random = Random(seed);
     let (mut x, mut spots) = (-29.0, Vec::new());
@@ -326,8 +326,9 @@ fn uneven(seed: u64) -> Vec<Spot> {
     spots
 }
 
-/// A corridor of 60 m whose ends are out of reach looks the same everywhere, from either side. Reflectors at uneven distances tell the place;
-/// planted: the same scans without the layer, and with the layer of another corridor, tell none.
+/// A corridor of 60 m whose ends are out of range looks the same everywhere and in both directions. Reflectors at
+/// uneven distances determine the place. Planted faults: the same scans without the layer, or with the layer of another
+/// corridor, determine none.
 #[test]
 fn an_unknown_start_goes_by_reflectors() {
     let mut environment = Environment::new();

@@ -1,26 +1,27 @@
-//! Simulated rooms, and a corner worked out by hand.
+//! Simulated rooms, and a corner calculated by hand.
 
 use super::*;
 use presight_localize::estimate::{Freedom, Gate, Kernel, RangeSource, Residuals, measured_points, motion_between};
 use presight_localize::verdict::{ExpectedImage, Surfaces};
 use presight_model::error::ErrorKind;
-use presight_model::frame::RangeNoise;
 use presight_model::geometry::PoseEstimate;
+use presight_model::measured::RangeNoise;
 use presight_model::sensor::RayTable;
 
 fn exact() -> EstimateOptions {
     EstimateOptions::default().with_offset_sigma(0.0)
 }
 
-/// Three rays meet three walls square on. Each tells the robot's place along its own axis with the variance of one range, and
-/// nothing of its rotation: J is [n, 0]. With prior variances of 0.04 the place has 1 / (1 / 0.0001 + 1 / 0.04) in each axis.
+/// Three rays meet three walls at normal incidence. Each determines the robot's position along its own axis with the
+/// variance of one range, and nothing of the rotation: J is [n, 0]. With prior variances of 0.04 the position variance
+/// is 1 / (1 / 0.0001 + 1 / 0.04) in each axis.
 #[test]
 fn a_corner_of_three_planes() {
     let mut environment = Environment::new();
     environment.add_material(Material::named("m")).unwrap();
     add_box(&mut environment, "room", Vec3::ZERO, Vec3::new(6.0, 4.0, 2.6));
     let world = World::new(environment);
-    // A second ray beside each gives the table its spacing; it measures nothing.
+    // A second ray, without a measurement, gives each table its spacing.
     let ray = |along: DVec3, range: f32| {
         let aside = along + 0.01 * along.any_orthonormal_vector();
         let mut spec =
@@ -28,11 +29,11 @@ fn a_corner_of_three_planes() {
         spec.noise.range_sigma = 0.01;
         Frame::new(0.0, Sensor::new(spec).unwrap(), Measurement::Range(vec![range, f32::NAN])).unwrap()
     };
-    // The robot stands at (2.02, 1.97, 1.01): 3.98 m before the wall x = 6, 2.03 m before y = 4, 1.01 m above the floor.
+    // The robot is at (2.02, 1.97, 1.01): 3.98 m before the wall x = 6, 2.03 m before y = 4, 1.01 m above the floor.
     let frames = [ray(DVec3::X, 3.98), ray(DVec3::Y, 2.03), ray(DVec3::NEG_Z, 1.01)];
     let prior = PoseEstimate::of_sigmas(Pose::from_xyz_rpy(DVec3::new(2.0, 2.0, 1.0), 0.0, 0.0, 0.0), 0.2, 1e-6);
     let found = estimator(exact()).estimate(&world, &frames.each_ref(), &prior).unwrap();
-    // The prior pulls each axis back by 0.0001 / 0.0401 of the way.
+    // The prior pulls each axis back by 0.0001 / 0.0401 of the distance.
     let kept = 1.0 - 0.0001 / 0.0401;
     let expected = DVec3::new(2.0 + 0.02 * kept, 2.0 - 0.03 * kept, 1.0 + 0.01 * kept);
     assert!(
@@ -50,9 +51,10 @@ fn a_corner_of_three_planes() {
     assert_eq!(weak, ["pitch", "roll", "yaw"]);
 }
 
-/// The Jacobian of a residual against differences of its distance from the plane, which the test works out for itself.
+/// Compares the Jacobian of a residual with finite differences of the distance from the plane, which the test computes
+/// itself.
 #[test]
-fn jacobians_are_those_of_differences() {
+fn jacobians_equal_finite_differences() {
     let world = room(Vec3::ZERO);
     let mut random = Random(5);
     let mount = Pose::from_xyz_rpy(DVec3::new(0.3, -0.1, 0.2), 0.05, 0.1, -0.2);
@@ -77,7 +79,7 @@ fn jacobians_are_those_of_differences() {
         let source = RangeSource::new(&expected, &points, RangeNoise::of(&sensor));
         let gate = Gate { translation: 0.01, rotation: 0.0, kernel: Kernel::Wide, points: usize::MAX, finally: true };
         let said = source.linearize(&robot, &gate);
-        // Plane in the world, and the distance of the moved point from it.
+        // The plane in the world, and the moved point's distance from it.
         let normal = (robot * mount).rotation * pixel.normal.as_dvec3();
         let hit = (robot * mount).transform_point(f64::from(pixel.range) * ray);
         let distance = |motion: &[f64; 6]| {
@@ -93,7 +95,7 @@ fn jacobians_are_those_of_differences() {
             assert!((slope - told).abs() < 2e-3 * (1.0 + slope.abs()), "{k}: {slope} {told}");
             let square = said.information[k][k] / group.weight;
             assert!((slope * slope - square).abs() < 1e-4 * (1.0 + slope.abs()), "{k}: {slope} {square}");
-            // A fault that must show: the lever from the world's origin instead of the robot's.
+            // A fault that must be noticed: the lever arm from the world's origin instead of the robot's.
             if k >= 3 {
                 let lever = hit.cross(normal)[k - 3];
                 checked += usize::from((lever - slope).abs() > 0.05);
@@ -145,7 +147,8 @@ fn a_planar_robot_is_found_by_its_scanner() {
     }
 }
 
-/// Mean of the normalized squared error of six numbers, over many frames; every box is off by `off` in a direction of its own.
+/// The mean of the normalized squared error of six dimensions, over many frames; every box is off by `off` in its own
+/// direction.
 fn nees(off: f64, offset_sigma: f64) -> f64 {
     let (sensor, mut random) = (camera(0.01), Random(3));
     let options = EstimateOptions::default().with_offset_sigma(offset_sigma);
@@ -155,7 +158,7 @@ fn nees(off: f64, offset_sigma: f64) -> f64 {
         let mut shift = || (off * direction(&mut random)).as_vec3();
         let mut real = Environment::new();
         real.add_material(Material::named("paint")).unwrap();
-        // The real room has each box elsewhere; the walls, too.
+        // In the real room each box, and each wall, is displaced.
         let s = shift();
         add_box(&mut real, "room", s, Vec3::new(6.0, 4.0, 2.6) + s);
         for (name, least, most) in [
@@ -177,7 +180,7 @@ fn nees(off: f64, offset_sigma: f64) -> f64 {
     sum / f64::from(frames) / 6.0
 }
 
-/// e' C^-1 e by Gauss's elimination.
+/// e' C^-1 e by Gaussian elimination.
 fn normalized(c: &[[f64; 6]; 6], e: &[f64; 6]) -> f64 {
     let (mut a, mut x) = (*c, *e);
     for k in 0..6 {
@@ -194,18 +197,18 @@ fn normalized(c: &[[f64; 6]; 6], e: &[f64; 6]) -> f64 {
 }
 
 #[test]
-fn covariances_are_honest() {
+fn covariances_are_consistent() {
     let alone = nees(0.0, 0.0);
     assert!((0.6..1.6).contains(&alone), "independent noise: {alone}");
     let shared = nees(0.01, 0.006);
     assert!((0.3..1.7).contains(&shared), "objects off by 1 cm: {shared}");
 }
 
-/// With errors that beams share taken for their own, the covariance is far too small: the test above would see it.
+/// If correlated errors are treated as independent, the covariance is far too small; the test above would notice that.
 #[test]
-fn independent_beams_would_claim_too_much() {
+fn independent_beams_would_be_overconfident() {
     let frames = nees(0.01, 1e-5);
-    // The offsets are learnt, so that it is only the first frames that claim it.
+    // The offsets are learnt, so only the first frames are overconfident.
     assert!(frames > 1.7, "{frames}");
 }
 

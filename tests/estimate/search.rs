@@ -1,11 +1,11 @@
-//! Robots that nothing is known of, in rooms whose look-alikes are known by hand.
+//! Robots with unknown poses, in rooms whose ambiguities are known by hand.
 
 use super::*;
 use presight_localize::localize::{LocalizeOptions, Localizer, Phase, Search, SearchOptions};
 use presight_model::error::ErrorKind;
-use presight_model::frame::{Motion, OdometryNoise};
+use presight_model::measured::{Motion, OdometryNoise};
 
-/// A scanner of one row all round, 1.2 m above the floor, that reaches 20 m.
+/// A scanner of one row all round, 1.2 m above the floor, with a range of 20 m.
 fn row_scanner() -> Sensor {
     let mut spec = scanner(0.02).spec().clone();
     spec.range_max = 20.0;
@@ -13,7 +13,7 @@ fn row_scanner() -> Sensor {
     Sensor::new(spec).unwrap()
 }
 
-/// Coarser than the default, for a small room.
+/// A coarser search than the default, for a small room.
 fn options() -> SearchOptions {
     SearchOptions::default().with_cell(0.5).with_headings(90).with_candidates(12)
 }
@@ -27,7 +27,7 @@ fn unknown(world: &World) -> Localizer {
     Localizer::unknown(planar(), search, LocalizeOptions::default())
 }
 
-/// The k-th frame of a drive: straight on, 0.1 m each.
+/// The k-th frame of a drive straight ahead, 0.1 m each.
 fn frame(world: &World, start: &Pose, k: usize, random: &mut Random) -> (Frame, Pose) {
     let step = Pose { translation: DVec3::new(0.1, 0.0, 0.0), ..Pose::IDENTITY };
     let truth = Pose { translation: start.transform_point(DVec3::new(0.1 * k as f64, 0.0, 0.0)), ..*start };
@@ -42,8 +42,8 @@ fn start() -> Pose {
     Pose::from_xyz_rpy(DVec3::new(1.5, 2.6, 0.0), 0.0, 0.0, 0.3)
 }
 
-/// Lost within five frames, found again within ten; and each change with its reason. So it is if the robot is carried away as soon as it is
-/// followed.
+/// The robot is lost within five frames and found again within ten, and each change has its reason. This also holds if
+/// it is carried away as soon as it is tracked.
 #[test]
 fn a_robot_is_found_and_found_again_after_it_was_carried_away() {
     for carried in [5, 10] {
@@ -72,9 +72,9 @@ fn a_robot_is_found_and_found_again_after_it_was_carried_away() {
     }
 }
 
-/// A wall that the map still has is taken down while the robot is followed: half of the beams pass through where it stood. The robot counts as
-/// lost; then no place of the map fits better than where it was followed to, and it is followed again. One that is carried away at that
-/// moment is never said to be there.
+/// A wall that the map still has is removed while the robot is tracked: half of the beams pass through its place. The
+/// robot counts as lost; then no place of the map fits better than the tracked one, and tracking goes on. A robot
+/// carried away at that moment is never reported there.
 #[test]
 fn a_robot_is_followed_on_where_the_map_has_changed() {
     let (map, mut random) = (room(Vec3::ZERO), Random(25));
@@ -99,14 +99,15 @@ fn a_robot_is_followed_on_where_the_map_has_changed() {
         assert!(lost.is_some_and(|k| k < 19), "lost at {lost:?}");
         assert!(told.iter().all(|(_, off, _)| off.0 < 0.1 && off.1 < 1.5), "{told:?}");
         if !carried_away {
-            let (first, _, reason) = told.first().expect("it is followed again");
+            let (first, _, reason) = told.first().expect("the robot is tracked again");
             assert!(*first < lost.unwrap() + 10 && reason.contains("the map has changed"), "{told:?}");
             assert_eq!(told.len(), 28 - first, "{told:?}");
         }
     }
 }
 
-/// An empty rectangle looks the same from the opposite place: no number of frames may decide, and both places are told.
+/// An empty rectangle looks the same from the opposite place: no number of frames may decide, and both places are
+/// reported.
 #[test]
 fn a_room_with_a_double_stays_undetermined() {
     let mut environment = Environment::new();
@@ -151,7 +152,7 @@ fn a_sensor_without_a_greatest_range_is_searched_with() {
 }
 
 #[test]
-fn what_cannot_be_searched_is_told() {
+fn unsearchable_input_is_refused() {
     let world = room(Vec3::ZERO);
     let refused = |world: &World, sensor: &Sensor, options: SearchOptions| {
         let e = Search::new(&mut planar(), world, sensor, options).expect_err("it is refused");
@@ -169,7 +170,7 @@ fn what_cannot_be_searched_is_told() {
     assert_eq!(six.expect_err("six numbers").kind(), ErrorKind::Usage);
 }
 
-/// A camera of 40 x 30 pixels, 1.2 m above the robot's frame, that looks down a little.
+/// A camera of 40 x 30 pixels, 1.2 m above the robot's frame, tilted slightly down.
 fn leaning_camera() -> Sensor {
     let camera = Camera::pinhole(40, 30, 30.0, 30.0, 19.5, 14.5);
     let mut spec = SensorSpec::new("range camera", "laser", Geometry::Camera(camera));
@@ -178,7 +179,7 @@ fn leaning_camera() -> Sensor {
     Sensor::new(spec).unwrap()
 }
 
-/// The room as a mirror shows it.
+/// The mirror image of the room.
 fn mirrored_room() -> World {
     let mut environment = Environment::new();
     environment.add_material(Material::named("paint")).unwrap();
@@ -194,7 +195,7 @@ fn mirrored_room() -> World {
     World::new(environment)
 }
 
-/// A camera that looks down is found in its room, and nowhere in the room's mirror image.
+/// A tilted camera is found in its room, and nowhere in the room's mirror image.
 #[test]
 fn a_camera_is_found_in_its_map_and_not_in_a_mirrored_one() {
     let (real, sensor) = (room(Vec3::ZERO), leaning_camera());
@@ -219,7 +220,7 @@ fn a_camera_is_found_in_its_map_and_not_in_a_mirrored_one() {
     }
 }
 
-/// The way a robot leans is told from outside: roll and pitch of the robot, and a height that is known within half a metre.
+/// The caller gives the tilt: the robot's roll and pitch, and a height known within half a metre.
 #[test]
 fn a_camera_that_is_held_in_the_hand_is_found() {
     let world = room(Vec3::ZERO);
@@ -236,7 +237,7 @@ fn a_camera_that_is_held_in_the_hand_is_found() {
     assert!(metres < 0.02 && degrees < 0.5, "{metres} m {degrees} deg of {} places", search.places().len());
 }
 
-/// Blind frames say nothing; the search begins at the first that measures.
+/// Blind frames carry no information; the search begins at the first frame with measurements.
 #[test]
 fn a_blind_start_waits() {
     let (world, mut random) = (room(Vec3::ZERO), Random(23));
@@ -248,9 +249,9 @@ fn a_blind_start_waits() {
     assert!(step.phase == Phase::Candidates, "{}", step.reason);
 }
 
-/// Beams that say "too near" of a sensor that states no least range are passed over.
+/// Beams reported as too near by a sensor without a stated minimum range are ignored.
 #[test]
-fn beams_that_are_too_near_say_nothing() {
+fn beams_that_are_too_near_are_ignored() {
     let (world, mut random) = (room(Vec3::ZERO), Random(26));
     let mut robot = unknown(&world);
     let (seen, truth) = frame(&world, &start(), 0, &mut random);

@@ -1,10 +1,10 @@
-//! What a measurement does not say must not be claimed.
+//! Quantities that a measurement does not determine must not be reported as determined.
 
 use super::*;
 use presight_localize::estimate::{Estimate, Freedom};
 use presight_model::geometry::PoseEstimate;
 
-/// Standard deviation of the estimate along an axis.
+/// The standard deviation of the estimate along an axis.
 fn sigma(answer: &Estimate, axis: usize) -> f64 {
     answer.pose.covariance[axis][axis].sqrt()
 }
@@ -15,7 +15,7 @@ fn names(answer: &Estimate) -> Vec<&str> {
     names
 }
 
-/// A camera that sees the floor alone knows its height, roll and pitch; of the rest it knows what it knew before.
+/// A camera that sees only the floor determines height, roll and pitch; the other axes keep their prior.
 #[test]
 fn floor_only() {
     let mut environment = Environment::new();
@@ -37,10 +37,9 @@ fn floor_only() {
     assert!((answer.pose.world_from_robot.translation.z - 1.5).abs() < 4.0 * sigma(&answer, 2));
 }
 
-/// A frame that no pose explains comes to an end, though every start leads to where the prediction at hand serves: a sensor ten times as noisy as
-/// it says.
+/// The estimator gives up on a frame that no pose explains: the sensor is ten times as noisy as stated.
 #[test]
-fn what_no_pose_explains_is_given_up() {
+fn a_frame_that_no_pose_explains_is_given_up() {
     let world = room(Vec3::ZERO);
     let truth = Pose::from_xyz_rpy(DVec3::new(0.7, 2.2, 1.4), 0.0, 0.25, 0.05);
     let noisy = sense(&world, &camera(0.05), &truth, &mut Random(8));
@@ -51,7 +50,7 @@ fn what_no_pose_explains_is_given_up() {
     assert!(!answer.is_determined() && answer.predictions <= 12, "{:?}", answer.state);
 }
 
-/// Along an endless corridor a scanner knows everything but how far down it stands.
+/// In an endless corridor a scanner determines everything but the position along it.
 #[test]
 fn corridor() {
     let mut environment = Environment::new();
@@ -69,7 +68,7 @@ fn corridor() {
     assert_eq!(names(&answer), ["x"], "{:?}", answer.weak);
     assert!(sigma(&answer, 0) > 0.27 && sigma(&answer, 1) < 0.01);
     assert!((answer.pose.world_from_robot.translation.y - 0.2).abs() < 0.01);
-    // A wall at its end fixes that, too: the fault of calling everything weak would show here.
+    // A wall at its end also fixes the position, which would expose an estimator that reports everything as weak.
     let mut environment = Environment::new();
     environment.add_material(Material::named("m")).unwrap();
     add_box(&mut environment, "corridor", Vec3::new(-300.0, -1.0, 0.0), Vec3::new(6.0, 1.0, 2.5));
@@ -79,7 +78,7 @@ fn corridor() {
     assert!(answer.weak.is_empty() && answer.pose.world_from_robot.translation.x.abs() < 0.02, "{answer:?}");
 }
 
-/// Another room does not explain the frame, and is not claimed to.
+/// Another room does not explain the frame, and the result reports that.
 #[test]
 fn wrong_map() {
     let truth = Pose::from_xyz_rpy(DVec3::new(1.0, 2.4, 1.4), 0.0, 0.25, -0.2);
@@ -95,7 +94,7 @@ fn wrong_map() {
     assert!(found.estimate(&room(Vec3::ZERO), &[&frame], &prior).unwrap().is_determined());
 }
 
-/// Without a measurement nothing is known that was not known before.
+/// Without a measurement the prior is unchanged.
 #[test]
 fn a_blind_sensor_keeps_the_prior() {
     let sensor = camera(0.01);
@@ -111,8 +110,8 @@ fn a_blind_sensor_keeps_the_prior() {
     }
 }
 
-/// Pillars that repeat every metre look the same a metre on. Both places are told, and neither is claimed; one crate that stands
-/// nowhere else decides.
+/// Pillars at intervals of a metre look the same after a metre. Both places are reported, and neither as determined;
+/// one unique crate decides.
 #[test]
 fn a_repeating_corridor_has_two_places() {
     let corridor = |crate_too: bool| {

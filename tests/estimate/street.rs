@@ -16,7 +16,7 @@ fn scans() -> Vec<Observation> {
     Frames::open(path.parent().unwrap(), None, &Default::default()).unwrap().map(|o| o.unwrap()).collect()
 }
 
-/// Median of the differences between sensed and predicted ranges, metres.
+/// The median difference between measured and predicted ranges, metres.
 fn residual(estimate: &Estimate) -> f32 {
     let differences = estimate.verdicts[0].difference.iter().filter(|d| !d.is_nan());
     let mut off: Vec<f32> = differences.map(|d| d.abs()).collect();
@@ -24,8 +24,8 @@ fn residual(estimate: &Estimate) -> f32 {
     off[off.len() / 2]
 }
 
-/// From the identity and from disturbances of 1 m and 15 degrees: as near the reference as that is worth, and fitting better than it.
-/// PRESIGHT_STREET_DRAWS=20 makes it twenty disturbances.
+/// Starts at the identity and at disturbances of 1 m and 15 degrees. The estimate agrees with the reference within the
+/// reference's accuracy, and fits better than the reference. PRESIGHT_STREET_DRAWS=20 runs twenty disturbances.
 #[test]
 fn scans_are_found_in_the_surface_of_the_first() {
     let Some(map) = map() else { return };
@@ -54,7 +54,7 @@ fn scans_are_found_in_the_surface_of_the_first() {
     }
 }
 
-/// A planted fault that the figures above must find: the second scan mirrored fits nowhere.
+/// A planted fault that the figures above must reveal: the mirrored second scan fits nowhere.
 #[test]
 fn a_mirrored_scan_is_undetermined() {
     let Some(map) = map() else { return };

@@ -6,7 +6,7 @@ use presight_model::geometry::PoseEstimate;
 
 const POSE_SIGMA: f64 = 1e-3;
 
-/// Verdicts on what a real room shows, against the model of another.
+/// Verdicts on an image of one room against the model of another.
 fn verdicts(real: &World, noise: f64) -> (Verdicts, ExpectedImage) {
     let sensor = camera(0.005);
     let pose = Pose::from_xyz_rpy(DVec3::new(0.9, 1.8, 1.4), 0.0, 0.3, -0.2);
@@ -27,14 +27,15 @@ fn an_unchanged_room_is_confirmed() {
     assert_eq!(verdicts.counts().iter().sum::<usize>(), 80 * 60);
 }
 
-/// The furniture stands 5 cm nearer: a tight threshold sees it, and calls nothing else changed; a loose one misses it.
+/// The furniture is 5 cm nearer: a tight threshold notices that and reports nothing else as changed; a loose one misses
+/// it.
 #[test]
-fn small_changes_show() {
+fn small_changes_are_noticed() {
     let moved = room(Vec3::new(-0.05, 0.0, 0.0));
     let (tight, expected) = verdicts(&moved, 0.005);
     let changed = |v: &Verdicts| v.pixels.iter().filter(|v| **v == Verdict::Nearer).count();
     assert!(changed(&tight) > 30, "{:?}", tight.counts());
-    // The room itself stands where it stood: object 0.
+    // The room itself, object 0, has not moved.
     let false_ones = tight.pixels.iter().zip(expected.pixels());
     let false_ones =
         false_ones.filter(|(v, e)| e.object == 0 && matches!(v, Verdict::Nearer | Verdict::Farther)).count();
@@ -44,8 +45,8 @@ fn small_changes_show() {
 }
 
 #[test]
-fn what_is_missing_is_passed_through() {
-    // Everything but the walls is gone.
+fn beams_pass_through_missing_objects() {
+    // Only the walls are left.
     let mut empty = Environment::new();
     empty.add_material(Material::named("m")).unwrap();
     add_box(&mut empty, "room", Vec3::ZERO, Vec3::new(6.0, 4.0, 2.6));
@@ -60,7 +61,7 @@ fn what_is_missing_is_passed_through() {
 }
 
 #[test]
-fn values_that_are_no_ranges_have_their_verdicts() {
+fn values_without_a_range_have_their_verdicts() {
     let sensor = camera(0.005);
     let pose = Pose::from_xyz_rpy(DVec3::new(0.9, 1.8, 1.4), 0.0, 0.3, -0.2);
     let (world, known) = (room(Vec3::ZERO), PoseEstimate::exact(pose));

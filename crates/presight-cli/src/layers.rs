@@ -4,7 +4,7 @@ use super::predict::Shown;
 use super::print;
 use presight::{Scene, SceneFeatures};
 use presight_features::{BoxOptions, FeatureOptions, FeaturePrediction, FeatureSource, Hidden};
-use presight_files::frames::ExternalPose;
+use presight_files::poses::ExternalPose;
 use presight_files::{pose_covariance, prediction_json};
 use presight_model::error::{Error, Result};
 use presight_model::geometry::{InWorld, Pose, PoseCovariance};

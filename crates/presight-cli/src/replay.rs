@@ -13,8 +13,8 @@ use presight_localize::localize::Step;
 use presight_localize::matching::Shape;
 use presight_localize::verdict::Verdict as Judged;
 use presight_model::error::{Error, Result};
-use presight_model::frame::Frame;
 use presight_model::geometry::Pose;
+use presight_model::measured::Frame;
 use presight_model::sensor::Sensor;
 use presight_pictures::{Comparison, GreyMark, GreyPanel, Overlay, PlanMarks, write_comparison};
 use presight_predict::predict::{Backend, Options, Predictor};
@@ -85,7 +85,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
             return Err(Error::usage(format!("{flag} {sigma}"), "give a finite number of at least 0"));
         }
     }
-    let mut files = OutputFiles::new();
+    let mut files = OutputFiles::default();
     files.add_folder(&args.out, &["index.html"])?;
     let frames = args.out.join("frames");
     let (mut painter, mut pictures) = (None, Vec::new());

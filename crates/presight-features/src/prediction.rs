@@ -134,7 +134,6 @@ pub struct SeenFeature {
     /// defining points all have an image; never for contours.
     pub image_covariance: Option<Vec<[[f64; 2]; 2]>>,
     /// Boxes in the image that together hold the visible part of a patch. Emptied once its region of interest is known.
-    #[doc(hidden)]
     pub windows: Vec<[DVec2; 2]>,
 }
 
@@ -283,7 +282,7 @@ impl FeaturePrediction {
     /// ```
     /// use presight::features::{FeatureOptions, Hidden, PlacedFeatures};
     /// use presight::{Backend, Options, Output, Outputs, Pose, Predictor, Request, Scene};
-    /// # use presight::features::generate::{GenerateOptions, generate};
+    /// # use presight::features::{GenerateOptions, generate};
     /// # use presight::features::place;
     /// let scene = Scene::open("scenes/room.glb")?;
     /// let layer = generate(scene.world.environment(), "video", &GenerateOptions::default())?.layer;

@@ -25,8 +25,8 @@ use std::path::Path;
 /// Reads a camera_info YAML. Also returns notices on parts of the file that are not used.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] with the line or key at fault; [`crate::ErrorKind::Unsupported`] for a distortion
-/// model that presight lacks; [`crate::ErrorKind::System`] if the system refuses.
+/// [`ErrorKind::Invalid`] with the line or key at fault; [`ErrorKind::Unsupported`] for a distortion
+/// model that presight lacks; [`ErrorKind::System`] if the system refuses.
 pub fn read(path: &Path) -> Result<(SensorSpec, Vec<String>)> {
     let name = path.file_stem().map_or_else(|| "camera".into(), |s| s.to_string_lossy());
     parse(&read_settings(path)?, &name).map_err(|e| e.in_file(path))

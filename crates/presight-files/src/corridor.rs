@@ -19,7 +19,7 @@ use std::path::Path;
 /// let path = folder.path().join("corridor.json");
 /// let text = r#"{"polyline_in_robot": [[0, 0], [4, 0]], "half_width": 0.4, "z_min": 0.05, "z_max": 1.8}"#;
 /// std::fs::write(&path, text)?;
-/// assert_eq!(presight::io::corridor::read(&path)?.length(), 4.0);
+/// assert_eq!(presight::files::read_corridor(&path)?.length(), 4.0);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 ///

@@ -138,11 +138,11 @@ fn within(x: f64, low: f64, high: f64) -> Result<f64> {
 /// Writes learnt costs atomically.
 ///
 /// ```
-/// use presight::cost::CostModel;
+/// use presight::deadline::CostModel;
 /// let folder = tempfile::tempdir()?;
 /// let path = folder.path().join("costs.json");
-/// presight::io::costs::write(&path, &CostModel::default())?;
-/// assert_eq!(presight::io::costs::read(&path)?, CostModel::default());
+/// presight::files::write_costs(&path, &CostModel::default())?;
+/// assert_eq!(presight::files::read_costs(&path)?, CostModel::default());
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 ///

@@ -4,7 +4,6 @@
 //! A regular file is read up to its length when it was opened, so reading a growing file ends. Files that the system
 //! generates on reading, such as `/proc/kmsg`, report length 0 and read as empty.
 
-use super::inputs;
 use presight_model::error::{Error, ErrorKind, Result};
 use std::fs::File;
 use std::io::{Read, Take};
@@ -34,7 +33,6 @@ pub(crate) fn open_or_given(path: &Path) -> Result<Take<File>> {
 
 /// Opens a file, pipe or device that is read piece by piece. Reading a pipe or device may block.
 pub fn open_any(path: &Path, shown: &Path) -> Result<Take<File>> {
-    inputs::note(path);
     let refused = |e| Error::io(shown, "open it", e);
     let file = File::open(path).map_err(refused)?;
     let metadata = file.metadata().map_err(refused)?;

@@ -23,15 +23,6 @@ use serde_json::Value;
 use std::time::Duration;
 
 /// A value in its form for serde: `Form(&value)` is written, `Form<T>` is read.
-///
-/// ```
-/// use presight::io::forms::Form;
-/// let sensor = presight::preset("vlp-16")?;
-/// let text = serde_json::to_string(&Form(sensor.spec())).unwrap();
-/// let Form(back): Form<presight::SensorSpec> = serde_json::from_str(&text).unwrap();
-/// assert_eq!(back, *sensor.spec());
-/// # Ok::<(), presight::Error>(())
-/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct Form<T>(pub T);
 

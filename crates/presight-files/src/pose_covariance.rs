@@ -9,14 +9,15 @@ use std::path::Path;
 /// Reads `sx,sy,sz,sroll_deg,spitch_deg,syaw_deg` (standard deviations, metres and degrees), or the named JSON file.
 ///
 /// ```
-/// let covariance = presight::io::pose_covariance::parse("0.1,0.1,0,0,0,2")?;
+/// let covariance = presight::files::parse_pose_covariance("0.1,0.1,0,0,0,2")?;
 /// assert!((covariance[1][1] - 0.01).abs() < 1e-15);
 /// assert!((covariance[5][5].sqrt().to_degrees() - 2.0).abs() < 1e-12);
 /// # Ok::<(), presight::Error>(())
 /// ```
 ///
 /// # Errors
-/// [`crate::ErrorKind::Usage`] for invalid or negative numbers; [`crate::ErrorKind::Invalid`] for an invalid file.
+/// [`presight_model::ErrorKind::Usage`] for invalid or negative numbers; [`presight_model::ErrorKind::Invalid`] for an
+/// invalid file.
 pub fn parse(text: &str) -> Result<PoseCovariance<InWorld>> {
     file(text).map_or_else(|| deviations(text), from_file)
 }
@@ -49,7 +50,7 @@ fn from_file(path: &Path) -> Result<PoseCovariance<InWorld>> {
 /// Reads the JSON text of 36 numbers: row-major, x y z, then rotation about x y z, metres and radians.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] for text that is not a covariance.
+/// [`presight_model::ErrorKind::Invalid`] for text that is not a covariance.
 pub fn from_json(text: &str) -> Result<PoseCovariance<InWorld>> {
     let remedy = "give 36 numbers, row-major: x y z, then rotation about x y z, metres and radians";
     let numbers: Vec<f64> = serde_json::from_str(text)

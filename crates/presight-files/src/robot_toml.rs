@@ -49,7 +49,7 @@ struct Entry {
 /// Reads a robot file with all its sensors. Also returns notices on unused parts of the sensor files.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] with file and place, and errors of sensor files.
+/// [`ErrorKind::Invalid`] with file and place, and errors of sensor files.
 pub fn load_robot(path: &Path) -> Result<(Robot, Vec<String>)> {
     let text = read_settings(path)?;
     let folder = path.parent().unwrap_or(Path::new(""));

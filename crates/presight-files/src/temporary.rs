@@ -1,14 +1,13 @@
 //! Temporary files in the folder of the final file: locked while written, and removed if a killed process leaves them.
 
+use presight_model::clock::{self, Instant};
 use std::collections::{BTreeSet, HashMap};
 use std::ffi::OsStr;
 use std::fs::{self, DirEntry, File};
 use std::io;
 use std::path::{Path, PathBuf};
-#[cfg(unix)]
-use std::sync::TryLockError;
-use std::sync::{LazyLock, Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, Instant};
+use std::sync::{LazyLock, Mutex, MutexGuard, PoisonError, TryLockError};
+use std::time::Duration;
 use tempfile::NamedTempFile;
 
 const PREFIX: &str = ".presight-";
@@ -119,7 +118,6 @@ fn create(path: &Path, access: Access) -> io::Result<File> {
 
 /// Removes the files that this process is writing, because it is about to end. While the returned guard lives, no file
 /// is created or gets its final name.
-#[cfg(unix)]
 pub fn abandon() -> impl Sized {
     /// How long to wait for the renaming of a file before the process ends anyway.
     const PATIENCE: Duration = Duration::from_secs(2);
@@ -170,7 +168,7 @@ fn is_ours(name: &OsStr) -> bool {
 /// Locks and returns the file if it is old and no other process has locked it.
 fn left_behind(entry: &DirEntry) -> Option<File> {
     let metadata = entry.metadata().ok()?;
-    let age = metadata.modified().ok()?.elapsed().ok()?;
+    let age = clock::age(metadata.modified().ok()?)?;
     if !metadata.is_file() || age <= MINUTE {
         return None;
     }

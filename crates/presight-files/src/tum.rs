@@ -22,7 +22,7 @@ pub struct StampedPose {
 /// Reads a trajectory; lines that start with `#` and empty ones are skipped.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] naming a line that is not eight finite numbers with a non-zero quaternion.
+/// [`presight_model::ErrorKind::Invalid`] naming a line that is not eight finite numbers with a non-zero quaternion.
 pub fn read(path: &Path) -> Result<Vec<StampedPose>> {
     read_text(path).and_then(|text| parse(&text)).map_err(|e| e.in_file(path))
 }

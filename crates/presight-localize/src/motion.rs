@@ -25,20 +25,8 @@ pub fn motion_between(from: &Pose, to: &Pose) -> Vector {
     [t.x, t.y, t.z, r.x, r.y, r.z]
 }
 
-/// The normalized estimation error squared (NEES) and its number of axes: e' C^-1 e, with e the motion from an estimate to
-/// the true pose of the robot, and C its covariance. Axes with zero variance were not estimated and do not count.
-///
-/// # Examples
-/// ```
-/// use presight::Pose;
-/// use presight::estimate::{moved, nees};
-/// use presight::geometry::{PoseCovariance, PoseEstimate};
-/// let truth = moved(&Pose::IDENTITY, &[0.02, 0.0, 0.0, 0.0, 0.0, 0.03]);
-/// // x is known to 1 cm, y to 1 cm, yaw to 0.01: (2 + 0 + 3 deviations) squared each.
-/// let covariance = PoseCovariance::from_sigmas([0.01, 0.01, 0.0, 0.0, 0.0, 0.01]);
-/// let (squared, numbers) = nees(&PoseEstimate::new(Pose::IDENTITY, covariance), &truth);
-/// assert!((squared - 13.0).abs() < 1e-9 && numbers == 3);
-/// ```
+/// The normalized estimation error squared (NEES) and its number of axes: e' C^-1 e, with e the motion from a pose to
+/// the true pose, and C its covariance (as in [`moved`]). Axes with zero variance were not estimated and do not count.
 pub fn nees(estimate: &PoseEstimate, truth: &Pose) -> (f64, usize) {
     let covariance = estimate.covariance.as_rows();
     let axes: Vec<usize> = (0..6).filter(|i| covariance[*i][*i] > 0.0).collect();

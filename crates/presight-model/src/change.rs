@@ -94,7 +94,6 @@ impl Change {
     pub const NOTHING: Self = Self::Group(Vec::new());
 
     /// A single change, or a group of several.
-    #[doc(hidden)]
     pub fn of(mut changes: Vec<Change>) -> Self {
         match changes.len() {
             1 => changes.remove(0),

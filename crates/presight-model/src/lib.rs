@@ -3,14 +3,15 @@
 //! Use it through the crate `presight`, which gives the same names.
 
 pub mod change;
+pub mod clock;
 pub mod contour;
 pub mod environment;
 pub mod error;
-pub mod frame;
 pub mod geometry;
 pub mod index;
 pub mod limits;
 pub mod matrix;
+pub mod measured;
 pub mod memory;
 pub mod place;
 pub mod placement;

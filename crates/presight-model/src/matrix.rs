@@ -53,18 +53,22 @@ fn rotate(a: &mut Matrix, v: &mut Matrix, p: usize, q: usize, n: usize) {
     }
 }
 
+/// Adds `other` to `sum`.
 pub fn add_to(sum: &mut Matrix, other: &Matrix) {
     sum.as_flattened_mut().iter_mut().zip(other.as_flattened()).for_each(|(s, o)| *s += o);
 }
 
+/// The matrix times a factor.
 pub fn scaled(m: &Matrix, factor: f64) -> Matrix {
     m.map(|row| row.map(|x| factor * x))
 }
 
+/// a b.
 pub fn product(a: &Matrix, b: &Matrix) -> Matrix {
     std::array::from_fn(|i| std::array::from_fn(|j| (0..6).map(|k| a[i][k] * b[k][j]).sum()))
 }
 
+/// a'.
 pub fn transposed(a: &Matrix) -> Matrix {
     std::array::from_fn(|i| std::array::from_fn(|j| a[j][i]))
 }
@@ -74,6 +78,7 @@ pub fn sandwich(a: &Matrix, b: &Matrix) -> Matrix {
     product(&product(a, b), &transposed(a))
 }
 
+/// a x.
 pub fn apply(a: &Matrix, x: &[f64; 6]) -> [f64; 6] {
     std::array::from_fn(|i| (0..6).map(|k| a[i][k] * x[k]).sum())
 }

@@ -101,8 +101,9 @@ impl World {
     /// checked, a world without an index gets the default one. Apply an inverse with [`World::apply_unchecked`].
     ///
     /// ```
-    /// use presight::environment::{Existence, Feature, FeatureShape, Properties};
-    /// use presight::{Change, Environment, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose, World};
+    /// use presight::features::{Existence, Feature, FeatureShape, Properties};
+    /// use presight::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
+    /// use presight::{Change, Pose, World};
     /// let mut environment = Environment::new();
     /// let paint = environment.add_material(Material::named("paint"))?;
     /// let corners = [glam::Vec3::ZERO, glam::Vec3::X, glam::Vec3::Y].to_vec();

@@ -2,10 +2,13 @@
 //!
 //! Nothing runs on rayon's global pool, which starts lazily and panics if the system has no more threads. Starting our
 //! own pool returns an error that a caller can handle.
+//!
+//! WebAssembly cannot start threads. There every handle means the calling thread, which does all work itself.
 
 use crate::error::{Error, ErrorKind, Result};
 use crate::limits;
 use rayon::{ThreadPool, ThreadPoolBuilder};
+use std::cell::OnceCell;
 use std::fmt;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
 
@@ -15,11 +18,12 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
 /// from the same number use the same threads, which start on first use and end with the last engine that holds them. 0,
 /// the default, means one thread per core (or `RAYON_NUM_THREADS`, if set); these threads are never stopped.
 ///
-/// Functions without a handle, such as [`crate::World::new`] or [`crate::features::generate::generate`], use the
+/// Functions without a handle, such as [`crate::World::new`] or `features::generate::generate`, use the
 /// threads of [`Threads::run`] if called inside it, otherwise the default threads.
 ///
 /// ```
-/// use presight::{Backend, Environment, Options, Predictor, Threads, World};
+/// use presight::environment::Environment;
+/// use presight::{Backend, Options, Predictor, Threads, World};
 /// let threads = Threads::new(2)?;
 /// let world = threads.run(|| World::new(Environment::new()))?;
 /// let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads.clone()))?;
@@ -44,7 +48,7 @@ impl Threads {
     /// [`ErrorKind::System`] if they cannot be started.
     pub fn new(count: usize) -> Result<Self> {
         let count = resolve(count)?;
-        Ok(Self { count, pool: Some(Arc::new(start(count)?)) })
+        Ok(Self { count, pool: Some(start(count)?) })
     }
 
     /// The same threads, started. The handle keeps shared threads alive.
@@ -72,6 +76,7 @@ impl Threads {
         Ok(self.pool()?.install(work))
     }
 
+    /// The pool of these threads; starts them if necessary.
     pub fn pool(&self) -> Result<Arc<ThreadPool>> {
         match (&self.pool, self.count) {
             (Some(pool), _) => Ok(pool.clone()),
@@ -120,14 +125,35 @@ pub fn parallel_or_here<R: Send>(work: impl FnOnce() -> R + Send) -> R {
     if rayon::current_thread_index().is_some() {
         return work();
     }
-    match default_pool() {
+    match default_pool().or_else(|_| calling_thread()) {
         Ok(pool) => pool.install(work),
-        Err(_) => {
-            // A pool of only this thread starts no thread. It lasts as long as the thread.
-            std::mem::forget(ThreadPoolBuilder::new().num_threads(1).use_current_thread().build());
-            work()
-        }
+        Err(_) => work(),
     }
+}
+
+/// Runs `main` on a new thread with `stack` bytes, and `meanwhile` on this one. Without threads, `main` runs first.
+///
+/// # Errors
+/// [`ErrorKind::System`] if the thread cannot be started; then neither runs.
+pub fn aside<R: Send>(
+    name: &str,
+    stack: usize,
+    main: impl FnOnce() -> R + Send,
+    meanwhile: impl FnOnce(),
+) -> Result<R> {
+    if cfg!(target_family = "wasm") {
+        let done = main();
+        meanwhile();
+        return Ok(done);
+    }
+    std::thread::scope(|scope| {
+        let thread = std::thread::Builder::new().name(name.to_owned()).stack_size(stack);
+        let running = thread.spawn_scoped(scope, main).map_err(|e| {
+            Error::new(ErrorKind::System, format!("cannot start a thread: {e}"), "free some memory").caused_by(e)
+        })?;
+        meanwhile();
+        Ok(running.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
+    })
 }
 
 /// [`rayon::in_place_scope`] on the pool of the calling thread or, outside of any, on the process's shared threads.
@@ -163,15 +189,37 @@ fn shared_pool(count: usize) -> Result<Arc<ThreadPool>> {
     if let Some(pool) = known {
         return Ok(pool);
     }
-    let pool = Arc::new(start(count)?);
+    let pool = start(count)?;
     pools.push((count, Arc::downgrade(&pool)));
     Ok(pool)
 }
 
-fn start(count: usize) -> Result<ThreadPool> {
-    let threads = ThreadPoolBuilder::new().num_threads(count).thread_name(|i| format!("presight-{i}"));
-    threads.build().map_err(|e| {
-        let (what, remedy) = (format!("cannot start {count} threads: {e}"), "lower --threads, or raise ulimit -u");
+/// A new pool; on WebAssembly that of the calling thread.
+fn start(count: usize) -> Result<Arc<ThreadPool>> {
+    if cfg!(target_family = "wasm") {
+        return calling_thread();
+    }
+    built(count, ThreadPoolBuilder::new().num_threads(count).thread_name(|i| format!("presight-{i}")))
+}
+
+/// The pool that holds the calling thread alone. It starts no thread, and lasts as long as this one.
+fn calling_thread() -> Result<Arc<ThreadPool>> {
+    thread_local! {
+        static POOL: OnceCell<Arc<ThreadPool>> = const { OnceCell::new() };
+    }
+    POOL.with(|known| match known.get() {
+        Some(pool) => Ok(pool.clone()),
+        None => {
+            let pool = built(1, ThreadPoolBuilder::new().num_threads(1).use_current_thread())?;
+            Ok(known.get_or_init(|| pool).clone())
+        }
+    })
+}
+
+fn built(count: usize, threads: ThreadPoolBuilder) -> Result<Arc<ThreadPool>> {
+    threads.build().map(Arc::new).map_err(|e| {
+        let (what, remedy) =
+            (format!("cannot start {count} threads: {e}"), "start fewer `Threads`, or raise ulimit -u");
         Error::new(ErrorKind::System, what, remedy).caused_by(e)
     })
 }
@@ -208,8 +256,8 @@ fn within_limit(count: usize) -> Result<usize> {
     Ok(count)
 }
 
-/// The cores that this process may use, by affinity and by the quota of its cgroup.
-fn cores() -> usize {
+/// The cores that this process may use, by affinity and by the quota of its cgroup; 1 if the system does not report any.
+pub fn cores() -> usize {
     std::thread::available_parallelism().map_or(1, usize::from)
 }
 
@@ -241,6 +289,40 @@ mod tests {
         assert_eq!((count, inner), (3, 3));
         assert!(name.is_some_and(|name| name.starts_with("presight-")));
         assert_eq!(threads.run(|| parallel_or_here(rayon::current_num_threads)).unwrap(), 3);
+    }
+
+    /// What WebAssembly uses for everything.
+    #[test]
+    fn the_calling_thread_alone_does_all_kinds_of_work() {
+        use rayon::prelude::*;
+        let work = || {
+            let here = std::thread::current().id();
+            let pool = calling_thread().unwrap();
+            assert!(Arc::ptr_eq(&pool, &calling_thread().unwrap()));
+            let threads = Threads { count: 1, pool: Some(pool) };
+            let sum = threads.run(|| (0..1000u32).into_par_iter().map(|i| (i, std::thread::current().id())));
+            let sum = sum.unwrap().map(|(i, at)| (at == here).then_some(i)).sum::<Option<u32>>();
+            let (a, b) = parallel(|| rayon::join(|| 1, || std::thread::current().id())).unwrap();
+            let mut later = 0;
+            in_place_scope(|scope| scope.spawn(|_| later = 7)).unwrap();
+            let inner = threads.run(|| parallel_or_here(rayon::current_num_threads)).unwrap();
+            (sum, a, b == here, later, inner)
+        };
+        assert_eq!(std::thread::spawn(work).join().unwrap(), (Some(499_500), 1, true, 7, 1));
+    }
+
+    #[test]
+    fn work_aside_has_a_thread_of_its_own_and_the_rest_goes_on() {
+        let (sender, receiver) = std::sync::mpsc::channel();
+        let mut heard = 0;
+        let main = move || {
+            sender.send(5).unwrap();
+            std::thread::current().name().map(str::to_owned)
+        };
+        let name = aside("aside", 1 << 20, main, || heard = receiver.recv().unwrap()).unwrap();
+        assert_eq!((name.as_deref(), heard), (Some("aside"), 5));
+        let e = aside("aside", usize::MAX / 2, || (), || ()).unwrap_err();
+        assert_eq!((e.kind(), e.remedy()), (ErrorKind::System, "free some memory"));
     }
 
     #[test]

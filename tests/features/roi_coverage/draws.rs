@@ -1,4 +1,4 @@
-//! Errors drawn and moved in space, boxes held to them, and the best box of other draws.
+//! Random errors in space, checks of boxes against them, and the best box for other draws.
 
 use super::common::Random;
 use super::{CONFIDENCES, Covariance, draws};
@@ -12,7 +12,7 @@ use presight_model::world::World;
 use rayon::prelude::*;
 use std::f64::consts::TAU;
 
-/// L with L L^T the covariance, zero where it is singular.
+/// L with L L^T equal to the covariance; zero where it is singular.
 pub fn cholesky(covariance: &Covariance) -> Covariance {
     let mut l = [[0.0; 6]; 6];
     for j in 0..6 {
@@ -28,7 +28,7 @@ pub fn cholesky(covariance: &Covariance) -> Covariance {
     l
 }
 
-/// Standard normal numbers, by Box and Muller.
+/// Standard normal numbers by Box-Muller.
 pub struct Normal(Random, Option<f64>);
 
 impl Normal {
@@ -77,7 +77,7 @@ pub fn ends_covariance(shape: &FeatureShape) -> Covariance {
     all
 }
 
-/// Material points in the feature's frame with the shares of both ends' errors.
+/// Material points in the feature's frame, with the weights of both ends' errors.
 fn material(shape: &FeatureShape, parts: usize) -> Vec<(DVec3, [f64; 2])> {
     match shape {
         FeatureShape::Segment { ends: [a, b], .. } => {
@@ -88,7 +88,7 @@ fn material(shape: &FeatureShape, parts: usize) -> Vec<(DVec3, [f64; 2])> {
     }
 }
 
-/// One feature before one sensor, seen whole.
+/// One feature in full view of one sensor.
 #[derive(Clone)]
 pub struct Case {
     pub name: String,
@@ -96,7 +96,7 @@ pub struct Case {
     pub pose: Pose,
     pub covariance: Covariance,
     pub shape: FeatureShape,
-    /// Greatest area beside the best box, if the case is to be tight.
+    /// The largest area relative to the best box, if the case is to be tight.
     pub tight: Option<f64>,
 }
 
@@ -133,8 +133,9 @@ impl Case {
         (seen.roi.expect("it has an image"), seen.roi_flag.expect("with a flag"))
     }
 
-    /// Where the feature's image reaches in each draw: x0, y0, x1, y1, unwrapped to the nominal; `None` where a point has
-    /// none. With `clipped` only points that are in the image count: what has left it need not be found there.
+    /// The extent of the feature's image in each draw: x0, y0, x1, y1, unwrapped to the nominal; `None` where a point
+    /// has no image. With `clipped` only points in the image count, because the box need not contain points that have
+    /// left it.
     pub fn reaches(&self, seed: u64, draws: usize, clipped: bool) -> Vec<Reach> {
         const CHUNK: usize = 10_000;
         let (sensor_root, ends_root) = (cholesky(&self.covariance), cholesky(&ends_covariance(&self.shape)));
@@ -188,7 +189,7 @@ impl Case {
         reaches.par_iter().filter(|r| !holds(r)).count() as f64 / reaches.len() as f64
     }
 
-    /// What is wrong, at any confidence.
+    /// The violations at any confidence.
     pub fn check(&self) -> Vec<String> {
         let n = draws();
         let reaches = self.reaches(11, n, true);
@@ -220,7 +221,7 @@ impl Case {
     }
 }
 
-/// Draws, and their sides in order.
+/// The draws, and their sides in order.
 pub struct Best {
     known: Vec<[f64; 4]>,
     sorted: [Vec<f64>; 4],
@@ -238,7 +239,8 @@ impl Best {
         Self { lost: reaches.len() - known.len(), known, sorted }
     }
 
-    /// The least area of boxes that hold so many of the draws: sides at tails in several proportions, as rare as can be.
+    /// The smallest area of boxes that hold this share of the draws: the sides' tails in several proportions, as rare
+    /// as possible.
     pub fn area(&self, confidence: f64) -> f64 {
         let patterns: Vec<[f64; 4]> = [0.5, 1.0, 2.0]
             .into_iter()

@@ -1,5 +1,5 @@
-//! Random sequences of changes: store, memory, and an environment made from scratch are the same, and so is what a
-//! sensor sees in them.
+//! Random sequences of changes: the store, the environment in memory and an environment built from scratch are equal,
+//! and a sensor sees the same in each.
 
 use super::{at, block, create, note, point, small};
 use presight_files::store;
@@ -14,7 +14,7 @@ use presight_predict::request::Request;
 use proptest::prelude::*;
 use std::collections::HashMap;
 
-/// A change by small numbers, so that changes meet; many are impossible, which is part of it.
+/// Makes a change from small numbers, so that changes affect the same objects. Many of them are invalid on purpose.
 fn change(kind: u8, which: u8, x: f64, depth: u8) -> Change {
     let names = ["a", "b", "b/lid", "c", "g", "g/h", "g/h/y", "g/x", "d"];
     let name = names[usize::from(which) % names.len()].to_owned();
@@ -49,7 +49,7 @@ fn change(kind: u8, which: u8, x: f64, depth: u8) -> Change {
     }
 }
 
-/// The live objects and features put into a new environment, in the order of their numbers.
+/// Builds a new environment from the live objects and features in the order of their numbers.
 fn from_scratch(environment: &Environment) -> Environment {
     let mut again = Environment::new();
     for material in environment.materials() {
@@ -72,7 +72,7 @@ fn from_scratch(environment: &Environment) -> Environment {
     again
 }
 
-/// What a sensor sees: range bits, and by name which polygon of which object.
+/// Returns a sensor's image: the range bits, and the polygon with its object's name.
 fn seen(world: &World) -> Vec<(u32, Option<(String, u32)>)> {
     let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).unwrap();
     let sensor = presight_files::preset("laser-range-camera").unwrap();
@@ -86,7 +86,7 @@ fn seen(world: &World) -> Vec<(u32, Option<(String, u32)>)> {
     images.range.iter().zip(&images.polygon_id).map(|(r, id)| (r.to_bits(), polygon(*id))).collect()
 }
 
-/// Applies a whole log to what a store was created with.
+/// Applies a whole log to the environment from which a store was created.
 fn replayed(path: &std::path::Path, environment: Environment, by_number: &HashMap<u64, Change>) -> World {
     let mut world = World::new(environment);
     store::log(path, |entry| world.apply_unchecked(by_number[&entry.number].clone()).map(drop)).unwrap();
@@ -146,7 +146,7 @@ proptest! {
         }
         prop_assert!(seen(&World::new(scratch)) == expected, "from scratch");
         prop_assert!(seen(&again) == expected, "replayed");
-        // All of it undone, newest first, is the beginning.
+        // Undoing all changes, newest first, gives the initial environment.
         for number in undoable.into_iter().rev() {
             store.undo(number, false, &note(0.0)).unwrap();
         }

@@ -33,7 +33,7 @@ pub enum BoxMethod {
 /// Uncertainties of poses, and the probability with which regions of interest hold their features.
 ///
 /// ```
-/// use presight::features::BoxOptions;
+/// use presight::regions::BoxOptions;
 /// // 5 cm along x and y, and 2 degrees of heading.
 /// let heading = 2f64.to_radians();
 /// let options = BoxOptions::default().with_sensor_sigmas([0.05, 0.05, 0.0, 0.0, 0.0, heading]).with_confidence(0.95);
@@ -122,7 +122,6 @@ impl BoxOptions {
 }
 
 /// Input for the boxes of a prediction.
-#[doc(hidden)]
 #[derive(Clone, Copy, Debug)]
 pub struct BoxQuery<'a> {
     /// The predicted features in order.
@@ -140,9 +139,9 @@ pub struct BoxQuery<'a> {
 /// Adds the box, and the covariance of the defining points in the image, to every visible feature.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Usage`] for a confidence outside 0.5..1, and the errors of [`Pose::check`];
-/// [`crate::ErrorKind::Invalid`] for a covariance that is not finite, not symmetric, or has an eigenvalue below 0
-/// beyond the rounding of six digits; the errors of [`crate::Threads::new`].
+/// [`presight_model::ErrorKind::Usage`] for a confidence outside 0.5..1, and the errors of [`Pose::check`];
+/// [`presight_model::ErrorKind::Invalid`] for a covariance that is not finite, not symmetric, or has an eigenvalue
+/// below 0 beyond the rounding of six digits; the errors of [`presight_model::Threads::new`].
 pub fn add_boxes(prediction: &mut FeaturePrediction, query: &BoxQuery<'_>) -> Result<()> {
     let frame = BoxFrame::new(query)?;
     let FeaturePrediction { features, given, .. } = prediction;
@@ -173,9 +172,13 @@ pub struct BoxScratch {
 
 /// Data shared by the boxes of one prediction.
 pub struct BoxFrame<'a> {
+    /// The image.
     pub image: Image<'a>,
+    /// The sensor with its pose errors.
     pub viewpoint: Viewpoint,
+    /// The probability of a box.
     pub level: Level,
+    /// How boxes are found.
     pub method: BoxMethod,
     world: &'a World,
     objects: Vec<(u32, PoseErrors)>,

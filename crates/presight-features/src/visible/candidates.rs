@@ -31,7 +31,11 @@ pub(super) struct Candidates {
 impl Candidates {
     /// Starts a new list.
     pub fn begin(&mut self) {
-        self.list = self.list.wrapping_add(1).max(1);
+        self.list = self.list.checked_add(1).unwrap_or_else(|| {
+            // The numbers start again, so marks of earlier lists would count as marks of new ones.
+            self.asked.fill(0);
+            1
+        });
         self.numbers.clear();
         self.center = None;
         self.latest = [0; LATEST];
@@ -171,6 +175,22 @@ impl Candidates {
             if polygon.covers && !own.holds(polygon.slot) {
                 self.numbers.push(number);
             }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn after_the_last_list_number_no_old_mark_counts() {
+        let mut candidates = Candidates { asked: vec![1, 2, u32::MAX], list: u32::MAX - 1, ..Candidates::default() };
+        candidates.begin();
+        assert_eq!((candidates.list, &candidates.asked[..]), (u32::MAX, &[1, 2, u32::MAX][..]));
+        for list in [1, 2] {
+            candidates.begin();
+            assert_eq!((candidates.list, candidates.asked.contains(&list)), (list, false));
         }
     }
 }

@@ -17,8 +17,8 @@ use glam::DVec3;
 use image::codecs::png::PngDecoder;
 use image::{DynamicImage, ImageDecoder};
 use presight_model::error::{Error, Result};
-use presight_model::frame::{Frame, GreyImage, Measurement};
 use presight_model::geometry::Pose;
+use presight_model::measured::{Frame, GreyImage, Measurement};
 use presight_model::sensor::{Camera, Distortion, Geometry, Sensor, SensorSpec, body_from_optical_rotation};
 use serde::Deserialize;
 use std::io::BufReader;
@@ -57,7 +57,8 @@ impl DepthFolder {
     /// of `camera.json`, which has no noise, limits or mount; its image must have the same size.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] naming the file at fault; [`crate::ErrorKind::System`] if the system refuses.
+    /// [`presight_model::ErrorKind::Invalid`] naming the file at fault; [`presight_model::ErrorKind::System`] if the
+    /// system refuses.
     pub fn open(folder: &Path, sensor: Option<&Sensor>) -> Result<Self> {
         let is_grey = !folder.join("depth").exists() && folder.join("grey").exists();
         Self::of_images(folder, sensor, is_grey)
@@ -105,7 +106,7 @@ impl DepthFolder {
     /// Returns the frame of this time, if there is one, and skips earlier frames.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] for an image that cannot be read.
+    /// [`presight_model::ErrorKind::Invalid`] for an image that cannot be read.
     pub fn next_at(&mut self, time: f64) -> Result<Option<Frame>> {
         while let Some(path) = self.images.as_slice().first() {
             let stamp = self.stamp(path);
@@ -193,7 +194,8 @@ impl Iterator for DepthFolder {
 /// The text of `camera.json` for a camera whose depths are written in millimetres.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Usage`] for a sensor that is not a camera, or a lens with another distortion than plumb bob.
+/// [`presight_model::ErrorKind::Usage`] for a sensor that is not a camera, or a lens with another distortion than plumb
+/// bob.
 pub fn camera_json(sensor: &Sensor) -> Result<String> {
     let name = &sensor.spec().name;
     let Geometry::Camera(c) = &sensor.spec().geometry else {

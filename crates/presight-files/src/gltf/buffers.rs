@@ -3,6 +3,7 @@
 
 use super::container::{base64, check_within, local_path};
 use super::memory::Memory;
+use super::{BufferFiles, Origin};
 use crate::file;
 use gltf::json;
 use presight_model::error::{Error, ErrorKind, Result};
@@ -17,6 +18,8 @@ pub(super) struct Buffers<'a> {
     bin: &'a [u8],
     /// Contents of files and decoded data URIs.
     owned: Vec<Vec<u8>>,
+    /// The files read.
+    pub files: Vec<PathBuf>,
     /// For each buffer: its index in `owned` (`None`: the binary chunk), and its length in bytes.
     buffers: Vec<(Option<usize>, usize)>,
 }
@@ -43,13 +46,8 @@ impl<'a> Buffers<'a> {
         self.buffers.len()
     }
 
-    /// Reads the buffers of a scene. If `within` is given, files outside this folder are errors.
-    pub fn load(
-        root: &json::Root,
-        bin: Option<&'a [u8]>,
-        (scene, within): (&Path, Option<&Path>),
-        memory: &mut Memory,
-    ) -> Result<Self> {
+    /// Reads the buffers of a scene.
+    pub fn load(root: &json::Root, bin: Option<&'a [u8]>, origin: Origin<'_>, memory: &mut Memory) -> Result<Self> {
         let place = |index: usize| move |e: Error| e.at(format!("buffer {index}"));
         let mut all = Self { bin: bin.unwrap_or_default(), ..Self::default() };
         let mut files = Files::default();
@@ -70,7 +68,7 @@ impl<'a> Buffers<'a> {
                     }
                     None => {
                         let claim = (buffer.byte_length.0, index);
-                        of_file.push((index, files.note(uri, claim, (scene, within)).map_err(place(index))?));
+                        of_file.push((index, files.note(uri, claim, origin).map_err(place(index))?));
                         None
                     }
                 },
@@ -84,6 +82,7 @@ impl<'a> Buffers<'a> {
         for named in &files.named {
             all.owned.push(named.read().map_err(place(named.buffer))?);
         }
+        all.files = files.named.into_iter().map(|named| named.shown).collect();
         of_file.into_iter().for_each(|(buffer, file)| all.buffers[buffer].0 = Some(first + file));
         for (index, buffer) in root.buffers.iter().enumerate() {
             all.set_length(index, buffer.byte_length.0).map_err(place(index))?;
@@ -115,18 +114,20 @@ struct Files {
 
 impl Files {
     /// Returns the number of the file that a URI names, and notes how many bytes a buffer claims of it.
-    fn note(
-        &mut self,
-        uri: &str,
-        (claimed, buffer): (u64, usize),
-        (scene, within): (&Path, Option<&Path>),
-    ) -> Result<usize> {
+    fn note(&mut self, uri: &str, (claimed, buffer): (u64, usize), origin: Origin<'_>) -> Result<usize> {
         let number = match self.by_uri.get(uri) {
             Some(&number) => number,
             None => {
-                let shown = scene.parent().unwrap_or(Path::new("")).join(local_path(uri)?);
-                if let Some(within) = within {
-                    check_within(&shown, within)?;
+                let local = local_path(uri)?;
+                let shown = origin.scene.parent().unwrap_or(Path::new("")).join(local);
+                match origin.buffers {
+                    BufferFiles::Linked => {}
+                    BufferFiles::Within(folder) => check_within(&shown, folder)?,
+                    BufferFiles::None => {
+                        let what = format!("it is in the file {uri:?}, which a scene in memory cannot name");
+                        let remedy = "export it as .glb, which holds its buffers, or open the scene from its file";
+                        return Err(Error::new(ErrorKind::Unsupported, what, remedy));
+                    }
                 }
                 // A missing file is reported when it is opened.
                 let real = shown.canonicalize().unwrap_or_else(|_| shown.clone());

@@ -100,6 +100,52 @@ pub fn import(path: impl AsRef<Path>, options: &ImportOptions) -> Result<Importe
     import_within(path.as_ref(), None, options, &mut Memory::default())
 }
 
+/// Reads a scene that is in memory: a .glb, or a .gltf whose buffers are embedded. `name` stands in messages for the
+/// file. There is no sidecar: `options` and the materials' `extras` hold what it would say.
+///
+/// ```
+/// use presight::files::{ImportOptions, import_gltf, import_gltf_bytes};
+/// let bytes = std::fs::read("scenes/room.glb")?;
+/// let scene = import_gltf_bytes("room.glb", &bytes, &ImportOptions::default())?;
+/// assert_eq!(scene.report, import_gltf("scenes/room.glb", &ImportOptions::default())?.report);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// As [`import`]; [`ErrorKind::Unsupported`] if a buffer is in a file of its own.
+pub fn import_bytes(name: impl AsRef<Path>, bytes: &[u8], options: &ImportOptions) -> Result<ImportedScene> {
+    let (name, length) = (name.as_ref(), bytes.len() as u64);
+    check_options(options)?;
+    if length > limits::MAX_FILE_BYTES {
+        let remedy = format!("the limit is {}: give several scenes", limits::MAX_FILE_BYTES);
+        return Err(Error::invalid(format!("the scene is too large: it has {length} bytes"), remedy).in_file(name));
+    }
+    // The caller holds the bytes already, but other limits count them too.
+    let mut memory = Memory::default();
+    memory.take(length, "the scene itself").map_err(|e| e.in_file(name))?;
+    let (sidecar, origin) = (Sidecar::default(), Origin { scene: name, buffers: BufferFiles::None });
+    import_from(bytes, origin, &sidecar, options, &mut memory).map_err(|e| e.in_file(name))
+}
+
+/// A scene and the files that it may name.
+#[derive(Clone, Copy)]
+struct Origin<'a> {
+    /// Its file, or its name in messages.
+    scene: &'a Path,
+    buffers: BufferFiles<'a>,
+}
+
+/// Files that may hold buffers.
+#[derive(Clone, Copy)]
+enum BufferFiles<'a> {
+    /// All in the scene's folder, and what links there lead to.
+    Linked,
+    /// All in this folder, with symbolic links resolved.
+    Within(&'a Path),
+    /// None: the scene is in memory.
+    None,
+}
+
 /// Like [`import`], but reads buffers and materials only from the folder `within` (with symbolic links resolved), and
 /// adds to the memory of earlier imports.
 ///
@@ -111,13 +157,7 @@ pub(crate) fn import_within(
     options: &ImportOptions,
     memory: &mut Memory,
 ) -> Result<ImportedScene> {
-    if !(0.0..=limits::MAX_MERGE_TOLERANCE).contains(&options.merge_tolerance) {
-        return Err(Error::usage(
-            format!("merge tolerance {} is outside 0..={}", options.merge_tolerance, limits::MAX_MERGE_TOLERANCE),
-            "give a share of the object's size, such as 1e-6",
-        ));
-    }
-    options.scale.map_or(Ok(()), SceneFrame::check_scale)?;
+    check_options(options)?;
     if let Some(within) = within {
         container::check_within(&materials::sidecar_path(path), within).map_err(|e| e.in_file(path))?;
     }
@@ -125,12 +165,23 @@ pub(crate) fn import_within(
     memory.take(file.limit(), "the file itself").map_err(|e| e.in_file(path))?;
     let bytes = file::read(file, path, limits::MAX_FILE_BYTES)?;
     let sidecar = Sidecar::for_scene(path)?;
-    import_bytes(&bytes, (path, within), &sidecar, options, memory).map_err(|e| e.in_file(path))
+    let origin = Origin { scene: path, buffers: within.map_or(BufferFiles::Linked, BufferFiles::Within) };
+    import_from(&bytes, origin, &sidecar, options, memory).map_err(|e| e.in_file(path))
 }
 
-fn import_bytes(
+fn check_options(options: &ImportOptions) -> Result<()> {
+    if !(0.0..=limits::MAX_MERGE_TOLERANCE).contains(&options.merge_tolerance) {
+        return Err(Error::usage(
+            format!("merge tolerance {} is outside 0..={}", options.merge_tolerance, limits::MAX_MERGE_TOLERANCE),
+            "give a share of the object's size, such as 1e-6",
+        ));
+    }
+    options.scale.map_or(Ok(()), SceneFrame::check_scale)
+}
+
+fn import_from(
     bytes: &[u8],
-    (path, within): (&Path, Option<&Path>),
+    origin: Origin<'_>,
     sidecar: &Sidecar,
     options: &ImportOptions,
     memory: &mut Memory,
@@ -140,8 +191,16 @@ fn import_bytes(
     let root: json::Root = parse(container.json)?;
     let nodes: NodeText = parse(container.json)?;
     check_version(&root)?;
-    container::note_images(&root, path);
-    let buffers = Buffers::load(&root, container.bin, (path, within), memory)?;
+    let images = container::images(&root, origin.scene);
+    let buffers = Buffers::load(&root, container.bin, origin, memory)?;
+    let files = match origin.buffers {
+        BufferFiles::None => Vec::new(),
+        _ => {
+            let sidecar_file = Some(materials::sidecar_path(origin.scene)).filter(|path| path.exists());
+            let own = std::iter::once(origin.scene.to_owned()).chain(sidecar_file);
+            own.chain(buffers.files.iter().cloned()).chain(images).collect()
+        }
+    };
     let document = Document { root, buffers };
     let mut book = ProblemBook::default();
     note_extensions(&document.root, &mut book);
@@ -150,7 +209,7 @@ fn import_bytes(
     let claims = claims_of(&document, &nodes)?;
     memory.take_meshes(&document, &claims)?;
     let mut environment = Environment::new();
-    let default_material = add_materials(&document.root, sidecar, path, &mut environment)?;
+    let default_material = add_materials(&document.root, sidecar, origin.scene, &mut environment)?;
     let build = |&claim| build_mesh(&document, claim, default_material, options);
     let built: Vec<Result<BuiltMesh>> = options.threads.run(|| claims.par_iter().map(build).collect())?;
     let mut report = ImportReport::default();
@@ -173,7 +232,7 @@ fn import_bytes(
         return Err(Error::invalid("the scene has no polygons", "export meshes of triangles into the default scene"));
     }
     report.problems = book.into_problems();
-    Ok(ImportedScene { environment, report, frame: Some(frame) })
+    Ok(ImportedScene { environment, report, frame: Some(frame), files })
 }
 
 /// Quotes a name for a message. Long names are cut.

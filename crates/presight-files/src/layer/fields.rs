@@ -28,7 +28,7 @@ pub(super) struct LayerFields<'a> {
 /// A feature of any kind, or the removal of one.
 #[derive(Default, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
-pub struct FeatureFields {
+pub(crate) struct FeatureFields {
     #[serde(deserialize_with = "whole")]
     pub id: u32,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -68,14 +68,14 @@ pub struct FeatureFields {
 /// State of the polygons that a feature was placed on.
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Surface {
+pub(crate) enum Surface {
     /// They have since been moved or deleted.
     Lost,
 }
 
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Kind {
+pub(crate) enum Kind {
     Point,
     Segment,
     Patch,

@@ -7,7 +7,7 @@
 //! | `pose_covariance` | 36 numbers, row-major, or null |
 //! | `confidence` | probability of the regions of interest, or null |
 //! | `given_up` | work dropped to meet a deadline, see [`Degradation`]; absent if none was |
-//! | `features` | one entry each, see [`crate::features::SeenFeature`] |
+//! | `features` | one entry each, see [`presight_features::SeenFeature`] |
 //! | `virtual` | the reading of a virtual sensor; absent if none was requested |
 //!
 //! An entry has `id`, `kind`, `name`, `branch` (only for contours: each curve is an entry), `points_world`,
@@ -21,14 +21,14 @@
 //!
 //! | `name` | keys | defined in |
 //! |---|---|---|
-//! | `free-floor` | `floor_z_world`, `area`, `pixels`, `pixels_over_horizon`, `regions` (`area`, `pixels`, `outer_robot`, `holes_robot`: points), `mask` (`runs`: row, first column, count) | [`FreeFloor`](crate::virtual_sensors::FreeFloor) |
-//! | `edges` | `edges` (`id`, `name`, `visible_fraction`, `visible`: `t`, `pixels`, `ends_world`), `segments` | [`Edges`](crate::virtual_sensors::Edges) |
-//! | `radar-lines` | `lines` (`ends_robot`, `length`, `normal_robot`, `distance`, `columns`, `beams`, `polygons`, `objects`), `single_beams` | [`RadarLines`](crate::virtual_sensors::RadarLines) |
-//! | `radar-nearest` | `directions` (`azimuth`, `range`, `object_id`, by column), `nearest` (`point_robot`, `range`, `pixel`, `polygon`, `object`), `corridor` (`length`, `arc_length`, `first`, `beams`), `complete_to` if work was dropped | [`Nearest`](crate::virtual_sensors::Nearest) |
-//! | `radar-landmarks` | `landmarks` (`id`, `name`, `kind`, `family`, `code`, `position_robot`, `position_world`, `corners_robot`, `range`, `azimuth`, `elevation`, `cos_incidence`, `visible_fraction`, `existence`), `known` | [`Landmarks`](crate::virtual_sensors::Landmarks) |
-//! | `depth-image` | `width`, `height`, `points`, `bounds_robot`, `points_robot` (row-major, null without a point) | [`DepthImage`](crate::virtual_sensors::DepthImage) |
-//! | `vertical-planes` | `planes` (`normal_robot`, `distance`, `centre_robot`, `extent`, `pixels`, `area`, `object`, `pixel_bounds`), `pixels` | [`VerticalPlanes`](crate::virtual_sensors::VerticalPlanes) |
-//! | `docking` | `landmarks` and `known` as above, `measurements`, `freedom`, `covariance`, `sigmas`, `information`, `unobservable` (`name`, `motion`) | [`Docking`](crate::virtual_sensors::Docking) |
+//! | `free-floor` | `floor_z_world`, `area`, `pixels`, `pixels_over_horizon`, `regions` (`area`, `pixels`, `outer_robot`, `holes_robot`: points), `mask` (`runs`: row, first column, count) | [`FreeFloor`](presight_predict::virtual_sensors::FreeFloor) |
+//! | `edges` | `edges` (`id`, `name`, `visible_fraction`, `visible`: `t`, `pixels`, `ends_world`), `segments` | [`Edges`](presight_predict::virtual_sensors::Edges) |
+//! | `radar-lines` | `lines` (`ends_robot`, `length`, `normal_robot`, `distance`, `columns`, `beams`, `polygons`, `objects`), `single_beams` | [`RadarLines`](presight_predict::virtual_sensors::RadarLines) |
+//! | `radar-nearest` | `directions` (`azimuth`, `range`, `object_id`, by column), `nearest` (`point_robot`, `range`, `pixel`, `polygon`, `object`), `corridor` (`length`, `arc_length`, `first`, `beams`), `complete_to` if work was dropped | [`Nearest`](presight_predict::virtual_sensors::Nearest) |
+//! | `radar-landmarks` | `landmarks` (`id`, `name`, `kind`, `family`, `code`, `position_robot`, `position_world`, `corners_robot`, `range`, `azimuth`, `elevation`, `cos_incidence`, `visible_fraction`, `existence`), `known` | [`Landmarks`](presight_predict::virtual_sensors::Landmarks) |
+//! | `depth-image` | `width`, `height`, `points`, `bounds_robot`, `points_robot` (row-major, null without a point) | [`DepthImage`](presight_predict::virtual_sensors::DepthImage) |
+//! | `vertical-planes` | `planes` (`normal_robot`, `distance`, `centre_robot`, `extent`, `pixels`, `area`, `object`, `pixel_bounds`), `pixels` | [`VerticalPlanes`](presight_predict::virtual_sensors::VerticalPlanes) |
+//! | `docking` | `landmarks` and `known` as above, `measurements`, `freedom`, `covariance`, `sigmas`, `information`, `unobservable` (`name`, `motion`) | [`Docking`](presight_predict::virtual_sensors::Docking) |
 //!
 //! Lengths are metres, areas square metres, angles radians.
 
@@ -68,18 +68,8 @@ pub struct Header {
 /// Writes predicted features, and the reading of a virtual sensor if there is one. `environment` names the objects that hide
 /// features.
 ///
-/// ```
-/// use presight::features::FeaturePrediction;
-/// use presight::io::prediction_json::{Header, to_string};
-/// use presight::Environment;
-/// let text = to_string(&Header::default(), &FeaturePrediction::default(), &Environment::new(), None)?;
-/// let json: serde_json::Value = serde_json::from_str(&text)?;
-/// assert_eq!(json["format"], 1);
-/// # Ok::<(), Box<dyn std::error::Error>>(())
-/// ```
-///
 /// # Errors
-/// [`crate::ErrorKind::System`] if the file cannot be written; nothing is left under its name then.
+/// [`ErrorKind::System`] if the file cannot be written; nothing is left under its name then.
 pub fn write(
     path: &Path,
     header: &Header,
@@ -139,9 +129,9 @@ pub struct PredictionFile {
 /// Reads the text of [`write()`].
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] for any other text; [`crate::ErrorKind::Unsupported`] for a newer format.
+/// [`ErrorKind::Invalid`] for any other text; [`ErrorKind::Unsupported`] for a newer format.
 pub fn parse(text: &str) -> Result<PredictionFile> {
-    let remedy = "give a file that presight predict --features wrote";
+    let remedy = "give a file that `prediction_json::write` wrote";
     let file: PredictionFile = serde_json::from_str(text)
         .map_err(|e| Error::invalid(format!("not a prediction of features: {e}"), remedy).caused_by(e))?;
     match file.format {

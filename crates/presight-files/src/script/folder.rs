@@ -6,9 +6,10 @@ use presight_model::limits;
 use std::path::{Component, Path, PathBuf};
 
 /// A folder with symbolic links resolved.
-#[derive(Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Folder {
-    real: PathBuf,
+    /// `None` for a script in memory, which cannot read files.
+    real: Option<PathBuf>,
     /// Relative to the given path of the script, for messages.
     shown: PathBuf,
 }
@@ -19,12 +20,12 @@ impl Folder {
         let shown = script.parent().unwrap_or(Path::new("")).to_owned();
         let folder = if shown.as_os_str().is_empty() { Path::new(".") } else { &shown };
         let real = folder.canonicalize().map_err(|e| Error::io(script, "open its folder", e))?;
-        Ok(Self { real, shown })
+        Ok(Self { real: Some(real), shown })
     }
 
     /// The folder, with symbolic links resolved.
-    pub fn real(&self) -> &Path {
-        &self.real
+    pub fn real(&self) -> Option<&Path> {
+        self.real.as_deref()
     }
 
     /// The path of a file in it, for messages, and the path with symbolic links resolved.
@@ -38,9 +39,16 @@ impl Folder {
         if relative.is_empty() || !plain {
             return Err(outside("is not a path inside the scene's folder"));
         }
+        let Some(folder) = &self.real else {
+            let remedy = "open the script from its file, or put everything into the script";
+            return Err(Error::invalid(
+                format!("{relative:?} is a file, which a script in memory cannot read"),
+                remedy,
+            ));
+        };
         let shown = self.shown.join(path);
-        let real = self.real.join(path).canonicalize().map_err(|e| Error::io(&shown, "open it", e))?;
-        if !real.starts_with(&self.real) {
+        let real = folder.join(path).canonicalize().map_err(|e| Error::io(&shown, "open it", e))?;
+        if !real.starts_with(folder) {
             return Err(outside("leads out of the scene's folder"));
         }
         Ok((shown, real))
@@ -49,7 +57,19 @@ impl Folder {
 
 /// Reads the text of a script.
 pub(super) fn read_script(shown: &Path, real: &Path) -> Result<String> {
-    let bytes = file::read(file::open_as(real, shown)?, shown, limits::MAX_SCRIPT_BYTES)?;
+    text_of(file::read(file::open_as(real, shown)?, shown, limits::MAX_SCRIPT_BYTES)?, shown)
+}
+
+/// The text of a script in memory.
+pub(super) fn script_of(bytes: &[u8], shown: &Path) -> Result<String> {
+    if bytes.len() as u64 > limits::MAX_SCRIPT_BYTES {
+        let what = format!("the script is too large: it has {} bytes", bytes.len());
+        return Err(Error::invalid(what, format!("the limit is {}", limits::MAX_SCRIPT_BYTES)).in_file(shown));
+    }
+    text_of(bytes.to_vec(), shown)
+}
+
+fn text_of(bytes: Vec<u8>, shown: &Path) -> Result<String> {
     String::from_utf8(bytes).map(file::without_mark).map_err(|e| {
         let good = e.utf8_error().valid_up_to();
         let before = &e.as_bytes()[..good];

@@ -1,10 +1,11 @@
 //! Limits of scripts: Rhai's own, and a count of operations weighted by their cost.
 
+use presight_model::clock::Instant;
 use presight_model::limits;
 use rhai::{Dynamic, Engine, EvalAltResult, FnPtr, Position};
 use std::cell::Cell;
 use std::rc::Rc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 /// Why a script was ended; Rhai's error carries it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

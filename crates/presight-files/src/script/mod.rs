@@ -5,36 +5,11 @@
 //! scenes; [`reference()`] returns the same list. Lengths are in metres, parameters ending in `_deg` in degrees; z is
 //! up.
 //!
-//! ```
-//! # let folder = tempfile::tempdir().unwrap();
-//! # let path = folder.path().join("table.rhai");
-//! # std::fs::write(&path, r#"
-//! material("wood", #{ reflection: 0.6 });
-//!
-//! fn table(length, width) {                              // a function is a macro
-//!     let leg = box(0.06, 0.06, 0.72);
-//!     let top = box(length, width, 0.03).translate(0, 0, 0.72);
-//!     let pair = leg.translate(-0.5, 0.3, 0) + leg.translate(-0.5, -0.3, 0);
-//!     (top + pair.repeat(2, 1, 0, 0)).made_of("wood")
-//! }
-//!
-//! place("floor", rectangle(6, 4));
-//! let t = table(1.2, 0.8);
-//! for i in 0..3 {
-//!     place("tables/table", t, pose(2 * i - 2, 0, 0, 30 * i));   // one mesh, three objects
-//! }
-//! # "#).unwrap();
-//! let scene = presight::io::script::load(&path, &Default::default(), &mut |line| println!("{line}"))?;
-//! let names: Vec<&str> = scene.environment.objects().iter().map(|o| o.name.as_str()).collect();
-//! assert_eq!(names, ["floor", "tables/table", "tables/table#2", "tables/table#3"]);
-//! # Ok::<(), presight::Error>(())
-//! ```
-//!
 //! **The same script gives the same environment on every machine.** Trigonometry comes from `libm`, random numbers from
 //! a seed in the script; there is no operator `**` and no clock. Scripts read files only from their own folder (with
 //! symbolic links resolved), write no files, and cannot use `eval`. Limits on operations (large values count by size),
-//! depth, sizes, polygons and memory ([`crate::limits`], `MAX_SCRIPT_..`) end a script with an error that names file,
-//! line, column and call. A limit on time is only a last resort.
+//! depth, sizes, polygons and memory ([`presight_model::limits`], `MAX_SCRIPT_..`) end a script with an error that
+//! names file, line, column and call. A limit on time is only a last resort.
 //!
 //! `source` ids number triangles in the order of placing, as an exported scene would have them.
 
@@ -58,19 +33,19 @@ use crate::gltf::ImportOptions;
 use crate::materials::sidecar_path;
 use crate::preparation::ImportedScene;
 use fault::{Fault, Sources, explain};
-use folder::{Folder, read_script};
+use folder::{Folder, read_script, script_of};
 use modules::Modules;
-use presight_model::error::{Error, ErrorKind, Result};
-use presight_model::limits;
+use presight_model::error::{Error, Result};
+use presight_model::{limits, threads};
 use rhai::packages::{
     ArithmeticPackage, BasicArrayPackage, BasicFnPackage, BasicIteratorPackage, BasicMapPackage, BasicStringPackage,
     LogicPackage, MoreStringPackage, Package,
 };
 use rhai::{Engine, OptimizationLevel, Scope};
 use std::cell::{Cell, RefCell};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::rc::Rc;
-use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
 use std::time::Duration;
 use studio::Studio;
 use tokens::Tokens;
@@ -84,21 +59,45 @@ const STACK: usize = 256 << 20;
 /// them.
 ///
 /// # Errors
-/// [`ErrorKind::Invalid`] with file, line, column, call and remedy for a script that is missing, not UTF-8 or not Rhai,
-/// calls a function wrongly, exceeds a limit, or fails a `require`. As [`crate::io::gltf::import`] for models that it
+/// [`Invalid`](presight_model::error::ErrorKind::Invalid) with file, line, column, call and remedy for a script that is missing, not UTF-8 or not Rhai,
+/// calls a function wrongly, exceeds a limit, or fails a `require`. As [`crate::gltf::import`] for models that it
 /// imports.
 pub fn load(path: impl AsRef<Path>, options: &ImportOptions, say: &mut dyn FnMut(&str)) -> Result<ImportedScene> {
-    let path = path.as_ref();
+    load_from(path.as_ref(), None, options, say)
+}
+
+/// As [`load`], for the text of a script in memory, which cannot import files. `name` stands in messages for the file.
+///
+/// On WebAssembly the script runs on the stack of the program: link it with 256 MiB for scripts nested as deeply as the
+/// limits allow.
+///
+/// ```
+/// let text = b"place(\"floor\", rectangle(6, 4));";
+/// let scene = presight_files::script::load_bytes("floor.rhai", text, &Default::default(), &mut |_| {})?;
+/// assert_eq!(scene.environment.objects().len(), 1);
+/// # Ok::<(), presight::Error>(())
+/// ```
+///
+/// # Errors
+/// As [`load`]; [`Invalid`](presight_model::error::ErrorKind::Invalid) if the script imports a file.
+pub fn load_bytes(
+    name: impl AsRef<Path>,
+    bytes: &[u8],
+    options: &ImportOptions,
+    say: &mut dyn FnMut(&str),
+) -> Result<ImportedScene> {
+    load_from(name.as_ref(), Some(bytes), options, say)
+}
+
+/// Runs a script, from its file if there are no bytes.
+fn load_from(
+    path: &Path,
+    bytes: Option<&[u8]>,
+    options: &ImportOptions,
+    say: &mut dyn FnMut(&str),
+) -> Result<ImportedScene> {
     let (sender, receiver) = channel();
-    std::thread::scope(|scope| {
-        let refused = |e: std::io::Error| {
-            Error::new(ErrorKind::System, format!("cannot start a thread: {e}"), "free some memory")
-        };
-        let thread = std::thread::Builder::new().name("script".into()).stack_size(STACK);
-        let running = thread.spawn_scoped(scope, || run(path, options, sender)).map_err(refused)?;
-        listen_to(&receiver, say);
-        running.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
-    })
+    threads::aside("script", STACK, || run(path, bytes, options, sender), || listen_to(&receiver, say))?
 }
 
 /// Passes on the lines that the script prints, until it ends and drops the sender.
@@ -108,31 +107,42 @@ fn listen_to(lines: &Receiver<String>, say: &mut dyn FnMut(&str)) {
     }
     // This thread is a rayon worker, which an import of the script may need, so it works while it waits.
     loop {
-        match lines.recv_timeout(Duration::from_millis(1)) {
+        match lines.try_recv() {
             Ok(line) => say(&line),
-            Err(RecvTimeoutError::Timeout) => while rayon::yield_now() == Some(rayon::Yield::Executed) {},
-            Err(RecvTimeoutError::Disconnected) => return,
+            Err(TryRecvError::Disconnected) => return,
+            Err(TryRecvError::Empty) => {
+                while rayon::yield_now() == Some(rayon::Yield::Executed) {}
+                lines.recv_timeout(Duration::from_millis(1)).iter().for_each(|line| say(line));
+            }
         }
     }
 }
 
-fn run(path: &Path, options: &ImportOptions, say: Sender<String>) -> Result<ImportedScene> {
-    let (folder, modules_folder) = (Folder::of(path)?, Folder::of(path)?);
-    let real = path.canonicalize().map_err(|e| Error::io(path, "open it", e))?;
-    refuse_sidecar(path)?;
-    let text = read_script(path, &real)?;
+fn run(path: &Path, bytes: Option<&[u8]>, options: &ImportOptions, say: Sender<String>) -> Result<ImportedScene> {
+    let (folder, real, text) = match bytes {
+        Some(bytes) => (Folder::default(), path.to_owned(), script_of(bytes, path)?),
+        None => {
+            let folder = Folder::of(path)?;
+            let real = path.canonicalize().map_err(|e| Error::io(path, "open it", e))?;
+            refuse_sidecar(path)?;
+            let text = read_script(path, &real)?;
+            (folder, real, text)
+        }
+    };
     let name = path.display().to_string();
     let sources = Rc::new(RefCell::new(Sources::from([(name.clone(), text.clone())])));
-    let studio = Rc::new(Studio::new(folder, options));
+    let studio = Rc::new(Studio::new(folder.clone(), options));
     let mut engine = engine(&studio, say);
     let tokens = Tokens::default();
     tokens.watch(&mut engine);
-    engine.set_module_resolver(Modules::new(modules_folder, real, sources.clone(), tokens.clone()));
+    engine.set_module_resolver(Modules::new(folder, real, sources.clone(), tokens.clone()));
     let mut ast = tokens.parse(&engine, &text, path)?;
     ast.set_source(&name);
     let ended = engine.run_ast_with_scope(&mut Scope::new(), &ast);
     ended.map_err(|e| explain(*e, &name, &sources.borrow()))?;
-    studio.finish(path)
+    let mut scene = studio.finish(path)?;
+    scene.files.extend(sources.borrow().keys().map(PathBuf::from));
+    Ok(scene)
 }
 
 /// Refuses a sidecar with materials, which a script would silently ignore. A sidecar of a model with the same name is

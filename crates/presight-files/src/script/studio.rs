@@ -54,6 +54,8 @@ struct SceneBuild {
     /// Features by sensor class.
     features: BTreeMap<String, Vec<ObjectFeature>>,
     feature_count: u64,
+    /// The files of the imported models.
+    models: Vec<PathBuf>,
     /// Names of the script files that placed features.
     files: BTreeSet<Rc<str>>,
 }
@@ -144,7 +146,7 @@ impl Studio {
         self.budget.work(0)?;
         let mut memory = *self.imported.borrow();
         // `shown`, not `real`: it appears in messages, and its sidecar applies.
-        let outcome = gltf::import_within(&shown, Some(self.folder.real()), &self.options, &mut memory);
+        let outcome = gltf::import_within(&shown, self.folder.real(), &self.options, &mut memory);
         if outcome.is_err() {
             // A failed import is not cached, so the script may repeat it: count its work.
             let taken = memory.bytes() - self.imported.borrow().bytes();
@@ -178,7 +180,7 @@ impl Studio {
         }
         let environment = check_features(built.environment, &spots).map_err(|e| e.in_file(file))?;
         built.report.polygons_in_scene = u64::from(environment.slot_count());
-        Ok(Outcome { environment, report: built.report, frame: None })
+        Ok(Outcome { environment, report: built.report, frame: None, files: built.models })
     }
 }
 
@@ -317,7 +319,8 @@ impl SceneBuild {
 
     /// Adds the materials and report of an imported scene. Returns its objects as parts of an assembly.
     fn take_over(&mut self, outcome: Outcome, file: &str, budget: &Rc<Budget>) -> Result<Assembly> {
-        let Outcome { environment, report, .. } = outcome;
+        let Outcome { environment, report, files, .. } = outcome;
+        self.models.extend(files);
         let mut materials = Vec::with_capacity(environment.materials().len());
         for material in environment.materials() {
             materials.push(self.environment.add_material(material.clone())?);

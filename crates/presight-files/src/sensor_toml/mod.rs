@@ -58,8 +58,8 @@ use std::path::Path;
 /// Reads a sensor file.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] with the line or key at fault, [`crate::ErrorKind::Unsupported`] for a newer format,
-/// [`crate::ErrorKind::System`] if the system refuses.
+/// [`presight_model::ErrorKind::Invalid`] with the line or key at fault, [`presight_model::ErrorKind::Unsupported`] for
+/// a newer format, [`presight_model::ErrorKind::System`] if the system refuses.
 pub fn read(path: &Path) -> Result<SensorSpec> {
     let name = path.file_stem().map_or_else(|| "sensor".into(), |s| s.to_string_lossy());
     parse(&read_settings(path)?, &name, path.parent()).map_err(|e| e.in_file(path))

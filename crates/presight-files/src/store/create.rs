@@ -44,8 +44,9 @@ pub fn create(path: &Path, environment: &Environment, note: &Note) -> Result<()>
     temporary.file().sync_all().map_err(refused)?;
     temporary.keep_as_new(path).map_err(refused)?;
     // Only Unix can open a folder as a file to sync it.
-    #[cfg(unix)]
-    std::fs::File::open(&folder).and_then(|f| f.sync_all()).map_err(refused)?;
+    if cfg!(unix) {
+        std::fs::File::open(&folder).and_then(|f| f.sync_all()).map_err(refused)?;
+    }
     Ok(())
 }
 

@@ -142,7 +142,8 @@ pub(super) fn undo_plan(entries: &[LogEntry], number: u64, cascade: bool) -> Res
         let more = if all > LISTED { format!(" and {} more", all - LISTED) } else { String::new() };
         in_the_way.truncate(LISTED);
         let what = format!("change {number} cannot be undone before changes {}{more}", in_the_way.join(", "));
-        let remedy = format!("undo them first, or use --cascade to undo all of them (appends {} changes)", all + 1);
+        let remedy =
+            format!("undo them first, or use `cascade: true` to undo all of them (appends {} changes)", all + 1);
         return Err(Error::invalid(what, remedy));
     }
     plan.reverse();

@@ -81,7 +81,7 @@ pub(super) fn mesh_of_file(
 /// features in the frame of the replaced object are kept.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] if an object or a group's frame differs and `replace` is false.
+/// [`presight_model::ErrorKind::Invalid`] if an object or a group's frame differs and `replace` is false.
 pub(super) fn merge_scene(environment: &Environment, scene: &Environment, replace: bool) -> Result<Change> {
     let (mut changes, mut added) = (Vec::new(), Vec::new());
     let map = Materials::new(environment, &mut added).map(scene, &mut changes)?;
@@ -101,7 +101,7 @@ pub(super) fn merge_scene(environment: &Environment, scene: &Environment, replac
             }
             if !replace {
                 let what = "it already exists with another pose or shape";
-                let remedy = "use --replace to replace it with the object of the file, or rename one of the two";
+                let remedy = "use `replace: true` to replace it with the object of the file, or rename one of the two";
                 return Err(Error::invalid(what, remedy).at(format!("object {:?}", object.name)));
             }
             let name = object.name.clone();
@@ -140,7 +140,7 @@ fn merge_groups(environment: &Environment, scene: &Environment, replace: bool, t
             (Some(present), _) if present == frame => continue,
             (Some(_), _) if !replace => {
                 let what = "it already has another frame";
-                let remedy = "use --replace to replace it with the frame of the file";
+                let remedy = "use `replace: true` to replace it with the frame of the file";
                 return Err(Error::invalid(what, remedy).at(format!("group {path:?}")));
             }
             _ => to.push(Change::SetFrame { name: path.to_owned(), world_from_group: given }),

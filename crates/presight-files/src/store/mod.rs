@@ -55,18 +55,20 @@ use std::sync::{Arc, Weak};
 /// it is dropped.
 ///
 /// ```
-/// use presight::io::store::{self, Note, Store};
-/// use presight::{Change, Environment, Material, World};
+/// use presight::Scene;
+/// use presight::files::{Store, StoreNote, create_store};
+/// use presight::environment::{Environment, Material};
+/// use presight::Change;
 /// let folder = tempfile::tempdir()?;
 /// let path = folder.path().join("hall.presight");
-/// store::create(&path, &Environment::new(), &Note::new("a new hall", 0.0))?;
+/// create_store(&path, &Environment::new(), &StoreNote::new("a new hall", 0.0))?;
 ///
 /// let mut store = Store::open(&path)?;
 /// let paint = Change::AddMaterial(Material::named("paint"));
-/// let number = store.apply(paint, &Note::new("delivered", 12.5))?;
+/// let number = store.apply(paint, &StoreNote::new("delivered", 12.5))?;
 /// assert_eq!((number, store.changes()), (1, 1));
 /// drop(store);
-/// assert_eq!(store::read(&path)?.materials().len(), 1);
+/// assert_eq!(Scene::open(&path)?.world.environment().materials().len(), 1);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub struct Store {
@@ -346,7 +348,6 @@ impl Store {
     }
 
     /// Commits without waiting for the disk: a deliberate fault that the durability tests must detect.
-    #[doc(hidden)]
     pub fn without_sync(&mut self) -> Result<()> {
         let sql = "ROLLBACK; PRAGMA synchronous = OFF; BEGIN IMMEDIATE";
         self.connection.execute_batch(sql).map_err(|e| refusal(&self.path, "open the store", e))

@@ -1,6 +1,5 @@
 //! The tables, opening a store, and SQLite's errors as ours.
 
-use crate::inputs;
 use presight_model::error::{Error, ErrorKind, Result};
 use rusqlite::{Connection, ErrorCode, OpenFlags};
 use std::path::Path;
@@ -69,7 +68,6 @@ pub(super) enum Access {
 
 /// Opens a store. For writing, its tables must match [`FORMAT`].
 pub(super) fn connect(path: &Path, access: Access) -> Result<Connection> {
-    inputs::note(path);
     let metadata = std::fs::metadata(path).map_err(|e| Error::io(path, "open the store", e))?;
     if !metadata.is_file() {
         return Err(Error::invalid("this is not a file", "name a .presight file").in_file(path));

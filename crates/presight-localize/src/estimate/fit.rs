@@ -29,7 +29,7 @@ const LOOSEST: f64 = 0.5;
 /// The pose that fits the sources and the prior best: Gauss and Newton, wide at first, outliers without weight at last.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Usage`] for a prior whose covariance is none.
+/// [`presight_model::ErrorKind::Usage`] for a prior whose covariance is none.
 pub fn fit(sources: &[&dyn Residuals], known: &PoseEstimate, freedom: Freedom) -> Result<Fit> {
     prior::check(known, freedom)?;
     let axes = freedom.axes();

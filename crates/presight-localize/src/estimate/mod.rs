@@ -3,33 +3,6 @@
 //! An [`Estimator`] predicts at the pose that was known before, compares, moves, and predicts once more. The prior is a residual like
 //! all others (the form of an iterated extended Kalman filter). The covariance knows that beams share the errors of surfaces, and
 //! directions that the measurement leaves open are named. See `docs/design/localization.md` for the maths.
-//!
-//! # Examples
-//! A scanner at the origin has a corner before it: walls at x = 3 and y = 2. It stands 2 cm farther forward than it believes.
-//! ```
-//! use presight::estimate::{EstimateOptions, Estimator, Freedom};
-//! use presight::geometry::PoseEstimate;
-//! use presight::simulate::{Disturbances, Simulator};
-//! use presight::{Environment, Options, Pose, Predictor, World};
-//! use glam::DVec3;
-//!
-//! let mut environment = Environment::new();
-//! let at = |x, y| Pose::from_xyz_rpy(DVec3::new(x, y, 1.0), 0.0, 0.0, 0.0);
-//! environment.add_cuboid("ahead", at(3.05, -1.0), DVec3::new(0.1, 6.0, 2.0))?;
-//! environment.add_cuboid("left", at(-0.5, 2.05), DVec3::new(7.0, 0.1, 2.0))?;
-//! let world = World::new(environment);
-//! let scanner = presight::preset("laser-scanner")?;
-//! let predictor = || Predictor::new(Options::default());
-//!
-//! let truth = Pose::from_xyz_rpy(DVec3::new(0.02, 0.0, 0.5), 0.0, 0.0, 0.01);
-//! let frame = Simulator::new(predictor()?, scanner, Disturbances::default(), 1)?.frame(&world, 0.0, &truth)?;
-//! let believed = Pose::from_xyz_rpy(DVec3::new(0.0, 0.0, 0.5), 0.0, 0.0, 0.0);
-//! let options = EstimateOptions::default().with_freedom(Freedom::Planar);
-//! let found = Estimator::new(predictor()?, options).estimate(&world, &[&frame], &PoseEstimate::of_sigmas(believed, 0.05, 0.03))?;
-//! assert!(found.is_determined() && found.weak.is_empty());
-//! assert!((found.pose.world_from_robot.translation.x - 0.02).abs() < 4.0 * found.pose.covariance[0][0].sqrt());
-//! # Ok::<(), presight::Error>(())
-//! ```
 
 mod answer;
 mod descent;

@@ -7,9 +7,9 @@ use super::solve::length;
 use crate::extract::Findings;
 use crate::motion::{motion_between, moved};
 use crate::verdict::ExpectedImage;
-use presight_model::frame::{Frame, RangeNoise};
 use presight_model::geometry::{Pose, PoseEstimate};
 use presight_model::matrix::{Matrix, quadratic};
+use presight_model::measured::{Frame, RangeNoise};
 use presight_model::world::World;
 use std::sync::Arc;
 

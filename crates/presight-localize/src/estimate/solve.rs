@@ -16,9 +16,9 @@ use crate::verdict::{ExpectedImage, Surfaces, Verdicts, body_from_image, judge};
 use glam::DVec3;
 use presight_features::{FeatureOptions, PlacedFeatures};
 use presight_model::error::{Error, Result};
-use presight_model::frame::{Frame, RangeNoise};
 use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate};
 use presight_model::matrix::{Matrix, add_to, eigen, inverse, quadratic, restricted, scaled};
+use presight_model::measured::{Frame, RangeNoise};
 use presight_model::random::SplitMix64;
 use presight_model::world::World;
 use presight_predict::predict::Predictor;
@@ -88,9 +88,11 @@ impl EstimateOptions {
 
 /// Estimates poses from frames, one after the other.
 pub struct Estimator {
+    /// Makes the predictions.
     pub predictor: Predictor,
     surfaces: Surfaces,
     features: FeatureOptions,
+    /// The options.
     pub options: EstimateOptions,
     /// Of the offsets of polygon groups.
     offsets: OffsetVariance,
@@ -142,8 +144,8 @@ impl Estimator {
     /// Where the robot is, by frames of its sensors taken at one time: ranges, and grey images in which features are looked for.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] without a frame, for a prior that is none, and for a grey image without features to look for;
-    /// those of [`Predictor::predict`].
+    /// [`presight_model::ErrorKind::Usage`] without a frame, for a prior that is none, and for a grey image without
+    /// features to look for; those of [`Predictor::predict`].
     pub fn estimate(&mut self, world: &World, frames: &[&Frame], prior: &PoseEstimate) -> Result<Estimate> {
         // One hand-over to the threads: one for each part of it costs as much as the parts of a scan.
         let threads = self.predictor.task_threads()?;

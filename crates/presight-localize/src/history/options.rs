@@ -97,7 +97,7 @@ impl TrackerOptions {
     }
 
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] naming the first option that is out of range.
+    /// [`presight_model::ErrorKind::Usage`] naming the first option that is out of range.
     pub fn check(&self) -> Result<()> {
         if !(0.5..1.0).contains(&self.confidence) {
             let what = format!("confidence {} is not in 0.5..1", self.confidence);

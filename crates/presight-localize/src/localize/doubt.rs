@@ -5,8 +5,8 @@ use super::likelihood::PoseLikelihood;
 use super::{Localizer, Phase, Step};
 use crate::estimate::{Estimate, EstimateState, Freedom};
 use presight_model::error::Result;
-use presight_model::frame::{Frame, Motion};
 use presight_model::geometry::PoseEstimate;
+use presight_model::measured::{Frame, Motion};
 use presight_model::world::World;
 use presight_render::row::is_level;
 

@@ -2,8 +2,8 @@
 
 use glam::{DQuat, DVec3};
 use presight_model::error::Result;
-use presight_model::frame::{Frame, Measurement, RangeNoise};
 use presight_model::geometry::Pose;
+use presight_model::measured::{Frame, Measurement, RangeNoise};
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_predict::batch::{BatchRequest, PoseCell, RangeLikelihood};

@@ -4,40 +4,6 @@
 //! places, and the best places are carried on until one of them leads and explains enough. Each frame moves the belief by odometry, or on with the motion of the frame before,
 //! and updates it with one estimate. It says [`Phase::Lost`] with its reason instead of a pose that it does not know, and looks
 //! around the last pose it knew, or in the whole map, until several frames in a row agree.
-//!
-//! # Examples
-//! A scanner that nothing is known of, in a room of which no two places look alike:
-//! ```
-//! use presight::estimate::{EstimateOptions, Estimator};
-//! use presight::localize::{LocalizeOptions, Localizer, Phase, Search, SearchOptions};
-//! use presight::simulate::{Disturbances, Simulator};
-//! use presight::{Environment, Options, Pose, Predictor, Sensor, World};
-//! use glam::DVec3;
-//!
-//! let mut environment = Environment::new();
-//! let at = |x, y| Pose::from_xyz_rpy(DVec3::new(x, y, 1.0), 0.0, 0.0, 0.0);
-//! environment.add_cuboid("room", at(2.5, 2.0), DVec3::new(5.0, 4.0, 2.0))?;
-//! environment.add_cuboid("shelf", at(0.4, 3.4), DVec3::new(0.8, 1.2, 2.0))?;
-//! environment.add_cuboid("pillar", at(3.7, 2.9), DVec3::new(0.4, 0.6, 2.0))?;
-//! let world = World::new(environment);
-//! let mut spec = presight::preset("laser-scanner")?.spec().clone();
-//! spec.mount.translation.z = 1.0;
-//! let scanner = Sensor::new(spec)?;
-//!
-//! let mut estimator = Estimator::new(Predictor::new(Options::default())?, EstimateOptions::planar());
-//! let coarse = SearchOptions::default().with_headings(72).with_candidates(10);
-//! let search = Search::new(&mut estimator, &world, &scanner, coarse)?;
-//! let mut localizer = Localizer::unknown(estimator, search, LocalizeOptions::default());
-//! let mut simulator = Simulator::new(Predictor::new(Options::default())?, scanner, Disturbances::default(), 1)?;
-//! for k in 0..5 {
-//!     let truth = Pose::from_xyz_rpy(DVec3::new(1.0 + 0.2 * f64::from(k), 1.2, 0.0), 0.0, 0.0, 0.4);
-//!     let step = localizer.step(&world, &simulator.frame(&world, f64::from(k), &truth)?)?;
-//!     // One scan is not enough; the fifth is.
-//!     assert_eq!(step.phase, if k < 4 { Phase::Candidates } else { Phase::Tracking }, "{}", step.reason);
-//!     assert!((step.pose.world_from_robot.translation - truth.translation).length() < 0.05);
-//! }
-//! # Ok::<(), presight::Error>(())
-//! ```
 
 mod cusum;
 mod decide;
@@ -56,9 +22,9 @@ pub use search::{Candidate, Search, SearchOptions};
 use crate::estimate::{Estimate, Estimator, Freedom};
 use crate::motion::{motion_between, moved};
 use presight_model::error::{Error, Result};
-use presight_model::frame::{Frame, Motion};
 use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate};
 use presight_model::matrix::{add_to, restricted, sandwich, turn};
+use presight_model::measured::{Frame, Motion};
 use presight_model::sensor::Sensor;
 
 use presight_model::world::World;
@@ -285,8 +251,8 @@ impl Localizer {
     /// Takes in the next frame.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if the frame is not later than the one before, or if its motion is none; those of
-    /// [`Estimator::estimate`].
+    /// [`presight_model::ErrorKind::Invalid`] if the frame is not later than the one before, or if its motion is none;
+    /// those of [`Estimator::estimate`].
     pub fn step(&mut self, world: &World, frame: &Frame) -> Result<Step> {
         self.step_together(world, frame, &[])
     }
@@ -368,7 +334,7 @@ impl Localizer {
 fn on_the_floor(from: &Pose, motion: &Motion) -> Motion {
     let (axes, off) = (Freedom::Planar.axes(), motion_between(from, &(*from * motion.previous_from_current)));
     let level = std::array::from_fn(|i| if axes.contains(&i) { off[i] } else { 0.0 });
-    let in_world = restricted(&motion.covariance.in_world(from).as_rows(), axes);
+    let in_world = restricted(motion.covariance.in_world(from).as_rows(), axes);
     Motion {
         previous_from_current: from.inverse() * moved(from, &level),
         covariance: PoseCovariance::from_rows(sandwich(&turn(from.rotation.conjugate()), &in_world)),

@@ -7,8 +7,8 @@ use crate::estimate::{Estimate, Estimator, Freedom};
 use crate::verdict::Verdicts;
 use glam::DVec3;
 use presight_model::error::{Error, Result};
-use presight_model::frame::{Frame, RangeNoise};
 use presight_model::geometry::{Pose, PoseEstimate};
+use presight_model::measured::{Frame, RangeNoise};
 use presight_model::sensor::{Geometry, Sensor};
 use presight_model::world::World;
 use presight_predict::batch::{Headings, Panoramas, PoseCell};
@@ -121,8 +121,9 @@ impl Search {
     /// beams and needs [`Freedom::Planar`]. What any other sensor sees is compared in steps of 5 degrees; its robot leans as `options` say.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] for a level scanner that is not in equal steps, if the world has no free place or too many;
-    /// those of [`crate::Predictor::panoramas`] and [`crate::Predictor::batch`].
+    /// [`presight_model::ErrorKind::Usage`] for a level scanner that is not in equal steps, if the world has no free
+    /// place or too many; those of [`presight_predict::Predictor::panoramas`] and
+    /// [`presight_predict::Predictor::batch`].
     pub fn new(estimator: &mut Estimator, world: &World, sensor: &Sensor, options: SearchOptions) -> Result<Self> {
         options.check()?;
         let planar = estimator.options.freedom == Freedom::Planar;
@@ -162,7 +163,7 @@ impl Search {
     /// The best distinct places for a frame, refined, the likeliest first. None if the frame has no reading.
     ///
     /// # Errors
-    /// Those of [`crate::batch::RangeLikelihood::new`] and of [`Estimator::estimate`].
+    /// Those of [`presight_predict::batch::RangeLikelihood::new`] and of [`Estimator::estimate`].
     pub fn candidates(&self, estimator: &mut Estimator, world: &World, frame: &Frame) -> Result<Vec<Candidate>> {
         let mut found: Vec<Candidate> = Vec::new();
         for prior in self.starts(estimator, world, frame)? {
@@ -241,12 +242,24 @@ impl Search {
 
 impl SearchOptions {
     fn check(&self) -> Result<()> {
-        let lengths = [self.cell, self.clearance, self.beam_dependence];
-        let others = [self.floor, self.floor_to, self.lean[0], self.lean[1]];
-        let sound = lengths.iter().all(|l| *l > 0.0 && l.is_finite()) && others.iter().all(|x| x.is_finite());
-        let sound = sound && self.margin >= 0.0 && self.margin.is_finite();
-        if !sound || self.headings == 0 || self.candidates == 0 || !(0.0..=1.0).contains(&self.surrounded) {
-            return Err(Error::usage(format!("{self:?}"), "give lengths and numbers above 0 and a share of 0 to 1"));
+        let positive = |x: f64| x > 0.0 && x.is_finite();
+        let (above, finite) = ("give a finite number above 0", "give a finite number");
+        for (name, value, is_sound, remedy) in [
+            ("cell", self.cell, positive(self.cell), above),
+            ("headings", f64::from(self.headings), self.headings > 0, above),
+            ("floor", self.floor, self.floor.is_finite(), finite),
+            ("floor_to", self.floor_to, self.floor_to.is_finite(), finite),
+            ("margin", self.margin, self.margin == 0.0 || positive(self.margin), "give a finite number of at least 0"),
+            ("lean", self.lean[0], self.lean[0].is_finite(), finite),
+            ("lean", self.lean[1], self.lean[1].is_finite(), finite),
+            ("clearance", self.clearance, positive(self.clearance), above),
+            ("surrounded", self.surrounded, (0.0..=1.0).contains(&self.surrounded), "give a share of 0 to 1"),
+            ("candidates", self.candidates as f64, self.candidates > 0, above),
+            ("beam_dependence", self.beam_dependence, positive(self.beam_dependence), above),
+        ] {
+            if !is_sound {
+                return Err(Error::usage(format!("`SearchOptions::{name}` is {value}"), remedy));
+            }
         }
         Ok(())
     }

@@ -5,8 +5,8 @@ use super::search::{Candidate, distinct, is_same};
 use super::{Localizer, Phase, Step, carried};
 use crate::estimate::{Estimate, EstimateState};
 use presight_model::error::Result;
-use presight_model::frame::{Frame, Motion};
 use presight_model::geometry::Pose;
+use presight_model::measured::{Frame, Motion};
 use presight_model::world::World;
 
 /// Candidates that are so much less likely are dropped, natural logarithm of the odds.

@@ -44,12 +44,17 @@ pub(super) const NOTHING: ExpectedPixel = ExpectedPixel {
 /// A prediction, arranged for comparing it with what is sensed.
 #[derive(Clone, Debug)]
 pub struct ExpectedImage {
+    /// The sensor.
     pub sensor: Sensor,
+    /// Its pose, axes of the image.
     pub world_from_image: Pose,
+    /// Columns.
     pub width: usize,
+    /// Rows.
     pub height: usize,
+    /// The pixels, row by row.
     pub pixels: Vec<ExpectedPixel>,
-    pub strided: StridedPoints,
+    pub(crate) strided: StridedPoints,
     /// Radians from one column to the next, and from one row to the next; infinite where there is but one.
     pub spacing: (f64, f64),
     /// Of the objects whose poses' covariances are stored.

@@ -1,53 +1,23 @@
 //! Verdicts: what a measured image says of the model, pixel by pixel.
 //!
-//! [`of_frame`] predicts what the frame's sensor should see from a robot at a pose and compares: each pixel is confirmed,
-//! nearer, farther and so on ([`Verdict`]). The noise of the sensor and the covariance of the pose set the limits.
-//!
-//! # Examples
-//! ```
-//! use presight::frame::{Frame, Measurement};
-//! use presight::geometry::PoseEstimate;
-//! use presight::verdict::{self, Verdict};
-//! use presight::{Environment, Options, Pose, Predictor, World};
-//! use glam::DVec3;
-//!
-//! // A wall 2 m ahead of the robot, 4 m wide, and a scanner that sees a box 1 m before it.
-//! let mut environment = Environment::new();
-//! let wall = Pose::from_xyz_rpy(DVec3::new(2.05, 0.0, 0.0), 0.0, 0.0, 0.0);
-//! environment.add_cuboid("wall", wall, DVec3::new(0.1, 4.0, 2.0))?;
-//! let world = World::new(environment);
-//! let scanner = presight::preset("laser-scanner")?; // 361 beams, half a degree apart; 180 looks ahead
-//!
-//! let mut predictor = Predictor::new(Options::default())?;
-//! let mut ranges = predictor.predict(&world, &scanner, &Pose::IDENTITY, &Default::default())?.images.range;
-//! ranges[180] = 1.0;
-//! ranges[170] += 0.5;
-//! let frame = Frame::new(0.0, scanner, Measurement::Range(ranges))?;
-//! let verdicts = verdict::of_frame(&mut predictor, &world, &frame, &PoseEstimate::exact(Pose::IDENTITY))?;
-//! assert_eq!(verdicts.pixels[180], Verdict::Nearer);
-//! assert_eq!(verdicts.pixels[170], Verdict::Farther);
-//! assert_eq!(verdicts.pixels[175], Verdict::Confirmed);
-//! assert_eq!(verdicts.pixels[0], Verdict::Beyond);
-//! # Ok::<(), presight::Error>(())
-//! ```
+//! [`ExpectedImage`] is a prediction with the exact plane of each pixel's polygon. [`judge`] compares a [`Frame`] with
+//! it: each pixel is confirmed, nearer, farther and so on ([`Verdict`]), tight by what is known of the noise and of the pose.
 
 mod expected;
 mod judge;
 mod strided;
 mod surfaces;
 
-#[doc(hidden)]
-pub use expected::{ExpectedImage, ExpectedPixel, body_from_image};
+pub use expected::body_from_image;
+pub use expected::{ExpectedImage, ExpectedPixel};
 pub(crate) use judge::judge;
 pub use judge::{Verdict, Verdicts};
-#[doc(hidden)]
 pub use strided::LANES;
-#[doc(hidden)]
 pub use surfaces::{ObjectError, Surface, Surfaces};
 
 use presight_model::error::{Error, Result};
-use presight_model::frame::Frame;
 use presight_model::geometry::PoseEstimate;
+use presight_model::measured::Frame;
 use presight_model::world::World;
 use presight_predict::predict::Predictor;
 

@@ -41,7 +41,7 @@ impl Environment {
     /// The hash of the whole content, equal on every machine. The source of this module defines the encoding.
     ///
     /// ```
-    /// use presight::{Environment, Material};
+    /// use presight::environment::{Environment, Material};
     /// let mut environment = Environment::new();
     /// let empty = environment.content_hash();
     /// environment.add_material(Material::named("paint"))?;

@@ -26,7 +26,7 @@ impl Mesh {
     ///
     /// ```
     /// use glam::Vec3;
-    /// let press = presight::Mesh::cuboid("press", Vec3::ZERO, Vec3::new(2.0, 1.0, 1.5), 0)?;
+    /// let press = presight::environment::Mesh::cuboid("press", Vec3::ZERO, Vec3::new(2.0, 1.0, 1.5), 0)?;
     /// assert_eq!((press.polygon_count(), press.vertices()[7]), (6, Vec3::new(2.0, 1.0, 1.5)));
     /// # Ok::<(), presight::Error>(())
     /// ```

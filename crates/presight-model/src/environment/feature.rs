@@ -22,7 +22,7 @@ impl FeatureLayer {
     /// time by default. The clock is never read: the same input gives the same prediction.
     ///
     /// ```
-    /// use presight::environment::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
+    /// use presight::features::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
     /// use glam::{DMat3, DVec3};
     /// let confirmed = |id: u32, confirmed: f64| Feature {
     ///     id,
@@ -169,7 +169,6 @@ impl FeatureShape {
     }
 
     /// True for shapes with an area: patches and fiducials.
-    #[doc(hidden)]
     pub fn is_area(&self) -> bool {
         matches!(self, Self::Patch { .. } | Self::Fiducial { .. })
     }

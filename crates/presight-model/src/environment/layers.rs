@@ -19,17 +19,20 @@ impl Environment {
         found.ok().map(|i| &self.layers[i])
     }
 
-    /// Adds a layer, or its features to the class's layer. [`crate::features::place`] checks that they lie on polygons.
+    /// Adds a layer, or its features to the class's layer. `features::place` checks that they lie on polygons.
     ///
     /// ```
-    /// use presight::Environment;
-    /// use presight::io::layer;
-    /// let file = layer::parse(r#"{"format": 1, "class": "video", "features": [
-    ///     {"id": 1, "kind": "point", "points": [[1, 2, 3]], "sigma": 0.01}]}"#)?;
+    /// use presight::environment::Environment;
+    /// use presight::features::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
+    /// use glam::{DMat3, DVec3};
+    /// let shape = FeatureShape::Point { at: DVec3::new(1.0, 2.0, 3.0), covariance: 1e-4 * DMat3::IDENTITY };
+    /// let (existence, properties) = (Existence::default(), Properties::default());
+    /// let point = Feature { id: 1, name: None, object: None, shape, existence, properties };
+    /// let layer = FeatureLayer { class: "video".into(), features: vec![point.into()], ..FeatureLayer::default() };
     /// let mut environment = Environment::new();
-    /// environment.add_layer(file.layer.clone())?;
+    /// environment.add_layer(layer.clone())?;
     /// assert_eq!(environment.layer("video").unwrap().features.len(), 1);
-    /// assert!(environment.add_layer(file.layer).is_err(), "its ids are taken");
+    /// assert!(environment.add_layer(layer).is_err(), "its ids are taken");
     /// # Ok::<(), presight::Error>(())
     /// ```
     ///

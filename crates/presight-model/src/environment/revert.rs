@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 /// Takes back one step of a change. Steps are reverted newest first, so that each finds the state that it left.
 #[derive(Clone, Debug)]
-pub enum Revert {
+pub(crate) enum Revert {
     /// Removes the object that was added last; a group at its path gets its frame back.
     Insert { frame: Option<Pose> },
     /// Restores the pose of an object.

@@ -81,7 +81,6 @@ impl<A> PoseCovariance<A> {
     ///
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] unless there are 36 numbers.
-    #[doc(hidden)]
     pub fn unchecked_row_major(numbers: &[f64]) -> Result<Self> {
         if numbers.len() != 36 {
             let remedy = "give 36 numbers, row-major: x y z, then rotation about x y z, metres and radians";
@@ -91,7 +90,6 @@ impl<A> PoseCovariance<A> {
     }
 
     /// Names the axes of a matrix that a sister crate computed; unchecked.
-    #[doc(hidden)]
     pub const fn from_rows(rows: [[f64; 6]; 6]) -> Self {
         Self { rows, axes: PhantomData }
     }

@@ -3,7 +3,7 @@
 use super::weigh::HeadingModel;
 use super::{Headings, PoseCell};
 use presight_model::error::{Error, Result};
-use presight_model::frame::Frame;
+use presight_model::measured::Frame;
 use presight_model::sensor::{Mixture, Sensor, SensorSpec};
 use presight_render::plan::{BeamNumbers, Weighing};
 
@@ -33,11 +33,13 @@ impl RangeLikelihood {
     ///
     /// ```
     /// use presight::batch::{PoseCell, RangeLikelihood};
-    /// use presight::frame::{Frame, Measurement};
-    /// let scanner = presight::preset("laser-scanner")?;
-    /// let frame = Frame::new(0.0, scanner, Measurement::Range(vec![2.0; 361]))?;
-    /// let measured = RangeLikelihood::new(&frame, PoseCell::default())?;
-    /// let at = |range: f32| measured.log_likelihood(&[range; 361], &[1.0; 361]);
+    /// use presight::sensor::{Noise, SensorSpec};
+    /// use presight::Sensor;
+    /// let mut spec: SensorSpec = presight::preset("laser-scanner")?.spec().clone();
+    /// spec.noise = Noise { range_sigma: 0.02, ..Noise::default() };
+    /// let sensor = Sensor::new(spec)?;
+    /// let sensed = RangeLikelihood::new(&sensor, vec![2.0; 361], PoseCell::default())?;
+    /// let at = |range: f32| sensed.log_likelihood(&[range; 361], &[1.0; 361]);
     /// assert!(at(2.0) > at(2.05) && at(2.05) > at(1.0));
     /// # Ok::<(), presight::Error>(())
     /// ```

@@ -17,6 +17,7 @@ use crate::engine::Engine;
 use crate::predict::Predictor;
 use crate::request::Request;
 use headings::{HeadingWeights, Panorama};
+use presight_model::clock::Instant;
 use presight_model::error::{Error, Result};
 use presight_model::geometry::Pose;
 use presight_model::sensor::Sensor;
@@ -29,7 +30,6 @@ use presight_render::row::{RowCuts, RowView, is_level};
 use rayon::prelude::*;
 use std::iter::Peekable;
 use std::sync::{Mutex, PoisonError};
-use std::time::Instant;
 
 /// Spacing of the candidate poses, as widths of the cells that they represent. A hit is expected anywhere within.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -142,11 +142,13 @@ impl Predictor {
     ///
     /// ```
     /// use presight::batch::{BatchRequest, PoseCell, RangeLikelihood};
-    /// use presight::frame::{Frame, Measurement};
-    /// use presight::{Environment, Options, Pose, Predictor, World};
-    /// let sensor = presight::preset("laser-scanner")?;
-    /// let nothing = Frame::new(0.0, sensor.clone(), Measurement::Range(vec![f32::INFINITY; 361]))?;
-    /// let nothing = RangeLikelihood::new(&nothing, PoseCell::default())?;
+    /// use presight::environment::Environment;
+    /// use presight::sensor::Noise;
+    /// use presight::{Options, Pose, Predictor, Sensor, World};
+    /// let mut spec = presight::preset("laser-scanner")?.spec().clone();
+    /// spec.noise = Noise { range_sigma: 0.02, ..Noise::default() };
+    /// let sensor = Sensor::new(spec)?;
+    /// let nothing = RangeLikelihood::new(&sensor, vec![f32::INFINITY; 361], PoseCell::default())?;
     /// let request = BatchRequest { likelihood: Some(nothing), ..BatchRequest::default() };
     /// let mut predictor = Predictor::new(Options::default())?;
     /// let world = World::new(Environment::new());
@@ -158,8 +160,8 @@ impl Predictor {
     /// ```
     ///
     /// # Errors
-    /// The errors of [`Request::check`]; [`crate::ErrorKind::Usage`] for headings without a measured image, another
-    /// sensor's image or headings, or a chunk of 0. For each pose, the errors of [`Predictor::predict`] and
+    /// The errors of [`Request::check`]; [`presight_model::ErrorKind::Usage`] for headings without a measured image,
+    /// another sensor's image or headings, or a chunk of 0. For each pose, the errors of [`Predictor::predict`] and
     /// [`Headings::place`].
     pub fn batch<I: IntoIterator<Item = Pose>>(
         &mut self,

@@ -10,6 +10,7 @@ use presight_features::{
     OcclusionHint, PlacedFeature, PlacedFeatures, PreparedFeatures, SeenFeature, Visibility, add_boxes, check_placed,
     choose, predict_features, sides_seen_in_part,
 };
+use presight_model::clock::Instant;
 use presight_model::contour::ContourSet;
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::geometry::Pose;
@@ -19,7 +20,6 @@ use presight_model::world::World;
 use presight_render::cost::DeadlineFrame;
 use presight_render::plan::{CountName, Images, Output, StageName, Stats};
 use std::sync::Arc;
-use std::time::Instant;
 
 /// A world, a sensor and its pose.
 pub(super) type SeenFrom<'a> = (&'a World, &'a Sensor, &'a Pose);
@@ -43,6 +43,20 @@ pub(super) struct KnownTree {
 }
 
 impl KnownTree {
+    /// Checks the features in this world. `before` was made from the same features in another version of it.
+    fn new(world: &World, class: &str, placed: &Arc<[PlacedFeature]>, before: Option<Self>) -> Result<Self> {
+        check_placed(world.environment(), placed)?;
+        // The continuation of a surface into others depends on where these are.
+        let (tree, contours) = match before.filter(|before| before.contours.is_empty()) {
+            Some(before) => (before.tree, before.contours),
+            None => {
+                let contours = ContourSet::new(world, class, placed)?;
+                (FeatureTree::new(placed, &contours), contours)
+            }
+        };
+        Ok(Self { features: placed.clone(), world: world.stamp(), class: class.to_owned(), tree, contours })
+    }
+
     pub fn parts(&self) -> (&FeatureTree, &ContourSet) {
         (&self.tree, &self.contours)
     }
@@ -127,7 +141,7 @@ impl Predictor {
             stats.leave_out(StageName::Features, "there are no features for this class");
         }
         let mut start = Instant::now();
-        let tree = self.take_tree(world, &sensor.spec().class, placed)?;
+        let tree = self.known_tree(world, &sensor.spec().class, placed)?;
         let of_tree = (&placed[..], Some(tree.parts()));
         let prepare = || PreparedFeatures::new(world, sensor, world_from_sensor, images, of_tree, settings);
         let prepared = self.on_threads(prepare)??;
@@ -144,7 +158,6 @@ impl Predictor {
         }
         self.tell_of_software(StageName::FeaturesOnDevice, stats);
         let prediction = self.on_threads(|| prepared.finish(hints.as_deref()))?;
-        self.tree = Some(tree);
         stats.stage(StageName::Features, start);
         for (name, n) in prediction.stats.counts() {
             stats.count(name, n);
@@ -152,24 +165,20 @@ impl Predictor {
         Ok(prediction)
     }
 
-    /// The tree for features, after checking them in this world.
-    pub(super) fn take_tree(&mut self, world: &World, class: &str, placed: &Arc<[PlacedFeature]>) -> Result<KnownTree> {
+    /// The tree for features, after checking them in this world. It is kept for the next prediction.
+    pub(super) fn known_tree(
+        &mut self,
+        world: &World,
+        class: &str,
+        placed: &Arc<[PlacedFeature]>,
+    ) -> Result<Arc<KnownTree>> {
         let known = self.tree.take().filter(|known| Arc::ptr_eq(&known.features, placed) && known.class == class);
-        let known = match known {
-            Some(known) if known.world == world.stamp() => return Ok(known),
-            known => known,
+        let tree = match known {
+            Some(known) if known.world == world.stamp() => known,
+            known => Arc::new(KnownTree::new(world, class, placed, known.and_then(Arc::into_inner))?),
         };
-        check_placed(world.environment(), placed)?;
-        // The continuation of a surface into others depends on where these are.
-        let known = known.filter(|known| known.contours.is_empty());
-        let (tree, contours) = match known {
-            Some(known) => (known.tree, known.contours),
-            None => {
-                let contours = ContourSet::new(world, class, placed)?;
-                (FeatureTree::new(placed, &contours), contours)
-            }
-        };
-        Ok(KnownTree { features: placed.clone(), world: world.stamp(), class: class.to_owned(), tree, contours })
+        self.tree = Some(tree.clone());
+        Ok(tree)
     }
 
     /// Adds regions of interest.

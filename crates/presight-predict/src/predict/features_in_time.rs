@@ -7,12 +7,12 @@ use presight_features::{
     BoxOptions, BoxQuery, FeaturePrediction, FeatureSettings, Hidden, PlacedFeature, PlacedFeatures, PreparedFeatures,
     SeenFeature, add_boxes,
 };
+use presight_model::clock::Instant;
 use presight_model::error::Result;
 use presight_render::cost::DeadlineFrame;
 use presight_render::deadline::Priority;
 use presight_render::plan::{Images, Stats};
 use std::collections::HashMap;
-use std::time::Instant;
 
 impl Predictor {
     /// Predicts as many features with their regions as time allows. The CPU does it, because a device cannot stop.
@@ -30,8 +30,8 @@ impl Predictor {
         let settings = FeatureSettings { is_partial, hidden: Hidden::Full, ..settings(request) };
         let all = &placed.features;
         let has_contours = all.iter().any(|p| p.feature.shape.is_contour());
-        let tree = has_contours.then(|| self.take_tree(world, &sensor.spec().class, all)).transpose()?;
-        let known = tree.as_ref().map(KnownTree::parts);
+        let tree = has_contours.then(|| self.known_tree(world, &sensor.spec().class, all)).transpose()?;
+        let known = tree.as_deref().map(KnownTree::parts);
         let prepared = PreparedFeatures::new(world, sensor, world_from_sensor, images, (all, known), &settings)?;
         let lengths = self.on_threads(|| prepared.image_lengths())?;
         let order = rank(all, &request.priority, &lengths);
@@ -83,4 +83,51 @@ fn rank(placed: &[PlacedFeature], priority: &Priority, lengths: &[f64]) -> Vec<u
     let mut order: Vec<usize> = (0..placed.len()).collect();
     order.sort_by(|a, b| rank(a).cmp(&rank(b)).then(lengths[*b].total_cmp(&lengths[*a])));
     order
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Backend, Options};
+    use glam::{DVec3, Vec3};
+    use presight_features::generate::{FeatureKind, GenerateOptions, generate};
+    use presight_features::{FeatureOptions, place};
+    use presight_model::environment::NewObject;
+    use presight_model::geometry::Pose;
+    use presight_model::world::World;
+    use presight_testkit::scenes;
+    use std::sync::Arc;
+    use std::time::Duration;
+
+    /// An upright prism of 24 sides, which has contours, 4 m ahead.
+    fn post() -> World {
+        let corner = |side: u32, z: f64| {
+            let (sin, cos) = (std::f64::consts::TAU / 24.0 * f64::from(side % 24)).sin_cos();
+            DVec3::new(0.3 * cos, 0.3 * sin, z).as_vec3()
+        };
+        let side = |k: u32| vec![corner(k, 0.0), corner(k + 1, 0.0), corner(k + 1, 2.0), corner(k, 2.0)];
+        let sides: Vec<Vec<Vec3>> = (0..24).map(side).collect();
+        let mut environment = scenes::empty();
+        let pose = Pose { translation: DVec3::new(4.0, 0.0, -1.0), ..Pose::IDENTITY };
+        environment.insert(NewObject::new("post", pose, Arc::new(scenes::mesh(&sides)))).unwrap();
+        World::new(environment)
+    }
+
+    /// Contours and their tree take long to build, which must not happen within every deadline.
+    #[test]
+    fn contours_are_built_once_for_predictions_with_a_deadline() {
+        let world = post();
+        let options = GenerateOptions { kinds: vec![FeatureKind::Contour], ..GenerateOptions::default() };
+        let placed = place(&world, &generate(world.environment(), "video", &options).unwrap().layer).unwrap();
+        assert!(placed.iter().any(|p| p.feature.shape.is_contour()));
+        let request = Request::default()
+            .with_features(FeatureOptions::default().with_placed(placed))
+            .with_deadline(Duration::from_secs(3600));
+        let mut predictor = Predictor::new(Options::new(Backend::Cpu)).unwrap();
+        let mut tree_after = || {
+            predictor.predict(&world, &scenes::camera(64, 48), &Pose::IDENTITY, &request).unwrap();
+            predictor.tree.clone().expect("the tree is kept")
+        };
+        assert!(Arc::ptr_eq(&tree_after(), &tree_after()));
+    }
 }

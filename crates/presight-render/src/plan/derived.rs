@@ -11,11 +11,11 @@
 
 use super::{FramePlan, IdScheme, Images, Instance, Output, Outputs, PolygonsOfIds, StageName, Stats};
 use glam::{DMat3, DVec3};
+use presight_model::clock::Instant;
 use presight_model::environment::Mesh;
 use presight_model::error::Result;
 use presight_model::memory;
 use std::collections::HashMap;
-use std::time::Instant;
 
 impl FramePlan {
     /// The images that engines fill: the requested ones, and those needed to derive others.
@@ -40,7 +40,7 @@ impl FramePlan {
     /// on images that hold [`FramePlan::drawn`]. Without `echo` and `normal` it costs nothing.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::System`] if there is no memory for the derived images.
+    /// [`presight_model::ErrorKind::System`] if there is no memory for the derived images.
     pub fn finish(&self, images: &mut Images) -> Result<()> {
         self.derive(images, |_, _| {})
     }

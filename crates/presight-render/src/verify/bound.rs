@@ -37,8 +37,8 @@
 //! times |v|), the ray's own rounding, 8 eps, and the span's: a fixed fraction of the angle between neighbouring rays
 //! ([`Precision::pixel_fraction`]).
 //!
-//! **Dent.** A corner may turn inwards by as much as [`Mesh::new`](crate::Mesh::new) accepts. The cone of such a
-//! polygon is the part within all its edges' planes, which cuts off the areas beyond the sides of the dent. The cut
+//! **Dent.** A corner may turn inwards by as much as [`Mesh::new`](presight_model::Mesh::new) accepts. The cone of such
+//! a polygon is the part within all its edges' planes, which cuts off the areas beyond the sides of the dent. The cut
 //! reaches no farther from an edge's plane than the corner farthest beyond it.
 
 use crate::reference::{Edge, Face, UNIT_ROUNDOFF};
@@ -81,7 +81,6 @@ impl Precision {
     }
 
     /// Factor for comparisons of already rounded ranges with each other and with the limits.
-    #[doc(hidden)]
     pub fn limit_slack(self) -> f64 {
         1.0 + self.output_ulps() * f64::from(f32::EPSILON)
     }

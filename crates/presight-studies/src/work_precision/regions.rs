@@ -12,6 +12,7 @@ use presight_features::roi::RoiFlag;
 use presight_features::{
     BoxMethod, BoxOptions, BoxQuery, FeaturePrediction, PlacedFeature, SeenFeature, VisibleInterval,
 };
+use presight_model::clock::Instant;
 use presight_model::environment::FeatureShape;
 use presight_model::error::Result;
 use presight_model::geometry::Pose;
@@ -22,7 +23,6 @@ use presight_predict::engine::add_boxes;
 use presight_render::plan::{CountName, StageName, Stats};
 use rayon::prelude::*;
 use std::f64::consts::TAU;
-use std::time::Instant;
 
 /// Standard deviations of the pose: metres, degrees.
 const POSE_ERRORS: [(f64, f64); 3] = [(0.01, 0.3), (0.1, 3.0), (0.2, 8.0)];

@@ -13,11 +13,11 @@ use super::fault::Fault;
 use super::random::Random;
 use super::shape::Shape;
 use super::studio::Studio;
+use presight_model::clock::Instant;
 use presight_model::geometry::Pose;
 use rhai::{Dynamic, Engine, EvalAltResult, NativeCallContext};
 use std::any::TypeId;
 use std::rc::Rc;
-use std::time::Instant;
 
 /// A heading and its part of the table.
 type Section = (&'static str, &'static [Function]);

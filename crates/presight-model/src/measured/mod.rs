@@ -71,7 +71,7 @@ impl Motion {
     /// # Examples
     /// ```
     /// use presight::Pose;
-    /// use presight::frame::{Motion, OdometryNoise};
+    /// use presight::measured::{Motion, OdometryNoise};
     /// let ahead = Pose::from_xyz_rpy(glam::DVec3::X, 0.0, 0.0, 0.0);
     /// let motion = Motion::of_odometry(ahead, &OdometryNoise { way: 0.1, least: 0.02, ..OdometryNoise::default() });
     /// assert!((motion.covariance[0][0].sqrt() - 0.12).abs() < 1e-12); // 10 cm of 1 m, and 2 cm
@@ -90,7 +90,7 @@ impl Motion {
 ///
 /// # Examples
 /// ```
-/// use presight::frame::{Frame, Measurement};
+/// use presight::measured::{Frame, Measurement};
 /// let scanner = presight::preset("laser-scanner")?; // 361 beams
 /// let frame = Frame::new(0.0, scanner.clone(), Measurement::Range(vec![2.0; 361]))?;
 /// assert_eq!(frame.ranges()[180], 2.0);
@@ -151,7 +151,7 @@ impl Frame {
     ///
     /// # Examples
     /// ```
-    /// use presight::frame::{Frame, GreyImage, Measurement};
+    /// use presight::measured::{Frame, GreyImage, Measurement};
     /// let scanner = presight::preset("laser-scanner")?;
     /// let frame = Frame::new(0.0, scanner, Measurement::Range(vec![2.0; 361]))?;
     /// let bright = (0..361).map(|i| if i == 180 { 1.0 } else { 0.2 });

@@ -39,7 +39,7 @@ pub enum WorldFrame {
 /// A pose from outside, with its conventions.
 ///
 /// ```
-/// use presight::frames::{ExternalPose, PoseOf};
+/// use presight::files::{ExternalPose, PoseOf};
 /// use presight::{Pose, Scene};
 /// use glam::DVec3;
 /// let scene = Scene::open("scenes/room.glb")?;
@@ -92,16 +92,16 @@ impl ExternalPose {
     /// Checks that the conventions fit together.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] for the optical axes of a robot.
+    /// [`presight_model::ErrorKind::Usage`] for the optical axes of a robot.
     pub fn check(&self) -> Result<()> {
         if self.of == PoseOf::Robot && self.frame == PoseFrame::Optical {
-            let remedy = "drop --pose-frame optical, or give the pose of the sensor";
-            return Err(Error::usage("--pose-of robot: a robot has no optical frame", remedy));
+            let remedy = "drop `PoseFrame::Optical`, or give the pose of the sensor";
+            return Err(Error::usage("`PoseOf::Robot`: a robot has no optical frame", remedy));
         }
         Ok(())
     }
 
-    /// The sensor's pose in presight's world, body axes. `world_from_gltf` is [`crate::Scene::world_from_gltf`].
+    /// The sensor's pose in presight's world, body axes. `world_from_gltf` is `Scene::world_from_gltf`.
     ///
     /// # Errors
     /// Errors of [`ExternalPose::check`].
