@@ -26,13 +26,10 @@ const ASIDE: (f64, f64) = (1.0, 2.5);
 /// # Examples
 /// ```
 /// use presight::simulate::displace;
-/// use presight::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
+/// use presight::environment::Environment;
 /// use presight::{Pose, World};
 /// let mut environment = Environment::new();
-/// let paint = environment.add_material(Material::named("paint"))?;
-/// let corners = [glam::Vec3::ZERO, glam::Vec3::X, glam::Vec3::Y].to_vec();
-/// let mesh = Mesh::new("sign", corners, vec![Polygon::new(vec![0, 1, 2], paint)], PolygonOrder::Given)?;
-/// environment.insert(NewObject::new("sign", Pose::IDENTITY, mesh.into()))?;
+/// environment.add_cuboid("crate", Pose::IDENTITY, glam::DVec3::ONE)?;
 /// let mut world = World::new(environment);
 /// displace(&mut world, 0.01, 7)?;
 /// let moved = world.environment().objects()[0].world_from_object.translation;

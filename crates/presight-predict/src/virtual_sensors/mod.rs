@@ -211,16 +211,13 @@ impl VirtualSensor {
     ///
     /// ```
     /// use presight::virtual_sensors::{Answer, Settings, View, VirtualSensor};
-    /// use presight::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
-    /// use presight::Options;
-    /// use presight::{Pose, Predictor, Request, World};
+    /// use presight::environment::Environment;
+    /// use presight::{Options, Pose, Predictor, Request, World};
+    /// use glam::DVec3;
     /// // A wall 2 m ahead of a radar, 4 m wide.
     /// let mut environment = Environment::new();
-    /// let paint = environment.add_material(Material::named("paint"))?;
-    /// let corners = [[2.0, -2.0, -1.0], [2.0, -2.0, 1.0], [2.0, 2.0, 1.0], [2.0, 2.0, -1.0]].map(glam::Vec3::from);
-    /// let face = Polygon::new(vec![0, 1, 2, 3], paint);
-    /// let mesh = Mesh::new("wall", corners.to_vec(), vec![face], PolygonOrder::Given)?;
-    /// environment.insert(NewObject::new("wall", Pose::IDENTITY, mesh.into()))?;
+    /// let centre = Pose::from_xyz_rpy(DVec3::new(2.05, 0.0, 0.0), 0.0, 0.0, 0.0);
+    /// environment.add_cuboid("wall", centre, DVec3::new(0.1, 4.0, 2.0))?;
     /// let world = World::new(environment);
     ///
     /// let (radar, task) = (presight::preset("microwave-radar-scan")?, VirtualSensor::RadarLines);
