@@ -84,7 +84,7 @@ const STACK: usize = 256 << 20;
 /// them.
 ///
 /// # Errors
-/// [`Invalid`](presight_model::error::ErrorKind::Invalid) with file, line, column, call and remedy for a script that is missing, not UTF-8 or not Rhai,
+/// [`crate::ErrorKind::Invalid`] with file, line, column, call and remedy for a script that is missing, not UTF-8 or not Rhai,
 /// calls a function wrongly, exceeds a limit, or fails a `require`. As [`crate::io::gltf::import`] for models that it
 /// imports.
 pub fn load(path: impl AsRef<Path>, options: &ImportOptions, say: &mut dyn FnMut(&str)) -> Result<ImportedScene> {
@@ -104,7 +104,7 @@ pub fn load(path: impl AsRef<Path>, options: &ImportOptions, say: &mut dyn FnMut
 /// ```
 ///
 /// # Errors
-/// As [`load`]; [`Invalid`](presight_model::error::ErrorKind::Invalid) if the script imports a file.
+/// As [`load`]; [`crate::ErrorKind::Invalid`] if the script imports a file.
 pub fn load_bytes(
     name: impl AsRef<Path>,
     bytes: &[u8],
