@@ -84,9 +84,9 @@ const STACK: usize = 256 << 20;
 /// them.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] with file, line, column, call and remedy for a script that is missing, not UTF-8 or not Rhai,
-/// calls a function wrongly, exceeds a limit, or fails a `require`. As [`crate::io::gltf::import`] for models that it
-/// imports.
+/// [`crate::ErrorKind::Invalid`] with file, line, column, call and remedy for a script that is missing, not UTF-8 or
+/// not Rhai, calls a function wrongly, exceeds a limit, or fails a `require`. As [`crate::io::gltf::import`] for models
+/// that it imports.
 pub fn load(path: impl AsRef<Path>, options: &ImportOptions, say: &mut dyn FnMut(&str)) -> Result<ImportedScene> {
     load_from(path.as_ref(), None, options, say)
 }
