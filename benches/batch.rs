@@ -1,19 +1,20 @@
-//! Batches beside single predictions: `cargo bench --bench batch [-- FOLDER]`.
+//! Compares batches with single predictions: `cargo bench --bench batch [-- FOLDER]`.
 //!
-//! - A real scan weighed at 360 headings of many places of its map, by pose; the panoramas are counted.
-//! - Peak memory after 1,000 poses and after 100,000 (Linux).
-//! - A sensed image weighed at free poses of two scenes (`PRESIGHT_POSES`, default 1000), by the batch and by single predictions
-//!   of range and cos_incidence with the weighing after each.
+//! - Weighs a real scan at 360 headings of many places of its map, per pose; the time for the panoramas is included.
+//! - Measures peak memory after 1,000 poses and after 100,000 (Linux).
+//! - Weighs a measured image at free poses of two scenes (`PRESIGHT_POSES`, default 1000) by a batch, and by single
+//!   predictions of range and cos_incidence that are weighed afterwards.
 //!
-//! `PRESIGHT_GPU=1` takes the GPU engine. Data: `PRESIGHT_DATA`, default `../shared/data`. `PRESIGHT_THREADS`, default 2. With a FOLDER the poses are written there as
-//! SCENE.tum, for `benches/peers/batch.py`.
+//! `PRESIGHT_GPU=1` selects the GPU engine. Data: `PRESIGHT_DATA`, default `../shared/data`. `PRESIGHT_THREADS`,
+//! default 2. With a FOLDER the bench writes the poses to SCENE.tum in it, for `benches/peers/batch.py`.
 
 #![allow(missing_docs, reason = "a bench has no interface")]
-#![allow(clippy::print_stdout, reason = "the table is what it is for")]
+#![allow(clippy::print_stdout, reason = "a bench prints a table")]
 
 use presight_files::gltf::{ImportOptions, import};
 use presight_files::log;
 use presight_model::geometry::Pose;
+use presight_model::measured::{Frame, Measurement};
 use presight_model::sensor::{Noise, Sensor, SensorSpec};
 use presight_model::world::World;
 use presight_predict::batch::{BatchRequest, Headings, PoseCell, RangeLikelihood};
@@ -45,12 +46,16 @@ fn predictor() -> Predictor {
     Predictor::new(Options::new(backend).with_threads(threads)).expect("an engine")
 }
 
-fn noisy(spec: &SensorSpec) -> Sensor {
-    let noise = Noise { range_sigma: 0.03, angle_sigma: 2e-3, ..Noise::default() };
-    Sensor::new(spec.clone().with_noise(noise)).expect("a sound sensor")
+fn frame_of(sensor: &Sensor, ranges: Vec<f32>) -> Frame {
+    Frame::new(0.0, sensor.clone(), Measurement::Range(ranges)).expect("a sound scan")
 }
 
-/// The least of some times, milliseconds.
+fn noisy(spec: &SensorSpec) -> Sensor {
+    let noise = Noise { range_sigma: 0.03, angle_sigma: 2e-3, ..Noise::default() };
+    Sensor::new(spec.clone().with_noise(noise)).expect("a valid sensor")
+}
+
+/// The smallest of several times, in milliseconds.
 fn least(times: usize, mut run: impl FnMut()) -> f64 {
     let time = |()| {
         let start = Instant::now();
@@ -60,12 +65,12 @@ fn least(times: usize, mut run: impl FnMut()) -> f64 {
     std::iter::repeat_n((), times).map(time).fold(f64::INFINITY, f64::min)
 }
 
-/// A scan of the Malaga run at all headings of places 0.25 m apart near the map's walls.
+/// Weighs a scan of the Malaga run at all headings of places 0.25 m apart near the map's walls.
 fn malaga() {
     let world = world("lidar2d/malaga_corridor_map.glb");
     let log = log::open(&data("lidar2d/malaga_corridor_run_scans.json")).expect("the log opens");
     let sensor = noisy(log.sensor().spec());
-    let frame = log.map(|frame| frame.expect("a sound frame")).nth(10).expect("eleven frames");
+    let frame = log.map(|frame| frame.expect("a valid frame")).nth(10).expect("eleven frames");
     let headings = Headings::new(&sensor, 360).expect("a step of half a degree");
     let bounds = world.environment().bounds();
     let mut places = Vec::new();
@@ -78,24 +83,24 @@ fn malaga() {
         }
         at.y += 0.25;
     }
-    // Spread over the whole map.
+    // Places spread over the whole map.
     let every = places.len() as f64 / 3714.0;
     let places: Vec<Pose> = (0..3714).map(|i| places[(i as f64 * every) as usize]).collect();
     let beams = frame.range.iter().filter(|r| r.is_finite()).count();
     let cell = PoseCell { side: 0.25, turn: 1f64.to_radians() };
-    let sensed = RangeLikelihood::new(&sensor, frame.range, cell).expect("a sound scan");
+    let sensed = RangeLikelihood::new(&frame_of(&sensor, frame.range), cell).expect("a valid scan");
     let request = BatchRequest { likelihood: Some(sensed), headings: Some(headings), ..BatchRequest::default() };
     let mut predictor = predictor();
     let mut cut_ms = 0.0;
     let mut best = f32::NEG_INFINITY;
     let ms = least(5, || {
-        // Another version of the world each time: the cut is counted.
+        // Each run gets another version of the world, so that the cut through it is computed each time.
         let world = world.reindexed(presight_model::index::Scheme::default(), Default::default());
-        let batch = predictor.batch(&world, &sensor, places.clone(), &request).expect("a sound request");
+        let batch = predictor.batch(&world, &sensor, places.clone(), &request).expect("a valid request");
         best = batch.flat_map(|item| item.expect("a place").headings).fold(f32::NEG_INFINITY, f32::max);
     });
     let first = least(5, || {
-        let batch = predictor.batch(&world, &sensor, places[..1].to_vec(), &request).expect("a sound request");
+        let batch = predictor.batch(&world, &sensor, places[..1].to_vec(), &request).expect("a valid request");
         cut_ms += batch.count() as f64;
     });
     let poses = places.len() * 360;
@@ -113,11 +118,12 @@ fn scene(name: &str, preset: &str, poses: &[Pose], world: &World) {
     let asked = Request::of(outputs);
     let mut images = Images::default();
     predictor.predict_images(world, &sensor, &poses[0], &asked, &mut images).expect("it predicts");
-    let sensed = RangeLikelihood::new(&sensor, images.range.clone(), PoseCell::default()).expect("a sound image");
+    let sensed =
+        RangeLikelihood::new(&frame_of(&sensor, images.range.clone()), PoseCell::default()).expect("a valid image");
     let request = BatchRequest { likelihood: Some(sensed.clone()), ..BatchRequest::default() };
     let mut sums = [0.0, 0.0];
     let batch = least(3, || {
-        let items = predictor.batch(world, &sensor, poses.to_vec(), &request).expect("a sound request");
+        let items = predictor.batch(world, &sensor, poses.to_vec(), &request).expect("a valid request");
         sums[0] = items.map(|item| item.expect("a pose").log_likelihood.unwrap_or(0.0)).sum();
     });
     let single = least(3, || {
@@ -136,16 +142,16 @@ fn scene(name: &str, preset: &str, poses: &[Pose], world: &World) {
     );
 }
 
-/// What a pose's image takes by stage, and how much it does, on average.
+/// Prints the average time of each stage and the average counts for a pose's image.
 fn stages(name: &str, preset: &str, poses: &[Pose], world: &World) {
     let sensor = noisy(presight_files::preset(preset).expect("a preset").spec());
     let mut predictor = predictor();
     let range = vec![2.0; (sensor.width() * sensor.height()) as usize];
-    let sensed = RangeLikelihood::new(&sensor, range, PoseCell::default()).expect("a sound image");
+    let sensed = RangeLikelihood::new(&frame_of(&sensor, range), PoseCell::default()).expect("a valid image");
     let request = BatchRequest { likelihood: Some(sensed), statistics: true, ..BatchRequest::default() };
     let (mut times, mut counts) = (BTreeMap::new(), BTreeMap::new());
-    for item in predictor.batch(world, &sensor, poses.to_vec(), &request).expect("a sound request") {
-        let stats = item.expect("a pose").stats.expect("they are asked for");
+    for item in predictor.batch(world, &sensor, poses.to_vec(), &request).expect("a valid request") {
+        let stats = item.expect("a pose").stats.expect("statistics were requested");
         for (stage, ms) in stats.stages_ms {
             *times.entry(stage.to_string()).or_insert(0.0) += 1e3 * ms / poses.len() as f64;
         }
@@ -156,13 +162,13 @@ fn stages(name: &str, preset: &str, poses: &[Pose], world: &World) {
     println!("{name}, {preset}, by pose: microseconds {times:.1?}, counts {counts:.0?}");
 }
 
-/// The most memory of this process so far, KiB.
+/// The peak memory of this process so far, in KiB.
 fn peak() -> Option<f64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?.trim().strip_suffix(" kB")?.trim().parse().ok()
 }
 
-/// Images and weights of few poses, then of many: a batch may hold no more for these.
+/// Measures memory after few poses and after many: images and weights of a longer batch must need no more.
 fn memory() {
     let world = world("env/factory_hall.glb");
     let sensor = noisy(presight_files::preset("laser-scanner").expect("a preset").spec());
@@ -170,13 +176,13 @@ fn memory() {
     let range = vec![2.0; 361];
     let request = BatchRequest {
         images: Some(Outputs::of(&[Output::Range]).into()),
-        likelihood: Some(RangeLikelihood::new(&sensor, range, PoseCell::default()).expect("a sound image")),
+        likelihood: Some(RangeLikelihood::new(&frame_of(&sensor, range), PoseCell::default()).expect("a valid image")),
         ..BatchRequest::default()
     };
     let mut predictor = predictor();
     let mut run = |count: usize| {
         let turned = |i: usize| place * Pose::from_xyz_rpy(glam::DVec3::ZERO, 0.0, 0.0, i as f64);
-        let batch = predictor.batch(&world, &sensor, (0..count).map(turned), &request).expect("a sound request");
+        let batch = predictor.batch(&world, &sensor, (0..count).map(turned), &request).expect("a valid request");
         assert_eq!(batch.inspect(|item| assert!(item.is_ok(), "a pose")).count(), count);
         peak()
     };
@@ -205,7 +211,7 @@ fn main() {
             }
             std::fs::write(folder.join(format!("{name}.tum")), text).expect("the poses are written");
         }
-        // One-row scanners stand level on a robot, all at one height.
+        // One-row scanners are level on a robot, all at one height.
         let height = poses[0].translation.z;
         let yaw = |pose: &Pose| Pose::from_xyz_rpy(pose.translation.with_z(height), 0.0, 0.0, pose.rpy().2);
         let level: Vec<Pose> = poses.iter().map(yaw).collect();

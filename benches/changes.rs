@@ -1,7 +1,7 @@
-//! What a change of the world costs: `cargo bench --bench changes -- [SCENE]..` (default: `scenes/room.glb`).
+//! Measures the time of a change of the world: `cargo bench --bench changes -- [SCENE]..` (default: `scenes/room.glb`).
 //!
-//! A move, and a group of two moves: before any prediction, after one by a predictor that lives on, and after one while a reader
-//! holds a clone of the world. Only the reader may cost a copy of objects and index: predictors keep nothing of a world.
+//! A move and a group of two moves, each before any prediction, after a prediction, and after one while a reader holds
+//! a clone of the world. Only the reader may cause a copy of objects and index: predictors keep no part of a world.
 
 #![allow(missing_docs, clippy::print_stdout, reason = "a program that prints figures")]
 
@@ -16,7 +16,7 @@ use std::time::Instant;
 
 const RUNS: usize = 201;
 
-/// Who saw the world before it changes.
+/// Who uses the world before it changes.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Before {
     Nobody,
@@ -29,7 +29,7 @@ fn median_us(mut times: Vec<f64>) -> f64 {
     times.get(times.len() / 2).copied().unwrap_or(f64::NAN) * 1e6
 }
 
-/// The objects at both ends of the list, moved to and fro.
+/// Moves the first and the last object of the list back and forth.
 fn moves(world: &World, step: f64) -> Vec<Change> {
     let objects = world.environment().objects();
     let ends = [objects.first(), objects.last()].into_iter().flatten();

@@ -1,12 +1,12 @@
-//! What the parts of a prediction cost on one thread of the CPU engine, beside what memory would allow: `cargo bench --bench cost
-//! [-- SCENE...]`, on a quiet machine.
+//! Estimates what each part of a prediction costs on one thread of the CPU engine, and compares it with the limit that
+//! memory sets: `cargo bench --bench cost [-- SCENE...]`, on a quiet machine.
 //!
-//! Stages are timed and their parts counted at free poses of each scene with each sensor, of five runs the fastest counts; the cost of
-//! each part is the one that explains the times of its stage best (least squares of relative errors, none negative). A part's bytes
-//! are those that it reads or writes for the first time.
+//! The bench times the stages and counts their parts at free poses of each scene with each sensor; the fastest of five
+//! runs counts. Part costs are the nonnegative least-squares fit to each stage's times, by relative error. A part's
+//! bytes are the bytes that it reads or writes for the first time.
 
 #![allow(missing_docs, reason = "a bench has no interface")]
-#![allow(clippy::print_stdout, reason = "the table is what it is for")]
+#![allow(clippy::print_stdout, reason = "a bench prints a table")]
 
 #[path = "common/scenes.rs"]
 mod scenes;
@@ -24,14 +24,14 @@ const SCENES: [&str; 4] = ["hospital", "factory_hall", "scenes/factory.rhai", sc
 const SENSORS: [&str; 5] =
     ["microwave-radar-image", "video-camera", "laser-range-camera", "microwave-radar-scan", "vlp-16"];
 
-/// A part of a stage: its name, the bytes it moves, and how many a frame has.
+/// A part of a stage: its name, the bytes that it moves, and its number in a frame.
 struct Part {
     name: &'static str,
     bytes: f64,
     count: fn(&Frame) -> f64,
 }
 
-/// Milliseconds by stage, and counts.
+/// The milliseconds of each stage, and the counts.
 struct Frame {
     selection: f64,
     stats: Stats,
@@ -48,7 +48,7 @@ impl Frame {
     }
 }
 
-/// A stage, what it takes, and its parts.
+/// A stage, its time, and its parts.
 type Stage = (&'static str, fn(&Frame) -> f64, Vec<Part>);
 
 fn stages() -> [Stage; 4] {
@@ -59,7 +59,7 @@ fn stages() -> [Stage; 4] {
             |f| f.selection,
             vec![
                 part("frame", 0.0, |_| 1.0),
-                // Its box, and the run that is made of it.
+                // The cluster's box, and the run made from it.
                 part("cluster selected", 80.0, |f| f.count(CountName::RunsSelected)),
             ],
         ),
@@ -78,7 +78,7 @@ fn stages() -> [Stage; 4] {
                 // Three corners, three vertices.
                 part("polygon passed", 48.0, |f| f.count(CountName::PolygonsPassed)),
                 part("polygon bounded", 0.0, |f| f.count(CountName::PolygonsBounded)),
-                // Plane read; planes, edges, bounds and what images show of it written.
+                // Reads the plane; writes planes, edges, bounds and the data for the images.
                 part("polygon set up", 190.0, |f| {
                     let left_out = f.count(CountName::PolygonsHidden) + f.count(CountName::PolygonsBetweenSamples);
                     f.count(CountName::PolygonsSetUp) + left_out
@@ -92,9 +92,9 @@ fn stages() -> [Stage; 4] {
                 part("span", 0.0, |f| f.count(CountName::Spans)),
                 // Depth and winner stay in the cache of a core.
                 part("sample drawn", 0.0, |f| f.count(CountName::SamplesTested)),
-                // Of each further wave.
+                // Read again in each further wave.
                 part("sample whose depth is looked at again", 0.0, |f| f.pixels * (f.count(CountName::Waves) - 1.0)),
-                // Depth and winner written and read, four images written and fetched before.
+                // Depth and winner are written and read; four images are written, and fetched before that.
                 part("pixel cleared and resolved", 64.0, |f| f.pixels),
             ],
         ),
@@ -108,11 +108,11 @@ fn measure(scene: &str) -> Vec<Frame> {
     let (mut images, mut frames, request) = (Images::default(), Vec::new(), Request::default());
     for name in SENSORS {
         let sensor = preset(name).expect("a preset");
-        let mut plan = FramePlan::new(&world, &sensor, &poses[0], &request).expect("a sound pose");
+        let mut plan = FramePlan::new(&world, &sensor, &poses[0], &request).expect("a valid pose");
         for pose in &poses {
             let mut one = || {
                 let start = Instant::now();
-                plan.renew(&world, &sensor, pose, &request).expect("a sound pose");
+                plan.renew(&world, &sensor, pose, &request).expect("a valid pose");
                 let selection = start.elapsed().as_secs_f64() * 1e3;
                 let mut stats = Stats::default();
                 engine.render(&plan, &mut images, &mut stats).expect("the engine renders");
@@ -128,7 +128,7 @@ fn measure(scene: &str) -> Vec<Frame> {
     frames
 }
 
-/// The solution of a small positive definite system.
+/// Solves a small positive definite system.
 fn solve(mut a: Vec<Vec<f64>>, mut b: Vec<f64>) -> Vec<f64> {
     let n = b.len();
     for k in 0..n {
@@ -147,7 +147,7 @@ fn solve(mut a: Vec<Vec<f64>>, mut b: Vec<f64>) -> Vec<f64> {
     b
 }
 
-/// The cost of each part, milliseconds; a part that would be negative costs nothing.
+/// The cost of each part, in milliseconds; negative costs are set to zero.
 fn fit(rows: &[(Vec<f64>, f64)]) -> Vec<f64> {
     let mut used: Vec<usize> = (0..rows[0].0.len()).collect();
     loop {
@@ -167,7 +167,7 @@ fn fit(rows: &[(Vec<f64>, f64)]) -> Vec<f64> {
     }
 }
 
-/// Nanoseconds a byte of memory read and of memory written, one thread.
+/// Nanoseconds for a byte of memory read and for one written, on one thread.
 fn memory() -> [f64; 2] {
     let mut large = vec![1u64; 32 << 20];
     let mut ns = [f64::INFINITY; 2];

@@ -1,4 +1,4 @@
-//! How deadlines are kept, on the CPU engine. Prints the figures of docs/deadline.md:
+//! Measures how well deadlines are kept. Prints the figures of benches/runs/2026-11-23-epyc/deadlines.md:
 //!
 //! ```sh
 //! cargo bench --bench deadline -- figures SCENE.glb [SENSOR] [FRAMES] [gpu] [busy|cpu-time]
@@ -6,8 +6,8 @@
 //! cargo bench --bench deadline -- drive SCENE.glb OUT.svg [SENSOR] [gpu] [busy|cpu-time]
 //! ```
 //!
-//! `busy` keeps one core busy by another process. `cpu-time` takes one thread and the process's CPU time in place of the clock's: what
-//! else the machine does then changes little. `gpu` takes the GPU engine on any adapter.
+//! `busy` keeps one core busy with another process. `cpu-time` uses one thread and the process's CPU time in place of
+//! the clock, which other work on the machine hardly changes. `gpu` selects the GPU engine on any adapter.
 
 #![allow(missing_docs, clippy::print_stdout, reason = "a program that prints figures")]
 
@@ -35,7 +35,7 @@ use std::time::Duration;
 
 type Outcome<T = ()> = Result<T, Box<dyn Error>>;
 
-/// A share of values that are no greater (nearest rank); NaN of none.
+/// The quantile of this share by nearest rank; NaN for an empty list.
 fn quantile(values: &[f64], share: f64) -> f64 {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
@@ -61,16 +61,16 @@ impl Clock for CpuTime {
     }
 }
 
-/// What is measured with.
+/// The options of a measurement.
 struct Setting {
     backend: Backend,
     by_cpu_time: bool,
-    /// Keeps a core busy as long as it is there.
+    /// Keeps a core busy until it is dropped.
     _busy: Option<Busy>,
 }
 
 impl Setting {
-    /// Takes its words from the end of the arguments.
+    /// Takes the option words off the end of the arguments.
     fn take(args: &mut Vec<String>) -> Outcome<Self> {
         let mut take = |word: &str| args.pop_if(|last| last == word).is_some();
         let (busy, by_cpu_time) = (take("busy"), take("cpu-time"));
@@ -95,7 +95,7 @@ impl Bench {
         Ok(Self { world, sensor, predictor, clock, threads })
     }
 
-    /// Milliseconds of one prediction from outside, and what it says.
+    /// Runs one prediction; returns its time in milliseconds and its statistics.
     fn frame(&mut self, pose: &Pose, deadline_ms: Option<f64>) -> (f64, presight_model::error::Result<Stats>) {
         let mut request = Request::default();
         request.deadline = deadline_ms.map(|ms| Duration::from_secs_f64(ms / 1e3));
@@ -104,7 +104,7 @@ impl Bench {
         (self.since(start), prediction.map(|p| p.stats))
     }
 
-    /// Samples that are not there under a deadline: all of them if it is refused.
+    /// The number of samples missing under a deadline: all of them if it is refused.
     fn lost(&mut self, pose: &Pose, deadline_ms: f64) -> f64 {
         match self.frame(pose, Some(deadline_ms)).1 {
             Ok(stats) => stats.degradation().map_or(0.0, |given_up| given_up.samples as f64),
@@ -112,7 +112,7 @@ impl Bench {
         }
     }
 
-    /// Milliseconds.
+    /// The milliseconds since `start`.
     fn since(&self, start: Duration) -> f64 {
         (self.clock.now() - start).as_secs_f64() * 1e3
     }
@@ -122,7 +122,7 @@ impl Bench {
     }
 }
 
-/// Another process that keeps a core busy as long as this is there.
+/// Another process that keeps a core busy until this is dropped.
 struct Busy(Child);
 
 impl Busy {

@@ -1,13 +1,15 @@
-//! What predicting features costs: `cargo bench --bench features [-- SCENE.. SENSOR.. --no-rays]`, prints a table of benches/RESULTS.md.
+//! Measures feature prediction: `cargo bench --bench features [-- SCENE.. SENSOR.. --no-rays]` prints a table for
+//! benches/RESULTS.md.
 //!
-//! *CPU engine* and *GPU engine* are features and regions of interest of 99 % together, after the images, on all threads.
-//! Times are those of the fastest of many runs on one thread: other work on the machine disturbs them least.
+//! *CPU engine* and *GPU engine* are the times of features and 99 % regions of interest together, after the images, on
+//! all threads. Each time is the fastest of many runs on one thread, the run that other work on the machine disturbs
+//! least.
 //!
-//! Edges generated from the model, cut into pieces of about 60 pixels of `video-camera` (512 x 512, the layer's class is
-//! `video` for all sensors), 2,000 of them (or as many as there are) at the first poses at which the scene is compared with Embree; sampled at half-pixel steps. Scenes:
-//! the hospital and the factory hall where `PRESIGHT_DATA` (default `../shared/data`) holds them.
+//! The features are edges generated from the model and cut into pieces of about 60 pixels of `video-camera` (512 x 512,
+//! the layer has class `video` for all sensors): 2,000 pieces, sampled at half-pixel steps, at the poses of the Embree
+//! comparison. Scenes: the hospital and the factory hall in `PRESIGHT_DATA` (default `../shared/data`).
 
-#![allow(clippy::print_stdout, clippy::print_stderr, reason = "its table is what it is for")]
+#![allow(clippy::print_stdout, clippy::print_stderr, reason = "a bench prints a table")]
 
 mod common;
 
@@ -46,7 +48,7 @@ fn main() {
         "| scene, pose, sensor, which | segments (seen) | samples | image space, ns a sample | rays, ns a sample | times as fast | us a region | CPU engine, ms | GPU engine, ms | image, ms |"
     );
     println!("|---|---|---|---|---|---|---|---|---|---|");
-    // All where none of a kind is named.
+    // Includes all of a kind if none of it is named.
     let is_asked =
         |name: &str, all: &[&str]| asked.iter().any(|a| a == name) || !asked.iter().any(|a| all.contains(&a.as_str()));
     for scene in SCENES {
@@ -119,7 +121,8 @@ fn measure(case: &str, sensor: &str, world: &World, pose: &Pose, placed: &[Place
     }
 }
 
-/// Milliseconds for features, and for features with regions of interest, after their images; `None` without the engine.
+/// The milliseconds for features, and for features with regions of interest, after their images; `None` without the
+/// engine.
 fn with_regions(
     options: Options,
     world: &World,
@@ -150,7 +153,7 @@ fn with_regions(
     Some(least)
 }
 
-/// Evenly chosen ones of too many; too few are repeated.
+/// An evenly spaced selection of a long list, or repetitions of a short one.
 fn sample(list: &[PlacedFeature]) -> Vec<PlacedFeature> {
     if list.len() < WANTED {
         return list.iter().cycle().take(WANTED).cloned().collect();
@@ -159,7 +162,7 @@ fn sample(list: &[PlacedFeature]) -> Vec<PlacedFeature> {
     (0..).map(|i| (f64::from(i) * step) as usize).take_while(|i| *i < list.len()).map(|i| list[i].clone()).collect()
 }
 
-/// Pieces of about the wanted length of all that is in the image, hidden or not.
+/// Cuts all features in the image, hidden or not, into pieces of about the wanted length.
 fn pieces(world: &World, sensor: &Sensor, pose: &Pose, placed: &[PlacedFeature]) -> Vec<PlacedFeature> {
     let sampler = Sampler::new(sensor);
     let image_from_world = (pose.rotation_matrix() * sensor.body_from_image()).transpose();

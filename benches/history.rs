@@ -1,5 +1,5 @@
-//! What a history-based frame costs: `cargo bench --bench history`. 500 features, predicted, found among others and corrected, on
-//! one thread; then the same for edges, and for features that are all in one place.
+//! Measures a history-based frame: `cargo bench --bench history`. 500 features are predicted, matched among others and
+//! corrected on one thread; then the same for edges, and for features that are all in one place.
 
 #![allow(missing_docs, reason = "criterion's macros make items without docs")]
 
@@ -27,13 +27,14 @@ impl Random {
 
 const FRAME: f64 = 0.05;
 
-/// What a scene shows of feature `i` at a place: `is_edge` tells which kind.
+/// Returns the shape of feature `i` at a place: an edge or a point, by `is_edge`.
 fn shape(at: DVec2, i: usize, is_edge: bool) -> Shape {
     let along = DVec2::from_angle(i as f64) * 30.0;
     if is_edge { Shape::Segment { ends: [at - along, at + along], corners: [false; 2] } } else { Shape::Point(at) }
 }
 
-/// A tracker that has seen ten frames, and what the next one's windows hold: each feature, and three false ones.
+/// Returns a tracker after ten frames, and the detections in the next frame's windows: each feature, and three false
+/// ones.
 fn scene(count: usize, clutter: usize, is_edge: bool, spread: f64) -> (Tracker, Vec<Detection>) {
     let mut random = Random(7);
     let places: Vec<DVec2> = (0..count).map(|_| DVec2::new(320.0, 240.0).lerp(random.at(), spread)).collect();
@@ -47,8 +48,8 @@ fn scene(count: usize, clutter: usize, is_edge: bool, spread: f64) -> (Tracker, 
         let covariances = vec![DMat2::IDENTITY; shape.points().len()];
         Seed { id: i as u32, shape, covariances, properties: properties(i), points_world: Vec::new() }
     };
-    let mut tracker = Tracker::new(TrackerOptions::new(ImageExtent::new(640, 480))).expect("options are sound");
-    tracker.seed(0.0, places.iter().enumerate().map(seed).collect()).expect("seeds are sound");
+    let mut tracker = Tracker::new(TrackerOptions::new(ImageExtent::new(640, 480))).expect("valid options");
+    tracker.seed(0.0, places.iter().enumerate().map(seed).collect()).expect("valid seeds");
     let mut frame = |time: f64, clutter: usize| {
         let mut found = Vec::new();
         for (i, at) in places.iter().enumerate() {

@@ -1,7 +1,8 @@
-//! The spatial indexes beside rivals, in one process: `cargo bench --bench index [-- query|build|move|size [--out DIR]]`.
-//! Rounds of all contenders alternate, the fastest round of each counts, and ratios are to the default index.
+//! Compares the spatial indexes with rivals in one process: `cargo bench --bench index [-- query|build|move|size [--out
+//! DIR]]`.
+//! The contenders' rounds alternate, the fastest round of each counts, and ratios are relative to the default index.
 
-#![allow(clippy::print_stdout, reason = "tables are what this program is for")]
+#![allow(clippy::print_stdout, reason = "the program prints tables")]
 
 use glam::{DVec2, DVec3, Vec3};
 use parry3d_f64::bounding_volume::Aabb as ParryBox;
@@ -33,7 +34,7 @@ impl Random {
     }
 }
 
-/// A machine of about 500 polygons: boxes in 2 x 2 x 2 m.
+/// A machine of about 500 polygons: boxes within 2 x 2 x 2 m.
 fn machine(random: &mut Random, polygons: usize) -> Arc<Mesh> {
     let (mut vertices, mut faces) = (Vec::new(), Vec::new());
     while faces.len() < polygons {
@@ -47,11 +48,11 @@ fn machine(random: &mut Random, polygons: usize) -> Arc<Mesh> {
         }
     }
     faces.truncate(polygons);
-    Arc::new(Mesh::new("machine", vertices, faces, PolygonOrder::Spatial).expect("boxes are sound"))
+    Arc::new(Mesh::new("machine", vertices, faces, PolygonOrder::Spatial).expect("valid boxes"))
 }
 
-/// A factory of that many polygons: machines of 20 kinds at any heading, 48 polygons a square metre, so that the paper's
-/// sector holds about 2,500 of them whatever the size. Each kind's mesh is shared, or copied where `own` is set.
+/// A factory of this many polygons: machines of 20 kinds at any heading, 48 polygons a square metre. The paper's sector
+/// holds about 2,500 of them at any size. Machines of a kind share a mesh, or have copies if `own` is set.
 fn factory(polygons: usize, own: bool) -> Environment {
     let mut random = Random(7);
     let kinds: Vec<Arc<Mesh>> = (0..20).map(|_| machine(&mut random, 500)).collect();
@@ -89,7 +90,7 @@ impl RTreeObject for Flat {
     }
 }
 
-/// rstar's tree asked with the same exact sector test, at nodes and at leaves.
+/// A query of rstar's tree with the same exact sector test at nodes and leaves.
 struct InSector(Sector, DVec2);
 
 impl SelectionFunction<Flat> for InSector {
@@ -112,10 +113,10 @@ fn parry_boxes(boxes: &[(u32, Aabb)]) -> Vec<ParryBox> {
     boxes.iter().map(|(_, b)| ParryBox::new(vector(b.min), vector(b.max))).collect()
 }
 
-/// One of the contenders: name, and a query that appends ids.
+/// A contender: its name, and a query that appends ids.
 type Contender<'a> = (&'static str, Box<dyn FnMut(&Query, &mut Vec<u32>) + 'a>);
 
-/// The paper's query somewhere.
+/// The paper's query at some place.
 struct Query {
     apex: DVec2,
     sector: Sector,
@@ -138,7 +139,7 @@ fn queries(side: f64, radius: f64, count: usize) -> Vec<Query> {
     (0..count).map(query).collect()
 }
 
-/// Microseconds of the fastest round of each contender, a query, and the ids that the last round found.
+/// The microseconds for a query in each contender's fastest round, and the ids found in the last round.
 fn race(contenders: &mut [Contender<'_>], queries: &[Query], rounds: usize) -> Vec<(f64, usize)> {
     let mut best = vec![(f64::INFINITY, 0); contenders.len()];
     let mut ids = Vec::new();
@@ -172,7 +173,7 @@ fn by_world<'a>(index: &'a WorldIndex, environment: &'a Environment) -> impl FnM
     move |q, ids| {
         found.clear();
         index.query(environment, &q.region, &mut found);
-        // Runs are as good as ids to a prediction; here they are written out, as all others do.
+        // Predictions can use the runs directly; here they are expanded to ids as for all other contenders.
         ids.extend(found.all());
     }
 }
@@ -239,7 +240,7 @@ fn query_bench() {
     }
 }
 
-/// What the second sector test costs: the same sector of any height, and between elevations of -10 and 10 degrees.
+/// Measures the second sector test: the same sector unbounded in height, and between elevations of -10 and 10 degrees.
 fn segments<'a>(
     environment: &'a Environment,
     indexes: &'a [(&'static str, Box<dyn SpatialIndex>)],
@@ -252,10 +253,10 @@ fn segments<'a>(
         .iter()
         .map(|q| {
             let pose = Pose { translation: q.apex.extend(1.0), ..Pose::IDENTITY };
-            // The same headings come again from the same seed.
+            // The same seed repeats the headings.
             let (_, _, heading) = (random.unit(), random.unit(), TAU * random.unit());
             let region =
-                Region::segment(&pose, heading, 60f64.to_radians(), (-0.1745, 0.1745), 10.0).expect("a sound pose");
+                Region::segment(&pose, heading, 60f64.to_radians(), (-0.1745, 0.1745), 10.0).expect("a valid pose");
             Query { region, ..*q }
         })
         .collect();
@@ -270,7 +271,7 @@ fn segments<'a>(
     }
 }
 
-/// Milliseconds of the fastest of some runs.
+/// The milliseconds of the fastest of several runs.
 fn fastest<T>(rounds: usize, mut run: impl FnMut() -> T) -> f64 {
     let mut best = f64::INFINITY;
     for _ in 0..rounds {
@@ -317,7 +318,7 @@ fn move_bench() {
     let path = data("hospital.glb");
     println!("\n## Moving an object of 500 polygons in the hospital\n");
     if !path.is_file() {
-        println!("SKIPPED: {} is not there", path.display());
+        println!("SKIPPED: {} is missing", path.display());
         return;
     }
     println!("| index | us a move, median of 2,000 |\n|---|---|");
@@ -334,7 +335,7 @@ fn move_bench() {
                 let start = Instant::now();
                 world
                     .apply(Change::MoveObject { name: "machine".into(), world_from_object: pose })
-                    .expect("it is there");
+                    .expect("the store exists");
                 start.elapsed().as_secs_f64() * 1e6
             })
             .collect();
@@ -356,7 +357,7 @@ fn size_bench(out: Option<&Path>) {
         let mut cells = Vec::new();
         let mut found = 0;
         for (curve, scheme) in curves.iter_mut().zip(schemes) {
-            // One at a time: ten million polygons have room once.
+            // One index at a time: memory holds ten million polygons only once.
             let index = WorldIndex::new(&environment, scheme, Params::tuned(scheme));
             let mut contenders: Vec<Contender<'_>> = vec![(scheme.name(), Box::new(by_world(&index, &environment)))];
             let (us, n) = race(&mut contenders, &queries, 10)[0];

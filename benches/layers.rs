@@ -1,15 +1,17 @@
-//! What the features of a whole layer cost beside an image: `cargo bench --bench layers [-- PART.. SENSOR..]`, tables in Markdown. Parts,
-//! all where none is named:
+//! Measures the features of a whole layer in relation to an image: `cargo bench --bench layers [-- PART.. SENSOR..]`
+//! prints tables in Markdown. Parts, all of them by default:
 //!
-//! - `hospital`, `stacked` (three copies of the hospital, one upon the other), `factory_hall`: all that is generated from the model,
-//!   contours included, at 20 free poses, hidden features counted, on all threads of each engine there is. Milliseconds: of each pose
-//!   the median of some runs, of these the median, and the worst.
-//! - `far`: a million features of which none is in view, the hospital's own again and again.
-//! - `load`: as many from a layer file and from a store, each in a process of its own, with its peak of memory (Linux).
+//! - `hospital`, `stacked` (three copies of the hospital, one above the other), `factory_hall`: all features generated
+//!   from the model, contours included, at 20 free poses, with hidden features counted, on all threads of each
+//!   available engine. The figures are milliseconds: the median over the poses of each pose's median run, and the worst
+//!   pose.
+//! - `far`: a million features, copies of the hospital's own, all out of view.
+//! - `load`: a million features from a layer file and from a store, each in its own process with its peak memory
+//!   (Linux).
 //!
 //! Scenes are in `PRESIGHT_DATA` (default `../shared/data`).
 
-#![allow(clippy::print_stdout, clippy::print_stderr, reason = "its tables are what it is for")]
+#![allow(clippy::print_stdout, clippy::print_stderr, reason = "a bench prints tables")]
 
 use glam::DVec3;
 use presight::Scene;
@@ -35,7 +37,7 @@ use std::time::Instant;
 const PARTS: [&str; 5] = ["hospital", "stacked", "factory_hall", "far", "load"];
 const SENSORS: [&str; 2] = ["video-camera", "microwave-radar-image"];
 const POSES: usize = 20;
-/// Of each pose.
+/// Runs at each pose.
 const RUNS: usize = 5;
 const MILLION: usize = 1_000_000;
 
@@ -73,7 +75,7 @@ fn scene(name: &str) -> Option<Environment> {
     Some(import(&path, &ImportOptions::default()).unwrap_or_else(|e| panic!("{e}")).environment)
 }
 
-/// Copies, one upon the other, a metre between them.
+/// Copies, one above the other, one metre apart.
 fn stacked(one: &Environment, copies: u32) -> Environment {
     let mut all = one.clone();
     let bounds = one.bounds();
@@ -94,7 +96,7 @@ fn made(environment: &Environment) -> FeatureLayer {
     generate(environment, "video", &GenerateOptions::default()).unwrap_or_else(|e| panic!("{e}")).layer
 }
 
-/// Features that are counted where they are hidden, with regions of interest for 1 cm and 0.5 degrees.
+/// A request that also counts hidden features, with regions of interest for 1 cm and 0.5 degrees.
 fn request(placed: impl Into<PlacedFeatures>, hidden: Hidden) -> Request {
     let turn = 7.6e-5f64.sqrt();
     let boxes = BoxOptions::default().with_sensor_sigmas([0.01, 0.01, 0.01, turn, turn, turn]);
@@ -102,7 +104,7 @@ fn request(placed: impl Into<PlacedFeatures>, hidden: Hidden) -> Request {
     Request::of(Outputs::of(&[Output::PolygonId])).with_features(features).with_regions(boxes)
 }
 
-/// Milliseconds of images, features and regions.
+/// The milliseconds of images, features and regions.
 fn stages(prediction: &Prediction) -> [f64; 3] {
     let mut sums = [0.0; 3];
     for (name, ms) in &prediction.stats.stages_ms {
@@ -126,7 +128,7 @@ fn beside_images(name: &str, world: &World, sensors: &[&str]) {
     let placed = PlacedFeatures::from(place(world, &made(world.environment())).unwrap_or_else(|e| panic!("{e}")));
     let poses = free_poses(world, POSES, 1995).expect("free poses");
     println!(
-        "\n| {name}, {} features | asked | seen | image, ms (worst) | features, ms (worst) | regions, ms (worst) | both, ms (worst) |",
+        "\n| {name}, {} features | requested | seen | image, ms (worst) | features, ms (worst) | regions, ms (worst) | both, ms (worst) |",
         placed.features.len()
     );
     println!("|---|---|---|---|---|---|---|");
@@ -159,7 +161,7 @@ fn beside_images(name: &str, world: &World, sensors: &[&str]) {
     }
 }
 
-/// The features of a layer again and again, with numbers of their own.
+/// Repeats the features of a layer under new ids.
 fn a_million(layer: &FeatureLayer) -> Vec<Arc<Feature>> {
     let numbered = |(id, feature): (u32, &Arc<Feature>)| Arc::new(Feature { id, ..Feature::clone(feature) });
     (1..).zip(layer.features.iter().cycle()).take(MILLION).map(numbered).collect()
@@ -168,7 +170,7 @@ fn a_million(layer: &FeatureLayer) -> Vec<Arc<Feature>> {
 fn far(world: World) {
     let layer = made(world.environment());
     let one = place(&world, &layer).unwrap_or_else(|e| panic!("{e}"));
-    // Each contour would be one surface more.
+    // Each contour would add a surface.
     let no_contour = one.into_iter().filter(|p| p.feature.shape.kind() != "contour").collect::<Vec<_>>();
     let mut placed: Vec<_> = no_contour.iter().cycle().take(MILLION).cloned().collect();
     (1..).zip(&mut placed).for_each(|(id, p)| Arc::make_mut(&mut p.feature).id = id);
@@ -225,7 +227,7 @@ fn in_a_process(name: &str, scene: &Path, layer: &Path) {
     println!("| {name} | {} |", String::from_utf8_lossy(&done.stdout).trim());
 }
 
-/// Opens a scene, places a layer or the scene's own, and prints what that took.
+/// Opens a scene, places the given layer or the scene's own, and prints the time and memory.
 fn open(scene: &Path, layer: &str) {
     let start = Instant::now();
     let scene = Scene::open(scene).unwrap_or_else(|e| panic!("{e}"));

@@ -1,8 +1,8 @@
-//! What each stage and shader variant costs, so that it is known what leaving it out saves:
-//! `cargo bench --bench left_out`, a table in Markdown. Every row is a prediction with something and one without, by
-//! turns in one process; the cost is the median of the differences, pair by pair. Scenes: the factory hall and the
-//! hospital where `PRESIGHT_DATA` (default `../shared/data`) holds them, else `scenes/room.glb`.
-#![expect(clippy::print_stdout, reason = "the table is the result")]
+//! Measures each stage and shader variant, and so the time saved by omitting it: `cargo bench --bench left_out` prints
+//! a table in Markdown. Every row compares a prediction with a stage and one without it, in turns in one process; the
+//! cost is the median of the differences within pairs. Scenes: the factory hall and the hospital in `PRESIGHT_DATA`
+//! (default `../shared/data`), or `scenes/room.glb` without them.
+#![expect(clippy::print_stdout, reason = "a bench prints a table")]
 
 use presight_features::generate::{GenerateOptions, generate};
 use presight_features::{BoxOptions, FeatureOptions, PlacedFeatures, place};
@@ -24,7 +24,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Pairs behind every median.
+/// The number of pairs for each median.
 const PAIRS: usize = 40;
 
 /// One side of a pair.
@@ -36,7 +36,7 @@ struct Side<'a> {
     after: After<'a>,
 }
 
-/// What follows the images.
+/// The stages after the images.
 #[derive(Clone, Copy)]
 enum After<'a> {
     Nothing,
@@ -77,13 +77,13 @@ fn median(mut times: Vec<f64>) -> f64 {
     times[times.len() / 2]
 }
 
-/// A row: both medians and that of the differences.
+/// A row: both medians and the median of the differences.
 fn row(what: &str, left_out_by: &str, pose: &Pose, with: &mut Side<'_>, without: &mut Side<'_>) {
     let (mut last, mut others) = (None, None);
     let mut all: [Vec<f64>; 3] = Default::default();
     for i in 0..PAIRS + 2 {
         let (a, b) = (with.run(pose, &mut last).0, without.run(pose, &mut others).0);
-        // The first ones warm up.
+        // The first pairs warm up.
         if i >= 2 {
             (0..3).for_each(|k| all[k].push([a, b, a - b][k]));
         }
@@ -118,15 +118,15 @@ fn scenes() -> Vec<Scene> {
     paths.into_iter().map(scene).collect()
 }
 
-/// The same with the last polygon of every mesh of another, one-sided material: each polygon's is looked at.
+/// The same world, but the last polygon of every mesh is one-sided: the materials of all polygons must be tested.
 fn mixed(world: &World) -> World {
     let environment = world.environment();
     let mut other = Environment::new();
     for material in environment.materials() {
-        other.add_material(material.clone()).expect("a sound material");
+        other.add_material(material.clone()).expect("a valid material");
     }
-    let name = "of which one side is seen";
-    let extra = other.add_material(Material { one_sided: true, ..Material::named(name) }).expect("a sound material");
+    let name = "one-sided";
+    let extra = other.add_material(Material { one_sided: true, ..Material::named(name) }).expect("a valid material");
     for object in environment.objects().iter().filter(|o| o.mesh.polygon_count() > 0) {
         let mesh = &object.mesh;
         let last = mesh.polygon_count() as u32 - 1;
@@ -139,13 +139,13 @@ fn mixed(world: &World) -> World {
     World::new(other)
 }
 
-/// The sensor with a lens that bends by less than a rounding, but is a lens.
+/// The sensor with a lens whose distortion is smaller than rounding but requires the ray table.
 fn bent(sensor: &Sensor) -> Sensor {
     let mut spec: SensorSpec = sensor.spec().clone();
     if let Geometry::Camera(camera) = &mut spec.geometry {
         camera.distortion = Distortion::PlumbBob([1e-12, 0.0, 0.0, 0.0, 0.0]);
     }
-    Sensor::new(spec).expect("a sound sensor")
+    Sensor::new(spec).expect("a valid sensor")
 }
 
 fn of(outputs: &[Output]) -> Outputs {
@@ -161,7 +161,7 @@ fn side<'a>(
     Side { predictor, world: &scene.world, sensor, outputs, after }
 }
 
-/// Rows that every engine has.
+/// The rows that every engine has.
 fn table(scene: &Scene, open: &dyn Fn() -> Predictor) {
     let sensor = preset("video-camera").expect("a preset");
     let (mut first, mut second) = (open(), open());
@@ -172,13 +172,13 @@ fn table(scene: &Scene, open: &dyn Fn() -> Predictor) {
     for output in [Output::DepthZ, Output::PolygonId, Output::ObjectId, Output::CosIncidence, Output::Echo] {
         let with = &mut side(&mut first, scene, &sensor, (range.with(output), After::Nothing));
         let without = &mut side(&mut second, scene, &sensor, (range, After::Nothing));
-        row(&format!("{} image besides range", output.name()), "requests that do not ask for it", pose, with, without);
+        row(&format!("{} image in addition to range", output.name()), "requests without it", pose, with, without);
     }
     let features = format!("features ({})", scene.placed.features.len());
     let placed = &scene.placed;
     let rows = [
         (features.as_str(), "requests without a layer", After::Features(placed), After::Nothing),
-        ("feature_id image", "requests that do not ask for it", After::FeatureId(placed), After::Features(placed)),
+        ("feature_id image", "requests without it", After::FeatureId(placed), After::Features(placed)),
         ("regions of interest", "requests that show no boxes", After::Boxes(placed), After::Features(placed)),
     ];
     for (what, left_out_by, with, without) in rows {
@@ -191,7 +191,7 @@ fn table(scene: &Scene, open: &dyn Fn() -> Predictor) {
     let nothing = World::new(Environment::new());
     let (outputs, after) = (Outputs::default(), After::Nothing);
     let variants = [
-        ("every polygon's box looked at", "the index", &every, &sensor, &scene.world),
+        ("test of every polygon's box", "the index", &every, &sensor, &scene.world),
         ("material test per polygon", "scenes opaque to the class and two-sided", &mixed, &sensor, &scene.world),
         ("ray table", "pinhole cameras and scanners", &scene.world, &lens, &scene.world),
         ("everything that is in view", "views of nothing", &scene.world, &sensor, &nothing),
@@ -204,7 +204,7 @@ fn table(scene: &Scene, open: &dyn Fn() -> Predictor) {
     stages(&mut side(&mut first, scene, &sensor, (outputs, after)), pose);
 }
 
-/// Medians of the stages of one request, in one line.
+/// The median times of one request's stages, in one line.
 fn stages(side: &mut Side<'_>, pose: &Pose) {
     let mut last = None;
     let runs: Vec<Stats> = (0..PAIRS).map(|_| side.run(pose, &mut last).1).collect();
@@ -216,13 +216,13 @@ fn stages(side: &mut Side<'_>, pose: &Pose) {
     println!("\nStages with the four default images, ms: {}.", names.collect::<Vec<_>>().join(", "));
 }
 
-/// What the device could leave to the CPU, and what 64-bit atomics save.
+/// Stages that the device could leave to the CPU, and the saving of 64-bit atomics.
 #[cfg(feature = "gpu")]
 fn device(scene: &Scene) {
     use presight_predict::gpu::DeviceOptions;
     use presight_render::plan::FramePlan;
     let sensor = preset("video-camera").expect("a preset");
-    let plan = FramePlan::new(&scene.world, &sensor, &scene.pose, &Request::default()).expect("a sound pose");
+    let plan = FramePlan::new(&scene.world, &sensor, &scene.pose, &Request::default()).expect("a valid pose");
     let engine = |(without_int64, all_on_device)| {
         let options = DeviceOptions { without_int64, ..DeviceOptions::default() };
         testing::open(options, Setup { all_on_device, ..Setup::default() }).unwrap_or_else(|e| panic!("{e}"))

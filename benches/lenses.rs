@@ -1,12 +1,15 @@
-//! Cameras with lenses, fisheyes and ray tables beside a pinhole camera of as many pixels: `cargo bench --bench lenses [-- SCENE...]`.
+//! Compares cameras with lenses, fisheyes and ray tables with a pinhole camera of the same size: `cargo bench --bench
+//! lenses [-- SCENE...]`.
 //!
-//! Scenes are names of the shared data (`PRESIGHT_DATA`, default `../shared/data`), paths of `.glb` and `.rhai` files, or `open_hall`.
-//! `PRESIGHT_POSES` free poses (default 20), `PRESIGHT_ENGINE` cpu or gpu, `PRESIGHT_SENSORS` names, comma-separated, of these cameras and of
-//! presets. A row tells medians over the poses of the whole prediction (the least of three at each), selection included: its time, its ratio to the
-//! pinhole's, and the CPU time of the process, which holds on a busy machine on software adapters, too; and what the sensor's tables take.
+//! Scenes are names from the shared data (`PRESIGHT_DATA`, default `../shared/data`), paths of `.glb` and `.rhai`
+//! files, or `open_hall`. `PRESIGHT_POSES` is the number of free poses (default 20), `PRESIGHT_ENGINE` is cpu or gpu,
+//! and `PRESIGHT_SENSORS` selects these cameras and presets by name, separated by commas. A row has medians over the
+//! poses for the whole prediction, selection included (the fastest of three runs at each): its time, its ratio to the
+//! pinhole camera's, the CPU time of the process, which also holds on a busy machine with a software adapter, and the
+//! size of the sensor's tables.
 
 #![allow(missing_docs, reason = "a bench has no interface")]
-#![allow(clippy::print_stdout, reason = "the table is what it is for")]
+#![allow(clippy::print_stdout, reason = "a bench prints a table")]
 
 #[path = "common/cameras.rs"]
 mod cameras;
@@ -29,7 +32,7 @@ fn median(mut values: Vec<f64>) -> f64 {
     values[values.len() / 2]
 }
 
-/// Milliseconds at each pose, and those of the processor.
+/// The milliseconds at each pose by the clock and by CPU time.
 fn times(predictor: &mut Predictor, world: &World, sensor: &Sensor, poses: &[Pose]) -> [Vec<f64>; 2] {
     let request = Request::default();
     let mut one = |pose: &Pose| {

@@ -1,7 +1,7 @@
-//! Opening the stored hospital as a command does, once in a process, beside what it cannot do without: reading the
-//! file's bytes, and building the index. Processes take turns; each measures one of the three, its threads started before.
-//! In a loop, where caches and memory stay warm, `store` measures the same.
-#![expect(clippy::print_stdout, reason = "its figures are what it is for")]
+//! Opens the stored hospital as a command does, once in a process, and compares that with its indispensable parts:
+//! reading the file's bytes, and building the index. Processes take turns; each measures one of the three with its
+//! threads started before. The bench `store` measures the same in a loop, with warm caches and memory.
+#![expect(clippy::print_stdout, reason = "a bench prints its figures")]
 
 use presight_files::store;
 use presight_files::store::Note;
@@ -57,7 +57,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// Milliseconds of one of the three.
+/// The milliseconds of one of the three.
 fn once(mode: &str, path: &Path) -> Result<f64, Box<dyn Error>> {
     Threads::SHARED.run(|| rayon::broadcast(|_| ())).expect("threads");
     let (scheme, params) = (Scheme::default(), Params::tuned(Scheme::default()));
@@ -71,7 +71,7 @@ fn once(mode: &str, path: &Path) -> Result<f64, Box<dyn Error>> {
     }
 }
 
-/// Without the time to drop what was made.
+/// The time to drop the result is excluded.
 fn timed<T>(make: impl FnOnce() -> Result<T, Box<dyn Error>>) -> Result<f64, Box<dyn Error>> {
     let start = Instant::now();
     let made = black_box(make()?);

@@ -1,9 +1,9 @@
-//! The GPU engine's two rasterizers for pinhole cameras: `cargo bench --bench raster`.
+//! Compares the GPU engine's two rasterizers for pinhole cameras: `cargo bench --bench raster`.
 //!
-//! Both on one adapter, by turns, at the same free poses, from plan to all four default outputs in memory. The CPU time of the whole
-//! process is told as well: on a software adapter it holds on a busy machine. Scenes where `PRESIGHT_DATA` (default
-//! `../shared/data`) holds them. `PRESIGHT_POSES`, `PRESIGHT_REPEATS`. With `-- drive [SCENE...]` the reuse of what the last frame showed,
-//! on drives.
+//! Both run on one adapter, in turns, at the same free poses, from plan to all four default outputs in memory. The
+//! bench also reports the CPU time of the whole process, which on a software adapter also holds on a busy machine.
+//! Scenes are in `PRESIGHT_DATA` (default `../shared/data`). `PRESIGHT_POSES` and `PRESIGHT_REPEATS` set the numbers of
+//! poses and repeats. `-- drive [SCENE...]` measures the reuse of the previous frame's result on drives.
 #![expect(clippy::print_stdout, clippy::print_stderr, reason = "a bench prints its table")]
 
 #[allow(dead_code, reason = "other benches share it")]
@@ -52,7 +52,7 @@ fn main() {
             let imported = import(&path, &ImportOptions::default()).unwrap_or_else(|e| panic!("{e}"));
             measure(name, &World::new(imported.environment));
         } else {
-            println!("SKIPPED: {} is not there", path.display());
+            println!("SKIPPED: {} is missing", path.display());
         }
     }
 }
@@ -63,7 +63,7 @@ fn open(raster: Raster) -> GpuEngine {
     engine
 }
 
-/// What was found at one pose; times are of compute and of render, ms.
+/// The results at one pose; times of compute and of render are in ms.
 #[derive(Default)]
 struct Found {
     wall: [f64; 2],
@@ -93,7 +93,7 @@ fn measure(scene: &str, world: &World) {
     );
 }
 
-/// Of compute and render at each pose: medians, and their ratio.
+/// The medians for compute and render over the poses, and the median ratio.
 fn compared(pairs: &[[f64; 2]]) -> String {
     let mut ratios: Vec<f64> = pairs.iter().map(|[compute, render]| render / compute).collect();
     ratios.sort_by(f64::total_cmp);
@@ -104,17 +104,17 @@ fn compared(pairs: &[[f64; 2]]) -> String {
 
 fn at_pose(world: &World, sensor: &Sensor, pose: &Pose, engines: &mut [GpuEngine; 2]) -> Found {
     let request = Request::default();
-    let mut plan = FramePlan::new(world, sensor, pose, &request).expect("a sound pose");
+    let mut plan = FramePlan::new(world, sensor, pose, &request).expect("a valid pose");
     let mut images = [Images::default(), Images::default()];
     let mut found = Found::default();
     let mut times: [[Vec<f64>; 3]; 2] = Default::default();
     for repeat in 0..number("PRESIGHT_REPEATS", 15) + 2 {
         for ((engine, images), times) in engines.iter_mut().zip(&mut images).zip(&mut times) {
             let (wall, cpu) = (Instant::now(), ProcessTime::now());
-            plan.renew(world, sensor, pose, &request).expect("a sound pose");
+            plan.renew(world, sensor, pose, &request).expect("a valid pose");
             let mut stats = Stats::default();
             engine.render(&plan, images, &mut stats).expect("the engine renders");
-            // The first two make buffers and pipelines.
+            // The first two runs create buffers and pipelines.
             if repeat >= 2 {
                 times[0].push(wall.elapsed().as_secs_f64() * 1e3);
                 times[1].push(cpu.elapsed().as_secs_f64() * 1e3);

@@ -1,11 +1,11 @@
-//! The paper's two ways to curved projections, side by side: planar images from which a table looks up what each curved
-//! pixel sees, at one, two and four times the resolution, against exact spherical spans and against a ray table.
+//! Compares the paper's two ways to curved projections: planar images with a lookup table for the curved pixels, at
+//! one, two and four times the resolution, against exact spherical spans and against a ray table.
 //!
-//! `cargo bench --bench resampling` prints a table. Scenes: `scenes/room.glb`, and the hospital and the factory hall where
-//! `PRESIGHT_DATA` (default `../shared/data`) holds them. Errors are against the reference; times are medians of a whole
-//! prediction on all cores, range, ids and angle in memory.
+//! `cargo bench --bench resampling` prints a table. Scenes: `scenes/room.glb`, and the hospital and the factory hall in
+//! `PRESIGHT_DATA` (default `../shared/data`). Errors are relative to the reference; times are medians of a whole
+//! prediction on all cores, with range, ids and angle in memory.
 
-#![expect(clippy::print_stdout, reason = "a bench prints what it measures")]
+#![expect(clippy::print_stdout, reason = "a bench prints its figures")]
 
 use glam::DVec3;
 use presight_files::gltf::{ImportOptions, import};
@@ -19,7 +19,7 @@ use presight_render::reference;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// A spherical segment of 90 by 60 degrees, a quarter of a degree a pixel: what one planar image can hold.
+/// A spherical segment of 90 by 60 degrees, a quarter of a degree a pixel: as much as one planar image can hold.
 const STEP_DEG: f64 = 0.25;
 const COLUMNS: u32 = 360;
 const ROWS: u32 = 240;
@@ -42,7 +42,7 @@ fn table(sensor: &Sensor) -> Result<Sensor> {
     Sensor::new(SensorSpec::new("table", "laser", Geometry::Rays(RayTable::new(COLUMNS, ROWS, rays)?)))
 }
 
-/// A planar image with the segment's resolution in its middle, times `scale`, that holds all of the segment.
+/// A planar image that covers the segment, with `scale` times the segment's resolution at its centre.
 fn planar(scale: f64) -> Result<Sensor> {
     let focal = scale / STEP_DEG.to_radians();
     let half = |n: u32| (0.5 * STEP_DEG * f64::from(n)).to_radians();
@@ -54,7 +54,7 @@ fn planar(scale: f64) -> Result<Sensor> {
     Sensor::new(SensorSpec::new("planar", "laser", Geometry::Camera(camera)))
 }
 
-/// For every pixel of the segment the planar pixel that its ray passes, and range over depth_z along the ray.
+/// The planar pixel that each segment pixel's ray passes through, and the ratio of range to depth_z along the ray.
 fn lookup(segment: &Sensor, planar: &Sensor) -> Vec<(usize, f32)> {
     let optical_from_body = planar.body_from_image().transpose();
     let one = |column, row| {
@@ -77,7 +77,7 @@ fn resample(from: &Images, lookup: &[(usize, f32)], to: &mut Images) {
     }
 }
 
-/// Median milliseconds after one run that is not counted.
+/// The median in milliseconds, after one run that is not counted.
 fn time(mut run: impl FnMut() -> Result<()>) -> Result<f64> {
     run()?;
     let mut times = Vec::with_capacity(RUNS);
@@ -90,7 +90,7 @@ fn time(mut run: impl FnMut() -> Result<()>) -> Result<f64> {
     Ok(times[RUNS / 2])
 }
 
-/// Share of other polygons; mean and greatest error of the range, metres.
+/// The share of wrong polygons, and the mean and largest range error in metres.
 fn errors(truth: &Images, other: &Images) -> (f64, f64, f64) {
     let (mut others, mut sum, mut most, mut both) = (0usize, 0.0, 0f64, 0usize);
     for at in 0..truth.pixels() {

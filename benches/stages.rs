@@ -1,6 +1,6 @@
-//! The CPU engine by stage: `cargo bench --bench stages [-- FILTER]`, with names such as
-//! `prediction/hospital/video-camera`. Scenes: `scenes/room.glb`, and the hospital and the factory hall where
-//! `PRESIGHT_DATA` (default `../shared/data`) holds them.
+//! Measures the CPU engine by stage: `cargo bench --bench stages [-- FILTER]`, with names such as
+//! `prediction/hospital/video-camera`. Scenes: `scenes/room.glb`, and the hospital and the factory hall in
+//! `PRESIGHT_DATA` (default `../shared/data`).
 
 #![allow(missing_docs, reason = "criterion's macros make items without docs")]
 
@@ -30,7 +30,7 @@ fn pose([x, y, z, roll, pitch, yaw]: [f64; 6]) -> Pose {
     Pose::from_xyz_rpy(DVec3::new(x, y, z), roll.to_radians(), pitch.to_radians(), yaw.to_radians())
 }
 
-/// The room, and what is there of the large scenes, at the first pose at which they are compared with Embree.
+/// The room and the available large scenes, at the first pose of the Embree comparison.
 fn scenes() -> Vec<Scene> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let data = std::env::var_os("PRESIGHT_DATA").map_or_else(|| root.join("../shared/data"), PathBuf::from);
@@ -61,7 +61,7 @@ fn importing(c: &mut Criterion) {
     }
 }
 
-/// The hall's script to its environment, and on to a world with its index.
+/// From the hall's script to its environment, and on to a world with its index.
 #[cfg(feature = "script")]
 fn script(c: &mut Criterion) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/factory.rhai");
@@ -85,7 +85,7 @@ fn selection(c: &mut Criterion) {
         for name in PRESETS {
             let sensor = preset(name).expect("a preset");
             let request = Request::default();
-            let mut plan = FramePlan::new(&world, &sensor, &scene.world_from_sensor, &request).expect("a sound pose");
+            let mut plan = FramePlan::new(&world, &sensor, &scene.world_from_sensor, &request).expect("a valid pose");
             group.bench_function(BenchmarkId::new(scene.name, name), |b| {
                 b.iter(|| plan.renew(&world, &sensor, black_box(&scene.world_from_sensor), &request));
             });
@@ -110,7 +110,7 @@ fn prediction(c: &mut Criterion) {
     }
 }
 
-/// Boxes of 1,000 segments of about 60 pixels, on one thread: per element, what a box and both covariances cost.
+/// Boxes of 1,000 segments of about 60 pixels on one thread: the cost of a box and both covariances per element.
 fn boxes(c: &mut Criterion) {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a thread");
     let world = World::new(presight_model::environment::Environment::default());
@@ -151,7 +151,7 @@ fn boxes(c: &mut Criterion) {
     }
 }
 
-/// Ahead, at any angle, of 0.1 radian.
+/// Segments ahead, at any angle, of 0.1 rad.
 fn segments([near, far]: [f64; 2]) -> Vec<PlacedFeature> {
     let mut state = 7u64;
     let mut unit = || {

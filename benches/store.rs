@@ -1,4 +1,4 @@
-//! The stored environment: moves a second, disk included, and opening the hospital beside what it cannot do without.
+//! The stored environment: moves a second including the disk, and opening the hospital next to its indispensable parts.
 
 use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
 use glam::{DVec3, Vec3};
@@ -15,7 +15,7 @@ const OBJECTS: usize = 1000;
 /// Moves that become durable together.
 const TOGETHER: usize = 100;
 
-/// Objects of 48 polygons each, a mesh for ten of them.
+/// Objects of 48 polygons each; ten of them share a mesh.
 fn machines() -> Environment {
     let mut environment = Environment::new();
     environment.add_material(Material::named("paint")).expect("sound");
@@ -31,7 +31,7 @@ fn machines() -> Environment {
             }
             mesh = Some(Arc::new(Mesh::new("machine", vertices, polygons, PolygonOrder::Spatial).expect("sound")));
         }
-        let mesh = mesh.clone().expect("made at the first");
+        let mesh = mesh.clone().expect("the first object made a mesh");
         let new = NewObject::new(format!("hall/machine {i}"), Pose::IDENTITY, mesh);
         environment.insert(new).expect("it fits");
     }
@@ -39,7 +39,7 @@ fn machines() -> Environment {
 }
 
 fn moves(c: &mut Criterion) {
-    // On the disk that holds the build, not in memory.
+    // On the disk of the build folder, not in memory.
     let folder = tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).expect("a folder");
     let path = folder.path().join("moves.presight");
     store::create(&path, &machines(), &Note::new("bench", 0.0)).expect("a store");
@@ -49,7 +49,7 @@ fn moves(c: &mut Criterion) {
     group.sample_size(20).throughput(Throughput::Elements(TOGETHER as u64));
     group.bench_function("100 moves, one transaction", |b| {
         b.iter(|| {
-            let mut batch = store.batch().expect("the lock is ours");
+            let mut batch = store.batch().expect("no other writer");
             for _ in 0..TOGETHER {
                 random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
                 let name = format!("hall/machine {}", (random >> 33) as usize % OBJECTS);
@@ -58,7 +58,7 @@ fn moves(c: &mut Criterion) {
                 let change = Change::MoveObject { name, world_from_object: pose };
                 batch.apply(change, &Note::new("bench", 1.0)).expect("it moves");
             }
-            batch.commit().expect("the disk takes it");
+            batch.commit().expect("a successful commit");
         });
     });
     group.finish();
@@ -79,7 +79,7 @@ fn opening(c: &mut Criterion) {
     let params = Params::tuned(Scheme::default());
     let mut group = c.benchmark_group("hospital");
     group.sample_size(20);
-    group.bench_function("bytes of the store", |b| b.iter(|| std::fs::read(path).expect("it is there").len()));
+    group.bench_function("bytes of the store", |b| b.iter(|| std::fs::read(path).expect("the store exists").len()));
     group.bench_function("index", |b| {
         b.iter_batched(|| (), |()| WorldIndex::new(&environment, Scheme::default(), params), BatchSize::PerIteration);
     });

@@ -1,7 +1,7 @@
-//! What the reductions of the virtual sensors cost, beside the prediction that each is made from: `cargo bench --bench
-//! virtual_sensors`, a table in Markdown. On one thread, the fastest of many runs. Scenes: the charging bay of
-//! `scenes/docking.rhai`, and the hospital where `PRESIGHT_DATA` (default `../shared/data`) holds it.
-#![expect(clippy::print_stdout, clippy::print_stderr, reason = "the table is the result")]
+//! Measures the reductions of the virtual sensors and compares them with the predictions that they reduce: `cargo bench
+//! --bench virtual_sensors` prints a table in Markdown. On one thread, the fastest of many runs. Scenes: the charging
+//! bay of `scenes/docking.rhai`, and the hospital in `PRESIGHT_DATA` (default `../shared/data`).
+#![expect(clippy::print_stdout, clippy::print_stderr, reason = "a bench prints a table")]
 
 mod common;
 
@@ -28,7 +28,7 @@ fn main() {
     );
     println!("|---|---|---|---|---|---|");
     let bay = script::load(root.join("scenes/docking.rhai"), &Default::default(), &mut |_| ()).expect("a scene");
-    // Where scenes/pictures.sh stands.
+    // The viewpoint of scenes/pictures.sh.
     let pose = Pose::from_xyz_rpy(DVec3::new(0.2, -0.6, 1.0), 0.0, 0.0, 5f64.to_radians());
     measure("docking", &World::new(bay.environment), &pose);
     let data = std::env::var_os("PRESIGHT_DATA").map_or_else(|| root.join("../shared/data"), PathBuf::from);
@@ -57,7 +57,7 @@ fn measure(scene: &str, world: &World, pose: &Pose) {
             VirtualSensor::Docking => "laser-scanner",
         };
         let mut spec = preset(name).expect("a preset").spec().clone();
-        // Docking asks for stated noise.
+        // Docking requires a noise model.
         (spec.noise.range_sigma, spec.noise.angle_sigma) = (0.01, 0.001);
         let sensor = Sensor::new(spec).expect("a sensor");
         let placed = if task.needs_features() { wanted(task, world) } else { Vec::new() };
@@ -89,7 +89,7 @@ fn measure(scene: &str, world: &World, pose: &Pose) {
     }
 }
 
-/// Features of the scene's own layer that a task looks at, or edges made from the model.
+/// The features of the scene's own layer that the task uses, or edges generated from the model.
 fn wanted(task: VirtualSensor, world: &World) -> Vec<PlacedFeature> {
     let environment = world.environment();
     let own = environment.layer(task.class()).cloned();

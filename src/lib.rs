@@ -7,14 +7,15 @@
 //! # A tour
 //!
 //! ```
-//! use presight::features::{BoxOptions, FeatureOptions};
+//! use presight::features::FeatureOptions;
+//! use presight::regions::BoxOptions;
 //! use presight::{Options, Pose, Predictor, Request, Scene};
-//! # use presight::features::generate::{GenerateOptions, generate};
+//! # use presight::features::{GenerateOptions, generate};
 //!
 //! let scene = Scene::open("scenes/room.glb")?;
 //! # let folder = tempfile::tempdir().unwrap();
 //! # let layer = folder.path().join("room.video.layer.json");
-//! # presight::io::layer::write(&layer, &generate(scene.world.environment(), "video", &GenerateOptions::default())?.layer)?;
+//! # presight::files::write_layer(&layer, &generate(scene.world.environment(), "video", &GenerateOptions::default())?.layer)?;
 //! let features = scene.place_layers(&[layer], "video")?; // written by `presight features`
 //! let camera = presight::preset("realsense-d435")?;
 //! let world_from_camera = Pose::from_xyz_rpy(glam::DVec3::new(0.3, 0.35, 1.65), 0.0, 0.2, 0.66);
@@ -29,27 +30,24 @@
 //! ```
 //!
 //! 1. **Scene.** [`Scene::open`] reads a glTF model, a script or a stored environment. Its [`World`] is one version of an
-//!    [`Environment`] (objects, polygons, materials, feature layers) with its spatial index. [`World::apply`] makes the next
-//!    version.
-//! 2. **Sensor.** A [`Sensor`] is a [`preset`], a file ([`io::load_sensor`]), or made from a [`SensorSpec`]. [`frames`] turns
-//!    poses of robots, optical frames and glTF axes into the [`Pose`] of a sensor.
+//!    [`environment::Environment`] (objects, polygons, materials, feature layers) with its spatial index. [`World::apply`]
+//!    makes the next version.
+//! 2. **Sensor.** A [`Sensor`] is a [`preset`], a file ([`files::load_sensor`]), or made from a [`sensor::SensorSpec`].
+//!    [`files::ExternalPose`] turns poses of robots, optical frames and glTF axes into the [`Pose`] of a sensor.
 //! 3. **Prediction.** [`Predictor::predict`] takes world, sensor, pose and [`Request`]. Its [`Prediction`] holds the
-//!    [`Images`], the visible parts and region of interest of each feature, and [`Stats`].
+//!    [`Images`], the visible parts of each [feature](features) and its [region of interest](regions), and [`Stats`].
+//!    [`batch`] predicts at many poses, and a [`deadline`] bounds the time.
 //! 4. **Tasks.** [`virtual_sensors`] reduce a view, predicted or measured, to what one task needs, such as free floor.
-//! 5. **Reality.** A [`frame::Frame`] holds a measurement. [`verdict`] compares it with the prediction pixel by pixel,
-//!    [`estimate`] computes the robot's pose, and [`localize`] tracks it.
-//! 6. **Files.** [`io`] has one module per format: EXR, PNG, PLY, PCD, JSON, TOML.
-//!
-//! ```text
-//! Scene -> World -------+
-//! Sensor, Pose, Request-+-> FramePlan -> cpu | gpu -> Prediction { images, features, stats } -> io::exr, png, ply, pcd
-//! ```
+//! 5. **Reality.** A [`measured::Frame`] holds a measurement. [`verdict`] compares it with the prediction pixel by pixel,
+//!    [`history`] follows features, [`estimate`] computes the robot's pose, and [`localize`] tracks it. [`simulate`]
+//!    makes measurements for tests.
+//! 6. **Files.** [`files`] reads and writes EXR, PLY, PCD, NumPy, JSON and TOML. The crate `presight-pictures` draws PNG.
 //!
 //! A world can also be built in code:
 //!
 //! ```
-//! use presight::{Environment, Material, Mesh, NewObject, Options, Polygon, PolygonOrder};
-//! use presight::{Pose, Predictor, Request, World};
+//! use presight::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
+//! use presight::{Options, Pose, Predictor, Request, World};
 //! use std::sync::Arc;
 //!
 //! // A wall 2 m ahead of the origin, 4 m wide and 2 m high.
@@ -80,43 +78,37 @@
 //! `gpu` (the wgpu engine), `script` (scenes as scripts) and `store` (stored environments) are on by default. Everything else
 //! works without them.
 
+pub mod batch;
+pub mod deadline;
+pub mod environment;
+pub mod estimate;
+pub mod features;
+pub mod files;
+pub mod history;
+pub mod localize;
+pub mod measured;
+pub mod regions;
 mod scene;
+pub mod sensor;
+pub mod simulate;
+pub mod verdict;
+pub mod virtual_sensors;
 
-pub use presight_features as features;
-pub use presight_files as io;
-pub use presight_files::{frames, preparation, preset};
-pub use presight_localize::{estimate, extract, history, localize, matching, simulate, verdict};
-pub use presight_model::change::Change;
+#[doc(inline)]
+pub use presight_files::preset;
+#[doc(inline)]
 pub use presight_model::clock::set_clock;
-pub use presight_model::environment::{
-    self, Appearance, Environment, Material, Mesh, NewObject, Object, Polygon, PolygonOrder,
-};
-pub use presight_model::error::{Error, ErrorKind, Result};
-pub use presight_model::geometry::{self, Aabb, Pose};
-pub use presight_model::placement;
-pub use presight_model::sensor::{
-    self, Angles, Camera, Distortion, Geometry, Mixture, Noise, RayTable, Scanner, Sensor, SensorSpec,
-};
-pub use presight_model::threads::Threads;
-pub use presight_model::world::World;
-pub use presight_model::{frame, index, limits, memory};
-#[cfg(feature = "gpu")]
-pub use presight_predict::gpu;
-pub use presight_predict::predict::{Backend, Options, Prediction, Predictor};
-pub use presight_predict::request::Request;
-pub use presight_predict::{batch, engine, free_poses, probe, virtual_sensors, worth};
-pub use presight_render::plan::{
-    self, FramePlan, IdScheme, ImageRequest, Images, Omission, Output, Outputs, Raster, StageRow, Stats, Work,
-};
-pub use presight_render::{cost, cpu, deadline, reference, row, verify};
+#[doc(inline)]
+pub use presight_model::geometry::{InObject, InRobot, InWorld, Pose, PoseCovariance, PoseEstimate};
+#[doc(inline)]
+pub use presight_model::{Change, Error, ErrorKind, Result, Sensor, Threads, World};
+#[doc(inline)]
+pub use presight_predict::{Backend, Options, Prediction, Predictor, Request};
+#[doc(inline)]
+pub use presight_render::{IdScheme, ImageRequest, Images, Output, Outputs, Raster, Stats};
 pub use scene::{Scene, SceneFeatures, SceneOptions, blake3_of};
 
 /// The README's example is compiled and run as a doc test.
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;
-
-/// The examples of the guide on features are doc tests, too.
-#[cfg(doctest)]
-#[doc = include_str!("../docs/features.md")]
-struct FeaturesGuide;

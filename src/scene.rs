@@ -1,16 +1,17 @@
 //! Scenes: models from files, opened as worlds for predictions.
 
-use crate::environment::{Feature, FeatureLayer, FeatureShape};
-use crate::features::{PlacedFeatures, place};
-use crate::geometry::Pose;
-use crate::index::{Params, Scheme};
-use crate::io::gltf::{ImportOptions, import, import_bytes};
-use crate::io::layer::{self, LayerFile};
-use crate::io::{self, file};
-use crate::limits;
-use crate::placement::{self, Placement};
-use crate::preparation::{ImportReport, ImportedScene, SceneFrame};
+use presight_features::{PlacedFeatures, place};
+use presight_files::file;
+use presight_files::gltf::{ImportOptions, import, import_bytes};
+use presight_files::layer::{self, LayerFile};
+use presight_files::preparation::{ImportReport, ImportedScene, SceneFrame};
+use presight_model::environment::{Feature, FeatureLayer, FeatureShape};
 use presight_model::error::{Error, ErrorKind, Result};
+use presight_model::geometry::Pose;
+use presight_model::index::{Params, Scheme};
+use presight_model::limits;
+use presight_model::placement::{self, Placement};
+use presight_model::threads::Threads;
 use presight_model::world::World;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -39,19 +40,21 @@ pub struct Scene {
     pub world_from_gltf: Pose,
     /// Counts and problems of the import.
     pub report: ImportReport,
+    /// The files that the scene consists of: `path`, and all that it names, such as buffers, images and modules.
+    pub files: Vec<PathBuf>,
 }
 
 /// How a scene is opened.
 ///
 /// ```
-/// use presight::index::Scheme;
-/// use presight::io::gltf::ImportOptions;
+/// use presight::environment::IndexScheme;
+/// use presight::files::ImportOptions;
 /// use presight::{Scene, SceneOptions};
 /// // Without merging, every triangle stays a polygon, as `source` ids need it.
 /// let import = ImportOptions { merge: false, ..ImportOptions::default() };
-/// let options = SceneOptions::default().with_import(import).with_index(Scheme::S3d);
+/// let options = SceneOptions::default().with_import(import).with_index(IndexScheme::S3d);
 /// let scene = Scene::open_with("scenes/room.glb", &options, &mut |line| println!("{line}"))?;
-/// assert_eq!(scene.world.index().scheme(), Scheme::S3d);
+/// assert_eq!(scene.world.index().scheme(), IndexScheme::S3d);
 /// # Ok::<(), presight::Error>(())
 /// ```
 #[derive(Clone, Debug, Default)]
@@ -127,19 +130,28 @@ impl Scene {
     }
 
     fn read(source: Source<'_>, options: &SceneOptions, say: &mut dyn FnMut(&str)) -> Result<Self> {
-        let (path, scheme) = (source.path(), options.index);
         let threads = options.import.threads.started()?;
+        Self::read_unnamed(source, options, &threads, say).map_err(|e| e.in_file(source.path()))
+    }
+
+    fn read_unnamed(
+        source: Source<'_>,
+        options: &SceneOptions,
+        threads: &Threads,
+        say: &mut dyn FnMut(&str),
+    ) -> Result<Self> {
+        let (path, scheme) = (source.path(), options.index);
         if source.is_store() {
-            check_unframed(path, &options.import, "a store keeps the frame that it was made with")?;
+            check_unframed(&options.import, "a store keeps the frame that it was made with")?;
             return match source {
                 Source::File(path) => threads.run(|| stored(path, scheme))?,
-                Source::Memory(..) => Err(store_in_memory(path)),
+                Source::Memory(..) => Err(store_in_memory()),
             };
         }
         let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
         let imported = match extension.as_str() {
             "rhai" => {
-                check_unframed(path, &options.import, "a script is in metres and z-up")?;
+                check_unframed(&options.import, "a script is in metres and z-up")?;
                 script(source, &options.import, say)?
             }
             "obj" | "stl" | "ply" | "off" | "dae" if source.exists() => return Err(mesh_file(path)),
@@ -151,7 +163,32 @@ impl Scene {
         let world = threads.run(|| World::with_index(imported.environment, scheme, Params::tuned(scheme)))?;
         let frame = imported.frame;
         let world_from_gltf = frame.unwrap_or_default().world_from_axes();
-        Ok(Self { path: path.to_owned(), world, frame, world_from_gltf, report: imported.report })
+        Ok(Self {
+            path: path.to_owned(),
+            world,
+            frame,
+            world_from_gltf,
+            report: imported.report,
+            files: imported.files,
+        })
+    }
+
+    /// Finds the polygons of the features of a layer in memory. Features that lie on no polygon are listed and left out.
+    ///
+    /// ```
+    /// use presight::Scene;
+    /// use presight::features::generate::{GenerateOptions, generate};
+    /// let scene = Scene::open("scenes/room.glb")?;
+    /// let layer = generate(scene.world.environment(), "video", &GenerateOptions::default())?.layer;
+    /// let placed = scene.place(&layer)?;
+    /// assert!(placed.features.len() > 10 && placed.lost.is_empty());
+    /// # Ok::<(), presight::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Invalid`] if the layer is not valid, or names an object that the scene does not have.
+    pub fn place(&self, layer: &FeatureLayer) -> Result<PlacedFeatures> {
+        placement::place_layer(&self.world, layer)
     }
 
     /// Reads layer files on top of the scene's own layer for a sensor class, and finds the polygons of the features. A
@@ -160,12 +197,12 @@ impl Scene {
     ///
     /// ```
     /// use presight::Scene;
-    /// # use presight::features::generate::{GenerateOptions, generate};
+    /// # use presight::features::{GenerateOptions, generate};
     /// let scene = Scene::open("scenes/room.glb")?;
     /// # let folder = tempfile::tempdir().unwrap();
     /// # let path = folder.path().join("room.video.layer.json");
     /// # let layer = generate(scene.world.environment(), "video", &GenerateOptions::default())?.layer;
-    /// # presight::io::layer::write(&path, &layer)?;
+    /// # presight::files::write_layer(&path, &layer)?;
     /// let features = scene.place_layers(&[&path], "video")?;
     /// assert!(features.placed.features.len() > 10);
     /// # Ok::<(), presight::Error>(())
@@ -265,15 +302,15 @@ pub fn blake3_of(path: &Path) -> Result<String> {
     Ok(hasher.finalize().to_hex().to_string())
 }
 
-/// Refuses --up and --scale for a scene that has its own frame.
-fn check_unframed(path: &Path, options: &ImportOptions, why: &str) -> Result<()> {
-    let flag = match (options.up, options.scale) {
+/// Refuses an up axis or a scale for a scene that has its own frame.
+fn check_unframed(options: &ImportOptions, why: &str) -> Result<()> {
+    let option = match (options.up, options.scale) {
         (None, None) => return Ok(()),
-        (Some(_), _) => "--up",
-        _ => "--scale",
+        (Some(_), _) => "`ImportOptions::up`",
+        _ => "`ImportOptions::scale`",
     };
-    let remedy = format!("drop {flag}, or give it where the glTF file is read");
-    Err(Error::usage(format!("{flag}: {why}"), remedy).in_file(path))
+    let remedy = format!("drop {option}, or give it where the glTF file is read");
+    Err(Error::usage(format!("{option}: {why}"), remedy))
 }
 
 /// The error for meshes of other formats, with a command that converts them.
@@ -281,36 +318,36 @@ fn mesh_file(path: &Path) -> Error {
     let (from, to) = (path.display(), path.with_extension("glb"));
     let remedy = format!(
         "convert it: python3 -c \"import trimesh; trimesh.load('{from}', force='scene').export('{}')\" (pip install trimesh), \
-         then --up z if it is z-up",
+         then give `ImportOptions::up` z if it is z-up",
         to.display()
     );
-    Error::new(ErrorKind::Unsupported, "presight reads scenes from glTF, scripts and stores", remedy).in_file(path)
+    Error::new(ErrorKind::Unsupported, "presight reads scenes from glTF, scripts and stores", remedy)
 }
 
 /// Runs a scene script.
 #[cfg(feature = "script")]
 fn script(source: Source<'_>, options: &ImportOptions, say: &mut dyn FnMut(&str)) -> Result<ImportedScene> {
     match source {
-        Source::File(path) => io::script::load(path, options, say),
-        Source::Memory(name, bytes) => io::script::load_bytes(name, bytes, options, say),
+        Source::File(path) => presight_files::script::load(path, options, say),
+        Source::Memory(name, bytes) => presight_files::script::load_bytes(name, bytes, options, say),
     }
 }
 
 #[cfg(not(feature = "script"))]
-fn script(source: Source<'_>, _options: &ImportOptions, _say: &mut dyn FnMut(&str)) -> Result<ImportedScene> {
-    Err(io::not_built("scene scripts", "script").in_file(source.path()))
+fn script(_source: Source<'_>, _options: &ImportOptions, _say: &mut dyn FnMut(&str)) -> Result<ImportedScene> {
+    Err(presight_files::not_built("scene scripts", "script"))
 }
 
 /// The error for a store that is not in a file.
-fn store_in_memory(name: &Path) -> Error {
+fn store_in_memory() -> Error {
     let remedy = "write it to a file and open that, or export its scene.glb: presight env export STORE DIR";
-    Error::new(ErrorKind::Unsupported, "a stored environment in memory cannot be opened", remedy).in_file(name)
+    Error::new(ErrorKind::Unsupported, "a stored environment in memory cannot be opened", remedy)
 }
 
 /// Opens a store, which is already in presight's frame.
 #[cfg(feature = "store")]
 fn stored(path: &Path, scheme: Scheme) -> Result<Scene> {
-    let world = io::store::read_world(path, scheme, Params::tuned(scheme))?;
+    let world = presight_files::store::read_world(path, scheme, Params::tuned(scheme))?;
     let mut report = ImportReport::default();
     let mut seen = std::collections::HashSet::new();
     for object in world.environment().objects() {
@@ -322,18 +359,17 @@ fn stored(path: &Path, scheme: Scheme) -> Result<Scene> {
     }
     // The axes of the file that `env export` writes.
     let world_from_gltf = SceneFrame::default().world_from_axes();
-    Ok(Scene { path: path.to_owned(), world, frame: None, world_from_gltf, report })
+    Ok(Scene { path: path.to_owned(), world, frame: None, world_from_gltf, report, files: vec![path.to_owned()] })
 }
 
 #[cfg(not(feature = "store"))]
-fn stored(path: &Path, _scheme: Scheme) -> Result<Scene> {
-    Err(io::not_built("stored environments", "store").in_file(path))
+fn stored(_path: &Path, _scheme: Scheme) -> Result<Scene> {
+    Err(presight_files::not_built("stored environments", "store"))
 }
 
 #[cfg(all(test, not(feature = "script")))]
 mod tests {
     use super::*;
-    use crate::error::ErrorKind;
 
     #[test]
     fn without_scripts_one_is_refused_with_a_remedy() {

@@ -1,4 +1,4 @@
-//! Nothing runs on rayon's global pool, which panics where the system has no more threads.
+//! No code uses rayon's global pool, which panics where the system has no more threads.
 #![cfg(feature = "script")]
 
 use glam::DVec3;
@@ -20,14 +20,14 @@ use presight_render::verify::{Precision, candidates};
 use presight_testkit::{self as common, forbid_global_pool};
 use std::path::{Path, PathBuf};
 
-/// Balls with so many polygons that the sorting of meshes and indexes goes parallel.
+/// Balls with enough polygons for parallel sorting of meshes and indexes.
 const BALLS: &str = r#"
     place("ball", sphere(1, 256), pose(4, 0, 1, 0, 0, 0));
     place("large", sphere(2, 200), pose(0, 6, 1, 0, 0, 0));
     place("floor", box(20, 20, 0.1), pose(0, 0, -0.1, 0, 0, 0));
     "#;
 
-/// The scene as a script and as glTF, which the first makes.
+/// The scene as a script, and as glTF made from it.
 fn scene(folder: &Path) -> (PathBuf, PathBuf) {
     let (script, glb) = (folder.join("balls.rhai"), folder.join("balls.glb"));
     std::fs::write(&script, BALLS).unwrap();
@@ -78,7 +78,7 @@ fn nothing_uses_the_global_pool() {
         drop(Store::open(&path).unwrap());
     }
     for backend in [Backend::Cpu, Backend::Gpu] {
-        // Where there is no adapter, the other engines are still looked at.
+        // Without an adapter the other engines are still checked.
         let Ok(mut predictor) = Predictor::new(Options::new(backend).with_threads(2)) else { continue };
         predict_all(&mut predictor, &world, &plan, &layer);
     }
@@ -99,8 +99,8 @@ fn predict_all(
     assert!(prediction.features.is_some());
 }
 
-/// A script has a thread of its own; what it imports is built on the threads of the options, of which the only one waits
-/// for the script here.
+/// A script has its own thread. Its imports are built on the threads of the options; here there is only one, and it
+/// waits for the script.
 #[test]
 fn a_script_that_imports_may_be_loaded_on_a_single_thread() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! Cameras of 640 x 480 pixels with lenses, and free tables of as many rays.
+//! Cameras of 640 x 480 pixels with lenses, and free ray tables of the same size.
 
 use glam::DVec3;
 use presight_model::sensor::{Camera, Distortion, Geometry, RayTable, Sensor, SensorSpec};
@@ -8,10 +8,10 @@ pub const SIZE: (u32, u32) = (640, 480);
 fn camera(name: &str, f: f64, distortion: Distortion) -> Sensor {
     let (width, height) = SIZE;
     let camera = Camera { distortion, ..Camera::pinhole(width, height, f, f, 319.5, 239.5) };
-    Sensor::new(SensorSpec::new(name, "video", Geometry::Camera(camera))).expect("a sound camera")
+    Sensor::new(SensorSpec::new(name, "video", Geometry::Camera(camera))).expect("a valid camera")
 }
 
-/// Equidistant, so many degrees across the image's width; pixels past that are seen, too.
+/// An equidistant camera with this angle across the image's width. Pixels beyond that angle have rays, too.
 fn fisheye(degrees: u32) -> Sensor {
     let f = f64::from(SIZE.0) / f64::from(degrees).to_radians();
     camera(&format!("fisheye {degrees}"), f, Distortion::Equidistant([-0.003, 0.0, 0.0, 0.0]))
@@ -21,15 +21,15 @@ fn table(name: &str, ray: impl Fn(u32, u32) -> DVec3) -> Sensor {
     let (width, height) = SIZE;
     let rays = (0..height).flat_map(|r| (0..width).map(move |c| (c, r))).map(|(c, r)| ray(c, r)).collect();
     let table = RayTable::new(width, height, rays).expect("sound rays");
-    Sensor::new(SensorSpec::new(name, "video", Geometry::Rays(table))).expect("a sound table")
+    Sensor::new(SensorSpec::new(name, "video", Geometry::Rays(table))).expect("a valid table")
 }
 
-/// A pinhole camera first, then those that are compared with it.
+/// A pinhole camera first, then the sensors that are compared with it.
 pub fn sensors() -> Vec<Sensor> {
     let pinhole = camera("pinhole", 525.0, Distortion::None);
     let listed = pinhole.clone();
     let same = move |c: u32, r: u32| listed.body_from_image() * listed.ray(c, r).expect("a ray a pixel");
-    // A turning head of staggered beams: -25 to 25 degrees all round, every eleventh beam lost.
+    // A rotating head of staggered beams: -25 to 25 degrees all round, with every eleventh beam missing.
     let beams = |c: u32, r: u32| {
         let azimuth = std::f64::consts::TAU * (f64::from(c) + 0.25 * f64::from(r % 4)) / f64::from(SIZE.0);
         let elevation = (25.0 - 50.0 * f64::from(r) / f64::from(SIZE.1 - 1)).to_radians();

@@ -1,4 +1,5 @@
-//! Drives, 10 cm and 2 degrees a step: frames that know nothing of each other, and frames that begin with what the last one showed.
+//! Drives with steps of 10 cm and 2 degrees: independent frames, and frames that start from the previous frame's
+//! result.
 
 use crate::{cameras, middle, number, scenes};
 use cpu_time::ProcessTime;
@@ -14,9 +15,9 @@ use presight_render::plan::{FramePlan, Images, Stats};
 
 const STEPS: usize = 30;
 
-/// Both along drives from `PRESIGHT_POSES` (default 4) free poses that meet nothing on their way, by turns at each pose, `PRESIGHT_REPEATS`
-/// times (default 3), of which the least counts. The first pose of each drive is not
-/// counted, nor are those that have nothing in view.
+/// Runs both kinds of frame, in turns at each pose, along drives that start at `PRESIGHT_POSES` (default 4) free poses
+/// and stay free. The fastest of `PRESIGHT_REPEATS` (default 3) runs counts. Leaves out each drive's first pose and
+/// poses with nothing in view.
 pub fn compare(named: &[String]) {
     let usual = ["hospital", "factory_hall"].map(str::to_owned);
     println!(
@@ -33,15 +34,15 @@ pub fn compare(named: &[String]) {
     }
 }
 
-/// To the left or, where something is in the way, to the right.
+/// Drives to the left, or to the right where something is in the way.
 fn drives(scene: &str, world: &World) -> Vec<Vec<Pose>> {
     let azimuth = Angles::Uniform { start_deg: -180.0, step_deg: 1.0, count: 360 };
     let elevation = Angles::Uniform { start_deg: 0.0, step_deg: 1.0, count: 1 };
     let around = Geometry::Scanner(Scanner { azimuth, elevation, beam_height_deg: None });
-    let around = Sensor::new(SensorSpec::new("around", "laser", around)).expect("a sound scanner");
+    let around = Sensor::new(SensorSpec::new("around", "laser", around)).expect("a valid scanner");
     let is_clear = |pose: &Pose| {
         let (plan, mut images) = (FramePlan::new(world, &around, pose, &Request::default()), Images::default());
-        presight_render::reference::render(&plan.expect("a sound pose"), &mut images).expect("it renders");
+        presight_render::reference::render(&plan.expect("a valid pose"), &mut images).expect("it renders");
         images.range.iter().all(|range| *range > 0.15)
     };
     let wanted = number("PRESIGHT_POSES", 4);
@@ -60,7 +61,7 @@ fn drives(scene: &str, world: &World) -> Vec<Vec<Pose>> {
     found
 }
 
-/// Of one frame, cold and warm.
+/// The figures of one frame, cold and warm.
 #[derive(Clone, Default)]
 struct Frame {
     device: [f64; 2],
@@ -134,7 +135,7 @@ fn measure(scene: &str, world: &World, sensor: &Sensor, drives: &[Vec<Pose>]) {
 fn at_pose(world: &World, sensor: &Sensor, pose: &Pose, engines: &mut [GpuEngine; 2]) -> Frame {
     let (mut frame, mut images) = (Frame::default(), [Images::default(), Images::default()]);
     for (k, engine) in engines.iter_mut().enumerate() {
-        let mut plan = FramePlan::new(world, sensor, pose, &Request::default()).expect("a sound pose");
+        let mut plan = FramePlan::new(world, sensor, pose, &Request::default()).expect("a valid pose");
         if k == 1 {
             plan.set_reuse_visible();
         }

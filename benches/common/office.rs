@@ -1,4 +1,4 @@
-//! Offices of any size that all look the same from within: closed pairs of rooms, of which the first is seeded alike in all.
+//! Offices of any size that look the same from inside: closed pairs of rooms. The first pair has the same seed in all.
 
 use glam::{DVec3, Vec3};
 use presight_model::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
@@ -9,14 +9,14 @@ use std::sync::Arc;
 
 /// Triangles of a pair of rooms.
 const TRIANGLES: usize = 1000;
-/// Of a room, metres.
+/// The sides of a room, in metres.
 const ROOM: [f64; 3] = [6.0, 5.0, 3.0];
-/// Balls in a room, and how many quads each has around and from pole to pole.
+/// Balls in a room, and the number of quads of each around it and from pole to pole.
 const BALLS: usize = 4;
 const AROUND: u32 = 10;
 const RINGS: u32 = 6;
 
-/// About so many triangles: pairs of rooms side by side, the first one in the middle at the origin.
+/// An office of about this many triangles: adjacent pairs of rooms, with the first pair at the origin in the middle.
 pub fn office(triangles: usize) -> Environment {
     let pairs = triangles.div_ceil(TRIANGLES).max(1);
     let side = (1..).find(|side| side * side >= pairs).unwrap_or(1) as i64;
@@ -24,16 +24,16 @@ pub fn office(triangles: usize) -> Environment {
     let mut cells: Vec<[i64; 2]> = (0..side * side).map(|i| [i % side - middle, i / side - middle]).collect();
     cells.sort_by_key(|[x, y]| (x.abs().max(y.abs()), *y, *x));
     let mut environment = Environment::new();
-    environment.add_material(Material::named("grey")).expect("a sound material");
+    environment.add_material(Material::named("grey")).expect("a valid material");
     for (i, [x, y]) in cells.into_iter().take(pairs).enumerate() {
         let mesh = Arc::new(pair(&mut Random(i as u64)));
         let at = Pose::from_xyz_rpy(DVec3::new(2.0 * ROOM[0] * x as f64, ROOM[1] * y as f64, 0.0), 0.0, 0.0, 0.0);
-        environment.insert(NewObject::new(format!("rooms {i}"), at, mesh)).expect("a sound object");
+        environment.insert(NewObject::new(format!("rooms {i}"), at, mesh)).expect("a valid object");
     }
     environment
 }
 
-/// Level poses in the middle of the first room, where nothing stands.
+/// Level poses in the middle of the first room, which is empty there.
 pub fn office_poses(count: usize) -> Vec<Pose> {
     let mut random = Random(7);
     let mut pose = || {
@@ -57,7 +57,7 @@ impl Triangles {
         self.polygons.extend([[0, 1, 2], [0, 2, 3]].map(|k| Polygon::new(k.map(|k| first + k).to_vec(), 0)));
     }
 
-    /// A standing rectangle from one place on the floor to another.
+    /// A vertical rectangle from one place on the floor to another.
     fn wall(&mut self, from: [f64; 2], to: [f64; 2], [low, high]: [f64; 2]) {
         let at = |[x, y]: [f64; 2], z: f64| DVec3::new(x, y, z);
         self.quad([at(from, low), at(to, low), at(to, high), at(from, high)]);
@@ -80,7 +80,7 @@ impl Triangles {
     }
 }
 
-/// Two rooms with a door between them and none to elsewhere, with balls along their walls.
+/// Two rooms with a door between them and no other door, with balls along their walls.
 fn pair(random: &mut Random) -> Mesh {
     let [dx, dy, h] = ROOM;
     let mut made = Triangles::default();

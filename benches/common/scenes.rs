@@ -1,4 +1,4 @@
-//! Scenes that benches name.
+//! The scenes that benches can name.
 
 #[path = "office.rs"]
 mod office;
@@ -12,11 +12,11 @@ use presight_predict::free_poses::free_poses;
 use presight_testkit::hall::{hall_poses, open_hall};
 use std::path::{Path, PathBuf};
 
-/// 300,000 triangles of 1 to 5 cm without walls and roof.
+/// A hall without walls and roof, with 300,000 triangles of 1 to 5 cm.
 pub const OPEN_HALL: &str = "open_hall";
 
-/// The path of a scene that is a file: a path of a `.glb` or `.rhai` file in the repository, or a name of the shared data (`PRESIGHT_DATA`,
-/// default `../shared/data`).
+/// The path of a scene file: a `.glb` or `.rhai` file in the repository, or a name from the shared data
+/// (`PRESIGHT_DATA`, default `../shared/data`).
 fn path_of(scene: &str) -> PathBuf {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     if scene.contains('.') {
@@ -26,7 +26,7 @@ fn path_of(scene: &str) -> PathBuf {
     data.join("env").join(scene).with_extension("glb")
 }
 
-/// So many triangles of closed rooms, as in `office:1000000`.
+/// The triangle count of a scene of closed rooms such as `office:1000000`.
 fn office_triangles(scene: &str) -> Option<usize> {
     scene.strip_prefix("office:").map(|count| count.parse().expect("a number of triangles"))
 }
@@ -54,7 +54,7 @@ pub fn environment(scene: &str) -> Environment {
     import(path_of(scene), &ImportOptions::default()).unwrap_or_else(|e| panic!("{e}")).environment
 }
 
-/// Seeded free poses: in the aisles of the hall, in the first room of an office, elsewhere where a sensor could stand.
+/// Seeded free poses: in the aisles of the hall, in the first room of an office, and otherwise anywhere in free space.
 pub fn poses(scene: &str, world: &World, count: usize) -> Vec<Pose> {
     if scene == OPEN_HALL {
         return hall_poses(world.environment(), 5, count);

@@ -1,7 +1,7 @@
-//! How much more is given up than by a controller that knows beforehand what everything takes: it replays recorded costs.
+//! Compares the samples given up with a clairvoyant controller, which replays recorded frame costs.
 //!
-//! At each pose the engine is stopped at many moments, whole and thinned, and it is recorded how many samples are there and how long all
-//! of it took. The clairvoyant controller takes the best record that is in time.
+//! At each pose the engine is stopped at many moments, with full and with thinned images. Each record holds the number
+//! of finished samples and the total time. The clairvoyant controller takes the best record that is in time.
 
 use super::{Bench, Outcome, Setting, quantile};
 use presight_model::geometry::Pose;
@@ -15,13 +15,13 @@ use std::time::Duration;
 const POSES: usize = 20;
 /// Frames to learn from.
 const LEARN: usize = 50;
-/// Moments at which the engine is stopped, and how often at each.
+/// The number of moments at which the engine is stopped, and the runs at each.
 const STOPS: u32 = 24;
 const TIMES: usize = 5;
-/// Columns and rows that are drawn: every one, every second one, ..
+/// The strides of the columns and rows drawn: every one, every second one, ..
 const STRIDES: [u32; 4] = [1, 2, 4, 8];
 
-/// Milliseconds that a frame took, and the samples that were there.
+/// The milliseconds of a frame, and its finished samples.
 type Record = (f64, f64);
 
 pub fn print(args: &[String], setting: &Setting) -> Outcome {
@@ -59,7 +59,7 @@ pub fn print(args: &[String], setting: &Setting) -> Outcome {
     Ok(())
 }
 
-/// What is there when the engine is stopped at moments up to the full time; times are medians.
+/// Records the finished samples when the engine is stopped at moments up to the full time; times are medians.
 fn record(bench: &Bench, engine: &mut CpuEngine, pose: &Pose, full: f64) -> Outcome<Vec<Record>> {
     let mut records = Vec::new();
     let mut images = Images::default();
@@ -70,10 +70,10 @@ fn record(bench: &Bench, engine: &mut CpuEngine, pose: &Pose, full: f64) -> Outc
             for _ in 0..TIMES {
                 let start = bench.clock.now();
                 let mut plan = FramePlan::new(&bench.world, &bench.sensor, pose, &Request::default())?;
+                plan.set_watch(Watch::start(bench.clock.clone(), after));
                 if stride > 1 {
                     plan.set_part(stride, None)?;
                 }
-                plan.set_watch(Watch::start(bench.clock.clone(), after));
                 let mut stats = Stats::default();
                 engine.render(&plan, &mut images, &mut stats)?;
                 times.push(bench.since(start));

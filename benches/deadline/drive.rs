@@ -1,4 +1,4 @@
-//! The time of each frame of a drive, with and without control (paper, Fig. 12), as SVG.
+//! Draws the time of each frame of a drive as SVG, with and without control (paper, Fig. 12).
 
 use super::{Bench, Outcome, Setting, quantile};
 use plotters::prelude::*;
@@ -7,20 +7,20 @@ use presight_model::geometry::Pose;
 use presight_predict::free_poses::free_poses;
 use std::path::Path;
 
-/// Name, value at each frame, and colour.
+/// The name, the value at each frame, and the colour.
 type Line = (&'static str, fn(&Frame) -> f64, RGBColor);
 
-/// Free poses that the drive goes through, and frames from each to the next.
+/// The number of free poses on the drive, and of frames from each to the next.
 const STOPS: usize = 12;
 const FRAMES: usize = 25;
 
-/// Height of a chart by what is drawn in it: the names of the lines stand above these.
+/// A chart's height relative to its curves: leaves room for the legend above them.
 const ROOM: f64 = 1.5;
 
 /// A frame of the drive.
 #[derive(Clone, Copy, Default)]
 struct Frame {
-    /// Milliseconds.
+    /// Milliseconds without control and with it.
     without: f64,
     with: f64,
     /// Metres; infinite if nothing was cut.
@@ -33,7 +33,7 @@ struct Frame {
 pub fn draw(args: &[String], setting: &Setting) -> Outcome {
     let mut bench = Bench::new(&args[0], args.get(2), setting)?;
     let poses = drive(free_poses(&bench.world, STOPS, 7)?);
-    // Learnt on the way there, and the time without control: the median of three.
+    // The controller learns on the way. The time without control is the median of three.
     let mut frames = vec![Frame::default(); poses.len()];
     for (frame, pose) in frames.iter_mut().zip(&poses) {
         let times: Vec<f64> = (0..3).map(|_| bench.frame(pose, None).0).collect();
@@ -70,7 +70,7 @@ pub fn draw(args: &[String], setting: &Setting) -> Outcome {
     chart(Path::new(&args[1]), &frames, deadline, bench.sensor.spec().range_max)
 }
 
-/// From each stop straight to the nearest one left, looking ahead. Walls are no hindrance.
+/// Goes from each stop straight to the nearest remaining one, looking ahead. Walls do not block it.
 fn drive(mut stops: Vec<Pose>) -> Vec<Pose> {
     let mut poses = Vec::new();
     let mut at = stops.swap_remove(0);
@@ -118,7 +118,7 @@ fn chart(path: &Path, frames: &[Frame], deadline: f64, range_max: f64) -> Outcom
         .background_style(WHITE.mix(0.8))
         .border_style(BLACK)
         .draw()?;
-    // What was not cut is drawn at the sensor's range.
+    // Frames that were not cut are drawn at the sensor's range.
     let top = if range_max.is_finite() { range_max } else { 50.0 };
     let mut metres = chart_in(&areas[1], "radius and complete_to, m", frames.len(), ROOM * top)?;
     let within = |value: f64| value.min(top);
@@ -148,7 +148,7 @@ type Plane<'a, 'b> = ChartContext<
     Cartesian2d<plotters::coord::types::RangedCoordf64, plotters::coord::types::RangedCoordf64>,
 >;
 
-/// Axes of a chart over the frames.
+/// The axes of a chart over the frames.
 fn chart_in<'a, 'b>(area: &'a Area<'b>, name: &str, frames: usize, top: f64) -> Outcome<Plane<'a, 'b>> {
     let mut chart = ChartBuilder::on(area)
         .margin(8)

@@ -1,17 +1,17 @@
-//! How many deadlines are kept, how far estimates are off, what is given up, and what a generous deadline costs.
+//! Deadlines kept, errors of the estimates, samples given up, and the overhead of a generous deadline.
 
 use super::{Bench, Outcome, Setting, quantile, steadiness};
 use presight_model::error::ErrorKind;
 use presight_model::geometry::Pose;
 use presight_predict::free_poses::free_poses;
 
-/// Poses of the frames with a deadline.
+/// The number of poses for frames with a deadline.
 const POSES: usize = 20;
-/// Frames to learn from, and frames whose estimates are judged, each at a pose of its own.
+/// The frames to learn from and the frames with judged estimates, each at its own pose.
 const LEARN: usize = 50;
 const JUDGED: usize = 150;
 
-/// SplitMix64, 0..1.
+/// SplitMix64, uniform in [0, 1).
 fn random(state: &mut u64) -> f64 {
     *state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
     let mut z = *state;
@@ -40,7 +40,7 @@ pub fn print(args: &[String], setting: &Setting) -> Outcome {
     Ok(())
 }
 
-/// Estimates of whole frames at poses that were not learnt from.
+/// Prints the errors of whole-frame estimates at poses that were not learnt from.
 fn estimates(bench: &mut Bench) -> Outcome {
     let poses = free_poses(&bench.world, LEARN + JUDGED, 11)?;
     let (mut finished, mut waves, mut first) = (Vec::new(), Vec::new(), Vec::new());
@@ -66,7 +66,7 @@ fn estimates(bench: &mut Bench) -> Outcome {
     Ok(())
 }
 
-/// Frames without a deadline and with one that asks for nothing to be given up, in turns. The answer is the median time at each pose.
+/// Runs frames alternately without a deadline and with a generous one. Returns the median time at each pose.
 fn free(bench: &mut Bench, poses: &[Pose]) -> Vec<f64> {
     let (mut full, mut generous) = (vec![Vec::new(); poses.len()], vec![Vec::new(); poses.len()]);
     for _ in 0..20 {
@@ -83,7 +83,7 @@ fn free(bench: &mut Bench, poses: &[Pose]) -> Vec<f64> {
     full
 }
 
-/// Deadlines of which 30 % would be missed without control.
+/// Runs frames under deadlines; 30 % of these would be missed without control.
 fn kept(bench: &mut Bench, poses: &[Pose], full: &[f64], frames: usize) -> Outcome {
     let (mut state, mut over, mut refused, mut late_refusals, mut without) = (5, Vec::new(), 0, 0, 0);
     for frame in 0..frames {
@@ -113,7 +113,7 @@ fn kept(bench: &mut Bench, poses: &[Pose], full: &[f64], frames: usize) -> Outco
     Ok(())
 }
 
-/// What is there under tight deadlines.
+/// Prints the finished samples under tight deadlines.
 fn given_up(bench: &mut Bench, poses: &[Pose], full: &[f64]) {
     for share in [0.3, 0.6, 0.8] {
         let (mut there, mut complete, mut thinned) = (Vec::new(), Vec::new(), 0);

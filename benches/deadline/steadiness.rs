@@ -1,4 +1,4 @@
-//! How steady the machine is: a fixed piece of arithmetic, again and again, on as many threads as predictions take.
+//! Measures the machine's steadiness: repeats a fixed computation on as many threads as predictions use.
 
 use super::quantile;
 use std::hint::black_box;
@@ -6,14 +6,14 @@ use std::sync::Barrier;
 use std::time::{Duration, Instant};
 
 const ROUNDS: usize = 3000;
-/// Of one round.
+/// The duration of one round.
 const AIM: Duration = Duration::from_micros(1500);
 
 fn work(steps: u64) -> u64 {
     (0..steps).fold(1, |x: u64, i| black_box(x.wrapping_mul(0x5851_f42d_4c95_7f2d).wrapping_add(i)))
 }
 
-/// No deadline can be kept more often than this lets it.
+/// Prints how often a round is late; deadlines cannot be kept more often than that allows.
 pub fn print(threads: usize) {
     let trial = 20_000_000;
     let start = Instant::now();

@@ -1,17 +1,17 @@
-//! Simulated drives through the factory hall: how often a robot that is where it should be is called lost, how far off it is, and what
-//! sensor models of growing fidelity bring.
+//! Simulated drives through the factory hall: how often a correctly localized robot is reported as lost, how large its
+//! errors are, and how much more exact sensor models improve the estimate.
 
 use super::{map, predictor};
 use cpu_time::ProcessTime;
 use glam::DVec3;
 use presight_files::preset;
 use presight_localize::estimate::{
-    Estimate, EstimateOptions, Estimator, Freedom, Prior, measured_points, motion_between, moved, nees,
+    Estimate, EstimateOptions, Estimator, Freedom, measured_points, motion_between, moved, nees,
 };
 use presight_localize::localize::{LocalizeOptions, Localizer, Phase, Step};
 use presight_localize::simulate::{Disturbances, Simulator};
-use presight_model::frame::{Frame, Measurement};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, PoseEstimate};
+use presight_model::measured::{Frame, Measurement};
 use presight_model::sensor::{Camera, Distortion, Geometry, Sensor, SensorSpec};
 use presight_model::world::World;
 use presight_predict::free_poses::free_poses;
@@ -40,15 +40,15 @@ fn with_sigma(name: &str, range_sigma: f64) -> Sensor {
     Sensor::new(spec).expect("a sensor")
 }
 
-/// Level poses, a round of an eighth of a metre beside a place: never farther from it than it is free.
+/// Level poses on a circle of 1/8 m radius through a place. The circle stays within the free space around the place.
 fn on_the_way(place: &Pose, k: usize) -> Pose {
     let (yaw, a) = (place.rotation.to_euler(glam::EulerRot::ZYX).0, 0.1 * k as f64);
     let aside = DVec3::new(0.125 * a.cos() - 0.125, 0.125 * a.sin(), 0.0);
     Pose::from_xyz_rpy(place.translation + aside, 0.0, 0.0, yaw + 0.5 * (0.35 * a).sin())
 }
 
-/// The most events a frame that so many events in so many frames leave possible, one-sided, 95 %: the mean of a Poisson
-/// distribution that gives so few with a probability of 5 %.
+/// The upper limit of the event rate per frame, one-sided, 95 %: the mean of the Poisson distribution that gives at
+/// most the counted events with a probability of 5 %.
 fn upper_bound(events: u64, frames: u64) -> f64 {
     let at_most = |mean: f64| {
         let mut term = (-mean).exp();
@@ -67,8 +67,8 @@ fn upper_bound(events: u64, frames: u64) -> f64 {
     high / frames as f64
 }
 
-/// Drives of 361 beams and their odometry from many places, until there are so many frames. Counted is each time that the robot is
-/// called lost.
+/// Drives with 361 beams and odometry from many places, for at least this many frames. Counts how often the robot is
+/// reported as lost.
 pub fn alarms(least: u64) {
     let Some(world) = hall() else { return };
     let scanner = with_sigma("laser-scanner", 0.02);
@@ -78,8 +78,8 @@ pub fn alarms(least: u64) {
     let drive = |seed: u64, place: &Pose| {
         let mut simulator =
             Simulator::new(single(), scanner.clone(), Disturbances::default(), seed).expect("a simulator");
-        let planar = EstimateOptions { model_sigma: 0.01, ..EstimateOptions::planar() };
-        let prior = Prior::of_sigmas(on_the_way(place, 0), 0.03, 0.02);
+        let planar = EstimateOptions::planar().with_model_sigma(0.01);
+        let prior = PoseEstimate::of_sigmas(on_the_way(place, 0), 0.03, 0.02);
         let mut robot = Localizer::new(Estimator::new(single(), planar), prior, LocalizeOptions::default());
         for k in 0..FRAMES {
             let frame = simulator.frame(&world, k as f64, &on_the_way(place, k)).expect("a frame");
@@ -109,7 +109,7 @@ pub fn alarms(least: u64) {
     );
 }
 
-/// What was found over a drive.
+/// The errors over a drive.
 #[derive(Default)]
 struct Errors {
     squares: [f64; 2],
@@ -120,18 +120,18 @@ struct Errors {
 
 impl Errors {
     fn add(&mut self, found: &Estimate, truth: &Pose) {
-        let off = motion_between(&found.pose, truth);
+        let off = motion_between(&found.pose.world_from_robot, truth);
         self.undetermined += usize::from(!found.is_determined());
         self.squares[0] += off[..3].iter().map(|x| x * x).sum::<f64>();
         self.squares[1] += off[5].to_degrees().powi(2);
-        self.nees.push(nees(&found.pose, &found.covariance, truth));
+        self.nees.push(nees(&found.pose, truth));
     }
 
     fn row(&self, name: &str) {
         let n = self.nees.len() as f64;
         let [metres, degrees] = self.squares.map(|s| (s / n).sqrt());
         let (sum, numbers) = self.nees.iter().fold((0.0, 0), |(s, k), (e, m)| (s + e, k + m));
-        // A sum of squares of so many standard normal numbers, about Gaussian.
+        // A sum of squares of `numbers` standard normal variables, which is about Gaussian.
         let half = 1.96 * (2.0 / numbers as f64).sqrt();
         let worst = self.nees.iter().map(|(e, m)| e / *m as f64).fold(0.0, f64::max);
         println!(
@@ -149,7 +149,7 @@ impl Errors {
 
 const HEAD: &str = "| | position RMS mm | heading RMS deg | NEES a number (95 % bounds) | worst frame | undetermined | CPU ms a frame |\n|---|---|---|---|---|---|---|";
 
-/// The halls that drives go through, each with a level place at a robot's height.
+/// The halls of the drives, each with a level pose at a robot's height.
 fn halls() -> Vec<(&'static str, World, Pose)> {
     #[cfg(feature = "script")]
     let factory = {
@@ -170,7 +170,8 @@ fn halls() -> Vec<(&'static str, World, Pose)> {
     worlds.into_iter().map(with_place).collect()
 }
 
-/// Frames of one drive by radar scan, laser range camera, and both together, each from a prior that is off by as much as it says.
+/// Frames of one drive by radar scan, by laser range camera, and by both. The prior of each has errors of its stated
+/// size.
 pub fn accuracy(frames: usize) {
     for (hall, world, place) in halls() {
         println!("{frames} frames in {hall}, exact map, around {:.1}\n{HEAD}", place.translation);
@@ -191,7 +192,7 @@ fn drive(world: &World, place: &Pose, sensors: Vec<Sensor>, frames: usize) -> Er
         |s: &Sensor| Simulator::new(predictor(), s.clone(), Disturbances::default(), 3).expect("a simulator");
     let mut simulators: Vec<Simulator> = sensors.iter().map(simulator).collect();
     let options = if is_row {
-        EstimateOptions { model_sigma: 0.0, offset_sigma: 0.003, ..EstimateOptions::planar() }
+        EstimateOptions::planar().with_model_sigma(0.0).with_offset_sigma(0.003)
     } else {
         EstimateOptions::default()
     };
@@ -211,20 +212,20 @@ fn drive(world: &World, place: &Pose, sensors: Vec<Sensor>, frames: usize) -> Er
     errors
 }
 
-/// What is known of a pose to these deviations, metres and radians, and off by as much as they say: a prior that were better than it says
-/// would leave the estimate better than it says, too.
-fn drawn_around(truth: &Pose, (metres, radians): (f64, f64), freedom: Freedom, random: &mut Random) -> Prior {
+/// A prior with these deviations, in metres and radians, and with random errors of that size. A prior better than it
+/// states would also make the estimate better than it states.
+fn drawn_around(truth: &Pose, (metres, radians): (f64, f64), freedom: Freedom, random: &mut Random) -> PoseEstimate {
     let mut off = [0.0; 6];
     for axis in freedom.axes() {
-        // Box and Muller.
+        // The Box-Muller transform.
         let radius = (-2.0 * random.uniform(1e-300, 1.0).ln()).sqrt();
         let normal = radius * random.uniform(0.0, std::f64::consts::TAU).cos();
         off[*axis] = normal * if *axis < 3 { metres } else { radians };
     }
-    Prior::of_sigmas(moved(truth, &off), metres, radians)
+    PoseEstimate::of_sigmas(moved(truth, &off), metres, radians)
 }
 
-/// A depth camera with lens distortion, noise that grows with the square of the range and noise of directions.
+/// A depth camera with lens distortion, noise that grows with the square of the range, and angular noise.
 fn depth_camera() -> SensorSpec {
     let distorted = Distortion::PlumbBob([-0.12, 0.03, 0.0, 0.0, 0.0]);
     let camera = Camera { distortion: distorted, ..Camera::pinhole(160, 120, 130.0, 130.0, 79.5, 59.5) };
@@ -234,8 +235,8 @@ fn depth_camera() -> SensorSpec {
     spec
 }
 
-/// That camera around six places, among things that are nearer to each other than its noise is wide, by a model that knows all of it; each frame
-/// from a prior that is off by as much as it says.
+/// That camera around six places, among objects closer together than its noise, with an exact sensor model. The prior
+/// of each frame has errors of its stated size.
 pub fn noise(frames: usize) {
     let Some(world) = hall() else { return };
     let sensor = Sensor::new(depth_camera()).expect("a camera");
@@ -263,8 +264,8 @@ pub fn noise(frames: usize) {
     all.row("all");
 }
 
-/// What a model of the sensor is worth: frames of a camera with lens distortion, noise that grows with the range and noise of
-/// directions, estimated with models that know of ever more of it. The 1995 paper's Fig. 15 in our terms.
+/// The value of a sensor model: frames of a camera with lens distortion, range-dependent noise and angular noise,
+/// estimated with models that include more and more of these (the 1995 paper's Fig. 15).
 pub fn fidelity(frames: usize) {
     let Some(world) = hall() else { return };
     let place = free_poses(&world, 6, 11).expect("free poses")[2];
@@ -285,7 +286,7 @@ pub fn fidelity(frames: usize) {
         ("a pinhole, 1 cm at any range", pinhole),
         ("and the lens", flat),
         ("and noise that grows with the range", growing),
-        ("and noise of directions: all of it", real),
+        ("and angular noise: all of it", real),
     ] {
         let model = Sensor::new(spec).expect("a model");
         let mut simulator =
@@ -299,7 +300,7 @@ pub fn fidelity(frames: usize) {
             let start = ProcessTime::now();
             let before = on_the_way(&place, k.saturating_sub(1));
             let found = estimator
-                .estimate(&world, &[&frame.expect("a frame")], &Prior::of_sigmas(before, 0.03, 0.03))
+                .estimate(&world, &[&frame.expect("a frame")], &PoseEstimate::of_sigmas(before, 0.03, 0.03))
                 .expect("an estimate");
             errors.cpu_ms += 1e3 * start.elapsed().as_secs_f64();
             errors.add(&found, &truth);
@@ -308,37 +309,38 @@ pub fn fidelity(frames: usize) {
     }
 }
 
-/// True if a step's pose is within 0.1 m of the truth but for directions that are named as weak (turns as lengths at the reach of the beams),
-/// and if in all directions it is where its covariance says: squared error within the 99.99 % quantile of three numbers.
+/// Returns true if a step's pose is within 0.1 m of the truth, except in directions reported as weak (rotations count
+/// as lengths at the reach of the beams), and if its squared error is within the 99.99 % quantile for three variables.
 fn is_right(frame: &Frame, step: &Step, truth: &Pose) -> bool {
     let squares = measured_points(frame).iter().map(|p| f64::from(p.point.length_squared())).collect::<Vec<f64>>();
     let reach = (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt();
-    let off = motion_between(&step.pose, truth);
+    let off = motion_between(&step.pose.world_from_robot, truth);
     let mut off: [f64; 6] = std::array::from_fn(|i| if i < 3 { off[i] } else { off[i] * reach });
-    // What beams tell well enough is not left out, however much better it was known before.
+    // A direction that the beams determine well must not be exempt, however much better it was known before.
     for weak in step.estimate.weak.iter().filter(|w| w.sigma > 0.05) {
         let along: f64 = off.iter().zip(&weak.motion).map(|(a, b)| a * b).sum();
         (0..6).for_each(|i| off[i] -= along * weak.motion[i]);
     }
-    let (squared, _) = nees(&step.pose, &step.covariance, truth);
+    let (squared, _) = nees(&step.pose, truth);
     off[..3].iter().map(|x| x * x).sum::<f64>().sqrt() < 0.1 && squared < 21.1
 }
 
-/// From many places the robot is carried four metres away, its odometry at rest: frames until it says so, and until it is found.
+/// Carries the robot four metres away from many places without odometry: counts the frames until it reports that, and
+/// until it is localized again.
 pub fn kidnapped() {
     let Some(world) = hall() else { return };
     let scanner = with_sigma("laser-scanner", 0.02);
     let places = free_poses(&world, 200, 23).expect("free poses");
-    // Level scanners are looked for at one height.
+    // The search for a level scanner covers one height only.
     let level: Vec<&Pose> = places.iter().step_by(2).collect();
-    let options = EstimateOptions { model_sigma: 0.01, ..EstimateOptions::planar() };
+    let options = EstimateOptions::planar().with_model_sigma(0.01);
     let (mut lost, mut found, mut drives) = (0, 0, 0);
     for pair in level.chunks_exact(2).take(10) {
         let height = pair[0].translation.z;
-        let search = presight_localize::localize::SearchOptions { floor: height, cell: 0.5, ..Default::default() };
+        let search = presight_localize::localize::SearchOptions::default().with_floor(height).with_cell(0.5);
         let mut robot = Localizer::new(
             Estimator::new(predictor(), options),
-            Prior::of_sigmas(on_the_way(pair[0], 0), 0.03, 0.02),
+            PoseEstimate::of_sigmas(on_the_way(pair[0], 0), 0.03, 0.02),
             LocalizeOptions::default(),
         );
         if robot.search_everywhere(&world, &scanner, search).is_err() {
@@ -362,7 +364,7 @@ pub fn kidnapped() {
             if lost_at.is_some() && step.phase == Phase::Tracking && is_right(&frame, &step, &truth) {
                 found_at.get_or_insert(k - 14);
             }
-            let off = (step.pose.translation - truth.translation).length();
+            let off = (step.pose.world_from_robot.translation - truth.translation).length();
             let weak: Vec<&str> = step.estimate.weak.iter().map(|w| w.name.as_str()).collect();
             reason = format!("{}, {off:.2} m off, weak {weak:?}: {}", step.phase.name(), step.reason);
         }

@@ -1,7 +1,8 @@
-//! What one update costs, prediction and verdicts included: `cargo bench --bench localize`. Medians and 95th percentiles on
-//! two threads, from where the frame before was. Sets of ../shared/data (or $PRESIGHT_DATA) that are not there are left out.
-//! `cargo bench --bench localize -- alarms 30000` (or `accuracy 200`, `fidelity 40`, `noise 60`, `kidnapped`) simulates drives, see `drives.rs`;
-//! `-- frames DIR` also writes the frames and what was found there, for `benches/peers/localize.sh`.
+//! Measures one update including prediction and verdicts: `cargo bench --bench localize`. Prints medians and 95th
+//! percentiles on two threads, starting from the previous frame's pose. Missing sets of ../shared/data (or
+//! $PRESIGHT_DATA) are skipped.
+//! `cargo bench --bench localize -- alarms 30000` (or `accuracy 200`, `fidelity 40`, `noise 60`, `kidnapped`) simulates
+//! drives, see `drives.rs`; `-- frames DIR` also writes the frames and their estimates for `benches/peers/localize.sh`.
 
 #![allow(clippy::print_stdout, reason = "a bench prints its figures")]
 
@@ -11,10 +12,10 @@ use cpu_time::ProcessTime;
 use glam::DVec3;
 use presight_files::gltf::import;
 use presight_files::log::{Frames, Observation};
-use presight_localize::estimate::{EstimateOptions, Estimator, Freedom, Prior, measured_points};
+use presight_localize::estimate::{EstimateOptions, Estimator, Freedom, measured_points};
 use presight_localize::simulate::{Disturbances, Simulator};
-use presight_model::frame::Frame;
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, PoseEstimate};
+use presight_model::measured::Frame;
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
 use presight_testkit::data;
@@ -29,14 +30,14 @@ fn map(path: &Path) -> World {
     World::new(import(path, &Default::default()).expect("the map imports").environment)
 }
 
-/// A frame, what is known before it, and where the robot was.
+/// A frame, the prior knowledge of its pose, and the robot's true pose.
 struct Known {
     frame: Frame,
-    prior: Prior,
+    prior: PoseEstimate,
     truth: Pose,
 }
 
-/// Frames in a map, and how they are estimated.
+/// Frames in a map, and the options of their estimation.
 struct Case {
     name: &'static str,
     aim: &'static str,
@@ -46,7 +47,8 @@ struct Case {
 }
 
 impl Case {
-    /// Updates each frame from its prior and prints the times. The first frames warm up. CPU time holds on a busy machine, too.
+    /// Updates each frame from its prior and prints the times. The first frames warm up. CPU times also hold on a busy
+    /// machine.
     fn measure(&self, out: Option<&Path>) {
         let world = map(&self.map);
         let mut estimator = Estimator::new(predictor(), self.options);
@@ -58,7 +60,7 @@ impl Case {
             if k >= warm {
                 cpu.push(1e3 * cpu_start.elapsed().as_secs_f64());
                 wall.push(1e3 * start.elapsed().as_secs_f64());
-                found.push(estimate.pose);
+                found.push(estimate.pose.world_from_robot);
             }
         }
         if let Some(out) = out {
@@ -90,7 +92,7 @@ impl Case {
         );
     }
 
-    /// NAME.json, and beside it NAME.points: x y z of all measured points in the robot's frame, f32, frame by frame.
+    /// Writes NAME.json, and NAME.points: x y z of all measured points in the robot's frame, f32, frame by frame.
     fn write(&self, out: &Path, found: &[Pose], [wall, cpu]: [&[f64]; 2]) {
         let numbers = |pose: &Pose| [pose.translation.to_array().to_vec(), pose.rotation.to_array().to_vec()].concat();
         let (mut points, mut frames) = (Vec::new(), Vec::new());
@@ -104,7 +106,7 @@ impl Case {
             }
             frames.push(serde_json::json!({
                 "points": measured.len(), "origin": mount.translation.to_array(), "ms": ms, "cpu_ms": cpu,
-                "prior": numbers(&known.prior.pose), "truth": numbers(&known.truth), "found": numbers(found),
+                "prior": numbers(&known.prior.world_from_robot), "truth": numbers(&known.truth), "found": numbers(found),
             }));
         }
         let planar = self.options.freedom == Freedom::Planar;
@@ -120,9 +122,9 @@ fn livingroom() -> Option<Case> {
     let (log, map) = (data::file("rgbd/livingroom")?, data::file("rgbd/livingroom/livingroom_map.glb")?);
     let frames = Frames::open(&log, None, &Default::default()).expect("a log").take(60);
     let frames: Vec<Observation> = frames.map(|o| o.expect("a frame")).collect();
-    // Each frame with the reference of the one before as its prior.
+    // The prior of each frame is the previous frame's reference.
     let known = |pair: &[Observation]| {
-        let prior = Prior::of_sigmas(pair[0].reference?, 0.03, 0.02);
+        let prior = PoseEstimate::of_sigmas(pair[0].reference?, 0.03, 0.02);
         Some(Known { frame: pair[1].frame.thinned(4).expect("a stride"), prior, truth: pair[1].reference? })
     };
     let frames = frames.windows(2).filter_map(known).collect();
@@ -133,11 +135,11 @@ fn livingroom() -> Option<Case> {
 fn malaga() -> Option<Case> {
     let log = data::file("lidar2d/malaga_corridor_run_scans.json")?;
     let map = data::file("lidar2d/malaga_corridor_map.glb")?;
-    // Scans lie far apart: each from a little beside its own place.
+    // The scans are far apart, so each prior is a little off the scan's own reference.
     let known = |o: Observation| {
         let truth = o.reference?;
         let beside = truth * Pose::from_xyz_rpy(DVec3::new(0.03, -0.02, 0.0), 0.0, 0.0, 0.015);
-        Some(Known { frame: o.frame, prior: Prior::of_sigmas(beside, 0.03, 0.02), truth })
+        Some(Known { frame: o.frame, prior: PoseEstimate::of_sigmas(beside, 0.03, 0.02), truth })
     };
     let frames = Frames::open(&log, None, &Default::default()).expect("a log").map(|o| o.expect("a scan"));
     let frames = frames.filter_map(known).collect();
@@ -153,7 +155,7 @@ fn hall() -> Option<Case> {
     let known = |(k, place): (usize, &Pose)| {
         let off = Pose { translation: place.translation + DVec3::new(0.01, -0.01, 0.0), ..*place };
         let frame = simulator.frame(&world, k as f64, place).expect("a frame");
-        Known { frame, prior: Prior::of_sigmas(off, 0.02, 0.01), truth: *place }
+        Known { frame, prior: PoseEstimate::of_sigmas(off, 0.02, 0.01), truth: *place }
     };
     let frames = places.iter().enumerate().map(known).collect();
     let (name, aim) = ("hall, laser range camera", "8 ms p95");
@@ -161,7 +163,7 @@ fn hall() -> Option<Case> {
 }
 
 fn main() {
-    // Cargo says --bench.
+    // Cargo passes --bench.
     let words: Vec<String> = std::env::args().skip(1).filter(|a| !a.starts_with("--")).collect();
     let number = |default| words.get(1).map_or(default, |n| n.parse().expect("a number of frames"));
     match words.first().map(String::as_str) {

@@ -1,12 +1,13 @@
-//! presight's side of benches/peers: `peer SCENE FOLDER POSES THREADS BACKEND` (cpu, gpu; parry for its tracer) opens a scene, writes what Embree needs into a folder,
-//! and then predicts at what it is told on its standard input.
+//! presight's side of benches/peers: `peer SCENE FOLDER POSES THREADS BACKEND` (cpu, gpu; parry for its tracer) opens a
+//! scene, writes Embree's input into a folder, and then predicts by the commands on its standard input.
 //!
-//! The first line of its output tells, as JSON, the triangles (a `.glb`), the poses (rows of `world_from_body`, 3 x 4) and the
-//! sensors, whose unit rays (body axes, f64, row by row, NaN for none) are in `SENSOR.f64`. Each line `SENSOR POSE REPEAT` of its input, both
-//! numbers from 0, is answered by the milliseconds of so many predictions; the range image (f32) is then in `range.f32`.
+//! The first line of output has, as JSON, the triangles (a `.glb`), the poses (rows of `world_from_body`, 3 x 4) and
+//! the sensors. The unit rays of a sensor are in `SENSOR.f64` (body axes, f64, row by row, NaN where there is no ray).
+//! For each input line `SENSOR POSE REPEAT`, with both numbers from 0, it prints the milliseconds of REPEAT predictions
+//! and writes the range image (f32) to `range.f32`.
 
 #![allow(missing_docs, reason = "a bench has no interface")]
-#![allow(clippy::print_stdout, reason = "it speaks through its output")]
+#![allow(clippy::print_stdout, reason = "its output is its interface")]
 
 #[path = "../common/cameras.rs"]
 mod cameras;
@@ -35,7 +36,7 @@ use std::time::Instant;
 
 const PRESETS: [&str; 4] = ["microwave-radar-image", "video-camera", "laser-range-camera", "microwave-radar-scan"];
 
-/// Those of [`cameras::sensors`] that are compared.
+/// The sensors of [`cameras::sensors`] that are compared.
 const CAMERAS: [&str; 6] = ["pinhole", "plumb-bob", "rational", "fisheye 60", "fisheye 120", "fisheye 200"];
 
 fn sensors() -> Vec<Sensor> {
@@ -64,14 +65,14 @@ fn describe(sensor: &Sensor, folder: &Path) -> Value {
     json!({ "name": name, "size": [width, height], "range_max": sensor.spec().range_max.min(f64::MAX), "table_bytes": tables })
 }
 
-/// Unit, in the world; NaN for none.
+/// Unit rays in the world frame; NaN where there is no ray.
 fn world_rays(sensor: &Sensor, pose: &Pose) -> Vec<DVec3> {
     let turn = pose.rotation_matrix() * sensor.body_from_image();
     let ray = |column, row| sensor.ray(column, row).map_or(DVec3::NAN, |ray| turn * ray.normalize());
     (0..sensor.height()).flat_map(|row| (0..sensor.width()).map(move |column| ray(column, row))).collect()
 }
 
-/// Another tracer that is not presight: parry's BVH in f64, rays shared out to as many threads.
+/// A tracer independent of presight: parry's BVH in f64, with the rays distributed over the same number of threads.
 struct Parry {
     mesh: TriMesh,
     pool: rayon::ThreadPool,
@@ -93,7 +94,7 @@ impl Parry {
         Self { mesh, pool: rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads") }
     }
 
-    /// Ranges, metres; infinite where nothing is met, NaN where there is no ray.
+    /// Ranges in metres; infinite without a hit, NaN where there is no ray.
     fn trace(&self, from: DVec3, rays: &[DVec3]) -> Vec<f64> {
         let vector = |v: &DVec3| Vector::new(v.x, v.y, v.z);
         let cast = |ray: &DVec3| {
@@ -105,7 +106,7 @@ impl Parry {
     }
 }
 
-/// The same objects of materials that every class sees from both sides: to a peer all triangles are so.
+/// The same objects with materials that every class sees from both sides, as peers see all triangles.
 fn opaque(environment: &Environment) -> Environment {
     let mut all = Environment::new();
     for material in environment.materials() {

@@ -1,65 +1,92 @@
-//! ARCHITECTURE's table of modules and its import rule, held against the sources.
+//! What the compiler does not prove of ARCHITECTURE's rules: the picture of the crates, who names which crate from
+//! outside, engines that do not know each other, and a facade that stays small.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Crates that only one module may name.
-const HOMES: [(&str, &[&str]); 3] = [
-    ("gpu", &["wgpu", "pollster"]),
-    ("extract", &["apriltag"]),
-    ("io", &["exr", "gltf", "rhai", "rusqlite", "serde_saphyr", "toml", "twox_hash"]),
+/// The crates of ARCHITECTURE's picture, lowest first, with those that stand directly below each.
+const PICTURE: [(&str, &[&str]); 11] = [
+    ("presight-model", &[]),
+    ("presight-render", &["presight-model"]),
+    ("presight-features", &["presight-render"]),
+    ("presight-predict", &["presight-features"]),
+    ("presight-files", &["presight-predict"]),
+    ("presight-pictures", &["presight-files"]),
+    ("presight-localize", &["presight-predict"]),
+    ("presight", &["presight-localize", "presight-pictures"]),
+    ("presight-testkit", &["presight-pictures"]),
+    ("presight-studies", &["presight", "presight-testkit"]),
+    ("presight-cli", &["presight-studies"]),
 ];
 
-/// The modules that draw. The rows between them and `predict` know them all.
-const ENGINES: [&str; 3] = ["reference", "cpu", "gpu"];
+/// Crates from outside that only some crates may use, and there only one folder of the sources if it is named.
+const FOREIGN: [(&[&str], &[&str], Option<&str>); 4] = [
+    (&["wgpu", "pollster"], &["presight-predict"], Some("gpu")),
+    (&["apriltag"], &["presight-localize"], Some("extract")),
+    (&["exr", "gltf", "rhai", "rusqlite", "serde-saphyr", "toml", "twox-hash"], &["presight-files"], None),
+    (&["image"], &["presight-files", "presight-pictures"], None),
+];
 
-/// A module and what it depends on, as a row of the table says; modules of one row may import each other.
-struct Row {
-    modules: Vec<String>,
-    depends: Vec<String>,
+/// Folders, and names of modules and types that their sources may not import.
+const STRANGERS: [(&str, &[&str]); 4] = [
+    ("crates/presight-render/src/cpu", &["reference"]),
+    ("crates/presight-render/src/reference", &["cpu"]),
+    ("crates/presight-predict/src/gpu", &["reference", "cpu", "engine", "predict"]),
+    ("crates/presight-files/src", &["reference", "cpu", "gpu", "engine", "Predictor"]),
+];
+
+/// Most modules, most types, and most names at the root of the facade.
+const FACADE: [usize; 3] = [14, 130, 60];
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
 }
 
-/// The rows of the table of modules, those of `crates/` left out.
-fn table(text: &str) -> Vec<Row> {
-    let start = text.find("| module | holds | depends on |").expect("the table of modules");
-    let names = |cell: &str| -> Vec<String> {
-        let is_name = |c: char| c.is_ascii_lowercase() || c == '_';
-        cell.split(|c: char| !is_name(c)).filter(|w| !w.is_empty()).map(str::to_owned).collect()
-    };
-    let lines = text[start..].lines().skip(2).take_while(|line| line.starts_with('|'));
+fn folder_of(name: &str) -> PathBuf {
+    if name == "presight" { root().to_owned() } else { root().join("crates").join(name) }
+}
+
+fn read(path: &Path) -> String {
+    fs::read_to_string(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
+}
+
+/// The names in the section `[dependencies]` of a Cargo.toml.
+fn dependencies(manifest: &str) -> Vec<&str> {
+    let section = manifest.split("\n[dependencies]\n").nth(1).unwrap_or_default();
+    let lines = section.lines().take_while(|line| !line.starts_with('['));
     lines
-        .map(|line| {
-            let cells: Vec<&str> = line.split('|').collect();
-            Row { modules: names(cells[1]), depends: names(cells[3]) }
-        })
+        .filter_map(|line| line.split(['.', ' ', '=']).next().filter(|n| !n.is_empty() && !n.starts_with('#')))
         .collect()
 }
 
-/// What each module may import: what is in its own row, and what its row names, row by row. Faults of the table itself are
-/// the second answer.
-fn allowed(rows: &[Row]) -> (BTreeMap<&str, BTreeSet<&str>>, Vec<String>) {
-    let (mut allowed, mut faults) = (BTreeMap::<&str, BTreeSet<&str>>::new(), Vec::new());
-    for row in rows {
-        let mut all: BTreeSet<&str> = row.modules.iter().map(String::as_str).collect();
-        for name in row.depends.iter().map(String::as_str) {
-            match (name, allowed.get(name)) {
-                ("nothing", _) => {}
-                ("everything", _) => all.extend(allowed.keys()),
-                (_, Some(its)) => all.extend(its),
-                (_, None) => faults.push(format!("{name}, on which {:?} depends, has no row above", row.modules)),
-            }
-        }
-        for module in &row.modules {
-            if allowed.insert(module, all.clone()).is_some() {
-                faults.push(format!("{module} has two rows"));
-            }
-        }
+/// The crates below each one.
+fn below(picture: &[(&'static str, &[&'static str])]) -> BTreeMap<&'static str, BTreeSet<&'static str>> {
+    let mut below = BTreeMap::<_, BTreeSet<_>>::new();
+    for (name, direct) in picture {
+        let mut all: BTreeSet<_> = direct.iter().copied().collect();
+        direct.iter().for_each(|d| all.extend(&below[d]));
+        below.insert(*name, all);
     }
-    (allowed, faults)
+    below
 }
 
-/// The source without comments and without what is only for tests, which stands at the end.
+/// Dependencies of a crate that the picture or the list of crates from outside forbids.
+fn forbidden(name: &str, manifest: &str) -> Vec<String> {
+    let below = below(&PICTURE);
+    let mut faults = Vec::new();
+    for d in dependencies(manifest) {
+        if d.starts_with("presight") && !below[name].contains(d) {
+            faults.push(format!("{name} depends on {d}, which is not below it"));
+        }
+        for (_, homes, _) in FOREIGN.iter().filter(|(crates, homes, _)| crates.contains(&d) && !homes.contains(&name)) {
+            faults.push(format!("{name} depends on {d}, which only {} may", homes.join(" and ")));
+        }
+    }
+    faults
+}
+
+/// The source without comments and without its tests, which stand at the end.
 fn code(text: &str) -> String {
     let lines = text.lines().map(|line| line.split("//").next().unwrap_or_default());
     let text = lines.collect::<Vec<_>>().join("\n");
@@ -67,127 +94,212 @@ fn code(text: &str) -> String {
     text[..tests.unwrap_or(text.len())].to_owned()
 }
 
-/// What a source imports of this crate: modules, through the names that `lib.rs` gives again.
-fn imports(code: &str, again: &BTreeMap<String, String>) -> BTreeSet<String> {
-    let words = |text: &str| -> Vec<String> {
-        text.split(|c: char| !c.is_alphanumeric() && c != '_').filter(|w| !w.is_empty()).map(str::to_owned).collect()
-    };
-    let after = code.split("crate::").skip(1);
-    let named = after.flat_map(|rest| match rest.strip_prefix('{') {
-        Some(rest) => words(rest.split('}').next().unwrap_or_default()),
-        None => words(rest.split(|c: char| !c.is_alphanumeric() && c != '_').next().unwrap_or_default()),
-    });
-    named.map(|name| again.get(&name).cloned().unwrap_or(name)).collect()
+fn words(text: &str) -> impl Iterator<Item = &str> {
+    text.split(|c: char| !c.is_alphanumeric() && c != '_').filter(|word| !word.is_empty())
 }
 
-/// The names that `lib.rs` gives again, and the modules they come from.
-fn given_again(lib: &str) -> BTreeMap<String, String> {
-    let mut names = BTreeMap::new();
-    for rest in lib.split("\npub use ").skip(1) {
-        let (module, list) =
-            rest.split(';').next().and_then(|used| used.split_once("::")).expect("pub use module::name");
-        for name in list.split(|c: char| !c.is_alphanumeric() && c != '_').filter(|name| !name.is_empty()) {
-            names.insert(name.to_owned(), module.to_owned());
+/// The names that a source takes from its own crate and its sisters, lists in braces included.
+fn imports(code: &str) -> BTreeSet<&str> {
+    let mut names = BTreeSet::new();
+    let sisters = ["crate::", "presight_model::", "presight_render::", "presight_features::", "presight_predict::"];
+    for rest in sisters.iter().flat_map(|sister| code.split(sister).skip(1)) {
+        let path = rest.split(|c: char| !c.is_alphanumeric() && !"_:{".contains(c)).next().unwrap_or_default();
+        names.extend(words(path));
+        if let Some((_, list)) = rest.split_once('{').filter(|(before, _)| path.starts_with(*before)) {
+            names.extend(words(list.split([';', ')']).next().unwrap_or_default()));
         }
     }
     names
 }
 
-/// Sources below a folder, without tests.
-fn sources(folder: &Path, to: &mut Vec<PathBuf>) {
+/// Names that sources below a folder import although they are strangers to it.
+fn strangers(folder: &str, code: &str) -> Vec<String> {
+    let rule = STRANGERS.iter().find(|(of, _)| *of == folder).expect("a folder of the list");
+    let imported = imports(code);
+    rule.1.iter().filter(|name| imported.contains(**name)).map(|name| format!("{folder} imports {name}")).collect()
+}
+
+/// Crates from outside that a source names although it is not in their folder.
+fn misplaced(of_crate: &str, file: &str, code: &str) -> Vec<String> {
+    let mut faults = Vec::new();
+    for (crates, homes, module) in FOREIGN {
+        let Some(module) = module.filter(|_| homes.contains(&of_crate)) else { continue };
+        if file.starts_with(&format!("{module}/")) || file == format!("{module}.rs") {
+            continue;
+        }
+        let names = |c: &&&str| code.contains(&format!("{c}::"));
+        faults.extend(crates.iter().filter(names).map(|c| format!("{of_crate}: {file} names {c}, only {module} may")));
+    }
+    faults
+}
+
+/// Sources below a folder, without files and folders of tests.
+fn sources(folder: &Path) -> Vec<PathBuf> {
+    let mut found = Vec::new();
     for entry in fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();
         let name = path.file_stem().unwrap().to_str().unwrap();
         match path.is_dir() {
             _ if name == "tests" || name.ends_with("_tests") => {}
-            true => sources(&path, to),
-            false if path.extension().is_some_and(|e| e == "rs") => to.push(path),
+            true => found.extend(sources(&path)),
+            false if path.extension().is_some_and(|e| e == "rs") => found.push(path),
             false => {}
         }
     }
+    found
 }
 
-/// What breaks the rule: `files` are top-level modules with a source of theirs.
-fn breaches(architecture: &str, lib: &str, files: &[(String, String)]) -> Vec<String> {
-    let rows = table(architecture);
-    let (allowed, mut faults) = allowed(&rows);
-    for engine in ["cpu", "gpu", "engine", "predict"] {
-        if allowed.get("io").is_some_and(|may| may.contains(engine)) {
-            faults.push(format!("io depends on {engine}"));
+/// What the facade's sources offer: modules, and the names given on, by file, each with its original name.
+#[derive(Default)]
+struct Facade {
+    modules: usize,
+    names: Vec<(String, String)>,
+    globs: Vec<String>,
+}
+
+impl Facade {
+    fn read(files: &[(String, String)]) -> Self {
+        let mut facade = Self::default();
+        for (file, text) in files {
+            let code = code(text);
+            facade.modules += code.lines().filter(|line| line.trim_start().starts_with("pub mod ")).count();
+            for used in code.split("pub use ").skip(1).map(|rest| rest.split(';').next().unwrap_or_default()) {
+                let (path, list) = used.split_once('{').unwrap_or_else(|| used.rsplit_once("::").unwrap_or(("", used)));
+                for item in list.trim_end_matches('}').split(',').map(str::trim).filter(|item| !item.is_empty()) {
+                    let original = item.split(" as ").next().unwrap_or_default();
+                    match words(original).collect::<Vec<_>>()[..] {
+                        [name] if name != "self" => facade.names.push((file.clone(), name.to_owned())),
+                        _ => facade.globs.push(format!("{file}: {path}{item}")),
+                    }
+                }
+            }
         }
+        facade
     }
-    let again = given_again(lib);
-    for (module, source) in files {
-        let Some(may) = allowed.get(module.as_str()) else {
-            faults.push(format!("{module} has no row"));
-            continue;
-        };
-        let code = code(source);
-        for name in imports(&code, &again) {
-            // Other names are items of the crate's root, such as macros.
-            if allowed.contains_key(name.as_str()) && !may.contains(name.as_str()) {
-                faults.push(format!("{module} imports {name}"));
-            }
-            let engine = ENGINES.contains(&module.as_str()) && ENGINES.contains(&name.as_str()) && *module != name;
-            if engine || module == "io" && [&ENGINES[..], &["engine", "predict"]].concat().contains(&name.as_str()) {
-                faults.push(format!("{module} knows {name}"));
+
+    /// What breaks the bounds; `types` and `others` are the names of all types, and of all functions and constants.
+    fn faults(&self, types: &BTreeSet<String>, others: &BTreeSet<String>) -> Vec<String> {
+        let mut faults: Vec<String> = self.globs.iter().map(|glob| format!("{glob}: name items one by one")).collect();
+        let unknown = |(_, name): &&(String, String)| !types.contains(name) && !others.contains(name);
+        faults.extend(self.names.iter().filter(unknown).map(|(file, name)| format!("{file}: {name} is not an item")));
+        let known = self.names.iter().filter(|(_, name)| types.contains(name)).count();
+        let at_root = self.names.iter().filter(|(file, _)| file == "lib.rs").count() + self.modules;
+        for ((what, count), most) in
+            [("modules", self.modules), ("types", known), ("names at the root", at_root)].into_iter().zip(FACADE)
+        {
+            if count > most {
+                faults.push(format!("the facade has {count} {what}, at most {most} are allowed"));
             }
         }
-        for (home, crates) in HOMES.iter().filter(|(home, _)| home != module) {
-            let named = |c: &&&str| {
-                [format!("use {c}::"), format!(" {c}::"), format!("({c}::")].iter().any(|n| code.contains(n))
+        faults
+    }
+}
+
+/// The names of all public types, and of all public functions and constants, in the library's sources.
+fn items() -> [BTreeSet<String>; 2] {
+    let mut items = [BTreeSet::new(), BTreeSet::new()];
+    let folders = PICTURE.iter().take(8).map(|(name, _)| folder_of(name).join("src"));
+    for path in folders.flat_map(|folder| sources(&folder)) {
+        for line in code(&read(&path)).lines().filter(|line| line.starts_with("pub ")) {
+            let mut words = words(line).skip(1).filter(|word| !["unsafe", "async"].contains(word));
+            match (words.next().unwrap_or_default(), words.next().unwrap_or_default()) {
+                ("struct" | "enum" | "trait" | "type" | "union", name) => items[0].insert(name.to_owned()),
+                ("fn" | "static", name) => items[1].insert(name.to_owned()),
+                ("const", "fn") => items[1].insert(words.next().unwrap_or_default().to_owned()),
+                ("const", name) => items[1].insert(name.to_owned()),
+                _ => false,
             };
-            faults.extend(crates.iter().filter(named).map(|c| format!("{module} names {c}, which only {home} may")));
         }
     }
-    faults.sort();
-    faults.dedup();
-    faults
+    items
 }
 
 #[test]
-fn modules_import_what_the_table_says() {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let read = |path: &Path| fs::read_to_string(path).unwrap();
-    let (mut paths, mut files) = (Vec::new(), Vec::new());
-    sources(&root.join("src"), &mut paths);
-    for path in paths.iter().filter(|path| !path.ends_with("src/lib.rs")) {
-        let relative = path.strip_prefix(root.join("src")).unwrap();
-        let module = Path::new(relative.iter().next().unwrap()).file_stem().unwrap().to_str().unwrap();
-        files.push((module.to_owned(), read(path)));
+fn crates_depend_on_those_below_them() {
+    let mut faults = Vec::new();
+    for (name, _) in PICTURE {
+        faults.extend(forbidden(name, &read(&folder_of(name).join("Cargo.toml"))));
     }
-    assert!(files.len() > 200, "{} sources", files.len());
-    let faults = breaches(&read(&root.join("ARCHITECTURE.md")), &read(&root.join("src/lib.rs")), &files);
+    assert!(faults.is_empty(), "{faults:#?}");
+    let crates = fs::read_dir(root().join("crates")).unwrap().map(|entry| entry.unwrap().file_name());
+    let unknown: Vec<_> = crates.filter(|name| !PICTURE.iter().any(|(known, _)| name == *known)).collect();
+    assert!(unknown.is_empty(), "not in the picture: {unknown:?}");
+}
+
+#[test]
+fn sources_name_only_what_they_may() {
+    let (mut faults, mut count) = (Vec::new(), 0);
+    for (folder, _) in STRANGERS {
+        for path in sources(&root().join(folder)) {
+            count += 1;
+            faults
+                .extend(strangers(folder, &code(&read(&path))).into_iter().map(|f| format!("{}: {f}", path.display())));
+        }
+    }
+    for name in FOREIGN.iter().filter(|(.., module)| module.is_some()).flat_map(|(_, homes, _)| *homes) {
+        let src = folder_of(name).join("src");
+        for path in sources(&src) {
+            let file = path.strip_prefix(&src).unwrap().to_str().unwrap();
+            faults.extend(misplaced(name, file, &code(&read(&path))));
+        }
+    }
+    assert!(count > 100, "{count} sources");
     assert!(faults.is_empty(), "{faults:#?}");
 }
 
 #[test]
-fn breaches_are_found() {
-    let table = "| module | holds | depends on |\n|---|---|---|\n| `error`, `limits` | x | nothing |\n| `plan` | x | error |\n\
-                 | `cpu` | x | plan |\n| `gpu` | x | plan |\n| `io` | one file per format | plan |\n\ntext | `later` |\n";
-    let lib = "mod plan;\npub use plan::{FramePlan, Images};\n";
-    let of = |module: &str, source: &str| breaches(table, lib, &[(module.to_owned(), source.to_owned())]);
-    let sound = [
-        ("io", "use crate::limits;\nuse crate::{Images, error};\nuse exr::x;"),
-        ("cpu", "use crate::plan::FramePlan; // crate::gpu\n#[cfg(test)]\nmod tests {\n    use crate::gpu;\n}"),
-        ("error", "use crate::limits::MOST;"),
-    ];
-    for (module, source) in sound {
-        assert_eq!(of(module, source), [""; 0], "{module}: {source}");
+fn the_facade_is_small() {
+    let folder = root().join("src");
+    let files: Vec<_> = sources(&folder)
+        .into_iter()
+        .map(|path| (path.file_name().unwrap().to_str().unwrap().to_owned(), read(&path)))
+        .collect();
+    let facade = Facade::read(&files);
+    let [types, others] = items();
+    assert!(facade.modules > 5 && facade.names.len() > 100, "{} names", facade.names.len());
+    let faults = facade.faults(&types, &others);
+    assert!(faults.is_empty(), "{faults:#?}");
+}
+
+#[test]
+fn planted_faults_are_found() {
+    let upward = "[package]\n\n[dependencies]\npresight-model.workspace = true\npresight-files.workspace = true\n\n\
+                  [dev-dependencies]\npresight = 1\n";
+    assert_eq!(
+        forbidden("presight-render", upward),
+        ["presight-render depends on presight-files, which is not below it"]
+    );
+    let foreign = "\n[dependencies]\ntoml = { version = \"1\" }\nserde.workspace = true\n";
+    assert_eq!(forbidden("presight-model", foreign), ["presight-model depends on toml, which only presight-files may"]);
+    assert!(forbidden("presight-files", foreign).is_empty());
+
+    let files = "crates/presight-files/src";
+    for source in [
+        "use presight_predict::predict::{Options, Predictor};",
+        "fn f() { presight_render::cpu::draw() }",
+        "use presight_predict::{batch, engine};",
+    ] {
+        assert_eq!(strangers(files, source).len(), 1, "{source}");
     }
-    let broken = [
-        ("plan", "use crate::cpu::Engine;", "plan imports cpu"),
-        ("error", "use crate::Images;", "error imports plan"),
-        ("error", "use crate::{limits, plan};", "error imports plan"),
-        ("io", "fn f() { crate::gpu::open() }", "io knows gpu"),
-        ("plan", "use wgpu::Device;", "plan names wgpu, which only gpu may"),
-        ("later", "", "later has no row"),
-    ];
-    for (module, source, said) in broken {
-        assert!(of(module, source).iter().any(|fault| fault == said), "{module}: {source}: {:?}", of(module, source));
-    }
-    let through = table.replace("| plan |\n\n", "| gpu |\n\n");
-    assert!(breaches(&through, lib, &[]).contains(&"io depends on gpu".to_owned()));
-    let upward = table.replace("| x | nothing |", "| x | plan |");
-    assert!(breaches(&upward, lib, &[]).iter().any(|fault| fault.starts_with("plan, on which")), "a row below");
+    let sound = "use presight_predict::request::Request; // presight_predict::gpu\n#[cfg(test)]\nmod tests {\n    \
+                 use presight_predict::Predictor;\n}";
+    assert!(strangers(files, &code(sound)).is_empty());
+    assert_eq!(strangers("crates/presight-render/src/cpu", "use crate::reference::Face;").len(), 1);
+
+    assert_eq!(misplaced("presight-predict", "batch/mod.rs", "fn f(d: &wgpu::Device) {}").len(), 1);
+    assert!(misplaced("presight-predict", "gpu/mod.rs", "fn f(d: &wgpu::Device) {}").is_empty());
+
+    let names: Vec<String> = (0..=FACADE[1]).map(|i| format!("Type{i}")).collect();
+    let many = format!("pub mod a;\n#[doc(inline)]\npub use presight_model::{{{}}};\n", names.join(", "));
+    let facade = Facade::read(&[("a.rs".to_owned(), many), ("lib.rs".to_owned(), "pub mod b;\n".repeat(FACADE[0]))]);
+    let types = names.into_iter().collect();
+    let faults = facade.faults(&types, &BTreeSet::new());
+    assert_eq!(
+        faults,
+        ["the facade has 15 modules, at most 14 are allowed", "the facade has 131 types, at most 130 are allowed"]
+    );
+    let glob =
+        "pub use presight_model::*;\npub use presight_files::layer;\npub use presight_files::poses::{self, Type1};\n";
+    let faults = Facade::read(&[("lib.rs".to_owned(), glob.to_owned())]).faults(&types, &BTreeSet::new());
+    assert_eq!(faults.len(), 3, "{faults:?}");
 }

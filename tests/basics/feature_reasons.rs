@@ -1,4 +1,4 @@
-//! Why features are not seen, reason by reason, in scenes of a wall and a sensor.
+//! Checks each reason for a hidden feature in scenes of a wall and a sensor.
 
 use presight_testkit as common;
 
@@ -14,7 +14,7 @@ use presight_model::world::World;
 use presight_render::plan::{CountName, StageName};
 use std::sync::Arc;
 
-/// A wall at x = 3, from y = -1 to 1 and z = -1 to 1, whose normal looks at the origin.
+/// A wall at x = 3, from y = -1 to 1 and z = -1 to 1, with its normal towards the origin.
 fn wall(appearance: Appearance, one_sided: bool) -> World {
     let mut environment = Environment::new();
     let mut material = Material::named("glass");
@@ -69,7 +69,7 @@ fn outside_and_behind_come_in_order_along_a_segment() {
     let seen = one(&world, &scenes::camera(100, 80), placed(1, segment([-2.0, 0.1, 0.0], [2.0, 0.1, 0.0]), &[]));
     assert_eq!(reasons(&seen), [Reason::BehindSensor, Reason::OutsideImage]);
     assert!((seen.hidden[0].t[1] - 0.5).abs() < 1e-12 && seen.hidden[0].t[0] == 0.0);
-    // 100 pixels with f = 100: the image ends where y / x = 0.5, at x = 0.2.
+    // The image is 100 pixels wide with f = 100, so it ends where y / x = 0.5, at x = 0.2.
     assert!((seen.hidden[1].t[1] - 0.55).abs() < 1e-12, "{seen:?}");
     assert_eq!(seen.visible.len(), 1);
     assert!((seen.visible[0].t[0] - 0.55).abs() < 1e-12 && seen.visible[0].t[1] == 1.0);
@@ -112,7 +112,7 @@ fn materials_hide_or_not() {
 }
 
 #[test]
-fn what_looks_away_is_not_seen() {
+fn features_facing_away_are_not_seen() {
     let camera = scenes::camera(100, 80);
     let empty = World::new(Environment::new());
     let reflector = |normal: DVec3| {
@@ -122,7 +122,7 @@ fn what_looks_away_is_not_seen() {
     };
     assert_eq!(reflector(DVec3::NEG_X).visible_fraction, 1.0);
     assert_eq!(reasons(&reflector(DVec3::X)), [Reason::FacingAway]);
-    // Clockwise from the top left, seen from the camera: left is +y.
+    // Clockwise from the top left as seen from the camera: left is +y.
     let marker = [[3.0, 0.2, 0.2], [3.0, -0.2, 0.2], [3.0, -0.2, -0.2], [3.0, 0.2, -0.2]].map(DVec3::from);
     let fiducial = |corners: [DVec3; 4]| {
         let shape = FeatureShape::Fiducial { corners, covariance: DMat3::ZERO, family: "DICT_4X4_50".into(), code: 1 };
@@ -131,7 +131,7 @@ fn what_looks_away_is_not_seen() {
     assert_eq!(fiducial(marker).visible_fraction, 1.0);
     let [a, b, c, d] = marker;
     assert_eq!(reasons(&fiducial([a, d, c, b])), [Reason::FacingAway]);
-    // A one-sided wall from its back.
+    // A one-sided wall seen from its back.
     let world = wall(Appearance::Opaque, true);
     let back = Pose::from_xyz_rpy(DVec3::X * 6.0, 0.0, 0.0, std::f64::consts::PI);
     let edge = placed(1, segment([3.0, -0.5, 0.0], [3.0, 0.5, 0.0]), &[0]);
@@ -140,13 +140,13 @@ fn what_looks_away_is_not_seen() {
     assert_eq!(one(&world, &camera, edge).visible_fraction, 1.0);
 }
 
-/// A polygon that is warped by nearly as much as the sensor is off its plane covers what is beyond it, but how near it is
-/// cannot be told.
+/// A polygon whose warp is nearly as large as the sensor's distance from its plane hides the points beyond it, but its
+/// range is undetermined.
 #[test]
-fn what_a_polygon_of_unknown_range_covers_is_undecided() {
+fn points_behind_a_polygon_of_unknown_range_are_undecided() {
     let mut environment = Environment::new();
     environment.add_material(Material::named("paint")).unwrap();
-    // 3.5 micrometres below the sensor, corners lifted and lowered by one in turn.
+    // 3.5 micrometres below the sensor, with corners alternately raised and lowered by one micrometre.
     let corners =
         [[1.0, -1.0, -2.5e-6], [2.0, -1.0, -4.5e-6], [2.0, 1.0, -2.5e-6], [1.0, 1.0, -4.5e-6]].map(Vec3::from);
     let mesh =
@@ -154,11 +154,11 @@ fn what_a_polygon_of_unknown_range_covers_is_undecided() {
     environment.insert(NewObject::new("shelf", Pose::IDENTITY, Arc::new(mesh))).unwrap();
     let (world, camera) = (World::new(environment), scenes::camera(100, 80));
     let at = |z: f64| one(&world, &camera, placed(1, point([4.0, 0.0, z]), &[]));
-    // The ray to it passes the shelf's plane at x = 1.5.
+    // The ray to this point passes the shelf's plane at x = 1.5.
     let covered = at(-9.3e-6);
     assert_eq!((covered.visible_fraction, reasons(&covered)), (0.0, vec![Reason::Undecided]));
     assert!(covered.hidden[0].by.is_none());
-    assert_eq!(at(1e-3).visible_fraction, 1.0, "above the shelf nothing is in between");
+    assert_eq!(at(1e-3).visible_fraction, 1.0, "above the shelf nothing hides the point");
     let images = common::reference(&common::plan(&world, &camera, &Pose::IDENTITY));
     let both = [
         placed(1, point([4.0, 0.0, -9.3e-6]), &[]),
@@ -181,7 +181,7 @@ fn flat_angles_are_oblique() {
 }
 
 #[test]
-fn a_row_cuts_what_it_crosses() {
+fn a_single_row_sees_the_part_that_it_crosses() {
     let world = World::new(Environment::new());
     let upright = || placed(1, segment([2.0, 0.3, -1.0], [2.0, 0.3, 1.0]), &[]);
     let seen = one(&world, &row(0.0), upright());
@@ -193,7 +193,7 @@ fn a_row_cuts_what_it_crosses() {
     let half = 5f64.to_radians().tan() * 2f64.hypot(0.3) / 2.0;
     assert!((seen.visible[0].t[0] - 0.5 + half).abs() < 1e-9 && (seen.visible[0].t[1] - 0.5 - half).abs() < 1e-9);
     assert_eq!(seen.visible_fraction, 1.0);
-    // A wall is cut to a line.
+    // A one-row sensor sees a wall as a line.
     let corners = [[2.0, -1.0, -1.0], [2.0, 1.0, -1.0], [2.0, 1.0, 1.0], [2.0, -1.0, 1.0]].map(DVec3::from).to_vec();
     let patch = placed(1, FeatureShape::Patch { corners, covariance: DMat3::ZERO }, &[]);
     assert_eq!(one(&world, &row(0.0), patch).visible_fraction, 1.0);
@@ -232,7 +232,7 @@ fn points_lie_over_segments_over_patches() {
 }
 
 #[test]
-fn what_cannot_be_placed_is_refused() {
+fn features_that_cannot_be_placed_are_refused() {
     let world = wall(Appearance::Opaque, false);
     let camera = scenes::camera(20, 10);
     let images = common::reference(&common::plan(&world, &camera, &Pose::IDENTITY));
@@ -251,7 +251,7 @@ fn what_cannot_be_placed_is_refused() {
     assert!(e.to_string().contains("fewer than two rays"), "{e}");
 }
 
-/// On as many threads as it was given, to the same answers.
+/// A predictor computes features on its own number of threads, with the same results.
 #[test]
 fn a_predictor_predicts_features_on_its_own_threads() {
     use presight_features::{FeatureOptions, Hidden};
@@ -262,7 +262,7 @@ fn a_predictor_predicts_features_on_its_own_threads() {
     let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(3)).unwrap();
     assert_eq!(predictor.on_threads(rayon::current_num_threads).unwrap(), 3);
     let seen = predictor.predict(&world, &camera, &Pose::IDENTITY, &Request::default()).unwrap();
-    assert!(!seen.stats.stages_ms.iter().any(|(stage, _)| stage.name().contains("feature")), "none were asked for");
+    assert!(!seen.stats.stages_ms.iter().any(|(stage, _)| stage.name().contains("feature")), "unrequested features");
     let request = Request::default()
         .with_features(FeatureOptions::default().with_hidden(Hidden::Full).with_placed(features.to_vec()));
     let found = predictor.predict(&world, &camera, &Pose::IDENTITY, &request).unwrap();
@@ -273,18 +273,18 @@ fn a_predictor_predicts_features_on_its_own_threads() {
     assert!(found.stats.counts.contains(&(CountName::FeatureSamples, 2)), "{:?}", found.stats.counts);
 }
 
-/// Finer sampling is nearer to the truth; what is no step, or coarser than half a pixel, is refused.
+/// Finer sampling is more accurate. Invalid steps and steps over half a pixel are refused.
 #[test]
-fn the_step_of_sampling_is_a_choice_within_limits() {
+fn the_sampling_step_is_limited() {
     let (world, sensor) = (wall(Appearance::Opaque, false), scenes::camera(64, 48));
     let images = common::reference(&common::plan(&world, &sensor, &Pose::IDENTITY));
-    // Behind the wall, and beyond its edge at y = 1: seen from there on.
+    // The segment starts behind the wall and ends beyond its edge at y = 1, so only its end is visible.
     let across = [placed(1, segment([6.0, 1.0, 0.1], [6.0, 2.5, 0.1]), &[])];
     let seen = |step: f64| {
         let options = FeatureSettings { step, ..FeatureSettings::default() };
         predict_features(&world, &sensor, &Pose::IDENTITY, &images, &across, &options)
     };
-    // The ray at y / x = 1 / 3 passes the edge, and meets it at y = 2: 1 of 1.5 m is hidden.
+    // The ray at y / x = 1 / 3 passes the edge and meets the segment at y = 2: 1 of 1.5 m is hidden.
     let off = |step: f64| (seen(step).unwrap().features[0].visible[0].t[0] - 2.0 / 3.0).abs();
     assert!(off(0.001) < 1e-3 && off(0.5) < 0.1, "{} {}", off(0.001), off(0.5));
     assert!(seen(0.001).unwrap().stats.samples > 400 * seen(0.5).unwrap().stats.samples);

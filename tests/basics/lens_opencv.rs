@@ -1,4 +1,4 @@
-//! The lens models against OpenCV's own numbers: projectPoints and undistortPoints, 400 points for each of six cameras.
+//! Compares the lens models with OpenCV's projectPoints and undistortPoints at 400 points for each of six cameras.
 
 use presight_testkit as common;
 
@@ -6,7 +6,7 @@ use common::data;
 use glam::DVec3;
 use presight_model::sensor::{Camera, Distortion, Geometry, Sensor, SensorSpec};
 
-/// Pixels; OpenCV computes in f64 and prints 16 digits, so a difference is rounding.
+/// Pixels; OpenCV computes in f64 and prints 16 digits, so differences are rounding.
 const PIXELS: f64 = 1e-9;
 /// Normalized coordinates; OpenCV's undistortion stops at about 1e-14.
 const NORMALIZED: f64 = 1e-11;
@@ -17,7 +17,7 @@ struct Calibration {
     points: Vec<[f64; 7]>,
 }
 
-/// `None`, loudly, where the data are not installed; a failure where they must be.
+/// Returns `None`, counted as skipped, where the data are not installed; fails where they must be.
 fn calibrations() -> Option<Vec<Calibration>> {
     let folder = data::file("calib")?;
     let json: serde_json::Value =
@@ -52,7 +52,7 @@ fn read(folder: &std::path::Path, json: &serde_json::Value) -> Calibration {
     Calibration { camera, points }
 }
 
-/// Largest difference to projectPoints in pixels, infinite where a point is not imaged.
+/// The largest difference from projectPoints in pixels; infinite if a point is not imaged.
 fn projection_error(c: &Calibration, model: &Distortion) -> f64 {
     let (lens, camera) = (model.lens(), &c.camera);
     let error = |&[x, y, z, u, v, ..]: &[f64; 7]| match lens.distort(DVec3::new(x, y, z)) {
@@ -62,7 +62,7 @@ fn projection_error(c: &Calibration, model: &Distortion) -> f64 {
     c.points.iter().map(error).fold(0.0, f64::max)
 }
 
-/// Largest difference to undistortPoints and to the point that was projected, normalized coordinates.
+/// The largest difference from undistortPoints and from the projected point, in normalized coordinates.
 fn inverse_error(c: &Calibration, model: &Distortion) -> f64 {
     let lens = model.lens();
     let error = |&[x, y, z, u, v, xn, yn]: &[f64; 7]| {
@@ -87,9 +87,9 @@ fn both_ways_as_opencv() {
     }
 }
 
-/// The planted fault: the comparison above must see a wrong sign of k1, p1 and p2 exchanged, a dropped last term.
+/// The planted faults: the comparison must notice a wrong sign of k1, exchanged p1 and p2, and a dropped last term.
 #[test]
-fn a_wrong_coefficient_is_seen() {
+fn a_wrong_coefficient_is_noticed() {
     let Some(all) = calibrations() else { return };
     let mut planted = 0;
     for c in all.iter().filter(|c| !c.camera.distortion.is_none()) {
@@ -101,15 +101,15 @@ fn a_wrong_coefficient_is_seen() {
         };
         let faults = [with(&|b| b[0] = -b[0]), with(&|b| b.swap(2, 3)), with(&|b| *b.last_mut().unwrap() = 0.0)];
         for fault in faults.into_iter().flatten() {
-            assert!(projection_error(c, &fault) > PIXELS, "{fault:?} passed as {good:?}");
-            assert!(inverse_error(c, &fault) > NORMALIZED, "{fault:?} passed as {good:?}");
+            assert!(projection_error(c, &fault) > PIXELS, "{fault:?} passed instead of {good:?}");
+            assert!(inverse_error(c, &fault) > NORMALIZED, "{fault:?} passed instead of {good:?}");
             planted += 1;
         }
     }
     assert!(planted >= 14, "{planted} faults planted");
 }
 
-/// Every pixel of a sensor's table that has a ray is where its ray is imaged; pixels inside OpenCV's points have one.
+/// Every ray of a sensor's table projects to its pixel, and every pixel inside OpenCV's points has a ray.
 #[test]
 fn tables_hold_the_inverse_over_the_whole_image() {
     let Some(all) = calibrations() else { return };

@@ -1,4 +1,5 @@
-//! What takes seconds: poses, lenses and reasons worked out by hand, the comparison, and the rules of this repository.
+//! Tests that take seconds: poses, lenses and visibility reasons calculated by hand, the image comparison, and the
+//! rules of this repository.
 
 mod architecture;
 mod feature_reasons;

@@ -1,9 +1,9 @@
-//! The table of outputs in docs/formats.md, held against the library's own.
+//! Compares the table of outputs in docs/formats.md with the library's outputs.
 
 use presight_render::plan::Output;
 use presight_render::plan::{Maker, SampleKind};
 
-/// The row of an output as the page has it.
+/// The row of an output in the page's format.
 fn row(output: Output) -> String {
     let info = output.info();
     let kind = match info.kind {
@@ -21,7 +21,7 @@ fn row(output: Output) -> String {
     format!("| `{}` | {kind} | {unit}| {sensors} | {maker} |", info.name)
 }
 
-/// The rows that a page lacks.
+/// The rows missing from a page.
 fn missing(page: &str) -> Vec<&'static str> {
     Output::WITH_FEATURES.into_iter().filter(|o| !page.lines().any(|line| line == row(*o))).map(Output::name).collect()
 }

@@ -1,4 +1,4 @@
-//! A failing image test leaves pictures that show what is wrong.
+//! A failing image test writes pictures that show the difference.
 
 use presight_testkit as common;
 
@@ -26,7 +26,7 @@ fn the_difference_shows_the_wrong_pixels_and_no_others() {
     assert_eq!(difference.dimensions(), (97, 61));
     let white: Vec<_> = difference.enumerate_pixels().filter(|(.., p)| p.0 == [255]).map(|(x, y, _)| (x, y)).collect();
     assert_eq!(white, faults.map(|(column, row)| (column as u32, row as u32)));
-    // Rounding is no fault.
+    // Rounding is not a fault.
     let mut rounded = right.clone();
     rounded.range.iter_mut().filter(|r| r.is_finite()).for_each(|r| *r = r.next_up());
     common::pictures::leave(folder.path(), &right, &rounded, &plan, Precision::F32).unwrap();

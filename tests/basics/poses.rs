@@ -1,4 +1,4 @@
-//! A sensor's pose that is none is refused at every door of the library: an image of misses would read as free space.
+//! Every entry point of the library refuses an invalid sensor pose: an image of misses would read as free space.
 
 use presight_testkit as common;
 
@@ -12,7 +12,7 @@ use presight_features::{
 use presight_files::{PointCloud, PointsFrame};
 use presight_model::environment::FeatureShape;
 use presight_model::error::{Error, ErrorKind};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, PoseCovariance};
 use presight_model::index::Region;
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
@@ -23,7 +23,7 @@ use presight_predict::virtual_sensors::{Settings, View, VirtualSensor};
 use presight_render::plan::region_of;
 use presight_render::plan::{FramePlan, Images, Stats};
 
-/// What is wrong, a pose with it, and what the message has to say.
+/// A description of the fault, a pose with it, and the words that the message must contain.
 fn bad() -> Vec<(&'static str, Pose, &'static str)> {
     let at = |translation| Pose { translation, ..Pose::IDENTITY };
     let turned = |x, y, z, w| Pose { rotation: DQuat::from_xyzw(x, y, z, w), ..Pose::IDENTITY };
@@ -66,14 +66,14 @@ fn scene() -> Scene {
     Scene { world, sensor, images, placed }
 }
 
-/// Both engines of a predictor; without an adapter the CPU's alone.
+/// Predictors with both engines, or only the CPU engine without an adapter.
 fn predictors() -> Vec<Predictor> {
     let open = |backend| Predictor::new(Options::new(backend).with_threads(1)).ok();
     [Backend::Cpu, Backend::Gpu].into_iter().filter_map(open).collect()
 }
 
 #[test]
-fn a_predictor_refuses_it_and_goes_on() {
+fn a_predictor_refuses_it_and_stays_usable() {
     let s = scene();
     let request = Request::default();
     for mut predictor in predictors() {
@@ -88,7 +88,7 @@ fn a_predictor_refuses_it_and_goes_on() {
                 refused("predict_again", what, said, predictor.predict_again(&s.world, &pose, &mut prediction));
             }
             let again = predictor.predict(&s.world, &s.sensor, &Pose::IDENTITY, &request).unwrap();
-            assert_eq!(again.images.polygon_id, s.images.polygon_id, "{what}: what comes after is right");
+            assert_eq!(again.images.polygon_id, s.images.polygon_id, "{what}: the next prediction is right");
         }
     }
 }
@@ -98,7 +98,7 @@ fn plans_and_regions_refuse_it() {
     let s = scene();
     let request = Request::default();
     let shape = FeatureShape::Point { at: DVec3::X, covariance: DMat3::ZERO };
-    let covariance = [[0.0; 6]; 6];
+    let covariance = PoseCovariance::ZERO;
     for (what, pose, said) in bad() {
         refused("FramePlan::new", what, said, FramePlan::new(&s.world, &s.sensor, &pose, &request));
         let mut plan = common::plan(&s.world, &s.sensor, &Pose::IDENTITY);
@@ -147,9 +147,9 @@ fn functions_of_images_refuse_it() {
     }
 }
 
-/// Whoever changes the pose of a plan or of a prediction is not taken at his word either.
+/// Engines and virtual sensors check the pose of a plan or prediction again, because callers may change it.
 #[test]
-fn engines_and_virtual_sensors_look_again() {
+fn engines_and_virtual_sensors_check_again() {
     let s = scene();
     let mut engines: Vec<_> = EngineKind::ALL.iter().filter_map(|kind| kind.open(&1.into()).ok()).collect();
     assert!(engines.len() >= 2);

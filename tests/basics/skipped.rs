@@ -1,11 +1,11 @@
-//! What is skipped is counted in the last line of `tests/run`.
+//! The last line of `tests/run` has the count of skipped tests.
 #![cfg(unix)]
 
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 use std::process::Command;
 
-/// `tests/run` with a cargo that only does what a script says; its status, and the last line it prints.
+/// Runs `tests/run` with a stand-in for cargo that executes a script; returns the status and the last line printed.
 fn run(cargo: &str) -> (Option<i32>, String) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("cargo");
@@ -14,7 +14,7 @@ fn run(cargo: &str) -> (Option<i32>, String) {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/run");
     let mut command = Command::new("bash");
     let paths = format!("{}:{}", folder.path().display(), std::env::var("PATH").unwrap());
-    // A driver is named, so that none is installed.
+    // Naming a driver prevents an installation.
     let output = command.arg(script).arg("--test=engines").env("PATH", paths).env("VK_DRIVER_FILES", "/nonexistent");
     let output = output.output().unwrap();
     let said = String::from_utf8(output.stderr).unwrap();
@@ -24,7 +24,7 @@ fn run(cargo: &str) -> (Option<i32>, String) {
 #[test]
 fn skipped_tests_are_counted_with_their_reasons() {
     assert_eq!(run("true"), (Some(0), "tests/run: no test was skipped".into()));
-    // Twice the same test and reason; one test with two reasons.
+    // The same test and reason twice, and one test with two reasons.
     let notes =
         r#"printf 'a x\tno data\na x\tno data\nb x\tno data\nb x\tno adapter\nb y\tno data\n' >> "$PRESIGHT_SKIPPED""#;
     let told = "tests/run: 3 tests were skipped, all or in part: 3 because no data, 1 because no adapter";
@@ -32,9 +32,9 @@ fn skipped_tests_are_counted_with_their_reasons() {
     assert_eq!(run(&format!("{notes}\n[[ $1 == test && $4 == --test=engines ]] || exit 7\nexit 101")).0, Some(101));
 }
 
-/// What a test that lacks its data leaves behind, and that it may not where everything is to be tested.
+/// A test without its data leaves a note, and fails where everything must be tested.
 #[test]
-fn a_test_without_its_data_says_so() {
+fn a_test_without_its_data_leaves_a_note() {
     const TESTS: &str = "skipped::lacks_data";
     let folder = tempfile::tempdir().unwrap();
     let list = folder.path().join("list");

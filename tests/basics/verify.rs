@@ -1,6 +1,6 @@
-//! The judge itself: it must see every planted fault and forgive what is within the bound.
+//! Checks the image comparison itself: it must find every planted fault and accept deviations within the bound.
 
-#![allow(clippy::print_stderr)] // Skips and what was found are said.
+#![allow(clippy::print_stderr)] // Prints skips and results.
 
 use presight_testkit as common;
 
@@ -26,7 +26,7 @@ fn frames() -> Vec<(FramePlan, Images)> {
         .collect()
 }
 
-/// Both comparisons must find faults.
+/// Both comparisons must report faults.
 fn caught(plan: &FramePlan, right: &Images, wrong: &Images) -> Report {
     for precision in [Precision::F64, Precision::F32] {
         let report = compare(right, wrong, plan, precision).unwrap();
@@ -71,7 +71,7 @@ fn one_pixel_is_caught() {
     }
 }
 
-/// The last f32 that is at most `most` above `x`.
+/// The largest f32 that is at most `most` above `x`.
 fn last_within(x: f32, most: f64) -> f32 {
     let mut y = (f64::from(x) + most) as f32;
     while f64::from(y) - f64::from(x) > most {
@@ -170,13 +170,13 @@ fn an_image_shifted_by_one_pixel_is_caught() {
             ..images.clone()
         };
         caught(&plan, &images, &wrong);
-        // Ids alone, too: range is then right everywhere.
+        // With ids alone, too: range is right everywhere then.
         let ids_only = Images { polygon_id: shifted(&images.polygon_id, w), ..images.clone() };
         caught(&plan, &images, &ids_only);
     }
 }
 
-/// The polygon mirrored through the sensor lies in the opposite cone at the same ranges.
+/// The polygon mirrored through the sensor is in the opposite cone at the same ranges.
 #[test]
 fn a_polygon_painted_in_the_opposite_direction_is_caught() {
     let at = DVec3::new(0.1, 0.2, 1.3);
@@ -208,7 +208,7 @@ fn nan_and_infinity_are_caught() {
             let mut wrong = images.clone();
             wrong.echo[13] = bad;
             assert_eq!(caught(&plan, &images, &wrong).fault, 1);
-            // In place of what may be a component, the normal on the other side.
+            // The normal of the other side, in place of a component within the bound.
             let mut wrong = images.clone();
             wrong.normal[14] = if bad.abs() <= 1.0 { wrong.normal[14].map(|x| -x) } else { [bad, 0.0, 0.0] };
             assert_eq!(caught(&plan, &images, &wrong).fault, 1);

@@ -1,4 +1,4 @@
-//! Versions of a world: who keeps one, and what a change copies.
+//! Versions of a world: their owners, and what a change copies.
 
 use presight_model::change::Change;
 use presight_model::geometry::Pose;
@@ -7,7 +7,8 @@ use presight_predict::predict::{Backend, Options, Predictor};
 use presight_predict::request::Request;
 use presight_testkit::scenes;
 
-/// A predictor keeps no version of the world, so the next change works in place. A reader that keeps one causes a copy.
+/// A predictor keeps no version of the world, so the next change works in place. A reader that holds a version makes
+/// the change copy.
 #[test]
 fn a_change_after_a_prediction_copies_nothing() {
     let mut environment = presight_model::environment::Environment::new();
@@ -18,7 +19,7 @@ fn a_change_after_a_prediction_copies_nothing() {
     }
     let (mut world, sensor) = (World::new(environment), presight_files::preset("laser-scanner").unwrap());
     let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).unwrap();
-    let place = |world: &World| (std::ptr::from_ref(world.environment()), std::ptr::from_ref(world.index()));
+    let place = |world: &World| (std::sync::Arc::as_ptr(world.environment()), std::ptr::from_ref(world.index()));
     let before = place(&world);
     let at = |x| Pose::from_xyz_rpy(glam::DVec3::new(x, 0.0, 0.0), 0.0, 0.0, 0.2);
     let moved = |name: &str, x| Change::MoveObject { name: name.into(), world_from_object: at(x) };

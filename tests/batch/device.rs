@@ -1,6 +1,7 @@
-//! Images weighed on the device, without the way back: against those that come back, and by hand.
+//! Weighs images on the device without reading them back, and compares the weights with those of images that are read
+//! back, and with a calculation by hand.
 
-use super::{common, likelihood::disturbed, noisy, predictor, single};
+use super::{common, frame_of, likelihood::disturbed, noisy, predictor, single};
 use common::{Random, data, scenes, skip};
 use glam::{DVec3, Vec3};
 use presight_model::environment::NewObject;
@@ -16,14 +17,14 @@ use presight_render::plan::StageName;
 use presight_render::plan::{Output, Outputs};
 use std::sync::Arc;
 
-/// Every stage on the device, on software adapters too.
+/// A predictor with every stage on the device, on software adapters too.
 fn on_device() -> Option<Predictor> {
     let made = testing::open(DeviceOptions::default(), Setup::ALL_ON_DEVICE);
     let engine: GpuEngine = made.inspect_err(|e| skip::no_adapter(e)).ok()?;
     Some(Predictor::with_engine(Options::new(Backend::Gpu).with_threads(2), Box::new(engine)))
 }
 
-/// Log-likelihoods of all headings of all poses, or of the poses, and the bytes that came back.
+/// The log-likelihoods of all headings of all poses, or of the poses, and the number of bytes read back.
 fn weighed(
     engine: &mut Predictor,
     world: &World,
@@ -49,14 +50,14 @@ fn weighed(
     (all, bytes)
 }
 
-/// How far apart sums are, and what came back.
+/// Compares the sums and describes the differences and the bytes read back.
 fn check(engine: &mut Predictor, sensor: &Sensor, headings: Option<Headings>) -> String {
     let (world, mut random) = (World::new(scenes::room(3, 40)), Random(7));
     let exact =
         single(&mut predictor(2), &world, sensor, &Pose::from_xyz_rpy(DVec3::new(0.1, 0.1, 1.4), 0.0, 0.0, 0.3)).0;
     let sensed = disturbed(&mut random, sensor.spec(), &exact);
     let cell = PoseCell { side: 0.05, turn: 0.01 };
-    let of = |sensed: &[f32]| Some(RangeLikelihood::new(sensor, sensed.to_vec(), cell).unwrap());
+    let of = |sensed: &[f32]| Some(RangeLikelihood::new(&frame_of(sensor, sensed.to_vec()), cell).unwrap());
     let sums = BatchRequest { likelihood: of(&sensed), headings, ..BatchRequest::default() };
     let images = BatchRequest { images: Some(Outputs::of(&[Output::Range]).into()), ..sums.clone() };
     let (ours, bytes) = weighed(engine, &world, sensor, &sums, true);
@@ -66,20 +67,20 @@ fn check(engine: &mut Predictor, sensor: &Sensor, headings: Option<Headings>) ->
     let beams = sensed.iter().filter(|z| !z.is_nan()).count() as f64;
     let apart = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - b).abs() / beams).fold(0.0, f64::max);
     assert!(apart(&ours, &theirs) < 2e-6, "{name}: {:?} {:?}", &ours[..5], &theirs[..5]);
-    // Planted: the sensed image turned by one column.
+    // Planted fault: the measured image shifted by one column.
     let mut turned = sensed.clone();
     turned.rotate_right(1);
     let (faulty, _) = weighed(engine, &world, sensor, &BatchRequest { likelihood: of(&turned), ..sums }, true);
-    assert!(apart(&faulty, &theirs) > 1e-3, "{name}: the fault must be seen");
+    assert!(apart(&faulty, &theirs) > 1e-3, "{name}: the fault must be noticed");
     format!("{name}: {:.1e} a beam apart, {bytes} bytes in place of {image_bytes}", apart(&ours, &theirs))
 }
 
 #[test]
-fn sums_of_the_device_are_those_of_its_images() {
+fn sums_on_the_device_equal_those_of_its_images() {
     let Some(mut engine) = on_device() else { return };
     let noise = Noise { range_sigma: 0.02, range_sigma_quadratic: 1e-3, angle_sigma: 2e-3, ..Noise::default() };
     for preset in data::presets().iter().filter(|sensor| sensor.width() * sensor.height() < 1 << 18) {
-        // One row level with the world is cut on the CPU; the poses lean.
+        // Level one-row scanners use a cut on the CPU, so the poses here are tilted.
         println!("{}", check(&mut engine, &noisy(preset, noise), None));
     }
     let near = presight_files::preset("laser-range-camera").unwrap().spec().clone().with_limits(1.5, 3.0);
@@ -90,7 +91,7 @@ fn sums_of_the_device_are_those_of_its_images() {
     println!("{}", check(&mut engine, &rows, Some(headings)));
 }
 
-/// Worked out by hand: a wall 2 m ahead, met squarely; the numbers are those of docs/batches.md.
+/// Calculated by hand: a wall 2 m ahead at normal incidence; the numbers are in docs/batches.md.
 #[test]
 fn one_beam_by_hand() {
     let Some(mut engine) = on_device() else { return };
@@ -102,7 +103,7 @@ fn one_beam_by_hand() {
     environment.insert(NewObject::new("wall", Pose::IDENTITY, Arc::new(wall))).unwrap();
     let world = World::new(environment);
     let mut weigh = |sensed: f32| {
-        let likelihood = Some(RangeLikelihood::new(&sensor, vec![sensed], PoseCell::default()).unwrap());
+        let likelihood = Some(RangeLikelihood::new(&frame_of(&sensor, vec![sensed]), PoseCell::default()).unwrap());
         let request = BatchRequest { likelihood, statistics: true, ..BatchRequest::default() };
         let item = engine.batch(&world, &sensor, [Pose::IDENTITY], &request).unwrap().next().unwrap().unwrap();
         assert!(item.stats.unwrap().taken.iter().any(|v| v.what == StageName::WeighOnDevice));

@@ -1,7 +1,7 @@
-//! All headings at once against the oracle, and against single predictions at turned poses.
+//! Compares all headings at once with the oracle and with single predictions at rotated poses.
 
 use super::likelihood::disturbed;
-use super::{common, noisy, oracle, predictor, single};
+use super::{common, frame_of, noisy, oracle, predictor, single};
 use common::{Random, data, scenes};
 use presight_files::log;
 use presight_model::error::ErrorKind;
@@ -25,7 +25,7 @@ fn scanner(start_deg: f64, step_deg: f64, count: u32, rows: &[f64], limits: (f64
     Sensor::new(spec.with_limits(limits.0, limits.1).with_noise(NOISE)).unwrap()
 }
 
-/// Weighs one place by the batch, and each heading by the oracle on the panorama's images shifted one by one.
+/// Weighs one place by the batch, and each heading by the oracle on shifted copies of the panorama's images.
 fn check(world: &World, sensor: &Sensor, count: u32, place: Pose) {
     let (mut random, mut engine) = (Random(2), predictor(2));
     let headings = Headings::new(sensor, count).unwrap();
@@ -36,7 +36,7 @@ fn check(world: &World, sensor: &Sensor, count: u32, place: Pose) {
     );
     let cell = PoseCell { side: 0.05, turn: 0.01 };
     let request = BatchRequest {
-        likelihood: Some(RangeLikelihood::new(sensor, sensed.clone(), cell).unwrap()),
+        likelihood: Some(RangeLikelihood::new(&frame_of(sensor, sensed.clone()), cell).unwrap()),
         headings: Some(headings.clone()),
         ..BatchRequest::default()
     };
@@ -47,13 +47,13 @@ fn check(world: &World, sensor: &Sensor, count: u32, place: Pose) {
     for (k, ours) in (0..count).zip(&item.headings) {
         let (range, cos) = single(&mut engine, world, sensor, &headings.pose(place.translation, k));
         let truth = oracle::log_likelihood(sensor.spec(), cell, &sensed, &range, &cos);
-        // A beam upon an edge may see what is beside it: no beam can tell more than this.
+        // A beam at an edge may hit the surface next to it: one beam can change the sum by no more than this.
         let off = (f64::from(*ours) - truth).abs() * NOISE.mixture.beam_dependence;
         apart += usize::from(off > 1e-5 * beams);
         assert!(off < 1e-5 * beams + 3.0 * 14.0, "heading {k}: {ours}, truly {truth}");
     }
     assert!(apart * 20 <= count as usize, "{apart} of {count} headings");
-    // Best where the scan was made; a shift by one heading, planted, is not.
+    // The scan's true heading has the best weight; with a planted shift by one heading it has not.
     let best = (0..count).max_by(|a, b| item.headings[*a as usize].total_cmp(&item.headings[*b as usize])).unwrap();
     assert_eq!(best, 1);
 }
@@ -70,7 +70,7 @@ fn each_shift_is_a_heading() {
 }
 
 #[test]
-fn headings_that_are_no_shifts_are_refused() {
+fn headings_between_columns_are_refused() {
     let refused = |sensor: &Sensor, count: u32, what: &str| {
         let e = Headings::new(sensor, count).unwrap_err();
         assert!(e.kind() == ErrorKind::Usage && e.to_string().contains(what) && !e.remedy().is_empty(), "{e}");
@@ -89,7 +89,7 @@ fn headings_that_are_no_shifts_are_refused() {
     };
     refused(&Sensor::new(SensorSpec::new("l", "laser", Geometry::Scanner(listed))).unwrap(), 10, "listed");
 
-    let sensed = RangeLikelihood::new(&good, vec![1.0; 361], PoseCell::default()).unwrap();
+    let sensed = RangeLikelihood::new(&frame_of(&good, vec![1.0; 361]), PoseCell::default()).unwrap();
     let headings = Some(Headings::new(&good, 360).unwrap());
     let world = World::new(scenes::room(1, 3));
     let request = BatchRequest { likelihood: Some(sensed), headings, ..BatchRequest::default() };
@@ -100,8 +100,8 @@ fn headings_that_are_no_shifts_are_refused() {
     assert!(predictor(1).batch(&world, &good, [Pose::IDENTITY], &without).is_err());
 }
 
-/// Real scans against a real map: with places 0.25 m apart and headings of 1 degree the best of all is where the scan was
-/// made, for scans in ambiguous corridors one of the best distinct places.
+/// Real scans in a real map. With places 0.25 m apart and headings of 1 degree the best pose is the scan's own; for
+/// scans in ambiguous corridors the scan's pose is among the best distinct places.
 #[test]
 fn real_scans_are_found_in_their_map() {
     let Some(log) = data::file("lidar2d/malaga_corridor_run_scans.json") else { return };
@@ -121,11 +121,11 @@ fn real_scans_are_found_in_their_map() {
     for frame in log.step_by(6).map(|frame| frame.unwrap()) {
         let truth = frame.reference.unwrap() * sensor.spec().mount;
         let at = |i: i32, k: i32| truth.translation + 0.25 * glam::DVec3::new(f64::from(i), f64::from(k), 0.0);
-        // A window of the map that does not hold the truth itself.
+        // A window of the map that does not contain the true pose itself.
         let off = glam::DVec3::new(0.11, -0.07, 0.0);
         let places = (-8..=8).flat_map(|i| (-8..=8).map(move |k| (i, k))).map(|(i, k)| at(i, k) + off);
         let places = places.map(|translation| Pose { translation, ..Pose::IDENTITY });
-        let sensed = RangeLikelihood::new(&sensor, frame.range.clone(), cell).unwrap();
+        let sensed = RangeLikelihood::new(&frame_of(&sensor, frame.range.clone()), cell).unwrap();
         let request =
             BatchRequest { likelihood: Some(sensed), headings: Some(headings.clone()), ..BatchRequest::default() };
         let mut best = (f32::NEG_INFINITY, Pose::IDENTITY);

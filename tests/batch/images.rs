@@ -1,4 +1,4 @@
-//! Images of batches are those of single predictions, bit for bit, whatever the threads and chunks.
+//! Batches and single predictions give the same images bit for bit, for any threads and chunks.
 
 use super::{common, predictor};
 use common::{Random, data, scenes};
@@ -19,7 +19,7 @@ fn poses(n: usize) -> Vec<Pose> {
     (0..n).map(|_| pose()).collect()
 }
 
-/// Bits, for NaN is unlike itself.
+/// Compares bits, because NaN is not equal to itself.
 fn bits(images: &Images) -> Vec<Vec<u32>> {
     presight_render::plan::Output::ALL.map(|output| common::bits(images, output)).to_vec()
 }
@@ -44,25 +44,25 @@ fn check(world: &World, poses: &[Pose]) {
             }
             assert_eq!(count, poses.len());
         }
-        // The comparison can fail.
+        // Checks that the comparison can fail.
         assert!(bits(&singles[0]) != bits(&singles[1]), "{}", sensor.spec().name);
     }
 }
 
 #[test]
-fn images_are_those_of_single_predictions() {
+fn images_equal_those_of_single_predictions() {
     check(&World::new(scenes::room(2, 60)), &poses(4));
 }
 
 #[test]
-fn images_are_those_of_single_predictions_in_a_real_scene() {
+fn images_equal_those_of_single_predictions_in_a_real_scene() {
     let Some(world) = data::scene("factory_hall", true) else { return };
     let poses = data::poses(&world, 3, 3);
     check(&world, &poses);
 }
 
 #[test]
-fn statistics_are_there_if_asked_for() {
+fn statistics_are_returned_on_request() {
     let world = World::new(scenes::room(2, 10));
     let sensor = presight_files::preset("vlp-16").unwrap();
     for statistics in [false, true] {
@@ -97,7 +97,7 @@ fn a_wrong_pose_ends_the_batch_at_its_place() {
     assert_eq!(predictor.batch(&world, &sensor, [], &BatchRequest::default()).unwrap().count(), 0);
 }
 
-/// Ten million poses are no list: no more than a chunk of them is asked for before its items are.
+/// Ten million poses are not collected: the batch takes at most a few chunks of poses before it returns their items.
 #[test]
 fn poses_are_taken_a_chunk_at_a_time() {
     let world = World::new(scenes::room(2, 10));
@@ -111,13 +111,13 @@ fn poses_are_taken_a_chunk_at_a_time() {
     let request = BatchRequest { statistics: true, ..BatchRequest::default() };
     let items = predictor.batch(&world, &sensor, (0..10_000_000).map(turned), &request).unwrap().take(600);
     assert_eq!(items.map(|item| item.unwrap().index).max(), Some(599));
-    // Two chunks, and a look at what comes after.
+    // Two chunks, and one pose to check for the end.
     assert!((600..=2 * 512 + 1).contains(&taken.get()), "{}", taken.get());
 }
 
-/// The GPU engine draws the poses of a chunk in one submission.
+/// The GPU engine renders the poses of a chunk in one submission.
 #[test]
-fn the_gpu_engine_makes_its_single_predictions() {
+fn the_gpu_engine_equals_its_single_predictions() {
     let options = presight_predict::predict::Options::new(presight_predict::predict::Backend::Gpu).with_threads(2);
     let mut gpu = match presight_predict::predict::Predictor::new(options) {
         Ok(gpu) => gpu,
@@ -126,14 +126,16 @@ fn the_gpu_engine_makes_its_single_predictions() {
     let world = World::new(scenes::room(2, 40));
     let noise = presight_model::sensor::Noise { range_sigma: 0.02, ..Default::default() };
     let asked = Request::default();
-    // Some see nothing, and there are more than one submission takes.
+    // Some poses have nothing in view, and there are too many poses for one submission.
     let away = Pose::from_xyz_rpy(glam::DVec3::X * 1e4, 0.0, 0.0, 0.0);
     let mut poses = poses(70);
     (poses[0], poses[3], poses[4], poses[69]) = (away, away, away, away);
     for preset in ["laser-range-camera", "vlp-16"] {
         let sensor = super::noisy(&presight_files::preset(preset).unwrap(), noise);
         let (range, _) = super::single(&mut predictor(1), &world, &sensor, &poses[1]);
-        let sensed = presight_predict::batch::RangeLikelihood::new(&sensor, range, Default::default()).unwrap();
+        let sensed =
+            presight_predict::batch::RangeLikelihood::new(&super::frame_of(&sensor, range), Default::default())
+                .unwrap();
         for chunk in [None, Some(3)] {
             let request = BatchRequest {
                 images: Some((&asked).into()),
@@ -163,8 +165,9 @@ fn the_gpu_engine_makes_its_single_predictions() {
     }
 }
 
-/// Why log-likelihoods of the GPU differ from those of the CPU. Its ranges are rounded otherwise: a reading at a predicted range falls
-/// before it or behind it, where the density has a step; and at an edge a beam may see what is beside it. Without these beams they agree.
+/// Explains the differences between log-likelihoods of the GPU and of the CPU. GPU ranges round differently, so a
+/// reading at a predicted range falls before or behind the step of the density; at an edge a beam may hit the adjacent
+/// surface. Without these beams the results agree.
 #[test]
 fn gpu_likelihoods_differ_by_beams_on_a_step() {
     let options = presight_predict::predict::Options::new(presight_predict::predict::Backend::Gpu).with_threads(2);
@@ -179,8 +182,11 @@ fn gpu_likelihoods_differ_by_beams_on_a_step() {
     let exact = super::single(&mut cpu, &world, &sensor, &poses(1)[0]).0;
     let noisy = super::likelihood::disturbed(&mut Random(3), sensor.spec(), &exact);
     let weigh = |sensed: &[f32], (range, cos): &(Vec<f32>, Vec<f32>)| {
-        let sensed =
-            presight_predict::batch::RangeLikelihood::new(&sensor, sensed.to_vec(), Default::default()).unwrap();
+        let sensed = presight_predict::batch::RangeLikelihood::new(
+            &super::frame_of(&sensor, sensed.to_vec()),
+            Default::default(),
+        )
+        .unwrap();
         sensed.log_likelihood(range, cos)
     };
     for (name, sensed) in [("exact", &exact), ("noisy", &noisy)] {

@@ -1,9 +1,10 @@
-//! Log-likelihoods of single poses against the oracle.
+//! Compares log-likelihoods of single poses with the oracle.
 
-use super::{common, noisy, oracle, predictor, single};
+use super::{common, frame_of, noisy, oracle, predictor, single};
 use common::{Random, data, scenes};
 use presight_model::error::ErrorKind;
 use presight_model::geometry::Pose;
+use presight_model::measured::{Frame, Measurement};
 use presight_model::sensor::{Mixture, Noise, Sensor, SensorSpec};
 use presight_model::world::World;
 use presight_predict::batch::{BatchRequest, PoseCell, RangeLikelihood};
@@ -17,7 +18,7 @@ fn noises() -> [Noise; 3] {
     ]
 }
 
-/// What a sensor could sense where this is predicted.
+/// Simulates a measurement for this prediction.
 pub fn disturbed(random: &mut Random, spec: &SensorSpec, range: &[f32]) -> Vec<f32> {
     let inside = |r: f64| match r {
         r if r > spec.range_max => f32::INFINITY,
@@ -36,7 +37,7 @@ pub fn disturbed(random: &mut Random, spec: &SensorSpec, range: &[f32]) -> Vec<f
     range.iter().map(disturb).collect()
 }
 
-/// A fault that the comparison has to find: a wider Gauss.
+/// A fault that the comparison must find: a wider Gaussian.
 fn wide(spec: &SensorSpec) -> SensorSpec {
     let noise = Noise { range_sigma: spec.noise.range_sigma + 0.03, ..spec.noise };
     spec.clone().with_noise(noise)
@@ -49,7 +50,7 @@ fn check(world: &World, poses: &[Pose], sensors: &[Sensor], tolerance: f64) {
         let cell = if s % 2 == 0 { PoseCell::default() } else { PoseCell { side: 0.1, turn: 0.01 } };
         let mut engine = predictor(2);
         let sensed = disturbed(&mut random, sensor.spec(), &single(&mut engine, world, &sensor, &poses[0]).0);
-        let likelihood = Some(RangeLikelihood::new(&sensor, sensed.clone(), cell).unwrap());
+        let likelihood = Some(RangeLikelihood::new(&frame_of(&sensor, sensed.clone()), cell).unwrap());
         let request = BatchRequest { likelihood, ..BatchRequest::default() };
         let items: Vec<_> = predictor(2).batch(world, &sensor, poses.to_vec(), &request).unwrap().collect();
         assert_eq!(items.len(), poses.len());
@@ -60,17 +61,17 @@ fn check(world: &World, poses: &[Pose], sensors: &[Sensor], tolerance: f64) {
             let name = &sensor.spec().name;
             assert!((ours / truth - 1.0).abs() < tolerance, "{name} at {pose:?}: {ours}, truly {truth}");
             let planted = oracle::log_likelihood(&wide(sensor.spec()), cell, &sensed, &range, &cos);
-            // Where the image was sensed.
-            assert!(i > 0 || (planted / truth - 1.0).abs() > 1e-6, "{name}: the fault must be seen, {planted} {truth}");
+            // The pose at which the image was measured.
+            assert!(i > 0 || (planted / truth - 1.0).abs() > 1e-6, "{name}: the fault must show, {planted} {truth}");
         }
     }
 }
 
 #[test]
-fn every_preset_is_weighed_as_the_formula_says() {
+fn every_preset_is_weighed_by_the_formula() {
     let world = World::new(scenes::room(3, 40));
     let mut random = Random(1);
-    // Leaning: no scanner of one row is served by a cut of the world.
+    // Tilted poses, so that one-row scanners do not use a cut of the world.
     let mut pose = || {
         let at = glam::DVec3::new(random.uniform(-1.0, 1.0), random.uniform(-1.0, 1.0), 1.4);
         Pose::from_xyz_rpy(at, random.uniform(-0.2, 0.2), random.uniform(-0.2, 0.2), random.uniform(-3.0, 3.0))
@@ -83,7 +84,7 @@ fn every_preset_is_weighed_as_the_formula_says() {
 }
 
 #[test]
-fn real_scenes_are_weighed_as_the_formula_says() {
+fn real_scenes_are_weighed_by_the_formula() {
     let Some(world) = data::scene("factory_hall", true) else { return };
     let poses: Vec<Pose> = data::poses(&world, 8, 4).iter().map(lean).collect();
     let sensors = ["laser-range-camera", "laser-scanner"].map(|name| presight_files::preset(name).unwrap());
@@ -94,7 +95,8 @@ fn lean(pose: &Pose) -> Pose {
     *pose * Pose::from_xyz_rpy(glam::DVec3::ZERO, 0.1, 0.05, 0.0)
 }
 
-/// Worked out by hand. A wall 2 m ahead is met squarely, range sigma 0.1 m, limits 0.5 .. 10 m. The usual shares.
+/// Calculated by hand. A wall 2 m ahead at normal incidence, range sigma 0.1 m, limits 0.5 .. 10 m, and the default
+/// mixture weights.
 #[test]
 fn one_beam_by_hand() {
     let mut spec = presight_files::preset("laser-scanner").unwrap().spec().clone();
@@ -105,50 +107,53 @@ fn one_beam_by_hand() {
     spec.noise = Noise { range_sigma: 0.1, ..Noise::default() };
     let sensor = Sensor::new(spec).unwrap();
     let weigh = |sensed: f32, range: f32| {
-        let sensed = RangeLikelihood::new(&sensor, vec![sensed], PoseCell::default()).unwrap();
+        let sensed = RangeLikelihood::new(&frame_of(&sensor, vec![sensed]), PoseCell::default()).unwrap();
         sensed.log_likelihood(&[range], &[1.0]).exp()
     };
     let near = |a: f64, b: f64| assert!((a - b).abs() < 1e-6, "{a}, by hand {b}");
-    // 0.75 / (0.1 sqrt(2 pi)) = 2.9920671, and 0.1 / 10 m of anything; not nearer than predicted.
+    // 0.75 / (0.1 sqrt(2 pi)) = 2.9920671, plus 0.1 / 10 m for the uniform term; the reading is not nearer than
+    // predicted.
     near(weigh(2.0, 2.0), 2.992_067_1 + 0.01);
-    // 1.25 sigma beyond: times exp(-0.78125) = 0.45783336, which makes 1.3698681.
+    // 1.25 sigma too far: the factor exp(-0.78125) = 0.45783336 gives 1.3698681.
     near(weigh(2.125, 2.0), 1.369_868_1 + 0.01);
-    // As far before: something unknown could stand there, 0.1 / 2 m.
+    // 1.25 sigma too near: an unmapped object could cause it, which adds 0.1 / 2 m.
     near(weigh(1.875, 2.0), 1.369_868_1 + 0.05 + 0.01);
     near(weigh(1.0, 2.0), 0.05 + 0.01);
     near(weigh(9.0, 2.0), 0.01);
-    // Nothing: p_none, and p_hit too where nothing is predicted. Nearer than 0.5 m: 0.1 of anything in 10 m, 0.1 in 2 m.
+    // No reading: p_none, plus p_hit if no surface is predicted. Nearer than 0.5 m: 0.1 of the uniform term in 10 m,
+    // 0.1 in 2 m.
     near(weigh(f32::INFINITY, 2.0), 0.05);
     near(weigh(f32::INFINITY, f32::INFINITY), 0.8);
     near(weigh(f32::NEG_INFINITY, 2.0), 0.005 + 0.025);
     near(weigh(f32::NEG_INFINITY, f32::NEG_INFINITY), 0.005 + 0.1 + 0.75);
     near(weigh(3.0, f32::INFINITY), 0.01 + 0.01);
     near(weigh(3.0, f32::NEG_INFINITY), 0.01);
-    // A missing prediction tells nothing.
+    // A missing prediction carries no information.
     near(weigh(3.0, f32::NAN), 1.0);
 }
 
 #[test]
-fn what_cannot_be_weighed_is_refused() {
+fn images_that_cannot_be_weighed_are_refused() {
     let plain = presight_files::preset("laser-scanner").unwrap();
     let sensor = noisy(&plain, noises()[0]);
     let refused = |sensor: &Sensor, range: Vec<f32>, cell: PoseCell| {
-        let e = RangeLikelihood::new(sensor, range, cell).unwrap_err();
+        let frame = Frame::new(0.0, sensor.clone(), Measurement::Range(range));
+        let e = frame.and_then(|frame| RangeLikelihood::new(&frame, cell)).unwrap_err();
         assert!(e.kind() == ErrorKind::Invalid && !e.remedy().is_empty(), "{e}");
         e.to_string()
     };
     let cell = PoseCell::default();
-    assert!(refused(&sensor, vec![1.0; 360], cell).contains("360 ranges"));
-    assert!(refused(&sensor, vec![f32::NAN; 361], cell).contains("no reading"));
+    assert!(refused(&sensor, vec![1.0; 360], cell).contains("360 measured values"));
+    assert!(refused(&sensor, vec![f32::NAN; 361], cell).contains("no range readings"));
     assert!(refused(&sensor, vec![31.0; 361], cell).contains("range 0"));
-    assert!(refused(&sensor, vec![-1.0; 361], cell).contains("range 0"));
+    assert!(refused(&sensor, vec![-1.0; 361], cell).contains("pixel 0,0"));
     assert!(refused(&sensor, vec![f32::NEG_INFINITY; 361], cell).contains("range 0"));
     assert!(refused(&plain, vec![1.0; 361], cell).contains("noise of ranges"));
     assert!(refused(&sensor, vec![1.0; 361], PoseCell { side: f64::NAN, turn: 0.0 }).contains("pose cell"));
     let endless = Sensor::new(sensor.spec().clone().with_limits(sensor.spec().range_min, f64::INFINITY)).unwrap();
     assert!(refused(&endless, vec![1.0; 361], cell).contains("finite range_max"));
 
-    let sensed = RangeLikelihood::new(&sensor, vec![1.0; 361], cell).unwrap();
+    let sensed = RangeLikelihood::new(&frame_of(&sensor, vec![1.0; 361]), cell).unwrap();
     let world = World::new(presight_model::environment::Environment::new());
     let request = BatchRequest { likelihood: Some(sensed), ..BatchRequest::default() };
     let e = predictor(1).batch(&world, &plain, [Pose::IDENTITY], &request).err().unwrap();

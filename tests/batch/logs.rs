@@ -1,4 +1,4 @@
-//! The three scan logs of the shared data, as they are.
+//! Reads the three scan logs of the shared data unchanged.
 
 use super::common;
 use common::data;
@@ -6,8 +6,8 @@ use presight_files::log;
 use presight_model::sensor::{Angles, Geometry};
 
 #[test]
-fn the_scan_logs_of_others_are_read() {
-    // Name, beams, first azimuth and step in degrees, greatest range, height, frames, readings. Counted with jq.
+fn external_scan_logs_are_read() {
+    // Name, beams, first azimuth and step in degrees, largest range, height, frames, readings. Counted with jq.
     let logs = [
         ("malaga_corridor_mapping_scans", 361, -90.0, 0.5, 80.0, 0.3, 72, 25_870),
         ("malaga_corridor_run_scans", 361, -90.0, 0.5, 80.0, 0.3, 37, 13_280),

@@ -1,10 +1,10 @@
-//! The formula of docs/batches.md, beam by beam, with a logarithm for each: slow, plain, in f64.
+//! The formula of docs/batches.md, beam by beam with a logarithm for each, in f64: slow and simple.
 
 use presight_model::sensor::{Mixture, SensorSpec};
 use presight_predict::batch::PoseCell;
 use std::f64::consts::PI;
 
-/// One term of the mixture each.
+/// The terms of the mixture.
 #[derive(Debug, Default)]
 pub struct Terms {
     pub hit: f64,
@@ -17,7 +17,7 @@ pub fn terms(spec: &SensorSpec, cell: PoseCell, sensed: f32, range: f32, cos: f3
     let Mixture { hit, short, none, any, .. } = spec.noise.mixture;
     let (z, r) = (f64::from(sensed), f64::from(range));
     let mut terms = Terms::default();
-    // What is unknown stands anywhere up to the surface, or up to the end of the range.
+    // Unmapped objects are equally likely anywhere up to the surface, or up to the end of the range.
     let surface = r.min(spec.range_max).max(1e-6);
     if sensed == f32::INFINITY {
         terms.none = none;

@@ -1,4 +1,4 @@
-//! What a level scanner of one row sees by a cut of the world, against its images.
+//! Compares the readings that a level one-row scanner gets from a cut of the world with its images.
 
 use super::{common, predictor, single};
 use common::{Random, data, scenes};
@@ -26,7 +26,8 @@ fn scanners() -> Vec<Sensor> {
     ]
 }
 
-/// Pixels, and those at edges, where the ray turned by a hair sees what is compared with.
+/// Returns the number of pixels and of differing ones. Without a shift only pixels at edges may differ: a slightly
+/// rotated ray gives the same value there.
 fn compare(world: &World, sensor: &Sensor, pose: &Pose, shift: f64) -> (usize, usize) {
     let mut predictor = predictor(1);
     let moved = Pose { translation: pose.translation + glam::DVec3::new(shift, 0.0, 0.0), ..*pose };
@@ -51,7 +52,7 @@ fn compare(world: &World, sensor: &Sensor, pose: &Pose, shift: f64) -> (usize, u
 }
 
 #[test]
-fn generated_rooms_are_seen_as_in_images() {
+fn readings_in_generated_rooms_equal_images() {
     let mut random = Random(21);
     let (mut pixels, mut edges, mut planted) = (0, 0, 0);
     for seed in 0..12 {
@@ -61,7 +62,7 @@ fn generated_rooms_are_seen_as_in_images() {
             let pose = Pose::from_xyz_rpy(at, 0.0, 0.0, random.uniform(-4.0, 4.0));
             let (n, other) = compare(&world, &sensor, &pose, 0.0);
             (pixels, edges) = (pixels + n, edges + other);
-            // A fault of a millimetre must be seen.
+            // A fault of 1 mm must be noticed.
             planted += compare(&world, &sensor, &pose, 1e-3).1;
         }
     }
@@ -70,7 +71,7 @@ fn generated_rooms_are_seen_as_in_images() {
 }
 
 #[test]
-fn real_scenes_are_seen_as_in_images() {
+fn readings_in_real_scenes_equal_images() {
     for name in data::SCENES {
         let Some(world) = data::scene(name, true) else { return };
         let (mut pixels, mut edges) = (0, 0);
@@ -84,7 +85,7 @@ fn real_scenes_are_seen_as_in_images() {
 }
 
 #[test]
-fn other_sensors_and_leaning_ones_are_not_served() {
+fn other_and_tilted_sensors_are_refused() {
     let world = World::new(scenes::room(1, 5));
     let one = &scanners()[0];
     assert!(row::see(&world, one, &Pose::from_xyz_rpy(glam::DVec3::Z, 0.0, 0.0, 1.0)).is_some());
@@ -93,7 +94,7 @@ fn other_sensors_and_leaning_ones_are_not_served() {
     for name in ["vlp-16", "video-camera"] {
         assert!(row::see(&world, &presight_files::preset(name).unwrap(), &Pose::IDENTITY).is_none());
     }
-    // Above everything nothing is seen.
+    // Above the whole scene there is nothing in view.
     let above = Pose::from_xyz_rpy(glam::DVec3::Z * 50.0, 0.0, 0.0, 0.0);
     assert!(row::see(&world, one, &above).unwrap().0.iter().all(|r| *r == f32::INFINITY));
 }

@@ -1,4 +1,4 @@
-//! Deadlines that cannot be, clocks that jump, and engines that cannot stop.
+//! Invalid deadlines, clocks that jump, and engines that cannot stop.
 
 use crate::common::scenes::{camera, room_world};
 use crate::ticks::{Jumping, Ticks, Untouchable};
@@ -20,11 +20,11 @@ fn within(deadline: Duration) -> Request {
 }
 
 #[test]
-fn no_time_is_wrong_usage_and_too_little_is_an_error_in_time() {
+fn zero_time_is_wrong_usage_and_too_little_fails_in_time() {
     let (world, sensor, mut predictor) = (room_world(1, 50), camera(640, 480), predictor());
     let none = predictor.predict(&world, &sensor, &Pose::IDENTITY, &within(Duration::ZERO)).unwrap_err();
     assert_eq!((none.kind(), none.kind().exit_status()), (ErrorKind::Usage, 2));
-    // It is refused before any work is done: selection looks at the clock again when it has ended.
+    // Refused before any rendering: selection checks the clock when it ends.
     let clock = Arc::new(Ticks::default());
     predictor.set_clock(clock.clone());
     let too_little = predictor.predict(&world, &sensor, &Pose::IDENTITY, &within(Duration::from_nanos(1))).unwrap_err();
@@ -32,14 +32,14 @@ fn no_time_is_wrong_usage_and_too_little_is_an_error_in_time() {
     assert_eq!((too_little.kind(), too_little.kind().exit_status()), (ErrorKind::Deadline, 4));
     let said = too_little.to_string();
     assert!(said.starts_with("no prediction is possible within 0.000 ms; give ") && !said.contains('\n'), "{said}");
-    // After it all is as before.
+    // The next prediction is not affected.
     let all = predictor.predict(&world, &sensor, &Pose::IDENTITY, &within(Duration::MAX)).unwrap();
     assert_eq!(all.degradation(), None);
     assert!(all.stats.deadline.is_some());
 }
 
 #[test]
-fn without_a_deadline_no_clock_is_looked_at() {
+fn without_a_deadline_no_clock_is_read() {
     let (world, sensor, mut predictor) = (room_world(1, 50), camera(64, 48), predictor());
     predictor.set_clock(Arc::new(Untouchable));
     let seen = predictor.predict(&world, &sensor, &Pose::IDENTITY, &Request::default()).unwrap();
@@ -52,9 +52,9 @@ fn without_a_deadline_no_clock_is_looked_at() {
     );
 }
 
-/// Answers stay right and costs finite, whatever a clock says.
+/// With any clock, images stay right and costs stay finite.
 #[test]
-fn a_clock_that_jumps_spoils_nothing() {
+fn a_clock_that_jumps_does_no_harm() {
     let (world, sensor, mut predictor) = (room_world(1, 300), camera(64, 48), predictor());
     let full = predictor.predict(&world, &sensor, &Pose::IDENTITY, &Request::default()).unwrap().images;
     predictor.set_clock(Arc::new(Jumping::default()));
@@ -78,7 +78,7 @@ fn a_clock_that_jumps_spoils_nothing() {
 }
 
 #[test]
-fn an_engine_that_cannot_stop_says_so() {
+fn an_engine_that_cannot_stop_reports_it() {
     let (world, sensor) = (room_world(1, 10), camera(32, 24));
     let options = Options::new(Backend::Cpu).with_threads(1);
     let engine = EngineKind::Reference.open(&1.into()).unwrap();
@@ -86,7 +86,7 @@ fn an_engine_that_cannot_stop_says_so() {
     let refused = predictor.predict(&world, &sensor, &Pose::IDENTITY, &within(Duration::from_secs(1))).unwrap_err();
     assert_eq!(refused.kind(), ErrorKind::Usage);
     assert!(refused.to_string().contains("--backend cpu"), "{refused}");
-    // Where the engine was not named the CPU engine takes over, and says so.
+    // Where no engine was named, the CPU engine takes over and reports it.
     let engine = EngineKind::Reference.open(&1.into()).unwrap();
     let mut predictor = Predictor::with_engine(Options::new(Backend::Auto).with_threads(1), engine);
     for _ in 0..2 {

@@ -1,4 +1,4 @@
-//! Features within a deadline: those that matter most first, the others named.
+//! Features within a deadline: the most important first, and the omitted ones are named.
 
 use crate::common::scenes::{camera, room_world};
 use crate::ticks::Sudden;
@@ -17,7 +17,7 @@ use std::time::Duration;
 
 const FEATURES: u32 = 100;
 
-/// Upright edges 1 m ahead; the image of number i is i times as long as that of number 1.
+/// Upright edges 1 m ahead; edge i is i times as long in the image as edge 1.
 fn edges() -> Vec<PlacedFeature> {
     let edge = |id: u32| {
         let (y, half) = (0.4 - 0.005 * f64::from(id), 0.001 * f64::from(id));
@@ -42,7 +42,7 @@ fn predict(world: &World, request: &Request, look: u64) -> presight_model::error
     predictor.predict(world, &camera(120, 90), &Pose::IDENTITY, request)
 }
 
-/// Numbers of features.
+/// The ids of features.
 fn ids(features: &[SeenFeature]) -> Vec<u32> {
     features.iter().map(|seen| seen.feature.id).collect()
 }
@@ -73,7 +73,7 @@ fn the_longest_features_go_first_and_the_rest_are_named() {
             expected.sort_unstable();
             rest.sort_unstable();
             assert_eq!((ids(&found.features), left_out), (expected, &rest[..]), "look {look}");
-            // What was found is what the full prediction finds, with its region.
+            // These features and their regions equal the full prediction's.
             for seen in &found.features {
                 let same = full.features.iter().find(|f| f.feature.id == seen.feature.id).unwrap();
                 assert_eq!(format!("{seen:?}"), format!("{same:?}"), "look {look}");
@@ -90,7 +90,8 @@ fn the_longest_features_go_first_and_the_rest_are_named() {
     assert!(partial > 0 && whole > 0, "{partial} in part, {whole} whole");
 }
 
-/// Images that are whole are not partial because features were left out: NaN means no ray, and no pixel is called not predicted.
+/// Omitted features do not make complete images partial: NaN means that a pixel has no ray, and no pixel counts as not
+/// predicted.
 #[test]
 fn features_left_out_leave_images_whole() {
     let world = room_world(1, 50);
@@ -98,7 +99,7 @@ fn features_left_out_leave_images_whole() {
     let in_time = request().with_deadline(Duration::from_secs(1));
     let seen = (1..80).filter_map(|look| predict(&world, &in_time, look).ok());
     let mut seen = seen.filter(|seen| seen.degradation().is_some_and(|g| g.samples == 0 && !g.features.is_empty()));
-    let seen = seen.next().expect("some clock stops between images and features");
+    let seen = seen.next().expect("one of the clocks stops between images and features");
     assert_eq!(seen.images.range, full.range);
     assert!(seen.not_predicted().is_empty() && !seen.is_not_predicted(3, 3));
     assert_eq!(seen.degradation().unwrap().complete_to, f64::INFINITY);

@@ -1,4 +1,4 @@
-//! The GPU engine, which stops between pieces of a frame.
+//! Deadlines on the GPU engine, which can stop between pieces of a frame.
 
 use crate::common::scenes::{camera, room_world};
 use crate::common::{Random, data, env_number, plan};
@@ -18,7 +18,7 @@ use presight_testkit::skip::no_adapter;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// On whatever adapter there is.
+/// An engine on any available adapter.
 fn engine() -> Option<Box<dyn Engine>> {
     EngineKind::Gpu.open(&2.into()).map_err(no_adapter).ok()
 }
@@ -36,7 +36,7 @@ impl Subject<'_> {
         images
     }
 
-    /// Stopped after so many milliseconds, which are so many looks at the clock.
+    /// Renders, stopped after `ms` milliseconds, which are `looks` readings of the clock.
     fn render(&self, engine: &mut dyn Engine, ms: u64, looks: u64) -> (Images, Stats) {
         let mut plan = plan(self.world, self.sensor, &self.pose);
         plan.set_watch(Watch::start(Arc::new(Ticks::of(1000 * ms / looks)), Duration::from_millis(ms)));
@@ -46,10 +46,10 @@ impl Subject<'_> {
     }
 }
 
-/// Milliseconds.
+/// A deadline in milliseconds that is never reached.
 const ENDLESS: u64 = 1 << 40;
 
-/// How often frames were whole, partial, and partial with something to show.
+/// How often frames were complete, partial, and partial with some pixels shown.
 #[derive(Debug, Default)]
 struct Tally {
     whole: usize,
@@ -58,7 +58,8 @@ struct Tally {
     pieces: u64,
 }
 
-/// Frames stopped at random are the full image where they show something, to the bit, and open elsewhere.
+/// Checks that frames stopped at random equal the full image bit for bit where they show something, and are open
+/// elsewhere.
 fn hold(subject: &Subject<'_>, engine: &mut dyn Engine, random: &mut Random, frames: usize, tally: &mut Tally) {
     let full = subject.full(engine);
     let name = &subject.sensor.spec().name;
@@ -77,7 +78,7 @@ fn hold(subject: &Subject<'_>, engine: &mut dyn Engine, random: &mut Random, fra
 }
 
 #[test]
-fn what_a_device_shows_in_time_is_its_full_images_to_the_bit() {
+fn pixels_that_a_device_finishes_in_time_equal_its_full_image() {
     let Some(mut engine) = engine() else { return };
     let (mut random, mut tally) = (Random(31), Tally::default());
     let frames = env_number("FRAMES", 8) as usize;
@@ -93,7 +94,7 @@ fn what_a_device_shows_in_time_is_its_full_images_to_the_bit() {
 }
 
 #[test]
-fn what_a_device_shows_in_time_in_a_building_is_its_full_images_to_the_bit() {
+fn pixels_that_a_device_finishes_in_time_in_a_building_equal_its_full_image() {
     let Some(world) = data::scene("hospital", true) else { return };
     let Some(mut engine) = engine() else { return };
     let (mut random, mut tally) = (Random(32), Tally::default());
@@ -107,9 +108,9 @@ fn what_a_device_shows_in_time_in_a_building_is_its_full_images_to_the_bit() {
     assert!(tally.with_something > 0, "{tally:?}");
 }
 
-/// An engine that calls what it has drawn so far final is found out, and so is one that says that nothing is there.
+/// The check finds an engine that reports unfinished pixels as final, and one that reports nothing as predicted.
 #[test]
-fn a_device_that_shows_what_is_not_final_is_caught() {
+fn a_device_that_shows_unfinished_pixels_is_caught() {
     let Some(mut engine) = engine() else { return };
     let (world, sensors) = (room_world(1, 900), sensors());
     let stops =
@@ -126,7 +127,7 @@ fn a_device_that_shows_what_is_not_final_is_caught() {
     let full = Subject { world: &world, sensor, pose: Pose::IDENTITY }.full(&mut *engine);
     let complete_to = stats.degradation().unwrap().complete_to;
     assert_eq!(judge(&full, &images, complete_to, sensor).wrong, 0);
-    // What the nearest runs alone show, with nothing left open.
+    // The image of the nearest runs alone, with no pixel left open.
     let mut near = plan(&world, sensor, &Pose::IDENTITY);
     let drawn = near.runs.iter().take_while(|run| f64::from(run.nearest) <= complete_to * 1.003).count();
     near.runs.truncate(drawn);
@@ -141,7 +142,8 @@ fn a_device_that_shows_what_is_not_final_is_caught() {
     assert!(judge(&full, &invented, complete_to, sensor).wrong > seen / 100);
 }
 
-/// The predictor keeps deadlines on a device: also of outputs without a range, and never too late to say that nothing can be made.
+/// The predictor keeps deadlines on a device, for outputs without range too, and refuses in time if no prediction is
+/// possible.
 #[test]
 fn a_predictor_keeps_deadlines_on_a_device() {
     let Ok(mut predictor) = Predictor::new(Options::new(Backend::Gpu).with_threads(2)).map_err(no_adapter) else {

@@ -1,6 +1,6 @@
-//! Deadlines: what is final is the full prediction's bit for bit, whatever else is given up.
+//! Deadlines: final pixels equal the full prediction's bit for bit, whatever else is given up.
 
-#![allow(clippy::print_stdout, reason = "figures are told where they are measured")]
+#![allow(clippy::print_stdout, reason = "the tests print their figures")]
 
 use presight_testkit as common;
 

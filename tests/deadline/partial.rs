@@ -1,4 +1,4 @@
-//! Stopped anywhere, an image says nothing that the full prediction does not say.
+//! A prediction stopped at any moment shows nothing that differs from the full prediction.
 
 use crate::common::scenes::{all_round, camera, fisheye, lens, room_world, scanner};
 use crate::common::{Random, data, env_number, plan};
@@ -12,26 +12,26 @@ use presight_render::plan::{Images, Output, Stats};
 use std::sync::Arc;
 use std::time::Duration;
 
-/// What a partial prediction gets wrong, and what it holds.
+/// The faults of a partial prediction, and its content.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Verdict {
-    /// Samples that show something else than the full prediction, `+inf` where that has a range among them.
+    /// Samples that differ from the full prediction, including `+inf` where the full one has a range.
     pub wrong: usize,
-    /// Samples nearer than `complete_to` that are not there.
+    /// Samples not predicted although nearer than `complete_to`.
     pub missing: usize,
-    /// Samples that are not there.
+    /// Samples not predicted.
     pub open: usize,
     /// Samples that show something.
     pub shown: usize,
 }
 
-/// Holds a partial prediction to the full one. What is nearer than the sensor's `range_min` has no range: only beyond that is it surely
-/// nearer than `complete_to`.
+/// Compares a partial prediction with the full one. A sample without range may be nearer than the sensor's `range_min`,
+/// so only samples beyond that are surely nearer than `complete_to`.
 pub fn judge(full: &Images, partial: &Images, complete_to: f64, sensor: &Sensor) -> Verdict {
     judge_part(full, partial, (complete_to, sensor), |_, _| true)
 }
 
-/// The same where only some columns and rows were asked for: no others may show anything.
+/// The same for a request of only some columns and rows: no others may show anything.
 fn judge_part(
     full: &Images,
     partial: &Images,
@@ -75,7 +75,8 @@ struct Subject<'a> {
 }
 
 impl Subject<'_> {
-    /// The images, stopped after so many looks at the clock; and how many looks there were.
+    /// Renders, stopped after `looks` readings of the clock; returns the images, the statistics and the number of
+    /// readings.
     fn render(&self, engine: &mut CpuEngine, looks: u64) -> (Images, Stats, u64) {
         let clock = Arc::new(Ticks::default());
         let mut plan = plan(self.world, self.sensor, &self.pose);
@@ -85,7 +86,7 @@ impl Subject<'_> {
         (images, stats, clock.looks())
     }
 
-    /// A part of the images, stopped after so many looks at the clock.
+    /// Renders a part of the images, stopped after `looks` readings of the clock.
     fn render_part(&self, engine: &mut CpuEngine, looks: u64, part: (u32, Option<(f64, u32)>)) -> (Images, Stats) {
         let mut plan = plan(self.world, self.sensor, &self.pose);
         plan.set_watch(Watch::start(Arc::new(Ticks::default()), Duration::from_micros(looks)).looking_always());
@@ -109,7 +110,7 @@ struct Tally {
     with_something: usize,
 }
 
-/// Stops some frames at random.
+/// Stops several frames at random moments.
 fn hold(subject: &Subject<'_>, random: &mut Random, frames: usize, engine: &mut CpuEngine, tally: &mut Tally) {
     let full = subject.full(engine);
     let (all, stats, looks) = subject.render(engine, u64::MAX / 2000);
@@ -120,13 +121,13 @@ fn hold(subject: &Subject<'_>, random: &mut Random, frames: usize, engine: &mut 
         Verdict { shown: judge(&full, &full, 0.0, subject.sensor).shown, ..Verdict::default() }
     );
     for frame in 0..frames {
-        // The first one has no time at all.
+        // The first frame has no time at all.
         let stop = if frame == 0 { 0 } else { 1 + random.below(looks as usize) as u64 };
         let (partial, stats, _) = subject.render(engine, stop);
         let given_up = stats.degradation();
         let verdict = judge(&full, &partial, given_up.map_or(f64::INFINITY, |g| g.complete_to), subject.sensor);
         assert_eq!((verdict.wrong, verdict.missing), (0, 0), "{name}, stopped after {stop} of {looks} looks");
-        // What is not there is counted, and what is counted is not there. Samples that see nothing in the full image are, too.
+        // The count of missing samples is exact, including samples without a hit in the full image.
         assert_eq!(given_up.map_or(0, |g| g.samples as usize), verdict.open, "{name}, stopped after {stop}");
         tally.frames += 1;
         tally.partial += usize::from(verdict.open > 0);
@@ -135,7 +136,7 @@ fn hold(subject: &Subject<'_>, random: &mut Random, frames: usize, engine: &mut 
 }
 
 #[test]
-fn what_is_final_is_the_full_predictions_to_the_bit() {
+fn final_samples_equal_the_full_prediction() {
     let mut random = Random(11);
     let mut tally = Tally::default();
     let frames = env_number("FRAMES", 12) as usize;
@@ -157,10 +158,10 @@ fn what_is_final_is_the_full_predictions_to_the_bit() {
     assert!(tally.with_something * 4 > tally.partial, "hardly any stopped frame shows anything");
 }
 
-/// A part of the image: every k-th column and row, of all columns or of some around a heading. Each sample of it is the full image's,
-/// to the bit, whole or stopped anywhere; no other one shows anything.
+/// Part of the image: every k-th column and row, of all columns or of some around a heading. Each sample equals the
+/// full image's bit for bit, complete or stopped anywhere; no other sample shows anything.
 #[test]
-fn a_thinned_or_narrowed_image_has_the_full_ones_samples() {
+fn a_thinned_or_narrowed_image_has_samples_of_the_full_image() {
     let mut random = Random(13);
     let (mut parts, mut kept) = (0, 0);
     for (seed, threads) in [(0, 1), (1, 2)] {
@@ -193,7 +194,7 @@ fn a_thinned_or_narrowed_image_has_the_full_ones_samples() {
                     parts += 1;
                 }
             }
-            // Every second column and row of a whole frame show all that the full image has there.
+            // Every second column and row of a complete frame show all that the full image has there.
             let (images, _) = subject.render_part(&mut engine, u64::MAX / 2000, (2, None));
             let shown = |images: &Images, every: usize| {
                 let rows = images.range.chunks(images.width as usize).step_by(every);
@@ -206,8 +207,8 @@ fn a_thinned_or_narrowed_image_has_the_full_ones_samples() {
     assert!(kept > 10_000);
 }
 
-/// By hand: a scanner of 180 columns has one each degree from -90 on. Nine around 45 degrees to the left are 131 to 139; the first is
-/// taken from a multiple of 8 on.
+/// By hand: a scanner of 180 columns has one for each degree from -90 on. Nine columns around 45 degrees to the left
+/// are 131 to 139; the first is rounded down to a multiple of 8.
 #[test]
 fn an_image_is_narrowed_to_columns_around_a_heading() {
     let (world, sensor) = (room_world(1, 50), scanner(181, 3));
@@ -228,9 +229,9 @@ fn an_image_is_narrowed_to_columns_around_a_heading() {
     assert!((opening.heading_deg - 0.5 * (ends[0] + ends[1])).abs() < 1e-9, "{opening:?}");
 }
 
-/// The same in buildings: `SCENE_FRAMES=60 cargo test --release --test deadline buildings -- --nocapture` for many.
+/// The same in buildings: `SCENE_FRAMES=60 cargo test --release --test deadline buildings -- --nocapture` runs many.
 #[test]
-fn what_is_final_in_buildings_is_the_full_predictions_to_the_bit() {
+fn final_samples_in_buildings_equal_the_full_prediction() {
     let mut random = Random(12);
     let frames = env_number("SCENE_FRAMES", 3) as usize;
     for name in ["hospital", "factory_hall", "office_willowgarage"] {
@@ -250,9 +251,9 @@ fn what_is_final_in_buildings_is_the_full_predictions_to_the_bit() {
     }
 }
 
-/// A controller that says that nothing is where it did not look is found out.
+/// The check finds a controller that reports empty space where it did not render.
 #[test]
-fn infinity_for_what_was_left_out_is_caught() {
+fn infinity_for_omitted_samples_is_caught() {
     let (world, sensor) = (room_world(3, 700), camera(96, 64));
     let subject = Subject { world: &world, sensor: &sensor, pose: Pose::IDENTITY };
     let mut engine = CpuEngine::new(1).unwrap();
@@ -265,18 +266,18 @@ fn infinity_for_what_was_left_out_is_caught() {
         *range = f32::INFINITY;
     }
     assert!(judge(&full, &partial, given_up.complete_to, &sensor).wrong > seen / 100);
-    // So is one that shows what it has drawn so far beyond what is complete.
+    // It also finds one that shows unfinished samples beyond `complete_to`.
     let (mut partial, _, _) = subject.render(&mut engine, 6);
     let at = partial.range.iter().position(|range| range.is_nan()).unwrap();
     (partial.range[at], partial.polygon_id[at]) = (9.0, 1);
     assert_eq!(judge(&full, &partial, given_up.complete_to, &sensor).wrong, 1);
-    // And one that claims to be complete farther than it is.
+    // And one that states a `complete_to` that is too far.
     let nearest_open = (0..full.pixels()).filter(|at| partial.range[*at].is_nan()).map(|at| full.range[at]);
     let beyond = f64::from(nearest_open.fold(f32::INFINITY, f32::min)) + 0.01;
     assert!(judge(&full, &partial, beyond, &sensor).missing > 0);
 }
 
-/// A thinned image that fills gaps from beside, or is a pixel off, is found out.
+/// The check finds a thinned image that fills its gaps from neighbours, and one shifted by a pixel.
 #[test]
 fn samples_in_wrong_places_are_caught() {
     let (world, sensor) = (room_world(3, 700), camera(96, 64));

@@ -1,4 +1,4 @@
-//! What reads predictions honours what was given up.
+//! The consumers of predictions take account of omitted samples.
 
 use crate::common::scenes::{camera, cuboid, empty, scanner};
 use glam::{DMat3, DVec3, Vec3};
@@ -14,7 +14,7 @@ use presight_predict::virtual_sensors::{Answer, FreeFloor, Nearest, Settings, Vi
 use presight_render::deadline::{DeadlineOutcome, Degradation};
 use std::sync::Arc;
 
-/// A pillar from 2 m to 2.4 m ahead in a room with walls at 4 m; the floor at 0, the sensor 1 m above it.
+/// A pillar from 2 m to 2.4 m ahead in a room with walls at 4 m; the floor is at 0 and the sensor 1 m above it.
 fn world() -> World {
     let mut environment = empty();
     for (name, mesh) in [
@@ -41,7 +41,7 @@ fn full(world: &World, sensor: &Sensor, pose: &Pose) -> Prediction {
     predictor.predict(world, sensor, pose, &Request::default()).unwrap()
 }
 
-/// As if nothing beyond a range had been drawn.
+/// Makes the prediction look as if nothing beyond a range had been rendered.
 fn given_up_beyond(mut prediction: Prediction, complete_to: f64) -> Prediction {
     let mut samples = 0;
     let images = &mut prediction.images;
@@ -68,7 +68,7 @@ fn nearest(world: &World, prediction: &Prediction) -> (Nearest, String) {
 }
 
 #[test]
-fn nothing_is_said_to_be_free_beyond_what_is_complete() {
+fn nothing_is_reported_free_beyond_the_complete_range() {
     let (world, radar) = (world(), of_class(&scanner(720, 1), "radar"));
     let all = full(&world, &radar, &pose(0.0));
     // The pillar is straight ahead, in column 360; the nearest wall is 4 m away, to the left and elsewhere.
@@ -76,7 +76,7 @@ fn nothing_is_said_to_be_free_beyond_what_is_complete() {
     let pillar = seen.nearest.unwrap();
     assert_eq!((pillar.range, pillar.object.as_str(), seen.complete_to), (2.0, "pillar", Some(3.0)));
     assert_eq!(seen.directions.range[360], 2.0);
-    assert!(seen.directions.range[540].is_nan(), "there may be something");
+    assert!(seen.directions.range[540].is_nan(), "an object is possible there");
 
     let partial = given_up_beyond(all.clone(), 1.5);
     let (seen, summary) = nearest(&world, &partial);
@@ -84,11 +84,11 @@ fn nothing_is_said_to_be_free_beyond_what_is_complete() {
     assert_eq!(summary, "radar-nearest: none up to 1.500 m");
     assert!(seen.directions.range.iter().all(|range| range.is_nan()));
 
-    // Without being told that something was given up it says what it must not say.
+    // Without the note that samples were given up, the result is the wrong answer.
     let mut untold = partial;
     untold.stats = Default::default();
     assert_eq!(nearest(&world, &untold).1, "radar-nearest: nothing is seen");
-    // A hit beyond what is complete elsewhere is no nearest one: something that was given up may be nearer.
+    // A hit beyond `complete_to` is not the nearest one: an omitted object may be nearer.
     let mut holes = given_up_beyond(all, 3.0);
     let given_up = holes.stats.deadline.as_mut().unwrap().given_up.as_mut().unwrap();
     given_up.complete_to = 1.8;
@@ -114,7 +114,7 @@ fn floor_that_was_not_predicted_is_not_free() {
     assert!(open.contains(&true) && part.mask.pixels.iter().zip(&open).all(|(free, open)| !(*free && *open)));
 }
 
-/// The wall ahead as one patch: where its pixels were given up nobody says that it is seen.
+/// The wall ahead as one patch: where its pixels were given up, it must not count as seen.
 #[test]
 fn patches_are_not_seen_where_pixels_were_given_up() {
     let mut environment = empty();
@@ -142,5 +142,5 @@ fn patches_are_not_seen_where_pixels_were_given_up() {
     let half = seen(&prediction, true);
     assert!((half.visible_fraction - 0.5).abs() < 0.02, "{}", half.visible_fraction);
     assert_eq!(half.hidden.iter().map(|h| h.reason).collect::<Vec<_>>(), [Reason::NotPredicted]);
-    assert_eq!(seen(&prediction, false).visible_fraction, 1.0, "untold, it says what it must not say");
+    assert_eq!(seen(&prediction, false).visible_fraction, 1.0, "without the note the answer must be wrong");
 }

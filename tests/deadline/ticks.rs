@@ -1,10 +1,10 @@
-//! Clocks without time.
+//! Clocks that do not depend on time.
 
 use presight_render::deadline::Clock;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-/// Every look at it takes a microsecond, or so many.
+/// Every reading advances the clock by a microsecond or by another step.
 #[derive(Debug)]
 pub struct Ticks {
     looks: AtomicU64,
@@ -22,7 +22,7 @@ impl Ticks {
         Self { looks: AtomicU64::new(0), microseconds }
     }
 
-    /// How often it was looked at.
+    /// The number of readings.
     pub fn looks(&self) -> u64 {
         self.looks.load(Ordering::Relaxed)
     }
@@ -34,7 +34,7 @@ impl Clock for Ticks {
     }
 }
 
-/// Nobody may look at it.
+/// A clock that must not be read.
 #[derive(Debug)]
 pub struct Untouchable;
 
@@ -44,7 +44,7 @@ impl Clock for Untouchable {
     }
 }
 
-/// Jumps to and fro.
+/// A clock that jumps back and forth.
 #[derive(Debug, Default)]
 pub struct Jumping(AtomicU64);
 
@@ -55,7 +55,7 @@ impl Clock for Jumping {
     }
 }
 
-/// Every look at it takes a microsecond; from some look on an hour has passed.
+/// Every reading advances the clock by a microsecond; from a certain reading on, an hour has passed.
 #[derive(Debug)]
 pub struct Sudden {
     looks: AtomicU64,

@@ -1,11 +1,11 @@
-//! Robots followed from frame to frame.
+//! Robots localized from frame to frame.
 
 use super::*;
-use presight_localize::estimate::Prior;
 use presight_localize::localize::{LocalizeOptions, Localizer, Phase};
 use presight_model::error::ErrorKind;
+use presight_model::geometry::{PoseCovariance, PoseEstimate};
 
-/// A pose on a round through the room, looking ahead and down a little.
+/// A pose on a round trip through the room, looking ahead and slightly down.
 fn on_the_way(k: usize) -> Pose {
     let t = 0.02 * k as f64;
     let at = DVec3::new(1.3 + 0.5 * t.sin(), 2.3 + 0.4 * t.cos(), 1.4);
@@ -17,24 +17,25 @@ fn at(stamp: f64, frame: Frame) -> Frame {
 }
 
 fn localizer(start: &Pose) -> Localizer {
-    let prior = Prior::of_sigmas(*start, 0.05, 0.03);
+    let prior = PoseEstimate::of_sigmas(*start, 0.05, 0.03);
     Localizer::new(estimator(EstimateOptions::default()), prior, LocalizeOptions::default())
 }
 
 #[test]
-fn a_drive_is_followed_without_odometry() {
+fn a_drive_is_tracked_without_odometry() {
     let (world, sensor, mut random) = (room(Vec3::ZERO), camera(0.01), Random(11));
     let mut robot = localizer(&off_by(&on_the_way(0), 0.04, 1.5, &mut random));
     for k in 0..60 {
         let truth = on_the_way(k);
         let step = robot.step(&world, &at(k as f64, sense(&world, &sensor, &truth, &mut random))).unwrap();
-        let (metres, degrees) = apart(&step.pose, &truth);
+        let (metres, degrees) = apart(&step.pose.world_from_robot, &truth);
         assert!(metres < 0.01 && degrees < 0.3, "{k}: {metres} m {degrees} deg, {}", step.reason);
         assert!(k < 3 || step.phase == Phase::Tracking, "{k}: {}", step.reason);
     }
 }
 
-/// Moved 0.3 m and 11 degrees at a time, at the second frame and again after it stood still, without odometry: known all the time.
+/// The robot moves 0.3 m and 11 degrees at a time, at the second frame and again after a stop, without odometry. Its
+/// pose is known at every frame.
 #[test]
 fn a_robot_that_stops_and_goes_is_followed() {
     let (world, sensor, mut random) = (room(Vec3::ZERO), camera(0.01), Random(15));
@@ -46,18 +47,18 @@ fn a_robot_that_stops_and_goes_is_followed() {
         let ahead = Pose::from_xyz_rpy(DVec3::ZERO, 0.0, 0.0, 0.2 * f64::from(moves % 2));
         let truth = turn * on_the_way(0) * ahead;
         let step = robot.step(&world, &at(f64::from(k), sense(&world, &sensor, &truth, &mut random))).unwrap();
-        let (metres, degrees) = apart(&step.pose, &truth);
+        let (metres, degrees) = apart(&step.pose.world_from_robot, &truth);
         assert!(step.is_known() && metres < 0.01 && degrees < 0.3, "{k}: {metres} m {degrees} deg, {}", step.reason);
         assert!(k < 3 || step.phase == Phase::Tracking, "{k}: {}", step.reason);
     }
 }
 
-/// A robot that is carried away says so within five frames, and is found again when it is put back.
+/// The estimator reports a carried-away robot as lost within five frames, and finds it again after it is put back.
 #[test]
 fn a_kidnapped_robot_is_lost() {
     let (world, sensor) = (room(Vec3::ZERO), camera(0.01));
     let elsewhere = Pose::from_xyz_rpy(DVec3::new(4.6, 1.2, 1.2), 0.0, 0.1, 2.9);
-    // At the first frame after those that have to agree, and when much is known of what is usual.
+    // Carries it away at the first frame at which that can be noticed, and after the usual level is well known.
     for taken in [3, 20] {
         let (mut robot, mut random) = (localizer(&on_the_way(0)), Random(12));
         let (mut lost, mut back) = (None, None);
@@ -74,7 +75,7 @@ fn a_kidnapped_robot_is_lost() {
             if k >= taken + 8 && step.phase == Phase::Tracking {
                 back.get_or_insert(k);
             }
-            let (metres, _) = apart(&step.pose, &truth);
+            let (metres, _) = apart(&step.pose.world_from_robot, &truth);
             assert!(
                 step.phase != Phase::Tracking || metres < 0.05 || k < taken + 5,
                 "{k}: tracking and {metres} m off"
@@ -111,11 +112,12 @@ fn frames_out_of_order_and_bad_odometry_are_refused() {
     }
     let mut broken = frame(2.0);
     let nowhere = Pose { translation: DVec3::NAN, ..Pose::IDENTITY };
-    broken.motion = Some(presight_model::frame::Motion { previous_from_current: nowhere, covariance: [[0.0; 6]; 6] });
+    broken.motion =
+        Some(presight_model::measured::Motion { previous_from_current: nowhere, covariance: PoseCovariance::ZERO });
     assert!(robot.step(&world, &broken).unwrap_err().to_string().contains("odometry"));
     let mut broken = frame(2.0);
-    let covariance = [[f64::NAN; 6]; 6];
-    broken.motion = Some(presight_model::frame::Motion { previous_from_current: Pose::IDENTITY, covariance });
+    let covariance = PoseCovariance::from_sigmas([f64::NAN; 6]);
+    broken.motion = Some(presight_model::measured::Motion { previous_from_current: Pose::IDENTITY, covariance });
     assert_eq!(robot.step(&world, &broken).unwrap_err().kind(), ErrorKind::Invalid);
     assert_eq!(robot.step(&world, &frame(2.0)).unwrap().stamp, 2.0);
 }

@@ -1,24 +1,25 @@
-//! Edges of a model in simulated grey images (light at the camera, blur, noise): found where they are predicted, classed, and as the
-//! only source of a pose.
+//! Edges of a model in simulated grey images (light at the camera, blur, noise): matched near their predictions,
+//! classified, and used as the only source of a pose.
 
 use super::*;
 use presight_features::generate::{GenerateOptions, generate};
 use presight_features::{BoxOptions, FeatureOptions, FeaturePrediction};
-use presight_localize::estimate::{Freedom, ImageSource, Prior, SeenPoint, SeenSegment, fit, nees};
+use presight_localize::estimate::{Freedom, ImageSource, SeenPoint, SeenSegment, fit, nees};
 use presight_localize::extract::{
     CornerOptions, EdgeOptions, ExpectedEdge, FoundEdge, PixelBox, corners_in, edges_near,
 };
 use presight_localize::matching::Detection;
 use presight_localize::simulate::GreySimulator;
-use presight_model::frame::GreyImage;
+use presight_model::geometry::PoseEstimate;
+use presight_model::measured::GreyImage;
 use presight_model::placement::place_layer;
 use std::time::Duration;
 
 const NOISE: f64 = 0.01;
-/// One standard deviation of the pose before, metres and radians.
+/// The standard deviation of the prior, metres and radians.
 const KNOWN: (f64, f64) = (0.03, 0.01);
 
-/// Looks over the table to the shelf.
+/// A pose that looks over the table to the shelf.
 fn place() -> Pose {
     Pose::from_xyz_rpy(DVec3::new(0.7, 2.2, 1.4), 0.0, 0.25, 0.05)
 }
@@ -38,7 +39,7 @@ fn picture(world: &World, pose: &Pose, seed: u64) -> GreyImage {
     simulator.frame(world, 0.0, pose).unwrap().grey().unwrap().clone()
 }
 
-/// A predicted edge with the best that was found near it. `t` is where the visible part begins and ends.
+/// A predicted edge with the best match near it. `t` holds the ends of the visible part.
 struct Pair {
     ends: [DVec3; 2],
     found: FoundEdge,
@@ -60,7 +61,7 @@ fn matched(features: &FeaturePrediction, image: &GreyImage, reach: Option<f64>) 
     pairs
 }
 
-/// How far the ends of a model's edge are from the line that was found, in the image of the true pose, pixels.
+/// The distance of the model edge's ends from the matched line in the image at the true pose, pixels.
 fn off(pair: &Pair, truth: &Pose) -> f64 {
     let camera = video();
     let [a, b] = [0, 1].map(|k| pair.found.detection.shape.points()[k]);
@@ -73,7 +74,7 @@ fn off(pair: &Pair, truth: &Pose) -> f64 {
     ends[0].max(ends[1])
 }
 
-/// Where the prediction is right, edges are found to a fraction of a pixel, and one that is taken for another is rare.
+/// If the prediction is right, edges are found to a fraction of a pixel and mismatches are rare.
 #[test]
 fn predicted_edges_are_found() {
     let world = room(Vec3::ZERO);
@@ -83,12 +84,12 @@ fn predicted_edges_are_found() {
     assert!(all.len() >= 12, "{} edges", all.len());
     assert!(all[all.len() / 2] < 0.3, "median of {} pixels", all[all.len() / 2]);
     let wrong = all.iter().filter(|d| **d > 1.5).count();
-    assert!(10 * wrong <= all.len(), "{wrong} of {} are others", all.len());
+    assert!(10 * wrong <= all.len(), "{wrong} of {} are mismatches", all.len());
 }
 
-/// Edges alone tell the pose: from 3 cm and 0.6 degrees off, with a covariance that is true.
+/// Edges alone determine the pose from 3 cm and 0.6 degrees off, with a consistent covariance.
 #[test]
-fn edges_alone_tell_the_pose() {
+fn edges_alone_determine_the_pose() {
     let (world, mut random) = (room(Vec3::ZERO), Random(4));
     let (mut metres, mut degrees, mut scores) = (0.0f64, 0.0f64, Vec::new());
     for seed in 0..3 {
@@ -101,10 +102,10 @@ fn edges_alone_tell_the_pose() {
             SeenSegment { ends: p.ends, found: [ends[0], ends[1]], sigma: sigma.hypot(0.1), feature: 0 }
         };
         let source = ImageSource::new(&camera, Vec::new(), pairs.iter().map(segment).collect());
-        let found = fit(&[&source], &Prior::of_sigmas(believed, KNOWN.0, KNOWN.1), Freedom::Full).unwrap();
-        let (m, d) = apart(&found.pose, &truth);
+        let found = fit(&[&source], &PoseEstimate::of_sigmas(believed, KNOWN.0, KNOWN.1), Freedom::Full).unwrap();
+        let (m, d) = apart(&found.pose.world_from_robot, &truth);
         (metres, degrees) = (metres.max(m), degrees.max(d));
-        let (squared, numbers) = nees(&found.pose, &found.covariance, &truth);
+        let (squared, numbers) = nees(&found.pose, &truth);
         scores.push(squared / numbers as f64);
         assert!(found.weak.is_empty(), "{:?}", found.weak);
     }
@@ -112,8 +113,8 @@ fn edges_alone_tell_the_pose() {
     assert!(scores.iter().all(|s| *s < 6.0), "{scores:?}");
 }
 
-/// By hand: a camera of focal length 100 pixels sees a point 2 m ahead 1 pixel too far right, so that it stands 2 cm too far left (or is
-/// turned): with x, z and all turns known, the whole pixel is y. A pixel's deviation is 2 cm.
+/// By hand: a camera of focal length 100 pixels sees a point 2 m ahead 1 pixel too far right, so the camera is 2 cm too
+/// far left or rotated. With x, z and all rotations known, the whole pixel goes to y. A pixel's deviation is 2 cm.
 #[test]
 fn a_point_ahead() {
     let camera = Camera::pinhole(100, 100, 100.0, 100.0, 49.5, 49.5);
@@ -128,24 +129,28 @@ fn a_point_ahead() {
         feature: 0,
     };
     let source = ImageSource::new(&camera, vec![point; 4], Vec::new());
-    let mut prior = Prior::of_sigmas(Pose::IDENTITY, 1e-6, 1e-6);
+    let mut prior = PoseEstimate::of_sigmas(Pose::IDENTITY, 1e-6, 1e-6);
     prior.covariance[1][1] = 100.0;
     let answer = fit(&[&source], &prior, Freedom::Full).unwrap();
-    let t = answer.pose.translation;
+    let t = answer.pose.world_from_robot.translation;
     assert!((t - DVec3::new(0.0, 0.02, 0.0)).length() < 1e-5, "{t}");
     // Four points of 2 cm each.
-    assert!((answer.covariance[1][1].sqrt() - 0.01).abs() < 1e-5, "{}", answer.covariance[1][1].sqrt());
-    // One point in a thousand pixels is an outlier and has no say.
+    assert!((answer.pose.covariance[1][1].sqrt() - 0.01).abs() < 1e-5, "{}", answer.pose.covariance[1][1].sqrt());
+    // A point that is off by a thousand pixels is an outlier and gets no weight.
     let far = SeenPoint { found: glam::DVec2::new(950.0, 49.5), ..point };
     prior.covariance[1][1] = 1e-3;
     let mut points = vec![point; 4];
     points.push(far);
     let answer = fit(&[&ImageSource::new(&camera, points, Vec::new())], &prior, Freedom::Full).unwrap();
-    assert!((answer.pose.translation.y - 0.02).abs() < 0.003, "{}", answer.pose.translation);
+    assert!(
+        (answer.pose.world_from_robot.translation.y - 0.02).abs() < 0.003,
+        "{}",
+        answer.pose.world_from_robot.translation
+    );
 }
 
-/// What the same extraction costs and finds where nothing is predicted: every edge and corner is looked for in the whole image. CPU times are
-/// told, not held: `cargo test --release --test estimate regions -- --nocapture`.
+/// Compares with a search of the whole image for every edge and corner, without predictions. CPU times are printed, not
+/// checked: `cargo test --release --test estimate regions -- --nocapture`.
 #[test]
 fn regions_of_interest_save_time_and_false_matches() {
     let world = room(Vec3::ZERO);
@@ -158,14 +163,14 @@ fn regions_of_interest_save_time_and_false_matches() {
     let corners = |everywhere: bool| nearest_corners(&features, &image, everywhere);
     let (near, wide) = (timed(|| edges(None)), timed(|| edges(Some(1e3))));
     eprintln!("edges in regions: {near:?}; in the whole image: {wide:?} (CPU time, (found, wrong))");
-    assert!(near.1.1 * wide.1.0 <= wide.1.1 * near.1.0, "no larger share is wrong: {near:?} {wide:?}");
+    assert!(near.1.1 * wide.1.0 <= wide.1.1 * near.1.0, "a larger share is wrong: {near:?} {wide:?}");
     let (near, wide) = (timed(|| corners(false)), timed(|| corners(true)));
     eprintln!("corners in regions: {near:?}; in the whole image: {wide:?}");
     assert!(near.1.0 >= 6, "{near:?}");
-    assert!(near.1.1 <= wide.1.1, "no more are wrong: {near:?} {wide:?}");
+    assert!(near.1.1 <= wide.1.1, "more are wrong: {near:?} {wide:?}");
 }
 
-/// The least CPU time of five runs, and what they give.
+/// The smallest CPU time of five runs, and their result.
 fn timed<T>(run: impl Fn() -> T) -> (Duration, T) {
     let once = || {
         let start = cpu_time::ThreadTime::now();
@@ -178,8 +183,8 @@ fn timed<T>(run: impl Fn() -> T) -> (Duration, T) {
     })
 }
 
-/// Of each predicted corner the nearest that is found in its region, or of all in the image: how many, and how many are more than
-/// 1.5 pixels off.
+/// For each predicted corner, the nearest corner found in its region or in the whole image. Returns how many were
+/// found, and how many of them are more than 1.5 pixels off.
 fn nearest_corners(features: &FeaturePrediction, image: &GreyImage, everywhere: bool) -> (usize, usize) {
     let options = CornerOptions { noise: NOISE, ..CornerOptions::default() };
     let all = if everywhere { corners_in(image, PixelBox::whole(image), &options) } else { Vec::new() };

@@ -1,37 +1,38 @@
-//! Fiducials of a layer in simulated grey images of a room with tags on its walls: predicted, found in their regions, and as the source
-//! of a pose. Planted faults: a tag of another number, and one that was moved.
+//! Fiducials of a layer in simulated grey images of a room with tags on its walls: predicted, found in their regions,
+//! and used as the source of a pose. Planted faults: a tag with a wrong number, and a tag that was moved.
 
 use super::*;
 use glam::{DMat3, DQuat, DVec2};
 use presight_features::PlacedFeatures;
-use presight_localize::estimate::{Estimate, EstimateState, Prior, nees};
+use presight_localize::estimate::{Estimate, EstimateState, nees};
 use presight_localize::extract::FeatureClass;
 use presight_localize::localize::Phase;
 use presight_localize::matching::Shape;
 use presight_model::environment::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
+use presight_model::geometry::PoseEstimate;
 use presight_model::placement::place_layer;
 use presight_testkit::tags::add_tag;
 use std::sync::Arc;
 
-/// One standard deviation of the pose before, metres and radians.
+/// The standard deviation of the prior, metres and radians.
 const KNOWN: (f64, f64) = (0.03, 0.01);
 
-/// Looks along x at the wall with tags, 3.8 m away; the pillar with another one is 1.4 m away.
+/// A pose that looks along x at the wall with tags, 3.8 m away; the pillar with another tag is 1.4 m away.
 fn place() -> Pose {
     Pose::from_xyz_rpy(DVec3::new(2.2, 2.2, 1.4), 0.0, 0.0, 0.0)
 }
 
-/// Facing the robot, at a place.
+/// The pose of a tag at a place, facing the robot.
 fn facing(at: DVec3) -> Pose {
-    // Seen from the front, right is -y, up is z, and the viewer is at smaller x.
+    // As seen from the front, right is -y and up is z; the viewer is at smaller x.
     let rotation = DQuat::from_mat3(&DMat3::from_cols(-DVec3::Y, DVec3::Z, -DVec3::X));
     Pose { translation: at, rotation }
 }
 
-/// A tag's number, the middle of its black square, and its side, metres.
+/// A tag's number, the centre of its black square, and its side in metres.
 type Tag = (usize, [f64; 3], f64);
 
-/// Three on the wall, 2 mm before it, and one on the pillar.
+/// Three tags 2 mm in front of the wall, and one on the pillar.
 const TAGS: [Tag; 4] = [
     (0, [5.998, 0.9, 1.9], 0.3),
     (1, [5.998, 1.7, 1.1], 0.3),
@@ -49,7 +50,7 @@ fn with_tags(tags: &[Tag]) -> (World, Vec<[DVec3; 4]>) {
     (World::new(environment), corners)
 }
 
-/// Each tag as its map has it, its place known to so many metres.
+/// Each tag at its place in the map, with this sigma in metres.
 fn layer(world: &World, tags: &[Tag], corners: &[[DVec3; 4]], sigma: f64) -> PlacedFeatures {
     let feature = |(k, (tag, ..)): (usize, &Tag)| Feature {
         id: k as u32 + 1,
@@ -69,24 +70,24 @@ fn layer(world: &World, tags: &[Tag], corners: &[[DVec3; 4]], sigma: f64) -> Pla
         .unwrap()
 }
 
-/// The map has the tags where `TAGS` says; what is seen is another room's.
+/// Estimates the pose when the map has `TAGS` but the image shows another room's tags.
 fn seen_in(real: &World, tags: &[Tag], believed: &Pose, truth: &Pose, seed: u64) -> Estimate {
     let (map, corners) = with_tags(tags);
     let features = layer(&map, tags, &corners, 0.0);
-    let prior = Prior::of_sigmas(*believed, KNOWN.0, KNOWN.1);
+    let prior = PoseEstimate::of_sigmas(*believed, KNOWN.0, KNOWN.1);
     let mut estimator = estimator(EstimateOptions::default()).with_features(features);
     estimator.estimate(&map, &[&grey(&video(), real, truth, 0.0, seed)], &prior).unwrap()
 }
 
-/// By hand: a square of 0.4 m, 2 m ahead of a camera of focal length 250 pixels, is 50 pixels wide around the principal point, its top
-/// left corner in the world at the top left of the image.
+/// By hand: a square of 0.4 m, 2 m ahead of a camera of focal length 250 pixels, is 50 pixels wide around the principal
+/// point, with its top left corner in the world at the top left of the image.
 #[test]
 fn a_tag_square_ahead() {
     let mut environment = Environment::new();
     let corners = add_tag(&mut environment, "board", 3, &facing(2.0 * DVec3::X), 0.4);
     let world = World::new(environment);
     let features = layer(&world, &[(3, [2.0, 0.0, 0.0], 0.4)], &[corners], 0.0);
-    let prior = Prior::of_sigmas(Pose::IDENTITY, 0.01, 0.005);
+    let prior = PoseEstimate::of_sigmas(Pose::IDENTITY, 0.01, 0.005);
     let mut estimator = estimator(EstimateOptions::default()).with_features(features);
     let found = estimator.estimate(&world, &[&grey(&video(), &world, &Pose::IDENTITY, 0.0, 1)], &prior).unwrap();
     let findings = &found.findings[0];
@@ -94,12 +95,12 @@ fn a_tag_square_ahead() {
     let Shape::Fiducial(seen) = &detection.shape else { panic!("{detection:?}") };
     let by_hand = [[134.5, 94.5], [184.5, 94.5], [184.5, 144.5], [134.5, 144.5]].map(DVec2::from);
     for (k, by_hand) in by_hand.into_iter().enumerate() {
-        // Predicted at the pose that was found.
+        // Predicted at the estimated pose.
         assert!(finding.predicted.points()[k].distance(by_hand) < 0.5, "{k}: {:?}", finding.predicted);
         assert!(seen[k].distance(by_hand) < 0.3, "{k}: {seen:?}");
     }
     assert!(findings.only_found.is_empty());
-    // One tag may have been moved: nothing else speaks for the pose.
+    // A single tag may have been moved, and nothing else supports the pose.
     assert!(
         matches!(&found.state, EstimateState::Undetermined(why) if why.contains("1 features")),
         "{:?}",
@@ -107,9 +108,9 @@ fn a_tag_square_ahead() {
     );
 }
 
-/// Four tags tell the pose from 3 cm and 0.6 degrees off, with a covariance that is true.
+/// Four tags determine the pose from 3 cm and 0.6 degrees off, with a consistent covariance.
 #[test]
-fn tags_alone_tell_the_pose() {
+fn tags_alone_determine_the_pose() {
     let (world, _) = with_tags(&TAGS);
     let mut random = Random(9);
     let mut scores = 0.0;
@@ -119,17 +120,18 @@ fn tags_alone_tell_the_pose() {
         let found = seen_in(&world, &TAGS, &believed, &truth, seed);
         assert!(found.is_determined(), "{:?}", found.state);
         assert_eq!(found.findings[0].count("matched"), 4);
-        let (m, d) = apart(&found.pose, &truth);
+        let (m, d) = apart(&found.pose.world_from_robot, &truth);
         assert!(m < 0.015 && d < 0.25, "{seed}: {m} m, {d} deg");
-        let (squared, numbers) = nees(&found.pose, &found.covariance, &truth);
+        let (squared, numbers) = nees(&found.pose, &truth);
         scores += squared / numbers as f64 / 4.0;
     }
     assert!(scores < 2.5, "NEES {scores}");
 }
 
-/// Planted: a board has the number of another one, which is seen as well. It is no match, and the others tell the pose.
+/// Planted fault: a board has the number of another tag, which is also in view. It is not matched, and the other tags
+/// determine the pose.
 #[test]
-fn a_tag_of_another_number_is_no_match() {
+fn a_tag_with_another_number_is_not_matched() {
     let mut real = TAGS;
     real[1].0 = 3;
     let (real, _) = with_tags(&real);
@@ -145,12 +147,12 @@ fn a_tag_of_another_number_is_no_match() {
         .map(|at| findings.detections[*at].properties.marker.as_ref().unwrap().code)
         .collect();
     assert_eq!(only, [3]);
-    let (m, d) = apart(&found.pose, &place());
+    let (m, d) = apart(&found.pose.world_from_robot, &place());
     assert!(found.is_determined() && m < 0.02 && d < 0.3, "{m} m, {d} deg; {:?}", found.state);
 }
 
-/// Planted: a board hangs 5 cm beside where the map has it. Of four it is outvoted; of two nobody knows which one it is. Never is a wrong
-/// pose told as if it were known.
+/// Planted fault: a board hangs 5 cm from its place in the map. Among four tags it is outvoted; among two tags the
+/// wrong one cannot be identified. A wrong pose is never reported as determined.
 #[test]
 fn a_tag_that_was_moved_is_not_believed() {
     let mut outvoted = 0;
@@ -164,8 +166,8 @@ fn a_tag_that_was_moved_is_not_believed() {
             for some in [vec![0, 1, 2, 3], vec![0, 1, 2], pair.to_vec()] {
                 let [real, map] = [real, TAGS].map(|all| some.iter().map(|k| all[*k]).collect::<Vec<Tag>>());
                 let found = seen_in(&with_tags(&real).0, &map, &believed, &place(), 5);
-                let (squared, numbers) = nees(&found.pose, &found.covariance, &place());
-                let (score, off) = (squared / numbers as f64, apart(&found.pose, &place()));
+                let (squared, numbers) = nees(&found.pose, &place());
+                let (score, off) = (squared / numbers as f64, apart(&found.pose.world_from_robot, &place()));
                 eprintln!("{some:?}, {moved} by {dy} {dz}: NEES {score}, {off:?}, {:?}", found.state);
                 assert!(!found.is_determined() || score < 4.0, "{some:?}, {moved}: NEES {score}, {off:?}");
                 outvoted += usize::from(some.len() == 4 && found.is_determined() && off.0 < 0.03);
@@ -175,34 +177,35 @@ fn a_tag_that_was_moved_is_not_believed() {
     assert!(outvoted >= 6, "{outvoted} of 8");
 }
 
-/// By hand: three tags, equally far, whose places are known to 2 cm tell the place of a robot to 2 cm / sqrt(3); tags that are known exactly tell more.
+/// By hand: three tags at equal distance with places known to 2 cm give the robot's place to 2 cm / sqrt(3). Exactly
+/// known tags give it better.
 #[test]
 fn a_pose_is_known_no_better_than_its_tags() {
     let (world, corners) = with_tags(&TAGS[..3]);
-    // Before the middle of the three.
+    // In front of the middle of the three.
     let place = Pose { translation: DVec3::new(2.2, 1.7, 4.9 / 3.0), ..place() };
-    let prior = Prior::of_sigmas(place, 0.05, 1e-4);
+    let prior = PoseEstimate::of_sigmas(place, 0.05, 1e-4);
     let sigma_of = |sigma: f64| {
-        let options = EstimateOptions { offset_sigma: 1e-4, ..EstimateOptions::default() };
+        let options = EstimateOptions::default().with_offset_sigma(1e-4);
         let mut estimator = estimator(options).with_features(layer(&world, &TAGS[..3], &corners, sigma));
         let found = estimator.estimate(&world, &[&grey(&video(), &world, &place, 0.0, 1)], &prior).unwrap();
         assert!(found.is_determined(), "{:?}", found.state);
-        found.covariance[1][1].sqrt()
+        found.pose.covariance[1][1].sqrt()
     };
     let (exact, loose) = (sigma_of(0.0), sigma_of(0.02));
-    // The heading is known; the prior of 5 cm takes a little off.
+    // The heading is known; the prior of 5 cm reduces the value slightly.
     assert!((loose - 0.02 / 3f64.sqrt()).abs() < 0.001, "{loose}");
     assert!(exact < 0.002, "{exact}");
 }
 
-/// A drive by tags alone, and one beside ranges: there they are no worse than ranges alone.
+/// A drive by tags alone, and one by tags and ranges, which is at least as accurate as ranges alone.
 #[test]
-fn tags_are_followed() {
+fn drives_are_tracked_by_tags() {
     let (world, corners) = with_tags(&TAGS);
     let features = layer(&world, &TAGS, &corners, 0.0);
     for with_ranges in [false, true] {
         for (k, (truth, step)) in drive(&video(), &world, &features, &place(), with_ranges).iter().enumerate() {
-            let (m, d) = apart(&step.pose, truth);
+            let (m, d) = apart(&step.pose.world_from_robot, truth);
             assert!(m < if with_ranges { 0.004 } else { 0.02 } && d < 0.3, "{k}: {m} m, {d} deg; {}", step.reason);
             assert_eq!(step.estimate.findings[0].count("matched"), 4);
             assert_eq!(step.phase, if k < 2 { Phase::Candidates } else { Phase::Tracking });

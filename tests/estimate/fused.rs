@@ -1,17 +1,18 @@
-//! Grey images and ranges together: poses by edges in simulated grey images (light at the camera, blur, noise), by a range camera with
-//! 1 cm of noise, and by both.
+//! Grey images and ranges together: poses by edges in simulated grey images (light at the camera, blur, noise), by a
+//! range camera with 1 cm of noise, and by both.
 
 use super::*;
 use presight_features::PlacedFeatures;
 use presight_features::generate::{GenerateOptions, generate};
-use presight_localize::estimate::{Estimate, EstimateState, Prior, nees};
+use presight_localize::estimate::{Estimate, EstimateState, nees};
 use presight_localize::extract::FeatureClass;
 use presight_localize::localize::Phase;
 use presight_model::error::ErrorKind;
-use presight_model::frame::GreyImage;
+use presight_model::geometry::PoseEstimate;
+use presight_model::measured::GreyImage;
 use presight_model::placement::place_layer;
 
-/// 240 x 180 pixels, 65 degrees wide, 10 cm beside the range camera.
+/// 240 x 180 pixels, 65 degrees wide, 10 cm from the range camera.
 fn video() -> Sensor {
     let camera = Camera::pinhole(240, 180, 188.0, 188.0, 119.5, 89.5);
     let mut spec = SensorSpec::new("camera", "video", Geometry::Camera(camera));
@@ -28,11 +29,11 @@ fn edges(world: &World) -> PlacedFeatures {
     place_layer(world, &layer).unwrap()
 }
 
-fn estimate(world: &World, features: &PlacedFeatures, frames: &[&Frame], prior: &Prior) -> Estimate {
+fn estimate(world: &World, features: &PlacedFeatures, frames: &[&Frame], prior: &PoseEstimate) -> Estimate {
     estimator(EstimateOptions::default()).with_features(features.clone()).estimate(world, frames, prior).unwrap()
 }
 
-/// Of both alone and together: root mean squares of metres and degrees, and the largest NEES by numbers.
+/// For each sensor alone and for both: the RMS errors in metres and degrees, and the largest NEES per dimension.
 fn errors(map: &World, real: &World) -> [(f64, f64, f64); 3] {
     let features = edges(map);
     let mut random = Random(7);
@@ -41,13 +42,13 @@ fn errors(map: &World, real: &World) -> [(f64, f64, f64); 3] {
     for seed in 0..draws {
         let truth = off_by(&place(), 0.2, 4.0, &mut random);
         let believed = off_by(&truth, 0.03, 0.6, &mut random);
-        let prior = Prior::of_sigmas(believed, 0.03, 0.01);
+        let prior = PoseEstimate::of_sigmas(believed, 0.03, 0.01);
         let (grey, ranges) = (grey(&video(), real, &truth, 0.0, seed), sense(real, &camera(0.01), &truth, &mut random));
         for (frames, sums) in [vec![&ranges], vec![&grey], vec![&ranges, &grey]].into_iter().zip(&mut all) {
             let found = estimate(map, &features, &frames, &prior);
             assert!(found.is_determined(), "{:?}", found.state);
-            let (m, d) = apart(&found.pose, &truth);
-            let (squared, numbers) = nees(&found.pose, &found.covariance, &truth);
+            let (m, d) = apart(&found.pose.world_from_robot, &truth);
+            let (squared, numbers) = nees(&found.pose, &truth);
             *sums = (sums.0 + m * m, sums.1 + d * d, sums.2.max(squared / numbers as f64));
         }
     }
@@ -55,7 +56,8 @@ fn errors(map: &World, real: &World) -> [(f64, f64, f64); 3] {
     all.map(|(m, d, worst)| (mean(m), mean(d), worst))
 }
 
-/// Edges alone are good to a centimetre; with ranges the pose is no worse than by the better of both, and the covariances are true.
+/// Edges alone are accurate to a centimetre. With ranges the pose is no worse than with the better sensor alone, and
+/// the covariances are consistent.
 #[test]
 fn together_no_worse_than_the_best() {
     let world = room(Vec3::ZERO);
@@ -66,8 +68,8 @@ fn together_no_worse_than_the_best() {
     assert!(ranges.2 < 6.0 && grey.2 < 6.0 && both.2 < 6.0);
 }
 
-/// What stands in the room as the model has it is matched; of the table that is gone rays tell that it is missing, and of the shelf's
-/// edges that a screen hides that something unknown stands before them.
+/// Unchanged objects of the room are matched. Rays show that the table is missing, and that an unknown object hides the
+/// shelf's edges, which a screen covers.
 #[test]
 fn features_are_classed_by_ranges() {
     let map = room(Vec3::ZERO);
@@ -77,12 +79,12 @@ fn features_are_classed_by_ranges() {
     add_box(&mut environment, "screen", Vec3::new(4.0, 3.0, 0.0), Vec3::new(4.05, 4.0, 2.2));
     let real = World::new(environment);
     let frames = [sense(&real, &camera(0.01), &place(), &mut Random(3)), grey(&video(), &real, &place(), 0.0, 3)];
-    let prior = Prior::of_sigmas(place(), 0.01, 0.005);
-    let options = EstimateOptions { least_explained: 0.4, ..EstimateOptions::default() };
+    let prior = PoseEstimate::of_sigmas(place(), 0.01, 0.005);
+    let options = EstimateOptions::default().with_least_explained(0.4);
     let mut estimator = estimator(options).with_features(features);
     let found = estimator.estimate(&map, &[&frames[0], &frames[1]], &prior).unwrap();
     let findings = &found.findings[0];
-    // By where the model has them: on the table, or on the shelf behind the screen.
+    // Grouped by the model's positions: on the table, or on the shelf behind the screen.
     let of = |inside: fn(DVec3) -> bool| -> Vec<FeatureClass> {
         let on = findings.features.iter().filter(|f| f.points_world.iter().all(|p| inside(*p)));
         on.map(|f| f.class).collect()
@@ -95,22 +97,22 @@ fn features_are_classed_by_ranges() {
     assert!(!shelf.is_empty() && 2 * count(&shelf, FeatureClass::Occluded) > shelf.len(), "{shelf:?}");
     assert_eq!(count(&shelf, FeatureClass::Missing), 0, "{shelf:?}");
     assert!(findings.count("matched") >= 8, "{:?}", findings.features);
-    // The screen's own edges are predicted by nothing.
+    // No prediction covers the screen's own edges.
     assert!(!findings.only_found.is_empty());
-    // Without ranges nobody knows why.
+    // Without ranges the reason is unknown.
     let alone = estimator.estimate(&map, &[&frames[1]], &prior).unwrap();
     assert_eq!(alone.findings[0].count("missing") + alone.findings[0].count("occluded"), 0);
     assert!(alone.findings[0].count("undecidable") > 0);
 }
 
-/// A drive by grey images alone, then with ranges beside them.
+/// A drive by grey images alone, then with ranges.
 #[test]
-fn grey_images_are_followed() {
+fn drives_are_tracked_by_grey_images() {
     let world = room(Vec3::ZERO);
     let features = edges(&world);
     for with_ranges in [false, true] {
         for (k, (truth, step)) in drive(&video(), &world, &features, &place(), with_ranges).iter().enumerate() {
-            let (m, d) = apart(&step.pose, truth);
+            let (m, d) = apart(&step.pose.world_from_robot, truth);
             assert!(m < 0.02 && d < 0.4, "{k}: {m} m, {d} deg; {}", step.reason);
             assert_eq!(step.phase, if k < 2 { Phase::Candidates } else { Phase::Tracking });
         }
@@ -118,10 +120,10 @@ fn grey_images_are_followed() {
 }
 
 #[test]
-fn images_that_say_nothing_determine_nothing() {
+fn images_without_content_determine_nothing() {
     let world = room(Vec3::ZERO);
     let features = edges(&world);
-    let prior = Prior::of_sigmas(place(), 0.03, 0.01);
+    let prior = PoseEstimate::of_sigmas(place(), 0.03, 0.01);
     let frame = |value: f32| {
         let image = GreyImage::new(240, 180, vec![value; 240 * 180]).unwrap();
         Frame::new(0.0, video(), Measurement::Grey(image)).unwrap()
@@ -129,9 +131,9 @@ fn images_that_say_nothing_determine_nothing() {
     for value in [0.0, 0.5, 1.0, f32::NAN] {
         let found = estimate(&world, &features, &[&frame(value)], &prior);
         assert!(matches!(&found.state, EstimateState::Undetermined(why) if why.contains("0 features")), "{found:?}");
-        // What was known before is still known, and no more.
-        assert!((found.covariance[0][0].sqrt() - 0.03).abs() < 1e-6);
-        assert!(apart(&found.pose, &place()).0 < 1e-9);
+        // The prior knowledge is kept, and nothing is added.
+        assert!((found.pose.covariance[0][0].sqrt() - 0.03).abs() < 1e-6);
+        assert!(apart(&found.pose.world_from_robot, &place()).0 < 1e-9);
     }
     let other = GreyImage::new(24, 18, vec![0.5; 24 * 18]).unwrap();
     let error = Frame::new(0.0, video(), Measurement::Grey(other)).unwrap_err();

@@ -1,11 +1,12 @@
-//! Simulated drives through a factory hall (../shared/data/env), by the laser range camera with 1 cm of noise: the map exact, and every
-//! object of it 1 cm off. PRESIGHT_HALL_FRAMES says how many frames a drive has.
+//! Simulated drives through a factory hall (../shared/data/env), by the laser range camera with 1 cm of noise: with an
+//! exact map, and with every object of it 1 cm off. PRESIGHT_HALL_FRAMES sets the number of frames of a drive.
 
 use super::*;
 use presight_files::gltf::import;
-use presight_localize::estimate::{Prior, nees};
+use presight_localize::estimate::nees;
 use presight_localize::localize::{LocalizeOptions, Localizer};
 use presight_localize::simulate::{Disturbances, Simulator, displace};
+use presight_model::geometry::PoseEstimate;
 use presight_predict::free_poses::free_poses;
 
 fn hall() -> Option<World> {
@@ -19,7 +20,7 @@ fn laser() -> Sensor {
     Sensor::new(spec).unwrap()
 }
 
-/// Root mean squares of position, metres, and heading, degrees, and the mean and largest NEES by the numbers of a pose.
+/// RMS errors of position in metres and heading in degrees, and the mean and largest NEES per dimension.
 struct Errors {
     metres: f64,
     degrees: f64,
@@ -27,7 +28,7 @@ struct Errors {
     worst_nees: f64,
 }
 
-/// A round of 25 cm from each of these places, known to 3 cm and 0.02 rad at first, with odometry that slips.
+/// A circle of 25 cm from each of these places, with a prior of 3 cm and 0.02 rad and odometry that slips.
 fn drive(map: &World, real: &World, places: &[Pose]) -> Errors {
     let frames = presight_testkit::env_number("PRESIGHT_HALL_FRAMES", 4) as usize;
     let (mut squares, mut all) = ([0.0; 2], Vec::new());
@@ -39,15 +40,15 @@ fn drive(map: &World, real: &World, places: &[Pose]) -> Errors {
             Pose::from_xyz_rpy(place.translation + aside, 0.0, 0.0, yaw + 0.5 * (0.7 * a).sin())
         };
         let mut simulator = Simulator::new(predictor(), laser(), Disturbances::default(), seed).unwrap();
-        let prior = Prior::of_sigmas(pose(0), 0.03, 0.02);
+        let prior = PoseEstimate::of_sigmas(pose(0), 0.03, 0.02);
         let mut robot = Localizer::new(estimator(EstimateOptions::default()), prior, LocalizeOptions::default());
         for k in 0..frames {
             let frame = simulator.frame(real, k as f64, &pose(k)).unwrap();
             let step = robot.step(map, &frame).unwrap();
             assert!(step.estimate.is_determined(), "place {seed}, frame {k}: {}", step.reason);
-            let (squared, numbers) = nees(&step.pose, &step.covariance, &pose(k));
+            let (squared, numbers) = nees(&step.pose, &pose(k));
             all.push(squared / numbers as f64);
-            let off = presight_localize::estimate::motion_between(&step.pose, &pose(k));
+            let off = presight_localize::estimate::motion_between(&step.pose.world_from_robot, &pose(k));
             squares[0] += off[..3].iter().map(|x| x * x).sum::<f64>();
             squares[1] += off[5].to_degrees().powi(2);
         }
@@ -62,13 +63,13 @@ fn drive(map: &World, real: &World, places: &[Pose]) -> Errors {
     }
 }
 
-/// Level places, a few of those that are free.
+/// A selection of the free level poses.
 fn places(map: &World) -> Vec<Pose> {
     free_poses(map, 6, 11).unwrap().into_iter().step_by(2).collect()
 }
 
 #[test]
-fn an_exact_map_is_exact_to_millimetres() {
+fn an_exact_map_gives_poses_to_millimetres() {
     let Some(map) = hall() else { return };
     let off = drive(&map, &map, &places(&map));
     assert!(off.metres <= 0.002 && off.degrees <= 0.02, "{} m {} deg", off.metres, off.degrees);
@@ -76,7 +77,7 @@ fn an_exact_map_is_exact_to_millimetres() {
 }
 
 #[test]
-fn objects_that_are_off_show_in_the_covariance() {
+fn displaced_objects_show_in_the_covariance() {
     let Some(map) = hall() else { return };
     let mut real = map.clone();
     displace(&mut real, 0.01, 5).unwrap();
@@ -91,9 +92,9 @@ fn scripted_hall() -> World {
     World::new(presight_files::script::load(path, &Default::default(), &mut |_| {}).unwrap().environment)
 }
 
-/// Where things repeat every few decimetres: from priors of 2 cm and 0.6 degrees an axis that are off by as much, the search comes to rest 15 cm
-/// away in two of these 14 frames, with 97 % explained. That is seven deviations of what was known before, and a place near it explains as
-/// much: that one is told.
+/// In a place that repeats every few decimetres: from priors that are off by 2 cm and 0.6 degrees an axis, the search
+/// ends 15 cm away in two of these 14 frames, with 97 % explained. That is seven standard deviations of the prior, and
+/// a place near the prior explains as much; the estimate must be that place.
 #[cfg(feature = "script")]
 #[test]
 fn a_pose_is_told_where_the_robot_may_be() {
@@ -111,13 +112,15 @@ fn a_pose_is_told_where_the_robot_may_be() {
         let truth = Pose::from_xyz_rpy(at, 0.0, 0.0, yaw + 0.5 * (0.35 * a).sin());
         let frame = simulator.frame(&map, f64::from(k), &truth).unwrap();
         let off = std::array::from_fn(|axis| if axis < 3 { 0.02 } else { 0.01 } * normal(&mut random));
-        let found = estimator.estimate(&map, &[&frame], &Prior::of_sigmas(moved(&truth, &off), 0.02, 0.01)).unwrap();
-        let (metres, degrees) = apart(&found.pose, &truth);
+        let found =
+            estimator.estimate(&map, &[&frame], &PoseEstimate::of_sigmas(moved(&truth, &off), 0.02, 0.01)).unwrap();
+        let (metres, degrees) = apart(&found.pose.world_from_robot, &truth);
         assert!(found.is_determined() && metres < 0.02 && degrees < 0.1, "{k}: {metres} m {degrees} deg");
     }
 }
 
-/// Radar scan and laser range camera in the scripted hall, alone and together: no worse together than the better one alone.
+/// Radar scan and laser range camera in the scripted hall, alone and together: together they are no worse than the
+/// better one alone.
 #[cfg(feature = "script")]
 #[test]
 fn two_sensors_in_a_scripted_hall() {
@@ -133,19 +136,19 @@ fn two_sensors_in_a_scripted_hall() {
             .zip(&sensors)
             .map(|(seed, s)| Simulator::new(predictor(), s.clone(), Disturbances::default(), seed).unwrap())
             .collect();
-        let planar = EstimateOptions { model_sigma: 0.0, offset_sigma: 0.003, ..EstimateOptions::planar() };
+        let planar = EstimateOptions::planar().with_model_sigma(0.0).with_offset_sigma(0.003);
         let options = if sensors.iter().all(|s| s.height() == 1) { planar } else { EstimateOptions::default() };
         let mut robot =
-            Localizer::new(estimator(options), Prior::of_sigmas(start, 0.03, 0.02), LocalizeOptions::default());
+            Localizer::new(estimator(options), PoseEstimate::of_sigmas(start, 0.03, 0.02), LocalizeOptions::default());
         let mut squares = 0.0;
         for k in 0..frames {
             let truth = start * Pose::from_xyz_rpy(DVec3::new(0.05 * k as f64, 0.0, 0.0), 0.0, 0.0, 0.02 * k as f64);
             let all: Vec<Frame> = simulators.iter_mut().map(|s| s.frame(&map, k as f64, &truth).unwrap()).collect();
             let step = robot.step_together(&map, &all[0], &all[1..].iter().collect::<Vec<_>>()).unwrap();
             assert!(step.estimate.is_determined(), "{} sensors, frame {k}: {}", sensors.len(), step.reason);
-            let (squared, numbers) = nees(&step.pose, &step.covariance, &truth);
+            let (squared, numbers) = nees(&step.pose, &truth);
             assert!(squared / (numbers as f64) < 6.0, "{} sensors, frame {k}: {squared}", sensors.len());
-            squares += apart(&step.pose, &truth).0.powi(2);
+            squares += apart(&step.pose.world_from_robot, &truth).0.powi(2);
         }
         (squares / frames as f64).sqrt()
     });

@@ -1,4 +1,5 @@
-//! Poses from frames: truths worked out by hand, simulated rooms, real depth images, and what must not be claimed.
+//! Poses from frames: truths calculated by hand, simulated rooms, real depth images, and cases without a determined
+//! pose.
 
 mod drives;
 mod edges;
@@ -21,12 +22,12 @@ mod willow;
 
 use glam::{DVec3, Vec3};
 use presight_features::PlacedFeatures;
-use presight_localize::estimate::{EstimateOptions, Estimator, Prior, moved};
+use presight_localize::estimate::{EstimateOptions, Estimator, moved};
 use presight_localize::localize::{LocalizeOptions, Localizer, Step};
 use presight_localize::simulate::GreySimulator;
 use presight_model::environment::{Environment, Material, Mesh, NewObject};
-use presight_model::frame::{Frame, Measurement};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, PoseEstimate};
+use presight_model::measured::{Frame, Measurement};
 use presight_model::sensor::{Angles, Camera, Geometry, Scanner, Sensor, SensorSpec};
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
@@ -34,18 +35,18 @@ use presight_predict::request::Request;
 use presight_testkit::Random;
 use std::sync::Arc;
 
-/// A box from corner to corner as an object of its own.
+/// Adds a box between two corners as an object of its own.
 pub fn add_box(environment: &mut Environment, name: &str, least: Vec3, most: Vec3) {
     let mesh = Mesh::cuboid(name, least, most, 0).unwrap();
     environment.insert(NewObject::new(name, Pose::IDENTITY, Arc::new(mesh))).unwrap();
 }
 
-/// A room of 6 x 4 x 2.6 m with a table, a shelf and a pillar that make it like no other; `shift` moves all of these.
+/// A room of 6 x 4 x 2.6 m made unique by a table, a shelf and a pillar; `shift` moves all of these.
 pub fn room(shift: Vec3) -> World {
     room_up_to(4.0, shift)
 }
 
-/// Likewise, with its last wall at so much.
+/// The same room with its last wall at y.
 pub fn room_up_to(y: f32, shift: Vec3) -> World {
     let mut environment = Environment::new();
     environment.add_material(Material::named("paint")).unwrap();
@@ -79,7 +80,7 @@ pub fn scanner(range_sigma: f64) -> Sensor {
     Sensor::new(spec).unwrap()
 }
 
-/// Predicts on two threads.
+/// A predictor on two threads.
 pub fn predictor() -> Predictor {
     Predictor::new(Options::new(Backend::Cpu).with_threads(2)).unwrap()
 }
@@ -89,18 +90,18 @@ pub fn estimator(options: EstimateOptions) -> Estimator {
     Estimator::new(predictor(), options)
 }
 
-/// A number with mean 0 and variance 1.
+/// A random number with mean 0 and variance 1.
 pub fn normal(random: &mut Random) -> f64 {
     let radius = (-2.0 * random.uniform(1e-300, 1.0).ln()).sqrt();
     radius * random.uniform(0.0, std::f64::consts::TAU).cos()
 }
 
-/// A unit vector of any direction.
+/// A unit vector of random direction.
 pub fn direction(random: &mut Random) -> DVec3 {
     DVec3::new(normal(random), normal(random), normal(random)).normalize()
 }
 
-/// What a sensor on the robot's origin measures in a world, with the noise that it states.
+/// Simulates the measurement of a sensor at the robot's origin, with the sensor's stated noise.
 pub fn sense(world: &World, sensor: &Sensor, pose: &Pose, random: &mut Random) -> Frame {
     let seen = predictor().predict(world, sensor, pose, &Request::default()).unwrap();
     let sigma = sensor.spec().noise.range_sigma;
@@ -108,13 +109,13 @@ pub fn sense(world: &World, sensor: &Sensor, pose: &Pose, random: &mut Random) -
     Frame::new(0.0, sensor.clone(), Measurement::Range(seen.images.range.iter().map(noisy).collect())).unwrap()
 }
 
-/// A pose off by so many metres and degrees, in any direction.
+/// A pose moved by this distance and angle in a random direction.
 pub fn off_by(pose: &Pose, metres: f64, degrees: f64, random: &mut Random) -> Pose {
     let (t, r) = (metres * direction(random), degrees.to_radians() * direction(random));
     moved(pose, &[t.x, t.y, t.z, r.x, r.y, r.z])
 }
 
-/// Metres and degrees between two poses.
+/// The distance between two poses, in metres and degrees.
 pub fn apart(a: &Pose, b: &Pose) -> (f64, f64) {
     ((a.translation - b.translation).length(), a.rotation.angle_between(b.rotation).to_degrees())
 }
@@ -125,12 +126,12 @@ pub fn video() -> Sensor {
     Sensor::new(SensorSpec::new("camera", "video", Geometry::Camera(camera))).unwrap()
 }
 
-/// What a camera sees in grey.
+/// A simulated grey image.
 pub fn grey(video: &Sensor, world: &World, pose: &Pose, stamp: f64, seed: u64) -> Frame {
     GreySimulator::new(predictor(), video.clone(), 0.7, 0.01, seed).unwrap().frame(world, stamp, pose).unwrap()
 }
 
-/// Four frames along x, 3 cm apart, localized by grey images alone or with ranges beside them: the true poses and the steps.
+/// Four frames along x, 3 cm apart, localized by grey images with or without ranges: the true poses and the steps.
 pub fn drive(
     video: &Sensor,
     world: &World,
@@ -139,7 +140,7 @@ pub fn drive(
     with_ranges: bool,
 ) -> Vec<(Pose, Step)> {
     let estimator = estimator(EstimateOptions::default()).with_features(features.clone());
-    let mut robot = Localizer::new(estimator, Prior::of_sigmas(*from, 0.02, 0.01), LocalizeOptions::default());
+    let mut robot = Localizer::new(estimator, PoseEstimate::of_sigmas(*from, 0.02, 0.01), LocalizeOptions::default());
     let step = |k: u32| {
         let stamp = f64::from(k);
         let truth = Pose { translation: from.translation + 0.03 * stamp * DVec3::X, ..*from };

@@ -1,18 +1,20 @@
-//! Noise that is as large as the gaps between things, and noise that grows with the range: neither may choose what a point is compared with,
-//! how much it counts, or where it pulls.
+//! Noise as large as the gaps between objects, and noise that grows with the range. Neither may bias which surface a
+//! point is compared with, its weight, or its lever arm.
 
 use super::*;
 use presight_files::gltf::import;
 use presight_localize::estimate::{Gate, Kernel, Normal, RangeSource, Residuals, measured_points, nees};
 use presight_localize::simulate::{Disturbances, Simulator};
 use presight_localize::verdict::{ExpectedImage, Surfaces};
-use presight_model::frame::RangeNoise;
+use presight_model::geometry::PoseEstimate;
+use presight_model::measured::RangeNoise;
 use presight_model::sensor::{Distortion, Noise};
 use presight_predict::free_poses::free_poses;
 
 const NONE: Disturbances = Disturbances { drop_outs: 0.0, mixed_pixels: 0.0, slip: 0.0, turn_slip: 0.0 };
 
-/// A wall so many metres ahead of the origin, wider than the image, with slats that stand out by so much, a third of a metre wide each.
+/// A wall `ahead` metres from the origin and wider than the image, with slats a third of a metre wide that protrude by
+/// `out` metres.
 fn slatted_wall(ahead: f32, out: f32) -> World {
     let mut environment = Environment::new();
     environment.add_material(Material::named("paint")).unwrap();
@@ -25,7 +27,7 @@ fn slatted_wall(ahead: f32, out: f32) -> World {
     World::new(environment)
 }
 
-/// With these deviations, and so far as it measures.
+/// The camera with this noise and range.
 fn noisy_camera(camera: Camera, noise: Noise, range_max: f64) -> Sensor {
     let mut spec = SensorSpec::new("depth camera", "laser", Geometry::Camera(camera));
     (spec.noise, spec.range_max) = (noise, range_max);
@@ -37,7 +39,8 @@ fn small() -> Camera {
     Camera::pinhole(80, 60, 70.0, 70.0, 39.5, 29.5)
 }
 
-/// What a frame taken at a pose says of a robot that is taken to be so many metres ahead of it, outliers without weight.
+/// The normal equations of a frame at `truth`, for a robot assumed to be `metres` ahead of it, with outliers
+/// unweighted.
 fn said_of(world: &World, frame: &Frame, truth: &Pose, metres: f64) -> Normal {
     let sensor = frame.sensor();
     let expected = ExpectedImage::predict(&mut predictor(), world, &mut Surfaces::default(), sensor, truth).unwrap();
@@ -48,8 +51,9 @@ fn said_of(world: &World, frame: &Frame, truth: &Pose, metres: f64) -> Normal {
     source.linearize(&(*truth * Pose::from_xyz_rpy(DVec3::X * metres, 0.0, 0.0, 0.0)), &gate)
 }
 
-/// Slats 6 cm before a wall, and 5 cm of noise: the pull on a robot that is taken to be 2 cm too far ahead is that of 2 cm. Of Gaussian errors
-/// Tukey's kernel keeps E psi' / E w = 0.758 / 0.915 = 0.83 of it; a point that is compared with the nearest surface keeps half.
+/// Slats 6 cm before a wall, with 5 cm of noise: the pull on a robot assumed 2 cm too far ahead must correspond to 2
+/// cm. For Gaussian errors Tukey's kernel keeps E psi' / E w = 0.758 / 0.915 = 0.83 of it; comparison with the nearest
+/// surface would keep half.
 #[test]
 fn noise_does_not_choose_the_surface() {
     let world = slatted_wall(5.0, 0.06);
@@ -64,8 +68,9 @@ fn noise_does_not_choose_the_surface() {
     assert!((0.76..0.9).contains(&sum), "{sum} of the pull");
 }
 
-/// A wall 6 m away, noise of 7.6 cm there that grows with the square of the range: weighed by the measured range the wall seems nearer by
-/// sigma^2 d(ln sigma^2)/dz = 3.6 mm, as what noise brings nearer counts more.
+/// A wall 6 m away with noise of 7.6 cm there, which grows with the square of the range. Weighted by the measured
+/// range, the wall would seem nearer by sigma^2 d(ln sigma^2)/dz = 3.6 mm, because points measured nearer get more
+/// weight.
 #[test]
 fn noise_does_not_choose_the_weight() {
     let world = slatted_wall(6.0, 0.0);
@@ -79,13 +84,14 @@ fn noise_does_not_choose_the_weight() {
         mean += said.gradient[0] / said.information[0][0] / f64::from(frames);
         variance += said.noise[0][0] / said.information[0][0].powi(2) / f64::from(frames).powi(2);
     }
-    // Four deviations are less than half of that error.
+    // Four standard deviations are less than half of that error.
     let most = 4.0 * variance.sqrt();
     assert!(most < 0.0019 && mean.abs() < most, "{mean} m, at most {most} m");
 }
 
-/// A wall met aslant, with 15 cm of noise and more: a lever that noise has made longer meets noise of the same sign. With levers to measured points
-/// the robot seems turned, in each frame by 1.6 of its deviations, and all frames agree on it.
+/// A wall at an oblique angle, with 15 cm of noise and more. With lever arms to the measured points, noise would
+/// lengthen the lever arms of its own sign: the robot would seem rotated by 1.6 standard deviations in each frame, in
+/// the same direction in all frames.
 #[test]
 fn noise_does_not_choose_the_lever() {
     let world = slatted_wall(6.0, 0.0);
@@ -101,9 +107,10 @@ fn noise_does_not_choose_the_lever() {
     assert!(mean.abs() < 3.0 / f64::from(frames).sqrt(), "{mean} deviations in each frame");
 }
 
-/// What noise takes beyond a sensor's reach is not measured, and what is left of a surface there is nearer than the surface. It says nothing.
+/// Noise beyond the sensor's range gives no measurement, so the remaining points of a surface there are nearer than the
+/// surface. These points must be ignored.
 #[test]
-fn a_surface_at_the_end_of_the_reach_says_nothing() {
+fn a_surface_at_the_end_of_the_range_is_ignored() {
     let world = slatted_wall(6.0, 0.0);
     for (range_max, says) in [(6.1, false), (10.0, true)] {
         let sensor = noisy_camera(small(), Noise { range_sigma: 0.05, ..Noise::default() }, range_max);
@@ -115,11 +122,11 @@ fn a_surface_at_the_end_of_the_reach_says_nothing() {
     }
 }
 
-/// A depth camera in the factory hall, among things that are nearer to each other than its noise is wide, by a model that knows all of it, from
-/// priors that are off by as much as they say: as far off as its covariance says. By nearest points NEES was 2.5 at both places, headings were 0.09 and
-/// 0.07 degrees off; with levers to measured points it was 1.6 at the first.
+/// A depth camera in the factory hall among objects closer together than its noise, with an exact sensor model and
+/// priors with errors of their stated size: the errors match the covariance. With nearest points the NEES was 2.5 at
+/// both places and headings were 0.09 and 0.07 degrees off; with lever arms to measured points it was 1.6 at the first.
 #[test]
-fn a_noisy_depth_camera_is_as_certain_as_it_may_be() {
+fn a_noisy_depth_camera_has_consistent_covariances() {
     let Some(path) = presight_testkit::data::file("env/factory_hall.glb") else { return };
     let world = World::new(import(&path, &Default::default()).unwrap().environment);
     let places = free_poses(&world, 6, 11).unwrap();
@@ -137,14 +144,15 @@ fn a_noisy_depth_camera_is_as_certain_as_it_may_be() {
             let truth = Pose::from_xyz_rpy(at, 0.0, 0.0, yaw + 0.5 * (0.35 * a).sin());
             let frame = simulator.frame(&world, f64::from(k), &truth).unwrap();
             let off = std::array::from_fn(|axis| if axis < 3 { 0.02 } else { 0.01 } * normal(&mut random));
-            let prior = Prior::of_sigmas(moved(&truth, &off), 0.02, 0.01);
+            let prior = PoseEstimate::of_sigmas(moved(&truth, &off), 0.02, 0.01);
             let found = estimator.estimate(&world, &[&frame], &prior).unwrap();
-            sum += nees(&found.pose, &found.covariance, &truth).0 / 6.0 / f64::from(frames);
-            turned += apart(&found.pose, &truth).1.powi(2) / f64::from(frames);
+            sum += nees(&found.pose, &truth).0 / 6.0 / f64::from(frames);
+            turned += apart(&found.pose.world_from_robot, &truth).1.powi(2) / f64::from(frames);
         }
         let degrees = turned.sqrt();
         println!("NEES {sum}, {degrees} deg");
-        // Of 144 numbers 0.77 to 1.23 in 95 %; offsets of polygons that are learnt where there are none make it less.
+        // For 144 dimensions the 95 % interval is 0.77 to 1.23. Learning polygon offsets where there are none makes the
+        // value smaller.
         assert!((0.4..1.23).contains(&sum) && degrees < 0.05, "NEES {sum}, {degrees} deg");
     }
 }

@@ -1,17 +1,18 @@
-//! Objects whose poses are known with a stored covariance: what that says of the robot's pose, and of verdicts.
+//! Objects with stored pose covariances: their effect on the robot's pose and on verdicts.
 
 use super::*;
-use presight_localize::estimate::{Freedom, Prior};
+use presight_localize::estimate::Freedom;
 use presight_localize::simulate::{Disturbances, Simulator};
-use presight_localize::verdict::{ExpectedImage, Surfaces, Uncertainty, Verdict, judge};
+use presight_localize::verdict::{Verdict, of_coarse_model};
 use presight_model::environment::{FeatureLayer, Polygon, PolygonOrder};
-use presight_model::frame::RangeNoise;
+use presight_model::geometry::{InObject, PoseCovariance, PoseEstimate};
 
-fn diagonal(d: [f64; 6]) -> [[f64; 6]; 6] {
-    std::array::from_fn(|i| std::array::from_fn(|j| if i == j { d[i] } else { 0.0 }))
+fn diagonal(variances: [f64; 6]) -> PoseCovariance<InObject> {
+    PoseCovariance::from_sigmas(variances.map(f64::sqrt))
 }
 
-/// A wall at x = 6, an object with its origin at (6, 0, 0) and its own x axis along y; this is stored of its pose, own axes.
+/// A wall at x = 6: an object with its origin at (6, 0, 0), its own x axis along y, and this stored pose covariance in
+/// its own axes.
 fn wall(stored: Option<[f64; 6]>) -> World {
     let mut environment = Environment::new();
     environment.add_material(Material::named("m")).unwrap();
@@ -29,54 +30,54 @@ fn wall(stored: Option<[f64; 6]>) -> World {
     World::new(environment)
 }
 
-/// One ray along x, and one beside it that measures nothing.
-fn ray(range: f32) -> Frame {
+/// One ray along x, and a second one without a measurement.
+fn ray(range: f32, sigma: f64) -> Frame {
     let table = presight_model::sensor::RayTable::new(2, 1, vec![DVec3::X, DVec3::new(1.0, 0.01, 0.0)]).unwrap();
     let mut spec = SensorSpec::new("ray", "laser", Geometry::Rays(table));
-    spec.noise.range_sigma = 0.01;
+    spec.noise.range_sigma = sigma;
     Frame::new(0.0, Sensor::new(spec).unwrap(), Measurement::Range(vec![range, f32::NAN])).unwrap()
 }
 
-/// The ray meets the wall square on, 2 m beside the object's origin. With 5 mm along its own y (the world's x) and 0.01 rad of yaw the
-/// wall is uncertain there by (5 mm)^2 + (2 m x 0.01)^2 = 4.25e-4 m^2. The information of one range of 1 cm and of a prior of 20 cm
-/// is H = 1e4 + 25, and the variance of x is (1e4 + 1e4^2 x 4.25e-4 + 25) / H^2. Its own x, along the wall, says nothing.
+/// The ray meets the wall at normal incidence, 2 m from the object's origin. With 5 mm along its own y (the world's x)
+/// and 0.01 rad of yaw, the wall's variance there is (5 mm)^2 + (2 m x 0.01)^2 = 4.25e-4 m^2. The information of one
+/// range of 1 cm and of a prior of 20 cm is H = 1e4 + 25, and the variance of x is (1e4 + 1e4^2 x 4.25e-4 + 25) / H^2.
+/// The object's own x, along the wall, has no effect.
 #[test]
-fn the_robot_knows_no_more_than_its_map() {
+fn the_pose_is_no_more_certain_than_the_map() {
     let pose = Pose::from_xyz_rpy(DVec3::new(2.0, 2.0, 1.0), 0.0, 0.0, 0.0);
-    let prior = Prior { pose, covariance: diagonal([0.04, 1e-12, 1e-12, 1e-12, 1e-12, 1e-12]) };
-    let options = EstimateOptions { freedom: Freedom::Planar, offset_sigma: 0.0, ..EstimateOptions::default() };
+    let prior = PoseEstimate::new(pose, PoseCovariance::from_sigmas([0.2, 1e-6, 1e-6, 1e-6, 1e-6, 1e-6]));
+    let options = EstimateOptions::default().with_freedom(Freedom::Planar).with_offset_sigma(0.0);
     let variance = |world: &World| {
-        let found = estimator(options).estimate(world, &[&ray(4.0)], &prior).unwrap();
+        let found = estimator(options).estimate(world, &[&ray(4.0, 0.01)], &prior).unwrap();
         assert!(found.is_determined(), "{:?}", found.state);
-        found.covariance[0][0]
+        found.pose.covariance[0][0]
     };
     let h: f64 = 1e4 + 25.0;
     let near = |got: f64, wanted: f64| assert!((got / wanted - 1.0).abs() < 1e-4, "{got} {wanted}");
     near(variance(&wall(Some([0.7, 25e-6, 0.0, 0.0, 0.0, 1e-4]))), (1e4 + 1e8 * 4.25e-4 + 25.0) / (h * h));
-    // Without anything stored the offset of the wall counts, which is 0 here.
+    // Without a stored covariance the wall's offset sigma applies, which is 0 here.
     near(variance(&wall(None)), 1.0 / h);
 }
 
-/// A range 5 cm short, measured to 5 mm: something stands before a wall that is known, and nothing need before one that may be off by 2 cm.
+/// A range is 5 cm short, measured to 5 mm. In front of a known wall that means an object; in front of a wall that may
+/// be off by 2 cm it may mean nothing.
 #[test]
-fn walls_that_may_be_off_are_not_contradicted() {
+fn uncertain_walls_are_not_contradicted() {
     let pose = Pose::from_xyz_rpy(DVec3::new(2.0, 2.0, 1.0), 0.0, 0.0, 0.0);
     let verdict = |stored: Option<[f64; 6]>| {
-        let (world, frame) = (wall(stored), ray(3.95));
-        let mut surfaces = Surfaces::default();
-        let expected = ExpectedImage::predict(&mut predictor(), &world, &mut surfaces, frame.sensor(), &pose).unwrap();
-        let noise = RangeNoise { sigma: 0.005, quadratic: 0.0, angle: 0.0 };
-        let known = Uncertainty { noise, pose: [[0.0; 6]; 6], polygons: 0.001 };
-        judge(&frame, &expected, &pose, &known).unwrap().pixels[0]
+        let (world, frame) = (wall(stored), ray(3.95, 0.005));
+        let known = PoseEstimate::exact(pose);
+        of_coarse_model(&mut predictor(), &world, &frame, &known, 0.001).unwrap().pixels[0]
     };
     assert_eq!(verdict(None), Verdict::Nearer);
     assert_eq!(verdict(Some([0.0, 4e-4, 0.0, 0.0, 0.0, 0.0])), Verdict::Confirmed);
-    // Along itself a wall may be anywhere.
+    // Uncertainty along the wall itself has no effect.
     assert_eq!(verdict(Some([0.04, 0.0, 0.04, 0.0, 0.0, 0.0])), Verdict::Nearer);
 }
 
-/// The shelf stands 4 cm from where the map has it. Relative to it the robot is found to millimetres if the shelf alone counts; from where
-/// most of the image is walls, these say where the robot is, and the pose relative to the shelf is as wrong as the map.
+/// The shelf is 4 cm from its place in the map. If only the shelf counts, the robot's pose relative to it is found to
+/// millimetres. Where walls fill most of the image, they determine the robot's pose, and the pose relative to the shelf
+/// is as wrong as the map.
 #[test]
 fn docking_is_relative() {
     let map = room(Vec3::ZERO);
@@ -87,10 +88,10 @@ fn docking_is_relative() {
     let truth = Pose::from_xyz_rpy(DVec3::new(2.0, 3.0, 1.8), 0.0, 0.2, 0.3);
     let none = Disturbances { drop_outs: 0.0, mixed_pixels: 0.0, slip: 0.0, turn_slip: 0.0 };
     let frame = Simulator::new(predictor(), camera(0.003), none, 4).unwrap().frame(&real, 0.0, &truth).unwrap();
-    let prior = Prior::of_sigmas(moved(&truth, &[0.01, -0.01, 0.0, 0.0, 0.005, 0.0]), 0.024, 0.01);
+    let prior = PoseEstimate::of_sigmas(moved(&truth, &[0.01, -0.01, 0.0, 0.0, 0.005, 0.0]), 0.024, 0.01);
     let index = map.environment().index_of("shelf").unwrap();
     let off = |only: Option<u32>| {
-        let options = EstimateOptions { only, ..EstimateOptions::default() };
+        let options = EstimateOptions::default().with_only(only);
         let found = estimator(options).estimate(&map, &[&frame], &prior).unwrap();
         assert!(found.is_determined(), "{only:?}: {:?}", found.state);
         let (relative, covariance) = found.relative_to(&map.environment().objects()[index as usize].world_from_object);

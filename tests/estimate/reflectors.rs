@@ -1,29 +1,30 @@
-//! Reflectors on the walls of a corridor, whose ranges do not tell the way along it. Which beams meet a reflector is worked out here by hand:
-//! nothing of the library says what is bright. Planted faults: one moved by 10 cm, one too many, one missing, one hidden, intensities that
-//! say nothing, and reflectors that repeat.
+//! Reflectors on the walls of a corridor, where ranges do not determine the position along it. The test calculates by
+//! itself which beams meet a reflector, without the library. Planted faults: one reflector moved by 10 cm, one too
+//! many, one missing, one hidden, uninformative intensities, and reflectors at regular intervals.
 
 use super::*;
 use glam::DMat3;
 use presight_features::PlacedFeatures;
-use presight_localize::estimate::{Estimate, Freedom, Prior, motion_between, nees};
+use presight_localize::estimate::{Estimate, Freedom, motion_between, nees};
 use presight_localize::extract::FeatureClass;
 use presight_localize::localize::{Phase, Search, SearchOptions};
 use presight_model::environment::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
-use presight_model::frame::{GreyImage, Motion, OdometryNoise};
+use presight_model::geometry::PoseEstimate;
+use presight_model::measured::{GreyImage, Motion, OdometryNoise};
 use presight_model::placement::place_layer;
 
-/// Degrees from beam to beam.
+/// The angle between beams, degrees.
 const PITCH: f64 = 0.25;
 /// Half of a reflector's width along the wall, metres.
 const HALF: f64 = 0.1;
 /// Half of the corridor's width, metres.
 const WALL: f64 = 1.0;
 
-/// Where reflectors are: x, and the wall's y.
+/// A reflector's x, and the y of its wall.
 type Spot = (f64, f64);
 const THREE: [Spot; 3] = [(2.0, WALL), (3.1, -WALL), (-2.4, WALL)];
 
-/// A full turn, one row that counts features 2.5 degrees above and below it.
+/// A full circle of one row that counts features up to 2.5 degrees above and below it.
 fn laser() -> Sensor {
     let azimuth = Angles::Uniform { start_deg: -180.0, step_deg: PITCH, count: 1440 };
     let scanner = Scanner { azimuth, elevation: Angles::Listed(vec![0.0]), beam_height_deg: Some(5.0) };
@@ -32,7 +33,7 @@ fn laser() -> Sensor {
     Sensor::new(spec).unwrap()
 }
 
-/// Walls at y = -1 and y = 1, with boxes that stand in it.
+/// Walls at y = -1 and y = 1, and boxes between them.
 fn corridor(boxes: &[[Vec3; 2]]) -> World {
     let mut environment = Environment::new();
     environment.add_material(Material::named("m")).unwrap();
@@ -47,7 +48,7 @@ fn truth() -> Pose {
     Pose::from_xyz_rpy(DVec3::new(0.0, 0.2, 1.0), 0.0, 0.0, 0.1)
 }
 
-/// What is measured; a beam is bright where it ends on a wall within a reflector.
+/// Simulates a scan; a beam is bright if it ends on a wall within a reflector.
 fn scan(world: &World, spots: &[Spot], pose: &Pose, seed: u64) -> Frame {
     scan_of(&laser(), world, spots, pose, seed)
 }
@@ -57,7 +58,7 @@ fn scan_of(scanner: &Sensor, world: &World, spots: &[Spot], pose: &Pose, seed: u
     let yaw = 2.0 * pose.rotation.z.atan2(pose.rotation.w);
     let bright = |(k, range): (usize, &f32)| {
         let azimuth = yaw + (PITCH * k as f64 - 180.0).to_radians();
-        // Where the beam meets the reflector's wall, and whether it got there.
+        // Decides whether the beam reaches the reflector's wall within the reflector.
         let on = |(x, y): &Spot| {
             let way = (y - pose.translation.y) / azimuth.sin();
             let at = pose.translation.x + way * azimuth.cos();
@@ -69,7 +70,7 @@ fn scan_of(scanner: &Sensor, world: &World, spots: &[Spot], pose: &Pose, seed: u
     frame.with_intensities(GreyImage::new(1440, 1, values).unwrap()).unwrap()
 }
 
-/// The layer, each reflector known to so many metres an axis.
+/// The layer with this sigma of each reflector in metres an axis.
 fn layer(world: &World, spots: &[Spot], sigma: f64) -> PlacedFeatures {
     let feature = |(k, (x, y)): (usize, &Spot)| {
         let covariance = DMat3::from_diagonal(DVec3::splat(sigma * sigma));
@@ -88,14 +89,14 @@ fn layer(world: &World, spots: &[Spot], sigma: f64) -> PlacedFeatures {
 }
 
 fn options() -> EstimateOptions {
-    EstimateOptions { freedom: Freedom::Planar, ..EstimateOptions::default() }
+    EstimateOptions::default().with_freedom(Freedom::Planar)
 }
 
-/// Where the robot is by a frame and a map, from 25 cm down the corridor; each reflector of the map is known to 5 mm.
+/// Estimates the robot's pose from 25 cm down the corridor; each reflector of the map has a sigma of 5 mm.
 fn estimate(map: &World, known: &[Spot], frame: &Frame) -> Estimate {
     let off = moved(&truth(), &[0.25, 0.05, 0.0, 0.0, 0.0, 0.03]);
     let mut estimator = estimator(options()).with_features(layer(map, known, 0.005));
-    estimator.estimate(map, &[frame], &Prior::of_sigmas(off, 0.3, 0.05)).unwrap()
+    estimator.estimate(map, &[frame], &PoseEstimate::of_sigmas(off, 0.3, 0.05)).unwrap()
 }
 
 fn classes(found: &Estimate) -> Vec<&'static str> {
@@ -103,12 +104,12 @@ fn classes(found: &Estimate) -> Vec<&'static str> {
 }
 
 fn along(found: &Estimate) -> (f64, f64) {
-    (motion_between(&truth(), &found.pose)[0], found.covariance[0][0].sqrt())
+    (motion_between(&truth(), &found.pose.world_from_robot)[0], found.pose.covariance[0][0].sqrt())
 }
 
-/// By ranges alone the way along the corridor stays as it was known; two reflectors tell it.
+/// Ranges alone leave the position along the corridor at its prior; two reflectors determine it.
 #[test]
-fn reflectors_tell_the_way_along_a_corridor() {
+fn reflectors_determine_the_position_along_a_corridor() {
     let map = corridor(&[]);
     let mut scores = 0.0;
     for seed in 0..6 {
@@ -122,9 +123,9 @@ fn reflectors_tell_the_way_along_a_corridor() {
             assert!(found.is_determined() && found.weak.is_empty(), "{:?} {:?}", found.state, found.weak);
             assert!(x.abs() < 0.02 && sigma < 0.01, "{seed}: {x} {sigma}");
             assert_eq!(classes(&found), vec!["matched"; count]);
-            // One of so many may be beyond 3.3 deviations.
+            // One of several reflectors may be beyond 3.3 standard deviations.
             assert!(found.reflectors.1 == count && found.reflectors.0 + 1 >= count, "{:?}", found.reflectors);
-            let (squared, numbers) = nees(&found.pose, &found.covariance, &truth());
+            let (squared, numbers) = nees(&found.pose, &truth());
             scores += squared / numbers as f64 / 12.0;
         }
     }
@@ -132,26 +133,26 @@ fn reflectors_tell_the_way_along_a_corridor() {
     assert!((0.2..2.0).contains(&scores), "NEES {scores}");
 }
 
-/// By hand: a reflector abeam, 0.8 m to the left. Its bearing alone tells x: the middle of the beams that meet it is off by sqrt(1 / 24) of a
-/// beam, and the calibration by 0.1 of one, 0.227 together, or 0.99 mrad: 0.8 mm. With its own place known to s, x is known to
-/// sqrt(s^2 + 0.8^2) mm.
+/// By hand: a reflector abeam, 0.8 m to the left. Its bearing alone determines x: the centre of the beams that meet it
+/// is off by sqrt(1 / 24) of a beam, and the calibration by 0.1 of one, 0.227 together, or 0.99 mrad: 0.8 mm. If the
+/// reflector's place has a sigma of s, x has a sigma of sqrt(s^2 + 0.8^2) mm.
 #[test]
 fn a_reflector_abeam() {
     let map = corridor(&[]);
     let frame = scan(&map, &[(0.0, WALL)], &truth(), 3);
     for (sigma, by_hand) in [(0.005, 0.00507), (0.03, 0.03001)] {
-        let prior = Prior::of_sigmas(truth(), 0.3, 0.05);
+        let prior = PoseEstimate::of_sigmas(truth(), 0.3, 0.05);
         let mut estimator = estimator(options()).with_features(layer(&map, &[(0.0, WALL)], sigma));
         let found = estimator.estimate(&map, &[&frame], &prior).unwrap();
         let (x, told) = along(&found);
-        // A prior of 30 cm takes a little off; residuals may be a little wider than stated.
+        // A prior of 30 cm reduces the value slightly; residuals may be a little wider than stated.
         assert!((told / by_hand - 1.0).abs() < 0.1, "{sigma}: {told}, by hand {by_hand}");
         assert!(x.abs() < 4.0 * 0.0008 + 0.001, "{x}");
     }
 }
 
-/// Planted: one reflector hangs 10 cm down the wall from where the map has it. Of three it is outvoted; of two nobody knows which it is, and
-/// no pose is told as certain that is wrong.
+/// Planted fault: one reflector hangs 10 cm along the wall from its place in the map. Among three it is outvoted; among
+/// two the wrong one cannot be identified, and no wrong pose is reported as determined.
 #[test]
 fn a_moved_reflector_is_not_believed() {
     let map = corridor(&[]);
@@ -176,23 +177,23 @@ fn a_moved_reflector_is_not_believed() {
     }
 }
 
-/// Planted: bright spots that the map does not have, one of them 35 cm beside a reflector, are found and belong to none.
+/// Planted fault: bright spots that are not in the map, one of them 35 cm from a reflector, are found but not matched.
 #[test]
-fn what_is_no_reflector_of_the_map_is_only_found() {
+fn unmapped_bright_spots_are_found_but_not_matched() {
     let map = corridor(&[]);
     let real = [&THREE[..], &[(2.35, WALL), (-1.2, -WALL)]].concat();
     let found = estimate(&map, &THREE, &scan(&map, &real, &truth(), 4));
     let (x, _) = along(&found);
     assert!(found.is_determined() && x.abs() < 0.02, "{x}");
     assert_eq!((found.reflectors, classes(&found)), ((3, 3), vec!["matched"; 3]));
-    // Only regions are searched: the one far from all of them is not even seen.
+    // Only regions are searched, so the spot far from all of them is not reported.
     assert!(found.findings[0].only_found.len() <= 1);
 }
 
-/// Planted: a reflector that was taken off is missing, as the wall behind it is seen and dark; one behind a box is occluded; where there are
-/// no intensities to speak of, nobody knows.
+/// Planted faults: a removed reflector is missing, because the wall behind it is in view and dark; one behind a box is
+/// occluded. Without usable intensities the reason is undecidable.
 #[test]
-fn what_is_not_found_is_told_with_its_reason() {
+fn missing_reflectors_are_reported_with_a_reason() {
     let map = corridor(&[]);
     let of = |real: &World, spots: &[Spot]| {
         let found = estimate(&map, &THREE, &scan(real, spots, &truth(), 5));
@@ -205,9 +206,9 @@ fn what_is_not_found_is_told_with_its_reason() {
     assert_eq!(of(&crate_before, &THREE), ["matched", "occluded", "matched"]);
 }
 
-/// Intensities that are all alike, or none, tell nothing: the answer is that of the ranges.
+/// Constant or absent intensities carry no information: the estimate equals that of ranges alone.
 #[test]
-fn intensities_that_say_nothing_tell_nothing() {
+fn uninformative_intensities_change_nothing() {
     let map = corridor(&[]);
     let frame = scan(&map, &THREE, &truth(), 6);
     for value in [0.0, 0.3, 1.0, f32::NAN] {
@@ -215,13 +216,13 @@ fn intensities_that_say_nothing_tell_nothing() {
         let found = estimate(&map, &THREE, &frame.clone().with_intensities(image).unwrap());
         let (x, sigma) = along(&found);
         assert!(sigma > 0.27 && found.reflectors == (0, 0) && found.findings[0].detections.is_empty(), "{value}: {x}");
-        // A wall that is seen and dark has no reflectors; a sensor that tells nothing, or only that it is blinded, does not say so.
+        // A visible dark wall has no reflectors. Absent or saturated intensities do not prove that.
         let expected = if value == 0.3 { FeatureClass::Missing } else { FeatureClass::Undecidable };
         assert!(found.findings[0].features.iter().all(|f| f.class == expected), "{value}: {:?}", classes(&found));
     }
 }
 
-/// Reflectors a metre apart look the same a metre on: where the prior leaves room for that, no place is claimed.
+/// Reflectors a metre apart look the same after a metre: where the prior allows several places, none is reported.
 #[test]
 fn reflectors_that_repeat_leave_places_open() {
     let map = corridor(&[]);
@@ -229,7 +230,7 @@ fn reflectors_that_repeat_leave_places_open() {
     let frame = scan(&map, &spots, &truth(), 7);
     let mut estimator = estimator(options()).with_features(layer(&map, &spots, 0.005));
     for off in [0.0, 0.45, 0.7, 1.0] {
-        let mut prior = Prior::of_sigmas(moved(&truth(), &[off, 0.02, 0.0, 0.0, 0.0, 0.0]), 0.6, 0.02);
+        let mut prior = PoseEstimate::of_sigmas(moved(&truth(), &[off, 0.02, 0.0, 0.0, 0.0, 0.0]), 0.6, 0.02);
         prior.covariance[1][1] = 0.01;
         let found = estimator.estimate(&map, &[&frame], &prior).unwrap();
         let (x, sigma) = along(&found);
@@ -238,16 +239,17 @@ fn reflectors_that_repeat_leave_places_open() {
     }
 }
 
-/// A drive of 3 m by odometry that is 5 % short: reflectors hold it, ranges alone do not.
+/// A drive of 3 m with odometry that is 5 % short: it is tracked with reflectors and not by ranges alone.
 #[test]
-fn a_drive_is_held_by_reflectors() {
+fn a_drive_is_tracked_by_reflectors() {
     let map = corridor(&[]);
     let spots: Vec<Spot> =
         [-2.4, 0.9, 2.0, 3.3, 5.1, 6.2].iter().zip([1.0, -1.0].iter().cycle()).map(|(x, y)| (*x, *y)).collect();
     let mut ends = Vec::new();
     for known in [&spots[..], &[]] {
         let estimator = estimator(options()).with_features(layer(&map, known, 0.005));
-        let mut robot = Localizer::new(estimator, Prior::of_sigmas(truth(), 0.03, 0.02), LocalizeOptions::default());
+        let mut robot =
+            Localizer::new(estimator, PoseEstimate::of_sigmas(truth(), 0.03, 0.02), LocalizeOptions::default());
         let mut worst = 0.0f64;
         for k in 0..16 {
             let pose = moved(&truth(), &[0.2 * f64::from(k), 0.0, 0.0, 0.0, 0.0, 0.0]);
@@ -258,16 +260,16 @@ fn a_drive_is_held_by_reflectors() {
             frame.motion = (k > 0).then(|| Motion::of_odometry(told, &OdometryNoise::default()));
             let step = robot.step(&map, &frame).unwrap();
             assert!(k < 3 || step.phase == Phase::Tracking, "{k}: {}", step.reason);
-            worst = worst.max(apart(&step.pose, &pose).0);
+            worst = worst.max(apart(&step.pose.world_from_robot, &pose).0);
         }
         ends.push(worst);
     }
     assert!(ends[0] < 0.02 && ends[1] > 0.1, "{ends:?}");
 }
 
-/// Goods before both walls leave little of what the map has; three reflectors that are seen between them tell the pose all the same.
+/// Goods in front of both walls hide most of the map; three visible reflectors between them still determine the pose.
 #[test]
-fn reflectors_hold_where_walls_are_hidden() {
+fn reflectors_determine_the_pose_where_walls_are_hidden() {
     let map = corridor(&[]);
     let mut boxes = Vec::new();
     for k in -8..8 {
@@ -285,20 +287,20 @@ fn reflectors_hold_where_walls_are_hidden() {
     let real = corridor(&boxes);
     let known_to = |spots: &[Spot]| {
         let mut estimator = estimator(options()).with_features(layer(&map, spots, 0.005));
-        let prior = Prior::of_sigmas(moved(&truth(), &[0.03, 0.02, 0.0, 0.0, 0.0, 0.01]), 0.02, 0.01);
+        let prior = PoseEstimate::of_sigmas(moved(&truth(), &[0.03, 0.02, 0.0, 0.0, 0.0, 0.01]), 0.02, 0.01);
         estimator.estimate(&map, &[&scan(&real, &THREE, &truth(), 8)], &prior).unwrap()
     };
     let found = known_to(&THREE);
     let (x, sigma) = along(&found);
     eprintln!("{:.2} explained, {x} {sigma} {:?}", found.explained, found.reflectors);
     assert!(found.explained < 0.75 && found.rests_on_reflectors() && found.is_determined(), "{:?}", found.state);
-    assert!(apart(&found.pose, &truth()).0 < 0.03, "{x}");
+    assert!(apart(&found.pose.world_from_robot, &truth()).0 < 0.03, "{x}");
     // Two are too few for that.
     let two = known_to(&THREE[..2]);
     assert!(!two.is_determined() && !two.rests_on_reflectors(), "{:?}", two.state);
 }
 
-/// Thousands of reflectors come to an end, and so do thousands of bright spots.
+/// Thousands of reflectors, and thousands of bright spots, are processed in finite time.
 #[test]
 fn thousands_of_reflectors() {
     let map = corridor(&[]);
@@ -313,7 +315,7 @@ fn thousands_of_reflectors() {
     assert!(start.elapsed().as_secs() < 60);
 }
 
-/// Reflectors at uneven distances, on either wall.
+/// Reflectors at uneven distances on both walls.
 fn uneven(seed: u64) -> Vec<Spot> {
     let mut random = Random(seed);
     let (mut x, mut spots) = (-29.0, Vec::new());
@@ -324,8 +326,9 @@ fn uneven(seed: u64) -> Vec<Spot> {
     spots
 }
 
-/// A corridor of 60 m whose ends are out of reach looks the same everywhere, from either side. Reflectors at uneven distances tell the place;
-/// planted: the same scans without the layer, and with the layer of another corridor, tell none.
+/// A corridor of 60 m whose ends are out of range looks the same everywhere and in both directions. Reflectors at
+/// uneven distances determine the place. Planted faults: the same scans without the layer, or with the layer of another
+/// corridor, determine none.
 #[test]
 fn an_unknown_start_goes_by_reflectors() {
     let mut environment = Environment::new();
@@ -341,7 +344,7 @@ fn an_unknown_start_goes_by_reflectors() {
     for (known, starts, is_told) in cases {
         for (k, start) in starts.iter().enumerate() {
             let mut estimator = estimator(options()).with_features(layer(&map, known, 0.005));
-            let search = SearchOptions { floor: 1.0, ..SearchOptions::default() };
+            let search = SearchOptions::default().with_floor(1.0);
             let search = Search::new(&mut estimator, &map, &scanner, search).unwrap();
             let mut robot = Localizer::unknown(estimator, search, LocalizeOptions::default());
             let (mut told, mut reasons) = (None, Vec::new());
@@ -353,7 +356,7 @@ fn an_unknown_start_goes_by_reflectors() {
                 frame.motion = (step > 0).then(|| Motion::of_odometry(way, &OdometryNoise::default()));
                 let found = robot.step(&map, &frame).unwrap();
                 if found.phase == Phase::Tracking {
-                    let (metres, degrees) = apart(&found.pose, &pose);
+                    let (metres, degrees) = apart(&found.pose.world_from_robot, &pose);
                     assert!(metres < 0.03 && degrees < 0.5, "{start}: {metres} m, {degrees} deg: {}", found.reason);
                     told = told.or(Some(step));
                 }

@@ -1,11 +1,11 @@
-//! Robots that nothing is known of, in rooms whose look-alikes are known by hand.
+//! Robots with unknown poses, in rooms whose ambiguities are known by hand.
 
 use super::*;
 use presight_localize::localize::{LocalizeOptions, Localizer, Phase, Search, SearchOptions};
 use presight_model::error::ErrorKind;
-use presight_model::frame::{Motion, OdometryNoise};
+use presight_model::measured::{Motion, OdometryNoise};
 
-/// A scanner of one row all round, 1.2 m above the floor, that reaches 20 m.
+/// A scanner of one row all round, 1.2 m above the floor, with a range of 20 m.
 fn row_scanner() -> Sensor {
     let mut spec = scanner(0.02).spec().clone();
     spec.range_max = 20.0;
@@ -13,9 +13,9 @@ fn row_scanner() -> Sensor {
     Sensor::new(spec).unwrap()
 }
 
-/// Coarser than the default, for a small room.
+/// A coarser search than the default, for a small room.
 fn options() -> SearchOptions {
-    SearchOptions { cell: 0.5, headings: 90, candidates: 12, ..SearchOptions::default() }
+    SearchOptions::default().with_cell(0.5).with_headings(90).with_candidates(12)
 }
 
 fn planar() -> Estimator {
@@ -27,7 +27,7 @@ fn unknown(world: &World) -> Localizer {
     Localizer::unknown(planar(), search, LocalizeOptions::default())
 }
 
-/// The k-th frame of a drive: straight on, 0.1 m each.
+/// The k-th frame of a drive straight ahead, 0.1 m each.
 fn frame(world: &World, start: &Pose, k: usize, random: &mut Random) -> (Frame, Pose) {
     let step = Pose { translation: DVec3::new(0.1, 0.0, 0.0), ..Pose::IDENTITY };
     let truth = Pose { translation: start.transform_point(DVec3::new(0.1 * k as f64, 0.0, 0.0)), ..*start };
@@ -42,8 +42,8 @@ fn start() -> Pose {
     Pose::from_xyz_rpy(DVec3::new(1.5, 2.6, 0.0), 0.0, 0.0, 0.3)
 }
 
-/// Lost within five frames, found again within ten; and each change with its reason. So it is if the robot is carried away as soon as it is
-/// followed.
+/// The robot is lost within five frames and found again within ten, and each change has its reason. This also holds if
+/// it is carried away as soon as it is tracked.
 #[test]
 fn a_robot_is_found_and_found_again_after_it_was_carried_away() {
     for carried in [5, 10] {
@@ -62,7 +62,7 @@ fn a_robot_is_found_and_found_again_after_it_was_carried_away() {
             }
             if step.phase == Phase::Tracking && !(carried..carried + 5).contains(&k) {
                 found.push(k);
-                let (metres, degrees) = apart(&step.pose, &truth);
+                let (metres, degrees) = apart(&step.pose.world_from_robot, &truth);
                 assert!(metres < 0.05 && degrees < 1.0, "{k}: {metres} m {degrees} deg, {}", step.reason);
             }
         }
@@ -72,9 +72,9 @@ fn a_robot_is_found_and_found_again_after_it_was_carried_away() {
     }
 }
 
-/// A wall that the map still has is taken down while the robot is followed: half of the beams pass through where it stood. The robot counts as
-/// lost; then no place of the map fits better than where it was followed to, and it is followed again. One that is carried away at that
-/// moment is never said to be there.
+/// A wall that the map still has is removed while the robot is tracked: half of the beams pass through its place. The
+/// robot counts as lost; then no place of the map fits better than the tracked one, and tracking goes on. A robot
+/// carried away at that moment is never reported there.
 #[test]
 fn a_robot_is_followed_on_where_the_map_has_changed() {
     let (map, mut random) = (room(Vec3::ZERO), Random(25));
@@ -93,20 +93,21 @@ fn a_robot_is_followed_on_where_the_map_has_changed() {
                 lost.get_or_insert(k);
             }
             if step.phase == Phase::Tracking && lost.is_some() {
-                told.push((k, apart(&step.pose, &truth), step.reason));
+                told.push((k, apart(&step.pose.world_from_robot, &truth), step.reason));
             }
         }
         assert!(lost.is_some_and(|k| k < 19), "lost at {lost:?}");
         assert!(told.iter().all(|(_, off, _)| off.0 < 0.1 && off.1 < 1.5), "{told:?}");
         if !carried_away {
-            let (first, _, reason) = told.first().expect("it is followed again");
+            let (first, _, reason) = told.first().expect("the robot is tracked again");
             assert!(*first < lost.unwrap() + 10 && reason.contains("the map has changed"), "{told:?}");
             assert_eq!(told.len(), 28 - first, "{told:?}");
         }
     }
 }
 
-/// An empty rectangle looks the same from the opposite place: no number of frames may decide, and both places are told.
+/// An empty rectangle looks the same from the opposite place: no number of frames may decide, and both places are
+/// reported.
 #[test]
 fn a_room_with_a_double_stays_undetermined() {
     let mut environment = Environment::new();
@@ -126,13 +127,32 @@ fn a_room_with_a_double_stays_undetermined() {
         let half = Pose::from_xyz_rpy(DVec3::new(6.0, 4.0, 0.0), 0.0, 0.0, std::f64::consts::PI);
         for place in [truth, half * truth] {
             let near = |pose: &Pose| apart(pose, &place).0 < 0.05 && apart(pose, &place).1 < 1.0;
-            assert!(step.candidates.iter().any(|c| near(&c.pose)), "{k}: {place:?} is missing");
+            assert!(step.candidates.iter().any(|c| near(&c.pose.world_from_robot)), "{k}: {place:?} is missing");
         }
     }
 }
 
+/// A scanner that states no greatest range reaches as far as the map: it finds the robot, and hypotheses follow it.
 #[test]
-fn what_cannot_be_searched_is_told() {
+fn a_sensor_without_a_greatest_range_is_searched_with() {
+    let (world, mut random) = (room(Vec3::ZERO), Random(21));
+    let mut spec = row_scanner().spec().clone();
+    spec.range_max = f64::INFINITY;
+    let endless = Sensor::new(spec).unwrap();
+    let search = Search::new(&mut planar(), &world, &endless, options()).unwrap();
+    let mut robot = Localizer::unknown(planar(), search, LocalizeOptions::default());
+    for k in 0..5 {
+        let (finite, truth) = frame(&world, &start(), k, &mut random);
+        let mut frame = Frame::new(finite.stamp, endless.clone(), finite.sensed().clone()).unwrap();
+        frame.motion = finite.motion;
+        let step = robot.step(&world, &frame).unwrap();
+        assert_eq!(step.phase == Phase::Tracking, k == 4, "{}", step.reason);
+        assert!(k < 4 || apart(&step.pose.world_from_robot, &truth).0 < 0.05, "{:?}", step.pose);
+    }
+}
+
+#[test]
+fn unsearchable_input_is_refused() {
     let world = room(Vec3::ZERO);
     let refused = |world: &World, sensor: &Sensor, options: SearchOptions| {
         let e = Search::new(&mut planar(), world, sensor, options).expect_err("it is refused");
@@ -140,17 +160,17 @@ fn what_cannot_be_searched_is_told() {
         e.to_string()
     };
     assert!(refused(&World::new(Environment::new()), &row_scanner(), options()).contains("without a polygon"));
-    assert!(refused(&world, &row_scanner(), SearchOptions { cell: f64::NAN, ..options() }).contains("cell"));
-    assert!(refused(&world, &row_scanner(), SearchOptions { cell: 1e-4, ..options() }).contains("places"));
+    assert!(refused(&world, &row_scanner(), options().with_cell(f64::NAN)).contains("cell"));
+    assert!(refused(&world, &row_scanner(), options().with_cell(1e-4)).contains("places"));
     // Above the ceiling.
-    assert!(refused(&world, &row_scanner(), SearchOptions { floor: 5.0, ..options() }).contains("no free place"));
-    let heights = SearchOptions { floor_to: 1e9, ..options() };
+    assert!(refused(&world, &row_scanner(), options().with_floor(5.0)).contains("no free place"));
+    let heights = options().with_floor_to(1e9);
     assert!(refused(&world, &camera(0.01), heights).contains("heights"));
     let six = Search::new(&mut estimator(EstimateOptions::default()), &world, &row_scanner(), options());
     assert_eq!(six.expect_err("six numbers").kind(), ErrorKind::Usage);
 }
 
-/// A camera of 40 x 30 pixels, 1.2 m above the robot's frame, that looks down a little.
+/// A camera of 40 x 30 pixels, 1.2 m above the robot's frame, tilted slightly down.
 fn leaning_camera() -> Sensor {
     let camera = Camera::pinhole(40, 30, 30.0, 30.0, 19.5, 14.5);
     let mut spec = SensorSpec::new("range camera", "laser", Geometry::Camera(camera));
@@ -159,7 +179,7 @@ fn leaning_camera() -> Sensor {
     Sensor::new(spec).unwrap()
 }
 
-/// The room as a mirror shows it.
+/// The mirror image of the room.
 fn mirrored_room() -> World {
     let mut environment = Environment::new();
     environment.add_material(Material::named("paint")).unwrap();
@@ -175,7 +195,7 @@ fn mirrored_room() -> World {
     World::new(environment)
 }
 
-/// A camera that looks down is found in its room, and nowhere in the room's mirror image.
+/// A tilted camera is found in its room, and nowhere in the room's mirror image.
 #[test]
 fn a_camera_is_found_in_its_map_and_not_in_a_mirrored_one() {
     let (real, sensor) = (room(Vec3::ZERO), leaning_camera());
@@ -191,7 +211,7 @@ fn a_camera_is_found_in_its_map_and_not_in_a_mirrored_one() {
             frame.motion = Some(Motion::of_odometry(step, &OdometryNoise::default()));
             let step = robot.step(&map, &frame).unwrap();
             if step.phase == Phase::Tracking {
-                let (metres, degrees) = apart(&step.pose, &truth);
+                let (metres, degrees) = apart(&step.pose.world_from_robot, &truth);
                 assert!(is_right && metres < 0.03 && degrees < 1.0, "{k}: {metres} m {degrees} deg, {}", step.reason);
                 found.get_or_insert(k);
             }
@@ -200,7 +220,7 @@ fn a_camera_is_found_in_its_map_and_not_in_a_mirrored_one() {
     }
 }
 
-/// The way a robot leans is told from outside: roll and pitch of the robot, and a height that is known within half a metre.
+/// The caller gives the tilt: the robot's roll and pitch, and a height known within half a metre.
 #[test]
 fn a_camera_that_is_held_in_the_hand_is_found() {
     let world = room(Vec3::ZERO);
@@ -208,16 +228,16 @@ fn a_camera_that_is_held_in_the_hand_is_found() {
     spec.mount = Pose::IDENTITY;
     let sensor = Sensor::new(spec).unwrap();
     let truth = Pose::from_xyz_rpy(DVec3::new(1.5, 2.6, 1.35), 0.1, 0.25, 0.4);
-    let heights = SearchOptions { floor: 1.0, floor_to: 1.6, lean: [0.1, 0.25], ..options() };
+    let heights = options().with_floor(1.0).with_floor_to(1.6).with_lean([0.1, 0.25]);
     let mut found = estimator(EstimateOptions::default());
     let search = Search::new(&mut found, &world, &sensor, heights).unwrap();
     let seen = sense(&world, &sensor, &truth, &mut Random(25));
     let best = &search.candidates(&mut found, &world, &seen).unwrap()[0];
-    let (metres, degrees) = apart(&best.pose, &truth);
+    let (metres, degrees) = apart(&best.pose.world_from_robot, &truth);
     assert!(metres < 0.02 && degrees < 0.5, "{metres} m {degrees} deg of {} places", search.places().len());
 }
 
-/// Blind frames say nothing; the search begins at the first that measures.
+/// Blind frames carry no information; the search begins at the first frame with measurements.
 #[test]
 fn a_blind_start_waits() {
     let (world, mut random) = (room(Vec3::ZERO), Random(23));
@@ -229,9 +249,9 @@ fn a_blind_start_waits() {
     assert!(step.phase == Phase::Candidates, "{}", step.reason);
 }
 
-/// Beams that say "too near" of a sensor that states no least range are passed over.
+/// Beams reported as too near by a sensor without a stated minimum range are ignored.
 #[test]
-fn beams_that_are_too_near_say_nothing() {
+fn beams_that_are_too_near_are_ignored() {
     let (world, mut random) = (room(Vec3::ZERO), Random(26));
     let mut robot = unknown(&world);
     let (seen, truth) = frame(&world, &start(), 0, &mut random);
@@ -239,5 +259,5 @@ fn beams_that_are_too_near_say_nothing() {
     ranges[40..60].fill(f32::NEG_INFINITY);
     let near = Frame::new(0.0, row_scanner(), Measurement::Range(ranges)).unwrap();
     let step = robot.step(&world, &near).unwrap();
-    assert!(apart(&step.pose, &truth).0 < 0.05, "{}", step.reason);
+    assert!(apart(&step.pose.world_from_robot, &truth).0 < 0.05, "{}", step.reason);
 }

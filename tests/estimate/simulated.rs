@@ -1,9 +1,9 @@
-//! The simulator, and logs of it.
+//! The simulator and its logs.
 
 use super::*;
-use presight_localize::estimate::Prior;
 use presight_localize::localize::{LocalizeOptions, Localizer, Phase};
 use presight_localize::simulate::{Disturbances, Simulator};
+use presight_model::geometry::PoseEstimate;
 
 fn simulator(disturbances: Disturbances, seed: u64) -> Simulator {
     Simulator::new(predictor(), camera(0.01), disturbances, seed).unwrap()
@@ -11,9 +11,9 @@ fn simulator(disturbances: Disturbances, seed: u64) -> Simulator {
 
 const NONE: Disturbances = Disturbances { drop_outs: 0.0, mixed_pixels: 0.0, slip: 0.0, turn_slip: 0.0 };
 
-/// Mean and deviation of what noise adds are those stated; drop-outs are as many as asked for.
+/// The noise has the stated mean and deviation, and the number of drop-outs is as requested.
 #[test]
-fn noise_is_as_stated() {
+fn noise_has_its_stated_size() {
     let world = room(Vec3::ZERO);
     let pose = Pose::from_xyz_rpy(DVec3::new(0.9, 2.2, 1.4), 0.0, 0.3, -0.3);
     let truth = predictor().predict(&world, &camera(0.01), &pose, &Request::default()).unwrap().images.range;
@@ -26,14 +26,14 @@ fn noise_is_as_stated() {
     assert!(mean.abs() < 4.0 * 0.01 / n.sqrt() && (sigma / 0.01 - 1.0).abs() < 0.05, "{mean} {sigma}");
     let lost = frame.ranges().iter().filter(|r| r.is_nan()).count() as f64 / 4800.0;
     assert!((lost - 0.1).abs() < 0.02, "{lost}");
-    // The same seed, the same frame; another, another.
+    // The same seed gives the same frame, another seed another frame.
     let again = |seed| simulator(Disturbances { drop_outs: 0.1, ..NONE }, seed).frame(&world, 0.0, &pose).unwrap();
     let bits = |f: &Frame| f.ranges().iter().map(|r| r.to_bits()).collect::<Vec<_>>();
     assert_eq!(bits(&frame), bits(&again(1)));
     assert_ne!(bits(&frame), bits(&again(2)));
 }
 
-/// Mixed pixels lie between the two surfaces of an edge, and nowhere else.
+/// Mixed pixels lie only at edges, between their two surfaces.
 #[test]
 fn mixed_pixels_are_at_edges() {
     let world = room(Vec3::ZERO);
@@ -51,7 +51,8 @@ fn mixed_pixels_are_at_edges() {
     assert!(changed > 20, "{changed}");
 }
 
-/// Intensities are the echo with the noise asked for, at most 1, and none where nothing was measured; the ranges are the same without them.
+/// Intensities are the echo with the requested noise, at most 1, and absent where nothing was measured. The ranges are
+/// the same without them.
 #[test]
 fn intensities_are_echoes_with_noise() {
     let world = room(Vec3::ZERO);
@@ -66,7 +67,7 @@ fn intensities_are_echoes_with_noise() {
     assert!(plain.intensities().is_none());
     let values = frame.intensities().unwrap().values();
     assert!(values.iter().zip(frame.ranges()).all(|(v, r)| v.is_nan() == r.is_nan() && !(*v > 1.0 || *v < 0.0)));
-    // Far from both ends of the scale nothing is cut off.
+    // Far from both ends of the scale no value is clamped.
     let told = values.iter().zip(&echo).filter(|(v, e)| v.is_finite() && (0.3..0.7).contains(*e));
     let errors: Vec<f64> = told.map(|(v, e)| f64::from(v - e)).collect();
     let sigma = (errors.iter().map(|e| e * e).sum::<f64>() / errors.len() as f64).sqrt();
@@ -84,7 +85,7 @@ fn a_simulated_log_is_tracked_with_odometry() {
         let t = 0.05 * k as f64;
         Pose::from_xyz_rpy(DVec3::new(1.2 + 0.4 * t.sin(), 2.3 + 0.3 * t.cos(), 1.4), 0.0, 0.25, -0.25 + 0.2 * t.sin())
     };
-    let prior = Prior::of_sigmas(pose(0), 0.03, 0.02);
+    let prior = PoseEstimate::of_sigmas(pose(0), 0.03, 0.02);
     let mut robot = Localizer::new(estimator(EstimateOptions::default()), prior, LocalizeOptions::default());
     let mut squares = 0.0;
     for k in 0..60 {
@@ -92,7 +93,7 @@ fn a_simulated_log_is_tracked_with_odometry() {
         assert_eq!(frame.motion.is_some(), k > 0);
         let step = robot.step(&world, &frame).unwrap();
         assert!(k < 3 || step.phase == Phase::Tracking, "{k}: {}", step.reason);
-        squares += apart(&step.pose, &pose(k)).0.powi(2);
+        squares += apart(&step.pose.world_from_robot, &pose(k)).0.powi(2);
     }
     let rms = (squares / 60.0).sqrt();
     assert!(rms < 0.003, "{rms}");

@@ -1,11 +1,12 @@
-//! What a measurement does not say must not be claimed.
+//! Quantities that a measurement does not determine must not be reported as determined.
 
 use super::*;
-use presight_localize::estimate::{Estimate, Freedom, Prior};
+use presight_localize::estimate::{Estimate, Freedom};
+use presight_model::geometry::PoseEstimate;
 
-/// Standard deviation of the estimate along an axis.
+/// The standard deviation of the estimate along an axis.
 fn sigma(answer: &Estimate, axis: usize) -> f64 {
-    answer.covariance[axis][axis].sqrt()
+    answer.pose.covariance[axis][axis].sqrt()
 }
 
 fn names(answer: &Estimate) -> Vec<&str> {
@@ -14,7 +15,7 @@ fn names(answer: &Estimate) -> Vec<&str> {
     names
 }
 
-/// A camera that sees the floor alone knows its height, roll and pitch; of the rest it knows what it knew before.
+/// A camera that sees only the floor determines height, roll and pitch; the other axes keep their prior.
 #[test]
 fn floor_only() {
     let mut environment = Environment::new();
@@ -24,32 +25,32 @@ fn floor_only() {
     let truth = Pose::from_xyz_rpy(DVec3::new(0.0, 0.0, 1.5), 0.0, 1.2, 0.3);
     let frame = sense(&world, &camera(0.01), &truth, &mut Random(1));
     let off = moved(&truth, &[0.15, -0.1, 0.05, 0.02, 0.03, 0.1]);
-    let answer =
-        estimator(EstimateOptions::default()).estimate(&world, &[&frame], &Prior::of_sigmas(off, 0.2, 0.1)).unwrap();
+    let answer = estimator(EstimateOptions::default())
+        .estimate(&world, &[&frame], &PoseEstimate::of_sigmas(off, 0.2, 0.1))
+        .unwrap();
     assert_eq!(names(&answer).len(), 3, "{:?}", answer.weak);
     assert!(names(&answer).iter().all(|n| n.split('+').all(|a| ["x", "y", "yaw"].contains(&a))), "{:?}", answer.weak);
     for (axis, before) in [(0, 0.2), (1, 0.2), (5, 0.1)] {
         assert!(sigma(&answer, axis) > 0.9 * before, "axis {axis}: {} claimed", sigma(&answer, axis));
     }
     assert!(sigma(&answer, 2) < 0.01);
-    assert!((answer.pose.translation.z - 1.5).abs() < 4.0 * sigma(&answer, 2));
+    assert!((answer.pose.world_from_robot.translation.z - 1.5).abs() < 4.0 * sigma(&answer, 2));
 }
 
-/// A frame that no pose explains comes to an end, though every start leads to where the prediction at hand serves: a sensor ten times as noisy as
-/// it says.
+/// The estimator gives up on a frame that no pose explains: the sensor is ten times as noisy as stated.
 #[test]
-fn what_no_pose_explains_is_given_up() {
+fn a_frame_that_no_pose_explains_is_given_up() {
     let world = room(Vec3::ZERO);
     let truth = Pose::from_xyz_rpy(DVec3::new(0.7, 2.2, 1.4), 0.0, 0.25, 0.05);
     let noisy = sense(&world, &camera(0.05), &truth, &mut Random(8));
     let frame = Frame::new(0.0, camera(0.005), noisy.sensed().clone()).unwrap();
     let answer = estimator(EstimateOptions::default())
-        .estimate(&world, &[&frame], &Prior::of_sigmas(truth, 0.03, 0.01))
+        .estimate(&world, &[&frame], &PoseEstimate::of_sigmas(truth, 0.03, 0.01))
         .unwrap();
     assert!(!answer.is_determined() && answer.predictions <= 12, "{:?}", answer.state);
 }
 
-/// Along an endless corridor a scanner knows everything but how far down it stands.
+/// In an endless corridor a scanner determines everything but the position along it.
 #[test]
 fn corridor() {
     let mut environment = Environment::new();
@@ -61,23 +62,23 @@ fn corridor() {
     let sensor = Sensor::new(sensor).unwrap();
     let truth = Pose::from_xyz_rpy(DVec3::new(0.0, 0.2, 1.0), 0.0, 0.0, 0.1);
     let frame = sense(&world, &sensor, &truth, &mut Random(2));
-    let options = EstimateOptions { freedom: Freedom::Planar, ..EstimateOptions::default() };
+    let options = EstimateOptions::default().with_freedom(Freedom::Planar);
     let off = moved(&truth, &[0.25, 0.05, 0.0, 0.0, 0.0, 0.03]);
-    let answer = estimator(options).estimate(&world, &[&frame], &Prior::of_sigmas(off, 0.3, 0.05)).unwrap();
+    let answer = estimator(options).estimate(&world, &[&frame], &PoseEstimate::of_sigmas(off, 0.3, 0.05)).unwrap();
     assert_eq!(names(&answer), ["x"], "{:?}", answer.weak);
     assert!(sigma(&answer, 0) > 0.27 && sigma(&answer, 1) < 0.01);
-    assert!((answer.pose.translation.y - 0.2).abs() < 0.01);
-    // A wall at its end fixes that, too: the fault of calling everything weak would show here.
+    assert!((answer.pose.world_from_robot.translation.y - 0.2).abs() < 0.01);
+    // A wall at its end also fixes the position, which would expose an estimator that reports everything as weak.
     let mut environment = Environment::new();
     environment.add_material(Material::named("m")).unwrap();
     add_box(&mut environment, "corridor", Vec3::new(-300.0, -1.0, 0.0), Vec3::new(6.0, 1.0, 2.5));
     let world = World::new(environment);
     let frame = sense(&world, &sensor, &truth, &mut Random(2));
-    let answer = estimator(options).estimate(&world, &[&frame], &Prior::of_sigmas(off, 0.3, 0.05)).unwrap();
-    assert!(answer.weak.is_empty() && answer.pose.translation.x.abs() < 0.02, "{answer:?}");
+    let answer = estimator(options).estimate(&world, &[&frame], &PoseEstimate::of_sigmas(off, 0.3, 0.05)).unwrap();
+    assert!(answer.weak.is_empty() && answer.pose.world_from_robot.translation.x.abs() < 0.02, "{answer:?}");
 }
 
-/// Another room does not explain the frame, and is not claimed to.
+/// Another room does not explain the frame, and the result reports that.
 #[test]
 fn wrong_map() {
     let truth = Pose::from_xyz_rpy(DVec3::new(1.0, 2.4, 1.4), 0.0, 0.25, -0.2);
@@ -86,31 +87,31 @@ fn wrong_map() {
     environment.add_material(Material::named("m")).unwrap();
     add_box(&mut environment, "hall", Vec3::new(-2.0, -1.0, 0.0), Vec3::new(8.5, 6.3, 4.0));
     add_box(&mut environment, "press", Vec3::new(3.0, 3.0, 0.0), Vec3::new(4.5, 4.0, 2.0));
-    let prior = Prior::of_sigmas(truth, 0.12, 0.1);
+    let prior = PoseEstimate::of_sigmas(truth, 0.12, 0.1);
     let mut found = estimator(EstimateOptions::default());
     let wrong = found.estimate(&World::new(environment), &[&frame], &prior).unwrap();
     assert!(!wrong.is_determined(), "{:.2} explained", wrong.explained);
     assert!(found.estimate(&room(Vec3::ZERO), &[&frame], &prior).unwrap().is_determined());
 }
 
-/// Without a measurement nothing is known that was not known before.
+/// Without a measurement the prior is unchanged.
 #[test]
 fn a_blind_sensor_keeps_the_prior() {
     let sensor = camera(0.01);
     let world = room(Vec3::ZERO);
     let pose = Pose::from_xyz_rpy(DVec3::new(1.0, 2.4, 1.4), 0.0, 0.25, -0.2);
-    let prior = Prior::of_sigmas(pose, 0.1, 0.05);
+    let prior = PoseEstimate::of_sigmas(pose, 0.1, 0.05);
     for value in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 0.0] {
         let frame = Frame::new(0.0, sensor.clone(), Measurement::Range(vec![value; 80 * 60])).unwrap();
         let answer = estimator(EstimateOptions::default()).estimate(&world, &[&frame], &prior).unwrap();
         assert!(!answer.is_determined());
-        assert_eq!((answer.pose, answer.covariance), (pose, prior.covariance));
+        assert_eq!(answer.pose, prior);
         assert_eq!(answer.weak.len(), 6);
     }
 }
 
-/// Pillars that repeat every metre look the same a metre on. Both places are told, and neither is claimed; one crate that stands
-/// nowhere else decides.
+/// Pillars at intervals of a metre look the same after a metre. Both places are reported, and neither as determined;
+/// one unique crate decides.
 #[test]
 fn a_repeating_corridor_has_two_places() {
     let corridor = |crate_too: bool| {
@@ -131,8 +132,8 @@ fn a_repeating_corridor_has_two_places() {
     spec.range_max = 8.0;
     let sensor = Sensor::new(spec).unwrap();
     let truth = Pose::from_xyz_rpy(DVec3::new(0.6, 0.1, 1.0), 0.0, 0.0, 0.05);
-    let options = EstimateOptions { freedom: Freedom::Planar, ..EstimateOptions::default() };
-    let mut prior = Prior::of_sigmas(moved(&truth, &[0.1, 0.02, 0.0, 0.0, 0.0, 0.01]), 0.5, 0.02);
+    let options = EstimateOptions::default().with_freedom(Freedom::Planar);
+    let mut prior = PoseEstimate::of_sigmas(moved(&truth, &[0.1, 0.02, 0.0, 0.0, 0.0, 0.01]), 0.5, 0.02);
     prior.covariance[1][1] = 0.01;
     let answer = |crate_too: bool| {
         let world = corridor(crate_too);
@@ -144,5 +145,5 @@ fn a_repeating_corridor_has_two_places() {
     assert!(sigma(&open, 0) > 0.4, "{} m claimed", sigma(&open, 0));
     let decided = answer(true);
     assert!(decided.is_determined(), "{:?}", decided.state);
-    assert!(apart(&decided.pose, &truth).0 < 0.02 && sigma(&decided, 0) < 0.05);
+    assert!(apart(&decided.pose.world_from_robot, &truth).0 < 0.02 && sigma(&decided, 0) < 0.05);
 }

@@ -1,5 +1,6 @@
-//! Very many features in one place or on one polygon, and smooth surfaces of very many facets: what is done grows with what there
-//! is, and limits are told. Counts stand for time, which `cargo bench --bench layers` tells.
+//! Very many features in one place or on one polygon, and smooth surfaces of very many facets. The work is proportional
+//! to the input, and limits are reported. Counts serve as a measure of time, which `cargo bench --bench layers`
+//! measures.
 
 use super::contours::bodies::ball;
 use glam::{DMat3, DVec3, Vec3};
@@ -38,7 +39,7 @@ fn square(y: f64, z: f64) -> FeatureShape {
     FeatureShape::Patch { corners: corners.to_vec(), covariance: DMat3::ZERO }
 }
 
-/// A wall of one polygon 5 m ahead, and a screen before its right half.
+/// A wall of one polygon 5 m ahead, and a screen in front of its right half.
 fn wall() -> World {
     let at = |x: f32, [y, z]: [f32; 2]| Vec3::new(x, y, z);
     let sheet = |x: f32, y: [f32; 2]| {
@@ -59,7 +60,7 @@ fn see(world: &World, pose: &Pose, layer: &FeatureLayer, hidden: Hidden) -> Feat
     predict_features(world, &camera, pose, &images, &placed, &settings).unwrap()
 }
 
-/// What `count` of them cost, one of which costs `one`.
+/// Checks that `count` features cost at most `count` times as much as one.
 fn grows(one: &FeatureStats, many: &FeatureStats, count: usize) {
     let times = |n: usize| n * count;
     assert_eq!((many.features, many.asked, many.samples), (count, times(one.asked), times(one.samples)));
@@ -67,7 +68,7 @@ fn grows(one: &FeatureStats, many: &FeatureStats, count: usize) {
 }
 
 #[test]
-fn features_all_in_one_place_cost_what_each_does() {
+fn features_in_one_place_cost_the_same_each() {
     const COUNT: usize = 3000;
     let world = wall();
     for shape in [line(0.5, 0.0), square(0.3, -0.2)] {
@@ -77,7 +78,7 @@ fn features_all_in_one_place_cost_what_each_does() {
         grows(&one, &many.stats, COUNT);
         assert!(many.features.len() == COUNT && many.features.iter().all(|f| f.visible == many.features[0].visible));
     }
-    // Behind the screen, and behind the camera, none is asked about.
+    // Behind the screen or the camera, no feature is sampled.
     let behind = layer(std::iter::repeat_n(line(-1.5, 0.0), COUNT));
     let away = Pose::from_xyz_rpy(DVec3::ZERO, 0.0, 0.0, std::f64::consts::PI);
     for (pose, hidden) in [(Pose::IDENTITY, "occluded"), (away, "behind_sensor")] {
@@ -89,9 +90,9 @@ fn features_all_in_one_place_cost_what_each_does() {
 }
 
 #[test]
-fn features_all_on_one_polygon_cost_what_is_in_view() {
+fn features_on_one_polygon_cost_only_the_part_in_view() {
     let world = wall();
-    // 16 m of wall, of which 2 m beside the screen are in view of the camera.
+    // 16 m of wall, with 2 m next to the screen in view of the camera.
     let lines = |count: u32| layer((0..count).map(move |k| line(-7.9 + 15.8 * f64::from(k) / f64::from(count), 0.0)));
     let asked = |count: u32| {
         let placed = place(&world, &lines(count)).unwrap();
@@ -107,7 +108,7 @@ fn features_all_on_one_polygon_cost_what_is_in_view() {
 }
 
 #[test]
-fn a_crowd_is_chosen_from() {
+fn the_selection_works_on_a_crowd() {
     let world = wall();
     let crowd = place(&world, &layer((0..2000).map(|k| line(if k == 1234 { 1.0 } else { 0.5 }, 0.0)))).unwrap();
     let options = FeatureOptions::default().with_placed(crowd).with_max_features(2);
@@ -115,11 +116,11 @@ fn a_crowd_is_chosen_from() {
     let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).unwrap();
     let seen = predictor.predict(&world, &scenes::camera(200, 150), &Pose::IDENTITY, &request).unwrap();
     let ids: Vec<u32> = seen.features.unwrap().features.iter().map(|f| f.feature.id).collect();
-    // The one that stands elsewhere, and of the others the first.
+    // The only feature elsewhere, and the first of all others.
     assert_eq!(ids, [1, 1235]);
 }
 
-/// A ball 4 m ahead no edge of which is a feature.
+/// A ball 4 m ahead whose edges are not features.
 fn ball_ahead(columns: u32, rows: u32) -> World {
     let mut environment = scenes::empty();
     let at = Pose::from_xyz_rpy(DVec3::new(4.0, 0.0, 0.0), 0.0, 0.0, 0.0);
@@ -127,7 +128,7 @@ fn ball_ahead(columns: u32, rows: u32) -> World {
     World::new(environment)
 }
 
-/// A silhouette goes once around the ball, and what is done for it grows as its length, though all facets are looked at.
+/// A silhouette goes once around the ball. Its cost is proportional to its length, although all facets are tested.
 #[test]
 fn balls_of_very_many_facets_have_one_contour() {
     let once = |columns: u32, rows: u32| {

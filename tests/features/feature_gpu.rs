@@ -1,6 +1,6 @@
-//! Features by the GPU engine: what its images propose on the device, against what the CPU's images propose. Answers are
-//! the same bit by bit, for both are confirmed in f64. The device looks around every sample and the CPU at some of them, so that the device
-//! proposes no less, but for ties.
+//! Compares features by the GPU engine, where the images' proposals are made on the device, with proposals from the
+//! CPU's images. The results are equal bit by bit, because both are confirmed in f64. The device searches around every
+//! sample and the CPU around some of them, so the device proposes no fewer, except for ties.
 #![cfg(feature = "gpu")]
 #![expect(clippy::print_stderr, reason = "counts are worth reading")]
 
@@ -45,7 +45,7 @@ fn request() -> Request {
     Request::of(Outputs::of(&[Output::PolygonId]))
 }
 
-/// Sides, corners and areas of some polygons of a world.
+/// Edges, corners and faces of some polygons of a world.
 fn features(world: &World, most: usize, random: &mut Random) -> Vec<PlacedFeature> {
     let slots = world.environment().slot_count() as usize;
     let mut all = Vec::new();
@@ -72,11 +72,11 @@ fn features(world: &World, most: usize, random: &mut Random) -> Vec<PlacedFeatur
     all
 }
 
-/// All but what hides: of several occluders either side may know a nearer one.
+/// The result without occluders: of several occluders each side may find a different one.
 fn shown(f: &SeenFeature) -> SeenFeature {
     let mut f = f.clone();
     f.hidden.iter_mut().for_each(|h| h.by = None);
-    // Neighbouring parts that different polygons hide are one.
+    // Merges adjacent parts that different polygons hide.
     f.hidden.dedup_by(|b, a| {
         let same = a.reason == b.reason && a.t[1] == b.t[0];
         a.t[1] = if same { b.t[1] } else { a.t[1] };
@@ -85,7 +85,7 @@ fn shown(f: &SeenFeature) -> SeenFeature {
     f
 }
 
-/// Features that are not the same on both sides.
+/// Features that differ between the two.
 fn differing(device: &FeaturePrediction, host: &FeaturePrediction) -> usize {
     assert_eq!(device.features.len(), host.features.len());
     device.features.iter().zip(&host.features).filter(|(a, b)| shown(a) != shown(b)).count()
@@ -95,7 +95,7 @@ fn agree(name: &str, device: &FeaturePrediction, host: &FeaturePrediction) {
     assert_eq!(differing(device, host), 0, "{name}");
     assert_eq!(device.feature_id, host.feature_id, "{name}");
     assert_eq!((device.stats.samples, device.stats.visible), (host.stats.samples, host.stats.visible), "{name}");
-    // Planted: one visible interval is dropped.
+    // Planted fault: one visible interval is dropped.
     let mut less = device.clone();
     if let Some(seen) = less.features.iter_mut().find(|f| !f.visible.is_empty()) {
         seen.visible.pop();
@@ -130,7 +130,7 @@ fn check(
 ) -> [FeatureStats; 2] {
     let (device, images, stats) = on_device(predictor, world, sensor, pose, placed);
     let asked = stats.stages_ms.iter().any(|(stage, _)| *stage == StageName::FeaturesOnDevice);
-    // Left out only where nothing is in view or no sample is in question.
+    // Omitted only if nothing is in view or no sample is undecided.
     let needless = stats.left_out.iter().any(|l| l.what.to_string().ends_with("on the device"));
     assert!(asked != needless, "{name}: {:?}", stats.left_out);
     let options = FeatureSettings { feature_id: true, ..FeatureSettings::default() };
@@ -139,7 +139,7 @@ fn check(
     [device.stats, host.stats]
 }
 
-/// The device proposes all that the CPU finds in the same images, but for ties.
+/// The device proposes all hidden samples that the CPU finds in the same images, except for ties.
 fn proposes_as_much(name: &str, [device, host]: [FeatureStats; 2]) {
     eprintln!(
         "{name}: {} of {} samples hidden, {} on the host",
@@ -147,12 +147,12 @@ fn proposes_as_much(name: &str, [device, host]: [FeatureStats; 2]) {
     );
     let is_enough = |proposed: usize| 50 * proposed >= 49 * host.hidden_by_neighbours;
     assert!(host.hidden_by_neighbours > 500 && is_enough(device.hidden_by_neighbours), "{name}: {device:?} {host:?}");
-    // Planted: a tenth of it is not proposed.
+    // Planted fault: a tenth is not proposed.
     assert!(!is_enough(host.hidden_by_neighbours / 10 * 9), "{name}");
 }
 
 #[test]
-fn real_scenes_are_seen_alike() {
+fn real_scenes_give_equal_features() {
     let Some(mut predictor) = predictor() else { return };
     let mut random = Random(3);
     for scene in ["factory_hall", "office_willowgarage"] {
@@ -170,7 +170,7 @@ fn real_scenes_are_seen_alike() {
 }
 
 #[test]
-fn rooms_and_hard_scenes_are_seen_alike() {
+fn rooms_and_hard_scenes_give_equal_features() {
     let Some(mut predictor) = predictor() else { return };
     let mut random = Random(4);
     let mut sums = [FeatureStats::default(); 2];
@@ -195,9 +195,9 @@ fn rooms_and_hard_scenes_are_seen_alike() {
     }
 }
 
-/// A second round makes nothing, and without features nothing runs.
+/// A second round allocates nothing, and without features no stage runs.
 #[test]
-fn steady_state_makes_nothing_and_no_features_cost_nothing() {
+fn steady_state_allocates_nothing_and_no_features_cost_nothing() {
     let Some(mut predictor) = predictor() else { return };
     let world = scenes::room_world(7, 30);
     let placed = features(&world, 200, &mut Random(1));
@@ -225,9 +225,9 @@ fn steady_state_makes_nothing_and_no_features_cost_nothing() {
     assert_eq!(round(&mut predictor), first);
 }
 
-/// On an adapter that is a program the CPU does features and regions, and that is said.
+/// On a software adapter the CPU does features and regions, and reports that.
 #[test]
-fn what_stays_on_the_cpu_is_said() {
+fn stages_that_stay_on_the_cpu_are_reported() {
     use presight_features::BoxOptions;
     let mut predictor = match Predictor::new(Options::new(Backend::Gpu).with_threads(2)) {
         Ok(predictor) => predictor,

@@ -1,7 +1,7 @@
-//! Visibility of points against `data/reference/*.features.csv`: mesh vertices, seen if nothing on their ray is nearer by
-//! more than 2 mm + 0.1 %, by Embree.
+//! Compares the visibility of points with `data/reference/*.features.csv`: mesh vertices count as visible if Embree
+//! finds nothing on their ray that is nearer by more than 2 mm + 0.1 %.
 //!
-//! Between that tolerance and nothing nearer at all neither answer is held to be right.
+//! For hits nearer by less than this tolerance, either answer is accepted.
 
 use presight_testkit as common;
 
@@ -95,7 +95,7 @@ fn check(world: &World, list: &Value, view: &Value, count: &mut Count) {
 }
 
 #[test]
-fn vertices_are_seen_as_embree_sees_them() {
+fn vertices_have_the_visibility_that_embree_finds() {
     let Some(list) = data::file("reference/reference.json") else { return };
     let list: Value = serde_json::from_str(&std::fs::read_to_string(list).unwrap()).unwrap();
     let mut all = Count::default();

@@ -1,4 +1,4 @@
-//! Features: generated, seen, with regions of interest, reduced by virtual sensors, and followed from frame to frame.
+//! Features: generation, visibility, regions of interest, reduction by virtual sensors, and tracking.
 
 mod contours;
 mod crowds;

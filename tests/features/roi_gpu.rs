@@ -1,5 +1,5 @@
-//! Boxes from the device against those of the CPU twin: within 1/16 pixel, and with the same flag except where the twin's
-//! own changes if all sigmas do by half a percent.
+//! Compares boxes from the device with those of the CPU twin: within 1/16 pixel, and with the same flag unless the
+//! twin's own flag changes with all sigmas scaled by half a percent.
 #![cfg(feature = "gpu")]
 #![expect(clippy::print_stderr, reason = "the worst differences are worth reading")]
 
@@ -8,6 +8,7 @@ use presight_testkit as common;
 use common::skip::no_adapter;
 use common::{Random, data, scenes};
 use glam::{DMat3, DQuat, DVec3};
+use presight_features::roi::RoiFlag;
 use presight_features::{
     BoxOptions, BoxQuery, FeaturePrediction, FeatureSettings, PlacedFeature, SeenFeature, add_boxes, place,
     predict_features,
@@ -15,7 +16,7 @@ use presight_features::{
 use presight_files::gltf::{ImportOptions, import};
 use presight_files::preset;
 use presight_model::environment::{Existence, Feature, FeatureShape, Properties};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, PoseCovariance};
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_predict::gpu::{DeviceOptions, GpuEngine, testing};
@@ -38,7 +39,7 @@ fn room() -> World {
     World::new(import(path, &ImportOptions::default()).expect("the scene imports").environment)
 }
 
-/// What boxes are made of.
+/// The input of boxes.
 struct Setting<'a> {
     world: &'a World,
     sensor: &'a Sensor,
@@ -76,15 +77,13 @@ impl Setting<'_> {
         (prediction, made)
     }
 
-    /// Numbers of features whose flag changes if all sigmas do by half a percent.
+    /// The features whose flag changes if all sigmas change by half a percent.
     fn at_the_limit(&self) -> Vec<usize> {
         let flags = |scale: f64| {
             let square = scale * scale;
             let mut options = self.options.clone();
-            let objects = options.objects.iter_mut().map(|o| &mut o.1);
-            for x in [&mut options.sensor].into_iter().chain(objects).flat_map(|m| m.as_flattened_mut()) {
-                *x *= square;
-            }
+            options.sensor = scaled(&options.sensor, square);
+            options.objects.iter_mut().for_each(|(_, own)| *own = scaled(own, square));
             let mut placed = self.placed.clone();
             placed.iter_mut().for_each(|p| scale_covariance(&mut Arc::make_mut(&mut p.feature).shape, square));
             self.twin(&options, &placed).features.iter().map(|f| f.roi_flag).collect::<Vec<_>>()
@@ -112,7 +111,7 @@ fn scale_covariance(shape: &mut FeatureShape, by: f64) {
 struct Agreement {
     boxes: usize,
     worst: f64,
-    /// Farther off than 1/16 pixel.
+    /// Boxes off by more than 1/16 pixel.
     far: usize,
     other_flags: Vec<usize>,
 }
@@ -135,12 +134,12 @@ fn compare(twin: &FeaturePrediction, device: &FeaturePrediction) -> Agreement {
     found
 }
 
-/// Both ways, and how many boxes the device made.
+/// Compares both ways and returns the number of boxes made on the device.
 fn check(name: &str, engine: &mut GpuEngine, setting: &Setting<'_>) -> usize {
     let twin = setting.twin(&setting.options, &setting.placed);
     let (device, made) = setting.on_device(engine, &setting.options);
     let found = compare(&twin, &device);
-    let linear = twin.features.iter().filter(|f| f.roi_flag == Some("linear")).count();
+    let linear = twin.features.iter().filter(|f| f.roi_flag == Some(RoiFlag::Linear)).count();
     eprintln!(
         "{name}: {} boxes, {linear} linear, {made} made on the device; worst {:.5} px, other flags {}",
         found.boxes,
@@ -162,7 +161,7 @@ fn all_seen(placed: &[PlacedFeature]) -> FeaturePrediction {
     FeaturePrediction { features, ..FeaturePrediction::default() }
 }
 
-/// A random covariance of a standard deviation, sometimes singular.
+/// A random covariance with this standard deviation, sometimes singular.
 fn covariance(random: &mut Random, sigma: f64) -> DMat3 {
     let turn = DMat3::from_quat(DQuat::from_euler(
         glam::EulerRot::XYZ,
@@ -175,7 +174,7 @@ fn covariance(random: &mut Random, sigma: f64) -> DMat3 {
     turn * DMat3::from_diagonal(axes * axes) * turn.transpose()
 }
 
-/// Features ahead of a pose, of all kinds.
+/// Features of all kinds ahead of a pose.
 fn ahead(
     random: &mut Random,
     world: &World,
@@ -215,12 +214,13 @@ fn ahead(
     (1..=count).map(&mut one).collect()
 }
 
-/// Diagonal, with heading and position correlated.
-fn pose_covariance(position: f64, angle: f64) -> [[f64; 6]; 6] {
-    let mut m = [[0.0; 6]; 6];
-    for i in 0..6 {
-        m[i][i] = if i < 3 { position * position } else { angle * angle };
-    }
+fn scaled<A>(covariance: &PoseCovariance<A>, by: f64) -> PoseCovariance<A> {
+    PoseCovariance::from_rows(covariance.as_rows().map(|row| row.map(|x| by * x)))
+}
+
+/// Diagonal except for a correlation of heading and position.
+fn pose_covariance<A>(position: f64, angle: f64) -> PoseCovariance<A> {
+    let mut m = PoseCovariance::from_sigmas([position, position, position, angle, angle, angle]);
     m[1][5] = 0.6 * position * angle;
     m[5][1] = m[1][5];
     m
@@ -243,12 +243,12 @@ fn sensors() -> Vec<Sensor> {
 }
 
 #[test]
-fn boxes_are_those_of_the_twin_from_comfortable_to_extreme() {
+fn boxes_equal_those_of_the_twin_from_comfortable_to_extreme() {
     let Some(mut engine) = engine() else { return };
     let world = room();
     let mut random = Random(3);
     let mut made = 0;
-    // Position, angle and feature sigmas; nearest and farthest.
+    // Sigmas of position, angle and feature; nearest and farthest distance.
     let cases = [
         ("comfortable", [0.02, 0.01, 0.01], [2.0, 20.0]),
         ("nothing", [0.0, 0.0, 0.0], [1.0, 20.0]),
@@ -275,7 +275,7 @@ fn boxes_are_those_of_the_twin_from_comfortable_to_extreme() {
 }
 
 #[test]
-fn boxes_are_those_of_the_twin_in_real_scenes() {
+fn boxes_equal_those_of_the_twin_in_real_scenes() {
     let Some(mut engine) = engine() else { return };
     for name in ["factory_hall", "hospital"] {
         let Some(world) = data::scene(name, true) else { continue };
@@ -306,7 +306,7 @@ fn boxes_are_those_of_the_twin_in_real_scenes() {
     }
 }
 
-/// Planted faults: each side drawn in by a fifth, and two axes of the covariance swapped.
+/// Planted faults: each side moved inwards by a fifth, and two axes of the covariance swapped.
 #[test]
 fn faults_are_noticed() {
     let Some(mut engine) = engine() else { return };
@@ -333,9 +333,9 @@ fn faults_are_noticed() {
     assert!(compare(&twin, &bad).far > 25);
 }
 
-/// A second round over the same features makes nothing on the device.
+/// A second round over the same features allocates nothing on the device.
 #[test]
-fn boxes_of_the_second_frame_make_nothing() {
+fn boxes_of_the_second_frame_allocate_nothing() {
     let Some(mut engine) = engine() else { return };
     let (world, sensor) = (room(), preset("video-camera").unwrap());
     let pose = Pose::IDENTITY;

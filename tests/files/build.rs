@@ -1,4 +1,4 @@
-//! Makes glTF files.
+//! Builds glTF files.
 
 use presight_files::gltf::{ImportOptions, import};
 use presight_files::preparation::ImportedScene;
@@ -15,7 +15,7 @@ pub const U8: u32 = 5121;
 pub const U16: u32 = 5123;
 pub const U32: u32 = 5125;
 
-/// Every triangle by itself, in source order.
+/// Imports every triangle separately, in source order.
 pub const SOURCE: ImportOptions =
     ImportOptions { merge: false, merge_tolerance: 1e-6, up: None, scale: None, threads: Threads::SHARED };
 
@@ -23,7 +23,7 @@ pub const SOURCE: ImportOptions =
 pub const SQUARE: [[f32; 3]; 5] =
     [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.25, 0.75, 0.5]];
 
-/// A file in the making: JSON, and the bytes of buffer 0.
+/// A glTF file under construction: its JSON, and the bytes of buffer 0.
 #[derive(Clone)]
 pub struct Gltf {
     pub json: Value,
@@ -129,7 +129,7 @@ impl Gltf {
     }
 }
 
-/// A folder that goes away again.
+/// A temporary folder.
 pub struct Folder(TempDir);
 
 impl Folder {
@@ -154,7 +154,7 @@ pub fn mesh_triangles(object: &Object) -> Vec<Vec<[f64; 3]>> {
     (0..object.mesh.polygon_count() as u32).map(|i| object.mesh.corners_of(i).map(|p| p.to_array()).collect()).collect()
 }
 
-/// What those of `SQUARE` with these indices would be.
+/// The triangles of `SQUARE` with these indices.
 pub fn square_triangles(indices: &[[usize; 3]]) -> Vec<Vec<[f64; 3]>> {
     indices.iter().map(|t| t.iter().map(|&i| SQUARE[i].map(f64::from)).collect()).collect()
 }

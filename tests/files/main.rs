@@ -1,4 +1,4 @@
-//! Scene files and scripts: what they say, every way to be broken, and one-sided polygons through every door.
+//! Scene files and scripts: their content, every kind of damage, and one-sided polygons through every input.
 
 mod build;
 mod import;

@@ -1,7 +1,7 @@
-//! Fuzz bodies: one function per kind of input, for `tests/fuzz/main.rs` and for the targets of `fuzz/`.
+//! Fuzz bodies: one function for each kind of input, for `tests/fuzz/main.rs` and for the targets of `fuzz/`.
 //!
-//! A body panics only at a defect: a reader that panics, or accepts what breaks a promise of it. The answer is whether the
-//! input was sound.
+//! A body panics only at a defect: a reader that panics, or that accepts input which violates its guarantees. It
+//! returns true if the input was accepted.
 
 #[path = "check.rs"]
 mod check;
@@ -15,7 +15,7 @@ use presight_model::geometry::Pose;
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
-/// A folder of each thread, in memory where the system has that.
+/// A folder for each thread, in memory where the system supports it.
 struct Folder(tempfile::TempDir);
 
 impl Folder {
@@ -42,7 +42,7 @@ thread_local! {
     static FOLDER: Folder = Folder::new();
 }
 
-/// Runs `f` on the path of a file that holds the input.
+/// Runs `f` on the path of a file with the input.
 fn with_file<T>(name: &str, bytes: &[u8], f: impl FnOnce(&Path) -> T) -> T {
     FOLDER.with(|folder| f(&folder.put(name, bytes)))
 }
@@ -55,15 +55,15 @@ fn check_pose(pose: &Pose) {
     assert!(pose.translation.is_finite() && near_unit(pose.rotation), "{pose:?}");
 }
 
-/// `.glb` and `.gltf`: what is imported can be seen, and is the same after writing it.
+/// `.glb` and `.gltf`: an imported scene can be rendered, and is the same after it has been written.
 pub fn gltf(bytes: &[u8]) -> bool {
     use presight_files::gltf::{import, write_glb};
     let name = if bytes.starts_with(b"glTF") { "scene.glb" } else { "scene.gltf" };
     with_file(name, bytes, |path| {
         let Ok(scene) = import(path, &Default::default()) else { return false };
         let again = path.with_file_name("again.glb");
-        write_glb(&again, &scene.environment).expect("what was read can be written");
-        let read = import(&again, &Default::default()).expect("what was written can be read").environment;
+        write_glb(&again, &scene.environment).expect("an accepted input can be written");
+        let read = import(&again, &Default::default()).expect("a written file can be read").environment;
         assert_eq!(read.content_hash(), scene.environment.content_hash());
         check_world(scene.environment);
         true
@@ -82,7 +82,7 @@ pub fn script(bytes: &[u8]) -> bool {
     })
 }
 
-/// Sensor TOML; after a NUL, the ray table that it may name, `rays.csv`.
+/// Sensor TOML; after a NUL, the ray table `rays.csv` that it may refer to.
 pub fn sensor_toml(bytes: &[u8]) -> bool {
     let (toml, csv) =
         bytes.iter().position(|b| *b == 0).map_or((bytes, None), |i| (&bytes[..i], Some(&bytes[i + 1..])));
@@ -100,17 +100,17 @@ pub fn camera_info(bytes: &[u8]) -> bool {
     camera_info::parse(&text(bytes), "fuzz").is_ok_and(|(spec, _)| sound_sensor(&spec))
 }
 
-/// Layer files, placed in a scene, predicted with regions of interest, and written again.
+/// Layer files: placed in a scene, predicted with regions of interest, and written again.
 pub fn layer(bytes: &[u8]) -> bool {
     let Ok(file) = layer::parse(&text(bytes)) else { return false };
-    let written = layer::to_string(&file.layer).expect("what was read can be written");
+    let written = layer::to_string(&file.layer).expect("an accepted input can be written");
     let again = layer::parse(&written).unwrap_or_else(|e| panic!("{e}: {written}"));
     assert_eq!(again.layer, file.layer);
     check::check_layer(&file.layer);
     true
 }
 
-/// A store file: what is found sound can be opened, and is all that was proven.
+/// A store file: a store that passes the check can be opened, and has exactly the verified content.
 #[cfg(feature = "store")]
 pub fn store(bytes: &[u8]) -> bool {
     use presight_files::store;
@@ -121,7 +121,7 @@ pub fn store(bytes: &[u8]) -> bool {
             let _ = (store::read(path), store::log(path, |_| Ok(())), store::Store::open(path).is_ok());
             return false;
         };
-        let store = store::Store::open(path).expect("a sound store opens");
+        let store = store::Store::open(path).expect("a valid store opens");
         assert_eq!(store.world().environment().content_hash(), info.environment.content_hash());
         assert_eq!(store.changes(), info.changes);
         check_world(presight_model::environment::Environment::clone(store.world().environment()));
@@ -129,7 +129,7 @@ pub fn store(bytes: &[u8]) -> bool {
     })
 }
 
-/// Lines of changes to a store, taken back again.
+/// Change lines applied to a store and dropped again.
 #[cfg(feature = "store")]
 pub fn changes(bytes: &[u8]) -> bool {
     use presight_files::store::{Note, Store, create};
@@ -140,7 +140,7 @@ pub fn changes(bytes: &[u8]) -> bool {
             create(&path, &check::stage(), &Note::new("fuzz", 1.5)).expect("a store");
             let none = presight_model::index::Scheme::None;
             let params = presight_model::index::Params::tuned(none);
-            let mut store = Store::open_with_index(&path, none, params).expect("a sound store opens");
+            let mut store = Store::open_with_index(&path, none, params).expect("a valid store opens");
             store.without_sync().expect("an open store");
             RefCell::new(store)
         });
@@ -155,16 +155,16 @@ pub fn changes(bytes: &[u8]) -> bool {
         let lines = text.lines().filter(|line| !line.is_empty());
         let sound = lines.map(|line| batch.apply_line(line, &folder, &note).is_ok()).take_while(|sound| *sound).count();
         drop(batch);
-        assert_eq!(store.world().environment().content_hash(), before, "what is not committed is gone");
+        assert_eq!(store.world().environment().content_hash(), before, "an uncommitted change is dropped");
         sound > 0
     })
 }
 
-/// Poses of the command line; what is written of one reads back.
+/// Poses of the command line: a written pose reads back the same.
 pub fn poses(bytes: &[u8]) -> bool {
     let Ok(pose) = parse_pose(&text(bytes)) else { return false };
     check_pose(&pose);
-    let again = parse_pose(&exr::pose_to_text(&pose)).expect("what was written can be read");
+    let again = parse_pose(&exr::pose_to_text(&pose)).expect("a written file can be read");
     assert_eq!(again.translation, pose.translation);
     assert!((again.rotation - pose.rotation).length() < 1e-12, "{pose:?} is not {again:?}");
     true
@@ -178,7 +178,7 @@ pub fn trajectory(bytes: &[u8]) -> bool {
     !poses.is_empty()
 }
 
-/// Covariances of poses: six deviations, or JSON.
+/// Pose covariances: six deviations, or JSON.
 pub fn pose_covariance(bytes: &[u8]) -> bool {
     let text = text(bytes);
     let json = text.trim_start().starts_with('[');
@@ -189,7 +189,7 @@ pub fn pose_covariance(bytes: &[u8]) -> bool {
         (false, false) => return false,
     };
     let Ok(covariance) = parsed else { return false };
-    assert!(covariance.as_flattened().iter().all(|x| x.is_finite()), "{covariance:?}");
+    assert!(covariance.as_rows().as_flattened().iter().all(|x| x.is_finite()), "{covariance:?}");
     assert!((0..6).all(|i| covariance[i][i] >= 0.0), "{covariance:?}");
     true
 }
@@ -205,7 +205,7 @@ pub fn corridor(bytes: &[u8]) -> bool {
     true
 }
 
-/// Materials beside a scene.
+/// Material files next to a scene.
 pub fn materials(bytes: &[u8]) -> bool {
     let Ok(sidecar) = materials::Sidecar::parse(&text(bytes)) else { return false };
     check_pose(&sidecar.world_from_scene);
@@ -217,7 +217,7 @@ pub fn materials(bytes: &[u8]) -> bool {
     true
 }
 
-/// Robot files, beside sensor files.
+/// Robot files next to sensor files.
 pub fn robot(bytes: &[u8]) -> bool {
     with_file("robot.toml", bytes, |path| {
         let Ok((robot, _)) = presight_files::load_robot(path) else { return false };
@@ -227,18 +227,18 @@ pub fn robot(bytes: &[u8]) -> bool {
     })
 }
 
-/// Logs of sensed frames, of any kind: frames fit their sensor, times rise, and all is the same after writing it as format 1.
+/// Logs of all kinds: frames fit their sensor, times increase, and everything is the same after writing it as format 1.
 pub fn log(bytes: &[u8]) -> bool {
     with_file("fuzz.log", bytes, |path| {
         let Ok(log) = log::open(path) else { return false };
         let spec = log.sensor().spec().clone();
-        // Many beams take long to write, and are no other case.
+        // Many beams take long to write and add no case.
         if !sound_sensor(&spec) {
             return false;
         }
         let (mut frames, mut sound, mut time) = (Vec::new(), true, f64::NEG_INFINITY);
         for frame in log {
-            // After an error there is no frame.
+            // After an error there are no more frames.
             assert!(sound, "a frame after an error");
             let Ok(frame) = frame else {
                 sound = false;
@@ -250,18 +250,19 @@ pub fn log(bytes: &[u8]) -> bool {
             [frame.odometry, frame.reference].iter().flatten().for_each(check_pose);
             frames.push(frame);
         }
-        let lines: String = frames.iter().map(|frame| log::lines::line(frame) + "\n").collect();
+        let lines: String =
+            frames.iter().map(|frame| log::lines::line(frame).expect("a frame that was read") + "\n").collect();
         let again = path.with_file_name("again.jsonl");
         std::fs::write(&again, format!("{}\n{lines}", log::lines::header(&spec))).expect("a file");
-        let read = log::open(&again).expect("what was written can be read");
+        let read = log::open(&again).expect("a written file can be read");
         let read: Vec<_> = read.map(|frame| frame.expect("a frame that was written")).collect();
-        // NaN is unlike itself, its name is not.
+        // NaN does not equal itself, but its text does.
         assert_eq!(format!("{read:?}"), format!("{frames:?}"));
         sound && !read.is_empty()
     })
 }
 
-/// Images: what is read is whole, and the same after writing it.
+/// Images: an accepted file is complete, and the same after it has been written.
 pub fn exr(bytes: &[u8]) -> bool {
     with_file("fuzz.exr", bytes, |path| {
         let Ok(file) = exr::read(path) else { return false };
@@ -272,8 +273,8 @@ pub fn exr(bytes: &[u8]) -> bool {
             assert_eq!(len, Some(images.pixels()), "{}", output.name());
         }
         file.attributes.world_from_sensor.iter().for_each(check_pose);
-        exr::write(path, images, outputs, &file.attributes).expect("what was read can be written");
-        let again = exr::read(path).expect("what was written can be read");
+        exr::write(path, images, outputs, &file.attributes).expect("an accepted input can be written");
+        let again = exr::read(path).expect("a written file can be read");
         let report = presight_render::verify::compare_exactly(images, &again.images).expect("images of one shape");
         assert_eq!(report.fault, 0);
         assert_eq!(format!("{:?}", again.attributes), format!("{:?}", file.attributes));
@@ -281,7 +282,7 @@ pub fn exr(bytes: &[u8]) -> bool {
     })
 }
 
-/// Random polygons before random sensors: the CPU engine against the reference.
+/// Random polygons in front of random sensors: compares the CPU engine with the reference.
 pub fn scenes(bytes: &[u8]) -> bool {
     let Some(case) = generate::case(bytes) else { return false };
     let (world, pose, sensors) = case.build();

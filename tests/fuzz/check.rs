@@ -1,4 +1,4 @@
-//! What must hold of everything that a reader accepts.
+//! Checks that hold for everything that a reader accepts.
 
 use crate::common::{plan, reference, scenes};
 use glam::{DQuat, DVec3, Vec3};
@@ -15,7 +15,7 @@ use presight_render::verify::{Precision, compare};
 use std::cell::RefCell;
 use std::sync::Arc;
 
-/// Most pixels, and polygons, of what is predicted: the others are too slow to try often.
+/// The largest number of pixels and polygons of a prediction: larger ones are too slow.
 const MOST_PIXELS: u64 = 4096;
 const MOST_POLYGONS: u32 = 2000;
 
@@ -23,12 +23,12 @@ thread_local! {
     static ENGINE: RefCell<cpu::CpuEngine> = RefCell::new(cpu::CpuEngine::new(1).expect("a thread"));
 }
 
-/// Length 1 within rounding.
+/// Returns true if the length is 1 within rounding.
 pub fn near_unit(q: DQuat) -> bool {
     (q.length_squared() - 1.0).abs() < 1e-9
 }
 
-/// A box at the origin of an object of its own and a wall, named as the corpora name them.
+/// A box at the origin of its own object and a wall, with the names used in the corpora.
 pub fn stage() -> Environment {
     let mut environment = scenes::empty();
     let boxes = Arc::new(scenes::cuboid(Vec3::new(-0.5, -0.5, 0.0), Vec3::new(0.5, 0.5, 2.0)));
@@ -36,13 +36,13 @@ pub fn stage() -> Environment {
         .map(Vec3::from)
         .to_vec()]));
     let at = |x: f64| Pose::from_xyz_rpy(DVec3::new(x, 0.0, 0.0), 0.0, 0.0, 0.1);
-    environment.insert(NewObject::new("box", at(4.0), boxes.clone())).expect("a sound object");
-    environment.insert(NewObject::new("hall/door", at(6.0), boxes)).expect("a sound object");
-    environment.insert(NewObject::new("wall", at(8.0), wall)).expect("a sound object");
+    environment.insert(NewObject::new("box", at(4.0), boxes.clone())).expect("a valid object");
+    environment.insert(NewObject::new("hall/door", at(6.0), boxes)).expect("a valid object");
+    environment.insert(NewObject::new("wall", at(8.0), wall)).expect("a valid object");
     environment
 }
 
-/// Holds the CPU engine to the reference, and both to what is documented of NaN.
+/// Compares the CPU engine with the reference, and checks both against the documented use of NaN.
 pub fn check_view(world: &World, sensor: &Sensor, pose: &Pose) {
     let plan = plan(world, sensor, pose);
     let shown = reference(&plan);
@@ -55,7 +55,7 @@ pub fn check_view(world: &World, sensor: &Sensor, pose: &Pose) {
     assert_eq!(report.fault, 0, "{}: first {:#?}", sensor.spec().name, report.faults.first());
 }
 
-/// NaN without a ray, and as the angle of nothing; nowhere else.
+/// NaN occurs where there is no ray, and as the angle where there is no hit; nowhere else.
 fn check_numbers(images: &Images, sensor: &Sensor) {
     let width = images.width;
     for (i, id) in images.polygon_id.iter().enumerate() {
@@ -76,7 +76,7 @@ fn check_numbers(images: &Images, sensor: &Sensor) {
     }
 }
 
-/// A prediction of a scene that was read.
+/// Predicts an imported scene.
 pub fn check_world(environment: Environment) {
     let bounds = environment.bounds();
     if environment.slot_count() > MOST_POLYGONS || environment.slot_count() == 0 || !bounds.min.is_finite() {
@@ -90,7 +90,7 @@ pub fn check_world(environment: Environment) {
     }
 }
 
-/// A sensor that was read: its rays, its text, and a prediction. False if it is refused later.
+/// An imported sensor: checks its rays and its text, and predicts. Returns false if it is refused later.
 pub fn sound_sensor(spec: &SensorSpec) -> bool {
     assert!(near_unit(spec.mount.rotation) && spec.mount.translation.is_finite(), "{:?}", spec.mount);
     let (width, height) = spec.geometry.size();
@@ -110,7 +110,7 @@ pub fn sound_sensor(spec: &SensorSpec) -> bool {
     true
 }
 
-/// A layer that was read: features in a scene, seen and with their boxes. False if the scene refuses it.
+/// An imported layer: predicts its features in a scene with their boxes. Returns false if the scene refuses it.
 pub fn check_layer(layer: &FeatureLayer) -> bool {
     let mut environment = stage();
     let layer = FeatureLayer { class: "video".into(), ..layer.clone() };
@@ -120,13 +120,12 @@ pub fn check_layer(layer: &FeatureLayer) -> bool {
     let world = World::new(environment);
     let Ok(placed) = place(&world, &layer) else { return false };
     let camera = Camera::pinhole(33, 25, 20.0, 20.0, 16.0, 12.0);
-    let sensor = Sensor::new(SensorSpec::new("camera", "video", Geometry::Camera(camera))).expect("a sound camera");
+    let sensor = Sensor::new(SensorSpec::new("camera", "video", Geometry::Camera(camera))).expect("a valid camera");
     let pose = Pose::from_xyz_rpy(DVec3::new(0.0, 0.3, 1.0), 0.0, 0.0, 0.0);
     let images = reference(&plan(&world, &sensor, &pose));
     let options = FeatureSettings { feature_id: true, ..FeatureSettings::default() };
     let Ok(mut seen) = predict_features(&world, &sensor, &pose, &images, &placed, &options) else { return false };
-    let covariance = std::array::from_fn(|i| std::array::from_fn(|j| if i == j { 1e-4 } else { 0.0 }));
-    let boxes = BoxOptions::default().with_sensor(covariance);
+    let boxes = BoxOptions::default().with_sensor_sigmas([0.01; 6]);
     if add_boxes(
         &mut seen,
         &BoxQuery { placed: &placed, world: &world, sensor: &sensor, world_from_sensor: &pose, options: &boxes },

@@ -1,9 +1,9 @@
-//! Hard scenes out of bytes, so that a fuzzer that sees the code's branches can steer them.
+//! Makes hard scenes from bytes, so that a coverage-guided fuzzer can steer them.
 
 use crate::common::hard::{Case, Shape, ShapePlacement};
 use arbitrary::{Result, Unstructured};
 
-/// A scene; `None` if there are too few bytes for one.
+/// Returns a scene; `None` if there are too few bytes for one.
 pub fn case(bytes: &[u8]) -> Option<Case> {
     let mut u = Unstructured::new(bytes);
     if bytes.len() < 16 {
@@ -70,7 +70,7 @@ fn between(u: &mut Unstructured<'_>, least: f64, most: f64) -> Result<f64> {
     Ok(least + (most - least) * f64::from(u.arbitrary::<u32>()?) / f64::from(u32::MAX))
 }
 
-/// Over orders of magnitude.
+/// A length over several orders of magnitude.
 fn length(u: &mut Unstructured<'_>, least: f64, most: f64) -> Result<f64> {
     Ok(between(u, least.ln(), most.ln())?.exp())
 }

@@ -1,10 +1,10 @@
-//! Fuzz bodies over their corpora and over generated inputs.
+//! Runs the fuzz bodies on their corpora and on generated inputs.
 //!
-//! `PRESIGHT_FUZZ_SECONDS` says how long each target runs (default 1), `PROPTEST_RNG_SEED` which inputs are made (the same
-//! ones each time without it, as far as the time reaches). An input at fault is written to a file, which the message names.
-//! `PRESIGHT_FUZZ_INPUT=FILE cargo test --test fuzz TARGET` runs that one input again.
+//! `PRESIGHT_FUZZ_SECONDS` sets the time of each target (default 1) and `PROPTEST_RNG_SEED` the seed of the inputs,
+//! which is fixed by default. A failing input is written to a file, which the message names. `PRESIGHT_FUZZ_INPUT=FILE
+//! cargo test --test fuzz TARGET` runs that one input again.
 
-#![expect(clippy::print_stderr, reason = "how much was run is said")]
+#![expect(clippy::print_stderr, reason = "the tests print how much was run")]
 
 mod bodies;
 use presight_testkit as common;
@@ -17,12 +17,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-/// Longest one input may take on a busy machine; no reader of the corpora's sizes takes a hundredth of it.
+/// The longest time for one input on a busy machine; readers take less than a hundredth of it for the corpora's sizes.
 const SLOW: Duration = Duration::from_secs(20);
-/// Most memory of the process, all targets together, bytes: as much as the command is held to.
+/// The largest memory of the process, all targets together, in bytes: the same limit as for the command.
 const MEMORY: u64 = 500_000_000;
 
-/// The input that is being run, for the guard and the message.
+/// The current input, for the guard and the message.
 #[derive(Default)]
 struct Running {
     input: Vec<u8>,
@@ -35,7 +35,7 @@ struct Target {
     words: &'static [&'static str],
 }
 
-/// A failing input goes where a build's own files go.
+/// Writes a failing input to the build folder.
 fn keep(name: &str, input: &[u8]) -> PathBuf {
     let hash = input.iter().fold(0xcbf2_9ce4_8422_2325_u64, |h, b| (h ^ u64::from(*b)).wrapping_mul(0x100_0000_01b3));
     let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("fuzz-{name}-{hash:016x}"));
@@ -45,13 +45,13 @@ fn keep(name: &str, input: &[u8]) -> PathBuf {
     }
 }
 
-/// Resident memory of this process, where the system tells.
+/// The resident memory of this process, where the system reports it.
 fn resident() -> u64 {
     let pages = || std::fs::read_to_string("/proc/self/statm").ok()?.split(' ').nth(1)?.parse::<u64>().ok();
     pages().unwrap_or(0) * 4096
 }
 
-/// Ends the process at an input that takes too long or too much memory: nothing else stops it.
+/// Ends the process at an input that takes too long or too much memory, because nothing else would stop it.
 fn guard(name: &'static str, running: Arc<Mutex<Running>>, ended: Arc<AtomicBool>) {
     while !ended.load(Ordering::Relaxed) {
         std::thread::sleep(Duration::from_millis(100));
@@ -99,7 +99,7 @@ impl Target {
         let guard = std::thread::spawn(move || guard(name, shared, end));
         let corpus = self.corpus();
         let sound = corpus.iter().filter(|input| self.once(input, &running)).count();
-        // A corpus of which all is refused, or nothing, tries little.
+        // A corpus that is accepted or refused as a whole tests little.
         assert!(sound > 0 && sound < corpus.len(), "{name}: {sound} of {} inputs are sound", corpus.len());
         let seconds = env_number("PRESIGHT_FUZZ_SECONDS", 1);
         let (start, mut made, mut accepted) = (Instant::now(), 0u64, 0u64);

@@ -1,8 +1,8 @@
-//! Inputs by mutation: what a fuzzer does, without its feedback, on any toolchain.
+//! Makes inputs by mutation, as a fuzzer does but without its feedback, on any toolchain.
 
 use crate::common::Random;
 
-/// What stands where a number stood.
+/// Replacements for numbers.
 const NUMBERS: [&str; 29] = [
     "0",
     "-0",
@@ -41,7 +41,7 @@ const TOKENS: [&str; 20] = [
     "\\u0000",
 ];
 
-/// Makes inputs of a corpus and words of the format.
+/// Makes inputs from a corpus and words of the format.
 pub struct Mutator<'a> {
     dice: Random,
     corpus: &'a [Vec<u8>],
@@ -50,7 +50,7 @@ pub struct Mutator<'a> {
 }
 
 impl<'a> Mutator<'a> {
-    /// Inputs grow to twice the longest of the corpus at most.
+    /// The largest input is twice the longest in the corpus.
     pub fn new(corpus: &'a [Vec<u8>], words: &'a [&'a str], seed: u64) -> Self {
         let most = 2 * corpus.iter().map(Vec::len).max().unwrap_or(0) + 64;
         Self { dice: Random(seed), corpus, words, most }
@@ -60,7 +60,7 @@ impl<'a> Mutator<'a> {
     pub fn next(&mut self, out: &mut Vec<u8>) {
         out.clear();
         out.extend_from_slice(&self.corpus[self.dice.below(self.corpus.len())]);
-        // One change mostly, sixteen rarely: many changes only make what every reader refuses at once.
+        // Mostly one change, rarely sixteen: with many changes every reader refuses the input at once.
         let changes = 1 + self.dice.bits().trailing_zeros().min(15);
         for _ in 0..changes {
             self.change(out);
@@ -92,7 +92,7 @@ impl<'a> Mutator<'a> {
         }
     }
 
-    /// A part of another input.
+    /// Inserts a part of another input.
     fn splice(&mut self, out: &mut Vec<u8>, at: usize) {
         let other = &self.corpus[self.dice.below(self.corpus.len())];
         let from = self.dice.below(other.len() + 1);
@@ -108,7 +108,7 @@ impl<'a> Mutator<'a> {
         put(out, at, over, token.as_bytes());
     }
 
-    /// Another number for the first one at or after a place, or for the text's last one.
+    /// Replaces the first number at or after a place, or the text's last one.
     fn number(&mut self, out: &mut Vec<u8>, at: usize) {
         let digit = |b: &u8| b.is_ascii_digit();
         let Some(start) = out[at..].iter().position(digit).map(|i| at + i).or_else(|| out.iter().rposition(digit))
@@ -125,7 +125,7 @@ impl<'a> Mutator<'a> {
     }
 }
 
-/// Bytes over `over` others, or between.
+/// Replaces `over` bytes by others, or inserts these if `over` is 0.
 fn put(out: &mut Vec<u8>, at: usize, over: usize, bytes: &[u8]) {
     let end = (at + over).min(out.len());
     out.splice(at..end, bytes.iter().copied());

@@ -1,6 +1,6 @@
-//! The echo image: reflection factor times cos_incidence, the same from every engine, and free unless asked for.
+//! The echo image: reflection factor times cos_incidence, equal on every engine, and free unless requested.
 
-#![allow(clippy::print_stderr, reason = "what was compared is worth reading")]
+#![allow(clippy::print_stderr, reason = "the tests print their comparisons")]
 
 use presight_testkit as common;
 
@@ -14,11 +14,11 @@ use presight_predict::request::Request;
 use presight_render::plan::{FramePlan, IdScheme, Images, Output, Outputs};
 use presight_render::verify::compare;
 
-/// Reflection factors by material; none is a power of two, so that every product rounds.
+/// Reflection factors by material; none is a power of two, so that every product is rounded.
 const FACTORS: [f64; 4] = [0.9, 0.3, 0.07, 0.0];
 
-/// A room of six walls in four materials, and a box of one material in it. Polygons are ordered spatially and their
-/// source numbers run backwards: neither is the other's order.
+/// A room of six walls in four materials, with a box of one material in it. Polygons are ordered spatially and their
+/// source numbers run backwards, so neither order is the other's.
 fn world() -> World {
     let mut environment = Environment::new();
     for reflection in FACTORS {
@@ -49,7 +49,7 @@ fn plan(world: &World, sensor: &Sensor, outputs: Outputs, ids: IdScheme) -> Fram
     FramePlan::new(world, sensor, &pose(), &Request::of(outputs).with_ids(ids)).unwrap()
 }
 
-/// What the materials say, polygon by polygon, without the step under test.
+/// The echo by the materials, polygon by polygon, without the stage under test.
 fn expected(world: &World, images: &Images, at: usize) -> f32 {
     let Some(slot) = images.polygon_id[at].checked_sub(1) else { return f32::NAN };
     let (object, polygon) = world.environment().locate(slot).unwrap();
@@ -58,7 +58,7 @@ fn expected(world: &World, images: &Images, at: usize) -> f32 {
 }
 
 #[test]
-fn it_is_the_factor_of_the_seen_material_times_the_cosine() {
+fn the_echo_is_the_material_factor_times_the_cosine() {
     let world = world();
     for sensor in [scenes::camera(61, 47), scenes::scanner(72, 21), scenes::all_round(40, 21)] {
         let all = reference(&plan(&world, &sensor, Outputs::ALL, IdScheme::Model));
@@ -72,7 +72,7 @@ fn it_is_the_factor_of_the_seen_material_times_the_cosine() {
             }
         }
         assert!(seen.iter().filter(|n| **n > 10).count() >= 3, "the scene shows too little: {seen:?}");
-        // The same whatever polygons are numbered by, and whatever else is asked for.
+        // The same for every id scheme and every set of outputs.
         for ids in [IdScheme::Model, IdScheme::Source] {
             let lone = reference(&plan(&world, &sensor, Outputs::of(&[Output::Echo]), ids));
             assert_eq!(lone.outputs(), Outputs::of(&[Output::Echo]));
@@ -99,7 +99,7 @@ fn engines_agree_and_a_planted_fault_is_caught() {
                     let report = common::compare_or_show(&right, &got, &plan, *precision);
                     eprintln!("{precision:?} {}: {}", sensor.spec().name, summary(&report));
                     report.check(0.01).unwrap();
-                    // The neighbouring material's factor, at one pixel.
+                    // Planted fault: the neighbouring material's factor at one pixel.
                     let at = (0..got.pixels()).find(|i| got.echo[*i] > 0.1).unwrap();
                     let mut wrong = got.clone();
                     wrong.echo[at] *= 0.999;
@@ -111,13 +111,13 @@ fn engines_agree_and_a_planted_fault_is_caught() {
 }
 
 #[test]
-fn unasked_it_is_neither_there_nor_needs_anything() {
+fn without_a_request_there_is_no_echo_and_no_cost() {
     let world = world();
     let sensor = scenes::camera(31, 23);
     let without = plan(&world, &sensor, Outputs::of(&[Output::Range]), IdScheme::Model);
     assert_eq!(without.drawn(), Outputs::of(&[Output::Range]));
     assert!(reference(&without).echo.is_empty());
-    // One factor for everything: nobody needs to know what is seen.
+    // With one factor for everything no stage needs the material.
     let plain = scenes::room_world(3, 4);
     let asked = FramePlan::new(&plain, &sensor, &Pose::IDENTITY, &Request::of(Outputs::of(&[Output::Echo]))).unwrap();
     assert_eq!(asked.drawn(), Outputs::of(&[Output::CosIncidence]));

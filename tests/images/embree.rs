@@ -1,9 +1,9 @@
-//! The reference against images that Embree made of the same scenes (`data/reference`).
+//! Compares the reference with images that Embree rendered of the same scenes (`data/reference`).
 //!
-//! Depth decides; ids are compared at stable pixels only, and another id is accepted where the depth is the same: the
-//! models hold coincident faces. Stable pixels see one triangle with all rays within 0.02 pixels.
+//! The depth decides. Ids are compared only at stable pixels, and another id is accepted where the depth is the same,
+//! because the models have coincident faces. All rays within 0.02 pixels of a stable pixel hit the same triangle.
 
-#![expect(clippy::print_stderr, reason = "what agrees and what does not is worth reading")]
+#![expect(clippy::print_stderr, reason = "the test prints the agreement")]
 
 use presight_testkit as common;
 
@@ -37,7 +37,7 @@ fn floats(name: &str) -> Vec<f32> {
     words(name).into_iter().map(f32::from_le_bytes).collect()
 }
 
-/// Ids of the images start at 1, Embree's at 0 with its own number for nothing.
+/// Ids of the images start at 1; Embree's start at 0 with a special number for no hit.
 fn ids(name: &str) -> Vec<u32> {
     words(name).into_iter().map(|w| u32::from_le_bytes(w).wrapping_add(1)).collect()
 }
@@ -52,10 +52,10 @@ fn vector(v: &Value) -> DVec3 {
 
 fn images(world: &World, sensor: &Sensor, pose: &Pose) -> Images {
     let request = Request::of(Outputs::ALL).with_ids(IdScheme::Source);
-    common::reference(&FramePlan::new(world, sensor, pose, &request).expect("a sound pose"))
+    common::reference(&FramePlan::new(world, sensor, pose, &request).expect("a valid pose"))
 }
 
-/// Compares lengths, then depths, then ids; the number of stable pixels whose depth agrees comes back.
+/// Compares lengths, then depths, then ids; returns the number of stable pixels with equal depth.
 fn check(name: &str, depth: &[f32], id: &[u32], images: &[f32], polygon_id: &[u32], stable: &[u8]) -> usize {
     assert_eq!((depth.len(), id.len(), stable.len()), (images.len(), polygon_id.len(), images.len()), "{name}");
     let mut agree = 0;
@@ -109,7 +109,7 @@ fn check_scene(scene: &str, entry: &Value, intrinsics: &Value) {
     let pose = Pose::new(Z_UP_FROM_Y_UP * vector(&lidar["position"]), DQuat::IDENTITY).unwrap();
     let ours = images(&world, &sensor, &pose);
     let (range, id) = (floats(&format!("{file}.range.f32")), ids(&format!("{file}.gid.u32")));
-    // No mask was stored: a pixel beside a jump in range or id is taken for unstable.
+    // No mask was stored, so a pixel next to a jump in range or id counts as unstable.
     let stable: Vec<u8> = (0..id.len())
         .map(|i| {
             let (row, column) = (i / 720, i % 720);
@@ -121,7 +121,7 @@ fn check_scene(scene: &str, entry: &Value, intrinsics: &Value) {
 }
 
 #[test]
-fn depths_and_ranges_are_those_of_embree() {
+fn depths_and_ranges_equal_embrees() {
     let Some(list) = data::file("reference/reference.json") else {
         return;
     };

@@ -1,10 +1,11 @@
-//! Every engine against the reference, in full images, at free poses of real scenes.
+//! Compares every engine with the reference in full images at free poses of real scenes.
 //!
-//! `PRESIGHT_SEED`, `PRESIGHT_POSES` (per scene; half as many for the GPU engine) and `PRESIGHT_PRESETS` (per pose) spread
-//! runs, `PRESIGHT_SCENES` names scenes, comma-separated. By default 4 of the 8 presets take their turn at each pose, other
-//! ones in each scene and for each seed: two poses see every preset, and two seeds do so for a single pose.
+//! `PRESIGHT_SEED`, `PRESIGHT_POSES` (per scene; half as many for the GPU engine) and `PRESIGHT_PRESETS` (per pose)
+//! vary the runs, `PRESIGHT_SCENES` names scenes, separated by commas. By default 4 of the 8 presets alternate over the
+//! poses, with a different order in each scene and for each seed: two poses cover every preset, and two seeds do so for
+//! a single pose.
 
-#![expect(clippy::print_stderr, reason = "what was compared and where it failed is worth reading")]
+#![expect(clippy::print_stderr, reason = "the tests print their comparisons")]
 
 use presight_testkit as common;
 
@@ -15,7 +16,7 @@ use presight_render::plan::{FramePlan, Images};
 use presight_render::verify::{Precision, Report};
 use std::time::Instant;
 
-/// Edge pixels beyond this share fail, in scenes where rays and edges meet by chance only.
+/// A larger share of edge pixels fails, in scenes where rays hit edges only by chance.
 const MOST_EDGE_SHARE: f64 = 1e-4;
 
 fn check_room(mut render: impl FnMut(&FramePlan) -> Images, precision: Precision) {
@@ -33,7 +34,7 @@ fn check_room(mut render: impl FnMut(&FramePlan) -> Images, precision: Precision
     report.check(MOST_EDGE_SHARE).unwrap();
 }
 
-/// Full images at each pose by `share` presets, or all.
+/// Compares full images at each pose for `share` presets, or for all.
 fn check_scenes(mut render: impl FnMut(&FramePlan) -> Images, precision: Precision, poses: usize, share: usize) {
     let wanted = std::env::var("PRESIGHT_SCENES").unwrap_or_else(|_| data::SCENES.join(","));
     let seed = env_number("PRESIGHT_SEED", 1);
@@ -64,7 +65,7 @@ fn poses() -> usize {
     env_number("PRESIGHT_POSES", 2) as usize
 }
 
-/// How many presets at each pose.
+/// The number of presets at each pose.
 fn share() -> usize {
     env_number("PRESIGHT_PRESETS", 4) as usize
 }

@@ -1,6 +1,6 @@
-//! The GPU engine against the reference, on whatever adapter there is (lavapipe in CI), 64-bit and 32-bit atomics.
+//! Compares the GPU engine with the reference on any adapter (lavapipe in CI), with 64-bit and 32-bit atomics.
 #![cfg(feature = "gpu")]
-#![expect(clippy::print_stderr, reason = "the worst errors are worth reading")]
+#![expect(clippy::print_stderr, reason = "the tests print the worst errors")]
 
 use presight_testkit as common;
 
@@ -22,7 +22,7 @@ use presight_render::plan::{Images, Output, Outputs, Stats};
 use presight_render::verify::{Precision, Report};
 use std::sync::Arc;
 
-/// The engine, or `None` where there is no adapter and the machine may lack one.
+/// Returns the engine, or `None` where there is no adapter and the machine may lack one.
 fn engine(options: DeviceOptions, setup: Setup) -> Option<GpuEngine> {
     match testing::open(options, setup) {
         Ok(engine) => Some(engine),
@@ -33,7 +33,7 @@ fn engine(options: DeviceOptions, setup: Setup) -> Option<GpuEngine> {
     }
 }
 
-/// Both ways of keeping the nearest; the second resolves images on the device even where that is a program.
+/// Both kinds of depth keys; the second engine resolves images on the device even on a software adapter.
 fn engines() -> Vec<(&'static str, GpuEngine)> {
     let with = |other| {
         let options = DeviceOptions { without_int64: other, ..Default::default() };
@@ -46,7 +46,7 @@ fn count(stats: &Stats, name: &str) -> u64 {
     stats.counts.iter().find(|(n, _)| n.name().contains(name)).unwrap_or_else(|| panic!("no count {name}")).1
 }
 
-/// Images of values that no prediction gives.
+/// Images filled with values that no prediction gives.
 fn poisoned(sensor: &Sensor) -> Images {
     let mut images = Images::default();
     images.prepare(sensor.width(), sensor.height(), Outputs::ALL);
@@ -59,7 +59,7 @@ fn poisoned(sensor: &Sensor) -> Images {
     images
 }
 
-/// Renders and compares; no fault, few edges, no internal error.
+/// Renders and compares: no fault, few edge pixels, no internal error.
 fn check(name: &str, engine: &mut GpuEngine, world: &World, sensor: &Sensor, pose: &Pose) -> (Images, Stats) {
     let plan = plan(world, sensor, pose);
     let (mut images, mut stats) = (poisoned(sensor), Stats::default());
@@ -110,7 +110,7 @@ fn sensors() -> Vec<Sensor> {
         scanner("listed", listed, uniform(-80.0, 2.5, 65), 75.0),
         sensor("table", Geometry::Rays(RayTable::new(90, 70, table.collect()).unwrap()), 75.0),
         sensor("lens", Geometry::Camera(lens), 75.0),
-        // More samples than a uniform buffer holds.
+        // More samples than a uniform buffer can hold.
         scanner("tall", uniform(0.0, 90.0, 2), uniform(-60.0, 0.05, 2200), 75.0),
     ]
 }
@@ -127,7 +127,7 @@ fn insert(environment: &mut Environment, world_from_mesh: DAffine3, mesh: &Arc<M
     environment.insert(NewObject::from_affine("box", world_from_mesh, mesh.clone()).unwrap()).unwrap();
 }
 
-/// A room with boxes: turned, scaled, mirrored, some one-sided, some absent, all from two meshes.
+/// A room with boxes from two meshes: rotated, scaled, mirrored, some one-sided, some deleted.
 fn scene(seed: u64, boxes: usize, offset: DVec3) -> World {
     let mut random = common::Random(seed);
     let mut environment = Environment::new();
@@ -194,8 +194,8 @@ fn a_site_in_utm_metres_keeps_its_millimetres() {
     }
 }
 
-/// One big polygon far from f32's reach: whether it is seen depends on the sign of a tiny distance. A mirrored one is seen
-/// from where it is seen without the mirror.
+/// One large polygon beyond f32's resolution: its visibility depends on the sign of a tiny distance. A mirrored one is
+/// visible from the same side as without the mirror.
 fn floor(scale: DVec3) -> World {
     let vertices = vec![
         Vec3::new(-50.0, -50.0, 0.0),
@@ -219,13 +219,13 @@ fn a_sensor_just_off_a_floor_knows_its_side() {
     }
 }
 
-/// `up` is 1 or -1: where the floor's front is in its frame.
+/// `up` is 1 or -1: the side of the floor's front in its frame.
 fn a_sensor_just_off_it_knows_its_side(world: &World, up: f64) {
     let normal = world.environment().objects()[0].world_from_object.rotation * (up * DVec3::Z);
     for (name, mut engine) in engines() {
         for sensor in sensors() {
             for height in [1e-9, 1e-6, 1e-4, 1e-3, 1e-2, 0.0, -1e-6] {
-                // It looks at the floor, from either side.
+                // The sensor looks at the floor from either side.
                 let pose = Pose::from_xyz_rpy(height * normal, 0.1, up * 0.8, 0.3);
                 let (images, stats) = check(name, &mut engine, world, &sensor, &pose);
                 let hits = images.polygon_id.iter().filter(|id| **id > 0).count();
@@ -261,7 +261,7 @@ fn ties_go_to_the_lower_id() {
 }
 
 #[test]
-fn only_what_is_asked_is_delivered_and_it_is_the_same() {
+fn only_requested_outputs_are_delivered_and_they_are_the_same() {
     let world = scene(3, 10, DVec3::ZERO);
     let pose = poses(DVec3::ZERO)[1];
     for ((name, mut engine), sensor) in engines().into_iter().zip([&sensors()[0], &sensors()[1]]) {
@@ -281,8 +281,8 @@ fn only_what_is_asked_is_delivered_and_it_is_the_same() {
 }
 
 #[test]
-fn what_does_not_fit_is_counted_and_run_again() {
-    // More instances than a uniform buffer holds.
+fn overflows_are_counted_and_run_again() {
+    // More instances than a uniform buffer can hold.
     let world = scene(4, 1500, DVec3::ZERO);
     let sensor = scanner("image", uniform(-180.0, 0.5, 720), uniform(-25.0, 1.5, 34), 75.0);
     for (name, mut engine) in engines() {
@@ -297,10 +297,10 @@ fn what_does_not_fit_is_counted_and_run_again() {
 }
 
 #[test]
-fn in_steady_state_nothing_is_made() {
+fn in_steady_state_nothing_is_allocated() {
     let (world, sensors, poses) = (scene(7, 200, DVec3::ZERO), sensors(), poses(DVec3::ZERO));
     for (name, mut engine) in engines() {
-        // Sensors by turns, as a robot has them.
+        // Sensors in turns, as on a robot.
         let round = |engine: &mut GpuEngine, sensors: &[Sensor]| {
             let images = poses.iter().flat_map(|pose| sensors.iter().map(move |s| (pose, s)));
             images.map(|(pose, s)| check(name, engine, &world, s, pose).0.polygon_id).collect::<Vec<_>>()
@@ -313,7 +313,7 @@ fn in_steady_state_nothing_is_made() {
             assert_eq!(first, round(&mut engine, &sensors), "{name}");
             assert_eq!(made, engine.allocations(), "{name}: the same poses again need nothing more");
         }
-        // The counts do tell: another world brings meshes, a larger image brings buffers.
+        // The counts change when they should: another world needs meshes, a larger image needs buffers.
         check(name, &mut engine, &scene(8, 5, DVec3::ZERO), &sensors[0], &poses[0]);
         assert!(engine.allocations().staged > made.staged, "{name}");
         let large = sensor("large", Geometry::Camera(Camera::pinhole(700, 500, 600.0, 600.0, 350.0, 250.0)), 75.0);
@@ -333,7 +333,7 @@ fn an_empty_world_and_changing_worlds_are_right() {
         let (images, _) = check("empty", &mut engine, &empty, &sensor, &Pose::IDENTITY);
         assert!(images.polygon_id.iter().all(|id| *id == 0));
         for seed in 0..3 {
-            // Each world has meshes of its own, at addresses that may have been used before.
+            // Each world has its own meshes, at addresses that may have been used before.
             check("changing", &mut engine, &scene(seed, 5, DVec3::ZERO), &sensor, &poses(DVec3::ZERO)[1]);
         }
     }
@@ -357,7 +357,7 @@ fn a_lost_device_is_a_typed_error_and_a_new_engine_works() {
 }
 
 #[test]
-fn too_much_for_the_device_is_a_typed_error_and_the_engine_goes_on() {
+fn too_much_for_the_device_is_a_typed_error_and_the_engine_stays_usable() {
     let Some(mut engine) =
         engine(DeviceOptions::default(), Setup { largest_binding: Some(1 << 20), ..Setup::default() })
     else {
@@ -372,7 +372,7 @@ fn too_much_for_the_device_is_a_typed_error_and_the_engine_goes_on() {
 }
 
 #[test]
-fn a_software_adapter_is_not_taken_for_hardware() {
+fn a_software_adapter_does_not_count_as_hardware() {
     let adapters = presight_predict::gpu::adapters();
     let found = GpuEngine::new(DeviceOptions { hardware_only: true, ..Default::default() });
     if adapters.iter().any(|a| a.hardware) {

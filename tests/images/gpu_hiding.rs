@@ -1,4 +1,5 @@
-//! What the GPU engine leaves out because earlier waves hide it: the images are those of setting up every polygon, bit for bit.
+//! Geometry that the GPU engine skips because earlier waves hide it: the images equal those with every polygon set up,
+//! bit for bit.
 #![cfg(feature = "gpu")]
 
 use presight_testkit as common;
@@ -20,7 +21,7 @@ use std::sync::Arc;
 
 fn engine(hiding: Hiding, without_int64: bool) -> Option<GpuEngine> {
     let options = DeviceOptions { without_int64, ..Default::default() };
-    // Images are resolved on the device in one of the two, as in `gpu`.
+    // One of the two resolves images on the device, as in `gpu`.
     let setup = Setup { hiding, all_on_device: without_int64, ..Setup::default() };
     testing::open(options, setup).map_err(no_adapter).ok()
 }
@@ -43,7 +44,7 @@ fn sensors() -> Vec<Sensor> {
     [camera, scanner].into_iter().chain(rows).chain(rays).collect()
 }
 
-/// Runs and polygons hidden, where images with and without hiding are one.
+/// Returns the runs and polygons hidden, where images with and without hiding are equal.
 fn compare(world: &World, sensors: &[Sensor], poses: &[Pose]) -> [u64; 2] {
     let mut hidden = [0; 2];
     for without_int64 in [false, true] {
@@ -60,7 +61,7 @@ fn compare(world: &World, sensors: &[Sensor], poses: &[Pose]) -> [u64; 2] {
                     sensor.spec().name
                 );
             }
-            // Nothing is counted where nothing is in view.
+            // Without anything in view there are no counts.
             hidden[0] += stats.count_of(CountName::RunsHidden).unwrap_or(0);
             hidden[1] += stats.count_of(CountName::PolygonsHidden).unwrap_or(0);
         }
@@ -73,7 +74,7 @@ fn has_adapter() -> bool {
 }
 
 #[test]
-fn images_of_rooms_and_halls_are_those_without_hiding() {
+fn images_of_rooms_and_halls_equal_those_without_hiding() {
     let hall = open_hall(3, 30_000);
     let poses = hall_poses(&hall, 5, 2);
     let [runs, polygons] = compare(&World::new(hall), &sensors(), &poses);
@@ -86,7 +87,7 @@ fn images_of_rooms_and_halls_are_those_without_hiding() {
 }
 
 #[test]
-fn images_of_real_models_are_those_without_hiding() {
+fn images_of_real_models_equal_those_without_hiding() {
     for name in ["hospital", "factory_hall"] {
         let Some(world) = data::scene(name, true) else { continue };
         let poses = data::poses(&world, 1, 22);
@@ -95,8 +96,8 @@ fn images_of_real_models_are_those_without_hiding() {
     }
 }
 
-/// A large wall 5 m ahead, and in its plane small plates of lower ids away from its middle: the wall is drawn first, ties go to
-/// the plates. A pillar farther off is behind both.
+/// A large wall 5 m ahead, and small plates with lower ids in its plane, away from its centre. The wall is drawn first,
+/// and ties go to the plates. A pillar further away is behind both.
 fn tied() -> World {
     let mut environment = scenes::empty();
     let square = |y: f32, z: f32, half: f32, x: f32| {
@@ -106,7 +107,7 @@ fn tied() -> World {
     };
     let insert = |environment: &mut Environment, name: &str, polygons: &[Vec<Vec3>]| {
         let mesh = Arc::new(scenes::mesh(polygons));
-        environment.insert(NewObject::new(name, Pose::IDENTITY, mesh)).expect("a sound object");
+        environment.insert(NewObject::new(name, Pose::IDENTITY, mesh)).expect("a valid object");
     };
     for (i, (y, z)) in [(2.0, 1.5), (-2.0, 1.5), (2.0, -1.5), (-2.0, -1.5)].into_iter().enumerate() {
         insert(&mut environment, &format!("plate {i}"), &[square(y, z, 0.4, 5.0)]);
@@ -116,7 +117,7 @@ fn tied() -> World {
     World::new(environment)
 }
 
-/// Pixels of the plates, whether what lies behind the wall was hidden, and what was seen of it.
+/// The pixels of the plates, the count of hidden geometry behind the wall, and its visible pixels.
 fn plates(hiding: Hiding, without_int64: bool) -> Option<(usize, u64, usize)> {
     let (images, stats) =
         render(&mut engine(hiding, without_int64)?, &tied(), &scenes::camera(160, 120), &Pose::IDENTITY);
@@ -125,27 +126,27 @@ fn plates(hiding: Hiding, without_int64: bool) -> Option<(usize, u64, usize)> {
     Some((seen(1..=4), hidden, seen(6..=6)))
 }
 
-/// The plates lie in the wall's plane: the least step that hides them takes them away.
+/// The plates are in the wall's plane: a depth that is one step too near hides them.
 #[test]
-fn what_is_as_near_is_not_hidden_and_a_depth_one_step_too_near_is_found() {
+fn equal_depths_are_not_hidden_and_a_depth_one_step_too_near_is_found() {
     for without_int64 in [false, true] {
         let Some((all, hidden, behind)) = plates(Hiding::Off, without_int64) else { return };
         assert!(all > 100 && hidden == 0 && behind == 0, "{all} pixels of plates, {hidden} hidden, {behind} behind");
-        assert_eq!(plates(Hiding::Always, without_int64), Some((all, 1, 0)), "only what is behind is hidden");
+        assert_eq!(plates(Hiding::Always, without_int64), Some((all, 1, 0)), "only the pillar behind is hidden");
         let (fewer, hidden, _) = plates(Hiding::TooNear, without_int64).expect("an adapter");
         assert!(fewer < all && hidden > 1, "the fault must be found: {fewer} of {all} pixels, {hidden} hidden");
     }
 }
 
-/// A wall over all of 160 x 120 samples: 30 stretches of four lines, each in two parts of 80 samples.
+/// A wall over all of 160 x 120 samples: 30 pieces of four lines, each in two parts of 80 samples.
 #[test]
-fn a_large_polygon_is_shared_out() {
+fn a_large_polygon_is_distributed() {
     let Some(mut engine) = engine(Hiding::Off, false) else { return };
     let mut environment = scenes::empty();
     let wall = [(-8.0, -8.0), (8.0, -8.0), (8.0, 8.0), (-8.0, 8.0)].map(|(y, z)| Vec3::new(5.0, y, z)).to_vec();
     environment
         .insert(NewObject::new("wall", Pose::IDENTITY, Arc::new(scenes::mesh(&[wall]))))
-        .expect("a sound object");
+        .expect("a valid object");
     let (images, stats) = render(&mut engine, &World::new(environment), &scenes::camera(160, 120), &Pose::IDENTITY);
     assert!(images.polygon_id.iter().all(|id| *id == 1));
     assert_eq!(count(&stats, CountName::WorkItems), 60);

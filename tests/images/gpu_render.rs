@@ -1,6 +1,7 @@
-//! The hardware rasterizer beside compute spans: pixels that differ are counted, and held to the bound of f32.
+//! Compares the hardware rasterizer with compute spans: counts the pixels that differ, and checks them against the
+//! bound of f32.
 #![cfg(feature = "gpu")]
-#![expect(clippy::print_stderr, reason = "how many pixels differ is worth reading")]
+#![expect(clippy::print_stderr, reason = "the tests print how many pixels differ")]
 
 use presight_testkit as common;
 
@@ -23,7 +24,7 @@ use proptest::strategy::{Strategy, ValueTree};
 use proptest::test_runner::{RngSeed, TestRunner};
 use std::sync::Arc;
 
-/// An engine; `None` where there is no adapter, or none that can render.
+/// Returns an engine; `None` where there is no adapter, or none that can render.
 fn engine(raster: Raster, without_int64: bool, setup: Setup) -> Option<GpuEngine> {
     let options = DeviceOptions { raster, without_int64, ..DeviceOptions::default() };
     let engine = testing::open(options, setup).map_err(no_adapter).ok()?;
@@ -34,7 +35,7 @@ fn engine(raster: Raster, without_int64: bool, setup: Setup) -> Option<GpuEngine
     Some(engine)
 }
 
-/// One path after the other, with both kinds of keys. Images are resolved on the device with one of them.
+/// One path after the other, with both kinds of keys. One of the engines resolves images on the device.
 struct Paths {
     pairs: Vec<[GpuEngine; 2]>,
     pixels: usize,
@@ -51,7 +52,7 @@ impl Paths {
         Some(Self { pairs: vec![pair(false)?, pair(true)?], pixels: 0, differ: 0, rendered: 0 })
     }
 
-    /// Draws a plan both ways. Where the paths differ in a bit, the rendered images are held to the reference.
+    /// Draws a plan both ways. Where the paths differ in any bit, the rendered images are compared with the reference.
     fn compare(&mut self, plan: &FramePlan) {
         for [compute, render] in &mut self.pairs {
             let (spans, _) = draw(compute, plan);
@@ -70,7 +71,7 @@ impl Paths {
         }
     }
 
-    /// Says what differs, which is rounding at edges: one pixel in a hundred thousand at most.
+    /// Prints the differences, which are rounding at edges: at most one pixel in a hundred thousand.
     fn tell(&self, what: &str) {
         eprintln!("{what}: {} of {} pixels differ, {} polygons rendered", self.differ, self.pixels, self.rendered);
         assert!(self.differ * 100_000 <= self.pixels, "{what}: {} of {} pixels differ", self.differ, self.pixels);
@@ -86,7 +87,7 @@ fn draw(engine: &mut GpuEngine, plan: &FramePlan) -> (Images, Stats) {
 }
 
 #[test]
-fn hard_scenes_are_those_of_spans() {
+fn hard_scenes_equal_those_of_spans() {
     let Some(mut paths) = Paths::open(Hiding::WhereItPays) else { return };
     let cases = env_number("PROPTEST_CASES", 300);
     let rng_seed = RngSeed::Fixed(env_number("PRESIGHT_SEED", 1));
@@ -105,7 +106,7 @@ fn hard_scenes_are_those_of_spans() {
 }
 
 #[test]
-fn rooms_and_halls_are_those_of_spans_with_waves_too() {
+fn rooms_and_halls_equal_those_of_spans_with_waves_too() {
     let Some(mut paths) = Paths::open(Hiding::Always) else { return };
     let hall = open_hall(3, 20_000);
     let poses = hall_poses(&hall, 5, 3);
@@ -121,7 +122,7 @@ fn rooms_and_halls_are_those_of_spans_with_waves_too() {
 }
 
 #[test]
-fn real_models_are_those_of_spans() {
+fn real_models_equal_those_of_spans() {
     let Some(mut paths) = Paths::open(Hiding::WhereItPays) else { return };
     let mut found = false;
     for name in ["hospital", "factory_hall"] {
@@ -142,12 +143,12 @@ fn camera() -> Sensor {
     Sensor::new(SensorSpec::new("camera", "laser", geometry).with_limits(0.1, 100.0)).expect("a camera")
 }
 
-/// Squares 4 m ahead, and what reaches behind the camera.
+/// Squares 4 m ahead, and a polygon that extends behind the camera.
 fn world(polygons: &[Vec<Vec3>]) -> World {
     let mut environment = scenes::empty();
     for (i, polygon) in polygons.iter().enumerate() {
         let mesh = Arc::new(scenes::mesh(std::slice::from_ref(polygon)));
-        environment.insert(NewObject::new(format!("plate {i}"), Pose::IDENTITY, mesh)).expect("a sound object");
+        environment.insert(NewObject::new(format!("plate {i}"), Pose::IDENTITY, mesh)).expect("a valid object");
     }
     World::new(environment)
 }
@@ -156,8 +157,8 @@ fn square() -> Vec<Vec3> {
     [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)].map(|(y, z)| Vec3::new(4.0, y, z)).to_vec()
 }
 
-/// Its edges run through the centres of columns 11 and 19 and of rows 7 and 15, which belong to it: 9 x 9 pixels. A rasterizer that
-/// is given the square itself leaves out two sides.
+/// The square's edges run through the centres of columns 11 and 19 and of rows 7 and 15, which belong to it: 9 x 9
+/// pixels. A rasterizer that gets the square itself omits two sides.
 #[test]
 fn edges_through_centres_are_drawn_and_a_shape_that_is_not_grown_is_found() {
     for (shapes_not_grown, pixels) in [(false, 81), (true, 64)] {
@@ -174,9 +175,9 @@ fn edges_through_centres_are_drawn_and_a_shape_that_is_not_grown_is_found() {
     }
 }
 
-/// A floor that begins behind the camera is drawn by spans, the square by shapes, in one frame.
+/// In one frame, spans draw a floor that begins behind the camera, and shapes draw the square.
 #[test]
-fn what_reaches_behind_the_camera_is_left_to_spans_in_the_same_frame() {
+fn polygons_behind_the_camera_are_left_to_spans_in_the_same_frame() {
     let floor = [(-5.0, -6.0), (9.0, -6.0), (9.0, 6.0), (-5.0, 6.0)].map(|(x, y)| Vec3::new(x, y, -0.5)).to_vec();
     let world = world(&[square(), floor]);
     for narrow in [false, true] {
@@ -194,7 +195,7 @@ fn what_reaches_behind_the_camera_is_left_to_spans_in_the_same_frame() {
 }
 
 #[test]
-fn what_rasterizes_is_told_with_the_reason() {
+fn the_rasterizer_is_reported_with_the_reason() {
     let Some(mut render) = engine(Raster::Render, false, Setup::default()) else { return };
     let Some(mut compute) = engine(Raster::Compute, false, Setup::default()) else { return };
     assert_eq!((render.raster(), compute.raster()), (Raster::Render, Raster::Compute));
@@ -203,7 +204,7 @@ fn what_rasterizes_is_told_with_the_reason() {
     let why = |stats: &Stats| {
         let rows = stats.stages();
         let row = rows.iter().find(|row| row.name == StageName::HardwareRaster.name() && row.ms.is_none());
-        row.map(|row| (row.ran, row.why.clone())).expect("it is told")
+        row.map(|row| (row.ran, row.why.clone())).expect("the row is reported")
     };
     let (_, stats) = draw(&mut render, &plan(&world, &camera, &Pose::IDENTITY));
     assert_eq!((stats.raster, why(&stats).0), (Some(Raster::Render), true));
@@ -216,13 +217,13 @@ fn what_rasterizes_is_told_with_the_reason() {
 }
 
 #[test]
-fn in_steady_state_rendering_makes_nothing() {
+fn in_steady_state_rendering_allocates_nothing() {
     for narrow in [false, true] {
         let setup = Setup { hiding: Hiding::Always, ..Setup::default() };
         let Some(mut engine) = engine(Raster::Render, narrow, setup) else { return };
         let world = scenes::room_world(2, 60);
         let pose = Pose::from_xyz_rpy(DVec3::new(0.1, 0.2, 1.3), 0.1, 0.05, 0.4);
-        // Sensors by turns.
+        // Sensors in turns.
         let sensors = [scenes::camera(64, 48), scenes::camera(48, 64), scenes::scanner(90, 11)];
         let mut round = || {
             sensors.iter().for_each(|sensor| drop(draw(&mut engine, &plan(&world, sensor, &pose))));

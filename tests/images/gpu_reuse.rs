@@ -1,5 +1,5 @@
-//! What the GPU engine draws first because the last frame showed it: the images are those of frames that know nothing of each other, bit
-//! for bit.
+//! Geometry that the GPU engine draws first because the previous frame showed it: the images equal those of independent
+//! frames bit for bit.
 #![cfg(feature = "gpu")]
 
 use presight_testkit as common;
@@ -26,12 +26,12 @@ use std::time::Duration;
 
 fn engine(hiding: Hiding, without_int64: bool) -> Option<GpuEngine> {
     let options = DeviceOptions { without_int64, ..Default::default() };
-    // Images are resolved on the device in one of the two, as in `gpu`.
+    // One of the two resolves images on the device, as in `gpu`.
     let setup = Setup { hiding, all_on_device: without_int64, ..Setup::default() };
     testing::open(options, setup).map_err(no_adapter).ok()
 }
 
-/// A frame that may reuse the last one.
+/// A frame that may reuse the previous one.
 fn warm(engine: &mut GpuEngine, world: &World, sensor: &Sensor, pose: &Pose) -> (Images, Stats) {
     let mut plan = plan(world, sensor, pose);
     plan.set_reuse_visible();
@@ -40,7 +40,7 @@ fn warm(engine: &mut GpuEngine, world: &World, sensor: &Sensor, pose: &Pose) -> 
     (images, stats)
 }
 
-/// Samples by which a frame that may reuse the last one differs from one that may not.
+/// The samples that differ between a frame that may reuse the previous one and a frame that may not.
 fn differing(
     engines: &mut [GpuEngine; 2],
     (world, sensor, pose): (&World, &Sensor, &Pose),
@@ -60,7 +60,7 @@ fn differing(
     expected.outputs().iter().map(differ).sum()
 }
 
-/// Why the last frame was not reused; `None` if it was.
+/// The reason why the previous frame was not reused; `None` if it was.
 fn why_anew(stats: &Stats) -> Option<&str> {
     if stats.left_out.iter().any(|left| left.what == StageName::DrawingOnDevice.into()) {
         return Some("nothing is in view");
@@ -75,12 +75,12 @@ fn brought(stats: &Stats) -> u64 {
     stats.count_of(CountName::RunsShownBefore).unwrap_or(0)
 }
 
-/// The other way round.
+/// Half a turn.
 fn turned() -> Pose {
     Pose::from_xyz_rpy(DVec3::ZERO, 0.0, 0.0, PI)
 }
 
-/// 10 cm and 2 degrees a step, and in the middle a jump: the robot is turned round where it stands.
+/// 10 cm and 2 degrees a step, with a jump in the middle: the robot turns round on the spot.
 fn drive(start: &Pose, steps: u32) -> Vec<Pose> {
     let step = Pose::from_xyz_rpy(DVec3::new(0.1, 0.0, 0.0), 0.0, 0.0, 2f64.to_radians());
     let move_on = |pose: &mut Pose, i: u32| {
@@ -96,7 +96,7 @@ fn sensors() -> Vec<Sensor> {
     lines.into_iter().chain([scenes::lens(121, 91), scenes::fisheye(91, 91), scenes::all_round(72, 36)]).collect()
 }
 
-/// The sensors in turns along each drive; the share of frames that brought runs to their first wave.
+/// Runs the sensors in turns along each drive; returns the share of frames that took runs into their first wave.
 fn compare(world: &World, sensors: &[Sensor], drives: &[Vec<Pose>], hiding: [Hiding; 2]) -> f64 {
     let (mut reused, mut all) = (0, 0);
     for without_int64 in [false, true] {
@@ -118,11 +118,12 @@ fn has_adapter() -> bool {
 }
 
 #[test]
-fn images_of_drives_are_those_without_reuse() {
+fn images_of_drives_equal_those_without_reuse() {
     let hall = open_hall(3, 30_000);
     let drives: Vec<_> = hall_poses(&hall, 5, 2).iter().map(|start| drive(start, 6)).collect();
     let reused = compare(&World::new(hall), &sensors(), &drives, [Hiding::Always, Hiding::Off]);
-    // Each drive begins anew, in its middle some sensors do, and some see nothing.
+    // Each drive starts without a previous frame, some sensors also start again in its middle, and some have nothing in
+    // view.
     assert!(!has_adapter() || reused > 0.5, "{reused} of all frames reuse the last one");
     let (world, start) = room();
     let reused = compare(&world, &sensors(), &[drive(&start, 6)], [Hiding::Always, Hiding::Off]);
@@ -130,7 +131,7 @@ fn images_of_drives_are_those_without_reuse() {
 }
 
 #[test]
-fn images_of_drives_in_real_models_are_those_without_reuse() {
+fn images_of_drives_in_real_models_equal_those_without_reuse() {
     for name in ["hospital", "factory_hall"] {
         let Some(world) = data::scene(name, true) else { continue };
         let drives: Vec<_> = data::poses(&world, 1, 22).iter().map(|start| drive(start, 4)).collect();
@@ -140,13 +141,13 @@ fn images_of_drives_in_real_models_are_those_without_reuse() {
     }
 }
 
-/// A room full of boxes, and a pose in it with many in view whichever way it looks.
+/// A room full of boxes, and a pose in it with many in view in every direction.
 fn room() -> (World, Pose) {
     (scenes::room_world(7, 400), Pose::from_xyz_rpy(DVec3::new(0.2, -0.1, 1.4), 0.05, 0.1, 0.4))
 }
 
 #[test]
-fn another_world_sensor_or_device_begins_anew() {
+fn another_world_sensor_or_device_starts_without_reuse() {
     const ANEW: Option<&str> = Some("the sensor has no last frame in this version of the world");
     let [Some(reusing), Some(other)] = [Hiding::Always, Hiding::Off].map(|hiding| engine(hiding, false)) else {
         return;
@@ -168,9 +169,9 @@ fn another_world_sensor_or_device_begins_anew() {
     check(&world, &camera, &pose, ANEW, false);
     check(&world, &camera, &pose, None, false);
     check(&world, &scenes::scanner(360, 61), &pose, ANEW, false);
-    // The other sensor was in between.
+    // The other sensor was used in between.
     check(&world, &camera, &pose, None, false);
-    // The box that is seen most goes away.
+    // Deletes the box with the most pixels.
     let (seen, _) = warm(&mut engine(Hiding::Off, false).expect("an adapter"), &world, &camera, &pose);
     let objects = world.environment().objects();
     let pixels = |object: &usize| seen.object_id.iter().filter(|id| **id as usize == *object + 1).count();
@@ -181,7 +182,7 @@ fn another_world_sensor_or_device_begins_anew() {
     world.apply(Change::DeleteObject { name }).expect("it is there");
     check(&world, &camera, &pose, ANEW, false);
     check(&world, &camera, &pose, None, false);
-    // Back to the older version, which is another one again.
+    // Returning to the older version is again another version.
     check(&before, &camera, &pose, ANEW, false);
     let back = pose * turned();
     check(&before, &camera, &back, Some("most of what it showed is out of view"), false);
@@ -189,9 +190,9 @@ fn another_world_sensor_or_device_begins_anew() {
     check(&before, &camera, &back, ANEW, true);
 }
 
-/// What comes in sight is drawn because everything is that nothing hides.
+/// Geometry that comes into view is drawn, because everything that is not hidden is drawn.
 #[test]
-fn an_engine_that_draws_only_what_was_seen_is_found() {
+fn an_engine_that_draws_only_the_previous_geometry_is_found() {
     let (world, pose) = room();
     for without_int64 in [false, true] {
         let hiding = [Hiding::LastFrameOnly, Hiding::Off];
@@ -215,9 +216,9 @@ fn predictor(reuse: bool) -> Option<Predictor> {
 }
 
 #[test]
-fn only_predictions_that_ask_for_it_reuse_a_frame() {
+fn only_predictions_that_request_it_reuse_a_frame() {
     let Some(mut predictor) = predictor(true) else { return };
-    // With more in view than one wave has.
+    // With more in view than one wave can hold.
     let hall = open_hall(3, 30_000);
     let (pose, world) = (hall_poses(&hall, 5, 1)[0], World::new(hall));
     let sensor = preset("vlp-16").expect("a preset");
@@ -228,7 +229,7 @@ fn only_predictions_that_ask_for_it_reuse_a_frame() {
     assert_eq!((why_anew(&seen.stats), brought(&seen.stats) > 0), (None, true));
     // A batch of neighbours, a study, and a deadline.
     let images = BatchRequest { images: Some(ImageRequest::default()), statistics: true, ..BatchRequest::default() };
-    let batch = predictor.batch(&world, &sensor, vec![pose; 3], &images).expect("a sound batch");
+    let batch = predictor.batch(&world, &sensor, vec![pose; 3], &images).expect("a valid batch");
     for item in batch {
         let stats = item.expect("it predicts").stats.expect("they were drawn");
         assert_eq!((why_anew(&stats), brought(&stats)), (Some("not requested"), 0));

@@ -1,8 +1,8 @@
-//! Generated hard scenes: the reference against parry, the engines against the reference. 0 faults, always.
+//! Generated hard scenes: compares the reference with parry, and the engines with the reference. 0 faults, always.
 //!
-//! `PROPTEST_CASES` says how many, `PRESIGHT_SEED` which: the same ones each time without it.
+//! `PROPTEST_CASES` sets the number of cases and `PRESIGHT_SEED` the seed, which is fixed by default.
 
-#![allow(clippy::print_stderr)] // Skips and what was found are said.
+#![allow(clippy::print_stderr)] // Prints skips and results.
 
 use presight_testkit as common;
 
@@ -21,7 +21,7 @@ fn config() -> ProptestConfig {
     ProptestConfig { cases, rng_seed, max_shrink_iters: 3000, failure_persistence: None, ..ProptestConfig::default() }
 }
 
-/// Holds an engine to the reference on one case, with every sensor.
+/// Compares an engine with the reference on one case, with every sensor.
 fn check_engine(
     case: &Case,
     render: &mut impl FnMut(&FramePlan) -> Images,
@@ -37,8 +37,8 @@ fn check_engine(
     Ok(())
 }
 
-/// The reference against parry. A pixel at which parry meets a polygon whose plane passes through the sensor says
-/// nothing: there the polygon covers no ray by definition.
+/// Compares the reference with parry. A pixel at which parry hits a polygon whose plane passes through the sensor is
+/// ignored: there the polygon covers no ray by definition.
 fn check_oracle(case: &Case) -> Result<(), TestCaseError> {
     let (world, pose, sensors) = case.build_triangles();
     let Some(oracle) = Oracle::off_plane(world.environment(), pose.translation) else {
@@ -94,7 +94,8 @@ fn gpu_is_right_at_grazing_angles() {
     }
 }
 
-/// One sliver before the GPU engine: where, along what, how long, its aspect; turn, scale and shear of its mesh.
+/// One sliver in front of the GPU engine: its place, direction, length and aspect; the rotation, scale and shear of its
+/// mesh.
 fn check_sliver(unit: f64, at: [f64; 3], (along, long, aspect): ([f64; 3], f64, f64), mesh: ([f64; 3], [f64; 3], f64)) {
     use common::hard::{Shape, ShapePlacement};
     let placing = ShapePlacement { turn: mesh.0, scale: mesh.1, shear: mesh.2 };
@@ -105,7 +106,7 @@ fn check_sliver(unit: f64, at: [f64; 3], (along, long, aspect): ([f64; 3], f64, 
     }
 }
 
-/// A sliver whose long sides run towards a ray of the table, which no edge plane tells from a ray inside.
+/// The long sides of this sliver run towards a ray of the table; edge planes cannot distinguish it from a ray inside.
 #[test]
 fn a_sliver_is_not_seen_at_its_vanishing_point() {
     let mesh = (
@@ -137,7 +138,7 @@ fn a_far_sliver_flat_to_the_sensor_ends_at_its_corner() {
     check_sliver(100.0, [0.0, 42.4176835766584, 0.0], ([0.0, 1.0, 1.0], 0.20455509175793538, 10.0), mesh);
 }
 
-/// Cells of 0.2 mrad seen at 0.1 mrad: only the cap tells a cell from the next but one.
+/// Cells of 0.2 mrad at rays of 0.1 mrad: only the cap distinguishes a cell from the next but one.
 #[test]
 fn a_cell_of_a_carpet_ends_at_its_corners_on_a_ray_table() {
     use common::hard::{Shape, ShapePlacement};

@@ -1,8 +1,8 @@
-//! A prediction with any index equals the one without, pixel for pixel.
+//! A prediction with any index equals the one without an index, pixel for pixel.
 //!
-//! `PRESIGHT_SEED` and `PRESIGHT_POSES` (per scene) spread runs.
+//! `PRESIGHT_SEED` and `PRESIGHT_POSES` (per scene) vary the runs.
 
-#![expect(clippy::print_stderr, reason = "what was compared is worth reading")]
+#![expect(clippy::print_stderr, reason = "the tests print their comparisons")]
 
 use presight_testkit as common;
 
@@ -25,7 +25,7 @@ fn difference(a: &Images, b: &Images) -> Option<String> {
     })
 }
 
-/// The schemes with what they are tuned to: as they come, and in very small cells.
+/// The schemes with tuned parameters: the defaults, and very small cells.
 fn variants() -> Vec<(Scheme, Params)> {
     let small = Params { cell_polygons: 1, ..Params::default() };
     let mut all: Vec<_> = Scheme::ALL.into_iter().skip(1).map(|s| (s, Params::tuned(s))).collect();
@@ -65,7 +65,7 @@ fn cpu_images_are_equal() {
     check_scenes(&mut cpu, &["factory_hall", "hospital", "warehouse_small"], poses);
 }
 
-/// After changes, too: the world's own index is compared with one built anew.
+/// Compares the world's own index after changes with a newly built one.
 #[test]
 fn cpu_images_are_equal_after_changes() {
     let mut cpu = engines::cpu(2);
@@ -97,7 +97,7 @@ fn gpu_images_are_equal() {
     }
 }
 
-/// The planted fault: an object that the index has lost.
+/// The planted fault: an object that the index lacks.
 #[test]
 fn a_lost_object_is_noticed() {
     let world = scenes::room_world(3, 30);

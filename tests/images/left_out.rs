@@ -1,6 +1,6 @@
-//! What a request does not need is neither run nor made. Over a matrix of sensors, scenes, requests and engines the
-//! stages that ran, the passes and workgroups of the device, the bytes that travelled and the bytes of images are held to
-//! what the request alone says. These are counts, not times: a needless stage fails on any machine.
+//! Stages that a request does not need neither run nor allocate. For a matrix of sensors, scenes, requests and engines
+//! the test compares the stages that ran, the passes and workgroups of the device, the bytes transferred and the bytes
+//! of images with the needs of the request. These are counts, not times, so a needless stage fails on any machine.
 
 use presight_testkit as common;
 
@@ -21,21 +21,21 @@ use presight_render::plan::{IdScheme, Images, Output, Outputs, Stats, Work};
 use presight_render::plan::{Part, SamplesMut, StageName};
 use std::sync::Arc;
 
-/// Where a prediction is made.
+/// The place of a prediction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum On {
     Cpu,
     /// Every stage on the device.
     Device,
-    /// A software adapter: images are resolved, and features looked at, by the same cores directly.
+    /// A software adapter: the same cores resolve images and check features directly.
     Software,
 }
 
-/// What is asked for besides images.
+/// The features requested with the images.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Features {
     No,
-    /// A layer of none.
+    /// A layer without features.
     Empty,
     Seen,
     WithId,
@@ -52,11 +52,11 @@ struct Case<'a> {
     features: Features,
 }
 
-/// What a prediction did.
+/// The work of a prediction.
 #[derive(Clone, Debug)]
 struct Did {
     stats: Stats,
-    /// Bytes that each image has room for, in the order of [`Output::WITH_FEATURES`].
+    /// The room of each image in bytes, in the order of [`Output::WITH_FEATURES`].
     room: [usize; Output::WITH_FEATURES.len()],
     pixels: usize,
     polygons: u64,
@@ -82,7 +82,7 @@ impl Case<'_> {
         format!("{on:?}, {sensor}, {}, {:?}, {features:?}", outputs.join("+"), self.ids)
     }
 
-    /// Predicts twice: buffers grow in the first, and the second must make none.
+    /// Predicts twice: buffers grow in the first prediction, and the second must allocate none.
     fn run(&self, predictor: &mut Predictor, placed: &[PlacedFeature]) -> Did {
         self.run_once(predictor, placed);
         self.run_once(predictor, placed)
@@ -106,7 +106,7 @@ impl Case<'_> {
         Did { stats, room: room(&mut images), pixels: images.pixels(), polygons }
     }
 
-    /// Images that engines must fill: those asked for, and what an echo and normals are made of.
+    /// The images that engines must fill: the requested ones, and the inputs of echoes and normals.
     fn drawn(&self) -> Outputs {
         let asked = self.outputs.without(Output::FeatureId);
         let factors: Vec<f64> = self.world.environment().materials().iter().map(|m| m.reflection).collect();
@@ -121,7 +121,7 @@ impl Case<'_> {
         }
     }
 
-    /// Holds what was done to what the request needs.
+    /// Compares the work with the needs of the request.
     fn check(&self, did: &Did) -> Result<(), String> {
         self.check_stages(did)?;
         self.check_rows(did)?;
@@ -129,7 +129,7 @@ impl Case<'_> {
         self.check_device(did)
     }
 
-    /// Samples are asked about on the device.
+    /// Returns true if the device tests samples.
     fn asks_device(&self) -> bool {
         self.on == On::Device && !matches!(self.features, Features::No | Features::Empty)
     }
@@ -163,7 +163,7 @@ impl Case<'_> {
         same("stages", &ran, &expected)
     }
 
-    /// The list that people are shown: nothing twice, and every variant either taken or left out, rightly.
+    /// The list for users: no duplicates, and every variant correctly either used or omitted.
     fn check_rows(&self, did: &Did) -> Result<(), String> {
         let rows = did.stats.stages();
         let state = |name: &str| {
@@ -208,10 +208,10 @@ impl Case<'_> {
         if self.on != On::Cpu && some {
             let names = ["runs selected", "polygons in view", "work items"];
             let [runs, survivors, items] = names.map(|name| count(&did.stats, name));
-            // So few polygons are one wave, and no run here has more than the eight of a unit.
+            // These few polygons fit in one wave, and no run here has more than the eight of a unit.
             passes += 3;
             workgroups += groups(8 * runs) + groups(survivors) + groups(items);
-            // Counters and times beside the payload, and padding.
+            // Counters and times in addition to the payload, and padding.
             read += 136 + 3 * 16;
         }
         let pixels = did.pixels as u64;
@@ -250,7 +250,7 @@ fn pose() -> Pose {
     Pose::from_xyz_rpy(DVec3::new(0.2, -0.1, 1.4), 0.05, 0.1, 0.4)
 }
 
-/// A sensor of each kind that engines have a path for, none square.
+/// A sensor of each kind for which engines have a path, none square.
 fn sensors() -> Vec<Sensor> {
     let lens = Camera {
         distortion: Distortion::PlumbBob([-0.2, 0.05, 0.001, -0.001, 0.0]),
@@ -260,7 +260,7 @@ fn sensors() -> Vec<Sensor> {
     vec![scenes::camera(64, 48), scenes::scanner(90, 16), scenes::scanner(1440, 1), lens, scenes::all_round(36, 18)]
 }
 
-/// A room of two-sided, opaque polygons of one factor; one of all kinds of materials; nothing.
+/// A room of two-sided, opaque polygons of one factor; one with all kinds of materials; an empty world.
 fn worlds() -> [(&'static str, World); 3] {
     let mut mixed = Environment::new();
     let glass = [("video", Appearance::Transparent), ("laser", Appearance::Invisible)];
@@ -303,7 +303,7 @@ fn of(outputs: &[Output]) -> Outputs {
     Outputs::of(outputs)
 }
 
-/// Outputs one by one, a pair, and all; those of cameras for cameras only.
+/// Each output alone, a pair, and all; camera outputs for cameras only.
 fn requests(sensor: &Sensor) -> Vec<Outputs> {
     let depth = |o: &Outputs| sensor.is_camera() || !o.has(Output::DepthZ);
     let all = if sensor.is_camera() { Outputs::ALL } else { Outputs::ALL.without(Output::DepthZ) };
@@ -311,7 +311,7 @@ fn requests(sensor: &Sensor) -> Vec<Outputs> {
     single.chain([of(&[Output::Range, Output::ObjectId]), Outputs::default(), all]).filter(depth).collect()
 }
 
-/// A request with one thing more, where there is one.
+/// The case with one more output or feature, where possible.
 fn one_more(case: Case<'_>) -> Option<Case<'_>> {
     let more = |o: &Output| !case.outputs.has(*o) && (*o != Output::DepthZ || case.sensor.is_camera());
     if let Some(output) = Output::ALL.into_iter().find(more) {
@@ -325,7 +325,7 @@ fn one_more(case: Case<'_>) -> Option<Case<'_>> {
     Some(Case { features, ..case })
 }
 
-/// Every case by itself, and with one thing more, which the smaller request's expectation must refuse.
+/// Checks every case, and checks that the smaller request's expectation refuses a larger request.
 fn hold(case: Case<'_>, scene: &str, predictor: &mut Predictor, placed: &[PlacedFeature]) {
     let did = case.run(predictor, placed);
     case.check(&did).unwrap_or_else(|e| panic!("{scene}, {}: {e}\n{:?}", case.name(), did.stats));
@@ -363,7 +363,7 @@ fn the_cpu_engine_does_nothing_needless() {
 }
 
 #[test]
-fn every_index_leaves_out_what_is_out_of_view() {
+fn every_index_leaves_out_geometry_out_of_view() {
     let (_, world) = &worlds()[0];
     let sensor = &scenes::camera(64, 48);
     let mut selected = Vec::new();
@@ -387,7 +387,7 @@ fn every_index_leaves_out_what_is_out_of_view() {
 
 /// Only a scene of several waves is sifted, and never for ray tables.
 #[test]
-fn what_is_drawn_in_one_wave_is_not_sifted() {
+fn geometry_of_one_wave_is_not_sifted() {
     for (boxes, waves) in [(12, false), (1500, true)] {
         let world = scenes::room_world(7, boxes);
         for sensor in [scenes::scanner(90, 16), scenes::all_round(36, 18)] {
@@ -398,7 +398,7 @@ fn what_is_drawn_in_one_wave_is_not_sifted() {
     }
 }
 
-/// Each count by itself: one more of anything, and the check fails.
+/// Each count is checked separately: with one more of anything the check fails.
 #[test]
 fn one_stage_pass_group_byte_or_image_too_many_is_found() {
     let (_, world) = &worlds()[0];
@@ -435,7 +435,7 @@ mod device {
     use presight_predict::gpu::{DeviceOptions, GpuEngine};
     use presight_render::plan::FramePlan;
 
-    /// `None` where there is no adapter and the machine may lack one.
+    /// Returns `None` where there is no adapter and the machine may lack one.
     fn there<T>(made: presight_model::error::Result<T>) -> Option<T> {
         made.inspect_err(|e| no_adapter(e)).ok()
     }
@@ -463,7 +463,7 @@ mod device {
         }
     }
 
-    /// Bytes of the buffers that a fresh engine makes for one frame.
+    /// The bytes of the buffers that a new engine allocates for one frame.
     fn made(all_on_device: bool, world: &World, outputs: Outputs) -> Option<(u64, GpuEngine)> {
         let mut engine = there(engine(all_on_device))?;
         let (before, sensor) = (engine.allocations().bytes, scenes::camera(256, 128));
@@ -474,26 +474,27 @@ mod device {
         Some((stats.work.gpu_bytes_made, engine))
     }
 
-    /// An image more is a buffer larger by that image, where images are made on the device, and else none.
+    /// One more image needs one more buffer only where images are made on the device.
     #[test]
-    fn buffers_are_made_for_what_is_asked() {
+    fn buffers_are_allocated_only_for_requested_outputs() {
         let world = scenes::room_world(7, 12);
         let (one, four) = (of(&[Output::Range]), Outputs::default());
         let image = 4 * 256 * 128;
         let Some((small, engine)) = made(true, &world, one) else { return };
         let Some((large, _)) = made(true, &world, four) else { return };
-        // The images themselves; what they are read back through holds counters and times, too, and so is twice as large.
+        // The images themselves, and a readback buffer with room for counters and times, which is therefore twice as
+        // large.
         assert_eq!(large - small, 3 * image + 2 * 3 * image, "{small} and {large}");
-        assert_eq!(made(true, &World::new(scenes::empty()), four).unwrap().0, 0, "nothing in view, nothing made");
+        assert_eq!(made(true, &World::new(scenes::empty()), four).unwrap().0, 0, "an empty view allocates nothing");
         if !engine.adapter().hardware {
             let [small, large] = [one, four].map(|outputs| made(false, &world, outputs).unwrap().0);
             assert_eq!(small, large, "a software adapter makes no images");
         }
     }
 
-    /// The device has no room for samples or boxes of features before they are asked for.
+    /// The device allocates no room for samples or boxes of features before a request for them.
     #[test]
-    fn buffers_of_features_are_made_when_they_are_asked_for() {
+    fn buffers_of_features_are_allocated_on_request() {
         let Some(mut predictor) = predictor(true) else { return };
         let (world, sensor) = (&scenes::room_world(7, 12), &scenes::camera(64, 48));
         let placed = features(world);

@@ -1,9 +1,9 @@
-//! Lens cameras, fisheyes and free tables on every engine against the reference.
+//! Compares lens cameras, fisheyes and free ray tables on every engine with the reference.
 //!
-//! `PRESIGHT_LENS_ROOMS` (1) is the number of generated rooms, `PRESIGHT_LENS_POSES` (0) that of poses in each real scene;
-//! `PRESIGHT_SEED` makes other ones. 92 rooms and 10 poses are 10^8 pixels.
+//! `PRESIGHT_LENS_ROOMS` (1) is the number of generated rooms, `PRESIGHT_LENS_POSES` (0) the number of poses in each
+//! real scene, and `PRESIGHT_SEED` sets the seed. 92 rooms and 10 poses are 10^8 pixels.
 
-#![expect(clippy::print_stderr, reason = "what was compared is worth reading")]
+#![expect(clippy::print_stderr, reason = "the tests print their comparisons")]
 
 use presight_testkit as common;
 
@@ -17,7 +17,7 @@ use presight_render::verify::{Precision, Report};
 
 fn camera(name: &str, f: f64, distortion: Distortion) -> Sensor {
     let camera = Camera { distortion, ..Camera::pinhole(480, 360, f, 1.05 * f, 244.0, 171.0) };
-    Sensor::new(SensorSpec::new(name, "video", Geometry::Camera(camera))).expect("a sound camera")
+    Sensor::new(SensorSpec::new(name, "video", Geometry::Camera(camera))).expect("a valid camera")
 }
 
 /// Beams of 48 rows that do not lie on straight lines, one in 13 missing.
@@ -32,7 +32,7 @@ fn table(random: &mut Random) -> Sensor {
         }
     }
     let table = RayTable::new(720, 48, rays).expect("sound rays");
-    Sensor::new(SensorSpec::new("table", "laser", Geometry::Rays(table))).expect("a sound sensor")
+    Sensor::new(SensorSpec::new("table", "laser", Geometry::Rays(table))).expect("a valid sensor")
 }
 
 fn sensors(random: &mut Random) -> Vec<Sensor> {

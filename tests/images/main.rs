@@ -1,4 +1,5 @@
-//! Images: every engine against the reference, the reference against other libraries, and what a request costs.
+//! Images: compares every engine with the reference and the reference with other libraries, and checks the cost of
+//! requests.
 
 mod echo;
 mod embree;

@@ -1,9 +1,9 @@
-//! Merged polygons against the source triangles they come from, in real scenes, by the same sensor at the same pose.
+//! Compares merged polygons with their source triangles in real scenes, with the same sensor at the same pose.
 //!
-//! A pixel agrees if what the merged world shows there is, within the deviation that the import reports, in the plane
-//! and at the range of the triangle that the source world shows. Another polygon may be shown only beside a border.
+//! A pixel agrees if the merged world's hit is in the plane and at the range of the source world's triangle, within the
+//! deviation that the import reports. The merged world may show another polygon only next to a border.
 
-#![allow(clippy::print_stderr)] // Skips and what was found are said.
+#![allow(clippy::print_stderr)] // Prints skips and results.
 
 use presight_testkit as common;
 
@@ -15,7 +15,7 @@ use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_render::plan::Images;
 
-/// A scene as it is used, as it is stored, and how far merging moved anything, metres.
+/// A scene as merged, as stored, and the largest displacement by merging in metres.
 fn both(scene: &str) -> Option<(World, World, f64)> {
     let path = data::file(&format!("env/{scene}.glb"))?;
     let read = |merge| import(&path, &ImportOptions { merge, ..ImportOptions::default() }).expect("the scene imports");
@@ -44,12 +44,12 @@ impl Pair<'_> {
         let (merged, source) = (self.merged.1, self.source.1);
         let ids = [merged.polygon_id[at], source.polygon_id[at]];
         if ids.contains(&0) {
-            // No ray, or nothing within the limits: bits, for there is NaN among them.
+            // No ray, or no hit within the limits: compares bits, because NaN occurs.
             return ids == [0, 0] && merged.range[at].to_bits() == source.range[at].to_bits();
         }
         let ranges = [merged.range[at], source.range[at]].map(f64::from);
-        // Both hits are on one ray. The triangle's corners are within the deviation of the polygon's plane, so the
-        // hit is, too, and that distance is the difference of the ranges times the cosine.
+        // Both hits are on one ray. The triangle's corners are within the deviation of the polygon's plane, so the hit
+        // is, too, and that distance is the difference of the ranges times the cosine.
         let cosine = f64::from(merged.cos_incidence[at].min(source.cos_incidence[at]));
         let near_enough = ranges[0] == ranges[1]
             || (ranges[0] - ranges[1]).abs() * cosine
@@ -67,7 +67,7 @@ impl Pair<'_> {
         triangle.iter().map(|p| normal.dot(*p - middle).abs()).fold(0.0, f64::max)
     }
 
-    /// True if the 3 x 3 pixels around one show more than one polygon of the merged world.
+    /// Returns true if the 3 x 3 pixels around one show more than one polygon of the merged world.
     fn border(&self, at: usize) -> bool {
         let images = self.merged.1;
         let (w, h) = (images.width as usize, images.height as usize);
@@ -99,9 +99,9 @@ fn compare(worlds: &(World, World, f64), sensor: &Sensor, poses: [&Pose; 2], fou
     pair.check(found);
 }
 
-/// `PRESIGHT_SEED` and `PRESIGHT_MERGE_POSES` (per scene) spread runs.
+/// `PRESIGHT_SEED` and `PRESIGHT_MERGE_POSES` (per scene) vary the runs.
 #[test]
-fn merged_polygons_are_where_their_triangles_are() {
+fn merged_polygons_lie_on_their_triangles() {
     let (seed, poses) = (env_number("PRESIGHT_SEED", 1), env_number("PRESIGHT_MERGE_POSES", 2) as usize);
     for scene in data::SCENES {
         let Some(worlds) = both(scene) else { return };
@@ -112,7 +112,7 @@ fn merged_polygons_are_where_their_triangles_are() {
             }
         }
         let (agree, border, pixels) = (found.agree, found.beside_a_border, found.pixels);
-        eprintln!("{scene}: {pixels} pixels, {agree} agree, {border} beside borders; deviation {:.3e} m", worlds.2);
+        eprintln!("{scene}: {pixels} pixels, {agree} agree, {border} at borders; deviation {:.3e} m", worlds.2);
         assert!(found.wrong.is_empty(), "{scene}, seed {seed}: {:#?}", &found.wrong[..found.wrong.len().min(5)]);
         assert!(border < 5 || border as f64 <= 1e-3 * pixels as f64, "{scene}: {border} of {pixels} differ at borders");
     }

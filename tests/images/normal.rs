@@ -1,4 +1,4 @@
-//! The image of normals: worked out by hand, the same from every engine, and free unless asked for.
+//! The image of normals: calculated by hand, equal on every engine, and free unless requested.
 
 use presight_testkit as common;
 
@@ -12,7 +12,7 @@ use presight_predict::request::Request;
 use presight_render::plan::{FramePlan, IdScheme, Images, Output, Outputs};
 use presight_render::verify::compare;
 
-/// A wall 1.75 m ahead whose plane leans, 3 ahead for 4 up, so its normal is (-0.8, 0, 0.6) or its opposite.
+/// A tilted wall 1.75 m ahead whose plane rises 4 for 3 ahead, so that its normal is (-0.8, 0, 0.6) or its opposite.
 fn leaning_wall(reversed: bool, mirrored: bool) -> World {
     let mut environment = Environment::new();
     environment.add_material(presight_model::environment::Material::named("paint")).unwrap();
@@ -35,13 +35,13 @@ fn limited(sensor: &Sensor, range_min: f64, range_max: f64) -> Sensor {
     Sensor::new(sensor.spec().clone().with_limits(range_min, range_max)).unwrap()
 }
 
-/// The truth by hand, in body axes for a camera and a scanner alike, whichever way the wall winds and whether it is mirrored.
+/// The truth by hand, in body axes for both a camera and a scanner, for either winding of the wall, mirrored or not.
 #[test]
-fn it_is_the_normal_on_the_sensors_side_in_body_axes() {
+fn the_normal_faces_the_sensor_in_body_axes() {
     for sensor in [scenes::camera(31, 21), scenes::scanner(36, 5)] {
         for (reversed, mirrored) in [(false, false), (true, false), (false, true), (true, true)] {
             let world = leaning_wall(reversed, mirrored);
-            // Straight ahead, turned to the left, and from behind the wall.
+            // Straight ahead, rotated to the left, and from behind the wall.
 
             let behind = Pose::from_xyz_rpy(DVec3::new(4.0, 0.0, 0.0), 0.0, 0.0, std::f64::consts::PI);
             for (pose, truth) in [
@@ -63,9 +63,9 @@ fn it_is_the_normal_on_the_sensors_side_in_body_axes() {
     }
 }
 
-/// Kept below `range_min` as the angle is; NaN beyond `range_max`, where nothing is hit and where there is no ray.
+/// Present below `range_min`, as the angle is; NaN beyond `range_max`, without a hit, and without a ray.
 #[test]
-fn it_is_there_wherever_the_angle_is() {
+fn the_normal_exists_wherever_the_angle_does() {
     let wall = leaning_wall(false, false);
     let outputs = Outputs::ALL.without(Output::DepthZ);
     for (range_min, range_max) in [(2.2, 50.0), (0.0, 2.1)] {
@@ -85,7 +85,8 @@ fn it_is_there_wherever_the_angle_is() {
     }
 }
 
-/// A normal off by more than its bound, one on the wrong side, and one in optical axes instead of body axes.
+/// Planted faults: a normal off by more than its bound, one on the wrong side, and one in optical axes instead of body
+/// axes.
 #[test]
 fn engines_agree_and_planted_faults_are_caught() {
     let world = scenes::room_world(3, 12);
@@ -104,7 +105,8 @@ fn engines_agree_and_planted_faults_are_caught() {
                     let at = got.pixels() / 2 + 7;
                     let faults: [fn(Vec3) -> Vec3; 3] =
                         [|n| (n + Vec3::new(1e-3, -2e-3, 1e-3)).normalize(), |n| -n, |n| Vec3::new(-n.y, -n.z, n.x)];
-                    // All polygons of an object of this scene have one source, so its id would excuse the normals of others.
+                    // All polygons of an object in this scene have one source, so its id would excuse the normals of
+                    // others.
                     let planted = if ids == IdScheme::Model { &faults[..] } else { &faults[..1] };
                     for (i, fault) in planted.iter().enumerate() {
                         let mut wrong = right.clone();
@@ -120,7 +122,7 @@ fn engines_agree_and_planted_faults_are_caught() {
 }
 
 #[test]
-fn unasked_it_is_neither_there_nor_needs_anything() {
+fn without_a_request_there_is_no_normal_and_no_cost() {
     let (world, sensor) = (scenes::room_world(3, 4), scenes::camera(31, 23));
     let plan = |outputs| FramePlan::new(&world, &sensor, &Pose::IDENTITY, &Request::of(outputs)).unwrap();
     let without = plan(Outputs::of(&[Output::Range]));

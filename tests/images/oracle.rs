@@ -1,10 +1,10 @@
-//! The reference against parry3d-f64, and parry against the reference, over every preset at free poses.
+//! Compares the reference with parry3d-f64, and parry with the reference, for every preset at free poses.
 //!
-//! `PRESIGHT_SEED`, `PRESIGHT_ORACLE_POSES` (per scene), `PRESIGHT_PRESETS` (per pose) and `PRESIGHT_ORACLE_PIXELS` (per
-//! image) spread runs, `PRESIGHT_SCENES` names scenes. By default half of the 8 presets take their turn at each of 20
-//! poses: a run holds every preset in every scene at 10 poses. `PRESIGHT_PRESETS=8` takes all at every pose.
+//! `PRESIGHT_SEED`, `PRESIGHT_ORACLE_POSES` (per scene), `PRESIGHT_PRESETS` (per pose) and `PRESIGHT_ORACLE_PIXELS`
+//! (per image) vary the runs, `PRESIGHT_SCENES` names scenes. By default half of the 8 presets alternate over 20 poses,
+//! so a run checks every preset in every scene at 10 poses. `PRESIGHT_PRESETS=8` takes all at every pose.
 
-#![allow(clippy::print_stderr)] // Skips and what was found are said.
+#![allow(clippy::print_stderr)] // Prints skips and results.
 
 use presight_testkit as common;
 
@@ -16,7 +16,7 @@ use presight_model::world::World;
 use presight_render::plan::{FramePlan, Images};
 use presight_render::verify::{PixelValues, Precision, Report, compare_values};
 
-/// Random pixels of one image, both ways round.
+/// Compares random pixels of one image in both directions.
 fn check_image(world: &World, oracle: &Oracle, sensor: &Sensor, pose: &Pose, random: &mut Random) -> [Report; 2] {
     let plan: FramePlan = plan(world, sensor, pose);
     let number = env_number("PRESIGHT_ORACLE_PIXELS", 400) as usize;
@@ -71,7 +71,7 @@ fn reference_and_parry_agree_in_real_scenes() {
 }
 
 #[test]
-fn a_polygon_out_of_place_is_seen_by_the_oracle() {
+fn a_displaced_polygon_is_noticed_by_the_oracle() {
     let world = common::scenes::room_world(5, 20);
     let pose = Pose::from_xyz_rpy(glam::DVec3::new(0.1, 0.2, 1.3), 0.0, 0.0, 0.3);
     let moved = Oracle::new(world.environment(), glam::DVec3::new(0.0, 0.0, 1e-5)).expect("triangles");
@@ -79,7 +79,7 @@ fn a_polygon_out_of_place_is_seen_by_the_oracle() {
     let sensor = common::scenes::scanner(90, 31);
     let reports = |oracle: &Oracle, pose: &Pose| check_image(&world, oracle, &sensor, pose, &mut Random(1));
     assert!(reports(&right, &pose).iter().all(|r| r.fault == 0 && r.same > 100));
-    // The oracle's sensor stands 10 micrometres higher than the reference's.
+    // The oracle's sensor is 10 micrometres higher than the reference's.
     let higher = Pose::from_xyz_rpy(glam::DVec3::new(0.1, 0.2, 1.300_01), 0.0, 0.0, 0.3);
     let plan = plan(&world, &sensor, &pose);
     let mut images = Images::default();

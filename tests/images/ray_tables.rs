@@ -1,10 +1,10 @@
-//! Ray tables on the CPU engine: the same bits for ever. Hashes of its images in 300 generated cases are stored; they were taken
-//! when every polygon was still tested on every ray of the tiles that its cone met, one by one.
+//! Ray tables on the CPU engine keep their bits for ever. The stored hashes of 300 generated images date from a version
+//! that tested every polygon on every ray of the tiles in its cone.
 //!
-//! The bits are the same on every machine. The engine multiplies, adds and divides in f64 and takes square roots, all of
-//! which IEEE 754 rounds in one way, and neither the compiler nor the vector code joins a product and a sum into one
-//! rounding. Sines differ between C libraries: poses and the rays of fisheyes are made by `libm`, and the lenses taken as
-//! cameras here are those of polynomials.
+//! The bits are the same on every machine. The engine multiplies, adds, divides and takes square roots in f64, which
+//! IEEE 754 rounds in one way, and neither the compiler nor the vector code fuses a product and a sum into one
+//! rounding. Sines differ between C libraries, so `libm` makes the poses and the rays of fisheyes, and the lens cameras
+//! here are polynomial.
 //!
 //! `PRESIGHT_RAY_TABLES=FILE` writes the hashes to a file instead.
 
@@ -22,7 +22,7 @@ use std::sync::Arc;
 
 const CASES: u64 = 300;
 
-/// What the rays of a case are, in turns.
+/// The kinds of rays, one case after the other.
 const KINDS: [&str; 6] = ["plumb-bob", "rational", "fisheye", "wide fisheye", "table", "random rays"];
 
 fn side(random: &mut Random) -> u32 {
@@ -68,7 +68,8 @@ fn rational(random: &mut Random) -> Distortion {
     ])
 }
 
-/// Equidistant, `half_deg` from the axis to the middle of the image's longer sides, turned anyhow; no ray beyond 180 degrees.
+/// Equidistant, with `half_deg` from the axis to the centre of the image's longer sides, rotated at random; no ray
+/// beyond 180 degrees.
 fn fisheye(random: &mut Random, (width, height): (u32, u32), half_deg: f64) -> Vec<DVec3> {
     let turn = Pose::from_xyz_rpy(DVec3::ZERO, 0.0, random.uniform(-1.0, 1.0), random.uniform(-3.0, 3.0));
     let (cx, cy) = (0.5 * f64::from(width - 1), 0.5 * f64::from(height - 1));
@@ -104,7 +105,7 @@ fn beams(random: &mut Random, (width, height): (u32, u32)) -> Vec<DVec3> {
     (0..height).flat_map(|r| (0..width).map(move |c| (c, r))).map(|(c, r)| ray(c, r)).collect()
 }
 
-/// Rays in no order, in a few directions, or all the same one.
+/// Rays in random order, in a few directions, or all equal.
 fn random_rays(random: &mut Random, (width, height): (u32, u32)) -> Vec<DVec3> {
     let most = [1, 5, usize::MAX][random.below(3)];
     let mut made: Vec<DVec3> = Vec::new();
@@ -151,10 +152,10 @@ fn sensor(random: &mut Random, kind: usize) -> Sensor {
         spec.range_min = random.uniform(0.0, 1.5);
         spec.range_max = random.uniform(2.0, 8.0);
     }
-    Sensor::new(spec).expect("a sound sensor")
+    Sensor::new(spec).expect("a valid sensor")
 }
 
-/// Triangles of one size anywhere in the room, as a mesh and as one that is wound the other way round.
+/// Triangles of one size anywhere in the room, as a mesh and as a mesh with the opposite winding.
 fn soup(random: &mut Random, count: usize, size: f64) -> [Arc<Mesh>; 2] {
     let (mut vertices, mut polygons) = (Vec::new(), Vec::new());
     let mut coordinate = |half: f64| random.uniform(-half, half) as f32;
@@ -172,36 +173,37 @@ fn soup(random: &mut Random, count: usize, size: f64) -> [Arc<Mesh>; 2] {
         polygons.iter().map(|p| Polygon::new(vec![p.corners[0], p.corners[2], p.corners[1]], p.material)).collect();
     [polygons, turned].map(|polygons| {
         let mesh = Mesh::new("soup", vertices.clone(), polygons, PolygonOrder::Spatial);
-        Arc::new(mesh.expect("a sound mesh"))
+        Arc::new(mesh.expect("a valid mesh"))
     })
 }
 
-/// A room with boxes, some of them twice in the same place, and loose triangles: few large ones, or more small ones than are
-/// drawn at once.
+/// A room with boxes, some of them twice in the same place, and loose triangles: few large ones, or more small ones
+/// than fit in one pass.
 fn world(random: &mut Random) -> World {
     let boxes = random.below(30);
     let mut environment = scenes::room(random.bits(), boxes);
-    environment.add_material(Material { one_sided: true, ..Material::named("sheet") }).expect("a sound material");
-    environment.add_material(Material::named("red")).expect("a sound material");
+    environment.add_material(Material { one_sided: true, ..Material::named("sheet") }).expect("a valid material");
+    environment.add_material(Material::named("red")).expect("a valid material");
     for object in environment.objects().to_vec().into_iter().skip(1).step_by(3) {
         let again = NewObject::new("again", object.world_from_object, object.mesh.clone());
-        environment.insert(again).expect("a sound object");
+        environment.insert(again).expect("a valid object");
     }
     let (count, size) = [(20, 1.5), (300, 0.4), (3000, 0.1), (9000, 0.05)][random.below(4)];
     let [mesh, turned] = soup(random, count, size);
     let pose = Pose::from_xyz_rpy(DVec3::new(0.1, -0.2, 0.0), 0.0, 0.0, random.uniform(-3.0, 3.0));
-    // Wound the other way round, for a mirrored object keeps its fronts: the hashes are of a time when it turned them round.
+    // With the opposite winding, because a mirrored object keeps its front sides: the hashes date from a version that
+    // reversed them.
     let mut mirrored = NewObject::new("mirrored", pose, turned);
     mirrored.object_from_mesh = DAffine3::from_scale(DVec3::new(-1.0, 1.0, 0.9));
-    environment.insert(NewObject::new("loose", pose, mesh)).expect("a sound object");
-    environment.insert(mirrored).expect("a sound object");
+    environment.insert(NewObject::new("loose", pose, mesh)).expect("a valid object");
+    environment.insert(mirrored).expect("a valid object");
     World::new(environment)
 }
 
 fn hash(images: &Images) -> String {
     let mut hasher = blake3::Hasher::new();
     for image in [&images.range, &images.depth_z, &images.cos_incidence, &images.echo] {
-        // All that is no number is one and the same.
+        // All NaN values count as equal.
         let bits = |x: &f32| if x.is_nan() { f32::NAN.to_bits() } else { x.to_bits() };
         for x in image {
             hasher.update(&bits(x).to_le_bytes());
@@ -215,7 +217,7 @@ fn hash(images: &Images) -> String {
     hasher.finalize().to_hex()[..16].to_owned()
 }
 
-/// What a case is, and its hash, with so many threads.
+/// A case's description and hash, with this number of threads.
 fn case(seed: u64, threads: usize) -> (String, String) {
     let mut random = Random(seed);
     let kind = seed as usize % KINDS.len();
@@ -230,7 +232,7 @@ fn case(seed: u64, threads: usize) -> (String, String) {
 }
 
 #[test]
-fn images_of_ray_tables_have_the_bits_that_they_always_had() {
+fn images_of_ray_tables_keep_their_bits() {
     let cases: Vec<(String, String)> = (0..CASES).map(|seed| case(seed, 1 + seed as usize % 3)).collect();
     if let Some(path) = std::env::var_os("PRESIGHT_RAY_TABLES") {
         let mut text = String::new();
@@ -249,11 +251,11 @@ fn images_of_ray_tables_have_the_bits_that_they_always_had() {
 fn in_a_full_room(geometry: Geometry) -> Images {
     let mut random = Random(7);
     let mut environment = scenes::room(7, 20);
-    environment.add_material(Material::named("red")).expect("a sound material");
-    environment.add_material(Material::named("green")).expect("a sound material");
+    environment.add_material(Material::named("red")).expect("a valid material");
+    environment.add_material(Material::named("green")).expect("a valid material");
     let [mesh, _] = soup(&mut random, 9000, 0.2);
-    environment.insert(NewObject::new("loose", Pose::IDENTITY, mesh)).expect("a sound object");
-    let sensor = Sensor::new(SensorSpec::new("odd", "laser", geometry)).expect("a sound sensor");
+    environment.insert(NewObject::new("loose", Pose::IDENTITY, mesh)).expect("a valid object");
+    let sensor = Sensor::new(SensorSpec::new("odd", "laser", geometry)).expect("a valid sensor");
     let pose = Pose::from_xyz_rpy(DVec3::new(0.1, 0.2, 1.4), 0.0, 0.0, 0.3);
     engines::cpu(0)(&plan(&World::new(environment), &sensor, &pose))
 }
@@ -262,7 +264,7 @@ fn table(width: u32, height: u32, rays: Vec<DVec3>) -> Geometry {
     Geometry::Rays(RayTable::new(width, height, rays).expect("sound rays"))
 }
 
-/// Then every pixel shows what a single ray shows; a million of them end in time, for what is behind is left out.
+/// Every pixel equals that of a single ray. A million rays finish in time, because hidden geometry is skipped.
 #[test]
 fn a_million_equal_rays_show_what_one_shows() {
     let ray = DVec3::new(0.7, 0.6, 0.05);
@@ -271,13 +273,13 @@ fn a_million_equal_rays_show_what_one_shows() {
     let many = in_a_full_room(table(1024, 1024, vec![ray; 1 << 20]));
     assert!(many.polygon_id.iter().all(|id| *id == one.polygon_id[0]));
     assert!(many.range.iter().all(|range| range.to_bits() == one.range[0].to_bits()));
-    // So near each other that no cone tells them apart.
+    // So close together that no cone separates them.
     let near = |i: u32| ray + DVec3::new(0.0, f64::from(i % 1024), f64::from(i / 1024)) * 1e-14;
     let many = in_a_full_room(table(1024, 1024, (0..1 << 20).map(near).collect()));
     assert!(many.polygon_id.iter().all(|id| *id == one.polygon_id[0]));
 }
 
-/// A table of which only one ray is left, and one of which none is.
+/// A table with only one ray left, and one with none.
 #[test]
 fn tables_may_be_all_holes() {
     let ray = DVec3::new(0.7, 0.6, 0.05);
@@ -291,8 +293,8 @@ fn tables_may_be_all_holes() {
     assert!(nothing.range.iter().all(|range| range.is_nan()) && nothing.polygon_id.iter().all(|id| *id == 0));
 }
 
-/// r (1 - 0.3 r^2) turns back at r = 1 / sqrt(0.9), which is imaged at 0.7027: no pixel beyond has a ray, and all others see the
-/// room around them.
+/// r (1 - 0.3 r^2) has its maximum at r = 1 / sqrt(0.9), which is imaged at 0.7027. No pixel beyond has a ray, and all
+/// others see the surrounding room.
 #[test]
 fn a_lens_that_folds_inside_the_image_has_no_ray_beyond() {
     let distortion = Distortion::PlumbBob([-0.3, 0.0, 0.0, 0.0, 0.0]);
@@ -308,8 +310,8 @@ fn a_lens_that_folds_inside_the_image_has_no_ray_beyond() {
     }
 }
 
-/// Equidistant with f = 50 / pi: the model ends 180 degrees from the axis, 50 pixels from the middle, and what is straight behind is
-/// seen there all round.
+/// Equidistant with f = 50 / pi: the model ends 180 degrees from the axis, 50 pixels from the centre, and the direction
+/// straight behind appears all round at that radius.
 #[test]
 fn a_fisheye_past_180_degrees_sees_behind_itself() {
     let f = 50.0 / std::f64::consts::PI;

@@ -1,5 +1,5 @@
-//! What a predictor does when its GPU goes away: opens it again, or goes on with the CPU, and says so. On whatever adapter
-//! there is (lavapipe in CI).
+//! A predictor whose GPU disappears opens it again, or continues with the CPU, and reports that. Runs on any adapter
+//! (lavapipe in CI).
 #![cfg(feature = "gpu")]
 
 use presight_testkit as common;
@@ -22,7 +22,7 @@ use presight_render::plan::{FramePlan, Images, Output, Outputs, Raster};
 use presight_render::verify::Precision;
 use std::time::Duration;
 
-/// What a test predicts over and over.
+/// The prediction that a test repeats.
 struct Task {
     world: World,
     sensor: Sensor,
@@ -31,7 +31,7 @@ struct Task {
 }
 
 impl Task {
-    /// `None` where there is no adapter and the machine may lack one.
+    /// Returns `None` where there is no adapter and the machine may lack one.
     fn new() -> Option<Self> {
         if let Err(e) = GpuEngine::new(DeviceOptions::default()) {
             no_adapter(e);
@@ -47,7 +47,7 @@ impl Task {
         predictor.predict(&self.world, &self.sensor, &self.pose, &self.request)
     }
 
-    /// Holds images to the reference.
+    /// Compares images with the reference.
     fn check(&self, prediction: &Prediction) {
         let plan = FramePlan::new(&self.world, &self.sensor, &self.pose, &self.request).unwrap();
         let report = common::compare_or_show(&common::reference(&plan), &prediction.images, &plan, Precision::F32);
@@ -64,7 +64,7 @@ fn options(backend: Backend) -> Options {
     Options::new(backend).with_threads(1)
 }
 
-/// A predictor on any adapter, and the hand on its device.
+/// A predictor on any adapter, and the switches of its device.
 fn on(backend: Backend) -> (Predictor, Switches) {
     with(backend, Setup::default(), false)
 }
@@ -75,7 +75,7 @@ fn with(backend: Backend, setup: Setup, wrong: bool) -> (Predictor, Switches) {
 }
 
 #[test]
-fn a_lost_gpu_is_opened_again_and_shows_the_same() {
+fn a_lost_gpu_is_opened_again_with_the_same_images() {
     let Some(task) = Task::new() else { return };
     for backend in [Backend::Gpu, Backend::Auto] {
         let (mut predictor, switches) = on(backend);
@@ -89,7 +89,7 @@ fn a_lost_gpu_is_opened_again_and_shows_the_same() {
             assert_eq!(bits(&after.images), bits(&before.images), "{backend:?}");
             let [notice] = &after.stats.notices[..] else { panic!("{:?}", after.stats.notices) };
             assert!(notice.starts_with("the GPU was opened again after this: "), "{notice}");
-            // How often a new device draws until its buffers are large enough is not the same each time.
+            // A new device draws repeatedly until its buffers are large enough, and the number varies.
             let once = |p: &Prediction, stage| p.stats.stages_ms.iter().filter(|(name, _)| *name == stage).count();
             let counts = [StageName::Selection, StageName::Upload, StageName::Echo].map(|stage| once(&after, stage));
             assert_eq!(counts, [1; 3], "nothing of the failed attempt is counted");
@@ -98,7 +98,7 @@ fn a_lost_gpu_is_opened_again_and_shows_the_same() {
 }
 
 #[test]
-fn where_it_cannot_be_opened_auto_goes_on_with_the_cpu() {
+fn where_it_cannot_be_opened_auto_continues_with_the_cpu() {
     let Some(task) = Task::new() else { return };
     let (mut predictor, switches) = on(Backend::Auto);
     assert!(predictor.engine_name().starts_with("gpu"), "{}", predictor.engine_name());
@@ -116,13 +116,13 @@ fn where_it_cannot_be_opened_auto_goes_on_with_the_cpu() {
         let [notice] = &after.stats.notices[..] else { panic!("{:?}", after.stats.notices) };
         assert!(notice.starts_with("the CPU engine took over: ") && notice.contains("lost"), "{notice}");
         task.check(&after);
-        // The planted fault: had it gone on with what the GPU left, this would tell.
+        // The planted fault: continuing with the GPU's partial images would show here.
         assert_ne!(bits(&after.images), bits(&before.images), "the engines' last bits differ");
     }
 }
 
 #[test]
-fn asked_for_by_name_a_lost_gpu_is_an_error_until_it_can_be_opened() {
+fn by_name_a_lost_gpu_is_an_error_until_it_can_be_opened() {
     let Some(task) = Task::new() else { return };
     let (mut predictor, switches) = on(Backend::Gpu);
     let before = task.predict(&mut predictor).unwrap();
@@ -152,7 +152,7 @@ fn too_little_memory_is_an_error_by_name_and_the_cpu_with_auto() {
     assert_eq!(instead.stats.engine, "cpu");
     assert!(instead.stats.notices[0].starts_with("the CPU engine took over: "), "{:?}", instead.stats.notices);
     task.check(&instead);
-    // The device is not lost: what fits goes on.
+    // The device is not lost: a smaller request works.
     task.sensor = smaller;
     let again = task.predict(&mut named).unwrap();
     assert_eq!(bits(&again.images), bits(&fits.images));
@@ -173,7 +173,7 @@ fn a_driver_that_draws_wrong_is_an_error_by_name_and_the_cpu_with_auto() {
     task.check(&instead);
 }
 
-/// What the hardware rasterizer does wrong is left to compute spans, by whatever backend, and said.
+/// Compute spans take over from a faulty hardware rasterizer with every backend, and the prediction reports it.
 #[test]
 fn compute_spans_take_over_from_a_hardware_rasterizer_that_draws_wrong_or_is_lost() {
     let Some(task) = Task::new() else { return };
@@ -197,14 +197,15 @@ fn compute_spans_take_over_from_a_hardware_rasterizer_that_draws_wrong_or_is_los
         task.check(&right);
         switches.lose();
         told(&task.predict(&mut predictor).unwrap(), "lost");
-        // And stay.
+        // And they stay in use.
         told(&task.predict(&mut predictor).unwrap(), "lost");
     }
 }
 
-/// As `predict --repeat N` does it, while another thread takes the device away at any point of a prediction.
+/// Repeats predictions, as `predict --repeat N` does, while another thread removes the device at any point of a
+/// prediction.
 #[test]
-fn lost_in_the_midst_of_predictions_every_answer_is_right_or_an_error() {
+fn when_lost_during_predictions_every_result_is_right_or_an_error() {
     let Some(task) = Task::new() else { return };
     let (mut predictor, switches) = on(Backend::Gpu);
     let before = task.predict(&mut predictor).unwrap();
@@ -232,7 +233,7 @@ fn lost_in_the_midst_of_predictions_every_answer_is_right_or_an_error() {
 }
 
 #[test]
-fn a_gpu_lost_in_the_midst_of_a_batch_costs_no_pose() {
+fn a_gpu_lost_during_a_batch_loses_no_pose() {
     let Some(task) = Task::new() else { return };
     let pose = |i: usize| task.pose * Pose::from_xyz_rpy(DVec3::X * 0.01 * i as f64, 0.0, 0.0, 0.02 * i as f64);
     let images = Some((&task.request).into());
@@ -240,7 +241,7 @@ fn a_gpu_lost_in_the_midst_of_a_batch_costs_no_pose() {
     let (mut whole, _) = on(Backend::Gpu);
     let mut single = |i| bits(&whole.predict(&task.world, &task.sensor, &pose(i), &task.request).unwrap().images);
     let singles: Vec<_> = (0..10).map(&mut single).collect();
-    // The comparison can fail.
+    // Checks that the comparison can fail.
     assert!(singles[0] != singles[1]);
     for (backend, gone) in [(Backend::Gpu, false), (Backend::Gpu, true), (Backend::Auto, true)] {
         let (mut predictor, switches) = on(backend);

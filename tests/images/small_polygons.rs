@@ -1,5 +1,5 @@
-//! A hall of small triangles, most of which lie behind others or between the rays: the CPU engine leaves those out, and its images
-//! are the reference's.
+//! A hall of small triangles, most of them behind others or between the rays: the CPU engine skips those, and its
+//! images equal the reference.
 
 use presight_testkit as common;
 
@@ -18,7 +18,7 @@ fn sensors() -> Vec<Sensor> {
 }
 
 #[test]
-fn images_of_small_polygons_are_the_references() {
+fn images_of_small_polygons_equal_the_reference() {
     let hall = open_hall(3, 60_000);
     let poses = hall_poses(&hall, 5, 2);
     let world = World::new(hall);

@@ -3,21 +3,22 @@
 use super::engine_args::EngineArgs;
 use super::outputs::check_no_dash;
 use super::pose::{PoseFrame, PoseOf, WorldFrame, given_pose};
+use super::series::SeriesProgress;
 use super::{CommandOutcome, bar, folder, open_scene, print};
 use presight::{Scene, blake3_of};
 use presight_files::atomic::write_atomically;
-use presight_files::frames::ExternalPose;
 use presight_files::gltf::ImportOptions;
-use presight_files::series::SeriesProgress;
+use presight_files::poses::ExternalPose;
 use presight_files::{exr, load_sensor, log, sensor_toml, tum};
-use presight_files::{inputs, text};
+use presight_files::{files_named_by, text};
 use presight_model::error::{Error, Result};
 use presight_model::geometry::Pose;
 use presight_model::index::Scheme;
+use presight_model::measured::{Frame, Measurement};
 use presight_model::sensor::Sensor;
 use presight_model::threads::Threads;
 use presight_predict::batch::{BatchItem, BatchRequest, Headings, PoseCell, RangeLikelihood};
-use presight_predict::predict::Predictor;
+use presight_predict::predict::{Backend, Predictor};
 use presight_render::plan::{IdScheme, ImageRequest, Output, Outputs, Raster};
 use rayon::prelude::*;
 use std::fmt::Write as _;
@@ -124,7 +125,6 @@ fn parse_shard(text: &str) -> Result<(u32, u32)> {
 /// holds another batch. Finished files are kept, and the same command continues.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     check_no_dash(&args.out)?;
-    inputs::record();
     let threads = Threads::from(args.threads).started()?;
     let (sensor, notices) = load_sensor(&args.sensor)?;
     print::notices(&notices);
@@ -139,18 +139,24 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     // All shards must use the same height.
     request.height = Some(poses.first.translation.z);
     let items = args.items(poses.count);
-    args.check_inputs()?;
+    args.check_inputs(&scene.files)?;
     folder::ready(&args.out)?;
-    let raster = check_job(&args.out, args.job(&scene, &sensor, &poses)?, args.engine.raster())?;
+    let record = args.job(&scene, &sensor, &poses)?;
+    let chosen =
+        check_job(&args.out, &record, Choice { backend: args.engine.backend(), raster: args.engine.raster() })?;
     let mut job = Job::new(args, scene, sensor, request)?;
     let table = args.table();
     if table.exists() {
         print::message(&format!("note: {} is already finished", table.display()));
         return Ok(CommandOutcome::Done);
     }
+    let raster = chosen.raster.unwrap_or_default();
+    let options = args.engine.options(threads.clone()).with_backend(chosen.backend.unwrap_or_default());
+    let mut predictor = Predictor::new(options.with_raster(raster))?;
+    let backend = if predictor.engine_mut().0.device().is_some() { Backend::Gpu } else { Backend::Cpu };
+    keep_job(&args.out, record, Choice { backend: Some(backend), raster: Some(raster) })?;
     let mut progress = job.progress(&table, items.clone())?;
     print::finished_before(&progress, items.len());
-    let mut predictor = Predictor::new(args.engine.options(threads.clone()).with_raster(raster))?;
     job.write(&mut predictor, &threads, &mut progress, items)?;
     progress.rename(&table)?;
     Ok(CommandOutcome::Done)
@@ -208,10 +214,14 @@ impl Args {
         self.out.join(self.shard.map_or("poses.csv".into(), |(i, n)| format!("poses-{i}-of-{n}.csv")))
     }
 
-    /// Checks that no input file would be overwritten.
-    fn check_inputs(&self) -> Result<()> {
+    /// Checks that no input file would be overwritten. `scene` are the files of the scene.
+    fn check_inputs(&self, scene: &[PathBuf]) -> Result<()> {
         let Ok(folder) = self.out.canonicalize() else { return Ok(()) };
-        for input in inputs::so_far() {
+        let sensor = PathBuf::from(&self.sensor);
+        let table = files_named_by(&sensor);
+        let frame = self.likelihood.as_deref().map(|frame| frame_of(frame).0);
+        let named = table.iter().chain([&sensor, &self.poses]).chain(&frame);
+        for input in scene.iter().chain(named) {
             let Ok(path) = input.canonicalize() else { continue };
             let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
             if path.parent() == Some(&folder) && may_write(&name) {
@@ -262,40 +272,71 @@ fn may_write(name: &str) -> bool {
 /// The file that identifies the batch of a folder.
 const JOB: &str = "batch.json";
 
-/// Checks that the folder holds this batch or none. Returns the rasterizer that was chosen when the batch began: all
-/// its runs and shards use that one.
-fn check_job(folder: &Path, mut job: serde_json::Value, asked: Option<Raster>) -> Result<Raster> {
+/// The engine and the rasterizer of a batch; `None` if not chosen yet.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Choice {
+    backend: Option<Backend>,
+    raster: Option<Raster>,
+}
+
+/// The engines that a batch can use, with their names in its record.
+const BACKENDS: [(Backend, &str); 2] = [(Backend::Cpu, "cpu"), (Backend::Gpu, "gpu")];
+
+/// Checks that the folder holds this batch or none. Returns the engine and the rasterizer to use: the ones of the
+/// batch's first run, so that all its images are alike, or else the given ones.
+fn check_job(folder: &Path, job: &serde_json::Value, given: Choice) -> Result<Choice> {
     let path = folder.join(JOB);
     if !path.exists() {
-        let raster = asked.unwrap_or_default();
-        job["raster"] = raster.name().into();
-        write_atomically(&path, |file| writeln!(file, "{job:#}"))?;
-        return Ok(raster);
+        return Ok(given);
     }
     let record = text::read_settings(&path)?;
+    same_job(&record, job, given).map_err(|e| e.in_file(&path))
+}
+
+fn same_job(record: &str, job: &serde_json::Value, given: Choice) -> Result<Choice> {
     let remedy = "choose another --out, or remove the folder";
-    let broken = |e| Error::invalid(format!("it is not a valid record of a batch: {e}"), remedy).in_file(&path);
-    let before: serde_json::Value = serde_json::from_str(&record).map_err(broken)?;
+    let broken = |e| Error::invalid(format!("it is not a valid record of a batch: {e}"), remedy);
+    let before: serde_json::Value = serde_json::from_str(record).map_err(broken)?;
     let names = ["format", "presight", "scene", "sensor", "poses", "request"];
-    match names.iter().find(|name| before[**name] != job[**name]) {
-        None => {
-            // Older records do not name a rasterizer.
-            let name = before["raster"].as_str().unwrap_or(Raster::default().name());
-            let raster = [Raster::Compute, Raster::Render].into_iter().find(|raster| raster.name() == name);
-            let other = || Error::invalid("this batch began with another --raster", "drop it, or choose another --out");
-            raster.filter(|raster| asked.is_none_or(|asked| asked == *raster)).ok_or_else(|| other().in_file(&path))
-        }
-        Some(name) => {
-            let what = match *name {
-                "scene" => "the scene has changed since this batch began",
-                "sensor" => "this batch began with another sensor",
-                "poses" => "this batch began with other poses",
-                "request" => "this batch began with another measured image or other flags",
-                _ => "another version of presight began this batch",
-            };
-            Err(Error::invalid(what, remedy).in_file(&path))
-        }
+    if let Some(name) = names.iter().find(|name| before[**name] != job[**name]) {
+        let what = match *name {
+            "scene" => "the scene has changed since this batch began",
+            "sensor" => "this batch began with another sensor",
+            "poses" => "this batch began with other poses",
+            "request" => "this batch began with another measured image or other flags",
+            _ => "another version of presight began this batch",
+        };
+        return Err(Error::invalid(what, remedy));
     }
+    let other = |flag: &str| {
+        Error::invalid(format!("this batch began with another {flag}"), "drop it, or choose another --out")
+    };
+    // Older records name no engine, and still older ones no rasterizer either.
+    let raster = before["raster"].as_str().unwrap_or(Raster::default().name());
+    let raster = [Raster::Compute, Raster::Render].into_iter().find(|r| r.name() == raster);
+    let raster = raster.filter(|r| given.raster.is_none_or(|given| given == *r)).ok_or_else(|| other("--raster"))?;
+    let backend = match before["backend"].as_str() {
+        None => given.backend,
+        Some(name) => {
+            let backend = BACKENDS.into_iter().find(|(_, n)| *n == name).map(|(backend, _)| backend);
+            let backend = backend.filter(|b| given.backend.is_none_or(|given| given == *b));
+            Some(backend.ok_or_else(|| other("--backend"))?)
+        }
+    };
+    Ok(Choice { backend, raster: Some(raster) })
+}
+
+/// Records the batch in the folder with the engine and the rasterizer in use. If another shard was faster, checks that
+/// it uses the same ones.
+fn keep_job(folder: &Path, mut job: serde_json::Value, used: Choice) -> Result<()> {
+    let path = folder.join(JOB);
+    if path.exists() {
+        return check_job(folder, &job, used).map(drop);
+    }
+    job["raster"] = used.raster.map(Raster::name).into();
+    let backend = BACKENDS.into_iter().find(|(backend, _)| used.backend == Some(*backend));
+    job["backend"] = backend.map(|(_, name)| name).into();
+    write_atomically(&path, |file| writeln!(file, "{job:#}"))
 }
 
 /// Splits `FILE#INDEX` of a measured image into file and index.
@@ -324,7 +365,8 @@ fn read_sensed(frame: &str, sensor: &Sensor, cell: PoseCell) -> Result<RangeLike
             range
         }
     };
-    RangeLikelihood::new(sensor, range, cell).map_err(|e| e.in_file(&path))
+    let frame = Frame::new(0.0, sensor.clone(), Measurement::Range(range));
+    frame.and_then(|frame| RangeLikelihood::new(&frame, cell)).map_err(|e| e.in_file(&path))
 }
 
 /// A summary of the pose file, which is read in full at the start so that errors in it are found before any work.
@@ -505,18 +547,26 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_batch_goes_on_with_the_rasterizer_that_it_began_with() {
+    fn a_batch_goes_on_with_the_engine_and_rasterizer_that_it_began_with() {
         let folder = tempfile::tempdir().unwrap();
         let job = || serde_json::json!({ "format": 1, "scene": "hall" });
-        let begin = |asked| check_job(folder.path(), job(), asked);
-        for asked in [Some(Raster::Render), None, Some(Raster::Render)] {
-            assert_eq!(begin(asked).unwrap(), Raster::Render);
+        let asked = |backend, raster| check_job(folder.path(), &job(), Choice { backend, raster });
+        let none = Choice { backend: None, raster: None };
+        assert_eq!(asked(None, None).unwrap(), none, "nothing is chosen before the first run");
+        let used = Choice { backend: Some(Backend::Cpu), raster: Some(Raster::Render) };
+        keep_job(folder.path(), job(), used).unwrap();
+        for (backend, raster) in [(None, None), (Some(Backend::Cpu), None), (None, Some(Raster::Render))] {
+            assert_eq!(asked(backend, raster).unwrap(), used);
         }
-        let refused = begin(Some(Raster::Compute)).unwrap_err();
-        assert!(refused.to_string().contains("this batch began with another --raster"), "{refused}");
-        // An older record, which names no rasterizer.
+        let refused = |choice: Result<Choice>| choice.unwrap_err().to_string();
+        assert!(refused(asked(None, Some(Raster::Compute))).contains("this batch began with another --raster"));
+        assert!(refused(asked(Some(Backend::Gpu), None)).contains("this batch began with another --backend"));
+        let of_gpu = Choice { backend: Some(Backend::Gpu), ..used };
+        assert!(keep_job(folder.path(), job(), of_gpu).is_err(), "another shard began on the CPU");
+        // An older record, which names no engine and no rasterizer.
         std::fs::write(folder.path().join(JOB), job().to_string()).unwrap();
-        assert_eq!(begin(None).unwrap(), Raster::Compute);
-        assert!(begin(Some(Raster::Render)).is_err());
+        let compute = Choice { backend: Some(Backend::Gpu), raster: Some(Raster::Compute) };
+        assert_eq!(asked(compute.backend, None).unwrap(), compute);
+        assert!(asked(None, Some(Raster::Render)).is_err());
     }
 }

@@ -4,7 +4,7 @@ use super::frame_args::FrameArgs;
 use super::outputs::OutputFiles;
 use super::{CommandOutcome, open_scene, print};
 use clap::ValueEnum;
-use presight::blake3_of;
+use presight::{Scene, blake3_of};
 use presight_files::atomic::write_atomically;
 use presight_files::exr;
 use presight_files::exr::{Attributes, ImageFile};
@@ -93,15 +93,20 @@ struct Document<'a> {
 /// # Errors
 /// Read errors, and images that cannot be compared.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
-    let mut files = OutputFiles::new();
+    let mut files = OutputFiles::default();
     files.add("--json", args.json.as_deref(), &["json"])?;
     files.check_named([&args.reference, &args.other].into_iter().chain(&args.scene).map(PathBuf::as_path))?;
+    let mut scene_files = Vec::new();
     let mut reference = exr::read(&args.reference)?;
     let mut other = exr::read(&args.other)?;
     keep_common(&mut reference, &mut other).map_err(|e| e.in_file(&args.other))?;
-    let compare = |a: &Images, b: &Images| match &args.scene {
+    let mut compare = |a: &Images, b: &Images| match &args.scene {
         None => compare_exactly(a, b),
-        Some(scene) => compare_by_scene(args, scene, (&reference.attributes, a), b),
+        Some(path) => {
+            let (report, files) = compare_by_scene(args, path, (&reference.attributes, a), b)?;
+            scene_files = files;
+            Ok(report)
+        }
     };
     let (a, b) = (&reference.images, &other.images);
     let report = match (&reference.attributes.given_up, &other.attributes.given_up) {
@@ -113,7 +118,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         }
     }
     .map_err(|e| e.in_file(&args.other))?;
-    files.check_read()?;
+    files.check_scene(&scene_files)?;
     if let Some(path) = &args.json {
         let name = |p: &Path| p.display().to_string();
         let document = Document {
@@ -172,7 +177,7 @@ fn compare_by_scene(
     scene: &Path,
     (attributes, reference): (&Attributes, &Images),
     other: &Images,
-) -> Result<Report> {
+) -> Result<(Report, Vec<PathBuf>)> {
     let missing = |what: &str| {
         let remedy = "write the file with presight predict, or compare without --scene";
         Error::invalid("is missing", remedy).at(format!("attribute \"presight:{what}\"")).in_file(&args.reference)
@@ -193,10 +198,10 @@ fn compare_by_scene(
         merge_tolerance: args.merge_tolerance.unwrap_or(default.merge_tolerance),
         ..default
     };
-    let world = open_scene(scene, &options, Scheme::default())?.world;
+    let Scene { world, files, .. } = open_scene(scene, &options, Scheme::default())?;
     let request = ImageRequest { outputs: reference.outputs(), ids };
     let plan = FramePlan::new(&world, &sensor, &world_from_sensor, request)?;
-    compare(reference, other, &plan, args.precision.into())
+    Ok((compare(reference, other, &plan, args.precision.into())?, files))
 }
 
 fn in_words(report: &Report) -> Vec<String> {

@@ -1,7 +1,6 @@
 //! Deadlines of predictions, and the file of learnt costs.
 
 use presight_files::costs;
-use presight_files::inputs;
 use presight_model::error::{Error, Result};
 use presight_predict::predict::Predictor;
 use presight_predict::request::Request;
@@ -68,7 +67,6 @@ impl DeadlineArgs {
     pub fn read_costs(&self, predictor: &mut Predictor) -> Result<()> {
         if let Some(path) = self.costs.as_ref().filter(|path| path.exists()) {
             predictor.set_costs(costs::read(path)?);
-            inputs::forget(path);
         }
         Ok(())
     }

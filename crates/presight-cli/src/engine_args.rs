@@ -38,12 +38,18 @@ enum RasterArg {
 impl EngineArgs {
     /// Predictor options with these flags set.
     pub fn options(&self, threads: Threads) -> Options {
-        let backend = match self.backend {
-            BackendArg::Auto => Backend::Auto,
-            BackendArg::Cpu => Backend::Cpu,
-            BackendArg::Gpu => Backend::Gpu,
-        };
-        Options::new(backend).with_threads(threads).with_raster(self.raster().unwrap_or_default())
+        Options::new(self.backend().unwrap_or_default())
+            .with_threads(threads)
+            .with_raster(self.raster().unwrap_or_default())
+    }
+
+    /// The engine given with `--backend`; `None` for `auto`.
+    pub fn backend(&self) -> Option<Backend> {
+        match self.backend {
+            BackendArg::Auto => None,
+            BackendArg::Cpu => Some(Backend::Cpu),
+            BackendArg::Gpu => Some(Backend::Gpu),
+        }
     }
 
     /// The rasterizer given with `--raster`, if any.

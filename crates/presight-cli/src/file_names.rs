@@ -1,7 +1,7 @@
 //! File names of predictions: literal for one prediction, templates for several.
 
 use super::outputs::OutputFiles;
-use presight_files::templates::{Field, Names, Template};
+use super::templates::{Field, Names, Template};
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::sensor::Sensor;
 use presight_render::plan::{Output, Outputs};

@@ -84,7 +84,7 @@ const FILES: [&str; 1] = ["index.csv"];
 /// # Errors
 /// Errors from reading the scene, sensor and poses, from predictions, and from writing.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
-    let mut files = OutputFiles::new();
+    let mut files = OutputFiles::default();
     args.out.as_deref().map_or(Ok(()), |folder| files.add_folder(folder, &FILES))?;
     let named = [Some(args.scene.as_path()), args.poses.as_deref(), args.sensor.as_deref().map(Path::new)];
     files.check_named(named.into_iter().flatten())?;
@@ -99,14 +99,15 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         None => PRESETS.iter().map(|p| Ok((p.name.to_owned(), preset(p.name)?))).collect::<Result<_>>()?,
     };
     let given = args.poses.as_deref().map(folder::poses).transpose()?;
-    let world = open_scene(&args.scene, &import, Scheme::default())?.world;
+    let scene = open_scene(&args.scene, &import, Scheme::default())?;
+    let world = scene.world;
     let seed = given.is_none().then_some(args.seed);
     let poses: Vec<Pose> = match given {
         Some(given) => given,
         None => free_poses(&world, args.count as usize, args.seed)?,
     };
     index_study::check_poses(&poses)?;
-    files.check_read()?;
+    files.check_scene(&scene.files)?;
     args.out.as_deref().map(folder::ready).transpose()?;
     let count = poses.len();
     let options = Options::new(Backend::Cpu).with_threads(threads);

@@ -2,7 +2,7 @@
 
 use super::frame_args::FrameArgs;
 use super::open_scene;
-use super::{CommandOutcome, print};
+use super::{CommandOutcome, flags, print};
 use presight::Scene;
 use presight_files::preparation::lost_features;
 use presight_model::environment::{Appearance, Environment, Material, Object};
@@ -137,7 +137,8 @@ fn as_json(path: &Path, scene: &Scene) -> Value {
 fn hints(scene: &Scene) -> Vec<String> {
     let Some(frame) = scene.frame else { return Vec::new() };
     let scene_from_world = frame.world_from_scene.inverse().to_affine();
-    frame.hints(&scene.world.environment().bounds().transformed(&scene_from_world))
+    let hints = frame.hints(&scene.world.environment().bounds().transformed(&scene_from_world));
+    hints.iter().map(|hint| flags::named(hint)).collect()
 }
 
 fn in_words(path: &Path, scene: &Scene) -> Vec<String> {

@@ -3,12 +3,11 @@
 use super::predict::Shown;
 use super::print;
 use presight::{Scene, SceneFeatures};
-use presight_features::roi::PoseCovariance;
 use presight_features::{BoxOptions, FeatureOptions, FeaturePrediction, FeatureSource, Hidden};
-use presight_files::frames::ExternalPose;
+use presight_files::poses::ExternalPose;
 use presight_files::{pose_covariance, prediction_json};
 use presight_model::error::{Error, Result};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{InWorld, Pose, PoseCovariance};
 use presight_model::sensor::Sensor;
 use presight_predict::predict::Prediction;
 use presight_predict::request::Request;
@@ -77,7 +76,7 @@ impl NamedRequest {
 pub struct Layers {
     options: FeatureOptions,
     /// Covariance of the poses in the frame in which they are given.
-    covariance: PoseCovariance,
+    covariance: PoseCovariance<InWorld>,
     boxes: BoxOptions,
     /// True if regions of interest are predicted.
     boxed: bool,

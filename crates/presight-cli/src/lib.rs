@@ -10,6 +10,7 @@ mod engine_args;
 mod env;
 mod features;
 mod file_names;
+mod flags;
 mod folder;
 mod frame_args;
 mod index;
@@ -27,10 +28,13 @@ mod replay;
 #[cfg(feature = "report")]
 mod report;
 mod sensors;
+mod series;
 mod signals;
 mod simulate;
+mod stack;
 mod statistics;
 mod summary;
+mod templates;
 mod virtual_sensor;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};

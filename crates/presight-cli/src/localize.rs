@@ -10,15 +10,15 @@ use presight_files::depth_folder::DepthFolder;
 use presight_files::gltf::ImportOptions;
 use presight_files::load_sensor;
 use presight_files::log::{Frames, Observation};
-use presight_localize::estimate::{EstimateOptions, Estimator, Freedom, Prior};
+use presight_localize::estimate::{EstimateOptions, Estimator, Freedom};
 use presight_localize::extract::{FeatureClass, Findings, is_sought};
 use presight_localize::localize::{Candidate, LocalizeOptions, Localizer, Phase, Search, SearchOptions, Step};
 use presight_localize::verdict::{Verdict as Judged, Verdicts};
 use presight_model::environment::FeatureShape;
 use presight_model::error::{Error, Result};
-use presight_model::frame::{Frame, OdometryNoise};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, PoseEstimate};
 use presight_model::index::Scheme;
+use presight_model::measured::{Frame, OdometryNoise};
 use presight_model::sensor::{Geometry, Sensor};
 use presight_model::threads::Threads;
 use presight_predict::predict::{Backend, Options, Predictor};
@@ -202,11 +202,11 @@ impl Drive {
         files: OutputFiles,
         mut visit: impl FnMut(&Scene, &Sensed<'_>, &Step) -> Result<()>,
     ) -> Result<Followed> {
-        if self.from.is_some_and(f64::is_nan) {
-            return Err(Error::usage("--from NaN", "give seconds"));
-        }
-        files.check_named([self.log.as_path(), self.map.as_path()])?;
-        files.check_named(self.layers.iter().map(PathBuf::as_path))?;
+        self.check()?;
+        let beside = ["camera.json", "grey.toml", "poses.json", "poses.txt"].map(|name| self.log.join(name));
+        let sensors = [&self.sensor, &self.grey_sensor].into_iter().flatten().map(Path::new);
+        files.check_named([self.log.as_path(), self.map.as_path()].into_iter().chain(sensors))?;
+        files.check_named(self.layers.iter().chain(&beside).map(PathBuf::as_path))?;
         let sensor = self.sensor.as_deref().map(load_sensor).transpose()?;
         print::notices(sensor.iter().flat_map(|(_, notices)| notices));
         let log = Frames::open(&self.log, sensor.as_ref().map(|(sensor, _)| sensor), &self.odometry()?)?;
@@ -220,7 +220,7 @@ impl Drive {
         };
         let threads = Threads::from(self.threads).started()?;
         let import = ImportOptions { threads: threads.clone(), ..ImportOptions::default() };
-        let (start, options) = (self.start(&first)?, self.options(first.frame.sensor())?);
+        let (start, options) = (self.start(&first)?, self.options(first.frame.sensor()));
         let scene = open_scene(&self.map, &import, Scheme::default())?;
         let mut grey = self.grey(&measured)?;
         let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads))?;
@@ -235,7 +235,7 @@ impl Drive {
         let mut localizer = self.localizer(estimator, start, &scene, first.frame.sensor())?;
         // The search of the whole map predicts many panoramas, so it is set up only when it is needed.
         let mut may_search = start.is_some() && options.freedom == Freedom::Planar;
-        files.check_read()?;
+        files.check_scene(&scene.files)?;
         let mut followed = Followed::default();
         for observation in std::iter::once(Ok(first)).chain(log) {
             let Observation { frame, reference } = observation?;
@@ -245,7 +245,7 @@ impl Drive {
             let mut step = localizer.step_together(&scene.world, &frame, &beside).map_err(place)?;
             if may_search && matches!(step.phase, Phase::Lost | Phase::Unknown) {
                 may_search = false;
-                let search = self.search_about(&step.pose)?;
+                let search = self.search_about(&step.pose.world_from_robot)?;
                 if let Err(e) = localizer.search_everywhere(&scene.world, frame.sensor(), search) {
                     print::notices(&[format!("searching for the robot only around its last pose: {e}")]);
                 }
@@ -308,15 +308,40 @@ impl Drive {
         Ok(Observation { frame, ..observation })
     }
 
-    /// The start pose; `None` for `--init unknown`.
-    fn start(&self, first: &Observation) -> Result<Option<Pose>> {
+    /// Checks the values of the flags without opening any file.
+    fn check(&self) -> Result<()> {
+        if self.from.is_some_and(f64::is_nan) {
+            return Err(Error::usage("--from NaN", "give seconds"));
+        }
+        for (flag, sigma) in [("--init-sigma", self.init_sigma), ("--init-sigma-deg", self.init_sigma_deg)] {
+            if !(sigma > 0.0 && sigma.is_finite()) {
+                return Err(Error::usage(format!("{flag} {sigma}"), "give a finite deviation above 0"));
+            }
+        }
+        if let Some(sigma) = self.model_sigma.filter(|sigma| !(*sigma >= 0.0 && sigma.is_finite())) {
+            return Err(Error::usage(format!("--model-sigma {sigma}"), "give finite metres of at least 0"));
+        }
+        self.odometry()?;
+        self.search()?;
+        self.given_start().map(drop)
+    }
+
+    /// The pose of `--init`; `None` for a word.
+    fn given_start(&self) -> Result<Option<Pose>> {
         match self.init.as_str() {
-            "unknown" => Ok(None),
-            "reference" => first.reference.map(Some).ok_or_else(|| {
-                Error::usage("--init reference: the log has no poses", "give x,y,z,roll_deg,pitch_deg,yaw_deg")
-            }),
+            "unknown" | "reference" => Ok(None),
             pose => parse_pose(pose).map(Some).map_err(|e| e.at(format!("--init {pose}"))),
         }
+    }
+
+    /// The start pose; `None` for `--init unknown`.
+    fn start(&self, first: &Observation) -> Result<Option<Pose>> {
+        if self.init != "reference" {
+            return self.given_start();
+        }
+        first.reference.map(Some).ok_or_else(|| {
+            Error::usage("--init reference: the log has no poses", "give x,y,z,roll_deg,pitch_deg,yaw_deg")
+        })
     }
 
     fn localizer(
@@ -331,12 +356,7 @@ impl Drive {
             let search = Search::new(&mut estimator, &scene.world, sensor, self.search()?);
             return Ok(Localizer::unknown(estimator, search.map_err(|e| e.at("--init unknown"))?, options));
         };
-        for (flag, sigma) in [("--init-sigma", self.init_sigma), ("--init-sigma-deg", self.init_sigma_deg)] {
-            if !(sigma > 0.0 && sigma.is_finite()) {
-                return Err(Error::usage(format!("{flag} {sigma}"), "give a finite deviation above 0"));
-            }
-        }
-        let prior = Prior::of_sigmas(start, self.init_sigma, self.init_sigma_deg.to_radians());
+        let prior = PoseEstimate::of_sigmas(start, self.init_sigma, self.init_sigma_deg.to_radians());
         Ok(Localizer::new(estimator, prior, options))
     }
 
@@ -347,13 +367,30 @@ impl Drive {
         let lean = [roll.to_radians(), pitch.to_radians()];
         let floor_to = self.floor_to.unwrap_or(self.floor);
         let (floor, margin, surrounded) = (self.floor, self.margin, self.surrounded);
-        Ok(SearchOptions { floor, floor_to, margin, lean, surrounded, ..SearchOptions::default() })
+        for (flag, value, is_sound, remedy) in [
+            ("--lean", roll, roll.is_finite(), "give finite degrees"),
+            ("--lean", pitch, pitch.is_finite(), "give finite degrees"),
+            ("--floor", floor, floor.is_finite(), "give finite metres"),
+            ("--floor-to", floor_to, floor_to.is_finite(), "give finite metres"),
+            ("--margin", margin, margin >= 0.0 && margin.is_finite(), "give finite metres of at least 0"),
+            ("--surrounded", surrounded, (0.0..=1.0).contains(&surrounded), "give a share of 0 to 1"),
+        ] {
+            if !is_sound {
+                return Err(Error::usage(format!("{flag} {value}"), remedy));
+            }
+        }
+        Ok(SearchOptions::default()
+            .with_floor(floor)
+            .with_floor_to(floor_to)
+            .with_margin(margin)
+            .with_lean(lean)
+            .with_surrounded(surrounded))
     }
 
     /// Options for a search of the whole map at the last height of the robot.
     fn search_about(&self, pose: &Pose) -> Result<SearchOptions> {
         let height = pose.translation.z;
-        Ok(SearchOptions { floor: height, floor_to: height, ..self.search()? })
+        Ok(self.search()?.with_floor(height).with_floor_to(height))
     }
 
     fn odometry(&self) -> Result<OdometryNoise> {
@@ -365,7 +402,7 @@ impl Drive {
     }
 
     /// Estimator options for the sensor: a scanner of one row determines x, y and yaw only.
-    fn options(&self, sensor: &Sensor) -> Result<EstimateOptions> {
+    fn options(&self, sensor: &Sensor) -> EstimateOptions {
         let row = matches!(sensor.spec().geometry, Geometry::Scanner(_)) && sensor.height() == 1;
         let options = match sensor.spec().geometry {
             _ if row => EstimateOptions::planar(),
@@ -373,12 +410,9 @@ impl Drive {
             _ => EstimateOptions::default(),
         };
         let model_sigma = self.model_sigma.unwrap_or(options.model_sigma);
-        if !(model_sigma >= 0.0 && model_sigma.is_finite()) {
-            return Err(Error::usage(format!("--model-sigma {model_sigma}"), "give finite metres of at least 0"));
-        }
         // The offset shared by the polygons of one plane is about as large as the offset of each polygon.
         let offset_sigma = if self.model_sigma.is_some() { 0.7 * model_sigma } else { options.offset_sigma };
-        Ok(EstimateOptions { model_sigma, offset_sigma: offset_sigma.max(1e-3), ..options })
+        options.with_model_sigma(model_sigma).with_offset_sigma(offset_sigma.max(1e-3))
     }
 }
 
@@ -423,7 +457,7 @@ fn not_sought(placed: &PlacedFeatures) -> Option<String> {
 /// # Errors
 /// Those of [`Drive::follow`], and write errors.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
-    let mut files = OutputFiles::new();
+    let mut files = OutputFiles::default();
     let details = args.out.with_extension("jsonl");
     files.add("--out", Some(&args.out), &["tum"])?;
     files.add_any(&details)?;
@@ -439,7 +473,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
 fn write(path: &Path, steps: &[Step]) -> Result<()> {
     write_atomically(path, |file| {
         for s in steps.iter().filter(|s| s.is_known()) {
-            let (t, q) = (s.pose.translation, s.pose.rotation);
+            let (t, q) = (s.pose.world_from_robot.translation, s.pose.world_from_robot.rotation);
             writeln!(file, "{} {} {} {} {} {} {} {}", s.stamp, t.x, t.y, t.z, q.x, q.y, q.z, q.w)?;
         }
         Ok(())
@@ -457,8 +491,8 @@ fn write_details(path: &Path, followed: &Followed) -> Result<()> {
                 Judged::ALL.iter().zip(counts).map(|(v, n)| (v.name().to_owned(), (*n).into())).collect();
             let line = serde_json::json!({
                 "time": s.stamp, "state": s.phase.name(), "reason": s.reason,
-                "translation": s.pose.translation.to_array(), "rotation_xyzw": s.pose.rotation.to_array(),
-                "covariance": s.covariance, "explained": s.estimate.explained, "weak": weak, "verdicts": verdicts,
+                "translation": s.pose.world_from_robot.translation.to_array(), "rotation_xyzw": s.pose.world_from_robot.rotation.to_array(),
+                "covariance": s.pose.covariance, "explained": s.estimate.explained, "weak": weak, "verdicts": verdicts,
                 "features": features,
                 "predictions": s.estimate.predictions,
                 "candidates": s.candidates.iter().map(candidate).collect::<Vec<_>>(),
@@ -471,7 +505,7 @@ fn write_details(path: &Path, followed: &Followed) -> Result<()> {
 
 fn candidate(c: &Candidate) -> serde_json::Value {
     serde_json::json!({
-        "translation": c.pose.translation.to_array(), "rotation_xyzw": c.pose.rotation.to_array(),
+        "translation": c.pose.world_from_robot.translation.to_array(), "rotation_xyzw": c.pose.world_from_robot.rotation.to_array(),
         "log_likelihood": c.log_likelihood, "explained": c.explained, "frames": c.frames,
     })
 }
@@ -488,8 +522,8 @@ pub fn summary(followed: &Followed) -> String {
     let mut off: Vec<(f64, f64)> = Vec::new();
     for (step, there) in steps.iter().zip(reference).filter(|(step, _)| step.is_known()) {
         let Some(there) = there else { continue };
-        let degrees = step.pose.rotation.angle_between(there.rotation).to_degrees();
-        off.push(((step.pose.translation - there.translation).length(), degrees));
+        let degrees = step.pose.world_from_robot.rotation.angle_between(there.rotation).to_degrees();
+        off.push(((step.pose.world_from_robot.translation - there.translation).length(), degrees));
     }
     if !off.is_empty() {
         let rms = |f: fn(&(f64, f64)) -> f64| (off.iter().map(|o| f(o).powi(2)).sum::<f64>() / off.len() as f64).sqrt();

@@ -1,7 +1,7 @@
 //! Output files of a command. Before any is written, they are checked against the input files and against each other.
 
 use presight_files::atomic::{is_given, target_of};
-use presight_files::inputs;
+use presight_files::files_named_by;
 use presight_model::error::{Error, Result};
 use same_file::Handle;
 use std::collections::HashMap;
@@ -19,12 +19,6 @@ pub struct OutputFiles {
 }
 
 impl OutputFiles {
-    /// Starts with no output files, and starts recording input files.
-    pub fn new() -> Self {
-        inputs::record();
-        Self::default()
-    }
-
     /// Adds the file of a command line option. Its name must have one of the endings, unless it is a device or pipe.
     ///
     /// # Errors
@@ -80,13 +74,13 @@ impl OutputFiles {
         by_file.or_else(|| identity.place.as_ref().and_then(|place| self.by_place.get(place)))
     }
 
-    /// Checks before any work that no output is one of these input files.
+    /// Checks that no output is one of these input files, or is named by one that is a sensor or robot file.
     ///
     /// # Errors
     /// [`presight::ErrorKind::Usage`] naming the output and the input.
     pub fn check_named<'a>(&self, inputs: impl IntoIterator<Item = &'a Path>) -> Result<()> {
-        for input in inputs {
-            let identity = Identity::of(input, &mut Folders::new())?;
+        for input in inputs.into_iter().flat_map(|path| std::iter::once(path.to_owned()).chain(files_named_by(path))) {
+            let identity = Identity::of(&input, &mut Folders::new())?;
             if let Some(output) = self.find(&identity) {
                 let what = format!("{output}: this would overwrite {}, an input file", input.display());
                 return Err(Error::usage(what, "write elsewhere"));
@@ -95,17 +89,17 @@ impl OutputFiles {
         Ok(())
     }
 
-    /// Checks before the first write that no output is a file that has been read, even indirectly. Consumes `self` to
-    /// close its handles: some systems cannot replace an open file.
+    /// Checks before the first write that no output is a file of a scene. Consumes `self` to close its handles: some
+    /// systems cannot replace an open file.
     ///
     /// # Errors
     /// As [`OutputFiles::check_named`].
-    pub fn check_read(self) -> Result<()> {
+    pub fn check_scene(self, files: &[PathBuf]) -> Result<()> {
         if self.by_file.is_empty() && self.by_place.is_empty() {
             return Ok(());
         }
         // No store may be open here: closing any handle to its file drops this process's locks on it.
-        self.check_named(inputs::so_far().iter().map(PathBuf::as_path))
+        self.check_named(files.iter().map(PathBuf::as_path))
     }
 }
 

@@ -2,8 +2,7 @@
 
 use clap::ValueEnum;
 use glam::{DQuat, DVec3};
-use presight_files::frames;
-use presight_files::frames::ExternalPose;
+use presight_files::poses::{self, ExternalPose};
 use presight_model::error::{Error, Result};
 use presight_model::geometry::Pose;
 use presight_model::limits;
@@ -100,16 +99,16 @@ impl PoseArgs {
 /// [`presight::ErrorKind::Usage`] for an optical frame of a robot.
 pub fn given_pose(pose: Pose, frame: PoseFrame, of: PoseOf, world: WorldFrame) -> Result<ExternalPose> {
     let frame = match frame {
-        PoseFrame::Body => frames::PoseFrame::Body,
-        PoseFrame::Optical => frames::PoseFrame::Optical,
+        PoseFrame::Body => poses::PoseFrame::Body,
+        PoseFrame::Optical => poses::PoseFrame::Optical,
     };
     let of = match of {
-        PoseOf::Sensor => frames::PoseOf::Sensor,
-        PoseOf::Robot => frames::PoseOf::Robot,
+        PoseOf::Sensor => poses::PoseOf::Sensor,
+        PoseOf::Robot => poses::PoseOf::Robot,
     };
     let world = match world {
-        WorldFrame::ZUp => frames::WorldFrame::ZUp,
-        WorldFrame::Gltf => frames::WorldFrame::Gltf,
+        WorldFrame::ZUp => poses::WorldFrame::ZUp,
+        WorldFrame::Gltf => poses::WorldFrame::Gltf,
     };
     let given = ExternalPose::new(pose).with_frame(frame).with_of(of).with_world(world);
     given.check()?;

@@ -9,15 +9,15 @@ use super::outputs::OutputFiles;
 use super::pose::{PoseArgs, PoseOf};
 use super::statistics::{Statistics, Subject};
 use super::summary::Summary;
+use super::templates::Names;
 use super::virtual_sensor::VirtualArgs;
 use super::{CommandOutcome, open_scene, predict_poses, print};
 use clap::ValueEnum;
 use presight::{Scene, blake3_of};
 use presight_features::{BoxOptions, SeenFeature};
 use presight_files::atomic::write_atomically;
-use presight_files::frames::ExternalPose;
 use presight_files::gltf::ImportOptions;
-use presight_files::templates::Names;
+use presight_files::poses::ExternalPose;
 use presight_files::{PointCloud, PointsFrame, exr, load_robot, load_sensor, npy, pcd, ply, sensor_toml, tum};
 use presight_model::error::{Error, Result};
 use presight_model::index::Scheme;
@@ -215,8 +215,7 @@ impl Args {
         self.deadline.check()?;
         self.check_series()?;
         let import = self.import_options()?;
-        // Records every file read from here on.
-        let mut files = OutputFiles::new();
+        let mut files = OutputFiles::default();
         let (poses, sensors) = (self.given_poses()?, self.sensors()?);
         let names = self.names()?;
         let stamps: Vec<&str> = poses.iter().map(|(stamp, _)| stamp.as_str()).collect();
@@ -268,7 +267,7 @@ impl Args {
     /// The input files named on the command line.
     pub fn inputs(&self) -> impl Iterator<Item = &Path> {
         let sensor = self.sensor.as_deref().map(Path::new).or(self.robot.as_deref());
-        let poses = self.poses.as_deref().filter(|path| *path != Path::new("-"));
+        let poses = self.pose_file();
         let features = self.layers.inputs().chain(self.virtual_sensor.corridor.as_deref());
         [self.scene.as_path()].into_iter().chain(sensor).chain(poses).chain(features)
     }
@@ -285,10 +284,14 @@ impl Args {
         Ok(sensors)
     }
 
+    /// The file of `--poses`; `-` is stdin, which may be a file too.
+    fn pose_file(&self) -> Option<&Path> {
+        self.poses.as_deref().map(|path| if path == Path::new("-") { Path::new("/dev/stdin") } else { path })
+    }
+
     fn given_poses(&self) -> Result<Vec<(String, ExternalPose)>> {
         let of = if self.robot.is_some() { PoseOf::Robot } else { PoseOf::Sensor };
-        let Some(path) = &self.poses else { return Ok(vec![(String::new(), self.pose.parse_as(of)?)]) };
-        let path = if path == Path::new("-") { Path::new("/dev/stdin") } else { path };
+        let Some(path) = self.pose_file() else { return Ok(vec![(String::new(), self.pose.parse_as(of)?)]) };
         let poses = tum::read_with_stamps(path)?;
         let remedy = "give at least one line of timestamp tx ty tz qx qy qz qw";
         if poses.is_empty() {
@@ -471,7 +474,7 @@ fn run_one(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     };
     let statistics = Statistics::of(subject, &times_ms, &runs);
     let shown = Shown::of(args, &scene, &mut predictor, &prediction, (layers.as_ref(), &settings))?;
-    job.files.check_read()?;
+    job.files.check_scene(&scene.files)?;
     args.deadline.write_costs(&predictor)?;
     let paths = job.names.paths(&Names { sensor: &sensor.spec().name, ..Names::default() })?;
     let attributes = args.out.as_ref().map(|_| attributes(args, &scene, &sensor)).transpose()?;

@@ -4,14 +4,14 @@ use super::file_names::{FileNames, Paths};
 use super::layers::Layers;
 use super::overlap::{make_and_write, make_then_write};
 use super::predict::{self, Args, Job, Shown};
+use super::series::SeriesProgress;
+use super::stack::Stack;
 use super::summary::Summary;
+use super::templates::Names;
 use super::{CommandOutcome, bar, open_scene, print};
 use presight::{Scene, blake3_of};
-use presight_files::frames::ExternalPose;
-use presight_files::npy;
-use presight_files::npy::{Stack, Values};
-use presight_files::series::SeriesProgress;
-use presight_files::templates::Names;
+use presight_files::npy::{self, Values};
+use presight_files::poses::ExternalPose;
 use presight_files::{exr, sensor_toml};
 use presight_model::error::{Error, Result};
 use presight_model::memory;
@@ -46,7 +46,7 @@ pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     // Check again: the scene has taken some of the memory.
     memory::require(largest)?;
     let files = std::mem::take(&mut job.files);
-    files.check_read()?;
+    files.check_scene(&scene.files)?;
     for setup in &setups {
         job.names.rays(&setup.sensor)?.iter().try_for_each(|path| npy::write_rays(path, &setup.sensor))?;
     }

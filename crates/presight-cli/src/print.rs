@@ -1,6 +1,7 @@
 //! Printing to stdout and stderr that tolerates closed pipes.
 
-use presight_files::series::SeriesProgress;
+use super::flags;
+use super::series::SeriesProgress;
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::limits;
 use presight_model::printable::{clipped, printable};
@@ -34,10 +35,12 @@ pub fn data(text: &str) -> Result<()> {
     }
 }
 
-/// Prints one line to stderr, escaped and of bounded length. Errors are ignored: there is nowhere to report them.
+/// Prints one line to stderr, escaped, of bounded length and with the command's flags in place of the library's
+/// arguments. Errors are ignored: there is nowhere to report them.
 pub fn message(line: &str) {
+    let line = flags::named(line);
     // An error has up to four parts of MAX_SHOWN each.
-    let line = clipped(line, 5 * limits::MAX_SHOWN);
+    let line = clipped(&line, 5 * limits::MAX_SHOWN);
     let _ = writeln!(io::stderr().lock(), "{}", printable(&line));
 }
 

@@ -5,7 +5,7 @@ use super::outputs::OutputFiles;
 use super::{CommandOutcome, folder, print};
 use glam::EulerRot;
 use presight::Scene;
-use presight_features::{BoxOptions, FeatureOptions, Hidden, sensor_covariance};
+use presight_features::{BoxOptions, FeatureOptions, Hidden};
 use presight_files::atomic::write_atomically;
 use presight_localize::estimate::nees;
 use presight_localize::extract::{FeatureClass, Findings};
@@ -13,8 +13,8 @@ use presight_localize::localize::Step;
 use presight_localize::matching::Shape;
 use presight_localize::verdict::Verdict as Judged;
 use presight_model::error::{Error, Result};
-use presight_model::frame::Frame;
 use presight_model::geometry::Pose;
+use presight_model::measured::Frame;
 use presight_model::sensor::Sensor;
 use presight_pictures::{Comparison, GreyMark, GreyPanel, Overlay, PlanMarks, write_comparison};
 use presight_predict::predict::{Backend, Options, Predictor};
@@ -85,7 +85,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
             return Err(Error::usage(format!("{flag} {sigma}"), "give a finite number of at least 0"));
         }
     }
-    let mut files = OutputFiles::new();
+    let mut files = OutputFiles::default();
     files.add_folder(&args.out, &["index.html"])?;
     let frames = args.out.join("frames");
     let (mut painter, mut pictures) = (None, Vec::new());
@@ -154,14 +154,12 @@ impl Painter {
             };
             return write_comparison(path, &alone);
         }
-        let world_from_robot = step.estimate.pose;
-        let world_from_sensor = world_from_robot * sensor.spec().mount;
+        let robot = &step.estimate.pose;
+        let world_from_sensor = robot.world_from_sensor(&sensor.spec().mount);
         let mut request = Request::of(Outputs::of(&[Output::Range, Output::PolygonId]));
         if let Some(features) = &self.features {
-            let lever = world_from_robot.rotation * sensor.spec().mount.translation;
-            let covariance = sensor_covariance(&step.estimate.covariance, lever);
-            request =
-                request.with_features(features.clone()).with_regions(BoxOptions::default().with_sensor(covariance));
+            let regions = BoxOptions::default().with_robot(robot, sensor);
+            request = request.with_features(features.clone()).with_regions(regions);
         }
         let predicted = self.predictor.predict(&scene.world, sensor, &world_from_sensor, &request)?;
         let sides = match &predicted.features {
@@ -234,30 +232,30 @@ fn leaf(followed: &Followed, k: usize, picture: &str, extra: (f64, f64)) -> Leaf
     let (step, counts) = (&followed.steps[k], &followed.counts[k]);
     let truth: Option<Pose> = followed.reference[k];
     let known = truth.filter(|_| step.is_known());
-    let mut covariance = step.covariance;
-    for i in (0..6).filter(|i| step.covariance[*i][*i] > 0.0) {
-        covariance[i][i] += if i < 3 { extra.0 * extra.0 } else { extra.1 * extra.1 };
+    let mut wider = step.pose;
+    for i in (0..6).filter(|i| step.pose.covariance[*i][*i] > 0.0) {
+        wider.covariance[i][i] += if i < 3 { extra.0 * extra.0 } else { extra.1 * extra.1 };
     }
-    let (yaw, pitch, roll) = step.pose.rotation.to_euler(EulerRot::ZYX);
+    let (yaw, pitch, roll) = step.pose.world_from_robot.rotation.to_euler(EulerRot::ZYX);
     let pixels = counts.iter().sum::<usize>().max(1) as f64;
-    let sigma = |i: usize| step.covariance[i][i].max(0.0).sqrt();
+    let sigmas = step.pose.covariance.sigmas();
     Leaf {
         picture: picture.to_owned(),
         time: step.stamp,
         state: step.phase.name(),
         reason: step.reason.clone(),
-        position: step.pose.translation.to_array(),
+        position: step.pose.world_from_robot.translation.to_array(),
         attitude_deg: [roll, pitch, yaw].map(f64::to_degrees),
-        sigmas: std::array::from_fn(|i| if i < 3 { sigma(i) } else { sigma(i).to_degrees() }),
+        sigmas: std::array::from_fn(|i| if i < 3 { sigmas[i] } else { sigmas[i].to_degrees() }),
         weak: step.estimate.weak.iter().map(|w| w.name.clone()).collect(),
         explained: step.estimate.explained,
         verdicts: Judged::ALL.iter().zip(counts).map(|(v, n)| (v.name(), *n as f64 / pixels)).collect(),
         features: followed.features[k].iter().flat_map(FeatureCounts::named).collect(),
         reference: truth.map(|t| t.translation.to_array()),
         off: known.map(|t| {
-            let metres = step.pose.translation.distance(t.translation);
-            (metres, step.pose.rotation.angle_between(t.rotation).to_degrees())
+            let metres = step.pose.world_from_robot.translation.distance(t.translation);
+            (metres, step.pose.world_from_robot.rotation.angle_between(t.rotation).to_degrees())
         }),
-        nees: known.map(|t| nees(&step.pose, &covariance, &t)).map(|(squared, n)| squared / n.max(1) as f64),
+        nees: known.map(|t| nees(&wider, &t)).map(|(squared, n)| squared / n.max(1) as f64),
     }
 }

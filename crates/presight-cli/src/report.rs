@@ -36,7 +36,7 @@ pub struct Args {
     scenes: Vec<PathBuf>,
 
     /// Check error bounds in built-in ill-conditioned and extreme cases; exit status 1 if there are faults
-    #[arg(long, conflicts_with_all = ["scenes", "sensors", "poses", "seed"])]
+    #[arg(long, conflicts_with_all = ["scenes", "sensors", "poses", "seed", "up", "scale"])]
     stability: bool,
 
     /// Write the study into this folder
@@ -75,7 +75,7 @@ const POSES: usize = 3;
 /// # Errors
 /// Wrong usage; errors from reading scenes and sensors, from predictions, and from writing.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
-    let mut files = OutputFiles::new();
+    let mut files = OutputFiles::default();
     files.add_folder(&args.out, &if args.stability { STABILITY } else { WORK_PRECISION })?;
     let named = args.scenes.iter().map(PathBuf::as_path).chain(args.poses.as_deref());
     files.check_named(named.chain(args.sensors.iter().map(Path::new)))?;
@@ -114,8 +114,8 @@ fn stability(args: &Args) -> Result<CommandOutcome> {
 }
 
 fn work_precision(args: &Args, files: OutputFiles) -> Result<CommandOutcome> {
-    let study = args.study()?;
-    files.check_read()?;
+    let (study, inputs) = args.study()?;
+    files.check_scene(&inputs)?;
     folder::ready(&args.out)?;
     let progress = bar(study.steps() as u64);
     let findings = study.run(|what| {
@@ -156,16 +156,19 @@ fn summary(folder: &Path, findings: &Findings) -> impl Iterator<Item = String> {
 }
 
 impl Args {
-    fn study(&self) -> Result<Study> {
+    /// The study, and the files of its scenes.
+    fn study(&self) -> Result<(Study, Vec<PathBuf>)> {
         if self.scenes.is_empty() {
             let remedy = "give one or more: .glb, .gltf, .rhai or a store";
             return Err(Error::usage("no scene is given", remedy));
         }
         let sensors = self.sensors()?;
         let given = self.poses.as_deref().map(folder::poses).transpose()?;
-        let mut scenes = Vec::new();
+        let (mut scenes, mut files) = (Vec::new(), Vec::new());
         for path in &self.scenes {
-            let world = open_scene(path, &self.frame.options()?, Scheme::default())?.world;
+            let opened = open_scene(path, &self.frame.options()?, Scheme::default())?;
+            files.extend(opened.files);
+            let world = opened.world;
             let poses = match &given {
                 Some(given) => given.clone(),
                 None => {
@@ -175,7 +178,7 @@ impl Args {
             scenes.push(Scene { name: path.display().to_string(), world, poses });
         }
         let effort = if self.quick { Effort::QUICK } else { Effort::FULL };
-        Ok(Study { scenes, sensors, effort })
+        Ok((Study { scenes, sensors, effort }, files))
     }
 
     fn sensors(&self) -> Result<Vec<Sensor>> {

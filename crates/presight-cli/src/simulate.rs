@@ -10,9 +10,9 @@ use presight_files::tum::StampedPose;
 use presight_files::{depth_folder, load_sensor, sensor_toml, tum};
 use presight_localize::simulate::{Disturbances, GreySimulator, Simulator, Walkers, displace};
 use presight_model::error::{Error, Result};
-use presight_model::frame::Frame;
 use presight_model::geometry::Pose;
 use presight_model::index::Scheme;
+use presight_model::measured::Frame;
 use presight_model::sensor::Sensor;
 use presight_model::threads::Threads;
 use presight_pictures as png;
@@ -108,9 +108,10 @@ pub struct Args {
 /// # Errors
 /// Errors from reading the scene, sensor and poses, and from writing.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
-    let mut files = OutputFiles::new();
+    let mut files = OutputFiles::default();
     files.add_folder(&args.out, &["camera.json", "poses.txt", "sensor.toml", "grey.toml", SCANS])?;
-    files.check_named([args.scene.as_path(), args.poses.as_path(), Path::new(&args.sensor)])?;
+    let sensors = [Some(&args.sensor), args.grey.as_ref()].into_iter().flatten().map(Path::new);
+    files.check_named([args.scene.as_path(), args.poses.as_path()].into_iter().chain(sensors))?;
     let (sensor, notices) = load_sensor(&args.sensor)?;
     super::print::notices(&notices);
     args.check_flags(&sensor)?;
@@ -131,7 +132,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     displace(&mut scene.world, args.displace, args.seed)?;
     let path: Vec<Pose> = poses.iter().map(|p| p.pose).collect();
     let walkers = Walkers::new(&mut scene.world, &path, args.height, args.walkers, args.seed)?;
-    files.check_read()?;
+    files.check_scene(&scene.files)?;
     folder::ready(&args.out)?;
     let mut next = |scene: &mut Scene, pose: &StampedPose| {
         walkers.walk(&mut scene.world, pose.time)?;
@@ -175,8 +176,8 @@ fn write_scans(
         let mut file = BufWriter::new(file);
         writeln!(file, "{}", lines::header(sensor.spec()))?;
         for pose in poses {
-            match next(pose) {
-                Ok(frame) => writeln!(file, "{}", lines::line(&log_frame(&frame, pose)))?,
+            match next(pose).and_then(|frame| lines::line(&log_frame(&frame, pose))) {
+                Ok(line) => writeln!(file, "{line}")?,
                 Err(e) => {
                     failed = Some(e);
                     return Err(std::io::Error::other("a frame was not simulated"));
@@ -230,6 +231,15 @@ impl Args {
         if let Some(early) = poses.iter().find(|p| p.time < 0.0 && sensor.is_camera()) {
             let what = format!("a time of {} s", early.time);
             return Err(Error::invalid(what, "give times of at least 0: they name the images").in_file(&self.poses));
+        }
+        if sensor.is_camera() {
+            let mut named: Vec<(String, f64)> =
+                poses.iter().map(|p| (depth_folder::image_name(p.time), p.time)).collect();
+            named.sort_unstable_by(|a, b| a.0.cmp(&b.0));
+            if let Some([a, b]) = named.array_windows().find(|[a, b]| a.0 == b.0) {
+                let what = format!("the images at {} s and {} s would both be named {}", a.1, b.1, a.0);
+                return Err(Error::invalid(what, "give times at least 2 us apart").in_file(&self.poses));
+            }
         }
         let falling = poses.windows(2).find(|pair| !(pair[1].time > pair[0].time));
         if let Some([a, b]) = falling.filter(|_| !sensor.is_camera()) {

@@ -1,5 +1,6 @@
 //! Statistics of repeated predictions, as JSON and as text.
 
+use super::flags;
 use presight_render::deadline::DeadlineOutcome;
 use presight_render::plan::{CountName, Raster, StageName, StageRow, StageVariant, Stats, Work};
 use serde::Serialize;
@@ -134,7 +135,7 @@ impl Statistics {
             work: last.work,
             taken: last.taken,
             left_out,
-            notices: last.notices,
+            notices: last.notices.iter().map(|notice| flags::named(notice)).collect(),
             deadline: last.deadline,
             rows,
         }

@@ -1,4 +1,4 @@
-//! `presight batch` from outside.
+//! Runs `presight batch` as a process and checks its files and messages.
 
 use assert_cmd::cargo::cargo_bin;
 use presight_files::{exr, gltf, log, sensor_toml};
@@ -11,7 +11,7 @@ use std::path::PathBuf;
 use std::process::{Command, Output};
 use std::time::{Duration, Instant};
 
-/// A folder with a room, poses, a scanner and a log of it.
+/// A folder with a room, poses, a scanner and a log recorded by it.
 struct Place(tempfile::TempDir);
 
 const POSES: usize = 12;
@@ -48,7 +48,7 @@ impl Place {
             odometry: None,
             reference: None,
         };
-        let lines = [1.0, 2.0].map(|t| log::lines::line(&frame(t, 1.5 * t as f32)));
+        let lines = [1.0, 2.0].map(|t| log::lines::line(&frame(t, 1.5 * t as f32)).unwrap());
         place.write("run.jsonl", &format!("{}\n{}\n", log::lines::header(scanner().spec()), lines.join("\n")));
         place
     }
@@ -71,7 +71,7 @@ impl Place {
         self.command(line).output().unwrap()
     }
 
-    /// Runs what must succeed; its messages.
+    /// Runs a command line that must succeed, and returns its stderr.
     fn done(&self, line: &str) -> String {
         let output = self.run(line);
         let said = String::from_utf8(output.stderr).unwrap();
@@ -79,7 +79,7 @@ impl Place {
         said
     }
 
-    /// Runs what must fail with this exit status and message.
+    /// Runs a command line that must fail with this exit status and one line of message that contains `what`.
     fn fails(&self, line: &str, status: i32, what: &str) {
         let output = self.run(line);
         let said = String::from_utf8(output.stderr).unwrap();
@@ -87,7 +87,7 @@ impl Place {
         assert!(said.contains(what) && said.lines().count() == 1 && said.contains("; "), "{line}: {said}");
     }
 
-    /// All files of a folder, but for the record of the job and what a killed process was writing.
+    /// Returns all files of a folder except the batch record and temporary files of a killed process.
     fn files(&self, folder: &str) -> BTreeMap<String, Vec<u8>> {
         let entries = std::fs::read_dir(self.path(folder)).unwrap().map(|e| e.unwrap());
         let files = entries.map(|e| (e.file_name().into_string().unwrap(), std::fs::read(e.path()).unwrap()));
@@ -103,7 +103,7 @@ impl Place {
 }
 
 #[test]
-fn images_and_table_are_those_of_single_predictions() {
+fn images_and_table_equal_single_predictions() {
     let place = Place::new();
     assert_eq!(place.done("batch room.glb --poses a.tum --sensor vlp-16 --out all"), "");
     let rows = place.rows("all/poses.csv");
@@ -120,7 +120,7 @@ fn images_and_table_are_those_of_single_predictions() {
         assert!(one.images.range == many.images.range && one.images.polygon_id == many.images.polygon_id);
         assert_eq!(one.attributes, many.attributes);
     }
-    // Again: nothing is done.
+    // The second run has nothing left to do.
     assert!(place.done("batch room.glb --poses a.tum --sensor vlp-16 --out all").contains("already finished"));
 }
 
@@ -141,14 +141,14 @@ fn parts_make_the_whole() {
 }
 
 #[test]
-fn headings_are_rows_and_the_best_of_them_is_the_single_one() {
+fn each_heading_is_a_row_and_the_best_equals_the_single_result() {
     let place = Place::new();
     let line = "batch room.glb --poses a.tum --sensor s.toml --likelihood run.jsonl#0 --out";
     place.done(&format!("{line} turned --headings 72 --cell-deg 0"));
     let turned = place.rows("turned/poses.csv");
     assert_eq!(turned.len(), 72 * POSES);
     assert_eq!((turned[73][0].as_str(), turned[73][10].as_str()), ("1", "5"));
-    // The same weight as of the pose in the row.
+    // A single-pose batch at the pose in that row gives the same weight.
     let row = &turned[3 * 72 + 17];
     place.write("one.tum", &format!("0 {}\n", row[2..9].join(" ")));
     place.done(&line.replace("a.tum", "one.tum").replace("--out", "--out one"));
@@ -158,7 +158,7 @@ fn headings_are_rows_and_the_best_of_them_is_the_single_one() {
 }
 
 #[test]
-fn a_killed_batch_goes_on_where_it_was() {
+fn a_killed_batch_resumes() {
     let place = Place::new();
     place.write("a.tum", &tum(400));
     let line = "batch room.glb --poses a.tum --sensor laser-range-camera --outputs range --out";
@@ -166,12 +166,12 @@ fn a_killed_batch_goes_on_where_it_was() {
     let mut child = place.command(&format!("{line} killed")).spawn().unwrap();
     let start = Instant::now();
     while !place.path("killed/000050.exr").exists() && start.elapsed() < Duration::from_secs(60) {
-        assert!(child.try_wait().unwrap().is_none(), "it ended before");
+        assert!(child.try_wait().unwrap().is_none(), "the batch ended before it was killed");
     }
     child.kill().unwrap();
     child.wait().unwrap();
     assert!(!place.path("killed/poses.csv").exists() && place.path("killed/poses.csv.part").exists());
-    // One more image is lost, and the table was cut in a row.
+    // Loses one image more, and cuts the table in the middle of a row.
     let part = std::fs::read_to_string(place.path("killed/poses.csv.part")).unwrap();
     assert!(part.lines().count() > 20, "{part}");
     std::fs::remove_file(place.path("killed/000017.exr")).unwrap();
@@ -184,10 +184,10 @@ fn a_killed_batch_goes_on_where_it_was() {
     assert!(other.is_empty(), "{other:?}");
 }
 
-/// A table that may not grow longer stands for a full disk.
+/// A limit on the file size makes writing the table fail as on a full disk.
 #[cfg(unix)]
 #[test]
-fn a_batch_without_room_on_the_disk_goes_on_when_there_is_some() {
+fn a_batch_resumes_after_a_full_disk() {
     let place = Place::new();
     place.write("a.tum", &tum(400));
     let line = "batch room.glb --poses a.tum --sensor s.toml --likelihood run.jsonl#0 --out";
@@ -205,7 +205,7 @@ fn a_batch_without_room_on_the_disk_goes_on_when_there_is_some() {
 }
 
 #[test]
-fn another_batch_is_not_mixed_in() {
+fn a_different_batch_in_the_same_folder_is_refused() {
     let place = Place::new();
     let line = "batch room.glb --poses a.tum --sensor s.toml --likelihood run.jsonl#0 --out all";
     place.done(line);
@@ -213,6 +213,10 @@ fn another_batch_is_not_mixed_in() {
     place.fails(&line.replace("#0", "#1"), 1, "another measured image");
     place.fails(&format!("{line} --cell-m 0.5"), 1, "other flags");
     place.fails(&format!("{line} --pose-of robot"), 1, "other flags");
+    let mut on_gpu = Command::new(cargo_bin("presight"));
+    on_gpu.current_dir(place.0.path()).args(line.split_whitespace()).args(["--backend", "gpu"]);
+    let said = String::from_utf8(on_gpu.output().unwrap().stderr).unwrap();
+    assert!(said.contains("batch.json: this batch began with another --backend"), "{said}");
     place.write("a.tum", &tum(POSES + 1));
     place.fails(line, 1, "other poses");
     place.write("a.tum", &tum(POSES));
@@ -228,7 +232,7 @@ fn another_batch_is_not_mixed_in() {
 }
 
 #[test]
-fn what_is_wrong_is_told_before_anything_is_written() {
+fn errors_are_reported_before_anything_is_written() {
     let place = Place::new();
     let line = "batch room.glb --poses a.tum --sensor s.toml --out all";
     let weigh = format!("{line} --likelihood run.jsonl#0");

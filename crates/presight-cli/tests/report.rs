@@ -1,4 +1,4 @@
-//! `presight report` from outside: its files, what they say, and how it refuses.
+//! Runs `presight report` as a process and checks its files, their content and its refusals.
 
 use assert_cmd::Command;
 #[cfg(feature = "gpu")]
@@ -11,7 +11,7 @@ use std::time::Duration;
 
 const COLUMNS: &str = "scene,sensor,engine,variant,error_kind,error,bound,median_ms,p95_ms,pareto";
 
-/// A small camera and a small scanner with rows to thin out.
+/// A small camera and a small scanner with rows that can be thinned out.
 const CAMERA: &str = "format = 1\nkind = \"camera\"\nname = \"small\"\nclass = \"video\"\nwidth = 64\nheight = 48\nfx = 40.0\nfy = 40.0\ncx = 31.5\ncy = 23.5\n";
 const SCANNER: &str = "format = 1\nkind = \"scanner\"\nname = \"turning\"\nclass = \"laser\"\nrange_max = 30.0\n[azimuth]\nstart_deg = -180.0\nstep_deg = 4.0\ncount = 90\n[elevation]\nstart_deg = -28.0\nstep_deg = 4.0\ncount = 16\n";
 
@@ -22,7 +22,7 @@ fn room() -> String {
 fn presight(folder: &Path, arguments: &[&str]) -> Output {
     let mut command = Command::cargo_bin("presight").unwrap();
     command.current_dir(folder).args(arguments);
-    // Vulkan that cannot be: the command must do the same everywhere.
+    // Hides every Vulkan driver, so that the command behaves the same on every machine.
     for variable in ["VK_DRIVER_FILES", "VK_ICD_FILENAMES"] {
         command.env(variable, "/nonexistent");
     }
@@ -37,7 +37,7 @@ fn json_of(folder: &Path) -> serde_json::Value {
     serde_json::from_str(&fs::read_to_string(folder.join("study/report.json")).unwrap()).unwrap()
 }
 
-/// Lines of a CSV whose names hold commas in quotes.
+/// Splits a CSV line in which quoted names contain commas.
 fn cells(line: &str) -> Vec<String> {
     let (mut cells, mut quoted) = (vec![String::new()], false);
     for c in line.chars() {
@@ -51,7 +51,7 @@ fn cells(line: &str) -> Vec<String> {
 }
 
 #[test]
-fn a_quick_study_writes_what_it_found() {
+fn a_quick_study_writes_its_results() {
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join("camera.toml"), CAMERA).unwrap();
     fs::write(folder.path().join("scanner.toml"), SCANNER).unwrap();
@@ -76,7 +76,8 @@ fn a_quick_study_writes_what_it_found() {
     check_ways(folder.path(), &json["findings"][0]["notes"]);
 }
 
-/// Times of stages with their spread, and one default of each family of paths: images, features, regions at three errors.
+/// Checks that the notes have stage times with their spread, and one default for each family of paths: images,
+/// features, and regions at three pose errors.
 fn check_notes(notes: &[serde_json::Value]) {
     assert_eq!(notes.iter().filter(|n| n["default"] == true).count(), 5, "{notes:?}");
     let one_thread = &notes[1];
@@ -86,7 +87,7 @@ fn check_notes(notes: &[serde_json::Value]) {
     assert!(stages.len() >= 3 && stages.iter().all(|s| ms(s, "p95_ms") >= ms(s, "median_ms")), "{one_thread}");
 }
 
-/// Flags that a study tells for its paths are flags that the command takes.
+/// Checks that the command accepts the flags that a study recommends for its paths.
 fn check_ways(folder: &Path, notes: &serde_json::Value) {
     let ways = notes.as_array().unwrap().iter().map(|n| n["how"].as_str().unwrap());
     let flags: HashSet<&str> = ways.filter_map(|how| how.split(';').next().filter(|f| f.starts_with("--"))).collect();
@@ -99,7 +100,7 @@ fn check_ways(folder: &Path, notes: &serde_json::Value) {
     }
 }
 
-/// The GPU engine's paths, regions of interest among them, where there is an adapter.
+/// Studies the GPU engine's paths, including regions of interest, where there is an adapter.
 #[cfg(feature = "gpu")]
 #[test]
 fn the_gpu_engine_is_studied_where_there_is_one() {
@@ -141,7 +142,7 @@ fn check_csv(csv: &str) {
         let number = |i: usize| row[i].parse::<f64>().unwrap_or_else(|e| panic!("{row:?}: {e}"));
         assert!(number(5) >= 0.0 && number(7) > 0.0 && number(8) >= number(7), "{row:?}");
         assert!(row[6].is_empty() || number(6) >= 0.0, "{row:?}");
-        assert!(row[4] != "range_m" || row[6].is_empty() || number(6) > 0.0, "a bound of nothing: {row:?}");
+        assert!(row[4] != "range_m" || row[6].is_empty() || number(6) > 0.0, "a bound of zero: {row:?}");
         let front: &mut usize = fronts.entry((row[1].clone(), row[4].clone())).or_default();
         *front += usize::from(row[9].parse::<bool>().unwrap());
         errors.insert((row[1].clone(), row[2].clone(), row[3].clone(), row[4].clone()), number(5));
@@ -160,7 +161,8 @@ fn check_csv(csv: &str) {
             }
             "id_mismatch" => assert!(*error <= 1e-3, "{path}: {error}"),
             "range_m" | "silhouette_px" if rough => assert!(*error > 0.0, "{path}"),
-            // Images and rays decide the same of the same samples, which all are in the room; finer ones are nearer to the truth.
+            // Images and rays decide the same samples in the same way; all samples are inside the room. Finer ones are
+            // nearer to the truth.
             kind if kind.starts_with("visible_fraction") && !rough => {
                 let of =
                     |variant: &str| errors[&(sensor.clone(), "cpu".to_owned(), variant.to_owned(), kind.to_owned())];
@@ -178,21 +180,21 @@ fn check_csv(csv: &str) {
     for sensor in ["small", "turning"] {
         for variant in ["1 thread", "1 thread, ray table"] {
             let key = (sensor.to_owned(), "cpu".to_owned(), variant.to_owned(), "id_mismatch".to_owned());
-            assert!(errors.contains_key(&key), "{key:?} is not there");
+            assert!(errors.contains_key(&key), "{key:?} is missing");
         }
         assert!(fronts[&(sensor.to_owned(), "id_mismatch".to_owned())] > 0);
         let roi = |method: &str, kind: &str| {
             let variant = format!("roi {method}, pose 10 cm 3 deg");
             errors[&(sensor.to_owned(), "cpu".to_owned(), variant, kind.to_owned())]
         };
-        // 1 % and what chance may add to so many draws; the derivative alone leaves out what bends.
+        // 1 % and a margin for the random draws; the derivative alone neglects curvature.
         assert!(roi("as needed", "roi_missed") <= 0.012 && roi("set", "roi_missed") <= 0.012, "{sensor}");
         assert!(roi("linear", "roi_area_share") < roi("as needed", "roi_area_share"), "{sensor}");
         assert!(roi("linear", "roi_missed") > roi("as needed", "roi_missed"), "{sensor}");
     }
 }
 
-/// Nothing is fetched, everything is there.
+/// The page loads nothing from the network and is complete.
 fn check_html(html: &str) {
     for outside in ["src=\"http", "href=\"http", "<script", "<link", "url(", "@import"] {
         assert!(!html.contains(outside), "{outside}");
@@ -203,13 +205,14 @@ fn check_html(html: &str) {
     for told in ["adapter and driver", "Skipped", "ray table", "--quick", "How to select them", "--index s3d"] {
         assert!(html.contains(told), "{told}");
     }
-    // There is no such flag here.
+    // The report has no `--backend` flag.
     assert!(html.contains("presight doctor says what to install") && !html.contains("use --backend cpu"));
 }
 
-/// A quarter of four rays is one, which features cannot be found by; one ray is none to begin with. The rest is told all the same.
+/// A quarter of four rays is one ray, too few for features; the second sensor has only one ray from the start. The
+/// report has everything else.
 #[test]
-fn a_path_that_cannot_be_costs_no_other() {
+fn an_impossible_path_does_not_stop_the_others() {
     let folder = tempfile::tempdir().unwrap();
     let table = |name: &str, rays: &[&str]| {
         let (width, rays) = (rays.len(), rays.join(", "));
@@ -249,6 +252,8 @@ fn bad_input_is_refused_before_any_work() {
         (&[room.as_str()][..], 2, "--out"),
         (&[room.as_str(), "--quick", "--out", "file/study"][..], 4, "file/study"),
         (&["--stability", "--out", "file/study"][..], 4, "file/study"),
+        (&["--stability", "--out", "study", "--up", "z"][..], 2, "--up"),
+        (&["--stability", "--out", "study", "--scale", "2"][..], 2, "--scale"),
         (&[room.as_str(), "--out", "study", "--poses", "empty.tum"][..], 1, "empty.tum: the file has no poses"),
     ] {
         let done = report(folder.path(), arguments);
@@ -259,7 +264,7 @@ fn bad_input_is_refused_before_any_work() {
     }
 }
 
-/// /proc is a folder that nobody can write into, root neither. What takes minutes must not begin.
+/// Not even root can write to /proc. The study, which takes minutes, must not start.
 #[cfg(target_os = "linux")]
 #[test]
 fn a_folder_that_cannot_be_written_is_refused_before_any_work() {

@@ -6,11 +6,11 @@
 
 use super::boxes::Image;
 use super::prediction::given_at;
-use super::roi::{PoseCovariance, Projection};
+use super::roi::Projection;
 use super::{FeaturePrediction, PlacedFeature, SeenFeature};
 use glam::{DMat3, DVec2, DVec3};
 use presight_model::environment::FeatureShape;
-use presight_model::geometry::Pose;
+use presight_model::geometry::{InWorld, Pose, PoseCovariance};
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use std::cmp::Reverse;
@@ -29,7 +29,7 @@ pub fn choose(
     prediction: &mut FeaturePrediction,
     placed: &[PlacedFeature],
     (world, sensor, world_from_sensor): (&World, &Sensor, &Pose),
-    known: Option<&PoseCovariance>,
+    known: Option<&PoseCovariance<InWorld>>,
     most: usize,
 ) -> usize {
     let seen: Vec<usize> =
@@ -109,7 +109,7 @@ fn greedy(prior: &Matrix, informations: &[(u32, Matrix)], most: usize, mut asked
     chosen
 }
 
-fn prior(known: Option<&PoseCovariance>) -> Matrix {
+fn prior(known: Option<&PoseCovariance<InWorld>>) -> Matrix {
     let mut prior = [[0.0; 6]; 6];
     for i in 0..6 {
         let variance = known.map_or(0.0, |c| c[i][i]);

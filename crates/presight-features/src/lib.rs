@@ -15,8 +15,7 @@ mod view;
 mod visible;
 
 pub use boxes::{BoxFrame, BoxScratch, Kind as ImageKind};
-pub use boxes::{BoxMethod, BoxOptions, sensor_covariance};
-#[doc(hidden)]
+pub use boxes::{BoxMethod, BoxOptions};
 pub use boxes::{BoxQuery, add_boxes};
 pub use choose::{choose, informations};
 pub use columns::turn;
@@ -32,5 +31,4 @@ pub use sides::sides_seen_in_part;
 pub use tree::{FeatureTree, check_placed};
 pub use visible::PreparedFeatures;
 pub use visible::{FeatureSamples, OcclusionHint, Visibility};
-#[doc(hidden)]
 pub use visible::{FeatureSettings, predict_features};

@@ -8,7 +8,7 @@ pub enum FeatureSource {
     /// The world's own layer for the sensor's class. The predictor finds their polygons once per version of the world.
     #[default]
     World,
-    /// Features with known polygons, from [`crate::placement::place_layer`] or from files.
+    /// Features with known polygons, from [`presight_model::placement::place_layer`] or from files.
     Placed(PlacedFeatures),
 }
 

@@ -1,6 +1,7 @@
 //! Predicted features.
 
 use super::PlacedFeature;
+use super::roi::RoiFlag;
 use glam::{DVec2, DVec3};
 use presight_model::environment::{Environment, Feature};
 use presight_render::plan::CountName;
@@ -127,13 +128,12 @@ pub struct SeenFeature {
     pub existence: f64,
     /// The region of interest: the pixel box in which the feature will be found, x0, y0, x1, y1.
     pub roi: Option<[f64; 4]>,
-    /// Method of the region: `linear`, `set` or `whole_image`.
-    pub roi_flag: Option<&'static str>,
+    /// The method by which the region was found.
+    pub roi_flag: Option<RoiFlag>,
     /// 2 x 2 covariance in the image of every defining point, pixels squared. Present for visible features whose
     /// defining points all have an image; never for contours.
     pub image_covariance: Option<Vec<[[f64; 2]; 2]>>,
     /// Boxes in the image that together hold the visible part of a patch. Emptied once its region of interest is known.
-    #[doc(hidden)]
     pub windows: Vec<[DVec2; 2]>,
 }
 
@@ -282,7 +282,7 @@ impl FeaturePrediction {
     /// ```
     /// use presight::features::{FeatureOptions, Hidden, PlacedFeatures};
     /// use presight::{Backend, Options, Output, Outputs, Pose, Predictor, Request, Scene};
-    /// # use presight::features::generate::{GenerateOptions, generate};
+    /// # use presight::features::{GenerateOptions, generate};
     /// # use presight::features::place;
     /// let scene = Scene::open("scenes/room.glb")?;
     /// let layer = generate(scene.world.environment(), "video", &GenerateOptions::default())?.layer;

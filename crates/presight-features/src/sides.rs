@@ -10,7 +10,7 @@ use presight_model::environment::{Feature, FeatureShape};
 /// `placed` are the predicted features in order.
 ///
 /// ```
-/// use presight::environment::{Existence, Feature, FeatureShape, Properties};
+/// use presight::features::{Existence, Feature, FeatureShape, Properties};
 /// use presight::features::{FeaturePrediction, PlacedFeature, SeenFeature, sides_seen_in_part};
 /// use glam::{DMat3, DVec3};
 ///

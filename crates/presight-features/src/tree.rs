@@ -15,7 +15,9 @@ const LEAF: usize = 8;
 /// Features sorted by position, and by the polygons on which they lie.
 #[derive(Debug)]
 pub struct FeatureTree {
+    /// The features of each object, and of the world.
     pub groups: Vec<Group>,
+    /// All nodes.
     pub nodes: Vec<Node>,
     /// Feature indices. The features of a node are consecutive.
     pub order: Vec<u32>,
@@ -24,7 +26,7 @@ pub struct FeatureTree {
     /// Time of the newest confirmation, UTC seconds.
     pub newest: f64,
     /// Working memory of predictions.
-    pub memory: WorkspaceMemory,
+    pub(crate) memory: WorkspaceMemory,
 }
 
 /// The features of one object, or of the world.
@@ -104,7 +106,7 @@ fn split(boxes: &[Aabb], order: &mut [u32], first: u32, nodes: &mut Vec<Node>) {
 /// Checks that the objects and polygons of features exist.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] naming the first feature whose object or polygon does not exist.
+/// [`presight_model::ErrorKind::Invalid`] naming the first feature whose object or polygon does not exist.
 pub fn check_placed(environment: &Environment, placed: &[PlacedFeature]) -> Result<()> {
     let objects = environment.objects().len();
     for p in placed {

@@ -13,16 +13,6 @@ use std::path::{Path, PathBuf};
 /// before. Links are followed, even to a file that does not exist yet. An existing target that is not a regular file
 /// (`/dev/null`, a pipe, `/dev/stdout`) is not replaced: the finished bytes are written into it.
 ///
-/// ```
-/// use presight::io::atomic::write_atomically;
-/// use std::io::Write;
-/// let folder = tempfile::tempdir()?;
-/// let path = folder.path().join("a.txt");
-/// write_atomically(&path, |file| file.write_all(b"whole"))?;
-/// assert_eq!(std::fs::read(&path)?, b"whole");
-/// # Ok::<(), Box<dyn std::error::Error>>(())
-/// ```
-///
 /// # Errors
 /// [`ErrorKind::System`] naming the file, for whatever reason, including a missing folder and missing write permission.
 pub fn write_atomically(path: &Path, fill: impl FnOnce(&mut File) -> io::Result<()>) -> Result<()> {
@@ -49,7 +39,7 @@ pub fn write_atomically(path: &Path, fill: impl FnOnce(&mut File) -> io::Result<
 }
 
 /// Opens the file to be replaced, if it exists. Fails if it has no write bit, even for root, who could write it.
-pub(super) fn open_to_replace(path: &Path) -> Result<Option<File>> {
+pub fn open_to_replace(path: &Path) -> Result<Option<File>> {
     fs::metadata(path).ok().map(|old| open_old(path, &old)).transpose()
 }
 
@@ -62,7 +52,6 @@ fn open_old(path: &Path, old: &Metadata) -> Result<File> {
 }
 
 /// The path that symbolic links lead to; it need not exist.
-#[doc(hidden)]
 pub fn target_of(path: &Path) -> io::Result<PathBuf> {
     /// The limit of Linux.
     const LINKS: usize = 40;
@@ -77,7 +66,6 @@ pub fn target_of(path: &Path) -> io::Result<PathBuf> {
 }
 
 /// True for a path of an open file of this process: output is appended to it, whatever it is.
-#[doc(hidden)]
 pub fn is_given(path: &Path) -> bool {
     ["/dev/stdout", "/dev/stderr", "/dev/fd", "/proc/self/fd"].iter().any(|given| path.starts_with(given))
 }
@@ -105,7 +93,8 @@ fn open_through(path: &Path) -> io::Result<File> {
     File::options().write(true).append(is_given(path)).open(path)
 }
 
-pub(super) fn refused(path: &Path, e: io::Error) -> Error {
+/// The error of a file that cannot be written, with a remedy for its cause.
+pub fn refused(path: &Path, e: io::Error) -> Error {
     use io::ErrorKind as Io;
     let remedy = match e.kind() {
         Io::NotFound | Io::NotADirectory => "create the folder first, or write elsewhere",

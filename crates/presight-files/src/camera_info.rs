@@ -14,7 +14,7 @@
 //! ROS's `image_geometry` omits both halves, `cx' = (cx - x_offset) / b`, which is right only for cameras that skip
 //! pixels and keep the first. The difference is (b - 1) / (2 b), under half a binned pixel; a notice reports it.
 
-use super::text::{line_of, read_settings};
+use super::text::{from_settings, line_of};
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::sensor::{Camera, Distortion, Geometry, SensorSpec};
 use serde::Deserialize;
@@ -25,11 +25,11 @@ use std::path::Path;
 /// Reads a camera_info YAML. Also returns notices on parts of the file that are not used.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] with the line or key at fault; [`crate::ErrorKind::Unsupported`] for a distortion
-/// model that presight lacks; [`crate::ErrorKind::System`] if the system refuses.
+/// [`ErrorKind::Invalid`] with the line or key at fault; [`ErrorKind::Unsupported`] for a distortion
+/// model that presight lacks; [`ErrorKind::System`] if the system refuses.
 pub fn read(path: &Path) -> Result<(SensorSpec, Vec<String>)> {
     let name = path.file_stem().map_or_else(|| "camera".into(), |s| s.to_string_lossy());
-    parse(&read_settings(path)?, &name).map_err(|e| e.in_file(path))
+    from_settings(path, |text| parse(text, &name))
 }
 
 #[derive(Deserialize)]

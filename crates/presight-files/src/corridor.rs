@@ -7,7 +7,7 @@
 //! A polyline on the ground in the robot's frame, half the width of the corridor along it, and the least and greatest
 //! height of obstacles above the robot's origin; metres. `format` is optional.
 
-use super::text::{FORMAT, read_settings};
+use super::text::{FORMAT, from_settings};
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_predict::virtual_sensors::{Corridor, CorridorFields};
 use std::path::Path;
@@ -19,7 +19,7 @@ use std::path::Path;
 /// let path = folder.path().join("corridor.json");
 /// let text = r#"{"polyline_in_robot": [[0, 0], [4, 0]], "half_width": 0.4, "z_min": 0.05, "z_max": 1.8}"#;
 /// std::fs::write(&path, text)?;
-/// assert_eq!(presight::io::corridor::read(&path)?.length(), 4.0);
+/// assert_eq!(presight::files::read_corridor(&path)?.length(), 4.0);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 ///
@@ -27,7 +27,7 @@ use std::path::Path;
 /// [`ErrorKind::Invalid`] naming place and field: invalid JSON, unknown or missing keys, errors of [`Corridor::new`];
 /// [`ErrorKind::Unsupported`] for a newer format.
 pub fn read(path: &Path) -> Result<Corridor> {
-    read_settings(path).and_then(|text| parse(&text)).map_err(|e| e.in_file(path))
+    from_settings(path, parse)
 }
 
 /// Reads the text of a corridor.

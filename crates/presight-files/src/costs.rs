@@ -6,7 +6,7 @@
 //! does not name the CPU, so keep one file per machine.
 
 use super::atomic::write_atomically;
-use super::text::{FORMAT, read_text};
+use super::text::{FORMAT, from_text};
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_render::cost::{CostModel, Forecast, KINDS, Key, MAX_MODELS, UnitCosts, WorkCounts};
 use serde::{Deserialize, Serialize};
@@ -46,7 +46,7 @@ struct Entry {
 /// [`ErrorKind::Invalid`] naming place and field: invalid JSON, wrong or repeated keys, NaN, costs below 0;
 /// [`ErrorKind::Unsupported`] for a newer format.
 pub fn read(path: &Path) -> Result<CostModel> {
-    read_text(path).and_then(|text| parse(&text)).map_err(|e| e.in_file(path))
+    from_text(path, parse)
 }
 
 /// Reads the text of learnt costs.
@@ -138,11 +138,11 @@ fn within(x: f64, low: f64, high: f64) -> Result<f64> {
 /// Writes learnt costs atomically.
 ///
 /// ```
-/// use presight::cost::CostModel;
+/// use presight::deadline::CostModel;
 /// let folder = tempfile::tempdir()?;
 /// let path = folder.path().join("costs.json");
-/// presight::io::costs::write(&path, &CostModel::default())?;
-/// assert_eq!(presight::io::costs::read(&path)?, CostModel::default());
+/// presight::files::write_costs(&path, &CostModel::default())?;
+/// assert_eq!(presight::files::read_costs(&path)?, CostModel::default());
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 ///

@@ -84,7 +84,7 @@ impl Faults {
     /// Fails if there are mistakes.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] listing all of them.
+    /// [`presight_model::ErrorKind::Invalid`] listing all of them.
     pub fn check(&self) -> Result<()> {
         match &self.0[..] {
             [] => Ok(()),

@@ -4,7 +4,6 @@
 //! A regular file is read up to its length when it was opened, so reading a growing file ends. Files that the system
 //! generates on reading, such as `/proc/kmsg`, report length 0 and read as empty.
 
-use super::inputs;
 use presight_model::error::{Error, ErrorKind, Result};
 use std::fs::File;
 use std::io::{Read, Take};
@@ -34,7 +33,6 @@ pub(crate) fn open_or_given(path: &Path) -> Result<Take<File>> {
 
 /// Opens a file, pipe or device that is read piece by piece. Reading a pipe or device may block.
 pub fn open_any(path: &Path, shown: &Path) -> Result<Take<File>> {
-    inputs::note(path);
     let refused = |e| Error::io(shown, "open it", e);
     let file = File::open(path).map_err(refused)?;
     let metadata = file.metadata().map_err(refused)?;
@@ -46,13 +44,17 @@ pub fn open_any(path: &Path, shown: &Path) -> Result<Take<File>> {
 
 /// Reads an opened file completely; fails if it has more than `limit` bytes.
 pub fn read(file: Take<File>, shown: &Path, limit: u64) -> Result<Vec<u8>> {
+    read_unnamed(file, shown, limit).map_err(|e| e.in_file(shown))
+}
+
+fn read_unnamed(file: Take<File>, shown: &Path, limit: u64) -> Result<Vec<u8>> {
     let too_large = || {
         let remedy = format!("the limit is {limit}: give less, or several files");
         let what = match file.limit() {
             u64::MAX => format!("it is too large: it delivers over {limit} bytes"),
             length => format!("the file is too large: it has {length} bytes"),
         };
-        Error::invalid(what, remedy).in_file(shown)
+        Error::invalid(what, remedy)
     };
     let known = file.limit() != u64::MAX;
     if known && file.limit() > limit {
@@ -61,7 +63,7 @@ pub fn read(file: Take<File>, shown: &Path, limit: u64) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
     if known {
         // At most `limit`, which fits a 64-bit usize.
-        bytes.try_reserve_exact(file.limit() as usize).map_err(|_| no_memory(file.limit()).in_file(shown))?;
+        bytes.try_reserve_exact(file.limit() as usize).map_err(|_| no_memory(file.limit()))?;
     }
     let refused = |e| Error::io(shown, "read it", e);
     let over = too_large();

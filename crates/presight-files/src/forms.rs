@@ -12,6 +12,7 @@
 
 use super::sensor_toml;
 use presight_features::{BoxMethod, BoxOptions, FeatureOptions, FeatureSource, Hidden, STEP, Visibility};
+use presight_model::geometry::PoseCovariance;
 use presight_model::sensor::{Sensor, SensorSpec};
 use presight_predict::request::Request;
 use presight_render::plan::{IdScheme, Outputs};
@@ -22,15 +23,6 @@ use serde_json::Value;
 use std::time::Duration;
 
 /// A value in its form for serde: `Form(&value)` is written, `Form<T>` is read.
-///
-/// ```
-/// use presight::io::forms::Form;
-/// let sensor = presight::preset("vlp-16")?;
-/// let text = serde_json::to_string(&Form(sensor.spec())).unwrap();
-/// let Form(back): Form<presight::SensorSpec> = serde_json::from_str(&text).unwrap();
-/// assert_eq!(back, *sensor.spec());
-/// # Ok::<(), presight::Error>(())
-/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct Form<T>(pub T);
 
@@ -202,15 +194,12 @@ struct RegionsForm {
     method: BoxMethod,
 }
 
-fn flat(covariance: &[[f64; 6]; 6]) -> Vec<f64> {
-    covariance.as_flattened().to_vec()
+fn flat<A>(covariance: &PoseCovariance<A>) -> Vec<f64> {
+    covariance.as_rows().as_flattened().to_vec()
 }
 
-fn matrix(numbers: &[f64]) -> Result<[[f64; 6]; 6], String> {
-    match numbers.len() {
-        36 => Ok(std::array::from_fn(|i| std::array::from_fn(|j| numbers[6 * i + j]))),
-        n => Err(format!("a covariance of {n} numbers; give 36")),
-    }
+fn matrix<A, E: serde::de::Error>(numbers: &[f64]) -> Result<PoseCovariance<A>, E> {
+    PoseCovariance::unchecked_row_major(numbers).map_err(E::custom)
 }
 
 impl Serialize for Form<&Request> {
@@ -253,9 +242,9 @@ impl<'de> Deserialize<'de> for Form<Request> {
             request = request.with_features(options);
         }
         if let Some(regions) = form.regions {
-            let sensor = matrix(&regions.pose_covariance).map_err(D::Error::custom)?;
-            let object = |(object, c): &(u32, Vec<f64>)| matrix(c).map(|c| (*object, c)).map_err(D::Error::custom);
-            let objects = regions.objects.iter().map(object).collect::<Result<_, _>>()?;
+            let sensor = matrix(&regions.pose_covariance)?;
+            let object = |(object, c): &(u32, Vec<f64>)| Ok((*object, matrix(c)?));
+            let objects = regions.objects.iter().map(object).collect::<Result<_, D::Error>>()?;
             let options = BoxOptions::default().with_sensor(sensor).with_objects(objects);
             request = request.with_regions(options.with_confidence(regions.confidence).with_method(regions.method));
         }
@@ -336,7 +325,7 @@ mod tests {
             .with_regions(
                 BoxOptions::default()
                     .with_sensor_sigmas([0.1, 0.2, 0.0, 0.0, 0.0, 1.0 / 3.0])
-                    .with_objects(vec![(3, [[0.25; 6]; 6])])
+                    .with_objects(vec![(3, PoseCovariance::from_rows([[0.25; 6]; 6]))])
                     .with_method(BoxMethod::Linear)
                     .with_confidence(0.9),
             );

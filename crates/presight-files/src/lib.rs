@@ -10,9 +10,7 @@ pub mod exr;
 mod faults;
 pub mod file;
 pub mod forms;
-pub mod frames;
 pub mod gltf;
-pub mod inputs;
 pub mod layer;
 mod load;
 pub mod log;
@@ -23,28 +21,26 @@ pub mod ply;
 mod point_fields;
 mod points;
 pub mod pose_covariance;
+pub mod poses;
 pub mod prediction_json;
 pub mod preparation;
 pub mod robot_toml;
 #[cfg(feature = "script")]
 pub mod script;
 pub mod sensor_toml;
-pub mod series;
 #[cfg(feature = "store")]
 pub mod store;
-pub mod templates;
 pub mod temporary;
 pub mod text;
 pub mod tum;
 
-pub use load::{load_sensor, preset};
+pub use load::{files_named_by, load_sensor, preset};
 pub use points::{PointCloud, PointsFrame};
 pub use robot_toml::{Robot, load_robot};
 
 use presight_model::error::{Error, ErrorKind};
 
 /// The error of a build without a cargo feature.
-#[doc(hidden)]
 pub fn not_built(what: &str, feature: &str) -> Error {
     let what = format!("this presight was built without {what}");
     Error::new(ErrorKind::Unsupported, what, format!("build it with the cargo feature `{feature}`"))

@@ -1,9 +1,11 @@
 //! Sensors by name: a preset, or a sensor file in one of the supported formats.
 
+use super::text::{read_settings, toml_from_str};
 use super::{camera_info, sensor_toml};
 use presight_model::error::{Error, Result};
 use presight_model::sensor::{PRESETS, Sensor};
-use std::path::Path;
+use serde::Deserialize;
+use std::path::{Path, PathBuf};
 
 /// Makes a sensor from a preset ([`PRESETS`]).
 ///
@@ -14,7 +16,7 @@ use std::path::Path;
 /// ```
 ///
 /// # Errors
-/// [`crate::ErrorKind::Usage`] if there is no preset of this name; the remedy lists the names.
+/// [`presight_model::ErrorKind::Usage`] if there is no preset of this name; the remedy lists the names.
 pub fn preset(name: &str) -> Result<Sensor> {
     let Some(preset) = PRESETS.iter().find(|p| p.name == name) else {
         return Err(Error::usage(format!("unknown preset {name:?}"), format!("choose one of {}", preset_names())));
@@ -30,7 +32,7 @@ pub(super) fn preset_names() -> String {
 /// notices on unused parts of the file.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Usage`] if it is neither a preset nor ends in `.toml`, `.yaml` or `.yml`; errors of
+/// [`presight_model::ErrorKind::Usage`] if it is neither a preset nor ends in `.toml`, `.yaml` or `.yml`; errors of
 /// [`sensor_toml::read`] and [`camera_info::read`].
 pub fn load_sensor(arg: &str) -> Result<(Sensor, Vec<String>)> {
     if PRESETS.iter().any(|p| p.name == arg) {
@@ -49,6 +51,37 @@ pub fn load_sensor(arg: &str) -> Result<(Sensor, Vec<String>)> {
         }
     };
     Ok((Sensor::new(spec).map_err(|e| e.in_file(path))?, notices))
+}
+
+/// The files that a sensor file (its ray table) or a robot file (its sensors, and their ray tables) names. A file that
+/// cannot be read names none; loading it reports why.
+pub fn files_named_by(path: &Path) -> Vec<PathBuf> {
+    let (table, sensors) = names_in(path);
+    let mut files = Vec::from_iter(table);
+    for sensor in sensors {
+        files.extend(names_in(&sensor).0);
+        files.push(sensor);
+    }
+    files
+}
+
+/// The ray table and the sensor files that a file names.
+fn names_in(path: &Path) -> (Option<PathBuf>, Vec<PathBuf>) {
+    #[derive(Deserialize, Default)]
+    #[serde(default)]
+    struct Names {
+        file: Option<String>,
+        sensors: Vec<Entry>,
+    }
+    #[derive(Deserialize)]
+    struct Entry {
+        sensor: String,
+    }
+    let is_toml = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("toml")) && path.is_file();
+    let text = is_toml.then(|| read_settings(path).ok()).flatten();
+    let names: Names = text.and_then(|text| toml_from_str(&text).ok()).unwrap_or_default();
+    let at = |name: String| path.parent().unwrap_or(Path::new("")).join(name);
+    (names.file.map(at), names.sensors.into_iter().map(|entry| at(entry.sensor)).collect())
 }
 
 #[cfg(test)]

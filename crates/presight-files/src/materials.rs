@@ -102,15 +102,15 @@ impl Sidecar {
         let path = sidecar_path(scene);
         match std::fs::metadata(&path) {
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(Self::default()),
-            _ => Self::read(&text::read_settings(&path)?).map_err(|e| e.in_file(&path)),
+            _ => text::from_settings(&path, Self::read),
         }
     }
 
     /// Reads the text of a sidecar.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] naming the lines of all unknown keys and impossible values,
-    /// [`crate::ErrorKind::Unsupported`] for a newer format.
+    /// [`presight_model::ErrorKind::Invalid`] naming the lines of all unknown keys and impossible values,
+    /// [`presight_model::ErrorKind::Unsupported`] for a newer format.
     pub fn parse(text: &str) -> Result<Self> {
         let sidecar = Self::read(text)?;
         sidecar.faults.check()?;
@@ -151,8 +151,8 @@ impl Sidecar {
     /// Changes the named materials of a scene.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] listing all unknown materials, reflection factors outside 0..=1 and mistakes in
-    /// the text.
+    /// [`presight_model::ErrorKind::Invalid`] listing all unknown materials, reflection factors outside 0..=1 and
+    /// mistakes in the text.
     pub fn apply_to(&self, materials: &mut [Material]) -> Result<()> {
         let mut faults = self.faults.clone();
         for (name, properties) in &self.materials {
@@ -176,7 +176,8 @@ impl Sidecar {
 /// Reads the value of `extras` of a glTF material.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] on an unknown key or impossible value under `presight`; other extras are ignored.
+/// [`presight_model::ErrorKind::Invalid`] on an unknown key or impossible value under `presight`; other extras are
+/// ignored.
 pub fn from_extras(extras: &str) -> Result<Option<MaterialProperties>> {
     let value: serde_json::Value = serde_json::from_str(extras)
         .map_err(|e| Error::invalid(e.to_string(), "export the model again").at("extras"))?;

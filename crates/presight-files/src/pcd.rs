@@ -19,7 +19,7 @@ const FAR: f64 = 8192.0;
 /// millimetres, they take 8 bytes and the function returns a notice.
 ///
 /// # Errors
-/// [`crate::ErrorKind::System`] if the file cannot be written.
+/// [`presight_model::ErrorKind::System`] if the file cannot be written.
 pub fn write(path: &Path, cloud: &PointCloud<'_>) -> Result<Vec<String>> {
     write_atomically(path, |file| {
         let mut out = BufWriter::new(file);

@@ -12,7 +12,7 @@ use std::path::Path;
 /// Open3D reads, if all fit; otherwise they are `uint` and the function returns a notice.
 ///
 /// # Errors
-/// [`crate::ErrorKind::System`] if the file cannot be written.
+/// [`presight_model::ErrorKind::System`] if the file cannot be written.
 pub fn write(path: &Path, cloud: &PointCloud<'_>) -> Result<Vec<String>> {
     let fields = cloud.fields();
     write_atomically(path, |file| {

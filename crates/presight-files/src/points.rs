@@ -49,8 +49,8 @@ impl<'a> PointCloud<'a> {
     /// Computes the points of a range image: the sensor's f64 ray times the range. Pixels without a range become NaN.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if the range image is missing, or an image does not have the sensor's size;
-    /// errors of [`Pose::check`].
+    /// [`presight_model::ErrorKind::Invalid`] if the range image is missing, or an image does not have the sensor's
+    /// size; errors of [`Pose::check`].
     pub fn new(images: &'a Images, sensor: &Sensor, world_from_sensor: &Pose, frame: PointsFrame) -> Result<Self> {
         world_from_sensor.check()?;
         let pixels = sensor.width() as usize * sensor.height() as usize;
@@ -101,8 +101,8 @@ impl<'a> PointCloud<'a> {
     /// seen. `ids` is the numbering of the `polygon_id` image.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if there is no image of polygon_id or object_id;
-    /// [`crate::ErrorKind::System`] if memory is short.
+    /// [`presight_model::ErrorKind::Invalid`] if there is no image of polygon_id or object_id;
+    /// [`presight_model::ErrorKind::System`] if memory is short.
     pub fn with_normals(mut self, environment: &Environment, ids: IdScheme) -> Result<Self> {
         let (objects, polygons) = (&self.images.object_id, &self.images.polygon_id);
         if objects.is_empty() || polygons.is_empty() {

@@ -1,24 +1,24 @@
 //! Pose covariances as text: standard deviations, or 36 numbers in the order of ROS messages.
 
-use super::text::read_settings;
-use presight_features::roi::PoseCovariance;
-use presight_model::environment::check_covariance;
+use super::text::from_settings;
 use presight_model::error::{Error, Result};
+use presight_model::geometry::{InWorld, PoseCovariance};
 use presight_model::limits;
 use std::path::Path;
 
 /// Reads `sx,sy,sz,sroll_deg,spitch_deg,syaw_deg` (standard deviations, metres and degrees), or the named JSON file.
 ///
 /// ```
-/// let covariance = presight::io::pose_covariance::parse("0.1,0.1,0,0,0,2")?;
+/// let covariance = presight::files::parse_pose_covariance("0.1,0.1,0,0,0,2")?;
 /// assert!((covariance[1][1] - 0.01).abs() < 1e-15);
 /// assert!((covariance[5][5].sqrt().to_degrees() - 2.0).abs() < 1e-12);
 /// # Ok::<(), presight::Error>(())
 /// ```
 ///
 /// # Errors
-/// [`crate::ErrorKind::Usage`] for invalid or negative numbers; [`crate::ErrorKind::Invalid`] for an invalid file.
-pub fn parse(text: &str) -> Result<PoseCovariance> {
+/// [`presight_model::ErrorKind::Usage`] for invalid or negative numbers; [`presight_model::ErrorKind::Invalid`] for an
+/// invalid file.
+pub fn parse(text: &str) -> Result<PoseCovariance<InWorld>> {
     file(text).map_or_else(|| deviations(text), from_file)
 }
 
@@ -27,41 +27,35 @@ pub fn file(text: &str) -> Option<&Path> {
     (!text.contains(',')).then_some(Path::new(text))
 }
 
-fn deviations(text: &str) -> Result<PoseCovariance> {
+fn deviations(text: &str) -> Result<PoseCovariance<InWorld>> {
     let remedy = "give sx,sy,sz,sroll_deg,spitch_deg,syaw_deg, metres and degrees, or a JSON file of 36 numbers";
     let wrong = |what: String| Error::usage(format!("pose covariance {text}: {what}"), remedy);
     let words: Vec<&str> = text.split(',').map(str::trim).collect();
     if words.len() != 6 {
         return Err(wrong(format!("{} numbers where 6 are needed", words.len())));
     }
-    let mut covariance = [[0.0; 6]; 6];
+    let mut sigmas = [0.0; 6];
     for (i, word) in words.into_iter().enumerate() {
         let value = word.parse::<f64>().ok().filter(|v| (0.0..=limits::MAX_COORDINATE).contains(v));
         let sigma = value.ok_or_else(|| wrong(format!("{word:?} is not a standard deviation")))?;
-        let sigma = if i < 3 { sigma } else { sigma.to_radians() };
-        covariance[i][i] = sigma * sigma;
+        sigmas[i] = if i < 3 { sigma } else { sigma.to_radians() };
     }
-    Ok(covariance)
+    Ok(PoseCovariance::from_sigmas(sigmas))
 }
 
-fn from_file(path: &Path) -> Result<PoseCovariance> {
-    read_settings(path).and_then(|text| from_json(&text)).map_err(|e| e.in_file(path))
+fn from_file(path: &Path) -> Result<PoseCovariance<InWorld>> {
+    from_settings(path, from_json)
 }
 
 /// Reads the JSON text of 36 numbers: row-major, x y z, then rotation about x y z, metres and radians.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] for text that is not a covariance.
-pub fn from_json(text: &str) -> Result<PoseCovariance> {
+/// [`presight_model::ErrorKind::Invalid`] for text that is not a covariance.
+pub fn from_json(text: &str) -> Result<PoseCovariance<InWorld>> {
     let remedy = "give 36 numbers, row-major: x y z, then rotation about x y z, metres and radians";
     let numbers: Vec<f64> = serde_json::from_str(text)
         .map_err(|e| Error::invalid(format!("not a list of numbers: {e}"), remedy).caused_by(e))?;
-    if numbers.len() != 36 {
-        return Err(Error::invalid(format!("{} numbers where 36 are needed", numbers.len()), remedy));
-    }
-    let covariance: PoseCovariance = std::array::from_fn(|i| std::array::from_fn(|j| numbers[6 * i + j]));
-    check_covariance(&covariance)?;
-    Ok(covariance)
+    PoseCovariance::from_row_major(&numbers)
 }
 
 #[cfg(test)]

@@ -12,7 +12,7 @@
 
 use super::load::{load_sensor, preset_names};
 use super::sensor_toml::MountTable;
-use super::text::{check_format, read_settings, toml_from_str};
+use super::text::{check_format, from_settings, toml_from_str};
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::limits;
 use presight_model::sensor::{PRESETS, Sensor};
@@ -49,12 +49,11 @@ struct Entry {
 /// Reads a robot file with all its sensors. Also returns notices on unused parts of the sensor files.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] with file and place, and errors of sensor files.
+/// [`ErrorKind::Invalid`] with file and place, and errors of sensor files.
 pub fn load_robot(path: &Path) -> Result<(Robot, Vec<String>)> {
-    let text = read_settings(path)?;
     let folder = path.parent().unwrap_or(Path::new(""));
     let mut notices = Vec::new();
-    let load = |text: &str, notices: &mut Vec<String>| -> Result<Robot> {
+    let robot = from_settings(path, |text| {
         check_format(text)?;
         let file: File = toml_from_str(text)?;
         if file.sensors.len() > limits::MAX_ROBOT_SENSORS {
@@ -63,7 +62,7 @@ pub fn load_robot(path: &Path) -> Result<(Robot, Vec<String>)> {
         }
         let mut sensors: Vec<Sensor> = Vec::new();
         for (i, entry) in file.sensors.into_iter().enumerate() {
-            let sensor = entry.load(folder, notices).map_err(|e| e.named_in(path, format!("sensor {i}")))?;
+            let sensor = entry.load(folder, &mut notices).map_err(|e| e.named_in(path, format!("sensor {i}")))?;
             let name = &sensor.spec().name;
             if sensors.iter().any(|other| other.spec().name == *name) {
                 return Err(Error::invalid(format!("two sensors are named {name:?}"), "give each a name of its own")
@@ -76,8 +75,7 @@ pub fn load_robot(path: &Path) -> Result<(Robot, Vec<String>)> {
         }
         let stem = || path.file_stem().map_or_else(|| "robot".into(), |s| s.to_string_lossy().into_owned());
         Ok(Robot { name: file.name.unwrap_or_else(stem), sensors })
-    };
-    let robot = load(&text, &mut notices).map_err(|e| e.in_file(path))?;
+    })?;
     Ok((robot, notices))
 }
 

@@ -49,6 +49,16 @@ pub(crate) fn check_json_memory(text: &str) -> Result<()> {
     Err(Error::invalid(what, format!("the limit is {}: split the file", limits::MAX_IMPORT_BYTES)))
 }
 
+/// Reads and parses a text file; all errors name it.
+pub(crate) fn from_text<T>(path: &Path, parse: impl FnOnce(&str) -> Result<T>) -> Result<T> {
+    read_text(path).and_then(|text| parse(&text)).map_err(|e| e.in_file(path))
+}
+
+/// As `from_text`, with the lower size limit of settings files.
+pub(crate) fn from_settings<T>(path: &Path, parse: impl FnOnce(&str) -> Result<T>) -> Result<T> {
+    read_settings(path).and_then(|text| parse(&text)).map_err(|e| e.in_file(path))
+}
+
 /// Reads a whole file as text, or the content of a pipe that was passed to this process.
 pub(crate) fn read_text(path: &Path) -> Result<String> {
     read_up_to(path, limits::MAX_FILE_BYTES)

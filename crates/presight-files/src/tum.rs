@@ -1,7 +1,7 @@
 //! Trajectories in the format of the TUM RGB-D benchmark: one pose per line, `timestamp tx ty tz qx qy qz qw`.
 
 use super::file;
-use super::text::{read_line, read_text};
+use super::text::{from_text, read_line};
 use glam::{DQuat, DVec3};
 use presight_model::error::{Error, Result};
 use presight_model::geometry::Pose;
@@ -22,9 +22,9 @@ pub struct StampedPose {
 /// Reads a trajectory; lines that start with `#` and empty ones are skipped.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] naming a line that is not eight finite numbers with a non-zero quaternion.
+/// [`presight_model::ErrorKind::Invalid`] naming a line that is not eight finite numbers with a non-zero quaternion.
 pub fn read(path: &Path) -> Result<Vec<StampedPose>> {
-    read_text(path).and_then(|text| parse(&text)).map_err(|e| e.in_file(path))
+    from_text(path, parse)
 }
 
 /// As [`read`], with the time stamp of each pose as text.
@@ -32,9 +32,9 @@ pub fn read(path: &Path) -> Result<Vec<StampedPose>> {
 /// # Errors
 /// As [`read`].
 pub fn read_with_stamps(path: &Path) -> Result<Vec<(String, StampedPose)>> {
-    let text = read_text(path)?;
-    let poses = parse_with_stamps(&text).map_err(|e| e.in_file(path))?;
-    Ok(poses.into_iter().map(|(stamp, pose)| (stamp.to_owned(), pose)).collect())
+    from_text(path, |text| {
+        Ok(parse_with_stamps(text)?.into_iter().map(|(stamp, pose)| (stamp.to_owned(), pose)).collect())
+    })
 }
 
 /// Reads the text of a trajectory.
@@ -78,27 +78,29 @@ pub fn stream(path: &Path) -> Result<Stream> {
     Ok(Stream { path: path.to_owned(), reader, line: 0, ended: false })
 }
 
+impl Stream {
+    fn read(&mut self) -> Result<Option<StampedPose>> {
+        loop {
+            self.line += 1;
+            let Some(line) = read_line(&mut self.reader, self.line)? else { return Ok(None) };
+            let line = line.trim();
+            if !line.is_empty() && !line.starts_with('#') {
+                return stamped(line).map(Some).map_err(|e| e.at(format!("line {}", self.line)));
+            }
+        }
+    }
+}
+
 impl Iterator for Stream {
     type Item = Result<StampedPose>;
 
     fn next(&mut self) -> Option<Result<StampedPose>> {
-        while !self.ended {
-            self.line += 1;
-            let line = match read_line(&mut self.reader, self.line).transpose()? {
-                Ok(line) => line,
-                Err(e) => {
-                    self.ended = true;
-                    return Some(Err(e.in_file(&self.path)));
-                }
-            };
-            let line = line.trim();
-            if !line.is_empty() && !line.starts_with('#') {
-                let pose = stamped(line).map_err(|e| e.at(format!("line {}", self.line)).in_file(&self.path));
-                self.ended = pose.is_err();
-                return Some(pose);
-            }
+        if self.ended {
+            return None;
         }
-        None
+        let next = self.read().map_err(|e| e.in_file(&self.path)).transpose();
+        self.ended = !matches!(next, Some(Ok(_)));
+        next
     }
 }
 

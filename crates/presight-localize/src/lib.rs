@@ -8,5 +8,6 @@ pub mod history;
 pub mod localize;
 pub mod matching;
 pub mod motion;
+mod options;
 pub mod simulate;
 pub mod verdict;

@@ -1,8 +1,8 @@
 //! Small motions of a pose as six numbers.
 
-use glam::{DMat3, DQuat, DVec3};
-use presight_model::geometry::Pose;
-use presight_model::matrix::{Matrix, inverse, quadratic};
+use glam::{DQuat, DVec3};
+use presight_model::geometry::{Pose, PoseEstimate};
+use presight_model::matrix::{inverse, quadratic};
 
 /// A small motion: x y z in metres, then rotation about fixed x y z in radians.
 pub type Vector = [f64; 6];
@@ -27,33 +27,16 @@ pub fn motion_between(from: &Pose, to: &Pose) -> Vector {
 
 /// The normalized estimation error squared (NEES) and its number of axes: e' C^-1 e, with e the motion from a pose to
 /// the true pose, and C its covariance (as in [`moved`]). Axes with zero variance were not estimated and do not count.
-///
-/// # Examples
-/// ```
-/// use presight::estimate::{moved, nees};
-/// let there = moved(&presight::Pose::IDENTITY, &[0.02, 0.0, 0.0, 0.0, 0.0, 0.03]);
-/// // x is known to 1 cm, y to 1 cm, yaw to 0.01: (2 + 0 + 3 deviations) squared each.
-/// let mut covariance = [[0.0; 6]; 6];
-/// [(0, 1e-4), (1, 1e-4), (5, 1e-4)].map(|(i, variance)| covariance[i][i] = variance);
-/// let (squared, numbers) = nees(&presight::Pose::IDENTITY, &covariance, &there);
-/// assert!((squared - 13.0).abs() < 1e-9 && numbers == 3);
-/// ```
-pub fn nees(pose: &Pose, covariance: &Matrix, truth: &Pose) -> (f64, usize) {
+pub fn nees(estimate: &PoseEstimate, truth: &Pose) -> (f64, usize) {
+    let covariance = estimate.covariance.as_rows();
     let axes: Vec<usize> = (0..6).filter(|i| covariance[*i][*i] > 0.0).collect();
-    let error = motion_between(pose, truth);
+    let error = motion_between(&estimate.world_from_robot, truth);
     (quadratic(&inverse(covariance, &axes), &error), axes.len())
-}
-
-/// The matrix that rotates motions into the axes of another frame.
-pub fn turn(rotation: DQuat) -> Matrix {
-    let m = DMat3::from_quat(rotation);
-    std::array::from_fn(|i| std::array::from_fn(|j| if i / 3 == j / 3 { m.col(j % 3)[i % 3] } else { 0.0 }))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use presight_model::matrix::apply;
 
     #[test]
     fn motions_lead_from_pose_to_pose() {
@@ -61,13 +44,5 @@ mod tests {
         let motion = [0.1, 0.2, -0.3, 0.4, -0.5, 0.6];
         let back = motion_between(&a, &moved(&a, &motion));
         assert!(motion.iter().zip(back).all(|(m, b)| (m - b).abs() < 1e-12), "{back:?}");
-    }
-
-    #[test]
-    fn turned_motions_are_those_in_other_axes() {
-        let rotation = DQuat::from_rotation_z(std::f64::consts::FRAC_PI_2);
-        let turned = apply(&turn(rotation), &[1.0, 0.0, 0.0, 0.0, 2.0, 0.0]);
-        let expected = [0.0, 1.0, 0.0, -2.0, 0.0, 0.0];
-        assert!(turned.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{turned:?}");
     }
 }

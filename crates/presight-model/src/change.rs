@@ -1,7 +1,7 @@
 //! Changes of an environment, applied by [`crate::World::apply`], and their inverses.
 
 use crate::environment::{Feature, Material, NewObject};
-use crate::geometry::Pose;
+use crate::geometry::{InObject, Pose, PoseCovariance};
 
 /// A change of an environment. [`crate::World::apply`] applies it and returns its inverse.
 ///
@@ -83,7 +83,7 @@ pub enum Change {
         /// Path of the object.
         object: String,
         /// See [`crate::environment::FeatureLayer::pose_covariances`].
-        covariance: Option<[[f64; 6]; 6]>,
+        covariance: Option<PoseCovariance<InObject>>,
     },
     /// Applies all of these changes, or none.
     Group(Vec<Change>),
@@ -94,7 +94,6 @@ impl Change {
     pub const NOTHING: Self = Self::Group(Vec::new());
 
     /// A single change, or a group of several.
-    #[doc(hidden)]
     pub fn of(mut changes: Vec<Change>) -> Self {
         match changes.len() {
             1 => changes.remove(0),

@@ -1,5 +1,7 @@
 //! Six-by-six matrices: covariances and information of poses, and eigenvalues of symmetric ones by Jacobi rotations.
 
+use glam::{DMat3, DQuat};
+
 /// The numbers of a pose, at most six.
 pub type Matrix = [[f64; 6]; 6];
 
@@ -51,18 +53,22 @@ fn rotate(a: &mut Matrix, v: &mut Matrix, p: usize, q: usize, n: usize) {
     }
 }
 
+/// Adds `other` to `sum`.
 pub fn add_to(sum: &mut Matrix, other: &Matrix) {
     sum.as_flattened_mut().iter_mut().zip(other.as_flattened()).for_each(|(s, o)| *s += o);
 }
 
+/// The matrix times a factor.
 pub fn scaled(m: &Matrix, factor: f64) -> Matrix {
     m.map(|row| row.map(|x| factor * x))
 }
 
+/// a b.
 pub fn product(a: &Matrix, b: &Matrix) -> Matrix {
     std::array::from_fn(|i| std::array::from_fn(|j| (0..6).map(|k| a[i][k] * b[k][j]).sum()))
 }
 
+/// a'.
 pub fn transposed(a: &Matrix) -> Matrix {
     std::array::from_fn(|i| std::array::from_fn(|j| a[j][i]))
 }
@@ -72,8 +78,15 @@ pub fn sandwich(a: &Matrix, b: &Matrix) -> Matrix {
     product(&product(a, b), &transposed(a))
 }
 
+/// a x.
 pub fn apply(a: &Matrix, x: &[f64; 6]) -> [f64; 6] {
     std::array::from_fn(|i| (0..6).map(|k| a[i][k] * x[k]).sum())
+}
+
+/// The matrix that rotates motions (translation, then rotation) into the axes of another frame.
+pub fn turn(rotation: DQuat) -> Matrix {
+    let m = DMat3::from_quat(rotation);
+    std::array::from_fn(|i| std::array::from_fn(|j| if i / 3 == j / 3 { m.col(j % 3)[i % 3] } else { 0.0 }))
 }
 
 /// v' m v.
@@ -149,6 +162,14 @@ mod tests {
         (m[0][1], m[1][0]) = (1.0, 1.0);
         let inverse = super::inverse(&m, &all);
         assert!((inverse[0][0] - 0.25).abs() < 1e-12 && (inverse[0][1] - 0.25).abs() < 1e-12);
+    }
+
+    #[test]
+    fn turned_motions_are_those_in_other_axes() {
+        let rotation = DQuat::from_rotation_z(std::f64::consts::FRAC_PI_2);
+        let turned = apply(&turn(rotation), &[1.0, 0.0, 0.0, 0.0, 2.0, 0.0]);
+        let expected = [0.0, 1.0, 0.0, -2.0, 0.0, 0.0];
+        assert!(turned.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{turned:?}");
     }
 
     proptest! {

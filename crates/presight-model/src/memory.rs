@@ -108,12 +108,6 @@ impl FrameMemory {
     }
 
     /// Bytes at the peak: buffers and images stay allocated while one file after the other is written.
-    ///
-    /// ```
-    /// use presight::memory::FrameMemory;
-    /// let frame = FrameMemory { pixels: 1_000_000, images: 4, exr: 4, ..FrameMemory::default() };
-    /// assert!((48_000_000..50_000_000).contains(&frame.bytes()));
-    /// ```
     pub fn bytes(&self) -> u64 {
         // Inverse depth and winner of the CPU engine, or the images read back from a device.
         let engine = if self.on_device { 4 * self.images } else { 16 };
@@ -225,6 +219,12 @@ fn left_in_group(folder: &Path) -> Option<u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_frame_takes_the_bytes_of_its_images() {
+        let frame = FrameMemory { pixels: 1_000_000, images: 4, exr: 4, ..FrameMemory::default() };
+        assert!((48_000_000..50_000_000).contains(&frame.bytes()), "{}", frame.bytes());
+    }
 
     #[test]
     fn texts_of_the_system_are_read() {

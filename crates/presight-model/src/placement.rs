@@ -4,7 +4,7 @@
 use crate::change::Change;
 use crate::environment::{DEFAULT_TOLERANCE, Environment, Feature, FeatureLayer};
 use crate::error::{Error, Result};
-use crate::geometry::PoseCovariance;
+use crate::geometry::{InObject, PoseCovariance};
 use crate::index::{Params, Scheme};
 use crate::place::{place, place_lying};
 use crate::world::World;
@@ -30,8 +30,8 @@ pub struct PlacedFeatures {
     pub features: Arc<[PlacedFeature]>,
     /// Indices, in ascending order, of features that no longer lie on a polygon and are omitted.
     pub lost: Arc<[u32]>,
-    /// Covariances of objects' poses by index of the object, in the object's own axes.
-    pub objects: Arc<[(u32, PoseCovariance)]>,
+    /// Covariances of objects' poses by index of the object.
+    pub objects: Arc<[(u32, PoseCovariance<InObject>)]>,
 }
 
 impl From<Vec<PlacedFeature>> for PlacedFeatures {
@@ -101,8 +101,9 @@ impl World {
     /// checked, a world without an index gets the default one. Apply an inverse with [`World::apply_unchecked`].
     ///
     /// ```
-    /// use presight::environment::{Existence, Feature, FeatureShape, Properties};
-    /// use presight::{Change, Environment, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose, World};
+    /// use presight::features::{Existence, Feature, FeatureShape, Properties};
+    /// use presight::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
+    /// use presight::{Change, Pose, World};
     /// let mut environment = Environment::new();
     /// let paint = environment.add_material(Material::named("paint"))?;
     /// let corners = [glam::Vec3::ZERO, glam::Vec3::X, glam::Vec3::Y].to_vec();

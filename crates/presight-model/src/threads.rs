@@ -18,11 +18,12 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
 /// from the same number use the same threads, which start on first use and end with the last engine that holds them. 0,
 /// the default, means one thread per core (or `RAYON_NUM_THREADS`, if set); these threads are never stopped.
 ///
-/// Functions without a handle, such as [`crate::World::new`] or [`crate::features::generate::generate`], use the
+/// Functions without a handle, such as [`crate::World::new`] or `features::generate::generate`, use the
 /// threads of [`Threads::run`] if called inside it, otherwise the default threads.
 ///
 /// ```
-/// use presight::{Backend, Environment, Options, Predictor, Threads, World};
+/// use presight::environment::Environment;
+/// use presight::{Backend, Options, Predictor, Threads, World};
 /// let threads = Threads::new(2)?;
 /// let world = threads.run(|| World::new(Environment::new()))?;
 /// let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads.clone()))?;
@@ -75,6 +76,7 @@ impl Threads {
         Ok(self.pool()?.install(work))
     }
 
+    /// The pool of these threads; starts them if necessary.
     pub fn pool(&self) -> Result<Arc<ThreadPool>> {
         match (&self.pool, self.count) {
             (Some(pool), _) => Ok(pool.clone()),
@@ -216,7 +218,8 @@ fn calling_thread() -> Result<Arc<ThreadPool>> {
 
 fn built(count: usize, threads: ThreadPoolBuilder) -> Result<Arc<ThreadPool>> {
     threads.build().map(Arc::new).map_err(|e| {
-        let (what, remedy) = (format!("cannot start {count} threads: {e}"), "lower --threads, or raise ulimit -u");
+        let (what, remedy) =
+            (format!("cannot start {count} threads: {e}"), "start fewer `Threads`, or raise ulimit -u");
         Error::new(ErrorKind::System, what, remedy).caused_by(e)
     })
 }

@@ -13,7 +13,7 @@ use image::ExtendedColorType;
 use presight_features::FeaturePrediction;
 use presight_files::atomic::write_atomically;
 use presight_model::error::{Error, Result};
-use presight_model::frame::GreyImage;
+use presight_model::measured::GreyImage;
 use presight_model::sensor::Sensor;
 use presight_render::plan::{Images, Output};
 use std::io::BufWriter;
@@ -83,8 +83,8 @@ const SQUARE: u32 = 16;
 /// in the colours of their verdicts.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] for an image of another size than the sensor's, [`crate::ErrorKind::System`] for I/O
-/// errors.
+/// [`presight_model::ErrorKind::Invalid`] for an image of another size than the sensor's,
+/// [`presight_model::ErrorKind::System`] for I/O errors.
 pub fn write_comparison(path: &Path, comparison: &Comparison<'_>) -> Result<()> {
     let canvas = draw(comparison).map_err(|e| e.in_file(path))?;
     write_atomically(path, |file| {

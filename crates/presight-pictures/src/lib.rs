@@ -21,7 +21,7 @@ pub use map::{GridMap, write_maps};
 pub use overlay::Overlay;
 use presight_files::atomic::write_atomically;
 use presight_model::error::{Error, Result};
-use presight_model::frame::GreyImage;
+use presight_model::measured::GreyImage;
 use presight_model::sensor::{Geometry, Sensor};
 use presight_predict::virtual_sensors::Mask;
 use presight_render::plan::{Images, Output, Outputs};
@@ -38,8 +38,8 @@ use std::path::Path;
 /// A scan of one row is drawn from above, with x (forward) up.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] if the image is missing or does not have the sensor's size,
-/// [`crate::ErrorKind::System`] if the file cannot be written.
+/// [`presight_model::ErrorKind::Invalid`] if the image is missing or does not have the sensor's size,
+/// [`presight_model::ErrorKind::System`] if the file cannot be written.
 pub fn write_preview(path: &Path, images: &Images, sensor: &Sensor, output: Output) -> Result<()> {
     write_preview_with(path, images, sensor, output, &Marks::default())
 }
@@ -78,7 +78,7 @@ pub fn write_preview_with(
 /// [`write_preview`] into memory: the bytes of a PNG file.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] if the image is missing or does not have the sensor's size.
+/// [`presight_model::ErrorKind::Invalid`] if the image is missing or does not have the sensor's size.
 pub fn preview_png(images: &Images, sensor: &Sensor, output: Output) -> Result<Vec<u8>> {
     let canvas = preview(images, sensor, output, &Marks::default())?;
     let mut bytes = Vec::new();
@@ -117,7 +117,6 @@ fn is_one_row_scan(sensor: &Sensor) -> bool {
 }
 
 /// Approximate columns and rows of the image in a preview, without the text and scale around it.
-#[doc(hidden)]
 pub fn preview_size(sensor: &Sensor) -> (u32, u32) {
     view::drawn_size(sensor)
 }
@@ -137,8 +136,8 @@ pub fn depth_output(sensor: &Sensor) -> Output {
 /// or beyond the 65.535 m that 16 bits can hold. Returns a notice if the last case occurs.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] if the image of [`depth_output`] is missing, [`crate::ErrorKind::System`] if the file
-/// cannot be written.
+/// [`presight_model::ErrorKind::Invalid`] if the image of [`depth_output`] is missing,
+/// [`presight_model::ErrorKind::System`] if the file cannot be written.
 pub fn write_depth(path: &Path, images: &Images, sensor: &Sensor) -> Result<Vec<String>> {
     let output = depth_output(sensor);
     let Some(metres) = images.floats(output).filter(|image| image.len() == images.pixels()) else {
@@ -156,7 +155,7 @@ pub fn write_depth(path: &Path, images: &Images, sensor: &Sensor) -> Result<Vec<
 /// Writes a 16-bit grey image: 0 is black and 1 white, values outside are clamped, and NaN is black.
 ///
 /// # Errors
-/// [`crate::ErrorKind::System`] if the file cannot be written.
+/// [`presight_model::ErrorKind::System`] if the file cannot be written.
 pub fn write_grey(path: &Path, image: &GreyImage) -> Result<()> {
     // The cast turns NaN into 0.
     let values = image.values().iter().map(|v| (v.clamp(0.0, 1.0) * f32::from(u16::MAX)).round() as u16);
@@ -169,7 +168,7 @@ pub fn write_grey(path: &Path, image: &GreyImage) -> Result<()> {
 /// Writes a mask with marked pixels white and the others black, in the pixel order of the images.
 ///
 /// # Errors
-/// [`crate::ErrorKind::System`] if the file cannot be written.
+/// [`presight_model::ErrorKind::System`] if the file cannot be written.
 pub fn write_mask(path: &Path, mask: &Mask) -> Result<()> {
     let bytes: Vec<u8> = mask.pixels.iter().map(|on| if *on { u8::MAX } else { 0 }).collect();
     write_atomically(path, |file| encode(BufWriter::new(file), &bytes, mask.width, mask.height, ExtendedColorType::L8))

@@ -32,8 +32,8 @@ pub struct GridMap<'a> {
 /// greatest violet, and infinite ones red.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] if values do not fill whole rows, or a map has more than 65,535 cells along a side;
-/// [`crate::ErrorKind::System`] if the file cannot be written.
+/// [`presight_model::ErrorKind::Invalid`] if values do not fill whole rows, or a map has more than 65,535 cells along a
+/// side; [`presight_model::ErrorKind::System`] if the file cannot be written.
 pub fn write_maps(path: &Path, maps: &[GridMap<'_>]) -> Result<()> {
     for map in maps {
         let rows = map.values.len().checked_div(map.columns as usize).unwrap_or(0);

@@ -23,7 +23,7 @@ const TRIES: usize = 2000;
 /// to 10 degrees; yaw is free. The same seed gives the same poses.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] if the world has too little free space among its polygons.
+/// [`presight_model::ErrorKind::Invalid`] if the world has too little free space among its polygons.
 pub fn free_poses(world: &World, n: usize, seed: u64) -> Result<Vec<Pose>> {
     let bounds = world.environment().bounds();
     let rays = all_round();

@@ -10,7 +10,8 @@ use std::time::Duration;
 /// Everything that one prediction should deliver. Outputs that are not requested cost no time.
 ///
 /// ```
-/// use presight::features::{BoxOptions, FeatureOptions};
+/// use presight::features::FeatureOptions;
+/// use presight::regions::BoxOptions;
 /// use presight::{Output, Outputs, Request};
 /// let request = Request::of(Outputs::of(&[Output::Range]))
 ///     .with_features(FeatureOptions::default())
@@ -28,8 +29,8 @@ pub struct Request {
     pub features: Option<FeatureOptions>,
     /// Regions of interest of these features, if requested.
     pub regions: Option<BoxOptions>,
-    /// Time limit from the call on. Results that cannot be computed in time are given up (see [`crate::deadline`]).
-    /// `None` means no limit; no clock is then read to decide anything.
+    /// Time limit from the call on. Results that cannot be computed in time are given up (see
+    /// [`presight_render::deadline`]). `None` means no limit; no clock is then read to decide anything.
     pub deadline: Option<Duration>,
     /// What to compute first if time does not suffice for everything.
     pub priority: Priority,
@@ -80,9 +81,9 @@ impl Request {
     /// Checks that the request is valid for a sensor.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] for `depth_z` of a sensor that is not a camera, for `feature_id` or regions without
-    /// features, for a confidence outside 0.5..1, and for an invalid priority; [`crate::ErrorKind::Invalid`] for an
-    /// invalid covariance matrix.
+    /// [`presight_model::ErrorKind::Usage`] for `depth_z` of a sensor that is not a camera, for `feature_id` or regions
+    /// without features, for a confidence outside 0.5..1, and for an invalid priority;
+    /// [`presight_model::ErrorKind::Invalid`] for an invalid covariance matrix.
     pub fn check(&self, sensor: &Sensor) -> Result<()> {
         if self.outputs.has(Output::DepthZ) && !sensor.is_camera() {
             let what = format!("sensor {:?} is not a camera and has no depth_z", sensor.spec().name);

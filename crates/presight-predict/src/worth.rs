@@ -93,9 +93,10 @@ impl Worth {
     /// Predicts the features from every free place. Calls `watch` with the number of views done and the total.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] for a spacing that is not positive, a grid of more than [`limits::MAX_WORTH_PLACES`]
-    /// places, or a sensor without pixel noise; [`crate::ErrorKind::Invalid`] if no place is free;
-    /// [`crate::ErrorKind::System`] if there is not enough memory for all views; errors of [`Predictor::predict`].
+    /// [`presight_model::ErrorKind::Usage`] for a spacing that is not positive, a grid of more than
+    /// [`limits::MAX_WORTH_PLACES`] places, or a sensor without pixel noise; [`presight_model::ErrorKind::Invalid`] if
+    /// no place is free; [`presight_model::ErrorKind::System`] if there is not enough memory for all views; errors of
+    /// [`Predictor::predict`].
     pub fn of(
         world: &World,
         sensor: &Sensor,
@@ -234,8 +235,11 @@ fn grid(world: &World, sensor: &Sensor, options: &WorthOptions) -> Result<([u32;
         return Err(Error::usage(what, "give a spacing above 0 and a finite height"));
     }
     let bounds = world.environment().bounds();
+    if bounds.is_empty() {
+        return Err(Error::invalid("the world has no polygons", "give a scene with a floor"));
+    }
     let count = ((bounds.max - bounds.min) / spacing).max(DVec3::ZERO).ceil();
-    if bounds.is_empty() || !(count.x * count.y <= limits::MAX_WORTH_PLACES as f64) {
+    if !(count.x * count.y <= limits::MAX_WORTH_PLACES as f64) {
         let what = format!("a grid every {} m has {} places", short(spacing), short(count.x * count.y));
         return Err(Error::usage(
             what,
@@ -303,6 +307,8 @@ fn product_trace(a: &Planar, b: &Planar) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use presight_model::environment::Environment;
+    use presight_model::sensor::{Geometry, RayTable, SensorSpec};
 
     fn worth(views: Vec<Vec<(u32, Planar)>>, given: usize) -> Worth {
         Worth { places: Vec::new(), size: [1, 1], given, views }
@@ -311,6 +317,15 @@ mod tests {
     const ALONG_X: Planar = [400.0, 0.0, 0.0, 0.0, 0.0, 0.0];
     const ALONG_Y: Planar = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0];
     const TURN: Planar = [0.0, 0.0, 0.0, 0.0, 0.0, 100.0];
+
+    #[test]
+    fn an_empty_world_has_no_grid() {
+        let world = World::new(Environment::new());
+        let ray = RayTable::new(1, 1, vec![DVec3::X]).unwrap();
+        let sensor = Sensor::new(SensorSpec::new("s", "laser", Geometry::Rays(ray))).unwrap();
+        let e = grid(&world, &sensor, &WorthOptions { spacing: 1.0, floor: 0.0 }).unwrap_err();
+        assert_eq!(e.what(), "the world has no polygons");
+    }
 
     /// Information 4, 1 and 100: standard deviations of 1/2, 1 and 1/10. Rotated by 45 degrees, the largest stays 1.
     #[test]

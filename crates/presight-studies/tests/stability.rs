@@ -1,4 +1,4 @@
-//! A quick stability study of every engine: no fault; and planted faults, each of which it has to find.
+//! A quick stability study of every engine finds no fault, and finds each planted fault.
 
 use presight_features::{BoxQuery, FeaturePrediction, FeatureSamples, OcclusionHint, add_boxes};
 use presight_model::error::Result;
@@ -15,7 +15,7 @@ fn described(rows: &[Row]) -> Vec<String> {
     rows.iter().filter(|r| r.finding.outcome == Outcome::Fault).map(of).collect()
 }
 
-/// Set `PRESIGHT_FULL` for all difficulties.
+/// `PRESIGHT_FULL` runs all difficulties.
 #[test]
 fn no_engine_has_a_fault() {
     let (mut engines, notes) = subjects(1).unwrap();
@@ -37,7 +37,7 @@ fn no_engine_has_a_fault() {
         let engines = own().filter(|r| r.finding.outcome == Outcome::Ok && r.finding.engine == "cpu").count();
         assert!(engines >= 2, "{} tries the CPU engine", family.name());
     }
-    // What has to be refused is.
+    // Unusable input was refused.
     for (family, difficulty) in
         [("offset", 1e13), ("corners", 65.0), ("dent", 0.1), ("warp", 1e-2), ("indefinite", 0.1)]
     {
@@ -55,7 +55,8 @@ fn no_engine_has_a_fault() {
     check_left_out(&rows, &html, &json);
 }
 
-/// In f32 a plate met at 1e-9 rad is left out as edge-on, and what is behind it shown: every place has to say so.
+/// In f32 a plate at a grazing angle of 1e-9 rad is omitted as edge-on and the surface behind it shows. Every output
+/// has to report that.
 fn check_left_out(rows: &[Row], html: &str, json: &serde_json::Value) {
     let Some(at) = rows.iter().position(|r| r.family == "grazing" && r.difficulty < 2e-9 && r.finding.engine == "gpu")
     else {
@@ -74,7 +75,7 @@ fn check_left_out(rows: &[Row], html: &str, json: &serde_json::Value) {
     assert!(rows.iter().filter(exact).all(|r| r.finding.other == 0 && r.finding.edge_on == 0));
 }
 
-/// The CPU engine with something wrong. It calls itself a device, so that it is asked for boxes.
+/// The CPU engine with a planted fault. It reports itself as a device, so that the study requests boxes from it.
 struct Spoiled {
     cpu: Box<dyn Engine>,
     images: fn(&mut Images),
@@ -133,7 +134,7 @@ impl Device for Spoiled {
     }
 }
 
-/// The faults that the study finds in some families with a spoiled engine, at their first difficulty.
+/// Counts the faults that the study finds in these families with a spoiled engine, at their first difficulty.
 fn found(families: &[&str], images: fn(&mut Images), covariances: fn(&mut FeaturePrediction)) -> usize {
     let cpu = EngineKind::Cpu.open(&1.into()).unwrap();
     let engine = Box::new(Spoiled { cpu, images, covariances });
@@ -169,7 +170,7 @@ fn planted_faults_are_found() {
             i.cos_incidence[at] = f32::NAN;
         }
     };
-    assert_eq!(found(&scenes, nan, |_| {}), 2, "an angle that is no number");
+    assert_eq!(found(&scenes, nan, |_| {}), 2, "an angle that is NaN");
     let single = |found: &mut FeaturePrediction| {
         let all = found.features.iter_mut().filter_map(|f| f.image_covariance.as_mut()).flatten();
         all.for_each(|c| c.as_flattened_mut().iter_mut().for_each(|x| *x = f64::from(*x as f32)));

@@ -39,7 +39,7 @@ pub fn ball(columns: u32, rows: u32, radius: f64) -> Mesh {
             if corners.first() == corners.last() {
                 corners.pop();
             }
-            // Four corners of a facet need not lie in one plane in f32: two triangles do.
+            // In f32 the four corners of a facet need not be coplanar, so facets are two triangles.
             match corners[..] {
                 [a, b, c, d] => loops.extend([vec![a, b, c], vec![a, c, d]]),
                 _ => loops.push(corners),
@@ -49,7 +49,7 @@ pub fn ball(columns: u32, rows: u32, radius: f64) -> Mesh {
     scenes::mesh(&loops)
 }
 
-/// A quarter of a ring: the centre line has the radius `bend` about z, from +x to +y.
+/// A quarter of a ring: its centre line has the radius `bend` about z, from +x to +y.
 pub fn elbow(sides: u32, steps: u32, radius: f64, bend: f64) -> Mesh {
     let at = |k: u32, s: u32| {
         let a = TAU * f64::from(k % sides) / f64::from(sides);
@@ -70,7 +70,7 @@ pub fn sheet(corners: [[f32; 3]; 4]) -> Mesh {
     scenes::mesh(&[corners.map(Vec3::from_array).to_vec()])
 }
 
-/// The same, turned.
+/// The same body, rotated.
 pub fn turned(mesh: &Mesh, by: DQuat) -> Mesh {
     let of = |polygon: u32| mesh.corners_of(polygon).map(|p| f32s(by * p)).collect::<Vec<Vec3>>();
     scenes::mesh(&(0..mesh.polygon_count() as u32).map(of).collect::<Vec<_>>())

@@ -1,7 +1,7 @@
-//! Regions of interest of contours, against draws of errors.
+//! Checks the regions of interest of contours against random errors.
 //!
-//! A ball is convex: what is seen of it, and so its silhouette, reaches as far as the images of its corners do, whatever
-//! the pose. The truth asks for nothing else.
+//! A ball is convex: for any pose, its visible part and its silhouette extend as far as the images of its corners. The
+//! true extent needs nothing else.
 
 use super::{around, contour, lens, pinhole, see, world};
 use crate::contours::bodies::ball;
@@ -21,7 +21,7 @@ fn vector(random: &mut SplitMix64) -> DVec3 {
     DVec3::new(normal(random), normal(random), normal(random))
 }
 
-/// The share of draws in which the ball's image leaves a box that is smaller by `less` pixels on each side.
+/// The share of draws in which the ball's image exceeds a box that is `less` pixels smaller on each side.
 fn missed(sensor: &Sensor, at: DVec3, sigma: (f64, f64, f64), confidence: f64, less: f64) -> f64 {
     const DRAWS: usize = 1000;
     let mesh = ball(48, 24, 0.5);
@@ -62,7 +62,7 @@ fn missed(sensor: &Sensor, at: DVec3, sigma: (f64, f64, f64), confidence: f64, l
 }
 
 #[test]
-fn regions_hold_the_silhouettes_of_other_poses() {
+fn regions_contain_the_silhouettes_of_other_poses() {
     let ahead = DVec3::new(4.0, 0.3, 0.2);
     let conditions = [
         (pinhole(), ahead, (0.02, 0.005, 0.01)),
@@ -78,7 +78,7 @@ fn regions_hold_the_silhouettes_of_other_poses() {
             let sd = (most * confidence / 1000.0).sqrt();
             let name = &sensor.spec().name;
             assert!(share <= most + 3.0 * sd, "{name} {sigma:?} {confidence}: {share}");
-            // No box is so much too large that it would do with three pixels less on each side.
+            // No box is so large that it would suffice with three pixels less on each side.
             let share = missed(&sensor, at, sigma, confidence, 3.0);
             assert!(share > most + 3.0 * sd, "{name} {sigma:?} {confidence}: {share} with 3 pixels less");
         }
@@ -86,7 +86,7 @@ fn regions_hold_the_silhouettes_of_other_poses() {
 }
 
 #[test]
-fn over_the_seam_a_region_goes_on() {
+fn a_region_continues_over_the_seam() {
     let one = |at: DVec3| {
         let mesh = ball(48, 24, 0.5);
         let anchor = mesh.corners_of(60).sum::<DVec3>() / mesh.corners_of(60).len() as f64;
@@ -107,7 +107,7 @@ fn over_the_seam_a_region_goes_on() {
         .unwrap();
         seen.features[0].roi.unwrap()
     };
-    // By symmetry the same box, half a turn farther on.
+    // By symmetry the box is the same, shifted by half a turn.
     let (ahead, behind) = (one(DVec3::X * 4.0), one(DVec3::X * -4.0));
     let half = 720.0;
     for (k, by) in [half, 0.0, half, 0.0].into_iter().enumerate() {

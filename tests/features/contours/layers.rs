@@ -1,4 +1,4 @@
-//! Contours in layer files and worlds, and the surfaces that they name.
+//! Contours in layer files and worlds, and the surfaces that they refer to.
 
 use super::bodies::prism;
 use super::{contour, layer, pinhole, see, side_of, world};
@@ -17,7 +17,7 @@ fn post() -> World {
 }
 
 #[test]
-fn files_with_contours_are_of_format_2() {
+fn files_with_contours_have_format_2() {
     let given = layer(vec![contour(7, "post", side_of(0.3))]);
     let text = to_string(&given).unwrap();
     assert!(
@@ -67,7 +67,8 @@ fn contours_change_with_the_world() {
     assert!(world.environment().layer("video").is_none_or(|l| l.features.is_empty()));
 }
 
-/// Sides cut at other heights than their neighbours, turned inside out, stored twice: the same surface, the same curves.
+/// Facets split at different heights than their neighbours, reversed, or stored twice give the same surface and the
+/// same curves.
 #[test]
 fn surfaces_do_not_depend_on_how_they_are_stored() {
     let plain = prism(24, 0.3, 2.0, true);
@@ -111,14 +112,14 @@ fn mesh(loops: &[Vec<Vec3>]) -> Mesh {
         next += l.len() as u32;
         Polygon::new((next - l.len() as u32..next).collect(), 0)
     };
-    // Every corner a vertex of its own.
+    // Every corner is a separate vertex.
     let polygons = loops.iter().map(polygon).collect();
     Mesh::new("m", vertices, polygons, PolygonOrder::Given).unwrap()
 }
 
-/// What ends where another object's surface goes on smoothly is no edge; where nothing goes on, it is one.
+/// A border where another object's surface continues smoothly is not an edge; a border without a continuation is.
 #[test]
-fn surfaces_go_on_in_other_objects() {
+fn surfaces_continue_in_other_objects() {
     let at = |z: f64| DVec3::new(4.0, 0.0, z);
     let both =
         world(vec![("low", at(-1.0), prism(24, 0.3, 1.0, false)), ("high", at(0.0), prism(24, 0.3, 1.0, false))]);
@@ -136,7 +137,7 @@ fn surfaces_go_on_in_other_objects() {
     assert_eq!(heights.iter().filter(|z| z.abs() < 1e-6).count(), 2, "{heights:?}");
 }
 
-/// A store keeps a contour, undoes it, and says what became of it.
+/// A store keeps a contour, undoes it, and reports its state.
 #[cfg(feature = "store")]
 #[test]
 fn stores_keep_contours() {

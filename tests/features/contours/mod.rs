@@ -1,4 +1,4 @@
-//! Contours against silhouettes worked out by hand, and against what rays say of depth and normals.
+//! Compares contours with silhouettes calculated by hand, and with depths and normals along rays.
 
 use presight_testkit as common;
 pub mod bodies;
@@ -34,7 +34,7 @@ fn lens() -> Sensor {
     Sensor::new(SensorSpec::new("lens", "video", Geometry::Camera(camera))).unwrap()
 }
 
-/// All the way round; the seam lies behind.
+/// A sensor with a full circle; its seam is behind.
 fn around() -> Sensor {
     let uniform = |start_deg, step_deg, count| Angles::Uniform { start_deg, step_deg, count };
     let (azimuth, elevation) = (uniform(-180.0, 0.25, 1440), uniform(-30.0, 0.5, 121));
@@ -84,7 +84,7 @@ fn see_with(
 fn see(world: &World, sensor: &Sensor, pose: &Pose, features: Vec<Feature>) -> FeaturePrediction {
     let placed = place(world, &layer(features)).unwrap();
     let all = see_with(world, sensor, pose, &placed, Hidden::Full);
-    // What is counted alone is the same, but for what is not seen.
+    // In counting mode the result is the same except for hidden features.
     let counted = see_with(world, sensor, pose, &placed, Hidden::Count);
     let some: Vec<&SeenFeature> = all.features.iter().filter(|f| !f.visible.is_empty()).collect();
     assert_eq!(counted.features.iter().collect::<Vec<_>>(), some);
@@ -93,21 +93,22 @@ fn see(world: &World, sensor: &Sensor, pose: &Pose, features: Vec<Feature>) -> F
 }
 
 fn side_of(radius: f64) -> DVec3 {
-    // In the middle of the first of 24 sides.
+    // The centre of the first of 24 sides.
     let middle = 0.5 * std::f64::consts::TAU / 24.0;
     DVec3::new(middle.cos(), middle.sin(), 0.0) * (radius * middle.cos()) + DVec3::Z
 }
 
-/// An upright prism of 24 sides, radius 0.3 m, its axis 4 m ahead. A side whose normal has the azimuth a is seen from the front if
-/// -4 cos a > 0.3 cos 7.5 deg, a > 94.3 deg: those with normals at 97.5 deg and more. So front meets back in the corners at 90 and
-/// 270 deg: 4 m ahead, 0.3 m to both sides. f = 500: 37.5 pixels to both sides of the middle.
+/// An upright prism of 24 sides, radius 0.3 m, axis 4 m ahead. A side whose normal has the azimuth a faces the sensor
+/// if -4 cos a > 0.3 cos 7.5 deg, a > 94.3 deg: the sides with normals from 97.5 deg on. So front and back meet at the
+/// corners at 90 and 270 deg: 4 m ahead, 0.3 m to both sides. With f = 500 that is 37.5 pixels to both sides of the
+/// centre.
 #[test]
-fn the_silhouette_of_a_prism_is_where_it_was_worked_out() {
+fn the_silhouette_of_a_prism_equals_the_calculation_by_hand() {
     let world = world(vec![("post", DVec3::new(4.0, 0.0, -1.0), prism(24, 0.3, 2.0, true))]);
     let placed = place(&world, &layer(vec![contour(7, "post", side_of(0.3))])).unwrap();
-    assert_eq!(placed[0].slots.len(), 24, "the sides, and neither end");
+    assert_eq!(placed[0].slots.len(), 24, "the sides without the ends");
     let seen = see(&world, &pinhole(), &Pose::IDENTITY, vec![contour(7, "post", side_of(0.3))]);
-    // The rims are no segments of this layer: four points where three edges meet, two lines and twice two arcs.
+    // The rims are not segments of this layer: four points where three edges meet, two lines, and two arcs twice.
     let lines: Vec<&SeenFeature> = seen.features.iter().filter(|f| f.points_world.len() == 2).collect();
     assert_eq!((lines.len(), seen.features.len()), (2, 6));
     for (line, u) in lines.iter().zip([282.0, 357.0]) {
@@ -119,12 +120,12 @@ fn the_silhouette_of_a_prism_is_where_it_was_worked_out() {
         }
         assert_eq!((line.visible_fraction, line.visible.len(), line.hidden.len()), (1.0, 1, 0));
         let [a, b] = line.visible[0].pixels;
-        // 1 m up and down at 4 m: 125 pixels to both sides of the middle.
+        // 1 m up and down at 4 m: 125 pixels to both sides of the centre.
         let (a, b) = if a.y < b.y { (a, b) } else { (b, a) };
         assert!(a.distance(DVec2::new(u, 114.5)) < 1e-3 && b.distance(DVec2::new(u, 364.5)) < 1e-3, "{a} {b}");
         assert!((line.range.unwrap() - 4f64.hypot(0.3)).abs() < 1e-3);
     }
-    // Longest first, and the arcs behind are hidden by the post itself.
+    // The longest come first, and the post itself hides the arcs at the back.
     let branches: Vec<Option<u32>> = seen.features.iter().map(|f| f.branch).collect();
     assert_eq!(branches, (0..6).map(Some).collect::<Vec<_>>());
     assert!(seen.features.iter().all(|f| f.feature.id == 7));
@@ -133,9 +134,9 @@ fn the_silhouette_of_a_prism_is_where_it_was_worked_out() {
     assert_eq!(seen.features.iter().filter(|f| f.visible_fraction == 1.0).count(), 4);
 }
 
-/// A layer that has the rims as segments leaves two lines, and the image shows segments over contours.
+/// In a layer with the rims as segments two contour lines remain, and the feature image shows segments over contours.
 #[test]
-fn edges_that_are_segments_are_no_contours() {
+fn edges_that_are_segments_are_not_contours() {
     let post = prism(24, 0.3, 2.0, true);
     let world = world(vec![("post", DVec3::new(4.0, 0.0, -1.0), post)]);
     let options = presight_features::generate::GenerateOptions::default();
@@ -147,15 +148,16 @@ fn edges_that_are_segments_are_no_contours() {
     assert_eq!(seen.features.len(), made.layer.features.len() + 1);
     let id = curves[0].feature.id;
     assert_eq!(id, made.layer.features.last().unwrap().id, "contours are numbered last");
-    // All of the post is behind patches: contours win over these.
+    // The whole post is in front of patches, and contours cover these.
     assert!(seen.feature_id.iter().filter(|i| **i == id).count() > 450, "two lines of 250 pixels");
     let at = |u: usize, v: usize| seen.feature_id[v * 640 + u];
     assert_eq!((at(282, 240), at(357, 240)), (id, id));
     assert_ne!(at(320, 240), id);
 }
 
-/// A ball of radius 0.5 m 4 m ahead: one closed curve. Its corners lie on the ball and those of the chords no deeper than the facets
-/// are: 48 x 24 facets of 7.5 degrees. Points of the silhouette are within half a facet's angle of it.
+/// A ball of radius 0.5 m, 4 m ahead, has one closed curve. Its corners lie on the ball and its chords are no deeper
+/// than the facets: 48 x 24 facets of 7.5 degrees. Points of the silhouette are within half a facet's angle of the true
+/// one.
 #[test]
 fn a_ball_has_a_closed_contour() {
     let anchor = |mesh: &Mesh| mesh.corners_of(60).sum::<DVec3>() / mesh.corners_of(60).len() as f64;
@@ -178,7 +180,7 @@ fn a_ball_has_a_closed_contour() {
         for p in &curve.points_world {
             assert!((p.distance(at) - 0.5).abs() < 1e-6);
             let off = p.angle_between(at) - half;
-            // A facet farther round the chord is deeper by 1 - cos 7.5 deg at most.
+            // A facet further along, the chord is deeper by at most 1 - cos 7.5 deg.
             assert!(off < 1e-9 && off > -0.5 * (1.0 - 7.5f64.to_radians().cos()) / (at.length() - 0.5), "{off}");
         }
         let inside = at + DVec3::new(0.1, 0.0, 0.0);
@@ -187,7 +189,7 @@ fn a_ball_has_a_closed_contour() {
     }
 }
 
-/// A wall half way hides the lower half of a post's silhouettes, and names itself.
+/// A wall half way hides the lower half of a post's silhouettes and is named as the occluder.
 #[test]
 fn walls_hide_contours_and_their_own_facets_do_not() {
     let wall = sheet([[2.0, -2.0, -2.0], [2.0, 2.0, -2.0], [2.0, 2.0, 0.0], [2.0, -2.0, 0.0]]);
@@ -203,9 +205,9 @@ fn walls_hide_contours_and_their_own_facets_do_not() {
     }
 }
 
-/// A pipe along x beside the camera goes on behind it.
+/// A pipe along x next to the camera continues behind it.
 #[test]
-fn what_is_behind_the_camera_is_cut_off() {
+fn contours_behind_the_camera_are_cut_off() {
     let pipe = bodies::turned(&prism(24, 0.1, 20.0, false), glam::DQuat::from_rotation_y(std::f64::consts::FRAC_PI_2));
     let anchor = pipe.corners_of(0).sum::<DVec3>() / 4.0;
     let world = world(vec![("pipe", DVec3::new(-10.0, 1.0, 0.0), pipe)]);
@@ -223,7 +225,7 @@ fn what_is_behind_the_camera_is_cut_off() {
     assert!(all.features.iter().filter(|f| f.points_world.len() == 2).all(|f| f.visible_fraction > 0.99));
 }
 
-/// Every sample of every curve, by a ray of its own.
+/// Checks every sample of every curve by a ray of its own.
 #[test]
 fn images_only_save_time() {
     let world = plant::plant(3);

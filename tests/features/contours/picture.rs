@@ -1,4 +1,4 @@
-//! Pictures of the plant with the features that are seen, without contours and with them:
+//! Draws the plant with its visible features, without contours and with them:
 //! `PRESIGHT_PICTURES=FOLDER cargo test --test features pictures_of_the_plant -- --ignored`.
 
 use super::common::data;

@@ -1,11 +1,11 @@
-//! Recall and precision of visible edges against what dense rays say: where neighbouring rays of an image four times as fine see a jump
-//! in range, or normals that lean to each other by more than the crease angle.
+//! Recall and precision of visible edges relative to dense rays. The truth is where neighbouring rays of an image four
+//! times as fine differ by a jump in range, or in their normals by more than the crease angle.
 //!
-//! All scenes: `cargo test --release --test features visible_edges -- --ignored --nocapture`. `PRESIGHT_EDGE_SCENES` names others,
-//! `PRESIGHT_EDGE_POSES` how many poses, `PRESIGHT_EDGE_WIDTH` how wide the base image is, and `PRESIGHT_EDGE_WHY` says by
-//! kinds what is missed.
+//! All scenes: `cargo test --release --test features visible_edges -- --ignored --nocapture`. `PRESIGHT_EDGE_SCENES`
+//! names other scenes, `PRESIGHT_EDGE_POSES` sets the number of poses and `PRESIGHT_EDGE_WIDTH` the width of the base
+//! image, and `PRESIGHT_EDGE_WHY` prints the missed edges by kind.
 
-#![allow(clippy::print_stderr)] // What was reached is worth reading.
+#![allow(clippy::print_stderr)] // Prints the values reached.
 
 use super::common::oracle::Oracle;
 use super::common::{data, env_number};
@@ -26,11 +26,11 @@ use rayon::prelude::*;
 use std::cell::RefCell;
 use std::collections::{BTreeMap, HashSet};
 
-/// Rays of the truth for a pixel of the base image, along each axis.
+/// Truth rays for each pixel of the base image, along each axis.
 const FINE: u32 = 4;
-/// Pixels of the base image within which an edge is found.
+/// The distance within which an edge counts as found, in pixels of the base image.
 const NEAR: f64 = 2.0;
-/// Truth transitions below which a pose says little.
+/// With fewer truth transitions a pose is not significant.
 const FEWEST: usize = 500;
 
 fn camera(width: u32, fine: u32) -> Sensor {
@@ -43,17 +43,17 @@ fn camera(width: u32, fine: u32) -> Sensor {
     Sensor::new(SensorSpec::new("c", "video", Geometry::Camera(camera))).unwrap()
 }
 
-/// What a ray sees.
+/// A ray's hit.
 #[derive(Clone, Copy)]
 struct Hit {
     ray: DVec3,
-    /// Infinite where nothing is.
+    /// Infinite without a hit.
     range: f64,
     normal: DVec3,
     polygon: u32,
 }
 
-/// True if two neighbouring rays do not see one smooth surface.
+/// Returns true unless two neighbouring rays hit one smooth surface.
 fn parts(a: &Hit, b: &Hit, crease: f64) -> bool {
     if a.range.is_finite() != b.range.is_finite() {
         return true;
@@ -61,7 +61,7 @@ fn parts(a: &Hit, b: &Hit, crease: f64) -> bool {
     if a.range.is_infinite() {
         return false;
     }
-    // How far one is off the other's plane, along its ray.
+    // The distance of one hit from the other's plane, along its ray.
     let off = |a: &Hit, b: &Hit| (a.range * a.normal.dot(a.ray) / a.normal.dot(b.ray) - b.range).abs();
     let jump = off(a, b).min(off(b, a));
     jump > 0.003 && jump > 0.01 * a.range.min(b.range) || a.normal.angle_between(b.normal) > crease
@@ -104,7 +104,7 @@ impl Places {
     }
 }
 
-/// Where neighbouring rays see an edge, with the polygons that they see.
+/// The places where neighbouring rays differ by an edge, with the polygons on both sides.
 fn truth(oracle: &Oracle, sensor: &Sensor, pose: &Pose, crease: f64) -> Vec<(DVec2, [u32; 2])> {
     let (w, h) = (sensor.width(), sensor.height());
     let row = |r: u32| -> Vec<Hit> {
@@ -117,7 +117,7 @@ fn truth(oracle: &Oracle, sensor: &Sensor, pose: &Pose, crease: f64) -> Vec<(DVe
         (0..w).map(hit).collect()
     };
     let base = |c: f64, r: f64| (DVec2::new(c, r) + 0.5) / f64::from(FINE) - 0.5;
-    // The row before some is seen twice.
+    // The last row of a block is also the first row of the next.
     const ROWS: u32 = 32;
     let rows = |some: u32| {
         let (first, mut all) = (some * ROWS, Vec::new());
@@ -140,7 +140,7 @@ fn truth(oracle: &Oracle, sensor: &Sensor, pose: &Pose, crease: f64) -> Vec<(DVe
     (0..h.div_ceil(ROWS)).into_par_iter().flat_map_iter(rows).collect()
 }
 
-/// Places every half pixel on what is seen of segments and contours, with the numbers of their features.
+/// Places every half pixel on the visible parts of segments and contours, with their feature numbers.
 fn predicted(sensor: &Sensor, pose: &Pose, features: &[SeenFeature]) -> Vec<(DVec2, usize)> {
     let image_from_world = (pose.rotation_matrix() * sensor.body_from_image()).transpose();
     let pixel = |p: DVec3| sensor.project(image_from_world * (p - pose.translation)).map(DVec2::from);
@@ -166,19 +166,20 @@ fn predicted(sensor: &Sensor, pose: &Pose, features: &[SeenFeature]) -> Vec<(DVe
     all
 }
 
-/// Shares of true places found, of predicted places right, and of predicted places right though shifted by ten pixels.
+/// The shares of true places found, of predicted places that are right, and of predicted places that are right although
+/// shifted by ten pixels.
 #[derive(Clone, Debug, Default)]
 struct Shares {
     truth: usize,
     found: usize,
-    /// True places that only lines under the least length show: no part of the truth.
+    /// True places on lines under the minimum length only, which do not count.
     short: usize,
     predicted: usize,
     right: usize,
     chance: usize,
-    /// Predicted places on borders of materials: no part of what is predicted.
+    /// Predicted places on borders of materials, which do not count.
     material: usize,
-    /// True places missed, and predicted places wrong, by what is there.
+    /// True places missed, and predicted places wrong, by kind.
     missed: BTreeMap<String, usize>,
     wrong: BTreeMap<String, usize>,
 }
@@ -193,7 +194,7 @@ impl Shares {
     }
 }
 
-/// Features with a predictor that keeps what it has set up for them: the edges of a city's surfaces take seconds.
+/// Features with a predictor that keeps its preparation for them: the edges of a city's surfaces take seconds.
 struct Watched {
     placed: PlacedFeatures,
     predictor: RefCell<Predictor>,
@@ -210,7 +211,7 @@ impl Watched {
     }
 }
 
-/// The features of a layer that are lines: of the layer itself, and those that a layer has beside it that asks for a tenth of the length.
+/// A layer's lines, and the lines of a second layer with a tenth of the minimum length.
 struct Lines {
     placed: Watched,
     short: Watched,
@@ -318,7 +319,7 @@ impl<'a> View<'a> {
     }
 }
 
-/// With segments alone, and with contours; and how many poses show too little.
+/// The shares with segments alone and with contours, and the number of poses with too few edges.
 fn shares(world: &World, poses: &[Pose], width: u32) -> ([Shares; 2], usize) {
     let with = Lines::of(world);
     let lines = [with.segments(), with];
@@ -367,7 +368,7 @@ fn silhouettes_of_a_plant_are_found_and_little_else() {
     tell("plant", &found);
     let [without, with] = found.0;
     assert!(with.recall() >= 0.95 && with.precision() >= 0.93, "{with:?}");
-    // Without contours this cannot be reached, nor by lines elsewhere.
+    // Neither segments alone nor lines in wrong places reach this.
     assert!(without.recall() < 0.8, "{without:?}");
     assert!((with.chance as f64) < 0.5 * with.right as f64, "{with:?}");
 }
@@ -400,9 +401,9 @@ fn visible_edges_are_found_and_little_else() {
     assert!(short.is_empty(), "{short:?}");
 }
 
-/// What one plane explains is no edge, what stands before something else is.
+/// Points of one plane are not an edge; a foreground surface in front of another is.
 #[test]
-fn the_truth_knows_edges_from_slopes() {
+fn the_truth_distinguishes_edges_from_slopes() {
     let hit =
         |x: f64, range: f64, normal: DVec3| Hit { ray: DVec3::new(1.0, x, 0.0).normalize(), range, normal, polygon: 1 };
     let crease = 30f64.to_radians();
@@ -411,7 +412,7 @@ fn the_truth_knows_edges_from_slopes() {
         let ray = DVec3::new(1.0, x, 0.0).normalize();
         hit(x, floor.dot(DVec3::new(5.0, 0.0, 0.0)) / floor.dot(ray), floor)
     };
-    assert!(!parts(&on(0.0), &on(0.02), crease), "one slope, seen flat");
+    assert!(!parts(&on(0.0), &on(0.02), crease), "one slope at a grazing angle");
     let wall = DVec3::NEG_X;
     assert!(parts(&hit(0.0, 2.0, wall), &hit(0.001, 2.1, wall), crease));
     assert!(!parts(&hit(0.0, 2.0, wall), &hit(0.001, 2.001, wall), crease), "a millimetre");

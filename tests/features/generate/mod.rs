@@ -1,6 +1,6 @@
 //! Features generated from real models: known counts, and edges confirmed by rays of another library.
 
-#![allow(clippy::print_stderr)] // Skips and what was found are said.
+#![allow(clippy::print_stderr)] // Prints skips and results.
 
 use presight_testkit as common;
 mod scenes;
@@ -23,18 +23,19 @@ fn counts_of(name: &str) -> Option<FeatureCounts> {
 
 /// Creases, borders, material borders, intersections, corners, vertical and horizontal patches, contours.
 #[test]
-fn rooms_have_the_counts_that_their_geometry_says() {
+fn rooms_have_the_counts_of_their_geometry() {
     let rooms = [
         // A closed box: 12 edges, 8 corners, 4 walls, floor and ceiling.
         ("room_cube", [12, 0, 0, 0, 8, 4, 2, 0]),
-        // A ball of 32 x 16 facets: neighbours turn by 11.25 degrees, the steepest leans 5.6 degrees.
+        // A ball of 32 x 16 facets: neighbours differ by 11.25 degrees, the flattest facet is tilted by 5.6 degrees.
         ("room_sphere", [0, 0, 0, 0, 0, 0, 0, 1]),
-        // 124 triangles are 32 facets (2 each) and two ends (30 each): rims of 32 straight sides each, which turn by 11.25
-        // degrees and make no corners; 32 walls, floor and ceiling.
+        // 124 triangles are 32 facets (2 each) and two ends (30 each). The rims have 32 straight sides each, which turn
+        // by 11.25 degrees and make no corners; 32 walls, floor and ceiling.
         ("room_cylinder", [64, 0, 0, 0, 0, 32, 2, 1]),
-        // A box without lid: 4 edges below and 4 upright ones, 4 borders above, 8 corners, 4 walls, a floor.
+        // A box without a lid: 4 edges at the bottom and 4 upright ones, 4 borders at the top, 8 corners, 4 walls, a
+        // floor.
         ("room_tray", [8, 4, 0, 0, 8, 4, 1, 0]),
-        // Nine of them, a metre apart.
+        // Nine trays, a metre apart.
         ("room_trays", [72, 36, 0, 0, 72, 36, 9, 0]),
         // A tube of 4 faces, open at both ends: 4 long edges, 2 x 4 borders, 8 corners, 2 walls, floor and ceiling.
         ("room_corridor", [4, 8, 0, 0, 8, 2, 2, 0]),
@@ -83,8 +84,8 @@ impl Probe {
         Some((from + d * t, normal, material))
     }
 
-    /// True if, from some direction, two rays that pass `p` on both sides of the line along `d` find something there and
-    /// not one smooth surface of one material.
+    /// Returns true if, from some direction, two rays that pass `p` on both sides of the line along `d` hit something
+    /// other than one smooth surface of one material.
     fn confirms(&self, p: DVec3, d: DVec3, random: &mut Random) -> bool {
         const BESIDE: f64 = 0.004;
         (0..96).any(|k| {
@@ -109,7 +110,7 @@ impl Probe {
     }
 }
 
-/// Shares confirmed: of edges, and of the same shifted by 5 cm across.
+/// The confirmed share of the edges, and of the same edges shifted by 5 cm.
 fn shares(world: &World, edges: &[[DVec3; 2]], n: usize, seed: u64) -> (f64, f64) {
     let probe = Probe::new(world.environment());
     let mut random = Random(seed);
@@ -128,9 +129,9 @@ fn shares(world: &World, edges: &[[DVec3; 2]], n: usize, seed: u64) -> (f64, f64
 
 #[test]
 fn rays_confirm_the_edges_of_real_models() {
-    // Measured with the seed below: 0.976, 1.000 and 1.000, less three standard errors or one in a hundred. Edges that no
-    // ray reaches, as between the doubled walls of the office, cannot be confirmed. Shifted by 5 cm 0.059, 0.122 and
-    // 0.142 are: other edges are near.
+    // Measured with the seed below: 0.976, 1.000 and 1.000, less three standard errors or 0.01. Edges that no ray
+    // reaches, as between the doubled walls of the office, cannot be confirmed. Of the edges shifted by 5 cm, 0.059,
+    // 0.122 and 0.142 are confirmed, because other edges are near.
     for (name, least) in [("office_willowgarage", 0.96), ("factory_hall", 0.99), ("hospital", 0.99)] {
         let Some(world) = data::scene(name, true) else { return };
         let environment = world.environment();
@@ -148,9 +149,9 @@ fn rays_confirm_the_edges_of_real_models() {
             })
             .collect();
         assert_eq!(edges.len(), FeatureKind::ALL[..4].iter().map(|k| generated.counts.of(*k)).sum::<usize>());
-        // What was made is sound, and its file reads back the same.
-        let text = presight_files::layer::to_string(&generated.layer).expect("a sound layer");
-        assert!(presight_files::layer::parse(&text).expect("its own text").layer == generated.layer, "{name}");
+        // The layer is valid, and its file reads back the same.
+        let text = presight_files::layer::to_string(&generated.layer).expect("a valid layer");
+        assert!(presight_files::layer::parse(&text).expect("the layer's own text").layer == generated.layer, "{name}");
         let (right, shifted) = shares(&world, &edges, 1000, 7);
         eprintln!(
             "{name}: {:?} in {seconds:.2} s, confirmed {right:.3}, shifted by 5 cm {shifted:.3}",
@@ -161,10 +162,9 @@ fn rays_confirm_the_edges_of_real_models() {
     }
 }
 
-/// What is generated can be used: placing refuses none of it. The city takes minutes; `PRESIGHT_CITY=1` has it held to this,
-/// too.
+/// All generated features can be placed. The city takes minutes and runs only with `PRESIGHT_CITY=1`.
 #[test]
-fn all_that_is_generated_can_be_placed() {
+fn generated_features_can_be_placed() {
     let mut names = vec!["room_cube", "room_sphere", "room_cylinder", "room_tray", "room_trays", "room_corridor"];
     names.extend(["office_clearpath", "office_construction_clearpath", "office_willowgarage"]);
     names.extend(["agriculture_clearpath", "warehouse_small", "factory_hall", "hospital"]);
@@ -183,14 +183,15 @@ fn all_that_is_generated_can_be_placed() {
         );
         assert_eq!(placed.len(), features, "{name}");
         assert!(placed.iter().all(|p| !p.slots.is_empty()), "{name}");
-        // Hardly anything is lost by that.
+        // The generator omits hardly any features for that.
         assert!(generated.counts.off <= features / 1000, "{name}: {} of {features}", generated.counts.off);
     }
 }
 
-/// Planted: a patch that is moved off by more than the tolerance, and one that reaches beyond its polygons, are refused.
+/// Planted faults: a patch moved off its surface by more than the tolerance, and one that extends beyond its polygons,
+/// are refused.
 #[test]
-fn what_was_moved_off_is_refused() {
+fn patches_off_their_surface_are_refused() {
     let Some(world) = data::scene("office_willowgarage", true) else { return };
     let options =
         GenerateOptions { kinds: vec![FeatureKind::Horizontal, FeatureKind::Vertical], ..GenerateOptions::default() };
@@ -214,7 +215,7 @@ fn what_was_moved_off_is_refused() {
         }
     }
     eprintln!("refused of {n}: {refused:?} moved off, grown");
-    // Some land on a parallel board, or on what goes on in the same plane.
+    // Some land on a parallel board, or on a continuation in the same plane.
     assert!(refused[0] > 9 * n / 10 && refused[1] > n / 2, "{refused:?} of {n}");
 }
 

@@ -1,4 +1,4 @@
-//! Unit scenes with counts that follow from their geometry.
+//! Small scenes whose counts follow from their geometry.
 
 use glam::{DAffine3, DVec3, Vec3};
 use presight_features::generate::{FeatureKind, GenerateOptions, generate};
@@ -34,7 +34,7 @@ fn rectangle(x: [f32; 2], y: [f32; 2], z: f32, material: u16) -> Loop {
     )
 }
 
-/// Two materials, and a third one that video does not see.
+/// Two materials, and a third one that is invisible to video.
 fn empty() -> Environment {
     let mut environment = Environment::new();
     for name in ["grey", "red"] {
@@ -83,22 +83,22 @@ fn windings_and_doubled_faces_change_nothing() {
     assert_eq!(counts(&of(&twice)), BOX);
     let same: Vec<Loop> = faces.iter().flat_map(|f| [f.clone(), f.clone()]).collect();
     assert_eq!(counts(&of(&same)), BOX);
-    // Cut along a diagonal: the diagonal is no edge.
+    // Cut along a diagonal: the diagonal is not an edge.
     let halves: Vec<Loop> =
         faces.iter().flat_map(|(c, m)| [(vec![c[0], c[1], c[2]], *m), (vec![c[2], c[3], c[0]], *m)]).collect();
     assert_eq!(counts(&of(&halves)), BOX);
 }
 
 #[test]
-fn facets_of_a_cylinder_are_no_edges_and_its_rims_are() {
-    // 48 facets turn by 7.5 degrees each; a rim's side is 0.13 m long and no two are in one line.
+fn rims_of_a_cylinder_are_edges_and_its_facets_are_not() {
+    // 48 facets turn by 7.5 degrees each; a rim's side is 0.13 m long, and no two are collinear.
     let at = |k: usize, z: f32| {
         let angle = std::f32::consts::TAU * (k % 48) as f32 / 48.0;
         Vec3::new(angle.cos(), angle.sin(), z)
     };
     let mut loops: Vec<Loop> =
         (0..48).map(|k| (vec![at(k, 0.0), at(k + 1, 0.0), at(k + 1, 2.0), at(k, 2.0)], 0)).collect();
-    // The wall alone: its rims are borders. A facet is 0.26 m^2.
+    // The lateral surface alone: its rims are borders. A facet has 0.26 m^2.
     assert_eq!(counts(&of(&loops)), [0, 96, 0, 0, 0, 48, 0, 1]);
     loops.push(((0..48).map(|k| at(k, 2.0)).collect(), 0));
     loops.push(((0..48).rev().map(|k| at(k, 0.0)).collect(), 0));
@@ -106,15 +106,15 @@ fn facets_of_a_cylinder_are_no_edges_and_its_rims_are() {
 }
 
 #[test]
-fn t_junctions_are_no_borders() {
-    // One long tile beside two short ones: the outline has four sides and four corners, and is one patch.
+fn t_junctions_are_not_borders() {
+    // One long tile next to two short ones: the outline has four sides and four corners, and is one patch.
     let tiles = [
         rectangle([0.0, 2.0], [0.0, 1.0], 0.0, 0),
         rectangle([0.0, 0.7], [1.0, 2.0], 0.0, 0),
         rectangle([0.7, 2.0], [1.0, 2.0], 0.0, 0),
     ];
     assert_eq!(counts(&of(&tiles)), [0, 4, 0, 0, 4, 0, 1, 0]);
-    // The short ones folded up: one crease, six sides more, six corners; two patches.
+    // With the short ones folded up: one crease, six more sides, six corners, two patches.
     let up = |x: [f32; 2]| {
         (
             vec![
@@ -127,19 +127,19 @@ fn t_junctions_are_no_borders() {
         )
     };
     assert_eq!(counts(&of(&[tiles[0].clone(), up([0.0, 0.7]), up([0.7, 2.0])])), [1, 6, 0, 0, 6, 1, 1, 0]);
-    // One of them shorter: the rest of the long side is a border. Sides of the fold: 0.7 crease, 1.3 border in one line
-    // with it, one edge; the fold has three sides more, the tile three.
+    // With one of them shorter the rest of the long side is a border. Sides of the fold: 0.7 crease and 1.3 border are
+    // collinear and make one edge; the fold has three more sides, the tile three.
     let short = generate(&of(&[tiles[0].clone(), up([0.0, 0.7])]), "video", &GenerateOptions::default()).unwrap();
     assert_eq!(short.counts.of(FeatureKind::Crease) + short.counts.of(FeatureKind::Border), 7);
 }
 
 #[test]
-fn materials_end_in_borders_and_invisible_ones_are_not_there() {
+fn materials_end_in_borders_and_invisible_ones_are_ignored() {
     let tiles = |other| [rectangle([0.0, 1.0], [0.0, 1.0], 0.0, 0), rectangle([1.0, 2.0], [0.0, 1.0], 0.0, other)];
     assert_eq!(counts(&of(&tiles(0))), [0, 4, 0, 0, 4, 0, 1, 0]);
-    // The seam shows; where it meets the outline are two corners more.
+    // The seam is an edge; where it meets the outline are two more corners.
     assert_eq!(counts(&of(&tiles(1)))[..5], [0, 4, 1, 0, 6]);
-    // One tile.
+    // One tile remains.
     let fog = generate(&of(&tiles(2)), "video", &GenerateOptions::default()).unwrap();
     assert_eq!((fog.counts.made, fog.counts.invisible), ([0, 4, 0, 0, 4, 0, 1, 0], 1));
     assert_eq!(
@@ -158,7 +158,7 @@ fn a_pillar_sunk_into_the_floor_shows_where_it_enters() {
     let layer = generate(&environment, "video", &GenerateOptions::default()).unwrap().layer;
     let lines: Vec<_> = layer.features.iter().filter(|f| f.name.as_deref() == Some("intersection")).collect();
     for line in lines {
-        // Of the smaller object, in its frame.
+        // The line belongs to the smaller object, in its frame.
         assert_eq!(line.object.as_deref(), Some("o#2"));
         let [a, b] = line.shape.points() else { panic!("{line:?}") };
         assert!(a.z.abs() < 1e-9 && b.z.abs() < 1e-9 && (a.distance(*b) - 0.4).abs() < 1e-6, "{line:?}");
@@ -171,14 +171,14 @@ fn a_box_on_the_floor_keeps_its_lower_edges_and_flush_boxes_have_no_seam() {
     let mut standing = of(&[rectangle([-2.0, 2.0], [-2.0, 2.0], 0.0, 0)]);
     put(&mut standing, DAffine3::IDENTITY, &unit);
     assert_eq!(counts(&standing)[..5], [12, 4, 0, 0, 12]);
-    // Side by side: four sides around the seam are gone from each; in a mirrored one as well. The four lines over the
-    // seam go on in the other box and stay two each: the boxes may move apart.
+    // Side by side: each box loses the four sides around the seam; a mirrored box does, too. The four lines across the
+    // seam continue in the other box and stay two lines each, because the boxes may move apart.
     for x in [1.0, -1.0] {
         let mut flush = of(&unit);
         let shift = DAffine3::from_translation(DVec3::X * if x < 0.0 { 2.0 } else { 1.0 });
         put(&mut flush, shift * DAffine3::from_scale(DVec3::new(x, 1.0, 1.0)), &unit);
         assert_eq!(counts(&flush)[..5], [16, 0, 0, 0, 8], "{x}");
-        // A gap of a centimetre brings them back.
+        // A gap of a centimetre brings the sides back.
         let mut apart = of(&unit);
         let gap = DAffine3::from_translation(DVec3::X * 0.01);
         put(&mut apart, gap * shift * DAffine3::from_scale(DVec3::new(x, 1.0, 1.0)), &unit);
@@ -187,12 +187,12 @@ fn a_box_on_the_floor_keeps_its_lower_edges_and_flush_boxes_have_no_seam() {
 }
 
 #[test]
-fn what_lies_inside_matter_is_left_out() {
+fn geometry_inside_solids_is_left_out() {
     let mut environment = of(&cuboid(Vec3::ZERO, Vec3::ONE));
     put(&mut environment, DAffine3::IDENTITY, &cuboid(Vec3::splat(0.3), Vec3::splat(0.7)));
     let generated = generate(&environment, "video", &GenerateOptions::default()).unwrap();
     assert_eq!((generated.counts.of(FeatureKind::Crease), generated.counts.buried), (12, 12));
-    // In a room it is seen.
+    // Inside a room it is visible.
     let mut environment = of(&cuboid(Vec3::splat(-5.0), Vec3::splat(5.0)));
     put(&mut environment, DAffine3::IDENTITY, &cuboid(Vec3::splat(0.3), Vec3::splat(0.7)));
     assert_eq!(counts(&environment)[0], 24);
@@ -210,7 +210,7 @@ fn features_are_in_the_frame_of_their_object_after_scale_and_mirror() {
             assert!((p.abs().min((p.abs() - far).abs())).max_element() < 1e-9, "{p}");
         }
     }
-    // A gentle ridge, 20 degrees: stretched in height it is steep.
+    // A gentle ridge of 20 degrees becomes steep if stretched in height.
     let ridge = |h: f32| {
         let at = |x: f32, y: f32| Vec3::new(x, y, if x == 0.0 { h } else { 0.0 });
         [
@@ -225,12 +225,12 @@ fn features_are_in_the_frame_of_their_object_after_scale_and_mirror() {
     assert_eq!(counts(&steep)[..2], [1, 6]);
 }
 
-/// What is joined must still lie on what it is joined of: placing the layer would refuse it.
+/// Joined patches must still lie on their polygons, or placing the layer would refuse them.
 #[test]
 fn patches_are_not_joined_over_a_notch() {
     let plate = |corners: &[[f32; 2]]| -> Loop { (corners.iter().map(|c| Vec3::new(c[0], c[1], 0.0)).collect(), 0) };
     let left = || plate(&[[0.0, 0.0], [10.0, 0.0], [10.0, 1.0], [0.0, 1.0]]);
-    // Its corner at the seam is cut off by so much: the hull of both has hardly more area than they have.
+    // The corner at the seam is cut off by `cut`: the hull of both has hardly more area than they have.
     let right = |cut: f32| plate(&[[10.0 + cut, 0.0], [20.0, 0.0], [20.0, 1.0], [10.0, 1.0], [10.0, cut]]);
     let patches = |cut: f32| {
         let environment = of(&[left(), right(cut)]);
@@ -244,7 +244,7 @@ fn patches_are_not_joined_over_a_notch() {
 }
 
 #[test]
-fn options_are_checked_and_kinds_kept_to() {
+fn options_are_checked_and_kinds_are_respected() {
     let environment = of(&cuboid(Vec3::ZERO, Vec3::ONE));
     let default = GenerateOptions::default;
     for wrong in [
@@ -259,7 +259,7 @@ fn options_are_checked_and_kinds_kept_to() {
     }
     let nameless = generate(&environment, "", &default()).unwrap_err();
     assert_eq!(nameless.kind(), presight_model::error::ErrorKind::Usage);
-    // As people give angles.
+    // Angles in degrees, as users give them.
     let steep = GenerateOptions { crease: 200f64.to_radians(), ..default() };
     assert!(steep.check().unwrap_err().to_string().contains("200 degrees is out of its range"));
     for kind in FeatureKind::ALL {

@@ -1,4 +1,4 @@
-//! What a broken extractor, a jumping clock and a wild scene may hand to a tracker.
+//! Input from a broken extractor, a jumping clock or an extreme scene.
 
 use super::simulator::Random;
 use cpu_time::ThreadTime;
@@ -50,7 +50,7 @@ fn equal_and_falling_time_stamps_are_errors_and_change_nothing() {
 }
 
 #[test]
-fn after_a_gap_history_is_worth_nothing() {
+fn after_a_gap_history_is_discarded() {
     let mut tracker = tracker(grid());
     tracker.correct(0.0, &found(&tracker)).unwrap();
     assert!(tracker.predict(100.0).unwrap().is_empty());
@@ -63,7 +63,7 @@ fn after_a_gap_history_is_worth_nothing() {
 }
 
 #[test]
-fn nothing_that_is_not_finite_gets_in() {
+fn non_finite_values_are_refused() {
     let mut tracker = tracker(grid());
     for k in 0..10 {
         let mut found = found(&tracker);
@@ -93,9 +93,9 @@ fn nothing_that_is_not_finite_gets_in() {
     assert!(tracker.seed(0.6, vec![seed(1, DVec2::ONE), seed(1, DVec2::ONE)]).is_err(), "one number twice");
 }
 
-/// A sigma of 0 claims more than any extractor has: the track still follows.
+/// A sigma of 0 claims more accuracy than any extractor has; the track must still follow.
 #[test]
-fn a_detection_without_noise_does_not_make_a_track_deaf() {
+fn a_detection_without_noise_does_not_freeze_a_track() {
     let mut tracker = tracker(vec![seed(1, DVec2::new(100.0, 100.0))]);
     for k in 0..60 {
         let time = 0.05 * f64::from(k);
@@ -135,7 +135,8 @@ fn thousands_of_features_in_one_place_are_answered_in_time() {
     for k in 0..2 {
         let found: Vec<Detection> = (0..2000).map(|_| Detection::point(place + random.normal(), 0.5)).collect();
         let matches = tracker.correct(0.05 * f64::from(k), &found).unwrap();
-        // All want the same ones, of which each keeps the nearest. Later, windows full of others' are clutter, and nothing is certain.
+        // All windows contain the same detections; each keeps the nearest. Later, windows full of other features'
+        // detections are clutter, and no match is certain.
         assert!(k > 0 || matches.matched.len() >= 64, "{}", matches.matched.len());
         let mut ids: Vec<usize> = matches.matched.iter().map(|m| m.detection).collect();
         ids.sort_unstable();
@@ -145,7 +146,8 @@ fn thousands_of_features_in_one_place_are_answered_in_time() {
     assert!(start.elapsed().as_secs_f64() < 20.0, "{:?}", start.elapsed());
 }
 
-/// Three misses in a row drop a track; a seen frame between them forgives. Clutter that is unlike keeps nothing alive.
+/// Three misses in a row drop a track; a detection between them resets the count. Dissimilar clutter keeps no track
+/// alive.
 #[test]
 fn three_misses_in_a_row_drop() {
     let mut tracker = tracker(grid());
@@ -161,7 +163,7 @@ fn three_misses_in_a_row_drop() {
 }
 
 #[test]
-fn features_leave_over_the_border() {
+fn features_leave_at_the_border() {
     let mut tracker = tracker(vec![seed(1, DVec2::new(600.0, 200.0)), seed(2, DVec2::new(100.0, 200.0))]);
     let mut left = None;
     for k in 0..40 {
@@ -177,12 +179,12 @@ fn features_leave_over_the_border() {
         assert!(matches.ended.iter().all(|e| *e == (1, End::Left)), "{:?}", matches.ended);
         left = left.or((!matches.ended.is_empty()).then_some(k));
     }
-    // 39.5 pixels at 3 a frame.
+    // 39.5 pixels at 3 pixels a frame.
     assert!(left.is_some_and(|k| (13..=15).contains(&k)), "{left:?}");
     assert_eq!(tracker.tracks().len(), 1);
 }
 
-/// A scanner that sees all around: a feature crosses the seam and stays one track.
+/// A sensor with a full circle: a feature that crosses the seam stays one track.
 #[test]
 fn the_seam_is_no_border() {
     let image = ImageExtent { width: 720, height: 16, turn: Some(720.0) };

@@ -1,4 +1,4 @@
-//! Points, seen from a robot that drives straight, turns, stops and starts.
+//! Points in the image of a robot that drives straight, turns, stops and starts.
 
 use super::simulator::{Disturbance, HEIGHT, Leg, Simulator, WIDTH, holds, leg};
 use super::told::DeviceCheck;
@@ -7,7 +7,7 @@ use presight_localize::history::{
 };
 use std::collections::BTreeMap;
 
-/// A long straight, a curve, a straight, a curve the other way, a stop, standing, and off again.
+/// A long straight, a curve, a straight, a curve the other way, a stop, a pause, and a restart.
 const DRIVE: [Leg; 7] = [
     leg(5.0, 1.0, 0.0),
     leg(3.0, 1.0, 0.4),
@@ -18,10 +18,11 @@ const DRIVE: [Leg; 7] = [
     leg(4.0, 1.0, 0.0),
 ];
 
-/// Frames a track must have been seen in: before, its speed is only guessed, and its window large for that.
+/// Younger tracks have only a guessed speed and therefore a large window.
 const YOUNG: u32 = 5;
 
-/// Windows that held their feature, windows, area, area of the filter that is told, with what that one held.
+/// The windows that contained their feature, all windows, their area, and the same for the filter that knows the
+/// motion.
 #[derive(Clone, Copy, Debug, Default)]
 struct Windows {
     held: f64,
@@ -56,7 +57,7 @@ struct Tally {
     frames: f64,
     history: f64,
     lost: f64,
-    /// By leg and frame of the leg, from 0.
+    /// By leg and by frame within the leg, from 0.
     windows: BTreeMap<(usize, usize), Windows>,
 }
 
@@ -94,7 +95,7 @@ impl Tally {
 }
 
 fn options() -> TrackerOptions {
-    TrackerOptions { detection_probability: 0.8, ..TrackerOptions::new(ImageExtent::new(WIDTH, HEIGHT)) }
+    TrackerOptions::new(ImageExtent::new(WIDTH, HEIGHT)).with_detection_probability(0.8)
 }
 
 fn drive(disturbance: Disturbance, options: &TrackerOptions, knows_motion: bool) -> Tally {
@@ -155,10 +156,10 @@ fn drive_once(seed: u64, disturbance: Disturbance, options: &TrackerOptions, kno
     }
 }
 
-/// Frames after a change of the robot's motion until windows hold as many features as they say.
+/// Frames after a change of motion until the windows have their stated coverage again.
 const RECOVERY: usize = 3;
 
-/// Frames after a leg's start when the robot moves as evenly as it ever does.
+/// Frames after a leg's start until the motion is steady.
 const SETTLED: usize = 20;
 
 #[test]
@@ -170,12 +171,12 @@ fn a_drive_with_misses_clutter_and_shaking() {
     let settled = tally.over(|_, frame| frame >= SETTLED);
     println!("after the curve's start: {:.2} %", 100.0 * curve.coverage());
     println!("settled: coverage {:.2} %, area {:.2}", 100.0 * settled.coverage(), settled.ratio());
-    // The oracle is one: it holds what it says.
+    // The oracle is valid: it has its stated coverage.
     assert!((all.told_held / all.count - 0.99).abs() < 0.002);
     assert!(tally.wrong < 0.01 * tally.matched, "{} of {}", tally.wrong, tally.matched);
     assert!(all.coverage() >= 0.98, "{}", all.coverage());
     assert!(curve.coverage() >= 0.98, "{}", curve.coverage());
-    // The aim is 2 (docs/history.md tells what is missed): this holds what was reached.
+    // The aim is 2 (docs/history.md states the shortfall); this bound is the value reached.
     assert!(settled.ratio() <= 3.0, "{}", settled.ratio());
     assert!(tally.history >= 0.8 * tally.frames, "{} of {}", tally.history, tally.frames);
 }
@@ -193,9 +194,9 @@ fn windows_grow_in_a_curve_and_shrink_again() {
     assert!(area(30..50) < 0.5 * area(2..8), "{} {}", area(30..50), area(2..8));
 }
 
-/// A turn that features seen ahead would be lost in: known, it is taken out.
+/// A turn during which features ahead would be lost: a known motion is compensated.
 #[test]
-fn a_known_motion_is_taken_out() {
+fn a_known_motion_is_compensated() {
     let known = drive(Disturbance::default(), &options(), true);
     known.print("known motion");
     let all = known.over(|_, _| true);
@@ -205,9 +206,9 @@ fn a_known_motion_is_taken_out() {
     assert!(known.wrong < 0.01 * known.matched);
 }
 
-/// Not asked of, but told: what other disturbances do.
+/// Other disturbances are printed without a bound.
 #[test]
-fn other_disturbances_are_told() {
+fn other_disturbances_are_reported() {
     let usual = Disturbance::default();
     for (name, disturbance) in [
         ("nothing disturbs", Disturbance { jitter: 0.0, misses: 0.0, clutter: 0, ..usual }),

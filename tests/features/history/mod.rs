@@ -1,7 +1,7 @@
-//! The tracker against a simulator of its own and a filter that is told the motion. `cargo test --test features history -- --nocapture` prints
-//! its figures.
+//! Compares the tracker with its own simulator and with a filter that knows the motion. `cargo test --test features
+//! history -- --nocapture` prints the figures.
 
-#![allow(clippy::print_stdout, reason = "figures are told where they are measured")]
+#![allow(clippy::print_stdout, reason = "the tests print their figures")]
 
 mod bad_input;
 mod drive;

@@ -1,4 +1,4 @@
-//! Edges whose ends slide, seen from a robot that drives and turns.
+//! Edges whose ends slide, in the image of a robot that drives and turns.
 
 use super::simulator::{Disturbance, Edges, HEIGHT, Random, Simulator, TOLD, WIDTH, leg};
 use glam::{DMat2, DVec2};
@@ -8,7 +8,7 @@ use std::f64::consts::PI;
 
 const SIGMA: f64 = 0.5;
 
-/// Of an edge at `ends`, what a window must hold: the middle, and corners.
+/// Decides whether a window contains the required parts of an edge at `ends`: the middle, and corners.
 fn held(window: &[f64; 4], ends: &[DVec2; 2], corners: &[bool; 2], noise: DVec2) -> bool {
     let inside = |p: DVec2| super::simulator::holds(window, p + noise);
     let ends_inside = (0..2).all(|k| !corners[k] || inside(ends[k]));
@@ -23,15 +23,14 @@ fn told(edges: &Edges, id: u32) -> ExpectedProperties {
 
 /// Edges break anywhere, a fifth is missed, and three false ones cross each window.
 #[test]
-fn edges_are_followed_across_themselves() {
+fn edges_are_tracked_across_their_direction() {
     let (mut matched, mut wrong, mut windows, mut inside) = (0.0, 0.0, 0.0, 0.0);
     for round in 1..=3 {
         let mut random = Random(round * 77);
         let edges = Edges::new(&mut random, 1500);
         let mut simulator = Simulator::new(round, Disturbance::default());
         let frames = simulator.drive(&[leg(4.0, 0.6, 0.0), leg(3.0, 0.6, 0.25), leg(2.0, 0.6, 0.0)]);
-        let options =
-            TrackerOptions { detection_probability: 0.8, ..TrackerOptions::new(ImageExtent::new(WIDTH, HEIGHT)) };
+        let options = TrackerOptions::new(ImageExtent::new(WIDTH, HEIGHT)).with_detection_probability(0.8);
         let mut tracker = Tracker::new(options).unwrap();
         for frame in &frames {
             if tracker.health().wants.is_some() {

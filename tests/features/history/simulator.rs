@@ -1,5 +1,5 @@
-//! A robot drives through a hall of points, with a camera. Nothing here knows how the tracker models motion: the robot is a
-//! unicycle with limits on its accelerations, points stay in space, and pixels follow by projection.
+//! A robot with a camera drives through a hall of points. The simulator does not use the tracker's motion model: the
+//! robot is a unicycle with limited accelerations, points are fixed in space, and pixels follow by projection.
 
 use glam::{DMat2, DVec2, DVec3};
 use presight_localize::history::{Seed, Window};
@@ -22,14 +22,14 @@ impl Random {
         low + (high - low) * self.unit()
     }
 
-    /// Two independent standard normal numbers (Box and Muller).
+    /// Two independent standard normal numbers (Box-Muller).
     pub fn normal(&mut self) -> DVec2 {
         let radius = (-2.0 * (1.0 - self.unit()).ln()).sqrt();
         DVec2::from_angle(TAU * self.unit()) * radius
     }
 }
 
-/// A part of the drive: for how long, and the speeds that the robot makes for.
+/// A part of the drive: its duration, and the robot's target speeds.
 #[derive(Clone, Copy)]
 pub struct Leg {
     pub seconds: f64,
@@ -43,17 +43,17 @@ pub const fn leg(seconds: f64, forward: f64, turn: f64) -> Leg {
     Leg { seconds, forward, turn }
 }
 
-/// What disturbs the images.
+/// The disturbances of the images.
 #[derive(Clone, Copy)]
 pub struct Disturbance {
-    /// Of each detected coordinate, pixels.
+    /// The noise of each detected coordinate, pixels.
     pub noise: f64,
-    /// Of all of a frame together, as the camera shakes, pixels.
+    /// Common to a whole frame, as the camera shakes, pixels.
     pub jitter: f64,
     pub misses: f64,
-    /// False detections a window.
+    /// False detections in each window.
     pub clutter: u32,
-    /// Whether detections tell properties.
+    /// True if detections have properties.
     pub properties: bool,
 }
 
@@ -67,9 +67,9 @@ pub const WIDTH: u32 = 640;
 pub const HEIGHT: u32 = 480;
 const FOCAL: f64 = 500.0;
 const RATE: f64 = 20.0;
-/// Metres by s^2 and radians by s^2.
+/// m/s^2 and rad/s^2.
 const ACCELERATIONS: [f64; 2] = [1.0, 1.5];
-/// One sigma of told properties.
+/// One sigma of the properties.
 pub const TOLD: [f64; 3] = [0.05, 0.05, 0.05];
 
 #[derive(Clone, Copy)]
@@ -78,7 +78,7 @@ pub struct Point {
     pub told: [f64; 3],
 }
 
-/// Where the robot is.
+/// The robot's pose.
 #[derive(Clone, Copy, Default)]
 pub struct Robot {
     pub x: f64,
@@ -89,7 +89,7 @@ pub struct Robot {
 }
 
 impl Robot {
-    /// Pixel of a point in the world; `None` behind the camera, outside of the image, or too far or near.
+    /// The pixel of a world point; `None` if it is behind the camera, outside the image, or too far or near.
     pub fn see(&self, p: DVec3) -> Option<DVec2> {
         let pixel = self.project(p)?;
         let inside =
@@ -120,12 +120,12 @@ impl Robot {
     }
 }
 
-/// One frame as it truly is.
+/// The truth of one frame.
 pub struct Frame {
     pub time: f64,
     pub robot: Robot,
     pub leg: usize,
-    /// How the camera shook, pixels.
+    /// The camera's shaking, pixels.
     pub shake: DVec2,
 }
 
@@ -146,14 +146,14 @@ impl Simulator {
         Self { points, random, disturbance }
     }
 
-    /// The frames of a drive; the first leg's speeds are reached from the start.
+    /// The frames of a drive, which starts at the first leg's speeds.
     pub fn drive(&mut self, legs: &[Leg]) -> Vec<Frame> {
         let mut robot = Robot { forward: legs[0].forward, turn: legs[0].turn, ..Robot::default() };
         let (mut time, mut frames) = (0.0, Vec::new());
         for (i, leg) in legs.iter().enumerate() {
             let mut since = 0.0;
             while since < leg.seconds {
-                // The camera's clock is no better than a tenth of a frame.
+                // The camera's clock is accurate to a tenth of a frame.
                 let interval = self.random.between(0.9, 1.1) / RATE;
                 robot.drive(interval, leg);
                 (time, since) = (time + interval, since + interval);
@@ -164,7 +164,7 @@ impl Simulator {
         frames
     }
 
-    /// What a full prediction of this frame tells, with a pose that is a pixel off; the first so many features.
+    /// The full prediction of this frame at a pose that is a pixel off; at most `most` features.
     pub fn predict_fully(&mut self, frame: &Frame, most: usize) -> Vec<Seed> {
         let off = self.random.normal();
         let mut seeds = Vec::new();
@@ -194,7 +194,7 @@ impl Simulator {
         seeds
     }
 
-    /// Where a feature would be detected; `None` outside of the image.
+    /// A feature's detected place; `None` outside the image.
     pub fn detected_at(&mut self, frame: &Frame, id: u32) -> Option<DVec2> {
         let noise = self.random.normal() * self.disturbance.noise;
         Some(frame.robot.see(self.points[id as usize].at)? + frame.shake + noise)
@@ -221,7 +221,7 @@ impl Simulator {
         detection
     }
 
-    /// What the extractor delivers from the windows: of which feature each is.
+    /// The extractor's detections in the windows, with the feature of each.
     pub fn extract(&mut self, windows: &[Window], wanted: &[Option<DVec2>]) -> (Vec<Detection>, Vec<Option<u32>>) {
         let (mut found, mut whose) = (Vec::new(), Vec::new());
         for (window, at) in windows.iter().zip(wanted) {
@@ -247,17 +247,17 @@ pub fn holds([x0, y0, x1, y1]: &[f64; 4], p: DVec2) -> bool {
     p.x >= *x0 && p.x <= *x1 && p.y >= *y0 && p.y <= *y1
 }
 
-/// Edges in space, and how an extractor finds them: broken anywhere, unless a corner ends them.
+/// Edges in space and their extraction: broken anywhere, unless a corner ends them.
 pub struct Edges {
     pub ends: Vec<[DVec3; 2]>,
-    /// Whether a corner is at each end.
+    /// True for each end with a corner.
     pub corners: Vec<[bool; 2]>,
     /// Strength and contrast.
     pub told: Vec<[f64; 2]>,
 }
 
 impl Edges {
-    /// Door frames and shelves: upright and level edges of half a metre to two.
+    /// Door frames and shelves: upright and horizontal edges of 0.5 to 2 m.
     pub fn new(random: &mut Random, count: usize) -> Self {
         let mut edges = Self { ends: Vec::new(), corners: Vec::new(), told: Vec::new() };
         for _ in 0..count {
@@ -273,14 +273,14 @@ impl Edges {
         edges
     }
 
-    /// The pixels of both ends; `None` unless both are in the image, 20 pixels apart.
+    /// The pixels of both ends; `None` unless both are in the image and 20 pixels apart.
     pub fn see(&self, robot: &Robot, id: u32) -> Option<[DVec2; 2]> {
         let [a, b] = self.ends[id as usize];
         let (a, b) = (robot.see(a)?, robot.see(b)?);
         (a.distance(b) > 20.0).then_some([a, b])
     }
 
-    /// What an extractor makes of an edge at these pixels: each end without a corner slides inwards by up to a quarter.
+    /// The extractor's result for an edge at these pixels: each end without a corner slides inwards by up to a quarter.
     pub fn detect(&self, random: &mut Random, ends: [DVec2; 2], id: u32, sigma: f64) -> Detection {
         let corners = self.corners[id as usize];
         let mut share = [0.0, 1.0];
@@ -290,7 +290,7 @@ impl Edges {
             }
         }
         let found = share.map(|t| ends[0].lerp(ends[1], t) + random.normal() * sigma);
-        // In any order.
+        // The ends come in either order.
         let (found, corners) =
             if random.unit() < 0.5 { (found, corners) } else { ([found[1], found[0]], [corners[1], corners[0]]) };
         let noise = random.normal();

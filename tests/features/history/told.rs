@@ -1,20 +1,21 @@
-//! A plain Kalman filter that is told how each feature truly moves.
+//! A plain Kalman filter that knows each feature's true motion.
 
 use super::simulator::Disturbance;
 use glam::DVec2;
 
-/// One feature: its place is moved on as the true one moves, so that only noise is left to filter.
+/// One feature. Its estimate moves with the true motion, so that only noise remains to be filtered.
 pub struct DeviceCheck {
-    /// Estimated less true place.
+    /// The estimated place minus the true one.
     off: DVec2,
     /// Variance of each coordinate.
     variance: f64,
-    /// Of what is detected.
+    /// The variance of a detection.
     noise: f64,
     truth: DVec2,
 }
 
-/// Standard deviations of a box of two independent coordinates that holds 99 %: (2 Phi(k) - 1)^2 = 0.99.
+/// The half width, in standard deviations, of a box that holds two independent coordinates with 99 %: (2 Phi(k) - 1)^2
+/// = 0.99.
 const DEVIATIONS: f64 = 2.806;
 
 impl DeviceCheck {
@@ -23,7 +24,7 @@ impl DeviceCheck {
         Self { off: DVec2::ZERO, variance: 1.0, noise, truth: DVec2::ZERO }
     }
 
-    /// Where it will be detected; it has truly moved to `truth`.
+    /// The window of the next detection; the feature has truly moved to `truth`.
     pub fn window(&mut self, truth: DVec2) -> [f64; 4] {
         self.truth = truth;
         let at = truth + self.off;

@@ -1,17 +1,18 @@
-//! Errors drawn and moved in space, boxes held to them, and the best box of other draws.
+//! Random errors in space, checks of boxes against them, and the best box for other draws.
 
 use super::common::Random;
 use super::{CONFIDENCES, Covariance, draws};
 use glam::{DMat3, DQuat, DVec3};
+use presight_features::roi::RoiFlag;
 use presight_features::{BoxOptions, BoxQuery, FeaturePrediction, PlacedFeature, SeenFeature, add_boxes};
 use presight_model::environment::{Environment, Existence, Feature, FeatureShape, Properties};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, PoseCovariance};
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use rayon::prelude::*;
 use std::f64::consts::TAU;
 
-/// L with L L^T the covariance, zero where it is singular.
+/// L with L L^T equal to the covariance; zero where it is singular.
 pub fn cholesky(covariance: &Covariance) -> Covariance {
     let mut l = [[0.0; 6]; 6];
     for j in 0..6 {
@@ -27,7 +28,7 @@ pub fn cholesky(covariance: &Covariance) -> Covariance {
     l
 }
 
-/// Standard normal numbers, by Box and Muller.
+/// Standard normal numbers by Box-Muller.
 pub struct Normal(Random, Option<f64>);
 
 impl Normal {
@@ -76,7 +77,7 @@ pub fn ends_covariance(shape: &FeatureShape) -> Covariance {
     all
 }
 
-/// Material points in the feature's frame with the shares of both ends' errors.
+/// Material points in the feature's frame, with the weights of both ends' errors.
 fn material(shape: &FeatureShape, parts: usize) -> Vec<(DVec3, [f64; 2])> {
     match shape {
         FeatureShape::Segment { ends: [a, b], .. } => {
@@ -87,7 +88,7 @@ fn material(shape: &FeatureShape, parts: usize) -> Vec<(DVec3, [f64; 2])> {
     }
 }
 
-/// One feature before one sensor, seen whole.
+/// One feature in full view of one sensor.
 #[derive(Clone)]
 pub struct Case {
     pub name: String,
@@ -95,14 +96,14 @@ pub struct Case {
     pub pose: Pose,
     pub covariance: Covariance,
     pub shape: FeatureShape,
-    /// Greatest area beside the best box, if the case is to be tight.
+    /// The largest area relative to the best box, if the case is to be tight.
     pub tight: Option<f64>,
 }
 
 pub type Reach = Option<[f64; 4]>;
 
 impl Case {
-    pub fn found(&self, confidence: f64) -> ([f64; 4], &'static str) {
+    pub fn found(&self, confidence: f64) -> ([f64; 4], RoiFlag) {
         let feature = Feature {
             id: 1,
             name: None,
@@ -115,7 +116,8 @@ impl Case {
         let placed = PlacedFeature { feature: feature.into(), object: None, slots: Vec::new() };
         let mut prediction = FeaturePrediction { features: vec![seen], ..FeaturePrediction::default() };
         let world = World::new(Environment::default());
-        let options = BoxOptions::default().with_sensor(self.covariance).with_confidence(confidence);
+        let options =
+            BoxOptions::default().with_sensor(PoseCovariance::from_rows(self.covariance)).with_confidence(confidence);
         add_boxes(
             &mut prediction,
             &BoxQuery {
@@ -131,8 +133,9 @@ impl Case {
         (seen.roi.expect("it has an image"), seen.roi_flag.expect("with a flag"))
     }
 
-    /// Where the feature's image reaches in each draw: x0, y0, x1, y1, unwrapped to the nominal; `None` where a point has
-    /// none. With `clipped` only points that are in the image count: what has left it need not be found there.
+    /// The extent of the feature's image in each draw: x0, y0, x1, y1, unwrapped to the nominal; `None` where a point
+    /// has no image. With `clipped` only points in the image count, because the box need not contain points that have
+    /// left it.
     pub fn reaches(&self, seed: u64, draws: usize, clipped: bool) -> Vec<Reach> {
         const CHUNK: usize = 10_000;
         let (sensor_root, ends_root) = (cholesky(&self.covariance), cholesky(&ends_covariance(&self.shape)));
@@ -172,21 +175,21 @@ impl Case {
         (0..draws.div_ceil(CHUNK)).into_par_iter().flat_map_iter(chunk).collect()
     }
 
-    pub fn missed(&self, bounds: &[f64; 4], flag: &str, reaches: &[Reach]) -> f64 {
+    pub fn missed(&self, bounds: &[f64; 4], flag: RoiFlag, reaches: &[Reach]) -> f64 {
         let turn = self.sensor.columns_of_a_turn().unwrap_or(0.0);
         let holds = |reach: &Reach| {
             let Some(r) = reach else { return false };
             let all_around = turn > 0.0 && bounds[2] - bounds[0] >= turn - 1e-9;
             let across =
                 |shift: f64| all_around || r[0] + shift >= bounds[0] - 1e-9 && r[2] + shift <= bounds[2] + 1e-9;
-            flag == "whole_image"
+            flag == RoiFlag::WholeImage
                 || r[0] > r[2]
                 || [-turn, 0.0, turn].into_iter().any(across) && r[1] >= bounds[1] - 1e-9 && r[3] <= bounds[3] + 1e-9
         };
         reaches.par_iter().filter(|r| !holds(r)).count() as f64 / reaches.len() as f64
     }
 
-    /// What is wrong, at any confidence.
+    /// The violations at any confidence.
     pub fn check(&self) -> Vec<String> {
         let n = draws();
         let reaches = self.reaches(11, n, true);
@@ -197,7 +200,7 @@ impl Case {
             let missed = self.missed(&bounds, flag, &reaches);
             let fail = 1.0 - confidence;
             let most = 1.1 * fail + 3.0 * (fail * confidence / n as f64).sqrt();
-            let name = format!("{}, {}, {confidence}: {bounds:.2?} {flag}", self.name, self.sensor.spec().name);
+            let name = format!("{}, {}, {confidence}: {bounds:.2?} {flag:?}", self.name, self.sensor.spec().name);
             let mut line = format!("{name}: missed {missed:.5} of {fail:.3}");
             if missed > most {
                 wrong.push(format!("{name}: missed {missed}, at most {most}"));
@@ -208,7 +211,7 @@ impl Case {
             if let (Some(tight), Some(best), false) = (self.tight, &others, cut) {
                 let ratio = (bounds[2] - bounds[0]) * (bounds[3] - bounds[1]) / best.area(confidence);
                 line += &format!(", {ratio:.3} x the best");
-                if !(ratio <= tight) || flag == "whole_image" {
+                if !(ratio <= tight) || flag == RoiFlag::WholeImage {
                     wrong.push(format!("{name}: {ratio} times the best area"));
                 }
             }
@@ -218,7 +221,7 @@ impl Case {
     }
 }
 
-/// Draws, and their sides in order.
+/// The draws, and their sides in order.
 pub struct Best {
     known: Vec<[f64; 4]>,
     sorted: [Vec<f64>; 4],
@@ -236,7 +239,8 @@ impl Best {
         Self { lost: reaches.len() - known.len(), known, sorted }
     }
 
-    /// The least area of boxes that hold so many of the draws: sides at tails in several proportions, as rare as can be.
+    /// The smallest area of boxes that hold this share of the draws: the sides' tails in several proportions, as rare
+    /// as possible.
     pub fn area(&self, confidence: f64) -> f64 {
         let patterns: Vec<[f64; 4]> = [0.5, 1.0, 2.0]
             .into_iter()

@@ -1,9 +1,10 @@
-//! Regions of interest held to draws of the errors: boxes hold as often as they say, and are hardly larger than the best.
+//! Checks regions of interest against random errors: boxes have their stated coverage, and are hardly larger than the
+//! best box.
 //!
-//! The draws know nothing of the code under test: poses and points are moved in space by errors from a Cholesky
-//! decomposition of their own, and imaged by `Sensor::project`. `PRESIGHT_DRAWS` sets their number; the default is 10^6
-//! where `CI` is set and 10^5 elsewhere.
-#![expect(clippy::print_stdout, reason = "what was drawn and held is worth reading")]
+//! The draws are independent of the code under test: errors from a separate Cholesky decomposition move poses and
+//! points in space, and `Sensor::project` images them. `PRESIGHT_DRAWS` sets their number; the default is 10^6 where
+//! `CI` is set and 10^5 elsewhere.
+#![expect(clippy::print_stdout, reason = "the tests print draws and coverage")]
 
 use presight_testkit as common;
 mod draws;
@@ -12,10 +13,11 @@ mod study;
 use common::{Random, env_number, scenes};
 use draws::{Best, Case};
 use glam::{DMat3, DVec3, Vec3};
+use presight_features::roi::RoiFlag;
 use presight_features::{BoxOptions, BoxQuery, FeatureSettings, PlacedFeature, add_boxes, predict_features};
 use presight_model::environment::NewObject;
 use presight_model::environment::{Existence, Feature, FeatureShape, Properties};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, PoseCovariance};
 use presight_model::sensor::{Angles, Camera, Distortion, Geometry, Scanner, Sensor, SensorSpec};
 use presight_model::world::World;
 use std::sync::Arc;
@@ -73,7 +75,7 @@ fn assert_all(cases: &[Case]) {
     assert!(wrong.is_empty(), "{wrong:#?}");
 }
 
-/// With both sensors, from the origin.
+/// The case with both sensors at the origin.
 fn both(name: &str, covariance: Covariance, shape: FeatureShape, tight: Option<f64>) -> [Case; 2] {
     [camera(), scanner()].map(|sensor| {
         let shape = shape.clone();
@@ -94,7 +96,7 @@ fn point(x: f64, y: f64, z: f64, covariance: DMat3) -> FeatureShape {
 }
 
 #[test]
-fn comfortable_boxes_hold_as_often_as_they_say_and_are_tight() {
+fn comfortable_boxes_have_their_coverage_and_are_tight() {
     let mut correlated = diagonal([0.05, 0.05, 0.05, 0.01, 0.01, 0.01]);
     (correlated[0][5], correlated[5][0]) = (3e-4, 3e-4);
     (correlated[1][5], correlated[5][1]) = (-3.5e-4, -3.5e-4);
@@ -115,7 +117,7 @@ fn comfortable_boxes_hold_as_often_as_they_say_and_are_tight() {
 }
 
 #[test]
-fn extreme_boxes_hold_as_often_as_they_say() {
+fn extreme_boxes_have_their_coverage() {
     let line = DVec3::new(0.3, 0.2, 0.5);
     let singular = DMat3::from_cols(line * line.x, line * line.y, line * line.z) * 0.01;
     let near = segment(DVec3::new(0.3, 0.0, -0.05), DVec3::new(0.3, 0.0, 0.05), 0.002);
@@ -134,10 +136,10 @@ fn extreme_boxes_hold_as_often_as_they_say() {
     );
 }
 
-/// Edges 2, 8 and 20 degrees off the pole, level and slanting, which errors may bring to its other side: the box then goes all
-/// around, and to the pole.
+/// Edges 2, 8 and 20 degrees off the pole, horizontal and slanting. Errors may move them across the pole; then the box
+/// covers all columns up to the pole.
 #[test]
-fn edges_beside_a_pole_are_held() {
+fn edges_near_a_pole_are_covered() {
     let mut cases = Vec::new();
     for degrees in [2.0f64, 8.0, 20.0] {
         let off = 3.0 * degrees.to_radians().tan();
@@ -161,7 +163,8 @@ fn edges_beside_a_pole_are_held() {
     assert_all(&cases);
 }
 
-/// Round the pole columns say little or nothing, but rows do: only those are taken that the point may come to.
+/// Near the pole columns carry little or no information, but rows do: the box takes only the rows that the point may
+/// reach.
 #[test]
 fn at_a_pole_few_rows_are_taken() {
     let pose = Pose::from_xyz_rpy(DVec3::ZERO, 5f64.to_radians(), 15f64.to_radians(), 0.0);
@@ -170,12 +173,12 @@ fn at_a_pole_few_rows_are_taken() {
         let case = Case { pose, ..case };
         assert_all(std::slice::from_ref(&case));
         let ([x0, y0, x1, y1], flag) = case.found(0.99);
-        assert_eq!((flag, x1 - x0 > 715.0), ("set", all_columns), "{x}: {x0} {x1}");
+        assert_eq!((flag, x1 - x0 > 715.0), (RoiFlag::Set, all_columns), "{x}: {x0} {x1}");
         assert!(y1 - y0 < 20.0, "{x}: {y0} {y1}");
     }
 }
 
-/// A covariance of random directions, sometimes singular.
+/// A covariance with random directions, sometimes singular.
 fn any_covariance(random: &mut Random, position: f64, angle: f64) -> Covariance {
     let root: [[f64; 6]; 6] = std::array::from_fn(|i| {
         let sigma = if i < 3 { position } else { angle };
@@ -222,8 +225,8 @@ fn family(seed: u64, count: usize, distances: [f64; 2], relative: f64, heading_d
     (0..count).map(one).collect()
 }
 
-/// Leaning sensors of every kind on a robot uncertain in x, y and heading, or in everything: what is level turns up and down with
-/// the heading, and back again.
+/// Tilted sensors of every kind on a robot uncertain in x, y and heading, or in everything: as the heading changes,
+/// horizontal features move up and down in the image, and back again.
 fn leaning(seed: u64, count: usize) -> Vec<Case> {
     let mut random = Random(seed);
     let [fisheye, barrel] = lenses();
@@ -265,14 +268,14 @@ fn leaning(seed: u64, count: usize) -> Vec<Case> {
 }
 
 #[test]
-fn leaning_sensors_hold_as_often_as_they_say() {
+fn tilted_sensors_have_their_coverage() {
     let seed = env_number("PRESIGHT_SEED", 3);
     assert_all(&leaning(seed, env_number("PRESIGHT_CASES", 24) as usize));
 }
 
-/// An edge that is highest in the image at no error: a search outwards from there misses where it reaches farthest.
+/// An edge that is highest in the image at zero error: a search outwards from there misses its largest extent.
 #[test]
-fn what_turns_back_is_held() {
+fn extents_that_turn_back_are_covered() {
     let pose = Pose::from_xyz_rpy(DVec3::ZERO, 0.0, 20f64.to_radians(), 0.0);
     let shape = segment(DVec3::new(4.0, 0.8, -1.5), DVec3::new(4.0, -0.8, -1.5), 0.01);
     let case = |heading: f64| Case {
@@ -293,13 +296,13 @@ fn a_comfortable_family_is_tight() {
 }
 
 #[test]
-fn a_family_beyond_is_at_most_twice_the_best() {
+fn a_harder_family_is_at_most_twice_the_best() {
     assert_all(&family(2, 12, [0.5, 5.0], 0.12, 6.0, 2.0));
 }
 
-/// Hardly indefinite, as files may be: the box is that of the nearest covariance.
+/// Files may hold slightly indefinite covariances: the box is that of the nearest valid covariance.
 #[test]
-fn covariances_at_the_limit_of_what_is_accepted_are_sound() {
+fn covariances_at_the_limit_of_acceptance_are_valid() {
     let (shape, mut wrong) = (point(6.0, -1.0, 0.5, isotropic(0.01)), diagonal([0.1, 0.05, 0.02, 0.0, 0.0, 0.02]));
     let put = |m: &mut Covariance, i: usize, j: usize, rho: f64| {
         m[i][j] = rho * (m[i][i] * m[j][j]).sqrt();
@@ -311,7 +314,7 @@ fn covariances_at_the_limit_of_what_is_accepted_are_sound() {
     let sound = wrong;
     for off in [1e-5, -1e-5] {
         put(&mut wrong, 1, 2, 1.0 + off);
-        // A remainder far smaller than what is off beside it: a pivot that would blow up.
+        // A remainder far smaller than the error next to it: a pivot that would blow up.
         wrong[2][2] = sound[2][2] * (1.0 + 1e-13);
         let cases = both("at the limit", wrong, shape.clone(), None);
         for (case, clean) in cases.iter().zip(&both("sound", sound, shape.clone(), None)) {
@@ -328,7 +331,7 @@ fn patch(corners: [DVec3; 4], sigma: f64) -> FeatureShape {
     FeatureShape::Patch { corners: corners.to_vec(), covariance: isotropic(sigma) }
 }
 
-/// The box of a feature in a world, by way of what is seen of it.
+/// The box of a feature in a world, from its visible part.
 fn box_in(world: &World, case: &Case, confidence: f64) -> [f64; 4] {
     let (existence, properties) = (Existence::default(), Properties::default());
     let feature = Feature { id: 1, name: None, object: None, shape: case.shape.clone(), existence, properties };
@@ -336,7 +339,8 @@ fn box_in(world: &World, case: &Case, confidence: f64) -> [f64; 4] {
     let images = common::reference(&common::plan(world, &case.sensor, &case.pose));
     let options = FeatureSettings { regions: true, ..FeatureSettings::default() };
     let mut prediction = predict_features(world, &case.sensor, &case.pose, &images, &placed, &options).unwrap();
-    let options = BoxOptions::default().with_sensor(case.covariance).with_confidence(confidence);
+    let options =
+        BoxOptions::default().with_sensor(PoseCovariance::from_rows(case.covariance)).with_confidence(confidence);
     add_boxes(
         &mut prediction,
         &BoxQuery { placed: &placed, world, sensor: &case.sensor, world_from_sensor: &case.pose, options: &options },
@@ -345,9 +349,9 @@ fn box_in(world: &World, case: &Case, confidence: f64) -> [f64; 4] {
     prediction.features[0].roi.expect("it is seen")
 }
 
-/// A wall, half of it behind a pillar: the box is that of the other half.
+/// The pillar hides half of the wall, so the box is that of the other half.
 #[test]
-fn patches_seen_in_part_have_the_boxes_of_that_part() {
+fn partly_hidden_patches_have_boxes_of_the_visible_part() {
     let mut environment = scenes::empty();
     let pillar = scenes::cuboid(Vec3::new(3.0, 0.5, -4.0), Vec3::new(3.2, 6.0, 4.0));
     environment.insert(NewObject::new("pillar", Pose::IDENTITY, Arc::new(pillar))).unwrap();
@@ -360,7 +364,7 @@ fn patches_seen_in_part_have_the_boxes_of_that_part() {
         for confidence in CONFIDENCES {
             let bounds = box_in(&world, &case, confidence);
             let fail = 1.0 - confidence;
-            let missed = half.missed(&bounds, "linear", &reaches);
+            let missed = half.missed(&bounds, RoiFlag::Linear, &reaches);
             let most = 1.1 * fail + 3.0 * (fail * confidence / reaches.len() as f64).sqrt();
             assert!(missed <= most, "{}: missed {missed}", case.sensor.spec().name);
             let best = Best::new(&half.reaches(4, 100_000, false)).area(confidence);
@@ -370,20 +374,20 @@ fn patches_seen_in_part_have_the_boxes_of_that_part() {
     }
 }
 
-/// A strip of floor that begins behind the camera: its corners there have no image, and yet it reaches the lower border.
+/// A strip of floor that begins behind the camera: those corners have no image, but the box reaches the lower border.
 #[test]
 fn patches_that_begin_behind_the_camera_reach_the_border() {
     let strip = [(-10.0, -1.0), (10.0, -1.0), (10.0, 1.0), (-10.0, 1.0)].map(|(x, y)| DVec3::new(x, y, -1.2));
     let [case, _] = both("a strip of floor", diagonal([1e-6; 6]), patch(strip, 0.0), None);
     let [x0, y0, x1, y1] = box_in(&World::new(scenes::empty()), &case, 0.99);
-    // At the lower border, 240 pixels below the middle, it is 2.5 m away and 400 pixels wide; at its end 10 m away.
+    // At the lower border, 240 pixels below the centre, it is 2.5 m away and 400 pixels wide; its end is 10 m away.
     assert!((y1 - 479.5).abs() < 1.0 && (y0 - 299.5).abs() < 2.0, "{y0} {y1}");
     assert!((x0 - 119.5).abs() < 3.0 && (x1 - 519.5).abs() < 3.0, "{x0} {x1}");
 }
 
-/// Planted faults: each side drawn in by a fifth, and two axes of the covariance swapped.
+/// Planted faults: each side moved inwards by a fifth, and two axes of the covariance swapped.
 #[test]
-fn boxes_drawn_in_are_noticed() {
+fn boxes_that_are_too_small_are_noticed() {
     let [case, _] = both("a post", robot(0.03, 1.0), post(5.0, 0.4, 0.01), None);
     let reaches = case.reaches(5, draws().min(200_000), true);
     let (good, flag) = case.found(0.99);

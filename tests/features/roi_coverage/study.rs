@@ -1,6 +1,6 @@
-//! Coverage by condition, counted over all of a feature that is seen: 200 features a condition, 20,000 draws each, by
-//! `cargo test --release --test features coverage_by_condition_in_full -- --ignored --nocapture`; `coverage_by_condition` takes a tenth of
-//! the features.
+//! Coverage by condition, counted over the whole visible feature: 200 features for each condition, 20,000 draws each,
+//! by `cargo test --release --test features coverage_by_condition_in_full -- --ignored --nocapture`;
+//! `coverage_by_condition` takes a tenth of the features.
 
 use super::common::{Random, env_number, scenes};
 use super::draws::{Best, Case, Normal, Reach, cholesky, ends_covariance};
@@ -8,12 +8,11 @@ use super::{
     CONFIDENCES, Covariance, any_covariance, any_shape, camera, diagonal, isotropic, lenses, robot, scanner, segment,
 };
 use glam::{DMat3, DQuat, DVec3, Vec3};
-use presight_features::{
-    BoxOptions, BoxQuery, FeatureSettings, PlacedFeature, add_boxes, predict_features, sensor_covariance,
-};
+use presight_features::roi::RoiFlag;
+use presight_features::{BoxOptions, BoxQuery, FeatureSettings, PlacedFeature, add_boxes, predict_features};
 use presight_model::environment::NewObject;
 use presight_model::environment::{Existence, Feature, FeatureShape, Properties};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, PoseCovariance};
 use presight_model::sensor::{Angles, Geometry, Scanner, Sensor, SensorSpec};
 use presight_model::world::World;
 use presight_render::plan::{Images, Output, Outputs};
@@ -44,11 +43,11 @@ const CONDITIONS: [&str; 21] = [
     "turned sensor",
 ];
 
-/// Most area beside the best box.
+/// The largest area relative to the best box.
 const MOST_AREA: f64 = 1.5;
 
-/// A feature on an object before a sensor on a robot. The case's pose and covariance are the robot's, its shape is in the
-/// object's frame.
+/// A feature on an object in front of a sensor on a robot. The case's pose and covariance are the robot's; its shape is
+/// in the object's frame.
 struct Trial {
     case: Case,
     mount: Pose,
@@ -56,10 +55,10 @@ struct Trial {
     object_covariance: Covariance,
 }
 
-/// A box, and how it was found.
-type Found = ([f64; 4], &'static str);
+/// A box, and its method.
+type Found = ([f64; 4], RoiFlag);
 
-/// One row all round, level.
+/// One level row, full circle.
 fn row(beam_height_deg: Option<f64>) -> Sensor {
     let azimuth = Angles::Uniform { start_deg: -180.0, step_deg: 0.5, count: 720 };
     let scanner = Scanner { azimuth, elevation: Angles::Listed(vec![0.0]), beam_height_deg };
@@ -119,7 +118,7 @@ impl Trial {
             "plumb-bob" => case.sensor = lenses()[1].clone(),
             "one row" | "one row, 1 deg high" => {
                 case.sensor = row((condition != "one row").then_some(1.0));
-                // Across the row: what stands or lies aslant.
+                // Across the row: upright or slanting features.
                 let by = 0.3 * distance;
                 let (y, lean) = (random.uniform(-0.5, 0.5) * distance, random.uniform(-0.2, 0.2) * distance);
                 let at = |y: f64, z: f64| DVec3::new(distance, y, z);
@@ -143,7 +142,7 @@ impl Trial {
                 let angle = if is_camera { random.uniform(0.45, 0.65) } else { random.uniform(0.0, 0.3) };
                 case.shape = moved(&case.shape, |p| turned(angle, p));
                 if !is_camera {
-                    // A sector whose border it may pass.
+                    // A sector whose border the feature may pass.
                     let azimuth = Angles::Uniform { start_deg: -90.0, step_deg: 0.5, count: 200 };
                     let elevation = Angles::Uniform { start_deg: -20.0, step_deg: 1.0, count: 41 };
                     let scanner = Scanner { azimuth, elevation, beam_height_deg: None };
@@ -188,21 +187,21 @@ impl Trial {
     }
 
     fn world(&self) -> World {
-        // What carries the feature lies far below.
+        // The object's surface is far below.
         let mesh = scenes::cuboid(Vec3::new(0.0, 0.0, -1e4), Vec3::new(1.0, 1.0, 1.0 - 1e4));
         let mut environment = scenes::empty();
         environment.insert(NewObject::new("object", self.object, Arc::new(mesh))).unwrap();
         World::new(environment)
     }
 
-    /// Boxes at all confidences; `None` if it is not seen.
+    /// Boxes at all confidences; `None` if the feature is not visible.
     fn boxes(&self) -> Option<Vec<Found>> {
         let (existence, properties) = (Existence::default(), Properties::default());
         let feature =
             Feature { id: 1, name: None, object: None, shape: self.case.shape.clone(), existence, properties };
         let placed = [PlacedFeature { feature: feature.into(), object: Some(0), slots: Vec::new() }];
         let (world, sensor, pose) = (self.world(), &self.case.sensor, self.case.pose * self.mount);
-        // What carries the feature is far behind it: an image of nothing.
+        // The object's surface is far behind the feature: an empty image.
         let mut images = Images::default();
         images.prepare(sensor.width(), sensor.height(), Outputs::of(&[Output::PolygonId]));
         images.polygon_id.fill(0);
@@ -213,8 +212,8 @@ impl Trial {
         }
         let lever = self.case.pose.rotation * self.mount.translation;
         let options = BoxOptions::default()
-            .with_sensor(sensor_covariance(&self.case.covariance, lever))
-            .with_objects(vec![(0, self.object_covariance)]);
+            .with_sensor(PoseCovariance::from_rows(self.case.covariance).moved_by(lever))
+            .with_objects(vec![(0, PoseCovariance::from_rows(self.object_covariance))]);
         let found = CONFIDENCES.map(|confidence| {
             let mut prediction = prediction.clone();
             let options = options.clone().with_confidence(confidence);
@@ -226,7 +225,7 @@ impl Trial {
         Some(found.to_vec())
     }
 
-    /// What is seen without errors, as points of the object's frame with the shares of both ends' errors.
+    /// The part visible without errors, as points of the object's frame with the weights of both ends' errors.
     fn seen(&self) -> Vec<(DVec3, [f64; 2])> {
         let image = self.image_from_object(&self.case.pose, &Pose::IDENTITY);
         let sensor = &self.case.sensor;
@@ -284,7 +283,7 @@ impl Trial {
         move |p| image_from_body * from.transform_point(p)
     }
 
-    /// Where it reaches in each draw; what has left the image counts no more.
+    /// The extent in each draw; points outside the image do not count.
     fn reaches(&self, draws: usize) -> Vec<Reach> {
         let (case, points) = (&self.case, self.seen());
         let roots = [&case.covariance, &self.object_covariance, &ends_covariance(&case.shape)].map(cholesky);
@@ -302,14 +301,14 @@ impl Trial {
             let image = self.image_from_object(&robot, &pose(normal.pair(&roots[1]), &Pose::IDENTITY));
             let ends = normal.pair(&roots[2]);
             let mut reach = [f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY];
-            // All of it lies within half a turn, wherever that is.
+            // The whole feature lies within half a turn, wherever that is.
             let mut near = near;
             for (p, shares) in &points {
                 let Some((mut u, v)) = case.sensor.project(image(*p + ends[0] * shares[0] + ends[1] * shares[1]))
                 else {
                     continue;
                 };
-                // A row is held along itself: what moves up or down is another part of the feature.
+                // A row is checked only along itself: above or below it is another part of the feature.
                 let within = case.sensor.height() == 1 || (-0.5..=h).contains(&v);
                 if !(within && (turn.is_some() || (-0.5..=w).contains(&u))) {
                     continue;
@@ -334,7 +333,7 @@ fn without_own(shape: &FeatureShape) -> FeatureShape {
     }
 }
 
-/// A patch about upright that may pass between the centres of pixels: 0.01 to 0.5 columns of the scanner wide.
+/// A nearly upright patch that may fall between pixel centres: 0.01 to 0.5 columns of the scanner wide.
 fn sliver(random: &mut Random, distance: f64, half: f64, sigma: f64) -> FeatureShape {
     let at = distance * DVec3::new(1.0, random.uniform(-0.2, 0.2), 0.0);
     let along = half * DVec3::new(random.uniform(-0.2, 0.2), random.uniform(-0.3, 0.3), 1.0);
@@ -343,13 +342,13 @@ fn sliver(random: &mut Random, distance: f64, half: f64, sigma: f64) -> FeatureS
     FeatureShape::Patch { corners, covariance: isotropic(sigma) }
 }
 
-/// Where a line passes the height of the sensor.
+/// The point where a line crosses the sensor's height.
 fn level(image: &impl Fn(DVec3) -> DVec3, a: DVec3, b: DVec3) -> Option<f64> {
     let [z, y] = [image(a).z, image(b).z];
     ((z > 0.0) != (y > 0.0)).then(|| z / (z - y))
 }
 
-/// Where a line passes the border of what is seen, just inside.
+/// The points where a line crosses the border of the visible region, just inside.
 fn borders(a: DVec3, b: DVec3, inside: &impl Fn(&DVec3) -> bool) -> Vec<f64> {
     const PARTS: u32 = 16;
     let at = |t: f64| inside(&a.lerp(b, t));
@@ -367,14 +366,14 @@ fn borders(a: DVec3, b: DVec3, inside: &impl Fn(&DVec3) -> bool) -> Vec<f64> {
         .collect()
 }
 
-/// What came of one condition.
+/// The result of one condition.
 #[derive(Default)]
 struct Outcome {
     regions: usize,
-    /// Below confidence by three and six standard deviations, by confidence.
+    /// The counts below confidence by three and six standard deviations, for each confidence.
     below: [[usize; 2]; 3],
     worst: [f64; 3],
-    /// Areas beside the best box at 0.99.
+    /// Areas relative to the best box at 0.99.
     areas: Vec<f64>,
     loosest: String,
 }
@@ -394,14 +393,14 @@ fn outcome(condition: &str, features: usize, draws: usize) -> Outcome {
         .map(|(trial, boxes)| {
             let reaches = trial.reaches(draws);
             let held: Vec<f64> =
-                boxes.iter().map(|(bounds, flag)| 1.0 - trial.case.missed(bounds, flag, &reaches)).collect();
+                boxes.iter().map(|(bounds, flag)| 1.0 - trial.case.missed(bounds, *flag, &reaches)).collect();
             let known: Vec<Reach> = reaches.iter().map(|r| r.filter(|r| r[0] <= r[2])).collect();
             let b = boxes[1].0;
             let size = trial.case.sensor.width() as f64 - 0.5;
             let height = trial.case.sensor.height() as f64 - 0.5;
             let all_round = trial.case.sensor.columns_of_a_turn().is_some();
             let cut = height > 1.0 && (b[1] <= -0.5 || b[3] >= height) || !all_round && (b[0] <= -0.5 || b[2] >= size);
-            let area = (!cut && boxes[1].1 != "whole_image" && known.iter().any(Option::is_some))
+            let area = (!cut && boxes[1].1 != RoiFlag::WholeImage && known.iter().any(Option::is_some))
                 .then(|| (b[2] - b[0]) * (b[3] - b[1]).max(1.0) / Best::new(&known).area(0.99));
             (trial.case.name.clone(), trial.case.shape.kind(), held, area)
         })
@@ -435,7 +434,7 @@ fn check(features: usize, draws: usize) {
     let only = std::env::var("PRESIGHT_CONDITION").ok();
     let mut wrong = Vec::new();
     println!(
-        "condition, regions, worst coverage at 0.9, 0.99, 0.999, below by 3 sd, by 6 sd; area beside the best box at 0.99: median, largest"
+        "condition, regions, worst coverage at 0.9, 0.99, 0.999, below by 3 sd, by 6 sd; area relative to the best box at 0.99: median, largest"
     );
     for condition in CONDITIONS.iter().filter(|c| only.as_ref().is_none_or(|only| c.contains(only.as_str()))) {
         let o = outcome(condition, features, draws);
@@ -446,7 +445,7 @@ fn check(features: usize, draws: usize) {
             "{condition}, {}, {:.5}, {:.5}, {:.5}, {}, {}; {median:.2}, {largest:.2} ({})",
             o.regions, o.worst[0], o.worst[1], o.worst[2], sums[0], sums[1], o.loosest
         );
-        // Of regions that hold exactly as often as they say one in 740 is below by three standard deviations.
+        // For exact coverage one region in 740 is below by three standard deviations.
         let is_loose = largest > MOST_AREA;
         if sums[0] as f64 > (0.002 * (3 * o.regions) as f64).max(1.0)
             || sums[1] > 0

@@ -1,10 +1,10 @@
-//! Docking: the covariance that is told is what least squares comes to.
+//! Docking: the reported covariance equals that of least squares on simulated measurements.
 
 use super::*;
 use common::Random;
 use presight_predict::virtual_sensors::Docking;
 
-/// A planar scanner on a robot, a little turned.
+/// A planar scanner on a robot, slightly rotated.
 fn planar() -> SensorSpec {
     let mut spec = scanner("laser", uniform(-90.0, 0.5, 361), uniform(0.0, 0.0, 1));
     spec.mount = Pose::from_xyz_rpy(DVec3::new(0.3, 0.1, 0.4), 0.0, 0.0, 0.2);
@@ -38,8 +38,8 @@ fn marks(at: &[[f64; 3]]) -> Vec<Feature> {
     (1..).zip(at).map(|(id, p)| reflector(id, place(p))).collect()
 }
 
-/// What a sensor measures of points of the robot's frame once the robot has moved along and about its own axes by `motion`,
-/// and the noise of each number. Shares nothing with the code under test but the projection of a camera.
+/// A sensor's measurements of points in the robot's frame after the robot has moved along and about its own axes by
+/// `motion`, and the noise of each number. Shares only the camera projection with the code under test.
 fn measure(sensor: &Sensor, points: &[DVec3], motion: &[f64]) -> Vec<(f64, f64)> {
     let spec = sensor.spec();
     let [tx, ty, tz, rx, ry, rz] = match *motion {
@@ -67,7 +67,7 @@ fn normal(random: &mut Random) -> f64 {
     (-2.0 * a.ln()).sqrt() * b.cos()
 }
 
-/// Solves by Gauss's elimination.
+/// Solves a linear system by Gaussian elimination.
 fn solve(mut a: Vec<Vec<f64>>, mut b: Vec<f64>) -> Vec<f64> {
     let n = b.len();
     for k in 0..n {
@@ -86,7 +86,7 @@ fn solve(mut a: Vec<Vec<f64>>, mut b: Vec<f64>) -> Vec<f64> {
     b
 }
 
-/// The covariance of least squares over many simulated measurements of a robot that stands still.
+/// The covariance of least squares over many simulated measurements of a stationary robot.
 fn sampled(sensor: &Sensor, points: &[DVec3], freedom: usize, draws: usize) -> Vec<Vec<f64>> {
     let mut random = Random(7);
     let exact = measure(sensor, points, &vec![0.0; freedom]);
@@ -119,7 +119,7 @@ fn sampled(sensor: &Sensor, points: &[DVec3], freedom: usize, draws: usize) -> V
     sums
 }
 
-/// Each entry within five of its standard errors.
+/// Decides whether each entry is within five of its standard errors.
 fn agree(told: &[Vec<f64>], sampled: &[Vec<f64>], draws: usize) -> bool {
     let n = told.len();
     (0..n).all(|i| {
@@ -131,7 +131,7 @@ fn agree(told: &[Vec<f64>], sampled: &[Vec<f64>], draws: usize) -> bool {
 }
 
 #[test]
-fn least_squares_comes_to_the_covariance_that_is_told() {
+fn the_reported_covariance_equals_that_of_least_squares() {
     let flat = [[2.0, 0.6, 0.4], [2.2, -0.5, 0.4], [1.6, -1.4, 0.4]];
     let deep = [[2.0, 0.4, 0.5], [2.2, -0.5, 0.9], [1.8, -0.2, 0.3], [2.6, 0.1, 1.1]];
     for (spec, places, draws) in [(planar(), &flat[..], 20_000), (spatial(), &deep[..], 6_000)] {
@@ -146,7 +146,7 @@ fn least_squares_comes_to_the_covariance_that_is_told() {
         assert!(agree(&told, &sampled, draws), "{told:?}\n{sampled:?}");
         let sigmas = found.sigmas.unwrap();
         assert!((0..n).all(|i| (sigmas[i] * sigmas[i] / told[i][i] - 1.0).abs() < 1e-12));
-        // Noise that is another than stated, and two axes that are swapped.
+        // A different noise than stated, and two swapped axes.
         let mut noisier = spec.clone();
         for sigma in [&mut noisier.noise.range_sigma, &mut noisier.noise.angle_sigma, &mut noisier.noise.pixel_sigma] {
             *sigma *= 1.15;
@@ -160,7 +160,7 @@ fn least_squares_comes_to_the_covariance_that_is_told() {
     }
 }
 
-/// Moves the robot along what is said to be open: nothing measured changes, to the first order.
+/// Moves the robot in a direction reported as open: no measurement changes to first order.
 fn is_open(prediction: &Prediction, places: &[[f64; 3]], motion: &[f64]) -> bool {
     let points: Vec<DVec3> = places.iter().map(|p| DVec3::from(*p)).collect();
     let at = |h: f64| measure(&prediction.sensor, &points, &motion.iter().map(|m| h * m).collect::<Vec<_>>());
@@ -168,8 +168,8 @@ fn is_open(prediction: &Prediction, places: &[[f64; 3]], motion: &[f64]) -> bool
 }
 
 #[test]
-fn what_landmarks_leave_open_is_named() {
-    // Nothing is known of a plane by nothing.
+fn directions_left_open_by_landmarks_are_named() {
+    // Without landmarks no direction is determined.
     let (found, _) = docking(&planar(), Vec::new());
     let names = |found: &Docking| found.unobservable.iter().map(|u| u.name.clone()).collect::<Vec<_>>();
     assert!(found.covariance.is_none() && found.sigmas.is_none() && found.measurements == 0);
@@ -179,7 +179,7 @@ fn what_landmarks_leave_open_is_named() {
         (found.freedom.as_slice(), all),
         (["x", "y", "yaw"].as_slice(), vec!["x".into(), "y".into(), "yaw".into()])
     );
-    // Around one landmark the robot can go in a circle; straight ahead that is sideways and turning.
+    // Around one landmark the robot can move on a circle; for a landmark straight ahead that is sideways plus rotation.
     for (place, name) in [([2.3, 0.1, 0.4], None), ([2.0, 0.0, 0.4], Some("y+yaw")), ([2.0, 0.6, 0.4], Some("x+y+yaw"))]
     {
         let (found, prediction) = docking(&planar(), marks(&[place]));
@@ -189,7 +189,7 @@ fn what_landmarks_leave_open_is_named() {
         assert!(is_open(&prediction, &[place], &motion), "{motion:?}");
         assert!(!is_open(&prediction, &[place], &[motion[0] + 0.2, motion[1], motion[2]]));
     }
-    // Two fix the plane, and in space leave the turn about the line through them.
+    // Two landmarks fix the plane; in space the rotation about the line through them stays open.
     let two = [[2.0, 0.4, 0.5], [2.2, -0.3, 0.9]];
     assert!(docking(&planar(), marks(&[[2.0, 0.4, 0.4], [2.2, -0.3, 0.4]])).0.covariance.is_some());
     let (found, prediction) = docking(&spatial(), marks(&two));
@@ -205,7 +205,7 @@ fn what_landmarks_leave_open_is_named() {
 #[test]
 fn a_marker_alone_fixes_a_pose_in_space() {
     let world_from_robot = Pose::from_xyz_rpy(DVec3::new(1.0, 2.0, 0.4), 0.0, 0.0, 0.5);
-    // Clockwise from the top left, seen from the robot.
+    // Clockwise from the top left as seen from the robot.
     let corners = [[2.0, 0.1, 0.9], [2.0, -0.1, 0.9], [2.0, -0.1, 0.7], [2.0, 0.1, 0.7]]
         .map(|p| world_from_robot.transform_point(DVec3::from(p)));
     let shape =
@@ -215,7 +215,8 @@ fn a_marker_alone_fixes_a_pose_in_space() {
     assert_eq!((found.landmarks[0].code, found.landmarks[0].corners_robot.len()), (Some(4), 4));
     let sigmas = found.sigmas.unwrap();
     assert!(sigmas.iter().all(|s| *s > 0.0 && *s < 0.2), "{sigmas:?}");
-    // Its tilt is told by 1 cm over 0.1 m at four corners; the robot, 2 m before it and 0.8 m below, swings with that.
+    // 1 cm over 0.1 m at four corners determines the tilt; the position of the robot, 2 m before the marker and 0.8 m
+    // below, varies with it.
     assert!((sigmas[5] / 0.05 - 1.0).abs() < 0.1 && (sigmas[4] / 0.05 - 1.0).abs() < 0.1, "{sigmas:?}");
     assert!((sigmas[1] / (2.0 * sigmas[5]) - 1.0).abs() < 0.02, "{sigmas:?}");
     assert!((sigmas[0] / (0.8 * sigmas[4]) - 1.0).abs() < 0.05, "{sigmas:?}");

@@ -6,7 +6,7 @@ use presight_model::sensor::Distortion;
 use presight_predict::virtual_sensors::{FreeFloor, Mask};
 use proptest::prelude::*;
 
-/// A camera straight above the robot's origin, looking down; image up is forward.
+/// A camera straight above the robot's origin, looking down; up in the image is forward.
 fn looking_down(width: u32, height: u32, f: f64, above: f64) -> (Sensor, Pose) {
     let mut spec = camera("video", width, height, f);
     spec.mount = Pose::from_xyz_rpy(DVec3::new(0.0, 0.0, above), 0.0, std::f64::consts::FRAC_PI_2, 0.0);
@@ -41,7 +41,7 @@ fn empty_floor_is_the_image_itself() {
 
 #[test]
 fn a_pillar_is_a_hole_with_its_shadow() {
-    // Its top, 2 m below the camera, hides 3 / 2 of its side on the floor: the edges lie between pixels.
+    // The top, 2 m below the camera, hides 3 / 2 of its side on the floor: the edges lie between pixels.
     let pillar = cuboid([-0.4, -0.4, 0.0], [0.4, 0.4, 1.0]);
     let scene = world(vec![("floor", ground()), ("pillar", pillar)]);
     for finer in [1, 4] {
@@ -55,7 +55,7 @@ fn a_pillar_is_a_hole_with_its_shadow() {
     }
 }
 
-/// Area in the robot's x-y plane, positive counter-clockwise from above.
+/// The area in the robot's x-y plane, positive if counter-clockwise from above.
 fn turn(outline: &[[f64; 3]]) -> f64 {
     let n = outline.len();
     (0..n).map(|k| (outline[k], outline[(k + 1) % n])).map(|(p, q)| 0.5 * (p[0] * q[1] - q[0] * p[1])).sum()
@@ -73,19 +73,19 @@ fn only_level_ground_at_the_robots_height_is_floor() {
     assert_eq!(area(tile(0.06, 0.0, 0.0)), 0.0, "a step");
     assert!(area(tile(0.0, 0.03, 0.0)) > 1.9, "1.7 degrees");
     assert_eq!(area(tile(-0.02, 0.04, 0.0)), 0.0, "2.3 degrees");
-    // From below the ground it is a ceiling.
+    // From below, the ground is a ceiling.
     let (camera_only, _) = looking_down(100, 40, 20.0, 3.0);
     let upward = Pose::from_xyz_rpy(DVec3::new(0.0, 0.0, -3.0), 0.0, -std::f64::consts::FRAC_PI_2, 0.0);
     let settings = Settings { floor_z_world: Some(0.0), ..Settings::default() };
     assert_eq!(floor(&world(vec![("tile", tile(0.0, 0.0, 0.0))]), &camera_only, &upward, &settings).pixels, 0);
-    // A told height goes before the robot's.
+    // A given height takes precedence over the robot's.
     let settings = Settings { floor_z_world: Some(0.5), ..Settings::default() };
     let found = floor(&world(vec![("tile", tile(0.5, 0.0, 0.0))]), &sensor, &pose, &settings);
     assert!(found.area > 1.9 && (found.regions[0].outer_robot[0][2] - 0.5).abs() < 1e-12);
 }
 
 #[test]
-fn the_horizon_is_no_floor() {
+fn the_horizon_is_not_floor() {
     let plain = quad([[-1e5, -1e5, 0.0], [1e5, -1e5, 0.0], [1e5, 1e5, 0.0], [-1e5, 1e5, 0.0]]);
     let mut spec = camera("video", 33, 33, 16.0);
     spec.mount = Pose::from_xyz_rpy(DVec3::new(0.1, 0.2, 1.5), 0.01, 0.001, 0.4);
@@ -103,7 +103,7 @@ fn numbers(floor: &FreeFloor) -> String {
     format!("{} pixels, {} over the horizon, {} m2", floor.pixels, floor.pixels_over_horizon, floor.area)
 }
 
-/// The area of what marked pixels cover of the floor plane, one by one.
+/// The summed area of the marked pixels' footprints on the floor plane.
 fn footprints(mask: &Mask, sensor: &Sensor, pose: &Pose, z: f64) -> f64 {
     let meet = |u: f64, v: f64| {
         let ray = pose.rotation * (sensor.body_from_image() * sensor.ray_at(u, v).unwrap());
@@ -119,7 +119,7 @@ fn footprints(mask: &Mask, sensor: &Sensor, pose: &Pose, z: f64) -> f64 {
 }
 
 #[test]
-fn outlines_hold_just_the_marked_pixels_with_any_lens() {
+fn outlines_contain_exactly_the_marked_pixels_with_any_lens() {
     let scene = World::new(scenes::room(5, 9));
     for distortion in [Distortion::None, Distortion::PlumbBob([-0.2, 0.03, 0.001, -0.002, 0.0])] {
         let camera = Camera { distortion, ..Camera::pinhole(80, 60, 50.0, 52.0, 39.0, 30.0) };
@@ -142,7 +142,7 @@ fn outlines_hold_just_the_marked_pixels_with_any_lens() {
     }
 }
 
-/// Area of the convex hull (Andrew's monotone chain).
+/// The area of the convex hull (Andrew's monotone chain).
 fn hull(mut points: Vec<DVec2>) -> (f64, f64) {
     points.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));
     let half = |points: &mut dyn Iterator<Item = DVec2>| {
@@ -169,7 +169,7 @@ fn hull(mut points: Vec<DVec2>) -> (f64, f64) {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
-    /// What is left of the floor is the image less the pillar and what its top hides, within half a pixel all round.
+    /// The free floor is the image less the pillar and the area that its top hides, within half a pixel all round.
     #[test]
     fn area_is_true_within_pixels(x in -0.7..0.7f32, y in -0.9..0.9f32, half in 0.1..0.5f32, top in 0.2..1.2f32) {
         let scene = world(vec![
@@ -188,7 +188,7 @@ proptest! {
         let off = |area: f64| (area - (24.0 - hidden)).abs();
         let bound = 0.6 * around * 3.0 / 120.0;
         prop_assert!(off(found.area) <= bound, "{} instead of {}", found.area, 24.0 - hidden);
-        // A camera 3 % higher would make it 6 % more.
+        // A camera 3 % higher would give 6 % more area.
         prop_assert!(off(found.area * 1.03 * 1.03) > bound);
     }
 }

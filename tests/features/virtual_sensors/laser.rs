@@ -50,20 +50,20 @@ fn a_wall_has_the_size_of_the_image_on_it() {
     for (yaw, tolerance) in [(0.0, 2e-4), (0.6, 4e-4)] {
         let mut spec = camera("laser", 120, 80, 100.0);
         spec.mount = Pose::from_xyz_rpy(DVec3::new(0.1, 0.0, 0.7), 0.0, 0.0, yaw);
-        // The robot looks along x; the sensor on it does not.
+        // The robot looks along x; the sensor on it is rotated.
         let pose = Pose::from_xyz_rpy(DVec3::new(0.1, 0.0, 0.7), 0.0, 0.0, yaw);
         let found = planes(&wall, &Sensor::new(spec).unwrap(), &pose);
         assert_eq!((found.planes.len(), found.pixels), (1, 9600));
         let plane = &found.planes[0];
         assert!(DVec3::from(plane.normal_robot).distance(DVec3::NEG_X) < 1e-12);
         assert!((plane.distance - 2.9).abs() < 1e-12 && (plane.centre_robot[0] - 3.0).abs() < 1e-12);
-        // Across: between the tangents of the border rays; upward: a trapezium, (f / cos) wider far away.
+        // Across: between the tangents of the border rays. Upward: a trapezium, (f / cos) wider far away.
         let side = |pixels: f64| 2.9 * (yaw + (pixels / 100.0f64).atan()).tan();
         let true_area: f64 = (0..2400)
             .map(|i| {
                 let at = |i: f64| side(-60.0 + i / 20.0);
                 let (y0, y1) = (at(f64::from(i)), at(f64::from(i) + 1.0));
-                // Distance along the optical axis in the middle of the strip.
+                // The distance along the optical axis at the centre of the strip.
                 let y = 0.5 * (y0 + y1);
                 (y1 - y0) * 80.0 * (2.9 * yaw.cos() + y * yaw.sin()) / 100.0
             })
@@ -77,12 +77,12 @@ fn a_wall_has_the_size_of_the_image_on_it() {
 }
 
 #[test]
-fn walls_of_a_room_are_planes_and_floors_and_ramps_are_none() {
+fn only_walls_of_a_room_are_planes() {
     let ramp = quad([[1.0, -0.5, 0.0], [1.0, 0.5, 0.0], [1.1, 0.5, 1.0], [1.1, -0.5, 1.0]]);
     let room = world(vec![("room", cuboid([-3.0, -2.0, 0.0], [4.0, 2.0, 2.5])), ("ramp", ramp)]);
     let sensor = Sensor::new(scanner("laser", uniform(-180.0, 1.0, 360), uniform(-40.0, 2.0, 41))).unwrap();
     let found = planes(&room, &sensor, &Pose::from_xyz_rpy(DVec3::Z, 0.0, 0.0, 0.3));
-    // The ramp, 5.7 degrees off, stands in front of one wall and does not part it: there is wall above.
+    // The ramp, at 5.7 degrees, is in front of one wall and does not split it: the wall is visible above.
     assert_eq!(found.planes.len(), 4, "over the seam, too");
     let mut distances: Vec<f64> = found.planes.iter().map(|p| p.distance).collect();
     distances.sort_by(f64::total_cmp);
@@ -95,7 +95,7 @@ fn walls_of_a_room_are_planes_and_floors_and_ramps_are_none() {
 }
 
 #[test]
-fn regions_are_connected_and_panels_in_one_plane_are_one() {
+fn connected_panels_in_one_plane_are_one_region() {
     let panel = |x: f32, y0: f32, y1: f32| quad([[x, y0, -1.0], [x, y1, -1.0], [x, y1, 1.0], [x, y0, 1.0]]);
     let sensor = Sensor::new(camera("laser", 60, 20, 30.0)).unwrap();
     let count = |objects| {
@@ -105,7 +105,7 @@ fn regions_are_connected_and_panels_in_one_plane_are_one() {
     let whole = count(vec![("a", panel(2.0, -2.0, 0.5)), ("b", panel(2.0, 0.5, 2.0))]);
     assert_eq!((whole.0, whole.1.as_str()), (1, "a"));
     assert_eq!(count(vec![("a", panel(2.0, -2.0, 0.5)), ("b", panel(2.01, 0.5, 2.0))]).0, 2, "a step of 1 cm");
-    // A post before them parts what is one plane.
+    // A post in front splits one plane into two regions.
     let post = panel(1.0, 0.1, 0.2);
     assert_eq!(count(vec![("wall", panel(2.0, -2.0, 2.0)), ("post", post)]).0, 3);
     // One row has no height.

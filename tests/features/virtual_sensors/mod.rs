@@ -1,4 +1,4 @@
-//! The virtual sensors: known answers on small scenes, properties on generated ones, and faults that must be noticed.
+//! Virtual sensors: known results on small scenes, properties on generated ones, and planted faults.
 
 use presight_testkit as common;
 
@@ -21,7 +21,7 @@ use presight_predict::request::Request;
 use presight_predict::virtual_sensors::{Answer, Settings, View, VirtualSensor};
 use presight_render::plan::Outputs;
 
-/// A world of named meshes where they are made.
+/// A world of named meshes at their own coordinates.
 fn world(objects: Vec<(&str, presight_model::environment::Mesh)>) -> World {
     let mut environment = scenes::empty();
     for (name, mesh) in objects {
@@ -35,7 +35,7 @@ fn quad(corners: [[f32; 3]; 4]) -> presight_model::environment::Mesh {
     scenes::mesh(&[corners.map(Vec3::from).to_vec()])
 }
 
-/// A box; 0.1 mm are no matter to f32.
+/// A box; differences of 0.1 mm do not matter in f32.
 fn cuboid(least: [f32; 3], most: [f32; 3]) -> presight_model::environment::Mesh {
     scenes::cuboid(least.into(), most.into())
 }
@@ -94,7 +94,7 @@ fn reflector(id: u32, at: DVec3) -> Feature {
     feature(id, FeatureShape::Reflector { at, covariance: DMat3::ZERO })
 }
 
-/// What is seen of features that lie on nothing.
+/// The visibility of features that lie on no polygon.
 fn seen(world: &World, prediction: &Prediction, features: Vec<Feature>) -> FeaturePrediction {
     let placed: Vec<PlacedFeature> = features
         .into_iter()
@@ -130,7 +130,7 @@ fn other_sensors_are_refused_with_a_remedy() {
         }
     }
     assert_eq!("walls".parse::<VirtualSensor>().unwrap_err().kind(), ErrorKind::Usage);
-    // The right class is not enough.
+    // The right class alone is not enough.
     let wrong = [
         (VirtualSensor::FreeFloor, with_noise(scanner("video", uniform(0.0, 5.0, 9), flat()))),
         (VirtualSensor::RadarLines, with_noise(scanner("radar", uniform(0.0, 5.0, 9), uniform(-1.0, 2.0, 2)))),
@@ -144,7 +144,7 @@ fn other_sensors_are_refused_with_a_remedy() {
 }
 
 #[test]
-fn what_is_missing_is_named() {
+fn missing_inputs_are_named() {
     let world = world(vec![("room", cuboid([-2.0; 3], [2.0; 3]))]);
     let mut spec = camera("video", 8, 6, 6.0);
     spec.mount = Pose::from_xyz_rpy(DVec3::Z, 0.0, 0.3, 0.0);
@@ -164,7 +164,7 @@ fn what_is_missing_is_named() {
 
 #[test]
 fn visible_segments_are_edges() {
-    // A post before the middle of the far edge.
+    // A post in front of the middle of the far edge.
     let world = world(vec![("post", cuboid([1.9, -0.1, -1.0], [2.0, 0.1, 1.0]))]);
     let sensor = Sensor::new(camera("video", 64, 48, 40.0)).unwrap();
     let prediction = predict(&world, &sensor, &Pose::IDENTITY);
@@ -184,7 +184,7 @@ fn visible_segments_are_edges() {
     assert_eq!((found.segments, found.edges.len()), (2, 1));
     let edge = &found.edges[0];
     assert_eq!((edge.id, edge.name.as_deref(), edge.visible.len()), (7, Some("mark 7"), 2));
-    // The post's nearer face, 1.9 m away and 0.2 m wide, hides 0.2 * 4 / 1.9 m of it.
+    // The post's front face, 1.9 m away and 0.2 m wide, hides 0.2 * 4 / 1.9 m of it.
     let hidden = 0.2 * 4.0 / 1.9;
     let pixel = 4.0 / 40.0;
     let length = |p: &presight_predict::virtual_sensors::EdgePiece| p.ends_world[1][1] - p.ends_world[0][1];

@@ -1,11 +1,11 @@
-//! Radar: lines, nearest obstacles, landmarks.
+//! Radar: lines, nearest obstacles and landmarks.
 
 use super::*;
 use glam::DVec2;
 use presight_predict::virtual_sensors::{Corridor, Nearest, RadarLines};
 use proptest::prelude::*;
 
-/// A full circle of one row, from behind, counter-clockwise.
+/// A full circle of one row, counter-clockwise from behind.
 fn radar(beams: u32) -> SensorSpec {
     scanner("radar", uniform(-180.0, 360.0 / f64::from(beams), beams), uniform(0.0, 0.0, 1))
 }
@@ -24,11 +24,11 @@ fn a_room_is_four_lines_over_the_seam_too() {
     let (found, _) = lines(&room, radar(3600), &Pose::from_xyz_rpy(DVec3::new(0.0, 0.0, 1.0), 0.0, 0.0, 0.0));
     assert_eq!((found.lines.len(), found.single_beams), (4, 0));
     assert_eq!(found.lines.iter().map(|l| l.beams).sum::<u32>(), 3600);
-    // The wall behind is over the seam: its columns run on from the last to the first.
+    // The wall behind crosses the seam: its columns continue from the last to the first.
     let behind = found.lines.last().unwrap();
     assert!(behind.columns[0] > behind.columns[1] && (behind.distance - 3.0).abs() < 1e-12);
     assert!(DVec3::from(behind.normal_robot).distance(DVec3::X) < 1e-12);
-    // Each is as long as its wall but for a beam at either end.
+    // Each line is as long as its wall, less a beam at each end.
     let beam = 2.0 * 5.0 * (0.1f64).to_radians() / 0.4;
     for (line, length) in found.lines.iter().zip([7.0, 4.0, 7.0, 4.0]) {
         assert!(line.length <= length + 1e-9 && line.length > length - beam, "{line:?}");
@@ -37,7 +37,7 @@ fn a_room_is_four_lines_over_the_seam_too() {
 }
 
 #[test]
-fn panels_in_line_are_one_and_a_step_parts_them() {
+fn aligned_panels_are_one_line_and_a_step_splits_them() {
     let panel = |x: f32, y0: f32, y1: f32| quad([[x, y0, 0.0], [x, y1, 0.0], [x, y1, 2.0], [x, y0, 2.0]]);
     for (step, count) in [(0.0, 1), (5e-4, 1), (5e-3, 2)] {
         let two = world(vec![("left", panel(3.0, 0.0, 1.0)), ("right", panel(3.0 + step, -1.0, 0.0))]);
@@ -63,7 +63,7 @@ fn a_pillar_cuts_the_wall_behind_it_and_lines_are_in_the_robots_frame() {
     let by_object = |name: &str| found.lines.iter().filter(|l| l.objects == [name.to_owned()]).collect::<Vec<_>>();
     let (walls, pillar) = (by_object("wall"), by_object("pillar"));
     assert_eq!((found.lines.len(), walls.len(), pillar.len()), (3, 2, 1));
-    // The pillar's near face hides 0.4 * 4 / 1.8 m of the wall.
+    // The pillar's front face hides 0.4 * 4 / 1.8 m of the wall.
     let shown: f64 = walls.iter().map(|l| l.length).sum();
     assert!((shown - (6.0 - 0.4 * 4.0 / 1.8)).abs() < 4.0 * 0.015, "{shown}");
     for line in walls {
@@ -87,7 +87,7 @@ fn off_polygon(p: DVec3, corners: &[DVec3]) -> f64 {
     outside.fold((p - corners[0]).dot(normal).abs(), f64::max)
 }
 
-/// True if all lines lie on their polygons.
+/// Returns true if all lines lie on their polygons.
 fn on_polygons(found: &RadarLines, world: &World, world_from_robot: &Pose) -> bool {
     found.lines.iter().all(|line| {
         let ends = line.ends_robot.map(|p| world_from_robot.transform_point(DVec3::from(p)));
@@ -102,7 +102,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(16))]
 
     #[test]
-    fn ends_lie_on_polygons_and_every_beam_is_told(
+    fn ends_lie_on_polygons_and_every_beam_is_reported(
         seed in 0..1000u64, x in -1.0..1.0f64, y in -1.0..1.0f64, z in 0.3..2.4f64, yaw in -3.0..3.0f64,
     ) {
         let room = scenes::room_world(seed, 12);
@@ -114,7 +114,7 @@ proptest! {
         let hits = prediction.images.range.iter().filter(|r| r.is_finite()).count();
         prop_assert_eq!(found.lines.iter().map(|l| l.beams as usize).sum::<usize>() + found.single_beams, hits);
         prop_assert!(on_polygons(&found, &room, &world_from_robot));
-        // A millimetre off.
+        // One millimetre off.
         found.lines[0].ends_robot[0][2] += 1e-3;
         found.lines[0].ends_robot[0][0] += 1e-3;
         prop_assert!(!on_polygons(&found, &room, &world_from_robot));
@@ -130,7 +130,7 @@ fn nearest(world: &World, spec: SensorSpec, pose: &Pose, corridor: Option<Corrid
     }
 }
 
-/// A hall with a pillar in it, and a radar of many rows 1 m high on a robot.
+/// A hall with a pillar, and a radar of many rows, 1 m high on a robot.
 fn hall() -> (World, SensorSpec, Pose) {
     let hall = world(vec![
         ("hall", cuboid([-5.0, -2.0, 0.0], [8.0, 2.0, 3.0])),
@@ -148,26 +148,26 @@ fn corridors_end_at_the_first_obstacle_inside() {
     let along = |line: Vec<[f64; 2]>, half: f64| {
         nearest(&world, spec.clone(), &pose, Some(Corridor::new(line, half, 0.1, 1.8).unwrap())).0
     };
-    // Straight on there is the far wall; a wider robot meets the pillar's near face, x = 3.
+    // A narrow robot reaches the far wall straight ahead; a wider robot meets the pillar's front face, x = 3.
     let narrow = along(vec![[0.0, 0.0], [9.0, 0.0]], 0.4).corridor.unwrap();
     assert!((narrow.arc_length.unwrap() - 8.0).abs() < 1e-9 && narrow.length == 9.0, "{narrow:?}");
     let wide = along(vec![[0.0, 0.0], [9.0, 0.0]], 0.6).corridor.unwrap();
     assert!((wide.arc_length.unwrap() - 3.0).abs() < 1e-9, "{wide:?}");
     assert_eq!(wide.first.unwrap().object, "pillar");
-    // Around a corner: 2 m on, then to the left up to the wall at y = 2.
+    // Around a corner: 2 m ahead, then to the left up to the wall at y = 2.
     let bent = along(vec![[0.0, 0.0], [2.0, 0.0], [2.0, 5.0]], 0.4).corridor.unwrap();
     assert!((bent.arc_length.unwrap() - 4.0).abs() < 1e-9, "{bent:?}");
-    // Before anything comes.
+    // The corridor ends before the first obstacle.
     let short = along(vec![[0.0, 0.0], [2.5, 0.0]], 0.45).corridor.unwrap();
     assert_eq!((short.arc_length, short.first.is_none(), short.beams), (None, true, 0));
-    // The floor is no obstacle, but for whoever asks for it.
+    // The floor is an obstacle only for a corridor that includes its height.
     let low = Corridor::new(vec![[0.0, 0.0], [9.0, 0.0]], 0.4, -0.1, 1.8).unwrap();
     let floor = nearest(&world, spec, &pose, Some(low)).0.corridor.unwrap();
     assert!(floor.arc_length.unwrap() < 3.0 && floor.first.unwrap().point_robot[2].abs() < 1e-9);
 }
 
 #[test]
-fn each_direction_tells_its_nearest() {
+fn each_direction_has_its_nearest_obstacle() {
     let (world, spec, pose) = hall();
     let (found, prediction) = nearest(&world, spec, &pose, None);
     let images = &prediction.images;
@@ -203,7 +203,7 @@ fn an_empty_world_has_no_nearest() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
-    /// The corridor's answer is that of walking along its line in steps of a millimetre and measuring to every hit.
+    /// The corridor's result equals a walk along its line in steps of 1 mm with the distance to every hit.
     #[test]
     fn corridors_equal_a_walk_along_them(
         seed in 0..1000u64, turns in prop::collection::vec(-1.2..1.2f64, 1..4), half_width in 0.2..0.9f64,
@@ -252,7 +252,7 @@ proptest! {
 }
 
 #[test]
-fn landmarks_that_are_seen_are_placed() {
+fn visible_landmarks_are_placed() {
     let scene = world(vec![("pillar", cuboid([1.8, -0.2, 0.0], [2.2, 0.2, 2.0]))]);
     let mut spec = radar(3600);
     spec.mount = Pose::from_xyz_rpy(DVec3::new(0.3, 0.0, 1.0), 0.0, 0.0, 1.0);

@@ -1,4 +1,4 @@
-//! Hidden features that are only counted: those that are seen get the same answers as if all were asked about.
+//! Hidden features that are only counted: visible ones get the same results as if all were sampled.
 
 use super::common::{Random, data, env_number, plan, reference, scenes};
 use super::patches::patches_and_points;
@@ -23,7 +23,7 @@ fn ask(world: &World, sensor: &Sensor, pose: &Pose, placed: &[PlacedFeature], hi
     predict_features(world, sensor, pose, &images, placed, &options).unwrap()
 }
 
-/// The share of a feature that is hidden for each reason. Which of two polygons that hide the same place is named is left open.
+/// The hidden share of a feature for each reason. If two polygons hide the same place, either may be named.
 fn shares(seen: &SeenFeature) -> Vec<(Reason, f64)> {
     let share = |reason: Reason| {
         let of = seen.hidden.iter().filter(|h| h.reason == reason);
@@ -38,7 +38,7 @@ pub(super) fn same(a: &SeenFeature, b: &SeenFeature) -> bool {
     shown(a) == shown(b) && shares(a).into_iter().zip(shares(b)).all(near)
 }
 
-/// Features of which the second prediction says something else, and those that it should have but has not.
+/// Features whose results differ in the second prediction, or that it lacks wrongly.
 fn differing(all: &FeaturePrediction, counted: &FeaturePrediction) -> usize {
     let right = |i: usize| {
         let number = counted.given_at(i);
@@ -60,7 +60,8 @@ fn agree(name: &str, world: &World, sensor: &Sensor, pose: &Pose, placed: &[Plac
     [counted.stats.asked, counted.features.len()]
 }
 
-/// A predictor tells of what is out of view as asking each does; how many it tells of without asking.
+/// Compares a predictor's report of features out of view with a test of each one; returns how many it reports without a
+/// test.
 fn out_of_view(
     name: &str,
     world: &World,
@@ -86,7 +87,7 @@ fn out_of_view(
 }
 
 #[test]
-fn what_is_out_of_view_is_told_without_a_look() {
+fn features_out_of_view_are_reported_without_a_test() {
     let world = halves([70.5, 70.5]);
     let shifted = |id: u32, by: DVec3| {
         let mut placed = edge();
@@ -97,7 +98,7 @@ fn what_is_out_of_view_is_told_without_a_look() {
         }
         placed
     };
-    // Behind the camera, in view, and beside the image, in turn.
+    // In turn behind the camera, in view, and next to the image.
     let by = |k: u32| [DVec3::X * -10.0, DVec3::ZERO, DVec3::Y * 40.0][k as usize % 3];
     let placed: Vec<PlacedFeature> = (0..300).map(|k| shifted(k + 1, by(k))).collect();
     for (sensor, count) in [(scenes::camera(200, 150), 200), (scenes::scanner(180, 31), 0), (scenes::lens(64, 48), 0)] {
@@ -108,7 +109,7 @@ fn what_is_out_of_view_is_told_without_a_look() {
 }
 
 #[test]
-fn counting_the_hidden_leaves_the_seen_as_they_are() {
+fn counting_hidden_features_does_not_change_visible_ones() {
     let mut random = Random(env_number("PRESIGHT_SEED", 1));
     let (mut features, mut asked, mut seen) = (0, 0, 0);
     for boxes in [5, 40] {
@@ -123,7 +124,7 @@ fn counting_the_hidden_leaves_the_seen_as_they_are() {
             (features, asked, seen) = (features + placed.len(), asked + some, seen + shown);
         }
     }
-    assert!(seen > 200 && asked < features * 2 / 3, "{seen} seen, {asked} asked of {features}");
+    assert!(seen > 200 && asked < features * 2 / 3, "{seen} seen, {asked} sampled of {features}");
 }
 
 #[test]
@@ -160,7 +161,7 @@ fn planted_faults_are_caught() {
     assert_eq!(with(&|p| (p.features.push(all.features[hidden].clone()), p.given.push(hidden as u32)).1), 1);
 }
 
-/// An edge 5 m ahead, level, from y = 1 to -1, of no polygon.
+/// A horizontal edge 5 m ahead, from y = 1 to -1, on no polygon.
 fn edge() -> PlacedFeature {
     let ends = [DVec3::new(5.0, 1.0, 0.1), DVec3::new(5.0, -1.0, 0.1)];
     let shape = FeatureShape::Segment { ends, covariances: [DMat3::ZERO; 2], cross: DMat3::ZERO };
@@ -169,7 +170,7 @@ fn edge() -> PlacedFeature {
     PlacedFeature { feature: feature.into(), object: None, slots: vec![] }
 }
 
-/// A wall 2 m ahead of two halves, with a gap between these columns of pixels (the camera's focal length is 200 pixels).
+/// A wall 2 m ahead in two halves, with a gap between these pixel columns (the camera's focal length is 200 pixels).
 fn halves(gap: [f32; 2]) -> World {
     let y = |column: f32| (99.5 - column) * 2.0 / 200.0;
     let half = |from: f32, to: f32| vec![[from, -3.0], [to, -3.0], [to, 3.0], [from, 3.0]];
@@ -180,8 +181,9 @@ fn halves(gap: [f32; 2]) -> World {
     World::new(environment)
 }
 
-/// Six tenths of a pixel between two columns of pixel centres: no image shows it, and one or two of the 160 samples of the edge (half a
-/// pixel each) are seen through it. Without a gap the halves hide the edge together, and neither does alone.
+/// A gap of 0.6 pixels between two columns of pixel centres: no image shows it, and only one or two of the edge's 160
+/// samples (half a pixel each) are visible through it. Without a gap the halves hide the edge together, and neither
+/// does alone.
 #[test]
 fn a_gap_that_no_pixel_shows_is_not_hidden() {
     let camera = scenes::camera(200, 150);
@@ -196,9 +198,9 @@ fn a_gap_that_no_pixel_shows_is_not_hidden() {
     assert_eq!((closed.features.len(), closed.stats.asked, closed.stats.features), (0, 0, 1));
 }
 
-/// From 400 m away, looking elsewhere, no feature of many is asked about; turned round, some are.
+/// From 400 m away, looking elsewhere, no feature is sampled; after turning round, some are.
 #[test]
-fn what_is_out_of_view_costs_no_question() {
+fn features_out_of_view_are_not_sampled() {
     let world = scenes::room_world(3, 40);
     let some = edges(world.environment(), usize::MAX, &mut Random(3));
     let many: Vec<PlacedFeature> = some.iter().cycle().take(20_000).cloned().collect();
@@ -212,7 +214,7 @@ fn what_is_out_of_view_costs_no_question() {
     assert!(back.0 > 0 && back.1 > 0, "{back:?}");
 }
 
-/// What is out of view or hidden has one part and one reason.
+/// Features that are out of view or hidden have one part and one reason.
 #[test]
 fn reasons_alone() {
     let (camera, pose) = (scenes::camera(200, 150), Pose::IDENTITY);
@@ -234,7 +236,8 @@ fn reasons_alone() {
     let told = ask(&world, &camera, &pose, &placed, Hidden::Reason);
     let reasons: Vec<Vec<Reason>> = told.features.iter().map(|f| f.hidden.iter().map(|h| h.reason).collect()).collect();
     use Reason::{BehindSensor, Occluded, OutsideImage};
-    // The fourth is before the wall, and reaches out of the image on both sides; the last is behind it, and in part outside.
+    // The fourth is in front of the wall and extends beyond the image on both sides; the last is behind it and partly
+    // outside.
     let expected: [&[Reason]; 5] =
         [&[Occluded], &[BehindSensor], &[OutsideImage], &[OutsideImage, OutsideImage], &[Occluded]];
     assert_eq!(reasons, expected);
@@ -242,9 +245,9 @@ fn reasons_alone() {
     assert!(told.given.is_empty());
 }
 
-/// The library's default, through a predictor: its tree of features follows an object that moves, and another layer.
+/// The library's default, through a predictor: its feature tree adapts to a moved object, and to another layer.
 #[test]
-fn a_predictor_follows_changes() {
+fn a_predictor_adapts_to_changes() {
     let mut world = halves([70.5, 70.5]);
     let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).unwrap();
     let mut on_wall = edge();
@@ -258,13 +261,13 @@ fn a_predictor_follows_changes() {
         predictor.predict(world, &camera, &Pose::IDENTITY, &request).map(|p| p.features.unwrap().given)
     };
     assert_eq!(count(&world, &one).unwrap(), [] as [u32; 0]);
-    // 4 m nearer, the wall is behind the sensor, and its edge before it.
+    // 4 m further ahead, the sensor is past the wall and in front of the edge.
     let near = Pose::from_xyz_rpy(DVec3::X * -4.0, 0.0, 0.0, 0.0);
     world.apply(presight_model::change::Change::MoveObject { name: "walls".into(), world_from_object: near }).unwrap();
     assert_eq!(count(&world, &one).unwrap(), [0, 1]);
     let other: presight_features::PlacedFeatures = vec![edge()].into();
     assert_eq!(count(&world, &other).unwrap(), [0]);
-    // Of another world there is no such object.
+    // Another world does not have this object.
     let empty = World::new(scenes::empty());
     assert!(count(&empty, &one).unwrap_err().to_string().contains("does not exist"));
 }

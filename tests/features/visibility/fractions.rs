@@ -1,7 +1,8 @@
-//! How much is seen of segments over 25 pixels, against dense rays in f64, on every model and for every preset and lens:
-//! `cargo test --release --test features fractions_on_every_model -- --ignored --nocapture` prints a row for each model and sensor.
+//! Compares the visible fractions of segments over 25 pixels with dense rays in f64, on every model and for every
+//! preset and lens: `cargo test --release --test features fractions_on_every_model -- --ignored --nocapture` prints a
+//! row for each model and sensor.
 //!
-//! `PRESIGHT_FRACTION_SCENES` names models, `PRESIGHT_FRACTION_POSES` how many poses.
+//! `PRESIGHT_FRACTION_SCENES` names models, `PRESIGHT_FRACTION_POSES` sets the number of poses.
 
 use super::common::oracle::Oracle;
 use super::common::{Random, data, env_number};
@@ -15,9 +16,9 @@ use presight_predict::request::Request;
 use presight_render::plan::{Output, Outputs};
 use rayon::prelude::*;
 
-/// Pixels above which a segment counts.
+/// Segments up to this length, in pixels, do not count.
 const LONG: f64 = 25.0;
-/// How far its visible fraction may be off.
+/// The largest accepted error of a visible fraction.
 const OFF: f64 = 0.02;
 const SCENES: &str = "room_cube,room_cylinder,room_sphere,room_tray,room_trays,room_corridor,warehouse_small,factory_hall,\
     agriculture_clearpath,office_clearpath,office_construction_clearpath,office_willowgarage,hospital,city";
@@ -25,7 +26,7 @@ const SCENES: &str = "room_cube,room_cylinder,room_sphere,room_tray,room_trays,r
 #[derive(Default)]
 struct Row {
     segments: usize,
-    /// Off by more, and off by more whatever the rays beside say.
+    /// Off by more than that, and off by more even with the oracle's doubt.
     off: usize,
     surely: usize,
     worst: f64,
@@ -71,7 +72,7 @@ fn fractions_on_every_model() {
     let names = std::env::var("PRESIGHT_FRACTION_SCENES").unwrap_or_else(|_| SCENES.to_owned());
     let poses = env_number("PRESIGHT_FRACTION_POSES", 2) as usize;
     let lenses = sensors().into_iter().filter(|s| s.spec().name == "lens");
-    // What is seen too flat no oracle here knows.
+    // The oracle does not model limits of incidence.
     let plain = data::presets().into_iter().filter(|s| s.spec().max_incidence.is_none());
     let all: Vec<Sensor> = plain.chain(lenses).filter(|s| !matches!(s.spec().geometry, Geometry::Rays(_))).collect();
     eprintln!("| model | sensor | segments | off by more than {OFF} | along another's edge | worst |");

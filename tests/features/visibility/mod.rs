@@ -1,11 +1,11 @@
-//! Visibility of features against rays in space: parry3d-f64 sends one to each sample, which ends short of it by the
-//! rounding bound.
+//! Compares the visibility of features with rays in space: parry3d-f64 casts one to each sample, which ends before the
+//! sample by the rounding bound.
 //!
-//! Samples at which the oracle's own answer changes within 1/64 pixel are left out, and their share is reported: rays of either are
-//! exact to rounding, and the less is left out the more is held.
-//! `PRESIGHT_SEED` spreads runs, `PRESIGHT_FEATURE_SCENES` names real scenes.
+//! Samples at which the oracle's own result changes within 1/64 pixel are excluded, and their share is reported. Rays
+//! of both are exact to rounding, so few samples need to be excluded.
+//! `PRESIGHT_SEED` varies the runs, `PRESIGHT_FEATURE_SCENES` names real scenes.
 
-#![allow(clippy::print_stderr)] // What agrees is worth reading.
+#![allow(clippy::print_stderr)] // Prints the agreement.
 
 use presight_testkit as common;
 mod counted;
@@ -31,15 +31,15 @@ use presight_render::plan::Images;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// Hits nearer than the sample by this part of its range hide: what is coplanar within rounding does not. Real scenes hold
-/// faces over each other, planar to f32 only.
+/// Hits nearer than the sample by more than this part of its range hide it; surfaces coplanar within rounding do not.
+/// Real scenes have overlapping faces that are planar only to f32.
 const SHORT: f64 = 1e-9;
 const SHORT_IN_F32: f64 = 3e-6;
 
 /// An edge: its ends, and the slots of all polygons that have it.
 type Edge = ([DVec3; 2], Vec<u32>);
 
-/// Every edge of every polygon as a segment in its object's frame, on all polygons of the object that have both corners.
+/// Every polygon edge as a segment in its object's frame, on all polygons of the object that have both corners.
 fn edges(environment: &Environment, most: usize, random: &mut Random) -> Vec<PlacedFeature> {
     let mut all = Vec::new();
     for (index, object) in environment.objects().iter().enumerate() {
@@ -107,7 +107,8 @@ impl Agreement {
     }
 }
 
-/// What the prediction says of a sample on a segment: seen, or why not. A cut that leaves a point has an interval of its own.
+/// The predicted result for a sample on a segment: visible, or the reason. A cut of zero length has an interval of its
+/// own.
 fn predicted(seen: &SeenFeature, [t0, t1]: [f64; 2]) -> Option<Result<(), Reason>> {
     let t = 0.5 * (t0 + t1);
     let holds = |[a, b]: [f64; 2]| match t0 == t1 {
@@ -123,14 +124,14 @@ fn predicted(seen: &SeenFeature, [t0, t1]: [f64; 2]) -> Option<Result<(), Reason
     }
 }
 
-/// Places so far beside a sample decide whether the oracle is sure of it, pixels.
+/// The distance, in pixels, at which neighbours of a sample decide whether the oracle is certain.
 const ASIDE: f64 = 1.0 / 64.0;
 
 fn around() -> impl Iterator<Item = DVec2> {
     (0..8).map(|k| DVec2::from_angle(f64::from(k) * std::f64::consts::FRAC_PI_4) * ASIDE)
 }
 
-/// Holds every segment sample to the oracle.
+/// Compares every segment sample with the oracle.
 fn check(
     oracle: &Oracle,
     sensor: &Sensor,
@@ -201,13 +202,13 @@ fn sensors() -> Vec<Sensor> {
         row(0.0, 0.0),
         row(4.0, 0.0),
         row(0.0, 20.0),
-        // Tables of rays have places between them by their nearest ray.
+        // Ray tables assign intermediate places to the nearest ray.
         scenes::all_round(144, 73),
         lens_as_table(),
     ]
 }
 
-/// What a lens sees, as a list of rays.
+/// A lens as a list of rays.
 fn lens_as_table() -> Sensor {
     let camera = Camera {
         distortion: Distortion::PlumbBob([-0.28, 0.07, 1e-3, -5e-4, 0.0]),
@@ -219,7 +220,7 @@ fn lens_as_table() -> Sensor {
     Sensor::new(SensorSpec::new("table", "video", Geometry::Rays(table))).unwrap()
 }
 
-/// By neighbouring pixels, then with a ray for every sample.
+/// With proposals from neighbouring pixels, then with a ray for every sample.
 fn in_both_ways(world: &World, sensor: &Sensor, pose: &Pose, placed: &[PlacedFeature]) -> [FeaturePrediction; 2] {
     let images = common::reference(&common::plan(world, sensor, pose));
     [Visibility::Image, Visibility::Rays].map(|visibility| {
@@ -298,7 +299,7 @@ fn rooms_agree_with_rays_in_space() {
     }
 }
 
-/// Edges that are large to a sensor at a pose: most of a hall's are too small to be sampled more than once.
+/// Edges that are large for a sensor at a pose: most edges of a hall are too small for more than one sample.
 fn near_edges(world: &World, pose: &Pose, most: usize, random: &mut Random) -> Vec<PlacedFeature> {
     let mut placed = edges(world.environment(), usize::MAX, random);
     placed.retain(|p| {
@@ -338,7 +339,7 @@ fn real_scenes_agree_with_rays_in_space() {
 
 #[test]
 fn planted_faults_are_caught() {
-    // Two pixels of either.
+    // Two pixels of each kind.
     planted_in(&scenes::camera(320, 240), 2.0 / 320.0);
     planted_in(&scenes::scanner(360, 91), 2f64.to_radians());
 }
@@ -351,7 +352,7 @@ fn planted_in(sensor: &Sensor, two_pixels: f64) {
     let (right, _) = predict(&world, sensor, &pose, &placed);
     assert!(check(&oracle, sensor, &pose, &placed, &right, SHORT).wrong.is_empty());
 
-    // Every feature 2 pixels to the right of where it is.
+    // Every feature two pixels to the right of its place.
     let aside = pose.rotation * (sensor.body_from_image() * DVec3::X);
     let mut moved = placed.clone();
     for (moved, seen) in moved.iter_mut().zip(&right.features) {
@@ -399,8 +400,8 @@ fn generated_layers_agree_with_rays_in_space() {
     }
 }
 
-/// Of a segment: its length in the image and within the sensor's ranges, what the oracle sees of it, and what it sees or not within
-/// [`ASIDE`], pixels.
+/// For a segment: its length in the image and within the sensor's ranges, the length visible to the oracle, and the
+/// length that is undecided within [`ASIDE`] pixels.
 fn seen_length(
     oracle: &Oracle,
     sensor: &Sensor,
@@ -431,8 +432,8 @@ fn seen_length(
     (length, clear, unsure)
 }
 
-/// Shares of the image length that are seen, against the oracle's, in the five environments: within 0.02 for features longer than 50
-/// pixels, within a pixel of length below that.
+/// The visible shares of the image length compared with the oracle's in the five environments: within 0.02 for features
+/// longer than 50 pixels, within one pixel of length below that.
 #[test]
 fn visible_fractions_agree_in_five_environments() {
     let mut random = Random(env_number("PRESIGHT_SEED", 1));
@@ -455,7 +456,7 @@ fn visible_fractions_agree_in_five_environments() {
                 let unit = if length > 50.0 { 1.0 } else { length };
                 let mut off = (clear / length - seen.visible_fraction).abs() * unit;
                 if off > most {
-                    // An edge seen along another's: either is right.
+                    // An edge seen along another one: either answer is accepted.
                     let (_, clear, unsure) = lengths(true);
                     let (low, high) = (clear / length, (clear + unsure) / length);
                     off = (low - seen.visible_fraction).max(seen.visible_fraction - high).max(0.0) * unit;
@@ -472,7 +473,7 @@ fn visible_fractions_agree_in_five_environments() {
             "{scene}: {long} features over 50 pixels, off by {worst_share:.4} at most; {short} shorter, {worst_pixels:.3} \
              pixels; {partly} seen in part, {ties} along others"
         );
-        // As for samples: under a twentieth may be left to the oracle's own doubt.
+        // As for samples, under a twentieth may fall under the oracle's own doubt.
         assert!(ties * 20 <= long + short, "{scene}: {ties} ties");
         assert!(long >= 10 && short >= 10 && partly > 0, "{scene}");
     }

@@ -10,7 +10,7 @@ use presight_model::geometry::Pose;
 use presight_model::world::World;
 use presight_render::plan::Images;
 
-/// A wall 5 m ahead, something 2 m ahead, and an edge on the wall, 80 pixels long, every half pixel of it a sample.
+/// A wall 5 m ahead, an occluder 2 m ahead, and an edge on the wall, 80 pixels long, with a sample every half pixel.
 fn behind(occluder: &[Vec<glam::Vec3>]) -> (World, Vec<PlacedFeature>) {
     let mut environment = scenes::empty();
     let at = |x: f32, y: f32, z: f32| glam::Vec3::new(x, y, z);
@@ -34,7 +34,7 @@ fn hidden_pixels_behind(occluder: &[Vec<glam::Vec3>]) -> (f64, Images) {
     (80.0 * (1.0 - f.visible_fraction), images)
 }
 
-/// Six tenths of a pixel wide, between two columns of pixel centres: no image shows it.
+/// 0.6 pixels wide, between two columns of pixel centres: no image shows it.
 #[test]
 fn a_wire_between_the_pixels_hides() {
     let at = |y: f32, z: f32| glam::Vec3::new(2.0, y, z);
@@ -44,11 +44,11 @@ fn a_wire_between_the_pixels_hides() {
     assert!((hidden - 1.0).abs() < 1e-9, "{hidden}");
 }
 
-/// The tip of a triangle that pixels show only far from where it hides.
+/// The tip of a triangle that pixels show only far from the place that it hides.
 #[test]
 fn a_tip_between_the_pixels_hides() {
     let at = |y: f32, z: f32| glam::Vec3::new(2.0, y, z);
-    // The edge is in row 70, the tip half a pixel above it, over a sample between two columns of pixel centres.
+    // The edge is in row 70. The tip is half a pixel above it, over a sample between two columns of pixel centres.
     let tip = vec![at(-0.0475, -0.6), at(0.0525, -0.6), at(0.0025, 0.045)];
     let (hidden, images) = hidden_pixels_behind(&[tip]);
     let shown = images.polygon_id.chunks(200).position(|row| row.contains(&2)).unwrap();
@@ -56,7 +56,7 @@ fn a_tip_between_the_pixels_hides() {
     assert!((hidden - 0.5).abs() < 1e-9, "{hidden}");
 }
 
-/// A screen of facets smaller than pixels, of which pixels see but some.
+/// A screen of facets smaller than pixels: only some of them have a pixel.
 #[test]
 fn facets_under_a_pixel_hide() {
     let facet = |i: i32, j: i32| {
@@ -68,10 +68,10 @@ fn facets_under_a_pixel_hide() {
     assert!((hidden - 20.0).abs() < 1e-9, "{hidden}");
 }
 
-/// Features a little behind the wall that they lie on: facets between the two hide them, though the wall covers all of the
-/// image and hides the facets.
+/// Features slightly behind their wall: facets between the wall and the features hide them, although the wall covers
+/// the whole image and hides the facets.
 #[test]
-fn what_is_behind_their_own_wall_hides_features() {
+fn facets_behind_the_wall_hide_features() {
     let facet = |i: i32, j: i32| {
         let at = |a: i32, b: i32| glam::Vec3::new(5.002, (i + a) as f32 * 0.05, (j + b) as f32 * 0.05);
         vec![at(0, 0), at(1, 0), at(1, 1), at(0, 1)]
@@ -95,7 +95,7 @@ fn what_is_behind_their_own_wall_hides_features() {
         })
         .collect();
     let [by_tiles, by_rays] = in_both_ways(&world, &scenes::camera(200, 150), &Pose::IDENTITY, &placed);
-    assert!(by_tiles.features[0] == by_rays.features[0], "segments are sampled alike");
+    assert!(by_tiles.features[0] == by_rays.features[0], "segments have the same samples");
     let seen: Vec<f64> = by_tiles.features.iter().map(|f| f.visible_fraction).collect();
     assert!((seen[0] - 0.5).abs() < 0.02 && (seen[1] - 0.75).abs() < 0.02, "{seen:?}");
 }

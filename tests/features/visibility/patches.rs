@@ -1,4 +1,4 @@
-//! Points and patches against rays in space, patches that cover many pixels pixel by pixel.
+//! Compares points and patches with rays in space, patches of many pixels pixel by pixel.
 
 use super::common::oracle::Oracle;
 use super::common::{Random, env_number, scenes};
@@ -11,7 +11,7 @@ use presight_model::geometry::Pose;
 use presight_model::sensor::{Angles, Geometry, Scanner, Sensor, SensorSpec};
 use presight_model::world::World;
 
-/// The same places as patches (the polygons) and points (their corners).
+/// The same places as patches (the polygons) and as points (their corners).
 pub(super) fn patches_and_points(environment: &Environment, random: &mut Random) -> Vec<PlacedFeature> {
     let mut all = Vec::new();
     for _ in 0..40 {
@@ -30,7 +30,7 @@ pub(super) fn patches_and_points(environment: &Environment, random: &mut Random)
     all
 }
 
-/// What rays to samples see of a point or of a patch that covers few pixels: how many there are, and how many are clear.
+/// The rays to samples of a point or of a patch with few pixels: how many there are, and how many are clear.
 fn clear_samples(corners: &[DVec3], sampler: &Sampler<'_>, hidden: &dyn Fn(DVec3) -> bool) -> (usize, usize) {
     let (mut inside, mut clear) = (0usize, 0usize);
     let mut one = |piece: Piece| {
@@ -46,7 +46,7 @@ fn clear_samples(corners: &[DVec3], sampler: &Sampler<'_>, hidden: &dyn Fn(DVec3
     (inside, clear)
 }
 
-/// Pixels whose rays meet a convex patch, with where they do; corners and places in the image frame.
+/// The pixels whose rays hit a convex patch, with the hit points; corners and hit points are in the image frame.
 fn pixels_of(sensor: &Sensor, corners: &[DVec3]) -> Vec<(u32, u32, DVec3)> {
     let n = (corners[1] - corners[0]).cross(corners[2] - corners[0]);
     let mut all = Vec::new();
@@ -61,7 +61,7 @@ fn pixels_of(sensor: &Sensor, corners: &[DVec3]) -> Vec<(u32, u32, DVec3)> {
     all
 }
 
-/// Patches that cover this many pixels are sampled pixel by pixel.
+/// From this number of pixels on, patches are sampled pixel by pixel.
 const MANY: usize = 1024;
 
 #[test]
@@ -94,7 +94,7 @@ fn points_and_patches_agree_with_rays_in_space() {
                         *mark = (*mark).min(placed.feature.id);
                     }
                     large += 1;
-                    // Every pixel is right but for those that an edge runs through.
+                    // Every pixel must be right, except where an edge runs through it.
                     seams += usize::from(
                         pixels.iter().any(|p| p.0 == 0) && pixels.iter().any(|p| p.0 + 1 == sensor.width()),
                     );
@@ -118,7 +118,8 @@ fn points_and_patches_agree_with_rays_in_space() {
                 patches += usize::from(corners.len() > 1 && inside > 0);
                 partly += usize::from((0.01..0.99).contains(&seen.visible_fraction));
             }
-            // Where a large patch shows there is its number, that of a lower one, or of something that goes before.
+            // The visible part of a large patch shows its number, a lower patch's number, or a feature kind with
+            // precedence.
             let right = |(id, mark): (&u32, &u32)| *mark == u32::MAX || *id != 0 && (id <= mark || *id % 2 == 0);
             let wrong = prediction.feature_id.iter().zip(&marks).filter(|pair| !right(*pair)).count();
             assert_eq!(prediction.feature_id.len(), images.pixels());
@@ -133,7 +134,7 @@ fn points_and_patches_agree_with_rays_in_space() {
     assert!(points > 50 && patches > 50 && partly > 20 && large > 10 && seams > 0 && shown > 10_000);
 }
 
-/// A scanner whose image has no seam or one, elevations up and down to what is asked for.
+/// A scanner whose image may have a seam, with these ranges of elevation.
 fn scanner_over([from, step]: [f64; 2], columns: u32, [low, high]: [f64; 2], rows: u32) -> Sensor {
     let azimuth = Angles::Uniform { start_deg: from, step_deg: step, count: columns };
     let step_deg = if rows > 1 { (high - low) / f64::from(rows - 1) } else { 0.0 };
@@ -143,10 +144,10 @@ fn scanner_over([from, step]: [f64; 2], columns: u32, [low, high]: [f64; 2], row
     Sensor::new(SensorSpec::new("scanner", "laser", Geometry::Scanner(scanner))).unwrap()
 }
 
-/// Whatever of a patch shows, whatever hides the rest, however it lies to border, seam and axis: without errors its box holds it, and
-/// its range is that of the nearest pixel.
+/// For any visible part, occluder and position relative to border, seam and axis: without errors the box contains the
+/// visible part, and the range is that of the nearest pixel.
 #[test]
-fn boxes_without_errors_hold_all_that_shows() {
+fn boxes_without_errors_contain_the_visible_part() {
     let mut random = Random(env_number("PRESIGHT_SEED", 1));
     let [_, lens, fisheye, ..] = &sensors()[..] else { unreachable!() };
     let around = [-180.0, 1.0];
@@ -194,7 +195,7 @@ fn boxes_without_errors_hold_all_that_shows() {
                 let pixels = pixels_of(sensor, &corners);
                 let clear: Vec<_> = pixels.iter().filter(|(.., at)| !hidden(*at)).collect();
                 let Some(bounds) = seen.roi else { continue };
-                // Samples of small ones lie between pixels.
+                // Samples of small patches lie between pixels.
                 let off = if pixels.len() > MANY { 1e-6 } else { 0.5 };
                 let width = f64::from(sensor.width());
                 let outside = |[x0, y0, x1, y1]: [f64; 4]| {
@@ -208,7 +209,7 @@ fn boxes_without_errors_hold_all_that_shows() {
                 let mut drawn_in = bounds;
                 drawn_in[held % 4] += if held % 4 < 2 { 3.0 } else { -3.0 };
                 caught += usize::from(outside(drawn_in) > 1);
-                // One pixel may be an edge's.
+                // One pixel may lie on an edge.
                 assert!(
                     out <= 1,
                     "{:?} {}: {out} of {} not in {:?}, {:?} {pose:?} {:?}",
@@ -239,9 +240,9 @@ fn boxes_without_errors_hold_all_that_shows() {
     assert!(large > 10 && around_axis > 0 && held > 50_000 && caught > 20);
 }
 
-/// Slats of four pixels with four pixels between them, before a wall: half of it is seen, wherever the slats begin.
+/// Slats of four pixels at gaps of four pixels, in front of a wall: half of it is visible, wherever the slats begin.
 #[test]
-fn a_wall_behind_a_fence_is_seen_by_half() {
+fn a_wall_behind_a_fence_is_half_visible() {
     let sensor = scenes::camera(512, 384);
     for shift in [0.0, 0.3, 0.5, 0.71] {
         let mut environment = scenes::empty();

@@ -1,6 +1,6 @@
-//! Faces that are nearer to each other than a layer's tolerance, and polygons that a feature leans through.
+//! Faces closer together than a layer's tolerance, and polygons that a feature intersects at a small angle.
 //!
-//! The truth of each scene is a plane's side: worked out beside it.
+//! The truth of each scene is the side of a plane, calculated in each test.
 
 use super::common::{plan, reference, scenes};
 use super::{FeatureSettings, PlacedFeature, predict_features};
@@ -15,7 +15,7 @@ use std::sync::Arc;
 
 type Polygons<'a> = &'a [&'a [[f32; 3]]];
 
-/// A world of polygons, each an object.
+/// A world of polygons, each of them an object.
 fn world(polygons: Polygons<'_>) -> World {
     let mut environment = scenes::empty();
     for (i, polygon) in polygons.iter().enumerate() {
@@ -37,7 +37,7 @@ fn segment(ends: [[f64; 3]; 2]) -> FeatureShape {
     FeatureShape::Segment { ends: ends.map(DVec3::from), covariances: [DMat3::ZERO; 2], cross: DMat3::ZERO }
 }
 
-/// One feature in a world; images and rays say the same of it.
+/// One feature in a world; images and rays give the same result.
 fn see(world: &World, sensor: &Sensor, pose: &Pose, shape: FeatureShape) -> SeenFeature {
     let placed = try_place(world, shape).unwrap();
     let images = reference(&plan(world, sensor, pose));
@@ -45,7 +45,7 @@ fn see(world: &World, sensor: &Sensor, pose: &Pose, shape: FeatureShape) -> Seen
         let options = FeatureSettings { visibility, hidden: Hidden::Full, ..FeatureSettings::default() };
         predict_features(world, sensor, pose, &images, &placed, &options).unwrap().features.remove(0)
     });
-    // Of large patches the image asks about other samples.
+    // For large patches the image samples other places.
     let near = if placed[0].feature.shape.is_area() { 0.02 } else { 1e-9 };
     assert!((image.visible_fraction - rays.visible_fraction).abs() < near, "{image:?} {rays:?}");
     image
@@ -55,8 +55,9 @@ fn both() -> [Sensor; 2] {
     [scenes::camera(400, 300), scenes::scanner(1440, 361)]
 }
 
-/// A book's face at x = 3 with its upper edge at z = 0.2, from y = -0.5 to 0.5. A cover this far in front of it begins at y = 0, the height
-/// of the sensor's x-z plane, and reaches beyond the edge: what is to the left of y = 0 is hidden, whatever the gap.
+/// A book's face at x = 3 with its upper edge at z = 0.2, from y = -0.5 to 0.5. A cover in front of it, at this gap,
+/// begins at y = 0, in the sensor's x-z plane, and extends beyond the edge: everything to the left of y = 0 is hidden,
+/// whatever the gap.
 #[test]
 fn a_cover_hides_the_book_behind_it() {
     for gap in [0.2e-3f32, 0.5e-3, 0.9e-3, 2e-3, 5e-3] {
@@ -70,7 +71,7 @@ fn a_cover_hides_the_book_behind_it() {
             let name = &sensor.spec().name;
             assert!((seen.visible_fraction - 0.5).abs() < 0.01, "{name}, {gap}: {}", seen.visible_fraction);
             assert!((seen.visible[0].t[1] - 0.5).abs() < 0.01, "{name}, {gap}: {:?}", seen.visible);
-            // The book's face as a patch: the same half of it.
+            // The book's face as a patch: the same half is hidden.
             let corners = [[3.0, -0.5, -0.5], [3.0, 0.5, -0.5], [3.0, 0.5, 0.2], [3.0, -0.5, 0.2]].map(DVec3::from);
             let patch = FeatureShape::Patch { corners: corners.to_vec(), covariance: DMat3::ZERO };
             let seen = see(&world, &sensor, &Pose::IDENTITY, patch);
@@ -79,8 +80,8 @@ fn a_cover_hides_the_book_behind_it() {
     }
 }
 
-/// A wall of sheet metal, both faces, and a box that touches it from behind: its upper edge on the wall is seen from behind, over
-/// the box, and not through the sheet.
+/// A sheet-metal wall with both faces, and a box that touches it from behind. The box's upper edge is visible from
+/// behind, over the box, but not through the sheet.
 #[test]
 fn a_sheet_hides_what_touches_it_from_behind() {
     for thickness in [0.1e-3f32, 0.5e-3, 1e-3, 2e-3, 5e-3] {
@@ -88,7 +89,7 @@ fn a_sheet_hides_what_touches_it_from_behind() {
         let face = |x: f32| [[x, -2.0, -2.0], [x, 2.0, -2.0], [x, 2.0, 2.0], [x, -2.0, 2.0]];
         let top = [[back, -0.5, 0.0], [back, 0.5, 0.0], [3.5, 0.5, 0.0], [3.5, -0.5, 0.0]];
         let world = world(&[&face(3.0), &face(back), &top]);
-        // As f32 has it: the edge lies on the box and on the wall's back within rounding.
+        // In f32 the edge lies on the box and on the wall's back within rounding.
         let x = f64::from(back);
         let edge = || segment([[x, -0.5, 0.0], [x, 0.5, 0.0]]);
         for sensor in both() {
@@ -102,8 +103,8 @@ fn a_sheet_hides_what_touches_it_from_behind() {
     }
 }
 
-/// The same wall without any thickness: one polygon, or one that is stored twice. A shelf that goes through it is seen from both sides, and so
-/// is a line on the wall.
+/// The same wall without thickness: one polygon, or one that is stored twice. A shelf through it is visible from both
+/// sides, and so is a line on the wall.
 #[test]
 fn a_sheet_without_thickness_hides_what_touches_it_from_behind() {
     let face = [[3.0, -2.0, -2.0], [3.0, 2.0, -2.0], [3.0, 2.0, 2.0], [3.0, -2.0, 2.0]];
@@ -132,7 +133,8 @@ fn a_sheet_without_thickness_hides_what_touches_it_from_behind() {
     }
 }
 
-/// The lower edge of a face that leans through the floor (z = 0) in the middle: the half below the floor is hidden, however little it leans.
+/// The lower edge of a face that intersects the floor (z = 0) in the middle: the half below the floor is hidden,
+/// however small the angle.
 #[test]
 fn the_floor_hides_what_leans_through_it() {
     for degrees in [0.1f64, 0.5, 1.0, 3.0, 5.0, 10.0] {
@@ -153,8 +155,9 @@ fn the_floor_hides_what_leans_through_it() {
     }
 }
 
-/// Two floors with a gap of 6 mm, and a ramp of 10 degrees that crosses their level in the middle of it: nowhere is the segment 1 mm off all
-/// polygons, but in the gap only the ramp is near, and that does not lie along it.
+/// Two floors with a gap of 6 mm, and a ramp of 10 degrees that crosses their level in the middle of the gap. No part
+/// of the segment is 1 mm off all polygons, but in the gap only the ramp is near, and the segment does not lie along
+/// it.
 #[test]
 fn a_refusal_does_not_say_that_less_is_off_than_is_allowed() {
     let floor = |from: f32, to: f32| [[from, -1.0, 0.0], [to, -1.0, 0.0], [to, 1.0, 0.0], [from, 1.0, 0.0]];

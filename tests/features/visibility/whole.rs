@@ -1,5 +1,5 @@
-//! Segments that are seen or hidden as a whole, of which a scanner makes no samples: answers are those of their samples. An image of
-//! features needs the samples, so that asking for one makes them.
+//! Segments that are visible or hidden as a whole, which a scanner does not sample: their results equal those of
+//! samples. A feature image needs the samples, so requesting one forces them.
 
 use super::common::{Random, data, plan, reference, scenes};
 use super::counted::same;
@@ -11,7 +11,7 @@ use presight_model::geometry::Pose;
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 
-/// Features of which something else is said: of what is seen bit by bit.
+/// Features with different results: visible ones are compared bit by bit.
 fn differing(with: &[SeenFeature], without: &[SeenFeature]) -> usize {
     assert_eq!(with.len(), without.len());
     with.iter().zip(without).filter(|(a, b)| !same(a, b)).count()
@@ -21,7 +21,7 @@ fn seen(all: &FeaturePrediction) -> Vec<SeenFeature> {
     all.features.iter().filter(|f| !f.visible.is_empty()).cloned().collect()
 }
 
-/// Samples that were made, with an image of features and without.
+/// The number of samples with a feature image and without.
 fn compare(name: &str, world: &World, sensor: &Sensor, pose: &Pose, placed: &[PlacedFeature]) -> [usize; 2] {
     let images = reference(&plan(world, sensor, pose));
     let ask = |feature_id: bool, hidden: Hidden| {
@@ -32,7 +32,7 @@ fn compare(name: &str, world: &World, sensor: &Sensor, pose: &Pose, placed: &[Pl
     assert_eq!(differing(&with.features, &without.features), 0, "{name}");
     let counted = ask(false, Hidden::Count);
     assert_eq!(differing(&seen(&with), &seen(&counted)), 0, "{name}: counted");
-    // Planted: one of those that are seen is nearer than its nearest sample.
+    // Planted fault: a visible feature is nearer than its nearest sample.
     let mut planted = counted.features.clone();
     if let Some(range) = planted.first_mut().and_then(|f| f.range.as_mut()) {
         *range *= 1.0 - 1e-12;
@@ -46,7 +46,7 @@ fn sensors() -> [Sensor; 2] {
 }
 
 #[test]
-fn segments_without_samples_are_as_with_them() {
+fn segments_without_samples_equal_sampled_ones() {
     let mut random = Random(7);
     let mut sums = [0; 2];
     for boxes in [5, 40, 80] {

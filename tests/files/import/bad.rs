@@ -1,4 +1,4 @@
-//! One case of every way a scene file can be broken: a one-line error with file, place and remedy.
+//! A case for every way in which a scene file can be broken: a one-line error with file, place and remedy.
 
 use crate::build::*;
 use presight_files::gltf::import;
@@ -9,7 +9,7 @@ struct Case {
     name: &'static str,
     bytes: Vec<u8>,
     kind: ErrorKind,
-    /// What the message must name.
+    /// The words that the message must contain.
     words: &'static [&'static str],
 }
 
@@ -55,6 +55,10 @@ fn node_cases() -> Vec<Case> {
         changed("own child", &["node 1", "cycle"], nodes(json!([{"mesh": 0}, {"children": [1]}]))),
         changed("two parents", &["node 2", "two parents", "0 and 1"], {
             nodes(json!([{"children": [1, 2]}, {"children": [2]}, {"mesh": 0}]))
+        }),
+        changed("a root that is a child", &["node 1", "child of node 0 \"mover\"", "; list"], |g| {
+            g.json["nodes"] = json!([{"name": "mover", "translation": [5, 0, 0], "children": [1]}, {"mesh": 0}]);
+            g.json["scenes"][0]["nodes"] = json!([1]);
         }),
         changed("same root twice", &["node 0", "twice"], set("/scenes/0/nodes", json!([0, 0]))),
         changed("child out of range", &["node 0", "child 7"], set("/nodes/0/children", json!([7]))),
@@ -165,7 +169,7 @@ fn every_broken_file_has_its_own_message() {
     let mut seen = std::collections::HashMap::new();
     for mut case in [node_cases(), accessor_cases(), container_cases()].into_iter().flatten() {
         if case.name == "infinite scale" {
-            // serde_json cannot write what serde_json must refuse to read.
+            // serde_json cannot write a number that it must refuse to read.
             let at = case.bytes.windows(5).position(|w| w == b"12345").unwrap();
             case.bytes[at..at + 5].copy_from_slice(b"1e999");
         }
@@ -181,7 +185,7 @@ fn every_broken_file_has_its_own_message() {
         assert_eq!(error.file(), Some(path.as_path()), "{}", case.name);
         assert!(!text.contains('\n') && text.len() < 500 && !error.remedy().is_empty(), "{}: {text}", case.name);
         for word in case.words {
-            assert!(text.contains(word), "{}: {text:?} does not name {word:?}", case.name);
+            assert!(text.contains(word), "{}: {text:?} lacks {word:?}", case.name);
         }
         if let Some(other) = seen.insert(text.clone(), case.name) {
             assert!(text.contains("no polygons") || text.contains("truncated"), "{} and {other}: {text}", case.name);
@@ -199,7 +203,7 @@ fn missing_files_and_folders_are_named() {
     }
 }
 
-/// Cutting or damaging a file at any byte may give an error, and never a panic.
+/// A file cut or damaged at any byte may give an error, but never a panic.
 #[test]
 fn no_damage_panics() {
     let whole = Gltf::triangle().glb();

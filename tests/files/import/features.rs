@@ -1,4 +1,4 @@
-//! What a good file may hold.
+//! The supported features of scene files.
 
 use crate::build::*;
 use glam::{DMat3, DQuat, DVec3};
@@ -69,7 +69,7 @@ fn points_and_lines_are_left_out_and_listed() {
 #[test]
 fn sparse_and_normalized_positions_are_computed() {
     let mut g = Gltf::new();
-    // Base: all zeros, no buffer view; vertices 1 and 2 replaced.
+    // Base: all zeros, no buffer view; vertices 1 and 2 are replaced.
     let at = g.view(&[1, 2]);
     let bytes: Vec<u8> = [[1.0f32, 0.0, 0.0], [0.0, 1.0, 0.0]].iter().flatten().flat_map(|c| c.to_le_bytes()).collect();
     let values = g.view(&bytes);
@@ -131,7 +131,7 @@ fn primitives_are_one_mesh_with_a_material_each() {
     assert_eq!(read.environment.materials()[0].color, [1.0, 0.5, 0.0]);
     let mesh = &read.environment.objects()[0].mesh;
     assert_eq!((0..3).map(|i| mesh.material(i)).collect::<Vec<_>>(), [2, 0, 0]);
-    // Numbers run on through primitives, the degenerate triangle between counted.
+    // Source numbers continue through primitives and count the degenerate triangle in between.
     assert_eq!((0..3).map(|i| mesh.source(i)).collect::<Vec<_>>(), [0, 1, 3]);
     assert_eq!(mesh.vertices().len(), 5, "welded across primitives");
     let degenerate = &read.report.problems.iter().find(|p| p.kind == ProblemKind::DegenerateTriangle).unwrap();
@@ -156,12 +156,12 @@ fn the_hierarchy_is_walked_depth_first_with_full_paths() {
     let names: Vec<_> = objects.iter().map(|o| o.name.as_str()).collect();
     assert_eq!(names, ["x/y", "x/y#2", "x/y#2/node2", "second root"]);
     assert_eq!(objects.iter().map(|o| o.first_source).collect::<Vec<_>>(), [0, 1, 2, 3]);
-    // y up to z up: glTF (1, 2, 0) is (1, 0, 2) here.
+    // From y up to z up: glTF's (1, 2, 0) is (1, 0, 2) here.
     assert_eq!(objects[2].world_from_object.translation, DVec3::new(1.0, 0.0, 2.0));
     assert!(objects.iter().all(|o| Arc::ptr_eq(&o.mesh, &objects[0].mesh)), "one mesh for all instances");
 }
 
-/// The number is put where the name is repeated, so that each path holds what hangs on its node.
+/// The number is added to the repeated name itself, so that each path contains the children of its node.
 #[test]
 fn repeated_names_are_numbered_where_they_are_repeated() {
     let mut g = Gltf::triangle();
@@ -173,7 +173,7 @@ fn repeated_names_are_numbered_where_they_are_repeated() {
         json!({"name": "arm", "children": [hands[1], hands[2]], "translation": [0, 2, 0]}),
         json!({"name": "arm", "mesh": 0, "children": [hands[3]]}),
         json!({"name": "arm#2", "mesh": 0}),
-        // Lights, cameras and the like are called nothing.
+        // Nodes without objects, such as lights and cameras, get no number.
         json!({"name": "hand"}),
         json!({"name": "hand", "children": []}),
     ];
@@ -184,7 +184,7 @@ fn repeated_names_are_numbered_where_they_are_repeated() {
     let names: Vec<_> = read.environment.objects().iter().map(|o| o.name.as_str()).collect();
     assert_eq!(names, ["arm/hand", "arm#2/hand", "arm#2/hand#2", "arm#3", "arm#3/hand", "arm#2#2", "hand"]);
     assert_eq!(read.environment.groups().into_keys().collect::<Vec<_>>(), ["arm", "arm#2"]);
-    // Moving the second one moves what hangs on it, and nothing else.
+    // Moving the second one moves its children, and nothing else.
     let at = |w: &presight_model::world::World, path: &str| w.environment().frame(path).unwrap().translation;
     let mut world = presight_model::world::World::new(read.environment);
     let before = world.clone();
@@ -199,8 +199,8 @@ fn repeated_names_are_numbered_where_they_are_repeated() {
     }
 }
 
-/// Nodes without a mesh are groups, where something with a mesh is below; their frames are the rigid part of what the
-/// file composes.
+/// Nodes without a mesh are groups if a descendant has a mesh. A group's frame is the rigid part of the file's composed
+/// transform.
 #[test]
 fn nodes_above_objects_are_groups_with_frames() {
     let mut g = Gltf::triangle();
@@ -225,14 +225,14 @@ fn nodes_above_objects_are_groups_with_frames() {
     let site = DVec3::new(4469320.2512, 5333710.5021, 1.0);
     near("site", site);
     near("site/hall", site + DVec3::new(2.0, 0.0, 0.0));
-    // Axes as objects have theirs: an object at the node would have the same pose.
+    // The axes are converted as for objects: an object at the node would have the same pose.
     g.json["nodes"][1]["mesh"] = json!(0);
     let object = g.import().unwrap().environment.object("site/hall").unwrap().world_from_object;
     assert_eq!(groups["site/hall"], object);
-    // A mirror is no motion, and neither is a scale.
+    // A frame has neither mirror nor scale.
     let turned = groups["site/hall"].rotation_matrix();
     assert!((turned.determinant() - 1.0).abs() < 1e-12);
-    // The sidecar moves groups, too.
+    // The sidecar also moves groups.
     let sidecar = "format = 1\nworld_from_scene = [10, 0, 0, 0, 0, 90]";
     g.json["nodes"][1].as_object_mut().unwrap().remove("mesh");
     let moved = g.import_with(&SOURCE, Some(sidecar)).unwrap().environment;
@@ -256,7 +256,7 @@ fn a_matrix_and_its_trs_are_the_same_place() {
         let read = g.import().unwrap();
         for slot in 0..2 {
             let found = read.environment.polygon_in_world(slot).unwrap();
-            // A mirror turns the winding round; the first corner stays the first.
+            // A mirror reverses the winding; the first corner stays the first.
             let mirrored = scale.x * scale.y * scale.z < 0.0;
             let mut corners = SQUARE[..found.len()].to_vec();
             if mirrored {
@@ -273,7 +273,7 @@ fn a_matrix_and_its_trs_are_the_same_place() {
 
 #[test]
 fn a_site_in_utm_metres_keeps_its_millimetres() {
-    // 0.1 mm apart at 5,000 km: f32 would have half a metre.
+    // 0.1 mm apart at 5,000 km: f32 would round to half a metre.
     let mut g = Gltf::triangle();
     g.json["nodes"] = json!([
         {"children": [1, 2], "translation": [4469320.2512, 0, -5333710.5021]},
@@ -286,14 +286,14 @@ fn a_site_in_utm_metres_keeps_its_millimetres() {
         assert!(((b - a).x - 1e-4).abs() < 2e-9);
     };
     check(g.import().unwrap());
-    // The same from the sidecar.
+    // The same translation from the sidecar.
     g.json["nodes"][0] = json!({"children": [1, 2]});
     let sidecar = "format = 1\nworld_from_scene = [4469320.2512, 5333710.5021, 0, 0, 0, 0]";
     check(g.import_with(&SOURCE, Some(sidecar)).unwrap());
 }
 
 #[test]
-fn extras_say_how_a_material_appears_and_the_sidecar_wins() {
+fn extras_set_the_material_and_the_sidecar_wins() {
     let mut g = Gltf::triangle();
     g.json["materials"] = json!([
         {"name": "glass", "extras": {"note": 3, "presight":
@@ -312,7 +312,7 @@ fn extras_say_how_a_material_appears_and_the_sidecar_wins() {
 }
 
 #[test]
-fn buffers_may_be_embedded_or_lie_beside_or_below() {
+fn buffers_may_be_embedded_or_lie_in_the_folder_or_below() {
     let g = Gltf::triangle();
     let folder = Folder::new();
     let with_uri = |uri: &str| {

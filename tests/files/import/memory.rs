@@ -1,4 +1,4 @@
-//! Small files that ask for gigabytes: refused before anything of it is taken; and what is shared is read once.
+//! Small files that need gigabytes are refused before any allocation, and shared data are read once.
 
 use crate::build::*;
 use presight_files::gltf::import;
@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 use std::fs::File;
 use std::time::{Duration, Instant};
 
-/// Long for what takes a second, short for what is read again and again.
+/// Long for a task of a second, short for data that are read again and again.
 const SOON: Duration = Duration::from_secs(15);
 
 fn refused(name: &str, outcome: Result<presight_files::preparation::ImportedScene, Error>, words: &[&str]) {
@@ -17,19 +17,19 @@ fn refused(name: &str, outcome: Result<presight_files::preparation::ImportedScen
     assert_eq!(e.kind(), ErrorKind::Invalid, "{name}: {text}");
     assert!(e.file().is_some() && !text.contains('\n') && text.len() < 500, "{name}: {text}");
     for word in [words, &["bytes of memory", &MAX_IMPORT_BYTES.to_string()]].concat() {
-        assert!(text.contains(word), "{name}: {text:?} does not name {word:?}");
+        assert!(text.contains(word), "{name}: {text:?} lacks {word:?}");
     }
     assert!(resident_peak() < 3 << 30, "{name}: {} bytes were taken", resident_peak());
 }
 
-/// The most memory that this process had, where the system tells.
+/// The peak memory of this process, where the system reports it.
 fn resident_peak() -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
     line.and_then(|line| line.trim().trim_end_matches(" kB").parse::<u64>().ok()).unwrap_or(0) << 10
 }
 
-/// So many triangles, no two of them with a common vertex.
+/// This number of triangles without common vertices.
 fn soup(g: &mut Gltf, triangles: usize) -> usize {
     let corners = |i: usize| {
         let (x, y) = ((i % 1000) as f32, (i / 1000) as f32);
@@ -62,7 +62,7 @@ fn nodes_by_the_million() {
     refused("long paths", g.import(), &["a node and its path"]);
 }
 
-/// Numbers that only our own writer leaves.
+/// Polygon numbers as only our own writer produces.
 #[test]
 fn repeats_of_polygons() {
     let mut g = Gltf::triangle();
@@ -76,7 +76,7 @@ fn repeats_of_polygons() {
     refused("polygons", g.import_with(&merged, None), &["mesh"]);
 }
 
-/// A scene beside files; its buffers are those, of so many bytes.
+/// A scene next to files of these sizes, which are its buffers.
 fn beside(folder: &Folder, buffers: &[(&str, u64)]) -> std::path::PathBuf {
     let mut json = Gltf::triangle().json;
     let buffer = |(uri, length): &(&str, u64)| json!({"uri": uri, "byteLength": length});
@@ -88,7 +88,7 @@ fn beside(folder: &Folder, buffers: &[(&str, u64)]) -> std::path::PathBuf {
 fn buffers_are_counted_before_they_are_read() {
     let folder = Folder::new();
     for name in ["a.bin", "b.bin", "c.bin"] {
-        // No byte of them is on the disk.
+        // The files are sparse and occupy no disk space.
         File::create(folder.path(name)).unwrap().set_len(2 << 30).unwrap();
     }
     let path = beside(&folder, &[("a.bin", 2 << 30), ("b.bin", 2 << 30), ("c.bin", 2 << 30)]);
@@ -98,20 +98,20 @@ fn buffers_are_counted_before_they_are_read() {
 }
 
 #[test]
-fn a_file_is_read_once_and_no_further_than_asked() {
+fn a_file_is_read_once_and_no_further_than_needed() {
     let folder = Folder::new();
     let bytes = Gltf::triangle().bin;
     let mut whole = bytes.clone();
     whole.resize(8 << 20, 0);
     folder.write("a.bin", &whole);
-    // By one name, by others of the same file, with less than all, and with all.
+    // One file under one name and under other names, partly and completely used.
     let names = ["a.bin", "./a.bin", "%61.bin"];
     let of = |i: usize| if i == 0 { bytes.len() as u64 } else { 8 << 20 };
     let buffers: Vec<(&str, u64)> = (0..1000).map(|i| (names[i % 3], of(i))).collect();
     let read = import(beside(&folder, &buffers), &SOURCE).unwrap();
     assert_eq!(read.report.triangles_stored, 1);
     assert!(resident_peak() < 3 << 30, "{} bytes were taken", resident_peak());
-    // 1 TB, of which a triangle is asked for.
+    // A file of 1 TB whose buffer needs one triangle.
     File::options().write(true).open(folder.path("a.bin")).unwrap().set_len(1 << 40).unwrap();
     let read = import(beside(&folder, &[("a.bin", bytes.len() as u64)]), &SOURCE).unwrap();
     assert_eq!(read.report.triangles_stored, 1);
@@ -122,13 +122,13 @@ fn a_file_is_read_once_and_no_further_than_asked() {
     assert!(e.contains("buffer 1: 1000 bytes are claimed, but only 42 exist"), "{e}");
 }
 
-/// Large accessors that small primitives share: of each no more is read than it uses.
+/// Large accessors shared by small primitives: only the used part of each is read.
 #[test]
 fn small_parts_of_large_accessors() {
     let start = Instant::now();
     let mut g = Gltf::new();
     let (count, used) = (1_000_000, [0, 1, 2]);
-    // Every third of them is a corner of the same three.
+    // Every third vertex repeats one of three corners.
     let corner = |i: usize| [[0i16, 0, 0], [32767, 0, 0], [0, 32767, 0]][i % 3];
     let bytes = |skip: usize| (0..count).flat_map(|i| corner(i + skip)).flat_map(i16::to_le_bytes).collect::<Vec<u8>>();
     let large = [0, 3].map(|skip| g.accessor(&bytes(skip), I16, "VEC3", count));

@@ -1,4 +1,4 @@
-//! Importing: every feature of a scene file on files made by hand, every way to be broken, and the real scenes.
+//! Importing: every feature of scene files on files built by hand, every kind of damage, and the real scenes.
 
 mod bad;
 mod features;

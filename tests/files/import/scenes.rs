@@ -1,4 +1,4 @@
-//! The real scenes: counts, bounds and source numbers against what their makers wrote down.
+//! The real scenes: compares counts, bounds and source numbers with their descriptions.
 
 use crate::build::SOURCE;
 use glam::DVec3;
@@ -34,7 +34,7 @@ fn vector_after(text: &str, label: &str) -> [f64; 3] {
 }
 
 #[test]
-fn counts_and_bounds_are_those_of_the_description() {
+fn counts_and_bounds_equal_the_description() {
     let Some(data) = data::file("") else { return };
     for scene in scenes(&data) {
         let text = std::fs::read_to_string(scene.with_extension("txt")).unwrap();
@@ -48,11 +48,10 @@ fn counts_and_bounds_are_those_of_the_description() {
         );
         assert_eq!(Some(report.triangles_stored), number_after(&text, "unique triangles stored:"), "{name}");
         let degenerate = report.total(ProblemKind::DegenerateTriangle);
-        // Theirs also counts areas under 1e-12 m2, which are left in here.
+        // The description also counts areas under 1e-12 m2, which the import keeps.
         assert!(degenerate <= number_after(&text, "area<1e-12 m2)").unwrap(), "{name}: {degenerate}");
         assert_eq!(report.polygons_stored, report.triangles_stored - degenerate, "{name}");
-        // The same definitions, counted by another program; one of their degenerate triangles more or less
-        // moves a few borders.
+        // The same definitions, counted by another program; one degenerate triangle more or less moves a few borders.
         let exact = degenerate == number_after(&text, "area<1e-12 m2)").unwrap();
         for (kind, label) in [
             (ProblemKind::DuplicateFace, "duplicate faces"),
@@ -66,7 +65,7 @@ fn counts_and_bounds_are_those_of_the_description() {
             assert!(if exact { found == theirs } else { found.abs_diff(theirs) <= 8 }, "{name}: {kind:?}");
         }
         let (low, high) = (vector_after(&text, "min "), vector_after(&text, "max "));
-        // Theirs are y up: (x, y, z) there is (x, -z, y) here.
+        // The descriptions have y up: their (x, y, z) is (x, -z, y) here.
         let bounds = read.environment.bounds();
         let expected = [low[0], -high[2], low[1], high[0], -low[2], high[1]];
         let found = [bounds.min.to_array(), bounds.max.to_array()].concat();
@@ -84,7 +83,7 @@ fn source_numbers_follow_the_reference_table() {
     for (name, scene) in reference["scenes"].as_object().unwrap() {
         let read = import(data.join("env").join(name).with_extension("glb"), &SOURCE).unwrap();
         assert_eq!(scene["triangles"], read.report.triangles_in_scene, "{name}");
-        // One row per primitive: first number, count, node index, primitive, node name.
+        // One row for each primitive: first number, count, node index, primitive, node name.
         let rows: Vec<&serde_json::Value> = scene["table"].as_array().unwrap().iter().collect();
         let starts: Vec<_> = rows.iter().filter(|r| r[3] == 0).collect();
         let objects = read.environment.objects();
@@ -96,13 +95,13 @@ fn source_numbers_follow_the_reference_table() {
     }
 }
 
-/// In a real model hardly a path above objects is an object itself: without groups none of them could be moved.
+/// In a real model hardly any path above objects is itself an object: without groups these paths could not be moved.
 #[test]
-fn paths_above_objects_move_what_is_below() {
+fn paths_above_objects_move_their_descendants() {
     let Some(data) = data::file("") else { return };
     let environment = import(data.join("env/hospital.glb"), &ImportOptions::default()).unwrap().environment;
     let groups: Vec<String> = environment.groups().into_keys().map(str::to_owned).collect();
-    // Half of them stand where their parent does.
+    // Half of the groups have their parent's pose.
     assert_eq!((groups.len(), environment.framed_groups().count()), (143, 71));
     let mut world = presight_model::world::World::new(environment);
     let before = world.environment().content_hash();
@@ -150,11 +149,11 @@ fn merging_keeps_every_surface() {
         for (a, b) in merged.environment.objects().iter().zip(source.environment.objects()) {
             assert_eq!((&a.name, a.first_source), (&b.name, b.first_source));
             let (bounds, size) = (b.mesh.bounds(), b.mesh.bounds().size());
-            // A vertex that vanished inside a merged polygon may have stood out by the tolerance.
+            // A vertex that vanished inside a merged polygon may have protruded by the tolerance.
             let apart = (a.mesh.bounds().min - bounds.min).abs().max((a.mesh.bounds().max - bounds.max).abs());
             assert!(apart.max_element() <= 1e-6 * size, "{name} {}", a.name);
             let (area_a, area_b) = (area(&a.mesh), area(&b.mesh));
-            // A tilt of up to 1e-3 costs 5e-7 of the area.
+            // A tilt of up to 1e-3 changes the area by 5e-7.
             assert!(
                 (area_a - area_b).abs() <= 1e-6 * area_b + 1e-12 * size * size,
                 "{name} {}: {area_a} {area_b}",
@@ -165,7 +164,7 @@ fn merging_keeps_every_surface() {
 }
 
 #[test]
-fn points_of_source_triangles_lie_in_as_many_merged_polygons() {
+fn points_of_source_triangles_lie_in_the_same_number_of_merged_polygons() {
     let Some(data) = data::file("") else { return };
     let (mut judged, mut merged_away) = (0u32, 0u32);
     for scene in scenes(&data) {
@@ -178,7 +177,7 @@ fn points_of_source_triangles_lie_in_as_many_merged_polygons() {
                 let p = b.mesh.corners_of(triangle).sum::<DVec3>() / 3.0;
                 let normal = b.mesh.plane(triangle).normal;
                 let [found, expected] = [&a.mesh, &b.mesh].map(|m| covering(m, p, normal, slack));
-                // Within the tolerance of an edge either answer is right.
+                // Within the tolerance of an edge either result is accepted.
                 let (Some(found), Some(expected)) = (found, expected) else { continue };
                 assert_eq!(found, expected, "{} {} triangle {triangle}", scene.display(), a.name);
                 judged += 1;
@@ -190,7 +189,7 @@ fn points_of_source_triangles_lie_in_as_many_merged_polygons() {
     assert!(merged_away > 1000);
 }
 
-/// How many polygons facing along `normal` hold the point; `None` if one may or may not.
+/// The number of polygons facing along `normal` that contain the point; `None` if that is uncertain for one.
 fn covering(mesh: &presight_model::environment::Mesh, p: DVec3, normal: DVec3, slack: f64) -> Option<u32> {
     let mut count = 0;
     for i in 0..mesh.polygon_count() as u32 {

@@ -1,4 +1,4 @@
-//! Every way by which a mirrored cube comes into an environment.
+//! Every way in which a mirrored cube enters an environment.
 
 use super::{BOX, CUBOID_FACES, INSIDE, ROOM, check_on_cpu, corners, cube, one_sided};
 use crate::build::{Folder, Gltf, U16};
@@ -10,7 +10,7 @@ use presight_model::geometry::Pose;
 use presight_model::world::World;
 use serde_json::{Value, json};
 
-/// A file with the cube as mesh 0, of a one-sided material; its fronts are outside, or inside.
+/// A file with the cube as mesh 0, of a one-sided material; its front sides are outside, or inside.
 fn gltf(outside: bool, nodes: &[Value]) -> Gltf {
     let mut g = Gltf::new();
     let positions = g.positions(&corners().iter().map(|p| p.to_array()).collect::<Vec<_>>());
@@ -25,7 +25,7 @@ fn gltf(outside: bool, nodes: &[Value]) -> Gltf {
     g
 }
 
-/// Trees of nodes that put the cube between x = 2 and x = 3, mirrored by one node or another.
+/// Node trees that place the cube between x = 2 and x = 3, mirrored by one node or another.
 fn trees() -> Vec<(&'static str, Vec<Value>)> {
     let leaf = |at: f64, scale: [f64; 3]| json!({"name": "leaf", "mesh": 0, "translation": [at, 0, 0], "scale": scale});
     let hall = |scale: [f64; 3]| json!({"name": "hall", "children": [1], "scale": scale});
@@ -77,7 +77,7 @@ fn an_exported_scene_keeps_its_fronts() {
         let path = folder.path("again.glb");
         write_glb(&path, &imported(true, &nodes, true)).unwrap();
         check_on_cpu(what, &import(&path, &ImportOptions::default()).unwrap().environment, BOX);
-        // By its triangles and matrices alone, as every other program reads it.
+        // By its triangles and matrices alone, as other programs read it.
         let bytes = std::fs::read(&path).unwrap();
         let (at, name) = (bytes.windows(8).position(|w| w == b"presight"), b"elsewise");
         let mut plain = bytes.clone();
@@ -92,7 +92,7 @@ fn an_exported_scene_keeps_its_fronts() {
     }
 }
 
-/// What the library is given directly: the mirror is in `object_from_mesh`.
+/// The library's own interface: the mirror is in `object_from_mesh`.
 #[test]
 fn an_inserted_object_mirrors_and_keeps_its_fronts_as_it_moves() {
     for scale in [DVec3::new(-1.0, 1.0, 1.0), DVec3::new(1.0, 1.0, -1.0), DVec3::new(-1.0, -2.0, -0.5)] {
@@ -102,7 +102,7 @@ fn an_inserted_object_mirrors_and_keeps_its_fronts_as_it_moves() {
             let object = NewObject { object_from_mesh, ..NewObject::new("hall/cube", far, cube(outside)) };
             let mut world = World::new(one_sided());
             world.apply(Change::InsertObject(object)).unwrap();
-            // By itself, then back, then with its group.
+            // The object alone, then back, then with its group.
             let here = Pose { translation: INSIDE, ..Pose::IDENTITY };
             let mover = |name: &str, pose| Change::MoveObject { name: name.into(), world_from_object: pose };
             let back = world.apply(mover("hall/cube", here)).unwrap();
@@ -159,7 +159,7 @@ mod stored {
         }
     }
 
-    /// Where it stood in the file does not count, and so the cube is inserted at its place here.
+    /// The cube's pose in the file does not count, so it is inserted at its place here.
     #[test]
     fn a_library_file_keeps_fronts() {
         for (what, nodes) in trees() {

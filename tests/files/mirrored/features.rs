@@ -11,7 +11,8 @@ use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
 use presight_predict::request::Request;
 
-/// Points on the walls at x = 2 and x = 3, off the middle so that no pixel's ray meets them by chance; a patch on either.
+/// Points on the walls at x = 2 and x = 3, off the centre so that no pixel's ray hits them by chance; a patch on each
+/// wall.
 fn layer() -> FeatureLayer {
     let feature = |id: u32, shape: FeatureShape| Feature {
         id,
@@ -31,7 +32,7 @@ fn layer() -> FeatureLayer {
     FeatureLayer { class: "laser".into(), tolerance: DEFAULT_TOLERANCE, features, pose_covariances: Vec::new() }
 }
 
-/// What a camera at `from` that looks along +x sees of them.
+/// The features in view of a camera at `from` that looks along +x.
 fn seen(predictor: &mut Predictor, world: &World, from: DVec3, visibility: Visibility) -> Vec<SeenFeature> {
     let (camera, _) = sensors().swap_remove(0);
     let pose = Pose { translation: from, ..Pose::IDENTITY };
@@ -49,10 +50,10 @@ fn predictors() -> Vec<Predictor> {
     [Backend::Cpu, Backend::Gpu].into_iter().filter_map(open).collect()
 }
 
-/// Why a feature is not seen, if it is not.
+/// The reason for a hidden feature; `None` if it is visible.
 fn reason(f: &SeenFeature) -> Option<Reason> {
     assert_eq!(f.visible.is_empty(), f.visible_fraction == 0.0);
-    assert!(f.visible.is_empty() || f.visible_fraction == 1.0, "all of it or nothing: {}", f.visible_fraction);
+    assert!(f.visible.is_empty() || f.visible_fraction == 1.0, "the whole feature or nothing: {}", f.visible_fraction);
     f.hidden.first().map(|h| h.reason)
 }
 
@@ -67,9 +68,9 @@ fn a_feature_faces_away_where_its_polygon_does() {
                     let seen = seen(&mut predictor, &world(outside), from, visibility);
                     seen.iter().map(reason).collect::<Vec<_>>()
                 };
-                // Fronts outside: the near wall shows its front, the far one its back, which is in nobody's way.
+                // Front sides outside: the near wall shows its front. The far wall shows its back, which hides nothing.
                 assert_eq!(look(true, OUTSIDE), [None, away, None, away], "{what}");
-                // Fronts inside: the near wall shows its back, through which the far one is seen.
+                // Front sides inside: the near wall shows its back, and the far one is visible through it.
                 assert_eq!(look(false, OUTSIDE), [away, None, away, None], "{what}");
                 let behind = Some(Reason::BehindSensor);
                 let from_inside = look(false, INSIDE);
@@ -81,7 +82,7 @@ fn a_feature_faces_away_where_its_polygon_does() {
 }
 
 #[test]
-fn patches_made_of_a_mirrored_box_look_outward() {
+fn patches_of_a_mirrored_box_face_outward() {
     let options = GenerateOptions { min_area: 0.1, ..GenerateOptions::default() };
     for (what, world_from_mesh) in ways() {
         for (outside, sign) in [(true, 1.0), (false, -1.0)] {
@@ -103,9 +104,9 @@ fn patches_made_of_a_mirrored_box_look_outward() {
     }
 }
 
-/// A small cube within a mirrored one shows no edges: it is inside matter.
+/// A small cube within a mirrored one has no edges: it is inside a solid.
 #[test]
-fn what_lies_inside_a_mirrored_solid_is_left_out() {
+fn geometry_inside_a_mirrored_solid_is_left_out() {
     for (what, world_from_mesh) in ways() {
         let small = world_from_mesh * glam::DAffine3::from_scale(DVec3::splat(0.3));
         let mut environment = super::one_sided();

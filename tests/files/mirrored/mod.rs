@@ -1,9 +1,9 @@
-//! One-sided polygons of mirrored objects, seen from the side of their front: numbers worked out by hand, for the engines
-//! share their conventions, and comparing them cannot see a wrong one.
+//! One-sided polygons of mirrored objects, seen from their front. The expected numbers are calculated by hand, because
+//! the engines share their conventions and a comparison of engines cannot reveal a wrong one.
 //!
-//! All scenes hold one cube of one-sided polygons, which ends up between x = 2 and x = 3 about the x axis. A sensor at the
-//! origin that looks along +x sees its near wall at 2 m if the fronts are outside, and its far wall at 3 m if they are
-//! inside. From its middle the wall ahead is 0.5 m off, if its front is inside.
+//! All scenes hold one cube of one-sided polygons between x = 2 and x = 3, centred on the x axis. A sensor at the
+//! origin that looks along +x sees the near wall at 2 m if the front sides are outside, and the far wall at 3 m if they
+//! are inside. From the cube's centre the wall ahead is 0.5 m away if its front is inside.
 
 use presight_testkit as common;
 mod doors;
@@ -20,20 +20,20 @@ use presight_predict::engine::EngineKind;
 use presight_render::verify::Precision;
 use std::sync::Arc;
 
-/// Where the sensor stands: before the cube, and in its middle.
+/// The sensor's positions: in front of the cube, and at its centre.
 const OUTSIDE: DVec3 = DVec3::ZERO;
 const INSIDE: DVec3 = DVec3::new(2.5, 0.0, 0.0);
 
-/// What the ray along +x sees from [`OUTSIDE`] and [`INSIDE`] of a cube whose fronts are outside, metres.
+/// The range along +x from [`OUTSIDE`] and [`INSIDE`] for a cube whose front sides are outside, metres.
 const BOX: [f32; 2] = [2.0, f32::INFINITY];
-/// The same of a cube whose fronts are inside.
+/// The same for a cube whose front sides are inside.
 const ROOM: [f32; 2] = [3.0, 0.5];
 
 fn corners() -> Vec<Vec3> {
     cuboid_corners(Vec3::splat(-0.5), Vec3::splat(0.5)).to_vec()
 }
 
-/// A unit cube about the origin of its frame; its fronts are outside, or inside.
+/// A unit cube about the origin of its frame; its front sides are outside, or inside.
 fn cube(outside: bool) -> Arc<Mesh> {
     let face = |f: &[u32; 4]| {
         let mut corners = f.to_vec();
@@ -57,15 +57,15 @@ fn world(object: NewObject) -> World {
     World::new(environment)
 }
 
-/// Ways to put the cube between x = 2 and x = 3, mirrored or not.
+/// Transforms that place the cube between x = 2 and x = 3, mirrored or not.
 fn ways() -> Vec<(&'static str, DAffine3)> {
     let at = DAffine3::from_translation(INSIDE);
     let scaled = |x, y, z| at * DAffine3::from_scale(DVec3::new(x, y, z));
     let quarter = DAffine3::from_rotation_z(std::f64::consts::FRAC_PI_2);
-    // Leans along y and z: the walls at x = 2 and x = 3 stay where they are.
+    // Sheared along y and z: the walls at x = 2 and x = 3 keep their places.
     let sheared = DMat3::from_cols(DVec3::new(-1.0, 0.1, 0.2), DVec3::Y, DVec3::new(0.0, 0.3, 1.0));
     vec![
-        ("as it is", at),
+        ("unchanged", at),
         ("mirrored in x", scaled(-1.0, 1.0, 1.0)),
         ("mirrored in y", scaled(1.0, -1.0, 1.0)),
         ("mirrored in z", scaled(1.0, 1.0, -1.0)),
@@ -98,7 +98,7 @@ fn sensors() -> Vec<(Sensor, usize)> {
 
 type Engine = (EngineKind, Precision, Renderer);
 
-/// Every engine and every sensor sees these ranges from outside and from inside.
+/// Checks that every engine and every sensor gives these ranges from outside and from inside.
 fn check(what: &str, world: &World, expected: [f32; 2], engines: &mut [Engine]) {
     for (sensor, pixel) in sensors() {
         for (from, range) in [OUTSIDE, INSIDE].into_iter().zip(expected) {
@@ -113,7 +113,7 @@ fn check(what: &str, world: &World, expected: [f32; 2], engines: &mut [Engine]) 
     }
 }
 
-/// [`check`] with the CPU engine only, for what differs before the engines.
+/// [`check`] with the CPU engine only, for inputs that differ before the engines.
 fn check_on_cpu(what: &str, environment: &Environment, expected: [f32; 2]) {
     check(what, &World::new(environment.clone()), expected, &mut [(EngineKind::Cpu, Precision::F64, engines::cpu(1))]);
 }
@@ -129,7 +129,7 @@ fn the_front_of_a_mirrored_polygon_is_its_front_in_every_engine() {
     }
 }
 
-/// A wall so near that the GPU's engine takes it from the CPU, in f64.
+/// A wall so near that the GPU engine leaves it to the CPU, in f64.
 #[test]
 fn a_mirrored_wall_a_micrometre_ahead_is_seen_from_its_front() {
     const AHEAD: f64 = 1e-6;
@@ -151,9 +151,9 @@ fn a_mirrored_wall_a_micrometre_ahead_is_seen_from_its_front() {
     }
 }
 
-/// The pixels' other outputs fit: the near wall faces the sensor squarely.
+/// The pixel's other outputs agree: the near wall has normal incidence.
 #[test]
-fn the_incidence_and_the_depth_of_a_mirrored_wall_are_those_of_the_wall() {
+fn a_mirrored_wall_has_the_incidence_and_depth_of_the_wall() {
     for (what, world_from_mesh) in ways() {
         let world = world(NewObject::from_affine("cube", world_from_mesh, cube(true)).unwrap());
         let (camera, pixel) = sensors().swap_remove(0);
@@ -167,7 +167,7 @@ fn the_incidence_and_the_depth_of_a_mirrored_wall_are_those_of_the_wall() {
 
 /// Corners of polygons in the world turn counter-clockwise as seen from the front.
 #[test]
-fn corners_in_the_world_are_listed_by_the_front() {
+fn corners_in_the_world_are_counter_clockwise_from_the_front() {
     for (what, world_from_mesh) in ways() {
         let world = world(NewObject::from_affine("cube", world_from_mesh, cube(true)).unwrap());
         for slot in 0..6 {

@@ -1,4 +1,4 @@
-//! What scripts must not do: each is a typed error with file, line, column, call and remedy, within bounded time.
+//! Invalid scripts: each gives a typed error with file, line, column, call and remedy, within bounded time.
 
 use super::load;
 use presight_model::error::{Error, ErrorKind};
@@ -23,14 +23,14 @@ fn error_in(folder: &Path) -> Error {
     e
 }
 
-/// The error of a script that is not even read.
+/// The error of a script that cannot be read as text.
 fn error_in_any(folder: &Path) -> String {
     let e = load(&folder.join("scene.rhai")).0.expect_err("a bad script");
     assert!(e.kind() == ErrorKind::Invalid && e.file().is_some() && !e.remedy().is_empty(), "{e}");
     e.to_string()
 }
 
-/// Its error holds all parts; the first is the place.
+/// Checks that the error contains all parts; the first is the place.
 #[track_caller]
 fn refused(text: &str, parts: &[&str]) {
     let e = error_in(folder(text.as_bytes()).path());
@@ -39,7 +39,7 @@ fn refused(text: &str, parts: &[&str]) {
     for part in parts {
         assert!(whole.contains(part), "{part:?} is not in {whole}");
     }
-    assert!(whole.contains("; "), "no remedy in {whole}");
+    assert!(whole.contains("; "), "there is no remedy in {whole}");
 }
 
 #[test]
@@ -80,7 +80,7 @@ fn a_thousand_million_polygons() {
 }
 
 #[test]
-fn sizes_that_are_no_sizes() {
+fn invalid_sizes() {
     refused("box(1, 0.0 / 0.0, 1);", &["line 1, column 1, in the call of box", "size_y is NaN"]);
     refused("box(1, 2, -3);", &["line 1", "height is -3"]);
     refused("box(1, 2, 1e300);", &["line 1", "1e12"]);
@@ -91,7 +91,7 @@ fn sizes_that_are_no_sizes() {
         "let p = pose(9e11, 0, 0); place(\"far\", box(1, 1, 1), p * p);",
         &["line 1", "in the call of place", "beyond"],
     );
-    // A shape too small for the f32 coordinates of where it is.
+    // A shape too small for the f32 coordinates at its place.
     refused(
         "place(\"a\", box(1e-4, 1, 1).translate(1e6, 0, 0));",
         &["line 1", "in the call of place", "object \"a\"", "no area"],
@@ -118,7 +118,7 @@ fn arguments_of_the_wrong_type_and_number() {
     refused("bux(1, 2);", &["line 1", "no function bux"]);
     refused("place(\"a\", 3);", &["line 1", "thing is 3", "a shape or an assembly"]);
     refused("place(\"a\", box(1, 1, 1), [1, 2, 3]);", &["line 1", "pose is an array", "a pose"]);
-    refused("place(\"/a\", box(1, 1, 1));", &["line 1", "no name"]);
+    refused("place(\"/a\", box(1, 1, 1));", &["line 1", "not a valid object name"]);
     refused("let b = box(1, 1, 1); b.add(\"x\", b);", &["line 1", "assembly is a shape"]);
     refused("extrude([[0, 0], [1, 0], [1]], 1);", &["line 1", "outline[2]", "2 numbers"]);
     refused("extrude([[0, 0], [1, 1], [1, 0], [0, 1]], 1);", &["line 1", "meets side"]);
@@ -150,7 +150,7 @@ fn errors_in_functions_name_their_callers() {
 }
 
 #[test]
-fn checks_that_do_not_hold() {
+fn failed_checks() {
     refused(
         "require(1 > 2, \"the hall is too small\");",
         &["line 1, column 1, in the call of require", "the hall is too small"],
@@ -162,7 +162,7 @@ fn checks_that_do_not_hold() {
 }
 
 #[test]
-fn what_is_switched_off() {
+fn disabled_features() {
     refused("eval(\"1\");", &["line 1", "eval"]);
     refused("let x = 2.0 ** 0.5;", &["line 1", "**"]);
     for call in ["sleep(1)", "timestamp()", "parse_json(\"1\")", "exit()"] {
@@ -192,20 +192,20 @@ fn huge_strings_and_arrays() {
 fn random_numbers_from_empty_ranges() {
     refused("let r = rng(1);\nlet x = uniform(r, 2, 1);", &["line 2, column 9, in the call of uniform", "from 2 to 1"]);
     refused("let r = rng(1);\nlet x = integer(r, 2, 1);", &["line 2, column 9, in the call of integer", "from 2 to 1"]);
-    // A single number is a range.
+    // A single number is a valid range.
     refused("let r = rng(1);\nuniform(r, 1, 1); integer(r, 1, 1);", &["at its end", "places no polygons"]);
 }
 
-/// The language does not know where it is when it looks into a value by index.
+/// The language does not track positions inside an index expression.
 #[test]
-fn limits_are_told_where_values_are_indexed() {
+fn limits_are_reported_where_values_are_indexed() {
     refused("let m = [1, 2];\nlet i = 0;\nloop {\n  m[i] = 1;\n}", &["line 4, column", "operations"]);
     refused("let m = #{a: 1};\nloop {\n  m[\"a\"] = 1;\n}", &["line 3, column", "operations"]);
     refused("let m = #{a: [1]};\nloop {\n  try { m.a[0] = 1; } catch {}\n}", &["line 3, column", "operations"]);
     refused("let s = \"ab\";\nloop {\n  s[0] = 'c';\n}", &["line 3, column", "operations"]);
     // Without any variable.
     refused("loop {\n  [1, 2][0];\n}", &["line 2, column", "operations"]);
-    // Setting an entry is held to the limit on entries where the map is used next.
+    // Setting an entry is checked against the limit at the map's next use.
     let filled =
         |n: u32| format!("let m = #{{}};\nfor i in 0..{n} {{\n  m[`k${{i}}`] = i;\n}}\nplace(\"a\", box(1, 1, 1));");
     refused(&filled(1026), &["line 3, column", "object map", "1024 entries"]);
@@ -213,7 +213,7 @@ fn limits_are_told_where_values_are_indexed() {
     load(&full.path().join("scene.rhai")).0.expect("a map as large as it may be");
 }
 
-/// One step of the language may do the work of many, on large values: it counts as many.
+/// One step of the language on large values may cost as much as many, and counts as many.
 #[test]
 fn large_values_count_by_their_size() {
     let full = "let a = []; a.pad(4000, 1);";
@@ -236,18 +236,18 @@ fn large_values_count_by_their_size() {
         let before = start.elapsed();
         refused(&loops, &["line 2", "operations"]);
         let took = start.elapsed() - before;
-        // Seconds in fact; the clock would end it after two minutes.
+        // It takes seconds; the clock would end it after two minutes.
         assert!(took < Duration::from_secs(60), "{took:?}: {loops}");
     }
     refused("let a = [];\nfor i in 0..16000 { a = [a]; }", &["line 2", "4096 elements"]);
-    // Reading small ones costs nothing, and large ones can be gone through.
+    // Reading small values is free, and iterating over large ones is possible.
     let fine = format!(
         "{full} let sum = 0; for i in 0..4000 {{ sum += a[i]; }} for x in a {{ sum += x; }} place(\"f\", rectangle(sum, 1));"
     );
     load(&folder(fine.as_bytes()).path().join("scene.rhai")).0.unwrap();
 }
 
-/// A shape that was placed is kept, even where the script forgets it.
+/// A placed shape stays in memory even if the script forgets it.
 #[test]
 fn memory_of_placed_things_is_bounded() {
     refused(
@@ -266,7 +266,7 @@ fn memory_of_placed_things_is_bounded() {
     );
 }
 
-/// What is added to a copy is lost: whoever places the empty original must hear of it.
+/// Parts added to a copy are lost, so placing the empty original must give an error.
 #[test]
 fn assemblies_without_parts() {
     let explained = ["assembly without parts", "a.add(name, thing)"];
@@ -286,12 +286,12 @@ fn assemblies_without_parts() {
         refused(text, &[&[place][..], &explained].concat());
     }
     refused("const A = assembly();\nA.add(\"x\", box(1, 1, 1));", &["line 2, column 3", "constant", "let"]);
-    // As the error says it works.
+    // The form that the error suggests works.
     let fine = "let a = [assembly()]; let m = #{ a: assembly() }; a[0].add(\"x\", box(1, 1, 1)); m.a.add(\"x\", box(1, 1, 1)); place(\"a\", a[0]); place(\"m\", m.a);";
     assert_eq!(load(&folder(fine.as_bytes()).path().join("scene.rhai")).0.unwrap().environment.objects().len(), 2);
 }
 
-/// What is added where nobody looks is told of, even if something else is placed; what is used in any way is not.
+/// Parts added to an unused copy are reported, even if something else is placed; any use of the copy is accepted.
 #[test]
 fn parts_that_are_lost() {
     let start = "let c = assembly(); c.add(\"base\", box(1, 1, 1)); let b = box(1, 1, 1);\n";
@@ -313,7 +313,7 @@ fn parts_that_are_lost() {
         "place(\"c\", c); c.add(\"x\", b); place(\"c\", c);",
         "let d = c; d.add(\"x\", b); let e = assembly(); e.add(\"d\", d); place(\"b\", b);",
         "let d = c; d.add(\"x\", b); require(polygons(d) == 12, \"whole\"); place(\"c\", c);",
-        // One of two that are made is wanted.
+        // The script needs only one of two assemblies.
         "let d = assembly(); d.add(\"x\", b); place(\"c\", c);",
     ] {
         let folder = folder(format!("{start}{text}").as_bytes());
@@ -331,7 +331,7 @@ fn features_off_their_polygons() {
             "object \"a/b\"",
         ],
     );
-    // All that is placed counts, whenever it is.
+    // All placed objects count, regardless of the order.
     let text =
         "place(\"a\", box(1, 1, 1).point(\"video\", [0, 0, 1.5]));\nplace(\"b\", box(1, 1, 1), pose(0, 0, 1.5));";
     load(&folder(text.as_bytes()).path().join("scene.rhai")).0.unwrap();
@@ -370,14 +370,14 @@ fn links_that_lead_outside() {
         let e = error_in(folder.path());
         assert!(e.to_string().contains("leads out of the scene's folder"), "{e}");
     }
-    // A link within the folder is fine.
+    // A link within the folder is accepted.
     let folder = folder(b"import \"m\" as m; place(\"f\", rectangle(m::f(), 1));");
     fs::write(folder.path().join("real.rhai"), "fn f() { 1 }").unwrap();
     std::os::unix::fs::symlink(folder.path().join("real.rhai"), folder.path().join("m.rhai")).unwrap();
     load(&folder.path().join("scene.rhai")).0.unwrap();
 }
 
-/// The model lies in the folder, and its buffer is a link.
+/// The model is in the folder, and its buffer is a link out of it.
 #[cfg(unix)]
 #[test]
 fn buffers_of_models_that_lead_outside() {
@@ -407,7 +407,7 @@ fn buffers_of_models_that_lead_outside() {
     std::os::unix::fs::symlink(&aside, folder.path().join("m.materials.toml")).unwrap();
     let e = error_in(folder.path());
     assert!(e.to_string().contains("m.materials.toml leads out of the scene's folder"), "{e}");
-    // A link within the folder is fine, and so is any link where no script asks.
+    // A link within the folder is accepted, and so is any link outside of scripts.
     let folder = with_link_to(&|folder| folder.join("real.bin"));
     load(&folder.path().join("scene.rhai")).0.unwrap();
     let outside = with_link_to(&|_| secret.path().join("m.bin"));
@@ -415,7 +415,7 @@ fn buffers_of_models_that_lead_outside() {
 }
 
 #[test]
-fn modules_at_fault_are_named() {
+fn faulty_modules_are_named() {
     let import = |module: &[u8]| {
         let folder = folder(b"import \"m\" as m;\nm::f();");
         fs::write(folder.path().join("m.rhai"), module).unwrap();
@@ -439,7 +439,7 @@ fn modules_at_fault_are_named() {
     assert!(whole.contains("m.rhai: line 1, column 4: this is not UTF-8"), "{whole}");
 }
 
-/// A mark that some editors put before UTF-8 is none of the script's.
+/// A byte order mark before the text is not part of the script.
 #[test]
 fn a_byte_order_mark_is_skipped() {
     let text = "\u{feff}import \"m\" as m;\nplace(\"f\", m::f());";
@@ -449,10 +449,10 @@ fn a_byte_order_mark_is_skipped() {
     refused("\u{feff}  box(1, 2);", &["line 1, column 3, in the call of box"]);
 }
 
-/// A pipe that nobody writes to would be waited for without end.
+/// A pipe without a writer would block for ever.
 #[cfg(unix)]
 #[test]
-fn what_is_no_file() {
+fn pipes_and_devices_instead_of_files() {
     let pipe = |name: &str, text: &str| {
         let folder = folder(text.as_bytes());
         let path = folder.path().join(name);
@@ -473,7 +473,7 @@ fn what_is_no_file() {
 }
 
 #[test]
-fn a_script_that_is_no_text() {
+fn a_script_that_is_not_text() {
     let e = error_in(folder(b"let a = 1;\nlet \xc3\xa4 = \xff;").path());
     assert_eq!(e.place(), Some("line 2, column 9"), "{e}");
     assert!(e.to_string().contains("UTF-8"));

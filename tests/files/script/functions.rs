@@ -1,10 +1,10 @@
-//! Every function that is documented, called: each case names one way to call one, and its script checks what it gives.
+//! Calls every documented function: each case names one signature, and its script checks the result.
 
 use super::{load, run};
 use presight_files::script::reference;
 use presight_model::environment::{Appearance, FeatureShape};
 
-/// Signature and script; a floor is placed before it.
+/// A signature and a script; a floor is placed before it.
 const CASES: &[(&str, &str)] = &[
     (
         "box(size_x, size_y, size_z) -> shape",
@@ -168,11 +168,11 @@ const CASES: &[(&str, &str)] = &[
     ),
     (
         "uniform(rng, low, high) -> float",
-        "let r = rng(2); for i in 0..99 { let x = r.uniform(-1, 3); require(x >= -1 && x < 3, \"range\"); }",
+        "let r = rng(2); for i in 0..99 { let x = r.uniform(-1, 3); require(x >= -1 && x < 3, \"range\"); } let high = 1.0 + 2.220446049250313e-16; for i in 0..99 { require(r.uniform(1, high) <= high, \"clamped\"); } require(r.uniform(-0.3, 0.7) <= 0.7, \"clamped\");",
     ),
     (
         "integer(rng, low, high) -> int",
-        "let r = rng(3); let seen = [0, 0, 0]; for i in 0..99 { let k = r.integer(4, 6); seen[k - 4] += 1; } for n in seen { require(n > 10, \"fair\"); }",
+        "let r = rng(3); let seen = [0, 0, 0]; for i in 0..99 { let k = r.integer(4, 6); seen[k - 4] += 1; } for n in seen { require(n > 10, \"fair\"); } let low = -9223372036854775807 - 1; let k = r.integer(low, 9223372036854775807); require(k != r.integer(low, 9223372036854775807), \"all whole numbers\");",
     ),
     (
         "chance(rng, share) -> bool",
@@ -180,7 +180,7 @@ const CASES: &[(&str, &str)] = &[
     ),
 ];
 
-/// What the cases are written with.
+/// Helper functions for the cases.
 const HELPERS: &str = r#"
 fn eq(a, b) { require(a - b < 1e-12 && b - a < 1e-12, `${a} is not ${b}`); }
 fn same(a, b) { for i in 0..3 { eq(a[i], b[i]); } }
@@ -190,7 +190,7 @@ place("floor", rectangle(1, 1));
 "#;
 
 #[test]
-fn every_function_does_what_its_case_says() {
+fn every_function_passes_its_case() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::copy("scenes/room.glb", folder.path().join("room.glb")).unwrap();
     let path = folder.path().join("scene.rhai");
@@ -203,21 +203,21 @@ fn every_function_does_what_its_case_says() {
     }
 }
 
-/// The signatures in the table of the documentation.
+/// The signatures in the documentation's table.
 fn documented(text: &str) -> Vec<&str> {
     let code = |line: &'_ str| line.strip_prefix("| `").and_then(|l| l.split('`').next()).map(str::len);
     text.lines().filter_map(|line| Some(&line[3..3 + code(line)?])).filter(|s| s.contains(" -> ")).collect()
 }
 
 #[test]
-fn what_is_registered_is_documented_and_tested() {
+fn registered_functions_are_documented_and_tested() {
     let reference = reference();
     let registered = documented(&reference);
     let tested: Vec<&str> = CASES.iter().map(|(signature, _)| *signature).collect();
     assert_eq!(registered, tested, "every function has a case, in the order of the table");
     let readme = std::fs::read_to_string("scenes/README.md").unwrap();
     assert!(readme.contains(&reference), "scenes/README.md does not hold the table; it is\n{reference}");
-    // Planted fault: a list that lacks one is not equal.
+    // Planted fault: a list without one entry is not equal.
     assert_ne!(documented(&reference.replacen("| `box(", "| box(", 1)), registered);
 }
 
@@ -263,12 +263,12 @@ fn objects_have_paths_poses_and_shared_meshes() {
         (steel.name.as_str(), steel.reflection, steel.appearance("radar")),
         ("steel", 0.5, Appearance::Transparent)
     );
-    // Source numbers run on: 12 + 12 + 2 (10 + 4 + 4 ...) triangles an instance.
+    // Source numbers continue: 12 + 12 + 2 (10 + 4 + 4 ...) triangles an instance.
     let sources: Vec<u32> = e.objects().iter().map(|o| o.first_source).collect();
     assert_eq!(sources, [0, 12, 24, 44, 64, 76, 88, 108]);
 }
 
-/// Assemblies stand as groups where they were placed; one placed again under its name is another.
+/// Assemblies become groups at their places; a second one with the same name is another group.
 #[test]
 fn assemblies_are_groups_where_they_are_placed() {
     let scene = run(r#"
@@ -315,7 +315,7 @@ fn assemblies_are_groups_where_they_are_placed() {
     assert_eq!(moved, of("cart#2"));
 }
 
-/// As many things of one name as may be: finding each a number takes no longer than placing it.
+/// The maximum number of objects with one name: numbering one takes no longer than placing it.
 #[test]
 fn many_things_of_one_name() {
     let start = std::time::Instant::now();
@@ -336,7 +336,7 @@ fn groups_of_imported_models_are_placed_with_them() {
     std::fs::write(&path, text).unwrap();
     let e = load(&path).0.unwrap().environment;
     let given: Vec<&str> = e.framed_groups().map(|(path, _)| path).collect();
-    assert_eq!(given, ["a", "a#2/cart", "a/cart", "b/cart"], "what stands where its parent does needs no frame");
+    assert_eq!(given, ["a", "a#2/cart", "a/cart", "b/cart"], "a group with its parent's pose needs no frame");
     assert!(["a#2", "b"].iter().all(|path| e.frame(path) == Some(presight_model::geometry::Pose::IDENTITY)));
     let at = e.frame("a/cart").unwrap().translation;
     assert!((at - glam::DVec3::new(-2.0, 0.0, 3.0)).length() < 1e-12, "{at}");
@@ -365,7 +365,7 @@ fn features_move_with_their_shapes_and_are_numbered() {
     assert_eq!(laser[0].properties.normal, Some(glam::DVec3::Y));
     let world = presight_model::world::World::new(e.clone());
     for layer in e.layers() {
-        presight_features::place(&world, layer).expect("they lie on their objects");
+        presight_features::place(&world, layer).expect("the features lie on their objects");
     }
 }
 
@@ -401,7 +401,7 @@ fn imported_objects_are_placed_with_their_materials() {
 }
 
 #[test]
-fn what_scripts_print_is_handed_over() {
+fn printed_lines_are_returned() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scene.rhai");
     std::fs::write(&path, "print(\"one\"); debug(2);\nplace(\"f\", rectangle(1, 1)); for i in 0..2000 { print(i); }")
@@ -425,7 +425,7 @@ fn the_examples_of_the_documentation_run() {
     let scene = run(&example("docs/scene-scripts.md")).unwrap();
     assert_eq!(scene.environment.objects().len(), 8);
     assert!(scene.environment.object("entrance/door/handle").is_some());
-    // The other one imports from the scenes' folder.
+    // The other example imports from the scenes' folder.
     let folder = tempfile::tempdir().unwrap();
     std::fs::create_dir(folder.path().join("parts")).unwrap();
     for part in ["dock", "profiles"] {

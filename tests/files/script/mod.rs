@@ -11,7 +11,7 @@ use presight_files::script;
 use presight_testkit as common;
 use std::path::Path;
 
-/// Runs a file; what it prints is the second answer.
+/// Runs a file; also returns the printed lines.
 fn load(path: &Path) -> (presight_model::error::Result<ImportedScene>, Vec<String>) {
     let mut said = Vec::new();
     let outcome = script::load(path, &Default::default(), &mut |line| said.push(line.to_owned()));

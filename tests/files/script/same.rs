@@ -3,7 +3,7 @@
 use super::{load, run};
 use std::path::Path;
 
-/// Everything whose bits a machine could have its own opinion on.
+/// Every function whose result bits might differ between machines.
 const TEXT: &str = r#"
     let r = rng(7);
     for i in 0..50 {
@@ -14,7 +14,7 @@ const TEXT: &str = r#"
     }
 "#;
 
-/// Taken on x86-64 with glibc; any other machine must find the same.
+/// Computed on x86-64 with glibc; every other machine must get the same.
 const HASH: &str = "9194ef03e080016c11c4d247d1605eb30a731ef96ab39b57dc0bb28e488359be";
 
 #[test]
@@ -22,12 +22,12 @@ fn a_script_has_one_content_everywhere() {
     let hash = run(TEXT).unwrap().environment.content_hash().to_string();
     assert_eq!(hash, HASH);
     assert_eq!(run(TEXT).unwrap().environment.content_hash().to_string(), hash);
-    // Planted fault: another seed, another content.
+    // Planted fault: another seed gives other content.
     let other = run(&TEXT.replace("rng(7)", "rng(8)")).unwrap().environment.content_hash().to_string();
     assert_ne!(other, hash);
 }
 
-/// Powers go through `libm`, which differs from the C library's in the last place somewhere.
+/// Powers use `libm`, which differs from some C libraries in the last digit.
 #[test]
 fn powers_are_libms() {
     let differs = |x: &f64| libm::pow(*x, 0.3).to_bits() != x.powf(0.3).to_bits();

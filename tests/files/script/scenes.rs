@@ -1,4 +1,4 @@
-//! The scenes of this repository: what each is there to catch is right on every engine.
+//! The scenes of this repository: each gives the right result on every engine for the fault that it was made to reveal.
 
 use super::common::{compare_or_show, engines, plan, reference, scenes};
 use super::load;
@@ -19,7 +19,7 @@ fn sensor(file: &str) -> Sensor {
     presight_files::load_sensor(&format!("scenes/{file}.toml")).unwrap().0
 }
 
-/// Images of every engine, each held to the reference, with the engine's name.
+/// The images of every engine with its name, each compared with the reference.
 fn seen(world: &World, sensor: &Sensor) -> Vec<(&'static str, Images)> {
     let plan = plan(world, sensor, &Pose::IDENTITY);
     let expected = reference(&plan);
@@ -43,7 +43,8 @@ fn ids(images: &Images) -> std::collections::BTreeSet<u32> {
     images.object_id.iter().copied().collect()
 }
 
-/// No ray inside the disc slips between two triangles; each triangle is seen, the one in the midst is one of them.
+/// No ray inside the disc passes between two triangles. Each triangle is visible, and the one at the centre belongs to
+/// the disc.
 #[test]
 fn shared_edge() {
     let (world, sensor) = (world("shared_edge"), sensor("small"));
@@ -51,7 +52,7 @@ fn shared_edge() {
         let mut polygons = std::collections::BTreeSet::new();
         for (i, id) in images.polygon_id.iter().enumerate() {
             let (x, y) = ((i % 161) as f64 - 80.0, (i / 161) as f64 - 60.0);
-            // The disc is a decagon of radius 1 at 2 m: 40 pixels, its sides no nearer than 38.
+            // The disc is a decagon of radius 1 at 2 m: 40 pixels, with its sides at least 38 away.
             let apart = x.hypot(y);
             assert!(apart > 38.0 || *id > 0, "{name}: a crack at {x}, {y}");
             assert!(apart < 40.1 || *id == 0, "{name}: {x}, {y}");
@@ -77,7 +78,7 @@ fn seam() {
     for (name, images) in seen(&world, &sensor) {
         let level = 90 * 360;
         let hits: Vec<bool> = images.polygon_id[level..level + 360].iter().map(|id| *id > 0).collect();
-        // The wall is 2 m wide at 2 m: 26.6 degrees to either side of the seam.
+        // The wall is 2 m wide at 2 m: 26.6 degrees to each side of the seam.
         assert!((0..=26).all(|k| hits[k] && hits[(360 - k) % 360]), "{name}");
         assert!((27..=333).all(|k| !hits[k]), "{name}");
         let [first, last] = [images.range[level], images.range[level + 359]];
@@ -102,10 +103,10 @@ fn pole() {
 fn behind() {
     let (world, sensor) = (world("behind"), sensor("small"));
     for (name, images) in seen(&world, &sensor) {
-        assert_eq!(ids(&images), [0, 1].into(), "{name}: the post behind must not be seen");
+        assert_eq!(ids(&images), [0, 1].into(), "{name}: the post behind the camera must not be visible");
         let horizon = 60 * 161;
         assert!(images.object_id[..horizon + 161].iter().all(|id| *id == 0), "{name}: above the horizon");
-        // The floor's far side is 20 m away: 4 rows below it.
+        // The floor's far side is 20 m away, 4 rows below the horizon.
         assert!(images.object_id[horizon + 5 * 161..].iter().all(|id| *id == 1), "{name}: below");
     }
 }
@@ -124,7 +125,7 @@ fn empty() {
     }
 }
 
-/// A hall that a person believes has many things, made of few parts.
+/// A hall of many objects made of few shared parts.
 #[test]
 fn the_hall_is_large_and_its_parts_are_shared() {
     let (outcome, _) = load(Path::new("scenes/factory.rhai"));
@@ -137,7 +138,7 @@ fn the_hall_is_large_and_its_parts_are_shared() {
     }
 }
 
-/// Their features lie on their objects, each class finds some, and classes see through what they should.
+/// Their features lie on their objects, each class has some, and classes see through the right materials.
 #[test]
 fn the_halls_features_lie_on_their_objects() {
     for (name, classes) in [("factory", 3), ("docking", 3), ("corridor", 3)] {
@@ -149,7 +150,7 @@ fn the_halls_features_lie_on_their_objects() {
         }
     }
     let world = world("corridor");
-    // Towards the glass door at 22.5 m: a camera and a laser look through it to the end, a radar does not.
+    // Towards the glass door at 22.5 m: a camera and a laser see through it to the end, a radar does not.
     let pose = Pose::from_xyz_rpy(glam::DVec3::new(20.0, 0.4, 1.4), 0.0, 0.0, 0.0);
     let at = |class: &str| {
         let mut spec = scenes::camera(3, 3).spec().clone();
@@ -160,7 +161,7 @@ fn the_halls_features_lie_on_their_objects() {
     assert_eq!([at("video"), at("laser"), at("radar")], [10.0, 10.0, 2.5]);
 }
 
-/// The CPU engine against the reference where it is most crowded.
+/// Compares the CPU engine with the reference at the most crowded places.
 #[test]
 fn the_scenes_are_right_on_the_cpu() {
     let mut cpu = engines::cpu(2);

@@ -1,4 +1,4 @@
-//! What the text of a script may hold, and what its names may take: each limit ends a script at once, with its place.
+//! The limits on a script's text and on its names: each ends a script at once and reports the place.
 
 use super::load;
 use cpu_time::ThreadTime;
@@ -6,8 +6,8 @@ use presight_model::error::ErrorKind;
 use std::fs;
 use std::time::{Duration, Instant};
 
-/// Of the thread's own time, as other tests run beside. A second in fact; parsing without limits takes from a quarter of a
-/// minute to hours.
+/// The thread's own time, because other tests run at the same time. It takes a second; parsing without limits takes
+/// from a quarter of a minute to hours.
 const SOON: Duration = Duration::from_secs(12);
 /// The largest script.
 const MEGABYTE: usize = 1 << 20;
@@ -29,7 +29,7 @@ fn refused(text: &str, place: &str, parts: &[&str]) {
     assert!(whole.len() < 500 && !whole.contains('\n'), "{whole}");
 }
 
-/// As many of these as there is room for, and what comes before and after.
+/// As many repetitions as fit, with the text before and after.
 fn filled(before: &str, one: impl Fn(usize) -> String, after: &str) -> String {
     let mut text = before.to_owned();
     for i in 0.. {
@@ -45,7 +45,7 @@ fn filled(before: &str, one: impl Fn(usize) -> String, after: &str) -> String {
 #[test]
 fn a_megabyte_of_one_kind_is_refused_at_once() {
     let same = |text: &'static str| move |_: usize| text.to_owned();
-    // Columns: of the thirteenth argument or parameter, the 257th variable or function, the 1025th entry.
+    // Columns of the thirteenth argument or parameter, the 257th variable or function, and the 1025th entry.
     refused(&filled("box(1", same(",1"), ");"), "line 1, column 29", &["a call has over 12 arguments"]);
     refused(&filled("fn g(p", |i| format!(",\np{i}"), ") {}"), "line 13, column 1", &["over 12 arguments"]);
     refused(&filled("", |i| format!("let v{i} = 1;\n"), ""), "line 257, column 5", &["over 256 variables"]);
@@ -62,7 +62,7 @@ fn a_megabyte_of_one_kind_is_refused_at_once() {
 }
 
 #[test]
-fn names_are_looked_for_among_few() {
+fn name_lookup_is_limited() {
     let known: String = (0..256).map(|i| format!("fn f{i}() {{}} let v{i} = 1;\n")).collect();
     refused(&filled(&known, |_| "a;".to_owned(), ""), "line 257, column 1", &["no variable \"a\""]);
     let maps = |i: usize| format!("#{{{}}};", (0..1000).map(|j| format!("k{i}{j}:1,")).collect::<String>());
@@ -73,20 +73,20 @@ fn names_are_looked_for_among_few() {
 fn large_scripts_of_ordinary_calls_are_read() {
     let places: String = (0..12_000).map(|i| format!("place(\"wall{i}\", b, pose({i}, 0, 0));\n")).collect();
     assert_eq!(loaded(&format!("let b = box(1, 1, 1);\n{places}")).unwrap(), 12_000);
-    // The same variable, again and again; those of blocks; those of functions beside those of the script.
+    // The same variable again and again; variables of blocks; variables of functions in addition to the script's.
     let again: String = (0..5000).map(|i| format!("let p = pose({i}, 0, 0); place(\"w\", b, p);\n")).collect();
     let block = |i: usize| (0..50).map(|j| format!("let v{i}_{j} = 1;")).collect::<String>();
     let blocks: String = (0..20).map(|i| format!("{{{}}}\n", block(i))).collect();
     let own: String = (0..200).map(|i| format!("let w{i} = 1;")).collect();
     let text = format!("let b = box(1, 1, 1);\n{again}{blocks}fn f(x, y) {{ {own} }}\n{own} f(1, 2,);");
     assert_eq!(loaded(&text).unwrap(), 5000);
-    // As many as there may be, and a comma behind the last.
+    // The maximum number of parameters, and a trailing comma.
     let twelve = "fn f(a, b, c, d, e, f, g, h, i, j, k, l) { l }\n";
     let call = "place(\"b\", box(f(1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12,), 1, 1));";
     assert_eq!(loaded(&format!("{twelve}{call}")).unwrap(), 1);
 }
 
-/// What a module holds counts by itself.
+/// Each module has its own limits.
 #[test]
 fn modules_have_limits_of_their_own() {
     let folder = tempfile::tempdir().unwrap();
@@ -98,15 +98,15 @@ fn modules_have_limits_of_their_own() {
     fs::write(folder.path().join("m.rhai"), format!("{many}box(1{});", ",1".repeat(50_000))).unwrap();
     let e = load(&path).0.unwrap_err().to_string();
     assert!(e.contains("m.rhai: line 201, column 29: a call has over 12 arguments"), "{e}");
-    // The place is forgotten with the error.
+    // Catching the error loses its place.
     let caught = format!("try {{ import \"m\" as m; }} catch {{}}\n{many}place(\"a\", f0());");
     fs::write(&path, caught).unwrap();
     load(&path).0.unwrap();
 }
 
-/// Seconds each; without limits the parser and the interpreter are busy for minutes, or take all memory.
+/// Seconds each; without limits the parser and the interpreter run for minutes, or take all memory.
 #[test]
-fn what_is_tried_again_and_again_ends() {
+fn repeated_attempts_end() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scene.rhai");
     let said = |text: &str| {
@@ -124,11 +124,11 @@ fn what_is_tried_again_and_again_ends() {
     let imports: String = (0..6).map(|i| format!("import \"m{i}\" as m{i};\n")).collect();
     let e = said(&imports);
     assert!(e.contains("line 4") && e.contains("the script and its modules have over 4194304 bytes"), "{e}");
-    // A model of 100 MB that is none.
+    // A file of 100 MB that is not a model.
     fs::File::create(folder.path().join("m.glb")).unwrap().set_len(100 << 20).unwrap();
     let e = said("loop { try { import_gltf(\"m.glb\"); } catch {} }");
     assert!(e.contains("operations"), "{e}");
-    // What `curry` gives to functions is held by nothing else.
+    // Only the functions hold the values bound by `curry`.
     let start = "fn g(a) { 1 } let f = Fn(\"g\"); let a = []; a.pad(4000, 1); let x = [];\n";
     for text in [
         "loop { f = f.curry(a); }",
@@ -139,17 +139,17 @@ fn what_is_tried_again_and_again_ends() {
         assert!(e.contains("line 2") && (e.contains("curried") || e.contains("operations")), "{e}");
     }
     assert!(load_ok("fn g(a, b) { a + b } let f = Fn(\"g\").curry(1); place(\"a\", box(f.call(2), 1, 1));"));
-    // No function of these arguments, whatever their types.
+    // No function has this number of arguments, whatever their types.
     let e = said("loop { try { box(1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, [12]); } catch {} }");
     assert!(e.contains("operations"), "{e}");
-    // An error does not list 60,000 names each time.
+    // The error does not list 60,000 names each time.
     let e = said(
         "for i in 0..60000 { material(`m${i}`); } let b = box(1, 1, 1); loop { try { b.made_of(\"m\"); } catch {} }",
     );
     assert!(e.contains("operations"), "{e}");
 }
 
-/// What the language does not tell of when it is read, and what would be read for nothing.
+/// Values that the language does not report when it reads them, and files that would be read for nothing.
 #[test]
 fn nothing_large_is_copied_uncounted() {
     let table = "let a = []; a.pad(4000, 1);\n";
@@ -177,7 +177,7 @@ fn nothing_large_is_copied_uncounted() {
     }
 }
 
-/// What steps do that no limit counts is ended by the clock.
+/// The clock ends a script whose steps no limit counts.
 #[test]
 fn a_script_that_only_copies_ends() {
     let chain = ".extract(0, 4000)".repeat(60);
@@ -199,7 +199,7 @@ fn load_ok(text: &str) -> bool {
     loaded(text).is_ok()
 }
 
-/// Texts of names are memory too.
+/// The text of names also counts as memory.
 #[test]
 fn names_count_as_memory() {
     let long =
@@ -221,7 +221,7 @@ fn names_count_as_memory() {
         "line 2, column 35, in the call of point",
         &hold,
     );
-    // An error does not list them all.
+    // The error does not list all of them.
     refused(
         &(long(16_000) + "for i in 0..5000 { material(n + i); }\nb.made_of(\"wood\");"),
         "line 3, column 3, in the call of made_of",

@@ -3,7 +3,7 @@
 #[cfg(feature = "gpu")]
 mod advice;
 
-use super::{CommandOutcome, features, print};
+use super::{CommandOutcome, features, flags, print};
 #[cfg(feature = "gpu")]
 use advice::{AdapterState, AdapterTrial, Machine};
 use presight_model::error::Result;
@@ -44,7 +44,7 @@ pub fn run(_: &Args) -> Result<CommandOutcome> {
     let _ = writeln!(text, "\nCPU engine, {threads} threads, {}", std::env::consts::ARCH);
     let mut sound = check(&probe, &mut text, &mut *EngineKind::Cpu.open(&Threads::SHARED)?, &SensorKind::ALL);
     sound &= gpus(&probe, &mut text);
-    print::lines(text.lines())?;
+    print::lines(flags::named(&text).lines())?;
     Ok(if sound { CommandOutcome::Done } else { CommandOutcome::Found })
 }
 

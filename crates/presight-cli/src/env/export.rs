@@ -37,7 +37,7 @@ pub fn run(args: &Args) -> Result<()> {
         true => (args.out.clone(), format!("{}.", args.out.file_stem().unwrap_or_default().display())),
         false => (args.out.join("scene.glb"), String::new()),
     };
-    let mut outputs = OutputFiles::new();
+    let mut outputs = OutputFiles::default();
     outputs.add_any(&scene)?;
     outputs.check_named([args.store.as_path()])?;
     let environment = store::read(&args.store)?;
@@ -48,7 +48,9 @@ pub fn run(args: &Args) -> Result<()> {
         files.push((folder.join(format!("{prefix}{}{SUFFIX}", file_name(&own.class))), own));
     }
     files.iter().try_for_each(|(path, _)| outputs.add_any(path))?;
-    outputs.check_read()?;
+    outputs.check_named([args.store.as_path()])?;
+    // Closed before writing: some systems cannot replace an open file.
+    drop(outputs);
     if !is_file {
         std::fs::create_dir_all(&args.out).map_err(|e| {
             let remedy = "check the permissions, or write elsewhere";

@@ -160,12 +160,12 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     Ok(CommandOutcome::Done)
 }
 
-/// Opens a scene. Also returns its up axis and scale as text for the log, if they are not the default.
-fn environment_of(scene: &Path, frame: &FrameArgs) -> Result<(Environment, String)> {
+/// Opens a scene. Also returns its up axis and scale as text for the log, if they are not the default, and its files.
+fn environment_of(scene: &Path, frame: &FrameArgs) -> Result<(Environment, String, Vec<PathBuf>)> {
     let scene = open_scene(scene, &frame.options()?, Scheme::None)?;
     let lay = scene.frame.filter(|f| (f.up, f.scale) != (Up::Y, 1.0));
     let lay = lay.map(|f| format!(" (up {}, scale {})", f.up.name(), f.scale)).unwrap_or_default();
-    Ok((std::sync::Arc::unwrap_or_clone(scene.world.into_environment()), lay))
+    Ok((std::sync::Arc::unwrap_or_clone(scene.world.into_environment()), lay, scene.files))
 }
 
 /// Opens a store for changes, without a spatial index because nothing is predicted.
@@ -175,15 +175,15 @@ fn open_store(path: &Path) -> Result<Store> {
 
 fn create(store: &Path, scene: &Path, frame: &FrameArgs, note: &NoteArgs) -> Result<()> {
     check_no_dash(store)?;
-    let mut files = OutputFiles::new();
+    let mut files = OutputFiles::default();
     files.add_any(store)?;
     files.check_named([scene])?;
     let mut note = note.note(|| format!("create of {}", scene.display()))?;
-    let (environment, lay) = environment_of(scene, frame)?;
+    let (environment, lay, scene_files) = environment_of(scene, frame)?;
     note.cause += &lay;
     let polygons = environment.objects().iter().map(|o| o.mesh.polygon_count() as u64);
     memory::require(memory::of_writing(polygons))?;
-    files.check_read()?;
+    files.check_scene(&scene_files)?;
     store::create(store, &environment, &note)?;
     print::data(&format!("{} objects, content {}\n", show::live(&environment).count(), environment.content_hash()))
 }
@@ -199,7 +199,7 @@ fn import(path: &Path, file: &Path, replace: bool, frame: &FrameArgs, note: &Not
     let (layer, scene) = match is_layer {
         true => (Some(layer::read(file)?), None),
         false => {
-            let (scene, lay) = environment_of(file, frame)?;
+            let (scene, lay, _) = environment_of(file, frame)?;
             note.cause += &lay;
             (None, Some(scene))
         }

@@ -128,7 +128,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let (scene, class) = args.scene.as_ref().zip(class).ok_or_else(missing)?;
     let options = args.options.options();
     options.check()?;
-    let mut files = OutputFiles::new();
+    let mut files = OutputFiles::default();
     files.add("--out", args.out.as_deref(), &["json"])?;
     args.worth.name_files(&mut files)?;
     files.check_named([scene.as_path()])?;
@@ -143,7 +143,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
             (generated.layer, lines)
         }
     };
-    files.check_read()?;
+    files.check_scene(&scene.files)?;
     if let Some(sensor) = &sensor {
         lines.extend(args.worth.tell(&scene, sensor, &mut layer)?);
     }

@@ -69,7 +69,7 @@ impl WorthArgs {
     pub fn name_files(&self, files: &mut OutputFiles) -> Result<()> {
         files.add("--csv", self.csv.as_deref(), &["csv"])?;
         files.add("--png", self.png.as_deref(), &["png"])?;
-        files.check_named(self.layer.as_deref())
+        files.check_named(self.layer.as_deref().into_iter().chain(self.sensor.as_deref().map(Path::new)))
     }
 
     /// Reads the layer of `--layer`, if given.

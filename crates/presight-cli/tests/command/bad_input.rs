@@ -1,4 +1,4 @@
-//! Input that cannot be used: one line that names the file, the place and the remedy, and no output.
+//! Unusable input: the command prints one line that names the file, the place and the remedy, and writes no output.
 
 use super::{Place, VIEW, WALL, WALL_INDICES, bad, camera, check, predict, wall};
 use assert_cmd::Command;
@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 use std::fs;
 use std::path::Path;
 
-/// Scenes that are broken, each with what its message must name besides the file.
+/// Broken scenes, each with the words that its message must contain in addition to the file name.
 fn broken_scenes() -> Vec<(&'static str, Vec<u8>, Vec<&'static str>)> {
     let changed = |change: fn(&mut Value)| wall(change, WALL, WALL_INDICES);
     let moved = |to: f32| {
@@ -143,9 +143,9 @@ fn unwritable_outputs() {
         ));
     }
     check(&place, cases);
-    place.write("old.exr", b"what was there");
+    place.write("old.exr", b"earlier content");
     let outcome = place.run("predict missing.glb --sensor laser-scanner --pose 0,0,1,0,0,0 --out old.exr");
-    assert_eq!((outcome.status, fs::read(place.path("old.exr")).unwrap()), (Some(1), b"what was there".to_vec()));
+    assert_eq!((outcome.status, fs::read(place.path("old.exr")).unwrap()), (Some(1), b"earlier content".to_vec()));
 }
 
 #[test]
@@ -173,10 +173,10 @@ fn bad_comparisons() {
     assert!(outcome.stderr.contains("b.exr: 361 x 1 pixels against 3600 x 1"), "{}", outcome.stderr);
 }
 
-/// A pipe that nobody writes to is refused, not waited for.
+/// A pipe without a writer is refused at once; the command does not wait for it.
 #[cfg(unix)]
 #[test]
-fn what_is_no_file_is_refused() {
+fn pipes_and_devices_are_refused_as_scene_files() {
     let place = Place::new();
     for name in ["pipe.glb", "pipe.gltf", "pipe.presight", "pipe.rhai", "pipe.json", "wall.materials.toml"] {
         assert!(std::process::Command::new("mkfifo").arg(place.path(name)).status().unwrap().success());
@@ -196,7 +196,7 @@ fn what_is_no_file_is_refused() {
     fs::remove_file(place.path("wall.materials.toml")).unwrap();
     let outcome = place.run(&format!("predict wall.glb {pose} --layer pipe.json"));
     assert!(outcome.status == Some(1) && outcome.stderr.contains("pipe.json: this is a pipe"), "{}", outcome.stderr);
-    // One that this process was given is read.
+    // A pipe on stdin, which the caller opened for this process, is read.
     let layer = r#"{"format": 1, "class": "laser", "features": [{"id": 1, "kind": "point", "points": [[2, 0, 1]]}]}"#;
     let mut command = Command::cargo_bin("presight").unwrap();
     let args = format!("predict wall.glb {pose} --layer /dev/stdin --features f.json");

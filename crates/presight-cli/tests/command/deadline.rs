@@ -1,11 +1,11 @@
-//! Deadlines on the command line.
+//! Deadlines on the command line: `--deadline-ms` and the cost file.
 
 use super::*;
 
 const PREDICT: &str = "predict wall.glb --sensor laser-scanner --pose 0,0,1,0,0,0 --backend cpu --threads 1";
 
 #[test]
-fn a_deadline_is_told_and_costs_are_kept() {
+fn the_deadline_is_reported_and_costs_are_stored() {
     let place = Place::new();
     let line = format!("{PREDICT} --deadline-ms 60000 --costs costs.json --explain --stats stats.json --out a.exr");
     let said = place.done(&line);
@@ -15,14 +15,14 @@ fn a_deadline_is_told_and_costs_are_kept() {
     assert_eq!((&stats["deadline"]["deadline_ms"], &stats["deadline"]["given_up"]), (&json!(60000.0), &Value::Null));
     assert!(stats["counts"]["samples tested"].as_u64() > Some(0) && stats["counts"]["waves"] == 1);
     assert_eq!(place.images("a.exr").attributes.given_up, None);
-    // It goes on from there.
+    // A second run starts from the stored costs.
     place.done(&line);
     let frames = |text: &str| serde_json::from_str::<Value>(text).unwrap()["models"][0]["frames"].as_u64().unwrap();
     assert!(frames(&fs::read_to_string(place.path("costs.json")).unwrap()) > frames(&costs));
 }
 
 #[test]
-fn deadlines_that_cannot_be_are_wrong_usage_and_what_cannot_be_done_is_status_4() {
+fn invalid_deadlines_are_wrong_usage_and_too_short_ones_exit_with_4() {
     let place = Place::new();
     for wrong in ["0", "-3", "NaN", "inf", "1e300"] {
         let outcome = place.run(&format!("{PREDICT} --deadline-ms {wrong} --out a.exr"));
@@ -50,7 +50,7 @@ fn costs_are_learnt_over_a_series() {
 }
 
 #[test]
-fn what_matters_most_is_checked() {
+fn priorities_are_checked() {
     let place = Place::new();
     for (flag, value) in [("--deadline-radius", "0"), ("--deadline-radius", "-1"), ("--deadline-heading", "NaN")] {
         let outcome = place.run(&format!("{PREDICT} --deadline-ms 60000 {flag} {value}"));
@@ -65,10 +65,10 @@ fn what_matters_most_is_checked() {
 }
 
 #[test]
-fn broken_costs_are_named_and_kept() {
+fn broken_cost_files_are_named_and_left_unchanged() {
     let place = Place::new();
     for (text, said) in
-        [("{}", "has no format"), ("{\"format\": 9, \"models\": []}", "newer"), ("no", "no file of costs")]
+        [("{}", "has no format"), ("{\"format\": 9, \"models\": []}", "newer"), ("no", "not a valid file of costs")]
     {
         place.write("costs.json", text.as_bytes());
         let outcome = place.run(&format!("{PREDICT} --deadline-ms 60000 --costs costs.json"));

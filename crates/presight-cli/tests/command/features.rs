@@ -1,20 +1,20 @@
-//! Features from outside: layers, what is said of them, where they are drawn, and what is refused.
+//! Features on the command line: layer files, reports, drawings and refusals.
 
 use super::{Bad, Place, WALL, WALL_INDICES, bad, check, wall};
 use presight_files::exr;
 use serde_json::{Value, json};
 use std::fs;
 
-/// From 2 m before the wall, straight at it.
+/// Faces the wall from a distance of 2 m.
 const AT_WALL: &str = "predict wall.glb --sensor video-camera --pose 0,0,1,0,0,0 --backend cpu";
 
-/// A point and the left edge of the wall, for cameras; the point fades by half in about 7 s.
+/// A camera layer with a point and the wall's left edge. The point's confidence halves in about 7 s.
 const LAYER: &str = r#"{"format": 1, "class": "video", "features": [
     {"id": 5, "kind": "point", "points": [[2, 0.25, 1.25]], "sigma": 0.01, "confirmed": 100, "rate": 0.1},
     {"id": 7, "kind": "segment", "name": "left", "points": [[2, 0.5, 0.9], [2, -0.5, 1.1]], "sigma": 0.01}]}"#;
 
 #[test]
-fn features_are_predicted_beside_images() {
+fn features_are_predicted_with_images() {
     let place = Place::new();
     place.write("l.json", LAYER.as_bytes());
     place.done(
@@ -34,7 +34,7 @@ fn features_are_predicted_beside_images() {
     assert!((point["properties"]["existence"].as_f64().unwrap() - (-1f64).exp()).abs() < 1e-12);
     assert_eq!((segment["name"].as_str(), segment["visible"][0]["t"][1].as_f64()), (Some("left"), Some(1.0)));
     assert_eq!(point["roi"].as_array().unwrap().len(), 4);
-    // Only what was asked for is written, and the point lies over the segment.
+    // Only the requested images are written, and the point is drawn over the segment.
     let images = exr::read(&place.path("a.exr")).unwrap().images;
     assert!(images.polygon_id.is_empty() && images.range.len() == images.feature_id.len());
     let [u, v] = [0, 1].map(|i| point["visible"][0]["pixels"][0][i].as_f64().unwrap().round() as usize);
@@ -43,10 +43,10 @@ fn features_are_predicted_beside_images() {
     assert!(place.path("a.png").exists());
 }
 
-/// Two points at one place, and one beside them: the second of the two tells nothing new. One of no contrast tells hardly
-/// anything.
+/// Two points share a place and a third is elsewhere: the second of the pair adds no information. A fourth point
+/// without contrast adds hardly any.
 #[test]
-fn the_features_that_tell_most_are_kept() {
+fn the_most_informative_features_are_kept() {
     let place = Place::new();
     let point = |id: u32, y: f64, contrast: f64| json!({"id": id, "kind": "point", "points": [[2, y, 1]], "sigma": 0.001, "properties": {"contrast": contrast}});
     let features = [point(6, 0.0, 1.0), point(5, 0.0, 1.0), point(8, 0.5, 1e-9), point(9, -0.5, 1.0)];
@@ -68,7 +68,7 @@ fn the_features_that_tell_most_are_kept() {
 }
 
 #[test]
-fn layers_for_others_are_left_out_and_features_need_a_layer() {
+fn layers_of_other_classes_are_ignored_and_features_need_a_layer() {
     let place = Place::new();
     place.write("l.json", LAYER.replace("video", "radar").as_bytes());
     let line = "predict wall.glb --sensor video-camera --pose 0,0,1,0,0,0 --backend cpu";
@@ -102,7 +102,7 @@ fn the_summary_counts_features() {
     assert!(!place.done(AT_WALL).contains("feature"));
 }
 
-/// A file's tolerance is that of its own features, whatever is read beside it.
+/// A file's tolerance applies to its own features only, whatever other files are read with it.
 #[test]
 fn tolerances_stay_with_their_files() {
     let place = Place::new();
@@ -123,14 +123,14 @@ fn tolerances_stay_with_their_files() {
             off("--layer wide.json --layer off.json"),
         ],
     );
-    // Replaced by a later file, it is that file's.
+    // The later file replaces the feature, so the later file's tolerance applies.
     let wide = floating("video").replace("\"features\"", "\"tolerance\": 0.1, \"features\"");
     place.write("later.json", wide.as_bytes());
     place.done(&format!("{AT_WALL} --layer off.json --layer later.json --features b.json"));
 }
 
 #[test]
-fn what_cannot_be_placed_names_its_file() {
+fn a_feature_without_a_surface_is_reported_with_its_file() {
     let place = Place::new();
     let layer =
         |more: &str, feature: &str| format!("{{\"format\": 1, \"class\": \"video\"{more}, \"features\": [{feature}]}}");
@@ -170,7 +170,7 @@ fn what_cannot_be_placed_names_its_file() {
 }
 
 #[test]
-fn generating_says_in_the_flags_own_units_what_is_wrong() {
+fn feature_generation_reports_errors_in_the_units_of_the_flags() {
     let place = Place::new();
     check(
         &place,
@@ -199,7 +199,7 @@ fn a_byte_order_mark_is_skipped() {
     assert!(said.contains("2 of 2 features seen"), "{said}");
 }
 
-/// 36 numbers are no more than a line a row.
+/// A covariance of 36 numbers takes one line a row of the matrix, not one line a number.
 #[test]
 fn a_covariance_is_short_in_the_file() {
     let place = Place::new();
@@ -212,9 +212,9 @@ fn a_covariance_is_short_in_the_file() {
     assert_eq!(place.json("f.json")["pose_covariance"].as_array().unwrap().len(), 36);
 }
 
-/// The edge that is proposed is one that is seen beside the pixel, not the nearest in space.
+/// `pick` proposes an edge that is visible at the pixel, not the nearest edge in space.
 #[test]
-fn picking_proposes_what_is_seen() {
+fn picking_proposes_visible_edges() {
     let place = Place::new();
     // A second wall, 2 cm behind the first and 10 cm lower.
     let two = wall(
@@ -234,7 +234,7 @@ fn picking_proposes_what_is_seen() {
         let line = said.lines().skip_while(|l| !l.starts_with("an entry")).nth(1).expect("an entry");
         serde_json::from_str::<Value>(line).expect("JSON")
     };
-    // 11 cm below the upper edge, and 2 cm from that of the wall behind.
+    // The pixel is 11 cm below the front wall's upper edge and 2 cm from the back wall's.
     let said = pick("256,120 --reach 0.3");
     let top = entry(&said);
     assert_eq!((&top["kind"], &top["object"]), (&json!("segment"), &json!("wall")), "{said}");
@@ -242,13 +242,13 @@ fn picking_proposes_what_is_seen() {
     assert!(top["points"].as_array().unwrap().iter().all(at_top), "{said}");
     let hidden: Vec<&str> = said.lines().skip_while(|l| !l.starts_with("hidden edges and corners")).skip(1).collect();
     assert!(hidden[0].contains(" border ") && hidden[0].ends_with("back"), "{said}");
-    // Nothing is within a centimetre of the middle: the point itself.
+    // No edge is within 1 cm of the image centre, so `pick` proposes the point on the surface.
     assert_eq!(entry(&pick("256,256 --reach 0.01"))["kind"], "point");
 }
 
-/// The room's layer fixes a camera's pose at most places, and far fewer of its features do so nearly as well.
+/// The room's layer fixes a camera's pose at most places. Thinned to far fewer features it does so nearly as well.
 #[test]
-fn worth_is_told_place_by_place_and_layers_are_thinned() {
+fn worth_is_reported_by_place_and_layers_are_thinned() {
     let place = Place::new();
     fs::copy(concat!(env!("CARGO_MANIFEST_DIR"), "/../../scenes/room.glb"), place.path("room.glb")).unwrap();
     let camera = r#"
@@ -282,7 +282,7 @@ pixel_sigma = 0.5
     assert!(kept > 2.0 && kept < 0.7 * given && position <= 10.0 && heading <= 10.0, "{line}");
     let few: Value = serde_json::from_slice(&fs::read(place.path("few.layer.json")).unwrap()).unwrap();
     assert_eq!(few["features"].as_array().unwrap().len() as f64, kept);
-    // What is left is told to be worth as much: the same places, each hardly worse.
+    // The thinned layer has almost the same worth at the same places.
     place.done("features room.glb --worth --sensor eye.toml --spacing 0.7 --layer few.layer.json --csv few.csv");
     let after = fs::read_to_string(place.path("few.csv")).unwrap();
     for (before, after) in rows.iter().zip(after.lines().skip(1)) {
@@ -291,7 +291,7 @@ pixel_sigma = 0.5
     }
     for (line, said) in [
         ("features room.glb --worth --csv a.csv", "--sensor"),
-        ("features room.glb --worth --sensor video-camera --csv a.csv", "pixel_sigma"),
+        ("features room.glb --worth --sensor realsense-d435 --csv a.csv", "pixel_sigma"),
         ("features room.glb --worth --sensor eye.toml --spacing 0", "spacing above 0"),
         ("features room.glb --worth --sensor eye.toml --floor 50", "is free"),
         ("features room.glb --class video --csv a.csv", "--worth"),

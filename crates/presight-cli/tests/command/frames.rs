@@ -1,10 +1,10 @@
-//! Which way is up, how long a unit is, and meshes that are no scenes.
+//! The scene's up axis and unit of length, and meshes that cannot be scenes.
 
 use super::{Outcome, Place, VIEW, WALL, WALL_INDICES, wall};
 use serde_json::Value;
 use std::fs;
 
-/// The wall as a z-up exporter writes it: (x, y, z) of glTF's (x, z, -y).
+/// The wall as a z-up exporter writes it: (x, y, z) instead of glTF's (x, z, -y).
 fn z_up() -> Vec<u8> {
     wall(|_| (), WALL.map(|[x, y, z]| [x, -z, y]), WALL_INDICES)
 }
@@ -20,21 +20,21 @@ fn refused(outcome: &Outcome, status: i32, words: &[&str]) {
 }
 
 #[test]
-fn flags_and_sidecars_say_which_way_is_up() {
+fn flags_and_sidecars_set_the_up_axis() {
     let place = Place::new();
     place.write("z.glb", &z_up());
     let upright = range(&place, "wall.glb");
     assert_eq!(upright[180], 2.0);
-    assert_ne!(range(&place, "z.glb"), upright, "it lies on its side");
+    assert_ne!(range(&place, "z.glb"), upright, "the scene lies on its side");
     assert_eq!(range(&place, "z.glb --up z"), upright);
     place.write("z.materials.toml", b"format = 1\nup = \"z\"\n");
     assert_eq!(range(&place, "z.glb"), upright);
     assert_ne!(range(&place, "z.glb --up y"), upright, "the flag wins");
-    // In centimetres: the wall is 2 cm away at scale 0.01, and 2 m at 1.
+    // The file is in centimetres: at scale 0.01 the wall is 2 cm away, at scale 1 it is 2 m away.
     assert_eq!(range(&place, "z.glb --scale 0.5 --pose-of sensor")[180], 1.0);
     place.write("z.materials.toml", b"format = 1\nup = \"z\"\nscale = 3\nworld_from_scene = [1, 0, 0, 0, 0, 0]\n");
     assert_eq!(range(&place, "z.glb")[180], 7.0);
-    // The pose in the file's own axes: those of the world, and of the y-up file.
+    // The same pose in the file's own axes, in the world's axes, and in the y-up file's axes.
     let pose = "--sensor laser-scanner --backend cpu --outputs range --world-frame gltf";
     place.write("z.materials.toml", b"format = 1\nup = \"z\"\n");
     place.done(&format!("predict z.glb {pose} --pose 0,0,1,0,0,0 --out b.exr"));
@@ -42,7 +42,7 @@ fn flags_and_sidecars_say_which_way_is_up() {
 }
 
 #[test]
-fn every_command_takes_it_and_stores_record_it() {
+fn every_command_takes_the_up_axis_and_stores_record_it() {
     let place = Place::new();
     place.write("z.glb", &z_up());
     for line in [
@@ -70,7 +70,7 @@ fn every_command_takes_it_and_stores_record_it() {
 }
 
 #[test]
-fn inspection_says_how_it_lies_and_what_is_strange() {
+fn inspection_reports_the_up_axis_and_suspicious_sizes() {
     let place = Place::new();
     // A hall of 20 m x 15 m, 4 m high, as two walls; z is up in the file.
     let hall = [[0.0, 0.0, 0.0], [20.0, 0.0, 0.0], [20.0, 15.0, 4.0], [0.0, 15.0, 4.0]];
@@ -112,13 +112,13 @@ fn wrong_frames_and_meshes_are_refused_with_a_remedy() {
 }
 
 #[test]
-fn remedies_lead_to_what_was_meant() {
+fn remedies_name_the_intended_flag() {
     let place = Place::new();
     let predict = "predict wall.glb --sensor video-camera --backend cpu";
     refused(&place.run(&format!("{predict} --pose 0,0,1,0,0,0 --outputs depth")), 2, &["use depth_z (planar"]);
     let blanks = place.run_args(&["predict", "wall.glb", "--sensor", "laser-scanner", "--pose", " 0 0 1 0 0 0"]);
     assert_eq!(blanks.status, Some(0), "{}", blanks.stderr);
-    // Tips of the parser name what is spelled alike, not what does it.
+    // The parser's suggestions go by spelling; the remedy must name the flag for the purpose.
     for wrong in ["--depth", "--output range", "--image a.png"] {
         let outcome = place.run(&format!("{predict} --pose 0,0,1,0,0,0 {wrong}"));
         refused(&outcome, 2, &["unexpected argument", "; see presight predict --help"]);

@@ -1,4 +1,4 @@
-//! `presight simulate`, `localize` and `replay`: a drive is simulated, followed, compared with what it was, and shown.
+//! `presight simulate`, `localize` and `replay`: a drive is simulated, localized, compared with the truth, and drawn.
 
 use super::Place;
 use presight_files::tum;
@@ -24,7 +24,7 @@ fn drive() -> Place {
 }
 
 #[test]
-fn a_simulated_drive_is_followed() {
+fn a_simulated_drive_is_localized() {
     let place = drive();
     let line = "localize log --map room.glb --sensor log/sensor.toml --init reference --out run.tum";
     let done = place.run(line);
@@ -44,9 +44,47 @@ fn a_simulated_drive_is_followed() {
     assert!(last["covariance"][0][0].as_f64().unwrap() > 0.0 && last["verdicts"]["confirmed"].as_u64().unwrap() > 2000);
 }
 
-/// People and objects that stand elsewhere are in the log, not in the model; the same seed gives the same ones.
+/// Images are named by their time in microseconds, so two poses within one would overwrite each other's image.
 #[test]
-fn scenes_are_not_quite_their_model() {
+fn poses_with_images_of_one_name_are_refused() {
+    let place = Place::new();
+    place.write("camera.toml", CAMERA.as_bytes());
+    place.write("twice.tum", b"1.0000001 0 0 1 0 0 0 1\n2 0 0 1 0 0 0 1\n1.0000002 0 0 1 0 0 0 1\n");
+    let line = "simulate wall.glb --sensor camera.toml --poses twice.tum --out log";
+    super::check(
+        &place,
+        vec![super::bad(line, 1, &["twice.tum", "1.0000001 s and 1.0000002 s", "00000000001.000000.png"])],
+    );
+}
+
+/// Every value is checked before a file is opened, whatever the start.
+#[test]
+fn invalid_flags_of_a_search_are_named_first() {
+    let place = Place::new();
+    for init in ["unknown", "reference", "0,0,0,0,0,0"] {
+        for (flag, value) in [
+            ("--lean", "1"),
+            ("--lean", "1,2,3"),
+            ("--lean", "nan,0"),
+            ("--lean", "0,inf"),
+            ("--floor", "nan"),
+            ("--floor-to", "inf"),
+            ("--margin", "-1"),
+            ("--surrounded", "1.5"),
+            ("--init-sigma", "0"),
+            ("--init-sigma-deg", "nan"),
+            ("--model-sigma", "-1"),
+            ("--odometry-sigma", "-1"),
+        ] {
+            let line = format!("localize none --map none.glb --init {init} {flag} {value} --out x.tum");
+            super::check(&place, vec![super::bad(line, 2, &[flag, "; give"])]);
+        }
+    }
+}
+
+/// The log has people and moved objects that the model lacks. The same seed gives the same ones.
+#[test]
+fn simulated_scenes_differ_from_their_model() {
     let place = drive();
     let image = |folder: &str| {
         let depth = place.path(folder).join("depth");
@@ -74,7 +112,7 @@ fn scenes_are_not_quite_their_model() {
 }
 
 #[test]
-fn what_is_wrong_with_a_log_is_named() {
+fn errors_in_a_log_are_named() {
     let place = drive();
     let run = |log: &str, init: &str| place.run(&format!("localize {log} --map room.glb --init {init} --out x.tum"));
     let refused = |log: &str, init: &str, status: i32, told: &str| {
@@ -97,10 +135,10 @@ fn what_is_wrong_with_a_log_is_named() {
     refused("log", "0.3,0.35,1.35,0,0,38", 1, &name);
 }
 
-/// A picture a frame and a page that refers to all of them; regions of interest where features are asked for.
+/// `replay` writes a picture for each frame and a page with all of them. Features come with regions of interest.
 #[cfg(feature = "report")]
 #[test]
-fn a_drive_is_shown() {
+fn a_drive_is_drawn() {
     let place = drive();
     let line = "replay log --map room.glb --sensor log/sensor.toml --init reference";
     let done = place.run(&format!("{line} --out shown"));
@@ -117,7 +155,7 @@ fn a_drive_is_shown() {
         assert!(leaf["off"][0].as_f64().unwrap() < 0.01 && leaf["nees"].as_f64().unwrap() < 6.0, "{leaf}");
     }
     assert_eq!(leaves[7]["state"], "tracking");
-    // Features are drawn only where they are asked for.
+    // Features are drawn only on request.
     let made = place.run("features room.glb --class laser --out edges.layer.json");
     assert_eq!(made.status, Some(0), "{}", made.stderr);
     let done = place.run(&format!("{line} --layer edges.layer.json --out with"));
@@ -136,7 +174,7 @@ fn a_drive_is_shown() {
     }
 }
 
-/// A scan as points, and as an image of ranges, is a log of one frame; points in the world say where the sensor was.
+/// A scan, as points or as a range image, is a log of one frame. World-frame points include the sensor position.
 #[test]
 fn scans_of_points_are_logs() {
     let place = drive();
@@ -174,10 +212,10 @@ fn scans_of_points_are_logs() {
     assert!(cut.stderr.contains("cut.ply") && cut.stderr.contains("the file is truncated"), "{}", cut.stderr);
 }
 
-/// Fiducials of a layer are looked for in grey images by a build that can, and left out with a word by one that cannot, or whose library
-/// does not know their dictionary.
+/// A build with AprilTag searches grey images for the layer's fiducials. Other builds skip them and report that, as
+/// does a library that lacks their dictionary.
 #[test]
-fn fiducials_of_a_layer_are_looked_for() {
+fn fiducials_of_a_layer_are_searched_for() {
     use presight_files::gltf;
     use presight_model::environment::{Environment, Material};
     use presight_model::geometry::Pose;
@@ -188,7 +226,7 @@ fn fiducials_of_a_layer_are_looked_for() {
     environment
         .insert(presight_model::environment::NewObject::new("room", Pose::IDENTITY, std::sync::Arc::new(room)))
         .unwrap();
-    // Facing the robot, which looks along x.
+    // The fiducials face the robot, which looks along x.
     let facing = glam::DQuat::from_mat3(&glam::DMat3::from_cols_array(&[0., -1., 0., 0., 0., 1., -1., 0., 0.]));
     let tags = [(0, [5.9, 1.2, 1.9]), (1, [5.9, 2.0, 1.1]), (2, [5.9, 2.9, 1.8]), (3, [4.4, 2.4, 0.7])];
     let feature = |(tag, at): (usize, [f64; 3])| {
@@ -235,9 +273,9 @@ fn fiducials_of_a_layer_are_looked_for() {
     assert!(matched == Some(0) && told.contains("4 fiducials of the layer are not searched for"), "{matched:?} {told}");
 }
 
-/// Grey images beside depth images, and instead of them: features of a layer are looked for, classed, told and drawn.
+/// Grey images with depth images, and alone: the layer's features are searched for, classified, reported and drawn.
 #[test]
-fn grey_images_are_followed_and_shown() {
+fn grey_images_are_localized_and_drawn() {
     let place = drive();
     let video = CAMERA.replace("laser", "video").replace("60", "120").replace("80", "160").replace("70.0", "140.0");
     let video = video.replace("39.5", "79.5").replace("29.5", "59.5");
@@ -262,7 +300,7 @@ fn grey_images_are_followed_and_shown() {
     };
     let (features, confirmed) = matched("both.jsonl");
     assert!(features.unwrap() >= 4 && confirmed.unwrap() > 2000, "{features:?} {confirmed:?}");
-    // The grey images by themselves, of the camera that the log says.
+    // The grey images alone, with the camera that the log describes.
     fs::rename(place.path("both/depth"), place.path("depth")).unwrap();
     let alone = "localize both --map room.glb --sensor both/sensor.toml --init reference --out x.tum";
     let camera = place.run(alone);
@@ -277,11 +315,11 @@ fn grey_images_are_followed_and_shown() {
     assert!(done.status == Some(0) && done.stdout.contains("3 of 3 frames have a pose"), "{done:?}");
     let (found, truth) = (tum::read(&place.path("alone.tum")).unwrap(), tum::read(&place.path("short.tum")).unwrap());
     for (f, t) in found.iter().zip(&truth) {
-        // 1.2 cm at most was reached.
+        // The largest error in development was 1.2 cm.
         assert!(f.pose.translation.distance(t.pose.translation) < 0.02, "{f:?} {t:?}");
     }
     let (features, confirmed) = matched("alone.jsonl");
-    assert!(features.is_some() && confirmed == Some(0), "nothing is known of ranges: {features:?} {confirmed:?}");
+    assert!(features.is_some() && confirmed == Some(0), "there are no ranges: {features:?} {confirmed:?}");
     #[cfg(feature = "report")]
     {
         let line = "replay both --map room.glb --sensor both/grey.toml --init reference --layer edges.json --out shown";

@@ -1,4 +1,4 @@
-//! The command from outside: what it writes, what it says, and with which exit status.
+//! Runs the command as a process and checks its files, its messages and its exit status.
 
 mod bad_input;
 mod deadline;
@@ -28,12 +28,12 @@ use std::fs;
 use std::path::PathBuf;
 use tempfile::TempDir;
 
-/// A folder with a scene in it: a wall of 2 m x 2 m at x = 2 m, y from -1 to 1, z from 0 to 2, as two triangles.
+/// A folder with a scene: a 2 m x 2 m wall of two triangles at x = 2 m, y from -1 to 1, z from 0 to 2.
 struct Place {
     folder: TempDir,
 }
 
-/// The wall's corners in glTF's frame: (x, z, -y).
+/// The wall's corners in glTF's frame, (x, z, -y).
 const WALL: [[f32; 3]; 4] = [[2.0, 0.0, 1.0], [2.0, 0.0, -1.0], [2.0, 2.0, -1.0], [2.0, 2.0, 1.0]];
 const WALL_INDICES: [u16; 6] = [0, 1, 2, 0, 2, 3];
 
@@ -59,7 +59,7 @@ impl Place {
         names
     }
 
-    /// Runs the command in the folder; arguments are separated by spaces.
+    /// Runs the command in the folder. Arguments are separated by spaces.
     fn run(&self, line: &str) -> Outcome {
         self.run_args(&line.split_whitespace().collect::<Vec<_>>())
     }
@@ -67,7 +67,7 @@ impl Place {
     fn run_args(&self, args: &[&str]) -> Outcome {
         let mut command = Command::cargo_bin("presight").unwrap();
         command.current_dir(self.folder.path()).args(args);
-        // Vulkan that cannot be: tests of the command must give the same everywhere.
+        // Hides every Vulkan driver, so that the tests give the same results on every machine.
         for variable in ["VK_DRIVER_FILES", "VK_ICD_FILENAMES"] {
             command.env(variable, "/nonexistent");
         }
@@ -79,7 +79,7 @@ impl Place {
         }
     }
 
-    /// Runs what must succeed without a word on stderr.
+    /// Runs a command line that must succeed with an empty stderr, and returns its stdout.
     fn done(&self, line: &str) -> String {
         let outcome = self.run(line);
         assert_eq!((outcome.status, outcome.stderr.as_str()), (Some(0), ""), "{line}\n{}", outcome.stdout);
@@ -102,7 +102,7 @@ struct Outcome {
     stderr: String,
 }
 
-/// A .glb of one mesh; `change` edits its JSON.
+/// Builds a .glb of one mesh; `change` edits its JSON.
 fn wall<const I: usize>(change: impl FnOnce(&mut Value), positions: [[f32; 3]; 4], indices: [u16; I]) -> Vec<u8> {
     let mut bin: Vec<u8> = positions.iter().flatten().flat_map(|v| v.to_le_bytes()).collect();
     bin.extend(indices.iter().flat_map(|i| i.to_le_bytes()));
@@ -148,7 +148,7 @@ fn glb(root: &Value, bin: &[u8]) -> Vec<u8> {
 const VIEW: &str = "--sensor laser-scanner --pose 0,0,1,0,0,0 --backend cpu";
 
 #[test]
-fn a_prediction_is_written_with_what_made_it() {
+fn a_prediction_is_written_with_its_provenance() {
     let place = Place::new();
     assert_eq!(place.done(&format!("predict wall.glb {VIEW} --out a.exr")), "");
     let file = place.images("a.exr");
@@ -170,7 +170,7 @@ fn a_prediction_is_written_with_what_made_it() {
 }
 
 #[test]
-fn only_asked_outputs_are_written() {
+fn only_requested_outputs_are_written() {
     let place = Place::new();
     place.done(&format!("predict wall.glb {VIEW} --outputs range --out a.exr --png a.png"));
     let names: Vec<_> = place.images("a.exr").images.outputs().iter().map(|o| o.name()).collect();
@@ -186,14 +186,14 @@ fn source_ids_number_triangles() {
 }
 
 #[test]
-fn every_way_to_say_a_pose_gives_the_same_images() {
+fn every_form_of_a_pose_gives_the_same_images() {
     let place = Place::new();
     let base = "predict wall.glb --sensor video-camera --backend cpu";
     place.done(&format!("{base} --pose -1,0.25,1,0,0,0 --out body.exr"));
     let body = place.images("body.exr").images;
     assert!(body.polygon_id.contains(&1));
-    // The same pose as a quaternion, of the optical frame (roll -90, yaw -90), in the file's y-up world (x, z, -y) with
-    // the sensor turned back by -90 about x.
+    // The same pose as a quaternion, as the optical frame's pose (roll -90, yaw -90), and in the file's y-up world (x,
+    // z, -y) with the sensor rotated back by -90 about x.
     let ways = [
         "--pose -1,0.25,1,0,0,0,1",
         "--pose=-1,0.25,1,-0.5,0.5,-0.5,0.5 --pose-frame optical",
@@ -221,7 +221,7 @@ fn without_an_output_flag_there_is_one_line() {
 }
 
 #[test]
-fn statistics_and_explanation_say_what_it_cost() {
+fn statistics_and_explanation_report_the_cost() {
     let place = Place::new();
     let told = place.done(&format!("predict wall.glb {VIEW} --threads 1 --repeat 5 --stats s.json --explain"));
     for word in ["engine", "stages", "left out", "depth_z image: not requested"] {
@@ -259,7 +259,7 @@ fn pictures_and_points_are_written() {
 }
 
 #[test]
-fn comparison_finds_a_fault_and_says_where() {
+fn comparison_finds_a_fault_and_locates_it() {
     let place = Place::new();
     place.done(&format!("predict wall.glb {VIEW} --out a.exr"));
     place.done(&format!("predict wall.glb {VIEW} --out same.exr"));
@@ -277,7 +277,7 @@ fn comparison_finds_a_fault_and_says_where() {
 }
 
 #[test]
-fn presets_print_what_sensor_takes() {
+fn presets_print_a_sensor_file() {
     let place = Place::new();
     let listed = place.done("sensors");
     assert_eq!(listed.lines().count(), 8);
@@ -312,7 +312,7 @@ fn indexes_are_measured() {
     let schemes: Vec<&str> = lines[1..].iter().step_by(2).map(|l| l[0]).collect();
     assert_eq!(schemes, ["none", "grid", "plop", "s2d", "s3d", "two-level"]);
     for line in &lines[1..] {
-        // In view from the first pose, behind the second: the median of 1 and 0; nothing needless is returned.
+        // The polygon is in view from the first pose only: the medians are 0.5, and nothing needless is returned.
         assert_eq!((line[2], line[3], line[7], line[8], line[9]), ("2", "", "0.5", "0.5", "1.0000"), "{line:?}");
         assert_eq!(line[10].is_empty(), line[1] == "sector", "{line:?}");
     }
@@ -329,7 +329,7 @@ fn any_index_predicts_the_same() {
 }
 
 #[test]
-fn help_has_examples_and_a_reader_may_leave() {
+fn help_has_examples_and_survives_a_closed_pipe() {
     let place = Place::new();
     for command in ["", "predict", "inspect", "sensors", "compare"] {
         assert!(place.done(&format!("{command} --help")).contains("Examples:"), "{command}");
@@ -345,7 +345,7 @@ fn help_has_examples_and_a_reader_may_leave() {
     assert_eq!((output.status.code(), output.stderr.as_slice()), (Some(0), b"".as_slice()));
 }
 
-/// A bad input: arguments, exit status, and what the one line must name.
+/// A bad input: its arguments, its exit status, and the words that its one line must contain.
 struct Bad {
     line: String,
     status: i32,
@@ -356,7 +356,7 @@ fn bad(line: impl Into<String>, status: i32, names: &[&'static str]) -> Bad {
     Bad { line: line.into(), status, names: names.to_vec() }
 }
 
-/// Runs every case: the exit status, exactly one line on stderr with all names in it, nothing on stdout, no file.
+/// Checks each case: the exit status, one line on stderr with all words, an empty stdout, and no new file.
 fn check(place: &Place, cases: Vec<Bad>) {
     let before = place.names();
     for case in cases {
@@ -383,7 +383,7 @@ fn predict(scene: &str) -> String {
 }
 
 #[test]
-fn without_vulkan_gpu_is_refused_and_auto_goes_on() {
+fn without_vulkan_gpu_is_refused_and_auto_uses_the_cpu() {
     let place = Place::new();
     let line = "predict wall.glb --sensor laser-scanner --pose 0,0,1,0,0,0 --out out.exr --backend gpu";
     check(&place, vec![bad(line, 3, &["use --backend cpu"])]);
@@ -393,7 +393,7 @@ fn without_vulkan_gpu_is_refused_and_auto_goes_on() {
 }
 
 #[test]
-fn doctor_lists_engines_and_says_which_is_used() {
+fn doctor_lists_engines_and_the_one_in_use() {
     let place = Place::new();
     let outcome = place.run("doctor");
     assert_eq!(outcome.status, Some(0), "{}", outcome.stdout);
@@ -408,7 +408,7 @@ fn doctor_lists_engines_and_says_which_is_used() {
 }
 
 #[test]
-fn help_tells_what_a_scene_is() {
+fn help_explains_scenes() {
     let place = Place::new();
     let help = place.done("--help");
     assert!([".glb", ".rhai", ".presight"].iter().all(|kind| help.contains(kind)), "{help}");

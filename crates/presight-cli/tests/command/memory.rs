@@ -1,11 +1,11 @@
-//! Memory: what commands say that they need is what they take, and where there is less they say so before they begin.
+//! Commands state the memory that they need, take about that much, and refuse at the start where less is available.
 
 use super::{Place, camera, glb};
 use serde_json::json;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-/// Runs the command under a limit on its address space, in kilobytes.
+/// Runs the command with its address space limited to this many kilobytes.
 fn under(place: &Place, kilobytes: u64, line: &str) -> (Option<i32>, String) {
     let mut command = Command::new("sh");
     command.args(["-c", &format!("ulimit -v {kilobytes} && exec \"$@\""), "sh", env!("CARGO_BIN_EXE_presight")]);
@@ -13,7 +13,7 @@ fn under(place: &Place, kilobytes: u64, line: &str) -> (Option<i32>, String) {
     (output.status.code(), String::from_utf8(output.stderr).unwrap())
 }
 
-/// The most memory that a run of the command had at a time, in bytes, as the system counts it until its end.
+/// Returns the peak memory of a run of the command, in bytes, as the system reports it.
 fn peak(place: &Place, line: &str) -> u64 {
     let mut command = Command::new(env!("CARGO_BIN_EXE_presight"));
     command.args(line.split(' ')).current_dir(place.folder.path()).stdout(Stdio::null());
@@ -33,7 +33,7 @@ fn peak(place: &Place, line: &str) -> u64 {
     }
 }
 
-/// What a refusal says that is needed, in bytes.
+/// Returns the memory that a refusal states as needed, in bytes.
 fn said(message: &str) -> f64 {
     let (_, rest) = message.split_once("needs about ").unwrap_or_else(|| panic!("{message}"));
     let mut words = rest.split(' ');
@@ -41,10 +41,10 @@ fn said(message: &str) -> f64 {
     number * if words.next() == Some("GB") { 1e9 } else { 1e6 }
 }
 
-/// Below what is needed, above what the command has when it asks.
+/// An address space in kilobytes: less than the work needs, more than the command uses before it checks.
 const LITTLE: u64 = 420_000;
 
-/// Under a limit the command refuses, and says what it needs; without one its peak is that, to a fifth.
+/// Checks that the command refuses under a limit and that the need it states is within a fifth of its peak without one.
 fn check(place: &Place, line: &str, least: u64) {
     let names = place.names();
     let (status, message) = under(place, LITTLE, line);
@@ -52,7 +52,7 @@ fn check(place: &Place, line: &str, least: u64) {
     assert!(message.contains("address space (ulimit -v) leaves "), "{line}: {message}");
     assert_eq!(place.names(), names, "{line}");
     let (said, peak) = (said(&message), (peak(place, line) - least) as f64);
-    assert!((0.8..1.2).contains(&(said / peak)), "{line}: {said:.3e} are said, {peak:.3e} taken");
+    assert!((0.8..1.2).contains(&(said / peak)), "{line}: {said:.3e} stated, {peak:.3e} taken");
 }
 
 fn square(width: u32, height: u32, more: &str) -> String {
@@ -60,7 +60,7 @@ fn square(width: u32, height: u32, more: &str) -> String {
 }
 
 #[test]
-fn predictions_take_what_they_say() {
+fn predictions_take_the_memory_they_state() {
     let place = Place::new();
     place.write("large.toml", square(4096, 4096, "").as_bytes());
     place.write("tiny.toml", square(16, 16, "").as_bytes());
@@ -86,7 +86,7 @@ fn predictions_take_what_they_say() {
     }
     let lens = "[distortion]\nmodel = \"plumb_bob\"\ncoefficients = [0.01, 0.001, 0, 0, 0]\n";
     place.write("lens.toml", square(4096, 4096, lens).as_bytes());
-    // The table is asked for before the images are: 24 bytes of a ray as it is listed, 1,633 of a tile of 64.
+    // The ray table is allocated before the images: 24 bytes a listed ray and 1,633 bytes a tile of 64 rays.
     let (status, message) = under(&place, LITTLE, &predict("lens", "--explain"));
     assert!(
         status == Some(4) && (said(&message) / (4096.0 * 4096.0 * (24.0 + 1633.0 / 64.0)) - 1.0).abs() < 0.2,
@@ -94,7 +94,7 @@ fn predictions_take_what_they_say() {
     );
 }
 
-/// Wavy ground of so many squares a side, of which no two triangles are coplanar.
+/// Builds wavy ground of `side` x `side` squares without two coplanar triangles.
 fn ground(side: u32) -> Vec<u8> {
     let height = |i: u32, j: u32| (f64::from(i) * 0.37).sin() * (f64::from(j) * 0.23).cos() * 0.3;
     let mut bin = Vec::new();
@@ -126,12 +126,12 @@ fn ground(side: u32) -> Vec<u8> {
 }
 
 #[test]
-fn imports_take_what_they_say() {
+fn imports_take_the_memory_they_state() {
     let place = Place::new();
     let ground = ground(1000);
     place.write("ground.glb", &ground);
     let least = peak(&place, "inspect wall.glb");
-    // The file itself is in memory when its meshes are asked for.
+    // The file itself is in memory when its meshes are allocated.
     check(&place, "inspect ground.glb", least + ground.len() as u64);
     #[cfg(feature = "store")]
     {
@@ -140,25 +140,25 @@ fn imports_take_what_they_say() {
         let (status, message) = under(&place, 250_000, line);
         assert_eq!(status, Some(4), "{message}");
         let (said, peak) = (said(&message), (peak(&place, line) - least) as f64);
-        assert!((0.8..1.2).contains(&(said / peak)), "{line}: {said:.3e} are said, {peak:.3e} taken");
+        assert!((0.8..1.2).contains(&(said / peak)), "{line}: {said:.3e} stated, {peak:.3e} taken");
     }
 }
 
 #[test]
-fn comparisons_take_what_they_say() {
+fn comparisons_take_the_memory_they_state() {
     let place = Place::new();
     place.write("large.toml", square(4096, 4096, "").as_bytes());
     let view = "--pose 0,0,1,0,0,0 --backend cpu --sensor large.toml";
     place.done(&format!("predict wall.glb {view} --out a.exr"));
     let (status, message) = under(&place, LITTLE, "compare a.exr a.exr");
     assert_eq!((status, message.lines().count()), (Some(4), 1), "{message}");
-    // The first of the two fits or does not; it is what each of them is.
+    // The refusal names the first of the two images. Both images need the same amount.
     assert!((said(&message) / (4096.0 * 4096.0 * 16.0) - 1.0).abs() < 0.01, "{message}");
     let twice = (peak(&place, "compare a.exr a.exr") - peak(&place, "inspect wall.glb")) as f64;
     assert!((0.8..1.2).contains(&(2.0 * said(&message) / twice)), "{message} {twice:.3e}");
 }
 
-/// The largest images under 3 GB: refused at once, not ended by the system in the midst of it.
+/// Images just above a limit of 3 GB are refused at once; the system does not end the command half-way.
 #[test]
 fn a_large_camera_is_refused_with_both_figures() {
     let place = Place::new();
@@ -166,7 +166,7 @@ fn a_large_camera_is_refused_with_both_figures() {
     let line = "predict wall.glb --pose 0,0,1,0,0,0 --backend cpu --sensor huge.toml --out a.exr";
     let (status, message) = under(&place, 3_000_000, line);
     assert_eq!((status, message.lines().count()), (Some(4), 1), "{message}");
-    // 48.5 bytes a pixel: buffers of 16, four images, and their copies for the file.
+    // 48.5 bytes a pixel: buffers of 16 bytes, four images, and their copies for the file.
     assert!(message.starts_with("error: ") && message.contains("about 3.25 GB of memory"), "{message}");
     assert!(message.contains("leaves 2.") && message.contains("; raise the limit"), "{message}");
     assert!(!place.path("a.exr").exists());

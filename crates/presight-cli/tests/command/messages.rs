@@ -1,12 +1,12 @@
-//! Messages: one line, printable, of bounded length, and not misleading, whatever names and files hold.
+//! Messages are one printable line of bounded length and do not mislead, whatever names and files contain.
 
 use super::{Outcome, Place, VIEW, WALL, WALL_INDICES, camera, wall};
 use presight_files::sensor_toml;
 use serde_json::json;
 
-/// A name that breaks lines, colours a terminal, turns text round and hides.
+/// A name that breaks lines, colours a terminal, reverses the text direction and hides characters.
 const NASTY: &str = "wall\n\u{1b}[31mred\r\u{202e}\u{200b}\u{9b}";
-/// The same, as it may be shown.
+/// [`NASTY`] as messages must show it.
 #[cfg(feature = "store")]
 const SHOWN: &str = "wall\\n\\u{1b}[31mred\\r\\u{202e}\\u{200b}\\u{9b}";
 
@@ -15,7 +15,7 @@ fn assert_printable(text: &str) {
     assert_eq!(odd, None, "{text:?}");
 }
 
-/// Exactly one line of stderr, of bounded length; the status.
+/// Checks that stderr is one line of bounded length, and returns the exit status.
 fn refused(outcome: &Outcome) -> Option<i32> {
     let said = &outcome.stderr;
     assert_eq!((said.lines().count(), outcome.stdout.as_str()), (1, ""), "{said:?}");
@@ -34,7 +34,7 @@ fn nasty_scene(place: &Place) {
 }
 
 #[test]
-fn names_are_shown_escaped_and_kept_as_they_are() {
+fn names_are_shown_escaped_and_kept_unchanged() {
     let place = Place::new();
     nasty_scene(&place);
     let sensor = camera(16, 16).replace("format = 1", "format = 1\nname = \"wall\\n\\u001b[31mred\"");
@@ -50,7 +50,7 @@ fn names_are_shown_escaped_and_kept_as_they_are() {
         assert_printable(&outcome.stdout);
         assert!(outcome.stdout.contains("wall\\n\\u{1b}[31mred"), "{line}: {}{}", outcome.stdout, outcome.stderr);
     }
-    // What programs read keeps the names.
+    // Output for programs keeps the names unchanged.
     assert_eq!(place.done("inspect nasty.glb --json").matches("wall\\n\\u001b[31mred").count(), 2);
     place.done(&format!("predict nasty.glb {view} --out a.exr"));
     let attributes = place.images("a.exr").attributes;
@@ -92,7 +92,7 @@ fn faults_of_odd_and_long_names_are_one_line() {
     }
 }
 
-/// 50 MB of text where a line of three numbers should be.
+/// A file with 50 MB of text instead of a line of three numbers.
 #[test]
 fn a_long_line_is_quoted_by_its_start() {
     let place = Place::new();
@@ -124,7 +124,7 @@ fn scripts_print_and_throw_one_line() {
 
 #[cfg(feature = "store")]
 #[test]
-fn the_log_is_one_line_an_entry() {
+fn the_log_has_one_line_for_each_entry() {
     let place = Place::new();
     place.done("env create s.presight wall.glb");
     let long = "z".repeat(1 << 20);
@@ -143,7 +143,7 @@ fn the_log_is_one_line_an_entry() {
     assert_eq!((first["cause"].as_str(), first["id"].as_str()), (Some(NASTY), Some(NASTY)));
 }
 
-/// What is wrong with a negative number is said of the number: no tip that cannot work.
+/// A message about a negative number is about the number; it gives no useless tip about flags.
 #[test]
 fn negative_numbers_are_numbers() {
     let place = Place::new();
@@ -170,6 +170,6 @@ fn no_bound_is_minus_zero() {
     corners.iter_mut().for_each(|c| c[2] = if c[2] > 0.0 { 1e-5 } else { -2.0 });
     place.write("w.glb", &wall(|_| (), corners, WALL_INDICES));
     let words = place.done("inspect w.glb");
-    // y is -z of glTF: from -1e-5 to 2.
+    // y is -z of glTF and ranges from -1e-5 to 2.
     assert!(words.contains("y 0.000..2.000") && !words.contains("-0.000"), "{words}");
 }

@@ -1,4 +1,4 @@
-//! No command writes over what it reads, nor twice into one file, and names tell formats.
+//! No command overwrites its input or writes two outputs to one file, and file names determine formats.
 
 use super::{Place, VIEW};
 use std::collections::BTreeMap;
@@ -8,7 +8,7 @@ use std::os::unix::fs::{PermissionsExt, symlink};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-/// Every file below a folder with its bytes, and every link with where it leads.
+/// Every file below a folder with its bytes, and every link with its target.
 fn contents(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     let mut all = BTreeMap::new();
     for entry in fs::read_dir(folder).unwrap() {
@@ -26,7 +26,7 @@ fn contents(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     all
 }
 
-/// That each line is wrong usage, told in one line with these words, and that no file is made, gone or another one.
+/// Checks that each line is wrong usage, reported in one line with these words, and that the files stay unchanged.
 fn refused(place: &Place, lines: &[(String, &[&str])]) {
     let before = contents(place.folder.path());
     for (line, words) in lines {
@@ -95,7 +95,7 @@ fn nothing_named_is_overwritten() {
     refused(&place, &lines);
 }
 
-/// Only whoever reads the files can know of these.
+/// These files are known only after the scene has been read.
 #[test]
 fn nothing_included_is_overwritten() {
     let place = Place::new();
@@ -110,8 +110,15 @@ fn nothing_included_is_overwritten() {
     place.write("rays.png", b"1,0,0\n");
     place.write("table.toml", b"format = 1\nkind = \"rays\"\nwidth = 1\nheight = 1\nfile = \"rays.png\"\n");
     place.done("predict wall.glb --sensor table.toml --pose 0,0,1,0,0,0 --backend cpu");
-    let lines: [(String, &[&str]); 3] = [
+    place.write("robot.toml", b"format = 1\n[[sensors]]\nsensor = \"table.toml\"\n");
+    place.write("poses.tum", b"0 0 0 1 0 0 0 1\n");
+    let lines: [(String, &[&str]); 5] = [
         (predict("apart.gltf", "--png before.png --stats bin.json"), &["--stats bin.json"]),
+        ("predict wall.glb --robot robot.toml --poses poses.tum --backend cpu --png rays.png".into(), &["rays.png"]),
+        (
+            "predict apart.gltf --robot robot.toml --poses poses.tum --backend cpu --features bin.json".into(),
+            &["bin.json"],
+        ),
         (
             predict("wall.glb", "--out before.exr --stats sidecar.json"),
             &["--stats sidecar.json", "wall.materials.toml"],
@@ -124,7 +131,7 @@ fn nothing_included_is_overwritten() {
     refused(&place, &lines);
 }
 
-/// Images are never read, and belong to the scene all the same: those that are there, and those that are missing.
+/// The scene's images are never read but still belong to it, including missing ones.
 #[test]
 fn no_image_of_a_scene_is_overwritten() {
     let place = Place::new();
@@ -202,7 +209,7 @@ fn no_store_is_overwritten() {
         ("features h.json --class video --out h.json".into(), &["--out h.json"]),
         ("env export d/scene.glb d".into(), &["d/scene.glb"]),
         ("env export d/scene.glb ./d/scene.glb".into(), &["d/scene.glb"]),
-        // What a class's file is called is known when the store is read.
+        // The file name of a class is known only after the store has been read.
         ("env export d/laser.layer.json d".into(), &["d/laser.layer.json"]),
         ("env create wall.glb wall.glb".into(), &["wall.glb"]),
         ("index index.csv --out .".into(), &["index.csv"]),
@@ -214,7 +221,7 @@ fn no_store_is_overwritten() {
 }
 
 #[test]
-fn names_tell_what_is_in_a_file() {
+fn names_determine_the_format() {
     let place = Place::new();
     place.write("old.npz", b"old");
     place.done(&predict("wall.glb", "--out a.exr"));
@@ -241,7 +248,7 @@ fn names_tell_what_is_in_a_file() {
 }
 
 #[test]
-fn a_dash_is_no_file() {
+fn a_dash_is_not_a_file_name() {
     let place = Place::new();
     place.done(&predict("wall.glb", "--out a.exr"));
     let mut lines: Vec<(String, &[&str])> = vec![
@@ -282,18 +289,18 @@ fn devices_and_pipes_take_any_name() {
     let mut bytes = Vec::new();
     child.stdout.take().unwrap().read_to_end(&mut bytes).unwrap();
     assert!(child.wait().unwrap().success() && bytes == whole);
-    // A file that stdout was led into goes on where it is.
+    // A file that stdout was redirected to is appended to.
     let mut file = File::create(place.path("log")).unwrap();
     file.write_all(b"before").unwrap();
     assert!(run(file.into()).wait().unwrap().success());
     assert!(fs::read(place.path("log")).unwrap() == [b"before".as_slice(), whole.as_slice()].concat());
-    // Also one whose name says nothing to it.
+    // This holds even if the file's name conflicts with the scene's.
     let file = File::options().append(true).open(place.path("wall.glb")).unwrap();
     assert_eq!(run(file.into()).wait().unwrap().code(), Some(2));
 }
 
 #[test]
-fn a_file_keeps_who_may_read_it() {
+fn a_file_keeps_its_permissions() {
     let place = Place::new();
     let mode = |name: &str| fs::metadata(place.path(name)).unwrap().permissions().mode() & 0o7777;
     let line = predict("wall.glb", "--out a.exr");

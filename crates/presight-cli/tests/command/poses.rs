@@ -1,4 +1,4 @@
-//! Many poses in one command: the same files as one command a pose, names from templates, and a series that goes on.
+//! Many poses in one command: the same files as from one command for each pose, names from templates, and resumption.
 
 use super::signals::interrupts_pass;
 use super::{Outcome, Place, camera};
@@ -26,7 +26,7 @@ fn in_run(place: &Place) -> Vec<String> {
 }
 
 #[test]
-fn files_are_those_of_a_command_for_each_pose() {
+fn files_equal_those_of_a_command_for_each_pose() {
     let place = place();
     let outputs = "--outputs range,depth_z,polygon_id,object_id,cos_incidence,echo";
     let series = "--out run/{i}.exr --png run/{i}.png --depth-png run/{t}.d.png --points run/{i:03}.ply --npy run/{i}-{output}.npy";
@@ -49,7 +49,7 @@ fn files_are_those_of_a_command_for_each_pose() {
 }
 
 #[test]
-fn poses_come_from_stdin_and_without_files_there_is_a_line_for_each() {
+fn poses_come_from_stdin_and_each_prints_a_line_without_output_files() {
     let place = place();
     let mut command = assert_cmd::Command::cargo_bin("presight").unwrap();
     let args = format!("{PREDICT} --poses - --json");
@@ -58,7 +58,7 @@ fn poses_come_from_stdin_and_without_files_there_is_a_line_for_each() {
     let lines: Vec<serde_json::Value> =
         String::from_utf8(output.stdout).unwrap().lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     assert_eq!(lines.len(), 3);
-    // The wall of 2 m x 2 m is 2 m ahead; the focal length is 100 pixels, so it fills the image.
+    // The 2 m x 2 m wall is 2 m ahead and the focal length is 100 pixels, so the wall fills the image.
     assert_eq!(
         (&lines[0]["pixels_hit"], &lines[0]["nearest_m"], &lines[0]["objects_seen"]),
         (&768.into(), &2.0.into(), &1.into())
@@ -121,7 +121,7 @@ fn wrong_series_are_refused_before_any_work() {
         ("--poses none.tum", 1, "none.tum"),
         ("--poses drive.tum --out run/a.exr", 2, "--out: one name for 3 poses; put {i} or {t} into it"),
         ("--poses drive.tum --out run/{i.exr", 2, "--out run/{i.exr"),
-        ("--poses drive.tum --out run/{n}.exr", 2, "{n} is no field"),
+        ("--poses drive.tum --out run/{n}.exr", 2, "{n} is not a valid field"),
         ("--poses drive.tum --out run/{output}{i}.exr", 2, "{output} has no value here"),
         ("--poses drive.tum --npy run/{i}.npy", 2, "--npy: one name for 4 images; put {output}"),
         ("--pose 0,0,1,0,0,0 --npy run/a.npy", 2, "--npy: one name for 4 images"),
@@ -146,9 +146,9 @@ fn wrong_series_are_refused_before_any_work() {
     assert_eq!((stamped.status, fs::read_to_string(place.path("drive.tum")).unwrap().as_str()), (Some(2), TRAJECTORY));
 }
 
-/// Something stands in the way of the third pose; once it is gone the same command goes on.
+/// A folder blocks the file of the third pose. After its removal the same command resumes.
 #[test]
-fn a_series_that_was_stopped_goes_on_where_it_was() {
+fn a_series_that_was_stopped_resumes() {
     for (name, blocked, others) in [
         ("--out run/{i}.exr", "run/2.exr", ""),
         ("--outputs range --npy run/all.npy --png run/{i}.png", "run/2.png", "run/all.npy"),
@@ -160,7 +160,7 @@ fn a_series_that_was_stopped_goes_on_where_it_was() {
         assert!(others.is_empty() || !place.path(others).exists(), "whole files only");
         let first = blocked.replace('2', "0");
         fs::remove_dir(place.path(blocked)).unwrap();
-        // What is there is not written again.
+        // Existing files are not written again.
         let written = |name: &str| fs::metadata(place.path(name)).unwrap().modified().unwrap();
         let before = written(&first);
         let outcome = place.run(&line);
@@ -169,7 +169,7 @@ fn a_series_that_was_stopped_goes_on_where_it_was() {
         assert_eq!(written(&first), before);
         let left = in_run(&place).into_iter().filter(|n| n.starts_with('.') || n.ends_with("unfinished")).count();
         assert_eq!(left, 0, "{:?}", in_run(&place));
-        // A complete series is made anew, with the same bytes.
+        // A complete series is computed again, with the same bytes.
         let all = || -> Vec<Vec<u8>> {
             in_run(&place).iter().map(|n| fs::read(place.path("run").join(n)).unwrap()).collect()
         };
@@ -179,9 +179,9 @@ fn a_series_that_was_stopped_goes_on_where_it_was() {
     }
 }
 
-/// Ended by a signal at a random time, whatever it was doing; the files are those of a series that nobody ended.
+/// A signal ends the command at a random time. The files are the same as from an uninterrupted series.
 #[test]
-fn a_series_that_was_interrupted_goes_on() {
+fn a_series_that_was_interrupted_resumes() {
     let place = place();
     let poses: String = (0..300).map(|i| format!("{i} {} 0 1 0 0 0 1\n", -0.001 * f64::from(i))).collect();
     place.write("long.tum", poses.as_bytes());
@@ -212,7 +212,7 @@ fn a_series_that_was_interrupted_goes_on() {
 }
 
 #[test]
-fn another_series_is_not_gone_on_with_and_lost_files_are_made_again() {
+fn another_series_starts_over_and_lost_files_are_written_again() {
     let place = place();
     let line = |more: &str| format!("{PREDICT} --poses drive.tum --out run/{{i}}.exr {more}");
     let stop = || {
@@ -234,15 +234,15 @@ fn another_series_is_not_gone_on_with_and_lost_files_are_made_again() {
     let again = place.run(&line(""));
     assert!(again.stderr.starts_with("note: 1 of 3 poses"), "{}", again.stderr);
     assert!(place.path("run/1.exr").exists() && first() == before);
-    // A file that something else wrote since is made again.
+    // A file that another program has overwritten since is written again.
     stop();
     let sound = fs::read(place.path("run/1.exr")).unwrap();
-    // Clocks of file systems go in steps.
+    // The time stamps of file systems have a coarse resolution.
     std::thread::sleep(std::time::Duration::from_millis(50));
     fs::write(place.path("run/1.exr"), b"of another").unwrap();
     assert!(place.run(&line("")).stderr.starts_with("note: 1 of 3 poses"));
     assert_eq!(fs::read(place.path("run/1.exr")).unwrap(), sound);
-    // Another scene under the same name is another series.
+    // A changed scene under the same name starts another series.
     stop();
     place.write(
         "wall.glb",

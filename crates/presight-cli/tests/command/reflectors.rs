@@ -1,10 +1,10 @@
-//! Logs of scanners: simulated with intensities and without, followed by the reflectors of a layer, shown, and refused.
+//! Scanner logs with and without intensities: simulation, localization by reflectors, drawing, and refusals.
 
 use super::Place;
 use presight_files::tum;
 use std::fs;
 
-/// A corridor of plain walls with three plates of foil across it, the layer of the scene.
+/// A corridor of plain walls with three plates of foil across it, and the scene's layer.
 const SCENE: &str = r#"
 material("plaster", #{ reflection: 0.4 });
 material("foil", #{ reflection: 1.0 });
@@ -31,7 +31,7 @@ fn corridor() -> Place {
     place
 }
 
-/// Largest way off along the corridor, metres.
+/// The largest error along the corridor, in metres.
 fn worst(place: &Place, poses: &str) -> f64 {
     let (found, truth) = (tum::read(&place.path(poses)).unwrap(), tum::read(&place.path("drive.tum")).unwrap());
     assert_eq!(found.len(), truth.len());
@@ -39,7 +39,7 @@ fn worst(place: &Place, poses: &str) -> f64 {
 }
 
 #[test]
-fn a_scanner_is_simulated_and_followed_by_reflectors() {
+fn a_scanner_is_simulated_and_localized_by_reflectors() {
     let place = corridor();
     let log = fs::read_to_string(place.path("log/scans.jsonl")).unwrap();
     assert_eq!(log.lines().count(), 9);
@@ -55,7 +55,7 @@ fn a_scanner_is_simulated_and_followed_by_reflectors() {
     assert!(last["features"]["matched"] == 3 && last["state"] == "tracking", "{last}");
     let with = worst(&place, "run.tum");
     assert!(with < 0.03, "{with}");
-    // The same ranges without intensities, as the same seed gives them.
+    // The same seed gives the same ranges without intensities.
     let made = place.run("simulate corridor.rhai --sensor scanner.toml --poses drive.tum --out bare");
     assert_eq!(made.status, Some(0), "{}", made.stderr);
     let ranges = |path: &str| -> Vec<serde_json::Value> {
@@ -80,7 +80,7 @@ fn a_scanner_is_simulated_and_followed_by_reflectors() {
 }
 
 #[test]
-fn what_does_not_fit_a_scanner_is_refused() {
+fn input_that_does_not_fit_a_scanner_is_refused() {
     let place = corridor();
     let camera = "format = 1\nkind = \"camera\"\nclass = \"laser\"\nwidth = 8\nheight = 6\nfx = 7.0\nfy = 7.0\ncx = 3.5\ncy = 2.5\n";
     place.write("camera.toml", camera.as_bytes());
@@ -96,14 +96,14 @@ fn what_does_not_fit_a_scanner_is_refused() {
         assert!(refused.status.is_some_and(|s| s > 0) && refused.stderr.contains(told), "{args}: {refused:?}");
         assert!(!place.path("none/scans.jsonl").exists());
     }
-    // A layer of another class.
+    // A layer of another sensor class.
     let layer = r#"{"format": 1, "class": "laser", "features": [{"id": 1, "kind": "reflector", "points": [[3.995, 0.9, 1.1]]}]}"#;
     place.write("laser.json", layer.as_bytes());
     place.write("radar.toml", SCANNER.replace("\"laser\"", "\"radar\"").as_bytes());
     let line = "localize log/scans.jsonl --map corridor.rhai --init reference --out x.tum";
     let refused = place.run(&format!("{line} --sensor radar.toml --layer laser.json"));
     assert!(refused.status == Some(2) && refused.stderr.contains("none of them of class \"radar\""), "{refused:?}");
-    // A log cut in a line, and intensities of another sensor.
+    // A log cut in the middle of a line, and intensities of another sensor.
     let text = fs::read_to_string(place.path("log/scans.jsonl")).unwrap();
     place.write("cut.jsonl", &text.as_bytes()[..text.len() - 2000]);
     place.write("key.jsonl", text.replacen("\"format\":1", "\"format\":1,\"x\":2", 1).as_bytes());

@@ -1,4 +1,4 @@
-//! Every command that takes a scene takes a script.
+//! Every command that takes a scene also takes a script.
 
 use assert_cmd::Command;
 use std::fs;
@@ -27,7 +27,7 @@ fn all_commands_take_scripts() {
     let pose = "--pose 0,0,0,0,0,0 --backend cpu";
     let told = run("inspect wall.rhai");
     assert!(String::from_utf8_lossy(&told.stdout).contains("walls/wall"));
-    assert_eq!(String::from_utf8_lossy(&told.stderr), "hello\n", "what it prints goes to stderr");
+    assert_eq!(String::from_utf8_lossy(&told.stderr), "hello\n", "the script prints to stderr");
     run(&format!("predict wall.rhai --sensor laser-scanner {pose} --out a.exr"));
     run(&format!("predict wall.rhai --sensor laser-scanner {pose} --ids source --out b.exr"));
     run(&format!("predict wall.rhai --sensor video-camera {pose} --features f.json"));
@@ -39,7 +39,7 @@ fn all_commands_take_scripts() {
     run("index wall.rhai --out study");
 }
 
-/// What a script builds is what a store of it holds.
+/// A store made from a script has the same content as the script's scene.
 #[cfg(feature = "store")]
 #[test]
 fn stores_are_made_of_scripts() {
@@ -73,7 +73,7 @@ fn a_sidecar_of_a_script_is_refused() {
     let output = presight(&folder).args(["inspect", "wall.rhai"]).assert().code(1).get_output().clone();
     let said = String::from_utf8(output.stderr).unwrap();
     assert!(said.contains("wall.materials.toml") && said.contains("material("), "{said}");
-    // It may be that of a model of the same name.
+    // The sidecar may belong to a model of the same name.
     fs::copy(concat!(env!("CARGO_MANIFEST_DIR"), "/../../scenes/room.glb"), folder.path().join("wall.glb")).unwrap();
     presight(&folder).args(["inspect", "wall.rhai"]).assert().success();
 }

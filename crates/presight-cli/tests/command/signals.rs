@@ -1,4 +1,4 @@
-//! The command is told to end, or that a file is too large: nothing half written stays.
+//! Signals and the file-size limit: no half-written file stays.
 
 use super::{Place, VIEW};
 use std::fs;
@@ -6,7 +6,7 @@ use std::os::unix::process::ExitStatusExt;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant, SystemTime};
 
-/// Images that take a while to write.
+/// Images that are large enough for a signal to arrive while they are written.
 const LARGE: &str =
     "format = 1\nkind = \"camera\"\nwidth = 5000\nheight = 4000\nfx = 2500.0\nfy = 2500.0\ncx = 2499.5\ncy = 1999.5\n";
 
@@ -16,7 +16,7 @@ fn start(place: &Place, line: &str) -> Child {
     command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()
 }
 
-/// True in a script's background, where shells tell their commands to let interrupts pass.
+/// Returns true if SIGINT is ignored, as shells arrange for commands in a script's background.
 pub fn interrupts_pass() -> bool {
     let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
     let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
@@ -27,7 +27,7 @@ fn parts(place: &Place) -> Vec<String> {
     place.names().into_iter().filter(|name| name.ends_with(".part")).collect()
 }
 
-/// Waits until a temporary file is there and sends a signal; false if the command ended before.
+/// Waits for a temporary file, then sends the signal. Returns false if the command ended before.
 fn interrupt(place: &Place, child: &mut Child, signal: &str) -> bool {
     let start = Instant::now();
     while parts(place).is_empty() {
@@ -40,7 +40,7 @@ fn interrupt(place: &Place, child: &mut Child, signal: &str) -> bool {
     true
 }
 
-/// Interrupts that hit while a file is written, and how often that is tried: on a busy machine a signal may come too late.
+/// How often an interrupt must hit while a file is written. On a busy machine a signal may come too late.
 const HITS: usize = 4;
 const TRIES: usize = 60;
 
@@ -88,10 +88,10 @@ fn an_interrupt_leaves_no_half_a_store() {
     ends_by(&place, "env create out.presight room.glb", "-TERM", 15);
 }
 
-/// A shell in the background tells its commands to let interrupts pass.
+/// Shells start background commands with SIGINT ignored.
 #[cfg(target_os = "linux")]
 #[test]
-fn an_interrupt_that_is_to_be_ignored_is() {
+fn an_ignored_interrupt_stays_ignored() {
     let place = Place::new();
     place.write("large.toml", LARGE.as_bytes());
     let line = "predict wall.glb --sensor large.toml --pose 0,0,1,0,0,0 --backend cpu --outputs range --out out.exr";
@@ -104,9 +104,9 @@ fn an_interrupt_that_is_to_be_ignored_is() {
     assert_eq!((parts(&place), place.path("out.exr").exists()), (vec![], true));
 }
 
-/// Beyond `ulimit -f` the system sends SIGXFSZ.
+/// The system sends SIGXFSZ beyond `ulimit -f`.
 #[test]
-fn a_file_beyond_the_limit_is_the_systems_refusal() {
+fn a_file_beyond_the_size_limit_is_an_error() {
     let place = Place::new();
     place.write("large.toml", LARGE.as_bytes());
     fs::copy(concat!(env!("CARGO_MANIFEST_DIR"), "/../../scenes/room.glb"), place.path("room.glb")).unwrap();
@@ -135,7 +135,7 @@ fn a_file_beyond_the_limit_is_the_systems_refusal() {
 }
 
 #[test]
-fn what_a_killed_command_left_is_removed_by_the_next() {
+fn leftovers_of_a_killed_command_are_removed_by_the_next() {
     let place = Place::new();
     let (old, young, other) = (".presight-killed.part", ".presight-young0.part", "presight-killed.part");
     for name in [old, young, other] {

@@ -1,4 +1,4 @@
-//! Files that are none, or that never end, at every place where a command reads one: refused at once.
+//! Special and endless files are refused at once wherever a command reads a file.
 #![cfg(unix)]
 
 use super::Place;
@@ -8,10 +8,10 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 const VIEW: &str = "--sensor laser-scanner --pose 0,0,1,0,0,0 --backend cpu";
-/// Some have gigabytes within this time, the others wait for ever.
+/// Some of these files deliver gigabytes within this time, others block for ever.
 const SOON: Duration = Duration::from_secs(15);
 
-/// Names of files, and the commands that read them.
+/// File names with the commands that read them.
 fn readings() -> Vec<(&'static str, String)> {
     let predict = |rest: &str| format!("predict wall.glb {VIEW} {rest}");
     let seen_by = |sensor: &str| format!("predict wall.glb --sensor {sensor} --pose 0,0,1,0,0,0 --backend cpu");
@@ -82,7 +82,7 @@ fn run(place: &Place, line: &str) -> (Option<i32>, String) {
     (output.status.code(), String::from_utf8(output.stderr).unwrap())
 }
 
-/// Every reading of a special file ends with one line that names a file.
+/// Checks that every reading of a special file ends with one line that names a file.
 fn refused_everywhere(make: impl Fn(&Path)) {
     let place = prepared();
     for (name, line) in readings() {
@@ -103,10 +103,10 @@ fn links_to(target: &str) -> impl Fn(&Path) {
     move |path| std::os::unix::fs::symlink(target, path).unwrap()
 }
 
-/// They say that they are regular files of length 0: one waits for messages, one is endless.
+/// The system reports both as regular files of length 0: the first blocks for messages, the second is endless.
 #[cfg(target_os = "linux")]
 #[test]
-fn files_that_the_system_makes_up() {
+fn virtual_files_of_the_system() {
     refused_everywhere(links_to("/proc/kmsg"));
     refused_everywhere(links_to("/proc/self/pagemap"));
 }
@@ -118,19 +118,19 @@ fn devices_and_folders() {
 }
 
 #[test]
-fn pipes_that_nobody_writes_to() {
+fn pipes_without_a_writer() {
     refused_everywhere(|path| {
         assert!(std::process::Command::new("mkfifo").arg(path).status().unwrap().success());
     });
 }
 
-/// Far over every limit, and no byte of it on the disk.
+/// A sparse file of 1 TiB, far above every limit.
 #[test]
 fn endless_files() {
     refused_everywhere(|path| fs::File::create(path).unwrap().set_len(1 << 40).unwrap());
 }
 
-/// Changes come through pipes as well; there is nothing in what the system makes up.
+/// Changes may also come through pipes. The virtual file pagemap counts as empty.
 #[cfg(all(target_os = "linux", feature = "store"))]
 #[test]
 fn changes_end_too() {

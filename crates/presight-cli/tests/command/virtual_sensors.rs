@@ -1,11 +1,11 @@
-//! `presight predict --virtual` from outside.
+//! Runs `presight predict --virtual` as a process.
 
 use assert_cmd::Command;
 use serde_json::Value;
 use std::path::Path;
 use tempfile::TempDir;
 
-/// Runs predict on the furnished room of the README; status, stdout and stderr.
+/// Runs predict on the README's furnished room; returns status, stdout and stderr.
 fn predict(folder: &TempDir, line: &str) -> (Option<i32>, String, String) {
     let mut command = Command::cargo_bin("presight").unwrap();
     let room = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenes/room.glb");
@@ -22,12 +22,13 @@ fn json(folder: &TempDir, name: &str) -> Value {
 }
 
 #[test]
-fn every_virtual_sensor_answers_in_a_line_and_in_a_file() {
+fn every_virtual_sensor_reports_in_a_line_and_in_a_file() {
     let folder = tempfile::tempdir().unwrap();
     let write = |name: &str, text: &str| std::fs::write(folder.path().join(name), text).unwrap();
     write("way.json", r#"{"polyline_in_robot": [[0, 0], [3, 0]], "half_width": 0.3, "z_min": -1.5, "z_max": 0.2}"#);
     for class in ["video", "radar", "laser"] {
-        // In free space before the sensor, where nothing hides it; on nothing, with a tolerance that allows that.
+        // The feature is in free space before the sensor, where nothing hides it; the tolerance allows a feature off
+        // every surface.
         let layer = format!(
             r#"{{"format": 1, "class": "{class}", "tolerance": 10, "features": [
                 {{"id": 1, "kind": "segment", "points": [[0.7, 0.6, 1.3], [0.75, 0.7, 1.3]], "sigma": 0.01}},
@@ -64,7 +65,7 @@ fn every_virtual_sensor_answers_in_a_line_and_in_a_file() {
             (Some(name), Some(7))
         );
         assert!(keys.iter().all(|key| !answer[key].is_null()), "{answer}");
-        // The filter of the layer: what the task does not look at is not predicted.
+        // The layer's filter omits features that the task does not use.
         let kinds: Vec<_> = file["features"].as_array().unwrap().iter().map(|f| f["kind"].as_str().unwrap()).collect();
         let want = if more.contains("--layer") { if name == "edges" { 1 } else { 2 } } else { 0 };
         assert_eq!(kinds.len(), want, "{name}: {kinds:?}");
@@ -80,9 +81,9 @@ fn every_virtual_sensor_answers_in_a_line_and_in_a_file() {
     assert_eq!(json(&folder, "docking.json")["virtual"]["freedom"], serde_json::json!(["x", "y", "yaw"]));
 }
 
-/// Nothing is 0, in words and in the file, and not -0.
+/// An empty area is printed as 0, not -0, in the text and in the file.
 #[test]
-fn no_floor_is_no_area() {
+fn no_floor_has_area_zero() {
     let folder = tempfile::tempdir().unwrap();
     let line = format!("--virtual free-floor --sensor video-camera {POSE} --floor-z -5");
     let (_, stdout, _) = predict(&folder, &line);
@@ -116,7 +117,7 @@ fn wrong_usage_has_a_remedy() {
         assert_eq!(got, Some(status), "{line}: {stderr}");
         assert!(words.iter().all(|w| stderr.contains(w)) && stderr.lines().count() == 1, "{line}: {stderr}");
     }
-    // Nothing below to stand on.
+    // Above the room there is no floor below the sensor.
     let above = "--virtual free-floor --sensor video-camera --pose 500,0,1,0,0,0";
     let (status, _, stderr) = predict(&folder, above);
     assert!(status == Some(2) && stderr.contains("--floor-z"), "{stderr}");

@@ -1,4 +1,4 @@
-//! What happens where the system gives less than is asked for, and where too much is asked of it.
+//! Commands under too little of a system resource, and with arguments beyond every limit.
 
 #[cfg(all(target_os = "linux", feature = "script", feature = "store", feature = "report"))]
 mod matrix;

@@ -1,5 +1,5 @@
-//! Every command under every limit: it does its work, or it fails with a status of the table and one line, and leaves whole
-//! files only.
+//! Every command under every limit: it does its work, or it fails with a documented status and one line. It leaves only
+//! whole files.
 
 use super::process::{Limits, Out, When, can_limit};
 use super::rows::{ENDLESS, FOREIGN, LARGE, LONG, Pantry, ROWS, Row, STUDIES};
@@ -10,17 +10,17 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 use std::time::Duration;
 
-/// Failures for want of something that the system did not give.
+/// Failures because the system refused a resource.
 const REFUSED: May = May::Fail(&[4]);
 const SIGINT: May = May::EndBy(2);
 
-/// Runs rows one by one; all faults are told together.
+/// Runs rows one after another and reports all faults together.
 struct Check {
     faults: Vec<String>,
 }
 
 impl Check {
-    /// `None`, counted, where processes cannot be limited.
+    /// Returns `None`, counted as skipped, where processes cannot be limited.
     fn new() -> Option<Self> {
         can_limit().then(|| Self { faults: Vec::new() })
     }
@@ -40,7 +40,6 @@ impl Check {
         }
     }
 
-    /// Runs rows under the same limit.
     fn all(&mut self, rows: &[Row], what: &str, limits: &Limits, may: May) {
         rows.iter().for_each(|row| self.run(row, what, limits, may));
     }
@@ -50,7 +49,7 @@ impl Check {
     }
 }
 
-/// None at all, one of the two of a pool, and none besides the pool.
+/// Limits of one to three tasks: no worker thread, one of the pool's two, and the whole pool but no further thread.
 #[test]
 fn threads() {
     let Some(mut check) = Check::new() else { return };
@@ -113,7 +112,7 @@ fn folder_without_write_permission() {
     check.end();
 }
 
-/// Set `PRESIGHT_SEED` for other times.
+/// `PRESIGHT_SEED` selects other random times.
 #[test]
 fn interrupted() {
     let Some(mut check) = Check::new() else { return };
@@ -124,7 +123,7 @@ fn interrupted() {
         let limits = Limits { interrupt: Some(When::After(delay)), ..Limits::default() };
         check.run(row, &format!("interrupted after {delay:?}"), &limits, SIGINT);
     }
-    // Where by the clock alone few would be hit.
+    // Few random delays hit a write, so these interrupts wait for one.
     for row in ROWS.iter().filter(|row| !row.outputs.is_empty()).chain(LONG.iter().cycle().take(6)) {
         let limits = Limits { interrupt: Some(When::Writing), ..Limits::default() };
         check.run(row, "interrupted while it writes", &limits, SIGINT);
@@ -132,11 +131,11 @@ fn interrupted() {
     check.end();
 }
 
-/// A small disk of memory, gone with this value.
+/// A small file system in memory, unmounted when the value is dropped.
 struct Disk(tempfile::TempDir);
 
 impl Disk {
-    /// `None`, counted, where it cannot be mounted.
+    /// Returns `None`, counted as skipped, where it cannot be mounted.
     fn new() -> Option<Self> {
         let folder = super::process::open_folder();
         let mut mount = std::process::Command::new("mount");
@@ -150,10 +149,10 @@ impl Disk {
         }
     }
 
-    /// Leaves so many bytes free, of pages of 4096.
+    /// Fills the disk until `free` bytes are left, in pages of 4096 bytes.
     fn fill(&self, free: usize) {
         let path = self.0.path().join("filler");
-        // A write that does not fit writes what does.
+        // A write that does not fit writes as many bytes as there is room for.
         let _ = fs::write(&path, vec![1; 4 << 20]);
         let length = fs::metadata(&path).unwrap().len();
         let file = fs::OpenOptions::new().write(true).open(&path).unwrap();
@@ -185,7 +184,7 @@ fn full_disk() {
     check.end();
 }
 
-/// Drivers are foreign code, which may die of want: no file is half written, and nothing hangs.
+/// Foreign drivers may crash under a limit; even then no file is half written and no command hangs.
 #[cfg(feature = "gpu")]
 #[test]
 fn drivers() {

@@ -1,4 +1,4 @@
-//! The built command as a process of an unprivileged user, with less than it may want.
+//! Runs the built command as a process of an unprivileged user under resource limits.
 
 use presight_testkit::skip::skip;
 use std::fs::{self, Permissions};
@@ -12,52 +12,49 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Longer takes nothing here, on the slowest machine: it hangs.
+/// A command that runs longer than this hangs; none takes as long on the slowest machine.
 const HANGS: Duration = Duration::from_secs(60);
 
-/// Users whom no system knows, one for each process, so that threads of others do not count; the first is root's or an
-/// own one where the tests may not become another.
+/// The first of the unused user ids. Each process gets its own, so that threads of others do not count against its
+/// limit. Where the tests may not change the user, this range is not used.
 const FIRST_USER: u32 = 50_000;
 const USERS: u32 = 10_000;
 
-/// What a process gets.
+/// The resources that a process gets.
 #[derive(Clone, Debug, Default)]
 pub struct Limits {
     /// Options of `prlimit`, such as `--nofile=16`.
     pub options: Vec<String>,
-    /// Where its standard output goes.
     pub stdout: Out,
-    /// When it is interrupted.
+    /// When the process is interrupted.
     pub interrupt: Option<When>,
-    /// Real graphics drivers; otherwise it finds none.
+    /// True if it finds the real graphics drivers; otherwise it finds none.
     pub drivers: bool,
 }
 
-/// When a process is interrupted.
 #[derive(Clone, Copy, Debug)]
 pub enum When {
-    /// So long after its start.
+    /// This long after its start.
     After(Duration),
     /// As soon as a temporary file is in its folder.
     Writing,
 }
 
-/// Where standard output goes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Out {
-    /// It is read.
+    /// A pipe that the test reads.
     #[default]
     Read,
-    /// It is a pipe that nobody reads any more.
+    /// A pipe whose reader has gone.
     Left,
-    /// There is none.
+    /// A closed descriptor.
     Closed,
-    /// It is a device that is full.
+    /// A full device.
     Full,
 }
 
 impl Limits {
-    /// Of one option.
+    /// Limits with one `prlimit` option.
     pub fn of(option: &str) -> Self {
         Self { options: vec![option.to_owned()], ..Self::default() }
     }
@@ -70,24 +67,24 @@ pub struct Ended {
     pub status: Option<i32>,
     /// The signal that ended it.
     pub signal: Option<i32>,
-    /// It had to be killed after [`HANGS`].
+    /// True if it had to be killed after [`HANGS`].
     pub hung: bool,
-    /// What it printed.
+    /// Its standard output.
     pub stdout: String,
-    /// What it said.
+    /// Its standard error.
     pub stderr: String,
-    /// How long it took.
     pub time: Duration,
 }
 
-/// A copy of the command that any user may start, and whether the tests can start it as another.
+/// A copy of the command that any user may run, and whether the tests can run it as another user.
 struct Program {
     _folder: tempfile::TempDir,
     path: PathBuf,
     as_others: bool,
 }
 
-/// `None`, counted, where processes cannot be limited, or root cannot become another: nothing limits root.
+/// Returns `None`, counted as skipped, where processes cannot be limited, or where root cannot change the user: limits
+/// do not bind root.
 fn program() -> Option<&'static Program> {
     static PROGRAM: OnceLock<Result<Program, String>> = OnceLock::new();
     let program = PROGRAM.get_or_init(|| {
@@ -103,37 +100,37 @@ fn program() -> Option<&'static Program> {
         }
         match probe.output() {
             Ok(output) if output.status.success() => Ok(Program { _folder: folder, path, as_others: is_root }),
-            Ok(output) => Err(format!("prlimit fails: {}", String::from_utf8_lossy(&output.stderr).trim())),
+            Ok(output) => Err(format!("prlimit failed: {}", String::from_utf8_lossy(&output.stderr).trim())),
             Err(e) => Err(format!("prlimit cannot be started as an unprivileged user: {e}")),
         }
     });
     program.as_ref().inspect_err(|why| skip(why)).ok()
 }
 
-/// True if processes can be limited here; otherwise that is counted as skipped.
+/// Returns true if processes can be limited here; otherwise counts a skipped test.
 pub fn can_limit() -> bool {
     program().is_some()
 }
 
-/// A temporary folder that everybody may enter.
+/// A temporary folder that every user may enter.
 pub fn open_folder() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     fs::set_permissions(folder.path(), Permissions::from_mode(0o755)).unwrap();
     folder
 }
 
-/// Starts the command in a folder, which becomes its user's with all that is in it, and waits for its end.
+/// Runs the command in a folder and waits for its end. The folder and its content change to the process's user.
 pub fn run(folder: &Path, args: &[String], input: &str, limits: &Limits) -> Ended {
-    let program = program().expect("can_limit was asked");
+    let program = program().expect("can_limit was checked");
     let mut command = Command::new("prlimit");
     command.args(&limits.options).arg("--");
-    // Tests may run with interrupts ignored, which children inherit.
+    // Tests may run with interrupts ignored, and children inherit that.
     command.args(["env", "--default-signal=INT"]);
     if limits.stdout == Out::Closed {
         command.args(["sh", "-c", "exec \"$0\" \"$@\" >&-"]);
     }
     command.arg(&program.path).args(args).current_dir(folder);
-    // As many threads on every machine.
+    // The same number of threads on every machine.
     command.env("RAYON_NUM_THREADS", "2").env("TMPDIR", folder);
     if !limits.drivers {
         command.env("VK_DRIVER_FILES", "/nonexistent").env("VK_ICD_FILENAMES", "/nonexistent");
@@ -151,7 +148,7 @@ pub fn run(folder: &Path, args: &[String], input: &str, limits: &Limits) -> Ende
     watch(&mut command, input, limits)
 }
 
-/// A folder and all in it belong to somebody from now on; rights stay as they are.
+/// Changes the owner of a folder and its content; the permissions stay.
 fn give(folder: &Path, user: u32) {
     chown(folder, Some(user), Some(user)).unwrap();
     for entry in fs::read_dir(folder).unwrap() {
@@ -164,7 +161,7 @@ fn watch(command: &mut Command, input: &str, limits: &Limits) -> Ended {
     let start = Instant::now();
     let mut child = command.spawn().unwrap();
     let mut stdin = child.stdin.take().unwrap();
-    // It may end before it reads.
+    // The process may end before it reads.
     let _ = stdin.write_all(input.as_bytes());
     drop(stdin);
     let stdout = child.stdout.take().filter(|_| limits.stdout != Out::Left).map(collect);
@@ -174,7 +171,7 @@ fn watch(command: &mut Command, input: &str, limits: &Limits) -> Ended {
             When::After(delay) => thread::sleep(delay.saturating_sub(start.elapsed())),
             When::Writing => wait_until_it_writes(&mut child, command.get_current_dir().unwrap(), start),
         }
-        // Not waited for, or not ended: the number is still its own.
+        // The child has not been waited for yet, so its process id cannot belong to another process.
         if child.try_wait().unwrap().is_none() {
             Command::new("kill").args(["-INT", &child.id().to_string()]).stderr(Stdio::null()).status().unwrap();
         }
@@ -189,11 +186,11 @@ fn watch(command: &mut Command, input: &str, limits: &Limits) -> Ended {
     Ended { status: status.code(), signal: status.signal(), hung, stdout, stderr, time: start.elapsed() }
 }
 
-/// Ends too when the process does.
+/// Also returns when the process ends.
 fn wait_until_it_writes(child: &mut Child, folder: &Path, start: Instant) {
     let is_part = |entry: fs::DirEntry| entry.file_name().to_string_lossy().ends_with(".part");
     while start.elapsed() < HANGS && child.try_wait().unwrap().is_none() {
-        // Its listing may be refused for a moment, as everything may.
+        // Listing the folder may fail for a moment while its permissions change.
         if fs::read_dir(folder).is_ok_and(|entries| entries.flatten().any(is_part)) {
             return;
         }

@@ -1,4 +1,4 @@
-//! Every command, with what it reads and what it writes.
+//! Every command with its inputs and its outputs.
 
 use super::process::{Ended, Limits, open_folder, run};
 use presight_files::exr;
@@ -8,14 +8,14 @@ use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 use std::time::Duration;
 
-/// A command line. `IN` is the folder of what is read; what is written is named relative to the folder it runs in.
+/// A command line. `IN` is the folder of inputs. Outputs are named relative to the working folder.
 pub struct Row {
     pub line: &'static str,
-    /// What it reads from stdin.
+    /// The text for its stdin.
     pub input: &'static str,
-    /// What it writes.
+    /// The files that it writes.
     pub outputs: &'static [&'static str],
-    /// It works on a store, of which it gets a copy, `hall.presight`.
+    /// True if it works on a copy of the store `hall.presight`.
     pub on_store: bool,
 }
 
@@ -34,7 +34,7 @@ const CHANGES: &str = r#"{"op":"move","object":"table","pose":[1,1,0,0,0,30]}
 {"op":"move","object":"post","pose":[2,1,0,0,0,50]}
 "#;
 
-/// Every command; `VIEW` stands for a small camera at a pose.
+/// Every command; `VIEW` is replaced by a small camera at a pose.
 pub const ROWS: &[Row] = &[
     row(
         "predict IN/hall.glb VIEW --out a.exr --png a.png --depth-png d.png --points a.ply --stats s.json \
@@ -66,24 +66,24 @@ pub const ROWS: &[Row] = &[
     on_store("env check hall.presight", "", &[]),
 ];
 
-/// Writes for long enough to be interrupted at that.
+/// A command that writes for long enough to be interrupted meanwhile.
 pub const LONG: &[Row] = &[row(
     "predict IN/hall.glb --sensor IN/wide.toml --pose 0,0,1.2,0,5,20 --backend cpu --out a.exr --png a.png --depth-png d.png \
      --points a.ply",
     &["a.exr", "a.png", "d.png", "a.ply"],
 )];
 
-/// Takes seconds, and is tried less.
+/// A command that takes seconds and is therefore run less often.
 pub const STUDIES: &[Row] = &[row(
     "report IN/hall.glb --quick --sensor IN/tiny.toml --out study",
     &["study/index.html", "study/work_precision.csv", "study/report.json"],
 )];
 
-/// Takes so long that it never comes to its end here.
+/// A command that cannot finish within the test.
 pub const ENDLESS: &[Row] =
     &[row("report --stability --quick --out study", &["study/index.html", "study/stability.csv", "study/report.json"])];
 
-/// Those that load a graphics driver.
+/// Commands that load a graphics driver.
 pub const FOREIGN: &[Row] = &[
     row("predict IN/hall.glb --sensor IN/small.toml --pose 0,0,1.2,0,5,20 --out a.exr", &["a.exr"]),
     row(
@@ -94,7 +94,7 @@ pub const FOREIGN: &[Row] = &[
     row("doctor", &[]),
 ];
 
-/// Those that want more memory than there is.
+/// Commands that need more memory than the limit allows.
 pub const LARGE: &[Row] = &[
     row("predict IN/hall.glb --sensor IN/large.toml --pose 0,0,1,0,0,0 --backend cpu --out a.exr", &["a.exr"]),
     row("predict IN/hall.glb --sensor IN/large.toml --pose 0,0,1,0,0,0 --backend cpu --png a.png", &["a.png"]),
@@ -126,20 +126,20 @@ fn camera(width: u32, height: u32, focal: f64) -> String {
     )
 }
 
-/// What commands read, and what each says and writes where nothing is short.
+/// The inputs of the commands, and each command's output without limits.
 pub struct Pantry {
     folder: tempfile::TempDir,
     pub usual: BTreeMap<&'static str, Usual>,
 }
 
-/// A run that nothing limits.
+/// The result of an unlimited run.
 pub struct Usual {
     pub ended: Ended,
     pub files: BTreeMap<String, Vec<u8>>,
 }
 
 impl Pantry {
-    /// Made at first use.
+    /// Prepares the inputs at the first call.
     pub fn get() -> &'static Self {
         static PANTRY: OnceLock<Pantry> = OnceLock::new();
         PANTRY.get_or_init(Self::new)
@@ -163,7 +163,7 @@ impl Pantry {
             "features IN/hall.glb --class video --min-length 1 --out IN/hall.layer.json",
             "predict IN/hall.glb VIEW --out IN/a.exr",
         ] {
-            // As ourselves: the folder is not to become another's.
+            // Runs as the current user, so that the folder keeps its owner.
             let args = pantry.args(line);
             let made = std::process::Command::new(env!("CARGO_BIN_EXE_presight")).args(args).output().unwrap();
             assert!(made.status.success(), "{line}: {}", String::from_utf8_lossy(&made.stderr));
@@ -177,7 +177,7 @@ impl Pantry {
         pantry
     }
 
-    /// Images that are large in memory and small on the disk, made when they are first needed.
+    /// Makes images that are large in memory and small on the disk, at the first call.
     pub fn make_large(&self) {
         let mut images = presight_render::plan::Images::default();
         let range = presight_render::plan::Outputs::of(&[presight_render::plan::Output::Range]);
@@ -191,14 +191,14 @@ impl Pantry {
         line.split_whitespace().map(str::to_owned).collect()
     }
 
-    /// A folder for a row to run in.
+    /// Makes a folder for a row to run in.
     pub fn folder_for(&self, row: &Row) -> tempfile::TempDir {
         let folder = open_folder();
         self.fill(row, folder.path());
         folder
     }
 
-    /// Puts there what a row changes.
+    /// Copies the files that the row changes into the folder.
     pub fn fill(&self, row: &Row, folder: &Path) {
         if row.on_store {
             fs::copy(self.folder.path().join("hall.presight"), folder.join("hall.presight")).unwrap();
@@ -209,13 +209,12 @@ impl Pantry {
         run(folder, &self.args(row.line), row.input, limits)
     }
 
-    /// How long a row usually takes.
+    /// The usual duration of a row.
     pub fn time(&self, row: &Row) -> Duration {
         self.usual.get(row.line).map_or(Duration::from_secs(1), |usual| usual.ended.time)
     }
 }
 
-/// All files below a folder.
 pub fn files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     let mut all = BTreeMap::new();
     let mut folders = vec![PathBuf::new()];

@@ -1,4 +1,4 @@
-//! Arguments and variables that no system could serve.
+//! Arguments and variables that no system could fulfil.
 
 use assert_cmd::Command;
 use std::ffi::OsStr;
@@ -6,7 +6,7 @@ use std::time::Duration;
 
 const SCENE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../scenes/room.glb");
 
-/// Runs the command, which refuses at once, in one line, with this status; what it says comes back.
+/// Checks that the command refuses at once, in one line and with this status. Returns the line.
 fn refused(status: i32, threads: Option<&str>, args: &[&OsStr]) -> String {
     let mut command = Command::cargo_bin("presight").unwrap();
     command.args(args).env_remove("RAYON_NUM_THREADS").timeout(Duration::from_secs(20));
@@ -62,10 +62,10 @@ fn the_variable_for_threads_is_checked_by_every_command_that_works_in_parallel()
     }
 }
 
-/// Paths may be any bytes; words may not.
+/// Paths may be any bytes; other arguments must be UTF-8.
 #[cfg(unix)]
 #[test]
-fn arguments_that_are_no_utf_8_are_refused() {
+fn arguments_that_are_not_utf_8_are_refused() {
     use std::os::unix::ffi::OsStrExt;
     let odd = OsStr::from_bytes(b"\xff");
     let [scene, inspect, report] = [SCENE, "inspect", "report"].map(OsStr::new);
@@ -75,7 +75,7 @@ fn arguments_that_are_no_utf_8_are_refused() {
     let sensor = ["predict", SCENE, "--pose", "0,0,0,0,0,0", "--sensor"].map(OsStr::new);
     refused(2, None, &[&sensor[..], &[odd]].concat());
     if cfg!(feature = "report") {
-        // The page tells the command line.
+        // The page of a study quotes the command line.
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path().join(odd);
         let args = ["--quick", "--sensor", "laser-scanner", "--out"].map(OsStr::new);

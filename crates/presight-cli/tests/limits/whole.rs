@@ -1,22 +1,22 @@
-//! Whether a command ended as it may, and left nothing but whole files.
+//! Decides whether a command ended in an allowed way and left only whole files.
 
 use super::process::{Ended, Out};
 use super::rows::{Pantry, Row, files};
 use std::fs;
 use std::path::Path;
 
-/// What a command may do under a limit, besides its work.
+/// The allowed ways for a command to end under a limit, in addition to success.
 #[derive(Clone, Copy, Debug)]
 pub enum May {
     /// Fail with one of these statuses.
     Fail(&'static [i32]),
     /// Be ended by this signal.
     EndBy(i32),
-    /// Anything but hang, panic in our code, or leave half a file: a foreign driver is at work.
+    /// Anything except a hang, a panic in our code, or a partial file: a foreign driver is at work.
     BeForeign,
 }
 
-/// The ways in which it did not, in words.
+/// Returns the violations as sentences.
 pub fn faults(row: &Row, ended: &Ended, folder: &Path, may: May, stdout: Out) -> Vec<String> {
     let mut faults = Vec::new();
     let errors = ended.stderr.lines().filter(|line| line.starts_with("error: ")).count();
@@ -42,21 +42,21 @@ pub fn faults(row: &Row, ended: &Ended, folder: &Path, may: May, stdout: Out) ->
     let printed = |text: &str| text.lines().count();
     if let Some(usual) = usual.filter(|_| done && stdout == Out::Read && !row.line.starts_with("doctor")) {
         let (is, was) = (printed(&ended.stdout), printed(&usual.ended.stdout));
-        faults.extend((is != was).then(|| format!("{is} lines on stdout and not {was}")));
+        faults.extend((is != was).then(|| format!("{is} lines on stdout instead of {was}")));
     }
     faults.extend(left_behind(row, folder, done));
     faults
 }
 
-/// Files that are not whole, that nobody asked for, or that are missing after success.
+/// Finds partial files, unexpected files, and files that are missing after success.
 fn left_behind(row: &Row, folder: &Path, done: bool) -> Vec<String> {
     let mut faults = Vec::new();
     let there = files(folder);
     for (name, bytes) in &there {
         let is_store = row.on_store && name == "hall.presight";
-        // SQLite's own, which it takes up again.
+        // SQLite's own journal, which it replays later.
         let is_journal = name.ends_with(".presight-journal");
-        // With these the same command goes on, if it is given again.
+        // The same command resumes from these records.
         let is_record = name.starts_with(".presight-") && name.ends_with(".series");
         if !done && (is_record || name.ends_with(".npy.unfinished")) {
             continue;
@@ -69,12 +69,12 @@ fn left_behind(row: &Row, folder: &Path, done: bool) -> Vec<String> {
     }
     if done {
         let missing = row.outputs.iter().filter(|name| !there.contains_key(**name));
-        faults.extend(missing.map(|name| format!("{name} is not there")));
+        faults.extend(missing.map(|name| format!("{name} is missing")));
     }
     faults
 }
 
-/// Images and points are the same whatever happens; the others tell of times, and are read.
+/// Images and points must be the same as without limits. Other files contain times and are only parsed.
 fn whole(row: &Row, path: &Path, name: &str, bytes: &[u8]) -> Result<(), String> {
     let usual = Pantry::get().usual.get(row.line).and_then(|usual| usual.files.get(name));
     let text = || std::str::from_utf8(bytes).map_err(|e| e.to_string());
@@ -84,21 +84,21 @@ fn whole(row: &Row, path: &Path, name: &str, bytes: &[u8]) -> Result<(), String>
         "html" => ends("</html>"),
         "svg" => ends("</svg>"),
         "csv" => match usual.map(|usual| usual.iter().filter(|b| **b == b'\n').count()) {
-            Some(lines) if lines != text()?.lines().count() => Err(format!("it has not {lines} lines")),
+            Some(lines) if lines != text()?.lines().count() => Err(format!("it does not have {lines} lines")),
             _ => Ok(()),
         },
         "presight" => sound(path),
         "exr" if usual.is_none() => presight_files::exr::read(path).map(|_| ()).map_err(|e| e.to_string()),
         _ if usual.is_none_or(|usual| usual == bytes) => Ok(()),
-        _ => Err("it is another than without limits".into()),
+        _ => Err("it differs from that of an unlimited run".into()),
     }
 }
 
-/// What the command says of a store where it has all it needs.
+/// Runs `env check` on a store without limits.
 fn sound(path: &Path) -> Result<(), String> {
     let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_presight"));
     let output = command.args(["env", "check"]).arg(path).output().map_err(|e| e.to_string())?;
-    // The journal that an interrupted writer left was played back by this.
+    // The check has replayed the journal of an interrupted writer.
     let journal = path.with_extension("presight-journal");
     let _ = fs::remove_file(journal);
     if output.status.success() { Ok(()) } else { Err(String::from_utf8_lossy(&output.stderr).into_owned()) }

@@ -1,4 +1,4 @@
-//! Images and point clouds as others read them.
+//! Images and point clouds as other libraries read them.
 
 use super::{Place, python};
 
@@ -17,7 +17,7 @@ fn predicted(sensor: &str, frame: &str) -> Place {
 }
 
 #[test]
-fn arrays_are_what_the_exr_holds() {
+fn arrays_equal_the_exr() {
     let Some(python) = python() else { return };
     let place = predicted("video-camera", "sensor");
     place.holds(python, "arrays.py", &["a.exr"]);
@@ -36,7 +36,7 @@ fn clouds_are_read_whole_by_open3d_trimesh_and_as_pcls() {
         if (sensor, frame) != ("vlp-16", "sensor") {
             continue;
         }
-        // The last bytes are of an id; further in front is a normal of the last point.
+        // The last bytes belong to an id. Further in front is a normal of the last point.
         for (name, before_end) in [("cloud.ply", 2), ("cloud.pcd", 2), ("cloud.ply", 4 * 6 + 1)] {
             let sound = std::fs::read(place.path(name)).unwrap();
             place.spoil(name, before_end);
@@ -47,7 +47,7 @@ fn clouds_are_read_whole_by_open3d_trimesh_and_as_pcls() {
 }
 
 #[test]
-fn only_what_is_asked_is_in_a_cloud() {
+fn a_cloud_has_only_the_requested_fields() {
     let Some(python) = python() else { return };
     let place = Place::new();
     place.done(&format!("{VIEW} --sensor vlp-16 --outputs range --points a.ply"));

@@ -1,10 +1,10 @@
-//! docs/first-hour.md: every command of it is run, in its order, in an empty folder.
+//! Runs every command of docs/first-hour.md in order in an empty folder.
 
 use super::{Place, python};
 use std::path::Path;
 use std::process::Command;
 
-/// The blocks of code of a page, with their languages.
+/// Returns the code blocks of a page with their languages.
 fn blocks(page: &str) -> Vec<(&str, String)> {
     let mut blocks = Vec::new();
     let mut lines = page.lines();
@@ -17,7 +17,7 @@ fn blocks(page: &str) -> Vec<(&str, String)> {
     blocks
 }
 
-/// The first block that does not run, with what it says.
+/// Returns the first block that fails, with its output.
 fn first_failure(python: &Path, page: &str) -> Option<String> {
     let place = Place::new();
     let mut printed = String::new();
@@ -50,7 +50,7 @@ fn every_command_of_the_first_hour_runs() {
     let page = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/first-hour.md")).unwrap();
     assert_eq!(blocks(&page).iter().filter(|(language, _)| *language == "sh").count(), 8);
     assert_eq!(first_failure(python, &page), None);
-    // Without its sidecar the hall lies on its side, and an assertion of the page fails.
+    // Without the right sidecar the hall lies on its side, and an assertion of the page fails.
     let fallen = page.replace("up = \"z\"", "up = \"y\"");
     assert!(first_failure(python, &fallen).is_some_and(|why| why.contains("AssertionError")));
 }

@@ -1,4 +1,4 @@
-//! Files read with the programs that people read them with: NumPy, OpenEXR, Open3D, trimesh and a reader of PCL's format.
+//! Reads our files with the libraries that users have: NumPy, OpenEXR, Open3D, trimesh and a reader of PCL's format.
 #![cfg(unix)]
 
 mod clouds;
@@ -10,8 +10,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::OnceLock;
 
-/// The interpreter of an environment with the packages of `requirements.txt`, which is made once, or the one that
-/// `PRESIGHT_PYTHON` names; `None`, counted as a skipped test, where there can be none.
+/// The Python interpreter of an environment with the packages of `requirements.txt`, created once, or the interpreter
+/// that `PRESIGHT_PYTHON` names. `None`, counted as a skipped test, if the environment cannot be created.
 fn python() -> Option<&'static Path> {
     static PYTHON: OnceLock<Result<PathBuf, String>> = OnceLock::new();
     let made = PYTHON.get_or_init(|| match std::env::var_os("PRESIGHT_PYTHON") {
@@ -52,7 +52,7 @@ fn environment() -> Result<PathBuf, String> {
     Ok(python)
 }
 
-/// A folder in which commands run, and scripts of `tests/readers`.
+/// A folder for commands and for the scripts of `tests/readers`.
 struct Place {
     folder: tempfile::TempDir,
 }
@@ -66,7 +66,7 @@ impl Place {
         self.folder.path().join(name)
     }
 
-    /// Runs presight; arguments are separated by spaces, SCENES is the folder of the scenes.
+    /// Runs presight. Arguments are separated by spaces; SCENES is replaced by the folder of the scenes.
     fn presight(&self, line: &str) -> Output {
         let scenes = concat!(env!("CARGO_MANIFEST_DIR"), "/../../scenes");
         let mut command = Command::cargo_bin("presight").unwrap();
@@ -76,7 +76,7 @@ impl Place {
         command.output().unwrap()
     }
 
-    /// Runs what must succeed without a word on stderr.
+    /// Runs a command line that must succeed with an empty stderr, and returns its stdout.
     fn done(&self, line: &str) -> String {
         let output = self.presight(line);
         let said = String::from_utf8_lossy(&output.stderr);
@@ -95,18 +95,18 @@ impl Place {
         let output = self.script(python, name, args);
         let all = [output.stdout, output.stderr].concat();
         assert!(output.status.success(), "{name} {args:?}: {}", String::from_utf8_lossy(&all));
-        // Open3D warns on stdout of what it leaves out.
+        // Open3D warns on stdout about content that it skips.
         assert!(!String::from_utf8_lossy(&all).contains("WARNING"), "{name}: {}", String::from_utf8_lossy(&all));
     }
 
-    /// Runs a script that must find a fault, by an assertion.
+    /// Runs a script that must fail by an assertion.
     fn fails(&self, python: &Path, name: &str, args: &[&str]) {
         let output = self.script(python, name, args);
         let said = String::from_utf8_lossy(&output.stderr).into_owned();
         assert!(!output.status.success() && said.contains("AssertionError"), "{name} {args:?} found nothing: {said}");
     }
 
-    /// Changes a byte of a file, so many before its end.
+    /// Changes the byte at this distance from the file's end.
     fn spoil(&self, name: &str, before_end: usize) {
         let mut bytes = std::fs::read(self.path(name)).unwrap();
         let at = bytes.len() - before_end;

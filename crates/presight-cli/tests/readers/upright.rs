@@ -1,9 +1,9 @@
-//! One room, exported by trimesh with z up and with y up.
+//! The same room exported by trimesh with z up and with y up.
 
 use super::{Place, python};
 
 #[test]
-fn a_room_is_the_same_whichever_axis_of_its_file_is_up() {
+fn a_room_is_the_same_for_either_up_axis() {
     let Some(python) = python() else { return };
     let place = Place::new();
     place.holds(python, "room.py", &[]);

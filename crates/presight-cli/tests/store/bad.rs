@@ -1,4 +1,4 @@
-//! What is no store, or may not be written.
+//! Files that are not stores, and stores that may not be written.
 
 use super::{create, presight, small};
 use presight_files::store;
@@ -49,13 +49,13 @@ fn a_foreign_sqlite_file_is_refused() {
 }
 
 #[test]
-fn what_is_no_database_is_refused() {
+fn files_that_are_not_databases_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("text.presight");
     for bytes in [&b""[..], b"x", &[b'x'; 5000], b"SQLite format 3\0"] {
         std::fs::write(&path, bytes).unwrap();
         assert_eq!(refused(&["env", "info"], &path).0, Some(1));
-        assert_eq!(std::fs::read(&path).unwrap(), bytes, "it is left alone");
+        assert_eq!(std::fs::read(&path).unwrap(), bytes, "the file stays unchanged");
     }
     assert_eq!(refused(&["env", "info"], &folder.path().join("none.presight")).0, Some(1));
     assert!(!folder.path().join("none.presight").exists());
@@ -81,7 +81,7 @@ fn a_locked_store_is_refused_and_intact() {
     }
 }
 
-/// Root may write everything: this runs the command as nobody.
+/// Permissions do not bind root, so the command runs as nobody.
 #[cfg(target_os = "linux")]
 #[test]
 fn a_read_only_store_or_folder_is_refused_and_intact() {
@@ -113,7 +113,7 @@ fn a_read_only_store_or_folder_is_refused_and_intact() {
         );
         assert_eq!(std::fs::read(&path).unwrap(), before);
         let reads = run(&["env", "info"], &[&path]);
-        assert!(reads.status.success(), "reading needs no more: {}", String::from_utf8_lossy(&reads.stderr));
+        assert!(reads.status.success(), "reading failed: {}", String::from_utf8_lossy(&reads.stderr));
         let created = run(&["env", "create"], &[&folder.path().join("new.presight"), &path]);
         assert_eq!(created.status.code() == Some(4), of_folder == 0o555);
         let _ = std::fs::remove_file(folder.path().join("new.presight"));
@@ -122,7 +122,7 @@ fn a_read_only_store_or_folder_is_refused_and_intact() {
 }
 
 #[test]
-fn lines_that_are_no_changes_name_their_place() {
+fn lines_that_are_not_changes_are_reported_with_their_place() {
     let (folder, path) = folder_with_store();
     let before = store::read(&path).unwrap().content_hash();
     let changes = folder.path().join("c.jsonl");
@@ -196,7 +196,7 @@ fn lines_that_are_no_changes_name_their_place() {
     }
 }
 
-/// Whatever is wrong with a line: those before it are stored and acknowledged.
+/// Whatever is wrong with a line, the lines before it are stored and acknowledged.
 #[test]
 fn lines_before_one_that_cannot_be_read_are_stored() {
     let long = format!("{{\"op\":\"{}\"}}\n", "x".repeat(presight_model::limits::MAX_LINE_BYTES as usize));
@@ -215,9 +215,9 @@ fn lines_before_one_that_cannot_be_read_are_stored() {
     }
 }
 
-/// What is wrong in a file that a line names is said of that file, and the line's number of the file of changes.
+/// An error in a file that a line names gives the line in the file of changes and the place in the named file.
 #[test]
-fn a_file_that_a_line_names_keeps_its_own_places() {
+fn errors_in_a_file_that_a_line_names_give_the_place_in_that_file() {
     let (folder, path) = folder_with_store();
     std::fs::write(folder.path().join("p.gltf"), "{\n\n x").unwrap();
     let changes = folder.path().join("c.jsonl");
@@ -234,7 +234,7 @@ fn refused_apply(path: &Path, changes: &Path) -> (Option<i32>, String) {
 }
 
 #[test]
-fn an_id_or_a_cause_of_null_is_none() {
+fn an_id_or_a_cause_of_null_counts_as_absent() {
     let (folder, path) = folder_with_store();
     let changes = folder.path().join("c.jsonl");
     let line = "{\"op\":\"group\",\"changes\":[],\"id\":null,\"cause\":null}\n";
@@ -246,13 +246,13 @@ fn an_id_or_a_cause_of_null_is_none() {
         Ok(())
     })
     .unwrap();
-    assert_eq!(entries, [(None, true), (None, true)], "the second is no repetition of the first");
+    assert_eq!(entries, [(None, true), (None, true)], "the second must not count as a repetition of the first");
 }
 
-/// SQLite finds that the file is no longer the one it opened.
+/// SQLite notices that the file at the path is no longer the one that it opened.
 #[cfg(target_os = "linux")]
 #[test]
-fn a_store_that_is_moved_away_is_said_to_be() {
+fn a_store_that_was_moved_away_is_reported() {
     use std::io::{BufRead, BufReader, Write};
     for whole_folder in [false, true] {
         let (folder, _) = folder_with_store();
@@ -291,7 +291,7 @@ fn a_store_is_not_written_over() {
     assert_eq!(e.kind(), ErrorKind::Invalid);
 }
 
-/// Made when its format was new: later builds must read it, and write on.
+/// The file was made when its format was new. Later builds must read it and append to it.
 #[test]
 fn a_stored_environment_is_read_for_good() {
     let old = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/store/version-4.presight");
@@ -311,7 +311,7 @@ fn a_stored_environment_is_read_for_good() {
     assert_eq!((after.changes, after.environment.content_hash()), (6, hash));
 }
 
-/// Formats 1 to 3 are of versions before the first release.
+/// Formats 1 to 3 belong to versions before the first release.
 #[test]
 fn formats_that_are_no_longer_read_are_refused_with_a_remedy() {
     for version in [1, 2, 3] {
@@ -331,7 +331,8 @@ fn formats_that_are_no_longer_read_are_refused_with_a_remedy() {
     }
 }
 
-/// Makes the file of the first test above, once for each version: `PRESIGHT_BLESS_STORE=1`.
+/// Writes the file for `a_stored_environment_is_read_for_good`, once for each version. Run it with
+/// `PRESIGHT_BLESS_STORE=1`.
 #[test]
 fn bless_a_version() {
     if std::env::var_os("PRESIGHT_BLESS_STORE").is_none() {

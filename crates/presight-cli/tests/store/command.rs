@@ -1,4 +1,4 @@
-//! `presight env` and stores as scenes.
+//! `presight env`, and stores as scenes.
 
 use super::exports::with_a_lost_feature;
 use super::{create, note, numbered, presight, small};
@@ -13,7 +13,7 @@ pub(super) fn scene() -> &'static Path {
     Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../scenes/room.glb"))
 }
 
-/// Runs it in a folder; stdout, if it succeeds.
+/// Runs the command in a folder; returns stdout if it succeeds.
 pub(super) fn run(folder: &Path, args: &[&str]) -> String {
     let output = presight().args(args).current_dir(folder).output().unwrap();
     assert!(output.status.success(), "{args:?}: {}", String::from_utf8_lossy(&output.stderr));
@@ -24,7 +24,7 @@ pub(super) fn json(text: &str) -> serde_json::Value {
     serde_json::from_str(text).unwrap()
 }
 
-/// Stderr of a command that ends with a status.
+/// Returns stderr of a command that ends with this status.
 pub(super) fn refusal(folder: &Path, args: &[&str], status: i32) -> String {
     let output = presight().args(args).current_dir(folder).output().unwrap();
     let e = String::from_utf8_lossy(&output.stderr).into_owned();
@@ -32,10 +32,10 @@ pub(super) fn refusal(folder: &Path, args: &[&str], status: i32) -> String {
     e
 }
 
-/// Many lines that delete, in one run, leave what a run for each few of them leaves, and an unsound line at their end takes none
-/// of them back.
+/// Many deletions in one run leave the same store as several runs with a few deletions each. An invalid line at the end
+/// does not revert them.
 #[test]
-fn a_row_of_deletions_is_as_each_alone() {
+fn many_deletions_at_once_equal_deletions_one_at_a_time() {
     let folder = tempfile::tempdir().unwrap();
     let (here, glb) = (folder.path(), scene().to_str().unwrap());
     run(here, &["env", "create", "whole.presight", glb]);
@@ -116,7 +116,7 @@ fn each_line_is_acknowledged_before_the_next_is_sent() {
         let mut ack = String::new();
         stdout.read_line(&mut ack).unwrap();
         assert_eq!(ack, format!("ack {k}\n"));
-        // Durable, not just promised: another process sees it.
+        // The change is durable: another process sees it.
         assert_eq!(store::info(&path).unwrap().changes, k);
     }
     drop(stdin);
@@ -137,7 +137,7 @@ fn a_line_with_an_id_is_applied_once() {
     assert_eq!(run(here, &["env", "apply", "env.presight", "c.jsonl"]), acks);
     let twice = store::info(&here.join("env.presight")).unwrap();
     assert_eq!((once.changes, once.head), (twice.changes, twice.head));
-    // Twice in one file, with empty lines, as a number.
+    // The same id twice in one file, with empty lines between, as a number.
     std::fs::write(
         here.join("d.jsonl"),
         "\n{\"op\":\"group\",\"changes\":[],\"id\":7}\n{\"id\":\"7\",\"changes\":[],\"op\":\"group\",\"cause\":\"again\"}\n",
@@ -147,7 +147,7 @@ fn a_line_with_an_id_is_applied_once() {
     assert_eq!(store::info(&here.join("env.presight")).unwrap().changes, 5);
 }
 
-/// An id names one change: another under it is not lost unseen.
+/// An id names one change: a different change under the same id is refused, never dropped silently.
 #[test]
 fn another_change_under_a_known_id_is_refused() {
     let folder = tempfile::tempdir().unwrap();
@@ -177,7 +177,7 @@ fn another_change_under_a_known_id_is_refused() {
         assert_eq!(store::info(&here.join("env.presight")).unwrap().changes, lines.len() as u64);
     }
     let before = hash();
-    // The same in other words: keys in another order, another form of the pose, with a cause.
+    // The same change written differently: keys in another order, another form of the pose, and a cause.
     let same = r#"{"pose":[1.0,2,3,0,0,0.7071067811865475,0.7071067811865476],"cause":"again","object":"a","op":"move","id":"m"}"#;
     let rotation =
         presight_model::geometry::Pose::from_xyz_rpy(glam::DVec3::ZERO, 0.0, 0.0, 90f64.to_radians()).rotation;
@@ -214,7 +214,7 @@ fn another_change_under_a_known_id_is_refused() {
     }
 }
 
-/// The same for programs that use the library, and for entries that older versions wrote.
+/// The same holds for programs that use the library and for entries that older versions wrote.
 #[test]
 fn changes_of_the_library_are_known_by_their_ids() {
     let folder = tempfile::tempdir().unwrap();
@@ -228,7 +228,7 @@ fn changes_of_the_library_are_known_by_their_ids() {
     let delete = |name: &str| Change::DeleteObject { name: name.into() };
     assert_eq!(store.apply(new("x", 1.0), &named("n")).unwrap(), 1);
     assert_eq!(store.apply(delete("a"), &named("d")).unwrap(), 2);
-    // Made anew, as after a crash.
+    // Creates the store again, as after a crash.
     assert_eq!(store.apply(new("x", 1.0), &named("n")).unwrap(), 1);
     assert_eq!(store.apply(delete("a"), &named("d")).unwrap(), 2);
     for (change, id) in [(new("x", 2.0), "n"), (new("z", 1.0), "n"), (delete("b"), "d"), (new("x", 1.0), "d")] {
@@ -240,7 +240,7 @@ fn changes_of_the_library_are_known_by_their_ids() {
         );
     }
     assert_eq!(store.changes(), 2);
-    // A line that says what such an entry did.
+    // A line that repeats such an entry.
     let mut batch = store.batch().unwrap();
     let mut line = |text: &str| batch.apply_line(text, Path::new("."), &note(2.0));
     assert_eq!(line(r#"{"op":"delete_object","object":"a","id":"d"}"#).unwrap(), (2, false));
@@ -275,7 +275,7 @@ fn objects_come_from_files_and_from_each_other() {
 }
 
 #[test]
-fn log_undo_and_check_speak_of_the_same() {
+fn log_undo_and_check_use_the_same_numbers() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     let path = create(here, &small());
@@ -300,9 +300,9 @@ fn log_undo_and_check_speak_of_the_same() {
     assert_eq!(refused.status.code(), Some(1), "3 moved it again");
 }
 
-/// A model that was exported again: nothing is overwritten unasked, and asked for it is one change that can be undone.
+/// Importing a re-exported model overwrites only with the flag, and then as one change, which can be undone.
 #[test]
-fn a_scene_imported_again_replaces_what_it_is_allowed_to() {
+fn a_scene_imported_again_replaces_objects_only_on_request() {
     let folder = tempfile::tempdir().unwrap();
     let (here, glb) = (folder.path(), scene().to_str().unwrap());
     run(here, &["env", "create", "room.presight", glb]);
@@ -332,7 +332,7 @@ fn a_scene_imported_again_replaces_what_it_is_allowed_to() {
         assert_eq!(is.world_from_object, was.world_from_object, "{name}");
         assert_eq!(is.mesh.vertices(), was.mesh.vertices(), "{name}");
     }
-    assert_eq!(replaced.feature("laser", 7), changed.feature("laser", 7), "what was learned of the object stays");
+    assert_eq!(replaced.feature("laser", 7), changed.feature("laser", 7), "features learned on the object stay");
     assert_eq!(run(here, &["env", "import", "room.presight", glb, "--replace"]), "nothing to change\n");
     assert_eq!(run(here, &["env", "undo", "room.presight", "5"]), "change 6\n");
     assert_eq!(store::read(&path).unwrap().content_hash(), changed.content_hash());
@@ -342,9 +342,9 @@ fn a_scene_imported_again_replaces_what_it_is_allowed_to() {
     assert_eq!(layer.unwrap().status.code(), Some(2), "layers have rules of their own");
 }
 
-/// A feature whose surface is pulled away stays, is left out, and is told of; one that is put in must lie on something.
+/// A feature whose surface moved away is kept but not predicted, and reported. A new feature must lie on a surface.
 #[test]
-fn features_that_lost_their_surface_are_kept_and_told_of() {
+fn features_that_lost_their_surface_are_kept_and_reported() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     create(here, &small());
@@ -375,10 +375,10 @@ fn features_that_lost_their_surface_are_kept_and_told_of() {
     assert!(checked.contains("class \"video\": feature 5 \"p5\": the point is"), "{checked}");
     let problems = json(&run(here, &["inspect", "env.presight", "--json"]))["problems"].clone();
     assert_eq!((&problems[0]["kind"], &problems[0]["total"]), (&"lost_feature".into(), &1.into()), "{problems}");
-    // Undoing brings it back.
+    // Undoing restores the feature.
     run(here, &["env", "undo", "env.presight", "1"]);
     assert_eq!(seen(), (vec![2, 5], None, String::new()));
-    // A file that is given has to be right, its own tolerance and the scene's features beside it.
+    // A given layer file must be valid by its own tolerance, even together with the scene's features.
     let layer = |points: &str| {
         let text = format!(
             r#"{{"format":1,"class":"video","features":[{{"id":9,"kind":"point","name":"n","points":{points}}}]}}"#
@@ -410,9 +410,9 @@ fn features_that_lost_their_surface_are_kept_and_told_of() {
     );
 }
 
-/// A path above objects that is none itself moves and goes with all that is below.
+/// A path that is only a group, not an object, can be moved and deleted with everything below it.
 #[test]
-fn groups_are_told_moved_and_deleted() {
+fn groups_are_listed_moved_and_deleted() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     create(here, &small());
@@ -438,7 +438,7 @@ fn groups_are_told_moved_and_deleted() {
     assert_eq!(store::read(&here.join("env.presight")).unwrap().content_hash(), before.content_hash());
 }
 
-/// Frames come with a scene that is merged, and are held to it as objects are.
+/// A merged scene brings its frames, which must match existing ones in the same way as objects must.
 #[test]
 fn a_scene_brings_its_groups_along() {
     let folder = tempfile::tempdir().unwrap();
@@ -486,9 +486,9 @@ fn changes_come_with_marks_through_pipes_and_from_stdin() {
     assert!(log.contains("  c.jsonl line 1: ") && log.contains("  stdin line 1: "), "{log}");
 }
 
-/// Deleted objects are none that could be seen.
+/// Deleted objects do not count as visible objects.
 #[test]
-fn only_objects_that_are_there_are_counted() {
+fn deleted_objects_are_not_counted() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     let mut world = World::new(small());
@@ -545,7 +545,7 @@ fn changes_of_a_group_see_those_before_them() {
     }
     apply(&format!("{c},{}", insert("c", "d")), 0);
     apply(&format!("{},{}", insert("n", "d"), insert("m", "n")), 0);
-    // A material of the group is found by name, and once only.
+    // A material of the group is found by its name and stored only once.
     let tent = r#"{"op":"insert_object","object":"tent","vertices":[[0,0,0],[1,0,0],[0,1,0]],"polygons":[[0,1,2]],"material":"tin"}"#;
     apply(
         &format!(r#"{{"op":"group","changes":[{{"op":"add_material","name":"tin"}},{}]}},{tent}"#, insert("l", "m")),
@@ -555,7 +555,7 @@ fn changes_of_a_group_see_those_before_them() {
     let polygons = |name: &str| after.object(name).unwrap().mesh.polygon_count();
     assert!(["c", "n", "m", "l"].iter().all(|name| polygons(name) == polygons("d")));
     assert_eq!(after.materials().iter().filter(|m| m.name == "tin").count(), 1);
-    // All of it is undone and proven.
+    // All changes can be undone and verified.
     for change in ["6", "5", "4"] {
         run(here, &["env", "undo", "s.presight", change]);
     }

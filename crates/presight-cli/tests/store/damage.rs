@@ -5,13 +5,13 @@ use presight_files::store;
 use presight_files::store::Store;
 use std::path::Path;
 
-/// What must not change unseen.
+/// Returns the content that must not change unnoticed.
 fn told(path: &Path) -> presight_model::error::Result<(String, String, u64)> {
     let info = store::info(path)?;
     Ok((info.environment.content_hash().to_string(), info.head, info.changes))
 }
 
-/// A store with a log, in small pages: fewer bytes that mean nothing.
+/// Creates a store with a log in small pages, so that few bytes are unused.
 fn small_pages(folder: &Path) -> std::path::PathBuf {
     let path = create(folder, &small());
     let mut store = Store::open(&path).unwrap();
@@ -25,7 +25,7 @@ fn small_pages(folder: &Path) -> std::path::PathBuf {
     path
 }
 
-/// How many flips were noticed, and how many changed nothing that is told.
+/// Returns how many flips were noticed, and how many changed nothing in the content.
 fn sweep(path: &Path, positions: impl Iterator<Item = usize>) -> (usize, usize) {
     let before = told(path).unwrap();
     let bytes = std::fs::read(path).unwrap();
@@ -33,7 +33,7 @@ fn sweep(path: &Path, positions: impl Iterator<Item = usize>) -> (usize, usize) 
     let (mut noticed, mut harmless) = (0, 0);
     for at in positions {
         let mut flipped = bytes.clone();
-        // Every bit in turn, and all of them.
+        // Flips each of the eight bits in turn, and sometimes all of them.
         flipped[at] ^= if at % 3 == 0 { 0xff } else { 1 << (at % 8) };
         std::fs::write(&copy, &flipped).unwrap();
         match told(&copy) {
@@ -57,7 +57,7 @@ fn every_flipped_byte_is_noticed_or_harmless() {
     let path = small_pages(folder.path());
     let size = std::fs::metadata(&path).unwrap().len() as usize;
     let (noticed, harmless) = sweep(&path, 0..size);
-    // Free space inside pages, counters.
+    // The harmless bytes are free space inside pages and counters.
     assert!(noticed > size / 2, "{noticed} of {size} noticed, {harmless} harmless");
 }
 
@@ -71,7 +71,7 @@ fn every_truncation_is_noticed() {
         std::fs::write(&cut, &bytes[..length]).unwrap();
         assert!(told(&cut).is_err(), "{length} of {} bytes", bytes.len());
     }
-    // And what does not belong there.
+    // Appended bytes are also damage.
     std::fs::write(&cut, [&bytes[..], &[0; 512]].concat()).unwrap();
     if let Ok(after) = told(&cut) {
         assert_eq!(after, told(&path).unwrap());
@@ -94,7 +94,7 @@ fn flipped_bytes_of_a_large_store_are_noticed() {
     assert!(noticed > 30, "{noticed} noticed, {harmless} harmless");
 }
 
-/// The planted fault: SQLite alone notices next to nothing, which is why rows have hashes.
+/// The planted fault: SQLite alone notices almost no flips, which is why rows have hashes.
 #[test]
 fn sqlite_alone_would_not_notice() {
     let folder = tempfile::tempdir().unwrap();

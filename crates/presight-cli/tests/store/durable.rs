@@ -1,9 +1,9 @@
-//! What is on the disk when a change is acknowledged: a power cut keeps nothing but what was synced.
+//! A store after a power cut, which keeps only synced data, has every acknowledged change.
 //!
-//! A library loaded before the C library (`shim.c`) writes down each write, sync, creation and removal of a child that
-//! applies changes, and each acknowledgement. From that the disk after a power cut at any moment is made anew: of a file
-//! what its last sync saw, of the folder what its last sync saw, and nothing else. Another disk that is possible is made,
-//! too: one on which all went through, but for the last moment. Planted faults: no syncs at all, and none of the folder.
+//! A library loaded before the C library (`shim.c`) records each write, sync, creation and removal of a child that
+//! applies changes, and each acknowledgement. The test rebuilds the disk after a power cut at any moment: each file and
+//! the folder have the state of their last sync. It also rebuilds the other extreme, a disk on which every operation
+//! but the last went through. Planted faults: no syncs at all, and no syncs of the folder.
 
 use super::common::skip::skip;
 use super::{create, note, numbered, presight, small};
@@ -19,7 +19,7 @@ use std::sync::OnceLock;
 const CHANGES: u64 = 40;
 const CHILD: &str = "PRESIGHT_TEST_UNSYNCED_STORE";
 
-/// The compiled shim.
+/// Returns the compiled shim.
 #[cfg(target_os = "linux")]
 fn shim() -> Option<&'static Path> {
     static BUILT: OnceLock<Option<(tempfile::TempDir, PathBuf)>> = OnceLock::new();
@@ -48,7 +48,7 @@ fn shim() -> Option<&'static Path> {
     None
 }
 
-/// What the shim wrote down.
+/// An operation that the shim recorded.
 enum Event {
     Write { path: String, offset: usize, data: Vec<u8> },
     Truncate { path: String, size: usize },
@@ -97,7 +97,7 @@ fn events(trace: &Path) -> Vec<Event> {
 #[derive(Default)]
 struct Disk {
     files: HashMap<String, File>,
-    /// Names that the folder has after its last sync.
+    /// The names in the folder at its last sync.
     names: BTreeMap<String, bool>,
 }
 
@@ -142,7 +142,7 @@ impl Disk {
         }
     }
 
-    /// The folder after a power cut: only what was synced, or all that was done.
+    /// Writes the folder's state after a power cut: only synced data, or all operations.
     fn after_power_cut(&self, all: bool, to: &Path) -> PathBuf {
         for (name, file) in &self.files {
             let there = if all { file.there } else { self.names.get(name) == Some(&true) };
@@ -155,7 +155,7 @@ impl Disk {
     }
 }
 
-/// The hash of the content after each number of changes.
+/// Returns the content hash after each number of changes.
 fn expected() -> Vec<String> {
     let mut world = World::new(small());
     let hash = |w: &World| w.environment().content_hash().to_string();
@@ -167,7 +167,7 @@ fn expected() -> Vec<String> {
     all
 }
 
-/// Cuts the power after each event, and says what was wrong.
+/// Cuts the power after each event, and describes each failure.
 fn lost_after_power_cuts(mut disk: Disk, events: &[Event]) -> Vec<String> {
     let (expected, mut wrong, mut acknowledged) = (expected(), Vec::new(), 0);
     let mut cuts = 0;
@@ -176,7 +176,7 @@ fn lost_after_power_cuts(mut disk: Disk, events: &[Event]) -> Vec<String> {
         if let Event::Acknowledged(k) = event {
             acknowledged = *k;
         }
-        // Between two writes nothing that is kept changes.
+        // Between two writes the stored data does not change.
         let next_writes = matches!(events.get(i + 1), Some(Event::Write { .. }));
         if matches!(event, Event::Write { .. }) && next_writes && i % 7 != 0 {
             continue;
@@ -208,7 +208,7 @@ fn traced(command: &mut Command, shim: &Path, folder: &Path) -> PathBuf {
 }
 
 #[test]
-fn what_was_acknowledged_survives_a_power_cut() {
+fn acknowledged_changes_survive_a_power_cut() {
     let Some(shim) = shim() else { return };
     let outer = tempfile::tempdir().unwrap();
     let folder = outer.path().join("disk");
@@ -222,7 +222,7 @@ fn what_was_acknowledged_survives_a_power_cut() {
     let mut stdin = child.stdin.take().unwrap();
     for k in 1..=CHANGES {
         writeln!(stdin, "{}", numbered(k).1).unwrap();
-        // Batches of one and of several.
+        // Batches of one change and of several.
         if k % 3 == 0 {
             std::thread::sleep(std::time::Duration::from_millis(5));
         }
@@ -234,7 +234,7 @@ fn what_was_acknowledged_survives_a_power_cut() {
     let wrong = lost_after_power_cuts(disk, &events);
     assert!(wrong.is_empty(), "{} of them: {:#?}", wrong.len(), &wrong[..wrong.len().min(5)]);
 
-    // Planted: a disk that forgets the folder's syncs, as with synchronous=FULL.
+    // Planted fault: a disk that loses the folder's syncs, as with synchronous=FULL.
     let disk = Disk::with(&{
         let fresh = outer.path().join("fresh");
         std::fs::create_dir(&fresh).unwrap();
@@ -243,7 +243,7 @@ fn what_was_acknowledged_survives_a_power_cut() {
     let renamed = disk.files.into_values().map(|f| (path.to_str().unwrap().to_owned(), f)).collect();
     let disk = Disk { files: renamed, names: [(path.to_str().unwrap().to_owned(), true)].into() };
     let mut creations_synced = events;
-    // Creations are kept, removals are not.
+    // Creations are synced, removals are not.
     let mut after_removal = false;
     creations_synced.retain(|e| {
         match e {
@@ -253,10 +253,7 @@ fn what_was_acknowledged_survives_a_power_cut() {
         }
         !(matches!(e, Event::SyncFolder) && after_removal)
     });
-    assert!(
-        !lost_after_power_cuts(disk, &creations_synced).is_empty(),
-        "a journal that comes back takes changes along"
-    );
+    assert!(!lost_after_power_cuts(disk, &creations_synced).is_empty(), "a journal that reappears reverts changes");
 }
 
 #[test]
@@ -275,7 +272,7 @@ fn changes_without_syncs_are_caught() {
     assert!(wrong.iter().any(|w| w.contains("acknowledged")), "{wrong:?}");
 }
 
-/// Runs in a child of the test above only.
+/// Runs only as a child of the test above.
 #[test]
 fn unsynced_child() {
     let Some(path) = std::env::var_os(CHILD) else { return };
@@ -302,7 +299,7 @@ fn a_full_disk_is_refused_and_harmless() {
         command.env("LD_PRELOAD", shim).env("SHIM_FOLDER", folder.path()).env("SHIM_FULL", room.to_string());
         let mut child = command.spawn().unwrap();
         let mut stdin = child.stdin.take().unwrap();
-        // A child that gave up reads no more.
+        // A child that has given up no longer reads.
         let _ = (1..=CHANGES).try_for_each(|k| {
             writeln!(stdin, "{}", numbered(k).1)?;
             std::thread::sleep(std::time::Duration::from_millis(2));

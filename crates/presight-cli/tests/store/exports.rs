@@ -1,4 +1,4 @@
-//! `presight env export`, and what is read back of it.
+//! `presight env export`, and importing the export again.
 
 use super::command::{json, refusal, run, scene};
 use super::{create, presight, small};
@@ -13,7 +13,7 @@ fn an_export_gives_everything_back() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     run(here, &["env", "create", "room.presight", scene().to_str().unwrap()]);
-    // Turned, moved and scaled: no digit of a pose may get lost.
+    // The object is rotated, moved and scaled: every digit of its pose must survive.
     let object = json(&run(here, &["env", "info", "room.presight", "--json"]))["objects"][0].clone();
     let lines = [
         serde_json::json!({"op": "move", "object": object, "pose": [4469320.1, 5333710.7, 512.3, 10.1, 20.2, 30.3]}),
@@ -37,7 +37,7 @@ fn an_export_gives_everything_back() {
         run(here, &["env", "import", &again, layer]);
         assert_eq!(hash(&again), hash("room.presight"));
     }
-    // What another program changed counts, not what we left in the extras.
+    // A change by another program takes precedence over our extras.
     let moved = std::fs::read(here.join("x.glb")).unwrap();
     let text = String::from_utf8_lossy(&moved).into_owned();
     let at = text.find("\"blake3\":\"").unwrap() + 10;
@@ -48,7 +48,7 @@ fn an_export_gives_everything_back() {
     assert!(problems.to_string().contains("its triangles are used"), "{problems}");
 }
 
-/// The same of any environment that glTF can carry.
+/// The same holds for any environment that glTF can represent.
 #[test]
 fn an_exported_environment_is_the_same() {
     let folder = tempfile::tempdir().unwrap();
@@ -65,22 +65,22 @@ fn an_exported_environment_is_the_same() {
     let back = again(&hospital);
     assert_eq!(back.content_hash(), hospital.content_hash());
     assert_eq!((hospital.groups().len(), back.groups()), (143, hospital.groups()));
-    // Planted fault: a frame that is lost is noticed.
+    // Planted fault: a lost frame is noticed.
     let mut without = hospital.clone();
     let path = hospital.framed_groups().last().unwrap().0.to_owned();
     without.set_frame(&path, None).unwrap();
     assert_ne!(again(&without).content_hash(), hospital.content_hash());
 }
 
-/// What another program moved counts for groups, too.
+/// A move by another program also takes precedence for groups.
 #[test]
-fn a_group_that_another_program_moved_is_where_it_was_moved() {
+fn a_group_that_another_program_moved_stays_moved() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("e.glb");
     presight_files::gltf::write_glb(&path, &small()).unwrap();
     let bytes = std::fs::read(&path).unwrap();
     let at = |text: &str| bytes.windows(text.len()).position(|w| w == text.as_bytes()).unwrap();
-    // The same length: y of the group in the matrix, z in glTF.
+    // The replacement has the same length: y of the group in the matrix, z in glTF.
     let (number, from) = (b",-0.5,1.0]", at("\"world_from_group\""));
     let from = from + bytes[from..].windows(number.len()).position(|w| w == number).unwrap();
     let mut moved = bytes.clone();
@@ -92,7 +92,7 @@ fn a_group_that_another_program_moved_is_where_it_was_moved() {
     assert_eq!(again.frame("g/h/y"), small().frame("g/h/y"));
 }
 
-/// What cannot be read back is not written.
+/// An environment that cannot be imported again is not exported.
 #[test]
 fn an_environment_without_polygons_is_not_exported() {
     let folder = tempfile::tempdir().unwrap();
@@ -109,9 +109,9 @@ fn an_environment_without_polygons_is_not_exported() {
     }
 }
 
-/// Classes that differ keep files of their own.
+/// Classes whose names differ only in special characters get separate files.
 #[test]
-fn classes_of_like_names_are_exported_apart() {
+fn classes_with_similar_names_are_exported_separately() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     let mut world = World::new(small());
@@ -168,8 +168,8 @@ fn features_that_lost_their_surface_travel_marked() {
         .unwrap();
     let notice = String::from_utf8_lossy(&told.stderr).into_owned();
     assert!(told.status.success() && notice.contains("1 feature for class \"video\" left out"), "{notice}");
-    // Planted faults: without the mark it is refused, and so is another feature that is off without one; marks are no matter of
-    // changes.
+    // Planted faults: without the mark the feature is refused, and so is another feature off its surface. Changes
+    // cannot carry marks.
     run(here, &["env", "create", "t.presight", "out/scene.glb"]);
     let unmarked = layer.replace(r#","surface":"lost""#, "");
     std::fs::write(here.join("u.layer.json"), &unmarked).unwrap();
@@ -186,7 +186,7 @@ fn features_that_lost_their_surface_travel_marked() {
     std::fs::write(here.join("m.jsonl"), line).unwrap();
     let e = refusal(here, &["env", "apply", "t.presight", "m.jsonl"], 1);
     assert!(e.contains("is only for layer files"), "{e}");
-    // A mark on one that does lie on polygons does no harm.
+    // A mark on a feature that does lie on a polygon is harmless.
     std::fs::write(
         here.join("all.layer.json"),
         layer.replace("[[5.25,0.25,2.0]]", r#"[[5.25,0.25,2.0]],"surface":"lost""#),
@@ -197,7 +197,7 @@ fn features_that_lost_their_surface_travel_marked() {
 }
 
 #[test]
-fn layers_of_an_export_before_are_not_left_beside_a_new_one() {
+fn layers_of_an_earlier_export_are_refused_or_replaced() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     with_a_lost_feature(here);
@@ -205,7 +205,7 @@ fn layers_of_an_export_before_are_not_left_beside_a_new_one() {
         [("out", "out/scene.glb", "out/video.layer.json"), ("x.glb", "x.glb", "x.video.layer.json")]
     {
         run(here, &["env", "export", "s.presight", out]);
-        // Again over its own files.
+        // The export over its own earlier files.
         run(here, &["env", "export", "s.presight", out]);
         run(here, &["env", "create", "t.presight", scene]);
         let before = std::fs::read(here.join(scene)).unwrap();
@@ -219,7 +219,7 @@ fn layers_of_an_export_before_are_not_left_beside_a_new_one() {
         std::fs::remove_file(here.join("t.presight")).unwrap();
         std::fs::remove_file(here.join("one.presight")).unwrap();
     }
-    // Those of x.y.glb are none of x.glb's.
+    // The layers of x.y.glb do not belong to x.glb.
     run(here, &["env", "export", "s.presight", "x.y.glb"]);
     run(here, &["env", "create", "one.presight", "one.rhai"]);
     run(here, &["env", "export", "one.presight", "x.glb"]);

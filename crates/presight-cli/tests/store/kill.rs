@@ -9,12 +9,12 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-/// Kills, by several at once: most of the time is waited for the disk.
+/// The kills run in parallel, because most of the time is spent waiting for the disk.
 const KILLS: u64 = 26;
 const WORKERS: u64 = 4;
 
 #[test]
-fn a_killed_writer_leaves_exactly_the_first_changes() {
+fn a_killed_writer_leaves_a_prefix_of_its_changes() {
     let workers: Vec<_> = (0..WORKERS).map(|seed| std::thread::spawn(move || kill_again_and_again(seed))).collect();
     workers.into_iter().for_each(|worker| worker.join().unwrap());
 }
@@ -30,7 +30,7 @@ fn kill_again_and_again(seed: u64) {
         let mut child = command.spawn().unwrap();
         let sent = Arc::new(AtomicU64::new(0));
         let (counter, mut stdin) = (sent.clone(), BufWriter::with_capacity(1 << 12, child.stdin.take().unwrap()));
-        // In steps of several sizes, so that batches are of several, too.
+        // Steps of several sizes also give batches of several changes.
         let step = 1 + round % 40;
         let writer = std::thread::spawn(move || {
             for k in done + 1.. {
@@ -43,7 +43,7 @@ fn kill_again_and_again(seed: u64) {
         });
         let mut stdout = child.stdout.take().unwrap();
         let mut first = [0; 1];
-        // From the first acknowledgement on, at moments that no clock knows.
+        // Kills at random moments after the first acknowledgement.
         let alive = stdout.read(&mut first).unwrap() == 1;
         assert!(alive, "round {round}: {:?}", child.wait());
         std::thread::sleep(Duration::from_micros((round * WORKERS + seed) * 7919 % 20_000));
@@ -63,7 +63,7 @@ fn kill_again_and_again(seed: u64) {
             expected.apply(numbered(k).0).unwrap();
         }
         let (is, should) = (info.environment.content_hash(), expected.environment().content_hash());
-        assert_eq!(is, should, "round {round}: the state after exactly {n} changes");
+        assert_eq!(is, should, "round {round}: the state differs from that after {n} changes");
         killed_midway += u64::from(n > done);
         done = n;
     }

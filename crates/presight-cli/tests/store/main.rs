@@ -1,4 +1,4 @@
-//! The stored environment: what it keeps, what it survives, what it refuses.
+//! The stored environment: its content, its durability, and its refusals.
 
 mod bad;
 mod command;
@@ -23,12 +23,11 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::Arc;
 
-/// The built command.
 fn presight() -> Command {
     Command::new(env!("CARGO_BIN_EXE_presight"))
 }
 
-/// A box of six polygons; numbers of materials by face.
+/// A box of six polygons with a material number for each face.
 fn block(name: &str, size: f32, materials: [u16; 6]) -> Arc<Mesh> {
     let polygons = CUBOID_FACES.iter().zip(materials).map(|(f, m)| Polygon::new(f.to_vec(), m)).collect();
     let corners = cuboid_corners(Vec3::ZERO, Vec3::splat(size)).to_vec();
@@ -50,7 +49,7 @@ fn point(id: u32, x: f64, object: Option<&str>) -> Feature {
     }
 }
 
-/// Objects of two meshes, two of them in groups of which one was given a frame, features, and a deleted object between.
+/// Objects of two meshes, two of them in groups, features, and a deleted object. One of the groups has a frame.
 fn small() -> Environment {
     let mut environment = Environment::new();
     environment.add_material(Material::named("paint")).unwrap();
@@ -61,7 +60,7 @@ fn small() -> Environment {
     environment.insert(NewObject::new("gone", at(9.0, 0.0, 0.0), other.clone())).unwrap();
     environment.insert(NewObject::new("b", at(4.0, 2.0, 1.0), one.clone())).unwrap();
     environment.insert(NewObject::new("b/lid", at(4.0, 2.5, 1.0), other.clone())).unwrap();
-    // What features in the world lie on.
+    // Surfaces for the features in the world frame.
     environment.insert(NewObject::new("floor", at(0.0, 0.0, 0.0), one)).unwrap();
     environment.insert(NewObject::new("g/h/y", at(-3.0, 1.0, 0.3), other)).unwrap();
     environment.set_frame("g/h", Some(at(-3.0, 0.5, 0.7))).unwrap();
@@ -108,7 +107,7 @@ fn numbered(k: u64) -> (Change, String) {
     }
 }
 
-/// The shared data's hospital, if it is there.
+/// The shared data's hospital, if available.
 fn hospital() -> Option<PathBuf> {
     common::data::file("env/hospital.glb")
 }

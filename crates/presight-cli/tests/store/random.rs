@@ -1,12 +1,12 @@
-//! Random sequences of changes: store, memory, and an environment made from scratch are the same, and so is what a
-//! sensor sees in them.
+//! Random sequences of changes: the store, the environment in memory and an environment built from scratch are equal,
+//! and a sensor sees the same in each.
 
 use super::{at, block, create, note, point, small};
 use presight_files::store;
 use presight_files::store::Store;
 use presight_model::change::Change;
 use presight_model::environment::{Environment, NewObject};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, PoseCovariance};
 use presight_model::index::{Params, Scheme};
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
@@ -14,7 +14,7 @@ use presight_predict::request::Request;
 use proptest::prelude::*;
 use std::collections::HashMap;
 
-/// A change by small numbers, so that changes meet; many are impossible, which is part of it.
+/// Makes a change from small numbers, so that changes affect the same objects. Many of them are invalid on purpose.
 fn change(kind: u8, which: u8, x: f64, depth: u8) -> Change {
     let names = ["a", "b", "b/lid", "c", "g", "g/h", "g/h/y", "g/x", "d"];
     let name = names[usize::from(which) % names.len()].to_owned();
@@ -33,8 +33,7 @@ fn change(kind: u8, which: u8, x: f64, depth: u8) -> Change {
         7 => Change::DeleteFeature { class, id },
         8 => Change::SetPose { name, world_from_object: at(x, 0.0, -x) },
         9 => {
-            let mut covariance = [[0.0; 6]; 6];
-            covariance[0][0] = x * x;
+            let covariance = PoseCovariance::from_sigmas([x, 0.0, 0.0, 0.0, 0.0, 0.0]);
             Change::SetPoseCovariance {
                 class,
                 object: name,
@@ -50,7 +49,7 @@ fn change(kind: u8, which: u8, x: f64, depth: u8) -> Change {
     }
 }
 
-/// The live objects and features put into a new environment, in the order of their numbers.
+/// Builds a new environment from the live objects and features in the order of their numbers.
 fn from_scratch(environment: &Environment) -> Environment {
     let mut again = Environment::new();
     for material in environment.materials() {
@@ -73,7 +72,7 @@ fn from_scratch(environment: &Environment) -> Environment {
     again
 }
 
-/// What a sensor sees: range bits, and by name which polygon of which object.
+/// Returns a sensor's image: the range bits, and the polygon with its object's name.
 fn seen(world: &World) -> Vec<(u32, Option<(String, u32)>)> {
     let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).unwrap();
     let sensor = presight_files::preset("laser-range-camera").unwrap();
@@ -87,7 +86,7 @@ fn seen(world: &World) -> Vec<(u32, Option<(String, u32)>)> {
     images.range.iter().zip(&images.polygon_id).map(|(r, id)| (r.to_bits(), polygon(*id))).collect()
 }
 
-/// Applies a whole log to what a store was created with.
+/// Applies a whole log to the environment from which a store was created.
 fn replayed(path: &std::path::Path, environment: Environment, by_number: &HashMap<u64, Change>) -> World {
     let mut world = World::new(environment);
     store::log(path, |entry| world.apply_unchecked(by_number[&entry.number].clone()).map(drop)).unwrap();
@@ -147,7 +146,7 @@ proptest! {
         }
         prop_assert!(seen(&World::new(scratch)) == expected, "from scratch");
         prop_assert!(seen(&again) == expected, "replayed");
-        // All of it undone, newest first, is the beginning.
+        // Undoing all changes, newest first, gives the initial environment.
         for number in undoable.into_iter().rev() {
             store.undo(number, false, &note(0.0)).unwrap();
         }

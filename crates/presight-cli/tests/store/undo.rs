@@ -1,4 +1,4 @@
-//! The log: listed, explained, undone; groups, ids, batches.
+//! The log: list, explain and undo changes; groups, ids and batches.
 
 use super::{at, create, note, numbered, point, presight, small};
 use presight_files::store;
@@ -18,7 +18,7 @@ fn hash(store: &Store) -> String {
     store.world().environment().content_hash().to_string()
 }
 
-/// A store, and the hash after each change.
+/// Returns a store and the content hash after each change.
 fn opened(changes: Vec<Change>) -> (tempfile::TempDir, Store, Vec<String>) {
     let folder = tempfile::tempdir().unwrap();
     let path = create(folder.path(), &small());
@@ -31,7 +31,7 @@ fn opened(changes: Vec<Change>) -> (tempfile::TempDir, Store, Vec<String>) {
     (folder, store, hashes)
 }
 
-/// World and file hold the same.
+/// Checks that the file has the same content as the world in memory.
 fn same_on_disk(store: Store) {
     let world = store.world().clone();
     let path = store.path().to_owned();
@@ -52,7 +52,7 @@ fn undoing_appends_the_inverse_and_can_be_undone() {
     let (_folder, mut store, hashes) = opened(vec![mover("a", 1.0), delete("b"), mover("a", 2.0)]);
     assert_eq!(store.undo(3, false, &note(9.0)).unwrap(), [4]);
     assert_eq!(hash(&store), hashes[2]);
-    // 3 and 4 count as nothing now.
+    // Changes 3 and 4 cancel each other.
     assert_eq!(store.undo(1, false, &note(9.0)).unwrap(), [5]);
     assert_eq!(store.undo(2, false, &note(9.0)).unwrap(), [6]);
     assert_eq!(hash(&store), hashes[0]);
@@ -66,7 +66,7 @@ fn undoing_appends_the_inverse_and_can_be_undone() {
 }
 
 #[test]
-fn later_changes_of_the_same_stand_in_the_way() {
+fn later_changes_of_the_same_object_block_an_undo() {
     let insert = Change::InsertFeature { class: "video".into(), feature: point(9, 0.5, Some("b")) };
     let (_folder, mut store, hashes) =
         opened(vec![mover("a", 1.0), mover("b", 1.0), mover("a", 2.0), insert, delete("b")]);
@@ -82,7 +82,7 @@ fn later_changes_of_the_same_stand_in_the_way() {
     same_on_disk(store);
 }
 
-/// Features that were taken back do not come again because the tolerance, which only coming again would need, is undone.
+/// Undone features do not come back to make the undoing of their tolerance possible.
 #[test]
 fn cascading_does_no_more_than_it_must() {
     let insert = |id| Change::InsertFeature { class: "video".into(), feature: point(id, 0.5, Some("a")) };
@@ -98,8 +98,8 @@ fn cascading_does_no_more_than_it_must() {
     assert_eq!(store.undo_plan(22, true).unwrap(), [22]);
     assert_eq!(store.undo(22, true, &note(9.0)).unwrap(), [44]);
     let layer = store.world().environment().layer("video").unwrap();
-    assert_eq!((layer.tolerance, layer.features.len()), (1e-3, 2), "those of the store alone, as it was made");
-    // A feature that is there does need it, and stands in the way.
+    assert_eq!((layer.tolerance, layer.features.len()), (1e-3, 2), "the initial layer of the store");
+    // A live feature needs the tolerance and therefore blocks the undo.
     store.apply(Change::SetTolerance { class: "video".into(), tolerance: 0.5 }, &note(9.0)).unwrap();
     store.apply(insert(99), &note(9.0)).unwrap();
     let e = store.undo(45, false, &note(9.0)).unwrap_err().to_string();
@@ -120,7 +120,7 @@ fn a_parents_move_and_a_group_are_undone_whole() {
 }
 
 #[test]
-fn changes_of_groups_are_undone_whole_and_stand_in_the_way() {
+fn changes_of_groups_are_undone_whole_and_block_earlier_undos() {
     let (folder, mut store, hashes) =
         opened(vec![mover("g", 1.0), mover("a", 1.0), mover("g/h/y", 2.0), delete("g/h"), delete("b")]);
     let e = store.undo(1, false, &note(9.0)).unwrap_err().to_string();
@@ -130,7 +130,7 @@ fn changes_of_groups_are_undone_whole_and_stand_in_the_way() {
     assert_eq!(store.undo(1, true, &note(9.0)).unwrap(), [7, 8, 9]);
     assert_eq!(store.undo(2, false, &note(9.0)).unwrap(), [10]);
     assert_eq!(hash(&store), hashes[0]);
-    // From the file the same.
+    // The same holds after reading the file.
     drop(store);
     let mut store = Store::open(&folder.path().join("env.presight")).unwrap();
     assert_eq!(hash(&store), hashes[0]);
@@ -179,7 +179,7 @@ fn a_second_writer_is_refused_and_readers_are_not() {
 }
 
 #[test]
-fn the_log_tells_time_and_cause() {
+fn the_log_has_time_and_cause() {
     let (_folder, mut store, _) = opened(vec![mover("a", 1.0)]);
     store.undo(1, false, &Note::new("it was right before", 7.25)).unwrap();
     let path = store.path().to_owned();

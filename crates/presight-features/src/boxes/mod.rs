@@ -8,14 +8,10 @@ pub(super) use image::Image;
 pub use image::Kind;
 
 use super::prediction::given_at;
-use super::roi::{
-    BodyPoint, BoxFinder, FeatureErrorModel, Level, PoseCovariance, PoseErrors, Projection as _, Roi, Viewpoint,
-};
+use super::roi::{BodyPoint, BoxFinder, FeatureErrorModel, Level, PoseErrors, Projection as _, Roi, Viewpoint};
 use super::{FeaturePrediction, PlacedFeature, SeenFeature};
-use glam::DVec3;
-use presight_model::environment::check_covariance;
 use presight_model::error::{Error, Result};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{InObject, InWorld, Pose, PoseCovariance, PoseEstimate};
 use presight_model::sensor::Sensor;
 use presight_model::threads::parallel;
 use presight_model::world::World;
@@ -37,7 +33,7 @@ pub enum BoxMethod {
 /// Uncertainties of poses, and the probability with which regions of interest hold their features.
 ///
 /// ```
-/// use presight::features::BoxOptions;
+/// use presight::regions::BoxOptions;
 /// // 5 cm along x and y, and 2 degrees of heading.
 /// let heading = 2f64.to_radians();
 /// let options = BoxOptions::default().with_sensor_sigmas([0.05, 0.05, 0.0, 0.0, 0.0, heading]).with_confidence(0.95);
@@ -46,10 +42,10 @@ pub enum BoxMethod {
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct BoxOptions {
-    /// Covariance of the sensor's pose along the world's axes: translation, and rotation by Exp(dtheta) from the left.
-    pub sensor: PoseCovariance,
-    /// Covariances of objects' poses by object index, in the object's own axes. They override those in layers.
-    pub objects: Vec<(u32, PoseCovariance)>,
+    /// Covariance of the sensor's pose.
+    pub sensor: PoseCovariance<InWorld>,
+    /// Covariances of objects' poses by object index. They override those in layers.
+    pub objects: Vec<(u32, PoseCovariance<InObject>)>,
     /// Probability with which a box holds its feature.
     pub confidence: f64,
     /// Method of propagation.
@@ -58,27 +54,43 @@ pub struct BoxOptions {
 
 impl Default for BoxOptions {
     fn default() -> Self {
-        Self { sensor: [[0.0; 6]; 6], objects: Vec::new(), confidence: 0.99, method: BoxMethod::AsNeeded }
+        Self { sensor: PoseCovariance::ZERO, objects: Vec::new(), confidence: 0.99, method: BoxMethod::AsNeeded }
     }
 }
 
 impl BoxOptions {
-    /// Sets the covariance of the sensor's pose, along the world's axes.
+    /// Sets the covariance of the sensor's pose; for that of the robot's, use [`BoxOptions::with_robot`].
     #[must_use]
-    pub fn with_sensor(self, covariance: PoseCovariance) -> Self {
+    pub fn with_sensor(self, covariance: PoseCovariance<InWorld>) -> Self {
         Self { sensor: covariance, ..self }
+    }
+
+    /// Sets the covariance of the sensor's pose from the robot's, through the sensor's mount.
+    ///
+    /// ```
+    /// use presight::features::BoxOptions;
+    /// use presight::geometry::PoseEstimate;
+    /// use presight::Pose;
+    /// let camera = presight::preset("realsense-d435")?;
+    /// let believed = PoseEstimate::of_sigmas(Pose::IDENTITY, 0.02, 0.01);
+    /// let options = BoxOptions::default().with_robot(&believed, &camera);
+    /// assert_eq!(options.sensor, believed.sensor_covariance(&camera.spec().mount));
+    /// # Ok::<(), presight::Error>(())
+    /// ```
+    #[must_use]
+    pub fn with_robot(self, robot: &PoseEstimate, sensor: &Sensor) -> Self {
+        self.with_sensor(robot.sensor_covariance(&sensor.spec().mount))
     }
 
     /// Sets independent standard deviations of the sensor's pose: x, y, z in metres, rotation about x, y, z in radians.
     #[must_use]
     pub fn with_sensor_sigmas(self, sigmas: [f64; 6]) -> Self {
-        let variance = |i: usize, j: usize| if i == j { sigmas[i] * sigmas[i] } else { 0.0 };
-        self.with_sensor(std::array::from_fn(|i| std::array::from_fn(|j| variance(i, j))))
+        self.with_sensor(PoseCovariance::from_sigmas(sigmas))
     }
 
     /// Sets covariances of objects' poses by object index.
     #[must_use]
-    pub fn with_objects(self, objects: Vec<(u32, PoseCovariance)>) -> Self {
+    pub fn with_objects(self, objects: Vec<(u32, PoseCovariance<InObject>)>) -> Self {
         Self { objects, ..self }
     }
 
@@ -101,16 +113,15 @@ impl BoxOptions {
             let what = format!("confidence {} is not in 0.5..1", self.confidence);
             return Err(Error::usage(what, "give a probability such as 0.99"));
         }
-        check_covariance(&self.sensor).map_err(|e| e.at("the sensor's pose"))?;
+        self.sensor.check().map_err(|e| e.at("the sensor's pose"))?;
         for (object, covariance) in &self.objects {
-            check_covariance(covariance).map_err(|e| e.at(format!("the pose of object {object}")))?;
+            covariance.check().map_err(|e| e.at(format!("the pose of object {object}")))?;
         }
         Ok(())
     }
 }
 
 /// Input for the boxes of a prediction.
-#[doc(hidden)]
 #[derive(Clone, Copy, Debug)]
 pub struct BoxQuery<'a> {
     /// The predicted features in order.
@@ -128,9 +139,9 @@ pub struct BoxQuery<'a> {
 /// Adds the box, and the covariance of the defining points in the image, to every visible feature.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Usage`] for a confidence outside 0.5..1, and the errors of [`Pose::check`];
-/// [`crate::ErrorKind::Invalid`] for a covariance that is not finite, not symmetric, or has an eigenvalue below 0
-/// beyond the rounding of six digits; the errors of [`crate::Threads::new`].
+/// [`presight_model::ErrorKind::Usage`] for a confidence outside 0.5..1, and the errors of [`Pose::check`];
+/// [`presight_model::ErrorKind::Invalid`] for a covariance that is not finite, not symmetric, or has an eigenvalue
+/// below 0 beyond the rounding of six digits; the errors of [`presight_model::Threads::new`].
 pub fn add_boxes(prediction: &mut FeaturePrediction, query: &BoxQuery<'_>) -> Result<()> {
     let frame = BoxFrame::new(query)?;
     let FeaturePrediction { features, given, .. } = prediction;
@@ -161,9 +172,13 @@ pub struct BoxScratch {
 
 /// Data shared by the boxes of one prediction.
 pub struct BoxFrame<'a> {
+    /// The image.
     pub image: Image<'a>,
+    /// The sensor with its pose errors.
     pub viewpoint: Viewpoint,
+    /// The probability of a box.
     pub level: Level,
+    /// How boxes are found.
     pub method: BoxMethod,
     world: &'a World,
     objects: Vec<(u32, PoseErrors)>,
@@ -220,7 +235,7 @@ impl<'a> BoxFrame<'a> {
             || seen.feature.shape.is_contour() && self.image.turn().is_some_and(|turn| self.turns(seen, turn));
         let width = f64::from(self.image.size().0);
         seen.roi = Some(if is_around { [-0.5, y0, width - 0.5, y1] } else { found.bounds });
-        seen.roi_flag = Some(found.flag.name());
+        seen.roi_flag = Some(found.flag);
     }
 
     /// Finds the boxes of some features of a prediction.
@@ -245,44 +260,5 @@ impl<'a> BoxFrame<'a> {
         seen.image_covariance = finder.covariances(&self.image, uncertain, points).filter(|all| !all.is_empty());
         points::seen(&self.image, &self.viewpoint, uncertain, seen, points);
         !points.is_empty()
-    }
-}
-
-/// Computes the covariance of a sensor's pose from that of its robot, both along the world's axes. `world_axes_lever`
-/// is the sensor's position relative to the robot, along the world's axes, metres.
-pub fn sensor_covariance(robot: &PoseCovariance, world_axes_lever: DVec3) -> PoseCovariance {
-    let l = world_axes_lever;
-    // d_sensor = d_robot + dtheta x lever.
-    let cross = [[0.0, l.z, -l.y], [-l.z, 0.0, l.x], [l.y, -l.x, 0.0]];
-    let mut adjoint = [[0.0; 6]; 6];
-    for i in 0..6 {
-        adjoint[i][i] = 1.0;
-    }
-    for i in 0..3 {
-        for j in 0..3 {
-            adjoint[i][3 + j] = cross[i][j];
-        }
-    }
-    let mut moved = [[0.0; 6]; 6];
-    for (i, j) in (0..6).flat_map(|i| (0..6).map(move |j| (i, j))) {
-        for (k, l) in (0..6).flat_map(|k| (0..6).map(move |l| (k, l))) {
-            moved[i][j] += adjoint[i][k] * robot[k][l] * adjoint[j][l];
-        }
-    }
-    moved
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_lever_turns_heading_into_position() {
-        let mut robot = [[0.0; 6]; 6];
-        robot[5][5] = 0.01;
-        let moved = sensor_covariance(&robot, DVec3::new(2.0, 0.0, 1.0));
-        // A turn by 0.1 moves a point 2 m ahead by 0.2 m to the left.
-        assert!((moved[1][1] - 0.04).abs() < 1e-15 && (moved[1][5] - 0.02).abs() < 1e-15);
-        assert_eq!((moved[0][0], moved[2][2], moved[5][5]), (0.0, 0.0, 0.01));
     }
 }

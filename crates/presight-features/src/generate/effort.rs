@@ -131,7 +131,7 @@ impl EffortAllowance<'_> {
     /// Counts steps at a place, before they are done.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] naming the place with the most steps, if the total exceeds the limit.
+    /// [`presight_model::ErrorKind::Invalid`] naming the place with the most steps, if the total exceeds the limit.
     #[inline]
     pub fn spend(&mut self, steps: usize, at: impl FnOnce() -> DVec3) -> Result<()> {
         #[cfg(test)]

@@ -11,7 +11,7 @@
 //! the borders of both count. Two edges that cross make a corner only where one of them ends. Patches have no holes for
 //! objects that stand on them.
 //!
-//! Every feature must meet the conditions of placement ([`crate::features::place`]). If joining moved one off the
+//! Every feature must meet the conditions of placement ([`crate::place`]). If joining moved one off the
 //! surface by more than the layer's tolerance, it is split again, or dropped and counted.
 
 mod candidates;
@@ -173,8 +173,9 @@ pub struct GeneratedLayer {
 /// give no features; transparent ones do. Equal inputs give equal layers.
 ///
 /// ```
-/// use presight::features::generate::{GenerateOptions, FeatureKind, generate};
-/// use presight::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose};
+/// use presight::features::{FeatureKind, GenerateOptions, generate};
+/// use presight::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
+/// use presight::Pose;
 /// use glam::Vec3;
 ///
 /// // A square tile has four open borders, which meet in four corners.
@@ -193,9 +194,9 @@ pub struct GeneratedLayer {
 /// ```
 ///
 /// # Errors
-/// [`crate::ErrorKind::Usage`] if an option is not finite or out of range, or the class is empty;
-/// [`crate::ErrorKind::Invalid`] naming a place where too many polygons overlap
-/// ([`crate::limits::MAX_FEATURE_STEPS`]); the errors of [`crate::Threads::new`].
+/// [`presight_model::ErrorKind::Usage`] if an option is not finite or out of range, or the class is empty;
+/// [`presight_model::ErrorKind::Invalid`] naming a place where too many polygons overlap
+/// ([`presight_model::limits::MAX_FEATURE_STEPS`]); the errors of [`presight_model::Threads::new`].
 pub fn generate(environment: &Environment, class: &str, options: &GenerateOptions) -> Result<GeneratedLayer> {
     generate_with_progress(environment, class, options, &|_| {})
 }
@@ -298,7 +299,7 @@ impl GenerateOptions {
     /// Checks every number.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] naming the option that is not finite or out of range.
+    /// [`presight_model::ErrorKind::Usage`] naming the option that is not finite or out of range.
     pub fn check(&self) -> Result<()> {
         let quarter = std::f64::consts::FRAC_PI_2;
         // Users give angles in degrees, so they are shown to a millionth of a degree.

@@ -4,12 +4,11 @@
 //! then takes two scalar products per error: -t . g - r . (p x g) for the sensor, t . g + r . (q x g) for the object
 //! with q from the object's origin, and e0 . (s0 g) + e1 . (s1 g) for the ends of the feature.
 
-use super::PoseCovariance;
 use crate::normal::square_root;
 use glam::{DMat3, DVec3};
 use presight_model::environment::FeatureShape;
 use presight_model::error::Result;
-use presight_model::geometry::Pose;
+use presight_model::geometry::{InObject, InWorld, Pose, PoseCovariance};
 
 /// Largest number of errors: six for each pose, three for each end.
 pub const ERRORS: usize = 3 * KIND;
@@ -32,8 +31,8 @@ pub struct PoseErrors([[DVec3; 2]; KIND]);
 
 impl PoseErrors {
     /// From a covariance, along the same axes.
-    pub fn new(covariance: &PoseCovariance) -> Self {
-        Self(pairs(&square_root(covariance)))
+    pub fn new<A>(covariance: &PoseCovariance<A>) -> Self {
+        Self(pairs(&square_root(covariance.as_rows())))
     }
 
     fn turned(&self, turn: &DMat3) -> [[DVec3; 2]; KIND] {
@@ -53,11 +52,11 @@ pub struct Viewpoint {
 }
 
 impl Viewpoint {
-    /// From a sensor's pose and its covariance along the world's axes, with rotation by Exp(dtheta) from the left.
+    /// From a sensor's pose and its covariance.
     ///
     /// # Errors
     /// The errors of [`Pose::check`].
-    pub fn new(world_from_body: &Pose, covariance: &PoseCovariance) -> Result<Self> {
+    pub fn new(world_from_body: &Pose, covariance: &PoseCovariance<InWorld>) -> Result<Self> {
         world_from_body.check()?;
         let body_from_world = world_from_body.rotation_matrix().transpose();
         let errors = PoseErrors::new(covariance).turned(&body_from_world);
@@ -165,16 +164,15 @@ pub struct NominalPoint {
 
 impl FeatureErrorModel {
     /// The errors of a feature seen from a pose. `world_from_frame` is the pose of the feature's object (identity for
-    /// the world). The object's covariance is along its own axes. The sensor's covariance is along the world's axes,
-    /// with rotation by Exp(dtheta) from the left.
+    /// the world).
     ///
     /// # Errors
     /// The errors of [`Pose::check`] for either pose.
     pub fn new(
         world_from_body: &Pose,
-        sensor: &PoseCovariance,
+        sensor: &PoseCovariance<InWorld>,
         world_from_frame: &Pose,
-        object: Option<&PoseCovariance>,
+        object: Option<&PoseCovariance<InObject>>,
         shape: &FeatureShape,
     ) -> Result<Self> {
         world_from_frame.check()?;

@@ -34,6 +34,7 @@ pub struct Level {
 }
 
 impl Level {
+    /// The level of a confidence.
     pub fn new(confidence: f64) -> Self {
         let fail = 1.0 - confidence;
         let shared = |n: f64| tail_quantile(fail / n);

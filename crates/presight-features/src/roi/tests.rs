@@ -3,7 +3,7 @@
 use super::*;
 use glam::{DMat3, DVec3};
 use presight_model::environment::FeatureShape;
-use presight_model::geometry::Pose;
+use presight_model::geometry::{InWorld, Pose, PoseCovariance};
 use std::f64::consts::{PI, TAU};
 
 /// A pinhole camera of 640 x 480 pixels, body axes.
@@ -50,12 +50,8 @@ impl Projection for Scanner {
     }
 }
 
-fn diagonal(sigmas: [f64; 6]) -> PoseCovariance {
-    let mut m = [[0.0; 6]; 6];
-    for (i, s) in sigmas.into_iter().enumerate() {
-        m[i][i] = s * s;
-    }
-    m
+fn diagonal(sigmas: [f64; 6]) -> PoseCovariance<InWorld> {
+    PoseCovariance::from_sigmas(sigmas)
 }
 
 fn isotropic(sigma: f64) -> DMat3 {
@@ -82,7 +78,8 @@ fn slopes_are_those_of_place() {
     let mut covariance = diagonal([0.1, 0.2, 0.3, 0.01, 0.02, 0.03]);
     (covariance[0][4], covariance[4][0]) = (1e-3, 1e-3);
     let shape = segment(DVec3::new(0.1, 0.2, 0.3), DVec3::new(1.0, -0.4, 0.6), 0.05);
-    let uncertain = FeatureErrorModel::new(&pose, &covariance, &frame, Some(&covariance), &shape).unwrap();
+    let object = PoseCovariance::from_rows(*covariance.as_rows());
+    let uncertain = FeatureErrorModel::new(&pose, &covariance, &frame, Some(&object), &shape).unwrap();
     assert_eq!(uncertain.dimensions(), 18);
     let point = samples(&shape)[5];
     let placed = uncertain.nominal(&point);

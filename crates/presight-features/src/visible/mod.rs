@@ -72,7 +72,6 @@ pub enum Visibility {
 }
 
 /// Settings for predicting features from existing images.
-#[doc(hidden)]
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FeatureSettings {
     /// UTC seconds, for probabilities of existence. `None` means the newest confirmation of all features.
@@ -90,7 +89,7 @@ pub struct FeatureSettings {
     /// [`Visibility::Rays`] a patch has up to 4,096 samples, and up to 64 times that number with finer steps.
     pub step: f64,
     /// A deadline left the images incomplete: pixels with NaN and id 0 hold no information. Large patches, which the
-    /// images decide, are [`crate::features::Reason::NotPredicted`] there; the index decides the others as usual.
+    /// images decide, are [`crate::Reason::NotPredicted`] there; the index decides the others as usual.
     pub is_partial: bool,
     /// Regions of interest will be computed: record where partly visible patches are seen.
     pub regions: bool,
@@ -114,34 +113,10 @@ impl Default for FeatureSettings {
 /// Predicts how much of each feature a sensor at a pose (body axes) sees, from the `polygon_id` image of the same
 /// world, sensor and pose.
 ///
-/// ```
-/// use presight::environment::{Existence, Feature, FeatureShape, Properties};
-/// use presight::features::{FeatureSettings, PlacedFeature, predict_features};
-/// use presight::{Backend, Environment, Options, Output, Outputs, Pose, Predictor, Request, World};
-/// use glam::{DMat3, DVec3};
-///
-/// let world = World::new(Environment::new());
-/// let sensor = presight::preset("video-camera")?;
-/// let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1))?;
-/// let request = Request::of(Outputs::of(&[Output::PolygonId]));
-/// let seen = predictor.predict(&world, &sensor, &Pose::IDENTITY, &request)?;
-/// // An edge 3 m ahead in an empty world.
-/// let ends = [DVec3::new(3.0, -0.2, 0.0), DVec3::new(3.0, 0.2, 0.1)];
-/// let shape = FeatureShape::Segment { ends, covariances: [DMat3::ZERO; 2], cross: DMat3::ZERO };
-/// let (existence, properties) = (Existence::default(), Properties::default());
-/// let feature = Feature { id: 7, name: None, object: None, shape, existence, properties };
-/// let placed = [PlacedFeature { feature: feature.into(), object: None, slots: vec![] }];
-/// let options = FeatureSettings::default();
-/// let found = predict_features(&world, &sensor, &Pose::IDENTITY, &seen.images, &placed, &options)?;
-/// assert_eq!(found.features[0].visible_fraction, 1.0);
-/// # Ok::<(), presight::Error>(())
-/// ```
-///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] if there is no `polygon_id` image of the sensor's size, a feature's object or slot does
-/// not exist, or the sensor is a ray table with fewer than two rays; [`crate::ErrorKind::Usage`] for a step out of its range, and those of [`Pose::check`];
-/// those of [`crate::Threads::new`].
-#[doc(hidden)]
+/// [`presight_model::ErrorKind::Invalid`] if there is no `polygon_id` image of the sensor's size, a feature's object or
+/// slot does not exist, or the sensor is a ray table with fewer than two rays; [`presight_model::ErrorKind::Usage`] for
+/// a step out of its range, and those of [`Pose::check`]; those of [`presight_model::Threads::new`].
 pub fn predict_features(
     world: &World,
     sensor: &Sensor,

@@ -53,7 +53,7 @@ impl PreparedPolygon {
     /// `rounding` metres. `share` is the point's product with [`PreparedPolygon::inverse`].
     ///
     /// Let k = n . u / d be the reciprocal of the polygon's range, r the range of the point and `off` the bound of k
-    /// ([`crate::verify::Precision`]). Then k > 1 / r + off is the same as `share` = r k > 1 + r off.
+    /// ([`presight_render::verify::Precision`]). Then k > 1 / r + off is the same as `share` = r k > 1 + r off.
     #[inline]
     pub fn nearer(&self, share: f64, range: f64, rounding: f64) -> RelativeDepth {
         if !(share > 1.0 + rounding / range + 8.0 * f64::EPSILON) {

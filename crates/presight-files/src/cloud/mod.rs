@@ -40,14 +40,14 @@ pub struct Cloud {
 /// let folder = tempfile::tempdir()?;
 /// let path = folder.path().join("corner.csv");
 /// std::fs::write(&path, "x,y,z,intensity\n3,0,0.5,12\n0,2,0.5,9\n")?;
-/// let cloud = presight::io::cloud::read(&path)?;
+/// let cloud = presight::files::read_cloud(&path)?;
 /// assert_eq!(cloud.points, [glam::DVec3::new(3.0, 0.0, 0.5), glam::DVec3::new(0.0, 2.0, 0.5)]);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] or [`crate::ErrorKind::Unsupported`] naming the fault of the file;
-/// [`crate::ErrorKind::System`] if the system refuses.
+/// [`presight_model::ErrorKind::Invalid`] or [`presight_model::ErrorKind::Unsupported`] naming the fault of the file;
+/// [`presight_model::ErrorKind::System`] if the system refuses.
 pub fn read(path: &Path) -> Result<Cloud> {
     let bytes = file::read(file::open(path)?, path, limits::MAX_FILE_BYTES)?;
     let cloud = match ending(path).as_str() {

@@ -11,14 +11,14 @@
 //! with optical axes, in the frame of the scene's file (y up).
 
 use super::file;
-use super::text::read_text;
+use super::text::from_text;
 use crate::tum::StampedPose;
 use glam::DVec3;
 use image::codecs::png::PngDecoder;
 use image::{DynamicImage, ImageDecoder};
 use presight_model::error::{Error, Result};
-use presight_model::frame::{Frame, GreyImage, Measurement};
 use presight_model::geometry::Pose;
+use presight_model::measured::{Frame, GreyImage, Measurement};
 use presight_model::sensor::{Camera, Distortion, Geometry, Sensor, SensorSpec, body_from_optical_rotation};
 use serde::Deserialize;
 use std::io::BufReader;
@@ -57,7 +57,8 @@ impl DepthFolder {
     /// of `camera.json`, which has no noise, limits or mount; its image must have the same size.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] naming the file at fault; [`crate::ErrorKind::System`] if the system refuses.
+    /// [`presight_model::ErrorKind::Invalid`] naming the file at fault; [`presight_model::ErrorKind::System`] if the
+    /// system refuses.
     pub fn open(folder: &Path, sensor: Option<&Sensor>) -> Result<Self> {
         let is_grey = !folder.join("depth").exists() && folder.join("grey").exists();
         Self::of_images(folder, sensor, is_grey)
@@ -82,20 +83,21 @@ impl DepthFolder {
     }
 
     fn of_images(folder: &Path, sensor: Option<&Sensor>, is_grey: bool) -> Result<Self> {
-        let path = folder.join("camera.json");
-        let text = read_text(&path)?;
-        let (own, unit) = camera(&text).map_err(|e| e.in_file(&path))?;
-        let sensor = sensor.cloned().unwrap_or(own.clone());
-        if (sensor.width(), sensor.height()) != (own.width(), own.height()) {
-            let what = format!(
-                "{} x {} pixels, the sensor has {} x {}",
-                own.width(),
-                own.height(),
-                sensor.width(),
-                sensor.height()
-            );
-            return Err(Error::invalid(what, "give the sensor that took the images").in_file(&path));
-        }
+        let (sensor, unit) = from_text(&folder.join("camera.json"), |text| {
+            let (own, unit) = camera(text)?;
+            let sensor = sensor.unwrap_or(&own);
+            if (sensor.width(), sensor.height()) != (own.width(), own.height()) {
+                let what = format!(
+                    "{} x {} pixels, the sensor has {} x {}",
+                    own.width(),
+                    own.height(),
+                    sensor.width(),
+                    sensor.height()
+                );
+                return Err(Error::invalid(what, "give the sensor that took the images"));
+            }
+            Ok((sensor.clone(), unit))
+        })?;
         let images = pngs(&folder.join(if is_grey { "grey" } else { "depth" }))?.into_iter();
         let poses = folder.join("poses.txt");
         let reference = if poses.exists() { reference(&poses)? } else { Vec::new() };
@@ -105,7 +107,7 @@ impl DepthFolder {
     /// Returns the frame of this time, if there is one, and skips earlier frames.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] for an image that cannot be read.
+    /// [`presight_model::ErrorKind::Invalid`] for an image that cannot be read.
     pub fn next_at(&mut self, time: f64) -> Result<Option<Frame>> {
         while let Some(path) = self.images.as_slice().first() {
             let stamp = self.stamp(path);
@@ -137,7 +139,7 @@ impl DepthFolder {
 
     fn frame(&self, path: &Path) -> Result<Frame> {
         let remedy = if self.is_grey { "give a grey PNG" } else { "give a 16-bit grey PNG, depth in whole units" };
-        let wrong = |what: String| Error::invalid(what, remedy).in_file(path);
+        let wrong = |what: String| Error::invalid(what, remedy);
         let file = BufReader::new(file::open(path)?);
         let decoder = PngDecoder::new(file).map_err(|e| wrong(e.to_string()))?;
         // Checked before decoding, because a small file may claim a huge image.
@@ -158,7 +160,7 @@ impl DepthFolder {
             let metres = |v: &u16| if *v == 0 { f32::NAN } else { (f64::from(*v) * self.unit) as f32 };
             Measurement::DepthZ(picture.as_raw().iter().map(metres).collect())
         };
-        Frame::new(self.stamp(path), self.sensor.clone(), sensed).map_err(|e| e.in_file(path))
+        Frame::new(self.stamp(path), self.sensor.clone(), sensed)
     }
 }
 
@@ -184,7 +186,7 @@ impl Iterator for DepthFolder {
 
     fn next(&mut self) -> Option<Self::Item> {
         let path = self.images.next()?;
-        let frame = self.frame(&path);
+        let frame = self.frame(&path).map_err(|e| e.in_file(&path));
         self.count += 1;
         Some(frame)
     }
@@ -193,7 +195,8 @@ impl Iterator for DepthFolder {
 /// The text of `camera.json` for a camera whose depths are written in millimetres.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Usage`] for a sensor that is not a camera, or a lens with another distortion than plumb bob.
+/// [`presight_model::ErrorKind::Usage`] for a sensor that is not a camera, or a lens with another distortion than plumb
+/// bob.
 pub fn camera_json(sensor: &Sensor) -> Result<String> {
     let name = &sensor.spec().name;
     let Geometry::Camera(c) = &sensor.spec().geometry else {
@@ -259,13 +262,9 @@ fn camera(text: &str) -> Result<(Sensor, f64)> {
 
 /// Reads poses with optical axes in a y-up world, and converts them to body axes in a z-up world.
 fn reference(path: &Path) -> Result<Vec<StampedPose>> {
-    let text = read_text(path)?;
     let first_eight = |line: &str| line.split_whitespace().take(8).collect::<Vec<_>>().join(" ");
-    let kept: Vec<String> = text
-        .lines()
-        .map(|line| if line.trim_start().starts_with('#') { String::new() } else { first_eight(line) })
-        .collect();
-    let mut poses = super::tum::parse(&kept.join("\n")).map_err(|e| e.in_file(path))?;
+    let kept = |line: &str| if line.trim_start().starts_with('#') { String::new() } else { first_eight(line) };
+    let mut poses = from_text(path, |text| super::tum::parse(&text.lines().map(kept).collect::<Vec<_>>().join("\n")))?;
     poses.iter_mut().for_each(|s| s.pose = z_up_from_y_up() * s.pose * optical_from_body());
     Ok(poses)
 }

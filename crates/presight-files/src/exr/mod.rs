@@ -58,14 +58,15 @@ pub struct ImageFile {
 /// Writes the images of `outputs` that exist. The same images and attributes give the same bytes.
 ///
 /// ```
-/// use presight::{Images, Output, Outputs, io::exr};
+/// use presight::files::{ExrAttributes, read_exr, write_exr};
+/// use presight::{Images, Output, Outputs};
 /// let mut images = Images::default();
 /// images.prepare(3, 2, Outputs::of(&[Output::Range, Output::PolygonId]));
 /// images.range[4] = f32::INFINITY;
 /// let folder = tempfile::tempdir()?;
 /// let path = folder.path().join("a.exr");
-/// exr::write(&path, &images, Outputs::ALL, &exr::Attributes::default())?;
-/// assert_eq!(exr::read(&path)?.images, images);
+/// write_exr(&path, &images, Outputs::ALL, &ExrAttributes::default())?;
+/// assert_eq!(read_exr(&path)?.images, images);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 ///

@@ -18,6 +18,8 @@ pub(super) struct Buffers<'a> {
     bin: &'a [u8],
     /// Contents of files and decoded data URIs.
     owned: Vec<Vec<u8>>,
+    /// The files read.
+    pub files: Vec<PathBuf>,
     /// For each buffer: its index in `owned` (`None`: the binary chunk), and its length in bytes.
     buffers: Vec<(Option<usize>, usize)>,
 }
@@ -80,6 +82,7 @@ impl<'a> Buffers<'a> {
         for named in &files.named {
             all.owned.push(named.read().map_err(place(named.buffer))?);
         }
+        all.files = files.named.into_iter().map(|named| named.shown).collect();
         of_file.into_iter().for_each(|(buffer, file)| all.buffers[buffer].0 = Some(first + file));
         for (index, buffer) in root.buffers.iter().enumerate() {
             all.set_length(index, buffer.byte_length.0).map_err(place(index))?;

@@ -1,6 +1,5 @@
 //! The parts of a scene file; paths and encoding of buffers.
 
-use crate::inputs;
 use gltf::json;
 use presight_model::error::{Error, ErrorKind, Result};
 use std::path::{Component, Path, PathBuf};
@@ -103,16 +102,11 @@ pub(super) fn local_path(uri: &str) -> Result<PathBuf> {
     Ok(path)
 }
 
-/// Notes the images of a scene as inputs. They are not read, so their places are not checked, but no command may
-/// overwrite them.
-pub(super) fn note_images(root: &json::Root, scene: &Path) {
+/// The images that a scene names. They are not read, so their places are not checked.
+pub(super) fn images(root: &json::Root, scene: &Path) -> Vec<PathBuf> {
     let folder = scene.parent().unwrap_or(Path::new(""));
-    for uri in root.images.iter().filter_map(|image| image.uri.as_deref()).filter(|uri| !uri.starts_with("data:")) {
-        inputs::note(&folder.join(uri));
-        if let Some(path) = percent_decoded(uri) {
-            inputs::note(&folder.join(path));
-        }
-    }
+    let uris = root.images.iter().filter_map(|image| image.uri.as_deref()).filter(|uri| !uri.starts_with("data:"));
+    uris.flat_map(|uri| percent_decoded(uri).into_iter().chain([uri.to_owned()])).map(|uri| folder.join(uri)).collect()
 }
 
 fn percent_decoded(uri: &str) -> Option<String> {

@@ -28,7 +28,7 @@ impl Memory {
     /// Counts `bytes` more, for `what`.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if the total exceeds the limit.
+    /// [`presight_model::ErrorKind::Invalid`] if the total exceeds the limit.
     pub(super) fn take(&mut self, bytes: u64, what: &str) -> Result<()> {
         self.bytes = self.bytes.saturating_add(bytes);
         if self.bytes <= limits::MAX_IMPORT_BYTES {

@@ -104,27 +104,32 @@ pub fn import(path: impl AsRef<Path>, options: &ImportOptions) -> Result<Importe
 /// file. There is no sidecar: `options` and the materials' `extras` hold what it would say.
 ///
 /// ```
-/// use presight::io::gltf::{ImportOptions, import, import_bytes};
+/// use presight::files::{ImportOptions, import_gltf, import_gltf_bytes};
 /// let bytes = std::fs::read("scenes/room.glb")?;
-/// let scene = import_bytes("room.glb", &bytes, &ImportOptions::default())?;
-/// assert_eq!(scene.report, import("scenes/room.glb", &ImportOptions::default())?.report);
+/// let scene = import_gltf_bytes("room.glb", &bytes, &ImportOptions::default())?;
+/// assert_eq!(scene.report, import_gltf("scenes/room.glb", &ImportOptions::default())?.report);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 ///
 /// # Errors
 /// As [`import`]; [`ErrorKind::Unsupported`] if a buffer is in a file of its own.
 pub fn import_bytes(name: impl AsRef<Path>, bytes: &[u8], options: &ImportOptions) -> Result<ImportedScene> {
-    let (name, length) = (name.as_ref(), bytes.len() as u64);
     check_options(options)?;
+    let name = name.as_ref();
+    import_memory(name, bytes, options).map_err(|e| e.in_file(name))
+}
+
+fn import_memory(name: &Path, bytes: &[u8], options: &ImportOptions) -> Result<ImportedScene> {
+    let length = bytes.len() as u64;
     if length > limits::MAX_FILE_BYTES {
         let remedy = format!("the limit is {}: give several scenes", limits::MAX_FILE_BYTES);
-        return Err(Error::invalid(format!("the scene is too large: it has {length} bytes"), remedy).in_file(name));
+        return Err(Error::invalid(format!("the scene is too large: it has {length} bytes"), remedy));
     }
     // The caller holds the bytes already, but other limits count them too.
     let mut memory = Memory::default();
-    memory.take(length, "the scene itself").map_err(|e| e.in_file(name))?;
+    memory.take(length, "the scene itself")?;
     let (sidecar, origin) = (Sidecar::default(), Origin { scene: name, buffers: BufferFiles::None });
-    import_from(bytes, origin, &sidecar, options, &mut memory).map_err(|e| e.in_file(name))
+    import_from(bytes, origin, &sidecar, options, &mut memory)
 }
 
 /// A scene and the files that it may name.
@@ -158,15 +163,24 @@ pub(crate) fn import_within(
     memory: &mut Memory,
 ) -> Result<ImportedScene> {
     check_options(options)?;
+    import_file(path, within, options, memory).map_err(|e| e.in_file(path))
+}
+
+fn import_file(
+    path: &Path,
+    within: Option<&Path>,
+    options: &ImportOptions,
+    memory: &mut Memory,
+) -> Result<ImportedScene> {
     if let Some(within) = within {
-        container::check_within(&materials::sidecar_path(path), within).map_err(|e| e.in_file(path))?;
+        container::check_within(&materials::sidecar_path(path), within)?;
     }
     let file = file::open(path)?;
-    memory.take(file.limit(), "the file itself").map_err(|e| e.in_file(path))?;
+    memory.take(file.limit(), "the file itself")?;
     let bytes = file::read(file, path, limits::MAX_FILE_BYTES)?;
     let sidecar = Sidecar::for_scene(path)?;
     let origin = Origin { scene: path, buffers: within.map_or(BufferFiles::Linked, BufferFiles::Within) };
-    import_from(&bytes, origin, &sidecar, options, memory).map_err(|e| e.in_file(path))
+    import_from(&bytes, origin, &sidecar, options, memory)
 }
 
 fn check_options(options: &ImportOptions) -> Result<()> {
@@ -191,8 +205,16 @@ fn import_from(
     let root: json::Root = parse(container.json)?;
     let nodes: NodeText = parse(container.json)?;
     check_version(&root)?;
-    container::note_images(&root, origin.scene);
+    let images = container::images(&root, origin.scene);
     let buffers = Buffers::load(&root, container.bin, origin, memory)?;
+    let files = match origin.buffers {
+        BufferFiles::None => Vec::new(),
+        _ => {
+            let sidecar_file = Some(materials::sidecar_path(origin.scene)).filter(|path| path.exists());
+            let own = std::iter::once(origin.scene.to_owned()).chain(sidecar_file);
+            own.chain(buffers.files.iter().cloned()).chain(images).collect()
+        }
+    };
     let document = Document { root, buffers };
     let mut book = ProblemBook::default();
     note_extensions(&document.root, &mut book);
@@ -224,7 +246,7 @@ fn import_from(
         return Err(Error::invalid("the scene has no polygons", "export meshes of triangles into the default scene"));
     }
     report.problems = book.into_problems();
-    Ok(ImportedScene { environment, report, frame: Some(frame) })
+    Ok(ImportedScene { environment, report, frame: Some(frame), files })
 }
 
 /// Quotes a name for a message. Long names are cut.

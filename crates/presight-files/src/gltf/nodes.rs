@@ -169,15 +169,25 @@ impl NodeText {
             let e = Error::invalid(format!("there are {} scenes", self.scenes.len()), REPAIR);
             return Err(e.at(format!("scene {}", self.scene.unwrap_or(0))));
         };
-        match scene.nodes.iter().find(|&&n| n >= count) {
-            Some(n) => Err(Error::invalid(format!("node {n} does not exist, there are {count}"), REPAIR).at("scene")),
-            None => Ok(scene.nodes.clone()),
+        if let Some(n) = scene.nodes.iter().find(|&&n| n >= count) {
+            return Err(Error::invalid(format!("node {n} does not exist, there are {count}"), REPAIR).at("scene"));
         }
+        // glTF 2.0, section 3.5.1: nodes listed in a scene must be roots. A child would lose its parent's transform.
+        if let Some(&n) = scene.nodes.iter().find(|&&n| parents[n] != NONE) {
+            let what = format!("the scene lists it as a root, but it is a child of {}", self.named(parents[n]));
+            let remedy = "list the root above it in the scene, or remove it from its parent's children";
+            return Err(Error::invalid(what, remedy).at(self.named(n)));
+        }
+        Ok(scene.nodes.clone())
     }
 
     fn error(&self, index: usize, what: impl Into<String>) -> Error {
-        let name = self.nodes[index].name.as_deref().unwrap_or("");
-        Error::invalid(what, REPAIR).at(format!("node {index} {}", quoted(name)))
+        Error::invalid(what, REPAIR).at(self.named(index))
+    }
+
+    /// A node in messages.
+    fn named(&self, index: usize) -> String {
+        format!("node {index} {}", quoted(self.nodes[index].name.as_deref().unwrap_or("")))
     }
 }
 

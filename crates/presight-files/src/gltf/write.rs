@@ -31,18 +31,18 @@ const UNSIGNED_INT: u32 = 5125;
 /// Writes a scene file.
 ///
 /// ```
-/// use presight::io::gltf::{import, write_glb};
-/// let scene = import("scenes/room.glb", &Default::default())?.environment;
+/// use presight::files::{import_gltf, write_glb};
+/// let scene = import_gltf("scenes/room.glb", &Default::default())?.environment;
 /// let folder = tempfile::tempdir()?;
 /// let path = folder.path().join("again.glb");
 /// write_glb(&path, &scene)?;
-/// assert_eq!(import(&path, &Default::default())?.environment.content_hash(), scene.content_hash());
+/// assert_eq!(import_gltf(&path, &Default::default())?.environment.content_hash(), scene.content_hash());
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 ///
 /// # Errors
-/// [`crate::ErrorKind::System`] if the file cannot be written, [`crate::ErrorKind::Invalid`] if it would exceed 4 GiB
-/// or have no polygons, because [`super::import`] refuses a scene without polygons.
+/// [`presight_model::ErrorKind::System`] if the file cannot be written, [`presight_model::ErrorKind::Invalid`] if it
+/// would exceed 4 GiB or have no polygons, because [`super::import`] refuses a scene without polygons.
 pub fn write_glb(path: &Path, environment: &Environment) -> Result<()> {
     if environment.objects().iter().all(|o| o.mesh.polygon_count() == 0) {
         let what = "the environment has no polygons, so the scene could not be read back";

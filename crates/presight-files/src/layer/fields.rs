@@ -1,5 +1,6 @@
 //! The keys of a layer file for serde. Whether they fit together is checked later.
 
+use presight_model::geometry::{InObject, PoseCovariance};
 use serde::de::value::MapAccessDeserializer;
 use serde::de::{Error as _, MapAccess, SeqAccess, Unexpected, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
@@ -27,7 +28,7 @@ pub(super) struct LayerFields<'a> {
 /// A feature of any kind, or the removal of one.
 #[derive(Default, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
-pub struct FeatureFields {
+pub(crate) struct FeatureFields {
     #[serde(deserialize_with = "whole")]
     pub id: u32,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -67,14 +68,14 @@ pub struct FeatureFields {
 /// State of the polygons that a feature was placed on.
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Surface {
+pub(crate) enum Surface {
     /// They have since been moved or deleted.
     Lost,
 }
 
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Kind {
+pub(crate) enum Kind {
     Point,
     Segment,
     Patch,
@@ -199,7 +200,7 @@ impl<'de> Deserialize<'de> for Sigma {
 
 /// Object paths with 36 numbers each, in the order of the file.
 #[derive(Default)]
-pub(super) struct PoseCovariances(pub Vec<(String, [[f64; 6]; 6])>);
+pub(super) struct PoseCovariances(pub Vec<(String, PoseCovariance<InObject>)>);
 
 impl<'de> Deserialize<'de> for PoseCovariances {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
@@ -212,18 +213,15 @@ impl<'de> Deserialize<'de> for PoseCovariances {
             }
 
             fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<PoseCovariances, A::Error> {
-                let mut found: Vec<(String, [[f64; 6]; 6])> = Vec::new();
+                let mut found: Vec<(String, PoseCovariance<InObject>)> = Vec::new();
                 let mut seen = std::collections::HashSet::new();
                 while let Some((path, numbers)) = map.next_entry::<String, Vec<f64>>()? {
-                    let mut covariance = [[0.0; 6]; 6];
-                    if numbers.len() != 36 {
-                        let what = format!("{} numbers for object {path:?}, but 36 are needed", numbers.len());
-                        return Err(A::Error::custom(what));
-                    }
+                    let covariance = PoseCovariance::unchecked_row_major(&numbers)
+                        .map_err(|_| format!("{} numbers for object {path:?}, but 36 are needed", numbers.len()))
+                        .map_err(A::Error::custom)?;
                     if !seen.insert(path.clone()) {
                         return Err(A::Error::custom(format!("object {path:?} is given twice")));
                     }
-                    covariance.as_flattened_mut().copy_from_slice(&numbers);
                     found.push((path, covariance));
                 }
                 Ok(PoseCovariances(found))

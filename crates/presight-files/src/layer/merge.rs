@@ -41,7 +41,7 @@ pub fn load<P: AsRef<Path>>(own: Option<&FeatureLayer>, paths: &[P], class: &str
 /// replaces an earlier one for all layers. A tolerance applies only to its own layer.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] naming the file if classes differ.
+/// [`presight_model::ErrorKind::Invalid`] naming the file if classes differ.
 pub fn merge(files: impl IntoIterator<Item = LayerFile>) -> Result<Vec<LayerFile>> {
     let mut files: Vec<LayerFile> = files.into_iter().collect();
     if let Some(other) = files.iter().find(|f| f.layer.class != files[0].layer.class) {

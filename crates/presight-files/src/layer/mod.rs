@@ -38,22 +38,9 @@
 //! | `remove` | `true`: drops the feature with this id of layers read before; other keys must be absent |
 //!
 //! Absent covariances are zero. `tolerance` (metres, default 0.001) is the greatest distance of a feature in this file
-//! from the polygons it lies on; they are found by geometry when the layer is used ([`crate::features::place`]).
+//! from the polygons it lies on; they are found by geometry when the layer is used ([`presight_features::place`]).
 //! `pose_covariances` are 6 x 6, row-major: x y z, then rotation about the fixed axes x y z, in the object's frame. A
 //! `$schema` key is allowed for editors; it should point to [`schema`].
-//!
-//! ```
-//! use presight::io::layer;
-//! let base = r#"{"format": 1, "class": "video", "features": [
-//!     {"id": 1, "kind": "point", "points": [[1, 2, 3]], "sigma": 0.01},
-//!     {"id": 2, "kind": "point", "points": [[4, 5, 6]]}]}"#;
-//! let later = r#"{"format": 1, "class": "video", "features": [{"id": 2, "remove": true}]}"#;
-//! let left = layer::merge([layer::parse(base)?, layer::parse(later)?])?;
-//! assert_eq!(left[0].layer.features.len(), 1);
-//! // A written layer reads back with the same bits.
-//! assert_eq!(layer::parse(&layer::to_string(&left[0].layer)?)?.layer, left[0].layer);
-//! # Ok::<(), presight::Error>(())
-//! ```
 
 mod fields;
 mod merge;
@@ -64,14 +51,14 @@ mod tests;
 mod write;
 
 #[cfg(feature = "store")]
-pub use fields::FeatureFields;
+pub(crate) use fields::FeatureFields;
 pub use merge::{MergedLayers, load, merge};
 #[cfg(feature = "store")]
-pub use read::from_fields;
+pub(crate) use read::from_fields;
 pub use read::{LayerFile, parse, read};
 pub use schema::schema;
 #[cfg(feature = "store")]
-pub use write::fields as to_fields;
+pub(crate) use write::fields as to_fields;
 pub use write::{entry, to_string, write, write_with_lost};
 
 /// The newest format that this build reads, used for files with contours.

@@ -2,7 +2,7 @@
 
 use super::fields::{FeatureFields, Keyed, Kind, LayerFields, PropertyFields, Surface, Whole};
 use super::{FORMAT, FORMAT_WITHOUT_CONTOURS};
-use crate::text::{check_json_memory, read_text};
+use crate::text::{check_json_memory, from_text};
 use glam::{DMat3, DVec3};
 use presight_model::environment::{DEFAULT_TOLERANCE, Existence, Feature, FeatureLayer, FeatureShape, Properties};
 use presight_model::error::{Error, ErrorKind, Result, short};
@@ -33,8 +33,7 @@ pub struct LayerFile {
 /// [`ErrorKind::Invalid`] with the line, or the feature's index and id; [`ErrorKind::Unsupported`] for a newer format;
 /// [`ErrorKind::System`] if the file cannot be read.
 pub fn read(path: &Path) -> Result<LayerFile> {
-    let file = parse(&read_text(path)?).map_err(|e| e.in_file(path))?;
-    Ok(LayerFile { path: Some(path.to_owned()), ..file })
+    Ok(LayerFile { path: Some(path.to_owned()), ..from_text(path, parse)? })
 }
 
 /// Reads the text of a layer file.
@@ -180,7 +179,7 @@ fn check_format(format: Option<u32>) -> Result<()> {
 
 /// The feature of an entry, checked with a layer's tolerance.
 #[cfg(feature = "store")]
-pub fn from_fields(fields: FeatureFields, tolerance: f64) -> Result<Feature> {
+pub(crate) fn from_fields(fields: FeatureFields, tolerance: f64) -> Result<Feature> {
     let id = fields.id;
     if fields.surface.is_some() {
         let what = "\"surface\" is only for layer files: features in changes must lie on polygons";

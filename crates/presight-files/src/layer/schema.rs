@@ -6,7 +6,7 @@
 /// without negative eigenvalues, convex patches, square fiducials, unique ids.
 ///
 /// ```
-/// let schema: serde_json::Value = serde_json::from_str(presight::io::layer::schema())?;
+/// let schema: serde_json::Value = serde_json::from_str(presight::files::layer_schema())?;
 /// assert_eq!(schema["properties"]["format"]["anyOf"][1]["const"], 2);
 /// # Ok::<(), serde_json::Error>(())
 /// ```

@@ -13,8 +13,8 @@ use std::path::Path;
 /// Writes a layer file, which [`super::read`] reads back bit for bit.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] if the layer is invalid ([`FeatureLayer::check`]), because such a file could not be
-/// read. [`crate::ErrorKind::System`] if writing fails; an existing file is then not changed.
+/// [`presight_model::ErrorKind::Invalid`] if the layer is invalid ([`FeatureLayer::check`]), because such a file could
+/// not be read. [`presight_model::ErrorKind::System`] if writing fails; an existing file is then not changed.
 pub fn write(path: &Path, layer: &FeatureLayer) -> Result<()> {
     write_with_lost(path, layer, &[])
 }
@@ -32,7 +32,7 @@ pub fn write_with_lost(path: &Path, layer: &FeatureLayer, lost: &[u32]) -> Resul
 /// Returns the text of a layer file.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] if the layer is invalid.
+/// [`presight_model::ErrorKind::Invalid`] if the layer is invalid.
 pub fn to_string(layer: &FeatureLayer) -> Result<String> {
     text_of(layer, &[])
 }
@@ -50,7 +50,9 @@ fn text_of(layer: &FeatureLayer, lost: &[u32]) -> Result<String> {
         let lines: Result<Vec<String>> = layer
             .pose_covariances
             .iter()
-            .map(|(path, covariance)| Ok(format!("    {}: {}", json(path)?, json(&covariance.as_flattened())?)))
+            .map(|(path, covariance)| {
+                Ok(format!("    {}: {}", json(path)?, json(&covariance.as_rows().as_flattened())?))
+            })
             .collect();
         text.push_str(&format!("  \"pose_covariances\": {{\n{}\n  }},\n", lines?.join(",\n")));
     }
@@ -67,7 +69,7 @@ fn text_of(layer: &FeatureLayer, lost: &[u32]) -> Result<String> {
 /// Returns the line of one feature for the list `features`.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] if the feature is invalid.
+/// [`presight_model::ErrorKind::Invalid`] if the feature is invalid.
 pub fn entry(feature: &Feature) -> Result<String> {
     feature.check(presight_model::environment::DEFAULT_TOLERANCE)?;
     json(&fields(feature))
@@ -77,7 +79,7 @@ fn json(value: &impl Serialize) -> Result<String> {
     serde_json::to_string(value).map_err(|e| Error::invalid(format!("cannot be written as JSON: {e}"), "").caused_by(e))
 }
 
-pub fn fields(feature: &Feature) -> FeatureFields {
+pub(crate) fn fields(feature: &Feature) -> FeatureFields {
     let mut to = FeatureFields {
         id: feature.id,
         kind: Some(kind(&feature.shape)),

@@ -74,22 +74,18 @@ struct Scan {
 
 impl Document {
     pub(super) fn parse(path: &Path, text: Vec<u8>) -> Result<Self> {
-        let placed = |e: Error| e.in_file(path);
         if text.len() as u64 > limits::MAX_LINE_BYTES {
             let what = format!("the document is longer than {} bytes", limits::MAX_LINE_BYTES);
-            return Err(Error::invalid(what, "split it, or write it as a log of format 1").in_file(path));
+            return Err(Error::invalid(what, "split it, or write it as a log of format 1"));
         }
-        let text = String::from_utf8(text).map_err(|_| Error::invalid("it is not UTF-8", "save it as UTF-8 text"));
-        let text = text.map_err(placed)?;
-        check_json_memory(&text).map_err(placed)?;
+        let text = String::from_utf8(text).map_err(|_| Error::invalid("it is not UTF-8", "save it as UTF-8 text"))?;
+        check_json_memory(&text)?;
         let file: File = serde_json::from_str(&text).map_err(|e| {
             let remedy = "give a log: see docs/formats.md";
-            Error::invalid(format!("not a valid log: {e}"), remedy)
-                .at(format!("line {}", e.line().max(1)))
-                .in_file(path)
+            Error::invalid(format!("not a valid log: {e}"), remedy).at(format!("line {}", e.line().max(1)))
         })?;
         let name = path.file_stem().map_or_else(|| "scanner".into(), |s| s.to_string_lossy().into_owned());
-        let sensor = spec(&file, name).and_then(Sensor::new).map_err(placed)?;
+        let sensor = spec(&file, name).and_then(Sensor::new)?;
         Ok(Self { path: path.to_owned(), sensor, scans: file.scans.into_iter().enumerate(), time: None, ended: false })
     }
 

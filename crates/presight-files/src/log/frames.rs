@@ -3,8 +3,8 @@
 use super::scans::{self, Scans};
 use crate::depth_folder::DepthFolder;
 use presight_model::error::{Error, Result};
-use presight_model::frame::{Frame, OdometryNoise};
 use presight_model::geometry::Pose;
+use presight_model::measured::{Frame, OdometryNoise};
 use presight_model::sensor::Sensor;
 use std::path::Path;
 
@@ -25,42 +25,44 @@ pub struct Frames {
 }
 
 impl Frames {
-    /// Opens a log: a folder of depth or grey images ([`crate::io::depth_folder`]), a scan or a folder of scans
+    /// Opens a log: a folder of depth or grey images ([`crate::depth_folder`]), a scan or a folder of scans
     /// ([`super::scans`]), or a file of ranges ([`super::open`]). `sensor` supplies noise, limits and mount, and must
     /// have the log's image size; scans of points keep their own rays. `noise` is the odometry's.
     ///
     /// # Examples
     /// ```
-    /// use presight::io::log::{Frames, lines};
+    /// use presight::files::{LogFrames, range_log_header};
     /// let folder = tempfile::tempdir()?;
     /// let path = folder.path().join("run.jsonl");
     /// let sensor = presight::preset("laser-scanner")?;
     /// let line = r#"{"t": 1, "range": ["inf", null], "odometry": [0.2, 0, 0, 0, 0, 5]}"#;
-    /// std::fs::write(&path, format!("{}\n{}\n", lines::header(sensor.spec()), line.replace("null", &["null"; 360].join(","))))?;
-    /// let frames: Vec<_> = Frames::open(&path, None, &Default::default())?.collect::<Result<_, _>>()?;
+    /// let line = line.replace("null", &["null"; 360].join(","));
+    /// std::fs::write(&path, format!("{}\n{line}\n", range_log_header(sensor.spec())))?;
+    /// let frames: Vec<_> = LogFrames::open(&path, None, &Default::default())?.collect::<Result<_, _>>()?;
     /// assert_eq!(frames[0].frame.motion.unwrap().previous_from_current.translation.x, 0.2);
     /// assert!(frames[0].frame.ranges()[1].is_nan() && frames[0].reference.is_none());
     /// # Ok::<(), Box<dyn std::error::Error>>(())
     /// ```
     ///
     /// # Errors
-    /// As [`super::open`], [`Scans::open`] and [`DepthFolder::open`]; [`crate::ErrorKind::Usage`] for a sensor with
-    /// another image size.
+    /// As [`super::open`], [`Scans::open`] and [`DepthFolder::open`]; [`presight_model::ErrorKind::Usage`] for a sensor
+    /// with another image size.
     pub fn open(path: &Path, sensor: Option<&Sensor>, noise: &OdometryNoise) -> Result<Self> {
-        match path.is_dir() {
+        let opened = match path.is_dir() {
             true if ["camera.json", "depth", "grey"].iter().any(|name| path.join(name).exists()) => {
                 Self::of_folder(path, sensor)
             }
             false if !scans::is_scan(path) => Self::of_file(path, sensor, *noise),
             _ => Self::of_scans(path, sensor),
-        }
+        };
+        opened.map_err(|e| e.in_file(path))
     }
 
     fn of_scans(path: &Path, sensor: Option<&Sensor>) -> Result<Self> {
         let mut scans = Scans::open(path, sensor)?;
         // Each scan has its own sensor; the first one represents them.
         let Some(first) = scans.next().transpose()? else {
-            return Err(Error::invalid("there is no scan", "give PLY, PCD, CSV or EXR files").in_file(path));
+            return Err(Error::invalid("there is no scan", "give PLY, PCD, CSV or EXR files"));
         };
         let sensor = first.frame.sensor().clone();
         Ok(Self { sensor, frames: Box::new(std::iter::once(Ok(first)).chain(scans)), ended: false })
@@ -91,7 +93,7 @@ impl Frames {
                 own.width(),
                 own.height()
             );
-            return Err(Error::usage(what, "give the sensor that measured").in_file(path));
+            return Err(Error::usage(what, "give the sensor that measured"));
         }
         let (file, used) = (path.to_owned(), sensor.clone());
         let frames = log.enumerate().map(move |(index, frame)| {

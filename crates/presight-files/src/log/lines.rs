@@ -5,7 +5,7 @@
 //! {"t": 12.5, "range": [2.47, null, "inf"], "odometry": [0.2, 0, 0, 0, 0, 8.1], "reference": [3.4, -10.2, 0, 0, 0, 1, 0]}
 //! ```
 //!
-//! - `sensor`: the text of a sensor file ([`crate::io::sensor_toml`]) with its mount and limits.
+//! - `sensor`: the text of a sensor file ([`crate::sensor_toml`]) with its mount and limits.
 //! - `t`: seconds, rising.
 //! - `range`: metres, one for each ray, row by row; `null` for no reading, `"inf"` if nothing was detected, `"-inf"` for
 //!   an object nearer than `range_min`.
@@ -69,7 +69,12 @@ pub fn header(sensor: &SensorSpec) -> String {
 }
 
 /// The line of a frame, without the line break. It reads back bit for bit.
-pub fn line(frame: &LogFrame) -> String {
+///
+/// # Errors
+/// [`crate::ErrorKind::Invalid`] if the time is not finite, an intensity is infinite or a pose is invalid: the line could
+/// not be read back.
+pub fn line(frame: &LogFrame) -> Result<String> {
+    check_numbers(frame)?;
     let pose = |p: &Pose| [p.translation.to_array().as_slice(), p.rotation.to_array().as_slice()].concat();
     let range: Vec<String> = frame.range.iter().map(|r| reading(*r)).collect();
     let mut text = format!("{{\"t\":{:?},\"range\":[{}]", frame.time, range.join(","));
@@ -82,7 +87,23 @@ pub fn line(frame: &LogFrame) -> String {
             text += &format!(",\"{name}\":{:?}", pose(p));
         }
     }
-    text + "}"
+    Ok(text + "}")
+}
+
+/// Checks that a frame's line can be read back.
+fn check_numbers(frame: &LogFrame) -> Result<()> {
+    if !frame.time.is_finite() {
+        return Err(Error::invalid(format!("the frame's time is {} s", frame.time), "give finite seconds"));
+    }
+    let place = |e: Error| e.at(format!("the frame at {} s", frame.time));
+    if frame.intensities.iter().flatten().any(|v| v.is_infinite()) {
+        return Err(place(Error::invalid("an intensity is infinite", "give intensities from 0 to 1")));
+    }
+    [&frame.odometry, &frame.reference]
+        .into_iter()
+        .flatten()
+        .try_for_each(|p| p.check_as(ErrorKind::Invalid))
+        .map_err(place)
 }
 
 fn reading(range: f32) -> String {
@@ -96,7 +117,7 @@ fn reading(range: f32) -> String {
 
 impl Lines {
     pub(super) fn new(path: &Path, reader: BufReader<Take<File>>, first: &str) -> Result<Self> {
-        let sensor = read_header(first, path).map_err(|e| e.at("line 1").in_file(path))?;
+        let sensor = read_header(first, path).map_err(|e| e.at("line 1"))?;
         Ok(Self { path: path.to_owned(), reader, sensor, line: 1, time: None, ended: false })
     }
 

@@ -21,9 +21,9 @@ pub use frames::{Frames, Observation};
 use super::file;
 use super::text::read_line;
 use presight_model::error::{Error, Result};
-use presight_model::frame::{GreyImage, Measurement, Motion, OdometryNoise, check_intensities};
 use presight_model::geometry::Pose;
 use presight_model::limits;
+use presight_model::measured::{GreyImage, Measurement, Motion, OdometryNoise, check_intensities};
 use presight_model::sensor::{Sensor, SensorSpec};
 use std::io::{BufReader, Read};
 use std::path::Path;
@@ -48,9 +48,10 @@ impl LogFrame {
     /// Converts to a frame for the estimator. `noise` is the odometry's, which logs do not contain.
     ///
     /// # Errors
-    /// As [`crate::frame::Frame::new`].
-    pub fn sensed(self, sensor: &Sensor, noise: &OdometryNoise) -> Result<presight_model::frame::Frame> {
-        let mut frame = presight_model::frame::Frame::new(self.time, sensor.clone(), Measurement::Range(self.range))?;
+    /// As [`presight_model::measured::Frame::new`].
+    pub fn sensed(self, sensor: &Sensor, noise: &OdometryNoise) -> Result<presight_model::measured::Frame> {
+        let mut frame =
+            presight_model::measured::Frame::new(self.time, sensor.clone(), Measurement::Range(self.range))?;
         if let Some(values) = self.intensities {
             frame = frame.with_intensities(GreyImage::new(sensor.width(), sensor.height(), values)?)?;
         }
@@ -62,7 +63,7 @@ impl LogFrame {
     /// limits, and that intensities are from 0 to 1.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] naming the wrong value.
+    /// [`presight_model::ErrorKind::Invalid`] naming the wrong value.
     pub fn check(&self, sensor: &SensorSpec) -> Result<()> {
         let (width, height) = sensor.geometry.size();
         let pixels = width as usize * height as usize;
@@ -106,29 +107,18 @@ pub trait Log: Iterator<Item = Result<LogFrame>> {
 
 /// Opens a log of format 1 or a document.
 ///
-/// ```
-/// use presight::io::log;
-/// let folder = tempfile::tempdir()?;
-/// let path = folder.path().join("run.log.jsonl");
-/// let sensor = presight::preset("laser-scanner")?;
-/// let frame = log::LogFrame { time: 0.5, range: vec![2.0; 361], intensities: None, odometry: None, reference: None };
-/// std::fs::write(&path, format!("{}\n{}\n", log::lines::header(sensor.spec()), log::lines::line(&frame)))?;
-/// let mut log = log::open(&path)?;
-/// assert_eq!(log.sensor().spec(), sensor.spec());
-/// assert_eq!(log.next().transpose()?, Some(frame));
-/// assert!(log.next().is_none());
-/// # Ok::<(), Box<dyn std::error::Error>>(())
-/// ```
-///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] naming file and line if it is not a valid log; [`crate::ErrorKind::Unsupported`] for a
-/// newer format; [`crate::ErrorKind::System`] if the file cannot be read. A bad frame is reported when it is read.
+/// [`presight_model::ErrorKind::Invalid`] naming file and line if it is not a valid log;
+/// [`presight_model::ErrorKind::Unsupported`] for a newer format; [`presight_model::ErrorKind::System`] if the file
+/// cannot be read. A bad frame is reported when it is read.
 pub fn open(path: &Path) -> Result<Box<dyn Log + Send>> {
+    open_unnamed(path).map_err(|e| e.in_file(path))
+}
+
+fn open_unnamed(path: &Path) -> Result<Box<dyn Log + Send>> {
     let mut reader = BufReader::new(file::open_or_given(path)?);
-    let placed = |e: Error| e.in_file(path);
-    let first = read_line(&mut reader, 1).map_err(placed)?;
-    let first =
-        first.ok_or_else(|| Error::invalid("the log is empty", "give a header, then frames")).map_err(placed)?;
+    let first = read_line(&mut reader, 1)?;
+    let first = first.ok_or_else(|| Error::invalid("the log is empty", "give a header, then frames"))?;
     if lines::is_header(&first) {
         return Ok(Box::new(lines::Lines::new(path, reader, &first)?));
     }
@@ -141,7 +131,7 @@ pub fn open(path: &Path) -> Result<Box<dyn Log + Send>> {
 /// Reads frame `index` of a log, from 0, and its sensor.
 ///
 /// # Errors
-/// As [`open`], and the errors of all frames up to this one; [`crate::ErrorKind::Usage`] if the log has fewer.
+/// As [`open`], and the errors of all frames up to this one; [`presight_model::ErrorKind::Usage`] if the log has fewer.
 pub fn read_frame(path: &Path, index: usize) -> Result<(Sensor, LogFrame)> {
     let mut log = open(path)?;
     for i in 0..=index {

@@ -1,4 +1,4 @@
-//! Scans of points (PLY, PCD, CSV: [`crate::io::cloud`]) and images of ranges (EXR) as frames: one file, or all files
+//! Scans of points (PLY, PCD, CSV: [`crate::cloud`]) and images of ranges (EXR) as frames: one file, or all files
 //! of a folder in the order of their names.
 //!
 //! If all names are numbers, they are the times in seconds; otherwise the times count up from 0.
@@ -17,12 +17,12 @@ mod grid;
 mod tests;
 
 use super::{Observation, check_time};
-use crate::text::{check_json_memory, read_text};
+use crate::text::{check_json_memory, from_text};
 use crate::{cloud, exr, sensor_toml};
 use glam::{DQuat, DVec3};
 use presight_model::error::{Error, Result};
-use presight_model::frame::{Frame, Measurement};
 use presight_model::geometry::Pose;
+use presight_model::measured::{Frame, Measurement};
 use presight_model::sensor::{Geometry, Sensor, SensorSpec};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -47,22 +47,9 @@ impl Scans {
     /// Opens a scan or a folder of scans. `sensor` supplies noise, limits, class and mount. Points have their own rays;
     /// images use the rays of `sensor`, or of their own sensor if `sensor` is `None`.
     ///
-    /// # Examples
-    /// ```
-    /// use presight::io::log::scans::Scans;
-    /// let folder = tempfile::tempdir()?;
-    /// std::fs::write(folder.path().join("0.csv"), "x,y,z\n3,0,0.5\n0,2,0.5\n")?;
-    /// std::fs::write(folder.path().join("1.5.csv"), "x,y,z\n4,0,0.5\n0,2,0.5\n")?;
-    /// let frames: Vec<_> = Scans::open(folder.path(), None)?.collect::<Result<_, _>>()?;
-    /// assert_eq!(frames[1].frame.stamp, 1.5);
-    /// let longest = frames[1].frame.ranges().iter().copied().fold(0.0, f32::max);
-    /// assert!((longest - 4.0311f32).abs() < 1e-4);
-    /// # Ok::<(), Box<dyn std::error::Error>>(())
-    /// ```
-    ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] for a folder without a scan and for invalid poses; [`crate::ErrorKind::System`] if
-    /// a file cannot be read. Errors in a scan are reported when it is read.
+    /// [`presight_model::ErrorKind::Invalid`] for a folder without a scan and for invalid poses;
+    /// [`presight_model::ErrorKind::System`] if a file cannot be read. Errors in a scan are reported when it is read.
     pub fn open(path: &Path, sensor: Option<&Sensor>) -> Result<Self> {
         let (folder, files) = if path.is_dir() { (path, listed(path)?) } else { (parent(path), vec![path.to_owned()]) };
         if files.is_empty() {
@@ -130,7 +117,7 @@ impl Iterator for Scans {
         if read.is_err() {
             self.files = Vec::new().into_iter();
         }
-        Some(read.map_err(|e| if e.file().is_some() { e } else { e.in_file(&path) }))
+        Some(read.map_err(|e| e.in_file(&path)))
     }
 }
 
@@ -173,19 +160,20 @@ struct NamedPose {
 }
 
 fn read_poses(path: &Path) -> Result<HashMap<String, Pose>> {
-    let text = read_text(path)?;
-    let wrong = |what: String| {
-        Error::invalid(what, "give {\"name\": {\"translation\": .., \"quaternion_xyzw\": ..}}").in_file(path)
-    };
-    check_json_memory(&text).map_err(|e| e.in_file(path))?;
-    let all: HashMap<String, serde_json::Value> = serde_json::from_str(&text).map_err(|e| wrong(e.to_string()))?;
+    from_text(path, parse_poses)
+}
+
+fn parse_poses(text: &str) -> Result<HashMap<String, Pose>> {
+    let wrong = |what: String| Error::invalid(what, "give {\"name\": {\"translation\": .., \"quaternion_xyzw\": ..}}");
+    check_json_memory(text)?;
+    let all: HashMap<String, serde_json::Value> = serde_json::from_str(text).map_err(|e| wrong(e.to_string()))?;
     let mut poses = HashMap::new();
     // Values that are not objects are notes, such as the source of the poses.
     for (name, value) in all.into_iter().filter(|(_, value)| value.is_object()) {
         let NamedPose { translation, quaternion_xyzw } = serde_json::from_value(value)
             .map_err(|e| wrong(format!("{}: {e}", presight_model::printable::quoted(&name))))?;
         let pose = Pose::new(DVec3::from(translation), DQuat::from_array(quaternion_xyzw));
-        poses.insert(name, pose.map_err(|e| e.in_file(path))?);
+        poses.insert(name, pose?);
     }
     Ok(poses)
 }

@@ -42,13 +42,29 @@ proptest! {
         let odometry = moved.map(|[x, y, yaw]| Pose::from_xyz_rpy(DVec3::new(x, y, 0.1), 0.2, 0.3, yaw));
         let intensities = bright.map(|all| all.to_vec());
         let frame = LogFrame { time, range: range.to_vec(), intensities, odometry, reference: odometry };
-        let read = frames(&log(&[&lines::line(&frame), ""])).unwrap();
+        let read = frames(&log(&[&lines::line(&frame).unwrap(), ""])).unwrap();
         prop_assert_eq!(read.len(), 1);
         let bits = |all: &[f32]| all.iter().map(|r| if r.is_nan() { 0 } else { r.to_bits() }).collect::<Vec<_>>();
         let told = |f: &LogFrame| (bits(&f.range), f.intensities.as_deref().map(bits));
         prop_assert_eq!(told(&read[0]), told(&frame));
         prop_assert_eq!((read[0].time, read[0].odometry, read[0].reference), (time, odometry, odometry));
     }
+}
+
+#[test]
+fn what_a_line_cannot_hold_is_refused() {
+    let sound = LogFrame { time: 1.0, range: vec![2.0], intensities: Some(vec![0.5]), odometry: None, reference: None };
+    let far = Pose { translation: DVec3::new(f64::NAN, 0.0, 0.0), ..Pose::IDENTITY };
+    for (frame, words) in [
+        (LogFrame { time: f64::NAN, ..sound.clone() }, "time is NaN s"),
+        (LogFrame { time: f64::INFINITY, ..sound.clone() }, "time is inf s"),
+        (LogFrame { intensities: Some(vec![f32::INFINITY]), ..sound.clone() }, "an intensity is infinite"),
+        (LogFrame { odometry: Some(far), ..sound.clone() }, "is not finite"),
+    ] {
+        let e = lines::line(&frame).unwrap_err();
+        assert!(e.kind() == ErrorKind::Invalid && e.to_string().contains(words), "{e}");
+    }
+    assert!(lines::line(&sound).is_ok());
 }
 
 #[test]

@@ -7,7 +7,7 @@
 //! | `pose_covariance` | 36 numbers, row-major, or null |
 //! | `confidence` | probability of the regions of interest, or null |
 //! | `given_up` | work dropped to meet a deadline, see [`Degradation`]; absent if none was |
-//! | `features` | one entry each, see [`crate::features::SeenFeature`] |
+//! | `features` | one entry each, see [`presight_features::SeenFeature`] |
 //! | `virtual` | the reading of a virtual sensor; absent if none was requested |
 //!
 //! An entry has `id`, `kind`, `name`, `branch` (only for contours: each curve is an entry), `points_world`,
@@ -21,14 +21,14 @@
 //!
 //! | `name` | keys | defined in |
 //! |---|---|---|
-//! | `free-floor` | `floor_z_world`, `area`, `pixels`, `pixels_over_horizon`, `regions` (`area`, `pixels`, `outer_robot`, `holes_robot`: points), `mask` (`runs`: row, first column, count) | [`FreeFloor`](crate::virtual_sensors::FreeFloor) |
-//! | `edges` | `edges` (`id`, `name`, `visible_fraction`, `visible`: `t`, `pixels`, `ends_world`), `segments` | [`Edges`](crate::virtual_sensors::Edges) |
-//! | `radar-lines` | `lines` (`ends_robot`, `length`, `normal_robot`, `distance`, `columns`, `beams`, `polygons`, `objects`), `single_beams` | [`RadarLines`](crate::virtual_sensors::RadarLines) |
-//! | `radar-nearest` | `directions` (`azimuth`, `range`, `object_id`, by column), `nearest` (`point_robot`, `range`, `pixel`, `polygon`, `object`), `corridor` (`length`, `arc_length`, `first`, `beams`), `complete_to` if work was dropped | [`Nearest`](crate::virtual_sensors::Nearest) |
-//! | `radar-landmarks` | `landmarks` (`id`, `name`, `kind`, `family`, `code`, `position_robot`, `position_world`, `corners_robot`, `range`, `azimuth`, `elevation`, `cos_incidence`, `visible_fraction`, `existence`), `known` | [`Landmarks`](crate::virtual_sensors::Landmarks) |
-//! | `depth-image` | `width`, `height`, `points`, `bounds_robot`, `points_robot` (row-major, null without a point) | [`DepthImage`](crate::virtual_sensors::DepthImage) |
-//! | `vertical-planes` | `planes` (`normal_robot`, `distance`, `centre_robot`, `extent`, `pixels`, `area`, `object`, `pixel_bounds`), `pixels` | [`VerticalPlanes`](crate::virtual_sensors::VerticalPlanes) |
-//! | `docking` | `landmarks` and `known` as above, `measurements`, `freedom`, `covariance`, `sigmas`, `information`, `unobservable` (`name`, `motion`) | [`Docking`](crate::virtual_sensors::Docking) |
+//! | `free-floor` | `floor_z_world`, `area`, `pixels`, `pixels_over_horizon`, `regions` (`area`, `pixels`, `outer_robot`, `holes_robot`: points), `mask` (`runs`: row, first column, count) | [`FreeFloor`](presight_predict::virtual_sensors::FreeFloor) |
+//! | `edges` | `edges` (`id`, `name`, `visible_fraction`, `visible`: `t`, `pixels`, `ends_world`), `segments` | [`Edges`](presight_predict::virtual_sensors::Edges) |
+//! | `radar-lines` | `lines` (`ends_robot`, `length`, `normal_robot`, `distance`, `columns`, `beams`, `polygons`, `objects`), `single_beams` | [`RadarLines`](presight_predict::virtual_sensors::RadarLines) |
+//! | `radar-nearest` | `directions` (`azimuth`, `range`, `object_id`, by column), `nearest` (`point_robot`, `range`, `pixel`, `polygon`, `object`), `corridor` (`length`, `arc_length`, `first`, `beams`), `complete_to` if work was dropped | [`Nearest`](presight_predict::virtual_sensors::Nearest) |
+//! | `radar-landmarks` | `landmarks` (`id`, `name`, `kind`, `family`, `code`, `position_robot`, `position_world`, `corners_robot`, `range`, `azimuth`, `elevation`, `cos_incidence`, `visible_fraction`, `existence`), `known` | [`Landmarks`](presight_predict::virtual_sensors::Landmarks) |
+//! | `depth-image` | `width`, `height`, `points`, `bounds_robot`, `points_robot` (row-major, null without a point) | [`DepthImage`](presight_predict::virtual_sensors::DepthImage) |
+//! | `vertical-planes` | `planes` (`normal_robot`, `distance`, `centre_robot`, `extent`, `pixels`, `area`, `object`, `pixel_bounds`), `pixels` | [`VerticalPlanes`](presight_predict::virtual_sensors::VerticalPlanes) |
+//! | `docking` | `landmarks` and `known` as above, `measurements`, `freedom`, `covariance`, `sigmas`, `information`, `unobservable` (`name`, `motion`) | [`Docking`](presight_predict::virtual_sensors::Docking) |
 //!
 //! Lengths are metres, areas square metres, angles radians.
 
@@ -39,7 +39,7 @@ use glam::{DVec2, DVec3};
 use presight_features::{FeaturePrediction, HiddenInterval, SeenFeature, VisibleInterval};
 use presight_model::environment::{Environment, FeatureShape};
 use presight_model::error::{Error, ErrorKind, Result};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{InWorld, Pose, PoseCovariance};
 use presight_predict::virtual_sensors::VirtualReading;
 use presight_render::deadline::Degradation;
 use serde::{Deserialize, Serialize};
@@ -57,8 +57,8 @@ pub struct Header {
     pub sensor: String,
     /// The sensor's pose, body axes.
     pub world_from_sensor: Pose,
-    /// Covariance of that pose: x y z, then rotation about the fixed axes x y z; metres and radians.
-    pub pose_covariance: Option<[[f64; 6]; 6]>,
+    /// Covariance of that pose.
+    pub pose_covariance: Option<PoseCovariance<InWorld>>,
     /// Probability that a feature lies in its region of interest.
     pub confidence: Option<f64>,
     /// Work dropped to meet a deadline.
@@ -68,18 +68,8 @@ pub struct Header {
 /// Writes predicted features, and the reading of a virtual sensor if there is one. `environment` names the objects that hide
 /// features.
 ///
-/// ```
-/// use presight::features::FeaturePrediction;
-/// use presight::io::prediction_json::{Header, to_string};
-/// use presight::Environment;
-/// let text = to_string(&Header::default(), &FeaturePrediction::default(), &Environment::new(), None)?;
-/// let json: serde_json::Value = serde_json::from_str(&text)?;
-/// assert_eq!(json["format"], 1);
-/// # Ok::<(), Box<dyn std::error::Error>>(())
-/// ```
-///
 /// # Errors
-/// [`crate::ErrorKind::System`] if the file cannot be written; nothing is left under its name then.
+/// [`ErrorKind::System`] if the file cannot be written; nothing is left under its name then.
 pub fn write(
     path: &Path,
     header: &Header,
@@ -106,7 +96,7 @@ pub fn to_string(
         format: FORMAT,
         sensor: &header.sensor,
         world_from_sensor: [t.x, t.y, t.z, q.x, q.y, q.z, q.w],
-        pose_covariance: header.pose_covariance.map(|c| c.into_iter().flatten().collect()),
+        pose_covariance: header.pose_covariance.map(|c| c.as_rows().as_flattened().to_vec()),
         confidence: header.confidence,
         given_up: header.given_up.as_ref(),
         features: prediction.features.iter().map(|f| entry(f, environment)).collect(),
@@ -139,9 +129,9 @@ pub struct PredictionFile {
 /// Reads the text of [`write()`].
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] for any other text; [`crate::ErrorKind::Unsupported`] for a newer format.
+/// [`ErrorKind::Invalid`] for any other text; [`ErrorKind::Unsupported`] for a newer format.
 pub fn parse(text: &str) -> Result<PredictionFile> {
-    let remedy = "give a file that presight predict --features wrote";
+    let remedy = "give a file that `prediction_json::write` wrote";
     let file: PredictionFile = serde_json::from_str(text)
         .map_err(|e| Error::invalid(format!("not a prediction of features: {e}"), remedy).caused_by(e))?;
     match file.format {
@@ -247,7 +237,7 @@ fn entry<'a>(seen: &'a SeenFeature, environment: &'a Environment) -> FeatureReco
         range: seen.range,
         cos_incidence: seen.cos_incidence,
         roi: seen.roi,
-        roi_flag: seen.roi_flag.map(Cow::from),
+        roi_flag: seen.roi_flag.map(|flag| flag.name().into()),
         image_covariance: seen.image_covariance.as_deref().map(Cow::from),
         properties: properties(seen),
         history: None,
@@ -373,7 +363,7 @@ mod tests {
     fn what_is_written_reads_back_and_is_written_the_same() {
         let mut feature = seen();
         feature.image_covariance = Some(vec![[[1.0 / 3.0, 0.0], [0.0, 2.0]]]);
-        (feature.roi, feature.roi_flag) = (Some([0.1, 0.2, 3.0, 4.0]), Some("linear"));
+        (feature.roi, feature.roi_flag) = (Some([0.1, 0.2, 3.0, 4.0]), Some(presight_features::roi::RoiFlag::Linear));
         let prediction = FeaturePrediction { features: vec![feature], ..FeaturePrediction::default() };
         let pose = Pose::from_xyz_rpy(DVec3::new(1.0, 2.0, 3.0), 0.1, 0.2, 0.3);
         let taken = DegradationStep { means: DegradationKind::Clock, at_ms: 1.0 / 3.0, metres: Some(2.5) };

@@ -6,24 +6,24 @@
 use super::{Triangle, TriangleMesh};
 
 /// No half-edge.
-pub const NONE: u32 = u32::MAX;
+pub(super) const NONE: u32 = u32::MAX;
 
 /// Half-edges, sorted so that those between the same two vertices are adjacent.
-pub struct Edges<'a> {
+pub(crate) struct Edges<'a> {
     triangles: &'a [Triangle],
     /// Sorted by lower vertex; the high half holds the upper vertex, the low half the half-edge.
     sorted: Vec<u64>,
 }
 
 /// First and second vertex of a half-edge.
-pub fn ends(triangles: &[Triangle], half_edge: u32) -> (u32, u32) {
+pub(super) fn ends(triangles: &[Triangle], half_edge: u32) -> (u32, u32) {
     let corners = triangles[half_edge as usize / 3].corners;
     let k = half_edge as usize % 3;
     (corners[k], corners[if k == 2 { 0 } else { k + 1 }])
 }
 
 /// The vertex of its triangle that a half-edge does not touch.
-pub fn opposite(triangles: &[Triangle], half_edge: u32) -> u32 {
+pub(super) fn opposite(triangles: &[Triangle], half_edge: u32) -> u32 {
     triangles[half_edge as usize / 3].corners[(half_edge as usize + 2) % 3]
 }
 

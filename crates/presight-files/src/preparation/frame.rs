@@ -49,7 +49,7 @@ impl std::str::FromStr for Up {
 /// The placement of a scene file in the world: it is turned upright, scaled to metres, then placed.
 ///
 /// ```
-/// use presight::preparation::{SceneFrame, Up};
+/// use presight::files::{SceneFrame, Up};
 /// let frame = SceneFrame { up: Up::Z, scale: 0.001, ..SceneFrame::default() };
 /// assert_eq!(frame.world_from_file().transform_point3(glam::DVec3::new(0.0, 0.0, 2000.0)).z, 2.0);
 /// ```
@@ -73,7 +73,7 @@ impl SceneFrame {
     /// Checks a scale.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] unless it is finite and above 0.
+    /// [`presight_model::ErrorKind::Usage`] unless it is finite and above 0.
     pub fn check_scale(scale: f64) -> Result<()> {
         if scale.is_finite() && scale > 0.0 {
             return Ok(());
@@ -109,7 +109,7 @@ impl SceneFrame {
         if size.y < size.x && size.y < size.z {
             let other = if self.up == Up::Y { Up::Z } else { Up::Y };
             hints.push(format!(
-                "it is thinnest along y of the world, {:.3} m: if walls lie on the floor, give --up {}",
+                "it is thinnest along y of the world, {:.3} m: if walls lie on the floor, give `ImportOptions::up` {}",
                 size.y,
                 other.name()
             ));
@@ -117,7 +117,7 @@ impl SceneFrame {
         if size.z > 0.0 && (size.z <= HEIGHTS[0] || size.z >= HEIGHTS[1]) {
             let scale = self.scale * 10f64.powf((USUAL / size.z).log10().round());
             hints.push(format!(
-                "it is {:.3} m high: if its unit is not the metre, give --scale, such as {scale}",
+                "it is {:.3} m high: if its unit is not the metre, give `ImportOptions::scale`, such as {scale}",
                 size.z
             ));
         }
@@ -148,7 +148,7 @@ mod tests {
             frame.hints(&Aabb { min: DVec3::ZERO, max: DVec3::from_array(size) })
         };
         assert!(hints(Up::Y, [20.0, 15.0, 3.0]).is_empty());
-        for (up, word) in [(Up::Y, "--up z"), (Up::Z, "--up y")] {
+        for (up, word) in [(Up::Y, "`ImportOptions::up` z"), (Up::Z, "`ImportOptions::up` y")] {
             let told = hints(up, [20.0, 3.0, 15.0]);
             assert!(told.len() == 1 && told[0].contains(word), "{told:?}");
         }

@@ -8,11 +8,11 @@
 use super::edges::NONE;
 use super::{Triangle, TriangleMesh};
 use glam::{DVec3, Vec3};
-use presight_model::environment::{Parts, PolygonRecord, canonical_plane};
-use presight_model::geometry::{Aabb, Plane};
+use presight_model::environment::Parts;
+use presight_model::geometry::Aabb;
 
 /// Most corners of a merged polygon. A higher limit would merge a few more fans, but slow every engine's worst case.
-pub const MERGED_CORNERS: usize = 8;
+const MERGED_CORNERS: usize = 8;
 
 /// Largest angle, radians, between a source triangle and its merged polygon. It keeps the reflection angle of details
 /// much smaller than the mesh, which the tolerance on distances alone would flatten.
@@ -34,7 +34,7 @@ pub(crate) struct MergeResult {
 }
 
 /// Makes each triangle a polygon.
-pub fn unmerged(mesh: &TriangleMesh) -> MergeResult {
+pub(crate) fn unmerged(mesh: &TriangleMesh) -> MergeResult {
     let mut parts = Parts::default();
     for t in &mesh.triangles {
         parts.push(&t.corners, t.material, t.source, &mesh.vertices);
@@ -43,7 +43,7 @@ pub fn unmerged(mesh: &TriangleMesh) -> MergeResult {
 }
 
 /// Merges neighbours while all vertices stay within `tolerance` times the mesh's size of their polygon's plane.
-pub fn merge(mesh: &TriangleMesh, twins: Vec<u32>, tolerance: f64) -> MergeResult {
+pub(crate) fn merge(mesh: &TriangleMesh, twins: Vec<u32>, tolerance: f64) -> MergeResult {
     let size = Aabb::of(mesh.vertices.iter().map(|v| v.as_dvec3())).size();
     let mut outlines = Outlines::new(mesh, twins, tolerance * size);
     let mut merges = 0;

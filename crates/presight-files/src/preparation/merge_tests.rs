@@ -2,6 +2,7 @@ use super::*;
 use crate::preparation::Edges;
 use glam::{DAffine3, DQuat};
 use presight_model::environment::{Mesh, PolygonOrder};
+use presight_model::geometry::Plane;
 use proptest::prelude::*;
 
 const TOLERANCE: f64 = 1e-6;

@@ -9,12 +9,10 @@ mod quality;
 mod report;
 mod triangles;
 
-pub use edges::Edges;
+pub(crate) use edges::Edges;
 pub use frame::Z_UP_FROM_Y_UP;
 pub use frame::{SceneFrame, Up};
-pub use merge::MERGED_CORNERS;
-pub use merge::{merge, unmerged};
+pub(crate) use merge::{merge, unmerged};
 pub use report::{ImportReport, ImportedScene, Problem, ProblemKind, lost_features};
-pub use report::{ProblemBook, ProblemList, Site};
-pub use triangles::place_of;
-pub use triangles::{Triangle, TriangleMesh, Welder};
+pub(crate) use report::{ProblemBook, ProblemList, Site};
+pub(crate) use triangles::{Triangle, TriangleMesh, Welder, place_of};

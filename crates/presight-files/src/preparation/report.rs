@@ -9,6 +9,7 @@ use presight_model::placement::{lost, why_off};
 use presight_model::world::World;
 use serde::Serialize;
 use std::fmt;
+use std::path::PathBuf;
 
 /// An imported scene.
 #[derive(Clone, Debug)]
@@ -19,6 +20,8 @@ pub struct ImportedScene {
     pub report: ImportReport,
     /// The file's placement in the world; `None` for a script, which is in the world's frame.
     pub frame: Option<SceneFrame>,
+    /// The files that the scene consists of: the given one, and all that it names, also images, which are not read.
+    pub files: Vec<PathBuf>,
 }
 
 /// Counts and problems of an import. "Stored" counts each mesh once, "scene" each of its instances.
@@ -126,7 +129,6 @@ pub struct Problem {
 
 impl Problem {
     /// One line for the total, and one for each place, indented by `indent`.
-    #[doc(hidden)]
     pub fn lines(&self, indent: &str) -> Vec<String> {
         let mut lines = vec![format!("{} {}", self.total, self.kind.title())];
         lines.extend(self.places.iter().map(|place| format!("{indent}{place}")));
@@ -145,7 +147,7 @@ impl fmt::Display for Problem {
 /// The features of the environment's own layers that no longer lie on a polygon, as a problem; `None` if all do.
 ///
 /// # Errors
-/// As [`crate::placement::find`].
+/// As [`presight_model::placement::find`].
 pub fn lost_features(environment: &Environment) -> Result<Option<Problem>> {
     let lost = lost(environment)?;
     if lost.is_empty() {
@@ -162,7 +164,7 @@ pub fn lost_features(environment: &Environment) -> Result<Option<Problem>> {
 
 /// The place of a problem in a mesh. Only listed problems are described in words.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Site {
+pub(crate) struct Site {
     /// Source number within the mesh.
     pub triangle: u32,
     /// The edge, if the problem concerns an edge.
@@ -171,7 +173,7 @@ pub struct Site {
 
 /// Problems of one mesh, counted and listed up to the limit.
 #[derive(Clone, Debug, Default)]
-pub struct ProblemList {
+pub(crate) struct ProblemList {
     totals: [u64; ProblemKind::ALL.len()],
     first: Vec<(ProblemKind, Site)>,
 }
@@ -189,7 +191,7 @@ impl ProblemList {
 
 /// The problems of all meshes.
 #[derive(Debug, Default)]
-pub struct ProblemBook {
+pub(crate) struct ProblemBook {
     totals: [u64; ProblemKind::ALL.len()],
     places: [Vec<String>; ProblemKind::ALL.len()],
 }

@@ -5,7 +5,7 @@ use presight_model::environment::canonical_plane;
 
 /// One source triangle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Triangle {
+pub(crate) struct Triangle {
     /// Indices of welded vertices, in winding order.
     pub corners: [u32; 3],
     /// Number within the mesh: across its primitives in order, degenerate triangles counted.
@@ -16,7 +16,7 @@ pub struct Triangle {
 
 /// The triangles of one mesh that have an area, over distinct vertices.
 #[derive(Clone, Debug, Default)]
-pub struct TriangleMesh {
+pub(crate) struct TriangleMesh {
     /// Positions, metres, mesh frame: the f32 bits of the file (negative zeros made positive).
     pub vertices: Vec<Vec3>,
     /// In source order.
@@ -65,7 +65,7 @@ impl TriangleMesh {
 }
 
 /// Primitive of a source triangle and its number within the primitive, from [`TriangleMesh::primitive_ends`].
-pub fn place_of(primitive_ends: &[u32], source: u32) -> (u32, u32) {
+pub(crate) fn place_of(primitive_ends: &[u32], source: u32) -> (u32, u32) {
     let primitive = primitive_ends.partition_point(|&end| end <= source);
     let start = primitive.checked_sub(1).map_or(0, |p| primitive_ends[p]);
     (primitive as u32, source - start)
@@ -75,7 +75,7 @@ pub fn place_of(primitive_ends: &[u32], source: u32) -> (u32, u32) {
 ///
 /// Open addressing over the vertices found so far; the standard map's safe hash would take most of an import's time.
 #[derive(Debug, Default)]
-pub struct Welder {
+pub(crate) struct Welder {
     /// Vertex index + 1; 0 is free. Length a power of two.
     table: Vec<u32>,
 }

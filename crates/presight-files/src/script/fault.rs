@@ -8,7 +8,6 @@ use presight_model::error::{Error, ErrorKind};
 use presight_model::limits;
 use rhai::{Dynamic, EvalAltResult, ParseError, ParseErrorType, Position};
 use std::collections::BTreeMap;
-use std::path::Path;
 use std::rc::Rc;
 
 /// One of our errors while it passes through a script, which may catch it.
@@ -183,7 +182,7 @@ fn unknown_function(signature: &str) -> (ErrorKind, String, String, Option<&'sta
 }
 
 /// Converts a parsing error to ours.
-pub(super) fn syntax(e: &ParseError, file: &Path) -> Error {
+pub(super) fn syntax(e: &ParseError) -> Error {
     let what = match e.err_type() {
         ParseErrorType::ExprTooDeep => Excess::Nesting.in_words().0,
         // Anonymous functions count too.
@@ -195,5 +194,5 @@ pub(super) fn syntax(e: &ParseError, file: &Path) -> Error {
         (Some(line), Some(column)) => format!("line {line}, column {column}"),
         _ => "at its end".to_owned(),
     };
-    Error::invalid(what, "scenes/README.md shows the language").at(place).in_file(file)
+    Error::invalid(what, "scenes/README.md shows the language").at(place)
 }

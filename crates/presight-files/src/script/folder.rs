@@ -57,27 +57,25 @@ impl Folder {
 
 /// Reads the text of a script.
 pub(super) fn read_script(shown: &Path, real: &Path) -> Result<String> {
-    text_of(file::read(file::open_as(real, shown)?, shown, limits::MAX_SCRIPT_BYTES)?, shown)
+    text_of(file::read(file::open_as(real, shown)?, shown, limits::MAX_SCRIPT_BYTES)?)
 }
 
 /// The text of a script in memory.
-pub(super) fn script_of(bytes: &[u8], shown: &Path) -> Result<String> {
+pub(super) fn script_of(bytes: &[u8]) -> Result<String> {
     if bytes.len() as u64 > limits::MAX_SCRIPT_BYTES {
         let what = format!("the script is too large: it has {} bytes", bytes.len());
-        return Err(Error::invalid(what, format!("the limit is {}", limits::MAX_SCRIPT_BYTES)).in_file(shown));
+        return Err(Error::invalid(what, format!("the limit is {}", limits::MAX_SCRIPT_BYTES)));
     }
-    text_of(bytes.to_vec(), shown)
+    text_of(bytes.to_vec())
 }
 
-fn text_of(bytes: Vec<u8>, shown: &Path) -> Result<String> {
+fn text_of(bytes: Vec<u8>) -> Result<String> {
     String::from_utf8(bytes).map(file::without_mark).map_err(|e| {
         let good = e.utf8_error().valid_up_to();
         let before = &e.as_bytes()[..good];
         let line = 1 + before.iter().filter(|b| **b == b'\n').count();
         let start = before.iter().rposition(|b| *b == b'\n').map_or(0, |p| p + 1);
         let column = 1 + String::from_utf8_lossy(&before[start..]).chars().count();
-        Error::invalid("this is not UTF-8", "save the script as UTF-8 text")
-            .at(format!("line {line}, column {column}"))
-            .in_file(shown)
+        Error::invalid("this is not UTF-8", "save the script as UTF-8 text").at(format!("line {line}, column {column}"))
     })
 }

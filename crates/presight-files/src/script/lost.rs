@@ -12,7 +12,7 @@ pub(super) struct LostPart(RefCell<Option<(String, Spot)>>);
 
 impl LostPart {
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if a part was lost; names the part and the place where it was added.
+    /// [`presight_model::ErrorKind::Invalid`] if a part was lost; names the part and the place where it was added.
     pub fn check(&self) -> Result<()> {
         let Some((name, at)) = self.0.take() else { return Ok(()) };
         let what =

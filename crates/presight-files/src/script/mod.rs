@@ -5,36 +5,11 @@
 //! scenes; [`reference()`] returns the same list. Lengths are in metres, parameters ending in `_deg` in degrees; z is
 //! up.
 //!
-//! ```
-//! # let folder = tempfile::tempdir().unwrap();
-//! # let path = folder.path().join("table.rhai");
-//! # std::fs::write(&path, r#"
-//! material("wood", #{ reflection: 0.6 });
-//!
-//! fn table(length, width) {                              // a function is a macro
-//!     let leg = box(0.06, 0.06, 0.72);
-//!     let top = box(length, width, 0.03).translate(0, 0, 0.72);
-//!     let pair = leg.translate(-0.5, 0.3, 0) + leg.translate(-0.5, -0.3, 0);
-//!     (top + pair.repeat(2, 1, 0, 0)).made_of("wood")
-//! }
-//!
-//! place("floor", rectangle(6, 4));
-//! let t = table(1.2, 0.8);
-//! for i in 0..3 {
-//!     place("tables/table", t, pose(2 * i - 2, 0, 0, 30 * i));   // one mesh, three objects
-//! }
-//! # "#).unwrap();
-//! let scene = presight::io::script::load(&path, &Default::default(), &mut |line| println!("{line}"))?;
-//! let names: Vec<&str> = scene.environment.objects().iter().map(|o| o.name.as_str()).collect();
-//! assert_eq!(names, ["floor", "tables/table", "tables/table#2", "tables/table#3"]);
-//! # Ok::<(), presight::Error>(())
-//! ```
-//!
 //! **The same script gives the same environment on every machine.** Trigonometry comes from `libm`, random numbers from
 //! a seed in the script; there is no operator `**` and no clock. Scripts read files only from their own folder (with
 //! symbolic links resolved), write no files, and cannot use `eval`. Limits on operations (large values count by size),
-//! depth, sizes, polygons and memory ([`crate::limits`], `MAX_SCRIPT_..`) end a script with an error that names file,
-//! line, column and call. A limit on time is only a last resort.
+//! depth, sizes, polygons and memory ([`presight_model::limits`], `MAX_SCRIPT_..`) end a script with an error that
+//! names file, line, column and call. A limit on time is only a last resort.
 //!
 //! `source` ids number triangles in the order of placing, as an exported scene would have them.
 
@@ -68,7 +43,7 @@ use rhai::packages::{
 };
 use rhai::{Engine, OptimizationLevel, Scope};
 use std::cell::{Cell, RefCell};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::rc::Rc;
 use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
 use std::time::Duration;
@@ -84,9 +59,9 @@ const STACK: usize = 256 << 20;
 /// them.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] with file, line, column, call and remedy for a script that is missing, not UTF-8 or
-/// not Rhai, calls a function wrongly, exceeds a limit, or fails a `require`. As [`crate::io::gltf::import`] for models
-/// that it imports.
+/// [`presight_model::ErrorKind::Invalid`] with file, line, column, call and remedy for a script that is missing, not
+/// UTF-8 or not Rhai, calls a function wrongly, exceeds a limit, or fails a `require`. As [`crate::gltf::import`] for
+/// models that it imports.
 pub fn load(path: impl AsRef<Path>, options: &ImportOptions, say: &mut dyn FnMut(&str)) -> Result<ImportedScene> {
     load_from(path.as_ref(), None, options, say)
 }
@@ -98,13 +73,13 @@ pub fn load(path: impl AsRef<Path>, options: &ImportOptions, say: &mut dyn FnMut
 ///
 /// ```
 /// let text = b"place(\"floor\", rectangle(6, 4));";
-/// let scene = presight::io::script::load_bytes("floor.rhai", text, &Default::default(), &mut |_| {})?;
+/// let scene = presight_files::script::load_bytes("floor.rhai", text, &Default::default(), &mut |_| {})?;
 /// assert_eq!(scene.environment.objects().len(), 1);
 /// # Ok::<(), presight::Error>(())
 /// ```
 ///
 /// # Errors
-/// As [`load`]; [`crate::ErrorKind::Invalid`] if the script imports a file.
+/// As [`load`]; [`presight_model::ErrorKind::Invalid`] if the script imports a file.
 pub fn load_bytes(
     name: impl AsRef<Path>,
     bytes: &[u8],
@@ -122,7 +97,12 @@ fn load_from(
     say: &mut dyn FnMut(&str),
 ) -> Result<ImportedScene> {
     let (sender, receiver) = channel();
-    threads::aside("script", STACK, || run(path, bytes, options, sender), || listen_to(&receiver, say))?
+    threads::aside(
+        "script",
+        STACK,
+        || run(path, bytes, options, sender).map_err(|e| e.in_file(path)),
+        || listen_to(&receiver, say),
+    )?
 }
 
 /// Passes on the lines that the script prints, until it ends and drops the sender.
@@ -145,7 +125,7 @@ fn listen_to(lines: &Receiver<String>, say: &mut dyn FnMut(&str)) {
 
 fn run(path: &Path, bytes: Option<&[u8]>, options: &ImportOptions, say: Sender<String>) -> Result<ImportedScene> {
     let (folder, real, text) = match bytes {
-        Some(bytes) => (Folder::default(), path.to_owned(), script_of(bytes, path)?),
+        Some(bytes) => (Folder::default(), path.to_owned(), script_of(bytes)?),
         None => {
             let folder = Folder::of(path)?;
             let real = path.canonicalize().map_err(|e| Error::io(path, "open it", e))?;
@@ -161,11 +141,13 @@ fn run(path: &Path, bytes: Option<&[u8]>, options: &ImportOptions, say: Sender<S
     let tokens = Tokens::default();
     tokens.watch(&mut engine);
     engine.set_module_resolver(Modules::new(folder, real, sources.clone(), tokens.clone()));
-    let mut ast = tokens.parse(&engine, &text, path)?;
+    let mut ast = tokens.parse(&engine, &text)?;
     ast.set_source(&name);
     let ended = engine.run_ast_with_scope(&mut Scope::new(), &ast);
     ended.map_err(|e| explain(*e, &name, &sources.borrow()))?;
-    studio.finish(path)
+    let mut scene = studio.finish()?;
+    scene.files.extend(sources.borrow().keys().map(PathBuf::from));
+    Ok(scene)
 }
 
 /// Refuses a sidecar with materials, which a script would silently ignore. A sidecar of a model with the same name is

@@ -38,18 +38,18 @@ impl Modules {
             }
             None => {}
         }
+        let fault = |e: Error| fault(e.in_file(&shown));
         let text = read_script(&shown, &real).map_err(fault)?;
         self.known.borrow_mut().insert(real.clone(), None);
         let name = shown.display().to_string();
-        let mut ast = self.tokens.parse(engine, &text, &shown).map_err(fault)?;
+        let mut ast = self.tokens.parse(engine, &text).map_err(fault)?;
         ast.set_source(&name);
         self.sources.borrow_mut().insert(name.clone(), text);
         let module = Module::eval_ast_as_new(Scope::new(), &ast, engine)
             .map_err(|e| Box::new(EvalAltResult::ErrorInModule(name, e, at)))?;
         if let Some((variable, _)) = module.iter_var().find(|(_, value)| !is_exportable(value)) {
             let what = format!("variable {variable:?} of the module has over {} elements", limits::MAX_SCRIPT_EXPORT);
-            let e = Error::invalid(what, "return it from a function of the module").in_file(&shown);
-            return Err(fault(e));
+            return Err(fault(Error::invalid(what, "return it from a function of the module")));
         }
         let module = Shared::new(module);
         self.known.borrow_mut().insert(real, Some(module.clone()));

@@ -25,8 +25,8 @@ impl Random {
         self.draw(SplitMix64::unit)
     }
 
-    /// The next whole number in 0..n; within 2^-64 n of uniform.
-    pub fn below(&self, n: u64) -> u64 {
-        ((u128::from(self.draw(SplitMix64::bits)) * u128::from(n)) >> 64) as u64
+    /// The next whole number in 0..n, for `n` up to 2^64; within 2^-64 n of uniform.
+    pub fn below(&self, n: u128) -> u64 {
+        ((u128::from(self.draw(SplitMix64::bits)) * n) >> 64) as u64
     }
 }

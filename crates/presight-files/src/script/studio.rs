@@ -18,7 +18,7 @@ use presight_model::placement;
 use presight_model::world::World;
 use std::cell::{Cell, RefCell};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::rc::Rc;
 use std::sync::Arc;
 use std::time::Duration;
@@ -54,6 +54,8 @@ struct SceneBuild {
     /// Features by sensor class.
     features: BTreeMap<String, Vec<ObjectFeature>>,
     feature_count: u64,
+    /// The files of the imported models.
+    models: Vec<PathBuf>,
     /// Names of the script files that placed features.
     files: BTreeSet<Rc<str>>,
 }
@@ -157,11 +159,11 @@ impl Studio {
         Ok(assembly)
     }
 
-    /// Returns the scene that the script `file` has built.
-    pub fn finish(&self, file: &Path) -> Result<Outcome> {
-        self.lost.check().map_err(|e| e.in_file(file))?;
+    /// Returns the scene that the script has built.
+    pub fn finish(&self) -> Result<Outcome> {
+        self.lost.check()?;
         let mut built = self.built.take();
-        let at_end = |e: Error| e.at("at its end").in_file(file);
+        let at_end = |e: Error| e.at("at its end");
         if built.environment.slot_count() == 0 {
             let remedy = "place something: place(\"floor\", rectangle(4, 3))";
             return Err(at_end(Error::invalid("the script places no polygons", remedy)));
@@ -176,9 +178,9 @@ impl Studio {
             let layer = FeatureLayer { class, tolerance: DEFAULT_TOLERANCE, features, pose_covariances: Vec::new() };
             built.environment.add_layer(layer).map_err(at_end)?;
         }
-        let environment = check_features(built.environment, &spots).map_err(|e| e.in_file(file))?;
+        let environment = check_features(built.environment, &spots)?;
         built.report.polygons_in_scene = u64::from(environment.slot_count());
-        Ok(Outcome { environment, report: built.report, frame: None })
+        Ok(Outcome { environment, report: built.report, frame: None, files: built.models })
     }
 }
 
@@ -317,7 +319,8 @@ impl SceneBuild {
 
     /// Adds the materials and report of an imported scene. Returns its objects as parts of an assembly.
     fn take_over(&mut self, outcome: Outcome, file: &str, budget: &Rc<Budget>) -> Result<Assembly> {
-        let Outcome { environment, report, .. } = outcome;
+        let Outcome { environment, report, files, .. } = outcome;
+        self.models.extend(files);
         let mut materials = Vec::with_capacity(environment.materials().len());
         for material in environment.materials() {
             materials.push(self.environment.add_material(material.clone())?);

@@ -10,7 +10,6 @@ use presight_model::error::{Error, Result};
 use presight_model::limits;
 use rhai::{AST, Engine, LexError, Position, Token};
 use std::cell::{Cell, RefCell};
-use std::path::Path;
 use std::rc::Rc;
 
 /// The limit that a text exceeds.
@@ -121,20 +120,20 @@ impl Tokens {
         engine.on_parse_token(move |token, at, _| parsed.borrow_mut().next(token, at));
     }
 
-    /// Parses a text; errors name the file.
-    pub fn parse(&self, engine: &Engine, text: &str, file: &Path) -> Result<AST> {
+    /// Parses a text.
+    pub fn parse(&self, engine: &Engine, text: &str) -> Result<AST> {
         self.bytes.set(self.bytes.get().saturating_add(text.len()));
         if self.bytes.get() > limits::MAX_SCRIPT_TEXT {
             let what = format!("the script and its modules have over {} bytes", limits::MAX_SCRIPT_TEXT);
-            return Err(Error::invalid(what, "remove unused parts").in_file(file));
+            return Err(Error::invalid(what, "remove unused parts"));
         }
         *self.parsed.borrow_mut() = Parsed::default();
         engine.compile(text).map_err(|e| match self.parsed.take().excess {
-            None => syntax(&e, file),
+            None => syntax(&e),
             Some((excess, at)) => {
                 let (what, remedy) = excess.in_words();
                 let (line, column) = (at.line().unwrap_or(0), at.position().unwrap_or(0));
-                Error::invalid(what, remedy).at(format!("line {line}, column {column}")).in_file(file)
+                Error::invalid(what, remedy).at(format!("line {line}, column {column}"))
             }
         })
     }

@@ -45,7 +45,7 @@ mod write;
 
 pub use write::to_string;
 
-use super::text::{check_format, read_settings, read_text, toml_from_str};
+use super::text::{check_format, from_settings, from_text, toml_from_str};
 use glam::{DQuat, DVec3};
 use presight_model::error::{Error, Result};
 use presight_model::geometry::Pose;
@@ -58,11 +58,11 @@ use std::path::Path;
 /// Reads a sensor file.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] with the line or key at fault, [`crate::ErrorKind::Unsupported`] for a newer format,
-/// [`crate::ErrorKind::System`] if the system refuses.
+/// [`presight_model::ErrorKind::Invalid`] with the line or key at fault, [`presight_model::ErrorKind::Unsupported`] for
+/// a newer format, [`presight_model::ErrorKind::System`] if the system refuses.
 pub fn read(path: &Path) -> Result<SensorSpec> {
     let name = path.file_stem().map_or_else(|| "sensor".into(), |s| s.to_string_lossy());
-    parse(&read_settings(path)?, &name, path.parent()).map_err(|e| e.in_file(path))
+    from_settings(path, |text| parse(text, &name, path.parent()))
 }
 
 /// Reads the text of a sensor file. `name` is used if the text gives none; `file = "X.csv"` is relative to `folder`.
@@ -270,10 +270,7 @@ impl RaysFile {
     fn spec(mut self, name: &str, folder: Option<&Path>) -> Result<SensorSpec> {
         let directions = match (self.directions.take(), &self.file) {
             (Some(inline), None) => inline.into_iter().map(DVec3::from_array).collect(),
-            (None, Some(file)) => {
-                let path = folder.unwrap_or(Path::new("")).join(file);
-                parse_directions(&read_text(&path)?).map_err(|e| e.in_file(&path))?
-            }
+            (None, Some(file)) => from_text(&folder.unwrap_or(Path::new("")).join(file), parse_directions)?,
             _ => {
                 return Err(Error::invalid(
                     "a ray table needs either directions or file",

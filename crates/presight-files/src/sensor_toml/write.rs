@@ -9,11 +9,13 @@ use presight_model::sensor::{Angles, Camera, Distortion, Geometry, Mixture, Nois
 /// one ulp off, because neighbouring values in radians can be less than one ulp of a degree apart.
 ///
 /// ```
-/// use presight::io::sensor_toml;
+/// use presight::files::{read_sensor_toml, sensor_to_toml};
 /// let radar = presight::preset("microwave-radar-image")?;
-/// let text = sensor_toml::to_string(radar.spec());
-/// assert_eq!(sensor_toml::parse(&text, "", None)?, *radar.spec());
-/// # Ok::<(), presight::Error>(())
+/// let folder = tempfile::tempdir()?;
+/// let path = folder.path().join("radar.toml");
+/// std::fs::write(&path, sensor_to_toml(radar.spec()))?;
+/// assert_eq!(read_sensor_toml(&path)?, *radar.spec());
+/// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub fn to_string(spec: &SensorSpec) -> String {
     let mut out = Writer(String::new());

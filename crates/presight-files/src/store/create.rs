@@ -20,12 +20,16 @@ const PAGE: u32 = 16_384;
 /// # Errors
 /// [`ErrorKind::Usage`] if a file of this name exists; [`ErrorKind::System`] if the file cannot be written.
 pub fn create(path: &Path, environment: &Environment, note: &Note) -> Result<()> {
+    create_unnamed(path, environment, note).map_err(|e| e.in_file(path))
+}
+
+fn create_unnamed(path: &Path, environment: &Environment, note: &Note) -> Result<()> {
     if !note.time.is_finite() {
         return Err(Error::invalid(format!("the time {} is not finite", note.time), "give UTC seconds"));
     }
     if path.symlink_metadata().is_ok() {
         let remedy = "choose another name, or remove the file; presight env import adds to a store";
-        return Err(Error::usage("a file of this name already exists", remedy).in_file(path));
+        return Err(Error::usage("a file of this name already exists", remedy));
     }
     let folder = match path.parent() {
         Some(folder) if folder != Path::new("") => folder.to_owned(),
@@ -33,7 +37,7 @@ pub fn create(path: &Path, environment: &Environment, note: &Note) -> Result<()>
     };
     let refused = |e: std::io::Error| {
         let remedy = "create the folder first, check its permissions, or write elsewhere";
-        Error::new(ErrorKind::System, format!("cannot write: {e}"), remedy).in_file(path).caused_by(e)
+        Error::new(ErrorKind::System, format!("cannot write: {e}"), remedy).caused_by(e)
     };
     let mut temporary = Temporary::new(&folder, Access::Umask).map_err(refused)?;
     // On Windows locks are mandatory, so ours would block SQLite. SQLite's own lock then protects the file.

@@ -30,7 +30,7 @@ impl RecordedChange {
     /// Returns the entry's number if a line describes the same change.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if the line describes another change.
+    /// [`presight_model::ErrorKind::Invalid`] if the line describes another change.
     pub fn same_line(&self, id: &str, said: &Op) -> Result<u64> {
         if self.request == Some(request(said)?) {
             return Ok(self.number);
@@ -46,7 +46,7 @@ impl RecordedChange {
     /// Returns the entry's number if `op` is the same change.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if it is another change.
+    /// [`presight_model::ErrorKind::Invalid`] if it is another change.
     pub fn same_change(&self, id: &str, op: Option<&Op>) -> Result<u64> {
         let same = match op {
             Some(op) => json(op)? == self.change,

@@ -82,7 +82,7 @@ pub(super) fn walk(
     let (mut head, mut count) = (meta.first_head(), 0);
     while let Some(row) = rows.next().map_err(wrap)? {
         count += 1;
-        let place = |e: Error| e.at(format!("log entry {count}")).in_file(path);
+        let place = |e: Error| e.at(format!("log entry {count}"));
         let entry = LogEntry::read(row).map_err(place)?;
         if entry.number != count || entry.hash_after(&head) != entry.hash {
             return Err(place(damaged("it does not match its hash, or the entry before is missing")));
@@ -92,7 +92,7 @@ pub(super) fn walk(
     }
     if head != meta.head || count as i64 != meta.changes {
         let what = format!("the log ends after {count} of {} entries", meta.changes);
-        return Err(damaged(what).in_file(path));
+        return Err(damaged(what));
     }
     Ok(())
 }
@@ -142,7 +142,8 @@ pub(super) fn undo_plan(entries: &[LogEntry], number: u64, cascade: bool) -> Res
         let more = if all > LISTED { format!(" and {} more", all - LISTED) } else { String::new() };
         in_the_way.truncate(LISTED);
         let what = format!("change {number} cannot be undone before changes {}{more}", in_the_way.join(", "));
-        let remedy = format!("undo them first, or use --cascade to undo all of them (appends {} changes)", all + 1);
+        let remedy =
+            format!("undo them first, or use `cascade: true` to undo all of them (appends {} changes)", all + 1);
         return Err(Error::invalid(what, remedy));
     }
     plan.reverse();

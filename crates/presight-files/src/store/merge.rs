@@ -56,6 +56,15 @@ pub(super) fn mesh_of_file(
     changes: &mut Vec<Change>,
 ) -> Result<Arc<Mesh>> {
     let scene = import(path, &ImportOptions::default())?.environment;
+    mesh_of(&scene, object, materials, changes).map_err(|e| e.in_file(path))
+}
+
+fn mesh_of(
+    scene: &Environment,
+    object: Option<&str>,
+    materials: &mut Materials<'_>,
+    changes: &mut Vec<Change>,
+) -> Result<Arc<Mesh>> {
     let found = match (object, scene.objects()) {
         (None, [only]) => Some(only),
         (None, _) => None,
@@ -68,12 +77,12 @@ pub(super) fn mesh_of_file(
             None => format!("it holds {} objects", scene.objects().len()),
         };
         let remedy = format!("name one as \"from_object\", such as {}", names.join(", "));
-        return Err(Error::invalid(what, remedy).in_file(path));
+        return Err(Error::invalid(what, remedy));
     };
-    let map = materials.map(&scene, changes)?;
+    let map = materials.map(scene, changes)?;
     // The rotation from y-up and the node's scale become part of the shape; its position does not.
     let turn = found.world_from_object.rotation_matrix() * found.object_from_mesh.matrix3;
-    found.mesh.transformed(turn, |m| map[usize::from(m)]).map(Arc::new).map_err(|e| e.in_file(path))
+    found.mesh.transformed(turn, |m| map[usize::from(m)]).map(Arc::new)
 }
 
 /// Returns the change that merges a scene into an environment: materials, objects, frames of groups, features. Equal
@@ -81,7 +90,7 @@ pub(super) fn mesh_of_file(
 /// features in the frame of the replaced object are kept.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] if an object or a group's frame differs and `replace` is false.
+/// [`presight_model::ErrorKind::Invalid`] if an object or a group's frame differs and `replace` is false.
 pub(super) fn merge_scene(environment: &Environment, scene: &Environment, replace: bool) -> Result<Change> {
     let (mut changes, mut added) = (Vec::new(), Vec::new());
     let map = Materials::new(environment, &mut added).map(scene, &mut changes)?;
@@ -101,7 +110,7 @@ pub(super) fn merge_scene(environment: &Environment, scene: &Environment, replac
             }
             if !replace {
                 let what = "it already exists with another pose or shape";
-                let remedy = "use --replace to replace it with the object of the file, or rename one of the two";
+                let remedy = "use `replace: true` to replace it with the object of the file, or rename one of the two";
                 return Err(Error::invalid(what, remedy).at(format!("object {:?}", object.name)));
             }
             let name = object.name.clone();
@@ -140,7 +149,7 @@ fn merge_groups(environment: &Environment, scene: &Environment, replace: bool, t
             (Some(present), _) if present == frame => continue,
             (Some(_), _) if !replace => {
                 let what = "it already has another frame";
-                let remedy = "use --replace to replace it with the frame of the file";
+                let remedy = "use `replace: true` to replace it with the frame of the file";
                 return Err(Error::invalid(what, remedy).at(format!("group {path:?}")));
             }
             _ => to.push(Change::SetFrame { name: path.to_owned(), world_from_group: given }),

@@ -55,18 +55,20 @@ use std::sync::{Arc, Weak};
 /// it is dropped.
 ///
 /// ```
-/// use presight::io::store::{self, Note, Store};
-/// use presight::{Change, Environment, Material, World};
+/// use presight::Scene;
+/// use presight::files::{Store, StoreNote, create_store};
+/// use presight::environment::{Environment, Material};
+/// use presight::Change;
 /// let folder = tempfile::tempdir()?;
 /// let path = folder.path().join("hall.presight");
-/// store::create(&path, &Environment::new(), &Note::new("a new hall", 0.0))?;
+/// create_store(&path, &Environment::new(), &StoreNote::new("a new hall", 0.0))?;
 ///
 /// let mut store = Store::open(&path)?;
 /// let paint = Change::AddMaterial(Material::named("paint"));
-/// let number = store.apply(paint, &Note::new("delivered", 12.5))?;
+/// let number = store.apply(paint, &StoreNote::new("delivered", 12.5))?;
 /// assert_eq!((number, store.changes()), (1, 1));
 /// drop(store);
-/// assert_eq!(store::read(&path)?.materials().len(), 1);
+/// assert_eq!(Scene::open(&path)?.world.environment().materials().len(), 1);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub struct Store {
@@ -197,8 +199,7 @@ pub fn check(path: &Path) -> Result<Info> {
 fn in_one_version<T>(connection: &Connection, path: &Path, read: impl FnOnce(&Connection) -> Result<T>) -> Result<T> {
     let wrap = |e| refusal(path, "read the store", e);
     let transaction = connection.unchecked_transaction().map_err(wrap)?;
-    check_identity(&transaction, path)?;
-    let answer = read(&transaction)?;
+    let answer = check_identity(&transaction, path).and_then(|()| read(&transaction)).map_err(|e| e.in_file(path))?;
     transaction.commit().map_err(wrap)?;
     Ok(answer)
 }
@@ -219,6 +220,10 @@ impl Store {
     /// As [`Store::open`].
     pub fn open_with_index(path: &Path, scheme: Scheme, params: Params) -> Result<Self> {
         let connection = connect(path, Access::Write)?;
+        Self::load(connection, path, scheme, params).map_err(|e| e.in_file(path))
+    }
+
+    fn load(connection: Connection, path: &Path, scheme: Scheme, params: Params) -> Result<Self> {
         let wrap = |e| refusal(path, "open the store for writing", e);
         connection.execute_batch("BEGIN IMMEDIATE").map_err(wrap)?;
         // Another writer may have changed the file between `connect` and the lock.
@@ -299,8 +304,7 @@ impl Store {
     /// [`ErrorKind::Invalid`] if the entry was already undone, or if later changes depend on it and `cascade` is false.
     pub fn undo(&mut self, number: u64, cascade: bool, note: &Note) -> Result<Vec<u64>> {
         self.lock()?;
-        let entries = self.entries()?;
-        let plan = log::undo_plan(&entries, number, cascade).map_err(|e| e.in_file(&self.path))?;
+        let (entries, plan) = self.plan(number, cascade)?;
         let mut batch = self.batch()?;
         let mut made = Vec::with_capacity(plan.len());
         for n in plan {
@@ -319,16 +323,18 @@ impl Store {
     /// # Errors
     /// As [`Store::undo`].
     pub fn undo_plan(&self, number: u64, cascade: bool) -> Result<Vec<u64>> {
-        log::undo_plan(&self.entries()?, number, cascade).map_err(|e| e.in_file(&self.path))
+        self.plan(number, cascade).map(|(_, plan)| plan)
     }
 
-    fn entries(&self) -> Result<Vec<LogEntry>> {
+    /// All log entries, and the numbers of the ones to undo.
+    fn plan(&self, number: u64, cascade: bool) -> Result<(Vec<LogEntry>, Vec<u64>)> {
         let mut entries = Vec::new();
-        log::walk(&self.connection, &self.path, &self.meta, |entry| {
+        let walked = log::walk(&self.connection, &self.path, &self.meta, |entry| {
             entries.push(entry);
             Ok(())
-        })?;
-        Ok(entries)
+        });
+        let plan = walked.and_then(|()| log::undo_plan(&entries, number, cascade));
+        plan.map_err(|e| e.in_file(&self.path)).map(|plan| (entries, plan))
     }
 
     /// Returns the change that merges a scene into the world. Content that both have in common is not changed. With
@@ -346,7 +352,6 @@ impl Store {
     }
 
     /// Commits without waiting for the disk: a deliberate fault that the durability tests must detect.
-    #[doc(hidden)]
     pub fn without_sync(&mut self) -> Result<()> {
         let sql = "ROLLBACK; PRAGMA synchronous = OFF; BEGIN IMMEDIATE";
         self.connection.execute_batch(sql).map_err(|e| refusal(&self.path, "open the store", e))
@@ -357,12 +362,16 @@ impl Store {
         if self.locked {
             return Ok(());
         }
+        self.lock_again().map_err(|e| e.in_file(&self.path))
+    }
+
+    fn lock_again(&mut self) -> Result<()> {
         let wrap = |e| refusal(&self.path, "write to the store", e);
         self.connection.execute_batch("BEGIN IMMEDIATE").map_err(wrap)?;
         if Meta::read(&self.connection, &self.path)? != self.meta {
             let _ = self.connection.execute_batch("ROLLBACK");
             let what = "another program changed the store since it was opened";
-            return Err(Error::new(ErrorKind::System, what, "open it again").in_file(&self.path));
+            return Err(Error::new(ErrorKind::System, what, "open it again"));
         }
         self.locked = true;
         Ok(())

@@ -22,7 +22,7 @@ use glam::{DAffine3, DQuat, DVec3};
 use presight_model::change::Change;
 use presight_model::environment::{Appearance, Material, Mesh};
 use presight_model::error::{Error, Result};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{InObject, Pose, PoseCovariance};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -219,7 +219,7 @@ impl Op {
             Change::SetPoseCovariance { class, object, covariance } => Self::SetPoseCovariance {
                 class: class.clone(),
                 object: object.clone(),
-                covariance: covariance.map(|c| c.as_flattened().to_vec()),
+                covariance: covariance.map(|c| c.as_rows().as_flattened().to_vec()),
             },
             Change::Group(changes) => {
                 Self::Group { changes: changes.iter().map(|c| Self::of(c, number_of)).collect::<Result<_>>()? }
@@ -289,10 +289,6 @@ pub(super) fn pose_of(numbers: &[f64]) -> Result<Pose> {
     Ok(pose)
 }
 
-pub(super) fn covariance_of(fields: Option<Vec<f64>>) -> Result<Option<[[f64; 6]; 6]>> {
-    let Some(fields) = fields else { return Ok(None) };
-    if fields.len() != 36 {
-        return Err(Error::invalid(format!("the covariance has {} numbers", fields.len()), "give 36, row by row"));
-    }
-    Ok(Some(std::array::from_fn(|i| std::array::from_fn(|j| fields[6 * i + j]))))
+pub(super) fn covariance_of(fields: Option<Vec<f64>>) -> Result<Option<PoseCovariance<InObject>>> {
+    fields.map(|fields| PoseCovariance::unchecked_row_major(&fields)).transpose()
 }

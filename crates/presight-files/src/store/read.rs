@@ -9,7 +9,7 @@ use crate::layer::{FeatureFields, from_fields};
 use glam::DAffine3;
 use presight_model::environment::{Environment, Feature, FeatureLayer, NewObject};
 use presight_model::error::{Error, Result};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{InObject, Pose, PoseCovariance};
 use presight_model::index::Trees;
 use presight_model::memory;
 use presight_model::threads::in_place_scope;
@@ -31,7 +31,7 @@ pub(super) struct StoreVersion {
 /// Reads the store in the caller's transaction. `with_trees` also builds trees for the meshes, which indexing needs.
 pub(super) fn load(connection: &Connection, path: &Path, with_trees: bool) -> Result<StoreVersion> {
     let reader = Reader { connection, path, with_trees, digest: std::cell::Cell::default() };
-    reader.load().map_err(|e| e.in_file(path))
+    reader.load()
 }
 
 pub(super) struct Reader<'a> {
@@ -167,7 +167,7 @@ impl Reader<'_> {
         self.each("layers", "class, tolerance, pose_covariances, hash", |row| {
             let (class, tolerance, covariances): (String, String, String) = (get(row, 0)?, get(row, 1)?, get(row, 2)?);
             self.prove(layer_hash(&class, &tolerance, &covariances), get(row, 3)?)?;
-            let pose_covariances: Vec<(String, [[f64; 6]; 6])> = from_json(&covariances)?;
+            let pose_covariances: Vec<(String, PoseCovariance<InObject>)> = from_json(&covariances)?;
             let tolerance = from_json(&tolerance)?;
             let layer = FeatureLayer { class: class.clone(), tolerance, pose_covariances, features: Vec::new() };
             layers.insert(class, layer);

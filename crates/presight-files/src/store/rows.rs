@@ -65,7 +65,7 @@ impl Meta {
         let mut rows = rows.map_err(|e| refusal(path, "read the store", e))?;
         match rows.pop().filter(|(meta, hash)| rows.is_empty() && meta.hash() == *hash) {
             Some((meta, _)) => Ok(meta),
-            None => Err(damaged("table meta does not match its hash").in_file(path)),
+            None => Err(damaged("table meta does not match its hash")),
         }
     }
 

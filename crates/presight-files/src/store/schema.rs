@@ -1,6 +1,5 @@
 //! The tables, opening a store, and SQLite's errors as ours.
 
-use crate::inputs;
 use presight_model::error::{Error, ErrorKind, Result};
 use rusqlite::{Connection, ErrorCode, OpenFlags};
 use std::path::Path;
@@ -69,14 +68,17 @@ pub(super) enum Access {
 
 /// Opens a store. For writing, its tables must match [`FORMAT`].
 pub(super) fn connect(path: &Path, access: Access) -> Result<Connection> {
-    inputs::note(path);
+    connect_unnamed(path, access).map_err(|e| e.in_file(path))
+}
+
+fn connect_unnamed(path: &Path, access: Access) -> Result<Connection> {
     let metadata = std::fs::metadata(path).map_err(|e| Error::io(path, "open the store", e))?;
     if !metadata.is_file() {
-        return Err(Error::invalid("this is not a file", "name a .presight file").in_file(path));
+        return Err(Error::invalid("this is not a file", "name a .presight file"));
     }
     if metadata.len() == 0 {
         // Virtual files of the operating system, such as those in /proc, report length 0 and may block a reader.
-        return Err(Error::invalid("the file is empty", "name a .presight file").in_file(path));
+        return Err(Error::invalid("the file is empty", "name a .presight file"));
     }
     let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
     let wrap = |e| refusal(path, "open the store", e);
@@ -105,21 +107,21 @@ pub(super) fn check_identity(connection: &Connection, path: &Path) -> Result<()>
     let application: i32 = pragma(connection, "application_id").map_err(wrap)?;
     if application != APPLICATION_ID {
         let what = "this SQLite file is not a presight store";
-        return Err(Error::invalid(what, "presight env create makes one").in_file(path));
+        return Err(Error::invalid(what, "presight env create makes one"));
     }
     let version: i32 = pragma(connection, "user_version").map_err(wrap)?;
     if version > FORMAT {
         let what = format!("format {version} is newer than this presight, which reads format {FORMAT}");
-        return Err(Error::new(ErrorKind::Unsupported, what, "update presight").in_file(path));
+        return Err(Error::new(ErrorKind::Unsupported, what, "update presight"));
     }
     if version < 1 {
-        return Err(damaged(format!("format {version} never existed")).in_file(path));
+        return Err(damaged(format!("format {version} never existed")));
     }
     if version < FORMAT {
         let what = format!("format {version} is older than the first release and is no longer supported");
         let remedy =
             "create it again with presight env create, from its scene or an export by the version that wrote it";
-        return Err(Error::new(ErrorKind::Unsupported, what, remedy).in_file(path));
+        return Err(Error::new(ErrorKind::Unsupported, what, remedy));
     }
     let mut statement = connection.prepare("SELECT type, name, sql FROM sqlite_schema ORDER BY name").map_err(wrap)?;
     let columns = |row: &rusqlite::Row<'_>| Ok((row.get(0)?, row.get(1)?, row.get(2)?));
@@ -130,7 +132,7 @@ pub(super) fn check_identity(connection: &Connection, path: &Path) -> Result<()>
             .iter()
             .zip(TABLES)
             .all(|((kind, name, sql), (table, text))| kind == "table" && name == table && sql.as_deref() == Some(text));
-    if same { Ok(()) } else { Err(damaged(format!("its tables do not match format {FORMAT}")).in_file(path)) }
+    if same { Ok(()) } else { Err(damaged(format!("its tables do not match format {FORMAT}"))) }
 }
 
 /// Makes commits durable: when one returns, the data and the deletion of the journal are on disk.
@@ -138,16 +140,14 @@ fn make_durable(connection: &Connection, path: &Path) -> Result<()> {
     let wrap = |e| refusal(path, "open the store for writing", e);
     if connection.is_readonly("main").map_err(wrap)? {
         let what = "the store is read-only";
-        return Err(
-            Error::new(ErrorKind::System, what, "check the permissions of the file and its folder").in_file(path)
-        );
+        return Err(Error::new(ErrorKind::System, what, "check the permissions of the file and its folder"));
     }
     let mode: String = connection.query_row("PRAGMA journal_mode = DELETE", [], |row| row.get(0)).map_err(wrap)?;
     connection.execute_batch("PRAGMA synchronous = EXTRA; PRAGMA cache_size = -16384;").map_err(wrap)?;
     let synchronous: i64 = pragma(connection, "synchronous").map_err(wrap)?;
     if mode != "delete" || synchronous != 3 {
         let what = format!("journal mode {mode}, synchronous {synchronous}: changes would not be durable");
-        return Err(Error::new(ErrorKind::System, what, "close other programs that use the store").in_file(path));
+        return Err(Error::new(ErrorKind::System, what, "close other programs that use the store"));
     }
     Ok(())
 }
@@ -164,11 +164,10 @@ pub(super) fn refusal(path: &Path, doing: &str, e: rusqlite::Error) -> Error {
     let said = e.to_string();
     let moved = e.sqlite_error().is_some_and(|e| e.extended_code == rusqlite::ffi::SQLITE_READONLY_DBMOVED);
     let unopened = matches!(e.sqlite_error_code(), Some(ErrorCode::ReadOnly | ErrorCode::CannotOpen));
-    if moved || unopened && !path.exists() {
-        let what = "it was moved, replaced or deleted while it was open";
-        return system(what, "open it again at its new path").in_file(path).caused_by(e);
-    }
     let error = match e.sqlite_error_code() {
+        _ if moved || unopened && !path.exists() => {
+            system("it was moved, replaced or deleted while it was open", "open it again at its new path")
+        }
         Some(ErrorCode::DatabaseBusy | ErrorCode::DatabaseLocked | ErrorCode::FileLockingProtocolFailed) => system(
             "another program has it open, for writing or reading (locked)",
             "wait until that program ends, or stop it",

@@ -98,8 +98,8 @@ impl<'a> Batch<'a> {
     /// and altered features must lie on polygons, as in [`World::apply`].
     ///
     /// # Errors
-    /// As [`World::apply`]; [`crate::ErrorKind::Invalid`] if the id belongs to another change. Earlier changes then
-    /// stay in the batch. If writing to the store fails, the whole batch is undone.
+    /// As [`World::apply`]; [`presight_model::ErrorKind::Invalid`] if the id belongs to another change. Earlier changes
+    /// then stay in the batch. If writing to the store fails, the whole batch is undone.
     pub fn apply(&mut self, change: Change, note: &Note) -> Result<u64> {
         self.record(change, note, &Entry { placed: Some(RestoreCheck::LetBe), ..Entry::default() })
     }
@@ -159,13 +159,13 @@ impl<'a> Batch<'a> {
     /// log, and true if it is new.
     ///
     /// # Errors
-    /// As [`Batch::apply`], where restored features must also lie on polygons; [`crate::ErrorKind::Invalid`] if the
-    /// line is not a valid change.
+    /// As [`Batch::apply`], where restored features must also lie on polygons; [`presight_model::ErrorKind::Invalid`]
+    /// if the line is not a valid change.
     pub fn apply_line(&mut self, line: &str, folder: &Path, note: &Note) -> Result<(u64, bool)> {
         let wrong = |e: serde_json::Error| {
             let what = e.to_string();
             let what = what.split(" at line ").next().unwrap_or(&what).to_owned();
-            Error::invalid(what, "presight env apply --help lists the changes").caused_by(e)
+            Error::invalid(what, "the help of presight env apply lists the changes").caused_by(e)
         };
         check_json_memory(line)?;
         let UniqueKeys(mut value) = serde_json::from_str(line).map_err(wrong)?;
@@ -211,7 +211,8 @@ impl<'a> Batch<'a> {
     /// Makes all changes durable. They are on disk when this returns.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::System`] if the commit fails; world and store then return to their state before the batch.
+    /// [`presight_model::ErrorKind::System`] if the commit fails; world and store then return to their state before the
+    /// batch.
     pub fn commit(mut self) -> Result<()> {
         if !self.open {
             return Ok(());

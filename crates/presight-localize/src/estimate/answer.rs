@@ -2,9 +2,8 @@
 
 use super::normal::{CommonError, Freedom, Normal};
 use crate::extract::Findings;
-use crate::motion::turn;
 use crate::verdict::Verdicts;
-use presight_model::geometry::Pose;
+use presight_model::geometry::{InObject, Pose, PoseCovariance, PoseEstimate};
 use presight_model::matrix::{
     Matrix, add_to, directions, inverse, product, quadratic, restricted, sandwich, scaled, transposed,
 };
@@ -46,12 +45,8 @@ pub struct WeakDirection {
 /// The robot's pose, and what is known of it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Estimate {
-    /// world_from_robot.
-    pub pose: Pose,
-    /// x y z, then rotation about fixed x y z, world axes, row by row; metres and radians. Of the numbers that were looked for.
-    pub covariance: Matrix,
-    /// Information of measurement and prior as independent errors would have it; not the inverse of `covariance`.
-    pub information: Matrix,
+    /// The pose; variances of numbers that were not estimated are 0.
+    pub pose: PoseEstimate,
     /// Directions in which the measurement says little.
     pub weak: Vec<WeakDirection>,
     /// Verdicts on each frame of ranges; empty if no frame measured anything.
@@ -89,9 +84,8 @@ impl Estimate {
 
     /// The robot's pose in the frame of an object, and its covariance along the object's axes: what a robot that docks has to know.
     /// The object's own error is in it unless the estimate was made with [`super::EstimateOptions::only`].
-    pub fn relative_to(&self, world_from_object: &Pose) -> (Pose, Matrix) {
-        let object_from_world = world_from_object.inverse();
-        (object_from_world * self.pose, sandwich(&turn(object_from_world.rotation), &self.covariance))
+    pub fn relative_to(&self, world_from_object: &Pose) -> (Pose, PoseCovariance<InObject>) {
+        self.pose.in_object(world_from_object)
     }
 }
 

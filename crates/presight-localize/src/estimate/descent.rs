@@ -159,7 +159,7 @@ fn sources<'a>(run: &'a Run<'_>, expected: &'a [ExpectedImage]) -> Vec<RangeSour
 fn step(normal: &Normal, run: &Run<'_>, pose: &Pose, freedom: Freedom) -> Vector {
     let axes = freedom.axes();
     let (mut h, mut g) = (restricted(&normal.information, axes), normal.gradient);
-    let off = motion_between(&run.prior.pose, pose);
+    let off = motion_between(&run.prior.world_from_robot, pose);
     add_to(&mut h, &run.prior_information);
     let pull = apply(&run.prior_information, &off);
     (0..6).for_each(|i| g[i] += pull[i]);

@@ -4,12 +4,12 @@ use super::image::{ImageSource, SeenPoint, SeenSegment};
 use crate::extract::{FindOptions, Findings, find_features};
 use crate::matching::Shape;
 use glam::{DMat2, DMat3, DVec2, DVec3};
-use presight_features::{BoxOptions, FeatureOptions, FeatureSource, sensor_covariance};
+use presight_features::{BoxOptions, FeatureOptions, FeatureSource};
 use presight_model::environment::{Feature, FeatureShape};
 use presight_model::error::{Error, Result};
-use presight_model::frame::Frame;
-use presight_model::geometry::Pose;
+use presight_model::geometry::PoseEstimate;
 use presight_model::matrix::Matrix;
+use presight_model::measured::Frame;
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_predict::predict::Predictor;
@@ -47,14 +47,12 @@ pub(super) fn reflectors<'a>(
     })
 }
 
-/// What a grey image, or a scan with intensities, shows of the features that are predicted at a pose of the robot, which is known as well as
-/// the covariance says. `unstated` is how far a reflector may be off whose layer does not say it, one standard deviation, metres.
+/// What a grey image, or a scan with intensities, shows of the features that are predicted at a pose of the robot. `unstated` is how far a reflector may be off whose layer does not say it, one standard deviation, metres.
 pub(super) fn find_at(
     predictor: &mut Predictor,
     (world, features): (&World, &FeatureOptions),
     frame: &Frame,
-    world_from_robot: &Pose,
-    covariance: &Matrix,
+    robot: &PoseEstimate,
     unstated: f64,
 ) -> Result<Findings> {
     let sensor = frame.sensor();
@@ -65,7 +63,7 @@ pub(super) fn find_at(
         return Err(Error::usage(what, "give a layer of features (presight features generates one)"));
     }
     let mount = sensor.spec().mount;
-    let mut of_sensor = sensor_covariance(covariance, world_from_robot.rotation * mount.translation);
+    let mut of_sensor = robot.sensor_covariance(&mount);
     let mut options = FindOptions::default();
     if is_scan {
         (0..3).for_each(|i| of_sensor[i][i] += unstated * unstated);
@@ -75,7 +73,7 @@ pub(super) fn find_at(
     let request = Request::of(Outputs::of(&[]))
         .with_features(features.clone())
         .with_regions(BoxOptions::default().with_sensor(of_sensor));
-    let world_from_sensor = *world_from_robot * mount;
+    let world_from_sensor = robot.world_from_sensor(&mount);
     let mut predicted = predictor.predict(world, sensor, &world_from_sensor, &request)?.features.unwrap_or_default();
     if is_scan {
         predicted.features.retain(|seen| matches!(seen.feature.shape, FeatureShape::Reflector { .. }));

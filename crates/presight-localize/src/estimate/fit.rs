@@ -2,19 +2,17 @@
 
 use super::answer::{covariance, weak_directions};
 use super::normal::{CommonError, Freedom, Normal};
-use super::{Gate, Kernel, Prior, Residuals, WeakDirection};
+use super::{Gate, Kernel, Residuals, WeakDirection, prior};
 use crate::motion::{motion_between, moved};
 use presight_model::error::Result;
-use presight_model::geometry::Pose;
-use presight_model::matrix::{Matrix, add_to, apply, inverse, restricted};
+use presight_model::geometry::{PoseCovariance, PoseEstimate};
+use presight_model::matrix::{add_to, apply, inverse, restricted};
 
 /// A pose, and how well it is known.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Fit {
-    /// world_from_robot.
-    pub pose: Pose,
-    /// x y z, then rotation about fixed x y z, world axes; metres and radians. Each residual has its own error here.
-    pub covariance: Matrix,
+    /// The pose. Each residual counts with an error of its own.
+    pub pose: PoseEstimate,
     /// Directions in which the sources say less than was known before.
     pub weak: Vec<WeakDirection>,
     /// Residuals that the pose explains, of those measured.
@@ -31,14 +29,15 @@ const LOOSEST: f64 = 0.5;
 /// The pose that fits the sources and the prior best: Gauss and Newton, wide at first, outliers without weight at last.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Usage`] for a prior whose covariance is none.
-pub fn fit(sources: &[&dyn Residuals], prior: &Prior, freedom: Freedom) -> Result<Fit> {
-    prior.check(freedom)?;
+/// [`presight_model::ErrorKind::Usage`] for a prior whose covariance is none.
+pub fn fit(sources: &[&dyn Residuals], known: &PoseEstimate, freedom: Freedom) -> Result<Fit> {
+    prior::check(known, freedom)?;
     let axes = freedom.axes();
-    let known = inverse(&prior.covariance, axes);
+    let covariance_before = known.covariance.as_rows();
+    let information = inverse(covariance_before, axes);
     let sigma =
-        |from: usize| axes.iter().filter(|i| **i / 3 == from).map(|i| prior.covariance[*i][*i]).sum::<f64>().sqrt();
-    let (mut pose, mut factor, mut spread) = (prior.pose, 1.0, 1.0f64);
+        |from: usize| axes.iter().filter(|i| **i / 3 == from).map(|i| known.covariance[*i][*i]).sum::<f64>().sqrt();
+    let (mut pose, mut factor, mut spread) = (known.world_from_robot, 1.0, 1.0f64);
     for k in 0..STEPS.0 {
         let last = k + 1 == STEPS.0;
         let kernel = if k < STEPS.1 { Kernel::Wide } else { Kernel::Redescending { spread } };
@@ -49,16 +48,16 @@ pub fn fit(sources: &[&dyn Residuals], prior: &Prior, freedom: Freedom) -> Resul
         spread = (1.4826 * normal.spread).clamp(1.0, 3.0);
         if last {
             let none = |_: CommonError| [[0.0; 6]; 6];
+            let rows = covariance(&normal, Some(&information), freedom, spread, &none);
             return Ok(Fit {
-                pose,
-                covariance: covariance(&normal, Some(&known), freedom, spread, &none),
-                weak: weak_directions(&normal, Some(&prior.covariance), freedom, REACH, spread, LOOSEST, &none),
+                pose: PoseEstimate::new(pose, PoseCovariance::from_rows(rows)),
+                weak: weak_directions(&normal, Some(covariance_before), freedom, REACH, spread, LOOSEST, &none),
                 explained: (normal.explained, normal.measured),
             });
         }
         let (mut h, mut g) = (restricted(&normal.information, axes), normal.gradient);
-        add_to(&mut h, &known);
-        let pull = apply(&known, &motion_between(&prior.pose, &pose));
+        add_to(&mut h, &information);
+        let pull = apply(&information, &motion_between(&known.world_from_robot, &pose));
         (0..6).for_each(|i| g[i] += pull[i]);
         pose = moved(&pose, &apply(&inverse(&h, axes), &g).map(|x| -x));
         factor = (0.7 * factor).max(0.1);

@@ -3,36 +3,6 @@
 //! An [`Estimator`] predicts at the pose that was known before, compares, moves, and predicts once more. The prior is a residual like
 //! all others (the form of an iterated extended Kalman filter). The covariance knows that beams share the errors of surfaces, and
 //! directions that the measurement leaves open are named. See `docs/design/localization.md` for the maths.
-//!
-//! # Examples
-//! A scanner at the origin has a corner before it: walls at x = 3 and y = 2. It stands 2 cm farther forward than it believes.
-//! ```
-//! use presight::estimate::{EstimateOptions, Estimator, Freedom, Prior};
-//! use presight::simulate::{Disturbances, Simulator};
-//! use presight::{Material, Mesh, NewObject, Options, Polygon, PolygonOrder, Pose, Predictor, World};
-//! use glam::{DVec3, Vec3};
-//! use std::sync::Arc;
-//!
-//! let mut environment = presight::Environment::new();
-//! let paint = environment.add_material(Material::named("paint"))?;
-//! for (name, a, b) in [("ahead", [3.0, -4.0], [3.0, 2.0]), ("left", [3.0, 2.0], [-4.0, 2.0])] {
-//!     let corners = [[a[0], a[1], 0.0], [b[0], b[1], 0.0], [b[0], b[1], 2.0], [a[0], a[1], 2.0]].map(Vec3::from);
-//!     let mesh = Mesh::new(name, corners.to_vec(), vec![Polygon::new(vec![0, 1, 2, 3], paint)], PolygonOrder::Given)?;
-//!     environment.insert(NewObject::new(name, Pose::IDENTITY, Arc::new(mesh)))?;
-//! }
-//! let world = World::new(environment);
-//! let scanner = presight::preset("laser-scanner")?;
-//! let predictor = || Predictor::new(Options::default());
-//!
-//! let truth = Pose::from_xyz_rpy(DVec3::new(0.02, 0.0, 0.5), 0.0, 0.0, 0.01);
-//! let frame = Simulator::new(predictor()?, scanner, Disturbances::default(), 1)?.frame(&world, 0.0, &truth)?;
-//! let believed = Pose::from_xyz_rpy(DVec3::new(0.0, 0.0, 0.5), 0.0, 0.0, 0.0);
-//! let options = EstimateOptions { freedom: Freedom::Planar, ..EstimateOptions::default() };
-//! let found = Estimator::new(predictor()?, options).estimate(&world, &[&frame], &Prior::of_sigmas(believed, 0.05, 0.03))?;
-//! assert!(found.is_determined() && found.weak.is_empty());
-//! assert!((found.pose.translation.x - 0.02).abs() < 4.0 * found.covariance[0][0].sqrt());
-//! # Ok::<(), presight::Error>(())
-//! ```
 
 mod answer;
 mod descent;
@@ -53,7 +23,6 @@ pub use answer::{Estimate, EstimateState, Hypothesis, WeakDirection};
 pub use fit::{Fit, fit};
 pub use image::{ImageSource, SeenPoint, SeenSegment};
 pub use normal::{CommonError, Freedom, GroupSum, Normal};
-pub use prior::Prior;
 pub use range::{MeasuredPoint, RangeSource, measured_points};
 pub use solve::drawn;
 pub use solve::{EstimateOptions, Estimator};

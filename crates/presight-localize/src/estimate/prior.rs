@@ -1,51 +1,33 @@
-//! What was known of a pose before.
+//! Checks what was known of a pose before.
 
 use super::Freedom;
 use presight_model::error::{Error, Result};
-use presight_model::geometry::Pose;
-use presight_model::matrix::{Matrix, eigen, restricted};
+use presight_model::geometry::PoseEstimate;
+use presight_model::matrix::{eigen, restricted};
 
-/// What was known of the pose before.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Prior {
-    /// world_from_robot.
-    pub pose: Pose,
-    /// x y z, then rotation about fixed x y z, world axes, row by row; metres and radians.
-    pub covariance: Matrix,
-}
-
-impl Prior {
-    /// With the same standard deviation along each axis, metres, and about each, radians.
-    pub fn of_sigmas(pose: Pose, translation: f64, rotation: f64) -> Self {
-        let sigma = |i: usize| if i < 3 { translation } else { rotation };
-        let covariance = std::array::from_fn(|i| std::array::from_fn(|j| if i == j { sigma(i).powi(2) } else { 0.0 }));
-        Self { pose, covariance }
+/// # Errors
+/// [`crate::ErrorKind::Usage`] unless the covariance is symmetric and positive on the axes that are estimated.
+pub(super) fn check(prior: &PoseEstimate, freedom: Freedom) -> Result<()> {
+    prior.world_from_robot.check()?;
+    let c = prior.covariance.as_rows();
+    let wrong = |what: &str| {
+        let remedy = "give a symmetric matrix with positive variances, metres and radians";
+        Err(Error::usage(format!("the covariance of the prior {what}"), remedy))
+    };
+    if !c.as_flattened().iter().all(|x| x.is_finite()) {
+        return wrong("is not finite");
     }
-
-    pub(super) fn check(&self, freedom: Freedom) -> Result<()> {
-        self.pose.check()?;
-        let c = &self.covariance;
-        let wrong = |what: &str| {
-            let remedy = "give a symmetric matrix with positive variances, metres and radians";
-            Err(Error::usage(format!("the covariance of the prior {what}"), remedy))
-        };
-        if !c.as_flattened().iter().all(|x| x.is_finite()) {
-            return wrong("is not finite");
-        }
-        let scale = |i: usize, j: usize| (c[i][i].abs() * c[j][j].abs()).sqrt();
-        if (0..6).any(|i| (0..i).any(|j| (c[i][j] - c[j][i]).abs() > 1e-6 * scale(i, j) + 1e-300)) {
-            return wrong("is not symmetric");
-        }
-        let correlations = restricted(
-            &std::array::from_fn(|i| {
-                std::array::from_fn(|j| if scale(i, j) > 0.0 { c[i][j] / scale(i, j) } else { 0.0 })
-            }),
-            freedom.axes(),
-        );
-        let (values, _) = eigen(correlations, 6);
-        if freedom.axes().iter().any(|i| !(c[*i][*i] > 0.0)) || values.iter().any(|v| *v < -1e-9) {
-            return wrong("is not positive");
-        }
-        Ok(())
+    let scale = |i: usize, j: usize| (c[i][i].abs() * c[j][j].abs()).sqrt();
+    if (0..6).any(|i| (0..i).any(|j| (c[i][j] - c[j][i]).abs() > 1e-6 * scale(i, j) + 1e-300)) {
+        return wrong("is not symmetric");
     }
+    let correlations = restricted(
+        &std::array::from_fn(|i| std::array::from_fn(|j| if scale(i, j) > 0.0 { c[i][j] / scale(i, j) } else { 0.0 })),
+        freedom.axes(),
+    );
+    let (values, _) = eigen(correlations, 6);
+    if freedom.axes().iter().any(|i| !(c[*i][*i] > 0.0)) || values.iter().any(|v| *v < -1e-9) {
+        return wrong("is not positive");
+    }
+    Ok(())
 }

@@ -6,12 +6,11 @@
 
 use super::normal::{CommonError, GroupSum, Normal};
 use super::{Gate, Kernel, Residuals};
-use crate::motion::turn;
 use crate::verdict::{ExpectedImage, ExpectedPixel, LANES, ObjectError, body_from_image};
 use glam::{DAffine3, DVec3, Vec3};
-use presight_model::frame::{Frame, RangeNoise};
 use presight_model::geometry::Pose;
-use presight_model::matrix::{Matrix, add_to, apply, product, sandwich};
+use presight_model::matrix::{Matrix, add_to, apply, product, sandwich, turn};
+use presight_model::measured::{Frame, RangeNoise};
 use presight_model::threads::parallel_or_here;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, HashMap};

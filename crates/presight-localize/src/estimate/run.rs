@@ -1,6 +1,5 @@
 //! One estimate under way: what is compared, what was known before, and where iterations came to rest.
 
-use super::Prior;
 use super::answer::Hypothesis;
 use super::normal::Normal;
 use super::range::MeasuredPoint;
@@ -8,9 +7,9 @@ use super::solve::length;
 use crate::extract::Findings;
 use crate::motion::{motion_between, moved};
 use crate::verdict::ExpectedImage;
-use presight_model::frame::{Frame, RangeNoise};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, PoseEstimate};
 use presight_model::matrix::{Matrix, quadratic};
+use presight_model::measured::{Frame, RangeNoise};
 use presight_model::world::World;
 use std::sync::Arc;
 
@@ -59,7 +58,7 @@ pub(super) struct Run<'a> {
     pub(super) model_sigma: f64,
     /// Standard deviation of the offsets of polygons, as far as it was learnt, metres.
     pub(super) offset_sigma: f64,
-    pub(super) prior: Prior,
+    pub(super) prior: PoseEstimate,
     pub(super) prior_information: Matrix,
     /// Most squared deviations from the prior that are to be expected.
     pub(super) unlikely: f64,
@@ -88,7 +87,7 @@ impl Run<'_> {
 
     /// Squared deviations of a pose from the prior.
     pub(super) fn deviations_squared(&self, pose: &Pose) -> f64 {
-        quadratic(&self.prior_information, &motion_between(&self.prior.pose, pose))
+        quadratic(&self.prior_information, &motion_between(&self.prior.world_from_robot, pose))
     }
 
     /// True if the robot hardly is at a pose, by what was known before.
@@ -102,7 +101,7 @@ impl Run<'_> {
         if most >= 1.0 {
             return *pose;
         }
-        moved(&self.prior.pose, &motion_between(&self.prior.pose, pose).map(|x| most * x))
+        moved(&self.prior.world_from_robot, &motion_between(&self.prior.world_from_robot, pose).map(|x| most * x))
     }
 
     /// The share of the points that a minimum explains, less what another may lead by if it is an unlikely one.

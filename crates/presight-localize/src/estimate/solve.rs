@@ -1,24 +1,24 @@
 //! The iteration: predict, compare, move, twice; and again from elsewhere where that explains too little.
 
-use super::Prior;
 use super::answer::{Estimate, EstimateState, Hypothesis, covariance, weak_directions};
 use super::descent::{LOOK, NEAR, SEARCH, SETTLE, Schedule, descend, serves};
 use super::findings::{find_at, has_reflectors, place_error, reflectors};
 use super::normal::{CommonError, Freedom, Normal};
 use super::offsets::OffsetVariance;
+use super::prior;
 use super::range::measured_points;
 use super::reflectors::{MatchedReflectors, hold, other_camp};
 use super::run::{Expectation, FrameMeasurement, LEAD, Minimum, Run};
 use crate::extract::{Findings, MeasuredRanges};
 use crate::matching::{Shape, chi_squared_quantile};
 use crate::motion::{Vector, motion_between, moved};
-use crate::verdict::{ExpectedImage, Surfaces, Uncertainty, Verdicts, body_from_image, judge};
+use crate::verdict::{ExpectedImage, Surfaces, Verdicts, body_from_image, judge};
 use glam::DVec3;
 use presight_features::{FeatureOptions, PlacedFeatures};
 use presight_model::error::{Error, Result};
-use presight_model::frame::{Frame, RangeNoise};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate};
 use presight_model::matrix::{Matrix, add_to, eigen, inverse, quadratic, restricted, scaled};
+use presight_model::measured::{Frame, RangeNoise};
 use presight_model::random::SplitMix64;
 use presight_model::world::World;
 use presight_predict::predict::Predictor;
@@ -27,6 +27,7 @@ use std::sync::Arc;
 
 /// How an [`Estimator`] works.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct EstimateOptions {
     /// Which numbers of the pose are looked for.
     pub freedom: Freedom,
@@ -59,6 +60,17 @@ impl Default for EstimateOptions {
     }
 }
 
+crate::options::with_options!(
+    EstimateOptions:
+    with_freedom freedom: Freedom,
+    with_least_explained least_explained: f64,
+    with_most_predictions most_predictions: usize,
+    with_model_sigma model_sigma: f64,
+    with_offset_sigma offset_sigma: f64,
+    with_loosest loosest: f64,
+    with_only only: Option<u32>,
+);
+
 impl EstimateOptions {
     /// For a level scanner of one row on a level floor. Plans and maps of buildings are off by centimetres, and a row meets much
     /// that they leave out.
@@ -76,9 +88,11 @@ impl EstimateOptions {
 
 /// Estimates poses from frames, one after the other.
 pub struct Estimator {
+    /// Makes the predictions.
     pub predictor: Predictor,
     surfaces: Surfaces,
     features: FeatureOptions,
+    /// The options.
     pub options: EstimateOptions,
     /// Of the offsets of polygon groups.
     offsets: OffsetVariance,
@@ -86,7 +100,7 @@ pub struct Estimator {
     before: Option<(u64, Arc<Expectation>)>,
 }
 
-/// Prior standard deviations that the first gate is wide.
+/// PoseEstimate standard deviations that the first gate is wide.
 const GATE: f64 = 1.75;
 /// Starts that are drawn from the prior in one go.
 const DRAWS: usize = 16;
@@ -130,25 +144,25 @@ impl Estimator {
     /// Where the robot is, by frames of its sensors taken at one time: ranges, and grey images in which features are looked for.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] without a frame, for a prior that is none, and for a grey image without features to look for;
-    /// those of [`Predictor::predict`].
-    pub fn estimate(&mut self, world: &World, frames: &[&Frame], prior: &Prior) -> Result<Estimate> {
+    /// [`presight_model::ErrorKind::Usage`] without a frame, for a prior that is none, and for a grey image without
+    /// features to look for; those of [`Predictor::predict`].
+    pub fn estimate(&mut self, world: &World, frames: &[&Frame], prior: &PoseEstimate) -> Result<Estimate> {
         // One hand-over to the threads: one for each part of it costs as much as the parts of a scan.
         let threads = self.predictor.task_threads()?;
         threads.run(|| self.estimate_here(world, frames, prior))?
     }
 
-    fn estimate_here(&mut self, world: &World, frames: &[&Frame], prior: &Prior) -> Result<Estimate> {
+    fn estimate_here(&mut self, world: &World, frames: &[&Frame], prior: &PoseEstimate) -> Result<Estimate> {
         let mut run = self.start(world, frames, prior)?;
         if run.is_blind() {
             return Ok(self.blind(&run));
         }
         let expected = match self.at_hand(&run) {
             Some(before) => before,
-            None => self.expected(&mut run, &prior.pose, &prior.covariance)?,
+            None => self.expected(&mut run, prior)?,
         };
         run.first = Some(expected.clone());
-        let found = self.descend(&run, &expected, prior.pose, &SEARCH);
+        let found = self.descend(&run, &expected, prior.world_from_robot, &SEARCH);
         let mut best = self.settle(&mut run, &found)?;
         // What was matched in grey images is matched from another start, too.
         let reflectors = MatchedReflectors::at(&run, &best.expected, &best.pose).counts();
@@ -173,8 +187,10 @@ impl Estimator {
         let (_, before) = self.before.as_ref().filter(|(stamp, _)| *stamp == run.world.stamp())?;
         let near = |(e, m): (&ExpectedImage, &FrameMeasurement<'_>)| {
             let sensor = m.frame.sensor();
-            let off =
-                motion_between(&e.world_from_image, &(run.prior.pose * sensor.spec().mount * body_from_image(sensor)));
+            let off = motion_between(
+                &e.world_from_image,
+                &(run.prior.world_from_robot * sensor.spec().mount * body_from_image(sensor)),
+            );
             e.sensor.spec() == sensor.spec() && length(&off[..3]) < LOOSE.0 && length(&off[3..]) < LOOSE.1
         };
         let same = run.looked.is_empty() && before.images.len() == run.measured.len();
@@ -182,13 +198,13 @@ impl Estimator {
     }
 
     /// The minimum that the prior's pose leads to, whatever it explains: nothing else is looked for, and nothing is learnt.
-    pub(crate) fn refine(&mut self, world: &World, frame: &Frame, prior: &Prior) -> Result<Estimate> {
+    pub(crate) fn refine(&mut self, world: &World, frame: &Frame, prior: &PoseEstimate) -> Result<Estimate> {
         let mut run = self.start(world, &[frame], prior)?;
         if run.is_blind() {
             return Ok(self.blind(&run));
         }
-        let expected = self.expected(&mut run, &prior.pose, &prior.covariance)?;
-        let found = self.descend(&run, &expected, prior.pose, &SEARCH);
+        let expected = self.expected(&mut run, prior)?;
+        let found = self.descend(&run, &expected, prior.world_from_robot, &SEARCH);
         let end = self.settle(&mut run, &found)?;
         self.answer(&run, end, Vec::new())
     }
@@ -198,8 +214,8 @@ impl Estimator {
         reflectors(world, &self.features, frame).collect()
     }
 
-    fn start<'a>(&mut self, world: &'a World, frames: &[&'a Frame], prior: &Prior) -> Result<Run<'a>> {
-        prior.check(self.options.freedom)?;
+    fn start<'a>(&mut self, world: &'a World, frames: &[&'a Frame], prior: &PoseEstimate) -> Result<Run<'a>> {
+        prior::check(prior, self.options.freedom)?;
         if frames.is_empty() {
             return Err(Error::usage("an estimate without a frame", "give at least one"));
         }
@@ -221,7 +237,7 @@ impl Estimator {
             model_sigma: self.options.model_sigma,
             offset_sigma: self.offsets.sigma(),
             prior: *prior,
-            prior_information: inverse(&prior.covariance, axes),
+            prior_information: inverse(prior.covariance.as_rows(), axes),
             unlikely: chi_squared_quantile(axes.len() as u32, UNLIKELY.0),
             extent: (GATE * sigma(0), (GATE * sigma(1)).min(1.0)),
             only: self.options.only,
@@ -241,9 +257,9 @@ impl Estimator {
         let reflectors = MatchedReflectors::at(run, &best.expected, &best.pose).counts();
         let ends = if reflectors.1 > 0 {
             // What was matched here would pull back from where other reflectors stand alike, and ranges alone may not hold a start.
-            let around = scaled(&run.prior.covariance, 0.25);
+            let around = PoseCovariance::from_rows(scaled(run.prior.covariance.as_rows(), 0.25));
             let look = |start: &Pose| -> Result<Minimum> {
-                let expected = self.expected(run, start, &around)?;
+                let expected = self.expected(run, &PoseEstimate::new(*start, around))?;
                 Ok(self.descend(run, &expected, *start, &SEARCH))
             };
             starts.iter().map(look).collect::<Result<Vec<Minimum>>>()?
@@ -273,18 +289,18 @@ impl Estimator {
         Ok(others)
     }
 
-    /// Predicts all sensors at a pose that is known as well as the covariance says.
-    fn expected(&mut self, run: &mut Run<'_>, pose: &Pose, covariance: &Matrix) -> Result<Arc<Expectation>> {
+    /// Predicts all sensors at a pose of the robot.
+    fn expected(&mut self, run: &mut Run<'_>, robot: &PoseEstimate) -> Result<Arc<Expectation>> {
         run.predictions += 1;
         let one = |m: &FrameMeasurement<'_>| {
             let sensor = m.frame.sensor();
-            let world_from_sensor = *pose * sensor.spec().mount;
-            ExpectedImage::predict(&mut self.predictor, run.world, &mut self.surfaces, sensor, &world_from_sensor)
+            let pose = &robot.world_from_robot;
+            ExpectedImage::predict(&mut self.predictor, run.world, &mut self.surfaces, sensor, pose)
         };
         let images = run.measured.iter().map(one).collect::<Result<Vec<ExpectedImage>>>()?;
         let unstated = run.model_sigma.hypot(run.offset_sigma);
         let what = (run.world, &self.features);
-        let find = |frame: &&Frame| find_at(&mut self.predictor, what, frame, pose, covariance, unstated);
+        let find = |frame: &&Frame| find_at(&mut self.predictor, what, frame, robot, unstated);
         let findings = run.looked.iter().map(find).collect::<Result<Vec<Findings>>>()?;
         Ok(Arc::new(Expectation { images, findings }))
     }
@@ -309,7 +325,7 @@ impl Estimator {
             let mut known = scaled(&inverse(&information, self.options.freedom.axes()), SETTLED * SETTLED);
             // What the model is off by moves features, too.
             (0..3).for_each(|i| known[i][i] += self.offsets.sigma().powi(2) + run.model_sigma.powi(2));
-            self.expected(run, &found.pose, &known)?
+            self.expected(run, &PoseEstimate::new(found.pose, PoseCovariance::from_rows(known)))?
         };
         Ok(self.descend(run, &expected, found.pose, &SETTLE))
     }
@@ -329,7 +345,14 @@ impl Estimator {
                 break;
             }
             let mut found: Vec<Minimum> = (0..DRAWS)
-                .map(|_| self.descend(run, expected, drawn(&run.prior, self.options.freedom, &mut random), schedule))
+                .map(|_| {
+                    self.descend(
+                        run,
+                        expected,
+                        drawn(&run.prior.world_from_robot, &run.prior.covariance, self.options.freedom, &mut random),
+                        schedule,
+                    )
+                })
                 .collect();
             found.sort_by(|a, b| run.merit(b).total_cmp(&run.merit(a)));
             for start in found.iter().take(3) {
@@ -375,11 +398,9 @@ impl Estimator {
         let reach = reach_of(&run.measured, matched.map(|p| p.distance_squared(best.pose.translation)));
         let prior = Some(&run.prior_information);
         let mut covariance = covariance(&best.normal, prior, freedom, best.spread, &shared);
-        let mut information = best.normal.information;
-        add_to(&mut information, &run.prior_information);
         let weak = weak_directions(
             &best.normal,
-            Some(&run.prior.covariance),
+            Some(run.prior.covariance.as_rows()),
             freedom,
             reach,
             best.spread,
@@ -405,7 +426,8 @@ impl Estimator {
             let off = motion_between(&best.pose, &other.pose);
             add_to(&mut covariance, &scaled(&apart(&off), 1.0 / (1.0 + others.len() as f64)));
         }
-        let verdicts = self.verdicts(run, &best, &covariance)?;
+        let pose = PoseEstimate::new(best.pose, PoseCovariance::from_rows(covariance));
+        let verdicts = self.verdicts(run, &best, &pose)?;
         let mut findings = best.expected.findings.clone();
         for (m, verdicts) in run.measured.iter().zip(&verdicts) {
             let sensor = m.frame.sensor();
@@ -418,12 +440,10 @@ impl Estimator {
             findings.iter_mut().for_each(|f| f.explain(&ranges));
         }
         Ok(Estimate {
-            pose: best.pose,
-            covariance,
+            pose,
             verdicts,
             findings,
             reflectors,
-            information: restricted(&information, freedom.axes()),
             weak,
             explained: hypothesis.explained,
             cost: hypothesis.cost,
@@ -446,7 +466,7 @@ impl Estimator {
         if matched < fewest && tags < fewest_tags {
             return Some(format!("{matched} features are matched, fewer than {fewest}, or {fewest_tags} fiducials"));
         }
-        let off = motion_between(&run.prior.pose, &best.pose);
+        let off = motion_between(&run.prior.world_from_robot, &best.pose);
         run.is_unlikely(&best.pose).then(|| {
             let (metres, degrees) = (length(&off[..3]), length(&off[3..]).to_degrees());
             format!("the features lead {metres:.3} m and {degrees:.2} deg away, where the robot hardly is by what was known before")
@@ -469,27 +489,23 @@ impl Estimator {
         tags.map(|(f, _)| f.id).map(without).filter(|off| quadratic(&claimed, off) > most).collect()
     }
 
-    fn verdicts(&mut self, run: &Run<'_>, best: &Minimum, covariance: &Matrix) -> Result<Vec<Verdicts>> {
+    fn verdicts(&mut self, run: &Run<'_>, best: &Minimum, pose: &PoseEstimate) -> Result<Vec<Verdicts>> {
         let polygons = self.options.model_sigma.hypot(self.offsets.sigma());
-        let one = |(m, expected): (&FrameMeasurement<'_>, &ExpectedImage)| {
-            let known = Uncertainty { noise: RangeNoise::of(m.frame.sensor()), pose: *covariance, polygons };
-            judge(m.frame, expected, &best.pose, &known)
-        };
+        let one = |(m, expected): (&FrameMeasurement<'_>, &ExpectedImage)| judge(m.frame, expected, pose, polygons);
         let all = || run.measured.iter().zip(&best.expected.images).map(one).collect();
-        self.predictor.on_threads(all)?
+        self.predictor.on_threads(all)
     }
 
     fn blind(&self, run: &Run<'_>) -> Estimate {
+        let known = restricted(run.prior.covariance.as_rows(), self.options.freedom.axes());
         Estimate {
-            pose: run.prior.pose,
-            covariance: restricted(&run.prior.covariance, self.options.freedom.axes()),
+            pose: PoseEstimate::new(run.prior.world_from_robot, PoseCovariance::from_rows(known)),
             verdicts: Vec::new(),
             findings: Vec::new(),
             reflectors: (0, 0),
-            information: run.prior_information,
             weak: weak_directions(
                 &Normal::default(),
-                Some(&run.prior.covariance),
+                Some(run.prior.covariance.as_rows()),
                 self.options.freedom,
                 1.0,
                 1.0,
@@ -510,7 +526,7 @@ impl Estimator {
 /// Two prior standard deviations to either side of a minimum, along every principal axis of the prior that leaves room for a second
 /// one. How much the measurement says along an axis is no reason to leave it out: where things repeat, it says much at each place.
 fn far_ends(run: &Run<'_>, best: &Minimum, freedom: Freedom) -> Vec<Pose> {
-    let (values, vectors) = eigen(restricted(&run.prior.covariance, freedom.axes()), 6);
+    let (values, vectors) = eigen(restricted(run.prior.covariance.as_rows(), freedom.axes()), 6);
     let axis = |k: usize| -> Vector { std::array::from_fn(|i| 2.0 * values[k].max(0.0).sqrt() * vectors[i][k]) };
     let wide = |v: &Vector| length(&v[..3]) > LOOSE.0 || length(&v[3..]) > LOOSE.1;
     let axes = (0..6).map(axis).filter(wide);
@@ -541,9 +557,9 @@ fn state(best: &Hypothesis, others: &[Minimum], least: f64) -> EstimateState {
     ))
 }
 
-/// A pose drawn from the prior.
-pub fn drawn(prior: &Prior, freedom: Freedom, random: &mut SplitMix64) -> Pose {
-    let (values, vectors) = eigen(restricted(&prior.covariance, freedom.axes()), 6);
+/// A pose drawn from a normal distribution around another.
+pub fn drawn<A>(mean: &Pose, covariance: &PoseCovariance<A>, freedom: Freedom, random: &mut SplitMix64) -> Pose {
+    let (values, vectors) = eigen(restricted(covariance.as_rows(), freedom.axes()), 6);
     let mut motion = [0.0; 6];
     for (k, value) in values.iter().enumerate() {
         // Box and Muller.
@@ -551,7 +567,7 @@ pub fn drawn(prior: &Prior, freedom: Freedom, random: &mut SplitMix64) -> Pose {
         let x = value.max(0.0).sqrt() * radius * (std::f64::consts::TAU * random.unit()).cos();
         (0..6).for_each(|i| motion[i] += x * vectors[i][k]);
     }
-    moved(&prior.pose, &motion)
+    moved(mean, &motion)
 }
 
 /// How far away points are measured or matched, root of the mean square, metres.

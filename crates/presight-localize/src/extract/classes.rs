@@ -47,24 +47,6 @@ pub struct Classes {
 ///
 /// # Examples
 /// One of two features is found; rays passed through the place of the other.
-/// ```
-/// use glam::{DMat2, DVec2};
-/// use presight::extract::{FeatureClass, classify};
-/// use presight::matching::{Detection, ExpectedFeature, Matcher, Shape};
-/// let expected = |x: f64| ExpectedFeature {
-///     shape: Shape::Point(DVec2::new(x, 20.0)),
-///     covariances: vec![DMat2::IDENTITY],
-///     window: [x - 5.0, 15.0, x + 5.0, 25.0],
-///     properties: Default::default(),
-/// };
-/// let found = [Detection::point(DVec2::new(70.0, 70.0), 0.5), Detection::point(DVec2::new(10.5, 20.2), 0.5)];
-/// let confirmed = [9, 0, 0, 0, 0, 1, 0];
-/// let passed = [1, 0, 9, 0, 0, 0, 0];
-/// let classes = classify(&[expected(10.0), expected(40.0)], &found, &Matcher::default(), &[confirmed, passed])?;
-/// assert_eq!(classes.features, [FeatureClass::Matched(1), FeatureClass::Missing]);
-/// assert_eq!(classes.only_found, [0]);
-/// # Ok::<(), presight::Error>(())
-/// ```
 ///
 /// # Errors
 /// Errors of [`assign`].

@@ -7,7 +7,7 @@
 use super::PixelBox;
 use crate::matching::Detection;
 use glam::{DMat2, DVec2};
-use presight_model::frame::GreyImage;
+use presight_model::measured::GreyImage;
 
 /// Thresholds of the corner detector.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -43,18 +43,6 @@ const FLOOR: f64 = 0.1;
 ///
 /// # Examples
 /// The bright quarter of an image begins at column 10 and row 12.
-/// ```
-/// use glam::DVec2;
-/// use presight::extract::{CornerOptions, PixelBox, corners_in};
-/// use presight::frame::GreyImage;
-/// let grey = (0..24 * 24).map(|i| if i % 24 >= 10 && i / 24 >= 12 { 0.8 } else { 0.2 });
-/// let image = GreyImage::new(24, 24, grey.collect())?;
-/// let found = corners_in(&image, PixelBox::whole(&image), &CornerOptions::default());
-/// assert_eq!(found.len(), 1);
-/// // Between columns 9 and 10, and rows 11 and 12.
-/// assert!(found[0].shape.centre().distance(DVec2::new(9.5, 11.5)) < 0.3);
-/// # Ok::<(), presight::Error>(())
-/// ```
 pub fn corners_in(image: &GreyImage, region: PixelBox, options: &CornerOptions) -> Vec<Detection> {
     let Some(gradients) = Gradients::of(image, region) else { return Vec::new() };
     let strengths = gradients.strengths();

@@ -5,7 +5,7 @@ use crate::matching::Detection;
 use glam::{DMat2, DVec2};
 use presight_features::{SeenFeature, VisibleInterval};
 use presight_model::environment::FeatureShape;
-use presight_model::frame::GreyImage;
+use presight_model::measured::GreyImage;
 
 /// The predicted image of an edge.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -88,21 +88,6 @@ const FLOOR: f64 = 0.02;
 ///
 /// # Examples
 /// A white half of an image begins at column 10.3; the edge is expected at 8.
-/// ```
-/// use glam::DVec2;
-/// use presight::extract::{EdgeOptions, ExpectedEdge, edges_near};
-/// use presight::frame::GreyImage;
-/// // Each pixel is as bright as the white part of it.
-/// let row = (0..24).map(|c| (c as f32 + 0.5 - 10.3).clamp(0.0, 1.0));
-/// let image = GreyImage::new(24, 40, row.cycle().take(24 * 40).collect())?;
-/// let expected = ExpectedEdge { ends: [DVec2::new(8.0, 5.0), DVec2::new(8.0, 35.0)], reach: 4.0, is_right_brighter: None };
-/// let found = edges_near(&image, &expected, &EdgeOptions::default());
-/// assert_eq!(found.len(), 1);
-/// // Looking down from the first end, the right side is the left of the image: the darker side.
-/// assert!(found[0].contrast < -0.85);
-/// assert!(found[0].detection.shape.points().iter().all(|p| (p.x - 10.3).abs() < 0.1));
-/// # Ok::<(), presight::Error>(())
-/// ```
 pub fn edges_near(image: &GreyImage, expected: &ExpectedEdge, options: &EdgeOptions) -> Vec<FoundEdge> {
     let longest = f64::from(image.width()).hypot(f64::from(image.height()));
     let Some(frame) = EdgeFrame::new(expected.ends, expected.reach, longest) else { return Vec::new() };

@@ -3,7 +3,7 @@
 use super::*;
 use crate::matching::Shape;
 use glam::{DMat3, DVec2, DVec3};
-use presight_model::frame::GreyImage;
+use presight_model::measured::GreyImage;
 use presight_model::random::SplitMix64;
 use presight_testkit::tags::is_white;
 

@@ -5,7 +5,7 @@ use crate::matching::{Detection, Marker, Shape};
 use apriltag::{Detector, DetectorBuilder, Family, Image};
 use glam::DVec2;
 use presight_model::error::{Error, ErrorKind, Result};
-use presight_model::frame::GreyImage;
+use presight_model::measured::GreyImage;
 
 /// Least width and height of a searched image, pixels.
 const SMALLEST: i64 = 16;

@@ -12,8 +12,8 @@ use glam::{DMat2, DMat3, DVec2, DVec3};
 use presight_features::{FeaturePrediction, SeenFeature, VisibleInterval};
 use presight_model::environment::FeatureShape;
 use presight_model::error::Result;
-use presight_model::frame::{Frame, GreyImage};
 use presight_model::geometry::Pose;
+use presight_model::measured::{Frame, GreyImage};
 use presight_model::sensor::Sensor;
 
 /// Options of [`find_features`].
@@ -140,11 +140,11 @@ const BESIDE: f64 = 2.5;
 /// Searches each predicted feature of a frame in its region, and matches all detections at least total cost. Grey
 /// images are searched for edges, corners and, with the Cargo feature `fiducials`, fiducials ([`is_sought`]); range
 /// images for depth edges and, if they have intensities, reflectors. The prediction must be for the frame's sensor at
-/// `world_from_sensor` and have regions of interest ([`crate::Request::with_regions`]); features without a region are
-/// skipped. [`Findings::explain`] then classifies the features that were not found.
+/// `world_from_sensor` and have regions of interest ([`presight_predict::Request::with_regions`]); features without a
+/// region are skipped. [`Findings::explain`] then classifies the features that were not found.
 ///
 /// # Errors
-/// Errors of [`classify`]; [`crate::ErrorKind::System`] if the fiducial library runs out of memory.
+/// Errors of [`classify`]; [`presight_model::ErrorKind::System`] if the fiducial library runs out of memory.
 pub fn find_features(
     frame: &Frame,
     world_from_sensor: &Pose,

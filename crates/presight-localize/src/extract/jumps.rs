@@ -3,7 +3,7 @@
 use super::lines::{EdgeFrame, LineOptions, Step, StepNoise};
 use super::{ExpectedEdge, FoundEdge};
 use glam::DVec2;
-use presight_model::frame::{Frame, RangeNoise};
+use presight_model::measured::{Frame, RangeNoise};
 
 /// Thresholds of the depth edge detector.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -35,23 +35,6 @@ const HALF_OPEN: f64 = 0.2887;
 ///
 /// # Examples
 /// A pillar 2 m away stands before a wall 5 m away, from column 20 on.
-/// ```
-/// use glam::DVec2;
-/// use presight::extract::{ExpectedEdge, JumpOptions, jumps_near};
-/// use presight::frame::{Frame, Measurement};
-/// use presight::{Camera, Geometry, Sensor, SensorSpec};
-/// let camera = Camera::pinhole(40, 30, 40.0, 40.0, 19.5, 14.5);
-/// let sensor = Sensor::new(SensorSpec::new("camera", "laser", Geometry::Camera(camera)))?;
-/// let depth = (0..40 * 30).map(|i| if i % 40 >= 20 { 2.0 } else { 5.0 });
-/// let frame = Frame::new(0.0, sensor, Measurement::DepthZ(depth.collect()))?;
-/// let expected = ExpectedEdge { ends: [DVec2::new(22.0, 2.0), DVec2::new(22.0, 27.0)], reach: 6.0, is_right_brighter: None };
-/// let found = jumps_near(&frame, &expected, &JumpOptions::default());
-/// assert_eq!(found.len(), 1);
-/// assert!(found[0].detection.shape.points().iter().all(|p| (p.x - 19.5).abs() < 0.1));
-/// // Looking down, the right side is the left of the image: the far surface.
-/// assert!(found[0].contrast > 3.0);
-/// # Ok::<(), presight::Error>(())
-/// ```
 pub fn jumps_near(frame: &Frame, expected: &ExpectedEdge, options: &JumpOptions) -> Vec<FoundEdge> {
     let (width, height) = (frame.sensor().width(), frame.sensor().height());
     let longest = f64::from(width).hypot(f64::from(height));

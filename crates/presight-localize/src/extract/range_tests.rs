@@ -2,7 +2,7 @@
 
 use super::*;
 use glam::{DVec2, DVec3};
-use presight_model::frame::{Frame, GreyImage, Measurement};
+use presight_model::measured::{Frame, GreyImage, Measurement};
 use presight_model::random::SplitMix64;
 use presight_model::sensor::{Angles, Camera, Geometry, Scanner, Sensor, SensorSpec};
 

@@ -4,7 +4,7 @@ use super::PixelBox;
 use crate::matching::{Detection, Shape, UncertainValue};
 use glam::{DMat2, DVec2};
 use presight_model::error::{Error, Result};
-use presight_model::frame::{Frame, GreyImage, RangeNoise};
+use presight_model::measured::{Frame, GreyImage, RangeNoise};
 use presight_model::sensor::Sensor;
 use std::collections::BTreeMap;
 
@@ -43,21 +43,9 @@ const DEPTH: f64 = 0.2;
 ///
 /// # Examples
 /// Two beams of a scanner meet a reflector 3 m away.
-/// ```
-/// use presight::extract::{PixelBox, ReflectorOptions, reflectors_in};
-/// use presight::frame::{Frame, GreyImage, Measurement};
-/// let scanner = presight::preset("laser-scanner")?;
-/// let frame = Frame::new(0.0, scanner.clone(), Measurement::Range(vec![3.0; 361]))?;
-/// let bright = (0..361).map(|i| if i == 40 || i == 41 { 1.0 } else { 0.3 });
-/// let intensity = GreyImage::new(361, 1, bright.collect())?;
-/// let found = reflectors_in(&frame, &intensity, PixelBox::whole_of(&scanner), &ReflectorOptions::default())?;
-/// assert_eq!(found.len(), 1);
-/// assert_eq!((found[0].detection.shape.centre().x, found[0].range.mean), (40.5, 3.0));
-/// # Ok::<(), presight::Error>(())
-/// ```
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] if the intensities have another size than the scan.
+/// [`presight_model::ErrorKind::Invalid`] if the intensities have another size than the scan.
 pub fn reflectors_in(
     frame: &Frame,
     intensity: &GreyImage,

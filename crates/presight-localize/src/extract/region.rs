@@ -1,7 +1,7 @@
 //! Pixel boxes in which features are searched.
 
 use glam::DVec2;
-use presight_model::frame::GreyImage;
+use presight_model::measured::GreyImage;
 use presight_model::sensor::Sensor;
 
 /// A box in pixel coordinates, as for regions of interest: x0, y0, x1, y1. The image starts at -0.5, -0.5.

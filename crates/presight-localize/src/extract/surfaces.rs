@@ -7,9 +7,9 @@
 
 use super::PixelBox;
 use glam::{DMat3, DVec3};
-use presight_model::frame::{Frame, RangeNoise};
 use presight_model::geometry::Plane;
 use presight_model::matrix::eigen;
+use presight_model::measured::{Frame, RangeNoise};
 
 /// Thresholds of the surface detector.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -73,18 +73,6 @@ const FLAT: f64 = 1.25;
 ///
 /// # Examples
 /// A wall 2 m ahead of a scanner fills the beams from -60 to 60 degrees.
-/// ```
-/// use presight::extract::{PixelBox, SurfaceOptions, surfaces_in};
-/// use presight::frame::{Frame, Measurement};
-/// let scanner = presight::preset("laser-scanner")?; // 361 beams, half a degree apart, 180 looks ahead
-/// let range = |i: i32| 2.0 / (0.5 * f64::from(i - 180)).to_radians().cos();
-/// let ranges = (0..361).map(|i| if (60..=300).contains(&i) { range(i) as f32 } else { f32::INFINITY });
-/// let frame = Frame::new(0.0, scanner.clone(), Measurement::Range(ranges.collect()))?;
-/// let found = surfaces_in(&frame, PixelBox::whole_of(&scanner), &SurfaceOptions::default());
-/// assert_eq!((found.len(), found[0].count), (1, 241));
-/// assert!((found[0].plane.normal + glam::DVec3::X).length() < 1e-6 && (found[0].plane.offset + 2.0).abs() < 1e-6);
-/// # Ok::<(), presight::Error>(())
-/// ```
 pub fn surfaces_in(frame: &Frame, region: PixelBox, options: &SurfaceOptions) -> Vec<FoundSurface> {
     let Some(patch) = Patch::of(frame, region, options) else { return Vec::new() };
     let mut found = if frame.sensor().height() == 1 { patch.lines() } else { patch.planes() };

@@ -6,7 +6,7 @@ use super::PixelBox;
 use crate::matching::Detection;
 use presight_model::environment::FeatureShape;
 use presight_model::error::Result;
-use presight_model::frame::GreyImage;
+use presight_model::measured::GreyImage;
 
 /// True if features of this shape are searched in grey images: segments, points and, with the Cargo feature
 /// `fiducials`, fiducials of a dictionary that `FiducialFinder` supports.

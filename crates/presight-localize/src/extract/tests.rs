@@ -1,7 +1,7 @@
 use super::*;
 use crate::verdict::Verdict;
 use glam::DVec2;
-use presight_model::frame::GreyImage;
+use presight_model::measured::GreyImage;
 use presight_model::random::SplitMix64;
 
 /// Dark and bright halves, separated by a line through `on` at an angle, with finely sampled pixels.

@@ -38,8 +38,8 @@ pub struct FrameWindows {
 ///
 /// ```
 /// use glam::{DMat2, DVec2};
-/// use presight::history::{AlternatingTracker, ImageExtent, Seed, Source, Tracker, TrackerOptions};
-/// use presight::matching::{Detection, ExpectedProperties, Shape};
+/// use presight::history::{AlternatingTracker, Detection, ExpectedProperties, ImageExtent, Seed, Shape};
+/// use presight::history::{Source, Tracker, TrackerOptions};
 ///
 /// // Twenty points move to the right at 60 pixels per second. A full prediction knows their positions.
 /// let at = |i: u32, time: f64| DVec2::new(30.0 * f64::from(i % 5) + 60.0 * time, 100.0 * f64::from(i / 5) + 50.0);
@@ -53,7 +53,7 @@ pub struct FrameWindows {
 ///     };
 ///     Ok((0..20).map(seed).collect())
 /// };
-/// let tracker = Tracker::new(TrackerOptions { least_spread: 2, ..TrackerOptions::new(ImageExtent::new(640, 480)) })?;
+/// let tracker = Tracker::new(TrackerOptions::new(ImageExtent::new(640, 480)).with_least_spread(2))?;
 /// let mut alternating = AlternatingTracker::new(tracker, None);
 /// for k in 0..20 {
 ///     let time = 0.05 * f64::from(k);

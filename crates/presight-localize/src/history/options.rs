@@ -31,12 +31,13 @@ impl ImageExtent {
 ///
 /// ```
 /// use presight::history::{ImageExtent, TrackerOptions};
-/// let options = TrackerOptions { confidence: 0.95, ..TrackerOptions::new(ImageExtent::new(640, 480)) };
+/// let options = TrackerOptions::new(ImageExtent::new(640, 480)).with_confidence(0.95);
 /// assert!(options.check().is_ok());
-/// let wrong = TrackerOptions { confidence: 1.0, ..options };
+/// let wrong = options.with_confidence(1.0);
 /// assert_eq!(wrong.check().unwrap_err().to_string(), "confidence 1 is not in 0.5..1; give a probability such as 0.99");
 /// ```
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct TrackerOptions {
     /// Image in which the features move.
     pub image: ImageExtent,
@@ -96,7 +97,7 @@ impl TrackerOptions {
     }
 
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] naming the first option that is out of range.
+    /// [`presight_model::ErrorKind::Usage`] naming the first option that is out of range.
     pub fn check(&self) -> Result<()> {
         if !(0.5..1.0).contains(&self.confidence) {
             let what = format!("confidence {} is not in 0.5..1", self.confidence);
@@ -136,3 +137,23 @@ impl TrackerOptions {
         }
     }
 }
+
+crate::options::with_options!(
+    TrackerOptions:
+    with_image image: ImageExtent,
+    with_confidence confidence: f64,
+    with_misses misses: u32,
+    with_memory memory: f64,
+    with_detection_sigma detection_sigma: f64,
+    with_slide_sigma slide_sigma: f64,
+    with_speed_sigma speed_sigma: f64,
+    with_acceleration_sigma acceleration_sigma: f64,
+    with_residual_speed_sigma residual_speed_sigma: f64,
+    with_detection_probability detection_probability: f64,
+    with_clutter_density clutter_density: f64,
+    with_properties properties: PropertyNoise,
+    with_longest_gap longest_gap: f64,
+    with_least_tracks least_tracks: usize,
+    with_least_spread least_spread: usize,
+    with_least_share least_share: f64,
+);

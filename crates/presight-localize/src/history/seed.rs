@@ -18,43 +18,6 @@ impl Seed {
     /// Makes seeds from a full prediction: points, reflectors, the longest visible part of each segment, and patches
     /// and fiducials that are fully visible. The end of a segment is a corner if the model ends there; otherwise it
     /// slides.
-    ///
-    /// ```
-    /// use presight::environment::{Existence, Feature, FeatureShape, Properties};
-    /// use presight::features::{FeaturePrediction, SeenFeature, VisibleInterval};
-    /// use presight::history::{ImageExtent, Seed, Tracker, TrackerOptions};
-    /// use presight::matching::Detection;
-    /// use presight::{Camera, Geometry, Pose, Sensor, SensorSpec};
-    /// use glam::{DMat3, DVec2, DVec3};
-    ///
-    /// let geometry = Geometry::Camera(Camera::pinhole(640, 480, 500.0, 500.0, 319.5, 239.5));
-    /// let camera = Sensor::new(SensorSpec::new("camera", "video", geometry))?;
-    /// // A full prediction of one point, as `Predictor::predict` would return it.
-    /// let feature = Feature {
-    ///     id: 7,
-    ///     name: None,
-    ///     object: None,
-    ///     shape: FeatureShape::Point { at: DVec3::new(4.0, 0.0, 1.0), covariance: DMat3::ZERO },
-    ///     existence: Existence::default(),
-    ///     properties: Properties { contrast: Some(0.6), ..Properties::default() },
-    /// };
-    /// let mut seen = SeenFeature::whole(&feature);
-    /// seen.visible = vec![VisibleInterval { t: [0.0, 1.0], pixels: [DVec2::new(320.0, 240.0); 2] }];
-    /// seen.image_covariance = Some(vec![[[4.0, 0.0], [0.0, 4.0]]]);
-    /// let prediction = FeaturePrediction { features: vec![seen], ..FeaturePrediction::default() };
-    ///
-    /// let mut tracker = Tracker::new(TrackerOptions::new(ImageExtent::of(&camera)))?;
-    /// let seeds = Seed::of_prediction(&prediction, &camera, &Pose::IDENTITY);
-    /// let seeded = tracker.seed(10.0, seeds)?;
-    /// assert_eq!(seeded.begun, [7]);
-    ///
-    /// // Predict the window in the same frame, then correct with a detection.
-    /// let [x0, _, x1, _] = tracker.predict(10.0)?[0].bounds;
-    /// assert!(x0 < 315.0 && x1 > 325.0);
-    /// let found = [Detection::point(DVec2::new(321.0, 239.0), 0.5)];
-    /// assert_eq!(tracker.correct(10.0, &found)?.matched[0].id, 7);
-    /// # Ok::<(), presight::Error>(())
-    /// ```
     pub fn of_prediction(prediction: &FeaturePrediction, sensor: &Sensor, world_from_sensor: &Pose) -> Vec<Self> {
         let view = view(sensor, world_from_sensor);
         prediction.features.iter().filter_map(|seen| Self::of_seen(seen, &view)).collect()

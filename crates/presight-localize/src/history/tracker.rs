@@ -98,8 +98,8 @@ impl Tracker {
     /// near its position. All other predicted features start new tracks, and tracks without a predicted feature end.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] for a time that is not finite or is before the last time, for two seeds with one
-    /// number, and for more than [`MAX_TRACKS`] seeds.
+    /// [`presight_model::ErrorKind::Invalid`] for a time that is not finite or is before the last time, for two seeds
+    /// with one number, and for more than [`MAX_TRACKS`] seeds.
     pub fn seed(&mut self, time: f64, mut seeds: Vec<Seed>) -> Result<SeedOutcome> {
         let interval = self.interval(time)?;
         if seeds.len() > MAX_TRACKS {
@@ -169,7 +169,7 @@ impl Tracker {
     /// Predicts the windows of all tracked features at `time` (seconds). Features outside the image are omitted.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] for a time that is not finite or not after the last frame.
+    /// [`presight_model::ErrorKind::Invalid`] for a time that is not finite or not after the last frame.
     pub fn predict(&self, time: f64) -> Result<Vec<Window>> {
         let interval = self.frame_interval(time)?;
         if interval > self.options.longest_gap {
@@ -191,8 +191,8 @@ impl Tracker {
     /// Corrects the tracks by the detections of a frame.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] for a time that is not finite or not after the last frame, and for more than
-    /// [`MAX_DETECTIONS`] detections. The tracks are then unchanged.
+    /// [`presight_model::ErrorKind::Invalid`] for a time that is not finite or not after the last frame, and for more
+    /// than [`MAX_DETECTIONS`] detections. The tracks are then unchanged.
     pub fn correct(&mut self, time: f64, found: &[Detection]) -> Result<MatchOutcome> {
         let interval = self.frame_interval(time)?;
         if found.len() > MAX_DETECTIONS {

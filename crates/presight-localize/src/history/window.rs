@@ -18,7 +18,8 @@ const FEW: usize = 4;
 ///
 /// A feature leaves its box if a point passes any side. All sides are at the same number k of standard deviations of
 /// the points that set them, which gives the smallest box for a normal distribution. k is chosen so that the sum of the
-/// tails, minus the joint tails of two sides set by one point, equals 1 - confidence (as in [`crate::features::roi`]).
+/// tails, minus the joint tails of two sides set by one point, equals 1 - confidence (as in
+/// [`presight_features::roi`]).
 #[derive(Clone, Debug)]
 pub(super) struct BoxLevel {
     /// k for four independent sides.

@@ -16,15 +16,6 @@ const FORGET: f64 = 0.05;
 ///
 /// For independent Gaussian shares the mean number of frames between false alarms is
 /// `(exp(2 k b) - 2 k b - 1) / (2 k^2)` with b = h + 1.166 (Siegmund, Sequential Analysis, 1985); the threshold h follows from it.
-///
-/// # Examples
-/// ```
-/// use presight::localize::Cusum;
-/// let mut explained = Cusum::new(30_000.0);
-/// assert!((0..100).all(|k| !explained.add(0.95 + 0.01 * f64::from(k % 3))));
-/// // A kidnapped robot: little is explained any more.
-/// assert!((0..5).any(|_| explained.add(0.3)));
-/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cusum {
     threshold: f64,
@@ -108,5 +99,17 @@ impl fmt::Display for Cusum {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let sigma = self.variance.sqrt().max(self.least_sigma);
         write!(f, "usually {:.2} +- {:.2}; {:.1} against {:.1}", self.mean, sigma, self.sum, self.threshold)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_steady_share_raises_no_alarm_and_a_drop_does() {
+        let mut explained = Cusum::new(30_000.0);
+        assert!((0..100).all(|k| !explained.add(0.95 + 0.01 * f64::from(k % 3))));
+        assert!((0..5).any(|_| explained.add(0.3)));
     }
 }

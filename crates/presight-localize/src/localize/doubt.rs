@@ -3,10 +3,10 @@
 use super::hypotheses::Hypotheses;
 use super::likelihood::PoseLikelihood;
 use super::{Localizer, Phase, Step};
-use crate::estimate::{Estimate, EstimateState, Freedom, Prior};
+use crate::estimate::{Estimate, EstimateState, Freedom};
 use presight_model::error::Result;
-use presight_model::frame::{Frame, Motion};
-use presight_model::matrix::add_to;
+use presight_model::geometry::PoseEstimate;
+use presight_model::measured::{Frame, Motion};
 use presight_model::world::World;
 use presight_render::row::is_level;
 
@@ -19,7 +19,7 @@ impl Localizer {
         let followed = matches!(self.phase, Phase::Tracking | Phase::Candidates);
         let spec = frame.sensor().spec();
         let level = is_level(&spec.mount) && !frame.sensor().is_camera();
-        let weighable = self.estimator.options.freedom == Freedom::Planar && level && spec.range_max.is_finite();
+        let weighable = self.estimator.options.freedom == Freedom::Planar && level;
         let coarse = self.is_coarse();
         let little = !estimate.rests_on_reflectors()
             && (coarse || estimate.explained < self.options.little || !estimate.is_determined());
@@ -27,9 +27,9 @@ impl Localizer {
     }
 
     /// Draws hypotheses from what was known before the frame.
-    pub(super) fn doubt(&mut self, frame: &Frame, prior: &Prior) -> Result<()> {
+    pub(super) fn doubt(&mut self, world: &World, frame: &Frame, prior: &PoseEstimate) -> Result<()> {
         let model_sigma = self.estimator.options.model_sigma;
-        let likelihood = PoseLikelihood::new(frame.sensor(), model_sigma, self.options.beam_dependence)?;
+        let likelihood = PoseLikelihood::new(frame.sensor(), world, model_sigma, self.options.beam_dependence)?;
         self.hypotheses = Some(Hypotheses::new(prior, self.options.hypotheses, likelihood));
         self.agreed_again = 0;
         Ok(())
@@ -66,9 +66,9 @@ impl Localizer {
             && self.agreed_again >= self.options.agreeing
             && estimate.is_determined();
         if hand_back {
-            self.belief = Prior { pose: estimate.pose, covariance: estimate.covariance };
+            self.belief = estimate.pose;
         } else {
-            (estimate.pose, estimate.covariance) = (known.pose, known.covariance);
+            estimate.pose = known;
         }
         if hand_back || matches!(self.phase, Phase::Lost | Phase::Unknown) {
             self.hypotheses = None;
@@ -79,9 +79,8 @@ impl Localizer {
 }
 
 /// A belief with so much more variance of its place, metres.
-fn with_variance(belief: &Prior, sigma: f64) -> Prior {
-    let more = std::array::from_fn(|i| std::array::from_fn(|j| if i == j && i < 3 { sigma * sigma } else { 0.0 }));
-    let mut covariance = belief.covariance;
-    add_to(&mut covariance, &more);
-    Prior { covariance, ..*belief }
+fn with_variance(belief: &PoseEstimate, sigma: f64) -> PoseEstimate {
+    let mut known = *belief;
+    (0..3).for_each(|i| known.covariance[i][i] += sigma * sigma);
+    known
 }

@@ -3,12 +3,12 @@
 
 use super::likelihood::PoseLikelihood;
 use super::on_the_floor;
-use crate::estimate::{Freedom, Prior, drawn};
+use crate::estimate::{Freedom, drawn};
 use crate::motion::{motion_between, moved};
 use presight_model::error::Result;
-use presight_model::frame::{Frame, Motion};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate};
 use presight_model::matrix::{add_to, scaled};
+use presight_model::measured::{Frame, Motion};
 use presight_model::random::SplitMix64;
 use presight_model::world::World;
 use presight_predict::predict::Predictor;
@@ -24,9 +24,9 @@ pub(super) struct Hypotheses {
 
 impl Hypotheses {
     /// Draws poses from a belief.
-    pub fn new(belief: &Prior, count: usize, likelihood: PoseLikelihood) -> Self {
+    pub fn new(belief: &PoseEstimate, count: usize, likelihood: PoseLikelihood) -> Self {
         let mut random = SplitMix64(0x0c10_0d5e);
-        let one = |_| drawn(belief, Freedom::Planar, &mut random);
+        let one = |_| drawn(&belief.world_from_robot, &belief.covariance, Freedom::Planar, &mut random);
         Self { poses: (0..count).map(one).collect(), logs: vec![0.0; count], likelihood, random }
     }
 
@@ -35,8 +35,9 @@ impl Hypotheses {
         let Some(first) = self.poses.first() else { return };
         // They differ in heading only.
         let motion = on_the_floor(first, motion);
-        let known = Prior { pose: motion.previous_from_current, covariance: motion.covariance };
-        self.poses.iter_mut().for_each(|pose| *pose = *pose * drawn(&known, Freedom::Planar, &mut self.random));
+        let Motion { previous_from_current, covariance } = &motion;
+        let mut draw = || drawn(previous_from_current, covariance, Freedom::Planar, &mut self.random);
+        self.poses.iter_mut().for_each(|pose| *pose = *pose * draw());
     }
 
     /// Adds the log-likelihoods of a frame.
@@ -50,7 +51,7 @@ impl Hypotheses {
     }
 
     /// The Gaussian with their mean and covariance.
-    pub fn belief(&self) -> Prior {
+    pub fn belief(&self) -> PoseEstimate {
         let weights = self.weights();
         let best = (0..weights.len()).max_by(|a, b| weights[*a].total_cmp(&weights[*b])).unwrap_or(0);
         let at = self.poses[best];
@@ -63,7 +64,7 @@ impl Hypotheses {
             let outer = std::array::from_fn(|i| std::array::from_fn(|j| from[i] * from[j]));
             add_to(&mut covariance, &scaled(&outer, *w));
         }
-        Prior { pose: moved(&at, &mean), covariance }
+        PoseEstimate::new(moved(&at, &mean), PoseCovariance::from_rows(covariance))
     }
 
     /// Draws as many anew, each as often as it weighs, once half of them weigh next to nothing.

@@ -2,8 +2,8 @@
 
 use glam::{DQuat, DVec3};
 use presight_model::error::Result;
-use presight_model::frame::{Frame, Measurement, RangeNoise};
 use presight_model::geometry::Pose;
+use presight_model::measured::{Frame, Measurement, RangeNoise};
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_predict::batch::{BatchRequest, PoseCell, RangeLikelihood};
@@ -23,9 +23,12 @@ pub(super) struct PoseLikelihood {
 const SIDE: u32 = 24;
 
 impl PoseLikelihood {
-    /// `beam_dependence` is for a sensor that states none.
-    pub fn new(sensor: &Sensor, model_sigma: f64, beam_dependence: f64) -> Result<Self> {
+    /// `beam_dependence` is for a sensor that states none. The reach of a sensor without `range_max` is the map's extent.
+    pub fn new(sensor: &Sensor, world: &World, model_sigma: f64, beam_dependence: f64) -> Result<Self> {
         let mut spec = sensor.spec().clone();
+        if spec.range_max.is_infinite() {
+            spec.range_max = reach_of(world);
+        }
         spec.noise.range_sigma = RangeNoise::of(sensor).sigma.hypot(model_sigma);
         if spec.noise.mixture.beam_dependence == 1.0 {
             spec.noise.mixture.beam_dependence = beam_dependence;
@@ -33,14 +36,14 @@ impl PoseLikelihood {
         Ok(Self { scanner: Sensor::new(spec)?, stride: 1, level: true })
     }
 
-    /// Of a sensor of any shape that may lean: a few of its pixels count. `reach` bounds the ranges of one that states no bound.
-    pub fn of_image(sensor: &Sensor, model_sigma: f64, beam_dependence: f64, reach: f64) -> Result<Self> {
+    /// Of a sensor of any shape that may lean: a few of its pixels count.
+    pub fn of_image(sensor: &Sensor, world: &World, model_sigma: f64, beam_dependence: f64) -> Result<Self> {
         let stride = (sensor.width().max(sensor.height()) / SIDE).max(1);
         let nothing = vec![f32::NAN; sensor.width() as usize * sensor.height() as usize];
         let thin = Frame::new(0.0, sensor.clone(), Measurement::Range(nothing))?.thinned(stride)?;
         let mut spec = thin.sensor().spec().clone();
-        spec.range_max = spec.range_max.min(reach);
-        Ok(Self { stride, level: false, ..Self::new(&Sensor::new(spec)?, model_sigma, beam_dependence)? })
+        spec.range_max = spec.range_max.min(reach_of(world));
+        Ok(Self { stride, level: false, ..Self::new(&Sensor::new(spec)?, world, model_sigma, beam_dependence)? })
     }
 
     /// The pixels of a frame that count.
@@ -67,7 +70,8 @@ impl PoseLikelihood {
         if ranges.iter().all(|r| !r.is_finite()) {
             return Ok(None);
         }
-        RangeLikelihood::new(&self.scanner, ranges, cell).map(Some)
+        let frame = Frame::new(frame.stamp, self.scanner.clone(), Measurement::Range(ranges))?;
+        RangeLikelihood::new(&frame, cell).map(Some)
     }
 
     /// Log-likelihoods of a frame at poses of the robot.
@@ -90,6 +94,12 @@ impl PoseLikelihood {
         let items = predictor.batch(world, &self.scanner, poses, &request)?;
         items.map(|item| item.map(|item| item.log_likelihood.unwrap_or(0.0))).collect()
     }
+}
+
+/// No range in a map is longer than its diagonal, metres.
+fn reach_of(world: &World) -> f64 {
+    let bounds = world.environment().bounds();
+    if bounds.is_empty() { 1.0 } else { (bounds.max - bounds.min).length().max(1.0) }
 }
 
 /// The pose with its z axis upright: what rounding turned away is turned back.

@@ -4,45 +4,6 @@
 //! places, and the best places are carried on until one of them leads and explains enough. Each frame moves the belief by odometry, or on with the motion of the frame before,
 //! and updates it with one estimate. It says [`Phase::Lost`] with its reason instead of a pose that it does not know, and looks
 //! around the last pose it knew, or in the whole map, until several frames in a row agree.
-//!
-//! # Examples
-//! A scanner that nothing is known of, in a room of which no two places look alike:
-//! ```
-//! use presight::estimate::{EstimateOptions, Estimator};
-//! use presight::localize::{LocalizeOptions, Localizer, Phase, Search, SearchOptions};
-//! use presight::simulate::{Disturbances, Simulator};
-//! use presight::{Material, Mesh, NewObject, Noise, Options, Polygon, PolygonOrder, Pose, Predictor, Sensor, World};
-//! use glam::{DVec3, Vec3};
-//! use std::sync::Arc;
-//!
-//! let mut environment = presight::Environment::new();
-//! let paint = environment.add_material(Material::named("paint"))?;
-//! let corners = [[0.0, 0.0], [5.0, 0.0], [5.0, 2.0], [3.0, 2.5], [2.0, 4.0], [0.0, 3.0]];
-//! for (k, (a, b)) in corners.iter().zip(corners.iter().cycle().skip(1)).enumerate() {
-//!     let wall = [[a[0], a[1], 0.0], [b[0], b[1], 0.0], [b[0], b[1], 2.0], [a[0], a[1], 2.0]].map(Vec3::from);
-//!     let name = format!("wall {k}");
-//!     let mesh = Mesh::new(&name, wall.to_vec(), vec![Polygon::new(vec![0, 1, 2, 3], paint)], PolygonOrder::Given)?;
-//!     environment.insert(NewObject::new(&name, Pose::IDENTITY, Arc::new(mesh)))?;
-//! }
-//! let world = World::new(environment);
-//! let mut spec = presight::preset("laser-scanner")?.spec().clone();
-//! (spec.range_max, spec.mount.translation.z, spec.noise) = (10.0, 1.0, Noise { range_sigma: 0.02, ..Noise::default() });
-//! let scanner = Sensor::new(spec)?;
-//!
-//! let mut estimator = Estimator::new(Predictor::new(Options::default())?, EstimateOptions::planar());
-//! let coarse = SearchOptions { headings: 72, candidates: 10, ..SearchOptions::default() };
-//! let search = Search::new(&mut estimator, &world, &scanner, coarse)?;
-//! let mut localizer = Localizer::unknown(estimator, search, LocalizeOptions::default());
-//! let mut simulator = Simulator::new(Predictor::new(Options::default())?, scanner, Disturbances::default(), 1)?;
-//! for k in 0..5 {
-//!     let truth = Pose::from_xyz_rpy(DVec3::new(1.0 + 0.2 * f64::from(k), 1.2, 0.0), 0.0, 0.0, 0.4);
-//!     let step = localizer.step(&world, &simulator.frame(&world, f64::from(k), &truth)?)?;
-//!     // One scan is not enough; the fifth is.
-//!     assert_eq!(step.phase, if k < 4 { Phase::Candidates } else { Phase::Tracking }, "{}", step.reason);
-//!     assert!((step.pose.translation - truth.translation).length() < 0.05);
-//! }
-//! # Ok::<(), presight::Error>(())
-//! ```
 
 mod cusum;
 mod decide;
@@ -58,12 +19,12 @@ pub use cusum::Cusum;
 use hypotheses::Hypotheses;
 pub use search::{Candidate, Search, SearchOptions};
 
-use crate::estimate::{Estimate, Estimator, Freedom, Prior};
-use crate::motion::{motion_between, moved, turn};
+use crate::estimate::{Estimate, Estimator, Freedom};
+use crate::motion::{motion_between, moved};
 use presight_model::error::{Error, Result};
-use presight_model::frame::{Frame, Motion};
-use presight_model::geometry::Pose;
-use presight_model::matrix::{Matrix, add_to, restricted, sandwich};
+use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate};
+use presight_model::matrix::{add_to, restricted, sandwich, turn};
+use presight_model::measured::{Frame, Motion};
 use presight_model::sensor::Sensor;
 
 use presight_model::world::World;
@@ -105,10 +66,8 @@ pub struct Step {
     pub phase: Phase,
     /// Why, with numbers.
     pub reason: String,
-    /// world_from_robot: where the robot is believed to be.
-    pub pose: Pose,
-    /// Of the pose: x y z, then rotation about fixed x y z, world axes; metres and radians.
-    pub covariance: Matrix,
+    /// Where the robot is believed to be.
+    pub pose: PoseEstimate,
     /// What the estimator said of the frame.
     pub estimate: Estimate,
     /// Where the robot may be after an unknown start, the likeliest first. Empty while one pose is followed.
@@ -124,6 +83,7 @@ impl Step {
 
 /// How a [`Localizer`] works.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct LocalizeOptions {
     /// Without odometry: how much the motion may change from one frame to the next, one standard deviation, metres.
     pub drift: f64,
@@ -186,11 +146,31 @@ impl Default for LocalizeOptions {
     }
 }
 
+crate::options::with_options!(
+    LocalizeOptions:
+    with_drift drift: f64,
+    with_turn_drift turn_drift: f64,
+    with_search search: f64,
+    with_search_turn search_turn: f64,
+    with_agreeing agreeing: usize,
+    with_least_standing least_standing: f64,
+    with_least_agreeing least_agreeing: f64,
+    with_frames_per_false_alarm frames_per_false_alarm: f64,
+    with_little little: f64,
+    with_hypotheses hypotheses: usize,
+    with_beam_dependence beam_dependence: f64,
+    with_spread spread: f64,
+    with_lead lead: f64,
+    with_least_found least_found: f64,
+    with_least_frames least_frames: usize,
+    with_patience patience: usize,
+);
+
 /// Follows a robot through the frames of its sensor.
 pub struct Localizer {
     estimator: Estimator,
     options: LocalizeOptions,
-    belief: Prior,
+    belief: PoseEstimate,
     phase: Phase,
     /// Of the frame before, in the robot's frame of then.
     motion: Pose,
@@ -212,7 +192,7 @@ pub struct Localizer {
     /// Frames since the robot was found or given.
     tracked: usize,
     /// Where a robot that is lost would be if it were not, carried on by its odometry.
-    followed: Option<Prior>,
+    followed: Option<PoseEstimate>,
     /// In place of one Gaussian, where that would settle too soon.
     hypotheses: Option<Hypotheses>,
     /// Frames in a row that explain enough for one Gaussian.
@@ -221,7 +201,7 @@ pub struct Localizer {
 
 impl Localizer {
     /// Starts at a pose that is known as well as the prior says.
-    pub fn new(estimator: Estimator, prior: Prior, options: LocalizeOptions) -> Self {
+    pub fn new(estimator: Estimator, prior: PoseEstimate, options: LocalizeOptions) -> Self {
         let standing = Cusum::new(2.0 * options.frames_per_false_alarm);
         let coarse = estimator.options.model_sigma >= COARSE;
         Self {
@@ -250,7 +230,7 @@ impl Localizer {
 
     /// Starts without a pose: `search` looks for the robot in the whole map.
     pub fn unknown(estimator: Estimator, search: Search, options: LocalizeOptions) -> Self {
-        let nowhere = Prior::of_sigmas(Pose::IDENTITY, options.search, options.search_turn);
+        let nowhere = PoseEstimate::of_sigmas(Pose::IDENTITY, options.search, options.search_turn);
         Self { phase: Phase::Unknown, search: Some(search), ..Self::new(estimator, nowhere, options) }
     }
 
@@ -271,8 +251,8 @@ impl Localizer {
     /// Takes in the next frame.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if the frame is not later than the one before, or if its motion is none; those of
-    /// [`Estimator::estimate`].
+    /// [`presight_model::ErrorKind::Invalid`] if the frame is not later than the one before, or if its motion is none;
+    /// those of [`Estimator::estimate`].
     pub fn step(&mut self, world: &World, frame: &Frame) -> Result<Step> {
         self.step_together(world, frame, &[])
     }
@@ -289,7 +269,7 @@ impl Localizer {
         if self.is_searched() {
             return self.search_on(world, frame, motion.as_ref());
         }
-        let before = self.belief.pose;
+        let before = self.belief.world_from_robot;
         if let Some(motion) = &motion {
             self.belief = carried(&self.belief, motion, self.estimator.options.freedom);
         }
@@ -307,15 +287,15 @@ impl Localizer {
             estimate = self.estimator.estimate(world, &frames, &prior)?;
         }
         if self.is_doubtful(frame, &estimate) {
-            self.doubt(frame, &prior)?;
+            self.doubt(world, frame, &prior)?;
             return self.follow_hypotheses(world, frame, None);
         }
         let reason = self.decide(&estimate);
         if estimate.is_determined() {
             if !first {
-                self.motion = before.inverse() * estimate.pose;
+                self.motion = before.inverse() * estimate.pose.world_from_robot;
             }
-            self.belief = Prior { pose: estimate.pose, covariance: estimate.covariance };
+            self.belief = estimate.pose;
         } else if matches!(self.phase, Phase::Unknown | Phase::Lost) {
             // Going on with a motion that nobody saw would only lead away.
             self.motion = Pose::IDENTITY;
@@ -335,8 +315,7 @@ impl Localizer {
             stamp: frame.stamp,
             phase: self.phase,
             reason,
-            pose: self.belief.pose,
-            covariance: self.belief.covariance,
+            pose: self.belief,
             estimate,
             candidates: self.candidates.clone(),
         }
@@ -344,11 +323,9 @@ impl Localizer {
 
     /// The motion that the frame tells, or the last one again.
     fn motion_of(&self, frame: &Frame) -> Motion {
-        let sigma = |i: usize| if i < 3 { self.options.drift } else { self.options.turn_drift };
-        frame.motion.unwrap_or(Motion {
-            previous_from_current: self.motion,
-            covariance: std::array::from_fn(|i| std::array::from_fn(|j| if i == j { sigma(i).powi(2) } else { 0.0 })),
-        })
+        let (t, r) = (self.options.drift, self.options.turn_drift);
+        let covariance = PoseCovariance::from_sigmas([t, t, t, r, r, r]);
+        frame.motion.unwrap_or(Motion { previous_from_current: self.motion, covariance })
     }
 }
 
@@ -357,17 +334,17 @@ impl Localizer {
 fn on_the_floor(from: &Pose, motion: &Motion) -> Motion {
     let (axes, off) = (Freedom::Planar.axes(), motion_between(from, &(*from * motion.previous_from_current)));
     let level = std::array::from_fn(|i| if axes.contains(&i) { off[i] } else { 0.0 });
-    let in_world = restricted(&sandwich(&turn(from.rotation), &motion.covariance), axes);
+    let in_world = restricted(motion.covariance.in_world(from).as_rows(), axes);
     Motion {
         previous_from_current: from.inverse() * moved(from, &level),
-        covariance: sandwich(&turn(from.rotation.conjugate()), &in_world),
+        covariance: PoseCovariance::from_rows(sandwich(&turn(from.rotation.conjugate()), &in_world)),
     }
 }
 
 /// What is known of a pose after a motion.
-fn carried(belief: &Prior, motion: &Motion, freedom: Freedom) -> Prior {
-    let motion = if freedom == Freedom::Planar { on_the_floor(&belief.pose, motion) } else { *motion };
-    let from = belief.pose;
+fn carried(belief: &PoseEstimate, motion: &Motion, freedom: Freedom) -> PoseEstimate {
+    let motion = if freedom == Freedom::Planar { on_the_floor(&belief.world_from_robot, motion) } else { *motion };
+    let from = belief.world_from_robot;
     let to = from * motion.previous_from_current;
     // A rotation of the robot then moves where it is now: t + r cross (to - from).
     let arm = to.translation - from.translation;
@@ -376,15 +353,14 @@ fn carried(belief: &Prior, motion: &Motion, freedom: Freedom) -> Prior {
     (lever[0][4], lever[0][5]) = (arm.z, -arm.y);
     (lever[1][3], lever[1][5]) = (-arm.z, arm.x);
     (lever[2][3], lever[2][4]) = (arm.y, -arm.x);
-    let mut covariance = sandwich(&lever, &belief.covariance);
-    add_to(&mut covariance, &sandwich(&turn(from.rotation), &motion.covariance));
-    Prior { pose: to, covariance }
+    let mut covariance = sandwich(&lever, belief.covariance.as_rows());
+    add_to(&mut covariance, motion.covariance.in_world(&from).as_rows());
+    PoseEstimate::new(to, PoseCovariance::from_rows(covariance))
 }
 
 /// At least as wide as a lost robot is looked for.
-fn widened(belief: &Prior, options: &LocalizeOptions) -> Prior {
-    let wide = Prior::of_sigmas(belief.pose, options.search, options.search_turn);
-    Prior { pose: belief.pose, covariance: wide.covariance }
+fn widened(belief: &PoseEstimate, options: &LocalizeOptions) -> PoseEstimate {
+    PoseEstimate::of_sigmas(belief.world_from_robot, options.search, options.search_turn)
 }
 
 fn check(before: Option<f64>, frame: &Frame) -> Result<()> {
@@ -398,7 +374,7 @@ fn check(before: Option<f64>, frame: &Frame) -> Result<()> {
     if let Err(e) = motion.previous_from_current.check() {
         return Err(Error::invalid(format!("the odometry: {e}"), "give a rigid motion in metres"));
     }
-    let sound = motion.covariance.as_flattened().iter().all(|x| x.is_finite());
+    let sound = motion.covariance.as_rows().as_flattened().iter().all(|x| x.is_finite());
     if !sound || (0..6).any(|i| motion.covariance[i][i] < 0.0) {
         return Err(Error::invalid(
             "the covariance of the odometry is none",
@@ -419,14 +395,14 @@ mod tests {
     fn a_robot_that_leans_stays_on_its_floor() {
         let at = |x: f64, y: f64, yaw: f64| Pose::from_xyz_rpy(DVec3::new(x, y, 1.2), 0.1, 0.25, yaw);
         let (from, to) = (at(3.0, -2.0, 0.7), at(3.0 - 0.5 * 0.7f64.sin(), -2.0 + 0.5 * 0.7f64.cos(), 1.0));
-        let belief = Prior::of_sigmas(from, 0.0, 0.0);
-        let covariance = std::array::from_fn(|i| std::array::from_fn(|j| if i == j { 1e-4 } else { 0.0 }));
+        let belief = PoseEstimate::of_sigmas(from, 0.0, 0.0);
+        let covariance = PoseCovariance::from_sigmas([1e-2; 6]);
         let tilt = Pose::from_xyz_rpy(DVec3::ZERO, 0.01, -0.01, 0.0).rotation;
         let rising = Pose { translation: to.translation + DVec3::Z * 0.02, rotation: tilt * to.rotation };
         for (end, turned) in [(to, 1e-9), (rising, 1e-3)] {
             let motion = Motion { previous_from_current: from.inverse() * end, covariance };
             let found = carried(&belief, &motion, Freedom::Planar);
-            let [x, y, z, rx, ry, rz] = motion_between(&to, &found.pose);
+            let [x, y, z, rx, ry, rz] = motion_between(&to, &found.world_from_robot);
             assert!(
                 [x, y, z, rx, ry].iter().all(|off| off.abs() < 1e-9) && rz.abs() < turned,
                 "{x} {y} {z} {rx} {ry} {rz}"
@@ -435,7 +411,7 @@ mod tests {
             assert!([0, 1, 5].iter().all(|i| (found.covariance[*i][*i] - 1e-4).abs() < 1e-12));
             let full = carried(&belief, &motion, Freedom::Full);
             assert!(
-                (full.pose.translation.z - end.translation.z).abs() < 1e-9 && full.covariance[2][2] > 5e-5,
+                (full.world_from_robot.translation.z - end.translation.z).abs() < 1e-9 && full.covariance[2][2] > 5e-5,
                 "planted"
             );
         }

@@ -3,7 +3,7 @@
 use crate::extract::{PixelBox, ReflectorOptions, reflectors_in};
 use glam::{DVec2, DVec3};
 use presight_model::error::Result;
-use presight_model::frame::{Frame, RangeNoise};
+use presight_model::measured::{Frame, RangeNoise};
 use std::f64::consts::{FRAC_1_SQRT_2, TAU};
 
 /// How much a reflector that a pose explains speaks for it, natural logarithm of the odds: about one in twenty spots fits a wrong pose by

@@ -2,8 +2,8 @@
 
 use glam::{DQuat, DVec3};
 use presight_model::error::Result;
-use presight_model::frame::Frame;
 use presight_model::geometry::Pose;
+use presight_model::measured::Frame;
 use presight_model::sensor::{Angles, Geometry, Scanner, Sensor, SensorSpec};
 use presight_model::world::World;
 use presight_predict::batch::BatchRequest;

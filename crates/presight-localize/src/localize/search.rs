@@ -3,13 +3,12 @@
 use super::likelihood::PoseLikelihood;
 use super::reflectors::{ODDS, SeenReflectors};
 use super::round::{HEADINGS, RoundViews, STEP};
-use crate::estimate::{Estimate, Estimator, Freedom, Prior};
+use crate::estimate::{Estimate, Estimator, Freedom};
 use crate::verdict::Verdicts;
 use glam::DVec3;
 use presight_model::error::{Error, Result};
-use presight_model::frame::{Frame, RangeNoise};
-use presight_model::geometry::Pose;
-use presight_model::matrix::Matrix;
+use presight_model::geometry::{Pose, PoseEstimate};
+use presight_model::measured::{Frame, RangeNoise};
 use presight_model::sensor::{Geometry, Sensor};
 use presight_model::world::World;
 use presight_predict::batch::{Headings, Panoramas, PoseCell};
@@ -18,6 +17,7 @@ use rayon::prelude::*;
 
 /// How a [`Search`] looks for a robot.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct SearchOptions {
     /// Distance between neighbouring places, metres.
     pub cell: f64,
@@ -59,13 +59,25 @@ impl Default for SearchOptions {
     }
 }
 
+crate::options::with_options!(
+    SearchOptions:
+    with_cell cell: f64,
+    with_headings headings: u32,
+    with_floor floor: f64,
+    with_floor_to floor_to: f64,
+    with_margin margin: f64,
+    with_lean lean: [f64; 2],
+    with_clearance clearance: f64,
+    with_surrounded surrounded: f64,
+    with_candidates candidates: usize,
+    with_beam_dependence beam_dependence: f64,
+);
+
 /// A place where the robot may be.
 #[derive(Clone, Debug)]
 pub struct Candidate {
-    /// world_from_robot.
-    pub pose: Pose,
-    /// x y z, then rotation about fixed x y z, world axes; metres and radians.
-    pub covariance: Matrix,
+    /// The place.
+    pub pose: PoseEstimate,
     /// Log-likelihood of all frames so far, tempered for beams that depend on each other, and with what their reflectors say. Only differences
     /// mean something.
     pub log_likelihood: f64,
@@ -109,8 +121,9 @@ impl Search {
     /// beams and needs [`Freedom::Planar`]. What any other sensor sees is compared in steps of 5 degrees; its robot leans as `options` say.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] for a level scanner that is not in equal steps, if the world has no free place or too many;
-    /// those of [`crate::Predictor::panoramas`] and [`crate::Predictor::batch`].
+    /// [`presight_model::ErrorKind::Usage`] for a level scanner that is not in equal steps, if the world has no free
+    /// place or too many; those of [`presight_predict::Predictor::panoramas`] and
+    /// [`presight_predict::Predictor::batch`].
     pub fn new(estimator: &mut Estimator, world: &World, sensor: &Sensor, options: SearchOptions) -> Result<Self> {
         options.check()?;
         let planar = estimator.options.freedom == Freedom::Planar;
@@ -121,16 +134,14 @@ impl Search {
         }
         let (model_sigma, dependence) = (estimator.options.model_sigma, options.beam_dependence);
         let (views, likelihood) = if level && planar {
-            let likelihood = PoseLikelihood::new(sensor, model_sigma, dependence)?;
+            let likelihood = PoseLikelihood::new(sensor, world, model_sigma, dependence)?;
             let headings = Headings::new(likelihood.scanner(), headings_of(sensor, options.headings))?;
             let places = grid(world, options.floor + sensor.spec().mount.translation.z, &options)?;
             let mut panoramas = estimator.predictor.panoramas(world, &headings, places)?;
             panoramas.retain(|range| options.is_free(range));
             (Views::Level(panoramas), likelihood)
         } else {
-            let bounds = world.environment().bounds();
-            let reach = if bounds.is_empty() { 1.0 } else { (bounds.max - bounds.min).length() };
-            let likelihood = PoseLikelihood::of_image(sensor, model_sigma, dependence, reach)?;
+            let likelihood = PoseLikelihood::of_image(sensor, world, model_sigma, dependence)?;
             (Views::Round(round_views(estimator, world, sensor, &options)?), likelihood)
         };
         let search = Self { options, views, likelihood };
@@ -152,13 +163,13 @@ impl Search {
     /// The best distinct places for a frame, refined, the likeliest first. None if the frame has no reading.
     ///
     /// # Errors
-    /// Those of [`crate::batch::RangeLikelihood::new`] and of [`Estimator::estimate`].
+    /// Those of [`presight_predict::batch::RangeLikelihood::new`] and of [`Estimator::estimate`].
     pub fn candidates(&self, estimator: &mut Estimator, world: &World, frame: &Frame) -> Result<Vec<Candidate>> {
         let mut found: Vec<Candidate> = Vec::new();
         for prior in self.starts(estimator, world, frame)? {
             let estimate = estimator.refine(world, frame, &prior)?;
-            let (pose, covariance, explained) = (estimate.pose, estimate.covariance, self.explained(frame, &estimate));
-            found.push(Candidate { pose, covariance, log_likelihood: 0.0, explained, frames: 1, estimate });
+            let (pose, explained) = (estimate.pose, self.explained(frame, &estimate));
+            found.push(Candidate { pose, log_likelihood: 0.0, explained, frames: 1, estimate });
         }
         let logs = self.weigh(estimator, world, frame, &found)?;
         found.iter_mut().zip(logs).for_each(|(c, log)| c.log_likelihood = log);
@@ -166,13 +177,14 @@ impl Search {
     }
 
     /// The robot at the places and headings that fit a frame best, as wide as these are apart.
-    fn starts(&self, estimator: &mut Estimator, world: &World, frame: &Frame) -> Result<Vec<Prior>> {
+    fn starts(&self, estimator: &mut Estimator, world: &World, frame: &Frame) -> Result<Vec<PoseEstimate>> {
         let known = estimator.reflectors(world, frame);
         let SearchOptions { cell, candidates: most, .. } = self.options;
         let robot_from_sensor = self.likelihood.scanner().spec().mount.inverse();
         let arm = robot_from_sensor.translation.truncate().length();
-        let prior =
-            |sensor: Pose, turn: f64| Prior::of_sigmas(sensor * robot_from_sensor, 0.5 * cell + turn * arm, turn);
+        let prior = |sensor: Pose, turn: f64| {
+            PoseEstimate::of_sigmas(sensor * robot_from_sensor, 0.5 * cell + turn * arm, turn)
+        };
         let predictor = &mut estimator.predictor;
         match &self.views {
             Views::Level(panoramas) => {
@@ -212,7 +224,7 @@ impl Search {
         frame: &Frame,
         candidates: &[Candidate],
     ) -> Result<Vec<f64>> {
-        let poses = candidates.iter().map(|c| c.pose);
+        let poses = candidates.iter().map(|c| c.pose.world_from_robot);
         let logs = self.likelihood.at(&mut estimator.predictor, world, frame, poses)?;
         let of_reflectors = |c: &Candidate| ODDS * c.estimate.reflectors.0 as f64;
         Ok(logs.into_iter().zip(candidates).map(|(log, c)| log + of_reflectors(c)).collect())
@@ -230,12 +242,24 @@ impl Search {
 
 impl SearchOptions {
     fn check(&self) -> Result<()> {
-        let lengths = [self.cell, self.clearance, self.beam_dependence];
-        let others = [self.floor, self.floor_to, self.lean[0], self.lean[1]];
-        let sound = lengths.iter().all(|l| *l > 0.0 && l.is_finite()) && others.iter().all(|x| x.is_finite());
-        let sound = sound && self.margin >= 0.0 && self.margin.is_finite();
-        if !sound || self.headings == 0 || self.candidates == 0 || !(0.0..=1.0).contains(&self.surrounded) {
-            return Err(Error::usage(format!("{self:?}"), "give lengths and numbers above 0 and a share of 0 to 1"));
+        let positive = |x: f64| x > 0.0 && x.is_finite();
+        let (above, finite) = ("give a finite number above 0", "give a finite number");
+        for (name, value, is_sound, remedy) in [
+            ("cell", self.cell, positive(self.cell), above),
+            ("headings", f64::from(self.headings), self.headings > 0, above),
+            ("floor", self.floor, self.floor.is_finite(), finite),
+            ("floor_to", self.floor_to, self.floor_to.is_finite(), finite),
+            ("margin", self.margin, self.margin == 0.0 || positive(self.margin), "give a finite number of at least 0"),
+            ("lean", self.lean[0], self.lean[0].is_finite(), finite),
+            ("lean", self.lean[1], self.lean[1].is_finite(), finite),
+            ("clearance", self.clearance, positive(self.clearance), above),
+            ("surrounded", self.surrounded, (0.0..=1.0).contains(&self.surrounded), "give a share of 0 to 1"),
+            ("candidates", self.candidates as f64, self.candidates > 0, above),
+            ("beam_dependence", self.beam_dependence, positive(self.beam_dependence), above),
+        ] {
+            if !is_sound {
+                return Err(Error::usage(format!("`SearchOptions::{name}` is {value}"), remedy));
+            }
         }
         Ok(())
     }
@@ -279,7 +303,7 @@ pub fn distinct(mut found: Vec<Candidate>) -> Vec<Candidate> {
     found.sort_by(|a, b| b.log_likelihood.total_cmp(&a.log_likelihood));
     let mut kept: Vec<Candidate> = Vec::new();
     for candidate in found {
-        if kept.iter().all(|k| !is_same(&k.pose, &candidate.pose)) {
+        if kept.iter().all(|k| !is_same(&k.pose.world_from_robot, &candidate.pose.world_from_robot)) {
             kept.push(candidate);
         }
     }

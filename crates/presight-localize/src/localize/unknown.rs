@@ -3,10 +3,10 @@
 use super::decide::standing;
 use super::search::{Candidate, distinct, is_same};
 use super::{Localizer, Phase, Step, carried};
-use crate::estimate::{Estimate, EstimateState, Prior};
+use crate::estimate::{Estimate, EstimateState};
 use presight_model::error::Result;
-use presight_model::frame::{Frame, Motion};
 use presight_model::geometry::Pose;
+use presight_model::measured::{Frame, Motion};
 use presight_model::world::World;
 
 /// Candidates that are so much less likely are dropped, natural logarithm of the odds.
@@ -36,7 +36,7 @@ impl Localizer {
             let estimate = self.estimator.refine(world, frame, &self.belief)?;
             return Ok(self.told(frame, "no beam measured a range".into(), estimate));
         };
-        self.belief = Prior { pose: best.pose, covariance: best.covariance };
+        self.belief = best.pose;
         let estimate = best.estimate.clone();
         let reason = self.choose(world, frame)?;
         let state = if self.phase == Phase::Tracking {
@@ -56,9 +56,9 @@ impl Localizer {
         let Some(search) = &self.search else { return Ok(()) };
         for c in &mut self.candidates {
             let freedom = self.estimator.options.freedom;
-            let prior = carried(&Prior { pose: c.pose, covariance: c.covariance }, motion, freedom);
+            let prior = carried(&c.pose, motion, freedom);
             c.estimate = self.estimator.refine(world, frame, &prior)?;
-            (c.pose, c.covariance) = (c.estimate.pose, c.estimate.covariance);
+            c.pose = c.estimate.pose;
             c.frames += 1;
             c.explained += (search.explained(frame, &c.estimate) - c.explained) / c.frames as f64;
         }
@@ -112,7 +112,8 @@ impl Localizer {
     /// away is elsewhere; this one's surroundings have changed, and little of them is explained.
     fn has_returned(&self) -> bool {
         let best = &self.candidates[0];
-        let there = self.followed.is_some_and(|followed| is_same(&followed.pose, &best.pose));
+        let there =
+            self.followed.is_some_and(|followed| is_same(&followed.world_from_robot, &best.pose.world_from_robot));
         there && best.explained >= self.options.least_agreeing
     }
 
@@ -122,7 +123,7 @@ impl Localizer {
         let best = self.candidates[0].clone();
         let here = search.weigh(&mut self.estimator, world, frame, std::slice::from_ref(&best))?[0];
         let mut rivals = search.candidates(&mut self.estimator, world, frame)?;
-        rivals.retain(|r| r.log_likelihood > here && !is_same(&r.pose, &best.pose));
+        rivals.retain(|r| r.log_likelihood > here && !is_same(&r.pose.world_from_robot, &best.pose.world_from_robot));
         let found = !rivals.is_empty();
         // They are taken to have fitted the frames before as well as the best one did.
         rivals.iter_mut().for_each(|r| r.log_likelihood += best.log_likelihood - here);

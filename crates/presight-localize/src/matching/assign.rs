@@ -43,19 +43,9 @@ pub struct Assignment {
 /// candidates is solved separately by the algorithm of Kuhn and Munkres on costs rounded to a millionth. If costs are
 /// equal, a group with one row takes the lowest column, and a group with one column the lowest row.
 ///
-/// ```
-/// use presight::matching::{CandidatePair, assign};
-/// let pair = |row, column, cost| CandidatePair { row, column, cost };
-/// // The second row can only take column 0, which is also the best for the first row.
-/// let pairs = [pair(0, 0, 1.0), pair(0, 1, 1.5), pair(1, 0, 2.0)];
-/// let found = assign(&pairs, &[10.0, 10.0])?;
-/// assert_eq!(found.columns, [Some(1), Some(0)]);
-/// assert_eq!((found.cost, found.groups), (3.5, 1));
-/// # Ok::<(), presight::Error>(())
-/// ```
-///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] for a candidate whose row is not in `unseen`, and for costs that are not finite.
+/// [`presight_model::ErrorKind::Invalid`] for a candidate whose row is not in `unseen`, and for costs that are not
+/// finite.
 pub fn assign(candidates: &[CandidatePair], unseen: &[f64]) -> Result<Assignment> {
     check(candidates, unseen)?;
     let mut found =

@@ -48,6 +48,7 @@ impl Default for PropertyNoise {
 
 /// Gates and costs.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Matcher {
     /// Standard normal deviate of the probability that a feature's own detection passes the gate; 3.09 means 99.9 %.
     pub gate_deviate: f64,
@@ -75,6 +76,16 @@ impl Default for Matcher {
         }
     }
 }
+
+crate::options::with_options!(
+    Matcher:
+    with_gate_deviate gate_deviate: f64,
+    with_detection_probability detection_probability: f64,
+    with_clutter_density clutter_density: f64,
+    with_noise noise: f64,
+    with_properties properties: PropertyNoise,
+    with_turn turn: Option<f64>,
+);
 
 /// Candidate pairs of features and detections.
 #[derive(Clone, Debug, Default, PartialEq)]

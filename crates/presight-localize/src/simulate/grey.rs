@@ -3,8 +3,8 @@
 
 use super::normal;
 use presight_model::error::{Error, Result};
-use presight_model::frame::{Frame, GreyImage, Measurement};
 use presight_model::geometry::Pose;
+use presight_model::measured::{Frame, GreyImage, Measurement};
 use presight_model::random::SplitMix64;
 use presight_model::sensor::{Camera, Geometry, Sensor};
 use presight_model::world::World;
@@ -19,7 +19,9 @@ const FINE: u32 = 3;
 /// # Examples
 /// ```
 /// use presight::simulate::GreySimulator;
-/// use presight::{Camera, Environment, Geometry, Options, Pose, Predictor, Sensor, SensorSpec, World};
+/// use presight::environment::Environment;
+/// use presight::sensor::{Camera, Geometry, SensorSpec};
+/// use presight::{Options, Pose, Predictor, Sensor, World};
 /// let camera = Camera::pinhole(32, 24, 30.0, 30.0, 15.5, 11.5);
 /// let camera = Sensor::new(SensorSpec::new("camera", "video", Geometry::Camera(camera)))?;
 /// let mut simulator = GreySimulator::new(Predictor::new(Options::default())?, camera, 0.7, 0.0, 1)?;
@@ -41,8 +43,9 @@ impl GreySimulator {
     /// Makes a simulator; the same seed gives the same images. `blur` (pixels) and `noise` are standard deviations.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] for a sensor that is not a camera, for a blur outside of 0 to 10 pixels, and for a
-    /// noise outside of 0 to 1; [`crate::ErrorKind::Invalid`] for an image too large to divide its pixels.
+    /// [`presight_model::ErrorKind::Usage`] for a sensor that is not a camera, for a blur outside of 0 to 10 pixels,
+    /// and for a noise outside of 0 to 1; [`presight_model::ErrorKind::Invalid`] for an image too large to divide its
+    /// pixels.
     pub fn new(predictor: Predictor, camera: Sensor, blur: f64, noise: f64, seed: u64) -> Result<Self> {
         let Geometry::Camera(c) = &camera.spec().geometry else {
             let what = format!("sensor {:?} is not a camera and takes no grey images", camera.spec().name);

@@ -11,8 +11,8 @@ pub use surroundings::{Walkers, displace};
 
 use crate::estimate::moved;
 use presight_model::error::{Error, Result};
-use presight_model::frame::{Frame, GreyImage, Measurement, Motion, RangeNoise};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, PoseCovariance};
+use presight_model::measured::{Frame, GreyImage, Measurement, Motion, RangeNoise};
 use presight_model::random::SplitMix64;
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
@@ -46,7 +46,8 @@ const JUMP: f64 = 0.05;
 /// # Examples
 /// ```
 /// use presight::simulate::{Disturbances, Simulator};
-/// use presight::{Environment, Options, Pose, Predictor, World};
+/// use presight::environment::Environment;
+/// use presight::{Options, Pose, Predictor, World};
 /// let world = World::new(Environment::new());
 /// let scanner = presight::preset("laser-scanner")?;
 /// let mut simulator = Simulator::new(Predictor::new(Options::default())?, scanner, Disturbances::default(), 7)?;
@@ -81,7 +82,7 @@ impl Simulator {
     /// Makes a simulator; the same seed gives the same frames.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] for fractions outside 0..=1, and for slips that are negative or not finite.
+    /// [`presight_model::ErrorKind::Usage`] for fractions outside 0..=1, and for slips that are negative or not finite.
     pub fn new(predictor: Predictor, sensor: Sensor, disturbances: Disturbances, seed: u64) -> Result<Self> {
         let d = &disturbances;
         let shares = [("drop_outs", d.drop_outs), ("mixed_pixels", d.mixed_pixels)];
@@ -102,7 +103,7 @@ impl Simulator {
     /// saturate at 1. A pixel that mixes two surfaces mixes their echoes.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] for a noise outside of 0 to 1.
+    /// [`presight_model::ErrorKind::Usage`] for a noise outside of 0 to 1.
     pub fn with_intensities(self, noise: f64) -> Result<Self> {
         if !(0.0..=1.0).contains(&noise) {
             return Err(Error::usage(format!("noise of intensities of {noise}"), "give 0 to 1"));
@@ -178,11 +179,8 @@ impl Simulator {
         let t = self.disturbances.slip * way + 1e-4;
         let r = self.disturbances.turn_slip * (turned + way) + 1e-4;
         let error: [f64; 6] = std::array::from_fn(|i| if i < 3 { t } else { r } * self.normal());
-        let variance = |i: usize| if i < 3 { t * t } else { r * r };
-        Motion {
-            previous_from_current: moved(&truth, &error),
-            covariance: std::array::from_fn(|i| std::array::from_fn(|j| if i == j { variance(i) } else { 0.0 })),
-        }
+        let covariance = PoseCovariance::from_sigmas([t, t, t, r, r, r]);
+        Motion { previous_from_current: moved(&truth, &error), covariance }
     }
 
     fn normal(&mut self) -> f64 {

@@ -26,7 +26,8 @@ const ASIDE: (f64, f64) = (1.0, 2.5);
 /// # Examples
 /// ```
 /// use presight::simulate::displace;
-/// use presight::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose, World};
+/// use presight::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
+/// use presight::{Pose, World};
 /// let mut environment = Environment::new();
 /// let paint = environment.add_material(Material::named("paint"))?;
 /// let corners = [glam::Vec3::ZERO, glam::Vec3::X, glam::Vec3::Y].to_vec();
@@ -40,7 +41,7 @@ const ASIDE: (f64, f64) = (1.0, 2.5);
 /// ```
 ///
 /// # Errors
-/// [`crate::ErrorKind::Usage`] for a distance that is negative or not finite; errors of [`World::apply`].
+/// [`presight_model::ErrorKind::Usage`] for a distance that is negative or not finite; errors of [`World::apply`].
 pub fn displace(world: &mut World, metres: f64, seed: u64) -> Result<()> {
     if !(metres >= 0.0 && metres.is_finite()) {
         return Err(Error::usage(format!("objects moved by {metres} m"), "give a finite distance of at least 0"));
@@ -76,7 +77,8 @@ impl Walkers {
     /// Adds people to a world. `path` holds poses of the robot, whose height above the floor is `height` metres.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] for too many people, no pose or a non-finite height; errors of [`World::apply`].
+    /// [`presight_model::ErrorKind::Usage`] for too many people, no pose or a non-finite height; errors of
+    /// [`World::apply`].
     pub fn new(world: &mut World, path: &[Pose], height: f64, count: usize, seed: u64) -> Result<Self> {
         if count > MOST_WALKERS || !height.is_finite() || (path.is_empty() && count > 0) {
             let what = format!("{count} walkers near {} poses {height} m above the floor", path.len());

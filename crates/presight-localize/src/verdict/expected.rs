@@ -44,12 +44,17 @@ pub(super) const NOTHING: ExpectedPixel = ExpectedPixel {
 /// A prediction, arranged for comparing it with what is sensed.
 #[derive(Clone, Debug)]
 pub struct ExpectedImage {
+    /// The sensor.
     pub sensor: Sensor,
+    /// Its pose, axes of the image.
     pub world_from_image: Pose,
+    /// Columns.
     pub width: usize,
+    /// Rows.
     pub height: usize,
+    /// The pixels, row by row.
     pub pixels: Vec<ExpectedPixel>,
-    pub strided: StridedPoints,
+    pub(crate) strided: StridedPoints,
     /// Radians from one column to the next, and from one row to the next; infinite where there is but one.
     pub spacing: (f64, f64),
     /// Of the objects whose poses' covariances are stored.
@@ -63,7 +68,7 @@ pub fn body_from_image(sensor: &Sensor) -> Pose {
 }
 
 impl ExpectedImage {
-    /// Predicts what a sensor should see at a pose (body axes), with the plane of each pixel's polygon.
+    /// Predicts what a sensor should see from a robot at a pose, with the plane of each pixel's polygon.
     ///
     /// # Errors
     /// Those of [`Predictor::predict_images`].
@@ -72,14 +77,15 @@ impl ExpectedImage {
         world: &World,
         surfaces: &mut Surfaces,
         sensor: &Sensor,
-        world_from_sensor: &Pose,
+        world_from_robot: &Pose,
     ) -> Result<Self> {
+        let world_from_sensor = *world_from_robot * sensor.spec().mount;
         let outputs = Outputs::of(&[Output::Range, Output::PolygonId]);
         let mut images = Images::default();
-        predictor.predict_images(world, sensor, world_from_sensor, outputs, &mut images)?;
+        predictor.predict_images(world, sensor, &world_from_sensor, outputs, &mut images)?;
         surfaces.follow(world);
         let errors = surfaces.object_errors(world, &sensor.spec().class);
-        let world_from_image = *world_from_sensor * body_from_image(sensor);
+        let world_from_image = world_from_sensor * body_from_image(sensor);
         let image_from_world = world_from_image.inverse();
         let (width, height) = (sensor.width() as usize, sensor.height() as usize);
         images.polygon_id.iter().for_each(|id| surfaces.see(world, *id));

@@ -3,12 +3,11 @@
 use super::ExpectedImage;
 use super::expected::{ExpectedPixel, body_from_image};
 use super::surfaces::ObjectError;
-use crate::motion::turn;
 use glam::DVec3;
-use presight_model::error::{Error, Result};
-use presight_model::frame::{Frame, RangeNoise};
-use presight_model::geometry::Pose;
-use presight_model::matrix::{Matrix, quadratic, sandwich};
+use presight_model::geometry::{Pose, PoseEstimate};
+use presight_model::matrix::{quadratic, sandwich, turn};
+use presight_model::measured::{Frame, RangeNoise};
+use presight_model::sensor::Sensor;
 use presight_model::threads::parallel_or_here;
 use rayon::prelude::*;
 
@@ -57,17 +56,6 @@ impl Verdict {
     }
 }
 
-/// What is known of the errors of a comparison.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Uncertainty {
-    /// Of the measurement.
-    pub noise: RangeNoise,
-    /// Of the robot's pose: x y z, then rotation about fixed x y z, world axes, row by row; metres and radians.
-    pub pose: Matrix,
-    /// Of the polygons along their normals, one standard deviation, metres; beside what is stored of their objects' poses.
-    pub polygons: f64,
-}
-
 /// The verdicts of an image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Verdicts {
@@ -102,33 +90,13 @@ const WIDEST: i64 = 16;
 /// Fewest pixels of one task.
 const TASK: usize = 512;
 
-/// Compares a frame with what was expected of it, for a robot at a pose with a covariance. The pose may differ a little from the
-/// one that was predicted at: ranges are taken on the predicted planes.
-///
-/// A pixel is compared with all that is predicted within its uncertainty: the standard deviation of a range is
-/// `s^2 = s_z^2 + (z s_a tan i)^2 + (J C J' + P) / cos^2 i`, with i the angle of incidence, C the pose's covariance, P the
-/// polygon's: stated, and by the stored covariance of its object's pose. Nearer than the nearest by 3.3 s is [`Verdict::Nearer`], farther than the farthest [`Verdict::Farther`].
-///
-/// # Errors
-/// [`crate::ErrorKind::Usage`] if frame and prediction have not the same size.
-pub fn judge(
-    frame: &Frame,
-    expected: &ExpectedImage,
-    world_from_robot: &Pose,
-    known: &Uncertainty,
-) -> Result<Verdicts> {
+/// Compares a frame with what was expected of it, see [`super::of_frame`]. The pose may differ a little from the one of
+/// the prediction: ranges are taken on the predicted planes.
+pub(crate) fn judge(frame: &Frame, expected: &ExpectedImage, robot: &PoseEstimate, polygon_sigma: f64) -> Verdicts {
     let sensor = frame.sensor();
     let (width, height) = (sensor.width() as usize, sensor.height() as usize);
-    if (width, height) != (expected.width, expected.height) {
-        return Err(Error::usage(
-            format!(
-                "a frame of {width} x {height} pixels and a prediction of {} x {}",
-                expected.width, expected.height
-            ),
-            "predict for the frame's own sensor",
-        ));
-    }
-    let judge = parallel_or_here(|| PixelJudge::new(expected, sensor.spec().mount, world_from_robot, known));
+    assert_eq!((width, height), (expected.width, expected.height), "the frame's own sensor is predicted");
+    let judge = parallel_or_here(|| PixelJudge::new(expected, sensor, robot, polygon_sigma));
     let limits = (sensor.spec().range_min, sensor.spec().range_max);
     let one = |i: usize| {
         let z = f64::from(frame.ranges()[i]);
@@ -139,7 +107,7 @@ pub fn judge(
     let (mut pixels, mut difference) = (Vec::new(), Vec::new());
     let all = (0..width * height).into_par_iter().with_min_len(TASK);
     parallel_or_here(|| all.map(one).unzip_into_vecs(&mut pixels, &mut difference));
-    Ok(Verdicts { width: width as u32, height: height as u32, pixels, difference })
+    Verdicts { width: width as u32, height: height as u32, pixels, difference }
 }
 
 /// A range outside the limits is one of REP-117's.
@@ -155,7 +123,7 @@ fn as_measured(z: f64, (least, most): (f64, f64)) -> f64 {
 
 struct PixelJudge<'a> {
     expected: &'a ExpectedImage,
-    known: &'a Uncertainty,
+    noise: RangeNoise,
     /// Rotation of rays and place of the sensor, in the expected image's frame.
     expected_from_now: Pose,
     /// Variance of each pixel's polygon along its normal, by the robot's pose and by its own; square metres.
@@ -174,10 +142,12 @@ struct PixelWindow {
 }
 
 impl<'a> PixelJudge<'a> {
-    fn new(expected: &'a ExpectedImage, mount: Pose, world_from_robot: &Pose, known: &'a Uncertainty) -> Self {
+    fn new(expected: &'a ExpectedImage, sensor: &Sensor, known: &PoseEstimate, polygon_sigma: f64) -> Self {
+        let PoseEstimate { world_from_robot, covariance: in_world } = known;
+        let mount = sensor.spec().mount;
         let expected_from_world = expected.world_from_image.inverse();
         let expected_from_now = expected_from_world * *world_from_robot * mount * body_from_image(&expected.sensor);
-        let covariance = sandwich(&turn(expected_from_world.rotation), &known.pose);
+        let covariance = sandwich(&turn(expected_from_world.rotation), in_world.as_rows());
         let robot = expected_from_world.transform_point(world_from_robot.translation);
         let off = |pixel: &ExpectedPixel| {
             let (point, normal) = (pixel.point.as_dvec3(), pixel.normal.as_dvec3());
@@ -187,12 +157,12 @@ impl<'a> PixelJudge<'a> {
                 let (point, normal) = (world.transform_point(point), world.rotation * normal);
                 quadratic(&error.covariance, &ObjectError::gradient(error.origin, point, normal)).max(0.0)
             });
-            by_pose + by_object + known.polygons.powi(2)
+            by_pose + by_object + polygon_sigma.powi(2)
         };
-        let largest = |from: usize| (from..from + 3).map(|i| known.pose[i][i]).sum::<f64>().max(0.0).sqrt();
+        let largest = |from: usize| (from..from + 3).map(|i| in_world[i][i]).sum::<f64>().max(0.0).sqrt();
         Self {
             expected,
-            known,
+            noise: RangeNoise::of(sensor),
             expected_from_now,
             off: expected.pixels.par_iter().with_min_len(TASK).map(off).collect(),
             translation: largest(0),
@@ -215,8 +185,8 @@ impl<'a> PixelJudge<'a> {
         let cos = slope.abs().max(1e-3);
         let off = self.off[at];
         let z = if measured.is_finite() { measured } else { range };
-        let along = self.known.noise.range_sigma(z);
-        let across = z * self.known.noise.angle * (1.0 - cos * cos).max(0.0).sqrt() / cos;
+        let along = self.noise.range_sigma(z);
+        let across = z * self.noise.angle * (1.0 - cos * cos).max(0.0).sqrt() / cos;
         Some((range, (along * along + across * across + off / (cos * cos)).sqrt()))
     }
 
@@ -225,7 +195,7 @@ impl<'a> PixelJudge<'a> {
         let at = row * e.width + column;
         let range = if z.is_finite() { z } else { f64::from(e.pixels[at].range) };
         let range = if range.is_finite() { range.max(0.1) } else { 1.0 };
-        let angle = BOUND * (self.rotation + self.translation / range + self.known.noise.angle);
+        let angle = BOUND * (self.rotation + self.translation / range + self.noise.angle);
         // Half a pixel more: a polygon's edge may be anywhere between two rays.
         let half = |spacing: f64| ((angle / spacing + 0.5).ceil() as i64).clamp(i64::from(spacing.is_finite()), WIDEST);
         let (hu, hv) = (half(e.spacing.0), half(e.spacing.1));

@@ -1,38 +1,7 @@
-//! Verdicts: what a measured image says of the prediction, pixel by pixel.
+//! Verdicts: what a measured image says of the model, pixel by pixel.
 //!
-//! [`ExpectedImage`] is a prediction with the exact plane of each pixel's polygon. [`judge`] compares a [`crate::frame::Frame`] with
+//! [`ExpectedImage`] is a prediction with the exact plane of each pixel's polygon. [`judge`] compares a [`Frame`] with
 //! it: each pixel is confirmed, nearer, farther and so on ([`Verdict`]), tight by what is known of the noise and of the pose.
-//!
-//! # Examples
-//! ```
-//! use presight::frame::{Frame, RangeNoise, Measurement};
-//! use presight::verdict::{ExpectedImage, Surfaces, Uncertainty, Verdict, judge};
-//! use presight::{Material, Mesh, NewObject, Options, Polygon, PolygonOrder, Pose, Predictor, World};
-//! use std::sync::Arc;
-//!
-//! // A wall 2 m ahead, 4 m wide, and a scanner that sees a box 1 m before it.
-//! let mut environment = presight::Environment::new();
-//! let paint = environment.add_material(Material::named("paint"))?;
-//! let corners = [[2.0, -2.0, -1.0], [2.0, -2.0, 1.0], [2.0, 2.0, 1.0], [2.0, 2.0, -1.0]].map(glam::Vec3::from);
-//! let mesh = Mesh::new("wall", corners.to_vec(), vec![Polygon::new(vec![0, 1, 2, 3], paint)], PolygonOrder::Given)?;
-//! environment.insert(NewObject::new("wall", Pose::IDENTITY, Arc::new(mesh)))?;
-//! let world = World::new(environment);
-//! let scanner = presight::preset("laser-scanner")?; // 180 looks ahead
-//!
-//! let mut predictor = Predictor::new(Options::default())?;
-//! let expected = ExpectedImage::predict(&mut predictor, &world, &mut Surfaces::default(), &scanner, &Pose::IDENTITY)?;
-//! let mut ranges: Vec<f32> = expected.pixels().iter().map(|p| p.range).collect();
-//! ranges[180] = 1.0;
-//! ranges[170] += 0.5;
-//! let frame = Frame::new(0.0, scanner.clone(), Measurement::Range(ranges))?;
-//! let known = Uncertainty { noise: RangeNoise::of(&scanner), pose: [[0.0; 6]; 6], polygons: 0.001 };
-//! let verdicts = judge(&frame, &expected, &Pose::IDENTITY, &known)?;
-//! assert_eq!(verdicts.pixels[180], Verdict::Nearer);
-//! assert_eq!(verdicts.pixels[170], Verdict::Farther);
-//! assert_eq!(verdicts.pixels[175], Verdict::Confirmed);
-//! assert_eq!(verdicts.pixels[0], Verdict::Beyond);
-//! # Ok::<(), presight::Error>(())
-//! ```
 
 mod expected;
 mod judge;
@@ -41,6 +10,49 @@ mod surfaces;
 
 pub use expected::body_from_image;
 pub use expected::{ExpectedImage, ExpectedPixel};
-pub use judge::{Uncertainty, Verdict, Verdicts, judge};
+pub(crate) use judge::judge;
+pub use judge::{Verdict, Verdicts};
 pub use strided::LANES;
 pub use surfaces::{ObjectError, Surface, Surfaces};
+
+use presight_model::error::{Error, Result};
+use presight_model::geometry::PoseEstimate;
+use presight_model::measured::Frame;
+use presight_model::world::World;
+use presight_predict::predict::Predictor;
+
+/// Compares a frame of ranges with what its sensor should measure from a robot at this pose.
+///
+/// The sensor's mount leads from the robot to the sensor. A pixel is compared with all that is predicted within its
+/// uncertainty: the standard deviation of a range is `s^2 = s_z^2 + (z s_a tan i)^2 + (J C J' + P) / cos^2 i`, with s_z
+/// and s_a the sensor's noise, i the angle of incidence, C the covariance of the pose, and P that of the object's pose,
+/// from the feature layer of the sensor's class. Nearer than the nearest by 3.3 s is [`Verdict::Nearer`], farther than
+/// the farthest [`Verdict::Farther`].
+///
+/// # Errors
+/// The errors of [`Predictor::predict_images`]; [`crate::ErrorKind::Invalid`] for an invalid covariance;
+/// [`crate::ErrorKind::Usage`] for a grey image.
+pub fn of_frame(predictor: &mut Predictor, world: &World, frame: &Frame, robot: &PoseEstimate) -> Result<Verdicts> {
+    of_coarse_model(predictor, world, frame, robot, 0.0)
+}
+
+/// As [`of_frame`], for a model with polygons that may be off along their normals: `polygon_sigma` is one standard
+/// deviation, metres.
+///
+/// # Errors
+/// The errors of [`of_frame`].
+pub fn of_coarse_model(
+    predictor: &mut Predictor,
+    world: &World,
+    frame: &Frame,
+    robot: &PoseEstimate,
+    polygon_sigma: f64,
+) -> Result<Verdicts> {
+    if frame.grey().is_some() {
+        return Err(Error::usage("verdicts on a grey image", "give a frame of ranges"));
+    }
+    robot.covariance.check().map_err(|e| e.at("the robot's pose"))?;
+    let (surfaces, pose) = (&mut Surfaces::default(), &robot.world_from_robot);
+    let expected = ExpectedImage::predict(predictor, world, surfaces, frame.sensor(), pose)?;
+    predictor.on_threads(|| judge(frame, &expected, robot, polygon_sigma))
+}

@@ -1,9 +1,8 @@
 //! The planes of polygons by slot, worked out when first seen.
 
-use crate::motion::turn;
 use glam::DVec3;
-use presight_model::geometry::{Plane, plane_of_polygon};
-use presight_model::matrix::{Matrix, sandwich};
+use presight_model::geometry::{InObject, Plane, PoseCovariance, plane_of_polygon};
+use presight_model::matrix::Matrix;
 use presight_model::world::World;
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
@@ -24,7 +23,7 @@ pub struct Surface {
 pub struct ObjectError {
     /// Where the object's frame is, world frame, metres.
     pub origin: DVec3,
-    /// Covariance of the object's pose: x y z, then rotation about its origin and fixed x y z, world axes; metres and radians.
+    /// Covariance of the object's pose, world axes.
     pub covariance: Matrix,
 }
 
@@ -71,11 +70,11 @@ impl Surfaces {
         }
         let environment = world.environment();
         let listed = environment.layer(class).map_or(&[][..], |layer| &layer.pose_covariances);
-        let error = |(name, own): &(String, Matrix)| {
+        let error = |(name, own): &(String, PoseCovariance<InObject>)| {
             // Of an object that is gone nothing is seen.
             let index = environment.index_of(name).ok()?;
             let pose = &environment.objects()[index as usize].world_from_object;
-            let covariance = sandwich(&turn(pose.rotation), own);
+            let covariance = *own.in_world(pose).as_rows();
             Some((index, ObjectError { origin: pose.translation, covariance }))
         };
         let errors: ObjectErrors = Arc::new(listed.iter().filter_map(error).collect());

@@ -19,6 +19,7 @@ impl Curve {
         ends.zip(self.edges.iter().map(|edge| surface.slots_of(&surface.edges[*edge as usize])))
     }
 
+    /// Length in metres.
     pub fn length(&self) -> f64 {
         self.points.windows(2).map(|pair| pair[0].distance(pair[1])).sum()
     }

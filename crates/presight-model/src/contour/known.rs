@@ -78,6 +78,7 @@ impl ContourSet {
         &self.numbers
     }
 
+    /// Returns true if there are no contours.
     pub fn is_empty(&self) -> bool {
         self.surfaces.is_empty()
     }

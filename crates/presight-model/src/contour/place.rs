@@ -20,6 +20,7 @@ pub struct ContourFinder<'a> {
 }
 
 impl<'a> ContourFinder<'a> {
+    /// A finder for a sensor class.
     pub fn new(environment: &'a Environment, class: &'a str) -> Self {
         Self { environment, class, objects: HashMap::new(), known: KnownSurfaces::default(), facets: 0 }
     }
@@ -101,9 +102,11 @@ impl KnownSurfaces {
 /// A smooth surface for which a contour may be generated.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SmoothSurface {
+    /// Index of its object.
     pub object: u32,
     /// The middle of its largest polygon, in the object's frame; among equal ones, the first by coordinates.
     pub anchor: DVec3,
+    /// Its bounds in the frame of the object.
     pub bounds: crate::geometry::Aabb,
 }
 

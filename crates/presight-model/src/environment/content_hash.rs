@@ -41,7 +41,7 @@ impl Environment {
     /// The hash of the whole content, equal on every machine. The source of this module defines the encoding.
     ///
     /// ```
-    /// use presight::{Environment, Material};
+    /// use presight::environment::{Environment, Material};
     /// let mut environment = Environment::new();
     /// let empty = environment.content_hash();
     /// environment.add_material(Material::named("paint"))?;
@@ -190,7 +190,7 @@ impl Encoder {
         self.count(covariances.len());
         for (object, covariance) in covariances {
             self.text(object);
-            self.f64s(covariance.as_flattened());
+            self.f64s(covariance.as_rows().as_flattened());
         }
         self.count(layer.features.len());
         layer.features.iter().for_each(|feature| self.feature(feature));

@@ -1,5 +1,6 @@
 //! Features: what a sensor can extract from its image, with position and uncertainty (paper section 2.3).
 
+use crate::geometry::{InObject, PoseCovariance};
 use glam::{DMat3, DVec3};
 use std::sync::Arc;
 
@@ -12,9 +13,8 @@ pub struct FeatureLayer {
     pub tolerance: f64,
     /// The features, by rising id. They are shared with clones of the layer, placed features and predictions.
     pub features: Vec<Arc<Feature>>,
-    /// Covariances of objects' poses, shared by all features of the object, by object path: x y z, then rotation about
-    /// the fixed axes x y z, metres and radians, in the object's frame.
-    pub pose_covariances: Vec<(String, [[f64; 6]; 6])>,
+    /// Covariances of objects' poses, shared by all features of the object, by object path.
+    pub pose_covariances: Vec<(String, PoseCovariance<InObject>)>,
 }
 
 impl FeatureLayer {
@@ -22,7 +22,7 @@ impl FeatureLayer {
     /// time by default. The clock is never read: the same input gives the same prediction.
     ///
     /// ```
-    /// use presight::environment::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
+    /// use presight::features::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
     /// use glam::{DMat3, DVec3};
     /// let confirmed = |id: u32, confirmed: f64| Feature {
     ///     id,
@@ -169,7 +169,6 @@ impl FeatureShape {
     }
 
     /// True for shapes with an area: patches and fiducials.
-    #[doc(hidden)]
     pub fn is_area(&self) -> bool {
         matches!(self, Self::Patch { .. } | Self::Fiducial { .. })
     }

@@ -91,7 +91,7 @@ impl FeatureLayer {
             if !seen.insert(object) {
                 return Err(Error::invalid("it is given twice", "keep one of them").at(place()));
             }
-            check_covariance(covariance).map_err(|e| e.at(place()))?;
+            covariance.check().map_err(|e| e.at(place()))?;
         }
         Ok(())
     }

@@ -26,7 +26,8 @@ impl Environment {
     /// All groups with their frames, `world_from_group`.
     ///
     /// ```
-    /// use presight::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose};
+    /// use presight::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
+    /// use presight::Pose;
     /// let mut environment = Environment::new();
     /// let paint = environment.add_material(Material::named("paint"))?;
     /// let corners = [glam::Vec3::ZERO, glam::Vec3::X, glam::Vec3::Y].to_vec();
@@ -97,7 +98,7 @@ impl Environment {
         }
         if path.is_empty() || path.len() > limits::MAX_NAME_BYTES {
             let what = format!("the path has {} bytes", path.len());
-            return Err(Error::invalid(what, format!("give 1 to {}", limits::MAX_NAME_BYTES)));
+            return Err(Error::invalid(what, format!("give 1 to {}", limits::MAX_NAME_BYTES)).at(place()));
         }
         Ok(self.keep_frame(path.to_owned(), pose))
     }
@@ -209,7 +210,8 @@ mod tests {
         let mut e = environment(&["a", "a/b"]);
         let far = Pose { translation: DVec3::splat(1e13), ..Pose::IDENTITY };
         for (path, pose) in [("a", at(1.0)), ("", at(1.0)), ("g", far)] {
-            assert!(!e.set_frame(path, Some(pose)).unwrap_err().remedy().is_empty());
+            let refused = e.set_frame(path, Some(pose)).unwrap_err();
+            assert!(!refused.remedy().is_empty() && refused.place() == Some(&format!("group {path:?}")), "{refused}");
         }
         e.set_frame("g", Some(at(1.0))).unwrap();
         e.set_frame("a#2", Some(at(1.0))).unwrap();

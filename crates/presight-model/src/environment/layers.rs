@@ -3,6 +3,7 @@
 use super::open::OpenLayer;
 use super::{DEFAULT_TOLERANCE, Environment, Feature, FeatureLayer};
 use crate::error::{Error, Result};
+use crate::geometry::{InObject, PoseCovariance};
 use std::collections::HashSet;
 use std::sync::Arc;
 
@@ -18,17 +19,20 @@ impl Environment {
         found.ok().map(|i| &self.layers[i])
     }
 
-    /// Adds a layer, or its features to the class's layer. [`crate::features::place`] checks that they lie on polygons.
+    /// Adds a layer, or its features to the class's layer. `features::place` checks that they lie on polygons.
     ///
     /// ```
-    /// use presight::Environment;
-    /// use presight::io::layer;
-    /// let file = layer::parse(r#"{"format": 1, "class": "video", "features": [
-    ///     {"id": 1, "kind": "point", "points": [[1, 2, 3]], "sigma": 0.01}]}"#)?;
+    /// use presight::environment::Environment;
+    /// use presight::features::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
+    /// use glam::{DMat3, DVec3};
+    /// let shape = FeatureShape::Point { at: DVec3::new(1.0, 2.0, 3.0), covariance: 1e-4 * DMat3::IDENTITY };
+    /// let (existence, properties) = (Existence::default(), Properties::default());
+    /// let point = Feature { id: 1, name: None, object: None, shape, existence, properties };
+    /// let layer = FeatureLayer { class: "video".into(), features: vec![point.into()], ..FeatureLayer::default() };
     /// let mut environment = Environment::new();
-    /// environment.add_layer(file.layer.clone())?;
+    /// environment.add_layer(layer.clone())?;
     /// assert_eq!(environment.layer("video").unwrap().features.len(), 1);
-    /// assert!(environment.add_layer(file.layer).is_err(), "its ids are taken");
+    /// assert!(environment.add_layer(layer).is_err(), "its ids are taken");
     /// # Ok::<(), presight::Error>(())
     /// ```
     ///
@@ -186,7 +190,7 @@ impl Environment {
     }
 
     /// The covariance of an object's pose, with its position in the layer's list.
-    pub(crate) fn covariance_and_place(&self, class: &str, object: &str) -> Option<(usize, [[f64; 6]; 6])> {
+    pub(crate) fn covariance_and_place(&self, class: &str, object: &str) -> Option<(usize, PoseCovariance<InObject>)> {
         if let Some(open) = &self.open {
             return open.get(class)?.covariance_and_place(object);
         }
@@ -264,12 +268,12 @@ impl Environment {
         &mut self,
         class: &str,
         object: &str,
-        covariance: Option<[[f64; 6]; 6]>,
-    ) -> Result<Option<[[f64; 6]; 6]>> {
+        covariance: Option<PoseCovariance<InObject>>,
+    ) -> Result<Option<PoseCovariance<InObject>>> {
         let place = || format!("pose covariance of object {object:?} for class {class:?}");
         if let Some(covariance) = &covariance {
             self.index_of(object).map_err(|e| e.at(place()))?;
-            super::check_covariance(covariance).map_err(|e| e.at(place()))?;
+            covariance.check().map_err(|e| e.at(place()))?;
         }
         self.layer_or_new(class)?;
         if let Some(open) = &mut self.open {

@@ -43,6 +43,7 @@ impl Material {
         self.appearance.get(class).copied().unwrap_or_default()
     }
 
+    /// Returns an error unless the reflection factor is from 0 to 1.
     pub fn check(&self) -> Result<()> {
         if (0.0..=1.0).contains(&self.reflection) {
             return Ok(());

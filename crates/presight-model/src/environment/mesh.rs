@@ -39,9 +39,13 @@ pub enum PolygonOrder {
 /// A stored polygon: the position of its corners in the corner list, and its attributes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PolygonRecord {
+    /// Position of its first corner in the corner list.
     pub first_corner: u32,
+    /// Number of its first source triangle within the object.
     pub source: u32,
+    /// Material index.
     pub material: u16,
+    /// Number of its corners.
     pub corner_count: u8,
 }
 
@@ -79,8 +83,11 @@ impl PolygonRecord {
 /// Polygons without an order yet: records and planes over one list of corners.
 #[derive(Debug, Default)]
 pub struct Parts {
+    /// Vertex indices, polygon by polygon.
     pub corners: Vec<u32>,
+    /// The polygons.
     pub records: Vec<PolygonRecord>,
+    /// The plane of each polygon.
     pub planes: Vec<Plane>,
 }
 
@@ -134,7 +141,7 @@ impl Mesh {
     /// Checks and stores polygons.
     ///
     /// ```
-    /// use presight::{Mesh, Polygon, PolygonOrder};
+    /// use presight::environment::{Mesh, Polygon, PolygonOrder};
     /// use glam::Vec3;
     /// let square = vec![Vec3::ZERO, Vec3::X, Vec3::new(1.0, 1.0, 0.0), Vec3::Y];
     /// let mesh = Mesh::new("tile", square, vec![Polygon::new(vec![0, 1, 2, 3], 0)], PolygonOrder::Spatial)?;
@@ -367,10 +374,12 @@ impl Mesh {
         self.bounds
     }
 
+    /// All polygons.
     pub fn polygons(&self) -> &[PolygonRecord] {
         &self.polygons
     }
 
+    /// The vertex indices of all corners, polygon by polygon.
     pub fn all_corners(&self) -> &[u32] {
         &self.corners
     }
@@ -395,6 +404,7 @@ impl Mesh {
         self.by_cluster.get_or_init(made)
     }
 
+    /// The plane of each polygon, in the frame of the mesh.
     pub fn planes(&self) -> &[Plane] {
         &self.planes
     }

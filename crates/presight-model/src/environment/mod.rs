@@ -15,16 +15,14 @@ mod revert;
 
 pub use cluster_vertices::Positions;
 pub use content_hash::ContentHash;
-#[doc(hidden)]
 pub use cuboid::{CUBOID_FACES, cuboid_corners};
 pub use feature::{DEFAULT_TOLERANCE, Existence, Feature, FeatureLayer, FeatureShape, Properties};
-#[doc(hidden)]
 pub use feature_check::check_covariance;
 pub use material::{Appearance, Material};
 pub use mesh::{Cluster, Mesh, Polygon, PolygonOrder};
 pub use mesh::{Parts, PolygonRecord, canonical_plane};
 pub use paths::Paths;
-pub use revert::Revert;
+pub(crate) use revert::Revert;
 
 use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::{Aabb, Pose};
@@ -126,7 +124,7 @@ impl NewObject {
     /// Splits a node's transform into a rigid pose and what remains of it (scale, mirror, shear).
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if the matrix is not finite or flattens the mesh.
+    /// [`ErrorKind::Invalid`] if the matrix is not finite or flattens the mesh.
     pub fn from_affine(name: impl Into<String>, world_from_mesh: DAffine3, mesh: Arc<Mesh>) -> Result<Self> {
         let m = world_from_mesh.matrix3;
         let lengths = [m.x_axis.length(), m.y_axis.length(), m.z_axis.length()];
@@ -177,7 +175,7 @@ impl Environment {
     /// Adds a material and returns its index, for [`Polygon::material`].
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if the reflection factor is outside 0..=1 or there are over 65,535 materials.
+    /// [`ErrorKind::Invalid`] if the reflection factor is outside 0..=1 or there are over 65,535 materials.
     pub fn add_material(&mut self, material: Material) -> Result<u16> {
         material.check()?;
         let index = u16::try_from(self.materials.len())
@@ -191,7 +189,7 @@ impl Environment {
     /// Adds an object and returns its index (`object_id` in images minus one). The object replaces a group at its path.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if the mesh names a material that does not exist, the pose is not finite or out
+    /// [`ErrorKind::Invalid`] if the mesh names a material that does not exist, the pose is not finite or out
     /// of bounds, or a limit is exceeded.
     pub fn insert(&mut self, new: NewObject) -> Result<u32> {
         let place = || format!("object {:?}", new.name);
@@ -235,7 +233,7 @@ impl Environment {
     /// Sets the pose of an object.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if there is no such object or the pose is not finite or out of bounds.
+    /// [`ErrorKind::Invalid`] if there is no such object or the pose is not finite or out of bounds.
     pub fn set_pose(&mut self, name: &str, world_from_object: Pose) -> Result<u32> {
         let index = self.index_of(name)?;
         check_pose(&world_from_object).map_err(|e| e.at(format!("object {name:?}")))?;
@@ -246,7 +244,7 @@ impl Environment {
     /// Deletes an object and returns its index. Its name may be reused; its number and slots are not.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if there is no such object.
+    /// [`ErrorKind::Invalid`] if there is no such object.
     pub fn delete(&mut self, name: &str) -> Result<u32> {
         let index = self.index_of(name)?;
         self.names.remove(name);
@@ -258,7 +256,7 @@ impl Environment {
     /// The index of the object with this full path.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if there is no such object.
+    /// [`ErrorKind::Invalid`] if there is no such object.
     pub fn index_of(&self, name: &str) -> Result<u32> {
         let remedy = "presight inspect lists the objects";
         self.names.get(name).copied().ok_or_else(|| Error::invalid(format!("there is no object {name:?}"), remedy))
@@ -353,6 +351,7 @@ impl Environment {
     }
 }
 
+/// Returns an error unless the pose is finite and its rotation a unit quaternion.
 pub fn check_pose(pose: &Pose) -> Result<()> {
     pose.check_as(ErrorKind::Invalid)
 }

@@ -2,11 +2,12 @@
 //! and finding the features of an object scans them all: minutes for a hundred thousand features.
 
 use super::{Environment, Feature};
+use crate::geometry::{InObject, PoseCovariance};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
 
 /// The covariance of an object's pose.
-pub(super) type Covariance = [[f64; 6]; 6];
+pub(super) type Covariance = PoseCovariance<InObject>;
 
 /// The content of a layer, with fast lookup, insertion and removal.
 #[derive(Clone, Debug, Default)]

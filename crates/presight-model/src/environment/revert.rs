@@ -3,12 +3,12 @@
 //! [`crate::Change`]s only undo content, and restored objects get new numbers. A failed group must leave no trace.
 
 use super::{Environment, Feature};
-use crate::geometry::Pose;
+use crate::geometry::{InObject, Pose, PoseCovariance};
 use std::sync::Arc;
 
 /// Takes back one step of a change. Steps are reverted newest first, so that each finds the state that it left.
 #[derive(Clone, Debug)]
-pub enum Revert {
+pub(crate) enum Revert {
     /// Removes the object that was added last; a group at its path gets its frame back.
     Insert { frame: Option<Pose> },
     /// Restores the pose of an object.
@@ -28,7 +28,7 @@ pub enum Revert {
     /// Restores the tolerance of a layer.
     Tolerance { class: String, tolerance: f64 },
     /// Restores the covariance of an object's pose, if it had one, at its position in the list.
-    PoseCovariance { class: String, object: String, before: Option<(usize, [[f64; 6]; 6])> },
+    PoseCovariance { class: String, object: String, before: Option<(usize, PoseCovariance<InObject>)> },
     /// Removes a layer that the change created.
     NewLayer { class: String },
 }
@@ -92,7 +92,7 @@ impl Environment {
         }
     }
 
-    fn restore_covariance(&mut self, class: &str, object: String, before: Option<(usize, [[f64; 6]; 6])>) {
+    fn restore_covariance(&mut self, class: &str, object: String, before: Option<(usize, PoseCovariance<InObject>)>) {
         if let Some(open) = &mut self.open {
             if let Some(layer) = open.get_mut(class) {
                 layer.restore_covariance(object, before);

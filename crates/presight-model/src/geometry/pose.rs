@@ -38,7 +38,7 @@ impl Pose {
     /// From a translation and a rotation; the quaternion is normalized.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] on NaN, infinity, a translation beyond [`limits::MAX_COORDINATE`], or a quaternion
+    /// [`ErrorKind::Usage`] on NaN, infinity, a translation beyond [`limits::MAX_COORDINATE`], or a quaternion
     /// whose length is not finite or near 0.
     pub fn new(translation: DVec3, rotation: DQuat) -> Result<Self> {
         // A squared component that overflows makes the length infinite, and normalizing would not give a rotation.
@@ -64,7 +64,7 @@ impl Pose {
     /// ```
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`], naming the pose and the fault.
+    /// [`ErrorKind::Usage`], naming the pose and the fault.
     pub fn check(&self) -> Result<()> {
         self.check_as(ErrorKind::Usage)
     }

@@ -28,13 +28,6 @@ fn in_quadrant(quadrant: u8, (s, c): (f64, f64)) -> (f64, f64) {
 }
 
 /// Sine and cosine of `k / n` of a full turn. The corners of a regular polygon: symmetric to the last bit.
-///
-/// ```
-/// use presight::geometry::sin_cos_of_turn;
-/// assert_eq!(sin_cos_of_turn(6, 24), (1.0, 0.0));
-/// let ((s1, c1), (s5, c5)) = (sin_cos_of_turn(1, 24), sin_cos_of_turn(5, 24));
-/// assert_eq!((s1, c1), (c5, s5));
-/// ```
 pub fn sin_cos_of_turn(k: u32, n: u32) -> (f64, f64) {
     let quarters = 4 * (u64::from(k) % u64::from(n.max(1)));
     let n = u64::from(n.max(1));
@@ -42,12 +35,6 @@ pub fn sin_cos_of_turn(k: u32, n: u32) -> (f64, f64) {
 }
 
 /// Sine and cosine of degrees: exact at multiples of 90, equal at 45. NaN for non-finite angles.
-///
-/// ```
-/// use presight::geometry::sin_cos_deg;
-/// assert_eq!(sin_cos_deg(-90.0), (-1.0, 0.0));
-/// assert_eq!(sin_cos_deg(360.0), (0.0, 1.0));
-/// ```
 pub fn sin_cos_deg(deg: f64) -> (f64, f64) {
     // The remainder is exact.
     let rest = deg % 360.0;

@@ -25,6 +25,7 @@ impl PolygonBoxes {
         Self(vec![Boxes8::EMPTY; polygons.div_ceil(LANES)])
     }
 
+    /// Sets the box of a polygon.
     #[inline]
     pub fn set(&mut self, polygon: usize, (min, max): (Vec3, Vec3)) {
         self.0[polygon / LANES].set(polygon % LANES, &Box32 { min: min.to_array(), max: max.to_array() });
@@ -52,6 +53,7 @@ pub(super) struct Part {
 }
 
 impl MeshTree {
+    /// The tree of a mesh.
     pub fn new(mesh: &Mesh) -> Self {
         let mut boxes = PolygonBoxes::new(mesh.polygon_count());
         for (i, record) in mesh.polygons().iter().enumerate() {
@@ -131,10 +133,12 @@ impl MeshTree {
         self.nodes.first().map_or(Box32::EMPTY, |root| root.bounds)
     }
 
+    /// Bytes of memory.
     pub fn bytes(&self) -> usize {
         self.nodes.capacity() * size_of::<Node>() + self.boxes.capacity() * size_of::<Boxes8>()
     }
 
+    /// Panics unless each polygon lies within the boxes above it (tests).
     pub fn assert_well_formed(&self, mesh: &Mesh) {
         let mut clusters = mesh.clusters().iter();
         let mut end = 0;

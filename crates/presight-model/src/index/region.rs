@@ -11,16 +11,6 @@ use std::f64::consts::{FRAC_PI_2, TAU};
 
 /// A region of space to query. All regions are closed, and answers are conservative: every box with a point in the
 /// region is found, with few others.
-///
-/// ```
-/// use presight::{Aabb, index::Region};
-/// use glam::{DVec2, DVec3};
-/// // The paper's query: 10 m, 60 degrees.
-/// let region = Region::sector(DVec2::ZERO, 0.0, 60f64.to_radians(), 10.0);
-/// let at = |p: DVec3| Aabb::of([p, p + 0.1]);
-/// assert!(region.meets(&at(DVec3::new(9.0, 0.0, 50.0))));
-/// assert!(!region.meets(&at(DVec3::new(1.0, 1.0, 0.0))));
-/// ```
 #[derive(Clone, Copy, Debug)]
 pub struct Region {
     /// Apex or centre, in the world.
@@ -111,15 +101,6 @@ impl Region {
     /// A ball minus a pyramid: the region of rays that look everywhere except in some directions. Takes the apex,
     /// inward unit normals of the pyramid's planes (world axes, 1 to [`Region::MAX_PLANES`]; with any other number it
     /// is the whole ball) and the ball's radius in metres.
-    ///
-    /// ```
-    /// use presight::{Aabb, index::Region};
-    /// use glam::DVec3;
-    /// let all_but_behind = Region::outside(DVec3::ZERO, &[DVec3::NEG_X], 10.0);
-    /// let at = |p: DVec3| Aabb::of([p - 0.1, p + 0.1]);
-    /// assert!(all_but_behind.meets(&at(DVec3::X)) && all_but_behind.meets(&at(DVec3::Y)));
-    /// assert!(!all_but_behind.meets(&at(DVec3::NEG_X)) && !all_but_behind.meets(&at(DVec3::X * 11.0)));
-    /// ```
     pub fn outside(apex: DVec3, normals: &[DVec3], radius: f64) -> Self {
         if normals.is_empty() || normals.len() > Self::MAX_PLANES {
             return Self::frustum(apex, &[], radius);
@@ -136,16 +117,6 @@ impl Region {
 
     /// A line segment from `from` along a unit `direction` (world axes) with a length in metres: the boxes that a ray
     /// meets.
-    ///
-    /// ```
-    /// use presight::{Aabb, index::Region};
-    /// use glam::DVec3;
-    /// let ray = Region::ray(DVec3::ZERO, DVec3::X, 10.0);
-    /// let at = |p: DVec3| Aabb::of([p - 0.1, p + 0.1]);
-    /// assert!(ray.meets(&at(DVec3::X * 10.05)));
-    /// assert!(!ray.meets(&at(DVec3::X * 10.2)) && !ray.meets(&at(DVec3::new(5.0, 0.2, 0.0))));
-    /// assert!(!ray.meets(&at(DVec3::X * -0.2)));
-    /// ```
     pub fn ray(from: DVec3, direction: DVec3, length: f64) -> Self {
         Self { origin: from, region_from_world: DMat3::IDENTITY, form: Form::Ray(Ray { direction, length }) }
     }
@@ -271,5 +242,29 @@ impl ShapeVisitor for PointTest {
 
     fn visit<S: Shape>(self, shape: &S) -> bool {
         shape.contains(self.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn around(p: DVec3) -> Aabb {
+        Aabb::of([p - 0.1, p + 0.1])
+    }
+
+    #[test]
+    fn a_ball_without_a_pyramid_leaves_out_what_is_behind() {
+        let all_but_behind = Region::outside(DVec3::ZERO, &[DVec3::NEG_X], 10.0);
+        assert!(all_but_behind.meets(&around(DVec3::X)) && all_but_behind.meets(&around(DVec3::Y)));
+        assert!(!all_but_behind.meets(&around(DVec3::NEG_X)) && !all_but_behind.meets(&around(DVec3::X * 11.0)));
+    }
+
+    #[test]
+    fn a_ray_meets_the_boxes_on_its_way() {
+        let ray = Region::ray(DVec3::ZERO, DVec3::X, 10.0);
+        assert!(ray.meets(&around(DVec3::X * 10.05)));
+        assert!(!ray.meets(&around(DVec3::X * 10.2)) && !ray.meets(&around(DVec3::new(5.0, 0.2, 0.0))));
+        assert!(!ray.meets(&around(DVec3::X * -0.2)));
     }
 }

@@ -14,15 +14,6 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 /// Finds the polygons of an environment that have a point in a region.
-///
-/// ```
-/// use presight::{Environment, index::{QueryResult, Params, Region, Scheme, WorldIndex}};
-/// let environment = Environment::new();
-/// let index = WorldIndex::new(&environment, Scheme::S3d, Params::default());
-/// let mut found = QueryResult::default();
-/// index.query(&environment, &Region::everything(), &mut found);
-/// assert_eq!(found.count(), 0);
-/// ```
 #[derive(Clone, Debug)]
 pub struct WorldIndex {
     scheme: Scheme,

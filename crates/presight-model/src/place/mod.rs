@@ -57,8 +57,9 @@ enum Support {
 /// Finds the object and the polygons of each feature in a world. Returns them in the order of the layer.
 ///
 /// ```
-/// use presight::environment::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
-/// use presight::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose, World, features};
+/// use presight::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
+/// use presight::features::{Existence, Feature, FeatureLayer, FeatureShape, Properties, place};
+/// use presight::{Pose, World};
 /// use glam::{DMat3, DVec3, Vec3};
 /// let mut environment = Environment::new();
 /// environment.add_material(Material::named("paint"))?;
@@ -79,7 +80,7 @@ enum Support {
 ///     properties: Properties::default(),
 /// };
 /// let layer = FeatureLayer { class: "video".into(), tolerance: 1e-3, features: vec![line.into()], ..Default::default() };
-/// let placed = features::place(&world, &layer)?;
+/// let placed = place(&world, &layer)?;
 /// assert_eq!((placed[0].object, placed[0].slots.as_slice()), (Some(0), [0, 1].as_slice()));
 /// # Ok::<(), presight::Error>(())
 /// ```

@@ -31,7 +31,9 @@ impl PatchPlane {
     }
 }
 
-pub(crate) trait Point: Copy {
+/// A point in the plane or in space.
+pub trait Point: Copy {
+    /// The point at share `t` of the way to another.
     fn between(self, other: Self, t: f64) -> Self;
 }
 

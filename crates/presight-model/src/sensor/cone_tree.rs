@@ -190,6 +190,7 @@ impl ConeTree {
         [found.rows, found.columns].map(|r| r.start as u32..r.end as u32)
     }
 
+    /// Bytes of memory.
     pub fn bytes(&self) -> usize {
         self.levels.iter().map(|l| size_of_val(&*l.caps)).sum()
     }

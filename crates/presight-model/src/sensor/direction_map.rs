@@ -8,9 +8,13 @@ use glam::DVec3;
 /// Rows and columns of pixels.
 #[derive(Clone, Copy, Debug, Eq, PartialEq)]
 pub struct PixelBox {
+    /// First row.
     pub first_row: u16,
+    /// One past the last row.
     pub end_row: u16,
+    /// First column.
     pub first_column: u16,
+    /// One past the last column.
     pub end_column: u16,
 }
 
@@ -99,6 +103,7 @@ pub struct Cells {
     pub across: u32,
     /// Indexed by twice the dominant axis of a direction, plus one if that component is negative.
     pub sides: [Side; 6],
+    /// The box of each stored cell.
     pub boxes: Vec<PixelBox>,
 }
 
@@ -271,6 +276,7 @@ impl DirectionMap {
         Some(index.map_or(PixelBox::NOTHING, |i| cells.boxes[i]))
     }
 
+    /// Bytes of memory.
     pub fn bytes(&self) -> usize {
         self.levels.iter().map(|level| size_of_val(&*level.cells.boxes)).sum()
     }

@@ -62,12 +62,16 @@ pub struct LineGrid {
 #[derive(Clone, Copy, Debug)]
 #[repr(align(64))]
 pub struct Octet {
+    /// First weight of each sample.
     pub w0: [f64; Octet::LEN],
+    /// Second weight of each sample.
     pub w1: [f64; Octet::LEN],
+    /// Position of each sample along the line.
     pub t: [f64; Octet::LEN],
 }
 
 impl Octet {
+    /// Number of samples.
     pub const LEN: usize = 8;
 
     fn of(weights: &[[f64; 2]], positions: &[f64]) -> Self {

@@ -58,7 +58,8 @@ pub enum Geometry {
 /// The specification of a [`Sensor`].
 ///
 /// ```
-/// use presight::{Camera, Geometry, Noise, Pose, SensorSpec};
+/// use presight::sensor::{Camera, Geometry, Noise, SensorSpec};
+/// use presight::Pose;
 /// let camera = Geometry::Camera(Camera::pinhole(640, 480, 525.0, 525.0, 319.5, 239.5));
 /// let spec = SensorSpec::new("kinect", "video", camera)
 ///     .with_limits(0.5, 4.5)
@@ -148,7 +149,8 @@ impl SensorSpec {
 /// A checked sensor with its ray tables, cheap to clone.
 ///
 /// ```
-/// use presight::{Camera, Geometry, Sensor, SensorSpec};
+/// use presight::sensor::{Camera, Geometry, SensorSpec};
+/// use presight::Sensor;
 /// let camera = Camera::pinhole(640, 480, 525.0, 525.0, 319.5, 239.5);
 /// let sensor = Sensor::new(SensorSpec::new("kinect", "video", Geometry::Camera(camera)))?;
 /// assert_eq!((sensor.width(), sensor.height()), (640, 480));
@@ -175,8 +177,8 @@ impl Sensor {
     /// Checks the specification and builds the ray tables, f64.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`]: an image side of 0 or beyond [`limits::MAX_IMAGE_SIDE`], non-finite
-    /// intrinsics, duplicate elevations, range limits out of order; [`crate::ErrorKind::System`] if there is no memory for the
+    /// [`ErrorKind::Invalid`]: an image side of 0 or beyond [`limits::MAX_IMAGE_SIDE`], non-finite
+    /// intrinsics, duplicate elevations, range limits out of order; [`ErrorKind::System`] if there is no memory for the
     /// ray tables.
     pub fn new(spec: SensorSpec) -> Result<Self> {
         let checked = check(&spec).and_then(|()| {

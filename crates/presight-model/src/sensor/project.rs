@@ -170,7 +170,8 @@ impl Sensor {
     /// fraction interpolated from that ray's neighbours.
     ///
     /// ```
-    /// use presight::{Camera, Geometry, Sensor, SensorSpec};
+    /// use presight::sensor::{Camera, Geometry, SensorSpec};
+    /// use presight::Sensor;
     /// use glam::DVec3;
     /// let camera = Camera::pinhole(640, 480, 500.0, 500.0, 319.5, 239.5);
     /// let sensor = Sensor::new(SensorSpec::new("camera", "video", Geometry::Camera(camera)))?;
@@ -380,7 +381,7 @@ fn nearest_ray(table: &RayGrid, ray: DVec3) -> Option<(u32, u32, DVec3)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sensor::{Camera, Distortion, PRESETS, RayTable};
+    use crate::sensor::{Camera, Distortion, RayTable};
     use proptest::prelude::*;
 
     fn sensor(geometry: Geometry) -> Sensor {

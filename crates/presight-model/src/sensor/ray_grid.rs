@@ -46,8 +46,11 @@ const SIDE: usize = TILE_SIDE as usize;
 #[derive(Clone, Debug)]
 #[repr(align(64))]
 pub struct TileRays {
+    /// x of the rays.
     pub x: [[f64; SIDE]; SIDE],
+    /// y of the rays.
     pub y: [[f64; SIDE]; SIDE],
+    /// z of the rays.
     pub z: [[f64; SIDE]; SIDE],
 }
 
@@ -59,11 +62,15 @@ impl TileRays {
 #[derive(Clone, Debug)]
 #[repr(align(64))]
 pub struct Cones {
+    /// x of the axes.
     pub x: [f64; Octet::LEN],
+    /// y of the axes.
     pub y: [f64; Octet::LEN],
+    /// z of the axes.
     pub z: [f64; Octet::LEN],
     /// Squared sine of the half angle; above 1 if the cone is too wide to bound.
     pub sine_squared: [f64; Octet::LEN],
+    /// Largest distance of a unit ray from the unit axis.
     pub chord: [f64; Octet::LEN],
 }
 

@@ -18,7 +18,8 @@ const FEW_FEATURES: usize = 32;
 /// version with which it started.
 ///
 /// ```
-/// use presight::{Change, Environment, Pose, World};
+/// use presight::environment::Environment;
+/// use presight::{Change, Pose, World};
 /// let mut world = World::new(Environment::new());
 /// let before = world.clone();
 /// assert!(world.apply(Change::MoveObject { name: "door".into(), world_from_object: Pose::IDENTITY }).is_err());
@@ -99,7 +100,8 @@ impl World {
     /// restore numbers: a restored object has new slots.
     ///
     /// ```
-    /// use presight::{Change, Environment, Material, Mesh, NewObject, Polygon, PolygonOrder, Pose, World};
+    /// use presight::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
+    /// use presight::{Change, Pose, World};
     /// let mut environment = Environment::new();
     /// let paint = environment.add_material(Material::named("paint"))?;
     /// let corners = [glam::Vec3::ZERO, glam::Vec3::X, glam::Vec3::Y].to_vec();

@@ -3,7 +3,7 @@ use crate::environment::{
     Existence, Feature, FeatureShape, Material, Mesh, NewObject, Polygon, PolygonOrder, Properties,
 };
 use crate::error::ErrorKind;
-use crate::geometry::Pose;
+use crate::geometry::{Pose, PoseCovariance};
 use glam::{DMat3, DVec3, Vec3};
 
 fn world() -> World {
@@ -192,8 +192,7 @@ fn a_deleted_object_takes_its_features_along_and_brings_them_back() {
     let mut world = world();
     world.apply_unchecked(insert(3, Some("cart"))).unwrap();
     world.apply_unchecked(insert(4, None)).unwrap();
-    let mut covariance = [[0.0; 6]; 6];
-    covariance[0][0] = 0.25;
+    let covariance = PoseCovariance::from_sigmas([0.5, 0.0, 0.0, 0.0, 0.0, 0.0]);
     let (class, object) = ("video".to_owned(), "cart".to_owned());
     world.apply_unchecked(Change::SetPoseCovariance { class, object, covariance: Some(covariance) }).unwrap();
     let without = there_and_back(&mut world, Change::DeleteObject { name: "cart".into() });
@@ -281,7 +280,7 @@ fn a_group_that_fails_leaves_no_trace() {
     world.apply_unchecked(insert(1, Some("hall/exit"))).unwrap();
     world.apply_unchecked(insert(2, None)).unwrap();
     world.apply_unchecked(Change::DeleteFeature { class: "video".into(), id: 2 }).unwrap();
-    let covariance = Some([[0.0; 6]; 6]);
+    let covariance = Some(PoseCovariance::ZERO);
     for object in ["cart", "hall/exit", "cartridge"] {
         let (class, object) = ("video".to_owned(), object.to_owned());
         world.apply_unchecked(Change::SetPoseCovariance { class, object, covariance }).unwrap();
@@ -358,7 +357,7 @@ fn many_changes(seed: u64) -> Vec<Change> {
         match below(9) {
             0 => Change::DeleteObject { name: object },
             1 => Change::InsertObject(NewObject::new(object, at(7.0, 0.3), mesh.clone())),
-            2 => Change::SetPoseCovariance { class, object, covariance: Some([[0.0; 6]; 6]) },
+            2 => Change::SetPoseCovariance { class, object, covariance: Some(PoseCovariance::ZERO) },
             3 => Change::SetPoseCovariance { class, object, covariance: None },
             4 => Change::DeleteFeature { class, id },
             5 => Change::SetFeature { class, feature: point(id, on) },
@@ -434,7 +433,7 @@ fn a_group_with_many_features_is_deleted_and_brought_back_soon() {
             class: "video".into(),
             tolerance: 1e-3,
             features: features.into_iter().map(Into::into).collect(),
-            pose_covariances: (0..objects).map(|o| (format!("hall/{o}"), [[0.0; 6]; 6])).collect(),
+            pose_covariances: (0..objects).map(|o| (format!("hall/{o}"), PoseCovariance::ZERO)).collect(),
         };
         environment.add_layer(layer).unwrap();
         let mut world = World::new(environment);

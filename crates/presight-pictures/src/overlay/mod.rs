@@ -21,7 +21,7 @@ pub const LEGEND: u32 = TEXT_HEIGHT + 10;
 pub struct Overlay<'a> {
     /// The features as the sensor of the preview sees them.
     pub features: &'a FeaturePrediction,
-    /// Sides of partly visible patches ([`crate::features::sides_seen_in_part`]), as the sensor sees them. Without
+    /// Sides of partly visible patches ([`presight_features::sides_seen_in_part`]), as the sensor sees them. Without
     /// them, the whole outline of such a patch is dashed in the colour of visible features.
     pub sides: &'a [SeenFeature],
     /// The sensor.

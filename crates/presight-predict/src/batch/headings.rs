@@ -36,8 +36,8 @@ impl Headings {
     /// ```
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] unless the sensor is a scanner with a uniform azimuth step that divides 360 degrees,
-    /// and headings are multiples of that step.
+    /// [`presight_model::ErrorKind::Usage`] unless the sensor is a scanner with a uniform azimuth step that divides 360
+    /// degrees, and headings are multiples of that step.
     pub fn new(sensor: &Sensor, count: u32) -> Result<Self> {
         let spec = sensor.spec();
         let wrong = |what: &str, remedy: &str| {
@@ -97,7 +97,7 @@ impl Headings {
     /// The pose at which the panorama for a place is predicted; the given pose's heading is ignored.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] for a tilted pose.
+    /// [`presight_model::ErrorKind::Usage`] for a tilted pose.
     pub fn place(&self, world_from_sensor: &Pose) -> Result<Pose> {
         world_from_sensor.check()?;
         if !is_level(world_from_sensor) {

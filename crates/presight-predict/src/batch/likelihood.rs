@@ -3,6 +3,7 @@
 use super::weigh::HeadingModel;
 use super::{Headings, PoseCell};
 use presight_model::error::{Error, Result};
+use presight_model::measured::Frame;
 use presight_model::sensor::{Mixture, Sensor, SensorSpec};
 use presight_render::plan::{BeamNumbers, Weighing};
 
@@ -27,12 +28,13 @@ pub struct RangeLikelihood {
 }
 
 impl RangeLikelihood {
-    /// Takes a range image of the sensor, row-major, metres: `+inf` without a return, `-inf` below `range_min`, NaN
-    /// without a reading ([`crate::io::log::LogFrame::range`]).
+    /// Prepares the ranges of a frame. Poses are compared with the frame's own sensor; `cell` is the spacing of candidate
+    /// poses.
     ///
     /// ```
     /// use presight::batch::{PoseCell, RangeLikelihood};
-    /// use presight::{Noise, Sensor, SensorSpec};
+    /// use presight::sensor::{Noise, SensorSpec};
+    /// use presight::Sensor;
     /// let mut spec: SensorSpec = presight::preset("laser-scanner")?.spec().clone();
     /// spec.noise = Noise { range_sigma: 0.02, ..Noise::default() };
     /// let sensor = Sensor::new(spec)?;
@@ -43,19 +45,13 @@ impl RangeLikelihood {
     /// ```
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] for an image of the wrong size or without readings, for readings that this sensor
-    /// cannot deliver, for a sensor without `range_sigma` or finite `range_max`, or for a cell that is not finite.
-    pub fn new(sensor: &Sensor, range: Vec<f32>, cell: PoseCell) -> Result<Self> {
+    /// [`crate::ErrorKind::Invalid`] for a frame without a reading, for readings that this sensor cannot deliver, for a
+    /// sensor without `range_sigma` or finite `range_max`, or for a cell that is not finite.
+    pub fn new(frame: &Frame, cell: PoseCell) -> Result<Self> {
+        let (sensor, range) = (frame.sensor(), frame.ranges());
         let spec = sensor.spec();
-        let pixels = sensor.width() as usize * sensor.height() as usize;
-        let remedy = "give a range image of the sensor";
-        if range.len() != pixels {
-            let what =
-                format!("the measured image has {} ranges, but sensor {:?} has {pixels} rays", range.len(), spec.name);
-            return Err(Error::invalid(what, remedy));
-        }
         if range.iter().all(|r| r.is_nan()) {
-            return Err(Error::invalid("the measured image has no readings", remedy));
+            return Err(Error::invalid("the frame has no range readings", "give a frame of ranges"));
         }
         let model = BeamModel::new(sensor, cell)?;
         let possible = |r: f32| match r {
@@ -68,14 +64,14 @@ impl RangeLikelihood {
                 Error::invalid(what, "give inf beyond range_max, -inf below range_min").at(format!("range {i}"))
             );
         }
-        Ok(Self { sensor: sensor.clone(), range, model })
+        Ok(Self { sensor: sensor.clone(), range: range.to_vec(), model })
     }
 
     pub(super) fn sensor(&self) -> &SensorSpec {
         self.sensor.spec()
     }
 
-    /// The image as passed to [`RangeLikelihood::new`].
+    /// The ranges of the frame.
     pub fn range(&self) -> &[f32] {
         &self.range
     }

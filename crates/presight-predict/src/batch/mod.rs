@@ -142,7 +142,9 @@ impl Predictor {
     ///
     /// ```
     /// use presight::batch::{BatchRequest, PoseCell, RangeLikelihood};
-    /// use presight::{Environment, Noise, Options, Pose, Predictor, Sensor, World};
+    /// use presight::environment::Environment;
+    /// use presight::sensor::Noise;
+    /// use presight::{Options, Pose, Predictor, Sensor, World};
     /// let mut spec = presight::preset("laser-scanner")?.spec().clone();
     /// spec.noise = Noise { range_sigma: 0.02, ..Noise::default() };
     /// let sensor = Sensor::new(spec)?;
@@ -158,8 +160,8 @@ impl Predictor {
     /// ```
     ///
     /// # Errors
-    /// The errors of [`Request::check`]; [`crate::ErrorKind::Usage`] for headings without a measured image, another
-    /// sensor's image or headings, or a chunk of 0. For each pose, the errors of [`Predictor::predict`] and
+    /// The errors of [`Request::check`]; [`presight_model::ErrorKind::Usage`] for headings without a measured image,
+    /// another sensor's image or headings, or a chunk of 0. For each pose, the errors of [`Predictor::predict`] and
     /// [`Headings::place`].
     pub fn batch<I: IntoIterator<Item = Pose>>(
         &mut self,

@@ -26,8 +26,8 @@ impl Predictor {
     /// Predicts and stores the panorama of `headings` at places of the sensor, all at one height: eight bytes per beam.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] for places at several heights; [`crate::ErrorKind::System`] if there is no memory
-    /// for them; the errors of [`Predictor::predict_images`].
+    /// [`presight_model::ErrorKind::Usage`] for places at several heights; [`presight_model::ErrorKind::System`] if
+    /// there is no memory for them; the errors of [`Predictor::predict_images`].
     pub fn panoramas(&mut self, world: &World, headings: &Headings, places: Vec<DVec3>) -> Result<Panoramas> {
         let sensor = headings.panorama();
         let beams = sensor.width() as usize * sensor.height() as usize;
@@ -65,7 +65,7 @@ impl Predictor {
     /// Log-likelihoods of a measured image at all headings of all places, place by place.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] if the image belongs to another sensor than the panoramas.
+    /// [`presight_model::ErrorKind::Usage`] if the image belongs to another sensor than the panoramas.
     pub fn weigh_panoramas(&mut self, panoramas: &Panoramas, sensed: &RangeLikelihood) -> Result<Vec<f32>> {
         if sensed.sensor() != panoramas.headings.sensor() {
             let what = "the measured image belongs to another sensor than the panoramas";

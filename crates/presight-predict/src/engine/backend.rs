@@ -19,7 +19,7 @@ mod without_gpu {
         Err(Error::new(
             ErrorKind::NoDevice,
             "this presight was built without the GPU engine",
-            "build it with the cargo feature `gpu`, or use --backend cpu",
+            "build it with the cargo feature `gpu`, or use `Backend::Cpu`",
         ))
     }
 

@@ -16,19 +16,6 @@ use presight_render::verify::Precision;
 use std::any::Any;
 
 /// An engine: draws the images that a plan requests.
-///
-/// ```
-/// use presight::engine::EngineKind;
-/// use presight::{Environment, FramePlan, Images, Pose, Request, Stats, World};
-/// let (world, sensor) = (World::new(Environment::new()), presight::preset("laser-scanner")?);
-/// let plan = FramePlan::new(&world, &sensor, &Pose::IDENTITY, &Request::default())?;
-/// for kind in [EngineKind::Reference, EngineKind::Cpu] {
-///     let (mut images, mut stats) = (Images::default(), Stats::default());
-///     kind.open(&1.into())?.render(&plan, &mut images, &mut stats)?;
-///     assert!(images.range.iter().all(|r| *r == f32::INFINITY), "{}", kind.name());
-/// }
-/// # Ok::<(), presight::Error>(())
-/// ```
 pub trait Engine: Any + Send {
     /// Name for messages: `reference`, `cpu`, or `gpu` with its adapter.
     fn name(&self) -> String;
@@ -39,8 +26,9 @@ pub trait Engine: Any + Send {
     /// Fills the requested images and records statistics.
     ///
     /// # Errors
-    /// The errors of [`crate::Pose::check`]; [`crate::ErrorKind::System`] or [`crate::ErrorKind::Invalid`] for too many
-    /// images or polygons; [`crate::ErrorKind::DeviceLost`] or [`crate::ErrorKind::DeviceMemory`] from a device.
+    /// The errors of [`presight_model::Pose::check`]; [`presight_model::ErrorKind::System`] or
+    /// [`presight_model::ErrorKind::Invalid`] for too many images or polygons;
+    /// [`presight_model::ErrorKind::DeviceLost`] or [`presight_model::ErrorKind::DeviceMemory`] from a device.
     fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()>;
 
     /// Draws plans of one sensor and hands over their images in order. An engine may weigh images itself and hand over
@@ -88,7 +76,7 @@ pub trait Device {
     /// Opens the device again after it was lost.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::NoDevice`] if it is gone.
+    /// [`presight_model::ErrorKind::NoDevice`] if it is gone.
     fn reopen(&mut self) -> Result<()>;
 
     /// The rasterizer for images of pinhole cameras.
@@ -119,7 +107,7 @@ pub trait Device {
     /// [`features::add_boxes`] on the device. Returns how many boxes the device made; the CPU makes the others.
     ///
     /// # Errors
-    /// Same as [`Engine::render`], and [`crate::ErrorKind::Usage`] for a confidence outside 0.5..1.
+    /// Same as [`Engine::render`], and [`presight_model::ErrorKind::Usage`] for a confidence outside 0.5..1.
     fn add_boxes(&mut self, prediction: &mut FeaturePrediction, query: &BoxQuery<'_>) -> Result<usize>;
 
     /// Work done since it was opened.
@@ -164,8 +152,8 @@ impl EngineKind {
     /// Opens the engine; these threads do its CPU work.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::NoDevice`] without an adapter, or in a build without the GPU engine;
-    /// [`crate::ErrorKind::System`] if threads cannot be started.
+    /// [`presight_model::ErrorKind::NoDevice`] without an adapter, or in a build without the GPU engine;
+    /// [`presight_model::ErrorKind::System`] if threads cannot be started.
     pub fn open(self, threads: &Threads) -> Result<Box<dyn Engine>> {
         match self {
             Self::Reference => Ok(Box::new(Reference { threads: threads.clone() })),
@@ -229,7 +217,6 @@ impl Engine for cpu::CpuEngine {
 ///
 /// # Errors
 /// Same as [`Device::add_boxes`].
-#[doc(hidden)]
 pub fn add_boxes(
     engine: &mut dyn Engine,
     threads: &Threads,

@@ -75,7 +75,7 @@ fn create(gpu: &Gpu, label: &str, usage: wgpu::BufferUsages, size: u64) -> wgpu:
 
 /// State of a requested mapping, set by the device's callback.
 #[derive(Clone, Default)]
-pub(super) struct Mapping(Arc<AtomicU8>);
+struct Mapping(Arc<AtomicU8>);
 
 const WAITING: u8 = 0;
 const MAPPED: u8 = 1;
@@ -83,7 +83,7 @@ const REFUSED: u8 = 2;
 
 impl Mapping {
     /// Requests the mapping; [`Mapping::check`] reports the result after [`Gpu::wait`].
-    pub fn ask(&self, buffer: &wgpu::Buffer, mode: wgpu::MapMode, bytes: u64) {
+    fn ask(&self, buffer: &wgpu::Buffer, mode: wgpu::MapMode, bytes: u64) {
         self.0.store(WAITING, Ordering::Release);
         let told = self.0.clone();
         buffer.map_async(mode, 0..bytes, move |mapped| {
@@ -93,7 +93,7 @@ impl Mapping {
 
     /// # Errors
     /// [`ErrorKind::DeviceLost`] unless the buffer is mapped now.
-    pub fn check(&self, gpu: &Gpu, what: &str) -> Result<()> {
+    fn check(&self, gpu: &Gpu, what: &str) -> Result<()> {
         match self.0.load(Ordering::Acquire) {
             MAPPED => Ok(()),
             REFUSED => Err(gpu.error(ErrorKind::DeviceLost, &format!("{what} cannot be mapped"))),
@@ -110,6 +110,8 @@ pub(super) struct Uploads {
     mapping: Option<Mapping>,
     bytes: Vec<u8>,
     copies: Vec<Copy>,
+    /// Number of copies before the end of each part.
+    ends: Vec<usize>,
 }
 
 /// A copy from offset `from` of the staging buffer.
@@ -124,13 +126,14 @@ impl Uploads {
     pub fn new(gpu: &Gpu) -> Self {
         use wgpu::BufferUsages as U;
         let staging = Growable::new(gpu, "uploads", U::MAP_WRITE | U::COPY_SRC, false);
-        Self { staging, mapping: None, bytes: Vec::new(), copies: Vec::new() }
+        Self { staging, mapping: None, bytes: Vec::new(), copies: Vec::new(), ends: Vec::new() }
     }
 
-    /// Begins a frame: discards what a failed frame left behind.
+    /// Discards what a failed submission left behind.
     pub fn clear(&mut self) {
         self.bytes.clear();
         self.copies.clear();
+        self.ends.clear();
     }
 
     /// Schedules whole words for upload to a buffer, from byte `at` on.
@@ -143,16 +146,42 @@ impl Uploads {
         }
     }
 
-    /// Number of copies not yet encoded.
-    pub fn waiting(&self) -> usize {
-        self.copies.len()
+    /// Ends a part of the uploads, whose copies [`Uploads::encode`] encodes together.
+    pub fn end_part(&mut self) {
+        self.ends.push(self.copies.len());
     }
 
-    /// Writes the collected bytes to the staging buffer.
+    /// Encodes the copies of a part.
+    pub fn encode(&self, encoder: &mut wgpu::CommandEncoder, part: usize) {
+        let first = if part == 0 { 0 } else { self.ends[part - 1] };
+        for copy in &self.copies[first..self.ends[part]] {
+            encoder.copy_buffer_to_buffer(self.staging.buffer(), copy.from, &copy.to, copy.at, copy.bytes);
+        }
+    }
+
+    /// Submits what `encode` encodes, with the collected uploads; `encode` must encode their copies.
     ///
     /// # Errors
     /// [`ErrorKind::DeviceMemory`], [`ErrorKind::DeviceLost`].
-    pub fn write(&mut self, gpu: &Gpu) -> Result<()> {
+    pub fn submit(&mut self, gpu: &Gpu, encode: impl FnOnce(&Self, &mut wgpu::CommandEncoder)) -> Result<()> {
+        let uploads = !self.bytes.is_empty();
+        if uploads {
+            self.write(gpu)?;
+        }
+        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        encode(self, &mut encoder);
+        gpu.queue.submit([encoder.finish()]);
+        if uploads {
+            // Maps the staging buffer for the next submission.
+            let staging = self.staging.buffer();
+            self.mapping.get_or_insert_default().ask(staging, wgpu::MapMode::Write, staging.size());
+        }
+        self.clear();
+        Ok(())
+    }
+
+    /// Writes the collected bytes to the staging buffer.
+    fn write(&mut self, gpu: &Gpu) -> Result<()> {
         let bytes = self.bytes.len() as u64;
         if self.staging.reserve(gpu, bytes)? {
             self.mapping = None;
@@ -167,33 +196,68 @@ impl Uploads {
         gpu.done.bytes_written.add_many(bytes);
         drop(view);
         staging.unmap();
-        self.bytes.clear();
         Ok(())
     }
+}
 
-    /// Writes the collected bytes and encodes all copies.
+/// A buffer for the device's answers.
+pub(super) struct Answers {
+    buffer: Growable,
+    mapping: Mapping,
+}
+
+impl Answers {
+    pub fn new(gpu: &Gpu, label: &'static str) -> Self {
+        use wgpu::BufferUsages as U;
+        Self { buffer: Growable::new(gpu, label, U::MAP_READ | U::COPY_DST, false), mapping: Mapping::default() }
+    }
+
+    pub fn buffer(&self) -> &wgpu::Buffer {
+        self.buffer.buffer()
+    }
+
+    /// Makes room for this many bytes.
     ///
     /// # Errors
-    /// Same as [`Uploads::write`].
-    pub fn encode(&mut self, gpu: &Gpu, encoder: &mut wgpu::CommandEncoder) -> Result<()> {
-        self.write(gpu)?;
-        self.encode_some(encoder, self.copies.len());
-        Ok(())
+    /// [`ErrorKind::DeviceMemory`].
+    pub fn reserve(&mut self, gpu: &Gpu, bytes: u64) -> Result<()> {
+        self.buffer.reserve(gpu, bytes).map(drop)
     }
 
-    /// Encodes the first `count` waiting copies.
-    pub fn encode_some(&mut self, encoder: &mut wgpu::CommandEncoder, count: usize) {
-        for copy in self.copies.drain(..count) {
-            encoder.copy_buffer_to_buffer(self.staging.buffer(), copy.from, &copy.to, copy.at, copy.bytes);
-        }
+    /// Waits for the device and maps this many bytes.
+    ///
+    /// # Errors
+    /// [`ErrorKind::DeviceLost`].
+    pub fn wait(&self, gpu: &Gpu, bytes: u64) -> Result<Answer> {
+        let buffer = self.buffer.buffer();
+        self.mapping.ask(buffer, wgpu::MapMode::Read, bytes);
+        gpu.wait()?;
+        self.mapping.check(gpu, self.buffer.label)?;
+        gpu.done.bytes_read.add_many(bytes);
+        let view = buffer.get_mapped_range(0..bytes);
+        let view = view.map_err(|e| gpu.error(ErrorKind::DeviceLost, &e.to_string()))?;
+        Ok(Answer { view: Some(view), buffer: buffer.clone() })
     }
+}
 
-    /// Requests the staging buffer again, after the copies were submitted.
-    pub fn recall(&mut self) {
-        self.mapping.get_or_insert_default().ask(
-            self.staging.buffer(),
-            wgpu::MapMode::Write,
-            self.staging.buffer().size(),
-        );
+/// Bytes that the device delivered. The buffer stays mapped until this is dropped.
+pub(super) struct Answer {
+    view: Option<wgpu::BufferView>,
+    buffer: wgpu::Buffer,
+}
+
+impl std::ops::Deref for Answer {
+    type Target = [u8];
+
+    fn deref(&self) -> &[u8] {
+        self.view.as_deref().unwrap_or_default()
+    }
+}
+
+impl Drop for Answer {
+    fn drop(&mut self) {
+        // A buffer cannot be unmapped while a view of it lives.
+        self.view = None;
+        self.buffer.unmap();
     }
 }

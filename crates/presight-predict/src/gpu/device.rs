@@ -176,7 +176,7 @@ impl Gpu {
             ..Default::default()
         };
         let (device, queue) = pollster::block_on(adapter.request_device(&descriptor)).map_err(|e| {
-            Error::new(ErrorKind::NoDevice, format!("{described} cannot open a device: {e}"), "use --backend cpu")
+            Error::new(ErrorKind::NoDevice, format!("{described} cannot open a device: {e}"), "use `Backend::Cpu`")
         })?;
         let fault = Arc::new(Mutex::new(None));
         watch(&device, &fault);
@@ -217,7 +217,7 @@ impl Gpu {
     }
 
     /// Dispatches `x` times `y` workgroups.
-    pub fn dispatch(&self, pass: &mut wgpu::ComputePass<'_>, (x, y): (u32, u32)) {
+    pub fn dispatch(&self, pass: &mut wgpu::ComputePass<'_>, [x, y]: [u32; 2]) {
         self.done.workgroups.add_many(u64::from(x) * u64::from(y));
         pass.dispatch_workgroups(x, y, 1);
     }
@@ -238,8 +238,8 @@ impl Gpu {
     /// Makes an error that names this device.
     pub fn error(&self, kind: ErrorKind, what: &str) -> Error {
         let remedy = match kind {
-            ErrorKind::DeviceMemory => "use a smaller image or model, or --backend cpu",
-            ErrorKind::DeviceLost => "build the engine again, or use --backend cpu",
+            ErrorKind::DeviceMemory => "use a smaller image or model, or `Backend::Cpu`",
+            ErrorKind::DeviceLost => "build the engine again, or use `Backend::Cpu`",
             _ => "please report this",
         };
         Error::new(kind, format!("{}: {what}", self.adapter), remedy)
@@ -308,11 +308,11 @@ fn choose(options: DeviceOptions) -> Result<wgpu::Adapter> {
     place(&all, options).map(|i| all.swap_remove(i)).ok_or_else(|| {
         if let Some(wanted) = adapter {
             let what = format!("adapter {wanted} does not exist, or can bind too few buffers");
-            return Error::new(ErrorKind::NoDevice, what, "choose another adapter, or use --backend cpu");
+            return Error::new(ErrorKind::NoDevice, what, "choose another adapter, or use `Backend::Cpu`");
         }
         let what =
             if hardware_only { "no hardware GPU was found" } else { "no Vulkan, Metal or DX12 adapter was found" };
-        Error::new(ErrorKind::NoDevice, what, "install a driver (Mesa's lavapipe needs no GPU), or use --backend cpu")
+        Error::new(ErrorKind::NoDevice, what, "install a driver (Mesa's lavapipe needs no GPU), or use `Backend::Cpu`")
     })
 }
 

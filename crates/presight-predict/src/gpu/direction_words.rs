@@ -27,7 +27,7 @@ fn packed_fit(cell: &FitCell) -> PackedFit {
 /// Appends the direction map of a wide view. If all rays look ahead of a plane, levels for small polygons suffice.
 ///
 /// # Errors
-/// [`crate::ErrorKind::System`] if the system refuses the memory.
+/// [`presight_model::ErrorKind::System`] if the system refuses the memory.
 pub(super) fn push_map(grid: &RayGrid, params: &mut Params, words: &mut Vec<u32>) -> Result<()> {
     let Some(map) = grid.direction_map() else { return Ok(()) };
     let of_tiles = match grid.view() {

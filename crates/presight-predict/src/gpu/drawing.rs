@@ -5,6 +5,7 @@ use super::frame_buffers::FrameBuffers;
 use super::layout::GridKind;
 use super::shaders;
 use super::stage::{Binding, Bindings, make};
+use super::variants::Constant;
 use presight_model::error::Result;
 
 /// A render pass needs a target, although nothing is written to it.
@@ -41,12 +42,11 @@ impl Drawing {
     ///
     /// # Errors
     /// The device's error if it rejects the shader.
-    pub fn prepare(&mut self, gpu: &Gpu, size: [u32; 2], short: (&'static str, f64)) -> Result<()> {
-        let grid = ("GRID", f64::from(GridKind::Camera as u32));
+    pub fn prepare(&mut self, gpu: &Gpu, size: [u32; 2], rays: Constant) -> Result<()> {
         let text = if gpu.int64 { shaders::DRAW_64 } else { shaders::DRAW_32 };
         for second in 0..if gpu.int64 { 1 } else { 2 } {
             if self.pipelines[second].is_none() {
-                let all = [grid, short, ("SECOND", second as f64)];
+                let all = [GridKind::Camera.constant(), rays, ("SECOND", second as f64)];
                 let constants = if gpu.int64 { &all[..2] } else { &all[..] };
                 self.pipelines[second] = Some(self.pipeline(gpu, text, constants)?);
             }

@@ -1,6 +1,6 @@
 //! The engine's buffers, reused from frame to frame.
 
-use super::buffers::{Growable, Mapping, Uploads};
+use super::buffers::{Answers, Growable, Uploads};
 use super::device::Gpu;
 use super::grid::Tables;
 use super::layout::{
@@ -34,9 +34,7 @@ pub(super) struct FrameBuffers {
     /// One bit per slot that the frame shows.
     pub shown: Growable,
     pub dispatch: Growable,
-    pub readback: Growable,
-    pub readback_mapping: Mapping,
-    pub uploads: Uploads,
+    pub readback: Answers,
     /// Begin and end time of every stage, if the device has timestamps.
     pub times: Option<(wgpu::QuerySet, Growable)>,
 }
@@ -73,9 +71,7 @@ impl FrameBuffers {
             outputs: Growable::storage(gpu, "images"),
             shown: Growable::storage(gpu, "polygons shown"),
             dispatch: Growable::new(gpu, "dispatch", U::INDIRECT | U::COPY_DST, false),
-            readback: Growable::new(gpu, "readback", U::MAP_READ | U::COPY_DST, false),
-            readback_mapping: Mapping::default(),
-            uploads: Uploads::new(gpu),
+            readback: Answers::new(gpu, "the answer"),
             times,
         }
     }
@@ -83,7 +79,7 @@ impl FrameBuffers {
     /// Makes room for a frame. Returns true if a bound buffer was replaced.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::DeviceMemory`].
+    /// [`presight_model::ErrorKind::DeviceMemory`].
     pub fn reserve(&mut self, gpu: &Gpu, frame: &FrameUploads) -> Result<bool> {
         let pixels = u64::from(frame.params.width) * u64::from(frame.params.height);
         // Unused buffers keep their minimum size: they are bound, but neither written nor read.
@@ -99,31 +95,29 @@ impl FrameBuffers {
         replaced |= self.keys.reserve(gpu, pixels * 8)?;
         replaced |= self.outputs.reserve(gpu, outputs)?;
         replaced |= self.shown.reserve(gpu, 4 * u64::from(frame.shown_words()))?;
-        self.readback.reserve(gpu, Readback::of(frame).bytes)?;
         Ok(replaced)
     }
 
     /// Makes room for a sensor's tables. Returns true if the buffer was replaced.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::DeviceMemory`].
+    /// [`presight_model::ErrorKind::DeviceMemory`].
     pub fn reserve_grid(&mut self, gpu: &Gpu, tables: &Tables) -> Result<bool> {
         self.grid.reserve(gpu, tables.bytes())
     }
 
     /// Uploads a sensor's tables.
-    pub fn put_grid(&mut self, tables: &Tables) {
+    pub fn put_grid(&self, uploads: &mut Uploads, tables: &Tables) {
         let bytes: &[u8] = bytemuck::cast_slice(&tables.words);
         if tables.short() {
-            self.uploads.put(&self.short_grid, 0, bytes);
+            uploads.put(&self.short_grid, 0, bytes);
         }
-        self.uploads.put(&self.grid, 0, bytes);
+        uploads.put(&self.grid, 0, bytes);
     }
 
     /// Uploads a frame, with the available room and the initial counters.
-    pub fn put(&mut self, frame: &FrameUploads) {
+    pub fn put(&self, uploads: &mut Uploads, frame: &FrameUploads) {
         let (record_words, item_room) = (self.record_room(), self.item_room());
-        let uploads = &mut self.uploads;
         for wave in 0..frame.waves.len() {
             let params = Params { record_words, item_room, ..frame.params_of(wave) };
             uploads.put(&self.params, wave as u64 * WAVE_BYTES, bytemuck::bytes_of(&params));
@@ -170,7 +164,7 @@ impl FrameBuffers {
     /// Makes the room that a frame turned out to need. Returns true if it overflowed and must run again.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::DeviceMemory`].
+    /// [`presight_model::ErrorKind::DeviceMemory`].
     pub fn grow_for(&mut self, gpu: &Gpu, counters: &Counters) -> Result<bool> {
         let mut again = self.records.reserve(gpu, u64::from(counters.record_words) * 4)?;
         again |= self.items.reserve(gpu, u64::from(counters.items) * 4 * u64::from(ITEM_WORDS))?;

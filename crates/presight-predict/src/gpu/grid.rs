@@ -15,7 +15,7 @@ pub(super) struct Tables {
     /// image_from_line; the identity for ray tables.
     pub image_from_line: DMat3,
     /// Blocks of coarse depth along a line and across lines. Coarse depth is stored behind the words.
-    pub blocks: (u32, u32),
+    pub blocks: [u32; 2],
 }
 
 /// Replaces an infinite position at a pole, so that comparisons stay defined.
@@ -25,7 +25,7 @@ const MAX_BUCKETS: usize = 1 << 16;
 
 impl Tables {
     /// # Errors
-    /// [`crate::ErrorKind::System`] if the system refuses the memory.
+    /// [`presight_model::ErrorKind::System`] if the system refuses the memory.
     pub fn new(sensor: &Sensor) -> Result<Self> {
         let mut tables = match sensor.grid() {
             PixelGrid::Lines(grid) => lines(grid),
@@ -36,8 +36,8 @@ impl Tables {
         tables.params.range_min = sensor.spec().range_min as f32;
         tables.params.range_max = sensor.spec().range_max as f32;
         let blocks = |pixels: u32| pixels.div_ceil(TILE_SIDE * TILES_PER_BLOCK);
-        tables.blocks = (blocks(tables.params.sample_count), blocks(tables.params.line_count));
-        tables.params.coarse_columns = tables.blocks.0;
+        tables.blocks = [tables.params.sample_count, tables.params.line_count].map(blocks);
+        tables.params.coarse_columns = tables.blocks[0];
         tables.params.coarse_at = tables.words.len() as u32;
         Ok(tables)
     }
@@ -51,7 +51,7 @@ impl Tables {
 
     /// Size of the tables and of the coarse depth behind them.
     pub fn bytes(&self) -> u64 {
-        let blocks = u64::from(self.blocks.0) * u64::from(self.blocks.1);
+        let blocks = u64::from(self.blocks[0]) * u64::from(self.blocks[1]);
         4 * (self.words.len() as u64 + blocks * u64::from(BLOCK_WORDS))
     }
 }
@@ -105,7 +105,7 @@ fn lines(grid: &LineGrid) -> Tables {
         (params.sample_buckets_at, params.sample_buckets) = buckets(&squeezed, -1.0, 1.0, &mut words);
     }
     let kind = if camera { GridKind::Camera } else { GridKind::Scanner };
-    Tables { kind, words, params, image_from_line: grid.image_from_line(), blocks: (0, 0) }
+    Tables { kind, words, params, image_from_line: grid.image_from_line(), blocks: [0, 0] }
 }
 
 /// Appends a table with the first entry at or above the start of each bucket, and one end word. Returns its offset and
@@ -149,7 +149,7 @@ fn rays(grid: &RayGrid) -> Result<Tables> {
     }
     direction_words::push_fit(grid, &mut params, &mut words);
     direction_words::push_map(grid, &mut params, &mut words)?;
-    Ok(Tables { kind: GridKind::Rays, words, params, image_from_line: DMat3::IDENTITY, blocks: (0, 0) })
+    Ok(Tables { kind: GridKind::Rays, words, params, image_from_line: DMat3::IDENTITY, blocks: [0, 0] })
 }
 
 /// Appends where forward-looking rays meet a plane at distance 1, in the layout of cull_rays.wgsl.

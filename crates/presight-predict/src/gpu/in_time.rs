@@ -5,11 +5,10 @@
 //! far. An estimate may thus be off by a factor of two, and a frame still has few pieces.
 
 use super::GpuEngine;
-use super::frame_buffers::Readback;
 use super::layout::Counters;
-use super::stages::Stages;
+use super::submission::{Part, Submission};
 use presight_model::clock::Instant;
-use presight_model::error::{ErrorKind, Result};
+use presight_model::error::Result;
 use presight_render::deadline::{DeadlineEngine, DeadlineOutcome, Degradation, DegradationKind, DegradationStep, Wave};
 use presight_render::plan::{CountName, FramePlan, Images, Output, Pace, Run, StageName, Stats, Work};
 use std::ops::Range;
@@ -51,14 +50,13 @@ impl GpuEngine {
         let outputs = plan.drawn().with(Output::Range);
         images.try_prepare(plan.sensor.width(), plan.sensor.height(), outputs)?;
         if done > 0 {
-            drawn.lost_ids = self.take_images(plan, images)?;
+            drawn.lost_ids = self.resolve_pieces(plan, images)?;
             self.know(self.sensors[0].tables.kind);
-            self.report_variants(&self.frame, stats);
+            self.report_variants(&self.frames[0], stats);
         } else {
             images.show_nothing(plan.sensor.grid());
         }
-        let stopped = done < plan.runs.len();
-        let kept = give_up(plan, stopped, (plan.nearest_after(done), drawn_ms), images);
+        let kept = give_up(plan, done, drawn_ms, images);
         stats.deadline = Some(DeadlineOutcome { wave: pieces.first, ..kept });
         stats.count(CountName::RunsSelected, plan.runs.len());
         stats.count(CountName::PolygonsSelected, plan.polygon_count);
@@ -75,64 +73,30 @@ impl GpuEngine {
         Ok(())
     }
 
-    /// Draws some runs into the keys and waits; repeats if the buffers were too small. The first piece clears the keys.
+    /// Draws some runs into the keys and waits. The first piece clears the keys.
     fn draw_piece(&mut self, plan: &FramePlan, runs: Range<usize>) -> Result<Counters> {
-        let is_first = runs.start == 0;
+        let part = Part::Piece { is_first: runs.start == 0 };
         let mut piece = plan.clone();
         piece.runs = plan.runs[runs].to_vec();
         piece.polygon_count = piece.runs.iter().map(|run| run.count as usize).sum();
-        self.upload(&piece)?;
-        self.frame.in_company = true;
-        loop {
-            let variants = self.stages.prepare(&self.gpu, &self.sensors[0].tables, &self.frame, self.opened.1)?;
-            self.bind();
-            self.store.put(&self.frame);
-            let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-            self.store.uploads.encode(&self.gpu, &mut encoder)?;
-            if is_first {
-                Stages::clear(&mut encoder, &self.frame, &self.store);
-            }
-            self.stages.draw(&self.gpu, &mut encoder, &variants, &self.frame, &self.store);
-            self.store.encode_counters(&mut encoder);
-            self.gpu.queue.submit([encoder.finish()]);
-            self.placed = true;
-            self.store.uploads.recall();
-            let counters: Counters = self.answer(size_of::<Counters>() as u64, bytemuck::pod_read_unaligned)?;
-            self.gpu.done.workgroups.add_many(variants.indirect_groups(&counters));
-            if !self.store.grow_for(&self.gpu, &counters)? {
-                return Ok(counters);
-            }
-            // Keys already drawn stay: drawing them again changes nothing.
-            self.rebind = true;
-        }
+        self.fill(&[&piece], &Submission::single(part))?;
+        let (answer, _) = self.draw(&Submission::single(part))?;
+        let counters = self.counters(&answer, part, 0);
+        self.count_groups(&counters);
+        Ok(counters)
     }
 
     /// Resolves the keys into images. Returns the number of hits without an id.
-    fn take_images(&mut self, plan: &FramePlan, images: &mut Images) -> Result<u32> {
-        let variants = self.stages.prepare(&self.gpu, &self.sensors[0].tables, &self.frame, self.opened.1)?;
-        let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        self.stages.resolve(&self.gpu, &mut encoder, &variants, &self.frame, &self.store);
-        self.store.encode_readback(&mut encoder, &self.frame, 0);
-        self.gpu.queue.submit([encoder.finish()]);
-        let bytes = Readback::of(&self.frame).bytes;
-        self.answer(bytes, |view| self.take_answer(&self.frame, view, plan, images))?.map(|counters| counters.lost_ids)
-    }
-
-    /// Waits for an answer of this many bytes and reads it.
-    fn answer<R>(&self, bytes: u64, read: impl FnOnce(&[u8]) -> R) -> Result<R> {
-        self.map_answer(bytes)?;
-        let buffer = self.store.readback.buffer();
-        let view = buffer.get_mapped_range(0..bytes);
-        let view = view.map_err(|e| self.gpu.error(ErrorKind::DeviceLost, &e.to_string()))?;
-        let answer = read(&view);
-        drop(view);
-        buffer.unmap();
-        Ok(answer)
+    fn resolve_pieces(&mut self, plan: &FramePlan, images: &mut Images) -> Result<u32> {
+        let (answer, _) = self.draw(&Submission::single(Part::Images))?;
+        let lost = self.counters(&answer, Part::Images, 0).lost_ids;
+        Ok(lost + self.frames[0].take_images(&answer, plan, &self.threads, images)?)
     }
 }
 
-/// Marks as unknown the pixels that the nearest undrawn polygon may hide, if any polygon was not drawn.
-fn give_up(plan: &FramePlan, stopped: bool, (beyond, drawn_ms): (f32, f64), images: &mut Images) -> DeadlineOutcome {
+/// Marks as unknown the pixels that the nearest polygon after the first `done` runs may hide, if there is one.
+fn give_up(plan: &FramePlan, done: usize, drawn_ms: f64, images: &mut Images) -> DeadlineOutcome {
+    let (stopped, beyond) = (done < plan.runs.len(), plan.nearest_after(done));
     let mut kept = DeadlineOutcome { drawn_ms, ..DeadlineOutcome::default() };
     let complete_to = f64::from(beyond - beyond * ROUNDING);
     if complete_to < f64::INFINITY {
@@ -163,13 +127,13 @@ struct Pieces<'a> {
 
 impl<'a> Pieces<'a> {
     fn new(plan: &'a FramePlan) -> Self {
-        let (pace, began) = (plan.pace.unwrap_or(UNKNOWN), Duration::ZERO);
+        let (pace, began) = (plan.pace().copied().unwrap_or(UNKNOWN), Duration::ZERO);
         Self { plan, pace, slowest: None, estimate: 0.0, began, number: 0, first: None }
     }
 
     /// Returns the runs of the next piece, which follow the first `done` runs; `None` if none is left or none fits.
     fn next(&mut self, done: usize) -> Option<Range<usize>> {
-        let left = self.plan.watch.as_ref().map_or(f64::INFINITY, |watch| watch.left().as_secs_f64());
+        let left = self.plan.watch().map_or(f64::INFINITY, |watch| watch.left().as_secs_f64());
         let most = left / 2.0 / self.slowest.unwrap_or(1.0);
         let (mut end, mut polygons, mut samples) = (done, 0, 0);
         self.estimate = self.pace.wave;

@@ -11,6 +11,13 @@ pub(super) enum GridKind {
     Rays = 2,
 }
 
+impl GridKind {
+    /// The constant that selects this kind in the shaders.
+    pub fn constant(self) -> (&'static str, f64) {
+        ("GRID", f64::from(self as u32))
+    }
+}
+
 /// `Params` in common.wgsl.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
@@ -287,10 +294,10 @@ pub(super) const PIXEL_BOX_WORDS: u32 = 2;
 pub(super) const TILES_PER_SUPERTILE: u32 = 8;
 
 /// Workgroups in two dimensions for this many invocations.
-pub(super) fn groups_for(invocations: u32) -> (u32, u32) {
+pub(super) fn groups_for(invocations: u32) -> [u32; 2] {
     let groups = invocations.div_ceil(GROUP);
     let rows = groups.div_ceil(MAX_GROUPS);
-    if rows == 0 { (0, 0) } else { (groups.div_ceil(rows), rows) }
+    if rows == 0 { [0, 0] } else { [groups.div_ceil(rows), rows] }
 }
 
 #[cfg(test)]
@@ -300,7 +307,7 @@ mod tests {
     #[test]
     fn groups_cover_all_invocations() {
         for n in [0, 1, 64, 65, 64 * MAX_GROUPS, 64 * MAX_GROUPS + 1, 1 << 26] {
-            let (x, y) = groups_for(n);
+            let [x, y] = groups_for(n);
             assert!(x <= MAX_GROUPS && u64::from(x) * u64::from(y) * 64 >= u64::from(n));
         }
     }

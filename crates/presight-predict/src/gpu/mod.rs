@@ -1,6 +1,7 @@
 //! The GPU engine: computes exact spans in compute shaders, through wgpu.
 //!
-//! Meshes stay on the device; a frame uploads instances and runs. Stages are named like the stages of [`crate::cpu`]:
+//! Meshes stay on the device; a frame uploads instances and runs. Stages are named like the stages of
+//! [`presight_render::cpu`]:
 //!
 //! | stage | shader | on the CPU |
 //! |---|---|---|
@@ -30,16 +31,18 @@ mod shaders;
 mod shown;
 mod stage;
 mod stages;
-#[doc(hidden)]
+mod submission;
 pub mod testing;
 mod together;
 mod uploads;
+mod variants;
 mod visible;
 mod weigh;
 
 pub use device::{Abilities, Adapter, DeviceAllocations, DeviceOptions, adapters, preferred};
 pub use visible::OcclusionQuery;
 
+use buffers::Uploads;
 use device::Gpu;
 use frame_buffers::{FrameBuffers, Readback};
 use geometry::Arena;
@@ -47,30 +50,20 @@ use grid::Tables;
 use layout::{Counters, GridKind};
 use presight_features::OcclusionHint;
 use presight_model::clock::Instant;
-use presight_model::error::{ErrorKind, Result};
+use presight_model::error::Result;
 use presight_model::sensor::Sensor;
 use presight_model::threads::Threads;
-use presight_render::plan::{
-    CountName, FramePlan, Images, KeySurface, Keys, NOTHING_IN_VIEW, Raster, SamplesMut, StageName, Stats, Work,
-    resolve_keys,
-};
+use presight_render::plan::{CountName, FramePlan, Images, NOTHING_IN_VIEW, Raster, StageName, Stats, Work};
 use shown::Shown;
-use stages::{Stages, Variants};
-use testing::Hiding;
-use uploads::{FrameUploads, Way};
+use stages::Stages;
+use submission::{Part, Submission};
+use uploads::FrameUploads;
 use visible::Visible;
 
 /// Maximum number of sensors whose tables are kept.
 const MOST_SENSORS: usize = 8;
 
 /// The GPU engine with its device and buffers.
-///
-/// ```no_run
-/// use presight::gpu::{DeviceOptions, GpuEngine};
-/// let engine = GpuEngine::new(DeviceOptions { hardware_only: true, ..Default::default() })?;
-/// println!("predicting on {}", engine.adapter());
-/// # Ok::<(), presight::Error>(())
-/// ```
 pub struct GpuEngine {
     gpu: Gpu,
     stages: Stages,
@@ -82,9 +75,11 @@ pub struct GpuEngine {
     drawn: bool,
     store: FrameBuffers,
     arena: Arena,
-    frame: FrameUploads,
-    /// Uploads of a submission that holds several frames.
+    uploads: Uploads,
+    /// The frames of a submission; a single frame is the first.
     frames: Vec<FrameUploads>,
+    /// Stamp of the last frame.
+    stamp: u32,
     /// Recently used sensors. Only the first one has its tables on the device.
     sensors: Vec<KnownSensor>,
     /// True if the first sensor's tables are on the device.
@@ -115,14 +110,15 @@ impl GpuEngine {
     /// Opens the most capable adapter.
     ///
     /// # Errors
-    /// [`ErrorKind::NoDevice`] if no adapter is suitable.
+    /// [`presight_model::error::ErrorKind::NoDevice`] if no adapter is suitable.
     pub fn new(options: DeviceOptions) -> Result<Self> {
         Self::open(options, testing::Setup::default())
     }
 
     fn open(options: DeviceOptions, setup: testing::Setup) -> Result<Self> {
         let gpu = Gpu::open(options, setup.largest_binding)?;
-        let (stages, store, arena) = (Stages::new(&gpu), FrameBuffers::new(&gpu), Arena::new(&gpu));
+        let (stages, store) = (Stages::new(&gpu), FrameBuffers::new(&gpu));
+        let (arena, uploads) = (Arena::new(&gpu), Uploads::new(&gpu));
         gpu.check()?;
         let software = !gpu.adapter.hardware && !setup.all_on_device;
         Ok(Self {
@@ -133,8 +129,9 @@ impl GpuEngine {
             drawn: false,
             store,
             arena,
-            frame: FrameUploads::default(),
+            uploads,
             frames: Vec::new(),
+            stamp: 0,
             sensors: Vec::new(),
             placed: false,
             rebind: true,
@@ -199,9 +196,9 @@ impl GpuEngine {
     /// Fills the requested images; `depth_z` only for cameras.
     ///
     /// # Errors
-    /// [`ErrorKind::DeviceLost`]: the engine must be built again. [`ErrorKind::DeviceMemory`]: smaller tasks may still
-    /// succeed. The errors of [`crate::Pose::check`] if the plan's pose was changed. On a software adapter, which
-    /// leaves work to the CPU, also the errors of [`Threads::new`].
+    /// [`presight_model::error::ErrorKind::DeviceLost`]: the engine must be built again. [`ErrorKind::DeviceMemory`]: smaller tasks may still
+    /// succeed. The errors of [`presight_model::Pose::check`] if the plan's pose was changed. On a software adapter,
+    /// which leaves work to the CPU, also the errors of [`Threads::new`].
     pub fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
         plan.world_from_sensor.check()?;
         stats.engine = "gpu";
@@ -209,7 +206,7 @@ impl GpuEngine {
         let start = Instant::now();
         self.gpu.check()?;
         self.drawn = false;
-        if plan.watch.is_some() {
+        if plan.limit.is_some() {
             return self.draw_in_time(plan, images, stats);
         }
         if plan.polygon_count == 0 {
@@ -220,35 +217,39 @@ impl GpuEngine {
             return Ok(());
         }
         let before = self.gpu.work();
-        self.upload(plan)?;
+        let whole = Submission::single(Part::Whole);
+        self.fill(&[plan], &whole)?;
         stats.stage(StageName::Upload, start);
-        let mut reruns = 0;
-        loop {
-            let start = Instant::now();
-            let variants = self.submit()?;
-            let counters = self.read(plan, images, stats, start)?;
-            self.gpu.done.workgroups.add_many(variants.indirect_groups(&counters));
-            // The counters hold the full need even where buffers overflowed: make that room and run again.
-            if !self.store.grow_for(&self.gpu, &counters)? {
-                self.drawn = true;
-                self.know(self.sensors[0].tables.kind);
-                plan.finish_noting(images, stats)?;
-                self.report(&self.frame, &counters, reruns, stats);
-                let image_bytes = stats.work.image_bytes;
-                stats.work = Work { image_bytes, ..self.gpu.work().since(before) };
-                return Ok(());
-            }
-            self.rebind = true;
-            reruns += 1;
+        let start = Instant::now();
+        let (answer, reruns) = self.draw(&whole)?;
+        stats.stage(StageName::Device, start);
+        let start = Instant::now();
+        let frame = &self.frames[0];
+        images.try_prepare(frame.params.width, frame.params.height, frame.outputs)?;
+        self.stage_times(&answer[Readback::of(frame).times as usize..], stats);
+        let mut counters = self.counters(&answer, Part::Whole, 0);
+        self.count_groups(&counters);
+        counters.lost_ids += frame.take_images(&answer, plan, &self.threads, images)?;
+        if frame.remembered {
+            self.sensors[0].shown.note(plan, frame, &answer);
         }
+        drop(answer);
+        stats.stage(if frame.on_host { StageName::ResolveOnCpu } else { StageName::Readback }, start);
+        self.drawn = true;
+        self.know(self.sensors[0].tables.kind);
+        plan.finish_noting(images, stats)?;
+        self.report(&self.frames[0], &counters, reruns, stats);
+        let image_bytes = stats.work.image_bytes;
+        stats.work = Work { image_bytes, ..self.gpu.work().since(before) };
+        Ok(())
     }
 
-    fn way(&self) -> Way {
-        let most_rendered = match self.gpu.raster {
+    /// Largest image side that the hardware rasterizer draws; 0 if it is not used.
+    fn most_rendered(&self) -> u32 {
+        match self.gpu.raster {
             Raster::Compute => 0,
             Raster::Render => self.gpu.device.limits().max_texture_dimension_2d,
-        };
-        Way { software: self.software, in_two_passes: !self.gpu.int64, most_rendered, hiding: self.opened.1.hiding }
+        }
     }
 
     fn know(&mut self, kind: GridKind) {
@@ -280,31 +281,7 @@ impl GpuEngine {
         let Some(known) = self.sensors.first().filter(|_| query.count() > 0) else { return Ok(Vec::new()) };
         self.gpu.check()?;
         let visible = self.visible.get_or_insert_with(|| Visible::new(&self.gpu));
-        self.store.uploads.clear();
-        let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        visible.encode(&self.gpu, &mut encoder, &mut self.store, known.tables.kind, query)?;
-        self.gpu.queue.submit([encoder.finish()]);
-        self.store.uploads.recall();
-        visible.read(&self.gpu, query.count())
-    }
-
-    fn upload(&mut self, plan: &FramePlan) -> Result<()> {
-        self.store.uploads.clear();
-        self.take_sensor(&plan.sensor)?;
-        let objects = plan.environment().objects();
-        let meshes = plan.instances.iter().map(|i| &objects[i.object as usize].mesh);
-        self.rebind |= self.arena.admit(&self.gpu, meshes)?;
-        if let Some(KnownSensor { tables, shown, .. }) = self.sensors.first() {
-            let first = self.opened.1.hiding == Hiding::WhereItPays && !self.known.contains(&tables.kind);
-            let hiding = if first { Hiding::Always } else { self.opened.1.hiding };
-            let last = (plan.reuse_visible && plan.watch.is_none()).then_some(shown);
-            self.frame.fill(plan, tables, &self.arena, Way { hiding, ..self.way() }, last);
-        }
-        self.rebind |= self.store.reserve(&self.gpu, &self.frame)?;
-        if self.frame.on_host {
-            self.threads = self.threads.started()?;
-        }
-        Ok(())
+        visible.run(&self.gpu, &mut self.uploads, &self.store, known.tables.kind, query)
     }
 
     /// Moves a sensor to the front, with its tables. A robot that alternates between sensors has each table built once.
@@ -330,101 +307,13 @@ impl GpuEngine {
         Ok(())
     }
 
-    fn submit(&mut self) -> Result<Variants> {
-        let variants = self.stages.prepare(&self.gpu, &self.sensors[0].tables, &self.frame, self.opened.1)?;
-        self.bind();
-        self.store.put(&self.frame);
-        let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        self.store.uploads.encode(&self.gpu, &mut encoder)?;
-        self.stages.encode(&self.gpu, &mut encoder, &variants, &self.frame, &self.store);
-        self.store.encode_readback(&mut encoder, &self.frame, 0);
-        self.gpu.queue.submit([encoder.finish()]);
-        self.placed = true;
-        self.store.uploads.recall();
-        Ok(variants)
-    }
-
-    /// Binds replaced buffers, and schedules the upload of the sensor's tables if they are not on the device.
-    fn bind(&mut self) {
-        if self.rebind {
-            self.stages.bind(&self.gpu, self.arena.buffer(), &self.store);
-            self.visible.iter_mut().for_each(Visible::rebind);
-            self.weigh.iter_mut().for_each(|weigh| weigh.bind(&self.gpu, self.store.outputs.buffer()));
-            self.rebind = false;
-        }
-        if !self.placed {
-            self.store.put_grid(&self.sensors[0].tables);
-        }
-    }
-
-    fn read(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats, start: Instant) -> Result<Counters> {
-        let bytes = Readback::of(&self.frame).bytes;
-        // Before the answer is mapped: an error would leave it mapped.
-        images.try_prepare(self.frame.params.width, self.frame.params.height, self.frame.outputs)?;
-        self.map_answer(bytes)?;
-        stats.stage(StageName::Device, start);
-        let start = Instant::now();
-        let buffer = self.store.readback.buffer().clone();
-        let view = buffer.get_mapped_range(0..bytes);
-        let view = view.map_err(|e| self.gpu.error(ErrorKind::DeviceLost, &e.to_string()))?;
-        self.stage_times(&view[Readback::of(&self.frame).times as usize..], stats);
-        let counters = self.take_answer(&self.frame, &view, plan, images)?;
-        if self.frame.remembered {
-            self.sensors[0].shown.note(plan, &self.frame, &view);
-        }
-        drop(view);
-        buffer.unmap();
-        stats.stage(if self.frame.on_host { StageName::ResolveOnCpu } else { StageName::Readback }, start);
-        Ok(counters)
-    }
-
-    /// Waits for the device until this many bytes of its answer are mapped.
-    fn map_answer(&self, bytes: u64) -> Result<()> {
-        let mapping = &self.store.readback_mapping;
-        mapping.ask(self.store.readback.buffer(), wgpu::MapMode::Read, bytes);
-        self.gpu.wait()?;
-        mapping.check(&self.gpu, "the answer")?;
-        self.gpu.done.bytes_read.add_many(bytes);
-        Ok(())
-    }
-
-    /// Converts the device's answer into a frame's images.
-    fn take_answer(
-        &self,
-        frame: &FrameUploads,
-        view: &[u8],
-        plan: &FramePlan,
-        images: &mut Images,
-    ) -> Result<Counters> {
-        let at = Readback::of(frame);
-        let mut counters = counters_of(view, at);
-        if frame.on_host {
-            let (keys, slots) = view[..at.counters as usize].split_at(at.slots as usize);
-            let (p, slots): (_, &[layout::Slot]) = (&frame.params, bytemuck::cast_slice(slots));
-            let keys = Keys {
-                plan,
-                first: [p.first_sample, p.first_line],
-                focal: [p.fx, p.fy],
-                range: [p.range_min, p.range_max],
-                keys: bytemuck::cast_slice(keys),
-            };
-            let surface_of = |slot: u32| {
-                let layout::Slot { distance, object, source, .. } = slots[slot as usize];
-                KeySurface { distance, object, source }
-            };
-            counters.lost_ids += self.threads.run(|| resolve_keys(&keys, &surface_of, images))?;
-        } else {
-            copy_images(frame, &view[..at.counters as usize], images);
-        }
-        Ok(counters)
-    }
-
+    /// Reports the time of each pass of a single frame, if the device has timestamps.
     fn stage_times(&self, bytes: &[u8], stats: &mut Stats) {
         if self.store.times.is_none() {
             return;
         }
         let period = f64::from(self.gpu.queue.get_timestamp_period());
-        for (name, pair) in self.frame.passes.iter().zip(bytes.chunks_exact(16)) {
+        for (name, pair) in self.frames[0].passes.iter().zip(bytes.chunks_exact(16)) {
             let [begin, end]: [u64; 2] = bytemuck::pod_read_unaligned(pair);
             let ms = end.saturating_sub(begin) as f64 * period * 1e-6;
             stats.stages_ms.push((*name, ms));
@@ -465,7 +354,7 @@ impl GpuEngine {
             (Raster::Compute, _) => "compute spans are the default",
             (Raster::Render, Raster::Compute) => "its fragments cannot write storage on this adapter",
             _ if !is_camera => "the sensor is not a pinhole camera",
-            _ if side > self.way().most_rendered => "the image exceeds the adapter's largest render target",
+            _ if side > self.most_rendered() => "the image exceeds the adapter's largest render target",
             _ => "compute spans keep the deadline",
         }
     }
@@ -515,21 +404,3 @@ impl GpuEngine {
 const WHY_REUSED: &str = "requested: the runs visible in the last frame are the first wave";
 
 const WHY_RENDER: &str = "requested; compute spans draw the polygons that it cannot draw exactly";
-
-fn counters_of(view: &[u8], at: Readback) -> Counters {
-    bytemuck::pod_read_unaligned(&view[at.counters as usize..][..size_of::<Counters>()])
-}
-
-/// Copies the images that the device resolved.
-fn copy_images(frame: &FrameUploads, bytes: &[u8], images: &mut Images) {
-    let pixels = images.pixels() * 4;
-    for (i, output) in frame.outputs.iter().enumerate() {
-        let from = &bytes[i * pixels..][..pixels];
-        match images.samples_mut(output) {
-            SamplesMut::Floats(to) => bytemuck::cast_slice_mut(to).copy_from_slice(from),
-            SamplesMut::Ids(to) => bytemuck::cast_slice_mut(to).copy_from_slice(from),
-            // The plan computes normals on the CPU.
-            SamplesMut::Vectors(_) => {}
-        }
-    }
-}

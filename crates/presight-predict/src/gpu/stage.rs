@@ -1,7 +1,7 @@
 //! A stage: its bindings and, if it is a compute stage, its pipeline variants, which are created on demand and kept.
 
 use super::device::Gpu;
-use super::layout::{Params, WAVE_BYTES};
+use super::layout::{GridKind, Params, WAVE_BYTES};
 use presight_model::error::{ErrorKind, Result};
 use std::collections::HashMap;
 
@@ -15,8 +15,13 @@ pub(super) enum Binding {
     Write,
 }
 
-/// Selects a pipeline of a stage: the grid kind, and the stage's own bits.
-pub(super) type Variant = (u32, u32);
+/// Selects a pipeline of a stage.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(super) struct Variant {
+    pub kind: GridKind,
+    /// The stage's own choices.
+    pub bits: u32,
+}
 
 /// The bind group layout that a stage's pipelines share, with its buffers.
 pub(super) struct Bindings {
@@ -31,7 +36,8 @@ pub(super) struct Bindings {
 impl Bindings {
     /// Takes each binding with the shader stages that see it.
     pub fn new(gpu: &Gpu, name: &'static str, bindings: &[(Binding, wgpu::ShaderStages)]) -> Self {
-        let entries: Vec<_> = bindings.iter().enumerate().map(|(i, b)| entry(i as u32, *b)).collect();
+        let entries: Vec<_> =
+            bindings.iter().enumerate().map(|(i, (what, seen_by))| entry(i as u32, *what, *seen_by)).collect();
         let layout = gpu
             .device
             .create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(name), entries: &entries });
@@ -89,17 +95,12 @@ impl Stage {
         self.bindings.bind(gpu, buffers);
     }
 
-    /// True if a variant's pipeline exists.
-    pub fn has(&self, variant: Variant) -> bool {
-        self.pipelines.contains_key(&variant)
-    }
-
     /// Creates a variant's pipeline unless it exists.
     ///
     /// # Errors
     /// The device's error if it rejects the shader.
     pub fn prepare(&mut self, gpu: &Gpu, variant: Variant, text: &str, constants: &[(&str, f64)]) -> Result<()> {
-        if self.has(variant) {
+        if self.pipelines.contains_key(&variant) {
             return Ok(());
         }
         let name = Some(self.bindings.name);
@@ -157,7 +158,7 @@ pub(super) fn make<P>(
     Ok(pipeline)
 }
 
-fn entry(binding: u32, (what, visibility): (Binding, wgpu::ShaderStages)) -> wgpu::BindGroupLayoutEntry {
+fn entry(binding: u32, what: Binding, visibility: wgpu::ShaderStages) -> wgpu::BindGroupLayoutEntry {
     let ty = match what {
         Binding::Params | Binding::Uniform => wgpu::BufferBindingType::Uniform,
         Binding::Read => wgpu::BufferBindingType::Storage { read_only: true },

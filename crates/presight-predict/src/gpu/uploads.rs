@@ -74,7 +74,7 @@ pub(super) struct FrameUploads {
     /// Passes on the device, in order.
     pub passes: Vec<StageName>,
     /// Workgroups of the coarse depth stage.
-    pub blocks: (u32, u32),
+    pub blocks: [u32; 2],
     /// Polygons of all runs.
     pub polygon_count: u32,
     pub near: NearList,
@@ -125,7 +125,7 @@ impl FrameUploads {
         self.on_host = way.software && self.slots <= MOST_SLOTS_ON_HOST;
         self.sum_words = 0;
         let fits = tables.params.width.max(tables.params.height) <= way.most_rendered;
-        self.rendered = tables.kind == GridKind::Camera && fits && plan.watch.is_none();
+        self.rendered = tables.kind == GridKind::Camera && fits && plan.limit.is_none();
         self.params = tables.params;
         self.blocks = tables.blocks;
         self.plain = plan.instances.iter().all(|i| i.plain);
@@ -294,7 +294,7 @@ impl FrameUploads {
         if !plan.sensor.is_camera() {
             self.outputs = self.outputs.without(Output::DepthZ);
         }
-        if plan.watch.is_some() {
+        if plan.limit.is_some() {
             // Ranges decide which pixels are final.
             self.outputs = self.outputs.with(Output::Range);
         }

@@ -2,9 +2,9 @@
 
 use super::buffers::{Growable, Uploads};
 use super::device::Gpu;
-use super::layout::GROUP;
+use super::layout::{GROUP, GridKind};
 use super::shaders;
-use super::stage::{Binding, Stage};
+use super::stage::{Binding, Stage, Variant};
 use super::uploads::FrameUploads;
 use bytemuck::{Pod, Zeroable};
 use presight_model::error::Result;
@@ -12,6 +12,8 @@ use presight_render::plan::{BeamNumbers, StageName, Weighing};
 
 /// Beams that an invocation sums.
 const BEAMS: u32 = 16;
+/// The only variant: the shader does not depend on the grid.
+const VARIANT: Variant = Variant { kind: GridKind::Camera, bits: 0 };
 /// Maximum number of parts of an image.
 const MOST_PARTS: u32 = 1024;
 
@@ -40,7 +42,7 @@ pub(super) struct Weigh {
 impl Weigh {
     pub fn new(gpu: &Gpu) -> Result<Self> {
         let mut stage = Stage::new(gpu, "weigh", &[Binding::Uniform, Binding::Read, Binding::Write]);
-        stage.prepare(gpu, (0, 0), shaders::WEIGH, &[])?;
+        stage.prepare(gpu, VARIANT, shaders::WEIGH, &[])?;
         let params = Growable::uniform(gpu, "beam model", size_of::<WeighParams>() as u64);
         Ok(Self { stage, params, sensed: Growable::storage(gpu, "measured image") })
     }
@@ -48,7 +50,7 @@ impl Weigh {
     /// Makes room for a measured image. Returns true if its buffer was replaced.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::DeviceMemory`].
+    /// [`presight_model::ErrorKind::DeviceMemory`].
     pub fn reserve(&mut self, gpu: &Gpu, weighing: &Weighing) -> Result<bool> {
         self.sensed.reserve(gpu, size_of_val(&weighing.sensed[..]) as u64)
     }
@@ -67,8 +69,8 @@ impl Weigh {
     pub fn encode(&self, gpu: &Gpu, encoder: &mut wgpu::CommandEncoder, weighing: &Weighing) {
         let label = Some(StageName::WeighOnDevice.name());
         let mut pass = gpu.pass(encoder, &wgpu::ComputePassDescriptor { label, timestamp_writes: None });
-        if self.stage.set(&mut pass, (0, 0), 0) {
-            gpu.dispatch(&mut pass, (parts(weighing), weighing.headings));
+        if self.stage.set(&mut pass, VARIANT, 0) {
+            gpu.dispatch(&mut pass, [parts(weighing), weighing.headings]);
         }
     }
 }

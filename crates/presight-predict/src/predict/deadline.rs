@@ -34,7 +34,7 @@ impl Prediction {
 }
 
 impl Predictor {
-    /// Learnt costs of predictions with a deadline; save them with [`crate::io::costs::write`].
+    /// Learnt costs of predictions with a deadline; save them with `costs::write`.
     pub fn costs(&self) -> &CostModel {
         &self.controller.costs
     }
@@ -45,7 +45,6 @@ impl Predictor {
     }
 
     /// Replaces the system clock, for tests.
-    #[doc(hidden)]
     pub fn set_clock(&mut self, clock: Arc<dyn Clock>) {
         self.controller.set_clock(clock);
     }

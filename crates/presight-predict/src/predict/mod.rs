@@ -79,21 +79,6 @@ impl Options {
     /// hidden polygons are skipped sooner. Useful for moving robots that call [`Predictor::predict`] or
     /// [`Predictor::predict_again`] for consecutive frames. Images do not change, and [`Stats`] report whether it was
     /// used. It has no effect on the CPU engine, in batches and studies, or with a deadline.
-    ///
-    /// ```
-    /// use presight::plan::StageName;
-    /// use presight::{Environment, Options, Pose, Predictor, Request, World};
-    /// use glam::DVec3;
-    /// let (world, sensor) = (World::new(Environment::new()), presight::preset("laser-scanner")?);
-    /// let mut predictor = Predictor::new(Options::default().with_reuse_visible(true))?;
-    /// for step in 0..3 {
-    ///     let pose = Pose::from_xyz_rpy(0.1 * f64::from(step) * DVec3::X, 0.0, 0.0, 0.0);
-    ///     let seen = predictor.predict(&world, &sensor, &pose, &Request::default())?;
-    /// This world has no polygons to draw first.
-    ///     assert!(!seen.stats.taken.iter().any(|variant| variant.what == StageName::ReuseOfLastFrame));
-    /// }
-    /// # Ok::<(), presight::Error>(())
-    /// ```
     #[must_use]
     pub fn with_reuse_visible(self, reuse_visible: bool) -> Self {
         Self { reuse_visible, ..self }
@@ -129,7 +114,8 @@ pub struct Prediction {
 /// Predicts with one engine, reusing its buffers from call to call.
 ///
 /// ```
-/// use presight::{Backend, Environment, Options, Pose, Predictor, Request, World};
+/// use presight::environment::Environment;
+/// use presight::{Backend, Options, Pose, Predictor, Request, World};
 /// let world = World::new(Environment::new());
 /// let sensor = presight::preset("laser-scanner")?;
 /// let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1))?;
@@ -180,7 +166,6 @@ impl Predictor {
 
     /// Creates a predictor with an open engine. With [`Backend::Auto`] the CPU engine takes over if the engine's device
     /// fails.
-    #[doc(hidden)]
     pub fn with_engine(options: Options, engine: Box<dyn Engine>) -> Self {
         Self {
             backend: options.backend,
@@ -199,7 +184,6 @@ impl Predictor {
     }
 
     /// The engine.
-    #[doc(hidden)]
     pub fn engine(&self) -> &dyn Engine {
         &*self.engine
     }
@@ -218,7 +202,6 @@ impl Predictor {
     }
 
     /// The engine, and the threads for the work that it leaves to the CPU.
-    #[doc(hidden)]
     pub fn engine_mut(&mut self) -> (&mut dyn Engine, &Threads) {
         (&mut *self.engine, &self.threads)
     }
@@ -234,9 +217,11 @@ impl Predictor {
     /// that fails, or if the device has too little memory; [`Stats::notices`] reports that from then on.
     ///
     /// ```
-    /// use presight::environment::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
-    /// use presight::features::{BoxOptions, FeatureOptions, PlacedFeature};
-    /// use presight::{Environment, Options, Pose, Predictor, Request, World};
+    /// use presight::features::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
+    /// use presight::features::{FeatureOptions, PlacedFeature};
+    /// use presight::regions::BoxOptions;
+    /// use presight::environment::Environment;
+    /// use presight::{Options, Pose, Predictor, Request, World};
     /// use glam::{DMat3, DVec3};
     ///
     /// // An edge 3 m ahead in an empty world.
@@ -290,7 +275,8 @@ impl Predictor {
     /// another version of the world. After an error the older prediction must not be used.
     ///
     /// ```
-    /// use presight::{Environment, Options, Pose, Predictor, Request, World};
+    /// use presight::environment::Environment;
+    /// use presight::{Options, Pose, Predictor, Request, World};
     /// let (world, sensor) = (World::new(Environment::new()), presight::preset("laser-scanner")?);
     /// let mut predictor = Predictor::new(Options::default())?;
     /// let mut prediction = predictor.predict(&world, &sensor, &Pose::IDENTITY, &Request::default())?;
@@ -370,7 +356,6 @@ impl Predictor {
     }
 
     /// Predicts only images, into the caller's memory, for studies that draw many sensors into the same images.
-    #[doc(hidden)]
     pub fn predict_images(
         &mut self,
         world: &World,
@@ -519,7 +504,7 @@ fn tell(plan: &FramePlan, notice: Option<&String>, stats: &mut Stats) {
 
 /// The error for a device that gives wrong results.
 fn faulty(device: &dyn Device, what: String) -> Error {
-    let remedy = "update its driver, or use --backend cpu; see presight doctor";
+    let remedy = "update its driver, or use `Backend::Cpu`; see presight doctor";
     Error::new(ErrorKind::NoDevice, format!("{} {what}", device.adapter()), remedy)
 }
 
@@ -550,7 +535,7 @@ mod tests {
     #[test]
     fn without_an_adapter_auto_takes_the_cpu_and_gpu_is_an_error() {
         let fails =
-            |kind: ErrorKind| move |_: &Threads, _: bool| Err(Error::new(kind, "no adapter", "use --backend cpu"));
+            |kind: ErrorKind| move |_: &Threads, _: bool| Err(Error::new(kind, "no adapter", "use `Backend::Cpu`"));
         let threads = Threads::from(1);
         let (engine, notice) = choose_engine(Backend::Auto, &threads, fails(ErrorKind::NoDevice)).unwrap();
         assert_eq!((engine.name().as_str(), notice), ("cpu", None));

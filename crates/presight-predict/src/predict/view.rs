@@ -43,7 +43,7 @@ impl Predictor {
     /// ```
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] if nothing is below; the errors of [`Predictor::predict`].
+    /// [`presight_model::ErrorKind::Usage`] if nothing is below; the errors of [`Predictor::predict`].
     pub fn floor_below(&mut self, world: &World, sensor: &Sensor, world_from_sensor: &Pose) -> Result<f64> {
         let down = RayTable::new(1, 1, vec![DVec3::NEG_Z])?;
         let probe = Sensor::new(SensorSpec::new("straight down", &sensor.spec().class, Geometry::Rays(down)))?;
@@ -52,8 +52,8 @@ impl Predictor {
         let range = f64::from(self.predict(world, &probe, &at, &request)?.images.range[0]);
         if !range.is_finite() {
             let what = format!("sensor {:?} has no [mount], and there is no surface below it", sensor.spec().name);
-            let remedy = "give --floor-z, or robot_from_sensor under [mount] in the sensor's file";
-            return Err(Error::usage(what, remedy).at("--virtual free-floor"));
+            let remedy = "give `Settings::floor_z_world`, or robot_from_sensor under [mount] in the sensor's file";
+            return Err(Error::usage(what, remedy).at("free-floor"));
         }
         Ok(world_from_sensor.translation.z - range)
     }

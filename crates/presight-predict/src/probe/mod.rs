@@ -1,7 +1,7 @@
 //! Tests whether an engine draws correctly on this machine: drivers have faults, and a wrong image is worse than none.
 //!
 //! A tiny scene, seen by a tiny sensor of each kind that has its own code path, is compared to the reference in the
-//! same way as in every test ([`crate::verify`]).
+//! same way as in every test ([`presight_render::verify`]).
 
 mod features;
 
@@ -77,18 +77,6 @@ impl SensorKind {
 }
 
 /// The scene of all tasks.
-///
-/// ```
-/// use presight::probe::{Probe, SensorKind};
-/// use presight::{Outputs, Stats, cpu};
-/// let probe = Probe::new()?;
-/// let mut engine = cpu::CpuEngine::new(1)?;
-/// for task in SensorKind::ALL {
-///     let report = probe.run(task, Outputs::ALL, |plan, images| engine.render(plan, images, &mut Stats::default()))?;
-///     assert_eq!(report.fault, 0, "{}", task.name());
-/// }
-/// # Ok::<(), presight::Error>(())
-/// ```
 #[derive(Debug)]
 pub struct Probe {
     world: World,
@@ -127,7 +115,7 @@ impl Probe {
     /// Draws a task's outputs (`depth_z` only for cameras, no `feature_id`) and compares them with the reference.
     ///
     /// # Errors
-    /// Errors of the engine; [`crate::ErrorKind::Invalid`] if an image lacks pixels.
+    /// Errors of the engine; [`presight_model::ErrorKind::Invalid`] if an image lacks pixels.
     pub fn run(
         &self,
         task: SensorKind,

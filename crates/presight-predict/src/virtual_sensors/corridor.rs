@@ -32,9 +32,13 @@ pub struct CorridorFields {
     /// Checked before these fields are read.
     #[serde(default, rename = "format")]
     pub _format: Option<i64>,
+    /// Points of the middle line, metres.
     pub polyline_in_robot: Vec<[f64; 2]>,
+    /// Metres to each side.
     pub half_width: f64,
+    /// Lower end, metres.
     pub z_min: f64,
+    /// Upper end, metres.
     pub z_max: f64,
 }
 
@@ -45,8 +49,8 @@ impl Corridor {
     /// Makes a corridor from a line in the robot's x-y plane, half the width, and the lowest and highest z, metres.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] for fewer than two or too many points, a line without length, a width of 0,
-    /// heights out of order, and values that are not finite or beyond the limits.
+    /// [`presight_model::ErrorKind::Invalid`] for fewer than two or too many points, a line without length, a width of
+    /// 0, heights out of order, and values that are not finite or beyond the limits.
     pub fn new(polyline_in_robot: Vec<[f64; 2]>, half_width: f64, z_min: f64, z_max: f64) -> Result<Self> {
         let sound = |x: f64| x.abs() <= limits::MAX_COORDINATE;
         let wrong = |what: String, remedy: &str, place: &str| Err(Error::invalid(what, remedy).at(place.to_owned()));

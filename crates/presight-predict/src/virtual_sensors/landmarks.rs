@@ -11,7 +11,7 @@ use serde::Serialize;
 pub struct Landmarks {
     /// Visible landmarks in the order of the layer.
     pub landmarks: Vec<Landmark>,
-    /// Number of landmarks in the prediction, visible or not ([`crate::features::Hidden`]).
+    /// Number of landmarks in the prediction, visible or not ([`presight_features::Hidden`]).
     pub known: usize,
 }
 

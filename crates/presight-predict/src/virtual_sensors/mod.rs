@@ -173,7 +173,7 @@ impl VirtualSensor {
     /// Checks that the virtual sensor can use a sensor, before anything is predicted.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] for the wrong sensor class, an unsuitable geometry, or missing noise.
+    /// [`presight_model::ErrorKind::Usage`] for the wrong sensor class, an unsuitable geometry, or missing noise.
     pub fn check(self, sensor: &Sensor) -> Result<()> {
         let (spec, name) = (sensor.spec(), self.name());
         let preset = match self {
@@ -211,7 +211,8 @@ impl VirtualSensor {
     ///
     /// ```
     /// use presight::virtual_sensors::{Answer, Settings, View, VirtualSensor};
-    /// use presight::{Environment, Material, Mesh, NewObject, Options, Polygon, PolygonOrder};
+    /// use presight::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
+    /// use presight::Options;
     /// use presight::{Pose, Predictor, Request, World};
     /// // A wall 2 m ahead of a radar, 4 m wide.
     /// let mut environment = Environment::new();
@@ -234,16 +235,17 @@ impl VirtualSensor {
     /// ```
     ///
     /// # Errors
-    /// The errors of [`VirtualSensor::check`] and [`Pose::check`]; [`crate::ErrorKind::Usage`] if features are needed but
-    /// were not predicted; [`crate::ErrorKind::Invalid`] if an image is missing or has a wrong size, or if the task needs
-    /// ids that the view lacks (`free-floor`, `radar-lines`, `vertical-planes`).
+    /// The errors of [`VirtualSensor::check`] and [`Pose::check`]; [`presight_model::ErrorKind::Usage`] if features are
+    /// needed but were not predicted; [`presight_model::ErrorKind::Invalid`] if an image is missing or has a wrong
+    /// size, or if the task needs ids that the view lacks (`free-floor`, `radar-lines`, `vertical-planes`).
     pub fn reduce(self, view: &View<'_>, settings: &Settings) -> Result<VirtualReading> {
         view.world_from_sensor.check()?;
         self.check(view.sensor)?;
         let features = || {
             let class = self.class();
             view.features.ok_or_else(|| {
-                let remedy = format!("give a --layer of class {class:?} (presight features SCENE --class {class})");
+                let remedy =
+                    format!("give `View::features` of a layer of class {class:?} (presight features generates one)");
                 Error::usage(format!("{} needs features, and none were predicted", self.name()), remedy)
             })
         };

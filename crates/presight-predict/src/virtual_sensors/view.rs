@@ -31,7 +31,8 @@ pub struct View<'a> {
     pub sensor: &'a Sensor,
     /// Its pose, body axes.
     pub world_from_sensor: Pose,
-    /// Metres along each pixel's ray, row-major; see [`crate::Images`]. Empty for tasks that need features only.
+    /// Metres along each pixel's ray, row-major; see [`presight_render::Images`]. Empty for tasks that need features
+    /// only.
     pub range: &'a [f32],
     /// Ids of what the pixels show, if known.
     pub ids: Option<ViewIds<'a>>,
@@ -48,9 +49,9 @@ pub struct ViewIds<'a> {
     pub environment: &'a Environment,
     /// Which number `polygon_id` holds.
     pub scheme: IdScheme,
-    /// See [`crate::Images::polygon_id`].
+    /// See [`presight_render::Images::polygon_id`].
     pub polygon_id: &'a [u32],
-    /// See [`crate::Images::object_id`].
+    /// See [`presight_render::Images::object_id`].
     pub object_id: &'a [u32],
 }
 

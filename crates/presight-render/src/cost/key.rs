@@ -58,15 +58,6 @@ pub struct Key {
 
 impl Key {
     /// The key of a prediction.
-    ///
-    /// ```
-    /// use presight::cost::{Forecast, Key};
-    /// use presight::{Output, Outputs, preset};
-    /// let outputs = Outputs::of(&[Output::Range, Output::PolygonId]);
-    /// let key = Key::new("cpu", None, 2, &preset("laser-scanner")?, outputs, Forecast::Finished);
-    /// assert_eq!((key.geometry.as_str(), key.outputs.as_str()), ("scanner 361 x 1", "range,polygon_id"));
-    /// # Ok::<(), presight::Error>(())
-    /// ```
     pub fn new(
         engine: &str,
         adapter: Option<&str>,

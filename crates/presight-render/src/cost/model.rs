@@ -21,22 +21,9 @@ pub struct TimeEstimate {
 }
 
 /// The costs of frames, by engine, adapter, threads, sensor geometry and outputs.
-///
-/// ```
-/// use presight::cost::{CostModel, WorkCounts, Forecast, Key};
-/// use presight::{Outputs, preset};
-/// let key = Key::new("cpu", None, 2, &preset("video-camera")?, Outputs::default(), Forecast::Finished);
-/// let mut model = CostModel::default();
-/// // Each polygon takes a microsecond.
-/// for polygons in (1000..3000).step_by(10) {
-///     model.observe(&key, &WorkCounts { polygons, ..WorkCounts::default() }, polygons as f64 * 1e-6)?;
-/// }
-/// let estimate = model.estimate(&key, &WorkCounts { polygons: 5000, ..WorkCounts::default() });
-/// assert!((estimate.mean - 5e-3).abs() < 1e-4);
-/// # Ok::<(), presight::Error>(())
-/// ```
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct CostModel {
+    /// The costs of each kind of frame.
     pub models: BTreeMap<Key, UnitCosts>,
 }
 
@@ -54,8 +41,8 @@ impl CostModel {
     /// Learns from a frame with these counts that took `seconds`.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if the time is NaN, infinite or not above 0 (for example after a clock was set
-    /// back), or if there are more than [`MAX_MODELS`] keys. Nothing is learnt then.
+    /// [`presight_model::ErrorKind::Invalid`] if the time is NaN, infinite or not above 0 (for example after a clock
+    /// was set back), or if there are more than [`MAX_MODELS`] keys. Nothing is learnt then.
     pub fn observe(&mut self, key: &Key, counts: &WorkCounts, seconds: f64) -> Result<()> {
         if !(seconds > 0.0 && seconds <= 1e9) {
             let what = format!("a frame that takes {seconds} s");

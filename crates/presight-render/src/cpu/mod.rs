@@ -108,11 +108,11 @@ impl CpuEngine {
     /// Fills the asked images.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if the plan holds more polygons than the engine can number;
-    /// [`crate::ErrorKind::System`] if there is no memory for the images; those of
-    /// [`crate::Pose::check`], if the plan's pose was changed.
+    /// [`presight_model::ErrorKind::Invalid`] if the plan holds more polygons than the engine can number;
+    /// [`presight_model::ErrorKind::System`] if there is no memory for the images; those of
+    /// [`presight_model::Pose::check`], if the plan's pose was changed.
     pub fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
-        match plan.part {
+        match plan.part() {
             Some(part) => self.draw_part((plan, Duration::ZERO), part, images, stats),
             None => match self.draw(plan, images, stats)? {
                 Some(stride) => {
@@ -163,12 +163,12 @@ impl CpuEngine {
             ));
         }
         // Beyond a radius there may be something.
-        if plan.polygon_count == 0 && plan.radius.is_none() {
+        if plan.polygon_count == 0 && plan.radius().is_none() {
             images.show_nothing(plan.sensor.grid());
             plan.finish_noting(images, stats)?;
             stats.leave_out(StageName::SetupAndRasterization, NOTHING_IN_VIEW);
             stats.count(CountName::PolygonsSelected, 0);
-            let drawn_ms = plan.watch.as_ref().map(|watch| watch.elapsed().as_secs_f64() * 1e3);
+            let drawn_ms = plan.watch().map(|watch| watch.elapsed().as_secs_f64() * 1e3);
             stats.deadline = drawn_ms.map(|drawn_ms| DeadlineOutcome { drawn_ms, ..DeadlineOutcome::default() });
             return Ok(None);
         }
@@ -206,7 +206,7 @@ impl CpuEngine {
 
 /// What time thinned images save, by the plan's pace.
 fn saved(plan: &FramePlan, stride: u32) -> Duration {
-    plan.pace.map_or(Duration::ZERO, |pace| Duration::from_secs_f64(pace.saved(stride)))
+    plan.pace().map_or(Duration::ZERO, |pace| Duration::from_secs_f64(pace.saved(stride)))
 }
 
 /// Images and buffers that take less are not asked for beforehand.
@@ -332,7 +332,7 @@ fn draw_wave(
     // In step every band draws a batch before any draws the next one: stopped, they are complete to about the same distance.
     let step = if progress.in_step { 1 } else { batches.len().max(1) };
     let steps = batches.len().div_ceil(step).max(1);
-    let at_once = plan.watch.is_none() || progress.has_plenty;
+    let at_once = plan.limit.is_none() || progress.has_plenty;
     for k in 0..steps {
         let (some, next) = batches.split_at(batches.len().min((k + 1) * step));
         let (some, beyond) = (&some[k * step..], next.first().map_or(wave.beyond, |batch| batch.nearest));
@@ -382,10 +382,10 @@ fn set_up(
     new.par_iter_mut().zip(&groups).with_min_len(least).for_each(|(batch, group)| {
         batch.nearest = runs[group.start].nearest_below();
         let polygons: u64 = runs[group.clone()].iter().map(|run| u64::from(run.count)).sum();
-        batch.is_set_up = !plan.watch.as_ref().is_some_and(|watch| watch.is_over_after(SETUP_NS * polygons));
+        batch.is_set_up = !plan.watch().is_some_and(|watch| watch.is_over_after(SETUP_NS * polygons));
         if batch.is_set_up {
             arch.dispatch(SetUp { batch: &mut *batch, plan, runs: &runs[group.clone()], bands, occlusion });
-            if plan.watch.is_some() && occlusion.is_none() {
+            if plan.limit.is_some() && occlusion.is_none() {
                 batch.pixels = batch.polygons.iter().map(thinning::pixels).sum();
             }
         }
@@ -496,7 +496,7 @@ impl pulp::WithSimd for Draw<'_, '_> {
         // One by one where the time may run out.
         let together = if at_once { batches.len().max(1) } else { 1 };
         for some in batches.chunks(together) {
-            let over = plan.watch.as_ref().is_some_and(|watch| {
+            let over = plan.watch().is_some_and(|watch| {
                 let polygons: u64 = some.iter().map(|batch| batch.in_band(band).len() as u64).sum();
                 watch.is_over_after(POLYGON_NS * polygons + std::mem::take(&mut progress.unwatched))
             });
@@ -539,10 +539,10 @@ impl pulp::WithSimd for Resolve<'_, '_> {
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, _: S) {
         let Self { buffer, target, plan, winners, bands, band, progress } = self;
-        let start = plan.watch.as_ref().map(Watch::elapsed);
+        let start = plan.watch().map(Watch::elapsed);
         (progress.given_up, progress.written) =
             resolve::resolve(target, buffer, plan, &winners.shades, (bands, band), progress.complete_to);
-        if let (Some(watch), Some(start)) = (&plan.watch, start) {
+        if let (Some(watch), Some(start)) = (plan.watch(), start) {
             progress.resolving = watch.elapsed().saturating_sub(start);
         }
     }

@@ -74,14 +74,14 @@ impl<'a> FrameProgress<'a> {
     /// Takes note of the first wave, that of the first `done` runs, after its setup, which took so long. `beyond` is the nearest distance
     /// of what follows. The answer is the stride at which most samples are to be expected in time.
     pub fn begin_wave(&mut self, batches: &[Batch], (done, beyond): (usize, f32), set_up: Duration) -> u32 {
-        let Some(watch) = &self.plan.watch else { return 1 };
+        let Some(watch) = self.plan.watch() else { return 1 };
         let polygons = batches.iter().map(|batch| batch.polygons.len() as u64).sum();
         let samples = batches.iter().map(|batch| batch.pixels).sum();
-        let estimate = self.plan.pace.map_or(0.0, |pace| thinning::seconds(&pace, polygons, samples, 1));
+        let estimate = self.plan.pace().map_or(0.0, |pace| thinning::seconds(pace, polygons, samples, 1));
         let now = watch.elapsed();
         self.wave = Some((now, Wave { polygons, samples, estimate_ms: 1e3 * estimate, time_ms: 0.0 }));
         let left = watch.left().as_secs_f64();
-        match &self.plan.pace {
+        match self.plan.pace() {
             Some(pace) => {
                 let set_up = set_up.as_secs_f64();
                 let rest = (pace.drawing - set_up - estimate).max(0.0);
@@ -116,7 +116,7 @@ impl<'a> FrameProgress<'a> {
         }
         // Of a wave that was not set up nothing is learnt either.
         let stopped = self.bands.iter().any(|band| band.has_stopped) || self.wave.is_some_and(|(_, w)| w.polygons == 0);
-        let (Some(watch), Some((begun, wave))) = (&self.plan.watch, &mut self.wave) else { return };
+        let (Some(watch), Some((begun, wave))) = (self.plan.watch(), &mut self.wave) else { return };
         let threads = rayon::current_num_threads().max(1) as u32;
         let resolving = self.bands.iter().map(|band| band.resolving).sum::<Duration>() / threads;
         let images = if last { resolving } else { Duration::ZERO };
@@ -128,7 +128,7 @@ impl<'a> FrameProgress<'a> {
 
     /// True when the images have to be made of what there is.
     pub fn is_over(&mut self) -> bool {
-        let Some(watch) = &self.plan.watch else { return false };
+        let Some(watch) = self.plan.watch() else { return false };
         self.has_stopped = self.bands.iter().any(|band| band.has_stopped) || watch.is_over();
         if self.has_stopped {
             self.stopped_at = Some(watch.elapsed());
@@ -138,7 +138,7 @@ impl<'a> FrameProgress<'a> {
 
     /// Polygons of the next wave at most: by what those of the first `done` runs took, as many as there is time for.
     pub fn most_polygons(&self, done: usize) -> usize {
-        let Some(watch) = self.plan.watch.as_ref().filter(|_| done > 0) else { return usize::MAX };
+        let Some(watch) = self.plan.watch().filter(|_| done > 0) else { return usize::MAX };
         let polygons: usize = self.plan.runs[..done].iter().map(|r| r.count as usize).sum();
         let spent = watch.elapsed().saturating_sub(self.begun).as_secs_f64().max(1e-9);
         ((watch.left().as_secs_f64() / spent * polygons as f64) as usize).max(LEAST_WAVE)
@@ -149,7 +149,7 @@ impl<'a> FrameProgress<'a> {
         let sum = |of: fn(&Band) -> u64| self.bands.iter().map(of).sum::<u64>();
         stats.count(CountName::Spans, sum(|band| band.spans) as usize);
         stats.count(CountName::SamplesTested, sum(|band| band.tested) as usize);
-        let Some(watch) = &self.plan.watch else { return };
+        let Some(watch) = self.plan.watch() else { return };
         stats.count(CountName::SamplesWritten, sum(|band| band.written) as usize);
         let resolving = self.bands.iter().map(|band| band.resolving).sum::<Duration>() / stats.threads.max(1) as u32;
         let drawn = self.stopped_at.unwrap_or_else(|| watch.elapsed().saturating_sub(resolving));
@@ -157,7 +157,7 @@ impl<'a> FrameProgress<'a> {
         let complete_to = f64::from(self.bands.iter().map(|band| band.complete_to).fold(f32::INFINITY, f32::min));
         let samples = sum(|band| band.given_up);
         let stopped = DegradationStep { means: DegradationKind::Clock, at_ms: drawn_ms, metres: Some(complete_to) };
-        let by_clock = self.plan.radius.is_none_or(|radius| complete_to < f64::from(radius));
+        let by_clock = self.plan.radius().is_none_or(|radius| complete_to < f64::from(radius));
         let means = by_clock.then_some(stopped).into_iter().collect();
         let given_up = (samples > 0).then_some(Degradation { complete_to, samples, means, ..Degradation::default() });
         let wave = self.wave.as_ref().map(|(_, wave)| *wave);

@@ -63,7 +63,7 @@ impl Buffer {
     /// Takes the memory that [`Buffer::clear`] needs.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::System`] if the system refuses it.
+    /// [`presight_model::ErrorKind::System`] if the system refuses it.
     pub fn reserve(&mut self, axis: LineAxis, lines: usize, samples: usize) -> Result<()> {
         let [_, _, size] = Self::layout(axis, lines, samples);
         memory::reserve(&mut self.inverse, size)?;

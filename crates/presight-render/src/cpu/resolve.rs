@@ -67,7 +67,7 @@ pub(super) fn resolve(
 ) -> (u64, u64) {
     let spec = plan.sensor.spec();
     let (range_min, range_max, least_inverse) = (spec.range_min, spec.range_max, least_inverse(complete_to.into()));
-    let counts = plan.watch.is_some();
+    let counts = plan.limit.is_some();
     let mut painter = Painter { shades, range_min, range_max, least_inverse, given_up: 0, counts, written: 0, target };
     let lines = bands.lines(band);
     match (bands.axis, plan.sensor.grid()) {

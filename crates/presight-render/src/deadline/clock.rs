@@ -56,7 +56,6 @@ impl Watch {
     }
 
     /// Reads the clock after any amount of work, for tests that count reads.
-    #[doc(hidden)]
     #[must_use]
     pub fn looking_always(self) -> Self {
         Self { spacing: 0, next: Arc::default(), ..self }
@@ -94,10 +93,12 @@ impl Watch {
         self.stop.saturating_sub(self.elapsed())
     }
 
+    /// Moves the stop to a later time.
     pub fn stop_later(&mut self, by: Duration) {
         self.stop_after(self.stop.saturating_add(by));
     }
 
+    /// Stops this long after the start.
     pub fn stop_after(&mut self, stop: Duration) {
         (self.stop, self.worked) = (stop, Arc::default());
         self.next = Arc::new(AtomicU64::new(self.spacing));

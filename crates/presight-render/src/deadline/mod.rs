@@ -13,22 +13,8 @@
 //! | [`DegradationKind::Features`] | between features, if the next ones do not fit | features with the least image length |
 //!
 //! A sample that was given up is NaN with id 0, never `+inf`. [`Degradation`] lists the losses; without it, NaN means
-//! that the pixel has no ray. [`crate::ErrorKind::Deadline`] means that not even an empty image can be made in time.
-//! `docs/deadline.md` has details and measurements.
-//!
-//! ```
-//! use presight::{Backend, Environment, ErrorKind, Options, Pose, Predictor, Request, World};
-//! use std::time::Duration;
-//! let world = World::new(Environment::new());
-//! let sensor = presight::preset("laser-scanner")?;
-//! let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1))?;
-//! let within = |time| Request::default().with_deadline(time);
-//! let seen = predictor.predict(&world, &sensor, &Pose::IDENTITY, &within(Duration::from_secs(10)))?;
-//! assert_eq!(seen.degradation(), None);
-//! let impossible = predictor.predict(&world, &sensor, &Pose::IDENTITY, &within(Duration::from_nanos(1)));
-//! assert_eq!(impossible.unwrap_err().kind(), ErrorKind::Deadline);
-//! # Ok::<(), presight::Error>(())
-//! ```
+//! that the pixel has no ray. [`presight_model::ErrorKind::Deadline`] means that not even an empty image can be made in
+//! time. `docs/deadline.md` has details and measurements.
 
 mod clock;
 mod priority;

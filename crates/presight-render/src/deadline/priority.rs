@@ -47,7 +47,8 @@ impl Priority {
     }
 
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] for a radius that is not above 0 and finite, and for a heading that is not finite.
+    /// [`presight_model::ErrorKind::Usage`] for a radius that is not above 0 and finite, and for a heading that is not
+    /// finite.
     pub fn check(&self) -> Result<()> {
         if !(self.least_radius > 0.0 && self.least_radius.is_finite()) {
             let what = format!("the least radius is {} m", self.least_radius);

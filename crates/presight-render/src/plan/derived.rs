@@ -40,7 +40,7 @@ impl FramePlan {
     /// on images that hold [`FramePlan::drawn`]. Without `echo` and `normal` it costs nothing.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::System`] if there is no memory for the derived images.
+    /// [`presight_model::ErrorKind::System`] if there is no memory for the derived images.
     pub fn finish(&self, images: &mut Images) -> Result<()> {
         self.derive(images, |_, _| {})
     }

@@ -29,7 +29,7 @@ pub struct Images {
     pub echo: Vec<f32>,
     /// Unit vectors in the sensor's body axes.
     pub normal: Vec<[f32; 3]>,
-    /// The feature's number; filled from [`crate::features::FeaturePrediction`], never by an engine.
+    /// The feature's number; filled from `features::FeaturePrediction`, never by an engine.
     pub feature_id: Vec<u32>,
 }
 
@@ -108,15 +108,6 @@ impl SamplesMut<'_> {
 
 impl Images {
     /// Returns an image; `None` if it is empty.
-    ///
-    /// ```
-    /// use presight::plan::Samples;
-    /// use presight::{Images, Output, Outputs};
-    /// let mut images = Images::default();
-    /// images.prepare(2, 1, Outputs::of(&[Output::ObjectId]));
-    /// assert_eq!(images.samples(Output::ObjectId), Some(Samples::Ids(&[0, 0])));
-    /// assert_eq!(images.samples(Output::Range), None);
-    /// ```
     pub fn samples(&self, output: Output) -> Option<Samples<'_>> {
         let samples = match output {
             Output::Range => Samples::Floats(&self.range),
@@ -181,7 +172,7 @@ impl Images {
     /// Same as [`Images::prepare`], but reports missing memory as an error.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::System`] if the system refuses the memory.
+    /// [`presight_model::ErrorKind::System`] if the system refuses the memory.
     pub fn try_prepare(&mut self, width: u32, height: u32, outputs: Outputs) -> Result<()> {
         let pixels = width as usize * height as usize;
         let mut wanted = Output::ALL.into_iter().filter(|o| outputs.has(*o));
@@ -193,7 +184,7 @@ impl Images {
     /// Creates empty images with room for this many pixels.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::System`] if the system refuses the memory.
+    /// [`presight_model::ErrorKind::System`] if the system refuses the memory.
     pub fn with_room(pixels: usize, outputs: Outputs) -> Result<Self> {
         let mut images = Self::default();
         outputs.iter().try_for_each(|output| images.samples_mut(output).reserve(pixels))?;

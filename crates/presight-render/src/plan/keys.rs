@@ -17,14 +17,17 @@ pub struct KeySurface {
     pub distance: f32,
     /// Values of the id images, from 1.
     pub object: u32,
+    /// Number of the source triangle, from 1.
     pub source: u32,
 }
 
 /// Keys of all rays, with the parameters of their drawing.
 pub struct Keys<'a> {
+    /// The frame.
     pub plan: &'a FramePlan,
     /// For cameras: column and row of the first pixel relative to the principal point, and focal lengths, pixels.
     pub first: [f32; 2],
+    /// Focal lengths, pixels.
     pub focal: [f32; 2],
     /// Minimum and maximum range, metres.
     pub range: [f32; 2],

@@ -26,7 +26,7 @@ pub use weighing::{BeamNumbers, Drawn, Weighing};
 use crate::deadline::Watch;
 use glam::{DMat3, DVec3};
 use presight_model::environment::{Appearance, Environment, Material};
-use presight_model::error::Result;
+use presight_model::error::{Error, Result};
 use presight_model::geometry::Pose;
 use presight_model::index::{ObjectRun, QueryResult, Region};
 use presight_model::sensor::{ImagePart, PixelGrid, STRIDES, Sensor};
@@ -150,14 +150,8 @@ pub struct FramePlan {
     pub polygons_out_of_view: usize,
     /// Objects in view that the sensor's class cannot see.
     pub objects_not_opaque: usize,
-    /// The clock that stops drawing, if there is a deadline.
-    pub watch: Option<Watch>,
-    /// The radius to which the runs were cut for the deadline, if they were, metres.
-    pub radius: Option<f32>,
-    /// The part of the image to draw, unless it is the whole image.
-    pub part: Option<ImagePart>,
-    /// Drawing costs, if they are known: the engine may thin the image accordingly.
-    pub pace: Option<Pace>,
+    /// Only in frames with a deadline.
+    pub limit: Option<TimeLimit>,
     /// True if engines may begin with the polygons that the sensor's last frame showed.
     pub reuse_visible: bool,
     /// Scratch memory, kept from frame to frame.
@@ -165,10 +159,32 @@ pub struct FramePlan {
     selected: Vec<ObjectRun>,
 }
 
+/// What only frames with a deadline have.
+#[derive(Clone, Debug)]
+pub struct TimeLimit {
+    /// The clock that stops drawing.
+    pub watch: Watch,
+    /// The radius to which the runs were cut, if they were, metres.
+    pub radius: Option<f32>,
+    /// The part of the image to draw, unless it is the whole image.
+    pub part: Option<ImagePart>,
+    /// Drawing costs, if they are known: the engine may thin the image accordingly.
+    pub pace: Option<Pace>,
+}
+
+impl TimeLimit {
+    /// A limit by the clock alone.
+    pub fn new(watch: Watch) -> Self {
+        Self { watch, radius: None, part: None, pace: None }
+    }
+}
+
 /// Seconds of drawing on all threads together, for the second estimate of a prediction with a deadline.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Pace {
+    /// Per wave.
     pub wave: f64,
+    /// Per polygon.
     pub polygon: f64,
     /// Per pixel of the bounding boxes of polygons.
     pub sample: f64,
@@ -230,10 +246,7 @@ impl FramePlan {
             objects_out_of_view: 0,
             polygons_out_of_view: 0,
             objects_not_opaque: 0,
-            watch: None,
-            radius: None,
-            part: None,
-            pace: None,
+            limit: None,
             reuse_visible: false,
             found,
             selected,
@@ -242,58 +255,80 @@ impl FramePlan {
         Ok(plan)
     }
 
-    /// Lets a clock stop the engines, for tests. A [`crate::Predictor`] does so for [`Request::deadline`].
-    #[doc(hidden)]
+    /// Lets a clock stop the engines, for tests. A `Predictor` does so for [`Request::deadline`].
     pub fn set_watch(&mut self, watch: Watch) {
-        self.watch = Some(watch);
+        self.limit = Some(TimeLimit::new(watch));
     }
 
-    /// Lets engines begin with the polygons that the sensor's last frame showed, for tests. A [`crate::Predictor`] does
-    /// so for [`crate::Options::reuse_visible`].
-    #[doc(hidden)]
+    /// Lets engines begin with the polygons that the sensor's last frame showed, for tests. A `Predictor` does
+    /// so for `Options::reuse_visible`.
     pub fn set_reuse_visible(&mut self) {
         self.reuse_visible = true;
+    }
+
+    /// The clock that stops drawing, if there is a deadline.
+    pub fn watch(&self) -> Option<&Watch> {
+        self.limit.as_ref().map(|limit| &limit.watch)
+    }
+
+    /// The radius to which the runs were cut, if they were, metres.
+    pub fn radius(&self) -> Option<f32> {
+        self.limit.as_ref().and_then(|limit| limit.radius)
+    }
+
+    /// The part of the image to draw, unless it is the whole image.
+    pub fn part(&self) -> Option<ImagePart> {
+        self.limit.as_ref().and_then(|limit| limit.part)
+    }
+
+    /// Drawing costs, if they are known.
+    pub fn pace(&self) -> Option<&Pace> {
+        self.limit.as_ref().and_then(|limit| limit.pace.as_ref())
     }
 
     /// Keeps only the nearest `runs`.
     pub fn cut(&mut self, runs: usize) {
         let Some(first_out) = self.runs.get(runs) else { return };
-        self.radius = Some(first_out.nearest_below());
+        let radius = first_out.nearest_below();
+        self.limit.iter_mut().for_each(|limit| limit.radius = Some(radius));
         self.runs.truncate(runs);
         self.polygon_count = self.runs.iter().map(|r| r.count as usize).sum();
     }
 
     /// Time since the start of the prediction; zero without a deadline.
     pub fn elapsed(&self) -> Duration {
-        self.watch.as_ref().map_or(Duration::ZERO, Watch::elapsed)
+        self.watch().map_or(Duration::ZERO, Watch::elapsed)
     }
 
     /// Lower bound of the distance to any polygon after the first `done` runs, metres.
     pub fn nearest_after(&self, done: usize) -> f32 {
         match self.runs.get(done) {
             Some(run) => run.nearest_below(),
-            None => self.radius.unwrap_or(f32::INFINITY),
+            None => self.radius().unwrap_or(f32::INFINITY),
         }
     }
 
     /// Restricts the plan to some columns and repeats the selection for them; the radius and the clock stay.
     pub fn narrow(&mut self, part: ImagePart) -> Result<()> {
         let region = region_of(&self.sensor.part(part)?, &self.world_from_sensor)?;
-        let (watch, radius, pace) = (self.watch.take(), self.radius, self.pace);
+        let limit = self.limit.take();
         self.fill(&region);
-        if let Some(radius) = radius {
+        if let Some(radius) = limit.as_ref().and_then(|limit| limit.radius) {
             let within = self.runs.partition_point(|run| run.nearest_below() < radius);
             self.cut(within);
         }
         // The old radius still applies, even if no run selected now lies beyond it.
-        (self.watch, self.radius, self.pace, self.part) = (watch, radius, pace, Some(part));
+        self.limit = limit.map(|limit| TimeLimit { part: Some(part), ..limit });
         Ok(())
     }
 
     /// Returns the same plan for a part of the image, with more time to draw it.
     pub fn of_part(&self, part: ImagePart, more: Duration) -> Result<Self> {
-        let mut watch = self.watch.clone();
-        watch.iter_mut().for_each(|watch| watch.stop_later(more));
+        let mut limit = self.limit.clone();
+        if let Some(limit) = &mut limit {
+            limit.watch.stop_later(more);
+            limit.part = None;
+        }
         Ok(Self {
             world: self.world.clone(),
             sensor: self.sensor.part(part)?,
@@ -306,10 +341,7 @@ impl FramePlan {
             objects_out_of_view: self.objects_out_of_view,
             polygons_out_of_view: self.polygons_out_of_view,
             objects_not_opaque: self.objects_not_opaque,
-            watch,
-            radius: self.radius,
-            part: None,
-            pace: self.pace,
+            limit,
             reuse_visible: false,
             found: QueryResult::default(),
             selected: Vec::new(),
@@ -317,17 +349,21 @@ impl FramePlan {
     }
 
     /// Draws only every k-th column and row (2, 4 or 8), for tests. `around` restricts it to a number of columns around
-    /// a heading (radians, counter-clockwise).
+    /// a heading (radians, counter-clockwise). Needs a watch.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::System`] if there is no memory for the ray tables.
-    #[doc(hidden)]
+    /// [`presight_model::ErrorKind::Usage`] without a watch; [`presight_model::ErrorKind::System`] if there is no
+    /// memory for the ray tables.
     pub fn set_part(&mut self, stride: u32, around: Option<(f64, u32)>) -> Result<()> {
         let narrow = around.and_then(|(heading, columns)| self.sensor.columns_around(heading, columns));
         if let Some(part) = narrow {
             self.narrow(part)?;
         }
-        self.part = Some(ImagePart { stride, ..self.part.unwrap_or(self.sensor.whole()) });
+        let part = ImagePart { stride, ..self.part().unwrap_or(self.sensor.whole()) };
+        let Some(limit) = &mut self.limit else {
+            return Err(Error::usage("a part of an image without a deadline", "call set_watch first"));
+        };
+        limit.part = Some(part);
         Ok(())
     }
 
@@ -389,7 +425,7 @@ impl FramePlan {
         self.instances.clear();
         self.runs.clear();
         self.facings.clear();
-        (self.watch, self.radius, self.part, self.pace) = (None, None, None, None);
+        self.limit = None;
         (self.polygon_count, self.objects_out_of_view) = (0, 0);
         (self.polygons_out_of_view, self.objects_not_opaque) = (0, 0);
         let world = self.world.clone();

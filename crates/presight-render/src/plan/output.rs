@@ -22,7 +22,7 @@ pub enum Output {
     /// also for cameras). Computed from other images, as [`Output::Echo`].
     Normal,
     /// The number of the visible feature; 0 without a feature. Derived from predicted features, not by an engine (see
-    /// [`crate::features`]).
+    /// `features`).
     FeatureId,
 }
 
@@ -118,14 +118,6 @@ impl Output {
     pub const WITH_FEATURES: [Self; TABLE.len()] = first();
 
     /// Its row of the table.
-    ///
-    /// ```
-    /// use presight::Output;
-    /// use presight::plan::{Maker, SampleKind};
-    /// let depth = Output::DepthZ.info();
-    /// assert_eq!((depth.name, depth.kind, depth.unit), ("depth_z", SampleKind::Float, "m"));
-    /// assert!(depth.cameras_only && depth.maker == Maker::Engine);
-    /// ```
     pub const fn info(self) -> &'static OutputInfo {
         &TABLE[self as usize]
     }

@@ -5,14 +5,6 @@ use presight_model::environment::Environment;
 use std::collections::HashMap;
 
 /// Finds the polygon of a pixel. Source numbers are looked up in tables, which are built per object on demand.
-///
-/// ```
-/// use presight::plan::PolygonsOfIds;
-/// use presight::{Environment, IdScheme};
-/// let environment = Environment::new();
-/// let mut polygons = PolygonsOfIds::new(&environment, IdScheme::Model);
-/// assert_eq!(polygons.find(0, 0), None);
-/// ```
 #[derive(Debug)]
 pub struct PolygonsOfIds<'a> {
     environment: &'a Environment,

@@ -132,14 +132,6 @@ impl Stats {
     }
 
     /// Milliseconds of a stage, summed over its runs; `None` if it did not run.
-    ///
-    /// ```
-    /// use presight::plan::{StageName, Stats};
-    /// let mut stats = Stats::default();
-    /// stats.stages_ms.extend([(StageName::Setup, 0.25), (StageName::Setup, 0.5)]);
-    /// assert_eq!(stats.stage_ms(StageName::Setup), Some(0.75));
-    /// assert_eq!(stats.stage_ms(StageName::Echo), None);
-    /// ```
     pub fn stage_ms(&self, name: StageName) -> Option<f64> {
         let mut runs = self.stages_ms.iter().filter(|(stage, _)| *stage == name).map(|(_, ms)| *ms);
         let first = runs.next()?;
@@ -173,18 +165,6 @@ impl Stats {
 
     /// Every stage, variant and image of this prediction: stages that ran, with times; variants that they needed; then
     /// everything left out. `--explain` and reports show this list.
-    ///
-    /// ```
-    /// use presight::Stats;
-    /// use presight::plan::StageName;
-    /// let mut stats = Stats::default();
-    /// stats.stages_ms.push((StageName::Setup, 0.25));
-    /// stats.leave_out(StageName::RayTable, "no lens distortion");
-    /// let rows = stats.stages();
-    /// assert_eq!((rows[0].name.as_str(), rows[0].ran, rows[0].ms), ("setup", true, Some(0.25)));
-    /// assert_eq!((rows[1].name.as_str(), rows[1].ran, rows[1].ms), ("ray table", false, None));
-    /// assert_eq!(rows[2].why, "not requested", "features, and after them regions of interest");
-    /// ```
     pub fn stages(&self) -> Vec<StageRow> {
         let row = |name: String, ran, why: &str, ms| StageRow { name, ran, why: why.to_owned(), ms };
         let ran = self.stages_ms.iter().map(|(name, ms)| row(name.to_string(), true, "", Some(*ms)));
@@ -197,5 +177,22 @@ impl Stats {
             }
         }
         rows
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_of_one_stage_add_up_and_stages_left_out_say_why() {
+        let mut stats = Stats::default();
+        stats.stages_ms.extend([(StageName::Setup, 0.25), (StageName::Setup, 0.5)]);
+        assert_eq!((stats.stage_ms(StageName::Setup), stats.stage_ms(StageName::Echo)), (Some(0.75), None));
+        stats.leave_out(StageName::RayTable, "no lens distortion");
+        let rows = stats.stages();
+        assert_eq!((rows[0].name.as_str(), rows[0].ran), ("setup", true));
+        let left_out = rows.iter().find(|row| row.name == "ray table").unwrap();
+        assert_eq!((left_out.ran, left_out.ms, left_out.why.as_str()), (false, None, "no lens distortion"));
     }
 }

@@ -16,7 +16,7 @@ pub enum Drawn<'a> {
 /// of images.
 #[derive(Clone, Debug)]
 pub struct Weighing {
-    /// Row-major, metres, as in [`crate::batch::RangeLikelihood`].
+    /// Row-major, metres, as in `batch::RangeLikelihood`.
     pub sensed: Vec<f32>,
     /// Beams of a measured row and of a predicted row. The predicted row is longer if it covers a full turn.
     pub beams: [u32; 2],

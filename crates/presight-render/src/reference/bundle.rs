@@ -17,9 +17,13 @@ const LEAF: usize = 16;
 /// A ray and its result.
 #[derive(Clone, Debug)]
 pub struct Beam<T> {
+    /// Column of its pixel.
     pub column: u32,
+    /// Row of its pixel.
     pub row: u32,
+    /// Unit direction.
     pub ray: DVec3,
+    /// The result.
     pub found: T,
 }
 

@@ -12,10 +12,8 @@ mod bundle;
 mod face;
 
 use bundle::Cone;
-#[doc(hidden)]
 pub use bundle::instances;
 pub use bundle::{Beam, beams, cones, descend};
-#[doc(hidden)]
 pub use face::Face;
 pub use face::{Edge, UNIT_ROUNDOFF};
 
@@ -45,7 +43,7 @@ struct Hit {
 /// Fills the requested images.
 ///
 /// # Errors
-/// Same as [`crate::Pose::check`], if the plan's pose was changed.
+/// Same as [`presight_model::Pose::check`], if the plan's pose was changed.
 pub fn render(plan: &FramePlan, images: &mut Images) -> Result<RenderCounts> {
     let (width, height) = (plan.sensor.width(), plan.sensor.height());
     render_pixels(plan, images, (0..height).flat_map(|row| (0..width).map(move |column| (column, row))))

@@ -19,6 +19,7 @@ const MOST_DEPTH: usize = 40;
 /// One version of the world at one height, for one sensor class.
 #[derive(Debug, Default)]
 pub struct RowCut {
+    /// Where polygons cross the height.
     pub segments: Vec<Segment>,
     /// The root is first; a node's left child follows it.
     pub nodes: Vec<Node>,

@@ -8,8 +8,8 @@
 //! **Distance.** p - c is rounded once if c is one number, twice if c is two f32 (c = high + low, which itself is off
 //! by eps^2 |c|). M and the three products and sums of each component add 4 roundings: v_k is off by 6 eps |M| |p_k -
 //! c| + eps^2 |M| |c|. n is rounded in the mesh, in N, in the product and by its normalization: `off_n` = 6 eps |N| /
-//! |N n_mesh|. d = n . v of the nearest corner has 3 roundings of its own. In total: `off_d` = 12 eps |M| min|p - c| (1
-//! + |N| / |N n_mesh|), the term c2 min|v_k| / |d|. In f32 this reaches a thousandth of d if d is a thousandth of |v|,
+//! |N n_mesh|. d = n . v of the nearest corner has 3 roundings of its own. In total: `off_d` = 12 eps |M|
+//! min|p - c| (1 + |N| / |N n_mesh|), the term c2 min|v_k| / |d|. In f32 this reaches a thousandth of d if d is a thousandth of |v|,
 //! as over a large floor. Therefore every compute engine sets up polygons flatter than `SET_UP_FINELY` around the
 //! sensor in f64, and eps here is 2^-53 for them; n / d is then rounded once more to f32, which is one of the 6 eps of
 //! the ray and the product below.
@@ -37,8 +37,8 @@
 //! times |v|), the ray's own rounding, 8 eps, and the span's: a fixed fraction of the angle between neighbouring rays
 //! ([`Precision::pixel_fraction`]).
 //!
-//! **Dent.** A corner may turn inwards by as much as [`Mesh::new`](crate::Mesh::new) accepts. The cone of such a
-//! polygon is the part within all its edges' planes, which cuts off the areas beyond the sides of the dent. The cut
+//! **Dent.** A corner may turn inwards by as much as [`Mesh::new`](presight_model::Mesh::new) accepts. The cone of such
+//! a polygon is the part within all its edges' planes, which cuts off the areas beyond the sides of the dent. The cut
 //! reaches no farther from an edge's plane than the corner farthest beyond it.
 
 use crate::reference::{Edge, Face, UNIT_ROUNDOFF};
@@ -81,7 +81,6 @@ impl Precision {
     }
 
     /// Factor for comparisons of already rounded ranges with each other and with the limits.
-    #[doc(hidden)]
     pub fn limit_slack(self) -> f64 {
         1.0 + self.output_ulps() * f64::from(f32::EPSILON)
     }

@@ -19,7 +19,6 @@ pub use bound::is_set_up_finely;
 use candidates::PlaneCandidate;
 pub use candidates::{Candidate, CandidateSet, candidates};
 pub use pixel::{BoundShares, PixelValues, Tolerances};
-#[doc(hidden)]
 pub use {bound::FaceBound, candidates::span, pixel::ulp};
 
 use crate::plan::{FramePlan, Images, Instance, Output};
@@ -94,7 +93,7 @@ impl Report {
     /// Fails for any fault, and if the share of edge pixels is too large (a few are always allowed).
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] with the first fault.
+    /// [`presight_model::ErrorKind::Invalid`] with the first fault.
     pub fn check(&self, most_edge_share: f64) -> Result<()> {
         if let Some(first) = self.faults.first() {
             return Err(Error::invalid(
@@ -147,19 +146,6 @@ enum PixelClass {
 /// Compares two predictions, where `partial` gave something up (see [`crate::deadline::Degradation`]). `compare`
 /// compares the others; pixels missing in `partial` are only counted.
 ///
-/// ```
-/// use presight::verify::{compare_exactly, compare_partial};
-/// use presight::{Images, Output, Outputs};
-/// let mut whole = Images::default();
-/// whole.prepare(2, 1, Outputs::of(&[Output::Range]));
-/// let mut partial = whole.clone();
-/// partial.range[1] = f32::NAN;
-/// assert_eq!(compare_exactly(&whole, &partial)?.fault, 1);
-/// let report = compare_partial(&whole, &partial, |whole, partial| compare_exactly(whole, partial))?;
-/// assert_eq!((report.fault, report.same, report.not_predicted), (0, 1, 1));
-/// # Ok::<(), presight::Error>(())
-/// ```
-///
 /// # Errors
 /// Same as the comparison's.
 pub fn compare_partial(
@@ -183,7 +169,7 @@ pub fn compare_partial(
 /// Compares an engine's images with the reference's. Every different pixel is a fault.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] if sizes or outputs differ.
+/// [`presight_model::ErrorKind::Invalid`] if sizes or outputs differ.
 pub fn compare_exactly(reference: &Images, other: &Images) -> Result<Report> {
     check_shape(reference, other)?;
     let mut report = Report::default();
@@ -200,7 +186,7 @@ pub fn compare_exactly(reference: &Images, other: &Images) -> Result<Report> {
 /// Compares an engine's images with the reference's, within the bounds for the scene that both show.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] if sizes or outputs differ, from each other or from the plan's sensor.
+/// [`presight_model::ErrorKind::Invalid`] if sizes or outputs differ, from each other or from the plan's sensor.
 pub fn compare(reference: &Images, other: &Images, plan: &FramePlan, precision: Precision) -> Result<Report> {
     check_shape(reference, other)?;
     if (reference.width, reference.height) != (plan.sensor.width(), plan.sensor.height()) {
@@ -359,4 +345,21 @@ fn why(set: &CandidateSet, other: &PixelValues) -> String {
         right.push("nothing".into());
     }
     format!("{other}, where only {} would be right", right.join(" or "))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plan::Outputs;
+
+    #[test]
+    fn what_was_given_up_is_counted_and_not_compared() {
+        let mut whole = Images::default();
+        whole.prepare(2, 1, Outputs::of(&[Output::Range]));
+        let mut partial = whole.clone();
+        partial.range[1] = f32::NAN;
+        assert_eq!(compare_exactly(&whole, &partial).unwrap().fault, 1);
+        let report = compare_partial(&whole, &partial, compare_exactly).unwrap();
+        assert_eq!((report.fault, report.same, report.not_predicted), (0, 1, 1));
+    }
 }

@@ -8,6 +8,7 @@ use super::paths::{EnginePath, PathName};
 use super::timing::{TimedPath, by_turns};
 use super::{PathNotes, Row, how};
 use glam::{DMat3, DQuat, DVec3};
+use presight_features::roi::RoiFlag;
 use presight_features::{
     BoxMethod, BoxOptions, BoxQuery, FeaturePrediction, PlacedFeature, SeenFeature, VisibleInterval,
 };
@@ -99,12 +100,8 @@ fn paths(one: &SceneStudy<'_>) -> Vec<TimedPath<RegionPath>> {
     let all = all.into_iter().filter(|(which, _)| *which != EnginePath::Gpu || one.engines.has_gpu());
     let paths = all.flat_map(|(which, method)| POSE_ERRORS.map(|errors| (which, method, errors)));
     let path = |(which, method, errors): (EnginePath, BoxMethod, (f64, f64))| {
-        let mut sensor = [[0.0; 6]; 6];
-        for (i, row) in sensor.iter_mut().enumerate() {
-            let sigma = if i < 3 { errors.0 } else { errors.1.to_radians() };
-            row[i] = sigma * sigma;
-        }
-        let options = BoxOptions::default().with_sensor(sensor).with_method(method);
+        let (t, r) = (errors.0, errors.1.to_radians());
+        let options = BoxOptions::default().with_sensor_sigmas([t, t, t, r, r, r]).with_method(method);
         TimedPath::new(RegionPath { which, method, errors, options, found: Vec::new() })
     };
     paths.map(path).collect()
@@ -154,9 +151,9 @@ impl RegionPath {
         made.into_iter().for_each(|made| stats.count(CountName::RegionsOnDevice, made));
         stats.stage(StageName::RegionsOfInterest, start);
         for (flag, name) in [
-            ("linear", CountName::LinearRegions),
-            ("set", CountName::SetRegions),
-            ("whole_image", CountName::WholeImages),
+            (RoiFlag::Linear, CountName::LinearRegions),
+            (RoiFlag::Set, CountName::SetRegions),
+            (RoiFlag::WholeImage, CountName::WholeImages),
         ] {
             stats.count(name, seen.features.iter().filter(|f| f.roi_flag == Some(flag)).count());
         }
@@ -283,7 +280,7 @@ mod tests {
         let (existence, properties) = (Existence::default(), Properties::default());
         let feature = Feature { id: 1, name: None, object: None, shape, existence, properties };
         let roi = Some([255.5 - half, -0.5, 255.5 + half, 511.5]);
-        let seen = SeenFeature { roi, roi_flag: Some("linear"), ..SeenFeature::whole(&feature) };
+        let seen = SeenFeature { roi, roi_flag: Some(RoiFlag::Linear), ..SeenFeature::whole(&feature) };
         (sensor, seen)
     }
 

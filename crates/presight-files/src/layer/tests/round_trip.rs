@@ -4,6 +4,7 @@ use super::super::{parse, read, to_string, write};
 use super::{DMat3, DVec3};
 use presight_model::environment::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
 use presight_model::error::ErrorKind;
+use presight_model::geometry::PoseCovariance;
 use proptest::prelude::*;
 
 /// Any finite f64 of a sensible size, including denormals and negative zero.
@@ -117,7 +118,7 @@ proptest! {
         });
         let pose_covariances = poses.into_iter().map(|(path, v)| {
             let entry = |i: usize, j: usize| v[i] * v[j];
-            (path, std::array::from_fn(|i| std::array::from_fn(|j| entry(i, j))))
+            (path, PoseCovariance::from_rows(std::array::from_fn(|i| std::array::from_fn(|j| entry(i, j)))))
         });
         let layer = FeatureLayer {
             class: "video".into(),
@@ -157,7 +158,7 @@ fn a_layer_that_could_not_be_read_is_not_written() {
     for bad in [vec![point(1, f64::NAN)], vec![point(2, 1.0), point(1, 1.0)], vec![point(1, 0.0), point(1, 0.0)]] {
         assert_eq!(write(&path, &layer(bad)).unwrap_err().kind(), ErrorKind::Invalid);
     }
-    let twice = FeatureLayer { pose_covariances: vec![("a".into(), [[0.0; 6]; 6]); 2], ..good };
+    let twice = FeatureLayer { pose_covariances: vec![("a".into(), PoseCovariance::ZERO); 2], ..good };
     assert!(write(&path, &twice).unwrap_err().to_string().contains("given twice"));
     assert_eq!(std::fs::read(&path).unwrap(), kept);
 }

@@ -24,7 +24,7 @@ const MAX_CELLS: f64 = 4.0;
 /// Returns the range image of a cloud: its own pixels if it is organized, otherwise cells of azimuth and elevation.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] if it has more pixels than the limit of an image.
+/// [`presight_model::ErrorKind::Invalid`] if it has more pixels than the limit of an image.
 pub fn range_grid(cloud: &Cloud) -> Result<RangeGrid> {
     let range = |p: &DVec3| p.length() as f32;
     if let Some((width, height)) = cloud.size {

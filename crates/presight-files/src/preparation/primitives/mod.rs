@@ -20,14 +20,6 @@ use presight_model::error::{Error, Result};
 use presight_model::limits;
 
 /// Polygons over shared corners.
-///
-/// ```
-/// use presight::preparation::primitives::cuboid;
-/// let solid = cuboid(2.0, 1.0, 0.5)?;
-/// assert_eq!((solid.vertices.len(), solid.polygon_count()), (8, 6));
-/// assert!(solid.polygons().all(|corners| corners.len() == 4));
-/// # Ok::<(), presight::Error>(())
-/// ```
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Solid {
     /// Positions, metres.

@@ -9,17 +9,8 @@ use presight_model::limits;
 /// Extrudes an outline in x and y upwards from z = 0. The outline may be concave and run in either direction, but must
 /// not cross or touch itself.
 ///
-/// ```
-/// use presight::preparation::primitives::extrude;
-/// use glam::DVec2;
-/// let angle_iron = [[0., 0.], [4., 0.], [4., 1.], [1., 1.], [1., 3.], [0., 3.]].map(DVec2::from);
-/// let solid = extrude(&angle_iron, 6.0)?;
-/// assert_eq!(solid.polygon_count(), 6 + 2 * 2, "six sides; bottom and top in two convex parts each");
-/// # Ok::<(), presight::Error>(())
-/// ```
-///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] naming the point or the sides at fault.
+/// [`presight_model::ErrorKind::Invalid`] naming the point or the sides at fault.
 pub fn extrude(outline: &[DVec2], height: f64) -> Result<Solid> {
     prismatic(outline, 0.0, length("height", height)?, |p, w| p.extend(w))
 }

@@ -8,7 +8,7 @@ use presight_model::geometry::sin_cos_of_turn;
 /// An upright prism over a regular polygon.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] naming the invalid parameter.
+/// [`presight_model::ErrorKind::Invalid`] naming the invalid parameter.
 pub fn prism(sides: u32, radius: f64, height: f64) -> Result<Solid> {
     let n = count("sides", sides, 3)?;
     let (radius, height) = (length("radius", radius)?, length("height", height)?);
@@ -26,7 +26,7 @@ pub fn cylinder(radius: f64, height: f64, facets: u32) -> Result<Solid> {
 /// An upright cone; truncated if neither radius is 0.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] naming the invalid parameter, or if both radii are 0.
+/// [`presight_model::ErrorKind::Invalid`] naming the invalid parameter, or if both radii are 0.
 pub fn cone(radius_bottom: f64, radius_top: f64, height: f64, facets: u32) -> Result<Solid> {
     let n = count("facets", facets, 3)?;
     let low = length_or_none("radius_bottom", radius_bottom)?;
@@ -79,7 +79,7 @@ fn frustum(n: u32, low: f64, high: f64, height: f64) -> Solid {
 /// A sphere about the origin with its poles on the z axis: `facets` around, half as many from pole to pole.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] naming the invalid parameter.
+/// [`presight_model::ErrorKind::Invalid`] naming the invalid parameter.
 pub fn sphere(radius: f64, facets: u32) -> Result<Solid> {
     let (n, radius) = (count("facets", facets, 4)?, length("radius", radius)?);
     let bands = n / 2;
@@ -98,7 +98,7 @@ pub fn sphere(radius: f64, facets: u32) -> Result<Solid> {
 /// An upright tube: a cylinder with a coaxial hole through it.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] naming the invalid parameter, or if the hole leaves no wall.
+/// [`presight_model::ErrorKind::Invalid`] naming the invalid parameter, or if the hole leaves no wall.
 pub fn tube(radius_outer: f64, radius_inner: f64, height: f64, facets: u32) -> Result<Solid> {
     let n = count("facets", facets, 3)?;
     let (outer, inner) = (length("radius_outer", radius_outer)?, length("radius_inner", radius_inner)?);

@@ -10,7 +10,7 @@ use presight_model::limits;
 /// A box.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] naming a size that is not a length above 0.
+/// [`presight_model::ErrorKind::Invalid`] naming a size that is not a length above 0.
 pub fn cuboid(size_x: f64, size_y: f64, size_z: f64) -> Result<Solid> {
     pyramid_like([size_x, size_y, size_z], [size_x, size_y])
 }
@@ -19,7 +19,7 @@ pub fn cuboid(size_x: f64, size_y: f64, size_z: f64) -> Result<Solid> {
 /// one is.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] naming a size that is not a length.
+/// [`presight_model::ErrorKind::Invalid`] naming a size that is not a length.
 pub fn pyramid(size_x: f64, size_y: f64, height: f64, top_x: f64, top_y: f64) -> Result<Solid> {
     let top = [length_or_none("top_x", top_x)?, length_or_none("top_y", top_y)?];
     pyramid_like([size_x, size_y, height], top)
@@ -56,7 +56,7 @@ fn pyramid_like([x, y, z]: [f64; 3], [top_x, top_y]: [f64; 2]) -> Result<Solid> 
 /// A ramp that rises along +x from 0 to its height.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] naming a size that is not a length above 0.
+/// [`presight_model::ErrorKind::Invalid`] naming a size that is not a length above 0.
 pub fn wedge(size_x: f64, size_y: f64, height: f64) -> Result<Solid> {
     let (x, y) = (0.5 * length("size_x", size_x)?, 0.5 * length("size_y", size_y)?);
     let outline = [DVec2::new(-x, 0.0), DVec2::new(x, 0.0), DVec2::new(x, length("the height", height)?)];
@@ -66,7 +66,7 @@ pub fn wedge(size_x: f64, size_y: f64, height: f64) -> Result<Solid> {
 /// Solid stairs that rise along +x from x = 0: each step is `run` deep, `rise` high and `width` wide about y = 0.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] naming a size that is not a length above 0, or an impossible number of steps.
+/// [`presight_model::ErrorKind::Invalid`] naming a size that is not a length above 0, or an impossible number of steps.
 pub fn stairs(steps: u32, width: f64, run: f64, rise: f64) -> Result<Solid> {
     let n = count("steps", steps, 1)?.min(limits::MAX_OUTLINE as u32);
     if n != steps || 2 * n + 2 > limits::MAX_OUTLINE as u32 {
@@ -90,7 +90,7 @@ fn upright(outline: &[DVec2], half: f64) -> Result<Solid> {
 /// A flat rectangle in the plane z = 0 with its normal up, visible from both sides unless its material says otherwise.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] naming a size that is not a length above 0.
+/// [`presight_model::ErrorKind::Invalid`] naming a size that is not a length above 0.
 pub fn rectangle(size_x: f64, size_y: f64) -> Result<Solid> {
     let (x, y) = (0.5 * length("size_x", size_x)?, 0.5 * length("size_y", size_y)?);
     face(&[DVec3::new(-x, -y, 0.0), DVec3::new(x, -y, 0.0), DVec3::new(x, y, 0.0), DVec3::new(-x, y, 0.0)])
@@ -100,7 +100,8 @@ pub fn rectangle(size_x: f64, size_y: f64) -> Result<Solid> {
 /// later that it is planar and convex.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] for fewer than 3 or too many corners, a corner that is not finite, or no area.
+/// [`presight_model::ErrorKind::Invalid`] for fewer than 3 or too many corners, a corner that is not finite, or no
+/// area.
 pub fn face(corners: &[DVec3]) -> Result<Solid> {
     if !(3..=limits::MAX_CORNERS).contains(&corners.len()) {
         let what = format!("{} corners", corners.len());

@@ -39,18 +39,18 @@ fn uniform(c: &mut Call<'_, '_>) -> Result<Dynamic> {
     if low > high {
         return Err(Error::invalid(format!("there is no number from {low} to {high}"), "give the lower one first"));
     }
-    finite(low + (high - low) * random(c)?.unit())
+    let x = low + (high - low) * random(c)?.unit();
+    // The sum may round beyond `high`. Infinity, of a span that overflows, stays an error.
+    finite(if x.is_finite() { x.clamp(low, high) } else { x })
 }
 
 fn integer(c: &mut Call<'_, '_>) -> Result<Dynamic> {
     let (low, high) = (c.arg(1).integer()?, c.arg(2).integer()?);
-    let span = u64::try_from(i128::from(high) - i128::from(low) + 1).ok().filter(|n| *n > 0);
-    let Some(span) = span else {
-        return Err(Error::invalid(
-            format!("there is no whole number from {low} to {high}"),
-            "give the lower one first",
-        ));
-    };
+    if low > high {
+        let what = format!("there is no whole number from {low} to {high}");
+        return Err(Error::invalid(what, "give the lower one first"));
+    }
+    let span = (i128::from(high) - i128::from(low) + 1) as u128;
     Ok(Dynamic::from(low.wrapping_add(random(c)?.below(span) as i64)))
 }
 

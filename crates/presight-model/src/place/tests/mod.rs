@@ -3,6 +3,7 @@ mod covered;
 use super::*;
 use crate::environment::{Existence, Material, Mesh, NewObject, Polygon, PolygonOrder, Properties};
 use crate::error::ErrorKind;
+use crate::geometry::PoseCovariance;
 use glam::{DAffine3, DMat3, DQuat, Vec3};
 use parry3d_f64::query::PointQuery;
 use parry3d_f64::shape::Triangle;
@@ -128,7 +129,7 @@ fn what_is_off_names_feature_object_and_distance() {
     let layer = FeatureLayer {
         class: "video".into(),
         tolerance: TOLERANCE,
-        pose_covariances: vec![("door".into(), [[0.0; 6]; 6])],
+        pose_covariances: vec![("door".into(), PoseCovariance::ZERO)],
         ..FeatureLayer::default()
     };
     assert!(place(&world, &layer).unwrap_err().to_string().contains("pose covariance of object \"door\""));

@@ -46,7 +46,7 @@ impl Distortion {
     /// Finding that region takes longer than inverting a point. For many points use [`Distortion::lens`].
     ///
     /// ```
-    /// use presight::Distortion;
+    /// use presight::sensor::Distortion;
     /// let barrel = Distortion::PlumbBob([-0.3, 0.0, 0.0, 0.0, 0.0]);
     /// let ray = barrel.undistort(0.4, -0.2).unwrap();
     /// let (xd, yd) = barrel.distort(ray).unwrap();

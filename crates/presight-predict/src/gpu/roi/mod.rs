@@ -8,14 +8,14 @@ pub(super) use plan::MAX_POINTS;
 pub(super) use plan::{RoiBox, RoiFeature, RoiParams, RoiPlan, RoiPoint};
 
 use super::GpuEngine;
-use super::buffers::{Growable, Mapping, Uploads};
+use super::buffers::{Answers, Growable, Uploads};
 use super::device::Gpu;
 use super::layout::{GridKind, groups_for};
 use super::shaders;
-use super::stage::{Binding, Stage};
+use super::stage::{Binding, Stage, Variant};
 use presight_features::roi::{Roi, RoiFlag};
 use presight_features::{BoxFrame, BoxQuery, FeaturePrediction, Tails};
-use presight_model::error::{ErrorKind, Result};
+use presight_model::error::Result;
 
 /// `LINEAR` in roi.wgsl: the linear box is accurate.
 pub(super) const LINEAR: u32 = 1;
@@ -30,8 +30,7 @@ pub(super) struct RoiStage {
     columns: Growable,
     tails: Growable,
     boxes: Growable,
-    readback: Growable,
-    mapping: Mapping,
+    readback: Answers,
     uploads: Uploads,
     /// True if the tail table is on the device.
     placed: bool,
@@ -41,7 +40,6 @@ pub(super) struct RoiStage {
 impl RoiStage {
     pub fn new(gpu: &Gpu) -> Self {
         use Binding::{Read, Uniform, Write};
-        use wgpu::BufferUsages as U;
         Self {
             stage: Stage::new(gpu, "roi", &[Uniform, Read, Read, Read, Read, Write]),
             plan: RoiPlan::default(),
@@ -51,8 +49,7 @@ impl RoiStage {
             columns: Growable::storage(gpu, "roi columns"),
             tails: Growable::storage(gpu, "roi tails"),
             boxes: Growable::storage(gpu, "roi boxes"),
-            readback: Growable::new(gpu, "roi answer", U::MAP_READ | U::COPY_DST, false),
-            mapping: Mapping::default(),
+            readback: Answers::new(gpu, "the boxes"),
             uploads: Uploads::new(gpu),
             placed: false,
             rebind: true,
@@ -64,8 +61,7 @@ impl RoiStage {
     /// # Errors
     /// Errors of the device.
     fn prepare(&mut self, gpu: &Gpu, kind: GridKind) -> Result<()> {
-        let constants = [("GRID", f64::from(kind as u32))];
-        self.stage.prepare(gpu, (kind as u32, 0), shaders::ROI, &constants)?;
+        self.stage.prepare(gpu, Variant { kind, bits: 0 }, shaders::ROI, &[kind.constant()])?;
         let plan = &self.plan;
         let bytes = |count: usize, size: usize| (count * size) as u64;
         let of_boxes = bytes(plan.features.len(), size_of::<RoiBox>());
@@ -90,16 +86,8 @@ impl RoiStage {
         self.uploads.put(&self.features, 0, bytemuck::cast_slice(&plan.features));
         self.uploads.put(&self.points, 0, bytemuck::cast_slice(&plan.points));
         self.uploads.put(&self.columns, 0, bytemuck::cast_slice(&plan.columns));
+        self.uploads.end_part();
         Ok(())
-    }
-
-    /// Encodes the pass from uploaded features to boxes.
-    fn encode(&self, gpu: &Gpu, encoder: &mut wgpu::CommandEncoder, kind: GridKind) {
-        let label = Some("roi");
-        let mut pass = gpu.pass(encoder, &wgpu::ComputePassDescriptor { label, timestamp_writes: None });
-        if self.stage.set(&mut pass, (kind as u32, 0), 0) {
-            gpu.dispatch(&mut pass, groups_for(self.plan.features.len() as u32));
-        }
     }
 
     /// Runs the stage and reads its answer: boxes in the plan's order.
@@ -110,35 +98,31 @@ impl RoiStage {
         }
         gpu.check()?;
         self.prepare(gpu, kind)?;
-        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        self.uploads.encode(gpu, &mut encoder)?;
-        self.encode(gpu, &mut encoder, kind);
-        encoder.copy_buffer_to_buffer(self.boxes.buffer(), 0, self.readback.buffer(), 0, bytes);
-        gpu.queue.submit([encoder.finish()]);
+        let Self { uploads, stage, plan, boxes, readback, .. } = self;
+        uploads.submit(gpu, |uploads, encoder| {
+            uploads.encode(encoder, 0);
+            let label = Some("roi");
+            let mut pass = gpu.pass(encoder, &wgpu::ComputePassDescriptor { label, timestamp_writes: None });
+            if stage.set(&mut pass, Variant { kind, bits: 0 }, 0) {
+                gpu.dispatch(&mut pass, groups_for(plan.features.len() as u32));
+            }
+            drop(pass);
+            encoder.copy_buffer_to_buffer(boxes.buffer(), 0, readback.buffer(), 0, bytes);
+        })?;
         self.placed = true;
-        self.uploads.recall();
-        let buffer = self.readback.buffer();
-        self.mapping.ask(buffer, wgpu::MapMode::Read, bytes);
-        gpu.wait()?;
-        self.mapping.check(gpu, "the answer")?;
-        let view = buffer.get_mapped_range(0..bytes);
-        let view = view.map_err(|e| gpu.error(ErrorKind::DeviceLost, &e.to_string()))?;
-        gpu.done.bytes_read.add_many(bytes);
-        let boxes = bytemuck::pod_collect_to_vec(&view[..]);
-        drop(view);
-        buffer.unmap();
-        Ok(boxes)
+        Ok(bytemuck::pod_collect_to_vec(&self.readback.wait(gpu, bytes)?[..]))
     }
 }
 
 impl GpuEngine {
-    /// Same as [`crate::features::add_boxes`], on the device. The CPU finishes features whose projection is nonlinear
+    /// Same as [`presight_features::add_boxes`], on the device. The CPU finishes features whose projection is nonlinear
     /// over their errors, and all features of lenses, ray tables and uneven beams. Returns the number of boxes the
     /// device made.
     ///
     /// # Errors
-    /// [`ErrorKind::Usage`] for a confidence outside 0.5..1; [`ErrorKind::DeviceLost`] and [`ErrorKind::DeviceMemory`]
-    /// as in [`GpuEngine::render`], after which the CPU can make the boxes; the errors of [`crate::Threads::new`].
+    /// [`presight_model::error::ErrorKind::Usage`] for a confidence outside 0.5..1; [`ErrorKind::DeviceLost`] and [`ErrorKind::DeviceMemory`]
+    /// as in [`GpuEngine::render`], after which the CPU can make the boxes; the errors of
+    /// [`presight_model::Threads::new`].
     pub fn add_boxes(&mut self, prediction: &mut FeaturePrediction, query: &BoxQuery<'_>) -> Result<usize> {
         let frame = BoxFrame::new(query)?;
         let stage = self.roi.get_or_insert_with(|| RoiStage::new(&self.gpu));

@@ -1,21 +1,21 @@
 //! Tests feature samples against the surfaces that the nine pixels around each show: the fifth stage.
 //!
 //! It reads the last frame's nearest polygons and their records on the device, so no image is transferred. Answers are
-//! f32 proposals; the caller verifies them in f64 ([`crate::features`]).
+//! f32 proposals; the caller verifies them in f64 ([`presight_features`]).
 
 #[cfg(test)]
 mod twin;
 
-use super::buffers::{Growable, Mapping};
+use super::buffers::{Answers, Growable, Uploads};
 use super::device::Gpu;
 use super::frame_buffers::FrameBuffers;
 use super::layout::{self, GridKind, words_of};
 use super::shaders;
-use super::stage::{Binding, Stage};
+use super::stage::{Binding, Stage, Variant};
 use bytemuck::{Pod, Zeroable};
 use glam::{DMat3, DVec3};
 use presight_features::{FeatureSamples, OcclusionHint};
-use presight_model::error::{ErrorKind, Result};
+use presight_model::error::Result;
 use presight_model::sensor::{PixelGrid, Sensor};
 
 /// Words before the samples: their number, 1 if columns wrap around, padding.
@@ -109,21 +109,18 @@ pub(super) struct Visible {
     stage: Stage,
     asked: Growable,
     answers: Growable,
-    readback: Growable,
-    mapping: Mapping,
+    readback: Answers,
     rebind: bool,
 }
 
 impl Visible {
     pub fn new(gpu: &Gpu) -> Self {
         use Binding::{Read, Uniform, Write};
-        use wgpu::BufferUsages as U;
         Self {
             stage: Stage::new(gpu, "visible", &[Uniform, Read, Read, Read, Read, Write]),
             asked: Growable::storage(gpu, "samples of features"),
             answers: Growable::storage(gpu, "proposals"),
-            readback: Growable::new(gpu, "proposals read back", U::MAP_READ | U::COPY_DST, false),
-            mapping: Mapping::default(),
+            readback: Answers::new(gpu, "the proposals"),
             rebind: true,
         }
     }
@@ -133,56 +130,43 @@ impl Visible {
         self.rebind = true;
     }
 
-    /// Encodes the uploads and the stage for at least one sample, on the last frame's buffers.
+    /// Runs the stage for at least one sample, on the last frame's buffers. Returns a hint for each sample.
     ///
     /// # Errors
-    /// [`ErrorKind::DeviceMemory`], or errors of the device.
-    pub fn encode(
+    /// [`presight_model::error::ErrorKind::DeviceMemory`], or errors of the device.
+    pub fn run(
         &mut self,
         gpu: &Gpu,
-        encoder: &mut wgpu::CommandEncoder,
-        store: &mut FrameBuffers,
+        uploads: &mut Uploads,
+        store: &FrameBuffers,
         kind: GridKind,
         asked: &OcclusionQuery,
-    ) -> Result<()> {
+    ) -> Result<Vec<OcclusionHint>> {
         let bytes = u64::from(asked.count) * 4;
         self.rebind |= self.asked.reserve(gpu, asked.words.len() as u64 * 4)?;
         self.rebind |= self.answers.reserve(gpu, bytes)?;
         self.readback.reserve(gpu, bytes)?;
-        let variant = (kind as u32, 0);
-        self.stage.prepare(gpu, variant, shaders::VISIBLE, &[("GRID", f64::from(kind as u32))])?;
+        let variant = Variant { kind, bits: 0 };
+        self.stage.prepare(gpu, variant, shaders::VISIBLE, &[kind.constant()])?;
         if self.rebind {
             let of = [&store.params, &store.keys, &store.seen_slots, &store.records, &self.asked, &self.answers];
             self.stage.bind(gpu, &of.map(Growable::buffer));
             self.rebind = false;
         }
-        store.uploads.put(&self.asked, 0, bytemuck::cast_slice(&asked.words));
-        store.uploads.encode(gpu, encoder)?;
-        let mut pass = gpu.pass(encoder, &wgpu::ComputePassDescriptor::default());
-        if self.stage.set(&mut pass, variant, 0) {
-            gpu.dispatch(&mut pass, layout::groups_for(asked.count));
-        }
-        drop(pass);
-        encoder.copy_buffer_to_buffer(self.answers.buffer(), 0, self.readback.buffer(), 0, bytes);
-        Ok(())
-    }
-
-    /// Waits for the answers and returns them.
-    ///
-    /// # Errors
-    /// [`ErrorKind::DeviceLost`].
-    pub fn read(&self, gpu: &Gpu, count: u32) -> Result<Vec<OcclusionHint>> {
-        let (buffer, bytes) = (self.readback.buffer(), u64::from(count) * 4);
-        self.mapping.ask(buffer, wgpu::MapMode::Read, bytes);
-        gpu.wait()?;
-        self.mapping.check(gpu, "the proposals")?;
-        let view = buffer.get_mapped_range(0..bytes);
-        let view = view.map_err(|e| gpu.error(ErrorKind::DeviceLost, &e.to_string()))?;
-        gpu.done.bytes_read.add_many(bytes);
-        let words: &[u32] = bytemuck::cast_slice(&view);
-        let proposals = words.iter().map(|word| hint_of_word(*word)).collect();
-        drop(view);
-        buffer.unmap();
-        Ok(proposals)
+        uploads.clear();
+        uploads.put(&self.asked, 0, bytemuck::cast_slice(&asked.words));
+        uploads.end_part();
+        uploads.submit(gpu, |uploads, encoder| {
+            uploads.encode(encoder, 0);
+            let mut pass = gpu.pass(encoder, &wgpu::ComputePassDescriptor::default());
+            if self.stage.set(&mut pass, variant, 0) {
+                gpu.dispatch(&mut pass, layout::groups_for(asked.count));
+            }
+            drop(pass);
+            encoder.copy_buffer_to_buffer(self.answers.buffer(), 0, self.readback.buffer(), 0, bytes);
+        })?;
+        let answer = self.readback.wait(gpu, bytes)?;
+        let words: &[u32] = bytemuck::cast_slice(&answer);
+        Ok(words.iter().map(|word| hint_of_word(*word)).collect())
     }
 }

@@ -81,18 +81,13 @@ fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
 
 /// Reads back a whole buffer as words.
 fn words(engine: &GpuEngine, buffer: &Growable) -> Vec<u32> {
-    use wgpu::BufferUsages as U;
     let bytes = buffer.buffer().size();
-    let mut to = Growable::new(&engine.gpu, "test", U::MAP_READ | U::COPY_DST, false);
+    let mut to = Answers::new(&engine.gpu, "test");
     to.reserve(&engine.gpu, bytes).unwrap();
     let mut encoder = engine.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
     encoder.copy_buffer_to_buffer(buffer.buffer(), 0, to.buffer(), 0, bytes);
     engine.gpu.queue.submit([encoder.finish()]);
-    let mapping = Mapping::default();
-    mapping.ask(to.buffer(), wgpu::MapMode::Read, bytes);
-    engine.gpu.wait().unwrap();
-    let view = to.buffer().get_mapped_range(0..bytes).unwrap();
-    bytemuck::pod_collect_to_vec(&view)
+    bytemuck::pod_collect_to_vec(&to.wait(&engine.gpu, bytes).unwrap())
 }
 
 /// Random test cases.
@@ -172,7 +167,7 @@ fn the_device_answers_as_its_twin() {
             let answers = engine.query_occlusion(&asked).unwrap();
             let pairs = |words: Vec<u32>| words.chunks_exact(2).map(|w| [w[0], w[1]]).collect();
             let mut left = LastFrame {
-                params: engine.frame.params,
+                params: engine.frames[0].params,
                 scanner: engine.sensors[0].tables.kind == GridKind::Scanner,
                 keys: pairs(words(&engine, &engine.store.keys)),
                 slots: bytemuck::pod_collect_to_vec(&words(&engine, &engine.store.seen_slots)),

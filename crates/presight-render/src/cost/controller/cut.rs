@@ -37,7 +37,7 @@ impl Controller {
         let needed = low(&plan.runs);
         let taken = |means, metres| DegradationStep { means, at_ms: milliseconds(timed.watch.elapsed()), metres };
         let mut cut = Vec::new();
-        cut.extend(plan.radius.map(|radius| taken(DegradationKind::Radius, Some(f64::from(radius)))));
+        cut.extend(plan.radius().map(|radius| taken(DegradationKind::Radius, Some(f64::from(radius)))));
         let share = left / needed;
         if share < WORTH_NARROWING && timed.draws_parts {
             let columns = ((f64::from(plan.sensor.width()) * share) as u32).max(LEAST_COLUMNS * timed.stride);

@@ -10,7 +10,7 @@ mod thinning;
 
 use super::{CostModel, Forecast, Key, TimeEstimate, WorkCounts};
 use crate::deadline::{Clock, DeadlineEngine, DegradationKind, DegradationStep, Priority, SystemClock, Watch};
-use crate::plan::{CountName, FramePlan, Outputs, Pace, Run, Stats};
+use crate::plan::{CountName, FramePlan, Outputs, Pace, Run, Stats, TimeLimit};
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::sensor::{STRIDES, Sensor};
 use std::collections::BTreeMap;
@@ -32,6 +32,7 @@ const UNKNOWN_MACHINE: f64 = 0.125;
 #[derive(Debug)]
 pub struct Controller {
     clock: Arc<dyn Clock>,
+    /// The learnt costs.
     pub costs: CostModel,
     /// Factors on estimates that refused recent frames: without a frame that runs, they would never be corrected.
     doubts: BTreeMap<Key, f64>,
@@ -67,6 +68,7 @@ pub struct DeadlineFrame {
     features: WorkCounts,
     /// Number of features found, and ascending numbers of features left out.
     pub found: u64,
+    /// Ascending numbers of features left out.
     pub left_out: Vec<u32>,
 }
 
@@ -101,7 +103,7 @@ impl Controller {
         }
         let Some(DeadlineEngine { name, adapter, threads, draws_parts }) = engine else {
             let what = "this engine cannot stop early, so it does not support deadlines";
-            return Err(Error::usage(what, "use the CPU engine (--backend cpu), or give no deadline"));
+            return Err(Error::usage(what, "use the CPU engine (`Backend::Cpu`), or give no deadline"));
         };
         let key = Key::new(name, adapter.as_deref(), threads, sensor, outputs, Forecast::Images);
         let (size, images) = ([sensor.width(), sensor.height()], outputs.iter().count() as u64);
@@ -139,7 +141,6 @@ impl Controller {
         }
         timed.counts = counts_of(&plan.runs);
         timed.stride = self.stride(timed, left);
-        plan.part = thinning::part_of(&plan.sensor, timed.stride);
         let after = self.kept_for_images(timed, timed.stride, left);
         let features = self.reserve(timed, left.saturating_sub(after));
         timed.watch.stop_after(timed.limit.saturating_sub(after + features));
@@ -149,9 +150,11 @@ impl Controller {
         timed.first_estimate = is_known.then_some(timed.selected.as_secs_f64() + drawing.mean + images.mean);
         let drawing = self.at_stride(timed, (Forecast::Selection, &timed.counts), timed.stride);
         timed.time = is_known.then(|| timed.watch.left().as_secs_f64() / drawing.mean);
+        let part = thinning::part_of(&plan.sensor, timed.stride);
+        plan.limit = Some(TimeLimit { part, ..TimeLimit::new(timed.watch.clone()) });
         self.cut(timed, plan)?;
-        plan.watch = Some(timed.watch.clone());
-        plan.pace = self.pace(timed, left, &plan.runs);
+        let pace = self.pace(timed, left, &plan.runs);
+        plan.limit.iter_mut().for_each(|limit| limit.pace = pace);
         Ok(())
     }
 

@@ -90,8 +90,8 @@ impl Replay {
         let run = |i| Run { instance: 0, first: 0, count: 10, nearest: self.spacing * i as f32 };
         plan.runs = (0..runs).map(run).collect();
         self.controller.plan(&mut timed, &mut plan)?;
-        let watch = plan.watch.clone().expect("it has a deadline");
-        let stride = plan.part.map_or(1, |part| part.stride);
+        let watch = plan.watch().cloned().expect("it has a deadline");
+        let stride = plan.part().map_or(1, |part| part.stride);
         let slow = recorded.slow * (recorded.fixed + (1.0 - recorded.fixed) * timed.share(stride));
         let mut drawn = 0;
         while drawn < plan.runs.len() && !watch.is_over() {
@@ -104,7 +104,7 @@ impl Replay {
         let stopped = drawn < plan.runs.len();
         let clock = DegradationStep { means: DegradationKind::Clock, at_ms: drawn_ms, metres: None };
         let there = (drawn as f64 / runs as f64).powi(2) * timed.share(stride);
-        let given_up = (stopped || plan.radius.is_some() || stride > 1).then(|| Degradation {
+        let given_up = (stopped || plan.radius().is_some() || stride > 1).then(|| Degradation {
             complete_to: 0.0,
             samples: ((1.0 - there) * timed.pixels() as f64) as u64,
             stride,
@@ -119,8 +119,8 @@ impl Replay {
         stats.count(CountName::PolygonsSetUp, 10 * drawn);
         self.controller.end(&timed, &mut stats);
         let took_us = watch.elapsed().as_secs_f64() * 1e6;
-        let columns = plan.part.map(|part| (part.first_column, part.end_column));
-        Ok(TimedFrame { took_us, kept: stats.deadline.unwrap(), drawn, radius: plan.radius, columns })
+        let columns = plan.part().map(|part| (part.first_column, part.end_column));
+        Ok(TimedFrame { took_us, kept: stats.deadline.unwrap(), drawn, radius: plan.radius(), columns })
     }
 
     /// Learns from fifty frames with ample time.

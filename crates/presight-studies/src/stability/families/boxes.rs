@@ -8,7 +8,7 @@ use presight_features::{BoxOptions, FeaturePrediction, PlacedFeature, SeenFeatur
 use presight_model::change::Change;
 use presight_model::environment::{Environment, Existence, Feature, FeatureShape, Properties};
 use presight_model::error::Result;
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, PoseCovariance};
 use presight_model::random::SplitMix64;
 use presight_model::sensor::{Camera, Geometry, Sensor, SensorSpec};
 use presight_model::world::World;
@@ -220,8 +220,9 @@ fn setting(factors: &Factors) -> Result<BoxSetting> {
         placed.push(PlacedFeature { feature: feature.into(), object: None, slots: Vec::new() });
     }
     let prediction = FeaturePrediction { features, ..FeaturePrediction::default() };
-    let options =
-        BoxOptions::default().with_sensor(product(&factors.sensor, factors.negative)).with_confidence(CONFIDENCE);
+    let options = BoxOptions::default()
+        .with_sensor(PoseCovariance::from_rows(product(&factors.sensor, factors.negative)))
+        .with_confidence(CONFIDENCE);
     Ok(BoxSetting { world, sensor, world_from_sensor, placed, prediction, options })
 }
 

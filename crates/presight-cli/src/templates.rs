@@ -33,15 +33,6 @@ enum Part {
 }
 
 /// A file name with fields.
-///
-/// ```
-/// use presight::io::templates::{Field, Names, Template};
-/// let template: Template = "run/{i:04}-{output}.npy".parse()?;
-/// assert!(template.has(Field::Index) && !template.has(Field::Stamp));
-/// let names = Names { index: 7, output: "range", ..Names::default() };
-/// assert_eq!(template.path(&names)?, std::path::Path::new("run/0007-range.npy"));
-/// # Ok::<(), presight::Error>(())
-/// ```
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Template(Kind);
 
@@ -86,7 +77,7 @@ impl Template {
     /// The name of one file.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] if a field is empty, or would lead into another folder.
+    /// [`presight_model::error::ErrorKind::Usage`] if a field is empty, or would lead into another folder.
     pub fn path(&self, names: &Names<'_>) -> Result<PathBuf> {
         let parts = match &self.0 {
             Kind::Name(path) => return Ok(path.clone()),
@@ -195,6 +186,12 @@ mod tests {
             assert_eq!(expand(text, &names).unwrap(), path, "{text}");
         }
         assert_eq!(Template::literal(Path::new("{i}.exr")).path(&names).unwrap(), Path::new("{i}.exr"));
+    }
+
+    #[test]
+    fn a_template_knows_its_fields() {
+        let template: Template = "run/{i:04}-{output}.npy".parse().unwrap();
+        assert!(template.has(Field::Index) && template.has(Field::Output) && !template.has(Field::Stamp));
     }
 
     #[test]

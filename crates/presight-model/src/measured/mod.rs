@@ -10,7 +10,7 @@ pub use grey::GreyImage;
 pub use noise::RangeNoise;
 
 use crate::error::{Error, Result};
-use crate::geometry::Pose;
+use crate::geometry::{InRobot, Pose, PoseCovariance};
 use crate::sensor::{Angles, Camera, Geometry, RayTable, Scanner, Sensor, SensorSpec};
 
 /// The values that a sensor measured, row by row.
@@ -39,8 +39,8 @@ impl Measurement {
 pub struct Motion {
     /// The current pose of the robot, in its previous frame.
     pub previous_from_current: Pose,
-    /// Covariance of x y z, then of rotation about fixed x y z, in the robot's previous frame; metres and radians.
-    pub covariance: [[f64; 6]; 6],
+    /// Its covariance, along the axes of the robot's previous frame.
+    pub covariance: PoseCovariance<InRobot>,
 }
 
 /// Errors of odometry, one standard deviation: parts proportional to distance and turn, and a constant part.
@@ -71,7 +71,7 @@ impl Motion {
     /// # Examples
     /// ```
     /// use presight::Pose;
-    /// use presight::frame::{Motion, OdometryNoise};
+    /// use presight::measured::{Motion, OdometryNoise};
     /// let ahead = Pose::from_xyz_rpy(glam::DVec3::X, 0.0, 0.0, 0.0);
     /// let motion = Motion::of_odometry(ahead, &OdometryNoise { way: 0.1, least: 0.02, ..OdometryNoise::default() });
     /// assert!((motion.covariance[0][0].sqrt() - 0.12).abs() < 1e-12); // 10 cm of 1 m, and 2 cm
@@ -81,9 +81,8 @@ impl Motion {
         let turn = previous_from_current.rotation.angle_between(glam::DQuat::IDENTITY);
         let metres = noise.way * way + noise.least;
         let radians = noise.turn * turn + noise.turn_on_way * way + noise.least_turn;
-        let variance = |i: usize| if i < 3 { metres * metres } else { radians * radians };
-        let covariance = std::array::from_fn(|i| std::array::from_fn(|j| if i == j { variance(i) } else { 0.0 }));
-        Self { previous_from_current, covariance }
+        let sigmas = [metres, metres, metres, radians, radians, radians];
+        Self { previous_from_current, covariance: PoseCovariance::from_sigmas(sigmas) }
     }
 }
 
@@ -91,7 +90,7 @@ impl Motion {
 ///
 /// # Examples
 /// ```
-/// use presight::frame::{Frame, Measurement};
+/// use presight::measured::{Frame, Measurement};
 /// let scanner = presight::preset("laser-scanner")?; // 361 beams
 /// let frame = Frame::new(0.0, scanner.clone(), Measurement::Range(vec![2.0; 361]))?;
 /// assert_eq!(frame.ranges()[180], 2.0);
@@ -152,7 +151,7 @@ impl Frame {
     ///
     /// # Examples
     /// ```
-    /// use presight::frame::{Frame, GreyImage, Measurement};
+    /// use presight::measured::{Frame, GreyImage, Measurement};
     /// let scanner = presight::preset("laser-scanner")?;
     /// let frame = Frame::new(0.0, scanner, Measurement::Range(vec![2.0; 361]))?;
     /// let bright = (0..361).map(|i| if i == 180 { 1.0 } else { 0.2 });

@@ -1,7 +1,7 @@
 //! Resumable work on many poses: a record next to the output files lists the finished poses, and the next run continues
 //! after them. The record of a batch is its table of results, which gets its final name once complete.
 
-use super::atomic::refused;
+use presight_files::atomic::refused;
 use presight_model::error::{Error, ErrorKind, Result};
 use std::fs::{self, File, TryLockError};
 use std::io::{self, BufRead, BufReader, Seek, SeekFrom, Write};
@@ -12,24 +12,6 @@ use std::time::SystemTime;
 /// The progress of a series of poses. The record is a text file: a head line that identifies the job, then a fixed
 /// number of lines for each finished pose. Such a line is the pose's number, alone or followed by a comma and more
 /// text. The file is locked, so that only one process works on it.
-///
-/// ```
-/// use presight::io::series::SeriesProgress;
-/// let folder = tempfile::tempdir()?;
-/// let (part, table) = (folder.path().join("poses.csv.part"), folder.path().join("poses.csv"));
-/// let open = || SeriesProgress::open(&part, "pose,value", 0..2, 1);
-/// let mut progress = open()?;
-/// progress.append(0, "0,1.5\n")?;
-/// drop(progress);
-///
-/// let mut progress = open()?;
-/// assert_eq!(progress.next(), 1);
-/// progress.append(1, "1,2.5\n")?;
-/// assert!(!table.exists());
-/// progress.rename(&table)?;
-/// assert_eq!(std::fs::read_to_string(&table)?, "pose,value\n0,1.5\n1,2.5\n");
-/// # Ok::<(), Box<dyn std::error::Error>>(())
-/// ```
 #[derive(Debug)]
 pub struct SeriesProgress {
     path: PathBuf,
@@ -217,6 +199,20 @@ mod tests {
         progress.append(8, "").unwrap();
         progress.remove().unwrap();
         assert!(!path.exists());
+    }
+
+    #[test]
+    fn a_complete_record_becomes_the_table() {
+        let folder = tempfile::tempdir().unwrap();
+        let (part, table) = (folder.path().join("poses.csv.part"), folder.path().join("poses.csv"));
+        let open = || SeriesProgress::open(&part, "pose,value", 0..2, 1).unwrap();
+        open().append(0, "0,1.5\n").unwrap();
+        let mut progress = open();
+        assert_eq!(progress.next(), 1);
+        progress.append(1, "1,2.5\n").unwrap();
+        assert!(!table.exists());
+        progress.rename(&table).unwrap();
+        assert_eq!(fs::read_to_string(&table).unwrap(), "pose,value\n0,1.5\n1,2.5\n");
     }
 
     #[test]

@@ -44,7 +44,7 @@ impl RangeNoise {
     ///
     /// # Examples
     /// ```
-    /// use presight::frame::RangeNoise;
+    /// use presight::measured::RangeNoise;
     /// let noise = RangeNoise { sigma: 0.01, quadratic: 0.0, angle: 0.002 };
     /// assert!((noise.variance_along_normal(5.0, 1.0) - 1e-4).abs() < 1e-18); // head-on the angle has no say
     /// assert!((noise.variance_along_normal(5.0, 0.0) - 1e-4).abs() < 1e-18); // 5 m x 2 mrad across

@@ -2,10 +2,8 @@
 //! along the axes of a glTF file.
 
 use glam::DVec3;
-use presight_features::roi::PoseCovariance;
-use presight_features::sensor_covariance;
 use presight_model::error::{Error, Result};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{InWorld, Pose, PoseCovariance};
 use presight_model::sensor::{SensorSpec, body_from_optical_rotation};
 
 /// The axes of a pose.
@@ -41,7 +39,7 @@ pub enum WorldFrame {
 /// A pose from outside, with its conventions.
 ///
 /// ```
-/// use presight::frames::{ExternalPose, PoseOf};
+/// use presight::files::{ExternalPose, PoseOf};
 /// use presight::{Pose, Scene};
 /// use glam::DVec3;
 /// let scene = Scene::open("scenes/room.glb")?;
@@ -94,16 +92,16 @@ impl ExternalPose {
     /// Checks that the conventions fit together.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] for the optical axes of a robot.
+    /// [`presight_model::ErrorKind::Usage`] for the optical axes of a robot.
     pub fn check(&self) -> Result<()> {
         if self.of == PoseOf::Robot && self.frame == PoseFrame::Optical {
-            let remedy = "drop --pose-frame optical, or give the pose of the sensor";
-            return Err(Error::usage("--pose-of robot: a robot has no optical frame", remedy));
+            let remedy = "drop `PoseFrame::Optical`, or give the pose of the sensor";
+            return Err(Error::usage("`PoseOf::Robot`: a robot has no optical frame", remedy));
         }
         Ok(())
     }
 
-    /// The sensor's pose in presight's world, body axes. `world_from_gltf` is [`crate::Scene::world_from_gltf`].
+    /// The sensor's pose in presight's world, body axes. `world_from_gltf` is `Scene::world_from_gltf`.
     ///
     /// # Errors
     /// Errors of [`ExternalPose::check`].
@@ -123,14 +121,15 @@ impl ExternalPose {
         Ok(pose)
     }
 
-    /// Converts the covariance of the given pose to that of the sensor's pose, along the axes of presight's world.
+    /// Converts the covariance of the given pose, along the axes of its own world frame, to that of the sensor's pose,
+    /// along the axes of presight's world.
     pub fn covariance_of_sensor(
         &self,
-        covariance: &PoseCovariance,
+        covariance: &PoseCovariance<InWorld>,
         sensor: &SensorSpec,
         world_from_sensor: &Pose,
         world_from_gltf: &Pose,
-    ) -> PoseCovariance {
+    ) -> PoseCovariance<InWorld> {
         let mut moved = *covariance;
         if self.world == WorldFrame::Gltf {
             let turn = world_from_gltf.rotation_matrix().transpose().to_cols_array_2d();
@@ -138,11 +137,11 @@ impl ExternalPose {
             let cell = |i: usize, j: usize| {
                 (0..36).map(|kl| turn(i, kl / 6) * covariance[kl / 6][kl % 6] * turn(j, kl % 6)).sum()
             };
-            moved = std::array::from_fn(|i| std::array::from_fn(|j| cell(i, j)));
+            moved = PoseCovariance::from_rows(std::array::from_fn(|i| std::array::from_fn(|j| cell(i, j))));
         }
         if self.of == PoseOf::Robot {
             let world_from_robot = world_from_sensor.rotation * sensor.mount.rotation.conjugate();
-            moved = sensor_covariance(&moved, world_from_robot * sensor.mount.translation);
+            moved = moved.moved_by(world_from_robot * sensor.mount.translation);
         }
         moved
     }

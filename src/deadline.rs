@@ -1,0 +1,22 @@
+//! Deadlines: predictions that finish in time, and report what they gave up for that.
+//!
+//! ```
+//! use presight::environment::Environment;
+//! use presight::{Backend, ErrorKind, Options, Pose, Predictor, Request, World};
+//! use std::time::Duration;
+//! let world = World::new(Environment::new());
+//! let sensor = presight::preset("laser-scanner")?;
+//! let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1))?;
+//! let within = |time| Request::default().with_deadline(time);
+//! let seen = predictor.predict(&world, &sensor, &Pose::IDENTITY, &within(Duration::from_secs(10)))?;
+//! assert_eq!(seen.degradation(), None);
+//! let impossible = predictor.predict(&world, &sensor, &Pose::IDENTITY, &within(Duration::from_nanos(1)));
+//! assert_eq!(impossible.unwrap_err().kind(), ErrorKind::Deadline);
+//! # Ok::<(), presight::Error>(())
+//! ```
+#![doc = include_str!("../docs/deadline.md")]
+
+#[doc(inline)]
+pub use presight_render::cost::CostModel;
+#[doc(inline)]
+pub use presight_render::deadline::{Degradation, Priority};

@@ -1,0 +1,6 @@
+//! Sensors: cameras, scanners and ray tables, with range limits, mount and noise.
+//!
+//! A [`crate::Sensor`] is a [`crate::preset`], a file ([`crate::files::load_sensor`]), or made from a [`SensorSpec`].
+
+#[doc(inline)]
+pub use presight_model::sensor::{Angles, Camera, Distortion, Geometry, Noise, PRESETS, RayTable, Scanner, SensorSpec};
