@@ -110,8 +110,8 @@ impl Scene {
 
     /// Opens a scene that is in memory, such as one that a program downloaded or embeds: a `.glb`, a `.gltf` with
     /// embedded buffers, or a script (`.rhai`) that imports no files. `name` stands for the file in messages; its
-    /// extension selects the format, as for [`Scene::open`]. There is no `SCENE.materials.toml`. The output of a script is
-    /// dropped.
+    /// extension selects the format, as for [`Scene::open`]. There is no `SCENE.materials.toml`. The output of a
+    /// script is dropped.
     ///
     /// ```
     /// use presight::{Scene, SceneOptions};

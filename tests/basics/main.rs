@@ -3,9 +3,11 @@
 
 mod architecture;
 mod feature_reasons;
+mod from_bytes;
 mod lens_opencv;
 mod outputs;
 mod pictures;
+mod portable;
 mod poses;
 mod skipped;
 mod verify;

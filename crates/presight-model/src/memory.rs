@@ -20,7 +20,8 @@ pub struct MemoryLimit {
 const ARENA: u64 = 64 << 20;
 
 /// The memory left to this process: the least of the address space limit, the control groups (versions 1 and 2) and the
-/// machine's free memory. `None` on systems other than Linux, which do not report these in files; then nothing is refused.
+/// machine's free memory. `None` on systems other than Linux, which do not report these in files: there
+/// [`require`] refuses nothing.
 pub fn room() -> Option<MemoryLimit> {
     let read = |path: &str| std::fs::read_to_string(path).unwrap_or_default();
     let status = read("/proc/self/status");

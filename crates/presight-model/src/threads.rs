@@ -256,7 +256,7 @@ fn within_limit(count: usize) -> Result<usize> {
     Ok(count)
 }
 
-/// The cores that this process may use, by affinity and by the quota of its cgroup; 1 if the system does not report any.
+/// The cores that this process may use, by affinity and by the quota of its cgroup; 1 if the system reports none.
 pub fn cores() -> usize {
     std::thread::available_parallelism().map_or(1, usize::from)
 }

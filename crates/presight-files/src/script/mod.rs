@@ -59,9 +59,9 @@ const STACK: usize = 256 << 20;
 /// them.
 ///
 /// # Errors
-/// [`Invalid`](presight_model::error::ErrorKind::Invalid) with file, line, column, call and remedy for a script that is missing, not UTF-8 or not Rhai,
-/// calls a function wrongly, exceeds a limit, or fails a `require`. As [`crate::gltf::import`] for models that it
-/// imports.
+/// [`presight_model::ErrorKind::Invalid`] with file, line, column, call and remedy for a script that is missing, not
+/// UTF-8 or not Rhai, calls a function wrongly, exceeds a limit, or fails a `require`. As [`crate::gltf::import`] for
+/// models that it imports.
 pub fn load(path: impl AsRef<Path>, options: &ImportOptions, say: &mut dyn FnMut(&str)) -> Result<ImportedScene> {
     load_from(path.as_ref(), None, options, say)
 }
@@ -79,7 +79,7 @@ pub fn load(path: impl AsRef<Path>, options: &ImportOptions, say: &mut dyn FnMut
 /// ```
 ///
 /// # Errors
-/// As [`load`]; [`Invalid`](presight_model::error::ErrorKind::Invalid) if the script imports a file.
+/// As [`load`]; [`presight_model::ErrorKind::Invalid`] if the script imports a file.
 pub fn load_bytes(
     name: impl AsRef<Path>,
     bytes: &[u8],
