@@ -7,12 +7,10 @@
 use super::boxes::Image;
 use super::prediction::given_at;
 use super::roi::Projection;
-use super::{FeaturePrediction, PlacedFeature, SeenFeature};
+use super::{FeaturePrediction, PlacedFeature, SeenFeature, Vantage};
 use glam::{DMat3, DVec2, DVec3};
 use presight_model::environment::FeatureShape;
 use presight_model::geometry::{InWorld, Pose, PoseCovariance};
-use presight_model::sensor::Sensor;
-use presight_model::world::World;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
@@ -28,7 +26,7 @@ const MOST_ASKED: usize = 1 << 24;
 pub fn choose(
     prediction: &mut FeaturePrediction,
     placed: &[PlacedFeature],
-    (world, sensor, world_from_sensor): (&World, &Sensor, &Pose),
+    vantage: &Vantage<'_>,
     known: Option<&PoseCovariance<InWorld>>,
     most: usize,
 ) -> usize {
@@ -37,7 +35,7 @@ pub fn choose(
     if seen.len() <= most {
         return 0;
     }
-    let informations = informations(prediction, placed, (world, sensor, world_from_sensor));
+    let informations = informations(prediction, placed, vantage);
     let informations: Vec<(u32, Matrix)> =
         informations.into_iter().map(|(i, told)| (prediction.features[i].feature.id, told)).collect();
     let mut keep: Vec<bool> = prediction.features.iter().map(|f| f.visible.is_empty()).collect();
@@ -56,8 +54,9 @@ pub fn choose(
 pub fn informations(
     prediction: &FeaturePrediction,
     placed: &[PlacedFeature],
-    (world, sensor, world_from_sensor): (&World, &Sensor, &Pose),
+    vantage: &Vantage<'_>,
 ) -> Vec<(usize, Matrix)> {
+    let Vantage { world, sensor, world_from_sensor } = *vantage;
     let image = Image::of(sensor);
     let turn = |object: u32| world.environment().objects()[object as usize].world_from_object.rotation_matrix();
     let seen = prediction.features.iter().enumerate().filter(|(_, feature)| !feature.visible.is_empty());
@@ -201,7 +200,9 @@ fn log_determinant(matrix: &Matrix) -> f64 {
 mod tests {
     use super::*;
     use presight_model::environment::{Environment, Existence, Feature, Properties};
+    use presight_model::geometry::Pose;
     use presight_model::random::SplitMix64;
+    use presight_model::world::World;
 
     fn random(seed: u64, count: u32) -> Vec<(u32, Matrix)> {
         let mut random = SplitMix64(seed);
@@ -280,9 +281,10 @@ mod tests {
         let all =
             FeaturePrediction { features: features.iter().map(SeenFeature::whole).collect(), ..Default::default() };
         let (world, sensor) = (World::new(Environment::new()), presight_files::preset("video-camera").unwrap());
+        let vantage = Vantage { world: &world, sensor: &sensor, world_from_sensor: &Pose::IDENTITY };
         let ids = |most: usize| {
             let mut some = all.clone();
-            let dropped = choose(&mut some, &placed, (&world, &sensor, &Pose::IDENTITY), None, most);
+            let dropped = choose(&mut some, &placed, &vantage, None, most);
             assert_eq!(dropped + some.features.len(), 4);
             assert!(some.features.iter().enumerate().all(|(i, f)| placed[some.given_at(i)].feature == f.feature));
             some.features.iter().map(|f| f.feature.id).collect::<Vec<_>>()

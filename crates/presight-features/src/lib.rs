@@ -11,6 +11,7 @@ pub mod roi;
 mod sample;
 mod sides;
 mod tree;
+mod vantage;
 mod view;
 mod visible;
 
@@ -29,6 +30,7 @@ pub use presight_model::placement::{PlacedFeature, PlacedFeatures};
 pub use sample::{MAX_PATCH_SAMPLES, MAX_SEGMENT_SAMPLES, Piece, STEP, Sample, Sampler};
 pub use sides::sides_seen_in_part;
 pub use tree::{FeatureTree, check_placed};
+pub use vantage::Vantage;
 pub use visible::PreparedFeatures;
 pub use visible::{FeatureSamples, OcclusionHint, Visibility};
 pub use visible::{FeatureSettings, predict_features};

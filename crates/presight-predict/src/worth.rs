@@ -9,7 +9,7 @@ use crate::free_poses::{height_above, is_clear};
 use crate::predict::Predictor;
 use crate::request::Request;
 use glam::DVec3;
-use presight_features::{FeatureOptions, PlacedFeatures, informations};
+use presight_features::{FeatureOptions, PlacedFeatures, Vantage, informations};
 use presight_model::error::{Error, Result, short};
 use presight_model::geometry::Pose;
 use presight_model::index::QueryResult;
@@ -122,7 +122,8 @@ impl Worth {
                 let mount = Pose { translation: DVec3::ZERO, ..sensor.spec().mount };
                 let pose = Pose::from_xyz_rpy(at, 0.0, 0.0, yaw) * mount;
                 let seen = predictor.predict(world, sensor, &pose, &request)?.features.unwrap_or_default();
-                let mut told: Vec<(u32, Planar)> = informations(&seen, &placed.features, (world, sensor, &pose))
+                let vantage = Vantage { world, sensor, world_from_sensor: &pose };
+                let mut told: Vec<(u32, Planar)> = informations(&seen, &placed.features, &vantage)
                     .into_iter()
                     .map(|(i, m)| (seen.given_at(i) as u32, [m[0][0], m[0][1], m[0][5], m[1][1], m[1][5], m[5][5]]))
                     .collect();

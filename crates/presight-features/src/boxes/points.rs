@@ -152,7 +152,8 @@ fn patch(
                 into.push(BodyPoint::rigid(before.0));
             }
             if before.1 != here.1 {
-                into.push(BodyPoint::rigid(crossing(before, here, &holds)));
+                let (inside, outside) = if before.1 { (before.0, p) } else { (p, before.0) };
+                into.push(BodyPoint::rigid(crossing(inside, outside, &holds)));
             }
             before = here;
         }
@@ -170,8 +171,7 @@ fn patch(
 }
 
 /// Finds the last point that is held, between a point that is and one that is not.
-fn crossing(a: (DVec3, bool), b: (DVec3, bool), holds: &impl Fn(DVec3) -> bool) -> DVec3 {
-    let (mut inside, mut outside) = if a.1 { (a.0, b.0) } else { (b.0, a.0) };
+fn crossing(mut inside: DVec3, mut outside: DVec3, holds: &impl Fn(DVec3) -> bool) -> DVec3 {
     for _ in 0..30 {
         let middle = 0.5 * (inside + outside);
         if holds(middle) { inside = middle } else { outside = middle }

@@ -5,8 +5,8 @@
 //! thresholds, so the tree is built once. The joint tail uses the larger of the two thresholds for both events. It
 //! never overestimates, and if the thresholds differ much, the farther event hardly matters.
 
-use super::SIDES;
 use super::image_point::{MARGIN, PointDerivatives, dot};
+use super::{SIDES, Side};
 use crate::normal::{Tails, apart, tail_quantile};
 
 /// Largest number of points considered for a side.
@@ -57,8 +57,7 @@ impl Level {
 struct Event {
     /// Index of the point.
     seen: usize,
-    /// Coordinate and direction.
-    side: (usize, f64),
+    side: Side,
     /// Distance of the side at the start of the search, standard deviations.
     deviations: f64,
     /// Change of that distance per unit of the common number.
@@ -124,7 +123,7 @@ impl Exceedance {
         self.directions.clear();
         let k = level.first;
         for side in SIDES {
-            let (c, sign) = side;
+            let Side { axis: c, sign } = side;
             let mut maker = (f64::NEG_INFINITY, 0);
             for (i, s) in seen.iter().enumerate() {
                 let reach = s.reach(side, k);
@@ -142,7 +141,7 @@ impl Exceedance {
                 }
             }
             let first = self.events.len();
-            self.take_event(seen, side, (k, level.tail, 1.0), maker);
+            self.take_event(Event { seen: maker, side, deviations: k, rate: 1.0, tail: level.tail, direction: 0 });
             while self.events.len() < first + MOST
                 && let Some(nearest) =
                     (0..self.near.len()).reduce(|a, b| if self.near[b] < self.near[a] { b } else { a })
@@ -157,26 +156,22 @@ impl Exceedance {
                 if !self.events[first..].iter().any(is_one) {
                     let deviations = deviations.max(k);
                     let tail = if deviations == k { level.tail } else { level.tails.tail(deviations) };
-                    self.take_event(seen, side, (deviations, tail, seen[maker].sigma[c] / s.sigma[c]), i);
+                    let rate = seen[maker].sigma[c] / s.sigma[c];
+                    self.take_event(Event { seen: i, side, deviations, rate, tail, direction: 0 });
                 }
             }
         }
     }
 
-    fn take_event(
-        &mut self,
-        seen: &[PointDerivatives],
-        side: (usize, f64),
-        (deviations, tail, rate): (f64, f64, f64),
-        at: usize,
-    ) {
-        debug_assert!(at < seen.len());
-        let known = self.directions.iter().position(|d| *d == (at, side.0));
+    /// Adds an event and sets its direction.
+    fn take_event(&mut self, event: Event) {
+        let wanted = (event.seen, event.side.axis);
+        let known = self.directions.iter().position(|d| *d == wanted);
         let direction = known.unwrap_or_else(|| {
-            self.directions.push((at, side.0));
+            self.directions.push(wanted);
             self.directions.len() - 1
         });
-        self.events.push(Event { seen: at, side, deviations, rate, tail, direction });
+        self.events.push(Event { direction, ..event });
     }
 
     fn take_pairs(&mut self, seen: &[PointDerivatives]) {
@@ -196,7 +191,7 @@ impl Exceedance {
     fn apart(&self, a: &Event, b: &Event) -> Option<f64> {
         let (more, less) = (a.direction.max(b.direction), a.direction.min(b.direction));
         let (rho, apart) = self.pairs[more * (more + 1) / 2 + less];
-        (a.side.1 * b.side.1 * rho > 0.0).then_some(apart)
+        (a.side.sign * b.side.sign * rho > 0.0).then_some(apart)
     }
 
     /// Builds the maximum spanning tree of joint tails (Prim).

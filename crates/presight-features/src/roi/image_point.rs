@@ -1,7 +1,7 @@
 //! Nominal images of material points, and their derivatives with respect to each error.
 
 use super::errors::{BodyPoint, ErrorVector, FeatureErrorModel, KIND, NominalPoint};
-use super::{Projection, SIDES};
+use super::{Projection, SIDES, Side};
 use glam::DVec3;
 
 /// A point in the image.
@@ -44,8 +44,8 @@ impl PointDerivatives {
     }
 
     /// Position towards a side at `k` standard deviations.
-    pub fn reach(&self, (c, sign): (usize, f64), k: f64) -> f64 {
-        sign * self.rough.at[c] + k * self.sigma[c]
+    pub fn reach(&self, side: Side, k: f64) -> f64 {
+        side.sign * self.rough.at[side.axis] + k * self.sigma[side.axis]
     }
 }
 
@@ -93,7 +93,7 @@ pub(super) fn see(uncertain: &FeatureErrorModel, all: &[ImagePoint], k: f64, int
     }
     let mut limits = [f64::NEG_INFINITY; 4];
     let mut leaders = [0; 4];
-    for (side, (c, sign)) in SIDES.into_iter().enumerate() {
+    for (side, Side { axis: c, sign }) in SIDES.into_iter().enumerate() {
         leaders[side] = (0..all.len()).fold(0, |b, i| if sign * all[i].at[c] > sign * all[b].at[c] { i } else { b });
         let seen = PointDerivatives::new(uncertain, &all[leaders[side]]);
         for (limit, side) in limits.iter_mut().zip(SIDES) {
@@ -102,7 +102,7 @@ pub(super) fn see(uncertain: &FeatureErrorModel, all: &[ImagePoint], k: f64, int
     }
     let may = |rough: &ImagePoint| {
         let most = [0, 1].map(|c| (k + MARGIN) * rough.spread * rough.gradient[c].length());
-        SIDES.into_iter().zip(limits).any(|((c, sign), limit)| sign * rough.at[c] + most[c] >= limit)
+        SIDES.into_iter().zip(limits).any(|(Side { axis: c, sign }, limit)| sign * rough.at[c] + most[c] >= limit)
     };
     let chosen = all.iter().enumerate().filter(|(i, rough)| leaders.contains(i) || may(rough));
     into.extend(chosen.map(|(_, rough)| PointDerivatives::new(uncertain, rough)));

@@ -122,7 +122,21 @@ pub trait Projection: Sync {
 }
 
 /// The four sides: coordinate, and direction +1 or -1.
-const SIDES: [(usize, f64); 4] = [(0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)];
+const SIDES: [Side; 4] = [
+    Side { axis: 0, sign: 1.0 },
+    Side { axis: 0, sign: -1.0 },
+    Side { axis: 1, sign: 1.0 },
+    Side { axis: 1, sign: -1.0 },
+];
+
+/// A side of a box.
+#[derive(Clone, Copy, Debug)]
+struct Side {
+    /// 0 for columns, 1 for rows.
+    axis: usize,
+    /// 1 towards larger coordinates, -1 towards smaller ones.
+    sign: f64,
+}
 
 /// A point is lost if its clearance falls to this share.
 pub(crate) const GRAZING: f64 = 0.05;

@@ -13,7 +13,7 @@
 use super::errors::{ERRORS, ErrorVector, FeatureErrorModel};
 use super::exceedance::Level;
 use super::image_point::{ImagePoint, PointDerivatives, unwrapped};
-use super::{GRAZING, Projection, SIDES};
+use super::{GRAZING, Projection, SIDES, Side};
 use std::sync::OnceLock;
 
 /// Largest number of samples.
@@ -150,7 +150,7 @@ impl<P: Projection> Set<'_, P> {
             let near = last.filter(|_| is_next).unwrap_or(rough.at[0]);
             let at = [unwrapped(self.projection, at[0], near), at[1]];
             last = Some(at[0]);
-            for (reach, (c, sign)) in reach.iter_mut().zip(SIDES) {
+            for (reach, Side { axis: c, sign }) in reach.iter_mut().zip(SIDES) {
                 *reach = reach.max(sign * at[c]);
             }
         }

@@ -1,6 +1,6 @@
 //! Samples the area of a convex patch on a grid in the image.
 
-use super::patch_columns::PatchColumns;
+use super::patch_columns::{ColumnRays, PatchColumns};
 use super::{MAX_PATCH_SAMPLES, Part, Piece, STEP, Sample, Sampler};
 use crate::columns;
 use glam::{DVec2, DVec3};
@@ -92,7 +92,7 @@ impl Sampler<'_> {
         let PatchOutline { cone, bounds } = outline;
         let cells = self.cells_in(bounds?, MAX_PATCH_CELLS);
         let (parts, axis, times) = self.sensor.rays_by_column(&cells.columns, &cells.rows)?;
-        PatchColumns::new(cone, cells, (parts, axis, times))
+        PatchColumns::new(cone, cells, ColumnRays { parts, axis, times })
     }
 
     /// Visits the centres of the grid cells in which a patch is seen, row by row: their positions and pixels.

@@ -17,6 +17,13 @@ pub(crate) struct PatchColumns {
     pub count: usize,
 }
 
+/// Rays of columns and rows: the ray of a pixel has the direction `parts[column] + times[row] * axis`.
+pub(super) struct ColumnRays {
+    pub parts: Vec<DVec3>,
+    pub axis: DVec3,
+    pub times: Vec<f64>,
+}
+
 /// Samples of one column.
 pub(crate) struct Column {
     /// Column, pixels.
@@ -30,8 +37,8 @@ pub(crate) struct Column {
 
 impl PatchColumns {
     /// `None` if there are no samples.
-    pub(super) fn new(cone: PatchCone, cells: Cells, rays: (Vec<DVec3>, DVec3, Vec<f64>)) -> Option<Self> {
-        let (parts, axis, times) = rays;
+    pub(super) fn new(cone: PatchCone, cells: Cells, rays: ColumnRays) -> Option<Self> {
+        let ColumnRays { parts, axis, times } = rays;
         let mut all = Self { cone, cells, axis, times, columns: Vec::with_capacity(parts.len()), count: 0 };
         for (u, part) in all.cells.columns.iter().zip(parts) {
             let between = all.cone.between(part, axis);
@@ -137,7 +144,7 @@ mod tests {
         let parts = columns.iter().map(|u| DVec3::new(0.25 * u - 1.0, 0.0, 1.0)).collect();
         let cells = Cells { columns, rows, cell: DVec2::ONE, weight: 1.0 };
         let cone = PatchCone::new(&corners).unwrap();
-        PatchColumns::new(cone, cells, (parts, DVec3::Y, times)).unwrap()
+        PatchColumns::new(cone, cells, ColumnRays { parts, axis: DVec3::Y, times }).unwrap()
     }
 
     #[test]

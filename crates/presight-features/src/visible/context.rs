@@ -42,6 +42,15 @@ struct FrameInImage {
     apart: f64,
 }
 
+/// A feature in the image frame.
+pub(super) struct InImage {
+    pub points: Vec<DVec3>,
+    /// The rotation from its object's frame.
+    pub image_from_object: DMat3,
+    /// Bound of the rounding errors of its points, metres.
+    pub rounding: f64,
+}
+
 impl<'a> VisibilityContext<'a> {
     pub fn new(
         world: &'a World,
@@ -121,13 +130,13 @@ impl<'a> VisibilityContext<'a> {
         Some(Occluder { slot, polygon_id: self.options.ids.id_of(o, polygon), object })
     }
 
-    /// A feature's points in the image frame, the rotation from its object's frame, and the bound of the points'
-    /// rounding errors in metres.
-    pub fn in_image(&self, placed: &PlacedFeature) -> (Vec<DVec3>, DMat3, f64) {
+    /// Places a feature in the image frame.
+    pub fn in_image(&self, placed: &PlacedFeature) -> InImage {
         let points = placed.feature.shape.points();
         let reach = points.iter().map(|p| p.length()).fold(0.0, f64::max);
         let rounding = self.rounding(reach, placed.object);
-        (self.in_image_of(points, placed.object), self.image_from(placed.object).0, rounding)
+        let (points, image_from_object) = (self.in_image_of(points, placed.object), self.image_from(placed.object).0);
+        InImage { points, image_from_object, rounding }
     }
 
     /// Points of an object's frame, or of the world, in the image frame.

@@ -44,7 +44,7 @@ mod windows;
 mod worker;
 
 use super::tree::{FeatureTree, check_placed, newest};
-use super::{FeaturePrediction, Hidden, PlacedFeature, Reason, STEP};
+use super::{FeaturePrediction, Hidden, PlacedFeature, Reason, STEP, Vantage};
 use context::VisibilityContext;
 use glam::DVec3;
 pub use marks::Marks;
@@ -125,7 +125,8 @@ pub fn predict_features(
     placed: &[PlacedFeature],
     options: &FeatureSettings,
 ) -> Result<FeaturePrediction> {
-    let prepared = PreparedFeatures::new(world, sensor, world_from_sensor, images, (placed, None), options)?;
+    let vantage = Vantage { world, sensor, world_from_sensor };
+    let prepared = PreparedFeatures::new(&vantage, images, placed, None, options)?;
     parallel(|| prepared.finish(None))
 }
 
@@ -190,13 +191,13 @@ impl<'a> PreparedFeatures<'a> {
     /// # Errors
     /// The errors of [`predict_features`].
     pub fn new(
-        world: &'a World,
-        sensor: &'a Sensor,
-        world_from_sensor: &Pose,
+        vantage: &Vantage<'a>,
         images: &'a Images,
-        (placed, known): (&'a [PlacedFeature], Option<(&FeatureTree, &'a ContourSet)>),
+        placed: &'a [PlacedFeature],
+        known: Option<(&FeatureTree, &'a ContourSet)>,
         options: &FeatureSettings,
     ) -> Result<Self> {
+        let Vantage { world, sensor, world_from_sensor } = *vantage;
         world_from_sensor.check()?;
         let none = Contours::Made(ContourSet::default());
         let (feature_id, some, out_of_view) = (options.feature_id, Vec::new(), Vec::new());
@@ -220,7 +221,7 @@ impl<'a> PreparedFeatures<'a> {
         let surfaces = known.unwrap_or(&contours);
         let (some, out_of_view) = match tree {
             Some(tree) if options.hidden == Hidden::Count => {
-                let some = select::select(&frame, tree, (placed, surfaces), &prepared.workspaces)?;
+                let some = select::select(&frame, tree, placed, surfaces, &prepared.workspaces)?;
                 (some.into_iter().map(|i| i as usize).collect(), Vec::new())
             }
             Some(tree) => {
@@ -307,7 +308,7 @@ impl<'a> PreparedFeatures<'a> {
         let Some(frame) = &self.frame else { return Vec::new() };
         let one = |(number, placed): (usize, &PlacedFeature)| match self.contours.set().get(number) {
             Some(surface) => length_through(frame, &frame.in_image_of(&surface.hull, placed.object)),
-            None => length_through(frame, &frame.in_image(placed).0),
+            None => length_through(frame, &frame.in_image(placed).points),
         };
         self.placed.par_iter().enumerate().with_min_len(BATCH).map(one).collect()
     }

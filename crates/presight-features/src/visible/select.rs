@@ -36,7 +36,8 @@ const MANY_BOXES: usize = 64;
 pub(super) fn select(
     frame: &VisibilityContext<'_>,
     tree: &FeatureTree,
-    (placed, contours): (&[PlacedFeature], &ContourSet),
+    placed: &[PlacedFeature],
+    contours: &ContourSet,
     workspaces: &IdleWorkspaces,
 ) -> Result<Vec<u32>> {
     let view = View::new(frame.sensor);
@@ -90,7 +91,7 @@ pub(super) fn out_of_view(
         let mut nodes = vec![group.root];
         while let Some(number) = nodes.pop() {
             let node = &tree.nodes[number as usize];
-            let (middle, axes, _) = placed_box(frame, node, group.object, (image_from_object, shift));
+            let (middle, axes, _) = placed_box(frame, node, group.object, image_from_object, shift);
             let reason = if is_scanner {
                 (!view.meets_directions(middle, &axes)).then_some(Reason::OutsideImage)
             } else {
@@ -117,7 +118,8 @@ fn placed_box(
     frame: &VisibilityContext<'_>,
     node: &Node,
     object: Option<u32>,
-    (image_from_object, shift): (DMat3, DVec3),
+    image_from_object: DMat3,
+    shift: DVec3,
 ) -> (DVec3, [DVec3; 3], f64) {
     let reach = node.bounds.min.abs().max(node.bounds.max.abs()).length();
     let rounding = frame.rounding(reach, object);
@@ -172,7 +174,7 @@ impl Selection<'_, '_> {
 
     /// Returns true if nothing of a box is in view, or one polygon hides all of it.
     fn is_out(&mut self, node: &Node, group: &Group, image_from_object: DMat3, shift: DVec3) -> bool {
-        let (middle, axes, rounding) = placed_box(self.frame, node, group.object, (image_from_object, shift));
+        let (middle, axes, rounding) = placed_box(self.frame, node, group.object, image_from_object, shift);
         if !self.view.meets(middle, &axes) {
             return true;
         }

@@ -4,9 +4,10 @@
 //! the middle of the sheet. Seen from the front, the sheet hides them, however thin it is.
 
 use super::VisibilityContext;
+use super::context::InImage;
 use super::polygon::PolygonCache;
 use crate::PlacedFeature;
-use glam::{DMat3, DVec3};
+use glam::DVec3;
 use presight_model::environment::FeatureShape;
 use std::borrow::Cow;
 
@@ -36,9 +37,9 @@ pub(super) fn set_behind<'p>(
     frame: &VisibilityContext<'_>,
     polygons: &mut PolygonCache,
     placed: &'p PlacedFeature,
-    (points, ..): &mut (Vec<DVec3>, DMat3, f64),
+    in_image: &mut InImage,
 ) -> Cow<'p, [u32]> {
-    let slots = &placed.slots;
+    let (slots, points) = (&placed.slots, &mut in_image.points);
     let (FeatureShape::Segment { .. }, [a, b], true) = (&placed.feature.shape, &points[..], slots.len() > 1) else {
         return Cow::Borrowed(slots);
     };

@@ -1,9 +1,10 @@
 //! The polygons a feature lies on, and reasons other than occlusion for not seeing it.
 
 use super::VisibilityContext;
+use super::context::InImage;
 use super::polygon::PolygonCache;
 use crate::{PlacedFeature, Reason};
-use glam::{DMat3, DVec3};
+use glam::DVec3;
 use presight_model::environment::FeatureShape;
 use presight_model::geometry::plane_of_polygon;
 
@@ -24,9 +25,11 @@ impl<'a> FeatureSurface<'a> {
     pub fn new(
         frame: &VisibilityContext<'_>,
         polygons: &mut PolygonCache,
-        (placed, slots): (&PlacedFeature, &'a [u32]),
-        (points, image_from_object, rounding): &(Vec<DVec3>, DMat3, f64),
+        placed: &PlacedFeature,
+        slots: &'a [u32],
+        in_image: &InImage,
     ) -> Self {
+        let InImage { points, image_from_object, rounding } = in_image;
         let mut normals = Vec::new();
         let reason = lies_on(frame, polygons, slots, |normal| normals.push(normal));
         let landmark = matches!(placed.feature.shape, FeatureShape::Reflector { .. } | FeatureShape::Fiducial { .. });

@@ -32,11 +32,11 @@ impl Worker<'_> {
         let (frame, workspace) = (self.frame, &mut self.workspace);
         let mut in_image = frame.in_image(placed);
         let slots = sheet::set_behind(frame, &mut workspace.polygons, placed, &mut in_image);
-        let own = FeatureSurface::new(frame, &mut workspace.polygons, (placed, &*slots), &in_image);
+        let own = FeatureSurface::new(frame, &mut workspace.polygons, placed, &slots, &in_image);
         let query = FeatureQuery {
             frame,
             shape: &placed.feature.shape,
-            points: &in_image.0,
+            points: &in_image.points,
             own: &own,
             hints: None,
             is_piece: false,
@@ -55,7 +55,7 @@ impl Worker<'_> {
         let (frame, workspace) = (self.frame, &mut self.workspace);
         let shape = &placed.feature.shape;
         let mut in_image = frame.in_image(placed);
-        if let Some(reason) = frame.sampler.beside(&in_image.0) {
+        if let Some(reason) = frame.sampler.beside(&in_image.points) {
             let hidden = vec![HiddenInterval { t: [0.0, 1.0], reason, by: None }];
             let seen = (frame.options.hidden != Hidden::Count)
                 .then(|| SeenFeature { hidden, ..SeenFeature::unseen(frame.environment, placed, frame.time) });
@@ -63,8 +63,8 @@ impl Worker<'_> {
             return FeatureResult { seen, stats, pixels: Vec::new() };
         }
         let slots = sheet::set_behind(frame, &mut workspace.polygons, placed, &mut in_image);
-        let own = FeatureSurface::new(frame, &mut workspace.polygons, (placed, &*slots), &in_image);
-        let query = FeatureQuery { frame, shape, points: &in_image.0, own: &own, hints, is_piece: false };
+        let own = FeatureSurface::new(frame, &mut workspace.polygons, placed, &slots, &in_image);
+        let query = FeatureQuery { frame, shape, points: &in_image.points, own: &own, hints, is_piece: false };
         let Decision { mut tally, mut stats } = decide(&query, workspace);
         stats.asked = 1;
         if frame.options.hidden == Hidden::Count && tally.is_unseen(shape.is_area()) {
@@ -73,7 +73,7 @@ impl Worker<'_> {
         let (visible, hidden) = if shape.is_area() { tally.shares(frame) } else { (tally.visible, tally.hidden) };
         // Parts outside the image are not listed as hidden.
         let is_inside = |p: &DVec3| matches!(frame.sampler.point(*p), Piece::Inside(_));
-        let is_whole = || hidden.is_empty() && in_image.0.iter().all(is_inside);
+        let is_whole = || hidden.is_empty() && in_image.points.iter().all(is_inside);
         let windows = tally.windows.take().filter(|_| !visible.is_empty() && !is_whole());
         let windows = windows.map(|windows| seen_in(windows, &query, workspace)).unwrap_or_default();
         let hidden = told(frame, &hidden, visible.is_empty());

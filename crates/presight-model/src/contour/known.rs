@@ -59,7 +59,7 @@ impl ContourSet {
             let keeps = |edge: [DVec3; 2], slot: u32, wing: DVec3| {
                 ends.count(edge.map(|p| pose.transform_point(p)), slot, pose.rotation * wing, crease)
             };
-            let mut surface = Surface::new(&known[&object], (object, of.first_slot), &polygons, crease, keeps);
+            let mut surface = Surface::new(&known[&object], object, of.first_slot, &polygons, crease, keeps);
             if p.object != Some(object) {
                 surface.hull = surface.hull.map(|corner| pose.transform_point(corner));
             }

@@ -47,7 +47,7 @@ impl<'a> ContourFinder<'a> {
         };
         let mut largest = Vec::new();
         for slot in slots {
-            let surface = self.known.of((object, slot - of.first_slot), crease_deg, edges, reached);
+            let surface = self.known.of(object, slot - of.first_slot, crease_deg, edges, reached);
             if surface.len() > largest.len() {
                 largest.clone_from(surface);
             }
@@ -77,7 +77,8 @@ impl KnownSurfaces {
     /// The surface of a polygon of an object; each of the surface's polygons gives the same one.
     fn of(
         &mut self,
-        (object, polygon): (u32, u32),
+        object: u32,
+        polygon: u32,
         crease_deg: f64,
         edges: &MeshEdges,
         reached: &mut Reached,

@@ -97,7 +97,8 @@ impl Surface {
     /// edge, the slot and the direction of a polygon there whether the edge counts.
     pub(super) fn new(
         edges: &MeshEdges,
-        (object, first_slot): (u32, u32),
+        object: u32,
+        first_slot: u32,
         polygons: &[u32],
         crease: f64,
         mut keeps: impl FnMut([DVec3; 2], u32, DVec3) -> bool,

@@ -6,14 +6,13 @@ use crate::engine;
 use crate::probe::{Probe, SensorKind};
 use crate::request::Request;
 use presight_features::{
-    BoxQuery, FeatureOptions, FeaturePrediction, FeatureSamples, FeatureSettings, FeatureSource, FeatureTree, Hidden,
-    OcclusionHint, PlacedFeature, PlacedFeatures, PreparedFeatures, SeenFeature, Visibility, add_boxes, check_placed,
-    choose, predict_features, sides_seen_in_part,
+    BoxOptions, BoxQuery, FeatureOptions, FeaturePrediction, FeatureSamples, FeatureSettings, FeatureSource,
+    FeatureTree, Hidden, OcclusionHint, PlacedFeature, PlacedFeatures, PreparedFeatures, SeenFeature, Vantage,
+    Visibility, add_boxes, check_placed, choose, predict_features, sides_seen_in_part,
 };
 use presight_model::clock::Instant;
 use presight_model::contour::ContourSet;
 use presight_model::error::{Error, ErrorKind, Result};
-use presight_model::geometry::Pose;
 use presight_model::placement;
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
@@ -21,8 +20,25 @@ use presight_render::cost::DeadlineFrame;
 use presight_render::plan::{CountName, Images, Output, StageName, Stats};
 use std::sync::Arc;
 
-/// A world, a sensor and its pose.
-pub(super) type SeenFrom<'a> = (&'a World, &'a Sensor, &'a Pose);
+/// A request for features.
+pub(super) struct FeatureTask<'a> {
+    pub vantage: Vantage<'a>,
+    pub request: &'a Request,
+    pub placed: &'a PlacedFeatures,
+    /// For regions of interest, if they are requested.
+    pub regions: Option<BoxOptions>,
+}
+
+impl<'a> FeatureTask<'a> {
+    pub fn new(vantage: Vantage<'a>, request: &'a Request, placed: &'a PlacedFeatures) -> Self {
+        let regions = request.regions.as_ref().map(|options| {
+            let mut options = options.clone();
+            options.objects.extend(placed.objects.iter().copied());
+            options
+        });
+        Self { vantage, request, placed, regions }
+    }
+}
 
 /// The features of a world's own layer, placed in one version of the world.
 pub(super) struct WorldFeatures {
@@ -86,42 +102,34 @@ impl Predictor {
     /// Predicts features and their regions from images just made; adds `feature_id` to the images.
     pub(super) fn features(
         &mut self,
-        (world, sensor, world_from_sensor): SeenFrom<'_>,
-        request: &Request,
-        placed: &PlacedFeatures,
+        task: &FeatureTask<'_>,
         images: &mut Images,
         stats: &mut Stats,
         timed: Option<&mut DeadlineFrame>,
     ) -> Result<FeaturePrediction> {
-        let seen_from = (world, sensor, world_from_sensor);
-        let regions = request.regions.as_ref().map(|options| {
-            let mut options = options.clone();
-            options.objects.extend(placed.objects.iter().copied());
-            options
-        });
+        let FeatureTask { vantage, request, placed, regions } = task;
         let features = match timed {
-            Some(timed) => {
-                self.features_in_time(seen_from, request, (placed, regions.as_ref()), images, stats, timed)?
-            }
+            Some(timed) => self.features_in_time(task, images, stats, timed)?,
             None => {
-                let mut features = self.see(seen_from, images, &placed.features, &settings(request), stats)?;
+                let mut features = self.see(vantage, images, &placed.features, &settings(request), stats)?;
                 images.feature_id = std::mem::take(&mut features.feature_id);
                 if let Some(most) = request.features.as_ref().and_then(|options| options.max_features) {
                     let start = Instant::now();
                     let known = regions.as_ref().map(|regions| &regions.sensor);
-                    let dropped = choose(&mut features, &placed.features, seen_from, known, most);
+                    let dropped = choose(&mut features, &placed.features, vantage, known, most);
                     stats.count(CountName::FeaturesNotChosen, dropped);
                     stats.stage(StageName::FeatureChoice, start);
                 }
-                if let Some(options) = &regions {
+                if let Some(options) = regions {
                     let placed = &placed.features;
+                    let Vantage { world, sensor, world_from_sensor } = *vantage;
                     let query = BoxQuery { placed, world, sensor, world_from_sensor, options };
                     self.add_regions(&mut features, &query, stats)?;
                 }
                 features
             }
         };
-        tell_lost(&placed.lost, &sensor.spec().class, stats);
+        tell_lost(&placed.lost, &vantage.sensor.spec().class, stats);
         if regions.is_none() {
             stats.leave_out(StageName::RegionsOfInterest, "no requested output shows them");
         }
@@ -131,7 +139,7 @@ impl Predictor {
     /// Predicts the visibility of features.
     fn see(
         &mut self,
-        seen_from @ (world, sensor, world_from_sensor): (&World, &Sensor, &Pose),
+        vantage: &Vantage<'_>,
         images: &Images,
         placed: &Arc<[PlacedFeature]>,
         settings: &FeatureSettings,
@@ -141,16 +149,16 @@ impl Predictor {
             stats.leave_out(StageName::Features, "there are no features for this class");
         }
         let mut start = Instant::now();
-        let tree = self.known_tree(world, &sensor.spec().class, placed)?;
-        let of_tree = (&placed[..], Some(tree.parts()));
-        let prepare = || PreparedFeatures::new(world, sensor, world_from_sensor, images, of_tree, settings);
+        let tree = self.known_tree(vantage.world, &vantage.sensor.spec().class, placed)?;
+        let known = Some(tree.parts());
+        let prepare = || PreparedFeatures::new(vantage, images, placed, known, settings);
         let prepared = self.on_threads(prepare)??;
         if placed.is_empty() {
             return Ok(prepared.finish(None));
         }
         let hints = match settings.visibility {
             Visibility::Rays => None,
-            Visibility::Image => self.query_occlusion(&prepared, seen_from.1, stats)?,
+            Visibility::Image => self.query_occlusion(&prepared, vantage.sensor, stats)?,
         };
         if hints.is_some() {
             stats.stage(StageName::FeaturesOnDevice, start);

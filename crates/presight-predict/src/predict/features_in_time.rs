@@ -1,11 +1,10 @@
 //! Features of a prediction with a deadline, most important first, in groups: the next group starts only if it fits.
 
 use super::Predictor;
-use super::features::{KnownTree, SeenFrom, settings};
-use crate::request::Request;
+use super::features::{FeatureTask, KnownTree, settings};
 use presight_features::{
-    BoxOptions, BoxQuery, FeaturePrediction, FeatureSettings, Hidden, PlacedFeature, PlacedFeatures, PreparedFeatures,
-    SeenFeature, add_boxes,
+    BoxQuery, FeaturePrediction, FeatureSettings, Hidden, PlacedFeature, PreparedFeatures, SeenFeature, Vantage,
+    add_boxes,
 };
 use presight_model::clock::Instant;
 use presight_model::error::Result;
@@ -18,21 +17,21 @@ impl Predictor {
     /// Predicts as many features with their regions as time allows. The CPU does it, because a device cannot stop.
     pub(super) fn features_in_time(
         &mut self,
-        (world, sensor, world_from_sensor): SeenFrom<'_>,
-        request: &Request,
-        (placed, regions): (&PlacedFeatures, Option<&BoxOptions>),
+        task: &FeatureTask<'_>,
         images: &mut Images,
         stats: &mut Stats,
         timed: &mut DeadlineFrame,
     ) -> Result<FeaturePrediction> {
         let start = Instant::now();
+        let FeatureTask { vantage, request, placed, regions } = task;
+        let Vantage { world, sensor, world_from_sensor } = *vantage;
         let is_partial = stats.degradation().is_some_and(|given_up| given_up.samples > 0);
         let settings = FeatureSettings { is_partial, hidden: Hidden::Full, ..settings(request) };
         let all = &placed.features;
         let has_contours = all.iter().any(|p| p.feature.shape.is_contour());
         let tree = has_contours.then(|| self.known_tree(world, &sensor.spec().class, all)).transpose()?;
         let known = tree.as_deref().map(KnownTree::parts);
-        let prepared = PreparedFeatures::new(world, sensor, world_from_sensor, images, (all, known), &settings)?;
+        let prepared = PreparedFeatures::new(vantage, images, all, known, &settings)?;
         let lengths = self.on_threads(|| prepared.image_lengths())?;
         let order = rank(all, &request.priority, &lengths);
         let (mut found, mut marks) = (FeaturePrediction::default(), prepared.marks());
@@ -88,6 +87,7 @@ fn rank(placed: &[PlacedFeature], priority: &Priority, lengths: &[f64]) -> Vec<u
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::request::Request;
     use crate::{Backend, Options};
     use glam::{DVec3, Vec3};
     use presight_features::generate::{FeatureKind, GenerateOptions, generate};

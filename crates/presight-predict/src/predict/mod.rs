@@ -8,8 +8,8 @@ mod view;
 use crate::engine::{self, Device, Engine};
 use crate::probe::{DeviceCheck, Probe, SensorKind};
 use crate::request::Request;
-use features::SeenFrom;
-use presight_features::FeaturePrediction;
+use features::FeatureTask;
+use presight_features::{FeaturePrediction, Vantage};
 use presight_model::clock::Instant;
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::geometry::Pose;
@@ -311,17 +311,20 @@ impl Predictor {
             self.get_ready(sensor, request.drawn().outputs)?;
         }
         let deadline = request.deadline.map(|limit| (limit, &request.priority));
-        let asked = (&*sensor, request.drawn().outputs);
-        let mut timed = self.controller.begin(deadline, self.engine.with_deadline(), asked)?;
+        let outputs = request.drawn().outputs;
+        let mut timed = self.controller.begin(deadline, self.engine.with_deadline(), sensor, outputs)?;
         let placed = request.features.as_ref().map(|options| self.place(world, sensor, options)).transpose()?;
         if let (Some(timed), Some(placed)) = (&mut timed, &placed) {
             timed.expect_features(placed.features.len(), request.regions.is_some());
         }
-        let seen_from = (world, &*sensor, &*world_from_sensor);
+        let vantage = Vantage { world, sensor, world_from_sensor };
         let reuse = self.reuse_visible;
-        *stats = self.predict_within(seen_from, (request.drawn(), reuse), images, timed.as_mut())?;
+        *stats = self.predict_within(&vantage, request.drawn(), reuse, images, timed.as_mut())?;
         *features = match &placed {
-            Some(placed) => Some(self.features(seen_from, request, placed, images, stats, timed.as_mut())?),
+            Some(placed) => {
+                let task = FeatureTask::new(vantage, request, placed);
+                Some(self.features(&task, images, stats, timed.as_mut())?)
+            }
             None => None,
         };
         if !request.outputs.has(Output::PolygonId) {
@@ -364,18 +367,21 @@ impl Predictor {
         request: impl Into<ImageRequest>,
         images: &mut Images,
     ) -> Result<Stats> {
-        self.predict_within((world, sensor, world_from_sensor), (request.into(), false), images, None)
+        let vantage = Vantage { world, sensor, world_from_sensor };
+        self.predict_within(&vantage, request.into(), false, images, None)
     }
 
     /// Predicts images, with a deadline if there is one; an engine may reuse its last frame if the request allows it.
     fn predict_within(
         &mut self,
-        (world, sensor, world_from_sensor): SeenFrom<'_>,
-        (request, reuse_visible): (ImageRequest, bool),
+        vantage: &Vantage<'_>,
+        request: ImageRequest,
+        reuse_visible: bool,
         images: &mut Images,
         mut timed: Option<&mut DeadlineFrame>,
     ) -> Result<Stats> {
         let start = Instant::now();
+        let Vantage { world, sensor, world_from_sensor } = *vantage;
         let buffers = std::mem::take(&mut self.buffers);
         let mut plan = FramePlan::within(buffers, world, sensor, world_from_sensor, request)?;
         plan.reuse_visible = reuse_visible;

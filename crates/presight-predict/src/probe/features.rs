@@ -5,7 +5,7 @@ use crate::engine::{Device, Engine};
 use glam::{DMat3, DVec3};
 use presight_features::{
     BoxOptions, BoxQuery, FeaturePrediction, FeatureSamples, FeatureSettings, OcclusionHint, PlacedFeature,
-    PreparedFeatures, Visibility, add_boxes, predict_features,
+    PreparedFeatures, Vantage, Visibility, add_boxes, predict_features,
 };
 use presight_model::environment::{Existence, Feature, FeatureShape, Properties};
 use presight_model::error::Result;
@@ -51,8 +51,8 @@ impl Probe {
         let Some(device) = engine.device() else { return Ok(DeviceCheck::default()) };
         let right = self.seen(&sensor, &pose, &placed)?;
         let options = FeatureSettings::default();
-        let samples =
-            PreparedFeatures::new(&self.world, &sensor, &pose, &images, (&placed, None), &options)?.query_samples();
+        let vantage = Vantage { world: &self.world, sensor: &sensor, world_from_sensor: &pose };
+        let samples = PreparedFeatures::new(&vantage, &images, &placed, None, &options)?.query_samples();
         let of = samples.iter().zip(&right.features);
         let of = of.flat_map(|(samples, seen)| samples.iter().map(|_| seen.visible_fraction > 0.0));
         let placed: Vec<_> = placed.iter().collect();

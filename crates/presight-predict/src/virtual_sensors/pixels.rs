@@ -122,7 +122,7 @@ impl<'a> Pixels<'a> {
             if let Some(known) = self.surfaces.get(&key) {
                 return *known;
             }
-            let made = self.make(key);
+            let made = self.make(key.0, key.1);
             self.surfaces.insert(key, made);
             made
         });
@@ -130,7 +130,7 @@ impl<'a> Pixels<'a> {
         surface
     }
 
-    fn make(&self, (object, polygon): (u32, u32)) -> Option<VisiblePlane> {
+    fn make(&self, object: u32, polygon: u32) -> Option<VisiblePlane> {
         let slot = self.objects[object as usize].first_slot + polygon;
         let sensor_from_world = self.world_from_sensor.rotation.conjugate();
         // The sensor's position is subtracted first, so that no digits are lost at 5,000,000 m from the origin.

@@ -113,11 +113,11 @@ impl CpuEngine {
     /// [`presight_model::Pose::check`], if the plan's pose was changed.
     pub fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
         match plan.part() {
-            Some(part) => self.draw_part((plan, Duration::ZERO), part, images, stats),
+            Some(part) => self.draw_part(plan, Duration::ZERO, part, images, stats),
             None => match self.draw(plan, images, stats)? {
                 Some(stride) => {
                     let part = ImagePart { stride, ..plan.sensor.whole() };
-                    self.draw_part((plan, saved(plan, stride)), part, images, stats)
+                    self.draw_part(plan, saved(plan, stride), part, images, stats)
                 }
                 None => Ok(()),
             },
@@ -127,7 +127,8 @@ impl CpuEngine {
     /// Fills the images of a part, which has so much more time and may have to be thinned, and leaves the rest out.
     fn draw_part(
         &mut self,
-        (plan, more): (&FramePlan, Duration),
+        plan: &FramePlan,
+        more: Duration,
         part: ImagePart,
         images: &mut Images,
         stats: &mut Stats,
@@ -142,7 +143,7 @@ impl CpuEngine {
         let left_out = images.spread(&of_part, &part, &plan.sensor)?;
         self.part = of_part;
         stats.work.image_bytes = images.bytes();
-        progress::tell_part(plan, (&part, since), left_out, stats);
+        progress::tell_part(plan, &part, since, left_out, stats);
         Ok(())
     }
 
@@ -278,7 +279,7 @@ fn draw_waves(
         let last = left_out.is_some() || done == plan.runs.len();
         let beyond = left_out.unwrap_or_else(|| plan.nearest_after(done));
         if waves == 0
-            && let stride @ 2.. = progress.begin_wave(batches, (done, beyond), times[0] + times[1])
+            && let stride @ 2.. = progress.begin_wave(batches, done, beyond, times[0] + times[1])
         {
             stats.stages_ms.push((StageName::Setup, (times[0] + times[1]).as_secs_f64() * 1e3));
             return Drawn::Thinned(stride);
@@ -541,7 +542,7 @@ impl pulp::WithSimd for Resolve<'_, '_> {
         let Self { buffer, target, plan, winners, bands, band, progress } = self;
         let start = plan.watch().map(Watch::elapsed);
         (progress.given_up, progress.written) =
-            resolve::resolve(target, buffer, plan, &winners.shades, (bands, band), progress.complete_to);
+            resolve::resolve(target, buffer, plan, &winners.shades, bands, band, progress.complete_to);
         if let (Some(watch), Some(start)) = (plan.watch(), start) {
             progress.resolving = watch.elapsed().saturating_sub(start);
         }

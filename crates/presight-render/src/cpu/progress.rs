@@ -73,7 +73,7 @@ impl<'a> FrameProgress<'a> {
 
     /// Takes note of the first wave, that of the first `done` runs, after its setup, which took so long. `beyond` is the nearest distance
     /// of what follows. The answer is the stride at which most samples are to be expected in time.
-    pub fn begin_wave(&mut self, batches: &[Batch], (done, beyond): (usize, f32), set_up: Duration) -> u32 {
+    pub fn begin_wave(&mut self, batches: &[Batch], done: usize, beyond: f32, set_up: Duration) -> u32 {
         let Some(watch) = self.plan.watch() else { return 1 };
         let polygons = batches.iter().map(|batch| batch.polygons.len() as u64).sum();
         let samples = batches.iter().map(|batch| batch.pixels).sum();
@@ -166,7 +166,7 @@ impl<'a> FrameProgress<'a> {
 }
 
 /// Tells that a part of the image was drawn since some time after the call, and that so many rays were not.
-pub(super) fn tell_part(plan: &FramePlan, (part, since): (&ImagePart, Duration), left_out: u64, stats: &mut Stats) {
+pub(super) fn tell_part(plan: &FramePlan, part: &ImagePart, since: Duration, left_out: u64, stats: &mut Stats) {
     let kept = stats.deadline.get_or_insert_default();
     if left_out == 0 {
         return;

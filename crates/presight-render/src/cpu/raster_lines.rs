@@ -188,7 +188,8 @@ pub(super) fn rasterize<S: Simd>(
                 continue;
             }
             if buffer.few.is_some() {
-                draw_across(simd, buffer, grid, (polygon, edges, number), (start..end, lines.start), slots);
+                let bounded = BoundedPolygon { polygon, edges, number };
+                draw_across(simd, buffer, grid, &bounded, start..end, lines.start, slots);
                 let eights = end.div_ceil(EIGHT).saturating_sub(start / EIGHT);
                 octets += eights * grid.weights().len();
                 spans_drawn += end.saturating_sub(start);
@@ -212,16 +213,25 @@ pub(super) fn rasterize<S: Simd>(
     [octets * EIGHT, spans_drawn].map(|count| count as u64)
 }
 
+/// A polygon with its edges and its number in the frame.
+struct BoundedPolygon<'a> {
+    polygon: &'a PolygonSetup,
+    edges: &'a [[f64; 2]],
+    number: u32,
+}
+
 /// Draws a polygon on some lines of few samples; `band` is the first line of the band, which begins with whole octets.
 #[inline(always)]
 fn draw_across<S: Simd>(
     simd: S,
     buffer: &mut Buffer,
     grid: &LineGrid,
-    (polygon, edges, number): (&PolygonSetup, &[[f64; 2]], u32),
-    (lines, band): (Range<usize>, usize),
+    bounded: &BoundedPolygon<'_>,
+    lines: Range<usize>,
+    band: usize,
     slots: &[u32],
 ) {
+    let BoundedPolygon { polygon, edges, number } = *bounded;
     for first in (lines.start / EIGHT * EIGHT..lines.end).step_by(EIGHT) {
         let [c0, c1] = grid.eight_lines(first);
         let mut bounds = bounds_of_lines(polygon, edges, c0, c1);

@@ -62,7 +62,8 @@ pub(super) fn resolve(
     buffer: &Buffer,
     plan: &FramePlan,
     shades: &[Shade],
-    (bands, band): (&Bands, usize),
+    bands: &Bands,
+    band: usize,
     complete_to: f32,
 ) -> (u64, u64) {
     let spec = plan.sensor.spec();

@@ -138,7 +138,7 @@ impl<'a> Sieve<'a> {
                 let middle = at.ray_from_mesh * (cluster.bounds.center() - at.center);
                 let (side, cell) = grid.pixel_fit().around(middle)?;
                 let widest = at.mesh.cluster_vertices().widest(number) * at.stretch;
-                let fit = Fit::new(grid, (side, cell), at, positions, widest)?;
+                let fit = Fit::new(grid, side, cell, at, positions, widest)?;
                 for (eight, reaches) in positions.iter().zip(self.reaches.chunks_exact_mut(LANES)) {
                     fit.place(&placed(at, eight), reaches);
                 }
@@ -319,7 +319,8 @@ impl<'a> Fit<'a> {
     #[inline(always)]
     fn new(
         grid: &RayGrid,
-        (side, cell): (usize, &'a FitCell),
+        side: usize,
+        cell: &'a FitCell,
         at: &RayInstance<'_>,
         positions: &[Positions],
         widest: f64,

@@ -111,7 +111,7 @@ impl FramePlan {
         for seen in images.object_id.iter().copied().zip(images.polygon_id.iter().copied()) {
             // Neighbouring pixels mostly show the same polygon.
             if seen != last.0 {
-                last = (seen, of_polygons.of(seen));
+                last = (seen, of_polygons.of(seen.0, seen.1));
             }
             normals.push(last.1);
         }
@@ -160,11 +160,12 @@ impl<'a> Normals<'a> {
     }
 
     /// The normal for an object_id and polygon_id.
-    fn of(&mut self, seen: (u32, u32)) -> [f32; 3] {
+    fn of(&mut self, object_id: u32, polygon_id: u32) -> [f32; 3] {
+        let seen = (object_id, polygon_id);
         if let Some(normal) = self.known.get(&seen) {
             return *normal;
         }
-        let normal = self.polygons.find(seen.0, seen.1).map_or(NO_NORMAL, |(object, polygon)| {
+        let normal = self.polygons.find(object_id, polygon_id).map_or(NO_NORMAL, |(object, polygon)| {
             let instance = self.instances.entry(object).or_insert_with(|| self.plan.instance_of(object));
             let mesh = &self.plan.environment().objects()[object as usize].mesh;
             (self.body_from_image * facing_normal(instance, mesh, polygon)).as_vec3().to_array()

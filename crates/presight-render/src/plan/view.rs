@@ -144,7 +144,7 @@ mod tests {
     }
 
     /// A world with one triangle that has a corner near this point; also returns the stored corner.
-    fn triangle_at(p_in_world: DVec3, (world_from_object, scale): (Pose, DVec3), size: f32) -> (Environment, DVec3) {
+    fn triangle_at(p_in_world: DVec3, world_from_object: Pose, scale: DVec3, size: f32) -> (Environment, DVec3) {
         let p_in_object = world_from_object.inverse().transform_point(p_in_world);
         let p = (p_in_object / scale).as_vec3();
         let size = size.max(p.abs().max_element() * 1e-5);
@@ -178,7 +178,7 @@ mod tests {
             let p_in_world = pose.transform_point(sensor.body_from_image() * ray.unwrap() * distance);
             let (mut placement, scale) = placement;
             placement.translation += pose.translation;
-            let (environment, corner) = triangle_at(p_in_world, (placement, scale), size);
+            let (environment, corner) = triangle_at(p_in_world, placement, scale, size);
             // Move the sensor so that its ray meets the stored corner.
             let pose = Pose { translation: pose.translation + (corner - p_in_world), ..pose };
             for scheme in Scheme::ALL {

@@ -79,9 +79,8 @@ fn find(plan: &FramePlan, beams: &mut [Beam<CandidateSet>], precision: Precision
                 let inside = bound.inside(&face, beam.ray, beam.found.span);
                 if inside >= -1.0 {
                     let sure = inside >= 1.0 && !bound.may_be_edge_on;
-                    let id = (plan.polygon_id(cone.object, cone.polygon), cone.object + 1);
-                    let reflection = plan.reflection(cone.object, cone.polygon);
-                    beam.found.candidates.push(Candidate::new(&face, &bound, beam.ray, (id, reflection), sure));
+                    let ids = PolygonIds::of(plan, cone.object, cone.polygon);
+                    beam.found.candidates.push(Candidate::new(&face, &bound, beam.ray, ids, sure));
                 }
             }
         }
@@ -93,8 +92,23 @@ fn find(plan: &FramePlan, beams: &mut [Beam<CandidateSet>], precision: Precision
 pub(super) struct PlaneCandidate {
     face: Face,
     bound: FaceBound,
-    ids: (u32, u32),
+    ids: PolygonIds,
+}
+
+/// How pixels show a polygon.
+#[derive(Clone, Copy)]
+struct PolygonIds {
+    polygon_id: u32,
+    object_id: u32,
+    /// Factor of the echo.
     reflection: f64,
+}
+
+impl PolygonIds {
+    fn of(plan: &FramePlan, object: u32, polygon: u32) -> Self {
+        let reflection = plan.reflection(object, polygon);
+        Self { polygon_id: plan.polygon_id(object, polygon), object_id: object + 1, reflection }
+    }
 }
 
 impl PlaneCandidate {
@@ -102,13 +116,12 @@ impl PlaneCandidate {
         let mesh = &plan.environment().objects()[instance.object as usize].mesh;
         let face = Face::new(instance, mesh, polygon);
         let bound = FaceBound::new(&face, instance.center_in_mesh, precision);
-        let ids = (plan.polygon_id(instance.object, polygon), instance.object + 1);
-        Self { face, bound, ids, reflection: plan.reflection(instance.object, polygon) }
+        Self { face, bound, ids: PolygonIds::of(plan, instance.object, polygon) }
     }
 
     /// Its values for a ray, as if the ray met it.
     pub fn at(&self, ray: DVec3) -> Candidate {
-        Candidate::new(&self.face, &self.bound, ray, (self.ids, self.reflection), false)
+        Candidate::new(&self.face, &self.bound, ray, self.ids, false)
     }
 }
 
@@ -134,9 +147,8 @@ pub fn span(plan: &FramePlan, column: u32, row: u32, precision: Precision) -> f6
 }
 
 impl Candidate {
-    /// `told` has the polygon's ids and its reflection factor.
-    fn new(face: &Face, bound: &FaceBound, ray: DVec3, told: ((u32, u32), f64), sure: bool) -> Self {
-        let ((polygon_id, object_id), reflection) = told;
+    fn new(face: &Face, bound: &FaceBound, ray: DVec3, ids: PolygonIds, sure: bool) -> Self {
+        let PolygonIds { polygon_id, object_id, reflection } = ids;
         let inverse = face.inverse_range(ray);
         let error = bound.inverse_range(face, ray);
         let positive = |k: f64| if k > 0.0 { k.recip() } else { f64::INFINITY };

@@ -19,7 +19,7 @@ impl Controller {
     pub(super) fn cut(&self, timed: &mut DeadlineFrame, plan: &mut FramePlan) -> Result<()> {
         let left = timed.watch.left().as_secs_f64();
         let low = |runs: &[Run]| {
-            let estimate = self.at_stride(timed, (Forecast::Selection, &counts_of(runs)), timed.stride);
+            let estimate = self.at_stride(timed, Forecast::Selection, &counts_of(runs), timed.stride);
             // Without learnt costs, nothing is given up.
             if estimate.frames == 0 { 0.0 } else { estimate.lower }
         };

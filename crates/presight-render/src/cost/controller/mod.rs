@@ -94,7 +94,8 @@ impl Controller {
         &mut self,
         deadline: Option<(Duration, &Priority)>,
         engine: Option<DeadlineEngine>,
-        (sensor, outputs): (&Sensor, Outputs),
+        sensor: &Sensor,
+        outputs: Outputs,
     ) -> Result<Option<DeadlineFrame>> {
         let Some((limit, priority)) = deadline else { return Ok(None) };
         let watch = Watch::start(self.clock.clone(), limit);
@@ -107,7 +108,7 @@ impl Controller {
         };
         let key = Key::new(name, adapter.as_deref(), threads, sensor, outputs, Forecast::Images);
         let (size, images) = ([sensor.width(), sensor.height()], outputs.iter().count() as u64);
-        let mut timed = DeadlineFrame::new(limit, watch, key, priority, (size, images));
+        let mut timed = DeadlineFrame::new(limit, watch, key, priority, size, images);
         timed.draws_parts = draws_parts;
         let access = self.costs.estimate(&timed.key_of(Forecast::Access), &WorkCounts::default());
         let floor = [access, self.least_images(&timed)];
@@ -136,7 +137,7 @@ impl Controller {
         let surely = if least.frames == 0 { least.mean * UNKNOWN_MACHINE } else { least.lower * doubt };
         if left.as_secs_f64() < surely {
             self.doubts.insert(timed.key.clone(), (doubt * DOUBT).max(MOST_DOUBT));
-            self.learn(timed, (Forecast::Access, 1), &WorkCounts::default(), access);
+            self.learn(timed, Forecast::Access, 1, &WorkCounts::default(), access);
             return Err(impossible(timed.limit, (timed.selected + MARGIN).as_secs_f64() + least.upper));
         }
         timed.counts = counts_of(&plan.runs);
@@ -148,7 +149,7 @@ impl Controller {
         let images = self.images(timed, 1);
         let is_known = drawing.frames > 0 && images.frames > 0;
         timed.first_estimate = is_known.then_some(timed.selected.as_secs_f64() + drawing.mean + images.mean);
-        let drawing = self.at_stride(timed, (Forecast::Selection, &timed.counts), timed.stride);
+        let drawing = self.at_stride(timed, Forecast::Selection, &timed.counts, timed.stride);
         timed.time = is_known.then(|| timed.watch.left().as_secs_f64() / drawing.mean);
         let part = thinning::part_of(&plan.sensor, timed.stride);
         plan.limit = Some(TimeLimit { part, ..TimeLimit::new(timed.watch.clone()) });
@@ -164,7 +165,7 @@ impl Controller {
         let estimate = |counts: WorkCounts| self.costs.estimate(&key, &counts);
         let (none, most) = (estimate(WorkCounts::default()), 1 << 20);
         let each = |counts| (estimate(counts).mean - none.mean).max(0.0) / most as f64;
-        let drawing = self.at_stride(timed, (Forecast::Selection, &counts_of(runs)), timed.stride);
+        let drawing = self.at_stride(timed, Forecast::Selection, &counts_of(runs), timed.stride);
         let kept = |stride| self.kept_for_images(timed, stride, left).as_secs_f64();
         // Nothing is thinned if there is plenty of time.
         let saved = |stride| (kept(timed.stride) - kept(stride)).max(0.0);
@@ -204,13 +205,13 @@ impl Controller {
         let drawn = Duration::from_secs_f64(kept.drawn_ms.max(0.0) / 1e3).clamp(timed.selected, timed.images_made);
         self.doubts.remove(&timed.key);
         let access = timed.selected.saturating_sub(timed.begun);
-        self.learn(timed, (Forecast::Access, 1), &WorkCounts::default(), access);
+        self.learn(timed, Forecast::Access, 1, &WorkCounts::default(), access);
         let given_up = kept.given_up.as_ref();
         let stride = given_up.map_or(1, |given_up| given_up.stride);
         let has_all_columns = given_up.is_none_or(|given_up| given_up.opening.is_none());
         let is_whole = stride == 1 && has_all_columns;
         if has_all_columns {
-            self.learn(timed, (Forecast::Images, stride), &timed.of_images(), timed.images_made - drawn);
+            self.learn(timed, Forecast::Images, stride, &timed.of_images(), timed.images_made - drawn);
         }
         let stopped = given_up.is_some_and(|g| g.means.iter().any(|m| m.means == DegradationKind::Clock));
         if let Some(time) = timed.time.filter(|_| has_all_columns && stride == timed.stride) {
@@ -222,20 +223,20 @@ impl Controller {
             let (took, key) = (drawn - timed.selected, Self::key_at(timed, Forecast::Selection, stride));
             // A stopped drawing would have taken longer, so only a time above the estimate is informative.
             if !stopped || took.as_secs_f64() > self.costs.estimate(&key, &timed.counts).mean {
-                self.learn(timed, (Forecast::Selection, stride), &timed.counts, took);
+                self.learn(timed, Forecast::Selection, stride, &timed.counts, took);
             }
         }
         if let Some(wave) = &kept.wave {
             let counts = WorkCounts { polygons: wave.polygons, samples_tested: wave.samples, ..WorkCounts::default() };
-            self.learn(timed, (Forecast::Wave, 1), &counts, Duration::from_secs_f64(wave.time_ms.max(0.0) / 1e3));
+            self.learn(timed, Forecast::Wave, 1, &counts, Duration::from_secs_f64(wave.time_ms.max(0.0) / 1e3));
         }
         let done = finished(stats, timed);
         if is_whole {
             kept.estimate_ms = 1e3 * self.costs.estimate(&timed.key_of(Forecast::Finished), &done).mean;
-            self.learn(timed, (Forecast::Finished, 1), &done, timed.images_made);
+            self.learn(timed, Forecast::Finished, 1, &done, timed.images_made);
         }
         if timed.found > 0 {
-            self.learn(timed, (Forecast::Features, 1), &timed.of_features(timed.found), took - timed.images_made);
+            self.learn(timed, Forecast::Features, 1, &timed.of_features(timed.found), took - timed.images_made);
         }
         kept.time_ms = milliseconds(timed.watch.elapsed());
         stats.deadline = Some(kept);
@@ -247,14 +248,14 @@ impl Controller {
     }
 
     /// Learns the time that a forecast at a stride should have predicted.
-    fn learn(&mut self, timed: &DeadlineFrame, about: (Forecast, u32), counts: &WorkCounts, took: Duration) {
+    fn learn(&mut self, timed: &DeadlineFrame, about: Forecast, stride: u32, counts: &WorkCounts, took: Duration) {
         // Impossible times, from a clock that jumps, are ignored.
-        let _ = self.costs.observe(&Self::key_at(timed, about.0, about.1), counts, took.as_secs_f64());
+        let _ = self.costs.observe(&Self::key_at(timed, about, stride), counts, took.as_secs_f64());
     }
 }
 
 impl DeadlineFrame {
-    fn new(limit: Duration, watch: Watch, key: Key, priority: &Priority, (size, images): ([u32; 2], u64)) -> Self {
+    fn new(limit: Duration, watch: Watch, key: Key, priority: &Priority, size: [u32; 2], images: u64) -> Self {
         let zero = Duration::ZERO;
         let (begun, selected, images_made) = (zero, zero, zero);
         let (counts, features, cut, first_estimate) = (WorkCounts::default(), WorkCounts::default(), Vec::new(), None);

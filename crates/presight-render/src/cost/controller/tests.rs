@@ -83,7 +83,7 @@ impl Replay {
         let engine = DeadlineEngine { name: "cpu", adapter: None, threads: 1, draws_parts: self.draws_parts };
         let mut timed = self
             .controller
-            .begin(Some((deadline, &self.priority)), Some(engine), (&self.sensor, outputs))?
+            .begin(Some((deadline, &self.priority)), Some(engine), &self.sensor, outputs)?
             .expect("it has a deadline");
         self.clock.pass(recorded.selection * recorded.slow);
         let mut plan = FramePlan::new(&self.world, &self.sensor, &Pose::IDENTITY, outputs)?;

@@ -69,7 +69,8 @@ impl Controller {
     pub(super) fn at_stride(
         &self,
         timed: &DeadlineFrame,
-        (forecast, counts): (Forecast, &WorkCounts),
+        forecast: Forecast,
+        counts: &WorkCounts,
         stride: u32,
     ) -> TimeEstimate {
         let whole = self.costs.estimate(&timed.key_of(forecast), counts);
@@ -93,7 +94,7 @@ impl Controller {
 
     /// Estimates the images of a stride.
     pub(super) fn images(&self, timed: &DeadlineFrame, stride: u32) -> TimeEstimate {
-        self.at_stride(timed, (Forecast::Images, &timed.of_images()), stride)
+        self.at_stride(timed, Forecast::Images, &timed.of_images(), stride)
     }
 
     /// Time to reserve for images of a stride: at most half of the time left, unless the mean needs more. A rare slow
@@ -109,7 +110,7 @@ impl Controller {
         let images = self.kept_for_images(timed, stride, left);
         let features = self.reserve(timed, left.saturating_sub(images));
         let time = left.saturating_sub(images + features).as_secs_f64();
-        let drawing = self.at_stride(timed, (Forecast::Selection, &timed.counts), stride);
+        let drawing = self.at_stride(timed, Forecast::Selection, &timed.counts, stride);
         let stopping = self.stopping.get(&Self::key_at(timed, Forecast::Selection, stride));
         stopping.cloned().unwrap_or_default().there(time / drawing.mean) * timed.share(stride)
     }
