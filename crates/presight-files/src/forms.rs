@@ -2,7 +2,7 @@
 //!
 //! | type | form |
 //! |---|---|
-//! | [`Pose`] | `[x, y, z, qx, qy, qz, qw]`; `[x, y, z, roll_deg, pitch_deg, yaw_deg]` is also accepted |
+//! | `Pose` | `[x, y, z, qx, qy, qz, qw]`; `[x, y, z, roll_deg, pitch_deg, yaw_deg]` is also accepted |
 //! | [`SensorSpec`], [`Sensor`] | the keys of a sensor file ([`super::sensor_toml`]); an infinite `range_max` is omitted, a missing ray is three nulls |
 //! | [`Outputs`] | a list of names |
 //! | [`IdScheme`] | `"model"` or `"source"` |

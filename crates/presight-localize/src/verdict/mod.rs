@@ -1,6 +1,6 @@
 //! Verdicts: what a measured image says of the model, pixel by pixel.
 //!
-//! [`ExpectedImage`] is a prediction with the exact plane of each pixel's polygon. [`judge`] compares a [`Frame`] with
+//! [`of_frame`] predicts the exact plane of each pixel's polygon and compares a [`Frame`] with
 //! it: each pixel is confirmed, nearer, farther and so on ([`Verdict`]), tight by what is known of the noise and of the pose.
 
 mod expected;
@@ -30,8 +30,8 @@ use presight_predict::predict::Predictor;
 /// the farthest [`Verdict::Farther`].
 ///
 /// # Errors
-/// The errors of [`Predictor::predict_images`]; [`crate::ErrorKind::Invalid`] for an invalid covariance;
-/// [`crate::ErrorKind::Usage`] for a grey image.
+/// The errors of [`Predictor::predict_images`]; [`presight_model::ErrorKind::Invalid`] for an invalid covariance;
+/// [`presight_model::ErrorKind::Usage`] for a grey image.
 pub fn of_frame(predictor: &mut Predictor, world: &World, frame: &Frame, robot: &PoseEstimate) -> Result<Verdicts> {
     of_coarse_model(predictor, world, frame, robot, 0.0)
 }

@@ -9,7 +9,7 @@
 //! A feature that lies on polygons within rounding lies on no others, however near; those others may hide it. A polygon
 //! that a segment or patch only crosses or touches does not count. The whole feature must lie on its polygons. A
 //! rejected feature is somewhere farther from them than the tolerance. An accepted one is not, except that the inside
-//! of a patch may exceed the tolerance by a sixteenth ([`cover`]).
+//! of a patch may exceed the tolerance by a sixteenth (`cover`).
 //!
 //! All computations use the frame of the feature's object, relative to the feature's first point. This keeps full
 //! precision 5,000,000 m from the origin.

@@ -45,7 +45,7 @@ impl RangeLikelihood {
     /// ```
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] for a frame without a reading, for readings that this sensor cannot deliver, for a
+    /// [`presight_model::ErrorKind::Invalid`] for a frame without a reading, for readings that this sensor cannot deliver, for a
     /// sensor without `range_sigma` or finite `range_max`, or for a cell that is not finite.
     pub fn new(frame: &Frame, cell: PoseCell) -> Result<Self> {
         let (sensor, range) = (frame.sensor(), frame.ranges());

@@ -15,6 +15,10 @@ mod without_gpu {
     use super::*;
     use presight_model::error::{Error, ErrorKind};
 
+    /// Says that this build has no GPU engine.
+    ///
+    /// # Errors
+    /// Always [`ErrorKind::NoDevice`].
     pub fn open_gpu(_: &Threads, _hardware_only: bool, _: Raster) -> Result<Box<dyn Engine>> {
         Err(Error::new(
             ErrorKind::NoDevice,
@@ -23,6 +27,10 @@ mod without_gpu {
         ))
     }
 
+    /// As `open_gpu`.
+    ///
+    /// # Errors
+    /// Always [`ErrorKind::NoDevice`].
     pub fn open_narrow_gpu(threads: &Threads) -> Result<Box<dyn Engine>> {
         open_gpu(threads, false, Raster::Compute)
     }

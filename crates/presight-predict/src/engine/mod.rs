@@ -104,7 +104,7 @@ pub trait Device {
     /// Same as [`Engine::render`].
     fn query_occlusion(&mut self, samples: &FeatureSamples<'_>) -> Result<Vec<OcclusionHint>>;
 
-    /// [`features::add_boxes`] on the device. Returns how many boxes the device made; the CPU makes the others.
+    /// `features::add_boxes` on the device. Returns how many boxes the device made; the CPU makes the others.
     ///
     /// # Errors
     /// Same as [`Engine::render`], and [`presight_model::ErrorKind::Usage`] for a confidence outside 0.5..1.

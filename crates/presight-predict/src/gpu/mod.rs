@@ -196,7 +196,7 @@ impl GpuEngine {
     /// Fills the requested images; `depth_z` only for cameras.
     ///
     /// # Errors
-    /// [`presight_model::error::ErrorKind::DeviceLost`]: the engine must be built again. [`ErrorKind::DeviceMemory`]: smaller tasks may still
+    /// [`presight_model::error::ErrorKind::DeviceLost`]: the engine must be built again. [`presight_model::ErrorKind::DeviceMemory`]: smaller tasks may still
     /// succeed. The errors of [`presight_model::Pose::check`] if the plan's pose was changed. On a software adapter,
     /// which leaves work to the CPU, also the errors of [`Threads::new`].
     pub fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {

@@ -255,7 +255,7 @@ impl FramePlan {
         Ok(plan)
     }
 
-    /// Lets a clock stop the engines, for tests. A `Predictor` does so for [`Request::deadline`].
+    /// Lets a clock stop the engines, for tests. A `Predictor` does so for `Request::deadline`.
     pub fn set_watch(&mut self, watch: Watch) {
         self.limit = Some(TimeLimit::new(watch));
     }
