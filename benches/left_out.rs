@@ -15,8 +15,7 @@ use presight_model::sensor::{Distortion, Geometry, Sensor, SensorSpec};
 use presight_model::world::World;
 use presight_predict::free_poses::free_poses;
 #[cfg(feature = "gpu")]
-use presight_predict::gpu::testing;
-use presight_predict::gpu::testing::Setup;
+use presight_predict::gpu::testing::{self, Setup};
 use presight_predict::predict::{Backend, Options, Prediction, Predictor};
 use presight_predict::request::Request;
 use presight_render::plan::{Output, Outputs, Stats};

@@ -12,7 +12,7 @@ use presight::{Options, Pose, PoseEstimate, Predictor, Result, Scene, Sensor, Wo
 
 /// Where the robot stands, known to 1 cm and 0.005 rad.
 fn believed() -> PoseEstimate {
-    PoseEstimate::of_sigmas(Pose::from_xyz_rpy(DVec3::new(2.0, 1.5, 0.0), 0.0, 0.0, 0.5), 0.01, 0.005)
+    PoseEstimate::of_sigmas(Pose::from_xyz_rpy(DVec3::new(2.0, 1.5, 0.0), 0.0, 0.0, -0.9), 0.01, 0.005)
 }
 
 /// Compares a scan with the model.

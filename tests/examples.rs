@@ -16,13 +16,14 @@ use presight::Pose;
 use presight::localize::Phase;
 use presight::verdict::Verdict;
 
-/// Every beam of the scanner ends in the closed room.
+/// The room is 6.25 m by 6 m, so no surface is farther than its diagonal. Beams through its open window see nothing.
 #[test]
 fn the_range_image_shows_the_room() {
     range_image::main().unwrap();
     let images = range_image::range_image().unwrap();
     assert_eq!((images.range.len(), images.polygon_id.len()), (361, 361));
-    assert!(images.range.iter().all(|range| (0.1..20.0).contains(range)), "{:?}", images.range);
+    let hits: Vec<f32> = images.range.iter().copied().filter(|range| *range != f32::INFINITY).collect();
+    assert!(hits.len() > 300 && hits.iter().all(|range| (0.1..8.7).contains(range)), "{hits:?}");
 }
 
 /// Many features are visible, and each visible one has a box that holds the middle of its visible part.

@@ -85,7 +85,7 @@ fn an_engine_that_cannot_stop_reports_it() {
     let mut predictor = Predictor::with_engine(options, engine);
     let refused = predictor.predict(&world, &sensor, &Pose::IDENTITY, &within(Duration::from_secs(1))).unwrap_err();
     assert_eq!(refused.kind(), ErrorKind::Usage);
-    assert!(refused.to_string().contains("--backend cpu"), "{refused}");
+    assert!(refused.to_string().contains("`Backend::Cpu`"), "{refused}");
     // Where no engine was named, the CPU engine takes over and reports it.
     let engine = EngineKind::Reference.open(&1.into()).unwrap();
     let mut predictor = Predictor::with_engine(Options::new(Backend::Auto).with_threads(1), engine);

@@ -10,8 +10,7 @@ use presight_model::error::Result;
 use presight_model::threads::Threads;
 use presight_predict::engine::{Engine, EngineKind};
 #[cfg(feature = "gpu")]
-use presight_predict::gpu;
-use presight_predict::gpu::{DeviceOptions, adapters, preferred, testing};
+use presight_predict::gpu::{self, DeviceOptions, adapters, preferred, testing};
 use presight_predict::probe::{Probe, SensorKind};
 #[cfg(feature = "gpu")]
 use presight_render::plan::Raster;
