@@ -87,7 +87,7 @@ fn the_mount_leads_from_the_robot_to_the_sensor() {
     let azimuth = |i: usize| (0.5 * i as f64 - 90.0).to_radians();
     let range = |x: f64, i: usize| {
         let (s, c) = azimuth(i).sin_cos();
-        let beside = if s > 0.0 { 8.0 / s } else { 12.0 / -s };
+        let beside = if s >= 0.0 { 8.0 / s } else { 12.0 / -s };
         ((10.0 - x) / c.max(1e-12)).min(beside)
     };
     let measured = (0..361).map(|i| range(1.4, i) as f32).collect();

@@ -154,7 +154,7 @@ fn missing_inputs_are_named() {
         v.reduce(&View::of(prediction, world.environment()), &Settings::default()).unwrap_err()
     };
     let e = reduce(VirtualSensor::Edges, &prediction);
-    assert!(e.kind() == ErrorKind::Usage && e.remedy().contains("--layer"), "{e}");
+    assert!(e.kind() == ErrorKind::Usage && e.remedy().contains("`View::features`"), "{e}");
     prediction.images.object_id.clear();
     let e = reduce(VirtualSensor::FreeFloor, &prediction);
     assert!(e.kind() == ErrorKind::Invalid && e.to_string().contains("object_id"), "{e}");
