@@ -136,7 +136,7 @@ fn wrong_series_are_refused_before_any_work() {
         ("--pose 0,0,1,0,0,0 --repeat 3 --reuse-visible", 2, "--poses"),
         ("--poses drive.tum --deadline-ms 5 --reuse-visible", 2, "--reuse-visible"),
         ("--poses drive.tum --pose 0,0,1,0,0,0", 2, "--pose"),
-        ("--pose drive.tum", 2, "--pose drive.tum: this is a file, not a pose; predict --poses FILE"),
+        ("--pose drive.tum", 2, "--pose drive.tum: this is a file, not a pose; presight predict --poses FILE"),
         ("--poses drive.tum --outputs range --npy /dev/null", 2, "only devices and pipes are named"),
     ] {
         refused(&place.run(&format!("{PREDICT} {line}")), status, words);

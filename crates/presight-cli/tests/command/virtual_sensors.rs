@@ -100,7 +100,7 @@ fn wrong_usage_has_a_remedy() {
         ("--virtual walls --sensor video-camera", 2, vec!["free-floor", "vertical-planes"]),
         ("--virtual free-floor --sensor laser-scanner", 2, vec!["class \"laser\"", "video-camera"]),
         ("--virtual radar-lines --sensor microwave-radar-image", 2, vec!["elevation 0", "microwave-radar-scan"]),
-        ("--virtual docking --sensor laser-scanner", 2, vec!["range_sigma", "[noise]"]),
+        ("--virtual docking --sensor laser-scanner", 2, vec!["angle_sigma_deg", "[noise]"]),
         ("--virtual edges --sensor video-camera", 2, vec!["--layer"]),
         ("--virtual radar-lines --sensor microwave-radar-scan --corridor way.json", 2, vec!["radar-nearest"]),
         ("--virtual radar-nearest --sensor microwave-radar-scan --floor-z 0", 2, vec!["free-floor"]),
