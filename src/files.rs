@@ -30,7 +30,7 @@ pub use presight_files::pose_covariance::parse as parse_pose_covariance;
 #[doc(inline)]
 pub use presight_files::poses::{ExternalPose, PoseFrame, PoseOf, WorldFrame};
 #[doc(inline)]
-pub use presight_files::preparation::SceneFrame;
+pub use presight_files::preparation::{SceneFrame, Up};
 #[doc(inline)]
 pub use presight_files::sensor_toml::{read as read_sensor_toml, to_string as sensor_to_toml};
 #[cfg(feature = "store")]

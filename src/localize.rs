@@ -26,7 +26,7 @@
 //! let scanner = Sensor::new(spec)?;
 //!
 //! let mut estimator = Estimator::new(Predictor::new(Options::default())?, EstimateOptions::planar());
-//! let coarse = SearchOptions { headings: 72, candidates: 10, ..SearchOptions::default() };
+//! let coarse = SearchOptions::default().with_headings(72).with_candidates(10);
 //! let search = Search::new(&mut estimator, &world, &scanner, coarse)?;
 //! let mut localizer = Localizer::unknown(estimator, search, LocalizeOptions::default());
 //! let mut simulator = Simulator::new(Predictor::new(Options::default())?, scanner, Disturbances::default(), 1)?;
@@ -35,7 +35,7 @@
 //!     let step = localizer.step(&world, &simulator.frame(&world, f64::from(k), &truth)?)?;
 //!     // One scan is not enough; the fifth is.
 //!     assert_eq!(step.phase, if k < 4 { Phase::Candidates } else { Phase::Tracking }, "{}", step.reason);
-//!     assert!((step.pose.translation - truth.translation).length() < 0.05);
+//!     assert!((step.pose.world_from_robot.translation - truth.translation).length() < 0.05);
 //! }
 //! # Ok::<(), presight::Error>(())
 //! ```

@@ -177,7 +177,7 @@ impl Scene {
     ///
     /// ```
     /// use presight::Scene;
-    /// use presight::features::generate::{GenerateOptions, generate};
+    /// use presight::features::{GenerateOptions, generate};
     /// let scene = Scene::open("scenes/room.glb")?;
     /// let layer = generate(scene.world.environment(), "video", &GenerateOptions::default())?.layer;
     /// let placed = scene.place(&layer)?;

@@ -1,6 +1,6 @@
 //! One array of the images of many poses.
 
-use presight_files::atomic::{open_to_replace, refused, target_of};
+use presight_files::atomic::{keep_rights, open_to_replace, refused, target_of};
 use presight_files::npy::{Values, header};
 use presight_model::error::{Error, Result};
 use std::fs::File;
@@ -79,7 +79,7 @@ impl Stack {
         let old = open_to_replace(&self.path)?;
         let done = || {
             if let Some(old) = old {
-                self.file.set_permissions(old.metadata()?.permissions())?;
+                keep_rights(&old, &self.file)?;
             }
             self.file.sync_all()?;
             std::fs::rename(&self.unfinished, &self.target)

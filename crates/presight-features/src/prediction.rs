@@ -280,6 +280,7 @@ impl FeaturePrediction {
     /// missing in the prediction ([`super::FeatureOptions::max_features`]).
     ///
     /// ```
+    /// # std::env::set_current_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/../..")).unwrap();
     /// use presight::features::{FeatureOptions, Hidden, PlacedFeatures};
     /// use presight::{Backend, Options, Output, Outputs, Pose, Predictor, Request, Scene};
     /// # use presight::features::{GenerateOptions, generate};

@@ -31,8 +31,7 @@ pub fn write_atomically(path: &Path, fill: impl FnOnce(&mut File) -> io::Result<
     let file = temporary.file();
     fill(file).map_err(refused)?;
     if let Some(old) = old {
-        // `access` starts private: a file that is replaced keeps its mode.
-        old.metadata().and_then(|m| file.set_permissions(m.permissions())).map_err(refused)?;
+        keep_rights(&old, file).map_err(refused)?;
     }
     file.sync_all().map_err(refused)?;
     temporary.keep_as(&target).map_err(refused)
@@ -49,6 +48,25 @@ fn open_old(path: &Path, old: &Metadata) -> Result<File> {
         return Err(Error::new(ErrorKind::System, "cannot write: the file is read-only", remedy).in_file(path));
     }
     File::options().write(true).open(path).map_err(|e| refused(path, e))
+}
+
+/// Gives a new file owner, group and mode of the file that it replaces. If the system keeps the owner from moving, only the
+/// owner's rights stay, so that nobody gains any.
+///
+/// # Errors
+/// The system's.
+pub fn keep_rights(old: &File, new: &File) -> io::Result<()> {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::{MetadataExt, PermissionsExt, fchown};
+        let (was, is) = (old.metadata()?, new.metadata()?);
+        let same = (was.uid(), was.gid()) == (is.uid(), is.gid());
+        let kept = same || fchown(new, Some(was.uid()), Some(was.gid())).is_ok();
+        let mode = if kept { was.mode() } else { was.mode() & 0o700 };
+        new.set_permissions(fs::Permissions::from_mode(mode & 0o7777))
+    }
+    #[cfg(not(unix))]
+    new.set_permissions(old.metadata()?.permissions())
 }
 
 /// The path that symbolic links lead to; it need not exist.

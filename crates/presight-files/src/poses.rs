@@ -39,6 +39,7 @@ pub enum WorldFrame {
 /// A pose from outside, with its conventions.
 ///
 /// ```
+/// # std::env::set_current_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/../..")).unwrap();
 /// use presight::files::{ExternalPose, PoseOf};
 /// use presight::{Pose, Scene};
 /// use glam::DVec3;

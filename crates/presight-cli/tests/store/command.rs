@@ -235,7 +235,7 @@ fn changes_of_the_library_are_known_by_their_ids() {
         let e = store.apply(change, &named(id)).unwrap_err();
         assert!(
             e.kind() == presight_model::error::ErrorKind::Invalid
-                && e.to_string().contains(&format!("id {id:?} is that")),
+                && e.to_string().contains(&format!("id {id:?} belongs to change")),
             "{e}"
         );
     }
@@ -371,7 +371,10 @@ fn features_that_lost_their_surface_are_kept_and_reported() {
     assert!(said.starts_with("note: 1 feature for class \"video\" left out") && said.contains("(5)"), "{said}");
     assert_eq!(said.lines().count(), 1, "{said}");
     let checked = run(here, &["env", "check", "env.presight"]);
-    assert!(checked.starts_with("sound: 5 objects, 1 changes\n1 features that lie on no polygon"), "{checked}");
+    assert!(
+        checked.starts_with("sound: 5 objects, 1 changes\n1 features that no longer lie on a polygon"),
+        "{checked}"
+    );
     assert!(checked.contains("class \"video\": feature 5 \"p5\": the point is"), "{checked}");
     let problems = json(&run(here, &["inspect", "env.presight", "--json"]))["problems"].clone();
     assert_eq!((&problems[0]["kind"], &problems[0]["total"]), (&"lost_feature".into(), &1.into()), "{problems}");

@@ -68,9 +68,8 @@ impl BoxOptions {
     /// Sets the covariance of the sensor's pose from the robot's, through the sensor's mount.
     ///
     /// ```
-    /// use presight::features::BoxOptions;
-    /// use presight::geometry::PoseEstimate;
-    /// use presight::Pose;
+    /// use presight::regions::BoxOptions;
+    /// use presight::{Pose, PoseEstimate};
     /// let camera = presight::preset("realsense-d435")?;
     /// let believed = PoseEstimate::of_sigmas(Pose::IDENTITY, 0.02, 0.01);
     /// let options = BoxOptions::default().with_robot(&believed, &camera);

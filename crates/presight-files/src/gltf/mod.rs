@@ -104,6 +104,7 @@ pub fn import(path: impl AsRef<Path>, options: &ImportOptions) -> Result<Importe
 /// file. There is no sidecar: `options` and the materials' `extras` hold what it would say.
 ///
 /// ```
+/// # std::env::set_current_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/../..")).unwrap();
 /// use presight::files::{ImportOptions, import_gltf, import_gltf_bytes};
 /// let bytes = std::fs::read("scenes/room.glb")?;
 /// let scene = import_gltf_bytes("room.glb", &bytes, &ImportOptions::default())?;

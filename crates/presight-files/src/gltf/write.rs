@@ -31,6 +31,7 @@ const UNSIGNED_INT: u32 = 5125;
 /// Writes a scene file.
 ///
 /// ```
+/// # std::env::set_current_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/../..")).unwrap();
 /// use presight::files::{import_gltf, write_glb};
 /// let scene = import_gltf("scenes/room.glb", &Default::default())?.environment;
 /// let folder = tempfile::tempdir()?;

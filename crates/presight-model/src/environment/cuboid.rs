@@ -44,13 +44,14 @@ impl Environment {
     /// along its own axes, metres. All such boxes share one opaque material, `plain`.
     ///
     /// ```
-    /// use presight::{Environment, Pose};
+    /// use presight::Pose;
+    /// use presight::environment::Environment;
     /// use glam::DVec3;
     /// let mut environment = Environment::new();
     /// // A wall 10 cm thick, 4 m wide and 2 m high; its near face is 2 m ahead of the origin.
     /// let centre = Pose::from_xyz_rpy(DVec3::new(2.05, 0.0, 1.0), 0.0, 0.0, 0.0);
     /// environment.add_cuboid("wall", centre, DVec3::new(0.1, 4.0, 2.0))?;
-    /// assert_eq!(environment.bounds().max.z, 2.0);
+    /// assert!((environment.bounds().max.z - 2.0).abs() < 1e-9);
     /// # Ok::<(), presight::Error>(())
     /// ```
     ///
@@ -81,6 +82,6 @@ mod tests {
             environment.add_cuboid(name, Pose::IDENTITY, DVec3::ONE).unwrap();
         }
         assert_eq!((environment.materials().len(), environment.objects().len()), (1, 2));
-        assert_eq!(environment.bounds().max, DVec3::splat(0.5));
+        assert!((environment.bounds().max - DVec3::splat(0.5)).length() < 1e-12);
     }
 }

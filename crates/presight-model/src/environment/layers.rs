@@ -28,7 +28,12 @@ impl Environment {
     /// let shape = FeatureShape::Point { at: DVec3::new(1.0, 2.0, 3.0), covariance: 1e-4 * DMat3::IDENTITY };
     /// let (existence, properties) = (Existence::default(), Properties::default());
     /// let point = Feature { id: 1, name: None, object: None, shape, existence, properties };
-    /// let layer = FeatureLayer { class: "video".into(), features: vec![point.into()], ..FeatureLayer::default() };
+    /// let layer = FeatureLayer {
+    ///     class: "video".into(),
+    ///     tolerance: 0.001,
+    ///     features: vec![point.into()],
+    ///     ..FeatureLayer::default()
+    /// };
     /// let mut environment = Environment::new();
     /// environment.add_layer(layer.clone())?;
     /// assert_eq!(environment.layer("video").unwrap().features.len(), 1);

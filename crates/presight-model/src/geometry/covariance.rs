@@ -25,8 +25,7 @@ pub struct InObject;
 /// x y z; metres and radians. The rotation error is Exp(dtheta) from the left, about the origin of the body.
 ///
 /// ```
-/// use presight::geometry::{InObject, InWorld, PoseCovariance};
-/// use presight::Pose;
+/// use presight::{InObject, InWorld, Pose, PoseCovariance};
 /// // A door is known to 1 cm across its leaf (its own x), and stands turned by 90 degrees.
 /// let own = PoseCovariance::<InObject>::from_sigmas([0.01, 0.0, 0.0, 0.0, 0.0, 0.0]);
 /// let world_from_door = Pose::from_xyz_rpy(glam::DVec3::ZERO, 0.0, 0.0, 90f64.to_radians());
@@ -36,8 +35,8 @@ pub struct InObject;
 ///
 /// Covariances along other axes do not fit:
 /// ```compile_fail,E0308
-/// use presight::features::BoxOptions;
-/// use presight::geometry::{InObject, PoseCovariance};
+/// use presight::regions::BoxOptions;
+/// use presight::{InObject, PoseCovariance};
 /// BoxOptions::default().with_sensor(PoseCovariance::<InObject>::ZERO);
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -59,7 +58,7 @@ impl<A> PoseCovariance<A> {
     /// From 36 numbers, row by row, as ROS messages have them.
     ///
     /// ```
-    /// use presight::geometry::{InWorld, PoseCovariance};
+    /// use presight::{InWorld, PoseCovariance};
     /// let mut message = [0.0; 36];
     /// (message[0], message[7], message[35]) = (0.04, 0.04, 0.01);
     /// let covariance = PoseCovariance::<InWorld>::from_row_major(&message)?;
@@ -199,8 +198,7 @@ impl<'de, A> Deserialize<'de> for PoseCovariance<A> {
 /// The pose of the robot in the world, and how well it is known.
 ///
 /// ```
-/// use presight::geometry::PoseEstimate;
-/// use presight::Pose;
+/// use presight::{Pose, PoseEstimate};
 /// use glam::DVec3;
 /// // Position to 5 cm, angles to 0.02; a scanner is mounted 1 m ahead of the robot's origin.
 /// let believed = PoseEstimate::of_sigmas(Pose::from_xyz_rpy(DVec3::new(2.0, 1.0, 0.0), 0.0, 0.0, 0.0), 0.05, 0.02);

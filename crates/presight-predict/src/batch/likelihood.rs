@@ -33,12 +33,13 @@ impl RangeLikelihood {
     ///
     /// ```
     /// use presight::batch::{PoseCell, RangeLikelihood};
+    /// use presight::measured::{Frame, Measurement};
     /// use presight::sensor::{Noise, SensorSpec};
     /// use presight::Sensor;
     /// let mut spec: SensorSpec = presight::preset("laser-scanner")?.spec().clone();
     /// spec.noise = Noise { range_sigma: 0.02, ..Noise::default() };
-    /// let sensor = Sensor::new(spec)?;
-    /// let sensed = RangeLikelihood::new(&sensor, vec![2.0; 361], PoseCell::default())?;
+    /// let frame = Frame::new(0.0, Sensor::new(spec)?, Measurement::Range(vec![2.0; 361]))?;
+    /// let sensed = RangeLikelihood::new(&frame, PoseCell::default())?;
     /// let at = |range: f32| sensed.log_likelihood(&[range; 361], &[1.0; 361]);
     /// assert!(at(2.0) > at(2.05) && at(2.05) > at(1.0));
     /// # Ok::<(), presight::Error>(())

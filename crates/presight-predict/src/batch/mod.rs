@@ -143,18 +143,20 @@ impl Predictor {
     /// ```
     /// use presight::batch::{BatchRequest, PoseCell, RangeLikelihood};
     /// use presight::environment::Environment;
+    /// use presight::measured::{Frame, Measurement};
     /// use presight::sensor::Noise;
     /// use presight::{Options, Pose, Predictor, Sensor, World};
     /// let mut spec = presight::preset("laser-scanner")?.spec().clone();
     /// spec.noise = Noise { range_sigma: 0.02, ..Noise::default() };
     /// let sensor = Sensor::new(spec)?;
-    /// let nothing = RangeLikelihood::new(&sensor, vec![f32::INFINITY; 361], PoseCell::default())?;
+    /// let frame = Frame::new(0.0, sensor.clone(), Measurement::Range(vec![f32::INFINITY; 361]))?;
+    /// let nothing = RangeLikelihood::new(&frame, PoseCell::default())?;
     /// let request = BatchRequest { likelihood: Some(nothing), ..BatchRequest::default() };
     /// let mut predictor = Predictor::new(Options::default())?;
     /// let world = World::new(Environment::new());
     /// let poses = vec![Pose::IDENTITY; 3];
     /// let all: Vec<_> = predictor.batch(&world, &sensor, poses, &request)?.collect::<Result<_, _>>()?;
-    /// No surface and no return: p_hit and p_none together, for each beam.
+    /// // No surface and no return: p_hit and p_none together, for each beam.
     /// assert!((all[2].log_likelihood.unwrap() - 361.0 * 0.8f64.ln()).abs() < 1e-9);
     /// # Ok::<(), presight::Error>(())
     /// ```

@@ -33,6 +33,7 @@ impl Predictor {
     /// the sensor's mount does not specify its height above the floor.
     ///
     /// ```
+    /// # std::env::set_current_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/../..")).unwrap();
     /// use presight::{Options, Pose, Predictor, Scene};
     /// let scene = Scene::open("scenes/room.glb")?;
     /// let mut predictor = Predictor::new(Options::default())?;
