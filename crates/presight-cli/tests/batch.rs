@@ -271,7 +271,7 @@ fn errors_are_reported_before_anything_is_written() {
         place.fails(&format!("{line} --shard {shard}"), 2, "--shard");
     }
     place.done("predict room.glb --sensor vlp-16 --pose 0,0,1,0,0,0 --out small.exr --outputs range");
-    place.fails(&line.replace("--out", "--likelihood small.exr --out"), 1, "28800 ranges");
+    place.fails(&line.replace("--out", "--likelihood small.exr --out"), 1, "28800 measured values");
     place.done("predict room.glb --sensor s.toml --pose 0,0,1,0,0,0 --out ids.exr --outputs object_id");
     place.fails(&line.replace("--out", "--likelihood ids.exr --out"), 1, "no range image");
     assert!(!place.path("all").exists());
