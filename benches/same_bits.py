@@ -40,12 +40,16 @@ def bounds(program, scene):
 
 
 def main():
-    old, new, *scenes = sys.argv[1:]
+    old, new, *scenes = (str(Path(argument).resolve()) for argument in sys.argv[1:])
     if not scenes:
         scenes = [str(p) for p in sorted((ROOT / "scenes").iterdir()) if p.suffix in (".glb", ".rhai")]
         scenes += [str(p) for p in sorted(DATA.glob("*.glb"))]
     different = compared = 0
     with tempfile.TemporaryDirectory() as kept:
+        # As the old command prints them: images name their sensor, and a preset may have learnt its noise since.
+        for preset in PRESETS:
+            text = subprocess.run([old, "sensors", preset], capture_output=True, text=True, check=True).stdout
+            (Path(kept) / f"{preset}.toml").write_text(text)
         for scene in scenes:
             drawn = random.Random(1995)
             low, high = bounds(new, scene)
@@ -55,12 +59,13 @@ def main():
                 layers[c] = str(Path(kept) / f"{Path(scene).stem}.{c}.layer.json")
                 jobs.append(["features", scene, "--class", c, "--out", "l.layer.json"])
                 subprocess.run([new, "features", scene, "--class", c, "--out", layers[c]], capture_output=True)
-            for sensor in PRESETS + LENSES:
+            for sensor in [str(Path(kept) / f"{preset}.toml") for preset in PRESETS] + LENSES:
                 for _ in range(5):
                     x, y = (drawn.uniform(0.7 * a + 0.3 * b, 0.3 * a + 0.7 * b) for a, b in zip(low[:2], high[:2]))
                     z = min(low[2] + drawn.uniform(0.3, 1.7), high[2])
                     pose = f"{x},{y},{z},{drawn.uniform(-5, 5)},{drawn.uniform(-10, 10)},{drawn.uniform(-180, 180)}"
-                    c = "radar" if "radar" in sensor else "laser" if sensor[:5] in ("laser", "vlp-1", "os1-1") else "video"
+                    name = Path(sensor).name
+                    c = "radar" if "radar" in name else "laser" if name[:5] in ("laser", "vlp-1", "os1-1") else "video"
                     outputs = "range,polygon_id,object_id,cos_incidence,echo,normal,feature_id"
                     jobs.append(["predict", scene, "--sensor", sensor, f"--pose={pose}", "--backend", "cpu", "--layer",
                                  layers[c], "--outputs", outputs, "--out", "i.exr", "--features", "f.json",
