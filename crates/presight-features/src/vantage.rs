@@ -1,4 +1,4 @@
-//! What is seen by what, from where.
+//! A sensor at a pose in one version of the world.
 
 use presight_model::geometry::Pose;
 use presight_model::sensor::Sensor;
