@@ -335,16 +335,19 @@ impl Mesh {
     }
 
     /// Number of polygons.
+    #[inline]
     pub fn polygon_count(&self) -> usize {
         self.polygons.len()
     }
 
     /// Vertex indices of a polygon, in winding order.
+    #[inline]
     pub fn corner_indices(&self, polygon: u32) -> &[u32] {
         self.polygons[polygon as usize].corners(&self.corners)
     }
 
     /// Corner positions of a polygon, in winding order, f64.
+    #[inline]
     pub fn corners_of(&self, polygon: u32) -> impl ExactSizeIterator<Item = DVec3> + '_ {
         self.corner_indices(polygon).iter().map(|&c| self.vertices[c as usize].as_dvec3())
     }

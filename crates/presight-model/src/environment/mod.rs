@@ -51,17 +51,20 @@ pub struct Object {
 
 impl Object {
     /// The whole transform of the mesh, f64.
+    #[inline]
     pub fn world_from_mesh(&self) -> DAffine3 {
         self.world_from_object.to_affine() * self.object_from_mesh
     }
 
     /// True if the mesh is mirrored in the world, which reverses the winding. Normals are transformed by the inverse
     /// transpose, so the front of a polygon stays its front (glTF 2.0, section 3.7.4).
+    #[inline]
     pub fn mirrors(&self) -> bool {
         self.object_from_mesh.matrix3.determinant() < 0.0
     }
 
     /// Corners of a polygon in the world, metres, counter-clockwise as seen from its front.
+    #[inline]
     pub fn polygon_in_world(&self, polygon: u32) -> Vec<DVec3> {
         let world_from_mesh = self.world_from_mesh();
         let mut corners: Vec<DVec3> =
@@ -328,6 +331,7 @@ impl Environment {
     }
 
     /// Object index and polygon index of a slot.
+    #[inline]
     pub fn locate(&self, slot: u32) -> Option<(u32, u32)> {
         if slot >= self.next_slot {
             return None;
@@ -340,6 +344,7 @@ impl Environment {
     }
 
     /// [`Object::polygon_in_world`] of the polygon in a slot; `None` for an empty slot.
+    #[inline]
     pub fn polygon_in_world(&self, slot: u32) -> Option<Vec<DVec3>> {
         let (object, polygon) = self.locate(slot)?;
         Some(self.objects[object as usize].polygon_in_world(polygon))

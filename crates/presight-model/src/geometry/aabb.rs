@@ -22,27 +22,32 @@ impl Aabb {
 
     /// The smallest box around this one and a point.
     #[must_use]
+    #[inline]
     pub fn with(self, p: DVec3) -> Self {
         Self { min: self.min.min(p), max: self.max.max(p) }
     }
 
     /// The smallest box around this one and another.
     #[must_use]
+    #[inline]
     pub fn union(self, other: Self) -> Self {
         Self { min: self.min.min(other.min), max: self.max.max(other.max) }
     }
 
     /// True if the box contains no point.
+    #[inline]
     pub fn is_empty(&self) -> bool {
         self.min.cmpgt(self.max).any()
     }
 
     /// The middle.
+    #[inline]
     pub fn center(&self) -> DVec3 {
         0.5 * (self.min + self.max)
     }
 
     /// Half the extent along each axis.
+    #[inline]
     pub fn half_extent(&self) -> DVec3 {
         0.5 * (self.max - self.min)
     }

@@ -109,22 +109,26 @@ impl Pose {
 
     /// The transform the other way.
     #[must_use]
+    #[inline]
     pub fn inverse(&self) -> Self {
         let rotation = self.rotation.conjugate();
         Self { rotation, translation: -(rotation * self.translation) }
     }
 
     /// Transforms a point from frame b to frame a.
+    #[inline]
     pub fn transform_point(&self, p_in_b: DVec3) -> DVec3 {
         self.rotation * p_in_b + self.translation
     }
 
     /// The rotation as a matrix.
+    #[inline]
     pub fn rotation_matrix(&self) -> DMat3 {
         DMat3::from_quat(self.rotation)
     }
 
     /// The same transform as a 3 x 4 matrix.
+    #[inline]
     pub fn to_affine(&self) -> DAffine3 {
         DAffine3::from_rotation_translation(self.rotation, self.translation)
     }
@@ -154,6 +158,7 @@ impl Pose {
 impl Mul for Pose {
     type Output = Self;
 
+    #[inline]
     fn mul(self, b_from_c: Self) -> Self {
         Self {
             rotation: (self.rotation * b_from_c.rotation).normalize(),

@@ -49,6 +49,7 @@ impl RangeNoise {
     /// assert!((noise.variance_along_normal(5.0, 1.0) - 1e-4).abs() < 1e-18); // head-on the angle has no say
     /// assert!((noise.variance_along_normal(5.0, 0.0) - 1e-4).abs() < 1e-18); // 5 m x 2 mrad across
     /// ```
+    #[inline]
     pub fn variance_along_normal(&self, range: f64, cos_incidence: f64) -> f64 {
         let cos2 = cos_incidence * cos_incidence;
         let (along, across) = (self.range_sigma(range), range * self.angle);

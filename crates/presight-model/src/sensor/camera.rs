@@ -33,12 +33,14 @@ impl Camera {
     }
 
     /// Normalized image coordinates of a pixel, before undistortion.
+    #[inline]
     pub fn normalized(&self, u: f64, v: f64) -> (f64, f64) {
         ((u - self.cx) / self.fx, (v - self.cy) / self.fy)
     }
 
     /// Projects a point of the optical frame to pixel coordinates, which may lie outside the image. Returns `None` as
     /// [`Distortion::distort`] does.
+    #[inline]
     pub fn project(&self, p_in_optical: DVec3) -> Option<(f64, f64)> {
         let (xd, yd) = self.distortion.distort(p_in_optical)?;
         Some((self.fx * xd + self.cx, self.fy * yd + self.cy))

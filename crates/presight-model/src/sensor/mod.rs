@@ -216,6 +216,7 @@ impl Sensor {
     }
 
     /// True for cameras: their images have a planar `depth_z`.
+    #[inline]
     pub fn is_camera(&self) -> bool {
         matches!(self.0.spec.geometry, Geometry::Camera(_))
     }
@@ -227,11 +228,13 @@ impl Sensor {
 
     /// body_from_image: turns the image frame into body axes (x forward, y left, z up). The image frame is the optical frame of a
     /// camera (z forward, x right, y down) and the body axes of other sensors.
+    #[inline]
     pub fn body_from_image(&self) -> DMat3 {
         if self.is_camera() { body_from_optical() } else { DMat3::IDENTITY }
     }
 
     /// Unit ray of a pixel in the image frame, f64; `None` where the sensor has no ray, and outside the image.
+    #[inline]
     pub fn ray(&self, column: u32, row: u32) -> Option<DVec3> {
         let inside = column < self.0.width && row < self.0.height;
         inside.then(|| self.0.grid.ray(column, row)).flatten()

@@ -25,11 +25,13 @@ pub(super) type Thinned = [OnceLock<Sensor>; STRIDES.len()];
 
 impl ImagePart {
     /// Number of columns of the part.
+    #[inline]
     pub fn width(&self) -> u32 {
         (self.end_column - self.first_column).div_ceil(self.stride)
     }
 
     /// Number of rows of the part, in an image of `rows` rows.
+    #[inline]
     pub fn height(&self, rows: u32) -> u32 {
         rows.div_ceil(self.stride)
     }
@@ -42,6 +44,7 @@ impl ImagePart {
 
 impl Sensor {
     /// All columns and rows.
+    #[inline]
     pub fn whole(&self) -> ImagePart {
         ImagePart { first_column: 0, end_column: self.width(), stride: 1 }
     }
@@ -61,6 +64,7 @@ impl Sensor {
     }
 
     /// Step between columns and between rows in the whole sensor's pixels; 1 if this is not a part.
+    #[inline]
     pub fn part_stride(&self) -> u32 {
         self.0.part.map_or(1, |part| part.stride)
     }
@@ -144,6 +148,7 @@ impl Sensor {
     }
 
     /// The column of the whole image that a column of this sensor corresponds to.
+    #[inline]
     pub fn whole_column(&self, column: u32) -> u32 {
         self.0.part.map_or(column, |part| part.column(column))
     }

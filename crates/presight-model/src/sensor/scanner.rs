@@ -23,6 +23,7 @@ pub enum Angles {
 
 impl Angles {
     /// Number of beams.
+    #[inline]
     pub fn len(&self) -> usize {
         match self {
             Self::Uniform { count, .. } => *count as usize,
@@ -36,6 +37,7 @@ impl Angles {
     }
 
     /// Angle of beam `i`, degrees.
+    #[inline]
     pub fn degrees(&self, i: usize) -> f64 {
         match self {
             Self::Uniform { start_deg, step_deg, .. } => start_deg + i as f64 * step_deg,
