@@ -95,7 +95,7 @@ fn malaga() {
     let mut best = f32::NEG_INFINITY;
     let ms = least(5, || {
         // Each run gets another version of the world, so that the cut through it is computed each time.
-        let world = world.reindexed(presight_model::index::Scheme::default(), Default::default());
+        let world = world.reindexed(&Default::default());
         let batch = predictor.batch(&world, &sensor, places.clone(), &request).expect("a valid request");
         best = batch.flat_map(|item| item.expect("a place").headings).fold(f32::NEG_INFINITY, f32::max);
     });

@@ -12,8 +12,9 @@ use presight_model::change::Change;
 use presight_model::environment::{CUBOID_FACES, cuboid_corners};
 use presight_model::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
 use presight_model::geometry::{Aabb, Pose};
-use presight_model::index::{Params, QueryResult, Rect, Region, Scheme, Sector, SpatialIndex, WorldIndex, build};
+use presight_model::index::{IndexKind, Params, QueryResult, Rect, Region, Sector, SpatialIndex, WorldIndex};
 use presight_model::world::World;
+use presight_studies::index::Scheme;
 use rstar::{AABB, RTree, RTreeObject, SelectionFunction};
 use std::f64::consts::TAU;
 use std::hint::black_box;
@@ -184,11 +185,11 @@ fn query_bench() {
     println!("## The paper's sector in {} polygons\n", boxes.len());
     let queries = queries(side_of(&boxes), 10.0, 200);
     let indexes: Vec<_> = [Scheme::Grid, Scheme::Plop, Scheme::S2d, Scheme::S3d]
-        .map(|s| (s.name(), build(s, Params::tuned(s), &boxes).expect("it is over polygons")))
+        .map(|s| (s.name(), s.build(s.params(), &boxes).expect("it is over polygons")))
         .into();
-    let two_level = WorldIndex::new(&environment, Scheme::TwoLevel, Params::tuned(Scheme::TwoLevel));
+    let two_level = WorldIndex::new(&environment, &IndexKind::default());
     let wide = Params { cell_polygons: 1 << 16, ..Params::default() };
-    let all_in_one = build(Scheme::S2d, wide, &boxes).expect("it is over polygons");
+    let all_in_one = Scheme::S2d.build(wide, &boxes).expect("it is over polygons");
     let rects: Vec<Flat> = boxes.iter().map(flat).collect();
     let rtree = RTree::bulk_load(boxes.iter().map(flat).collect());
     let bvh = Bvh::from_leaves(BvhBuildStrategy::Binned, &parry_boxes(&boxes));
@@ -233,7 +234,7 @@ fn query_bench() {
     println!("\nbytes a polygon:");
     println!("- two-level {:.1} (meshes shared)", two_level.bytes() as f64 / boxes.len() as f64);
     let own = factory(50_000, true);
-    let alone = WorldIndex::new(&own, Scheme::TwoLevel, Params::tuned(Scheme::TwoLevel));
+    let alone = WorldIndex::new(&own, &IndexKind::default());
     println!("- two-level {:.1} (no mesh shared)", alone.bytes() as f64 / own.slot_count() as f64);
     for (name, index) in &indexes {
         println!("- {name} {:.1}", index.bytes() as f64 / boxes.len() as f64);
@@ -300,12 +301,9 @@ fn build_bench() {
     row("parry BVH, PLOC", ploc);
     row("rstar, bulk load", rstar);
     for scheme in [Scheme::Grid, Scheme::Plop, Scheme::S2d, Scheme::S3d] {
-        row(scheme.name(), fastest(3, || build(scheme, Params::tuned(scheme), &boxes)));
+        row(scheme.name(), fastest(3, || scheme.build(scheme.params(), &boxes)));
     }
-    row(
-        "two-level, no mesh shared",
-        fastest(3, || WorldIndex::new(&environment, Scheme::TwoLevel, Params::tuned(Scheme::TwoLevel))),
-    );
+    row("two-level, no mesh shared", fastest(3, || WorldIndex::new(&environment, &IndexKind::default())));
 }
 
 fn data(name: &str) -> PathBuf {
@@ -324,7 +322,7 @@ fn move_bench() {
     println!("| index | us a move, median of 2,000 |\n|---|---|");
     for scheme in Scheme::ALL {
         let imported = import(&path, &ImportOptions::default()).unwrap_or_else(|e| panic!("{e}"));
-        let mut world = World::with_index(imported.environment, scheme, Params::tuned(scheme));
+        let mut world = World::with_index(imported.environment, &scheme.tuned());
         let mesh = machine(&mut Random(1), 500);
         world.apply(Change::InsertObject(NewObject::new("machine", Pose::IDENTITY, mesh))).expect("it fits");
         let mut random = Random(5);
@@ -358,7 +356,7 @@ fn size_bench(out: Option<&Path>) {
         let mut found = 0;
         for (curve, scheme) in curves.iter_mut().zip(schemes) {
             // One index at a time: memory holds ten million polygons only once.
-            let index = WorldIndex::new(&environment, scheme, Params::tuned(scheme));
+            let index = WorldIndex::new(&environment, &scheme.tuned());
             let mut contenders: Vec<Contender<'_>> = vec![(scheme.name(), Box::new(by_world(&index, &environment)))];
             let (us, n) = race(&mut contenders, &queries, 10)[0];
             curve.push((size as f64, us));

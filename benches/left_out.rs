@@ -10,7 +10,7 @@ use presight_files::gltf::{ImportOptions, import};
 use presight_files::preset;
 use presight_model::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
 use presight_model::geometry::Pose;
-use presight_model::index::{Params, Scheme};
+use presight_model::index::IndexKind;
 use presight_model::sensor::{Distortion, Geometry, Sensor, SensorSpec};
 use presight_model::world::World;
 use presight_predict::free_poses::free_poses;
@@ -184,7 +184,7 @@ fn table(scene: &Scene, open: &dyn Fn() -> Predictor) {
         let with = &mut side(&mut first, scene, &sensor, (ids, with));
         row(what, left_out_by, pose, with, &mut side(&mut second, scene, &sensor, (ids, without)));
     }
-    let every = scene.world.reindexed(Scheme::None, Params::tuned(Scheme::None));
+    let every = scene.world.reindexed(&IndexKind::None);
     let mixed = mixed(&scene.world);
     let lens = bent(&sensor);
     let nothing = World::new(Environment::new());

@@ -5,7 +5,7 @@
 
 use presight_files::store;
 use presight_files::store::Note;
-use presight_model::index::{Params, Scheme, WorldIndex};
+use presight_model::index::{IndexKind, WorldIndex};
 use presight_model::threads::Threads;
 use std::error::Error;
 use std::hint::black_box;
@@ -60,14 +60,14 @@ fn main() -> Result<(), Box<dyn Error>> {
 /// The milliseconds of one of the three.
 fn once(mode: &str, path: &Path) -> Result<f64, Box<dyn Error>> {
     Threads::SHARED.run(|| rayon::broadcast(|_| ())).expect("threads");
-    let (scheme, params) = (Scheme::default(), Params::tuned(Scheme::default()));
+    let kind = IndexKind::default();
     match mode {
         "bytes" => timed(|| Ok(std::fs::read(path)?)),
         "index" => {
             let environment = store::read(path)?;
-            timed(|| Ok(WorldIndex::new(&environment, scheme, params)))
+            timed(|| Ok(WorldIndex::new(&environment, &kind)))
         }
-        _ => timed(|| Ok(store::read_world(path, scheme, params)?)),
+        _ => timed(|| Ok(store::read_world(path, &kind)?)),
     }
 }
 

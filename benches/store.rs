@@ -7,7 +7,7 @@ use presight_files::store::{Note, Store};
 use presight_model::change::Change;
 use presight_model::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
 use presight_model::geometry::Pose;
-use presight_model::index::{Params, Scheme, WorldIndex};
+use presight_model::index::{IndexKind, WorldIndex};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -76,15 +76,15 @@ fn opening(c: &mut Criterion) {
     let path: &Path = &folder.path().join("hospital.presight");
     let environment = presight_files::gltf::import(scene, &Default::default()).expect("it imports").environment;
     store::create(path, &environment, &Note::new("bench", 0.0)).expect("a store");
-    let params = Params::tuned(Scheme::default());
+    let kind = IndexKind::default();
     let mut group = c.benchmark_group("hospital");
     group.sample_size(20);
     group.bench_function("bytes of the store", |b| b.iter(|| std::fs::read(path).expect("the store exists").len()));
     group.bench_function("index", |b| {
-        b.iter_batched(|| (), |()| WorldIndex::new(&environment, Scheme::default(), params), BatchSize::PerIteration);
+        b.iter_batched(|| (), |()| WorldIndex::new(&environment, &kind), BatchSize::PerIteration);
     });
     group.bench_function("open, with the index", |b| {
-        b.iter(|| store::read_world(path, Scheme::default(), params).expect("it is sound"));
+        b.iter(|| store::read_world(path, &kind).expect("it is sound"));
     });
     group.finish();
 }

@@ -10,4 +10,4 @@ pub use presight_model::environment::{
     Appearance, Environment, Material, Mesh, NewObject, Object, Polygon, PolygonOrder,
 };
 #[doc(inline)]
-pub use presight_model::index::Scheme as IndexScheme;
+pub use presight_model::index::IndexKind;

@@ -8,7 +8,7 @@ use presight_files::preparation::{ImportReport, ImportedScene, SceneFrame};
 use presight_model::environment::{Feature, FeatureLayer, FeatureShape};
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::geometry::Pose;
-use presight_model::index::{Params, Scheme};
+use presight_model::index::IndexKind;
 use presight_model::limits;
 use presight_model::placement::{self, Placement};
 use presight_model::threads::Threads;
@@ -47,14 +47,14 @@ pub struct Scene {
 /// How a scene is opened.
 ///
 /// ```
-/// use presight::environment::IndexScheme;
+/// use presight::environment::IndexKind;
 /// use presight::files::ImportOptions;
 /// use presight::{Scene, SceneOptions};
 /// // Without merging, every triangle stays a polygon, as `source` ids need it.
 /// let import = ImportOptions { merge: false, ..ImportOptions::default() };
-/// let options = SceneOptions::default().with_import(import).with_index(IndexScheme::S3d);
+/// let options = SceneOptions::default().with_import(import).with_index(IndexKind::None);
 /// let scene = Scene::open_with("scenes/room.glb", &options, &mut |line| println!("{line}"))?;
-/// assert_eq!(scene.world.index().scheme(), IndexScheme::S3d);
+/// assert!(matches!(scene.world.index().kind(), IndexKind::None));
 /// # Ok::<(), presight::Error>(())
 /// ```
 #[derive(Clone, Debug, Default)]
@@ -63,7 +63,7 @@ pub struct SceneOptions {
     /// How models are imported, and on which threads.
     pub import: ImportOptions,
     /// The index that the world gets.
-    pub index: Scheme,
+    pub index: IndexKind,
 }
 
 impl SceneOptions {
@@ -75,7 +75,7 @@ impl SceneOptions {
 
     /// Sets the index.
     #[must_use]
-    pub fn with_index(self, index: Scheme) -> Self {
+    pub fn with_index(self, index: IndexKind) -> Self {
         Self { index, ..self }
     }
 }
@@ -140,11 +140,11 @@ impl Scene {
         threads: &Threads,
         say: &mut dyn FnMut(&str),
     ) -> Result<Self> {
-        let (path, scheme) = (source.path(), options.index);
+        let (path, kind) = (source.path(), &options.index);
         if source.is_store() {
             check_unframed(&options.import, "a store keeps the frame that it was made with")?;
             return match source {
-                Source::File(path) => threads.run(|| stored(path, scheme))?,
+                Source::File(path) => threads.run(|| stored(path, kind))?,
                 Source::Memory(..) => Err(store_in_memory()),
             };
         }
@@ -160,7 +160,7 @@ impl Scene {
                 Source::Memory(name, bytes) => import_bytes(name, bytes, &options.import)?,
             },
         };
-        let world = threads.run(|| World::with_index(imported.environment, scheme, Params::tuned(scheme)))?;
+        let world = threads.run(|| World::with_index(imported.environment, kind))?;
         let frame = imported.frame;
         let world_from_gltf = frame.unwrap_or_default().world_from_axes();
         Ok(Self {
@@ -346,8 +346,8 @@ fn store_in_memory() -> Error {
 
 /// Opens a store, which is already in presight's frame.
 #[cfg(feature = "store")]
-fn stored(path: &Path, scheme: Scheme) -> Result<Scene> {
-    let world = presight_files::store::read_world(path, scheme, Params::tuned(scheme))?;
+fn stored(path: &Path, kind: &IndexKind) -> Result<Scene> {
+    let world = presight_files::store::read_world(path, kind)?;
     let mut report = ImportReport::default();
     let mut seen = std::collections::HashSet::new();
     for object in world.environment().objects() {
@@ -363,7 +363,7 @@ fn stored(path: &Path, scheme: Scheme) -> Result<Scene> {
 }
 
 #[cfg(not(feature = "store"))]
-fn stored(_path: &Path, _scheme: Scheme) -> Result<Scene> {
+fn stored(_path: &Path, _kind: &IndexKind) -> Result<Scene> {
     Err(presight_files::not_built("stored environments", "store"))
 }
 

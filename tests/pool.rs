@@ -10,13 +10,14 @@ use presight_files::gltf;
 use presight_files::gltf::ImportOptions;
 use presight_files::preset;
 use presight_model::geometry::Pose;
-use presight_model::index::{Params, Scheme};
+use presight_model::index::IndexKind;
 use presight_model::threads::Threads;
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
 use presight_predict::request::Request;
 use presight_render::plan::{FramePlan, Output, Outputs};
 use presight_render::verify::{Precision, candidates};
+use presight_studies::index::Scheme;
 use presight_testkit::{self as common, forbid_global_pool};
 use std::path::{Path, PathBuf};
 
@@ -43,7 +44,7 @@ fn nothing_uses_the_global_pool() {
     let (_, glb) = scene(folder.path());
     let world = World::new(gltf::import(&glb, &ImportOptions::default()).unwrap().environment);
     for scheme in Scheme::ALL {
-        let _ = world.reindexed(scheme, Params::tuned(scheme));
+        let _ = world.reindexed(&scheme.tuned());
     }
     let (camera, pose) = (preset("video-camera").unwrap(), Pose::from_xyz_rpy(DVec3::Z, 0.0, 0.0, 0.0));
     let plan = common::plan(&world, &camera, &pose);
@@ -73,7 +74,7 @@ fn nothing_uses_the_global_pool() {
         use presight_files::store::{Note, Store, create};
         let path = folder.path().join("balls.presight");
         create(&path, world.environment(), &Note::default()).unwrap();
-        let stored = presight_files::store::read_world(&path, Scheme::default(), Params::default()).unwrap();
+        let stored = presight_files::store::read_world(&path, &IndexKind::default()).unwrap();
         assert_eq!(stored.environment().content_hash(), world.environment().content_hash());
         drop(Store::open(&path).unwrap());
     }

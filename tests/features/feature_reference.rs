@@ -10,9 +10,10 @@ use glam::{DMat3, DQuat, DVec3};
 use presight_features::{FeatureSettings, PlacedFeature, Visibility, predict_features};
 use presight_model::environment::{Existence, Feature, FeatureShape, Properties};
 use presight_model::geometry::{Aabb, Pose};
-use presight_model::index::{QueryResult, Region, polygon_meets};
+use presight_model::index::{QueryResult, Region};
 use presight_model::sensor::{Camera, Geometry, Sensor, SensorSpec};
 use presight_model::world::World;
+use presight_studies::index::polygon_meets;
 use serde_json::Value;
 
 const Z_UP_FROM_Y_UP: DMat3 = DMat3::from_cols(DVec3::X, DVec3::Z, DVec3::NEG_Y);

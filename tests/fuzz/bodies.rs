@@ -138,9 +138,8 @@ pub fn changes(bytes: &[u8]) -> bool {
         static OPEN: RefCell<Store> = FOLDER.with(|folder| {
             let path = folder.0.path().join("changed.presight");
             create(&path, &check::stage(), &Note::new("fuzz", 1.5)).expect("a store");
-            let none = presight_model::index::Scheme::None;
-            let params = presight_model::index::Params::tuned(none);
-            let mut store = Store::open_with_index(&path, none, params).expect("a valid store opens");
+            let none = presight_model::index::IndexKind::None;
+            let mut store = Store::open_with_index(&path, &none).expect("a valid store opens");
             store.without_sync().expect("an open store");
             RefCell::new(store)
         });

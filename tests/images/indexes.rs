@@ -10,10 +10,11 @@ use common::{data, engines, env_number, plan, scenes};
 use glam::DVec3;
 use presight_model::change::Change;
 use presight_model::geometry::Pose;
-use presight_model::index::{Params, Scheme};
+use presight_model::index::{IndexKind, Params};
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_render::plan::{FramePlan, Images, Output};
+use presight_studies::index::Scheme;
 
 /// The first channel and pixel in which two predictions differ in any bit.
 fn difference(a: &Images, b: &Images) -> Option<String> {
@@ -28,16 +29,16 @@ fn difference(a: &Images, b: &Images) -> Option<String> {
 /// The schemes with tuned parameters: the defaults, and very small cells.
 fn variants() -> Vec<(Scheme, Params)> {
     let small = Params { cell_polygons: 1, ..Params::default() };
-    let mut all: Vec<_> = Scheme::ALL.into_iter().skip(1).map(|s| (s, Params::tuned(s))).collect();
+    let mut all: Vec<_> = Scheme::ALL.into_iter().skip(1).map(|s| (s, s.params())).collect();
     all.extend([Scheme::S3d, Scheme::Plop].map(|s| (s, small)));
     all
 }
 
 fn check(world: &World, sensor: &Sensor, pose: &Pose, render: &mut dyn FnMut(&FramePlan) -> Images) {
-    let without = world.reindexed(Scheme::None, Params::default());
+    let without = world.reindexed(&IndexKind::None);
     let expected = render(&plan(&without, sensor, pose));
     for (scheme, params) in variants() {
-        let got = render(&plan(&world.reindexed(scheme, params), sensor, pose));
+        let got = render(&plan(&world.reindexed(&scheme.kind(params)), sensor, pose));
         if let Some(what) = difference(&expected, &got) {
             panic!("{} at {pose:?} with {}: {what}", sensor.spec().name, scheme.name());
         }
@@ -71,7 +72,7 @@ fn cpu_images_are_equal_after_changes() {
     let mut cpu = engines::cpu(2);
     let sensor = scenes::scanner(360, 91);
     for scheme in Scheme::ALL {
-        let mut world = scenes::room_world(3, 30).reindexed(scheme, Params::default());
+        let mut world = scenes::room_world(3, 30).reindexed(&scheme.kind(Params::default()));
         let names: Vec<String> = world.environment().objects().iter().map(|o| o.name.clone()).collect();
         for (i, name) in names.into_iter().enumerate().skip(1) {
             let turn = i as f64;
@@ -83,7 +84,7 @@ fn cpu_images_are_equal_after_changes() {
             world.apply(change).unwrap();
         }
         world.index().assert_well_formed(world.environment());
-        let anew = world.reindexed(Scheme::None, Params::default());
+        let anew = world.reindexed(&IndexKind::None);
         let pose = Pose::from_xyz_rpy(DVec3::new(0.1, 0.2, 1.3), 0.1, 0.05, 0.7);
         let (expected, got) = (cpu(&plan(&anew, &sensor, &pose)), cpu(&plan(&world, &sensor, &pose)));
         assert_eq!(difference(&expected, &got), None, "{}", scheme.name());

@@ -12,13 +12,13 @@ use presight_features::{BoxOptions, FeatureOptions, Hidden, PlacedFeature};
 use presight_model::environment::{Appearance, Existence, Feature, FeatureShape, Properties};
 use presight_model::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
 use presight_model::geometry::Pose;
-use presight_model::index::{Params, Scheme};
 use presight_model::sensor::{Camera, Distortion, Geometry, Sensor, SensorSpec};
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
 use presight_predict::request::Request;
 use presight_render::plan::{IdScheme, Images, Output, Outputs, Stats, Work};
 use presight_render::plan::{Part, SamplesMut, StageName};
+use presight_studies::index::Scheme;
 use std::sync::Arc;
 
 /// The place of a prediction.
@@ -368,7 +368,7 @@ fn every_index_leaves_out_geometry_out_of_view() {
     let sensor = &scenes::camera(64, 48);
     let mut selected = Vec::new();
     for scheme in Scheme::ALL {
-        let world = &world.reindexed(scheme, Params::tuned(scheme));
+        let world = &world.reindexed(&scheme.tuned());
         let case = Case {
             on: On::Cpu,
             world,

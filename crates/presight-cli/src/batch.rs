@@ -13,7 +13,7 @@ use presight_files::{exr, load_sensor, log, sensor_toml, tum};
 use presight_files::{files_named_by, text};
 use presight_model::error::{Error, Result};
 use presight_model::geometry::Pose;
-use presight_model::index::Scheme;
+use presight_model::index::IndexKind;
 use presight_model::measured::{Frame, Measurement};
 use presight_model::sensor::Sensor;
 use presight_model::threads::Threads;
@@ -130,7 +130,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     print::notices(&notices);
     let mut request = args.request(&sensor)?;
     let import = ImportOptions { threads: threads.clone(), ..ImportOptions::default() };
-    let scene = open_scene(&args.scene, &import, Scheme::default())?;
+    let scene = open_scene(&args.scene, &import, IndexKind::default())?;
     let poses = PoseFile::read(&args.poses, |pose| {
         let pose = args.given(pose)?.of_sensor(sensor.spec(), &scene.world_from_gltf)?;
         request.headings.as_ref().map_or(Ok(()), |headings| headings.place(&pose).map(drop))?;

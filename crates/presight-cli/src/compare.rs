@@ -11,7 +11,7 @@ use presight_files::exr::{Attributes, ImageFile};
 use presight_files::gltf::ImportOptions;
 use presight_files::sensor_toml;
 use presight_model::error::{Error, Result};
-use presight_model::index::Scheme;
+use presight_model::index::IndexKind;
 use presight_model::sensor::Sensor;
 use presight_render::plan::ImageRequest;
 use presight_render::plan::{FramePlan, IdScheme, Images, Output, Outputs};
@@ -198,7 +198,7 @@ fn compare_by_scene(
         merge_tolerance: args.merge_tolerance.unwrap_or(default.merge_tolerance),
         ..default
     };
-    let Scene { world, files, .. } = open_scene(scene, &options, Scheme::default())?;
+    let Scene { world, files, .. } = open_scene(scene, &options, IndexKind::default())?;
     let request = ImageRequest { outputs: reference.outputs(), ids };
     let plan = FramePlan::new(&world, &sensor, &world_from_sensor, request)?;
     Ok((compare(reference, other, &plan, args.precision.into())?, files))

@@ -8,11 +8,12 @@ use presight_files::gltf::ImportOptions;
 use presight_files::{load_sensor, preset};
 use presight_model::error::Result;
 use presight_model::geometry::Pose;
-use presight_model::index::{Params, Scheme};
+use presight_model::index::{IndexKind, Params};
 use presight_model::sensor::PRESETS;
 use presight_model::threads::Threads;
 use presight_predict::free_poses::free_poses;
 use presight_predict::predict::{Backend, Options};
+use presight_studies::index::Scheme;
 use presight_studies::index_study::{self, Row, Study};
 use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
@@ -99,7 +100,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         None => PRESETS.iter().map(|p| Ok((p.name.to_owned(), preset(p.name)?))).collect::<Result<_>>()?,
     };
     let given = args.poses.as_deref().map(folder::poses).transpose()?;
-    let scene = open_scene(&args.scene, &import, Scheme::default())?;
+    let scene = open_scene(&args.scene, &import, IndexKind::default())?;
     let world = scene.world;
     let seed = given.is_none().then_some(args.seed);
     let poses: Vec<Pose> = match given {
@@ -131,7 +132,7 @@ impl Args {
     fn variants(&self) -> Vec<(Scheme, Params)> {
         let mut variants = match self.sweep {
             true => index_study::sweep(),
-            false => Scheme::ALL.map(|s| (s, Params::tuned(s))).to_vec(),
+            false => Scheme::ALL.map(|s| (s, s.params())).to_vec(),
         };
         variants.retain(|(scheme, _)| self.only.is_empty() || self.only.contains(scheme));
         for (_, params) in &mut variants {

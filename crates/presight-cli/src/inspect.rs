@@ -8,7 +8,7 @@ use presight_files::preparation::lost_features;
 use presight_model::environment::{Appearance, Environment, Material, Object};
 use presight_model::error::{Error, Result};
 use presight_model::geometry::{Aabb, Pose};
-use presight_model::index::Scheme;
+use presight_model::index::IndexKind;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -45,7 +45,7 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     let mut options = args.frame.options()?;
     options.merge_tolerance = args.merge_tolerance.unwrap_or(options.merge_tolerance);
-    let mut scene = open_scene(&args.scene, &options, Scheme::None)?;
+    let mut scene = open_scene(&args.scene, &options, IndexKind::None)?;
     scene.report.problems.extend(lost_features(scene.world.environment())?);
     if args.json {
         let value = as_json(&args.scene, &scene);

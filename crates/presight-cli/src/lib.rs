@@ -43,7 +43,7 @@ use presight_files::gltf::ImportOptions;
 #[cfg(not(all(feature = "report", feature = "store")))]
 use presight_files::not_built;
 use presight_model::error::Result;
-use presight_model::index::Scheme;
+use presight_model::index::IndexKind;
 use std::any::TypeId;
 use std::path::Path;
 use std::process::ExitCode;
@@ -178,7 +178,7 @@ fn command() -> clap::Command {
 }
 
 /// Opens a scene. Output of a script's `print` goes to stderr.
-fn open_scene(path: &Path, import: &ImportOptions, index: Scheme) -> Result<Scene> {
+fn open_scene(path: &Path, import: &ImportOptions, index: IndexKind) -> Result<Scene> {
     let options = SceneOptions::default().with_import(import.clone()).with_index(index);
     Scene::open_with(path, &options, &mut print::message)
 }

@@ -17,7 +17,7 @@ use presight_localize::verdict::{Verdict as Judged, Verdicts};
 use presight_model::environment::FeatureShape;
 use presight_model::error::{Error, Result};
 use presight_model::geometry::{Pose, PoseEstimate};
-use presight_model::index::Scheme;
+use presight_model::index::IndexKind;
 use presight_model::measured::{Frame, OdometryNoise};
 use presight_model::sensor::{Geometry, Sensor};
 use presight_model::threads::Threads;
@@ -221,7 +221,7 @@ impl Drive {
         let threads = Threads::from(self.threads).started()?;
         let import = ImportOptions { threads: threads.clone(), ..ImportOptions::default() };
         let (start, options) = (self.start(&first)?, self.options(first.frame.sensor()));
-        let scene = open_scene(&self.map, &import, Scheme::default())?;
+        let scene = open_scene(&self.map, &import, IndexKind::default())?;
         let mut grey = self.grey(&measured)?;
         let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads))?;
         let mut estimator = Estimator::new(predictor, options);

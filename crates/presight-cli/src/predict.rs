@@ -20,7 +20,7 @@ use presight_files::gltf::ImportOptions;
 use presight_files::poses::ExternalPose;
 use presight_files::{PointCloud, PointsFrame, exr, load_robot, load_sensor, npy, pcd, ply, sensor_toml, tum};
 use presight_model::error::{Error, Result};
-use presight_model::index::Scheme;
+use presight_model::index::IndexKind;
 use presight_model::limits;
 use presight_model::memory;
 use presight_model::memory::FrameMemory;
@@ -31,6 +31,7 @@ use presight_predict::predict::{Options, Prediction, Predictor};
 use presight_predict::request::Request;
 use presight_predict::virtual_sensors::{Settings, VirtualReading};
 use presight_render::plan::{IdScheme, Output, Outputs, Stats};
+use presight_studies::index::Scheme;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -327,8 +328,8 @@ impl Args {
     }
 
     /// The spatial index.
-    pub fn index(&self) -> Scheme {
-        self.index
+    pub fn index(&self) -> IndexKind {
+        self.index.tuned()
     }
 
     /// Returns true if EXR files are written.
@@ -438,7 +439,7 @@ fn run_one(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     args.deadline.read_costs(&mut predictor)?;
     let frame = args.memory(&sensor, &request, &predictor);
     memory::require(frame.bytes())?;
-    let scene = open_scene(&args.scene, &job.import, args.index)?;
+    let scene = open_scene(&args.scene, &job.import, args.index())?;
     let world_from_sensor = pose.of_sensor(sensor.spec(), &scene.world_from_gltf)?;
     let mut layers = args.layers.load(&scene, &sensor, args.asked())?;
     if let Some(layers) = &mut layers {

@@ -7,7 +7,7 @@ use super::{CommandOutcome, features, folder, open_scene, print};
 use presight_files::atomic::write_atomically;
 use presight_files::{load_sensor, preset};
 use presight_model::error::{Error, Result};
-use presight_model::index::Scheme;
+use presight_model::index::IndexKind;
 use presight_model::printable::printable;
 use presight_model::sensor::Sensor;
 use presight_model::threads::Threads;
@@ -166,7 +166,7 @@ impl Args {
         let given = self.poses.as_deref().map(folder::poses).transpose()?;
         let (mut scenes, mut files) = (Vec::new(), Vec::new());
         for path in &self.scenes {
-            let opened = open_scene(path, &self.frame.options()?, Scheme::default())?;
+            let opened = open_scene(path, &self.frame.options()?, IndexKind::default())?;
             files.extend(opened.files);
             let world = opened.world;
             let poses = match &given {

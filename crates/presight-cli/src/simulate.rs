@@ -11,7 +11,7 @@ use presight_files::{depth_folder, load_sensor, sensor_toml, tum};
 use presight_localize::simulate::{Disturbances, GreySimulator, Simulator, Walkers, displace};
 use presight_model::error::{Error, Result};
 use presight_model::geometry::Pose;
-use presight_model::index::Scheme;
+use presight_model::index::IndexKind;
 use presight_model::measured::Frame;
 use presight_model::sensor::Sensor;
 use presight_model::threads::Threads;
@@ -120,7 +120,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     args.check_times(&poses, &sensor)?;
     let threads = Threads::from(args.threads).started()?;
     let import = ImportOptions { threads: threads.clone(), ..ImportOptions::default() };
-    let mut scene = open_scene(&args.scene, &import, Scheme::default())?;
+    let mut scene = open_scene(&args.scene, &import, IndexKind::default())?;
     let disturbances =
         Disturbances { drop_outs: args.drop_outs, mixed_pixels: args.mixed_pixels, ..Disturbances::default() };
     let mut grey = args.grey_simulator(&threads)?;

@@ -5,7 +5,7 @@ use crate::change::Change;
 use crate::environment::{DEFAULT_TOLERANCE, Environment, Feature, FeatureLayer};
 use crate::error::{Error, Result};
 use crate::geometry::{InObject, PoseCovariance};
-use crate::index::{Params, Scheme};
+use crate::index::IndexKind;
 use crate::place::{place, place_lying};
 use crate::world::World;
 use std::collections::HashSet;
@@ -146,9 +146,8 @@ pub fn apply(world: &mut World, change: Change, restored_too: bool, lost: &[(Str
     if named.is_empty() {
         return world.apply_unchecked(change);
     }
-    if world.index().scheme() == Scheme::None {
-        let scheme = Scheme::default();
-        *world = world.reindexed(scheme, Params::tuned(scheme));
+    if matches!(world.index().kind(), IndexKind::None) {
+        *world = world.reindexed(&IndexKind::default());
     }
     // A change of one feature moves no polygon, so it is checked first, and nothing has to be copied.
     if let Change::InsertFeature { class, feature }
@@ -198,7 +197,7 @@ mod tests {
         for (name, x) in [("near", 0.0), ("far", 5.0)] {
             environment.insert(NewObject::new(name, at(x), mesh.clone())).unwrap();
         }
-        World::with_index(environment, Scheme::None, Params::default())
+        World::with_index(environment, &IndexKind::None)
     }
 
     fn at(x: f64) -> Pose {
@@ -228,7 +227,7 @@ mod tests {
     fn new_features_must_lie_on_polygons_when_all_is_done() {
         let mut world = world();
         world.apply(insert(1, 0.5)).unwrap();
-        assert_eq!(world.index().scheme(), Scheme::default());
+        assert!(matches!(world.index().kind(), IndexKind::TwoLevel(_)));
         let alter = |x| Change::SetFeature { class: "video".into(), feature: point(1, x) };
         let restore = Change::RestoreFeature { class: "video".into(), feature: point(9, 3.0) };
         let group = |changes: &[Change]| Change::Group(changes.to_vec());

@@ -1,10 +1,11 @@
 //! Measures the cost and selectivity of each spatial index over poses (paper section 2.2, Fig. 5).
 
+use super::index::{Scheme, polygon_meets};
 use super::{csv_field, median};
 use glam::DVec3;
 use presight_model::error::{Error, Result};
 use presight_model::geometry::{Aabb, Pose};
-use presight_model::index::{Params, QueryResult, Region, Scheme, SplitAxis, polygon_meets};
+use presight_model::index::{Params, QueryResult, Region, SplitAxis};
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_predict::predict::{Options, Predictor};
@@ -72,16 +73,16 @@ impl Study {
         let mut rows = Vec::new();
         for &(scheme, params) in variants {
             progress(scheme.name());
-            let (mut build, mut indexed) = (Vec::new(), None);
+            let (kind, mut build, mut indexed) = (scheme.kind(params), Vec::new(), None);
             for _ in 0..self.repeats.clamp(1, 3) {
                 let start = Instant::now();
-                indexed = Some(world.reindexed(scheme, params));
+                indexed = Some(world.reindexed(&kind));
                 build.push(start.elapsed().as_secs_f64() * 1e3);
             }
             let Some(indexed) = indexed else { continue };
             let build_ms = build.into_iter().fold(f64::INFINITY, f64::min);
             for query in &queries {
-                rows.push(self.measure(&indexed, query, build_ms, &mut predictor)?);
+                rows.push(self.measure(&indexed, (scheme, params), query, build_ms, &mut predictor)?);
             }
         }
         Ok(rows)
@@ -109,7 +110,14 @@ impl Study {
         Ok(queries)
     }
 
-    fn measure(&self, world: &World, query: &Query<'_>, build_ms: f64, predictor: &mut Predictor) -> Result<Row> {
+    fn measure(
+        &self,
+        world: &World,
+        (scheme, params): (Scheme, Params),
+        query: &Query<'_>,
+        build_ms: f64,
+        predictor: &mut Predictor,
+    ) -> Result<Row> {
         let (index, environment) = (world.index(), world.environment());
         let mut found = QueryResult::default();
         let (mut access, mut returned, mut prediction) = (Vec::new(), Vec::new(), Vec::new());
@@ -135,8 +143,8 @@ impl Study {
         let needed: Vec<f64> = query.needed.iter().map(|n| *n as f64).collect();
         let all = returned.iter().sum::<f64>();
         Ok(Row {
-            scheme: index.scheme(),
-            params: index.params(),
+            scheme,
+            params,
             query: query.name.clone(),
             build_ms,
             bytes: index.bytes(),

@@ -2,6 +2,7 @@
 
 #[cfg(feature = "report")]
 pub mod chart;
+pub mod index;
 pub mod index_study;
 #[cfg(feature = "report")]
 mod machine;

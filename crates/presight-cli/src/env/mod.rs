@@ -15,7 +15,7 @@ use presight_files::store::{Note, Store};
 use presight_model::change::Change;
 use presight_model::environment::Environment;
 use presight_model::error::{Error, Result};
-use presight_model::index::Scheme;
+use presight_model::index::IndexKind;
 use presight_model::memory;
 use presight_model::placement;
 use std::path::{Path, PathBuf};
@@ -162,7 +162,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
 
 /// Opens a scene. Also returns its up axis and scale as text for the log, if they are not the default, and its files.
 fn environment_of(scene: &Path, frame: &FrameArgs) -> Result<(Environment, String, Vec<PathBuf>)> {
-    let scene = open_scene(scene, &frame.options()?, Scheme::None)?;
+    let scene = open_scene(scene, &frame.options()?, IndexKind::None)?;
     let lay = scene.frame.filter(|f| (f.up, f.scale) != (Up::Y, 1.0));
     let lay = lay.map(|f| format!(" (up {}, scale {})", f.up.name(), f.scale)).unwrap_or_default();
     Ok((std::sync::Arc::unwrap_or_clone(scene.world.into_environment()), lay, scene.files))
@@ -170,7 +170,7 @@ fn environment_of(scene: &Path, frame: &FrameArgs) -> Result<(Environment, Strin
 
 /// Opens a store for changes, without a spatial index because nothing is predicted.
 fn open_store(path: &Path) -> Result<Store> {
-    Store::open_with_index(path, Scheme::None, presight_model::index::Params::default())
+    Store::open_with_index(path, &IndexKind::None)
 }
 
 fn create(store: &Path, scene: &Path, frame: &FrameArgs, note: &NoteArgs) -> Result<()> {

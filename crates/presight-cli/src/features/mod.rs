@@ -13,7 +13,7 @@ use presight_features::generate::{FeatureKind, GenerateOptions, GeneratedLayer, 
 use presight_files::layer;
 use presight_model::environment::Environment;
 use presight_model::error::{Error, Result};
-use presight_model::index::Scheme;
+use presight_model::index::IndexKind;
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -132,8 +132,8 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     files.add("--out", args.out.as_deref(), &["json"])?;
     args.worth.name_files(&mut files)?;
     files.check_named([scene.as_path()])?;
-    let scheme = if sensor.is_some() { Scheme::default() } else { Scheme::None };
-    let scene = open_scene(scene, &args.frame.options()?, scheme)?;
+    let index = if sensor.is_some() { IndexKind::default() } else { IndexKind::None };
+    let scene = open_scene(scene, &args.frame.options()?, index)?;
     let start = Instant::now();
     let (mut layer, mut lines) = match args.worth.given(&class)? {
         Some(layer) => (layer, Vec::new()),

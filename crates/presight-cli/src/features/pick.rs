@@ -13,7 +13,7 @@ use presight_files::{layer, load_sensor};
 use presight_model::environment::{Existence, Feature, FeatureShape, Properties};
 use presight_model::error::{Error, Result};
 use presight_model::geometry::{Aabb, Pose, plane_of_polygon};
-use presight_model::index::Scheme;
+use presight_model::index::IndexKind;
 use presight_model::sensor::Sensor;
 use presight_predict::predict::{Backend, Options, Predictor};
 use presight_predict::request::Request;
@@ -86,7 +86,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         let what = format!("--pixel {column},{row}: the image is {} x {}", sensor.width(), sensor.height());
         return Err(Error::usage(what, "give column,row inside it"));
     }
-    let scene = open_scene(&args.scene, &args.frame.options()?, Scheme::default())?;
+    let scene = open_scene(&args.scene, &args.frame.options()?, IndexKind::default())?;
     let world_from_sensor = pose.of_sensor(sensor.spec(), &scene.world_from_gltf)?;
     let sight = PickImages::new(&scene, &sensor, world_from_sensor)?;
     let Some(hit) = sight.hit(&scene, &sensor, args.pixel) else {

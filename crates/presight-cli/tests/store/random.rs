@@ -7,10 +7,10 @@ use presight_files::store::Store;
 use presight_model::change::Change;
 use presight_model::environment::{Environment, NewObject};
 use presight_model::geometry::{Pose, PoseCovariance};
-use presight_model::index::{Params, Scheme};
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
 use presight_predict::request::Request;
+use presight_studies::index::Scheme;
 use proptest::prelude::*;
 use std::collections::HashMap;
 
@@ -139,7 +139,7 @@ proptest! {
         prop_assert_eq!(again.environment().slot_count(), world.environment().slot_count());
         let expected = seen(&world);
         for scheme in [Scheme::TwoLevel, Scheme::S3d] {
-            let read = store::read_world(&path, scheme, Params::tuned(scheme)).unwrap();
+            let read = store::read_world(&path, &scheme.tuned()).unwrap();
             prop_assert_eq!(read.environment().content_hash(), hash);
             read.index().assert_well_formed(read.environment());
             prop_assert!(seen(&read) == expected, "of the store, {scheme:?}");

@@ -9,7 +9,7 @@ use presight_model::change::Change;
 use presight_model::environment::{DEFAULT_TOLERANCE, Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
 use presight_model::error::{Error, Result};
 use presight_model::geometry::Pose;
-use presight_model::index::{Params, Scheme};
+use presight_model::index::IndexKind;
 use presight_model::limits;
 use presight_model::world::World;
 use std::path::Path;
@@ -90,8 +90,7 @@ impl<'a> Context<'a> {
             }
             Op::Group { changes } => {
                 if self.now.is_none() && self.looks_back(&changes) {
-                    let (environment, none) = (Environment::clone(self.environment), Params::default());
-                    self.now = Some(World::with_index(environment, Scheme::None, none));
+                    self.now = Some(World::with_index(Environment::clone(self.environment), &IndexKind::None));
                 }
                 let one = |(i, op)| self.step(op).map_err(|e: Error| e.at(format!("change {} of the group", i + 1)));
                 Change::Group(changes.into_iter().enumerate().map(one).collect::<Result<_>>()?)

@@ -42,7 +42,7 @@ use crate::layer::LayerFile;
 use presight_model::change::Change;
 use presight_model::environment::{Environment, Mesh};
 use presight_model::error::{Error, ErrorKind, Result};
-use presight_model::index::{Params, Scheme, WorldIndex};
+use presight_model::index::{IndexKind, WorldIndex};
 use presight_model::world::World;
 use rows::Meta;
 use rusqlite::Connection;
@@ -133,11 +133,11 @@ pub fn read(path: &Path) -> Result<Environment> {
 ///
 /// # Errors
 /// As [`read`].
-pub fn read_world(path: &Path, scheme: Scheme, params: Params) -> Result<World> {
+pub fn read_world(path: &Path, kind: &IndexKind) -> Result<World> {
     let connection = connect(path, Access::Read)?;
-    let with_trees = scheme == Scheme::TwoLevel;
+    let with_trees = matches!(kind, IndexKind::TwoLevel(_));
     let loaded = in_one_version(&connection, path, |c| read::load(c, path, with_trees))?;
-    let index = WorldIndex::with_trees(&loaded.environment, scheme, params, &loaded.trees);
+    let index = WorldIndex::with_trees(&loaded.environment, kind, &loaded.trees);
     Ok(World::of(index, loaded.environment))
 }
 
@@ -205,30 +205,29 @@ fn in_one_version<T>(connection: &Connection, path: &Path, read: impl FnOnce(&Co
 }
 
 impl Store {
-    /// Opens a store for changes and indexes its world with the default scheme.
+    /// Opens a store for changes and indexes its world with the default index.
     ///
     /// # Errors
     /// As [`read`]; [`ErrorKind::System`] if another writer holds the lock or the file is read-only.
     pub fn open(path: &Path) -> Result<Self> {
-        let scheme = Scheme::default();
-        Self::open_with_index(path, scheme, Params::tuned(scheme))
+        Self::open_with_index(path, &IndexKind::default())
     }
 
-    /// Opens a store for changes and indexes its world. [`Scheme::None`] is enough if nothing is predicted.
+    /// Opens a store for changes and indexes its world. [`IndexKind::None`] is enough if nothing is predicted.
     ///
     /// # Errors
     /// As [`Store::open`].
-    pub fn open_with_index(path: &Path, scheme: Scheme, params: Params) -> Result<Self> {
+    pub fn open_with_index(path: &Path, kind: &IndexKind) -> Result<Self> {
         let connection = connect(path, Access::Write)?;
-        Self::load(connection, path, scheme, params).map_err(|e| e.in_file(path))
+        Self::load(connection, path, kind).map_err(|e| e.in_file(path))
     }
 
-    fn load(connection: Connection, path: &Path, scheme: Scheme, params: Params) -> Result<Self> {
+    fn load(connection: Connection, path: &Path, kind: &IndexKind) -> Result<Self> {
         let wrap = |e| refusal(path, "open the store for writing", e);
         connection.execute_batch("BEGIN IMMEDIATE").map_err(wrap)?;
         // Another writer may have changed the file between `connect` and the lock.
         check_identity(&connection, path)?;
-        let mut loaded = read::load(&connection, path, scheme == Scheme::TwoLevel)?;
+        let mut loaded = read::load(&connection, path, matches!(kind, IndexKind::TwoLevel(_)))?;
         let mut ids = HashMap::new();
         log::walk(&connection, path, &loaded.meta, |entry| {
             ids.extend(entry.id.map(|id| (id, entry.number)));
@@ -236,7 +235,7 @@ impl Store {
         })?;
         let mut store = Self { ids, ..Self::empty(connection, path, loaded.meta.clone()) };
         store.register(&loaded);
-        let index = WorldIndex::with_trees(&loaded.environment, scheme, params, &std::mem::take(&mut loaded.trees));
+        let index = WorldIndex::with_trees(&loaded.environment, kind, &std::mem::take(&mut loaded.trees));
         store.world = World::of(index, loaded.environment);
         Ok(store)
     }
@@ -247,7 +246,7 @@ impl Store {
             connection,
             path: path.to_owned(),
             meta,
-            world: World::with_index(Environment::new(), Scheme::None, Params::default()),
+            world: World::with_index(Environment::new(), &IndexKind::None),
             locked: true,
             objects: HashMap::new(),
             groups: HashSet::new(),

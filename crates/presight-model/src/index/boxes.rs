@@ -1,23 +1,26 @@
-//! Boxes in f32, rounded outward, tested eight at a time.
+//! Boxes in f32, rounded outward, tested eight at a time: what indexes are made of.
 
 use super::shapes::Shape;
 use crate::geometry::Aabb;
 use glam::DVec3;
 
 /// Lanes of a test.
-pub(super) const LANES: usize = 8;
+pub const LANES: usize = 8;
 
 /// A box in f32 relative to an origin; contains the box from which it was made.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Box32 {
+pub struct Box32 {
+    /// Least corner, metres.
     pub min: [f32; 3],
+    /// Greatest corner, metres.
     pub max: [f32; 3],
 }
 
 impl Box32 {
+    /// Holds nothing, and meets nothing.
     pub const EMPTY: Self = Self { min: [f32::INFINITY; 3], max: [f32::NEG_INFINITY; 3] };
 
-    /// Rounds outward, including the rounding of the subtraction.
+    /// The box in the world, relative to an origin. Rounds outward, including the rounding of the subtraction.
     pub fn around(b: &Aabb, origin: DVec3) -> Self {
         let slack = 2.0 * f64::EPSILON * (b.min.abs().max(b.max.abs()) + origin.abs());
         let (min, max) = (b.min - origin - slack, b.max - origin + slack);
@@ -33,10 +36,13 @@ impl Box32 {
     }
 
     /// Twice the centre on one axis; splits compare this.
+    #[inline]
     pub fn middle(&self, axis: usize) -> f32 {
         self.min[axis] + self.max[axis]
     }
 
+    /// The least box that holds both.
+    #[inline]
     pub fn union(&self, other: &Self) -> Self {
         let mut all = *self;
         for k in 0..3 {
@@ -46,6 +52,8 @@ impl Box32 {
         all
     }
 
+    /// True if all of the other box is in this one.
+    #[inline]
     pub fn holds(&self, other: &Self) -> bool {
         (0..3).all(|k| self.min[k] <= other.min[k] && self.max[k] >= other.max[k])
     }
@@ -63,7 +71,7 @@ fn up(x: f64) -> f32 {
 
 /// The offset from the boxes' origin to the region's, which moves boxes into the region's frame.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Shift {
+pub struct Shift {
     low: DVec3,
     high: DVec3,
     /// For indexes of two axes: the overall heights, used in place of a box's own.
@@ -84,10 +92,11 @@ impl Shift {
 
     /// The same, with boxes grown by a slack on all sides.
     #[must_use]
-    pub fn grown(self, slack: f64) -> Self {
+    pub(super) fn grown(self, slack: f64) -> Self {
         Self { low: self.low - slack, high: self.high + slack, ..self }
     }
 
+    /// The box relative to the region's origin.
     #[inline(always)]
     pub fn apply(&self, b: &Box32) -> Aabb {
         let wide = |v: [f32; 3]| DVec3::new(f64::from(v[0]), f64::from(v[1]), f64::from(v[2]));
@@ -101,7 +110,7 @@ impl Shift {
 
 /// Eight boxes, as one array per coordinate.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Boxes8 {
+pub struct Boxes8 {
     min: [[f32; LANES]; 3],
     max: [[f32; LANES]; 3],
 }
@@ -110,6 +119,8 @@ impl Boxes8 {
     /// Eight empty boxes, which meet nothing.
     pub const EMPTY: Self = Self { min: [[f32::INFINITY; LANES]; 3], max: [[f32::NEG_INFINITY; LANES]; 3] };
 
+    /// Sets the box of a lane.
+    #[inline]
     pub fn set(&mut self, lane: usize, b: &Box32) {
         for k in 0..3 {
             self.min[k][lane] = b.min[k];
@@ -117,7 +128,8 @@ impl Boxes8 {
         }
     }
 
-    pub fn get(&self, lane: usize) -> Box32 {
+    #[inline]
+    pub(super) fn get(&self, lane: usize) -> Box32 {
         Box32 { min: [0, 1, 2].map(|k| self.min[k][lane]), max: [0, 1, 2].map(|k| self.max[k][lane]) }
     }
 

@@ -1,33 +1,20 @@
 //! Spatial indexes over the world's polygons (paper section 2.2). They find the polygons that have a point in a region.
 //!
-//! | scheme | cells | a polygon is in | source |
-//! |---|---|---|---|
-//! | [`Scheme::Grid`] | equal squares | every cell it overlaps | paper section 2.2 |
-//! | [`Scheme::Plop`] | slices of each axis at quantiles | the cell of its centroid | Kriegel and Seeger 1988 |
-//! | [`Scheme::S2d`], [`Scheme::S3d`] | halves of halves | the leaf of its centroid | Ooi, Sacks-Davis, McDonell 1987/1991 |
-//! | [`Scheme::TwoLevel`] | a spatial-kD tree of objects over trees of their meshes | its mesh | here |
-//!
-//! The first four are [`SpatialIndex`]es over ids with boxes. [`WorldIndex`] keeps one in step with an environment.
+//! [`WorldIndex`] keeps an index in step with an environment. By default it is a spatial-kD tree of objects over one
+//! tree for each mesh ([`IndexKind::TwoLevel`]). Any [`SpatialIndex`] over ids with boxes can take its place, such as
+//! [`Skd`], a spatial-kD tree of polygons (Ooi, Sacks-Davis, McDonell 1987/1991).
 
-mod boxes;
-mod cells;
-mod exact;
-mod grid;
+pub mod boxes;
 mod mesh_tree;
-mod plop;
 mod region;
 mod sector;
 mod shapes;
 mod skd;
-#[cfg(test)]
-mod tests;
 mod world_index;
 
-pub use exact::polygon_meets;
-pub use grid::Grid;
-pub use plop::Plop;
 pub use region::Region;
 pub use sector::{Rect, Sector};
+pub use shapes::Shape;
 pub use skd::Skd;
 pub use world_index::{ObjectRun, WorldIndex};
 pub use {
@@ -35,53 +22,23 @@ pub use {
     world_index::Trees,
 };
 
-use crate::error::{Error, Result};
 use crate::geometry::Aabb;
 use boxes::Box32;
-use shapes::Shape;
 
-/// A method to find polygons.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-pub enum Scheme {
+/// How a world finds its polygons.
+#[derive(Clone, Debug)]
+pub enum IndexKind {
     /// No index: every cluster of every object is tested.
     None,
-    /// Uniform grid of square cells.
-    Grid,
-    /// Piecewise linear order preserving hashing.
-    Plop,
-    /// Spatial-kD tree over x and y.
-    S2d,
-    /// Spatial-kD tree over x, y and z.
-    S3d,
     /// Spatial-kD tree of objects over one tree per mesh, in the mesh's own frame and shared by its instances.
-    #[default]
-    TwoLevel,
+    TwoLevel(Params),
+    /// An index of polygons, also one of your own ([`SpatialIndex`]). The world rebuilds it over its polygons.
+    Polygons(Box<dyn SpatialIndex>),
 }
 
-impl Scheme {
-    /// Every scheme.
-    pub const ALL: [Self; 6] = [Self::None, Self::Grid, Self::Plop, Self::S2d, Self::S3d, Self::TwoLevel];
-
-    /// The name in flags and files.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::None => "none",
-            Self::Grid => "grid",
-            Self::Plop => "plop",
-            Self::S2d => "s2d",
-            Self::S3d => "s3d",
-            Self::TwoLevel => "two-level",
-        }
-    }
-}
-
-impl std::str::FromStr for Scheme {
-    type Err = Error;
-
-    fn from_str(name: &str) -> Result<Self> {
-        let names = Self::ALL.map(Self::name).join(", ");
-        let found = Self::ALL.into_iter().find(|s| s.name() == name);
-        found.ok_or_else(|| Error::usage(format!("unknown index {name:?}"), format!("choose from {names}")))
+impl Default for IndexKind {
+    fn default() -> Self {
+        Self::TwoLevel(Params::default())
     }
 }
 
@@ -95,8 +52,7 @@ pub enum SplitAxis {
     Alternating,
 }
 
-/// Tuning parameters. The default suits trees; [`Params::tuned`] returns the best values of `presight index --sweep`
-/// for each scheme (benches/RESULTS.md).
+/// Tuning parameters. The default holds the best values of `presight index --sweep` for trees (benches/RESULTS.md).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Params {
     /// Least size of a cell, metres.
@@ -115,17 +71,6 @@ impl Default for Params {
     }
 }
 
-impl Params {
-    /// The best parameters for a scheme.
-    pub fn tuned(scheme: Scheme) -> Self {
-        let cell_polygons = match scheme {
-            Scheme::Grid | Scheme::Plop => 32,
-            Scheme::None | Scheme::S2d | Scheme::S3d | Scheme::TwoLevel => 64,
-        };
-        Self { cell_polygons, ..Self::default() }
-    }
-}
-
 /// The result of a query, with scratch memory that is reused between queries.
 #[derive(Clone, Debug, Default)]
 pub struct QueryResult {
@@ -137,9 +82,6 @@ pub struct QueryResult {
     pub visited: usize,
     /// Number of polygon boxes tested.
     pub tested: usize,
-    /// Epoch of the last query that met an id; the grid uses it to drop duplicates.
-    seen: Vec<u32>,
-    epoch: u32,
     stack: Vec<(u32, Box32)>,
     /// Result for the tree of objects, in two-level indexes.
     near: Option<Box<QueryResult>>,
@@ -152,9 +94,7 @@ impl QueryResult {
         self.runs.clear();
         (self.visited, self.tested) = (0, 0);
     }
-}
 
-impl QueryResult {
     /// Number of ids found.
     pub fn count(&self) -> usize {
         self.ids.len() + self.runs.iter().map(ExactSizeIterator::len).sum::<usize>()
@@ -166,8 +106,67 @@ impl QueryResult {
     }
 }
 
-/// An index over ids (slots of polygons, or objects) with boxes in the world. Boxes are kept in f32, rounded outward.
+/// An index over ids (slots of polygons, or objects) with boxes in the world, metres.
+///
+/// ```
+/// use presight::environment::{Environment, IndexKind};
+/// use presight::{Pose, World};
+/// use presight_model::geometry::Aabb;
+/// use presight_model::index::{QueryResult, Region, SpatialIndex};
+/// use std::collections::BTreeMap;
+///
+/// /// Tests every box.
+/// #[derive(Clone, Debug, Default)]
+/// struct Everything(BTreeMap<u32, Aabb>);
+///
+/// impl SpatialIndex for Everything {
+///     fn name(&self) -> &'static str {
+///         "everything"
+///     }
+///     fn rebuilt(&self, boxes: &[(u32, Aabb)]) -> Box<dyn SpatialIndex> {
+///         Box::new(Self(boxes.iter().copied().collect()))
+///     }
+///     fn len(&self) -> usize {
+///         self.0.len()
+///     }
+///     fn bounds_of(&self, id: u32) -> Option<Aabb> {
+///         self.0.get(&id).copied()
+///     }
+///     fn insert(&mut self, id: u32, bounds: &Aabb) {
+///         self.0.insert(id, *bounds);
+///     }
+///     fn remove(&mut self, id: u32) -> bool {
+///         self.0.remove(&id).is_some()
+///     }
+///     fn query(&self, region: &Region, found: &mut QueryResult) {
+///         found.ids.extend(self.0.iter().filter(|(_, b)| region.meets(b)).map(|(id, _)| id));
+///     }
+///     fn bytes(&self) -> usize {
+///         self.0.len() * size_of::<(u32, Aabb)>()
+///     }
+///     fn boxed_clone(&self) -> Box<dyn SpatialIndex> {
+///         Box::new(self.clone())
+///     }
+///     fn assert_well_formed(&self) {}
+/// }
+///
+/// let mut environment = Environment::new();
+/// environment.add_cuboid("crate", Pose::IDENTITY, glam::DVec3::ONE)?;
+/// // `SceneOptions::with_index` takes the kind for scenes from files.
+/// let kind = IndexKind::Polygons(Box::new(Everything::default()));
+/// let world = World::with_index(environment, &kind);
+/// let mut found = QueryResult::default();
+/// world.index().query(world.environment(), &Region::everything(), &mut found);
+/// assert_eq!(found.count(), 6);
+/// # Ok::<(), presight::Error>(())
+/// ```
 pub trait SpatialIndex: std::fmt::Debug + Send + Sync {
+    /// The name in statistics.
+    fn name(&self) -> &'static str;
+
+    /// A new index of this kind, with the same parameters, over these ids.
+    fn rebuilt(&self, boxes: &[(u32, Aabb)]) -> Box<dyn SpatialIndex>;
+
     /// Number of ids.
     fn len(&self) -> usize;
 
@@ -176,7 +175,7 @@ pub trait SpatialIndex: std::fmt::Debug + Send + Sync {
         self.len() == 0
     }
 
-    /// The stored box of an id; contains the box that was inserted.
+    /// The stored box of an id, which contains the box that was inserted.
     fn bounds_of(&self, id: u32) -> Option<Aabb>;
 
     /// Adds an id, or moves it if present. Boxes must be finite and not empty.
@@ -207,41 +206,31 @@ impl Clone for Box<dyn SpatialIndex> {
     }
 }
 
-/// The traversal of an index for a query, compiled for each shape.
-trait Traversal {
+/// The traversal of an index for a query, compiled for each shape of regions and for the vector width of this machine.
+pub trait Traversal: Sized {
+    /// Appends the ids whose box meets the region, which has this shape. Implement it with `#[inline(always)]`.
     fn walk<S: Shape>(&self, shape: &S, region: &Region, found: &mut QueryResult);
-}
 
-/// Traverses an index, compiled for the vector width of this machine.
-fn ask<T: Traversal>(index: &T, region: &Region, found: &mut QueryResult) {
-    struct IndexQuery<'a, T>(&'a T, &'a Region, &'a mut QueryResult);
-    struct ShapeQuery<'a, T, S>(IndexQuery<'a, T>, &'a S);
-    impl<T: Traversal> region::ShapeVisitor for IndexQuery<'_, T> {
-        type Out = ();
+    /// [`SpatialIndex::query`] by [`Traversal::walk`].
+    fn traverse(&self, region: &Region, found: &mut QueryResult) {
+        struct IndexQuery<'a, T>(&'a T, &'a Region, &'a mut QueryResult);
+        struct ShapeQuery<'a, T, S>(IndexQuery<'a, T>, &'a S);
+        impl<T: Traversal> region::ShapeVisitor for IndexQuery<'_, T> {
+            type Out = ();
 
-        fn visit<S: Shape>(self, shape: &S) {
-            pulp::Arch::new().dispatch(ShapeQuery(self, shape));
+            fn visit<S: Shape>(self, shape: &S) {
+                pulp::Arch::new().dispatch(ShapeQuery(self, shape));
+            }
         }
-    }
-    impl<T: Traversal, S: Shape> pulp::WithSimd for ShapeQuery<'_, T, S> {
-        type Output = ();
+        impl<T: Traversal, S: Shape> pulp::WithSimd for ShapeQuery<'_, T, S> {
+            type Output = ();
 
-        #[inline(always)]
-        fn with_simd<D: pulp::Simd>(self, _: D) {
-            let Self(IndexQuery(index, region, found), shape) = self;
-            index.walk(shape, region, found);
+            #[inline(always)]
+            fn with_simd<D: pulp::Simd>(self, _: D) {
+                let Self(IndexQuery(index, region, found), shape) = self;
+                index.walk(shape, region, found);
+            }
         }
-    }
-    region.with(IndexQuery(index, region, found));
-}
-
-/// An index over ids 0, 1, .. with these boxes; `None` for schemes that do not index polygons.
-pub fn build(scheme: Scheme, params: Params, boxes: &[(u32, Aabb)]) -> Option<Box<dyn SpatialIndex>> {
-    match scheme {
-        Scheme::None | Scheme::TwoLevel => None,
-        Scheme::Grid => Some(Box::new(Grid::build(params, boxes))),
-        Scheme::Plop => Some(Box::new(Plop::build(params, boxes))),
-        Scheme::S2d => Some(Box::new(Skd::<2>::build(params, boxes))),
-        Scheme::S3d => Some(Box::new(Skd::<3>::build(params, boxes))),
+        region.with(IndexQuery(self, region, found));
     }
 }

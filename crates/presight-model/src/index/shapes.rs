@@ -11,7 +11,7 @@ pub(super) const MAX_PLANES: usize = 6;
 pub(super) const SLACK: f64 = 1e-9;
 
 /// Tests of a region against boxes relative to its origin.
-pub(super) trait Shape: Copy + Sync {
+pub trait Shape: Copy + Sync {
     /// True if the box has a point in it; may keep too much.
     fn meets(&self, b: &Aabb) -> bool;
     /// True only if all of the box is in it, up to rounding.

@@ -1,10 +1,10 @@
-//! An index kept in step with an environment, for any scheme.
+//! An index of any kind, kept in step with an environment.
 
 use super::boxes::{Box32, LANES, Shift};
 use super::mesh_tree::MeshTree;
 use super::region::ShapeVisitor;
 use super::shapes::Shape;
-use super::{Params, QueryResult, Region, Scheme, Skd, SpatialIndex, build};
+use super::{IndexKind, Params, QueryResult, Region, Skd, SpatialIndex};
 use crate::environment::{Environment, Mesh, Object};
 use crate::geometry::Aabb;
 use crate::threads::parallel_or_here;
@@ -16,8 +16,6 @@ use std::sync::Arc;
 /// Finds the polygons of an environment that have a point in a region.
 #[derive(Clone, Debug)]
 pub struct WorldIndex {
-    scheme: Scheme,
-    params: Params,
     kind: Kind,
 }
 
@@ -28,6 +26,7 @@ enum Kind {
     Flat(Box<dyn SpatialIndex>),
     /// An index of objects, and the tree of each object's mesh.
     TwoLevel {
+        params: Params,
         objects: Box<Skd<3>>,
         trees: Vec<Arc<MeshTree>>,
         holders: Holders,
@@ -52,31 +51,39 @@ pub struct ObjectRun {
 
 impl WorldIndex {
     /// Builds the index of an environment.
-    pub fn new(environment: &Environment, scheme: Scheme, params: Params) -> Self {
-        Self::with_trees(environment, scheme, params, &Trees::default())
+    pub fn new(environment: &Environment, kind: &IndexKind) -> Self {
+        Self::with_trees(environment, kind, &Trees::default())
     }
 
-    /// [`WorldIndex::new`], but schemes with mesh trees use the given ones where present.
-    pub fn with_trees(environment: &Environment, scheme: Scheme, params: Params, trees: &Trees) -> Self {
-        let kind = match scheme {
-            Scheme::None => Kind::None,
-            Scheme::TwoLevel => two_level(environment, params, trees),
-            _ => {
+    /// [`WorldIndex::new`], but [`IndexKind::TwoLevel`] uses the given trees of meshes where present.
+    pub fn with_trees(environment: &Environment, kind: &IndexKind, trees: &Trees) -> Self {
+        let kind = match kind {
+            IndexKind::None => Kind::None,
+            IndexKind::TwoLevel(params) => two_level(environment, *params, trees),
+            IndexKind::Polygons(index) => {
                 let boxes: Vec<(u32, Aabb)> = environment.objects().iter().flat_map(polygon_boxes).collect();
-                build(scheme, params, &boxes).map_or(Kind::None, Kind::Flat)
+                Kind::Flat(index.rebuilt(&boxes))
             }
         };
-        Self { scheme, params, kind }
+        Self { kind }
     }
 
-    /// The scheme.
-    pub fn scheme(&self) -> Scheme {
-        self.scheme
+    /// The name in statistics.
+    pub fn name(&self) -> &'static str {
+        match &self.kind {
+            Kind::None => "none",
+            Kind::TwoLevel { .. } => "two-level",
+            Kind::Flat(index) => index.name(),
+        }
     }
 
-    /// The tuning parameters.
-    pub fn params(&self) -> Params {
-        self.params
+    /// The kind, with which another index like this one can be built.
+    pub fn kind(&self) -> IndexKind {
+        match &self.kind {
+            Kind::None => IndexKind::None,
+            Kind::TwoLevel { params, .. } => IndexKind::TwoLevel(*params),
+            Kind::Flat(index) => IndexKind::Polygons(index.rebuilt(&[])),
+        }
     }
 
     /// Adds an object, or moves it to its current pose; `environment` must have it already.
@@ -85,7 +92,7 @@ impl WorldIndex {
         match &mut self.kind {
             Kind::None => {}
             Kind::Flat(index) => polygon_boxes(o).for_each(|(slot, b)| index.insert(slot, &b)),
-            Kind::TwoLevel { objects, trees, holders } => {
+            Kind::TwoLevel { objects, trees, holders, .. } => {
                 for new in trees.len()..=object as usize {
                     let tree = tree_of(new, environment, trees, holders);
                     trees.push(tree);
@@ -133,13 +140,13 @@ impl WorldIndex {
                     }
                 }
             }
-            Kind::TwoLevel { objects, trees, .. } => {
+            Kind::TwoLevel { params, objects, trees, .. } => {
                 let mut near = found.near.take().unwrap_or_default();
                 near.clear();
                 objects.query(region, &mut near);
                 for object in &near.ids {
                     let (o, tree) = (&environment.objects()[*object as usize], &trees[*object as usize]);
-                    let filter = self.params.filter;
+                    let filter = params.filter;
                     with_mesh(o, tree, region, MeshQuery { tree, first_slot: o.first_slot, filter, found });
                 }
                 found.visited += near.visited;
@@ -172,12 +179,12 @@ impl WorldIndex {
                 found.ids.sort_unstable();
                 gather(environment, index.as_ref(), region, &found.ids, runs);
             }
-            Kind::TwoLevel { objects, trees, .. } => {
+            Kind::TwoLevel { params, objects, trees, .. } => {
                 objects.query(region, found);
                 for at in 0..found.ids.len() {
                     let object = found.ids[at];
                     let (o, tree) = (&environment.objects()[object as usize], &trees[object as usize]);
-                    let filter = self.params.filter;
+                    let filter = params.filter;
                     with_mesh(o, tree, region, MeshSelect { tree, mesh: &o.mesh, object, filter, runs });
                 }
             }
@@ -189,7 +196,7 @@ impl WorldIndex {
         match &self.kind {
             Kind::None => 0,
             Kind::Flat(index) => index.bytes(),
-            Kind::TwoLevel { objects, trees, holders } => {
+            Kind::TwoLevel { objects, trees, holders, .. } => {
                 let mut seen: Vec<*const MeshTree> = trees.iter().map(Arc::as_ptr).collect();
                 seen.sort_unstable();
                 let own: usize = trees.iter().filter(|t| first_of(&mut seen, Arc::as_ptr(t))).map(|t| t.bytes()).sum();
@@ -262,7 +269,7 @@ fn two_level(environment: &Environment, params: Params, known: &Trees) -> Kind {
         .map(|(i, o)| (i, o.world_bounds()))
         .collect();
     let holders = environment.objects().iter().map(|o| address_of(&o.mesh)).zip(0..).collect();
-    Kind::TwoLevel { objects: Box::new(Skd::build(params, &boxes)), trees, holders }
+    Kind::TwoLevel { params, objects: Box::new(Skd::build(params, &boxes)), trees, holders }
 }
 
 /// The tree of a new object's mesh, shared with an object that already has this mesh. Every mesh of an earlier object
@@ -510,7 +517,7 @@ mod tests {
             Arc::new(Mesh::new("t", corners, vec![Polygon::new(vec![0, 1, 2], 0)], PolygonOrder::Given).unwrap())
         };
         let (shared, other) = (mesh(1.0), mesh(2.0));
-        let mut world = World::with_index(environment, Scheme::TwoLevel, Params::tuned(Scheme::TwoLevel));
+        let mut world = World::new(environment);
         let insert = |world: &mut World, name: &str, mesh: &Arc<Mesh>| {
             world.apply(Change::InsertObject(NewObject::new(name, Pose::IDENTITY, mesh.clone()))).unwrap()
         };

@@ -3,7 +3,7 @@
 use crate::change::Change;
 use crate::environment::{Environment, Revert};
 use crate::error::Result;
-use crate::index::{Params, Scheme, WorldIndex};
+use crate::index::{IndexKind, WorldIndex};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -41,12 +41,12 @@ pub struct World {
 impl World {
     /// The first version of a world, with the default index.
     pub fn new(environment: Environment) -> Self {
-        Self::with_index(environment, Scheme::default(), Params::tuned(Scheme::default()))
+        Self::with_index(environment, &IndexKind::default())
     }
 
-    /// The first version of a world, with an index of this scheme.
-    pub fn with_index(environment: Environment, scheme: Scheme, params: Params) -> Self {
-        Self::of(WorldIndex::new(&environment, scheme, params), environment)
+    /// The first version of a world, with an index of this kind.
+    pub fn with_index(environment: Environment, kind: &IndexKind) -> Self {
+        Self::of(WorldIndex::new(&environment, kind), environment)
     }
 
     /// The first version of a world, with an existing index.
@@ -63,8 +63,8 @@ impl World {
 
     /// The same version of the environment with another index.
     #[must_use]
-    pub fn reindexed(&self, scheme: Scheme, params: Params) -> Self {
-        let index = Arc::new(WorldIndex::new(&self.environment, scheme, params));
+    pub fn reindexed(&self, kind: &IndexKind) -> Self {
+        let index = Arc::new(WorldIndex::new(&self.environment, kind));
         Self { index, ..self.clone() }
     }
 
@@ -324,7 +324,7 @@ impl World {
 
     /// Replaces the environment by the state on disk, after a failed write.
     pub fn reset(&mut self, environment: Environment) {
-        self.index = Arc::new(WorldIndex::new(&environment, self.index.scheme(), self.index.params()));
+        self.index = Arc::new(WorldIndex::new(&environment, &self.index.kind()));
         self.environment = Arc::new(environment);
         self.stamp = new_stamp();
     }

@@ -277,7 +277,7 @@ impl Task {
         let Lane { engine, buffers, images, .. } = lane;
         if let (false, Some(engine)) = (seen, engine) {
             let plan = FramePlan::within(std::mem::take(buffers), &self.world, &self.sensor, &pose, self.request)?;
-            stats.index = self.world.index().scheme().name();
+            stats.index = self.world.index().name();
             let rendered = engine.render(&plan, images, &mut stats);
             *buffers = plan.into_buffers();
             rendered?;
@@ -421,7 +421,7 @@ impl<I: Iterator<Item = Pose>> Batch<'_, I> {
                     break;
                 }
             }
-            stats.index = task.world.index().scheme().name();
+            stats.index = task.world.index().name();
             stats.stage(StageName::Selection, start);
             planned.push((items.len(), *index, pose, stats));
             items.push(None);

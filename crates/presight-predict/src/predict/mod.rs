@@ -385,7 +385,7 @@ impl Predictor {
         let buffers = std::mem::take(&mut self.buffers);
         let mut plan = FramePlan::within(buffers, world, sensor, world_from_sensor, request)?;
         plan.reuse_visible = reuse_visible;
-        let mut stats = Stats { index: world.index().scheme().name(), ..Stats::default() };
+        let mut stats = Stats { index: world.index().name(), ..Stats::default() };
         stats.stage(StageName::Selection, start);
         if let Some(timed) = &mut timed {
             self.controller.plan(timed, &mut plan)?;

@@ -63,7 +63,7 @@ mod tests {
     use super::*;
     use glam::{DAffine3, Vec3};
     use presight_model::geometry::Aabb;
-    use presight_model::index::{Params, QueryResult, Scheme, WorldIndex};
+    use presight_model::index::{IndexKind, Params, QueryResult, Skd, WorldIndex};
     use presight_model::sensor::{Angles, Camera, Distortion, PRESETS, RayTable, Scanner, SensorSpec};
     use presight_model::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
     use proptest::prelude::*;
@@ -181,13 +181,14 @@ mod tests {
             let (environment, corner) = triangle_at(p_in_world, placement, scale, size);
             // Move the sensor so that its ray meets the stored corner.
             let pose = Pose { translation: pose.translation + (corner - p_in_world), ..pose };
-            for scheme in Scheme::ALL {
-                let index = WorldIndex::new(&environment, scheme, Params::default());
+            let flat = IndexKind::Polygons(Box::new(Skd::<3>::build(Params::default(), &[])));
+            for kind in [IndexKind::None, IndexKind::default(), flat] {
+                let index = WorldIndex::new(&environment, &kind);
                 let (mut found, mut runs) = (QueryResult::default(), Vec::new());
                 index.select(&environment, &region_of(&sensor, &pose).unwrap(), &mut found, &mut runs);
-                prop_assert_eq!(runs.len(), 1, "{} at {}", scheme.name(), distance);
+                prop_assert_eq!(runs.len(), 1, "{:?} at {}", kind, distance);
                 let rounding = 1e-8 + distance * 1e-12;
-                prop_assert!(runs[0].nearest <= distance + rounding, "{}: {:?} at {}", scheme.name(), runs, distance);
+                prop_assert!(runs[0].nearest <= distance + rounding, "{:?}: {:?} at {}", kind, runs, distance);
             }
         }
     }

@@ -7,7 +7,6 @@ use super::views::StudyView;
 use super::{Effort, Finding, PathNotes, Row, Scene, advice, features, pareto, request};
 use presight_model::error::{Error, Result};
 use presight_model::geometry::Pose;
-use presight_model::index::Params;
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_pictures as png;
@@ -105,7 +104,7 @@ impl SceneStudy<'_> {
                 }
             };
             let world = match path.index {
-                Some(scheme) => self.scene.world.reindexed(scheme, Params::tuned(scheme)),
+                Some(scheme) => self.scene.world.reindexed(&scheme.tuned()),
                 None => self.scene.world.clone(),
             };
             let missing_share = view.missing_share(self.sensor);

@@ -2,8 +2,8 @@
 
 use super::views::ImageVariant;
 use super::{how, precision_of};
+use crate::index::Scheme;
 use presight_model::error::{Error, ErrorKind, Result};
-use presight_model::index::Scheme;
 use presight_model::sensor::Sensor;
 use presight_model::threads::Threads;
 use presight_predict::engine::EngineKind;

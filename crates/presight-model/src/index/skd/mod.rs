@@ -5,11 +5,11 @@ mod build;
 mod query;
 
 use super::boxes::{Box32, Boxes8, LANES};
-use super::{Params, QueryResult, Region, SpatialIndex, ask};
+use super::{Params, QueryResult, Region, SpatialIndex, Traversal};
 use crate::geometry::Aabb;
 use glam::DVec3;
 
-/// A spatial-kD tree over the first `K` axes.
+/// A spatial-kD tree over the first `K` axes. Boxes are kept in f32, rounded outward.
 ///
 /// Leaves are buckets of boxes, tested eight at a time. A subtree is rebuilt after as many changes as it had entries
 /// when built, so the tree stays close to a fresh build.
@@ -256,6 +256,14 @@ impl<const K: usize> Skd<K> {
 }
 
 impl<const K: usize> SpatialIndex for Skd<K> {
+    fn name(&self) -> &'static str {
+        if K == 2 { "s2d" } else { "s3d" }
+    }
+
+    fn rebuilt(&self, boxes: &[(u32, Aabb)]) -> Box<dyn SpatialIndex> {
+        Box::new(Self::build(self.params, boxes))
+    }
+
     fn len(&self) -> usize {
         self.count
     }
@@ -323,7 +331,7 @@ impl<const K: usize> SpatialIndex for Skd<K> {
     }
 
     fn query(&self, region: &Region, found: &mut QueryResult) {
-        ask(self, region, found);
+        self.traverse(region, found);
     }
 
     fn bytes(&self) -> usize {

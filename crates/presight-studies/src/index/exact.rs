@@ -1,8 +1,8 @@
 //! Decides whether a polygon itself, not only its box, has a point in a region. Selectivity is measured against this.
 
-use super::Region;
-use crate::geometry::Aabb;
 use glam::DVec3;
+use presight_model::geometry::Aabb;
+use presight_model::index::Region;
 
 /// True if a convex polygon (corners in the world, metres) has a point in the region, or comes within a millimetre.
 ///
@@ -37,6 +37,7 @@ pub fn polygon_meets(region: &Region, corners: &[DVec3]) -> bool {
 mod tests {
     use super::*;
     use glam::DVec2;
+    use presight_model::geometry::Pose;
 
     #[test]
     fn a_polygon_across_counts_and_one_beside_does_not() {
@@ -51,7 +52,7 @@ mod tests {
 
     #[test]
     fn a_floor_below_the_beams_does_not() {
-        let region = Region::segment(&crate::Pose::IDENTITY, 0.0, 6.0, (-0.1, 0.1), 10.0).unwrap();
+        let region = Region::segment(&Pose::IDENTITY, 0.0, 6.0, (-0.1, 0.1), 10.0).unwrap();
         let floor = |z: f64| [[-20.0, -20.0, z], [20.0, -20.0, z], [20.0, 20.0, z], [-20.0, 20.0, z]].map(DVec3::from);
         assert!(polygon_meets(&region, &floor(-0.5)));
         assert!(!polygon_meets(&region, &floor(-1.1)));

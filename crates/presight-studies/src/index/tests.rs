@@ -1,8 +1,10 @@
-use super::region::Form;
 use super::*;
-use crate::geometry::Pose;
-use crate::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
 use glam::{BVec3, DAffine3, DVec2, DVec3, Vec3};
+use presight_model::change::Change;
+use presight_model::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
+use presight_model::geometry::Pose;
+use presight_model::index::{QueryResult, Region, SplitAxis};
+use presight_model::world::World;
 use proptest::prelude::*;
 use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
@@ -32,32 +34,54 @@ fn boxes() -> impl Strategy<Value = Vec<Aabb>> {
     })
 }
 
-/// Every form of region, near or around the origin.
-fn regions() -> impl Strategy<Value = Region> {
+/// The region of a query, near or around the origin.
+#[derive(Clone, Copy, Debug)]
+enum Query {
+    /// Apex, heading, opening, radius.
+    Sector(DVec3, f64, f64, f64),
+    /// Pose, heading, opening, elevations, radius.
+    Segment(Pose, f64, f64, (f64, f64), f64),
+    /// Apex, inward normals, radius.
+    Frustum(DVec3, [DVec3; 4], f64),
+    Cuboid(DVec3, DVec3),
+    Everything,
+}
+
+impl Query {
+    /// The region, moved by the same offset as the boxes.
+    fn at(self, far: f64) -> Region {
+        match self {
+            Self::Sector(p, heading, opening, radius) => Region::sector((p + far).truncate(), heading, opening, radius),
+            Self::Segment(pose, heading, opening, elevations, radius) => {
+                let pose = Pose { translation: pose.translation + far, ..pose };
+                Region::segment(&pose, heading, opening, elevations, radius).unwrap()
+            }
+            Self::Frustum(apex, normals, radius) => Region::frustum(apex + far, &normals, radius),
+            Self::Cuboid(p, q) => Region::cuboid(&Aabb::of([p + far, q + far])),
+            Self::Everything => Region::everything(),
+        }
+    }
+}
+
+/// Every form of region.
+fn queries() -> impl Strategy<Value = Query> {
     let opening = || prop_oneof![0.01..TAU, Just(PI), Just(TAU), Just(PI / 3.0)];
     let radius = || prop_oneof![0.1..40.0f64, Just(10.0), Just(f64::INFINITY)];
     let lean = || prop_oneof![Just(0.0), -1.0..1.0f64, Just(1e-7)];
     let pose = (point(), lean(), lean(), -4.0..4.0f64).prop_map(|(p, r, q, y)| Pose::from_xyz_rpy(p, r, q, y));
     let sector = (point(), -4.0..4.0f64, opening(), radius())
-        .prop_map(|(p, heading, opening, radius)| Region::sector(p.truncate(), heading, opening, radius));
+        .prop_map(|(p, heading, opening, radius)| Query::Sector(p, heading, opening, radius));
     let segment = (pose, -4.0..4.0f64, opening(), [-1.57..1.57f64, -1.57..1.57f64], radius()).prop_map(
-        |(pose, heading, opening, [a, b], radius)| {
-            Region::segment(&pose, heading, opening, (a.min(b), a.max(b)), radius).unwrap()
-        },
+        |(pose, heading, opening, [a, b], radius)| Query::Segment(pose, heading, opening, (a.min(b), a.max(b)), radius),
     );
     let frustum = (point(), point(), 0.05..1.2f64, radius()).prop_map(|(apex, ahead, half, radius)| {
         let ahead = ahead.normalize_or(DVec3::X);
         let (side, up) = ahead.any_orthonormal_pair();
         let (sin, cos) = f64::sin_cos(half);
-        Region::frustum(apex, &[side, -side, up, -up].map(|d| ahead * sin + d * cos), radius)
+        Query::Frustum(apex, [side, -side, up, -up].map(|d| ahead * sin + d * cos), radius)
     });
-    let cuboid = (point(), point()).prop_map(|(p, q)| Region::cuboid(&Aabb::of([p, q])));
-    prop_oneof![sector, segment, frustum, cuboid, Just(Region::everything())]
-}
-
-/// The region moved by the same offset as the boxes.
-fn at(region: &Region, far: f64) -> Region {
-    Region { origin: region.origin + far, ..*region }
+    let cuboid = (point(), point()).prop_map(|(p, q)| Query::Cuboid(p, q));
+    prop_oneof![sector, segment, frustum, cuboid, Just(Query::Everything)]
 }
 
 /// True for boxes that have a point in the region.
@@ -65,14 +89,14 @@ fn at(region: &Region, far: f64) -> Region {
 /// [`Region::meets`] is exact for sectors and cuboids. For other regions it keeps more, because their tests are
 /// independent of each other, and boxes grow when they are rotated into a leaning frame. An index may exclude more by
 /// its cells or by the region's bounds, so the box is halved until a point of it lies in the region.
-fn must_be_found(region: &Region, b: &Aabb) -> bool {
+fn must_be_found(query: Query, region: &Region, b: &Aabb) -> bool {
     const HALVINGS: usize = 10;
     fn witness(region: &Region, b: &Aabb, halvings: usize) -> bool {
         let corner = |i: usize| DVec3::select(BVec3::new(i & 1 > 0, i & 2 > 0, i & 4 > 0), b.max, b.min);
         if !region.meets(b) {
             return false;
         }
-        if (0..8).any(|i| region.contains(corner(i))) || region.contains(region.origin.clamp(b.min, b.max)) {
+        if (0..8).any(|i| region.contains(corner(i))) || region.contains(region.origin().clamp(b.min, b.max)) {
             return true;
         }
         let (size, middle, mut halves) = (b.max - b.min, b.center(), [*b; 2]);
@@ -80,14 +104,14 @@ fn must_be_found(region: &Region, b: &Aabb) -> bool {
         (halves[0].max[longest], halves[1].min[longest]) = (middle[longest], middle[longest]);
         halvings > 0 && halves.iter().any(|half| witness(region, half, halvings - 1))
     }
-    let exact = matches!(region.form, Form::Sector(_) | Form::Cuboid(_));
+    let exact = matches!(query, Query::Sector(..) | Query::Cuboid(..));
     region.meets(b) && (exact || witness(region, b, HALVINGS))
 }
 
 /// Checks that an index finds all it must, and nothing twice or far from the region.
-fn check(index: &dyn SpatialIndex, scheme: Scheme, held: &[Option<Aabb>], region: &Region) {
-    let mut found = QueryResult::default();
-    index.query(region, &mut found);
+fn check(index: &dyn SpatialIndex, scheme: Scheme, held: &[Option<Aabb>], query: Query, far: f64) {
+    let (region, mut found) = (query.at(far), QueryResult::default());
+    index.query(&region, &mut found);
     let mut ids: Vec<u32> = found.all().collect();
     ids.sort_unstable();
     assert!(ids.windows(2).all(|w| w[0] < w[1]), "{}: an id twice", scheme.name());
@@ -102,7 +126,7 @@ fn check(index: &dyn SpatialIndex, scheme: Scheme, held: &[Option<Aabb>], region
         let stored = index.bounds_of(id);
         let holds = stored.is_some_and(|s| s.min.cmple(b.min).all() && s.max.cmpge(b.max).all());
         assert!(holds, "{}: {id} is stored as {stored:?}", scheme.name());
-        if must_be_found(region, b) {
+        if must_be_found(query, &region, b) {
             assert!(was_found, "{}: {id} at {b:?} is missing", scheme.name());
         }
         if was_found && let Some(mut near) = stored {
@@ -145,14 +169,15 @@ proptest! {
     /// Mainly points at the rim of a radius, where bounds could be too small.
     #[test]
     fn bounds_hold_what_regions_contain(
-        region in regions(), places in prop::collection::vec((point(), prop_oneof![0.0..60.0f64, Just(1.0)]), 100),
+        query in queries(), places in prop::collection::vec((point(), prop_oneof![0.0..60.0f64, Just(1.0)]), 100),
     ) {
+        let region = query.at(0.0);
         let bounds = region.bounds();
         let reach = bounds.half_extent().x;
         let reach = if reach.is_finite() { reach * (1.0 - 1e-12) } else { 50.0 };
         for (p, far) in places {
             let by = if far == 1.0 { p.normalize_or(DVec3::X) * reach } else { p.normalize_or(DVec3::X) * far };
-            let p = region.origin + by;
+            let p = region.origin() + by;
             let slack = 1e-12 * p.abs();
             let held = p.cmpge(bounds.min - slack).all() && p.cmple(bounds.max + slack).all();
             prop_assert!(held || !region.contains(p), "{p:?} is out of {bounds:?}");
@@ -161,24 +186,24 @@ proptest! {
 
     #[test]
     fn fresh_indexes_find_what_brute_force_finds(
-        boxes in boxes(), regions in prop::collection::vec(regions(), 8), params in params(),
+        boxes in boxes(), queries in prop::collection::vec(queries(), 8), params in params(),
     ) {
         let far = boxes.first().map_or(0.0, |b| (b.min.x / 1e6).round() * 1e6);
         let held: Vec<Option<Aabb>> = boxes.iter().copied().map(Some).collect();
         let items: Vec<(u32, Aabb)> = (0..).zip(boxes).collect();
         for scheme in FLAT {
-            let index = build(scheme, params, &items).unwrap();
+            let index = scheme.build(params, &items).unwrap();
             index.assert_well_formed();
             assert_eq!(index.len(), items.len());
-            for region in &regions {
-                check(index.as_ref(), scheme, &held, &at(region, far));
+            for query in &queries {
+                check(index.as_ref(), scheme, &held, *query, far);
             }
         }
     }
 
     #[test]
     fn changed_indexes_find_what_brute_force_finds(
-        boxes in boxes(), steps in steps(), regions in prop::collection::vec(regions(), 4), params in params(),
+        boxes in boxes(), steps in steps(), queries in prop::collection::vec(queries(), 4), params in params(),
     ) {
         prop_assume!(!boxes.is_empty());
         let far = (boxes[0].min.x / 1e6).round() * 1e6;
@@ -188,7 +213,7 @@ proptest! {
             for (id, b) in &items {
                 held[*id as usize] = Some(*b);
             }
-            let mut index = build(scheme, params, &items).unwrap();
+            let mut index = scheme.build(params, &items).unwrap();
             for step in &steps {
                 match *step {
                     Step::Insert(id, which) => {
@@ -203,8 +228,8 @@ proptest! {
                 }
                 index.assert_well_formed();
             }
-            for region in &regions {
-                check(index.as_ref(), scheme, &held, &at(region, far));
+            for query in &queries {
+                check(index.as_ref(), scheme, &held, *query, far);
             }
         }
     }
@@ -218,32 +243,32 @@ proptest! {
     fn worlds_keep_their_index_in_step(
         places in prop::collection::vec((point(), -4.0..4.0f64, -1.0..1.0f64, 0.2..3.0f64), 1..20),
         moves in prop::collection::vec((any::<prop::sample::Index>(), point(), any::<bool>()), 0..20),
-        regions in prop::collection::vec(regions(), 4),
+        queries in prop::collection::vec(queries(), 4),
     ) {
         let mesh = bowl();
         for scheme in Scheme::ALL {
-            let mut world = crate::World::with_index(Environment::new(), scheme, Params::default());
-            world.apply(crate::Change::AddMaterial(Material::named("m"))).unwrap();
+            let mut world = World::with_index(Environment::new(), &scheme.kind(Params::default()));
+            world.apply(Change::AddMaterial(Material::named("m"))).unwrap();
             for (p, yaw, roll, scale) in &places {
                 let mut new = NewObject::new("bowl", Pose::from_xyz_rpy(*p, *roll, 0.0, *yaw), mesh.clone());
                 new.object_from_mesh = DAffine3::from_scale(DVec3::new(*scale, -1.0, 1.0));
-                world.apply(crate::Change::InsertObject(new)).unwrap();
+                world.apply(Change::InsertObject(new)).unwrap();
             }
             let before = world.clone();
             for (which, p, delete) in &moves {
                 let name = world.environment().objects()[which.index(places.len())].name.clone();
                 let change = if *delete {
-                    crate::Change::DeleteObject { name }
+                    Change::DeleteObject { name }
                 } else {
-                    crate::Change::MoveObject { name, world_from_object: Pose::from_xyz_rpy(*p, 0.1, 0.2, 0.3) }
+                    Change::MoveObject { name, world_from_object: Pose::from_xyz_rpy(*p, 0.1, 0.2, 0.3) }
                 };
                 // A repeated deletion is refused.
                 let _ = world.apply(change);
                 world.index().assert_well_formed(world.environment());
             }
             before.index().assert_well_formed(before.environment());
-            for region in &regions {
-                check_world(&world, region);
+            for query in &queries {
+                check_world(&world, scheme, &query.at(0.0));
             }
         }
     }
@@ -264,8 +289,8 @@ fn bowl() -> Arc<Mesh> {
     Arc::new(Mesh::new("bowl", vertices, faces.collect(), PolygonOrder::Spatial).unwrap())
 }
 
-fn check_world(world: &crate::World, region: &Region) {
-    let (environment, name) = (world.environment(), world.index().scheme().name());
+fn check_world(world: &World, scheme: Scheme, region: &Region) {
+    let (environment, name) = (world.environment(), scheme.name());
     let mut found = QueryResult::default();
     world.index().query(environment, region, &mut found);
     let mut slots: Vec<u32> = found.all().collect();
@@ -299,7 +324,7 @@ fn check_world(world: &crate::World, region: &Region) {
 #[should_panic(expected = "is missing")]
 fn a_lost_id_is_noticed() {
     let b = Aabb::of([DVec3::ZERO, DVec3::ONE]);
-    let index = build(Scheme::S3d, Params::default(), &[(0, b)]).unwrap();
+    let index = Scheme::S3d.build(Params::default(), &[(0, b)]).unwrap();
     let mut held = vec![Some(b); 1];
     held.push(Some(b));
     // Id 1 was never inserted; its box is claimed to equal that of id 0.
@@ -310,6 +335,12 @@ fn a_lost_id_is_noticed() {
         }
     }
     impl SpatialIndex for Lying {
+        fn name(&self) -> &'static str {
+            self.0.name()
+        }
+        fn rebuilt(&self, boxes: &[(u32, Aabb)]) -> Box<dyn SpatialIndex> {
+            self.0.rebuilt(boxes)
+        }
         fn len(&self) -> usize {
             2
         }
@@ -333,7 +364,7 @@ fn a_lost_id_is_noticed() {
         }
         fn assert_well_formed(&self) {}
     }
-    check(&Lying(index), Scheme::S3d, &held, &Region::sector(DVec2::ZERO, 0.0, TAU, 10.0));
+    check(&Lying(index), Scheme::S3d, &held, Query::Sector(DVec3::ZERO, 0.0, TAU, 10.0), 0.0);
 }
 
 /// A giant floor with 100,000 screws: queries and memory stay small.
@@ -346,7 +377,7 @@ fn a_floor_with_screws_stays_cheap() {
     let floor = Aabb { min: DVec3::splat(-1.0), max: DVec3::new(200.0, 200.0, 0.0) };
     let items: Vec<(u32, Aabb)> = screws.chain([(100_000, floor)]).collect();
     for scheme in FLAT {
-        let index = build(scheme, Params::tuned(scheme), &items).unwrap();
+        let index = scheme.build(scheme.params(), &items).unwrap();
         index.assert_well_formed();
         let mut found = QueryResult::default();
         index.query(&Region::sector(DVec2::new(50.0, 50.0), 0.0, PI / 3.0, 10.0), &mut found);
@@ -373,7 +404,7 @@ fn trees_stay_balanced() {
     };
     let mut held: Vec<(u32, Aabb)> = (0..20_000).map(|i| (i, place())).collect();
     for scheme in FLAT {
-        let mut index = build(scheme, Params::tuned(scheme), &held).unwrap();
+        let mut index = scheme.build(scheme.params(), &held).unwrap();
         for i in 0..100_000u32 {
             let id = i.wrapping_mul(7919) % 20_000;
             let b = place();
@@ -385,7 +416,7 @@ fn trees_stay_balanced() {
             held[id as usize].1 = b;
         }
         index.assert_well_formed();
-        let fresh = build(scheme, Params::tuned(scheme), &held).unwrap();
+        let fresh = scheme.build(scheme.params(), &held).unwrap();
         let work = |index: &dyn SpatialIndex| {
             let mut found = QueryResult::default();
             for i in 0..200 {
@@ -403,6 +434,7 @@ fn trees_stay_balanced() {
 fn schemes_are_named() {
     for scheme in Scheme::ALL {
         assert_eq!(scheme.name().parse::<Scheme>().unwrap(), scheme);
+        assert_eq!(World::with_index(Environment::new(), &scheme.tuned()).index().name(), scheme.name());
     }
     assert!("r-tree".parse::<Scheme>().is_err());
 }
