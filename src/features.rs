@@ -1,4 +1,4 @@
-//! Features: placed on the model, predicted in images, generated from the model, and rated.
+//! Features: placed on the model, predicted in images, and generated from the model.
 #![doc = include_str!("../docs/features.md")]
 
 #[doc(inline)]
@@ -11,5 +11,3 @@ pub use presight_model::environment::{Existence, Feature, FeatureLayer, FeatureS
 pub use presight_model::place::place;
 #[doc(inline)]
 pub use presight_model::placement::{PlacedFeature, PlacedFeatures};
-#[doc(inline)]
-pub use presight_predict::worth::{Worth, WorthOptions};

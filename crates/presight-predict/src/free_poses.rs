@@ -118,7 +118,7 @@ fn is_hit(object: &Object, polygon: u32, at: DVec3, direction: DVec3, one_sided:
 }
 
 /// Distance down to the nearest polygon below a point, metres; `None` if there is none within `reach`.
-pub(crate) fn height_above(world: &World, at: DVec3, reach: f64, found: &mut QueryResult) -> Option<f64> {
+pub fn height_above(world: &World, at: DVec3, reach: f64, found: &mut QueryResult) -> Option<f64> {
     let (environment, down) = (world.environment(), DVec3::NEG_Z);
     found.clear();
     world.index().query(environment, &Region::ray(at, down, reach), found);

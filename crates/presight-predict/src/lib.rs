@@ -11,7 +11,6 @@ pub mod predict;
 pub mod probe;
 pub mod request;
 pub mod virtual_sensors;
-pub mod worth;
 
 pub use predict::{Backend, Options, Prediction, Predictor};
 pub use request::Request;

@@ -14,6 +14,7 @@ pub mod replay;
 pub mod stability;
 #[cfg(feature = "report")]
 pub mod work_precision;
+pub mod worth;
 
 #[cfg(feature = "report")]
 pub use machine::Machine;

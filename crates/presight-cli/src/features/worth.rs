@@ -11,7 +11,7 @@ use presight_model::error::{Error, Result};
 use presight_model::sensor::Sensor;
 use presight_pictures::{GridMap, write_maps};
 use presight_predict::predict::{Options, Predictor};
-use presight_predict::worth::{HEADINGS, Thinned, Worth, WorthOptions};
+use presight_studies::worth::{HEADINGS, Thinned, Worth, WorthOptions};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 

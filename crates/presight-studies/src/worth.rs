@@ -5,9 +5,6 @@
 //! measurement plus the feature's position. The inverse bounds the covariance (Cramer-Rao); height, roll and pitch are
 //! assumed known from the mount. A place is rated by the worst of its eight views.
 
-use crate::free_poses::{height_above, is_clear};
-use crate::predict::Predictor;
-use crate::request::Request;
 use glam::DVec3;
 use presight_features::{FeatureOptions, PlacedFeatures, Vantage, informations};
 use presight_model::error::{Error, Result, short};
@@ -16,6 +13,9 @@ use presight_model::index::QueryResult;
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_model::{limits, memory};
+use presight_predict::free_poses::{height_above, is_clear};
+use presight_predict::predict::Predictor;
+use presight_predict::request::Request;
 use presight_render::plan::{Output, Outputs};
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
