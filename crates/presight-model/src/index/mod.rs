@@ -120,32 +120,18 @@ impl QueryResult {
 /// struct Everything(BTreeMap<u32, Aabb>);
 ///
 /// impl SpatialIndex for Everything {
-///     fn name(&self) -> &'static str {
-///         "everything"
-///     }
+///     fn name(&self) -> &'static str { "everything" }
 ///     fn rebuilt(&self, boxes: &[(u32, Aabb)]) -> Box<dyn SpatialIndex> {
 ///         Box::new(Self(boxes.iter().copied().collect()))
 ///     }
-///     fn len(&self) -> usize {
-///         self.0.len()
-///     }
-///     fn bounds_of(&self, id: u32) -> Option<Aabb> {
-///         self.0.get(&id).copied()
-///     }
-///     fn insert(&mut self, id: u32, bounds: &Aabb) {
-///         self.0.insert(id, *bounds);
-///     }
-///     fn remove(&mut self, id: u32) -> bool {
-///         self.0.remove(&id).is_some()
-///     }
+///     fn boxed_clone(&self) -> Box<dyn SpatialIndex> { Box::new(self.clone()) }
+///     fn len(&self) -> usize { self.0.len() }
+///     fn bytes(&self) -> usize { self.0.len() * size_of::<(u32, Aabb)>() }
+///     fn bounds_of(&self, id: u32) -> Option<Aabb> { self.0.get(&id).copied() }
+///     fn insert(&mut self, id: u32, bounds: &Aabb) { self.0.insert(id, *bounds); }
+///     fn remove(&mut self, id: u32) -> bool { self.0.remove(&id).is_some() }
 ///     fn query(&self, region: &Region, found: &mut QueryResult) {
 ///         found.ids.extend(self.0.iter().filter(|(_, b)| region.meets(b)).map(|(id, _)| id));
-///     }
-///     fn bytes(&self) -> usize {
-///         self.0.len() * size_of::<(u32, Aabb)>()
-///     }
-///     fn boxed_clone(&self) -> Box<dyn SpatialIndex> {
-///         Box::new(self.clone())
 ///     }
 ///     fn assert_well_formed(&self) {}
 /// }

@@ -1,4 +1,4 @@
-//! The paper's spatial indexes (section 2.2) beside the default one, by the names that flags and files give them.
+//! The paper's spatial indexes (section 2.2) and the default one, by their names in flags and files.
 //!
 //! | scheme | cells | a polygon is in | source |
 //! |---|---|---|---|
