@@ -355,7 +355,8 @@ fn carried(belief: &PoseEstimate, motion: &Motion, freedom: Freedom) -> PoseEsti
     (lever[2][3], lever[2][4]) = (arm.y, -arm.x);
     let mut covariance = sandwich(&lever, belief.covariance.as_rows());
     add_to(&mut covariance, motion.covariance.in_world(&from).as_rows());
-    PoseEstimate::new(to, PoseCovariance::from_rows(covariance))
+    // Turning a covariance there and back leaves rounding on the axes that do not move.
+    PoseEstimate::new(to, PoseCovariance::from_rows(restricted(&covariance, freedom.axes())))
 }
 
 /// At least as wide as a lost robot is looked for.
