@@ -6,7 +6,7 @@
 @group(0) @binding(1) var<storage, read> keys: array<vec2u>;
 @group(0) @binding(2) var<storage, read> seen_slots: array<u32>;
 @group(0) @binding(3) var<storage, read> records: array<u32>;
-// Words: SAMPLES_AT words of header (number of samples, 1 if columns wrap around), samples of SAMPLE_WORDS (place in
+// Words: SAMPLES_AT words of header (number of samples, columns of a turn if they wrap around), samples of SAMPLE_WORDS (place in
 // the line frame, row-major pixel, offset of its feature's slots), then lists of slots (count, slots).
 @group(0) @binding(4) var<storage, read> asked: array<u32>;
 @group(0) @binding(5) var<storage, read_write> answers: array<u32>;
@@ -19,7 +19,7 @@ const SAMPLE_SLOTS: u32 = 4u;
 const SAMPLE_WORDS: u32 = 5u;
 // Words of the header.
 const ASKED_COUNT: u32 = 0u;
-const ASKED_ROUND: u32 = 1u;
+const ASKED_TURN: u32 = 1u;
 // Special answers, not slots.
 const DOUBT: u32 = 0xffffffffu;
 const SEEN: u32 = 0xfffffffeu;
@@ -44,7 +44,7 @@ fn answer(at: u32) -> u32 {
     let column = asked[at + SAMPLE_PIXEL] % params.width;
     let row = asked[at + SAMPLE_PIXEL] / params.width;
     let own = asked[at + SAMPLE_SLOTS];
-    let round = asked[ASKED_ROUND] != 0u;
+    let turn = asked[ASKED_TURN];
     var best = 1.0;
     var by = DOUBT;
     var covered = false;
@@ -54,8 +54,8 @@ fn answer(at: u32) -> u32 {
         // Unsigned: a row or column before the first wraps to a number beyond the last.
         let r = row + i / 3u - 1u;
         var c = column + i % 3u - 1u;
-        if round {
-            c = (c + params.width) % params.width;
+        if turn != 0u {
+            c = (c + turn) % turn;
         }
         if r >= params.height || c >= params.width {
             continue;

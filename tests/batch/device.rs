@@ -89,6 +89,11 @@ fn sums_on_the_device_equal_those_of_its_images() {
     let rows = noisy(&presight_files::preset("vlp-16").unwrap(), noise);
     let headings = Headings::new(&rows, 90).unwrap();
     println!("{}", check(&mut engine, &rows, Some(headings)));
+    // One direction twice: in the image, and resampled to the headings of a panorama with other steps.
+    let closed = noisy(&scenes::closed(144, 7), noise);
+    for headings in [None, Some(Headings::new(&closed, 143).unwrap()), Some(Headings::new(&closed, 36).unwrap())] {
+        println!("{}", check(&mut engine, &closed, headings));
+    }
 }
 
 /// Calculated by hand: a wall 2 m ahead at normal incidence; the numbers are in docs/batches.md.

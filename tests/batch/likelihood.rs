@@ -170,3 +170,20 @@ fn images_that_cannot_be_weighed_are_refused() {
         assert_eq!(e.kind(), ErrorKind::Invalid, "{e}");
     }
 }
+
+/// The last beam of a scanner that goes fully round has the direction of the first: its reading does not count again.
+#[test]
+fn a_beam_that_comes_twice_counts_once() {
+    let noise = noises()[0];
+    let (once, twice) = (noisy(&scenes::scanner(72, 3), noise), noisy(&scenes::closed(73, 3), noise));
+    let mut random = Random(9);
+    let readings: Vec<Vec<f32>> = (0..3).map(|_| (0..72).map(|_| random.uniform(1.0, 9.0) as f32).collect()).collect();
+    let closed: Vec<f32> = readings.iter().flat_map(|row| row.iter().copied().chain([row[0] + 0.5])).collect();
+    let of = |sensor: &Sensor, sensed| RangeLikelihood::new(&frame_of(sensor, sensed), PoseCell::default()).unwrap();
+    let at = |likelihood: &RangeLikelihood| {
+        let n = likelihood.range().len();
+        likelihood.log_likelihood(&vec![3.0; n], &vec![1.0; n])
+    };
+    let (a, b) = (at(&of(&once, readings.concat())), at(&of(&twice, closed)));
+    assert!((a - b).abs() < 1e-9, "{a} {b}");
+}

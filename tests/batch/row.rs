@@ -23,6 +23,8 @@ fn scanners() -> Vec<Sensor> {
         scanner(uniform(13.0, 360.0 / 17.0, 17), (0.0, 100.0)),
         scanner(Angles::Listed(vec![-170.0, -3.0, 0.0, 0.01, 90.0, 179.0]), (1.0, f64::INFINITY)),
         scanner(uniform(45.0, 0.0, 1), (0.0, 30.0)),
+        scanner(uniform(-180.0, 0.5, 721), (0.0, 30.0)),
+        scanner(uniform(30.0, -360.0 / 7.0, 8), (0.0, 30.0)),
     ]
 }
 

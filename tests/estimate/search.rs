@@ -1,9 +1,11 @@
 //! Robots with unknown poses, in rooms whose ambiguities are known by hand.
 
 use super::*;
+use presight_localize::estimate::{Freedom, measured_points};
 use presight_localize::localize::{LocalizeOptions, Localizer, Phase, Search, SearchOptions};
 use presight_model::error::ErrorKind;
 use presight_model::measured::{Motion, OdometryNoise};
+use presight_testkit::scenes;
 
 /// A scanner of one row all round, 1.2 m above the floor, with a range of 20 m.
 fn row_scanner() -> Sensor {
@@ -260,4 +262,91 @@ fn beams_that_are_too_near_are_ignored() {
     let near = Frame::new(0.0, row_scanner(), Measurement::Range(ranges)).unwrap();
     let step = robot.step(&world, &near).unwrap();
     assert!(apart(&step.pose.world_from_robot, &truth).0 < 0.05, "{}", step.reason);
+}
+
+/// What holds the scanner, and how the robot leans.
+struct Held {
+    mount: Pose,
+    lean: [f64; 2],
+    elevation: f64,
+}
+
+/// Upright or upside down, turned anyhow, and off level by anything from rounding to three degrees.
+fn held(random: &mut Random, case: usize) -> Held {
+    let off = |random: &mut Random| random.uniform(-1.0, 1.0).signum() * 10f64.powf(random.uniform(-17.0, -1.3));
+    let over = if case.is_multiple_of(2) { std::f64::consts::PI } else { 0.0 };
+    let place = DVec3::new(random.uniform(-0.3, 0.3), random.uniform(-0.2, 0.2), 1.2);
+    let yaw = random.uniform(-3.0, 3.0);
+    let mount = Pose::from_xyz_rpy(place, over + off(random), off(random), yaw);
+    let lean = if case.is_multiple_of(3) { [off(random), off(random)] } else { [0.0; 2] };
+    Held { mount, lean, elevation: if case % 4 == 3 { 2.0 } else { 0.0 } }
+}
+
+/// A robot starts at a known pose or an unknown one, and is then carried away. No frame is an error. If it moves on a
+/// floor, the pose at the end of each part is as near to the truth as from an upright scanner.
+fn check_held(world: &World, held: &Held, freedom: Freedom, is_known: bool, random: &mut Random) {
+    let mut spec = row_scanner().spec().clone();
+    spec.mount = held.mount;
+    if let Geometry::Scanner(scanner) = &mut spec.geometry {
+        scanner.elevation = Angles::Listed(vec![held.elevation]);
+    }
+    let sensor = Sensor::new(spec).unwrap();
+    let make = || estimator(EstimateOptions::planar().with_freedom(freedom));
+    let options = options().with_lean(held.lean);
+    let lean = Pose::from_xyz_rpy(DVec3::ZERO, held.lean[0], held.lean[1], 0.0);
+    let mut robot = if is_known {
+        Localizer::new(make(), PoseEstimate::of_sigmas(start() * lean, 0.05, 0.03), LocalizeOptions::default())
+    } else {
+        let search = Search::new(&mut make(), world, &sensor, options).unwrap();
+        Localizer::unknown(make(), search, LocalizeOptions::default())
+    };
+    let elsewhere = Pose::from_xyz_rpy(DVec3::new(4.6, 2.0, 0.0), 0.0, 0.0, -2.4);
+    let (carried, mut may_search) = (7, is_known && freedom == Freedom::Planar);
+    for k in 0..carried + 16 {
+        let (from, steps) = if k < carried { (start(), k) } else { (elsewhere, k - carried) };
+        let at = from.transform_point(DVec3::new(0.1 * steps as f64, 0.0, 0.0));
+        let truth = Pose { translation: at, ..from } * lean;
+        let seen = sense(world, &sensor, &(truth * held.mount), random);
+        let mut frame = Frame::new(k as f64, sensor.clone(), seen.sensed().clone()).unwrap();
+        let ahead = Pose { translation: DVec3::new(0.1, 0.0, 0.0), ..Pose::IDENTITY };
+        frame.motion = Some(Motion::of_odometry(lean.inverse() * ahead * lean, &OdometryNoise::default()));
+        let step = robot.step(world, &frame).unwrap_or_else(|e| panic!("{k}, {:?}: {e}", held.mount));
+        if may_search && matches!(step.phase, Phase::Lost | Phase::Unknown) {
+            may_search = false;
+            robot.search_everywhere(world, &sensor, options).unwrap();
+        }
+        if freedom == Freedom::Planar && (k == carried - 1 || k == carried + 15) {
+            let (metres, degrees) = apart(&step.pose.world_from_robot, &truth);
+            assert!(
+                step.phase == Phase::Tracking && metres < 0.05 && degrees < 1.0,
+                "{k}: {metres} m {degrees} deg, {}, mount {:?}, lean {:?}",
+                step.reason,
+                held.mount.rpy(),
+                held.lean
+            );
+        }
+    }
+}
+
+#[test]
+fn a_mount_that_is_not_level_to_the_last_bit_is_like_an_upright_one() {
+    let (world, mut random) = (room(Vec3::ZERO), Random(31));
+    for case in 0..8 {
+        let held = held(&mut random, case);
+        check_held(&world, &held, Freedom::Planar, false, &mut random);
+        check_held(&world, &held, Freedom::Planar, true, &mut random);
+        check_held(&world, &held, Freedom::Full, case.is_multiple_of(2), &mut random);
+    }
+}
+
+/// A scanner that goes fully round measures 73 ranges in 72 directions, which are 72 points.
+#[test]
+fn a_beam_that_comes_twice_is_one_point() {
+    let of = |sensor: Sensor| {
+        let ranges = Measurement::Range(vec![2.0; sensor.width() as usize * sensor.height() as usize]);
+        measured_points(&Frame::new(0.0, sensor, ranges).unwrap())
+    };
+    let (once, twice) = (of(scenes::scanner(72, 3)), of(scenes::closed(73, 3)));
+    assert_eq!(once.len(), 3 * 72);
+    assert!(once.len() == twice.len() && once.iter().zip(&twice).all(|(a, b)| a.point == b.point));
 }

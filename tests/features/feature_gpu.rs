@@ -178,7 +178,8 @@ fn rooms_and_hard_scenes_give_equal_features() {
         let world = scenes::room_world(random.bits(), [5, 30, 80][scene]);
         let placed = features(&world, 150, &mut random);
         let pose = Pose::from_xyz_rpy(DVec3::new(0.2, -0.1, 1.4), 0.1, 0.1, random.uniform(-3.0, 3.0));
-        for sensor in [scenes::camera(200, 150), scenes::scanner(360, 31), scenes::fan(), scenes::all_round(144, 73)] {
+        let scanners = [scenes::scanner(360, 31), scenes::closed(361, 31), scenes::fan(), scenes::all_round(144, 73)];
+        for sensor in [scenes::camera(200, 150)].into_iter().chain(scanners) {
             let both = check("rooms", &mut predictor, &world, &sensor, &pose, &placed);
             sums.iter_mut().zip(both).for_each(|(sum, stats)| sum.add(&stats));
         }

@@ -1,5 +1,6 @@
 //! Features: generation, visibility, regions of interest, reduction by virtual sensors, and tracking.
 
+mod closed;
 mod contours;
 mod crowds;
 mod feature_gpu;

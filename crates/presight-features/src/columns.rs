@@ -3,23 +3,40 @@
 use glam::DVec3;
 use presight_model::sensor::{Angles, Geometry, Scanner, Sensor};
 
-/// An edge that turns by more than this share of half a turn passes too near the axis to decide on which side.
-const HALF: f64 = 0.999;
+/// An edge passes too near the axis to decide on which side if its distance from there is a smaller part of its length:
+/// it then turns by more than 99.9 % of half a turn.
+const HALF: f64 = 1e-3 * std::f64::consts::PI;
+/// An edge that turns by less, radians, may seem to turn the other way by rounding.
+const SLIGHTLY: f64 = 1e-3;
 
 /// Column interval of the image of a convex polygon, unwrapped: the lower end is in the first turn, and the upper end
-/// may exceed the width. Returns `None` if the polygon surrounds the axis or the columns are not uniform.
+/// may exceed the width. Returns `None` if the polygon surrounds the axis, or if uneven columns do not go fully round.
 pub(super) fn of_corners(sensor: &Sensor, corners: &[DVec3]) -> Option<[f64; 2]> {
     let turn = turn(sensor)?;
+    let mut from = corners.first()?.truncate();
     let first = sensor.project(*corners.first()?)?.0;
+    let Geometry::Scanner(Scanner { azimuth, .. }) = &sensor.spec().geometry else { return None };
+    let is_left = match azimuth {
+        Angles::Uniform { step_deg, .. } => *step_deg > 0.0,
+        Angles::Listed(angles) => angles.last() > angles.first(),
+    };
     // Azimuth is monotonic along an edge and spans less than half a turn.
     let (mut column, mut low, mut high) = (first, first, first);
     for corner in corners.iter().cycle().skip(1).take(corners.len()) {
-        let by = sensor.project(*corner)?.0 - column;
-        let by = by - turn * (by / turn).round();
-        if by.abs() > 0.5 * HALF * turn {
+        let to = corner.truncate();
+        let (across, along) = (from.perp_dot(to), from.dot(to));
+        if across.abs() <= -HALF * along {
             return None;
         }
-        column += by;
+        from = to;
+        let by = sensor.project(*corner)?.0 - column;
+        column += if across.abs() < SLIGHTLY * along {
+            by - turn * (by / turn).round()
+        } else if (across > 0.0) == is_left {
+            by.rem_euclid(turn)
+        } else {
+            -(-by).rem_euclid(turn)
+        };
         (low, high) = (low.min(column), high.max(column));
     }
     if (column - first).abs() > 0.5 * turn || high - low >= turn {
@@ -58,7 +75,7 @@ pub fn turn(sensor: &Sensor) -> Option<f64> {
         Geometry::Scanner(Scanner { azimuth: Angles::Uniform { step_deg, .. }, .. }) if *step_deg != 0.0 => {
             Some(360.0 / step_deg.abs())
         }
-        _ => None,
+        _ => sensor.columns_of_a_turn(),
     }
 }
 

@@ -112,6 +112,7 @@ impl Case {
             scenes::camera(33, 25),
             scenes::scanner(48, 13),
             scenes::scanner(180, 1),
+            scenes::closed(46, 5),
             scenes::all_round(24, 13),
             scenes::fan(),
             scenes::lens(29, 19),

@@ -83,6 +83,15 @@ pub fn scanner(columns: u32, rows: u32) -> Sensor {
     Sensor::new(SensorSpec::new("scanner", "laser", Geometry::Scanner(scanner))).expect("a sound scanner")
 }
 
+/// A scanner of the full turn whose last column has the direction of its first.
+pub fn closed(columns: u32, rows: u32) -> Sensor {
+    let spec = scanner(columns, rows).spec().clone();
+    let Geometry::Scanner(mut scanner) = spec.geometry.clone() else { unreachable!("a scanner") };
+    let step_deg = 360.0 / f64::from(columns - 1);
+    scanner.azimuth = Angles::Uniform { start_deg: -180.0, step_deg, count: columns };
+    Sensor::new(spec.with_geometry(Geometry::Scanner(scanner))).expect("a sound scanner")
+}
+
 /// A ray table over all directions, with poles and holes in it.
 pub fn all_round(columns: u32, rows: u32) -> Sensor {
     let ray = |c: u32, r: u32| {

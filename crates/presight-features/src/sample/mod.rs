@@ -147,12 +147,13 @@ impl<'a> Sampler<'a> {
 
     /// Column and row of the pixel nearest to a place in the image; columns beyond the seam continue on the other side.
     pub(super) fn nearest_pixel(&self, place: DVec2) -> (i64, i64) {
+        let columns = f64::from(self.sensor.distinct_columns());
         let x = match self.turn {
-            Some(turn) if !(place.x >= -0.5 && place.x < self.size.x - 0.5) => (place.x + 0.5).rem_euclid(turn) - 0.5,
+            Some(turn) if !(place.x >= -0.5 && place.x < columns - 0.5) => (place.x + 0.5).rem_euclid(turn) - 0.5,
             _ => place.x,
         };
         let nearest = |x: f64, n: f64| ((x + 0.5) as i64).min(n as i64 - 1);
-        (nearest(x, self.size.x), nearest(place.y, self.size.y))
+        (nearest(x, columns), nearest(place.y, self.size.y))
     }
 
     /// Samples a point of the image frame.

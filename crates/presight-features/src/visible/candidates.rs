@@ -88,7 +88,7 @@ impl Candidates {
             Some((0, -1)) => rows[1] = rows[0],
             _ => {}
         }
-        let wraps = frame.sampler.turn().is_some();
+        let (wraps, distinct) = (frame.sampler.turn().is_some(), i64::from(frame.sensor.distinct_columns()));
         for r in rows[0]..=rows[1] {
             let line = &frame.images.polygon_id[(r * w) as usize..((r + 1) * w) as usize];
             let inside = columns[0].max(0) as usize..(columns[1] + 1).clamp(0, w) as usize;
@@ -96,9 +96,9 @@ impl Candidates {
                 self.add_id(frame, polygons, *id, own);
             }
             if wraps && columns[0] < 0 {
-                self.add_id(frame, polygons, line[w as usize - 1], own);
+                self.add_id(frame, polygons, line[distinct as usize - 1], own);
             }
-            if wraps && columns[1] >= w {
+            if wraps && columns[1] >= distinct {
                 self.add_id(frame, polygons, line[0], own);
             }
         }

@@ -5,20 +5,36 @@ use crate::{FeatureStats, SeenFeature};
 use presight_model::environment::{Feature, FeatureShape};
 
 /// By pixel, the feature it shows. Points and landmarks win over segments, then contours, then patches; then lower ids.
-pub struct Marks(pub(super) Vec<u64>);
+pub struct Marks {
+    /// By pixel.
+    keys: Vec<u64>,
+    /// Columns of the image, and those with directions of their own.
+    columns: [usize; 2],
+}
 
 impl Marks {
+    pub fn new(pixels: usize, columns: [usize; 2]) -> Self {
+        Self { keys: vec![u64::MAX; pixels], columns }
+    }
+
     pub fn add(&mut self, feature: &Feature, pixels: &[u32]) {
         let key = u64::from(layer_of(&feature.shape)) << 32 | u64::from(feature.id);
         for pixel in pixels {
-            let at = &mut self.0[*pixel as usize];
+            let at = &mut self.keys[*pixel as usize];
             *at = key.min(*at);
         }
     }
 
     /// The ids of the features; 0 where no feature is seen.
     pub fn into_image(self) -> Vec<u32> {
-        self.0.into_iter().map(|key| if key == u64::MAX { 0 } else { key as u32 }).collect()
+        let [width, distinct] = self.columns;
+        let ids = self.keys.into_iter().map(|key| if key == u64::MAX { 0 } else { key as u32 });
+        let mut image: Vec<u32> = ids.collect();
+        // A last column with the direction of the first shows what the first does.
+        if distinct < width {
+            image.chunks_mut(width).for_each(|row| row[distinct] = row[0]);
+        }
+        image
     }
 }
 

@@ -300,7 +300,8 @@ impl<'a> PreparedFeatures<'a> {
     /// An image with no marks.
     pub fn marks(&self) -> Marks {
         let pixels = if self.feature_id { self.images.width as usize * self.images.height as usize } else { 0 };
-        Marks(vec![u64::MAX; pixels])
+        let distinct = self.frame.as_ref().map_or(self.images.width, |frame| frame.sensor.distinct_columns());
+        Marks::new(pixels, [self.images.width, distinct].map(|columns| columns as usize))
     }
 
     /// Approximate lengths of the features' images, pixels. Only good for comparing features with each other.

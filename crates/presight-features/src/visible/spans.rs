@@ -80,7 +80,12 @@ fn lines_of(grid: &LineGrid, query: &FeatureQuery<'_>) -> Vec<(Range<usize>, f64
             let (Some([low, high]), Some(turn)) = (columns::of_corners(sensor, points), columns::turn(sensor)) else {
                 return vec![(whole, 0.0)];
             };
-            // An image of several turns shows the same azimuths several times. Columns continue only over a seam.
+            // A column that comes twice counts once. Columns continue only over a seam.
+            let count = sensor.distinct_columns() as usize;
+            let between = |low: f64, high: f64| {
+                let lines = between(low, high);
+                lines.start.min(count)..lines.end.min(count)
+            };
             let turns = (-1..).map(|k| turn * f64::from(k)).take_while(|by| low + by <= count as f64);
             let goes_on = query.frame.sampler.turn().is_some();
             let lines = turns.map(|by| (between(low + by, high + by), if goes_on { -by } else { 0.0 }));

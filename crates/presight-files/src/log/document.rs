@@ -12,7 +12,7 @@ use glam::DVec3;
 use presight_model::error::{Error, Result};
 use presight_model::geometry::Pose;
 use presight_model::limits;
-use presight_model::sensor::{Angles, Geometry, Noise, Scanner, Sensor, SensorSpec};
+use presight_model::sensor::{Angles, Geometry, Noise, SAME_ANGLE, Scanner, Sensor, SensorSpec};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
@@ -156,7 +156,9 @@ fn spec(file: &File, name: String) -> Result<SensorSpec> {
             let beams = file.beams.ok_or_else(|| missing("beams"))?;
             let least = file.angle_min.ok_or_else(|| missing("angle_min"))?;
             let greatest = file.angle_max.ok_or_else(|| missing("angle_max"))?;
-            if least.abs().max(greatest.abs()) > std::f64::consts::TAU {
+            // A turn as drivers round it, such as 6.28318977.
+            let step = (greatest - least).abs() / f64::from(beams.saturating_sub(1).max(1));
+            if least.abs().max(greatest.abs()) > std::f64::consts::TAU + SAME_ANGLE * step {
                 let what = format!("angle_min {least} and angle_max {greatest} are more than a turn");
                 return Err(Error::invalid(what, "give radians: 90 degrees are 1.5708"));
             }

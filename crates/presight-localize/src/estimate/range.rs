@@ -52,10 +52,11 @@ pub struct MeasuredPoint {
     pub normal: Vec3,
 }
 
-/// The measured points of a frame, image frame, metres: those with a finite range within the sensor's limits.
+/// The measured points of a frame, image frame, metres: those with a finite range within the sensor's limits. A beam
+/// that comes twice counts once.
 pub fn measured_points(frame: &Frame) -> Vec<MeasuredPoint> {
     let sensor = frame.sensor();
-    let width = sensor.width() as usize;
+    let (width, distinct) = (sensor.width() as usize, sensor.distinct_columns() as usize);
     let spec = sensor.spec();
     let height = sensor.height() as usize;
     let point = |(i, range): (usize, &f32)| {
@@ -69,18 +70,18 @@ pub fn measured_points(frame: &Frame) -> Vec<MeasuredPoint> {
     let upright = height == 1 && !sensor.is_camera();
     let rows = (0..height).into_par_iter().with_min_len(CHUNK.div_ceil(width.max(1)));
     let rows: Vec<Vec<MeasuredPoint>> =
-        parallel_or_here(|| rows.map(|row| points_of_row(&points, width, row, upright)).collect());
+        parallel_or_here(|| rows.map(|row| points_of_row(&points, width, distinct, row, upright)).collect());
     rows.concat()
 }
 
-/// Those of one row. One row alone shows surfaces as lines: they are taken to stand `upright` on it.
-fn points_of_row(points: &[Vec3], width: usize, row: usize, upright: bool) -> Vec<MeasuredPoint> {
+/// Those in the first `distinct` columns of one row. One row alone shows surfaces as lines: they are taken to stand `upright` on it.
+fn points_of_row(points: &[Vec3], width: usize, distinct: usize, row: usize, upright: bool) -> Vec<MeasuredPoint> {
     /// Columns and rows between a point and the neighbours that tell its normal.
     const N: usize = 2;
     let last = points.len() / width - 1;
     let at = |c: usize, r: usize| points[r * width + c];
     let mut found = Vec::with_capacity(width);
-    for c in 0..width {
+    for c in 0..distinct {
         let p = at(c, row);
         if p.is_nan() {
             continue;

@@ -82,7 +82,10 @@ struct BrightScan<'a> {
     frame: &'a Frame,
     intensity: &'a GreyImage,
     options: &'a ReflectorOptions,
+    /// Without a column that comes twice.
     size: Pixel,
+    /// Columns of the image.
+    width: i64,
     /// True if the last column is next to the first.
     is_round: bool,
 }
@@ -97,9 +100,10 @@ struct BrightSpot {
 impl<'a> BrightScan<'a> {
     fn new(frame: &'a Frame, intensity: &'a GreyImage, options: &'a ReflectorOptions) -> Self {
         let sensor = frame.sensor();
-        let size = (i64::from(sensor.width()), i64::from(sensor.height()));
+        let (size, width) =
+            ((i64::from(sensor.distinct_columns()), i64::from(sensor.height())), i64::from(sensor.width()));
         let is_round = sensor.columns_of_a_turn().is_some_and(|turn| (turn - size.0 as f64).abs() < 1e-6);
-        Self { frame, intensity, options, size, is_round }
+        Self { frame, intensity, options, size, width, is_round }
     }
 
     /// First and last column and row of a region. A full turn may exceed the width; a single row is always included.
@@ -124,7 +128,7 @@ impl<'a> BrightScan<'a> {
     fn reading(&self, at: Pixel) -> Option<f64> {
         let (c, r) = self.wrapped(at);
         let inside = (0..self.size.0).contains(&c) && (0..self.size.1).contains(&r);
-        inside.then(|| f64::from(self.frame.ranges()[(r * self.size.0 + c) as usize]))
+        inside.then(|| f64::from(self.frame.ranges()[(r * self.width + c) as usize]))
     }
 
     /// The range of a bright pixel.

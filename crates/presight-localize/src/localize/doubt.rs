@@ -14,12 +14,12 @@ use presight_render::row::is_level;
 const MORE: f64 = 0.15;
 
 impl Localizer {
-    /// True if one Gaussian should not decide on a level scanner's frame.
+    /// True if one Gaussian should not decide on the frame of a level scanner, or of a row.
     pub(super) fn is_doubtful(&self, frame: &Frame, estimate: &Estimate) -> bool {
         let followed = matches!(self.phase, Phase::Tracking | Phase::Candidates);
-        let spec = frame.sensor().spec();
-        let level = is_level(&spec.mount) && !frame.sensor().is_camera();
-        let weighable = self.estimator.options.freedom == Freedom::Planar && level;
+        let sensor = frame.sensor();
+        let scanned = (sensor.height() == 1 || is_level(&sensor.spec().mount)) && !sensor.is_camera();
+        let weighable = self.estimator.options.freedom == Freedom::Planar && scanned;
         let coarse = self.is_coarse();
         let little = !estimate.rests_on_reflectors()
             && (coarse || estimate.explained < self.options.little || !estimate.is_determined());
@@ -29,7 +29,9 @@ impl Localizer {
     /// Draws hypotheses from what was known before the frame.
     pub(super) fn doubt(&mut self, world: &World, frame: &Frame, prior: &PoseEstimate) -> Result<()> {
         let model_sigma = self.estimator.options.model_sigma;
-        let likelihood = PoseLikelihood::new(frame.sensor(), world, model_sigma, self.options.beam_dependence)?;
+        let (sensor, dependence) = (frame.sensor(), self.options.beam_dependence);
+        let level_from_sensor = prior.world_from_robot.rotation * sensor.spec().mount.rotation;
+        let likelihood = PoseLikelihood::new(sensor, level_from_sensor, world, model_sigma, dependence)?;
         self.hypotheses = Some(Hypotheses::new(prior, self.options.hypotheses, likelihood));
         self.agreed_again = 0;
         Ok(())

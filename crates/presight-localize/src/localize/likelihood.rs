@@ -4,10 +4,11 @@ use glam::{DQuat, DVec3};
 use presight_model::error::Result;
 use presight_model::geometry::Pose;
 use presight_model::measured::{Frame, Measurement, RangeNoise};
-use presight_model::sensor::Sensor;
+use presight_model::sensor::{Angles, Geometry, Sensor, SensorSpec};
 use presight_model::world::World;
 use presight_predict::batch::{BatchRequest, PoseCell, RangeLikelihood};
 use presight_predict::predict::Predictor;
+use presight_render::row::is_level;
 
 /// A sensor with the noise of its ranges and of the model together.
 #[derive(Clone, Debug)]
@@ -19,31 +20,55 @@ pub(super) struct PoseLikelihood {
     level: bool,
 }
 
-/// Pixels along the longer side of an image that is weighed: more only cost time, as neighbours err together.
+/// A row counts as level if it leaves its height by no more within its reach, metres.
+const LEVEL: f64 = 0.05;
+
+/// Pixels along the longer side of an image that is weighed, of a single row as many as in such an image: more only
+/// cost time, as neighbours err together.
 const SIDE: u32 = 24;
 
 impl PoseLikelihood {
-    /// `beam_dependence` is for a sensor that states none. The reach of a sensor without `range_max` is the map's extent.
-    pub fn new(sensor: &Sensor, world: &World, model_sigma: f64, beam_dependence: f64) -> Result<Self> {
-        let mut spec = sensor.spec().clone();
-        if spec.range_max.is_infinite() {
-            spec.range_max = reach_of(world);
+    /// `level_from_sensor` is how the sensor stands. A row that hangs upside down becomes the upright one that sees the
+    /// same. `beam_dependence` is for a sensor that states none. The reach of a sensor without `range_max` is the map's
+    /// extent.
+    pub fn new(
+        sensor: &Sensor,
+        level_from_sensor: DQuat,
+        world: &World,
+        model_sigma: f64,
+        beam_dependence: f64,
+    ) -> Result<Self> {
+        let mut spec = with_noise(sensor, world, model_sigma, beam_dependence);
+        let up = level_from_sensor * DVec3::Z;
+        let reach = spec.range_max.min(reach_of(world));
+        let mut level = is_level(&Pose { rotation: level_from_sensor, ..Pose::IDENTITY });
+        if let Geometry::Scanner(scanner) = &mut spec.geometry
+            && sensor.height() == 1
+            && reach * up.truncate().length() <= LEVEL
+        {
+            level = true;
+            if up.z < 0.0 {
+                scanner.azimuth = mirrored(&scanner.azimuth);
+                scanner.elevation = mirrored(&scanner.elevation);
+            }
         }
-        spec.noise.range_sigma = RangeNoise::of(sensor).sigma.hypot(model_sigma);
-        if spec.noise.mixture.beam_dependence == 1.0 {
-            spec.noise.mixture.beam_dependence = beam_dependence;
-        }
-        Ok(Self { scanner: Sensor::new(spec)?, stride: 1, level: true })
+        Ok(Self { level, scanner: Sensor::new(spec)?, stride: 1 })
     }
 
-    /// Of a sensor of any shape that may lean: a few of its pixels count.
+    /// Weighs a few pixels of a sensor of any shape.
     pub fn of_image(sensor: &Sensor, world: &World, model_sigma: f64, beam_dependence: f64) -> Result<Self> {
-        let stride = (sensor.width().max(sensor.height()) / SIDE).max(1);
+        let most = if sensor.height() == 1 { SIDE * SIDE } else { SIDE };
+        let stride = (sensor.width().max(sensor.height()) / most).max(1);
         let nothing = vec![f32::NAN; sensor.width() as usize * sensor.height() as usize];
         let thin = Frame::new(0.0, sensor.clone(), Measurement::Range(nothing))?.thinned(stride)?;
-        let mut spec = thin.sensor().spec().clone();
+        let mut spec = with_noise(thin.sensor(), world, model_sigma, beam_dependence);
         spec.range_max = spec.range_max.min(reach_of(world));
-        Ok(Self { stride, level: false, ..Self::new(&Sensor::new(spec)?, world, model_sigma, beam_dependence)? })
+        Ok(Self { scanner: Sensor::new(spec)?, stride, level: false })
+    }
+
+    /// True if the row is level, so that its view turns with it.
+    pub fn is_level(&self) -> bool {
+        self.level
     }
 
     /// The pixels of a frame that count.
@@ -102,8 +127,36 @@ fn reach_of(world: &World) -> f64 {
     if bounds.is_empty() { 1.0 } else { (bounds.max - bounds.min).length().max(1.0) }
 }
 
-/// The pose with its z axis upright: what rounding turned away is turned back.
+/// The pose with its z axis upright and its x axis where it was: what rounding turned away is turned back.
 fn upright(pose: &Pose) -> Pose {
-    let x = pose.rotation * DVec3::X;
-    Pose { rotation: DQuat::from_rotation_z(x.y.atan2(x.x)), ..*pose }
+    Pose { rotation: DQuat::from_rotation_z(heading_of(pose.rotation)), ..*pose }
+}
+
+/// The azimuth of the x axis, radians.
+pub(super) fn heading_of(rotation: DQuat) -> f64 {
+    let x = rotation * DVec3::X;
+    x.y.atan2(x.x)
+}
+
+/// The same angles to the other side.
+fn mirrored(angles: &Angles) -> Angles {
+    match angles {
+        Angles::Uniform { start_deg, step_deg, count } => {
+            Angles::Uniform { start_deg: -start_deg, step_deg: -step_deg, count: *count }
+        }
+        Angles::Listed(angles) => Angles::Listed(angles.iter().map(|a| -a).collect()),
+    }
+}
+
+/// The specification of a sensor, with the noise of its ranges and of the model together.
+fn with_noise(sensor: &Sensor, world: &World, model_sigma: f64, beam_dependence: f64) -> SensorSpec {
+    let mut spec = sensor.spec().clone();
+    if spec.range_max.is_infinite() {
+        spec.range_max = reach_of(world);
+    }
+    spec.noise.range_sigma = RangeNoise::of(sensor).sigma.hypot(model_sigma);
+    if spec.noise.mixture.beam_dependence == 1.0 {
+        spec.noise.mixture.beam_dependence = beam_dependence;
+    }
+    spec
 }

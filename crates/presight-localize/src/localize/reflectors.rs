@@ -1,7 +1,7 @@
 //! Reflectors in a search: at which places and headings the bright spots of a scan are reflectors of the layer.
 
 use crate::extract::{PixelBox, ReflectorOptions, reflectors_in};
-use glam::{DVec2, DVec3};
+use glam::{DQuat, DVec2, DVec3};
 use presight_model::error::Result;
 use presight_model::measured::{Frame, RangeNoise};
 use std::f64::consts::{FRAC_1_SQRT_2, TAU};
@@ -33,17 +33,18 @@ struct Spot {
 
 impl SeenReflectors {
     /// Those of a scan; `None` if it shows none, or too much. `known` is where the layer has its reflectors (world).
+    /// `upright_from_sensor` makes the row level, and keeps its x axis.
     ///
     /// # Errors
     /// Those of [`reflectors_in`].
-    pub fn of(frame: &Frame, known: &[DVec3]) -> Result<Option<Self>> {
+    pub fn of(frame: &Frame, upright_from_sensor: DQuat, known: &[DVec3]) -> Result<Option<Self>> {
         let Some(intensities) = frame.intensities().filter(|_| !known.is_empty()) else { return Ok(None) };
         let sensor = frame.sensor();
         let (body, noise) = (sensor.body_from_image(), RangeNoise::of(sensor));
         let found = reflectors_in(frame, intensities, PixelBox::whole_of(sensor), &ReflectorOptions::default())?;
         let spot = |found: &crate::extract::FoundReflector| {
             let at = found.detection.shape.centre();
-            let way = body * sensor.ray_at(at.x, at.y)? * found.range.mean;
+            let way = upright_from_sensor * (body * sensor.ray_at(at.x, at.y)?) * found.range.mean;
             let sigma = noise.range_sigma(found.range.mean);
             Some(Spot { bearing: way.y.atan2(way.x), range: way.truncate().length(), sigma })
         };

@@ -101,10 +101,11 @@ impl RoundViews {
 
     fn directions(&self, frame: &Frame, sigma: f64, cell: f64) -> Vec<SeenDirection> {
         let sensor = frame.sensor();
-        let width = sensor.width() as usize;
+        let (width, distinct) = (sensor.width() as usize, sensor.distinct_columns() as usize);
         let body = sensor.body_from_image();
         let direction = |(i, range): (usize, &f32)| {
-            let ray = sensor.ray((i % width) as u32, (i / width) as u32).filter(|_| range.is_finite())?;
+            let is_seen = range.is_finite() && i % width < distinct;
+            let ray = sensor.ray((i % width) as u32, (i / width) as u32).filter(|_| is_seen)?;
             let ray = self.level_from_sensor * (body * ray);
             let row = (FRAC_PI_2 - ray.z.clamp(-1.0, 1.0).asin()) / STEP;
             let column = ((ray.y.atan2(ray.x) + PI) / STEP).round() as usize % HEADINGS;

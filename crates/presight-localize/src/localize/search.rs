@@ -1,11 +1,11 @@
 //! Where a robot may be that nothing is known of: one scan weighed at all headings of all free places, and the best places refined.
 
-use super::likelihood::PoseLikelihood;
+use super::likelihood::{PoseLikelihood, heading_of};
 use super::reflectors::{ODDS, SeenReflectors};
 use super::round::{HEADINGS, RoundViews, STEP};
 use crate::estimate::{Estimate, Estimator, Freedom};
 use crate::verdict::Verdicts;
-use glam::DVec3;
+use glam::{DQuat, DVec3};
 use presight_model::error::{Error, Result};
 use presight_model::geometry::{Pose, PoseEstimate};
 use presight_model::measured::{Frame, RangeNoise};
@@ -96,6 +96,8 @@ pub struct Search {
     options: SearchOptions,
     views: Views,
     likelihood: PoseLikelihood,
+    /// How the sensor stands where the robot's heading is 0.
+    level_from_sensor: DQuat,
 }
 
 /// What is seen from free places.
@@ -118,33 +120,36 @@ const APART: (f64, f64) = (2.0, 8.0);
 
 impl Search {
     /// Looks round at all free places of a world; `estimator` is the one that refines. A level scanner takes part with all its
-    /// beams and needs [`Freedom::Planar`]. What any other sensor sees is compared in steps of 5 degrees; its robot leans as `options` say.
+    /// beams and needs [`Freedom::Planar`], as does a row that hangs upside down. What any other sensor sees is compared in steps of
+    /// 5 degrees; its robot leans as `options` say.
     ///
     /// # Errors
-    /// [`presight_model::ErrorKind::Usage`] for a level scanner that is not in equal steps, if the world has no free
-    /// place or too many; those of [`presight_predict::Predictor::panoramas`] and
+    /// [`presight_model::ErrorKind::Usage`] if the world has no free place or too many; the errors of [`presight_predict::Predictor::panoramas`] and
     /// [`presight_predict::Predictor::batch`].
     pub fn new(estimator: &mut Estimator, world: &World, sensor: &Sensor, options: SearchOptions) -> Result<Self> {
         options.check()?;
         let planar = estimator.options.freedom == Freedom::Planar;
-        let scanner = matches!(sensor.spec().geometry, Geometry::Scanner(_));
-        let level = scanner && is_level(&sensor.spec().mount) && options.lean == [0.0; 2];
-        if level && !planar && sensor.height() == 1 {
+        let mount = &sensor.spec().mount;
+        let is_scanner = matches!(sensor.spec().geometry, Geometry::Scanner(_));
+        let is_upright = is_scanner && is_level(mount) && options.lean == [0.0; 2];
+        if is_upright && !planar && sensor.height() == 1 {
             return Err(Error::usage("an unknown start with six numbers", "give an estimator of Freedom::Planar"));
         }
+        let level_from_sensor = options.lean() * *mount;
         let (model_sigma, dependence) = (estimator.options.model_sigma, options.beam_dependence);
-        let (views, likelihood) = if level && planar {
-            let likelihood = PoseLikelihood::new(sensor, world, model_sigma, dependence)?;
-            let headings = Headings::new(likelihood.scanner(), headings_of(sensor, options.headings))?;
-            let places = grid(world, options.floor + sensor.spec().mount.translation.z, &options)?;
+        let row = |sensor| PoseLikelihood::new(sensor, level_from_sensor.rotation, world, model_sigma, dependence);
+        let row = (is_scanner && planar).then(|| row(sensor)).transpose()?.filter(PoseLikelihood::is_level);
+        let (views, likelihood) = if let Some(row) = row {
+            let headings = Headings::new(row.scanner(), headings_of(sensor, options.headings))?;
+            let places = grid(world, options.floor + level_from_sensor.translation.z, &options)?;
             let mut panoramas = estimator.predictor.panoramas(world, &headings, places)?;
             panoramas.retain(|range| options.is_free(range));
-            (Views::Level(panoramas), likelihood)
+            (Views::Level(panoramas), row)
         } else {
             let likelihood = PoseLikelihood::of_image(sensor, world, model_sigma, dependence)?;
             (Views::Round(round_views(estimator, world, sensor, &options)?), likelihood)
         };
-        let search = Self { options, views, likelihood };
+        let search = Self { options, views, likelihood, level_from_sensor: level_from_sensor.rotation };
         if search.places().is_empty() {
             let what = format!("the map has no free place at {} m", options.floor + sensor.spec().mount.translation.z);
             return Err(Error::usage(what, "give the height of the floor, or a pose to start from"));
@@ -194,13 +199,18 @@ impl Search {
                     return Ok(Vec::new());
                 };
                 let mut weights = predictor.weigh_panoramas(panoramas, &sensed)?;
-                if let Some(seen) = SeenReflectors::of(frame, &known)? {
+                // A heading of the panorama is where the sensor's x axis points.
+                let own = DQuat::from_rotation_z(-heading_of(self.level_from_sensor)) * self.level_from_sensor;
+                if let Some(seen) = SeenReflectors::of(frame, own, &known)? {
                     let places = panoramas.places().par_iter().zip(weights.par_chunks_mut(headings.count() as usize));
                     let add = |(place, logs): (&DVec3, &mut [f32])| seen.add_to(logs, place.truncate(), cell);
                     predictor.on_threads(|| places.for_each(add))?;
                 }
                 let found = peaks(panoramas.places(), headings.count() as usize, &weights, most, cell);
-                let pose = |(place, heading): (usize, u32)| headings.pose(panoramas.places()[place], heading);
+                let pose = |(place, heading): (usize, u32)| {
+                    let pose = headings.pose(panoramas.places()[place], heading);
+                    Pose { rotation: pose.rotation * own, ..pose }
+                };
                 Ok(found.into_iter().map(|peak| prior(pose(peak), turn)).collect())
             }
             Views::Round(views) => {
@@ -264,6 +274,10 @@ impl SearchOptions {
         Ok(())
     }
 
+    fn lean(&self) -> Pose {
+        Pose::from_xyz_rpy(DVec3::ZERO, self.lean[0], self.lean[1], 0.0)
+    }
+
     /// True if nothing is too near, and something is met in enough directions.
     fn is_free(&self, range: &[f32]) -> bool {
         let met = range.iter().filter(|r| !(**r == f32::INFINITY)).count() as f64;
@@ -279,8 +293,7 @@ fn round_views(
     sensor: &Sensor,
     options: &SearchOptions,
 ) -> Result<RoundViews> {
-    let lean = Pose::from_xyz_rpy(DVec3::ZERO, options.lean[0], options.lean[1], 0.0);
-    let level_from_sensor = lean * sensor.spec().mount;
+    let level_from_sensor = options.lean() * sensor.spec().mount;
     let steps = ((options.floor_to - options.floor) / options.cell).max(0.0).floor();
     if !(steps < MOST_ROUND as f64) {
         return Err(Error::usage(format!("an unknown start at {steps} heights"), "give a wider cell"));
@@ -315,17 +328,12 @@ pub fn is_same(a: &Pose, b: &Pose) -> bool {
     (a.translation - b.translation).length() < 0.3 && a.rotation.angle_between(b.rotation) < 0.1
 }
 
-/// As many headings as divide the beams of a full turn, but no more than asked for. A scanner without such beams has one, and
-/// [`Headings::new`] tells why that will not do.
+/// The largest number of headings up to `most` that divides the beams of a full turn; `most` if that is less than half of it.
 fn headings_of(sensor: &Sensor, most: u32) -> u32 {
-    let step = match &sensor.spec().geometry {
-        Geometry::Scanner(scanner) if scanner.azimuth.len() > 1 => {
-            scanner.azimuth.degrees(1) - scanner.azimuth.degrees(0)
-        }
-        _ => 360.0,
-    };
-    let beams = (360.0 / step.abs()).round().clamp(1.0, 1e6) as u32;
-    (1..=most.min(beams)).rev().find(|n| beams.is_multiple_of(*n)).unwrap_or(1)
+    let Geometry::Scanner(scanner) = &sensor.spec().geometry else { return most };
+    let beams = (360.0 / scanner.azimuth.mean_step().abs()).round().clamp(1.0, 1e6) as u32;
+    let least = most.min(beams).div_ceil(2);
+    (least..=most).rev().find(|n| beams.is_multiple_of(*n)).unwrap_or(most)
 }
 
 /// Places over the bounds of the world and the margin around them, a cell apart.

@@ -31,7 +31,7 @@ pub use presets::{PRESETS, Preset};
 pub use ray_grid::{Cones, ForwardView, Sides, TILE_SIDE, TileLookup, TileRays};
 pub use ray_grid::{RayGrid, Tile};
 pub use rays::RayTable;
-pub use scanner::{Angles, Scanner};
+pub use scanner::{Angles, SAME_ANGLE, Scanner};
 pub use undistort::Lens;
 
 use crate::error::{Error, ErrorKind, Result};
@@ -174,13 +174,17 @@ struct SensorData {
 }
 
 impl Sensor {
-    /// Checks the specification and builds the ray tables, f64.
+    /// Checks the specification and builds the ray tables, f64. A scanner whose last beam is one turn on from the first
+    /// within [`SAME_ANGLE`] gets a step, or a last angle, that leads there exactly.
     ///
     /// # Errors
     /// [`ErrorKind::Invalid`]: an image side of 0 or beyond [`limits::MAX_IMAGE_SIDE`], non-finite
     /// intrinsics, duplicate elevations, range limits out of order; [`ErrorKind::System`] if there is no memory for the
     /// ray tables.
-    pub fn new(spec: SensorSpec) -> Result<Self> {
+    pub fn new(mut spec: SensorSpec) -> Result<Self> {
+        if let Geometry::Scanner(scanner) = spec.geometry {
+            spec.geometry = Geometry::Scanner(Scanner { azimuth: scanner.azimuth.closed(), ..scanner });
+        }
         let checked = check(&spec).and_then(|()| {
             memory::require(ray_table_bytes(&spec))?;
             Ok(match &spec.geometry {
@@ -208,6 +212,17 @@ impl Sensor {
     /// Image columns.
     pub fn width(&self) -> u32 {
         self.0.width
+    }
+
+    /// Image columns without the last one of a scanner that goes fully round and ends with the direction of its first.
+    /// Both columns show that direction, and a measurement counts only in the first.
+    pub fn distinct_columns(&self) -> u32 {
+        match self.grid() {
+            PixelGrid::Lines(grid) if grid.axis() == LineAxis::Columns && self.0.width > 1 => {
+                self.0.width - u32::from(grid.lines()[0] == grid.lines()[self.0.width as usize - 1])
+            }
+            _ => self.0.width,
+        }
     }
 
     /// Image rows.

@@ -38,8 +38,11 @@ enum Axis {
         step: f64,
         count: usize,
     },
-    /// At least two, rising or falling.
-    Listed(Vec<f64>),
+    /// At least two, rising or falling. If the pixels go fully round, one more on either side of them.
+    Listed {
+        angles: Vec<f64>,
+        is_round: bool,
+    },
 }
 
 impl Axis {
@@ -50,14 +53,27 @@ impl Axis {
                 Self::Uniform { start: *only, step: step.filter(|s| *s != 0.0).unwrap_or(lone), count: 1 }
             }
             ([first, ..], Some(step)) => Self::Uniform { start: *first, step, count: angles.len() },
-            _ => Self::Listed(angles.to_vec()),
+            _ => Self::Listed { angles: angles.to_vec(), is_round: false },
         }
+    }
+
+    /// With the neighbours of the first and of the last pixel over the seam, of `turn` columns in 360 degrees.
+    fn closed(self, turn: f64) -> Self {
+        let Self::Listed { angles, is_round: false } = self else { return self };
+        let (count, distinct) = (angles.len(), turn as usize);
+        let by = 360f64.copysign(angles[count - 1] - angles[0]);
+        let (before, after) = (angles[distinct - 1] - by, angles[count - distinct] + by);
+        let angles = std::iter::once(before).chain(angles).chain([after]).collect();
+        Self::Listed { angles, is_round: true }
     }
 
     fn ends(&self) -> (f64, f64) {
         match self {
             Self::Uniform { start, step, count } => (*start, start + (*count - 1) as f64 * step),
-            Self::Listed(angles) => (angles[0], angles[angles.len() - 1]),
+            Self::Listed { angles, is_round } => {
+                let beside = usize::from(*is_round);
+                (angles[beside], angles[angles.len() - 1 - beside])
+            }
         }
     }
 
@@ -65,11 +81,11 @@ impl Axis {
     fn number(&self, angle: f64) -> f64 {
         match self {
             Self::Uniform { start, step, .. } => (angle - start) / step,
-            Self::Listed(angles) => {
+            Self::Listed { angles, is_round } => {
                 let rising = angles[1] > angles[0];
                 let after = angles.partition_point(|a| if rising { *a <= angle } else { *a >= angle });
                 let i = after.clamp(1, angles.len() - 1) - 1;
-                i as f64 + (angle - angles[i]) / (angles[i + 1] - angles[i])
+                i as f64 + (angle - angles[i]) / (angles[i + 1] - angles[i]) - f64::from(*is_round)
             }
         }
     }
@@ -78,7 +94,8 @@ impl Axis {
     fn angle(&self, number: f64) -> f64 {
         match self {
             Self::Uniform { start, step, .. } => start + number * step,
-            Self::Listed(angles) => {
+            Self::Listed { angles, is_round } => {
+                let number = number + f64::from(*is_round);
                 let i = (number.floor().max(0.0) as usize).min(angles.len() - 2);
                 angles[i] + (number - i as f64) * (angles[i + 1] - angles[i])
             }
@@ -95,6 +112,10 @@ impl Beams {
             Angles::Listed(_) => None,
         };
         let azimuth = Axis::new(&azimuths, step(&scanner.azimuth), 1.0);
+        let azimuth = match scanner.columns_of_a_turn() {
+            Some(turn) => azimuth.closed(turn),
+            None => azimuth,
+        };
         let (first, last) = azimuth.ends();
         let across = if azimuths.len() > 1 { (last - first).abs() / (azimuths.len() - 1) as f64 } else { 1.0 };
         // Rows have falling elevation, whatever the order in the file. A single row is as high as its beam, or square.
@@ -283,12 +304,8 @@ impl Sensor {
 
     /// Number of columns of a full turn, if the last column of a scanner is next to the first.
     pub fn columns_of_a_turn(&self) -> Option<f64> {
-        let Geometry::Scanner(Scanner { azimuth: Angles::Uniform { step_deg, count, .. }, .. }) = &self.spec().geometry
-        else {
-            return None;
-        };
-        let turn = 360.0 / step_deg.abs();
-        (*count > 1 && f64::from(*count) > turn - 1.0 + 1e-6).then_some(turn)
+        let Geometry::Scanner(scanner) = &self.spec().geometry else { return None };
+        scanner.columns_of_a_turn()
     }
 
     /// Checks that features can be projected onto the sensor's image.
@@ -482,6 +499,30 @@ mod tests {
         assert_eq!(scanner(uniform(-180.0, 1.0, 350), uniform(0.0, 0.0, 1)).columns_of_a_turn(), None);
         let back = scanner(uniform(-180.0, 1.0, 360), uniform(0.0, 0.0, 1)).project(DVec3::new(-1.0, -1e-9, 0.0));
         assert!((back.unwrap().0).abs() < 1e-6, "{back:?}");
+        // A turn has a column that comes twice only once.
+        let twice = |azimuth| scanner(azimuth, uniform(0.0, 0.0, 1)).columns_of_a_turn().unwrap();
+        assert!((twice(uniform(-180.0, 0.500_695_410_292_072_3, 720)) - 719.0).abs() < 1e-9);
+        assert_eq!(twice(Angles::Listed(vec![-180.0, -50.0, 10.0, 180.0])), 3.0);
+    }
+
+    /// By hand: azimuths 40, 90, 200 and 340 degrees go round: from the last to the first it is 60 degrees, less
+    /// than two steps of 140. 15 degrees lie 35 of them behind 340, and 25 before 40.
+    #[test]
+    fn uneven_columns_go_on_over_the_seam() {
+        let at = |degrees: f64| DVec3::new(degrees.to_radians().cos(), degrees.to_radians().sin(), 0.0);
+        for falling in [false, true] {
+            let sign = if falling { -1.0 } else { 1.0 };
+            let listed = [40.0, 90.0, 200.0, 340.0].map(|a| sign * a);
+            let s = scanner(Angles::Listed(listed.to_vec()), uniform(0.0, 0.0, 1));
+            assert_eq!(s.columns_of_a_turn(), Some(4.0));
+            for (degrees, column) in [(90.0, 1.0), (270.0, 2.5), (355.0, 3.25), (15.0, -25.0 / 60.0)] {
+                let (u, _) = s.project(at(sign * degrees)).unwrap();
+                assert!((u - column).abs() < 1e-9, "{degrees}: {u}");
+                assert!(s.ray_at(u, 0.0).unwrap().distance(at(sign * degrees)) < 1e-9, "{degrees}");
+            }
+        }
+        let half = scanner(Angles::Listed(vec![0.0, 90.0, 170.0]), uniform(0.0, 0.0, 1));
+        assert_eq!(half.columns_of_a_turn(), None);
     }
 
     proptest! {

@@ -36,6 +36,41 @@ impl Angles {
         self.len() == 0
     }
 
+    /// Mean angle from beam to beam, degrees, of either sign; 0 for fewer than two beams.
+    pub fn mean_step(&self) -> f64 {
+        match self {
+            Self::Uniform { step_deg, count: 2.., .. } => *step_deg,
+            Self::Listed(angles) if angles.len() > 1 => {
+                (angles[angles.len() - 1] - angles[0]) / (angles.len() - 1) as f64
+            }
+            _ => 0.0,
+        }
+    }
+
+    /// True if the last beam has the direction of the first, one turn on, within [`SAME_ANGLE`].
+    fn is_closed(&self) -> bool {
+        let (step, count) = (self.mean_step().abs(), self.len());
+        step.is_normal() && (step * (count - 1) as f64 - 360.0).abs() <= SAME_ANGLE * step
+    }
+
+    /// Azimuths whose last beam is exactly one turn on from the first if the two have one direction.
+    pub(super) fn closed(self) -> Self {
+        if !self.is_closed() {
+            return self;
+        }
+        match self {
+            Self::Uniform { start_deg, step_deg, count } => {
+                Self::Uniform { start_deg, step_deg: 360f64.copysign(step_deg) / f64::from(count - 1), count }
+            }
+            Self::Listed(mut angles) => {
+                let turn = 360f64.copysign(angles[angles.len() - 1] - angles[0]);
+                let last = angles.len() - 1;
+                angles[last] = angles[0] + turn;
+                Self::Listed(angles)
+            }
+        }
+    }
+
     /// Angle of beam `i`, degrees.
     #[inline]
     pub fn degrees(&self, i: usize) -> f64 {
@@ -57,6 +92,9 @@ pub struct Scanner {
     pub beam_height_deg: Option<f64>,
 }
 
+/// Azimuths that are at most this part of the mean step apart are one: drivers round their angles.
+pub const SAME_ANGLE: f64 = 1e-3;
+
 /// Degrees. Closer azimuths have no representable separating line between them.
 const LEAST_STEP: f64 = 1e-9;
 
@@ -68,8 +106,24 @@ impl Scanner {
         rows
     }
 
-    /// Checks that columns go round at most once, in one direction. Then no direction occurs twice, and an interval of
-    /// angles is an interval of columns.
+    /// Number of columns of a full turn, if the last column is next to the first: nearer than two steps, the widest ones.
+    pub(super) fn columns_of_a_turn(&self) -> Option<f64> {
+        match &self.azimuth {
+            Angles::Uniform { step_deg, count, .. } => {
+                let turn = 360.0 / step_deg.abs();
+                (*count > 1 && f64::from(*count) > turn - 1.0 + 1e-6).then_some(turn)
+            }
+            Angles::Listed(angles) => {
+                let [first, .., last] = angles[..] else { return None };
+                let widest = angles.array_windows().map(|[a, b]| (b - a).abs()).fold(0.0, f64::max);
+                let distinct = angles.len() - usize::from(self.azimuth.is_closed());
+                (360.0 - (last - first).abs() < 2.0 * widest).then_some(distinct as f64)
+            }
+        }
+    }
+
+    /// Checks that columns go round at most once, in one direction. Then only the first direction may occur again, as
+    /// the last, and an interval of angles is an interval of columns.
     fn check_azimuths(&self, azimuths: &[f64]) -> Result<()> {
         let [first, .., last] = azimuths else { return Ok(()) };
         let rising = last > first;
@@ -84,11 +138,10 @@ impl Scanner {
                 "keep them 1e-6 deg apart",
             ));
         }
-        // 360 degrees in rounded steps would reach the first direction again.
-        if last == first || (last - first).abs() >= 360.0 - 1e-9 {
+        if last == first || !(self.azimuth.is_closed() || (last - first).abs() < 360.0) {
             return Err(Error::invalid(
                 format!("azimuths from {first} to {last} deg, {} of them", azimuths.len()),
-                "give a step that goes round less than once",
+                "give a step that goes round at most once",
             ));
         }
         Ok(())
@@ -131,13 +184,14 @@ impl Scanner {
                 "keep them 1e-6 deg apart",
             ));
         }
+        let mut lines: Vec<[f64; 2]> = azimuths.iter().map(|&a| cos_sin_deg(a)).collect();
+        if self.azimuth.is_closed() {
+            // The same bits, because one of two beams near an edge could otherwise miss it.
+            lines[n - 1] = lines[0];
+        }
         // Line frame: (x, y, -z), so that the sample position -tan(elevation) rises with the row.
-        Ok(PixelGrid::Lines(LineGrid::new(
-            LineAxis::Columns,
-            DMat3::from_diagonal(DVec3::new(1.0, 1.0, -1.0)),
-            azimuths.iter().map(|&a| cos_sin_deg(a)).collect(),
-            weights,
-        )))
+        let frame = DMat3::from_diagonal(DVec3::new(1.0, 1.0, -1.0));
+        Ok(PixelGrid::Lines(LineGrid::new(LineAxis::Columns, frame, lines, weights)))
     }
 }
 
@@ -210,14 +264,16 @@ mod tests {
     fn a_direction_twice_is_refused() {
         let one = || uniform(0.0, 0.0, 1);
         let refused = [
-            sensor(uniform(-180.0, 1.0, 361), one()),
-            sensor(uniform(180.0, -1.0, 361), one()),
-            sensor(uniform(0.0, 360.0 / 7.0, 8), one()),
+            sensor(uniform(-180.0, 1.0, 362), one()),
+            sensor(uniform(180.0, -1.0, 362), one()),
+            sensor(uniform(0.0, 1.001 * 360.0 / 7.0, 8), one()),
             sensor(uniform(0.0, 1.0, 1000), one()),
             sensor(uniform(0.0, 0.0, 2), one()),
-            sensor(Angles::Listed(vec![-180.0, 0.0, 180.0]), one()),
+            sensor(Angles::Listed(vec![-180.0, 0.0, 181.0]), one()),
             sensor(Angles::Listed(vec![0.0, 20.0, 10.0]), one()),
             sensor(Angles::Listed(vec![0.0, f64::NAN]), one()),
+            sensor(Angles::Listed(vec![0.0, f64::INFINITY]), one()),
+            sensor(uniform(0.0, f64::INFINITY, 2), one()),
             sensor(uniform(0.0, 5e-324, 3), one()),
             sensor(uniform(1e5, 1e-11, 3), one()),
             sensor(one(), uniform(1.0, 0.0, 2)),
@@ -231,6 +287,37 @@ mod tests {
         assert!(sensor(uniform(-180.0, 1.0, 360), uniform(-90.0, 1.0, 181)).is_ok());
         assert!(sensor(uniform(180.0, -1.0, 360), uniform(90.0, -1.0, 181)).is_ok());
         assert!(sensor(Angles::Listed(vec![30.0, 0.0, -3.0]), one()).is_ok());
+    }
+
+    /// Drivers that go fully round deliver the first direction again as the last, exactly or rounded: TurtleBot3 to
+    /// 6.28318977 radians, others from -pi to pi in f32.
+    #[test]
+    fn a_last_beam_one_turn_on_has_the_first_ones_direction() {
+        let one = || uniform(0.0, 0.0, 1);
+        let listed = |last: f64| Angles::Listed((0..9).map(|i| 37.0 * f64::from(i)).chain([last]).collect());
+        let tb3 = 6.283_189_77f64.to_degrees();
+        let pi = f64::from(std::f32::consts::PI).to_degrees();
+        for (azimuth, columns) in [
+            (uniform(-180.0, 1.0, 361), 360),
+            (uniform(180.0, -1.0, 361), 360),
+            (uniform(0.0, 360.0 / 7.0, 8), 7),
+            (uniform(0.0, tb3 / 359.0, 360), 359),
+            (uniform(-pi, 2.0 * pi / 719.0, 720), 719),
+            (uniform(0.0, 359.999_999_9 / 719.0, 720), 719),
+            (listed(360.0), 9),
+            (listed(360.03), 9),
+            (listed(359.97), 9),
+        ] {
+            let s = sensor(azimuth.clone(), one()).unwrap();
+            assert_eq!((s.width(), s.distinct_columns()), (columns + 1, columns), "{azimuth:?}");
+            assert_eq!(s.ray(0, 0), s.ray(columns, 0), "{azimuth:?}");
+            // A file with this specification gives the same sensor.
+            assert_eq!(Sensor::new(s.spec().clone()).unwrap().spec(), s.spec(), "{azimuth:?}");
+        }
+        for azimuth in [uniform(-180.0, 1.0, 360), listed(359.0), uniform(0.0, 0.998 * 360.0 / 7.0, 8), one()] {
+            let s = sensor(azimuth.clone(), one()).unwrap();
+            assert_eq!(s.distinct_columns(), s.width(), "{azimuth:?}");
+        }
     }
 
     proptest! {

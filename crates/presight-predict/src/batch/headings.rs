@@ -6,7 +6,7 @@ use super::likelihood::BeamModel;
 use glam::{DQuat, DVec3};
 use presight_model::error::{Error, Result};
 use presight_model::geometry::{Pose, sin_cos_deg};
-use presight_model::sensor::{Angles, Geometry, Scanner, Sensor, SensorSpec};
+use presight_model::sensor::{Angles, Geometry, SAME_ANGLE, Scanner, Sensor, SensorSpec};
 use presight_render::row::is_level;
 use std::array;
 
@@ -20,24 +20,35 @@ pub struct Headings {
     pub(super) stride: usize,
     sensor: Sensor,
     panorama: Sensor,
+    /// For each column of the scanner the column of the panorama that is nearest to it at heading 0; `None` for a beam
+    /// that comes twice, or has no column of its own.
+    columns: Vec<Option<u32>>,
 }
+
+/// No beam is farther from its column of the panorama than this part of the least step between beams.
+const FARTHEST: f64 = 0.25;
 
 impl Headings {
     /// Creates `count` headings, evenly over a full turn. Heading k turns the scanner's x axis `360 k / count` degrees
     /// counter-clockwise from the world's x axis, about its z axis.
     ///
+    /// The panorama has the scanner's beams if its azimuths are multiples of 360 degrees / (n `count`). The beams of
+    /// other scanners are weighed at the nearest ones of a finer panorama, at most a quarter of a step away.
+    ///
     /// ```
     /// use presight::batch::Headings;
-    /// let headings = Headings::new(&presight::preset("laser-scanner")?, 360)?;
+    /// let scanner = presight::preset("laser-scanner")?;
+    /// let headings = Headings::new(&scanner, 360)?;
     /// assert_eq!(headings.panorama().width(), 720);
     /// assert_eq!(headings.degrees(90), 90.0);
-    /// assert!(Headings::new(&presight::preset("laser-scanner")?, 7).is_err());
+    /// // Steps of half a degree do not divide 7 headings.
+    /// assert_eq!(Headings::new(&scanner, 7)?.panorama().width(), 7 * 204);
     /// # Ok::<(), presight::Error>(())
     /// ```
     ///
     /// # Errors
-    /// [`presight_model::ErrorKind::Usage`] unless the sensor is a scanner with a uniform azimuth step that divides 360
-    /// degrees, and headings are multiples of that step.
+    /// [`presight_model::ErrorKind::Usage`] unless the sensor is a scanner, and for 0 headings or more than
+    /// [`presight_model::limits::MAX_IMAGE_SIDE`].
     pub fn new(sensor: &Sensor, count: u32) -> Result<Self> {
         let spec = sensor.spec();
         let wrong = |what: &str, remedy: &str| {
@@ -45,28 +56,44 @@ impl Headings {
         };
         let single = "give a pose for each heading instead";
         let Geometry::Scanner(scanner) = &spec.geometry else { return wrong("the sensor is not a scanner", single) };
-        let Angles::Uniform { start_deg, step_deg, .. } = scanner.azimuth else {
-            return wrong("its azimuths are listed, not in equal steps", single);
-        };
-        let beams = (360.0 / step_deg.abs()).round();
-        // Over the full turn, a beam's direction may be off only by rounding.
-        if !((beams * step_deg.abs() - 360.0).abs() <= 1e-9
-            && beams <= f64::from(presight_model::limits::MAX_IMAGE_SIDE))
-        {
-            return wrong(&format!("its step of {step_deg} deg does not divide 360 degrees"), single);
+        let most = presight_model::limits::MAX_IMAGE_SIDE;
+        if !(1..=most).contains(&count) {
+            return wrong(&format!("{count} headings"), &format!("give 1 to {most}"));
         }
-        let beams = beams as u32;
-        if count == 0 || !beams.is_multiple_of(count) {
-            let what = format!("{count} headings are not multiples of its step of {step_deg} deg");
-            return wrong(&what, &format!("give a number that divides {beams}"));
+        let start_deg = scanner.azimuth.degrees(0);
+        let distinct = sensor.distinct_columns() as usize;
+        let offs: Vec<f64> = (0..distinct).map(|i| (scanner.azimuth.degrees(i) - start_deg).abs()).collect();
+        let beams = columns_for(&offs, count, most);
+        let mut is_taken = vec![false; beams as usize];
+        let mut columns = vec![None; sensor.width() as usize];
+        for (column, off) in columns.iter_mut().zip(&offs) {
+            let nearest = (off * f64::from(beams) / 360.0).round() as u32 % beams;
+            *column = Some(nearest).filter(|c| !std::mem::replace(&mut is_taken[*c as usize], true));
         }
-        let azimuth =
-            Angles::Uniform { start_deg, step_deg: 360f64.copysign(step_deg) / f64::from(beams), count: beams };
+        let is_falling = scanner.azimuth.mean_step() < 0.0;
+        let turn = if is_falling { -360.0 } else { 360.0 };
+        let azimuth = Angles::Uniform { start_deg, step_deg: turn / f64::from(beams), count: beams };
         let geometry = Geometry::Scanner(Scanner { azimuth, ..scanner.clone() });
         let stride = (beams / count) as usize;
-        let stride = if step_deg > 0.0 { stride } else { beams as usize - stride };
+        let stride = if is_falling { beams as usize - stride } else { stride };
         let panorama = Sensor::new(spec.clone().with_geometry(geometry))?;
-        Ok(Self { count, beams: beams as usize, stride, sensor: sensor.clone(), panorama })
+        Ok(Self { count, beams: beams as usize, stride, sensor: sensor.clone(), panorama, columns })
+    }
+
+    /// A measured image of the scanner in the columns of the panorama at heading 0, as far as they reach: its readings
+    /// and its width.
+    pub(super) fn resampled(&self, range: &[f32]) -> (Vec<f32>, usize) {
+        let width = self.columns.iter().flatten().max().map_or(1, |last| *last as usize + 1);
+        let rows = range.chunks(self.columns.len());
+        let mut resampled = vec![f32::NAN; width * rows.len()];
+        for (row, to) in rows.zip(resampled.chunks_mut(width)) {
+            for (reading, column) in row.iter().zip(&self.columns) {
+                if let Some(column) = column {
+                    to[*column as usize] = *reading;
+                }
+            }
+        }
+        (resampled, width)
     }
 
     pub(super) fn sensor(&self) -> &SensorSpec {
@@ -106,6 +133,22 @@ impl Headings {
         }
         Ok(Pose { translation: world_from_sensor.translation, rotation: DQuat::IDENTITY })
     }
+}
+
+/// The least multiple of `count`, but no more than `most`, of columns round the turn such that none of some beams, by
+/// their angles from the first in degrees, is far from a column.
+fn columns_for(offs: &[f64], count: u32, most: u32) -> u32 {
+    let gaps = offs.array_windows().map(|[a, b]| b - a);
+    let mean = offs.last().copied().unwrap_or(0.0) / offs.len() as f64;
+    // Few beams closer than others are not worth finer columns for all.
+    let step = gaps.fold(f64::INFINITY, f64::min).max(FARTHEST * mean).min(360.0);
+    let farthest = |columns: u32| {
+        let place = |off: &f64| off * f64::from(columns) / 360.0;
+        offs.iter().map(place).map(|x| (x - x.round()).abs()).fold(0.0, f64::max) * 360.0 / f64::from(columns)
+    };
+    let turns = (360.0 / (step * f64::from(count)) - SAME_ANGLE).ceil().clamp(1.0, f64::from(most / count)) as u32;
+    let multiples = (turns..=most / count).map(|n| n * count);
+    multiples.clone().find(|columns| farthest(*columns) <= FARTHEST * step).or(multiples.last()).unwrap_or(count)
 }
 
 /// Number of beams processed together.
@@ -150,8 +193,7 @@ pub(super) struct Panorama {
 
 impl HeadingWeights {
     pub fn new(headings: &Headings, sensed: &RangeLikelihood) -> Self {
-        let height = headings.panorama.height() as usize;
-        let width = sensed.range().len() / height;
+        let (range, width) = headings.resampled(sensed.range());
         let row = |range: &[f32]| {
             let those = |what: f32| (0..).zip(range).filter(|(_, r)| **r == what).map(|(i, _)| i).collect();
             let mut ranges: Vec<f32> = range.iter().map(|r| if r.is_finite() { *r } else { NOWHERE }).collect();
@@ -162,8 +204,8 @@ impl HeadingWeights {
         Self {
             headings: headings.clone(),
             model,
-            rows: sensed.range().chunks(width).map(row).collect(),
-            ranged: sensed.range().iter().filter(|r| r.is_finite()).count(),
+            rows: range.chunks(width).map(row).collect(),
+            ranged: range.iter().filter(|r| r.is_finite()).count(),
         }
     }
 

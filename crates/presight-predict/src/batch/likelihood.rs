@@ -65,14 +65,18 @@ impl RangeLikelihood {
                 Error::invalid(what, "give inf beyond range_max, -inf below range_min").at(format!("range {i}"))
             );
         }
-        Ok(Self { sensor: sensor.clone(), range: range.to_vec(), model })
+        // A beam that comes twice counts once.
+        let (width, distinct) = (sensor.width() as usize, sensor.distinct_columns() as usize);
+        let mut range = range.to_vec();
+        range.chunks_mut(width).for_each(|row| row[distinct..].fill(f32::NAN));
+        Ok(Self { sensor: sensor.clone(), range, model })
     }
 
     pub(super) fn sensor(&self) -> &SensorSpec {
         self.sensor.spec()
     }
 
-    /// The ranges of the frame.
+    /// The ranges of the frame, NaN for a beam that comes a second time.
     pub fn range(&self) -> &[f32] {
         &self.range
     }
@@ -96,10 +100,14 @@ impl RangeLikelihood {
 
     /// The data for an engine that weighs images itself, at a pose or at all headings.
     pub(super) fn weighing(&self, headings: Option<&Headings>) -> Weighing {
-        let width = self.sensor.width();
-        let [beams, count, stride] = headings.map_or([width, 1, 0], |h| [h.beams as u32, h.count, h.stride as u32]);
         let model = self.model.numbers();
-        Weighing { sensed: self.range.clone(), beams: [width, beams], headings: count, stride, model }
+        let Some(h) = headings else {
+            let width = self.sensor.width();
+            return Weighing { sensed: self.range.clone(), beams: [width; 2], headings: 1, stride: 0, model };
+        };
+        let (sensed, width) = h.resampled(&self.range);
+        let beams = [width as u32, h.beams as u32];
+        Weighing { sensed, beams, headings: h.count, stride: h.stride as u32, model }
     }
 }
 

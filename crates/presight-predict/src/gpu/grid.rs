@@ -109,9 +109,10 @@ fn lines(grid: &LineGrid) -> Tables {
 }
 
 /// Appends a table with the first entry at or above the start of each bucket, and one end word. Returns its offset and
-/// the number of buckets. Buckets are so fine that one rarely holds two entries.
+/// the number of buckets. Buckets are so fine that one rarely holds two different entries.
 fn buckets(values: &[f64], least: f64, greatest: f64, words: &mut Vec<u32>) -> (u32, u32) {
-    let gap = values.windows(2).map(|p| p[1] - p[0]).fold(greatest - least, f64::min).max(1e-9);
+    let gaps = values.windows(2).map(|p| p[1] - p[0]).filter(|gap| *gap > 0.0);
+    let gap = gaps.fold(greatest - least, f64::min).max(1e-9);
     let count = ((4.0 * (greatest - least) / gap).ceil() as usize).clamp(64, MAX_BUCKETS);
     let at = words.len() as u32;
     for b in 0..count {

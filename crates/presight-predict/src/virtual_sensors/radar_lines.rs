@@ -90,10 +90,9 @@ pub(super) fn reduce(view: &View<'_>) -> Result<RadarLines> {
         Geometry::Scanner(scanner) => scan_row(scanner).unwrap_or(0),
         _ => 0,
     };
-    let width = pixels.sensor.width();
     let mut runs: Vec<Run> = Vec::new();
     let mut gap = true;
-    for column in 0..width {
+    for column in 0..pixels.sensor.distinct_columns() {
         let run = pixels.surface(column, row).and_then(|surface| beam(&pixels, column, row, &surface));
         let Some(run) = run else {
             gap = true;
@@ -128,9 +127,9 @@ fn beam(pixels: &Pixels<'_>, column: u32, row: u32, surface: &VisiblePlane) -> O
 
 /// Joins the last run with the first if the scan covers a full circle.
 fn close_circle(runs: &mut Vec<Run>, pixels: &Pixels<'_>) {
-    let whole =
-        pixels.sensor.columns_of_a_turn().is_some_and(|turn| (turn - f64::from(pixels.sensor.width())).abs() < 1e-6);
-    let last_column = pixels.sensor.width() - 1;
+    let distinct = pixels.sensor.distinct_columns();
+    let whole = pixels.sensor.columns_of_a_turn().is_some_and(|turn| (turn - f64::from(distinct)).abs() < 1e-6);
+    let last_column = distinct - 1;
     let meets = whole
         && runs.len() > 1
         && runs[0].columns[0] == 0

@@ -70,18 +70,20 @@ struct Region {
 pub(super) fn reduce(view: &View<'_>) -> Result<VerticalPlanes> {
     let mut image = Pixels::with_ids(view)?;
     let (width, height) = (image.sensor.width(), image.sensor.height());
+    let distinct = image.sensor.distinct_columns();
     let least = VERTICAL.sin();
     let up = image.up;
     let mut pixels: Vec<Option<VisiblePlane>> = Vec::with_capacity(image.count());
     for row in 0..height {
         for column in 0..width {
-            pixels.push(image.surface(column, row).filter(|s| s.normal.dot(up).abs() <= least));
+            let surface = if column < distinct { image.surface(column, row) } else { None };
+            pixels.push(surface.filter(|s| s.normal.dot(up).abs() <= least));
         }
     }
-    let whole = image.sensor.columns_of_a_turn().is_some_and(|turn| (turn - f64::from(width)).abs() < 1e-6);
+    let whole = image.sensor.columns_of_a_turn().is_some_and(|turn| (turn - f64::from(distinct)).abs() < 1e-6);
     let beside = |column: u32, row: u32| {
-        let left = column.checked_sub(1).or(whole.then(|| width - 1));
-        let right = Some(column + 1).filter(|c| *c < width).or(whole.then_some(0));
+        let left = column.checked_sub(1).or(whole.then(|| distinct - 1));
+        let right = Some(column + 1).filter(|c| *c < distinct).or(whole.then_some(0));
         let (above, below) = (row.checked_sub(1), Some(row + 1).filter(|r| *r < height));
         let in_row = [left, right].into_iter().flatten().map(move |c| (c, row));
         in_row.chain([above, below].into_iter().flatten().map(move |r| (column, r)))

@@ -15,8 +15,10 @@ const SLACK: f64 = 1e-9;
 /// The beams of a one-row scanner, by ascending azimuth, with scratch memory.
 #[derive(Clone, Debug)]
 pub struct RowView {
-    /// Unit vectors in the sensor's frame.
+    /// Unit vectors in the sensor's frame, none twice.
     rays: Vec<DVec2>,
+    /// Number of pixels.
+    width: usize,
     /// Value of [`turn_of`] for the first ray.
     first_turn: f64,
     /// For equal slices of 0..4 ([`turn_of`] minus `first_turn`): the first beam at or after the slice's start.
@@ -44,9 +46,9 @@ impl RowView {
         if scanner.elevation.len() != 1 || scanner.elevation.degrees(0) != 0.0 {
             return None;
         }
-        let n = scanner.azimuth.len();
-        let reversed = n > 1 && scanner.azimuth.degrees(1) < scanner.azimuth.degrees(0);
-        let column = |i: usize| if reversed { n - 1 - i } else { i } as u32;
+        let (width, n) = (scanner.azimuth.len(), sensor.distinct_columns() as usize);
+        let reversed = width > 1 && scanner.azimuth.degrees(1) < scanner.azimuth.degrees(0);
+        let column = |i: usize| if reversed { width - 1 - i } else { i } as u32;
         let rays: Vec<DVec2> = (0..n).filter_map(|i| sensor.ray(column(i), 0)).map(|ray| ray.truncate()).collect();
         let first_turn = turn_of(rays[0]);
         let mut turns: Vec<f64> = rays.iter().map(|ray| since(turn_of(*ray), first_turn)).collect();
@@ -58,6 +60,7 @@ impl RowView {
         let blocks = n.div_ceil(BLOCK);
         Some(Self {
             rays,
+            width,
             first_turn,
             slices,
             reversed,
@@ -106,11 +109,12 @@ impl RowView {
     }
 
     fn resolve(&self, eye: &ScannerView, cut: &RowCut, range: &mut Vec<f32>, cos_incidence: &mut Vec<f32>) {
-        let n = self.rays.len();
+        let n = self.width;
         range.resize(n, 0.0);
         cos_incidence.resize(n, 0.0);
         for i in 0..n {
             let pixel = if self.reversed { n - 1 - i } else { i };
+            let i = i % self.rays.len();
             let exact = 1.0 / self.inverse[i];
             let seen = self.winner[i] != NONE && exact <= self.range_max;
             range[pixel] = match seen {

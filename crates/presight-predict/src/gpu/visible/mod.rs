@@ -73,7 +73,7 @@ impl OcclusionQuery {
     /// Makes room for `count` samples on a sensor's image.
     pub(super) fn with_room(count: usize, sensor: &Sensor) -> Self {
         let mut words = vec![0; SAMPLES_AT + count * SAMPLE_WORDS];
-        words[1] = u32::from(sensor.columns_of_a_turn().is_some());
+        words[1] = sensor.columns_of_a_turn().map_or(0, |_| sensor.distinct_columns());
         let line_from_image = match sensor.grid() {
             PixelGrid::Lines(grid) => grid.line_from_image(),
             PixelGrid::Rays(_) => DMat3::IDENTITY,

@@ -42,7 +42,7 @@ impl LastFrame {
         let own = &asked[own + 1..][..asked[own] as usize];
         let (mut best, mut by, mut covered, mut beside) = (1.0f32, DOUBT, false, false);
         for (r, c) in (row - 1..=row + 1).flat_map(|r| (column - 1..=column + 1).map(move |c| (r, c))) {
-            let c = if asked[1] != 0 { c.rem_euclid(w) } else { c };
+            let c = if asked[1] != 0 { c.rem_euclid(i64::from(asked[1])) } else { c };
             if !(0..h).contains(&r) || !(0..w).contains(&c) {
                 continue;
             }
@@ -121,13 +121,15 @@ fn hard(random: &mut Random) -> World {
     World::new(environment)
 }
 
-fn sensors() -> [Sensor; 3] {
+fn sensors() -> [Sensor; 4] {
     let camera = |distortion| Camera { distortion, ..Camera::pinhole(97, 61, 80.0, 84.0, 47.0, 31.0) };
     let beams = |start_deg, step_deg, count| Angles::Uniform { start_deg, step_deg, count };
     let scanner = Scanner { azimuth: beams(-180.0, 2.5, 144), elevation: beams(-30.0, 2.0, 31), beam_height_deg: None };
+    let twice = Scanner { azimuth: beams(-180.0, 2.5, 145), ..scanner.clone() };
     [
         Geometry::Camera(camera(presight_model::Distortion::None)),
         Geometry::Scanner(scanner),
+        Geometry::Scanner(twice),
         Geometry::Camera(camera(presight_model::Distortion::PlumbBob([-0.2, 0.05, 1e-3, 0.0, 0.0]))),
     ]
     .map(|geometry| Sensor::new(SensorSpec::new("s", "laser", geometry)).unwrap())
