@@ -30,8 +30,11 @@ fn scanner(start_deg: f64, step_deg: f64, count: u32, rows: &[f64], limits: (f64
 fn resampled(sensor: &Sensor, headings: &Headings) -> Sensor {
     let Geometry::Scanner(scanner) = &sensor.spec().geometry else { panic!("a scanner") };
     let azimuths: Vec<f64> = (0..sensor.width() as usize).map(|i| scanner.azimuth.degrees(i)).collect();
-    let step = 360.0 / f64::from(headings.panorama().width());
-    let moved: Vec<f64> = azimuths.iter().map(|a| azimuths[0] + step * ((a - azimuths[0]) / step).round()).collect();
+    let columns = f64::from(headings.panorama().width());
+    // Half-way between two columns rounding decides: the same product decides alike.
+    let off =
+        |a: &f64| ((a - azimuths[0]).abs() * columns / 360.0).round() * (360.0 / columns).copysign(a - azimuths[0]);
+    let moved: Vec<f64> = azimuths.iter().map(|a| azimuths[0] + off(a)).collect();
     let least = azimuths.windows(2).map(|pair| (pair[1] - pair[0]).abs()).fold(360.0, f64::min);
     assert!(azimuths.iter().zip(&moved).all(|(a, m)| (a - m).abs() <= 0.25 * least + 1e-9));
     let geometry = Geometry::Scanner(Scanner { azimuth: Angles::Listed(moved), ..scanner.clone() });

@@ -1,4 +1,4 @@
-//! Scanners and logs as drivers deliver them, from `tests/files/cases`. Truths are those that the logs were made with.
+//! Scanners and logs as drivers deliver them, from `tests/files/cases`, with the truths that the logs were made with.
 
 use super::Place;
 use presight_files::tum;

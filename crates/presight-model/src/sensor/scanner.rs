@@ -92,7 +92,7 @@ pub struct Scanner {
     pub beam_height_deg: Option<f64>,
 }
 
-/// Azimuths that are at most this part of the mean step apart are one: drivers round their angles.
+/// Directions that are at most this part of the mean step apart are one: drivers round their angles.
 pub const SAME_ANGLE: f64 = 1e-3;
 
 /// Degrees. Closer azimuths have no representable separating line between them.

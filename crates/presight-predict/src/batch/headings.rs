@@ -42,7 +42,7 @@ impl Headings {
     /// assert_eq!(headings.panorama().width(), 720);
     /// assert_eq!(headings.degrees(90), 90.0);
     /// // Steps of half a degree do not divide 7 headings.
-    /// assert_eq!(Headings::new(&scanner, 7)?.panorama().width(), 7 * 204);
+    /// assert_eq!(Headings::new(&scanner, 7)?.panorama().width(), 7 * 206);
     /// # Ok::<(), presight::Error>(())
     /// ```
     ///
@@ -141,7 +141,7 @@ fn columns_for(offs: &[f64], count: u32, most: u32) -> u32 {
     let gaps = offs.array_windows().map(|[a, b]| b - a);
     let mean = offs.last().copied().unwrap_or(0.0) / offs.len() as f64;
     // Few beams closer than others are not worth finer columns for all.
-    let step = gaps.fold(f64::INFINITY, f64::min).max(FARTHEST * mean).min(360.0);
+    let step = gaps.fold(f64::INFINITY, f64::min).max(0.5 * mean).min(360.0);
     let farthest = |columns: u32| {
         let place = |off: &f64| off * f64::from(columns) / 360.0;
         offs.iter().map(place).map(|x| (x - x.round()).abs()).fold(0.0, f64::max) * 360.0 / f64::from(columns)
