@@ -14,6 +14,7 @@ mod outputs;
 mod poses;
 #[cfg(feature = "script")]
 mod reflectors;
+mod scene_notices;
 #[cfg(feature = "script")]
 mod scripts;
 #[cfg(unix)]

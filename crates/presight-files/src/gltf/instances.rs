@@ -27,9 +27,10 @@ pub(super) fn expanded(document: &Document<'_>, nodes: Vec<SceneNode>, memory: &
         };
         let place = |e: Error| e.at(place_of(&node));
         let (count, node_from_instance) = document.places(instances, &mut proven).map_err(place)?;
-        let mut found = Vec::new();
+        // Counted before any is made.
+        (0..count).try_for_each(|_| memory.take_node(node.path.len()))?;
+        let mut found = Vec::with_capacity(count);
         for i in 0..count {
-            memory.take_node(node.path.len())?;
             let scene_from_node = node.scene_from_node * node_from_instance(i).map_err(place)?;
             found.push(SceneNode { scene_from_node, ..node.copied() });
         }

@@ -57,7 +57,7 @@ impl Memory {
         self.bytes
     }
 
-    /// Counts the memory of parsed JSON text, and of its copy without what is not used.
+    /// Counts the memory of parsed JSON text, and of its reduced copy.
     pub(super) fn take_json(&mut self, text: &[u8]) -> Result<()> {
         self.take(json_memory(text).saturating_add(text.len() as u64), "its JSON")
     }

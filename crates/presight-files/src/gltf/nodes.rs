@@ -3,13 +3,14 @@
 use super::exact::RootPlacement;
 use super::memory::Memory;
 use super::mesh::Shape;
+use super::notices::is_known;
 use super::quoted;
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 use presight_model::error::{Error, Result};
 use presight_model::limits;
 use serde::Deserialize;
 use serde::de::IgnoredAny;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 const REPAIR: &str = "repair the model or export it again";
 /// The parent of a root.
@@ -83,6 +84,8 @@ pub(super) struct SceneNodes {
     pub nodes: Vec<SceneNode>,
     /// Number of objects that `KHR_node_visibility` hides.
     pub hidden: usize,
+    /// The extensions that are not followed, with the file's numbers of the nodes that have them.
+    pub extensions: BTreeMap<String, BTreeSet<usize>>,
 }
 
 /// A node of the default scene with a mesh at or below it, or a group of our own writer.
@@ -100,8 +103,6 @@ pub(super) struct SceneNode {
     /// The skin that poses its mesh.
     pub skin: Option<usize>,
     pub instances: Option<Instances>,
-    /// Extensions of the node that are not followed.
-    pub extensions: Vec<String>,
     /// Our own writer's data, for a root.
     pub placed: Option<RootPlacement>,
 }
@@ -115,8 +116,8 @@ impl SceneNode {
     /// The same node without our own writer's data.
     pub fn copied(&self) -> Self {
         let Self { node, parent, mesh, scene_from_node, skin, instances, .. } = *self;
-        let (name, path, extensions) = (self.name.clone(), self.path.clone(), self.extensions.clone());
-        Self { node, parent, name, path, mesh, scene_from_node, skin, instances, extensions, placed: None }
+        let (name, path) = (self.name.clone(), self.path.clone());
+        Self { node, parent, name, path, mesh, scene_from_node, skin, instances, placed: None }
     }
 }
 
@@ -148,6 +149,9 @@ impl NodeText {
             } else if carries[index] || matches!(placed, Some(RootPlacement::Group(_))) {
                 memory.take_node(path.len())?;
                 own = Some(scene.nodes.len());
+                for extension in node.extensions.others.keys().filter(|extension| !is_known(extension)) {
+                    scene.extensions.entry(extension.clone()).or_default().insert(index);
+                }
                 scene.nodes.push(SceneNode {
                     node: index,
                     parent,
@@ -157,7 +161,6 @@ impl NodeText {
                     scene_from_node,
                     skin: node.skin,
                     instances: node.extensions.instancing.as_ref().map(|all| all.attributes),
-                    extensions: node.extensions.others.keys().cloned().collect(),
                     placed,
                 });
             }

@@ -120,7 +120,7 @@ impl Described<'_> {
     /// The extensions that presight does not follow.
     pub fn unfollowed(&self) -> BTreeSet<&str> {
         let used = self.root.extensions_used.iter().map(String::as_str);
-        let of_nodes = self.scene.nodes.iter().flat_map(|node| node.extensions.iter().map(String::as_str));
+        let of_nodes = self.scene.extensions.keys().map(String::as_str);
         let of_meshes =
             self.meshes().into_iter().filter_map(|i| self.file.meshes.get(i)).flat_map(MeshExtensions::names);
         let rtc = self.file.extensions.rtc.as_ref().map(|_| RTC);
@@ -174,10 +174,11 @@ impl Described<'_> {
         let meshes = self.meshes().into_iter();
         let with = |mesh: &usize| self.file.meshes.get(*mesh).is_some_and(|m| m.names().any(|name| name == extension));
         let meshes: BTreeSet<usize> = meshes.filter(with).collect();
+        let nodes = self.scene.extensions.get(extension);
         let mut concerned: Vec<bool> = Vec::with_capacity(self.scene.nodes.len());
         let mut count = 0;
         for node in &self.scene.nodes {
-            let own = node.extensions.iter().any(|name| name == extension)
+            let own = nodes.is_some_and(|nodes| nodes.contains(&node.node))
                 || node.mesh.is_some_and(|mesh| meshes.contains(&mesh))
                 || (extension == INSTANCING && is_skinned_instance(node))
                 || extension == RTC;
@@ -198,7 +199,7 @@ impl Described<'_> {
         self.scene.nodes.iter().filter(|node| node.mesh.is_some_and(|mesh| meshes.contains(&mesh))).count()
     }
 
-    /// Materials that a renderer shows see-through, unless the user has said what they are to a sensor.
+    /// Materials that a renderer shows see-through, unless the user has given their appearance to a sensor.
     fn see_through(&self) -> Option<String> {
         let is_see_through = |i: usize| {
             let blends = self.root.materials[i].alpha_mode == Checked::Valid(AlphaMode::Blend);

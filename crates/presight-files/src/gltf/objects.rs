@@ -24,8 +24,8 @@ pub(super) struct Placement {
     frame: SceneFrame,
     /// Number of objects that a scale of zero leaves without area, and the first of them.
     flat: (usize, Vec<String>),
-    /// What is known of meshes whose vertices are far from the mesh's origin, by mesh: the distance of neighbouring
-    /// numbers, and the reach, metres.
+    /// Meshes whose vertices are too far from the mesh's origin: the distance of neighbouring numbers, and the reach,
+    /// metres.
     coarse: BTreeMap<usize, (f64, f64)>,
 }
 
