@@ -29,7 +29,8 @@ const REQUIRED: [&str; 18] = [
 ];
 
 /// Optional properties without which this file is not valid or empty: others name their entries, or need their data.
-const NEEDED: [&str; 10] = [
+const NEEDED: [&str; 11] = [
+    "/scenes",
     "/nodes",
     "/meshes",
     "/materials",
