@@ -16,7 +16,7 @@ fn extent(read: &ImportedScene) -> [DVec3; 2] {
     corners.fold([DVec3::INFINITY, DVec3::NEG_INFINITY], |[low, high], p| [low.min(p), high.max(p)])
 }
 
-/// The distance from the origin along x to the first plate, all of which face it, and the report.
+/// The distance from the origin along x to the first plate, and the report. All plates face the origin.
 fn ahead(name: &str, file: &str) -> (f64, ImportReport) {
     let read = import(case(name, file), &ImportOptions::default()).unwrap_or_else(|e| panic!("{name}: {e}"));
     let [low, high] = extent(&read);

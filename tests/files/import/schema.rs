@@ -6,7 +6,7 @@ use presight_files::preparation::ImportedScene;
 use presight_model::error::{Error, ErrorKind};
 use serde_json::{Value, json};
 
-/// The properties that the schema requires among those that presight uses; `*` is any number.
+/// The required properties of the schema that presight uses; `*` is any number.
 const REQUIRED: [&str; 18] = [
     "/asset",
     "/asset/version",
