@@ -158,3 +158,16 @@ pub fn mesh_triangles(object: &Object) -> Vec<Vec<[f64; 3]>> {
 pub fn square_triangles(indices: &[[usize; 3]]) -> Vec<Vec<[f64; 3]>> {
     indices.iter().map(|t| t.iter().map(|&i| SQUARE[i].map(f64::from)).collect()).collect()
 }
+
+/// RFC 4648 base64, with padding.
+pub fn base64(bytes: &[u8]) -> String {
+    const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+    let groups = bytes.chunks(3).flat_map(|c| {
+        let word = (0..3).fold(0u32, |w, i| w << 8 | u32::from(c.get(i).copied().unwrap_or(0)));
+        (0..4).map(move |i| match i <= c.len() {
+            true => DIGITS[(word >> (18 - 6 * i) & 63) as usize] as char,
+            false => '=',
+        })
+    });
+    groups.collect()
+}

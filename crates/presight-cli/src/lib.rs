@@ -177,10 +177,12 @@ fn command() -> clap::Command {
     numbers(Cli::command())
 }
 
-/// Opens a scene. Output of a script's `print` goes to stderr.
+/// Opens a scene. Output of a script's `print` and notices of the import go to stderr.
 fn open_scene(path: &Path, import: &ImportOptions, index: IndexKind) -> Result<Scene> {
     let options = SceneOptions::default().with_import(import.clone()).with_index(index);
-    Scene::open_with(path, &options, &mut print::message)
+    let scene = Scene::open_with(path, &options, &mut print::message)?;
+    print::notices(&scene.report.notices);
+    Ok(scene)
 }
 
 /// The outcome of a command that did not fail.

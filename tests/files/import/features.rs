@@ -335,18 +335,6 @@ fn buffers_may_be_embedded_or_lie_in_the_folder_or_below() {
     assert!(e.kind() == ErrorKind::Invalid && e.file().unwrap().ends_with("gone.bin"), "{e}");
 }
 
-fn base64(bytes: &[u8]) -> String {
-    const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-    let groups = bytes.chunks(3).flat_map(|c| {
-        let word = (0..3).fold(0u32, |w, i| w << 8 | u32::from(c.get(i).copied().unwrap_or(0)));
-        (0..4).map(move |i| match i <= c.len() {
-            true => DIGITS[(word >> (18 - 6 * i) & 63) as usize] as char,
-            false => '=',
-        })
-    });
-    groups.collect()
-}
-
 #[test]
 fn objects_without_polygons_are_left_out_but_counted() {
     let mut g = Gltf::triangle();

@@ -6,6 +6,7 @@ use presight_files::file;
 use presight_files::file::without_mark;
 use presight_model::error::{Error, Result};
 use presight_model::limits;
+use std::collections::BTreeSet;
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
@@ -67,6 +68,7 @@ pub fn run(args: &Args) -> Result<()> {
     let mut store = open_store(&args.store)?;
     store.begin_row();
     let mut lines = Lines { reader: BufReader::with_capacity(1 << 16, input), number: 0, path };
+    let mut said = BTreeSet::new();
     let mut ended = false;
     while !ended {
         let mut batch = store.batch()?;
@@ -92,6 +94,7 @@ pub fn run(args: &Args) -> Result<()> {
                     break;
                 }
             }
+            print::notices(batch.take_notices().iter().filter(|notice| said.insert((*notice).clone())));
             applied.push(number);
             if applied.len() == BATCH || !lines.has_another() {
                 break;

@@ -15,6 +15,7 @@ mod outputs;
 mod poses;
 #[cfg(feature = "script")]
 mod reflectors;
+mod scene_notices;
 #[cfg(feature = "script")]
 mod scripts;
 #[cfg(unix)]

@@ -18,9 +18,9 @@ pub(super) struct Document<'a> {
     pub buffers: Buffers<'a>,
 }
 
-/// Positions of a primitive, mesh frame. They are not copied, because a small primitive may use a small part of a large
-/// accessor.
-pub(super) struct Positions<'a> {
+/// The elements of an accessor, such as the positions of a primitive in the mesh frame. They are not copied, because a
+/// small primitive may use a small part of a large accessor.
+pub(super) struct Values<'a> {
     count: usize,
     /// `None` means all zeros.
     base: Option<Elements<'a>>,
@@ -37,18 +37,22 @@ struct Sparse<'a> {
     values: Elements<'a>,
 }
 
-impl Positions<'_> {
+impl Values<'_> {
     pub fn count(&self) -> usize {
         self.count
     }
 
-    /// Position i, which must be below the count.
-    pub fn get(&self, i: usize) -> Vec3 {
+    /// The numbers of element i, which must be below the count. `N` must be the type's number of components.
+    pub fn numbers<const N: usize>(&self, i: usize) -> [f32; N] {
         let replaced = self.sparse.as_ref().and_then(|sparse| sparse.of(i));
-        let Some(bytes) = replaced.or_else(|| self.base.as_ref().map(|base| base.at(i))) else { return Vec3::ZERO };
+        let Some(bytes) = replaced.or_else(|| self.base.as_ref().map(|base| base.at(i))) else { return [0.0; N] };
         let size = self.component.size();
-        let component = |k: usize| component_at(&bytes[k * size..], self.component, self.normalized);
-        Vec3::new(component(0), component(1), component(2))
+        std::array::from_fn(|k| component_at(&bytes[k * size..], self.component, self.normalized))
+    }
+
+    /// Vector i of three numbers, which must be below the count.
+    pub fn get(&self, i: usize) -> Vec3 {
+        Vec3::from_array(self.numbers(i))
     }
 }
 
@@ -124,9 +128,9 @@ impl<'a> Document<'a> {
         }
         let accessor = self.accessor(index)?;
         let prove = || {
-            let vector = matches!(accessor.type_, Checked::Valid(Type::Vec3));
-            let size = if vector { 3 } else { 1 } * component_of(accessor)?.size();
-            self.base(accessor, size, vector)?;
+            let Checked::Valid(type_) = accessor.type_ else { return Err(Error::invalid("unknown type", REPAIR)) };
+            let size = type_.multiplicity() * component_of(accessor)?.size();
+            self.base(accessor, size, type_ != Type::Scalar)?;
             if let Some(sparse) = self.sparse(accessor, size)? {
                 sparse.prove(accessor.count.0)?;
             }
@@ -173,9 +177,7 @@ impl<'a> Document<'a> {
             .ok_or_else(|| Error::invalid(format!("it does not exist, there are {}", views.len()), REPAIR))
             .map_err(place)?;
         let buffer = v.buffer.value();
-        let bytes = self.buffers.get(buffer).ok_or_else(|| {
-            place(Error::invalid(format!("buffer {buffer} does not exist, there are {}", self.buffers.len()), REPAIR))
-        })?;
+        let bytes = self.buffers.get(buffer).map_err(place)?;
         let (start, length) = (v.byte_offset.map_or(0, |o| o.0), v.byte_length.0);
         let end = start.checked_add(length).filter(|&end| end <= bytes.len() as u64).ok_or_else(|| {
             place(Error::invalid(
@@ -205,22 +207,24 @@ impl<'a> Document<'a> {
         Ok(Elements { bytes: whole.get(offset as usize..).unwrap_or_default(), stride })
     }
 
-    /// The POSITION data of an accessor. Its sparse part must have been checked.
-    pub fn positions(&self, index: json::Index<Accessor>) -> Result<Positions<'_>> {
+    /// The data of an accessor whose elements are of this type. `words` names them in messages. Its sparse part must
+    /// have been checked ([`Document::proven_count`]).
+    pub fn values(&self, index: json::Index<Accessor>, type_: Type, words: &str) -> Result<Values<'_>> {
         let place = format!("accessor {}", index.value());
         let accessor = self.accessor(index)?;
-        self.positions_of(accessor).map_err(|e| e.at(place))
+        self.values_of(accessor, type_, words).map_err(|e| e.at(place))
     }
 
-    fn positions_of(&self, accessor: &Accessor) -> Result<Positions<'_>> {
+    fn values_of(&self, accessor: &Accessor, type_: Type, words: &str) -> Result<Values<'_>> {
         let component = component_of(accessor)?;
-        if !matches!(accessor.type_, Checked::Valid(Type::Vec3)) {
-            return Err(Error::invalid("positions must be VEC3", REPAIR));
+        if accessor.type_ != Checked::Valid(type_) {
+            let type_ = format!("{type_:?}").to_uppercase();
+            return Err(Error::invalid(format!("{words} must be {type_}"), REPAIR));
         }
-        let size = 3 * component.size();
+        let size = type_.multiplicity() * component.size();
         let base = self.base(accessor, size, true)?;
         let sparse = self.sparse(accessor, size)?;
-        Ok(Positions { count: accessor.count.0 as usize, base, component, normalized: accessor.normalized, sparse })
+        Ok(Values { count: accessor.count.0 as usize, base, component, normalized: accessor.normalized, sparse })
     }
 
     /// Vertex indices of an accessor.

@@ -20,8 +20,19 @@ pub(super) struct Buffers<'a> {
     owned: Vec<Vec<u8>>,
     /// The files read.
     pub files: Vec<PathBuf>,
-    /// For each buffer: its index in `owned` (`None`: the binary chunk), and its length in bytes.
-    buffers: Vec<(Option<usize>, usize)>,
+    /// For each buffer: where its bytes are, and their number.
+    buffers: Vec<(Source, usize)>,
+}
+
+/// Where the bytes of a buffer are.
+#[derive(Clone, Copy)]
+enum Source {
+    /// In the binary chunk of a .glb.
+    Bin,
+    /// In `owned`.
+    Owned(usize),
+    /// Nowhere: glTF allows that for a buffer that nothing uses, as extensions for compressed data have it.
+    Nowhere,
 }
 
 /// A file that buffers name.
@@ -35,15 +46,20 @@ struct BufferFile {
 
 impl<'a> Buffers<'a> {
     /// The bytes of buffer `index`.
-    pub fn get(&self, index: usize) -> Option<&[u8]> {
-        let &(owned, length) = self.buffers.get(index)?;
-        let whole = owned.map_or(self.bin, |i| self.owned[i].as_slice());
-        whole.get(..length)
-    }
-
-    /// Number of buffers.
-    pub fn len(&self) -> usize {
-        self.buffers.len()
+    pub fn get(&self, index: usize) -> Result<&[u8]> {
+        let Some(&(source, length)) = self.buffers.get(index) else {
+            let what = format!("buffer {index} does not exist, there are {}", self.buffers.len());
+            return Err(Error::invalid(what, "repair the model or export it again"));
+        };
+        let whole = match source {
+            Source::Bin => self.bin,
+            Source::Owned(i) => &self.owned[i],
+            Source::Nowhere => {
+                let remedy = "the file is truncated or broken; export it again";
+                return Err(Error::invalid("it has no data", remedy).at(format!("buffer {index}")));
+            }
+        };
+        Ok(&whole[..length])
     }
 
     /// Reads the buffers of a scene.
@@ -54,26 +70,23 @@ impl<'a> Buffers<'a> {
         // Pairs of buffer and file, for buffers in files.
         let mut of_file = Vec::with_capacity(root.buffers.len());
         for (index, buffer) in root.buffers.iter().enumerate() {
-            let owned = match &buffer.uri {
-                None if index == 0 && bin.is_some() => None,
-                None => {
-                    let remedy = "the file is truncated or broken; export it again";
-                    return Err(place(index)(Error::invalid("it has no data", remedy)));
-                }
+            let source = match &buffer.uri {
+                None if index == 0 && bin.is_some() => Source::Bin,
+                None => Source::Nowhere,
                 Some(uri) => match uri.strip_prefix("data:") {
                     Some(data) => {
                         memory.take(data.len() as u64, "an embedded buffer").map_err(place(index))?;
                         all.owned.push(decoded(data).map_err(place(index))?);
-                        Some(all.owned.len() - 1)
+                        Source::Owned(all.owned.len() - 1)
                     }
                     None => {
                         let claim = (buffer.byte_length.0, index);
                         of_file.push((index, files.note(uri, claim, origin).map_err(place(index))?));
-                        None
+                        Source::Nowhere
                     }
                 },
             };
-            all.buffers.push((owned, 0));
+            all.buffers.push((source, 0));
         }
         let first = all.owned.len();
         for named in &mut files.named {
@@ -83,7 +96,7 @@ impl<'a> Buffers<'a> {
             all.owned.push(named.read().map_err(place(named.buffer))?);
         }
         all.files = files.named.into_iter().map(|named| named.shown).collect();
-        of_file.into_iter().for_each(|(buffer, file)| all.buffers[buffer].0 = Some(first + file));
+        of_file.into_iter().for_each(|(buffer, file)| all.buffers[buffer].0 = Source::Owned(first + file));
         for (index, buffer) in root.buffers.iter().enumerate() {
             all.set_length(index, buffer.byte_length.0).map_err(place(index))?;
         }
@@ -92,8 +105,12 @@ impl<'a> Buffers<'a> {
 
     /// Sets the length of a buffer, and checks that it has that many bytes.
     fn set_length(&mut self, index: usize, claimed: u64) -> Result<()> {
-        let (owned, length) = &mut self.buffers[index];
-        let there = owned.map_or(self.bin.len(), |i| self.owned[i].len());
+        let (source, length) = &mut self.buffers[index];
+        let there = match *source {
+            Source::Bin => self.bin.len(),
+            Source::Owned(i) => self.owned[i].len(),
+            Source::Nowhere => return Ok(()),
+        };
         if claimed > there as u64 {
             let what = format!("{claimed} bytes are claimed, but only {there} exist");
             return Err(Error::invalid(what, "the buffer is truncated; fetch or export it again"));

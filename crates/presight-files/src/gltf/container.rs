@@ -15,6 +15,8 @@ const TRUNCATED: &str = "the file is truncated; fetch or export it again";
 pub(super) struct Container<'a> {
     pub json: &'a [u8],
     pub bin: Option<&'a [u8]>,
+    /// The length of a chunk without the padding that glTF requires, if the next one follows it directly.
+    pub unpadded: Option<usize>,
 }
 
 /// Splits a .glb into its chunks. A .gltf is JSON text as a whole.
@@ -28,7 +30,7 @@ pub(super) fn open(bytes: &[u8]) -> Result<Container<'_>> {
         let what = if bytes.is_empty() { "the file is empty" } else { "this is not a glTF file" };
         return Err(Error::invalid(what, "give a glTF 2.0 .glb or .gltf file"));
     }
-    Ok(Container { json: text, bin: None })
+    Ok(Container { json: text, bin: None, unpadded: None })
 }
 
 fn open_binary(bytes: &[u8]) -> Result<Container<'_>> {
@@ -45,7 +47,7 @@ fn open_binary(bytes: &[u8]) -> Result<Container<'_>> {
     let Some(body) = bytes.get(12..length) else {
         return Err(Error::invalid(format!("the file has {} of {length} bytes", bytes.len()), TRUNCATED));
     };
-    let (mut json, mut bin) = (None, None);
+    let (mut json, mut bin, mut unpadded) = (None, None, None);
     let mut rest = body;
     while rest.len() >= 8 {
         let (size, kind) = (word(rest, 0).unwrap_or(0) as usize, word(rest, 4).unwrap_or(0));
@@ -57,11 +59,21 @@ fn open_binary(bytes: &[u8]) -> Result<Container<'_>> {
             BIN_CHUNK if bin.is_none() => bin = Some(chunk),
             _ => {}
         }
-        // Chunks start at multiples of 4, but some writers do not count the padding in the size.
-        rest = rest.get(8 + size.next_multiple_of(4)..).unwrap_or_default();
+        // Chunks start at multiples of 4. Some writers do not count the padding in the size, others write none.
+        let padded = rest.get(8 + size.next_multiple_of(4)..).unwrap_or_default();
+        let direct = rest.get(8 + size..).unwrap_or_default();
+        let follows_directly = direct.len() > padded.len() && starts_chunk(direct) && !starts_chunk(padded);
+        unpadded = unpadded.or(follows_directly.then_some(size));
+        rest = if follows_directly { direct } else { padded };
     }
     let json = json.ok_or_else(|| Error::invalid("the GLB has no JSON chunk", "export it again"))?;
-    Ok(Container { json, bin })
+    Ok(Container { json, bin, unpadded })
+}
+
+/// True if these bytes start with the header of a whole binary chunk.
+fn starts_chunk(bytes: &[u8]) -> bool {
+    let size = word(bytes, 0).map(|size| size as usize);
+    word(bytes, 4) == Some(BIN_CHUNK) && size.is_some_and(|size| size <= bytes.len() - 8)
 }
 
 fn word(bytes: &[u8], at: usize) -> Option<u32> {
@@ -180,11 +192,42 @@ mod tests {
     }
 
     #[test]
+    fn chunks_without_padding_are_read_as_they_are_written() {
+        let glb = |json: &[u8], size: u8, bin: &[u8]| {
+            let mut bytes = Vec::from(*b"glTF\x02\0\0\0\0\0\0\0");
+            bytes.extend([size, 0, 0, 0]);
+            bytes.extend(b"JSON".iter().chain(json));
+            bytes.extend([bin.len() as u8, 0, 0, 0]);
+            bytes.extend(b"BIN\0".iter().chain(bin));
+            bytes[8] = bytes.len() as u8;
+            bytes
+        };
+        for (json, size, bin, unpadded) in [
+            (b"{}  ".as_slice(), 4, b"abcd".as_slice(), None),
+            (b"{}  ", 2, b"abcd", None),
+            (b"{}", 2, b"abcd", Some(2)),
+            (b"{} ", 3, b"abc", Some(3)),
+            (b"{}   ", 5, b"", Some(5)),
+        ] {
+            let bytes = glb(json, size, bin);
+            let found = open(&bytes).unwrap();
+            assert_eq!((found.json, found.bin), (&json[..usize::from(size)], Some(bin)), "{json:?}");
+            assert_eq!(found.unpadded, unpadded, "{json:?}");
+        }
+        // A file that is cut in the next chunk is truncated, not unpadded.
+        let mut cut = glb(b"{}", 2, b"abcd");
+        cut.truncate(cut.len() - 1);
+        cut[8] -= 1;
+        assert!(open(&cut).is_err_and(|e| e.remedy().contains("truncated")));
+    }
+
+    #[test]
     fn cut_files_are_named_truncated() {
         let mut whole = Vec::from(*b"glTF\x02\0\0\0\x1c\0\0\0\x04\0\0\0JSON{}  \0\0\0\0BIN\0");
         assert_eq!(whole.len(), 32);
         whole[8] = 32;
         assert_eq!(open(&whole).unwrap().json, b"{}  ");
+        assert_eq!(open(&whole).unwrap().unpadded, None);
         for n in 4..32 {
             let e = open(&whole[..n]).err().unwrap();
             assert!(e.remedy().contains("truncated"), "{n}: {e}");

@@ -6,6 +6,7 @@ use super::nodes::SceneNode;
 use super::write::{matrix_of, mesh_hash};
 use glam::{DAffine3, DQuat, DVec3, Vec3};
 use gltf::json;
+use json::accessor::Type;
 use json::mesh::Semantic;
 use json::validation::Checked;
 use presight_model::environment::{Mesh, NewObject, PolygonOrder, PolygonRecord};
@@ -72,7 +73,7 @@ impl Document<'_> {
     fn polygons_of(&self, mesh: &json::Mesh, polygons: &Polygons) -> Option<Mesh> {
         let first = mesh.primitives.first()?;
         let positions = *first.attributes.get(&Checked::Valid(Semantic::Positions))?;
-        let positions = self.positions(positions).ok()?;
+        let positions = self.values(positions, Type::Vec3, "positions").ok()?;
         let vertices: Vec<Vec3> = (0..positions.count()).map(|i| positions.get(i)).collect();
         let rows = self.indices(json::Index::new(polygons.rows)).ok()?;
         let corners = self.indices(json::Index::new(polygons.corners)).ok()?;

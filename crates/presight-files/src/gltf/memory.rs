@@ -1,7 +1,7 @@
 //! Counts the memory of an import before it is allocated, because a small file can request any amount.
 
 use super::accessor::Document;
-use super::mesh::mesh_words;
+use super::mesh::{Shape, mesh_words};
 use crate::text::json_memory;
 use presight_model::error::{Error, Result};
 use presight_model::limits;
@@ -57,9 +57,9 @@ impl Memory {
         self.bytes
     }
 
-    /// Counts the memory of parsed JSON text.
+    /// Counts the memory of parsed JSON text, and of its reduced copy.
     pub(super) fn take_json(&mut self, text: &[u8]) -> Result<()> {
-        self.take(json_memory(text), "its JSON")
+        self.take(json_memory(text).saturating_add(text.len() as u64), "its JSON")
     }
 
     /// Counts a node of the scene; `path`: the length of its path, bytes.
@@ -68,11 +68,11 @@ impl Memory {
     }
 
     /// Counts meshes by their claimed numbers of triangles.
-    pub(super) fn take_meshes(&mut self, document: &Document<'_>, claims: &[(usize, u64)]) -> Result<()> {
-        for &(mesh, triangles) in claims {
-            let exact = EXACT.saturating_mul(document.exact_numbers(mesh));
+    pub(super) fn take_meshes(&mut self, document: &Document<'_>, claims: &[(Shape, u64)]) -> Result<()> {
+        for &(shape, triangles) in claims {
+            let exact = EXACT.saturating_mul(document.exact_numbers(shape.mesh));
             let bytes = of_kept(triangles).saturating_add(exact);
-            self.keep(bytes, &mesh_words(&document.root, mesh))?;
+            self.keep(bytes, &mesh_words(&document.root, shape.mesh))?;
         }
         let triangles = claims.iter().map(|&(_, triangles)| triangles).collect();
         self.take(of_building(triangles, AT_ONCE), "making its polygons")

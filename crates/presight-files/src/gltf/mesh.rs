@@ -1,15 +1,24 @@
 //! The triangles of a glTF mesh: all its primitives, in any topology, with equal positions welded.
 
-use super::accessor::{AccessorCounts, Document, Positions};
+use super::accessor::{AccessorCounts, Document, Values};
 use super::quoted;
+use super::skin::{Posed, RestPose, influence_accessors};
 use crate::preparation::{ProblemKind, TriangleMesh, Welder};
 use glam::Vec3;
 use gltf::json;
+use json::accessor::Type;
 use json::mesh::{Mode, Primitive, Semantic};
 use json::validation::Checked;
 use presight_model::error::{Error, Result};
 
 const REPAIR: &str = "repair the model or export it again";
+
+/// A mesh of the file, and the skin that poses it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(super) struct Shape {
+    pub mesh: usize,
+    pub skin: Option<usize>,
+}
 
 /// The triangles of a mesh, and problems that are not about single triangles.
 pub(super) struct MeshTriangles {
@@ -26,7 +35,7 @@ fn triangle_count(mode: Mode, corners: u64) -> Option<u64> {
     }
 }
 
-fn position_accessor(primitive: &Primitive) -> Option<json::Index<json::Accessor>> {
+pub(super) fn position_accessor(primitive: &Primitive) -> Option<json::Index<json::Accessor>> {
     primitive.attributes.get(&Checked::Valid(Semantic::Positions)).copied()
 }
 
@@ -45,7 +54,8 @@ pub(super) fn mesh_words(root: &json::Root, mesh: usize) -> String {
 
 impl Document<'_> {
     /// Number of triangles of a mesh, from the accessors' counts. Checks that their data exist.
-    pub fn claimed_triangles(&self, mesh: usize, proven: &mut AccessorCounts) -> Result<u64> {
+    pub fn claimed_triangles(&self, shape: Shape, proven: &mut AccessorCounts) -> Result<u64> {
+        let mesh = shape.mesh;
         let place = |e: Error| e.at(mesh_words(&self.root, mesh));
         let Some(m) = self.root.meshes.get(mesh) else {
             let what = format!("mesh {mesh} does not exist, there are {}", self.root.meshes.len());
@@ -58,19 +68,23 @@ impl Document<'_> {
             let vertices = self.proven_count(positions, proven).map_err(inner)?;
             let corners = primitive.indices.map(|i| self.proven_count(i, proven)).transpose().map_err(inner)?;
             let corners = corners.unwrap_or(vertices);
+            if shape.skin.is_some() {
+                self.prove_influences(primitive, proven).map_err(inner)?;
+            }
             sum = sum.saturating_add(triangle_count(mode_of(primitive).map_err(inner)?, corners).unwrap_or(0));
         }
         Ok(sum)
     }
 
-    /// Reads a mesh, whose index must be valid. Primitives without a material get `default_material`.
-    pub fn read_mesh(&self, mesh: usize, default_material: u16) -> Result<MeshTriangles> {
+    /// Reads a mesh, whose index must be valid, in its own frame or in that of `pose`. Primitives without a material get
+    /// `default_material`.
+    pub fn read_mesh(&self, mesh: usize, pose: Option<&RestPose>, default_material: u16) -> Result<MeshTriangles> {
         let mut read = MeshTriangles { triangles: TriangleMesh::default(), notes: Vec::new() };
         let mut welder = Welder::default();
         let mut shared = None;
         for (i, primitive) in self.root.meshes[mesh].primitives.iter().enumerate() {
             let words = || format!("{}: primitive {i}", mesh_words(&self.root, mesh));
-            self.read_primitive(primitive, default_material, &mut welder, &mut shared, &mut read)
+            self.read_primitive((primitive, pose), default_material, &mut welder, &mut shared, &mut read)
                 .map_err(|e| e.at(words()))?
                 .into_iter()
                 .for_each(|(kind, what)| read.notes.push((kind, format!("{}: {what}", words()))));
@@ -81,7 +95,7 @@ impl Document<'_> {
 
     fn read_primitive<'a>(
         &'a self,
-        primitive: &Primitive,
+        (primitive, pose): (&Primitive, Option<&'a RestPose>),
         default_material: u16,
         welder: &mut Welder,
         shared: &mut Option<PositionCache<'a>>,
@@ -97,13 +111,16 @@ impl Document<'_> {
         let Some(count) = triangle_count(mode, corners) else {
             return Ok(vec![(ProblemKind::IgnoredPrimitive, format!("{mode:?} with {corners} indices"))]);
         };
-        let positions = match shared.take().filter(|s| s.accessor == accessor.value()) {
+        let influences = pose.map_or_else(Vec::new, |_| influence_accessors(primitive));
+        let is_same = |s: &PositionCache<'_>| s.accessor == accessor.value() && s.influences == influences;
+        let positions = match shared.take().filter(is_same) {
             Some(known) => shared.insert(known),
-            None => shared.insert(PositionCache {
-                accessor: accessor.value(),
-                positions: self.positions(accessor)?,
-                welded: Vec::new(),
-            }),
+            None => {
+                let positions = self.values(accessor, Type::Vec3, "positions")?;
+                let posed = pose.map(|pose| self.posed(primitive, pose, positions.count())).transpose()?;
+                let (accessor, welded) = (accessor.value(), Vec::new());
+                shared.insert(PositionCache { accessor, influences, positions, posed, welded })
+            }
         };
         let indices = primitive.indices.map(|i| self.indices(i)).transpose()?;
         let corners = indices.as_ref().map_or(positions.positions.count(), Vec::len);
@@ -150,7 +167,10 @@ impl Document<'_> {
 /// The positions of the last accessor. Primitives of a mesh often share one.
 struct PositionCache<'a> {
     accessor: usize,
-    positions: Positions<'a>,
+    /// The accessors of joints and weights, if a skin poses the mesh.
+    influences: Vec<usize>,
+    positions: Values<'a>,
+    posed: Option<Posed<'a>>,
     /// The welded vertex for each vertex of the accessor, `u32::MAX` if not welded yet; empty if not worth the memory.
     welded: Vec<u32>,
 }
@@ -185,7 +205,10 @@ impl Corners<'_, '_> {
         if let Some(&known) = self.shared.welded.get(vertex).filter(|&&known| known != u32::MAX) {
             return Ok(known);
         }
-        let position = self.shared.positions.get(vertex);
+        let mut position = self.shared.positions.get(vertex);
+        if let Some(posed) = &self.shared.posed {
+            position = posed.place(vertex, position)?;
+        }
         let reach = f64::from(position.abs().max_element());
         if !position.is_finite() || reach > presight_model::limits::MAX_COORDINATE {
             return Err(Error::invalid(format!("vertex {vertex} is {position}, not a finite position"), REPAIR));

@@ -1,7 +1,7 @@
 //! Imports glTF 2.0 scenes, .glb and .gltf, into an [`Environment`].
 //!
-//! The `gltf` crate parses the file's structure, but reads node transforms as f32 and does not check sizes. So node
-//! transforms are read again as f64, and accessors are read here with every size checked first. Positions keep the
+//! The `gltf` crate parses the properties that presight uses, but reads node transforms as f32 and does not check sizes.
+//! So node transforms are read again as f64, and accessors are read here with every size checked first. Positions keep the
 //! file's f32 bits in the mesh's own frame. The object's f64 matrix is the product of `world_from_scene` from the
 //! sidecar, the rotation from y-up to z-up, and the node matrices. A node that is not an object but has objects below
 //! becomes a group; its frame is the rigid part of that product.
@@ -10,10 +10,16 @@ mod accessor;
 mod buffers;
 mod container;
 mod exact;
+mod instances;
 mod memory;
 mod mesh;
 mod nodes;
+mod notices;
+mod objects;
 mod paths;
+mod reduce;
+mod schema;
+mod skin;
 mod write;
 
 pub use write::write_glb;
@@ -26,18 +32,18 @@ use crate::preparation::{
 use crate::preparation::{SceneFrame, Up};
 use accessor::{AccessorCounts, Document};
 use buffers::Buffers;
-use exact::RootPlacement;
-use glam::{DAffine3, DMat3};
 use gltf::json;
 pub(crate) use memory::Memory;
-use mesh::mesh_words;
+use mesh::{Shape, mesh_words};
 use nodes::{NodeText, SceneNode};
-use presight_model::environment::{Environment, Material, Mesh, NewObject, PolygonOrder};
+use notices::{Described, FileExtensions};
+use objects::Placement;
+use presight_model::environment::{Environment, Material, Mesh, PolygonOrder};
 use presight_model::error::{Error, ErrorKind, Result};
-use presight_model::geometry::Pose;
 use presight_model::limits;
 use presight_model::threads::Threads;
 use rayon::prelude::*;
+use skin::RestPoses;
 use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
@@ -75,20 +81,6 @@ impl Default for ImportOptions {
         Self { merge: true, merge_tolerance: 1e-6, up: None, scale: None, threads: Threads::SHARED }
     }
 }
-
-/// Extensions that change the appearance of a surface, but not its shape.
-const HARMLESS: [&str; 7] = [
-    "KHR_materials_",
-    "KHR_texture_",
-    "EXT_texture_",
-    "MSFT_texture_",
-    "KHR_lights_punctual",
-    "KHR_xmp",
-    "KHR_mesh_quantization",
-];
-
-/// Extensions that move or multiply geometry. A file that does not require them is read without them, with a note.
-const SHAPING: [&str; 3] = ["EXT_mesh_gpu_instancing", "KHR_draco_mesh_compression", "EXT_meshopt_compression"];
 
 /// Reads a scene and its sidecar `SCENE.materials.toml`, if it exists.
 ///
@@ -203,9 +195,11 @@ fn import_from(
 ) -> Result<ImportedScene> {
     let container = container::open(bytes)?;
     memory.take_json(container.json)?;
-    let root: json::Root = parse(container.json)?;
-    let nodes: NodeText = parse(container.json)?;
+    let text = reduce::reduced(container.json)?;
+    let root: json::Root = parse(&text)?;
     check_version(&root)?;
+    let (nodes, extensions): (NodeText, FileExtensions) = (parse(&text)?, parse(&text)?);
+    drop(text);
     let images = container::images(&root, origin.scene);
     let buffers = Buffers::load(&root, container.bin, origin, memory)?;
     let files = match origin.buffers {
@@ -217,37 +211,42 @@ fn import_from(
         }
     };
     let document = Document { root, buffers };
+    let mut scene = nodes.scene_nodes(memory)?;
     let mut book = ProblemBook::default();
-    note_extensions(&document.root, &mut book);
-
-    let nodes = nodes.scene_nodes(memory)?;
-    let claims = claims_of(&document, &nodes)?;
+    let skins = skin::pose(&document, &nodes, &mut scene.nodes, &mut book)?;
+    scene.nodes = instances::expanded(&document, scene.nodes, memory)?;
+    let claims = claims_of(&document, &scene.nodes)?;
     memory.take_meshes(&document, &claims)?;
     let mut environment = Environment::new();
     let default_material = add_materials(&document.root, sidecar, origin.scene, &mut environment)?;
-    let build = |&claim| build_mesh(&document, claim, default_material, options);
-    let built: Vec<Result<BuiltMesh>> = options.threads.run(|| claims.par_iter().map(build).collect())?;
-    let mut report = ImportReport::default();
-    let mut by_mesh = HashMap::with_capacity(claims.len());
-    for (&(mesh, _), built) in claims.iter().zip(built) {
-        let built = built?;
-        report.triangles_stored += u64::from(built.source_count);
-        report.merges += built.merges;
-        report.polygons_stored += built.mesh.polygon_count() as u64;
-        built.notes.iter().for_each(|(kind, words)| book.note(*kind, || words.clone()));
-        book.extend(&built.problems, |triangle| {
-            let (primitive, number) = built.place_of(triangle);
-            format!("{}: primitive {primitive}, triangle {number}", mesh_words(&document.root, mesh))
-        });
-        by_mesh.insert(mesh, built);
-    }
+    let (root, materials) = (&document.root, environment.materials().to_vec());
+    let described = Described { root, file: &extensions, path: origin.scene, scene: &scene, materials: &materials };
+
     let frame = options.frame(sidecar);
-    insert_objects(&nodes, &by_mesh, &frame, &mut environment, &mut report, &mut book)?;
-    if environment.slot_count() == 0 {
-        return Err(Error::invalid("the scene has no polygons", "export meshes of triangles into the default scene"));
+    for extension in described.unfollowed() {
+        book.note(ProblemKind::IgnoredFeature, || format!("extension {extension}: the data without it is used"));
     }
-    report.problems = book.into_problems();
+    let mut placement = Placement::new(environment, book, frame);
+    let build = |&claim: &(Shape, u64)| build_mesh(&document, claim, &skins.poses, default_material, options);
+    let built: Vec<Result<BuiltMesh>> = options.threads.run(|| claims.par_iter().map(build).collect())?;
+    let mut by_shape = HashMap::with_capacity(claims.len());
+    for (&(shape, _), built) in claims.iter().zip(built) {
+        let built = built?;
+        placement.count(&built, &mesh_words(root, shape.mesh));
+        by_shape.insert(shape, built);
+    }
+    placement.insert_all(&scene.nodes, &by_shape)?;
+    let mut notices: Vec<String> = container.unpadded.map(unpadded).into_iter().chain(described.lines()).collect();
+    notices.extend(skins.notice());
+    notices.extend(placement.notices(|mesh| mesh_words(root, mesh)));
+    let Placement { environment, report, book, .. } = placement;
+    let report = ImportReport { problems: book.into_problems(), notices, ..report };
     Ok(ImportedScene { environment, report, frame: Some(frame), files })
+}
+
+/// The notice about a chunk of a .glb without padding.
+fn unpadded(bytes: usize) -> String {
+    format!("a chunk of the GLB has {bytes} bytes, which is not a multiple of 4: it is read as it was written")
 }
 
 /// Quotes a name for a message. Long names are cut.
@@ -259,15 +258,10 @@ fn quoted(name: &str) -> String {
     }
 }
 
+/// Parses the reduced text of a scene.
 fn parse<'de, T: serde::Deserialize<'de>>(text: &'de [u8]) -> Result<T> {
-    serde_json::from_slice(text).map_err(|e| {
-        let place = format!("JSON line {}, column {}", e.line(), e.column());
-        let whole = e.to_string();
-        // The place already names the line.
-        let what = whole.split(" at line ").next().unwrap_or(&whole).to_owned();
-        let remedy = if e.is_eof() { "the file is truncated; export it again" } else { "export it again as glTF 2.0" };
-        Error::invalid(what, remedy).at(place)
-    })
+    serde_json::from_slice(text)
+        .map_err(|e| Error::invalid(e.to_string(), "export it again as glTF 2.0").at("its JSON"))
 }
 
 fn check_version(root: &json::Root) -> Result<()> {
@@ -281,7 +275,7 @@ fn check_version(root: &json::Root) -> Result<()> {
         return Err(Error::new(ErrorKind::Unsupported, what, "export it as glTF 2.0").at("asset"));
     }
     for extension in &root.extensions_required {
-        if !HARMLESS.iter().any(|known| extension.starts_with(known)) {
+        if !notices::is_known(extension) {
             return Err(Error::new(
                 ErrorKind::Unsupported,
                 format!("the file requires the extension {extension:?}"),
@@ -293,26 +287,20 @@ fn check_version(root: &json::Root) -> Result<()> {
     Ok(())
 }
 
-fn note_extensions(root: &json::Root, book: &mut ProblemBook) {
-    for extension in root.extensions_used.iter().filter(|e| SHAPING.contains(&e.as_str())) {
-        book.note(ProblemKind::IgnoredFeature, || format!("extension {extension}: the data without it is used"));
-    }
-}
-
 /// The meshes of the scene in the order of their first use, with their claimed numbers of triangles. Checks these
 /// against the limits.
-fn claims_of(document: &Document<'_>, nodes: &[SceneNode]) -> Result<Vec<(usize, u64)>> {
-    let mut claimed: HashMap<usize, u64> = HashMap::new();
+fn claims_of(document: &Document<'_>, nodes: &[SceneNode]) -> Result<Vec<(Shape, u64)>> {
+    let mut claimed: HashMap<Shape, u64> = HashMap::new();
     let mut proven = AccessorCounts::default();
     let mut claims = Vec::new();
     let (mut stored, mut in_scene) = (0u64, 0u64);
-    for (node, mesh) in nodes.iter().filter_map(|node| Some((node, node.mesh?))) {
-        let count = match claimed.get(&mesh) {
+    for (node, shape) in nodes.iter().filter_map(|node| Some((node, node.shape()?))) {
+        let count = match claimed.get(&shape) {
             Some(&count) => count,
             None => {
-                let count = document.claimed_triangles(mesh, &mut proven).map_err(|e| e.at(place_of(node)))?;
-                claimed.insert(mesh, count);
-                claims.push((mesh, count));
+                let count = document.claimed_triangles(shape, &mut proven).map_err(|e| e.at(place_of(node)))?;
+                claimed.insert(shape, count);
+                claims.push((shape, count));
                 stored = stored.saturating_add(count);
                 count
             }
@@ -397,17 +385,19 @@ impl BuiltMesh {
 
 fn build_mesh(
     document: &Document<'_>,
-    (index, claimed): (usize, u64),
+    (Shape { mesh: index, skin }, claimed): (Shape, u64),
+    poses: &RestPoses,
     default_material: u16,
     options: &ImportOptions,
 ) -> Result<BuiltMesh> {
-    let exact = if options.merge { document.exact_mesh(index) } else { exact::Exact::None };
+    let pose = skin.and_then(|skin| poses.get(&skin));
+    let exact = if options.merge && pose.is_none() { document.exact_mesh(index) } else { exact::Exact::None };
     let stale = match exact {
         exact::Exact::Mesh(mesh) => return Ok(BuiltMesh::exact(mesh, claimed)),
         exact::Exact::Stale => true,
         exact::Exact::None => false,
     };
-    let mesh::MeshTriangles { triangles, mut notes } = document.read_mesh(index, default_material)?;
+    let mesh::MeshTriangles { triangles, mut notes } = document.read_mesh(index, pose, default_material)?;
     if stale {
         let what = format!(
             "{}: its stored polygons do not match its vertices: its triangles are used",
@@ -430,111 +420,7 @@ fn build_mesh(
     Ok(BuiltMesh { mesh, source_count, primitive_ends, problems, notes, merges, deviation, exact: false })
 }
 
-/// The greatest factor by which a transform stretches a length: exact for scales along the axes, a bound for shears.
-fn largest_stretch(m: &DMat3) -> f64 {
-    let [x, y, z] = [m.x_axis, m.y_axis, m.z_axis];
-    let longest = x.length().max(y.length()).max(z.length());
-    let skew = x.dot(y).abs().max(y.dot(z).abs()).max(z.dot(x).abs());
-    // M^T M = D + S with |S| <= 2 max |s|.
-    (longest * longest + 2.0 * skew).sqrt()
-}
-
 /// Names a node in messages.
 fn place_of(node: &SceneNode) -> String {
     format!("node {} {}", node.node, quoted(&node.path))
-}
-
-fn insert_objects(
-    nodes: &[SceneNode],
-    by_mesh: &HashMap<usize, BuiltMesh>,
-    frame: &SceneFrame,
-    environment: &mut Environment,
-    report: &mut ImportReport,
-    book: &mut ProblemBook,
-) -> Result<()> {
-    let world_from_gltf = frame.world_from_file();
-    // Our own writer writes files without a sidecar.
-    let exact = *frame == SceneFrame::default();
-    let built_of = |node: &SceneNode| node.mesh.and_then(|mesh| by_mesh.get(&mesh));
-    let is_object = |node: &SceneNode| built_of(node).is_some_and(|built| built.mesh.polygon_count() > 0);
-    let paths = paths::paths(nodes, is_object);
-    let mut first_source = 0u32;
-    for (node, path) in nodes.iter().zip(&paths) {
-        let place = || place_of(node);
-        let Some(built) = built_of(node) else { continue };
-        report.triangles_in_scene += u64::from(built.source_count);
-        report.polygons_in_scene += built.mesh.polygon_count() as u64;
-        if node.skinned {
-            book.note(ProblemKind::IgnoredFeature, || format!("{}: skin: the rest pose is used", place()));
-        }
-        match path.as_deref().filter(|_| is_object(node)) {
-            None => book.note(ProblemKind::EmptyMesh, place),
-            Some(path) => {
-                let world_from_mesh = world_from_gltf * node.scene_from_node;
-                let new =
-                    object(node, path, built, first_source, (&world_from_mesh, exact)).map_err(|e| e.at(place()))?;
-                let deviation = built.deviation * largest_stretch(&world_from_mesh.matrix3);
-                report.largest_deviation_m = report.largest_deviation_m.max(deviation);
-                insert(environment, new).map_err(|e| e.at(place()))?;
-            }
-        }
-        // Cannot overflow, because the sum over all nodes is below the limit on polygons.
-        first_source += built.source_count;
-    }
-    for (node, path) in nodes.iter().zip(paths).filter(|(node, _)| !is_object(node)) {
-        if let Some(path) = path {
-            let frame = frame_of_group(node, &world_from_gltf, exact);
-            // A matrix without a rigid part is refused; the group then has the frame of its parent.
-            let _ = environment.set_frame(&path, Some(frame));
-        }
-    }
-    environment.settle_groups();
-    for node in nodes.iter().filter(|node| matches!(node.placed, Some(RootPlacement::Group(_)))) {
-        // Our own writer names the node by the group's path; the group's objects are not its children.
-        let free = environment.object(&node.name).is_none() && environment.group(&node.name).is_none();
-        if free && environment.has_below(&node.name) {
-            let _ = environment.set_frame(&node.name, Some(frame_of_group(node, &world_from_gltf, exact)));
-        }
-    }
-    Ok(())
-}
-
-/// Makes the object of a node.
-fn object(
-    node: &SceneNode,
-    path: &str,
-    built: &BuiltMesh,
-    first_source: u32,
-    (world_from_mesh, exact): (&DAffine3, bool),
-) -> Result<NewObject> {
-    let written = match &node.placed {
-        Some(RootPlacement::Object(placed)) if exact => placed.object(node, path, built.mesh.clone()),
-        _ => None,
-    };
-    Ok(match written {
-        Some(new) if built.exact => new,
-        // A mesh read from triangles gets new source numbers.
-        Some(new) => NewObject { first_source, ..new },
-        None => NewObject { first_source, ..NewObject::from_affine(path, *world_from_mesh, built.mesh.clone())? },
-    })
-}
-
-fn insert(environment: &mut Environment, new: NewObject) -> Result<()> {
-    let object = environment.insert(new)?;
-    let bounds = environment.objects()[object as usize].world_bounds();
-    let reach = bounds.min.abs().max(bounds.max.abs());
-    if reach.is_finite() && reach.max_element() <= limits::MAX_COORDINATE {
-        return Ok(());
-    }
-    let what = format!("it reaches beyond {} m", limits::MAX_COORDINATE);
-    Err(Error::invalid(what, "check the scale: glTF is in metres"))
-}
-
-/// The frame of a node's group.
-fn frame_of_group(node: &SceneNode, world_from_gltf: &DAffine3, exact: bool) -> Pose {
-    let written = match &node.placed {
-        Some(RootPlacement::Group(group)) if exact => group.frame(node),
-        _ => None,
-    };
-    written.unwrap_or_else(|| Pose::rigid_part(&(*world_from_gltf * node.scene_from_node)))
 }

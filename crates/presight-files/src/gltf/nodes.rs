@@ -2,11 +2,15 @@
 
 use super::exact::RootPlacement;
 use super::memory::Memory;
+use super::mesh::Shape;
+use super::notices::is_known;
 use super::quoted;
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 use presight_model::error::{Error, Result};
 use presight_model::limits;
 use serde::Deserialize;
+use serde::de::IgnoredAny;
+use std::collections::{BTreeMap, BTreeSet};
 
 const REPAIR: &str = "repair the model or export it again";
 /// The parent of a root.
@@ -39,7 +43,49 @@ struct Node {
     translation: Option<[f64; 3]>,
     rotation: Option<[f64; 4]>,
     scale: Option<[f64; 3]>,
+    #[serde(default)]
+    extensions: NodeExtensions,
     extras: Option<serde_json::Value>,
+}
+
+#[derive(Default, Deserialize)]
+struct NodeExtensions {
+    #[serde(rename = "KHR_node_visibility")]
+    visibility: Option<Visibility>,
+    #[serde(rename = "EXT_mesh_gpu_instancing")]
+    instancing: Option<Instancing>,
+    #[serde(flatten)]
+    others: BTreeMap<String, IgnoredAny>,
+}
+
+#[derive(Deserialize)]
+struct Visibility {
+    visible: Option<bool>,
+}
+
+#[derive(Deserialize)]
+struct Instancing {
+    attributes: Instances,
+}
+
+/// The accessors that place the instances of a node in its frame.
+#[derive(Clone, Copy, Deserialize)]
+#[serde(rename_all = "UPPERCASE")]
+pub(super) struct Instances {
+    pub translation: Option<u32>,
+    pub rotation: Option<u32>,
+    pub scale: Option<u32>,
+}
+
+/// The default scene.
+#[derive(Default)]
+pub(super) struct SceneNodes {
+    /// Depth-first, with children in order.
+    pub nodes: Vec<SceneNode>,
+    /// Number of objects that `KHR_node_visibility` hides.
+    pub hidden: usize,
+    /// The extensions that are not followed, with the file's numbers of the nodes that have them.
+    pub extensions: BTreeMap<String, BTreeSet<usize>>,
 }
 
 /// A node of the default scene with a mesh at or below it, or a group of our own writer.
@@ -54,68 +100,109 @@ pub(super) struct SceneNode {
     pub mesh: Option<usize>,
     /// glTF scene axes, y up.
     pub scene_from_node: DAffine3,
-    pub skinned: bool,
+    /// The skin that poses its mesh.
+    pub skin: Option<usize>,
+    pub instances: Option<Instances>,
     /// Our own writer's data, for a root.
     pub placed: Option<RootPlacement>,
 }
 
+impl SceneNode {
+    /// Its mesh, and the skin that poses it.
+    pub fn shape(&self) -> Option<Shape> {
+        Some(Shape { mesh: self.mesh?, skin: self.skin })
+    }
+
+    /// The same node without our own writer's data.
+    pub fn copied(&self) -> Self {
+        let Self { node, parent, mesh, scene_from_node, skin, instances, .. } = *self;
+        let (name, path) = (self.name.clone(), self.path.clone());
+        Self { node, parent, name, path, mesh, scene_from_node, skin, instances, placed: None }
+    }
+}
+
 impl NodeText {
-    /// Lists the scene nodes depth-first, with children in order.
-    pub fn scene_nodes(&self, memory: &mut Memory) -> Result<Vec<SceneNode>> {
+    /// Lists the scene nodes.
+    pub fn scene_nodes(&self, memory: &mut Memory) -> Result<SceneNodes> {
         let parents = self.parents()?;
         let carries = self.carriers(&parents);
-        let mut found: Vec<SceneNode> = Vec::new();
+        let mut scene = SceneNodes::default();
         let mut seen = vec![false; self.nodes.len()];
         let mut path = String::new();
         // Not recursive, because a deep file must not exhaust the stack. (node, depth, length of the parent's path,
-        // parent's index in `found`, scene_from_parent)
-        let mut stack: Vec<(usize, usize, usize, Option<usize>, DAffine3)> =
-            self.roots(&parents)?.iter().rev().map(|&r| (r, 0, 0, None, DAffine3::IDENTITY)).collect();
-        while let Some((index, depth, parent_length, parent, scene_from_parent)) = stack.pop() {
+        // parent's index in `scene`, if it is visible, scene_from_parent)
+        let mut stack: Vec<(usize, usize, usize, Option<usize>, bool, DAffine3)> =
+            self.roots(&parents)?.iter().rev().map(|&r| (r, 0, 0, None, true, DAffine3::IDENTITY)).collect();
+        while let Some((index, depth, parent_length, parent, visible, scene_from_parent)) = stack.pop() {
             let node = &self.nodes[index];
             if std::mem::replace(&mut seen[index], true) {
                 return Err(self.error(index, "the scene holds this node twice"));
             }
             path.truncate(parent_length);
-            if depth > 0 {
-                path.push('/');
-            }
-            let start = path.len();
-            match node.name.as_deref() {
-                Some(name) if !name.is_empty() => path.push_str(name),
-                _ => path.push_str(&format!("node{index}")),
-            }
-            if depth >= limits::MAX_NODE_DEPTH || path.len() > limits::MAX_NAME_BYTES {
-                return Err(self.error(
-                    index,
-                    format!(
-                        "nodes nest over {} levels or a path is over {} bytes",
-                        limits::MAX_NODE_DEPTH,
-                        limits::MAX_NAME_BYTES
-                    ),
-                ));
-            }
+            let start = self.extend_path(index, depth, &mut path)?;
             let scene_from_node = scene_from_parent * node.transform().map_err(|what| self.error(index, what))?;
             let placed = node.extras.as_ref().filter(|_| depth == 0).and_then(RootPlacement::of);
+            let visible = visible && node.is_visible();
             let mut own = None;
-            if carries[index] || matches!(placed, Some(RootPlacement::Group(_))) {
+            if !visible {
+                scene.hidden += usize::from(node.mesh.is_some());
+            } else if carries[index] || matches!(placed, Some(RootPlacement::Group(_))) {
                 memory.take_node(path.len())?;
-                own = Some(found.len());
-                found.push(SceneNode {
+                own = Some(scene.nodes.len());
+                for extension in node.extensions.others.keys().filter(|extension| !is_known(extension)) {
+                    scene.extensions.entry(extension.clone()).or_default().insert(index);
+                }
+                scene.nodes.push(SceneNode {
                     node: index,
                     parent,
                     name: path[start..].to_owned(),
                     path: path.clone(),
                     mesh: node.mesh,
                     scene_from_node,
-                    skinned: node.skin.is_some(),
+                    skin: node.skin,
+                    instances: node.extensions.instancing.as_ref().map(|all| all.attributes),
                     placed,
                 });
             }
             let length = path.len();
-            stack.extend(node.children.iter().rev().map(|&c| (c, depth + 1, length, own, scene_from_node)));
+            stack.extend(node.children.iter().rev().map(|&c| (c, depth + 1, length, own, visible, scene_from_node)));
         }
-        Ok(found)
+        Ok(scene)
+    }
+
+    /// Adds a node's name to the path of its parent, and returns where it starts.
+    fn extend_path(&self, index: usize, depth: usize, path: &mut String) -> Result<usize> {
+        if depth > 0 {
+            path.push('/');
+        }
+        let start = path.len();
+        match self.nodes[index].name.as_deref() {
+            Some(name) if !name.is_empty() => path.push_str(name),
+            _ => path.push_str(&format!("node{index}")),
+        }
+        let (levels, bytes) = (limits::MAX_NODE_DEPTH, limits::MAX_NAME_BYTES);
+        if depth >= levels || path.len() > bytes {
+            return Err(self.error(index, format!("nodes nest over {levels} levels or a path is over {bytes} bytes")));
+        }
+        Ok(start)
+    }
+
+    /// The transform of each node to the scene, whether it is in the default scene or not; `None` if it or a node
+    /// above is broken.
+    pub fn scene_from_nodes(&self) -> Result<Vec<Option<DAffine3>>> {
+        let parents = self.parents()?;
+        let mut all = vec![None; self.nodes.len()];
+        let mut stack: Vec<(usize, DAffine3)> =
+            (0..parents.len()).filter(|&i| parents[i] == NONE).map(|i| (i, DAffine3::IDENTITY)).collect();
+        while let Some((index, scene_from_parent)) = stack.pop() {
+            let node = &self.nodes[index];
+            if let Ok(parent_from_node) = node.transform() {
+                let scene_from_node = scene_from_parent * parent_from_node;
+                all[index] = Some(scene_from_node);
+                stack.extend(node.children.iter().map(|&child| (child, scene_from_node)));
+            }
+        }
+        Ok(all)
     }
 
     /// The parent of each node. Checks that the hierarchy is a forest.
@@ -192,6 +279,10 @@ impl NodeText {
 }
 
 impl Node {
+    fn is_visible(&self) -> bool {
+        self.extensions.visibility.as_ref().is_none_or(|v| v.visible.unwrap_or(true))
+    }
+
     /// `parent_from_node`.
     fn transform(&self) -> Result<DAffine3, &'static str> {
         let Some(m) = &self.matrix else {

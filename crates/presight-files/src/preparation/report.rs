@@ -41,6 +41,8 @@ pub struct ImportReport {
     pub largest_deviation_m: f64,
     /// Problems by kind; kinds that did not occur are left out.
     pub problems: Vec<Problem>,
+    /// A line for each part of a file that shapes the scene and is not followed, is left out, or has lost digits.
+    pub notices: Vec<String>,
 }
 
 impl ImportReport {
@@ -72,17 +74,19 @@ pub enum ProblemKind {
     IgnoredPrimitive,
     /// Indices left over at the end, too few for a triangle: left out.
     LeftoverIndices,
-    /// An object whose mesh has no polygon: left out.
+    /// An object whose mesh has no polygon, or that a scale of zero flattens: left out.
     EmptyMesh,
-    /// An unsupported glTF feature that moves or multiplies geometry: skins, morph targets, instancing extensions.
+    /// An unsupported glTF feature that may shape the scene: an unknown extension, morph targets.
     IgnoredFeature,
+    /// A mesh that lies too far from its own origin for 32 bits to hold a millimetre.
+    LostPrecision,
     /// A feature of the scene's own layers whose surface was moved or deleted: left out of predictions.
     LostFeature,
 }
 
 impl ProblemKind {
     /// All kinds, in the order of reports.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 13] = [
         Self::DegenerateTriangle,
         Self::DuplicateFace,
         Self::NonManifoldEdge,
@@ -94,6 +98,7 @@ impl ProblemKind {
         Self::LeftoverIndices,
         Self::EmptyMesh,
         Self::IgnoredFeature,
+        Self::LostPrecision,
         Self::LostFeature,
     ];
 
@@ -109,8 +114,9 @@ impl ProblemKind {
             Self::InsideOut => "inside-out shells",
             Self::IgnoredPrimitive => "primitives without triangles (left out)",
             Self::LeftoverIndices => "primitives with leftover indices (left out)",
-            Self::EmptyMesh => "objects without polygons (left out)",
+            Self::EmptyMesh => "objects without area (left out)",
             Self::IgnoredFeature => "unsupported glTF features (ignored)",
+            Self::LostPrecision => "meshes that 32 bits round",
             Self::LostFeature => "features that no longer lie on a polygon (left out of predictions)",
         }
     }

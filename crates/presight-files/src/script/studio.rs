@@ -364,6 +364,7 @@ impl SceneBuild {
             }
         }
         report.problems.sort_by_key(|p| p.kind);
+        report.notices.extend(of_file.notices.iter().map(|notice| format!("{file}: {notice}")));
     }
 }
 

@@ -24,6 +24,8 @@ pub(super) struct Context<'a> {
     mesh: &'a mut dyn FnMut(i64) -> Result<Arc<Mesh>>,
     /// Materials added by the operation so far.
     added: Vec<Material>,
+    /// Notices of the scene files that the operation names.
+    pub notices: Vec<String>,
     /// Allowed distance of features from their polygons, metres; `None`: the tolerance of their layer.
     pub tolerance: Option<f64>,
     /// The environment after the earlier changes of a group, if later ones depend on them.
@@ -37,7 +39,7 @@ impl<'a> Context<'a> {
         folder: Option<&'a Path>,
         mesh: &'a mut dyn FnMut(i64) -> Result<Arc<Mesh>>,
     ) -> Self {
-        Self { environment, folder, mesh, added: Vec::new(), tolerance: None, now: None }
+        Self { environment, folder, mesh, added: Vec::new(), notices: Vec::new(), tolerance: None, now: None }
     }
 
     fn environment(&self) -> &Arc<Environment> {
@@ -178,7 +180,9 @@ impl<'a> Context<'a> {
         if let (Some(file), Some(folder)) = (&fields.from, self.folder) {
             let of_file =
                 merge::mesh_of_file(&folder.join(file), fields.from_object.as_deref(), &mut materials, before);
-            return of_file.map_err(Error::in_place);
+            let (mesh, notices) = of_file.map_err(Error::in_place)?;
+            self.notices.extend(notices.iter().map(|notice| format!("{file}: {notice}")));
+            return Ok(mesh);
         }
         let name = fields.material.as_deref().unwrap_or("default");
         let material = match materials.named(name) {

@@ -48,15 +48,16 @@ impl<'a> Materials<'a> {
     }
 }
 
-/// The mesh of an object in a scene file, with the object's rotation and scale applied.
+/// The mesh of an object in a scene file, with the object's rotation and scale applied; and the notices of the import.
 pub(super) fn mesh_of_file(
     path: &Path,
     object: Option<&str>,
     materials: &mut Materials<'_>,
     changes: &mut Vec<Change>,
-) -> Result<Arc<Mesh>> {
-    let scene = import(path, &ImportOptions::default())?.environment;
-    mesh_of(&scene, object, materials, changes).map_err(|e| e.in_file(path))
+) -> Result<(Arc<Mesh>, Vec<String>)> {
+    let scene = import(path, &ImportOptions::default())?;
+    let mesh = mesh_of(&scene.environment, object, materials, changes).map_err(|e| e.in_file(path))?;
+    Ok((mesh, scene.report.notices))
 }
 
 fn mesh_of(

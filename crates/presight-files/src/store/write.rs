@@ -72,11 +72,12 @@ pub struct Batch<'a> {
     /// True after a failed write rolled the batch back.
     taken_back: bool,
     ids: Vec<String>,
+    notices: Vec<String>,
 }
 
 impl<'a> Batch<'a> {
     pub(super) fn new(store: &'a mut Store) -> Self {
-        Self { store, open: false, taken_back: false, ids: Vec::new() }
+        Self { store, open: false, taken_back: false, ids: Vec::new(), notices: Vec::new() }
     }
 
     /// The world, including all changes so far.
@@ -190,9 +191,16 @@ impl<'a> Batch<'a> {
         let request = id.as_ref().map(|_| ids::request(&op)).transpose()?;
         let mut mesh = |_| Err(Error::invalid("mesh numbers are valid only in the log", "give \"like\""));
         let environment = self.store.world.environment();
-        let change = Context::new(environment, Some(folder), &mut mesh).change(op)?;
+        let mut context = Context::new(environment, Some(folder), &mut mesh);
+        let change = context.change(op)?;
+        self.notices.append(&mut context.notices);
         let entry = Entry { placed: Some(RestoreCheck::Checked), request, ..Entry::default() };
         Ok((self.record(change, &Note { id, cause, ..note.clone() }, &entry)?, true))
+    }
+
+    /// Returns what the applied lines' scene files hold that is not followed, and forgets it.
+    pub fn take_notices(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.notices)
     }
 
     /// Parses the JSON of a change in the log.
