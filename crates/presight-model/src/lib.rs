@@ -18,6 +18,7 @@ pub mod placement;
 pub mod printable;
 pub mod random;
 pub mod sensor;
+pub mod statistics;
 pub mod threads;
 pub mod world;
 

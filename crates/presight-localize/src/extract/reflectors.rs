@@ -6,6 +6,7 @@ use glam::{DMat2, DVec2};
 use presight_model::error::{Error, Result};
 use presight_model::measured::{Frame, GreyImage, RangeNoise};
 use presight_model::sensor::Sensor;
+use presight_model::statistics::median;
 use std::collections::BTreeMap;
 
 /// Thresholds of the reflector detector.
@@ -265,11 +266,7 @@ impl BrightSpot {
     }
 
     fn median(&self) -> Option<f64> {
-        let mut ranges: Vec<f64> = self.ranges.iter().map(|(_, range)| *range).collect();
-        ranges.sort_by(f64::total_cmp);
-        let half = ranges.len() / 2;
-        let upper = *ranges.get(half)?;
-        Some(if ranges.len().is_multiple_of(2) { 0.5 * (ranges[half - 1] + upper) } else { upper })
+        median(&mut self.ranges.iter().map(|(_, range)| *range).collect::<Vec<f64>>())
     }
 }
 

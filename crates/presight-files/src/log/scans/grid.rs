@@ -5,6 +5,7 @@ use glam::DVec3;
 use presight_model::error::Result;
 use presight_model::limits;
 use presight_model::sensor::RayTable;
+use presight_model::statistics::upper_median;
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 /// Rays and the ranges measured along them, row by row.
@@ -162,11 +163,8 @@ fn spacing(directions: &[Direction]) -> Direction {
         above.extend(v.0.is_finite().then_some(v.1));
     }
     let median = |mut all: Vec<f64>| {
-        if 2 * all.len() < count || all.is_empty() {
-            return f64::INFINITY;
-        }
-        let middle = all.len() / 2;
-        *all.select_nth_unstable_by(middle, f64::total_cmp).1
+        let known = if 2 * all.len() < count { None } else { upper_median(&mut all, f64::total_cmp) };
+        known.unwrap_or(f64::INFINITY)
     };
     Direction { azimuth: median(beside), elevation: median(above) }
 }
