@@ -15,6 +15,7 @@ pub mod measured;
 pub mod memory;
 pub mod place;
 pub mod placement;
+pub mod poses;
 pub mod printable;
 pub mod random;
 pub mod sensor;

@@ -5,9 +5,11 @@
 
 mod grey;
 mod noise;
+mod range_grid;
 
 pub use grey::GreyImage;
 pub use noise::RangeNoise;
+pub use range_grid::{RangeGrid, range_grid};
 
 use crate::error::{Error, Result};
 use crate::geometry::{InRobot, Pose, PoseCovariance};
