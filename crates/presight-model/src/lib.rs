@@ -13,6 +13,7 @@ pub mod limits;
 pub mod matrix;
 pub mod measured;
 pub mod memory;
+mod options;
 pub mod place;
 pub mod placement;
 pub mod poses;

@@ -61,7 +61,7 @@ impl Default for EstimateOptions {
     }
 }
 
-crate::options::with_options!(
+presight_model::with_options!(
     EstimateOptions:
     with_freedom freedom: Freedom,
     with_least_explained least_explained: f64,

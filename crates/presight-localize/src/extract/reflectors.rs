@@ -11,6 +11,7 @@ use std::collections::BTreeMap;
 
 /// Thresholds of the reflector detector.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct ReflectorOptions {
     /// Least intensity; diffuse surfaces stay far below it.
     pub least: f64,
@@ -23,6 +24,12 @@ impl Default for ReflectorOptions {
         Self { least: 0.8, widest: 0.4 }
     }
 }
+
+presight_model::with_options!(
+    ReflectorOptions:
+    with_least least: f64,
+    with_widest widest: f64,
+);
 
 /// A detected reflector.
 #[derive(Clone, Debug, PartialEq)]

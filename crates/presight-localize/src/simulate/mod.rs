@@ -21,6 +21,7 @@ use presight_render::plan::{Images, Output, Outputs};
 
 /// Errors of a simulated sensor and its robot beyond the sensor's stated noise.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Disturbances {
     /// Fraction of the pixels without a measurement.
     pub drop_outs: f64,
@@ -37,6 +38,14 @@ impl Default for Disturbances {
         Self { drop_outs: 0.01, mixed_pixels: 0.3, slip: 0.02, turn_slip: 0.02 }
     }
 }
+
+presight_model::with_options!(
+    Disturbances:
+    with_drop_outs drop_outs: f64,
+    with_mixed_pixels mixed_pixels: f64,
+    with_slip slip: f64,
+    with_turn_slip turn_slip: f64,
+);
 
 /// A range that differs from its neighbour's by more than this fraction is behind an edge.
 const JUMP: f64 = 0.05;
