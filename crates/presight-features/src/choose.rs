@@ -67,8 +67,8 @@ pub fn informations(
     .collect()
 }
 
-/// Returns the chosen indices in order. Evaluates gains at most `asked` times, and once more per feature.
-fn greedy(prior: &Matrix, informations: &[(u32, Matrix)], most: usize, mut asked: usize) -> Vec<usize> {
+/// Returns the chosen indices in order. Evaluates gains at most `evaluations` times, and once more per feature.
+fn greedy(prior: &Matrix, informations: &[(u32, Matrix)], most: usize, mut evaluations: usize) -> Vec<usize> {
     /// A gain with a total order.
     #[derive(PartialEq)]
     struct Gain(f64);
@@ -93,11 +93,11 @@ fn greedy(prior: &Matrix, informations: &[(u32, Matrix)], most: usize, mut asked
             break;
         }
         // Rounds count from 1, so that every gain is computed at least once.
-        if known == chosen.len() + 1 || known > 0 && asked == 0 {
+        if known == chosen.len() + 1 || known > 0 && evaluations == 0 {
             add_to(&mut sum, &informations[i].1);
             chosen.push(i);
         } else {
-            asked = asked.saturating_sub(1);
+            evaluations = evaluations.saturating_sub(1);
             let mut with = sum;
             add_to(&mut with, &informations[i].1);
             let gain = Gain(log_determinant(&with) - log_determinant(&sum));
@@ -238,8 +238,8 @@ mod tests {
         let twice = one.map(|row| row.map(|x| 2.0 * x));
         let mut all: Vec<(u32, Matrix)> = (1..=1000).map(|id| (id, one)).collect();
         all[700].1 = twice;
-        for asked in [0, 1000, 3000, usize::MAX] {
-            assert_eq!(greedy(&prior(None), &all, 3, asked), [700, 0, 1], "{asked}");
+        for evaluations in [0, 1000, 3000, usize::MAX] {
+            assert_eq!(greedy(&prior(None), &all, 3, evaluations), [700, 0, 1], "{evaluations}");
         }
     }
 

@@ -25,7 +25,7 @@ impl SplitMix64 {
         low + (high - low) * self.unit()
     }
 
-    /// Normal with mean 0 and this standard deviation. The last bits are those of the platform's logarithm and cosine.
+    /// Normal with mean 0 and this standard deviation. The platform's logarithm and cosine decide its last bits.
     pub fn normal(&mut self, sigma: f64) -> f64 {
         let [x, y] = [self.unit(), self.unit()];
         normal_pair(1.0 - x, y, sigma)[0]
