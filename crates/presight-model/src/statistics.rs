@@ -6,6 +6,7 @@ use std::sync::OnceLock;
 
 /// Two independent normal numbers with mean 0 and this standard deviation, from two uniform ones in (0, 1] and [0, 1]
 /// (G. Box and M. Muller 1958).
+#[inline]
 pub fn normal_pair(x: f64, y: f64, sigma: f64) -> [f64; 2] {
     let (sin, cos) = (TAU * y).sin_cos();
     let length = sigma * (-2.0 * x.ln()).sqrt();
@@ -42,6 +43,7 @@ pub fn quantile(values: &mut [f64], share: f64) -> Option<f64> {
 }
 
 /// P(X > x) for a standard normal X.
+#[inline]
 pub fn tail(x: f64) -> f64 {
     0.5 * libm::erfc(x * FRAC_1_SQRT_2)
 }
@@ -85,6 +87,7 @@ pub const TAIL_ROWS: usize = 73;
 
 impl Tails {
     /// The shared table.
+    #[inline]
     pub fn get() -> &'static Self {
         static TABLE: OnceLock<Tails> = OnceLock::new();
         TABLE.get_or_init(Self::new)
@@ -114,6 +117,7 @@ impl Tails {
     }
 
     /// Returns the row at or before x >= 0, and the fraction towards the next row.
+    #[inline]
     fn row(&self, x: f64) -> (usize, f64) {
         let at = (x * TAIL_STEPS).clamp(0.0, (TAIL_ROWS - 1) as f64);
         let i = (at as usize).min(TAIL_ROWS - 2);
@@ -121,6 +125,7 @@ impl Tails {
     }
 
     /// Mills' ratio, P(X > x) exp(x^2 / 2), for x >= 0.
+    #[inline]
     pub fn mills(&self, x: f64) -> f64 {
         let (i, share) = self.row(x);
         let [below, above] = [self.rows[i][0], self.rows[i + 1][0]];
@@ -128,11 +133,13 @@ impl Tails {
     }
 
     /// P(X > x) for x >= 0.
+    #[inline]
     pub fn tail(&self, x: f64) -> f64 {
         self.mills(x) * (-0.5 * x * x).exp()
     }
 
     /// P(Y > x | X > x) for x >= 0, with the separation from [`apart`].
+    #[inline]
     pub fn shared(&self, x: f64, apart: f64) -> f64 {
         let (i, share) = self.row(x);
         let at = (apart * TAIL_CELLS as f64).clamp(0.0, TAIL_CELLS as f64);
@@ -145,6 +152,7 @@ impl Tails {
 }
 
 /// Separation of two directions: the tangent of half the angle between them.
+#[inline]
 pub fn apart(rho: f64) -> f64 {
     ((1.0 - rho).max(0.0) / (1.0 + rho)).sqrt()
 }
