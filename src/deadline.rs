@@ -1,4 +1,4 @@
-//! Deadlines: predictions that finish in time, and report what they gave up for that.
+//! Deadlines: predictions that finish in time and report the parts that they gave up.
 //!
 //! ```
 //! use presight::environment::Environment;

@@ -28,8 +28,6 @@ pub use presight_files::ply::write as write_ply;
 #[doc(inline)]
 pub use presight_files::pose_covariance::parse as parse_pose_covariance;
 #[doc(inline)]
-pub use presight_files::poses::{ExternalPose, PoseFrame, PoseOf, WorldFrame};
-#[doc(inline)]
 pub use presight_files::preparation::{SceneFrame, Up};
 #[doc(inline)]
 pub use presight_files::sensor_toml::{read as read_sensor_toml, to_string as sensor_to_toml};
@@ -39,4 +37,8 @@ pub use presight_files::store::{Note as StoreNote, Store, create as create_store
 #[doc(inline)]
 pub use presight_files::tum::read as read_tum;
 #[doc(inline)]
-pub use presight_files::{PointCloud, PointsFrame, load_robot, load_sensor};
+pub use presight_files::{load_robot, load_sensor};
+#[doc(inline)]
+pub use presight_model::poses::{ExternalPose, PoseFrame, PoseOf, WorldFrame};
+#[doc(inline)]
+pub use presight_render::points::{PointCloud, PointsFrame};

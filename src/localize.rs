@@ -1,6 +1,6 @@
 //! Localization: the robot's pose followed from frame to frame, or found without a first guess.
 //!
-//! A scanner that nothing is known of, in a room of which no two places look alike:
+//! A scanner at an unknown pose, in a room where no two places look alike:
 //! ```
 //! use presight::estimate::{EstimateOptions, Estimator};
 //! use presight::localize::{LocalizeOptions, Localizer, Phase, Search, SearchOptions, Step};

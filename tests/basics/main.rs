@@ -5,6 +5,7 @@ mod architecture;
 mod feature_reasons;
 mod from_bytes;
 mod lens_opencv;
+mod links;
 mod outputs;
 mod pictures;
 mod portable;

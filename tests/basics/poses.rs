@@ -9,7 +9,6 @@ use presight_features::{
     BoxOptions, BoxQuery, FeatureOptions, FeaturePrediction, FeatureSettings, PlacedFeature, add_boxes, place,
     predict_features,
 };
-use presight_files::{PointCloud, PointsFrame};
 use presight_model::environment::FeatureShape;
 use presight_model::error::{Error, ErrorKind};
 use presight_model::geometry::{Pose, PoseCovariance};
@@ -22,6 +21,7 @@ use presight_predict::request::Request;
 use presight_predict::virtual_sensors::{Settings, View, VirtualSensor};
 use presight_render::plan::region_of;
 use presight_render::plan::{FramePlan, Images, Stats};
+use presight_render::points::{PointCloud, PointsFrame};
 
 /// A description of the fault, a pose with it, and the words that the message must contain.
 fn bad() -> Vec<(&'static str, Pose, &'static str)> {

@@ -165,6 +165,28 @@ fn the_gpu_engine_equals_its_single_predictions() {
     }
 }
 
+/// The work of a submission is reported with its first frame: for one pose twice, twice that of the pose alone.
+#[test]
+fn the_work_of_all_frames_of_a_submission_is_reported() {
+    let options = presight_predict::predict::Options::new(presight_predict::predict::Backend::Gpu).with_threads(2);
+    let mut gpu = match presight_predict::predict::Predictor::new(options) {
+        Ok(gpu) => gpu,
+        Err(e) => return common::skip::no_adapter(e),
+    };
+    let world = World::new(scenes::room(2, 40));
+    let sensor = presight_files::preset("laser-range-camera").unwrap();
+    let pose = poses(2)[1];
+    let request = BatchRequest { statistics: true, ..BatchRequest::default() };
+    let mut workgroups = |count: usize| -> Vec<u64> {
+        let items = gpu.batch(&world, &sensor, vec![pose; count], &request).unwrap();
+        items.map(|item| item.unwrap().stats.unwrap().work.gpu_workgroups).collect()
+    };
+    // The first run makes room in the buffers.
+    workgroups(2);
+    let one = workgroups(1)[0];
+    assert_eq!((one > 0, workgroups(2)), (true, vec![2 * one, 0]));
+}
+
 /// Explains the differences between log-likelihoods of the GPU and of the CPU. GPU ranges round differently, so a
 /// reading at a predicted range falls before or behind the step of the density; at an edge a beam may hit the adjacent
 /// surface. Without these beams the results agree.

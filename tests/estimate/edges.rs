@@ -46,7 +46,7 @@ struct Pair {
 }
 
 fn matched(features: &FeaturePrediction, image: &GreyImage, reach: Option<f64>) -> Vec<Pair> {
-    let options = EdgeOptions { noise: NOISE, least_support: 0.7, most: 1, ..EdgeOptions::default() };
+    let options = EdgeOptions::default().with_noise(NOISE).with_least_support(0.7).with_most(1);
     let mut pairs = Vec::new();
     for seen in &features.features {
         let [a, b] = seen.points_world[..] else { continue };
@@ -186,7 +186,7 @@ fn timed<T>(run: impl Fn() -> T) -> (Duration, T) {
 /// For each predicted corner, the nearest corner found in its region or in the whole image. Returns how many were
 /// found, and how many of them are more than 1.5 pixels off.
 fn nearest_corners(features: &FeaturePrediction, image: &GreyImage, everywhere: bool) -> (usize, usize) {
-    let options = CornerOptions { noise: NOISE, ..CornerOptions::default() };
+    let options = CornerOptions::default().with_noise(NOISE);
     let all = if everywhere { corners_in(image, PixelBox::whole(image), &options) } else { Vec::new() };
     let (mut count, mut wrong) = (0, 0);
     for seen in features.features.iter().filter(|f| f.points_world.len() == 1) {

@@ -29,6 +29,7 @@ use presight_model::environment::{Environment, Material, Mesh, NewObject};
 use presight_model::geometry::{Pose, PoseEstimate};
 use presight_model::measured::{Frame, Measurement};
 use presight_model::sensor::{Angles, Camera, Geometry, Scanner, Sensor, SensorSpec};
+use presight_model::statistics::normal_pair;
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
 use presight_predict::request::Request;
@@ -92,8 +93,8 @@ pub fn estimator(options: EstimateOptions) -> Estimator {
 
 /// A random number with mean 0 and variance 1.
 pub fn normal(random: &mut Random) -> f64 {
-    let radius = (-2.0 * random.uniform(1e-300, 1.0).ln()).sqrt();
-    radius * random.uniform(0.0, std::f64::consts::TAU).cos()
+    let [x, y] = [random.unit(), random.unit()];
+    normal_pair(x.max(1e-300), y, 1.0)[0]
 }
 
 /// A unit vector of random direction.

@@ -11,7 +11,9 @@ use presight_model::measured::RangeNoise;
 use presight_model::sensor::{Distortion, Noise};
 use presight_predict::free_poses::free_poses;
 
-const NONE: Disturbances = Disturbances { drop_outs: 0.0, mixed_pixels: 0.0, slip: 0.0, turn_slip: 0.0 };
+fn undisturbed() -> Disturbances {
+    Disturbances::default().with_drop_outs(0.0).with_mixed_pixels(0.0).with_slip(0.0).with_turn_slip(0.0)
+}
 
 /// A wall `ahead` metres from the origin and wider than the image, with slats a third of a metre wide that protrude by
 /// `out` metres.
@@ -58,7 +60,7 @@ fn said_of(world: &World, frame: &Frame, truth: &Pose, metres: f64) -> Normal {
 fn noise_does_not_choose_the_surface() {
     let world = slatted_wall(5.0, 0.06);
     let sensor = noisy_camera(small(), Noise { range_sigma: 0.05, ..Noise::default() }, 10.0);
-    let mut simulator = Simulator::new(predictor(), sensor, NONE, 1).unwrap();
+    let mut simulator = Simulator::new(predictor(), sensor, undisturbed(), 1).unwrap();
     let (mut sum, frames) = (0.0, 6);
     for k in 0..frames {
         let frame = simulator.frame(&world, f64::from(k), &Pose::IDENTITY).unwrap();
@@ -76,7 +78,7 @@ fn noise_does_not_choose_the_weight() {
     let world = slatted_wall(6.0, 0.0);
     let noise = Noise { range_sigma: 0.004, range_sigma_quadratic: 0.002, ..Noise::default() };
     let sensor = noisy_camera(small(), noise, 10.0);
-    let mut simulator = Simulator::new(predictor(), sensor, NONE, 2).unwrap();
+    let mut simulator = Simulator::new(predictor(), sensor, undisturbed(), 2).unwrap();
     let (mut mean, mut variance, frames) = (0.0, 0.0, 12);
     for k in 0..frames {
         let frame = simulator.frame(&world, f64::from(k), &Pose::IDENTITY).unwrap();
@@ -96,7 +98,7 @@ fn noise_does_not_choose_the_weight() {
 fn noise_does_not_choose_the_lever() {
     let world = slatted_wall(6.0, 0.0);
     let noise = Noise { range_sigma: 0.004, range_sigma_quadratic: 0.004, ..Noise::default() };
-    let mut simulator = Simulator::new(predictor(), noisy_camera(small(), noise, 30.0), NONE, 3).unwrap();
+    let mut simulator = Simulator::new(predictor(), noisy_camera(small(), noise, 30.0), undisturbed(), 3).unwrap();
     let aslant = Pose::from_xyz_rpy(DVec3::ZERO, 0.0, 0.0, 0.5);
     let (mut mean, frames) = (0.0, 12);
     for k in 0..frames {
@@ -114,7 +116,7 @@ fn a_surface_at_the_end_of_the_range_is_ignored() {
     let world = slatted_wall(6.0, 0.0);
     for (range_max, says) in [(6.1, false), (10.0, true)] {
         let sensor = noisy_camera(small(), Noise { range_sigma: 0.05, ..Noise::default() }, range_max);
-        let mut simulator = Simulator::new(predictor(), sensor, NONE, 4).unwrap();
+        let mut simulator = Simulator::new(predictor(), sensor, undisturbed(), 4).unwrap();
         let frame = simulator.frame(&world, 0.0, &Pose::IDENTITY).unwrap();
         let said = said_of(&world, &frame, &Pose::IDENTITY, 0.0);
         assert!(said.compared > 100, "{} points", said.compared);

@@ -86,7 +86,7 @@ fn docking_is_relative() {
     let shelf = Pose { translation: moved_by, ..Pose::IDENTITY };
     real.apply(presight_model::change::Change::SetPose { name: "shelf".into(), world_from_object: shelf }).unwrap();
     let truth = Pose::from_xyz_rpy(DVec3::new(2.0, 3.0, 1.8), 0.0, 0.2, 0.3);
-    let none = Disturbances { drop_outs: 0.0, mixed_pixels: 0.0, slip: 0.0, turn_slip: 0.0 };
+    let none = Disturbances::default().with_drop_outs(0.0).with_mixed_pixels(0.0).with_slip(0.0).with_turn_slip(0.0);
     let frame = Simulator::new(predictor(), camera(0.003), none, 4).unwrap().frame(&real, 0.0, &truth).unwrap();
     let prior = PoseEstimate::of_sigmas(moved(&truth, &[0.01, -0.01, 0.0, 0.0, 0.005, 0.0]), 0.024, 0.01);
     let index = map.environment().index_of("shelf").unwrap();

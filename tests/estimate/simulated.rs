@@ -9,7 +9,9 @@ fn simulator(disturbances: Disturbances, seed: u64) -> Simulator {
     Simulator::new(predictor(), camera(0.01), disturbances, seed).unwrap()
 }
 
-const NONE: Disturbances = Disturbances { drop_outs: 0.0, mixed_pixels: 0.0, slip: 0.0, turn_slip: 0.0 };
+fn undisturbed() -> Disturbances {
+    Disturbances::default().with_drop_outs(0.0).with_mixed_pixels(0.0).with_slip(0.0).with_turn_slip(0.0)
+}
 
 /// The noise has the stated mean and deviation, and the number of drop-outs is as requested.
 #[test]
@@ -17,7 +19,7 @@ fn noise_has_its_stated_size() {
     let world = room(Vec3::ZERO);
     let pose = Pose::from_xyz_rpy(DVec3::new(0.9, 2.2, 1.4), 0.0, 0.3, -0.3);
     let truth = predictor().predict(&world, &camera(0.01), &pose, &Request::default()).unwrap().images.range;
-    let frame = simulator(Disturbances { drop_outs: 0.1, ..NONE }, 1).frame(&world, 0.0, &pose).unwrap();
+    let frame = simulator(undisturbed().with_drop_outs(0.1), 1).frame(&world, 0.0, &pose).unwrap();
     let errors: Vec<f64> =
         frame.ranges().iter().zip(&truth).map(|(a, b)| f64::from(a - b)).filter(|e| e.is_finite()).collect();
     let n = errors.len() as f64;
@@ -27,7 +29,7 @@ fn noise_has_its_stated_size() {
     let lost = frame.ranges().iter().filter(|r| r.is_nan()).count() as f64 / 4800.0;
     assert!((lost - 0.1).abs() < 0.02, "{lost}");
     // The same seed gives the same frame, another seed another frame.
-    let again = |seed| simulator(Disturbances { drop_outs: 0.1, ..NONE }, seed).frame(&world, 0.0, &pose).unwrap();
+    let again = |seed| simulator(undisturbed().with_drop_outs(0.1), seed).frame(&world, 0.0, &pose).unwrap();
     let bits = |f: &Frame| f.ranges().iter().map(|r| r.to_bits()).collect::<Vec<_>>();
     assert_eq!(bits(&frame), bits(&again(1)));
     assert_ne!(bits(&frame), bits(&again(2)));
@@ -38,7 +40,8 @@ fn noise_has_its_stated_size() {
 fn mixed_pixels_are_at_edges() {
     let world = room(Vec3::ZERO);
     let pose = Pose::from_xyz_rpy(DVec3::new(0.9, 2.2, 1.4), 0.0, 0.3, -0.3);
-    let frame = |mixed_pixels| simulator(Disturbances { mixed_pixels, ..NONE }, 3).frame(&world, 0.0, &pose).unwrap();
+    let frame =
+        |mixed_pixels| simulator(undisturbed().with_mixed_pixels(mixed_pixels), 3).frame(&world, 0.0, &pose).unwrap();
     let (plain, mixed) = (frame(0.0), frame(1.0));
     let mut changed = 0;
     for i in 0..4799 {
@@ -59,7 +62,7 @@ fn intensities_are_echoes_with_noise() {
     let pose = Pose::from_xyz_rpy(DVec3::new(0.9, 2.2, 1.4), 0.0, 0.3, -0.3);
     let asked = Request::of(presight_render::plan::Outputs::of(&[presight_render::plan::Output::Echo]));
     let echo = predictor().predict(&world, &camera(0.01), &pose, &asked).unwrap().images.echo;
-    let lossy = Disturbances { drop_outs: 0.1, ..NONE };
+    let lossy = undisturbed().with_drop_outs(0.1);
     let frame = simulator(lossy, 1).with_intensities(0.05).unwrap().frame(&world, 0.0, &pose).unwrap();
     let plain = simulator(lossy, 1).frame(&world, 0.0, &pose).unwrap();
     let bits = |f: &Frame| f.ranges().iter().map(|r| r.to_bits()).collect::<Vec<_>>();
@@ -73,7 +76,7 @@ fn intensities_are_echoes_with_noise() {
     let sigma = (errors.iter().map(|e| e * e).sum::<f64>() / errors.len() as f64).sqrt();
     assert!(errors.len() > 300 && (sigma / 0.05 - 1.0).abs() < 0.15, "{} {sigma}", errors.len());
     for noise in [-0.1, 1.1, f64::NAN] {
-        assert!(simulator(NONE, 1).with_intensities(noise).is_err());
+        assert!(simulator(undisturbed(), 1).with_intensities(noise).is_err());
     }
 }
 
@@ -102,10 +105,10 @@ fn a_simulated_log_is_tracked_with_odometry() {
 #[test]
 fn bad_disturbances_are_refused() {
     for bad in [
-        Disturbances { drop_outs: 1.5, ..NONE },
-        Disturbances { mixed_pixels: f64::NAN, ..NONE },
-        Disturbances { slip: -0.1, ..NONE },
-        Disturbances { turn_slip: f64::INFINITY, ..NONE },
+        undisturbed().with_drop_outs(1.5),
+        undisturbed().with_mixed_pixels(f64::NAN),
+        undisturbed().with_slip(-0.1),
+        undisturbed().with_turn_slip(f64::INFINITY),
     ] {
         assert!(Simulator::new(predictor(), camera(0.01), bad, 1).is_err(), "{bad:?}");
     }

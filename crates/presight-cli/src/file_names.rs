@@ -124,7 +124,7 @@ impl FileNames {
     /// Adds the files of all predictions to `files`, for poses with these time stamps.
     ///
     /// # Errors
-    /// [`ErrorKind::Usage`] for a name shared by several predictions, and those of [`OutputFiles::add`];
+    /// [`ErrorKind::Usage`] for a name shared by several predictions, and errors of [`OutputFiles::add`];
     /// [`ErrorKind::System`] for a missing folder.
     pub fn add_to(&self, files: &mut OutputFiles, stamps: &[&str], sensors: &[Sensor]) -> Result<()> {
         self.check_fields(stamps.len(), sensors.len())?;

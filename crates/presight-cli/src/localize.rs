@@ -398,7 +398,7 @@ impl Drive {
         if !(part >= 0.0 && part.is_finite()) {
             return Err(Error::usage(format!("--odometry-sigma {part}"), "give a finite fraction of at least 0"));
         }
-        Ok(OdometryNoise { way: part, turn: part, turn_on_way: 0.5 * part, ..OdometryNoise::default() })
+        Ok(OdometryNoise::default().with_way(part).with_turn(part).with_turn_on_way(0.5 * part))
     }
 
     /// Estimator options for the sensor: a scanner of one row determines x, y and yaw only.

@@ -2,10 +2,10 @@
 
 use clap::ValueEnum;
 use glam::{DQuat, DVec3};
-use presight_files::poses::{self, ExternalPose};
 use presight_model::error::{Error, Result};
 use presight_model::geometry::Pose;
 use presight_model::limits;
+use presight_model::poses::{self, ExternalPose};
 use std::path::Path;
 
 /// The axes of the frame that a pose describes.

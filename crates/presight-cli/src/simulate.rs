@@ -121,8 +121,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let threads = Threads::from(args.threads).started()?;
     let import = ImportOptions { threads: threads.clone(), ..ImportOptions::default() };
     let mut scene = open_scene(&args.scene, &import, IndexKind::default())?;
-    let disturbances =
-        Disturbances { drop_outs: args.drop_outs, mixed_pixels: args.mixed_pixels, ..Disturbances::default() };
+    let disturbances = Disturbances::default().with_drop_outs(args.drop_outs).with_mixed_pixels(args.mixed_pixels);
     let mut grey = args.grey_simulator(&threads)?;
     let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads))?;
     let mut simulator = Simulator::new(predictor, sensor.clone(), disturbances, args.seed)?;

@@ -1,6 +1,7 @@
 //! Statistics of repeated predictions, as JSON and as text.
 
 use super::flags;
+use presight_model::statistics::{median, quantile};
 use presight_render::deadline::DeadlineOutcome;
 use presight_render::plan::{CountName, Raster, StageName, StageRow, StageVariant, Stats, Work};
 use serde::Serialize;
@@ -23,12 +24,9 @@ pub struct Milliseconds {
 impl Milliseconds {
     /// Computes the statistics; all are zero if `times` is empty.
     pub fn of(times: &[f64]) -> Self {
-        let mut sorted = times.to_vec();
-        sorted.sort_by(f64::total_cmp);
-        let n = sorted.len();
-        let at = |i: usize| sorted.get(i).copied().unwrap_or(0.0);
-        let rank_95 = (n * 95).div_ceil(100).max(1) - 1;
-        Self { median: (at(n.saturating_sub(1) / 2) + at(n / 2)) / 2.0, p95: at(rank_95), min: at(0) }
+        let mut times = times.to_vec();
+        let [median, p95, min] = [median(&mut times), quantile(&mut times, 0.95), quantile(&mut times, 0.0)];
+        Self { median: median.unwrap_or(0.0), p95: p95.unwrap_or(0.0), min: min.unwrap_or(0.0) }
     }
 }
 

@@ -11,10 +11,9 @@ use super::{FeaturePrediction, PlacedFeature, SeenFeature, Vantage};
 use glam::{DMat3, DVec2, DVec3};
 use presight_model::environment::FeatureShape;
 use presight_model::geometry::{InWorld, Pose, PoseCovariance};
+use presight_model::matrix::{Matrix, add_to, cholesky};
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
-
-type Matrix = [[f64; 6]; 6];
 
 /// Limit on the number of gain evaluations; takes some seconds. Nearly equal features need new evaluations after each
 /// choice. Beyond the limit, their last known gains are used.
@@ -68,8 +67,8 @@ pub fn informations(
     .collect()
 }
 
-/// Returns the chosen indices in order. Evaluates gains at most `asked` times, and once more per feature.
-fn greedy(prior: &Matrix, informations: &[(u32, Matrix)], most: usize, mut asked: usize) -> Vec<usize> {
+/// Returns the chosen indices in order. Evaluates gains at most `evaluations` times, and once more per feature.
+fn greedy(prior: &Matrix, informations: &[(u32, Matrix)], most: usize, mut evaluations: usize) -> Vec<usize> {
     /// A gain with a total order.
     #[derive(PartialEq)]
     struct Gain(f64);
@@ -94,13 +93,13 @@ fn greedy(prior: &Matrix, informations: &[(u32, Matrix)], most: usize, mut asked
             break;
         }
         // Rounds count from 1, so that every gain is computed at least once.
-        if known == chosen.len() + 1 || known > 0 && asked == 0 {
-            add(&mut sum, &informations[i].1);
+        if known == chosen.len() + 1 || known > 0 && evaluations == 0 {
+            add_to(&mut sum, &informations[i].1);
             chosen.push(i);
         } else {
-            asked = asked.saturating_sub(1);
+            evaluations = evaluations.saturating_sub(1);
             let mut with = sum;
-            add(&mut with, &informations[i].1);
+            add_to(&mut with, &informations[i].1);
             let gain = Gain(log_determinant(&with) - log_determinant(&sum));
             heap.push((gain, id, Reverse(i), chosen.len() + 1));
         }
@@ -178,22 +177,10 @@ fn information(image: &Image<'_>, seen: &SeenFeature, pose: &Pose, world_from_fr
     sum
 }
 
-fn add(sum: &mut Matrix, more: &Matrix) {
-    (0..6).for_each(|i| (0..6).for_each(|j| sum[i][j] += more[i][j]));
-}
-
-/// Log determinant of a positive definite matrix by Cholesky decomposition.
+/// Log determinant of a positive definite matrix.
 fn log_determinant(matrix: &Matrix) -> f64 {
-    let mut l = [[0.0; 6]; 6];
-    let mut sum = 0.0;
-    for i in 0..6 {
-        for j in 0..=i {
-            let rest = matrix[i][j] - (0..j).map(|k| l[i][k] * l[j][k]).sum::<f64>();
-            l[i][j] = if i == j { rest.max(f64::MIN_POSITIVE).sqrt() } else { rest / l[j][j] };
-        }
-        sum += 2.0 * l[i][i].ln();
-    }
-    sum
+    let l = cholesky(matrix, |rest| Some(rest.max(f64::MIN_POSITIVE))).unwrap_or_default();
+    (0..6).fold(0.0, |sum, i| sum + 2.0 * l[i][i].ln())
 }
 
 #[cfg(test)]
@@ -226,7 +213,7 @@ mod tests {
             for _ in 0..10 {
                 let gain = |i: &usize| {
                     let mut with = sum;
-                    add(&mut with, &all[*i].1);
+                    add_to(&mut with, &all[*i].1);
                     log_determinant(&with)
                 };
                 let best = (0..all.len()).filter(|i| !expected.contains(i));
@@ -234,7 +221,7 @@ mod tests {
                     Some(b) if gain(&b) >= gain(&i) => Some(b),
                     _ => Some(i),
                 });
-                add(&mut sum, &all[best.unwrap()].1);
+                add_to(&mut sum, &all[best.unwrap()].1);
                 expected.push(best.unwrap());
             }
             assert_eq!(greedy(&prior(None), &all, 10, usize::MAX), expected, "{seed}");
@@ -251,8 +238,8 @@ mod tests {
         let twice = one.map(|row| row.map(|x| 2.0 * x));
         let mut all: Vec<(u32, Matrix)> = (1..=1000).map(|id| (id, one)).collect();
         all[700].1 = twice;
-        for asked in [0, 1000, 3000, usize::MAX] {
-            assert_eq!(greedy(&prior(None), &all, 3, asked), [700, 0, 1], "{asked}");
+        for evaluations in [0, 1000, 3000, usize::MAX] {
+            assert_eq!(greedy(&prior(None), &all, 3, evaluations), [700, 0, 1], "{evaluations}");
         }
     }
 

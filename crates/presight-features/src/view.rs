@@ -173,7 +173,7 @@ mod tests {
         presets.chain(own.map(made)).collect()
     }
 
-    /// A point that the sampler finds in the image is in view, as is any box around it. Most other points are not.
+    /// A point that the sampler finds in the image is in view, and so is any box around it. Most other points are not.
     #[test]
     fn what_is_in_the_image_is_in_view() {
         let mut random = SplitMix64(5);

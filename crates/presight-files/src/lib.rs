@@ -19,9 +19,7 @@ pub mod npy;
 pub mod pcd;
 pub mod ply;
 mod point_fields;
-mod points;
 pub mod pose_covariance;
-pub mod poses;
 pub mod prediction_json;
 pub mod preparation;
 pub mod robot_toml;
@@ -35,7 +33,6 @@ pub mod text;
 pub mod tum;
 
 pub use load::{files_named_by, load_sensor, preset};
-pub use points::{PointCloud, PointsFrame};
 pub use robot_toml::{Robot, load_robot};
 
 use presight_model::error::{Error, ErrorKind};

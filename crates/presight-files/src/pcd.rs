@@ -1,10 +1,10 @@
 //! PCD point clouds, binary and organized: one point per pixel, NaN where nothing is measured.
 
 use super::atomic::write_atomically;
-use super::point_fields::{Field, append_position};
-use super::points::{PointCloud, PointsFrame};
+use super::point_fields::{Field, append_position, fields, in_words};
 use presight_model::error::Result;
 use presight_model::geometry::Pose;
+use presight_render::points::{PointCloud, PointsFrame};
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
@@ -64,20 +64,20 @@ fn header(fields: &[Field<'_, '_>], size: u32) -> String {
 }
 
 fn write_to(out: &mut impl Write, cloud: &PointCloud<'_>) -> io::Result<()> {
-    let (fields, wide) = (cloud.fields(), is_wide(cloud));
+    let (fields, wide) = (fields(cloud), is_wide(cloud));
     let viewpoint = match cloud.frame() {
         PointsFrame::Sensor => *cloud.world_from_sensor(),
         PointsFrame::World => Pose::IDENTITY,
     };
     let (t, q) = (viewpoint.translation, viewpoint.rotation);
-    let (width, height) = cloud.size();
+    let (width, height) = (cloud.images().width, cloud.images().height);
     write!(
         out,
         "# .PCD v0.7 - Point Cloud Data file format\n\
          # presight range image, {}\n\
          VERSION 0.7\n{}WIDTH {width}\nHEIGHT {height}\n\
          VIEWPOINT {:?} {:?} {:?} {:?} {:?} {:?} {:?}\nPOINTS {}\nDATA binary\n",
-        cloud.frame_in_words(),
+        in_words(cloud.frame()),
         header(&fields, if wide { 8 } else { 4 }),
         t.x,
         t.y,
@@ -100,7 +100,7 @@ fn write_to(out: &mut impl Write, cloud: &PointCloud<'_>) -> io::Result<()> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::points::tests::camera_view;
+    use super::super::point_fields::tests::camera_view;
     use super::*;
     use glam::DVec3;
     use presight_render::plan::{Output, Outputs};

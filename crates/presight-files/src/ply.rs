@@ -1,9 +1,9 @@
 //! PLY point clouds, binary little-endian: measured points only.
 
 use super::atomic::write_atomically;
-use super::point_fields::{Field, append_position};
-use super::points::{PointCloud, PointsFrame};
+use super::point_fields::{Field, append_position, fields, in_words};
 use presight_model::error::Result;
+use presight_render::points::{PointCloud, PointsFrame};
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
@@ -14,7 +14,7 @@ use std::path::Path;
 /// # Errors
 /// [`presight_model::ErrorKind::System`] if the file cannot be written.
 pub fn write(path: &Path, cloud: &PointCloud<'_>) -> Result<Vec<String>> {
-    let fields = cloud.fields();
+    let fields = fields(cloud);
     write_atomically(path, |file| {
         let mut out = BufWriter::new(file);
         write_to(&mut out, cloud, &fields)?;
@@ -54,7 +54,7 @@ fn write_to(out: &mut impl Write, cloud: &PointCloud<'_>, fields: &[Field<'_, '_
          comment world_from_sensor x,y,z,qx,qy,qz,qw {}\n\
          element vertex {}\n\
          property {real} x\nproperty {real} y\nproperty {real} z\n{}end_header\n",
-        cloud.frame_in_words(),
+        in_words(cloud.frame()),
         super::exr::pose_to_text(cloud.world_from_sensor()),
         cloud.seen().count(),
         fields.iter().map(properties).collect::<String>()
@@ -71,7 +71,7 @@ fn write_to(out: &mut impl Write, cloud: &PointCloud<'_>, fields: &[Field<'_, '_
 
 #[cfg(test)]
 mod tests {
-    use super::super::points::tests::camera_view;
+    use super::super::point_fields::tests::camera_view;
     use super::*;
     use presight_model::geometry::Pose;
     use presight_render::plan::{Output, Outputs};
@@ -83,7 +83,7 @@ mod tests {
             let cloud = PointCloud::new(&images, &sensor, &Pose::IDENTITY, frame).unwrap();
             let cloud = cloud.only(Outputs::of(&[Output::PolygonId]));
             let mut bytes = Vec::new();
-            write_to(&mut bytes, &cloud, &cloud.fields()).unwrap();
+            write_to(&mut bytes, &cloud, &fields(&cloud)).unwrap();
             let end = bytes.windows(11).position(|w| w == b"end_header\n").unwrap() + 11;
             let header = std::str::from_utf8(&bytes[..end]).unwrap();
             assert!(header.contains("element vertex 4\n"), "{header}");

@@ -2,6 +2,37 @@
 
 use glam::{DVec3, Vec3};
 use presight_render::plan::Output;
+use presight_render::points::{PointCloud, PointsFrame};
+
+/// Description of a frame, for the comment in both formats.
+pub fn in_words(frame: PointsFrame) -> &'static str {
+    match frame {
+        PointsFrame::Sensor => "sensor body axes: x forward, y left, z up; metres",
+        PointsFrame::World => "world: z up; metres",
+    }
+}
+
+/// The fields of each point after its position, in the order of both formats: normals, `range`, `intensity` (the echo),
+/// `ring` (the row of the image), `object_id` and `polygon_id`, as far as the cloud has them.
+pub fn fields<'a, 'b>(cloud: &'b PointCloud<'a>) -> Vec<Field<'a, 'b>> {
+    let images = cloud.images();
+    let mut fields = Vec::new();
+    if !cloud.normals().is_empty() {
+        fields.push(Field::Normal(cloud.normals()));
+    }
+    for output in [Output::Range, Output::Echo] {
+        let asked = images.floats(output).filter(|_| cloud.outputs().has(output));
+        fields.extend(asked.map(|image| Field::Float(output, image)));
+    }
+    if cloud.has_rings() {
+        fields.push(Field::Ring(images.width as usize));
+    }
+    for output in [Output::ObjectId, Output::PolygonId] {
+        let asked = images.ids(output).filter(|_| cloud.outputs().has(output));
+        fields.extend(asked.map(|image| Field::Id(output, image)));
+    }
+    fields
+}
 
 /// A field of all points.
 #[derive(Clone, Copy, Debug)]
@@ -42,5 +73,22 @@ pub fn append_position(p: DVec3, wide: bool, bytes: &mut Vec<u8>) {
     match wide {
         true => bytes.extend(p.to_array().iter().flat_map(|v| v.to_le_bytes())),
         false => bytes.extend(p.to_array().iter().flat_map(|v| (*v as f32).to_le_bytes())),
+    }
+}
+
+#[cfg(test)]
+pub mod tests {
+    use presight_model::sensor::{Camera, Geometry, Sensor, SensorSpec};
+    use presight_render::plan::{Images, Output, Outputs};
+
+    /// A 3 x 2 camera image with a miss and a pixel that is too near.
+    pub fn camera_view() -> (Sensor, Images) {
+        let geometry = Geometry::Camera(Camera::pinhole(3, 2, 2.0, 2.0, 1.0, 0.0));
+        let sensor = Sensor::new(SensorSpec::new("c", "video", geometry)).unwrap();
+        let mut images = Images::default();
+        images.prepare(3, 2, Outputs::of(&[Output::Range, Output::PolygonId]));
+        images.range.copy_from_slice(&[1.0, 2.0, 3.0, f32::INFINITY, 5.0, f32::NEG_INFINITY]);
+        images.polygon_id.copy_from_slice(&[1, 2, 3, 0, u32::MAX, 6]);
+        (sensor, images)
     }
 }

@@ -8,6 +8,5 @@ pub mod history;
 pub mod localize;
 pub mod matching;
 pub mod motion;
-mod options;
 pub mod simulate;
 pub mod verdict;

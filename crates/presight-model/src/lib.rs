@@ -13,11 +13,14 @@ pub mod limits;
 pub mod matrix;
 pub mod measured;
 pub mod memory;
+mod options;
 pub mod place;
 pub mod placement;
+pub mod poses;
 pub mod printable;
 pub mod random;
 pub mod sensor;
+pub mod statistics;
 pub mod threads;
 pub mod world;
 

@@ -1,4 +1,5 @@
-//! Six-by-six matrices: covariances and information of poses, and eigenvalues of symmetric ones by Jacobi rotations.
+//! Small matrices: covariances and information of poses, eigenvalues of symmetric ones by Jacobi rotations, Cholesky
+//! decompositions and square roots of covariances of any size.
 
 use glam::{DMat3, DQuat};
 
@@ -139,6 +140,115 @@ pub fn inverse(m: &Matrix, axes: &[usize]) -> Matrix {
     sum
 }
 
+/// The lower triangular L with L L' = a (Cholesky decomposition); reads the lower triangle of a. `pivot` gets the square
+/// of each diagonal entry of L and returns the value to use instead, or `None` to give up.
+pub fn cholesky<const N: usize>(a: &[[f64; N]; N], pivot: impl Fn(f64) -> Option<f64>) -> Option<[[f64; N]; N]> {
+    let mut l = [[0.0; N]; N];
+    for i in 0..N {
+        for j in 0..=i {
+            let rest = a[i][j] - (0..j).map(|k| l[i][k] * l[j][k]).sum::<f64>();
+            l[i][j] = if i == j { pivot(rest)?.sqrt() } else { rest / l[j][j] };
+        }
+    }
+    Some(l)
+}
+
+/// The x with L L' x = b, for a lower triangular L.
+pub fn solve_factored<const N: usize>(l: &[[f64; N]; N], b: &[f64; N]) -> [f64; N] {
+    let mut x = [0.0; N];
+    for i in 0..N {
+        let known: f64 = (0..i).map(|k| l[i][k] * x[k]).sum();
+        x[i] = (b[i] - known) / l[i][i];
+    }
+    for i in (0..N).rev() {
+        let known: f64 = (i + 1..N).map(|k| l[k][i] * x[k]).sum();
+        x[i] = (x[i] - known) / l[i][i];
+    }
+    x
+}
+
+/// Returns F such that F F^T is the nearest positive semidefinite matrix. Entries are first scaled by their standard
+/// deviations, because metres and radians, or nanometres and kilometres, may be mixed. Rounding to six digits can make
+/// an eigenvalue slightly negative; it becomes 0. No direction gets a smaller variance than given.
+pub fn square_root<const N: usize>(covariance: &[[f64; N]; N]) -> [[f64; N]; N] {
+    let sigma: [f64; N] = std::array::from_fn(|i| covariance[i][i].max(0.0).sqrt());
+    let mut scaled = [[0.0; N]; N];
+    for i in 0..N {
+        for j in 0..N {
+            let scale = sigma[i] * sigma[j];
+            scaled[i][j] = if scale > 0.0 { 0.5 * (covariance[i][j] + covariance[j][i]) / scale } else { 0.0 };
+        }
+    }
+    let mut factor = by_pivots(&scaled).unwrap_or_else(|| by_eigenvectors(scaled));
+    for (row, sigma) in factor.iter_mut().zip(sigma) {
+        row.iter_mut().for_each(|x| *x *= sigma);
+    }
+    factor
+}
+
+/// Remainder of a scaled covariance that counts as rounding.
+const NOTHING: f64 = 1e-12;
+
+/// Pivoted Cholesky decomposition; columns beyond the rank are 0. Returns `None` if the matrix is indefinite beyond
+/// rounding, because a small pivot would then produce huge entries.
+fn by_pivots<const N: usize>(scaled: &[[f64; N]; N]) -> Option<[[f64; N]; N]> {
+    let mut rest = *scaled;
+    let mut factor = [[0.0; N]; N];
+    for column in 0..N {
+        let pivot = (0..N).fold(0, |best, i| if rest[i][i] > rest[best][best] { i } else { best });
+        if rest[pivot][pivot] <= NOTHING {
+            let nothing = rest.as_flattened().iter().all(|x| x.abs() <= NOTHING);
+            return nothing.then_some(factor);
+        }
+        let root = rest[pivot][pivot].sqrt();
+        let line: [f64; N] = std::array::from_fn(|i| rest[i][pivot] / root);
+        for i in 0..N {
+            if line[i] * line[i] > rest[i][i] * (1.0 + 1e-9) + NOTHING {
+                return None;
+            }
+            factor[i][column] = line[i];
+            for j in 0..N {
+                rest[i][j] -= line[i] * line[j];
+            }
+        }
+        for i in 0..N {
+            (rest[i][pivot], rest[pivot][i]) = (0.0, 0.0);
+        }
+    }
+    Some(factor)
+}
+
+/// Jacobi rotations with negative eigenvalues set to 0 (Higham 1988: the nearest positive semidefinite matrix).
+fn by_eigenvectors<const N: usize>(mut a: [[f64; N]; N]) -> [[f64; N]; N] {
+    let mut vectors = [[0.0; N]; N];
+    for i in 0..N {
+        vectors[i][i] = 1.0;
+    }
+    // Six sweeps reduce a matrix of six rows to rounding, because each converges quadratically.
+    for _ in 0..12 {
+        for p in 0..N {
+            for q in p + 1..N {
+                if a[p][q] == 0.0 {
+                    continue;
+                }
+                let theta = (a[q][q] - a[p][p]) / (2.0 * a[p][q]);
+                let tangent = theta.signum() / (theta.abs() + theta.hypot(1.0));
+                let cosine = 1.0 / tangent.hypot(1.0);
+                let sine = tangent * cosine;
+                let turn = |x: f64, y: f64| (cosine * x - sine * y, sine * x + cosine * y);
+                for k in 0..N {
+                    (a[k][p], a[k][q]) = turn(a[k][p], a[k][q]);
+                }
+                for k in 0..N {
+                    (a[p][k], a[q][k]) = turn(a[p][k], a[q][k]);
+                    (vectors[k][p], vectors[k][q]) = turn(vectors[k][p], vectors[k][q]);
+                }
+            }
+        }
+    }
+    std::array::from_fn(|i| std::array::from_fn(|k| vectors[i][k] * a[k][k].max(0.0).sqrt()))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -170,6 +280,61 @@ mod tests {
         let turned = apply(&turn(rotation), &[1.0, 0.0, 0.0, 0.0, 2.0, 0.0]);
         let expected = [0.0, 1.0, 0.0, -2.0, 0.0, 0.0];
         assert!(turned.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{turned:?}");
+    }
+
+    /// The factor is worked out by hand: rows (2), (1, 3), (-1, 2, 1).
+    #[test]
+    fn cholesky_factors_multiply_back_and_solve() {
+        let a = [[4.0, f64::NAN, f64::NAN], [2.0, 10.0, f64::NAN], [-2.0, 5.0, 6.0]];
+        let l = cholesky(&a, Some).unwrap();
+        assert_eq!(l, [[2.0, 0.0, 0.0], [1.0, 3.0, 0.0], [-1.0, 2.0, 1.0]]);
+        // a (1, 2, 3)' = (2, 37, 26)'.
+        assert_eq!(solve_factored(&l, &[2.0, 37.0, 26.0]), [1.0, 2.0, 3.0]);
+        let positive = |rest: f64| (rest > 0.0).then_some(rest);
+        assert_eq!(cholesky(&[[1.0, 2.0], [2.0, 3.0]], positive), None);
+        assert_eq!(
+            cholesky(&[[1.0, 2.0], [2.0, 3.0]], |rest| Some(rest.max(9.0))),
+            Some([[3.0, 0.0], [2.0 / 3.0, 3.0]])
+        );
+    }
+
+    #[test]
+    fn square_roots_square_back() {
+        let full = [[4.0, 2.0, 0.6], [2.0, 5.0, 1.0], [0.6, 1.0, 3.0]];
+        let line = [1e-9, 3.0, -2.0];
+        let singular = [0, 1, 2].map(|i| [0, 1, 2].map(|j| line[i] * line[j]));
+        let mixed = [[1e6, 0.0, 0.0], [0.0, 1e-18, 0.0], [0.0, 0.0, 0.0]];
+        for m in [full, singular, mixed] {
+            let f = square_root(&m);
+            for (i, j) in (0..3).flat_map(|i| (0..3).map(move |j| (i, j))) {
+                let back: f64 = (0..3).map(|k| f[i][k] * f[j][k]).sum();
+                assert!((back - m[i][j]).abs() <= 1e-12 * (m[i][i] * m[j][j]).sqrt() + 1e-30, "{m:?}: {back}");
+            }
+        }
+    }
+
+    /// Matrices that are slightly indefinite, as in files: no entry becomes huge, and no direction gets more certain.
+    #[test]
+    fn square_roots_of_what_is_hardly_no_covariance_are_of_the_nearest() {
+        let e = 1e-5;
+        let wrong = [
+            [[1.0, 1.0 + e, 0.0], [1.0 + e, 1.0, 0.0], [0.0, 0.0, 1.0]],
+            [[1.0, 1.0, 1.0], [1.0, 1.0, 1.0 - e], [1.0, 1.0 - e, 1.0]],
+            [[1.0, 1.0, 0.0], [1.0, 1.0 + 1e-13, e], [0.0, e, 1e-8]],
+            [[1e-18, 1.000_01e-9, 0.0], [1.000_01e-9, 1.0, 0.0], [0.0, 0.0, 1e6]],
+        ];
+        for m in wrong {
+            let f = square_root(&m);
+            let mut more = [[0.0; 3]; 3];
+            for (i, j) in (0..3).flat_map(|i| (0..3).map(move |j| (i, j))) {
+                let scale = (m[i][i] * m[j][j]).sqrt();
+                more[i][j] = ((0..3).map(|k| f[i][k] * f[j][k]).sum::<f64>() - m[i][j]) / scale;
+                assert!(more[i][j].abs() <= 1e-4 || m[2][2] == 1e-8, "{m:?}: {more:?}");
+            }
+            // The added part has no negative eigenvalue.
+            let left = by_eigenvectors(more.map(|row| row.map(|x| -x)));
+            assert!(left.as_flattened().iter().all(|x| x * x < 1e-13), "{m:?}: {left:?}");
+        }
     }
 
     proptest! {

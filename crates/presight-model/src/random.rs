@@ -1,5 +1,7 @@
 //! Seeded random numbers, the same on every machine.
 
+use crate::statistics::normal_pair;
+
 /// SplitMix64 (G. Steele, D. Lea, C. Flood, Fast splittable pseudorandom number generators, 2014).
 #[derive(Clone, Copy, Debug, Default)]
 pub struct SplitMix64(pub u64);
@@ -21,6 +23,12 @@ impl SplitMix64 {
     /// Uniform in `low..high`.
     pub fn uniform(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.unit()
+    }
+
+    /// Normal with mean 0 and this standard deviation. The platform's logarithm and cosine decide its last bits.
+    pub fn normal(&mut self, sigma: f64) -> f64 {
+        let [x, y] = [self.unit(), self.unit()];
+        normal_pair(1.0 - x, y, sigma)[0]
     }
 
     /// Uniform below `n`; 0 for 0.

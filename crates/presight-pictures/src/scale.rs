@@ -1,5 +1,6 @@
 //! Maps values to positions on a scale bar.
 
+use presight_model::statistics::ranked;
 use presight_render::plan::{Images, Output};
 
 /// A scale of values, linear or logarithmic.
@@ -30,8 +31,8 @@ impl Scale {
             return Self { low: 0.0, high: 1.0, logarithmic: false };
         }
         let last = finite.len() - 1;
-        let mut ranked = |rank: f64| f64::from(*finite.select_nth_unstable_by(rank as usize, f32::total_cmp).1);
-        let (low, high) = (ranked((OUTLIERS * last as f64).floor()), ranked(((1.0 - OUTLIERS) * last as f64).ceil()));
+        let mut at = |rank: f64| ranked(&mut finite, rank as usize, f32::total_cmp).map_or(0.0, f64::from);
+        let (low, high) = (at((OUTLIERS * last as f64).floor()), at(((1.0 - OUTLIERS) * last as f64).ceil()));
         let high = if high > low * 1.001 { high } else { low * 1.001 };
         Self { low, high, logarithmic: high > LOGARITHMIC_FROM * low }
     }

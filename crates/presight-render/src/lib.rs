@@ -6,6 +6,7 @@ pub mod cost;
 pub mod cpu;
 pub mod deadline;
 pub mod plan;
+pub mod points;
 pub mod reference;
 pub mod row;
 pub mod verify;

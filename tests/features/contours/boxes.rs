@@ -11,10 +11,11 @@ use presight_model::environment::FeatureShape;
 use presight_model::geometry::Pose;
 use presight_model::random::SplitMix64;
 use presight_model::sensor::Sensor;
+use presight_model::statistics::normal_pair;
 
 fn normal(random: &mut SplitMix64) -> f64 {
     let (x, y) = (random.unit().max(1e-300), random.unit());
-    (-2.0 * x.ln()).sqrt() * (std::f64::consts::TAU * y).cos()
+    normal_pair(x, y, 1.0)[0]
 }
 
 fn vector(random: &mut SplitMix64) -> DVec3 {

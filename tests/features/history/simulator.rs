@@ -4,6 +4,7 @@
 use glam::{DMat2, DVec2, DVec3};
 use presight_localize::history::{Seed, Window};
 use presight_localize::matching::{Detection, DetectionProperties, ExpectedProperties, Shape, UncertainValue};
+use presight_model::statistics::normal_pair;
 use std::f64::consts::{PI, TAU};
 
 /// xorshift64* of G. Marsaglia and S. Vigna.
@@ -24,8 +25,8 @@ impl Random {
 
     /// Two independent standard normal numbers (Box-Muller).
     pub fn normal(&mut self) -> DVec2 {
-        let radius = (-2.0 * (1.0 - self.unit()).ln()).sqrt();
-        DVec2::from_angle(TAU * self.unit()) * radius
+        let [x, y] = [self.unit(), self.unit()];
+        normal_pair(1.0 - x, y, 1.0).into()
     }
 }
 

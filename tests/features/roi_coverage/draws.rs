@@ -8,9 +8,9 @@ use presight_features::{BoxOptions, BoxQuery, FeaturePrediction, PlacedFeature, 
 use presight_model::environment::{Environment, Existence, Feature, FeatureShape, Properties};
 use presight_model::geometry::{Pose, PoseCovariance};
 use presight_model::sensor::Sensor;
+use presight_model::statistics::normal_pair;
 use presight_model::world::World;
 use rayon::prelude::*;
-use std::f64::consts::TAU;
 
 /// L with L L^T equal to the covariance; zero where it is singular.
 pub fn cholesky(covariance: &Covariance) -> Covariance {
@@ -40,10 +40,10 @@ impl Normal {
         if let Some(kept) = self.1.take() {
             return kept;
         }
-        let length = (-2.0 * self.0.uniform(0.0, 1.0).max(1e-300).ln()).sqrt();
-        let (sin, cos) = self.0.uniform(0.0, TAU).sin_cos();
-        self.1 = Some(length * sin);
-        length * cos
+        let [x, y] = [self.0.unit(), self.0.unit()];
+        let [now, later] = normal_pair(x.max(1e-300), y, 1.0);
+        self.1 = Some(later);
+        now
     }
 
     /// Two vectors with the covariance L L^T.

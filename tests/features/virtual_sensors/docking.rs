@@ -2,6 +2,7 @@
 
 use super::*;
 use common::Random;
+use presight_model::statistics::normal_pair;
 use presight_predict::virtual_sensors::Docking;
 
 /// A planar scanner on a robot, slightly rotated.
@@ -63,8 +64,8 @@ fn measure(sensor: &Sensor, points: &[DVec3], motion: &[f64]) -> Vec<(f64, f64)>
 }
 
 fn normal(random: &mut Random) -> f64 {
-    let (a, b) = (random.uniform(1e-300, 1.0), random.uniform(0.0, std::f64::consts::TAU));
-    (-2.0 * a.ln()).sqrt() * b.cos()
+    let (x, y) = (random.unit().max(1e-300), random.unit());
+    normal_pair(x, y, 1.0)[0]
 }
 
 /// Solves a linear system by Gaussian elimination.

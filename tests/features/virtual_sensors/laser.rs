@@ -1,8 +1,8 @@
 //! Laser: depth images and vertical planes.
 
 use super::*;
-use presight_files::{PointCloud, PointsFrame};
 use presight_predict::virtual_sensors::{DepthImage, VerticalPlanes};
+use presight_render::points::{PointCloud, PointsFrame};
 
 fn depth(world: &World, sensor: &Sensor, pose: &Pose) -> DepthImage {
     match answer(VirtualSensor::DepthImage, world, sensor, pose, &Settings::default()) {

@@ -3,10 +3,10 @@
 use super::common::oracle::Oracle;
 use super::common::{Random, env_number, scenes};
 use super::{SHORT, predict, sensors};
-use glam::{DMat3, DVec3};
+use glam::{DMat3, DVec3, Vec3};
 use presight_features::{BoxOptions, BoxQuery, Piece, PlacedFeature, Sampler, add_boxes};
 use presight_model::environment::Environment;
-use presight_model::environment::{Existence, Feature, FeatureShape, Properties};
+use presight_model::environment::{Existence, Feature, FeatureShape, NewObject, Properties};
 use presight_model::geometry::Pose;
 use presight_model::sensor::{Angles, Geometry, Scanner, Sensor, SensorSpec};
 use presight_model::world::World;
@@ -274,4 +274,25 @@ fn a_wall_behind_a_fence_is_half_visible() {
         let fraction = prediction.features[0].visible_fraction;
         assert!((fraction - 0.5).abs() < 0.02, "{shift}: {fraction}");
     }
+}
+
+/// A patch lies behind its own polygon, which hides nothing of it, and a board between the two hides its left half. The
+/// image shows only the own polygon, so the index finds the board.
+#[test]
+fn what_the_index_finds_counts_as_hidden_in_space() {
+    let mut environment = scenes::empty();
+    let board = |x: f32, y: [f32; 2]| scenes::cuboid(Vec3::new(x, y[0], -2.0), Vec3::new(x + 0.01, y[1], 2.0));
+    for (name, mesh) in [("wall", board(2.0, [-2.0, 2.0])), ("board", board(2.5, [0.0, 2.0]))] {
+        environment.insert(NewObject::new(name, Pose::IDENTITY, mesh.into())).unwrap();
+    }
+    let corners = [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)].map(|(y, z)| DVec3::new(3.0, y, z)).to_vec();
+    let shape = FeatureShape::Patch { corners, covariance: DMat3::ZERO };
+    let (existence, properties) = (Existence::default(), Properties::default());
+    let feature = Feature { id: 1, name: None, object: None, shape, existence, properties }.into();
+    let wall = environment.objects()[0].mesh.polygon_count() as u32;
+    let placed = PlacedFeature { feature, object: None, slots: (0..wall).collect() };
+    let stats = predict(&World::new(environment), &scenes::camera(512, 384), &Pose::IDENTITY, &[placed]).0.stats;
+    assert!(stats.samples > 2 * MANY && stats.undecided == 0, "{stats:?}");
+    assert_eq!((stats.hidden_by_neighbours, stats.visible + stats.hidden_in_space), (0, stats.samples), "{stats:?}");
+    assert!(stats.visible.abs_diff(stats.hidden_in_space) < stats.samples / 20, "{stats:?}");
 }

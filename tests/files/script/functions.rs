@@ -168,7 +168,7 @@ const CASES: &[(&str, &str)] = &[
     ),
     (
         "uniform(rng, low, high) -> float",
-        "let r = rng(2); for i in 0..99 { let x = r.uniform(-1, 3); require(x >= -1 && x < 3, \"range\"); } let high = 1.0 + 2.220446049250313e-16; for i in 0..99 { require(r.uniform(1, high) <= high, \"clamped\"); } require(r.uniform(-0.3, 0.7) <= 0.7, \"clamped\");",
+        "let r = rng(2); for i in 0..99 { let x = r.uniform(-1, 3); require(x >= -1 && x < 3, \"range\"); } let high = 1.0 + 2.220446049250313e-16; for i in 0..99 { require(r.uniform(1, high) <= high, \"clamped\"); } require(r.uniform(-0.3, 0.7) <= 0.7, \"clamped\"); let below = 0; for i in 0..99 { let x = r.uniform(-1.7e308, 1.7e308); require(x >= -1.7e308 && x <= 1.7e308, \"wide\"); if x < 0.0 { below += 1; } } require(below > 30 && below < 70, \"both halves\");",
     ),
     (
         "integer(rng, low, high) -> int",

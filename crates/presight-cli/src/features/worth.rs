@@ -9,6 +9,7 @@ use presight_files::{layer, load_sensor};
 use presight_model::environment::FeatureLayer;
 use presight_model::error::{Error, Result};
 use presight_model::sensor::Sensor;
+use presight_model::statistics::{quantile, upper_median};
 use presight_pictures::{GridMap, write_maps};
 use presight_predict::predict::{Options, Predictor};
 use presight_studies::worth::{HEADINGS, Thinned, Worth, WorthOptions};
@@ -130,12 +131,11 @@ fn in_words(worth: &Worth) -> Vec<String> {
     let open = worth.places.iter().filter(|p| p.position_sigma.is_infinite()).count();
     let told = |name: &str, unit: &str, value: &dyn Fn(usize) -> f64| {
         let mut known: Vec<f64> = (0..worth.places.len()).map(value).filter(|v| v.is_finite()).collect();
-        known.sort_by(f64::total_cmp);
-        match known.last() {
-            Some(last) => {
-                format!("{name:<12} 1 sd: median {:.4} {unit}, maximum {last:.4} {unit}", known[known.len() / 2])
+        match (upper_median(&mut known, f64::total_cmp), quantile(&mut known, 1.0)) {
+            (Some(median), Some(most)) => {
+                format!("{name:<12} 1 sd: median {median:.4} {unit}, maximum {most:.4} {unit}")
             }
-            None => format!("{name:<12} not determined anywhere"),
+            _ => format!("{name:<12} not determined anywhere"),
         }
     };
     vec![

@@ -1,4 +1,4 @@
-//! Reduces the many points of a curve to those that may be outermost under errors.
+//! Reduces the many points of a curve to the points that may be outermost under errors.
 
 use super::image::Image;
 use crate::roi::{BodyPoint, FeatureErrorModel, Projection};

@@ -4,11 +4,11 @@
 //! then takes two scalar products per error: -t . g - r . (p x g) for the sensor, t . g + r . (q x g) for the object
 //! with q from the object's origin, and e0 . (s0 g) + e1 . (s1 g) for the ends of the feature.
 
-use crate::normal::square_root;
 use glam::{DMat3, DVec3};
 use presight_model::environment::FeatureShape;
 use presight_model::error::Result;
 use presight_model::geometry::{InObject, InWorld, Pose, PoseCovariance};
+use presight_model::matrix::square_root;
 
 /// Largest number of errors: six for each pose, three for each end.
 pub const ERRORS: usize = 3 * KIND;

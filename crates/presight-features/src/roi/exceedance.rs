@@ -7,7 +7,7 @@
 
 use super::image_point::{MARGIN, PointDerivatives, dot};
 use super::{SIDES, Side};
-use crate::normal::{Tails, apart, tail_quantile};
+use presight_model::statistics::{Tails, apart, tail_quantile};
 
 /// Largest number of points considered for a side.
 pub const MOST: usize = 3;

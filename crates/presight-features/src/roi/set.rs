@@ -14,6 +14,7 @@ use super::errors::{ERRORS, ErrorVector, FeatureErrorModel};
 use super::exceedance::Level;
 use super::image_point::{ImagePoint, PointDerivatives, unwrapped};
 use super::{GRAZING, Projection, SIDES, Side};
+use presight_model::statistics::portable_normal_pair;
 use std::sync::OnceLock;
 
 /// Largest number of samples.
@@ -63,9 +64,7 @@ fn normals() -> &'static [ActiveErrors] {
         let one = |i: usize| {
             let mut few = PRIMES.map(|p| (0.5 + i as f64 * p.sqrt()).fract());
             for [x, y] in few.as_chunks_mut::<2>().0 {
-                let length = (-2.0 * libm::log(x.max(1e-300))).sqrt();
-                let angle = std::f64::consts::TAU * *y;
-                (*x, *y) = (length * libm::cos(angle), length * libm::sin(angle));
+                [*x, *y] = portable_normal_pair(x.max(1e-300), *y);
             }
             few
         };

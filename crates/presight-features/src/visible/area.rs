@@ -129,7 +129,7 @@ impl PatchPixels<'_> {
             let state = self.state_between(ends, id).filter(|_| id != 0 || !frame.options.is_partial);
             if let Some(state) = state {
                 self.stats.samples += run.len();
-                return self.take_pixels(span, run, state);
+                return self.take_pixels(span, run, state, false);
             }
         }
         for sample in run {
@@ -147,7 +147,7 @@ impl PatchPixels<'_> {
                 }
             };
             match state {
-                Some(state) => self.take_pixels(span, sample..sample + 1, state),
+                Some(state) => self.take_pixels(span, sample..sample + 1, state, false),
                 None => {
                     self.waiting.push(UndecidedSample::new(at, range));
                     self.pixels_waiting.push((span.clone(), sample));
@@ -190,7 +190,7 @@ impl PatchPixels<'_> {
         space_at_samples(&mut self.waiting, self.query, self.workspace);
         let (waiting, pixels) = (std::mem::take(&mut self.waiting), std::mem::take(&mut self.pixels_waiting));
         for (sample, (span, at)) in waiting.iter().zip(pixels) {
-            self.take_pixels(&span, at..at + 1, sample.state());
+            self.take_pixels(&span, at..at + 1, sample.state(), true);
         }
     }
 
@@ -231,10 +231,12 @@ impl PatchPixels<'_> {
         DVec2::new(f64::from(column) + span.turned, f64::from(row))
     }
 
-    fn take_pixels(&mut self, span: &Span, run: Range<u32>, state: SampleState) {
+    /// Counts neighbouring pixels of one state, which the index decided or the image alone.
+    fn take_pixels(&mut self, span: &Span, run: Range<u32>, state: SampleState, by_index: bool) {
         let count = run.len();
         self.tally.take_pixels(state, count);
         match state {
+            SampleState::Hidden(Reason::Occluded, _) if by_index => self.stats.hidden_in_space += count,
             SampleState::Hidden(Reason::Occluded, _) => self.stats.hidden_by_neighbours += count,
             SampleState::Hidden(Reason::Undecided, _) => self.stats.undecided += count,
             SampleState::Hidden(..) => {}

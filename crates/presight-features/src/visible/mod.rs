@@ -116,7 +116,7 @@ impl Default for FeatureSettings {
 /// # Errors
 /// [`presight_model::ErrorKind::Invalid`] if there is no `polygon_id` image of the sensor's size, a feature's object or
 /// slot does not exist, or the sensor is a ray table with fewer than two rays; [`presight_model::ErrorKind::Usage`] for
-/// a step out of its range, and those of [`Pose::check`]; those of [`presight_model::Threads::new`].
+/// a step out of its range; errors of [`Pose::check`] and [`presight_model::Threads::new`].
 pub fn predict_features(
     world: &World,
     sensor: &Sensor,
@@ -226,8 +226,8 @@ impl<'a> PreparedFeatures<'a> {
             }
             Some(tree) => {
                 let reasons = select::out_of_view(&frame, tree, surfaces);
-                let told = (0..).zip(&reasons).filter_map(|(i, reason)| Some((i, (*reason)?)));
-                ((0..placed.len()).filter(|i| reasons[*i].is_none()).collect(), told.collect())
+                let outside = (0..).zip(&reasons).filter_map(|(i, reason)| Some((i, (*reason)?)));
+                ((0..placed.len()).filter(|i| reasons[*i].is_none()).collect(), outside.collect())
             }
             None => ((0..placed.len()).collect(), Vec::new()),
         };
@@ -250,11 +250,11 @@ impl<'a> PreparedFeatures<'a> {
         self.some.iter().map(|i| &self.placed[*i])
     }
 
-    /// Predicts all features. `told` holds the slots that may hide the samples, in the order of
+    /// Predicts all features. `hints` holds the slots that may hide the samples, in the order of
     /// [`PreparedFeatures::query_samples`]; without it the images are used.
-    pub fn finish(mut self, told: Option<&[Vec<Option<u32>>]>) -> FeaturePrediction {
+    pub fn finish(mut self, hints: Option<&[Vec<Option<u32>>]>) -> FeaturePrediction {
         let mut marks = self.marks();
-        let mut prediction = self.part(&self.some, told, &mut marks);
+        let mut prediction = self.part(&self.some, hints, &mut marks);
         sort_as_given(&mut prediction);
         let is_each_once = self.contours.set().is_empty() && self.out_of_view.is_empty();
         if self.frame.as_ref().is_none_or(|frame| frame.options.hidden != Hidden::Count && is_each_once) {
@@ -266,8 +266,8 @@ impl<'a> PreparedFeatures<'a> {
         prediction
     }
 
-    /// Predicts the features with these indices, with their slots in `told`, and records the pixels that they mark.
-    pub fn part(&self, which: &[usize], told: Option<&[Vec<Option<u32>>]>, marks: &mut Marks) -> FeaturePrediction {
+    /// Predicts the features with these indices, with their slots in `hints`, and records the pixels that they mark.
+    pub fn part(&self, which: &[usize], hints: Option<&[Vec<Option<u32>>]>, marks: &mut Marks) -> FeaturePrediction {
         let mut prediction = FeaturePrediction::default();
         let Some(frame) = &self.frame else { return prediction };
         prediction.time = frame.time;
@@ -275,7 +275,7 @@ impl<'a> PreparedFeatures<'a> {
         let parts = some.fold(
             || (self.workspaces.wake(frame), Part::default()),
             |(mut awake, mut part), (at, number)| {
-                let told = told.map(|told| told[at].as_slice());
+                let hints = hints.map(|hints| hints[at].as_slice());
                 let placed = &self.placed[*number];
                 match self.contours.set().get(*number) {
                     Some(surface) => {
@@ -283,7 +283,7 @@ impl<'a> PreparedFeatures<'a> {
                         curves.into_iter().for_each(|curve| part.take(*number, curve));
                     }
                     None if placed.feature.shape.is_contour() => {}
-                    None => part.take(*number, awake.worker().feature(placed, told)),
+                    None => part.take(*number, awake.worker().feature(placed, hints)),
                 }
                 (awake, part)
             },

@@ -73,8 +73,8 @@ fn organized_clouds_keep_their_pixels() {
 /// Clouds that presight wrote are read back, in both frames.
 #[test]
 fn written_clouds_are_read_again() {
-    use super::super::points::tests::camera_view;
-    use super::super::points::{PointCloud, PointsFrame};
+    use super::super::point_fields::tests::camera_view;
+    use presight_render::points::{PointCloud, PointsFrame};
     let (sensor, images) = camera_view();
     let pose = Pose::from_xyz_rpy(DVec3::new(10.0, 20.0, 3.0), 0.1, 0.2, 0.3);
     let folder = tempfile::tempdir().unwrap();

@@ -93,7 +93,7 @@ pub fn import(path: impl AsRef<Path>, options: &ImportOptions) -> Result<Importe
 }
 
 /// Reads a scene that is in memory: a .glb, or a .gltf whose buffers are embedded. `name` stands in messages for the
-/// file. There is no sidecar: `options` and the materials' `extras` hold what it would say.
+/// file. There is no sidecar: `options` and the materials' `extras` hold its content.
 ///
 /// ```
 /// # std::env::set_current_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/../..")).unwrap();

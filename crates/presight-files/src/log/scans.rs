@@ -12,7 +12,6 @@
 //! each file name, each with `translation` and `quaternion_xyzw`, world_from_sensor in body axes. Estimates must not
 //! use it.
 
-mod grid;
 #[cfg(test)]
 mod tests;
 
@@ -22,12 +21,10 @@ use crate::{cloud, exr, sensor_toml};
 use glam::{DQuat, DVec3};
 use presight_model::error::{Error, Result};
 use presight_model::geometry::Pose;
-use presight_model::measured::{Frame, Measurement};
+use presight_model::measured::{Frame, Measurement, RangeGrid, range_grid};
 use presight_model::sensor::{Geometry, Sensor, SensorSpec};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
-
-pub use grid::{RangeGrid, range_grid};
 
 /// Frames of scans, one at a time.
 #[derive(Debug)]
@@ -75,7 +72,7 @@ impl Scans {
 
     fn of_points(&self, time: f64, path: &Path) -> Result<(Frame, Option<Pose>)> {
         let cloud = cloud::read(path)?;
-        let RangeGrid { table, ranges } = range_grid(&cloud)?;
+        let RangeGrid { table, ranges } = range_grid(&cloud.points, cloud.size)?;
         let geometry = Geometry::Rays(table);
         let spec = match &self.sensor {
             Some(sensor) => sensor.spec().clone().with_geometry(geometry),

@@ -110,7 +110,8 @@ impl<'a> Outlines<'a> {
         let count = triangles.len() as u32;
         let face = |(t, triangle): (u32, &Triangle)| {
             let [a, b, c] = mesh.positions(triangle.corners);
-            Face { doubled_area: (b - a).cross(c - a), first: 3 * t, corners: 3, flatness: 0.0, hidden: 0.0, tilt: 0.0 }
+            let (doubled_area, hidden) = ((b - a).cross(c - a), f64::NEG_INFINITY);
+            Face { doubled_area, first: 3 * t, corners: 3, flatness: 0.0, hidden, tilt: 0.0 }
         };
         Self {
             vertices: &mesh.vertices,

@@ -212,6 +212,22 @@ fn bent_beyond_the_tolerance_stays_apart() {
     }
 }
 
+/// A hexagon whose corners lie alternately above and below its plane, each by less than half the tolerance. All its
+/// vertices stay corners, so only their own distances from the plane count.
+#[test]
+fn without_inner_vertices_only_corners_bound_the_deviation() {
+    let corner = |k: u32| {
+        let angle = std::f64::consts::TAU * f64::from(k) / 6.0;
+        DVec3::new(angle.cos(), angle.sin(), if k.is_multiple_of(2) { 8e-7 } else { -8e-7 }).as_vec3()
+    };
+    let mut mesh = TriangleMesh { vertices: (0..6).map(corner).collect(), ..Default::default() };
+    (1..5).for_each(|k| mesh.push([0, k, k + 1], 0));
+    let merged = merged(&mesh);
+    check(&mesh, &merged).unwrap();
+    assert_eq!((merged.parts.records.len(), merged.parts.corners.len()), (1, 6));
+    assert!((merged.largest_deviation - 8e-7).abs() < 1e-7, "{}", merged.largest_deviation);
+}
+
 #[test]
 fn reflex_pairs_stay_apart() {
     let vertices = vec![Vec3::ZERO, Vec3::X, Vec3::new(0.1, 0.1, 0.0), Vec3::Y];

@@ -14,6 +14,7 @@ use glam::{DMat2, DMat3, DVec2, DVec3};
 use presight_features::turn;
 use presight_model::geometry::Pose;
 use presight_model::sensor::Sensor;
+use presight_model::statistics::upper_median;
 
 /// A point of the model, and where it was found.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -222,8 +223,7 @@ impl Residuals for ImageSource<'_> {
                 (0..6).for_each(|a| group.pull[a][0] -= weight * j[a] * by_offset);
             }
         }
-        sizes.sort_by(f64::total_cmp);
-        normal.spread = sizes.get(sizes.len() / 2).copied().unwrap_or(0.0);
+        normal.spread = upper_median(&mut sizes, f64::total_cmp).unwrap_or(0.0);
         normal
     }
 }

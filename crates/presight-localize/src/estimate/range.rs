@@ -11,6 +11,7 @@ use glam::{DAffine3, DVec3, Vec3};
 use presight_model::geometry::Pose;
 use presight_model::matrix::{Matrix, add_to, apply, product, sandwich, turn};
 use presight_model::measured::{Frame, RangeNoise};
+use presight_model::statistics::upper_median;
 use presight_model::threads::parallel_or_here;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, HashMap};
@@ -474,8 +475,7 @@ impl RangeSource<'_> {
         if !normalized.is_empty() {
             let step = normalized.len().div_ceil(SPREAD_POINTS);
             let mut normalized: Vec<f32> = normalized.into_iter().step_by(step).collect();
-            let middle = normalized.len() / 2;
-            total.spread = f64::from(*normalized.select_nth_unstable_by(middle, f32::total_cmp).1);
+            total.spread = upper_median(&mut normalized, f32::total_cmp).map_or(0.0, f64::from);
         }
         let t = turn(self.expected.world_from_image.rotation);
         for m in [&mut total.information, &mut total.noise] {

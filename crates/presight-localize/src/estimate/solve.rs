@@ -10,7 +10,7 @@ use super::range::measured_points;
 use super::reflectors::{MatchedReflectors, hold, other_camp};
 use super::run::{Expectation, FrameMeasurement, LEAD, Minimum, Run};
 use crate::extract::{Findings, MeasuredRanges};
-use crate::matching::{Shape, chi_squared_quantile};
+use crate::matching::Shape;
 use crate::motion::{Vector, motion_between, moved};
 use crate::verdict::{ExpectedImage, Surfaces, Verdicts, body_from_image, judge};
 use glam::DVec3;
@@ -20,6 +20,7 @@ use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate};
 use presight_model::matrix::{Matrix, add_to, eigen, inverse, quadratic, restricted, scaled};
 use presight_model::measured::{Frame, RangeNoise};
 use presight_model::random::SplitMix64;
+use presight_model::statistics::chi_squared_quantile;
 use presight_model::world::World;
 use presight_predict::predict::Predictor;
 use rayon::prelude::*;
@@ -60,7 +61,7 @@ impl Default for EstimateOptions {
     }
 }
 
-crate::options::with_options!(
+presight_model::with_options!(
     EstimateOptions:
     with_freedom freedom: Freedom,
     with_least_explained least_explained: f64,
@@ -562,9 +563,7 @@ pub fn drawn<A>(mean: &Pose, covariance: &PoseCovariance<A>, freedom: Freedom, r
     let (values, vectors) = eigen(restricted(covariance.as_rows(), freedom.axes()), 6);
     let mut motion = [0.0; 6];
     for (k, value) in values.iter().enumerate() {
-        // Box and Muller.
-        let radius = (-2.0 * (1.0 - random.unit()).ln()).sqrt();
-        let x = value.max(0.0).sqrt() * radius * (std::f64::consts::TAU * random.unit()).cos();
+        let x = random.normal(value.max(0.0).sqrt());
         (0..6).for_each(|i| motion[i] += x * vectors[i][k]);
     }
     moved(mean, &motion)

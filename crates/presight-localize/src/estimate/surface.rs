@@ -10,6 +10,7 @@ use crate::verdict::body_from_image;
 use glam::DVec3;
 use presight_model::geometry::{Plane, Pose};
 use presight_model::sensor::Sensor;
+use presight_model::statistics::upper_median;
 
 /// A surface of the model, and what was found of it.
 #[derive(Clone, Debug, PartialEq)]
@@ -72,8 +73,7 @@ impl Residuals for SurfaceSource {
                 }
             }
         }
-        sizes.sort_by(f64::total_cmp);
-        normal.spread = sizes.get(sizes.len() / 2).copied().unwrap_or(0.0);
+        normal.spread = upper_median(&mut sizes, f64::total_cmp).unwrap_or(0.0);
         normal
     }
 }

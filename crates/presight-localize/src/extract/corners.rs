@@ -11,6 +11,7 @@ use presight_model::measured::GreyImage;
 
 /// Thresholds of the corner detector.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct CornerOptions {
     /// Standard deviation of a grey value.
     pub noise: f64,
@@ -26,6 +27,13 @@ impl Default for CornerOptions {
         Self { noise: 0.01, least_contrast: 0.06, most: 500 }
     }
 }
+
+presight_model::with_options!(
+    CornerOptions:
+    with_noise noise: f64,
+    with_least_contrast least_contrast: f64,
+    with_most most: usize,
+);
 
 /// Half side of the detection window, pixels.
 const HALF: i64 = 3;

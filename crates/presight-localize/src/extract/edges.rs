@@ -50,6 +50,7 @@ const SHORTEST: f64 = 12.0;
 
 /// Thresholds of the edge detector.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct EdgeOptions {
     /// Standard deviation of a grey value.
     pub noise: f64,
@@ -67,6 +68,14 @@ impl Default for EdgeOptions {
         Self { noise: 0.01, least_contrast: 0.06, least_support: 0.5, most: 3 }
     }
 }
+
+presight_model::with_options!(
+    EdgeOptions:
+    with_noise noise: f64,
+    with_least_contrast least_contrast: f64,
+    with_least_support least_support: f64,
+    with_most most: usize,
+);
 
 /// A detected edge.
 #[derive(Clone, Debug, PartialEq)]

@@ -18,6 +18,7 @@ use presight_model::sensor::Sensor;
 
 /// Options of [`find_features`].
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct FindOptions {
     /// For grey images.
     pub edges: EdgeOptions,
@@ -49,6 +50,17 @@ impl Default for FindOptions {
         }
     }
 }
+
+presight_model::with_options!(
+    FindOptions:
+    with_edges edges: EdgeOptions,
+    with_corners corners: CornerOptions,
+    with_jumps jumps: JumpOptions,
+    with_reflectors reflectors: ReflectorOptions,
+    with_place place: Option<DMat3>,
+    with_deviations deviations: f64,
+    with_model model: f64,
+);
 
 /// A visible part of a predicted feature, and its classification.
 #[derive(Clone, Debug, PartialEq)]

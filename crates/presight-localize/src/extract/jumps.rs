@@ -7,6 +7,7 @@ use presight_model::measured::{Frame, RangeNoise};
 
 /// Thresholds of the depth edge detector.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct JumpOptions {
     /// Least jump as a fraction of the nearer range. A jump must also exceed the noise and the slopes of the surfaces.
     pub least_jump: f64,
@@ -21,6 +22,13 @@ impl Default for JumpOptions {
         Self { least_jump: 0.03, least_support: 0.5, most: 3 }
     }
 }
+
+presight_model::with_options!(
+    JumpOptions:
+    with_least_jump least_jump: f64,
+    with_least_support least_support: f64,
+    with_most most: usize,
+);
 
 /// Jumps must exceed this many standard deviations of noise.
 const FAR: f64 = 5.0;

@@ -8,11 +8,6 @@ use presight_model::sensor::{Angles, Camera, Geometry, Scanner, Sensor, SensorSp
 
 const NOISE: f64 = 0.01;
 
-fn normal(random: &mut SplitMix64) -> f64 {
-    let radius = (-2.0 * (1.0 - random.unit()).ln()).sqrt();
-    radius * (std::f64::consts::TAU * random.unit()).cos()
-}
-
 fn sensor(geometry: Geometry) -> Sensor {
     let mut spec = SensorSpec::new("s", "laser", geometry);
     spec.noise.range_sigma = NOISE;
@@ -36,7 +31,7 @@ fn inside(sensor: &Sensor, walls: &[(DVec3, f64)], random: &mut SplitMix64) -> F
         let ray = sensor.ray(i % w, i / w).unwrap();
         walls.iter().map(|(n, d)| d / n.dot(ray)).filter(|z| *z > 0.0).fold(f64::INFINITY, f64::min)
     };
-    let noisy = (0..w * h).map(|i| (range(i) + NOISE * normal(random)) as f32).collect();
+    let noisy = (0..w * h).map(|i| (range(i) + random.normal(NOISE)) as f32).collect();
     Frame::new(0.0, sensor.clone(), Measurement::Range(noisy)).unwrap()
 }
 
@@ -156,7 +151,7 @@ fn depth_edges_are_found_between_pixels() {
         let depth = (0..80 * 60).map(|i| {
             let at = DVec2::new(f64::from(i % 80), f64::from(i / 80));
             let z = if right.dot(at - on) > 0.0 { 2.0 } else { 2.6 + 0.004 * at.x };
-            (z + NOISE * normal(&mut random)) as f32
+            (z + random.normal(NOISE)) as f32
         });
         let frame = Frame::new(0.0, camera.clone(), Measurement::DepthZ(depth.collect())).unwrap();
         let along = DVec2::from_angle(angle + 0.04);

@@ -6,10 +6,12 @@ use glam::{DMat2, DVec2};
 use presight_model::error::{Error, Result};
 use presight_model::measured::{Frame, GreyImage, RangeNoise};
 use presight_model::sensor::Sensor;
+use presight_model::statistics::median;
 use std::collections::BTreeMap;
 
 /// Thresholds of the reflector detector.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct ReflectorOptions {
     /// Least intensity; diffuse surfaces stay far below it.
     pub least: f64,
@@ -22,6 +24,12 @@ impl Default for ReflectorOptions {
         Self { least: 0.8, widest: 0.4 }
     }
 }
+
+presight_model::with_options!(
+    ReflectorOptions:
+    with_least least: f64,
+    with_widest widest: f64,
+);
 
 /// A detected reflector.
 #[derive(Clone, Debug, PartialEq)]
@@ -269,11 +277,7 @@ impl BrightSpot {
     }
 
     fn median(&self) -> Option<f64> {
-        let mut ranges: Vec<f64> = self.ranges.iter().map(|(_, range)| *range).collect();
-        ranges.sort_by(f64::total_cmp);
-        let half = ranges.len() / 2;
-        let upper = *ranges.get(half)?;
-        Some(if ranges.len().is_multiple_of(2) { 0.5 * (ranges[half - 1] + upper) } else { upper })
+        median(&mut self.ranges.iter().map(|(_, range)| *range).collect::<Vec<f64>>())
     }
 }
 

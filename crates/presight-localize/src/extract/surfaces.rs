@@ -13,6 +13,7 @@ use presight_model::measured::{Frame, RangeNoise};
 
 /// Thresholds of the surface detector.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct SurfaceOptions {
     /// Fewest measured points.
     pub least_points: usize,
@@ -27,6 +28,13 @@ impl Default for SurfaceOptions {
         Self { least_points: 8, least_extent: 0.1, flatness: 0.001 }
     }
 }
+
+presight_model::with_options!(
+    SurfaceOptions:
+    with_least_points least_points: usize,
+    with_least_extent least_extent: f64,
+    with_flatness flatness: f64,
+);
 
 /// A detected flat surface, in the image frame of the sensor, metres.
 #[derive(Clone, Debug, PartialEq)]

@@ -1,6 +1,7 @@
 //! Learns the noise level from innovations and detects changes of motion.
 
 use super::window::BoxLevel;
+use presight_model::statistics::tail;
 
 /// Time constant of the learnt noise scale, frames.
 const SCALE_FRAMES: f64 = 20.0;
@@ -153,10 +154,6 @@ impl Truncation {
         }
         0.5 * (low + high)
     }
-}
-
-fn tail(x: f64) -> f64 {
-    0.5 * libm::erfc(x * std::f64::consts::FRAC_1_SQRT_2)
 }
 
 /// Mean square of a normal variable with variance `inflation`, given that its absolute value is below `k`.

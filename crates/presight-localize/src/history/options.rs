@@ -138,7 +138,7 @@ impl TrackerOptions {
     }
 }
 
-crate::options::with_options!(
+presight_model::with_options!(
     TrackerOptions:
     with_image image: ImageExtent,
     with_confidence confidence: f64,

@@ -1,7 +1,7 @@
 //! The smallest box that holds all of a feature's points with a stated probability.
 
 use glam::{DMat2, DVec2};
-use presight_features::normal::{TAIL_CELLS, Tails, apart, tail_quantile};
+use presight_model::statistics::{TAIL_CELLS, Tails, apart, tail_quantile};
 
 /// Number of sides through which one point can leave its box.
 const SIDES: f64 = 4.0;
@@ -147,11 +147,12 @@ fn sides(p: DVec2, reach: DVec2) -> [f64; 4] {
 mod tests {
     use super::*;
     use presight_model::random::SplitMix64;
+    use presight_model::statistics::normal_pair;
     use std::f64::consts::TAU;
 
     fn normal(random: &mut SplitMix64) -> DVec2 {
-        let radius = (-2.0 * (1.0 - random.unit()).ln()).sqrt();
-        DVec2::from_angle(TAU * random.unit()) * radius
+        let [x, y] = [random.unit(), random.unit()];
+        normal_pair(1.0 - x, y, 1.0).into()
     }
 
     #[test]

@@ -146,7 +146,7 @@ impl Default for LocalizeOptions {
     }
 }
 
-crate::options::with_options!(
+presight_model::with_options!(
     LocalizeOptions:
     with_drift drift: f64,
     with_turn_drift turn_drift: f64,

@@ -59,7 +59,7 @@ impl Default for SearchOptions {
     }
 }
 
-crate::options::with_options!(
+presight_model::with_options!(
     SearchOptions:
     with_cell cell: f64,
     with_headings headings: u32,

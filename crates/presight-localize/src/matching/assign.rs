@@ -65,6 +65,14 @@ pub fn assign(candidates: &[CandidatePair], unseen: &[f64]) -> Result<Assignment
     }
     name_groups(&mut edges, unseen.len());
     edges.sort_unstable_by_key(|e| (e.group, e.row, e.column, e.candidate));
+    // The best of repeated pairs counts.
+    edges.dedup_by(|next, kept| {
+        let repeats = (next.row, next.column) == (kept.row, kept.column);
+        if repeats && next.gain > kept.gain {
+            *kept = *next;
+        }
+        repeats
+    });
     for group in edges.chunk_by(|a, b| a.group == b.group) {
         found.groups += 1;
         solve(group, &mut found);
@@ -166,19 +174,13 @@ fn solve_optimally(edges: &[Saving], rows: usize, columns: &[u32], found: &mut A
     for (r, row) in edges.chunk_by(|a, b| a.row == b.row).enumerate() {
         for edge in row {
             let c = columns.partition_point(|c| *c < edge.column);
-            let gain = (edge.gain * STEPS).round() as i64;
-            // The best of duplicate pairs counts.
-            if gain > gains[(r, c)] {
-                gains[(r, c)] = gain;
-            }
+            gains[(r, c)] = (edge.gain * STEPS).round() as i64;
             of.push((r, c, *edge));
         }
     }
     let (_, taken) = kuhn_munkres(&gains);
-    let mut done = vec![false; rows];
     for (r, c, edge) in of {
-        // The edges of a row are sorted by gain, so the first duplicate is the best.
-        if taken[r] == c && gains[(r, c)] > 0 && !std::mem::replace(&mut done[r], true) {
+        if taken[r] == c && gains[(r, c)] > 0 {
             take(edge, found);
         }
     }
@@ -276,6 +278,16 @@ mod tests {
         let found = assign(&pairs, &[4.0; 5]).unwrap();
         assert_eq!(found.columns, [Some(0), None, Some(5), Some(7), None]);
         assert_eq!((found.groups, found.greedy_groups), (3, 0));
+    }
+
+    /// Row 0 gives one pair twice; its other pair must still count, because row 1 needs the repeated column.
+    #[test]
+    fn a_repeated_pair_takes_no_other_pairs_place() {
+        let pair = |row, column, cost| CandidatePair { row, column, cost };
+        let pairs = [pair(0, 0, 1.1), pair(0, 0, 1.0), pair(0, 1, 5.0), pair(1, 0, 1.0)];
+        let found = assign(&pairs, &[10.0; 2]).unwrap();
+        assert_eq!((found.columns, found.cost), (vec![Some(1), Some(0)], 6.0));
+        assert_eq!(assign(&pairs[..3], &[10.0]).unwrap().candidates, [Some(1)]);
     }
 
     #[test]

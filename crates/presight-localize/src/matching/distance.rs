@@ -3,6 +3,7 @@
 use super::detection::{Detection, Shape};
 use super::matcher::ExpectedFeature;
 use glam::{DMat2, DVec2};
+use presight_model::statistics::chi_squared_quantile;
 use std::f64::consts::PI;
 
 /// Smallest variance of a measured coordinate, pixels squared. With a smaller one, a track would reject its detections.
@@ -309,14 +310,6 @@ fn outer(v: DVec2) -> DMat2 {
     DMat2::from_cols(v * v.x, v * v.y)
 }
 
-/// Quantile of a chi-squared variable with `dimensions` degrees of freedom for probability p, whose standard normal
-/// deviate is `deviate`. It is within 3 % for p above 0.9 (E. B. Wilson and M. M. Hilferty 1931).
-pub fn chi_squared_quantile(dimensions: u32, deviate: f64) -> f64 {
-    let n = f64::from(dimensions.max(1));
-    let spread = 2.0 / (9.0 * n);
-    n * (1.0 - spread + deviate * spread.sqrt()).powi(3)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -335,15 +328,6 @@ mod tests {
 
     fn compare(a: &ExpectedFeature, b: &Detection, noise: f64, turn: Option<f64>) -> Option<Distance> {
         super::compare(a, b, noise, turn, &Gate::new(1e3))
-    }
-
-    #[test]
-    fn quantiles_are_the_tables() {
-        // Abramowitz and Stegun, table 26.8: 99 % and 99.9 %.
-        for (n, p99, p999) in [(1, 6.635, 10.828), (2, 9.210, 13.816), (5, 15.086, 20.515), (10, 23.209, 29.588)] {
-            assert!((chi_squared_quantile(n, 2.326_348) / p99 - 1.0).abs() < 0.03);
-            assert!((chi_squared_quantile(n, 3.090_232) / p999 - 1.0).abs() < 0.035);
-        }
     }
 
     #[test]

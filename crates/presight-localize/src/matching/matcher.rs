@@ -77,7 +77,7 @@ impl Default for Matcher {
     }
 }
 
-crate::options::with_options!(
+presight_model::with_options!(
     Matcher:
     with_gate_deviate gate_deviate: f64,
     with_detection_probability detection_probability: f64,

@@ -26,6 +26,6 @@ mod matcher;
 
 pub use assign::{Assignment, CandidatePair, MAX_GROUP_WORK, assign};
 pub use detection::{Detection, DetectionProperties, ExpectedProperties, Marker, Rejection, Shape, UncertainValue};
+pub use distance::Distance;
 pub use distance::{Aligned, align, floored, turn_apart, unwrap};
-pub use distance::{Distance, chi_squared_quantile};
 pub use matcher::{Candidates, ExpectedFeature, MAX_CANDIDATES, Matcher, PropertyNoise};

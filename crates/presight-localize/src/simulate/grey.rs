@@ -1,7 +1,6 @@
 //! Grey images of a camera with a light at its centre: brightness is the echo ([`Output::Echo`]), averaged over each
 //! pixel, with blur and noise. This is not a renderer: there are no shadows, highlights or textures.
 
-use super::normal;
 use presight_model::error::{Error, Result};
 use presight_model::geometry::Pose;
 use presight_model::measured::{Frame, GreyImage, Measurement};
@@ -87,7 +86,7 @@ impl GreySimulator {
             picture[row * w + column] += if echo.is_finite() { f64::from(*echo) / share } else { 0.0 };
         }
         let picture = blurred(&blurred(&picture, w, self.blur, 1), w, self.blur, w);
-        let noisy = picture.iter().map(|v| (v + self.noise * normal(&mut self.random)) as f32).collect();
+        let noisy = picture.iter().map(|v| (v + self.noise * self.random.normal(1.0)) as f32).collect();
         let image = GreyImage::new(w as u32, h as u32, noisy)?;
         Frame::new(stamp, self.camera.clone(), Measurement::Grey(image))
     }

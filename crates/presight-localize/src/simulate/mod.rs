@@ -21,6 +21,7 @@ use presight_render::plan::{Images, Output, Outputs};
 
 /// Errors of a simulated sensor and its robot beyond the sensor's stated noise.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Disturbances {
     /// Fraction of the pixels without a measurement.
     pub drop_outs: f64,
@@ -37,6 +38,14 @@ impl Default for Disturbances {
         Self { drop_outs: 0.01, mixed_pixels: 0.3, slip: 0.02, turn_slip: 0.02 }
     }
 }
+
+presight_model::with_options!(
+    Disturbances:
+    with_drop_outs drop_outs: f64,
+    with_mixed_pixels mixed_pixels: f64,
+    with_slip slip: f64,
+    with_turn_slip turn_slip: f64,
+);
 
 /// A range that differs from its neighbour's by more than this fraction is behind an edge.
 const JUMP: f64 = 0.05;
@@ -140,7 +149,7 @@ impl Simulator {
         let mut measured = Vec::with_capacity(range.len());
         for (i, r) in range.iter().enumerate() {
             // Every pixel draws the same random numbers, so a change of the world affects only the pixels that see it.
-            let (along, across) = (self.normal(), self.normal());
+            let (along, across) = (self.random.normal(1.0), self.random.normal(1.0));
             let (lost, mixed, between) = (self.random.unit(), self.random.unit(), self.random.unit());
             if !r.is_finite() {
                 measured.push(MeasuredPixel { range: *r, mixed: 0.0 });
@@ -178,13 +187,9 @@ impl Simulator {
         // Never zero: a standing robot may have been pushed.
         let t = self.disturbances.slip * way + 1e-4;
         let r = self.disturbances.turn_slip * (turned + way) + 1e-4;
-        let error: [f64; 6] = std::array::from_fn(|i| if i < 3 { t } else { r } * self.normal());
+        let error: [f64; 6] = std::array::from_fn(|i| if i < 3 { t } else { r } * self.random.normal(1.0));
         let covariance = PoseCovariance::from_sigmas([t, t, t, r, r, r]);
         Motion { previous_from_current: moved(&truth, &error), covariance }
-    }
-
-    fn normal(&mut self) -> f64 {
-        normal(&mut self.random)
     }
 }
 
@@ -192,7 +197,7 @@ impl Intensities {
     /// NaN where no range was measured.
     fn measure(&mut self, echo: &[f32], pixels: &[MeasuredPixel]) -> Vec<f32> {
         let value = |(i, pixel): (usize, &MeasuredPixel)| {
-            let noise = self.noise * normal(&mut self.random);
+            let noise = self.noise * self.random.normal(1.0);
             let own = f64::from(echo[i]);
             let next = echo.get(i + 1).map_or(own, |e| f64::from(*e));
             let value = if pixel.mixed > 0.0 { own + pixel.mixed * (next - own) } else { own };
@@ -200,10 +205,4 @@ impl Intensities {
         };
         pixels.iter().enumerate().map(value).collect()
     }
-}
-
-/// Standard normal distribution (Box and Muller).
-fn normal(random: &mut SplitMix64) -> f64 {
-    let radius = (-2.0 * (1.0 - random.unit()).ln()).sqrt();
-    radius * (std::f64::consts::TAU * random.unit()).cos()
 }

@@ -4,6 +4,7 @@ use super::{Feature, FeatureLayer, FeatureShape};
 use crate::error::{Error, Result, short, short_point};
 use crate::geometry::{Aabb, plane_of_polygon};
 use crate::limits;
+use crate::matrix::cholesky;
 use crate::threads::parallel_or_here;
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
@@ -382,25 +383,11 @@ pub fn check_covariance<const N: usize>(covariance: &[[f64; N]; N]) -> Result<()
             scaled[i][j] = if scale == 0.0 { 0.0 } else { 0.5 * (a + b) / scale };
         }
     }
-    if is_positive(&mut scaled, 2.0 * N as f64 * WRITTEN) {
+    (0..N).for_each(|i| scaled[i][i] += 2.0 * N as f64 * WRITTEN);
+    if cholesky(&scaled, |rest| (rest > 0.0).then_some(rest)).is_some() {
         return Ok(());
     }
     wrong("the covariance is indefinite: it has a negative eigenvalue".to_owned())
-}
-
-/// Cholesky decomposition of `a + slack`, in place. Returns false at a pivot that is not positive.
-fn is_positive<const N: usize>(a: &mut [[f64; N]; N], slack: f64) -> bool {
-    for k in 0..N {
-        let pivot = a[k][k] + slack - (0..k).map(|j| a[k][j] * a[k][j]).sum::<f64>();
-        if !(pivot > 0.0) {
-            return false;
-        }
-        a[k][k] = pivot.sqrt();
-        for i in k + 1..N {
-            a[i][k] = (a[i][k] - (0..k).map(|j| a[i][j] * a[k][j]).sum::<f64>()) / a[k][k];
-        }
-    }
-    true
 }
 
 #[cfg(test)]

@@ -91,7 +91,10 @@ impl Environment {
     /// [`crate::ErrorKind::Invalid`] if the path belongs to an object, is empty or too long, or the pose is invalid.
     pub fn set_frame(&mut self, path: &str, world_from_group: Option<Pose>) -> Result<Option<Pose>> {
         let place = || format!("group {path:?}");
-        let Some(pose) = world_from_group else { return Ok(self.groups.remove(path)) };
+        let Some(pose) = world_from_group else {
+            self.give_up(path);
+            return Ok(self.groups.remove(path));
+        };
         check_pose(&pose).map_err(|e| e.at(place()))?;
         if self.names.contains_key(path) {
             return Err(Error::invalid("this path is an object", "move the object").at(place()));
@@ -141,6 +144,8 @@ impl Environment {
             let inherited = above(&path).map_or(Pose::IDENTITY, |above| self.frame_at(above));
             if inherited != pose && self.has_below(&path) {
                 self.groups.insert(path, pose);
+            } else {
+                self.give_up(&path);
             }
         }
     }
@@ -155,6 +160,7 @@ impl Environment {
             None => {
                 // The entries are sorted, so one pass builds the map.
                 self.groups = groups.into_iter().collect();
+                self.next_numbers.clear();
                 Ok(())
             }
         }

@@ -28,7 +28,7 @@ use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::{Aabb, Pose};
 use crate::limits;
 use glam::{DAffine3, DMat3, DVec3};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
 
 /// A named rigid object with a pose in the world and a mesh in its own frame.
@@ -166,6 +166,8 @@ pub struct Environment {
     groups: BTreeMap<String, Pose>,
     /// Ids of deleted features, by class; they are never reused.
     retired: BTreeMap<String, BTreeSet<u32>>,
+    /// For repeated names, the number to try next; all lower ones are taken.
+    next_numbers: HashMap<String, u32>,
     next_slot: u32,
 }
 
@@ -251,6 +253,7 @@ impl Environment {
     pub fn delete(&mut self, name: &str) -> Result<u32> {
         let index = self.index_of(name)?;
         self.names.remove(name);
+        self.give_up(name);
         let object = &mut self.objects[index as usize];
         (object.mesh, object.deleted) = (Arc::new(Mesh::empty(object.mesh.name())), true);
         Ok(index)
@@ -302,12 +305,27 @@ impl Environment {
         Ok(())
     }
 
-    fn unique_name(&self, wanted: &str) -> String {
+    /// The wanted name, or the first free one of `#2`, `#3` and so on, for an object that is inserted next.
+    fn unique_name(&mut self, wanted: &str) -> String {
         if !self.names.contains_key(wanted) {
             return wanted.to_owned();
         }
-        let free = |name: &String| !self.names.contains_key(name) && !self.groups.contains_key(name);
-        (2u32..).map(|n| format!("{wanted}#{n}")).find(free).unwrap_or_default()
+        let next = self.next_numbers.entry(wanted.to_owned()).or_insert(2);
+        loop {
+            let name = format!("{wanted}#{next}");
+            *next += 1;
+            if !self.names.contains_key(&name) && !self.groups.contains_key(&name) {
+                return name;
+            }
+        }
+    }
+
+    /// Notes that a path is free again.
+    fn give_up(&mut self, path: &str) {
+        let Some((name, number)) = path.rsplit_once('#') else { return };
+        if let (Some(next), Ok(number @ 2..)) = (self.next_numbers.get_mut(name), number.parse()) {
+            *next = number.min(*next);
+        }
     }
 
     /// All objects, by index.
@@ -372,6 +390,29 @@ mod tests {
             Mesh::new("t", vec![Vec3::ZERO, Vec3::X, Vec3::Y], vec![Polygon::new(polygon, 0)], PolygonOrder::Spatial)
                 .unwrap(),
         )
+    }
+
+    /// No taken number is tried twice, and a number that is free again is the next.
+    #[test]
+    fn repeated_names_get_the_first_free_number() {
+        let mut env = Environment::new();
+        env.add_material(Material::named("m")).unwrap();
+        let insert = |env: &mut Environment| {
+            let index = env.insert(NewObject::new("a", Pose::IDENTITY, triangle())).unwrap();
+            env.objects()[index as usize].name.clone()
+        };
+        env.set_frame("a#3", Some(Pose::IDENTITY)).unwrap();
+        assert_eq!([(); 4].map(|()| insert(&mut env)), ["a", "a#2", "a#4", "a#5"]);
+        assert_eq!(env.next_numbers["a"], 6);
+        env.delete("a#4").unwrap();
+        env.delete("a#2").unwrap();
+        assert_eq!([(); 3].map(|()| insert(&mut env)), ["a#2", "a#4", "a#6"]);
+        env.set_frame("a#3", None).unwrap();
+        assert_eq!([(); 2].map(|()| insert(&mut env)), ["a#3", "a#7"]);
+        env.set_frame("a#8", Some(Pose::IDENTITY)).unwrap();
+        assert_eq!(insert(&mut env), "a#9");
+        env.settle_groups();
+        assert_eq!([(); 2].map(|()| insert(&mut env)), ["a#8", "a#10"]);
     }
 
     #[test]

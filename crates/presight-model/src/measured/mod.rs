@@ -5,9 +5,11 @@
 
 mod grey;
 mod noise;
+mod range_grid;
 
 pub use grey::GreyImage;
 pub use noise::RangeNoise;
+pub use range_grid::{RangeGrid, range_grid};
 
 use crate::error::{Error, Result};
 use crate::geometry::{InRobot, Pose, PoseCovariance};
@@ -45,6 +47,7 @@ pub struct Motion {
 
 /// Errors of odometry, one standard deviation: parts proportional to distance and turn, and a constant part.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct OdometryNoise {
     /// Metres along each axis per metre driven.
     pub way: f64,
@@ -65,6 +68,15 @@ impl Default for OdometryNoise {
     }
 }
 
+crate::with_options!(
+    OdometryNoise:
+    with_way way: f64,
+    with_turn turn: f64,
+    with_turn_on_way turn_on_way: f64,
+    with_least least: f64,
+    with_least_turn least_turn: f64,
+);
+
 impl Motion {
     /// A motion from odometry that does not report its accuracy.
     ///
@@ -73,7 +85,7 @@ impl Motion {
     /// use presight::Pose;
     /// use presight::measured::{Motion, OdometryNoise};
     /// let ahead = Pose::from_xyz_rpy(glam::DVec3::X, 0.0, 0.0, 0.0);
-    /// let motion = Motion::of_odometry(ahead, &OdometryNoise { way: 0.1, least: 0.02, ..OdometryNoise::default() });
+    /// let motion = Motion::of_odometry(ahead, &OdometryNoise::default().with_way(0.1).with_least(0.02));
     /// assert!((motion.covariance[0][0].sqrt() - 0.12).abs() < 1e-12); // 10 cm of 1 m, and 2 cm
     /// ```
     pub fn of_odometry(previous_from_current: Pose, noise: &OdometryNoise) -> Self {

@@ -3,6 +3,7 @@
 
 use super::ImagePart;
 use crate::error::Result;
+use crate::matrix::{cholesky, solve_factored};
 use crate::memory;
 use glam::DVec3;
 
@@ -119,26 +120,9 @@ impl Sums {
 
     /// The least-squares quadratics, by Cholesky decomposition. Terms that the rays do not determine come out near 0.
     fn solve(&self) -> [Terms; 2] {
-        let mut l = [[0.0; TERMS]; TERMS];
-        for i in 0..TERMS {
-            for j in 0..=i {
-                let known: f64 = (0..j).map(|k| l[i][k] * l[j][k]).sum();
-                let open = self.matrix[i][j] - known + if i == j { 1e-7 * self.count } else { 0.0 };
-                l[i][j] = if i == j { open.max(1e-12 * self.count).sqrt() } else { open / l[j][j] };
-            }
-        }
-        self.right.map(|right| {
-            let mut x = [0.0; TERMS];
-            for i in 0..TERMS {
-                let known: f64 = (0..i).map(|k| l[i][k] * x[k]).sum();
-                x[i] = (right[i] - known) / l[i][i];
-            }
-            for i in (0..TERMS).rev() {
-                let known: f64 = (i + 1..TERMS).map(|k| l[k][i] * x[k]).sum();
-                x[i] = (x[i] - known) / l[i][i];
-            }
-            x
-        })
+        let pivot = |rest: f64| Some((rest + 1e-7 * self.count).max(1e-12 * self.count));
+        let l = cholesky(&self.matrix, pivot).unwrap_or([[0.0; TERMS]; TERMS]);
+        self.right.map(|right| solve_factored(&l, &right))
     }
 }
 

@@ -6,6 +6,7 @@ use super::grid::{Octet, PositionFinder};
 use super::pixel_fit::PixelFit;
 use crate::error::Result;
 use crate::memory;
+use crate::statistics::upper_median;
 use glam::{DVec2, DVec3};
 use pulp::Simd;
 
@@ -261,8 +262,7 @@ fn spacing(tiles: &[Tile]) -> f64 {
         (t.half_angle > 0.0 && pixels.length() > 0.0).then(|| 2.0 * t.half_angle / pixels.length())
     };
     let mut all: Vec<f64> = tiles.iter().filter_map(of_tile).collect();
-    let middle = all.len() / 2;
-    if all.is_empty() { 0.0 } else { *all.select_nth_unstable_by(middle, f64::total_cmp).1 }
+    upper_median(&mut all, f64::total_cmp).unwrap_or(0.0)
 }
 
 /// A table of rays in tiles of 8 x 8.

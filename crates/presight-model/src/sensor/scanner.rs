@@ -88,7 +88,8 @@ pub struct Scanner {
     pub azimuth: Angles,
     /// Elevations in any order. Image rows are sorted by falling elevation.
     pub elevation: Angles,
-    /// How far from a row a feature still counts, degrees. `None` means the row step, or 0 if there is one row.
+    /// Height of a beam, degrees: a row sees features up to half of it above and below. `None` means the row step, or 0
+    /// if there is one row.
     pub beam_height_deg: Option<f64>,
 }
 

@@ -230,9 +230,9 @@ mod tests {
             ("POINTS", roi::MAX_POINTS),
             ("MOST", presight_features::roi::MOST),
             ("EVENTS", presight_features::roi::EVENTS),
-            ("TAIL_CELLS", presight_features::TAIL_CELLS),
-            ("TAIL_COLUMNS", presight_features::TAIL_COLUMNS),
-            ("TAIL_ROWS", presight_features::TAIL_ROWS),
+            ("TAIL_CELLS", presight_model::statistics::TAIL_CELLS),
+            ("TAIL_COLUMNS", presight_model::statistics::TAIL_COLUMNS),
+            ("TAIL_ROWS", presight_model::statistics::TAIL_ROWS),
             ("LINEAR", roi::LINEAR as usize),
         ] {
             assert_eq!(value(&boxes, name) as usize, ours, "{name}");

@@ -67,13 +67,14 @@ impl GpuEngine {
         self.fill(&drawn, &batch)?;
         let (bytes, reruns) = self.draw(&batch)?;
         shared.stage(StageName::Device, start);
+        (0..drawn.len()).for_each(|number| self.count_groups(&self.counters(&bytes, Part::Whole, number)));
+        let work = self.gpu.work().since(before);
         let answered = Answered { bytes: &bytes, weighing };
         self.hand_over(plans, answered, images, shared, &mut |drawn, mut stats, on_device| {
             if let Some((number, counters)) = on_device {
-                self.count_groups(&counters);
                 self.report(&self.frames[number], &counters, reruns, &mut stats);
                 if number == 0 {
-                    stats.work = Work { image_bytes: stats.work.image_bytes, ..self.gpu.work().since(before) };
+                    stats.work = Work { image_bytes: stats.work.image_bytes, ..work };
                 }
             }
             each(drawn, stats);

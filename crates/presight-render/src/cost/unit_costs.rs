@@ -1,6 +1,7 @@
 //! Unit costs of one key, learnt online.
 
 use super::{KINDS, WorkCounts};
+use presight_model::statistics::ranked;
 use std::collections::VecDeque;
 
 /// Factor of a frame's weight after each further frame.
@@ -67,7 +68,7 @@ impl UnitCosts {
         let mut some: Vec<f64> = ratios.iter().copied().collect();
         let rank = (QUANTILE * some.len() as f64).ceil() as usize;
         // Selects two ranks instead of sorting, because every forecast needs them.
-        let mut at = |i: usize| if i < some.len() { *some.select_nth_unstable_by(i, f64::total_cmp).1 } else { 1.0 };
+        let mut at = |i: usize| ranked(&mut some, i, f64::total_cmp).unwrap_or(1.0);
         let (low, high) = (at(ratios.len() - rank), at(rank.saturating_sub(1)));
         if ratios.len() < ENOUGH { [low.min(1.0 / UNKNOWN), high.max(UNKNOWN)] } else { [low, high] }
     }

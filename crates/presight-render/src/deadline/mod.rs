@@ -152,7 +152,7 @@ impl Degradation {
         format!("after {:.2} ms {done}", taken.at_ms)
     }
 
-    /// Explains in sentences what was given up of an image with this many pixels, and why.
+    /// Explains in sentences which part of an image with this many pixels was given up, and why.
     pub fn explanation(&self, pixels: u64) -> Vec<String> {
         let mut lines = Vec::new();
         if self.samples > 0 {

@@ -21,7 +21,7 @@ pub(super) struct ErrorSummary {
     /// Largest relative error of the range at pixels where the true polygon is shown or was left out as edge-on. If
     /// there is a fault, the error at the first faulty pixel.
     pub error: f64,
-    /// Largest bound of all pixels, each of which is checked against its own. Infinite if a pixel has no finite bound.
+    /// Largest bound of all pixels; each pixel is checked against its own bound. Infinite if a pixel has no finite bound.
     pub bound: f64,
     /// Pixels that differ from the truth in their polygon, or in hitting one at all, as the bounds allow.
     pub other: usize,

@@ -18,11 +18,11 @@ use presight_model::error::Result;
 use presight_model::geometry::Pose;
 use presight_model::random::SplitMix64;
 use presight_model::sensor::Sensor;
+use presight_model::statistics::normal_pair;
 use presight_model::threads::parallel_or_here;
 use presight_predict::engine::add_boxes;
 use presight_render::plan::{CountName, StageName, Stats};
 use rayon::prelude::*;
-use std::f64::consts::TAU;
 
 /// Standard deviations of the pose: metres, degrees.
 const POSE_ERRORS: [(f64, f64); 3] = [(0.01, 0.3), (0.1, 3.0), (0.2, 8.0)];
@@ -255,10 +255,10 @@ impl Normal {
         if let Some(kept) = self.1.take() {
             return kept;
         }
-        let length = (-2.0 * self.0.unit().max(1e-300).ln()).sqrt();
-        let (sin, cos) = (TAU * self.0.unit()).sin_cos();
-        self.1 = Some(length * sin);
-        length * cos
+        let [x, y] = [self.0.unit(), self.0.unit()];
+        let [now, later] = normal_pair(x.max(1e-300), y, 1.0);
+        self.1 = Some(later);
+        now
     }
 
     fn vector(&mut self) -> DVec3 {

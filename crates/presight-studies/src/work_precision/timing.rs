@@ -2,8 +2,9 @@
 
 use super::paths::PathName;
 use super::{Effort, PathNotes, StageTime};
-use crate::{median, quantile};
+use crate::median;
 use presight_model::error::Result;
+use presight_model::statistics;
 use presight_render::plan::{StageName, Stats};
 use std::time::{Duration, Instant};
 
@@ -58,6 +59,11 @@ pub(super) fn by_turns<T>(
         }
     }
     Ok(())
+}
+
+/// The quantile by nearest rank; 0 for no values.
+fn quantile(values: &[f64], share: f64) -> f64 {
+    statistics::quantile(&mut values.to_vec(), share).unwrap_or(0.0)
 }
 
 impl Timing {

@@ -39,9 +39,9 @@ fn uniform(c: &mut Call<'_, '_>) -> Result<Dynamic> {
     if low > high {
         return Err(Error::invalid(format!("there is no number from {low} to {high}"), "give the lower one first"));
     }
-    let x = low + (high - low) * random(c)?.unit();
-    // The sum may round beyond `high`. Infinity, of a span that overflows, stays an error.
-    finite(if x.is_finite() { x.clamp(low, high) } else { x })
+    // In halves, because the span may overflow; this rounds alike. The sum may round beyond `high`.
+    let half = 0.5 * low + (0.5 * high - 0.5 * low) * random(c)?.unit();
+    finite((2.0 * half).clamp(low, high))
 }
 
 fn integer(c: &mut Call<'_, '_>) -> Result<Dynamic> {

@@ -14,8 +14,9 @@ use super::layout::{GridKind, groups_for};
 use super::shaders;
 use super::stage::{Binding, Stage, Variant};
 use presight_features::roi::{Roi, RoiFlag};
-use presight_features::{BoxFrame, BoxQuery, FeaturePrediction, Tails};
+use presight_features::{BoxFrame, BoxQuery, FeaturePrediction};
 use presight_model::error::Result;
+use presight_model::statistics::Tails;
 
 /// `LINEAR` in roi.wgsl: the linear box is accurate.
 pub(super) const LINEAR: u32 = 1;

@@ -209,7 +209,7 @@ fn params(frame: &BoxFrame<'_>, by: [f64; 2], feature_count: u32) -> RoiParams {
         much: MUCH as f32,
         slightly: SLIGHTLY as f32,
         slight: SLIGHT as f32,
-        tail_steps: presight_features::TAIL_STEPS as f32,
+        tail_steps: presight_model::statistics::TAIL_STEPS as f32,
         feature_count,
     }
 }

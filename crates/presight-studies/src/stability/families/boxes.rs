@@ -11,6 +11,7 @@ use presight_model::error::Result;
 use presight_model::geometry::{Pose, PoseCovariance};
 use presight_model::random::SplitMix64;
 use presight_model::sensor::{Camera, Geometry, Sensor, SensorSpec};
+use presight_model::statistics::normal_pair;
 use presight_model::world::World;
 
 /// Error bound of an entry (a, b) of an image covariance J S J^T, relative to sum |J_ai| sigma_i times sum |J_bj|
@@ -295,9 +296,8 @@ fn lack_of_coverage(setting: &BoxSetting, factors: &Factors, found: &FeaturePred
     let mut held = vec![0usize; setting.placed.len()];
     let mut random = SplitMix64(7);
     let mut normal = || {
-        // Box-Muller transform.
-        let length = (-2.0 * random.unit().max(1e-300).ln()).sqrt();
-        length * (std::f64::consts::TAU * random.unit()).cos()
+        let [x, y] = [random.unit(), random.unit()];
+        normal_pair(x.max(1e-300), y, 1.0)[0]
     };
     for _ in 0..draws {
         let pose = times(&factors.sensor, std::array::from_fn(|_| normal()));

@@ -2,6 +2,7 @@
 
 /// Makes a `with_..` for each option. Structs of options are `#[non_exhaustive]`, so other crates start from a default and
 /// set what differs.
+#[macro_export]
 macro_rules! with_options {
     ($options:ty: $($with:ident $field:ident: $kind:ty),+ $(,)?) => {
         impl $options {
@@ -15,5 +16,3 @@ macro_rules! with_options {
         }
     };
 }
-
-pub(crate) use with_options;

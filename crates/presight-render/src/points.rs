@@ -1,13 +1,12 @@
 //! Range images as points.
 
-use super::point_fields::Field;
+use crate::plan::{IdScheme, Images, Output, Outputs, PolygonsOfIds};
 use glam::{DVec3, Vec3};
 use presight_model::environment::Environment;
 use presight_model::error::{Error, Result};
 use presight_model::geometry::{Pose, plane_of_polygon};
 use presight_model::memory;
 use presight_model::sensor::{Geometry, Sensor};
-use presight_render::plan::{IdScheme, Images, Output, Outputs, PolygonsOfIds};
 use std::collections::HashMap;
 
 /// The frame of the points.
@@ -19,20 +18,10 @@ pub enum PointsFrame {
     World,
 }
 
-impl PointsFrame {
-    /// Description for the comment in both formats.
-    pub(super) fn in_words(self) -> &'static str {
-        match self {
-            Self::Sensor => "sensor body axes: x forward, y left, z up; metres",
-            Self::World => "world: z up; metres",
-        }
-    }
-}
-
 /// The points of a range image, one per pixel, row-major, with the values of other images.
 ///
-/// Files get a field for each existing image of range, echo (`intensity`), object_id and polygon_id. They also get
-/// `ring` (the row of the image) unless the sensor is a camera, and normals if there is a normal image or after
+/// A point has the values of each existing image of range, echo, object_id and polygon_id. It also has its ring (the row
+/// of the image) unless the sensor is a camera, and a normal if there is a normal image or after
 /// [`PointCloud::with_normals`].
 #[derive(Clone, Debug)]
 pub struct PointCloud<'a> {
@@ -143,58 +132,49 @@ impl<'a> PointCloud<'a> {
         &self.positions
     }
 
+    /// Unit normals towards the sensor, in the requested frame; empty if there are none.
+    pub fn normals(&self) -> &[Vec3] {
+        &self.normals
+    }
+
+    /// The images whose values the points have.
+    pub fn images(&self) -> &'a Images {
+        self.images
+    }
+
+    /// The outputs whose values the points have, if there is an image of them.
+    pub fn outputs(&self) -> Outputs {
+        self.outputs
+    }
+
+    /// True if the points have the row of the image: the ring of a scanner.
+    pub fn has_rings(&self) -> bool {
+        self.rings
+    }
+
     /// Index and position of each pixel that has a position.
-    pub(super) fn seen(&self) -> impl Iterator<Item = (usize, DVec3)> + '_ {
+    pub fn seen(&self) -> impl Iterator<Item = (usize, DVec3)> + '_ {
         self.positions.iter().copied().enumerate().filter(|(_, p)| !p.is_nan())
     }
 
-    /// The fields of each point after its position, in the order of both formats.
-    pub(super) fn fields(&self) -> Vec<Field<'a, '_>> {
-        let images = self.images;
-        let mut fields = Vec::new();
-        if !self.normals.is_empty() {
-            fields.push(Field::Normal(&self.normals));
-        }
-        for output in [Output::Range, Output::Echo] {
-            let asked = images.floats(output).filter(|_| self.outputs.has(output));
-            fields.extend(asked.map(|image| Field::Float(output, image)));
-        }
-        if self.rings {
-            fields.push(Field::Ring(images.width as usize));
-        }
-        for output in [Output::ObjectId, Output::PolygonId] {
-            let asked = images.ids(output).filter(|_| self.outputs.has(output));
-            fields.extend(asked.map(|image| Field::Id(output, image)));
-        }
-        fields
-    }
-
-    pub(super) fn size(&self) -> (u32, u32) {
-        (self.images.width, self.images.height)
-    }
-
-    pub(super) fn frame(&self) -> PointsFrame {
+    /// The frame of the positions and normals.
+    pub fn frame(&self) -> PointsFrame {
         self.frame
     }
 
-    pub(super) fn world_from_sensor(&self) -> &Pose {
+    /// The pose of the sensor, body axes.
+    pub fn world_from_sensor(&self) -> &Pose {
         &self.world_from_sensor
-    }
-
-    /// Description of the frame, for the comment in both formats.
-    pub(super) fn frame_in_words(&self) -> &'static str {
-        self.frame.in_words()
     }
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+mod tests {
     use super::*;
-    use presight_model::sensor::{Angles, Camera, Geometry, Scanner, SensorSpec};
-    use presight_render::plan::{Output, Outputs};
+    use presight_model::sensor::{Angles, Camera, Scanner, SensorSpec};
 
     /// A 3 x 2 camera image with a miss and a pixel that is too near.
-    pub fn camera_view() -> (Sensor, Images) {
+    fn camera_view() -> (Sensor, Images) {
         let geometry = Geometry::Camera(Camera::pinhole(3, 2, 2.0, 2.0, 1.0, 0.0));
         let sensor = Sensor::new(SensorSpec::new("c", "video", geometry)).unwrap();
         let mut images = Images::default();

@@ -1,10 +1,10 @@
 //! Converts points to a range image.
 
-use crate::cloud::Cloud;
+use crate::error::Result;
+use crate::limits;
+use crate::sensor::RayTable;
+use crate::statistics::upper_median;
 use glam::DVec3;
-use presight_model::error::Result;
-use presight_model::limits;
-use presight_model::sensor::RayTable;
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 /// Rays and the ranges measured along them, row by row.
@@ -21,19 +21,20 @@ const COMPARISONS: usize = 20_000_000;
 /// Greatest number of pixels per point. With more, the cells are widened.
 const MAX_CELLS: f64 = 4.0;
 
-/// Returns the range image of a cloud: its own pixels if it is organized, otherwise cells of azimuth and elevation.
+/// Returns the range image of points in the sensor's body axes, metres: an organized cloud's own pixels, row by row, if
+/// `size` gives its width and height, otherwise cells of azimuth and elevation.
 ///
 /// # Errors
-/// [`presight_model::ErrorKind::Invalid`] if it has more pixels than the limit of an image.
-pub fn range_grid(cloud: &Cloud) -> Result<RangeGrid> {
+/// [`crate::ErrorKind::Invalid`] if it has more pixels than the limit of an image.
+pub fn range_grid(points: &[DVec3], size: Option<(u32, u32)>) -> Result<RangeGrid> {
     let range = |p: &DVec3| p.length() as f32;
-    if let Some((width, height)) = cloud.size {
+    if let Some((width, height)) = size {
         // A point at the sensor has no direction.
         let ray = |p: &DVec3| if *p == DVec3::ZERO { DVec3::NAN } else { *p };
-        let table = RayTable::new(width, height, cloud.points.iter().map(ray).collect())?;
-        return Ok(RangeGrid { table, ranges: cloud.points.iter().map(range).collect() });
+        let table = RayTable::new(width, height, points.iter().map(ray).collect())?;
+        return Ok(RangeGrid { table, ranges: points.iter().map(range).collect() });
     }
-    let seen = cloud.points.iter().filter(|p| p.length_squared() > 0.0);
+    let seen = points.iter().filter(|p| p.length_squared() > 0.0);
     let points: Vec<(Direction, DVec3)> = seen.map(|p| (Direction::of(*p), *p)).collect();
     let directions: Vec<Direction> = points.iter().map(|(d, _)| *d).collect();
     let cells = Cells::of(&directions);
@@ -162,11 +163,82 @@ fn spacing(directions: &[Direction]) -> Direction {
         above.extend(v.0.is_finite().then_some(v.1));
     }
     let median = |mut all: Vec<f64>| {
-        if 2 * all.len() < count || all.is_empty() {
-            return f64::INFINITY;
-        }
-        let middle = all.len() / 2;
-        *all.select_nth_unstable_by(middle, f64::total_cmp).1
+        let known = if 2 * all.len() < count { None } else { upper_median(&mut all, f64::total_cmp) };
+        known.unwrap_or(f64::INFINITY)
     };
     Direction { azimuth: median(beside), elevation: median(above) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Points of a rotating scanner, without some of them: columns 2 degrees apart, rows 1 degree.
+    fn turning(columns: u32, without: impl Fn(u32, u32) -> bool) -> Vec<DVec3> {
+        let all = (0..columns).flat_map(|c| (0..40).map(move |r| (c, r)));
+        let point = |(c, r): (u32, u32)| {
+            let (azimuth, elevation) =
+                (f64::to_radians(2.0 * f64::from(c) + 0.3), f64::to_radians(f64::from(r) - 20.3));
+            let ray = DVec3::new(elevation.cos() * azimuth.cos(), elevation.cos() * azimuth.sin(), elevation.sin());
+            (5.0 + 0.01 * f64::from(c) + 0.1 * f64::from(r)) * ray
+        };
+        all.filter(|(c, r)| !without(*c, *r)).map(point).collect()
+    }
+
+    /// Each point gets its own pixel with exactly its ray and range, in any order of the points. Columns run
+    /// counter-clockwise, the first row is the highest, and pixels without a point are rays without a reading.
+    #[test]
+    fn points_of_a_scanner_get_their_pixels_back() {
+        for (columns, width) in [(180, 180), (50, 50)] {
+            let mut points = turning(columns, |c, r| (c * 7 + r * 3) % 11 == 0);
+            // Some other order.
+            points.sort_by(|a, b| (a.x * 1e3).fract().total_cmp(&(b.x * 1e3).fract()));
+            let RangeGrid { table, ranges } = range_grid(&points, None).unwrap();
+            assert!(
+                table.width().abs_diff(width) <= 1 && table.height().abs_diff(40) <= 1,
+                "{} x {}",
+                table.width(),
+                table.height()
+            );
+            let read = ranges.iter().zip(table.directions()).filter(|(r, _)| r.is_finite());
+            let seen: Vec<DVec3> = read.map(|(r, d)| f64::from(*r) * *d).collect();
+            assert!(seen.len() as f64 > 0.97 * points.len() as f64, "{} of {}", seen.len(), points.len());
+            assert!(seen.iter().all(|p| points.iter().any(|q| p.distance(*q) < 1e-6)));
+            assert!(table.directions().iter().all(|d| !d.is_nan()), "every pixel has a ray");
+            let (middle, w) = (table.height() / 2 * table.width(), table.width() as usize);
+            let row = &table.directions()[middle as usize..middle as usize + w];
+            assert!(row.windows(2).all(|p| p[0].x * p[1].y - p[0].y * p[1].x > 0.0), "counter-clockwise");
+            assert!(table.directions()[0].z > table.directions()[w * (table.height() as usize - 1)].z);
+        }
+    }
+
+    /// A level scan gives one row, a single point one pixel, and scattered points an image of limited size.
+    #[test]
+    fn odd_clouds_are_images_too() {
+        let level: Vec<DVec3> = turning(90, |_, r| r != 0).into_iter().map(|p| DVec3::new(p.x, p.y, 0.0)).collect();
+        let grid = range_grid(&level, None).unwrap();
+        assert_eq!(grid.table.height(), 1);
+        assert!(grid.ranges.iter().filter(|r| r.is_finite()).count() >= 88);
+        let one = range_grid(&[DVec3::new(0.0, 3.0, 0.0), DVec3::ZERO], None).unwrap();
+        assert_eq!((one.ranges.len(), one.ranges[0]), (1, 3.0));
+        let mut random = crate::random::SplitMix64(4);
+        let mut any = || DVec3::new(random.uniform(-1.0, 1.0), random.uniform(-1.0, 1.0), random.uniform(-1.0, 1.0));
+        // Close pairs, far apart from each other.
+        let pairs: Vec<DVec3> = (0..200)
+            .flat_map(|_| {
+                let p = any();
+                [p, p + 1e-5 * any()]
+            })
+            .collect();
+        let grid = range_grid(&pairs, None).unwrap();
+        assert!(grid.ranges.len() <= 1700, "{}", grid.ranges.len());
+    }
+
+    #[test]
+    fn organized_clouds_keep_rows_and_columns() {
+        let points = [DVec3::X, DVec3::new(2.0, 1.0, 0.0), DVec3::NAN, DVec3::ZERO];
+        let RangeGrid { table, ranges } = range_grid(&points, Some((2, 2))).unwrap();
+        assert_eq!((table.width(), table.height(), ranges[1]), (2, 2, 5f32.sqrt()));
+        assert!(table.directions()[2].is_nan() && table.directions()[3].is_nan() && ranges[2].is_nan());
+    }
 }

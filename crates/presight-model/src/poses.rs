@@ -1,10 +1,10 @@
 //! Poses from people and other programs: of a sensor or of its robot, with body or optical axes, in presight's world or
 //! along the axes of a glTF file.
 
+use crate::error::{Error, Result};
+use crate::geometry::{InWorld, Pose, PoseCovariance};
+use crate::sensor::{SensorSpec, body_from_optical_rotation};
 use glam::DVec3;
-use presight_model::error::{Error, Result};
-use presight_model::geometry::{InWorld, Pose, PoseCovariance};
-use presight_model::sensor::{SensorSpec, body_from_optical_rotation};
 
 /// The axes of a pose.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -93,7 +93,7 @@ impl ExternalPose {
     /// Checks that the conventions fit together.
     ///
     /// # Errors
-    /// [`presight_model::ErrorKind::Usage`] for the optical axes of a robot.
+    /// [`crate::ErrorKind::Usage`] for the optical axes of a robot.
     pub fn check(&self) -> Result<()> {
         if self.of == PoseOf::Robot && self.frame == PoseFrame::Optical {
             let remedy = "drop `PoseFrame::Optical`, or give the pose of the sensor";
@@ -151,7 +151,7 @@ impl ExternalPose {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use presight_model::sensor::{Camera, Geometry};
+    use crate::sensor::{Camera, Geometry};
 
     fn camera() -> SensorSpec {
         let geometry = Geometry::Camera(Camera::pinhole(2, 2, 1.0, 1.0, 0.5, 0.5));
