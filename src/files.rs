@@ -39,4 +39,4 @@ pub use presight_files::store::{Note as StoreNote, Store, create as create_store
 #[doc(inline)]
 pub use presight_files::tum::read as read_tum;
 #[doc(inline)]
-pub use presight_files::{PointCloud, PointsFrame, load_robot, load_sensor};
+pub use presight_files::{PointCloud, PointsFrame, load_rectified, load_robot, load_sensor};
