@@ -280,6 +280,10 @@ impl Args {
         let Some(robot) = &self.robot else {
             return Ok(vec![self.image.load(self.sensor.as_deref().unwrap_or_default())?]);
         };
+        if self.image.rectified {
+            let remedy = "write rectified = true at its sensors in the robot file";
+            return Err(Error::usage("--rectified: --robot names several sensors", remedy));
+        }
         let (robot, notices) = load_robot(robot)?;
         print::notices(&notices);
         Ok(robot.sensors)

@@ -12,7 +12,7 @@ pub struct SensorArgs {
     ///
     /// Poses stay those of the camera: R turns the image, not the camera.
     #[arg(long, requires = "sensor")]
-    rectified: bool,
+    pub rectified: bool,
 }
 
 impl SensorArgs {

@@ -154,7 +154,7 @@ fn the_rectified_image_turns_and_its_pose_does_not() {
         ("--sensor opencv.yaml --rectified", "drop --rectified"),
         ("--sensor sensor.yaml --rectified", "drop --rectified"),
         ("--sensor vlp-16 --rectified", "drop --rectified"),
-        ("--rectified --robot robot.toml", "--sensor"),
+        ("--rectified --robot robot.toml", "write rectified = true"),
     ] {
         let outcome = place.run(&format!("predict wall.glb --pose 0,0,0,0,0,0 {line}"));
         assert!(outcome.status != Some(0) && outcome.stderr.contains(says), "{}", outcome.stderr);

@@ -178,9 +178,9 @@ impl File {
         }
         if tx != 0.0 || ty != 0.0 {
             notices.push(format!(
-                "P is that of a camera {} m right of and {} m below the first one of its stereo pair: poses are its own",
-                -tx / fx,
-                -ty / fy
+                "P is that of a camera {:.4} m right of and {:.4} m below the first one of its stereo pair: poses are its own",
+                0.0 - tx / fx,
+                0.0 - ty / fy
             ));
         }
         Ok(([fx, fy, cx, cy], DQuat::from_mat3(&image_from_optical.transpose()).normalize()))

@@ -134,7 +134,7 @@ fn the_rectified_camera_is_p_and_turned_by_r() {
     // The middle of the image looks along the third row of R: to the right, which is -y in body axes.
     let axis = sensor.body_from_image() * sensor.ray(310, 250).unwrap();
     assert!(axis.distance(DVec3::new(cos, -sin, 0.0)) < 1e-12, "{axis}");
-    assert!(notices.len() == 1 && notices[0].contains("0.12 m right"), "{notices:?}");
+    assert!(notices.len() == 1 && notices[0].contains("0.1200 m right of and 0.0000 m below"), "{notices:?}");
     assert_eq!(sensor.body_from_image().determinant().signum(), 1.0);
     // An unrotated one has the axes of every camera, bit for bit.
     let plain = RECTIFIED.replace("0.995004165278026", "1.0").replace("0.099833416646828", "0.0");
@@ -297,7 +297,7 @@ fn euroc_and_kalibr_are_read() {
         (CAMCHAIN.replacen("pinhole", "omni", 1), None, Some("cam0: camera_model"), "omni"),
         (CAMCHAIN.replacen("radtan", "fov", 1), None, Some("cam0: distortion_model"), "fov"),
         (EUROC.replace("sensor_type: camera", "sensor_type: lidar"), None, None, "EuRoC"),
-        (EUROC.replace("458.6,", "wide,"), None, Some("line 10"), "wide"),
+        (EUROC.replace("458.6,", "wide,"), None, Some("line 10"), "floating point"),
         ("cam0:\ncam1: 3\n".to_owned(), None, Some("line 2"), ""),
     ] {
         let e = parse(&text, "c", choice, false).unwrap_err();
