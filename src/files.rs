@@ -37,7 +37,7 @@ pub use presight_files::store::{Note as StoreNote, Store, create as create_store
 #[doc(inline)]
 pub use presight_files::tum::read as read_tum;
 #[doc(inline)]
-pub use presight_files::{load_robot, load_sensor};
+pub use presight_files::{load_rectified, load_robot, load_sensor};
 #[doc(inline)]
 pub use presight_model::poses::{ExternalPose, PoseFrame, PoseOf, WorldFrame};
 #[doc(inline)]

@@ -40,7 +40,7 @@ pub fn sensors() -> Vec<Sensor> {
     vec![
         pinhole,
         camera("plumb-bob", 525.0, Distortion::PlumbBob([-0.25, 0.08, 3e-4, -2e-4, -0.01])),
-        camera("rational", 525.0, Distortion::RationalPolynomial(rational)),
+        camera("rational", 525.0, Distortion::from_model("rational_polynomial", &rational).expect("8 coefficients")),
         fisheye(60),
         fisheye(120),
         fisheye(200),

@@ -95,9 +95,11 @@ pub fn sensor_toml(bytes: &[u8]) -> bool {
     })
 }
 
-/// camera_info YAML.
+/// YAML of cameras, raw and rectified.
 pub fn camera_info(bytes: &[u8]) -> bool {
-    camera_info::parse(&text(bytes), "fuzz").is_ok_and(|(spec, _)| sound_sensor(&spec))
+    let read = |rectified| camera_info::parse(&text(bytes), "fuzz", None, rectified);
+    [false, true].map(read).into_iter().filter(|read| read.as_ref().is_ok_and(|(spec, _)| sound_sensor(spec))).count()
+        > 0
 }
 
 /// Layer files: placed in a scene, predicted with regions of interest, and written again.

@@ -133,7 +133,7 @@ targets! {
     #[cfg(feature = "script")]
     script: &["for ", "while true {", "box(", "place(", "import(", "loop {", "range(", "fn f(", "turn(", "scale(", "PI()"];
     sensor_toml: &["format", "kind", "width", "angles_deg", "[noise]", "[mount]", "quaternion", "[distortion]", "file"];
-    camera_info: &["image_width", "K:", "D:", "data", "---", "&a", "*a", "binning_x", "roi", "<<", "!!", "|", ">", "- "];
+    camera_info: &["%YAML:1.0\n", "!!opencv-matrix", "cam0:", "P:", "R:", "intrinsics", "resolution", "image_width", "K:", "D:", "data", "---", "&a", "*a", "binning_x", "roi", "<<", "!!", "|", ">", "- "];
     layer: &["features", "\"kind\"", "covariances", "cross_covariance", "\"remove\"", "\"object\"", "\"points\"", "tolerance"];
     #[cfg(feature = "store")]
     store: &["CREATE TABLE", "SQLite format 3\0", "objects"];

@@ -1,4 +1,4 @@
-//! Compares lens cameras, fisheyes and free ray tables on every engine with the reference.
+//! Compares lens cameras, fisheyes, rectified cameras and free ray tables on every engine with the reference.
 //!
 //! `PRESIGHT_LENS_ROOMS` (1) is the number of generated rooms, `PRESIGHT_LENS_POSES` (0) the number of poses in each
 //! real scene, and `PRESIGHT_SEED` sets the seed. 92 rooms and 10 poses are 10^8 pixels.
@@ -35,13 +35,28 @@ fn table(random: &mut Random) -> Sensor {
     Sensor::new(SensorSpec::new("table", "laser", Geometry::Rays(table))).expect("a valid sensor")
 }
 
+/// A camera whose image is turned against its body, as rectified ones are.
+fn turned(name: &str, distortion: Distortion) -> Sensor {
+    let mut spec = camera(name, 420.0, distortion).spec().clone();
+    spec.optical_from_image = Pose::from_xyz_rpy(DVec3::ZERO, 0.2, -0.1, 0.3).rotation;
+    Sensor::new(spec).expect("a valid camera")
+}
+
 fn sensors(random: &mut Random) -> Vec<Sensor> {
     let rational = [0.47, 0.13, 2e-4, -1e-4, 0.01, 0.55, 0.2, 0.03];
+    let rational = |more: &[f64]| {
+        Distortion::from_model("rational_polynomial", &[&rational[..], more].concat())
+            .expect("OpenCV's numbers of coefficients")
+    };
     let barrel = Distortion::PlumbBob([random.uniform(-0.35, 0.1), 0.05, 1e-3, -1e-3, 0.0]);
     vec![
         camera("plumb-bob", 400.0, barrel),
-        camera("rational", 390.0, Distortion::RationalPolynomial(rational)),
+        camera("rational", 390.0, rational(&[])),
+        camera("thin prism", 390.0, rational(&[4e-3, -2e-3, -3e-3, 1e-3])),
+        camera("tilted", 390.0, rational(&[2e-3, 0.0, 1e-3, 0.0, 0.1, -0.15])),
         camera("fisheye", random.uniform(90.0, 250.0), Distortion::Equidistant([-0.01, 1e-3, 0.0, 0.0])),
+        turned("rectified", Distortion::None),
+        turned("turned lens", Distortion::PlumbBob([-0.1, 0.02, 0.0, 0.0, 0.0])),
         scenes::fisheye(480, 360),
         scenes::all_round(480, 240),
         table(random),

@@ -56,16 +56,8 @@ fn rational(random: &mut Random) -> Distortion {
     let [a, b, c] = [0.6, 0.3, 0.05].map(|most| random.uniform(0.0, most));
     let tangential = [0, 1].map(|_| random.uniform(-2e-3, 2e-3));
     let near = [0, 1, 2].map(|_| random.uniform(-0.2, 0.1));
-    Distortion::RationalPolynomial([
-        a + near[0],
-        b + near[1],
-        tangential[0],
-        tangential[1],
-        c,
-        a,
-        b,
-        c + 0.02 * near[2],
-    ])
+    let k = [a + near[0], b + near[1], tangential[0], tangential[1], c, a, b, c + 0.02 * near[2]];
+    Distortion::from_model("rational_polynomial", &k).unwrap()
 }
 
 /// Equidistant, with `half_deg` from the axis to the centre of the image's longer sides, rotated at random; no ray

@@ -3,12 +3,13 @@
 use super::engine_args::EngineArgs;
 use super::outputs::check_no_dash;
 use super::pose::{PoseFrame, PoseOf, WorldFrame, given_pose};
+use super::sensor_args::SensorArgs;
 use super::series::SeriesProgress;
 use super::{CommandOutcome, bar, folder, open_scene, print};
 use presight::{Scene, blake3_of};
 use presight_files::atomic::write_atomically;
 use presight_files::gltf::ImportOptions;
-use presight_files::{exr, load_sensor, log, sensor_toml, tum};
+use presight_files::{exr, log, sensor_toml, tum};
 use presight_files::{files_named_by, text};
 use presight_model::error::{Error, Result};
 use presight_model::geometry::Pose;
@@ -60,6 +61,9 @@ pub struct Args {
     /// A preset (see `presight sensors`) or a sensor file
     #[arg(long, value_name = "PRESET|FILE")]
     sensor: String,
+
+    #[command(flatten)]
+    image: SensorArgs,
 
     /// The folder to write
     #[arg(long, value_name = "DIR")]
@@ -126,8 +130,7 @@ fn parse_shard(text: &str) -> Result<(u32, u32)> {
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     check_no_dash(&args.out)?;
     let threads = Threads::from(args.threads).started()?;
-    let (sensor, notices) = load_sensor(&args.sensor)?;
-    print::notices(&notices);
+    let sensor = args.image.load(&args.sensor)?;
     let mut request = args.request(&sensor)?;
     let import = ImportOptions { threads: threads.clone(), ..ImportOptions::default() };
     let scene = open_scene(&args.scene, &import, IndexKind::default())?;
@@ -350,7 +353,8 @@ fn read_sensed(frame: &str, sensor: &Sensor, cell: PoseCell) -> Result<RangeLike
     let range = match index {
         Some(index) => {
             let (of_log, sensed) = log::read_frame(&path, index)?;
-            if of_log.spec().geometry != sensor.spec().geometry {
+            let (logged, given) = (of_log.spec(), sensor.spec());
+            if logged.geometry != given.geometry || logged.optical_from_image != given.optical_from_image {
                 let what = format!("the rays of the log's sensor differ from {:?}", sensor.spec().name);
                 return Err(Error::invalid(what, "give a sensor with the log's rays").in_file(&path));
             }

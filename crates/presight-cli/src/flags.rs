@@ -1,7 +1,7 @@
 //! The library's names of arguments, as the flags that the user of the command gives.
 
 /// The words of the library's messages, and the command's words for them.
-const WORDS: [(&str, &str); 10] = [
+const WORDS: [(&str, &str); 11] = [
     ("`Backend::Cpu`", "--backend cpu"),
     ("`ImportOptions::scale`", "--scale"),
     ("`ImportOptions::up`", "--up"),
@@ -10,6 +10,7 @@ const WORDS: [(&str, &str); 10] = [
     ("`Settings::floor_z_world`", "--floor-z"),
     ("`View::features` of a layer", "a --layer"),
     ("`cascade: true`", "--cascade"),
+    ("`rectified: true`", "--rectified"),
     ("`replace: true`", "--replace"),
     ("start fewer `Threads`", "lower --threads"),
 ];

@@ -27,6 +27,7 @@ mod print;
 mod replay;
 #[cfg(feature = "report")]
 mod report;
+mod sensor_args;
 mod sensors;
 mod series;
 mod signals;

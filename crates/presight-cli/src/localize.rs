@@ -2,6 +2,7 @@
 
 use super::outputs::OutputFiles;
 use super::pose::parse_pose;
+use super::sensor_args::SensorArgs;
 use super::{CommandOutcome, open_scene, print};
 use presight::Scene;
 use presight_features::PlacedFeatures;
@@ -76,6 +77,9 @@ pub struct Drive {
     /// The sensor, with its noise and mount [default: from the log]
     #[arg(long, value_name = "PRESET|FILE")]
     sensor: Option<String>,
+
+    #[command(flatten)]
+    image: SensorArgs,
 
     /// Standard deviation of the model's surfaces, independent for each surface, metres [default: 0.03 for a scanner of
     /// one row, 0.1 for scans of points, otherwise 0]
@@ -207,9 +211,8 @@ impl Drive {
         let sensors = [&self.sensor, &self.grey_sensor].into_iter().flatten().map(Path::new);
         files.check_named([self.log.as_path(), self.map.as_path()].into_iter().chain(sensors))?;
         files.check_named(self.layers.iter().chain(&beside).map(PathBuf::as_path))?;
-        let sensor = self.sensor.as_deref().map(load_sensor).transpose()?;
-        print::notices(sensor.iter().flat_map(|(_, notices)| notices));
-        let log = Frames::open(&self.log, sensor.as_ref().map(|(sensor, _)| sensor), &self.odometry()?)?;
+        let sensor = self.sensor.as_deref().map(|sensor| self.image.load(sensor)).transpose()?;
+        let log = Frames::open(&self.log, sensor.as_ref(), &self.odometry()?)?;
         let measured = log.sensor().clone();
         let mut log = log
             .skip_while(|o| matches!(o, Ok(o) if self.from.is_some_and(|from| o.frame.stamp < from)))

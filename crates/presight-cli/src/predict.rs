@@ -7,6 +7,7 @@ use super::frame_args::FrameArgs;
 use super::layers::{LayerArgs, Layers, NamedRequest};
 use super::outputs::OutputFiles;
 use super::pose::{PoseArgs, PoseOf};
+use super::sensor_args::SensorArgs;
 use super::statistics::{Statistics, Subject};
 use super::summary::Summary;
 use super::templates::Names;
@@ -17,7 +18,7 @@ use presight::{Scene, blake3_of};
 use presight_features::{BoxOptions, SeenFeature};
 use presight_files::atomic::write_atomically;
 use presight_files::gltf::ImportOptions;
-use presight_files::{exr, load_robot, load_sensor, npy, pcd, ply, sensor_toml, tum};
+use presight_files::{exr, load_robot, npy, pcd, ply, sensor_toml, tum};
 use presight_model::error::{Error, Result};
 use presight_model::index::IndexKind;
 use presight_model::limits;
@@ -77,6 +78,9 @@ pub struct Args {
     /// A preset (see `presight sensors`) or a sensor file
     #[arg(long, value_name = "PRESET|FILE", required_unless_present = "robot", conflicts_with = "robot")]
     sensor: Option<String>,
+
+    #[command(flatten)]
+    image: SensorArgs,
 
     /// Predict for all sensors of a robot; poses are those of the robot
     #[arg(long, value_name = "ROBOT.toml")]
@@ -275,15 +279,16 @@ impl Args {
     }
 
     fn sensors(&self) -> Result<Vec<Sensor>> {
-        let (sensors, notices) = match (&self.robot, &self.sensor) {
-            (Some(robot), _) => load_robot(robot).map(|(robot, notices)| (robot.sensors, notices))?,
-            (None, sensor) => {
-                let (sensor, notices) = load_sensor(sensor.as_deref().unwrap_or_default())?;
-                (vec![sensor], notices)
-            }
+        let Some(robot) = &self.robot else {
+            return Ok(vec![self.image.load(self.sensor.as_deref().unwrap_or_default())?]);
         };
+        if self.image.rectified {
+            let remedy = "write rectified = true at its sensors in the robot file";
+            return Err(Error::usage("--rectified: --robot names several sensors", remedy));
+        }
+        let (robot, notices) = load_robot(robot)?;
         print::notices(&notices);
-        Ok(sensors)
+        Ok(robot.sensors)
     }
 
     /// The file of `--poses`; `-` is stdin, which may be a file too.

@@ -1,31 +1,39 @@
 //! `presight sensors`: the built-in sensors.
 
+use super::sensor_args::SensorArgs;
 use super::{CommandOutcome, print};
-use presight_files::preset;
+use presight_files::{preset, sensor_toml};
 use presight_model::error::Result;
 use presight_model::sensor::PRESETS;
 
 const EXAMPLES: &str = "Examples:
   presight sensors
-  presight sensors video-camera > my-camera.toml     edit it, then pass --sensor my-camera.toml";
+  presight sensors video-camera > my-camera.toml     edit it, then pass --sensor my-camera.toml
+  presight sensors camera_info.yaml --rectified > rectified.toml";
 
-/// List the built-in sensors, or print one as sensor TOML
+/// List the built-in sensors, or print one, or the sensor of a file, as sensor TOML
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
-    /// The preset to print
-    name: Option<String>,
+    /// The preset or the sensor file to print
+    #[arg(value_name = "PRESET|FILE")]
+    sensor: Option<String>,
+
+    #[command(flatten)]
+    image: SensorArgs,
 }
 
 /// Runs the command.
 ///
 /// # Errors
-/// [`presight::ErrorKind::Usage`] for an unknown preset.
+/// [`presight::ErrorKind::Usage`] for an unknown preset; errors of the sensor file.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
-    let text = match &args.name {
+    let text = match &args.sensor {
         Some(name) => {
-            preset(name)?;
-            PRESETS.iter().filter(|p| p.name == name).map(|p| p.toml).collect()
+            // With its comments, if it is a preset.
+            let sensor = args.image.load(name)?;
+            let preset = PRESETS.iter().find(|p| p.name == name);
+            preset.map_or_else(|| sensor_toml::to_string(sensor.spec()), |p| p.toml.to_owned())
         }
         None => list()?,
     };

@@ -1,6 +1,7 @@
 //! `presight simulate`: a simulated log of a robot's depth camera or scanner on a drive.
 
 use super::outputs::OutputFiles;
+use super::sensor_args::SensorArgs;
 use super::{CommandOutcome, folder, open_scene};
 use presight::Scene;
 use presight_files::atomic::write_atomically;
@@ -49,6 +50,9 @@ pub struct Args {
     /// The camera or scanner, with its noise and mount
     #[arg(long, value_name = "PRESET|FILE")]
     sensor: String,
+
+    #[command(flatten)]
+    image: SensorArgs,
 
     /// Also simulate grey images of this camera
     #[arg(long, value_name = "PRESET|FILE")]
@@ -112,8 +116,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     files.add_folder(&args.out, &["camera.json", "poses.txt", "sensor.toml", "grey.toml", SCANS])?;
     let sensors = [Some(&args.sensor), args.grey.as_ref()].into_iter().flatten().map(Path::new);
     files.check_named([args.scene.as_path(), args.poses.as_path()].into_iter().chain(sensors))?;
-    let (sensor, notices) = load_sensor(&args.sensor)?;
-    super::print::notices(&notices);
+    let sensor = args.image.load(&args.sensor)?;
     args.check_flags(&sensor)?;
     let camera = sensor.is_camera().then(|| depth_folder::camera_json(&sensor)).transpose()?;
     let poses = tum::read(&args.poses)?;

@@ -32,7 +32,7 @@ pub mod temporary;
 pub mod text;
 pub mod tum;
 
-pub use load::{files_named_by, load_sensor, preset};
+pub use load::{files_named_by, load_rectified, load_sensor, preset};
 pub use robot_toml::{Robot, load_robot};
 
 use presight_model::error::{Error, ErrorKind};

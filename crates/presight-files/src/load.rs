@@ -28,21 +28,38 @@ pub(super) fn preset_names() -> String {
     PRESETS.iter().map(|p| p.name).collect::<Vec<_>>().join(", ")
 }
 
-/// Makes the sensor that `--sensor PRESET|FILE` names: a preset, a sensor TOML, or a ROS camera_info YAML. Also returns
-/// notices on unused parts of the file.
+/// Makes the sensor that `--sensor PRESET|FILE` names: a preset, a sensor TOML, or the YAML of a camera's calibration
+/// ([`camera_info`]), where `FILE.yaml:cam1` names a camera of Kalibr's camchain. Also returns notices on unused parts of
+/// the file.
 ///
 /// # Errors
 /// [`presight_model::ErrorKind::Usage`] if it is neither a preset nor ends in `.toml`, `.yaml` or `.yml`; errors of
 /// [`sensor_toml::read`] and [`camera_info::read`].
 pub fn load_sensor(arg: &str) -> Result<(Sensor, Vec<String>)> {
+    load(arg, false)
+}
+
+/// As [`load_sensor`], but makes the rectified camera of a ROS camera_info: P, turned by R.
+///
+/// # Errors
+/// As [`load_sensor`], and [`presight_model::ErrorKind::Usage`] for a preset or a file that has no rectified camera.
+pub fn load_rectified(arg: &str) -> Result<(Sensor, Vec<String>)> {
+    load(arg, true)
+}
+
+pub(super) fn load(arg: &str, rectified: bool) -> Result<(Sensor, Vec<String>)> {
+    let (path, camera) = file_and_camera(arg);
+    let is_yaml = is_yaml(path);
+    if rectified && !is_yaml {
+        let what = format!("{arg:?} has no P and R of a rectified image");
+        return Err(Error::usage(what, "give a camera_info, or drop `rectified: true`"));
+    }
     if PRESETS.iter().any(|p| p.name == arg) {
         return Ok((preset(arg)?, Vec::new()));
     }
-    let path = Path::new(arg);
-    let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
-    let (spec, notices) = match extension.as_str() {
-        "toml" => (sensor_toml::read(path)?, Vec::new()),
-        "yaml" | "yml" => camera_info::read(path)?,
+    let (spec, notices) = match path.extension() {
+        Some(toml) if toml.eq_ignore_ascii_case("toml") => (sensor_toml::read(path)?, Vec::new()),
+        _ if is_yaml => camera_info::read(path, camera, rectified)?,
         _ => {
             return Err(Error::usage(
                 format!("{arg:?} is neither a preset nor a sensor file"),
@@ -53,13 +70,29 @@ pub fn load_sensor(arg: &str) -> Result<(Sensor, Vec<String>)> {
     Ok((Sensor::new(spec).map_err(|e| e.in_file(path))?, notices))
 }
 
-/// The files that a sensor file (its ray table) or a robot file (its sensors, and their ray tables) names. A file that
-/// cannot be read names none; loading it reports why.
+fn is_yaml(path: &Path) -> bool {
+    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("yaml") || e.eq_ignore_ascii_case("yml"))
+}
+
+/// The file and the camera that `FILE.yaml:CAMERA` names.
+fn file_and_camera(arg: &str) -> (&Path, Option<&str>) {
+    match arg.rsplit_once(':') {
+        Some((file, camera)) if is_yaml(Path::new(file)) => (Path::new(file), Some(camera)),
+        _ => (Path::new(arg), None),
+    }
+}
+
+/// The files that a sensor file (its ray table) or a robot file (its sensors, and their ray tables) names, and the file in
+/// `FILE.yaml:CAMERA`. A file that cannot be read names none; loading it reports why.
 pub fn files_named_by(path: &Path) -> Vec<PathBuf> {
+    let of_camera = |path: &Path| {
+        let (file, camera) = file_and_camera(path.to_str()?);
+        camera.map(|_| file.to_owned())
+    };
     let (table, sensors) = names_in(path);
-    let mut files = Vec::from_iter(table);
+    let mut files: Vec<PathBuf> = table.into_iter().chain(of_camera(path)).collect();
     for sensor in sensors {
-        files.extend(names_in(&sensor).0);
+        files.extend(names_in(&sensor).0.into_iter().chain(of_camera(&sensor)));
         files.push(sensor);
     }
     files
@@ -148,6 +181,14 @@ mod tests {
         let (sensor, notices) = load_sensor(&path("eye.YAML")).unwrap();
         assert_eq!((sensor.spec().name.as_str(), sensor.width(), sensor.height()), ("eye", 4, 3));
         assert!(notices.len() == 1 && notices[0].contains("foo"), "{notices:?}");
+        std::fs::write(path("chain.yml"), "cam0: {}\ncam1: {resolution: [4, 3], intrinsics: [2, 2, 1.5, 1]}\n")
+            .unwrap();
+        let chosen = path("chain.yml:cam1");
+        assert_eq!(load_sensor(&chosen).unwrap().0.spec().name, "cam1");
+        assert_eq!(files_named_by(Path::new(&chosen)), [PathBuf::from(path("chain.yml"))]);
+        for arg in ["vlp-16", &path("eye.toml"), &chosen] {
+            assert_eq!(load_rectified(arg).unwrap_err().kind(), ErrorKind::Usage, "{arg}");
+        }
         // The error of a complete but invalid sensor names the file too.
         std::fs::write(path("eye.YAML"), yaml.replace("4", "0")).unwrap();
         let e = load_sensor(&path("eye.YAML")).unwrap_err();

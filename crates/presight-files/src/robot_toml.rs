@@ -7,10 +7,11 @@
 //! [[sensors]]
 //! name = "front"               # optional, default: the sensor's own name; names must differ
 //! sensor = "laser-scanner"     # a preset, or a sensor file relative to this file
+//! rectified = true             # optional: the rectified camera of a ROS camera_info (P, R), default false
 //! mount = { xyz = [0.2, 0.0, 0.3], rpy_deg = [0.0, 0.0, 0.0] }  # optional, default: the sensor's own [mount]
 //! ```
 
-use super::load::{load_sensor, preset_names};
+use super::load::{load, preset_names};
 use super::sensor_toml::MountTable;
 use super::text::{check_format, from_settings, toml_from_str};
 use presight_model::error::{Error, ErrorKind, Result};
@@ -44,6 +45,8 @@ struct Entry {
     name: Option<String>,
     sensor: String,
     mount: Option<MountTable>,
+    #[serde(default)]
+    rectified: bool,
 }
 
 /// Reads a robot file with all its sensors. Also returns notices on unused parts of the sensor files.
@@ -84,12 +87,13 @@ impl Entry {
         let is_preset = PRESETS.iter().any(|p| p.name == self.sensor);
         let arg =
             if is_preset { self.sensor.clone() } else { folder.join(&self.sensor).to_string_lossy().into_owned() };
-        let (sensor, more) = load_sensor(&arg).map_err(|e| match e.kind() {
+        let (sensor, more) = load(&arg, self.rectified).map_err(|e| match e.kind() {
             // The name comes from a file, not from the command line, so the file is at fault.
-            ErrorKind::Usage => Error::invalid(
+            ErrorKind::Usage if e.what().contains("neither a preset") => Error::invalid(
                 format!("{:?} is neither a preset nor a sensor file", self.sensor),
                 format!("choose one of {}, or name a file that ends in .toml, .yaml or .yml", preset_names()),
             ),
+            ErrorKind::Usage => Error::invalid(e.what(), e.remedy().replace("`rectified: true`", "rectified = true")),
             _ => e,
         })?;
         notices.extend(more.into_iter().map(|n| format!("{}: {n}", self.sensor)));

@@ -6,10 +6,11 @@ use super::super::pose::PoseArgs;
 use super::super::{CommandOutcome, print};
 use super::OptionArgs;
 use super::near::{NearbyFeature, PickView};
+use crate::sensor_args::SensorArgs;
 use glam::{DMat3, DVec2, DVec3};
 use presight::Scene;
 use presight_features::generate::{GenerateOptions, generate};
-use presight_files::{layer, load_sensor};
+use presight_files::layer;
 use presight_model::environment::{Existence, Feature, FeatureShape, Properties};
 use presight_model::error::{Error, Result};
 use presight_model::geometry::{Aabb, Pose, plane_of_polygon};
@@ -29,6 +30,9 @@ pub struct Args {
     /// A preset (see `presight sensors`) or a sensor file
     #[arg(long, value_name = "PRESET|FILE")]
     sensor: String,
+
+    #[command(flatten)]
+    image: SensorArgs,
 
     #[command(flatten)]
     pose: PoseArgs,
@@ -79,8 +83,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         return Err(Error::usage(format!("--reach {} is out of range", args.reach), "give metres from 0"));
     }
     options.check()?;
-    let (sensor, notices) = load_sensor(&args.sensor)?;
-    print::notices(&notices);
+    let sensor = args.image.load(&args.sensor)?;
     let (column, row) = args.pixel;
     if column >= sensor.width() || row >= sensor.height() {
         let what = format!("--pixel {column},{row}: the image is {} x {}", sensor.width(), sensor.height());

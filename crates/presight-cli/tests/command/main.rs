@@ -1,6 +1,7 @@
 //! Runs the command as a process and checks its files, its messages and its exit status.
 
 mod bad_input;
+mod cameras;
 mod cases_scanners;
 mod deadline;
 mod features;

@@ -13,7 +13,7 @@
 use super::file;
 use super::text::from_text;
 use crate::tum::StampedPose;
-use glam::DVec3;
+use glam::{DQuat, DVec3};
 use image::codecs::png::PngDecoder;
 use image::{DynamicImage, ImageDecoder};
 use presight_model::error::{Error, Result};
@@ -195,13 +195,17 @@ impl Iterator for DepthFolder {
 /// The text of `camera.json` for a camera whose depths are written in millimetres.
 ///
 /// # Errors
-/// [`presight_model::ErrorKind::Usage`] for a sensor that is not a camera, or a lens with another distortion than plumb
-/// bob.
+/// [`presight_model::ErrorKind::Usage`] for a sensor that is not a camera, a rectified camera that R turns, or a lens
+/// with another distortion than plumb bob.
 pub fn camera_json(sensor: &Sensor) -> Result<String> {
     let name = &sensor.spec().name;
     let Geometry::Camera(c) = &sensor.spec().geometry else {
         return Err(Error::usage(format!("sensor {name:?} is not a camera and has no depth images"), "give a camera"));
     };
+    if sensor.spec().optical_from_image != DQuat::IDENTITY {
+        let what = format!("camera.json cannot describe the rectified image of sensor {name:?}");
+        return Err(Error::usage(what, "give the raw camera"));
+    }
     let lens = match &c.distortion {
         Distortion::None => [0.0; 5],
         Distortion::PlumbBob(k) => *k,

@@ -35,8 +35,9 @@
 //! ```
 //!
 //! `kind = "camera"`: `width, height, fx, fy, cx, cy`, and `[distortion]` with `model = "none" | "plumb_bob" |
-//! "rational_polynomial" | "equidistant" | "kannala_brandt" | "fisheye"` and `coefficients` in OpenCV's order (4 or 5,
-//! 8, 4). `kind = "rays"`: `width, height` and `directions = [[x, y, z], ..]`, row-major, body axes, `nan` for no ray; or
+//! "rational_polynomial" | "equidistant" | "kannala_brandt" | "fisheye"` and `coefficients` in OpenCV's order (4 or 5;
+//! 8, 12 or 14; 4). A rectified camera has `optical_from_image = [x, y, z, w]`, the rotation from the frame of its image
+//! to the optical frame of the camera. `kind = "rays"`: `width, height` and `directions = [[x, y, z], ..]`, row-major, body axes, `nan` for no ray; or
 //! `file = "X.csv"`, relative to the sensor file, with one direction `x,y,z` per line and `#` for comments.
 
 #[cfg(test)]
@@ -129,6 +130,7 @@ sensor_file!(CameraFile {
     cx: f64,
     cy: f64,
     distortion: Option<DistortionTable>,
+    optical_from_image: Option<[f64; 4]>,
 });
 
 sensor_file!(ScannerFile { azimuth: AnglesTable, elevation: AnglesTable, beam_height_deg: Option<f64> });
@@ -252,7 +254,12 @@ impl CameraFile {
             cy: self.cy,
             distortion,
         };
-        self.common(name, "video", Geometry::Camera(camera))
+        let mut spec = self.common(name, "video", Geometry::Camera(camera))?;
+        if let Some(turn) = self.optical_from_image {
+            let turn = MountTable { xyz: [0.0; 3], rpy_deg: None, quaternion: Some(turn) }.pose();
+            spec.optical_from_image = turn.map_err(|e| e.at("optical_from_image"))?.rotation;
+        }
+        Ok(spec)
     }
 }
 

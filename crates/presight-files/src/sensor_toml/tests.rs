@@ -147,13 +147,14 @@ fn presets_read_back_equal() {
 
 fn geometries() -> impl Strategy<Value = Geometry> {
     let deg = -80.0..80.0f64;
-    let camera = (1..9u32, 1..9u32, [1.0..1e3f64, 1.0..1e3f64, -9.0..9.0f64, -9.0..9.0f64], any::<[i16; 8]>(), 0..4);
+    let camera = (1..9u32, 1..9u32, [1.0..1e3f64, 1.0..1e3f64, -9.0..9.0f64, -9.0..9.0f64], any::<[i16; 14]>(), 0..4);
     let camera = camera.prop_map(|(width, height, [fx, fy, cx, cy], k, model)| {
         let k = k.map(|c| f64::from(c) / 77777.0);
+        let of_lens = [8, 12, 14][width as usize % 3];
         let distortion = match model {
             0 => Distortion::None,
             1 => Distortion::PlumbBob([k[0], k[1], k[2], k[3], k[4]]),
-            2 => Distortion::RationalPolynomial(k),
+            2 => Distortion::from_model("rational_polynomial", &k[..of_lens]).unwrap(),
             _ => Distortion::Equidistant([k[0], k[1], k[2], k[3]]),
         };
         Geometry::Camera(Camera { width, height, fx, fy, cx, cy, distortion })
@@ -185,6 +186,9 @@ proptest! {
         spec.range_max = if far { f64::INFINITY } else { range_min + 1.0 / 3.0 };
         spec.max_incidence = far.then(|| (f64::from(incidence) / 10.0).to_radians());
         spec.mount = Pose::from_xyz_rpy(DVec3::from_array(xyz), rpy[0], rpy[1], rpy[2]);
+        if far && matches!(spec.geometry, Geometry::Camera(_)) {
+            spec.optical_from_image = spec.mount.rotation;
+        }
         let mixture = Mixture { hit: 0.5, short: 0.25, none: 0.125, any: 0.125, beam_dependence: 1.0 + sigma };
         spec.noise = Noise {
             range_sigma: sigma,

@@ -1,5 +1,6 @@
 //! Writing sensor TOML: text that reads back to an equal sensor.
 
+use glam::DQuat;
 use presight_model::geometry::Pose;
 use presight_model::sensor::{Angles, Camera, Distortion, Geometry, Mixture, Noise, RayTable, Scanner, SensorSpec};
 
@@ -34,7 +35,7 @@ pub fn to_string(spec: &SensorSpec) -> String {
         out.number("max_incidence_deg", degrees(angle));
     }
     match &spec.geometry {
-        Geometry::Camera(camera) => out.camera(camera),
+        Geometry::Camera(camera) => out.camera(camera, spec.optical_from_image),
         Geometry::Scanner(scanner) => out.scanner(scanner),
         Geometry::Rays(table) => out.rays(table),
     }
@@ -77,11 +78,14 @@ impl Writer {
         self.line(key, &list(values));
     }
 
-    fn camera(&mut self, c: &Camera) {
+    fn camera(&mut self, c: &Camera, optical_from_image: DQuat) {
         self.line("width", &c.width.to_string());
         self.line("height", &c.height.to_string());
         for (key, value) in [("fx", c.fx), ("fy", c.fy), ("cx", c.cx), ("cy", c.cy)] {
             self.number(key, value);
+        }
+        if optical_from_image != DQuat::IDENTITY {
+            self.list("optical_from_image", &optical_from_image.to_array());
         }
         if c.distortion != Distortion::None {
             self.table("distortion");

@@ -63,7 +63,8 @@ pub struct ExpectedImage {
 
 /// The frame in which rays and points of an image are told, in body axes.
 pub fn body_from_image(sensor: &Sensor) -> Pose {
-    let rotation = if sensor.is_camera() { body_from_optical_rotation() } else { glam::DQuat::IDENTITY };
+    let optical = || body_from_optical_rotation() * sensor.spec().optical_from_image;
+    let rotation = if sensor.is_camera() { optical() } else { glam::DQuat::IDENTITY };
     Pose { rotation, translation: DVec3::ZERO }
 }
 

@@ -84,6 +84,10 @@ pub struct SensorSpec {
     pub max_incidence: Option<f64>,
     /// robot_from_sensor, body axes.
     pub mount: Pose,
+    /// Cameras: rotation from the frame of the image (z along its optical axis, x right, y down) to the optical frame of
+    /// the camera, which is that of poses and of `mount`. The identity but for rectified images, where it is the inverse
+    /// of ROS's R. Other sensors do not use it.
+    pub optical_from_image: DQuat,
     /// Measurement noise.
     pub noise: Noise,
 }
@@ -99,6 +103,7 @@ impl SensorSpec {
             range_max: f64::INFINITY,
             max_incidence: None,
             mount: Pose::IDENTITY,
+            optical_from_image: DQuat::IDENTITY,
             noise: Noise::default(),
         }
     }
@@ -137,6 +142,15 @@ impl SensorSpec {
     #[must_use]
     pub fn with_mount(self, mount: Pose) -> Self {
         Self { mount, ..self }
+    }
+
+    /// The frame of a camera's image, turned from body axes: see [`Sensor::body_from_image`].
+    pub fn body_from_image(&self) -> DMat3 {
+        match self.geometry {
+            Geometry::Camera(_) if self.optical_from_image == DQuat::IDENTITY => body_from_optical(),
+            Geometry::Camera(_) => body_from_optical() * DMat3::from_quat(self.optical_from_image),
+            _ => DMat3::IDENTITY,
+        }
     }
 
     /// With other noise.
@@ -242,10 +256,11 @@ impl Sensor {
     }
 
     /// body_from_image: turns the image frame into body axes (x forward, y left, z up). The image frame is the optical frame of a
-    /// camera (z forward, x right, y down) and the body axes of other sensors.
+    /// camera (z forward, x right, y down), turned by [`SensorSpec::optical_from_image`], and the body axes of other
+    /// sensors.
     #[inline]
     pub fn body_from_image(&self) -> DMat3 {
-        if self.is_camera() { body_from_optical() } else { DMat3::IDENTITY }
+        self.spec().body_from_image()
     }
 
     /// Unit ray of a pixel in the image frame, f64; `None` where the sensor has no ray, and outside the image.
@@ -314,6 +329,8 @@ fn check(spec: &SensorSpec) -> Result<()> {
         ));
     }
     spec.mount.check_as(ErrorKind::Invalid).map_err(|e| e.at("mount"))?;
+    let image = Pose { rotation: spec.optical_from_image, translation: DVec3::ZERO };
+    image.check_as(ErrorKind::Invalid).map_err(|e| e.at("optical_from_image"))?;
     if let Some(angle) = spec.max_incidence
         && !(angle > 0.0 && angle <= std::f64::consts::FRAC_PI_2)
     {

@@ -3,7 +3,7 @@
 use super::bound::Precision;
 use super::candidates::Candidate;
 use crate::plan::{FramePlan, Images};
-use presight_model::sensor::{Geometry, SensorSpec, body_from_optical};
+use presight_model::sensor::SensorSpec;
 use serde::Serialize;
 
 /// The values of one pixel; `None` for images that were not requested.
@@ -154,8 +154,7 @@ impl PixelValues {
     /// bound is that of cos_incidence. If the sensor's side of the plane is uncertain, either normal fits.
     fn normal_off(&self, c: &Candidate, base: Option<[f32; 3]>, spec: &SensorSpec, p: Precision) -> f64 {
         let Some(normal) = self.normal else { return 0.0 };
-        let is_camera = matches!(spec.geometry, Geometry::Camera(_));
-        let exact = if is_camera { body_from_optical() * c.normal } else { c.normal };
+        let exact = spec.body_from_image() * c.normal;
         let based = base.filter(|n| n.iter().all(|x| x.is_finite())).map(|n| n.map(f64::from));
         let off = |side: f64| {
             let exact = based.unwrap_or_else(|| exact.to_array()).map(|x| side * x);

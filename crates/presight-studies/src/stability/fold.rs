@@ -1,8 +1,8 @@
-//! The fold of a lens with tangential terms, which has a different radius in each direction. Computed in f64 from the
+//! The fold of a lens with tangential or thin prism terms, which has a different radius in each direction. Computed in f64 from the
 //! model's formula, independently of the product.
 //!
-//! Rays are points of the plane z = 1. In each direction from the axis the model is valid as long as its Jacobian is
-//! positive definite. The images of the last valid points are the outline, beyond which nothing is imaged.
+//! Rays are points of the plane z = 1. In each direction from the axis the model is valid as long as the symmetric part
+//! of its Jacobian is positive definite. The images of the last valid points are the outline, beyond which nothing is imaged.
 
 use super::lens::{FARTHEST, STEP};
 
@@ -21,6 +21,8 @@ pub(super) struct Outline {
     pub denominator: [f64; 4],
     /// (p2, p1).
     pub tangential: [f64; 2],
+    /// (s1, s3) and (s2, s4).
+    pub prism: [[f64; 2]; 2],
 }
 
 /// Value and derivative of a polynomial.
@@ -60,22 +62,25 @@ impl Outline {
         Some(self.image(at(low)))
     }
 
-    /// x R + 2 x (p . x) + s p, with R the radial stretch at s = |x|^2.
+    /// x R + 2 x (p . x) + s p + s q1 + s^2 q2, with R the radial stretch at s = |x|^2 and q the prism terms.
     fn image(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let ([px, py], s) = (self.tangential, x * x + y * y);
         let stretch = evaluate(&self.numerator, s).0 / evaluate(&self.denominator, s).0 + 2.0 * (px * x + py * y);
-        [x * stretch + s * px, y * stretch + s * py]
+        let [[ax, ay], [bx, by]] = self.prism;
+        [x * stretch + s * (px + ax + s * bx), y * stretch + s * (py + ay + s * by)]
     }
 
-    /// Returns true if the Jacobian is positive definite.
+    /// Returns true if the symmetric part of the Jacobian is positive definite.
     fn is_one_to_one(&self, [x, y]: [f64; 2]) -> bool {
         let ([px, py], s) = (self.tangential, x * x + y * y);
         let ((n, dn), (d, dd)) = (evaluate(&self.numerator, s), evaluate(&self.denominator, s));
         let slope = 2.0 * (dn * d - n * dd) / (d * d);
         let stretch = n / d + 2.0 * (px * x + py * y);
-        let xx = stretch + slope * x * x + 4.0 * px * x;
-        let yy = stretch + slope * y * y + 4.0 * py * y;
-        let xy = slope * x * y + 2.0 * (px * y + py * x);
+        let [[ax, ay], [bx, by]] = self.prism;
+        let (qx, qy) = (2.0 * ax + 4.0 * s * bx, 2.0 * ay + 4.0 * s * by);
+        let xx = stretch + slope * x * x + (4.0 * px + qx) * x;
+        let yy = stretch + slope * y * y + (4.0 * py + qy) * y;
+        let xy = slope * x * y + 2.0 * (px * y + py * x) + 0.5 * (qx * y + qy * x);
         d > 0.0 && xx > 0.0 && xx * yy > xy * xy
     }
 }

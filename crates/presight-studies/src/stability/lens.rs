@@ -16,6 +16,16 @@ pub(super) const STEP: f64 = 1e-3;
 /// The search ends at this radius, 87 degrees from the axis. Lenses without a fold up to there count as not folding.
 pub(super) const FARTHEST: f64 = 20.0;
 
+/// The axes of the upright image, x, y and z, in the axes of a sensor that is tilted by Ry(tauY) Rx(tauX).
+fn axes_of_sensor([(sx, cx), (sy, cy)]: &[(Big, Big); 2]) -> [Vector; 3] {
+    let zero = Big::new(0.0);
+    [
+        Vector([cy.clone(), zero, sy.clone()]),
+        Vector([sy * sx, cx.clone(), -&(cy * sx)]),
+        Vector([-&(sy * cx), sx.clone(), cy * cx]),
+    ]
+}
+
 /// A lens model, exact.
 #[derive(Clone, Debug)]
 pub(super) struct Exact {
@@ -25,6 +35,10 @@ pub(super) struct Exact {
     denominator: Vec<Big>,
     /// (p2, p1).
     tangential: [Big; 2],
+    /// (s1, s3) and (s2, s4).
+    prism: [[Big; 2]; 2],
+    /// Sine and cosine of tauX and of tauY.
+    tilt: Option<[(Big, Big); 2]>,
     /// Image radius of the fold, beyond which nothing is imaged; `None` without a fold or with tangential terms.
     pub fold: Option<Big>,
     /// The fold of a model with tangential terms.
@@ -42,24 +56,34 @@ fn derivative(polynomial: &[Big]) -> Vec<Big> {
 impl Exact {
     pub fn new(model: &Distortion) -> Self {
         let with_one = |k: &[f64]| [1.0].iter().chain(k).map(|c| Big::new(*c)).collect::<Vec<_>>();
+        let (mut q, mut tau) = ([[0.0; 2]; 2], [0.0; 2]);
         let (fisheye, n, d, p) = match model {
             Distortion::None => (false, with_one(&[]), with_one(&[]), [0.0; 2]),
             Distortion::PlumbBob([k1, k2, p1, p2, k3]) => {
                 (false, with_one(&[*k1, *k2, *k3]), with_one(&[]), [*p2, *p1])
             }
-            Distortion::RationalPolynomial([k1, k2, p1, p2, k3, k4, k5, k6]) => {
+            Distortion::RationalPolynomial([k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tau_x, tau_y]) => {
+                (q, tau) = ([[*s1, *s3], [*s2, *s4]], [*tau_x, *tau_y]);
                 (false, with_one(&[*k1, *k2, *k3]), with_one(&[*k4, *k5, *k6]), [*p2, *p1])
             }
             Distortion::Equidistant(k) => (true, with_one(k), with_one(&[]), [0.0; 2]),
         };
-        let mut lens =
-            Self { fisheye, numerator: n, denominator: d, tangential: p.map(Big::new), fold: None, outline: None };
-        if p == [0.0; 2] {
+        let mut lens = Self {
+            fisheye,
+            numerator: n,
+            denominator: d,
+            tangential: p.map(Big::new),
+            prism: q.map(|terms| terms.map(Big::new)),
+            tilt: (tau != [0.0; 2]).then(|| tau.map(|angle| Big::new(angle).sin_cos())),
+            fold: None,
+            outline: None,
+        };
+        if p == [0.0; 2] && q == [[0.0; 2]; 2] {
             lens.fold = lens.first_fold();
         } else {
             let padded = |all: &[Big]| std::array::from_fn(|i| all.get(i).map_or(0.0, Big::to_f64));
             let (numerator, denominator) = (padded(&lens.numerator), padded(&lens.denominator));
-            lens.outline = Some(Outline { numerator, denominator, tangential: p });
+            lens.outline = Some(Outline { numerator, denominator, tangential: p, prism: q });
         }
         lens
     }
@@ -104,7 +128,21 @@ impl Exact {
             let radius = &theta * &evaluate(&self.numerator, &(&theta * &theta));
             return [x, y].map(|c| &(&radius * c) / &across);
         }
-        self.image(&[x / z, y / z])
+        let [x, y] = self.image(&[x / z, y / z]);
+        let Some(tilt) = &self.tilt else { return [x, y] };
+        let [a, b, axis] = axes_of_sensor(tilt);
+        let turned = &(&a.scaled(&x) + &b.scaled(&y)) + &axis;
+        let onto = |k: usize| &(&(&axis.0[2] * &turned.0[k]) / &turned.0[2]) - &axis.0[k];
+        [onto(0), onto(1)]
+    }
+
+    /// The coordinates that an upright image sensor would have.
+    fn upright(&self, xd: &Big, yd: &Big) -> [Big; 2] {
+        let Some(tilt) = &self.tilt else { return [xd.clone(), yd.clone()] };
+        let axes = axes_of_sensor(tilt);
+        let on_sensor = &Vector([xd.clone(), yd.clone(), Big::new(0.0)]) + &axes[2];
+        let [x, y, z] = axes.map(|axis| axis.dot(&on_sensor));
+        [&x / &z, &y / &z]
     }
 
     fn image(&self, [x, y]: &[Big; 2]) -> [Big; 2] {
@@ -112,12 +150,15 @@ impl Exact {
         let [px, py] = &self.tangential;
         let along = &(&(px * x) + &(py * y)) * &Big::new(2.0);
         let stretch = &self.radial(&s).0 + &along;
-        [&(&stretch * x) + &(&s * px), &(&stretch * y) + &(&s * py)]
+        let [first, second] = &self.prism;
+        let across = |k: usize, p: &Big| &s * &(&(p + &first[k]) + &(&s * &second[k]));
+        [&(&stretch * x) + &across(0, px), &(&stretch * y) + &across(1, py)]
     }
 
     /// Distance of an image point beyond the fold, negative before it, and its accuracy; `None` if the lens does not
     /// fold.
     pub fn beyond_fold(&self, xd: &Big, yd: &Big) -> Option<(f64, f64)> {
+        let [xd, yd] = &self.upright(xd, yd);
         if let Some(outline) = &self.outline {
             return outline.beyond(xd.to_f64(), yd.to_f64());
         }
@@ -141,10 +182,12 @@ impl Exact {
             let radius = (&(xd * xd) + &(yd * yd)).sqrt();
             return Ok(self.inverse_fisheye(xd, yd, &radius, near));
         }
+        let [xd, yd] = &self.upright(xd, yd);
         let mut found = self.inverse_from([near.x / near.z, near.y / near.z].map(Big::new), [xd, yd]);
-        let ([xx, xy, yy], zero) = (self.jacobian(&found), Big::new(0.0));
+        let ([xx, xy, yx, yy], zero) = (self.jacobian(&found), Big::new(0.0));
+        let shear = &(&xy + &yx) * &Big::new(0.5);
         // A ray beyond the fold is another preimage of the same point, and not valid.
-        if !(xx > zero && &xx * &yy > &xy * &xy) {
+        if !(xx > zero && &xx * &yy > &shear * &shear) {
             found = self.inverse_from([zero.clone(), zero], [xd, yd]);
         }
         let [x, y] = found;
@@ -165,28 +208,29 @@ impl Exact {
         x
     }
 
-    /// The symmetric Jacobian J (see `sensor::undistort`): xx, xy, yy.
-    fn jacobian(&self, [x, y]: &[Big; 2]) -> [Big; 3] {
+    /// The Jacobian J (see `sensor::undistort`), row by row: xx, xy, yx, yy.
+    fn jacobian(&self, [x, y]: &[Big; 2]) -> [Big; 4] {
         let two = Big::new(2.0);
-        let (stretch, slope) = self.radial(&(&(x * x) + &(y * y)));
+        let s = &(x * x) + &(y * y);
+        let (stretch, slope) = self.radial(&s);
         let [px, py] = &self.tangential;
         let diagonal = &stretch + &(&(&(px * x) + &(py * y)) * &two);
         let cross = &(&(&(&(&slope * x) * y) + &(px * y)) + &(py * x)) * &two;
         let own = |c: &Big, p: &Big| &(&diagonal + &(&(&(&slope * c) * c) * &two)) + &(&(p * c) * &Big::new(4.0));
-        let (xx, yy) = (own(x, px), own(y, py));
-        [xx, cross, yy]
+        let [qx, qy] = [0, 1].map(|k| &(&self.prism[0][k] + &(&(&s * &two) * &self.prism[1][k])) * &two);
+        [&own(x, px) + &(&qx * x), &cross + &(&qx * y), &cross + &(&qy * x), &own(y, py) + &(&qy * y)]
     }
 
     /// J^-1 miss.
     fn newton_step(&self, x: &[Big; 2], miss: &[Big; 2]) -> [Big; 2] {
-        let [xx, cross, yy] = self.jacobian(x);
-        let determinant = &(&xx * &yy) - &(&cross * &cross);
+        let [xx, xy, yx, yy] = self.jacobian(x);
+        let determinant = &(&xx * &yy) - &(&xy * &yx);
         if determinant.is_zero() {
             return [Big::new(0.0), Big::new(0.0)];
         }
         [
-            &(&(&yy * &miss[0]) - &(&cross * &miss[1])) / &determinant,
-            &(&(&xx * &miss[1]) - &(&cross * &miss[0])) / &determinant,
+            &(&(&yy * &miss[0]) - &(&xy * &miss[1])) / &determinant,
+            &(&(&xx * &miss[1]) - &(&yx * &miss[0])) / &determinant,
         ]
     }
 

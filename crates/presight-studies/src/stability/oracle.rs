@@ -108,6 +108,7 @@ impl<'a> Oracle<'a> {
                     None => Vector([x, y, Big::new(1.0)]),
                     Some(lens) => lens.inverse(&x, &y, self.plan.sensor.ray(column, row))?,
                 };
+                let Vector([x, y, z]) = Vector([x, y, z]).turned(self.plan.sensor.spec().optical_from_image);
                 Vector([z, -&x, -&y])
             }
             Geometry::Scanner(_) => {

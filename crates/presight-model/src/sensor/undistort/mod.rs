@@ -4,17 +4,22 @@
 //! share one image point. The model is used in the connected region around the axis where it is one to one:
 //! - Without tangential terms this is a disc. It ends where the derivative of the image radius or the denominator first
 //!   falls to zero (roots of polynomials, see [`super::polynomial`]). The inverse is a root in one unknown.
-//! - With tangential terms the Jacobian J = R I + 2 R' x x^T + 2 p x^T + 2 x p^T + 2 (p . x) I is still symmetric: the
-//!   model is a gradient, and one to one on every convex region where J is positive definite. J is the identity at the
-//!   axis, and positive definite until det J falls to zero on the way out. With u the unit vector towards x, a = p . u
-//!   and b = p x u: det J = (g' + 6 a r) (R + 2 a r) - 4 b^2 r^2, g' the radial derivative.
+//! - With tangential terms p and thin prism terms the Jacobian is J = R I + 2 R' x x^T + 2 p x^T + 2 x p^T +
+//!   2 (p . x) I + 2 q x^T with q = (s1, s3) + 2 r^2 (s2, s4). The model is one to one on every convex region where the
+//!   symmetric part S of J is positive definite. S is the identity at the axis, and positive definite until det S falls to
+//!   zero on the way out. With u the unit vector towards x, a = p . u and b = p x u:
+//!   det S = (g' + 6 a r + 2 (q . u) r) (R + 2 a r) - (2 b + q x u)^2 r^2, g' the radial derivative. Without prism terms
+//!   S is J, because the model is then a gradient.
+//! - The plane of a tilted image sensor is a perspective image of these coordinates ([`tilt`]): one to one by itself.
 
 #[cfg(test)]
 mod tests;
+mod tilt;
 
 use super::distortion::Distortion;
 use super::polynomial::{derivative, evaluate, product, sign_changes};
 use glam::{DMat2, DVec2, DVec3};
+use tilt::Tilt;
 
 /// Radii beyond this (within a microradian of 90 degrees from the axis) are imaged only by fisheyes.
 const RADIUS_LIMIT: f64 = 1e6;
@@ -29,7 +34,7 @@ pub struct Lens(Kind);
 #[derive(Clone, Debug)]
 enum Kind {
     Pinhole,
-    Brown(Brown),
+    Brown(Brown, Option<Tilt>),
     Fisheye(Fisheye),
 }
 
@@ -70,9 +75,12 @@ impl Lens {
     fn new(model: &Distortion) -> Self {
         Self(match *model {
             Distortion::None => Kind::Pinhole,
-            Distortion::PlumbBob([k1, k2, p1, p2, k3]) => Kind::Brown(Brown::new([k1, k2, k3], [0.0; 3], p1, p2)),
-            Distortion::RationalPolynomial([k1, k2, p1, p2, k3, k4, k5, k6]) => {
-                Kind::Brown(Brown::new([k1, k2, k3], [k4, k5, k6], p1, p2))
+            Distortion::PlumbBob([k1, k2, p1, p2, k3]) => {
+                Kind::Brown(Brown::new([k1, k2, k3], [0.0; 3], [p1, p2], [0.0; 4]), None)
+            }
+            Distortion::RationalPolynomial([k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tau_x, tau_y]) => {
+                let tilt = (tau_x != 0.0 || tau_y != 0.0).then(|| Tilt::new(tau_x, tau_y));
+                Kind::Brown(Brown::new([k1, k2, k3], [k4, k5, k6], [p1, p2], [s1, s2, s3, s4]), tilt)
             }
             Distortion::Equidistant(k) => Kind::Fisheye(Fisheye::new(k)),
         })
@@ -85,7 +93,11 @@ impl Lens {
         }
         match &self.0 {
             Kind::Pinhole => Some(DVec3::new(xd, yd, 1.0)),
-            Kind::Brown(brown) => brown.undistort(DVec2::new(xd, yd)).map(|p| p.extend(1.0)),
+            Kind::Brown(brown, tilt) => {
+                let image = DVec2::new(xd, yd);
+                let upright = tilt.as_ref().map_or(Some(image), |tilt| tilt.upright(image))?;
+                brown.undistort(upright).map(|p| p.extend(1.0))
+            }
             Kind::Fisheye(fisheye) => fisheye.undistort(xd, yd),
         }
     }
@@ -98,7 +110,10 @@ impl Lens {
         }
         let x = (p.is_finite() && p.z > 0.0).then(|| DVec2::new(p.x / p.z, p.y / p.z))?;
         match &self.0 {
-            Kind::Brown(brown) => brown.contains(x).then(|| brown.forward(x).into()),
+            Kind::Brown(brown, tilt) => {
+                let upright = brown.contains(x).then(|| brown.forward(x))?;
+                tilt.as_ref().map_or(Some(upright), |tilt| tilt.tilted(upright)).map(DVec2::into)
+            }
             _ => Some(x.into()),
         }
     }
@@ -113,6 +128,8 @@ struct Brown {
     denominator: [f64; 4],
     /// (p2, p1).
     tangential: DVec2,
+    /// (s1, s3) and (s2, s4).
+    prism: [DVec2; 2],
     /// Radius at which the radial part alone turns back.
     radial_fold: f64,
     /// Radius at which the denominator falls to zero.
@@ -132,7 +149,7 @@ struct Radial {
 }
 
 impl Brown {
-    fn new(numerator: [f64; 3], denominator: [f64; 3], p1: f64, p2: f64) -> Self {
+    fn new(numerator: [f64; 3], denominator: [f64; 3], [p1, p2]: [f64; 2], [s1, s2, s3, s4]: [f64; 4]) -> Self {
         let with_one = |[a, b, c]: [f64; 3]| [1.0, a, b, c];
         let (n, d) = (with_one(numerator), with_one(denominator));
         let first = |a: &[f64]| {
@@ -149,16 +166,27 @@ impl Brown {
             numerator: n,
             denominator: d,
             tangential: DVec2::new(p2, p1),
+            prism: [DVec2::new(s1, s3), DVec2::new(s2, s4)],
             radial_fold: first(&turn).min(pole),
             pole,
             safe: 0.0,
             reach: f64::INFINITY,
         };
         brown.safe = brown.safe_radius();
-        if brown.tangential != DVec2::ZERO {
+        if !brown.is_round() {
             brown.reach = brown.image_reach();
         }
         brown
+    }
+
+    /// True if the model is the same in every direction.
+    fn is_round(&self) -> bool {
+        self.tangential == DVec2::ZERO && self.prism == [DVec2::ZERO; 2]
+    }
+
+    /// Half the derivative of the thin prism terms along a direction, divided by the radius.
+    fn bend(&self, s: f64) -> DVec2 {
+        self.prism[0] + 2.0 * s * self.prism[1]
     }
 
     fn radial(&self, s: f64) -> Radial {
@@ -171,7 +199,8 @@ impl Brown {
 
     fn forward(&self, x: DVec2) -> DVec2 {
         let s = x.length_squared();
-        x * (self.radial(s).stretch + 2.0 * self.tangential.dot(x)) + s * self.tangential
+        let across = self.tangential + self.prism[0] + s * self.prism[1];
+        x * (self.radial(s).stretch + 2.0 * self.tangential.dot(x)) + s * across
     }
 
     fn jacobian(&self, x: DVec2) -> DMat2 {
@@ -181,33 +210,40 @@ impl Brown {
         let cross = 2.0 * (slope * x.x * x.y + p.x * x.y + p.y * x.x);
         let xx = diagonal + 2.0 * slope * x.x * x.x + 4.0 * p.x * x.x;
         let yy = diagonal + 2.0 * slope * x.y * x.y + 4.0 * p.y * x.y;
-        DMat2::from_cols(DVec2::new(xx, cross), DVec2::new(cross, yy))
+        let bend = 2.0 * self.bend(x.length_squared());
+        DMat2::from_cols(DVec2::new(xx, cross) + bend * x.x, DVec2::new(cross, yy) + bend * x.y)
     }
 
-    /// True if J is positive definite at radius r, where p has component a along the direction and b across it.
-    fn definite(&self, r: f64, a: f64, b: f64) -> bool {
+    /// True if S is positive definite at radius r, where p and q have these components along the direction and across it.
+    fn definite(&self, r: f64, [p_along, p_across]: [f64; 2], [q_along, q_across]: [f64; 2]) -> bool {
         let Radial { stretch, slope } = self.radial(r * r);
-        let along = stretch + 2.0 * slope * r * r + 6.0 * a * r;
-        let across = stretch + 2.0 * a * r;
-        along > 0.0 && across > 0.0 && along * across > 4.0 * b * b * r * r
+        let along = stretch + 2.0 * slope * r * r + 6.0 * p_along * r + 2.0 * q_along * r;
+        let across = stretch + 2.0 * p_along * r;
+        let shear = (2.0 * p_across + q_across) * r;
+        along > 0.0 && across > 0.0 && along * across > shear * shear
     }
 
-    /// The radius up to which J is positive definite for any direction of the tangential terms.
+    /// The radius up to which S is positive definite for any direction of the tangential and prism terms.
     fn safe_radius(&self) -> f64 {
-        let p = self.tangential.length();
-        if p == 0.0 {
+        if self.is_round() {
             return self.radial_fold;
         }
-        // Conservative: |a| and |b| are at most |p|, but cannot both reach it.
+        let p = self.tangential.length();
+        let [q, q_slope] = self.prism.map(DVec2::length);
+        // Conservative: no component exceeds the length, but not all can reach it.
+        let definite = |r: f64| {
+            let q = q + 2.0 * r * r * q_slope;
+            self.definite(r, [-p, p], [-q, q])
+        };
         let mut good = 0.0;
         let mut bad = 1e-3;
-        while bad < self.radial_fold && self.definite(bad, -p, p) {
+        while bad < self.radial_fold && definite(bad) {
             (good, bad) = (bad, bad * 1.002);
         }
         bad = bad.min(self.radial_fold);
         for _ in 0..60 {
             let middle = 0.5 * (good + bad);
-            if self.definite(middle, -p, p) { good = middle } else { bad = middle }
+            if definite(middle) { good = middle } else { bad = middle }
         }
         good
     }
@@ -215,18 +251,18 @@ impl Brown {
     /// True in the region around the axis where the model is one to one.
     fn contains(&self, x: DVec2) -> bool {
         let radius = x.length();
-        radius <= self.safe
-            || self.tangential != DVec2::ZERO && radius < self.pole && self.fold(x / radius, radius).is_none()
+        radius <= self.safe || !self.is_round() && radius < self.pole && self.fold(x / radius, radius).is_none()
     }
 
-    /// The first radius along `towards`, beyond the safe one and up to `end`, at which J is not positive definite.
+    /// The first radius along `towards`, beyond the safe one and up to `end`, at which S is not positive definite.
     fn fold(&self, towards: DVec2, end: f64) -> Option<f64> {
-        let (a, b) = (self.tangential.dot(towards), self.tangential.perp_dot(towards));
+        let parts = |v: DVec2| [v.dot(towards), v.perp_dot(towards)];
+        let p = parts(self.tangential);
         let mut r = self.safe;
         while r < end {
             // Not `clamp`, which panics if `end` is below the first step.
             r = (r * 1.002).max(1e-6).min(end);
-            if !self.definite(r, a, b) {
+            if !self.definite(r, p, parts(self.bend(r * r))) {
                 return Some(r);
             }
         }
@@ -259,7 +295,7 @@ impl Brown {
             (r * stretch, stretch + 2.0 * slope * r * r)
         };
         let radial = solve_rising(image_radius, radius, self.radial_fold);
-        if self.tangential == DVec2::ZERO {
+        if self.is_round() {
             return radial.map(|r| xd * (r / radius));
         }
         // The radial solution is usually close. If Newton fails from there, follow the path from the axis.
@@ -267,7 +303,7 @@ impl Brown {
         near.filter(|x| self.contains(*x)).or_else(|| self.follow(xd)).filter(|x| self.contains(*x))
     }
 
-    /// Newton's method, kept inside the region where J is positive definite. Returns `None` if it does not converge.
+    /// Newton's method, kept where det J is positive. Returns `None` if it does not converge.
     fn newton(&self, start: DVec2, target: DVec2) -> Option<DVec2> {
         let tolerance = RESIDUAL * target.length().max(1.0);
         let mut x = start;

@@ -23,20 +23,30 @@ impl Fold {
     pub const BEYOND: Self = Self { side: 1.0 };
 }
 
-/// One folding lens of each model. The last has tangential terms, so the radius of its fold depends on the direction.
-fn models() -> [Distortion; 4] {
+/// One folding lens of each model. The last three have tangential and thin prism terms, so the radius of their fold
+/// depends on the direction; the very last has a tilted image sensor too.
+fn models() -> [Distortion; 6] {
+    let prism = [-0.4, 0.02, 1e-3, -2e-3, 0.0, 0.05, 0.0, 0.0, 4e-3, -2e-3, -3e-3, 1e-3, 0.0, 0.0];
+    let mut tilted = prism;
+    tilted[12..].copy_from_slice(&[0.03, -0.02]);
     [
         Distortion::PlumbBob([-0.3, 0.0, 0.0, 0.0, 0.0]),
-        Distortion::RationalPolynomial([-0.4, 0.02, 0.0, 0.0, 0.0, 0.05, 0.0, 0.0]),
+        Distortion::RationalPolynomial(std::array::from_fn(|i| if [0, 1, 5].contains(&i) { prism[i] } else { 0.0 })),
         Distortion::Equidistant([-0.05, -0.01, 0.0, 0.0]),
         Distortion::PlumbBob([-0.3, 0.0, 0.003, -0.002, 0.0]),
+        Distortion::RationalPolynomial(prism),
+        Distortion::RationalPolynomial(tilted),
     ]
 }
 
-/// Image radius of the fold; for models with tangential terms, of their radial part.
+/// Image radius of the fold; for models with other terms, of their radial part.
 fn fold(model: &Distortion) -> f64 {
     let radial = match model {
         Distortion::PlumbBob([k1, k2, _, _, k3]) => Distortion::PlumbBob([*k1, *k2, 0.0, 0.0, *k3]),
+        Distortion::RationalPolynomial([k1, k2, _, _, k3, k4, k5, k6, ..]) => {
+            let [k1, k2, k3, k4, k5, k6] = [*k1, *k2, *k3, *k4, *k5, *k6];
+            Distortion::RationalPolynomial([k1, k2, 0., 0., k3, k4, k5, k6, 0., 0., 0., 0., 0., 0.])
+        }
         other => other.clone(),
     };
     Exact::new(&radial).fold.map_or(1.0, |fold| fold.to_f64())
@@ -49,7 +59,7 @@ impl Family for Fold {
 
     fn about(&self) -> &'static str {
         if self.side < 0.0 {
-            "Image points ever closer to the fold of four lens models (for tangential terms, the fold of the radial \
+            "Image points ever closer to the fold of six lenses (for terms that are not radial, the fold of the radial \
              part; the true fold is known to 1e-9): image coordinates of rays (engine \"sensor\"), and ranges of a \
              wall."
         } else {
