@@ -248,7 +248,7 @@ fn a_wall_behind_a_fence_is_half_visible() {
         let mut environment = scenes::empty();
         let insert = |environment: &mut Environment, name: &str, low: [f32; 3], high: [f32; 3]| {
             let mesh = std::sync::Arc::new(scenes::cuboid(low.into(), high.into()));
-            environment.insert(presight_model::environment::NewObject::new(name, Pose::IDENTITY, mesh)).unwrap()
+            environment.insert(NewObject::new(name, Pose::IDENTITY, mesh)).unwrap()
         };
         let wall = insert(&mut environment, "wall", [4.0, -3.0, -3.0], [4.1, 3.0, 3.0]);
         let pixel = {
