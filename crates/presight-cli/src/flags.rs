@@ -7,6 +7,7 @@ const WORDS: [(&str, &str); 11] = [
     ("`ImportOptions::up`", "--up"),
     ("`PoseFrame::Optical`", "--pose-frame optical"),
     ("`PoseOf::Robot`", "--pose-of robot"),
+    ("`SceneOptions::exclude`", "--exclude"),
     ("`Settings::floor_z_world`", "--floor-z"),
     ("`View::features` of a layer", "a --layer"),
     ("`cascade: true`", "--cascade"),
