@@ -7,7 +7,7 @@ use std::fs::{self, File};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-/// A file of lines. Each line is in the file as soon as it is added.
+/// A file of lines. Adding a line writes it at once.
 #[derive(Debug)]
 pub struct GrowingFile {
     file: File,
@@ -58,7 +58,7 @@ impl GrowingFile {
     }
 }
 
-/// True for a device, a pipe or an open file of this process, which is written as it is.
+/// True for a device, a pipe or an open file of this process: output goes into it, and nothing replaces it.
 pub fn is_through(path: &Path) -> bool {
     is_given(path) || fs::metadata(path).is_ok_and(|m| !m.is_file() && !m.is_dir())
 }

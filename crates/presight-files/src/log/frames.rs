@@ -124,7 +124,7 @@ impl Frames {
         self.has_planar_poses
     }
 
-    /// What the readings of the frames so far were taken as, in one line; `None` if every reading is a distance.
+    /// One line that counts the readings of the frames so far by their meaning; `None` if every reading is a distance.
     pub fn notice(&self) -> Option<String> {
         self.readings.notice()
     }

@@ -130,7 +130,7 @@ impl Readings {
         }
     }
 
-    /// What was taken as what, in one line; `None` if every reading is a distance.
+    /// One line that counts the readings by their meaning; `None` if every reading is a distance.
     pub fn notice(&self) -> Option<String> {
         let outside = format!("outside of {}..{} m", self.limits.0, self.limits.1);
         let none = [(self.missing, self.missing_as), (self.zero, "0"), (self.outside, outside.as_str())];

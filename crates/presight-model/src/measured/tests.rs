@@ -37,7 +37,7 @@ fn what_is_no_measurement_is_nan() {
     for none in [0.0, -0.0, -0.5, 0.099, 16.01, 65.533, f32::MAX] {
         assert!(with(none).ranges()[9].is_nan() && with(none).sensed().values()[9] == none, "{none}");
     }
-    // The limits are those of the range, not of the depth: 12 m of depth in the corner are 14.2 m of range.
+    // The limits hold for the range, not for the depth: 12 m of depth in the corner are 14.2 m of range.
     let depth = |z: f32| Frame::new(0.0, Sensor::new(spec.clone()).unwrap(), Measurement::DepthZ(vec![z; 24])).unwrap();
     assert!((depth(12.0).ranges()[0] - 14.151).abs() < 1e-3 && depth(14.0).ranges()[0].is_nan());
     assert!(depth(14.0).ranges()[9].is_finite(), "the same depth ahead");
