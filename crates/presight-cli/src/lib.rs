@@ -20,6 +20,7 @@ mod localize;
 mod outputs;
 mod overlap;
 pub mod pose;
+mod pose_series;
 mod predict;
 mod predict_poses;
 mod print;

@@ -7,6 +7,7 @@ use super::frame_args::FrameArgs;
 use super::layers::{LayerArgs, Layers, NamedRequest};
 use super::outputs::OutputFiles;
 use super::pose::{PoseArgs, PoseOf};
+use super::pose_series::Poses;
 use super::sensor_args::SensorArgs;
 use super::statistics::{Statistics, Subject};
 use super::summary::Summary;
@@ -18,12 +19,10 @@ use presight::{Scene, blake3_of};
 use presight_features::{BoxOptions, SeenFeature};
 use presight_files::atomic::write_atomically;
 use presight_files::gltf::ImportOptions;
-use presight_files::{exr, load_robot, npy, pcd, ply, sensor_toml, tum};
+use presight_files::{exr, load_robot, npy, pcd, ply, sensor_toml};
 use presight_model::error::{Error, Result};
-use presight_model::limits;
 use presight_model::memory;
 use presight_model::memory::FrameMemory;
-use presight_model::poses::ExternalPose;
 use presight_model::sensor::{Geometry, Sensor};
 use presight_model::threads::Threads;
 use presight_pictures as png;
@@ -207,27 +206,6 @@ enum PointsFrameArg {
     World,
 }
 
-/// A pose with its time stamp as written.
-pub type NamedPose = (String, ExternalPose);
-
-/// The poses to predict at.
-pub enum Poses {
-    /// Poses that are known before any work.
-    Given(Vec<NamedPose>),
-    /// Poses that come through a pipe. An error ends them.
-    Coming(Box<dyn Iterator<Item = Result<NamedPose>>>),
-}
-
-impl Poses {
-    /// Returns the poses that are known before any work.
-    pub fn given(&self) -> &[NamedPose] {
-        match self {
-            Self::Given(poses) => poses,
-            Self::Coming(_) => &[],
-        }
-    }
-}
-
 /// The arguments, checked as far as possible without opening the scene.
 pub struct Job {
     /// Without --poses, one pose with an empty stamp.
@@ -321,43 +299,17 @@ impl Args {
     }
 
     /// The file of `--poses`; `-` is stdin, which may be a file too.
-    fn pose_file(&self) -> Option<&Path> {
+    pub fn pose_file(&self) -> Option<&Path> {
         self.poses.as_deref().map(|path| if path == Path::new("-") { Path::new("/dev/stdin") } else { path })
     }
 
     /// The poses. Files need all of them before any work: their names must differ, and arrays hold all poses.
     fn poses_for(&self, names: &FileNames) -> Result<Poses> {
         let of = if self.robot.is_some() { PoseOf::Robot } else { PoseOf::Sensor };
-        let Some(path) = self.pose_file() else {
-            return Ok(Poses::Given(vec![(String::new(), self.pose.parse_as(of)?)]));
-        };
-        let is_pipe = path.metadata().is_ok_and(|m| !m.is_file() && !m.is_dir());
-        if is_pipe && !names.write_predictions() {
-            let meaning = self.pose.clone();
-            let poses = tum::stream_with_stamps(path)?;
-            return Ok(Poses::Coming(Box::new(poses.map(move |pose| {
-                let (stamp, stamped) = pose?;
-                Ok((stamp, meaning.given(stamped.pose, of)?))
-            }))));
+        match self.pose_file() {
+            None => Ok(Poses::Given(vec![(String::new(), self.pose.parse_as(of)?)])),
+            Some(path) => Poses::read(path, &self.pose, of, names.write_predictions()),
         }
-        let poses = tum::read_with_stamps(path)?;
-        if poses.is_empty() {
-            return Err(self.no_poses());
-        }
-        if poses.len() > limits::MAX_SERIES {
-            let what = format!("there are {} poses", poses.len());
-            return Err(
-                Error::invalid(what, format!("the limit is {}: split the file", limits::MAX_SERIES)).in_file(path)
-            );
-        }
-        let poses = poses.into_iter().map(|(stamp, p)| Ok((stamp, self.pose.given(p.pose, of)?)));
-        poses.collect::<Result<_>>().map(Poses::Given)
-    }
-
-    /// The error of a pose file without a pose.
-    pub fn no_poses(&self) -> Error {
-        let remedy = "give at least one line of timestamp tx ty tz qx qy qz qw";
-        Error::invalid("the file has no poses", remedy).in_file(self.pose_file().unwrap_or(Path::new("")))
     }
 
     /// The flags of the virtual sensor.

@@ -3,7 +3,8 @@
 use super::file_names::{FileNames, Paths};
 use super::layers::Layers;
 use super::overlap::{make_and_write, make_then_write};
-use super::predict::{self, Args, Job, NamedPose, Poses, Shown};
+use super::pose_series::{NamedPose, Poses, no_poses};
+use super::predict::{self, Args, Job, Shown};
 use super::series::SeriesProgress;
 use super::stack::Stack;
 use super::summary::Summary;
@@ -56,9 +57,9 @@ pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     let bar = bar::bar(poses.given().len() as u64);
     let mut told = HashSet::new();
     let first = progress.as_ref().map_or(0, SeriesProgress::next);
-    let mut items = numbered(poses, first).peekable();
+    let mut items = poses.numbered(first).peekable();
     if first == 0 && items.peek().is_none() {
-        return Err(args.no_poses());
+        return Err(no_poses(args.pose_file().unwrap_or(Path::new(""))));
     }
     let make = |item: Result<(usize, NamedPose)>, spare: Option<Frames>| {
         let (index, (stamp, pose)) = item?;
@@ -82,14 +83,6 @@ pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     progress.map_or(Ok(()), SeriesProgress::remove)?;
     bar.finish_and_clear();
     Ok(CommandOutcome::Done)
-}
-
-/// The poses from number `first` on, with their numbers.
-fn numbered(poses: Poses, first: usize) -> Box<dyn Iterator<Item = Result<(usize, NamedPose)>>> {
-    match poses {
-        Poses::Given(poses) => Box::new(poses.into_iter().enumerate().skip(first).map(Ok)),
-        Poses::Coming(poses) => Box::new(poses.enumerate().map(|(index, pose)| Ok((index, pose?)))),
-    }
 }
 
 /// The memory for `kept` predictions of all sensors, and for the work on one of them, bytes.

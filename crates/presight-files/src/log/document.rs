@@ -1,6 +1,6 @@
 //! Planar laser scans in the form of public data sets: one JSON object with a list `scans`.
 //!
-//! Keys of the document: `beams`, `angle_min`, `angle_max` (radians), `counter_clockwise`, `range_max`, `range_std`,
+//! Keys of the document: `beams`, `angle_min`, `angle_max` (radians), `counter_clockwise`, `range_min` (default 0), `range_max`, `range_std`,
 //! `sensor_on_robot` {x, y, z, yaw}; or in an object `scan`: `beams`, `angle_min_deg`, `step_deg`, `height_m`,
 //! `range_max`. Keys of a scan: `ranges` (metres, and the other readings of [`super::lines`]), and optionally `valid` (a digit for each beam, 1
 //! for a reading), `t` (seconds; default: the index of the scan), `odometry_increment` [x, y, yaw] and the robot's pose
@@ -32,6 +32,7 @@ struct File {
     angle_min: Option<f64>,
     angle_max: Option<f64>,
     counter_clockwise: Option<bool>,
+    range_min: Option<f64>,
     range_max: Option<f64>,
     range_std: Option<f64>,
     sensor_on_robot: Option<Mount>,
@@ -167,7 +168,7 @@ fn spec(file: &File, name: String) -> Result<SensorSpec> {
     let scanner = Scanner { azimuth, elevation, beam_height_deg: None };
     let noise = Noise { range_sigma: file.range_std.unwrap_or(0.0), ..Noise::default() };
     let spec = SensorSpec::new(name, "laser", Geometry::Scanner(scanner));
-    Ok(spec.with_limits(0.0, range_max).with_mount(mount).with_noise(noise))
+    Ok(spec.with_limits(file.range_min.unwrap_or(0.0), range_max).with_mount(mount).with_noise(noise))
 }
 
 /// Angles of the beams: rising if counter-clockwise, otherwise falling.
@@ -206,6 +207,14 @@ mod tests {
     fn a_missing_range_is_no_reading() {
         let frame = parse("1.5").unwrap().next().unwrap().unwrap();
         assert!(frame.range[0] == 2.5 && frame.range[1].is_nan() && frame.range[2].is_nan());
+    }
+
+    /// ROS's messages have the key `range_min`, and drivers report readings below it.
+    #[test]
+    fn range_min_is_a_limit() {
+        let text = text("1.5").replace("\"range_max\"", "\"range_min\":2.6,\"range_max\"");
+        let document = Document::parse(Path::new("scans.json"), text.into_bytes()).unwrap();
+        assert_eq!((document.sensor.spec().range_min, document.sensor.spec().range_max), (2.6, 8.0));
     }
 
     /// Some programs leave out the key `valid`.
