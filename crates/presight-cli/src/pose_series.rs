@@ -54,6 +54,15 @@ impl Poses {
         }
     }
 
+    /// The time stamps for file names.
+    pub fn stamps(&self) -> Vec<&str> {
+        match self {
+            Self::Given(poses) => poses.iter().map(|(stamp, _)| stamp.as_str()).collect(),
+            // Poses of a pipe have no files of their own, but the file of the rays belongs to all of them.
+            Self::Coming(_) => vec![""],
+        }
+    }
+
     /// The poses from number `first` on, with their numbers.
     pub fn numbered(self, first: usize) -> Box<dyn Iterator<Item = Result<(usize, NamedPose)>>> {
         match self {

@@ -227,12 +227,7 @@ impl Args {
         let mut files = OutputFiles::default();
         let names = self.names()?;
         let (poses, sensors) = (self.poses_for(&names)?, self.sensors()?);
-        let stamps: Vec<&str> = match &poses {
-            Poses::Given(poses) => poses.iter().map(|(stamp, _)| stamp.as_str()).collect(),
-            // None of its poses has a file; the file of the rays belongs to all of them.
-            Poses::Coming(_) => vec![""],
-        };
-        names.add_to(&mut files, &stamps, &sensors)?;
+        names.add_to(&mut files, &poses.stamps(), &sensors)?;
         files.add("--stats", self.stats.as_deref(), &["json"])?;
         files.add("--costs", self.deadline.costs.as_deref(), &["json"])?;
         files.check_named(self.inputs())?;
