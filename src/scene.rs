@@ -5,14 +5,17 @@ use presight_files::file;
 use presight_files::gltf::{ImportOptions, import, import_bytes};
 use presight_files::layer::{self, LayerFile};
 use presight_files::preparation::{ImportReport, ImportedScene, SceneFrame};
+use presight_model::change::Change;
 use presight_model::environment::{Feature, FeatureLayer, FeatureShape};
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::geometry::Pose;
 use presight_model::index::IndexKind;
 use presight_model::limits;
 use presight_model::placement::{self, Placement};
+use presight_model::printable;
 use presight_model::threads::Threads;
 use presight_model::world::World;
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -42,6 +45,8 @@ pub struct Scene {
     pub report: ImportReport,
     /// The files that the scene consists of: `path`, and all that it names, such as buffers, images and modules.
     pub files: Vec<PathBuf>,
+    /// Paths of the objects that were left out ([`SceneOptions::exclude`]).
+    pub excluded: BTreeSet<String>,
 }
 
 /// How a scene is opened.
@@ -55,6 +60,10 @@ pub struct Scene {
 /// let options = SceneOptions::default().with_import(import).with_index(IndexKind::None);
 /// let scene = Scene::open_with("scenes/room.glb", &options, &mut |line| println!("{line}"))?;
 /// assert!(matches!(scene.world.index().kind(), IndexKind::None));
+/// // The door with its frame and leaf is left out.
+/// let options = SceneOptions::default().with_exclude(&["room/building/door".into()]);
+/// let open = Scene::open_with("scenes/room.glb", &options, &mut |line| println!("{line}"))?;
+/// assert!(open.excluded.contains("room/building/door/leaf"));
 /// # Ok::<(), presight::Error>(())
 /// ```
 #[derive(Clone, Debug, Default)]
@@ -64,6 +73,9 @@ pub struct SceneOptions {
     pub import: ImportOptions,
     /// The index that the world gets.
     pub index: IndexKind,
+    /// Paths of objects and groups that are left out, with everything below them and the features on them: the robot
+    /// itself, for example. Other objects keep their ids.
+    pub exclude: Vec<String>,
 }
 
 impl SceneOptions {
@@ -77,6 +89,12 @@ impl SceneOptions {
     #[must_use]
     pub fn with_index(self, index: IndexKind) -> Self {
         Self { index, ..self }
+    }
+
+    /// Sets the objects and groups that are left out.
+    #[must_use]
+    pub fn with_exclude(self, exclude: &[String]) -> Self {
+        Self { exclude: exclude.to_vec(), ..self }
     }
 }
 
@@ -131,7 +149,30 @@ impl Scene {
 
     fn read(source: Source<'_>, options: &SceneOptions, say: &mut dyn FnMut(&str)) -> Result<Self> {
         let threads = options.import.threads.started()?;
-        Self::read_unnamed(source, options, &threads, say).map_err(|e| e.in_file(source.path()))
+        let mut scene = Self::read_unnamed(source, options, &threads, say).map_err(|e| e.in_file(source.path()))?;
+        scene.leave_out(&options.exclude).map_err(|e| e.in_file(source.path()))?;
+        Ok(scene)
+    }
+
+    /// Deletes objects and groups with everything below them.
+    fn leave_out(&mut self, names: &[String]) -> Result<()> {
+        let environment = self.world.environment();
+        for name in names {
+            let below = environment.below(name).map(|index| &environment.objects()[index as usize]);
+            let before = self.excluded.len();
+            self.excluded.extend(environment.object(name).into_iter().chain(below).map(|object| object.name.clone()));
+            if self.excluded.len() == before && !self.excluded.contains(name) {
+                let what = format!("`SceneOptions::exclude`: there is no object {}", printable::quoted(name));
+                return Err(Error::usage(what, "presight inspect lists the objects"));
+            }
+        }
+        // What lies below a path goes first, so that no path turns into a group on the way.
+        let delete = |name: &String| Change::DeleteObject { name: name.clone() };
+        let changes: Vec<Change> = self.excluded.iter().rev().map(delete).collect();
+        if !changes.is_empty() {
+            self.world.apply(Change::of(changes))?;
+        }
+        Ok(())
     }
 
     fn read_unnamed(
@@ -170,6 +211,7 @@ impl Scene {
             world_from_gltf,
             report: imported.report,
             files: imported.files,
+            excluded: BTreeSet::new(),
         })
     }
 
@@ -214,7 +256,7 @@ impl Scene {
         self.place_layers_of(files, class, |_| true)
     }
 
-    /// As [`Scene::place_layers`], only for features whose shape is `wanted`.
+    /// As [`Scene::place_layers`], only for features whose shape is `wanted`. Features on excluded objects are left out.
     ///
     /// # Errors
     /// As [`Scene::place_layers`].
@@ -225,7 +267,11 @@ impl Scene {
         wanted: impl Fn(&FeatureShape) -> bool,
     ) -> Result<SceneFeatures> {
         let mut loaded = layer::load(self.world.environment().layer(class), files, class)?;
-        loaded.layers.iter_mut().for_each(|l| l.layer.features.retain(|f| wanted(&f.shape)));
+        let is_there = |object: &String| !self.excluded.contains(object);
+        for LayerFile { layer, .. } in &mut loaded.layers {
+            layer.features.retain(|f| wanted(&f.shape) && f.object.as_ref().is_none_or(is_there));
+            layer.pose_covariances.retain(|(object, _)| is_there(object));
+        }
         let (mut all, mut objects) = (Placement::default(), Vec::new());
         for LayerFile { layer, path, lost, .. } in &loaded.layers {
             let in_file = |e: Error| e.in_file(path.as_ref().unwrap_or(&self.path));
@@ -236,6 +282,8 @@ impl Scene {
                 Ok(())
             };
             match path {
+                // A feature of the world may lie on an excluded object.
+                _ if !self.excluded.is_empty() => set_apart(layer)?,
                 None => set_apart(layer)?,
                 Some(_) if lost.is_empty() => all.placed.extend(place(&self.world, layer).map_err(in_file)?),
                 Some(_) => {
@@ -359,7 +407,15 @@ fn stored(path: &Path, kind: &IndexKind) -> Result<Scene> {
     }
     // The axes of the file that `env export` writes.
     let world_from_gltf = SceneFrame::default().world_from_axes();
-    Ok(Scene { path: path.to_owned(), world, frame: None, world_from_gltf, report, files: vec![path.to_owned()] })
+    Ok(Scene {
+        path: path.to_owned(),
+        world,
+        frame: None,
+        world_from_gltf,
+        report,
+        files: vec![path.to_owned()],
+        excluded: BTreeSet::new(),
+    })
 }
 
 #[cfg(not(feature = "store"))]

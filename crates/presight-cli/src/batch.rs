@@ -348,8 +348,8 @@ fn frame_of(frame: &str) -> (PathBuf, Option<usize>) {
     numbered.map_or_else(|| (frame.into(), None), |(file, index)| (file.into(), Some(index)))
 }
 
-fn read_sensed(frame: &str, sensor: &Sensor, cell: PoseCell) -> Result<RangeLikelihood> {
-    let (path, index) = frame_of(frame);
+fn read_sensed(frame_name: &str, sensor: &Sensor, cell: PoseCell) -> Result<RangeLikelihood> {
+    let (path, index) = frame_of(frame_name);
     let range = match index {
         Some(index) => {
             let (of_log, sensed) = log::read_frame(&path, index)?;
@@ -369,8 +369,11 @@ fn read_sensed(frame: &str, sensor: &Sensor, cell: PoseCell) -> Result<RangeLike
             range
         }
     };
-    let frame = Frame::new(0.0, sensor.clone(), Measurement::Range(range));
-    frame.and_then(|frame| RangeLikelihood::new(&frame, cell)).map_err(|e| e.in_file(&path))
+    let frame = Frame::new(0.0, sensor.clone(), Measurement::Range(range)).map_err(|e| e.in_file(&path))?;
+    let mut readings = log::Readings::new("null or NaN");
+    readings.add(&frame);
+    print::notices(&readings.notice().map(|notice| format!("{frame_name}: {notice}")));
+    RangeLikelihood::new(&frame, cell).map_err(|e| e.in_file(&path))
 }
 
 /// A summary of the pose file, which is read in full at the start so that errors in it are found before any work.

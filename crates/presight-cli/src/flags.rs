@@ -1,12 +1,13 @@
 //! The library's names of arguments, as the flags that the user of the command gives.
 
 /// The words of the library's messages, and the command's words for them.
-const WORDS: [(&str, &str); 11] = [
+const WORDS: [(&str, &str); 12] = [
     ("`Backend::Cpu`", "--backend cpu"),
     ("`ImportOptions::scale`", "--scale"),
     ("`ImportOptions::up`", "--up"),
     ("`PoseFrame::Optical`", "--pose-frame optical"),
     ("`PoseOf::Robot`", "--pose-of robot"),
+    ("`SceneOptions::exclude`", "--exclude"),
     ("`Settings::floor_z_world`", "--floor-z"),
     ("`View::features` of a layer", "a --layer"),
     ("`cascade: true`", "--cascade"),

@@ -20,6 +20,7 @@ mod localize;
 mod outputs;
 mod overlap;
 pub mod pose;
+mod pose_series;
 mod predict;
 mod predict_poses;
 mod print;
@@ -180,7 +181,12 @@ fn command() -> clap::Command {
 
 /// Opens a scene. Output of a script's `print` and notices of the import go to stderr.
 fn open_scene(path: &Path, import: &ImportOptions, index: IndexKind) -> Result<Scene> {
-    let options = SceneOptions::default().with_import(import.clone()).with_index(index);
+    open_scene_without(path, import, index, &[])
+}
+
+/// As [`open_scene`], without these objects and groups.
+fn open_scene_without(path: &Path, import: &ImportOptions, index: IndexKind, exclude: &[String]) -> Result<Scene> {
+    let options = SceneOptions::default().with_import(import.clone()).with_index(index).with_exclude(exclude);
     let scene = Scene::open_with(path, &options, &mut print::message)?;
     print::notices(&scene.report.notices);
     Ok(scene)

@@ -3,12 +3,12 @@
 use super::outputs::OutputFiles;
 use super::pose::parse_pose;
 use super::sensor_args::SensorArgs;
-use super::{CommandOutcome, open_scene, print};
+use super::{CommandOutcome, open_scene_without, print};
 use presight::Scene;
 use presight_features::PlacedFeatures;
-use presight_files::atomic::write_atomically;
 use presight_files::depth_folder::DepthFolder;
 use presight_files::gltf::ImportOptions;
+use presight_files::growing::{GrowingFile, is_through};
 use presight_files::load_sensor;
 use presight_files::log::{Frames, Observation};
 use presight_localize::estimate::{EstimateOptions, Estimator, Freedom};
@@ -23,7 +23,6 @@ use presight_model::measured::{Frame, OdometryNoise};
 use presight_model::sensor::{Geometry, Sensor};
 use presight_model::threads::Threads;
 use presight_predict::predict::{Backend, Options, Predictor};
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 const EXAMPLES: &str = "Examples:
@@ -39,7 +38,9 @@ const EXAMPLES: &str = "Examples:
 /// (grey/*.png), or of both; a file of ranges (a log of format 1, or a document of planar scans); a scan; or a folder
 /// of scans (.ply, .pcd, .csv, .exr). Features of --layer are detected in grey images, its reflectors in scans with
 /// intensities. With a level scanner of one row only x, y and yaw are estimated. FILE.jsonl next to FILE.tum gets
-/// covariance, state and verdicts of every frame. FILE.tum has no line for a frame whose pose is not known.
+/// covariance, state and verdicts of every frame. FILE.tum has no line for a frame whose pose is not known. Both grow
+/// by a line as each frame comes, and stay after an error or a signal. A log of ranges can come from a pipe
+/// (/dev/stdin); a device or pipe as --out gets the poses without FILE.jsonl.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -102,7 +103,11 @@ pub struct Drive {
     #[arg(long)]
     pub own_features: bool,
 
-    /// Height of the robot's frame in a search of the whole map, metres
+    /// Leave out these objects of the map, with everything below them, such as the robot itself
+    #[arg(long, value_name = "OBJECT", num_args = 1..)]
+    exclude: Vec<String>,
+
+    /// Height of the robot's frame in a search of the whole map, and of the poses of a document of planar scans, metres
     #[arg(long, value_name = "METRES", default_value_t = 0.0, allow_hyphen_values = true)]
     floor: f64,
 
@@ -197,14 +202,14 @@ pub struct Followed {
 
 impl Drive {
     /// Tracks the robot through the log. Calls `visit` with each frame and its step. Before the first call it checks
-    /// that `files` would not overwrite an input.
+    /// that `files` would not overwrite an input. Prints what the readings were taken as, also after an error.
     ///
     /// # Errors
     /// Errors from reading the log, map and sensor, from the estimator, and from `visit`.
     pub fn follow(
         &self,
         files: OutputFiles,
-        mut visit: impl FnMut(&Scene, &Sensed<'_>, &Step) -> Result<()>,
+        visit: impl FnMut(&Scene, &Sensed<'_>, &Step) -> Result<()>,
     ) -> Result<Followed> {
         self.check()?;
         let beside = ["camera.json", "grey.toml", "poses.json", "poses.txt"].map(|name| self.log.join(name));
@@ -212,11 +217,22 @@ impl Drive {
         files.check_named([self.log.as_path(), self.map.as_path()].into_iter().chain(sensors))?;
         files.check_named(self.layers.iter().chain(&beside).map(PathBuf::as_path))?;
         let sensor = self.sensor.as_deref().map(|sensor| self.image.load(sensor)).transpose()?;
-        let log = Frames::open(&self.log, sensor.as_ref(), &self.odometry()?)?;
-        let measured = log.sensor().clone();
+        let mut log = Frames::open(&self.log, sensor.as_ref(), &self.odometry()?)?;
+        let followed = self.follow_log(&mut log, files, visit);
+        print::notices(&log.notice().map(|notice| format!("{}: {notice}", self.log.display())));
+        followed
+    }
+
+    fn follow_log(
+        &self,
+        log: &mut Frames,
+        files: OutputFiles,
+        mut visit: impl FnMut(&Scene, &Sensed<'_>, &Step) -> Result<()>,
+    ) -> Result<Followed> {
+        let (measured, is_planar) = (log.sensor().clone(), log.has_planar_poses());
         let mut log = log
             .skip_while(|o| matches!(o, Ok(o) if self.from.is_some_and(|from| o.frame.stamp < from)))
-            .map(|o| o.and_then(|o| self.thinned(o)));
+            .map(|o| o.and_then(|o| self.thinned(if is_planar { self.on_the_floor(o) } else { o })));
         let Some(first) = log.next().transpose()? else {
             let remedy = "give a log with frames, or an earlier --from";
             return Err(Error::invalid("the log has no frames", remedy).in_file(&self.log));
@@ -224,7 +240,7 @@ impl Drive {
         let threads = Threads::from(self.threads).started()?;
         let import = ImportOptions { threads: threads.clone(), ..ImportOptions::default() };
         let (start, options) = (self.start(&first)?, self.options(first.frame.sensor()));
-        let scene = open_scene(&self.map, &import, IndexKind::default())?;
+        let scene = open_scene_without(&self.map, &import, IndexKind::default(), &self.exclude)?;
         let mut grey = self.grey(&measured)?;
         let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads))?;
         let mut estimator = Estimator::new(predictor, options);
@@ -256,7 +272,7 @@ impl Drive {
             visit(&scene, &Sensed { frame: &frame, grey: grey.as_ref() }, &step)?;
             followed.features.push(FeatureCounts::of(&step.estimate.findings));
             step.estimate.findings.clear();
-            followed.counts.push(step.estimate.verdicts.first().map(Verdicts::counts).unwrap_or_default());
+            followed.counts.push(verdict_counts(&step));
             step.estimate.verdicts.clear();
             followed.steps.push(step);
             followed.reference.push(reference);
@@ -299,6 +315,12 @@ impl Drive {
             return Err(Error::usage(what, "give a layer and a sensor of the same class"));
         }
         Ok(Some(found.placed))
+    }
+
+    /// Lifts the reference of planar poses, which have no height, to the floor.
+    fn on_the_floor(&self, mut observation: Observation) -> Observation {
+        observation.reference.iter_mut().for_each(|pose| pose.translation.z = self.floor);
+        observation
     }
 
     fn thinned(&self, observation: Observation) -> Result<Observation> {
@@ -458,52 +480,74 @@ fn not_sought(placed: &PlacedFeatures) -> Option<String> {
 /// Runs the command.
 ///
 /// # Errors
-/// Those of [`Drive::follow`], and write errors.
+/// Those of [`Drive::follow`], and write errors. The lines of earlier frames stay.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     let mut files = OutputFiles::default();
-    let details = args.out.with_extension("jsonl");
     files.add("--out", Some(&args.out), &["tum"])?;
-    files.add_any(&details)?;
-    let followed = args.drive.follow(files, |_, _, _| Ok(()))?;
-    write(&args.out, &followed.steps)?;
-    write_details(&details, &followed)?;
+    let details = (!is_through(&args.out)).then(|| args.out.with_extension("jsonl"));
+    details.iter().try_for_each(|path| files.add_any(path))?;
+    let mut lines: Option<Lines> = None;
+    let followed = args.drive.follow(files, |_, _, step| {
+        // Only now: an error before the first step leaves the files of an earlier run.
+        let lines = match &mut lines {
+            Some(lines) => lines,
+            None => lines.insert(Lines::create(&args.out, details.as_deref())?),
+        };
+        lines.add(step)
+    })?;
+    lines.map_or(Ok(()), Lines::finish)?;
     print::data(&summary(&followed))?;
     print::notices(&args.drive.noise_is_assumed(&followed));
     Ok(CommandOutcome::Done)
 }
 
-/// Writes a line for each frame whose pose is known. `{}` prints an f64 with all of its digits.
-fn write(path: &Path, steps: &[Step]) -> Result<()> {
-    write_atomically(path, |file| {
-        for s in steps.iter().filter(|s| s.is_known()) {
-            let (t, q) = (s.pose.world_from_robot.translation, s.pose.world_from_robot.rotation);
-            writeln!(file, "{} {} {} {} {} {} {} {}", s.stamp, t.x, t.y, t.z, q.x, q.y, q.z, q.w)?;
+/// The output files, which grow with each frame.
+struct Lines {
+    poses: GrowingFile,
+    details: Option<GrowingFile>,
+}
+
+impl Lines {
+    fn create(poses: &Path, details: Option<&Path>) -> Result<Self> {
+        Ok(Self { poses: GrowingFile::create(poses)?, details: details.map(GrowingFile::create).transpose()? })
+    }
+
+    fn add(&mut self, step: &Step) -> Result<()> {
+        if step.is_known() {
+            let (t, q) = (step.pose.world_from_robot.translation, step.pose.world_from_robot.rotation);
+            // `{}` prints an f64 with all of its digits.
+            self.poses.add(&format!("{} {} {} {} {} {} {} {}", step.stamp, t.x, t.y, t.z, q.x, q.y, q.z, q.w))?;
         }
-        Ok(())
+        self.details.iter_mut().try_for_each(|file| file.add(&details(step).to_string()))
+    }
+
+    fn finish(self) -> Result<()> {
+        self.poses.finish()?;
+        self.details.map_or(Ok(()), GrowingFile::finish)
+    }
+}
+
+fn details(s: &Step) -> serde_json::Value {
+    let features = FeatureCounts::of(&s.estimate.findings).map(|f| -> serde_json::Map<String, serde_json::Value> {
+        f.named().map(|(name, count)| (name.to_owned(), count.into())).collect()
+    });
+    let weak: Vec<&str> = s.estimate.weak.iter().map(|w| w.name.as_str()).collect();
+    let counts = verdict_counts(s);
+    let verdicts: serde_json::Map<String, serde_json::Value> =
+        Judged::ALL.iter().zip(counts).map(|(v, n)| (v.name().to_owned(), n.into())).collect();
+    serde_json::json!({
+        "time": s.stamp, "state": s.phase.name(), "reason": s.reason,
+        "translation": s.pose.world_from_robot.translation.to_array(), "rotation_xyzw": s.pose.world_from_robot.rotation.to_array(),
+        "covariance": s.pose.covariance, "explained": s.estimate.explained, "weak": weak, "verdicts": verdicts,
+        "features": features,
+        "predictions": s.estimate.predictions,
+        "candidates": s.candidates.iter().map(candidate).collect::<Vec<_>>(),
     })
 }
 
-fn write_details(path: &Path, followed: &Followed) -> Result<()> {
-    write_atomically(path, |file| {
-        for (k, (s, counts)) in followed.steps.iter().zip(&followed.counts).enumerate() {
-            let features = followed.features[k].map(|f| -> serde_json::Map<String, serde_json::Value> {
-                f.named().map(|(name, count)| (name.to_owned(), count.into())).collect()
-            });
-            let weak: Vec<&str> = s.estimate.weak.iter().map(|w| w.name.as_str()).collect();
-            let verdicts: serde_json::Map<String, serde_json::Value> =
-                Judged::ALL.iter().zip(counts).map(|(v, n)| (v.name().to_owned(), (*n).into())).collect();
-            let line = serde_json::json!({
-                "time": s.stamp, "state": s.phase.name(), "reason": s.reason,
-                "translation": s.pose.world_from_robot.translation.to_array(), "rotation_xyzw": s.pose.world_from_robot.rotation.to_array(),
-                "covariance": s.pose.covariance, "explained": s.estimate.explained, "weak": weak, "verdicts": verdicts,
-                "features": features,
-                "predictions": s.estimate.predictions,
-                "candidates": s.candidates.iter().map(candidate).collect::<Vec<_>>(),
-            });
-            writeln!(file, "{line}")?;
-        }
-        Ok(())
-    })
+/// Pixels of each verdict of a step that still has its verdict images.
+fn verdict_counts(step: &Step) -> [usize; 7] {
+    step.estimate.verdicts.first().map(Verdicts::counts).unwrap_or_default()
 }
 
 fn candidate(c: &Candidate) -> serde_json::Value {

@@ -4,24 +4,24 @@ use presight_model::error::{Error, ErrorKind, Result};
 use std::sync::mpsc;
 use std::thread;
 
-/// Makes a value for each number, and writes the values in the same order on a second thread. `make` receives a value
-/// that has been written, to reuse its memory; at most two values exist.
+/// Makes a value of each item, and writes the values in the same order on a second thread. `make` receives a value that
+/// has been written, to reuse its memory; at most two values exist. The next item is taken while a value is written.
 ///
 /// # Errors
 /// The first error of `write`, after which nothing more is made or written. Otherwise the error of `make`, after all
 /// earlier values have been written. [`ErrorKind::System`] if the thread cannot be started.
-pub fn make_and_write<T: Send>(
-    mut numbers: impl Iterator<Item = usize>,
-    mut make: impl FnMut(usize, Option<T>) -> Result<T>,
-    mut write: impl FnMut(usize, &mut T) -> Result<()> + Send,
+pub fn make_and_write<N, T: Send>(
+    mut items: impl Iterator<Item = N>,
+    mut make: impl FnMut(N, Option<T>) -> Result<T>,
+    mut write: impl FnMut(&mut T) -> Result<()> + Send,
 ) -> Result<()> {
     // A rendezvous channel: a value waits until the one before it has been written.
-    let (made, to_write) = mpsc::sync_channel::<(usize, T)>(0);
+    let (made, to_write) = mpsc::sync_channel::<T>(0);
     let (written, to_use) = mpsc::channel();
     thread::scope(|scope| {
         let write_all = move || {
-            to_write.into_iter().try_for_each(|(number, mut value)| {
-                write(number, &mut value)?;
+            to_write.into_iter().try_for_each(|mut value| {
+                write(&mut value)?;
                 // Nobody receives the last ones.
                 let _ = written.send(value);
                 Ok(())
@@ -32,10 +32,10 @@ pub fn make_and_write<T: Send>(
             let remedy = "give --threads 1, or raise ulimit -u";
             Error::new(ErrorKind::System, format!("cannot start a thread: {e}"), remedy).caused_by(e)
         })?;
-        let all_made = numbers.try_for_each(|number| {
-            let value = make(number, to_use.try_recv().ok())?;
+        let all_made = items.try_for_each(|item| {
+            let value = make(item, to_use.try_recv().ok())?;
             // The writer stops after an error, which is returned below.
-            made.send((number, value)).map_err(|_| Error::usage("the writer has stopped", ""))
+            made.send(value).map_err(|_| Error::usage("the writer has stopped", ""))
         });
         drop(made);
         let all_written = writer.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
@@ -47,15 +47,15 @@ pub fn make_and_write<T: Send>(
 ///
 /// # Errors
 /// The first error of `make` or `write`.
-pub fn make_then_write<T>(
-    mut numbers: impl Iterator<Item = usize>,
-    mut make: impl FnMut(usize, Option<T>) -> Result<T>,
-    mut write: impl FnMut(usize, &mut T) -> Result<()>,
+pub fn make_then_write<N, T>(
+    mut items: impl Iterator<Item = N>,
+    mut make: impl FnMut(N, Option<T>) -> Result<T>,
+    mut write: impl FnMut(&mut T) -> Result<()>,
 ) -> Result<()> {
     let mut last = None;
-    numbers.try_for_each(|number| {
-        let mut value = make(number, last.take())?;
-        write(number, &mut value)?;
+    items.try_for_each(|item| {
+        let mut value = make(item, last.take())?;
+        write(&mut value)?;
         last = Some(value);
         Ok(())
     })
@@ -80,13 +80,13 @@ mod tests {
             });
             Ok((value, 10 * number))
         };
-        let write = |number: usize, made: &mut (usize, usize)| {
+        let write = |made: &mut (usize, usize)| {
             values.insert(made.0);
-            written.push((number, made.1));
+            written.push(made.1);
             Ok(())
         };
         make_and_write(3..200, make, write).unwrap();
-        assert_eq!(written, (3..200).map(|n| (n, 10 * n)).collect::<Vec<_>>());
+        assert_eq!(written, (3..200).map(|n| 10 * n).collect::<Vec<_>>());
         assert!(count <= 2 && values.len() == count, "{count}");
     }
 
@@ -97,9 +97,9 @@ mod tests {
             made.push(number);
             Ok(number)
         };
-        let write = |number: usize, _: &mut usize| {
-            written.push(number);
-            if number == 4 { refuse(number) } else { Ok(()) }
+        let write = |number: &mut usize| {
+            written.push(*number);
+            if *number == 4 { refuse(*number) } else { Ok(()) }
         };
         let e = make_and_write(0..100, make, write).unwrap_err();
         assert!(e.to_string().contains("number 4"), "{e}");
@@ -112,8 +112,8 @@ mod tests {
         for threads in [1, 2] {
             let mut written = Vec::new();
             let make = |number: usize, _| if number == 5 { refuse(number).map(|()| 0) } else { Ok(number) };
-            let write = |number: usize, _: &mut usize| {
-                written.push(number);
+            let write = |number: &mut usize| {
+                written.push(*number);
                 Ok(())
             };
             let run = if threads == 1 { make_then_write(0..9, make, write) } else { make_and_write(0..9, make, write) };

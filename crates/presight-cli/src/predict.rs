@@ -7,24 +7,22 @@ use super::frame_args::FrameArgs;
 use super::layers::{LayerArgs, Layers, NamedRequest};
 use super::outputs::OutputFiles;
 use super::pose::{PoseArgs, PoseOf};
+use super::pose_series::Poses;
 use super::sensor_args::SensorArgs;
 use super::statistics::{Statistics, Subject};
 use super::summary::Summary;
 use super::templates::Names;
 use super::virtual_sensor::VirtualArgs;
-use super::{CommandOutcome, open_scene, predict_poses, print};
+use super::{CommandOutcome, open_scene_without, predict_poses, print};
 use clap::ValueEnum;
 use presight::{Scene, blake3_of};
 use presight_features::{BoxOptions, SeenFeature};
 use presight_files::atomic::write_atomically;
 use presight_files::gltf::ImportOptions;
-use presight_files::{exr, load_robot, npy, pcd, ply, sensor_toml, tum};
+use presight_files::{exr, load_robot, npy, pcd, ply, sensor_toml};
 use presight_model::error::{Error, Result};
-use presight_model::index::IndexKind;
-use presight_model::limits;
 use presight_model::memory;
 use presight_model::memory::FrameMemory;
-use presight_model::poses::ExternalPose;
 use presight_model::sensor::{Geometry, Sensor};
 use presight_model::threads::Threads;
 use presight_pictures as png;
@@ -68,7 +66,8 @@ const EXAMPLES: &str = "Examples:
 ///
 /// Without an output flag a one-line summary is printed. With --poses or --robot file names are templates: {i} is the
 /// number of the pose from 0 ({i:06} in six digits), {t} its time stamp as written, {sensor} the sensor. To continue an
-/// interrupted series, run the same command again.
+/// interrupted series, run the same command again. Poses from a pipe are answered one by one as they come if no files
+/// are written.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -92,6 +91,10 @@ pub struct Args {
     /// Predict at every pose of a file, one `timestamp tx ty tz qx qy qz qw` per line; - reads stdin
     #[arg(long, value_name = "FILE.tum|-", conflicts_with = "pose")]
     poses: Option<PathBuf>,
+
+    /// Leave out these objects, with everything below them, such as the robot itself
+    #[arg(long, value_name = "OBJECT", num_args = 1..)]
+    exclude: Vec<String>,
 
     #[command(flatten)]
     engine: EngineArgs,
@@ -205,8 +208,8 @@ enum PointsFrameArg {
 
 /// The arguments, checked as far as possible without opening the scene.
 pub struct Job {
-    /// Poses with their time stamps as written. Without --poses, one pose with an empty stamp.
-    pub poses: Vec<(String, ExternalPose)>,
+    /// Without --poses, one pose with an empty stamp.
+    pub poses: Poses,
     pub sensors: Vec<Sensor>,
     pub files: OutputFiles,
     pub names: FileNames,
@@ -222,10 +225,9 @@ impl Args {
         self.check_series()?;
         let import = self.import_options()?;
         let mut files = OutputFiles::default();
-        let (poses, sensors) = (self.given_poses()?, self.sensors()?);
         let names = self.names()?;
-        let stamps: Vec<&str> = poses.iter().map(|(stamp, _)| stamp.as_str()).collect();
-        names.add_to(&mut files, &stamps, &sensors)?;
+        let (poses, sensors) = (self.poses_for(&names)?, self.sensors()?);
+        names.add_to(&mut files, &poses.stamps(), &sensors)?;
         files.add("--stats", self.stats.as_deref(), &["json"])?;
         files.add("--costs", self.deadline.costs.as_deref(), &["json"])?;
         files.check_named(self.inputs())?;
@@ -292,25 +294,17 @@ impl Args {
     }
 
     /// The file of `--poses`; `-` is stdin, which may be a file too.
-    fn pose_file(&self) -> Option<&Path> {
+    pub fn pose_file(&self) -> Option<&Path> {
         self.poses.as_deref().map(|path| if path == Path::new("-") { Path::new("/dev/stdin") } else { path })
     }
 
-    fn given_poses(&self) -> Result<Vec<(String, ExternalPose)>> {
+    /// The poses. Files need all of them before any work: their names must differ, and arrays hold all poses.
+    fn poses_for(&self, names: &FileNames) -> Result<Poses> {
         let of = if self.robot.is_some() { PoseOf::Robot } else { PoseOf::Sensor };
-        let Some(path) = self.pose_file() else { return Ok(vec![(String::new(), self.pose.parse_as(of)?)]) };
-        let poses = tum::read_with_stamps(path)?;
-        let remedy = "give at least one line of timestamp tx ty tz qx qy qz qw";
-        if poses.is_empty() {
-            return Err(Error::invalid("the file has no poses", remedy).in_file(path));
+        match self.pose_file() {
+            None => Ok(Poses::Given(vec![(String::new(), self.pose.parse_as(of)?)])),
+            Some(path) => Poses::read(path, &self.pose, of, names.write_predictions()),
         }
-        if poses.len() > limits::MAX_SERIES {
-            let what = format!("there are {} poses", poses.len());
-            return Err(
-                Error::invalid(what, format!("the limit is {}: split the file", limits::MAX_SERIES)).in_file(path)
-            );
-        }
-        poses.into_iter().map(|(stamp, p)| Ok((stamp, self.pose.given(p.pose, of)?))).collect()
     }
 
     /// The flags of the virtual sensor.
@@ -333,9 +327,9 @@ impl Args {
         &self.scene
     }
 
-    /// The spatial index.
-    pub fn index(&self) -> IndexKind {
-        self.index.tuned()
+    /// Opens the scene without the excluded objects.
+    pub fn open(&self, import: &ImportOptions) -> Result<Scene> {
+        open_scene_without(&self.scene, import, self.index.tuned(), &self.exclude)
     }
 
     /// Returns true if EXR files are written.
@@ -439,13 +433,13 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
 }
 
 fn run_one(args: &Args, mut job: Job) -> Result<CommandOutcome> {
-    let (sensor, (_, pose)) = (job.sensors.remove(0), job.poses.remove(0));
+    let (sensor, pose) = (job.sensors.remove(0), job.poses.given()[0].1);
     let request = args.request(&sensor)?;
     let mut predictor = Predictor::new(job.options)?;
     args.deadline.read_costs(&mut predictor)?;
     let frame = args.memory(&sensor, &request, &predictor);
     memory::require(frame.bytes())?;
-    let scene = open_scene(&args.scene, &job.import, args.index())?;
+    let scene = args.open(&job.import)?;
     let world_from_sensor = pose.of_sensor(sensor.spec(), &scene.world_from_gltf)?;
     let mut layers = args.layers.load(&scene, &sensor, args.asked())?;
     if let Some(layers) = &mut layers {

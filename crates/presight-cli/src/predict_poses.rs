@@ -3,12 +3,13 @@
 use super::file_names::{FileNames, Paths};
 use super::layers::Layers;
 use super::overlap::{make_and_write, make_then_write};
+use super::pose_series::{NamedPose, Poses, no_poses};
 use super::predict::{self, Args, Job, Shown};
 use super::series::SeriesProgress;
 use super::stack::Stack;
 use super::summary::Summary;
 use super::templates::Names;
-use super::{CommandOutcome, bar, open_scene, print};
+use super::{CommandOutcome, bar, print};
 use presight::{Scene, blake3_of};
 use presight_files::npy::{self, Values};
 use presight_files::{exr, sensor_toml};
@@ -37,7 +38,7 @@ pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     let frames = job.sensors.iter().zip(&requests).map(|(s, request)| args.memory(s, request, &predictor));
     let largest = of_frames(frames, if overlapped { 2 } else { 1 });
     memory::require(largest)?;
-    let scene = open_scene(args.scene(), &job.import, args.index())?;
+    let scene = args.open(&job.import)?;
     let sensors = std::mem::take(&mut job.sensors);
     let mut setups = Vec::new();
     for (sensor, request) in sensors.into_iter().zip(requests) {
@@ -50,26 +51,33 @@ pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     for setup in &setups {
         job.names.rays(&setup.sensor)?.iter().try_for_each(|path| npy::write_rays(path, &setup.sensor))?;
     }
-    let series = Series { args, scene: &scene, names: &job.names, poses: &job.poses };
-    let (mut progress, mut stacks) = series.progress(&setups)?;
-    let bar = bar::bar(job.poses.len() as u64);
+    let poses = std::mem::replace(&mut job.poses, Poses::Given(Vec::new()));
+    let series = Series { args, scene: &scene, names: &job.names };
+    let (mut progress, mut stacks) = series.progress(&setups, poses.given())?;
+    let bar = bar::bar(poses.given().len() as u64);
     let mut told = HashSet::new();
-    let numbers = progress.as_ref().map_or(0, SeriesProgress::next)..job.poses.len();
-    let make = |index: usize, spare: Option<Vec<Frame>>| {
-        let mut spare = spare.into_iter().flatten();
-        let mut make = |setup| series.predict(&mut predictor, setup, index, spare.next().map(|frame| frame.prediction));
+    let first = progress.as_ref().map_or(0, SeriesProgress::next);
+    let mut items = poses.numbered(first).peekable();
+    if first == 0 && items.peek().is_none() {
+        return Err(no_poses(args.pose_file().unwrap_or(Path::new(""))));
+    }
+    let make = |item: Result<(usize, NamedPose)>, spare: Option<Frames>| {
+        let (index, (stamp, pose)) = item?;
+        let mut spare = spare.into_iter().flat_map(|spare| spare.frames);
+        let mut make = |setup| series.predict(&mut predictor, setup, &pose, spare.next().map(|frame| frame.prediction));
         let frames = setups.iter_mut().map(&mut make).collect::<Result<Vec<Frame>>>()?;
         let notices = frames.iter().flat_map(|frame| &frame.prediction.stats.notices);
         print::notices(notices.filter(|notice| told.insert((*notice).clone())));
-        Ok(frames)
+        Ok(Frames { index, stamp, frames })
     };
-    let write = |index: usize, frames: &mut Vec<Frame>| {
+    let write = |made: &mut Frames| {
         let stacks = stacks.iter_mut().map(Some).chain(std::iter::repeat_with(|| None));
-        frames.iter().zip(stacks).try_for_each(|(frame, stacks)| series.write(frame, stacks, index))?;
-        bar.set_position(index as u64 + 1);
-        progress.as_mut().map_or(Ok(()), |progress| progress.append(index, &format!("{index}\n")))
+        let Frames { index, stamp, frames } = made;
+        frames.iter().zip(stacks).try_for_each(|(frame, stacks)| series.write(frame, stacks, (*index, stamp)))?;
+        bar.set_position(*index as u64 + 1);
+        progress.as_mut().map_or(Ok(()), |progress| progress.append(*index, &format!("{index}\n")))
     };
-    if overlapped { make_and_write(numbers, make, write) } else { make_then_write(numbers, make, write) }?;
+    if overlapped { make_and_write(items, make, write) } else { make_then_write(items, make, write) }?;
     args.deadline().write_costs(&predictor)?;
     stacks.into_iter().flatten().try_for_each(|(_, stack)| stack.finish())?;
     progress.map_or(Ok(()), SeriesProgress::remove)?;
@@ -117,6 +125,13 @@ struct Frame {
     engine: String,
 }
 
+/// The predictions of all sensors at one pose.
+struct Frames {
+    index: usize,
+    stamp: String,
+    frames: Vec<Frame>,
+}
+
 /// The arrays of one sensor that hold all poses.
 type Stacks = Vec<(Output, Stack)>;
 
@@ -125,30 +140,29 @@ struct Series<'a> {
     args: &'a Args,
     scene: &'a Scene,
     names: &'a FileNames,
-    poses: &'a [(String, ExternalPose)],
 }
 
 impl Series<'_> {
-    fn paths(&self, sensor: &Sensor, index: usize) -> Result<Paths> {
-        let stamp = &self.poses[index].0;
+    fn paths(&self, sensor: &Sensor, index: usize, stamp: &str) -> Result<Paths> {
         self.names.paths(&Names { index, stamp, sensor: &sensor.spec().name, output: "" })
     }
 
     /// Opens the record of an interrupted series and its unfinished arrays; `None` if the series writes no files.
-    fn progress(&self, setups: &[Setup]) -> Result<(Option<SeriesProgress>, Vec<Stacks>)> {
+    fn progress(&self, setups: &[Setup], poses: &[NamedPose]) -> Result<(Option<SeriesProgress>, Vec<Stacks>)> {
         if !self.names.write_predictions() {
             return Ok((None, Vec::new()));
         }
-        let head = format!("presight series 1 {}", self.job(setups)?);
-        let mut progress = SeriesProgress::open(&self.record(setups)?, &head, 0..self.poses.len(), 1)?;
+        let first = self.paths(&setups[0].sensor, 0, &poses[0].0)?;
+        let head = format!("presight series 1 {}", self.job(setups, poses)?);
+        let mut progress = SeriesProgress::open(&record(first)?, &head, 0..poses.len(), 1)?;
         let until = progress.written().filter(|_| progress.finished() > 0);
         let (mut kept, mut stacks) = (true, Vec::new());
         for setup in setups.iter().filter(|_| self.names.are_stacked()) {
             let mut of_setup = Stacks::new();
-            for (output, path) in self.paths(&setup.sensor, 0)?.npy {
+            for (output, path) in self.paths(&setup.sensor, 0, &poses[0].0)?.npy {
                 let descr = if output.info().kind == SampleKind::Id { "<u4" } else { "<f4" };
                 let image = npy::image_shape(setup.sensor.width(), setup.sensor.height(), output);
-                let shape = [vec![self.poses.len()], image].concat();
+                let shape = [vec![poses.len()], image].concat();
                 let (stack, goes_on) = Stack::open(&path, &shape, descr, until)?;
                 kept &= goes_on;
                 of_setup.push((output, stack));
@@ -157,38 +171,24 @@ impl Series<'_> {
         }
         let stacked = self.names.are_stacked();
         let are_there = |setup: &Setup, i| {
-            until.is_some_and(|until| self.paths(&setup.sensor, i).is_ok_and(|paths| paths.are_there(stacked, until)))
+            let paths = || self.paths(&setup.sensor, i, &poses[i].0);
+            until.is_some_and(|until| paths().is_ok_and(|paths| paths.are_there(stacked, until)))
         };
         progress.keep_while(|i| kept && setups.iter().all(|setup| are_there(setup, i)))?;
-        print::finished_before(&progress, self.poses.len());
+        print::finished_before(&progress, poses.len());
         if progress.replaced() {
             print::message("note: another series was left unfinished here; writing all files again");
         }
         Ok((Some(progress), stacks))
     }
 
-    /// The path of the record of finished poses, in the folder of the first file.
-    fn record(&self, setups: &[Setup]) -> Result<PathBuf> {
-        let paths = self.paths(&setups[0].sensor, 0)?;
-        let named = [paths.out, paths.png, paths.depth_png, paths.mask, paths.points, paths.features];
-        let all: Vec<PathBuf> =
-            named.into_iter().flatten().chain(paths.npy.into_iter().map(|(_, path)| path)).collect();
-        let regular = |path: &&PathBuf| path.metadata().map_or(true, |m| m.is_file());
-        let Some(first) = all.iter().find(regular) else {
-            let what = "a series needs an output file, and only devices and pipes are named";
-            return Err(Error::usage(what, "name a file, or give one --pose"));
-        };
-        let hash = blake3::hash(format!("{all:?}").as_bytes()).to_hex();
-        Ok(first.parent().unwrap_or(Path::new("")).join(format!(".presight-{}.series", &hash[..12])))
-    }
-
     /// A hash over all inputs of the files.
-    fn job(&self, setups: &[Setup]) -> Result<String> {
+    fn job(&self, setups: &[Setup], poses: &[NamedPose]) -> Result<String> {
         let mut hasher = blake3::Hasher::new();
         let environment = self.scene.world.environment();
         let what = format!("{} {:?} {}", env!("CARGO_PKG_VERSION"), self.args, environment.content_hash());
         hasher.update(what.as_bytes());
-        for pose in self.poses {
+        for pose in poses {
             hasher.update(format!("{pose:?}").as_bytes());
         }
         for setup in setups {
@@ -206,12 +206,11 @@ impl Series<'_> {
         &self,
         predictor: &mut Predictor,
         setup: &mut Setup,
-        index: usize,
+        pose: &ExternalPose,
         spare: Option<Prediction>,
     ) -> Result<Frame> {
         let Self { args, scene, .. } = *self;
         let Setup { sensor, request, layers, attributes } = setup;
-        let pose = &self.poses[index].1;
         let world_from_sensor = pose.of_sensor(sensor.spec(), &scene.world_from_gltf)?;
         if let Some(layers) = layers {
             layers.move_to(pose, sensor, &world_from_sensor, scene);
@@ -234,9 +233,9 @@ impl Series<'_> {
     }
 
     /// Writes the files of a prediction, and prints its summary.
-    fn write(&self, frame: &Frame, stacks: Option<&mut Stacks>, index: usize) -> Result<()> {
+    fn write(&self, frame: &Frame, stacks: Option<&mut Stacks>, (index, stamp): (usize, &str)) -> Result<()> {
         let Frame { prediction, shown, attributes, ms, engine } = frame;
-        let paths = self.paths(&prediction.sensor, index)?;
+        let paths = self.paths(&prediction.sensor, index, stamp)?;
         predict::write_files(self.args, &paths, self.scene, prediction, attributes.clone(), shown)?;
         match stacks {
             Some(stacks) => stacks.iter_mut().try_for_each(|(output, stack)| {
@@ -246,15 +245,15 @@ impl Series<'_> {
                 paths.npy.iter().try_for_each(|(output, path)| npy::write_image(path, &prediction.images, *output))?
             }
         }
-        self.tell(prediction, index, (*ms, engine))
+        self.tell(prediction, (index, stamp), (*ms, engine))
     }
 
-    fn tell(&self, prediction: &Prediction, index: usize, (ms, engine): (f64, &str)) -> Result<()> {
+    fn tell(&self, prediction: &Prediction, (index, stamp): (usize, &str), (ms, engine): (f64, &str)) -> Result<()> {
         if self.args.json {
             let summary = Summary::of(self.scene, prediction);
             let mut value = summary.json(self.args.scene(), prediction, ms, engine);
             value["pose"] = index.into();
-            value["stamp"] = self.poses[index].0.as_str().into();
+            value["stamp"] = stamp.into();
             return print::data(&format!("{value}\n"));
         }
         if self.args.writes_something() {
@@ -263,4 +262,18 @@ impl Series<'_> {
         let summary = Summary::of(self.scene, prediction);
         print::lines([format!("{index}: {}, {ms:.2} ms on {engine}", summary.in_words(prediction))])
     }
+}
+
+/// The path of the record of finished poses, in the folder of the first file.
+fn record(first: Paths) -> Result<PathBuf> {
+    let Paths { out, png, depth_png, mask, points, features, npy } = first;
+    let named = [out, png, depth_png, mask, points, features];
+    let all: Vec<PathBuf> = named.into_iter().flatten().chain(npy.into_iter().map(|(_, path)| path)).collect();
+    let regular = |path: &&PathBuf| path.metadata().map_or(true, |m| m.is_file());
+    let Some(first) = all.iter().find(regular) else {
+        let what = "a series needs an output file, and only devices and pipes are named";
+        return Err(Error::usage(what, "name a file, or give one --pose"));
+    };
+    let hash = blake3::hash(format!("{all:?}").as_bytes()).to_hex();
+    Ok(first.parent().unwrap_or(Path::new("")).join(format!(".presight-{}.series", &hash[..12])))
 }

@@ -96,7 +96,8 @@ fn write_through(path: &Path, fill: impl FnOnce(&mut File) -> io::Result<()>) ->
     Ok(())
 }
 
-fn open_through(path: &Path) -> io::Result<File> {
+/// Opens a device, a pipe or an open file of this process.
+pub(crate) fn open_through(path: &Path) -> io::Result<File> {
     #[cfg(unix)]
     {
         use std::os::fd::AsFd;

@@ -11,6 +11,7 @@ mod faults;
 pub mod file;
 pub mod forms;
 pub mod gltf;
+pub mod growing;
 pub mod layer;
 mod load;
 pub mod log;

@@ -116,6 +116,12 @@ fn create(path: &Path, access: Access) -> io::Result<File> {
     options.open(path)
 }
 
+/// Does a short piece of work that [`abandon`] waits for, so that no signal ends the process in its middle.
+pub(crate) fn undisturbed<T>(work: impl FnOnce() -> T) -> T {
+    let _live = lock(&LIVE);
+    work()
+}
+
 /// Removes the files that this process is writing, because it is about to end. While the returned guard lives, no file
 /// is created or gets its final name.
 pub fn abandon() -> impl Sized {

@@ -74,18 +74,41 @@ pub struct Stream {
 /// # Errors
 /// As for opening a file; pipes are refused, because callers read the file twice.
 pub fn stream(path: &Path) -> Result<Stream> {
-    let reader = BufReader::new(file::open(path)?);
-    Ok(Stream { path: path.to_owned(), reader, line: 0, ended: false })
+    Ok(Stream::new(path, file::open(path)?))
+}
+
+/// As [`stream`], also from a pipe that was passed to this process. Each pose comes as soon as its line does, with its
+/// time stamp as text.
+///
+/// # Errors
+/// As for opening a file.
+pub fn stream_with_stamps(path: &Path) -> Result<impl Iterator<Item = Result<(String, StampedPose)>> + use<>> {
+    let mut stream = Stream::new(path, file::open_or_given(path)?);
+    Ok(std::iter::from_fn(move || stream.next_with_stamp()))
 }
 
 impl Stream {
-    fn read(&mut self) -> Result<Option<StampedPose>> {
+    fn new(path: &Path, file: Take<File>) -> Self {
+        Self { path: path.to_owned(), reader: BufReader::new(file), line: 0, ended: false }
+    }
+
+    fn next_with_stamp(&mut self) -> Option<Result<(String, StampedPose)>> {
+        if self.ended {
+            return None;
+        }
+        let next = self.read().map_err(|e| e.in_file(&self.path)).transpose();
+        self.ended = !matches!(next, Some(Ok(_)));
+        next
+    }
+
+    fn read(&mut self) -> Result<Option<(String, StampedPose)>> {
         loop {
             self.line += 1;
             let Some(line) = read_line(&mut self.reader, self.line)? else { return Ok(None) };
             let line = line.trim();
             if !line.is_empty() && !line.starts_with('#') {
-                return stamped(line).map(Some).map_err(|e| e.at(format!("line {}", self.line)));
+                let pose = stamped(line).map_err(|e| e.at(format!("line {}", self.line)))?;
+                return Ok(Some((line.split_whitespace().next().unwrap_or_default().to_owned(), pose)));
             }
         }
     }
@@ -95,12 +118,7 @@ impl Iterator for Stream {
     type Item = Result<StampedPose>;
 
     fn next(&mut self) -> Option<Result<StampedPose>> {
-        if self.ended {
-            return None;
-        }
-        let next = self.read().map_err(|e| e.in_file(&self.path)).transpose();
-        self.ended = !matches!(next, Some(Ok(_)));
-        next
+        Some(self.next_with_stamp()?.map(|(_, pose)| pose))
     }
 }
 

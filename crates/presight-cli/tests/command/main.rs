@@ -4,6 +4,7 @@ mod bad_input;
 mod cameras;
 mod cases_scanners;
 mod deadline;
+mod driver_logs;
 mod features;
 mod frames;
 mod localize;

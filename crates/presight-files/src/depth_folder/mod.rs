@@ -1,7 +1,7 @@
 //! Folders of images: `camera.json`, 16-bit `depth/*.png`, `grey/*.png` or both, and optionally `poses.txt`.
 //!
 //! `camera.json` has `width`, `height`, `fx`, `fy`, `cx`, `cy`, and optionally `distortion` (five numbers, plumb bob)
-//! and `depth_unit_m` (default 0.001). A depth of 0 means no measurement. Images are read in the order of their names. A
+//! and `depth_unit_m` (default 0.001). A depth of 0 or of 65535 units, the largest, means no measurement. Images are read in the order of their names. A
 //! name that is a number is the time in seconds; otherwise the time is the index of the frame from 0.
 //!
 //! Grey images have 8 or 16 bits; colour images are converted to luminance. A grey image belongs to the depth image of
@@ -157,7 +157,8 @@ impl DepthFolder {
             let DynamicImage::ImageLuma16(picture) = picture else {
                 return Err(wrong("this is not a 16-bit grey image".into()));
             };
-            let metres = |v: &u16| if *v == 0 { f32::NAN } else { (f64::from(*v) * self.unit) as f32 };
+            // Cameras and exporters write the largest number where they have no depth, or one that does not fit.
+            let metres = |v: &u16| if *v == u16::MAX { f32::NAN } else { (f64::from(*v) * self.unit) as f32 };
             Measurement::DepthZ(picture.as_raw().iter().map(metres).collect())
         };
         Frame::new(self.stamp(path), self.sensor.clone(), sensed)

@@ -1,11 +1,13 @@
 //! Planar laser scans in the form of public data sets: one JSON object with a list `scans`.
 //!
-//! Keys of the document: `beams`, `angle_min`, `angle_max` (radians), `counter_clockwise`, `range_max`, `range_std`,
-//! `sensor_on_robot` {x, y, z, yaw}; or in an object `scan`: `beams`, `angle_min_deg`, `step_deg`, `height_m`,
-//! `range_max`. Keys of a scan: `ranges` (metres; null is no reading), and optionally `valid` (a digit for each beam, 1
-//! for a reading), `t` (seconds; default: the index of the scan), `odometry_increment` [x, y, yaw] and the robot's pose
-//! {x, y, yaw} under `robot_pose`, `reference_pose` or `pose_in_model`. Other keys are ignored.
+//! Keys of the document: `beams`, `angle_min`, `angle_max` (radians), `counter_clockwise`, `range_min` (default 0),
+//! `range_max`, `range_std`, `sensor_on_robot` {x, y, z, yaw}; or in an object `scan`: `beams`, `angle_min_deg`,
+//! `step_deg`, `height_m`, `range_max`. Keys of a scan: `ranges` (metres, and the other readings of [`super::lines`]), and
+//! optionally `valid` (a digit for each beam, 1 for a reading), `t` (seconds; default: the index of the scan),
+//! `odometry_increment` [x, y, yaw] and the robot's pose {x, y, yaw} under `robot_pose`, `reference_pose` or
+//! `pose_in_model`. Other keys are ignored.
 
+use super::readings::{Reading, with_quoted_words};
 use super::{Log, LogFrame, check_time};
 use crate::text::check_json_memory;
 use glam::DVec3;
@@ -31,6 +33,7 @@ struct File {
     angle_min: Option<f64>,
     angle_max: Option<f64>,
     counter_clockwise: Option<bool>,
+    range_min: Option<f64>,
     range_max: Option<f64>,
     range_std: Option<f64>,
     sensor_on_robot: Option<Mount>,
@@ -68,7 +71,7 @@ struct Scan {
     odometry_increment: Option<[f64; 3]>,
     #[serde(alias = "robot_pose", alias = "reference_pose", alias = "pose_in_model")]
     reference: Option<Planar>,
-    ranges: Vec<Option<f64>>,
+    ranges: Vec<Reading>,
     valid: Option<String>,
 }
 
@@ -80,7 +83,7 @@ impl Document {
         }
         let text = String::from_utf8(text).map_err(|_| Error::invalid("it is not UTF-8", "save it as UTF-8 text"))?;
         check_json_memory(&text)?;
-        let file: File = serde_json::from_str(&text).map_err(|e| {
+        let file: File = serde_json::from_str(&with_quoted_words(&text)).map_err(|e| {
             let remedy = "give a log: see docs/formats.md";
             Error::invalid(format!("not a valid log: {e}"), remedy).at(format!("line {}", e.line().max(1)))
         })?;
@@ -95,22 +98,11 @@ impl Document {
             let remedy = "give a digit 0 or 1 for each beam";
             return Err(Error::invalid(format!("valid does not fit the {} ranges", scan.ranges.len()), remedy));
         }
-        let reading = |(range, valid): (&Option<f64>, &u8)| range.filter(|_| *valid == b'1');
-        let mut ranges = Vec::with_capacity(valid.len());
-        for (i, reading) in scan.ranges.iter().zip(&valid).map(reading).enumerate() {
-            ranges.push(match reading {
-                Some(range) if (range as f32).is_finite() => range as f32,
-                Some(range) => {
-                    let what = format!("{range} m is marked as valid, but not finite");
-                    return Err(Error::invalid(what, "mark it as not valid").at(format!("range {i}")));
-                }
-                None => f32::NAN,
-            });
-        }
+        let reading = |(range, valid): (&Reading, &u8)| if *valid == b'1' { range.0 } else { f32::NAN };
         let planar = |x, y, yaw| Pose::from_xyz_rpy(DVec3::new(x, y, 0.0), 0.0, 0.0, yaw);
         let frame = LogFrame {
             time: scan.t.unwrap_or(index as f64),
-            range: ranges,
+            range: scan.ranges.iter().zip(&valid).map(reading).collect(),
             intensities: None,
             odometry: scan.odometry_increment.map(|[x, y, yaw]| planar(x, y, yaw)),
             reference: scan.reference.map(|p| planar(p.x, p.y, p.yaw)),
@@ -139,6 +131,10 @@ impl Iterator for Document {
 impl Log for Document {
     fn sensor(&self) -> &Sensor {
         &self.sensor
+    }
+
+    fn has_planar_poses(&self) -> bool {
+        true
     }
 }
 
@@ -173,7 +169,7 @@ fn spec(file: &File, name: String) -> Result<SensorSpec> {
     let scanner = Scanner { azimuth, elevation, beam_height_deg: None };
     let noise = Noise { range_sigma: file.range_std.unwrap_or(0.0), ..Noise::default() };
     let spec = SensorSpec::new(name, "laser", Geometry::Scanner(scanner));
-    Ok(spec.with_limits(0.0, range_max).with_mount(mount).with_noise(noise))
+    Ok(spec.with_limits(file.range_min.unwrap_or(0.0), range_max).with_mount(mount).with_noise(noise))
 }
 
 /// Angles of the beams: rising if counter-clockwise, otherwise falling.
@@ -212,6 +208,14 @@ mod tests {
     fn a_missing_range_is_no_reading() {
         let frame = parse("1.5").unwrap().next().unwrap().unwrap();
         assert!(frame.range[0] == 2.5 && frame.range[1].is_nan() && frame.range[2].is_nan());
+    }
+
+    /// ROS's messages have the key `range_min`, and drivers report readings below it.
+    #[test]
+    fn range_min_is_a_limit() {
+        let text = text("1.5").replace("\"range_max\"", "\"range_min\":2.6,\"range_max\"");
+        let document = Document::parse(Path::new("scans.json"), text.into_bytes()).unwrap();
+        assert_eq!((document.sensor.spec().range_min, document.sensor.spec().range_max), (2.6, 8.0));
     }
 
     /// Some programs leave out the key `valid`.

@@ -1,5 +1,6 @@
 //! The frames of a log of any kind, in the form that the estimator needs.
 
+use super::readings::Readings;
 use super::scans::{self, Scans};
 use crate::depth_folder::DepthFolder;
 use presight_model::error::{Error, Result};
@@ -22,6 +23,8 @@ pub struct Frames {
     sensor: Sensor,
     frames: Box<dyn Iterator<Item = Result<Observation>> + Send>,
     ended: bool,
+    readings: Readings,
+    has_planar_poses: bool,
 }
 
 impl Frames {
@@ -65,7 +68,7 @@ impl Frames {
             return Err(Error::invalid("there is no scan", "give PLY, PCD, CSV or EXR files"));
         };
         let sensor = first.frame.sensor().clone();
-        Ok(Self { sensor, frames: Box::new(std::iter::once(Ok(first)).chain(scans)), ended: false })
+        Ok(Self::new(sensor, std::iter::once(Ok(first)).chain(scans), "NaN or a cell without a point"))
     }
 
     fn of_folder(path: &Path, sensor: Option<&Sensor>) -> Result<Self> {
@@ -78,11 +81,12 @@ impl Frames {
             Some(there.pose * robot_from_sensor)
         };
         let frames = log.map(move |frame| frame.map(|frame| Observation { reference: at(frame.stamp), frame }));
-        Ok(Self { sensor, frames: Box::new(frames), ended: false })
+        Ok(Self::new(sensor, frames, "65535"))
     }
 
     fn of_file(path: &Path, sensor: Option<&Sensor>, noise: OdometryNoise) -> Result<Self> {
         let log = super::open(path)?;
+        let has_planar_poses = log.has_planar_poses();
         let own = log.sensor();
         let sensor = sensor.unwrap_or(own).clone();
         if (sensor.width(), sensor.height()) != (own.width(), own.height()) {
@@ -102,7 +106,27 @@ impl Frames {
             let frame = frame.sensed(&used, &noise).map_err(|e| e.at(format!("frame {index}")).in_file(&file))?;
             Ok(Observation { frame, reference })
         });
-        Ok(Self { sensor, frames: Box::new(frames), ended: false })
+        Ok(Self { has_planar_poses, ..Self::new(sensor, frames, "null or NaN") })
+    }
+
+    fn new(
+        sensor: Sensor,
+        frames: impl Iterator<Item = Result<Observation>> + Send + 'static,
+        missing_as: &'static str,
+    ) -> Self {
+        let readings = Readings::new(missing_as);
+        Self { sensor, frames: Box::new(frames), ended: false, readings, has_planar_poses: false }
+    }
+
+    /// True if the log's poses are x, y and yaw only, as in documents of planar scans: their height is 0 whatever the
+    /// height of the floor.
+    pub fn has_planar_poses(&self) -> bool {
+        self.has_planar_poses
+    }
+
+    /// One line that counts the readings of the frames so far by their meaning; `None` if every reading is a distance.
+    pub fn notice(&self) -> Option<String> {
+        self.readings.notice()
     }
 
     /// The sensor of the first frame. Each scan of points has its own sensor.
@@ -119,7 +143,10 @@ impl Iterator for Frames {
             return None;
         }
         let next = self.frames.next();
-        self.ended = !matches!(next, Some(Ok(_)));
+        match &next {
+            Some(Ok(observation)) => self.readings.add(&observation.frame),
+            _ => self.ended = true,
+        }
         next
     }
 }

@@ -8,12 +8,13 @@
 //! - `sensor`: the text of a sensor file ([`crate::sensor_toml`]) with its mount and limits.
 //! - `t`: seconds, rising.
 //! - `range`: metres, one for each ray, row by row; `null` for no reading, `"inf"` if nothing was detected, `"-inf"` for
-//!   an object nearer than `range_min`.
+//!   an object nearer than `range_min`. `NaN`, `Infinity` and the like are read with and without quotes.
 //! - `intensities`, optional: strength of each ray's echo, from 0 to 1 (as bright as a retroreflector); `null` for none.
 //! - `odometry`, optional: the robot's motion since the previous frame, previous_robot_from_robot, as
 //!   `[x, y, z, roll_deg, pitch_deg, yaw_deg]` or `[x, y, z, qx, qy, qz, qw]`.
 //! - `reference`, optional: world_from_robot, in the same form.
 
+use super::readings::{Reading, with_quoted_words};
 use super::{Log, LogFrame, check_time};
 use crate::sensor_toml;
 use crate::text::read_line;
@@ -21,8 +22,7 @@ use glam::{DQuat, DVec3};
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::geometry::Pose;
 use presight_model::sensor::{Sensor, SensorSpec};
-use serde::de::{Deserialize, Deserializer, IgnoredAny, Visitor};
-use std::fmt;
+use serde::de::IgnoredAny;
 use std::fs::File;
 use std::io::{BufReader, Take};
 use std::path::{Path, PathBuf};
@@ -134,8 +134,8 @@ impl Lines {
     }
 
     fn parse(&self, text: &str) -> Result<LogFrame> {
-        let Entry { t, range, intensities, odometry, reference } =
-            serde_json::from_str(text).map_err(|e| match e.is_eof() {
+        let Entry { t, range, intensities, odometry, reference } = serde_json::from_str(&with_quoted_words(text))
+            .map_err(|e| match e.is_eof() {
                 true => Error::invalid("the line is cut in the middle", "delete it, or record the log again"),
                 false => Error::invalid(format!("not a valid frame: {e}"), REMEDY),
             })?;
@@ -143,7 +143,7 @@ impl Lines {
         let frame = LogFrame {
             time: t,
             range: range.into_iter().map(|r| r.0).collect(),
-            intensities: intensities.map(|all| all.into_iter().map(|i| i.map_or(f32::NAN, |i| i as f32)).collect()),
+            intensities: intensities.map(|all| all.into_iter().map(|i| i.0).collect()),
             odometry: pose(odometry, "odometry")?,
             reference: pose(reference, "reference")?,
         };
@@ -202,7 +202,7 @@ fn read_header(line: &str, path: &Path) -> Result<Sensor> {
 struct Entry {
     t: f64,
     range: Vec<Reading>,
-    intensities: Option<Vec<Option<f64>>>,
+    intensities: Option<Vec<Reading>>,
     odometry: Option<Vec<f64>>,
     reference: Option<Vec<f64>>,
 }
@@ -228,48 +228,4 @@ fn pose(numbers: &[f64]) -> Result<Pose> {
         _ => return Err(wrong()),
     };
     pose.check().map_err(|_| wrong()).map(|()| pose)
-}
-
-/// A number, null, "inf" or "-inf".
-struct Reading(f32);
-
-impl<'de> Deserialize<'de> for Reading {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        deserializer.deserialize_any(ReadingVisitor)
-    }
-}
-
-struct ReadingVisitor;
-
-impl Visitor<'_> for ReadingVisitor {
-    type Value = Reading;
-
-    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("a range in metres, null, \"inf\" or \"-inf\"")
-    }
-
-    fn visit_f64<E: serde::de::Error>(self, metres: f64) -> Result<Reading, E> {
-        let range = metres as f32;
-        if range.is_finite() { Ok(Reading(range)) } else { Err(E::custom(format!("a range of {metres:e} m"))) }
-    }
-
-    fn visit_u64<E: serde::de::Error>(self, metres: u64) -> Result<Reading, E> {
-        self.visit_f64(metres as f64)
-    }
-
-    fn visit_i64<E: serde::de::Error>(self, metres: i64) -> Result<Reading, E> {
-        self.visit_f64(metres as f64)
-    }
-
-    fn visit_unit<E>(self) -> Result<Reading, E> {
-        Ok(Reading(f32::NAN))
-    }
-
-    fn visit_str<E: serde::de::Error>(self, text: &str) -> Result<Reading, E> {
-        match text {
-            "inf" => Ok(Reading(f32::INFINITY)),
-            "-inf" => Ok(Reading(f32::NEG_INFINITY)),
-            _ => Err(E::invalid_value(serde::de::Unexpected::Str(text), &self)),
-        }
-    }
 }

@@ -12,11 +12,13 @@
 pub mod document;
 mod frames;
 pub mod lines;
+mod readings;
 pub mod scans;
 #[cfg(test)]
 mod tests;
 
 pub use frames::{Frames, Observation};
+pub use readings::Readings;
 
 use super::file;
 use super::text::read_line;
@@ -34,7 +36,8 @@ pub struct LogFrame {
     /// Seconds, rising within a log.
     pub time: f64,
     /// Metres along each ray, row-major, after REP-117: `+inf` if nothing was detected, `-inf` for an object nearer
-    /// than `range_min`, NaN for no reading.
+    /// than `range_min`, NaN for no reading. As in the log: 0, or a finite value outside of the sensor's limits, is no
+    /// measurement either.
     pub range: Vec<f32>,
     /// Strength of the echo along each ray, from 0 to 1 (as bright as a retroreflector); NaN for no echo.
     pub intensities: Option<Vec<f32>>,
@@ -59,8 +62,7 @@ impl LogFrame {
         Ok(frame)
     }
 
-    /// Checks the size of the frame, that time and poses are finite, that finite readings are within the sensor's
-    /// limits, and that intensities are from 0 to 1.
+    /// Checks the size of the frame, that time and poses are finite, and that intensities are from 0 to 1.
     ///
     /// # Errors
     /// [`presight_model::ErrorKind::Invalid`] naming the wrong value.
@@ -73,16 +75,6 @@ impl LogFrame {
         }
         if !self.time.is_finite() {
             return Err(Error::invalid("the time is not finite", "give seconds"));
-        }
-        // Limits are rounded to f32 like the ranges, because they need not be exact in f32.
-        let limits = sensor.range_min as f32..=sensor.range_max as f32;
-        for (i, &range) in self.range.iter().enumerate().filter(|(_, r)| r.is_finite()) {
-            if !limits.contains(&range) {
-                let what = format!("{range} m is outside {}..{} m", sensor.range_min, sensor.range_max);
-                return Err(
-                    Error::invalid(what, "give inf or -inf, or the sensor's own limits").at(format!("range {i}"))
-                );
-            }
         }
         if let Some(intensities) = &self.intensities {
             if intensities.len() != pixels {
@@ -103,6 +95,11 @@ impl LogFrame {
 pub trait Log: Iterator<Item = Result<LogFrame>> {
     /// The sensor. Its mount is its pose on the robot.
     fn sensor(&self) -> &Sensor;
+
+    /// True if its poses are x, y and yaw only.
+    fn has_planar_poses(&self) -> bool {
+        false
+    }
 }
 
 /// Opens a log of format 1 or a document.

@@ -123,11 +123,12 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// Makes a frame of measured values.
+    /// Makes a frame of measured values. A distance of 0, and a finite one outside of the sensor's limits, is no
+    /// measurement.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if there is not one value for each pixel of the sensor, if a distance is negative,
-    /// if the stamp is not finite, or if depth is given for a sensor that is not a camera.
+    /// [`crate::ErrorKind::Invalid`] if there is not one value for each pixel of the sensor, if the stamp is not finite,
+    /// or if depth is given for a sensor that is not a camera.
     pub fn new(stamp: f64, sensor: Sensor, sensed: Measurement) -> Result<Self> {
         let (width, height) = (sensor.width() as usize, sensor.height() as usize);
         let values = sensed.values();
@@ -143,19 +144,15 @@ impl Frame {
                 "give one value per pixel, or the sensor that measured them",
             ));
         }
-        let negative = |v: &f32| *v < 0.0 && v.is_finite();
-        if let Some(at) = values.iter().position(negative) {
-            return Err(Error::invalid(
-                format!("pixel {},{} measured {} m", at % width, at / width, values[at]),
-                "give distances of at least 0; -inf is too near, +inf nothing within reach, NaN no measurement",
-            ));
-        }
         let mut ranges = match &sensed {
             Measurement::Range(values) => values.clone(),
             Measurement::DepthZ(values) => ranges_of_depth(&sensor, values)?,
             Measurement::Grey(_) => Vec::new(),
         };
-        ranges.iter_mut().filter(|r| **r == 0.0).for_each(|r| *r = f32::NAN);
+        // Limits are rounded to f32 like the ranges, because they need not be exact in f32.
+        let limits = sensor.spec().range_min as f32..=sensor.spec().range_max as f32;
+        let is_none = |r: f32| r == 0.0 || r.is_finite() && !limits.contains(&r);
+        ranges.iter_mut().filter(|r| is_none(**r)).for_each(|r| *r = f32::NAN);
         Ok(Self { stamp, motion: None, sensor, sensed, ranges, intensities: None })
     }
 
@@ -209,7 +206,7 @@ impl Frame {
         &self.sensor
     }
 
-    /// The measured values.
+    /// The measured values as they were given.
     pub fn sensed(&self) -> &Measurement {
         &self.sensed
     }
@@ -227,7 +224,8 @@ impl Frame {
         self.intensities.as_ref()
     }
 
-    /// Metres along each ray, row by row, for any measurement. A measured 0 becomes NaN; a grey image has only NaN.
+    /// Metres along each ray, row by row, for any measurement. A 0 and a finite value outside of the sensor's limits are
+    /// NaN here; a grey image has only NaN.
     pub fn ranges(&self) -> &[f32] {
         &self.ranges
     }

@@ -22,19 +22,25 @@ fn depth_is_told_as_range() {
     assert!(Frame::new(0.0, scanner(361, 1), Measurement::DepthZ(vec![1.0; 361])).is_err());
 }
 
+/// REP-117 and sensor_msgs/LaserScan: a finite value outside of the limits is discarded, an infinite one has a meaning.
 #[test]
-fn what_is_no_measurement_is_refused_or_nan() {
+fn what_is_no_measurement_is_nan() {
+    let spec = camera().spec().clone().with_limits(0.1, 16.0);
     let with = |value: f32| {
         let mut values = vec![1.0; 24];
         values[9] = value;
-        Frame::new(0.0, camera(), Measurement::Range(values))
+        Frame::new(0.0, Sensor::new(spec.clone()).unwrap(), Measurement::Range(values)).unwrap()
     };
-    let e = with(-0.5).unwrap_err().to_string();
-    assert!(e.contains("pixel 3,1"), "{e}");
-    for kept in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
-        assert_eq!(with(kept).unwrap().ranges()[9].to_bits(), kept.to_bits());
+    for kept in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 0.1, 16.0, 2.5] {
+        assert_eq!(with(kept).ranges()[9].to_bits(), kept.to_bits());
     }
-    assert!(with(0.0).unwrap().ranges()[9].is_nan());
+    for none in [0.0, -0.0, -0.5, 0.099, 16.01, 65.533, f32::MAX] {
+        assert!(with(none).ranges()[9].is_nan() && with(none).sensed().values()[9] == none, "{none}");
+    }
+    // The limits hold for the range, not for the depth: 12 m of depth in the corner are 14.2 m of range.
+    let depth = |z: f32| Frame::new(0.0, Sensor::new(spec.clone()).unwrap(), Measurement::DepthZ(vec![z; 24])).unwrap();
+    assert!((depth(12.0).ranges()[0] - 14.151).abs() < 1e-3 && depth(14.0).ranges()[0].is_nan());
+    assert!(depth(14.0).ranges()[9].is_finite(), "the same depth ahead");
     assert!(Frame::new(f64::NAN, camera(), Measurement::Range(vec![1.0; 24])).is_err());
     assert!(Frame::new(0.0, camera(), Measurement::Range(vec![1.0; 23])).is_err());
 }

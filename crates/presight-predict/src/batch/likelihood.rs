@@ -55,15 +55,10 @@ impl RangeLikelihood {
             return Err(Error::invalid("the frame has no range readings", "give a frame of ranges"));
         }
         let model = BeamModel::new(sensor, cell)?;
-        let possible = |r: f32| match r {
-            f32::NEG_INFINITY => spec.range_min > 0.0,
-            r => !(r < spec.range_min as f32) && (!(r > spec.range_max as f32) || r == f32::INFINITY),
-        };
-        if let Some(i) = range.iter().position(|r| !possible(*r)) {
-            let what = format!("sensor {:?} cannot measure {} m", spec.name, range[i]);
-            return Err(
-                Error::invalid(what, "give inf beyond range_max, -inf below range_min").at(format!("range {i}"))
-            );
+        let too_near = range.iter().position(|r| *r == f32::NEG_INFINITY && spec.range_min == 0.0);
+        if let Some(i) = too_near {
+            let what = format!("nothing is too near for sensor {:?}, whose range_min is 0", spec.name);
+            return Err(Error::invalid(what, "give a range_min, or NaN for no reading").at(format!("range {i}")));
         }
         // A beam that comes twice counts once.
         let (width, distinct) = (sensor.width() as usize, sensor.distinct_columns() as usize);
