@@ -1,8 +1,9 @@
 //! The library's names of arguments, as the flags that the user of the command gives.
 
 /// The words of the library's messages, and the command's words for them.
-const WORDS: [(&str, &str); 11] = [
+const WORDS: [(&str, &str); 12] = [
     ("`Backend::Cpu`", "--backend cpu"),
+    ("`Existing::Replace`", "--replace"),
     ("`ImportOptions::scale`", "--scale"),
     ("`ImportOptions::up`", "--up"),
     ("`PoseFrame::Optical`", "--pose-frame optical"),
@@ -11,7 +12,7 @@ const WORDS: [(&str, &str); 11] = [
     ("`View::features` of a layer", "a --layer"),
     ("`cascade: true`", "--cascade"),
     ("`rectified: true`", "--rectified"),
-    ("`replace: true`", "--replace"),
+    ("give `poses`", "give --poses FILE.tum"),
     ("start fewer `Threads`", "lower --threads"),
 ];
 

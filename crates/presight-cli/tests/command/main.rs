@@ -6,6 +6,7 @@ mod cases_scanners;
 mod deadline;
 mod features;
 mod frames;
+mod hidden;
 mod localize;
 #[cfg(target_os = "linux")]
 mod memory;
