@@ -19,7 +19,7 @@ const EXAMPLES: &str = "Examples:
 /// Merge a scene or a layer file (.json), as one change
 ///
 /// Objects that already exist unchanged are kept. An object with the same path but different content is an error,
-/// unless --replace or --mirror is given; these list what was added, changed and left over. Where a name is repeated in
+/// unless --replace or --mirror is given; these list the objects added, changed and left over. Where a name is repeated in
 /// the file (chair, chair#2, ..), objects are paired by shape, then by the least sum of distances. Features of the file
 /// replace those with the same id; `"remove": true` deletes one. Features must lie on polygons, unless a layer file
 /// marks them `"surface": "lost"`, or they have already lost their surface in the imported store.

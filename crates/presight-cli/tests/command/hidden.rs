@@ -38,7 +38,7 @@ fn hidden_features_are_listed_in_full_with_a_reason_or_counted() {
         place.json("f.json")
     };
     let [plain, full, reason, count] = ["", "--hidden full", "--hidden reason", "--hidden count"].map(features);
-    assert_eq!(plain, full, "one pose is told in full");
+    assert_eq!(plain, full, "one pose gives the full file");
     let ids = |file: &Value| entries(file).iter().map(|f| f["id"].as_u64().unwrap()).collect::<Vec<_>>();
     assert_eq!((ids(&full), ids(&reason), ids(&count)), (vec![1, 2, 3, 4], vec![1, 2, 3, 4], vec![1, 2]));
     assert_eq!(

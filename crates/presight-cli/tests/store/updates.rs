@@ -1,4 +1,4 @@
-//! Updates of a store from a newer file: what is added, changed and left, and which of several equal names is which.
+//! Updates of a store from a newer file: objects added, changed and left, and the pairing of equal names.
 
 use super::command::{json, run};
 use super::{at, block, note, point, presight};

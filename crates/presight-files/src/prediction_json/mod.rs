@@ -198,8 +198,7 @@ enum Entry<'a> {
     Line(Box<RawValue>),
 }
 
-/// A feature without a visible part, of which only the reason is given. Its keys mean what they mean in a
-/// [`FeatureRecord`].
+/// A feature without a visible part, with the reason alone. A [`FeatureRecord`] has the same keys.
 #[derive(Serialize)]
 struct UnseenRecord<'a> {
     id: u32,

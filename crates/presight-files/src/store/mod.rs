@@ -340,8 +340,8 @@ impl Store {
         plan.map_err(|e| e.in_file(&self.path)).map(|plan| (entries, plan))
     }
 
-    /// Returns the change that merges a scene into the world, and what it does. Content that both have in common is
-    /// not changed. Objects have the same path in both; where the scene repeats a name, so that paths depend on the
+    /// Returns the change that merges a scene into the world, with lists of the objects that it affects. Content that
+    /// both have in common is not changed. Objects have the same path in both; where the scene repeats a name, so that paths depend on the
     /// order of the file, they are paired by shape and then by distance.
     ///
     /// # Errors

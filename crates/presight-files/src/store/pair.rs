@@ -1,9 +1,9 @@
-//! Pairs the objects of a scene with those of an environment by their paths.
+//! Pairs the objects of a scene with the objects of an environment by their paths.
 //!
 //! A file may repeat a name: its second `chair` becomes `chair#2`, in the order of the file. Such numbers say nothing
 //! about the object. So where a name is repeated, what did not change is paired first, then what has equal shapes, then
-//! the rest, each so that the sum of the distances is least. A repeated group is paired as a whole. Names without a
-//! repetition are paired as they are.
+//! the rest, each so that the sum of the distances is least. A repeated group is paired as a whole. A name without a
+//! repetition is paired with the same name.
 
 use super::assign::{MAX_WORK, assign};
 use glam::DVec3;
@@ -23,7 +23,7 @@ const FARTHEST: f64 = 1e6;
 pub(super) struct Pairing {
     /// Paths of objects and groups of the scene that have another name in the environment.
     names: HashMap<String, String>,
-    /// Of these, the repeated names: the path in the scene, and in the environment.
+    /// The repeated names among them: the path in the scene, and in the environment.
     pub renamed: Vec<(String, String)>,
     /// Repeated paths for which several pairings are equally near.
     pub ties: Vec<String>,
@@ -74,7 +74,7 @@ pub(super) fn live(environment: &Environment) -> impl Iterator<Item = &Object> {
 }
 
 impl Pairing {
-    /// Pairs the objects of a scene (`theirs`) with those of the environment (`ours`).
+    /// Pairs the objects of a scene (`theirs`) with the objects of the environment (`ours`).
     pub fn new(ours: &Environment, theirs: &Environment, hashes: [&mut MeshHashes; 2]) -> Self {
         let mut pairing = Self::default();
         if [ours, theirs].into_iter().any(|e| live(e).any(|o| o.name.contains('#'))) {
@@ -89,7 +89,7 @@ impl Pairing {
         self.names.get(path).map_or(path, String::as_str)
     }
 
-    /// Pairs what is below two places, given by their paths with a slash at the end.
+    /// Pairs the parts below two places, given by their paths with a slash at the end.
     fn pair(&mut self, at: [&str; 2], parts: [Vec<Part<'_>>; 2], hashes: [&mut MeshHashes; 2]) {
         let [mut ours, theirs] = parts.map(units);
         let [of_ours, of_theirs] = hashes;

@@ -19,7 +19,7 @@ pub enum Existing {
     Mirror,
 }
 
-/// The change that merges a scene, and what it does. Objects are named by their paths in the store.
+/// The change that merges a scene, and lists of its effects. Objects are named by their paths in the store.
 #[derive(Clone, Debug)]
 pub struct SceneMerge {
     /// The change.
@@ -109,8 +109,8 @@ impl<'a> Merger<'a> {
         self.changes.extend(missing.iter().map(|name| Change::DeleteObject { name: (*name).to_owned() }));
     }
 
-    /// Merges an object of the scene, which has this name in the store. `map` turns its material numbers into those of
-    /// the store.
+    /// Merges an object of the scene, which has this name in the store. `map` gives the store's number for each of its
+    /// materials.
     fn object(
         &mut self,
         object: &Object,
@@ -131,8 +131,8 @@ impl<'a> Merger<'a> {
             let remedy = "use `Existing::Replace` to replace it with the object of the file, or rename one of the two";
             return Err(Error::invalid(what, remedy).at(format!("object {name:?}")));
         }
-        // An object keeps the numbers of its source triangles, unless the store is to become equal to the scene: a
-        // new object in the file changes those of all objects behind it.
+        // An object keeps the numbers of its source triangles, unless the store is to become equal to the scene: one new
+        // object in the file shifts the numbers of all objects behind it.
         let same_source = self.existing != Existing::Mirror || present.first_source == object.first_source;
         match (same_shape, same_pose) {
             (true, true) if same_source => return Ok(()),

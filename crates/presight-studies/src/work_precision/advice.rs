@@ -1,6 +1,6 @@
 //! Recommended paths, derived from the rows.
 //!
-//! Nothing is recommended that the study's own repetitions do not tell from noise. Two paths are compared pair by pair: by
+//! Nothing is recommended that the study's own repetitions do not separate from noise. Two paths are compared pair by pair: by
 //! their times in the same turns, or by their errors at the same features. If they were equal, each would be ahead in half
 //! of the pairs (a sign test). A path is ahead only if chance would put any of the compared paths so far ahead at most once
 //! in twenty studies.
@@ -58,7 +58,7 @@ fn is_clearly_faster(a: &Row, b: &Row, choices: usize) -> bool {
     a.median_ms < WORTH * b.median_ms && is_ahead(&a.turns_ms, &b.turns_ms, choices)
 }
 
-/// Returns true if `a` is smaller in so many pairs that chance explains it for none of `choices` paths. Equal pairs and
+/// Returns true if `a` is smaller in more pairs than chance explains for any of `choices` paths. Equal pairs and
 /// those with NaN do not count.
 fn is_ahead(a: &[f64], b: &[f64], choices: usize) -> bool {
     let count = |is: fn(&f64, &f64) -> bool| a.iter().zip(b).filter(|(a, b)| is(a, b)).count();
@@ -170,7 +170,7 @@ impl<'a> FeaturePaths<'a> {
         is_ahead(&a.errors, &b.errors, self.paths.len())
     }
 
-    /// Returns true if the errors of `a` are smaller than those of `b` by more than its time is longer.
+    /// Returns true if the errors of `a` are smaller than the errors of `b` by more than its time is longer.
     fn is_worth_its_time(&self, a: &Row, b: &Row) -> bool {
         OF_FEATURES.iter().all(|kind| {
             let least = RESOLUTION * self.error(self.rays, kind);
@@ -383,7 +383,7 @@ mod tests {
         assert!(text.contains("take cpu, features by rays"), "{text}");
     }
 
-    /// Of nine fair coins all show heads once in 512 throws, eight or more ten times.
+    /// Nine fair coins all show heads once in 512 throws, and eight or more heads ten times.
     #[test]
     fn paths_are_ahead_by_more_than_chance() {
         let [one, two] = [vec![1.0; 9], vec![2.0; 9]];
