@@ -61,8 +61,8 @@ impl Search<'_> {
                     (step, next) = (least[j], j);
                 }
             }
-            for j in 0..size {
-                if done[j] {
+            for (j, is_done) in done.iter().enumerate() {
+                if *is_done {
                     self.of_rows[self.taken_by[j]] += step;
                     self.of_columns[j] -= step;
                 } else if j > 0 {
