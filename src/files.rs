@@ -33,7 +33,7 @@ pub use presight_files::preparation::{SceneFrame, Up};
 pub use presight_files::sensor_toml::{read as read_sensor_toml, to_string as sensor_to_toml};
 #[cfg(feature = "store")]
 #[doc(inline)]
-pub use presight_files::store::{Note as StoreNote, Store, create as create_store};
+pub use presight_files::store::{Existing, Note as StoreNote, Store, create as create_store};
 #[doc(inline)]
 pub use presight_files::tum::read as read_tum;
 #[doc(inline)]

@@ -144,7 +144,7 @@ pub fn check_layer(layer: &FeatureLayer) -> bool {
             |b: &[f64; 4]| b[0] >= -0.5 && b[1] >= -0.5 && b[2] <= 32.5 && b[3] <= 24.5 && b[0] < b[2] && b[1] < b[3];
         assert!(f.roi.as_ref().is_none_or(inside), "{f:?}");
     }
-    let header = prediction_json::Header::default();
+    let header = prediction_json::Header::new(&sensor, pose);
     prediction_json::to_string(&header, &seen, world.environment(), None).expect("a prediction is JSON");
     true
 }

@@ -424,6 +424,7 @@ impl<'a> Job<'a> {
             world_from_sensor: None,
             scene: Some(args.scene.display().to_string()),
             scene_blake3: Some(blake3_of(&args.scene)?),
+            scene_content: Some(scene.world.environment().content_hash().to_string()),
             ids: Some(IdScheme::Model),
             given_up: None,
             raster: None,

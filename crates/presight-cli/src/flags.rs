@@ -3,6 +3,7 @@
 /// The words of the library's messages, and the command's words for them.
 const WORDS: [(&str, &str); 12] = [
     ("`Backend::Cpu`", "--backend cpu"),
+    ("`Existing::Replace`", "--replace"),
     ("`ImportOptions::scale`", "--scale"),
     ("`ImportOptions::up`", "--up"),
     ("`PoseFrame::Optical`", "--pose-frame optical"),
@@ -12,7 +13,7 @@ const WORDS: [(&str, &str); 12] = [
     ("`View::features` of a layer", "a --layer"),
     ("`cascade: true`", "--cascade"),
     ("`rectified: true`", "--rectified"),
-    ("`replace: true`", "--replace"),
+    ("give `poses`", "give --poses FILE.tum"),
     ("start fewer `Threads`", "lower --threads"),
 ];
 

@@ -2,6 +2,7 @@
 
 use super::predict::Shown;
 use super::print;
+use clap::ValueEnum;
 use presight::{Scene, SceneFeatures};
 use presight_features::{BoxOptions, FeatureOptions, FeaturePrediction, FeatureSource, Hidden};
 use presight_files::{pose_covariance, prediction_json};
@@ -25,6 +26,10 @@ pub struct LayerArgs {
     /// Write the visible parts of the features
     #[arg(long, value_name = "OUT.json")]
     pub features: Option<PathBuf>,
+
+    /// How the file of --features lists features without a visible part [default: full; with --poses reason]
+    #[arg(long, value_enum, requires = "features", value_name = "HOW")]
+    hidden: Option<HiddenArg>,
 
     /// Keep only the N visible features that determine the sensor's pose best
     ///
@@ -51,6 +56,16 @@ pub struct LayerArgs {
     feature_numbers: bool,
 }
 
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum HiddenArg {
+    /// Only the number of all features
+    Count,
+    /// One line each, with the reason
+    Reason,
+    /// All keys, with each hidden part and its reason
+    Full,
+}
+
 /// The requests on the command line that features depend on.
 #[derive(Clone, Copy, Debug)]
 pub struct NamedRequest {
@@ -60,6 +75,8 @@ pub struct NamedRequest {
     pub virtual_sensor: Option<VirtualSensor>,
     /// True if a preview is drawn, which shows regions of interest.
     pub preview: bool,
+    /// True if there is a file of poses.
+    pub many_poses: bool,
 }
 
 impl NamedRequest {
@@ -123,6 +140,17 @@ impl LayerArgs {
         self.is_asked(asked).then_some(Output::PolygonId)
     }
 
+    /// How the features file lists features without a visible part.
+    fn hidden(&self, asked: NamedRequest) -> Hidden {
+        match self.hidden {
+            Some(HiddenArg::Count) => Hidden::Count,
+            Some(HiddenArg::Reason) => Hidden::Reason,
+            Some(HiddenArg::Full) => Hidden::Full,
+            None if asked.many_poses => Hidden::Reason,
+            None => Hidden::Full,
+        }
+    }
+
     /// Returns true if a features file is written.
     pub fn writes_something(&self) -> bool {
         self.features.is_some()
@@ -158,9 +186,11 @@ impl LayerArgs {
         let mut options = FeatureOptions::default().with_placed(placed);
         options.time = self.time;
         options.max_features = self.max_features;
-        // Files and pictures also show hidden parts.
-        if self.features.is_some() || asked.preview || asked.virtual_sensor.is_some() {
+        // Pictures and readings use every hidden part.
+        if asked.preview || asked.virtual_sensor.is_some() {
             options.hidden = Hidden::Full;
+        } else if self.features.is_some() {
+            options.hidden = self.hidden(asked);
         }
         let covariance = self
             .pose_cov
@@ -178,14 +208,20 @@ impl LayerArgs {
     }
 
     /// Writes the features file, if one is requested.
-    pub fn write(&self, scene: &Scene, prediction: &Prediction, shown: &Shown, path: Option<&Path>) -> Result<()> {
+    pub fn write(
+        &self,
+        scene: &Scene,
+        prediction: &Prediction,
+        (asked, shown): (NamedRequest, &Shown),
+        path: Option<&Path>,
+    ) -> Result<()> {
         let Some(path) = path else { return Ok(()) };
         let header = prediction_json::Header {
-            sensor: prediction.sensor.spec().name.clone(),
-            world_from_sensor: prediction.world_from_sensor,
+            hidden: self.hidden(asked),
             pose_covariance: shown.boxes.as_ref().map(|boxes| boxes.sensor),
             confidence: shown.boxes.as_ref().map(|boxes| boxes.confidence),
             given_up: prediction.degradation().cloned(),
+            ..prediction_json::Header::new(&prediction.sensor, prediction.world_from_sensor)
         };
         let none = FeaturePrediction::default();
         let seen = prediction.features.as_ref().unwrap_or(&none);

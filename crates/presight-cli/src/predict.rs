@@ -355,7 +355,8 @@ impl Args {
     pub fn asked(&self) -> NamedRequest {
         let of_preview = self.png.as_ref().map(|_| self.png_of);
         let outputs = Outputs::of(&self.outputs.iter().chain(of_preview).collect::<Vec<_>>());
-        NamedRequest { outputs, virtual_sensor: self.virtual_sensor.task, preview: self.png.is_some() }
+        let (preview, many_poses) = (self.png.is_some(), self.poses.is_some());
+        NamedRequest { outputs, virtual_sensor: self.virtual_sensor.task, preview, many_poses }
     }
 
     /// The images to predict: the requested ones, and those needed for the other files.
@@ -557,7 +558,7 @@ pub fn write_files(
         let marks = png::Marks { overlay: overlay.as_ref(), mask: mark, given_up: &given_up };
         png::write_preview_with(path, images, sensor, args.png_of, &marks)?;
     }
-    args.layers.write(scene, prediction, shown, paths.features.as_deref())?;
+    args.layers.write(scene, prediction, (args.asked(), shown), paths.features.as_deref())?;
     args.virtual_sensor.tell(reading, paths.mask.as_deref(), args.layers.writes_something())?;
     if let Some(path) = &paths.depth_png {
         print::notices(&png::write_depth(path, images, sensor)?);
@@ -590,6 +591,7 @@ pub fn attributes(args: &Args, scene: &Scene, sensor: &Sensor) -> Result<exr::At
         world_from_sensor: None,
         scene: Some(args.scene.display().to_string()),
         scene_blake3: Some(blake3_of(&args.scene)?),
+        scene_content: Some(scene.world.environment().content_hash().to_string()),
         ids: Some(args.scheme()),
         given_up: None,
         raster: None,

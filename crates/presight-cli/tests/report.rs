@@ -243,6 +243,9 @@ fn an_impossible_path_does_not_stop_the_others() {
 fn bad_input_is_refused_before_any_work() {
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join("file"), "not a folder").unwrap();
+    // Nothing surrounds a sensor here.
+    let open = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/files/cases/update-removed-object/new.glb");
+    fs::copy(open, folder.path().join("open.glb")).unwrap();
     fs::write(folder.path().join("empty.tum"), "# timestamp tx ty tz qx qy qz qw\n").unwrap();
     let room = room();
     for (arguments, status, told) in [
@@ -255,6 +258,11 @@ fn bad_input_is_refused_before_any_work() {
         (&["--stability", "--out", "study", "--up", "z"][..], 2, "--up"),
         (&["--stability", "--out", "study", "--scale", "2"][..], 2, "--scale"),
         (&[room.as_str(), "--out", "study", "--poses", "empty.tum"][..], 1, "empty.tum: the file has no poses"),
+        (
+            &["open.glb", "--out", "study"][..],
+            1,
+            "open.glb: only 0 of 3 free poses found in 6000 tries; give --poses FILE.tum",
+        ),
     ] {
         let done = report(folder.path(), arguments);
         let message = String::from_utf8(done.stderr).unwrap();

@@ -75,7 +75,8 @@ pub struct VisibleInterval {
     /// Start and end as fractions of the length in space, 0..=1, from the first defining point to the last. [0, 1] for
     /// a point. For a patch, shares of its area in the image: first the visible part, then the hidden parts by reason.
     pub t: [f64; 2],
-    /// Pixel coordinates of both ends (column, row). For a patch, the bounding box of the visible part.
+    /// Pixel coordinates of both ends (column, row). For a patch, the bounding box of the visible part. Between the ends
+    /// of a contour's part see [`super::image_path`].
     pub pixels: [DVec2; 2],
 }
 

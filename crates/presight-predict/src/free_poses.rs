@@ -47,7 +47,7 @@ pub fn free_poses(world: &World, n: usize, seed: u64) -> Result<Vec<Pose>> {
     if poses.len() < n {
         return Err(Error::invalid(
             format!("only {} of {n} free poses found in {} tries", poses.len(), TRIES * n),
-            "give poses, or a scene that surrounds the sensor",
+            "give `poses`, or a scene that surrounds the sensor",
         ));
     }
     Ok(poses)

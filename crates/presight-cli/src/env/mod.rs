@@ -2,22 +2,20 @@
 
 mod apply;
 mod export;
+mod import;
 mod show;
 
 use super::frame_args::FrameArgs;
 use super::open_scene;
 use super::outputs::{OutputFiles, check_no_dash};
 use super::{CommandOutcome, print};
-use presight_files::layer;
 use presight_files::preparation::Up;
 use presight_files::store;
 use presight_files::store::{Note, Store};
-use presight_model::change::Change;
 use presight_model::environment::Environment;
 use presight_model::error::{Error, Result};
 use presight_model::index::IndexKind;
 use presight_model::memory;
-use presight_model::placement;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -61,25 +59,7 @@ enum Command {
         #[command(flatten)]
         note: NoteArgs,
     },
-    /// Merge a scene or a layer file (.json), as one change
-    ///
-    /// Objects that already exist unchanged are kept. An object with the same path but different content is an error,
-    /// unless --replace is given. Features of the file replace those with the same id; `"remove": true` deletes one.
-    /// Features must lie on polygons, unless a layer file marks them `"surface": "lost"`, or they have already lost
-    /// their surface in the imported store.
-    Import {
-        /// The store
-        store: PathBuf,
-        /// The scene or layer file
-        file: PathBuf,
-        /// Replace objects that have the same path; features in their frame are kept
-        #[arg(long)]
-        replace: bool,
-        #[command(flatten)]
-        frame: FrameArgs,
-        #[command(flatten)]
-        note: NoteArgs,
-    },
+    Import(import::Args),
     Export(export::Args),
     Apply(apply::Args),
     /// Show the contents of a store
@@ -149,7 +129,7 @@ impl NoteArgs {
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     match &args.command {
         Command::Create { store, scene, frame, note } => create(store, scene, frame, note)?,
-        Command::Import { store, file, replace, frame, note } => import(store, file, *replace, frame, note)?,
+        Command::Import(args) => import::run(args)?,
         Command::Export(args) => export::run(args)?,
         Command::Apply(args) => apply::run(args)?,
         Command::Info { store, json } => show::info(store, *json)?,
@@ -186,47 +166,6 @@ fn create(store: &Path, scene: &Path, frame: &FrameArgs, note: &NoteArgs) -> Res
     files.check_scene(&scene_files)?;
     store::create(store, &environment, &note)?;
     print::data(&format!("{} objects, content {}\n", show::live(&environment).count(), environment.content_hash()))
-}
-
-fn import(path: &Path, file: &Path, replace: bool, frame: &FrameArgs, note: &NoteArgs) -> Result<()> {
-    let mut note = note.note(|| format!("import of {}", file.display()))?;
-    let is_layer = file.extension().is_some_and(|e| e.eq_ignore_ascii_case("json"));
-    if is_layer && replace {
-        let what = "--replace is for objects, and this is a layer file";
-        return Err(Error::usage(what, "drop --replace: features replace those with the same id").in_file(file));
-    }
-    // Read the file before the store is locked: it may be the same file.
-    let (layer, scene) = match is_layer {
-        true => (Some(layer::read(file)?), None),
-        false => {
-            let (scene, lay, _) = environment_of(file, frame)?;
-            note.cause += &lay;
-            (None, Some(scene))
-        }
-    };
-    if let Some(scene) = &scene {
-        memory::require(memory::of_writing(scene.objects().iter().map(|o| o.mesh.polygon_count() as u64)))?;
-    }
-    let mut store = open_store(path)?;
-    // Features that have already lost their surface in the imported file or store are accepted.
-    let lost = match (&layer, &scene) {
-        (Some(file), _) => file.lost.iter().map(|id| (file.layer.class.clone(), *id)).collect(),
-        (None, Some(scene)) => placement::lost(scene).map_err(|e| e.in_file(file))?,
-        (None, None) => Vec::new(),
-    };
-    let mut changes = Vec::new();
-    changes.extend(layer.map(|layer| store.merging_layer(&layer)));
-    if let Some(scene) = scene {
-        changes.push(store.merging_scene(&scene, replace).map_err(|e| e.in_file(file))?);
-    }
-    let change = Change::of(changes);
-    if matches!(&change, Change::Group(changes) if changes.is_empty()) {
-        return print::data("nothing to change\n");
-    }
-    let mut batch = store.batch()?;
-    let number = batch.apply_imported(change, lost, &note).map_err(|e| e.in_file(file))?;
-    batch.commit()?;
-    print::data(&format!("change {number}\n"))
 }
 
 fn undo(path: &Path, change: u64, cascade: bool, note: &NoteArgs) -> Result<()> {

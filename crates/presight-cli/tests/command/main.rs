@@ -7,6 +7,7 @@ mod deadline;
 mod driver_logs;
 mod features;
 mod frames;
+mod hidden;
 mod localize;
 #[cfg(target_os = "linux")]
 mod memory;

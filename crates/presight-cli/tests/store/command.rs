@@ -88,8 +88,23 @@ fn a_store_is_a_scene() {
     for (scene, out) in [("room.presight", "a.exr"), (glb, "b.exr")] {
         run(here, &[&["predict", scene][..], &pose, &["--out", out]].concat());
     }
-    run(here, &["compare", "a.exr", "b.exr"]);
-    run(here, &["compare", "a.exr", "b.exr", "--scene", "room.presight"]);
+    // Store and file hold the same content, so nothing is said of different scenes, and either may be named.
+    for more in [&[][..], &["--scene", "room.presight"], &["--scene", glb]] {
+        let output =
+            presight().args([&["compare", "a.exr", "b.exr"], more].concat()).current_dir(here).output().unwrap();
+        assert_eq!((output.status.code(), output.stderr), (Some(0), Vec::new()), "{more:?}");
+    }
+    // After a change they do not.
+    let change =
+        serde_json::json!({"op": "move", "object": of_scene["objects"][0]["name"], "pose": [9, 9, 9, 0, 0, 0]});
+    std::fs::copy(here.join("room.presight"), here.join("moved.presight")).unwrap();
+    std::fs::write(here.join("c.jsonl"), format!("{change}\n")).unwrap();
+    run(here, &["env", "apply", "moved.presight", "c.jsonl"]);
+    run(here, &[&["predict", "moved.presight"][..], &pose, &["--out", "c.exr"]].concat());
+    let output = presight().args(["compare", "a.exr", "c.exr"]).current_dir(here).output().unwrap();
+    assert!(String::from_utf8_lossy(&output.stderr).contains("different sensors, poses or scenes"), "{output:?}");
+    let said = refusal(here, &["compare", "a.exr", "b.exr", "--scene", "moved.presight"], 1);
+    assert!(said.contains("is not the scene that a.exr was predicted from"), "{said}");
     run(here, &["features", "room.presight", "--class", "video", "--out", "l.layer.json"]);
     run(here, &["env", "import", "room.presight", "l.layer.json"]);
     assert_eq!(run(here, &["env", "import", "room.presight", "l.layer.json"]), "nothing to change\n");

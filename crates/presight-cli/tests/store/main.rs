@@ -9,6 +9,7 @@ mod exports;
 mod kill;
 mod random;
 mod undo;
+mod updates;
 
 use glam::{DMat3, DVec3, Vec3};
 use presight_files::store;

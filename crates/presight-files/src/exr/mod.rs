@@ -34,6 +34,9 @@ pub struct Attributes {
     pub scene: Option<String>,
     /// BLAKE3 of the scene file, hexadecimal.
     pub scene_blake3: Option<String>,
+    /// Hash of the scene's content as it was opened ([`presight_model::environment::Environment::content_hash`]),
+    /// hexadecimal. It is equal for a store and for the file from which the store was made.
+    pub scene_content: Option<String>,
     /// Which numbering `polygon_id` uses.
     pub ids: Option<IdScheme>,
     /// Work dropped to meet a deadline. If set, a pixel that is NaN with id 0 was dropped or has no ray.
@@ -134,6 +137,7 @@ fn to_texts(attributes: &Attributes) -> Vec<(String, String)> {
     texts.extend(attributes.world_from_sensor.map(|p| ("world_from_sensor", pose_to_text(&p))));
     texts.extend(attributes.scene.clone().map(|t| ("scene", t)));
     texts.extend(attributes.scene_blake3.clone().map(|t| ("scene_blake3", t)));
+    texts.extend(attributes.scene_content.clone().map(|t| ("scene_content", t)));
     texts.extend(attributes.ids.map(|ids| ("ids", if ids == IdScheme::Model { "model" } else { "source" }.into())));
     texts.extend(attributes.raster.map(|raster| ("raster", raster.name().into())));
     texts.extend(attributes.given_up.iter().flat_map(serde_json::to_string).map(|text| ("given_up", text)));
@@ -325,6 +329,7 @@ impl Attributes {
             "world_from_sensor" => self.world_from_sensor = Some(pose_from_text(text)?),
             "scene" => self.scene = Some(text.to_owned()),
             "scene_blake3" => self.scene_blake3 = Some(text.to_owned()),
+            "scene_content" => self.scene_content = Some(text.to_owned()),
             "ids" => {
                 self.ids = Some(match text {
                     "model" => IdScheme::Model,

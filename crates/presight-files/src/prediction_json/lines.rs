@@ -133,6 +133,11 @@ impl Formatter for Lines {
         self.compact.begin_string(writer)
     }
 
+    fn write_raw_fragment<W: ?Sized + Write>(&mut self, writer: &mut W, fragment: &str) -> io::Result<()> {
+        self.line(writer)?;
+        self.compact.write_raw_fragment(writer, fragment)
+    }
+
     by_depth!(begin_object_key, first: bool);
     by_depth!(end_object_key);
     by_depth!(begin_object_value);

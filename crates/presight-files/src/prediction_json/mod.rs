@@ -9,13 +9,16 @@
 //! | `given_up` | work dropped to meet a deadline, see [`Degradation`]; absent if none was |
 //! | `features` | one entry each, see [`presight_features::SeenFeature`] |
 //! | `virtual` | the reading of a virtual sensor; absent if none was requested |
+//! | `all_features` | only if hidden features are left out: the number of all features |
 //!
 //! An entry has `id`, `kind`, `name`, `branch` (only for contours: each curve is an entry), `points_world`,
 //! `visible_fraction`, `visible` (`t`, `pixels`), `hidden` (`t`, `reason`, `by` with `polygon` and `object`), `range`,
 //! `cos_incidence`, `roi`, `roi_flag`, `image_covariance`, `properties` (`strength`, `contrast`, `normal` and
 //! `direction` in the world, `family`, `code`, `existence` at the time of the prediction) and `history` (null without a
 //! store). `range`, `cos_incidence`, `roi`, `roi_flag` and `image_covariance` are null for an invisible feature;
-//! `image_covariance` also if a defining point has no image (behind a camera).
+//! `image_covariance` also if a defining point has no image (behind a camera). `pixels` are both ends of a visible part, and
+//! for a contour its polyline. If only the reasons of hidden features are requested, entries without a visible part have
+//! only `id`, `kind`, `branch`, `visible_fraction`, `visible` and one `hidden` part, and stand on one line.
 //!
 //! `virtual` has `name`, `robot_from_sensor` (the sensor's mount: x, y, z, qx, qy, qz, qw) and, by name:
 //!
@@ -36,13 +39,16 @@ mod lines;
 
 use super::atomic::write_atomically;
 use glam::{DVec2, DVec3};
-use presight_features::{FeaturePrediction, HiddenInterval, SeenFeature, VisibleInterval};
+use presight_features::{FeaturePrediction, Hidden as HiddenFeatures, HiddenInterval, Reason, SeenFeature};
+use presight_features::{VisibleInterval, image_path};
 use presight_model::environment::{Environment, FeatureShape};
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::geometry::{InWorld, Pose, PoseCovariance};
+use presight_model::sensor::Sensor;
 use presight_predict::virtual_sensors::VirtualReading;
 use presight_render::deadline::Degradation;
 use serde::{Deserialize, Serialize};
+use serde_json::value::{RawValue, to_raw_value};
 use std::borrow::Cow;
 use std::io::Write;
 use std::path::Path;
@@ -50,11 +56,11 @@ use std::path::Path;
 /// The version that this build writes.
 const FORMAT: u32 = 1;
 
-/// The sensor and its pose, with uncertainty.
-#[derive(Clone, Debug, Default, PartialEq)]
+/// The sensor and its pose, with uncertainty, and how much the file says.
+#[derive(Clone, Debug)]
 pub struct Header {
-    /// The sensor's name.
-    pub sensor: String,
+    /// The sensor.
+    pub sensor: Sensor,
     /// The sensor's pose, body axes.
     pub world_from_sensor: Pose,
     /// Covariance of that pose.
@@ -63,6 +69,16 @@ pub struct Header {
     pub confidence: Option<f64>,
     /// Work dropped to meet a deadline.
     pub given_up: Option<Degradation>,
+    /// How features without a visible part are listed: in full, with one reason, or only counted.
+    pub hidden: HiddenFeatures,
+}
+
+impl Header {
+    /// The header for a sensor at a pose, without uncertainty. Hidden features are listed in full.
+    pub fn new(sensor: &Sensor, world_from_sensor: Pose) -> Self {
+        let (sensor, hidden) = (sensor.clone(), HiddenFeatures::Full);
+        Self { sensor, world_from_sensor, pose_covariance: None, confidence: None, given_up: None, hidden }
+    }
 }
 
 /// Writes predicted features, and the reading of a virtual sensor if there is one. `environment` names the objects that hide
@@ -92,18 +108,28 @@ pub fn to_string(
     reading: Option<&VirtualReading>,
 ) -> Result<String> {
     let (t, q) = (header.world_from_sensor.translation, header.world_from_sensor.rotation);
-    let file = File {
+    let mut file = File {
         format: FORMAT,
-        sensor: &header.sensor,
+        sensor: &header.sensor.spec().name,
         world_from_sensor: [t.x, t.y, t.z, q.x, q.y, q.z, q.w],
         pose_covariance: header.pose_covariance.map(|c| c.as_rows().as_flattened().to_vec()),
         confidence: header.confidence,
         given_up: header.given_up.as_ref(),
-        features: prediction.features.iter().map(|f| entry(f, environment)).collect(),
+        all_features: (header.hidden == HiddenFeatures::Count).then_some(prediction.stats.features),
+        features: Vec::with_capacity(prediction.features.len()),
         reading,
     };
-    let text = lines::to_string(&file);
-    text.map(|t| t + "\n").map_err(|e| Error::invalid(format!("the prediction cannot be written as JSON: {e}"), ""))
+    let wrong = |e| Error::invalid(format!("the prediction cannot be written as JSON: {e}"), "");
+    for seen in &prediction.features {
+        file.features.push(match header.hidden {
+            hidden if hidden == HiddenFeatures::Full || !seen.visible.is_empty() => {
+                Entry::Whole(Box::new(entry(seen, header, environment)))
+            }
+            HiddenFeatures::Reason => Entry::Line(to_raw_value(&unseen(seen)).map_err(wrong)?),
+            _ => continue,
+        });
+    }
+    lines::to_string(&file).map(|text| text + "\n").map_err(wrong)
 }
 
 /// The content of a file of predicted features, without the reading of a virtual sensor.
@@ -122,6 +148,9 @@ pub struct PredictionFile {
     /// Work dropped to meet a deadline, if any was.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub given_up: Option<Degradation>,
+    /// The number of all features, if hidden ones are only counted.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub all_features: Option<usize>,
     /// The predicted features.
     pub features: Vec<FeatureRecord<'static>>,
 }
@@ -152,12 +181,36 @@ struct File<'a> {
     confidence: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     given_up: Option<&'a Degradation>,
-    features: Vec<FeatureRecord<'a>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    all_features: Option<usize>,
+    features: Vec<Entry<'a>>,
     #[serde(rename = "virtual", skip_serializing_if = "Option::is_none")]
     reading: Option<&'a VirtualReading>,
 }
 
-/// A predicted feature, as the file holds it.
+/// An entry of the file.
+#[derive(Serialize)]
+#[serde(untagged)]
+enum Entry<'a> {
+    /// Every key.
+    Whole(Box<FeatureRecord<'a>>),
+    /// A feature without a visible part, on one line.
+    Line(Box<RawValue>),
+}
+
+/// A feature without a visible part, with the reason alone. A [`FeatureRecord`] has the same keys.
+#[derive(Serialize)]
+struct UnseenRecord<'a> {
+    id: u32,
+    kind: &'a str,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    branch: Option<u32>,
+    visible_fraction: f64,
+    visible: [Visible; 0],
+    hidden: [Hidden<'a>; 1],
+}
+
+/// A predicted feature, as the file holds it. Entries that give only a reason lack most keys.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[expect(missing_docs, reason = "the keys of the file, see the module")]
 pub struct FeatureRecord<'a> {
@@ -166,6 +219,7 @@ pub struct FeatureRecord<'a> {
     pub name: Option<Cow<'a, str>>,
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub branch: Option<u32>,
+    #[serde(default)]
     pub points_world: Vec<[f64; 3]>,
     pub visible_fraction: f64,
     pub visible: Vec<Visible>,
@@ -175,7 +229,7 @@ pub struct FeatureRecord<'a> {
     pub roi: Option<[f64; 4]>,
     pub roi_flag: Option<Cow<'a, str>>,
     pub image_covariance: Option<Cow<'a, [[[f64; 2]; 2]]>>,
-    pub properties: Properties<'a>,
+    pub properties: Option<Properties<'a>>,
     pub history: Option<()>,
 }
 
@@ -184,7 +238,7 @@ pub struct FeatureRecord<'a> {
 #[expect(missing_docs, reason = "the keys of the file")]
 pub struct Visible {
     pub t: [f64; 2],
-    pub pixels: [[f64; 2]; 2],
+    pub pixels: Vec<[f64; 2]>,
 }
 
 /// A hidden part, as the file holds it; see [`HiddenInterval`].
@@ -224,7 +278,7 @@ pub struct Properties<'a> {
     pub existence: f64,
 }
 
-fn entry<'a>(seen: &'a SeenFeature, environment: &'a Environment) -> FeatureRecord<'a> {
+fn entry<'a>(seen: &'a SeenFeature, header: &Header, environment: &'a Environment) -> FeatureRecord<'a> {
     FeatureRecord {
         id: seen.feature.id,
         kind: seen.feature.shape.kind().into(),
@@ -232,20 +286,37 @@ fn entry<'a>(seen: &'a SeenFeature, environment: &'a Environment) -> FeatureReco
         branch: seen.branch,
         points_world: seen.points_world.iter().map(DVec3::to_array).collect(),
         visible_fraction: seen.visible_fraction,
-        visible: seen.visible.iter().map(visible).collect(),
+        visible: seen.visible.iter().map(|v| visible(v, seen, header)).collect(),
         hidden: seen.hidden.iter().map(|h| hidden(h, environment)).collect(),
         range: seen.range,
         cos_incidence: seen.cos_incidence,
         roi: seen.roi,
         roi_flag: seen.roi_flag.map(|flag| flag.name().into()),
         image_covariance: seen.image_covariance.as_deref().map(Cow::from),
-        properties: properties(seen),
+        properties: Some(properties(seen)),
         history: None,
     }
 }
 
-fn visible(v: &VisibleInterval) -> Visible {
-    Visible { t: v.t, pixels: v.pixels.map(|p: DVec2| p.to_array()) }
+/// The entry of a feature without a visible part: of all reasons of its parts the last one, as [`HiddenFeatures::Reason`].
+fn unseen(seen: &SeenFeature) -> UnseenRecord<'_> {
+    let reason = seen.hidden.iter().map(|h| h.reason).max().unwrap_or(Reason::OutsideImage);
+    UnseenRecord {
+        id: seen.feature.id,
+        kind: seen.feature.shape.kind(),
+        branch: seen.branch,
+        visible_fraction: seen.visible_fraction,
+        visible: [],
+        hidden: [Hidden { t: [0.0, 1.0], reason: reason.name().into(), by: None }],
+    }
+}
+
+fn visible(v: &VisibleInterval, seen: &SeenFeature, header: &Header) -> Visible {
+    let pixels = match seen.feature.shape {
+        FeatureShape::Contour { .. } => image_path(&header.sensor, &header.world_from_sensor, &seen.points_world, v),
+        _ => v.pixels.to_vec(),
+    };
+    Visible { t: v.t, pixels: pixels.iter().map(DVec2::to_array).collect() }
 }
 
 fn hidden<'a>(h: &HiddenInterval, environment: &'a Environment) -> Hidden<'a> {
@@ -280,6 +351,7 @@ fn properties(seen: &SeenFeature) -> Properties<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::preset;
     use glam::DMat3;
     use presight_features::Reason;
     use presight_model::environment::{Existence, Feature, Properties};
@@ -316,7 +388,7 @@ mod tests {
     #[test]
     fn fields_bear_the_names_that_others_read() {
         let prediction = FeaturePrediction { features: vec![seen()], ..FeaturePrediction::default() };
-        let header = Header { sensor: "video-camera".into(), ..Header::default() };
+        let header = Header::new(&preset("video-camera").unwrap(), Pose::IDENTITY);
         let text = to_string(&header, &prediction, &Environment::new(), None).unwrap();
         let json: serde_json::Value = serde_json::from_str(&text).unwrap();
         let keys = |v: &serde_json::Value| v.as_object().unwrap().keys().cloned().collect::<Vec<_>>();
@@ -376,15 +448,14 @@ mod tests {
             opening: None,
         };
         let given_up = Some(given_up);
-        let header =
-            Header { sensor: "c".into(), world_from_sensor: pose, given_up: given_up.clone(), ..Header::default() };
+        let header = Header { given_up: given_up.clone(), ..Header::new(&preset("video-camera").unwrap(), pose) };
         let text = to_string(&header, &prediction, &Environment::new(), None).unwrap();
         let read = parse(&text).unwrap();
         assert_eq!(read.given_up, given_up);
         assert_eq!((read.world_from_sensor, read.features[0].range), (pose, None), "NaN is written as null");
         assert_eq!(
             read.features[0],
-            FeatureRecord { range: None, ..entry(&prediction.features[0], &Environment::new()) }
+            FeatureRecord { range: None, ..entry(&prediction.features[0], &header, &Environment::new()) }
         );
         let again = serde_json::to_value(&read).unwrap();
         assert_eq!(again, serde_json::from_str::<serde_json::Value>(&text).unwrap());

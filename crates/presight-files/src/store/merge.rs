@@ -1,11 +1,10 @@
-//! Turns the content of scene and layer files into changes of an environment.
+//! Turns the content of layer files, and of objects in scene files, into changes of an environment.
 
 use crate::gltf::{ImportOptions, import};
 use crate::layer::LayerFile;
 use presight_model::change::Change;
-use presight_model::environment::{Environment, Feature, FeatureLayer, Material, Mesh, NewObject};
+use presight_model::environment::{Environment, Feature, FeatureLayer, Material, Mesh};
 use presight_model::error::{Error, Result};
-use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -43,7 +42,7 @@ impl<'a> Materials<'a> {
     }
 
     /// Maps the material numbers of another environment to ours.
-    fn map(&mut self, other: &Environment, changes: &mut Vec<Change>) -> Result<Vec<u16>> {
+    pub fn map(&mut self, other: &Environment, changes: &mut Vec<Change>) -> Result<Vec<u16>> {
         other.materials().iter().map(|m| self.number_of(m, changes)).collect()
     }
 }
@@ -86,101 +85,6 @@ fn mesh_of(
     found.mesh.transformed(turn, |m| map[usize::from(m)]).map(Arc::new)
 }
 
-/// Returns the change that merges a scene into an environment: materials, objects, frames of groups, features. Equal
-/// content is not changed. With `replace`, an object of the scene replaces a different object of the same path;
-/// features in the frame of the replaced object are kept.
-///
-/// # Errors
-/// [`presight_model::ErrorKind::Invalid`] if an object or a group's frame differs and `replace` is false.
-pub(super) fn merge_scene(environment: &Environment, scene: &Environment, replace: bool) -> Result<Change> {
-    let (mut changes, mut added) = (Vec::new(), Vec::new());
-    let map = Materials::new(environment, &mut added).map(scene, &mut changes)?;
-    let (ours, theirs) = (hashes(environment.materials()), hashes(scene.materials()));
-    let mut meshes: HashMap<*const Mesh, Arc<Mesh>> = HashMap::new();
-    let mut attached_to = None;
-    for object in scene.objects().iter().filter(|o| !o.is_deleted()) {
-        let mut kept = Vec::new();
-        if let Some(present) = environment.object(&object.name) {
-            let same_shape = present.object_from_mesh == object.object_from_mesh
-                && present.first_source == object.first_source
-                && present.mesh.content_hash(|m| ours[usize::from(m)])
-                    == object.mesh.content_hash(|m| theirs[usize::from(m)]);
-            let same_pose = present.world_from_object == object.world_from_object;
-            if same_shape && same_pose {
-                continue;
-            }
-            if !replace {
-                let what = "it already exists with another pose or shape";
-                let remedy = "use `replace: true` to replace it with the object of the file, or rename one of the two";
-                return Err(Error::invalid(what, remedy).at(format!("object {:?}", object.name)));
-            }
-            let name = object.name.clone();
-            if same_shape {
-                changes.push(Change::SetPose { name, world_from_object: object.world_from_object });
-                continue;
-            }
-            let all = attached_to.get_or_insert_with(|| attached(environment));
-            kept = all.remove(name.as_str()).unwrap_or_default();
-            changes.push(Change::DeleteObject { name });
-        }
-        let mesh = meshes.entry(Arc::as_ptr(&object.mesh));
-        let mesh = mesh.or_insert_with(|| Arc::new(object.mesh.with_materials(|m| map[usize::from(m)]))).clone();
-        changes.push(Change::InsertObject(NewObject {
-            name: object.name.clone(),
-            world_from_object: object.world_from_object,
-            object_from_mesh: object.object_from_mesh,
-            mesh,
-            first_source: object.first_source,
-        }));
-        changes.append(&mut kept);
-    }
-    merge_groups(environment, scene, replace, &mut changes)?;
-    for layer in scene.layers() {
-        merge_features(environment, layer, &[], &mut changes);
-    }
-    Ok(Change::Group(changes))
-}
-
-/// Appends the changes that set the frames of groups. A path that names an object of the environment is skipped.
-fn merge_groups(environment: &Environment, scene: &Environment, replace: bool, to: &mut Vec<Change>) -> Result<()> {
-    for (path, frame) in scene.groups().into_iter().filter(|(path, _)| environment.object(path).is_none()) {
-        let (present, given) = (environment.group(path).copied(), scene.group(path).copied());
-        match (present, given) {
-            (None, None) => continue,
-            (Some(present), _) if present == frame => continue,
-            (Some(_), _) if !replace => {
-                let what = "it already has another frame";
-                let remedy = "use `replace: true` to replace it with the frame of the file";
-                return Err(Error::invalid(what, remedy).at(format!("group {path:?}")));
-            }
-            _ => to.push(Change::SetFrame { name: path.to_owned(), world_from_group: given }),
-        }
-    }
-    Ok(())
-}
-
-/// By object, the changes that restore its features and covariances after the object was replaced.
-fn attached(environment: &Environment) -> HashMap<&str, Vec<Change>> {
-    let mut all: HashMap<&str, Vec<Change>> = HashMap::new();
-    for FeatureLayer { class, features, pose_covariances, .. } in environment.layers() {
-        for feature in features {
-            let Some(object) = &feature.object else { continue };
-            let change = Change::RestoreFeature { class: class.clone(), feature: Feature::clone(feature) };
-            all.entry(object).or_default().push(change);
-        }
-        for (object, covariance) in pose_covariances {
-            let (class, covariance) = (class.clone(), Some(*covariance));
-            let change = Change::SetPoseCovariance { class, object: object.clone(), covariance };
-            all.entry(object).or_default().push(change);
-        }
-    }
-    all
-}
-
-fn hashes(materials: &[Material]) -> Vec<presight_model::environment::ContentHash> {
-    materials.iter().map(Material::content_hash).collect()
-}
-
 /// Returns the change that merges a layer file. Its features replace those of the same id.
 pub(super) fn merge_layer(environment: &Environment, file: &LayerFile) -> Change {
     let mut changes = Vec::new();
@@ -188,7 +92,13 @@ pub(super) fn merge_layer(environment: &Environment, file: &LayerFile) -> Change
     Change::Group(changes)
 }
 
-fn merge_features(environment: &Environment, layer: &FeatureLayer, removed: &[u32], changes: &mut Vec<Change>) {
+/// Appends the changes that merge a layer.
+pub(super) fn merge_features(
+    environment: &Environment,
+    layer: &FeatureLayer,
+    removed: &[u32],
+    changes: &mut Vec<Change>,
+) {
     let class = &layer.class;
     let present = environment.layer(class);
     if present.is_none_or(|p| p.tolerance < layer.tolerance) {

@@ -19,6 +19,7 @@
 //! is complete and can be copied. A [`Store`] holds SQLite's write lock until it is dropped; a second writer is refused
 //! at once. Readers load one version in one transaction and then work in memory.
 
+mod assign;
 mod blob;
 mod context;
 mod create;
@@ -28,14 +29,17 @@ mod log;
 mod merge;
 mod meshes;
 mod op;
+mod pair;
 mod read;
 mod rows;
+mod scene;
 mod schema;
 mod unique;
 mod write;
 
 pub use create::create;
 pub use log::LogEntry;
+pub use scene::{Existing, SceneMerge};
 pub use write::{Batch, Note};
 
 use crate::layer::LayerFile;
@@ -336,13 +340,14 @@ impl Store {
         plan.map_err(|e| e.in_file(&self.path)).map(|plan| (entries, plan))
     }
 
-    /// Returns the change that merges a scene into the world. Content that both have in common is not changed. With
-    /// `replace`, objects of the scene replace stored objects of the same path, which keep their features.
+    /// Returns the change that merges a scene into the world, with lists of the objects that it affects. Content that
+    /// both have in common is not changed. Objects have the same path in both; where the scene repeats a name, so that paths depend on the
+    /// order of the file, they are paired by shape and then by distance.
     ///
     /// # Errors
-    /// [`ErrorKind::Invalid`] if a stored object of the same path differs and `replace` is false.
-    pub fn merging_scene(&self, scene: &Environment, replace: bool) -> Result<Change> {
-        merge::merge_scene(self.world.environment(), scene, replace)
+    /// [`ErrorKind::Invalid`] if a stored object of the same path differs and `existing` ones are kept.
+    pub fn merging_scene(&self, scene: &Environment, existing: Existing) -> Result<SceneMerge> {
+        scene::merge_scene(self.world.environment(), scene, existing)
     }
 
     /// Returns the change that merges a layer file. Its features replace stored features with the same id.

@@ -24,6 +24,8 @@ use presight_render::plan::Stats;
 const NEAR: f64 = 6.0;
 /// Sampling step of the truth, pixels.
 const TRUE_STEP: f64 = STEP / 8.0;
+/// Smaller errors than this share of the errors at the usual step are not known: the samples of the truth are as far apart.
+pub(super) const RESOLUTION: f64 = TRUE_STEP / STEP;
 /// Smaller differences of visible fractions are rounding: lengths are summed in different orders.
 pub(super) const ROUNDING: f64 = 1e-12;
 
@@ -43,10 +45,8 @@ struct FeaturePath {
     sensor: Sensor,
     /// The last prediction, whose memory is reused.
     found: Option<Prediction>,
-    /// The largest error of a visible fraction, the sum of all errors, and their number.
-    worst: f64,
-    sum: f64,
-    count: usize,
+    /// The error of each visible fraction.
+    errors: Vec<f64>,
 }
 
 /// Adds rows of all paths from images to features, and to their regions of interest. Returns the number of features.
@@ -80,9 +80,10 @@ pub(super) fn rows(
     }
     for TimedPath { what, timing } in all {
         let named = what.named(one);
-        let row = one.row(&named, &timing);
-        let mean = what.sum / what.count.max(1) as f64;
-        for (error_kind, error) in [("visible_fraction", what.worst), ("visible_fraction_mean", mean)] {
+        let worst = what.errors.iter().copied().fold(0.0, f64::max);
+        let mean = what.errors.iter().sum::<f64>() / what.errors.len().max(1) as f64;
+        let row = Row { errors: what.errors, ..one.row(&named, &timing) };
+        for (error_kind, error) in [("visible_fraction", worst), ("visible_fraction_mean", mean)] {
             rows.push(Row { error_kind, error, bound: None, ..row.clone() });
         }
         notes.push(timing.notes(&named));
@@ -108,8 +109,7 @@ fn paths(one: &mut SceneStudy<'_>) -> Vec<TimedPath<FeaturePath>> {
         if which == EnginePath::Gpu && !one.engines.has_gpu() {
             continue;
         }
-        let path =
-            |sensor| FeaturePath { which, visibility, step, view, sensor, found: None, worst: 0.0, sum: 0.0, count: 0 };
+        let path = |sensor| FeaturePath { which, visibility, step, view, sensor, found: None, errors: Vec::new() };
         // At a reduced resolution, a ray table may have too few rays for a projection.
         let seen = view
             .of(one.sensor)
@@ -169,11 +169,8 @@ impl FeaturePath {
         let Some(found) = self.found.as_ref().and_then(|p| p.features.as_ref()) else { return };
         for (seen, truth) in found.features.iter().zip(&case.truth.features) {
             let off = (seen.visible_fraction - truth.visible_fraction).abs();
-            let off = if off < ROUNDING { 0.0 } else { off };
-            self.worst = self.worst.max(off);
-            self.sum += off;
+            self.errors.push(if off < ROUNDING { 0.0 } else { off });
         }
-        self.count += case.truth.features.len();
     }
 }
 

@@ -55,7 +55,7 @@ pub struct Effort {
 impl Effort {
     /// A study of less than a minute on two cores.
     pub const QUICK: Self = Self {
-        rounds: 7,
+        rounds: 9,
         least_runs: 2,
         most_runs: 21,
         patience: Duration::from_millis(250),
@@ -125,6 +125,13 @@ pub struct Row {
     pub runs: usize,
     /// True for the path that a user gets by default.
     pub default: bool,
+    /// The median of each turn, milliseconds; NaN if it had no time for this path. Turns of one number of paths that were
+    /// timed together are neighbours in time.
+    #[serde(skip)]
+    turns_ms: Vec<f64>,
+    /// For features: the error of each, in the same order for all paths.
+    #[serde(skip)]
+    errors: Vec<f64>,
     /// Flags or settings that select the path.
     #[serde(skip)]
     how: String,
@@ -287,6 +294,8 @@ mod tests {
             pareto: false,
             runs: 1,
             default: false,
+            turns_ms: Vec::new(),
+            errors: Vec::new(),
             how: String::new(),
             family: String::new(),
             label: String::new(),

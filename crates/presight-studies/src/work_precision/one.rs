@@ -175,6 +175,8 @@ impl SceneStudy<'_> {
             pareto: false,
             runs: timing.runs(),
             default: named.default,
+            turns_ms: timing.turns(),
+            errors: Vec::new(),
             how: named.how.clone(),
             family: named.family.clone(),
             label: named.label.clone(),

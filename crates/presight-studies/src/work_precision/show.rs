@@ -139,11 +139,12 @@ fn kinds() -> Section {
          the 95th percentile.",
         "A row is on the Pareto front if no other row of its kind is as fast and as exact. Paths that leave out a part \
          of the image are never on it. Regions of interest are compared at the same pose errors.",
-        "The advice recommends the default unless another path is clearly faster: its median is below nine tenths of \
-         the other's, and its third quartile is below the other's first quartile. Less exact paths are mentioned only \
-         if at most a tenth of the pixels show another polygon. Advice on features needs at least ten features. A path \
-         is as exact as rays if neither its largest nor its mean error exceeds that of rays by more than a \
-         thousandth.",
+        "The advice recommends the default unless another path is better by more than noise: it is ahead in so many \
+         turns (or, in errors, at so many features) that chance would put one of the paths ahead at most once in \
+         twenty studies. A path that is as exact must also be a tenth faster. A more exact path to features must be \
+         worth its time: its largest and its mean error, each times its time, must be smaller, because finer samples \
+         halve the error for twice the time. Less exact paths are mentioned only if at most a tenth of the pixels show \
+         another polygon. Advice on features needs at least ten features.",
     ];
     let mut parts: Vec<Part> = texts.map(|text| Part::Text(text.into())).to_vec();
     parts.push(Part::Table(Table { caption: "Kinds of errors".into(), head, rows, marked: Vec::new() }));

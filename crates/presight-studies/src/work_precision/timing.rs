@@ -15,6 +15,8 @@ const SHORT: Duration = Duration::from_millis(10);
 #[derive(Clone, Debug, Default)]
 pub(super) struct Timing {
     times_ms: Vec<f64>,
+    /// The median of each turn; NaN for a turn without a counted run. Turns of one number are neighbours in time.
+    turns_ms: Vec<f64>,
     stats: Vec<Stats>,
     /// Time of the last run, counted or not.
     last: Duration,
@@ -52,10 +54,12 @@ pub(super) fn by_turns<T>(
             if more(*runs, *spent) && one.timing.last < SHORT {
                 one.timing.warm(|| run(&mut one.what))?;
             }
+            let before = one.timing.runs();
             while more(*runs, *spent) {
                 one.timing.count(|| run(&mut one.what))?;
                 (*runs, *spent) = (*runs + 1, *spent + one.timing.last);
             }
+            one.timing.end_turn(before);
         }
     }
     Ok(())
@@ -82,6 +86,17 @@ impl Timing {
         Ok(())
     }
 
+    /// Notes the median of the runs since run `before`.
+    fn end_turn(&mut self, before: usize) {
+        let runs = &self.times_ms[before..];
+        self.turns_ms.push(if runs.is_empty() { f64::NAN } else { median(runs.to_vec()) });
+    }
+
+    /// The median of each turn, NaN for a turn without a run.
+    pub fn turns(&self) -> Vec<f64> {
+        self.turns_ms.clone()
+    }
+
     pub fn runs(&self) -> usize {
         self.times_ms.len()
     }
@@ -101,7 +116,7 @@ impl Timing {
 
     /// Multiplies all times by `factor`, to scale them to another number of features.
     pub fn scaled(mut self, factor: f64) -> Self {
-        self.times_ms.iter_mut().for_each(|ms| *ms *= factor);
+        self.times_ms.iter_mut().chain(&mut self.turns_ms).for_each(|ms| *ms *= factor);
         self
     }
 
@@ -135,8 +150,9 @@ impl Timing {
 mod tests {
     use super::*;
 
-    /// Runs paths that sleep. Returns their indices in the order of the runs, and the number of counted runs of each.
-    fn ran(effort: &Effort, sleeps: &[u64]) -> (Vec<usize>, Vec<usize>) {
+    /// Runs paths that sleep. Returns their indices in the order of the runs, and the numbers of counted runs and of turns
+    /// with such runs of each.
+    fn ran(effort: &Effort, sleeps: &[u64]) -> (Vec<usize>, Vec<usize>, Vec<usize>) {
         let mut order = Vec::new();
         let mut all: Vec<_> = (0..sleeps.len()).map(TimedPath::new).collect();
         let mut run = |i: &mut usize| {
@@ -148,21 +164,22 @@ mod tests {
             one.timing.warm(|| run(&mut one.what)).unwrap();
         }
         by_turns(effort, &mut all, run, |_| ()).unwrap();
-        (order, all.iter().map(|one| one.timing.runs()).collect())
+        let turns = |one: &TimedPath<usize>| one.timing.turns().iter().filter(|ms| ms.is_finite()).count();
+        (order, all.iter().map(|one| one.timing.runs()).collect(), all.iter().map(turns).collect())
     }
 
     #[test]
     fn paths_take_turns_and_first_runs_are_not_counted() {
         let effort =
             Effort { rounds: 2, least_runs: 2, most_runs: 4, patience: Duration::from_secs(9), ..Effort::QUICK };
-        let (mut order, counted) = ran(&effort, &[0, 0]);
-        assert_eq!(counted, [4, 4]);
+        let (mut order, counted, turns) = ran(&effort, &[0, 0]);
+        assert_eq!((counted, turns), (vec![4, 4], vec![2, 2]));
         assert!(order.len() > 2 + 8, "short paths are warmed up again in each turn: {order:?}");
         order.dedup();
         assert_eq!(order, [0, 1, 0, 1, 0, 1]);
         // Without patience only the minimum runs; a long path needs no additional warm-up.
         let effort = Effort { patience: Duration::ZERO, ..effort };
-        let (order, counted) = ran(&effort, &[0, 12]);
+        let (order, counted, _) = ran(&effort, &[0, 12]);
         assert_eq!(counted, [2, 2]);
         assert_eq!(order.iter().filter(|i| **i == 1).count(), 1 + 2, "{order:?}");
     }
