@@ -1,7 +1,7 @@
 //! The library's names of arguments, as the flags that the user of the command gives.
 
 /// The words of the library's messages, and the command's words for them.
-const WORDS: [(&str, &str); 12] = [
+const WORDS: [(&str, &str); 13] = [
     ("`Backend::Cpu`", "--backend cpu"),
     ("`Existing::Replace`", "--replace"),
     ("`ImportOptions::scale`", "--scale"),
