@@ -1,9 +1,9 @@
 //! Calibrations of cameras in YAML, each recognized by its keys:
 //! - ROS camera_info: a file of `camera_calibration`, or a `sensor_msgs/CameraInfo` message as `topic echo` prints it;
-//! - OpenCV's `FileStorage` (`%YAML:1.0`, `!!opencv-matrix`) with keys of the same meaning ([`ros`] reads both);
-//! - Kalibr's camchain, of which one camera is taken, and EuRoC's `sensor.yaml` ([`chain`] reads both).
+//! - OpenCV's `FileStorage` (`%YAML:1.0`, `!!opencv-matrix`) with keys of the same meaning (`ros` reads both);
+//! - Kalibr's camchain, from which one camera is taken, and EuRoC's `sensor.yaml` (`chain` reads both).
 //!
-//! Those of other tools that are known by their keys are refused by their name ([`others`]).
+//! Files of other tools that are known by their keys are refused by name (`others`).
 
 mod chain;
 mod others;
@@ -179,7 +179,7 @@ fn off_centre(size: [u32; 2], binned: [u32; 2], c: [f64; 2]) -> Option<String> {
     }
     let [w, h] = c.map(|c| 2.0 * c + 1.0);
     Some(format!(
-        "{far}: it is taken as it is; if K was calibrated on images of another size, whose middle this is ({w:.0} x \
+        "{far}: K is used unchanged; if it was calibrated on images of another size, whose middle this is ({w:.0} x \
          {h:.0}), give that size, or K of this one"
     ))
 }

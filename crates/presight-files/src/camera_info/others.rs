@@ -31,10 +31,7 @@ const ONE_CAMERA: &str =
 /// # Errors
 /// [`ErrorKind::Unsupported`] for the file of another tool; [`ErrorKind::Invalid`] without any key of a camera.
 pub(super) fn refuse(keys: &Keys) -> Result<()> {
-    let has = |start: &str| match start.ends_with('.') {
-        true => keys.keys().any(|key| key.starts_with(start)),
-        false => keys.contains_key(start),
-    };
+    let has = |start: &str| keys.keys().any(|key| key == start || start.ends_with('.') && key.starts_with(start));
     // EuRoC's file of a camera has its intrinsics; that of an IMU has densities.
     if let Some((_, name, remedy)) = OTHERS.iter().find(|(start, ..)| has(start)) {
         return Err(Error::new(ErrorKind::Unsupported, format!("this is {name}"), *remedy));
