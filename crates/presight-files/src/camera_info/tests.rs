@@ -298,7 +298,7 @@ fn euroc_and_kalibr_are_read() {
         (CAMCHAIN.replacen("radtan", "fov", 1), None, Some("cam0: distortion_model"), "fov"),
         (EUROC.replace("sensor_type: camera", "sensor_type: lidar"), None, None, "EuRoC"),
         (EUROC.replace("458.6,", "wide,"), None, Some("line 10"), "floating point"),
-        ("cam0:\ncam1: 3\n".to_owned(), None, Some("line 2"), ""),
+        ("cam0:\ncam1: 3\n".to_owned(), None, Some("line 1"), "expected mapping"),
     ] {
         let e = parse(&text, "c", choice, false).unwrap_err();
         assert!(e.place() == place && e.to_string().contains(says) && !e.to_string().contains('\n'), "{e}");
