@@ -10,7 +10,7 @@ use presight_model::sensor::Sensor;
 pub struct SensorArgs {
     /// The rectified image of a ROS camera_info given as --sensor (P, R), not the raw one (K, D)
     ///
-    /// Poses stay those of the camera: R turns the image, not the camera.
+    /// Poses are still poses of the raw camera: R turns the image, not the camera.
     #[arg(long, requires = "sensor")]
     pub rectified: bool,
 }

@@ -1,7 +1,7 @@
 //! Kalibr's camchain (`cam0: {..}`, `cam1: {..}`) and EuRoC's `sensor.yaml`, which is one camera of it.
 //!
 //! `intrinsics` are fx, fy, cx, cy in pixels of `resolution`. `T_cam_imu`, `T_cn_cnm1` and `T_BS` say where the camera is
-//! on its rig. They are not used: poses are those of the camera.
+//! on its rig. They are not used: poses given to presight are poses of the camera.
 
 use super::{Keys, lens, off_centre, unused, yaml};
 use presight_model::error::{Error, ErrorKind, Result};
@@ -81,7 +81,7 @@ impl Entry {
             used.contains(&key) || key == "distortion_coefficients"
         };
         let on_rig =
-            if keys.keys().any(|key| key.starts_with("T_")) { ": the poses are those of the camera" } else { "" };
+            if keys.keys().any(|key| key.starts_with("T_")) { ": poses are poses of the camera" } else { "" };
         notices.extend(unused(keys, is_used).map(|notice| notice + on_rig));
         notices.extend(off_centre([width, height], [width, height], [cx, cy]));
         let distortion = lens(model, &coefficients)?;
