@@ -36,7 +36,7 @@ struct File {
     distortion_model: Option<String>,
     /// An old name of `distortion_model`, or `pinhole`.
     camera_model: Option<String>,
-    /// OpenCV: not 0 if the coefficients are those of a fisheye.
+    /// OpenCV: not 0 if the coefficients belong to the fisheye model.
     fisheye_model: Option<i64>,
     #[serde(alias = "D", alias = "d", alias = "distCoeffs", alias = "Distortion_Coefficients")]
     distortion_coefficients: Option<Numbers>,
@@ -62,7 +62,7 @@ struct Roi {
     do_rectify: bool,
 }
 
-/// Keys of [`File`], but for those of the rectified image.
+/// Keys of [`File`] without the keys of the rectified image.
 const USED: [&str; 24] = [
     "image_width",
     "image_Width",
@@ -245,7 +245,7 @@ impl File {
             Some(model) => model,
             None if self.fisheye_model.is_some_and(|is| is != 0) => "fisheye",
             None => {
-                // OpenCV tells them by the number of coefficients.
+                // OpenCV chooses the model by the number of coefficients.
                 let rational = coefficients.iter().skip(5).any(|c| *c != 0.0);
                 let model = if rational { "rational_polynomial" } else { "plumb_bob" };
                 if coefficients.iter().any(|c| *c != 0.0) {

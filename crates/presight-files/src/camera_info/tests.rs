@@ -218,7 +218,7 @@ fn file_storage_of_opencv_is_read() {
     let notices = raw(&eight).unwrap().1;
     assert_eq!(camera_of(&eight).distortion.model(), "rational_polynomial");
     assert!(notices.iter().any(|n| n.contains("taken as rational_polynomial")), "{notices:?}");
-    // Lines are those of the file.
+    // Lines are counted in the file.
     let e = raw(&OPENCV.replace("image_height: 480", "image_height: tall")).unwrap_err();
     assert_eq!(e.place(), Some("line 6"), "{e}");
     assert!(
