@@ -212,8 +212,8 @@ fn load(mut environment: Environment) {
     {
         let (count, store) = (million.features.len(), path("many.presight"));
         environment.add_layer(million).expect("it fits");
-        let note = presight_files::store::Note::new("bench", 0.0);
-        presight_files::store::create(&store, &environment, &note).expect("a store");
+        let note = presight_store::Note::new("bench", 0.0);
+        presight_store::create(&store, &environment, &note).expect("a store");
         in_a_process(&format!("{count} | store"), &store, Path::new(""));
     }
     #[cfg(not(feature = "store"))]

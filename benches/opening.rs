@@ -3,10 +3,10 @@
 //! threads started before. The bench `store` measures the same in a loop, with warm caches and memory.
 #![expect(clippy::print_stdout, reason = "a bench prints its figures")]
 
-use presight_files::store;
-use presight_files::store::Note;
 use presight_model::index::{IndexKind, WorldIndex};
 use presight_model::threads::Threads;
+use presight_store as store;
+use presight_store::Note;
 use std::error::Error;
 use std::hint::black_box;
 use std::path::{Path, PathBuf};

@@ -2,12 +2,12 @@
 
 use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
 use glam::{DVec3, Vec3};
-use presight_files::store;
-use presight_files::store::{Note, Store};
 use presight_model::change::Change;
 use presight_model::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
 use presight_model::geometry::Pose;
 use presight_model::index::{IndexKind, WorldIndex};
+use presight_store as store;
+use presight_store::{Note, Store};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 

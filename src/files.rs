@@ -31,9 +31,6 @@ pub use presight_files::pose_covariance::parse as parse_pose_covariance;
 pub use presight_files::preparation::{SceneFrame, Up};
 #[doc(inline)]
 pub use presight_files::sensor_toml::{read as read_sensor_toml, to_string as sensor_to_toml};
-#[cfg(feature = "store")]
-#[doc(inline)]
-pub use presight_files::store::{Existing, Note as StoreNote, Store, create as create_store};
 #[doc(inline)]
 pub use presight_files::tum::read as read_tum;
 #[doc(inline)]
@@ -42,3 +39,6 @@ pub use presight_files::{load_rectified, load_robot, load_sensor};
 pub use presight_model::poses::{ExternalPose, PoseFrame, PoseOf, WorldFrame};
 #[doc(inline)]
 pub use presight_render::points::{PointCloud, PointsFrame};
+#[cfg(feature = "store")]
+#[doc(inline)]
+pub use presight_store::{Existing, Note as StoreNote, Store, create as create_store};

@@ -395,7 +395,7 @@ fn store_in_memory() -> Error {
 /// Opens a store, which is already in presight's frame.
 #[cfg(feature = "store")]
 fn stored(path: &Path, kind: &IndexKind) -> Result<Scene> {
-    let world = presight_files::store::read_world(path, kind)?;
+    let world = presight_store::read_world(path, kind)?;
     let mut report = ImportReport::default();
     let mut seen = std::collections::HashSet::new();
     for object in world.environment().objects() {

@@ -71,10 +71,10 @@ fn nothing_uses_the_global_pool() {
     }
     #[cfg(feature = "store")]
     {
-        use presight_files::store::{Note, Store, create};
+        use presight_store::{Note, Store, create};
         let path = folder.path().join("balls.presight");
         create(&path, world.environment(), &Note::default()).unwrap();
-        let stored = presight_files::store::read_world(&path, &IndexKind::default()).unwrap();
+        let stored = presight_store::read_world(&path, &IndexKind::default()).unwrap();
         assert_eq!(stored.environment().content_hash(), world.environment().content_hash());
         drop(Store::open(&path).unwrap());
     }

@@ -6,25 +6,27 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The crates of ARCHITECTURE's picture, lowest first, with those that stand directly below each.
-const PICTURE: [(&str, &[&str]); 11] = [
+const PICTURE: [(&str, &[&str]); 12] = [
     ("presight-model", &[]),
     ("presight-render", &["presight-model"]),
     ("presight-features", &["presight-render"]),
     ("presight-predict", &["presight-features"]),
     ("presight-files", &["presight-predict"]),
     ("presight-pictures", &["presight-files"]),
+    ("presight-store", &["presight-files"]),
     ("presight-localize", &["presight-predict"]),
-    ("presight", &["presight-localize", "presight-pictures"]),
+    ("presight", &["presight-localize", "presight-pictures", "presight-store"]),
     ("presight-testkit", &["presight-pictures"]),
     ("presight-studies", &["presight", "presight-testkit"]),
     ("presight-cli", &["presight-studies"]),
 ];
 
 /// Crates from outside that only some crates may use, and there only one folder of the sources if it is named.
-const FOREIGN: [(&[&str], &[&str], Option<&str>); 4] = [
+const FOREIGN: [(&[&str], &[&str], Option<&str>); 5] = [
     (&["wgpu", "pollster"], &["presight-predict"], Some("gpu")),
     (&["apriltag"], &["presight-localize"], Some("extract")),
-    (&["exr", "gltf", "rhai", "rusqlite", "serde-saphyr", "toml", "twox-hash"], &["presight-files"], None),
+    (&["exr", "gltf", "rhai", "serde-saphyr", "toml"], &["presight-files"], None),
+    (&["rusqlite", "twox-hash"], &["presight-store"], None),
     (&["image"], &["presight-files", "presight-pictures"], None),
 ];
 

@@ -115,7 +115,7 @@ pub fn layer(bytes: &[u8]) -> bool {
 /// A store file: a store that passes the check can be opened, and has exactly the verified content.
 #[cfg(feature = "store")]
 pub fn store(bytes: &[u8]) -> bool {
-    use presight_files::store;
+    use presight_store as store;
     with_file("fuzz.presight", bytes, |path| {
         let _ = std::fs::remove_file(path.with_extension("presight-journal"));
         let Ok(info) = store::check(path) else {
@@ -134,7 +134,7 @@ pub fn store(bytes: &[u8]) -> bool {
 /// Change lines applied to a store and dropped again.
 #[cfg(feature = "store")]
 pub fn changes(bytes: &[u8]) -> bool {
-    use presight_files::store::{Note, Store, create};
+    use presight_store::{Note, Store, create};
     use std::cell::RefCell;
     thread_local! {
         static OPEN: RefCell<Store> = FOLDER.with(|folder| {

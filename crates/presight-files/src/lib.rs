@@ -27,8 +27,6 @@ pub mod robot_toml;
 #[cfg(feature = "script")]
 pub mod script;
 pub mod sensor_toml;
-#[cfg(feature = "store")]
-pub mod store;
 pub mod temporary;
 pub mod text;
 pub mod tum;

@@ -70,7 +70,6 @@ impl Temporary {
     }
 
     /// The path of the temporary file.
-    #[cfg(any(feature = "store", test))]
     pub fn path(&self) -> &Path {
         self.file.path()
     }
@@ -86,7 +85,6 @@ impl Temporary {
     }
 
     /// Renames the file to its final name; fails if that name exists.
-    #[cfg(feature = "store")]
     pub fn keep_as_new(self, path: &Path) -> io::Result<()> {
         self.keep(|file| file.persist_noclobber(path))
     }

@@ -15,8 +15,7 @@ pub(crate) const FORMAT: i64 = 1;
 ///
 /// # Errors
 /// [`ErrorKind::Invalid`] if a segment is empty or has control characters, or the name is too long.
-#[cfg(any(feature = "script", feature = "store"))]
-pub(crate) fn check_name(name: &str) -> Result<()> {
+pub fn check_name(name: &str) -> Result<()> {
     let sound = |segment: &str| !segment.is_empty() && !segment.chars().any(char::is_control);
     if name.len() <= limits::MAX_NAME_BYTES && name.split('/').all(sound) {
         return Ok(());
@@ -40,7 +39,7 @@ pub(crate) fn json_memory(text: &[u8]) -> u64 {
 }
 
 /// Refuses JSON text that could take too much memory, before any is allocated.
-pub(crate) fn check_json_memory(text: &str) -> Result<()> {
+pub fn check_json_memory(text: &str) -> Result<()> {
     let bytes = json_memory(text.as_bytes());
     if bytes <= limits::MAX_IMPORT_BYTES {
         return Ok(());

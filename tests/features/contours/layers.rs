@@ -141,8 +141,8 @@ fn surfaces_continue_in_other_objects() {
 #[cfg(feature = "store")]
 #[test]
 fn stores_keep_contours() {
-    use presight_files::store;
-    use presight_files::store::{Note, Store};
+    use presight_store as store;
+    use presight_store::{Note, Store};
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("post.presight");
     let note = Note::new("", 0.0);

@@ -142,8 +142,8 @@ fn a_script_mirrors_shapes_and_imports_mirrored_nodes() {
 #[cfg(feature = "store")]
 mod stored {
     use super::*;
-    use presight_files::store;
-    use presight_files::store::{Note, Store};
+    use presight_store as store;
+    use presight_store::{Note, Store};
 
     fn note() -> Note {
         Note::new("test", 1.0)

@@ -3,10 +3,11 @@
 use crate::outputs::{OutputFiles, check_no_dash};
 use crate::print;
 use presight_files::gltf::write_glb;
-use presight_files::{layer, store};
+use presight_files::layer;
 use presight_model::environment::FeatureLayer;
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::placement;
+use presight_store as store;
 use std::path::{Path, PathBuf};
 
 /// Write a store as glTF with layer files, which create and import read back without loss

@@ -3,12 +3,12 @@
 use super::{FrameArgs, NoteArgs, environment_of, open_store};
 use crate::print;
 use presight_files::layer;
-use presight_files::store::{Existing, SceneMerge};
 use presight_model::change::Change;
 use presight_model::error::{Error, Result};
 use presight_model::memory;
 use presight_model::placement;
 use presight_model::printable::quoted;
+use presight_store::{Existing, SceneMerge};
 use std::path::PathBuf;
 
 const EXAMPLES: &str = "Examples:

@@ -10,12 +10,12 @@ use super::open_scene;
 use super::outputs::{OutputFiles, check_no_dash};
 use super::{CommandOutcome, print};
 use presight_files::preparation::Up;
-use presight_files::store;
-use presight_files::store::{Note, Store};
 use presight_model::environment::Environment;
 use presight_model::error::{Error, Result};
 use presight_model::index::IndexKind;
 use presight_model::memory;
+use presight_store as store;
+use presight_store::{Note, Store};
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 

@@ -2,11 +2,11 @@
 
 use crate::print;
 use presight_files::preparation::lost_features;
-use presight_files::store;
-use presight_files::store::LogEntry;
 use presight_model::environment::{Environment, Object};
 use presight_model::error::{Error, Result};
 use presight_model::printable::clipped;
+use presight_store as store;
+use presight_store::LogEntry;
 use serde_json::{Value, json};
 use std::path::Path;
 

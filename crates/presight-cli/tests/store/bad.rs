@@ -1,9 +1,9 @@
 //! Files that are not stores, and stores that may not be written.
 
 use super::{create, presight, small};
-use presight_files::store;
-use presight_files::store::{Note, Store};
 use presight_model::error::ErrorKind;
+use presight_store as store;
+use presight_store::{Note, Store};
 use std::path::{Path, PathBuf};
 use std::process::Output;
 

@@ -2,10 +2,10 @@
 
 use super::exports::with_a_lost_feature;
 use super::{create, note, numbered, presight, small};
-use presight_files::store;
-use presight_files::store::Store;
 use presight_model::change::Change;
 use presight_model::world::World;
+use presight_store as store;
+use presight_store::Store;
 use std::path::Path;
 use std::process::Stdio;
 

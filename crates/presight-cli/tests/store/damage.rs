@@ -1,8 +1,8 @@
 //! Flipped bytes and truncation.
 
 use super::{create, hospital, note, numbered, small};
-use presight_files::store;
-use presight_files::store::Store;
+use presight_store as store;
+use presight_store::Store;
 use std::path::Path;
 
 /// Returns the content that must not change unnoticed.

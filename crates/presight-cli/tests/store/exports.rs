@@ -2,10 +2,10 @@
 
 use super::command::{json, refusal, run, scene};
 use super::{create, presight, small};
-use presight_files::store;
 use presight_model::change::Change;
 use presight_model::environment::Environment;
 use presight_model::world::World;
+use presight_store as store;
 use std::path::Path;
 
 #[test]

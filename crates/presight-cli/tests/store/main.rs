@@ -12,14 +12,14 @@ mod undo;
 mod updates;
 
 use glam::{DMat3, DVec3, Vec3};
-use presight_files::store;
-use presight_files::store::Note;
 use presight_model::change::Change;
 use presight_model::environment::{CUBOID_FACES, cuboid_corners};
 use presight_model::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
 use presight_model::environment::{Existence, Feature, FeatureShape, Properties};
 use presight_model::geometry::Pose;
 use presight_model::world::World;
+use presight_store as store;
+use presight_store::Note;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::Arc;

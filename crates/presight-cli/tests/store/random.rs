@@ -2,14 +2,14 @@
 //! and a sensor sees the same in each.
 
 use super::{at, block, create, note, point, small};
-use presight_files::store;
-use presight_files::store::Store;
 use presight_model::change::Change;
 use presight_model::environment::{Environment, NewObject};
 use presight_model::geometry::{Pose, PoseCovariance};
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
 use presight_predict::request::Request;
+use presight_store as store;
+use presight_store::Store;
 use presight_studies::index::Scheme;
 use proptest::prelude::*;
 use std::collections::HashMap;

@@ -1,10 +1,10 @@
 //! The log: list, explain and undo changes; groups, ids and batches.
 
 use super::{at, create, note, numbered, point, presight, small};
-use presight_files::store;
-use presight_files::store::{Note, Store};
 use presight_model::change::Change;
 use presight_model::error::ErrorKind;
+use presight_store as store;
+use presight_store::{Note, Store};
 
 fn mover(name: &str, x: f64) -> Change {
     Change::MoveObject { name: name.into(), world_from_object: at(x, 0.0, 0.5) }

@@ -2,10 +2,10 @@
 
 use super::command::{json, run};
 use super::{at, block, note, point, presight};
-use presight_files::store;
-use presight_files::store::{Existing, Note, Store};
 use presight_model::change::Change;
 use presight_model::environment::{Environment, Material, NewObject};
+use presight_store as store;
+use presight_store::{Existing, Note, Store};
 use proptest::prelude::*;
 use std::path::Path;
 

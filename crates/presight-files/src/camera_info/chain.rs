@@ -80,8 +80,7 @@ impl Entry {
             let used = ["camera_model", "intrinsics", "resolution", "distortion_model", "distortion_coeffs"];
             used.contains(&key) || key == "distortion_coefficients"
         };
-        let on_rig =
-            if keys.keys().any(|key| key.starts_with("T_")) { ": poses are poses of the camera" } else { "" };
+        let on_rig = if keys.keys().any(|key| key.starts_with("T_")) { ": poses are poses of the camera" } else { "" };
         notices.extend(unused(keys, is_used).map(|notice| notice + on_rig));
         notices.extend(off_centre([width, height], [width, height], [cx, cy]));
         let distortion = lens(model, &coefficients)?;

@@ -25,44 +25,46 @@ pub(super) struct LayerFields<'a> {
     pub features: Vec<&'a RawValue>,
 }
 
-/// A feature of any kind, or the removal of one.
+/// A feature of any kind, or the removal of one, as the keys of a layer file. Its checks: [`from_fields`](super::from_fields).
 #[derive(Default, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct FeatureFields {
+pub struct FeatureFields {
+    /// The feature's id in its layer.
     #[serde(deserialize_with = "whole")]
     pub id: u32,
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub kind: Option<Kind>,
+    pub(crate) kind: Option<Kind>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub name: Option<String>,
+    pub(crate) name: Option<String>,
+    /// The object in whose frame the feature is; `None` in the world frame.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub object: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub points: Option<Vec<[f64; 3]>>,
+    pub(crate) points: Option<Vec<[f64; 3]>>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub anchor: Option<[f64; 3]>,
+    pub(crate) anchor: Option<[f64; 3]>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub crease_deg: Option<f64>,
+    pub(crate) crease_deg: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub sigma: Option<Sigma>,
+    pub(crate) sigma: Option<Sigma>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub covariance: Option<[f64; 9]>,
+    pub(crate) covariance: Option<[f64; 9]>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub covariances: Option<[[f64; 9]; 2]>,
+    pub(crate) covariances: Option<[[f64; 9]; 2]>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub cross_covariance: Option<[f64; 9]>,
+    pub(crate) cross_covariance: Option<[f64; 9]>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub existence: Option<f64>,
+    pub(crate) existence: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub confirmed: Option<f64>,
+    pub(crate) confirmed: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub rate: Option<f64>,
+    pub(crate) rate: Option<f64>,
     #[serde(default, deserialize_with = "keyed", skip_serializing_if = "Option::is_none")]
-    pub properties: Option<PropertyFields>,
+    pub(crate) properties: Option<PropertyFields>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub surface: Option<Surface>,
+    pub(crate) surface: Option<Surface>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub remove: Option<bool>,
+    pub(crate) remove: Option<bool>,
 }
 
 /// State of the polygons that a feature was placed on.

@@ -50,16 +50,11 @@ mod schema;
 mod tests;
 mod write;
 
-#[cfg(feature = "store")]
-pub(crate) use fields::FeatureFields;
+pub use fields::FeatureFields;
 pub use merge::{MergedLayers, load, merge};
-#[cfg(feature = "store")]
-pub(crate) use read::from_fields;
-pub use read::{LayerFile, parse, read};
+pub use read::{LayerFile, from_fields, parse, read};
 pub use schema::schema;
-#[cfg(feature = "store")]
-pub(crate) use write::fields as to_fields;
-pub use write::{entry, to_string, write, write_with_lost};
+pub use write::{entry, fields as to_fields, to_string, write, write_with_lost};
 
 /// The newest format that this build reads, used for files with contours.
 const FORMAT: u32 = 2;

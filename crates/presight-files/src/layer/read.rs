@@ -178,8 +178,7 @@ fn check_format(format: Option<u32>) -> Result<()> {
 }
 
 /// The feature of an entry, checked with a layer's tolerance.
-#[cfg(feature = "store")]
-pub(crate) fn from_fields(fields: FeatureFields, tolerance: f64) -> Result<Feature> {
+pub fn from_fields(fields: FeatureFields, tolerance: f64) -> Result<Feature> {
     let id = fields.id;
     if fields.surface.is_some() {
         let what = "\"surface\" is only for layer files: features in changes must lie on polygons";

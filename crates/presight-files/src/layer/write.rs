@@ -79,7 +79,8 @@ fn json(value: &impl Serialize) -> Result<String> {
     serde_json::to_string(value).map_err(|e| Error::invalid(format!("cannot be written as JSON: {e}"), "").caused_by(e))
 }
 
-pub(crate) fn fields(feature: &Feature) -> FeatureFields {
+/// The keys of a feature, as layer files and stores have them.
+pub fn fields(feature: &Feature) -> FeatureFields {
     let mut to = FeatureFields {
         id: feature.id,
         kind: Some(kind(&feature.shape)),

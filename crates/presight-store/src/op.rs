@@ -17,8 +17,8 @@
 //!
 //! A `pose` is x, y, z in metres and roll, pitch, yaw in degrees, or x, y, z, qx, qy, qz, qw.
 
-use crate::layer::{FeatureFields, to_fields};
 use glam::{DAffine3, DQuat, DVec3};
+use presight_files::layer::{FeatureFields, to_fields};
 use presight_model::change::Change;
 use presight_model::environment::{Appearance, Material, Mesh};
 use presight_model::error::{Error, Result};

@@ -11,8 +11,8 @@ use super::rows::{
 use super::schema::refusal;
 use super::unique::UniqueKeys;
 use super::{Store, blob, ids, meshes, read};
-use crate::layer::to_fields;
-use crate::text::check_json_memory;
+use presight_files::layer::to_fields;
+use presight_files::text::check_json_memory;
 use presight_model::change::Change;
 use presight_model::environment::{Environment, Mesh};
 use presight_model::error::{Error, Result};

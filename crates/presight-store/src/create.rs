@@ -4,7 +4,7 @@ use super::hash::Digest;
 use super::rows::Meta;
 use super::schema::{APPLICATION_ID, FORMAT, TABLES, refusal};
 use super::{Note, Store};
-use crate::temporary::{Access, Temporary};
+use presight_files::temporary::{Access, Temporary};
 use presight_model::environment::Environment;
 use presight_model::error::{Error, ErrorKind, Result};
 use rusqlite::{Connection, OpenFlags};

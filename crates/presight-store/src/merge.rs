@@ -1,7 +1,7 @@
 //! Turns the content of layer files, and of objects in scene files, into changes of an environment.
 
-use crate::gltf::{ImportOptions, import};
-use crate::layer::LayerFile;
+use presight_files::gltf::{ImportOptions, import};
+use presight_files::layer::LayerFile;
 use presight_model::change::Change;
 use presight_model::environment::{Environment, Feature, FeatureLayer, Material, Mesh};
 use presight_model::error::{Error, Result};

@@ -2,9 +2,9 @@
 
 use super::merge;
 use super::op::{InsertObject, Op, affine_of, covariance_of, pose_of};
-use crate::layer::from_fields;
-use crate::text::check_name;
 use glam::{DVec3, Vec3};
+use presight_files::layer::from_fields;
+use presight_files::text::check_name;
 use presight_model::change::Change;
 use presight_model::environment::{DEFAULT_TOLERANCE, Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
 use presight_model::error::{Error, Result};

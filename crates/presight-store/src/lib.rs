@@ -42,7 +42,7 @@ pub use log::LogEntry;
 pub use scene::{Existing, SceneMerge};
 pub use write::{Batch, Note};
 
-use crate::layer::LayerFile;
+use presight_files::layer::LayerFile;
 use presight_model::change::Change;
 use presight_model::environment::{Environment, Mesh};
 use presight_model::error::{Error, ErrorKind, Result};
