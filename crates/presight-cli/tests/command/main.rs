@@ -5,6 +5,8 @@ mod cameras;
 mod cases_scanners;
 mod deadline;
 mod driver_logs;
+#[cfg(all(feature = "gpu", target_os = "linux"))]
+mod drivers;
 mod features;
 mod frames;
 mod hidden;
