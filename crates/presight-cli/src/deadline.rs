@@ -11,9 +11,11 @@ use std::time::Duration;
 /// Flags of a prediction's deadline.
 #[derive(Debug, clap::Args)]
 pub struct DeadlineArgs {
-    /// Give up what does not fit in this time, milliseconds; exit status 4 if nothing fits (CPU engine only)
+    /// Give up what does not fit in this time, milliseconds; exit status 4 if nothing fits
     ///
-    /// With --repeat or --poses the limit applies to each prediction.
+    /// With --repeat or --poses the limit applies to each prediction; a pose of --poses for which nothing fits is given
+    /// up as a whole, and the series goes on. A GPU without 64-bit atomics cannot keep a deadline: --backend auto then
+    /// takes the CPU engine, and --backend gpu is refused.
     #[arg(long, value_name = "MS", allow_negative_numbers = true)]
     deadline_ms: Option<f64>,
 

@@ -1,7 +1,7 @@
 //! The library's names of arguments, as the flags that the user of the command gives.
 
 /// The words of the library's messages, and the command's words for them.
-const WORDS: [(&str, &str); 13] = [
+const WORDS: &[(&str, &str)] = &[
     ("`Backend::Cpu`", "--backend cpu"),
     ("`Existing::Replace`", "--replace"),
     ("`ImportOptions::scale`", "--scale"),
@@ -9,6 +9,8 @@ const WORDS: [(&str, &str); 13] = [
     ("`PoseFrame::Optical`", "--pose-frame optical"),
     ("`PoseOf::Robot`", "--pose-of robot"),
     ("`SceneOptions::exclude`", "--exclude"),
+    ("`SearchOptions::floor`", "--floor"),
+    ("`SearchOptions::margin`", "--margin"),
     ("`Settings::floor_z_world`", "--floor-z"),
     ("`View::features` of a layer", "a --layer"),
     ("`cascade: true`", "--cascade"),

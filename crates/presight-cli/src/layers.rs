@@ -181,7 +181,7 @@ impl LayerArgs {
         let SceneFeatures { placed, other_classes } =
             scene.place_layers_of(&self.layers, class, |shape| wanted.is_none_or(|v| v.wants(shape)))?;
         if other_classes > 0 {
-            print::message(&format!("note: ignoring {other_classes} features for other classes than {class:?}"));
+            print::notices(&[format!("ignoring {other_classes} features for other classes than {class:?}")]);
         }
         let mut options = FeatureOptions::default().with_placed(placed);
         options.time = self.time;

@@ -5,6 +5,8 @@ mod batch;
 mod compare;
 mod deadline;
 mod doctor;
+#[cfg(all(feature = "gpu", target_os = "linux"))]
+mod drivers;
 mod engine_args;
 #[cfg(feature = "store")]
 mod env;
@@ -129,6 +131,8 @@ fn features() -> Vec<&'static str> {
 
 /// Runs the command with the arguments of the process.
 pub fn main() -> ExitCode {
+    #[cfg(all(feature = "gpu", target_os = "linux"))]
+    drivers::hide_missing_display();
     signals::listen();
     let parsed = command().try_get_matches().and_then(|matches| Cli::from_arg_matches(&matches));
     let cli = match parsed {

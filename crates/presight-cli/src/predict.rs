@@ -17,7 +17,6 @@ use super::{CommandOutcome, open_scene_without, predict_poses, print};
 use clap::ValueEnum;
 use presight::{Scene, blake3_of};
 use presight_features::{BoxOptions, SeenFeature};
-use presight_files::atomic::write_atomically;
 use presight_files::gltf::ImportOptions;
 use presight_files::{exr, load_robot, npy, pcd, ply, sensor_toml};
 use presight_model::error::{Error, Result};
@@ -32,7 +31,6 @@ use presight_predict::virtual_sensors::{Settings, VirtualReading};
 use presight_render::plan::{IdScheme, Output, Outputs, Stats};
 use presight_render::points::{PointCloud, PointsFrame};
 use presight_studies::index::Scheme;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -483,11 +481,7 @@ fn run_one(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     write_files(args, &paths, &scene, &prediction, attributes, &shown)?;
     paths.npy.iter().try_for_each(|(output, path)| npy::write_image(path, &prediction.images, *output))?;
     job.names.rays(&sensor)?.iter().try_for_each(|path| npy::write_rays(path, &sensor))?;
-    if let Some(path) = &args.stats {
-        let json = serde_json::to_string_pretty(&statistics)
-            .map_err(|e| Error::invalid(format!("cannot write the statistics as JSON: {e}"), "").in_file(path))?;
-        write_atomically(path, |file| writeln!(file, "{json}"))?;
-    }
+    args.stats.iter().try_for_each(|path| statistics.write(path))?;
     let summary = Summary::of(&scene, &prediction);
     let (ms, engine) = (statistics.median_ms(), statistics.engine_in_words());
     if args.explain {
@@ -496,6 +490,8 @@ fn run_one(args: &Args, mut job: Job) -> Result<CommandOutcome> {
         print::data(&format!("{}\n", summary.json(&args.scene, &prediction, ms, &engine)))?;
     } else if !args.writes_something() {
         print::lines([format!("{}, {ms:.2} ms on {engine}", summary.in_words(&prediction))])?;
+    } else if let Some(given_up) = prediction.degradation() {
+        print::notices(&[format!("{}; a longer --deadline-ms gives up less", given_up.summary())]);
     }
     Ok(CommandOutcome::Done)
 }

@@ -13,7 +13,7 @@ use super::{CommandOutcome, bar, print};
 use presight::{Scene, blake3_of};
 use presight_files::npy::{self, Values};
 use presight_files::{exr, sensor_toml};
-use presight_model::error::{Error, Result};
+use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::memory;
 use presight_model::memory::FrameMemory;
 use presight_model::poses::ExternalPose;
@@ -21,7 +21,6 @@ use presight_model::sensor::Sensor;
 use presight_predict::predict::{Prediction, Predictor};
 use presight_predict::request::Request;
 use presight_render::plan::{Output, SampleKind};
-use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -55,7 +54,7 @@ pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     let series = Series { args, scene: &scene, names: &job.names };
     let (mut progress, mut stacks) = series.progress(&setups, poses.given())?;
     let bar = bar::bar(poses.given().len() as u64);
-    let mut told = HashSet::new();
+    let (mut all, mut incomplete, mut empty) = (0, 0, 0);
     let first = progress.as_ref().map_or(0, SeriesProgress::next);
     let mut items = poses.numbered(first).peekable();
     if first == 0 && items.peek().is_none() {
@@ -66,8 +65,13 @@ pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
         let mut spare = spare.into_iter().flat_map(|spare| spare.frames);
         let mut make = |setup| series.predict(&mut predictor, setup, &pose, spare.next().map(|frame| frame.prediction));
         let frames = setups.iter_mut().map(&mut make).collect::<Result<Vec<Frame>>>()?;
-        let notices = frames.iter().flat_map(|frame| &frame.prediction.stats.notices);
-        print::notices(notices.filter(|notice| told.insert((*notice).clone())));
+        print::notices(frames.iter().flat_map(|frame| &frame.prediction.stats.notices));
+        all += frames.len();
+        for frame in frames.iter().filter(|frame| frame.prediction.degradation().is_some()) {
+            let images = &frame.prediction.images;
+            incomplete += 1;
+            empty += usize::from((0..images.pixels()).all(|at| images.is_open(at)));
+        }
         Ok(Frames { index, stamp, frames })
     };
     let write = |made: &mut Frames| {
@@ -78,6 +82,10 @@ pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
         progress.as_mut().map_or(Ok(()), |progress| progress.append(*index, &format!("{index}\n")))
     };
     if overlapped { make_and_write(items, make, write) } else { make_then_write(items, make, write) }?;
+    if incomplete > 0 {
+        let what = format!("{incomplete} of {all} predictions are incomplete, {empty} of them empty");
+        print::notices(&[format!("{what}: a longer --deadline-ms gives up less")]);
+    }
     args.deadline().write_costs(&predictor)?;
     stacks.into_iter().flatten().try_for_each(|(_, stack)| stack.finish())?;
     progress.map_or(Ok(()), SeriesProgress::remove)?;
@@ -218,13 +226,19 @@ impl Series<'_> {
         let request = layers.as_ref().map_or(request.clone(), |layers| layers.add_to(request.clone()));
         let settings = args.virtual_sensor().settings(scene, sensor, &world_from_sensor, predictor)?;
         let start = Instant::now();
-        let mut prediction = match spare {
-            None => predictor.predict(&scene.world, sensor, &world_from_sensor, &request)?,
+        let predicted = match spare {
+            None => predictor.predict(&scene.world, sensor, &world_from_sensor, &request),
             Some(mut prediction) => {
-                prediction.request = request;
-                predictor.predict_again(&scene.world, &world_from_sensor, &mut prediction)?;
-                prediction
+                prediction.request.clone_from(&request);
+                predictor.predict_again(&scene.world, &world_from_sensor, &mut prediction).map(|()| prediction)
             }
+        };
+        let mut prediction = match predicted {
+            // One frame without enough time does not end the series.
+            Err(e) if e.kind() == ErrorKind::Deadline => {
+                predictor.give_up(&scene.world, sensor, &world_from_sensor, &request)?
+            }
+            other => other?,
         };
         let ms = start.elapsed().as_secs_f64() * 1e3;
         layers.iter().for_each(|layers| layers.spell_out(scene, &mut prediction));

@@ -5,7 +5,9 @@ use super::series::SeriesProgress;
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::limits;
 use presight_model::printable::{clipped, printable};
+use std::collections::BTreeSet;
 use std::io::{self, Write};
+use std::sync::{Mutex, PoisonError};
 
 /// Prints lines for people to stdout. Escapes control characters: names cannot break a line or control the terminal.
 ///
@@ -52,9 +54,13 @@ pub fn finished_before(progress: &SeriesProgress, count: usize) {
     }
 }
 
-/// Prints notices, one line each.
+/// Prints notices, one line each. A notice that this process has printed is not printed again: most of a series would
+/// come with every frame.
 pub fn notices<'a>(notices: impl IntoIterator<Item = &'a String>) {
+    static PRINTED: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
     for notice in notices {
-        message(&format!("note: {notice}"));
+        if PRINTED.lock().unwrap_or_else(PoisonError::into_inner).insert(notice.clone()) {
+            message(&format!("note: {notice}"));
+        }
     }
 }

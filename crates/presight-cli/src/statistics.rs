@@ -1,11 +1,15 @@
 //! Statistics of repeated predictions, as JSON and as text.
 
 use super::flags;
+use presight_files::atomic::write_atomically;
+use presight_model::error::{Error, Result};
 use presight_model::statistics::{median, quantile};
 use presight_render::deadline::DeadlineOutcome;
 use presight_render::plan::{CountName, Raster, StageName, StageRow, StageVariant, Stats, Work};
 use serde::Serialize;
 use std::collections::BTreeMap;
+use std::io::Write;
+use std::path::Path;
 
 /// Format version of the statistics JSON.
 const FORMAT: u32 = 1;
@@ -137,6 +141,16 @@ impl Statistics {
             deadline: last.deadline,
             rows,
         }
+    }
+
+    /// Writes the statistics as JSON.
+    ///
+    /// # Errors
+    /// [`presight_model::ErrorKind::System`] if the file cannot be written.
+    pub fn write(&self, path: &Path) -> Result<()> {
+        let json = serde_json::to_string_pretty(self)
+            .map_err(|e| Error::invalid(format!("cannot write the statistics as JSON: {e}"), "").in_file(path))?;
+        write_atomically(path, |file| writeln!(file, "{json}"))
     }
 
     /// The median time of a prediction.

@@ -66,6 +66,7 @@ impl Summary {
             "objects": self.objects.map(|(_, there)| there),
             "features_seen": self.features.map(|(seen, _)| seen),
             "features": self.features.map(|(_, all)| all),
+            "given_up": prediction.degradation(),
             "prediction_ms": ms,
             "engine": engine,
         })

@@ -27,9 +27,8 @@ pub fn write(path: &Path, cloud: &PointCloud<'_>) -> Result<Vec<String>> {
         out.flush()
     })?;
     let notice = || {
-        let path = path.display();
         format!(
-            "{path}: x, y and z are written as 8 bytes because points are {FAR} m or more from the origin; PCL and Open3D \
+            "PCD: x, y and z are written as 8 bytes because points are {FAR} m or more from the origin; PCL and Open3D \
              read only 4 bytes: write PLY, or points in the sensor's frame"
         )
     };

@@ -22,8 +22,8 @@ pub fn write(path: &Path, cloud: &PointCloud<'_>) -> Result<Vec<String>> {
     })?;
     let unsigned = fields.iter().filter(|field| id_type(field) == "uint");
     let notice = |field: &Field<'_, '_>| {
-        let (path, name) = (path.display(), field.name());
-        format!("{path}: {name} has values of 2147483648 and more and is written as uint, which Open3D ignores")
+        let name = field.name();
+        format!("PLY: {name} has values of 2147483648 and more and is written as uint, which Open3D ignores")
     };
     Ok(unsigned.map(notice).collect())
 }

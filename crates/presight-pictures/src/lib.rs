@@ -148,7 +148,7 @@ pub fn write_depth(path: &Path, images: &Images, sensor: &Sensor) -> Result<Vec<
     write_atomically(path, |file| {
         encode(BufWriter::new(file), &bytes, images.width, images.height, ExtendedColorType::L16)
     })?;
-    let notice = || format!("{}: {beyond} pixels beyond 65.535 m are written as 0", path.display());
+    let notice = || "16-bit depth images: pixels beyond 65.535 m are written as 0".to_owned();
     Ok((beyond > 0).then(notice).into_iter().collect())
 }
 

@@ -80,8 +80,16 @@ fn bad_sensors() {
             bad(with("key.toml"), 1, &["key.toml", "colour", "; "]),
             bad(with("newer.toml"), 1, &["newer.toml", "99", "; "]),
             bad(with("gone.toml"), 1, &["gone.toml", "; check the path"]),
-            bad(with("no-such-preset"), 2, &["no-such-preset", "; choose", "video-camera"]),
-            bad("sensors no-such-preset", 2, &["no-such-preset", "; choose", "video-camera"]),
+            bad(with("no-such-preset"), 2, &["no-such-preset", "; choose"]).until(
+                "no-such-preset",
+                "video-camera",
+                "video-camera",
+            ),
+            bad("sensors no-such-preset", 2, &["no-such-preset", "; choose"]).until(
+                "no-such-preset",
+                "vlp-16",
+                "vlp-16",
+            ),
         ],
     );
 }
@@ -89,34 +97,72 @@ fn bad_sensors() {
 #[test]
 fn wrong_usage() {
     let place = Place::new();
+    place.write("poses.tum", b"0 0 0 1 0 0 0 1\n");
     let with = |rest: &str| format!("predict wall.glb --sensor laser-scanner --backend cpu --out out.exr {rest}");
     let posed = |rest: &str| with(&format!("--pose 0,0,1,0,0,0 {rest}"));
     check(
         &place,
         vec![
-            bad(with("--pose nan,0,1,0,0,0"), 2, &["--pose nan,0,1,0,0,0", "not finite", "; give x,y,z"]),
-            bad(with("--pose 0,0,1,0,0,-inf"), 2, &["--pose", "not finite", "; give x,y,z"]),
-            bad(with("--pose 0,0,1"), 2, &["--pose 0,0,1", "3 numbers", "; give x,y,z"]),
-            bad(with("--pose 0,0,1,0,0,0,0"), 2, &["--pose", "quaternion", "; give x,y,z"]),
-            bad(with(""), 2, &["--pose is missing", "; give x,y,z"]),
-            bad(posed("--outputs range,colour"), 2, &["colour", "choose from range"]),
-            bad(posed("--outputs depth_z"), 2, &["depth_z", "not a camera", "; use range"]),
-            bad(posed("--png-of range"), 2, &["--png", "; see presight predict --help"]),
-            bad(posed("--points cloud.xyz"), 2, &["cloud.xyz", "; end the name in .ply or .pcd"]),
-            bad(posed("--png view.exr"), 2, &["view.exr", "writes .png; end the name in .png"]),
-            bad(posed("--ids source --merge-tolerance 1e-6"), 2, &["--merge-tolerance", "; drop"]),
-            bad(posed("--merge-tolerance nan"), 2, &["merge tolerance", "; give"]),
-            bad(
-                "predict wall.glb --sensor laser-scanner --pose 0,0,1,0,0,0 --backend cuda",
-                2,
-                &["cuda", "auto, cpu, gpu", "; see"],
+            bad(with("--pose nan,0,1,0,0,0"), 2, &["--pose nan,0,1,0,0,0", "not finite"]).until(
+                "nan",
+                "0",
+                "; give x,y,z,roll",
             ),
-            bad(posed("--index r-tree"), 2, &["r-tree", "choose from none, grid", "; see"]),
-            bad(posed("--threads 100000"), 2, &["100000 threads", "; give at most"]),
+            bad(with("--pose 0,0,1,0,0,-inf"), 2, &["--pose", "not finite"]).until("-inf", "90", "; give x,y,z,roll"),
+            bad(with("--pose 0,0,1"), 2, &["--pose 0,0,1", "3 numbers"]).until(
+                "0,0,1",
+                "0,0,1,0,0,0",
+                "; give x,y,z,roll",
+            ),
+            bad(with("--pose 0,0,1,0,0,0,0"), 2, &["--pose", "quaternion"]).until(
+                "0,0,0,0",
+                "0,0,0,1",
+                "x,y,z,qx,qy,qz,qw",
+            ),
+            bad(with(""), 2, &["--pose is missing"]).until(
+                "out.exr",
+                "out.exr --pose 0,0,1,0,0,0",
+                "; give x,y,z,roll",
+            ),
+            bad(posed("--outputs range,colour"), 2, &["colour"]).until(
+                "range,colour",
+                "range,echo",
+                "choose from range, depth_z, polygon_id, object_id, cos_incidence, echo",
+            ),
+            bad(posed("--outputs depth_z"), 2, &["depth_z", "not a camera"]).until("depth_z", "range", "; use range"),
+            bad(posed("--png-of range"), 2, &["; see presight predict --help"]).until(
+                "--png-of",
+                "--png a.png --png-of",
+                "not provided: --png <FILE.png>",
+            ),
+            bad(posed("--points cloud.xyz"), 2, &["cloud.xyz"]).until(".xyz", ".pcd", "; end the name in .ply or .pcd"),
+            bad(posed("--png view.exr"), 2, &["view.exr", "writes .png"]).until(
+                "view.exr",
+                "view.png",
+                "; end the name in .png",
+            ),
+            bad(posed("--ids source --merge-tolerance 1e-6"), 2, &["--merge-tolerance"]).until(
+                "--ids source",
+                "",
+                "; drop --merge-tolerance or --ids source",
+            ),
+            bad(posed("--merge-tolerance nan"), 2, &["merge tolerance"]).until(
+                "nan",
+                "1e-6",
+                "; give a share of the object's size, such as 1e-6",
+            ),
+            bad("predict wall.glb --sensor laser-scanner --pose 0,0,1,0,0,0 --backend cuda", 2, &["cuda", "; see"])
+                .until("cuda", "cpu", "auto, cpu, gpu"),
+            bad(posed("--index r-tree"), 2, &["r-tree", "; see"]).until("r-tree", "grid", "choose from none, grid"),
+            bad(posed("--threads 100000"), 2, &["100000 threads", "; give at most"]).until(
+                "100000",
+                "0",
+                "or 0 for all cores",
+            ),
             bad("index wall.glb --count 0", 2, &["--count", "; see presight index --help"]),
-            bad("index wall.glb --count 3", 1, &["free poses", "; give poses"]),
-            bad("index wall.glb --poses none.tum", 1, &["none.tum", "; "]),
-            bad(posed("--repeat 0"), 2, &["--repeat", "; see"]),
+            bad("index wall.glb --count 3", 1, &["free poses"]).until("--count 3", "--poses poses.tum", "; give poses"),
+            bad("index wall.glb --poses none.tum", 1, &["none.tum"]).until("none.tum", "poses.tum", "; check the path"),
+            bad(posed("--repeat 0"), 2, &["--repeat", "; see"]).until("--repeat 0", "--repeat 1", "not in 1..=1000000"),
             bad("predikt wall.glb", 2, &["predikt", "; see"]),
         ],
     );
@@ -134,7 +180,11 @@ fn unwritable_outputs() {
         let line = format!("predict wall.glb {VIEW} {flag} none/out{name}");
         cases.push(bad(line, 4, &["none/out", "cannot write", "; create the folder"]));
     }
-    cases.push(bad(format!("predict wall.glb {VIEW} --out folder"), 4, &["folder", "; name a file"]));
+    cases.push(bad(format!("predict wall.glb {VIEW} --out folder"), 4, &["folder"]).until(
+        "folder",
+        "a.exr",
+        "; name a file",
+    ));
     if Path::new("/dev/full").exists() {
         cases.push(bad(
             format!("predict wall.glb {VIEW} --out /dev/full"),
@@ -163,7 +213,11 @@ fn bad_comparisons() {
             bad("compare a.exr gone.exr", 1, &["gone.exr", "; check the path"]),
             bad("compare text.exr a.exr", 1, &["text.exr", "not a valid EXR", "; "]),
             bad("compare a.exr cut.exr", 1, &["cut.exr", "; "]),
-            bad("compare a.exr a.exr --scene other.glb", 1, &["other.glb", "a.exr", "; give the original wall.glb"]),
+            bad("compare a.exr a.exr --scene other.glb", 1, &["other.glb", "a.exr"]).until(
+                "other.glb",
+                "wall.glb",
+                "; give the original wall.glb",
+            ),
             bad("compare a.exr a.exr --json none/verdict.json", 4, &["none/verdict.json", "; create the folder"]),
             bad("compare a.exr", 2, &["OTHER", "; see presight compare --help"]),
         ],

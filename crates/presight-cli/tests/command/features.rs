@@ -175,12 +175,16 @@ fn feature_generation_reports_errors_in_the_units_of_the_flags() {
     check(
         &place,
         vec![
-            bad(
-                "features wall.glb --class video --crease-deg 200",
-                2,
-                &["crease angle of 200 degrees", "; give 0.6 to 90 degrees"],
+            bad("features wall.glb --class video --crease-deg 200", 2, &["crease angle of 200 degrees"]).until(
+                "200",
+                "90",
+                "; give 0.6 to 90 degrees",
             ),
-            bad("features wall.glb --class video --min-length 1e-9", 2, &["length of 1e-9", "; "]),
+            bad("features wall.glb --class video --min-length 1e-9", 2, &["length of 1e-9"]).until(
+                "1e-9",
+                "0.0001",
+                "; give 0.0001 m .. 1000 km",
+            ),
         ],
     );
     let outcome = place.run_args(&["features", "wall.glb", "--class", ""]);

@@ -7,8 +7,12 @@ use std::fs;
 const CAMERA: &str = "format = 1\nkind = \"camera\"\nclass = \"laser\"\nwidth = 80\nheight = 60\nfx = 70.0\nfy = 70.0\ncx = 39.5\n\
     cy = 29.5\nrange_max = 10.0\n[noise]\nrange_sigma = 0.005\n[mount]\nxyz = [0.1, 0.0, 0.3]\nrpy_deg = [0.0, 12.0, 0.0]\n";
 
-/// A place with a room and the log of a drive through it.
+/// A place with a room and the log of a drive of 8 frames through it.
 fn drive() -> Place {
+    drive_of(8)
+}
+
+fn drive_of(frames: usize) -> Place {
     let place = Place::new();
     let room = concat!(env!("CARGO_MANIFEST_DIR"), "/../../scenes/room.glb");
     fs::copy(room, place.path("room.glb")).unwrap();
@@ -17,7 +21,7 @@ fn drive() -> Place {
         let (x, half) = (0.3 + 0.02 * k as f64, 0.5 * (0.66 + 0.01 * k as f64));
         format!("{} {x} 0.35 1.35 0 0 {} {}\n", 10 + k, half.sin(), half.cos())
     };
-    place.write("drive.tum", (0..8).map(line).collect::<String>().as_bytes());
+    place.write("drive.tum", (0..frames).map(line).collect::<String>().as_bytes());
     let made = place.run("simulate room.glb --sensor camera.toml --poses drive.tum --out log");
     assert_eq!(made.status, Some(0), "{}", made.stderr);
     place
@@ -57,28 +61,41 @@ fn poses_with_images_of_one_name_are_refused() {
     );
 }
 
-/// Every value is checked before a file is opened, whatever the start.
+/// Every value is checked before a file is opened, whatever the start. With the value that the remedy names, the log is
+/// localized.
 #[test]
 fn invalid_flags_of_a_search_are_named_first() {
-    let place = Place::new();
-    for init in ["unknown", "reference", "0,0,0,0,0,0"] {
-        for (flag, value) in [
-            ("--lean", "1"),
-            ("--lean", "1,2,3"),
-            ("--lean", "nan,0"),
-            ("--lean", "0,inf"),
-            ("--floor", "nan"),
-            ("--floor-to", "inf"),
-            ("--margin", "-1"),
-            ("--surrounded", "1.5"),
-            ("--init-sigma", "0"),
-            ("--init-sigma-deg", "nan"),
-            ("--model-sigma", "-1"),
-            ("--odometry-sigma", "-1"),
-        ] {
+    let place = drive_of(1);
+    for (flag, value, remedy, right) in [
+        ("--lean", "1", "; give roll and pitch in degrees, as in --lean 0,20", "0,20"),
+        ("--lean", "1,2,3", "; give roll and pitch in degrees, as in --lean 0,20", "0,20"),
+        ("--lean", "nan,0", "; give finite degrees", "1,0"),
+        ("--lean", "0,inf", "; give finite degrees", "0,1"),
+        ("--floor", "nan", "; give finite metres", "1"),
+        ("--floor-to", "inf", "; give finite metres", "1"),
+        ("--margin", "-1", "; give finite metres of at least 0", "0"),
+        ("--surrounded", "1.5", "; give a share of 0 to 1", "1"),
+        ("--init-sigma", "0", "; give a finite deviation above 0", "0.1"),
+        ("--init-sigma-deg", "nan", "; give a finite deviation above 0", "0.1"),
+        ("--model-sigma", "-1", "; give finite metres of at least 0", "0"),
+        ("--odometry-sigma", "-1", "; give a finite fraction of at least 0", "0"),
+    ] {
+        for init in ["unknown", "reference", "0,0,0,0,0,0"] {
             let line = format!("localize none --map none.glb --init {init} {flag} {value} --out x.tum");
-            super::check(&place, vec![super::bad(line, 2, &[flag, "; give"])]);
+            super::check(&place, vec![super::bad(line, 2, &[flag])]);
         }
+        let line = format!("localize log --map room.glb --init reference --out x.tum {flag} {value}");
+        super::check(&place, vec![super::bad(line, 2, &[flag]).until(value, right, remedy)]);
+    }
+}
+
+#[test]
+fn a_search_where_nothing_is_free_names_flags_that_help() {
+    let place = drive_of(1);
+    for (change, to) in [("--floor 50", "--floor 1.35"), ("unknown", "0.3,0.35,1.35,0,0,37.8")] {
+        let line = "localize log --map room.glb --sensor log/sensor.toml --init unknown --floor 50 --out x.tum";
+        let remedy = "; give another --floor, a larger --margin or a pose to start from";
+        super::check(&place, vec![super::bad(line, 2, &["no free place at 50.3 m"]).until(change, to, remedy)]);
     }
 }
 

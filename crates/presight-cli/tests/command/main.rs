@@ -5,6 +5,8 @@ mod cameras;
 mod cases_scanners;
 mod deadline;
 mod driver_logs;
+#[cfg(all(feature = "gpu", target_os = "linux"))]
+mod drivers;
 mod features;
 mod frames;
 mod hidden;
@@ -350,18 +352,28 @@ fn help_has_examples_and_survives_a_closed_pipe() {
     assert_eq!((output.status.code(), output.stderr.as_slice()), (Some(0), b"".as_slice()));
 }
 
-/// A bad input: its arguments, its exit status, and the words that its one line must contain.
+/// A bad input: its arguments, its exit status, the words that its one line must contain, and the change of the
+/// arguments that its remedy names.
 struct Bad {
     line: String,
     status: i32,
     names: Vec<&'static str>,
+    change: Option<[&'static str; 3]>,
 }
 
 fn bad(line: impl Into<String>, status: i32, names: &[&'static str]) -> Bad {
-    Bad { line: line.into(), status, names: names.to_vec() }
+    Bad { line: line.into(), status, names: names.to_vec(), change: None }
 }
 
-/// Checks each case: the exit status, one line on stderr with all words, an empty stdout, and no new file.
+impl Bad {
+    /// The command succeeds with `to` in place of the last `from`, and the remedy names that change in these words.
+    fn until(self, from: &'static str, to: &'static str, remedy: &'static str) -> Self {
+        Self { change: Some([from, to, remedy]), ..self }
+    }
+}
+
+/// Checks each case: the exit status, one line on stderr with all words, an empty stdout, and no new file. Then follows
+/// the remedy.
 fn check(place: &Place, cases: Vec<Bad>) {
     let before = place.names();
     for case in cases {
@@ -374,6 +386,15 @@ fn check(place: &Place, cases: Vec<Bad>) {
             assert!(said.contains(name), "{}: {name:?} is not in: {said}", case.line);
         }
         assert_eq!(place.names(), before, "{}", case.line);
+        let Some([from, to, remedy]) = case.change else { continue };
+        assert!(said.contains(remedy), "{}: {remedy:?} is not in: {said}", case.line);
+        let (before_it, after_it) = case.line.rsplit_once(from).expect("the line has it");
+        let changed = format!("{before_it}{to}{after_it}");
+        let outcome = place.run(&changed);
+        assert_eq!(outcome.status, Some(0), "{changed}: {}", outcome.stderr);
+        for name in place.names().into_iter().filter(|name| !before.contains(name)) {
+            fs::remove_file(place.path(&name)).unwrap();
+        }
     }
 }
 
@@ -391,7 +412,7 @@ fn predict(scene: &str) -> String {
 fn without_vulkan_gpu_is_refused_and_auto_uses_the_cpu() {
     let place = Place::new();
     let line = "predict wall.glb --sensor laser-scanner --pose 0,0,1,0,0,0 --out out.exr --backend gpu";
-    check(&place, vec![bad(line, 3, &["use --backend cpu"])]);
+    check(&place, vec![bad(line, 3, &[]).until("gpu", "cpu", "use --backend cpu")]);
     let outcome = place.run("predict wall.glb --sensor laser-scanner --pose 0,0,1,0,0,0 --backend auto");
     assert_eq!(outcome.status, Some(0), "{}", outcome.stderr);
     assert!(outcome.stdout.contains("on cpu"), "{}", outcome.stdout);

@@ -254,3 +254,16 @@ fn another_series_starts_over_and_lost_files_are_written_again() {
     );
     assert!(place.run(&line("")).stderr.contains("another series"));
 }
+
+/// The wall is 2 m ahead of the first poses and 98 m or more ahead of the others.
+#[test]
+fn notices_come_once_for_a_series() {
+    let place = place();
+    let line = |k: i32| format!("{k} {} 0 1 0 0 0 1\n", [0, 0, -96, -97, -98][k as usize]);
+    place.write("drive.tum", (0..5).map(line).collect::<String>().as_bytes());
+    let outcome = place.run(&format!("{PREDICT} --poses drive.tum --depth-png {{i}}.png"));
+    let said = "note: 16-bit depth images: pixels beyond 65.535 m are written as 0\n";
+    assert_eq!((outcome.status, outcome.stderr.as_str()), (Some(0), said));
+    let one = place.run(&format!("{PREDICT} --pose=-96,0,1,0,0,0 --depth-png a.png"));
+    assert_eq!((one.status, one.stderr.as_str()), (Some(0), said));
+}

@@ -156,7 +156,7 @@ fn spec(file: &File, name: String) -> Result<SensorSpec> {
             let step = (greatest - least).abs() / f64::from(beams.saturating_sub(1).max(1));
             if least.abs().max(greatest.abs()) > std::f64::consts::TAU + SAME_ANGLE * step {
                 let what = format!("angle_min {least} and angle_max {greatest} are more than a turn");
-                return Err(Error::invalid(what, "give radians: 90 degrees are 1.5708"));
+                return Err(Error::invalid(what, "give radians from -6.2831853 to 6.2831853 (90 degrees are 1.5708)"));
             }
             let on_robot = file.sensor_on_robot.as_ref().ok_or_else(|| missing("sensor_on_robot"))?;
             let place = DVec3::new(on_robot.x, on_robot.y, on_robot.z);

@@ -152,7 +152,10 @@ impl Search {
         let search = Self { options, views, likelihood, level_from_sensor: level_from_sensor.rotation };
         if search.places().is_empty() {
             let what = format!("the map has no free place at {} m", options.floor + sensor.spec().mount.translation.z);
-            return Err(Error::usage(what, "give the height of the floor, or a pose to start from"));
+            return Err(Error::usage(
+                what,
+                "give another `SearchOptions::floor`, a larger `SearchOptions::margin` or a pose to start from",
+            ));
         }
         Ok(search)
     }

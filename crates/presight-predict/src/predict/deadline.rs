@@ -1,8 +1,15 @@
 //! The parts that a prediction with a deadline gave up, and the costs of predictions.
 
 use super::{Prediction, Predictor};
+use crate::request::Request;
+use presight_features::FeaturePrediction;
+use presight_model::error::Result;
+use presight_model::geometry::Pose;
+use presight_model::sensor::Sensor;
+use presight_model::world::World;
 use presight_render::cost::CostModel;
-use presight_render::deadline::{Clock, Degradation};
+use presight_render::deadline::{Clock, DeadlineOutcome, Degradation, DegradationKind, DegradationStep};
+use presight_render::plan::{Images, Output, Stats};
 use std::sync::Arc;
 
 impl Prediction {
@@ -34,6 +41,48 @@ impl Prediction {
 }
 
 impl Predictor {
+    /// The prediction of a frame that [`Predictor::predict`] refused with [`presight_model::ErrorKind::Deadline`], for
+    /// a series that goes on: every sample and every feature is given up, and `complete_to` is 0.
+    ///
+    /// # Errors
+    /// [`presight_model::ErrorKind::System`] if the system refuses the memory; the errors of [`Predictor::predict`]
+    /// about features.
+    pub fn give_up(
+        &mut self,
+        world: &World,
+        sensor: &Sensor,
+        world_from_sensor: &Pose,
+        request: &Request,
+    ) -> Result<Prediction> {
+        let mut images = Images::default();
+        images.try_prepare(sensor.width(), sensor.height(), request.outputs.with(Output::Range))?;
+        images.show_nothing(sensor.grid());
+        let samples = images.leave_open(0.0, sensor.spec().range_min);
+        images.keep(request.outputs);
+        if request.outputs.has(Output::FeatureId) {
+            images.feature_id = vec![0; images.pixels()];
+        }
+        let placed = request.features.as_ref().map(|options| self.place(world, sensor, options)).transpose()?;
+        let ids = placed.iter().flat_map(|placed| placed.features.iter().map(|p| p.feature.id));
+        let mut features: Vec<u32> = ids.collect();
+        features.sort_unstable();
+        let step = |means, metres| DegradationStep { means, at_ms: 0.0, metres };
+        let mut means = vec![step(DegradationKind::Clock, Some(0.0))];
+        means.extend((!features.is_empty()).then(|| step(DegradationKind::Features, None)));
+        let given_up = Some(Degradation { complete_to: 0.0, samples, features, means, ..Degradation::default() });
+        let deadline_ms = request.deadline.map_or(0.0, |limit| 1e3 * limit.as_secs_f64());
+        let deadline = Some(DeadlineOutcome { deadline_ms, given_up, ..DeadlineOutcome::default() });
+        Ok(Prediction {
+            request: request.clone(),
+            sensor: sensor.clone(),
+            world_from_sensor: *world_from_sensor,
+            world_version: world.version(),
+            images,
+            features: placed.map(|_| FeaturePrediction::default()),
+            stats: Stats { deadline, ..Stats::default() },
+        })
+    }
+
     /// Learnt costs of predictions with a deadline; save them with `costs::write`.
     pub fn costs(&self) -> &CostModel {
         &self.controller.costs

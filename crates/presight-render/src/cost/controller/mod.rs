@@ -25,8 +25,6 @@ const SLOW: f64 = 1.25;
 /// Each refusal multiplies the doubted estimate by the first factor, down to the second in total.
 const DOUBT: f64 = 0.98;
 const MOST_DOUBT: f64 = 0.25;
-/// Factor for estimates that were not learnt: machines differ that much.
-const UNKNOWN_MACHINE: f64 = 0.125;
 
 /// The deadline controller of one engine.
 #[derive(Debug)]
@@ -88,8 +86,8 @@ impl Controller {
     /// Begins a prediction; `None` without a deadline. `engine` is `None` if the engine cannot stop early.
     ///
     /// # Errors
-    /// [`ErrorKind::Usage`] for a deadline of zero, or an engine that cannot stop early; [`ErrorKind::Deadline`] if not
-    /// even an empty image can be made in time.
+    /// [`ErrorKind::Usage`] for a deadline of zero, or an engine that cannot stop early; [`ErrorKind::Deadline`] if, by
+    /// the learnt costs, not even an empty image can be made in time.
     pub fn begin(
         &mut self,
         deadline: Option<(Duration, &Priority)>,
@@ -111,12 +109,11 @@ impl Controller {
         let mut timed = DeadlineFrame::new(limit, watch, key, priority, size, images);
         timed.draws_parts = draws_parts;
         let access = self.costs.estimate(&timed.key_of(Forecast::Access), &WorkCounts::default());
-        let floor = [access, self.least_images(&timed)];
+        // Costs that were not learnt refuse nothing, because machines differ too much.
+        let floor: Vec<TimeEstimate> =
+            [access, self.least_images(&timed)].into_iter().filter(|e| e.frames > 0).collect();
         let doubt = self.doubt(&timed.key);
-        let believed = |e: &TimeEstimate| {
-            if e.frames == 0 { e.mean * UNKNOWN_MACHINE } else { e.upper.min(SLOW * e.mean) * doubt }
-        };
-        let least = floor.iter().map(believed).sum::<f64>();
+        let least = floor.iter().map(|e| e.upper.min(SLOW * e.mean) * doubt).sum::<f64>();
         if limit.as_secs_f64() < least {
             self.doubts.insert(timed.key, (doubt * DOUBT).max(MOST_DOUBT));
             return Err(impossible(limit, floor.iter().map(|e| e.upper).sum::<f64>() + MARGIN.as_secs_f64()));
@@ -127,18 +124,21 @@ impl Controller {
     /// After selection, decides when drawing must stop and which runs to skip.
     ///
     /// # Errors
-    /// [`ErrorKind::Deadline`] if the selection took so long that no image can be made in time.
+    /// [`ErrorKind::Deadline`] if the selection took all the time, or if, by the learnt costs, the time left is too
+    /// short for any image.
     pub fn plan(&mut self, timed: &mut DeadlineFrame, plan: &mut FramePlan) -> Result<()> {
         timed.selected = timed.watch.elapsed();
         let access = timed.selected.saturating_sub(timed.begun);
         let least = self.least_images(timed);
         let left = timed.limit.saturating_sub(timed.selected);
         let doubt = self.doubt(&timed.key);
-        let surely = if least.frames == 0 { least.mean * UNKNOWN_MACHINE } else { least.lower * doubt };
-        if left.as_secs_f64() < surely {
+        let is_known = least.frames > 0;
+        if left.is_zero() || is_known && left.as_secs_f64() < least.lower * doubt {
             self.doubts.insert(timed.key.clone(), (doubt * DOUBT).max(MOST_DOUBT));
             self.learn(timed, Forecast::Access, 1, &WorkCounts::default(), access);
-            return Err(impossible(timed.limit, (timed.selected + MARGIN).as_secs_f64() + least.upper));
+            // Twice the time of this selection suffices for the next one and leaves some for a first image.
+            let images = if is_known { least.upper } else { timed.selected.as_secs_f64() };
+            return Err(impossible(timed.limit, (timed.selected + MARGIN).as_secs_f64() + images));
         }
         timed.counts = counts_of(&plan.runs);
         timed.stride = self.stride(timed, left);
