@@ -12,6 +12,7 @@ use glam::{DVec2, DVec3, Vec3};
 
 /// Precomputed data for projection, one per sensor.
 #[derive(Debug)]
+#[expect(clippy::large_enum_variant, reason = "a sensor has one; a box would cost every projection")]
 pub(super) enum Projector {
     /// Straight lines in closed form.
     Pinhole,

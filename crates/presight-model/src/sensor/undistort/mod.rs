@@ -32,6 +32,7 @@ const RESIDUAL: f64 = 1e-13;
 pub struct Lens(Kind);
 
 #[derive(Clone, Debug)]
+#[expect(clippy::large_enum_variant, reason = "a sensor has one; a box would cost every projection")]
 enum Kind {
     Pinhole,
     Brown(Brown, Option<Tilt>),
