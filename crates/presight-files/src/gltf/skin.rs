@@ -13,6 +13,7 @@ use json::mesh::{Primitive, Semantic};
 use json::validation::Checked;
 use presight_model::error::{Error, Result};
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 
 const REPAIR: &str = "repair the model or export it again";
 
@@ -79,15 +80,17 @@ pub(super) fn pose(
             });
             continue;
         }
-        if !poses.contains_key(&skin) {
-            let of_nodes = match &scene_from_nodes {
-                Some(known) => known,
-                None => scene_from_nodes.insert(text.scene_from_nodes()?),
-            };
-            let pose = document.rest_pose(skin, of_nodes).map_err(|e| e.at(format!("skin {skin}")))?;
-            poses.insert(skin, pose);
-        }
-        node.scene_from_node = DAffine3::from_translation(poses[&skin].origin);
+        let pose = match poses.entry(skin) {
+            Entry::Occupied(known) => known.into_mut(),
+            Entry::Vacant(new) => {
+                let of_nodes = match &scene_from_nodes {
+                    Some(known) => known,
+                    None => scene_from_nodes.insert(text.scene_from_nodes()?),
+                };
+                new.insert(document.rest_pose(skin, of_nodes).map_err(|e| e.at(format!("skin {skin}")))?)
+            }
+        };
+        node.scene_from_node = DAffine3::from_translation(pose.origin);
     }
     Ok(Skins { poses, unused })
 }
@@ -118,7 +121,7 @@ impl Document<'_> {
         if let Some(accessor) = skin.inverse_bind_matrices {
             let joints_from_mesh = self.matrices(accessor, rest_from_mesh.len())?;
             for (rest, joint_from_mesh) in rest_from_mesh.iter_mut().zip(joints_from_mesh) {
-                *rest = *rest * joint_from_mesh;
+                *rest *= joint_from_mesh;
             }
         }
         Ok(RestPose { origin, rest_from_mesh })

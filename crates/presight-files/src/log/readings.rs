@@ -120,7 +120,7 @@ impl Readings {
                 v if v.is_nan() => self.missing += 1,
                 f32::INFINITY => self.nothing += 1,
                 f32::NEG_INFINITY => self.too_near += 1,
-                v if v == 0.0 => self.zero += 1,
+                0.0 => self.zero += 1,
                 // A pixel without a ray has a depth, but no range.
                 _ if range.is_nan() && sensor.ray(pixel % sensor.width(), pixel / sensor.width()).is_some() => {
                     self.outside += 1;

@@ -147,8 +147,8 @@ fn columns_for(offs: &[f64], count: u32, most: u32) -> u32 {
         offs.iter().map(place).map(|x| (x - x.round()).abs()).fold(0.0, f64::max) * 360.0 / f64::from(columns)
     };
     let turns = (360.0 / (step * f64::from(count)) - SAME_ANGLE).ceil().clamp(1.0, f64::from(most / count)) as u32;
-    let multiples = (turns..=most / count).map(|n| n * count);
-    multiples.clone().find(|columns| farthest(*columns) <= FARTHEST * step).or(multiples.last()).unwrap_or(count)
+    let mut multiples = (turns..=most / count).map(|n| n * count);
+    multiples.clone().find(|columns| farthest(*columns) <= FARTHEST * step).or(multiples.next_back()).unwrap_or(count)
 }
 
 /// Number of beams processed together.
