@@ -61,9 +61,9 @@ pub struct Scene {
 /// let scene = Scene::open_with("scenes/room.glb", &options, &mut |line| println!("{line}"))?;
 /// assert!(matches!(scene.world.index().kind(), IndexKind::None));
 /// // The door with its frame and leaf is left out.
-/// let options = SceneOptions::default().with_exclude(&["room/building/door".into()]);
+/// let options = SceneOptions::default().with_exclude(&["room/door".into()]);
 /// let open = Scene::open_with("scenes/room.glb", &options, &mut |line| println!("{line}"))?;
-/// assert!(open.excluded.contains("room/building/door/leaf"));
+/// assert!(open.excluded.contains("room/door/leaf"));
 /// # Ok::<(), presight::Error>(())
 /// ```
 #[derive(Clone, Debug, Default)]

@@ -160,7 +160,11 @@ fn wrong_usage() {
                 "or 0 for all cores",
             ),
             bad("index wall.glb --count 0", 2, &["--count", "; see presight index --help"]),
-            bad("index wall.glb --count 3", 1, &["free poses"]).until("--count 3", "--poses poses.tum", "; give --poses FILE.tum"),
+            bad("index wall.glb --count 3", 1, &["free poses"]).until(
+                "--count 3",
+                "--poses poses.tum",
+                "; give --poses FILE.tum",
+            ),
             bad("index wall.glb --poses none.tum", 1, &["none.tum"]).until("none.tum", "poses.tum", "; check the path"),
             bad(posed("--repeat 0"), 2, &["--repeat", "; see"]).until("--repeat 0", "--repeat 1", "not in 1..=1000000"),
             bad("predikt wall.glb", 2, &["predikt", "; see"]),

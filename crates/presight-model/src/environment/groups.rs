@@ -160,7 +160,7 @@ impl Environment {
             None => {
                 // The entries are sorted, so one pass builds the map.
                 self.groups = groups.into_iter().collect();
-                self.next_numbers.clear();
+                self.next_numbers.0.clear();
                 Ok(())
             }
         }

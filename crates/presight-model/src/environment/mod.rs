@@ -29,6 +29,7 @@ use crate::geometry::{Aabb, Pose};
 use crate::limits;
 use glam::{DAffine3, DMat3, DVec3};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::fmt;
 use std::sync::Arc;
 
 /// A named rigid object with a pose in the world and a mesh in its own frame.
@@ -152,6 +153,16 @@ impl NewObject {
     }
 }
 
+/// Numbers of repeated names. They save work and change no result, so `Debug` leaves them out.
+#[derive(Clone, Default)]
+struct NextNumbers(HashMap<String, u32>);
+
+impl fmt::Debug for NextNumbers {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("..")
+    }
+}
+
 /// Objects in groups, materials and feature layers. Each polygon has a slot; slots are never reused.
 #[derive(Clone, Debug, Default)]
 pub struct Environment {
@@ -167,7 +178,7 @@ pub struct Environment {
     /// Ids of deleted features, by class; they are never reused.
     retired: BTreeMap<String, BTreeSet<u32>>,
     /// For repeated names, the number to try next; all lower ones are taken.
-    next_numbers: HashMap<String, u32>,
+    next_numbers: NextNumbers,
     next_slot: u32,
 }
 
@@ -310,7 +321,7 @@ impl Environment {
         if !self.names.contains_key(wanted) {
             return wanted.to_owned();
         }
-        let next = self.next_numbers.entry(wanted.to_owned()).or_insert(2);
+        let next = self.next_numbers.0.entry(wanted.to_owned()).or_insert(2);
         loop {
             let name = format!("{wanted}#{next}");
             *next += 1;
@@ -323,7 +334,7 @@ impl Environment {
     /// Notes that a path is free again.
     fn give_up(&mut self, path: &str) {
         let Some((name, number)) = path.rsplit_once('#') else { return };
-        if let (Some(next), Ok(number @ 2..)) = (self.next_numbers.get_mut(name), number.parse()) {
+        if let (Some(next), Ok(number @ 2..)) = (self.next_numbers.0.get_mut(name), number.parse()) {
             *next = number.min(*next);
         }
     }
@@ -403,7 +414,7 @@ mod tests {
         };
         env.set_frame("a#3", Some(Pose::IDENTITY)).unwrap();
         assert_eq!([(); 4].map(|()| insert(&mut env)), ["a", "a#2", "a#4", "a#5"]);
-        assert_eq!(env.next_numbers["a"], 6);
+        assert_eq!(env.next_numbers.0["a"], 6);
         env.delete("a#4").unwrap();
         env.delete("a#2").unwrap();
         assert_eq!([(); 3].map(|()| insert(&mut env)), ["a#2", "a#4", "a#6"]);
