@@ -14,7 +14,7 @@ use presight_render::plan::{Output, Outputs};
 
 /// Points, edges and faces of the polygons of a world.
 fn features(world: &World) -> Vec<PlacedFeature> {
-    let shapes = (0..world.environment().slot_count() as u32).flat_map(|slot| {
+    let shapes = (0..world.environment().slot_count()).flat_map(|slot| {
         let corners = world.environment().polygon_in_world(slot).unwrap_or_default();
         let (at, ends, none) = (corners[0], [corners[0], corners[1]], DMat3::ZERO);
         [
