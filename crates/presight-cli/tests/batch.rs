@@ -260,7 +260,7 @@ fn errors_are_reported_before_anything_is_written() {
     place.write("silent.toml", &sensor_toml::to_string(&silent));
     place.fails(&weigh.replace("s.toml", "silent.toml"), 1, "noise of ranges");
     place.fails(&weigh.replace("s.toml", "vlp-16"), 1, "rays of the log's sensor differ");
-    place.fails(&format!("{weigh} --headings 16385"), 2, "--headings");
+    place.fails(&format!("{weigh} --headings 16385"), 2, "16385 headings");
     place.fails(&format!("{weigh} --headings 360 --pose-of robot"), 2, "--headings");
     place.fails(&format!("{weigh} --cell-m=-1"), 1, "pose cell");
     place.write("b.tum", &format!("{good}9 0 0 1 0 0.1 0 1\n"));
