@@ -11,8 +11,8 @@ use glam::{DMat2, DVec2};
 /// Memory of the shared motion, frames.
 const MEMORY: f64 = 4.0;
 /// Squared deviation, relative to the variance of one coordinate, beyond which the motion has changed. A chi-squared
-/// variable with two degrees of freedom exceeds it with probability 0.1.
-const CHANGED: f64 = 4.6;
+/// variable with two degrees of freedom exceeds it with probability 0.05.
+const CHANGED: f64 = 6.0;
 /// Factor per frame by which the variance of a changed acceleration fades.
 const FADE: f64 = 0.1;
 /// Time constant of the learnt shaking, frames.
