@@ -1,5 +1,5 @@
-//! Features that stand apart, that a person hides, and that stand in clusters. Nothing but their places tells them
-//! apart.
+//! Features that stand apart, that a person hides, and that stand in clusters. They differ in nothing but their
+//! places.
 
 use super::simulator::{Disturbance, Frame, Leg, Point, Random, Simulator, holds, leg};
 use glam::{DMat2, DVec2, DVec3};

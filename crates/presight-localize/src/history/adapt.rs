@@ -226,6 +226,18 @@ mod tests {
     }
 
     #[test]
+    fn hidden_tracks_have_the_errors_of_predictions_as_old() {
+        let mut a = adaptation();
+        let mut squares = UnaidedSquares::default();
+        (squares[0], squares[1], squares[2]) = ((80.0, 20), (180.0, 20), (10.0, 20));
+        (0..60).for_each(|_| a.observe_unaided(&squares));
+        let factors = [0, 1, 2, 3, 4].map(|misses| a.unaided(misses));
+        for (factor, expected) in factors.into_iter().zip([1.0, 4.0, 9.0, 1.0, 1.0]) {
+            assert!((factor - expected).abs() < 1e-3, "{factors:?}");
+        }
+    }
+
+    #[test]
     fn when_nearly_all_are_missed_windows_are_at_the_wrong_place() {
         let mut a = adaptation();
         let missed = FrameInnovations { wanted: 100, seen: 20, ..FrameInnovations::default() };

@@ -127,20 +127,6 @@ impl PointMotion {
         self.aa += other.aa;
     }
 
-    /// Adds the covariance of an error that is as large as the difference from `other`.
-    pub fn doubt(&mut self, other: &Self) {
-        let of = |m: &Self| [m.position, m.speed, m.acceleration];
-        let ([p, v, a], [q, w, b]) = (of(self), of(other));
-        let [p, v, a] = [p - q, v - w, a - b];
-        let outer = |x: DVec2, y: DVec2| DMat2::from_cols(x * y.x, x * y.y);
-        self.pp += outer(p, p);
-        self.pv += outer(p, v);
-        self.pa += outer(p, a);
-        self.vv += outer(v, v);
-        self.va += outer(v, a);
-        self.aa += outer(a, a);
-    }
-
     /// False after numerical overflow.
     pub fn is_finite(&self) -> bool {
         let vectors = self.position.is_finite() && self.speed.is_finite() && self.acceleration.is_finite();

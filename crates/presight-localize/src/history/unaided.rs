@@ -1,12 +1,12 @@
 //! How wrong predictions are without detections, learnt from tracks that have some.
 //!
 //! A hidden track moves on without corrections. Each seen track carries what it would be like without its last
-//! corrections, and its next detection tells how far off that is.
+//! corrections, and its next detection shows how far off that is.
 
 use super::motion::PointMotion;
 use super::sightings::{Sighting, squares};
 
-/// Most frames without corrections that are told apart.
+/// Most corrections left out. Errors after more of them count as those after this many.
 pub(super) const MOST_UNAIDED: usize = 8;
 
 /// A track's first point without the corrections of the last frames.
