@@ -144,6 +144,7 @@ fn drive_once(seed: u64, disturbance: Disturbance, options: &TrackerOptions, kno
         }
         let (found, whose) = simulator.extract(&step.windows, &wanted);
         let matches = alternating.correct(frame.time, &found).unwrap();
+        told.extend(matches.begun.iter().map(|id| (*id, DeviceCheck::new(&disturbance))));
         for m in &matches.matched {
             tally.matched += 1.0;
             if whose[m.detection] == Some(m.id) {

@@ -5,6 +5,7 @@
 
 mod bad_input;
 mod drive;
+mod hidden;
 mod segments;
 mod simulator;
 mod told;

@@ -1,10 +1,13 @@
 //! Learns the noise level from innovations and detects changes of motion.
 
+use super::unaided::{MOST_UNAIDED, UnaidedSquares};
 use super::window::BoxLevel;
 use presight_model::statistics::tail;
 
 /// Time constant of the learnt noise scale, frames.
 const SCALE_FRAMES: f64 = 20.0;
+/// Time constant of the learnt errors of predictions without corrections, frames.
+const UNAIDED_FRAMES: f64 = 4.0;
 /// Largest inflation of variances in the table.
 const MOST_INFLATION: f64 = 64.0;
 /// Limit on the inflation after one frame. Larger values are often outliers.
@@ -55,6 +58,9 @@ pub(super) struct Adaptation {
     pub hit_rate: f64,
     /// Variance of a frame's inflation beyond chance, because all features shake with the sensor.
     unrest: f64,
+    /// Factor by which the variance of predictions without the last corrections exceeds that of the model, by their
+    /// number from 1; at least 1.
+    unaided: [f64; MOST_UNAIDED],
     /// Table from the mean squared innovation within windows to the inflation of the variance.
     truncation: Truncation,
 }
@@ -62,7 +68,7 @@ pub(super) struct Adaptation {
 impl Adaptation {
     pub fn new(level: &BoxLevel, clutter: f64, hit_rate: f64) -> Self {
         let truncation = Truncation::new(level.deviations());
-        Self { scale: 1.0, clutter, interval: 0.0, hit_rate, unrest: 0.0, truncation }
+        Self { scale: 1.0, clutter, interval: 0.0, hit_rate, unrest: 0.0, unaided: [1.0; MOST_UNAIDED], truncation }
     }
 
     /// Updates the mean time between frames.
@@ -94,6 +100,21 @@ impl Adaptation {
             }
         }
         MotionChange { inflation, displacement: self.observe_misses(frame).min(MOST_DISPLACEMENT) }
+    }
+
+    /// Learns how far off predictions without the last corrections are.
+    pub fn observe_unaided(&mut self, squares: &UnaidedSquares) {
+        for (factor, (sum, coordinates)) in self.unaided.iter_mut().zip(squares) {
+            if *coordinates > 0 {
+                let found = sum / f64::from(*coordinates);
+                *factor = (*factor + (found - *factor) / UNAIDED_FRAMES).clamp(1.0, MOST_INFLATION);
+            }
+        }
+    }
+
+    /// Factor on the variance of a track without a detection in the last `misses` frames.
+    pub fn unaided(&self, misses: u32) -> f64 {
+        misses.checked_sub(1).map_or(1.0, |age| self.unaided[(age as usize).min(MOST_UNAIDED - 1)])
     }
 
     /// If far fewer tracks are detected than normal, the windows are in the wrong place.
@@ -202,6 +223,18 @@ mod tests {
             assert_eq!(slow.observe(&frame(mean)).inflation, 1.0, "{i}");
         }
         assert!(slow.scale > 1.05);
+    }
+
+    #[test]
+    fn hidden_tracks_have_the_errors_of_predictions_as_old() {
+        let mut a = adaptation();
+        let mut squares = UnaidedSquares::default();
+        (squares[0], squares[1], squares[2]) = ((80.0, 20), (180.0, 20), (10.0, 20));
+        (0..60).for_each(|_| a.observe_unaided(&squares));
+        let factors = [0, 1, 2, 3, 4].map(|misses| a.unaided(misses));
+        for (factor, expected) in factors.into_iter().zip([1.0, 4.0, 9.0, 1.0, 1.0]) {
+            assert!((factor - expected).abs() < 1e-3, "{factors:?}");
+        }
     }
 
     #[test]

@@ -11,8 +11,8 @@ use glam::{DMat2, DVec2};
 /// Memory of the shared motion, frames.
 const MEMORY: f64 = 4.0;
 /// Squared deviation, relative to the variance of one coordinate, beyond which the motion has changed. A chi-squared
-/// variable with two degrees of freedom exceeds it with probability 0.03.
-const CHANGED: f64 = 7.0;
+/// variable with two degrees of freedom exceeds it with probability 0.05.
+const CHANGED: f64 = 6.0;
 /// Factor per frame by which the variance of a changed acceleration fades.
 const FADE: f64 = 0.1;
 /// Time constant of the learnt shaking, frames.
@@ -86,19 +86,25 @@ impl CommonMotion {
         self.motion.position = DVec2::ZERO;
     }
 
-    /// Adds an unknown change of acceleration after features were displaced from their windows.
-    pub fn lose(&mut self, variance: f64) {
+    /// Adds an unknown change of acceleration in the last `interval` seconds, in which features left their windows.
+    pub fn lose(&mut self, variance: f64, interval: f64) {
+        self.motion.change_acceleration(variance, interval);
         self.changed = self.changed.max(variance);
+    }
+
+    /// Its motion, whose position is 0, if there are too few witnesses to follow it. It begins again without motion.
+    pub fn give_up(&mut self, witnesses: &[PointEvidence]) -> Option<PointMotion> {
+        (witnesses.len() < LEAST_WITNESSES).then(|| {
+            self.rebase();
+            let shake = self.shake;
+            std::mem::replace(self, Self { shake, ..Self::still() }).motion
+        })
     }
 
     /// Corrects the shared motion by the evidence of a frame after `interval` seconds. Returns the mean displacement of
     /// the detections from their predictions, including shaking.
     pub fn correct(&mut self, witnesses: &[PointEvidence], interval: f64) -> DVec2 {
-        if interval <= 0.0 {
-            return DVec2::ZERO;
-        }
-        if witnesses.len() < LEAST_WITNESSES {
-            *self = Self { shake: self.shake, ..Self::still() };
+        if interval <= 0.0 || witnesses.len() < LEAST_WITNESSES {
             return DVec2::ZERO;
         }
         let prior = 0.5 * (self.motion.pp.x_axis.x + self.motion.pp.y_axis.y) + self.shake;
@@ -108,7 +114,7 @@ impl CommonMotion {
         let squared = told.length_squared();
         self.changed *= FADE;
         if squared > CHANGED * (prior + certain) {
-            let excess = 0.5 * squared;
+            let excess = 0.5 * squared - prior - certain;
             self.motion.change_acceleration(excess, interval);
             self.changed = self.changed.max(excess);
         }

@@ -20,6 +20,7 @@ mod alternating;
 mod border;
 mod common;
 mod health;
+mod lend;
 mod motion;
 mod options;
 mod outcome;
@@ -27,6 +28,7 @@ mod seed;
 mod sightings;
 mod track;
 mod tracker;
+mod unaided;
 mod window;
 
 pub use alternating::{AlternatingTracker, FrameWindows, PointProjection, Source};

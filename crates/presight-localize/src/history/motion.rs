@@ -114,6 +114,19 @@ impl PointMotion {
         self.aa = symmetric(self.aa - gains[2] * pa);
     }
 
+    /// Adds an independent motion.
+    pub fn add(&mut self, other: &Self) {
+        self.position += other.position;
+        self.speed += other.speed;
+        self.acceleration += other.acceleration;
+        self.pp += other.pp;
+        self.pv += other.pv;
+        self.pa += other.pa;
+        self.vv += other.vv;
+        self.va += other.va;
+        self.aa += other.aa;
+    }
+
     /// False after numerical overflow.
     pub fn is_finite(&self) -> bool {
         let vectors = self.position.is_finite() && self.speed.is_finite() && self.acceleration.is_finite();

@@ -48,8 +48,10 @@ pub enum End {
 pub struct MatchOutcome {
     /// Features found.
     pub matched: Vec<Match>,
-    /// Features not found. Their positions are extrapolated.
+    /// Features not found, or whose detection may well be another feature's. Their positions are extrapolated.
     pub missed: Vec<u32>,
+    /// Tracks of waiting features that begin, because detections can distinguish them now.
+    pub begun: Vec<u32>,
     /// Tracks that ended.
     pub ended: Vec<(u32, End)>,
     /// Indices of detections that match no track.
@@ -69,6 +71,8 @@ pub struct SeedOutcome {
     pub kept: Vec<u32>,
     /// Tracks that ended.
     pub ended: Vec<(u32, End)>,
+    /// Features that detections cannot distinguish from a followed one yet: its window would hold them, too.
+    pub waiting: Vec<u32>,
     /// Features that cannot be followed.
     pub refused: Vec<(u32, Rejection)>,
 }

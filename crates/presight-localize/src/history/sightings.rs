@@ -4,7 +4,7 @@ use super::common::{CommonMotion, PointEvidence};
 use super::motion::PointMotion;
 use super::options::TrackerOptions;
 use super::track::Track;
-use crate::matching::{Aligned, Assignment, Detection, ExpectedFeature, align};
+use crate::matching::{Aligned, Assignment, Candidates, Detection, ExpectedFeature, align};
 use glam::{DMat2, DVec2};
 
 /// The predicted points of all tracks, one track after another, and the motion that all tracks share.
@@ -23,6 +23,16 @@ impl Motions {
     pub fn of_mut(&mut self, row: usize) -> &mut [PointMotion] {
         &mut self.points[self.starts[row] as usize..self.starts[row + 1] as usize]
     }
+}
+
+/// The predictions of a frame and the detections assigned to them.
+pub(super) struct Pairing {
+    pub moved: Motions,
+    pub expected: Vec<ExpectedFeature>,
+    pub candidates: Candidates,
+    pub assignment: Assignment,
+    /// Rows whose detection may well be another feature's; they have none.
+    pub doubtful: Vec<usize>,
 }
 
 /// The measurement of one defining point of a track.

@@ -3,6 +3,7 @@
 use super::common::CommonMotion;
 use super::motion::{PointMotion, isotropic};
 use super::options::TrackerOptions;
+use super::unaided::Unaided;
 use crate::matching::{
     Detection, DetectionProperties, ExpectedFeature, ExpectedProperties, PropertyNoise, Shape, UncertainValue,
     turn_apart, unwrap,
@@ -38,6 +39,10 @@ pub struct Track {
     pub(super) properties: ExpectedProperties,
     /// Covariance of the last detection.
     pub(super) detection: DMat2,
+    /// The followed track from which detections cannot distinguish it. It has no window then, but takes part in the
+    /// assignment.
+    pub(super) waits: Option<u32>,
+    pub(super) unaided: Unaided,
     pub(super) misses: u32,
     pub(super) seen: u32,
     /// Mean squared innovation of this track, relative to the predicted variance.
@@ -81,6 +86,8 @@ impl Track {
             shape: seed.shape,
             properties: seed.properties,
             detection: isotropic(options.detection_sigma.powi(2)),
+            waits: Some(seed.id),
+            unaided: Unaided::default(),
             misses: 0,
             seen: 0,
             own: 1.0,
@@ -134,6 +141,16 @@ impl Track {
     /// Mean variance of a detected coordinate, pixels squared.
     pub(super) fn detection_variance(&self) -> f64 {
         0.5 * (self.detection.x_axis.x + self.detection.y_axis.y)
+    }
+
+    /// Spectral density of the process noise, and the variance that an unknown acceleration adds in `interval` seconds,
+    /// where frames are `usual` seconds apart (0 if unknown).
+    pub(super) fn disturbance(&self, interval: f64, usual: f64, options: &TrackerOptions) -> (f64, f64) {
+        if usual <= 0.0 {
+            return (0.0, 0.0);
+        }
+        let jerk = options.memory.powi(-6) * self.detection_variance() / usual.powi(5);
+        (jerk, self.changed * (interval / usual).powi(4))
     }
 
     /// Appends the points `interval` seconds later; `jerk` is the spectral density of the process noise.

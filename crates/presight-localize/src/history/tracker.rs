@@ -4,13 +4,17 @@ use super::adapt::{Adaptation, FrameInnovations};
 use super::border::{is_within, place, stay_within};
 use super::common::CommonMotion;
 use super::health::{Health, PredictionTrigger, spread};
+use super::lend::{known_speeds, lend_speeds};
 use super::motion::PointMotion;
 use super::options::TrackerOptions;
 use super::outcome::{End, Match, MatchOutcome, SeedOutcome, Window};
-use super::sightings::{Motions, Sightings, squares};
+use super::sightings::{Motions, Pairing, Sightings, squares};
 use super::track::{Seed, Track};
+use super::unaided::{MOST_UNAIDED, UnaidedSquares};
 use super::window::BoxLevel;
-use crate::matching::{Assignment, Candidates, Detection, ExpectedFeature, Matcher, Rejection, assign, floored};
+use crate::matching::{
+    Assignment, Candidates, Detection, ExpectedFeature, Matcher, Rejection, assign, floored, unwrap, withhold_doubtful,
+};
 use glam::{DMat2, DVec2, DVec3};
 use presight_model::error::{Error, Result};
 
@@ -34,14 +38,13 @@ const WIDE: f64 = 1.0;
 const MOST_CLUTTER: u32 = 16;
 /// A track must have been seen in this many frames before its speed is lent to new tracks.
 pub(super) const OLD_ENOUGH: u32 = 5;
-/// Number of neighbours that estimate the speed of a new track.
-const NEIGHBOURS: usize = 8;
 
 /// Follows features from frame to frame.
 #[derive(Clone, Debug)]
 pub struct Tracker {
     options: TrackerOptions,
     level: BoxLevel,
+    /// First the followed tracks, then the waiting ones, both by number.
     tracks: Vec<Track>,
     noise: Adaptation,
     common: CommonMotion,
@@ -86,7 +89,7 @@ impl Tracker {
 
     /// The tracks, sorted by number.
     pub fn tracks(&self) -> &[Track] {
-        &self.tracks
+        &self.tracks[..self.tracks.partition_point(|t| t.waits.is_none())]
     }
 
     /// Time of the last seeding or correction, seconds.
@@ -95,7 +98,8 @@ impl Tracker {
     }
 
     /// Takes over the features of a full prediction for `time` (seconds). A track goes on if its feature is predicted
-    /// near its position. All other predicted features start new tracks, and tracks without a predicted feature end.
+    /// near its position. All other predicted features start new tracks, and tracks without a predicted feature end. Of
+    /// features that lie in each other's windows and have like properties only one is followed; the others wait.
     ///
     /// # Errors
     /// [`presight_model::ErrorKind::Invalid`] for a time that is not finite or is before the last time, for two seeds
@@ -115,43 +119,48 @@ impl Tracker {
         }
         let mut done = SeedOutcome::default();
         if interval > self.options.longest_gap {
-            done.ended.extend(self.tracks.drain(..).map(|t| (t.id, End::Gap)));
+            self.end_all(End::Gap, &mut done.ended);
         }
         if interval > 0.0 {
             let moved = self.propagated(interval);
+            self.pass_unaided(interval);
             self.take_over(&moved, interval);
             self.common = moved.common;
         }
-        let mut old = std::mem::take(&mut self.tracks).into_iter().peekable();
+        let mut old = std::mem::take(&mut self.tracks);
+        old.sort_by_key(|t| t.id);
+        let mut old = old.into_iter().peekable();
         let mut tracks: Vec<Track> = Vec::with_capacity(seeds.len());
         let mut begun = Vec::new();
         for seed in seeds {
             while let Some(gone) = old.next_if(|t| t.id < seed.id) {
-                done.ended.push((gone.id, End::NotPredicted));
+                done.ended.extend(gone.waits.is_none().then_some((gone.id, End::NotPredicted)));
             }
             let known = old.next_if(|t| t.id == seed.id);
             if let Err(why) = check_seed(&seed) {
-                done.ended.extend(known.map(|t| (t.id, End::NotPredicted)));
+                done.ended.extend(known.filter(|t| t.waits.is_none()).map(|t| (t.id, End::NotPredicted)));
                 done.refused.push((seed.id, why));
                 continue;
             }
             match known.filter(|track| self.agrees(track, &seed)) {
                 Some(mut track) => {
                     track.flow.points_world.clone_from(&seed.points_world);
-                    done.kept.push(seed.id);
+                    done.kept.extend(track.waits.is_none().then_some(seed.id));
                     tracks.push(track);
                 }
                 None => {
-                    done.begun.push(seed.id);
                     begun.push(tracks.len());
                     tracks.push(Track::new(seed, &self.options));
                 }
             }
         }
-        done.ended.extend(old.map(|t| (t.id, End::NotPredicted)));
+        done.ended.extend(old.filter(|t| t.waits.is_none()).map(|t| (t.id, End::NotPredicted)));
         self.tracks = tracks;
-        self.lend_speeds(&begun);
-        self.seeded = self.tracks.len();
+        let known = known_speeds(&self.tracks, &begun);
+        lend_speeds(&mut self.tracks, &begun, &known, &self.options);
+        done.begun = self.follow_distinguishable();
+        self.seeded = self.tracks().len();
+        done.waiting = self.tracks[self.seeded..].iter().map(|t| t.id).collect();
         self.before_seeding += interval;
         (self.time, self.is_corrected, self.has_gap) = (Some(time), self.is_corrected && interval == 0.0, false);
         Ok(done)
@@ -176,8 +185,8 @@ impl Tracker {
             return Ok(Vec::new());
         }
         let moved = self.propagated(interval);
-        let mut windows = Vec::with_capacity(self.tracks.len());
-        for (row, track) in self.tracks.iter().enumerate() {
+        let mut windows = Vec::with_capacity(self.tracks().len());
+        for (row, track) in self.tracks().iter().enumerate() {
             let expected = self.expected(track, moved.of(row), &moved.common);
             if let Some(bounds) = self.clip(expected.window) {
                 let noise = track.detection * self.noise.scale;
@@ -202,40 +211,81 @@ impl Tracker {
         let mut matches = MatchOutcome::default();
         if interval > self.options.longest_gap {
             self.has_gap |= !self.tracks.is_empty();
-            matches.ended.extend(self.tracks.drain(..).map(|t| (t.id, End::Gap)));
+            self.end_all(End::Gap, &mut matches.ended);
         }
         let elapsed = interval + std::mem::take(&mut self.before_seeding);
         if elapsed > 0.0 && elapsed <= self.options.longest_gap {
             self.noise.pass(elapsed);
         }
-        let mut moved = self.propagated(interval);
+        let mut pairing = self.pair(interval, found)?;
+        if self.lend_to_doubtful(&pairing, interval, found) {
+            pairing = self.pair(interval, found)?;
+        }
+        let Pairing { mut moved, expected, candidates, assignment, doubtful } = pairing;
+        let mut seen = Sightings::new(&expected, found, &assignment, &self.options);
+        let witnesses = seen.witnesses(&self.tracks, &moved, self.noise.scale);
+        if elapsed > 0.0
+            && let Some(common) = moved.common.give_up(&witnesses)
+        {
+            moved.points.iter_mut().for_each(|m| m.add(&common));
+        }
+        let shift = moved.common.correct(&witnesses, elapsed);
+        seen.points.iter_mut().for_each(|p| p.innovation -= shift);
+        self.adapt(elapsed, &expected, &candidates, &seen, &doubtful, &mut moved);
+        self.take_over(&moved, interval);
+        self.take_in(&seen, found, &assignment, moved.common);
+        self.report(&candidates, &assignment, found.len(), &mut matches);
+        self.end_tracks(&mut matches);
+        matches.begun = self.follow_distinguishable();
+        (self.time, self.is_corrected) = (Some(time), true);
+        Ok(matches)
+    }
+
+    /// Predicts all tracks and assigns detections to them.
+    fn pair(&self, interval: f64, found: &[Detection]) -> Result<Pairing> {
+        let moved = self.propagated(interval);
         let expected: Vec<ExpectedFeature> = (self.tracks.iter().enumerate())
             .map(|(row, track)| self.expected(track, moved.of(row), &moved.common))
             .collect();
         let matcher = self.matcher();
         let candidates = matcher.candidates(&expected, found);
-        let assignment = assign(&candidates.pairs, &vec![matcher.unseen_cost(); expected.len()])?;
-        let mut seen = Sightings::new(&expected, found, &assignment, &self.options);
-        let shift = moved.common.correct(&seen.witnesses(&self.tracks, &moved, self.noise.scale), elapsed);
-        seen.points.iter_mut().for_each(|p| p.innovation -= shift);
-        self.adapt(elapsed, &expected, &candidates, &seen, &mut moved);
-        self.take_over(&moved, interval);
-        self.take_in(&seen, found, &assignment, moved.common);
-        self.report(&candidates, &assignment, found.len(), &mut matches);
-        self.end_tracks(&mut matches);
-        (self.time, self.is_corrected) = (Some(time), true);
-        Ok(matches)
+        let unseen = matcher.unseen_cost();
+        let mut assignment = assign(&candidates.pairs, &vec![unseen; expected.len()])?;
+        let doubtful = withhold_doubtful(&candidates.pairs, unseen, self.options.confidence, &mut assignment);
+        Ok(Pairing { moved, expected, candidates, assignment, doubtful })
+    }
+
+    /// Takes the unknown speed of new tracks with a doubtful detection from the certain detections nearby. Returns true if
+    /// that changed one.
+    fn lend_to_doubtful(&mut self, pairing: &Pairing, interval: f64, found: &[Detection]) -> bool {
+        let is_new = |row: &usize| {
+            let track = &self.tracks[*row];
+            track.seen <= 1 && track.misses == 0 && track.flow.next.is_empty()
+        };
+        let new: Vec<usize> = pairing.doubtful.iter().copied().filter(is_new).collect();
+        if new.is_empty() || interval <= 0.0 {
+            return false;
+        }
+        let shared = pairing.moved.common.displacement();
+        let speed = |(row, column): (usize, &Option<u32>)| {
+            let (from, to) = (self.tracks[row].shape.centre(), found[(*column)? as usize].shape.centre());
+            let shift = to - from + DVec2::new(unwrap(self.options.image.turn, from.x, to.x), 0.0);
+            Some((from, (shift - shared) / interval))
+        };
+        let known: Vec<(DVec2, DVec2)> = pairing.assignment.columns.iter().enumerate().filter_map(speed).collect();
+        lend_speeds(&mut self.tracks, &new, &known, &self.options)
     }
 
     /// Reports how well the tracks cover the image, and whether a full prediction is needed.
     pub fn health(&self) -> Health {
-        let spread = spread(&self.tracks, &self.options.image);
-        let share = self.tracks.len() as f64 / self.seeded.max(1) as f64;
+        let spread = spread(self.tracks(), &self.options.image);
+        let followed = self.tracks().len();
+        let share = followed as f64 / self.seeded.max(1) as f64;
         let wants = if self.has_gap {
             Some(PredictionTrigger::Gap)
         } else if self.time.is_none() {
             Some(PredictionTrigger::Start)
-        } else if self.tracks.len() < self.options.least_tracks {
+        } else if followed < self.options.least_tracks {
             Some(PredictionTrigger::TooFew)
         } else if spread < self.options.least_spread {
             Some(PredictionTrigger::BadlySpread)
@@ -244,7 +294,7 @@ impl Tracker {
         } else {
             None
         };
-        Health { tracks: self.tracks.len(), spread, share, noise_scale: self.noise.scale, wants }
+        Health { tracks: followed, spread, share, noise_scale: self.noise.scale, wants }
     }
 
     fn interval(&self, time: f64) -> Result<f64> {
@@ -277,15 +327,12 @@ impl Tracker {
         let mut points = Vec::with_capacity(self.tracks.iter().map(|t| t.motions.len()).sum());
         let mut starts = vec![0];
         for track in &self.tracks {
-            let variance = self.options.memory.powi(-6) * track.detection_variance();
-            let jerk = if usual > 0.0 { variance / usual.powi(5) } else { 0.0 };
+            let (jerk, changed) = track.disturbance(interval, usual, &self.options);
             let first = points.len();
             track.propagated(interval, jerk, &self.options, &mut points);
             for motion in &mut points[first..] {
                 motion.position += common.displacement();
-                if usual > 0.0 {
-                    motion.change_acceleration(track.changed * (interval / usual).powi(4), interval);
-                }
+                motion.change_acceleration(changed, interval);
             }
             starts.push(points.len() as u32);
         }
@@ -295,7 +342,7 @@ impl Tracker {
 
     /// Returns the expected feature of a track with its window.
     fn expected(&self, track: &Track, motions: &[PointMotion], common: &CommonMotion) -> ExpectedFeature {
-        let mut expected = track.expected(motions, self.noise.scale, common);
+        let mut expected = track.expected(motions, self.noise.scale * self.noise.unaided(track.misses), common);
         let noise = track.detection * self.noise.scale;
         let points = expected.shape.points();
         let [x0, y0, x1, y1] = if let [p] = points {
@@ -346,11 +393,18 @@ impl Tracker {
         expected: &[ExpectedFeature],
         candidates: &Candidates,
         seen: &Sightings,
+        doubtful: &[usize],
         moved: &mut Motions,
     ) {
+        self.pass_unaided(interval);
         let mut frame = FrameInnovations::default();
+        let mut unaided = UnaidedSquares::default();
         for (row, track) in self.tracks.iter_mut().enumerate() {
             track.changed *= FADE;
+            // A doubtful detection is no miss, and no window is searched for a track that waits.
+            if track.waits.is_some() || doubtful.binary_search(&row).is_ok() {
+                continue;
+            }
             frame.wanted += u32::from(is_within(expected[row].shape.centre(), &self.options.image));
             let [x0, y0, x1, y1] = expected[row].window;
             frame.area += (x1 - x0) * (y1 - y0);
@@ -368,14 +422,17 @@ impl Tracker {
             if track.seen >= OLD_ENOUGH {
                 frame.squares += squares;
                 frame.coordinates += coordinates;
+                track.unaided.compare(own, self.noise.scale, &mut unaided);
             }
         }
+        self.noise.observe_unaided(&unaided);
         let change = self.noise.observe(&frame);
         if interval <= 0.0 {
             return;
         }
         if change.displacement > 1.0 {
-            moved.common.lose((change.displacement - 1.0) * self.options.detection_sigma.powi(2) * self.noise.scale);
+            let variance = (change.displacement - 1.0) * self.options.detection_sigma.powi(2) * self.noise.scale;
+            moved.common.lose(variance, interval);
         }
         for (row, track) in self.tracks.iter_mut().enumerate() {
             let own = if track.own > OWN { std::mem::replace(&mut track.own, 1.0).min(MOST_OWN) } else { 1.0 };
@@ -389,7 +446,15 @@ impl Tracker {
             // A wide window already covers the change, so the added variance is limited.
             let variance = (inflation - 1.0) * predicted.min(WIDE * detection);
             points.iter_mut().for_each(|m| m.change_acceleration(variance, interval));
+            track.unaided.change(variance, interval);
             track.changed = track.changed.max(variance);
+        }
+    }
+
+    fn pass_unaided(&mut self, interval: f64) {
+        for track in &mut self.tracks {
+            let (jerk, changed) = track.disturbance(interval, self.noise.interval, &self.options);
+            track.unaided.pass(interval, jerk, changed);
         }
     }
 
@@ -403,7 +468,9 @@ impl Tracker {
 
     /// Corrects the tracks by their detections. The shared motion also moves tracks without a detection.
     fn take_in(&mut self, seen: &Sightings, found: &[Detection], assignment: &Assignment, mut common: CommonMotion) {
+        let most = (self.options.misses as usize - 1).min(MOST_UNAIDED);
         for (row, track) in self.tracks.iter_mut().enumerate() {
+            let predicted = track.motions[0];
             for (motion, seen) in track.motions.iter_mut().zip(seen.of(row)) {
                 let mut innovation = seen.innovation;
                 if let Some(along) = seen.slides {
@@ -413,6 +480,7 @@ impl Tracker {
                 }
                 motion.correct(innovation, seen.covariance);
             }
+            track.unaided.leave_out(&predicted, &track.motions[0], most);
             track.motions.iter_mut().for_each(|m| m.position += common.displacement());
             match assignment.columns[row] {
                 None => track.misses += 1,
@@ -438,7 +506,7 @@ impl Tracker {
             matches.rejected.push((*column as usize, *why));
         }
         for (row, taken) in assignment.candidates.iter().enumerate() {
-            let id = self.tracks[row].id;
+            let Track { id, waits: None, .. } = self.tracks[row] else { continue };
             let Some(taken) = taken else {
                 matches.missed.push(id);
                 continue;
@@ -463,14 +531,49 @@ impl Tracker {
                 Some(End::Lost)
             } else if !stay_within(track, &image) {
                 Some(End::Left)
-            } else if track.misses >= misses {
+            } else if track.misses >= misses && track.waits.is_none() {
                 Some(End::Lost)
             } else {
                 None
             };
-            matches.ended.extend(why.map(|why| (track.id, why)));
+            matches.ended.extend(why.filter(|_| track.waits.is_none()).map(|why| (track.id, why)));
             why.is_none()
         });
+        // Without the track for which a feature waits, its place is as doubtful.
+        let followed: Vec<u32> = self.tracks().iter().map(|t| t.id).collect();
+        self.tracks.retain(|t| t.waits.is_none_or(|id| followed.binary_search(&id).is_ok()));
+    }
+
+    /// Ends all tracks.
+    fn end_all(&mut self, why: End, ended: &mut Vec<(u32, End)>) {
+        ended.extend(self.tracks.drain(..).filter(|t| t.waits.is_none()).map(|t| (t.id, why)));
+    }
+
+    /// Begins to follow the waiting tracks that detections can distinguish from the followed ones, and returns their
+    /// numbers. A detection as expected of the one must not be a candidate of the other.
+    fn follow_distinguishable(&mut self) -> Vec<u32> {
+        let mut begun = Vec::new();
+        if self.tracks.iter().all(|t| t.waits.is_none()) {
+            return begun;
+        }
+        let expected: Vec<ExpectedFeature> =
+            self.tracks.iter().map(|t| self.expected(t, &t.motions, &self.common)).collect();
+        let usual: Vec<Detection> = expected.iter().zip(&self.tracks).map(|(e, t)| e.detected(t.detection)).collect();
+        let pairs = self.matcher().candidates(&expected, &usual).pairs;
+        let mut near: Vec<[u32; 2]> = pairs.iter().flat_map(|p| [[p.row, p.column], [p.column, p.row]]).collect();
+        near.extend((0..self.tracks.len() as u32).map(|row| [row, row]));
+        near.sort_unstable();
+        for own in near.chunk_by(|a, b| a[0] == b[0]) {
+            let row = own[0][0] as usize;
+            if self.tracks[row].waits.is_some() {
+                let mut others = own.iter().map(|[_, other]| &self.tracks[*other as usize]);
+                let followed = others.find(|t| t.waits.is_none()).map(|t| t.id);
+                self.tracks[row].waits = followed;
+                begun.extend(followed.is_none().then_some(self.tracks[row].id));
+            }
+        }
+        self.tracks.sort_by_key(|t| (t.waits.is_some(), t.id));
+        begun
     }
 
     /// Returns true if a track matches the predicted feature in position and kind.
@@ -482,38 +585,6 @@ impl Tracker {
             properties: Default::default(),
         };
         self.matcher().is_near(&expected, &found)
-    }
-
-    /// Initializes the speed of new tracks from older tracks nearby.
-    fn lend_speeds(&mut self, begun: &[usize]) {
-        let speed = |t: &Track| t.motions.iter().map(|m| m.speed).sum::<DVec2>() / t.motions.len() as f64;
-        let is_new = |i: &usize| begun.binary_search(i).is_ok();
-        let old: Vec<(DVec2, DVec2)> = (0..self.tracks.len())
-            .filter(|i| !is_new(i) && self.tracks[*i].seen >= OLD_ENOUGH && self.tracks[*i].misses == 0)
-            .map(|i| (self.tracks[i].shape.centre(), speed(&self.tracks[i])))
-            .collect();
-        if old.len() < NEIGHBOURS {
-            return;
-        }
-        let mut near: Vec<(f64, DVec2)> = Vec::new();
-        for i in begun {
-            let track = &mut self.tracks[*i];
-            let at = track.shape.centre();
-            near.clear();
-            near.extend(old.iter().map(|(p, v)| (p.distance_squared(at), *v)));
-            near.select_nth_unstable_by(NEIGHBOURS - 1, |a, b| a.0.total_cmp(&b.0));
-            let near = &near[..NEIGHBOURS];
-            let mean = near.iter().map(|n| n.1).sum::<DVec2>() / NEIGHBOURS as f64;
-            let spread: f64 = near.iter().map(|n| n.1.distance_squared(mean)).sum::<f64>() / NEIGHBOURS as f64;
-            // Twice the spread of the neighbours, because depths differ more than positions in the image.
-            let variance = (2.0 * spread).max(self.options.residual_speed_sigma.powi(2));
-            for motion in &mut track.motions {
-                if variance < motion.vv.x_axis.x {
-                    motion.speed = mean;
-                    motion.vv = super::motion::isotropic(variance);
-                }
-            }
-        }
     }
 }
 

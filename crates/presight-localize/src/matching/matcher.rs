@@ -28,6 +28,22 @@ pub struct ExpectedFeature {
     pub properties: ExpectedProperties,
 }
 
+impl ExpectedFeature {
+    /// The most likely detection, with the covariance of its points.
+    pub(crate) fn detected(&self, covariance: DMat2) -> Detection {
+        let ExpectedProperties { strength, contrast, direction, marker, range } = self.properties.clone();
+        let mean = |value: Option<UncertainValue>| value.map(|v| v.mean);
+        let properties = DetectionProperties {
+            strength: mean(strength),
+            contrast: mean(contrast),
+            direction: mean(direction),
+            marker,
+            range,
+        };
+        Detection { shape: self.shape.clone(), covariance, properties }
+    }
+}
+
 /// Noise of an extractor's properties, as standard deviations.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PropertyNoise {

@@ -23,9 +23,11 @@ mod bins;
 mod detection;
 mod distance;
 mod matcher;
+mod rivals;
 
 pub use assign::{Assignment, CandidatePair, MAX_GROUP_WORK, assign};
 pub use detection::{Detection, DetectionProperties, ExpectedProperties, Marker, Rejection, Shape, UncertainValue};
 pub use distance::Distance;
 pub use distance::{Aligned, align, floored, turn_apart, unwrap};
 pub use matcher::{Candidates, ExpectedFeature, MAX_CANDIDATES, Matcher, PropertyNoise};
+pub(crate) use rivals::withhold_doubtful;
