@@ -3,6 +3,7 @@
 #![allow(clippy::print_stderr)] // Prints skips and results.
 
 use presight_testkit as common;
+mod near_faces;
 mod scenes;
 
 use common::{Random, data};

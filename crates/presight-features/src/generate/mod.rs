@@ -246,7 +246,7 @@ fn generate_checked(
     if wants(&FeatureKind::ALL[..5]) {
         let edges = edges(environment, &soup, options, near.as_ref(), &mut counts, effort)?;
         if wants(&[FeatureKind::Corner]) {
-            let corners = corners::corners(&edges, 4.0 * touch, options.crease, effort)?;
+            let corners = corners::corners(&edges, &lines::Nearness { environment, touch }, options.crease, effort)?;
             drafts.extend(corners.into_iter().map(|(p, object)| Draft::new(FeatureKind::Corner, object, vec![p])));
         }
         let wanted = edges.iter().filter(|e| wants(&[e.kind]));
@@ -339,7 +339,8 @@ fn edges(
     let mut candidates = candidates::sides_of_polygons(soup, options.crease);
     candidates.extend(candidates::crossings(soup, touch, &sizes, near, effort)?);
     candidates.retain(|line| near.is_none_or(|n| candidates::meet(n, &line.bounds())));
-    let joined = lines::merged(&candidates, touch, true, effort)?;
+    let nearness = lines::Nearness { environment, touch };
+    let joined = lines::merged(&candidates, &nearness, true, effort)?;
     let (long, short): (Vec<Line>, Vec<Line>) = joined.into_iter().partition(|l| l.length() >= options.min_length);
     (counts.candidates, counts.short) = (long.len(), short.len());
     let judge = EdgeClassifier { soup, effort, solids: &solids, touch, crease: options.crease };
@@ -366,10 +367,10 @@ fn edges(
             if buried { counts.buried += 1 } else { counts.flat += 1 }
         }
     }
-    let mut edges = lines::merged(&shown, touch, false, effort)?;
+    let mut edges = lines::merged(&shown, &nearness, false, effort)?;
     edges.retain(|l| l.length() >= options.min_length);
     edges.sort_by_key(|l| (l.kind == FeatureKind::Intersection, l.object));
-    lines::once(&edges, touch, options.min_length, effort)
+    lines::once(&edges, &nearness, options.min_length, effort)
 }
 
 fn layer_of(
