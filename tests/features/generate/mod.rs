@@ -4,6 +4,7 @@
 
 use presight_testkit as common;
 mod near_faces;
+mod scans;
 mod scenes;
 
 use common::{Random, data};

@@ -181,6 +181,7 @@ fn feature_generation_reports_errors_in_the_units_of_the_flags() {
                 &["crease angle of 200 degrees", "; give 0.6 to 90 degrees"],
             ),
             bad("features wall.glb --class video --min-length 1e-9", 2, &["length of 1e-9", "; "]),
+            bad("features wall.glb --class video --flatness 2", 2, &["flatness of 2", "; give 0 to 1 m"]),
         ],
     );
     let outcome = place.run_args(&["features", "wall.glb", "--class", ""]);

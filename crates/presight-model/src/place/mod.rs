@@ -19,6 +19,7 @@ mod local;
 mod patch;
 mod plane;
 mod segment;
+mod squares;
 #[cfg(test)]
 mod tests;
 
