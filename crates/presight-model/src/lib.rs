@@ -7,6 +7,7 @@ pub mod clock;
 pub mod contour;
 pub mod environment;
 pub mod error;
+pub mod flat;
 pub mod geometry;
 pub mod index;
 pub mod limits;

@@ -3,6 +3,8 @@
 #![allow(clippy::print_stderr)] // Prints skips and results.
 
 use presight_testkit as common;
+mod near_faces;
+mod scans;
 mod scenes;
 
 use common::{Random, data};

@@ -8,9 +8,9 @@ use presight_model::geometry::Pose;
 use std::sync::Arc;
 
 /// A loop of corners in a material.
-type Loop = (Vec<Vec3>, u16);
+pub(super) type Loop = (Vec<Vec3>, u16);
 
-fn mesh(loops: &[Loop]) -> Arc<Mesh> {
+pub(super) fn mesh(loops: &[Loop]) -> Arc<Mesh> {
     let mut vertices = Vec::new();
     let mut polygons = Vec::new();
     for (corners, material) in loops {
@@ -22,7 +22,7 @@ fn mesh(loops: &[Loop]) -> Arc<Mesh> {
 }
 
 /// The faces of a box, wound outward.
-fn cuboid(least: Vec3, most: Vec3) -> Vec<Loop> {
+pub(super) fn cuboid(least: Vec3, most: Vec3) -> Vec<Loop> {
     let corners = cuboid_corners(least, most);
     CUBOID_FACES.iter().map(|f| (f.iter().map(|i| corners[*i as usize]).collect(), 0)).collect()
 }
@@ -35,7 +35,7 @@ fn rectangle(x: [f32; 2], y: [f32; 2], z: f32, material: u16) -> Loop {
 }
 
 /// Two materials, and a third one that is invisible to video.
-fn empty() -> Environment {
+pub(super) fn empty() -> Environment {
     let mut environment = Environment::new();
     for name in ["grey", "red"] {
         environment.add_material(Material::named(name)).unwrap();
@@ -46,7 +46,7 @@ fn empty() -> Environment {
     environment
 }
 
-fn put(environment: &mut Environment, object_from_mesh: DAffine3, loops: &[Loop]) {
+pub(super) fn put(environment: &mut Environment, object_from_mesh: DAffine3, loops: &[Loop]) {
     let pose = Pose::from_xyz_rpy(DVec3::new(3.0, -2.0, 1.0), 0.0, 0.0, 0.3);
     environment.insert(NewObject { object_from_mesh, ..NewObject::new("o", pose, mesh(loops)) }).unwrap();
 }

@@ -94,6 +94,11 @@ struct OptionArgs {
     /// Standard deviation of positions, metres [default: 0.01]
     #[arg(long, value_name = "M")]
     sigma: Option<f64>,
+
+    /// Largest distance of facets from their plane, metres, 0 for exact planes [default: three times the noise of each
+    /// scanned mesh, at most three times --sigma]
+    #[arg(long, value_name = "M")]
+    flatness: Option<f64>,
 }
 
 impl OptionArgs {
@@ -105,6 +110,7 @@ impl OptionArgs {
             min_area: self.min_area.unwrap_or(default.min_area),
             crease: self.crease_deg.map_or(default.crease, f64::to_radians),
             sigma: self.sigma.unwrap_or(default.sigma),
+            flatness: self.flatness,
             ..default
         }
     }
@@ -177,6 +183,13 @@ fn in_words(generated: &GeneratedLayer, options: &GenerateOptions, seconds: f64)
         n => format!(", {n} more invisible to the class"),
     };
     lines.push(format!("looked at    {} polygons{invisible}; {} lines", counts.polygons, counts.candidates));
+    if options.kinds.iter().any(|k| FeatureKind::ALL[5..].contains(k)) {
+        let whose = if options.flatness.is_some() { "as given" } else { "from the noise of their facets" };
+        lines.push(match counts.uneven {
+            0 => "planes       exact".to_owned(),
+            n => format!("planes       within {:.4} m of the facets of {n} objects, {whose}", generated.flatness),
+        });
+    }
     let off = match counts.off {
         0 => String::new(),
         n => format!("; {n} features moved off the surface by joining"),

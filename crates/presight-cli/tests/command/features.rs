@@ -185,6 +185,11 @@ fn feature_generation_reports_errors_in_the_units_of_the_flags() {
                 "0.0001",
                 "; give 0.0001 m .. 1000 km",
             ),
+            bad("features wall.glb --class video --flatness 2", 2, &["flatness of 2"]).until(
+                "2",
+                "0.01",
+                "; give 0 to 1 m",
+            ),
         ],
     );
     let outcome = place.run_args(&["features", "wall.glb", "--class", ""]);

@@ -4,6 +4,7 @@ use super::FeatureKind;
 use super::effort::{Effort, steps};
 use super::lines::boxes_along;
 use super::patches::{Patch, parts};
+use super::scanned::{PART, halves};
 use super::soup::{Soup, grown};
 use super::wings::Line;
 use crate::lies_on;
@@ -15,9 +16,9 @@ use presight_model::index::QueryResult;
 use rayon::prelude::*;
 use std::cell::RefCell;
 
-/// Largest distance of a feature from the polygons, metres. The rest of the layer's tolerance is for patches that are
-/// off their plane, and for rounding in other frames.
-const NEAR: f64 = 0.75 * DEFAULT_TOLERANCE;
+/// Largest distance of a feature from the polygons, as a part of its tolerance. The rest is for patches that are off
+/// their plane, and for rounding in other frames.
+const NEAR: f64 = 0.75;
 
 /// A feature without a number, in the world.
 #[derive(Clone, Debug)]
@@ -26,11 +27,15 @@ pub(super) struct Draft {
     pub object: u32,
     pub points: Vec<DVec3>,
     pub normal: Option<DVec3>,
+    /// Distance from its polygons that the layer has to allow, metres.
+    pub tolerance: f64,
+    /// True if it is a part of a patch that was split into its faces.
+    pub is_part: bool,
 }
 
 impl Draft {
     pub fn new(kind: FeatureKind, object: u32, points: Vec<DVec3>) -> Self {
-        Self { kind, object, points, normal: None }
+        Self { kind, object, points, normal: None, tolerance: DEFAULT_TOLERANCE, is_part: false }
     }
 
     /// Transforms the draft to the frame of its object.
@@ -72,17 +77,12 @@ pub(super) fn on_the_surface(
         .into_par_iter()
         .map_init(QueryResult::default, |found, draft| {
             stage.step();
-            if draft.lies(soup, found, effort)? {
-                return Ok(vec![draft]);
-            }
-            let parts = match draft.normal {
-                Some(_) => parts(soup, &draft, least, found, effort)?,
-                None => Vec::new(),
-            };
-            let mut lying = Vec::new();
-            for part in parts.into_iter().map(Draft::from) {
-                if part.lies(soup, found, effort)? {
-                    lying.push(part);
+            let (mut lying, mut open) = (Vec::new(), vec![draft]);
+            while let Some(draft) = open.pop() {
+                if draft.lies(soup, found, effort)? {
+                    lying.push(draft);
+                } else {
+                    open.extend(draft.split(soup, least, found, effort)?);
                 }
             }
             Ok(lying)
@@ -93,20 +93,32 @@ pub(super) fn on_the_surface(
 }
 
 impl Draft {
+    /// Smaller patches in place of one that is off the polygons.
+    fn split(&self, soup: &Soup, least: f64, found: &mut QueryResult, effort: &Effort<'_>) -> Result<Vec<Self>> {
+        if self.tolerance > DEFAULT_TOLERANCE {
+            return Ok(halves(self, PART * least));
+        }
+        if self.is_part || self.normal.is_none() {
+            return Ok(Vec::new());
+        }
+        let parts = parts(soup, self, least, found, effort)?.into_iter();
+        Ok(parts.map(|part| Self { is_part: true, ..Self::from(part) }).collect())
+    }
+
     fn lies(&self, soup: &Soup, found: &mut QueryResult, effort: &Effort<'_>) -> Result<bool> {
         let near = match self.points[..] {
             // One box around a slanting line would be wide, so several are used.
             [start, end] => {
                 let line = Line { start, end, object: self.object, kind: self.kind };
-                soup.near_any(boxes_along(&line, DEFAULT_TOLERANCE), found)
+                soup.near_any(boxes_along(&line, self.tolerance), found)
             }
-            _ => soup.near(&grown(&Aabb::of(self.points.iter().copied()), DEFAULT_TOLERANCE), found),
+            _ => soup.near(&grown(&Aabb::of(self.points.iter().copied()), self.tolerance), found),
         };
         let thing = RefCell::new(effort.allowance(self.object));
         let spend = |steps: usize| thing.borrow_mut().spend(steps, || self.points[0]);
         spend(steps::PLACED * near.len())?;
         // Under a patch, the sides of each polygon are compared with the polygons that overlap it.
         let compare = |pairs: usize| spend(steps::COVER * pairs);
-        lies_on(&self.points, near.iter().map(|&face| soup.corners(face)), NEAR, &compare)
+        lies_on(&self.points, near.iter().map(|&face| soup.corners(face)), NEAR * self.tolerance, &compare)
     }
 }

@@ -1,38 +1,64 @@
 //! Joins collinear lines, and removes overlaps between lines.
+//!
+//! Lines side by side are one line only within rounding. A face lies on one of them and hides the other as soon as they
+//! are farther apart, so both are kept.
 
 use super::effort::{Effort, Steps, steps};
 use super::soup::grown;
 use super::wings::Line;
+use glam::DVec3;
+use presight_model::environment::Environment;
 use presight_model::error::Result;
 use presight_model::geometry::Aabb;
 use presight_model::index::{Params, QueryResult, Region, Skd, SpatialIndex};
+use presight_model::place;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
 /// Cosine of one degree, the largest angle between lines that are joined.
 const PARALLEL: f64 = 0.999_847_695_156_391_2;
 
-/// Joins collinear lines of one object that overlap or meet within `touch`. The longest line gives the direction. If
-/// `kinds` is set, only lines of one kind are joined. The result is sorted by object, then in input order.
-pub(super) fn merged(lines: &[Line], touch: f64, kinds: bool, effort: &Effort<'_>) -> Result<Vec<Line>> {
+/// Distances within which things touch, and within which they are the same.
+pub(super) struct Nearness<'a> {
+    pub environment: &'a Environment,
+    /// Largest distance between touching parts, metres.
+    pub touch: f64,
+}
+
+impl Nearness<'_> {
+    /// Distance from a point of an object (world) within which everything lies on the polygons at the point, metres.
+    pub fn same(&self, object: u32, p: DVec3) -> f64 {
+        place::rounding_at(&self.environment.objects()[object as usize], p)
+    }
+
+    fn same_along(&self, line: &Line) -> f64 {
+        self.same(line.object, line.start).max(self.same(line.object, line.end))
+    }
+}
+
+/// Joins collinear lines of one object that lie on each other or continue each other within `touch`. The longest line
+/// gives the direction. If `kinds` is set, only lines of one kind are joined. The result is sorted by object, then in
+/// input order.
+pub(super) fn merged(lines: &[Line], near: &Nearness<'_>, kinds: bool, effort: &Effort<'_>) -> Result<Vec<Line>> {
     let mut by_object: BTreeMap<u32, Vec<Line>> = BTreeMap::new();
     for line in lines {
         by_object.entry(line.object).or_default().push(*line);
     }
     let groups: Vec<Vec<Line>> = by_object.into_values().collect();
     let stage = effort.stage("lines", lines.len());
-    let merge = |group: &Vec<Line>| merged_of_object(group, touch, kinds, effort, &stage);
+    let merge = |group: &Vec<Line>| merged_of_object(group, near, kinds, effort, &stage);
     let merged: Vec<Vec<Line>> = groups.par_iter().map(merge).collect::<Result<_>>()?;
     Ok(merged.into_iter().flatten().collect())
 }
 
 fn merged_of_object(
     lines: &[Line],
-    touch: f64,
+    nearness: &Nearness<'_>,
     kinds: bool,
     effort: &Effort<'_>,
     stage: &Steps<'_>,
 ) -> Result<Vec<Line>> {
+    let touch = nearness.touch;
     let index = index_of(lines);
     let mut order: Vec<u32> = (0..lines.len() as u32).collect();
     order.sort_by(|a, b| lines[*b as usize].length().total_cmp(&lines[*a as usize].length()).then(a.cmp(b)));
@@ -44,42 +70,44 @@ fn merged_of_object(
             continue;
         }
         let line = &lines[seed as usize];
+        let same = nearness.same_along(line);
         let mut thing = effort.allowance(line.object);
         let (mut from, mut to) = (0.0f64, line.length());
         // Parts still to search along: first the whole line, then extensions at its ends.
         let mut parts = vec![(from, to)];
         near.clear();
-        while let Some((a, b)) = parts.pop() {
-            let (ids, before) = (query_along(&index, &line.part(a, b), 2.0 * touch, &mut found), (from, to));
-            thing.spend(steps::FOUND * ids.len(), || line.start)?;
-            near.extend(ids.iter().filter(|&&o| !taken[o as usize]).filter_map(|&o| {
-                let other = &lines[o as usize];
-                let fits = !kinds || other.kind == line.kind;
-                let (a, b) = fits.then(|| along(line, other, touch)).flatten()?;
-                Some((o, a, b))
-            }));
-            // Repeat while a line joins, because a farther line may come before the one that connects it.
-            loop {
-                let count = near.len();
-                thing.spend(steps::FOUND * count, || line.start)?;
-                near.retain(|&(o, a, b)| {
-                    let joins = a <= to + touch && b >= from - touch;
+        loop {
+            for (a, b) in parts.drain(..) {
+                let ids = query_along(&index, &line.part(a, b), 2.0 * touch, &mut found);
+                thing.spend(steps::FOUND * ids.len(), || line.start)?;
+                near.extend(ids.iter().filter(|&&o| !taken[o as usize]).filter_map(|&o| {
+                    let other = &lines[o as usize];
+                    let fits = !kinds || other.kind == line.kind;
+                    Some((o, fits.then(|| along(line, other, touch)).flatten()?))
+                }));
+            }
+            thing.spend(steps::FOUND * near.len(), || line.start)?;
+            let before = (from, to, near.len());
+            // Whatever lies on the line comes first: it decides where the line ends.
+            for most_off in [same, touch] {
+                near.retain(|(o, part)| {
+                    let common = part.to.min(to) - part.from.max(from);
+                    let joins = common >= -touch && part.off <= if common > touch { same } else { most_off };
                     if joins {
-                        taken[o as usize] = true;
-                        (from, to) = (from.min(a), to.max(b));
+                        taken[*o as usize] = true;
+                        (from, to) = (from.min(part.from), to.max(part.to));
                     }
                     !joins
                 });
-                if near.len() == count {
+                if near.len() < before.2 {
                     break;
                 }
             }
-            if from < before.0 {
-                parts.push((from, before.0));
+            // Repeat while a line joins, because a farther line may come before the one that connects it.
+            if near.len() == before.2 {
+                break;
             }
-            if to > before.1 {
-                parts.push((before.1, to));
-            }
+            parts.extend([(from, before.0), (before.1, to)].into_iter().filter(|(a, b)| a < b));
         }
         all.push((seed, line.part(from, to)));
     }
@@ -117,27 +145,35 @@ fn sorted(found: &mut QueryResult) -> &[u32] {
     &found.ids
 }
 
-/// Start and end of a collinear line along another.
-fn along(line: &Line, other: &Line, touch: f64) -> Option<(f64, f64)> {
+/// A line along another.
+struct Along {
+    from: f64,
+    to: f64,
+    /// Largest distance between the two, metres.
+    off: f64,
+}
+
+fn along(line: &Line, other: &Line, touch: f64) -> Option<Along> {
     let d = line.direction();
     let (p, q) = (other.start - line.start, other.end - line.start);
     let (a, b) = (p.dot(d), q.dot(d));
-    let near = (p - d * a).length() <= touch && (q - d * b).length() <= touch;
+    let off = (p - d * a).length().max((q - d * b).length());
     let straight = (b - a).abs() >= PARALLEL * other.length();
-    (near && straight).then_some((a.min(b), a.max(b)))
+    (off <= touch && straight).then_some(Along { from: a.min(b), to: a.max(b), off })
 }
 
 /// Removes from every line the parts covered by an earlier line of any object. Pieces shorter than `least` are dropped.
-pub(super) fn once(lines: &[Line], touch: f64, least: f64, effort: &Effort<'_>) -> Result<Vec<Line>> {
+pub(super) fn once(lines: &[Line], near: &Nearness<'_>, least: f64, effort: &Effort<'_>) -> Result<Vec<Line>> {
     let index = index_of(lines);
     let (mut found, mut all) = (QueryResult::default(), Vec::new());
     for (i, line) in lines.iter().enumerate() {
-        let near = query_along(&index, line, 2.0 * touch, &mut found);
+        let same = near.same_along(line);
+        let others = query_along(&index, line, 2.0 * same, &mut found);
         let mut thing = effort.allowance(line.object);
-        thing.spend(steps::FOUND * near.len(), || line.start)?;
+        thing.spend(steps::FOUND * others.len(), || line.start)?;
         let mut left: Vec<(f64, f64)> = vec![(0.0, line.length())];
-        for &earlier in near.iter().filter(|&&j| (j as usize) < i) {
-            let Some((a, b)) = overlap(line, &lines[earlier as usize], touch) else { continue };
+        for &earlier in others.iter().filter(|&&j| (j as usize) < i) {
+            let Some((a, b)) = overlap(line, &lines[earlier as usize], same) else { continue };
             left = left.into_iter().flat_map(|(from, to)| [(from, to.min(a)), (from.max(b), to)]).collect();
             left.retain(|(from, to)| to > from);
             thing.spend(steps::FOUND * left.len(), || line.start)?;
@@ -152,13 +188,13 @@ pub(super) fn once(lines: &[Line], touch: f64, least: f64, effort: &Effort<'_>) 
     Ok(all)
 }
 
-/// The part of a line within `touch` of another.
-fn overlap(line: &Line, other: &Line, touch: f64) -> Option<(f64, f64)> {
+/// The part of a line along another one that is the same.
+fn overlap(line: &Line, other: &Line, same: f64) -> Option<(f64, f64)> {
     let (d, length) = (line.direction(), line.length());
     if d.dot(other.direction()).abs() < PARALLEL {
         return None;
     }
-    let t = |p: glam::DVec3| (p - line.start).dot(d);
+    let t = |p: DVec3| (p - line.start).dot(d);
     let (a, b) = (t(other.start), t(other.end));
     let (a, b) = (a.min(b).max(0.0), a.max(b).min(length));
     let e = other.direction();
@@ -166,7 +202,7 @@ fn overlap(line: &Line, other: &Line, touch: f64) -> Option<(f64, f64)> {
         let p = line.start + d * t - other.start;
         (p - e * p.dot(e)).length()
     };
-    (b > a && apart(a) <= 2.0 * touch && apart(b) <= 2.0 * touch).then_some((a, b))
+    (b > a && apart(a) <= same && apart(b) <= same).then_some((a, b))
 }
 
 pub(super) fn index_of(lines: &[Line]) -> Skd<3> {

@@ -20,6 +20,8 @@ mod drafts;
 mod effort;
 mod lines;
 mod patches;
+mod scanned;
+mod smooth;
 mod solids;
 mod soup;
 mod wings;
@@ -28,7 +30,6 @@ use drafts::{Draft, by_place, ordered};
 use effort::Effort;
 pub use effort::Progress;
 use glam::DMat3;
-use presight_model::contour;
 use presight_model::environment::{
     DEFAULT_TOLERANCE, Environment, Existence, Feature, FeatureLayer, FeatureShape, Properties,
 };
@@ -113,6 +114,9 @@ pub struct GenerateOptions {
     pub tilt: f64,
     /// Standard deviation of positions along each axis, metres.
     pub sigma: f64,
+    /// Largest distance of facets from their plane, metres; 0 if planes are exact. `None`: for each mesh, three
+    /// standard deviations of its own noise, at most three times `sigma`. Designed meshes have no noise.
+    pub flatness: Option<f64>,
     /// Limits candidates to the neighbourhood of this box (world). Features there are as without a limit, but numbered
     /// from 1.
     pub region: Option<Aabb>,
@@ -127,6 +131,7 @@ impl Default for GenerateOptions {
             crease: 30f64.to_radians(),
             tilt: 1f64.to_radians(),
             sigma: 0.01,
+            flatness: None,
             region: None,
         }
     }
@@ -151,6 +156,8 @@ pub struct FeatureCounts {
     pub buried: usize,
     /// Features that joining moved off the surface and that could not be split.
     pub off: usize,
+    /// Objects whose planes are not exact.
+    pub uneven: usize,
 }
 
 impl FeatureCounts {
@@ -167,6 +174,8 @@ pub struct GeneratedLayer {
     pub layer: FeatureLayer,
     /// Numbers of features and candidates.
     pub counts: FeatureCounts,
+    /// Largest distance of facets from their plane, metres: the largest of all objects; 0 if all planes are exact.
+    pub flatness: f64,
 }
 
 /// Generates the feature layer of a sensor class from the polygons of an environment. Materials invisible to the class
@@ -246,53 +255,30 @@ fn generate_checked(
     if wants(&FeatureKind::ALL[..5]) {
         let edges = edges(environment, &soup, options, near.as_ref(), &mut counts, effort)?;
         if wants(&[FeatureKind::Corner]) {
-            let corners = corners::corners(&edges, 4.0 * touch, options.crease, effort)?;
+            let corners = corners::corners(&edges, &lines::Nearness { environment, touch }, options.crease, effort)?;
             drafts.extend(corners.into_iter().map(|(p, object)| Draft::new(FeatureKind::Corner, object, vec![p])));
         }
         let wanted = edges.iter().filter(|e| wants(&[e.kind]));
         drafts.extend(wanted.map(|e| Draft::new(e.kind, e.object, ordered(e.start, e.end))));
     }
+    let smooth = smooth::surfaces(environment, class, options, near.as_ref(), effort)?;
+    let flatness = smooth.iter().map(|s| s.flatness).fold(0.0, f64::max);
+    counts.uneven = smooth.iter().filter(|s| s.flatness > 0.0).count();
     if wants(&FeatureKind::ALL[5..7]) {
-        let patches = patches::patches(&soup, options.tilt, options.min_area, touch, effort)?;
+        let is_uneven = |object: u32| smooth[object as usize].flatness > 0.0;
+        let patches = patches::patches(&soup, is_uneven, options.tilt, options.min_area, touch, effort)?;
         let wanted = patches.into_iter().filter(|p| {
             wants(&[p.kind]) && near.is_none_or(|n| candidates::meet(&n, &Aabb::of(p.corners.iter().copied())))
         });
         drafts.extend(wanted.map(Draft::from));
     }
-    if wants(&[FeatureKind::Contour]) {
-        drafts.extend(contours(environment, class, options, near.as_ref(), effort)?);
-    }
+    drafts.extend(smooth.into_iter().flat_map(|s| s.drafts));
     let drafts = drafts::on_the_surface(&soup, drafts, options.min_area, &mut counts.off, effort)?;
-    Ok(GeneratedLayer { layer: layer_of(environment, class, options, drafts, &mut counts), counts })
-}
-
-/// Returns a contour for each smooth surface that is at least as large as the minimum length.
-fn contours(
-    environment: &Environment,
-    class: &str,
-    options: &GenerateOptions,
-    near: Option<&Aabb>,
-    effort: &Effort<'_>,
-) -> Result<Vec<Draft>> {
-    let objects = environment.objects();
-    let steps = effort.stage("smooth surfaces", objects.len());
-    let is_near = |o: &usize| near.is_none_or(|n| candidates::meet(n, &objects[*o].world_bounds()));
-    let of_object = |o: usize| {
-        let pose = objects[o].world_from_object;
-        let found = contour::surfaces(environment, o as u32, class, options.crease)?.into_iter();
-        let wanted = found.filter(|surface| {
-            let in_world = surface.bounds.transformed(&pose.to_affine());
-            surface.bounds.size() >= options.min_length && near.is_none_or(|n| candidates::meet(n, &in_world))
-        });
-        let draft = |s: contour::SmoothSurface| {
-            Draft::new(FeatureKind::Contour, o as u32, vec![pose.transform_point(s.anchor)])
-        };
-        steps.step();
-        Ok(wanted.map(draft).collect::<Vec<_>>())
+    let layer = FeatureLayer {
+        tolerance: (scanned::LAYER * flatness).max(DEFAULT_TOLERANCE),
+        ..layer_of(environment, class, options, drafts, &mut counts)
     };
-    let all: Vec<Vec<Draft>> =
-        (0..objects.len()).into_par_iter().filter(is_near).map(of_object).collect::<Result<_>>()?;
-    Ok(all.into_iter().flatten().collect())
+    Ok(GeneratedLayer { layer, counts, flatness })
 }
 
 impl GenerateOptions {
@@ -304,12 +290,14 @@ impl GenerateOptions {
         let quarter = std::f64::consts::FRAC_PI_2;
         // Users give angles in degrees, so they are shown to a millionth of a degree.
         let degrees = |angle: f64| format!("{} degrees", (angle.to_degrees() * 1e6).round() / 1e6);
+        let flatness = self.flatness.unwrap_or(0.0);
         let checks = [
             ("the minimum length", self.min_length, 1e-4..=1e6, short(self.min_length), "give 0.0001 m .. 1000 km"),
             ("the minimum area", self.min_area, 0.0..=1e12, short(self.min_area), "give square metres from 0"),
             ("the crease angle", self.crease, 0.01..=quarter, degrees(self.crease), "give 0.6 to 90 degrees"),
             ("the tilt", self.tilt, 0.0..=0.5, degrees(self.tilt), "give 0 to 28 degrees"),
             ("the standard deviation", self.sigma, 0.0..=1e6, short(self.sigma), "give metres from 0"),
+            ("the flatness", flatness, 0.0..=1.0, short(flatness), "give 0 to 1 m"),
         ];
         let wrong = checks.into_iter().find(|(_, value, range, ..)| !range.contains(value));
         wrong.map_or(Ok(()), |(what, _, _, shown, remedy)| {
@@ -339,7 +327,8 @@ fn edges(
     let mut candidates = candidates::sides_of_polygons(soup, options.crease);
     candidates.extend(candidates::crossings(soup, touch, &sizes, near, effort)?);
     candidates.retain(|line| near.is_none_or(|n| candidates::meet(n, &line.bounds())));
-    let joined = lines::merged(&candidates, touch, true, effort)?;
+    let nearness = lines::Nearness { environment, touch };
+    let joined = lines::merged(&candidates, &nearness, true, effort)?;
     let (long, short): (Vec<Line>, Vec<Line>) = joined.into_iter().partition(|l| l.length() >= options.min_length);
     (counts.candidates, counts.short) = (long.len(), short.len());
     let judge = EdgeClassifier { soup, effort, solids: &solids, touch, crease: options.crease };
@@ -366,10 +355,10 @@ fn edges(
             if buried { counts.buried += 1 } else { counts.flat += 1 }
         }
     }
-    let mut edges = lines::merged(&shown, touch, false, effort)?;
+    let mut edges = lines::merged(&shown, &nearness, false, effort)?;
     edges.retain(|l| l.length() >= options.min_length);
     edges.sort_by_key(|l| (l.kind == FeatureKind::Intersection, l.object));
-    lines::once(&edges, touch, options.min_length, effort)
+    lines::once(&edges, &nearness, options.min_length, effort)
 }
 
 fn layer_of(

@@ -33,13 +33,20 @@ struct Piece {
 }
 
 /// All patches of at least `least` m^2 whose planes are vertical or horizontal within `tilt` (radians). Duplicate faces
-/// give one patch.
-pub(super) fn patches(soup: &Soup, tilt: f64, least: f64, touch: f64, effort: &Effort<'_>) -> Result<Vec<Patch>> {
+/// give one patch. Objects for which `skips` is true have none.
+pub(super) fn patches(
+    soup: &Soup,
+    skips: impl Fn(u32) -> bool,
+    tilt: f64,
+    least: f64,
+    touch: f64,
+    effort: &Effort<'_>,
+) -> Result<Vec<Patch>> {
     let mut planes: BTreeMap<(u32, bool), Vec<(Plane, u32)>> = BTreeMap::new();
     for (i, f) in soup.faces.iter().enumerate() {
         let up = f.plane.normal.z.abs();
         let horizontal = up >= tilt.cos();
-        if horizontal || up <= tilt.sin() {
+        if (horizontal || up <= tilt.sin()) && !skips(f.object) {
             planes.entry((f.object, horizontal)).or_default().push((f.plane, i as u32));
         }
     }

@@ -22,7 +22,7 @@ const SLACK: f64 = 1e-6;
 
 /// An edge and the polygons around it, without repeats.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct MeshEdge {
+pub(crate) struct MeshEdge {
     /// The indices of its corners, the lower one first.
     pub ends: [u32; 2],
     around: (u32, u32),
@@ -30,15 +30,15 @@ pub(super) struct MeshEdge {
 
 /// The edges of all polygons of one object that a sensor class sees. Polygons whose sides touch share the common part.
 #[derive(Debug)]
-pub(super) struct MeshEdges {
+pub struct MeshEdges {
     /// Corners, in the object's frame; equal corners share one index.
-    pub positions: Vec<DVec3>,
-    pub edges: Vec<MeshEdge>,
+    pub(crate) positions: Vec<DVec3>,
+    pub(crate) edges: Vec<MeshEdge>,
     around: Vec<u32>,
     /// Unit normals by polygon; `None` if the polygon has no area or the class does not see it.
-    pub normals: Vec<Option<DVec3>>,
+    pub(crate) normals: Vec<Option<DVec3>>,
     /// A point inside each polygon.
-    pub centers: Vec<DVec3>,
+    pub(crate) centers: Vec<DVec3>,
     /// By polygon: where its edges begin in `edges_of`.
     starts: Vec<u32>,
     edges_of: Vec<u32>,
@@ -48,7 +48,7 @@ pub(super) struct MeshEdges {
 type Side = ([u32; 2], u32);
 
 /// The two polygons over which a surface crosses an edge.
-pub(super) struct Fold {
+pub(crate) struct Fold {
     /// One polygon on each side.
     pub sides: [u32; 2],
     /// True if the normals of the two polygons point to opposite sides of the surface.
@@ -56,6 +56,8 @@ pub(super) struct Fold {
 }
 
 impl MeshEdges {
+    /// The edges of the polygons of an object that a sensor class sees.
+    ///
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] if splitting sides at corners exceeds [`limits::MAX_CONTOUR_STEPS`].
     pub fn new(environment: &Environment, object: &Object, class: &str) -> Result<Self> {
@@ -118,19 +120,24 @@ impl MeshEdges {
         Self { positions, edges, around, normals, centers, starts, edges_of }
     }
 
-    pub fn around(&self, edge: u32) -> &[u32] {
+    /// Number of polygons of the object.
+    pub fn polygon_count(&self) -> usize {
+        self.normals.len()
+    }
+
+    pub(crate) fn around(&self, edge: u32) -> &[u32] {
         let (first, end) = self.edges[edge as usize].around;
         &self.around[first as usize..end as usize]
     }
 
-    pub fn edges_of(&self, polygon: u32) -> &[u32] {
+    pub(crate) fn edges_of(&self, polygon: u32) -> &[u32] {
         let range = polygon as usize..polygon as usize + 2;
         let [first, end] = [self.starts[range.start], self.starts[range.end - 1]];
         &self.edges_of[first as usize..end as usize]
     }
 
     /// The unit direction of an edge, and the perpendicular direction in which a polygon extends from it.
-    pub fn wing(&self, edge: u32, polygon: u32) -> Option<(DVec3, DVec3)> {
+    pub(crate) fn wing(&self, edge: u32, polygon: u32) -> Option<(DVec3, DVec3)> {
         let [a, b] = self.edges[edge as usize].ends.map(|end| self.positions[end as usize]);
         let along = (b - a).try_normalize()?;
         let across = self.normals[polygon as usize]?.cross(along).try_normalize()?;
@@ -140,7 +147,7 @@ impl MeshEdges {
 
     /// The two polygons of an edge that the surface crosses smoothly; `None` at creases, borders and branchings.
     /// Polygons that lie on each other count once.
-    pub fn fold(&self, edge: u32, crease: f64) -> Option<Fold> {
+    pub(crate) fn fold(&self, edge: u32, crease: f64) -> Option<Fold> {
         let around = self.around(edge);
         if around.len() > MOST_AROUND {
             return None;

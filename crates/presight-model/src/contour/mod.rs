@@ -17,6 +17,7 @@ mod surface;
 
 use crate::environment::{Appearance, Environment};
 pub use curves::Curve;
+pub use edges::MeshEdges;
 pub use known::ContourSet;
 pub use place::{ContourFinder, SmoothSurface, surfaces};
 pub use surface::Surface;

@@ -111,21 +111,23 @@ pub struct SmoothSurface {
     pub bounds: crate::geometry::Aabb,
 }
 
-/// The smooth surfaces of an object that are not flat.
-///
-/// # Errors
-/// The errors of setting up edges.
-pub fn surfaces(environment: &Environment, object: u32, class: &str, crease: f64) -> Result<Vec<SmoothSurface>> {
+/// The smooth surfaces of an object that are not flat, and that `keeps` keeps by their polygons.
+pub fn surfaces(
+    environment: &Environment,
+    object: u32,
+    edges: &MeshEdges,
+    crease: f64,
+    mut keeps: impl FnMut(&[u32]) -> bool,
+) -> Vec<SmoothSurface> {
     let of = &environment.objects()[object as usize];
-    let edges = MeshEdges::new(environment, of, class)?;
-    let mut reached = Reached::new(&edges);
+    let mut reached = Reached::new(edges);
     let mut found = Vec::new();
     for polygon in 0..edges.normals.len() as u32 {
         if reached.holds(polygon) {
             continue;
         }
-        let polygons = connected(&edges, polygon, crease, &mut reached);
-        if is_flat(&edges, &polygons) {
+        let polygons = connected(edges, polygon, crease, &mut reached);
+        if is_flat(edges, &polygons) || !keeps(&polygons) {
             continue;
         }
         let corners = |polygon: u32| of.mesh.corners_of(polygon).map(|p| of.object_from_mesh.transform_point3(p));
@@ -144,5 +146,5 @@ pub fn surfaces(environment: &Environment, object: u32, class: &str, crease: f64
         }
         found.extend(best.map(|(_, anchor)| SmoothSurface { object, anchor, bounds }));
     }
-    Ok(found)
+    found
 }

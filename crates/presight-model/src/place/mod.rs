@@ -19,6 +19,7 @@ mod local;
 mod patch;
 mod plane;
 mod segment;
+mod squares;
 #[cfg(test)]
 mod tests;
 
@@ -45,6 +46,18 @@ const LYING: f64 = 0.087;
 /// A feature this near to a polygon lies on it within the rounding of files, metres. Generated features do; other faces
 /// are farther away, even on the other side of a thin sheet. The layer's tolerance applies only if this leaves a gap.
 const ROUNDING: f64 = 1e-5;
+
+/// Distance of a point in the world within which a feature lies on the polygons of an object that are there, metres:
+/// the rounding of files and of f32 vertices.
+pub fn rounding_at(object: &Object, p: DVec3) -> f64 {
+    let in_object = object.world_from_object.inverse().transform_point(p);
+    ROUNDING + rounding_of_vertices((in_object - object.object_from_mesh.translation).abs().max_element())
+}
+
+/// Rounding of f32 vertices, metres, by their largest coordinate in the mesh, in metres.
+fn rounding_of_vertices(far: f64) -> f64 {
+    4.0 * f64::from(f32::EPSILON) * far
+}
 
 /// The polygons that a feature lies on, or a point where it lies on none.
 enum Support {
@@ -327,8 +340,9 @@ impl<'a> SupportFinder<'a> {
             return None;
         }
         // Vertices are f32, so a polygon is planar only within their rounding.
-        let far = object.mesh.corners_of(polygon).map(|p| p.abs().max_element()).fold(0.0, f64::max);
-        let reach = (tolerance + 4.0 * f64::from(f32::EPSILON) * far).min(self.tolerance);
+        let metres = object.object_from_mesh.matrix3;
+        let far = object.mesh.corners_of(polygon).map(|p| (metres * p).abs().max_element()).fold(0.0, f64::max);
+        let reach = (tolerance + rounding_of_vertices(far)).min(self.tolerance);
         Some(Local::new(slot, self.corners.clone(), reach + rounding))
     }
 

@@ -1,9 +1,8 @@
 //! Finds the polygons under a plane patch.
 
-use super::cover::uncovered;
 use super::local::Local;
 use super::plane::{PatchPlane, bounds_of, clip, doubled_area, inside, sides, width};
-use super::{LYING, Support};
+use super::{LYING, Support, cover, squares};
 use crate::error::{Error, Result};
 use crate::geometry::plane_of_polygon;
 use glam::{DVec2, DVec3};
@@ -27,6 +26,7 @@ pub(super) fn lie(near: &[Local], corners: &[DVec3], compare: &dyn Fn(usize) -> 
         return Ok(Support::Off(*off));
     }
     let outline: Vec<DVec2> = corners.iter().map(|c| flat.project(*c)).collect();
+    let uncovered = if squares::are_fewer(&outline, &under) { squares::uncovered } else { cover::uncovered };
     if let Some(off) = uncovered(&outline, &under, &flat, compare)? {
         return Ok(Support::Off(off));
     }
