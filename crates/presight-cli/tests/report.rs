@@ -62,7 +62,7 @@ fn a_quick_study_writes_its_results() {
     assert_eq!(done.status.code(), Some(0));
     let said = String::from_utf8(done.stdout).unwrap();
     assert_eq!(said.matches("on this machine take cpu, ").count(), 2, "{said}");
-    assert_eq!(said.matches(" features.").count(), 2, "{said}");
+    assert_eq!(said.matches(", measured on ").count(), 2, "{said}");
     check_csv(&fs::read_to_string(folder.path().join("study/work_precision.csv")).unwrap());
     check_html(&fs::read_to_string(folder.path().join("study/index.html")).unwrap());
     let json = json_of(folder.path());

@@ -85,7 +85,7 @@ fn mesh_of(
     found.mesh.transformed(turn, |m| map[usize::from(m)]).map(Arc::new)
 }
 
-/// Returns the change that merges a layer file. Its features replace those of the same id.
+/// Returns the change that merges a layer file. Its features replace features of the same id.
 pub(super) fn merge_layer(environment: &Environment, file: &LayerFile) -> Change {
     let mut changes = Vec::new();
     merge_features(environment, &file.layer, &file.removed, &mut changes);

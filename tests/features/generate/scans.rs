@@ -208,7 +208,7 @@ fn a_room_with_noise_has_its_walls_and_few_contours() {
     assert!(curved.iter().any(|(thick, size)| *thick > 0.4 && *size > 1.0), "{curved:?}");
 }
 
-/// Designed models have no noise: their layers are those of exact planes.
+/// Designed models have no noise: their layers have exact planes.
 #[test]
 fn designed_models_have_exact_planes() {
     let names = [

@@ -88,7 +88,7 @@ fn faults_are_refused_with_place_and_remedy() {
         (SCANNER, "count = 361", "count = -1", "line 8"),
         (SCANNER, "count = 361", "count = 0", "0 x 3"),
         (SCANNER, "count = 361", "count = 100000", "100000 x 3"),
-        (SCANNER, "count = 361", "count = 722", "round less than once"),
+        (SCANNER, "count = 361", "count = 722", "goes round at most once"),
         (SCANNER, "step_deg = 0.5\n", "", "[azimuth]"),
         (SCANNER, "-90", "nan", "finite"),
         (SCANNER, "[-1.0, 3.0, 2.0]", "[2.0, 3.0, 2.0]", "twice"),

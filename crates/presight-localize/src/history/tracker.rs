@@ -401,7 +401,7 @@ impl Tracker {
         let mut unaided = UnaidedSquares::default();
         for (row, track) in self.tracks.iter_mut().enumerate() {
             track.changed *= FADE;
-            // A doubtful detection is no miss, and no window is searched for a track that waits.
+            // A doubtful detection does not count as a miss, and a waiting track has no window.
             if track.waits.is_some() || doubtful.binary_search(&row).is_ok() {
                 continue;
             }
