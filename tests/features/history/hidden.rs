@@ -138,7 +138,7 @@ fn drive(mut simulator: Simulator, apart: f64, person: Option<&Person>, tally: &
                 tally.hidden += 1.0;
             }
         }
-        let seen: Vec<(u32, DVec2)> = all.iter().filter(|p| seeded.contains(&p.0) && !hides(*p)).copied().collect();
+        let seen: Vec<(u32, DVec2)> = all.iter().filter(|p| seeded.contains(&p.0) && !hides(p)).copied().collect();
         let sides = person.map_or([f64::NAN; 2], |who| who.sides(frame.time));
         // Corners of the clothes, every 12 pixels along both sides.
         let others: Vec<DVec2> = (6..40).flat_map(|k| sides.map(|x| DVec2::new(x, 12.0 * f64::from(k)))).collect();
