@@ -95,7 +95,8 @@ fn a_search_where_nothing_is_free_names_flags_that_help() {
     for (change, to) in [("--floor 50", "--floor 1.35"), ("unknown", "0.3,0.35,1.35,0,0,37.8")] {
         let line = "localize log --map room.glb --sensor log/sensor.toml --init unknown --floor 50 --out x.tum";
         let remedy = "; give another --floor, a larger --margin or a pose to start from";
-        super::check(&place, vec![super::bad(line, 2, &["no free place at 50.3 m"]).until(change, to, remedy)]);
+        let bad = super::bad(line, 2, &["no free place at 50.3 m"]).after_a_notice();
+        super::check(&place, vec![bad.until(change, to, remedy)]);
     }
 }
 

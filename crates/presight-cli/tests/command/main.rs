@@ -352,20 +352,26 @@ fn help_has_examples_and_survives_a_closed_pipe() {
     assert_eq!((output.status.code(), output.stderr.as_slice()), (Some(0), b"".as_slice()));
 }
 
-/// A bad input: its arguments, its exit status, the words that its one line must contain, and the change of the
-/// arguments that its remedy names.
+/// A bad input: its arguments, its exit status, the words that its one line must contain, the number of notices before
+/// that line, and the change of the arguments that its remedy names.
 struct Bad {
     line: String,
     status: i32,
     names: Vec<&'static str>,
+    notices: usize,
     change: Option<[&'static str; 3]>,
 }
 
 fn bad(line: impl Into<String>, status: i32, names: &[&'static str]) -> Bad {
-    Bad { line: line.into(), status, names: names.to_vec(), change: None }
+    Bad { line: line.into(), status, names: names.to_vec(), notices: 0, change: None }
 }
 
 impl Bad {
+    /// The log is read before the fault is found, so the notice on its readings comes first.
+    fn after_a_notice(self) -> Self {
+        Self { notices: 1, ..self }
+    }
+
     /// The command succeeds with `to` in place of the last `from`, and the remedy names that change in these words.
     fn until(self, from: &'static str, to: &'static str, remedy: &'static str) -> Self {
         Self { change: Some([from, to, remedy]), ..self }
@@ -378,9 +384,12 @@ fn check(place: &Place, cases: Vec<Bad>) {
     let before = place.names();
     for case in cases {
         let outcome = place.run(&case.line);
-        // What a log's readings are taken as is said before a fault is found.
-        let errors = outcome.stderr.lines().filter(|line| !line.starts_with("note: "));
-        let said = &errors.map(|line| format!("{line}\n")).collect::<String>();
+        let mut said = outcome.stderr.as_str();
+        for _ in 0..case.notices {
+            let (notice, rest) = said.split_once('\n').expect("a notice has its line");
+            assert!(notice.starts_with("note: "), "{}: {notice}", case.line);
+            said = rest;
+        }
         assert_eq!(outcome.status, Some(case.status), "{}: {said}", case.line);
         assert_eq!((said.lines().count(), outcome.stdout.as_str()), (1, ""), "{}: {said}", case.line);
         assert!(said.starts_with("error: ") && said.ends_with('\n'), "{}: {said}", case.line);

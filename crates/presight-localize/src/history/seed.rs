@@ -1,7 +1,7 @@
 //! Makes track seeds from full predictions.
 
 use super::track::Seed;
-use crate::matching::{ExpectedProperties, Marker, Shape, UncertainValue};
+use crate::matching::{Detection, ExpectedProperties, Marker, Rejection, Shape, UncertainValue};
 use glam::{DMat2, DVec2, DVec3};
 use presight_features::{FeaturePrediction, SeenFeature, VisibleInterval};
 use presight_model::environment::{FeatureShape, Properties};
@@ -54,6 +54,19 @@ impl Seed {
             FeatureShape::Patch { .. } | FeatureShape::Fiducial { .. } | FeatureShape::Contour { .. } => return None,
         };
         Some(Self { id: seen.feature.id, shape, covariances, properties: properties(seen), points_world })
+    }
+
+    /// Checks that shape, covariances and points fit together.
+    pub(super) fn check(&self) -> Result<(), Rejection> {
+        self.shape.check()?;
+        let points = self.shape.points().len();
+        if self.covariances.len() != points || !(self.points_world.is_empty() || self.points_world.len() == points) {
+            return Err(Rejection::Degenerate);
+        }
+        for covariance in &self.covariances {
+            Detection { covariance: *covariance, ..Detection::new(self.shape.clone(), 1.0) }.check()?;
+        }
+        if self.points_world.iter().all(|p| p.is_finite()) { Ok(()) } else { Err(Rejection::NotFinite) }
     }
 }
 

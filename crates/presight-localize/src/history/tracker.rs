@@ -137,7 +137,7 @@ impl Tracker {
                 done.ended.extend(gone.waits.is_none().then_some((gone.id, End::NotPredicted)));
             }
             let known = old.next_if(|t| t.id == seed.id);
-            if let Err(why) = check_seed(&seed) {
+            if let Err(why) = seed.check() {
                 done.ended.extend(known.filter(|t| t.waits.is_none()).map(|t| (t.id, End::NotPredicted)));
                 done.refused.push((seed.id, why));
                 continue;
@@ -586,16 +586,4 @@ impl Tracker {
         };
         self.matcher().is_near(&expected, &found)
     }
-}
-
-fn check_seed(seed: &Seed) -> Result<(), Rejection> {
-    seed.shape.check()?;
-    let points = seed.shape.points().len();
-    if seed.covariances.len() != points || !(seed.points_world.is_empty() || seed.points_world.len() == points) {
-        return Err(Rejection::Degenerate);
-    }
-    for covariance in &seed.covariances {
-        Detection { covariance: *covariance, ..Detection::new(seed.shape.clone(), 1.0) }.check()?;
-    }
-    if seed.points_world.iter().all(|p| p.is_finite()) { Ok(()) } else { Err(Rejection::NotFinite) }
 }

@@ -1,7 +1,7 @@
 //! How wrong predictions are without detections, learnt from tracks that have some.
 //!
-//! A hidden track moves on without corrections. Each seen track carries what it would be like without its last
-//! corrections, and its next detection shows how far off that is.
+//! A hidden track moves on without corrections. Each seen track also carries a state without its last corrections, and
+//! its next detection shows the error of that state.
 
 use super::motion::PointMotion;
 use super::sightings::{Sighting, squares};
