@@ -70,7 +70,7 @@ fn a_column_that_comes_twice_changes_no_feature() {
         let over_the_seam = once.features.iter().filter(|f| f.roi.is_some_and(|[_, _, x1, _]| x1 > turn));
         assert!(over_the_seam.count() > 0);
         // Regions of uneven beams rest on finite differences.
-        for (other, near) in [(closed.clone(), 1e-6_f64), (listed(&open), 0.1), (listed(&closed), 0.1)] {
+        for (other, near) in [(closed.clone(), 1e-6), (listed(&open), 0.1), (listed(&closed), 0.1)] {
             let again = seen(&world, &other, &pose, &placed);
             assert_eq!(once.features.len(), again.features.len());
             for (a, b) in once.features.iter().zip(&again.features) {
@@ -79,8 +79,6 @@ fn a_column_that_comes_twice_changes_no_feature() {
                 let ([x0, y0, x1, y1], [u0, v0, u1, v1]) = (a.roi.unwrap(), b.roi.unwrap());
                 let off = [(y0 - v0).abs(), (y1 - v1).abs(), apart(x0, u0, turn), apart(x1, u1, turn)];
                 let is_whole = x1 - x0 >= turn && u1 - u0 >= turn;
-                // The outline of a patch is reduced to 98 points, and rounding chooses among points that are as far out.
-                let near = if a.feature.shape.is_area() { near.max(0.1) } else { near };
                 assert!(is_whole || off.iter().all(|off| *off < near), "{name:?} {a:?} {b:?}");
             }
             let w = other.width() as usize;

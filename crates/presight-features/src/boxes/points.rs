@@ -251,7 +251,7 @@ impl PatchWindow {
         let most = DVec2::new(f64::from(w), f64::from(h)) - 0.5;
         let step = match image.kind {
             Kind::Pinhole(_) => 1.0,
-            _ => (f64::from(w) * f64::from(h) / MAX_PATCH_SAMPLES as f64).sqrt().max(1.0),
+            _ => (f64::from(image.sensor.distinct_columns()) * f64::from(h) / MAX_PATCH_SAMPLES as f64).sqrt().max(1.0),
         };
         let (mut low, mut high) = (seen[0] - step, seen[1] + step);
         // Nothing is visible beyond the border. A full circle has no border at the sides.
