@@ -1,8 +1,10 @@
-//! Assigns the rows of a table to its columns, each to one of its own, with the least total cost (H. W. Kuhn 1955,
-//! J. Munkres 1957). Costs are integers, so that a tie is exact.
+//! Assigns the rows of a table to its columns, each to one of its own, with the least total cost. Costs are integers, so
+//! that a tie is exact.
+
+use pathfinding::prelude::{Matrix, kuhn_munkres_min};
 
 /// Most steps for one table, rows times rows times columns: about a second.
-pub(super) const MAX_WORK: usize = 1 << 28;
+pub(super) const MAX_WORK: usize = 1 << 27;
 
 /// An optimal assignment.
 #[derive(Debug, PartialEq)]
@@ -13,103 +15,21 @@ pub(super) struct Assignment {
     pub is_tie: bool,
 }
 
-/// The state of the search. Rows and columns count from 1; row 0 stands for none, and column 0 for the start of a path.
-struct Search<'a> {
-    costs: &'a [Vec<i64>],
-    columns: usize,
-    /// Prices of rows and columns: no pair costs less than their sum, and taken pairs cost exactly as much.
-    of_rows: Vec<i64>,
-    of_columns: Vec<i64>,
-    /// The row of each column.
-    taken_by: Vec<usize>,
-}
-
 /// Assigns every row of `costs` to a column of its own. There must be at least as many columns as rows.
 pub(super) fn assign(costs: &[Vec<i64>]) -> Assignment {
-    let (rows, columns) = (costs.len(), costs.first().map_or(0, Vec::len));
-    let (of_rows, of_columns) = (vec![0; rows + 1], vec![0; columns + 1]);
-    let mut search = Search { costs, columns, of_rows, of_columns, taken_by: vec![0; columns + 1] };
-    (1..=rows).for_each(|row| search.add(row));
-    let mut of_row = vec![0; rows];
-    for (column, row) in search.taken_by.iter().enumerate().skip(1).filter(|(_, row)| **row != 0) {
-        of_row[row - 1] = column - 1;
+    // In steps of more than the number of rows a cost of one for each pair only decides between equal totals.
+    let step = costs.len() as i64 + 1;
+    let best = |cost: &dyn Fn(usize, usize) -> i64| {
+        let table = Matrix::from_fn(costs.len(), costs[0].len(), |(row, column)| cost(row, column));
+        kuhn_munkres_min(&table).1
+    };
+    if costs.is_empty() {
+        return Assignment { columns: Vec::new(), is_tie: false };
     }
-    Assignment { is_tie: search.is_tie(&of_row), columns: of_row }
-}
-
-impl Search<'_> {
-    /// What a pair costs above the prices of its row and column.
-    fn above(&self, row: usize, column: usize) -> i64 {
-        self.costs[row - 1][column - 1] - self.of_rows[row] - self.of_columns[column]
-    }
-
-    /// Assigns one more row, by the shortest path to a free column.
-    fn add(&mut self, row: usize) {
-        let size = self.columns + 1;
-        let (mut least, mut from, mut done) = (vec![i64::MAX; size], vec![0; size], vec![false; size]);
-        self.taken_by[0] = row;
-        let mut column = 0;
-        loop {
-            done[column] = true;
-            let (at, mut next, mut step) = (self.taken_by[column], 0, i64::MAX);
-            for j in (1..size).filter(|j| !done[*j]) {
-                let above = self.above(at, j);
-                if above < least[j] {
-                    (least[j], from[j]) = (above, column);
-                }
-                if least[j] < step {
-                    (step, next) = (least[j], j);
-                }
-            }
-            for (j, is_done) in done.iter().enumerate() {
-                if *is_done {
-                    self.of_rows[self.taken_by[j]] += step;
-                    self.of_columns[j] -= step;
-                } else if j > 0 {
-                    least[j] -= step;
-                }
-            }
-            column = next;
-            if self.taken_by[column] == 0 {
-                break;
-            }
-        }
-        while column != 0 {
-            self.taken_by[column] = self.taken_by[from[column]];
-            column = from[column];
-        }
-    }
-
-    /// True if rows can exchange columns in a ring, or by way of a free column, at no cost: then all pairs of the ring
-    /// cost as much as their prices, and a column that becomes free has no price.
-    fn is_tie(&self, of_row: &[usize]) -> bool {
-        let free = of_row.len();
-        // For each row, the rows whose columns it could take; the last node stands for the free columns.
-        let mut next: Vec<Vec<usize>> = vec![Vec::new(); free + 1];
-        for (row, own) in of_row.iter().enumerate() {
-            for column in (0..self.columns).filter(|c| c != own && self.above(row + 1, c + 1) == 0) {
-                next[row].push(self.taken_by[column + 1].checked_sub(1).unwrap_or(free));
-            }
-            if self.of_columns[own + 1] == 0 {
-                next[free].push(row);
-            }
-        }
-        // Nodes that nothing points to are removed until only rings, and what follows them, are left.
-        let mut pointers = vec![0usize; free + 1];
-        next.iter().flatten().for_each(|to| pointers[*to] += 1);
-        let mut ends: Vec<usize> = (0..=free).filter(|node| pointers[*node] == 0).collect();
-        let mut removed = 0;
-        while let Some(node) = ends.pop() {
-            removed += 1;
-            for to in &next[node] {
-                pointers[*to] -= 1;
-                if pointers[*to] == 0 {
-                    ends.push(*to);
-                }
-            }
-        }
-        removed <= free
-    }
+    let columns = best(&|row, column| costs[row][column]);
+    let other = best(&|row, column| step * costs[row][column] + i64::from(columns[row] == column));
+    let total = |columns: &[usize]| columns.iter().zip(costs).map(|(column, row)| row[*column]).sum::<i64>();
+    Assignment { is_tie: other != columns && total(&other) == total(&columns), columns }
 }
 
 #[cfg(test)]

@@ -13,7 +13,7 @@ use super::track::{Seed, Track};
 use super::unaided::{MOST_UNAIDED, UnaidedSquares};
 use super::window::BoxLevel;
 use crate::matching::{
-    Assignment, Candidates, Detection, ExpectedFeature, Matcher, Rejection, assign, floored, unwrap, withhold_doubtful,
+    Assignment, Candidates, Detection, ExpectedFeature, Matcher, assign, floored, unwrap, withhold_doubtful,
 };
 use glam::{DMat2, DVec2, DVec3};
 use presight_model::error::{Error, Result};
