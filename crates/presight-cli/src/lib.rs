@@ -37,7 +37,7 @@ mod signals;
 mod simulate;
 mod stack;
 mod statistics;
-mod summary;
+pub mod summary;
 mod templates;
 mod virtual_sensor;
 
@@ -49,6 +49,7 @@ use presight_files::not_built;
 use presight_model::error::Result;
 use presight_model::index::IndexKind;
 use std::any::TypeId;
+use std::ffi::OsString;
 use std::path::Path;
 use std::process::ExitCode;
 
@@ -133,11 +134,18 @@ fn features() -> Vec<&'static str> {
 pub fn main() -> ExitCode {
     #[cfg(all(feature = "gpu", target_os = "linux"))]
     drivers::hide_missing_display();
+    ExitCode::from(run(std::env::args_os()))
+}
+
+/// Runs the command with these arguments, the first of them the program's name, and returns its exit status. From then on a signal to the
+/// process ends it, and half-written files are removed before.
+pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     signals::listen();
-    let parsed = command().try_get_matches().and_then(|matches| Cli::from_arg_matches(&matches));
+    let arguments: Vec<OsString> = arguments.into_iter().collect();
+    let parsed = command().try_get_matches_from(&arguments).and_then(|matches| Cli::from_arg_matches(&matches));
     let cli = match parsed {
         Ok(cli) => cli,
-        Err(e) => return refuse(&e),
+        Err(e) => return refuse(&e, &arguments),
     };
     let done = match cli.command {
         Command::Predict(args) => predict::run(&args),
@@ -155,7 +163,7 @@ pub fn main() -> ExitCode {
         Command::Replay { .. } => Err(not_built("pages", "report")),
         Command::Simulate(args) => simulate::run(&args),
         #[cfg(feature = "report")]
-        Command::Report(args) => report::run(&args),
+        Command::Report(args) => report::run(&args, &arguments),
         #[cfg(not(feature = "report"))]
         Command::Report { .. } => Err(not_built("studies", "report")),
         #[cfg(feature = "store")]
@@ -205,25 +213,25 @@ enum CommandOutcome {
     Found,
 }
 
-fn conclude(done: Result<CommandOutcome>) -> ExitCode {
+fn conclude(done: Result<CommandOutcome>) -> u8 {
     match done {
-        Ok(CommandOutcome::Done) => ExitCode::SUCCESS,
-        Ok(CommandOutcome::Found) => ExitCode::from(1),
+        Ok(CommandOutcome::Done) => 0,
+        Ok(CommandOutcome::Found) => 1,
         Err(e) => {
             print::message(&format!("error: {e}"));
-            ExitCode::from(e.kind().exit_status())
+            e.kind().exit_status()
         }
     }
 }
 
 /// Prints help and version to stdout. Prints a usage error as one line, like every other error.
-fn refuse(e: &clap::Error) -> ExitCode {
+fn refuse(e: &clap::Error, arguments: &[OsString]) -> u8 {
     use clap::error::ErrorKind as Clap;
     let help = [Clap::DisplayHelp, Clap::DisplayVersion, Clap::DisplayHelpOnMissingArgumentOrSubcommand];
     if help.contains(&e.kind()) {
         // There is nowhere to report that stdout is closed.
         let _ = e.print();
-        return ExitCode::from(e.exit_code() as u8);
+        return e.exit_code() as u8;
     }
     let text = e.to_string();
     let words = |line: &str| line.split_whitespace().collect::<Vec<_>>().join(" ");
@@ -231,14 +239,14 @@ fn refuse(e: &clap::Error) -> ExitCode {
     // Clap suggests flags with a similar spelling, which may have another purpose.
     let useful = |line: &String| !line.is_empty() && !line.starts_with("tip:");
     let message: Vec<String> = before_usage.map(words).filter(useful).collect();
-    let command = std::env::args_os()
-        .nth(1)
-        .and_then(|a| a.into_string().ok())
+    let command = arguments
+        .get(1)
+        .and_then(|a| a.to_str())
         .filter(|a| Cli::command().find_subcommand(a).is_some())
         .map(|a| format!(" {a}"))
         .unwrap_or_default();
     print::message(&format!("{}; see presight{command} --help", message.join(" ")));
-    ExitCode::from(2)
+    2
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 
 use super::context::Context;
 use super::hash::{Hash, of_content};
+use super::line::Line;
 use super::log::LogEntry;
 use super::op::{Key, KeySets, Op};
 use super::rows::{
@@ -9,10 +10,8 @@ use super::rows::{
     pose_text,
 };
 use super::schema::refusal;
-use super::unique::UniqueKeys;
 use super::{Store, blob, ids, meshes, read};
 use presight_files::layer::to_fields;
-use presight_files::text::check_json_memory;
 use presight_model::change::Change;
 use presight_model::environment::{Environment, Mesh};
 use presight_model::error::{Error, Result};
@@ -163,26 +162,8 @@ impl<'a> Batch<'a> {
     /// As [`Batch::apply`], where restored features must also lie on polygons; [`presight_model::ErrorKind::Invalid`]
     /// if the line is not a valid change.
     pub fn apply_line(&mut self, line: &str, folder: &Path, note: &Note) -> Result<(u64, bool)> {
-        let wrong = |e: serde_json::Error| {
-            let what = e.to_string();
-            let what = what.split(" at line ").next().unwrap_or(&what).to_owned();
-            Error::invalid(what, "the help of presight env apply lists the changes").caused_by(e)
-        };
-        check_json_memory(line)?;
-        let UniqueKeys(mut value) = serde_json::from_str(line).map_err(wrong)?;
-        let mut take = |key: &str| value.as_object_mut().and_then(|o| o.remove(key));
-        let cause = match take("cause") {
-            None | Some(serde_json::Value::Null) => note.cause.clone(),
-            Some(serde_json::Value::String(cause)) => cause,
-            Some(_) => return Err(Error::invalid("the cause is not a string", "give the reason as a string")),
-        };
-        let id = match take("id") {
-            None | Some(serde_json::Value::Null) => None,
-            Some(serde_json::Value::String(id)) => Some(id),
-            Some(serde_json::Value::Number(id)) => Some(id.to_string()),
-            Some(_) => return Err(Error::invalid("the id is neither a string nor a number", "give a string")),
-        };
-        let op: Op = serde_json::from_value(value).map_err(wrong)?;
+        let Line { cause, id, op } = Line::parse(line)?;
+        let cause = cause.unwrap_or_else(|| note.cause.clone());
         if let Some(id) = &id
             && let Some(known) = self.store.known(id)?
         {
