@@ -118,7 +118,7 @@ impl Scene {
         Self::open_with(path, &SceneOptions::default(), &mut |_| {})
     }
 
-    /// A furnished room, 5 m x 4 m, for first steps: `scenes/room.glb` of this repository.
+    /// A furnished room, 6 m x 4.5 m, for first steps: `scenes/room.glb` of this repository.
     ///
     /// ```
     /// let room = presight::Scene::example()?;
