@@ -159,18 +159,16 @@ fn objects_in_buffers_without_data_are_left_out_and_listed() {
     g.json["scenes"][0]["nodes"] = json!([2]);
     let e = g.import().unwrap_err().to_string();
     assert!(e.contains("no polygons; nothing is left of node 2 \"sparse\": buffer 1 has no data; export"), "{e}");
-    // Without its chunk, a .glb is truncated.
-    let glb = format!(
-        "{:<w$}",
-        json!({"asset": {"version": "2.0"}, "buffers": [{"byteLength": 36}],
-        "bufferViews": [{"buffer": 0, "byteLength": 36}],
-        "accessors": [{"bufferView": 0, "componentType": F32, "type": "VEC3", "count": 3}],
-        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}], "nodes": [{"mesh": 0}]})
-        .to_string(),
-        w = 400
-    );
-    let words = |words: [u32; 2]| words.map(u32::to_le_bytes).concat();
-    let bytes = [b"glTF".to_vec(), words([2, 420]), words([400, 0x4E4F_534A]), glb.into_bytes()].concat();
-    let e = import_bytes("s.glb", &bytes, &SOURCE).unwrap_err().to_string();
-    assert!(e.contains("buffer 0: it has no data; the file is truncated"), "{e}");
+    // Without its chunk, a .glb is truncated; its JSON alone is a scene without data.
+    let mut glb = Gltf::triangle().glb();
+    let end = 20 + u32::from_le_bytes(glb[12..16].try_into().unwrap());
+    glb.truncate(end as usize);
+    glb[8..12].copy_from_slice(&end.to_le_bytes());
+    for (bytes, words) in [
+        (&glb[..], "buffer 0: it has no data; the file is truncated"),
+        (&glb[20..], "no polygons; nothing is left of node 0 \"a\": buffer 0 has no data; export"),
+    ] {
+        let e = import_bytes("s", bytes, &SOURCE).unwrap_err().to_string();
+        assert!(e.contains(words), "{e}");
+    }
 }
