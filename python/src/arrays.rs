@@ -243,3 +243,10 @@ pub fn size<'py>(py: Python<'py>, height: u32, width: u32) -> PyResult<Bound<'py
 pub fn exact_pose([x, y, z, qx, qy, qz, qw]: [f64; 7]) -> Pose {
     Pose { translation: DVec3::new(x, y, z), rotation: DQuat::from_xyzw(qx, qy, qz, qw) }
 }
+
+/// An iterator over the items of a sequence; each is made when its turn comes.
+pub fn one_by_one<'py>(sequence: &Bound<'py, PyAny>, count: usize) -> PyResult<Bound<'py, PyAny>> {
+    let builtins = sequence.py().import("builtins")?;
+    let indices = builtins.call_method1("range", (count,))?;
+    builtins.call_method1("map", (sequence.getattr("__getitem__")?, indices))
+}

@@ -1,6 +1,6 @@
 //! What sensors did see: logs, frames, verdicts, and the localizer.
 
-use super::arrays::{array, numbers, pose_numbers, pose_of};
+use super::arrays::{array, numbers, one_by_one, pose_numbers, pose_of};
 use super::errors::{Failed, apart, raised, usage, warn};
 use super::process::Shared;
 use super::scene::Scene;
@@ -206,6 +206,10 @@ impl Log {
         }
     }
 
+    fn __iter__<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
+        one_by_one(slf.as_any(), slf.get().__len__())
+    }
+
     fn __repr__(&self) -> String {
         format!("<presight.Log of {} frames of {}>", self.frames.len(), self.sensor.spec().name)
     }
@@ -304,9 +308,9 @@ impl Step {
 
 /// Follows a robot through the frames of its sensor, as `presight localize` does.
 ///
-/// `init` is the robot's first pose, known within `init_sigma` metres and `init_sigma_deg` degrees (standard deviations). Without it, the
-/// whole scene is searched for a level scanner at its first frame, `floor` metres high. `model_sigma` says how far polygons are off,
-/// in metres. The scene's version at the start is used.
+/// `init` is the robot's first pose, known within `init_sigma` metres and `init_sigma_deg` degrees (standard deviations). Without it, a
+/// search of the whole scene finds a level scanner at its first frames, on a floor at `floor` metres. `model_sigma` is the standard deviation
+/// of the polygons' positions, metres. The scene's version at the start is used.
 ///
 /// >>> import presight
 /// >>> room, start = presight.Scene.example(), [1, 1.5, 0.5, 0, 0, 0]

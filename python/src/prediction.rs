@@ -1,6 +1,6 @@
 //! Predictions: arrays, features, pictures, points.
 
-use super::arrays::{array, fill, image, pose_numbers, size};
+use super::arrays::{array, fill, image, one_by_one, pose_numbers, size};
 use super::errors::{apart, usage};
 use presight_cli::summary::Summary;
 use presight_features::{Reason, SeenFeature};
@@ -329,6 +329,10 @@ impl Features {
         }
     }
 
+    fn __iter__<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
+        one_by_one(slf.as_any(), slf.get().__len__())
+    }
+
     fn __repr__(&self) -> String {
         let visible = self.seen.features.iter().filter(|f| !f.visible.is_empty()).count();
         format!("<presight.Features {visible} of {} visible>", self.seen.features.len())
@@ -474,7 +478,8 @@ impl Layer {
         format!("<presight.Layer of {} features for {:?}>", self.file.layer.features.len(), self.file.layer.class)
     }
 
-    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, (String, Option<PathBuf>))> {
-        Ok((py.get_type::<Self>().getattr("parse")?, (self.text.clone(), self.file.path.clone())))
+    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
+        let path = self.file.path.as_ref().map(|path| path.to_string_lossy().into_owned());
+        Ok((py.get_type::<Self>().getattr("parse")?, (self.text.clone(), path).into_pyobject(py)?))
     }
 }

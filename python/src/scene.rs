@@ -54,7 +54,7 @@ pub struct Scene {
 impl Scene {
     fn of(scene: Ours, messages: Vec<String>) -> Self {
         let objects = objects_in(scene.world.environment());
-        let notices = scene.report.notices.iter().cloned().collect();
+        let notices = scene.report.notices.clone();
         Self { held: Mutex::new(Held { scene, objects }), notices, messages }
     }
 
@@ -449,7 +449,11 @@ impl Store {
 
     /// Gives the write lock back.
     fn close(&self, py: Python<'_>) -> PyResult<()> {
-        apart(py, || self.open.with(|| Ok(None), |store| Ok(drop(store.take()))))
+        let close = |store: &mut Option<OurStore>| {
+            *store = None;
+            Ok(())
+        };
+        apart(py, || self.open.with(|| Ok(None), close))
     }
 
     fn __enter__(slf: Py<Self>) -> Py<Self> {
