@@ -84,9 +84,25 @@ impl ExpectedImage {
         let outputs = Outputs::of(&[Output::Range, Output::PolygonId]);
         let mut images = Images::default();
         predictor.predict_images(world, sensor, &world_from_sensor, outputs, &mut images)?;
+        Self::of_images(predictor, world, surfaces, sensor, &world_from_sensor, &images)
+    }
+
+    /// Arranges images of [`Output::Range`] and [`Output::PolygonId`] that were predicted at this pose of the sensor,
+    /// for example under a deadline.
+    ///
+    /// # Errors
+    /// [`presight_model::ErrorKind::System`] if threads cannot be started.
+    pub fn of_images(
+        predictor: &mut Predictor,
+        world: &World,
+        surfaces: &mut Surfaces,
+        sensor: &Sensor,
+        world_from_sensor: &Pose,
+        images: &Images,
+    ) -> Result<Self> {
         surfaces.follow(world);
         let errors = surfaces.object_errors(world, &sensor.spec().class);
-        let world_from_image = world_from_sensor * body_from_image(sensor);
+        let world_from_image = *world_from_sensor * body_from_image(sensor);
         let image_from_world = world_from_image.inverse();
         let (width, height) = (sensor.width() as usize, sensor.height() as usize);
         images.polygon_id.iter().for_each(|id| surfaces.see(world, *id));

@@ -92,7 +92,10 @@ const TASK: usize = 512;
 
 /// Compares a frame with what was expected of it, see [`super::of_frame`]. The pose may differ a little from the one of
 /// the prediction: ranges are taken on the predicted planes.
-pub(crate) fn judge(frame: &Frame, expected: &ExpectedImage, robot: &PoseEstimate, polygon_sigma: f64) -> Verdicts {
+///
+/// # Panics
+/// If the expected image is of another sensor.
+pub fn judge(frame: &Frame, expected: &ExpectedImage, robot: &PoseEstimate, polygon_sigma: f64) -> Verdicts {
     let sensor = frame.sensor();
     let (width, height) = (sensor.width() as usize, sensor.height() as usize);
     assert_eq!((width, height), (expected.width, expected.height), "the frame's own sensor is predicted");
