@@ -3,6 +3,8 @@
 //! Unit tests inside the library's `src` cannot use functions with types of the library: for them, these types belong
 //! to another copy of the library.
 
+pub mod caster;
+pub mod changes;
 pub mod data;
 pub mod engines;
 #[cfg(feature = "gpu")]
@@ -15,6 +17,7 @@ pub mod pictures;
 pub mod scenes;
 pub mod skip;
 pub mod tags;
+pub mod way;
 
 pub use pictures::compare_or_show;
 use presight_model::geometry::Pose;
