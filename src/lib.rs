@@ -87,10 +87,12 @@ pub mod files;
 pub mod history;
 pub mod localize;
 pub mod measured;
+pub mod query;
 pub mod regions;
 mod scene;
 pub mod sensor;
 pub mod simulate;
+pub mod supervise;
 pub mod verdict;
 pub mod virtual_sensors;
 

@@ -1,7 +1,7 @@
 //! Simulated drives through the factory hall: how often a correctly localized robot is reported as lost, how large its
 //! errors are, and how much more exact sensor models improve the estimate.
 
-use super::{map, predictor};
+use super::{map, predictor, single};
 use cpu_time::ProcessTime;
 use glam::DVec3;
 use presight_files::preset;
@@ -15,7 +15,6 @@ use presight_model::measured::{Frame, Measurement};
 use presight_model::sensor::{Camera, Distortion, Geometry, Sensor, SensorSpec};
 use presight_model::world::World;
 use presight_predict::free_poses::free_poses;
-use presight_predict::predict::{Backend, Options, Predictor};
 use presight_testkit::{Random, data};
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -24,10 +23,6 @@ const FRAMES: usize = 200;
 
 pub fn hall() -> Option<World> {
     Some(map(&data::file("env/factory_hall.glb")?))
-}
-
-fn single() -> Predictor {
-    Predictor::new(Options::new(Backend::Cpu).with_threads(1)).expect("one thread")
 }
 
 pub fn laser() -> Sensor {

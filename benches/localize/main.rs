@@ -2,10 +2,11 @@
 //! percentiles on two threads, starting from the previous frame's pose. Missing sets of ../shared/data (or
 //! $PRESIGHT_DATA) are skipped.
 //! `cargo bench --bench localize -- alarms 30000` (or `accuracy 200`, `fidelity 40`, `noise 60`, `kidnapped`) simulates
-//! drives, see `drives.rs`; `-- frames DIR` also writes the frames and their estimates for `benches/peers/localize.sh`.
+//! drives, see `drives.rs`; `changed` drives through changed rooms, see `changed.rs`; `-- frames DIR` also writes the frames and their estimates for `benches/peers/localize.sh`.
 
 #![allow(clippy::print_stdout, reason = "a bench prints its figures")]
 
+mod changed;
 mod drives;
 
 use cpu_time::ProcessTime;
@@ -24,6 +25,10 @@ use std::time::Instant;
 
 fn predictor() -> Predictor {
     Predictor::new(Options::new(Backend::Cpu).with_threads(2)).expect("two threads")
+}
+
+fn single() -> Predictor {
+    Predictor::new(Options::new(Backend::Cpu).with_threads(1)).expect("one thread")
 }
 
 fn map(path: &Path) -> World {
@@ -176,6 +181,9 @@ fn main() {
         Some("fidelity") => drives::fidelity(number(40)),
         Some("noise") => drives::noise(number(60)),
         Some("kidnapped") => drives::kidnapped(),
-        Some(other) => panic!("{other}: give frames DIR, alarms, accuracy, fidelity, noise or kidnapped, or nothing"),
+        Some("changed") => changed::all(&words[1..]),
+        Some(other) => {
+            panic!("{other}: give frames DIR, alarms, accuracy, fidelity, noise, kidnapped or changed, or nothing")
+        }
     }
 }

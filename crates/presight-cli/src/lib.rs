@@ -26,6 +26,7 @@ mod pose_series;
 mod predict;
 mod predict_poses;
 mod print;
+mod query;
 #[cfg(feature = "report")]
 mod replay;
 #[cfg(feature = "report")]
@@ -38,6 +39,7 @@ mod simulate;
 mod stack;
 mod statistics;
 pub mod summary;
+mod supervise;
 mod templates;
 mod virtual_sensor;
 
@@ -99,6 +101,8 @@ enum Command {
         rest: Vec<String>,
     },
     Simulate(simulate::Args),
+    Supervise(Box<supervise::Args>),
+    Query(query::Args),
     #[cfg(feature = "report")]
     Report(report::Args),
     /// Measure error against run time: not in this build
@@ -162,6 +166,8 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         #[cfg(not(feature = "report"))]
         Command::Replay { .. } => Err(not_built("pages", "report")),
         Command::Simulate(args) => simulate::run(&args),
+        Command::Supervise(args) => supervise::run(&args),
+        Command::Query(args) => query::run(&args),
         #[cfg(feature = "report")]
         Command::Report(args) => report::run(&args, &arguments),
         #[cfg(not(feature = "report"))]

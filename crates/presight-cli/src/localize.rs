@@ -52,11 +52,15 @@ pub struct Args {
     out: PathBuf,
 }
 
-/// Flags shared by `localize` and `replay`: the log, the map, and the options of the localizer.
-#[derive(Debug, clap::Args)]
+/// Flags shared by `localize`, `replay` and `supervise`: the log, the map, and the options of the localizer.
+#[derive(Clone, Debug, clap::Args)]
 pub struct Drive {
     /// The log
     pub log: PathBuf,
+
+    /// The sensors of a robot, the log's first, each with its log; empty to take what the other flags and the log say.
+    #[arg(skip)]
+    pub robot: Vec<(PathBuf, Sensor)>,
 
     /// The model: a .glb or .gltf file, a .rhai script, or a store
     #[arg(long, value_name = "SCENE")]
@@ -154,6 +158,8 @@ pub struct Sensed<'a> {
     pub frame: &'a Frame,
     /// The grey image in addition to ranges.
     pub grey: Option<&'a Frame>,
+    /// What the robot's other sensors measured.
+    pub beside: &'a [Frame],
 }
 
 #[cfg_attr(not(feature = "report"), expect(dead_code, reason = "only replays show measurements"))]
@@ -161,6 +167,37 @@ impl Sensed<'_> {
     /// The grey image, with or without ranges.
     pub fn grey(&self) -> Option<&Frame> {
         self.grey.or(self.frame.grey().map(|_| self.frame))
+    }
+}
+
+/// The log of another sensor.
+struct LogBeside {
+    frames: Frames,
+    next: Option<Observation>,
+}
+
+/// Largest difference of the stamps of frames that count as taken at the same time, seconds.
+const SAME_TIME: f64 = 0.01;
+
+impl LogBeside {
+    /// The frame that was taken at a time. Earlier ones are passed over.
+    fn next_at(&mut self, stamp: f64) -> Result<Option<Observation>> {
+        loop {
+            let next = match self.next.take() {
+                Some(next) => next,
+                None => match self.frames.next().transpose()? {
+                    Some(next) => next,
+                    None => return Ok(None),
+                },
+            };
+            if next.frame.stamp > stamp + SAME_TIME {
+                self.next = Some(next);
+                return Ok(None);
+            }
+            if next.frame.stamp >= stamp - SAME_TIME {
+                return Ok(Some(next));
+            }
+        }
     }
 }
 
@@ -216,7 +253,11 @@ impl Drive {
         let sensors = [&self.sensor, &self.grey_sensor].into_iter().flatten().map(Path::new);
         files.check_named([self.log.as_path(), self.map.as_path()].into_iter().chain(sensors))?;
         files.check_named(self.layers.iter().chain(&beside).map(PathBuf::as_path))?;
-        let sensor = self.sensor.as_deref().map(|sensor| self.image.load(sensor)).transpose()?;
+        files.check_named(self.robot.iter().map(|(log, _)| log.as_path()))?;
+        let sensor = match self.robot.first() {
+            Some((_, sensor)) => Some(sensor.clone()),
+            None => self.sensor.as_deref().map(|sensor| self.image.load(sensor)).transpose()?,
+        };
         let mut log = Frames::open(&self.log, sensor.as_ref(), &self.odometry()?)?;
         let followed = self.follow_log(&mut log, files, visit);
         print::notices(&log.notice().map(|notice| format!("{}: {notice}", self.log.display())));
@@ -242,6 +283,7 @@ impl Drive {
         let (start, options) = (self.start(&first)?, self.options(first.frame.sensor()));
         let scene = open_scene_without(&self.map, &import, IndexKind::default(), &self.exclude)?;
         let mut grey = self.grey(&measured)?;
+        let mut logs_beside = self.logs_beside()?;
         let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads))?;
         let mut estimator = Estimator::new(predictor, options);
         let is_looked_in = first.frame.grey().is_some() || !first.frame.sensor().is_camera();
@@ -259,7 +301,10 @@ impl Drive {
         for observation in std::iter::once(Ok(first)).chain(log) {
             let Observation { frame, reference } = observation?;
             let grey = grey.as_mut().map(|g| g.next_at(frame.stamp)).transpose()?.flatten();
-            let beside: Vec<&Frame> = grey.iter().collect();
+            let others = logs_beside.iter_mut().filter_map(|log| log.next_at(frame.stamp).transpose());
+            let others = others.map(|other| other.and_then(|o| self.thinned(o))).map(|o| o.map(|o| o.frame));
+            let others = others.collect::<Result<Vec<Frame>>>()?;
+            let beside: Vec<&Frame> = grey.iter().chain(&others).collect();
             let place = |e: Error| e.at(format!("the frame at {} s", frame.stamp)).in_file(&self.log);
             let mut step = localizer.step_together(&scene.world, &frame, &beside).map_err(place)?;
             if may_search && matches!(step.phase, Phase::Lost | Phase::Unknown) {
@@ -269,7 +314,7 @@ impl Drive {
                     print::notices(&[format!("searching for the robot only around its last pose: {e}")]);
                 }
             }
-            visit(&scene, &Sensed { frame: &frame, grey: grey.as_ref() }, &step)?;
+            visit(&scene, &Sensed { frame: &frame, grey: grey.as_ref(), beside: &others }, &step)?;
             followed.features.push(FeatureCounts::of(&step.estimate.findings));
             step.estimate.findings.clear();
             followed.counts.push(verdict_counts(&step));
@@ -289,6 +334,14 @@ impl Drive {
              range_sigma and range_sigma_quadratic (docs/formats.md)"
                 .to_owned()
         })
+    }
+
+    /// Opens the logs of the robot's other sensors.
+    fn logs_beside(&self) -> Result<Vec<LogBeside>> {
+        let open = |(path, sensor): &(PathBuf, Sensor)| {
+            Ok(LogBeside { frames: Frames::open(path, Some(sensor), &self.odometry()?)?, next: None })
+        };
+        self.robot.iter().skip(1).map(open).collect()
     }
 
     /// Opens the grey images of a log of depth images, if it has any.
@@ -424,6 +477,11 @@ impl Drive {
             return Err(Error::usage(format!("--odometry-sigma {part}"), "give a finite fraction of at least 0"));
         }
         Ok(OdometryNoise::default().with_way(part).with_turn(part).with_turn_on_way(0.5 * part))
+    }
+
+    /// Standard deviation of the model's surfaces for a sensor, metres.
+    pub fn model_sigma(&self, sensor: &Sensor) -> f64 {
+        self.options(sensor).model_sigma
     }
 
     /// Estimator options for the sensor: a scanner of one row determines x, y and yaw only.

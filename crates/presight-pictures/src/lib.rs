@@ -3,6 +3,7 @@
 mod canvas;
 mod color;
 mod comparison;
+mod corridor;
 mod font;
 mod map;
 mod overlay;
@@ -15,6 +16,7 @@ mod view;
 use canvas::Canvas;
 use color::Palette;
 pub use comparison::{Comparison, GreyMark, GreyPanel, PlanMarks, write_comparison};
+pub use corridor::{CorridorPicture, write_corridor};
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
 pub use map::{GridMap, write_maps};

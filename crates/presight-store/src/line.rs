@@ -14,6 +14,7 @@ use std::path::Path;
 pub(super) struct Line {
     pub cause: Option<String>,
     pub id: Option<String>,
+    pub evidence: Option<String>,
     pub op: Op,
 }
 
@@ -38,7 +39,8 @@ impl Line {
             Some(Value::Number(id)) => Some(id.to_string()),
             Some(_) => return Err(Error::invalid("the id is neither a string nor a number", "give a string")),
         };
-        Ok(Self { cause, id, op: serde_json::from_value(value).map_err(wrong)? })
+        let evidence = take("evidence").filter(|value| !value.is_null()).map(|value| value.to_string());
+        Ok(Self { cause, id, evidence, op: serde_json::from_value(value).map_err(wrong)? })
     }
 }
 

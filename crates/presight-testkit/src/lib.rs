@@ -3,17 +3,21 @@
 //! Unit tests inside the library's `src` cannot use functions with types of the library: for them, these types belong
 //! to another copy of the library.
 
+pub mod caster;
+pub mod changes;
 pub mod data;
 pub mod engines;
 #[cfg(feature = "gpu")]
 pub mod faulty;
 pub mod hall;
 pub mod hard;
+pub mod intruders;
 pub mod oracle;
 pub mod pictures;
 pub mod scenes;
 pub mod skip;
 pub mod tags;
+pub mod way;
 
 pub use pictures::compare_or_show;
 use presight_model::geometry::Pose;

@@ -4,7 +4,7 @@ use glam::{DMat3, DVec3};
 use parry3d_f64::math::Vector;
 use parry3d_f64::query::Ray;
 use parry3d_f64::shape::{CompositeShapeRef, TriMesh};
-use presight_model::environment::Environment;
+use presight_model::environment::{Appearance, Environment, Material};
 use presight_model::geometry::Pose;
 use presight_model::sensor::Sensor;
 use presight_render::verify::PixelValues;
@@ -22,13 +22,20 @@ impl Oracle {
     /// Builds the oracle; `None` if there are no triangles. Subtracts `origin` before all other sums, so that scenes
     /// far from the world's origin keep their precision.
     pub fn new(environment: &Environment, origin: DVec3) -> Option<Self> {
-        Self::of_polygons(environment, origin, |_, _| true)
+        Self::of_polygons(environment, origin, |_, _, _| true)
+    }
+
+    /// As [`Oracle::new`], of the polygons that are opaque to sensors of a class.
+    pub fn seen_by(environment: &Environment, origin: DVec3, class: &str) -> Option<Self> {
+        let is_opaque = |m: &Material| m.appearance(class) == Appearance::Opaque;
+        let opaque: Vec<bool> = environment.materials().iter().map(is_opaque).collect();
+        Self::of_polygons(environment, origin, |_, _, material| opaque[usize::from(material)])
     }
 
     /// As [`Oracle::new`], without polygons whose plane contains the origin, the sensor's position, within f64
     /// rounding. By definition they cover no rays.
     pub fn off_plane(environment: &Environment, origin: DVec3) -> Option<Self> {
-        Self::of_polygons(environment, origin, |corners, normal| {
+        Self::of_polygons(environment, origin, |corners, normal, _| {
             let nearest =
                 corners.iter().copied().fold(DVec3::INFINITY, |a, b| if b.length() < a.length() { b } else { a });
             let (longest, area) = size(corners);
@@ -37,7 +44,11 @@ impl Oracle {
         })
     }
 
-    fn of_polygons(environment: &Environment, origin: DVec3, keep: impl Fn(&[DVec3], DVec3) -> bool) -> Option<Self> {
+    fn of_polygons(
+        environment: &Environment,
+        origin: DVec3,
+        keep: impl Fn(&[DVec3], DVec3, u16) -> bool,
+    ) -> Option<Self> {
         let (mut vertices, mut triangles, mut of_triangle) = (Vec::new(), Vec::new(), Vec::new());
         for (index, object) in environment.objects().iter().enumerate() {
             let rotation = DMat3::from_quat(object.world_from_object.rotation);
@@ -48,7 +59,7 @@ impl Oracle {
                 let fan = (1..corners.len() - 1).map(|k| [0, k, k + 1]);
                 let cross = |[a, b, c]: [usize; 3]| (corners[b] - corners[a]).cross(corners[c] - corners[a]);
                 let normal = fan.clone().map(cross).sum::<DVec3>().normalize();
-                if !keep(&corners, normal) {
+                if !keep(&corners, normal, object.mesh.material(polygon)) {
                     continue;
                 }
                 let reflection = environment.materials()[usize::from(object.mesh.material(polygon))].reflection;
@@ -84,6 +95,20 @@ impl Oracle {
             }
         }
         panic!("64 polygons of one feature on one ray");
+    }
+
+    /// Metres from a point to the nearest triangle along a unit direction, both in the world, and the cosine of incidence;
+    /// `None` if there is none.
+    pub fn hit(&self, from: DVec3, direction: DVec3) -> Option<(f64, f64)> {
+        let vector = |v: DVec3| Vector::new(v.x, v.y, v.z);
+        let ray = Ray::new(vector(from - self.origin), vector(direction));
+        let (triangle, range) = CompositeShapeRef(&self.mesh).cast_local_ray(&ray, f64::MAX, false)?;
+        Some((range, self.of_triangle[triangle as usize].2.dot(direction).abs()))
+    }
+
+    /// As [`Oracle::hit`], the metres alone; infinite if there is none.
+    pub fn distance(&self, from: DVec3, direction: DVec3) -> f64 {
+        self.hit(from, direction).map_or(f64::INFINITY, |(range, _)| range)
     }
 
     /// The correct values of a pixel; `None` if it has no ray.

@@ -1,0 +1,453 @@
+//! Drives through rooms that are no longer as the map has them: `cargo bench --bench localize -- changed [FRAMES]
+//! [SCENE,..] [CASE,..]`. The logs come from the test kit's own ray caster. Each row is one drive; cases and scenes are
+//! chosen by a part of their name, `-` for all. `changed 60 hospital 15` takes seconds.
+
+use super::single;
+use cpu_time::ProcessTime;
+use glam::{DVec3, Vec3};
+use presight_files::log::Frames;
+use presight_files::preset;
+use presight_localize::estimate::{EstimateOptions, Estimator, nees};
+use presight_localize::localize::{LocalizeOptions, Localizer, Phase, Search, SearchOptions};
+use presight_model::environment::{Mesh, NewObject};
+use presight_model::geometry::{Pose, PoseEstimate};
+use presight_model::measured::{Frame, Measurement};
+use presight_model::sensor::{Angles, Camera, Geometry, Scanner, Sensor, SensorSpec};
+use presight_model::world::World;
+use presight_testkit::caster::Caster;
+use presight_testkit::changes::{Shares, changed};
+use presight_testkit::oracle::Oracle;
+use presight_testkit::way::{Driving, Way};
+use presight_testkit::{Random, data, scenes};
+use std::sync::Arc;
+
+const SCENES: [&str; 6] =
+    ["hospital", "factory_hall", "warehouse_small", "office_clearpath", "scenes/factory.rhai", "office_willowgarage"];
+/// Unchanged.
+const EXACT: Shares = Shares { gone: 0.0, moved: 0.0 };
+const SOME: Shares = Shares { gone: 0.15, moved: 0.15 };
+const MUCH: Shares = Shares { gone: 0.4, moved: 0.4 };
+/// The 99.99 % quantiles of chi squared with three and with six degrees of freedom.
+const QUANTILES: [(usize, f64); 2] = [(3, 21.11), (6, 27.86)];
+
+/// What a localizer gets, and the truth.
+struct Log {
+    map: World,
+    frames: Vec<Frame>,
+    /// `None` where the robot is nowhere in the map.
+    truth: Vec<Option<Pose>>,
+    /// `None` for an unknown start.
+    start: Option<Pose>,
+    /// The frame from which on the robot is looked for.
+    looked_for: usize,
+    /// Estimator options other than the command's.
+    model_sigma: Option<f64>,
+}
+
+/// The figures of a drive.
+#[derive(Default)]
+struct Row {
+    frames: usize,
+    good: usize,
+    tracking: usize,
+    certain_and_wrong: usize,
+    nees: Vec<f64>,
+    /// Frames from the start, or from where the robot was carried to, until it was tracked rightly.
+    found: Option<usize>,
+    /// Tracking at the frame at which it was carried away.
+    tracked_away: bool,
+    squares: [f64; 2],
+    cpu_ms: Vec<f64>,
+    reason: String,
+}
+
+const HEAD: &str = "| scene | case | good % | tracking % | certain and wrong | NEES a number | found at frame | RMS mm | RMS deg | CPU ms p50 | p95 |\n|---|---|---|---|---|---|---|---|---|---|---|";
+
+impl Row {
+    fn print(&mut self, scene: &str, case: &str) {
+        self.cpu_ms.sort_by(f64::total_cmp);
+        let at = |share: f64| self.cpu_ms[((self.cpu_ms.len() - 1) as f64 * share).round() as usize];
+        let share = |n: usize| 100.0 * n as f64 / self.frames as f64;
+        let mean = self.nees.iter().sum::<f64>() / self.nees.len().max(1) as f64;
+        let rms = |sum: f64| (sum / self.nees.len().max(1) as f64).sqrt();
+        println!(
+            "| {scene} | {case} | {:.0} | {:.0} | {} | {mean:.2} | {}{} | {:.1} | {:.3} | {:.1} | {:.1} |",
+            share(self.good),
+            share(self.tracking),
+            self.certain_and_wrong,
+            self.found.map_or("never".to_owned(), |k| k.to_string()),
+            if self.tracked_away { ", tracked where it was" } else { "" },
+            1e3 * rms(self.squares[0]),
+            rms(self.squares[1]),
+            at(0.5),
+            at(0.95),
+        );
+        if std::env::var_os("PRESIGHT_REASONS").is_some() {
+            println!("{}", self.reason);
+        }
+    }
+}
+
+/// The options that the command takes for a sensor.
+fn options(sensor: &Sensor, model_sigma: Option<f64>) -> EstimateOptions {
+    let row = !sensor.is_camera() && sensor.height() == 1;
+    let options = match sensor.spec().geometry {
+        _ if row => EstimateOptions::planar(),
+        Geometry::Rays(_) => EstimateOptions::scan(),
+        _ => EstimateOptions::default(),
+    };
+    let Some(sigma) = model_sigma else { return options };
+    options.with_model_sigma(sigma).with_offset_sigma((0.7 * sigma).max(1e-3))
+}
+
+fn localized(log: &Log) -> Row {
+    let sensor = log.frames[0].sensor();
+    let mut estimator = Estimator::new(single(), options(sensor, log.model_sigma));
+    let (options, search) = (LocalizeOptions::default(), SearchOptions::default());
+    let mut robot = match log.start {
+        Some(start) => {
+            let prior = PoseEstimate::of_sigmas(start, 0.05, 2f64.to_radians());
+            Localizer::new(estimator, prior, options)
+        }
+        None => {
+            let search = Search::new(&mut estimator, &log.map, sensor, search).expect("a search");
+            Localizer::unknown(estimator, search, options)
+        }
+    };
+    let planar = !sensor.is_camera() && sensor.height() == 1;
+    let mut may_search = log.start.is_some() && planar;
+    let mut row = Row::default();
+    for (k, (frame, truth)) in log.frames.iter().zip(&log.truth).enumerate() {
+        let before = ProcessTime::now();
+        let step = robot.step(&log.map, frame).expect("a step");
+        if may_search && matches!(step.phase, Phase::Lost | Phase::Unknown) {
+            may_search = false;
+            // As the command: without a search the robot is looked for around its last pose.
+            robot.search_everywhere(&log.map, sensor, search).ok();
+        }
+        row.cpu_ms.push(1e3 * before.elapsed().as_secs_f64());
+        row.frames += 1;
+        let is_tracking = step.phase == Phase::Tracking;
+        row.tracking += usize::from(is_tracking);
+        let mut line = format!("  {k}: {}: {}", step.phase.name(), step.reason);
+        if let Some(truth) = truth {
+            let found = &step.pose.world_from_robot;
+            let off = (
+                (found.translation - truth.translation).length(),
+                found.rotation.angle_between(truth.rotation).to_degrees(),
+            );
+            let (squared, axes) = nees(&step.pose, truth);
+            let is_near = off.0 < 0.05 && off.1 < 1.0;
+            line += &format!("; {:.3} m {:.2} deg, NEES {:.1}", off.0, off.1, squared / axes.max(1) as f64);
+            if is_tracking {
+                row.nees.push(squared / axes.max(1) as f64);
+                row.squares[0] += off.0 * off.0;
+                row.squares[1] += off.1 * off.1;
+                let quantile = QUANTILES.iter().find(|q| q.0 == axes).map_or(0.0, |q| q.1);
+                row.good += usize::from(is_near);
+                row.certain_and_wrong += usize::from(!is_near && squared > quantile);
+                row.tracked_away |= log.looked_for == k && k > 0 && !is_near;
+            }
+            if is_tracking && is_near && k >= log.looked_for && row.found.is_none() {
+                row.found = Some(k - log.looked_for);
+            }
+        } else {
+            row.certain_and_wrong += usize::from(is_tracking);
+        }
+        row.reason += &(line + "\n");
+    }
+    row
+}
+
+fn load(name: &str) -> Option<World> {
+    if !name.ends_with(".rhai") {
+        return data::scene(name, true);
+    }
+    #[cfg(feature = "script")]
+    {
+        let path = data::root().join(name);
+        let loaded = presight_files::script::load(&path, &Default::default(), &mut |_| {}).expect("the scene loads");
+        Some(World::new(loaded.environment))
+    }
+    #[cfg(not(feature = "script"))]
+    None
+}
+
+/// 360 degrees, or the 180 ahead, 0.5 m above the floor.
+fn scanner(round: bool) -> Sensor {
+    let (start_deg, step_deg, count) = if round { (-180.0, 1.0, 360) } else { (-90.0, 0.5, 361) };
+    let azimuth = Angles::Uniform { start_deg, step_deg, count };
+    let elevation = Angles::Listed(vec![0.0]);
+    let mut spec =
+        SensorSpec::new("scanner", "laser", Geometry::Scanner(Scanner { azimuth, elevation, beam_height_deg: None }));
+    (spec.range_max, spec.noise.range_sigma) = (30.0, 0.01);
+    spec.mount.translation = DVec3::new(0.1, 0.0, 0.5);
+    Sensor::new(spec).expect("a scanner")
+}
+
+/// 160 x 120 pixels, 63 degrees wide, at a man's chest.
+fn depth_camera() -> Sensor {
+    let camera = Camera::pinhole(160, 120, 130.0, 130.0, 79.5, 59.5);
+    let mut spec = SensorSpec::new("depth camera", "laser", Geometry::Camera(camera));
+    spec.range_max = 10.0;
+    (spec.noise.range_sigma, spec.noise.range_sigma_quadratic) = (0.002, 0.002);
+    spec.mount.translation = DVec3::new(0.1, 0.0, 1.0);
+    Sensor::new(spec).expect("a camera")
+}
+
+/// A drive on a way through a changed world.
+struct Drive<'a> {
+    world: &'a World,
+    way: Way,
+    sensor: Sensor,
+    shares: Shares,
+    walkers: usize,
+    hertz: f64,
+    frames: usize,
+    seed: u64,
+}
+
+impl<'a> Drive<'a> {
+    fn new(world: &'a World, frames: usize, seed: u64) -> Self {
+        let driving = Driving { seconds: 0.1 * frames as f64 + 1.0, speed: 0.7, turn: 0.7 };
+        let way = wander(world, &driving, seed);
+        Self { world, way, sensor: scanner(true), shares: EXACT, walkers: 3, hertz: 10.0, frames, seed }
+    }
+
+    fn caster(&self, shares: Shares) -> Caster {
+        let (real, _) = changed(self.world.environment(), shares, &self.way, self.seed);
+        Caster::new(&real, self.sensor.clone(), self.seed).with_walkers(self.walkers, &self.way, self.seed)
+    }
+
+    /// The log by a caster, which changes at a frame to the one of other shares.
+    fn log(&self, mut caster: Caster, then: Option<(usize, Shares)>) -> Log {
+        let (slip, turn_s, jitter) = (caster.slip, caster.turn_s, caster.jitter);
+        let pose = |t: f64| self.way.at(t);
+        let (mut frames, mut truth) = (Vec::new(), Vec::new());
+        for k in 0..self.frames {
+            if let Some((at, shares)) = then
+                && at == k
+            {
+                caster = self.caster(shares);
+                (caster.slip, caster.turn_s, caster.jitter) = (slip, turn_s, jitter);
+            }
+            let time = k as f64 / self.hertz;
+            frames.push(caster.frame(&pose, time, (k > 0).then(|| time - 1.0 / self.hertz)));
+            truth.push(Some(pose(time)));
+        }
+        let off = Pose::from_xyz_rpy(DVec3::new(0.03, -0.02, 0.0), 0.0, 0.0, 0.01);
+        let start = Some(pose(0.0) * off);
+        Log { map: self.world.clone(), frames, truth, start, looked_for: 0, model_sigma: None }
+    }
+
+    fn usual(&self) -> Log {
+        self.log(self.caster(self.shares), None)
+    }
+}
+
+fn wander(world: &World, driving: &Driving, seed: u64) -> Way {
+    let environment = world.environment();
+    let bounds = environment.bounds();
+    let oracle = Oracle::new(environment, 0.5 * (bounds.min + bounds.max)).expect("something is there");
+    Way::wander(&oracle, &bounds, driving, seed)
+}
+
+/// What a case makes of a scene; `other` is another building.
+type Maker = fn(&World, &World, usize) -> Log;
+
+const CASES: [(&str, Maker); 14] = [
+    ("exact", |w, _, n| Drive::new(w, n, 1).usual()),
+    ("exact, 180 deg", |w, _, n| Drive { sensor: scanner(false), ..Drive::new(w, n, 1) }.usual()),
+    ("exact, 5 Hz without odometry", without_odometry),
+    ("15/15, start given", |w, _, n| Drive { shares: SOME, ..Drive::new(w, n, 1) }.usual()),
+    ("40/40, start given", |w, _, n| Drive { shares: MUCH, ..Drive::new(w, n, 1) }.usual()),
+    ("exact for a third, then 40/40", |w, _, n| {
+        let drive = Drive::new(w, n, 1);
+        drive.log(drive.caster(EXACT), Some((n / 3, MUCH)))
+    }),
+    ("15/15, unknown start", |w, _, n| Log { start: None, ..Drive { shares: SOME, ..Drive::new(w, n, 1) }.usual() }),
+    ("40/40, unknown start", |w, _, n| Log { start: None, ..Drive { shares: MUCH, ..Drive::new(w, n, 1) }.usual() }),
+    ("other building, start given", |w, other, n| elsewhere(w, other, n, true)),
+    ("other building, unknown start", |w, other, n| elsewhere(w, other, n, false)),
+    ("mirrored, start given", mirrored),
+    ("carried away", carried_away),
+    ("driving lidar, turn time", |w, _, n| turning(w, n, 0.1)),
+    ("driving lidar, no turn time", |w, _, n| turning(w, n, 0.0)),
+];
+
+fn without_odometry(world: &World, _: &World, frames: usize) -> Log {
+    let driving = Driving { seconds: 0.2 * frames as f64 + 1.0, speed: 0.7, turn: 0.7 };
+    let drive = Drive { way: wander(world, &driving, 1), hertz: 5.0, ..Drive::new(world, frames, 1) };
+    let mut caster = drive.caster(EXACT);
+    caster.slip = None;
+    drive.log(caster, None)
+}
+
+/// The robot is in another building than the map.
+fn elsewhere(world: &World, other: &World, frames: usize, given: bool) -> Log {
+    let log = Drive::new(other, frames, 1).usual();
+    let driving = Driving { seconds: 1.0, speed: 0.3, turn: 0.3 };
+    let start = given.then(|| wander(world, &driving, 5).at(0.0));
+    Log { map: world.clone(), truth: vec![None; frames], start, ..log }
+}
+
+/// The map shows the building from behind: each scan is the other way round.
+fn mirrored(world: &World, _: &World, frames: usize) -> Log {
+    let log = Drive { walkers: 0, ..Drive::new(world, frames, 1) }.usual();
+    let turned = |frame: &Frame| {
+        let mut ranges = frame.ranges().to_vec();
+        // Column 0 looks back and stays.
+        ranges[1..].reverse();
+        let mut mirror =
+            Frame::new(frame.stamp, frame.sensor().clone(), Measurement::Range(ranges)).expect("a sound frame");
+        mirror.motion = frame.motion.map(|mut motion| {
+            let step = &mut motion.previous_from_current;
+            step.translation.y = -step.translation.y;
+            step.rotation = step.rotation.conjugate();
+            motion
+        });
+        mirror
+    };
+    Log { frames: log.frames.iter().map(turned).collect(), truth: vec![None; frames], ..log }
+}
+
+/// Halfway the robot is put elsewhere, and its odometry has not noticed.
+fn carried_away(world: &World, _: &World, frames: usize) -> Log {
+    let (half, other) = (frames / 2, Drive::new(world, frames, 7));
+    let (here, there) = (Drive::new(world, frames, 1).usual(), other.usual());
+    let frames = here.frames[..half].iter().chain(&there.frames[half..]).cloned().collect();
+    let truth = here.truth[..half].iter().chain(&there.truth[half..]).copied().collect();
+    Log { frames, truth, looked_for: half, ..here }
+}
+
+/// A scanner that takes a tenth of a second for a turn, on a fast robot.
+fn turning(world: &World, frames: usize, turn_s: f64) -> Log {
+    let driving = Driving { seconds: 0.1 * frames as f64 + 1.0, speed: 1.5, turn: 1.0 };
+    let drive = Drive { way: wander(world, &driving, 1), walkers: 0, ..Drive::new(world, frames, 1) };
+    let mut caster = drive.caster(EXACT);
+    caster.turn_s = turn_s;
+    drive.log(caster, None)
+}
+
+/// One person always stands 1.8 m before a depth camera; without odometry.
+fn person(world: &World, frames: usize, model_sigma: Option<f64>) -> Log {
+    let driving = Driving { seconds: 0.1 * frames as f64 + 1.0, speed: 0.4, turn: 0.4 };
+    let way = wander(world, &driving, 1);
+    let drive = Drive { way, sensor: depth_camera(), walkers: 0, ..Drive::new(world, frames, 1) };
+    let mut caster = drive.caster(EXACT).with_person_before(1.8);
+    caster.slip = None;
+    Log { model_sigma, ..drive.log(caster, None) }
+}
+
+/// A corridor of which neither end is in reach, without odometry.
+fn corridor(frames: usize) -> Log {
+    let mut environment = scenes::empty();
+    let walls = Mesh::cuboid("walls", Vec3::new(-60.0, -1.1, 0.0), Vec3::new(60.0, 1.1, 2.5), 0).expect("a box");
+    environment.insert(NewObject::new("walls", Pose::IDENTITY, Arc::new(walls))).expect("a sound object");
+    let world = World::new(environment);
+    let way = Way::straight([-10.0, 0.2, 0.0], 0.5, 0.1 * frames as f64 + 1.0);
+    let mut spec = scanner(true).spec().clone();
+    spec.range_max = 8.0;
+    let sensor = Sensor::new(spec).expect("a scanner");
+    let drive = Drive { world: &world, way, sensor, shares: EXACT, walkers: 0, hertz: 10.0, frames, seed: 1 };
+    let mut caster = drive.caster(EXACT);
+    caster.slip = None;
+    drive.log(caster, None)
+}
+
+/// Views half a metre apart with turns of up to 150 degrees, one a second, of the paper's laser range camera.
+fn hard_views(world: &World, shares: Shares, walkers: usize, seed: u64) -> Log {
+    let environment = world.environment();
+    let bounds = environment.bounds();
+    let oracle = Oracle::new(environment, 0.5 * (bounds.min + bounds.max)).expect("something is there");
+    let driving = Driving { seconds: 1.0, speed: 0.3, turn: 0.3 };
+    let start = Way::wander(&oracle, &bounds, &driving, seed).at(0.0);
+    let mut random = Random(seed);
+    let is_free = |at: DVec3| {
+        (0..24).all(|k| {
+            let azimuth = std::f64::consts::TAU * f64::from(k) / 24.0;
+            oracle.distance(at + DVec3::Z * 0.5, DVec3::new(azimuth.cos(), azimuth.sin(), 0.0)) > 0.4
+        })
+    };
+    let (mut poses, mut yaw) = (vec![start], 0.0);
+    while poses.len() < 60 {
+        let azimuth = random.uniform(0.0, std::f64::consts::TAU);
+        let at = poses[poses.len() - 1].translation + 0.5 * DVec3::new(azimuth.cos(), azimuth.sin(), 0.0);
+        if is_free(at) {
+            yaw += random.uniform(-150f64.to_radians(), 150f64.to_radians());
+            poses.push(Pose::from_xyz_rpy(at, 0.0, 0.0, yaw));
+        }
+    }
+    let mut spec = preset("laser-range-camera").expect("a preset").spec().clone();
+    spec.mount.translation = DVec3::new(0.0, 0.0, 1.7);
+    let way = Way::straight([start.translation.x, start.translation.y, 0.0], 0.0, 1.0);
+    let (real, _) = changed(environment, shares, &way, seed);
+    let mut caster = Caster::new(&real, Sensor::new(spec).expect("a camera"), seed).with_walkers(walkers, &way, seed);
+    let pose = |t: f64| poses[(t.round() as usize).min(59)];
+    let frames = (0..60).map(|k| caster.frame(&pose, f64::from(k), (k > 0).then(|| f64::from(k - 1)))).collect();
+    let truth = poses.iter().copied().map(Some).collect();
+    Log { map: world.clone(), frames, truth, start: Some(start), looked_for: 0, model_sigma: None }
+}
+
+/// Real scans.
+fn malaga(given: bool) -> Option<Log> {
+    let log = data::file("lidar2d/malaga_corridor_run_scans.json")?;
+    let map = super::map(&data::file("lidar2d/malaga_corridor_map.glb")?);
+    let read: Vec<_> =
+        Frames::open(&log, None, &Default::default()).expect("a log").map(|o| o.expect("a scan")).collect();
+    let truth: Vec<Option<Pose>> = read.iter().map(|o| o.reference).collect();
+    let start = truth[0].filter(|_| given);
+    Some(Log {
+        map,
+        frames: read.into_iter().map(|o| o.frame).collect(),
+        truth,
+        start,
+        looked_for: 0,
+        model_sigma: None,
+    })
+}
+
+/// Whether a name is asked for: any part of it, or nothing.
+fn is_asked(asked: Option<&String>, name: &str) -> bool {
+    asked.is_none_or(|a| a == "-" || a.split(',').any(|part| name.contains(part)))
+}
+
+/// Prints a row for each drive that is asked for.
+pub fn all(words: &[String]) {
+    let frames = words.first().map_or(300, |n| n.parse().expect("a number of frames"));
+    let (scenes, cases) = (words.get(1), words.get(2));
+    println!("{frames} frames a drive\n{HEAD}");
+    let asked: Vec<&str> = SCENES.into_iter().filter(|name| is_asked(scenes, name)).collect();
+    for name in asked {
+        let Some(world) = load(name) else { continue };
+        let is_needed = CASES.iter().any(|(case, _)| case.contains("other") && is_asked(cases, case));
+        let next = SCENES[(SCENES.iter().position(|s| *s == name).unwrap_or(0) + 1) % SCENES.len()];
+        let other = if is_needed { load(next) } else { None };
+        for (case, make) in CASES.iter().filter(|(case, _)| is_asked(cases, case)) {
+            localized(&make(&world, other.as_ref().unwrap_or(&world), frames)).print(name, case);
+        }
+        for sigma in [None, Some(0.0), Some(0.01), Some(0.03)] {
+            let case = format!(
+                "person before a depth camera, model sigma {}",
+                sigma.map_or("unset".into(), |s| s.to_string())
+            );
+            if is_asked(cases, &case) {
+                localized(&person(&world, frames.min(25), sigma)).print(name, &case);
+            }
+        }
+        for (seed, (shares, walkers)) in (1..=5).flat_map(|seed| [(seed, (EXACT, 0)), (seed, (SOME, 5))]) {
+            let case = format!("hard views, {} {seed}", if shares == EXACT { "unchanged" } else { "changed" });
+            if name == "factory_hall" && is_asked(cases, &case) {
+                localized(&hard_views(&world, shares, walkers, seed)).print(name, &case);
+            }
+        }
+    }
+    if is_asked(scenes, "corridor") && is_asked(cases, "corridor without odometry") {
+        localized(&corridor(frames)).print("corridor", "corridor without odometry");
+    }
+    for (case, given) in [("real scans, start given", true), ("real scans, unknown start", false)] {
+        if is_asked(scenes, "malaga") && is_asked(cases, case) {
+            malaga(given).iter().for_each(|log| localized(log).print("malaga corridor", case));
+        }
+    }
+}

@@ -1,0 +1,96 @@
+//! Rooms that are no longer as their map has them: a seeded share of the furniture is gone, another has been moved.
+
+use super::Random;
+use super::way::Way;
+use glam::{DQuat, DVec3};
+use presight_model::environment::{Environment, Object};
+use presight_model::geometry::Pose;
+use std::f64::consts::PI;
+
+/// Longest side of furniture on the floor plan, metres: what is longer is a wall, a floor or a roof.
+const LONGEST: f64 = 4.5;
+/// Furniture reaches into these heights above the floor at z = 0, metres, where robots meet it.
+const HEIGHTS: (f64, f64) = (0.1, 1.8);
+/// Least and greatest distance by which furniture is moved, metres.
+const MOVED: (f64, f64) = (0.3, 1.5);
+/// Greatest turn of what is moved, radians.
+const TURNED: f64 = 0.25 * PI;
+/// What is moved stays so far from the robot's way, metres.
+const CLEAR: f64 = 0.5;
+/// Places that are tried for what is moved.
+const TRIES: usize = 30;
+
+/// The shares of the furniture that change, 0 to 1 together.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Shares {
+    /// Deleted.
+    pub gone: f64,
+    /// Moved by 0.3 to 1.5 m and turned by up to 45 degrees, on the floor.
+    pub moved: f64,
+}
+
+/// How much was changed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counts {
+    /// Objects that count as furniture.
+    pub furniture: usize,
+    /// Deleted.
+    pub gone: usize,
+    /// Moved.
+    pub moved: usize,
+}
+
+/// True if an object counts as furniture: at most 4.5 m long, and in the way of a robot on the floor.
+pub fn is_furniture(object: &Object) -> bool {
+    if object.is_deleted() {
+        return false;
+    }
+    let bounds = object.world_bounds();
+    let size = bounds.max - bounds.min;
+    size.x.max(size.y) <= LONGEST && bounds.max.z >= HEIGHTS.0 && bounds.min.z <= HEIGHTS.1
+}
+
+/// The environment with a share of its furniture gone and another share moved; nothing moves to where the robot drives.
+/// The same seed gives the same changes.
+pub fn changed(map: &Environment, shares: Shares, way: &Way, seed: u64) -> (Environment, Counts) {
+    let mut random = Random(seed);
+    let mut names: Vec<String> = map.objects().iter().filter(|o| is_furniture(o)).map(|o| o.name.clone()).collect();
+    // Fisher and Yates: every order is as likely as any other.
+    (1..names.len()).rev().for_each(|k| names.swap(k, random.below(k + 1)));
+    let of = |share: f64| (share * names.len() as f64).round() as usize;
+    let (gone, moved) = (of(shares.gone), of(shares.moved));
+    let mut real = map.clone();
+    let mut counts = Counts { furniture: names.len(), gone, moved: 0 };
+    for name in &names[..gone] {
+        real.delete(name).expect("the object exists");
+    }
+    for name in names.iter().skip(gone).take(moved) {
+        let object = map.object(name).expect("the object exists");
+        if let Some(pose) = (0..TRIES).map(|_| shoved(object, &mut random)).find(|pose| is_clear(object, pose, way)) {
+            real.set_pose(name, pose).expect("a sound pose");
+            counts.moved += 1;
+        }
+    }
+    (real, counts)
+}
+
+/// Another pose on the same floor: turned about the middle of the object, and moved.
+fn shoved(object: &Object, random: &mut Random) -> Pose {
+    let bounds = object.world_bounds();
+    let middle = 0.5 * (bounds.min + bounds.max);
+    let (far, azimuth) = (random.uniform(MOVED.0, MOVED.1), random.uniform(-PI, PI));
+    let turn = DQuat::from_rotation_z(random.uniform(-TURNED, TURNED));
+    let to = middle + far * DVec3::new(azimuth.cos(), azimuth.sin(), 0.0);
+    let pose = object.world_from_object;
+    Pose { translation: to + turn * (pose.translation - middle), rotation: (turn * pose.rotation).normalize() }
+}
+
+/// True if the circle around the moved object stays off the way.
+fn is_clear(object: &Object, pose: &Pose, way: &Way) -> bool {
+    let bounds = object.world_bounds();
+    let (half, middle) = (0.5 * (bounds.max - bounds.min), 0.5 * (bounds.min + bounds.max));
+    let motion = *pose * object.world_from_object.inverse();
+    let to = motion.transform_point(middle);
+    let reach = half.x.hypot(half.y) + CLEAR;
+    way.places().all(|[x, y]| (to.x - x).hypot(to.y - y) > reach)
+}
