@@ -6,7 +6,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The crates of ARCHITECTURE's picture, lowest first, with those that stand directly below each.
-const PICTURE: [(&str, &[&str]); 12] = [
+const PICTURE: [(&str, &[&str]); 13] = [
     ("presight-model", &[]),
     ("presight-render", &["presight-model"]),
     ("presight-features", &["presight-render"]),
@@ -18,16 +18,18 @@ const PICTURE: [(&str, &[&str]); 12] = [
     ("presight", &["presight-localize", "presight-pictures", "presight-store"]),
     ("presight-testkit", &["presight-pictures"]),
     ("presight-studies", &["presight", "presight-testkit"]),
-    ("presight-cli", &["presight-studies"]),
+    ("presight-editor", &["presight-studies"]),
+    ("presight-cli", &["presight-editor"]),
 ];
 
 /// Crates from outside that only some crates may use, and there only one folder of the sources if it is named.
-const FOREIGN: [(&[&str], &[&str], Option<&str>); 5] = [
+const FOREIGN: [(&[&str], &[&str], Option<&str>); 6] = [
     (&["wgpu", "pollster"], &["presight-predict"], Some("gpu")),
     (&["apriltag"], &["presight-localize"], Some("extract")),
     (&["exr", "gltf", "rhai", "serde-saphyr", "toml"], &["presight-files"], None),
     (&["rusqlite", "twox-hash"], &["presight-store"], None),
     (&["image"], &["presight-files", "presight-pictures"], None),
+    (&["hyper", "tokio"], &["presight-editor"], Some("http")),
 ];
 
 /// Folders, and names of modules and types that their sources may not import.

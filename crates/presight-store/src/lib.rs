@@ -25,6 +25,7 @@ mod context;
 mod create;
 mod hash;
 mod ids;
+mod lines;
 mod log;
 mod merge;
 mod meshes;
@@ -38,6 +39,7 @@ mod unique;
 mod write;
 
 pub use create::create;
+pub use lines::{feature_change, feature_line};
 pub use log::LogEntry;
 pub use scene::{Existing, SceneMerge};
 pub use write::{Batch, Note};

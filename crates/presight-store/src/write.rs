@@ -75,6 +75,13 @@ pub struct Batch<'a> {
     notices: Vec<String>,
 }
 
+/// The error of a line that is not a change.
+pub(super) fn wrong_line(e: serde_json::Error) -> Error {
+    let what = e.to_string();
+    let what = what.split(" at line ").next().unwrap_or(&what).to_owned();
+    Error::invalid(what, "the help of presight env apply lists the changes").caused_by(e)
+}
+
 impl<'a> Batch<'a> {
     pub(super) fn new(store: &'a mut Store) -> Self {
         Self { store, open: false, taken_back: false, ids: Vec::new(), notices: Vec::new() }
@@ -163,13 +170,8 @@ impl<'a> Batch<'a> {
     /// As [`Batch::apply`], where restored features must also lie on polygons; [`presight_model::ErrorKind::Invalid`]
     /// if the line is not a valid change.
     pub fn apply_line(&mut self, line: &str, folder: &Path, note: &Note) -> Result<(u64, bool)> {
-        let wrong = |e: serde_json::Error| {
-            let what = e.to_string();
-            let what = what.split(" at line ").next().unwrap_or(&what).to_owned();
-            Error::invalid(what, "the help of presight env apply lists the changes").caused_by(e)
-        };
         check_json_memory(line)?;
-        let UniqueKeys(mut value) = serde_json::from_str(line).map_err(wrong)?;
+        let UniqueKeys(mut value) = serde_json::from_str(line).map_err(wrong_line)?;
         let mut take = |key: &str| value.as_object_mut().and_then(|o| o.remove(key));
         let cause = match take("cause") {
             None | Some(serde_json::Value::Null) => note.cause.clone(),
@@ -182,7 +184,7 @@ impl<'a> Batch<'a> {
             Some(serde_json::Value::Number(id)) => Some(id.to_string()),
             Some(_) => return Err(Error::invalid("the id is neither a string nor a number", "give a string")),
         };
-        let op: Op = serde_json::from_value(value).map_err(wrong)?;
+        let op: Op = serde_json::from_value(value).map_err(wrong_line)?;
         if let Some(id) = &id
             && let Some(known) = self.store.known(id)?
         {
