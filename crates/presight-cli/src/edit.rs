@@ -24,7 +24,7 @@ const EXAMPLES: &str = "Examples:
   On a robot, seen from here through ssh -L 4567:127.0.0.1:4567 ROBOT:
     presight edit hall.presight --sensor video-camera --port 4567 --no-open";
 
-/// Edit a feature layer on a page: see what the sensor should see, click what it should look for
+/// Edit a feature layer on a page that shows the predicted image; a click makes a feature
 ///
 /// Prints the page's address, opens it in the browser if there is a display, and serves it to this machine alone until
 /// Ctrl-C. Steps that are not saved are kept in LAYER.edits; the next start offers them.

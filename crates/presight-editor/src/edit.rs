@@ -207,7 +207,7 @@ impl Session {
         Ok(count)
     }
 
-    /// What a pixel sees, and the features that may be made there: first what is meant most likely.
+    /// The point that a pixel sees, and the features that may be made there, the most likely one first.
     pub(crate) fn pick(&mut self, request: &PickRequest) -> Result<Answer> {
         let pose = pose_of(&request.pose)?;
         let [column, row] = request.pixel;

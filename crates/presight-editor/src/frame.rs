@@ -200,7 +200,7 @@ impl Session {
     }
 }
 
-/// The six numbers of a pose: those given, so that the page keeps its own bits, or those of a quaternion.
+/// The six numbers of a pose. Six given numbers return unchanged, so that the page keeps its bits.
 fn six(given: &[f64], pose: &Pose) -> [f64; 6] {
     given.try_into().unwrap_or_else(|_| six_of(pose))
 }

@@ -49,7 +49,7 @@ pub struct PlanRequest {
     height: f64,
 }
 
-/// A place with what its views tell, by id of the feature.
+/// A place with the information of its views, by id of the feature.
 struct Place {
     rated: WorthPlace,
     views: Vec<View>,

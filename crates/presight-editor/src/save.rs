@@ -306,7 +306,7 @@ impl Session {
         self.reload(world)
     }
 
-    /// Writes the layer. Says what it did.
+    /// Writes the layer, and returns a sentence for the page.
     pub(crate) fn save(&mut self, request: &SaveRequest) -> Result<String> {
         let now = by_id(&self.world, &self.class);
         let Target::File { path, text } = &self.target else { return Ok("every step is stored already".into()) };
@@ -364,7 +364,7 @@ fn check_unchanged(path: &Path, text: Option<&str>) -> Result<()> {
     Err(Error::usage(what, "save under another name; nothing is overwritten").in_file(path))
 }
 
-/// The layer as it was saved, as it is now, the scene's own layer, and the first id that was never used.
+/// The saved layer, the present one, the scene's own, the first id that was never used, and the present tolerance.
 struct Versions<'a> {
     saved: &'a HashMap<u32, Arc<Feature>>,
     now: &'a HashMap<u32, Arc<Feature>>,
@@ -373,8 +373,7 @@ struct Versions<'a> {
     tolerance: f64,
 }
 
-/// The text of a layer file with the present features. Everything that was not touched stays as it is, to the byte and in
-/// its order. A dropped feature leaves a removal if the scene's own layer has it, or if its id is the greatest of all,
+/// The text of a layer file with the present features. Untouched entries keep their bytes and their order. A dropped feature leaves a removal if the scene's own layer has it, or if its id is the greatest of all,
 /// which would otherwise be used again.
 fn spliced(text: &str, versions: &Versions<'_>) -> Result<String> {
     #[derive(Deserialize)]

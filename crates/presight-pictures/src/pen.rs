@@ -56,7 +56,7 @@ impl Style {
 pub struct Stroke {
     /// The feature's id.
     pub feature: u32,
-    /// What it shows.
+    /// The state of the feature there.
     pub style: Style,
     /// Its corners on the picture, pixels from the top left. A single one is a dot.
     pub points: Vec<[f32; 2]>,

@@ -18,7 +18,11 @@ let output = 'range';
 /** The last frame that was drawn. @type {any} */
 let frame = null;
 /** @type {picture.Strokes} */
-let features = [], regions = [], candidates = [];
+let features = [];
+/** @type {picture.Strokes} */
+let regions = [];
+/** @type {picture.Strokes} */
+let candidates = [];
 let regionAge = 1;
 /** @type {Set<number>} */
 let selected = new Set();
@@ -81,19 +85,20 @@ const ask = newest(async (/** @type {{full: boolean}} */ { full }) => {
   get('stats').textContent = `${frame.seen ? `${frame.seen.length} features seen, ` : ''}${frame.ms.toFixed(0)} ms + ${Math.max(0, ms - frame.ms).toFixed(0)} ms`;
 });
 
-const askRegions = newest(async () => {
+const askRegions = newest(async (/** @type {void} */ _) => {
   if (!get('with-regions').checked || !get('with-seen').checked || !state.sensor.projects || !state.features) {
     regions = [];
     drawLines();
     return;
   }
   const [p, h, c] = ['s-position', 's-heading', 's-confidence'].map(id => Number(get(id).value));
-  const answer = await guarded(() => send('regions', { pose, sigmas: [p, p, 0, 0, 0, h], confidence: c, seq: ++seq }));
+  const asked = poses.text(pose);
+  const answer = await guarded(() => send('regions', { pose, sigmas: [p, p, 0, 0, 0, h], confidence: c }));
   if (!answer) return;
   regions = picture.strokes(answer);
   regionAge = 1;
   drawLines();
-  Object.assign(drawn, { regions: drawn.regions + 1, boxes: answer.boxes });
+  Object.assign(drawn, { regions: drawn.regions + 1, boxes: answer.boxes, boxesAt: asked });
 });
 
 function drawLines() {
@@ -262,7 +267,7 @@ async function click(at) {
   if (near) return choose(new Set([near]));
   const pixel = frame && picture.pixel(frame, at, state.sensor.size);
   if (!pixel) return;
-  const answer = await guarded(() => send('pick', { pose, pixel, seq: ++seq }));
+  const answer = await guarded(() => send('pick', { pose, pixel }));
   if (!answer) return;
   await choose(new Set());
   if (!answer.hit) return say('There is nothing at this pixel.');
@@ -297,6 +302,7 @@ let working = false;
 async function mapGoesOn() {
   if (working || !map.on) return;
   working = true;
+  get('map-go').textContent = 'Stop';
   while (map.on && !dragging) {
     const { spacing, floor, height, pixel_sigma, since } = map;
     const asked = { version: state.version, spacing, floor, height, pixel_sigma, since, budget_ms: 25 };
@@ -314,7 +320,7 @@ async function mapGoesOn() {
     if (answer.done === answer.of) break;
   }
   working = false;
-  get('map-go').textContent = map.on ? 'Stop' : 'Start';
+  get('map-go').textContent = 'Start';
 }
 
 function startMap() {
@@ -465,7 +471,7 @@ get('where').addEventListener('submit', async (/** @type {Event} */ event) => {
   event.preventDefault();
   const numbers = poses.parse(poseField.value);
   if (!numbers) return say('The pose is not x,y,z,roll,pitch,yaw (metres, degrees) or x,y,z,qx,qy,qz,qw.');
-  const answer = numbers.length === 7 ? await guarded(() => send('frame', { pose: numbers, outputs: ['polygon_id'], seq: ++seq })) : { pose: numbers };
+  const answer = numbers.length === 7 ? await guarded(() => send('frame', { pose: numbers, outputs: ['polygon_id'] })) : { pose: numbers };
   if (answer) go(answer.pose);
 });
 

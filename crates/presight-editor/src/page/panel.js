@@ -55,8 +55,8 @@ export function show({ title, about, feature, name, buttons, onDone }) {
       make('label', { htmlFor: 'p-sigma' }, 'sigma, m'), make('div', { className: 'sigmas' }, one, ...(across ? [along, side] : []))),
     make('div', { className: 'buttons' }, ...buttons.map(([words, id, act], i) =>
       make('button', { type: 'button', id, className: i ? '' : 'main', onclick: act }, words))));
-  form.addEventListener('submit', event => { event.preventDefault(); onDone(); });
-  form.addEventListener('keydown', event => { if (event.key === 'Enter') { event.preventDefault(); onDone(); } });
+  form.addEventListener('submit', (/** @type {Event} */ event) => { event.preventDefault(); onDone(); });
+  form.addEventListener('keydown', (/** @type {KeyboardEvent} */ event) => { if (event.key === 'Enter') { event.preventDefault(); onDone(); } });
   panel.replaceChildren(form);
 }
 

@@ -230,10 +230,13 @@ export function drawLines({ features, regions, age, selected, candidates, candid
     path(context, corners, on ? 6 : style === 'seen' ? 4 : 2);
   }
   context.setLineDash([]);
-  context.globalAlpha = age;
-  context.lineWidth = Math.max(0.9, 0.8 * unit);
-  for (const { corners } of regions) {
-    context.strokeStyle = REGION;
+  // Hundreds of boxes would hide the image: the more there are, the fainter all but those of what is chosen.
+  const faint = Math.max(0.12, Math.min(0.9, 40 / (regions.length + 1)));
+  context.strokeStyle = REGION;
+  for (const { feature, corners } of regions) {
+    const on = selected.has(feature);
+    context.globalAlpha = age * (on ? 1 : faint);
+    context.lineWidth = Math.max(0.9, (on ? 1.6 : 0.8) * unit);
     path(context, corners, 1);
   }
   context.globalAlpha = 1;

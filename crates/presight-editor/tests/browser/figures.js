@@ -79,7 +79,7 @@ async function replayed(page, address) {
     frame: await record('frame', { pose, outputs: ['range', 'polygon_id'], features: false }),
     plan: await record('plan', { height: 1 }), regions: await record('regions', { pose, sigmas: [0, 0, 0, 0, 0, 0], confidence: 0.9 }),
   };
-  const kinds = { html: 'text/html', css: 'text/css', js: 'text/javascript' };
+  const kinds = { html: 'text/html', css: 'text/css', js: 'text/javascript', svg: 'image/svg+xml' };
   const server = createServer((request, answer) => {
     const name = request.url.slice(1) || 'index.html';
     if (request.method === 'GET') {

@@ -1,4 +1,4 @@
-//! The server: who may ask, and what it withstands.
+//! The server refuses strangers, and withstands slow, large and many clients.
 
 use super::{POSE, scene, session_of};
 use presight_editor::http::{MAX_BODY, Server};

@@ -189,7 +189,7 @@ fn a_session_that_ends_before_it_saves_loses_no_step() {
     assert!(refusal(&mut again, "change", &early.to_string()).contains("steps of an earlier session"));
     step(&mut again, "restore", json!({ "keep": true }));
     assert_eq!(all(&mut again), ids);
-    // What was restored can be undone, is kept through a second crash, and saved.
+    // Restored steps can be undone and saved, and survive a second crash.
     drop(again);
     let mut third = edit(&path);
     let state = step(&mut third, "restore", json!({ "keep": true }));
@@ -391,7 +391,7 @@ fn bad_requests_are_refused_and_change_nothing() {
     assert!(!path.with_file_name("room.video.layer.json.edits").exists());
 }
 
-/// Fields of JSON, cut, doubled and exchanged: no panic, and what is refused has a remedy.
+/// Fields of JSON, cut, doubled and exchanged: no panic, and every refusal has a remedy.
 #[test]
 fn broken_requests_do_no_harm() {
     let (_folder, path) = room();
