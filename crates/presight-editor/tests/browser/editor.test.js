@@ -413,7 +413,7 @@ test('a picture of the page for the guides', { skip: !process.env.PRESIGHT_EDITO
     image.src = `data:image/png;base64,${data}`;
     await image.decode();
     const canvas = document.createElement('canvas');
-    [canvas.width, canvas.height] = [Math.round(image.width * 0.7), Math.round(image.height * 0.7)];
+    [canvas.width, canvas.height] = [Math.round(image.width * 0.6), Math.round(image.height * 0.6)];
     const context = canvas.getContext('2d');
     context.imageSmoothingQuality = 'high';
     context.drawImage(image, 0, 0, canvas.width, canvas.height);

@@ -69,10 +69,11 @@ const drag = (page, count) => page.evaluate(async count => {
 /** Serves the same page with answers that were recorded: what fetching and drawing cost without a prediction. */
 async function replayed(page, address) {
   const { origin, hash } = new URL(address);
-  const record = (name, body) => page.evaluate(async ([origin, token, name, body]) => {
-    const answer = await fetch(`${origin}/${name}`, { method: 'POST', headers: { 'x-presight-token': token }, body });
-    return { kind: answer.headers.get('content-type'), bytes: Array.from(new Uint8Array(await answer.arrayBuffer())) };
-  }, [origin, hash.slice(1), name, JSON.stringify(body)]);
+  const record = async (name, body) => {
+    const headers = { 'x-presight-token': hash.slice(1) };
+    const answer = await fetch(`${origin}/${name}`, { method: 'POST', headers, body: JSON.stringify(body) });
+    return { kind: answer.headers.get('content-type'), bytes: Buffer.from(await answer.arrayBuffer()) };
+  };
   const pose = await page.evaluate(() => window.presight.pose.split(',').map(Number));
   const answers = {
     state: await record('state', {}), features: await record('features', {}),
@@ -89,7 +90,7 @@ async function replayed(page, address) {
     request.resume().on('end', () => {
       const recorded = answers[name];
       answer.setHeader('content-type', recorded.kind);
-      answer.end(Buffer.from(recorded.bytes));
+      answer.end(recorded.bytes);
     });
   }).listen(0, '127.0.0.1');
   await new Promise(done => server.on('listening', done));
