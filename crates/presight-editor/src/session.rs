@@ -33,7 +33,7 @@ pub struct SessionOptions {
     pub pose: Option<Pose>,
     /// The layer file; `None`: the store's own layer, or a new file.
     pub layer: Option<PathBuf>,
-    /// The folder in which a new layer is written.
+    /// The folder in which a new layer is written; empty: the current one.
     pub folder: PathBuf,
     /// The engine.
     pub engine: Options,
@@ -41,7 +41,7 @@ pub struct SessionOptions {
 
 impl Default for SessionOptions {
     fn default() -> Self {
-        Self { command: Vec::new(), pose: None, layer: None, folder: PathBuf::from("."), engine: Options::default() }
+        Self { command: Vec::new(), pose: None, layer: None, folder: PathBuf::new(), engine: Options::default() }
     }
 }
 

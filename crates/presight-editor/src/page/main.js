@@ -82,7 +82,7 @@ const ask = newest(async (/** @type {{full: boolean}} */ { full }) => {
   if (!full) slow = asked.stride === 1 ? ms > 50 : slow && ms > 15;
   Object.assign(drawn, { seq: number, pose: poses.text(answer.pose), ms, at: performance.now(), version: answer.version });
   if (full) drawn.full = number;
-  get('stats').textContent = `${frame.seen ? `${frame.seen.length} features seen, ` : ''}${frame.ms.toFixed(0)} ms + ${Math.max(0, ms - frame.ms).toFixed(0)} ms`;
+  get('stats').textContent = `${frame.seen ? `${new Set(frame.seen).size} features seen, ` : ''}${frame.ms.toFixed(0)} ms + ${Math.max(0, ms - frame.ms).toFixed(0)} ms`;
 });
 
 const askRegions = newest(async (/** @type {void} */ _) => {

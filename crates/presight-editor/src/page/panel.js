@@ -58,6 +58,7 @@ export function show({ title, about, feature, name, buttons, onDone }) {
   form.addEventListener('submit', (/** @type {Event} */ event) => { event.preventDefault(); onDone(); });
   form.addEventListener('keydown', (/** @type {KeyboardEvent} */ event) => { if (event.key === 'Enter') { event.preventDefault(); onDone(); } });
   panel.replaceChildren(form);
+  panel.scrollIntoView({ block: 'nearest' });
 }
 
 /** @param {string} words */

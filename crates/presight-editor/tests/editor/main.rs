@@ -17,11 +17,15 @@ fn scene(name: &str) -> PathBuf {
 }
 
 fn session_of(scene: &Path, layer: Option<&Path>, folder: &Path) -> presight::Result<Session> {
+    session_with("video-camera", scene, layer, folder)
+}
+
+fn session_with(sensor: &str, scene: &Path, layer: Option<&Path>, folder: &Path) -> presight::Result<Session> {
     let mut options = SessionOptions::default();
     options.layer = layer.map(Path::to_owned);
     options.folder = folder.to_owned();
     options.engine = Options::new(Backend::Cpu).with_threads(1);
-    let (sensor, _) = presight_files::load_sensor("video-camera")?;
+    let (sensor, _) = presight_files::load_sensor(sensor)?;
     Session::open(Scene::open(scene)?, sensor, options)
 }
 

@@ -1,6 +1,6 @@
 //! The session: frames, picks, steps, saving, crashes, stores and the map.
 
-use super::{POSE, ask, parts, refusal, scene, session_of, step};
+use super::{POSE, ask, parts, refusal, scene, session_of, session_with, step};
 use presight::{Options, Pose, Predictor, Request, Scene};
 use presight_editor::{Answer, Session};
 use presight_features::generate::{GenerateOptions, generate};
@@ -64,12 +64,40 @@ fn frames_have_the_bits_of_predictions() {
     // Each visible feature has at least one line.
     let lines = told["strokes"].as_array().unwrap();
     assert!(told["seen"].as_array().unwrap().iter().all(|id| lines.iter().any(|line| line[0] == *id)));
+    // By a switch the hidden parts as well, dashed.
+    let asked = json!({ "pose": POSE, "outputs": ["range", "polygon_id"], "features": true, "hidden": true });
+    let (all, _) = parts(session.answer("frame", asked.to_string().as_bytes()));
+    let hidden = |told: &Value| told["strokes"].as_array().unwrap().iter().filter(|line| line[1] == "hidden").count();
+    assert!(hidden(&all) > hidden(&told) && all["seen"] == told["seen"], "{} {}", hidden(&all), hidden(&told));
     // Half the rows and columns are every other pixel.
     let asked = json!({ "pose": POSE, "outputs": ["range"], "stride": 2 });
     let (told, half) = parts(session.answer("frame", asked.to_string().as_bytes()));
     let width = told["size"][0].as_u64().unwrap() as usize;
     let second = f32::from_le_bytes(half[4 * width..4 * width + 4].try_into().unwrap());
     assert_eq!((width, second), (images.width as usize / 2, images.range[2 * images.width as usize]));
+}
+
+/// A scan of one row is drawn from above: the sensor's place and the scale take each hit to the picture.
+#[test]
+fn a_scan_of_one_row_is_shown_from_above() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut session = session_with("laser-scanner", &scene("room.glb"), None, folder.path()).unwrap();
+    let pose = [1.0, 1.5, 0.5, 0.0, 0.0, 0.0];
+    let made = step(&mut session, "generate", json!({ "pose": pose }));
+    assert!(made["features"].as_u64().unwrap() > 20, "{made}");
+    let asked = json!({ "pose": pose, "outputs": ["range", "polygon_id"], "features": true });
+    let (told, bytes) = parts(session.answer("frame", asked.to_string().as_bytes()));
+    let above = &told["screen"]["above"];
+    let scale = above["pixels_per_metre"].as_f64().unwrap();
+    let number = |i: usize| f64::from(f32::from_le_bytes(bytes[4 * i..4 * i + 4].try_into().unwrap()));
+    // 361 ranges, ids, and rays; beam 180 looks ahead.
+    let (range, ray) = (number(180), [number(722 + 360), number(722 + 361)]);
+    assert!((ray[0] - 1.0).abs() < 1e-6 && ray[1].abs() < 1e-6, "{ray:?}");
+    let row = above["origin"][1].as_f64().unwrap() - range * scale;
+    assert!(row > 0.0 && row < told["screen"]["size"][1].as_f64().unwrap());
+    assert!(told["strokes"].as_array().unwrap().len() > 20);
+    let regions = json!({ "pose": pose, "sigmas": [0.05, 0.05, 0, 0, 0, 2], "confidence": 0.99 });
+    assert!(ask(&mut session, "regions", regions)["strokes"].as_array().unwrap().iter().all(|s| s[1] == "region"));
 }
 
 #[test]
