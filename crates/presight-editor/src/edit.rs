@@ -275,7 +275,7 @@ fn seen_box(images: &Images, sensor: &presight_model::sensor::Sensor, pose: &Pos
     const AROUND: f64 = 0.05;
     let mut points = Vec::new();
     let whole = f64::from(images.width) * f64::from(images.height);
-    // Every so manieth row and column is enough: the box is a limit on work, and features reach out of it.
+    // A coarse sample is enough: the box only limits the work, and features reach out of it.
     let step = ((whole / 4e4).sqrt().floor() as usize).max(1);
     for row in (0..images.height).step_by(step) {
         for column in (0..images.width).step_by(step) {

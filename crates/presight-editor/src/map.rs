@@ -65,7 +65,7 @@ pub struct WorthMap {
     sensor: Sensor,
     predictor: Predictor,
     grid: Grid,
-    /// Every fourth place of the grid first.
+    /// Every fourth column and row of the grid first, then every second.
     order: Vec<u32>,
     /// By the grid's order.
     places: Vec<Option<Place>>,
@@ -84,12 +84,12 @@ impl WorthMap {
         let mut options = WorthOptions::default();
         (options.spacing, options.floor) = (request.spacing, request.floor);
         let grid = Grid::new(world, &sensor, &options)?;
-        let coarse = |i: &u32| {
+        let fineness = |i: &u32| {
             let [column, row] = grid.places[*i as usize].0;
-            column % 2 != 0 || row % 2 != 0
+            2 - (column | row | 4).trailing_zeros()
         };
         let mut order: Vec<u32> = (0..grid.places.len() as u32).collect();
-        order.sort_by_key(coarse);
+        order.sort_by_key(fineness);
         let places = grid.places.iter().map(|_| None).collect();
         let predictor = Predictor::new(engine.clone())?;
         let key = request.key();

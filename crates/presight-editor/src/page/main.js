@@ -136,9 +136,9 @@ function go(next) {
 
 // The layer.
 
-/** Takes a new state of the session. @param {any} next */
-async function take(next) {
-  const older = !state || state.version !== next.version;
+/** Takes a new state of the session. @param {any} next @param {boolean} [first] */
+async function take(next, first = false) {
+  const older = first || state.version !== next.version;
   state = next;
   if (older) list.take(await send('features'));
   selected = new Set([...selected].filter(id => list.known(id)));
@@ -314,7 +314,7 @@ async function mapGoesOn() {
     if (since !== map.since) continue;
     map.since = answer.stamp;
     for (const place of answer.places) cells.set(`${place[0]},${place[1]}`, place);
-    plan.set({ cells, spacing });
+    plan.set({ cells, spacing, coarse: answer.done === answer.of ? 1 : 4 * answer.done < answer.of ? 4 : 2 });
     drawn.worth = { ...answer, cells };
     get('map-said').textContent = `${answer.done} of ${answer.of} places, eight headings each, ${(floor + (height ?? state.sensor.mount_height)).toFixed(2)} m high`;
     if (answer.done === answer.of) break;
@@ -554,11 +554,15 @@ list.start((id, more) => {
 plan.start((x, y) => go(poses.rounded([x, y, ...pose.slice(2)])));
 panel.empty();
 await guarded(async () => {
-  await take(await send('state'));
-  for (const notice of state.notices) say(notice);
+  state = await send('state');
   pose = state.pose;
-  plan.set({ bounds: state.bounds, fov: view().across, pose });
   wire();
+  // The picture comes first, then the lists.
+  const shown = ask({ full: false });
+  plan.set({ bounds: state.bounds, fov: view().across, pose });
+  await shown;
+  await take(state, true);
+  for (const notice of state.notices) say(notice);
   changed();
   drawPlan();
   stage.focus();

@@ -5,8 +5,8 @@ import { axes } from './pose.js';
 
 const plan = /** @type {HTMLCanvasElement} */ (document.getElementById('plan'));
 
-/** @type {{bounds: number[][]|null, pieces: Float32Array, cells: Map<string, any>, spacing: number, of: number, pose: number[], fov: number}} */
-const shown = { bounds: null, pieces: new Float32Array(), cells: new Map(), spacing: 1, of: 6, pose: [0, 0, 0, 0, 0, 0], fov: 60 };
+/** @type {{bounds: number[][]|null, pieces: Float32Array, cells: Map<string, any>, spacing: number, coarse: number, of: number, pose: number[], fov: number}} */
+const shown = { bounds: null, pieces: new Float32Array(), cells: new Map(), spacing: 1, coarse: 1, of: 6, pose: [0, 0, 0, 0, 0, 0], fov: 60 };
 
 /** @param {Partial<typeof shown>} changes */
 export function set(changes) {
@@ -38,10 +38,15 @@ export function draw() {
   c.fillStyle = '#101216';
   c.fillRect(0, 0, plan.width, plan.height);
   const colours = scale();
-  const side = shown.spacing * to.s;
-  for (const cell of shown.cells.values()) {
-    c.fillStyle = ofMap(cell[shown.of], colours);
-    c.fillRect(to.x(cell[2]) - side / 2, to.y(cell[3]) - side / 2, Math.max(1, side - 0.6), Math.max(1, side - 0.6));
+  // Until the map is whole, the places of its coarse grids stand for those around them.
+  for (const step of [4, 2, 1].filter(n => n <= shown.coarse)) {
+    const side = step * shown.spacing * to.s;
+    for (const cell of shown.cells.values()) {
+      const own = (cell[0] | cell[1]) % 4 === 0 ? 4 : (cell[0] | cell[1]) % 2 === 0 ? 2 : 1;
+      if (own < step || (own > step && step < shown.coarse)) continue;
+      c.fillStyle = ofMap(cell[shown.of], colours);
+      c.fillRect(to.x(cell[2]) - side / 2, to.y(cell[3]) - side / 2, Math.max(1, side - 0.6), Math.max(1, side - 0.6));
+    }
   }
   c.strokeStyle = '#c8cdd6';
   c.lineWidth = 1;

@@ -183,7 +183,7 @@ const args = ['--layer', 'all.layer.json'];
   for (;;) {
     const told = await post('worth', asked());
     since = told.stamp;
-    if (!coarse && told.done >= told.of / 4) coarse = performance.now() - began;
+    if (!coarse && told.done >= told.of / 16) coarse = performance.now() - began;
     if (told.done === told.of) break;
   }
   const map = performance.now() - began;

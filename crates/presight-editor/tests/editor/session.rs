@@ -292,7 +292,12 @@ fn the_map_is_that_of_a_whole_study_after_every_change() {
         asked["since"] = since.into();
         let told = step(session, "worth", asked);
         since = told["stamp"].as_u64().unwrap();
-        for place in told["places"].as_array().unwrap() {
+        let places = told["places"].as_array().unwrap();
+        if cells.is_empty() {
+            let [column, row] = [0, 1].map(|i| places[0][i].as_u64().unwrap());
+            assert!(column % 4 == 0 && row % 4 == 0, "every fourth column and row comes first, not {column}, {row}");
+        }
+        for place in places {
             cells.insert((place[1].as_u64().unwrap(), place[0].as_u64().unwrap()), place.clone());
         }
         if told["done"] == told["of"] {
