@@ -19,16 +19,18 @@ const PICTURE: [(&str, &[&str]); 13] = [
     ("presight", &["presight-supervise", "presight-pictures", "presight-store"]),
     ("presight-testkit", &["presight-pictures"]),
     ("presight-studies", &["presight", "presight-testkit"]),
-    ("presight-cli", &["presight-studies"]),
+    ("presight-editor", &["presight-studies"]),
+    ("presight-cli", &["presight-editor"]),
 ];
 
 /// Crates from outside that only some crates may use, and there only one folder of the sources if it is named.
-const FOREIGN: [(&[&str], &[&str], Option<&str>); 5] = [
+const FOREIGN: [(&[&str], &[&str], Option<&str>); 6] = [
     (&["wgpu", "pollster"], &["presight-predict"], Some("gpu")),
     (&["apriltag"], &["presight-localize"], Some("extract")),
     (&["exr", "gltf", "rhai", "serde-saphyr", "toml"], &["presight-files"], None),
     (&["rusqlite", "twox-hash"], &["presight-store"], None),
     (&["image"], &["presight-files", "presight-pictures"], None),
+    (&["hyper", "tokio"], &["presight-editor"], Some("http")),
 ];
 
 /// Folders, and names of modules and types that their sources may not import.

@@ -14,6 +14,7 @@ const WORDS: &[(&str, &str)] = &[
     ("`Settings::floor_z_world`", "--floor-z"),
     ("`View::features` of a layer", "a --layer"),
     ("`cascade: true`", "--cascade"),
+    ("`port`", "--port"),
     ("`rectified: true`", "--rectified"),
     ("give `poses`", "give --poses FILE.tum"),
     ("start fewer `Threads`", "lower --threads"),
@@ -47,7 +48,7 @@ mod tests {
     fn the_library_names_arguments_and_every_one_that_is_mapped() {
         let crates = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
         let libraries =
-            ["model", "render", "features", "predict", "files", "pictures", "store", "localize", "supervise"];
+            ["model", "render", "features", "predict", "files", "pictures", "store", "localize", "supervise", "editor"];
         let mut folders: Vec<_> = libraries.iter().map(|l| crates.join(format!("presight-{l}/src"))).collect();
         folders.push(crates.parent().unwrap().join("src"));
         let mut unused: Vec<&str> = WORDS.iter().map(|(argument, _)| *argument).collect();

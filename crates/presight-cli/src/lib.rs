@@ -7,6 +7,8 @@ mod deadline;
 mod doctor;
 #[cfg(all(feature = "gpu", target_os = "linux"))]
 mod drivers;
+#[cfg(feature = "edit")]
+mod edit;
 mod engine_args;
 #[cfg(feature = "store")]
 mod env;
@@ -46,7 +48,7 @@ mod virtual_sensor;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use presight::{Scene, SceneOptions};
 use presight_files::gltf::ImportOptions;
-#[cfg(not(all(feature = "report", feature = "store")))]
+#[cfg(not(all(feature = "report", feature = "store", feature = "edit")))]
 use presight_files::not_built;
 use presight_model::error::Result;
 use presight_model::index::IndexKind;
@@ -89,6 +91,15 @@ enum Command {
     Index(index::Args),
     Compare(compare::Args),
     Features(Box<features::Args>),
+    #[cfg(feature = "edit")]
+    Edit(Box<edit::Args>),
+    /// Edit a feature layer on a page: not in this build
+    #[cfg(not(feature = "edit"))]
+    #[command(disable_help_flag = true)]
+    Edit {
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true, hide = true)]
+        rest: Vec<String>,
+    },
     Doctor(doctor::Args),
     Localize(Box<localize::Args>),
     #[cfg(feature = "report")]
@@ -130,6 +141,7 @@ fn features() -> Vec<&'static str> {
         ("script", cfg!(feature = "script")),
         ("store", cfg!(feature = "store")),
         ("report", cfg!(feature = "report")),
+        ("edit", cfg!(feature = "edit")),
     ];
     all.into_iter().filter(|(_, built)| *built).map(|(name, _)| name).collect()
 }
@@ -159,6 +171,10 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         Command::Index(args) => index::run(&args),
         Command::Compare(args) => compare::run(&args),
         Command::Features(args) => features::run(&args),
+        #[cfg(feature = "edit")]
+        Command::Edit(args) => edit::run(&args),
+        #[cfg(not(feature = "edit"))]
+        Command::Edit { .. } => Err(not_built("the editor", "edit")),
         Command::Doctor(args) => doctor::run(&args),
         Command::Localize(args) => localize::run(&args),
         #[cfg(feature = "report")]

@@ -10,6 +10,7 @@ mod overlay;
 mod pen;
 mod polar;
 mod scale;
+mod screen;
 mod top_view;
 mod view;
 
@@ -21,13 +22,15 @@ use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
 pub use map::{GridMap, write_maps};
 pub use overlay::Overlay;
+pub use pen::{Stroke, Style};
 use presight_files::atomic::write_atomically;
 use presight_model::error::{Error, Result};
 use presight_model::measured::GreyImage;
 use presight_model::sensor::{Geometry, Sensor};
 use presight_predict::virtual_sensors::Mask;
 use presight_render::plan::{Images, Output, Outputs};
-use scale::Scale;
+pub use scale::Scale;
+pub use screen::Screen;
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
 

@@ -28,6 +28,7 @@ mod beliefs;
 mod blob;
 mod context;
 mod create;
+mod feature_lines;
 mod hash;
 mod ids;
 mod line;
@@ -44,6 +45,7 @@ mod unique;
 mod write;
 
 pub use create::create;
+pub use feature_lines::{feature_change, feature_line};
 pub use line::apply_line;
 pub use log::LogEntry;
 pub use scene::{Existing, SceneMerge};
