@@ -3,7 +3,7 @@
 use super::context::Context;
 use super::hash::{Hash, of_content};
 use super::log::LogEntry;
-use super::op::{Key, KeySets, Op};
+use super::op::{Key, KeySets, Op, Was};
 use super::rows::{
     Meta, ObjectRow, feature_hash, group_hash, json, layer_hash, material_hash, material_json, mesh_hash, object_hash,
     pose_text,
@@ -185,12 +185,14 @@ impl<'a> Batch<'a> {
             Some(_) => return Err(Error::invalid("the id is neither a string nor a number", "give a string")),
         };
         let evidence = take("evidence").filter(|value| !value.is_null()).map(|value| value.to_string());
+        let was = take("was").map(serde_json::from_value::<Vec<Was>>).transpose().map_err(wrong)?.unwrap_or_default();
         let op: Op = serde_json::from_value(value).map_err(wrong)?;
         if let Some(id) = &id
             && let Some(known) = self.store.known(id)?
         {
             return Ok((known.same_line(id, &op)?, false));
         }
+        was.iter().try_for_each(|was| was.check(self.store.world.environment()))?;
         let request = id.as_ref().map(|_| ids::request(&op)).transpose()?;
         let mut mesh = |_| Err(Error::invalid("mesh numbers are valid only in the log", "give \"like\""));
         let environment = self.store.world.environment();
