@@ -27,7 +27,7 @@ const LEAST_NEW: (usize, usize) = (3, 20);
 /// If a larger share of the decided objects changed, the map, the mount or the sensor is wrong.
 const MOST_CHANGED: f64 = 0.5;
 /// Fewer changes are never too many.
-const FEW: usize = 5;
+const FEW: usize = 3;
 
 /// What happened to the model.
 #[derive(Clone, Debug, PartialEq)]
