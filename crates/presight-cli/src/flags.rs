@@ -47,8 +47,19 @@ mod tests {
     #[test]
     fn the_library_names_arguments_and_every_one_that_is_mapped() {
         let crates = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
-        let libraries =
-            ["model", "render", "features", "predict", "files", "pictures", "store", "localize", "supervise", "editor"];
+        let libraries = [
+            "model",
+            "render",
+            "features",
+            "predict",
+            "files",
+            "pictures",
+            "store",
+            "localize",
+            "supervise",
+            "update",
+            "editor",
+        ];
         let mut folders: Vec<_> = libraries.iter().map(|l| crates.join(format!("presight-{l}/src"))).collect();
         folders.push(crates.parent().unwrap().join("src"));
         let mut unused: Vec<&str> = WORDS.iter().map(|(argument, _)| *argument).collect();

@@ -43,6 +43,8 @@ mod statistics;
 pub mod summary;
 mod supervise;
 mod templates;
+#[cfg(feature = "store")]
+mod update;
 mod virtual_sensor;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
@@ -108,6 +110,15 @@ enum Command {
     #[cfg(not(feature = "report"))]
     #[command(disable_help_flag = true)]
     Replay {
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true, hide = true)]
+        rest: Vec<String>,
+    },
+    #[cfg(feature = "store")]
+    Update(Box<update::Args>),
+    /// Learn what changed: not in this build
+    #[cfg(not(feature = "store"))]
+    #[command(disable_help_flag = true)]
+    Update {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true, hide = true)]
         rest: Vec<String>,
     },
@@ -181,6 +192,10 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         Command::Replay(args) => replay::run(&args),
         #[cfg(not(feature = "report"))]
         Command::Replay { .. } => Err(not_built("pages", "report")),
+        #[cfg(feature = "store")]
+        Command::Update(args) => update::run(&args),
+        #[cfg(not(feature = "store"))]
+        Command::Update { .. } => Err(not_built("updates", "store")),
         Command::Simulate(args) => simulate::run(&args),
         Command::Supervise(args) => supervise::run(&args),
         Command::Query(args) => query::run(&args),

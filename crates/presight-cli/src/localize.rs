@@ -52,7 +52,7 @@ pub struct Args {
     out: PathBuf,
 }
 
-/// Flags shared by `localize`, `replay` and `supervise`: the log, the map, and the options of the localizer.
+/// Flags shared by `localize`, `replay`, `supervise` and `update`: the log, the map, and the options of the localizer.
 #[derive(Clone, Debug, clap::Args)]
 pub struct Drive {
     /// The log
@@ -262,6 +262,51 @@ impl Drive {
         let followed = self.follow_log(&mut log, files, visit);
         print::notices(&log.notice().map(|notice| format!("{}: {notice}", self.log.display())));
         followed
+    }
+
+    /// Reads the log without following it. Calls `visit` with each frame, and with its pose if the log has one.
+    ///
+    /// # Errors
+    /// Errors from reading the log, map and sensor, and from `visit`.
+    #[cfg(feature = "store")]
+    pub fn read(&self, scene: &Scene, mut visit: impl FnMut(&Scene, &Frame, Option<Pose>) -> Result<()>) -> Result<()> {
+        self.check()?;
+        let sensor = self.sensor.as_deref().map(|sensor| self.image.load(sensor)).transpose()?;
+        let log = Frames::open(&self.log, sensor.as_ref(), &self.odometry()?)?;
+        let is_planar = log.has_planar_poses();
+        for observation in log {
+            let observation = observation?;
+            if self.from.is_some_and(|from| observation.frame.stamp < from) {
+                continue;
+            }
+            let lifted = if is_planar { self.on_the_floor(observation) } else { observation };
+            let Observation { frame, reference } = self.thinned(lifted)?;
+            visit(scene, &frame, reference)?;
+        }
+        Ok(())
+    }
+
+    /// Opens the map as [`Drive::follow`] does.
+    ///
+    /// # Errors
+    /// Errors from reading it.
+    #[cfg(feature = "store")]
+    pub fn scene(&self) -> Result<Scene> {
+        let threads = Threads::from(self.threads).started()?;
+        let import = ImportOptions { threads, ..ImportOptions::default() };
+        open_scene_without(&self.map, &import, IndexKind::default(), &self.exclude)
+    }
+
+    /// The same drive options with another log.
+    #[cfg(feature = "store")]
+    pub fn with_log(&self, log: &Path) -> Self {
+        Self { log: log.to_owned(), ..self.clone() }
+    }
+
+    /// The deviation of the model's surfaces, if it is given, metres.
+    #[cfg(feature = "store")]
+    pub fn model_sigma(&self) -> Option<f64> {
+        self.model_sigma
     }
 
     fn follow_log(

@@ -167,6 +167,8 @@ pub struct Info {
     pub changes: u64,
     /// Hash of the last log entry.
     pub head: String,
+    /// Hash of the initial content: the same for all versions of the store.
+    pub genesis: String,
     /// The stored environment.
     pub environment: Environment,
 }
@@ -181,7 +183,8 @@ pub fn info(path: &Path) -> Result<Info> {
         let read::StoreVersion { environment, meta, .. } = read::load(c, path, format, false)?;
         log::walk(c, path, (&meta, format), |_| Ok(()))?;
         let (changes, head) = (meta.changes as u64, hash::hex(&meta.head));
-        Ok(Info { created: meta.created, cause: meta.cause, changes, head, environment })
+        let genesis = hash::hex(&meta.genesis);
+        Ok(Info { created: meta.created, cause: meta.cause, changes, head, genesis, environment })
     })
 }
 

@@ -1,7 +1,7 @@
 //! Lines of `presight env apply`.
 
 use super::context::Context;
-use super::op::Op;
+use super::op::{Op, Was};
 use super::unique::UniqueKeys;
 use presight_files::text::check_json_memory;
 use presight_model::error::{Error, Result};
@@ -15,6 +15,7 @@ pub(super) struct Line {
     pub cause: Option<String>,
     pub id: Option<String>,
     pub evidence: Option<String>,
+    pub was: Vec<Was>,
     pub op: Op,
 }
 
@@ -40,7 +41,8 @@ impl Line {
             Some(_) => return Err(Error::invalid("the id is neither a string nor a number", "give a string")),
         };
         let evidence = take("evidence").filter(|value| !value.is_null()).map(|value| value.to_string());
-        Ok(Self { cause, id, evidence, op: serde_json::from_value(value).map_err(wrong)? })
+        let was = take("was").map(serde_json::from_value::<Vec<Was>>).transpose().map_err(wrong)?.unwrap_or_default();
+        Ok(Self { cause, id, evidence, was, op: serde_json::from_value(value).map_err(wrong)? })
     }
 }
 

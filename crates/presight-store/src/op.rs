@@ -18,12 +18,15 @@
 //! | `set_trust` | `object`, and `trust` (`existence`, `confirmed` UTC seconds, `rate` 1 / s), or null for none |
 //! | `group` | `changes`: all of them or none |
 //!
+//! A line may have `was`: objects with the poses that they had when the change was found, as [{`object`, `pose`}, ..]. It is
+//! refused if one of them stands elsewhere by now.
+//!
 //! A `pose` is x, y, z in metres and roll, pitch, yaw in degrees, or x, y, z, qx, qy, qz, qw.
 
 use glam::{DAffine3, DQuat, DVec3};
 use presight_files::layer::{FeatureFields, to_fields};
 use presight_model::change::Change;
-use presight_model::environment::{Appearance, Existence, Mark, MarkKind, Material, Mesh};
+use presight_model::environment::{Appearance, Environment, Existence, Mark, MarkKind, Material, Mesh};
 use presight_model::error::{Error, Result};
 use presight_model::geometry::{Aabb, InObject, Pose, PoseCovariance};
 use serde::{Deserialize, Serialize};
@@ -252,6 +255,26 @@ impl Op {
                 Self::Group { changes: changes.iter().map(|c| Self::of(c, number_of)).collect::<Result<_>>()? }
             }
         })
+    }
+}
+
+/// Where an object stood when a change was found.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Was {
+    object: String,
+    pose: Vec<f64>,
+}
+
+impl Was {
+    /// Returns an error unless the object still stands there.
+    pub fn check(&self, environment: &Environment) -> Result<()> {
+        let index = environment.index_of(&self.object)?;
+        if environment.objects()[index as usize].world_from_object == pose_of(&self.pose)? {
+            return Ok(());
+        }
+        let what = format!("object {:?} is not where it was when the change was found", self.object);
+        Err(Error::invalid(what, "leave this line out, or find the changes again"))
     }
 }
 

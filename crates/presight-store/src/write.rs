@@ -4,7 +4,7 @@ use super::context::Context;
 use super::hash::{Hash, of_content};
 use super::line::Line;
 use super::log::LogEntry;
-use super::op::{Key, KeySets, Op};
+use super::op::{Key, KeySets, Op, Was};
 use super::rows::{
     Meta, ObjectRow, feature_hash, group_hash, json, layer_hash, material_hash, material_json, mesh_hash, object_hash,
     pose_text,
@@ -164,13 +164,14 @@ impl<'a> Batch<'a> {
     /// As [`Batch::apply`], where restored features must also lie on polygons; [`presight_model::ErrorKind::Invalid`]
     /// if the line is not a valid change.
     pub fn apply_line(&mut self, line: &str, folder: &Path, note: &Note) -> Result<(u64, bool)> {
-        let Line { cause, id, evidence, op } = Line::parse(line)?;
+        let Line { cause, id, evidence, was, op } = Line::parse(line)?;
         let cause = cause.unwrap_or_else(|| note.cause.clone());
         if let Some(id) = &id
             && let Some(known) = self.store.known(id)?
         {
             return Ok((known.same_line(id, &op)?, false));
         }
+        was.iter().try_for_each(|was| was.check(self.store.world.environment()))?;
         let request = id.as_ref().map(|_| ids::request(&op)).transpose()?;
         let mut mesh = |_| Err(Error::invalid("mesh numbers are valid only in the log", "give \"like\""));
         let environment = self.store.world.environment();

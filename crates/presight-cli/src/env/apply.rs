@@ -35,7 +35,8 @@ PATH names an object; "move", "set_pose" and "delete_object" also accept the pat
   {"op":"remove_mark","mark":NAME}
   {"op":"set_trust","object":PATH,"trust":{"existence":P,"confirmed":UTC,"rate":R}}
   {"op":"group","changes":[..]}                all of them or none
-A line may have a "cause", an "id", and "evidence", which the log keeps. A line whose id has been applied before is acknowledged
+A line may have a "cause", an "id", "evidence", which the log keeps, and "was":[{"object":PATH,"pose":[..]}]:
+it is refused unless these objects stand there. A line whose id has been applied before is acknowledged
 and has no effect; another change with the same id is an error."#;
 
 /// Apply changes, one JSON object per line; prints `ack K` once line K is safely on disk

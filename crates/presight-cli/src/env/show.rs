@@ -1,5 +1,6 @@
 //! `presight env info`, `check` and `log`.
 
+use super::stale::Stale;
 use crate::print;
 use presight_files::preparation::lost_features;
 use presight_model::environment::{Environment, Existence, Mark, Object};
@@ -19,12 +20,13 @@ pub fn live(environment: &Environment) -> impl Iterator<Item = &Object> {
 }
 
 /// `presight env info`.
-pub fn info(path: &Path, as_json: bool) -> Result<()> {
+pub fn info(path: &Path, as_json: bool, stale: Option<&Stale>) -> Result<()> {
     let info = store::info(path)?;
     let environment = &info.environment;
     let groups = environment.groups();
     let layer = |l: &presight_model::environment::FeatureLayer| json!({"class": l.class, "features": l.features.len()});
-    let value = json!({
+    let stale = stale.map(|stale| stale.of(environment));
+    let mut value = json!({
         "format": FORMAT,
         "store": path.display().to_string(),
         "created": info.created,
@@ -40,6 +42,9 @@ pub fn info(path: &Path, as_json: bool) -> Result<()> {
         "marks": environment.marks().map(|(name, m)| mark(name, m)).collect::<Vec<_>>(),
         "trust": environment.trusts().map(|(object, t)| trust(object, t)).collect::<Vec<_>>(),
     });
+    if let Some(stale) = &stale {
+        value["stale"] = stale.iter().map(|(what, since)| json!({"what": what, "confirmed": since})).collect();
+    }
     if as_json {
         return print::data(&(pretty(&value, path)? + "\n"));
     }
@@ -50,9 +55,10 @@ pub fn info(path: &Path, as_json: bool) -> Result<()> {
     lines.push(format!("objects    {} of {} polygons", live(environment).count(), value["polygons"]));
     lines.push(format!("groups     {}", groups.len()));
     lines.extend(environment.layers().iter().map(|l| format!("layer      {}: {} features", l.class, l.features.len())));
-    if environment.marks().len() > 0 {
-        lines.push(format!("marks      {}", environment.marks().len()));
-    }
+    let name = |(name, m): (&str, &Mark)| format!("mark       {name}: {} {}", m.kind.name(), m.object);
+    lines.extend(environment.marks().map(name));
+    let since = |time: &Option<f64>| time.map_or("never confirmed".to_owned(), |t| format!("confirmed {}", utc(t)));
+    lines.extend(stale.iter().flatten().map(|(what, time)| format!("stale      {what}: {}", since(time))));
     lines.push(String::new());
     lines.extend(live(environment).map(|o| format!("  {}", o.name)));
     print::lines(lines)

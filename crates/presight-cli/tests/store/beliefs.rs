@@ -53,7 +53,7 @@ fn marks_and_trust_are_kept_and_undone() {
     drop(store);
     let said = &json(run(&["env", "info", "--json"], &path))[0];
     assert_eq!((&said["marks"][0]["class"], &said["trust"][1]["existence"]), (&"laser".into(), &0.9.into()));
-    // What is left out of an export is said.
+    // An export says which content it leaves out.
     let out = presight().args(["env", "export"]).args([&path, &folder.path().join("out")]).output().unwrap();
     assert!(String::from_utf8_lossy(&out.stderr).contains("1 marks and the trust in 2 objects"), "{out:?}");
     // All undone, newest first, and the first content is back.
@@ -153,7 +153,7 @@ fn absent_marks_hide_for_their_class_in_images_and_in_batches() {
         let (world, sensor) = (marked(mark), scanner(class));
         let images = predictor.predict(&world, &sensor, &Pose::IDENTITY, &Request::default()).unwrap().images;
         assert!((f64::from(images.range[5]) - range).abs() < 1e-5, "{mark:?} for {class}: {}", images.range[5]);
-        // The likelihood of a batch comes from a cut of the world: it is greatest at what is predicted.
+        // The likelihood of a batch comes from a cut of the world: it is greatest at the predicted ranges.
         let weigh = |z: f64, predictor: &mut Predictor| {
             let frame = Frame::new(0.0, sensor.clone(), Measurement::Range(vec![z as f32; 11])).unwrap();
             let likelihood = Some(RangeLikelihood::new(&frame, PoseCell::default()).unwrap());

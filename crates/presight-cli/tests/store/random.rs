@@ -94,7 +94,7 @@ fn from_scratch(environment: &Environment) -> Environment {
 fn seen(world: &World) -> Vec<(u32, Option<(String, u32)>)> {
     let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).unwrap();
     let sensor = presight_files::preset("laser-range-camera").unwrap();
-    let pose = Pose::from_xyz_rpy(glam::DVec3::new(0.1, 0.2, 2.0), 0.0, 0.2, 0.1);
+    let pose = Pose::from_xyz_rpy(DVec3::new(0.1, 0.2, 2.0), 0.0, 0.2, 0.1);
     let images = predictor.predict(world, &sensor, &pose, &Request::default()).unwrap().images;
     let environment = world.environment();
     let polygon = |id: u32| {

@@ -143,7 +143,7 @@ impl ExpectedImage {
         .with_marks(world))
     }
 
-    /// Notes which pixels see what is marked as uncertain.
+    /// Notes which pixels see parts that are marked as uncertain.
     fn with_marks(mut self, world: &World) -> Self {
         let environment = world.environment();
         if environment.marks().any(|(_, mark)| mark.kind == MarkKind::Uncertain) {
@@ -157,7 +157,7 @@ impl ExpectedImage {
         self
     }
 
-    /// True if a pixel sees what is marked as uncertain.
+    /// True if a pixel sees a part that is marked as uncertain.
     pub fn is_uncertain(&self, pixel: usize) -> bool {
         self.uncertain.get(pixel).is_some_and(|uncertain| *uncertain)
     }

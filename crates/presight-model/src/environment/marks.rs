@@ -1,4 +1,4 @@
-//! Marks and trust: what is known of objects beside their shape and pose.
+//! Marks and trust: knowledge of objects in addition to their shape and pose.
 
 use super::{Environment, Existence};
 use crate::error::{Error, Result};
@@ -31,7 +31,7 @@ impl MarkKind {
 pub struct Mark {
     /// Full path of the object.
     pub object: String,
-    /// What it says.
+    /// The statement.
     pub kind: MarkKind,
     /// The sensor class that it concerns; `None` concerns all.
     pub class: Option<String>,
@@ -96,7 +96,7 @@ impl Environment {
     }
 
     /// How sure it is that objects exist, by rising path: probability, last confirmation and decay. Objects that are
-    /// not listed were never asked about.
+    /// not listed were never looked for.
     pub fn trusts(&self) -> impl ExactSizeIterator<Item = (&str, &Existence)> {
         self.beliefs.trust.iter().map(|(object, trust)| (object.as_str(), trust))
     }
@@ -128,7 +128,7 @@ impl Environment {
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] if there is no such mark.
     pub fn remove_mark(&mut self, name: &str) -> Result<Mark> {
-        let none = || Error::invalid(format!("there is no mark {name:?}"), "presight env info --json lists the marks");
+        let none = || Error::invalid(format!("there is no mark {name:?}"), "presight env info lists the marks");
         self.beliefs.marks.remove(name).ok_or_else(none)
     }
 
