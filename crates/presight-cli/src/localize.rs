@@ -525,7 +525,7 @@ impl Drive {
     }
 
     /// Standard deviation of the model's surfaces for a sensor, metres.
-    pub fn model_sigma(&self, sensor: &Sensor) -> f64 {
+    pub fn model_sigma_of(&self, sensor: &Sensor) -> f64 {
         self.options(sensor).model_sigma
     }
 

@@ -176,7 +176,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
 
 impl Run {
     fn new(args: &Args, corridor: &Corridor, options: SuperviseOptions, frame: &Frame) -> Result<Self> {
-        let options = options.with_model_sigma(args.drive.model_sigma(frame.sensor()));
+        let options = options.with_model_sigma(args.drive.model_sigma_of(frame.sensor()));
         let supervisor = Supervisor::new(corridor.clone(), options)?;
         let threads = Threads::from(args.drive.threads).started()?;
         let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads))?;

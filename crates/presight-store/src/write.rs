@@ -4,7 +4,7 @@ use super::context::Context;
 use super::hash::{Hash, of_content};
 use super::line::Line;
 use super::log::LogEntry;
-use super::op::{Key, KeySets, Op, Was};
+use super::op::{Key, KeySets, Op};
 use super::rows::{
     Meta, ObjectRow, feature_hash, group_hash, json, layer_hash, material_hash, material_json, mesh_hash, object_hash,
     pose_text,
