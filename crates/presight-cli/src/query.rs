@@ -12,7 +12,8 @@ use presight_model::index::IndexKind;
 use presight_model::world::World;
 use presight_predict::virtual_sensors::CorridorFrame;
 use presight_supervise::query::{
-    FloorPath, PathOptions, Place, UncertainOptions, docks, find_path, objects_in, surface_distance, uncertain_features,
+    FloorPath, PathOptions, Place, UncertainOptions, docks, find_path, objects_in, surface_distance,
+    uncertain_features, uncertain_objects,
 };
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -60,7 +61,7 @@ pub struct Args {
     #[arg(long, value_name = "X,Y,Z", group = "question", allow_hyphen_values = true)]
     free: Option<String>,
 
-    /// Features that probably do not exist any more, or were not confirmed --since
+    /// Marks, and objects and features that probably do not exist any more, or were not confirmed --since
     #[arg(long, group = "question")]
     uncertain: bool,
 
@@ -263,11 +264,24 @@ fn uncertain(world: &World, options: &UncertainOptions) -> Result<(Value, Vec<St
             u.confirmed
         )
     };
-    let mut lines: Vec<String> = found.iter().map(line).collect();
+    let objects = uncertain_objects(world, options)?;
+    let object_value = objects.iter().map(|o| {
+        json!({
+            "object": o.object, "mark": o.mark, "class": o.class, "existence": o.existence, "confirmed": o.confirmed,
+            "doubt": o.doubt.name(),
+        })
+    });
+    let object_line = |o: &presight_supervise::query::UncertainObject| {
+        let mark = o.mark.as_deref().map_or(String::new(), |mark| format!(", mark {mark:?}"));
+        let class = o.class.as_deref().map_or(String::new(), |class| format!(" for {class}"));
+        let existence = o.existence.map_or(String::new(), |e| format!(", existence {e:.3}"));
+        format!("{}: object {}{class}{mark}{existence}", o.doubt.name(), o.object)
+    };
+    let mut lines: Vec<String> = objects.iter().map(object_line).chain(found.iter().map(line)).collect();
     if lines.is_empty() {
         lines.push("nothing is uncertain".to_owned());
     }
-    Ok((json!({ "features": value.collect::<Vec<_>>() }), lines))
+    Ok((json!({ "objects": object_value.collect::<Vec<_>>(), "features": value.collect::<Vec<_>>() }), lines))
 }
 
 fn way(world: &World, from: DVec3, to: DVec3, seen: &[Aabb], options: &PathOptions) -> Result<(Value, Vec<String>)> {

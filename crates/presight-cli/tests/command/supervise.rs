@@ -121,8 +121,6 @@ fn questions_are_answered_as_text_and_as_json() {
     assert!((free - 0.85f64.hypot(0.4)).abs() < 1e-6, "{free}");
     assert!(place.done("query docking.rhai --uncertain --below 0.95").contains("chipped edge"));
     assert!(place.done("query docking.rhai --path 0,0,0 3.6,1.2,0 --radius 0.3").starts_with("a way of"));
-    let blocked = place.done("query docking.rhai --path 0,0,0 3.6,1.2,0 --radius 1.1");
-    assert!(blocked.starts_with("no way: "), "{blocked}");
 }
 
 #[test]

@@ -13,4 +13,6 @@ pub use distance::{NearestSurface, surface_distance};
 pub use docks::{Dock, docks};
 pub use objects::{ObjectFound, Place, objects_in};
 pub use path::{FloorPath, PathOptions, find_path};
-pub use uncertain::{Doubt, UncertainFeature, UncertainOptions, uncertain_features};
+pub use uncertain::{
+    Doubt, UncertainFeature, UncertainObject, UncertainOptions, uncertain_features, uncertain_objects,
+};

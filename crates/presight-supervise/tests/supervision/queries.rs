@@ -7,7 +7,8 @@ use presight_model::geometry::{Aabb, Pose};
 use presight_model::world::World;
 use presight_predict::virtual_sensors::Corridor;
 use presight_supervise::query::{
-    FloorPath, PathOptions, Place, UncertainOptions, docks, find_path, objects_in, surface_distance, uncertain_features,
+    FloorPath, PathOptions, Place, UncertainOptions, docks, find_path, objects_in, surface_distance,
+    uncertain_features, uncertain_objects,
 };
 use presight_testkit::{Random, data, scenes};
 use std::collections::{BinaryHeap, HashMap};
@@ -200,4 +201,28 @@ fn ways_that_cannot_be_say_why() {
     let around = find_path(&world, from, DVec3::new(3.7, 0.3, 0.0), &[low], &options).unwrap();
     let FloorPath::Found { points, .. } = around else { panic!("{around:?}") };
     assert!(points.iter().any(|p| p.y.abs() > 1.2), "around it");
+}
+
+#[test]
+fn marks_and_little_trust_are_uncertain() {
+    use presight_model::environment::{Existence, Mark, MarkKind};
+    use presight_supervise::query::Doubt;
+    let mut environment = scenes::empty();
+    for name in ["old", "new", "gone"] {
+        environment.add_cuboid(name, at(0.0, 0.0, 0.0), DVec3::ONE).unwrap();
+    }
+    let trust = |p0: f64, confirmed: f64| Some(Existence { p0, confirmed, rate: 0.0 });
+    environment.set_trust("old", trust(0.3, 10.0)).unwrap();
+    environment.set_trust("new", trust(0.9, 20.0)).unwrap();
+    let mark = Mark { object: "gone".to_owned(), kind: MarkKind::Absent, class: None, bounds: None };
+    environment.set_mark("m1", mark).unwrap();
+    let world = World::new(environment);
+    let found = |options: &UncertainOptions| -> Vec<(String, Doubt)> {
+        uncertain_objects(&world, options).unwrap().into_iter().map(|o| (o.object, o.doubt)).collect()
+    };
+    let marked = ("gone".to_owned(), Doubt::Marked(MarkKind::Absent));
+    let old = ("old".to_owned(), Doubt::LowExistence);
+    assert_eq!(found(&UncertainOptions::default()), [marked.clone(), old.clone()]);
+    let since = UncertainOptions::default().with_since(Some(30.0));
+    assert_eq!(found(&since), [marked, ("new".to_owned(), Doubt::NotConfirmed), old]);
 }
