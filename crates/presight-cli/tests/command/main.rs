@@ -26,6 +26,8 @@ mod scripts;
 #[cfg(unix)]
 mod signals;
 mod special;
+#[cfg(feature = "store")]
+mod update;
 mod virtual_sensors;
 
 use assert_cmd::Command;
