@@ -30,6 +30,8 @@ mod signals;
 mod special;
 #[cfg(feature = "script")]
 mod supervise;
+#[cfg(feature = "store")]
+mod update;
 mod virtual_sensors;
 
 use assert_cmd::Command;
