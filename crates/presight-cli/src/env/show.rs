@@ -2,7 +2,7 @@
 
 use crate::print;
 use presight_files::preparation::lost_features;
-use presight_model::environment::{Environment, Object};
+use presight_model::environment::{Environment, Existence, Mark, Object};
 use presight_model::error::{Error, Result};
 use presight_model::printable::clipped;
 use presight_store as store;
@@ -37,6 +37,8 @@ pub fn info(path: &Path, as_json: bool) -> Result<()> {
         "polygons": live(environment).map(|o| o.mesh.polygon_count()).sum::<usize>(),
         "materials": environment.materials().iter().map(|m| &m.name).collect::<Vec<_>>(),
         "layers": environment.layers().iter().map(layer).collect::<Vec<_>>(),
+        "marks": environment.marks().map(|(name, m)| mark(name, m)).collect::<Vec<_>>(),
+        "trust": environment.trusts().map(|(object, t)| trust(object, t)).collect::<Vec<_>>(),
     });
     if as_json {
         return print::data(&(pretty(&value, path)? + "\n"));
@@ -48,9 +50,21 @@ pub fn info(path: &Path, as_json: bool) -> Result<()> {
     lines.push(format!("objects    {} of {} polygons", live(environment).count(), value["polygons"]));
     lines.push(format!("groups     {}", groups.len()));
     lines.extend(environment.layers().iter().map(|l| format!("layer      {}: {} features", l.class, l.features.len())));
+    if environment.marks().len() > 0 {
+        lines.push(format!("marks      {}", environment.marks().len()));
+    }
     lines.push(String::new());
     lines.extend(live(environment).map(|o| format!("  {}", o.name)));
     print::lines(lines)
+}
+
+fn mark(name: &str, mark: &Mark) -> Value {
+    let bounds = mark.bounds.map(|b| [b.min.to_array(), b.max.to_array()]);
+    json!({"mark": name, "object": mark.object, "kind": mark.kind.name(), "class": mark.class, "box": bounds})
+}
+
+fn trust(object: &str, trust: &Existence) -> Value {
+    json!({"object": object, "existence": trust.p0, "confirmed": trust.confirmed, "rate": trust.rate})
 }
 
 /// `presight env check`.
@@ -98,6 +112,7 @@ fn json_line(e: &LogEntry, path: &Path) -> Result<String> {
         "undoes": e.undoes,
         "change": parse(&e.change)?,
         "inverse": parse(&e.inverse)?,
+        "evidence": e.evidence.as_deref().map(parse).transpose()?,
         "hash": presight_model::environment::ContentHash(e.hash).to_string(),
     });
     Ok(value.to_string())

@@ -228,6 +228,9 @@ impl<'a> PixelJudge<'a> {
         let ray = self.expected_from_now.rotation * ray;
         let here = self.on_plane(at, ray, z);
         let predicted = here.map_or(f64::from(e.pixels[at].range), |(range, _)| range);
+        if e.is_uncertain(at) {
+            return (Verdict::Undecidable, predicted);
+        }
         // The window holds the pixel itself: what it confirms is neither nearer nor farther than all of them.
         if let Some((range, sigma)) = here
             && (z - range).abs() <= BOUND * sigma
