@@ -6,7 +6,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The crates of ARCHITECTURE's picture, lowest first, with those that stand directly below each.
-const PICTURE: [(&str, &[&str]); 12] = [
+const PICTURE: [(&str, &[&str]); 13] = [
     ("presight-model", &[]),
     ("presight-render", &["presight-model"]),
     ("presight-features", &["presight-render"]),
@@ -15,7 +15,8 @@ const PICTURE: [(&str, &[&str]); 12] = [
     ("presight-pictures", &["presight-files"]),
     ("presight-store", &["presight-files"]),
     ("presight-localize", &["presight-predict"]),
-    ("presight", &["presight-localize", "presight-pictures", "presight-store"]),
+    ("presight-explore", &["presight-localize", "presight-store"]),
+    ("presight", &["presight-explore", "presight-pictures"]),
     ("presight-testkit", &["presight-pictures"]),
     ("presight-studies", &["presight", "presight-testkit"]),
     ("presight-cli", &["presight-studies"]),
@@ -38,8 +39,9 @@ const STRANGERS: [(&str, &[&str]); 4] = [
     ("crates/presight-files/src", &["reference", "cpu", "gpu", "engine", "Predictor"]),
 ];
 
-/// Most modules, most types, and most names at the root of the facade.
-const FACADE: [usize; 3] = [14, 130, 60];
+/// Most modules, most types, and most names at the root of the facade. Exploration has nine types: what goes in, what comes out,
+/// and the occupancy grid.
+const FACADE: [usize; 3] = [15, 139, 61];
 
 fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -299,7 +301,7 @@ fn planted_faults_are_found() {
     let faults = facade.faults(&types, &BTreeSet::new());
     assert_eq!(
         faults,
-        ["the facade has 15 modules, at most 14 are allowed", "the facade has 131 types, at most 130 are allowed"]
+        ["the facade has 16 modules, at most 15 are allowed", "the facade has 140 types, at most 139 are allowed"]
     );
     let glob =
         "pub use presight_model::*;\npub use presight_files::layer;\npub use presight_files::poses::{self, Type1};\n";

@@ -4,6 +4,9 @@
 const WORDS: &[(&str, &str)] = &[
     ("`Backend::Cpu`", "--backend cpu"),
     ("`Existing::Replace`", "--replace"),
+    ("`GridOptions::cell`", "--cell"),
+    ("`GridOptions::from_height`", "--from-height"),
+    ("`GridOptions::to_height`", "--to-height"),
     ("`ImportOptions::scale`", "--scale"),
     ("`ImportOptions::up`", "--up"),
     ("`PoseFrame::Optical`", "--pose-frame optical"),
@@ -46,7 +49,7 @@ mod tests {
     #[test]
     fn the_library_names_arguments_and_every_one_that_is_mapped() {
         let crates = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
-        let libraries = ["model", "render", "features", "predict", "files", "pictures", "store", "localize"];
+        let libraries = ["model", "render", "features", "predict", "files", "pictures", "store", "localize", "explore"];
         let mut folders: Vec<_> = libraries.iter().map(|l| crates.join(format!("presight-{l}/src"))).collect();
         folders.push(crates.parent().unwrap().join("src"));
         let mut unused: Vec<&str> = WORDS.iter().map(|(argument, _)| *argument).collect();

@@ -19,6 +19,8 @@ pub(crate) struct Evidence {
     pub pass: f32,
     /// Number of rays that ended on it.
     pub hits: u32,
+    /// Number of rays that went through it.
+    pub passes: u32,
 }
 
 /// Within how far of a plane a ray ends on it, and beyond how far it went through it, metres. Wider, and planes stick
@@ -53,22 +55,25 @@ fn add(view: &View, plane: &Flat, places: &[(f32, f32)], margins: Margins, evide
     let centre = view.to_image(plane.centre).as_vec3();
     let [x, y] = plane.axes().map(|a| view.direction_to_image(a).as_vec3());
     let normal = view.direction_to_image(plane.normal).as_vec3();
-    let height = normal.dot(centre).abs();
+    // Negative if the sensor is on the back.
+    let side = -normal.dot(centre).signum();
     for ((u, v), evidence) in places.iter().zip(evidence) {
         let p: Vec3 = centre + x * *u + y * *v;
-        let Some(measured) = view.measured_towards(p) else { continue };
-        let distance = p.length();
-        let cosine = height / distance;
+        let Some((ray, measured)) = view.towards(p) else { continue };
+        let falling = normal.dot(ray);
+        let (distance, cosine) = (p.length(), falling.abs());
         if cosine < LEAST_COSINE {
             continue;
         }
-        let behind = (measured - distance) * cosine;
+        // The measured point counts, because the ray of the pixel does not lead exactly to the cell.
+        let behind = side * (normal.dot(centre) - measured * falling);
         let weight = cosine / distance.max(NEAREST);
         if behind.abs() < margins.hit {
             evidence.hit += weight;
             evidence.hits += 1;
         } else if behind > margins.pass {
             evidence.pass += weight;
+            evidence.passes += 1;
         }
     }
 }

@@ -29,6 +29,15 @@ pub(crate) struct Piece {
     pub corners: Vec<DVec3>,
 }
 
+impl Piece {
+    /// Square metres.
+    pub fn area(&self) -> f64 {
+        let c = &self.corners;
+        let sum: DVec3 = (1..c.len() - 1).map(|k| (c[k] - c[0]).cross(c[k + 1] - c[0])).sum();
+        0.5 * sum.length()
+    }
+}
+
 /// How outlines are found.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct OutlineOptions {
@@ -49,6 +58,14 @@ pub struct Areas {
     pub open: f64,
     /// Next to explored surfaces: nobody looked.
     pub unseen: f64,
+}
+
+impl Areas {
+    pub(crate) fn add(&mut self, other: &Self) {
+        self.surface += other.surface;
+        self.open += other.open;
+        self.unseen += other.unseen;
+    }
 }
 
 /// What one plane shows.
@@ -79,20 +96,14 @@ pub(crate) fn outlines(
 
 fn outline(views: &Views, corners: &Corners<'_>, members: &[u32], options: OutlineOptions) -> Outline {
     let (plane, surfels) = (&corners.planes[corners.plane as usize], &corners.surface.surfels);
-    let nothing = || Outline {
-        pieces: Vec::new(),
-        areas: Areas::default(),
-        unseen: (Vec::new(), 0.0),
-        evidence: [0.0; 2],
-    };
+    let nothing =
+        || Outline { pieces: Vec::new(), areas: Areas::default(), unseen: (Vec::new(), 0.0), evidence: [0.0; 2] };
     let mut sizes: Vec<f64> = members.iter().map(|m| surfels[*m as usize].size).collect();
     let Some(size) = presight_model::statistics::median(&mut sizes).filter(|_| members.len() > 1) else {
         return nothing();
     };
-    let places: Vec<(DVec2, f64)> = members
-        .iter()
-        .map(|m| (plane.place(surfels[*m as usize].at), REACH * surfels[*m as usize].size))
-        .collect();
+    let places: Vec<(DVec2, f64)> =
+        members.iter().map(|m| (plane.place(surfels[*m as usize].at), REACH * surfels[*m as usize].size)).collect();
     let first = places[0].0;
     let around = |(a, b): (DVec2, DVec2), (q, reach): &(DVec2, f64)| (a.min(*q - *reach), b.max(*q + *reach));
     let (least, most) = places.iter().fold((first, first), around);

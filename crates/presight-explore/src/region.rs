@@ -16,6 +16,8 @@ const SPREAD: f64 = 0.3;
 const NORMAL_SPREAD: f64 = 0.06;
 /// What deviating normals cost in a merge, in squares of the least size of surfels.
 const NORMAL_COST: f64 = 0.15;
+/// A merge that costs less than this makes no difference: squares of the least size of surfels.
+const CHEAP: f64 = 0.03;
 /// How often regions adapt to each other before and after they are merged.
 const ROUNDS: [usize; 2] = [4, 5];
 
@@ -27,11 +29,11 @@ pub(crate) struct Regions {
 }
 
 impl Regions {
-    /// At most `most` planes; fewer where merging costs less than `cheap`, in squares of the least size of surfels.
-    pub fn new(surface: &Surface, least: f64, most: usize, cheap: f64) -> Self {
+    /// At most `most` planes; fewer where merging costs next to nothing. `least` is the least size of surfels.
+    pub fn new(surface: &Surface, least: f64, most: usize) -> Self {
         let mut regions = grown(surface);
         regions.adapt(surface, ROUNDS[0]);
-        regions.merge(surface, least, most, cheap);
+        regions.merge(surface, least, most);
         regions.adapt(surface, ROUNDS[1]);
         regions
     }
@@ -45,7 +47,7 @@ impl Regions {
         members
     }
 
-    /// Each surfel goes to the best plane among those of its neighbours; planes follow.
+    /// Each surfel goes to the best plane of its neighbours' planes; planes follow.
     fn adapt(&mut self, surface: &Surface, rounds: usize) {
         for _ in 0..rounds {
             let (labels, planes) = (&self.labels, &self.planes);
@@ -66,8 +68,8 @@ impl Regions {
     }
 
     /// Merges neighbouring regions, the cheapest pair first.
-    fn merge(&mut self, surface: &Surface, least: f64, most: usize, cheap: f64) {
-        // Large surfels are as uncertain as they are large.
+    fn merge(&mut self, surface: &Surface, least: f64, most: usize) {
+        // The uncertainty of a surfel grows with its size.
         let weight = |s: &Surfel| (least / s.size).powi(2);
         let mut merger = Merger::new(moments(surface, &self.labels, self.planes.len(), weight), least);
         for (i, label) in self.labels.iter().enumerate() {
@@ -75,7 +77,7 @@ impl Regions {
                 merger.touch(*label, self.labels[*n as usize]);
             }
         }
-        let number = merger.run(most, cheap * least * least);
+        let number = merger.run(most, CHEAP * least * least);
         self.labels.iter_mut().for_each(|label| *label = number[*label as usize]);
         let count = number.iter().filter(|n| **n != u32::MAX).max().map_or(0, |n| *n as usize + 1);
         self.planes = moments(surface, &self.labels, count, |s| s.weight).iter().map(Moments::plane).collect();

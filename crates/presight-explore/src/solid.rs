@@ -15,7 +15,11 @@ use presight_render::plan::{Images, Output, Outputs};
 const SAME_SURFACE: f64 = 10.0;
 
 /// The mesh of convex polygons with these corners, metres. Polygons that f32 cannot hold become triangles, or go.
-pub(crate) fn mesh<'a>(name: &str, polygons: impl Iterator<Item = &'a [DVec3]>, base: DVec3) -> Result<(Mesh, Vec<u32>)> {
+pub(crate) fn mesh<'a>(
+    name: &str,
+    polygons: impl Iterator<Item = &'a [DVec3]>,
+    base: DVec3,
+) -> Result<(Mesh, Vec<u32>)> {
     let (mut vertices, mut list, mut of) = (Vec::new(), Vec::new(), Vec::new());
     let is_sound = |corners: &[Vec3]| {
         let polygon = Polygon::new((0..corners.len() as u32).collect(), 0);
@@ -62,11 +66,16 @@ impl Solid {
         let mut environment = Environment::new();
         environment.add_material(Material::named("explored"))?;
         let (mesh, piece) = mesh("explored", pieces.iter().map(|p| &p.corners[..]), DVec3::ZERO)?;
-        environment.insert(NewObject::new("explored", Pose { translation: views.base(), ..Pose::IDENTITY }, mesh.into()))?;
+        environment.insert(NewObject::new(
+            "explored",
+            Pose { translation: views.base(), ..Pose::IDENTITY },
+            mesh.into(),
+        ))?;
         Ok(Self { world: World::new(environment), piece })
     }
 
-    /// Visits all pixels, of each `step`-th view, where something is measured and something predicted.
+    /// Visits all pixels, of each `step`-th view, where something is measured, if only that nothing is within reach, and
+    /// something predicted.
     pub fn visit(&self, predictor: &mut Predictor, views: &Views, step: usize, visit: impl FnMut(Seen)) -> Result<()> {
         visit_world(predictor, &self.world, views, step, |slot| self.piece[slot as usize], visit)
     }
@@ -88,7 +97,7 @@ pub(crate) fn visit_world(
         predictor.predict_images(world, view.sensor(), &view.world_from_sensor, outputs, &mut images)?;
         for pixel in 0..view.ranges.len() {
             let (predicted, measured, id) = (images.range[pixel], view.ranges[pixel], images.polygon_id[pixel]);
-            if id > 0 && predicted.is_finite() && measured.is_finite() {
+            if id > 0 && predicted.is_finite() && !measured.is_nan() {
                 let (predicted, measured) = (f64::from(predicted), f64::from(measured));
                 visit(Seen { view: at, pixel, piece: number(id - 1), predicted, measured });
             }
@@ -145,21 +154,86 @@ pub(crate) fn refitted(
     Ok(planes.iter().zip(&sums).zip(&axes).map(moved).collect())
 }
 
-/// What rays say about each piece: pixels that it explains, and pixels that it blocks.
+/// What rays say about a piece.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Shown {
+    /// Pixels that it explains.
+    pub explains: u32,
+    /// Pixels that saw something behind it.
+    pub blocks: u32,
+}
+
+/// What all views say about pieces and their planes.
+pub(crate) struct Verdicts {
+    /// By piece.
+    pub shown: Vec<Shown>,
+    /// By plane: its standard deviation along its normal, metres.
+    pub sigmas: Vec<f64>,
+    /// By plane: the lowest plane that a chain of views joins it with.
+    pub parts: Vec<u32>,
+}
+
+/// What rays say about each piece, and about its plane.
 pub(crate) fn shown(
     predictor: &mut Predictor,
     views: &Views,
     solid: &Solid,
     pieces: &[Piece],
     tolerance: &[f64],
-) -> Result<Vec<[u32; 2]>> {
-    let mut shown = vec![[0; 2]; pieces.len()];
+) -> Result<Verdicts> {
+    let mut shown = vec![Shown::default(); pieces.len()];
+    // Squares, pixels, views and the last view of each plane.
+    let mut sums = vec![(0.0, 0.0, 0.0, usize::MAX); tolerance.len()];
+    let (mut parts, mut first) = (Parts::new(tolerance.len()), (usize::MAX, 0));
     solid.visit(predictor, views, 1, |seen| {
-        let near = 4.0 * tolerance[pieces[seen.piece as usize].plane as usize];
-        let behind = seen.measured - seen.predicted;
-        let counts = &mut shown[seen.piece as usize];
-        counts[0] += u32::from(behind.abs() < near);
-        counts[1] += u32::from(behind > 2.0 * near);
+        let plane = pieces[seen.piece as usize].plane as usize;
+        let (near, behind) = (4.0 * tolerance[plane], seen.measured - seen.predicted);
+        let piece = &mut shown[seen.piece as usize];
+        piece.explains += u32::from(behind.abs() < near);
+        piece.blocks += u32::from(behind > 2.0 * near);
+        if behind.abs() < near {
+            let (squares, pixels, views, last) = &mut sums[plane];
+            *squares += behind * behind;
+            *pixels += 1.0;
+            *views += if *last == seen.view { 0.0 } else { 1.0 };
+            *last = seen.view;
+            if first.0 != seen.view {
+                first = (seen.view, plane as u32);
+            }
+            parts.join(first.1, plane as u32);
+        }
     })?;
-    Ok(shown)
+    // Errors of the pixels of one view are common to them, so that views count and pixels do not.
+    let sigma = |((squares, pixels, views, _), tolerance): (&(f64, f64, f64, usize), &f64)| {
+        if *views > 0.0 { (squares / pixels / views).sqrt().max(1e-4) } else { *tolerance }
+    };
+    let sigmas = sums.iter().zip(tolerance).map(sigma).collect();
+    Ok(Verdicts { shown, sigmas, parts: parts.roots() })
+}
+
+/// Sets of numbers that are joined.
+pub(crate) struct Parts(Vec<u32>);
+
+impl Parts {
+    pub fn new(count: usize) -> Self {
+        Self((0..count as u32).collect())
+    }
+
+    fn root(&mut self, mut i: u32) -> u32 {
+        while self.0[i as usize] != i {
+            self.0[i as usize] = self.0[self.0[i as usize] as usize];
+            i = self.0[i as usize];
+        }
+        i
+    }
+
+    pub fn join(&mut self, a: u32, b: u32) {
+        let (p, q) = (self.root(a), self.root(b));
+        self.0[p.max(q) as usize] = p.min(q);
+    }
+
+    /// The least number of the set of each.
+    pub fn roots(mut self) -> Vec<u32> {
+        (0..self.0.len() as u32).map(|i| self.root(i)).collect()
+    }
 }

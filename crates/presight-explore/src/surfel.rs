@@ -14,6 +14,8 @@ const STEP: f32 = 0.02;
 const LEAST_COSINE: f32 = 0.1;
 /// Views that are reduced together. Fixed, so that sums have the same bits with any number of threads.
 const TOGETHER: usize = 16;
+/// A cube must hold one pixel for each 25 views, at most four.
+const VIEWS_FOR_ONE: u32 = 25;
 /// Radius of a neighbourhood, in sizes.
 const REACH: f64 = 1.8;
 /// Least cosine between the normals of neighbours.
@@ -64,8 +66,8 @@ pub(crate) fn surfels(views: &Views, least: f64, is_used: impl Fn(usize, usize) 
             sums.entry(*key).or_default().add(sum);
         }
     }
-    // What a single view of many shows is noise, or somebody who walked by.
-    let enough = (views.all().len() as u32).min(4);
+    // What a pixel or two of many views show is noise, or somebody who walked by.
+    let enough = (views.all().len() as u32 / VIEWS_FOR_ONE).clamp(1, 4);
     let mut kept: Vec<(Key, Sum)> = sums.into_iter().filter(|(_, sum)| sum.count >= enough).collect();
     kept.sort_by_key(|(key, _)| *key);
     let surfel = |(key, sum): &(Key, Sum)| Surfel {
@@ -101,7 +103,13 @@ fn part_of(part: &[(usize, &View)], least: f64, is_used: &impl Fn(usize, usize) 
 /// The axis that a normal is nearest to, with its sign: 0 to 5.
 fn direction(normal: DVec3) -> u8 {
     let a = normal.abs();
-    let axis = if a.x >= a.y && a.x >= a.z { 0 } else if a.y >= a.z { 1 } else { 2 };
+    let axis = if a.x >= a.y && a.x >= a.z {
+        0
+    } else if a.y >= a.z {
+        1
+    } else {
+        2
+    };
     2 * axis as u8 + u8::from(normal[axis] > 0.0)
 }
 

@@ -24,7 +24,7 @@ pub struct View {
     pub stamp: f64,
     /// world_from_sensor, body axes.
     pub world_from_sensor: Pose,
-    /// Metres along each ray, row by row; NaN without a hit.
+    /// Metres along each ray, row by row; infinite if nothing is within reach, NaN without a measurement.
     pub ranges: Vec<f32>,
     optics: Arc<Optics>,
     /// World from image, relative to [`Views::base`].
@@ -59,7 +59,8 @@ impl Views {
         let optics = known.cloned().unwrap_or_else(|| Arc::new(Optics::new(sensor.clone())));
         let turn = world_from_sensor.rotation_matrix() * sensor.body_from_image();
         let origin = world_from_sensor.translation - self.base;
-        let hit = |r: &f32| if r.is_finite() && *r > 0.0 { *r } else { f32::NAN };
+        // Where nothing is within reach, the ray went through all that is.
+        let hit = |r: &f32| if *r > 0.0 { *r } else { f32::NAN };
         let ranges = frame.ranges().iter().map(hit).collect();
         self.views.push(View { stamp: frame.stamp, world_from_sensor, ranges, optics, turn, origin });
         Ok(())
@@ -75,6 +76,15 @@ impl Views {
         &self.views
     }
 
+    /// At most `most` of the measurements, evenly, the last one among them.
+    pub(crate) fn some(&self, most: usize) -> Self {
+        let count = self.views.len();
+        let step = count.div_ceil(most.max(1)).max(1);
+        let mut views: Vec<View> = self.views.iter().rev().step_by(step).cloned().collect();
+        views.reverse();
+        Self { base: self.base, views }
+    }
+
     /// Number of measured distances.
     pub fn hits(&self) -> usize {
         self.views.iter().map(|v| v.ranges.iter().filter(|r| r.is_finite()).count()).sum()
@@ -86,7 +96,8 @@ impl Optics {
         let (width, height) = (sensor.width(), sensor.height());
         let ray = |c, r| sensor.ray(c, r).map_or(Vec3::NAN, |ray| ray.as_vec3());
         let rays: Vec<Vec3> = (0..height).flat_map(|r| (0..width).map(move |c| ray(c, r))).collect();
-        let mut apart: Vec<f64> = rays.windows(2).map(|p| f64::from(p[0].distance(p[1]))).filter(|a| *a > 0.0).collect();
+        let mut apart: Vec<f64> =
+            rays.windows(2).map(|p| f64::from(p[0].distance(p[1]))).filter(|a| *a > 0.0).collect();
         let pitch = presight_model::statistics::median(&mut apart).unwrap_or(0.01) as f32;
         Self { sensor, rays, pitch }
     }
@@ -148,17 +159,18 @@ impl View {
         self.turn.transpose() * d
     }
 
-    /// The distance measured in the direction of a point of the image frame; `None` outside of the image and without a
-    /// hit.
+    /// The pixel nearest to the direction of a point of the image frame, its unit ray and the distance measured along it;
+    /// `None` outside of the image and without a measurement.
     #[inline]
-    pub(crate) fn measured_towards(&self, p: Vec3) -> Option<f32> {
+    pub(crate) fn towards(&self, p: Vec3) -> Option<(Vec3, f32)> {
         let (u, v) = self.optics.sensor.project_nearly(p)?;
         let (u, v) = ((u + 0.5).floor(), (v + 0.5).floor());
         let (width, height) = (self.width(), self.height());
         if !(u >= 0.0 && v >= 0.0 && u < width as f32 && v < height as f32) {
             return None;
         }
-        let measured = self.ranges[v as usize * width + u as usize];
-        (!measured.is_nan()).then_some(measured)
+        let pixel = v as usize * width + u as usize;
+        let measured = self.ranges[pixel];
+        (!measured.is_nan()).then_some((self.optics.rays[pixel], measured))
     }
 }

@@ -9,6 +9,7 @@ pub mod engines;
 pub mod faulty;
 pub mod hall;
 pub mod hard;
+pub mod judge;
 pub mod oracle;
 pub mod pictures;
 pub mod scenes;

@@ -7,6 +7,8 @@ mod deadline;
 mod driver_logs;
 #[cfg(all(feature = "gpu", target_os = "linux"))]
 mod drivers;
+#[cfg(feature = "store")]
+mod explore;
 mod features;
 mod frames;
 mod hidden;
