@@ -82,6 +82,8 @@ pub mod batch;
 pub mod deadline;
 pub mod environment;
 pub mod estimate;
+#[cfg(feature = "store")]
+pub mod explore;
 pub mod features;
 pub mod files;
 pub mod history;

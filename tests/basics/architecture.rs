@@ -6,7 +6,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The crates of ARCHITECTURE's picture, lowest first, with those that stand directly below each.
-const PICTURE: [(&str, &[&str]); 15] = [
+const PICTURE: [(&str, &[&str]); 16] = [
     ("presight-model", &[]),
     ("presight-render", &["presight-model"]),
     ("presight-features", &["presight-render"]),
@@ -17,7 +17,8 @@ const PICTURE: [(&str, &[&str]); 15] = [
     ("presight-localize", &["presight-predict"]),
     ("presight-supervise", &["presight-localize"]),
     ("presight-update", &["presight-localize", "presight-store"]),
-    ("presight", &["presight-pictures", "presight-supervise", "presight-update"]),
+    ("presight-explore", &["presight-localize", "presight-store"]),
+    ("presight", &["presight-explore", "presight-pictures", "presight-supervise", "presight-update"]),
     ("presight-testkit", &["presight-pictures"]),
     ("presight-studies", &["presight", "presight-testkit"]),
     ("presight-editor", &["presight-studies"]),
@@ -42,9 +43,9 @@ const STRANGERS: [(&str, &[&str]); 4] = [
     ("crates/presight-files/src", &["reference", "cpu", "gpu", "engine", "Predictor"]),
 ];
 
-/// Most modules, most types, and most names at the root of the facade. Supervision, queries and updates are modules of
-/// their own: robots that only predict do not meet them.
-const FACADE: [usize; 3] = [17, 172, 62];
+/// Most modules, most types, and most names at the root of the facade. Supervision, queries, updates and exploration are
+/// modules of their own: robots that only predict do not meet them.
+const FACADE: [usize; 3] = [18, 181, 63];
 
 fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -304,7 +305,7 @@ fn planted_faults_are_found() {
     let faults = facade.faults(&types, &BTreeSet::new());
     assert_eq!(
         faults,
-        ["the facade has 18 modules, at most 17 are allowed", "the facade has 173 types, at most 172 are allowed"]
+        ["the facade has 19 modules, at most 18 are allowed", "the facade has 182 types, at most 181 are allowed"]
     );
     let glob =
         "pub use presight_model::*;\npub use presight_files::layer;\npub use presight_files::poses::{self, Type1};\n";

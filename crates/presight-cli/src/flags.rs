@@ -4,6 +4,9 @@
 const WORDS: &[(&str, &str)] = &[
     ("`Backend::Cpu`", "--backend cpu"),
     ("`Existing::Replace`", "--replace"),
+    ("`GridOptions::cell`", "--cell"),
+    ("`GridOptions::from_height`", "--from-height"),
+    ("`GridOptions::to_height`", "--to-height"),
     ("`ImportOptions::scale`", "--scale"),
     ("`ImportOptions::up`", "--up"),
     ("`PoseFrame::Optical`", "--pose-frame optical"),
@@ -58,6 +61,7 @@ mod tests {
             "localize",
             "supervise",
             "update",
+            "explore",
             "editor",
         ];
         let mut folders: Vec<_> = libraries.iter().map(|l| crates.join(format!("presight-{l}/src"))).collect();

@@ -12,6 +12,8 @@ mod edit;
 mod engine_args;
 #[cfg(feature = "store")]
 mod env;
+#[cfg(feature = "store")]
+mod explore;
 mod features;
 mod file_names;
 mod flags;
@@ -21,6 +23,8 @@ mod index;
 mod inspect;
 mod layers;
 mod localize;
+#[cfg(feature = "store")]
+mod occupancy;
 mod outputs;
 mod overlap;
 pub mod pose;
@@ -135,6 +139,24 @@ enum Command {
         rest: Vec<String>,
     },
     #[cfg(feature = "store")]
+    Explore(Box<explore::Args>),
+    /// Explore an environment: not in this build
+    #[cfg(not(feature = "store"))]
+    #[command(disable_help_flag = true)]
+    Explore {
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true, hide = true)]
+        rest: Vec<String>,
+    },
+    #[cfg(feature = "store")]
+    Occupancy(occupancy::Args),
+    /// Write an occupancy grid: not in this build
+    #[cfg(not(feature = "store"))]
+    #[command(disable_help_flag = true)]
+    Occupancy {
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true, hide = true)]
+        rest: Vec<String>,
+    },
+    #[cfg(feature = "store")]
     Env(env::Args),
     /// Keep an environment in a file: not in this build
     #[cfg(not(feature = "store"))]
@@ -203,6 +225,12 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         Command::Report(args) => report::run(&args, &arguments),
         #[cfg(not(feature = "report"))]
         Command::Report { .. } => Err(not_built("studies", "report")),
+        #[cfg(feature = "store")]
+        Command::Explore(args) => explore::run(&args),
+        #[cfg(feature = "store")]
+        Command::Occupancy(args) => occupancy::run(&args),
+        #[cfg(not(feature = "store"))]
+        Command::Explore { .. } | Command::Occupancy { .. } => Err(not_built("stored environments", "store")),
         #[cfg(feature = "store")]
         Command::Env(args) => env::run(&args),
         #[cfg(not(feature = "store"))]

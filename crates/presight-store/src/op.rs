@@ -13,7 +13,7 @@
 //! | `delete_feature` | `class`, `feature`: its number |
 //! | `set_tolerance` | `class`, `tolerance` |
 //! | `set_pose_covariance` | `class`, `object`, `covariance`: 36 numbers, or null for none |
-//! | `set_mark` | `mark` (its name), `object`, `kind` (`uncertain`, or `absent`: not predicted); optional `class` (of the sensors that it concerns) and `box` [[x, y, z], [x, y, z]] in the frame of the object |
+//! | `set_mark` | `mark` (its name), `object`, `kind` (`uncertain`, `absent`: not predicted, or `unseen`: nobody saw this place); optional `class` (of the sensors that it concerns) and `box` [[x, y, z], [x, y, z]] in the frame of the object |
 //! | `remove_mark` | `mark` |
 //! | `set_trust` | `object`, and `trust` (`existence`, `confirmed` UTC seconds, `rate` 1 / s), or null for none |
 //! | `group` | `changes`: all of them or none |
@@ -300,9 +300,9 @@ impl MarkFields {
     }
 
     pub fn mark(self) -> Result<Mark> {
-        let kind = [MarkKind::Uncertain, MarkKind::Absent].into_iter().find(|kind| kind.name() == self.kind);
+        let kind = MarkKind::ALL.into_iter().find(|kind| kind.name() == self.kind);
         let unknown =
-            || Error::invalid(format!("there is no kind of mark {:?}", self.kind), "give uncertain or absent");
+            || Error::invalid(format!("there is no kind of mark {:?}", self.kind), "give uncertain, absent or unseen");
         let bounds = self.bounds.map(|[min, max]| Aabb { min: DVec3::from_array(min), max: DVec3::from_array(max) });
         Ok(Mark { kind: kind.ok_or_else(unknown)?, object: self.object, class: self.class, bounds })
     }

@@ -9,6 +9,8 @@ mod driver_logs;
 mod drivers;
 #[cfg(feature = "edit")]
 mod edit;
+#[cfg(feature = "store")]
+mod explore;
 mod features;
 mod frames;
 mod hidden;

@@ -70,7 +70,7 @@ fn marks_that_cannot_be_are_refused_by_name() {
     let path = create(folder.path(), &small());
     let before = std::fs::read(&path).unwrap();
     for (line, word) in [
-        (r#"{"op":"set_mark","mark":"m","object":"a","kind":"gone"}"#, "uncertain or absent"),
+        (r#"{"op":"set_mark","mark":"m","object":"a","kind":"gone"}"#, "uncertain, absent or unseen"),
         (r#"{"op":"set_mark","mark":"m","object":"none","kind":"absent"}"#, "none"),
         (r#"{"op":"set_mark","mark":"","object":"a","kind":"absent"}"#, "bytes"),
         (r#"{"op":"set_mark","mark":"m","object":"a","kind":"absent","class":""}"#, "class"),

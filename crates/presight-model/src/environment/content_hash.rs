@@ -192,7 +192,12 @@ impl Encoder {
         for (name, mark) in environment.marks() {
             self.text(name);
             self.text(&mark.object);
-            self.bytes(&[if mark.kind == MarkKind::Uncertain { 1 } else { 2 }]);
+            let kind = match mark.kind {
+                MarkKind::Uncertain => 1,
+                MarkKind::Absent => 2,
+                MarkKind::Unseen => 3,
+            };
+            self.bytes(&[kind]);
             self.optional(mark.class.as_deref(), Self::text);
             self.optional(mark.bounds, |to, b| {
                 to.f64s(&b.min.to_array());

@@ -14,14 +14,20 @@ pub enum MarkKind {
     Uncertain,
     /// It is not there for sensors of the mark's class, and is not predicted for them.
     Absent,
+    /// Nobody saw this place: the surface of the object may go on in the box. Nothing is predicted there.
+    Unseen,
 }
 
 impl MarkKind {
+    /// All kinds.
+    pub const ALL: [Self; 3] = [Self::Uncertain, Self::Absent, Self::Unseen];
+
     /// The name in files.
     pub fn name(self) -> &'static str {
         match self {
             Self::Uncertain => "uncertain",
             Self::Absent => "absent",
+            Self::Unseen => "unseen",
         }
     }
 }
