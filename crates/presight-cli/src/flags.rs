@@ -6,6 +6,7 @@ const WORDS: &[(&str, &str)] = &[
     ("`Existing::Replace`", "--replace"),
     ("`ImportOptions::scale`", "--scale"),
     ("`ImportOptions::up`", "--up"),
+    ("`OdometryNoise`", "--odometry-sigma"),
     ("`PoseFrame::Optical`", "--pose-frame optical"),
     ("`PoseOf::Robot`", "--pose-of robot"),
     ("`SceneOptions::exclude`", "--exclude"),

@@ -30,6 +30,7 @@ mod print;
 mod replay;
 #[cfg(feature = "report")]
 mod report;
+mod resume;
 mod sensor_args;
 mod sensors;
 mod series;

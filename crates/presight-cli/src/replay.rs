@@ -89,7 +89,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     files.add_folder(&args.out, &["index.html"])?;
     let frames = args.out.join("frames");
     let (mut painter, mut pictures) = (None, Vec::new());
-    let followed = args.drive.follow(files, |scene, sensed, step| {
+    let followed = args.drive.follow(files, None, |scene, sensed, step| {
         let painter = match &mut painter {
             Some(painter) => painter,
             None => {
