@@ -9,6 +9,7 @@ const WORDS: &[(&str, &str)] = &[
     ("`GridOptions::to_height`", "--to-height"),
     ("`ImportOptions::scale`", "--scale"),
     ("`ImportOptions::up`", "--up"),
+    ("`OdometryNoise`", "--odometry-sigma"),
     ("`PoseFrame::Optical`", "--pose-frame optical"),
     ("`PoseOf::Robot`", "--pose-of robot"),
     ("`SceneOptions::exclude`", "--exclude"),

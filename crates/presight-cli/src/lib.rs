@@ -37,6 +37,7 @@ mod query;
 mod replay;
 #[cfg(feature = "report")]
 mod report;
+mod resume;
 mod sensor_args;
 mod sensors;
 mod series;

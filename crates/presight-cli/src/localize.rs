@@ -2,6 +2,7 @@
 
 use super::outputs::OutputFiles;
 use super::pose::parse_pose;
+use super::resume::{Mark, Resumed};
 use super::sensor_args::SensorArgs;
 use super::{CommandOutcome, open_scene_without, print};
 use presight::Scene;
@@ -39,7 +40,7 @@ const EXAMPLES: &str = "Examples:
 /// of scans (.ply, .pcd, .csv, .exr). Features of --layer are detected in grey images, its reflectors in scans with
 /// intensities. With a level scanner of one row only x, y and yaw are estimated. FILE.jsonl next to FILE.tum gets
 /// covariance, state and verdicts of every frame. FILE.tum has no line for a frame whose pose is not known. Both grow
-/// by a line as each frame comes, and stay after an error or a signal. A log of ranges can come from a pipe
+/// by a line as each frame comes, and stay after an error or a signal; the same command then goes on behind them. A log of ranges can come from a pipe
 /// (/dev/stdin); a device or pipe as --out gets the poses without FILE.jsonl.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
@@ -239,17 +240,19 @@ pub struct Followed {
 
 impl Drive {
     /// Tracks the robot through the log. Calls `visit` with each frame and its step. Before the first call it checks
-    /// that `files` would not overwrite an input. Prints what the readings were taken as, also after an error.
+    /// that `files` would not overwrite an input. A run that is `resumed` begins behind the frames that it has. Prints what the readings were taken as, also after an error.
     ///
     /// # Errors
     /// Errors from reading the log, map and sensor, from the estimator, and from `visit`.
     pub fn follow(
         &self,
         files: OutputFiles,
+        resumed: Option<&Resumed>,
         visit: impl FnMut(&Scene, &Sensed<'_>, &Step) -> Result<()>,
     ) -> Result<Followed> {
         self.check()?;
-        let beside = ["camera.json", "grey.toml", "poses.json", "poses.txt"].map(|name| self.log.join(name));
+        let beside =
+            ["camera.json", "grey.toml", "odometry.txt", "poses.json", "poses.txt"].map(|name| self.log.join(name));
         let sensors = [&self.sensor, &self.grey_sensor].into_iter().flatten().map(Path::new);
         files.check_named([self.log.as_path(), self.map.as_path()].into_iter().chain(sensors))?;
         files.check_named(self.layers.iter().chain(&beside).map(PathBuf::as_path))?;
@@ -259,7 +262,7 @@ impl Drive {
             None => self.sensor.as_deref().map(|sensor| self.image.load(sensor)).transpose()?,
         };
         let mut log = Frames::open(&self.log, sensor.as_ref(), &self.odometry()?)?;
-        let followed = self.follow_log(&mut log, files, visit);
+        let followed = self.follow_log(&mut log, files, resumed, visit);
         print::notices(&log.notice().map(|notice| format!("{}: {notice}", self.log.display())));
         followed
     }
@@ -313,13 +316,20 @@ impl Drive {
         &self,
         log: &mut Frames,
         files: OutputFiles,
+        resumed: Option<&Resumed>,
         mut visit: impl FnMut(&Scene, &Sensed<'_>, &Step) -> Result<()>,
     ) -> Result<Followed> {
         let (measured, is_planar) = (log.sensor().clone(), log.has_planar_poses());
+        let is_done = |stamp: f64| resumed.is_some_and(|run| stamp <= run.time);
         let mut log = log
-            .skip_while(|o| matches!(o, Ok(o) if self.from.is_some_and(|from| o.frame.stamp < from)))
+            .skip_while(
+                |o| matches!(o, Ok(o) if self.from.is_some_and(|from| o.frame.stamp < from) || is_done(o.frame.stamp)),
+            )
             .map(|o| o.and_then(|o| self.thinned(if is_planar { self.on_the_floor(o) } else { o })));
         let Some(first) = log.next().transpose()? else {
+            if resumed.is_some() {
+                return Ok(Followed::default());
+            }
             let remedy = "give a log with frames, or an earlier --from";
             return Err(Error::invalid("the log has no frames", remedy).in_file(&self.log));
         };
@@ -338,11 +348,13 @@ impl Drive {
             print::notices(&if of_scans { not_sought_in_scans(&placed, &first.frame) } else { not_sought(&placed) });
             estimator = estimator.with_features(placed);
         }
-        let mut localizer = self.localizer(estimator, start, &scene, first.frame.sensor())?;
+        // A run that ended without a pose has no start left; one with a pose has moved since, and is as unsure as a start.
+        let start_now = if let Some(run) = resumed { run.pose } else { start };
+        let mut localizer = self.localizer(estimator, start_now, &scene, first.frame.sensor())?;
         // The search of the whole map predicts many panoramas, so it is set up only when it is needed.
-        let mut may_search = start.is_some() && options.freedom == Freedom::Planar;
+        let mut may_search = start_now.is_some() && options.freedom == Freedom::Planar;
         files.check_scene(&scene.files)?;
-        let mut followed = Followed::default();
+        let (mut followed, progress) = (Followed::default(), super::bar::count("frames"));
         for observation in std::iter::once(Ok(first)).chain(log) {
             let Observation { frame, reference } = observation?;
             let grey = grey.as_mut().map(|g| g.next_at(frame.stamp)).transpose()?.flatten();
@@ -354,11 +366,14 @@ impl Drive {
             let mut step = localizer.step_together(&scene.world, &frame, &beside).map_err(place)?;
             if may_search && matches!(step.phase, Phase::Lost | Phase::Unknown) {
                 may_search = false;
+                progress.set_message("looking round in the whole map");
                 let search = self.search_about(&step.pose.world_from_robot)?;
                 if let Err(e) = localizer.search_everywhere(&scene.world, frame.sensor(), search) {
                     print::notices(&[format!("searching for the robot only around its last pose: {e}")]);
                 }
             }
+            progress.set_message(step.phase.name());
+            progress.inc(1);
             visit(&scene, &Sensed { frame: &frame, grey: grey.as_ref(), beside: &others }, &step)?;
             followed.features.push(FeatureCounts::of(&step.estimate.findings));
             step.estimate.findings.clear();
@@ -367,6 +382,8 @@ impl Drive {
             followed.steps.push(step);
             followed.reference.push(reference);
         }
+        progress.finish_and_clear();
+        print::notices(&localizer.warnings());
         Ok(followed)
     }
 
@@ -589,18 +606,31 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     files.add("--out", Some(&args.out), &["tum"])?;
     let details = (!is_through(&args.out)).then(|| args.out.with_extension("jsonl"));
     details.iter().try_for_each(|path| files.add_any(path))?;
+    details.iter().try_for_each(|path| files.add_any(&path.with_extension("resume")))?;
+    let mark = details.as_ref().map(|_| {
+        let inputs: Vec<&Path> = [args.drive.log.as_path(), &args.drive.map].into_iter().collect();
+        Mark::new(&args.out, &format!("{args:?}"), &inputs)
+    });
+    let resumed = mark.as_ref().zip(details.as_deref()).and_then(|(mark, details)| mark.resumed(&args.out, details));
     let mut lines: Option<Lines> = None;
-    let followed = args.drive.follow(files, |_, _, step| {
+    let followed = args.drive.follow(files, resumed.as_ref(), |_, _, step| {
         // Only now: an error before the first step leaves the files of an earlier run.
         let lines = match &mut lines {
             Some(lines) => lines,
-            None => lines.insert(Lines::create(&args.out, details.as_deref())?),
+            None => {
+                mark.as_ref().map_or(Ok(()), Mark::set)?;
+                lines.insert(Lines::open(&args.out, details.as_deref(), resumed.as_ref())?)
+            }
         };
         lines.add(step)
     })?;
+    let is_marked = lines.is_some() || resumed.is_some();
     lines.map_or(Ok(()), Lines::finish)?;
+    mark.iter().filter(|_| is_marked).try_for_each(Mark::clear)?;
     print::data(&summary(&followed))?;
     print::notices(&args.drive.noise_is_assumed(&followed));
+    let last = followed.steps.last().filter(|_| followed.steps.iter().all(|step| !step.is_known()));
+    print::notices(&last.and_then(help).map(|help| format!("no frame has a pose: {help}")));
     Ok(CommandOutcome::Done)
 }
 
@@ -611,8 +641,12 @@ struct Lines {
 }
 
 impl Lines {
-    fn create(poses: &Path, details: Option<&Path>) -> Result<Self> {
-        Ok(Self { poses: GrowingFile::create(poses)?, details: details.map(GrowingFile::create).transpose()? })
+    fn open(poses: &Path, details: Option<&Path>, resumed: Option<&Resumed>) -> Result<Self> {
+        let file = |path: &Path, k: usize| match resumed {
+            Some(run) => GrowingFile::reopen(path, run.lengths[k]),
+            None => GrowingFile::create(path),
+        };
+        Ok(Self { poses: file(poses, 0)?, details: details.map(|path| file(path, 1)).transpose()? })
     }
 
     fn add(&mut self, step: &Step) -> Result<()> {
@@ -639,13 +673,25 @@ fn details(s: &Step) -> serde_json::Value {
     let verdicts: serde_json::Map<String, serde_json::Value> =
         Judged::ALL.iter().zip(counts).map(|(v, n)| (v.name().to_owned(), n.into())).collect();
     serde_json::json!({
-        "time": s.stamp, "state": s.phase.name(), "reason": s.reason,
+        "time": s.stamp, "state": s.phase.name(), "reason": s.reason, "help": help(s),
         "translation": s.pose.world_from_robot.translation.to_array(), "rotation_xyzw": s.pose.world_from_robot.rotation.to_array(),
         "covariance": s.pose.covariance, "explained": s.estimate.explained, "weak": weak, "verdicts": verdicts,
         "features": features,
         "predictions": s.estimate.predictions,
         "candidates": s.candidates.iter().map(candidate).collect::<Vec<_>>(),
     })
+}
+
+/// What a user can do about a frame, by the flags of the command.
+fn help(s: &Step) -> Option<&'static str> {
+    match s.phase {
+        Phase::Lost | Phase::Unknown => Some(
+            "--init unknown looks for the robot in the whole map, at the height of --floor; --model-sigma states how far \
+             the map may be off, --sensor the noise and the mount of the sensor",
+        ),
+        _ if !s.estimate.weak.is_empty() => Some("no measurement holds the weak directions: odometry in the log would"),
+        _ => None,
+    }
 }
 
 /// Pixels of each verdict of a step that still has its verdict images.

@@ -96,7 +96,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let (mut painter, mut pictures) = (None, Vec::new());
     #[cfg(feature = "store")]
     let mut learning = args.learn.then(super::update::Learning::new).transpose()?;
-    let followed = args.drive.follow(files, |scene, sensed, step| {
+    let followed = args.drive.follow(files, None, |scene, sensed, step| {
         let painter = match &mut painter {
             Some(painter) => painter,
             None => {

@@ -148,7 +148,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let corridor = corridor::read(&args.corridor)?;
     let drive = args.drive()?;
     let mut run: Option<Run> = None;
-    drive.follow(files, |scene, sensed, step| {
+    drive.follow(files, None, |scene, sensed, step| {
         // Only now: an error before the first step leaves the files of an earlier run.
         let run = match &mut run {
             Some(run) => run,

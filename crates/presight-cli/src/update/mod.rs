@@ -220,7 +220,7 @@ fn known_poses(args: &Args) -> Result<Option<Known>> {
 /// Learns from a drive that the localizer follows.
 fn follow(drive: &Drive, learner: &mut Learner, last: &mut f64) -> Result<()> {
     let mut sure = false;
-    drive.follow(OutputFiles::default(), |scene, sensed, step| {
+    drive.follow(OutputFiles::default(), None, |scene, sensed, step| {
         *last = step.stamp;
         sure |= step.phase == Phase::Tracking;
         learner.observe(&scene.world, step, &[sensed.frame])

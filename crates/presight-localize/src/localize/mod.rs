@@ -11,13 +11,21 @@ mod doubt;
 mod hypotheses;
 mod likelihood;
 mod reflectors;
+mod residuals;
 mod round;
 mod search;
+mod timing;
+mod turning;
 mod unknown;
+mod velocity;
 
 pub use cusum::Cusum;
 use hypotheses::Hypotheses;
+pub use residuals::{Figure, Misfit, Residuals};
 pub use search::{Candidate, Search, SearchOptions};
+use timing::Timing;
+pub use turning::at_once;
+pub use velocity::{MotionNoise, Velocity, along, rate};
 
 use crate::estimate::{Estimate, Estimator, Freedom};
 use crate::motion::{motion_between, moved};
@@ -85,10 +93,8 @@ impl Step {
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct LocalizeOptions {
-    /// Without odometry: how much the motion may change from one frame to the next, one standard deviation, metres.
-    pub drift: f64,
-    /// Likewise, radians.
-    pub turn_drift: f64,
+    /// How the robot's speed may change.
+    pub motion_noise: MotionNoise,
     /// How far off a lost robot is looked for around where it was last, one standard deviation, metres.
     pub search: f64,
     /// Likewise, radians.
@@ -126,8 +132,7 @@ pub struct LocalizeOptions {
 impl Default for LocalizeOptions {
     fn default() -> Self {
         Self {
-            drift: 0.02,
-            turn_drift: 0.015,
+            motion_noise: MotionNoise::default(),
             search: 0.5,
             search_turn: 0.3,
             agreeing: 3,
@@ -148,8 +153,7 @@ impl Default for LocalizeOptions {
 
 presight_model::with_options!(
     LocalizeOptions:
-    with_drift drift: f64,
-    with_turn_drift turn_drift: f64,
+    with_motion_noise motion_noise: MotionNoise,
     with_search search: f64,
     with_search_turn search_turn: f64,
     with_agreeing agreeing: usize,
@@ -172,8 +176,8 @@ pub struct Localizer {
     options: LocalizeOptions,
     belief: PoseEstimate,
     phase: Phase,
-    /// Of the frame before, in the robot's frame of then.
-    motion: Pose,
+    velocity: Velocity,
+    timing: Timing,
     agreed: usize,
     /// Sum of the shares that they explain.
     agreed_shares: f64,
@@ -209,7 +213,8 @@ impl Localizer {
             options,
             belief: prior,
             phase: Phase::Candidates,
-            motion: Pose::IDENTITY,
+            velocity: Velocity::new(options.motion_noise),
+            timing: Timing::default(),
             agreed: 0,
             agreed_shares: 0.0,
             disagreed: 0,
@@ -257,21 +262,21 @@ impl Localizer {
         self.step_together(world, frame, &[])
     }
 
-    /// Takes in the next frame, with frames that other sensors of the robot took at the same time. Stamp and odometry are those of the
-    /// first. A search of the whole map and hypotheses go by the first alone.
-    ///
-    /// # Errors
-    /// Those of [`Localizer::step`].
-    pub fn step_together(&mut self, world: &World, frame: &Frame, beside: &[&Frame]) -> Result<Step> {
+    /// A frame whose pixels were all measured at its stamp.
+    fn step_at_once(&mut self, world: &World, frame: &Frame, beside: &[&Frame]) -> Result<Step> {
         check(self.stamp, frame)?;
-        let first = self.stamp.replace(frame.stamp).is_none();
-        let motion = if first { None } else { Some(self.motion_of(frame)) };
+        let freedom = self.estimator.options.freedom;
+        let seconds = self.stamp.replace(frame.stamp).map(|before| frame.stamp - before);
+        let first = seconds.is_none();
+        let stamp_sigma = frame.sensor().spec().noise.stamp_sigma;
+        let odometry = frame.motion.as_ref();
+        let carried = seconds.map(|s| self.velocity.carry(&self.belief, s, odometry, stamp_sigma, freedom));
+        let motion = carried.map(|(motion, _)| motion);
         if self.is_searched() {
             return self.search_on(world, frame, motion.as_ref());
         }
-        let before = self.belief.world_from_robot;
-        if let Some(motion) = &motion {
-            self.belief = carried(&self.belief, motion, self.estimator.options.freedom);
+        if let Some((_, carried)) = carried {
+            self.belief = carried;
         }
         if self.hypotheses.is_some() {
             return self.follow_hypotheses(world, frame, motion.as_ref());
@@ -292,15 +297,23 @@ impl Localizer {
         }
         let reason = self.decide(&estimate);
         if estimate.is_determined() {
-            if !first {
-                self.motion = before.inverse() * estimate.pose.world_from_robot;
+            if prior == self.belief {
+                self.velocity.learn(&prior, &estimate.pose, freedom);
+            } else {
+                self.velocity.restart();
             }
             self.belief = estimate.pose;
         } else if matches!(self.phase, Phase::Unknown | Phase::Lost) {
             // Going on with a motion that nobody saw would only lead away.
-            self.motion = Pose::IDENTITY;
+            self.velocity.restart();
         }
         Ok(self.told(frame, reason, estimate))
+    }
+
+    /// The pose, while one is followed.
+    fn followed_pose(&self) -> Option<PoseEstimate> {
+        let followed = matches!(self.phase, Phase::Tracking | Phase::Candidates) && self.candidates.is_empty();
+        followed.then_some(self.belief)
     }
 
     /// Without odometry a robot that stood still and now moves is not where it was, nor where its last motion leads.
@@ -319,13 +332,6 @@ impl Localizer {
             estimate,
             candidates: self.candidates.clone(),
         }
-    }
-
-    /// The motion that the frame tells, or the last one again.
-    fn motion_of(&self, frame: &Frame) -> Motion {
-        let (t, r) = (self.options.drift, self.options.turn_drift);
-        let covariance = PoseCovariance::from_sigmas([t, t, t, r, r, r]);
-        frame.motion.unwrap_or(Motion { previous_from_current: self.motion, covariance })
     }
 }
 

@@ -5,7 +5,6 @@ use super::search::{Candidate, distinct, is_same};
 use super::{Localizer, Phase, Step, carried};
 use crate::estimate::{Estimate, EstimateState};
 use presight_model::error::Result;
-use presight_model::geometry::Pose;
 use presight_model::measured::{Frame, Motion};
 use presight_model::world::World;
 
@@ -95,7 +94,7 @@ impl Localizer {
                 self.standing.forget();
             }
             self.restart_tests(found.explained, standing(&found));
-            self.motion = Pose::IDENTITY;
+            self.velocity.restart();
             let changed = "; the robot was followed to there: the map has changed";
             return Ok(why + if returned { changed } else { "" });
         }
