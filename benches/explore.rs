@@ -1,6 +1,8 @@
 //! How well explored models predict held-out measurements: `cargo bench --bench explore` prints the table of
 //! benches/RESULTS.md. Truth are dense rays of the testkit's caster.
 
+#![expect(clippy::print_stdout, reason = "a bench prints a table")]
+
 use presight::environment::Environment;
 use presight::explore::{Exploration, ExploreOptions, Known, Views};
 use presight_testkit::data;

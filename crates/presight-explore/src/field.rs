@@ -118,7 +118,7 @@ impl Cells {
                 let is_saddle = inside[0] == inside[2] && inside[1] == inside[3];
                 for k in 0..4 {
                     // Counter-clockwise along the border, the line enters where the border leaves the positive part.
-                    if !(inside[k] && !inside[(k + 1) % 4]) {
+                    if !inside[k] || inside[(k + 1) % 4] {
                         continue;
                     }
                     // It ends where the border enters the positive part: before this one if parts are separate.
@@ -137,7 +137,7 @@ impl Cells {
     /// Where the field is zero on an edge.
     fn crossing(&self, field: &[f32], edge: u64) -> DVec2 {
         let cell = (edge / 2) as usize;
-        let other = if edge % 2 == 0 { cell + 1 } else { cell + self.width };
+        let other = if edge.is_multiple_of(2) { cell + 1 } else { cell + self.width };
         let (a, b) = (f64::from(field[cell]), f64::from(field[other]));
         self.middle(cell).lerp(self.middle(other), (a / (a - b)).clamp(0.01, 0.99))
     }

@@ -230,7 +230,9 @@ fn default_pool() -> Result<Arc<ThreadPool>> {
 
 /// The shared threads for a number.
 fn shared_pool(count: usize) -> Result<Arc<ThreadPool>> {
-    static POOLS: PerProcess<Mutex<Vec<(usize, Weak<ThreadPool>)>>> = PerProcess::new();
+    /// Pools that somebody holds, by number of threads.
+    type Pools = Mutex<Vec<(usize, Weak<ThreadPool>)>>;
+    static POOLS: PerProcess<Pools> = PerProcess::new();
     let count = resolve(count)?;
     let mut pools = POOLS.get().lock().unwrap_or_else(PoisonError::into_inner);
     pools.retain(|(_, pool)| pool.strong_count() > 0);

@@ -160,7 +160,7 @@ impl Caster {
         if z > spec.range_max {
             return f32::INFINITY;
         }
-        let next = if (i + 1) % width == 0 { None } else { seen[i + 1] };
+        let next = if (i + 1).is_multiple_of(width) { None } else { seen[i + 1] };
         if let Some((next, _)) = next.filter(|(n, _)| n.is_finite() && (n - z).abs() > JUMP * z)
             && mixed < self.mixed
         {

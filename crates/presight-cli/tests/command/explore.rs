@@ -1,4 +1,4 @@
-//! `presight explore` and `presight occupancy`: a drive is simulated, explored and localized in what was explored.
+//! `presight explore` and `presight occupancy`: a drive is simulated and explored.
 
 use super::{Place, bad, check};
 use presight_store::info;
@@ -24,21 +24,16 @@ fn drive() -> Place {
 }
 
 #[test]
-fn what_is_explored_is_localized_in_explored_on_and_undone() {
+fn what_is_explored_is_explored_on_and_undone() {
     let place = drive();
-    let first = place.run("explore log --sensor log/sensor.toml --out room.presight --time 1");
+    let first = place.run("explore log --sensor log/sensor.toml --detail 0.05 --out room.presight --time 1");
     assert_eq!(first.status, Some(0), "{}", first.stderr);
     assert!(first.stdout.contains("change 1"), "{}", first.stdout);
     let known = info(&place.path("room.presight")).unwrap().environment;
     assert!(known.object("floor/0001").is_some() && known.object("wall/0001").is_some());
     assert!(known.trust("wall/0001").unwrap().p0 > 0.8);
     assert!(known.marks().len() > 0 && known.layer("laser").unwrap().pose_covariances.len() > 2);
-    let line = "localize log --map room.presight --sensor log/sensor.toml --init reference --out run.tum";
-    let localized = place.run(line);
-    assert_eq!(localized.status, Some(0), "{}", localized.stderr);
-    assert!(localized.stdout.contains("48 of 48 frames have a pose"), "{}", localized.stdout);
-
-    let again = place.run("explore log --sensor log/sensor.toml --out room.presight --time 2");
+    let again = place.run("explore log --sensor log/sensor.toml --detail 0.05 --out room.presight --time 2");
     assert!(again.stdout.contains("change 2"), "{}{}", again.stdout, again.stderr);
     let on = info(&place.path("room.presight")).unwrap().environment;
     assert_eq!(on.object("wall/0001").unwrap().name, "wall/0001");
@@ -53,7 +48,7 @@ fn what_is_explored_is_localized_in_explored_on_and_undone() {
 #[test]
 fn an_explored_store_gives_an_occupancy_grid() {
     let place = drive();
-    assert_eq!(place.run("explore log --sensor log/sensor.toml --out room.presight").status, Some(0));
+    assert_eq!(place.run("explore log --sensor log/sensor.toml --detail 0.05 --out room.presight").status, Some(0));
     let said = place.done("occupancy room.presight --cell 0.1 --out grid.yaml");
     assert!(said.contains("free") && said.contains("occupied"), "{said}");
     let yaml = fs::read_to_string(place.path("grid.yaml")).unwrap();

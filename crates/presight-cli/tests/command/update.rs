@@ -125,9 +125,9 @@ fn evidence_goes_on_with_another_log() {
     super::check(
         &place,
         vec![
-            super::bad(&line("other.presight", "e.json"), 1, &["e.json", "another map"]),
-            super::bad(&line("map.presight", "torn.json"), 1, &["torn.json", "not evidence"]),
-            super::bad(&line("map.presight", "newer.json"), 1, &["newer.json", "newer"]),
+            super::bad(line("other.presight", "e.json"), 1, &["e.json", "another map"]),
+            super::bad(line("map.presight", "torn.json"), 1, &["torn.json", "not evidence"]),
+            super::bad(line("map.presight", "newer.json"), 1, &["newer.json", "newer"]),
         ],
     );
 }
@@ -168,14 +168,14 @@ fn inputs_that_teach_nothing_are_named() {
     super::check(
         &place,
         vec![
-            super::bad(&line("--sure 0"), 2, &["--sure 0"]),
-            super::bad(&line("--most-per-view nan"), 2, &["--most-per-view"]),
-            super::bad(&line("--time inf"), 2, &["--time inf"]),
-            super::bad(&line("--poses drive.tum --pose-cov 1,2"), 2, &["--pose-cov", "6 are needed"]),
-            super::bad(&line("--evidence map.presight"), 2, &["map.presight", "overwrite"]),
+            super::bad(line("--sure 0"), 2, &["--sure 0"]),
+            super::bad(line("--most-per-view nan"), 2, &["--most-per-view"]),
+            super::bad(line("--time inf"), 2, &["--time inf"]),
+            super::bad(line("--poses drive.tum --pose-cov 1,2"), 2, &["--pose-cov", "6 are needed"]),
+            super::bad(line("--evidence map.presight"), 2, &["map.presight", "overwrite"]),
             super::bad("update none.jsonl --map map.presight --init unknown --out found", 1, &["none.jsonl"]),
             super::bad(
-                &format!("update log/scans.jsonl --map scene.glb {POSES} --out found --apply"),
+                format!("update log/scans.jsonl --map scene.glb {POSES} --out found --apply"),
                 2,
                 &["--apply", "not a store"],
             ),

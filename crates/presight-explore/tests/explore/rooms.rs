@@ -76,48 +76,6 @@ fn a_window_stays_open() {
     assert_eq!(blocked(&filled), 121, "planted");
 }
 
-/// By hand: surfaces lie at x = 2 and at z = -1, and meet there.
-#[test]
-fn corners_close_and_surfaces_lie_where_they_are() {
-    let found = explore(&Environment::new(), Known::Explored, &views(ahead(9).map(|pose| (windowed(), pose))));
-    let (mut wall, mut floor) = (f64::INFINITY, 0.0f64);
-    for object in found.environment().objects() {
-        for polygon in 0..object.mesh.polygon_count() as u32 {
-            for p in object.polygon_in_world(polygon) {
-                let off = (p.x - 2.0).abs().min((p.z + 1.0).abs());
-                assert!(off < 0.006, "{}: {p}", object.name);
-                if object.name.starts_with("wall/") {
-                    wall = wall.min(p.z);
-                } else {
-                    floor = floor.max(p.x);
-                }
-            }
-        }
-    }
-    assert!((wall + 1.0).abs() < 0.01 && (floor - 2.0).abs() < 0.01, "{wall} {floor}");
-}
-
-/// Somebody walks by: a box that stands elsewhere in every frame.
-#[test]
-fn who_walks_through_leaves_nothing() {
-    let walked = |k: usize| {
-        let mut environment = windowed();
-        let person = cuboid(Vec3::new(-0.15, -0.2, -1.0), Vec3::new(0.15, 0.2, 0.7));
-        let at = DVec3::new(1.2, 1.2 - 0.3 * k as f64, 0.0);
-        environment
-            .insert(NewObject::new("person", Pose { translation: at, ..Pose::IDENTITY }, person.into()))
-            .unwrap();
-        environment
-    };
-    let with = views(ahead(9).enumerate().map(|(k, pose)| (walked(k), pose)));
-    let found = explore(&Environment::new(), Known::Explored, &with);
-    for object in found.environment().objects() {
-        let b = object.world_bounds();
-        let stands = b.min.x < 1.5 && b.max.z > -0.9;
-        assert!(!stands, "{} from {} to {}", object.name, b.min, b.max);
-    }
-}
-
 /// A rough model: the wall and the floor of one object are 10 cm and 6 cm off, and the window is not known.
 #[test]
 fn a_rough_model_is_corrected_and_keeps_its_paths() {
