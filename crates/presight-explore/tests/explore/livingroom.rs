@@ -13,8 +13,14 @@ fn explored(polygons: usize) -> Option<(Exploration, Judged)> {
     }
     let odd: Vec<_> = all.iter().skip(1).step_by(8).cloned().collect();
     let options = ExploreOptions::default().with_polygons(polygons);
+    let clock = std::time::Instant::now();
     let found = Exploration::of(&Environment::new(), Known::Explored, &views, &options).unwrap();
+    let seconds = clock.elapsed().as_secs_f64();
     let judged = judge(found.environment(), &odd, 0.02, 0.05);
+    println!("{} polygons in {seconds:.1} s: {judged:.4?}, {:?}", found.polygons(), found.areas);
+    for object in found.objects.iter().take(12) {
+        println!("{} {} {:.4?}", object.path, object.mesh.polygon_count(), object.covariance.sigmas());
+    }
     Some((found, judged))
 }
 
@@ -51,6 +57,7 @@ fn frames_without_poses_are_found_on_the_way() {
     let detail = presight_testkit::env_number("DETAIL_MM", 40) as f64 * 1e-3;
     let options = ExploreOptions::default().with_detail(detail);
     let mut follower = Follower::new(start, Environment::new(), Known::Explored, &options).unwrap();
+    let clock = std::time::Instant::now();
     let mut last = None;
     for (k, (frame, truth)) in all.iter().enumerate() {
         let found = follower.add(frame, start).unwrap();
