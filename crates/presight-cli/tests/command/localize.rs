@@ -434,6 +434,7 @@ fn a_turn_longer_than_the_frame_distance_is_refused() {
     assert_eq!(done.status, Some(0), "{}", done.stderr);
 }
 
+#[cfg(all(unix, feature = "script", feature = "report"))]
 const SCANNER: &str = "format = 1\nkind = \"scanner\"\nclass = \"laser\"\nrange_max = 20.0\nbeam_height_deg = 20.0\n[azimuth]\n\
     start_deg = -180.0\nstep_deg = 0.5\ncount = 720\n[elevation]\nstart_deg = 0.0\nstep_deg = 0.0\ncount = 1\n[noise]\n\
     range_sigma = 0.01\n[mount]\nxyz = [0.1, 0.0, 0.3]\n";

@@ -61,6 +61,8 @@ const local = route => {
 async function open(address, context = browser) {
   const page = await context.newPage({ viewport: { width: 1400, height: 860 } });
   page.faults = [];
+  // Tests of other commands share the machine: slowness is not a fault here, figures.js measures it.
+  page.setDefaultTimeout(150_000);
   if (process.env.PRESIGHT_EDITOR_PAGE) await page.route(/\/([a-z]+\.(js|css|svg))?(#.*)?$/, local);
   page.on('pageerror', e => page.faults.push(e.message));
   page.on('console', message => message.type() === 'error' && page.faults.push(message.text()));
