@@ -51,11 +51,15 @@ impl<'a> Windows<'a> {
         self.levels[&level].second[row as usize * self.width + column as usize]
     }
 
-    /// [`Windows::second`] for a window that begins before the image.
+    /// [`Windows::second`] for a window that begins before the image, above it or beside it.
     fn second_of_part(&self, [a, b]: [u32; 2], column: i64, row: i64) -> f32 {
         let mut best = [0.0f32; 2];
         for v in row.max(0)..(row + (1 << b)).min(self.height as i64) {
-            for u in column.max(0)..(column + (1 << a)).min(self.width as i64) {
+            for u in column..column + (1 << a) {
+                let u = if self.is_closed { u.rem_euclid(self.width as i64) } else { u };
+                if !(0..self.width as i64).contains(&u) {
+                    continue;
+                }
                 best = merged(best, [self.through[v as usize * self.width + u as usize], 0.0]);
             }
         }
