@@ -38,7 +38,7 @@ struct Log {
     truth: Vec<Option<Pose>>,
     /// `None` for an unknown start.
     start: Option<Pose>,
-    /// The frame from which on the robot is looked for.
+    /// The frame that begins the search for the robot.
     looked_for: usize,
     /// Estimator options other than the command's.
     model_sigma: Option<f64>,
@@ -122,7 +122,7 @@ fn localized(log: &Log) -> Row {
         let step = robot.step(&log.map, frame).expect("a step");
         if may_search && matches!(step.phase, Phase::Lost | Phase::Unknown) {
             may_search = false;
-            // As the command: without a search the robot is looked for around its last pose.
+            // As in the command: without this search only the surroundings of the last pose are searched.
             robot.search_everywhere(&log.map, sensor, search).ok();
         }
         row.cpu_ms.push(1e3 * before.elapsed().as_secs_f64());
@@ -340,7 +340,7 @@ fn person(world: &World, frames: usize, model_sigma: Option<f64>) -> Log {
     Log { model_sigma, ..drive.log(caster, None) }
 }
 
-/// A corridor of which neither end is in reach, without odometry.
+/// A corridor whose ends are out of reach, without odometry.
 fn corridor(frames: usize) -> Log {
     let mut environment = scenes::empty();
     let walls = Mesh::cuboid("walls", Vec3::new(-60.0, -1.1, 0.0), Vec3::new(60.0, 1.1, 2.5), 0).expect("a box");
@@ -408,12 +408,12 @@ fn malaga(given: bool) -> Option<Log> {
     })
 }
 
-/// Whether a name is asked for: any part of it, or nothing.
+/// True if a name contains one of the requested parts, or if none are given.
 fn is_asked(asked: Option<&String>, name: &str) -> bool {
     asked.is_none_or(|a| a == "-" || a.split(',').any(|part| name.contains(part)))
 }
 
-/// Prints a row for each drive that is asked for.
+/// Prints a row for each requested drive.
 pub fn all(words: &[String]) {
     let frames = words.first().map_or(300, |n| n.parse().expect("a number of frames"));
     let (scenes, cases) = (words.get(1), words.get(2));

@@ -26,8 +26,8 @@ fn wander(world: &World, seconds: f64) -> Way {
     Way::wander(&oracle, &environment.bounds(), &Driving { seconds, speed: 0.7, turn: 0.7 }, 3)
 }
 
-/// Of twenty crates 15 % are three: so many are gone and so many moved, by 0.3 to 1.5 m, the walls never, nothing into the way of
-/// the robot, and always the same by the same seed.
+/// Three of twenty crates (15 %) are gone and three moved, by 0.3 to 1.5 m. Walls stay, nothing moves into the way of the robot,
+/// and the same seed changes the same crates.
 #[test]
 fn stated_shares_of_the_furniture_change() {
     let world = hall();
@@ -71,7 +71,7 @@ fn ways_touch_nothing_and_keep_their_speed() {
 }
 
 /// By hand: from (3, 4) with heading 0 the end wall is 9 m ahead, the long walls 4 m to either side. A person 1.8 m ahead reads
-/// 1.55 m there, and so do the pixels up to asin(0.25 / 1.8) = 8 degrees beside it, and no others.
+/// 1.55 m there, and so do the pixels up to asin(0.25 / 1.8) = 8 degrees to either side, and no others.
 #[test]
 fn readings_are_those_of_a_ray_caster_and_of_people() {
     let mut environment = Environment::new();

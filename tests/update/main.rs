@@ -56,11 +56,11 @@ fn a_changed_hall_is_learnt_without_a_false_change() {
     let found = score(&case, &camera(), &truth, &findings);
     let mut sum = Score::default();
     sum.add(&found);
-    let told = format!("{HEAD}\n{}\n{:#?}", sum.row("hall"), found.notes);
-    assert_eq!((found.false_gone, found.false_moved, found.false_new), (0, 0, 0), "{told}");
-    assert!(found.removed.1 >= 4 && found.moved.1 >= 3, "too little is visible: {told}");
-    assert_eq!(found.removed.0, found.removed.1, "{told}");
-    assert_eq!(found.added.0, found.added.1, "{told}");
+    let report = format!("{HEAD}\n{}\n{:#?}", sum.row("hall"), found.notes);
+    assert_eq!((found.false_gone, found.false_moved, found.false_new), (0, 0, 0), "{report}");
+    assert!(found.removed.1 >= 4 && found.moved.1 >= 3, "too little is visible: {report}");
+    assert_eq!(found.removed.0, found.removed.1, "{report}");
+    assert_eq!(found.added.0, found.added.1, "{report}");
     // The other moved crates are found gone, but not at their new places.
-    assert!(found.moved.0 >= 2, "{told}");
+    assert!(found.moved.0 >= 2, "{report}");
 }

@@ -1,7 +1,7 @@
 //! Runs that were interrupted go on where they ended, by the same command.
 //!
-//! Beside FILE.tum and FILE.jsonl a run keeps FILE.resume until it is complete: what it was asked for. The same command on the
-//! same inputs finds it, keeps the lines of the frames so far, and begins behind them at the last pose.
+//! Until it is complete a run keeps FILE.resume next to FILE.tum and FILE.jsonl, with its arguments and inputs. The same command on
+//! the same inputs finds it, keeps the lines of the frames so far, and continues after them from the last pose.
 
 use super::print;
 use presight_files::atomic::write_atomically;
@@ -41,7 +41,7 @@ struct Line {
 }
 
 impl Mark {
-    /// For outputs beside `out`. `asked` are all arguments, `inputs` the files and folders that a run reads.
+    /// For outputs next to `out`. `asked` are all arguments, `inputs` the files and folders that a run reads.
     pub fn new(out: &Path, asked: &str, inputs: &[&Path]) -> Self {
         let seen: Vec<String> = inputs.iter().map(|path| stamp(path)).collect();
         let text = serde_json::json!({ "format": 1, "kind": "interrupted-run", "asked": asked, "inputs": seen });

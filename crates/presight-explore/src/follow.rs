@@ -1,4 +1,4 @@
-//! Exploration without poses: each frame is localized in what is known so far, and adds to it.
+//! Exploration without poses: each frame is localized in the model made so far, and adds to it.
 
 use crate::exploration::{Exploration, Known};
 use crate::surfaces::ExploreOptions;
@@ -13,7 +13,7 @@ use presight_model::measured::Frame;
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
 
-/// Views of which the model is made while the sensor moves on.
+/// Views that the model is made from while the sensor moves on.
 const KEY_VIEWS: usize = 40;
 /// The model is made again when there are this many more views, as a share.
 const GROWTH: f64 = 0.12;
@@ -42,7 +42,7 @@ pub struct Follower {
 pub struct FoundPose {
     /// Seconds.
     pub stamp: f64,
-    /// world_from_robot, and what is left open, drift since the first frame included.
+    /// world_from_robot with its covariance, which includes the drift since the first frame.
     pub pose: PoseEstimate,
 }
 
@@ -92,7 +92,7 @@ impl Follower {
         self.last = *step.pose.covariance.as_rows();
         let more = self.views.all().len() - self.made_of;
         if more as f64 >= (GROWTH * self.made_of as f64).max(2.0) {
-            // What is added now is as far off as this pose: errors of one model pass into the next.
+            // Surfaces added now are as far off as this pose: errors of one model pass into the next.
             add_to(&mut self.covariance, &self.last);
             self.make()?;
         }

@@ -51,7 +51,7 @@ impl<'a> Windows<'a> {
         self.levels[&level].second[row as usize * self.width + column as usize]
     }
 
-    /// [`Windows::second`] for a window that begins before the image, above it or beside it.
+    /// [`Windows::second`] for a window that begins above the image or to its left.
     fn second_of_part(&self, [a, b]: [u32; 2], column: i64, row: i64) -> f32 {
         let mut best = [0.0f32; 2];
         for v in row.max(0)..(row + (1 << b)).min(self.height as i64) {

@@ -60,7 +60,7 @@ pub struct Caster {
 }
 
 impl Caster {
-    /// Casts into what is opaque for the class of the sensor. The same seed gives the same frames.
+    /// Casts into surfaces that are opaque for the class of the sensor. The same seed gives the same frames.
     pub fn new(real: &Environment, sensor: Sensor, seed: u64) -> Self {
         let bounds = real.bounds();
         let origin = 0.5 * (bounds.min + bounds.max);
@@ -79,7 +79,7 @@ impl Caster {
         }
     }
 
-    /// Adds people who walk to and fro 1 to 2.5 m beside the way.
+    /// Adds people who walk to and fro 1 to 2.5 m from the way.
     #[must_use]
     pub fn with_walkers(mut self, count: usize, way: &Way, seed: u64) -> Self {
         let mut random = Random(seed ^ 0x77a1);
@@ -93,7 +93,7 @@ impl Caster {
         self
     }
 
-    /// Adds a person who is always so many metres before the robot.
+    /// Adds a person who is always `metres` ahead of the robot.
     #[must_use]
     pub fn with_person_before(mut self, metres: f64) -> Self {
         self.people.push(Person::Before(metres));

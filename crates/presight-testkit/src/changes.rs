@@ -7,17 +7,17 @@ use presight_model::environment::{Environment, Object};
 use presight_model::geometry::Pose;
 use std::f64::consts::PI;
 
-/// Longest side of furniture on the floor plan, metres: what is longer is a wall, a floor or a roof.
+/// Longest side of furniture on the floor plan, metres: longer things are walls, floors or roofs.
 const LONGEST: f64 = 4.5;
 /// Furniture reaches into these heights above the floor at z = 0, metres, where robots meet it.
 const HEIGHTS: (f64, f64) = (0.1, 1.8);
 /// Least and greatest distance by which furniture is moved, metres.
 const MOVED: (f64, f64) = (0.3, 1.5);
-/// Greatest turn of what is moved, radians.
+/// Greatest turn of moved furniture, radians.
 const TURNED: f64 = 0.25 * PI;
-/// What is moved stays so far from the robot's way, metres.
+/// Distance of moved furniture from the robot's way, metres.
 const CLEAR: f64 = 0.5;
-/// Places that are tried for what is moved.
+/// Places that are tried for each piece of moved furniture.
 const TRIES: usize = 30;
 
 /// The shares of the furniture that change, 0 to 1 together.

@@ -10,7 +10,7 @@ use std::f64::consts::{PI, TAU};
 const STEP: f64 = 0.02;
 /// Heights above the floor in which nothing may be near, metres.
 const HEIGHTS: [f64; 3] = [0.2, 0.5, 0.9];
-/// Directions in which the robot looks for what is near.
+/// Directions in which the robot looks for obstacles.
 const DIRECTIONS: usize = 24;
 /// Accelerations, m/s^2 and rad/s^2.
 const ACCELERATION: (f64, f64) = (1.0, 2.5);
@@ -43,8 +43,8 @@ impl Way {
         Self { places: (0..=(seconds / STEP).ceil() as usize).map(place).collect() }
     }
 
-    /// A way that wanders about and keeps 0.3 m from everything; `bounds` are those of the environment. The same seed
-    /// gives the same way.
+    /// A way that wanders about within the environment's `bounds` and keeps 0.3 m from everything. The same seed gives the same
+    /// way.
     ///
     /// # Panics
     /// If there is no free way.
@@ -92,7 +92,7 @@ impl Way {
     }
 }
 
-/// Distances to what is near all round, beginning ahead, counter-clockwise.
+/// Distances to the nearest obstacles all round, beginning ahead, counter-clockwise.
 fn around(oracle: &Oracle, [x, y, yaw]: [f64; 3]) -> [f64; DIRECTIONS] {
     std::array::from_fn(|k| {
         let azimuth = yaw + TAU * k as f64 / DIRECTIONS as f64;
@@ -110,7 +110,7 @@ fn is_inside(oracle: &Oracle, place: [f64; 3]) -> bool {
         && seen.iter().filter(|d| **d < 12.0).count() > DIRECTIONS * 2 / 3
 }
 
-/// Places every [`STEP`]; fewer than asked for if something came too near.
+/// Places every [`STEP`]; the list ends early if something came too near.
 fn driven(oracle: &Oracle, driving: &Driving, start: [f64; 3], phase: f64) -> Vec<[f64; 3]> {
     let (mut place, mut speed, mut turn, mut side) = (start, 0.0, 0.0, 0.0);
     let mut places = vec![place];

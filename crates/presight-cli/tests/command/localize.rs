@@ -380,7 +380,7 @@ fn an_interrupted_run_goes_on() {
     assert!(!again.stderr.contains("going on") && again.stdout.contains("8 of 8 frames"), "{}", again.stderr);
 }
 
-/// By hand: a folder with odometry tells the motion between its images; half-way between two lines the robot is half-way.
+/// By hand: a folder's odometry gives the motion between its images; half-way between two lines the robot is half-way.
 #[test]
 fn depth_folders_carry_odometry() {
     let place = drive_of(3);
@@ -439,7 +439,7 @@ const SCANNER: &str = "format = 1\nkind = \"scanner\"\nclass = \"laser\"\nrange_
     start_deg = -180.0\nstep_deg = 0.5\ncount = 720\n[elevation]\nstart_deg = 0.0\nstep_deg = 0.0\ncount = 1\n[noise]\n\
     range_sigma = 0.01\n[mount]\nxyz = [0.1, 0.0, 0.3]\n";
 
-/// Every command of docs/localization.md, in an order in which each has what it reads. The long log is begun near its end.
+/// Every command of docs/localization.md, each after the commands that write its inputs. The long log is started near its end.
 #[cfg(all(unix, feature = "script", feature = "report"))]
 #[test]
 fn the_guide_can_be_walked() {

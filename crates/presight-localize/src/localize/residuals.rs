@@ -14,7 +14,7 @@
 //! estimated heading is off by q, so the robot seems to drive to the right of it. A scanner that is mounted by (x, y) farther ahead
 //! and left than stated moves the estimated origin by as much, and turns about another point. Scans that are taken c seconds later
 //! than their stamps see the change of the rate early. Seven numbers by weighted least squares; the scatter of the residuals
-//! themselves tells their deviations.
+//! themselves gives their deviations.
 
 use super::velocity::rate;
 use crate::motion::Vector;
@@ -26,9 +26,9 @@ use presight_model::measured::Motion;
 const N: usize = 7;
 /// Motions from which figures are taken.
 const LEAST: usize = 30;
-/// A figure counts from so many of its deviations on: one in a million by chance, for each of four.
+/// A figure counts if it exceeds this multiple of its deviation: by chance one in a million, for each of four.
 const SURE: f64 = 5.0;
-/// And from so much on, which calibrations leave: metres, radians, seconds.
+/// It must also exceed the usual error of a calibration: metres, radians, seconds.
 const MATTERS: (f64, f64, f64) = (0.01, 0.006, 0.005);
 
 /// A motion, as the next one is needed to know how its rate changes.
@@ -71,7 +71,7 @@ pub struct Misfit {
 }
 
 impl Residuals {
-    /// For a scanner whose scans are put to so many seconds after their stamps.
+    /// For a scanner whose scans are dated `after_stamp` seconds after their stamps.
     pub fn new(after_stamp: f64) -> Self {
         let (information, right) = ([[0.0; N]; N], [0.0; N]);
         Self { information, right, squares: 0.0, rows: 0, last: None, turn_s: after_stamp }
@@ -123,7 +123,7 @@ impl Residuals {
         if self.rows < 3 * LEAST {
             return None;
         }
-        // A number that no motion tells keeps its place, with a deviation that says so.
+        // A number that no motion determines keeps its place, with a large deviation.
         let mut information = self.information;
         (0..N).for_each(|i| information[i][i] += 1e-6);
         let l = cholesky(&information, |x| (x > 0.0).then_some(x))?;
@@ -189,7 +189,7 @@ mod tests {
         [0.5 + 0.4 * (0.7 * t).sin(), 0.0, 0.0, 0.0, 0.0, 0.6 * (0.9 * t).sin()]
     }
 
-    /// 30 s at 10 Hz: the robot's true poses, and those of its scanner, which is mounted otherwise than stated and `late`.
+    /// 30 s at 10 Hz: the robot's true poses, and the poses of its scanner, which is `late` and not mounted as stated.
     fn drive(mount_error: Pose, late: f64, noise: f64) -> Residuals {
         let step = 0.002;
         let mut poses = vec![Pose::IDENTITY];
@@ -243,7 +243,7 @@ mod tests {
         assert!(residuals.warnings()[0].contains("ms later than their stamps"), "{:?}", residuals.warnings());
     }
 
-    /// Nothing is told of a robot as it is stated, nor of one that turns about, and of 180 degrees it is.
+    /// A correct mount gives no warning, nor does a robot that only turns; a mount turned by 180 degrees does.
     #[test]
     fn what_is_right_is_not_told_and_a_reversed_scanner_is() {
         assert_eq!(drive(Pose::IDENTITY, 0.0, 0.002).warnings(), Vec::<String>::new());

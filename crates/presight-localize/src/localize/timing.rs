@@ -1,5 +1,5 @@
-//! Time in a step: scans that take time are put to one moment, poses are told for the time of the stamp, and what motion and
-//! odometry differ by is watched.
+//! Time in a step: scans that take time are moved to one moment, poses are given for the time of the stamp, and the difference
+//! of motion and odometry is watched.
 
 use super::residuals::Residuals;
 use super::turning::{at_once, check};
@@ -9,13 +9,13 @@ use presight_model::geometry::Pose;
 use presight_model::measured::Frame;
 use presight_model::world::World;
 
-/// A share of frames that contradict the odometry, from which on it is told: with the stated noise it is 1 in 10,000.
+/// A larger share of frames that contradict the odometry gives a warning: with the stated noise the share is 1 in 10,000.
 const CONTRADICTING: f64 = 0.02;
 
-/// Most pixels of an image in which a robot is looked for.
+/// Most pixels of an image while the robot is lost.
 const SEARCH_PIXELS: u64 = 5_000;
 
-/// The times of the frames so far, and what was watched in them.
+/// The times of the frames so far, and the residuals of their motions.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Timing {
     /// Stamp of the first frame, seconds.
@@ -28,9 +28,9 @@ pub(super) struct Timing {
 }
 
 impl Localizer {
-    /// Takes in the next frame, with frames that other sensors of the robot took at the same time. Stamp and odometry are those of the
-    /// first. A search of the whole map and hypotheses go by the first alone. A scan that takes time is put to the middle of its turn by
-    /// the robot's own motion; the pose is told for its stamp.
+    /// Takes in the next frame, with frames that other sensors of the robot took at the same time. Stamp and odometry come from the
+    /// first. A search of the whole map and hypotheses use the first alone. A scan that takes time is moved to the middle of its turn
+    /// by the robot's own motion; the pose is given for its stamp.
     ///
     /// # Errors
     /// Those of [`Localizer::step`].
@@ -58,8 +58,8 @@ impl Localizer {
         Ok(step)
     }
 
-    /// Fewer pixels of an image, for a robot that is looked for: from many starts, each of them costs as much as a whole frame of a
-    /// robot that is followed.
+    /// Fewer pixels of an image, for a lost robot: with many starts each pixel costs many times as much as for a robot that is
+    /// followed.
     fn thinned_for_search(&self, frame: &Frame) -> Result<Option<Frame>> {
         let pixels = u64::from(frame.sensor().width()) * u64::from(frame.sensor().height());
         let is_image = frame.sensor().height() > 1 && frame.grey().is_none() && frame.intensities().is_none();
@@ -72,8 +72,8 @@ impl Localizer {
         frame.thinned(stride).map(Some)
     }
 
-    /// What the drive so far tells of the robot itself: a mount or a clock that is otherwise than stated, and odometry that contradicts the
-    /// frames. One line each.
+    /// Warnings about the robot itself, one line each: a mount or a clock that is not as stated, and odometry that contradicts the
+    /// frames.
     pub fn warnings(&self) -> Vec<String> {
         let mut lines = self.timing.residuals.as_ref().map(Residuals::warnings).unwrap_or_default();
         let (far, all) = self.velocity.contradicted();

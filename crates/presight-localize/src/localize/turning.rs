@@ -144,7 +144,7 @@ mod tests {
     use super::*;
     use presight_model::sensor::{Angles, Scanner, SensorSpec};
 
-    /// 360 beams, of which the first looks back, in a tenth of a second.
+    /// 360 beams in a tenth of a second; the first looks back.
     fn scanner(turn_s: f64) -> Sensor {
         let azimuth = Angles::Uniform { start_deg: -180.0, step_deg: 1.0, count: 360 };
         let elevation = Angles::Listed(vec![0.0]);
@@ -193,7 +193,7 @@ mod tests {
         }
     }
 
-    /// Scans of 0.1 s that come every 0.05 s are refused, those that come every 0.1 s are not, and not before that is known.
+    /// Scans of 0.1 s are refused if they come every 0.05 s, once that is known; every 0.1 s they are accepted.
     #[test]
     fn a_turn_longer_than_the_frame_distance_is_refused() {
         let frame = turned(&[0.0; 6], 0.1);

@@ -2,8 +2,8 @@
 //!
 //! The state is the pose, the twist (metres and radians per second in the robot's axes, constant between two frames) and two
 //! scales: by how much odometry measures too long a way, and too wide a turn. Pose, twist and scales share one covariance. A
-//! pose that a frame corrects corrects the twist by what they share, so that a direction that no frame has measured keeps the
-//! little that is known of its speed, and its position grows unsure with it: nothing is carried on as if it had been measured.
+//! frame that corrects the pose also corrects the twist, through their covariance. In a direction that no frame has measured,
+//! the speed keeps its large deviation, and the deviation of the position grows accordingly.
 //!
 //! Between frames the twist changes by white acceleration; its noise is stated per second, whatever the rate of the frames.
 //! Odometry is a measurement of the twist (an extended Kalman filter; Maybeck, Stochastic Models, Estimation and Control,
@@ -34,7 +34,7 @@ type Joint = [[f64; N]; N];
 pub struct MotionNoise {
     /// Change of speed along each axis in one second, m/s; it grows with the root of the time.
     pub speed: f64,
-    /// Likewise of the turning rate, rad/s.
+    /// Change of the turning rate about each axis in one second, rad/s; it grows with the root of the time.
     pub turn: f64,
     /// Speed before the first motion, m/s.
     pub first_speed: f64,
@@ -47,7 +47,7 @@ pub struct MotionNoise {
     /// Without odometry, the most by which a frame's motion may differ from the one before, metres: frames that are farther apart in
     /// time cannot be followed by their speed, and the stamps of some logs only count the frames.
     pub most_step: f64,
-    /// Likewise, radians.
+    /// The same limit for the turn of a frame, radians.
     pub most_turn: f64,
 }
 
@@ -73,7 +73,7 @@ presight_model::with_options!(
     with_most_turn most_turn: f64,
 );
 
-/// The twist of a robot, the scales of its odometry, and what they share with its pose.
+/// The twist of a robot, the scales of its odometry, and their covariance with its pose.
 #[derive(Clone, Debug)]
 pub struct Velocity {
     noise: MotionNoise,
@@ -98,7 +98,7 @@ const MOST_MISTRUST: f64 = 1e4;
 const CONTRADICTS: f64 = 3.719;
 
 impl Velocity {
-    /// A robot of which it is not known whether it stands.
+    /// A robot that may stand or move.
     pub fn new(noise: MotionNoise) -> Self {
         let (mistrust, by_odometry, contradicted, is_fresh) = (1.0, false, (0, 0), true);
         let (twist, scales, covariance) = ([0.0; 6], [0.0; 2], [[0.0; N]; N]);
@@ -108,7 +108,7 @@ impl Velocity {
         unknown
     }
 
-    /// Forgets how fast the robot was; what is known of the odometry stays.
+    /// Forgets the speed of the robot, and keeps the scales of its odometry.
     pub fn restart(&mut self) {
         (self.twist, self.is_fresh) = ([0.0; 6], true);
         let scales: Vec<f64> = (SCALES..N).map(|i| self.covariance[i][i]).collect();
@@ -156,9 +156,9 @@ impl Velocity {
         self.is_fresh = false;
     }
 
-    /// The robot's motion over so many seconds, as its odometry has measured it or on its own, and where it is then. The covariance of
-    /// the motion does not know what it shares with the pose; that of the pose does. `stamp_sigma` is the error of the time stamps, seconds:
-    /// a moving robot is then not where it is said to be at the time that is stated.
+    /// The robot's motion over `seconds`, by its odometry or its own speed, and the pose that follows. The covariance of the pose
+    /// includes the correlation of motion and pose; that of the motion does not. `stamp_sigma` is the error of the time stamps,
+    /// seconds: it makes the pose of a moving robot less certain.
     pub fn carry(
         &mut self,
         belief: &PoseEstimate,
@@ -187,7 +187,7 @@ impl Velocity {
         (odometry.copied().unwrap_or(motion), PoseEstimate::new(to, PoseCovariance::from_rows(self.pose_covariance())))
     }
 
-    /// Where the robot was so many seconds before a belief (after it if negative), with a stamp that errs by `stamp_sigma` seconds.
+    /// The pose `seconds` before a belief (after it if negative), with a stamp that errs by `stamp_sigma` seconds.
     pub fn before(&self, belief: &PoseEstimate, seconds: f64, stamp_sigma: f64, freedom: Freedom) -> PoseEstimate {
         let mut then = self.clone();
         then.hold(belief);
@@ -208,7 +208,7 @@ impl Velocity {
         }
     }
 
-    /// What a frame has corrected of the pose corrects the twist and the scales by what they share.
+    /// Corrects the twist and the scales by a frame's correction of the pose, through their covariance.
     pub fn learn(&mut self, prior: &PoseEstimate, posterior: &PoseEstimate, freedom: Freedom) {
         let (before, after) = (prior.covariance.as_rows(), posterior.covariance.as_rows());
         let axes = freedom.axes();
@@ -248,7 +248,7 @@ impl Velocity {
             return;
         }
         let is_far = squared > chi_squared_quantile(axes as u32, CONTRADICTS);
-        // Only a contradiction begins it: a mean that is a little high by chance is none.
+        // Mistrust begins with a contradiction; by chance alone the mean is a little high.
         if is_far || self.mistrust > 1.0 {
             let change = MISTRUST_GAIN * (squared / axes as f64 - 1.0);
             self.mistrust = (self.mistrust * (1.0 + change)).clamp(1.0, MOST_MISTRUST);
@@ -273,7 +273,7 @@ impl Velocity {
         std::array::from_fn(|i| std::array::from_fn(|j| self.covariance[i][j]))
     }
 
-    /// Odometry measures the twist times the seconds, too long by the scales. Returns what it says of the pose before.
+    /// Odometry measures the twist times the seconds, too long by the scales. Returns its correction of the pose before.
     fn measure(&mut self, odometry: &Motion, seconds: f64) -> Vector {
         let measured = rate(&odometry.previous_from_current, seconds).map(|x| x * seconds);
         let scale = |i: usize| 1.0 + self.scales[i / 3];
@@ -318,7 +318,7 @@ impl Velocity {
             &std::array::from_fn(|i| std::array::from_fn(|j| if i == j { seconds } else { 0.0 })),
         );
         axes.iter().for_each(|i| step[*i][TWIST..SCALES].copy_from_slice(&turned[*i]));
-        // Only the rows of the pose differ from those of the identity.
+        // The other rows are rows of the identity.
         let mut half = self.covariance;
         (0..6)
             .for_each(|i| half[i] = std::array::from_fn(|j| (0..N).map(|k| step[i][k] * self.covariance[k][j]).sum()));
@@ -351,14 +351,14 @@ fn restricted_vector(v: &Vector, freedom: Freedom) -> Vector {
     std::array::from_fn(|i| v[i] * ones[i][i])
 }
 
-/// Where a constant twist leads in so many seconds: previous_from_current, the exponential of a rigid motion.
+/// The motion of a constant twist over `seconds`: previous_from_current, the exponential of a rigid motion.
 pub fn along(twist: &Vector, seconds: f64) -> Pose {
     let [x, y, z, rx, ry, rz] = twist.map(|v| v * seconds);
     let angles = DVec3::new(rx, ry, rz);
     Pose { translation: mean_turn(angles) * DVec3::new(x, y, z), rotation: DQuat::from_scaled_axis(angles) }
 }
 
-/// The constant twist that leads to a pose in so many seconds: the inverse of [`along`].
+/// The constant twist that leads to a pose in `seconds`: the inverse of [`along`].
 pub fn rate(previous_from_current: &Pose, seconds: f64) -> Vector {
     let [.., rx, ry, rz] = motion_between(&Pose::IDENTITY, previous_from_current);
     let angles = DVec3::new(rx, ry, rz);
@@ -466,7 +466,7 @@ mod tests {
         assert!((prior.world_from_robot.translation.x - 21.0).abs() < 0.005, "{}", prior.world_from_robot.translation);
     }
 
-    /// A pose from elsewhere shares nothing with the twist: the next frame teaches it what is due to the motion alone.
+    /// A pose from elsewhere has no correlation with the twist: the next frame teaches the twist by the motion alone.
     #[test]
     fn a_pose_from_elsewhere_shares_nothing() {
         let mut velocity = Velocity::new(noise());
@@ -476,7 +476,7 @@ mod tests {
         assert!((next.covariance[0][0] - (0.09 + 0.25)).abs() < 1e-12, "{}", next.covariance[0][0]);
     }
 
-    /// By hand: at 1 m/s a stamp that errs by 20 ms errs by 2 cm on the way, and not beside it; half a second before, the robot was
+    /// By hand: at 1 m/s a stamp that errs by 20 ms errs by 2 cm on the way, and nothing across it; half a second before, the robot was
     /// half a metre back.
     #[test]
     fn a_moving_robot_is_elsewhere_when_its_stamp_is_wrong() {
