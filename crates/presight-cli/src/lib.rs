@@ -5,6 +5,7 @@ mod batch;
 mod compare;
 mod deadline;
 mod doctor;
+mod drive;
 #[cfg(all(feature = "gpu", target_os = "linux"))]
 mod drivers;
 #[cfg(feature = "edit")]

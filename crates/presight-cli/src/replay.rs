@@ -1,6 +1,7 @@
 //! `presight replay`: a drive as images, with a page to browse them.
 
-use super::localize::{Drive, FeatureCounts, Followed, Sensed, summary};
+use super::drive::{Drive, FeatureCounts, Followed, Sensed};
+use super::localize::summary;
 use super::outputs::OutputFiles;
 use super::{CommandOutcome, folder, print};
 use glam::EulerRot;

@@ -1,6 +1,6 @@
 //! `presight supervise`: whether the way ahead is free, frame by frame.
 
-use super::localize::{Drive, Sensed};
+use super::drive::{Drive, Sensed};
 use super::outputs::OutputFiles;
 use super::{CommandOutcome, print};
 use presight::Scene;
@@ -176,7 +176,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
 
 impl Run {
     fn new(args: &Args, corridor: &Corridor, options: SuperviseOptions, frame: &Frame) -> Result<Self> {
-        let options = options.with_model_sigma(args.drive.model_sigma_of(frame.sensor()));
+        let options = options.with_model_sigma(args.drive.options(frame.sensor()).model_sigma);
         let supervisor = Supervisor::new(corridor.clone(), options)?;
         let threads = Threads::from(args.drive.threads).started()?;
         let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads))?;

@@ -3,7 +3,7 @@
 mod page;
 mod store_of;
 
-use super::localize::Drive;
+use super::drive::Drive;
 use super::outputs::OutputFiles;
 use super::{CommandOutcome, folder, print};
 use page::Shown;
@@ -197,7 +197,7 @@ fn options(args: &Args) -> Result<LearnOptions> {
         .with_least_views(args.views.max(1))
         .with_sure(args.sure)
         .with_most_per_view(args.most_per_view)
-        .with_model_sigma(args.drive.model_sigma().unwrap_or(0.0)))
+        .with_model_sigma(args.drive.model_sigma.unwrap_or(0.0)))
 }
 
 /// Checks that no output is an input, before anything is read.

@@ -1,0 +1,35 @@
+//! Logs of a robot's other sensors.
+
+use presight_files::log::{Frames, Observation};
+use presight_model::error::Result;
+
+/// The log of another sensor.
+pub(super) struct LogBeside {
+    pub frames: Frames,
+    pub next: Option<Observation>,
+}
+
+/// Largest difference of the stamps of frames that count as taken at the same time, seconds.
+const SAME_TIME: f64 = 0.01;
+
+impl LogBeside {
+    /// The frame that was taken at a time. Earlier ones are passed over.
+    pub fn next_at(&mut self, stamp: f64) -> Result<Option<Observation>> {
+        loop {
+            let next = match self.next.take() {
+                Some(next) => next,
+                None => match self.frames.next().transpose()? {
+                    Some(next) => next,
+                    None => return Ok(None),
+                },
+            };
+            if next.frame.stamp > stamp + SAME_TIME {
+                self.next = Some(next);
+                return Ok(None);
+            }
+            if next.frame.stamp >= stamp - SAME_TIME {
+                return Ok(Some(next));
+            }
+        }
+    }
+}

@@ -1,0 +1,343 @@
+//! A drive: the log, map and start that `localize`, `replay`, `supervise` and `update` share, and the localizer that follows it.
+
+mod beside;
+mod features;
+mod start;
+
+pub use features::FeatureCounts;
+
+use super::outputs::OutputFiles;
+use super::resume::Resumed;
+use super::sensor_args::SensorArgs;
+use super::{open_scene_without, print};
+use beside::LogBeside;
+use features::{not_sought, not_sought_in_scans};
+use presight::Scene;
+use presight_files::depth_folder::DepthFolder;
+use presight_files::gltf::ImportOptions;
+use presight_files::load_sensor;
+use presight_files::log::{Frames, Observation};
+use presight_localize::estimate::{Estimator, Freedom};
+use presight_localize::localize::{Phase, Step};
+use presight_localize::verdict::Verdicts;
+use presight_model::error::{Error, Result};
+use presight_model::geometry::Pose;
+use presight_model::index::IndexKind;
+use presight_model::measured::Frame;
+use presight_model::sensor::Sensor;
+use presight_model::threads::Threads;
+use presight_predict::predict::{Backend, Options, Predictor};
+use std::path::{Path, PathBuf};
+
+/// Flags shared by `localize`, `replay`, `supervise` and `update`: the log, the map, and the options of the localizer.
+#[derive(Clone, Debug, clap::Args)]
+pub struct Drive {
+    /// The log
+    pub log: PathBuf,
+
+    /// The sensors of a robot, the log's first, each with its log; empty to take what the other flags and the log say.
+    #[arg(skip)]
+    pub robot: Vec<(PathBuf, Sensor)>,
+
+    /// The model: a .glb or .gltf file, a .rhai script, or a store
+    #[arg(long, value_name = "SCENE")]
+    pub map: PathBuf,
+
+    /// Start pose of the robot: x,y,z,roll_deg,pitch_deg,yaw_deg or x,y,z,qx,qy,qz,qw, `reference` for the log's first
+    /// pose, or `unknown` to search the whole map at the height of --floor with the roll and pitch of --lean
+    #[arg(long, value_name = "POSE", allow_hyphen_values = true)]
+    init: String,
+
+    /// Standard deviation of the start position along each axis, metres
+    #[arg(long, value_name = "METRES", default_value_t = 0.05)]
+    init_sigma: f64,
+
+    /// Standard deviation of the start orientation about each axis, degrees
+    #[arg(long, value_name = "DEG", default_value_t = 2.0)]
+    init_sigma_deg: f64,
+
+    /// The sensor, with its noise and mount [default: from the log]
+    #[arg(long, value_name = "PRESET|FILE")]
+    pub sensor: Option<String>,
+
+    #[command(flatten)]
+    image: SensorArgs,
+
+    /// Standard deviation of the model's surfaces, independent for each surface, metres [default: 0.03 for a scanner of
+    /// one row, 0.1 for scans of points, otherwise 0]
+    #[arg(long, value_name = "METRES")]
+    pub model_sigma: Option<f64>,
+
+    /// Standard deviation of odometry, as a fraction of the distance and of the turn
+    #[arg(long, value_name = "PART", default_value_t = 0.1)]
+    odometry_sigma: f64,
+
+    /// The camera of grey images in a log of depth images [default: LOG/grey.toml, or the sensor of the depth images]
+    #[arg(long, value_name = "PRESET|FILE")]
+    grey_sensor: Option<String>,
+
+    /// Search for the features of this layer: in grey images, and for reflectors in scans with intensities
+    #[arg(long = "layer", value_name = "FILE.json")]
+    pub layers: Vec<PathBuf>,
+
+    /// Also search for the scene's own features
+    #[arg(long)]
+    pub own_features: bool,
+
+    /// Leave out these objects of the map, with everything below them, such as the robot itself
+    #[arg(long, value_name = "OBJECT", num_args = 1..)]
+    exclude: Vec<String>,
+
+    /// Height of the robot's frame in a search of the whole map, and of the poses of a document of planar scans, metres
+    #[arg(long, value_name = "METRES", default_value_t = 0.0, allow_hyphen_values = true)]
+    floor: f64,
+
+    /// Largest height in a search of the whole map, metres, if the height is not known [default: --floor]
+    #[arg(long, value_name = "METRES", allow_hyphen_values = true)]
+    floor_to: Option<f64>,
+
+    /// Distance beyond the bounds of the map that is searched, metres: for a map of measured surfaces that does not
+    /// include the places they were measured from
+    #[arg(long, value_name = "METRES", default_value_t = 0.0)]
+    margin: f64,
+
+    /// In a search of the whole map, the fraction of directions in which a place must be surrounded by the map
+    #[arg(long, value_name = "SHARE", default_value_t = 0.5)]
+    surrounded: f64,
+
+    /// Roll and pitch of the robot in a search of the whole map, degrees
+    #[arg(
+        long,
+        value_name = "ROLL,PITCH",
+        value_delimiter = ',',
+        num_args = 1,
+        default_value = "0,0",
+        allow_hyphen_values = true
+    )]
+    lean: Vec<f64>,
+
+    /// Start at the first frame at or after this time, seconds
+    #[arg(long, value_name = "TIME")]
+    from: Option<f64>,
+
+    /// Use every N-th column and row
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    stride: u32,
+
+    /// CPU threads, 0 = all cores
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub threads: usize,
+}
+
+/// The measurements at one time.
+pub struct Sensed<'a> {
+    /// Ranges, or a grey image in a log of grey images only.
+    pub frame: &'a Frame,
+    /// The grey image in addition to ranges.
+    pub grey: Option<&'a Frame>,
+    /// What the robot's other sensors measured.
+    pub beside: &'a [Frame],
+}
+
+#[cfg_attr(not(feature = "report"), expect(dead_code, reason = "only replays show measurements"))]
+impl Sensed<'_> {
+    /// The grey image, with or without ranges.
+    pub fn grey(&self) -> Option<&Frame> {
+        self.grey.or(self.frame.grey().map(|_| self.frame))
+    }
+}
+
+/// The results of a whole drive.
+#[derive(Default)]
+pub struct Followed {
+    /// The localizer's step for each frame, without verdict images and findings.
+    pub steps: Vec<Step>,
+    /// Pixels of each verdict, by frame.
+    pub counts: Vec<[usize; 7]>,
+    /// Feature counts, by frame; `None` if no features were searched.
+    pub features: Vec<Option<FeatureCounts>>,
+    /// world_from_robot from the log, by frame.
+    pub reference: Vec<Option<Pose>>,
+}
+
+impl Drive {
+    /// Tracks the robot through the log. Calls `visit` with each frame and its step. Before the first call it checks
+    /// that `files` would not overwrite an input. A run that is `resumed` begins behind the frames that it has. Prints what the readings were taken as, also after an error.
+    ///
+    /// # Errors
+    /// Errors from reading the log, map and sensor, from the estimator, and from `visit`.
+    pub fn follow(
+        &self,
+        files: OutputFiles,
+        resumed: Option<&Resumed>,
+        visit: impl FnMut(&Scene, &Sensed<'_>, &Step) -> Result<()>,
+    ) -> Result<Followed> {
+        self.check()?;
+        let beside =
+            ["camera.json", "grey.toml", "odometry.txt", "poses.json", "poses.txt"].map(|name| self.log.join(name));
+        let sensors = [&self.sensor, &self.grey_sensor].into_iter().flatten().map(Path::new);
+        files.check_named([self.log.as_path(), self.map.as_path()].into_iter().chain(sensors))?;
+        files.check_named(self.layers.iter().chain(&beside).map(PathBuf::as_path))?;
+        files.check_named(self.robot.iter().map(|(log, _)| log.as_path()))?;
+        let mut log = self.opened()?;
+        let followed = self.follow_log(&mut log, files, resumed, visit);
+        print::notices(&log.notice().map(|notice| format!("{}: {notice}", self.log.display())));
+        followed
+    }
+
+    /// Reads the log without following it. Calls `visit` with each frame, and with its pose if the log has one.
+    ///
+    /// # Errors
+    /// Errors from reading the log, map and sensor, and from `visit`.
+    #[cfg(feature = "store")]
+    pub fn read(&self, scene: &Scene, mut visit: impl FnMut(&Scene, &Frame, Option<Pose>) -> Result<()>) -> Result<()> {
+        self.check()?;
+        for observation in self.observations(&mut self.opened()?, None) {
+            let Observation { frame, reference } = observation?;
+            visit(scene, &frame, reference)?;
+        }
+        Ok(())
+    }
+
+    /// Opens the log with its sensor.
+    fn opened(&self) -> Result<Frames> {
+        let sensor = match self.robot.first() {
+            Some((_, sensor)) => Some(sensor.clone()),
+            None => self.sensor.as_deref().map(|sensor| self.image.load(sensor)).transpose()?,
+        };
+        Frames::open(&self.log, sensor.as_ref(), &self.odometry()?)
+    }
+
+    /// The measurements from --from on and `after` a time, thinned, with the poses of planar documents on the floor.
+    fn observations(&self, log: &mut Frames, after: Option<f64>) -> impl Iterator<Item = Result<Observation>> {
+        let is_planar = log.has_planar_poses();
+        let is_early =
+            move |stamp: f64| self.from.is_some_and(|from| stamp < from) || after.is_some_and(|t| stamp <= t);
+        log.skip_while(move |o| matches!(o, Ok(o) if is_early(o.frame.stamp)))
+            .map(move |o| o.and_then(|o| self.thinned(if is_planar { self.on_the_floor(o) } else { o })))
+    }
+
+    /// Opens the map.
+    ///
+    /// # Errors
+    /// Errors from reading it.
+    pub fn scene(&self) -> Result<Scene> {
+        let threads = Threads::from(self.threads).started()?;
+        let import = ImportOptions { threads, ..ImportOptions::default() };
+        open_scene_without(&self.map, &import, IndexKind::default(), &self.exclude)
+    }
+
+    /// The same drive options with another log.
+    #[cfg(feature = "store")]
+    pub fn with_log(&self, log: &Path) -> Self {
+        Self { log: log.to_owned(), ..self.clone() }
+    }
+
+    fn follow_log(
+        &self,
+        log: &mut Frames,
+        files: OutputFiles,
+        resumed: Option<&Resumed>,
+        mut visit: impl FnMut(&Scene, &Sensed<'_>, &Step) -> Result<()>,
+    ) -> Result<Followed> {
+        let measured = log.sensor().clone();
+        let mut log = self.observations(log, resumed.map(|run| run.time));
+        let Some(first) = log.next().transpose()? else {
+            if resumed.is_some() {
+                return Ok(Followed::default());
+            }
+            let remedy = "give a log with frames, or an earlier --from";
+            return Err(Error::invalid("the log has no frames", remedy).in_file(&self.log));
+        };
+        let threads = Threads::from(self.threads).started()?;
+        let (start, options) = (self.start(&first)?, self.options(first.frame.sensor()));
+        let scene = self.scene()?;
+        let mut grey = self.grey(&measured)?;
+        let mut logs_beside = self.logs_beside()?;
+        let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads))?;
+        let mut estimator = Estimator::new(predictor, options);
+        let is_looked_in = first.frame.grey().is_some() || !first.frame.sensor().is_camera();
+        let looked_in = grey.as_ref().map(DepthFolder::sensor).or(is_looked_in.then(|| first.frame.sensor()));
+        if let Some(placed) = looked_in.map(|sensor| self.placed(&scene, sensor)).transpose()?.flatten() {
+            let of_scans = grey.is_none() && first.frame.grey().is_none();
+            print::notices(&if of_scans { not_sought_in_scans(&placed, &first.frame) } else { not_sought(&placed) });
+            estimator = estimator.with_features(placed);
+        }
+        // A run that ended without a pose has no start left; one with a pose has moved since, and is as unsure as a start.
+        let start_now = if let Some(run) = resumed { run.pose } else { start };
+        let mut localizer = self.localizer(estimator, start_now, &scene, first.frame.sensor())?;
+        // The search of the whole map predicts many panoramas, so it is set up only when it is needed.
+        let mut may_search = start_now.is_some() && options.freedom == Freedom::Planar;
+        files.check_scene(&scene.files)?;
+        let (mut followed, progress) = (Followed::default(), super::bar::count("frames"));
+        for observation in std::iter::once(Ok(first)).chain(log) {
+            let Observation { frame, reference } = observation?;
+            let grey = grey.as_mut().map(|g| g.next_at(frame.stamp)).transpose()?.flatten();
+            let others = logs_beside.iter_mut().filter_map(|log| log.next_at(frame.stamp).transpose());
+            let others = others.map(|other| other.and_then(|o| self.thinned(o))).map(|o| o.map(|o| o.frame));
+            let others = others.collect::<Result<Vec<Frame>>>()?;
+            let beside: Vec<&Frame> = grey.iter().chain(&others).collect();
+            let place = |e: Error| e.at(format!("the frame at {} s", frame.stamp)).in_file(&self.log);
+            let mut step = localizer.step_together(&scene.world, &frame, &beside).map_err(place)?;
+            if may_search && matches!(step.phase, Phase::Lost | Phase::Unknown) {
+                may_search = false;
+                progress.set_message("looking round in the whole map");
+                let search = self.search_about(&step.pose.world_from_robot)?;
+                if let Err(e) = localizer.search_everywhere(&scene.world, frame.sensor(), search) {
+                    print::notices(&[format!("searching for the robot only around its last pose: {e}")]);
+                }
+            }
+            progress.set_message(step.phase.name());
+            progress.inc(1);
+            visit(&scene, &Sensed { frame: &frame, grey: grey.as_ref(), beside: &others }, &step)?;
+            followed.features.push(FeatureCounts::of(&step.estimate.findings));
+            step.estimate.findings.clear();
+            followed.counts.push(verdict_counts(&step));
+            step.estimate.verdicts.clear();
+            followed.steps.push(step);
+            followed.reference.push(reference);
+        }
+        progress.finish_and_clear();
+        print::notices(&localizer.warnings());
+        Ok(followed)
+    }
+
+    /// Opens the logs of the robot's other sensors.
+    fn logs_beside(&self) -> Result<Vec<LogBeside>> {
+        let open = |(path, sensor): &(PathBuf, Sensor)| {
+            Ok(LogBeside { frames: Frames::open(path, Some(sensor), &self.odometry()?)?, next: None })
+        };
+        self.robot.iter().skip(1).map(open).collect()
+    }
+
+    /// Opens the grey images of a log of depth images, if it has any.
+    fn grey(&self, depth: &Sensor) -> Result<Option<DepthFolder>> {
+        let sensor = self.grey_sensor.as_deref().map(load_sensor).transpose()?;
+        print::notices(sensor.iter().flat_map(|(_, notices)| notices));
+        if !self.log.is_dir() {
+            return Ok(None);
+        }
+        DepthFolder::grey_beside(&self.log, sensor.as_ref().map(|(sensor, _)| sensor), depth)
+    }
+
+    /// Lifts the reference of planar poses, which have no height, to the floor.
+    fn on_the_floor(&self, mut observation: Observation) -> Observation {
+        observation.reference.iter_mut().for_each(|pose| pose.translation.z = self.floor);
+        observation
+    }
+
+    fn thinned(&self, observation: Observation) -> Result<Observation> {
+        // A grey image keeps all pixels: thinning would destroy its edges.
+        let frame: Frame = if self.stride > 1 && observation.frame.grey().is_none() {
+            observation.frame.thinned(self.stride)?
+        } else {
+            observation.frame
+        };
+        Ok(Observation { frame, ..observation })
+    }
+}
+
+/// Pixels of each verdict of a step that still has its verdict images.
+pub fn verdict_counts(step: &Step) -> [usize; 7] {
+    step.estimate.verdicts.first().map(Verdicts::counts).unwrap_or_default()
+}

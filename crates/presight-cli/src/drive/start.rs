@@ -1,0 +1,121 @@
+//! Where a drive starts and how it is estimated: the flags, checked, as the library's options.
+
+use super::Drive;
+use crate::pose::parse_pose;
+use presight::Scene;
+use presight_files::log::Observation;
+use presight_localize::estimate::{EstimateOptions, Estimator};
+use presight_localize::localize::{LocalizeOptions, Localizer, Search, SearchOptions};
+use presight_model::error::{Error, Result};
+use presight_model::geometry::{Pose, PoseEstimate};
+use presight_model::measured::OdometryNoise;
+use presight_model::sensor::{Geometry, Sensor};
+
+impl Drive {
+    /// Checks the values of the flags without opening any file.
+    pub(super) fn check(&self) -> Result<()> {
+        if self.from.is_some_and(f64::is_nan) {
+            return Err(Error::usage("--from NaN", "give seconds"));
+        }
+        for (flag, sigma) in [("--init-sigma", self.init_sigma), ("--init-sigma-deg", self.init_sigma_deg)] {
+            if !(sigma > 0.0 && sigma.is_finite()) {
+                return Err(Error::usage(format!("{flag} {sigma}"), "give a finite deviation above 0"));
+            }
+        }
+        if let Some(sigma) = self.model_sigma.filter(|sigma| !(*sigma >= 0.0 && sigma.is_finite())) {
+            return Err(Error::usage(format!("--model-sigma {sigma}"), "give finite metres of at least 0"));
+        }
+        self.odometry()?;
+        self.search()?;
+        self.given_start().map(drop)
+    }
+
+    /// The pose of `--init`; `None` for a word.
+    fn given_start(&self) -> Result<Option<Pose>> {
+        match self.init.as_str() {
+            "unknown" | "reference" => Ok(None),
+            pose => parse_pose(pose).map(Some).map_err(|e| e.at(format!("--init {pose}"))),
+        }
+    }
+
+    /// The start pose; `None` for `--init unknown`.
+    pub(super) fn start(&self, first: &Observation) -> Result<Option<Pose>> {
+        if self.init != "reference" {
+            return self.given_start();
+        }
+        first.reference.map(Some).ok_or_else(|| {
+            Error::usage("--init reference: the log has no poses", "give x,y,z,roll_deg,pitch_deg,yaw_deg")
+        })
+    }
+
+    pub(super) fn localizer(
+        &self,
+        mut estimator: Estimator,
+        start: Option<Pose>,
+        scene: &Scene,
+        sensor: &Sensor,
+    ) -> Result<Localizer> {
+        let options = LocalizeOptions::default();
+        let Some(start) = start else {
+            let search = Search::new(&mut estimator, &scene.world, sensor, self.search()?);
+            return Ok(Localizer::unknown(estimator, search.map_err(|e| e.at("--init unknown"))?, options));
+        };
+        let prior = PoseEstimate::of_sigmas(start, self.init_sigma, self.init_sigma_deg.to_radians());
+        Ok(Localizer::new(estimator, prior, options))
+    }
+
+    fn search(&self) -> Result<SearchOptions> {
+        let [roll, pitch] = self.lean[..] else {
+            return Err(Error::usage("--lean", "give roll and pitch in degrees, as in --lean 0,20"));
+        };
+        let lean = [roll.to_radians(), pitch.to_radians()];
+        let floor_to = self.floor_to.unwrap_or(self.floor);
+        let (floor, margin, surrounded) = (self.floor, self.margin, self.surrounded);
+        for (flag, value, is_sound, remedy) in [
+            ("--lean", roll, roll.is_finite(), "give finite degrees"),
+            ("--lean", pitch, pitch.is_finite(), "give finite degrees"),
+            ("--floor", floor, floor.is_finite(), "give finite metres"),
+            ("--floor-to", floor_to, floor_to.is_finite(), "give finite metres"),
+            ("--margin", margin, margin >= 0.0 && margin.is_finite(), "give finite metres of at least 0"),
+            ("--surrounded", surrounded, (0.0..=1.0).contains(&surrounded), "give a share of 0 to 1"),
+        ] {
+            if !is_sound {
+                return Err(Error::usage(format!("{flag} {value}"), remedy));
+            }
+        }
+        Ok(SearchOptions::default()
+            .with_floor(floor)
+            .with_floor_to(floor_to)
+            .with_margin(margin)
+            .with_lean(lean)
+            .with_surrounded(surrounded))
+    }
+
+    /// Options for a search of the whole map at the last height of the robot.
+    pub(super) fn search_about(&self, pose: &Pose) -> Result<SearchOptions> {
+        let height = pose.translation.z;
+        Ok(self.search()?.with_floor(height).with_floor_to(height))
+    }
+
+    pub(super) fn odometry(&self) -> Result<OdometryNoise> {
+        let part = self.odometry_sigma;
+        if !(part >= 0.0 && part.is_finite()) {
+            return Err(Error::usage(format!("--odometry-sigma {part}"), "give a finite fraction of at least 0"));
+        }
+        Ok(OdometryNoise::default().with_way(part).with_turn(part).with_turn_on_way(0.5 * part))
+    }
+
+    /// Estimator options for the sensor: a scanner of one row determines x, y and yaw only.
+    pub fn options(&self, sensor: &Sensor) -> EstimateOptions {
+        let row = matches!(sensor.spec().geometry, Geometry::Scanner(_)) && sensor.height() == 1;
+        let options = match sensor.spec().geometry {
+            _ if row => EstimateOptions::planar(),
+            Geometry::Rays(_) => EstimateOptions::scan(),
+            _ => EstimateOptions::default(),
+        };
+        let model_sigma = self.model_sigma.unwrap_or(options.model_sigma);
+        // The offset shared by the polygons of one plane is about as large as the offset of each polygon.
+        let offset_sigma = if self.model_sigma.is_some() { 0.7 * model_sigma } else { options.offset_sigma };
+        options.with_model_sigma(model_sigma).with_offset_sigma(offset_sigma.max(1e-3))
+    }
+}
