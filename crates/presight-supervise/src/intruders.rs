@@ -80,9 +80,11 @@ impl Search<'_> {
         let environment = self.world.environment();
         found.clear();
         self.world.index().query(environment, &Region::cuboid(&Aabb { min: p - within, max: p + within }), found);
+        let class = Some(self.frame.sensor().spec().class.as_str());
         found
             .all()
             .filter_map(|slot| environment.locate(slot))
+            .filter(|(object, polygon)| !environment.is_absent(*object, *polygon, class))
             .any(|(object, polygon)| distance(&environment.objects()[object as usize], polygon, p) <= within)
     }
 

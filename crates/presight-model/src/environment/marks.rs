@@ -196,6 +196,15 @@ impl Environment {
         parts.iter().any(inside)
     }
 
+    /// True if a polygon of an object is absent for a sensor class; without a class, if it is absent for all sensors.
+    pub fn is_absent(&self, object: u32, polygon: u32, class: Option<&str>) -> bool {
+        // No mark names the empty class.
+        !self.beliefs.marks.is_empty()
+            && self
+                .absent_parts(object, class.unwrap_or_default())
+                .is_none_or(|parts| self.lies_in(object, polygon, &parts))
+    }
+
     /// True if a point of the world on an object lies in a part that is marked as uncertain for a sensor class.
     pub fn is_uncertain(&self, object: u32, p_in_world: DVec3, class: &str) -> bool {
         if self.beliefs.marks.is_empty() {
@@ -251,6 +260,8 @@ mod tests {
         assert_eq!((at(5.5, "laser"), at(7.5, "laser"), at(5.5, "radar")), (true, false, false));
         world.apply(set("a", MarkKind::Absent, None)).unwrap();
         assert_eq!(world.environment().absent_parts(0, "laser"), None, "the whole object");
+        let absent = |class| world.environment().is_absent(0, 0, class);
+        assert!(absent(Some("laser")) && !absent(Some("radar")) && !absent(None));
     }
 
     #[test]

@@ -18,7 +18,8 @@ pub struct NearestSurface {
     pub slot: u32,
 }
 
-/// The surface nearest to a point of the world, metres; `None` in a world without polygons.
+/// The surface nearest to a point of the world, metres; `None` in a world without polygons. Parts that are marked as absent for
+/// all sensors have no surface.
 ///
 /// ```
 /// use presight::environment::Environment;
@@ -49,11 +50,12 @@ pub fn surface_distance(world: &World, p: DVec3) -> Result<Option<NearestSurface
     loop {
         found.clear();
         world.index().query(environment, &Region::cuboid(&Aabb { min: p - reach, max: p + reach }), &mut found);
-        let each = found.all().filter_map(|slot| Some((slot, environment.locate(slot)?))).map(|(slot, at)| {
-            let (object, polygon) = at;
-            let distance = distance(&environment.objects()[object as usize], polygon, p);
-            NearestSurface { distance, object, slot }
-        });
+        let located = found.all().filter_map(|slot| Some((slot, environment.locate(slot)?)));
+        let each =
+            located.filter(|(_, (o, p))| !environment.is_absent(*o, *p, None)).map(|(slot, (object, polygon))| {
+                let distance = distance(&environment.objects()[object as usize], polygon, p);
+                NearestSurface { distance, object, slot }
+            });
         let nearest = each.min_by(|a, b| a.distance.total_cmp(&b.distance));
         // A surface outside of the box is farther away than the box reaches.
         if nearest.is_some_and(|n| n.distance <= reach) || reach > farthest {

@@ -57,7 +57,8 @@ impl<'a> Floor<'a> {
         }
         found.clear();
         self.world.index().query(environment, &Region::cuboid(&slab), found);
-        for (object, polygon) in found.all().filter_map(|slot| environment.locate(slot)) {
+        let located = found.all().filter_map(|slot| environment.locate(slot));
+        for (object, polygon) in located.filter(|(o, p)| !environment.is_absent(*o, *p, None)) {
             let corners = environment.objects()[object as usize].polygon_in_world(polygon);
             let part = clipped(corners, &slab);
             if !part.is_empty() && distance_from_above(&part, p) < radius {

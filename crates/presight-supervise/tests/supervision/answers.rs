@@ -1,14 +1,15 @@
 //! Single frames with answers worked out by hand, and bad input.
 
-use super::corridor::{corridor, exact, known, predictor, robot, room, supervised};
+use super::corridor::{corridor, exact, known, predictor, robot, room, supervised, supervised_in};
 use glam::DVec3;
+use presight_model::environment::{Mark, MarkKind};
 use presight_model::error::ErrorKind;
 use presight_model::geometry::Pose;
 use presight_model::measured::{Frame, Measurement};
 use presight_model::world::World;
 use presight_predict::virtual_sensors::Corridor;
 use presight_supervise::{CellState, Cells, Report, SuperviseOptions, Supervisor, UnseenReason};
-use presight_testkit::intruders::{sensors, with_intruder};
+use presight_testkit::intruders::{INTRUDER, sensors, with_intruder};
 use std::time::Duration;
 
 const BOX: usize = 1;
@@ -53,6 +54,19 @@ fn a_box_is_found_and_hides_what_is_behind_it() {
         assert_eq!(all, cells.count());
         assert_eq!(report.letters().chars().filter(|c| *c == 'f').count(), counts.free);
     }
+}
+
+/// A box that is marked as absent does not explain what stands in its place.
+#[test]
+fn something_where_an_absent_object_was_intrudes() {
+    let [(_, sensor), ..] = sensors();
+    let (world, frame) = (with_box(), exact(&with_box(), &sensor));
+    let supervise = |model: &World| supervised_in(model, SuperviseOptions::default(), &[&frame], Some(&known())).1;
+    assert!(supervise(&world).intrusions.is_empty(), "the model has it");
+    let mut environment = world.environment().as_ref().clone();
+    let mark = Mark { object: INTRUDER.to_owned(), kind: MarkKind::Absent, class: None, bounds: None };
+    environment.set_mark("gone", mark).unwrap();
+    assert_eq!(supervise(&World::new(environment)).intrusions.len(), 1);
 }
 
 /// Nothing stands in the corridor: nothing intrudes, and cells near the sensor are free.

@@ -58,7 +58,17 @@ pub fn known() -> PoseEstimate {
 
 /// Supervises frames of the world with the room as the model.
 pub fn supervised(options: SuperviseOptions, frames: &[&Frame], robot: Option<&PoseEstimate>) -> (Supervisor, Report) {
+    supervised_in(&World::new(room()), options, frames, robot)
+}
+
+/// As [`supervised`], with another model.
+pub fn supervised_in(
+    model: &World,
+    options: SuperviseOptions,
+    frames: &[&Frame],
+    robot: Option<&PoseEstimate>,
+) -> (Supervisor, Report) {
     let mut supervisor = Supervisor::new(corridor(), options).unwrap();
-    let report = supervisor.supervise(&mut predictor(), &World::new(room()), frames, robot).unwrap();
+    let report = supervisor.supervise(&mut predictor(), model, frames, robot).unwrap();
     (supervisor, report)
 }

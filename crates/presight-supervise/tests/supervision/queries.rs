@@ -203,6 +203,26 @@ fn ways_that_cannot_be_say_why() {
     assert!(points.iter().any(|p| p.y.abs() > 1.2), "around it");
 }
 
+/// A wall that is marked as absent for all sensors is no surface and no obstacle; one that a laser alone misses is both.
+#[test]
+fn absent_objects_are_not_in_the_way() {
+    use presight_model::environment::{Mark, MarkKind};
+    for (class, is_there) in [(None, false), (Some("laser".to_owned()), true)] {
+        let mut environment = Environment::new();
+        environment.add_cuboid("floor", at(0.0, 0.0, -0.1), DVec3::new(8.0, 8.0, 0.2)).unwrap();
+        environment.add_cuboid("wall", at(0.0, 0.0, 1.0), DVec3::new(0.2, 8.0, 2.0)).unwrap();
+        let mark = Mark { object: "wall".to_owned(), kind: MarkKind::Absent, class, bounds: None };
+        environment.set_mark("gone", mark).unwrap();
+        let world = World::new(environment);
+        let (from, to) = (DVec3::new(-2.0, 0.0, 0.0), DVec3::new(2.0, 0.0, 0.0));
+        let way = find_path(&world, from, to, &[], &PathOptions::default()).unwrap();
+        assert_eq!(matches!(way, FloorPath::Blocked { .. }), is_there);
+        let nearest = surface_distance(&world, DVec3::new(0.6, 0.0, 1.0)).unwrap().unwrap();
+        // The wall's face is 0.5 m away, the floor 1 m.
+        assert!((nearest.distance - if is_there { 0.5 } else { 1.0 }).abs() < 1e-6, "{nearest:?}");
+    }
+}
+
 #[test]
 fn marks_and_little_trust_are_uncertain() {
     use presight_model::environment::{Existence, Mark, MarkKind};
