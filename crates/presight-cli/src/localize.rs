@@ -13,7 +13,9 @@ use presight_files::load_sensor;
 use presight_files::log::{Frames, Observation};
 use presight_localize::estimate::{EstimateOptions, Estimator, Freedom};
 use presight_localize::extract::{FeatureClass, Findings, is_sought};
-use presight_localize::localize::{Candidate, LocalizeOptions, Localizer, Phase, Search, SearchOptions, Step};
+use presight_localize::localize::{
+    Candidate, ErrorRates, LocalizeOptions, Localizer, Phase, Search, SearchOptions, Step,
+};
 use presight_localize::verdict::{Verdict as Judged, Verdicts};
 use presight_model::environment::FeatureShape;
 use presight_model::error::{Error, Result};
@@ -74,6 +76,10 @@ pub struct Drive {
     /// Standard deviation of the start orientation about each axis, degrees
     #[arg(long, value_name = "DEG", default_value_t = 2.0)]
     init_sigma_deg: f64,
+
+    /// Odds that the start is right: it is given up once the frames say more against it
+    #[arg(long, value_name = "ODDS", default_value_t = 1e4)]
+    init_odds: f64,
 
     /// The sensor, with its noise and mount [default: from the log]
     #[arg(long, value_name = "PRESET|FILE")]
@@ -343,6 +349,12 @@ impl Drive {
                 return Err(Error::usage(format!("{flag} {sigma}"), "give a finite deviation above 0"));
             }
         }
+        if !(self.init_odds > 1.0 && self.init_odds.is_finite()) {
+            return Err(Error::usage(
+                format!("--init-odds {}", self.init_odds),
+                "give finite odds above 1, such as 10000",
+            ));
+        }
         if let Some(sigma) = self.model_sigma.filter(|sigma| !(*sigma >= 0.0 && sigma.is_finite())) {
             return Err(Error::usage(format!("--model-sigma {sigma}"), "give finite metres of at least 0"));
         }
@@ -376,7 +388,8 @@ impl Drive {
         scene: &Scene,
         sensor: &Sensor,
     ) -> Result<Localizer> {
-        let options = LocalizeOptions::default();
+        let rates = ErrorRates { wrong_start: 1.0 / self.init_odds, ..ErrorRates::default() };
+        let options = LocalizeOptions::default().with_rates(rates);
         let Some(start) = start else {
             let search = Search::new(&mut estimator, &scene.world, sensor, self.search()?);
             return Ok(Localizer::unknown(estimator, search.map_err(|e| e.at("--init unknown"))?, options));
@@ -538,7 +551,7 @@ fn details(s: &Step) -> serde_json::Value {
     serde_json::json!({
         "time": s.stamp, "state": s.phase.name(), "reason": s.reason,
         "translation": s.pose.world_from_robot.translation.to_array(), "rotation_xyzw": s.pose.world_from_robot.rotation.to_array(),
-        "covariance": s.pose.covariance, "explained": s.estimate.explained, "weak": weak, "verdicts": verdicts,
+        "odds": s.odds, "carried": s.carried, "covariance": s.pose.covariance, "explained": s.estimate.explained, "weak": weak, "verdicts": verdicts,
         "features": features,
         "predictions": s.estimate.predictions,
         "candidates": s.candidates.iter().map(candidate).collect::<Vec<_>>(),
