@@ -7,7 +7,7 @@
 
 #[doc(inline)]
 pub use presight_model::environment::{
-    Appearance, Environment, Material, Mesh, NewObject, Object, Polygon, PolygonOrder,
+    Appearance, Environment, Mark, MarkKind, Material, Mesh, NewObject, Object, Polygon, PolygonOrder,
 };
 #[doc(inline)]
 pub use presight_model::index::IndexKind;

@@ -28,7 +28,7 @@ pub use presight_files::ply::write as write_ply;
 #[doc(inline)]
 pub use presight_files::pose_covariance::parse as parse_pose_covariance;
 #[doc(inline)]
-pub use presight_files::preparation::{SceneFrame, Up};
+pub use presight_files::preparation::{SceneFrame, Up, mesh_of_triangles};
 #[doc(inline)]
 pub use presight_files::sensor_toml::{read as read_sensor_toml, to_string as sensor_to_toml};
 #[doc(inline)]
@@ -41,4 +41,4 @@ pub use presight_model::poses::{ExternalPose, PoseFrame, PoseOf, WorldFrame};
 pub use presight_render::points::{PointCloud, PointsFrame};
 #[cfg(feature = "store")]
 #[doc(inline)]
-pub use presight_store::{Existing, Note as StoreNote, Store, create as create_store};
+pub use presight_store::{Existing, Note as StoreNote, Store, apply_line, create as create_store};

@@ -40,7 +40,7 @@
 //! 4. **Tasks.** [`virtual_sensors`] reduce a view, predicted or measured, to what one task needs, such as free floor.
 //! 5. **Reality.** A [`measured::Frame`] holds a measurement. [`verdict`] compares it with the prediction pixel by pixel,
 //!    [`history`] follows features, [`estimate`] computes the robot's pose, and [`localize`] tracks it. [`simulate`]
-//!    makes measurements for tests.
+//!    makes measurements for tests. `update` learns what differs from the model.
 //! 6. **Files.** [`files`] reads and writes EXR, PLY, PCD, NumPy, JSON and TOML. The crate `presight-pictures` draws PNG.
 //!
 //! A world can also be built in code:
@@ -82,15 +82,21 @@ pub mod batch;
 pub mod deadline;
 pub mod environment;
 pub mod estimate;
+#[cfg(feature = "store")]
+pub mod explore;
 pub mod features;
 pub mod files;
 pub mod history;
 pub mod localize;
 pub mod measured;
+pub mod query;
 pub mod regions;
 mod scene;
 pub mod sensor;
 pub mod simulate;
+pub mod supervise;
+#[cfg(feature = "store")]
+pub mod update;
 pub mod verdict;
 pub mod virtual_sensors;
 

@@ -3,7 +3,7 @@
 use presight_features::{PlacedFeatures, place};
 use presight_files::file;
 use presight_files::gltf::{ImportOptions, import, import_bytes};
-use presight_files::layer::{self, LayerFile};
+use presight_files::layer::{self, LayerFile, MergedLayers};
 use presight_files::preparation::{ImportReport, ImportedScene, SceneFrame};
 use presight_model::change::Change;
 use presight_model::environment::{Feature, FeatureLayer, FeatureShape};
@@ -15,7 +15,7 @@ use presight_model::placement::{self, Placement};
 use presight_model::printable;
 use presight_model::threads::Threads;
 use presight_model::world::World;
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -118,6 +118,20 @@ impl Scene {
         Self::open_with(path, &SceneOptions::default(), &mut |_| {})
     }
 
+    /// A furnished room, 6 m x 4.5 m, for first steps: `scenes/room.glb` of this repository.
+    ///
+    /// ```
+    /// let room = presight::Scene::example()?;
+    /// assert!(room.world.environment().object("room/door/leaf").is_some());
+    /// # Ok::<(), presight::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::System`] if memory or threads are short.
+    pub fn example() -> Result<Self> {
+        Self::from_bytes("room.glb", include_bytes!("../scenes/room.glb"), &SceneOptions::default())
+    }
+
     /// As [`Scene::open`], with options; `say` receives each line that a script prints.
     ///
     /// # Errors
@@ -145,6 +159,20 @@ impl Scene {
     /// files of their own.
     pub fn from_bytes(name: &str, bytes: &[u8], options: &SceneOptions) -> Result<Self> {
         Self::read(Source::Memory(Path::new(name), bytes), options, &mut |_| {})
+    }
+
+    /// The scene of a world that a program made; `name` stands for its file.
+    pub fn of_world(name: impl Into<PathBuf>, world: World) -> Self {
+        Self {
+            path: name.into(),
+            report: report_of(&world),
+            world,
+            frame: None,
+            // The axes of the file that `env export` writes.
+            world_from_gltf: SceneFrame::default().world_from_axes(),
+            files: Vec::new(),
+            excluded: BTreeSet::new(),
+        }
     }
 
     fn read(source: Source<'_>, options: &SceneOptions, say: &mut dyn FnMut(&str)) -> Result<Self> {
@@ -266,7 +294,18 @@ impl Scene {
         class: &str,
         wanted: impl Fn(&FeatureShape) -> bool,
     ) -> Result<SceneFeatures> {
-        let mut loaded = layer::load(self.world.environment().layer(class), files, class)?;
+        self.place_loaded(layer::load(self.world.environment().layer(class), files, class)?, wanted)
+    }
+
+    /// As [`Scene::place_layers`], for layer files that were read before.
+    ///
+    /// # Errors
+    /// Errors of [`place`] and [`layer::merge`], naming the layer's file.
+    pub fn place_files(&self, files: Vec<LayerFile>, class: &str) -> Result<SceneFeatures> {
+        self.place_loaded(layer::select(self.world.environment().layer(class), files, class)?, |_| true)
+    }
+
+    fn place_loaded(&self, mut loaded: MergedLayers, wanted: impl Fn(&FeatureShape) -> bool) -> Result<SceneFeatures> {
         let is_there = |object: &String| !self.excluded.contains(object);
         for LayerFile { layer, .. } in &mut loaded.layers {
             layer.features.retain(|f| wanted(&f.shape) && f.object.as_ref().is_none_or(is_there));
@@ -392,12 +431,10 @@ fn store_in_memory() -> Error {
     Error::new(ErrorKind::Unsupported, "a stored environment in memory cannot be opened", remedy)
 }
 
-/// Opens a store, which is already in presight's frame.
-#[cfg(feature = "store")]
-fn stored(path: &Path, kind: &IndexKind) -> Result<Scene> {
-    let world = presight_store::read_world(path, kind)?;
+/// The counts of a world that was not imported.
+fn report_of(world: &World) -> ImportReport {
     let mut report = ImportReport::default();
-    let mut seen = std::collections::HashSet::new();
+    let mut seen = HashSet::new();
     for object in world.environment().objects() {
         let polygons = object.mesh.polygon_count() as u64;
         report.polygons_in_scene += polygons;
@@ -405,17 +442,14 @@ fn stored(path: &Path, kind: &IndexKind) -> Result<Scene> {
             report.polygons_stored += polygons;
         }
     }
-    // The axes of the file that `env export` writes.
-    let world_from_gltf = SceneFrame::default().world_from_axes();
-    Ok(Scene {
-        path: path.to_owned(),
-        world,
-        frame: None,
-        world_from_gltf,
-        report,
-        files: vec![path.to_owned()],
-        excluded: BTreeSet::new(),
-    })
+    report
+}
+
+/// Opens a store, which is already in presight's frame.
+#[cfg(feature = "store")]
+fn stored(path: &Path, kind: &IndexKind) -> Result<Scene> {
+    let world = presight_store::read_world(path, kind)?;
+    Ok(Scene { files: vec![path.to_owned()], ..Scene::of_world(path, world) })
 }
 
 #[cfg(not(feature = "store"))]

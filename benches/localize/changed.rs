@@ -323,7 +323,8 @@ fn carried_away(world: &World, _: &World, frames: usize) -> Log {
 /// A scanner that takes a tenth of a second for a turn, on a fast robot.
 fn turning(world: &World, frames: usize, turn_s: f64) -> Log {
     let driving = Driving { seconds: 0.1 * frames as f64 + 1.0, speed: 1.5, turn: 1.0 };
-    let drive = Drive { way: wander(world, &driving, 1), walkers: 0, ..Drive::new(world, frames, 1) };
+    let sensor = Sensor::new(scanner(true).spec().clone().with_turn_s(turn_s)).expect("a scanner");
+    let drive = Drive { way: wander(world, &driving, 1), walkers: 0, sensor, ..Drive::new(world, frames, 1) };
     let mut caster = drive.caster(EXACT);
     caster.turn_s = turn_s;
     drive.log(caster, None)

@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-const LIBRARIES: [&str; 7] = ["model", "render", "features", "predict", "files", "pictures", "localize"];
+const LIBRARIES: [&str; 8] = ["model", "render", "features", "predict", "files", "pictures", "localize", "supervise"];
 
 /// What only some systems have, and the sources that may name it.
 const HOMES: [(&str, &[&str]); 9] = [

@@ -15,6 +15,7 @@ const NOISE: Noise = Noise {
     range_sigma_quadratic: 1e-4,
     angle_sigma: 2e-3,
     pixel_sigma: 0.0,
+    stamp_sigma: 0.0,
     mixture: Mixture { hit: 0.7, short: 0.12, none: 0.06, any: 0.12, beam_dependence: 2.0 },
 };
 

@@ -19,10 +19,14 @@ use std::path::{Path, PathBuf};
 struct Folder(tempfile::TempDir);
 
 impl Folder {
-    fn new() -> Self {
+    fn empty() -> Self {
         let memory = Path::new("/dev/shm");
         let made = if memory.is_dir() { tempfile::tempdir_in(memory) } else { tempfile::tempdir() };
-        let folder = Self(made.expect("a folder"));
+        Self(made.expect("a folder"))
+    }
+
+    fn new() -> Self {
+        let folder = Self::empty();
         folder.put("eye.toml", include_bytes!("corpus/sensor_toml/camera.toml"));
         folder.put("cam.yaml", include_bytes!("corpus/camera_info/calibration.yaml"));
         folder.put("part.glb", include_bytes!("corpus/gltf/triangle.glb"));
@@ -53,6 +57,37 @@ fn text(bytes: &[u8]) -> Cow<'_, str> {
 
 fn check_pose(pose: &Pose) {
     assert!(pose.translation.is_finite() && near_unit(pose.rotation), "{pose:?}");
+}
+
+/// A session of the feature editor: messages, one a line, each a name, a blank and JSON. Accepted if any is answered. A
+/// refusal has a remedy, and leaves the state unchanged.
+#[cfg(feature = "store")]
+pub fn edit(bytes: &[u8]) -> bool {
+    use presight_editor::{Answer, Session, SessionOptions};
+    let scene = FOLDER.with(|folder| presight::Scene::open(folder.0.path().join("part.glb")).expect("a scene"));
+    let own = Folder::empty();
+    let mut options = SessionOptions::default();
+    options.folder = own.0.path().to_owned();
+    options.engine = presight::Options::new(presight::Backend::Cpu).with_threads(1);
+    let sensor = presight::preset("laser-scanner").expect("a preset");
+    let class = sensor.spec().clone().with_class("video");
+    let sensor = presight::Sensor::new(class).expect("a sensor");
+    let mut session = Session::open(scene, sensor, options).expect("a session");
+    let mut answered = false;
+    for line in text(bytes).lines().take(64) {
+        let (name, body) = line.split_once(' ').unwrap_or((line, ""));
+        let before = session.answer("state", b"");
+        match session.answer(name, body.as_bytes()) {
+            Answer::Json(_) | Answer::Binary(_) => answered |= name != "state",
+            Answer::Behind(_) | Answer::Unknown => {}
+            Answer::Wrong(e) => {
+                assert!(!e.remedy().is_empty() && !e.to_string().contains('\n'), "{e}");
+                let after = session.answer("state", b"");
+                assert_eq!(format!("{before:?}"), format!("{after:?}"), "{line}");
+            }
+        }
+    }
+    answered
 }
 
 /// `.glb` and `.gltf`: an imported scene can be rendered, and is the same after it has been written.

@@ -139,6 +139,8 @@ targets! {
     store: &["CREATE TABLE", "SQLite format 3\0", "objects"];
     #[cfg(feature = "store")]
     changes: &["\"op\"", "group", "delete_object", "insert_object", "move", "set_pose", "\"like\"", "covariance", "\"id\"", "set_group", "\"group\""];
+    #[cfg(feature = "store")]
+    edit: &["\n", "state {}", "undo {\"version\":2}", "null", "-1", "1e308", "[]", "{}", "\"id\":", "4294967295", "\"points\"", "\"version\":1", "insert_feature"];
     poses: &["-180", ",", " ", "1e308", "0,0,0,1"];
     trajectory: &["-180", "\n", " ", "1e308", "0 0 0 1", "#"];
     pose_covariance: &["0,0,0,0,0,0,", "1e-300"];

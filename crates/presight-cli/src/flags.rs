@@ -4,8 +4,12 @@
 const WORDS: &[(&str, &str)] = &[
     ("`Backend::Cpu`", "--backend cpu"),
     ("`Existing::Replace`", "--replace"),
+    ("`GridOptions::cell`", "--cell"),
+    ("`GridOptions::from_height`", "--from-height"),
+    ("`GridOptions::to_height`", "--to-height"),
     ("`ImportOptions::scale`", "--scale"),
     ("`ImportOptions::up`", "--up"),
+    ("`OdometryNoise`", "--odometry-sigma"),
     ("`PoseFrame::Optical`", "--pose-frame optical"),
     ("`PoseOf::Robot`", "--pose-of robot"),
     ("`SceneOptions::exclude`", "--exclude"),
@@ -14,6 +18,7 @@ const WORDS: &[(&str, &str)] = &[
     ("`Settings::floor_z_world`", "--floor-z"),
     ("`View::features` of a layer", "a --layer"),
     ("`cascade: true`", "--cascade"),
+    ("`port`", "--port"),
     ("`rectified: true`", "--rectified"),
     ("give `poses`", "give --poses FILE.tum"),
     ("start fewer `Threads`", "lower --threads"),
@@ -46,7 +51,20 @@ mod tests {
     #[test]
     fn the_library_names_arguments_and_every_one_that_is_mapped() {
         let crates = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
-        let libraries = ["model", "render", "features", "predict", "files", "pictures", "store", "localize"];
+        let libraries = [
+            "model",
+            "render",
+            "features",
+            "predict",
+            "files",
+            "pictures",
+            "store",
+            "localize",
+            "supervise",
+            "update",
+            "explore",
+            "editor",
+        ];
         let mut folders: Vec<_> = libraries.iter().map(|l| crates.join(format!("presight-{l}/src"))).collect();
         folders.push(crates.parent().unwrap().join("src"));
         let mut unused: Vec<&str> = WORDS.iter().map(|(argument, _)| *argument).collect();

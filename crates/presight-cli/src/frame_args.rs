@@ -25,4 +25,13 @@ impl FrameArgs {
         self.scale.map_or(Ok(()), SceneFrame::check_scale).map_err(|e| e.at("--scale"))?;
         Ok(ImportOptions { up: self.up, scale: self.scale, ..ImportOptions::default() })
     }
+
+    /// The flags as they were given, for a command that repeats them.
+    #[cfg(feature = "edit")]
+    pub fn given(&self) -> Vec<String> {
+        let axis = |up| if up == Up::Z { "z" } else { "y" };
+        let up = self.up.map(|up| ["--up".to_owned(), axis(up).to_owned()]);
+        let scale = self.scale.map(|scale| ["--scale".to_owned(), scale.to_string()]);
+        up.into_iter().chain(scale).flatten().collect()
+    }
 }

@@ -7,9 +7,13 @@ mod deadline;
 mod doctor;
 #[cfg(all(feature = "gpu", target_os = "linux"))]
 mod drivers;
+#[cfg(feature = "edit")]
+mod edit;
 mod engine_args;
 #[cfg(feature = "store")]
 mod env;
+#[cfg(feature = "store")]
+mod explore;
 mod features;
 mod file_names;
 mod flags;
@@ -19,6 +23,8 @@ mod index;
 mod inspect;
 mod layers;
 mod localize;
+#[cfg(feature = "store")]
+mod occupancy;
 mod outputs;
 mod overlap;
 pub mod pose;
@@ -26,10 +32,12 @@ mod pose_series;
 mod predict;
 mod predict_poses;
 mod print;
+mod query;
 #[cfg(feature = "report")]
 mod replay;
 #[cfg(feature = "report")]
 mod report;
+mod resume;
 mod sensor_args;
 mod sensors;
 mod series;
@@ -37,18 +45,22 @@ mod signals;
 mod simulate;
 mod stack;
 mod statistics;
-mod summary;
+pub mod summary;
+mod supervise;
 mod templates;
+#[cfg(feature = "store")]
+mod update;
 mod virtual_sensor;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use presight::{Scene, SceneOptions};
 use presight_files::gltf::ImportOptions;
-#[cfg(not(all(feature = "report", feature = "store")))]
+#[cfg(not(all(feature = "report", feature = "store", feature = "edit")))]
 use presight_files::not_built;
 use presight_model::error::Result;
 use presight_model::index::IndexKind;
 use std::any::TypeId;
+use std::ffi::OsString;
 use std::path::Path;
 use std::process::ExitCode;
 
@@ -86,6 +98,15 @@ enum Command {
     Index(index::Args),
     Compare(compare::Args),
     Features(Box<features::Args>),
+    #[cfg(feature = "edit")]
+    Edit(Box<edit::Args>),
+    /// Edit a feature layer on a page: not in this build
+    #[cfg(not(feature = "edit"))]
+    #[command(disable_help_flag = true)]
+    Edit {
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true, hide = true)]
+        rest: Vec<String>,
+    },
     Doctor(doctor::Args),
     Localize(Box<localize::Args>),
     #[cfg(feature = "report")]
@@ -97,13 +118,42 @@ enum Command {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true, hide = true)]
         rest: Vec<String>,
     },
+    #[cfg(feature = "store")]
+    Update(Box<update::Args>),
+    /// Learn what changed: not in this build
+    #[cfg(not(feature = "store"))]
+    #[command(disable_help_flag = true)]
+    Update {
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true, hide = true)]
+        rest: Vec<String>,
+    },
     Simulate(simulate::Args),
+    Supervise(Box<supervise::Args>),
+    Query(query::Args),
     #[cfg(feature = "report")]
     Report(report::Args),
     /// Measure error against run time: not in this build
     #[cfg(not(feature = "report"))]
     #[command(disable_help_flag = true)]
     Report {
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true, hide = true)]
+        rest: Vec<String>,
+    },
+    #[cfg(feature = "store")]
+    Explore(Box<explore::Args>),
+    /// Explore an environment: not in this build
+    #[cfg(not(feature = "store"))]
+    #[command(disable_help_flag = true)]
+    Explore {
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true, hide = true)]
+        rest: Vec<String>,
+    },
+    #[cfg(feature = "store")]
+    Occupancy(occupancy::Args),
+    /// Write an occupancy grid: not in this build
+    #[cfg(not(feature = "store"))]
+    #[command(disable_help_flag = true)]
+    Occupancy {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true, hide = true)]
         rest: Vec<String>,
     },
@@ -125,6 +175,7 @@ fn features() -> Vec<&'static str> {
         ("script", cfg!(feature = "script")),
         ("store", cfg!(feature = "store")),
         ("report", cfg!(feature = "report")),
+        ("edit", cfg!(feature = "edit")),
     ];
     all.into_iter().filter(|(_, built)| *built).map(|(name, _)| name).collect()
 }
@@ -133,11 +184,18 @@ fn features() -> Vec<&'static str> {
 pub fn main() -> ExitCode {
     #[cfg(all(feature = "gpu", target_os = "linux"))]
     drivers::hide_missing_display();
+    ExitCode::from(run(std::env::args_os()))
+}
+
+/// Runs the command with these arguments, the first of them the program's name, and returns its exit status. From then on a signal to the
+/// process ends it, and half-written files are removed before.
+pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     signals::listen();
-    let parsed = command().try_get_matches().and_then(|matches| Cli::from_arg_matches(&matches));
+    let arguments: Vec<OsString> = arguments.into_iter().collect();
+    let parsed = command().try_get_matches_from(&arguments).and_then(|matches| Cli::from_arg_matches(&matches));
     let cli = match parsed {
         Ok(cli) => cli,
-        Err(e) => return refuse(&e),
+        Err(e) => return refuse(&e, &arguments),
     };
     let done = match cli.command {
         Command::Predict(args) => predict::run(&args),
@@ -147,17 +205,33 @@ pub fn main() -> ExitCode {
         Command::Index(args) => index::run(&args),
         Command::Compare(args) => compare::run(&args),
         Command::Features(args) => features::run(&args),
+        #[cfg(feature = "edit")]
+        Command::Edit(args) => edit::run(&args),
+        #[cfg(not(feature = "edit"))]
+        Command::Edit { .. } => Err(not_built("the editor", "edit")),
         Command::Doctor(args) => doctor::run(&args),
         Command::Localize(args) => localize::run(&args),
         #[cfg(feature = "report")]
         Command::Replay(args) => replay::run(&args),
         #[cfg(not(feature = "report"))]
         Command::Replay { .. } => Err(not_built("pages", "report")),
+        #[cfg(feature = "store")]
+        Command::Update(args) => update::run(&args),
+        #[cfg(not(feature = "store"))]
+        Command::Update { .. } => Err(not_built("updates", "store")),
         Command::Simulate(args) => simulate::run(&args),
+        Command::Supervise(args) => supervise::run(&args),
+        Command::Query(args) => query::run(&args),
         #[cfg(feature = "report")]
-        Command::Report(args) => report::run(&args),
+        Command::Report(args) => report::run(&args, &arguments),
         #[cfg(not(feature = "report"))]
         Command::Report { .. } => Err(not_built("studies", "report")),
+        #[cfg(feature = "store")]
+        Command::Explore(args) => explore::run(&args),
+        #[cfg(feature = "store")]
+        Command::Occupancy(args) => occupancy::run(&args),
+        #[cfg(not(feature = "store"))]
+        Command::Explore { .. } | Command::Occupancy { .. } => Err(not_built("stored environments", "store")),
         #[cfg(feature = "store")]
         Command::Env(args) => env::run(&args),
         #[cfg(not(feature = "store"))]
@@ -205,25 +279,25 @@ enum CommandOutcome {
     Found,
 }
 
-fn conclude(done: Result<CommandOutcome>) -> ExitCode {
+fn conclude(done: Result<CommandOutcome>) -> u8 {
     match done {
-        Ok(CommandOutcome::Done) => ExitCode::SUCCESS,
-        Ok(CommandOutcome::Found) => ExitCode::from(1),
+        Ok(CommandOutcome::Done) => 0,
+        Ok(CommandOutcome::Found) => 1,
         Err(e) => {
             print::message(&format!("error: {e}"));
-            ExitCode::from(e.kind().exit_status())
+            e.kind().exit_status()
         }
     }
 }
 
 /// Prints help and version to stdout. Prints a usage error as one line, like every other error.
-fn refuse(e: &clap::Error) -> ExitCode {
+fn refuse(e: &clap::Error, arguments: &[OsString]) -> u8 {
     use clap::error::ErrorKind as Clap;
     let help = [Clap::DisplayHelp, Clap::DisplayVersion, Clap::DisplayHelpOnMissingArgumentOrSubcommand];
     if help.contains(&e.kind()) {
         // There is nowhere to report that stdout is closed.
         let _ = e.print();
-        return ExitCode::from(e.exit_code() as u8);
+        return e.exit_code() as u8;
     }
     let text = e.to_string();
     let words = |line: &str| line.split_whitespace().collect::<Vec<_>>().join(" ");
@@ -231,14 +305,14 @@ fn refuse(e: &clap::Error) -> ExitCode {
     // Clap suggests flags with a similar spelling, which may have another purpose.
     let useful = |line: &String| !line.is_empty() && !line.starts_with("tip:");
     let message: Vec<String> = before_usage.map(words).filter(useful).collect();
-    let command = std::env::args_os()
-        .nth(1)
-        .and_then(|a| a.into_string().ok())
+    let command = arguments
+        .get(1)
+        .and_then(|a| a.to_str())
         .filter(|a| Cli::command().find_subcommand(a).is_some())
         .map(|a| format!(" {a}"))
         .unwrap_or_default();
     print::message(&format!("{}; see presight{command} --help", message.join(" ")));
-    ExitCode::from(2)
+    2
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 
 use super::outputs::OutputFiles;
 use super::pose::parse_pose;
+use super::resume::{Mark, Resumed};
 use super::sensor_args::SensorArgs;
 use super::{CommandOutcome, open_scene_without, print};
 use presight::Scene;
@@ -41,7 +42,7 @@ const EXAMPLES: &str = "Examples:
 /// of scans (.ply, .pcd, .csv, .exr). Features of --layer are detected in grey images, its reflectors in scans with
 /// intensities. With a level scanner of one row only x, y and yaw are estimated. FILE.jsonl next to FILE.tum gets
 /// covariance, state and verdicts of every frame. FILE.tum has no line for a frame whose pose is not known. Both grow
-/// by a line as each frame comes, and stay after an error or a signal. A log of ranges can come from a pipe
+/// by a line as each frame comes, and stay after an error or a signal; the same command then goes on behind them. A log of ranges can come from a pipe
 /// (/dev/stdin); a device or pipe as --out gets the poses without FILE.jsonl.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
@@ -54,11 +55,15 @@ pub struct Args {
     out: PathBuf,
 }
 
-/// Flags shared by `localize` and `replay`: the log, the map, and the options of the localizer.
-#[derive(Debug, clap::Args)]
+/// Flags shared by `localize`, `replay`, `supervise` and `update`: the log, the map, and the options of the localizer.
+#[derive(Clone, Debug, clap::Args)]
 pub struct Drive {
     /// The log
     pub log: PathBuf,
+
+    /// The sensors of a robot, the log's first, each with its log; empty to take what the other flags and the log say.
+    #[arg(skip)]
+    pub robot: Vec<(PathBuf, Sensor)>,
 
     /// The model: a .glb or .gltf file, a .rhai script, or a store
     #[arg(long, value_name = "SCENE")]
@@ -160,6 +165,8 @@ pub struct Sensed<'a> {
     pub frame: &'a Frame,
     /// The grey image in addition to ranges.
     pub grey: Option<&'a Frame>,
+    /// What the robot's other sensors measured.
+    pub beside: &'a [Frame],
 }
 
 #[cfg_attr(not(feature = "report"), expect(dead_code, reason = "only replays show measurements"))]
@@ -167,6 +174,37 @@ impl Sensed<'_> {
     /// The grey image, with or without ranges.
     pub fn grey(&self) -> Option<&Frame> {
         self.grey.or(self.frame.grey().map(|_| self.frame))
+    }
+}
+
+/// The log of another sensor.
+struct LogBeside {
+    frames: Frames,
+    next: Option<Observation>,
+}
+
+/// Largest difference of the stamps of frames that count as taken at the same time, seconds.
+const SAME_TIME: f64 = 0.01;
+
+impl LogBeside {
+    /// The frame that was taken at a time. Earlier ones are passed over.
+    fn next_at(&mut self, stamp: f64) -> Result<Option<Observation>> {
+        loop {
+            let next = match self.next.take() {
+                Some(next) => next,
+                None => match self.frames.next().transpose()? {
+                    Some(next) => next,
+                    None => return Ok(None),
+                },
+            };
+            if next.frame.stamp > stamp + SAME_TIME {
+                self.next = Some(next);
+                return Ok(None);
+            }
+            if next.frame.stamp >= stamp - SAME_TIME {
+                return Ok(Some(next));
+            }
+        }
     }
 }
 
@@ -208,38 +246,96 @@ pub struct Followed {
 
 impl Drive {
     /// Tracks the robot through the log. Calls `visit` with each frame and its step. Before the first call it checks
-    /// that `files` would not overwrite an input. Prints what the readings were taken as, also after an error.
+    /// that `files` would not overwrite an input. A run that is `resumed` begins behind the frames that it has. Prints what the readings were taken as, also after an error.
     ///
     /// # Errors
     /// Errors from reading the log, map and sensor, from the estimator, and from `visit`.
     pub fn follow(
         &self,
         files: OutputFiles,
+        resumed: Option<&Resumed>,
         visit: impl FnMut(&Scene, &Sensed<'_>, &Step) -> Result<()>,
     ) -> Result<Followed> {
         self.check()?;
-        let beside = ["camera.json", "grey.toml", "poses.json", "poses.txt"].map(|name| self.log.join(name));
+        let beside =
+            ["camera.json", "grey.toml", "odometry.txt", "poses.json", "poses.txt"].map(|name| self.log.join(name));
         let sensors = [&self.sensor, &self.grey_sensor].into_iter().flatten().map(Path::new);
         files.check_named([self.log.as_path(), self.map.as_path()].into_iter().chain(sensors))?;
         files.check_named(self.layers.iter().chain(&beside).map(PathBuf::as_path))?;
-        let sensor = self.sensor.as_deref().map(|sensor| self.image.load(sensor)).transpose()?;
+        files.check_named(self.robot.iter().map(|(log, _)| log.as_path()))?;
+        let sensor = match self.robot.first() {
+            Some((_, sensor)) => Some(sensor.clone()),
+            None => self.sensor.as_deref().map(|sensor| self.image.load(sensor)).transpose()?,
+        };
         let mut log = Frames::open(&self.log, sensor.as_ref(), &self.odometry()?)?;
-        let followed = self.follow_log(&mut log, files, visit);
+        let followed = self.follow_log(&mut log, files, resumed, visit);
         print::notices(&log.notice().map(|notice| format!("{}: {notice}", self.log.display())));
         followed
+    }
+
+    /// Reads the log without following it. Calls `visit` with each frame, and with its pose if the log has one.
+    ///
+    /// # Errors
+    /// Errors from reading the log, map and sensor, and from `visit`.
+    #[cfg(feature = "store")]
+    pub fn read(&self, scene: &Scene, mut visit: impl FnMut(&Scene, &Frame, Option<Pose>) -> Result<()>) -> Result<()> {
+        self.check()?;
+        let sensor = self.sensor.as_deref().map(|sensor| self.image.load(sensor)).transpose()?;
+        let log = Frames::open(&self.log, sensor.as_ref(), &self.odometry()?)?;
+        let is_planar = log.has_planar_poses();
+        for observation in log {
+            let observation = observation?;
+            if self.from.is_some_and(|from| observation.frame.stamp < from) {
+                continue;
+            }
+            let lifted = if is_planar { self.on_the_floor(observation) } else { observation };
+            let Observation { frame, reference } = self.thinned(lifted)?;
+            visit(scene, &frame, reference)?;
+        }
+        Ok(())
+    }
+
+    /// Opens the map as [`Drive::follow`] does.
+    ///
+    /// # Errors
+    /// Errors from reading it.
+    #[cfg(feature = "store")]
+    pub fn scene(&self) -> Result<Scene> {
+        let threads = Threads::from(self.threads).started()?;
+        let import = ImportOptions { threads, ..ImportOptions::default() };
+        open_scene_without(&self.map, &import, IndexKind::default(), &self.exclude)
+    }
+
+    /// The same drive options with another log.
+    #[cfg(feature = "store")]
+    pub fn with_log(&self, log: &Path) -> Self {
+        Self { log: log.to_owned(), ..self.clone() }
+    }
+
+    /// The deviation of the model's surfaces, if it is given, metres.
+    #[cfg(feature = "store")]
+    pub fn model_sigma(&self) -> Option<f64> {
+        self.model_sigma
     }
 
     fn follow_log(
         &self,
         log: &mut Frames,
         files: OutputFiles,
+        resumed: Option<&Resumed>,
         mut visit: impl FnMut(&Scene, &Sensed<'_>, &Step) -> Result<()>,
     ) -> Result<Followed> {
         let (measured, is_planar) = (log.sensor().clone(), log.has_planar_poses());
+        let is_done = |stamp: f64| resumed.is_some_and(|run| stamp <= run.time);
         let mut log = log
-            .skip_while(|o| matches!(o, Ok(o) if self.from.is_some_and(|from| o.frame.stamp < from)))
+            .skip_while(
+                |o| matches!(o, Ok(o) if self.from.is_some_and(|from| o.frame.stamp < from) || is_done(o.frame.stamp)),
+            )
             .map(|o| o.and_then(|o| self.thinned(if is_planar { self.on_the_floor(o) } else { o })));
         let Some(first) = log.next().transpose()? else {
+            if resumed.is_some() {
+                return Ok(Followed::default());
+            }
             let remedy = "give a log with frames, or an earlier --from";
             return Err(Error::invalid("the log has no frames", remedy).in_file(&self.log));
         };
@@ -248,6 +344,7 @@ impl Drive {
         let (start, options) = (self.start(&first)?, self.options(first.frame.sensor()));
         let scene = open_scene_without(&self.map, &import, IndexKind::default(), &self.exclude)?;
         let mut grey = self.grey(&measured)?;
+        let mut logs_beside = self.logs_beside()?;
         let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads))?;
         let mut estimator = Estimator::new(predictor, options);
         let is_looked_in = first.frame.grey().is_some() || !first.frame.sensor().is_camera();
@@ -257,25 +354,33 @@ impl Drive {
             print::notices(&if of_scans { not_sought_in_scans(&placed, &first.frame) } else { not_sought(&placed) });
             estimator = estimator.with_features(placed);
         }
-        let mut localizer = self.localizer(estimator, start, &scene, first.frame.sensor())?;
+        // A run that ended without a pose has no start left; one with a pose has moved since, and is as unsure as a start.
+        let start_now = if let Some(run) = resumed { run.pose } else { start };
+        let mut localizer = self.localizer(estimator, start_now, &scene, first.frame.sensor())?;
         // The search of the whole map predicts many panoramas, so it is set up only when it is needed.
-        let mut may_search = start.is_some() && options.freedom == Freedom::Planar;
+        let mut may_search = start_now.is_some() && options.freedom == Freedom::Planar;
         files.check_scene(&scene.files)?;
-        let mut followed = Followed::default();
+        let (mut followed, progress) = (Followed::default(), super::bar::count("frames"));
         for observation in std::iter::once(Ok(first)).chain(log) {
             let Observation { frame, reference } = observation?;
             let grey = grey.as_mut().map(|g| g.next_at(frame.stamp)).transpose()?.flatten();
-            let beside: Vec<&Frame> = grey.iter().collect();
+            let others = logs_beside.iter_mut().filter_map(|log| log.next_at(frame.stamp).transpose());
+            let others = others.map(|other| other.and_then(|o| self.thinned(o))).map(|o| o.map(|o| o.frame));
+            let others = others.collect::<Result<Vec<Frame>>>()?;
+            let beside: Vec<&Frame> = grey.iter().chain(&others).collect();
             let place = |e: Error| e.at(format!("the frame at {} s", frame.stamp)).in_file(&self.log);
             let mut step = localizer.step_together(&scene.world, &frame, &beside).map_err(place)?;
             if may_search && matches!(step.phase, Phase::Lost | Phase::Unknown) {
                 may_search = false;
+                progress.set_message("looking round in the whole map");
                 let search = self.search_about(&step.pose.world_from_robot)?;
                 if let Err(e) = localizer.search_everywhere(&scene.world, frame.sensor(), search) {
                     print::notices(&[format!("searching for the robot only around its last pose: {e}")]);
                 }
             }
-            visit(&scene, &Sensed { frame: &frame, grey: grey.as_ref() }, &step)?;
+            progress.set_message(step.phase.name());
+            progress.inc(1);
+            visit(&scene, &Sensed { frame: &frame, grey: grey.as_ref(), beside: &others }, &step)?;
             followed.features.push(FeatureCounts::of(&step.estimate.findings));
             step.estimate.findings.clear();
             followed.counts.push(verdict_counts(&step));
@@ -283,6 +388,8 @@ impl Drive {
             followed.steps.push(step);
             followed.reference.push(reference);
         }
+        progress.finish_and_clear();
+        print::notices(&localizer.warnings());
         Ok(followed)
     }
 
@@ -295,6 +402,14 @@ impl Drive {
              range_sigma and range_sigma_quadratic (docs/formats.md)"
                 .to_owned()
         })
+    }
+
+    /// Opens the logs of the robot's other sensors.
+    fn logs_beside(&self) -> Result<Vec<LogBeside>> {
+        let open = |(path, sensor): &(PathBuf, Sensor)| {
+            Ok(LogBeside { frames: Frames::open(path, Some(sensor), &self.odometry()?)?, next: None })
+        };
+        self.robot.iter().skip(1).map(open).collect()
     }
 
     /// Opens the grey images of a log of depth images, if it has any.
@@ -439,6 +554,11 @@ impl Drive {
         Ok(OdometryNoise::default().with_way(part).with_turn(part).with_turn_on_way(0.5 * part))
     }
 
+    /// Standard deviation of the model's surfaces for a sensor, metres.
+    pub fn model_sigma_of(&self, sensor: &Sensor) -> f64 {
+        self.options(sensor).model_sigma
+    }
+
     /// Estimator options for the sensor: a scanner of one row determines x, y and yaw only.
     fn options(&self, sensor: &Sensor) -> EstimateOptions {
         let row = matches!(sensor.spec().geometry, Geometry::Scanner(_)) && sensor.height() == 1;
@@ -499,18 +619,31 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     files.add("--out", Some(&args.out), &["tum"])?;
     let details = (!is_through(&args.out)).then(|| args.out.with_extension("jsonl"));
     details.iter().try_for_each(|path| files.add_any(path))?;
+    details.iter().try_for_each(|path| files.add_any(&path.with_extension("resume")))?;
+    let mark = details.as_ref().map(|_| {
+        let inputs: Vec<&Path> = [args.drive.log.as_path(), &args.drive.map].into_iter().collect();
+        Mark::new(&args.out, &format!("{args:?}"), &inputs)
+    });
+    let resumed = mark.as_ref().zip(details.as_deref()).and_then(|(mark, details)| mark.resumed(&args.out, details));
     let mut lines: Option<Lines> = None;
-    let followed = args.drive.follow(files, |_, _, step| {
+    let followed = args.drive.follow(files, resumed.as_ref(), |_, _, step| {
         // Only now: an error before the first step leaves the files of an earlier run.
         let lines = match &mut lines {
             Some(lines) => lines,
-            None => lines.insert(Lines::create(&args.out, details.as_deref())?),
+            None => {
+                mark.as_ref().map_or(Ok(()), Mark::set)?;
+                lines.insert(Lines::open(&args.out, details.as_deref(), resumed.as_ref())?)
+            }
         };
         lines.add(step)
     })?;
+    let is_marked = lines.is_some() || resumed.is_some();
     lines.map_or(Ok(()), Lines::finish)?;
+    mark.iter().filter(|_| is_marked).try_for_each(Mark::clear)?;
     print::data(&summary(&followed))?;
     print::notices(&args.drive.noise_is_assumed(&followed));
+    let last = followed.steps.last().filter(|_| followed.steps.iter().all(|step| !step.is_known()));
+    print::notices(&last.and_then(help).map(|help| format!("no frame has a pose: {help}")));
     Ok(CommandOutcome::Done)
 }
 
@@ -521,8 +654,12 @@ struct Lines {
 }
 
 impl Lines {
-    fn create(poses: &Path, details: Option<&Path>) -> Result<Self> {
-        Ok(Self { poses: GrowingFile::create(poses)?, details: details.map(GrowingFile::create).transpose()? })
+    fn open(poses: &Path, details: Option<&Path>, resumed: Option<&Resumed>) -> Result<Self> {
+        let file = |path: &Path, k: usize| match resumed {
+            Some(run) => GrowingFile::reopen(path, run.lengths[k]),
+            None => GrowingFile::create(path),
+        };
+        Ok(Self { poses: file(poses, 0)?, details: details.map(|path| file(path, 1)).transpose()? })
     }
 
     fn add(&mut self, step: &Step) -> Result<()> {
@@ -549,13 +686,25 @@ fn details(s: &Step) -> serde_json::Value {
     let verdicts: serde_json::Map<String, serde_json::Value> =
         Judged::ALL.iter().zip(counts).map(|(v, n)| (v.name().to_owned(), n.into())).collect();
     serde_json::json!({
-        "time": s.stamp, "state": s.phase.name(), "reason": s.reason,
+        "time": s.stamp, "state": s.phase.name(), "reason": s.reason, "help": help(s),
         "translation": s.pose.world_from_robot.translation.to_array(), "rotation_xyzw": s.pose.world_from_robot.rotation.to_array(),
         "odds": s.odds, "carried": s.carried, "covariance": s.pose.covariance, "explained": s.estimate.explained, "weak": weak, "verdicts": verdicts,
         "features": features,
         "predictions": s.estimate.predictions,
         "candidates": s.candidates.iter().map(candidate).collect::<Vec<_>>(),
     })
+}
+
+/// What a user can do about a frame, by the flags of the command.
+fn help(s: &Step) -> Option<&'static str> {
+    match s.phase {
+        Phase::Lost | Phase::Unknown => Some(
+            "--init unknown looks for the robot in the whole map, at the height of --floor; --model-sigma states how far \
+             the map may be off, --sensor the noise and the mount of the sensor",
+        ),
+        _ if !s.estimate.weak.is_empty() => Some("no measurement holds the weak directions: odometry in the log would"),
+        _ => None,
+    }
 }
 
 /// Pixels of each verdict of a step that still has its verdict images.

@@ -67,6 +67,12 @@ impl PoseArgs {
         self.parse_as(PoseOf::Sensor)
     }
 
+    /// As [`PoseArgs::parse`]; `None` without `--pose`.
+    #[cfg(feature = "edit")]
+    pub fn parse_if_given(&self) -> Result<Option<ExternalPose>> {
+        self.pose.as_ref().map(|_| self.parse()).transpose()
+    }
+
     /// As [`PoseArgs::parse`], with a default for `--pose-of`.
     pub fn parse_as(&self, of: PoseOf) -> Result<ExternalPose> {
         let meaning = self.given(Pose::IDENTITY, of)?;

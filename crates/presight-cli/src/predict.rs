@@ -10,7 +10,7 @@ use super::pose::{PoseArgs, PoseOf};
 use super::pose_series::Poses;
 use super::sensor_args::SensorArgs;
 use super::statistics::{Statistics, Subject};
-use super::summary::Summary;
+use super::summary::{Summary, objects_in};
 use super::templates::Names;
 use super::virtual_sensor::VirtualArgs;
 use super::{CommandOutcome, open_scene_without, predict_poses, print};
@@ -482,7 +482,7 @@ fn run_one(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     paths.npy.iter().try_for_each(|(output, path)| npy::write_image(path, &prediction.images, *output))?;
     job.names.rays(&sensor)?.iter().try_for_each(|path| npy::write_rays(path, &sensor))?;
     args.stats.iter().try_for_each(|path| statistics.write(path))?;
-    let summary = Summary::of(&scene, &prediction);
+    let summary = Summary::of(&prediction, objects_in(scene.world.environment()));
     let (ms, engine) = (statistics.median_ms(), statistics.engine_in_words());
     if args.explain {
         print::lines(statistics.explanation())?;

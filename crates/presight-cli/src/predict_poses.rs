@@ -7,7 +7,7 @@ use super::pose_series::{NamedPose, Poses, no_poses};
 use super::predict::{self, Args, Job, Shown};
 use super::series::SeriesProgress;
 use super::stack::Stack;
-use super::summary::Summary;
+use super::summary::{Summary, objects_in};
 use super::templates::Names;
 use super::{CommandOutcome, bar, print};
 use presight::{Scene, blake3_of};
@@ -264,7 +264,7 @@ impl Series<'_> {
 
     fn tell(&self, prediction: &Prediction, (index, stamp): (usize, &str), (ms, engine): (f64, &str)) -> Result<()> {
         if self.args.json {
-            let summary = Summary::of(self.scene, prediction);
+            let summary = Summary::of(prediction, objects_in(self.scene.world.environment()));
             let mut value = summary.json(self.args.scene(), prediction, ms, engine);
             value["pose"] = index.into();
             value["stamp"] = stamp.into();
@@ -273,7 +273,7 @@ impl Series<'_> {
         if self.args.writes_something() {
             return Ok(());
         }
-        let summary = Summary::of(self.scene, prediction);
+        let summary = Summary::of(prediction, objects_in(self.scene.world.environment()));
         print::lines([format!("{index}: {}, {ms:.2} ms on {engine}", summary.in_words(prediction))])
     }
 }

@@ -47,6 +47,11 @@ pub struct Args {
     #[arg(long, value_name = "DEG", default_value_t = 0.0)]
     reference_sigma_deg: f64,
 
+    /// Also show what each frame teaches of the model, as `update` would learn it
+    #[cfg(feature = "store")]
+    #[arg(long)]
+    learn: bool,
+
     /// Write index.html and frames/*.png into this folder
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -89,7 +94,9 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     files.add_folder(&args.out, &["index.html"])?;
     let frames = args.out.join("frames");
     let (mut painter, mut pictures) = (None, Vec::new());
-    let followed = args.drive.follow(files, |scene, sensed, step| {
+    #[cfg(feature = "store")]
+    let mut learning = args.learn.then(super::update::Learning::new).transpose()?;
+    let followed = args.drive.follow(files, None, |scene, sensed, step| {
         let painter = match &mut painter {
             Some(painter) => painter,
             None => {
@@ -101,13 +108,20 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         let name = format!("{:06}.png", pictures.len());
         painter.paint(scene, sensed, step, &frames.join(&name))?;
         pictures.push(format!("frames/{name}"));
+        #[cfg(feature = "store")]
+        learning.iter_mut().try_for_each(|learning| learning.observe(&scene.world, step, sensed.frame))?;
         Ok(())
     })?;
     if pictures.is_empty() {
         return Err(Error::invalid("there are no frames to show", "give an earlier --from").in_file(&args.drive.log));
     }
     let extra = (args.reference_sigma, args.reference_sigma_deg.to_radians());
-    let leaves: Vec<Leaf> = (0..pictures.len()).map(|k| leaf(&followed, k, &pictures[k], extra)).collect();
+    #[cfg_attr(not(feature = "store"), expect(unused_mut, reason = "only learning adds to the leaves"))]
+    let mut leaves: Vec<Leaf> = (0..pictures.len()).map(|k| leaf(&followed, k, &pictures[k], extra)).collect();
+    #[cfg(feature = "store")]
+    for (leaf, learnt) in leaves.iter_mut().zip(learning.iter().flat_map(|learning| &learning.notes)) {
+        leaf.reason += learnt;
+    }
     let told = summary(&followed);
     let title = format!("{} in {}", args.drive.log.display(), args.drive.map.display());
     let html = page(&title, &told.trim_end().replace('\n', "; "), &leaves);

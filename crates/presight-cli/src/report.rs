@@ -14,6 +14,7 @@ use presight_model::threads::Threads;
 use presight_predict::free_poses::free_poses;
 use presight_studies::work_precision::{self, Effort, Findings, Scene, Study};
 use presight_studies::{Machine, stability};
+use std::ffi::OsString;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -70,20 +71,21 @@ const WORK_PRECISION: [&str; 3] = ["index.html", "work_precision.csv", "report.j
 /// Number of free poses in a full study. A quick one has one.
 const POSES: usize = 3;
 
-/// Runs the command.
+/// Runs the command; pages show its `arguments`, in which invalid UTF-8 is replaced.
 ///
 /// # Errors
 /// Wrong usage; errors from reading scenes and sensors, from predictions, and from writing.
-pub fn run(args: &Args) -> Result<CommandOutcome> {
+pub fn run(args: &Args, arguments: &[OsString]) -> Result<CommandOutcome> {
+    let command = arguments.iter().map(|arg| arg.to_string_lossy().into_owned()).collect();
     let mut files = OutputFiles::default();
     files.add_folder(&args.out, &if args.stability { STABILITY } else { WORK_PRECISION })?;
     let named = args.scenes.iter().map(PathBuf::as_path).chain(args.poses.as_deref());
     files.check_named(named.chain(args.sensors.iter().map(Path::new)))?;
     Threads::SHARED.started()?;
-    if args.stability { stability(args) } else { work_precision(args, files) }
+    if args.stability { stability(args, command) } else { work_precision(args, files, command) }
 }
 
-fn stability(args: &Args) -> Result<CommandOutcome> {
+fn stability(args: &Args, command: Vec<String>) -> Result<CommandOutcome> {
     folder::ready(&args.out)?;
     let study = stability::Study::new(args.quick);
     let (mut engines, notes) = stability::subjects(0)?;
@@ -94,7 +96,7 @@ fn stability(args: &Args) -> Result<CommandOutcome> {
         progress.inc(1);
     });
     progress.finish_and_clear();
-    let (rows, machine) = (rows?, Machine::this(features(), command_line()));
+    let (rows, machine) = (rows?, Machine::this(features(), command));
     let about = stability::RunInfo { machine, notes };
     write(
         &args.out,
@@ -113,7 +115,7 @@ fn stability(args: &Args) -> Result<CommandOutcome> {
     Ok(if faults == 0 { CommandOutcome::Done } else { CommandOutcome::Found })
 }
 
-fn work_precision(args: &Args, files: OutputFiles) -> Result<CommandOutcome> {
+fn work_precision(args: &Args, files: OutputFiles, command: Vec<String>) -> Result<CommandOutcome> {
     let (study, inputs) = args.study()?;
     files.check_scene(&inputs)?;
     folder::ready(&args.out)?;
@@ -124,7 +126,7 @@ fn work_precision(args: &Args, files: OutputFiles) -> Result<CommandOutcome> {
     });
     progress.finish_and_clear();
     let findings = findings?;
-    let machine = Machine::this(features(), command_line());
+    let machine = Machine::this(features(), command);
     write(
         &args.out,
         WORK_PRECISION,
@@ -136,11 +138,6 @@ fn work_precision(args: &Args, files: OutputFiles) -> Result<CommandOutcome> {
     )?;
     print::lines(summary(&args.out, &findings))?;
     Ok(if findings.faults() == 0 { CommandOutcome::Done } else { CommandOutcome::Found })
-}
-
-/// The arguments of the process. Invalid UTF-8 is replaced.
-fn command_line() -> Vec<String> {
-    std::env::args_os().map(|arg| arg.to_string_lossy().into_owned()).collect()
 }
 
 fn write(folder: &Path, names: [&str; 3], texts: [String; 3]) -> Result<()> {

@@ -6,7 +6,7 @@ use presight_model::error::Result;
 use presight_model::sensor::Sensor;
 
 /// Which image of a calibration is meant.
-#[derive(Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 pub struct SensorArgs {
     /// The rectified image of a ROS camera_info given as --sensor (P, R), not the raw one (K, D)
     ///

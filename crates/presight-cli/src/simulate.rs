@@ -24,7 +24,7 @@ use std::path::{Path, PathBuf};
 
 const EXAMPLES: &str = "Examples:
   presight simulate hall.glb --sensor laser-range-camera --poses drive.tum --out run
-  presight localize run --map hall.glb --sensor run/sensor.toml --init reference --out run.tum
+  presight localize run/scans.jsonl --map hall.glb --init reference --out run.tum
   presight simulate hall.glb --sensor laser-scanner --intensities --poses drive.tum --out scans
   presight localize scans/scans.jsonl --map hall.glb --layer reflectors.json --init reference --out scans.tum
   presight features hall.glb --class video --out edges.json
@@ -113,10 +113,10 @@ pub struct Args {
 /// Errors from reading the scene, sensor and poses, and from writing.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     let mut files = OutputFiles::default();
-    files.add_folder(&args.out, &["camera.json", "poses.txt", "sensor.toml", "grey.toml", SCANS])?;
+    files.add_folder(&args.out, &["camera.json", "odometry.txt", "poses.txt", "sensor.toml", "grey.toml", SCANS])?;
     let sensors = [Some(&args.sensor), args.grey.as_ref()].into_iter().flatten().map(Path::new);
     files.check_named([args.scene.as_path(), args.poses.as_path()].into_iter().chain(sensors))?;
-    let sensor = args.image.load(&args.sensor)?;
+    let sensor = at_once(args.image.load(&args.sensor)?)?;
     args.check_flags(&sensor)?;
     let camera = sensor.is_camera().then(|| depth_folder::camera_json(&sensor)).transpose()?;
     let poses = tum::read(&args.poses)?;
@@ -147,9 +147,18 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
             if grey.is_some() {
                 folder::ready(&args.out.join("grey"))?;
             }
+            let mut odometry =
+                String::from("# time tx ty tz qx qy qz qw: the robot by its odometry, body axes, z up, metres\n");
+            let mut driven = Pose::IDENTITY;
             for pose in &poses {
                 let frame = next(&mut scene, pose)?;
+                driven = driven * frame.motion.map_or(Pose::IDENTITY, |motion| motion.previous_from_current);
+                let (t, q) = (driven.translation, driven.rotation);
+                odometry += &format!("{:.6} {} {} {} {} {} {} {}\n", pose.time, t.x, t.y, t.z, q.x, q.y, q.z, q.w);
                 write_images(&args.out, &frame, grey.as_mut(), &scene, pose)?;
+            }
+            if poses.is_sorted_by(|a, b| a.time < b.time) {
+                write_text(&args.out.join("odometry.txt"), &odometry)?;
             }
             write_text(&args.out.join("camera.json"), camera)?;
             write_text(&args.out.join("poses.txt"), &depth_folder::poses_txt(&sensor, &poses))?;
@@ -160,6 +169,16 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         write_text(&args.out.join("grey.toml"), &sensor_toml::to_string(grey.camera().spec()))?;
     }
     Ok(CommandOutcome::Done)
+}
+
+/// The sensor with all of its columns measured at the stamp, which is how they are simulated.
+fn at_once(sensor: Sensor) -> Result<Sensor> {
+    if sensor.spec().turn_s == 0.0 {
+        return Ok(sensor);
+    }
+    let what = "each scan is simulated as if the robot stood still while it is measured: turn_s is left out of the log";
+    super::print::notices(&[what.to_owned()]);
+    Sensor::new(sensor.spec().clone().with_turn_s(0.0))
 }
 
 fn write_text(path: &Path, text: &str) -> Result<()> {

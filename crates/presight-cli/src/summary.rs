@@ -1,7 +1,7 @@
 //! One-line summaries of a prediction, as text and as JSON.
 
-use presight::Scene;
 use presight_features::FeaturePrediction;
+use presight_model::environment::Environment;
 use presight_predict::predict::Prediction;
 use serde_json::{Value, json};
 use std::collections::HashSet;
@@ -17,17 +17,17 @@ pub struct Summary {
 }
 
 impl Summary {
-    pub fn of(scene: &Scene, prediction: &Prediction) -> Self {
+    /// Counts the images and features of a prediction in which there are this many objects.
+    pub fn of(prediction: &Prediction, objects: usize) -> Self {
         let images = &prediction.images;
         let seen = || images.range.iter().copied().filter(|r| r.is_finite());
         let (near, far) = seen().fold((f32::INFINITY, 0f32), |(lo, hi), r| (lo.min(r), hi.max(r)));
         // Neighbouring pixels mostly have the same id, so runs save lookups.
         let mut ids: HashSet<u32> = images.object_id.chunk_by(|a, b| a == b).map(|run| run[0]).collect();
         ids.remove(&0);
-        let there = || scene.world.environment().objects().iter().filter(|o| !o.is_deleted()).count();
         Self {
             hits: (!images.range.is_empty()).then(|| (seen().count(), near, far)),
-            objects: (!images.object_id.is_empty()).then(|| (ids.len(), there())),
+            objects: (!images.object_id.is_empty()).then_some((ids.len(), objects)),
             features: prediction.features.as_ref().map(|FeaturePrediction { features, stats, .. }| {
                 (features.iter().filter(|f| !f.visible.is_empty()).count(), stats.features)
             }),
@@ -71,4 +71,9 @@ impl Summary {
             "engine": engine,
         })
     }
+}
+
+/// Number of objects that are not deleted.
+pub fn objects_in(environment: &Environment) -> usize {
+    environment.objects().iter().filter(|o| !o.is_deleted()).count()
 }

@@ -4,7 +4,7 @@ use crate::atomic::{is_given, open_through, open_to_replace, refused};
 use crate::temporary::undisturbed;
 use presight_model::error::Result;
 use std::fs::{self, File};
-use std::io::{self, Write};
+use std::io::{self, Seek, Write};
 use std::path::{Path, PathBuf};
 
 /// A file of lines. Adding a line writes it at once.
@@ -28,6 +28,21 @@ impl GrowingFile {
         }
         drop(open_to_replace(path)?);
         Ok(Self { file: File::create(path).map_err(refused)?, path: path.to_owned(), length: Some(0) })
+    }
+
+    /// Opens a file that a run left, to go on behind its first `length` bytes.
+    ///
+    /// # Errors
+    /// As [`GrowingFile::create`].
+    pub fn reopen(path: &Path, length: u64) -> Result<Self> {
+        let opened = || {
+            let mut file = File::options().write(true).open(path)?;
+            file.set_len(length)?;
+            file.seek(io::SeekFrom::End(0))?;
+            Ok(file)
+        };
+        let file = opened().map_err(|e| refused(path, e))?;
+        Ok(Self { file, path: path.to_owned(), length: Some(length) })
     }
 
     /// Adds a line, given without its line end.
@@ -79,6 +94,11 @@ mod tests {
             assert_eq!(fs::read_to_string(&path).unwrap(), all);
         }
         file.finish().unwrap();
+        // Behind the first line, what came after it is replaced.
+        let mut again = GrowingFile::reopen(&path, 2).unwrap();
+        again.add("4").unwrap();
+        again.finish().unwrap();
+        assert_eq!(fs::read_to_string(&path).unwrap(), "1\n4\n");
         let mut through = GrowingFile::create(Path::new("/dev/null")).unwrap();
         through.add("gone").unwrap();
         through.finish().unwrap();

@@ -59,7 +59,7 @@ pub(crate) fn from_settings<T>(path: &Path, parse: impl FnOnce(&str) -> Result<T
 }
 
 /// Reads a whole file as text, or the content of a pipe that was passed to this process.
-pub(crate) fn read_text(path: &Path) -> Result<String> {
+pub fn read_text(path: &Path) -> Result<String> {
     read_up_to(path, limits::MAX_FILE_BYTES)
 }
 

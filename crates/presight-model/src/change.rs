@@ -1,6 +1,6 @@
 //! Changes of an environment, applied by [`crate::World::apply`], and their inverses.
 
-use crate::environment::{Feature, Material, NewObject};
+use crate::environment::{Existence, Feature, Mark, Material, NewObject};
 use crate::geometry::{InObject, Pose, PoseCovariance};
 
 /// A change of an environment. [`crate::World::apply`] applies it and returns its inverse.
@@ -27,7 +27,7 @@ pub enum Change {
         /// The new pose.
         world_from_object: Pose,
     },
-    /// Deletes an object, with the features and pose covariances in its frame. Its number and its slots are never
+    /// Deletes an object, with the features and pose covariances in its frame, its marks and the trust in it. Its number and its slots are never
     /// reused. Objects below its path stay; the path becomes a group whose frame is the object's last pose. Deleting a
     /// group deletes everything below it.
     DeleteObject {
@@ -84,6 +84,25 @@ pub enum Change {
         object: String,
         /// See [`crate::environment::FeatureLayer::pose_covariances`].
         covariance: Option<PoseCovariance<InObject>>,
+    },
+    /// Sets a mark; it replaces a mark of the same name.
+    SetMark {
+        /// Name of the mark.
+        name: String,
+        /// The mark.
+        mark: Mark,
+    },
+    /// Removes a mark.
+    RemoveMark {
+        /// Name of the mark.
+        name: String,
+    },
+    /// Sets or removes the trust in an object.
+    SetTrust {
+        /// Full path of the object.
+        object: String,
+        /// Probability that it exists, last confirmation and decay.
+        trust: Option<Existence>,
     },
     /// Applies all of these changes, or none.
     Group(Vec<Change>),

@@ -15,8 +15,8 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
 /// Worker threads, as a handle that is cheap to clone; clones share the same threads.
 ///
 /// [`Threads::new`] starts separate threads. A number refers to threads shared by the whole process: all handles made
-/// from the same number use the same threads, which start on first use and end with the last engine that holds them. 0,
-/// the default, means one thread per core (or `RAYON_NUM_THREADS`, if set); these threads are never stopped.
+/// from the same number use the same threads, which start on first use and end with the last engine that holds them. A
+/// process that was forked has threads of its own; started handles of its parent are of no use there. 0, the default, means one thread per core (or `RAYON_NUM_THREADS`, if set); these threads are never stopped.
 ///
 /// Functions without a handle, such as [`crate::World::new`] or `features::generate::generate`, use the
 /// threads of [`Threads::run`] if called inside it, otherwise the default threads.
@@ -167,23 +167,72 @@ pub fn in_place_scope<'scope, R>(work: impl FnOnce(&rayon::Scope<'scope>) -> R) 
     Ok(default_pool()?.in_place_scope(work))
 }
 
+/// A value that each process makes for itself.
+///
+/// After a fork the child has its parent's memory, but only the thread that forked: the others are gone, and a lock that one of them held
+/// stays locked. So a child takes a value of its own and never touches the one of its parent.
+#[derive(Debug)]
+pub struct PerProcess<T> {
+    /// The process that made the value, and the value.
+    own: OnceLock<(u32, T)>,
+    /// Those of child processes.
+    next: OnceLock<Box<Self>>,
+}
+
+impl<T> PerProcess<T> {
+    /// No process has made its value yet.
+    pub const fn new() -> Self {
+        Self { own: OnceLock::new(), next: OnceLock::new() }
+    }
+}
+
+impl<T> Default for PerProcess<T> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl<T: Default> PerProcess<T> {
+    /// The value of this process. Its default should be quick to make: a fork meanwhile would leave it unmade in the child for ever.
+    pub fn get(&self) -> &T {
+        self.of(this_process())
+    }
+
+    fn of(&self, process: u32) -> &T {
+        let mut link = self;
+        loop {
+            let (owner, value) = link.own.get_or_init(|| (process, T::default()));
+            if *owner == process {
+                return value;
+            }
+            link = link.next.get_or_init(Box::default);
+        }
+    }
+}
+
+/// The number of this process; 0 on WebAssembly, which has none.
+pub fn this_process() -> u32 {
+    if cfg!(target_family = "wasm") { 0 } else { std::process::id() }
+}
+
 /// The default threads. They are never stopped, so that many short tasks do not restart them.
 fn default_pool() -> Result<Arc<ThreadPool>> {
-    static POOL: OnceLock<Arc<ThreadPool>> = OnceLock::new();
-    match POOL.get() {
+    static POOL: PerProcess<OnceLock<Arc<ThreadPool>>> = PerProcess::new();
+    let of_process = POOL.get();
+    match of_process.get() {
         Some(pool) => Ok(pool.clone()),
         None => {
             let pool = shared_pool(0)?;
-            Ok(POOL.get_or_init(|| pool).clone())
+            Ok(of_process.get_or_init(|| pool).clone())
         }
     }
 }
 
 /// The shared threads for a number.
 fn shared_pool(count: usize) -> Result<Arc<ThreadPool>> {
-    static POOLS: Mutex<Vec<(usize, Weak<ThreadPool>)>> = Mutex::new(Vec::new());
+    static POOLS: PerProcess<Mutex<Vec<(usize, Weak<ThreadPool>)>>> = PerProcess::new();
     let count = resolve(count)?;
-    let mut pools = POOLS.lock().unwrap_or_else(PoisonError::into_inner);
+    let mut pools = POOLS.get().lock().unwrap_or_else(PoisonError::into_inner);
     pools.retain(|(_, pool)| pool.strong_count() > 0);
     let known = pools.iter().find(|(of, _)| *of == count).and_then(|(_, pool)| pool.upgrade());
     if let Some(pool) = known {
@@ -277,6 +326,20 @@ mod tests {
         drop(five);
         assert!(ended.upgrade().is_none());
         assert!(Arc::ptr_eq(&threads(0), &threads(0)));
+    }
+
+    /// As a fork leaves it: the child has the parent's value, locked by a thread that is gone.
+    #[test]
+    fn each_process_has_a_value_of_its_own() {
+        let values: PerProcess<Mutex<u32>> = PerProcess::new();
+        let mut of_parent = values.of(7).lock().unwrap();
+        *of_parent = 1;
+        *values.of(8).lock().unwrap() = 2;
+        *values.of(9).lock().unwrap() += 3;
+        assert_eq!([8, 9].map(|process| *values.of(process).lock().unwrap()), [2, 3]);
+        drop(of_parent);
+        assert_eq!(*values.of(7).lock().unwrap(), 1);
+        assert!(std::ptr::eq(values.get(), values.of(std::process::id())));
     }
 
     #[test]

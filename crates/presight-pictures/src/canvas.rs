@@ -1,6 +1,7 @@
 //! A picture to draw on: 8-bit sRGB.
 
 use super::font;
+use super::pen::Stroke;
 
 /// sRGB.
 pub type Rgb = [u8; 3];
@@ -65,13 +66,20 @@ pub struct Canvas {
     bytes: Vec<u8>,
     /// The current clipping rectangle.
     frame: PageRect,
+    /// Lines of features that are kept in place of being drawn.
+    pub strokes: Option<Vec<Stroke>>,
 }
 
 impl Canvas {
     /// A blank page.
     pub fn new(width: u32, height: u32) -> Self {
         let bytes = PAGE.repeat(width as usize * height as usize);
-        Self { width, height, bytes, frame: PageRect { left: 0, top: 0, width, height } }
+        Self { width, height, bytes, frame: PageRect { left: 0, top: 0, width, height }, strokes: None }
+    }
+
+    /// A page that keeps the lines of features and draws nothing.
+    pub fn of_strokes() -> Self {
+        Self { strokes: Some(Vec::new()), ..Self::new(0, 0) }
     }
 
     /// Clips drawing to a frame.

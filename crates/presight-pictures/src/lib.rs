@@ -3,29 +3,34 @@
 mod canvas;
 mod color;
 mod comparison;
+mod corridor;
 mod font;
 mod map;
 mod overlay;
 mod pen;
 mod polar;
 mod scale;
+mod screen;
 mod top_view;
 mod view;
 
 use canvas::Canvas;
 use color::Palette;
 pub use comparison::{Comparison, GreyMark, GreyPanel, PlanMarks, write_comparison};
+pub use corridor::{CorridorPicture, write_corridor};
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
 pub use map::{GridMap, write_maps};
 pub use overlay::Overlay;
+pub use pen::{Stroke, Style};
 use presight_files::atomic::write_atomically;
 use presight_model::error::{Error, Result};
 use presight_model::measured::GreyImage;
 use presight_model::sensor::{Geometry, Sensor};
 use presight_predict::virtual_sensors::Mask;
 use presight_render::plan::{Images, Output, Outputs};
-use scale::Scale;
+pub use scale::Scale;
+pub use screen::Screen;
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
 

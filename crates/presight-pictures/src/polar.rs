@@ -18,8 +18,8 @@ const FREE: Rgb = [0x39, 0x41, 0x4e];
 /// From metres (x forward, y left) to page pixels.
 pub struct Map {
     /// Page position of the sensor.
-    origin: [f64; 2],
-    pixels_per_metre: f64,
+    pub origin: [f64; 2],
+    pub pixels_per_metre: f64,
     pub size: [u32; 2],
 }
 
@@ -62,12 +62,7 @@ pub fn draw(
     overlay: Option<&Overlay<'_>>,
 ) -> Canvas {
     let horizontal = |column: u32| sensor.ray(column, 0).map(DVec3::truncate);
-    let hits: Vec<Option<DVec2>> = (0..images.width)
-        .map(|column| {
-            let range = images.range[column as usize];
-            horizontal(column).filter(|_| range.is_finite()).map(|ray| ray * f64::from(range))
-        })
-        .collect();
+    let hits = hits(images, sensor);
     let map = Map::around(&hits);
     let mut canvas = page(map.size[0] + 2 * MARGIN, map.size[1], overlay);
     title(&mut canvas, sensor, output);
@@ -92,6 +87,15 @@ pub fn draw(
     marker(&mut canvas, &map);
     footer(&mut canvas, MARGIN + HEADER + map.size[1] + MARGIN, output, palette, scale);
     canvas
+}
+
+/// Where each ray of the row hits, metres (x forward, y left).
+pub fn hits(images: &Images, sensor: &Sensor) -> Vec<Option<DVec2>> {
+    let hit = |(column, range): (u32, &f32)| {
+        let ray = sensor.ray(column, 0).filter(|_| range.is_finite())?;
+        Some(ray.truncate() * f64::from(*range))
+    };
+    (0..).zip(&images.range).map(hit).collect()
 }
 
 /// Lightens the free space between the sensor and each hit.

@@ -6,9 +6,12 @@ use presight_render::plan::{Images, Output};
 /// A scale of values, linear or logarithmic.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Scale {
-    low: f64,
-    high: f64,
-    logarithmic: bool,
+    /// The value with the colour of near.
+    pub low: f64,
+    /// The value with the colour of far.
+    pub high: f64,
+    /// True if equal steps of colour are equal ratios.
+    pub logarithmic: bool,
 }
 
 /// Ratio of far to near above which the scale is logarithmic: on a linear one, everything near would have one colour.

@@ -5,7 +5,7 @@
 
 use super::canvas::{Canvas, PageRect};
 use super::overlay::Overlay;
-use super::pen::{Pen, REGION, Style};
+use super::pen::{Pen, Style};
 use glam::{DVec2, DVec3};
 use presight_features::{SeenFeature, along};
 use presight_model::environment::FeatureShape;
@@ -56,7 +56,7 @@ impl<F: Fn(DVec2) -> [f64; 2]> TopView<'_, F> {
 
     fn feature(&self, canvas: &mut Canvas, feature: &SeenFeature, seen: bool) {
         let (points, parts) = (self.overlay.points(feature), Overlay::parts(feature, seen));
-        let mut pen = Pen::new(canvas, self.frame, Style::of(seen));
+        let mut pen = Pen::of(canvas, self.frame, Style::of(seen), feature.feature.id);
         match &feature.feature.shape {
             FeatureShape::Point { .. } | FeatureShape::Reflector { .. } => {
                 parts.iter().for_each(|_| pen.dot(self.place(points[0]), if seen { 4.0 } else { 2.0 }));
@@ -127,16 +127,17 @@ impl<F: Fn(DVec2) -> [f64; 2]> TopView<'_, F> {
             let away = (on_page - origin).try_normalize()?;
             Some((on_page + beyond * away).to_array())
         };
-        let line = |canvas: &mut Canvas, from: Option<[f64; 2]>, to: Option<[f64; 2]>| {
+        let mut pen = Pen::of(canvas, self.frame, Style::Region, feature.feature.id);
+        let mut line = |from: Option<[f64; 2]>, to: Option<[f64; 2]>| {
             if let Some((from, to)) = from.zip(to) {
-                canvas.stroke(from, to, 0.4, REGION);
+                pen.line(from, to);
             }
         };
         // A column is rarely more than a degree.
         let pieces = (x1 - x0).ceil().clamp(8.0, 4096.0);
         let number = |i: u32| x0 + (x1 - x0) * f64::from(i) / pieces;
-        (0..pieces as u32).for_each(|i| line(canvas, at(number(i), OFF), at(number(i + 1), OFF)));
-        [x0, x1].into_iter().for_each(|u| line(canvas, at(u, OFF), at(u, -OFF)));
+        (0..pieces as u32).for_each(|i| line(at(number(i), OFF), at(number(i + 1), OFF)));
+        [x0, x1].into_iter().for_each(|u| line(at(u, OFF), at(u, -OFF)));
     }
 
     /// The middle of a feature's visible part.

@@ -76,13 +76,20 @@ pub fn draw_image(
         }
     }
     if let Some(overlay) = overlay {
-        let size = DVec2::new(f64::from(images.width), f64::from(images.height));
-        overlay.draw(canvas, frame, &|pixel| {
-            let share = (pixel + 0.5) / size;
-            let across = if mirrored { 1.0 - share.x } else { share.x };
-            [f64::from(left) + across * f64::from(width), f64::from(top) + share.y * f64::from(height)]
-        });
+        draw_features(canvas, frame, overlay);
     }
+}
+
+/// Draws features over the image in a frame.
+pub fn draw_features(canvas: &mut Canvas, frame: PageRect, overlay: &Overlay<'_>) {
+    let PageRect { left, top, width, height } = frame;
+    let size = DVec2::new(f64::from(overlay.sensor.width()), f64::from(overlay.sensor.height()));
+    let mirrored = is_mirrored(overlay.sensor);
+    overlay.draw(canvas, frame, &|pixel| {
+        let share = (pixel + 0.5) / size;
+        let across = if mirrored { 1.0 - share.x } else { share.x };
+        [f64::from(left) + across * f64::from(width), f64::from(top) + share.y * f64::from(height)]
+    });
 }
 
 /// A blank page for an image of that height, with a legend of features if there is an overlay.
@@ -118,7 +125,7 @@ fn mean_step(angles: &Angles) -> f64 {
 }
 
 /// True for scanners that turn counter-clockwise: their columns run from right to left.
-fn is_mirrored(sensor: &Sensor) -> bool {
+pub fn is_mirrored(sensor: &Sensor) -> bool {
     match &sensor.spec().geometry {
         Geometry::Scanner(s) => s.azimuth.len() > 1 && s.azimuth.degrees(s.azimuth.len() - 1) > s.azimuth.degrees(0),
         Geometry::Camera(_) | Geometry::Rays(_) => false,

@@ -142,8 +142,8 @@ pub fn is_clear(world: &World, at: DVec3, found: &mut QueryResult) -> bool {
         .all(|(object, polygon)| distance(&environment.objects()[object as usize], polygon, at) >= FREE_DISTANCE)
 }
 
-/// Distance of a point from a polygon, metres.
-fn distance(object: &Object, polygon: u32, at: DVec3) -> f64 {
+/// Distance of a point in the world from a polygon of an object, metres.
+pub fn distance(object: &Object, polygon: u32, at: DVec3) -> f64 {
     let corners = corners_from(object, polygon, at);
     let (n, normal) = (corners.len(), normal_of(&corners));
     let side = |k: usize| (corners[k], corners[(k + 1) % n] - corners[k]);

@@ -1,7 +1,7 @@
 //! Operations become changes of an environment.
 
 use super::merge;
-use super::op::{InsertObject, Op, affine_of, covariance_of, pose_of};
+use super::op::{InsertObject, Op, TrustFields, affine_of, covariance_of, pose_of};
 use glam::{DVec3, Vec3};
 use presight_files::layer::from_fields;
 use presight_files::text::check_name;
@@ -89,6 +89,15 @@ impl<'a> Context<'a> {
             Op::SetTolerance { class, tolerance } => Change::SetTolerance { class, tolerance },
             Op::SetPoseCovariance { class, object, covariance } => {
                 Change::SetPoseCovariance { class, object, covariance: covariance_of(covariance)? }
+            }
+            Op::SetMark(fields) => {
+                let name = fields.name.clone();
+                let mark = fields.mark().map_err(|e| e.at(format!("mark {name:?}")))?;
+                Change::SetMark { name, mark }
+            }
+            Op::RemoveMark { mark: name } => Change::RemoveMark { name },
+            Op::SetTrust { object, trust } => {
+                Change::SetTrust { object, trust: trust.as_ref().map(TrustFields::existence) }
             }
             Op::Group { changes } => {
                 if self.now.is_none() && self.looks_back(&changes) {

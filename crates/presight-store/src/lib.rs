@@ -9,7 +9,11 @@
 //! | `materials` | `number`, `name`, `properties` (`reflection`, `one_sided`, `color`, `classes`) |
 //! | `layers` | sensor `class`, `tolerance` in metres, `pose_covariances` [[object, 6 x 6], ..] |
 //! | `features` | `class`, `id`, `kind`, `object`, `feature` (as in a layer file, with covariance, existence and last confirmation); `kind` and `feature` are null for a deleted feature, whose id is never reused |
-//! | `log` | `number` from 1, `time` (UTC seconds), `cause`, `id` (the caller's, if any), `undoes` (the entry it undoes), `change` and `inverse` (JSON in the format of `presight env apply`), `request` (BLAKE3 of the input line; only for changes with an id) |
+//! | `log` | `number` from 1, `time` (UTC seconds), `cause`, `id` (the caller's, if any), `undoes` (the entry it undoes), `change` and `inverse` (JSON in the format of `presight env apply`), `request` (BLAKE3 of the input line; only for changes with an id), `evidence` (JSON of the caller, if any) |
+//! | `marks` | `name`, `mark` (`object`, `kind`, `class`, `box`) |
+//! | `trust` | `object`, `trust` (`existence`, `confirmed` UTC seconds, `rate` 1 / s) |
+//!
+//! This is format 5. A store of format 4, which lacks `evidence`, `marks` and `trust`, gets them at the first change.
 //!
 //! Lists of numbers are JSON texts, because SQLite's REAL drops the sign of zero. Each row ends in its `hash`. The hash
 //! of a log entry also covers the entry before it. Opening a store verifies all hashes. They are neither secret nor
@@ -20,11 +24,14 @@
 //! at once. Readers load one version in one transaction and then work in memory.
 
 mod assign;
+mod beliefs;
 mod blob;
 mod context;
 mod create;
+mod feature_lines;
 mod hash;
 mod ids;
+mod line;
 mod log;
 mod merge;
 mod meshes;
@@ -38,6 +45,8 @@ mod unique;
 mod write;
 
 pub use create::create;
+pub use feature_lines::{feature_change, feature_line};
+pub use line::apply_line;
 pub use log::LogEntry;
 pub use scene::{Existing, SceneMerge};
 pub use write::{Batch, Note};
@@ -79,6 +88,8 @@ pub struct Store {
     connection: Connection,
     path: PathBuf,
     meta: Meta,
+    /// The format of the tables.
+    format: i32,
     world: World,
     /// True while the write lock is held.
     locked: bool,
@@ -129,7 +140,7 @@ impl Meshes {
 /// format version; [`ErrorKind::System`] if the operating system refuses access.
 pub fn read(path: &Path) -> Result<Environment> {
     let connection = connect(path, Access::Read)?;
-    in_one_version(&connection, path, |c| read::load(c, path, false)).map(|loaded| loaded.environment)
+    in_one_version(&connection, path, |c, format| read::load(c, path, format, false)).map(|loaded| loaded.environment)
 }
 
 /// Reads a store and indexes it. This is faster than [`read`] followed by [`World::with_index`], because meshes are
@@ -140,7 +151,7 @@ pub fn read(path: &Path) -> Result<Environment> {
 pub fn read_world(path: &Path, kind: &IndexKind) -> Result<World> {
     let connection = connect(path, Access::Read)?;
     let with_trees = matches!(kind, IndexKind::TwoLevel(_));
-    let loaded = in_one_version(&connection, path, |c| read::load(c, path, with_trees))?;
+    let loaded = in_one_version(&connection, path, |c, format| read::load(c, path, format, with_trees))?;
     let index = WorldIndex::with_trees(&loaded.environment, kind, &loaded.trees);
     Ok(World::of(index, loaded.environment))
 }
@@ -156,6 +167,8 @@ pub struct Info {
     pub changes: u64,
     /// Hash of the last log entry.
     pub head: String,
+    /// Hash of the initial content: the same for all versions of the store.
+    pub genesis: String,
     /// The stored environment.
     pub environment: Environment,
 }
@@ -166,11 +179,12 @@ pub struct Info {
 /// As [`read`].
 pub fn info(path: &Path) -> Result<Info> {
     let connection = connect(path, Access::Read)?;
-    in_one_version(&connection, path, |c| {
-        let read::StoreVersion { environment, meta, .. } = read::load(c, path, false)?;
-        log::walk(c, path, &meta, |_| Ok(()))?;
+    in_one_version(&connection, path, |c, format| {
+        let read::StoreVersion { environment, meta, .. } = read::load(c, path, format, false)?;
+        log::walk(c, path, (&meta, format), |_| Ok(()))?;
         let (changes, head) = (meta.changes as u64, hash::hex(&meta.head));
-        Ok(Info { created: meta.created, cause: meta.cause, changes, head, environment })
+        let genesis = hash::hex(&meta.genesis);
+        Ok(Info { created: meta.created, cause: meta.cause, changes, head, genesis, environment })
     })
 }
 
@@ -180,7 +194,7 @@ pub fn info(path: &Path) -> Result<Info> {
 /// As [`read`], and every error that `visit` returns.
 pub fn log(path: &Path, visit: impl FnMut(LogEntry) -> Result<()>) -> Result<()> {
     let connection = connect(path, Access::Read)?;
-    in_one_version(&connection, path, |c| log::walk(c, path, &Meta::read(c, path)?, visit))
+    in_one_version(&connection, path, |c, format| log::walk(c, path, (&Meta::read(c, path)?, format), visit))
 }
 
 /// Verifies all content and SQLite's internal structures.
@@ -199,11 +213,17 @@ pub fn check(path: &Path) -> Result<Info> {
     Ok(found)
 }
 
-/// Runs `read` in one transaction, so that it sees a single version of the store.
-fn in_one_version<T>(connection: &Connection, path: &Path, read: impl FnOnce(&Connection) -> Result<T>) -> Result<T> {
+/// Runs `read` with the format in one transaction, so that it sees a single version of the store.
+fn in_one_version<T>(
+    connection: &Connection,
+    path: &Path,
+    read: impl FnOnce(&Connection, i32) -> Result<T>,
+) -> Result<T> {
     let wrap = |e| refusal(path, "read the store", e);
     let transaction = connection.unchecked_transaction().map_err(wrap)?;
-    let answer = check_identity(&transaction, path).and_then(|()| read(&transaction)).map_err(|e| e.in_file(path))?;
+    let answer = check_identity(&transaction, path)
+        .and_then(|format| read(&transaction, format))
+        .map_err(|e| e.in_file(path))?;
     transaction.commit().map_err(wrap)?;
     Ok(answer)
 }
@@ -230,10 +250,10 @@ impl Store {
         let wrap = |e| refusal(path, "open the store for writing", e);
         connection.execute_batch("BEGIN IMMEDIATE").map_err(wrap)?;
         // Another writer may have changed the file between `connect` and the lock.
-        check_identity(&connection, path)?;
-        let mut loaded = read::load(&connection, path, matches!(kind, IndexKind::TwoLevel(_)))?;
+        let format = check_identity(&connection, path)?;
+        let mut loaded = read::load(&connection, path, format, matches!(kind, IndexKind::TwoLevel(_)))?;
         let mut ids = HashMap::new();
-        log::walk(&connection, path, &loaded.meta, |entry| {
+        log::walk(&connection, path, (&loaded.meta, format), |entry| {
             ids.extend(entry.id.map(|id| (id, entry.number)));
             Ok(())
         })?;
@@ -250,6 +270,7 @@ impl Store {
             connection,
             path: path.to_owned(),
             meta,
+            format: schema::FORMAT,
             world: World::with_index(Environment::new(), &IndexKind::None),
             locked: true,
             objects: HashMap::new(),
@@ -332,7 +353,7 @@ impl Store {
     /// All log entries, and the numbers of the ones to undo.
     fn plan(&self, number: u64, cascade: bool) -> Result<(Vec<LogEntry>, Vec<u64>)> {
         let mut entries = Vec::new();
-        let walked = log::walk(&self.connection, &self.path, &self.meta, |entry| {
+        let walked = log::walk(&self.connection, &self.path, (&self.meta, self.format), |entry| {
             entries.push(entry);
             Ok(())
         });
@@ -382,8 +403,9 @@ impl Store {
     }
 
     fn register(&mut self, loaded: &read::StoreVersion) {
-        let read::StoreVersion { environment, meta, meshes, .. } = loaded;
+        let read::StoreVersion { environment, meta, meshes, format, .. } = loaded;
         self.meta = meta.clone();
+        self.format = *format;
         self.materials = environment.materials().len();
         let live = environment.objects().iter().zip(0..).filter(|(o, _)| !o.is_deleted());
         self.objects = live.map(|(o, number)| (o.name.clone(), number)).collect();

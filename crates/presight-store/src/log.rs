@@ -4,7 +4,7 @@ use super::hash::{Field, Hash, of_row};
 use super::op::{KeySets, Op};
 use super::read::get;
 use super::rows::{Meta, from_json};
-use super::schema::{damaged, refusal};
+use super::schema::{FORMAT, damaged, refusal};
 use presight_model::error::{Error, Result};
 use rusqlite::{Connection, Row};
 use std::collections::BTreeSet;
@@ -29,6 +29,8 @@ pub struct LogEntry {
     pub inverse: String,
     /// BLAKE3 of the input line, if it had an id. It identifies a line that is sent twice.
     pub request: Option<[u8; 32]>,
+    /// What the caller gave as evidence for the change, as JSON.
+    pub evidence: Option<String>,
     /// BLAKE3 over the previous entry's hash and this entry.
     pub hash: [u8; 32],
 }
@@ -46,10 +48,15 @@ impl LogEntry {
             Field::Text(&self.change),
             Field::Text(&self.inverse),
             request,
+            self.evidence.as_deref().into(),
         ];
-        // Entries without a request are hashed as before requests existed, so that older stores stay valid.
-        let told = if self.request.is_some() { &fields[..] } else { &fields[..7] };
-        of_row(before, told)
+        // Entries without evidence or a request are hashed as before these existed, so that older stores stay valid.
+        let count = match (&self.evidence, &self.request) {
+            (Some(_), _) => 9,
+            (None, Some(_)) => 8,
+            (None, None) => 7,
+        };
+        of_row(before, &fields[..count])
     }
 
     fn read(row: &Row<'_>) -> Result<Self> {
@@ -63,6 +70,7 @@ impl LogEntry {
             change: get(row, 5)?,
             inverse: get(row, 6)?,
             request: get(row, 7)?,
+            evidence: get(row, 9)?,
             hash: get(row, 8)?,
         })
     }
@@ -72,12 +80,13 @@ impl LogEntry {
 pub(super) fn walk(
     connection: &Connection,
     path: &Path,
-    meta: &Meta,
+    (meta, format): (&Meta, i32),
     mut visit: impl FnMut(LogEntry) -> Result<()>,
 ) -> Result<()> {
     let wrap = |e| refusal(path, "read the log", e);
-    let sql = "SELECT number, time, cause, id, undoes, change, inverse, request, hash FROM log ORDER BY number";
-    let mut statement = connection.prepare(sql).map_err(wrap)?;
+    let evidence = if format < FORMAT { "NULL" } else { "evidence" };
+    let columns = format!("number, time, cause, id, undoes, change, inverse, request, hash, {evidence}");
+    let mut statement = connection.prepare(&format!("SELECT {columns} FROM log ORDER BY number")).map_err(wrap)?;
     let mut rows = statement.query([]).map_err(wrap)?;
     let (mut head, mut count) = (meta.first_head(), 0);
     while let Some(row) = rows.next().map_err(wrap)? {

@@ -13,16 +13,22 @@
 //! | `delete_feature` | `class`, `feature`: its number |
 //! | `set_tolerance` | `class`, `tolerance` |
 //! | `set_pose_covariance` | `class`, `object`, `covariance`: 36 numbers, or null for none |
+//! | `set_mark` | `mark` (its name), `object`, `kind` (`uncertain`, `absent`: not predicted, or `unseen`: nobody saw this place); optional `class` (of the sensors that it concerns) and `box` [[x, y, z], [x, y, z]] in the frame of the object |
+//! | `remove_mark` | `mark` |
+//! | `set_trust` | `object`, and `trust` (`existence`, `confirmed` UTC seconds, `rate` 1 / s), or null for none |
 //! | `group` | `changes`: all of them or none |
+//!
+//! A line may have `was`: objects with the poses that they had when the change was found, as [{`object`, `pose`}, ..]. It is
+//! refused if one of them stands elsewhere by now.
 //!
 //! A `pose` is x, y, z in metres and roll, pitch, yaw in degrees, or x, y, z, qx, qy, qz, qw.
 
 use glam::{DAffine3, DQuat, DVec3};
 use presight_files::layer::{FeatureFields, to_fields};
 use presight_model::change::Change;
-use presight_model::environment::{Appearance, Material, Mesh};
+use presight_model::environment::{Appearance, Environment, Existence, Mark, MarkKind, Material, Mesh};
 use presight_model::error::{Error, Result};
-use presight_model::geometry::{InObject, Pose, PoseCovariance};
+use presight_model::geometry::{Aabb, InObject, Pose, PoseCovariance};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -42,6 +48,9 @@ pub(super) enum Op {
     DeleteFeature { class: String, feature: u32 },
     SetTolerance { class: String, tolerance: f64 },
     SetPoseCovariance { class: String, object: String, covariance: Option<Vec<f64>> },
+    SetMark(MarkFields),
+    RemoveMark { mark: String },
+    SetTrust { object: String, trust: Option<TrustFields> },
     Group { changes: Vec<Op> },
 }
 
@@ -128,6 +137,9 @@ pub(super) enum Key {
     Feature(String, u32),
     /// A layer's tolerance and pose covariances.
     Layer(String),
+    Mark(String),
+    /// The trust in an object.
+    Trust(String),
 }
 
 impl std::fmt::Display for Key {
@@ -136,6 +148,8 @@ impl std::fmt::Display for Key {
             Self::Object(name) | Self::Existence(name) => write!(f, "object {name:?}"),
             Self::Feature(class, id) => write!(f, "feature {id} for class {class:?}"),
             Self::Layer(class) => write!(f, "layer for class {class:?}"),
+            Self::Mark(name) => write!(f, "mark {name:?}"),
+            Self::Trust(object) => write!(f, "trust in object {object:?}"),
         }
     }
 }
@@ -175,6 +189,17 @@ impl Op {
             }
             Self::SetPoseCovariance { class, object, .. } => {
                 to.writes.insert(Key::Layer(class.clone()));
+                to.reads.insert(Key::Existence(object.clone()));
+            }
+            Self::SetMark(fields) => {
+                to.writes.insert(Key::Mark(fields.name.clone()));
+                to.reads.insert(Key::Existence(fields.object.clone()));
+            }
+            Self::RemoveMark { mark } => {
+                to.writes.insert(Key::Mark(mark.clone()));
+            }
+            Self::SetTrust { object, .. } => {
+                to.writes.insert(Key::Trust(object.clone()));
                 to.reads.insert(Key::Existence(object.clone()));
             }
             Self::Group { changes } => changes.iter().for_each(|op| op.touched(to)),
@@ -221,10 +246,86 @@ impl Op {
                 object: object.clone(),
                 covariance: covariance.map(|c| c.as_rows().as_flattened().to_vec()),
             },
+            Change::SetMark { name, mark } => Self::SetMark(MarkFields { name: name.clone(), ..MarkFields::of(mark) }),
+            Change::RemoveMark { name } => Self::RemoveMark { mark: name.clone() },
+            Change::SetTrust { object, trust } => {
+                Self::SetTrust { object: object.clone(), trust: trust.as_ref().map(TrustFields::of) }
+            }
             Change::Group(changes) => {
                 Self::Group { changes: changes.iter().map(|c| Self::of(c, number_of)).collect::<Result<_>>()? }
             }
         })
+    }
+}
+
+/// Where an object stood when a change was found.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Was {
+    object: String,
+    pose: Vec<f64>,
+}
+
+impl Was {
+    /// Returns an error unless the object still stands there.
+    pub fn check(&self, environment: &Environment) -> Result<()> {
+        let index = environment.index_of(&self.object)?;
+        if environment.objects()[index as usize].world_from_object == pose_of(&self.pose)? {
+            return Ok(());
+        }
+        let what = format!("object {:?} is not where it was when the change was found", self.object);
+        Err(Error::invalid(what, "leave this line out, or find the changes again"))
+    }
+}
+
+/// A mark. In the table `name` is empty here, because it has its own column.
+#[derive(Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct MarkFields {
+    #[serde(rename = "mark", default, skip_serializing_if = "String::is_empty")]
+    pub name: String,
+    pub object: String,
+    kind: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    class: Option<String>,
+    #[serde(rename = "box", skip_serializing_if = "Option::is_none")]
+    bounds: Option<[[f64; 3]; 2]>,
+}
+
+impl MarkFields {
+    pub fn of(mark: &Mark) -> Self {
+        let bounds = mark.bounds.map(|b| [b.min.to_array(), b.max.to_array()]);
+        let (object, kind) = (mark.object.clone(), mark.kind.name().to_owned());
+        Self { name: String::new(), object, kind, class: mark.class.clone(), bounds }
+    }
+
+    pub fn mark(self) -> Result<Mark> {
+        let kind = MarkKind::ALL.into_iter().find(|kind| kind.name() == self.kind);
+        let unknown =
+            || Error::invalid(format!("there is no kind of mark {:?}", self.kind), "give uncertain, absent or unseen");
+        let bounds = self.bounds.map(|[min, max]| Aabb { min: DVec3::from_array(min), max: DVec3::from_array(max) });
+        Ok(Mark { kind: kind.ok_or_else(unknown)?, object: self.object, class: self.class, bounds })
+    }
+}
+
+/// The trust in an object.
+#[derive(Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct TrustFields {
+    existence: f64,
+    #[serde(default)]
+    confirmed: f64,
+    #[serde(default)]
+    rate: f64,
+}
+
+impl TrustFields {
+    pub fn of(trust: &Existence) -> Self {
+        Self { existence: trust.p0, confirmed: trust.confirmed, rate: trust.rate }
+    }
+
+    pub fn existence(&self) -> Existence {
+        Existence { p0: self.existence, confirmed: self.confirmed, rate: self.rate }
     }
 }
 

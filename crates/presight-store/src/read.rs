@@ -4,7 +4,7 @@ use super::hash::{Digest, Hash};
 use super::meshes::{LoadedMesh, known_materials};
 use super::op::{MaterialFields, affine_of, pose_of};
 use super::rows::{Meta, feature_hash, from_json, group_hash, layer_hash, material_hash, object_hash};
-use super::schema::{damaged, refusal};
+use super::schema::{FORMAT, damaged, refusal};
 use glam::DAffine3;
 use presight_files::layer::{FeatureFields, from_fields};
 use presight_model::environment::{Environment, Feature, FeatureLayer, NewObject};
@@ -23,20 +23,22 @@ use std::sync::Arc;
 pub(super) struct StoreVersion {
     pub environment: Environment,
     pub meta: Meta,
+    pub format: i32,
     pub meshes: HashMap<i64, LoadedMesh>,
     /// Trees of the environment's meshes, if requested.
     pub trees: Trees,
 }
 
 /// Reads the store in the caller's transaction. `with_trees` also builds trees for the meshes, which indexing needs.
-pub(super) fn load(connection: &Connection, path: &Path, with_trees: bool) -> Result<StoreVersion> {
-    let reader = Reader { connection, path, with_trees, digest: std::cell::Cell::default() };
+pub(super) fn load(connection: &Connection, path: &Path, format: i32, with_trees: bool) -> Result<StoreVersion> {
+    let reader = Reader { connection, path, format, with_trees, digest: std::cell::Cell::default() };
     reader.load()
 }
 
 pub(super) struct Reader<'a> {
     pub connection: &'a Connection,
     pub path: &'a Path,
+    pub format: i32,
     pub with_trees: bool,
     digest: std::cell::Cell<Digest>,
 }
@@ -84,10 +86,13 @@ impl Reader<'_> {
         let number = |n: i64| u32::try_from(n).map_err(|_| damaged("a number is out of range"));
         environment.skip_to(number(meta.next_object)?, number(meta.next_slot)?).map_err(damaged)?;
         self.layers(&mut environment)?;
+        if self.format >= FORMAT {
+            self.beliefs(&mut environment)?;
+        }
         if self.digest.get() != meta.digest {
             return Err(damaged("rows are missing or were added"));
         }
-        Ok(StoreVersion { environment, meta, meshes, trees })
+        Ok(StoreVersion { environment, meta, format: self.format, meshes, trees })
     }
 
     /// Calls `read` with each row; its errors get the table and row as their place.
@@ -104,7 +109,7 @@ impl Reader<'_> {
     }
 
     /// Compares a row's computed and stored hashes, and adds the row to the digest.
-    fn prove(&self, found: Hash, stored: Hash) -> Result<()> {
+    pub fn prove(&self, found: Hash, stored: Hash) -> Result<()> {
         check_row(found, stored)?;
         self.count(&found);
         Ok(())

@@ -209,7 +209,7 @@ impl<'a> Merger<'a> {
     }
 }
 
-/// By object, the changes that restore its features and covariances after the object was replaced.
+/// By object, the changes that restore its features, covariances, marks and trust after the object was replaced.
 fn attached(environment: &Environment) -> HashMap<&str, Vec<Change>> {
     let mut all: HashMap<&str, Vec<Change>> = HashMap::new();
     for FeatureLayer { class, features, pose_covariances, .. } in environment.layers() {
@@ -223,6 +223,14 @@ fn attached(environment: &Environment) -> HashMap<&str, Vec<Change>> {
             let change = Change::SetPoseCovariance { class, object: object.clone(), covariance };
             all.entry(object).or_default().push(change);
         }
+    }
+    for (name, mark) in environment.marks() {
+        let change = Change::SetMark { name: name.to_owned(), mark: mark.clone() };
+        all.entry(&mark.object).or_default().push(change);
+    }
+    for (object, trust) in environment.trusts() {
+        let change = Change::SetTrust { object: object.to_owned(), trust: Some(*trust) };
+        all.entry(object).or_default().push(change);
     }
     all
 }

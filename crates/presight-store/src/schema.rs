@@ -7,13 +7,19 @@ use std::time::Duration;
 
 /// "prsg": distinguishes a store from SQLite files of other programs.
 pub(super) const APPLICATION_ID: i32 = 0x7072_7367;
-/// The only format version that this build reads and writes.
-pub(super) const FORMAT: i32 = 4;
+/// The format version that this build writes.
+pub(super) const FORMAT: i32 = 5;
+/// The oldest format version that this build reads. The first write upgrades it.
+const OLDEST: i32 = 4;
+/// What format 5 adds to the log.
+const EVIDENCE: &str = "evidence TEXT";
+/// The tables that format 5 adds.
+const ADDED: [&str; 2] = ["marks", "trust"];
 /// How long to wait for another program's commit.
 const PATIENCE: Duration = Duration::from_secs(3);
 
 /// Name and SQL of each table, exactly as `sqlite_schema` contains them, sorted by name.
-pub(super) const TABLES: [(&str, &str); 8] = [
+pub(super) const TABLES: [(&str, &str); 10] = [
     (
         "features",
         "CREATE TABLE features(class TEXT NOT NULL, id INTEGER NOT NULL, kind TEXT, object TEXT, feature TEXT, \
@@ -31,7 +37,11 @@ pub(super) const TABLES: [(&str, &str); 8] = [
     (
         "log",
         "CREATE TABLE log(number INTEGER PRIMARY KEY, time REAL NOT NULL, cause TEXT NOT NULL, id TEXT, \
-         undoes INTEGER, change TEXT NOT NULL, inverse TEXT NOT NULL, request BLOB, hash BLOB NOT NULL)",
+         undoes INTEGER, change TEXT NOT NULL, inverse TEXT NOT NULL, request BLOB, hash BLOB NOT NULL, evidence TEXT)",
+    ),
+    (
+        "marks",
+        "CREATE TABLE marks(name TEXT PRIMARY KEY NOT NULL, mark TEXT NOT NULL, hash BLOB NOT NULL) WITHOUT ROWID",
     ),
     (
         "materials",
@@ -55,6 +65,10 @@ pub(super) const TABLES: [(&str, &str); 8] = [
          object_from_mesh TEXT, mesh INTEGER NOT NULL, first_slot INTEGER NOT NULL, first_source INTEGER NOT NULL, \
          hash BLOB NOT NULL)",
     ),
+    (
+        "trust",
+        "CREATE TABLE trust(object TEXT PRIMARY KEY NOT NULL, trust TEXT NOT NULL, hash BLOB NOT NULL) WITHOUT ROWID",
+    ),
 ];
 
 /// Purpose of a connection.
@@ -66,7 +80,7 @@ pub(super) enum Access {
     Write,
 }
 
-/// Opens a store. For writing, its tables must match [`FORMAT`].
+/// Opens a store. For writing, its tables must match its format.
 pub(super) fn connect(path: &Path, access: Access) -> Result<Connection> {
     connect_unnamed(path, access).map_err(|e| e.in_file(path))
 }
@@ -101,8 +115,28 @@ pub(super) fn pragma<T: rusqlite::types::FromSql>(connection: &Connection, name:
     connection.query_row(&format!("PRAGMA {name}"), [], |row| row.get(0))
 }
 
-/// Returns an error if the file, as the open transaction sees it, is not a store of [`FORMAT`].
-pub(super) fn check_identity(connection: &Connection, path: &Path) -> Result<()> {
+/// Gives a store of the oldest format what the newest has in addition.
+pub(super) fn upgrade(connection: &Connection) -> rusqlite::Result<()> {
+    let mut sql = format!("ALTER TABLE log ADD COLUMN {EVIDENCE}; PRAGMA user_version = {FORMAT};");
+    TABLES.iter().filter(|(name, _)| ADDED.contains(name)).for_each(|(_, table)| sql += &format!("{table};"));
+    connection.execute_batch(&sql)
+}
+
+/// Name and SQL of each table of a format.
+fn tables_of(format: i32) -> Vec<(&'static str, String)> {
+    let is_old = format < FORMAT;
+    let has = |(name, _): &&(&str, &str)| !(is_old && ADDED.contains(name));
+    let own = |(name, sql): &(&'static str, &str)| {
+        (*name, if is_old { sql.replace(&format!(", {EVIDENCE}"), "") } else { (*sql).to_owned() })
+    };
+    TABLES.iter().filter(has).map(own).collect()
+}
+
+/// The format of the store, as the open transaction sees it.
+///
+/// # Errors
+/// If the file is not a store of a format that this build reads.
+pub(super) fn check_identity(connection: &Connection, path: &Path) -> Result<i32> {
     let wrap = |e| refusal(path, "open the store", e);
     let application: i32 = pragma(connection, "application_id").map_err(wrap)?;
     if application != APPLICATION_ID {
@@ -111,13 +145,13 @@ pub(super) fn check_identity(connection: &Connection, path: &Path) -> Result<()>
     }
     let version: i32 = pragma(connection, "user_version").map_err(wrap)?;
     if version > FORMAT {
-        let what = format!("format {version} is newer than this presight, which reads format {FORMAT}");
+        let what = format!("format {version} is newer than this presight, which reads up to format {FORMAT}");
         return Err(Error::new(ErrorKind::Unsupported, what, "update presight"));
     }
     if version < 1 {
         return Err(damaged(format!("format {version} never existed")));
     }
-    if version < FORMAT {
+    if version < OLDEST {
         let what = format!("format {version} is older than the first release and is no longer supported");
         let remedy =
             "create it again with presight env create, from its scene or an export by the version that wrote it";
@@ -127,12 +161,12 @@ pub(super) fn check_identity(connection: &Connection, path: &Path) -> Result<()>
     let columns = |row: &rusqlite::Row<'_>| Ok((row.get(0)?, row.get(1)?, row.get(2)?));
     let found: Vec<(String, String, Option<String>)> =
         statement.query_map([], columns).and_then(Iterator::collect).map_err(wrap)?;
-    let same = found.len() == TABLES.len()
-        && found
-            .iter()
-            .zip(TABLES)
-            .all(|((kind, name, sql), (table, text))| kind == "table" && name == table && sql.as_deref() == Some(text));
-    if same { Ok(()) } else { Err(damaged(format!("its tables do not match format {FORMAT}"))) }
+    let tables = tables_of(version);
+    let is_table = |((kind, name, sql), (table, text)): (&(String, String, Option<String>), &(&str, String))| {
+        kind == "table" && name == table && sql.as_ref() == Some(text)
+    };
+    let same = found.len() == tables.len() && found.iter().zip(&tables).all(is_table);
+    if same { Ok(version) } else { Err(damaged(format!("its tables do not match format {version}"))) }
 }
 
 /// Makes commits durable: when one returns, the data and the deletion of the journal are on disk.

@@ -2,6 +2,7 @@
 
 use super::context::Context;
 use super::hash::{Hash, of_content};
+use super::line::Line;
 use super::log::LogEntry;
 use super::op::{Key, KeySets, Op};
 use super::rows::{
@@ -9,10 +10,8 @@ use super::rows::{
     pose_text,
 };
 use super::schema::refusal;
-use super::unique::UniqueKeys;
 use super::{Store, blob, ids, meshes, read};
 use presight_files::layer::to_fields;
-use presight_files::text::check_json_memory;
 use presight_model::change::Change;
 use presight_model::environment::{Environment, Mesh};
 use presight_model::error::{Error, Result};
@@ -32,6 +31,8 @@ pub struct Note {
     pub time: f64,
     /// The caller's own id for the change. Applying the change again with the same id does nothing.
     pub id: Option<String>,
+    /// What speaks for the change, as JSON; the log keeps it.
+    pub evidence: Option<String>,
 }
 
 impl Note {
@@ -163,31 +164,14 @@ impl<'a> Batch<'a> {
     /// As [`Batch::apply`], where restored features must also lie on polygons; [`presight_model::ErrorKind::Invalid`]
     /// if the line is not a valid change.
     pub fn apply_line(&mut self, line: &str, folder: &Path, note: &Note) -> Result<(u64, bool)> {
-        let wrong = |e: serde_json::Error| {
-            let what = e.to_string();
-            let what = what.split(" at line ").next().unwrap_or(&what).to_owned();
-            Error::invalid(what, "the help of presight env apply lists the changes").caused_by(e)
-        };
-        check_json_memory(line)?;
-        let UniqueKeys(mut value) = serde_json::from_str(line).map_err(wrong)?;
-        let mut take = |key: &str| value.as_object_mut().and_then(|o| o.remove(key));
-        let cause = match take("cause") {
-            None | Some(serde_json::Value::Null) => note.cause.clone(),
-            Some(serde_json::Value::String(cause)) => cause,
-            Some(_) => return Err(Error::invalid("the cause is not a string", "give the reason as a string")),
-        };
-        let id = match take("id") {
-            None | Some(serde_json::Value::Null) => None,
-            Some(serde_json::Value::String(id)) => Some(id),
-            Some(serde_json::Value::Number(id)) => Some(id.to_string()),
-            Some(_) => return Err(Error::invalid("the id is neither a string nor a number", "give a string")),
-        };
-        let op: Op = serde_json::from_value(value).map_err(wrong)?;
+        let Line { cause, id, evidence, was, op } = Line::parse(line)?;
+        let cause = cause.unwrap_or_else(|| note.cause.clone());
         if let Some(id) = &id
             && let Some(known) = self.store.known(id)?
         {
             return Ok((known.same_line(id, &op)?, false));
         }
+        was.iter().try_for_each(|was| was.check(self.store.world.environment()))?;
         let request = id.as_ref().map(|_| ids::request(&op)).transpose()?;
         let mut mesh = |_| Err(Error::invalid("mesh numbers are valid only in the log", "give \"like\""));
         let environment = self.store.world.environment();
@@ -195,7 +179,7 @@ impl<'a> Batch<'a> {
         let change = context.change(op)?;
         self.notices.append(&mut context.notices);
         let entry = Entry { placed: Some(RestoreCheck::Checked), request, ..Entry::default() };
-        Ok((self.record(change, &Note { id, cause, ..note.clone() }, &entry)?, true))
+        Ok((self.record(change, &Note { id, cause, evidence, ..note.clone() }, &entry)?, true))
     }
 
     /// Returns what the applied lines' scene files hold that is not followed, and forgets it.
@@ -259,6 +243,7 @@ impl Store {
         note: &Note,
         entry: &Entry,
     ) -> Result<u64> {
+        self.upgrade()?;
         self.write_materials(now)?;
         let (change, inverse) = {
             let mut number_of = |mesh: &Arc<Mesh>| self.number_of(mesh);
@@ -280,6 +265,8 @@ impl Store {
                 Key::Layer(class) => {
                     layers.insert(class);
                 }
+                Key::Mark(name) => self.write_mark(now, &name)?,
+                Key::Trust(object) => self.write_trust(now, &object)?,
                 Key::Existence(_) => {}
             }
         }
@@ -318,13 +305,14 @@ impl Store {
             change: json(change)?,
             inverse: json(inverse)?,
             request: how.request,
+            evidence: note.evidence.clone(),
             hash: [0; 32],
         };
         entry.hash = entry.hash_after(&self.meta.head);
         let undone = how.undoes.map(|n| n as i64);
-        let LogEntry { time, cause, id, change, inverse, request, hash, .. } = &entry;
-        let sql = "INSERT INTO log VALUES(?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9)";
-        self.run(sql, params![number as i64, time, cause, id, undone, change, inverse, request, hash])?;
+        let LogEntry { time, cause, id, change, inverse, request, hash, evidence, .. } = &entry;
+        let sql = "INSERT INTO log VALUES(?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10)";
+        self.run(sql, params![number as i64, time, cause, id, undone, change, inverse, request, hash, evidence])?;
         (self.meta.changes, self.meta.head) = (number as i64, entry.hash);
         self.ids.extend(entry.id.map(|id| (id, number)));
         Ok(number)
@@ -436,12 +424,18 @@ impl Store {
                 self.write_feature(now, &layer.class, id)?;
             }
         }
+        for (name, _) in now.marks() {
+            self.write_mark(now, name)?;
+        }
+        for (object, _) in now.trusts() {
+            self.write_trust(now, object)?;
+        }
         (self.meta.next_object, self.meta.next_slot) = (now.objects().len() as i64, i64::from(now.slot_count()));
         Ok(())
     }
 
     /// Removes a row from its table and from the digest, if it exists.
-    fn remove(&mut self, sql: &str, params: impl Params) -> Result<()> {
+    pub(super) fn remove(&mut self, sql: &str, params: impl Params) -> Result<()> {
         let found = self.connection.prepare_cached(sql).and_then(|mut s| {
             let mut rows = s.query(params)?;
             let hash = rows.next()?.map(|row| row.get::<_, Hash>(0)).transpose()?;
@@ -464,7 +458,7 @@ impl Store {
         found.ok_or_else(|| super::schema::damaged("a row is missing").in_file(&self.path))
     }
 
-    fn run(&self, sql: &str, params: &[&dyn ToSql]) -> Result<()> {
+    pub(super) fn run(&self, sql: &str, params: &[&dyn ToSql]) -> Result<()> {
         let done = self.connection.prepare_cached(sql).and_then(|mut s| s.execute(params));
         done.map(drop).map_err(|e| refusal(&self.path, "write to the store", e))
     }
@@ -492,7 +486,8 @@ impl Store {
         self.locked = false;
         let locked =
             self.connection.execute_batch("BEGIN IMMEDIATE").is_ok() || self.connection.execute_batch("BEGIN").is_ok();
-        let loaded = read::load(&self.connection, &self.path, false);
+        let loaded = super::schema::check_identity(&self.connection, &self.path)
+            .and_then(|format| read::load(&self.connection, &self.path, format, false));
         let _ = self.connection.execute_batch("ROLLBACK");
         match loaded {
             Ok(loaded) if locked => {

@@ -8,6 +8,7 @@ pub mod index_study;
 mod machine;
 #[cfg(feature = "report")]
 pub mod page;
+pub mod pick;
 #[cfg(feature = "report")]
 pub mod replay;
 #[cfg(feature = "report")]

@@ -69,6 +69,11 @@ pub fn page(title: &str, lead: &str, leaves: &[Leaf]) -> String {
             body {
                 header { h1 { (title) } p.lead { (lead) } }
                 main {
+                    div.beside {
+                        figure { (plan(leaves)) figcaption { "From above, x to the right, y up: the estimate; dashed: the log's own poses." } }
+                        div.told { dl id="told" {} }
+                    }
+                    (strips(leaves))
                     div.controls {
                         button id="before" aria-label="previous frame" { "◀" }
                         input id="frame" type="range" min="0" max=(leaves.len().saturating_sub(1)) value="0" aria-label="frame";
@@ -76,11 +81,6 @@ pub fn page(title: &str, lead: &str, leaves: &[Leaf]) -> String {
                         button id="play" { "play" }
                     }
                     figure.picture { img id="picture" src=(first) alt="predicted, measured and verdicts"; }
-                    div.beside {
-                        figure { (plan(leaves)) figcaption { "From above, x to the right, y up: the estimate; dashed: the log's own poses." } }
-                        div.told { dl id="told" {} }
-                    }
-                    (strips(leaves))
                     noscript { p { "Without JavaScript the page shows only the first frame; all images are in its folder." } }
                 }
                 script id="leaves" type="application/json" { (PreEscaped(data)) }

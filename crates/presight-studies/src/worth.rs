@@ -61,10 +61,66 @@ pub struct WorthPlace {
 }
 
 /// Information of x, y and heading: xx, xy, xh, yy, yh, hh.
-type Planar = [f64; 6];
+pub type Planar = [f64; 6];
 
-/// The information of each feature that a view shows.
-type View = Vec<(u32, Planar)>;
+/// The information of each feature that a view shows, with its index.
+pub type View = Vec<(u32, Planar)>;
+
+/// The free places of a grid: clear of polygons, with a floor below the robot.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Grid {
+    /// Columns and rows.
+    pub size: [u32; 2],
+    /// Column, row and position (world, metres) of each free place.
+    pub places: Vec<([u32; 2], DVec3)>,
+}
+
+/// What a sensor at a place sees in each heading of the features that were `placed`.
+///
+/// # Errors
+/// Those of [`Predictor::predict`].
+pub fn views(
+    world: &World,
+    sensor: &Sensor,
+    placed: &PlacedFeatures,
+    at: DVec3,
+    predictor: &mut Predictor,
+    mut watch: impl FnMut(&View) -> Result<()>,
+) -> Result<Vec<View>> {
+    let outputs = Outputs::of(&[Output::PolygonId]);
+    let request = Request::of(outputs).with_features(FeatureOptions::default().with_placed(placed.clone()));
+    let mut views = Vec::with_capacity(HEADINGS as usize);
+    for heading in 0..HEADINGS {
+        let yaw = std::f64::consts::TAU * f64::from(heading) / f64::from(HEADINGS);
+        let mount = Pose { translation: DVec3::ZERO, ..sensor.spec().mount };
+        let pose = Pose::from_xyz_rpy(at, 0.0, 0.0, yaw) * mount;
+        let seen = predictor.predict(world, sensor, &pose, &request)?.features.unwrap_or_default();
+        let vantage = Vantage { world, sensor, world_from_sensor: &pose };
+        let mut told: View = informations(&seen, &placed.features, &vantage)
+            .into_iter()
+            .map(|(i, m)| (seen.given_at(i) as u32, [m[0][0], m[0][1], m[0][5], m[1][1], m[1][5], m[5][5]]))
+            .collect();
+        // The list was collected in place, in an allocation five times as large.
+        told.shrink_to_fit();
+        watch(&told)?;
+        views.push(told);
+    }
+    Ok(views)
+}
+
+impl WorthPlace {
+    /// Rates a place by the worst of its views.
+    pub fn of((cell, at): ([u32; 2], DVec3), views: &[View]) -> Self {
+        let mut place = Self { at, cell, features: usize::MAX, position_sigma: 0.0, heading_sigma: 0.0 };
+        for told in views {
+            let [position, turn] = sigmas(&sum(told.iter().map(|(_, told)| told)));
+            place.features = place.features.min(told.len());
+            place.position_sigma = place.position_sigma.max(position);
+            place.heading_sigma = place.heading_sigma.max(turn);
+        }
+        place
+    }
+}
 
 /// The rating of a layer at the places of a grid.
 #[derive(Clone, Debug)]
@@ -105,44 +161,23 @@ impl Worth {
         predictor: &mut Predictor,
         mut watch: impl FnMut(usize, usize),
     ) -> Result<Self> {
-        if !(sensor.spec().noise.pixel_sigma > 0.0) {
-            let what = format!("sensor {} states no pixel noise", sensor.spec().name);
-            return Err(Error::usage(what, "set pixel_sigma in [noise]"));
-        }
-        let (size, free) = grid(world, sensor, options)?;
-        let outputs = Outputs::of(&[Output::PolygonId]);
-        let request = Request::of(outputs).with_features(FeatureOptions::default().with_placed(placed.clone()));
-        let mut worth = Self { places: Vec::new(), size, given: placed.features.len(), views: Vec::new() };
-        let count = free.len() * HEADINGS as usize;
-        let (mut held, mut granted) = (0, 0);
-        for (cell, at) in free {
-            let mut place = WorthPlace { at, cell, features: usize::MAX, position_sigma: 0.0, heading_sigma: 0.0 };
-            for heading in 0..HEADINGS {
-                let yaw = std::f64::consts::TAU * f64::from(heading) / f64::from(HEADINGS);
-                let mount = Pose { translation: DVec3::ZERO, ..sensor.spec().mount };
-                let pose = Pose::from_xyz_rpy(at, 0.0, 0.0, yaw) * mount;
-                let seen = predictor.predict(world, sensor, &pose, &request)?.features.unwrap_or_default();
-                let vantage = Vantage { world, sensor, world_from_sensor: &pose };
-                let mut told: Vec<(u32, Planar)> = informations(&seen, &placed.features, &vantage)
-                    .into_iter()
-                    .map(|(i, m)| (seen.given_at(i) as u32, [m[0][0], m[0][1], m[0][5], m[1][1], m[1][5], m[5][5]]))
-                    .collect();
-                // The list was collected in place, in an allocation five times as large.
-                told.shrink_to_fit();
-                let [position, turn] = sigmas(&sum(told.iter().map(|(_, told)| told)));
-                place.features = place.features.min(told.len());
-                place.position_sigma = place.position_sigma.max(position);
-                place.heading_sigma = place.heading_sigma.max(turn);
+        let grid = Grid::new(world, sensor, options)?;
+        let mut worth = Self { places: Vec::new(), size: grid.size, given: placed.features.len(), views: Vec::new() };
+        let count = grid.places.len() * HEADINGS as usize;
+        let (mut held, mut granted, mut done) = (0, 0, 0);
+        for place in grid.places {
+            let views = views(world, sensor, placed, place.1, predictor, |told| {
+                done += 1;
                 held += size_of_val(&told[..]) as u64;
-                worth.views.push(told);
                 if held > granted {
                     granted = 2 * held.max(A_LOT);
-                    let place = |e: Error| e.at(format!("view {} of {count}", worth.views.len()));
-                    memory::require(granted).map_err(place)?;
+                    memory::require(granted).map_err(|e| e.at(format!("view {done} of {count}")))?;
                 }
-                watch(worth.views.len(), count);
-            }
-            worth.places.push(place);
+                watch(done, count);
+                Ok(())
+            })?;
+            worth.places.push(WorthPlace::of(place, &views));
+            worth.views.extend(views);
         }
         Ok(worth)
     }
@@ -226,10 +261,23 @@ impl Worth {
     }
 }
 
-type Free = Vec<([u32; 2], DVec3)>;
+impl Grid {
+    /// The free places of a world.
+    ///
+    /// # Errors
+    /// [`presight_model::ErrorKind::Usage`] for a spacing that is not positive, a grid of more than
+    /// [`limits::MAX_WORTH_PLACES`] places, or a sensor without pixel noise; [`presight_model::ErrorKind::Invalid`] if
+    /// no place is free.
+    pub fn new(world: &World, sensor: &Sensor, options: &WorthOptions) -> Result<Self> {
+        if !(sensor.spec().noise.pixel_sigma > 0.0) {
+            let what = format!("sensor {} states no pixel noise", sensor.spec().name);
+            return Err(Error::usage(what, "set pixel_sigma in [noise]"));
+        }
+        grid(world, sensor, options)
+    }
+}
 
-/// Columns and rows of the grid, and its free places: clear of polygons, with a floor below the robot.
-fn grid(world: &World, sensor: &Sensor, options: &WorthOptions) -> Result<([u32; 2], Free)> {
+fn grid(world: &World, sensor: &Sensor, options: &WorthOptions) -> Result<Grid> {
     let WorthOptions { spacing, floor } = *options;
     if !(spacing > 0.0 && spacing.is_finite() && floor.is_finite()) {
         let what = format!("a grid every {} m at a height of {} m", short(spacing), short(floor));
@@ -263,7 +311,7 @@ fn grid(world: &World, sensor: &Sensor, options: &WorthOptions) -> Result<([u32;
         let what = format!("no place {} m above the floor at {} m is free", short(height - floor), short(floor));
         return Err(Error::invalid(what, "give the height of the floor, or a sensor with a mount height"));
     }
-    Ok((size, free))
+    Ok(Grid { size, places: free })
 }
 
 /// True if the nearest polygon below a place is the floor, within a step.

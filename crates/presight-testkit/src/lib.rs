@@ -11,6 +11,8 @@ pub mod engines;
 pub mod faulty;
 pub mod hall;
 pub mod hard;
+pub mod intruders;
+pub mod judge;
 pub mod oracle;
 pub mod pictures;
 pub mod scenes;

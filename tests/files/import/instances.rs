@@ -2,6 +2,7 @@
 
 use crate::build::*;
 use glam::DVec3;
+use presight_files::gltf::import_bytes;
 use presight_files::preparation::{ImportedScene, ProblemKind};
 use presight_model::error::ErrorKind;
 use serde_json::{Value, json};
@@ -120,13 +121,54 @@ fn what_a_scale_of_zero_flattens_is_left_out_and_listed() {
     assert!(g.import().unwrap_err().to_string().contains("node 0 \"plate\""));
 }
 
+/// glTF leaves the meaning of a buffer without `uri` to extensions, but the first one of a .glb is its chunk.
 #[test]
-fn only_buffers_in_use_need_data() {
+fn objects_in_buffers_without_data_are_left_out_and_listed() {
     let mut g = Gltf::triangle();
-    g.push("buffers", json!({"byteLength": 100}));
-    g.push("bufferViews", json!({"buffer": 1, "byteLength": 100}));
-    assert_eq!(g.import().unwrap().environment.objects().len(), 1);
-    g.json["bufferViews"][0]["buffer"] = json!(1);
+    let nowhere = g.push("buffers", json!({"byteLength": 100}));
+    let view = g.push("bufferViews", json!({"buffer": nowhere, "byteLength": 100}));
+    assert_eq!(g.import().unwrap().report.notices, [""; 0]);
+    let mut accessor =
+        |kind: &str| g.push("accessors", json!({"bufferView": view, "componentType": F32, "type": kind, "count": 1}));
+    let (lost, bind) = (accessor("VEC3"), accessor("MAT4"));
+    let sparse = g.accessor(&[0; 36], F32, "VEC3", 3);
+    let at = json!({"bufferView": view, "componentType": U8});
+    g.json["accessors"][sparse]["sparse"] = json!({"count": 1, "indices": at, "values": {"bufferView": 0}});
+    let (joints, weights) = (g.accessor(&[0; 12], U8, "VEC4", 3), g.accessor(&[0; 48], F32, "VEC4", 3));
+    let attributes = json!({"POSITION": 0, "NORMAL": lost, "JOINTS_0": joints, "WEIGHTS_0": weights});
+    let whole = g.mesh(json!([{"attributes": attributes}]));
+    let shapes = [json!({"POSITION": lost}), json!({"POSITION": sparse})];
+    let [first, second] =
+        shapes.map(|attributes| g.mesh(json!([{"attributes": {"POSITION": 0}}, {"attributes": attributes}])));
+    let instances = json!({"EXT_mesh_gpu_instancing": {"attributes": {"TRANSLATION": lost}}});
+    g.json["skins"] = json!([{"joints": [0], "inverseBindMatrices": bind}]);
+    g.json["nodes"] = json!([
+        {"name": "plate", "mesh": whole, "children": [1]},
+        {"name": "part", "mesh": first},
+        {"name": "sparse", "mesh": second},
+        {"name": "person", "mesh": whole, "skin": 0},
+        {"name": "tree", "mesh": whole, "extensions": instances},
+    ]);
+    g.json["scenes"][0]["nodes"] = json!([0, 2, 3, 4]);
+    let read = g.import().unwrap();
+    assert_eq!(names(&read), ["plate"]);
+    assert_eq!(read.report.total(ProblemKind::EmptyMesh), 4);
+    let expected = "left out, because their buffer has no data: node 1 \"plate/part\", node 2 \"sparse\", node 3 \"person\", \
+                    node 4 \"tree\" (4 objects); export the scene as .glb, which holds its buffers";
+    assert_eq!(read.report.notices, [expected]);
+    g.json["scenes"][0]["nodes"] = json!([2]);
     let e = g.import().unwrap_err().to_string();
-    assert!(e.contains("buffer 1: it has no data; the file is truncated"), "{e}");
+    assert!(e.contains("no polygons; nothing is left of node 2 \"sparse\": buffer 1 has no data; export"), "{e}");
+    // Without its chunk, a .glb is truncated; its JSON alone is a scene without data.
+    let mut glb = Gltf::triangle().glb();
+    let end = 20 + u32::from_le_bytes(glb[12..16].try_into().unwrap());
+    glb.truncate(end as usize);
+    glb[8..12].copy_from_slice(&end.to_le_bytes());
+    for (bytes, words) in [
+        (&glb[..], "buffer 0: it has no data; the file is truncated"),
+        (&glb[20..], "no polygons; nothing is left of node 0 \"a\": buffer 0 has no data; export"),
+    ] {
+        let e = import_bytes("s", bytes, &SOURCE).unwrap_err().to_string();
+        assert!(e.contains(words), "{e}");
+    }
 }

@@ -28,8 +28,8 @@ const REQUIRED: [&str; 18] = [
     "/nodes/*/extensions/EXT_mesh_gpu_instancing/attributes",
 ];
 
-/// Optional properties without which this file is not valid or empty: others name their entries, or need their data.
-const NEEDED: [&str; 11] = [
+/// Optional properties without which this file is not valid or empty: others name their entries.
+const NEEDED: [&str; 10] = [
     "/scenes",
     "/nodes",
     "/meshes",
@@ -37,7 +37,6 @@ const NEEDED: [&str; 11] = [
     "/accessors",
     "/bufferViews",
     "/buffers",
-    "/buffers/*/uri",
     "/skins",
     "/scenes/0/nodes",
     // A rotation of zeros.

@@ -30,8 +30,13 @@ PATH names an object; "move", "set_pose" and "delete_object" also accept the pat
   {"op":"delete_feature","class":C,"feature":ID}
   {"op":"set_tolerance","class":C,"tolerance":M}
   {"op":"set_pose_covariance","class":C,"object":PATH,"covariance":[36 numbers]}
+  {"op":"set_mark","mark":NAME,"object":PATH,"kind":"uncertain","box":[[x,y,z],[x,y,z]]}
+                                               or "absent"; optional "class"; no box: all of it
+  {"op":"remove_mark","mark":NAME}
+  {"op":"set_trust","object":PATH,"trust":{"existence":P,"confirmed":UTC,"rate":R}}
   {"op":"group","changes":[..]}                all of them or none
-A line may have a "cause" and an "id". A line whose id has been applied before is acknowledged
+A line may have a "cause", an "id", "evidence", which the log keeps, and "was":[{"object":PATH,"pose":[..]}]:
+it is refused unless these objects stand there. A line whose id has been applied before is acknowledged
 and has no effect; another change with the same id is an error."#;
 
 /// Apply changes, one JSON object per line; prints `ack K` once line K is safely on disk

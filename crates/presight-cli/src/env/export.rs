@@ -66,6 +66,11 @@ pub fn run(args: &Args) -> Result<()> {
         let lost: Vec<u32> = lost.iter().filter(|(class, _)| *class == own.class).map(|(_, id)| *id).collect();
         layer::write_with_lost(path, own, &lost)?;
     }
+    let (marks, trusts) = (environment.marks().len(), environment.trusts().len());
+    let left_out = (marks + trusts > 0).then(|| {
+        format!("{marks} marks and the trust in {trusts} objects stay in the store: no exported file holds them")
+    });
+    print::notices(&left_out);
     let written = std::iter::once(&scene).chain(files.iter().map(|(path, _)| path));
     print::lines(written.map(|path| path.display().to_string()))
 }

@@ -4,6 +4,7 @@ mod apply;
 mod export;
 mod import;
 mod show;
+mod stale;
 
 use super::frame_args::FrameArgs;
 use super::open_scene;
@@ -69,6 +70,12 @@ enum Command {
         /// Print JSON
         #[arg(long)]
         json: bool,
+        /// List the objects and features that were not confirmed for so long: 30d, 12h, 90m or 5s
+        #[arg(long, value_name = "AGE")]
+        stale: Option<String>,
+        /// UTC seconds from which --stale counts back [default: the newest confirmation in the store]
+        #[arg(long, value_name = "UTC", requires = "stale", allow_negative_numbers = true)]
+        time: Option<f64>,
     },
     /// List all changes: number, time, cause, and change
     Log {
@@ -132,7 +139,10 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         Command::Import(args) => import::run(args)?,
         Command::Export(args) => export::run(args)?,
         Command::Apply(args) => apply::run(args)?,
-        Command::Info { store, json } => show::info(store, *json)?,
+        Command::Info { store, json, stale, time } => {
+            let stale = stale.as_deref().map(|age| stale::Stale::new(age, *time)).transpose()?;
+            show::info(store, *json, stale.as_ref())?;
+        }
         Command::Log { store, json } => show::log(store, *json)?,
         Command::Undo { store, change, cascade, note } => undo(store, *change, *cascade, note)?,
         Command::Check { store } => show::check(store)?,

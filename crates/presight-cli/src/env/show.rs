@@ -1,8 +1,9 @@
 //! `presight env info`, `check` and `log`.
 
+use super::stale::Stale;
 use crate::print;
 use presight_files::preparation::lost_features;
-use presight_model::environment::{Environment, Object};
+use presight_model::environment::{Environment, Existence, Mark, Object};
 use presight_model::error::{Error, Result};
 use presight_model::printable::clipped;
 use presight_store as store;
@@ -19,12 +20,13 @@ pub fn live(environment: &Environment) -> impl Iterator<Item = &Object> {
 }
 
 /// `presight env info`.
-pub fn info(path: &Path, as_json: bool) -> Result<()> {
+pub fn info(path: &Path, as_json: bool, stale: Option<&Stale>) -> Result<()> {
     let info = store::info(path)?;
     let environment = &info.environment;
     let groups = environment.groups();
     let layer = |l: &presight_model::environment::FeatureLayer| json!({"class": l.class, "features": l.features.len()});
-    let value = json!({
+    let stale = stale.map(|stale| stale.of(environment));
+    let mut value = json!({
         "format": FORMAT,
         "store": path.display().to_string(),
         "created": info.created,
@@ -37,7 +39,12 @@ pub fn info(path: &Path, as_json: bool) -> Result<()> {
         "polygons": live(environment).map(|o| o.mesh.polygon_count()).sum::<usize>(),
         "materials": environment.materials().iter().map(|m| &m.name).collect::<Vec<_>>(),
         "layers": environment.layers().iter().map(layer).collect::<Vec<_>>(),
+        "marks": environment.marks().map(|(name, m)| mark(name, m)).collect::<Vec<_>>(),
+        "trust": environment.trusts().map(|(object, t)| trust(object, t)).collect::<Vec<_>>(),
     });
+    if let Some(stale) = &stale {
+        value["stale"] = stale.iter().map(|(what, since)| json!({"what": what, "confirmed": since})).collect();
+    }
     if as_json {
         return print::data(&(pretty(&value, path)? + "\n"));
     }
@@ -48,9 +55,22 @@ pub fn info(path: &Path, as_json: bool) -> Result<()> {
     lines.push(format!("objects    {} of {} polygons", live(environment).count(), value["polygons"]));
     lines.push(format!("groups     {}", groups.len()));
     lines.extend(environment.layers().iter().map(|l| format!("layer      {}: {} features", l.class, l.features.len())));
+    let name = |(name, m): (&str, &Mark)| format!("mark       {name}: {} {}", m.kind.name(), m.object);
+    lines.extend(environment.marks().map(name));
+    let since = |time: &Option<f64>| time.map_or("never confirmed".to_owned(), |t| format!("confirmed {}", utc(t)));
+    lines.extend(stale.iter().flatten().map(|(what, time)| format!("stale      {what}: {}", since(time))));
     lines.push(String::new());
     lines.extend(live(environment).map(|o| format!("  {}", o.name)));
     print::lines(lines)
+}
+
+fn mark(name: &str, mark: &Mark) -> Value {
+    let bounds = mark.bounds.map(|b| [b.min.to_array(), b.max.to_array()]);
+    json!({"mark": name, "object": mark.object, "kind": mark.kind.name(), "class": mark.class, "box": bounds})
+}
+
+fn trust(object: &str, trust: &Existence) -> Value {
+    json!({"object": object, "existence": trust.p0, "confirmed": trust.confirmed, "rate": trust.rate})
 }
 
 /// `presight env check`.
@@ -98,6 +118,7 @@ fn json_line(e: &LogEntry, path: &Path) -> Result<String> {
         "undoes": e.undoes,
         "change": parse(&e.change)?,
         "inverse": parse(&e.inverse)?,
+        "evidence": e.evidence.as_deref().map(parse).transpose()?,
         "hash": presight_model::environment::ContentHash(e.hash).to_string(),
     });
     Ok(value.to_string())

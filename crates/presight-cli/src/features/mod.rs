@@ -1,6 +1,5 @@
 //! `presight features`: generates feature layers from the model.
 
-mod near;
 mod pick;
 mod worth;
 

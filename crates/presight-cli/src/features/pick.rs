@@ -5,20 +5,16 @@ use super::super::open_scene;
 use super::super::pose::PoseArgs;
 use super::super::{CommandOutcome, print};
 use super::OptionArgs;
-use super::near::{NearbyFeature, PickView};
 use crate::sensor_args::SensorArgs;
-use glam::{DMat3, DVec2, DVec3};
-use presight::Scene;
-use presight_features::generate::{GenerateOptions, generate};
+use glam::{DVec2, DVec3};
+use presight_features::generate::GenerateOptions;
 use presight_files::layer;
-use presight_model::environment::{Existence, Feature, FeatureShape, Properties};
 use presight_model::error::{Error, Result};
-use presight_model::geometry::{Aabb, Pose, plane_of_polygon};
 use presight_model::index::IndexKind;
-use presight_model::sensor::Sensor;
 use presight_predict::predict::{Backend, Options, Predictor};
 use presight_predict::request::Request;
-use presight_render::plan::{Images, Output, Outputs};
+use presight_render::plan::{Output, Outputs};
+use presight_studies::pick::{Hit, NearbyFeature, PickView};
 use std::path::PathBuf;
 
 /// Show the polygon and point that a pixel sees, nearby edges, and a layer entry to paste
@@ -60,17 +56,6 @@ fn parse_pixel(text: &str) -> Result<(u32, u32)> {
         .ok_or_else(|| Error::usage(format!("{text:?} is not a pixel"), "give column,row"))
 }
 
-/// The point that a pixel sees.
-struct Hit {
-    /// Slot of the polygon in the environment.
-    slot: u32,
-    object: u32,
-    polygon: u32,
-    p_in_world: DVec3,
-    normal: DVec3,
-    range: f64,
-}
-
 /// Runs the command.
 ///
 /// # Errors
@@ -78,7 +63,7 @@ struct Hit {
 /// error, but sets exit status 1.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     let pose = args.pose.parse()?;
-    let mut options = args.options.options();
+    let options = args.options.options();
     if !(args.reach >= 0.0 && args.reach <= 1e6) {
         return Err(Error::usage(format!("--reach {} is out of range", args.reach), "give metres from 0"));
     }
@@ -91,54 +76,20 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     }
     let scene = open_scene(&args.scene, &args.frame.options()?, IndexKind::default())?;
     let world_from_sensor = pose.of_sensor(sensor.spec(), &scene.world_from_gltf)?;
-    let sight = PickImages::new(&scene, &sensor, world_from_sensor)?;
-    let Some(hit) = sight.hit(&scene, &sensor, args.pixel) else {
+    let mut predictor = Predictor::new(Options::new(Backend::Cpu))?;
+    let request = Request::of(Outputs::of(&[Output::PolygonId]));
+    let images = predictor.predict(&scene.world, &sensor, &world_from_sensor, &request)?.images;
+    let view = PickView { world: &scene.world, sensor: &sensor, pose: &world_from_sensor, images: &images };
+    let Some(hit) = view.hit(args.pixel) else {
         print::data(&format!("pixel {column},{row} sees nothing\n"))?;
         return Ok(CommandOutcome::Found);
     };
-    options.region = Some(Aabb { min: hit.p_in_world - args.reach, max: hit.p_in_world + args.reach });
-    print::lines(describe(&scene, &sensor, &sight, &hit, args, &options)?)?;
+    print::lines(describe(&view, &hit, args, &options)?)?;
     Ok(CommandOutcome::Done)
 }
 
-/// The predicted image at a pose.
-struct PickImages {
-    world_from_sensor: Pose,
-    images: Images,
-}
-
-impl PickImages {
-    fn new(scene: &Scene, sensor: &Sensor, world_from_sensor: Pose) -> Result<Self> {
-        let mut predictor = Predictor::new(Options::new(Backend::Cpu))?;
-        let request = Request::of(Outputs::of(&[Output::PolygonId]));
-        let images = predictor.predict(&scene.world, sensor, &world_from_sensor, &request)?.images;
-        Ok(Self { world_from_sensor, images })
-    }
-
-    fn hit(&self, scene: &Scene, sensor: &Sensor, (column, row): (u32, u32)) -> Option<Hit> {
-        let (pose, environment) = (&self.world_from_sensor, scene.world.environment());
-        let slot =
-            self.images.polygon_id[row as usize * self.images.width as usize + column as usize].checked_sub(1)?;
-        let (object, polygon) = environment.locate(slot)?;
-        let plane = plane_of_polygon(&environment.polygon_in_world(slot)?)?;
-        let direction = pose.rotation * (sensor.body_from_image() * sensor.ray(column, row)?);
-        // Intersect with the polygon's plane in f64, because the predicted range is f32.
-        let range = (plane.offset - plane.normal.dot(pose.translation)) / plane.normal.dot(direction);
-        let normal = if plane.normal.dot(direction) > 0.0 { -plane.normal } else { plane.normal };
-        let p_in_world = pose.translation + direction * range;
-        p_in_world.is_finite().then_some(Hit { slot, object, polygon, p_in_world, normal, range })
-    }
-}
-
-fn describe(
-    scene: &Scene,
-    sensor: &Sensor,
-    sight: &PickImages,
-    hit: &Hit,
-    args: &Args,
-    options: &GenerateOptions,
-) -> Result<Vec<String>> {
-    let environment = scene.world.environment();
+fn describe(view: &PickView<'_>, hit: &Hit, args: &Args, options: &GenerateOptions) -> Result<Vec<String>> {
+    let (sensor, environment) = (view.sensor, view.world.environment());
     let object = &environment.objects()[hit.object as usize];
     let object_from_world = object.world_from_object.inverse();
     let p_in_object = object_from_world.transform_point(hit.p_in_world);
@@ -156,10 +107,8 @@ fn describe(
         format!("normal in world  {}", vector(hit.normal)),
         format!("normal in object {}", vector(normal_in_object)),
     ];
-    let layer = generate(environment, class, options)?.layer;
-    let eye = PickView { world: &scene.world, sensor, pose: &sight.world_from_sensor, images: &sight.images };
     let pixel = DVec2::new(f64::from(args.pixel.0), f64::from(args.pixel.1));
-    let near = eye.near(layer, hit.p_in_world, pixel, args.reach)?;
+    let near = view.candidates(class, hit, pixel, args.reach, options)?.near;
     let (seen, hidden): (Vec<NearbyFeature>, Vec<NearbyFeature>) = near.into_iter().partition(|n| n.pixels.is_some());
     lines.push(String::new());
     lines.push(format!(
@@ -170,7 +119,7 @@ fn describe(
     lines.push(String::new());
     lines.push("hidden edges and corners within the same distance, nearest first".into());
     lines.extend(listed(&hidden));
-    let point = point_at(hit, &object.name, p_in_object, normal_in_object, options);
+    let point = hit.point(view.world, options.sigma);
     lines.push(String::new());
     lines.push("an entry for a layer; give it an id that the layer has never used".into());
     // The user may mean the nearest feature or the point itself.
@@ -193,17 +142,6 @@ fn listed(near: &[NearbyFeature]) -> Vec<String> {
         format!("  {pixels:>9}  {:.4} m  {:<12}  {}  {object}", n.metres, name.unwrap_or_default(), points.join(" to "))
     };
     if near.is_empty() { vec!["  none".into()] } else { near.iter().map(line).collect() }
-}
-
-fn point_at(hit: &Hit, object: &str, at: DVec3, normal: DVec3, options: &GenerateOptions) -> Feature {
-    Feature {
-        id: 1,
-        name: Some(format!("point on polygon {}", hit.slot + 1)),
-        object: Some(object.to_owned()),
-        shape: FeatureShape::Point { at, covariance: DMat3::IDENTITY * (options.sigma * options.sigma) },
-        existence: Existence::default(),
-        properties: Properties { normal: Some(normal.normalize()), ..Properties::default() },
-    }
 }
 
 fn vector(v: DVec3) -> String {

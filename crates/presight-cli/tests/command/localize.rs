@@ -348,3 +348,131 @@ fn grey_images_are_localized_and_drawn() {
         assert!(fs::read_to_string(place.path("shown/index.html")).unwrap().contains("only_found"));
     }
 }
+
+/// A run that is cut in the middle of a line goes on behind the frames that are complete, by the same command, and has all frames in
+/// the end, each once. With another flag it starts from the first.
+#[test]
+fn an_interrupted_run_goes_on() {
+    let place = drive();
+    let line = "localize log --map room.glb --sensor log/sensor.toml --init reference --out run.tum";
+    // An image that cannot be read ends the run after five frames.
+    let image = fs::read_dir(place.path("log/depth")).unwrap().map(|e| e.unwrap().path()).max().unwrap();
+    let whole = fs::read(&image).unwrap();
+    fs::write(&image, b"no image").unwrap();
+    assert_eq!(place.run(line).status, Some(1));
+    assert!(place.path("run.resume").exists());
+    let times = |name: &str| -> Vec<f64> { tum::read(&place.path(name)).unwrap().iter().map(|p| p.time).collect() };
+    assert_eq!(times("run.tum"), (10..17).map(f64::from).collect::<Vec<_>>());
+    // The end of a run that was killed: half a line.
+    let cut = |name: &str| {
+        let text = fs::read_to_string(place.path(name)).unwrap();
+        fs::write(place.path(name), &text[..text.len() - 30]).unwrap();
+    };
+    cut("run.tum");
+    cut("run.jsonl");
+    fs::write(&image, &whole).unwrap();
+    let done = place.run(line);
+    assert_eq!(done.status, Some(0), "{}", done.stderr);
+    assert!(done.stderr.contains("going on behind the frame at 15 s"), "{}", done.stderr);
+    assert_eq!(times("run.tum"), (10..18).map(f64::from).collect::<Vec<_>>());
+    assert_eq!(fs::read_to_string(place.path("run.jsonl")).unwrap().lines().count(), 8);
+    assert!(!place.path("run.resume").exists());
+    let again = place.run(line);
+    assert!(!again.stderr.contains("going on") && again.stdout.contains("8 of 8 frames"), "{}", again.stderr);
+}
+
+/// By hand: a folder with odometry tells the motion between its images; half-way between two lines the robot is half-way.
+#[test]
+fn depth_folders_carry_odometry() {
+    let place = drive_of(3);
+    let frames = || {
+        let log = presight_files::log::Frames::open(&place.path("log"), None, &Default::default()).unwrap();
+        log.map(|o| o.unwrap().frame.motion.map(|m| m.previous_from_current.translation)).collect::<Vec<_>>()
+    };
+    assert!(frames()[0].is_none() && frames()[1].is_some_and(|t| (t.length() - 0.02).abs() < 0.005));
+    place.write("log/odometry.txt", b"10 0 0 0 0 0 0 1\n11.5 0.3 0 0 0 0 0 1\n12 0.5 0 0 0 0 0 1\n");
+    let steps = frames();
+    assert!((steps[1].unwrap().x - 0.2).abs() < 1e-9 && (steps[2].unwrap().x - 0.3).abs() < 1e-9, "{steps:?}");
+    place.write("log/odometry.txt", b"10 0 0 0 0 0 0 1\n10 0.3 0 0 0 0 0 1\n");
+    let line = "localize log --map room.glb --init reference --out x.tum";
+    super::check(&place, vec![super::bad(line, 1, &["odometry.txt", "sort the poses by time"])]);
+}
+
+/// The first pair of the examples of `simulate`, with files of the test.
+#[test]
+fn the_first_examples_of_simulate_work() {
+    let place = Place::new();
+    let room = concat!(env!("CARGO_MANIFEST_DIR"), "/../../scenes/room.glb");
+    fs::copy(room, place.path("hall.glb")).unwrap();
+    place.write("drive.tum", b"1 0.3 0.35 1.65 0 0 0.324 0.946\n1.1 0.32 0.35 1.65 0 0 0.324 0.946\n");
+    let help = place.run("simulate --help").stdout;
+    let lines: Vec<&str> = help.lines().filter_map(|l| l.trim().strip_prefix("presight ")).take(2).collect();
+    assert!(lines.len() == 2 && lines[0].starts_with("simulate") && lines[1].starts_with("localize"), "{lines:?}");
+    for line in lines {
+        let done = place.run(line);
+        assert_eq!(done.status, Some(0), "{line}: {}", done.stderr);
+    }
+}
+
+/// A scan that takes longer than the scans are apart is refused, with a remedy that works.
+#[test]
+fn a_turn_longer_than_the_frame_distance_is_refused() {
+    let place = Place::new();
+    let room = concat!(env!("CARGO_MANIFEST_DIR"), "/../../scenes/room.glb");
+    fs::copy(room, place.path("room.glb")).unwrap();
+    let pose = |k: usize| format!("{} {} 0.35 1.65 0 0 0.324 0.946\n", k as f64 / 10.0, 0.3 + 0.01 * k as f64);
+    place.write("drive.tum", (0..6).map(pose).collect::<String>().as_bytes());
+    let sensor = place.run("sensors laser-scanner").stdout;
+    place.write("slow.toml", format!("turn_s = 0.5\n{sensor}").as_bytes());
+    let made = place.run("simulate room.glb --sensor slow.toml --poses drive.tum --out log");
+    assert!(made.stderr.contains("turn_s is left out"), "{}", made.stderr);
+    let line = "localize log/scans.jsonl --map room.glb --sensor slow.toml --init reference --out x.tum";
+    let refused = place.run(line);
+    assert_eq!(refused.status, Some(1), "{}", refused.stderr);
+    assert!(refused.stderr.contains("turn_s of 0.5 s, but the scans come every 0.100 s"), "{}", refused.stderr);
+    place.write("slow.toml", format!("turn_s = 0.1\n{sensor}").as_bytes());
+    let done = place.run(line);
+    assert_eq!(done.status, Some(0), "{}", done.stderr);
+}
+
+const SCANNER: &str = "format = 1\nkind = \"scanner\"\nclass = \"laser\"\nrange_max = 20.0\nbeam_height_deg = 20.0\n[azimuth]\n\
+    start_deg = -180.0\nstep_deg = 0.5\ncount = 720\n[elevation]\nstart_deg = 0.0\nstep_deg = 0.0\ncount = 1\n[noise]\n\
+    range_sigma = 0.01\n[mount]\nxyz = [0.1, 0.0, 0.3]\n";
+
+/// Every command of docs/localization.md, in an order in which each has what it reads. The long log is begun near its end.
+#[cfg(all(unix, feature = "script", feature = "report"))]
+#[test]
+fn the_guide_can_be_walked() {
+    let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let Some(scans) = presight_testkit::data::file("lidar2d/malaga_corridor_run_scans.json") else { return };
+    let Some(livingroom) = presight_testkit::data::file("rgbd/livingroom") else { return };
+    let place = drive_of(4);
+    let link = |from: &std::path::Path, name: &str| std::os::unix::fs::symlink(from, place.path(name)).unwrap();
+    link(&root.join("scenes").canonicalize().unwrap(), "scenes");
+    link(&livingroom.canonicalize().unwrap(), "livingroom");
+    fs::copy(&scans, place.path("scans.json")).unwrap();
+    fs::copy(scans.with_file_name("malaga_corridor_map.glb"), place.path("corridor.glb")).unwrap();
+    fs::rename(place.path("room.glb"), place.path("hall.glb")).unwrap();
+    place.write("depth.toml", CAMERA.as_bytes());
+    place.write("video.toml", CAMERA.replace("\"laser\"", "\"video\"").as_bytes());
+    place.write("scanner.toml", SCANNER.as_bytes());
+    let guide = fs::read_to_string(root.join("docs/localization.md")).unwrap();
+    let mut commands: Vec<&str> = guide.lines().filter_map(|line| line.strip_prefix("presight ")).collect();
+    assert!(commands.len() >= 8, "{commands:?}");
+    let stages = ["simulate hall", "features", "localize run ", "simulate scenes", "localize run/", ""];
+    for stage in stages {
+        let (now, later): (Vec<&str>, Vec<&str>) = commands.iter().partition(|c| c.starts_with(stage));
+        commands = later;
+        for line in now {
+            if line.starts_with("simulate scenes") {
+                let pose = |k: usize| format!("{} {} 0 0 0 0 0 1\n", 10 + k, 0.02 * k as f64);
+                place.write("drive.tum", (0..4).map(pose).collect::<String>().as_bytes());
+            }
+            let from = if line.contains("livingroom") { " --from 206" } else { "" };
+            let done = place.run(&format!("{line}{from}"));
+            assert_eq!(done.status, Some(0), "{line}: {}", done.stderr);
+            assert!(line.starts_with("simulate") || !done.stdout.starts_with("0 of"), "{line}: {}", done.stdout);
+        }
+    }
+    assert!(commands.is_empty(), "{commands:?}");
+}

@@ -7,6 +7,10 @@ mod deadline;
 mod driver_logs;
 #[cfg(all(feature = "gpu", target_os = "linux"))]
 mod drivers;
+#[cfg(feature = "edit")]
+mod edit;
+#[cfg(feature = "store")]
+mod explore;
 mod features;
 mod frames;
 mod hidden;
@@ -26,6 +30,10 @@ mod scripts;
 #[cfg(unix)]
 mod signals;
 mod special;
+#[cfg(feature = "script")]
+mod supervise;
+#[cfg(feature = "store")]
+mod update;
 mod virtual_sensors;
 
 use assert_cmd::Command;

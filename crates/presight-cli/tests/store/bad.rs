@@ -29,10 +29,10 @@ fn folder_with_store() -> (tempfile::TempDir, PathBuf) {
 #[test]
 fn a_newer_version_is_refused() {
     let (_folder, path) = folder_with_store();
-    rusqlite::Connection::open(&path).unwrap().execute_batch("PRAGMA user_version = 5").unwrap();
+    rusqlite::Connection::open(&path).unwrap().execute_batch("PRAGMA user_version = 6").unwrap();
     for args in [&["env", "info"][..], &["env", "check"], &["inspect"]] {
         let (status, message) = refused(args, &path);
-        assert!(status == Some(1) && message.contains("format 5") && message.contains("update presight"), "{message}");
+        assert!(status == Some(1) && message.contains("format 6") && message.contains("update presight"), "{message}");
     }
     assert_eq!(store::read(&path).unwrap_err().kind(), ErrorKind::Unsupported);
 }
@@ -346,7 +346,7 @@ fn bless_a_version() {
     drop(store);
     let info = store::check(&path).unwrap();
     let to = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/store");
-    std::fs::copy(&path, to.join("version-4.presight")).unwrap();
-    std::fs::write(to.join("version-4.txt"), format!("{}\n{}\n", info.environment.content_hash(), info.head)).unwrap();
+    std::fs::copy(&path, to.join("version-5.presight")).unwrap();
+    std::fs::write(to.join("version-5.txt"), format!("{}\n{}\n", info.environment.content_hash(), info.head)).unwrap();
     panic!("made; run again without PRESIGHT_BLESS_STORE");
 }

@@ -1,6 +1,7 @@
 //! The stored environment: its content, its durability, and its refusals.
 
 mod bad;
+mod beliefs;
 mod command;
 use presight_testkit as common;
 mod damage;

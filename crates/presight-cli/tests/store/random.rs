@@ -2,9 +2,10 @@
 //! and a sensor sees the same in each.
 
 use super::{at, block, create, note, point, small};
+use glam::DVec3;
 use presight_model::change::Change;
-use presight_model::environment::{Environment, NewObject};
-use presight_model::geometry::{Pose, PoseCovariance};
+use presight_model::environment::{Environment, Existence, Mark, MarkKind, NewObject};
+use presight_model::geometry::{Aabb, Pose, PoseCovariance};
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
 use presight_predict::request::Request;
@@ -42,9 +43,20 @@ fn change(kind: u8, which: u8, x: f64, depth: u8) -> Change {
         }
         10 => Change::SetTolerance { class, tolerance: 0.001 + x.abs() },
         11 => Change::SetFrame { name, world_from_group: (!which.is_multiple_of(3)).then(|| at(x, 2.0, -x)) },
-        _ if depth == 0 => change(kind % 12, which, x, 0),
+        12 if which.is_multiple_of(3) => Change::RemoveMark { name: class },
+        12 => {
+            let bounds = which.is_multiple_of(5).then_some(Aabb { min: DVec3::splat(x), max: DVec3::splat(x + 1.0) });
+            let kind = if which.is_multiple_of(2) { MarkKind::Absent } else { MarkKind::Uncertain };
+            let mark = Mark { object: name, kind, class: object.map(|_| "laser".to_owned()), bounds };
+            Change::SetMark { name: class, mark }
+        }
+        13 => {
+            let trust = Existence { p0: x.abs() / 2.0, confirmed: x, rate: 0.0 };
+            Change::SetTrust { object: name, trust: (!which.is_multiple_of(4)).then_some(trust) }
+        }
+        _ if depth == 0 => change(kind % 14, which, x, 0),
         _ => {
-            Change::Group((0..3).map(|i| change((kind + 5 * i) % 13, which + i, x + f64::from(i), depth - 1)).collect())
+            Change::Group((0..3).map(|i| change((kind + 5 * i) % 15, which + i, x + f64::from(i), depth - 1)).collect())
         }
     }
 }
@@ -69,6 +81,12 @@ fn from_scratch(environment: &Environment) -> Environment {
     for layer in environment.layers() {
         again.add_layer(layer.clone()).unwrap();
     }
+    for (name, mark) in environment.marks() {
+        again.set_mark(name, mark.clone()).unwrap();
+    }
+    for (object, trust) in environment.trusts() {
+        again.set_trust(object, Some(*trust)).unwrap();
+    }
     again
 }
 
@@ -76,7 +94,7 @@ fn from_scratch(environment: &Environment) -> Environment {
 fn seen(world: &World) -> Vec<(u32, Option<(String, u32)>)> {
     let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).unwrap();
     let sensor = presight_files::preset("laser-range-camera").unwrap();
-    let pose = Pose::from_xyz_rpy(glam::DVec3::new(0.1, 0.2, 2.0), 0.0, 0.2, 0.1);
+    let pose = Pose::from_xyz_rpy(DVec3::new(0.1, 0.2, 2.0), 0.0, 0.2, 0.1);
     let images = predictor.predict(world, &sensor, &pose, &Request::default()).unwrap().images;
     let environment = world.environment();
     let polygon = |id: u32| {
@@ -97,7 +115,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 12, ..ProptestConfig::default() })]
 
     #[test]
-    fn store_memory_and_scratch_agree(steps in prop::collection::vec((0u8..13, 0u8..60, -2.0f64..2.0, 0u8..8), 1..60)) {
+    fn store_memory_and_scratch_agree(steps in prop::collection::vec((0u8..15, 0u8..60, -2.0f64..2.0, 0u8..8), 1..60)) {
         let folder = tempfile::tempdir().unwrap();
         let path = create(folder.path(), &small());
         let mut store = Store::open(&path).unwrap();

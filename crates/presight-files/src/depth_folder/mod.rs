@@ -1,4 +1,4 @@
-//! Folders of images: `camera.json`, 16-bit `depth/*.png`, `grey/*.png` or both, and optionally `poses.txt`.
+//! Folders of images: `camera.json`, 16-bit `depth/*.png`, `grey/*.png` or both, and optionally `poses.txt` and `odometry.txt`.
 //!
 //! `camera.json` has `width`, `height`, `fx`, `fy`, `cx`, `cy`, and optionally `distortion` (five numbers, plumb bob)
 //! and `depth_unit_m` (default 0.001). A depth of 0 or of 65535 units, the largest, means no measurement. Images are read in the order of their names. A
@@ -9,6 +9,9 @@
 //!
 //! A line of `poses.txt` is `time tx ty tz qx qy qz qw`; further words are ignored. These poses are world_from_camera
 //! with optical axes, in the frame of the scene's file (y up).
+//!
+//! A line of `odometry.txt` has the same form: the robot's pose in body axes (x ahead, z up) by its odometry, in any frame that
+//! stays. The motion between two images comes from the poses at their times, on a straight line between two entries.
 
 use super::file;
 use super::text::from_text;
@@ -36,6 +39,7 @@ pub struct DepthFolder {
     images: std::vec::IntoIter<PathBuf>,
     count: usize,
     reference: Vec<StampedPose>,
+    odometry: Vec<StampedPose>,
 }
 
 #[derive(Deserialize)]
@@ -79,7 +83,15 @@ impl DepthFolder {
             given => given.unwrap_or(depth).clone(),
         };
         let images = pngs(&folder.join("grey"))?.into_iter();
-        Ok(Some(Self { sensor, is_grey: true, unit: 1.0, images, count: 0, reference: Vec::new() }))
+        Ok(Some(Self {
+            sensor,
+            is_grey: true,
+            unit: 1.0,
+            images,
+            count: 0,
+            reference: Vec::new(),
+            odometry: Vec::new(),
+        }))
     }
 
     fn of_images(folder: &Path, sensor: Option<&Sensor>, is_grey: bool) -> Result<Self> {
@@ -101,7 +113,9 @@ impl DepthFolder {
         let images = pngs(&folder.join(if is_grey { "grey" } else { "depth" }))?.into_iter();
         let poses = folder.join("poses.txt");
         let reference = if poses.exists() { reference(&poses)? } else { Vec::new() };
-        Ok(Self { sensor, is_grey, unit, images, count: 0, reference })
+        let odometry = folder.join("odometry.txt");
+        let odometry = if odometry.exists() { rising(&odometry)? } else { Vec::new() };
+        Ok(Self { sensor, is_grey, unit, images, count: 0, reference, odometry })
     }
 
     /// Returns the frame of this time, if there is one, and skips earlier frames.
@@ -130,6 +144,11 @@ impl DepthFolder {
     /// Reference poses of `poses.txt`: world_from_sensor, body axes, z up. Estimates must not use them.
     pub fn reference(&self) -> &[StampedPose] {
         &self.reference
+    }
+
+    /// The robot's poses of `odometry.txt`, by rising time.
+    pub fn odometry(&self) -> &[StampedPose] {
+        &self.odometry
     }
 
     fn stamp(&self, path: &Path) -> f64 {
@@ -163,6 +182,31 @@ impl DepthFolder {
         };
         Frame::new(self.stamp(path), self.sensor.clone(), sensed)
     }
+}
+
+/// The poses of `odometry.txt`.
+fn rising(path: &Path) -> Result<Vec<StampedPose>> {
+    let poses = super::tum::read(path)?;
+    match poses.windows(2).find(|pair| !(pair[1].time > pair[0].time)) {
+        Some([a, b]) => {
+            let what = format!("a time of {} s after one of {} s", b.time, a.time);
+            Err(Error::invalid(what, "sort the poses by time, each once").in_file(path))
+        }
+        _ => Ok(poses),
+    }
+}
+
+/// The pose at a time, between the two entries around it; `None` before the first entry and after the last.
+pub fn pose_at(poses: &[StampedPose], time: f64) -> Option<Pose> {
+    let after = poses.partition_point(|p| p.time < time - SAME_TIME);
+    let b = poses.get(after)?;
+    if (b.time - time).abs() <= SAME_TIME {
+        return Some(b.pose);
+    }
+    let a = poses.get(after.checked_sub(1)?)?;
+    let part = (time - a.time) / (b.time - a.time);
+    let translation = a.pose.translation.lerp(b.pose.translation, part);
+    Some(Pose { translation, rotation: a.pose.rotation.slerp(b.pose.rotation, part).normalize() })
 }
 
 /// The images of a folder, by name.

@@ -1,7 +1,7 @@
 //! The bytes of the buffers, embedded or in files of their own. Each file is read once, however many buffers name it,
 //! and only as far as they need.
 
-use super::container::{base64, check_within, local_path};
+use super::container::{Container, base64, check_within, local_path};
 use super::memory::Memory;
 use super::{BufferFiles, Origin};
 use crate::file;
@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 #[derive(Default)]
 pub(super) struct Buffers<'a> {
     /// The binary chunk of a .glb.
-    bin: &'a [u8],
+    bin: Option<&'a [u8]>,
     /// Contents of files and decoded data URIs.
     owned: Vec<Vec<u8>>,
     /// The files read.
@@ -31,7 +31,7 @@ enum Source {
     Bin,
     /// In `owned`.
     Owned(usize),
-    /// Nowhere: glTF allows that for a buffer that nothing uses, as extensions for compressed data have it.
+    /// Nowhere: glTF leaves the meaning of such a buffer to extensions (glTF 2.0, section 3.6.1.2).
     Nowhere,
 }
 
@@ -51,27 +51,35 @@ impl<'a> Buffers<'a> {
             let what = format!("buffer {index} does not exist, there are {}", self.buffers.len());
             return Err(Error::invalid(what, "repair the model or export it again"));
         };
-        let whole = match source {
+        let remedy = "the file is truncated or broken; export it again";
+        let whole = self.whole(source).ok_or_else(|| Error::invalid("it has no data", remedy));
+        Ok(&whole.map_err(|e| e.at(format!("buffer {index}")))?[..length])
+    }
+
+    /// The bytes of a source, if it has any.
+    fn whole(&self, source: Source) -> Option<&[u8]> {
+        match source {
             Source::Bin => self.bin,
-            Source::Owned(i) => &self.owned[i],
-            Source::Nowhere => {
-                let remedy = "the file is truncated or broken; export it again";
-                return Err(Error::invalid("it has no data", remedy).at(format!("buffer {index}")));
-            }
-        };
-        Ok(&whole[..length])
+            Source::Owned(i) => Some(&self.owned[i]),
+            Source::Nowhere => None,
+        }
+    }
+
+    /// True if the file does not say where the bytes of buffer `index` are.
+    pub fn is_nowhere(&self, index: usize) -> bool {
+        matches!(self.buffers.get(index), Some((Source::Nowhere, _)))
     }
 
     /// Reads the buffers of a scene.
-    pub fn load(root: &json::Root, bin: Option<&'a [u8]>, origin: Origin<'_>, memory: &mut Memory) -> Result<Self> {
+    pub fn load(root: &json::Root, container: &Container<'a>, origin: Origin<'_>, memory: &mut Memory) -> Result<Self> {
         let place = |index: usize| move |e: Error| e.at(format!("buffer {index}"));
-        let mut all = Self { bin: bin.unwrap_or_default(), ..Self::default() };
+        let mut all = Self { bin: container.bin, ..Self::default() };
         let mut files = Files::default();
         // Pairs of buffer and file, for buffers in files.
         let mut of_file = Vec::with_capacity(root.buffers.len());
         for (index, buffer) in root.buffers.iter().enumerate() {
             let source = match &buffer.uri {
-                None if index == 0 && bin.is_some() => Source::Bin,
+                None if index == 0 && container.binary => Source::Bin,
                 None => Source::Nowhere,
                 Some(uri) => match uri.strip_prefix("data:") {
                     Some(data) => {
@@ -105,18 +113,13 @@ impl<'a> Buffers<'a> {
 
     /// Sets the length of a buffer, and checks that it has that many bytes.
     fn set_length(&mut self, index: usize, claimed: u64) -> Result<()> {
-        let (source, length) = &mut self.buffers[index];
-        let there = match *source {
-            Source::Bin => self.bin.len(),
-            Source::Owned(i) => self.owned[i].len(),
-            Source::Nowhere => return Ok(()),
-        };
+        let Some(there) = self.whole(self.buffers[index].0).map(<[u8]>::len) else { return Ok(()) };
         if claimed > there as u64 {
             let what = format!("{claimed} bytes are claimed, but only {there} exist");
             return Err(Error::invalid(what, "the buffer is truncated; fetch or export it again"));
         }
         // Fits, because it is at most the length of a slice.
-        *length = claimed as usize;
+        self.buffers[index].1 = claimed as usize;
         Ok(())
     }
 }

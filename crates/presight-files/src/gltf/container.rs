@@ -15,6 +15,8 @@ const TRUNCATED: &str = "the file is truncated; fetch or export it again";
 pub(super) struct Container<'a> {
     pub json: &'a [u8],
     pub bin: Option<&'a [u8]>,
+    /// True for a .glb.
+    pub binary: bool,
     /// The length of a chunk without the padding that glTF requires, if the next one follows it directly.
     pub unpadded: Option<usize>,
 }
@@ -30,7 +32,7 @@ pub(super) fn open(bytes: &[u8]) -> Result<Container<'_>> {
         let what = if bytes.is_empty() { "the file is empty" } else { "this is not a glTF file" };
         return Err(Error::invalid(what, "give a glTF 2.0 .glb or .gltf file"));
     }
-    Ok(Container { json: text, bin: None, unpadded: None })
+    Ok(Container { json: text, bin: None, binary: false, unpadded: None })
 }
 
 fn open_binary(bytes: &[u8]) -> Result<Container<'_>> {
@@ -67,7 +69,7 @@ fn open_binary(bytes: &[u8]) -> Result<Container<'_>> {
         rest = if follows_directly { direct } else { padded };
     }
     let json = json.ok_or_else(|| Error::invalid("the GLB has no JSON chunk", "export it again"))?;
-    Ok(Container { json, bin, unpadded })
+    Ok(Container { json, bin, binary: true, unpadded })
 }
 
 /// True if these bytes start with the header of a whole binary chunk.

@@ -9,6 +9,7 @@
 mod accessor;
 mod buffers;
 mod container;
+mod dataless;
 mod exact;
 mod instances;
 mod memory;
@@ -201,7 +202,7 @@ fn import_from(
     let (nodes, extensions): (NodeText, FileExtensions) = (parse(&text)?, parse(&text)?);
     drop(text);
     let images = container::images(&root, origin.scene);
-    let buffers = Buffers::load(&root, container.bin, origin, memory)?;
+    let buffers = Buffers::load(&root, &container, origin, memory)?;
     let files = match origin.buffers {
         BufferFiles::None => Vec::new(),
         _ => {
@@ -213,6 +214,7 @@ fn import_from(
     let document = Document { root, buffers };
     let mut scene = nodes.scene_nodes(memory)?;
     let mut book = ProblemBook::default();
+    let dataless = dataless::leave_out(&document, &mut scene.nodes, &mut book);
     let skins = skin::pose(&document, &nodes, &mut scene.nodes, &mut book)?;
     scene.nodes = instances::expanded(&document, scene.nodes, memory)?;
     let claims = claims_of(&document, &scene.nodes)?;
@@ -237,6 +239,8 @@ fn import_from(
     }
     placement.insert_all(&scene.nodes, &by_shape)?;
     let mut notices: Vec<String> = container.unpadded.map(unpadded).into_iter().chain(described.lines()).collect();
+    let holds = |line: String| format!("{line}; export the scene as .glb, which holds its buffers");
+    notices.extend(dataless.notice("their buffer has no data").map(holds));
     notices.extend(skins.notice());
     notices.extend(placement.notices(|mesh| mesh_words(root, mesh)));
     let Placement { environment, report, book, .. } = placement;

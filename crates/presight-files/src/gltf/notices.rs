@@ -15,7 +15,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 /// Names in a line; further ones are counted.
-pub(super) const LISTED: usize = 5;
+const LISTED: usize = 5;
 
 /// Extensions that change the appearance of a surface or describe it, but not its shape; and motions, which do not
 /// change the scene at rest.
@@ -230,13 +230,33 @@ fn is_skinned_instance(node: &SceneNode) -> bool {
     node.instances.is_some() && node.skin.is_some() && node.mesh.is_some()
 }
 
+/// Objects that are left out for one reason: their number, and the first of them.
+#[derive(Default)]
+pub(super) struct LeftOut {
+    count: usize,
+    first: Vec<String>,
+}
+
+impl LeftOut {
+    pub fn add(&mut self, place: impl FnOnce() -> String) {
+        self.count += 1;
+        self.first.extend((self.count <= LISTED).then(place));
+    }
+
+    /// The notice about them, if there are any.
+    pub fn notice(&self, why: &str) -> Option<String> {
+        let names = listed(self.first.iter().cloned(), self.count);
+        (self.count > 0).then(|| format!("left out, because {why}: {names} ({})", objects(self.count)))
+    }
+}
+
 /// A number of objects in words.
 pub(super) fn objects(count: usize) -> String {
     if count == 1 { "1 object".into() } else { format!("{count} objects") }
 }
 
 /// The first names, and the number of the others. `count`: of all.
-pub(super) fn listed(names: impl Iterator<Item = String>, count: usize) -> String {
+fn listed(names: impl Iterator<Item = String>, count: usize) -> String {
     let shown: Vec<String> = names.take(LISTED).collect();
     let more = count - shown.len();
     let shown = shown.join(", ");

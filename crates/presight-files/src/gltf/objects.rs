@@ -3,7 +3,7 @@
 use super::exact::RootPlacement;
 use super::mesh::Shape;
 use super::nodes::SceneNode;
-use super::notices::{LISTED, kilometres, listed, objects};
+use super::notices::{LeftOut, kilometres};
 use super::{BuiltMesh, paths, place_of};
 use crate::preparation::{ImportReport, ProblemBook, ProblemKind, SceneFrame};
 use glam::{DAffine3, DMat3};
@@ -22,8 +22,8 @@ pub(super) struct Placement {
     pub report: ImportReport,
     pub book: ProblemBook,
     frame: SceneFrame,
-    /// Number of objects that a scale of zero leaves without area, and the first of them.
-    flat: (usize, Vec<String>),
+    /// Objects that a scale of zero leaves without area.
+    flat: LeftOut,
     /// Meshes whose vertices are too far from the mesh's origin: the distance of neighbouring numbers, and the reach,
     /// metres.
     coarse: BTreeMap<usize, (f64, f64)>,
@@ -32,7 +32,7 @@ pub(super) struct Placement {
 impl Placement {
     pub fn new(environment: Environment, book: ProblemBook, frame: SceneFrame) -> Self {
         let report = ImportReport::default();
-        Self { environment, report, book, frame, flat: (0, Vec::new()), coarse: BTreeMap::new() }
+        Self { environment, report, book, frame, flat: LeftOut::default(), coarse: BTreeMap::new() }
     }
 
     /// Counts a mesh and its problems. `words` name it.
@@ -67,8 +67,7 @@ impl Placement {
             match path.as_deref().filter(|_| is_object(node)) {
                 None if is_flat(node) => {
                     self.book.note(ProblemKind::EmptyMesh, || format!("{}: a scale of zero", place()));
-                    self.flat.0 += 1;
-                    self.flat.1.extend((self.flat.0 <= LISTED).then(place));
+                    self.flat.add(place);
                 }
                 None => self.book.note(ProblemKind::EmptyMesh, place),
                 Some(path) => {
@@ -117,8 +116,9 @@ impl Placement {
         if self.environment.slot_count() > 0 {
             return Ok(());
         }
-        let why = self.flat.1.first().map(|flat| format!(": a scale of zero flattens {flat}")).unwrap_or_default();
-        let remedy = "export meshes of triangles into the default scene";
+        let why = self.book.first(ProblemKind::EmptyMesh).map(|place| format!("; nothing is left of {place}"));
+        let why = why.unwrap_or_default();
+        let remedy = "export meshes of triangles into the default scene of a .glb, which holds its buffers";
         Err(Error::invalid(format!("the scene has no polygons{why}"), remedy))
     }
 
@@ -142,12 +142,7 @@ impl Placement {
 
     /// Adds notices about objects to the report. `words` name a mesh.
     pub fn notices(&mut self, words: impl Fn(usize) -> String) -> Vec<String> {
-        let mut lines = Vec::new();
-        let (count, first) = &self.flat;
-        if *count > 0 {
-            let names = listed(first.iter().cloned(), *count);
-            lines.push(format!("left out, because a scale of zero leaves no area: {names} ({})", objects(*count)));
-        }
+        let mut lines: Vec<String> = self.flat.notice("a scale of zero leaves no area").into_iter().collect();
         let said = |(mesh, (apart, reach)): (&usize, &(f64, f64))| {
             // Rounded up, so that a loss is never shown as 0.
             let apart = (apart * 1e3).ceil() / 1e3;

@@ -21,18 +21,19 @@ pub struct MergedLayers {
 /// # Errors
 /// As [`read`], also for files of other classes, and as [`merge`].
 pub fn load<P: AsRef<Path>>(own: Option<&FeatureLayer>, paths: &[P], class: &str) -> Result<MergedLayers> {
-    let mut files = Vec::with_capacity(paths.len() + 1);
-    files.extend(own.map(|layer| LayerFile { layer: layer.clone(), ..LayerFile::default() }));
-    let mut other_classes = 0;
-    for path in paths {
-        let file = read(path.as_ref())?;
-        if file.layer.class == class {
-            files.push(file);
-        } else {
-            other_classes += file.layer.features.len();
-        }
-    }
-    Ok(MergedLayers { layers: merge(files)?, other_classes })
+    let files = paths.iter().map(|path| read(path.as_ref())).collect::<Result<Vec<_>>>()?;
+    select(own, files, class)
+}
+
+/// As [`load`], for layer files that were read before.
+///
+/// # Errors
+/// As [`merge`].
+pub fn select(own: Option<&FeatureLayer>, files: Vec<LayerFile>, class: &str) -> Result<MergedLayers> {
+    let (mine, others): (Vec<_>, Vec<_>) = files.into_iter().partition(|file| file.layer.class == class);
+    let other_classes = others.iter().map(|file| file.layer.features.len()).sum();
+    let own = own.map(|layer| LayerFile { layer: layer.clone(), ..LayerFile::default() });
+    Ok(MergedLayers { layers: merge(own.into_iter().chain(mine))?, other_classes })
 }
 
 /// Merges layers and returns the remaining part of each. A later feature replaces an earlier one with the same id. A

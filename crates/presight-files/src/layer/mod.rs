@@ -51,7 +51,7 @@ mod tests;
 mod write;
 
 pub use fields::FeatureFields;
-pub use merge::{MergedLayers, load, merge};
+pub use merge::{MergedLayers, load, merge, select};
 pub use read::{LayerFile, from_fields, parse, read};
 pub use schema::schema;
 pub use write::{entry, fields as to_fields, to_string, write, write_with_lost};

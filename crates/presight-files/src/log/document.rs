@@ -1,7 +1,7 @@
 //! Planar laser scans in the form of public data sets: one JSON object with a list `scans`.
 //!
 //! Keys of the document: `beams`, `angle_min`, `angle_max` (radians), `counter_clockwise`, `range_min` (default 0),
-//! `range_max`, `range_std`, `sensor_on_robot` {x, y, z, yaw}; or in an object `scan`: `beams`, `angle_min_deg`,
+//! `range_max`, `range_std`, `turn_s` (seconds of a scan, see [`SensorSpec::turn_s`]; default 0), `sensor_on_robot` {x, y, z, yaw}; or in an object `scan`: `beams`, `angle_min_deg`,
 //! `step_deg`, `height_m`, `range_max`. Keys of a scan: `ranges` (metres, and the other readings of [`super::lines`]), and
 //! optionally `valid` (a digit for each beam, 1 for a reading), `t` (seconds; default: the index of the scan),
 //! `odometry_increment` [x, y, yaw] and the robot's pose {x, y, yaw} under `robot_pose`, `reference_pose` or
@@ -36,6 +36,7 @@ struct File {
     range_min: Option<f64>,
     range_max: Option<f64>,
     range_std: Option<f64>,
+    turn_s: Option<f64>,
     sensor_on_robot: Option<Mount>,
     scan: Option<Layout>,
     scans: Vec<Scan>,
@@ -168,7 +169,7 @@ fn spec(file: &File, name: String) -> Result<SensorSpec> {
     let elevation = Angles::Uniform { start_deg: 0.0, step_deg: 0.0, count: 1 };
     let scanner = Scanner { azimuth, elevation, beam_height_deg: None };
     let noise = Noise { range_sigma: file.range_std.unwrap_or(0.0), ..Noise::default() };
-    let spec = SensorSpec::new(name, "laser", Geometry::Scanner(scanner));
+    let spec = SensorSpec::new(name, "laser", Geometry::Scanner(scanner)).with_turn_s(file.turn_s.unwrap_or(0.0));
     Ok(spec.with_limits(file.range_min.unwrap_or(0.0), range_max).with_mount(mount).with_noise(noise))
 }
 

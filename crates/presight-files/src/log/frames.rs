@@ -2,10 +2,10 @@
 
 use super::readings::Readings;
 use super::scans::{self, Scans};
-use crate::depth_folder::DepthFolder;
+use crate::depth_folder::{DepthFolder, pose_at};
 use presight_model::error::{Error, Result};
 use presight_model::geometry::Pose;
-use presight_model::measured::{Frame, OdometryNoise};
+use presight_model::measured::{Frame, Motion, OdometryNoise};
 use presight_model::sensor::Sensor;
 use std::path::Path;
 
@@ -53,7 +53,7 @@ impl Frames {
     pub fn open(path: &Path, sensor: Option<&Sensor>, noise: &OdometryNoise) -> Result<Self> {
         let opened = match path.is_dir() {
             true if ["camera.json", "depth", "grey"].iter().any(|name| path.join(name).exists()) => {
-                Self::of_folder(path, sensor)
+                Self::of_folder(path, sensor, *noise)
             }
             false if !scans::is_scan(path) => Self::of_file(path, sensor, *noise),
             _ => Self::of_scans(path, sensor),
@@ -71,7 +71,7 @@ impl Frames {
         Ok(Self::new(sensor, std::iter::once(Ok(first)).chain(scans), "NaN or a cell without a point"))
     }
 
-    fn of_folder(path: &Path, sensor: Option<&Sensor>) -> Result<Self> {
+    fn of_folder(path: &Path, sensor: Option<&Sensor>, noise: OdometryNoise) -> Result<Self> {
         let log = DepthFolder::open(path, sensor)?;
         let sensor = log.sensor().clone();
         let robot_from_sensor = sensor.spec().mount.inverse();
@@ -80,7 +80,16 @@ impl Frames {
             let there = known.iter().find(|s| (s.time - stamp).abs() < 1e-6)?;
             Some(there.pose * robot_from_sensor)
         };
-        let frames = log.map(move |frame| frame.map(|frame| Observation { reference: at(frame.stamp), frame }));
+        let odometry = log.odometry().to_vec();
+        let mut before = None;
+        let frames = log.map(move |frame| {
+            let mut frame = frame?;
+            let now = pose_at(&odometry, frame.stamp);
+            let since = before.zip(now).map(|(before, now): (Pose, Pose)| before.inverse() * now);
+            frame.motion = since.map(|motion| Motion::of_odometry(motion, &noise));
+            before = now;
+            Ok(Observation { reference: at(frame.stamp), frame })
+        });
         Ok(Self::new(sensor, frames, "65535"))
     }
 

@@ -3,6 +3,7 @@
 
 mod edges;
 mod frame;
+mod from_arrays;
 mod merge;
 pub mod primitives;
 mod quality;
@@ -12,6 +13,7 @@ mod triangles;
 pub(crate) use edges::Edges;
 pub use frame::Z_UP_FROM_Y_UP;
 pub use frame::{SceneFrame, Up};
+pub use from_arrays::mesh_of_triangles;
 pub(crate) use merge::{merge, unmerged};
 pub use report::{ImportReport, ImportedScene, Problem, ProblemKind, lost_features};
 pub(crate) use report::{ProblemBook, ProblemList, Site};

@@ -74,7 +74,7 @@ pub enum ProblemKind {
     IgnoredPrimitive,
     /// Indices left over at the end, too few for a triangle: left out.
     LeftoverIndices,
-    /// An object whose mesh has no polygon, or that a scale of zero flattens: left out.
+    /// An object whose mesh has no polygon or no data, or that a scale of zero flattens: left out.
     EmptyMesh,
     /// An unsupported glTF feature that may shape the scene: an unknown extension, morph targets.
     IgnoredFeature,
@@ -210,6 +210,11 @@ impl ProblemBook {
         if places.len() < limits::LISTED_PROBLEMS {
             places.push(place());
         }
+    }
+
+    /// The place of the first problem of a kind.
+    pub fn first(&self, kind: ProblemKind) -> Option<&str> {
+        self.places[kind as usize].first().map(String::as_str)
     }
 
     /// Adds the problems of a mesh; `words` describes a source triangle.

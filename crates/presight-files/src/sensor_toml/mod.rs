@@ -9,6 +9,7 @@
 //! range_max = 100.0           # metres, default inf
 //! max_incidence_deg = 80.0    # optional: features seen at a flatter angle are not extracted
 //! beam_height_deg = 2.0       # scanner, optional: height of a beam, within which a row sees features
+//! turn_s = 0.1                # optional: seconds from the first column to one step behind the last, default 0
 //!
 //! [azimuth]                   # scanner: beam i is column i, counter-clockwise about +z
 //! start_deg = -180.0
@@ -27,6 +28,7 @@
 //! range_sigma_quadratic = 0.0 # 1 / metre: this times the range squared is added to range_sigma
 //! angle_sigma_deg = 0.01
 //! pixel_sigma = 0.0
+//! stamp_sigma_s = 0.0         # of the time stamps
 //! p_hit = 0.75                # fractions of beams, with sum 1: hit the predicted surface,
 //! p_short = 0.1               # hit something nearer that the model lacks,
 //! p_none = 0.05               # hit nothing,
@@ -102,6 +104,7 @@ macro_rules! sensor_file {
             range_min: Option<f64>,
             range_max: Option<f64>,
             max_incidence_deg: Option<f64>,
+            turn_s: Option<f64>,
             mount: Option<MountTable>,
             noise: Option<NoiseTable>,
             $($key: $type),*
@@ -113,6 +116,7 @@ macro_rules! sensor_file {
                 let mut spec = SensorSpec::new(text(&self.name, name), text(&self.class, class), geometry);
                 spec.range_min = self.range_min.unwrap_or(0.0);
                 spec.range_max = self.range_max.unwrap_or(f64::INFINITY);
+                spec.turn_s = self.turn_s.unwrap_or(0.0);
                 spec.max_incidence = self.max_incidence_deg.map(f64::to_radians);
                 spec.mount = self.mount.as_ref().map_or(Ok(Pose::IDENTITY), |m| m.pose().map_err(|e| e.at("[mount]")))?;
                 spec.noise = self.noise.as_ref().map(NoiseTable::noise).unwrap_or_default();
@@ -175,6 +179,8 @@ struct NoiseTable {
     pixel_sigma: f64,
     #[serde(default)]
     range_sigma_quadratic: f64,
+    #[serde(default)]
+    stamp_sigma_s: f64,
     p_hit: Option<f64>,
     p_short: Option<f64>,
     p_none: Option<f64>,
@@ -190,6 +196,7 @@ impl NoiseTable {
             range_sigma_quadratic: self.range_sigma_quadratic,
             angle_sigma: self.angle_sigma_deg.to_radians(),
             pixel_sigma: self.pixel_sigma,
+            stamp_sigma: self.stamp_sigma_s,
             mixture: Mixture {
                 hit: self.p_hit.unwrap_or(usual.hit),
                 short: self.p_short.unwrap_or(usual.short),

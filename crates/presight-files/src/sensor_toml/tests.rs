@@ -104,6 +104,9 @@ fn faults_are_refused_with_place_and_remedy() {
         (SCANNER, "rpy_deg = [0.0, 0.0, 90.0]", "rpy_deg = [0.0, 0.0, inf]", "[mount]"),
         (SCANNER, "rpy_deg", "quaternion = [0.0, 0.0, 0.0, 1.0]\nrpy_deg", "[mount]"),
         (SCANNER, "range_sigma = 0.01", "range_sigma = -1.0", "noise"),
+        (SCANNER, "range_sigma = 0.01", "stamp_sigma_s = -1.0", "noise"),
+        (SCANNER, "range_max = 10", "turn_s = 61", "turn_s"),
+        (SCANNER, "range_max = 10", "turn_s = nan", "turn_s"),
         (CAMERA, "width = 640", "width = 0", "0 x 480"),
         (CAMERA, "height = 480", "height = 100000", "640 x 100000"),
         (CAMERA, "fx = 500", "fx = nan", "intrinsics"),
@@ -190,8 +193,10 @@ proptest! {
             spec.optical_from_image = spec.mount.rotation;
         }
         let mixture = Mixture { hit: 0.5, short: 0.25, none: 0.125, any: 0.125, beam_dependence: 1.0 + sigma };
+        spec.turn_s = if far { -sigma } else { 0.0 };
         spec.noise = Noise {
             range_sigma: sigma,
+            stamp_sigma: if far { sigma / 3.0 } else { 0.0 },
             range_sigma_quadratic: if far { sigma / 7.0 } else { 0.0 },
             angle_sigma: sigma.to_radians(),
             mixture: if far { mixture } else { Mixture::default() },

@@ -34,6 +34,9 @@ pub fn to_string(spec: &SensorSpec) -> String {
     if let Some(angle) = spec.max_incidence {
         out.number("max_incidence_deg", degrees(angle));
     }
+    if spec.turn_s != 0.0 {
+        out.number("turn_s", spec.turn_s);
+    }
     match &spec.geometry {
         Geometry::Camera(camera) => out.camera(camera, spec.optical_from_image),
         Geometry::Scanner(scanner) => out.scanner(scanner),
@@ -115,6 +118,9 @@ impl Writer {
     fn beams(&mut self, noise: &Noise) {
         if noise.range_sigma_quadratic != 0.0 {
             self.number("range_sigma_quadratic", noise.range_sigma_quadratic);
+        }
+        if noise.stamp_sigma != 0.0 {
+            self.number("stamp_sigma_s", noise.stamp_sigma);
         }
         let Mixture { hit, short, none, any, beam_dependence } = noise.mixture;
         if noise.mixture != Mixture::default() {

@@ -295,7 +295,8 @@ impl<'a> RangeSource<'a> {
         let (su, sv) = self.expected.spacing;
         let constant = gate.kernel.most();
         let found = self.expected.pixels.get(at as usize);
-        if self.only.is_some_and(|only| found.map(|pixel| pixel.object) != Some(only)) {
+        let is_other = self.only.is_some_and(|only| found.map(|pixel| pixel.object) != Some(only));
+        if is_other || self.expected.is_uncertain(at as usize) {
             sum.others += 1;
             return;
         }

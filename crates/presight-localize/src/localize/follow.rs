@@ -6,7 +6,7 @@ use super::lookout::Lookout;
 use super::odds::{Odds, Said};
 use super::reflectors::ODDS;
 use super::rivals::Rivals;
-use super::{Localizer, Phase, State, Step, carried, widened};
+use super::{Localizer, Phase, State, Step, widened};
 use crate::estimate::{Estimate, EstimateState, Freedom};
 use crate::motion::{motion_between, moved};
 use crate::verdict::Verdict;
@@ -39,8 +39,6 @@ const STALE: usize = 2;
 #[derive(Clone, Debug)]
 pub(super) struct Followed {
     pub belief: PoseEstimate,
-    /// Of the frame before, in the robot's frame of then.
-    pub motion: Pose,
     pub odds: Odds,
     /// Frames since it was given or found.
     pub frames: usize,
@@ -52,7 +50,7 @@ pub(super) struct Followed {
 
 impl Followed {
     pub fn new(belief: PoseEstimate, odds: Odds) -> Self {
-        Self { belief, motion: Pose::IDENTITY, odds, frames: 0, since_beside: 0, carried: false }
+        Self { belief, odds, frames: 0, since_beside: 0, carried: false }
     }
 }
 
@@ -109,19 +107,11 @@ impl Localizer {
         Ok(Said { odds, evidence, full, scale: null.scale, deciding: deciding(estimate), blind: false })
     }
 
-    /// One frame of a pose that is followed.
-    pub(super) fn follow(
-        &mut self,
-        world: &World,
-        frames: &[&Frame],
-        mut own: Followed,
-        motion: Option<&Motion>,
-    ) -> Result<Step> {
-        if let Some(motion) = motion {
-            own.belief = carried(&own.belief, motion, self.estimator.options.freedom);
-        }
-        let (prior, way) = (own.belief, way_of(motion));
+    /// One frame of a pose that is followed, which is carried on to it already.
+    pub(super) fn follow(&mut self, world: &World, frames: &[&Frame], mut own: Followed, way: f64) -> Result<Step> {
+        let prior = own.belief;
         let (mut estimate, mut said) = self.look(world, frames, &prior, usize::MAX)?;
+        let near = estimate.pose;
         if !said.blind && said.odds <= 0.0 && !estimate.rests_on_reflectors() {
             said = self.said_of(world, frames, &estimate, STALE)?;
             (estimate, said) =
@@ -140,6 +130,12 @@ impl Localizer {
         if !own.carried && self.looks_beside(&own) && frames[0].grey().is_none() {
             own.since_beside = 0;
             self.look_beside(world, frames, &prior, &mut own, &mut estimate, said.scale, way)?;
+        }
+        // Another minimum than that of the prior tells nothing of the speed.
+        if estimate.pose.world_from_robot != near.world_from_robot {
+            self.velocity.restart();
+        } else if !own.carried {
+            self.velocity.learn(&prior, &near, self.estimator.options.freedom);
         }
         self.end(frames[0], own, estimate, said, None)
     }
@@ -288,16 +284,11 @@ impl Localizer {
         said: Said,
         hypotheses: Option<Hypotheses>,
     ) -> Result<Step> {
-        let before = self.last;
         own.frames += 1;
         own.since_beside += 1;
         if hypotheses.is_none() && !own.carried {
             own.belief = estimate.pose;
         }
-        if !own.carried && own.frames > 1 {
-            own.motion = before.inverse() * own.belief.world_from_robot;
-        }
-        self.last = own.belief.world_from_robot;
         let Odds { now, beside, .. } = own.odds;
         let (tracked, options) = (self.options.rates.tracked(), &self.options);
         let spread = (own.belief.covariance[0][0] + own.belief.covariance[1][1]).sqrt();
@@ -338,6 +329,9 @@ impl Localizer {
         let (pose, carried) = (own.belief, own.carried);
         if phase == Phase::Lost && estimate.is_determined() {
             estimate.state = EstimateState::Undetermined(reason.clone());
+        }
+        if phase == Phase::Lost {
+            self.velocity.restart();
         }
         self.state = match (phase, hypotheses) {
             (Phase::Lost, _) => State::Lookout(Lookout::around(own)),

@@ -228,7 +228,7 @@ impl Localizer {
     fn found(&mut self, frame: &Frame, own: Followed, phase: Phase, why: String, estimate: Estimate) -> Step {
         let (pose, odds) = (own.belief, own.odds.now);
         self.phase = phase;
-        self.last = pose.world_from_robot;
+        self.velocity.restart();
         self.state = State::Following(own);
         let estimate = Estimate { state: EstimateState::Determined, ..estimate };
         self.told(frame, why, pose, estimate, odds)

@@ -13,17 +13,25 @@ mod likelihood;
 mod lookout;
 mod odds;
 mod reflectors;
+mod residuals;
 mod rivals;
 mod round;
 mod search;
+mod timing;
+mod turning;
+mod velocity;
 
 use follow::{Followed, way_of};
 use hypotheses::Hypotheses;
 use lookout::Lookout;
 pub use odds::ErrorRates;
 use odds::Odds;
+pub use residuals::{Figure, Misfit, Residuals};
 use rivals::Rivals;
 pub use search::{Candidate, Search, SearchOptions};
+use timing::Timing;
+pub use turning::at_once;
+pub use velocity::{MotionNoise, Velocity, along, rate};
 
 use crate::estimate::{Estimate, Estimator, Freedom};
 use crate::motion::{motion_between, moved};
@@ -92,10 +100,8 @@ impl Step {
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct LocalizeOptions {
-    /// Without odometry: how much the motion may change from one frame to the next, one standard deviation, metres.
-    pub drift: f64,
-    /// Likewise, radians.
-    pub turn_drift: f64,
+    /// How the robot's speed may change.
+    pub motion_noise: MotionNoise,
     /// How far off a lost robot is looked for around where it was last, one standard deviation, metres.
     pub search: f64,
     /// Likewise, radians.
@@ -115,8 +121,7 @@ pub struct LocalizeOptions {
 impl Default for LocalizeOptions {
     fn default() -> Self {
         Self {
-            drift: 0.02,
-            turn_drift: 0.015,
+            motion_noise: MotionNoise::default(),
             search: 0.5,
             search_turn: 0.3,
             agreeing: 3,
@@ -130,8 +135,7 @@ impl Default for LocalizeOptions {
 
 presight_model::with_options!(
     LocalizeOptions:
-    with_drift drift: f64,
-    with_turn_drift turn_drift: f64,
+    with_motion_noise motion_noise: MotionNoise,
     with_search search: f64,
     with_search_turn search_turn: f64,
     with_agreeing agreeing: usize,
@@ -160,8 +164,8 @@ pub struct Localizer {
     start: PoseEstimate,
     state: State,
     phase: Phase,
-    /// Where the robot was believed to be at the frame before.
-    last: Pose,
+    velocity: Velocity,
+    timing: Timing,
     stamp: Option<f64>,
     search: Option<Search>,
     rivals: Option<Rivals>,
@@ -177,7 +181,8 @@ impl Localizer {
             start: prior,
             state: State::Following(Followed::new(prior, odds)),
             phase: Phase::Candidates,
-            last: prior.world_from_robot,
+            velocity: Velocity::new(options.motion_noise),
+            timing: Timing::default(),
             stamp: None,
             search: None,
             rivals: None,
@@ -214,38 +219,45 @@ impl Localizer {
         self.step_together(world, frame, &[])
     }
 
-    /// Takes in the next frame, with frames that other sensors of the robot took at the same time. Stamp and odometry are those of the
-    /// first. A search of the whole map and hypotheses go by the first alone.
-    ///
-    /// # Errors
-    /// Those of [`Localizer::step`].
-    pub fn step_together(&mut self, world: &World, frame: &Frame, beside: &[&Frame]) -> Result<Step> {
+    /// A frame whose pixels were all measured at its stamp.
+    fn step_at_once(&mut self, world: &World, frame: &Frame, beside: &[&Frame]) -> Result<Step> {
         check(self.stamp, frame)?;
-        let first = self.stamp.replace(frame.stamp).is_none();
+        let seconds = self.stamp.replace(frame.stamp).map(|before| frame.stamp - before);
         let frames: Vec<&Frame> = std::iter::once(frame).chain(beside.iter().copied()).collect();
-        let motion = (!first).then(|| self.motion_of(frame));
-        let motion = motion.as_ref();
+        let carried = seconds.map(|seconds| self.carry(frame, seconds));
+        let (motion, belief) = (carried.as_ref().map(|(motion, _)| motion), carried.as_ref().map(|(_, to)| *to));
         // An error leaves the robot where it started.
         let state = std::mem::replace(&mut self.state, State::Lookout(Lookout::default()));
         match state {
             State::Lookout(lookout) => self.look_out(world, &frames, lookout, motion),
-            State::Following(own) => self.follow(world, &frames, own, motion),
+            State::Following(mut own) => {
+                own.belief = belief.unwrap_or(own.belief);
+                self.follow(world, &frames, own, way_of(motion))
+            }
             State::Hypotheses(own, hypotheses) => {
                 self.follow_hypotheses(world, &frames, own, hypotheses, motion, way_of(motion))
             }
         }
     }
 
-    /// The motion that the frame tells, or the last one again.
-    fn motion_of(&self, frame: &Frame) -> Motion {
-        let (t, r) = (self.options.drift, self.options.turn_drift);
-        let covariance = PoseCovariance::from_sigmas([t, t, t, r, r, r]);
-        let last = match &self.state {
-            State::Following(own) | State::Hypotheses(own, _) => own.motion,
+    /// The motion since the frame before, and where a robot that is followed is then.
+    fn carry(&mut self, frame: &Frame, seconds: f64) -> (Motion, PoseEstimate) {
+        let (freedom, odometry) = (self.estimator.options.freedom, frame.motion.as_ref());
+        let followed = self.followed_pose();
+        if followed.is_none() && odometry.is_none() {
             // Going on with a motion that nobody saw would only lead away.
-            State::Lookout(_) => Pose::IDENTITY,
-        };
-        frame.motion.unwrap_or(Motion { previous_from_current: last, covariance })
+            self.velocity.restart();
+        }
+        let stamp_sigma = frame.sensor().spec().noise.stamp_sigma;
+        self.velocity.carry(&followed.unwrap_or(self.start), seconds, odometry, stamp_sigma, freedom)
+    }
+
+    /// The pose, while one is followed.
+    fn followed_pose(&self) -> Option<PoseEstimate> {
+        match &self.state {
+            State::Following(own) | State::Hypotheses(own, _) => Some(own.belief),
+            State::Lookout(_) => None,
+        }
     }
 }
 

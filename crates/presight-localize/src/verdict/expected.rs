@@ -4,6 +4,7 @@ use super::Surfaces;
 use super::strided::StridedPoints;
 use super::surfaces::ObjectErrors;
 use glam::{DVec3, Vec3};
+use presight_model::environment::MarkKind;
 use presight_model::error::Result;
 use presight_model::geometry::Pose;
 use presight_model::sensor::{Geometry, Sensor, body_from_optical_rotation};
@@ -59,6 +60,8 @@ pub struct ExpectedImage {
     pub spacing: (f64, f64),
     /// Of the objects whose poses' covariances are stored.
     pub errors: ObjectErrors,
+    /// The pixels that are marked as uncertain; empty if none is.
+    uncertain: Vec<bool>,
 }
 
 /// The frame in which rays and points of an image are told, in body axes.
@@ -84,9 +87,25 @@ impl ExpectedImage {
         let outputs = Outputs::of(&[Output::Range, Output::PolygonId]);
         let mut images = Images::default();
         predictor.predict_images(world, sensor, &world_from_sensor, outputs, &mut images)?;
+        Self::of_images(predictor, world, surfaces, sensor, &world_from_sensor, &images)
+    }
+
+    /// Arranges images of [`Output::Range`] and [`Output::PolygonId`] that were predicted at this pose of the sensor,
+    /// for example under a deadline.
+    ///
+    /// # Errors
+    /// [`presight_model::ErrorKind::System`] if threads cannot be started.
+    pub fn of_images(
+        predictor: &mut Predictor,
+        world: &World,
+        surfaces: &mut Surfaces,
+        sensor: &Sensor,
+        world_from_sensor: &Pose,
+        images: &Images,
+    ) -> Result<Self> {
         surfaces.follow(world);
         let errors = surfaces.object_errors(world, &sensor.spec().class);
-        let world_from_image = world_from_sensor * body_from_image(sensor);
+        let world_from_image = *world_from_sensor * body_from_image(sensor);
         let image_from_world = world_from_image.inverse();
         let (width, height) = (sensor.width() as usize, sensor.height() as usize);
         images.polygon_id.iter().for_each(|id| surfaces.see(world, *id));
@@ -119,7 +138,28 @@ impl ExpectedImage {
             strided: StridedPoints::default(),
             spacing: spacing(sensor),
             errors,
-        })
+            uncertain: Vec::new(),
+        }
+        .with_marks(world))
+    }
+
+    /// Notes which pixels see parts that are marked as uncertain.
+    fn with_marks(mut self, world: &World) -> Self {
+        let environment = world.environment();
+        if environment.marks().any(|(_, mark)| mark.kind == MarkKind::Uncertain) {
+            let class = &self.sensor.spec().class;
+            let is_uncertain = |pixel: &ExpectedPixel| {
+                let p_in_world = self.world_from_image.transform_point(pixel.point.as_dvec3());
+                pixel.range.is_finite() && environment.is_uncertain(pixel.object, p_in_world, class)
+            };
+            self.uncertain = self.pixels.iter().map(is_uncertain).collect();
+        }
+        self
+    }
+
+    /// True if a pixel sees a part that is marked as uncertain.
+    pub fn is_uncertain(&self, pixel: usize) -> bool {
+        self.uncertain.get(pixel).is_some_and(|uncertain| *uncertain)
     }
 
     /// The pixels, row by row.

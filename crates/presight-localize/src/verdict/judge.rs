@@ -92,7 +92,10 @@ const TASK: usize = 512;
 
 /// Compares a frame with what was expected of it, see [`super::of_frame`]. The pose may differ a little from the one of
 /// the prediction: ranges are taken on the predicted planes.
-pub(crate) fn judge(frame: &Frame, expected: &ExpectedImage, robot: &PoseEstimate, polygon_sigma: f64) -> Verdicts {
+///
+/// # Panics
+/// If the expected image is of another sensor.
+pub fn judge(frame: &Frame, expected: &ExpectedImage, robot: &PoseEstimate, polygon_sigma: f64) -> Verdicts {
     let sensor = frame.sensor();
     let (width, height) = (sensor.width() as usize, sensor.height() as usize);
     assert_eq!((width, height), (expected.width, expected.height), "the frame's own sensor is predicted");
@@ -228,6 +231,9 @@ impl<'a> PixelJudge<'a> {
         let ray = self.expected_from_now.rotation * ray;
         let here = self.on_plane(at, ray, z);
         let predicted = here.map_or(f64::from(e.pixels[at].range), |(range, _)| range);
+        if e.is_uncertain(at) {
+            return (Verdict::Undecidable, predicted);
+        }
         // The window holds the pixel itself: what it confirms is neither nearer nor farther than all of them.
         if let Some((range, sigma)) = here
             && (z - range).abs() <= BOUND * sigma

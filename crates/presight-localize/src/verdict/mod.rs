@@ -10,8 +10,7 @@ mod surfaces;
 
 pub use expected::body_from_image;
 pub use expected::{ExpectedImage, ExpectedPixel};
-pub(crate) use judge::judge;
-pub use judge::{Verdict, Verdicts};
+pub use judge::{Verdict, Verdicts, judge};
 pub use strided::LANES;
 pub use surfaces::{ObjectError, Surface, Surfaces};
 

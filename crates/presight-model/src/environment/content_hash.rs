@@ -1,14 +1,16 @@
 //! The content hash: equal for environments with the same content, however they were built.
 //!
-//! BLAKE3 over this canonical encoding, version 2. An environment in which no group was given a frame uses version 1,
-//! which differs only in its first text and omits the list of groups; hashes from before groups thus stay valid.
+//! BLAKE3 over this canonical encoding, version 3. An environment without marks and trust uses version 2, which omits
+//! their lists; one in which also no group was given a frame uses version 1, which omits the list of groups, too. Older
+//! hashes thus stay valid.
 //! Integers and floats are little-endian; floats are encoded by their bits (so -0 is not 0). `text` is its length in
 //! bytes as u32, then UTF-8. `list` is its length as u32, then the items. An optional value is a byte 0, or 1 and the
 //! value. Matrices are written column by column.
 //!
 //! | what | encoding |
 //! |---|---|
-//! | environment | text `presight content 2`; list of objects by rising name; list of groups that were given a frame and have objects below, by rising path; list of layers that hold something, by rising class. Version 1: text `presight content 1`; objects; layers |
+//! | environment | text `presight content 3`; list of objects by rising name; list of groups that were given a frame and have objects below, by rising path; list of layers that hold something, by rising class; list of marks by rising name; list of (text object; 3 f64 trust as of a feature) by rising object. Version 2: `presight content 2`; objects; groups; layers. Version 1: `presight content 1`; objects; layers |
+//! | mark | text name; text object; u8: 1 uncertain, 2 absent; optional text class; optional 6 f64: least and greatest corner of its box |
 //! | group | text path; `world_from_group` as f64 x y z qx qy qz qw |
 //! | object | text name; `world_from_object` as f64 x y z qx qy qz qw; `object_from_mesh` as 12 f64; u32 `first_source`; hash of its mesh |
 //! | mesh | text name; list of vertices, each 3 f32; list of polygons; list of hashes of its materials, in the order in which its polygons first use them |
@@ -21,7 +23,7 @@
 //! were added, materials that no polygon has, frames of groups without objects below, layers without features and
 //! covariances, sharing of meshes, clusters and indexes.
 
-use super::{Appearance, Environment, Feature, FeatureLayer, FeatureShape, Material, Mesh, Object};
+use super::{Appearance, Environment, Feature, FeatureLayer, FeatureShape, MarkKind, Material, Mesh, Object};
 use crate::geometry::Pose;
 use glam::DVec3;
 use std::collections::HashMap;
@@ -56,7 +58,12 @@ impl Environment {
         let materials: Vec<ContentHash> = self.materials.iter().map(Material::content_hash).collect();
         let groups: Vec<(&str, &Pose)> = self.framed_groups().collect();
         let mut to = Encoder::default();
-        to.text(if groups.is_empty() { "presight content 1" } else { "presight content 2" });
+        let believed = self.marks().len() + self.trusts().len() > 0;
+        to.text(match (believed, groups.is_empty()) {
+            (true, _) => "presight content 3",
+            (false, false) => "presight content 2",
+            (false, true) => "presight content 1",
+        });
         to.count(objects.len());
         for object in objects {
             let mesh = meshes
@@ -64,7 +71,7 @@ impl Environment {
                 .or_insert_with(|| object.mesh.content_hash(|material| materials[usize::from(material)]));
             to.object(object, *mesh);
         }
-        if !groups.is_empty() {
+        if believed || !groups.is_empty() {
             to.count(groups.len());
         }
         for (path, pose) in groups {
@@ -74,6 +81,9 @@ impl Environment {
         let layers = || self.layers.iter().filter(|l| !(l.features.is_empty() && l.pose_covariances.is_empty()));
         to.count(layers().count());
         layers().for_each(|layer| to.layer(layer));
+        if believed {
+            to.beliefs(self);
+        }
         to.hash()
     }
 }
@@ -175,6 +185,30 @@ impl Encoder {
         self.f64s(&object.object_from_mesh.to_cols_array());
         self.u32(object.first_source);
         self.bytes(&mesh.0);
+    }
+
+    fn beliefs(&mut self, environment: &Environment) {
+        self.count(environment.marks().len());
+        for (name, mark) in environment.marks() {
+            self.text(name);
+            self.text(&mark.object);
+            let kind = match mark.kind {
+                MarkKind::Uncertain => 1,
+                MarkKind::Absent => 2,
+                MarkKind::Unseen => 3,
+            };
+            self.bytes(&[kind]);
+            self.optional(mark.class.as_deref(), Self::text);
+            self.optional(mark.bounds, |to, b| {
+                to.f64s(&b.min.to_array());
+                to.f64s(&b.max.to_array());
+            });
+        }
+        self.count(environment.trusts().len());
+        for (object, trust) in environment.trusts() {
+            self.text(object);
+            self.f64s(&[trust.p0, trust.confirmed, trust.rate]);
+        }
     }
 
     fn pose(&mut self, pose: &Pose) {

@@ -1,6 +1,6 @@
 //! Checks features before anything is computed from them.
 
-use super::{Feature, FeatureLayer, FeatureShape};
+use super::{Existence, Feature, FeatureLayer, FeatureShape};
 use crate::error::{Error, Result, short, short_point};
 use crate::geometry::{Aabb, plane_of_polygon};
 use crate::limits;
@@ -98,6 +98,29 @@ impl FeatureLayer {
     }
 }
 
+impl Existence {
+    /// Checks probability, time and rate.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Invalid`] if the probability is outside 0..=1, the time is not finite or the rate negative.
+    pub(super) fn check(&self) -> Result<()> {
+        check_share("existence probability", self.p0)?;
+        if !self.confirmed.is_finite() {
+            return Err(Error::invalid(
+                format!("the time of confirmation {} is not finite", self.confirmed),
+                "give UTC seconds since 1970",
+            ));
+        }
+        if !(self.rate.is_finite() && self.rate >= 0.0) {
+            return Err(Error::invalid(
+                format!("the decay rate {} is negative or not finite", self.rate),
+                "give 1 / s, 0 for no decay",
+            ));
+        }
+        Ok(())
+    }
+}
+
 impl Feature {
     /// Checks everything that does not need the world, for a layer with this tolerance (metres).
     ///
@@ -114,7 +137,7 @@ impl Feature {
                 format!("give metres, at most {:e}", limits::MAX_COORDINATE),
             ));
         }
-        self.check_existence()?;
+        self.existence.check()?;
         self.check_properties()?;
         self.shape.check(tolerance)?;
         self.check_normal()
@@ -129,24 +152,6 @@ impl Feature {
             }
             _ => Ok(()),
         }
-    }
-
-    fn check_existence(&self) -> Result<()> {
-        let e = &self.existence;
-        check_share("existence probability", e.p0)?;
-        if !e.confirmed.is_finite() {
-            return Err(Error::invalid(
-                format!("the time of confirmation {} is not finite", e.confirmed),
-                "give UTC seconds since 1970",
-            ));
-        }
-        if !(e.rate.is_finite() && e.rate >= 0.0) {
-            return Err(Error::invalid(
-                format!("the decay rate {} is negative or not finite", e.rate),
-                "give 1 / s, 0 for no decay",
-            ));
-        }
-        Ok(())
     }
 
     fn check_properties(&self) -> Result<()> {

@@ -7,6 +7,7 @@ mod feature;
 mod feature_check;
 mod groups;
 mod layers;
+mod marks;
 mod material;
 mod mesh;
 mod open;
@@ -18,6 +19,7 @@ pub use content_hash::ContentHash;
 pub use cuboid::{CUBOID_FACES, cuboid_corners};
 pub use feature::{DEFAULT_TOLERANCE, Existence, Feature, FeatureLayer, FeatureShape, Properties};
 pub use feature_check::check_covariance;
+pub use marks::{Mark, MarkKind};
 pub use material::{Appearance, Material};
 pub use mesh::{Cluster, Mesh, Polygon, PolygonOrder};
 pub use mesh::{Parts, PolygonRecord, canonical_plane};
@@ -177,6 +179,8 @@ pub struct Environment {
     groups: BTreeMap<String, Pose>,
     /// Ids of deleted features, by class; they are never reused.
     retired: BTreeMap<String, BTreeSet<u32>>,
+    /// Marks on objects, and trust in them.
+    beliefs: marks::Beliefs,
     /// For repeated names, the number to try next; all lower ones are taken.
     next_numbers: NextNumbers,
     next_slot: u32,

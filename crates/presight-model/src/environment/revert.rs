@@ -2,7 +2,7 @@
 //!
 //! [`crate::Change`]s only undo content, and restored objects get new numbers. A failed group must leave no trace.
 
-use super::{Environment, Feature};
+use super::{Environment, Existence, Feature, Mark};
 use crate::geometry::{InObject, Pose, PoseCovariance};
 use std::sync::Arc;
 
@@ -29,6 +29,10 @@ pub(crate) enum Revert {
     Tolerance { class: String, tolerance: f64 },
     /// Restores the covariance of an object's pose, if it had one, at its position in the list.
     PoseCovariance { class: String, object: String, before: Option<(usize, PoseCovariance<InObject>)> },
+    /// Restores the mark that had this name, if any.
+    Mark { name: String, before: Option<Mark> },
+    /// Restores the trust in an object, if any.
+    Trust { object: String, before: Option<Existence> },
     /// Removes a layer that the change created.
     NewLayer { class: String },
 }
@@ -61,6 +65,8 @@ impl Environment {
             Revert::Material => {
                 self.materials.pop();
             }
+            Revert::Mark { name, before } => self.restore_mark(name, before),
+            Revert::Trust { object, before } => self.restore_trust(object, before),
             other => self.revert_in_layer(other),
         }
     }

@@ -90,6 +90,9 @@ pub struct SensorSpec {
     pub optical_from_image: DQuat,
     /// Measurement noise.
     pub noise: Noise,
+    /// Seconds from the first column of an image to one step behind the last; column i of n is measured `turn_s * i / n` after
+    /// the stamp. Negative if the last column is measured first. 0 if all are measured at once.
+    pub turn_s: f64,
 }
 
 impl SensorSpec {
@@ -105,6 +108,7 @@ impl SensorSpec {
             mount: Pose::IDENTITY,
             optical_from_image: DQuat::IDENTITY,
             noise: Noise::default(),
+            turn_s: 0.0,
         }
     }
 
@@ -151,6 +155,12 @@ impl SensorSpec {
             Geometry::Camera(_) => body_from_optical() * DMat3::from_quat(self.optical_from_image),
             _ => DMat3::IDENTITY,
         }
+    }
+
+    /// With another turn time, seconds: see [`SensorSpec::turn_s`].
+    #[must_use]
+    pub fn with_turn_s(self, turn_s: f64) -> Self {
+        Self { turn_s, ..self }
     }
 
     /// With other noise.
@@ -311,6 +321,9 @@ fn ray_table_bytes(spec: &SensorSpec) -> u64 {
     }
 }
 
+/// Longest turn of a scanner, seconds.
+const MAX_TURN_S: f64 = 60.0;
+
 fn check(spec: &SensorSpec) -> Result<()> {
     let (width, height) = spec.geometry.size();
     let side = 1..=limits::MAX_IMAGE_SIDE;
@@ -338,6 +351,10 @@ fn check(spec: &SensorSpec) -> Result<()> {
             format!("max_incidence of {} deg", angle.to_degrees()),
             "give more than 0 and at most 90 degrees",
         ));
+    }
+    if !(spec.turn_s.abs() <= MAX_TURN_S) {
+        let what = format!("turn_s of {} s", spec.turn_s);
+        return Err(Error::invalid(what, format!("give seconds, at most {MAX_TURN_S}; 0 if all is measured at once")));
     }
     spec.noise.check()
 }

@@ -13,6 +13,8 @@ pub struct Noise {
     pub angle_sigma: f64,
     /// Pixel error, pixels.
     pub pixel_sigma: f64,
+    /// Error of the time stamps, seconds.
+    pub stamp_sigma: f64,
     /// Where a beam's reading may come from.
     pub mixture: Mixture,
 }
@@ -44,8 +46,8 @@ impl Noise {
     /// # Errors
     /// [`crate::ErrorKind::Invalid`], naming the invalid value.
     pub(super) fn check(&self) -> Result<()> {
-        let Self { range_sigma, range_sigma_quadratic, angle_sigma, pixel_sigma, mixture } = *self;
-        let sigmas = [range_sigma, range_sigma_quadratic, angle_sigma, pixel_sigma];
+        let Self { range_sigma, range_sigma_quadratic, angle_sigma, pixel_sigma, stamp_sigma, mixture } = *self;
+        let sigmas = [range_sigma, range_sigma_quadratic, angle_sigma, pixel_sigma, stamp_sigma];
         if !sigmas.iter().all(|s| *s >= 0.0 && s.is_finite()) {
             return Err(Error::invalid(format!("noise {sigmas:?}"), "give finite sigmas of at least 0"));
         }

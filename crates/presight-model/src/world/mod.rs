@@ -242,6 +242,9 @@ impl World {
             Change::SetPose { name, world_from_object } => self.set_pose(name, world_from_object),
             Change::DeleteObject { name } => self.delete_path(name),
             Change::SetFrame { name, world_from_group } => self.set_frame(name, world_from_group),
+            Change::SetMark { name, mark } => self.set_mark(name, mark),
+            Change::RemoveMark { name } => self.remove_mark(name),
+            Change::SetTrust { object, trust } => self.set_trust(object, trust),
             other => self.step_features(other),
         }
     }

@@ -2,7 +2,7 @@
 
 use super::World;
 use crate::change::Change;
-use crate::environment::{NewObject, Revert, check_pose};
+use crate::environment::{Existence, Mark, NewObject, Revert, check_pose};
 use crate::error::Result;
 use crate::geometry::Pose;
 use std::sync::Arc;
@@ -121,6 +121,12 @@ impl World {
                 undo.push(self.step_features(none)?);
             }
         }
+        for mark in self.environment.marks_of(&name) {
+            undo.push(self.remove_mark(mark)?);
+        }
+        if self.environment.trust(&name).is_some() {
+            undo.push(self.set_trust(name.clone(), None)?);
+        }
         let environment = Arc::make_mut(&mut self.environment);
         Arc::make_mut(&mut self.index).remove_object(environment, object);
         environment.delete(&name)?;
@@ -130,6 +136,27 @@ impl World {
             self.keep_frame(name, world_from_object);
         }
         Ok(Change::of(undo))
+    }
+
+    pub(super) fn set_mark(&mut self, name: String, mark: Mark) -> Result<Change> {
+        let before = Arc::make_mut(&mut self.environment).set_mark(&name, mark)?;
+        self.note(|_| Revert::Mark { name: name.clone(), before: before.clone() });
+        Ok(match before {
+            Some(mark) => Change::SetMark { name, mark },
+            None => Change::RemoveMark { name },
+        })
+    }
+
+    pub(super) fn remove_mark(&mut self, name: String) -> Result<Change> {
+        let mark = Arc::make_mut(&mut self.environment).remove_mark(&name)?;
+        self.note(|_| Revert::Mark { name: name.clone(), before: Some(mark.clone()) });
+        Ok(Change::SetMark { name, mark })
+    }
+
+    pub(super) fn set_trust(&mut self, object: String, trust: Option<Existence>) -> Result<Change> {
+        let trust_before = Arc::make_mut(&mut self.environment).set_trust(&object, trust)?;
+        self.note(|_| Revert::Trust { object: object.clone(), before: trust_before });
+        Ok(Change::SetTrust { object, trust: trust_before })
     }
 
     /// Sets the frame of a path to a checked pose; returns the previous frame.

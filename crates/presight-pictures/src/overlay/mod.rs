@@ -42,7 +42,7 @@ impl Overlay<'_> {
                 self.features.features.iter().for_each(|f| view.feature(canvas, f, seen));
                 self.sides.iter().for_each(|side| view.feature(canvas, side, seen));
             }
-            self.features.features.iter().filter_map(|f| f.roi).for_each(|roi| view.region(canvas, roi));
+            self.features.features.iter().for_each(|f| view.region(canvas, f));
             self.number(canvas, frame, &|f| view.middle(f));
         });
     }
@@ -137,7 +137,7 @@ impl<F: Fn(DVec2) -> [f64; 2]> PageView<'_, F> {
     fn feature(&self, canvas: &mut Canvas, feature: &SeenFeature, seen: bool) {
         let points = self.overlay.points(feature);
         let parts = Overlay::parts(feature, seen);
-        let mut pen = Pen::new(canvas, self.frame, Style::of(seen));
+        let mut pen = Pen::of(canvas, self.frame, Style::of(seen), feature.feature.id);
         match &feature.feature.shape {
             FeatureShape::Point { .. } | FeatureShape::Reflector { .. } => {
                 if let Some(at) = self.project(points[0]).filter(|_| !parts.is_empty()) {
@@ -205,10 +205,12 @@ impl<F: Fn(DVec2) -> [f64; 2]> PageView<'_, F> {
     }
 
     /// Draws a region of interest; across the seam, both of its parts.
-    fn region(&self, canvas: &mut Canvas, [x0, y0, x1, y1]: [f64; 4]) {
+    fn region(&self, canvas: &mut Canvas, feature: &SeenFeature) {
+        let Some([x0, y0, x1, y1]) = feature.roi else { return };
+        let mut pen = Pen::of(canvas, self.frame, Style::Region, feature.feature.id);
         let corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)].map(DVec2::from);
         for k in 0..4 {
-            self.each_turn([corners[k], corners[(k + 1) % 4]], |[p, q]| canvas.stroke(p, q, 0.4, REGION));
+            self.each_turn([corners[k], corners[(k + 1) % 4]], |[p, q]| pen.line(p, q));
         }
     }
 

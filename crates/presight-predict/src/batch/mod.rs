@@ -347,6 +347,16 @@ impl Task {
 }
 
 impl<I: Iterator<Item = Pose>> Batch<'_, I> {
+    /// Number of poses that the next chunk processes.
+    pub fn chunk(&self) -> usize {
+        self.chunk
+    }
+
+    /// Number of poses that each later chunk processes, at least 1: a caller that must not wait long between two items asks for few.
+    pub fn set_chunk(&mut self, poses: usize) {
+        self.chunk = poses.max(1);
+    }
+
     /// Processes the next chunk. Returns false after the last pose.
     fn advance(&mut self) -> bool {
         let poses: Vec<(usize, Pose)> = (self.next..).zip(self.poses.by_ref().take(self.chunk)).collect();

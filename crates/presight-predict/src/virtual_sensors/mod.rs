@@ -30,8 +30,7 @@ mod radar_nearest;
 mod vertical_planes;
 mod view;
 
-pub use corridor::Corridor;
-pub use corridor::CorridorFields;
+pub use corridor::{Corridor, CorridorFrame};
 pub use depth_image::DepthImage;
 pub use docking::{Docking, Unobservable};
 pub use edges::{Edge, EdgePiece, Edges};

@@ -4,7 +4,7 @@
 //! excludes the floor there. Surfaces that no beam hits are not reported.
 
 use super::pixels::Pixels;
-use super::{Corridor, View};
+use super::{Corridor, CorridorFrame, View};
 use glam::DVec3;
 use presight_model::error::Result;
 use presight_render::deadline::Degradation;
@@ -105,6 +105,10 @@ pub(super) fn reduce(view: &View<'_>, corridor: Option<&Corridor>) -> Result<Nea
     let (width, height) = (pixels.sensor.width(), pixels.sensor.height());
     let mut directions = Directions::default();
     let (mut nearest, mut first, mut beams) = (None, None, 0);
+    let corridor_from_sensor = corridor.map(|c| match c.frame() {
+        CorridorFrame::Robot => view.sensor.spec().mount,
+        CorridorFrame::World => view.world_from_sensor,
+    });
     let complete_to = view.given_up.map(Degradation::complete_everywhere_to).filter(|to| to.is_finite());
     for column in 0..width {
         let azimuth = (0..height).find_map(|row| pixels.ray(column, row)).map_or(f64::NAN, |ray| ray.y.atan2(ray.x));
@@ -127,7 +131,10 @@ pub(super) fn reduce(view: &View<'_>, corridor: Option<&Corridor>) -> Result<Nea
                 continue;
             }
             keep(&mut nearest, hit(range));
-            if let Some(s) = corridor.and_then(|c| c.arc_length_at(pixels.in_robot(p_in_sensor))) {
+            if let Some(s) = corridor
+                .zip(corridor_from_sensor)
+                .and_then(|(c, pose)| c.arc_length_at(pose.transform_point(p_in_sensor).to_array()))
+            {
                 beams += 1;
                 keep(&mut first, hit(s));
             }

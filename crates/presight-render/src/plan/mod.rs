@@ -448,16 +448,27 @@ impl FramePlan {
     fn take(&mut self, runs: &[ObjectRun]) {
         let object = runs[0].object;
         let world = self.world.clone();
-        let mesh = &world.environment().objects()[object as usize].mesh;
-        if !mesh.materials().iter().any(|m| self.facings[usize::from(*m)].opaque) {
+        let environment = world.environment();
+        let mesh = &environment.objects()[object as usize].mesh;
+        let absent = environment.absent_parts(object, &self.sensor.spec().class);
+        if absent.is_none() || !mesh.materials().iter().any(|m| self.facings[usize::from(*m)].opaque) {
             self.objects_not_opaque += 1;
             return;
         }
         let instance = self.instances.len() as u32;
         self.instances.push(self.instance_of(object));
         let run = |r: &ObjectRun| Run { instance, first: r.first, count: r.count, nearest: r.nearest as f32 };
-        self.runs.extend(runs.iter().map(run));
-        let selected = runs.iter().map(|r| r.count as usize).sum::<usize>();
+        let from = self.runs.len();
+        match absent.filter(|parts| !parts.is_empty()) {
+            None => self.runs.extend(runs.iter().map(run)),
+            Some(parts) => {
+                let stands = |polygon: &u32| !environment.lies_in(object, *polygon, &parts);
+                let single = |r: &ObjectRun, first: u32| Run { first, count: 1, ..run(r) };
+                let standing = |r: &ObjectRun| (r.first..r.first + r.count).filter(stands).collect::<Vec<u32>>();
+                self.runs.extend(runs.iter().flat_map(|r| standing(r).into_iter().map(move |first| single(r, first))));
+            }
+        }
+        let selected = self.runs[from..].iter().map(|r| r.count as usize).sum::<usize>();
         self.polygon_count += selected;
         self.polygons_out_of_view += mesh.polygon_count() - selected;
     }

@@ -71,7 +71,9 @@ impl RowCut {
             let object = &environment.objects()[objects[0].object as usize];
             let world_from_mesh = object.world_from_mesh();
             let normal_from_mesh = world_from_mesh.matrix3.inverse().transpose();
-            for polygon in objects.iter().flat_map(|run| run.first..run.first + run.count) {
+            let Some(absent) = environment.absent_parts(objects[0].object, class) else { continue };
+            let is_absent = |polygon| environment.lies_in(objects[0].object, polygon, &absent);
+            for polygon in objects.iter().flat_map(|run| run.first..run.first + run.count).filter(|p| !is_absent(*p)) {
                 let facing = facings[usize::from(object.mesh.material(polygon))];
                 let ends = if facing.opaque { cross(object, polygon, height) } else { None };
                 let Some([a, b]) = ends else { continue };

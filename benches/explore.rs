@@ -1,0 +1,80 @@
+//! How well explored models predict held-out measurements: `cargo bench --bench explore` prints the table of
+//! benches/RESULTS.md. Truth are dense rays of the testkit's caster.
+
+use presight::environment::Environment;
+use presight::explore::{Exploration, ExploreOptions, Known, Views};
+use presight_testkit::data;
+use presight_testkit::judge::{Judged, Placed, frames, judge};
+use std::time::Instant;
+
+/// One row of the table.
+struct Row {
+    name: &'static str,
+    polygons: usize,
+    seconds: f64,
+    views: usize,
+    judged: Judged,
+}
+
+fn explored(views: &[Placed], options: &ExploreOptions) -> (Exploration, f64) {
+    let mut all = Views::default();
+    views.iter().for_each(|(frame, pose)| all.push(frame, *pose).expect("a sound view"));
+    let start = Instant::now();
+    let found = Exploration::of(&Environment::new(), Known::Explored, &all, options).expect("surfaces");
+    (found, start.elapsed().as_secs_f64())
+}
+
+fn row(
+    name: &'static str,
+    build: &[Placed],
+    held_out: &[Placed],
+    options: &ExploreOptions,
+    near: f64,
+    far: f64,
+) -> Row {
+    let (found, seconds) = explored(build, options);
+    let judged = judge(found.environment(), held_out, near, far);
+    Row { name, polygons: found.polygons(), seconds, views: build.len(), judged }
+}
+
+fn rows() -> Vec<Row> {
+    let mut rows = Vec::new();
+    if let Some(log) = data::file("rgbd/livingroom") {
+        let all = frames(&log, 4);
+        let even: Vec<Placed> = all.iter().step_by(2).cloned().collect();
+        let odd: Vec<Placed> = all.iter().skip(1).step_by(8).cloned().collect();
+        for (name, polygons) in [("living room", 2000), ("living room, 500 polygons", 500)] {
+            rows.push(row(name, &even, &odd, &ExploreOptions::default().with_polygons(polygons), 0.02, 0.05));
+        }
+    }
+    if let (Some(log), Some(run)) =
+        (data::file("lidar2d/malaga_corridor_mapping_scans.json"), data::file("lidar2d/malaga_corridor_run_scans.json"))
+    {
+        let options = ExploreOptions::default().with_polygons(200).with_floor(-1.0);
+        rows.push(row("corridor", &frames(&log, 1), &frames(&run, 1), &options, 0.05, 0.2));
+    }
+    if let Some(log) = data::file("lidar3d") {
+        let scans = frames(&log, 1);
+        let options = ExploreOptions::default().with_polygons(10_000);
+        rows.push(row("street", &scans[..1], &scans[1..2], &options, 0.1, 1.0));
+    }
+    rows
+}
+
+fn main() {
+    println!(
+        "| case | polygons | median, mm | right of all, % | right of covered, % | covered, % | too near, % | frames/s |"
+    );
+    println!("|---|---|---|---|---|---|---|---|");
+    for Row { name, polygons, seconds, views, judged: j } in rows() {
+        let rate = views as f64 / seconds;
+        println!(
+            "| {name} | {polygons} | {:.2} | {:.1} | {:.1} | {:.1} | {:.2} | {rate:.1} |",
+            1e3 * j.median,
+            j.within,
+            j.within_of_hits,
+            j.covered,
+            j.nearer
+        );
+    }
+}

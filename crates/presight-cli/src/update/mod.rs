@@ -1,0 +1,344 @@
+//! `presight update`: differences between site and model, as changes.
+
+mod page;
+mod store_of;
+
+use super::localize::Drive;
+use super::outputs::OutputFiles;
+use super::{CommandOutcome, folder, print};
+use page::Shown;
+use presight::Scene;
+use presight_files::atomic::write_atomically;
+use presight_files::tum::StampedPose;
+use presight_files::{pose_covariance, tum};
+use presight_localize::localize::Phase;
+#[cfg(feature = "report")]
+use presight_localize::localize::Step;
+use presight_model::error::{Error, Result};
+use presight_model::geometry::{InWorld, PoseCovariance, PoseEstimate};
+use presight_model::measured::Frame;
+use presight_model::world::World;
+use presight_update::{Action, Finding, Findings, LearnOptions, Learner, Policy, What, change_lines};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use store_of::{apply, version_of};
+
+const EXAMPLES: &str = "Examples:
+  Look, then apply:
+    presight update monday.jsonl tuesday.jsonl --map site.presight --init unknown --out found
+    presight env apply site.presight found/changes.jsonl
+
+  With poses from elsewhere, known to 5 mm and 0.1 degrees:
+    presight update run.jsonl --map site.presight --init reference --poses run.tum --pose-cov 0.005,0.005,0.005,0.1,0.1,0.1 --out found";
+
+/// Learn what changed: objects that are gone, moved or new, from the logs of drives
+///
+/// LOGs are drives one after the other, each as for `localize`. DIR gets changes.jsonl, which `env apply` reads, and
+/// index.html, which shows each change: the measurement, and the prediction before and after. Nothing else is written
+/// without --apply or --evidence.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Args {
+    #[command(flatten)]
+    drive: Drive,
+
+    /// Logs of further drives
+    #[arg(value_name = "LOG")]
+    more: Vec<PathBuf>,
+
+    /// Poses of the robot at the stamps of the frames, instead of the localizer's own
+    #[arg(long, value_name = "FILE.tum", requires = "pose_cov")]
+    poses: Option<PathBuf>,
+
+    /// Standard deviations of --poses: sx,sy,sz,sroll_deg,spitch_deg,syaw_deg, or a JSON file of 36 numbers
+    #[arg(long, value_name = "COV", requires = "poses")]
+    pose_cov: Option<String>,
+
+    /// Write changes.jsonl, index.html and its pictures into this folder
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+
+    /// Apply the changes to the store
+    #[arg(long)]
+    apply: bool,
+
+    /// Keep evidence that does not decide yet in this file, and go on with its content
+    #[arg(long, value_name = "FILE")]
+    evidence: Option<PathBuf>,
+
+    /// UTC of stamp 0, seconds; stamps over 1e9 are UTC [default: 0]
+    #[arg(long, value_name = "UTC")]
+    time: Option<f64>,
+
+    /// What becomes of each kind of finding, such as gone=mark,new=stop: change, mark, stop, come-back or ignore
+    ///
+    /// The kinds are gone, moved, new and part. `change` changes the model. `mark` marks the object as uncertain. `stop`
+    /// proposes nothing and ends with status 1. `come-back` adds the place to DIR/come_back.jsonl.
+    #[arg(long, value_name = "KIND=ACTION,..", default_value = "")]
+    policy: String,
+
+    /// Views that have to agree
+    #[arg(long, value_name = "N", default_value_t = 3)]
+    views: u32,
+
+    /// Log-odds that decide
+    #[arg(long, value_name = "L", default_value_t = 9.0)]
+    sure: f64,
+
+    /// The most that one view counts, log-odds
+    #[arg(long, value_name = "L", default_value_t = 3.0)]
+    most_per_view: f64,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// Those of the localizer, of reading and writing files, and of the store.
+pub fn run(args: &Args) -> Result<CommandOutcome> {
+    if let Some(time) = args.time.filter(|time| !time.is_finite()) {
+        return Err(Error::usage(format!("--time {time}"), "give finite UTC seconds"));
+    }
+    let policy = Policy::parse(&args.policy).map_err(|e| e.at("--policy"))?;
+    let mut learner = Learner::new(options(args)?)?;
+    let logs: Vec<&Path> =
+        std::iter::once(args.drive.log.as_path()).chain(args.more.iter().map(PathBuf::as_path)).collect();
+    check_files(args, &logs)?;
+    let known = known_poses(args)?;
+    let scene = args.drive.scene()?;
+    let version = version_of(&args.drive.map, &scene)?;
+    if args.apply && !version.is_store {
+        let remedy = "make one with presight env create, and give it as --map";
+        return Err(Error::usage(format!("--apply: {} is not a store", args.drive.map.display()), remedy));
+    }
+    if let Some(path) = args.evidence.as_deref().filter(|path| path.exists()) {
+        let left_out = learner.load(path, scene.world.environment(), &version.origin)?;
+        let told = format!("evidence on {left_out} objects is left out, because they moved or are gone since");
+        print::notices(&(left_out > 0).then_some(told));
+    }
+    let mut stamp = 0.0f64;
+    for log in &logs {
+        let drive = args.drive.with_log(log);
+        match &known {
+            Some((poses, covariance)) => follow_known(&drive, &scene, &mut learner, (poses, covariance), &mut stamp)?,
+            None => follow(&drive, &mut learner, &mut stamp)?,
+        }
+        learner.end_drive();
+    }
+    folder::ready(&args.out)?;
+    let findings = learner.findings(&scene.world);
+    let utc = args.time.unwrap_or(0.0);
+    let utc = if stamp > 1e9 { 0.0 } else { utc };
+    let lines = change_lines(&learner, &findings, &scene.world, (&version.base, utc), &policy);
+    let text: String = lines.iter().map(|line| format!("{line}\n")).collect();
+    write_atomically(&args.out.join("changes.jsonl"), |file| file.write_all(text.as_bytes()))?;
+    let after = after(&scene.world, &findings);
+    let shares = (learner.share_explained(&scene.world, 0.1), learner.share_explained(&after, 0.1));
+    let told = summary(&learner, &findings, shares);
+    let shown = Shown { args, logs: &logs, scene: &scene, after: &after, findings: &findings, told: &told };
+    shown.write(&args.out)?;
+    let applied = if args.apply { apply(&args.drive.map, &lines)? } else { Vec::new() };
+    if let Some(path) = &args.evidence {
+        let changed: Vec<String> = applied.iter().filter_map(|number| changed_by(&lines[*number])).collect();
+        if !applied.is_empty() {
+            learner.forget(&after, &changed);
+        }
+        learner.save(path, scene.world.environment(), &version.origin)?;
+    }
+    come_back(&args.out.join("come_back.jsonl"), &findings, &policy)?;
+    print::data(&told)?;
+    let stops: Vec<String> =
+        of_action(&findings, &policy, Action::Stop).map(|f| format!("stop: {}", told_with_look(f))).collect();
+    print::notices(&stops);
+    print::notices(&findings.wrong.iter().map(|why| format!("nothing is changed: {why}")).collect::<Vec<_>>());
+    Ok(if findings.wrong.is_some() || !stops.is_empty() { CommandOutcome::Found } else { CommandOutcome::Done })
+}
+
+/// The object that a line changes.
+fn changed_by(line: &str) -> Option<String> {
+    let value: serde_json::Value = serde_json::from_str(line).ok()?;
+    value["object"].as_str().map(str::to_owned)
+}
+
+fn of_action<'a>(findings: &'a Findings, policy: &'a Policy, action: Action) -> impl Iterator<Item = &'a Finding> {
+    findings.changes.iter().filter(move |finding| policy.of(&finding.what) == action)
+}
+
+fn told_with_look(finding: &Finding) -> String {
+    let look = finding.sight.map(|sight| {
+        let (t, (_, _, yaw)) = (sight.world_from_sensor.translation, sight.world_from_sensor.rpy());
+        format!("; look from {:.2},{:.2},{:.2} at {:.0} degrees", t.x, t.y, t.z, yaw.to_degrees())
+    });
+    told(finding) + look.as_deref().unwrap_or_default()
+}
+
+/// Adds the places to come back to, a line each, to a list that survives.
+fn come_back(path: &Path, findings: &Findings, policy: &Policy) -> Result<()> {
+    let lines: Vec<String> = of_action(findings, policy, Action::ComeBack).map(told_with_look).collect();
+    if lines.is_empty() {
+        return Ok(());
+    }
+    let line = |text: &String| format!("{}\n", serde_json::json!({ "come_back": text }));
+    let mut file = std::fs::OpenOptions::new()
+        .create(true)
+        .append(true)
+        .open(path)
+        .map_err(|e| Error::io(path, "write to it", e))?;
+    let text: String = lines.iter().map(line).collect();
+    file.write_all(text.as_bytes()).map_err(|e| Error::io(path, "write to it", e))
+}
+
+fn options(args: &Args) -> Result<LearnOptions> {
+    for (flag, value) in [("--sure", args.sure), ("--most-per-view", args.most_per_view)] {
+        if !(value > 0.0 && value.is_finite()) {
+            return Err(Error::usage(format!("{flag} {value}"), "give finite log-odds above 0"));
+        }
+    }
+    Ok(LearnOptions::default()
+        .with_least_views(args.views.max(1))
+        .with_sure(args.sure)
+        .with_most_per_view(args.most_per_view)
+        .with_model_sigma(args.drive.model_sigma().unwrap_or(0.0)))
+}
+
+/// Checks that no output is an input, before anything is read.
+fn check_files(args: &Args, logs: &[&Path]) -> Result<()> {
+    let mut files = OutputFiles::default();
+    files.add_folder(&args.out, &["index.html", "changes.jsonl"])?;
+    args.evidence.iter().try_for_each(|path| files.add_any(path))?;
+    files.check_named(logs.iter().copied().chain([args.drive.map.as_path()]).chain(args.poses.as_deref()))
+}
+
+type Known = (Vec<StampedPose>, PoseCovariance<InWorld>);
+
+/// The poses of `--poses` and their covariance.
+fn known_poses(args: &Args) -> Result<Option<Known>> {
+    let (Some(poses), Some(covariance)) = (&args.poses, &args.pose_cov) else { return Ok(None) };
+    let covariance = pose_covariance::parse(covariance).map_err(|e| e.at("--pose-cov"))?;
+    Ok(Some((tum::read(poses)?, covariance)))
+}
+
+/// Learns from a drive that the localizer follows.
+fn follow(drive: &Drive, learner: &mut Learner, last: &mut f64) -> Result<()> {
+    let mut sure = false;
+    drive.follow(OutputFiles::default(), None, |scene, sensed, step| {
+        *last = step.stamp;
+        sure |= step.phase == Phase::Tracking;
+        learner.observe(&scene.world, step, &[sensed.frame])
+    })?;
+    let log = drive.log.display();
+    print::notices(&(!sure).then(|| format!("{log}: the robot was never sure of its pose, so nothing was learnt")));
+    Ok(())
+}
+
+/// Learns from a drive with known poses. Frames without a pose at their stamp are left out.
+fn follow_known(
+    drive: &Drive,
+    scene: &Scene,
+    learner: &mut Learner,
+    (poses, covariance): (&[StampedPose], &PoseCovariance<InWorld>),
+    last: &mut f64,
+) -> Result<()> {
+    let mut without = 0;
+    drive.read(scene, |scene, frame: &Frame, _| {
+        *last = frame.stamp;
+        let at = poses.iter().min_by(|a, b| (a.time - frame.stamp).abs().total_cmp(&(b.time - frame.stamp).abs()));
+        match at.filter(|stamped| (stamped.time - frame.stamp).abs() < 1e-3) {
+            Some(at) => learner.observe_at(&scene.world, &[frame], &PoseEstimate::new(at.pose, *covariance)),
+            None => {
+                without += 1;
+                Ok(())
+            }
+        }
+    })?;
+    let log = drive.log.display();
+    print::notices(&(without > 0).then(|| format!("{log}: {without} frames have no pose and are left out")));
+    Ok(())
+}
+
+/// The world with all findings.
+fn after(world: &World, findings: &Findings) -> World {
+    let mut after = world.clone();
+    if findings.wrong.is_none() {
+        // A finding that cannot be applied, such as a box at an odd place, is shown without its effect.
+        findings.changes.iter().for_each(|finding| drop(after.apply_unchecked(finding.change(&after))));
+    }
+    after
+}
+
+fn summary(learner: &Learner, findings: &Findings, (before, after): (f64, f64)) -> String {
+    let count = |of: fn(&What) -> bool| findings.changes.iter().filter(|f| of(&f.what)).count();
+    let tally = learner.tally();
+    let mut text = format!("{} frames, {} views, {} thrown away\n", tally.frames, tally.views, tally.discarded);
+    text += &format!(
+        "{} gone, {} moved, {} new, {} parts gone, {} doubtful, {} confirmed, {} never seen\n",
+        count(|w| matches!(w, What::Gone)),
+        count(|w| matches!(w, What::Moved { .. })),
+        count(|w| matches!(w, What::New(_))),
+        count(|w| matches!(w, What::Part(_))),
+        findings.doubts.len(),
+        findings.confirmed.len(),
+        findings.unseen
+    );
+    text += &format!("beams within 0.1 m of the model: {:.1} % before, {:.1} % after\n", 100.0 * before, 100.0 * after);
+    findings.changes.iter().for_each(|finding| text += &format!("{}\n", told(finding)));
+    for doubt in &findings.doubts {
+        let look = doubt.look_from.map(|pose| {
+            let (t, (_, _, yaw)) = (pose.translation, pose.rpy());
+            format!("; look from {:.2},{:.2},{:.2} at {:.0} degrees", t.x, t.y, t.z, yaw.to_degrees())
+        });
+        text += &format!("doubtful: {}: {}{}\n", doubt.object, doubt.why, look.unwrap_or_default());
+    }
+    text
+}
+
+/// A finding in one line.
+fn told(finding: &Finding) -> String {
+    let Finding { object, what, l, views, .. } = finding;
+    let odds = format!("log-odds {l:.1}, {views} views");
+    match what {
+        What::Gone => format!("gone: {object} ({odds})"),
+        What::Moved { distance, .. } => format!("moved: {object} by {distance:.3} m ({odds})"),
+        What::New(found) => {
+            let (p, s) = (found.pose.translation, found.size);
+            format!("new: {:.2} x {:.2} x {:.2} m at {:.2},{:.2},{:.2} ({odds})", s.x, s.y, s.z, p.x, p.y, p.z)
+        }
+        What::Part(b) => format!("part gone: {object} from {:.1} to {:.1} in its frame ({odds})", b.min, b.max),
+    }
+}
+
+/// What each frame of a drive teaches, for replays.
+#[cfg(feature = "report")]
+pub struct Learning {
+    learner: Learner,
+    /// For each frame, the knowledge after it.
+    pub notes: Vec<String>,
+}
+
+#[cfg(feature = "report")]
+impl Learning {
+    /// Nothing is known yet.
+    ///
+    /// # Errors
+    /// None: the default options are sound.
+    pub fn new() -> Result<Self> {
+        Ok(Self { learner: Learner::new(LearnOptions::default())?, notes: Vec::new() })
+    }
+
+    /// Takes in a frame.
+    ///
+    /// # Errors
+    /// Those of [`Learner::observe`].
+    pub fn observe(&mut self, world: &World, step: &Step, frame: &Frame) -> Result<()> {
+        const LISTED: usize = 5;
+        self.learner.observe(world, step, &[frame])?;
+        let mut evidence = self.learner.evidence(world);
+        let standing = evidence.iter().filter(|(_, e)| e.l >= self.learner.options().sure).count();
+        evidence.retain(|(_, e)| e.l < 0.0);
+        evidence.sort_by(|a, b| a.1.l.total_cmp(&b.1.l));
+        let listed: Vec<String> =
+            evidence.iter().take(LISTED).map(|(name, e)| format!("{name} {:.0} in {} views", e.l, e.views)).collect();
+        let against = if listed.is_empty() { "nothing".to_owned() } else { listed.join(", ") };
+        self.notes.push(format!("; learnt: {standing} objects stand, evidence against {against}"));
+        Ok(())
+    }
+}

@@ -1,0 +1,87 @@
+//! `presight explore` and `presight occupancy`: a drive is simulated, explored and localized in what was explored.
+
+use super::{Place, bad, check};
+use presight_store::info;
+use std::fs;
+
+const CAMERA: &str = "format = 1\nkind = \"camera\"\nclass = \"laser\"\nwidth = 120\nheight = 90\nfx = 75.0\nfy = 75.0\ncx = 59.5\n\
+    cy = 44.5\nrange_max = 10.0\n[noise]\nrange_sigma = 0.003\n[mount]\nxyz = [0.1, 0.0, 0.3]\nrpy_deg = [0.0, 12.0, 0.0]\n";
+
+/// A place with a room and the log of a robot that turns once in it.
+fn drive() -> Place {
+    let place = Place::new();
+    let room = concat!(env!("CARGO_MANIFEST_DIR"), "/../../scenes/room.glb");
+    fs::copy(room, place.path("room.glb")).unwrap();
+    place.write("camera.toml", CAMERA.as_bytes());
+    let line = |k: usize| {
+        let half = 0.5 * 0.13 * k as f64;
+        format!("{} {} 0.35 1.35 0 0 {} {}\n", 10 + k, 0.3 + 0.005 * k as f64, half.sin(), half.cos())
+    };
+    place.write("drive.tum", (0..48).map(line).collect::<String>().as_bytes());
+    let made = place.run("simulate room.glb --sensor camera.toml --poses drive.tum --out log");
+    assert_eq!(made.status, Some(0), "{}", made.stderr);
+    place
+}
+
+#[test]
+fn what_is_explored_is_localized_in_explored_on_and_undone() {
+    let place = drive();
+    let first = place.run("explore log --sensor log/sensor.toml --out room.presight --time 1");
+    assert_eq!(first.status, Some(0), "{}", first.stderr);
+    assert!(first.stdout.contains("change 1"), "{}", first.stdout);
+    let known = info(&place.path("room.presight")).unwrap().environment;
+    assert!(known.object("floor/0001").is_some() && known.object("wall/0001").is_some());
+    assert!(known.trust("wall/0001").unwrap().p0 > 0.8);
+    assert!(known.marks().len() > 0 && known.layer("laser").unwrap().pose_covariances.len() > 2);
+    let line = "localize log --map room.presight --sensor log/sensor.toml --init reference --out run.tum";
+    let localized = place.run(line);
+    assert_eq!(localized.status, Some(0), "{}", localized.stderr);
+    assert!(localized.stdout.contains("48 of 48 frames have a pose"), "{}", localized.stdout);
+
+    let again = place.run("explore log --sensor log/sensor.toml --out room.presight --time 2");
+    assert!(again.stdout.contains("change 2"), "{}{}", again.stdout, again.stderr);
+    let on = info(&place.path("room.presight")).unwrap().environment;
+    assert_eq!(on.object("wall/0001").unwrap().name, "wall/0001");
+    place.run("env undo room.presight 2");
+    let back = info(&place.path("room.presight")).unwrap().environment;
+    assert_eq!(back.content_hash(), known.content_hash());
+    place.run("env undo room.presight 1 --cascade");
+    let empty = info(&place.path("room.presight")).unwrap().environment;
+    assert_eq!(empty.objects().iter().filter(|o| !o.is_deleted()).count(), 0);
+}
+
+#[test]
+fn an_explored_store_gives_an_occupancy_grid() {
+    let place = drive();
+    assert_eq!(place.run("explore log --sensor log/sensor.toml --out room.presight").status, Some(0));
+    let said = place.done("occupancy room.presight --cell 0.1 --out grid.yaml");
+    assert!(said.contains("free") && said.contains("occupied"), "{said}");
+    let yaml = fs::read_to_string(place.path("grid.yaml")).unwrap();
+    assert!(yaml.contains("image: grid.pgm\n") && yaml.contains("resolution: 0.1\n"), "{yaml}");
+    assert!(fs::read(place.path("grid.pgm")).unwrap().starts_with(b"P5\n"));
+}
+
+#[test]
+fn wrong_use_is_refused_in_one_line() {
+    let place = drive();
+    fs::remove_file(place.path("log/poses.txt")).unwrap();
+    assert_eq!(place.run("explore log --sensor log/sensor.toml --poses drive.tum --out a.presight").status, Some(0));
+    place.write("far.tum", b"1000 0 0 0 0 0 0 1\n");
+    check(
+        &place,
+        vec![
+            bad("explore log --sensor log/sensor.toml --out b.presight", 1, &["log", "no frame has a pose", "--poses"]),
+            bad("explore log --sensor log/sensor.toml --poses far.tum --out b.presight", 1, &["no frame has a pose"]),
+            bad(
+                "explore log --sensor log/sensor.toml --poses drive.tum --map room.glb --out a.presight",
+                2,
+                &["a.presight", "--map"],
+            ),
+            bad("explore log --detail 0 --out b.presight", 2, &["--detail"]),
+            bad("explore missing --out b.presight", 1, &["missing"]),
+            bad("occupancy room.glb --cell 1e-6 --out b.yaml", 1, &["room.glb", "--cell"]),
+            bad("occupancy room.glb --from-height 2 --to-height 1 --out b.yaml", 2, &["--from-height"]),
+        ],
+    );
+    assert!(!place.path("b.presight").exists());
+}

@@ -1,0 +1,109 @@
+//! Hits and passes: how often rays ended on cells of a plane, and how often they went on behind it.
+
+use crate::flat::Flat;
+use crate::view::{View, Views};
+use glam::{DVec2, DVec3, Vec3};
+use presight_model::sensor::Geometry;
+
+/// Rays that are flatter than this say little: cosine of incidence.
+const LEAST_COSINE: f32 = 0.15;
+/// Nearer rays than this weigh no more, metres.
+const NEAREST: f32 = 0.3;
+
+/// What rays say about a cell: sums of weights, cosine of incidence over range.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Evidence {
+    /// Rays that ended on the plane.
+    pub hit: f32,
+    /// Rays that went through it.
+    pub pass: f32,
+    /// Number of rays that ended on it.
+    pub hits: u32,
+    /// Number of rays that went through it.
+    pub passes: u32,
+}
+
+/// Within how far of a plane a ray ends on it, and beyond how far it went through it, metres. Wider, and planes stick
+/// out at convex edges.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Margins {
+    pub hit: f32,
+    pub pass: f32,
+}
+
+impl Margins {
+    /// For cells of this size, metres.
+    pub fn of_cell(cell: f64) -> Self {
+        Self { hit: 0.5 * cell as f32, pass: cell as f32 }
+    }
+}
+
+/// Evidence for each of the places in a plane.
+pub(crate) fn evidence(views: &Views, plane: &Flat, places: &[DVec2], margins: Margins) -> Vec<Evidence> {
+    let mut evidence = vec![Evidence::default(); places.len()];
+    let Some(ball) = Ball::around(plane, places) else { return evidence };
+    let places: Vec<(f32, f32)> = places.iter().map(|q| (q.x as f32, q.y as f32)).collect();
+    for view in views.all() {
+        if ball.may_be_seen(view) {
+            add(view, plane, &places, margins, &mut evidence);
+        }
+    }
+    evidence
+}
+
+fn add(view: &View, plane: &Flat, places: &[(f32, f32)], margins: Margins, evidence: &mut [Evidence]) {
+    let centre = view.to_image(plane.centre).as_vec3();
+    let [x, y] = plane.axes().map(|a| view.direction_to_image(a).as_vec3());
+    let normal = view.direction_to_image(plane.normal).as_vec3();
+    // Negative if the sensor is on the back.
+    let side = -normal.dot(centre).signum();
+    for ((u, v), evidence) in places.iter().zip(evidence) {
+        let p: Vec3 = centre + x * *u + y * *v;
+        let Some((ray, measured)) = view.towards(p) else { continue };
+        let falling = normal.dot(ray);
+        let (distance, cosine) = (p.length(), falling.abs());
+        if cosine < LEAST_COSINE {
+            continue;
+        }
+        // The measured point counts, because the ray of the pixel does not lead exactly to the cell.
+        let behind = side * (normal.dot(centre) - measured * falling);
+        let weight = cosine / distance.max(NEAREST);
+        if behind.abs() < margins.hit {
+            evidence.hit += weight;
+            evidence.hits += 1;
+        } else if behind > margins.pass {
+            evidence.pass += weight;
+            evidence.passes += 1;
+        }
+    }
+}
+
+/// A ball around the places.
+struct Ball {
+    centre: DVec3,
+    radius: f64,
+}
+
+impl Ball {
+    fn around(plane: &Flat, places: &[DVec2]) -> Option<Self> {
+        let first = *places.first()?;
+        let (least, most) = places.iter().fold((first, first), |(a, b), q| (a.min(*q), b.max(*q)));
+        Some(Self { centre: plane.point(0.5 * (least + most)), radius: 0.5 * (most - least).length() })
+    }
+
+    /// False only if no place is in the image of a camera without distortion: all lie behind one of four planes through its sides.
+    fn may_be_seen(&self, view: &View) -> bool {
+        let is_pinhole = matches!(&view.sensor().spec().geometry, Geometry::Camera(c) if c.distortion.is_none());
+        if !is_pinhole {
+            return true;
+        }
+        let c = view.to_image(self.centre);
+        let (width, height) = (view.width() as f64 - 0.5, view.height() as f64 - 0.5);
+        let corners = [(-0.5, -0.5), (width, -0.5), (width, height), (-0.5, height)];
+        let rays: Vec<DVec3> = corners.iter().filter_map(|(u, v)| view.sensor().ray_at(*u, *v)).collect();
+        if rays.len() < 4 {
+            return true;
+        }
+        (0..4).all(|k| c.dot(rays[k].cross(rays[(k + 1) % 4]).normalize()) > -self.radius)
+    }
+}

@@ -1,0 +1,176 @@
+//! What a sensor measured, and from where.
+
+use glam::{DMat3, DVec3, Vec3};
+use presight_model::error::{Error, Result};
+use presight_model::geometry::Pose;
+use presight_model::measured::Frame;
+use presight_model::sensor::Sensor;
+use std::sync::Arc;
+
+/// A sensor and its rays, shared by all views of that sensor.
+#[derive(Debug)]
+struct Optics {
+    sensor: Sensor,
+    /// Unit rays in the image frame, row by row; NaN where there is none.
+    rays: Vec<Vec3>,
+    /// Angle between neighbouring rays, radians.
+    pitch: f32,
+}
+
+/// One measurement at a known pose.
+#[derive(Clone, Debug)]
+pub struct View {
+    /// Seconds, as in the log.
+    pub stamp: f64,
+    /// world_from_sensor, body axes.
+    pub world_from_sensor: Pose,
+    /// Metres along each ray, row by row; infinite if nothing is within reach, NaN without a measurement.
+    pub ranges: Vec<f32>,
+    optics: Arc<Optics>,
+    /// World from image, relative to [`Views::base`].
+    turn: DMat3,
+    origin: DVec3,
+}
+
+/// Measurements at known poses.
+#[derive(Clone, Debug, Default)]
+pub struct Views {
+    /// Subtracted from all points, so that sums far from the world's origin keep their digits.
+    base: DVec3,
+    views: Vec<View>,
+}
+
+impl Views {
+    /// Adds a frame of ranges measured at a pose of the sensor.
+    ///
+    /// # Errors
+    /// [`presight_model::ErrorKind::Usage`] for a pose that is not rigid; [`presight_model::ErrorKind::Invalid`] for a
+    /// grey image.
+    pub fn push(&mut self, frame: &Frame, world_from_sensor: Pose) -> Result<()> {
+        world_from_sensor.check()?;
+        if frame.grey().is_some() {
+            return Err(Error::invalid("a grey image shows no distances", "give a log of ranges or depths"));
+        }
+        if self.views.is_empty() {
+            self.base = world_from_sensor.translation.round();
+        }
+        let sensor = frame.sensor();
+        let known = self.views.last().map(|v| &v.optics).filter(|o| o.sensor.spec() == sensor.spec());
+        let optics = known.cloned().unwrap_or_else(|| Arc::new(Optics::new(sensor.clone())));
+        let turn = world_from_sensor.rotation_matrix() * sensor.body_from_image();
+        let origin = world_from_sensor.translation - self.base;
+        // Where nothing is within reach, the ray went through all that is.
+        let hit = |r: &f32| if *r > 0.0 { *r } else { f32::NAN };
+        let ranges = frame.ranges().iter().map(hit).collect();
+        self.views.push(View { stamp: frame.stamp, world_from_sensor, ranges, optics, turn, origin });
+        Ok(())
+    }
+
+    /// The point from which the view's own coordinates count, metres in the world.
+    pub fn base(&self) -> DVec3 {
+        self.base
+    }
+
+    /// The measurements.
+    pub fn all(&self) -> &[View] {
+        &self.views
+    }
+
+    /// At most `most` of the measurements, evenly, the last one among them.
+    pub(crate) fn some(&self, most: usize) -> Self {
+        let count = self.views.len();
+        let step = count.div_ceil(most.max(1)).max(1);
+        let mut views: Vec<View> = self.views.iter().rev().step_by(step).cloned().collect();
+        views.reverse();
+        Self { base: self.base, views }
+    }
+
+    /// Number of measured distances.
+    pub fn hits(&self) -> usize {
+        self.views.iter().map(|v| v.ranges.iter().filter(|r| r.is_finite()).count()).sum()
+    }
+}
+
+impl Optics {
+    fn new(sensor: Sensor) -> Self {
+        let (width, height) = (sensor.width(), sensor.height());
+        let ray = |c, r| sensor.ray(c, r).map_or(Vec3::NAN, |ray| ray.as_vec3());
+        let rays: Vec<Vec3> = (0..height).flat_map(|r| (0..width).map(move |c| ray(c, r))).collect();
+        let mut apart: Vec<f64> =
+            rays.windows(2).map(|p| f64::from(p[0].distance(p[1]))).filter(|a| *a > 0.0).collect();
+        let pitch = presight_model::statistics::median(&mut apart).unwrap_or(0.01) as f32;
+        Self { sensor, rays, pitch }
+    }
+}
+
+impl View {
+    /// The sensor.
+    pub fn sensor(&self) -> &Sensor {
+        &self.optics.sensor
+    }
+
+    /// Columns of the image.
+    pub(crate) fn width(&self) -> usize {
+        self.optics.sensor.width() as usize
+    }
+
+    /// Rows of the image.
+    pub(crate) fn height(&self) -> usize {
+        self.optics.sensor.height() as usize
+    }
+
+    /// Angle between neighbouring rays, radians.
+    pub(crate) fn pitch(&self) -> f64 {
+        f64::from(self.optics.pitch)
+    }
+
+    /// The measured point of a pixel in the image frame; NaN without a hit.
+    #[inline]
+    pub(crate) fn in_image(&self, pixel: usize) -> Vec3 {
+        self.optics.rays[pixel] * self.ranges[pixel]
+    }
+
+    /// Unit ray of a pixel, relative to the base of the views.
+    #[inline]
+    pub(crate) fn ray(&self, pixel: usize) -> DVec3 {
+        self.turn * self.optics.rays[pixel].as_dvec3()
+    }
+
+    /// Place of the sensor relative to the base of the views.
+    pub(crate) fn origin(&self) -> DVec3 {
+        self.origin
+    }
+
+    /// Turns a direction from the image frame to the world.
+    #[inline]
+    pub(crate) fn turned(&self, direction: Vec3) -> DVec3 {
+        self.turn * direction.as_dvec3()
+    }
+
+    /// A point relative to the base of the views, in the image frame.
+    #[inline]
+    pub(crate) fn to_image(&self, p: DVec3) -> DVec3 {
+        self.turn.transpose() * (p - self.origin)
+    }
+
+    /// A direction in the image frame.
+    #[inline]
+    pub(crate) fn direction_to_image(&self, d: DVec3) -> DVec3 {
+        self.turn.transpose() * d
+    }
+
+    /// The pixel nearest to the direction of a point of the image frame, its unit ray and the distance measured along it;
+    /// `None` outside of the image and without a measurement.
+    #[inline]
+    pub(crate) fn towards(&self, p: Vec3) -> Option<(Vec3, f32)> {
+        let (u, v) = self.optics.sensor.project_nearly(p)?;
+        let (u, v) = ((u + 0.5).floor(), (v + 0.5).floor());
+        let (width, height) = (self.width(), self.height());
+        if !(u >= 0.0 && v >= 0.0 && u < width as f32 && v < height as f32) {
+            return None;
+        }
+        let pixel = v as usize * width + u as usize;
+        let measured = self.ranges[pixel];
+        (!measured.is_nan()).then_some((self.optics.rays[pixel], measured))
+    }
+}

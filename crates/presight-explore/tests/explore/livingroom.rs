@@ -1,0 +1,78 @@
+//! The living room: explored from its even frames, predicted at every fourth odd one, at stride 4.
+
+use presight_explore::{Exploration, ExploreOptions, Follower, Known, Views};
+use presight_model::environment::Environment;
+use presight_testkit::judge::{Judged, frames, judge};
+
+fn explored(polygons: usize) -> Option<(Exploration, Judged)> {
+    let log = presight_testkit::data::file("rgbd/livingroom")?;
+    let all = frames(&log, 4);
+    let mut views = Views::default();
+    for (frame, pose) in all.iter().step_by(2) {
+        views.push(frame, *pose).unwrap();
+    }
+    let odd: Vec<_> = all.iter().skip(1).step_by(8).cloned().collect();
+    let options = ExploreOptions::default().with_polygons(polygons);
+    let clock = std::time::Instant::now();
+    let found = Exploration::of(&Environment::new(), Known::Explored, &views, &options).unwrap();
+    let seconds = clock.elapsed().as_secs_f64();
+    let judged = judge(found.environment(), &odd, 0.02, 0.05);
+    println!("{} polygons in {seconds:.1} s: {judged:.4?}, {:?}", found.polygons(), found.areas);
+    for object in found.objects.iter().take(12) {
+        println!("{} {} {:.4?}", object.path, object.mesh.polygon_count(), object.covariance.sigmas());
+    }
+    Some((found, judged))
+}
+
+/// The figure next to each bound is the value measured.
+#[test]
+fn two_thousand_polygons_predict_the_held_out_frames() {
+    let Some((found, judged)) = explored(2000) else { return };
+    assert!(found.polygons() <= 2000);
+    assert!(judged.median < 0.0025 && judged.within > 94.0, "{judged:?}");
+    assert!(judged.covered > 99.0 && judged.nearer < 1.6, "{judged:?}");
+    for group in ["floor/0001", "wall/0001", "explored/0001"] {
+        assert!(found.environment().object(group).is_some(), "{group}");
+    }
+}
+
+#[test]
+fn five_hundred_do_nearly_as_well() {
+    let Some((found, judged)) = explored(500) else { return };
+    assert!(found.polygons() <= 500);
+    assert!(judged.median < 0.0026 && judged.within > 93.0, "{judged:?}");
+    assert!(judged.covered > 98.5 && judged.nearer < 1.6, "{judged:?}");
+}
+
+/// Without poses but the first: every frame is found, and the end of the flight is within its own stated drift.
+#[test]
+fn frames_without_poses_are_found_on_the_way() {
+    let Some(log) = presight_testkit::data::file("rgbd/livingroom") else { return };
+    let stride = presight_testkit::env_number("STRIDE", 8) as u32;
+    let all = frames(&log, stride);
+    let (frame, start) = (&all[0].0, all[0].1);
+    assert_eq!(frame.sensor().spec().mount, Default::default());
+    let detail = presight_testkit::env_number("DETAIL_MM", 40) as f64 * 1e-3;
+    let options = ExploreOptions::default().with_detail(detail);
+    let mut follower = Follower::new(start, Environment::new(), Known::Explored, &options).unwrap();
+    let clock = std::time::Instant::now();
+    let mut last = None;
+    for (k, (frame, truth)) in all.iter().enumerate() {
+        let found = follower.add(frame, start).unwrap();
+        if k % 20 == 0 || k + 1 == all.len() {
+            println!(
+                "{k} {:?} {:?}",
+                found.map(|f| f.pose.world_from_robot.translation.distance(truth.translation)),
+                follower.drift()
+            );
+        }
+        last = found.or(last);
+    }
+    println!("{:.1} s, lost {:?}", clock.elapsed().as_secs_f64(), follower.lost());
+    let end = last.unwrap().pose.world_from_robot;
+    let truth = all.last().unwrap().1;
+    let off = end.translation - truth.translation;
+    let turned = end.rotation.angle_between(truth.rotation).to_degrees();
+    println!("end off by {:.4} m, {turned:.3} deg", off.length());
+    assert!(follower.lost().is_empty(), "{:?}", follower.lost());
+}

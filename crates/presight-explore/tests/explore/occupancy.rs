@@ -1,0 +1,98 @@
+//! Occupancy grids against dense rays.
+
+use glam::{DVec3, Vec3};
+use presight_explore::occupancy::{Cell, Grid, GridOptions};
+use presight_model::environment::{Environment, Mesh, NewObject, Polygon, PolygonOrder};
+use presight_model::geometry::Pose;
+use presight_testkit::oracle::Oracle;
+use presight_testkit::scenes::{cuboid, empty};
+
+/// A floor of 3 x 2 m with a hole of a cell, a turned box on it, a lamp above the robot, and a thin slanted plate.
+fn hall() -> Environment {
+    let mut environment = empty();
+    let mut add = |name: &str, mesh: Mesh, pose: Pose| {
+        environment.insert(NewObject::new(name, pose, mesh.into())).unwrap();
+    };
+    let flat = |corners: Vec<[f32; 3]>| {
+        let polygon = Polygon::new((0..corners.len() as u32).collect(), 0);
+        Mesh::new("flat", corners.into_iter().map(Vec3::from).collect(), vec![polygon], PolygonOrder::Given).unwrap()
+    };
+    add("left", flat(vec![[0.0, 0.0, 0.5], [1.0, 0.0, 0.5], [1.0, 2.0, 0.5], [0.0, 2.0, 0.5]]), Pose::IDENTITY);
+    add("right", flat(vec![[1.1, 0.0, 0.5], [3.0, 0.0, 0.5], [3.0, 2.0, 0.5], [1.1, 2.0, 0.5]]), Pose::IDENTITY);
+    let turned = Pose::from_xyz_rpy(DVec3::new(2.0, 1.0, 0.5), 0.0, 0.0, 0.6);
+    add("box", cuboid(Vec3::new(-0.3, -0.2, 0.0), Vec3::new(0.3, 0.2, 0.8)), turned);
+    add("lamp", cuboid(Vec3::new(0.2, 0.2, 2.6), Vec3::new(0.6, 0.6, 2.7)), Pose::IDENTITY);
+    add("plate", flat(vec![[0.3, 1.2, 0.5], [0.8, 1.33, 0.5], [0.8, 1.33, 1.1], [0.3, 1.2, 1.1]]), Pose::IDENTITY);
+    environment
+}
+
+/// Cells that are said to be free although a ray across them, between the heights, ends in them.
+fn wrongly_free(environment: &Environment, grid: &Grid, options: &GridOptions) -> usize {
+    let oracle = Oracle::new(environment, DVec3::ZERO).unwrap();
+    let is_hit = |cell: usize| {
+        let corner = grid.origin + glam::DVec2::new((cell % grid.width) as f64, (cell / grid.width) as f64) * grid.cell;
+        (0..9 * 8).any(|k| {
+            let (across, up) = (0.5 + (k % 9) as f64, (k / 9) as f64 / 7.0);
+            let z = grid.floor + options.from_height + up * (options.to_height - options.from_height);
+            let at = across / 9.0 * grid.cell;
+            let along = oracle.hides(DVec3::new(corner.x, corner.y + at, z), DVec3::X, grid.cell, &[]);
+            along || oracle.hides(DVec3::new(corner.x + at, corner.y, z), DVec3::Y, grid.cell, &[])
+        })
+    };
+    (0..grid.cells.len()).filter(|c| grid.cells[*c] == Cell::Free && is_hit(*c)).count()
+}
+
+#[test]
+fn no_occupied_cell_is_free_and_no_floor_is_unknown() {
+    let (environment, options) = (hall(), GridOptions::default());
+    let mut grid = Grid::of(&environment, &options).unwrap();
+    assert_eq!(wrongly_free(&environment, &grid, &options), 0);
+    let at = |grid: &Grid, x: f64, y: f64| {
+        let cell = (glam::DVec2::new(x, y) - grid.origin) / grid.cell;
+        grid.cells[cell.y as usize * grid.width + cell.x as usize]
+    };
+    // By hand: a free floor below the lamp, the box, the gap between the floors, and what lies outside.
+    assert!((grid.floor - 0.5).abs() < 1e-9);
+    assert_eq!(at(&grid, 0.4, 0.4), Cell::Free);
+    assert_eq!(at(&grid, 1.05, 1.0), Cell::Unknown);
+    assert_eq!(at(&grid, -0.02, 1.0), Cell::Unknown);
+    assert_eq!(at(&grid, 0.55, 1.265), Cell::Occupied);
+    let occupied = grid.cells.iter().position(|c| *c == Cell::Occupied).unwrap();
+    grid.cells[occupied] = Cell::Free;
+    assert_eq!(wrongly_free(&environment, &grid, &options), 1, "planted");
+}
+
+/// By the rules of map_server: p = (255 - grey) / 255 is occupied above 0.65, free below 0.196, unknown between.
+#[test]
+fn the_files_mean_what_map_server_reads() {
+    let grid = Grid::of(&hall(), &GridOptions::default()).unwrap();
+    let pgm = grid.pgm();
+    let header = format!("P5\n{} {}\n255\n", grid.width, grid.height);
+    assert!(pgm.starts_with(header.as_bytes()));
+    let pixels = &pgm[header.len()..];
+    assert_eq!(pixels.len(), grid.cells.len());
+    let read = |grey: u8| match f64::from(255 - grey) / 255.0 {
+        p if p > 0.65 => Cell::Occupied,
+        p if p < 0.196 => Cell::Free,
+        _ => Cell::Unknown,
+    };
+    for (k, cell) in grid.cells.iter().enumerate() {
+        // The first row of the image is the one with the greatest y.
+        let (column, row) = (k % grid.width, grid.height - 1 - k / grid.width);
+        assert_eq!(read(pixels[row * grid.width + column]), *cell);
+    }
+    let yaml = grid.yaml("hall.pgm");
+    for line in ["image: hall.pgm", "resolution: 0.05", "negate: 0", "mode: trinary", "free_thresh: 0.196"] {
+        assert!(yaml.lines().any(|l| l == line), "{yaml}");
+    }
+}
+
+#[test]
+fn too_many_cells_are_refused_with_a_cell_that_works() {
+    let options = GridOptions::default().with_cell(1e-5);
+    let refused = Grid::of(&hall(), &options).unwrap_err().to_string();
+    let cell: f64 = refused.split("at least ").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
+    assert!(Grid::of(&hall(), &GridOptions::default().with_cell(cell)).is_ok(), "{refused}");
+    assert!(Grid::of(&Environment::new(), &GridOptions::default()).is_err());
+    assert!(Grid::of(&hall(), &GridOptions::default().with_from_height(2.0)).is_err());
+}

@@ -1,0 +1,72 @@
+//! How well an environment predicts measurements, by dense rays of the oracle.
+
+use super::oracle::Oracle;
+use glam::DVec3;
+use presight_files::log::{Frames, Observation};
+use presight_model::environment::Environment;
+use presight_model::geometry::Pose;
+use presight_model::measured::Frame;
+use std::path::Path;
+
+/// A frame with the pose of its sensor.
+pub type Placed = (Frame, Pose);
+
+/// The frames of a log at their poses, thinned.
+pub fn frames(log: &Path, stride: u32) -> Vec<Placed> {
+    let placed = |o: Observation| {
+        let frame = o.frame.thinned(stride).unwrap();
+        let pose = o.reference.unwrap() * frame.sensor().spec().mount;
+        (frame, pose)
+    };
+    Frames::open(log, None, &Default::default()).unwrap().map(|o| placed(o.unwrap())).collect()
+}
+
+/// Distances between predicted and measured ranges.
+#[derive(Debug)]
+pub struct Judged {
+    /// Median distance, metres.
+    pub median: f64,
+    /// Percent of all measured pixels that are predicted right.
+    pub within: f64,
+    /// Percent for which something is predicted.
+    pub covered: f64,
+    /// Percent that are predicted too near.
+    pub nearer: f64,
+    /// Percent of the covered pixels that are predicted right.
+    pub within_of_hits: f64,
+}
+
+/// Distances between prediction and measurement: `near` counts as right, `far` before the measurement as wrong, metres.
+pub fn judge(environment: &Environment, frames: &[Placed], near: f64, far: f64) -> Judged {
+    let oracle = Oracle::new(environment, frames[0].1.translation).expect("polygons");
+    let (mut off, mut all, mut nearer) = (Vec::new(), 0.0, 0.0);
+    for (frame, pose) in frames {
+        let width = frame.sensor().width();
+        for (pixel, measured) in (0..).zip(frame.ranges()).filter(|(_, r)| r.is_finite()) {
+            all += 1.0;
+            let cast =
+                oracle.cast(frame.sensor(), pose, (pixel % width, pixel / width)).and_then(|values| values.range);
+            if let Some(range) = cast.filter(|range| range.is_finite()) {
+                off.push(f64::from((range - measured).abs()));
+                nearer += f64::from(u8::from(f64::from(range) < f64::from(*measured) - far));
+            }
+        }
+    }
+    let right = off.iter().filter(|o| **o < near).count() as f64;
+    let hits = off.len() as f64;
+    let median = presight_model::statistics::median(&mut off).unwrap_or(f64::NAN);
+    let percent = |part: f64, of: f64| 100.0 * part / of;
+    Judged {
+        median,
+        within: percent(right, all),
+        covered: percent(hits, all),
+        nearer: percent(nearer, all),
+        within_of_hits: percent(right, hits),
+    }
+}
+
+/// True if a surface lies on the way between two points.
+pub fn is_blocked(environment: &Environment, from: DVec3, to: DVec3) -> bool {
+    let way = to - from;
+    Oracle::new(environment, from).is_some_and(|o| o.hides(from, way.normalize(), way.length(), &[]))
+}

@@ -1,0 +1,184 @@
+//! Findings as lines of `presight env apply`.
+
+use crate::caster::Caster;
+use crate::decide::{Finding, Findings, What};
+use crate::learn::Learner;
+use crate::policy::{Action, Policy};
+use presight_model::change::Change;
+use presight_model::environment::{
+    CUBOID_FACES, Environment, Existence, Mark, MarkKind, Material, Mesh, NewObject, cuboid_corners,
+};
+use presight_model::geometry::Pose;
+use presight_model::world::World;
+use serde_json::{Value, json};
+
+/// Existence of an object before anything was seen of it: one in a hundred objects of a model is not there.
+const PRIOR: f64 = 0.99;
+/// The most that the evidence of one run counts, natural logarithm of odds: one in a million.
+const MOST: f64 = 13.8;
+
+/// Lines of changes, with an id, a cause and the evidence of each.
+///
+/// `base` names the version of the model that the findings are of: lines of one version have ids of their own, so that
+/// nothing is applied twice. `utc` is added to the stamps of frames, seconds. The policy says which findings change the
+/// model, and which only mark it.
+pub fn change_lines(
+    learner: &Learner,
+    findings: &Findings,
+    world: &World,
+    (base, utc): (&str, f64),
+    policy: &Policy,
+) -> Vec<String> {
+    if findings.wrong.is_some() {
+        return Vec::new();
+    }
+    let environment = world.environment();
+    let mut lines = Vec::new();
+    for (number, finding) in findings.changes.iter().enumerate() {
+        match policy.of(&finding.what) {
+            Action::Change => lines.push(line(finding, environment, base, number)),
+            Action::Mark => lines.extend(mark_line(finding, base)),
+            Action::Stop | Action::ComeBack | Action::Ignore => {}
+        }
+    }
+    let trust: Vec<Value> =
+        findings.confirmed.iter().filter_map(|name| trust(learner, environment, name, utc)).collect();
+    if !trust.is_empty() {
+        let cause = format!("{} objects were seen where the model has them", trust.len());
+        lines.push(with_id(json!({"op": "group", "changes": trust, "cause": cause}), base));
+    }
+    let features = learner.looks.changes(environment, learner.options.least_views, utc);
+    if !features.is_empty() {
+        let cause = format!("{} features were searched", features.len());
+        lines.push(with_id(json!({"op": "group", "changes": features, "cause": cause}), base));
+    }
+    lines
+}
+
+fn line(finding: &Finding, environment: &Environment, base: &str, number: usize) -> String {
+    let Finding { object, what, l, views, .. } = finding;
+    let known = environment.object(object).map(|o| numbers(&o.world_from_object));
+    let (op, cause) = match what {
+        What::Gone => (json!({"op": "delete_object", "object": object}), format!("{object} is gone")),
+        What::Moved { world_from_object, distance } => (
+            json!({"op": "set_pose", "object": object, "pose": numbers(world_from_object)}),
+            format!("{object} was moved by {distance:.3} m"),
+        ),
+        What::New(found) => {
+            let name = format!("provisional/{base}-{}", number + 1);
+            let half = (0.5 * found.size).as_vec3();
+            let vertices: Vec<[f32; 3]> = cuboid_corners(-half, half).iter().map(|v| v.to_array()).collect();
+            let insert = json!({"op": "insert_object", "object": name, "pose": numbers(&found.pose),
+                "vertices": vertices, "polygons": CUBOID_FACES});
+            let mark = json!({"op": "set_mark", "mark": name, "object": name, "kind": "uncertain"});
+            (
+                json!({"op": "group", "changes": [insert, mark]}),
+                "something stands where the model has nothing".to_owned(),
+            )
+        }
+        What::Part(b) => {
+            let mark = format!("{object} part {base}-{}", number + 1);
+            let bounds = [b.min.to_array(), b.max.to_array()];
+            let op = json!({"op": "set_mark", "mark": mark, "object": object, "kind": "uncertain", "box": bounds});
+            (op, format!("a part of {object} is gone"))
+        }
+    };
+    let mut value = op;
+    value["cause"] = cause.into();
+    value["evidence"] = json!({"log_odds": (100.0 * l).round() / 100.0, "views": views});
+    if let Some(pose) = known {
+        value["was"] = json!([{"object": object, "pose": pose}]);
+    }
+    with_id(value, base)
+}
+
+/// The line that marks an object as uncertain; `None` for something new, which the model does not have.
+fn mark_line(finding: &Finding, base: &str) -> Option<String> {
+    let Finding { object, what, l, views, .. } = finding;
+    let bounds = match what {
+        What::New(_) => return None,
+        What::Part(b) => Some([b.min.to_array(), b.max.to_array()]),
+        What::Gone | What::Moved { .. } => None,
+    };
+    let mut op =
+        json!({"op": "set_mark", "mark": format!("uncertain {object}"), "object": object, "kind": "uncertain"});
+    if let Some(bounds) = bounds {
+        op["box"] = json!(bounds);
+    }
+    op["cause"] = format!("{object} is not as the model has it").into();
+    op["evidence"] = json!({"log_odds": (100.0 * l).round() / 100.0, "views": views});
+    Some(with_id(op, base))
+}
+
+/// The trust in an object after views of it, by Bayes from the trust before.
+fn trust(learner: &Learner, environment: &Environment, name: &str, utc: f64) -> Option<Value> {
+    let evidence = learner.book.objects.get(&environment.index_of(name).ok()?)?;
+    let confirmed = evidence.confirmed + utc;
+    let before = environment.trust(name).map_or(PRIOR, |trust| trust.at(confirmed)).clamp(1e-9, 1.0 - 1e-9);
+    let odds = (before / (1.0 - before)).ln() + evidence.l.clamp(-MOST, MOST);
+    let rate = environment.trust(name).map_or(0.0, |trust| trust.rate);
+    let after = Existence { p0: 1.0 / (1.0 + (-odds).exp()), confirmed, rate };
+    let trust = json!({"existence": after.p0, "confirmed": after.confirmed, "rate": after.rate});
+    Some(json!({"op": "set_trust", "object": name, "trust": trust}))
+}
+
+/// The line of a change, with an id that follows from its content and the version of the model.
+fn with_id(mut value: Value, base: &str) -> String {
+    let hash = blake3::hash(value.to_string().as_bytes()).to_hex();
+    value["id"] = format!("{base}-{}", &hash[..12]).into();
+    value.to_string()
+}
+
+fn numbers(pose: &Pose) -> Vec<f64> {
+    pose.translation.to_array().into_iter().chain(pose.rotation.to_array()).collect()
+}
+
+impl Finding {
+    /// The change of a world that follows from it. `world` is the one that it is of, perhaps with other findings applied.
+    pub fn change(&self, world: &World) -> Change {
+        let name = || self.object.clone();
+        match &self.what {
+            What::Gone => Change::DeleteObject { name: name() },
+            What::Moved { world_from_object, .. } => {
+                Change::SetPose { name: name(), world_from_object: *world_from_object }
+            }
+            What::New(found) => {
+                let half = (0.5 * found.size).as_vec3();
+                let mut changes = Vec::new();
+                if world.environment().materials().is_empty() {
+                    changes.push(Change::AddMaterial(Material::named("default")));
+                }
+                // The edges of a box are at least some millimetres long.
+                if let Ok(mesh) = Mesh::cuboid("provisional", -half, half, 0) {
+                    changes.push(Change::InsertObject(NewObject::new("provisional", found.pose, mesh.into())));
+                }
+                Change::of(changes)
+            }
+            What::Part(bounds) => {
+                let mark = Mark { object: name(), kind: MarkKind::Uncertain, class: None, bounds: Some(*bounds) };
+                Change::SetMark { name: format!("{} part at {}", self.object, bounds.min), mark }
+            }
+        }
+    }
+}
+
+impl Learner {
+    /// The share of the measured points of the kept views that lie within some metres of what a world predicts.
+    pub fn share_explained(&self, world: &World, within: f64) -> f64 {
+        let class = self.views.back().map_or("", |view| view.kept.sensor.spec().class.as_str());
+        let caster = Caster::new(world, class);
+        let (mut all, mut near) = (0usize, 0usize);
+        for view in &self.views {
+            let (origin, reach) = (view.world_from_image.translation, view.kept.sensor.spec().range_max.min(1e5));
+            for (at, ray) in view.kept.rays.iter().enumerate() {
+                let z = f64::from(view.ranges[at]);
+                if z.is_finite() && !ray.is_nan() {
+                    let met = caster.first(origin, view.world_from_image.rotation * *ray, reach, None);
+                    all += 1;
+                    near += usize::from(met.is_some_and(|met| (met.range - z).abs() <= within));
+                }
+            }
+        }
+        near as f64 / all.max(1) as f64
+    }
+}

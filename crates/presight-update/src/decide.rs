@@ -1,0 +1,371 @@
+//! From evidence to changes: objects that are gone, moved, new, or still in doubt.
+
+use crate::boxes::UprightBox;
+use crate::caster::Caster;
+use crate::evidence::{BIG, Book, Evidence, PART};
+use crate::fit::{Fitter, Score, Thing};
+use crate::learn::{LearnOptions, Learner};
+use crate::parts::{Part, parts};
+use crate::view::{NOTHING, Says, View};
+use crate::voxels::{Occupied, Voxels};
+use glam::DVec3;
+use pathfinding::prelude::{Matrix, kuhn_munkres};
+use presight_localize::verdict::body_from_image;
+use presight_model::environment::Environment;
+use presight_model::geometry::{Aabb, Pose};
+use presight_model::world::World;
+use std::collections::{BTreeMap, VecDeque};
+
+/// The shortest move that counts, metres.
+const LEAST_MOVE: f64 = 0.02;
+/// A group may be so far from the object that is fitted to it, metres.
+const FARTHEST: f64 = 5.0;
+/// The share of a group's points that an object explains which stands there.
+const LEAST_EXPLAINED: f64 = 0.7;
+/// Voxels and points of the smallest thing that is reported as new.
+const LEAST_NEW: (usize, usize) = (3, 20);
+/// If a larger share of the decided objects changed, the map, the mount or the sensor is wrong.
+const MOST_CHANGED: f64 = 0.5;
+/// Fewer changes are never too many.
+const FEW: usize = 3;
+
+/// What happened to the model.
+#[derive(Clone, Debug, PartialEq)]
+pub enum What {
+    /// An object is not there any more.
+    Gone,
+    /// An object stands elsewhere.
+    Moved {
+        /// Its pose now.
+        world_from_object: Pose,
+        /// How far its middle moved, metres.
+        distance: f64,
+    },
+    /// Something stands where the model has nothing; this box is around the points on it.
+    New(UprightBox),
+    /// A part of a big object is gone; the box around it is in the object's frame.
+    Part(Aabb),
+}
+
+/// One difference between model and site, sure enough to change the model.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Finding {
+    /// The path of the object; empty for something new.
+    pub object: String,
+    /// What happened.
+    pub what: What,
+    /// What speaks for it: the odds, their logarithm counted positive.
+    pub l: f64,
+    /// Views that said so.
+    pub views: u32,
+    /// Where it is seen best.
+    pub sight: Option<Sight>,
+    /// The odds of the object, logarithm, after each view.
+    pub growth: Vec<f32>,
+}
+
+/// A view that shows a finding.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sight {
+    /// The number of the drive, from 0.
+    pub drive: usize,
+    /// The stamp of the frame, seconds.
+    pub stamp: f64,
+    /// The pose of the sensor, body axes.
+    pub world_from_sensor: Pose,
+}
+
+/// An object in doubt.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Doubt {
+    /// Its path.
+    pub object: String,
+    /// Why.
+    pub why: String,
+    /// The pose of the sensor, of those on the way, from which most of it would be seen.
+    pub look_from: Option<Pose>,
+}
+
+/// What drives say of a model.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Findings {
+    /// The changes, surest first within each kind.
+    pub changes: Vec<Finding>,
+    /// Objects in doubt.
+    pub doubts: Vec<Doubt>,
+    /// Objects that stand.
+    pub confirmed: Vec<String>,
+    /// Objects that no view said anything of.
+    pub unseen: usize,
+    /// Why nothing can be changed at all, if so.
+    pub wrong: Option<String>,
+}
+
+/// A group of points that nothing explains.
+pub(crate) struct Group {
+    pub points: Vec<DVec3>,
+    pub voxels: usize,
+    pub bounds: Aabb,
+}
+
+/// A pose that explains what an object became.
+#[derive(Clone, Copy)]
+struct Place {
+    pose: Pose,
+    score: Score,
+}
+
+impl Learner {
+    /// What the drives so far say of the world that they were compared with. This decides nothing for good: more drives
+    /// may follow.
+    pub fn findings(&mut self, world: &World) -> Findings {
+        let class = self.views.back().map_or_else(String::new, |view| view.kept.sensor.spec().class.clone());
+        self.caster(world, &class);
+        let Self { casters, book, voxels, views, options, .. } = &*self;
+        let Some(caster) = casters.get(&class) else { return Findings::default() };
+        let environment = world.environment();
+        let decision = Decision { environment, caster, book, voxels, views, options };
+        decision.findings()
+    }
+}
+
+struct Decision<'a> {
+    environment: &'a Environment,
+    caster: &'a Caster,
+    book: &'a Book,
+    voxels: &'a Voxels,
+    views: &'a VecDeque<View>,
+    options: &'a LearnOptions,
+}
+
+impl Decision<'_> {
+    fn findings(&self) -> Findings {
+        let mut found = Findings::default();
+        let groups = groups(self.voxels, self.views);
+        let doubted: Vec<u32> = self.live().filter(|object| self.is_doubted(*object)).collect();
+        let moves = self.moves(&doubted, &groups);
+        for object in self.live() {
+            let name = self.environment.objects()[object as usize].name.clone();
+            match (self.book.objects.get(&object), moves.get(&object)) {
+                (Some(_), Some(place)) => self.add_moved(&mut found, object, name, place),
+                (None, _) => found.unseen += 1,
+                (Some(evidence), None) if self.is_gone(object, evidence) => {
+                    let (l, views) = (-evidence.l, evidence.views);
+                    found.changes.push(self.finding(name, What::Gone, l, views));
+                }
+                (Some(evidence), None) => self.add_rest(&mut found, object, name, evidence),
+            }
+        }
+        let changed = found.changes.iter().filter(|f| matches!(f.what, What::Gone | What::Moved { .. })).count();
+        let decided = changed + found.confirmed.len();
+        if changed > FEW && changed as f64 > MOST_CHANGED * decided as f64 {
+            found.wrong = Some(format!(
+                "{changed} of {decided} objects seem to be gone or moved: check the map, the sensor and its mount"
+            ));
+        }
+        self.add_new(&mut found, &groups, &moves);
+        let rank = |f: &Finding| match f.what {
+            What::Gone => 0,
+            What::Moved { .. } => 1,
+            What::New(_) => 2,
+            What::Part(_) => 3,
+        };
+        found.changes.sort_by(|a, b| rank(a).cmp(&rank(b)).then(b.l.total_cmp(&a.l)));
+        found
+    }
+
+    fn finding(&self, object: String, what: What, l: f64, views: u32) -> Finding {
+        let index = self.environment.index_of(&object).ok();
+        let growth = index.and_then(|index| self.book.growth.get(&index)).cloned().unwrap_or_default();
+        let region = match &what {
+            What::New(found) => Some((found.pose.translation, 0.5 * found.size.length())),
+            What::Moved { world_from_object, .. } => index.map(|object| {
+                let thing = Thing::new(self.environment, object);
+                (world_from_object.transform_point(thing.middle), thing.radius)
+            }),
+            What::Gone | What::Part(_) => None,
+        };
+        let shows = |view: &&View| {
+            let through = |at: &usize| Some(view.object[*at]) == index && view.says[*at] == Says::Through;
+            let near = |p: &&DVec3| region.is_some_and(|(middle, radius)| p.distance(middle) <= radius);
+            (0..view.says.len()).filter(through).count() + view.news.iter().filter(near).count()
+        };
+        let best = self.views.iter().max_by_key(shows).filter(|view| shows(view) > 0);
+        let sight = best.map(|view| Sight {
+            drive: view.drive,
+            stamp: view.stamp,
+            world_from_sensor: view.world_from_image * body_from_image(&view.kept.sensor).inverse(),
+        });
+        Finding { object, what, l, views, sight, growth }
+    }
+
+    fn live(&self) -> impl Iterator<Item = u32> {
+        (0..).zip(self.environment.objects()).filter(|(_, o)| !o.is_deleted()).map(|(object, _)| object)
+    }
+
+    /// True if several views spoke against an object, and not only on a few of its cells.
+    fn is_doubted(&self, object: u32) -> bool {
+        let Some(evidence) = self.book.objects.get(&object) else { return false };
+        let (stand, gone) = self.book.decided(object, self.options);
+        let size = 2.0 * Thing::new(self.environment, object).radius;
+        let many = evidence.against >= self.options.least_views;
+        size <= BIG && many && (evidence.l <= -self.options.sure || (gone >= 2 && 5 * gone >= stand + gone))
+    }
+
+    fn is_gone(&self, object: u32, evidence: &Evidence) -> bool {
+        let (stand, gone) = self.book.decided(object, self.options);
+        evidence.l <= -self.options.sure
+            && evidence.against >= self.options.least_views
+            && gone as f64 >= self.options.least_agreeing * (stand + gone).max(1) as f64
+    }
+
+    fn is_sure(&self, score: &Score) -> bool {
+        score.l >= self.options.sure
+            && score.views >= self.options.least_views
+            && score.share() >= self.options.least_agreeing
+    }
+
+    /// Where doubted objects stand now, by an assignment: one place takes one object.
+    fn moves(&self, doubted: &[u32], groups: &[Group]) -> BTreeMap<u32, Place> {
+        let fitter = Fitter {
+            caster: self.caster,
+            views: self.views.iter().collect(),
+            most_per_view: self.options.most_per_view,
+        };
+        let (columns, rows) = (groups.len() + doubted.len(), doubted.len());
+        if rows == 0 {
+            return BTreeMap::new();
+        }
+        let mut places: BTreeMap<(usize, usize), Place> = BTreeMap::new();
+        for (row, object) in doubted.iter().enumerate() {
+            let thing = Thing::new(self.environment, *object);
+            let own = self.environment.objects()[*object as usize].world_from_object;
+            let mut add = |column: usize, start: &Pose| {
+                let pose = fitter.settle(&thing, start);
+                let score = fitter.score(&thing, &pose);
+                if self.is_sure(&score) && fitter.is_held(&thing, &pose) {
+                    places.insert((row, column), Place { pose, score });
+                }
+            };
+            add(groups.len() + row, &own);
+            for (column, group) in groups.iter().enumerate() {
+                let middle = own.transform_point(thing.middle);
+                let fits = group.bounds.size() <= 2.6 * thing.radius + 0.3
+                    && group.bounds.center().distance(middle) <= FARTHEST;
+                if !fits || group.points.len() < LEAST_NEW.1 {
+                    continue;
+                }
+                let (start, explained) = fitter.best(&thing, &own, group.bounds.center(), &group.points);
+                if explained >= LEAST_EXPLAINED {
+                    add(column, &start);
+                }
+            }
+        }
+        let weight = |(row, column)| places.get(&(row, column)).map_or(0, |p: &Place| (100.0 * p.score.l) as i64);
+        let (_, assigned) = kuhn_munkres(&Matrix::from_fn(rows, columns, weight));
+        let mut taken: Vec<(u32, Place)> = assigned
+            .into_iter()
+            .enumerate()
+            .filter_map(|(row, column)| Some((doubted[row], *places.get(&(row, column))?)))
+            .collect();
+        // Two groups may be parts of one thing: the surer object keeps the place.
+        taken.sort_by(|a, b| b.1.score.l.total_cmp(&a.1.score.l));
+        let mut kept: BTreeMap<u32, Place> = BTreeMap::new();
+        for (object, place) in taken {
+            let thing = Thing::new(self.environment, object);
+            let middle = place.pose.transform_point(thing.middle);
+            let is_taken = kept.iter().any(|(other, there)| {
+                let other = Thing::new(self.environment, *other);
+                there.pose.transform_point(other.middle).distance(middle) < 0.5 * thing.radius.min(other.radius)
+            });
+            if !is_taken {
+                kept.insert(object, place);
+            }
+        }
+        kept
+    }
+
+    fn add_moved(&self, found: &mut Findings, object: u32, name: String, place: &Place) {
+        let thing = Thing::new(self.environment, object);
+        let before = self.environment.objects()[object as usize].world_from_object;
+        let distance = before.transform_point(thing.middle).distance(place.pose.transform_point(thing.middle));
+        let turned = before.rotation.angle_between(place.pose.rotation) * thing.radius;
+        if distance.max(turned) < LEAST_MOVE {
+            found.confirmed.push(name);
+            return;
+        }
+        let what = What::Moved { world_from_object: place.pose, distance };
+        found.changes.push(self.finding(name, what, place.score.l, place.score.views));
+    }
+
+    /// An object that is neither gone nor moved: it stands, perhaps without a part, or is in doubt.
+    fn add_rest(&self, found: &mut Findings, object: u32, name: String, evidence: &Evidence) {
+        let (stand, gone) = self.book.decided(object, self.options);
+        let size = 2.0 * Thing::new(self.environment, object).radius;
+        if size > BIG {
+            let missing = parts(self.book.cells_of(object), PART, self.options);
+            let finding = |part: Part| self.finding(name.clone(), What::Part(part.bounds), part.l, part.views);
+            found.changes.extend(missing.into_iter().map(finding));
+        }
+        let standing = evidence.l >= self.options.sure && evidence.views >= self.options.least_views;
+        let agree = stand as f64 >= self.options.least_agreeing * (stand + gone) as f64;
+        if standing && (agree || size > BIG) {
+            found.confirmed.push(name);
+            return;
+        }
+        let why = if evidence.against == 0 {
+            format!("seen in {} views, {} are needed", evidence.views, self.options.least_views)
+        } else if gone > 0 && stand > 0 {
+            format!("{gone} of {} cells of its surface are gone, {stand} stand", gone + stand)
+        } else {
+            format!("{} of {} views speak against it", evidence.against, evidence.views)
+        };
+        found.doubts.push(Doubt { object: name, why, look_from: self.look_from(object) });
+    }
+
+    /// The sensor's pose, of the kept views, that shows most of an object.
+    fn look_from(&self, object: u32) -> Option<Pose> {
+        let seen = |view: &&View| view.object.iter().filter(|o| **o == object && object != NOTHING).count();
+        let best = self.views.iter().max_by_key(seen).filter(|view| seen(view) > 0)?;
+        Some(best.world_from_image * body_from_image(&best.kept.sensor).inverse())
+    }
+
+    fn add_new(&self, found: &mut Findings, groups: &[Group], moves: &BTreeMap<u32, Place>) {
+        for group in groups {
+            let is_explained = |p: &&DVec3| {
+                moves.iter().any(|(object, place)| {
+                    self.caster.foot(*object, place.pose.inverse().transform_point(**p), 0.1).is_some()
+                })
+            };
+            let left: Vec<DVec3> = group.points.iter().filter(|p| !is_explained(p)).copied().collect();
+            let most = left.len() as f64 >= 0.5 * group.points.len() as f64;
+            if group.voxels < LEAST_NEW.0 || left.len() < LEAST_NEW.1 || !most {
+                continue;
+            }
+            let l = self.options.most_per_view * f64::from(self.options.least_views);
+            let what = What::New(UprightBox::of(&left));
+            found.changes.push(self.finding(String::new(), what, l, self.options.least_views));
+        }
+    }
+}
+
+/// The groups of occupied voxels, with the points in them.
+pub(crate) fn groups(voxels: &Voxels, views: &VecDeque<View>) -> Vec<Group> {
+    let keys = voxels.groups(&Occupied::default());
+    let mut of_voxel = BTreeMap::new();
+    for (group, keys) in keys.iter().enumerate() {
+        of_voxel.extend(keys.iter().map(|key| (*key, group)));
+    }
+    let mut points: Vec<Vec<DVec3>> = vec![Vec::new(); keys.len()];
+    for p in views.iter().flat_map(|view| &view.news) {
+        if let Some(group) = of_voxel.get(&voxels.key(*p)) {
+            points[*group].push(*p);
+        }
+    }
+    let group = |(keys, points): (Vec<[i32; 3]>, Vec<DVec3>)| Group {
+        voxels: keys.len(),
+        bounds: Aabb::of(points.iter().copied()),
+        points,
+    };
+    keys.into_iter().zip(points).map(group).filter(|group| !group.points.is_empty()).collect()
+}

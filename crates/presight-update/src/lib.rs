@@ -1,0 +1,27 @@
+//! A model that stays true: what differs between prediction and measurement becomes evidence, and evidence becomes changes.
+//!
+//! Use it through the crate `presight`, which gives the same names.
+
+mod boxes;
+mod caster;
+mod changes;
+mod decide;
+mod evidence;
+mod features;
+mod file;
+mod fit;
+mod learn;
+mod parts;
+mod policy;
+mod solid;
+mod view;
+mod voxels;
+
+pub use boxes::UprightBox;
+pub use caster::{Caster, Met};
+pub use changes::change_lines;
+pub use decide::{Doubt, Finding, Findings, Sight, What};
+pub use evidence::Evidence;
+pub use learn::{LearnOptions, Learner, Tally};
+pub use policy::{Action, Policy};
+pub use voxels::{Occupied, Voxel, Voxels};

@@ -1,0 +1,84 @@
+//! The consequence of a finding: the paper's four ways to act on exceptions, and the change of the model itself.
+
+use crate::decide::What;
+use presight_model::error::{Error, Result};
+
+/// The consequence of a kind of finding.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Action {
+    /// The model is changed: the object is deleted or moved, or a box is inserted.
+    #[default]
+    Change,
+    /// The object is marked as uncertain where the model has it.
+    Mark,
+    /// The robot stops and asks, with the pose to look from.
+    Stop,
+    /// It goes onto a list of places to come back to.
+    ComeBack,
+    /// Nothing.
+    Ignore,
+}
+
+/// The actions by their names in files and flags.
+const ACTIONS: [(&str, Action); 5] = [
+    ("change", Action::Change),
+    ("mark", Action::Mark),
+    ("stop", Action::Stop),
+    ("come-back", Action::ComeBack),
+    ("ignore", Action::Ignore),
+];
+
+/// The action for each kind of finding.
+///
+/// ```
+/// use presight::update::{Action, Policy};
+/// let policy = Policy::parse("gone=mark,new=stop")?;
+/// assert_eq!((policy.gone, policy.moved, policy.new), (Action::Mark, Action::Change, Action::Stop));
+/// assert!(Policy::parse("gone=delete").is_err());
+/// # Ok::<(), presight::Error>(())
+/// ```
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Policy {
+    /// For objects that are gone.
+    pub gone: Action,
+    /// For objects that were moved.
+    pub moved: Action,
+    /// For new things.
+    pub new: Action,
+    /// For parts of big objects.
+    pub part: Action,
+}
+
+impl Policy {
+    /// Parses `KIND=ACTION,..`; kinds that are not named change the model.
+    ///
+    /// # Errors
+    /// [`presight_model::ErrorKind::Usage`] naming the unknown word.
+    pub fn parse(text: &str) -> Result<Self> {
+        let mut policy = Self::default();
+        for word in text.split(',').map(str::trim).filter(|word| !word.is_empty()) {
+            let remedy = "give gone, moved, new or part, =, and change, mark, stop, come-back or ignore";
+            let wrong = || Error::usage(format!("policy {word:?}"), remedy);
+            let (kind, action) = word.split_once('=').ok_or_else(wrong)?;
+            let action = ACTIONS.iter().find(|(name, _)| *name == action).ok_or_else(wrong)?.1;
+            match kind {
+                "gone" => policy.gone = action,
+                "moved" => policy.moved = action,
+                "new" => policy.new = action,
+                "part" => policy.part = action,
+                _ => return Err(wrong()),
+            }
+        }
+        Ok(policy)
+    }
+
+    /// The action for a finding.
+    pub fn of(&self, what: &What) -> Action {
+        match what {
+            What::Gone => self.gone,
+            What::Moved { .. } => self.moved,
+            What::New(_) => self.new,
+            What::Part(_) => self.part,
+        }
+    }
+}

@@ -1,0 +1,303 @@
+//! One view: what each kept pixel says of the first object on its ray, and what nothing explains.
+
+use crate::caster::{Caster, Met};
+use glam::DVec3;
+use presight_localize::verdict::body_from_image;
+use presight_model::geometry::{Pose, PoseEstimate};
+use presight_model::matrix::quadratic;
+use presight_model::measured::{Frame, RangeNoise};
+use presight_model::sensor::Sensor;
+use presight_model::statistics::median;
+use std::sync::Arc;
+
+/// Noise explains differences up to this number of standard deviations: all but 1 in 1,000 Gaussian ones.
+pub(crate) const BOUND: f64 = 3.3;
+/// A surface that is met flatter than this says too little, cosine.
+const FLATTEST: f64 = 0.1;
+/// The median of absolute standard normal deviates.
+const MEDIAN: f64 = 0.6745;
+/// Residuals beyond this number of stated deviations are changes and say nothing of the pose.
+const CHANGED: f64 = 20.0;
+/// No object: nothing is predicted.
+pub(crate) const NOTHING: u32 = u32::MAX;
+/// A reading beyond this share of the reach may be none.
+const REACH: f64 = 0.95;
+
+/// What a kept pixel says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Says {
+    /// Nothing: no reading, or several explanations.
+    Nothing,
+    /// The first object is there, and without it another range would be measured.
+    There,
+    /// The ray passed through the first object.
+    Through,
+    /// Something else stands before all that is predicted.
+    Before,
+}
+
+/// The pixels of a sensor that are kept, with their rays in its image frame.
+#[derive(Clone, Debug)]
+pub(crate) struct Kept {
+    pub sensor: Sensor,
+    pub stride: u32,
+    pub columns: u32,
+    pub rays: Vec<DVec3>,
+    /// Angle between neighbouring pixels of the sensor, radians.
+    spacing: f64,
+}
+
+impl Kept {
+    /// Keeps about `most` pixels: every n-th column, and row of a sensor with more than 64.
+    pub fn new(sensor: &Sensor, most: usize) -> Self {
+        let (width, height) = (sensor.distinct_columns(), sensor.height());
+        let both = height > 64;
+        let ratio = f64::from(width) * f64::from(height) / most.max(1) as f64;
+        let stride = if both { ratio.sqrt().ceil() } else { ratio.ceil() }.max(1.0) as u32;
+        let rows = if both { stride } else { 1 };
+        let (columns, mut rays) = (width.div_ceil(stride), Vec::new());
+        for row in (0..height).step_by(rows as usize) {
+            rays.extend((0..width).step_by(stride as usize).map(|c| sensor.ray(c, row).unwrap_or(DVec3::NAN)));
+        }
+        let (c, r) = (width / 2, height / 2);
+        let apart = |a: Option<DVec3>, b: Option<DVec3>| a.zip(b).map_or(0.0, |(a, b)| a.angle_between(b));
+        let spacing = apart(sensor.ray(c, r), sensor.ray(c.saturating_sub(1), r));
+        Self { sensor: sensor.clone(), stride, columns, rays, spacing }
+    }
+
+    fn rows(&self) -> u32 {
+        if self.sensor.height() > 64 { self.stride } else { 1 }
+    }
+
+    /// The sensor's pixel of a kept one.
+    pub fn pixel(&self, kept: usize) -> (u32, u32) {
+        let (c, r) = (kept as u32 % self.columns, kept as u32 / self.columns);
+        (c * self.stride, r * self.rows())
+    }
+
+    /// The kept pixel nearest to a direction of the image frame.
+    pub fn nearest(&self, p_in_image: DVec3) -> Option<usize> {
+        let (u, v) = self.sensor.project(p_in_image)?;
+        let (u, v) = ((u / f64::from(self.stride)).round(), (v / f64::from(self.rows())).round());
+        let at = (u >= 0.0 && v >= 0.0 && u < f64::from(self.columns))
+            .then(|| (v as usize) * self.columns as usize + u as usize)?;
+        (at < self.rays.len()).then_some(at)
+    }
+}
+
+/// A frame that counts as a view, compared with a world.
+#[derive(Clone, Debug)]
+pub(crate) struct View {
+    pub stamp: f64,
+    /// The number of the drive, from 0.
+    pub drive: usize,
+    pub world_from_image: Pose,
+    pub kept: Arc<Kept>,
+    pub noise: RangeNoise,
+    /// Measured ranges of the kept pixels, metres.
+    pub ranges: Vec<f32>,
+    /// The first object on each ray.
+    pub object: Vec<u32>,
+    pub says: Vec<Says>,
+    /// Standard deviations of the sensor's place and rotation, stated times the spread: metres, radians.
+    pub off: (f64, f64),
+    /// Points that nothing explains, world frame.
+    pub news: Vec<DVec3>,
+    /// Pixels with a reading where something is predicted, and the number of them that it explains.
+    pub compared: (usize, usize),
+}
+
+/// A pixel's ray, and its first surface.
+struct Ray {
+    origin: DVec3,
+    ray: DVec3,
+    met: Option<Met>,
+}
+
+/// Compares frames with one world.
+pub(crate) struct Observer<'a> {
+    pub caster: &'a Caster,
+    /// Deviation of the model's surfaces, metres.
+    pub model_sigma: f64,
+    /// Points nearer than this to a surface of the model belong to it, metres.
+    pub known: f64,
+}
+
+/// How the range of a surface errs.
+struct Errors<'a> {
+    noise: RangeNoise,
+    pose: &'a PoseEstimate,
+    spread: f64,
+    model_sigma: f64,
+}
+
+impl Errors<'_> {
+    /// Standard deviation of a range on a surface, metres.
+    fn sigma(&self, origin: DVec3, ray: DVec3, met: &Met) -> f64 {
+        let x = origin + met.range * ray;
+        let turned = (x - self.pose.world_from_robot.translation).cross(met.normal);
+        let gradient = [met.normal.x, met.normal.y, met.normal.z, turned.x, turned.y, turned.z];
+        let by_pose = quadratic(self.pose.covariance.as_rows(), &gradient).max(0.0) * self.spread.powi(2);
+        let cos = met.normal.dot(ray).abs().max(FLATTEST);
+        let across = met.range * self.noise.angle * (1.0 - cos * cos).max(0.0).sqrt() / cos;
+        let along = self.noise.range_sigma(met.range);
+        (along * along + across * across + (by_pose + self.model_sigma.powi(2)) / (cos * cos)).sqrt()
+    }
+}
+
+impl Observer<'_> {
+    /// Compares a frame of a robot at a pose. Also returns what the rays of the kept pixels meet first.
+    pub fn view(&self, frame: &Frame, kept: &Arc<Kept>, pose: &PoseEstimate) -> (View, Vec<Option<Met>>) {
+        let sensor = frame.sensor();
+        let world_from_image = pose.world_from_robot * sensor.spec().mount * body_from_image(sensor);
+        let reach = sensor.spec().range_max.min(1e5);
+        let width = sensor.width() as usize;
+        let cast = |ray: &DVec3| {
+            let (origin, ray) = (world_from_image.translation, world_from_image.rotation * *ray);
+            let met = if ray.is_nan() { None } else { self.caster.first(origin, ray, reach, None) };
+            Ray { origin, ray, met }
+        };
+        let rays: Vec<Ray> = kept.rays.iter().map(cast).collect();
+        let range = |at: usize| {
+            let (c, r) = kept.pixel(at);
+            frame.ranges()[r as usize * width + c as usize]
+        };
+        let ranges: Vec<f32> = (0..rays.len()).map(range).collect();
+        let noise = RangeNoise::of(sensor);
+        let stated = Errors { noise, pose, spread: 1.0, model_sigma: self.model_sigma };
+        let spread = spread_of(&rays, &ranges, &stated);
+        let errors = Errors { spread, ..stated };
+        let sigmas = pose.covariance.sigmas();
+        let norm = |of: &[f64]| spread * of.iter().map(|x| x * x).sum::<f64>().sqrt();
+        let mut view = View {
+            stamp: frame.stamp,
+            drive: 0,
+            world_from_image,
+            kept: kept.clone(),
+            noise,
+            object: rays.iter().map(|ray| ray.met.map_or(NOTHING, |met| met.object)).collect(),
+            says: vec![Says::Nothing; rays.len()],
+            off: (norm(&sigmas[..3]), norm(&sigmas[3..])),
+            news: Vec::new(),
+            compared: (0, 0),
+            ranges,
+        };
+        for (at, ray) in rays.iter().enumerate() {
+            let z = f64::from(view.ranges[at]);
+            if ray.ray.is_nan() || z.is_nan() || z == f64::NEG_INFINITY {
+                continue;
+            }
+            self.pixel(&mut view, at, ray, (z, reach), &errors);
+            let is_news = matches!(view.says[at], Says::Before) && z.is_finite() && is_backed(frame, kept.pixel(at), z);
+            let x = ray.origin + z * ray.ray;
+            if is_news && self.caster.near(x, self.known.max(BOUND * (z * view.off.1 + view.off.0))).is_none() {
+                view.news.push(x);
+            } else if is_news {
+                view.says[at] = Says::Nothing;
+            }
+        }
+        (view, rays.into_iter().map(|ray| ray.met).collect())
+    }
+
+    fn pixel(&self, view: &mut View, at: usize, ray: &Ray, (z, reach): (f64, f64), errors: &Errors<'_>) {
+        let Some(met) = &ray.met else {
+            if z.is_finite() {
+                view.says[at] = Says::Before;
+            }
+            return;
+        };
+        let sigma = errors.sigma(ray.origin, ray.ray, met);
+        view.compared.0 += 1;
+        if (z - met.range).abs() <= BOUND * sigma {
+            view.compared.1 += 1;
+            let second = self.caster.first(ray.origin, ray.ray, reach, Some(met.object));
+            if second.is_none_or(|s| s.range - met.range > 2.0 * BOUND * sigma + 0.05) {
+                view.says[at] = Says::There;
+            }
+            return;
+        }
+        if z < met.range {
+            view.says[at] = Says::Before;
+            return;
+        }
+        // Nothing within reach says nothing of a surface near the end of the reach.
+        let flat = met.normal.dot(ray.ray).abs() < FLATTEST;
+        if flat || (z.is_infinite() && met.range > REACH * reach) {
+            return;
+        }
+        let uncertain = BOUND * (view.off.1 + view.off.0 / met.range + errors.noise.angle) + 1e-4;
+        let before = z.min(reach) - BOUND * sigma;
+        if !self.is_whole(ray, met, uncertain, before) {
+            return;
+        }
+        let second = self.caster.first(ray.origin, ray.ray, reach, Some(met.object));
+        if let Some(second) = second
+            && z < second.range - BOUND * errors.sigma(ray.origin, ray.ray, &second)
+        {
+            // A beam that is split by an edge measures something in between, too.
+            if self.is_whole(ray, met, uncertain.max(1.5 * view.kept.spacing), before) {
+                view.says[at] = Says::Through;
+                let x = ray.origin + z * ray.ray;
+                if self.caster.near(x, self.known.max(BOUND * (z * view.off.1 + view.off.0))).is_none() {
+                    view.news.push(x);
+                }
+            }
+            return;
+        }
+        if second.is_none_or(|s| s.range - met.range > 2.0 * BOUND * sigma) {
+            view.says[at] = Says::Through;
+        }
+    }
+
+    /// True if rays at an angle to this one, on four sides, meet the same object before `before` metres: then no error of the pose
+    /// explains that the ray went on.
+    fn is_whole(&self, ray: &Ray, met: &Met, angle: f64, before: f64) -> bool {
+        let u = ray.ray.any_orthonormal_vector();
+        let v = ray.ray.cross(u);
+        [u, -u, v, -v].into_iter().all(|aside| {
+            let beside = (ray.ray + angle.tan() * aside).normalize();
+            let found = self.caster.first(ray.origin, beside, before, None);
+            found.is_some_and(|other| other.object == met.object)
+        })
+    }
+}
+
+/// By how much residuals are wider than stated, at least 1.
+fn spread_of(rays: &[Ray], ranges: &[f32], stated: &Errors<'_>) -> f64 {
+    let residual = |(ray, z): (&Ray, &f32)| {
+        let met = ray.met?;
+        let e = (f64::from(*z) - met.range).abs() / stated.sigma(ray.origin, ray.ray, &met);
+        (e < CHANGED).then_some(e)
+    };
+    let mut all: Vec<f64> = rays.iter().zip(ranges).filter_map(residual).collect();
+    if all.len() < 20 { 1.0 } else { (median(&mut all).unwrap_or(0.0) / MEDIAN).max(1.0) }
+}
+
+/// True if a neighbour in the row has about the same range: a beam that is split by an edge stands alone.
+fn is_backed(frame: &Frame, (c, r): (u32, u32), z: f64) -> bool {
+    let (width, row) = (frame.sensor().width(), r as usize * frame.sensor().width() as usize);
+    let near = |c: u32| (f64::from(frame.ranges()[row + c as usize]) - z).abs() < 0.05 + 0.02 * z;
+    (c > 0 && near(c - 1)) || (c + 1 < width && near(c + 1))
+}
+
+impl View {
+    /// The measured point of a kept pixel, world frame; `None` without a finite reading.
+    pub fn point(&self, at: usize) -> Option<DVec3> {
+        let z = f64::from(self.ranges[at]);
+        let ray = self.kept.rays[at];
+        (z.is_finite() && !ray.is_nan()).then(|| self.world_from_image.transform_point(z * ray))
+    }
+
+    /// True if a ray passed through the middle of a voxel.
+    pub fn passed(&self, middle: DVec3, size: f64) -> bool {
+        let p = self.world_from_image.inverse().transform_point(middle);
+        let distance = p.length();
+        let Some(at) = self.kept.nearest(p) else { return false };
+        let (ray, z) = (self.kept.rays[at], f64::from(self.ranges[at]));
+        let aside = ray.cross(p).length();
+        let margin = size + BOUND * (self.noise.range_sigma(distance) + self.off.0 + distance * self.off.1);
+        let reach = REACH * self.kept.sensor.spec().range_max;
+        // As likely as a point of a surface falls into the cube: most rays this near cross it.
+        aside <= 0.7 * size && z > distance + margin && distance < reach
+    }
+}

@@ -1,0 +1,250 @@
+//! Batches into arrays, a few poses at a time, so that signals are seen.
+
+use super::arrays::{is_aligned, outputs_of, shape_of};
+use super::errors::{Failed, apart, raised, room_for, usage};
+use super::predictor::{Predictor, RANGE};
+use numpy::{Element, PyArrayDyn, PyArrayMethods, PyReadwriteArrayDyn, PyUntypedArrayMethods};
+use presight_model::geometry::Pose;
+use presight_model::sensor::Sensor;
+use presight_model::world::World;
+use presight_predict::batch::{BatchItem, BatchRequest};
+use presight_predict::predict::Predictor as Ours;
+use presight_render::plan::{Images, Output, Outputs, SampleKind, Samples};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+/// Signals are looked at this often.
+const LOOK: Duration = Duration::from_millis(50);
+/// A chunk takes about so long.
+const CHUNK: f64 = 0.1;
+/// Bytes of the images of a part of `predict_chunks`.
+const PART: usize = 64 << 20;
+
+/// The outputs of a batch, which predicts no features.
+pub fn outputs(given: Option<&Bound<'_, PyAny>>) -> PyResult<Outputs> {
+    let Some(given) = given else { return Ok(RANGE) };
+    let outputs = outputs_of(Some(given))?;
+    if outputs.has(Output::FeatureId) {
+        return Err(usage(given.py(), "outputs", "feature_id: a batch predicts no features", "drop it"));
+    }
+    Ok(outputs)
+}
+
+/// Runs a batch and hands over its items in order. Chunks grow until they take a tenth of a second.
+pub fn run(
+    predictor: &mut Ours,
+    world: &World,
+    sensor: &Sensor,
+    poses: Vec<Pose>,
+    request: &BatchRequest,
+    mut each: impl FnMut(BatchItem),
+) -> Result<(), Failed> {
+    let mut batch = predictor.batch(world, sensor, poses, request)?;
+    let most = batch.chunk();
+    let (mut chunk, mut left, mut looked, mut begun) = (1, 1, Instant::now(), Instant::now());
+    batch.set_chunk(chunk);
+    while let Some(item) = batch.next() {
+        each(item?);
+        left -= 1;
+        if left > 0 {
+            continue;
+        }
+        let pace = begun.elapsed().as_secs_f64() / chunk as f64;
+        chunk = ((CHUNK / pace.max(1e-9)) as usize).clamp(1, most).min(8 * chunk);
+        batch.set_chunk(chunk);
+        left = chunk;
+        if looked.elapsed() > LOOK {
+            Python::attach(|py| py.check_signals())?;
+            looked = Instant::now();
+        }
+        begun = Instant::now();
+    }
+    Ok(())
+}
+
+/// The arrays that a batch fills.
+pub struct Targets<'py> {
+    outputs: Outputs,
+    count: usize,
+    arrays: Bound<'py, PyDict>,
+}
+
+/// A borrowed array.
+enum Borrowed<'py> {
+    Floats(PyReadwriteArrayDyn<'py, f32>),
+    Ids(PyReadwriteArrayDyn<'py, u32>),
+}
+
+/// Its values.
+enum Slice<'a> {
+    Floats(&'a mut [f32]),
+    Ids(&'a mut [u32]),
+}
+
+impl Slice<'_> {
+    fn take(&mut self, index: usize, image: Samples<'_>) {
+        fn put<T: Copy>(all: &mut [T], index: usize, image: &[T]) {
+            all[index * image.len()..][..image.len()].copy_from_slice(image);
+        }
+        match (self, image) {
+            (Self::Floats(all), Samples::Floats(image)) => put(all, index, image),
+            (Self::Floats(all), Samples::Vectors(image)) => put(all, index, image.as_flattened()),
+            (Self::Ids(all), Samples::Ids(image)) => put(all, index, image),
+            _ => {}
+        }
+    }
+}
+
+fn borrowed<'py, T: Element>(
+    array: &Bound<'py, PyAny>,
+    name: &str,
+    shape: &[usize],
+) -> PyResult<PyReadwriteArrayDyn<'py, T>> {
+    let py = array.py();
+    let remedy = format!("give a C-contiguous, writable array of {} and shape {shape:?}", numpy::dtype::<T>(py).str()?);
+    let wrong = |what: String| usage(py, &format!("out[{name:?}]"), what, remedy.clone());
+    let Ok(typed) = array.cast::<PyArrayDyn<T>>() else {
+        return Err(wrong(match array.getattr("dtype") {
+            Ok(dtype) => format!("its dtype is {}", dtype.str()?),
+            Err(_) => "not a valid array".into(),
+        }));
+    };
+    if typed.shape() != shape {
+        return Err(wrong(format!("its shape is {:?}", typed.shape())));
+    }
+    if !typed.is_c_contiguous() || !is_aligned(array)? {
+        return Err(wrong("is not C-contiguous and aligned".into()));
+    }
+    typed.try_readwrite().map_err(|e| wrong(format!("cannot be written: {e}")))
+}
+
+impl<'py> Targets<'py> {
+    pub fn new(
+        py: Python<'py>,
+        count: usize,
+        sensor: &Sensor,
+        outputs: Outputs,
+        out: Option<&Bound<'py, PyDict>>,
+    ) -> PyResult<Self> {
+        presight_predict::request::Request::of(outputs).check(sensor).map_err(|e| raised(py, &e))?;
+        if let Some(out) = out {
+            let known = |name: &str| outputs.iter().any(|output| output.name() == name);
+            for name in out.keys() {
+                if !known(&name.extract::<String>()?) {
+                    return Err(usage(py, "out", format!("{} is not requested", name.repr()?), "name it in outputs"));
+                }
+            }
+            return Ok(Self { outputs, count, arrays: out.clone() });
+        }
+        let pixels = u64::from(sensor.width()) * u64::from(sensor.height());
+        room_for((count as u64).checked_mul(pixels).and_then(|n| n.checked_mul(4 * outputs.numbers() as u64)))?;
+        let (numpy, arrays) = (py.import("numpy")?, PyDict::new(py));
+        for output in outputs.iter() {
+            let shape = [vec![count], shape_of((sensor.width(), sensor.height()), output)].concat();
+            let dtype = if output.info().kind == SampleKind::Id { "uint32" } else { "float32" };
+            arrays.set_item(output.name(), numpy.call_method1("empty", (shape, dtype))?)?;
+        }
+        Ok(Self { outputs, count, arrays })
+    }
+
+    /// Borrows the arrays, predicts into them, and gives them.
+    pub fn fill(
+        self,
+        py: Python<'py>,
+        predictor: &Predictor,
+        world: &World,
+        sensor: &Sensor,
+        poses: Vec<Pose>,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let mut held = Vec::new();
+        for output in self.outputs.iter() {
+            let name = output.name();
+            let missing = || usage(py, "out", format!("there is no array {name:?}"), "give one for each of outputs");
+            let array = self.arrays.get_item(name)?.ok_or_else(missing)?;
+            let shape = [vec![self.count], shape_of((sensor.width(), sensor.height()), output)].concat();
+            held.push((
+                output,
+                match output.info().kind {
+                    SampleKind::Id => Borrowed::Ids(borrowed(&array, name, &shape)?),
+                    SampleKind::Float | SampleKind::Vector => Borrowed::Floats(borrowed(&array, name, &shape)?),
+                },
+            ));
+        }
+        let contiguous = |e: numpy::AsSliceError| usage(py, "out", e.to_string(), "give C-contiguous arrays");
+        let mut slices = Vec::new();
+        for (output, borrowed) in &mut held {
+            slices.push((
+                *output,
+                match borrowed {
+                    Borrowed::Floats(array) => Slice::Floats(array.as_slice_mut().map_err(contiguous)?),
+                    Borrowed::Ids(array) => Slice::Ids(array.as_slice_mut().map_err(contiguous)?),
+                },
+            ));
+        }
+        let request = BatchRequest { images: Some(self.outputs.into()), ..BatchRequest::default() };
+        apart(py, || {
+            predictor.with(|predictor| {
+                run(predictor, world, sensor, poses, &request, |item| put(&mut slices, item.index, &item.images))
+            })
+        })?;
+        Ok(self.arrays)
+    }
+}
+
+fn put(slices: &mut [(Output, Slice<'_>)], index: usize, images: &Images) {
+    for (output, slice) in slices {
+        if let Some(image) = images.samples(*output) {
+            slice.take(index, image);
+        }
+    }
+}
+
+/// The parts of a batch, one by one: an iterator of dicts.
+#[pyclass(frozen, module = "presight")]
+pub struct Chunks {
+    predictor: Py<Predictor>,
+    world: World,
+    sensor: Sensor,
+    outputs: Outputs,
+    poses: Vec<Pose>,
+    size: usize,
+    next: Mutex<usize>,
+}
+
+impl Chunks {
+    pub fn new(
+        predictor: Py<Predictor>,
+        world: World,
+        sensor: Sensor,
+        outputs: Outputs,
+        poses: Vec<Pose>,
+        size: Option<usize>,
+    ) -> Self {
+        let bytes = 4 * outputs.numbers() * sensor.width() as usize * sensor.height() as usize;
+        let size = size.unwrap_or((PART / bytes.max(1)).max(1));
+        Self { predictor, world, sensor, outputs, poses, size, next: Mutex::new(0) }
+    }
+}
+
+#[pymethods]
+impl Chunks {
+    fn __iter__(slf: Py<Self>) -> Py<Self> {
+        slf
+    }
+
+    fn __next__<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyDict>>> {
+        let part = apart(py, || {
+            let mut next = self.next.lock().unwrap_or_else(PoisonError::into_inner);
+            let from = *next;
+            *next = self.poses.len().min(from + self.size);
+            Ok::<_, Failed>(self.poses[from..*next].to_vec())
+        })?;
+        if part.is_empty() {
+            return Ok(None);
+        }
+        let targets = Targets::new(py, part.len(), &self.sensor, self.outputs, None)?;
+        targets.fill(py, self.predictor.get(), &self.world, &self.sensor, part).map(Some)
+    }
+}

@@ -1,0 +1,126 @@
+"""Batches and likelihoods: the bits of single calls and of the command, into arrays of the caller, until Ctrl-C."""
+
+import csv
+import os
+import signal
+import threading
+import time
+
+import numpy as np
+import pytest
+from conftest import done, one_line, same
+
+import presight
+
+
+def test_many_are_as_single_ones(room, cpu, poses):
+    outputs = ("range", "object_id", "normal")
+    many = cpu.predict_many(room, "laser-range-camera", poses, outputs=outputs)
+    assert {name: array.shape[1:] for name, array in many.items()} == {
+        "range": (41, 321), "object_id": (41, 321), "normal": (41, 321, 3)}
+    for i, pose in enumerate(poses):
+        single = cpu.predict(room, "laser-range-camera", pose, outputs=outputs)
+        assert all(same(many[name][i], single[name]) for name in outputs)
+    # A planted fault: two poses exchanged.
+    assert not same(many["range"][0], many["range"][1])
+    parts = list(cpu.predict_chunks(room, "laser-range-camera", poses, outputs=outputs, size=7))
+    assert [len(part["range"]) for part in parts] == [7, 7, 6]
+    for name in outputs:
+        assert same(np.concatenate([part[name] for part in parts]), many[name])
+
+
+def test_arrays_of_the_caller_are_filled(room, cpu, poses):
+    right = cpu.predict_many(room, "laser-scanner", poses)["range"]
+    out = np.zeros((20, 1, 361), "f4")
+    given = cpu.predict_many(room, "laser-scanner", poses, out={"range": out})
+    assert given["range"] is out and same(out, right)
+    both = np.zeros((2, 20, 1, 361), "f4")
+    read_only = np.zeros((20, 1, 361), "f4")
+    read_only.flags.writeable = False
+    wrong = {
+        "written": read_only,
+        "shape": np.zeros((19, 1, 361), "f4"),
+        "dtype": np.zeros((20, 1, 361), "f8"),
+        "dtype is >f4": np.zeros((20, 1, 361), ">f4"),
+        "contiguous": np.zeros((20, 1, 722), "f4")[..., ::2],
+        "not a valid array": [0.0],
+    }
+    for word, array in wrong.items():
+        with pytest.raises(presight.Error) as raised:
+            cpu.predict_many(room, "laser-scanner", poses, out={"range": array})
+        one_line(raised, word, 'out["range"]')
+    flat = both.reshape(-1)
+    overlapping = {"range": flat[:7220].reshape(20, 1, 361), "cos_incidence": flat[361:7581].reshape(20, 1, 361)}
+    with pytest.raises(presight.Error) as raised:
+        cpu.predict_many(room, "laser-scanner", poses, outputs=("range", "cos_incidence"), out=overlapping)
+    one_line(raised, "written")
+    with pytest.raises(presight.Error, match="not requested"):
+        cpu.predict_many(room, "laser-scanner", poses, out={"range": out, "echo": out})
+    with pytest.raises(presight.Error, match="no array"):
+        cpu.predict_many(room, "laser-scanner", poses, outputs=("range", "echo"), out={"range": out})
+
+
+def write_tum(path, poses):
+    path.write_text("".join(f"{i} {' '.join(repr(float(x)) for x in pose)}\n" for i, pose in enumerate(poses)))
+
+
+@pytest.mark.parametrize("headings", [None, 8])
+def test_likelihoods_are_the_commands(tmp_path, room, room_file, cpu, headings):
+    scanner = presight.Sensor.load("laser-scanner").replace(range_sigma=0.02)
+    (tmp_path / "s.toml").write_text(scanner.toml())
+    rng = np.random.default_rng(3)
+    level = np.zeros((30, 7))
+    level[:, :2], level[:, 2], level[:, 6] = rng.uniform([0.8, 1.2], [1.4, 1.8], (30, 2)), 0.5, 1
+    done("predict", room_file, "--sensor", tmp_path / "s.toml", "--pose", "1,1.5,0.5,0,0,0", "--out", tmp_path / "seen.exr",
+         "--backend", "cpu")
+    write_tum(tmp_path / "poses.tum", level)
+    more = ["--headings", headings] if headings else []
+    done("batch", room_file, "--poses", tmp_path / "poses.tum", "--sensor", tmp_path / "s.toml", "--likelihood",
+         tmp_path / "seen.exr", "--out", tmp_path / "w", "--cell-m", "0.1", "--backend", "cpu", *more)
+    rows = list(csv.DictReader(open(tmp_path / "w" / "poses.csv")))
+    weights = [float(row["log_likelihood"]) for row in rows]
+    scene = presight.Scene.open(room_file)
+    sensed = cpu.predict(scene, scanner, [1, 1.5, 0.5, 0, 0, 0]).range
+    found = cpu.likelihood(scene, scanner, sensed, level, headings=headings, cell=(0.1, None))
+    assert found.shape == ((30, 8) if headings else (30,)) and found.dtype == ("f4" if headings else "f8")
+    assert found.ravel().tolist() == np.asarray(weights, found.dtype).tolist()
+    frame = presight.Frame(scanner, 0.0, sensed)
+    assert same(cpu.likelihood(scene, scanner, frame, level, headings=headings, cell=(0.1, None)), found)
+    # A planted fault: the scan the other way round.
+    assert not same(cpu.likelihood(scene, scanner, sensed[:, ::-1], level, headings=headings, cell=(0.1, None)), found)
+
+
+@pytest.mark.parametrize("what", ["many", "chunks", "likelihood"])
+def test_ctrl_c_ends_each_within_half_a_second(room, what):
+    predictor = presight.Predictor("cpu", 1)
+    poses = np.tile([1.0, 1.5, 0.5, 0.0, 0.0, 0.0], (30_000, 1))
+    scanner = presight.Sensor.load("vlp-16").replace(range_sigma=0.02)
+    sensed = predictor.predict(room, scanner, poses[0]).range
+    sent = []
+
+    def interrupt():
+        sent.append(time.monotonic())
+        os.kill(os.getpid(), signal.SIGINT)
+
+    timer = threading.Timer(0.7, interrupt)
+    timer.start()
+    with pytest.raises(KeyboardInterrupt):
+        if what == "many":
+            predictor.predict_many(room, scanner, poses[:2000])
+        elif what == "chunks":
+            for _ in predictor.predict_chunks(room, scanner, poses):
+                pass
+        else:
+            predictor.likelihood(room, scanner, sensed, poses)
+    assert time.monotonic() - sent[0] < 0.5
+    # The predictor goes on.
+    assert same(predictor.predict(room, scanner, poses[0]).range, sensed)
+
+
+def test_what_does_not_fit_is_not_begun(room, cpu):
+    poses = np.tile([1.0, 1.5, 0.5, 0.0, 0.0, 0.0], (10_000_000, 1))
+    started = time.monotonic()
+    with pytest.raises(MemoryError) as raised:
+        cpu.predict_many(room, "realsense-d435", poses)
+    assert time.monotonic() - started < 30
+    one_line(raised, "predict_chunks")

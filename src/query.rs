@@ -1,0 +1,7 @@
+//! Questions to the model: objects in a place, the nearest surface, docks, uncertain features, and a way on free floor.
+
+#[doc(inline)]
+pub use presight_supervise::query::{
+    Dock, Doubt, FloorPath, NearestSurface, ObjectFound, PathOptions, Place, UncertainFeature, UncertainObject,
+    UncertainOptions, docks, find_path, objects_in, surface_distance, uncertain_features, uncertain_objects,
+};

@@ -1,0 +1,8 @@
+//! What differs between prediction and measurement becomes evidence, and evidence becomes changes of the model.
+#![doc = include_str!("../docs/update.md")]
+
+#[doc(inline)]
+pub use presight_update::{
+    Action, Caster, Doubt, Evidence, Finding, Findings, LearnOptions, Learner, Met, Occupied, Policy, Sight, Tally,
+    UprightBox, Voxel, Voxels, What, change_lines,
+};
