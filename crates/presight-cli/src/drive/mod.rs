@@ -56,6 +56,10 @@ pub struct Drive {
     #[arg(long, value_name = "DEG", default_value_t = 2.0)]
     init_sigma_deg: f64,
 
+    /// Odds that the start is right: it is given up once the frames say more against it
+    #[arg(long, value_name = "ODDS", default_value_t = 1e4)]
+    init_odds: f64,
+
     /// The sensor, with its noise and mount [default: from the log]
     #[arg(long, value_name = "PRESET|FILE")]
     pub sensor: Option<String>,

@@ -5,7 +5,7 @@ use crate::pose::parse_pose;
 use presight::Scene;
 use presight_files::log::Observation;
 use presight_localize::estimate::{EstimateOptions, Estimator};
-use presight_localize::localize::{LocalizeOptions, Localizer, Search, SearchOptions};
+use presight_localize::localize::{ErrorRates, LocalizeOptions, Localizer, Search, SearchOptions};
 use presight_model::error::{Error, Result};
 use presight_model::geometry::{Pose, PoseEstimate};
 use presight_model::measured::OdometryNoise;
@@ -21,6 +21,12 @@ impl Drive {
             if !(sigma > 0.0 && sigma.is_finite()) {
                 return Err(Error::usage(format!("{flag} {sigma}"), "give a finite deviation above 0"));
             }
+        }
+        if !(self.init_odds > 1.0 && self.init_odds.is_finite()) {
+            return Err(Error::usage(
+                format!("--init-odds {}", self.init_odds),
+                "give finite odds above 1, such as 10000",
+            ));
         }
         if let Some(sigma) = self.model_sigma.filter(|sigma| !(*sigma >= 0.0 && sigma.is_finite())) {
             return Err(Error::usage(format!("--model-sigma {sigma}"), "give finite metres of at least 0"));
@@ -55,7 +61,8 @@ impl Drive {
         scene: &Scene,
         sensor: &Sensor,
     ) -> Result<Localizer> {
-        let options = LocalizeOptions::default();
+        let rates = ErrorRates { wrong_start: 1.0 / self.init_odds, ..ErrorRates::default() };
+        let options = LocalizeOptions::default().with_rates(rates);
         let Some(start) = start else {
             let search = Search::new(&mut estimator, &scene.world, sensor, self.search()?);
             return Ok(Localizer::unknown(estimator, search.map_err(|e| e.at("--init unknown"))?, options));

@@ -77,6 +77,7 @@ fn invalid_flags_of_a_search_are_named_first() {
         ("--surrounded", "1.5", "; give a share of 0 to 1", "1"),
         ("--init-sigma", "0", "; give a finite deviation above 0", "0.1"),
         ("--init-sigma-deg", "nan", "; give a finite deviation above 0", "0.1"),
+        ("--init-odds", "1", "; give finite odds above 1, such as 10000", "10000"),
         ("--model-sigma", "-1", "; give finite metres of at least 0", "0"),
         ("--odometry-sigma", "-1", "; give a finite fraction of at least 0", "0"),
     ] {
