@@ -67,6 +67,11 @@ pub struct Drive {
     #[command(flatten)]
     image: SensorArgs,
 
+    /// Options of the estimate: of a level scanner of one row on a level floor, of a sensor in any pose, or of scans of
+    /// points all round [default: by the sensor]
+    #[arg(long, value_name = "NAME", value_parser = ["indoor_scanner", "depth_camera", "lidar_3d"])]
+    preset: Option<String>,
+
     /// Standard deviation of the model's surfaces, independent for each surface, metres [default: 0.03 for a scanner of
     /// one row, 0.1 for scans of points, otherwise 0]
     #[arg(long, value_name = "METRES")]

@@ -5,6 +5,7 @@ use super::descent::{LOOK, NEAR, SEARCH, SETTLE, Schedule, descend, serves};
 use super::findings::{find_at, has_reflectors, place_error, reflectors};
 use super::normal::{CommonError, Freedom, Normal};
 use super::offsets::OffsetVariance;
+use super::options::EstimateOptions;
 use super::prior;
 use super::range::measured_points;
 use super::reflectors::{MatchedReflectors, hold, other_camp};
@@ -25,67 +26,6 @@ use presight_model::world::World;
 use presight_predict::predict::Predictor;
 use rayon::prelude::*;
 use std::sync::Arc;
-
-/// How an [`Estimator`] works.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
-pub struct EstimateOptions {
-    /// Which numbers of the pose are looked for.
-    pub freedom: Freedom,
-    /// Share of the measured points that the right pose has to explain.
-    pub least_explained: f64,
-    /// Most full predictions of an estimate.
-    pub most_predictions: usize,
-    /// How far polygons may be off along their normals, one standard deviation, metres. It is each point's own.
-    pub model_sigma: f64,
-    /// Standard deviation of the offsets that polygons of one plane share, metres, until it is learnt.
-    pub offset_sigma: f64,
-    /// A direction is weak where the measurement alone is looser, metres.
-    pub loosest: f64,
-    /// Only the surfaces of this object count, by its index: the pose is then told as if the object stood where the model has it, and
-    /// [`Estimate::relative_to`] tells it in the object's own frame, for docking.
-    pub only: Option<u32>,
-}
-
-impl Default for EstimateOptions {
-    fn default() -> Self {
-        Self {
-            freedom: Freedom::Full,
-            least_explained: 0.75,
-            most_predictions: 12,
-            model_sigma: 0.0,
-            offset_sigma: 0.003,
-            loosest: 0.5,
-            only: None,
-        }
-    }
-}
-
-presight_model::with_options!(
-    EstimateOptions:
-    with_freedom freedom: Freedom,
-    with_least_explained least_explained: f64,
-    with_most_predictions most_predictions: usize,
-    with_model_sigma model_sigma: f64,
-    with_offset_sigma offset_sigma: f64,
-    with_loosest loosest: f64,
-    with_only only: Option<u32>,
-);
-
-impl EstimateOptions {
-    /// For a level scanner of one row on a level floor. Plans and maps of buildings are off by centimetres, and a row meets much
-    /// that they leave out.
-    pub fn planar() -> Self {
-        let (freedom, model_sigma) = (Freedom::Planar, 0.03);
-        Self { freedom, model_sigma, offset_sigma: 0.02, least_explained: 0.5, ..Self::default() }
-    }
-
-    /// For scans of points all round, in maps made of such scans: leaves and wires are seen at other places each time, and much
-    /// of what is seen was hidden before.
-    pub fn scan() -> Self {
-        Self { model_sigma: 0.1, offset_sigma: 0.02, least_explained: 0.5, ..Self::default() }
-    }
-}
 
 /// Estimates poses from frames, one after the other.
 pub struct Estimator {
@@ -164,7 +104,7 @@ impl Estimator {
     }
 
     /// Where descents from `starts` come to rest other than at the prior's pose: farther from it than `apart`, metres and
-    /// radians.
+    /// radians. A descent that comes nearer than half of that ends there.
     ///
     /// # Errors
     /// Those of [`Estimator::estimate`].
@@ -190,7 +130,12 @@ impl Estimator {
             let off = motion_between(a, b);
             length(&off[..3]) > apart.0 || length(&off[3..]) > apart.1
         };
-        let look = |start: &Pose| descend(&run, &expected, *start, &LOOK, freedom, |_| false).pose;
+        let half = |a: &Pose, b: &Pose| {
+            let off = motion_between(a, b);
+            length(&off[..3]) < 0.5 * apart.0 && length(&off[3..]) < 0.5 * apart.1
+        };
+        let comes_back = |pose: &Pose| half(&prior.world_from_robot, pose);
+        let look = |start: &Pose| descend(&run, &expected, *start, &LOOK, freedom, comes_back).pose;
         let ends: Vec<Pose> = self.predictor.on_threads(|| starts.par_iter().map(look).collect())?;
         let mut found: Vec<Pose> = Vec::new();
         for end in ends {

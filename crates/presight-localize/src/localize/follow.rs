@@ -30,8 +30,8 @@ const BETTER: f64 = 20.0;
 const LOOSENED: (f64, f64) = (0.15, 0.06);
 /// Priors that are wider get starts of their own, metres.
 const WIDE: f64 = 0.1;
-/// Frames after which minima beside a pose that has no rival are looked for again.
-const LOOK_AGAIN: usize = 10;
+/// Way after which minima beside a pose that has no rival are looked for again, metres and radians alike.
+const LOOK_AGAIN: f64 = 3.0;
 /// Rivals are looked at again for a frame that does not single out a place, if they are so many frames old.
 const STALE: usize = 2;
 
@@ -42,15 +42,15 @@ pub(super) struct Followed {
     pub odds: Odds,
     /// Frames since it was given or found.
     pub frames: usize,
-    /// Since minima beside it were looked for.
-    pub since_beside: usize,
+    /// Way since minima beside it were looked for.
+    pub since_beside: f64,
     /// The latest frame told nothing of it.
     pub carried: bool,
 }
 
 impl Followed {
     pub fn new(belief: PoseEstimate, odds: Odds) -> Self {
-        Self { belief, odds, frames: 0, since_beside: 0, carried: false }
+        Self { belief, odds, frames: 0, since_beside: 0.0, carried: false }
     }
 }
 
@@ -121,18 +121,24 @@ impl Localizer {
                 return self.follow_hypotheses(world, frames, own, hypotheses, None, way);
             }
         }
+        own.carried = said.blind || said.odds < 0.0;
+        own.since_beside += way;
         let jumped = own.frames > 0 && self.is_jump(&prior, &estimate);
         if jumped || own.odds.is_sudden(&said) {
             own.odds.beside = None;
         }
-        own.odds.add(&said, way, &self.options.rates);
-        own.carried = said.blind || said.odds < 0.0;
+        if jumped {
+            own.odds.leap(&said, way, &self.options.rates);
+            own.carried |= own.odds.now < 0.0;
+        } else {
+            own.odds.add(&said, way, &self.options.rates);
+        }
         if !own.carried && self.looks_beside(&own) && frames[0].grey().is_none() {
-            own.since_beside = 0;
+            own.since_beside = 0.0;
             self.look_beside(world, frames, &prior, &mut own, &mut estimate, said.scale, way)?;
         }
         // Another minimum than that of the prior tells nothing of the speed.
-        if estimate.pose.world_from_robot != near.world_from_robot {
+        if jumped || estimate.pose.world_from_robot != near.world_from_robot {
             self.velocity.restart();
         } else if !own.carried {
             self.velocity.learn(&prior, &near, self.estimator.options.freedom);
@@ -143,8 +149,12 @@ impl Localizer {
     /// True if an estimate is where the robot hardly is by what was known before: one in 100,000 for three numbers.
     fn is_jump(&self, prior: &PoseEstimate, estimate: &Estimate) -> bool {
         let off = motion_between(&prior.world_from_robot, &estimate.pose.world_from_robot);
-        let information = inverse(prior.covariance.as_rows(), self.estimator.options.freedom.axes());
-        quadratic(&information, &off) > UNLIKELY && is_apart(&off)
+        self.squared_off(prior, &off) > UNLIKELY && is_apart(&off)
+    }
+
+    /// Squared deviations of what was known before.
+    fn squared_off(&self, prior: &PoseEstimate, off: &[f64; 6]) -> f64 {
+        quadratic(&inverse(prior.covariance.as_rows(), self.estimator.options.freedom.axes()), off)
     }
 
     /// The estimate that a prior leads to, and what the frame says of it.
@@ -174,7 +184,12 @@ impl Localizer {
         let around = if has_odometry { *prior } else { widened(prior, &self.options) };
         let other = self.estimator.estimate(world, frames, &around)?;
         let there = self.said_of(world, frames, &other, usize::MAX)?;
-        if there.evidence > said.evidence + said.scale { Ok((other, there)) } else { Ok((estimate, said)) }
+        // What the motion says against it, at most that the robot was carried away.
+        let squared =
+            |e: &Estimate| self.squared_off(prior, &motion_between(&prior.world_from_robot, &e.pose.world_from_robot));
+        let against = (0.5 * (squared(&other) - squared(&estimate))).clamp(1.0, self.options.rates.most());
+        let is_better = there.evidence > said.evidence + said.scale * against;
+        if is_better { Ok((other, there)) } else { Ok((estimate, said)) }
     }
 
     fn looks_beside(&mut self, own: &Followed) -> bool {
@@ -285,7 +300,6 @@ impl Localizer {
         hypotheses: Option<Hypotheses>,
     ) -> Result<Step> {
         own.frames += 1;
-        own.since_beside += 1;
         if hypotheses.is_none() && !own.carried {
             own.belief = estimate.pose;
         }

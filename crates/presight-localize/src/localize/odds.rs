@@ -214,10 +214,63 @@ impl Odds {
         self.mean = Some(mean + FORGET * (evidence - mean));
     }
 
+    /// Takes in a frame that leads to another place than the motion does. If its evidence is Δ scales below what is usual, more
+    /// than frames of one view differ by, what was remembered of the pose says nothing for that place: a wrong one leads by
+    /// x scales with a probability of exp(-x), and the right one falls by Δ with one of exp(-Δ).
+    pub fn leap(&mut self, frame: &Said, way: f64, rates: &ErrorRates) {
+        let below = self.mean.map_or(0.0, |mean| (frame.deciding * mean.max(0.0) - frame.evidence) / frame.scale);
+        if below <= SUDDEN {
+            return self.add(frame, way, rates);
+        }
+        let most = rates.most();
+        self.now = (frame.odds - below).clamp(-most, most).min(self.memory);
+        (self.memory, self.fallen) = (self.now, self.now < rates.tracked());
+    }
+
     /// Takes in what a frame says against minima beside the pose.
     pub fn add_beside(&mut self, said: f64, way: f64, rates: &ErrorRates) {
         let before = self.beside.unwrap_or(0.0);
         let part = if before == 0.0 { 1.0 } else { way };
         self.beside = Some((before + part * said).min(rates.most()));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A frame with a scale of 10, of which all readings decide.
+    fn said(odds: f64, evidence: f64) -> Said {
+        Said { odds, evidence, full: 200.0, scale: 10.0, deciding: 1.0, blind: false }
+    }
+
+    /// By hand: frames with an evidence of 190 are usual. Another place with 80 is 11 scales below that, and leads by 7: -4. Along
+    /// the way the same frame is no fall, because it singles out the pose. A place with 170 is as usual, and memory stays.
+    #[test]
+    fn a_place_that_the_motion_does_not_lead_to_has_to_be_as_good_as_usual() {
+        let rates = ErrorRates::default();
+        let mut odds = Odds::given(rates.given());
+        odds.add(&said(18.0, 190.0), 0.1, &rates);
+        assert!((odds.now - rates.most()).abs() < 1e-9, "{}", odds.now);
+        let (mut there, mut here, mut usual) = (odds, odds, odds);
+        there.leap(&said(7.0, 80.0), 0.1, &rates);
+        assert!((there.now + 4.0).abs() < 1e-9 && there.is_lost(&rates), "{}", there.now);
+        here.add(&said(7.0, 80.0), 0.1, &rates);
+        assert!(here.now > rates.tracked() && !here.is_lost(&rates), "{}", here.now);
+        usual.leap(&said(0.0, 170.0), 0.1, &rates);
+        assert!((usual.now - rates.most()).abs() < 1e-9, "{}", usual.now);
+    }
+
+    /// By hand: wrong places at 100, 90, 80, .. have gaps of 10, times i 10, 20, 30, .., 40 at the median of eight: 45. Over
+    /// ln 2 that is 65, one standard error more is 88: at 360 readings at most 360 / 7 = 51.
+    #[test]
+    fn the_scale_is_that_of_an_exponential_tail_within_bounds() {
+        let wrong: Vec<f64> = (0..17).map(|k| 100.0 - 10.0 * f64::from(k)).collect();
+        let null = Null::new(&wrong, 360, None);
+        assert!((null.scale - 360.0 / 7.0).abs() < 1e-9, "{}", null.scale);
+        assert!((null.best - 100.0).abs() < 1e-9 && (null.usual - 20.0).abs() < 1e-9, "{null:?}");
+        assert!((null.odds_of(200.0, f64::NEG_INFINITY) - 100.0 / null.scale).abs() < 1e-9);
+        assert_eq!(null.odds_of(60.0, f64::NEG_INFINITY), 0.0);
+        assert!(null.odds_of(10.0, f64::NEG_INFINITY) < 0.0);
     }
 }
