@@ -7,21 +7,23 @@ use crate::fit::{Fitter, Score, Thing};
 use crate::learn::{LearnOptions, Learner};
 use crate::parts::{Part, parts};
 use crate::view::{NOTHING, Says, View};
-use crate::voxels::{Occupied, Voxels};
+use crate::voxels::{Occupied, Voxels, joined};
 use glam::DVec3;
 use pathfinding::prelude::{Matrix, kuhn_munkres};
 use presight_localize::verdict::body_from_image;
 use presight_model::environment::Environment;
 use presight_model::geometry::{Aabb, Pose};
 use presight_model::world::World;
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 /// The shortest move that counts, metres.
 const LEAST_MOVE: f64 = 0.02;
 /// A group may be so far from the object that is fitted to it, metres.
 const FARTHEST: f64 = 5.0;
 /// The share of a group's points that an object explains which stands there.
-const LEAST_EXPLAINED: f64 = 0.7;
+const LEAST_EXPLAINED: f64 = 0.8;
+/// How far things are moved, one standard deviation, metres: of two equal things, each moved to the nearer place.
+const FAR: f64 = 2.0;
 /// Voxels and points of the smallest thing that is reported as new.
 const LEAST_NEW: (usize, usize) = (3, 20);
 /// If a larger share of the decided objects changed, the map, the mount or the sensor is wrong.
@@ -104,7 +106,6 @@ pub struct Findings {
 /// A group of points that nothing explains.
 pub(crate) struct Group {
     pub points: Vec<DVec3>,
-    pub voxels: usize,
     pub bounds: Aabb,
 }
 
@@ -113,6 +114,8 @@ pub(crate) struct Group {
 struct Place {
     pose: Pose,
     score: Score,
+    /// Logarithm of its odds: what views say, and how far things are moved.
+    odds: f64,
 }
 
 impl Learner {
@@ -240,16 +243,17 @@ impl Decision<'_> {
         for (row, object) in doubted.iter().enumerate() {
             let thing = Thing::new(self.environment, *object);
             let own = self.environment.objects()[*object as usize].world_from_object;
+            let middle = own.transform_point(thing.middle);
             let mut add = |column: usize, start: &Pose| {
                 let pose = fitter.settle(&thing, start);
                 let score = fitter.score(&thing, &pose);
                 if self.is_sure(&score) && fitter.is_held(&thing, &pose) {
-                    places.insert((row, column), Place { pose, score });
+                    let odds = score.l - 0.5 * (pose.transform_point(thing.middle).distance(middle) / FAR).powi(2);
+                    places.insert((row, column), Place { pose, score, odds });
                 }
             };
             add(groups.len() + row, &own);
             for (column, group) in groups.iter().enumerate() {
-                let middle = own.transform_point(thing.middle);
                 let fits = group.bounds.size() <= 2.6 * thing.radius + 0.3
                     && group.bounds.center().distance(middle) <= FARTHEST;
                 if !fits || group.points.len() < LEAST_NEW.1 {
@@ -261,7 +265,7 @@ impl Decision<'_> {
                 }
             }
         }
-        let weight = |(row, column)| places.get(&(row, column)).map_or(0, |p: &Place| (100.0 * p.score.l) as i64);
+        let weight = |(row, column)| places.get(&(row, column)).map_or(0, |p: &Place| (100.0 * p.odds) as i64);
         let (_, assigned) = kuhn_munkres(&Matrix::from_fn(rows, columns, weight));
         let mut taken: Vec<(u32, Place)> = assigned
             .into_iter()
@@ -269,7 +273,7 @@ impl Decision<'_> {
             .filter_map(|(row, column)| Some((doubted[row], *places.get(&(row, column))?)))
             .collect();
         // Two groups may be parts of one thing: the surer object keeps the place.
-        taken.sort_by(|a, b| b.1.score.l.total_cmp(&a.1.score.l));
+        taken.sort_by(|a, b| b.1.odds.total_cmp(&a.1.odds));
         let mut kept: BTreeMap<u32, Place> = BTreeMap::new();
         for (object, place) in taken {
             let thing = Thing::new(self.environment, object);
@@ -330,22 +334,39 @@ impl Decision<'_> {
         Some(best.world_from_image * body_from_image(&best.kept.sensor).inverse())
     }
 
+    /// What no moved object explains, in pieces, is new.
     fn add_new(&self, found: &mut Findings, groups: &[Group], moves: &BTreeMap<u32, Place>) {
+        let is_explained = |p: &DVec3| {
+            moves.iter().any(|(object, place)| {
+                self.caster.foot(*object, place.pose.inverse().transform_point(*p), 0.1).is_some()
+            })
+        };
         for group in groups {
-            let is_explained = |p: &&DVec3| {
-                moves.iter().any(|(object, place)| {
-                    self.caster.foot(*object, place.pose.inverse().transform_point(**p), 0.1).is_some()
-                })
-            };
             let left: Vec<DVec3> = group.points.iter().filter(|p| !is_explained(p)).copied().collect();
-            let most = left.len() as f64 >= 0.5 * group.points.len() as f64;
-            if group.voxels < LEAST_NEW.0 || left.len() < LEAST_NEW.1 || !most {
-                continue;
+            let pieces = self.pieces(&left);
+            let whole = if pieces.is_empty() && self.is_thing(&left) { vec![left] } else { pieces };
+            for points in whole {
+                let l = self.options.most_per_view * f64::from(self.options.least_views);
+                let what = What::New(UprightBox::of(&points));
+                found.changes.push(self.finding(String::new(), what, l, self.options.least_views));
             }
-            let l = self.options.most_per_view * f64::from(self.options.least_views);
-            let what = What::New(UprightBox::of(&left));
-            found.changes.push(self.finding(String::new(), what, l, self.options.least_views));
         }
+    }
+
+    fn is_thing(&self, points: &[DVec3]) -> bool {
+        let voxels: BTreeSet<[i32; 3]> = points.iter().map(|p| self.voxels.key(*p)).collect();
+        voxels.len() >= LEAST_NEW.0 && points.len() >= LEAST_NEW.1
+    }
+
+    /// The pieces of a group that are large enough; the voxels of a piece touch.
+    fn pieces(&self, points: &[DVec3]) -> Vec<Vec<DVec3>> {
+        let keys = joined(points.iter().map(|p| self.voxels.key(*p)), 1);
+        let of_voxel: BTreeMap<[i32; 3], usize> =
+            keys.iter().enumerate().flat_map(|(piece, keys)| keys.iter().map(move |key| (*key, piece))).collect();
+        let mut pieces = vec![Vec::new(); keys.len()];
+        points.iter().for_each(|p| pieces[of_voxel[&self.voxels.key(*p)]].push(*p));
+        pieces.retain(|piece| self.is_thing(piece));
+        pieces
     }
 }
 
@@ -362,10 +383,6 @@ pub(crate) fn groups(voxels: &Voxels, views: &VecDeque<View>) -> Vec<Group> {
             points[*group].push(*p);
         }
     }
-    let group = |(keys, points): (Vec<[i32; 3]>, Vec<DVec3>)| Group {
-        voxels: keys.len(),
-        bounds: Aabb::of(points.iter().copied()),
-        points,
-    };
-    keys.into_iter().zip(points).map(group).filter(|group| !group.points.is_empty()).collect()
+    let group = |points: Vec<DVec3>| Group { bounds: Aabb::of(points.iter().copied()), points };
+    points.into_iter().filter(|points| !points.is_empty()).map(group).collect()
 }

@@ -44,6 +44,22 @@ pub(crate) type Cell = (u32, u8, [i32; 3]);
 pub(crate) struct Delta {
     pub objects: BTreeMap<u32, f64>,
     pub cells: BTreeMap<Cell, f64>,
+    pub pixels: BTreeMap<u32, Pixels>,
+}
+
+/// What the pixels say whose ray meets an object first.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Pixels {
+    /// It is there.
+    pub there: usize,
+    /// The ray passed through it.
+    pub through: usize,
+    /// Something else stands before it.
+    pub before: usize,
+    /// The same would be measured without it.
+    pub same: usize,
+    /// The ray went on, near an edge or flat along its surface.
+    pub edge: usize,
 }
 
 /// An object larger than this is judged by parts, too, metres.
@@ -62,13 +78,21 @@ impl Delta {
     pub fn of(view: &View, met: &[Option<Met>], environment: &Environment) -> Self {
         let mut delta = Self::default();
         for (at, says) in view.says.iter().enumerate() {
-            let sign = match says {
-                Says::There => 1.0,
-                Says::Through => -1.0,
-                Says::Nothing | Says::Before => continue,
-            };
             let Some(met) = met[at] else { continue };
             let object = met.object;
+            let pixels = delta.pixels.entry(object).or_default();
+            let (count, sign) = match says {
+                Says::There => (&mut pixels.there, 1.0),
+                Says::Through => (&mut pixels.through, -1.0),
+                Says::Before => (&mut pixels.before, 0.0),
+                Says::Same => (&mut pixels.same, 0.0),
+                Says::Edge => (&mut pixels.edge, 0.0),
+                Says::Nothing => continue,
+            };
+            *count += 1;
+            if sign == 0.0 {
+                continue;
+            }
             *delta.objects.entry(object).or_default() += sign;
             let o = &environment.objects()[object as usize];
             let inverse = o.world_from_object.inverse();
@@ -93,6 +117,8 @@ pub(crate) struct Book {
     pub cells: BTreeMap<Cell, Evidence>,
     /// How the odds of objects that something speaks against grew, view by view.
     pub growth: BTreeMap<u32, Vec<f32>>,
+    /// Pixels of each object.
+    pub pixels: BTreeMap<u32, Pixels>,
 }
 
 /// Most steps of growth that are kept.
@@ -108,6 +134,14 @@ impl Book {
             if growth.len() < STEPS {
                 growth.push(evidence.l as f32);
             }
+        }
+        for (object, more) in &delta.pixels {
+            let sum = self.pixels.entry(*object).or_default();
+            sum.there += more.there;
+            sum.through += more.through;
+            sum.before += more.before;
+            sum.same += more.same;
+            sum.edge += more.edge;
         }
         for (cell, sum) in &delta.cells {
             self.cells.entry(*cell).or_default().add(*sum, most, stamp);

@@ -1,7 +1,7 @@
 //! Learning from a drive: which frames count, and when they are believed.
 
 use crate::caster::Caster;
-use crate::evidence::{Book, Delta, Evidence};
+use crate::evidence::{Book, Delta, Evidence, Pixels};
 use crate::features::{Look, LookBook, looks_of};
 use crate::view::{Kept, Observer, View};
 use crate::voxels::Voxels;
@@ -183,6 +183,11 @@ impl Learner {
     pub fn evidence(&self, world: &World) -> Vec<(String, Evidence)> {
         let objects = world.environment().objects();
         self.book.objects.iter().map(|(object, e)| (objects[*object as usize].name.clone(), *e)).collect()
+    }
+
+    /// What pixels of believed views say of an object: why it is decided, or not. `None` if no ray met it.
+    pub fn pixels(&self, world: &World, object: &str) -> Option<Pixels> {
+        self.book.pixels.get(&world.environment().index_of(object).ok()?).copied()
     }
 
     /// The options.

@@ -143,23 +143,28 @@ impl Voxels {
         let counts = |v: &Voxel| {
             v.hits >= occupied.hits && f64::from(v.passes) <= occupied.passes * f64::from(v.hits + v.passes)
         };
-        let mut left: BTreeSet<[i32; 3]> = self.all.iter().filter(|(_, v)| counts(v)).map(|(key, _)| *key).collect();
-        let mut groups = Vec::new();
-        while let Some(first) = left.pop_first() {
-            let (mut group, mut next) = (vec![first], vec![first]);
-            while let Some([x, y, z]) = next.pop() {
-                for n in 0..125 {
-                    let [dx, dy, dz] = [n % 5 - 2, n / 5 % 5 - 2, n / 25 - 2];
-                    let key = [x.saturating_add(dx), y.saturating_add(dy), z.saturating_add(dz)];
-                    if left.remove(&key) {
-                        group.push(key);
-                        next.push(key);
-                    }
+        joined(self.all.iter().filter(|(_, v)| counts(v)).map(|(key, _)| *key), 2)
+    }
+}
+
+/// Voxels in groups, each by rising key; neighbours differ by at most `reach` along each axis.
+pub(crate) fn joined(keys: impl IntoIterator<Item = [i32; 3]>, reach: i32) -> Vec<Vec<[i32; 3]>> {
+    let (mut left, mut groups): (BTreeSet<[i32; 3]>, _) = (keys.into_iter().collect(), Vec::new());
+    let side = 2 * reach + 1;
+    while let Some(first) = left.pop_first() {
+        let (mut group, mut next) = (vec![first], vec![first]);
+        while let Some([x, y, z]) = next.pop() {
+            for n in 0..side.pow(3) {
+                let [dx, dy, dz] = [n % side, n / side % side, n / side.pow(2)].map(|d| d - reach);
+                let key = [x.saturating_add(dx), y.saturating_add(dy), z.saturating_add(dz)];
+                if left.remove(&key) {
+                    group.push(key);
+                    next.push(key);
                 }
             }
-            group.sort_unstable();
-            groups.push(group);
         }
-        groups
+        group.sort_unstable();
+        groups.push(group);
     }
+    groups
 }

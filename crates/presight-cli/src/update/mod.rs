@@ -136,7 +136,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let told = summary(&learner, &findings, shares);
     let shown = Shown { args, logs: &logs, scene: &scene, after: &after, findings: &findings, told: &told };
     shown.write(&args.out)?;
-    let applied = if args.apply { apply(&args.drive.map, &lines)? } else { Vec::new() };
+    let applied = if args.apply { apply(&args.drive.map, &lines, stamp + utc)? } else { Vec::new() };
     if let Some(path) = &args.evidence {
         let changed: Vec<String> = applied.iter().filter_map(|number| changed_by(&lines[*number])).collect();
         if !applied.is_empty() {

@@ -30,14 +30,14 @@ pub fn version_of(map: &Path, scene: &Scene) -> Result<Version> {
     Ok(Version { is_store: true, origin: info.genesis, base: info.head[..12].to_owned() })
 }
 
-/// Applies lines to the store, each on its own; those whose objects changed in the meantime are refused by name. Returns
+/// Applies lines to the store at a time (UTC seconds), each on its own; those whose objects changed in the meantime are refused by name. Returns
 /// the numbers of the lines that were applied.
 ///
 /// # Errors
 /// Errors from opening the store and from writing to it.
-pub fn apply(map: &Path, lines: &[String]) -> Result<Vec<usize>> {
+pub fn apply(map: &Path, lines: &[String], time: f64) -> Result<Vec<usize>> {
     let mut store = Store::open_with_index(map, &IndexKind::None)?;
-    let note = Note::new("presight update", 0.0);
+    let note = Note::new("presight update", time);
     let mut batch = store.batch()?;
     let mut applied = Vec::new();
     for (number, line) in lines.iter().enumerate() {
