@@ -14,7 +14,7 @@ def cells(page):
         elif kind == "sh":
             yield "code", "".join(f"!{line}\n" for line in block.splitlines())
         elif text.strip():
-            yield "markdown", text.replace("](../", "](../../")
+            yield "markdown", text.replace("](../", "](../../").replace("](pictures/", "](../../docs/pictures/")
 
 
 def notebook(page):

@@ -106,6 +106,23 @@ fn in_time(py: Python<'_>, request: Request, deadline_ms: Option<f64>) -> PyResu
     }
 }
 
+/// Runs work that loads a graphics driver. Mesa prints an error where there is no folder of displays; for the while there is one that
+/// cannot hold a socket.
+fn without_displays<T>(py: Python<'_>, work: impl FnOnce() -> PyResult<T>) -> PyResult<T> {
+    let (environ, name) = (py.import("os")?.getattr("environ")?, "XDG_RUNTIME_DIR");
+    let given: Option<PathBuf> = environ.call_method1("get", (name,))?.extract()?;
+    if given.as_ref().is_some_and(|folder| folder.is_absolute()) {
+        return work();
+    }
+    environ.set_item(name, "/dev/null")?;
+    let done = work();
+    match given {
+        Some(given) => environ.set_item(name, given)?,
+        None => environ.del_item(name)?,
+    }
+    done
+}
+
 /// What each batch is given: a version of the world, a sensor, and its poses there.
 struct Given {
     world: World,
@@ -146,7 +163,8 @@ impl Predictor {
             _ => return Err(usage(py, "backend", format!("{backend:?}"), "give \"auto\", \"cpu\" or \"gpu\"")),
         };
         let core = PerProcessPredictor::new(backend, threads);
-        let opened = apart(py, || core.with(|predictor, _: &mut Placed| Ok::<_, Failed>(predictor.engine_name())))?;
+        let open = || apart(py, || core.with(|predictor, _: &mut Placed| Ok::<_, Failed>(predictor.engine_name())));
+        let opened = if backend == Backend::Cpu { open() } else { without_displays(py, open) }?;
         Ok(Self { core, opened })
     }
 

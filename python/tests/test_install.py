@@ -13,6 +13,7 @@ from conftest import POSE
 
 import presight
 
+ROOT = Path(__file__).resolve().parents[2]
 WHEEL = os.environ.get("PRESIGHT_WHEEL")
 
 
@@ -46,3 +47,11 @@ def test_other_pythons_run_the_same_wheel(tmp_path, which, room, cpu):
     assert np.array_equal(np.load(tmp_path / "out.npy"), cpu.predict(room, "vlp-16", POSE).range)
     said = subprocess.run([tmp_path / "env" / "bin" / "presight", "--version"], capture_output=True, text=True, check=True)
     assert said.stdout == f"presight {presight.__version__}\n"
+
+
+@pytest.mark.skipif(not (ROOT / "Cargo.toml").exists(), reason="outside of the repository")
+def test_benches_name_their_files():
+    """Cargo looks for the files of those that do not, and the source distribution has none."""
+    text = (ROOT / "Cargo.toml").read_text()
+    benches = text.split("[[bench]]")[1:]
+    assert len(benches) > 10 and all("\npath = " in bench for bench in benches)
