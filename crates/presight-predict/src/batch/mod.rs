@@ -80,7 +80,7 @@ pub struct BatchItem {
 pub struct Batch<'p, I: Iterator> {
     predictor: &'p mut Predictor,
     poses: Peekable<I>,
-    task: Task,
+    task: Task<'p>,
     /// Threads that each process one pose; `None` if the engine processes poses in sequence.
     threads: Option<Threads>,
     lanes: Vec<Mutex<Lane>>,
@@ -92,13 +92,18 @@ pub struct Batch<'p, I: Iterator> {
     ended: bool,
 }
 
+/// Looks at the images of the pose with this index.
+type Show<'p> = &'p (dyn Fn(usize, &Images) + Sync);
+
 /// The work at each pose, the same for all.
-struct Task {
+struct Task<'p> {
     world: World,
     /// The sensor, or its panorama.
     sensor: Sensor,
     request: ImageRequest,
+    /// The images that items keep.
     wanted: Outputs,
+    show: Option<Show<'p>>,
     weigh: Option<HeadingModel>,
     /// The same for an engine that weighs images itself; `None` if images are requested too.
     weighing: Option<Weighing>,
@@ -206,7 +211,7 @@ impl Predictor {
     }
 }
 
-impl Task {
+impl<'p> Task<'p> {
     fn new(world: &World, sensor: &Sensor, request: &BatchRequest) -> Result<Self> {
         let other = |what: &str| {
             let what = format!("{what} does not belong to sensor {:?}", sensor.spec().name);
@@ -241,6 +246,7 @@ impl Task {
             weighing: alone.map(|sensed| sensed.weighing(request.headings.as_ref())),
             request: ImageRequest { outputs, ..asked },
             wanted: asked.outputs,
+            show: None,
             by_cut: request.images.is_none() && weigh.is_some() && RowView::new(&sensor).is_some(),
             sensor,
             weigh,
@@ -254,6 +260,11 @@ impl Task {
     fn bytes(&self) -> usize {
         let pixels = self.sensor.width() as usize * self.sensor.height() as usize;
         4 * pixels * self.wanted.numbers() + self.headings.as_ref().map_or(0, |h| 4 * h.count() as usize)
+    }
+
+    /// True if items have images.
+    fn keeps(&self) -> bool {
+        self.wanted.iter().next().is_some()
     }
 
     /// Allocates the images of an item.
@@ -270,8 +281,10 @@ impl Task {
     /// Produces the item of a pose, with a thread's own memory and engine; kept images go to `room`.
     fn run(&self, index: usize, given: &Pose, room: Images, cuts: &RowCuts, lane: &mut Lane) -> Result<BatchItem> {
         let pose = self.pose(given)?;
-        let scratch = std::mem::replace(&mut lane.images, room);
-        self.take_scratch(scratch, &mut lane.images);
+        if self.keeps() {
+            let scratch = std::mem::replace(&mut lane.images, room);
+            self.take_scratch(scratch, &mut lane.images);
+        }
         let mut stats = Stats::default();
         let seen = self.see_by_cut(&pose, cuts, lane, &mut stats);
         let Lane { engine, buffers, images, .. } = lane;
@@ -306,6 +319,9 @@ impl Task {
         drawn: Drawn<'_>,
         panorama: &mut Panorama,
     ) -> BatchItem {
+        if let (Some(show), Drawn::Images(images)) = (self.show, &drawn) {
+            show(index, images);
+        }
         let (mut log_likelihood, mut headings) = (None, Vec::new());
         match (&self.weigh, &drawn) {
             (Some(HeadingModel::Pose(sensed)), Drawn::Images(images)) => {
@@ -321,7 +337,7 @@ impl Task {
             (None, _) => {}
         }
         let images = match drawn {
-            Drawn::Images(images) if self.wanted.iter().next().is_some() => self.keep(images),
+            Drawn::Images(images) if self.keeps() => self.keep(images),
             _ => Images::default(),
         };
         let stats = self.statistics.then_some(stats);
@@ -346,7 +362,34 @@ impl Task {
     }
 }
 
-impl<I: Iterator<Item = Pose>> Batch<'_, I> {
+impl<'p, I: Iterator<Item = Pose>> Batch<'p, I> {
+    /// Shows the requested images of each pose to `show`, with the pose's index, on the thread that drew them and in any
+    /// order. Items then have no images, and memory for images is used from pose to pose.
+    ///
+    /// ```
+    /// use presight::batch::BatchRequest;
+    /// use presight::environment::Environment;
+    /// use presight::{Options, Output, Outputs, Pose, Predictor, World};
+    /// use std::sync::atomic::{AtomicUsize, Ordering};
+    /// let request = BatchRequest { images: Some(Outputs::of(&[Output::Range]).into()), ..BatchRequest::default() };
+    /// let mut predictor = Predictor::new(Options::default())?;
+    /// let world = World::new(Environment::new());
+    /// let empty = AtomicUsize::new(0);
+    /// let count = |_: usize, images: &presight::Images| {
+    ///     empty.fetch_add(images.range.iter().filter(|r| r.is_infinite()).count(), Ordering::Relaxed);
+    /// };
+    /// let batch = predictor.batch(&world, &presight::preset("laser-scanner")?, vec![Pose::IDENTITY; 3], &request)?;
+    /// for item in batch.shown_to(&count) {
+    ///     assert!(item?.images.range.is_empty());
+    /// }
+    /// assert_eq!(empty.into_inner(), 3 * 361);
+    /// # Ok::<(), presight::Error>(())
+    /// ```
+    pub fn shown_to(mut self, show: &'p (dyn Fn(usize, &Images) + Sync)) -> Self {
+        (self.task.wanted, self.task.show) = (Outputs::of(&[]), Some(show));
+        self
+    }
+
     /// Number of poses that the next chunk processes.
     pub fn chunk(&self) -> usize {
         self.chunk
