@@ -43,7 +43,7 @@ impl Readings<'_> {
     /// out what differs by more than noise and pose explain: that has changed.
     pub fn register(&self, prior: &PoseEstimate) -> PoseEstimate {
         let stated = inverse(prior.covariance.as_rows(), &AXES);
-        let mut pose = prior.clone();
+        let mut pose = *prior;
         for _ in 0..STEPS {
             let residuals = self.residuals(&pose.world_from_robot);
             let mut count: BTreeMap<u32, f64> = BTreeMap::new();

@@ -23,12 +23,14 @@ fn mesh(count: usize, seed: u64) -> Mesh {
     Mesh::new("m", vertices, polygons, PolygonOrder::Spatial).unwrap()
 }
 
+/// The least and greatest corner of a box.
+type Box = ([f32; 3], [f32; 3]);
+
 /// Every corner of every polygon is in a block that names it, and in all boxes above; every fan triangle occurs once.
 fn check(mesh: &Mesh) -> RayTree {
     let tree = RayTree::new(mesh).unwrap();
     let mut met = vec![0usize; mesh.polygon_count()];
-    let mut stack: Vec<(u32, Option<([f32; 3], [f32; 3])>)> =
-        if tree.nodes.is_empty() { vec![] } else { vec![(0, None)] };
+    let mut stack: Vec<(u32, Option<Box>)> = if tree.nodes.is_empty() { vec![] } else { vec![(0, None)] };
     let (mut nodes, mut blocks) = (0, 0);
     while let Some((name, around)) = stack.pop() {
         let holds = |p: DVec3| {

@@ -147,6 +147,7 @@ impl<S: Width, const N: usize> Make<S, N> {
     }
 
     #[inline(always)]
+    #[expect(clippy::manual_memcpy, reason = "a call would cost more than these few registers")]
     pub fn load(self, x: &[f32; 8]) -> Eight<S, N> {
         let (parts, _) = S::as_simd_f32s(x);
         let mut all = [parts[0]; N];
@@ -164,6 +165,7 @@ impl<S: Width, const N: usize> Make<S, N> {
 
 impl<S: Width, const N: usize> Eight<S, N> {
     #[inline(always)]
+    #[expect(clippy::manual_memcpy, reason = "a call would cost more than these few registers")]
     pub fn store(self, to: &mut [f32; 8]) {
         let (parts, _) = S::as_mut_simd_f32s(to);
         for i in 0..N {
