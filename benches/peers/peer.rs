@@ -45,7 +45,7 @@ const PRESETS: [&str; 4] = ["microwave-radar-image", "video-camera", "laser-rang
 /// The sensors of [`cameras::sensors`] that are compared.
 const CAMERAS: [&str; 6] = ["pinhole", "plumb-bob", "rational", "fisheye 60", "fisheye 120", "fisheye 200"];
 
-/// A sensor at free poses as they are, or on a robot, which stands level or leans by so many degrees.
+/// A sensor at free poses, or on a robot, which stands level or leans by some degrees.
 struct Compared {
     sensor: Sensor,
     lean_deg: Option<f64>,
@@ -231,7 +231,7 @@ fn main() {
             ([start.elapsed(), cpu.elapsed()].map(|time| time.as_secs_f64() * 1e3), prediction)
         };
         tell(&predict(&range).1.images.range);
-        // What is made when a sensor has been seen some times, is made.
+        // Trees and cuts are made for a sensor that returns.
         let before = if sensor.width() * sensor.height() <= 4096 { WARM } else { 1 };
         (0..before).for_each(|_| drop(predict(&all)));
         let mut times = [Vec::new(), Vec::new()];

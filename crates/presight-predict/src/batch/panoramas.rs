@@ -8,8 +8,9 @@ use presight_model::error::{Error, Result};
 use presight_model::geometry::Pose;
 use presight_model::memory;
 use presight_model::world::World;
-use presight_render::plan::{Images, Output, Outputs};
-use presight_render::row::RowView;
+use presight_render::cpu::CpuEngine;
+use presight_render::plan::{FramePlan, Images, Output, Outputs, PlanBuffers, Stats};
+use presight_render::row::is_row;
 use rayon::prelude::*;
 
 /// Full-turn views of a level scanner at places in one version of a world.
@@ -34,24 +35,27 @@ impl Predictor {
         let (mut range, mut cos_incidence) =
             (memory::reserved(places.len() * beams)?, memory::reserved(places.len() * beams)?);
         let level = |place: DVec3| Pose { translation: place, ..Pose::IDENTITY };
-        if let (Some(view), Some(first)) = (RowView::new(sensor), places.first()) {
-            let cut = self.row_cuts().get(world, &sensor.spec().class, first.z);
-            let see = |view: &mut RowView, place: &DVec3| {
-                let (mut range, mut cos) = (Vec::new(), Vec::new());
-                view.see(&cut, &level(*place), &mut range, &mut cos);
-                (range, cos)
+        let outputs = Outputs::of(&[Output::Range, Output::CosIncidence]);
+        let first = places.first().filter(|_| is_row(sensor));
+        if first.is_some_and(|first| places.iter().any(|p| p.z != first.z)) {
+            return Err(Error::usage("the places have several heights", "give the places of one height at a time"));
+        }
+        let cut = first.and_then(|first| self.row_cuts().get(world, sensor, &level(*first), true));
+        if let Some(cut) = cut.filter(|cut| places.iter().all(|p| cut.serves(p.truncate()))) {
+            let cpu = CpuEngine::new(self.task_threads()?)?;
+            let see = |engine: &mut CpuEngine, place: &DVec3| {
+                let (mut images, buffers) = (Images::default(), PlanBuffers::default());
+                let plan = FramePlan::by_cut(buffers, world, sensor, &level(*place), outputs.into(), cut.clone());
+                engine.render(&plan, &mut images, &mut Stats::default())?;
+                Ok((images.range, images.cos_incidence))
             };
-            let same_height = places.iter().all(|p| p.z == first.z);
-            if !same_height {
-                return Err(Error::usage("the places have several heights", "give the places of one height at a time"));
-            }
-            let all: Vec<_> = self.on_threads(|| places.par_iter().map_init(|| view.clone(), see).collect())?;
-            for (r, c) in all {
+            let all: Result<Vec<_>> =
+                self.on_threads(|| places.par_iter().map_init(|| cpu.on_one_thread(), see).collect())?;
+            for (r, c) in all? {
                 range.extend(r);
                 cos_incidence.extend(c);
             }
         } else {
-            let outputs = Outputs::of(&[Output::Range, Output::CosIncidence]);
             let mut images = Images::default();
             for place in &places {
                 self.predict_images(world, sensor, &level(*place), outputs, &mut images)?;

@@ -383,7 +383,15 @@ impl Predictor {
         let start = Instant::now();
         let Vantage { world, sensor, world_from_sensor } = *vantage;
         let buffers = std::mem::take(&mut self.buffers);
-        let mut plan = FramePlan::within(buffers, world, sensor, world_from_sensor, request)?;
+        let cut = if timed.is_none() && self.engine.draws_cuts() {
+            self.row_cuts.get(world, sensor, world_from_sensor, false)
+        } else {
+            None
+        };
+        let mut plan = match cut {
+            Some(cut) => FramePlan::by_cut(buffers, world, sensor, world_from_sensor, request, cut),
+            None => FramePlan::within(buffers, world, sensor, world_from_sensor, request)?,
+        };
         plan.reuse_visible = reuse_visible;
         let mut stats = Stats { index: world.index().name(), ..Stats::default() };
         stats.stage(StageName::Selection, start);

@@ -57,7 +57,7 @@ impl<'a> RayInstance<'a> {
 
     /// True metres per metre of a plane's distance in the mesh frame.
     #[inline(always)]
-    fn length_per_distance(&self, normal: DVec3) -> f64 {
+    pub fn length_per_distance(&self, normal: DVec3) -> f64 {
         match self.uniform {
             Some(factor) => factor,
             None => (self.normal_from_mesh * normal).length().recip(),

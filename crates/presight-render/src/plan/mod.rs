@@ -24,6 +24,7 @@ pub use view::region_of;
 pub use weighing::{BeamNumbers, Drawn, Weighing};
 
 use crate::deadline::Watch;
+use crate::row::RowCut;
 use glam::{DMat3, DVec3};
 use presight_model::environment::{Appearance, Environment, Material};
 use presight_model::error::{Error, Result};
@@ -154,6 +155,8 @@ pub struct FramePlan {
     pub limit: Option<TimeLimit>,
     /// True if engines may begin with the polygons that the sensor's last frame showed.
     pub reuse_visible: bool,
+    /// For a level scanner of one row: the cut of the world at its height, in place of runs.
+    pub(crate) cut: Option<Arc<RowCut>>,
     /// Scratch memory, kept from frame to frame.
     found: QueryResult,
     selected: Vec<ObjectRun>,
@@ -233,8 +236,37 @@ impl FramePlan {
         world_from_sensor: &Pose,
         request: ImageRequest,
     ) -> Result<Self> {
+        let region = region_of(sensor, world_from_sensor)?;
+        let mut plan = Self::unfilled(buffers, world, sensor, world_from_sensor, request);
+        plan.fill(&region);
+        Ok(plan)
+    }
+
+    /// Plans a prediction by a cut of the same version of the world at the sensor's height, which must serve the sensor, see
+    /// [`crate::row::RowCuts::get`]. Nothing is selected. Only the CPU engine draws it.
+    pub fn by_cut(
+        buffers: PlanBuffers,
+        world: &World,
+        sensor: &Sensor,
+        world_from_sensor: &Pose,
+        request: ImageRequest,
+        cut: Arc<RowCut>,
+    ) -> Self {
+        let mut plan = Self::unfilled(buffers, world, sensor, world_from_sensor, request);
+        plan.clear();
+        plan.cut = Some(cut);
+        plan
+    }
+
+    fn unfilled(
+        buffers: PlanBuffers,
+        world: &World,
+        sensor: &Sensor,
+        world_from_sensor: &Pose,
+        request: ImageRequest,
+    ) -> Self {
         let PlanBuffers { instances, runs, facings, found, selected } = buffers;
-        let mut plan = Self {
+        Self {
             world: world.clone(),
             sensor: sensor.clone(),
             world_from_sensor: *world_from_sensor,
@@ -248,11 +280,30 @@ impl FramePlan {
             objects_not_opaque: 0,
             limit: None,
             reuse_visible: false,
+            cut: None,
             found,
             selected,
-        };
-        plan.fill(&region_of(sensor, world_from_sensor)?);
-        Ok(plan)
+        }
+    }
+
+    /// The same images of some polygons only, each an object and a polygon of its mesh; sorted.
+    pub(crate) fn of_polygons(&self, polygons: &[(u32, u32)]) -> Self {
+        let request = ImageRequest { outputs: self.drawn(), ids: self.drawn_ids() };
+        let Self { world, sensor, world_from_sensor, .. } = self;
+        let mut plan = Self::unfilled(PlanBuffers::default(), world, sensor, world_from_sensor, request);
+        plan.clear();
+        for of_object in polygons.chunk_by(|a, b| a.0 == b.0) {
+            let instance = plan.instances.len() as u32;
+            plan.instances.push(plan.instance_of(of_object[0].0));
+            plan.runs.extend(of_object.iter().map(|(_, first)| Run {
+                instance,
+                first: *first,
+                count: 1,
+                nearest: 0.0,
+            }));
+        }
+        plan.polygon_count = polygons.len();
+        plan
     }
 
     /// Lets a clock stop the engines, for tests. A `Predictor` does so for `Request::deadline`.
@@ -343,6 +394,7 @@ impl FramePlan {
             objects_not_opaque: self.objects_not_opaque,
             limit,
             reuse_visible: false,
+            cut: None,
             found: QueryResult::default(),
             selected: Vec::new(),
         })
@@ -415,7 +467,8 @@ impl FramePlan {
         self.drawn_ids().id_of(&self.world.environment().objects()[object as usize], polygon)
     }
 
-    fn fill(&mut self, region: &Region) {
+    /// Nothing selected yet.
+    fn clear(&mut self) {
         // Feature ids are derived from features later.
         self.request.outputs = self.request.outputs.without(Output::FeatureId);
         if !self.sensor.is_camera() {
@@ -428,10 +481,14 @@ impl FramePlan {
         self.limit = None;
         (self.polygon_count, self.objects_out_of_view) = (0, 0);
         (self.polygons_out_of_view, self.objects_not_opaque) = (0, 0);
+        self.cut = None;
+        self.facings.extend(facings(self.world.environment(), &self.sensor.spec().class));
+    }
+
+    fn fill(&mut self, region: &Region) {
+        self.clear();
         let world = self.world.clone();
         let environment = world.environment();
-        let class = self.sensor.spec().class.clone();
-        self.facings.extend(facings(environment, &class));
         let mut selected = std::mem::take(&mut self.selected);
         selected.clear();
         world.index().select(environment, region, &mut self.found, &mut selected);

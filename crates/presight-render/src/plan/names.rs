@@ -115,6 +115,8 @@ words! {
         HitsWithoutId = "internal errors: hits without id",
         SegmentsOfCut = "segments of the cut",
         SegmentsTested = "segments tested",
+        /// Beams for which rounding could decide, so that an engine did.
+        BeamsDecided = "beams decided by an engine",
         Features = "features",
         FeaturesQueried = "features asked",
         FeaturesNotChosen = "features not chosen",
