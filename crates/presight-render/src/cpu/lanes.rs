@@ -149,10 +149,15 @@ impl PolygonLanes {
                 indices[l] = records[l].corners(all_corners)[own];
             }
         }
-        self.set_depths(at);
+        let (n, m) = (&self.normals, at.m_from_normal);
         let mut outward = [0.0; LANES];
         for l in 0..LANES {
-            outward[l] = if (self.distance[l] > 0.0) == at.mirrored { -1.0 } else { 1.0 };
+            let d = self.distance[l];
+            let [x, y, z] = [n[0][l], n[1][l], n[2][l]];
+            self.m[0][l] = (m.x_axis.x * x + m.y_axis.x * y + m.z_axis.x * z) / d;
+            self.m[1][l] = (m.x_axis.y * x + m.y_axis.y * y + m.z_axis.y * z) / d;
+            self.m[2][l] = (m.x_axis.z * x + m.y_axis.z * y + m.z_axis.z * z) / d;
+            outward[l] = if (d > 0.0) == at.mirrored { -1.0 } else { 1.0 };
         }
         for k in 0..self.count {
             let next = if k + 1 == self.count { 0 } else { k + 1 };
@@ -169,19 +174,6 @@ impl PolygonLanes {
                 edge[1][l] = (az * dx - dz * ax) * sign;
                 edge[2][l] = (ax * dy - dx * ay) * sign;
             }
-        }
-    }
-
-    /// Fills `m` of the polygons that were measured.
-    #[inline(always)]
-    pub fn set_depths(&mut self, at: &RayInstance<'_>) {
-        let (n, m) = (&self.normals, at.m_from_normal);
-        for l in 0..LANES {
-            let d = self.distance[l];
-            let [x, y, z] = [n[0][l], n[1][l], n[2][l]];
-            self.m[0][l] = (m.x_axis.x * x + m.y_axis.x * y + m.z_axis.x * z) / d;
-            self.m[1][l] = (m.x_axis.y * x + m.y_axis.y * y + m.z_axis.y * z) / d;
-            self.m[2][l] = (m.x_axis.z * x + m.y_axis.z * y + m.z_axis.z * z) / d;
         }
     }
 

@@ -1,18 +1,19 @@
 //! Rows of level scanners: a search in the plane finds which polygon each beam meets ([`crate::row`]), and images are made of
 //! its plane by the arithmetic of setup and rasterization. Where rounding could decide, the candidates are drawn as usual.
 
-use super::batch::{Shade, Winners};
+use super::batch::{Batch, Shade, Winners};
 use super::lanes::PolygonLanes;
-use super::raster_lines::{Buffer, EIGHT};
+use super::raster_lines::{self, Buffer};
 use super::resolve::{self, Target};
-use super::setup::RayInstance;
+use super::setup;
 use super::{Bands, CpuEngine};
 use crate::plan::{CountName, FramePlan, Images, StageName, Stats};
-use crate::row::{NOTHING, RowBeams, RowCut, RowSearch, RowView, Search, UNSURE};
-use glam::DVec3;
+use crate::row::{CutObject, NOTHING, RowBeams, RowCut, RowSearch, RowView, Search, UNSURE};
+use glam::{DMat3, DVec3, Vec3};
 use presight_model::clock::Instant;
 use presight_model::error::{Error, Result};
 use presight_model::sensor::{LineAxis, LineGrid, PixelGrid};
+use pulp::Simd;
 
 /// Scratch memory for rows.
 #[derive(Default)]
@@ -28,6 +29,9 @@ pub(super) struct RowDrawer {
     numbers: Vec<u32>,
     /// Winners by object and polygon, with their segments.
     seen: Vec<(u64, u32)>,
+    /// Candidates, each an object and a polygon, and what they are drawn from.
+    polygons: Vec<(u32, u32)>,
+    batch: Batch,
     buffer: Buffer,
 }
 
@@ -53,36 +57,12 @@ impl CpuEngine {
         for target in &mut resolve::split(images, &bands) {
             pulp::Arch::new().dispatch(DrawRow { row: &mut row, plan, cut, bands: &bands, target });
         }
-        if !row.search.candidates.is_empty() {
-            self.decide(plan, cut, &row.search, images)?;
-        }
         stats.stages_ms.push((StageName::Rasterization, start.elapsed().as_secs_f64() * 1e3));
         stats.count(CountName::SegmentsOfCut, cut.segments.len());
         stats.count(CountName::SegmentsTested, row.search.tested);
         stats.count(CountName::BeamsDecided, row.search.winners.iter().filter(|w| **w == UNSURE).count());
         self.row = row;
         plan.finish_noting(images, stats)
-    }
-
-    /// Draws the candidates, and takes over the beams that are not sure.
-    fn decide(&mut self, plan: &FramePlan, cut: &RowCut, search: &RowSearch, images: &mut Images) -> Result<()> {
-        let candidates = search.candidates.iter().flat_map(|s| cut.with_copies(*s));
-        let mut polygons: Vec<(u32, u32)> = candidates.map(|s| (s.object, s.polygon)).collect();
-        polygons.sort_unstable();
-        polygons.dedup();
-        let mut drawn = std::mem::take(&mut self.part);
-        self.draw(&plan.of_polygons(&polygons), &mut drawn, &mut Stats::default())?;
-        for i in (0..search.winners.len()).filter(|i| search.winners[*i] == UNSURE) {
-            fn take<T: Copy>(to: &mut [T], from: &[T], i: usize) {
-                to.get_mut(i).into_iter().zip(from.get(i)).for_each(|(to, from)| *to = *from);
-            }
-            take(&mut images.range, &drawn.range, i);
-            take(&mut images.cos_incidence, &drawn.cos_incidence, i);
-            take(&mut images.polygon_id, &drawn.polygon_id, i);
-            take(&mut images.object_id, &drawn.object_id, i);
-        }
-        self.part = drawn;
-        Ok(())
     }
 }
 
@@ -98,7 +78,7 @@ impl RowDrawer {
                 "predict without it",
             ));
         };
-        let view = RowView::new(&plan.world_from_sensor, plan.sensor.spec().range_max);
+        let view = RowView::new(&plan.world_from_sensor, plan.sensor.spec().range_max, cut.margin);
         pulp::Arch::new().dispatch(Search { search: &mut self.search, beams, cut, view });
         Ok(())
     }
@@ -106,7 +86,7 @@ impl RowDrawer {
     /// Numbers the winners, and works out their planes as setup does.
     #[inline(always)]
     fn set_up(&mut self, plan: &FramePlan, cut: &RowCut) {
-        let Self { search, lanes, winners, planes, numbers, seen, .. } = self;
+        let Self { search, winners, planes, numbers, seen, .. } = self;
         numbers.resize(cut.segments.len().max(numbers.len()), 0);
         seen.clear();
         for &segment in search.winners.iter().filter(|w| **w < UNSURE) {
@@ -116,45 +96,54 @@ impl RowDrawer {
             }
         }
         seen.sort_unstable();
+        let frame = Frame::new(plan);
         winners.clear();
         planes.clear();
         planes.push(DVec3::ZERO);
-        let lanes = lanes.get_or_insert_with(|| Box::new(PolygonLanes::new()));
         for of_object in seen.chunk_by(|a, b| a.0 >> 32 == b.0 >> 32) {
             let object = (of_object[0].0 >> 32) as u32;
-            let instance = plan.instance_of(object);
-            let at = RayInstance::new(plan, &instance);
-            for eight in of_object.chunks(EIGHT) {
-                let mut polygons = [0; EIGHT];
-                polygons.iter_mut().zip(eight).for_each(|(polygon, of)| *polygon = of.0 as u32);
-                let polygons = &polygons[..eight.len()];
-                lanes.load(&at, polygons, None);
-                lanes.measure(&at, polygons);
-                lanes.set_depths(&at);
-                for (i, (polygon, (_, segment))) in polygons.iter().zip(eight).enumerate() {
-                    if cut.has_copies(*segment) && !has_one_nearest(&at, *polygon) {
-                        search.candidates.push(*segment);
-                        search.winners.iter_mut().filter(|w| **w == *segment).for_each(|w| *w = UNSURE);
-                    }
-                    debug_assert!(!lanes.edge_on[i], "{polygon} of {object} is edge-on");
-                    let normal = at.mesh.planes()[*polygon as usize].normal;
-                    numbers[*segment as usize] = planes.len() as u32;
-                    planes.push(DVec3::new(lanes.m[0][i], lanes.m[1][i], lanes.m[2][i]));
-                    winners.shades.push(Shade {
-                        distance: lanes.distance[i].abs() * at.length_per_distance(normal),
-                        polygon_id: plan.drawn_polygon_id(object, *polygon),
-                        object_id: object + 1,
-                    });
+            let placed = frame.place(&cut.objects[cut.segments[of_object[0].1 as usize].place as usize]);
+            for &(key, segment) in of_object {
+                let polygon = key as u32;
+                let of = &cut.segments[segment as usize];
+                let corners = cut.corners(of);
+                if cut.has_copies(segment) && !placed.has_one_nearest(corners) {
+                    search.candidates.push(segment);
+                    search.winners.iter_mut().filter(|w| **w == segment).for_each(|w| *w = UNSURE);
                 }
+                let (m, distance) = placed.plane(of.mesh_normal, corners);
+                numbers[segment as usize] = planes.len() as u32;
+                planes.push(m);
+                winners.slots.push(0);
+                winners.shades.push(Shade {
+                    distance,
+                    polygon_id: plan.drawn_polygon_id(object, polygon),
+                    object_id: object + 1,
+                });
             }
         }
     }
 
-    /// Fills the z-buffer as the rasterizer does.
+    /// Draws the candidates, as all polygons of other predictions are drawn.
+    #[inline(always)]
+    fn decide<S: Simd>(&mut self, simd: S, plan: &FramePlan, cut: &RowCut, grid: &LineGrid, bands: &Bands) {
+        let Self { search, lanes, winners, polygons, batch, buffer, .. } = self;
+        let candidates = search.candidates.iter().flat_map(|s| cut.with_copies(*s));
+        polygons.clear();
+        polygons.extend(candidates.map(|s| (s.object, s.polygon)));
+        polygons.sort_unstable();
+        polygons.dedup();
+        let lanes = lanes.get_or_insert_with(|| Box::new(PolygonLanes::new()));
+        setup::fill_polygons(simd, batch, plan, polygons, lanes, bands);
+        winners.number(batch);
+        buffer.clear_farthest(bands.lines, 1, 0.0);
+        raster_lines::rasterize(simd, buffer, grid, std::slice::from_ref(batch), &winners.slots, bands, 0);
+    }
+
+    /// Fills the z-buffer where beams are sure, as the rasterizer does.
     #[inline(always)]
     fn fill(&mut self, grid: &LineGrid) {
         let Self { search, planes, numbers, buffer, .. } = self;
-        buffer.clear(LineAxis::Columns, search.winners.len(), 1);
         let [w0, w1] = grid.weights()[0];
         for (line, (segment, [c0, c1])) in search.winners.iter().zip(grid.lines()).enumerate() {
             if *segment < UNSURE {
@@ -168,14 +157,84 @@ impl RowDrawer {
     }
 }
 
-/// True if no two corners are equally near: then planes of coincident faces are measured at the same one.
-fn has_one_nearest(at: &RayInstance<'_>, polygon: u32) -> bool {
-    let squares = || at.mesh.corners_of(polygon).map(|p| (p - at.center).length_squared());
-    let least = squares().fold(f64::INFINITY, f64::min);
-    squares().filter(|square| *square <= least * (1.0 + 1e-14)).count() == 1
+/// Where the rays of a frame are.
+struct Frame {
+    image_from_world: DMat3,
+    ray_from_image: DMat3,
+    place: DVec3,
 }
 
-/// Draws the beams that are sure, and nothing for others.
+/// An object in the frame of the rays: as `Instance` and `RayInstance` place it, as far as planes need it.
+struct Placed {
+    m_from_normal: DMat3,
+    normal_from_mesh: DMat3,
+    /// Metres for each metre of a plane's distance in the mesh's frame, if that is the same for all planes.
+    uniform: Option<f64>,
+    center: DVec3,
+}
+
+impl Frame {
+    #[inline(always)]
+    fn new(plan: &FramePlan) -> Self {
+        let world_from_image = plan.world_from_sensor.rotation_matrix() * plan.sensor.body_from_image();
+        let ray_from_image = match plan.sensor.grid() {
+            PixelGrid::Lines(grid) => grid.image_from_line().transpose(),
+            PixelGrid::Rays(_) => DMat3::IDENTITY,
+        };
+        let image_from_world = world_from_image.transpose();
+        Self { image_from_world, ray_from_image, place: plan.world_from_sensor.translation }
+    }
+
+    #[inline(always)]
+    fn place(&self, object: &CutObject) -> Placed {
+        let normal_from_mesh = self.image_from_world * object.rotation * object.normal_from_mesh;
+        let in_object = object.rotation.transpose() * (self.place - object.translation);
+        Placed {
+            m_from_normal: self.ray_from_image * normal_from_mesh,
+            normal_from_mesh,
+            uniform: setup::uniform_scale(&normal_from_mesh).map(f64::recip),
+            center: object.mesh_from_object.transform_point3(in_object),
+        }
+    }
+}
+
+impl Placed {
+    /// The vector m of a polygon's plane, and its distance, metres: in the order of operations of `PolygonLanes::measure` and
+    /// `PolygonLanes::set_up`.
+    #[inline(always)]
+    fn plane(&self, normal: DVec3, corners: &[Vec3]) -> (DVec3, f64) {
+        let DVec3 { x, y, z } = normal;
+        let (mut least, mut distance) = (f64::INFINITY, 0.0);
+        for p in corners {
+            let p = p.as_dvec3() - self.center;
+            let square = p.x * p.x + p.y * p.y + p.z * p.z;
+            if square < least {
+                (least, distance) = (square, x * p.x + y * p.y + z * p.z);
+            }
+        }
+        let m = self.m_from_normal;
+        let along = |of_x: f64, of_y: f64, of_z: f64| (of_x * x + of_y * y + of_z * z) / distance;
+        let m = DVec3::new(
+            along(m.x_axis.x, m.y_axis.x, m.z_axis.x),
+            along(m.x_axis.y, m.y_axis.y, m.z_axis.y),
+            along(m.x_axis.z, m.y_axis.z, m.z_axis.z),
+        );
+        let scale = match self.uniform {
+            Some(scale) => scale,
+            None => (self.normal_from_mesh * normal).length().recip(),
+        };
+        (m, distance.abs() * scale)
+    }
+
+    /// True if no two corners are equally near: then planes of coincident faces are measured at the same one.
+    fn has_one_nearest(&self, corners: &[Vec3]) -> bool {
+        let squares = || corners.iter().map(|p| (p.as_dvec3() - self.center).length_squared());
+        let least = squares().fold(f64::INFINITY, f64::min);
+        squares().filter(|square| *square <= least * (1.0 + 1e-14)).count() == 1
+    }
+}
+
+/// Makes the images of what was found.
 struct DrawRow<'a, 't> {
     row: &'a mut RowDrawer,
     plan: &'a FramePlan,
@@ -188,10 +247,14 @@ impl pulp::WithSimd for DrawRow<'_, '_> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: pulp::Simd>(self, _: S) {
+    fn with_simd<S: Simd>(self, simd: S) {
         let Self { row, plan, cut, bands, target } = self;
         row.set_up(plan, cut);
+        row.buffer.clear(bands.axis, bands.lines, bands.samples);
         if let PixelGrid::Lines(grid) = plan.sensor.grid() {
+            if !row.search.candidates.is_empty() {
+                row.decide(simd, plan, cut, grid, bands);
+            }
             row.fill(grid);
         }
         resolve::resolve(target, &row.buffer, plan, &row.winners.shades, bands, 0, f32::INFINITY);

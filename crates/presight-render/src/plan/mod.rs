@@ -254,6 +254,7 @@ impl FramePlan {
     ) -> Self {
         let mut plan = Self::unfilled(buffers, world, sensor, world_from_sensor, request);
         plan.clear();
+        plan.facings.extend_from_slice(cut.facings());
         plan.cut = Some(cut);
         plan
     }
@@ -284,26 +285,6 @@ impl FramePlan {
             found,
             selected,
         }
-    }
-
-    /// The same images of some polygons only, each an object and a polygon of its mesh; sorted.
-    pub(crate) fn of_polygons(&self, polygons: &[(u32, u32)]) -> Self {
-        let request = ImageRequest { outputs: self.drawn(), ids: self.drawn_ids() };
-        let Self { world, sensor, world_from_sensor, .. } = self;
-        let mut plan = Self::unfilled(PlanBuffers::default(), world, sensor, world_from_sensor, request);
-        plan.clear();
-        for of_object in polygons.chunk_by(|a, b| a.0 == b.0) {
-            let instance = plan.instances.len() as u32;
-            plan.instances.push(plan.instance_of(of_object[0].0));
-            plan.runs.extend(of_object.iter().map(|(_, first)| Run {
-                instance,
-                first: *first,
-                count: 1,
-                nearest: 0.0,
-            }));
-        }
-        plan.polygon_count = polygons.len();
-        plan
     }
 
     /// Lets a clock stop the engines, for tests. A `Predictor` does so for `Request::deadline`.
@@ -482,13 +463,13 @@ impl FramePlan {
         (self.polygon_count, self.objects_out_of_view) = (0, 0);
         (self.polygons_out_of_view, self.objects_not_opaque) = (0, 0);
         self.cut = None;
-        self.facings.extend(facings(self.world.environment(), &self.sensor.spec().class));
     }
 
     fn fill(&mut self, region: &Region) {
         self.clear();
         let world = self.world.clone();
         let environment = world.environment();
+        self.facings.extend(facings(environment, &self.sensor.spec().class));
         let mut selected = std::mem::take(&mut self.selected);
         selected.clear();
         world.index().select(environment, region, &mut self.found, &mut selected);

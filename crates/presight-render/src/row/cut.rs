@@ -4,8 +4,8 @@
 //! transforms, an end by as much times the slope of its edge, and the plane by the polygon's corners.
 
 use super::tree::{self, Block, Node};
-use crate::plan::facings;
-use glam::{DVec2, DVec3, Vec3};
+use crate::plan::{Facing, facings};
+use glam::{DAffine3, DMat3, DVec2, DVec3, Vec3};
 use presight_model::environment::Object;
 use presight_model::geometry::Aabb;
 use presight_model::index::{QueryResult, Region};
@@ -27,14 +27,31 @@ pub struct RowCut {
     /// Where polygons cross the height, in the order of the blocks, and after these the copies of others, which no beam has to
     /// be tested against.
     pub segments: Vec<Segment>,
+    /// The objects of the segments, and the corners of their polygons in the mesh's frame: what engines need of a winner lies
+    /// together.
+    pub(crate) objects: Vec<CutObject>,
+    corners: Vec<Vec3>,
     /// The root is first.
     pub(super) nodes: Vec<Node>,
     pub(super) blocks: Vec<Block>,
+    /// Factor of the margins within which an engine decides: 1, or 0 to plant a fault in tests.
+    pub(crate) margin: f64,
+    /// Of the class, by material.
+    facings: Vec<Facing>,
     /// Horizontal bounds of the scanners that it can serve.
     bounds: [DVec2; 2],
     /// Rounding error of the coordinates of boxes, and the greatest distance of anything from a scanner, metres.
     pub(super) rounding: f64,
     pub(super) span: f64,
+}
+
+/// An object as plans place it, as far as no sensor is needed.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct CutObject {
+    pub rotation: DMat3,
+    pub translation: DVec3,
+    pub mesh_from_object: DAffine3,
+    pub normal_from_mesh: DMat3,
 }
 
 /// Intersection of a polygon with the height.
@@ -69,6 +86,13 @@ pub struct Segment {
     /// The polygon only touches the height within rounding: it may be anywhere within `pad` of the segment, and its depth is
     /// not known.
     pub(super) touches: bool,
+    /// Its place in [`RowCut::objects`].
+    pub(crate) place: u32,
+    /// First corner, and their number, in [`RowCut::corners`].
+    first_corner: u32,
+    corner_count: u32,
+    /// In the mesh's frame.
+    pub(crate) mesh_normal: DVec3,
     /// Visible only from the normal's side.
     pub one_sided: bool,
     /// Faces with the same corners, which are equally near: the next one in `segments`, or [`NO_COPY`].
@@ -89,7 +113,7 @@ impl RowCut {
         let environment = world.environment();
         let facings: Vec<_> = facings(environment, class).collect();
         let bounds = environment.bounds();
-        let mut cut = Self::default();
+        let mut cut = Self { facings: facings.clone(), margin: 1.0, ..Self::default() };
         if bounds.is_empty() {
             return cut;
         }
@@ -115,15 +139,25 @@ impl RowCut {
             let Some(absent) = environment.absent_parts(number, class) else { continue };
             let is_absent = |polygon| environment.lies_in(number, polygon, &absent);
             let mut cutter = Cutter::new(object, number, height, margins[number as usize], tilted);
+            let place = cut.objects.len() as u32;
+            cut.objects.push(CutObject {
+                rotation: object.world_from_object.rotation_matrix(),
+                translation: object.world_from_object.translation,
+                mesh_from_object: object.object_from_mesh.inverse(),
+                normal_from_mesh: object.object_from_mesh.matrix3.inverse().transpose(),
+            });
             let mut polygons: Vec<u32> = objects.iter().flat_map(|run| run.first..run.first + run.count).collect();
             polygons.sort_unstable();
             for polygon in polygons.into_iter().filter(|p| !is_absent(*p)) {
                 let facing = facings[usize::from(object.mesh.material(polygon))];
                 let segment = if facing.opaque { cutter.cross(polygon) } else { None };
-                let Some(segment) = segment.map(|segment| Segment { one_sided: facing.one_sided, ..segment }) else {
-                    continue;
-                };
+                let Some(segment) = segment else { continue };
+                let first_corner = cut.corners.len() as u32;
+                let corners = object.mesh.corner_indices(polygon);
+                let corner_count = corners.len() as u32;
+                let segment = Segment { place, first_corner, corner_count, one_sided: facing.one_sided, ..segment };
                 if !copies.take(object, &segment, &segments) {
+                    cut.corners.extend(corners.iter().map(|c| object.mesh.vertices()[*c as usize]));
                     segments.push(segment);
                 }
             }
@@ -133,15 +167,34 @@ impl RowCut {
         cut
     }
 
+    /// The same cut without margins for rounding, a fault that tests have to find.
+    #[must_use]
+    pub fn without_margins(self) -> Self {
+        Self { margin: 0.0, ..self }
+    }
+
     /// The segment and its copies.
     pub(crate) fn with_copies(&self, segment: u32) -> impl Iterator<Item = &Segment> {
         let next = |at: &u32| Some(self.segments[*at as usize].copy).filter(|copy| *copy != NO_COPY);
         std::iter::successors(Some(segment), next).map(|at| &self.segments[at as usize])
     }
 
+    /// The corners of a segment's polygon in the frame of its mesh; none for copies.
+    pub(crate) fn corners(&self, segment: &Segment) -> &[Vec3] {
+        self.corners
+            .get(segment.first_corner as usize..)
+            .and_then(|c| c.get(..segment.corner_count as usize))
+            .unwrap_or(&[])
+    }
+
     /// True if other faces have the same corners.
     pub(crate) fn has_copies(&self, segment: u32) -> bool {
         self.segments[segment as usize].copy != NO_COPY
+    }
+
+    /// How the class sees the materials, by material index.
+    pub(crate) fn facings(&self) -> &[Facing] {
+        &self.facings
     }
 
     /// True if a scanner at this place is near enough for the cut's margins.
@@ -153,7 +206,7 @@ impl RowCut {
 /// How far the positions of an object's corners may be off, metres, in the world and from any scanner in it.
 fn position_error(object: &Object, greatest: f64) -> f64 {
     let matrix = object.object_from_mesh.matrix3;
-    let norm = |m: glam::DMat3| m.to_cols_array().iter().map(|x| x * x).sum::<f64>().sqrt();
+    let norm = |m: DMat3| m.to_cols_array().iter().map(|x| x * x).sum::<f64>().sqrt();
     let bounds = object.mesh.bounds();
     let own = bounds.min.abs().max(bounds.max.abs()).max_element() * norm(matrix);
     let far = greatest + object.world_from_object.translation.abs().max_element();
@@ -219,8 +272,8 @@ struct Cutter<'a> {
     position: f64,
     /// A corner nearer to the height touches it.
     touch: f64,
-    world_from_mesh: glam::DAffine3,
-    normal_from_mesh: glam::DMat3,
+    world_from_mesh: DAffine3,
+    normal_from_mesh: DMat3,
     /// Corners of a polygon in the world, above the height.
     corners: Vec<DVec3>,
     /// Where it meets the height.
@@ -281,6 +334,10 @@ impl<'a> Cutter<'a> {
             shortest: (shortest as f32).next_down(),
             pad: up(pad),
             touches,
+            place: 0,
+            first_corner: 0,
+            corner_count: 0,
+            mesh_normal: self.object.mesh.plane(polygon).normal,
             one_sided: false,
             copy: NO_COPY,
         })

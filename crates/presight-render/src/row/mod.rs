@@ -6,6 +6,7 @@ mod cut;
 mod search;
 mod tree;
 
+pub(crate) use cut::CutObject;
 pub use cut::{MOST_TILT, RowCut, Segment};
 pub(crate) use search::{NOTHING, RowBeams, RowSearch, RowView, Search, UNSURE};
 

@@ -14,8 +14,10 @@ use pulp::Simd;
 /// Groups of eight beams in a tile, at most.
 const GROUPS: usize = 4;
 
-/// A tile is no wider, as the tangent of its angle.
+/// A tile is no wider, as the tangent of its angle, and not wider than this with more than one group: a tile is searched to the
+/// farthest of its beams.
 const WIDEST: f64 = 0.5;
+const WIDE: f64 = 0.05;
 
 /// How much more than at both ends of a tile a sine can be between them.
 const BULGE: f64 = 1.04;
@@ -60,11 +62,14 @@ impl RowBeams {
         let (mut body, mut tiles) = (Vec::new(), Vec::new());
         let mut first = 0;
         while first < beams.len() {
-            let fits = |b: &DVec2| {
-                beams[first].dot(*b) > 0.0 && beams[first].perp_dot(*b).abs() <= WIDEST * beams[first].dot(*b)
+            let along = beams[first];
+            let fits = |(i, b): &(usize, &DVec2)| {
+                let widest = if *i < EIGHT { WIDEST } else { WIDE };
+                along.dot(**b) > 0.0 && along.perp_dot(**b).abs() <= widest * along.dot(**b)
             };
             let most = beams.len().min(first + GROUPS * EIGHT);
-            let count = beams[first..most].iter().take_while(|b| fits(b)).count().max(1);
+            let count = beams[first..most].iter().enumerate().take_while(fits).count().max(1);
+            let count = if count > EIGHT { count / EIGHT * EIGHT } else { count };
             tiles.push(Tile { count, group: body.len() });
             for group in beams[first..first + count].chunks(EIGHT) {
                 let beam = |lane: usize| group[lane.min(group.len() - 1)];
@@ -101,16 +106,18 @@ pub(crate) struct RowView {
     /// Least inverse range of interest: slightly beyond the limit, so that surfaces exactly at the limit are decided by
     /// their range.
     horizon: f64,
+    /// [`RowCut::margin`].
+    margin: f64,
 }
 
 impl RowView {
-    pub fn new(pose: &Pose, range_max: f64) -> Self {
+    pub fn new(pose: &Pose, range_max: f64, margin: f64) -> Self {
         let m = pose.rotation_matrix();
         let axes = [m.x_axis.truncate(), m.y_axis.truncate()];
         let tilt = [m.x_axis.z, m.y_axis.z, m.z_axis.x, m.z_axis.y].into_iter().fold(0.0, |a: f64, b| a.max(b.abs()));
         let stretch = axes.map(|axis| (axis.length_squared() - 1.0).abs());
         let wobble = 2.0 * tilt + 4.0 * (stretch[0].max(stretch[1]) + axes[0].dot(axes[1]).abs());
-        Self { place: pose.translation.truncate(), axes, wobble, horizon: (1.0 - SLACK) / range_max }
+        Self { place: pose.translation.truncate(), axes, wobble, horizon: (1.0 - SLACK) / range_max, margin }
     }
 }
 
@@ -169,12 +176,11 @@ impl pulp::WithSimd for Search<'_> {
                 of_tile,
             };
             trace.run(simd, stack);
-            let Trace { found, of_tile, .. } = trace;
-            *tested += of_tile.len();
+            *tested += trace.of_tile.len();
             let before = winners.len();
-            winners.extend((0..tile.count).map(|i| found.winner(i, view.horizon)));
+            winners.extend((0..tile.count).map(|i| trace.found.winner(i, view.horizon)));
             if winners[before..].contains(&UNSURE) {
-                candidates.extend_from_slice(of_tile);
+                trace.choose(&winners[before..], candidates);
             }
         }
     }
@@ -204,7 +210,7 @@ struct Found {
     /// Inverse range of the nearest sure segment: at least, and at most.
     low: [Eight; GROUPS],
     high: [Eight; GROUPS],
-    segment: [[u64; EIGHT]; GROUPS],
+    segment: [Eight; GROUPS],
     /// Greatest inverse range that anything else may have.
     rival: [Eight; GROUPS],
 }
@@ -215,7 +221,7 @@ impl Found {
         Self {
             low: [[horizon; EIGHT]; GROUPS],
             high: [[0.0; EIGHT]; GROUPS],
-            segment: [[u64::from(NOTHING); EIGHT]; GROUPS],
+            segment: [[f64::from(NOTHING); EIGHT]; GROUPS],
             rival: [[0.0; EIGHT]; GROUPS],
         }
     }
@@ -230,16 +236,28 @@ impl Found {
         if is_sure { segment } else { UNSURE }
     }
 
+    /// The inverse range from which on a candidate may win a beam.
+    #[inline(always)]
+    fn least(&self, beam: usize) -> f64 {
+        self.low[beam / EIGHT][beam % EIGHT]
+    }
+
     /// The least inverse range up to which a beam is not known to be hidden.
     #[inline(always)]
     fn farthest<S: Simd>(&self, simd: S, groups: usize) -> f64 {
-        let mut least = simd.splat_f64s(f64::INFINITY);
+        let mut least = [f64::INFINITY; EIGHT];
         for low in &self.low[..groups] {
-            for &low in S::as_simd_f64s(low).0 {
-                least = simd.min_f64s(least, low);
+            let least = S::as_mut_simd_f64s(&mut least).0;
+            let low = S::as_simd_f64s(low).0;
+            for i in 0..EIGHT / S::F64_LANES {
+                least[i] = simd.min_f64s(least[i], low[i]);
             }
         }
-        simd.reduce_min_f64s(least)
+        let mut all = f64::INFINITY;
+        for l in least {
+            all = if l < all { l } else { all };
+        }
+        all
     }
 }
 
@@ -297,7 +315,8 @@ impl Trace<'_> {
         // The corner of each box that is farthest in a direction.
         let (of_right, of_left, of_axis, near) = (node.most(right), node.most(left), node.most(axis), node.most(-axis));
         let (right, left, axis) = (splat(simd, right), splat(simd, left), splat(simd, axis));
-        let (mut nearest, mut open) = ([0.0; EIGHT], [0; EIGHT]);
+        let (yes, no) = (simd.splat_f64s(1.0), simd.splat_f64s(0.0));
+        let (mut nearest, mut open) = ([0.0; EIGHT], [0.0; EIGHT]);
         for i in 0..EIGHT / S::F64_LANES {
             let depth = simd.sub_f64s(dot(simd, axis, from(simd, near, i, place)), slack);
             let inside = simd.and_m64s(
@@ -309,12 +328,11 @@ impl Trace<'_> {
                 simd.less_than_or_equal_f64s(simd.mul_f64s(depth, farthest), one),
             );
             S::as_mut_simd_f64s(&mut nearest).0[i] = depth;
-            S::as_mut_simd_u64s(&mut open).0[i] =
-                simd.select_u64s(simd.and_m64s(inside, seen), simd.splat_u64s(1), simd.splat_u64s(0));
+            S::as_mut_simd_f64s(&mut open).0[i] = simd.select_f64s(simd.and_m64s(inside, seen), yes, no);
         }
         let first = stack.len();
         for lane in 0..EIGHT {
-            if open[lane] == 0 {
+            if open[lane] == 0.0 {
                 continue;
             }
             let mut at = stack.len();
@@ -334,7 +352,8 @@ impl Trace<'_> {
         let relative = simd.splat_f64s(ROUNDING + 2.0 * self.view.wobble);
         let pad = simd.splat_f64s(block.pad + self.cut.rounding);
         let (farthest, bulge, zero) = (simd.splat_f64s(farthest), simd.splat_f64s(BULGE), simd.splat_f64s(0.0));
-        let mut open = [0; EIGHT];
+        let mut open = [0.0; EIGHT];
+        let one = simd.splat_f64s(1.0);
         for i in 0..EIGHT / S::F64_LANES {
             let p = from(simd, [&block.a[0], &block.a[1]], i, place);
             let q = from(simd, [&block.b[0], &block.b[1]], i, place);
@@ -343,7 +362,7 @@ impl Trace<'_> {
             let slack = simd.add_f64s(pad, simd.mul_f64s(relative, around));
             // Twice the area of the triangle with the scanner, positive counter-clockwise.
             let area = cross(simd, p, q);
-            let sign = simd.select_f64s(simd.less_than_f64s(area, zero), simd.splat_f64s(-1.0), simd.splat_f64s(1.0));
+            let sign = simd.select_f64s(simd.less_than_f64s(area, zero), simd.sub_f64s(zero, one), one);
             let outside = simd.sub_f64s(zero, slack);
             let [first, last] = [cross(simd, p, one_end), cross(simd, p, other_end)];
             let right = simd.max_f64s(simd.mul_f64s(sign, first), simd.mul_f64s(sign, last));
@@ -353,7 +372,7 @@ impl Trace<'_> {
             let [first, last] = [cross(simd, one_end, along), cross(simd, other_end, along)];
             let depth = simd.max_f64s(simd.mul_f64s(sign, first), simd.mul_f64s(sign, last));
             let depth = simd.add_f64s(simd.mul_f64s(bulge, depth), simd.mul_f64s(relative, size(simd, along)));
-            let (area, rounding) = (simd.abs_f64s(area), simd.mul_f64s(slack, around));
+            let (area, rounding) = (simd.mul_f64s(sign, area), simd.mul_f64s(slack, around));
             let beside = simd.and_m64s(
                 simd.greater_than_or_equal_f64s(right, outside),
                 simd.greater_than_or_equal_f64s(left, outside),
@@ -362,13 +381,27 @@ impl Trace<'_> {
             let seen = simd.and_m64s(beside, simd.greater_than_or_equal_f64s(depth, behind));
             // Edge-on: either side may be seen.
             let seen = simd.or_m64s(seen, simd.less_than_or_equal_f64s(area, rounding));
-            S::as_mut_simd_u64s(&mut open).0[i] = simd.select_u64s(seen, simd.splat_u64s(1), simd.splat_u64s(0));
+            S::as_mut_simd_f64s(&mut open).0[i] = simd.select_f64s(seen, one, zero);
         }
         let mut bits = 0;
         for lane in 0..EIGHT {
-            bits |= (open[lane] as u32) << lane;
+            bits |= u32::from(open[lane] != 0.0) << lane;
         }
         bits
+    }
+
+    /// Adds the segments that may win a beam that is not sure.
+    #[cold]
+    #[inline(never)]
+    fn choose(&self, winners: &[u32], candidates: &mut Vec<u32>) {
+        let beam =
+            |i: usize| DVec2::new(self.directions[i / EIGHT][0][i % EIGHT], self.directions[i / EIGHT][1][i % EIGHT]);
+        let unsure = || (0..winners.len()).filter(|i| winners[*i] == UNSURE);
+        let may_win = |number: &&u32| {
+            let aim = Aim::new(&self.cut.segments[**number as usize], self.view);
+            aim.is_some_and(|aim| unsure().any(|i| aim.nearest(beam(i)) >= self.found.least(i)))
+        };
+        candidates.extend(self.of_tile.iter().filter(may_win));
     }
 
     /// Tests a segment against all beams.
@@ -381,14 +414,14 @@ impl Trace<'_> {
         let perhaps = [simd.splat_f64s(-aim.margins[0]), simd.splat_f64s(-aim.margins[1])];
         let (nothing, infinite) = (simd.splat_f64s(0.0), simd.splat_f64s(f64::INFINITY));
         let (least, most) = (simd.splat_f64s(1.0 - aim.depth_error), simd.splat_f64s(1.0 + aim.depth_error));
-        let number = simd.splat_u64s(number.into());
+        let number = simd.splat_f64s(number.into());
         for group in 0..self.directions.len() {
             let [x, y] = &self.directions[group];
             let (x, y) = (S::as_simd_f64s(x).0, S::as_simd_f64s(y).0);
             let Found { low, high, segment, rival } = &mut self.found;
             let low = S::as_mut_simd_f64s(&mut low[group]).0;
             let high = S::as_mut_simd_f64s(&mut high[group]).0;
-            let winner = S::as_mut_simd_u64s(&mut segment[group]).0;
+            let winner = S::as_mut_simd_f64s(&mut segment[group]).0;
             let rival = S::as_mut_simd_f64s(&mut rival[group]).0;
             for i in 0..EIGHT / S::F64_LANES {
                 let beam = [x[i], y[i]];
@@ -410,7 +443,7 @@ impl Trace<'_> {
                     rival[i] = simd.max_f64s(rival[i], other);
                     low[i] = simd.select_f64s(wins, farthest, low[i]);
                     high[i] = simd.select_f64s(wins, nearest, high[i]);
-                    winner[i] = simd.select_u64s(wins, number, winner[i]);
+                    winner[i] = simd.select_f64s(wins, number, winner[i]);
                     continue;
                 }
                 if aim.is_edge_on {
@@ -452,7 +485,9 @@ fn cross<S: Simd>(simd: S, a: [S::f64s; 2], b: [S::f64s; 2]) -> S::f64s {
 /// No shorter than the vector.
 #[inline(always)]
 fn size<S: Simd>(simd: S, a: [S::f64s; 2]) -> S::f64s {
-    simd.add_f64s(simd.abs_f64s(a[0]), simd.abs_f64s(a[1]))
+    // Not pulp's abs, of which a part is not inlined.
+    let zero = simd.splat_f64s(0.0);
+    simd.add_f64s(simd.max_f64s(a[0], simd.sub_f64s(zero, a[0])), simd.max_f64s(a[1], simd.sub_f64s(zero, a[1])))
 }
 
 /// A segment as seen from the scanner.
@@ -479,11 +514,12 @@ impl Aim {
     fn new(segment: &Segment, view: &RowView) -> Option<Self> {
         let (p, q) = (segment.a - view.place, segment.b - view.place);
         let of = |x: f32| f64::from(x);
-        let (length_p, length_q) = (p.length(), q.length());
+        // No shorter than they are, without a root.
+        let (length_p, length_q) = (p.x.abs() + p.y.abs(), q.x.abs() + q.y.abs());
         let reach = length_p.max(length_q) + of(segment.extent);
         // Negative if the scanner is on the normal's side.
         let distance_off = segment.offset - segment.normal.dot(view.place);
-        let error = of(segment.position) + reach * (ROUNDING + view.wobble);
+        let error = view.margin * (of(segment.position) + reach * (ROUNDING + view.wobble));
         let off = error + of(segment.spread);
         if segment.touches {
             return Some(Self::touching(segment, view, of(segment.pad) + error));
@@ -495,7 +531,8 @@ impl Aim {
         let margins = segment.slopes.map(|slope| error * (1.0 + of(slope)));
         let area = p.perp_dot(q);
         let is_edge_on = area.abs() <= 2.0 * (margins[0] * length_q + margins[1] * length_p) || apart <= 2.0 * off;
-        let depth_error = 2.0 * off / apart;
+        let per_distance = 1.0 / distance_off;
+        let depth_error = 2.0 * off * per_distance.abs();
         // All other edges are off the beam by more than their rounding.
         let inside = apart * of(segment.shortest) * clearance > 4.0 * error * reach * reach
             && apart * clearance > 8.0 * of(segment.spread) * reach
@@ -504,8 +541,20 @@ impl Aim {
         let is_sure = apart > CLEAR * reach && depth_error < 1e-3 && inside && faces && !is_edge_on;
         let is_anywhere = is_edge_on || !(depth_error < 0.5);
         let (ends, margins) = if area < 0.0 { ([q, p], [margins[1], margins[0]]) } else { ([p, q], margins) };
-        let plane = segment.normal / distance_off;
+        let plane = segment.normal * per_distance;
         Some(Self { ends, margins, plane, depth_error, is_sure, is_edge_on, is_anywhere })
+    }
+
+    /// The greatest inverse range at which a beam may meet it.
+    fn nearest(&self, beam: DVec2) -> f64 {
+        let [from_p, to_q] = [self.ends[0].perp_dot(beam), beam.perp_dot(self.ends[1])];
+        let meets = from_p >= -self.margins[0] && to_q >= -self.margins[1];
+        let turned = self.is_edge_on && from_p <= self.margins[0] && to_q <= self.margins[1];
+        match meets || turned {
+            true if self.is_anywhere => f64::INFINITY,
+            true => self.plane.dot(beam) * (1.0 + self.depth_error),
+            false => f64::NEG_INFINITY,
+        }
     }
 
     /// A polygon that touches the height, somewhere within `slack` metres of its segment.
