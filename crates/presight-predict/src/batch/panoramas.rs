@@ -1,5 +1,6 @@
 //! Stored panoramas of many places: measured images are weighed at all of them without another prediction.
 
+use super::BatchRequest;
 use super::headings::{HeadingWeights, Headings, Panorama};
 use super::likelihood::RangeLikelihood;
 use crate::predict::Predictor;
@@ -7,6 +8,7 @@ use glam::DVec3;
 use presight_model::error::{Error, Result};
 use presight_model::geometry::Pose;
 use presight_model::memory;
+use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_render::cpu::CpuEngine;
 use presight_render::plan::{FramePlan, Images, Output, Outputs, PlanBuffers, Stats};
@@ -64,6 +66,17 @@ impl Predictor {
             }
         }
         Ok(Panoramas { headings: headings.clone(), places, range, cos_incidence })
+    }
+
+    /// Ranges and cosines of incidence of a sensor at poses (world from sensor), pose by pose.
+    ///
+    /// # Errors
+    /// The errors of [`Predictor::predict_images`].
+    pub fn range_views(&mut self, world: &World, sensor: &Sensor, poses: &[Pose]) -> Result<Vec<[Vec<f32>; 2]>> {
+        let outputs = Outputs::of(&[Output::Range, Output::CosIncidence]);
+        let request = BatchRequest { images: Some(outputs.into()), ..BatchRequest::default() };
+        let items = self.batch(world, sensor, poses.iter().copied(), &request)?;
+        items.map(|item| item.map(|item| [item.images.range, item.images.cos_incidence])).collect()
     }
 
     /// Log-likelihoods of a measured image at all headings of all places, place by place.

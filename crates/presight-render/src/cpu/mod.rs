@@ -269,7 +269,7 @@ fn draw_waves(
     let first_wave = (pixels / PIXELS_PER_POLYGON).clamp(*FIRST_WAVE.start(), *FIRST_WAVE.end());
     loop {
         let start = Instant::now();
-        let wave = next_wave(&plan.runs, done, first_wave, progress.most_polygons(done));
+        let wave = progress::next_wave(&plan.runs, done, first_wave, progress.most_polygons(done));
         let runs = if waves == 0 {
             plan.runs[wave.clone()].to_vec()
         } else {
@@ -317,7 +317,7 @@ fn draw_waves(
             break;
         }
     }
-    tell_stages(times, waves, stats);
+    progress::tell_stages(times, waves, stats);
     stats.count(CountName::PolygonsSelected, plan.polygon_count);
     stats.count(CountName::RunsSelected, plan.runs.len());
     stats.count(CountName::RunsHidden, hidden);
@@ -372,18 +372,6 @@ fn draw_wave(
     }
 }
 
-/// Tells the times of dropping what is hidden, of setup and of drawing.
-fn tell_stages(times: [Duration; 3], waves: usize, stats: &mut Stats) {
-    let [hiding, setting_up, drawing] = times.map(|time| time.as_secs_f64() * 1e3);
-    if waves > 1 {
-        stats.stages_ms.push((StageName::Hidden, hiding));
-    } else {
-        stats.leave_out(StageName::Hidden, "the polygons are drawn in one wave");
-    }
-    stats.stages_ms.push((StageName::Setup, if waves > 1 { setting_up } else { hiding + setting_up }));
-    stats.stages_ms.push((StageName::Rasterization, drawing));
-}
-
 /// Sets up the runs of a wave, in batches after those in use. Returns the nearest distance of what was left out because the time
 /// was up.
 fn set_up(
@@ -421,19 +409,6 @@ fn set_up(
     let left_out = new.iter().position(|batch| !batch.is_set_up);
     *used += left_out.unwrap_or(new.len());
     left_out.map(|i| new[i].nearest)
-}
-
-/// The runs to draw next: as many polygons as all before them, and at least `least`, but no more than `most`.
-fn next_wave(runs: &[Run], start: usize, least: usize, most: usize) -> Range<usize> {
-    let before: usize = runs[..start].iter().map(|r| r.count as usize).sum();
-    let wanted = before.max(least).min(most);
-    let mut polygons = 0;
-    let mut end = start;
-    while end < runs.len() && polygons < wanted {
-        polygons += runs[end].count as usize;
-        end += 1;
-    }
-    start..end
 }
 
 /// Drops what is hidden from a wave. Tasks are types, not closures, so that they are compiled for each vector width.

@@ -18,7 +18,7 @@ use pulp::Simd;
 /// Scratch memory for rows.
 #[derive(Default)]
 pub(super) struct RowDrawer {
-    /// Of the last sensor.
+    /// Beams of the last sensor.
     beams: Option<RowBeams>,
     search: RowSearch,
     lanes: Option<Box<PolygonLanes>>,
@@ -29,14 +29,14 @@ pub(super) struct RowDrawer {
     numbers: Vec<u32>,
     /// Winners by object and polygon, with their segments.
     seen: Vec<(u64, u32)>,
-    /// Candidates, each an object and a polygon, and what they are drawn from.
+    /// Candidates, each an object and a polygon, and their setup.
     polygons: Vec<(u32, u32)>,
     batch: Batch,
     buffer: Buffer,
 }
 
 impl CpuEngine {
-    /// Fills the asked images of a level scanner of one row, on the calling thread.
+    /// Fills the requested images of a level scanner of one row, on the calling thread.
     pub(super) fn draw_row(
         &mut self,
         plan: &FramePlan,
@@ -73,10 +73,7 @@ impl RowDrawer {
             self.beams = RowBeams::new(&plan.sensor);
         }
         let Some(beams) = &self.beams else {
-            return Err(Error::usage(
-                "a cut of the world for a sensor that is no scanner of one row",
-                "predict without it",
-            ));
+            return Err(Error::usage("a cut of the world serves scanners of one row only", "predict without it"));
         };
         let view = RowView::new(&plan.world_from_sensor, plan.sensor.spec().range_max, cut.margin);
         pulp::Arch::new().dispatch(Search { search: &mut self.search, beams, cut, view });
@@ -234,7 +231,7 @@ impl Placed {
     }
 }
 
-/// Makes the images of what was found.
+/// Makes the images after a search.
 struct DrawRow<'a, 't> {
     row: &'a mut RowDrawer,
     plan: &'a FramePlan,

@@ -36,7 +36,7 @@ pub struct RowCut {
     pub(super) blocks: Vec<Block>,
     /// Factor of the margins within which an engine decides: 1, or 0 to plant a fault in tests.
     pub(crate) margin: f64,
-    /// Of the class, by material.
+    /// How the class sees the materials.
     facings: Vec<Facing>,
     /// Horizontal bounds of the scanners that it can serve.
     bounds: [DVec2; 2],

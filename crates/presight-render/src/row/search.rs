@@ -14,7 +14,7 @@ use pulp::Simd;
 /// Groups of eight beams in a tile, at most.
 const GROUPS: usize = 4;
 
-/// A tile is no wider, as the tangent of its angle, and not wider than this with more than one group: a tile is searched to the
+/// Greatest width of a tile, as the tangent of its angle, and of one with more than one group: a tile is searched to the
 /// farthest of its beams.
 const WIDEST: f64 = 0.5;
 const WIDE: f64 = 0.05;
@@ -22,7 +22,7 @@ const WIDE: f64 = 0.05;
 /// How much more than at both ends of a tile a sine can be between them.
 const BULGE: f64 = 1.04;
 
-/// Rounding of the search and of an engine, relative to the distance of what is seen.
+/// Rounding of the search and of an engine, relative to distance.
 const ROUNDING: f64 = 64.0 * f64::EPSILON;
 
 /// Relative margin at the range limit and of nearest distances.
@@ -121,12 +121,12 @@ impl RowView {
     }
 }
 
-/// A search with its scratch memory, and what it found.
+/// A search with its scratch memory and its results.
 #[derive(Debug, Default)]
 pub(crate) struct RowSearch {
     /// For each beam the index of its segment, [`NOTHING`] or [`UNSURE`].
     pub winners: Vec<u32>,
-    /// Segments among which are those of all beams that are not sure.
+    /// For every beam that is not sure, all segments that may win it.
     pub candidates: Vec<u32>,
     /// Segments tested against beams.
     pub tested: usize,
@@ -205,7 +205,7 @@ impl Wedge {
     }
 }
 
-/// What is known of the beams of a tile.
+/// Results for the beams of a tile.
 struct Found {
     /// Inverse range of the nearest sure segment: at least, and at most.
     low: [Eight; GROUPS],
@@ -231,7 +231,7 @@ impl Found {
         let (group, lane) = (beam / EIGHT, beam % EIGHT);
         let (segment, rival) = (self.segment[group][lane] as u32, self.rival[group][lane]);
         let least = if segment == NOTHING { horizon } else { self.low[group][lane] };
-        // Nothing beyond the limit is told apart from nothing at all.
+        // Surfaces beyond the limit and no surface give the same images.
         let is_sure = rival < least || (segment == NOTHING && rival == 0.0);
         if is_sure { segment } else { UNSURE }
     }
@@ -344,7 +344,7 @@ impl Trace<'_> {
         }
     }
 
-    /// Those segments of a block, a bit each, that may be seen: they are not beside the wedge and not behind what is found.
+    /// Those segments of a block, a bit each, that may be seen: they may reach into the wedge, and in front of the results so far.
     #[inline(always)]
     fn look<S: Simd>(&self, simd: S, block: &Block, farthest: f64) -> u32 {
         let place = splat(simd, self.view.place);
