@@ -14,11 +14,9 @@ import open3d as o3d
 from embree import Embree
 from peers import scene_file
 from scene import triangles
-from sensors import SENSORS, scanner
+from sensors import SENSORS
 
 CHUNK = 100
-
-SENSORS["laser-scanner"] = lambda: (scanner(-90.0, 0.5, 361, 0.0, 0.0, 1), 30.0)
 
 
 def rotations(quaternions):

@@ -27,7 +27,7 @@ SCENES = "hospital,factory_hall,scenes/factory.rhai,city,open_hall"
 def arguments():
     parser = argparse.ArgumentParser(prog="benches/peers/run.sh", description=__doc__)
     parser.add_argument("--scenes", default=SCENES, help="names in the data folder, paths in the repository, open_hall")
-    parser.add_argument("--sensors", help="names, comma-separated; all if left out")
+    parser.add_argument("--sensors", help="names, comma-separated; all at free poses if left out")
     parser.add_argument("--backends", default="cpu", help="presight's: cpu, gpu, or both with a comma")
     parser.add_argument("--threads", type=int, default=os.cpu_count(), help="for both sides")
     parser.add_argument("--poses", type=int, default=20, help="free poses of each scene")
@@ -84,15 +84,26 @@ class Presight:
     def predict(self, sensor, pose, repeat):
         """Milliseconds of each prediction, and the range image."""
         print(sensor, pose, repeat, file=self.process.stdin, flush=True)
-        times = self.answer()
+        times, _ = self.answer()
         return times, np.fromfile(self.folder / "range.f32", dtype=np.float32)
+
+    def cpu_ms(self, sensor, pose, repeat, cold):
+        """Milliseconds of CPU time of each prediction, with 32 MB written before each if `cold`."""
+        print(sensor, pose, repeat, "cold" if cold else "", file=self.process.stdin, flush=True)
+        return self.answer()[1]
+
+    def cut(self, sensor, pose):
+        """Milliseconds of CPU time of a cut of the world at the sensor's height, and its segments."""
+        print(sensor, pose, "cut", file=self.process.stdin, flush=True)
+        return self.answer()
 
     def rays(self, sensor, pose):
         """Origins and directions in the world, f32, without pixels that have no ray, and which ones these are."""
         body = np.fromfile(self.folder / f"{self.sensors[sensor]['name']}.f64").reshape(-1, 3)
         there = ~np.isnan(body[:, 0])
-        directions = body[there] @ self.poses[pose][:, :3].T
-        origins = np.broadcast_to(self.poses[pose][:, 3], directions.shape)
+        at = np.array(self.sensors[sensor].get("poses", self.poses))[pose]
+        directions = body[there] @ at[:, :3].T
+        origins = np.broadcast_to(at[:, 3], directions.shape)
         return np.concatenate([origins, directions], axis=1).astype(np.float32), there
 
     def close(self):
@@ -120,7 +131,8 @@ def measure(scene, backend, options):
         half = max(1, (options.repeat + 1) // 2)
         for number, sensor in enumerate(presight.sensors):
             name = sensor["name"]
-            if options.sensors and name not in options.sensors.split(",") and name != "pinhole":
+            wanted = name in options.sensors.split(",") if options.sensors else "poses" not in sensor
+            if not wanted and name != "pinhole":
                 continue
             row = {"scene": scene, "triangles": len(embree.triangles), "backend": backend, "engine": presight.engine}
             row |= {"sensor": name, "size": sensor["size"], "table_bytes": sensor["table_bytes"]}

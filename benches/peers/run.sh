@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Embree and presight on the same rays and triangles; prints one table. Needs Python 3 with venv and PyPI, once.
 #   benches/peers/run.sh growth.py [--help]: the plot of cost against model size
+#   benches/peers/run.sh by_cpu.py [--help]: CPU time, cold and warm, of scanners and free ray tables, too
 #   benches/peers/run.sh [--help] [--quick] [--scenes hospital,open_hall] [--sensors plumb-bob,video-camera] [--backends cpu,gpu] ...
 # PRESIGHT_PEER=path takes another program than the bench `peer` built here, PEERS_PYTHON=path a Python that has the requirements.
 set -euo pipefail

@@ -23,11 +23,11 @@ use presight_model::geometry::Pose;
 use presight_model::sensor::Sensor;
 use presight_model::threads::Threads;
 use presight_model::world::World;
+use presight_render::cpu::CpuEngine;
 use presight_render::plan::{
-    ChosenWay, CountName, Drawn, FramePlan, ImageRequest, Images, Output, Outputs, PlanBuffers, StageName, Stats,
-    Weighing,
+    ChosenWay, Drawn, FramePlan, ImageRequest, Images, Output, Outputs, PlanBuffers, StageName, Stats, Weighing,
 };
-use presight_render::row::{RowCuts, RowView, is_level};
+use presight_render::row::{RowCuts, is_row};
 use rayon::prelude::*;
 use std::iter::Peekable;
 use std::sync::{Mutex, PoisonError};
@@ -50,9 +50,8 @@ pub struct BatchRequest {
     pub likelihood: Option<RangeLikelihood>,
     /// Headings at which to weigh it for each place. Poses are then places of the sensor; their headings are ignored.
     pub headings: Option<Headings>,
-    /// The height, metres, at which the world is cut for a level one-row scanner that is only weighed; `None` uses the
-    /// first pose's. Poses at other heights are predicted by images, which may differ within the range bound: set it if
-    /// parts of a batch must be bit-equal.
+    /// The height, metres, at which the world is cut at once for a level one-row scanner; `None` uses the first pose's.
+    /// Results do not depend on it, unless a GPU engine weighs the poses at other heights.
     pub height: Option<f64>,
     /// Include statistics of each prediction.
     pub statistics: bool,
@@ -110,7 +109,7 @@ struct Task<'p> {
     weighing: Option<Weighing>,
     headings: Option<Headings>,
     statistics: bool,
-    /// True if no image is requested and a cut can serve the sensor when it is level.
+    /// True if a cut can serve the sensor when it is level.
     by_cut: bool,
     /// Height of the cut.
     height: Option<f64>,
@@ -128,7 +127,6 @@ struct Lane {
     chosen: ChosenWay,
     buffers: PlanBuffers,
     images: Images,
-    view: Option<RowView>,
     panorama: Panorama,
 }
 
@@ -144,8 +142,8 @@ impl Predictor {
     /// a chunk in memory at most. Images are bit-equal to [`Predictor::predict`]. Results do not depend on chunks and
     /// threads.
     ///
-    /// If a level one-row scanner is only weighed, its view comes from a cut of the world at its height
-    /// ([`BatchRequest::height`]), kept for the version of the world. A GPU draws many poses in one submission.
+    /// The view of a level one-row scanner comes from a cut of the world at its height ([`BatchRequest::height`]), kept for
+    /// the version of the world. A GPU draws many poses in one submission.
     ///
     /// ```
     /// use presight::batch::{BatchRequest, PoseCell, RangeLikelihood};
@@ -193,12 +191,14 @@ impl Predictor {
             None => (CHUNK_BYTES / task.bytes().max(1)).clamp(count, MOST.max(count)),
         };
         let chosen = self.choose_way(&task.world, &task.sensor, false);
-        let lane = |_| {
-            let engine = self.engine().for_task();
-            let view = if task.by_cut { RowView::new(&task.sensor) } else { None };
-            Mutex::new(Lane { engine, chosen, view, ..Lane::default() })
+        task.by_cut &= self.may_cut();
+        // What a device does not draw itself, a level scanner's weights by a cut, is left to the CPU.
+        let cpu = match threads {
+            None if task.by_cut && task.weighing.is_some() => Some(CpuEngine::new(self.task_threads()?)?),
+            _ => None,
         };
-        let lanes = (0..count).map(lane).collect();
+        let engine = || cpu.as_ref().map_or_else(|| self.engine().for_task(), Engine::for_task);
+        let lanes = (0..count).map(|_| Mutex::new(Lane { engine: engine(), chosen, ..Lane::default() })).collect();
         Ok(Batch {
             predictor: self,
             poses,
@@ -250,7 +250,7 @@ impl<'p> Task<'p> {
             request: ImageRequest { outputs, ..asked },
             wanted: asked.outputs,
             show: None,
-            by_cut: request.images.is_none() && weigh.is_some() && RowView::new(&sensor).is_some(),
+            by_cut: is_row(&sensor),
             sensor,
             weigh,
             headings: request.headings.clone(),
@@ -289,7 +289,7 @@ impl<'p> Task<'p> {
             self.take_scratch(scratch, &mut lane.images);
         }
         let mut stats = Stats::default();
-        let seen = self.see_by_cut(&pose, cuts, lane, &mut stats);
+        let seen = self.see_by_cut(&pose, cuts, lane, &mut stats)?;
         let Lane { engine, chosen, buffers, images, .. } = lane;
         if let (false, Some(engine)) = (seen, engine) {
             let buffers_of_plan = std::mem::take(buffers);
@@ -302,16 +302,19 @@ impl<'p> Task<'p> {
         Ok(self.finish(index, pose, stats, Drawn::Images(&mut lane.images), &mut lane.panorama))
     }
 
-    /// Fills a lane's range and cos_incidence from a cut of the world. Returns false if no cut applies.
-    fn see_by_cut(&self, pose: &Pose, cuts: &RowCuts, lane: &mut Lane, stats: &mut Stats) -> bool {
-        let serves = self.height == Some(pose.translation.z) && is_level(pose);
-        let Some(view) = lane.view.as_mut().filter(|_| serves) else { return false };
-        let cut = cuts.get(&self.world, &self.sensor.spec().class, pose.translation.z);
-        view.see(&cut, pose, &mut lane.images.range, &mut lane.images.cos_incidence);
-        (stats.engine, stats.threads) = ("row", 1);
-        stats.count(CountName::SegmentsOfCut, cut.segments.len());
-        stats.count(CountName::SegmentsTested, view.tested);
-        true
+    /// Fills a lane's images by a cut of the world. Returns false if no cut applies.
+    fn see_by_cut(&self, pose: &Pose, cuts: &RowCuts, lane: &mut Lane, stats: &mut Stats) -> Result<bool> {
+        let Some(engine) = lane.engine.as_mut().filter(|engine| self.by_cut && engine.draws_cuts()) else {
+            return Ok(false);
+        };
+        let Some(cut) = cuts.get(&self.world, &self.sensor, pose, self.height == Some(pose.translation.z)) else {
+            return Ok(false);
+        };
+        let buffers = std::mem::take(&mut lane.buffers);
+        let plan = FramePlan::by_cut(buffers, &self.world, &self.sensor, pose, self.request, cut);
+        let rendered = engine.render(&plan, &mut lane.images, stats);
+        lane.buffers = plan.into_buffers();
+        rendered.map(|()| true)
     }
 
     /// Weighs images unless the engine did, and keeps the requested ones.
@@ -465,7 +468,14 @@ impl<'p, I: Iterator<Item = Pose>> Batch<'p, I> {
                     break;
                 }
             };
-            if task.see_by_cut(&pose, predictor.row_cuts(), lane, &mut stats) {
+            let seen = match task.see_by_cut(&pose, predictor.row_cuts(), lane, &mut stats) {
+                Ok(seen) => seen,
+                Err(e) => {
+                    fault = Err(e);
+                    break;
+                }
+            };
+            if seen {
                 let drawn = Drawn::Images(&mut lane.images);
                 items.push(Some(task.finish(*index, pose, stats, drawn, &mut lane.panorama)));
                 continue;

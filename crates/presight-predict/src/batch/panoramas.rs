@@ -10,8 +10,9 @@ use presight_model::geometry::Pose;
 use presight_model::memory;
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
-use presight_render::plan::{Images, Output, Outputs};
-use presight_render::row::{RowView, is_level};
+use presight_render::cpu::CpuEngine;
+use presight_render::plan::{FramePlan, Images, Output, Outputs, PlanBuffers, Stats};
+use presight_render::row::is_row;
 use rayon::prelude::*;
 
 /// Full-turn views of a level scanner at places in one version of a world.
@@ -36,24 +37,27 @@ impl Predictor {
         let (mut range, mut cos_incidence) =
             (memory::reserved(places.len() * beams)?, memory::reserved(places.len() * beams)?);
         let level = |place: DVec3| Pose { translation: place, ..Pose::IDENTITY };
-        if let (Some(view), Some(first)) = (RowView::new(sensor), places.first()) {
-            let cut = self.row_cuts().get(world, &sensor.spec().class, first.z);
-            let see = |view: &mut RowView, place: &DVec3| {
-                let (mut range, mut cos) = (Vec::new(), Vec::new());
-                view.see(&cut, &level(*place), &mut range, &mut cos);
-                (range, cos)
+        let outputs = Outputs::of(&[Output::Range, Output::CosIncidence]);
+        let first = places.first().filter(|_| is_row(sensor));
+        if first.is_some_and(|first| places.iter().any(|p| p.z != first.z)) {
+            return Err(Error::usage("the places have several heights", "give the places of one height at a time"));
+        }
+        let cut = first.and_then(|first| self.row_cuts().get(world, sensor, &level(*first), true));
+        if let Some(cut) = cut.filter(|cut| places.iter().all(|p| cut.serves(p.truncate()))) {
+            let cpu = CpuEngine::new(self.task_threads()?)?;
+            let see = |engine: &mut CpuEngine, place: &DVec3| {
+                let (mut images, buffers) = (Images::default(), PlanBuffers::default());
+                let plan = FramePlan::by_cut(buffers, world, sensor, &level(*place), outputs.into(), cut.clone());
+                engine.render(&plan, &mut images, &mut Stats::default())?;
+                Ok((images.range, images.cos_incidence))
             };
-            let same_height = places.iter().all(|p| p.z == first.z);
-            if !same_height {
-                return Err(Error::usage("the places have several heights", "give the places of one height at a time"));
-            }
-            let all: Vec<_> = self.on_threads(|| places.par_iter().map_init(|| view.clone(), see).collect())?;
-            for (r, c) in all {
+            let all: Result<Vec<_>> =
+                self.on_threads(|| places.par_iter().map_init(|| cpu.on_one_thread(), see).collect())?;
+            for (r, c) in all? {
                 range.extend(r);
                 cos_incidence.extend(c);
             }
         } else {
-            let outputs = Outputs::of(&[Output::Range, Output::CosIncidence]);
             let mut images = Images::default();
             for place in &places {
                 self.predict_images(world, sensor, &level(*place), outputs, &mut images)?;
@@ -64,24 +68,11 @@ impl Predictor {
         Ok(Panoramas { headings: headings.clone(), places, range, cos_incidence })
     }
 
-    /// Ranges and cosines of incidence of a sensor at poses (world from sensor), pose by pose. A level scanner of one row
-    /// sees a cut of the world if all poses have one height, which rounds otherwise than a prediction does.
+    /// Ranges and cosines of incidence of a sensor at poses (world from sensor), pose by pose.
     ///
     /// # Errors
     /// The errors of [`Predictor::predict_images`].
     pub fn range_views(&mut self, world: &World, sensor: &Sensor, poses: &[Pose]) -> Result<Vec<[Vec<f32>; 2]>> {
-        let height = poses.first().map(|pose| pose.translation.z);
-        let serves = |pose: &Pose| Some(pose.translation.z) == height && is_level(pose);
-        if let (Some(view), Some(z), true) = (RowView::new(sensor), height, poses.iter().all(serves)) {
-            let cut = self.row_cuts().get(world, &sensor.spec().class, z);
-            let see = |view: &mut RowView, pose: &Pose| {
-                let mut images = [Vec::new(), Vec::new()];
-                let [range, cos] = &mut images;
-                view.see(&cut, pose, range, cos);
-                images
-            };
-            return self.on_threads(|| poses.par_iter().map_init(|| view.clone(), see).collect());
-        }
         let outputs = Outputs::of(&[Output::Range, Output::CosIncidence]);
         let request = BatchRequest { images: Some(outputs.into()), ..BatchRequest::default() };
         let items = self.batch(world, sensor, poses.iter().copied(), &request)?;

@@ -62,6 +62,11 @@ pub trait Engine: Any + Send {
         None
     }
 
+    /// True if it draws plans by a cut of the world, see [`FramePlan::by_cut`].
+    fn draws_cuts(&self) -> bool {
+        false
+    }
+
     /// Describes the engine for deadlines; `None` if it cannot stop by a plan's clock.
     fn with_deadline(&self) -> Option<DeadlineEngine> {
         None
@@ -214,6 +219,10 @@ impl Engine for cpu::CpuEngine {
 
     fn for_task(&self) -> Option<Box<dyn Engine>> {
         Some(Box::new(self.on_one_thread()))
+    }
+
+    fn draws_cuts(&self) -> bool {
+        true
     }
 
     fn with_deadline(&self) -> Option<DeadlineEngine> {

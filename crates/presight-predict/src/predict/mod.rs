@@ -394,8 +394,18 @@ impl Predictor {
         let start = Instant::now();
         let Vantage { world, sensor, world_from_sensor } = *vantage;
         let buffers = std::mem::take(&mut self.buffers);
-        let chosen = self.choose_way(world, sensor, timed.is_some());
-        let mut plan = FramePlan::by(chosen, buffers, world, sensor, world_from_sensor, request)?;
+        let cut = if timed.is_none() && self.may_cut() && self.engine.draws_cuts() {
+            self.row_cuts.get(world, sensor, world_from_sensor, false)
+        } else {
+            None
+        };
+        let mut plan = match cut {
+            Some(cut) => FramePlan::by_cut(buffers, world, sensor, world_from_sensor, request, cut),
+            None => {
+                let chosen = self.choose_way(world, sensor, timed.is_some());
+                FramePlan::by(chosen, buffers, world, sensor, world_from_sensor, request)?
+            }
+        };
         plan.reuse_visible = reuse_visible;
         let mut stats = Stats { index: world.index().name(), ..Stats::default() };
         if plan.way() == Way::Raster {
@@ -412,6 +422,11 @@ impl Predictor {
             timed.images_are_made();
         }
         Ok(stats)
+    }
+
+    /// True unless a way was asked for: then level rows may be searched in the world's cut.
+    pub(crate) fn may_cut(&self) -> bool {
+        self.way == Way::Auto
     }
 
     /// The way of a prediction without or with a deadline; engines that select everything have one only.

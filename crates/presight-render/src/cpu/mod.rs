@@ -21,6 +21,7 @@ mod raster_lines;
 mod raster_rays;
 mod ray_bounds;
 mod resolve;
+mod row;
 mod setup;
 mod sieve;
 mod thinning;
@@ -41,6 +42,7 @@ use presight_model::threads::Threads;
 use progress::FrameProgress;
 use raster_lines::Buffer;
 use rayon::prelude::*;
+use row::RowDrawer;
 use std::ops::{Range, RangeInclusive};
 use std::sync::Arc;
 use std::time::Duration;
@@ -62,6 +64,7 @@ pub struct CpuEngine {
     /// What the trees that are lacking cost, and what frames without them have cost so far: in polygons.
     price: u64,
     savings: u64,
+    row: RowDrawer,
 }
 
 /// Pixels of a band: small enough for its z-buffer to stay in the L2 cache.
@@ -71,6 +74,9 @@ const BAND_PIXELS: usize = 8192;
 /// as all before it together. Few pixels are soon covered, and another wave costs a pass over them.
 const PIXELS_PER_POLYGON: usize = 16;
 const FIRST_WAVE: RangeInclusive<usize> = 256..=4096;
+
+/// Frames of fewer rays are drawn by the calling thread: another one takes longer to wake up than it saves.
+const FEW_RAYS: usize = 1024;
 
 /// Nanoseconds of a slow core between looks at the clock: a polygon's setup, and its drawing in a band without its samples, of which each
 /// takes one.
@@ -97,6 +103,7 @@ impl CpuEngine {
             winners: Winners::default(),
             canvas: Vec::new(),
             part: Images::default(),
+            row: RowDrawer::default(),
             rooms: Vec::new(),
             frame: 0,
             vectors: Vectors::best(),
@@ -128,6 +135,9 @@ impl CpuEngine {
     /// [`presight_model::ErrorKind::System`] if there is no memory for the images; those of
     /// [`presight_model::Pose::check`], if the plan's pose was changed.
     pub fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
+        if let Some(cut) = &plan.cut {
+            return self.draw_row(plan, cut, images, stats);
+        }
         match plan.part() {
             Some(part) => self.draw_part(plan, Duration::ZERO, part, images, stats),
             None => match self.draw(plan, images, stats)? {
@@ -182,7 +192,8 @@ impl CpuEngine {
         }
         stats.way = Some(Way::Raster);
         stats.engine = "cpu";
-        stats.threads = self.threads();
+        let few = plan.limit.is_none() && plan.sensor.width() as usize * (plan.sensor.height() as usize) < FEW_RAYS;
+        stats.threads = if few { 1 } else { self.threads() };
         let bands = Bands::new(plan.sensor.grid(), stats.threads);
         self.require_memory(plan, &bands, images)?;
         images.try_prepare(plan.sensor.width(), plan.sensor.height(), plan.drawn())?;
@@ -206,11 +217,10 @@ impl CpuEngine {
         self.reserve_canvas(&bands)?;
         let Self { pool, alone, batches, winners, canvas, .. } = self;
         let canvas = &mut canvas[..bands.count()];
-        // What is never split never waits for another task, and no other one comes between.
-        let least = if *alone { usize::MAX } else { 1 };
-        // The whole frame on the pool: between two stages its threads stay awake.
-        let stride = pool.install(|| {
-            let used = match draw_waves(plan, &bands, least, (batches, winners), canvas, images, stats) {
+        // Here nothing waits for another task, and no other one comes between.
+        let here = *alone || few;
+        let mut draw = || {
+            let used = match draw_waves(plan, &bands, here, (batches, winners), canvas, images, stats) {
                 Drawn::All(used) => used,
                 Drawn::Thinned(stride) => return Some(stride),
             };
@@ -222,7 +232,9 @@ impl CpuEngine {
             stats.count(CountName::PolygonsBetweenSamples, batches[..used].iter().map(|b| b.between).sum());
             stats.count(CountName::PolygonsEdgeOn, batches[..used].iter().map(|b| b.edge_on).sum());
             None
-        });
+        };
+        // The whole frame on the pool: between two stages its threads stay awake.
+        let stride = if here { draw() } else { pool.install(draw) };
         if stride.is_none() {
             plan.finish_noting(images, stats)?;
         }
@@ -272,11 +284,11 @@ enum Drawn {
     Thinned(u32),
 }
 
-/// Sets up and draws all runs, nearest first, and splits no less than `least` pieces of work over threads.
+/// Sets up and draws all runs, nearest first, on the threads of a pool or `here`.
 fn draw_waves(
     plan: &FramePlan,
     bands: &Bands,
-    least: usize,
+    here: bool,
     (batches, winners): (&mut Vec<Batch>, &mut Winners),
     canvas: &mut [Buffer],
     images: &mut Images,
@@ -292,12 +304,13 @@ fn draw_waves(
     let first_wave = (pixels / PIXELS_PER_POLYGON).clamp(*FIRST_WAVE.start(), *FIRST_WAVE.end());
     loop {
         let start = Instant::now();
-        let wave = next_wave(&plan.runs, done, first_wave, progress.most_polygons(done));
+        let wave = progress::next_wave(&plan.runs, done, first_wave, progress.most_polygons(done));
         let runs = if waves == 0 {
             plan.runs[wave.clone()].to_vec()
         } else {
             let sift = |runs| arch.dispatch(Cull { plan, runs, canvas, bands });
-            plan.runs[wave.clone()].par_chunks(SIFTED).with_min_len(least).map(sift).collect::<Vec<_>>().concat()
+            let runs = &plan.runs[wave.clone()];
+            if here { sift(runs) } else { runs.par_chunks(SIFTED).map(sift).collect::<Vec<_>>().concat() }
         };
         hidden += wave.len() - runs.len();
         done = wave.end;
@@ -306,7 +319,7 @@ fn draw_waves(
         let start = Instant::now();
         let first = used;
         let occlusion = (waves > 0).then_some(Occlusion { canvas, bands });
-        let left_out = set_up(plan, bands, occlusion, least, &runs, batches, &mut used);
+        let left_out = set_up(plan, bands, occlusion, here, &runs, batches, &mut used);
         batches[first..used].iter_mut().for_each(|batch| winners.number(batch));
         times[1] += start.elapsed();
 
@@ -321,21 +334,25 @@ fn draw_waves(
             return Drawn::Thinned(stride);
         }
         let wave = WaveEnds { first: waves == 0, last, beyond };
-        draw_wave(plan, bands, least, (batches, winners), canvas, &mut targets, &mut progress, wave);
+        draw_wave(plan, bands, here, (batches, winners), canvas, &mut targets, &mut progress, wave);
         waves += 1;
         progress.end_wave(waves, last);
         if !last && progress.is_over() {
-            let parts = canvas.par_iter().zip(&mut targets).zip(&mut progress.bands).enumerate();
-            parts.with_min_len(least).for_each(|(band, ((buffer, target), progress))| {
+            let resolve = |(band, ((buffer, target), progress))| {
                 arch.dispatch(Resolve { buffer, target, plan, winners, bands, band, progress });
-            });
+            };
+            if here {
+                canvas.iter().zip(&mut targets).zip(&mut progress.bands).enumerate().for_each(resolve);
+            } else {
+                canvas.par_iter().zip(&mut targets).zip(&mut progress.bands).enumerate().for_each(resolve);
+            }
         }
         times[2] += start.elapsed();
         if last || progress.has_stopped {
             break;
         }
     }
-    tell_stages(times, waves, stats);
+    progress::tell_stages(times, waves, stats);
     stats.count(CountName::PolygonsSelected, plan.polygon_count);
     stats.count(CountName::RunsSelected, plan.runs.len());
     stats.count(CountName::RunsHidden, hidden);
@@ -358,7 +375,7 @@ struct WaveEnds {
 fn draw_wave(
     plan: &FramePlan,
     bands: &Bands,
-    least: usize,
+    here: bool,
     (batches, winners): (&[Batch], &Winners),
     canvas: &mut [Buffer],
     targets: &mut [resolve::Target<'_>],
@@ -377,25 +394,17 @@ fn draw_wave(
         if progress.stop_together() && !end {
             continue;
         }
-        let parts = canvas.par_iter_mut().zip(&mut *targets).zip(&mut progress.bands).enumerate();
-        parts.with_min_len(least).for_each(|(band, ((buffer, target), progress))| {
-            let target = (wave.last && end).then_some(target);
+        let draw = |(band, ((buffer, target), progress))| {
+            let target: Option<&mut resolve::Target<'_>> = (wave.last && end).then_some(target);
             let part = WavePart { clear, end, at_once, beyond };
             arch.dispatch(Draw { buffer, target, plan, batches: some, winners, bands, band, part, progress });
-        });
+        };
+        if here {
+            canvas.iter_mut().zip(&mut *targets).zip(&mut progress.bands).enumerate().for_each(draw);
+        } else {
+            canvas.par_iter_mut().zip(&mut *targets).zip(&mut progress.bands).enumerate().for_each(draw);
+        }
     }
-}
-
-/// Tells the times of dropping what is hidden, of setup and of drawing.
-fn tell_stages(times: [Duration; 3], waves: usize, stats: &mut Stats) {
-    let [hiding, setting_up, drawing] = times.map(|time| time.as_secs_f64() * 1e3);
-    if waves > 1 {
-        stats.stages_ms.push((StageName::Hidden, hiding));
-    } else {
-        stats.leave_out(StageName::Hidden, "the polygons are drawn in one wave");
-    }
-    stats.stages_ms.push((StageName::Setup, if waves > 1 { setting_up } else { hiding + setting_up }));
-    stats.stages_ms.push((StageName::Rasterization, drawing));
 }
 
 /// Sets up the runs of a wave, in batches after those in use. Returns the nearest distance of what was left out because the time
@@ -404,7 +413,7 @@ fn set_up(
     plan: &FramePlan,
     bands: &Bands,
     occlusion: Option<Occlusion<'_>>,
-    least: usize,
+    here: bool,
     runs: &[Run],
     batches: &mut Vec<Batch>,
     used: &mut usize,
@@ -416,7 +425,7 @@ fn set_up(
         batches.resize_with(first + groups.len(), Batch::default);
     }
     let new = &mut batches[first..first + groups.len()];
-    new.par_iter_mut().zip(&groups).with_min_len(least).for_each(|(batch, group)| {
+    let set_up = |(batch, group): (&mut Batch, &Range<usize>)| {
         batch.nearest = runs[group.start].nearest_below();
         let polygons: u64 = runs[group.clone()].iter().map(|run| u64::from(run.count)).sum();
         batch.is_set_up = !plan.watch().is_some_and(|watch| watch.is_over_after(SETUP_NS * polygons));
@@ -426,23 +435,15 @@ fn set_up(
                 batch.pixels = batch.polygons.iter().map(thinning::pixels).sum();
             }
         }
-    });
+    };
+    if here {
+        new.iter_mut().zip(&groups).for_each(set_up);
+    } else {
+        new.par_iter_mut().zip(&groups).for_each(set_up);
+    }
     let left_out = new.iter().position(|batch| !batch.is_set_up);
     *used += left_out.unwrap_or(new.len());
     left_out.map(|i| new[i].nearest)
-}
-
-/// The runs to draw next: as many polygons as all before them, and at least `least`, but no more than `most`.
-fn next_wave(runs: &[Run], start: usize, least: usize, most: usize) -> Range<usize> {
-    let before: usize = runs[..start].iter().map(|r| r.count as usize).sum();
-    let wanted = before.max(least).min(most);
-    let mut polygons = 0;
-    let mut end = start;
-    while end < runs.len() && polygons < wanted {
-        polygons += runs[end].count as usize;
-        end += 1;
-    }
-    start..end
 }
 
 /// Drops what is hidden from a wave. Tasks are types, not closures, so that they are compiled for each vector width.

@@ -7,8 +7,9 @@
 use super::batch::Batch;
 use super::{FIRST_WAVE, thinning};
 use crate::deadline::{DeadlineOutcome, Degradation, DegradationKind, DegradationStep, Opening, Wave};
-use crate::plan::{CountName, FramePlan, Stats};
+use crate::plan::{CountName, FramePlan, Run, StageName, Stats};
 use presight_model::sensor::ImagePart;
+use std::ops::Range;
 use std::time::Duration;
 
 /// Least size of a wave, which the time left may ask for.
@@ -38,6 +39,31 @@ pub(super) struct Band {
     pub given_up: u64,
     /// Time for its images, with a deadline.
     pub resolving: Duration,
+}
+
+/// Records the times of hiding, of setup and of drawing.
+pub(super) fn tell_stages(times: [Duration; 3], waves: usize, stats: &mut Stats) {
+    let [hiding, setting_up, drawing] = times.map(|time| time.as_secs_f64() * 1e3);
+    if waves > 1 {
+        stats.stages_ms.push((StageName::Hidden, hiding));
+    } else {
+        stats.leave_out(StageName::Hidden, "the polygons are drawn in one wave");
+    }
+    stats.stages_ms.push((StageName::Setup, if waves > 1 { setting_up } else { hiding + setting_up }));
+    stats.stages_ms.push((StageName::Rasterization, drawing));
+}
+
+/// The runs to draw next: as many polygons as all before them, and at least `least`, but no more than `most`.
+pub(super) fn next_wave(runs: &[Run], start: usize, least: usize, most: usize) -> Range<usize> {
+    let before: usize = runs[..start].iter().map(|r| r.count as usize).sum();
+    let wanted = before.max(least).min(most);
+    let mut polygons = 0;
+    let mut end = start;
+    while end < runs.len() && polygons < wanted {
+        polygons += runs[end].count as usize;
+        end += 1;
+    }
+    start..end
 }
 
 /// How far a frame has come.

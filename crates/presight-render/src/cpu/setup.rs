@@ -78,7 +78,7 @@ impl<'a> RayInstance<'a> {
 }
 
 /// The length of every turned unit vector, if it is the same for all to rounding: most instances are at most scaled.
-fn uniform_scale(m: &DMat3) -> Option<f64> {
+pub(super) fn uniform_scale(m: &DMat3) -> Option<f64> {
     let squares = [m.x_axis, m.y_axis, m.z_axis].map(|c| c.length_squared());
     let skew = [m.x_axis.dot(m.y_axis), m.y_axis.dot(m.z_axis), m.z_axis.dot(m.x_axis)];
     let rounding = 1e-13 * squares[0];
@@ -124,31 +124,74 @@ pub(super) fn fill<S: Simd>(
                 batch.bounded += polygons.len();
                 bounds.cover(simd, lanes.corners())
             };
-            let mut left = 0u32;
-            for (i, footprint) in footprints[..polygons.len()].iter().enumerate() {
-                left |= u32::from(!footprint.lines[0].is_empty()) << i;
-            }
-            if left == 0 {
-                continue;
-            }
-            lanes.measure(at, polygons);
-            left = visible_lanes(batch, plan, at, (polygons, left), &lanes, &footprints, occlusion);
-            if left == 0 {
-                continue;
-            }
-            lanes.set_up_planes(at);
-            lanes.set_up_edges(at, polygons);
-            if let PixelGrid::Lines(_) = plan.sensor.grid() {
-                lanes.bound();
-            }
-            while left != 0 {
-                let i = left.trailing_zeros() as usize;
-                left &= left - 1;
-                push(batch, plan, at, (polygons[i], i), &lanes, &footprints[i], &mut room);
-            }
+            set_up_loaded(batch, plan, at, polygons, &mut lanes, &footprints, occlusion, &mut room);
         }
     }
     batch.bin(bands);
+}
+
+/// Sets up single polygons, each an object and a polygon of its mesh, sorted.
+#[inline(always)]
+pub(super) fn fill_polygons<S: Simd>(
+    simd: S,
+    batch: &mut Batch,
+    plan: &FramePlan,
+    polygons: &[(u32, u32)],
+    lanes: &mut PolygonLanes<LANES>,
+    bands: &Bands,
+) {
+    batch.clear();
+    let (bounds, mut room) = (Bounds::new(&plan.sensor), Room::default());
+    for of_object in polygons.chunk_by(|a, b| a.0 == b.0) {
+        let instance = plan.instance_of(of_object[0].0);
+        let at = RayInstance::new(plan, &instance);
+        for some in of_object.chunks(LANES) {
+            let mut eight = [0; LANES];
+            eight.iter_mut().zip(some).for_each(|(to, (_, polygon))| *to = *polygon);
+            let eight = &eight[..some.len()];
+            lanes.load(&at, eight, None);
+            let footprints = bounds.cover(simd, lanes.corners());
+            set_up_loaded(batch, plan, &at, eight, lanes, &footprints, None, &mut room);
+        }
+    }
+    batch.bin(bands);
+}
+
+/// Sets up polygons that are loaded, unless nothing is seen of them.
+#[inline(always)]
+#[expect(clippy::too_many_arguments, reason = "they are parts of one frame that are borrowed apart")]
+fn set_up_loaded(
+    batch: &mut Batch,
+    plan: &FramePlan,
+    at: &RayInstance<'_>,
+    polygons: &[u32],
+    lanes: &mut PolygonLanes<LANES>,
+    footprints: &[Footprint; LANES],
+    occlusion: Option<Occlusion<'_>>,
+    room: &mut Room,
+) {
+    let mut left = 0u32;
+    for (i, footprint) in footprints[..polygons.len()].iter().enumerate() {
+        left |= u32::from(!footprint.lines[0].is_empty()) << i;
+    }
+    if left == 0 {
+        return;
+    }
+    lanes.measure(at, polygons);
+    left = visible_lanes(batch, plan, at, (polygons, left), lanes, footprints, occlusion);
+    if left == 0 {
+        return;
+    }
+    lanes.set_up_planes(at);
+    lanes.set_up_edges(at, polygons);
+    if let PixelGrid::Lines(_) = plan.sensor.grid() {
+        lanes.bound();
+    }
+    while left != 0 {
+        let i = left.trailing_zeros() as usize;
+        left &= left - 1;
+        push(batch, plan, at, (polygons[i], i), lanes, &footprints[i], room);
+    }
 }
 
 /// Of the lanes with a footprint, a bit each, those of polygons that may show.

@@ -26,6 +26,7 @@ pub use way::{ChosenWay, Way};
 pub use weighing::{BeamNumbers, Drawn, Weighing};
 
 use crate::deadline::Watch;
+use crate::row::RowCut;
 use glam::{DMat3, DVec3};
 use presight_model::environment::{Appearance, Environment, Material};
 use presight_model::error::{Error, Result};
@@ -158,6 +159,8 @@ pub struct FramePlan {
     pub reuse_visible: bool,
     /// [`Way::Tiles`] only if nothing was selected.
     chosen: ChosenWay,
+    /// For a level scanner of one row: the cut of the world at its height, in place of runs.
+    pub(crate) cut: Option<Arc<RowCut>>,
     /// Scratch memory, kept from frame to frame.
     found: QueryResult,
     selected: Vec<ObjectRun>,
@@ -237,8 +240,39 @@ impl FramePlan {
         world_from_sensor: &Pose,
         request: ImageRequest,
     ) -> Result<Self> {
+        let region = region_of(sensor, world_from_sensor)?;
+        let mut plan = Self::unfilled(buffers, world, sensor, world_from_sensor, request);
+        plan.fill(&region);
+        Ok(plan)
+    }
+
+    /// Plans a prediction by a cut of the same version of the world at the sensor's height, which must serve the sensor, see
+    /// [`crate::row::RowCuts::get`]. Nothing is selected. Only the CPU engine draws it.
+    pub fn by_cut(
+        buffers: PlanBuffers,
+        world: &World,
+        sensor: &Sensor,
+        world_from_sensor: &Pose,
+        request: ImageRequest,
+        cut: Arc<RowCut>,
+    ) -> Self {
+        let mut plan = Self::unfilled(buffers, world, sensor, world_from_sensor, request);
+        plan.clear();
+        plan.facings.extend_from_slice(cut.facings());
+        plan.cut = Some(cut);
+        plan.chosen = ChosenWay { why: "the world's cut at the sensor's height is searched", ..ChosenWay::RASTER };
+        plan
+    }
+
+    fn unfilled(
+        buffers: PlanBuffers,
+        world: &World,
+        sensor: &Sensor,
+        world_from_sensor: &Pose,
+        request: ImageRequest,
+    ) -> Self {
         let PlanBuffers { instances, runs, facings, found, selected } = buffers;
-        let mut plan = Self {
+        Self {
             world: world.clone(),
             sensor: sensor.clone(),
             world_from_sensor: *world_from_sensor,
@@ -253,11 +287,10 @@ impl FramePlan {
             limit: None,
             reuse_visible: false,
             chosen: ChosenWay::RASTER,
+            cut: None,
             found,
             selected,
-        };
-        plan.fill(&region_of(sensor, world_from_sensor)?);
-        Ok(plan)
+        }
     }
 
     /// Plans a prediction in a chosen way. By tiles nothing is selected, and only the CPU engine and the reference draw it.
@@ -277,29 +310,9 @@ impl FramePlan {
             return Ok(Self { chosen, ..plan });
         }
         world_from_sensor.check()?;
-        let PlanBuffers { mut instances, mut runs, mut facings, found, selected } = buffers;
-        instances.clear();
-        runs.clear();
-        facings.clear();
-        let mut plan = Self {
-            world: world.clone(),
-            sensor: sensor.clone(),
-            world_from_sensor: *world_from_sensor,
-            request,
-            instances,
-            runs,
-            facings,
-            polygon_count: 0,
-            objects_out_of_view: 0,
-            polygons_out_of_view: 0,
-            objects_not_opaque: 0,
-            limit: None,
-            reuse_visible: false,
-            chosen,
-            found,
-            selected,
-        };
-        plan.prepare();
+        let mut plan = Self { chosen, ..Self::unfilled(buffers, world, sensor, world_from_sensor, request) };
+        plan.clear();
+        plan.find_facings();
         Ok(plan)
     }
 
@@ -413,6 +426,7 @@ impl FramePlan {
             limit,
             reuse_visible: false,
             chosen: self.chosen,
+            cut: None,
             found: QueryResult::default(),
             selected: Vec::new(),
         })
@@ -486,25 +500,30 @@ impl FramePlan {
         self.drawn_ids().id_of(&self.world.environment().objects()[object as usize], polygon)
     }
 
-    /// Everything but the selection.
-    fn prepare(&mut self) {
+    /// Nothing selected yet, and no facings.
+    fn clear(&mut self) {
         // Feature ids are derived from features later.
         self.request.outputs = self.request.outputs.without(Output::FeatureId);
         if !self.sensor.is_camera() {
             // Planar depth needs a planar image.
             self.request.outputs = self.request.outputs.without(Output::DepthZ);
         }
+        self.instances.clear();
+        self.runs.clear();
         self.facings.clear();
+        self.limit = None;
+        (self.polygon_count, self.objects_out_of_view) = (0, 0);
+        (self.polygons_out_of_view, self.objects_not_opaque) = (0, 0);
+        self.cut = None;
+    }
+
+    fn find_facings(&mut self) {
         self.facings.extend(facings(self.world.environment(), &self.sensor.spec().class));
     }
 
     fn fill(&mut self, region: &Region) {
-        self.prepare();
-        self.instances.clear();
-        self.runs.clear();
-        self.limit = None;
-        (self.polygon_count, self.objects_out_of_view) = (0, 0);
-        (self.polygons_out_of_view, self.objects_not_opaque) = (0, 0);
+        self.clear();
+        self.find_facings();
         let world = self.world.clone();
         let environment = world.environment();
         let mut selected = std::mem::take(&mut self.selected);

@@ -123,6 +123,8 @@ words! {
         RaysInDoubt = "rays in doubt",
         SegmentsOfCut = "segments of the cut",
         SegmentsTested = "segments tested",
+        /// Beams for which rounding could decide, so that an engine did.
+        BeamsDecided = "beams decided by an engine",
         Features = "features",
         FeaturesQueried = "features asked",
         FeaturesNotChosen = "features not chosen",

@@ -1,57 +1,110 @@
-//! The world cut at one height: everything that a level one-row scanner can meet, as segments in a tree.
+//! The world cut at one height: everything that a level one-row scanner can meet, as segments.
+//!
+//! A segment knows how far engines and it may disagree, see `docs/design/precision.md`: positions by the rounding of
+//! transforms, an end by as much times the slope of its edge, and the plane by the polygon's corners.
 
-use crate::plan::facings;
-use glam::{DVec2, DVec3};
+use super::tree::{self, Block, Node};
+use crate::plan::{Facing, facings};
+use glam::{DAffine3, DMat3, DVec2, DVec3, Vec3};
 use presight_model::environment::Object;
 use presight_model::geometry::Aabb;
 use presight_model::index::{QueryResult, Region};
 use presight_model::world::World;
+use std::collections::HashMap;
 
-/// Relative tolerance for corners on their plane: far below f32 rounding of ranges, far above f64 rounding.
-const PLANE: f64 = 1e-10;
+/// The greatest tilt of a scanner that a cut serves, radians: poses from files are right to 1e-16.
+pub const MOST_TILT: f64 = 1e-11;
 
-/// Maximum number of segments in a leaf.
-const LEAF: usize = 2;
+/// A scanner stands no farther from the world's bounds than this many of their diagonals.
+const MOST_APART: f64 = 1.0;
 
-/// Maximum depth of optimized splits; deeper nodes are halved.
-const MOST_DEPTH: usize = 40;
+/// Rounding errors of a chain of transforms, as multiples of the last place of the numbers in it.
+const TRANSFORMS: f64 = 16.0 * f64::EPSILON;
 
 /// One version of the world at one height, for one sensor class.
 #[derive(Debug, Default)]
 pub struct RowCut {
-    /// Where polygons cross the height.
+    /// Where polygons cross the height, in the order of the blocks, and after these the copies of others, which no beam has to
+    /// be tested against.
     pub segments: Vec<Segment>,
-    /// The root is first; a node's left child follows it.
-    pub nodes: Vec<Node>,
-    /// World positions, each with the offset of the plane through it.
-    pub corners: Vec<(DVec3, f64)>,
+    /// The objects of the segments, and the corners of their polygons in the mesh's frame: what engines need of a winner lies
+    /// together.
+    pub(crate) objects: Vec<CutObject>,
+    corners: Vec<Vec3>,
+    /// The root is first.
+    pub(super) nodes: Vec<Node>,
+    pub(super) blocks: Vec<Block>,
+    /// Factor of the margins within which an engine decides: 1, or 0 to plant a fault in tests.
+    pub(crate) margin: f64,
+    /// How the class sees the materials.
+    facings: Vec<Facing>,
+    /// Horizontal bounds of the scanners that it can serve.
+    bounds: [DVec2; 2],
+    /// Rounding error of the coordinates of boxes, and the greatest distance of anything from a scanner, metres.
+    pub(super) rounding: f64,
+    pub(super) span: f64,
+}
+
+/// An object as plans place it, as far as no sensor is needed.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct CutObject {
+    pub rotation: DMat3,
+    pub translation: DVec3,
+    pub mesh_from_object: DAffine3,
+    pub normal_from_mesh: DMat3,
 }
 
 /// Intersection of a polygon with the height.
 #[derive(Clone, Copy, Debug)]
 pub struct Segment {
+    /// One end.
     pub a: DVec2,
+    /// The other end.
     pub b: DVec2,
     /// Horizontal part of the polygon's unit normal.
     pub normal: DVec2,
     /// The polygon's plane at this height is `normal . p = offset`.
     pub offset: f64,
-    /// For a polygon that is not exactly planar: its range in [`RowCut::corners`]. As in images, its plane passes
-    /// through the corner nearest to the scanner.
-    pub corners: (u32, u32),
+    /// Index of the object.
+    pub object: u32,
+    /// Polygon of its mesh.
+    pub polygon: u32,
+    /// Rounding error of positions, metres.
+    pub(super) position: f32,
+    /// Metres along the ground for each metre of height, of the edges that end at `a` and `b`.
+    pub(super) slopes: [f32; 2],
+    /// No corner is farther from `a`, metres.
+    pub(super) extent: f32,
+    /// How far the corners are off the plane, metres.
+    pub(super) spread: f32,
+    /// Every corner is off the height by at least this much, metres.
+    pub(super) clearance: f32,
+    /// Least length of an edge, metres.
+    pub(super) shortest: f32,
+    /// No point of the polygon at this height, and of its plane there, is farther from the segment, metres.
+    pub(super) pad: f32,
+    /// The polygon only touches the height within rounding: it may be anywhere within `pad` of the segment, and its depth is
+    /// not known.
+    pub(super) touches: bool,
+    /// Its place in [`RowCut::objects`].
+    pub(crate) place: u32,
+    /// First corner, and their number, in [`RowCut::corners`].
+    first_corner: u32,
+    corner_count: u32,
+    /// In the mesh's frame.
+    pub(crate) mesh_normal: DVec3,
     /// Visible only from the normal's side.
     pub one_sided: bool,
+    /// Faces with the same corners, which are equally near: the next one in `segments`, or [`NO_COPY`].
+    pub(super) copy: u32,
 }
 
-/// A bounding box of segments.
-#[derive(Clone, Copy, Debug)]
-pub struct Node {
-    pub min: DVec2,
-    pub max: DVec2,
-    /// First segment of a leaf, or the right child.
-    pub at: u32,
-    /// Number of segments of a leaf; 0 for an inner node.
-    pub count: u32,
+/// Where there is no further copy.
+pub(crate) const NO_COPY: u32 = u32::MAX;
+
+/// Rounded up.
+fn up(x: f64) -> f32 {
+    (x as f32).next_up()
 }
 
 impl RowCut {
@@ -60,143 +113,280 @@ impl RowCut {
         let environment = world.environment();
         let facings: Vec<_> = facings(environment, class).collect();
         let bounds = environment.bounds();
-        let mut cut = Self::default();
-        if bounds.is_empty() || !(bounds.min.z <= height && height <= bounds.max.z) {
+        let mut cut = Self { facings: facings.clone(), margin: 1.0, ..Self::default() };
+        if bounds.is_empty() {
             return cut;
         }
-        let slice = Aabb { min: bounds.min.with_z(height), max: bounds.max.with_z(height) };
+        let diagonal = (bounds.max - bounds.min).length();
+        let apart = MOST_APART * diagonal;
+        cut.bounds = [bounds.min.truncate() - apart, bounds.max.truncate() + apart];
+        let greatest = bounds.min.abs().max(bounds.max.abs()).max_element().max(height.abs()) + apart;
+        (cut.rounding, cut.span) = (TRANSFORMS * greatest, 3.0 * diagonal);
+        // How much lower or higher a tilted scanner sees something.
+        let tilted = MOST_TILT * cut.span;
+        let margins: Vec<f64> = environment.objects().iter().map(|o| position_error(o, greatest)).collect();
+        let most = margins.iter().copied().fold(0.0, f64::max) + tilted;
+        if !(bounds.min.z - most <= height && height <= bounds.max.z + most) {
+            return cut;
+        }
+        let slice = Aabb { min: bounds.min.with_z(height - most), max: bounds.max.with_z(height + most) };
         let (mut found, mut runs) = (QueryResult::default(), Vec::new());
         world.index().select(environment, &Region::cuboid(&slice), &mut found, &mut runs);
+        let (mut segments, mut copies) = (Vec::new(), Copies::default());
         for objects in runs.chunk_by(|a, b| a.object == b.object) {
-            let object = &environment.objects()[objects[0].object as usize];
-            let world_from_mesh = object.world_from_mesh();
-            let normal_from_mesh = world_from_mesh.matrix3.inverse().transpose();
-            let Some(absent) = environment.absent_parts(objects[0].object, class) else { continue };
-            let is_absent = |polygon| environment.lies_in(objects[0].object, polygon, &absent);
-            for polygon in objects.iter().flat_map(|run| run.first..run.first + run.count).filter(|p| !is_absent(*p)) {
+            let number = objects[0].object;
+            let object = &environment.objects()[number as usize];
+            let Some(absent) = environment.absent_parts(number, class) else { continue };
+            let is_absent = |polygon| environment.lies_in(number, polygon, &absent);
+            let mut cutter = Cutter::new(object, number, height, margins[number as usize], tilted);
+            let place = cut.objects.len() as u32;
+            cut.objects.push(CutObject {
+                rotation: object.world_from_object.rotation_matrix(),
+                translation: object.world_from_object.translation,
+                mesh_from_object: object.object_from_mesh.inverse(),
+                normal_from_mesh: object.object_from_mesh.matrix3.inverse().transpose(),
+            });
+            let mut polygons: Vec<u32> = objects.iter().flat_map(|run| run.first..run.first + run.count).collect();
+            polygons.sort_unstable();
+            for polygon in polygons.into_iter().filter(|p| !is_absent(*p)) {
                 let facing = facings[usize::from(object.mesh.material(polygon))];
-                let ends = if facing.opaque { cross(object, polygon, height) } else { None };
-                let Some([a, b]) = ends else { continue };
-                let normal = (normal_from_mesh * object.mesh.plane(polygon).normal).normalize();
-                let first = cut.corners.len();
-                let corners = object.mesh.corners_of(polygon).map(|p| world_from_mesh.transform_point3(p));
-                cut.corners.extend(corners.map(|p| (p, normal.dot(p) - normal.z * height)));
-                let offset = cut.corners[first].1;
-                let spread = cut.corners[first..].iter().map(|(_, o)| (o - offset).abs()).fold(0.0, f64::max);
-                if spread <= PLANE * (1.0 + offset.abs()) {
-                    cut.corners.truncate(first);
-                }
-                let corners = (first as u32, cut.corners.len() as u32);
-                let segment = Segment { a, b, normal: normal.truncate(), offset, corners, one_sided: facing.one_sided };
-                // Horizontal polygons are edge-on to the row.
-                if segment.normal != DVec2::ZERO {
-                    cut.segments.push(segment);
+                let segment = if facing.opaque { cutter.cross(polygon) } else { None };
+                let Some(segment) = segment else { continue };
+                let first_corner = cut.corners.len() as u32;
+                let corners = object.mesh.corner_indices(polygon);
+                let corner_count = corners.len() as u32;
+                let segment = Segment { place, first_corner, corner_count, one_sided: facing.one_sided, ..segment };
+                if !copies.take(object, &segment, &segments) {
+                    cut.corners.extend(corners.iter().map(|c| object.mesh.vertices()[*c as usize]));
+                    segments.push(segment);
                 }
             }
         }
-        let mut segments = std::mem::take(&mut cut.segments);
-        cut.grow(&mut segments);
-        cut.segments = segments;
+        (cut.nodes, cut.blocks, cut.segments) = tree::grow(segments);
+        copies.add_to(&mut cut.segments);
         cut
     }
 
-    fn grow(&mut self, segments: &mut [Segment]) {
-        if !segments.is_empty() {
-            self.grow_from(segments, 0, 0);
-        }
+    /// The same cut without margins for rounding, a fault that tests have to find.
+    #[must_use]
+    pub fn without_margins(self) -> Self {
+        Self { margin: 0.0, ..self }
     }
 
-    /// Sorts segments into a tree; `placed` counts the segments in earlier leaves.
-    fn grow_from(&mut self, segments: &mut [Segment], placed: usize, depth: usize) {
-        let (mut min, mut max) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
-        for s in &*segments {
-            (min, max) = (min.min(s.a.min(s.b)), max.max(s.a.max(s.b)));
-        }
-        let node = self.nodes.len();
-        self.nodes.push(Node { min, max, at: placed as u32, count: segments.len() as u32 });
-        if segments.len() <= LEAF {
-            return;
-        }
-        let at = if depth < MOST_DEPTH { best_split(segments) } else { segments.len() / 2 };
-        let (left, right) = segments.split_at_mut(at);
-        self.grow_from(left, placed, depth + 1);
-        let right_child = self.nodes.len() as u32;
-        self.grow_from(right, placed + at, depth + 1);
-        (self.nodes[node].at, self.nodes[node].count) = (right_child, 0);
+    /// The segment and its copies.
+    pub(crate) fn with_copies(&self, segment: u32) -> impl Iterator<Item = &Segment> {
+        let next = |at: &u32| Some(self.segments[*at as usize].copy).filter(|copy| *copy != NO_COPY);
+        std::iter::successors(Some(segment), next).map(|at| &self.segments[at as usize])
+    }
+
+    /// The corners of a segment's polygon in the frame of its mesh; none for copies.
+    pub(crate) fn corners(&self, segment: &Segment) -> &[Vec3] {
+        self.corners
+            .get(segment.first_corner as usize..)
+            .and_then(|c| c.get(..segment.corner_count as usize))
+            .unwrap_or(&[])
+    }
+
+    /// True if other faces have the same corners.
+    pub(crate) fn has_copies(&self, segment: u32) -> bool {
+        self.segments[segment as usize].copy != NO_COPY
+    }
+
+    /// How the class sees the materials, by material index.
+    pub(crate) fn facings(&self) -> &[Facing] {
+        &self.facings
+    }
+
+    /// True if a scanner at this place is near enough for the cut's margins.
+    pub fn serves(&self, place: DVec2) -> bool {
+        self.segments.is_empty() || (place.cmpge(self.bounds[0]).all() && place.cmple(self.bounds[1]).all())
     }
 }
 
-/// Sorts segments along the best axis and returns the best split: it minimizes the perimeters of both boxes, weighted
-/// by their segments. The number of beams that see a box is proportional to its perimeter.
-fn best_split(segments: &mut [Segment]) -> usize {
-    let key = |s: &Segment, axis: usize| s.a[axis] + s.b[axis];
-    let sides = |(min, max): (DVec2, DVec2)| (max - min).element_sum();
-    let hold = |(min, max): (DVec2, DVec2), s: &Segment| (min.min(s.a.min(s.b)), max.max(s.a.max(s.b)));
-    let nothing = (DVec2::INFINITY, DVec2::NEG_INFINITY);
-    let (mut best, mut rest) = ((f64::INFINITY, 0, segments.len() / 2), vec![0.0; segments.len()]);
-    for axis in 0..2 {
-        segments.sort_unstable_by(|a, b| key(a, axis).total_cmp(&key(b, axis)));
-        let mut held = nothing;
-        for (i, s) in segments.iter().enumerate().rev() {
-            held = hold(held, s);
-            rest[i] = sides(held) * (segments.len() - i) as f64;
+/// How far the positions of an object's corners may be off, metres, in the world and from any scanner in it.
+fn position_error(object: &Object, greatest: f64) -> f64 {
+    let matrix = object.object_from_mesh.matrix3;
+    let norm = |m: DMat3| m.to_cols_array().iter().map(|x| x * x).sum::<f64>().sqrt();
+    let bounds = object.mesh.bounds();
+    let own = bounds.min.abs().max(bounds.max.abs()).max_element() * norm(matrix);
+    let far = greatest + object.world_from_object.translation.abs().max_element();
+    let far = far + object.object_from_mesh.translation.abs().max_element() + own;
+    if bounds.is_empty() { 0.0 } else { TRANSFORMS * norm(matrix) * norm(matrix.inverse()) * far }
+}
+
+/// Faces with the corners of an earlier face of their object: their planes have the same bits up to the sign, so that the
+/// first one wins wherever rounding does not decide.
+#[derive(Default)]
+struct Copies {
+    /// By a number that does not depend on the order of the corners: the first face.
+    first: HashMap<(u32, u64), u32>,
+    /// Copies, each with object and polygon of the first face.
+    all: Vec<((u32, u32), Segment)>,
+}
+
+impl Copies {
+    /// Takes a segment if it is a copy of one before.
+    fn take(&mut self, object: &Object, segment: &Segment, before: &[Segment]) -> bool {
+        if segment.touches || segment.one_sided {
+            return false;
         }
-        held = nothing;
-        for (i, s) in segments.iter().enumerate().take(segments.len() - 1) {
-            held = hold(held, s);
-            let cost = sides(held) * (i + 1) as f64 + rest[i + 1];
-            if cost < best.0 {
-                best = (cost, axis, i + 1);
+        let corners =
+            |polygon: u32| object.mesh.corner_indices(polygon).iter().map(|c| object.mesh.vertices()[*c as usize]);
+        let mixed = |p: Vec3| {
+            p.to_array()
+                .iter()
+                .fold(0u64, |sum, x| (sum ^ u64::from(x.to_bits())).wrapping_mul(0x9e37_79b9_7f4a_7c15).rotate_left(29))
+        };
+        let key = corners(segment.polygon).fold(0u64, |sum, p| sum.wrapping_add(mixed(p)));
+        let first = *self.first.entry((segment.object, key)).or_insert(before.len() as u32);
+        let Some(of) = before.get(first as usize) else { return false };
+        let same = corners(of.polygon).len() == corners(segment.polygon).len()
+            && corners(segment.polygon).all(|p| corners(of.polygon).any(|q| p == q));
+        // The lower slot wins, and polygons are cut in rising order.
+        if same && !of.one_sided && of.polygon < segment.polygon {
+            self.all.push(((of.object, of.polygon), *segment));
+        }
+        same && !of.one_sided && of.polygon < segment.polygon
+    }
+
+    /// Appends the copies, each after the last one of its face.
+    fn add_to(self, segments: &mut Vec<Segment>) {
+        if self.all.is_empty() {
+            return;
+        }
+        let mut last: HashMap<(u32, u32), usize> =
+            segments.iter().enumerate().map(|(i, s)| ((s.object, s.polygon), i)).collect();
+        for (of, copy) in self.all {
+            let Some(before) = last.insert(of, segments.len()) else { continue };
+            segments[before].copy = segments.len() as u32;
+            segments.push(copy);
+        }
+    }
+}
+
+/// Cuts the polygons of one object.
+struct Cutter<'a> {
+    object: &'a Object,
+    number: u32,
+    height: f64,
+    position: f64,
+    /// A corner nearer to the height touches it.
+    touch: f64,
+    world_from_mesh: DAffine3,
+    normal_from_mesh: DMat3,
+    /// Corners of a polygon in the world, above the height.
+    corners: Vec<DVec3>,
+    /// Where it meets the height.
+    points: Vec<(DVec2, f64)>,
+}
+
+impl<'a> Cutter<'a> {
+    fn new(object: &'a Object, number: u32, height: f64, position: f64, tilted: f64) -> Self {
+        let world_from_mesh = object.world_from_mesh();
+        let normal_from_mesh = world_from_mesh.matrix3.inverse().transpose();
+        let (corners, points) = (Vec::new(), Vec::new());
+        let touch = position + tilted;
+        Self { object, number, height, position, touch, world_from_mesh, normal_from_mesh, corners, points }
+    }
+
+    /// The segment of a polygon; `None` if it is surely above or below the height.
+    fn cross(&mut self, polygon: u32) -> Option<Segment> {
+        self.corners.clear();
+        let (mut least, mut greatest, mut clearance) = (f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY);
+        for p in self.object.mesh.corners_of(polygon) {
+            let p = self.world_from_mesh.transform_point3(p) - DVec3::Z * self.height;
+            (least, greatest, clearance) = (least.min(p.z), greatest.max(p.z), clearance.min(p.z.abs()));
+            self.corners.push(p);
+        }
+        if least > self.touch || greatest < -self.touch {
+            return None;
+        }
+        let normal = (self.normal_from_mesh * self.object.mesh.plane(polygon).normal).normalize();
+        let off = |p: &DVec3| normal.dot(*p);
+        let offset = off(&self.corners[0]);
+        let spread = self.corners.iter().map(|p| (off(p) - offset).abs()).fold(0.0, f64::max);
+        let spread = if self.corners.len() > 3 { spread } else { 0.0 };
+        self.meet();
+        let flat = normal.truncate().length();
+        let touches = clearance <= self.touch || self.points.len() != 2 || flat < 1e-9;
+        let ([(a, slope), (b, other)], pad) = if touches {
+            let ([a, b], pad) = self.around();
+            ([(a, 0.0), (b, 0.0)], pad)
+        } else {
+            let ends = [self.points[0], self.points[1]];
+            (ends, 8.0 * self.touch * (1.0 + ends[0].1.max(ends[1].1)) + spread / flat)
+        };
+        let sides = self.corners.iter().zip(self.corners.iter().cycle().skip(1));
+        let shortest = sides.map(|(p, q)| p.distance(*q)).fold(f64::INFINITY, f64::min);
+        let extent = self.corners.iter().map(|p| p.distance(a.extend(0.0))).fold(0.0, f64::max);
+        Some(Segment {
+            a,
+            b,
+            normal: normal.truncate(),
+            offset,
+            object: self.number,
+            polygon,
+            position: up(self.position),
+            slopes: [slope, other].map(up),
+            extent: up(extent),
+            spread: if spread > 0.0 { up(spread) } else { 0.0 },
+            clearance: (clearance as f32).next_down(),
+            shortest: (shortest as f32).next_down(),
+            pad: up(pad),
+            touches,
+            place: 0,
+            first_corner: 0,
+            corner_count: 0,
+            mesh_normal: self.object.mesh.plane(polygon).normal,
+            one_sided: false,
+            copy: NO_COPY,
+        })
+    }
+
+    /// Finds where edges cross the height, with their slopes.
+    fn meet(&mut self) {
+        self.points.clear();
+        for (k, p) in self.corners.iter().enumerate() {
+            let q = self.corners[(k + 1) % self.corners.len()];
+            if (p.z < 0.0) != (q.z < 0.0) {
+                let along = q - *p;
+                let slope = along.truncate().length() / along.z.abs();
+                self.points.push(((*p - along * (p.z / along.z)).truncate(), slope));
             }
         }
     }
-    if best.1 == 0 {
-        segments.sort_unstable_by(|a, b| key(a, 0).total_cmp(&key(b, 0)));
+
+    /// For a polygon that touches the height: the two most distant points at which it may meet it, and how far others may
+    /// be from the segment between them.
+    fn around(&self) -> ([DVec2; 2], f64) {
+        let (mut points, mut slack) = (Vec::new(), self.touch);
+        for (k, p) in self.corners.iter().enumerate() {
+            let q = self.corners[(k + 1) % self.corners.len()];
+            let near = [p, &q].map(|p| p.z.abs() <= 2.0 * self.touch);
+            if near[0] {
+                points.push(p.truncate());
+            }
+            if near[0] != near[1] {
+                let length = (q - *p).truncate().length();
+                slack = f64::max(slack, self.touch + length.min(4.0 * self.touch * length / (q.z - p.z).abs()));
+            } else if !near[0] && (p.z < 0.0) != (q.z < 0.0) {
+                let slope = (q - *p).truncate().length() / (q.z - p.z).abs();
+                points.push((*p - (q - *p) * (p.z / (q.z - p.z))).truncate());
+                slack = slack.max(2.0 * self.touch * (1.0 + slope));
+            }
+        }
+        let pairs = points.iter().flat_map(|p| points.iter().map(move |q| [*p, *q]));
+        let far = |[p, q]: &[DVec2; 2]| p.distance_squared(*q);
+        let ends = pairs.max_by(|a, b| far(a).total_cmp(&far(b))).unwrap_or([self.corners[0].truncate(); 2]);
+        let beside = points.iter().map(|p| distance(*p, ends)).fold(0.0, f64::max);
+        (ends, slack + beside)
     }
-    best.2
 }
 
-/// Endpoints of a convex polygon's intersection with a height, if it has a positive length.
-fn cross(object: &Object, polygon: u32, height: f64) -> Option<[DVec2; 2]> {
-    let world_from_mesh = object.world_from_mesh();
-    let mut points = object.mesh.corners_of(polygon).map(|p| world_from_mesh.transform_point3(p));
-    let first = points.next()?;
-    let (mut ends, mut last) = (Ends::default(), first);
-    for p in points.chain([first]) {
-        ends.add_side(last, p, height);
-        last = p;
-    }
-    ends.0.filter(|[a, b]| a != b)
-}
-
-/// The two most distant points so far.
-#[derive(Default)]
-struct Ends(Option<[DVec2; 2]>);
-
-impl Ends {
-    fn add_side(&mut self, from: DVec3, to: DVec3, height: f64) {
-        let (below, above) = (from.z - height, to.z - height);
-        if below == 0.0 {
-            self.add(from.truncate());
-        } else if (below < 0.0) != (above < 0.0) && above != 0.0 {
-            // The end that is first in a fixed order is the origin, so that neighbours compute the same point.
-            let (p, q) = if from.to_array() <= to.to_array() { (from, to) } else { (to, from) };
-            let t = (height - p.z) / (q.z - p.z);
-            self.add((p + (q - p) * t).truncate());
-        }
-    }
-
-    fn add(&mut self, p: DVec2) {
-        let Some([a, b]) = self.0 else {
-            self.0 = Some([p, p]);
-            return;
-        };
-        let apart = a.distance_squared(b);
-        let (from_a, from_b) = (p.distance_squared(a), p.distance_squared(b));
-        if from_a > apart && from_a >= from_b {
-            self.0 = Some([a, p]);
-        } else if from_b > apart {
-            self.0 = Some([p, b]);
-        }
-    }
+/// Distance of a point from a segment.
+pub(super) fn distance(p: DVec2, [a, b]: [DVec2; 2]) -> f64 {
+    let along = b - a;
+    let length_squared = along.length_squared();
+    let t = if length_squared > 0.0 { ((p - a).dot(along) / length_squared).clamp(0.0, 1.0) } else { 0.0 };
+    p.distance(a + along * t)
 }

@@ -1,12 +1,14 @@
-//! Fast predictions for a level one-row scanner: the world is cut once into segments at its height, and searched
-//! nearest first. Cuts are kept per version of the world. Ranges agree with images within the range bound
-//! ([`crate::verify`]).
+//! Predictions for a level one-row scanner as a problem of the plane: the world is cut once into segments at its height, and
+//! these are searched in a tree. Images have the bits of other predictions: the search only finds which polygon a beam
+//! meets, and where rounding could decide, the engine does (`cpu::row`). Cuts are kept per version of the world.
 
 mod cut;
-mod view;
+mod search;
+mod tree;
 
-pub use cut::RowCut;
-pub use view::RowView;
+pub(crate) use cut::CutObject;
+pub use cut::{MOST_TILT, RowCut, Segment};
+pub(crate) use search::{NOTHING, RowBeams, RowSearch, RowView, Search, UNSURE};
 
 use glam::DVec3;
 use presight_model::geometry::Pose;
@@ -20,6 +22,18 @@ pub fn is_level(pose: &Pose) -> bool {
     up.z > 0.0 && up.x.abs().max(up.y.abs()) <= 1e-8
 }
 
+/// True if a cut can serve the sensor where it is level.
+pub fn is_row(sensor: &Sensor) -> bool {
+    search::row_grid(sensor).is_some()
+}
+
+/// True if a cut can serve such a sensor at this pose.
+fn is_exactly_level(pose: &Pose) -> bool {
+    let m = pose.rotation_matrix();
+    let tilt = [m.x_axis.z, m.y_axis.z, m.z_axis.x, m.z_axis.y];
+    m.z_axis.z > 0.0 && tilt.iter().all(|t| t.abs() <= MOST_TILT)
+}
+
 /// Cuts of one version of the world.
 #[derive(Debug, Default)]
 pub struct RowCuts(Mutex<CutCache>);
@@ -29,38 +43,50 @@ struct CutCache {
     /// [`World::stamp`].
     world: u64,
     /// Least recently used first.
-    cuts: Vec<(String, f64, Arc<RowCut>)>,
+    heights: Vec<CutHeight>,
+}
+
+/// A height at which a class was scanned.
+#[derive(Debug)]
+struct CutHeight {
+    class: String,
+    height: f64,
+    scans: u32,
+    cut: Option<Arc<RowCut>>,
 }
 
 impl RowCuts {
     /// Maximum number of heights and classes that are kept.
     const MOST: usize = 8;
 
-    /// Returns the cut for a version of the world, a sensor class and a height; makes it if it is not cached.
-    pub fn get(&self, world: &World, class: &str, height: f64) -> Arc<RowCut> {
+    /// Single predictions at a height from which on its cut is made: it takes the time of some ten others.
+    pub const SCANS: u32 = 16;
+
+    /// Returns the cut that serves a scan, if the sensor is a level one-row scanner. A cut that is not kept is made at
+    /// once if there are many scans `at_once`, else when the height has been scanned [`Self::SCANS`] times.
+    pub fn get(&self, world: &World, sensor: &Sensor, pose: &Pose, at_once: bool) -> Option<Arc<RowCut>> {
+        if !is_row(sensor) || !is_exactly_level(pose) {
+            return None;
+        }
+        let (class, height) = (&sensor.spec().class, pose.translation.z);
         let mut kept = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if kept.world != world.stamp() {
-            *kept = CutCache { world: world.stamp(), cuts: Vec::new() };
+            *kept = CutCache { world: world.stamp(), heights: Vec::new() };
         }
-        let known = kept.cuts.iter().position(|(of, at, _)| of == class && *at == height);
-        let entry = match known {
-            Some(i) => kept.cuts.remove(i),
-            None => (class.to_owned(), height, Arc::new(RowCut::new(world, class, height))),
+        let known = kept.heights.iter().position(|of| of.class == *class && of.height == height);
+        let mut entry = match known {
+            Some(i) => kept.heights.remove(i),
+            None => CutHeight { class: class.clone(), height, scans: 0, cut: None },
         };
-        let cut = entry.2.clone();
-        kept.cuts.push(entry);
-        if kept.cuts.len() > Self::MOST {
-            kept.cuts.remove(0);
+        entry.scans = entry.scans.saturating_add(1);
+        if entry.cut.is_none() && (at_once || entry.scans >= Self::SCANS) {
+            entry.cut = Some(Arc::new(RowCut::new(world, class, height)));
         }
-        cut
+        let cut = entry.cut.clone();
+        kept.heights.push(entry);
+        if kept.heights.len() > Self::MOST {
+            kept.heights.remove(0);
+        }
+        cut.filter(|cut| cut.serves(pose.translation.truncate()))
     }
-}
-
-/// The images range and cos_incidence from a cut, for tests; `None` for unsupported sensors and tilted poses.
-pub fn see(world: &World, sensor: &Sensor, world_from_sensor: &Pose) -> Option<(Vec<f32>, Vec<f32>)> {
-    let mut view = RowView::new(sensor).filter(|_| is_level(world_from_sensor))?;
-    let cut = RowCut::new(world, &sensor.spec().class, world_from_sensor.translation.z);
-    let (mut range, mut cos_incidence) = (Vec::new(), Vec::new());
-    view.see(&cut, world_from_sensor, &mut range, &mut cos_incidence);
-    Some((range, cos_incidence))
 }
