@@ -29,7 +29,7 @@ use proptest::test_runner::{RngSeed, TestRunner};
 use std::cell::RefCell;
 use std::sync::Arc;
 
-/// An engine, and what it has compared.
+/// An engine, and counts of compared rays.
 struct Ways {
     engine: CpuEngine,
     rays: usize,
@@ -199,7 +199,7 @@ fn trees_follow_changes() {
             2 if !undo.is_empty() => undo.swap_remove(undo.len() - 1),
             _ => Change::MoveObject { name, world_from_object: place(&mut random) },
         };
-        // An older inverse may name what is gone.
+        // An older inverse may name an object that is gone.
         if let Ok(inverse) = world.apply_unchecked(change) {
             undo.push(inverse);
         }
