@@ -1,6 +1,6 @@
 //! How the CPU engine finds what a ray sees.
 
-use presight_model::sensor::{GroupLayout, Sensor};
+use presight_model::sensor::{GroupLayout, PixelGrid, Sensor};
 use presight_model::world::World;
 use serde::Serialize;
 use std::fmt;
@@ -66,6 +66,19 @@ impl ChosenWay {
     pub const TILES: Self = Self { way: Way::Tiles, why: "this way was requested", at_once: true };
 }
 
+/// Least number of polygons for which sparse rows are searched faster than drawn.
+const MANY_POLYGONS: u32 = 100_000;
+
+/// Mean half angle of squares of a table from which neighbours in the table are no neighbours in direction, radians.
+const SCATTERED: f64 = 0.1;
+
+/// True if the table lists rays in an order that is not that of an image: the raster would test each polygon in most squares.
+fn is_scattered(sensor: &Sensor) -> bool {
+    let PixelGrid::Rays(grid) = sensor.grid() else { return false };
+    let sum: f64 = grid.tiles().iter().map(|tile| tile.half_angle.max(0.0)).sum();
+    sum > SCATTERED * grid.tiles().len() as f64
+}
+
 impl Default for ChosenWay {
     fn default() -> Self {
         Self::RASTER
@@ -85,10 +98,12 @@ impl Way {
             Self::Raster => raster("this way was requested"),
             Self::Tiles => ChosenWay::TILES,
             Self::Auto => match sensor.ray_layout() {
-                GroupLayout::Listed if !few_rays => tiles("the sensor's rays are listed"),
+                GroupLayout::Listed if !few_rays && is_scattered(sensor) => tiles("the sensor's rays are listed"),
                 _ if world.environment().slot_count() < FEW_POLYGONS => raster("the world has few polygons"),
                 _ if few_rays => tiles("the sensor has few rays"),
-                GroupLayout::Across => tiles("the sensor's rows lie far apart"),
+                GroupLayout::Across if world.environment().slot_count() >= MANY_POLYGONS => {
+                    tiles("the sensor's rows lie far apart")
+                }
                 _ => raster("for images of many rays the raster is faster"),
             },
         }
