@@ -176,7 +176,7 @@ fn differing(images: &[Images; 2]) -> Vec<usize> {
     all
 }
 
-/// Hard scenes until so many rays are compared.
+/// Draws hard scenes until this number of rays is compared.
 fn bits(rays: usize, seed: u64) {
     let config = Config { rng_seed: RngSeed::Fixed(seed), failure_persistence: None, ..Config::default() };
     let mut runner = TestRunner::new(config);

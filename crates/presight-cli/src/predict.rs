@@ -20,6 +20,7 @@ use presight_features::{BoxOptions, SeenFeature};
 use presight_files::gltf::ImportOptions;
 use presight_files::{exr, load_robot, npy, pcd, ply, sensor_toml};
 use presight_model::error::{Error, Result};
+use presight_model::limits;
 use presight_model::memory;
 use presight_model::memory::FrameMemory;
 use presight_model::sensor::{Geometry, Sensor};
@@ -234,6 +235,7 @@ impl Args {
         files.add("--costs", self.deadline.costs.as_deref(), &["json"])?;
         files.check_named(self.inputs())?;
         sensors.iter().try_for_each(|sensor| self.virtual_sensor.check_sensor(sensor))?;
+        sensors.iter().try_for_each(|sensor| self.check_picture(sensor))?;
         let threads = Threads::from(self.threads).started()?;
         let import = ImportOptions { threads: threads.clone(), ..import };
         Ok(Job {
@@ -244,6 +246,15 @@ impl Args {
             import,
             options: self.engine.options(threads).with_reuse_visible(self.reuse_visible).with_way(self.way.way()),
         })
+    }
+
+    /// A picture has sides that programs can show.
+    fn check_picture(&self, sensor: &Sensor) -> Result<()> {
+        if self.png.is_none() || sensor.width() <= limits::MAX_IMAGE_SIDE {
+            return Ok(());
+        }
+        let what = format!("--png: a row of {} rays is wider than a picture may be", sensor.width());
+        Err(Error::usage(what, "drop --png and write --out FILE.exr or --npy, or give the rays several rows"))
     }
 
     /// Returns true if there can be more than one prediction.

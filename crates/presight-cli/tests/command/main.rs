@@ -450,8 +450,29 @@ fn doctor_lists_engines_and_the_one_in_use() {
         outcome.stdout
     );
     assert!(outcome.stdout.matches("right: ").count() >= 4 && !outcome.stdout.contains("WRONG"), "{}", outcome.stdout);
+    assert!(outcome.stdout.contains("tiles of rays are searched in"), "{}", outcome.stdout);
     let looks_for_drivers = cfg!(all(feature = "gpu", target_os = "linux"));
     assert_eq!(outcome.stdout.contains("VK_DRIVER_FILES=/nonexistent is set"), looks_for_drivers, "{}", outcome.stdout);
+}
+
+/// Rays in the order of time: a row that no picture holds, with the same image both ways.
+#[test]
+fn a_long_row_of_listed_rays_is_an_image_but_no_picture() {
+    let place = Place::new();
+    let ray = |i: u32| {
+        let (fast, slow) = ((f64::from(i) * 0.731).sin_cos(), (f64::from(i) * -0.4873).sin_cos());
+        format!("1,{},{}\n", 0.3 * (fast.0 + slow.0), 0.3 * (fast.1 + slow.1))
+    };
+    place.write("rays.csv", (0..20_000).map(ray).collect::<String>().as_bytes());
+    place.write("rays.toml", b"format = 1\nkind = \"rays\"\nwidth = 20000\nheight = 1\nfile = \"rays.csv\"\n");
+    let line = "predict wall.glb --sensor rays.toml --pose 0,0,1,0,0,0";
+    let explained = place.done(&format!("{line} --out tiles.exr --explain --backend cpu"));
+    assert!(explained.contains("way       tiles") && explained.contains("the sensor's rays are listed"), "{explained}");
+    place.done(&format!("{line} --out raster.exr --way raster --backend cpu"));
+    let [tiles, raster] = ["tiles.exr", "raster.exr"].map(|name| place.images(name).images);
+    assert_eq!((tiles.range.len(), &tiles.range), (20_000, &raster.range));
+    assert!(tiles.range.iter().any(|range| range.is_finite()));
+    check(&place, vec![bad(format!("{line} --png out.png"), 2, &["--png", "20000 rays"])]);
 }
 
 #[test]

@@ -251,7 +251,10 @@ fn check_header(header: &Header) -> Result<()> {
     if header.deep {
         return Err(unsupported("deep data".into(), "write one sample per pixel"));
     }
-    if !side.contains(&width) || !side.contains(&height) || width * height > limits::MAX_PIXELS {
+    // One row of a sensor whose rays are listed may be longer.
+    let is_list = height == 1 && (1..=u64::from(limits::MAX_LISTED_RAYS)).contains(&width);
+    let is_image = side.contains(&width) && side.contains(&height) && width * height <= limits::MAX_PIXELS;
+    if !is_list && !is_image {
         return Err(Error::invalid(
             format!("image of {width} x {height} pixels"),
             format!("sides of 1 to {} and at most {} pixels can be read", limits::MAX_IMAGE_SIDE, limits::MAX_PIXELS),

@@ -192,7 +192,13 @@ fn wrong_channels_are_named() {
     let file = read(&path).unwrap();
     assert_eq!((file.ignored, file.images.range), (vec!["R".to_owned()], vec![2.0; 6]));
     let wide = limits::MAX_IMAGE_SIDE as usize + 1;
+    write_foreign(&path, vec![("range", FlatSamples::F32(vec![1.0; 2 * wide]))], (wide, 2));
+    assert_eq!(error_of(&path).kind(), ErrorKind::Invalid);
+    // A row of listed rays.
     write_foreign(&path, vec![("range", FlatSamples::F32(vec![1.0; wide]))], (wide, 1));
+    assert_eq!(read(&path).unwrap().images.range, vec![1.0; wide]);
+    let longest = limits::MAX_LISTED_RAYS as usize;
+    write_foreign(&path, vec![("range", FlatSamples::F32(vec![1.0; longest + 1]))], (longest + 1, 1));
     assert_eq!(error_of(&path).kind(), ErrorKind::Invalid);
 }
 

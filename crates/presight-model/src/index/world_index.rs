@@ -18,7 +18,7 @@ use std::sync::{Arc, OnceLock};
 #[derive(Clone, Debug)]
 pub struct WorldIndex {
     kind: Kind,
-    /// Of the objects as they are; built when rays first want it.
+    /// Tree of the current objects; built when rays first want it.
     for_rays: OnceLock<Arc<ObjectTree>>,
 }
 

@@ -56,7 +56,7 @@ pub struct RayTiles {
     pub tiles: Vec<RayTile>,
     /// How the lanes of a group lie.
     pub layout: GroupLayout,
-    /// No tile reaches over a multiple of so many lines.
+    /// No tile reaches over a multiple of this number of lines.
     lines_of_block: usize,
     /// First tile of each block of lines, then the number of tiles.
     block_starts: Vec<u32>,
@@ -321,7 +321,7 @@ fn rows_apart(grid: &LineGrid) -> Option<usize> {
     })
 }
 
-/// Orders directions so that every so many, and every half of these, are neighbours.
+/// Orders directions by halving: every 64 of them, and every 8, are neighbours.
 fn gather(rays: &mut [([f32; 3], u32)], least: usize) {
     if rays.len() <= least {
         return;

@@ -57,7 +57,7 @@ pub struct CpuEngine {
     canvas: Vec<Buffer>,
     /// Images of a part, before they are whole ones.
     part: Images,
-    /// Of tiles: memory of threads, the number of the frame, and the width of their search.
+    /// Memory of the threads that trace tiles, the number of the frame, and the width of the search.
     rooms: Vec<tiles::Room>,
     frame: u64,
     vectors: Vectors,

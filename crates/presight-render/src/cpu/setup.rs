@@ -56,7 +56,7 @@ impl<'a> RayInstance<'a> {
         }
     }
 
-    /// What is seen of a polygon whose plane is at that distance in the frame of the mesh.
+    /// Ids and distance of a polygon whose plane is at this distance in the frame of the mesh.
     #[inline(always)]
     pub fn shade(&self, plan: &FramePlan, polygon: u32, distance: f64) -> Shade {
         let normal = self.mesh.planes()[polygon as usize].normal;

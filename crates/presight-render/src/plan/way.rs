@@ -1,6 +1,6 @@
 //! How the CPU engine finds what a ray sees.
 
-use presight_model::sensor::{GroupLayout, Sensor};
+use presight_model::sensor::{GroupLayout, PixelGrid, Sensor};
 use presight_model::world::World;
 use serde::Serialize;
 use std::fmt;
@@ -52,18 +52,31 @@ pub struct ChosenWay {
     pub at_once: bool,
 }
 
-/// Sensors of so few rays are searched in tiles: selecting what they may see takes longer.
+/// Most rays of a sensor for which selecting polygons takes longer than finding the visible ones.
 const FEW_RAYS: u64 = 4096;
 
-/// Of so few polygons the raster looks at each as fast as tiles find one.
+/// Least number of polygons for which a search is faster than drawing all of them.
 const FEW_POLYGONS: u32 = 2000;
 
 impl ChosenWay {
-    /// Of plans that select.
-    pub const RASTER: Self = Self { way: Way::Raster, why: "what is selected is drawn", at_once: false };
+    /// The way of plans with a selection.
+    pub const RASTER: Self = Self { way: Way::Raster, why: "the selected polygons are drawn", at_once: false };
 
-    /// Of plans that select nothing.
-    pub const TILES: Self = Self { way: Way::Tiles, why: "it was asked for", at_once: true };
+    /// The way of plans without a selection.
+    pub const TILES: Self = Self { way: Way::Tiles, why: "this way was requested", at_once: true };
+}
+
+/// Least number of polygons for which sparse rows are searched faster than drawn.
+const MANY_POLYGONS: u32 = 100_000;
+
+/// Mean half angle of squares of a table from which neighbours in the table are no neighbours in direction, radians.
+const SCATTERED: f64 = 0.1;
+
+/// True if the table lists rays in an order that is not that of an image: the raster would test each polygon in most squares.
+fn is_scattered(sensor: &Sensor) -> bool {
+    let PixelGrid::Rays(grid) = sensor.grid() else { return false };
+    let sum: f64 = grid.tiles().iter().map(|tile| tile.half_angle.max(0.0)).sum();
+    sum > SCATTERED * grid.tiles().len() as f64
 }
 
 impl Default for ChosenWay {
@@ -73,7 +86,7 @@ impl Default for ChosenWay {
 }
 
 impl Way {
-    /// Chooses by what is known before anything is selected: counts, so that the choice is the same in every run.
+    /// Chooses by counts that are known before the selection, so the choice is the same in every run.
     pub fn choose(self, world: &World, sensor: &Sensor, has_deadline: bool) -> ChosenWay {
         let raster = |why| ChosenWay { way: Self::Raster, why, at_once: false };
         let tiles = |why| ChosenWay { way: Self::Tiles, why, at_once: false };
@@ -82,13 +95,15 @@ impl Way {
         }
         let few_rays = u64::from(sensor.width()) * u64::from(sensor.height()) <= FEW_RAYS;
         match self {
-            Self::Raster => raster("it was asked for"),
+            Self::Raster => raster("this way was requested"),
             Self::Tiles => ChosenWay::TILES,
             Self::Auto => match sensor.ray_layout() {
-                GroupLayout::Listed if !few_rays => tiles("the sensor's rays are listed"),
+                GroupLayout::Listed if !few_rays && is_scattered(sensor) => tiles("the sensor's rays are listed"),
                 _ if world.environment().slot_count() < FEW_POLYGONS => raster("the world has few polygons"),
                 _ if few_rays => tiles("the sensor has few rays"),
-                GroupLayout::Across => tiles("the sensor's rows lie far apart"),
+                GroupLayout::Across if world.environment().slot_count() >= MANY_POLYGONS => {
+                    tiles("the sensor's rows lie far apart")
+                }
                 _ => raster("for images of many rays the raster is faster"),
             },
         }

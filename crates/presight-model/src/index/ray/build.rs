@@ -31,7 +31,7 @@ impl Item {
 pub(super) struct Binary {
     pub low: Vec4,
     pub high: Vec4,
-    /// Of its items; a leaf has no children.
+    /// First item and number of items; a leaf has no children.
     first: u32,
     count: u32,
     children: Option<[u32; 2]>,
@@ -77,7 +77,7 @@ fn greatest(a: Vec4, b: Vec4) -> Vec4 {
     Vec4::new(pick(a.x, b.x), pick(a.y, b.y), pick(a.z, b.z), 0.0)
 }
 
-/// Half the surface, or for what is flat the sum of its sides, metres.
+/// Half the surface of a box, square metres.
 #[inline(always)]
 fn area(low: Vec4, high: Vec4) -> f32 {
     let d = high - low;
@@ -144,7 +144,7 @@ fn split(items: &mut [Item], around: Extent, most: usize, depth: u32) -> (Extent
     let mut best: Option<(f32, usize, usize)> = None;
     if depth < DEEP {
         let (mut all, mut counts) = ([[Extent::NONE; BINS]; 3], [[0u32; BINS]; 3]);
-        // An axis without an extent has no bins: infinity times zero is no number, and a cast of that is bin 0.
+        // An axis without an extent has one bin: infinity times zero is NaN, which becomes bin 0.
         let scale = [0, 1, 2].map(per_unit);
         for item in &*items {
             for axis in 0..3 {

@@ -1,6 +1,6 @@
 //! Trees for rays: eight-wide nodes over the triangles of a mesh, in the mesh's frame, and over the objects of a world.
 //!
-//! Boxes are f32 and hold what they are made of. A tree keeps an order of its own: polygons, slots and clusters stay as they are.
+//! Boxes are f32, rounded outward. A tree keeps an order of its own: polygons, slots and clusters keep theirs.
 
 mod build;
 

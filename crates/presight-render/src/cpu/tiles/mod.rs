@@ -1,6 +1,6 @@
-//! Tiles: the second way of the engine. Up to 64 rays together search the meshes' trees, nearest first, in f32 with margins; what they
-//! find is decided by the raster's own arithmetic, so that both ways give the same bits. Nothing is selected, and nothing is set up that
-//! no ray may see.
+//! Tiles: the second way of the engine. Up to 64 rays together search the meshes' trees, nearest first, in f32 with margins. The
+//! raster's own arithmetic then decides among the polygons found, so both ways give the same bits. Nothing is selected, and a polygon is
+//! set up only if a ray may see it.
 //!
 //! | stage | in | out |
 //! |---|---|---|
@@ -29,12 +29,12 @@ use wide::Width;
 /// Frames of so few rays stay on the calling thread: handing them over takes longer.
 pub(super) const FEW_RAYS: usize = 1024;
 
-/// What a tree costs for each polygon of its mesh, in polygons that are selected and drawn instead: a quarter of the time, for sensors that
-/// have delivered a few frames deliver many. And what is paid at once, for it is not noticed.
+/// Price of a tree for each polygon of its mesh, in polygons that the raster selects: half of the time, because sensors that have delivered
+/// some frames deliver many. A price below the second constant is paid at once.
 const PRICE: u64 = 4;
 const PAID_AT_ONCE: u64 = PRICE * 2000;
 
-/// What a frame by the raster costs beside its polygons, as many of these.
+/// Price of a frame by the raster in addition to its polygons.
 pub(super) const FRAME_PRICE: u64 = 300;
 
 /// Tiles of listed rays in a task.
@@ -197,7 +197,7 @@ impl Task for TraceBand<'_, '_, '_> {
     }
 }
 
-/// Puts what is seen in a tile into the buffer of a band, which begins with the line `first`.
+/// Copies the winners of a tile into the buffer of a band, which begins with the line `first`.
 #[inline(always)]
 fn put(buffer: &mut Buffer, layout: GroupLayout, tile: &RayTile, decision: &Decision, first: usize) {
     for g in 0..tile.groups {
@@ -260,7 +260,7 @@ impl Task for TraceListed<'_, '_> {
 }
 
 impl CpuEngine {
-    /// Fills the asked images by tiles. The answer is false, with nothing done, if meshes in view have no trees yet and it is too early to
+    /// Fills the requested images by tiles. The answer is false, with nothing done, if meshes in view have no trees yet and it is too early to
     /// make them.
     ///
     /// # Errors
@@ -327,7 +327,7 @@ impl CpuEngine {
         false
     }
 
-    /// The memory of a frame's threads, and what they did; objects whose meshes lack a tree.
+    /// Takes back the memory of a frame's threads. Returns objects whose meshes lack a tree, and counts.
     fn take_back(&mut self, frame: Frame<'_>) -> (Vec<u32>, [(CountName, u64); 3]) {
         let mut counts =
             [CountName::TreeNodes, CountName::TriangleBlocks, CountName::RaysInDoubt].map(|name| (name, 0));

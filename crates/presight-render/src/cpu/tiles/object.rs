@@ -52,7 +52,7 @@ impl<'a> Placing<'a> {
         let Some(tree) = mesh.known_ray_tree() else { return Self::Lacking };
         let instance = plan.instance_of(object);
         let [length, inverse] = instance.norms.map(|norm| norm * (1.0 + 1e-6));
-        // Of a rotation both norms are the root of three.
+        // Both norms of a rotation are the root of three.
         let uniform = length * inverse <= 3.0 + 1e-5;
         let stretch = if uniform { [length / 3f64.sqrt(), 1.0] } else { [length, length * inverse] };
         let at = RayInstance::new(plan, &instance);
@@ -130,13 +130,13 @@ impl<'a> TreeView<'a> {
         }
     }
 
-    /// Of the objects of a world.
+    /// View of the tree of objects.
     #[inline(always)]
     pub fn of_world(tree: &'a ObjectTree, image_from_world: &DMat3, centre: DVec3, tile: &RayTile) -> Self {
         Self::new(&tree.nodes, tile, image_from_world, centre - tree.origin, tree.reach)
     }
 
-    /// Of a placed object.
+    /// View of a placed object.
     #[inline(always)]
     pub fn of_object(placed: &PlacedObject<'a>, number: u32, tile: &RayTile) -> Self {
         let tree = placed.tree;

@@ -1,5 +1,5 @@
 //! The search of a tile in the trees, nearest first, in f32 with margins: which polygon each ray surely sees, or which ones it may see.
-//! A ray is (1, s, t) in the axes of its tile, and its inverse depth k is 1 over the first coordinate of what it meets.
+//! A ray is (1, s, t) in the axes of its tile, and its inverse depth k at a point is 1 over the point's first coordinate.
 
 use super::object::{MARGIN, PlacedObject, Placing, TreeView};
 use super::wide::{Eight, Make, Three, Width, cross, dot, size, three};
@@ -32,14 +32,14 @@ pub(super) struct Unsure {
     pub candidate: u32,
     pub group: u32,
     pub lanes: u32,
-    /// Its inverse depths are no greater.
+    /// Upper bounds of its inverse depths.
     most: [f32; WIDE],
 }
 
 /// What a search has found.
 pub(super) struct Found {
     pub candidates: Vec<Candidate>,
-    /// The candidate that each ray sees, but for what is unsure.
+    /// The candidate that each ray sees, unless it has unsure ones.
     pub sure: [[u32; WIDE]; GROUPS],
     pub unsure: Vec<Unsure>,
     /// The inverse depth of what each ray sees is at least this.
@@ -190,7 +190,7 @@ impl<'a> Search<'a> {
     #[inline(always)]
     pub fn run<S: Width, const N: usize>(&mut self, simd: S, objects: &mut Objects<'a>, tile: &RayTile) {
         let range_max = objects.plan.sensor.spec().range_max as f32;
-        // Of unit rays the inverse depth is at least the inverse range.
+        // The inverse depth of a unit ray is at least its inverse range.
         self.found.clear(tile, (1.0 - 1e-5) / range_max);
         self.views.clear();
         let centre = objects.plan.world_from_sensor.translation;
@@ -293,7 +293,7 @@ fn open_node<'a, S: Width, const N: usize>(
     }
 }
 
-/// Of the corners of boxes, the one that is farthest along a vector; the nearest one if the ends are swapped.
+/// The corners of boxes that are farthest along a vector; the nearest ones if the ends are swapped.
 #[inline(always)]
 fn corner<S: Width, const N: usize>(along: &[f32; 3], low: &Three<S, N>, high: &Three<S, N>) -> Three<S, N> {
     three!(i => if along[i] > 0.0 { high[i] } else { low[i] })
@@ -315,7 +315,7 @@ fn along<S: Width, const N: usize>(e: &Three<S, N>, s: Eight<S, N>, t: Eight<S, 
 struct Triangles {
     /// Edge planes and k as functions of the ray, then margin and relative error of k.
     numbers: [[f32; WIDE]; 14],
-    /// Of their place in the tile: least and greatest s, least and greatest t.
+    /// Bounds of their places in the tile: least and greatest s, least and greatest t.
     places: [[f32; WIDE]; 4],
     /// A bit for each: it may be seen; the side of its plane is sure; it has a place.
     live: u32,
