@@ -71,12 +71,16 @@ def single(hospital, poses):
 
 def many(hospital, poses):
     predictor, sensor = presight.Predictor("cpu"), presight.Sensor.load("vlp-16")
-    mine, own = [], []
-    for _ in range(3):
+    mine, filled, own = [], [], []
+    out = predictor.predict_many(hospital, sensor, poses)
+    for _ in range(5):
         mine.append(timed(lambda: predictor.predict_many(hospital, sensor, poses), 1))
+        filled.append(timed(lambda: predictor.predict_many(hospital, sensor, poses, out=out), 1))
         own.append(_presight._batch_seconds(predictor, hospital, sensor, poses))
-    rate = statistics.median(own) / statistics.median(mine)
-    row("`predict_many`, 1,000 poses of `vlp-16`", "`Predictor::batch`", "0.95 of its rate", f"{rate:.2f}", rate >= 0.95)
+    # Least times: on a busy machine, medians tell of the others.
+    for name, times in [("", filled), (", new arrays", mine)]:
+        rate = min(own) / min(times)
+        row(f"`predict_many`, 1,000 poses of `vlp-16`{name or ', `out=`'}", "`Predictor::batch`", "0.95 of its rate", f"{rate:.2f}", rate >= 0.95)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "h.presight"
         presight.Store.create(path, hospital).close()
@@ -136,8 +140,10 @@ def open3d(path, hospital, poses):
             pad = [(0, 0), (0, 0)]
             pad[axis] = (0, 1)
             steep |= np.pad(jump, pad) | np.roll(np.pad(jump, pad), 1, axis)
-        edges.append((~(both | (np.isinf(hit) & np.isinf(out.range))) | (np.abs(hit - out.range) > 1e-3))[~steep].mean())
-        off.append(np.median(np.abs(hit - out.range)[both]))
+        with np.errstate(invalid="ignore"):
+            differ = ~(both | (np.isinf(hit) & np.isinf(out.range))) | (np.abs(hit - out.range) > 1e-3)
+        edges.append(differ[~steep].mean())
+        off.append(np.median(np.abs(hit[both] - out.range[both])))
     times = statistics.median(theirs) / statistics.median(mine)
     row("`predict`, `video-camera`, hospital, 2 threads", f"Open3D {o3d.__version__} `cast_rays`, same rays", "8 x", f"{times:.1f} x", times >= 8)
     row("ranges off the edges", "the same", "all within 1 mm",
@@ -182,26 +188,35 @@ def on_ray(hospital, poses):
         return
     sensor, one = presight.Sensor.load("vlp-16"), presight.Predictor("cpu", 2)
     right = one.predict_many(hospital, sensor, poses)["range"]
-    ray.init(num_cpus=2, logging_level="error")
-    presight.ray.predict_many(hospital, sensor, poses[:50], threads=1)
-    theirs = timed(lambda: presight.ray.predict_many(hospital, sensor, poses, threads=1), 3)
-    alone = timed(lambda: one.predict_many(hospital, sensor, poses), 3)
+    ray.init(address="local", num_cpus=2, logging_level="error")
     same = np.array_equal(presight.ray.predict_many(hospital, sensor, poses, threads=1)["range"], right)
+    theirs, alone = [], []
+    for _ in range(5):
+        theirs.append(timed(lambda: presight.ray.predict_many(hospital, sensor, poses, threads=1), 1))
+        alone.append(timed(lambda: one.predict_many(hospital, sensor, poses), 1))
+    rate = min(alone) / min(theirs)
     ray.shutdown()
     row("Ray, two workers of one thread, 1,000 poses", "one process of two threads", "0.8 of its rate",
-        f"{alone / theirs:.2f}, {'the same bits' if same else 'OTHER BITS'}", same and alone / theirs >= 0.8)
+        f"{rate:.2f}, {'the same bits' if same else 'OTHER BITS'}", same and rate >= 0.8)
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
     second = cluster.add_node(num_cpus=1)
     ray.init(address=cluster.address, logging_level="error")
-    timer = threading.Timer(1.5, lambda: cluster.remove_node(second, allow_graceful=False))
+    removed = []
+
+    def remove():
+        cluster.remove_node(second, allow_graceful=False)
+        removed.append(time.perf_counter())
+
+    timer = threading.Timer(1.0, remove)
     timer.start()
-    found = presight.ray.predict_many(hospital, sensor, np.tile(poses, (4, 1)), threads=1)["range"]
+    found = presight.ray.predict_many(hospital, sensor, np.tile(poses, (8, 1)), threads=1)["range"]
+    ended = time.perf_counter()
     timer.join()
-    same = np.array_equal(found, np.tile(right, (4, 1, 1)))
-    nodes = sum(node["Alive"] for node in ray.nodes())
+    same = np.array_equal(found, np.tile(right, (8, 1, 1)))
     ray.shutdown()
     cluster.shutdown()
-    row("Ray, two nodes, one removed in mid-run", "one machine", "the same arrays", f"{'the same' if same else 'others'}; {nodes} node left", same)
+    row("Ray, two nodes, one removed in mid-run", "one machine", "the same arrays",
+        f"{'the same' if same else 'others'}; removed {ended - removed[0]:.1f} s before the end", same and removed[0] < ended)
 
 
 def imports():

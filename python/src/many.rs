@@ -7,13 +7,13 @@ use numpy::{Element, PyArrayDyn, PyArrayMethods, PyReadwriteArrayDyn, PyUntypedA
 use presight_model::geometry::Pose;
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
-use presight_predict::batch::{BatchItem, BatchRequest};
-use presight_predict::predict::Predictor as Ours;
+use presight_predict::batch::{Batch, BatchItem, BatchRequest};
 use presight_render::plan::{Images, Output, Outputs, SampleKind, Samples};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
+use std::vec::IntoIter;
 
 /// Signals are looked at this often.
 const LOOK: Duration = Duration::from_millis(50);
@@ -33,15 +33,7 @@ pub fn outputs(given: Option<&Bound<'_, PyAny>>) -> PyResult<Outputs> {
 }
 
 /// Runs a batch and hands over its items in order. Chunks grow until they take a tenth of a second.
-pub fn run(
-    predictor: &mut Ours,
-    world: &World,
-    sensor: &Sensor,
-    poses: Vec<Pose>,
-    request: &BatchRequest,
-    mut each: impl FnMut(BatchItem),
-) -> Result<(), Failed> {
-    let mut batch = predictor.batch(world, sensor, poses, request)?;
+pub fn run(mut batch: Batch<'_, IntoIter<Pose>>, mut each: impl FnMut(BatchItem)) -> Result<(), Failed> {
     let most = batch.chunk();
     let (mut chunk, mut left, mut looked, mut begun) = (1, 1, Instant::now(), Instant::now());
     batch.set_chunk(chunk);
@@ -77,22 +69,47 @@ enum Borrowed<'py> {
     Ids(PyReadwriteArrayDyn<'py, u32>),
 }
 
-/// Its values.
-enum Slice<'a> {
-    Floats(&'a mut [f32]),
-    Ids(&'a mut [u32]),
+/// The images of one output in a borrowed array. Each is written once, by the thread that drew it.
+enum Places<'a> {
+    Floats(Vec<Mutex<&'a mut [f32]>>),
+    Ids(Vec<Mutex<&'a mut [u32]>>),
 }
 
-impl Slice<'_> {
-    fn take(&mut self, index: usize, image: Samples<'_>) {
-        fn put<T: Copy>(all: &mut [T], index: usize, image: &[T]) {
-            all[index * image.len()..][..image.len()].copy_from_slice(image);
+impl<'a> Places<'a> {
+    fn of(borrowed: &'a mut Borrowed<'_>, count: usize) -> Result<Self, numpy::AsSliceError> {
+        fn each<T>(all: &mut [T], count: usize) -> Vec<Mutex<&mut [T]>> {
+            all.chunks_exact_mut((all.len() / count).max(1)).map(Mutex::new).collect()
+        }
+        Ok(match borrowed {
+            Borrowed::Floats(array) => Self::Floats(each(array.as_slice_mut()?, count)),
+            Borrowed::Ids(array) => Self::Ids(each(array.as_slice_mut()?, count)),
+        })
+    }
+
+    fn put(&self, index: usize, image: Samples<'_>) {
+        fn copy<T: Copy>(to: &Mutex<&mut [T]>, image: &[T]) {
+            to.lock().unwrap_or_else(PoisonError::into_inner).copy_from_slice(image);
         }
         match (self, image) {
-            (Self::Floats(all), Samples::Floats(image)) => put(all, index, image),
-            (Self::Floats(all), Samples::Vectors(image)) => put(all, index, image.as_flattened()),
-            (Self::Ids(all), Samples::Ids(image)) => put(all, index, image),
+            (Self::Floats(all), Samples::Floats(image)) => copy(&all[index], image),
+            (Self::Floats(all), Samples::Vectors(image)) => copy(&all[index], image.as_flattened()),
+            (Self::Ids(all), Samples::Ids(image)) => copy(&all[index], image),
             _ => {}
+        }
+    }
+
+    /// The first and one past the last address.
+    fn span(&self) -> (usize, usize) {
+        fn span<T>(all: &[Mutex<&mut [T]>]) -> (usize, usize) {
+            let ends = |place: &Mutex<&mut [T]>| {
+                let range = place.lock().unwrap_or_else(PoisonError::into_inner).as_ptr_range();
+                (range.start.addr(), range.end.addr())
+            };
+            (all.first().map_or(0, |first| ends(first).0), all.last().map_or(0, |last| ends(last).1))
+        }
+        match self {
+            Self::Floats(all) => span(all),
+            Self::Ids(all) => span(all),
         }
     }
 }
@@ -173,31 +190,28 @@ impl<'py> Targets<'py> {
             ));
         }
         let contiguous = |e: numpy::AsSliceError| usage(py, "out", e.to_string(), "give C-contiguous arrays");
-        let mut slices = Vec::new();
+        let mut places = Vec::new();
         for (output, borrowed) in &mut held {
-            slices.push((
-                *output,
-                match borrowed {
-                    Borrowed::Floats(array) => Slice::Floats(array.as_slice_mut().map_err(contiguous)?),
-                    Borrowed::Ids(array) => Slice::Ids(array.as_slice_mut().map_err(contiguous)?),
-                },
-            ));
+            places.push((*output, Places::of(borrowed, self.count).map_err(contiguous)?));
+        }
+        let mut spans: Vec<_> = places.iter().map(|(output, places)| (places.span(), output.name())).collect();
+        spans.sort_unstable();
+        if let Some([(_, a), (_, b)]) = spans.array_windows().find(|[(a, _), (b, _)]| b.0 < a.1) {
+            let remedy = "give arrays that share no memory";
+            return Err(usage(py, "out", format!("{a:?} and {b:?} overlap"), remedy));
         }
         let request = BatchRequest { images: Some(self.outputs.into()), ..BatchRequest::default() };
+        let show = |index: usize, images: &Images| {
+            for (output, places) in &places {
+                if let Some(image) = images.samples(*output) {
+                    places.put(index, image);
+                }
+            }
+        };
         apart(py, || {
-            predictor.with(|predictor| {
-                run(predictor, world, sensor, poses, &request, |item| put(&mut slices, item.index, &item.images))
-            })
+            predictor.with(|predictor| run(predictor.batch(world, sensor, poses, &request)?.shown_to(&show), drop))
         })?;
         Ok(self.arrays)
-    }
-}
-
-fn put(slices: &mut [(Output, Slice<'_>)], index: usize, images: &Images) {
-    for (output, slice) in slices {
-        if let Some(image) = images.samples(*output) {
-            slice.take(index, image);
-        }
     }
 }
 

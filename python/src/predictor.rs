@@ -16,6 +16,7 @@ use presight_model::error::{Error, Result};
 use presight_model::geometry::{Pose, PoseEstimate};
 use presight_model::measured::{Frame as OurFrame, Measurement};
 use presight_model::sensor::Sensor;
+use presight_model::world::World;
 use presight_predict::batch::{BatchRequest, Headings, PoseCell, RangeLikelihood};
 use presight_predict::predict::{Backend, Predictor as Ours};
 use presight_predict::request::Request;
@@ -105,12 +106,49 @@ fn in_time(py: Python<'_>, request: Request, deadline_ms: Option<f64>) -> PyResu
     }
 }
 
-fn place_all(given: Vec<Pose>, conventions: Conventions, sensor: &Sensor, seen: &Seen) -> Result<Vec<Pose>> {
-    let place = |(i, pose)| {
-        let placed = conventions.given(pose).of_sensor(sensor.spec(), &seen.world_from_gltf);
-        placed.map_err(|e: Error| e.at(format!("pose {i}")))
-    };
-    given.into_iter().enumerate().map(place).collect()
+/// Runs work that loads a graphics driver. Mesa prints an error where there is no folder of displays; for the while there is one that
+/// cannot hold a socket.
+fn without_displays<T>(py: Python<'_>, work: impl FnOnce() -> PyResult<T>) -> PyResult<T> {
+    let (environ, name) = (py.import("os")?.getattr("environ")?, "XDG_RUNTIME_DIR");
+    let given: Option<PathBuf> = environ.call_method1("get", (name,))?.extract()?;
+    if given.as_ref().is_some_and(|folder| folder.is_absolute()) {
+        return work();
+    }
+    environ.set_item(name, "/dev/null")?;
+    let done = work();
+    match given {
+        Some(given) => environ.set_item(name, given)?,
+        None => environ.del_item(name)?,
+    }
+    done
+}
+
+/// What each batch is given: a version of the world, a sensor, and its poses there.
+struct Given {
+    world: World,
+    sensor: Sensor,
+    poses: Vec<Pose>,
+}
+
+impl Given {
+    fn new(
+        scene: &Bound<'_, Scene>,
+        sensor: &Bound<'_, PyAny>,
+        poses: &Bound<'_, PyAny>,
+        conventions: Conventions,
+    ) -> PyResult<Self> {
+        let (py, scene) = (scene.py(), scene.get());
+        let (sensor, given) = (sensor_of(sensor)?, poses_of(poses)?);
+        apart(py, || {
+            let seen = scene.seen();
+            let place = |(i, pose)| {
+                let placed = conventions.given(pose).of_sensor(sensor.spec(), &seen.world_from_gltf);
+                placed.map_err(|e: Error| e.at(format!("pose {i}")))
+            };
+            let poses = given.into_iter().enumerate().map(place).collect::<Result<_>>()?;
+            Ok(Self { world: seen.world, sensor, poses })
+        })
+    }
 }
 
 #[pymethods]
@@ -125,7 +163,8 @@ impl Predictor {
             _ => return Err(usage(py, "backend", format!("{backend:?}"), "give \"auto\", \"cpu\" or \"gpu\"")),
         };
         let core = PerProcessPredictor::new(backend, threads);
-        let opened = apart(py, || core.with(|predictor, _: &mut Placed| Ok::<_, Failed>(predictor.engine_name())))?;
+        let open = || apart(py, || core.with(|predictor, _: &mut Placed| Ok::<_, Failed>(predictor.engine_name())));
+        let opened = if backend == Backend::Cpu { open() } else { without_displays(py, open) }?;
         Ok(Self { core, opened })
     }
 
@@ -245,15 +284,9 @@ impl Predictor {
         world_frame: &str,
     ) -> PyResult<Bound<'py, PyDict>> {
         let conventions = Conventions::new(py, pose_frame, pose_of, world_frame)?;
-        let (sensor, outputs, poses) = (sensor_of(sensor)?, many::outputs(outputs)?, poses_of(poses)?);
-        let scene = scene.get();
-        let (seen, poses) = apart(py, || {
-            let seen = scene.seen();
-            let poses = place_all(poses, conventions, &sensor, &seen)?;
-            Ok((seen, poses))
-        })?;
-        let targets = Targets::new(py, poses.len(), &sensor, outputs, out)?;
-        targets.fill(py, self, &seen.world, &sensor, poses)
+        let outputs = many::outputs(outputs)?;
+        let Given { world, sensor, poses } = Given::new(scene, sensor, poses, conventions)?;
+        Targets::new(py, poses.len(), &sensor, outputs, out)?.fill(py, self, &world, &sensor, poses)
     }
 
     /// As `predict_many`, in bounded memory: an iterator of dicts for `size` poses each (default: images of 64 MB).
@@ -276,17 +309,12 @@ impl Predictor {
         world_frame: &str,
     ) -> PyResult<Chunks> {
         let conventions = Conventions::new(py, pose_frame, pose_of, world_frame)?;
-        let (sensor, outputs, poses) = (sensor_of(sensor)?, many::outputs(outputs)?, poses_of(poses)?);
+        let outputs = many::outputs(outputs)?;
         if size == Some(0) {
             return Err(usage(py, "size", "0", "give 1 or more"));
         }
-        let scene = scene.get();
-        let (seen, poses) = apart(py, || {
-            let seen = scene.seen();
-            let poses = place_all(poses, conventions, &sensor, &seen)?;
-            Ok((seen, poses))
-        })?;
-        Ok(Chunks::new(slf.clone().unbind(), seen.world, sensor, outputs, poses, size))
+        let Given { world, sensor, poses } = Given::new(scene, sensor, poses, conventions)?;
+        Ok(Chunks::new(slf.clone().unbind(), world, sensor, outputs, poses, size))
     }
 
     /// The log-likelihood of measured ranges at each pose: (poses,), float64, or with `headings` at this number of headings of each place:
@@ -321,7 +349,7 @@ impl Predictor {
             let what = "the sensor's position on the robot changes with the heading";
             return Err(usage(py, "headings", what, "give poses of the sensor"));
         }
-        let (sensor, poses) = (sensor_of(sensor)?, poses_of(poses)?);
+        let Given { world, sensor, poses } = Given::new(scene, sensor, poses, conventions)?;
         let ranges = match sensed.cast::<Frame>() {
             Ok(frame) => frame.get().0.ranges().to_vec(),
             Err(_) => numbers::<f32>(sensed, "sensed")?.1,
@@ -329,17 +357,15 @@ impl Predictor {
         let step = headings.map_or(0.0, |n| 360.0 / f64::from(n.max(1)));
         let cell = PoseCell { side: cell.0, turn: cell.1.unwrap_or(step).to_radians() };
         room_for(Some(4 * poses.len() as u64 * u64::from(headings.unwrap_or(2))))?;
-        let (scene, count) = (scene.get(), poses.len());
+        let count = poses.len();
         let (single, by_heading) = apart(py, || {
-            let seen = scene.seen();
-            let poses = place_all(poses, conventions, &sensor, &seen)?;
             let frame = OurFrame::new(0.0, sensor.clone(), Measurement::Range(ranges)).map_err(|e| e.at("sensed"))?;
             let likelihood = Some(RangeLikelihood::new(&frame, cell).map_err(|e| e.at("sensed"))?);
             let headings = headings.map(|count| Headings::new(&sensor, count)).transpose()?;
             let request = BatchRequest { likelihood, headings, ..BatchRequest::default() };
             let (mut single, mut by_heading) = (Vec::new(), Vec::new());
             self.with(|predictor| {
-                many::run(predictor, &seen.world, &sensor, poses, &request, |item| {
+                many::run(predictor.batch(&world, &sensor, poses, &request)?, |item| {
                     single.extend(item.log_likelihood);
                     by_heading.extend(item.headings);
                 })

@@ -1,6 +1,7 @@
 """What the tests share: the room, predictors, the command, and the rule for skipping."""
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -53,6 +54,12 @@ def one_line(raised, *words):
     text = str(raised.value)
     assert text and "\n" not in text, text
     assert all(word in text for word in words), text
+
+
+@pytest.fixture(scope="session", autouse=True)
+def interruptible():
+    """Shells ignore SIGINT for what they start in the background, and children inherit that."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session")

@@ -93,6 +93,20 @@ def test_arrays_are_the_engines_buffers(room, cpu):
     assert not hasattr(out, "depth_z")
 
 
+def test_torch_shares_the_memory(room):
+    torch = pytest.importorskip("torch", reason="torch is large; where it is, its tensors share the memory")
+    out = presight.Predictor("cpu", 1).predict(room, "vlp-16", POSE)
+    ranges, first = out.range, out.range.copy()
+    tensor = torch.from_dlpack(ranges)
+    assert tensor.dtype == torch.float32 and tuple(tensor.shape) == (16, 1800) and tensor.data_ptr() == ranges.ctypes.data
+    tensor[3, 7] = 0.25
+    assert ranges[3, 7] == 0.25
+    ranges[3, 7] = first[3, 7]
+    del out, ranges
+    gc.collect()
+    assert tensor.tolist() == first.tolist()
+
+
 def test_arrays_outlive_everything_and_no_call_changes_them(poses):
     scene, predictor, sensor = presight.Scene.example(), presight.Predictor("cpu", 2), presight.Sensor.load("laser-scanner")
     held = [predictor.predict(scene, sensor, poses[i % 20]).range for i in range(1000)]
@@ -105,12 +119,18 @@ def test_arrays_outlive_everything_and_no_call_changes_them(poses):
     assert same(held[20], first[0])
 
 
-def test_points_and_rays_agree(room, cpu, tmp_path, room_file):
-    out, sensor = cpu.predict(room, "vlp-16", POSE), presight.Sensor.load("vlp-16")
-    rays = sensor.rays()
-    assert rays.shape == (16, 1800, 3) and rays.dtype == np.float64
-    done("predict", room_file, "--sensor", "vlp-16", "--pose", "0,0,0,0,0,0", "--rays", tmp_path / "rays.npy")
+@pytest.mark.parametrize("sensor", presight.Sensor.presets())
+def test_rays_are_the_commands(tmp_path, room_file, sensor):
+    rays = presight.Sensor.load(sensor).rays()
+    assert rays.dtype == np.float64 and rays.shape == (*presight.Sensor.load(sensor).shape, 3)
+    done("predict", room_file, "--sensor", sensor, "--pose", "0,0,0,0,0,0", "--outputs", "range", "--rays", tmp_path / "rays.npy")
     assert same(rays, np.load(tmp_path / "rays.npy"))
+    # A planted fault: a turned axis.
+    assert not same(np.ascontiguousarray(rays[:, ::-1]), np.load(tmp_path / "rays.npy"))
+
+
+def test_points_and_rays_agree(room, cpu):
+    out, rays = cpu.predict(room, "vlp-16", POSE), presight.Sensor.load("vlp-16").rays()
     points = out.points("sensor")
     expected = np.where(np.isfinite(out.range)[..., None], rays * out.range[..., None].astype(float), np.nan)
     assert np.array_equal(points, expected, equal_nan=True) and np.isfinite(points).mean() > 0.9
@@ -143,7 +163,8 @@ def test_features_are_the_commands(tmp_path, room_file, cpu):
     done("features", room_file, "--class", "laser", "--out", layer)
     pose = ",".join(map(str, POSE))
     done("predict", room_file, "--sensor", "laser-range-camera", "--pose", pose, "--layer", layer, "--pose-cov",
-         "0.02,0.02,0,0,0,1", "--features", tmp_path / "seen.json", "--backend", "cpu")
+         "0.02,0.02,0,0,0,1", "--features", tmp_path / "seen.json", "--backend", "cpu", "--outputs", "range,feature_id",
+         "--npy", tmp_path / "{output}.npy")
     scene = presight.Scene.open(room_file)
     for given in (layer, presight.Layer.load(layer)):
         out = cpu.predict(scene, "laser-range-camera", POSE, layers=[given], pose_cov=[0.02, 0.02, 0, 0, 0, 1])
@@ -157,6 +178,7 @@ def test_features_are_the_commands(tmp_path, room_file, cpu):
     with pytest.raises(IndexError):
         seen[len(seen)]
     ids = cpu.predict(scene, "laser-range-camera", POSE, outputs="range,feature_id", layers=[layer]).feature_id
+    assert same(ids, np.load(tmp_path / "feature_id.npy"))
     assert set(np.unique(ids)) - {0} <= set(seen.id.tolist())
 
 

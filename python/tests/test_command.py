@@ -1,6 +1,7 @@
 """The command that the wheel brings."""
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -18,6 +19,13 @@ def test_the_command_runs_in_every_way_that_it_can_be_called():
     assert version == done("--version") == f"presight {presight.__version__}\n"
     assert "CPU engine" in done("doctor")
     assert "vlp-16" in done("sensors")
+
+
+def test_opening_a_driver_prints_nothing_and_leaves_the_environment():
+    work = "import os, presight; presight.Predictor('auto'); assert 'XDG_RUNTIME_DIR' not in os.environ"
+    bare = {name: value for name, value in os.environ.items() if name != "XDG_RUNTIME_DIR"}
+    ran = subprocess.run([sys.executable, "-c", work], capture_output=True, text=True, env=bare)
+    assert (ran.returncode, ran.stdout, ran.stderr) == (0, "", "")
 
 
 def test_arguments_and_statuses_are_those_of_the_command(tmp_path, room_file):

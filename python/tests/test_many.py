@@ -54,6 +54,17 @@ def test_arrays_of_the_caller_are_filled(room, cpu, poses):
     with pytest.raises(presight.Error) as raised:
         cpu.predict_many(room, "laser-scanner", poses, outputs=("range", "cos_incidence"), out=overlapping)
     one_line(raised, "written")
+    # Of two owners, who do not know of each other.
+    memory = bytearray(4 * 7220 + 4)
+    overlapping = {name: np.frombuffer(memory, "f4", 7220, at).reshape(20, 1, 361) for name, at in
+                   [("range", 0), ("cos_incidence", 4)]}
+    with pytest.raises(presight.Error) as raised:
+        cpu.predict_many(room, "laser-scanner", poses, outputs=("range", "cos_incidence"), out=overlapping)
+    one_line(raised, "overlap")
+    memory = bytearray(8 * 7220)
+    beside = {name: np.frombuffer(memory, "f4", 7220, at).reshape(20, 1, 361) for name, at in
+              [("range", 4 * 7220), ("cos_incidence", 0)]}
+    assert same(cpu.predict_many(room, "laser-scanner", poses, ("range", "cos_incidence"), out=beside)["range"], right)
     with pytest.raises(presight.Error, match="not requested"):
         cpu.predict_many(room, "laser-scanner", poses, out={"range": out, "echo": out})
     with pytest.raises(presight.Error, match="no array"):

@@ -5,6 +5,32 @@ from typing import Any, TypeAlias, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+__all__ = [
+    "Chunks",
+    "DeadlineError",
+    "DeviceError",
+    "Error",
+    "Feature",
+    "Features",
+    "Frame",
+    "Layer",
+    "Localizer",
+    "Log",
+    "Notice",
+    "Prediction",
+    "Predictor",
+    "Scene",
+    "Sensor",
+    "Step",
+    "Store",
+    "SystemFault",
+    "Verdicts",
+    "__version__",
+    "_batch_seconds",
+    "_command",
+    "_panic",
+]
+
 __version__: str
 
 _Path: TypeAlias = str | os.PathLike[str]

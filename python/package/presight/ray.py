@@ -18,6 +18,7 @@ __all__ = ["predict_many"]
 
 _predictors: dict[tuple[str, int], Predictor] = {}
 _scenes: dict[str, Scene] = {}
+_put: dict[tuple[str, str], Any] = {}
 
 
 def _predictor(backend: str, threads: int) -> Predictor:
@@ -28,13 +29,24 @@ def _predictor(backend: str, threads: int) -> Predictor:
 
 
 def _scene(key: str, ref: Any) -> Scene:
-    """The scene of a reference, unpickled once for each worker."""
+    """The scene with this content, unpickled once for each worker."""
     import ray  # type: ignore[import-not-found, unused-ignore]
 
     if key not in _scenes:
         _scenes.clear()
         _scenes[key] = ray.get(ref)
     return _scenes[key]
+
+
+def _reference(key: str, scene: Scene) -> Any:
+    """The scene in Ray's store, where it is put once."""
+    import ray
+
+    session = ray.get_runtime_context().get_session_name()
+    if (session, key) not in _put:
+        _put.clear()
+        _put[session, key] = ray.put(scene)
+    return _put[session, key]
 
 
 def _shard(
@@ -70,24 +82,33 @@ def predict_many(
 
     if not isinstance(sensor, Sensor):
         sensor = Sensor.load(sensor)
+    frames = {"pose_frame": pose_frame, "pose_of": pose_of, "world_frame": world_frame}
     given = np.asarray(poses, dtype=np.float64)
+    # Checks all arguments here: a shard would count its poses from 0.
+    _predictor("cpu", 1).predict_chunks(scene, sensor, given, outputs, None, **frames)
     if shards is None:
         shards = int(4 * ray.cluster_resources().get("CPU", 1) / max(threads, 1))
-    parts = [part for part in np.array_split(given, max(1, min(shards, len(given)))) if len(part)] if given.ndim > 1 else [given]
-    more = {
-        "backend": backend,
-        "threads": threads,
-        "pose_frame": pose_frame,
-        "pose_of": pose_of,
-        "world_frame": world_frame,
-    }
-    ref = ray.put(scene)
+    parts = np.array_split(given, max(1, min(shards, len(given))))
+    starts = np.cumsum([0, *map(len, parts)])
+    key = scene.content_hash()
+    ref = _reference(key, scene)
     task = ray.remote(_shard).options(num_cpus=max(threads, 1), max_retries=max_retries)
+    more = {"backend": backend, "threads": threads, **frames}
     # In a list, a reference goes to the task as it is, and the worker keeps the scene from shard to shard.
-    pending = [task.remote(ref.hex(), [ref], sensor, part, outputs, more) for part in parts]
+    pending = {task.remote(key, [ref], sensor, part, outputs, more): start for part, start in zip(parts, starts)}
+    found: dict[str, NDArray[Any]] = {}
     try:
-        done: list[dict[str, NDArray[Any]]] = ray.get(pending)
+        while pending:
+            (done,), _ = ray.wait(list(pending), num_returns=1)
+            start = pending.pop(done)
+            # Ray's arrays are read-only views of its store; the caller gets own ones.
+            for name, part in ray.get(done).items():
+                if name not in found:
+                    found[name] = np.empty((len(given), *part.shape[1:]), part.dtype)
+                found[name][start : start + len(part)] = part
     except RayTaskError as e:
         raise e.as_instanceof_cause() from None
-    # Ray's arrays are read-only views of its store; these are the caller's own.
-    return {name: np.concatenate([part[name] for part in done]) for name in done[0]}
+    finally:
+        for unfinished in pending:
+            ray.cancel(unfinished)
+    return found

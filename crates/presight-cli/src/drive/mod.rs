@@ -2,6 +2,7 @@
 
 mod beside;
 mod features;
+mod robot;
 mod start;
 
 pub use features::FeatureCounts;

@@ -24,7 +24,8 @@ use presight_model::sensor::Sensor;
 use presight_model::threads::Threads;
 use presight_model::world::World;
 use presight_render::plan::{
-    CountName, Drawn, FramePlan, ImageRequest, Images, Output, Outputs, PlanBuffers, StageName, Stats, Weighing,
+    ChosenWay, CountName, Drawn, FramePlan, ImageRequest, Images, Output, Outputs, PlanBuffers, StageName, Stats,
+    Weighing,
 };
 use presight_render::row::{RowCuts, RowView, is_level};
 use rayon::prelude::*;
@@ -80,7 +81,7 @@ pub struct BatchItem {
 pub struct Batch<'p, I: Iterator> {
     predictor: &'p mut Predictor,
     poses: Peekable<I>,
-    task: Task,
+    task: Task<'p>,
     /// Threads that each process one pose; `None` if the engine processes poses in sequence.
     threads: Option<Threads>,
     lanes: Vec<Mutex<Lane>>,
@@ -92,13 +93,18 @@ pub struct Batch<'p, I: Iterator> {
     ended: bool,
 }
 
+/// Looks at the images of the pose with this index.
+type Show<'p> = &'p (dyn Fn(usize, &Images) + Sync);
+
 /// The work at each pose, the same for all.
-struct Task {
+struct Task<'p> {
     world: World,
     /// The sensor, or its panorama.
     sensor: Sensor,
     request: ImageRequest,
+    /// The images that items keep.
     wanted: Outputs,
+    show: Option<Show<'p>>,
     weigh: Option<HeadingModel>,
     /// The same for an engine that weighs images itself; `None` if images are requested too.
     weighing: Option<Weighing>,
@@ -119,6 +125,7 @@ enum HeadingModel {
 #[derive(Default)]
 struct Lane {
     engine: Option<Box<dyn Engine>>,
+    chosen: ChosenWay,
     buffers: PlanBuffers,
     images: Images,
     view: Option<RowView>,
@@ -185,10 +192,11 @@ impl Predictor {
             Some(chunk) => chunk,
             None => (CHUNK_BYTES / task.bytes().max(1)).clamp(count, MOST.max(count)),
         };
+        let chosen = self.choose_way(&task.world, &task.sensor, false);
         let lane = |_| {
             let engine = self.engine().for_task();
             let view = if task.by_cut { RowView::new(&task.sensor) } else { None };
-            Mutex::new(Lane { engine, view, ..Lane::default() })
+            Mutex::new(Lane { engine, chosen, view, ..Lane::default() })
         };
         let lanes = (0..count).map(lane).collect();
         Ok(Batch {
@@ -206,7 +214,7 @@ impl Predictor {
     }
 }
 
-impl Task {
+impl<'p> Task<'p> {
     fn new(world: &World, sensor: &Sensor, request: &BatchRequest) -> Result<Self> {
         let other = |what: &str| {
             let what = format!("{what} does not belong to sensor {:?}", sensor.spec().name);
@@ -241,6 +249,7 @@ impl Task {
             weighing: alone.map(|sensed| sensed.weighing(request.headings.as_ref())),
             request: ImageRequest { outputs, ..asked },
             wanted: asked.outputs,
+            show: None,
             by_cut: request.images.is_none() && weigh.is_some() && RowView::new(&sensor).is_some(),
             sensor,
             weigh,
@@ -254,6 +263,11 @@ impl Task {
     fn bytes(&self) -> usize {
         let pixels = self.sensor.width() as usize * self.sensor.height() as usize;
         4 * pixels * self.wanted.numbers() + self.headings.as_ref().map_or(0, |h| 4 * h.count() as usize)
+    }
+
+    /// True if items have images.
+    fn keeps(&self) -> bool {
+        self.wanted.iter().next().is_some()
     }
 
     /// Allocates the images of an item.
@@ -270,13 +284,16 @@ impl Task {
     /// Produces the item of a pose, with a thread's own memory and engine; kept images go to `room`.
     fn run(&self, index: usize, given: &Pose, room: Images, cuts: &RowCuts, lane: &mut Lane) -> Result<BatchItem> {
         let pose = self.pose(given)?;
-        let scratch = std::mem::replace(&mut lane.images, room);
-        self.take_scratch(scratch, &mut lane.images);
+        if self.keeps() {
+            let scratch = std::mem::replace(&mut lane.images, room);
+            self.take_scratch(scratch, &mut lane.images);
+        }
         let mut stats = Stats::default();
         let seen = self.see_by_cut(&pose, cuts, lane, &mut stats);
-        let Lane { engine, buffers, images, .. } = lane;
+        let Lane { engine, chosen, buffers, images, .. } = lane;
         if let (false, Some(engine)) = (seen, engine) {
-            let plan = FramePlan::within(std::mem::take(buffers), &self.world, &self.sensor, &pose, self.request)?;
+            let buffers_of_plan = std::mem::take(buffers);
+            let plan = FramePlan::by(*chosen, buffers_of_plan, &self.world, &self.sensor, &pose, self.request)?;
             stats.index = self.world.index().name();
             let rendered = engine.render(&plan, images, &mut stats);
             *buffers = plan.into_buffers();
@@ -306,6 +323,9 @@ impl Task {
         drawn: Drawn<'_>,
         panorama: &mut Panorama,
     ) -> BatchItem {
+        if let (Some(show), Drawn::Images(images)) = (self.show, &drawn) {
+            show(index, images);
+        }
         let (mut log_likelihood, mut headings) = (None, Vec::new());
         match (&self.weigh, &drawn) {
             (Some(HeadingModel::Pose(sensed)), Drawn::Images(images)) => {
@@ -321,7 +341,7 @@ impl Task {
             (None, _) => {}
         }
         let images = match drawn {
-            Drawn::Images(images) if self.wanted.iter().next().is_some() => self.keep(images),
+            Drawn::Images(images) if self.keeps() => self.keep(images),
             _ => Images::default(),
         };
         let stats = self.statistics.then_some(stats);
@@ -346,7 +366,34 @@ impl Task {
     }
 }
 
-impl<I: Iterator<Item = Pose>> Batch<'_, I> {
+impl<'p, I: Iterator<Item = Pose>> Batch<'p, I> {
+    /// Shows the requested images of each pose to `show`, with the pose's index, on the thread that drew them and in any
+    /// order. Items then have no images, and memory for images is used from pose to pose.
+    ///
+    /// ```
+    /// use presight::batch::BatchRequest;
+    /// use presight::environment::Environment;
+    /// use presight::{Options, Output, Outputs, Pose, Predictor, World};
+    /// use std::sync::atomic::{AtomicUsize, Ordering};
+    /// let request = BatchRequest { images: Some(Outputs::of(&[Output::Range]).into()), ..BatchRequest::default() };
+    /// let mut predictor = Predictor::new(Options::default())?;
+    /// let world = World::new(Environment::new());
+    /// let empty = AtomicUsize::new(0);
+    /// let count = |_: usize, images: &presight::Images| {
+    ///     empty.fetch_add(images.range.iter().filter(|r| r.is_infinite()).count(), Ordering::Relaxed);
+    /// };
+    /// let batch = predictor.batch(&world, &presight::preset("laser-scanner")?, vec![Pose::IDENTITY; 3], &request)?;
+    /// for item in batch.shown_to(&count) {
+    ///     assert!(item?.images.range.is_empty());
+    /// }
+    /// assert_eq!(empty.into_inner(), 3 * 361);
+    /// # Ok::<(), presight::Error>(())
+    /// ```
+    pub fn shown_to(mut self, show: &'p (dyn Fn(usize, &Images) + Sync)) -> Self {
+        (self.task.wanted, self.task.show) = (Outputs::of(&[]), Some(show));
+        self
+    }
+
     /// Number of poses that the next chunk processes.
     pub fn chunk(&self) -> usize {
         self.chunk
