@@ -74,8 +74,8 @@ fn a_robot_is_found_and_found_again_after_it_was_carried_away() {
     }
 }
 
-/// A wall that the map still has is removed while the robot is tracked: half of the beams pass through its place. What is
-/// left of the room still singles out the place, so the pose is kept and never wrong. A robot that is carried away at that
+/// A wall that the map still has is removed while the robot is tracked: half of the beams pass through its place. The rest
+/// of the room still singles out the place, so the pose is kept and never wrong. A robot that is carried away at that
 /// moment is not tracked at that frame, and never where it was.
 #[test]
 fn a_robot_is_followed_on_where_the_map_has_changed() {

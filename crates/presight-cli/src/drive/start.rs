@@ -112,7 +112,7 @@ impl Drive {
         Ok(OdometryNoise::default().with_way(part).with_turn(part).with_turn_on_way(0.5 * part))
     }
 
-    /// Estimator options: those of --preset, or of the sensor.
+    /// Estimator options by --preset, or by the sensor.
     pub fn options(&self, sensor: &Sensor) -> EstimateOptions {
         let preset = Preset::ALL.into_iter().find(|preset| self.preset.as_deref() == Some(preset.name()));
         preset.unwrap_or(Preset::of(sensor)).options().with_stated_sigma(self.model_sigma)

@@ -7,7 +7,7 @@ use presight_model::sensor::{Geometry, Sensor};
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct EstimateOptions {
-    /// Which numbers of the pose are looked for.
+    /// Which numbers of the pose are estimated.
     pub freedom: Freedom,
     /// Share of the measured points that the right pose has to explain.
     pub least_explained: f64,
@@ -19,8 +19,8 @@ pub struct EstimateOptions {
     pub offset_sigma: f64,
     /// A direction is weak where the measurement alone is looser, metres.
     pub loosest: f64,
-    /// Only the surfaces of this object count, by its index: the pose is then told as if the object stood where the model has it, and
-    /// [`Estimate::relative_to`] tells it in the object's own frame, for docking.
+    /// Only the surfaces of this object count, by its index: the pose then holds as if the object stood where the model has it, and
+    /// [`crate::estimate::Estimate::relative_to`] returns it in the object's own frame, for docking.
     pub only: Option<u32>,
 }
 
@@ -58,7 +58,7 @@ impl EstimateOptions {
     }
 
     /// For scans of points all round, in maps made of such scans: leaves and wires are seen at other places each time, and much
-    /// of what is seen was hidden before.
+    /// was hidden before.
     pub fn scan() -> Self {
         Self { model_sigma: 0.1, offset_sigma: 0.02, least_explained: 0.5, ..Self::default() }
     }

@@ -14,7 +14,7 @@ use presight_predict::predict::Predictor;
 
 /// Share of the readings that are of the map, in a map that is out of date. These four come from the prototype's drives
 /// with up to 40 % of the objects gone and 40 % moved; for what a shop or an office changes in a week, any shares between
-/// .4 and .8 of the map tell the same places apart.
+/// .4 and .8 of the map distinguish the same places.
 const HIT: f64 = 0.6;
 /// Share of those before something unknown.
 const NEARER: f64 = 0.2;
@@ -22,7 +22,7 @@ const NEARER: f64 = 0.2;
 const FARTHER: f64 = 0.1;
 /// Share of all others.
 const ANY: f64 = 0.1;
-/// Width of a bin of ranges, metres: that of the deviation by which places are told apart.
+/// Width of a bin of ranges, metres: about the deviation by which places are distinguished.
 const BIN: f64 = 0.05;
 /// Most bins; a sensor that reaches farther has wider ones.
 const MOST_BINS: usize = 10_000;
@@ -48,7 +48,7 @@ pub(super) struct MapRanges {
 }
 
 impl MapRanges {
-    /// Of predicted ranges; NaN and -inf do not count. None is longer than `reach`, metres.
+    /// From predicted ranges; NaN and -inf do not count. All finite ones are at most `reach`, metres.
     pub fn new(ranges: impl Iterator<Item = f32>, reach: f64) -> Self {
         let bin = BIN.max(reach / MOST_BINS as f64);
         let count = (reach / bin) as usize + 1;
@@ -79,7 +79,7 @@ impl MapRanges {
     }
 
     /// Log-odds of a reading where the range `predicted` is expected, with the variances of a surface that is where the map
-    /// has it and of one that was moved a little, square metres; 0 for a reading that tells nothing.
+    /// has it and of one that was moved a little, square metres; 0 for a reading without evidence.
     pub fn log_odds(&self, measured: f64, predicted: f64, variances: [f64; 2]) -> f64 {
         let unknown = |x: f64| x.is_nan() || x == f64::NEG_INFINITY;
         if unknown(measured) || unknown(predicted) {

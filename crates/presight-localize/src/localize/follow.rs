@@ -18,21 +18,21 @@ use presight_model::random::SplitMix64;
 use presight_model::world::World;
 use presight_render::row::is_level;
 
-/// How far beside a pose minima are looked for, metres (two rings of as many directions) and radians.
+/// Distances from a pose at which descents to other minima start, metres (two rings of this number of directions) and radians.
 const BESIDE: ([f64; 2], usize, f64) = ([0.1, 0.2], 8, 0.06);
 /// Squared deviations from the prior of a pose that the robot jumped to.
 const UNLIKELY: f64 = 27.0;
 /// Two minima are two if they are farther apart, metres and radians.
 const APART: (f64, f64) = (0.05, 0.017);
-/// By how much a minimum beside the pose has to be better to take its place, evidence: less may be noise of one object.
+/// Evidence by which a neighbouring minimum has to be better to replace the pose: less may be noise of one object.
 const BETTER: f64 = 20.0;
-/// By how much the prior is loosened for minima beside it, metres and radians.
+/// Deviations that are added to the prior for neighbouring minima, metres and radians.
 const LOOSENED: (f64, f64) = (0.15, 0.06);
 /// Priors that are wider get starts of their own, metres.
 const WIDE: f64 = 0.1;
-/// Way after which minima beside a pose that has no rival are looked for again, metres and radians alike.
+/// Way after which neighbouring minima of a pose without a rival are searched again, metres and radians alike.
 const LOOK_AGAIN: f64 = 3.0;
-/// Rivals are looked at again for a frame that does not single out a place, if they are so many frames old.
+/// Age of the rivals, frames, from which on they are renewed for a frame that does not single out a place.
 const STALE: usize = 2;
 
 /// A pose that is followed.
@@ -42,9 +42,9 @@ pub(super) struct Followed {
     pub odds: Odds,
     /// Frames since it was given or found.
     pub frames: usize,
-    /// Way since minima beside it were looked for.
+    /// Way since neighbouring minima were searched.
     pub since_beside: f64,
-    /// The latest frame told nothing of it.
+    /// The latest frame had no evidence for it.
     pub carried: bool,
 }
 
@@ -137,7 +137,7 @@ impl Localizer {
             own.since_beside = 0.0;
             self.look_beside(world, frames, &prior, &mut own, &mut estimate, said.scale, way)?;
         }
-        // Another minimum than that of the prior tells nothing of the speed.
+        // Another minimum than that of the prior says nothing about the speed.
         if jumped || estimate.pose.world_from_robot != near.world_from_robot {
             self.velocity.restart();
         } else if !own.carried {
@@ -146,13 +146,13 @@ impl Localizer {
         self.end(frames[0], own, estimate, said, None)
     }
 
-    /// True if an estimate is where the robot hardly is by what was known before: one in 100,000 for three numbers.
+    /// True if an estimate is improbable by the prior: one in 100,000 for three numbers.
     fn is_jump(&self, prior: &PoseEstimate, estimate: &Estimate) -> bool {
         let off = motion_between(&prior.world_from_robot, &estimate.pose.world_from_robot);
         self.squared_off(prior, &off) > UNLIKELY && is_apart(&off)
     }
 
-    /// Squared deviations of what was known before.
+    /// Squared deviations from the prior.
     fn squared_off(&self, prior: &PoseEstimate, off: &[f64; 6]) -> f64 {
         quadratic(&inverse(prior.covariance.as_rows(), self.estimator.options.freedom.axes()), off)
     }
@@ -197,9 +197,9 @@ impl Localizer {
         !is_clear || own.since_beside >= LOOK_AGAIN
     }
 
-    /// Looks for minima beside an estimate: as far as the prior reaches, and 20 cm beside it. A better one takes its place;
+    /// Looks for neighbouring minima of an estimate: as far as the prior reaches, and up to 20 cm away. A better one replaces it;
     /// the lead over the next one are odds of their own.
-    #[expect(clippy::too_many_arguments, reason = "a frame, what was known before it, and what it leaves")]
+    #[expect(clippy::too_many_arguments, reason = "a frame, its prior, and its results")]
     fn look_beside(
         &mut self,
         world: &World,
@@ -249,7 +249,7 @@ impl Localizer {
         self.estimator.options.freedom == Freedom::Planar && scanned && frame.grey().is_none()
     }
 
-    /// Hypotheses drawn from what was known before a frame.
+    /// Hypotheses drawn from the prior of a frame.
     fn doubt(&mut self, world: &World, frame: &Frame, prior: &PoseEstimate) -> Result<Hypotheses> {
         let (sensor, dependence) = (frame.sensor(), self.options.beam_dependence);
         let model_sigma = self.estimator.options.model_sigma;
@@ -318,7 +318,7 @@ impl Localizer {
         if hypotheses.is_some() {
             reason += &format!("; {} hypotheses are spread over {spread:.2} m", options.hypotheses);
         } else if own.carried {
-            reason += "; the frame tells nothing of the pose, which is carried on";
+            reason += "; the frame has no evidence for the pose, which is carried on";
         }
         // Hypotheses are spread far enough for a fall.
         let lost = if hypotheses.is_some() { now < 0.0 } else { own.odds.is_lost(&options.rates) };
@@ -334,7 +334,7 @@ impl Localizer {
                 () if now < tracked => format!(", less than {tracked:.1}"),
                 () if !confirmed => format!("; {} of {} frames", own.frames, options.agreeing),
                 () if !beside_is_clear => {
-                    format!("; log-odds against a minimum beside it {:.1}", beside.unwrap_or_default())
+                    format!("; log-odds against a neighbouring minimum {:.1}", beside.unwrap_or_default())
                 }
                 () => String::new(),
             };
@@ -370,14 +370,14 @@ fn is_apart(off: &[f64; 6]) -> bool {
     length(&off[..3]) > APART.0 || length(&off[3..]) > APART.1
 }
 
-/// A belief with so much more variance of its place, metres.
+/// A belief with this additional deviation of its place, metres.
 fn with_variance(belief: &PoseEstimate, sigma: f64) -> PoseEstimate {
     let mut known = *belief;
     (0..3).for_each(|i| known.covariance[i][i] += sigma * sigma);
     known
 }
 
-/// A prior that leaves room for the minima beside it.
+/// A prior that leaves room for neighbouring minima.
 fn loosened(prior: &PoseEstimate) -> PoseEstimate {
     let mut loose = *prior;
     (0..3).for_each(|i| loose.covariance[i][i] += LOOSENED.0 * LOOSENED.0);
@@ -385,7 +385,7 @@ fn loosened(prior: &PoseEstimate) -> PoseEstimate {
     loose
 }
 
-/// Where descents to minima beside a pose start: on two rings around it, turned to both sides, and from all over a wide
+/// Where descents to neighbouring minima start: on two rings around a pose, turned to both sides, and from all over a wide
 /// prior.
 fn starts(around: &PoseEstimate, prior: &PoseEstimate, freedom: Freedom) -> Vec<Pose> {
     let (rings, directions, turn) = BESIDE;

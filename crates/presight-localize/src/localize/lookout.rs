@@ -1,4 +1,4 @@
-//! Where a robot is looked for: in the whole map, or around where it was last. Places that fit a frame are candidates; they
+//! The search for a robot: in the whole map, or around its last pose. Places that fit a frame are candidates; they
 //! are carried on by odometry until the odds single out one of them.
 
 use super::follow::{Followed, way_of};
@@ -16,7 +16,7 @@ const MOST: (usize, usize) = (8, 5);
 /// Frames between searches of the whole map.
 const SEARCH_AGAIN: usize = 3;
 
-/// A robot is looked for.
+/// The search for a robot.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Lookout {
     /// Where it would be if it were not lost, carried on by its odometry.
@@ -36,7 +36,7 @@ impl Lookout {
 }
 
 impl Localizer {
-    /// One frame of a robot that is looked for.
+    /// One frame of a search.
     pub(super) fn look_out(
         &mut self,
         world: &World,
@@ -140,7 +140,7 @@ impl Localizer {
         let is_leader = |c: &Candidate| {
             leader.is_some_and(|l| l.odds.now > 0.0 && is_same(&l.pose.world_from_robot, &c.pose.world_from_robot))
         };
-        // All but the leader, or the best one, are wrong, and tell what wrong places reach.
+        // All but the leader, or the best one, are wrong, and show the evidence of wrong places.
         let right = found.iter().position(|(_, c)| is_leader(c)).unwrap_or(0);
         let wrong: Vec<f64> = (0..found.len()).filter(|k| *k != right).map(|k| found[k].0).collect();
         let null = rivals.searched(&wrong, readings);
@@ -183,7 +183,7 @@ impl Localizer {
         let (tracked, frame) = (self.options.rates.tracked(), frames[0]);
         let first = lookout.candidates.first().map(|c| c.pose.world_from_robot);
         let is_first = |own: &Followed| first.is_some_and(|pose| is_same(&pose, &own.belief.world_from_robot));
-        // The best candidate is no rival of where the robot was followed to if it is that.
+        // The best candidate does not rival the pose that the robot was followed to if it is that pose.
         let agrees = lookout.own.as_ref().is_some_and(is_first);
         let own = lookout.own.as_ref().filter(|_| !agrees).map_or(f64::NEG_INFINITY, |own| own.odds.now);
         let best = lookout.candidates.first().map(|c| (c.odds.now, c.frames));

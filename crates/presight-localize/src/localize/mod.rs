@@ -1,8 +1,8 @@
 //! Where the robot is, from frame to frame: states, and one comparison of odds that leads from each to the next.
 //!
 //! A [`Localizer`] starts at a pose that is known about, or without one: a [`Search`] weighs a scan at all headings of all
-//! free places. Each frame moves what is known by odometry, or on with the motion of the frame before, and says how much
-//! likelier a pose is than its rivals: other places of this map, minima beside it, and nothing of this map. These odds add
+//! free places. Each frame moves the belief by odometry, or on with the motion of the frame before, and says how much
+//! likelier a pose is than its rivals: other places of this map, neighbouring minima, and nothing of this map. These odds add
 //! up over the way; all decisions compare them with stated error rates ([`ErrorRates`]). See
 //! `docs/design/localization.md` for the derivation.
 
@@ -85,7 +85,7 @@ pub struct Step {
     pub candidates: Vec<Candidate>,
     /// Natural logarithm of the odds of the pose against all of its rivals.
     pub odds: f64,
-    /// True if the frame told nothing of the pose, which was carried on by odometry or the last motion.
+    /// True if the frame had no evidence for the pose, which was carried on by odometry or the last motion.
     pub carried: bool,
 }
 
@@ -112,7 +112,7 @@ pub struct LocalizeOptions {
     pub rates: ErrorRates,
     /// How many hypotheses follow a level scanner where no place is singled out.
     pub hypotheses: usize,
-    /// How many beams tell hypotheses as much as one independent beam, for a sensor that states 1.
+    /// How many beams have as much evidence as one independent beam in hypotheses, for a sensor that states 1.
     pub beam_dependence: f64,
     /// How far a pose may be spread to count as known, one standard deviation, metres.
     pub spread: f64,
@@ -145,10 +145,10 @@ presight_model::with_options!(
     with_spread spread: f64,
 );
 
-/// What is known of the robot. Each state has what it needs, and no other.
+/// The state of the search or of the track. Each has the data that it needs, and no other.
 #[derive(Clone, Debug)]
 enum State {
-    /// It is looked for: in the whole map with a [`Search`], otherwise around where it was last.
+    /// The robot is searched: in the whole map with a [`Search`], otherwise around its last pose.
     Lookout(Lookout),
     /// One pose is followed.
     Following(Followed),

@@ -17,9 +17,9 @@ use presight_model::sensor::SensorSpec;
 use presight_model::world::World;
 use std::f64::consts::TAU;
 
-/// Deviation by which places are told apart, metres: what moved goods and old walls are off by.
+/// Deviation by which places are distinguished, metres: the usual error of moved goods and old walls.
 const PLACE: f64 = 0.06;
-/// Likewise for minima beside a pose: with more, moved goods drag it along.
+/// The same deviation for neighbouring minima: with more, moved goods drag the pose along.
 const MINIMUM: f64 = 0.02;
 /// Places of a level scanner of one row, each at all headings, and poses of other sensors, whose views take more time.
 const RIVALS: (usize, usize) = (512, 192);
@@ -34,27 +34,27 @@ const REFINED: usize = 16;
 /// What a place within reach of a refinement is off by: the deviation by which they are sorted, and the prior, metres
 /// and radians.
 const NEAR: (f64, f64, f64) = (0.3, 0.25, 0.1);
-/// What is refined is farther apart, metres and radians.
+/// Rivals that are refined are farther apart, metres and radians.
 const DISTINCT: (f64, f64) = (0.5, 0.2);
 /// A place is free if nothing is nearer, metres, and inside if this share of the beams meets something.
 const FREE: (f64, f64) = (0.15, 0.35);
-/// Frames after which the rivals are looked at again at the latest.
+/// Frames after which the rivals are renewed at the latest: a renewal costs as much as 30 updates, so 0.6 of an update a frame.
 const LASTING: usize = 50;
 
 /// Places of a map, drawn at random, as a sensor would see them.
 #[derive(Clone, Debug)]
 pub(super) struct Rivals {
-    /// Of the sensor they are seen with.
+    /// The sensor's.
     spec: SensorSpec,
     world: u64,
     evidence: FrameEvidence,
     map: MapRanges,
-    /// Of the robot; for views all round, of the scanner at heading 0.
+    /// Poses of the robot; for views all round, of the scanner at heading 0.
     poses: Vec<Pose>,
     views: Vec<View>,
     /// The views are all round: the robot in its scanner, and how the scanner stands at heading 0.
     round: Option<(Pose, DQuat)>,
-    /// Deviation of the model as it is stated, metres.
+    /// Stated deviation of the model, metres.
     model_sigma: f64,
     null: Option<Null>,
     age: usize,
@@ -134,7 +134,7 @@ impl Rivals {
         self.weigh(estimator, world, frame, poses, [MINIMUM, PLACE])
     }
 
-    /// Evidence of a frame at a pose, and what it would be if all readings were as predicted there.
+    /// Evidence of a frame at a pose, and the evidence of the readings that are predicted there.
     ///
     /// # Errors
     /// Those of [`FrameEvidence::views`].
@@ -146,7 +146,7 @@ impl Rivals {
         Ok((of(&readings), of(&views[0][0])))
     }
 
-    /// Evidence of a frame at poses of the robot that are minima beside one another.
+    /// Evidence of a frame at poses of the robot that are neighbouring minima.
     ///
     /// # Errors
     /// Those of [`FrameEvidence::views`].

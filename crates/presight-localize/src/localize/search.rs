@@ -78,8 +78,8 @@ presight_model::with_options!(
 pub struct Candidate {
     /// The place.
     pub pose: PoseEstimate,
-    /// While a robot is looked for: natural logarithm of its odds against all other places. Of a search alone:
-    /// log-likelihood of the frame, of which only differences mean something.
+    /// During a search over frames: natural logarithm of its odds against all other places. For one search alone: the
+    /// log-likelihood of the frame; only its differences have a meaning.
     pub log_likelihood: f64,
     /// Share of the readings that the pose explains, in the mean over the frames.
     pub explained: f64,
