@@ -7,7 +7,7 @@ use std::collections::VecDeque;
 use std::path::Path;
 use std::time::Duration;
 
-/// Lines of changes that wait in order. A robot adds what it learnt, and applies it when it has time.
+/// Lines of changes that wait in order. A robot adds its changes, and applies them when it has time.
 ///
 /// ```
 /// # use presight::environment::Environment;

@@ -46,7 +46,7 @@ impl UprightBox {
     }
 }
 
-/// Two boxes take the place of one if they hold so much less than it, as a share.
+/// Two boxes take the place of one if they hold at most this share of its volume.
 const SPLIT: f64 = 0.6;
 /// Places along an edge where a box may be cut.
 const CUTS: usize = 8;
@@ -55,7 +55,7 @@ const FEWEST: usize = 20;
 /// Times that points are split in two.
 const DEEPEST: usize = 3;
 
-/// Points in several sets whose boxes are together much smaller than one box around all: things that touch, and what is not convex.
+/// Points in several sets whose boxes are together much smaller than one box around all: things that touch, and concave things.
 pub(crate) fn split(points: Vec<DVec3>) -> Vec<Vec<DVec3>> {
     split_to(points, DEEPEST)
 }

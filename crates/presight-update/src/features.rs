@@ -1,4 +1,4 @@
-//! Minor changes of features: whether they exist and what they look like, by Bayes from the looks at them; and new reflectors.
+//! Minor changes of features: existence, strength, contrast and covariance, by Bayes from the looks at them; and new reflectors.
 
 use crate::caster::Caster;
 use crate::sightings::{Sighting, Tracks, place_of};
@@ -128,7 +128,7 @@ impl LookBook {
         (found / all).clamp(0.5, 0.99)
     }
 
-    /// Operations that set what is known of features, and delete features that hardly exist.
+    /// Operations that set the attributes of features, and delete features that hardly exist.
     pub fn changes(&self, environment: &Environment, least_views: u32, utc: f64) -> Vec<Value> {
         let change = |((class, id), looks): (&(String, u32), &Looks)| {
             let feature = environment.feature(class, *id)?;
@@ -149,7 +149,7 @@ impl LookBook {
         self.all.iter().filter_map(change).collect()
     }
 
-    /// Operations that insert what was only found at one place in space from several views: on the surface there, or on a small
+    /// Operations that insert reflectors that were only found, at one place in space from several views: on the surface there, or on a small
     /// provisional object. `base` names it.
     pub fn insertions(
         &self,

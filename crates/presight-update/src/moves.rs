@@ -96,7 +96,7 @@ impl Decision<'_> {
     fn place(&self, fitter: &Fitter<'_>, thing: &Thing, (own, start): (&Pose, &Pose)) -> Option<Place> {
         let pose = fitter.settle(thing, start);
         let (score, fit) = (fitter.score(thing, &pose), fitter.fit(thing, &pose));
-        // What a cell may err by chance is no misfit.
+        // The expected error of a cell does not count as a misfit.
         let misfit = 0.5 * (fit.chi2 - (fit.on + fit.off) as f64).max(0.0);
         let odds = score.l - misfit + fitter.prior(thing, own, &pose);
         let is_sure = self.is_sure(&score) && fit.share() >= self.options.least_agreeing && odds >= self.options.sure;

@@ -6,7 +6,7 @@ use presight_localize::motion::motion_between;
 use presight_model::geometry::PoseEstimate;
 use presight_model::matrix::quadratic;
 
-/// Views whose mean tells.
+/// Fewest views for a verdict.
 const LEAST: f64 = 10.0;
 
 /// Sums over views.
@@ -69,7 +69,7 @@ mod tests {
     use presight_model::geometry::{Pose, PoseCovariance};
 
     /// Stated 1 degree and 1 cm. Two robots that head differently, with a sensor 4 degrees and 5 cm to the left of its mount's: both
-    /// are pulled the same way in their own axes. Errors of the same size that change their sign are no mount.
+    /// are pulled the same way in their own axes. Errors of the same size that change their sign are not reported.
     #[test]
     fn a_mount_pulls_all_views_the_same_way() {
         let rad = 1f64.to_radians();
@@ -81,7 +81,7 @@ mod tests {
         };
         let (mut same, mut changing) = (Pulled::default(), Pulled::default());
         for k in 0..12 {
-            assert!(same.wrong().is_none() || k >= 10, "too few views tell nothing");
+            assert!(same.wrong().is_none() || k >= 10, "too few views");
             same.add(&view(0.5 * f64::from(k), 1.0));
             changing.add(&view(0.5 * f64::from(k), if k % 2 == 0 { 1.0 } else { -1.0 }));
         }

@@ -29,7 +29,7 @@ pub(crate) struct Sighting {
 pub(crate) fn place_of(sensor: &Sensor, detection: &Detection, pose: &PoseEstimate) -> Option<Sighting> {
     let (Shape::Reflector(at), Some(range)) = (&detection.shape, detection.properties.range) else { return None };
     let world_from_image = pose.world_from_robot * sensor.spec().mount * body_from_image(sensor);
-    // A scanner of one row says nothing of heights: what it finds is in its plane.
+    // A scanner of one row does not measure heights: its detections are in its plane.
     let rows = if sensor.height() == 1 { 0.0 } else { 1.0 };
     let along = |du: f64, dv: f64| sensor.ray_at(at.x + du, rows * (at.y + dv));
     let ray = along(0.0, 0.0)?;

@@ -7,7 +7,7 @@ use presight_model::error::{Error, Result};
 use std::path::{Path, PathBuf};
 
 impl Drive {
-    /// The drive with the sensors of a robot: its log and those beside it are then NAME=LOG. Without a robot the same drive.
+    /// The drive with the sensors of a robot: its log and the others are then NAME=LOG. Without a robot the same drive.
     ///
     /// # Errors
     /// Errors from reading the robot; [`presight_model::ErrorKind::Usage`] for a log without the name of one of its sensors.

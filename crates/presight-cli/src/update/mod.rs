@@ -70,7 +70,7 @@ pub struct Args {
     #[arg(long)]
     apply: bool,
 
-    /// Begin no further change so many milliseconds after the first; the rest waits in DIR/changes.jsonl
+    /// Begin no further change after this time, milliseconds; the rest waits in DIR/changes.jsonl
     #[arg(long, value_name = "MS", requires = "apply")]
     deadline_ms: Option<f64>,
 
@@ -84,7 +84,7 @@ pub struct Args {
 
     /// What becomes of each kind of finding, such as gone=change,new=stop: mark, change, stop, come-back or ignore [default: mark]
     ///
-    /// The kinds are gone, moved, new and part. `mark` marks the object as uncertain, and what is new. `change` changes the
+    /// The kinds are gone, moved, new and part. `mark` marks objects and new things as uncertain. `change` changes the
     /// model. `stop` proposes nothing and ends with status 1. `come-back` adds the place to DIR/come_back.jsonl.
     #[arg(long, value_name = "KIND=ACTION,..", default_value = "")]
     policy: String,

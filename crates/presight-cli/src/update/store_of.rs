@@ -57,7 +57,7 @@ impl Claim {
     /// Claims a file.
     ///
     /// # Errors
-    /// [`ErrorKind::System`] if another run has it, or if nothing can be written beside it.
+    /// [`ErrorKind::System`] if another run has it, or if its folder cannot be written.
     pub fn of(claimed: &Path) -> Result<Self> {
         let mut name = claimed.as_os_str().to_owned();
         name.push("-update");

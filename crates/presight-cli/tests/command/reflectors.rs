@@ -162,7 +162,7 @@ fn reflectors_that_are_gone_and_new_are_learnt() {
     let FeatureShape::Reflector { at, .. } = new[0].shape else { panic!("{new:?}") };
     let object = environment.object(new[0].object.as_deref().unwrap()).unwrap();
     let found = object.world_from_object.transform_point(at);
-    // The scan tells x and y; the height is where its row meets the plate.
+    // The scan measures x and y; the height is where its row meets the plate.
     let off = (found - glam::DVec3::new(6.295, -0.9, found.z)).length();
     assert!(off < 0.01, "{found} is {off} m off");
 }

@@ -1,4 +1,4 @@
-//! `presight update` with bad and hostile inputs, with several sensors, and beside a localizer.
+//! `presight update` with bad and hostile inputs and with several sensors, and a learner that follows a localizer.
 
 use super::update::{CHANGE, LIDAR, POSES, changes, crates, drive, room, site, site_of};
 use super::{Place, bad, check};
@@ -41,7 +41,7 @@ fn a_killed_run_leaves_store_and_evidence_whole() {
     assert!(!place.path("map.presight-update").exists() && !place.path("e.json-update").exists());
 }
 
-/// Of two updates of one store, or of one file of evidence, the second is refused. A store that is read-only is refused before
+/// The second of two updates of one store, or of one file of evidence, is refused. A store that is read-only is refused before
 /// the drive is read; without --apply it serves.
 #[test]
 fn what_cannot_be_written_is_refused_at_once() {
@@ -201,7 +201,7 @@ fn the_sensors_of_a_robot_learn_together() {
     );
 }
 
-/// Beside the steps of a localizer a learner decides as the command does on the same log.
+/// A learner that gets the steps of a localizer decides as the command does on the same log.
 #[test]
 fn beside_a_localizer_it_decides_as_the_command() {
     use presight_files::log::Frames;

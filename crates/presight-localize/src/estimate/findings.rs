@@ -118,7 +118,7 @@ impl<'a> ImageSource<'a> {
         let (mut points, mut segments) = (Vec::new(), Vec::new());
         let calibration = CALIBRATION * CALIBRATION;
         for (feature, detection) in findings.matched() {
-            // What may not exist may have been matched to something else: its information counts as much as it is probable.
+            // A feature that may not exist may have been matched to something else: its information is weighted by its existence.
             let doubt = 1.0 / feature.existence.clamp(LEAST_EXISTENCE, 1.0);
             match (&detection.shape, &feature.points_world[..]) {
                 (Shape::Segment { ends: found, .. }, [a, b]) => {
