@@ -111,7 +111,7 @@ pub use presight_model::{Change, Error, ErrorKind, Result, Sensor, Threads, Worl
 #[doc(inline)]
 pub use presight_predict::{Backend, Options, Prediction, Predictor, Request};
 #[doc(inline)]
-pub use presight_render::{IdScheme, ImageRequest, Images, Output, Outputs, Raster, Stats};
+pub use presight_render::{IdScheme, ImageRequest, Images, Output, Outputs, Raster, Stats, Way};
 pub use scene::{Scene, SceneFeatures, SceneOptions, blake3_of};
 
 /// The README's example is compiled and run as a doc test.

@@ -34,7 +34,8 @@
 //!     let truth = Pose::from_xyz_rpy(DVec3::new(1.0 + 0.2 * f64::from(k), 1.2, 0.0), 0.0, 0.0, 0.4);
 //!     let step = localizer.step(&world, &simulator.frame(&world, f64::from(k), &truth)?)?;
 //!     // One scan is not enough; the fifth is.
-//!     assert_eq!(step.phase, if k < 4 { Phase::Candidates } else { Phase::Tracking }, "{}", step.reason);
+//!     assert!(k > 0 || step.phase == Phase::Candidates, "{}", step.reason);
+//!     assert!(k < 4 || step.phase == Phase::Tracking, "{}", step.reason);
 //!     assert!((step.pose.world_from_robot.translation - truth.translation).length() < 0.05);
 //! }
 //! # Ok::<(), presight::Error>(())
@@ -42,4 +43,4 @@
 #![doc = include_str!("../docs/localization.md")]
 
 #[doc(inline)]
-pub use presight_localize::localize::{LocalizeOptions, Localizer, Phase, Search, SearchOptions, Step};
+pub use presight_localize::localize::{ErrorRates, LocalizeOptions, Localizer, Phase, Search, SearchOptions, Step};

@@ -3,6 +3,6 @@
 
 #[doc(inline)]
 pub use presight_update::{
-    Action, Caster, Doubt, Evidence, Finding, Findings, LearnOptions, Learner, Met, Occupied, Policy, Sight, Tally,
-    UprightBox, Voxel, Voxels, What, change_lines,
+    Action, Applied, Caster, Doubt, Evidence, Finding, Findings, LearnOptions, Learner, Met, Occupied, Policy, Sight,
+    Tally, UprightBox, Voxel, Voxels, Waiting, What, change_lines,
 };

@@ -182,8 +182,11 @@ fn main() {
         Some("noise") => drives::noise(number(60)),
         Some("kidnapped") => drives::kidnapped(),
         Some("changed") => changed::all(&words[1..]),
+        Some("leads") => changed::leads(&words[1..]),
         Some(other) => {
-            panic!("{other}: give frames DIR, alarms, accuracy, fidelity, noise, kidnapped or changed, or nothing")
+            panic!(
+                "{other}: give frames DIR, alarms, accuracy, fidelity, noise, kidnapped, changed or leads, or nothing"
+            )
         }
     }
 }

@@ -1,5 +1,6 @@
-//! Learning from drives through changed sites: `cargo bench --bench update [-- SEEDS [SCENE [SENSOR]]]`. Scenes and sensors are
-//! chosen by a part of their name, `-` for all. Each row is printed at once.
+//! Learning from drives through changed sites: `cargo bench --bench update [-- SEEDS [SCENE [SENSOR [OFF [reasons]]]]]`. Scenes,
+//! sensors and errors of poses are chosen by a part of their name, `-` for all. Each row is printed at once; `reasons` adds a
+//! line for each visible change that was missed, with what pixels and views said of it.
 
 #![allow(clippy::print_stdout, reason = "a bench prints its figures")]
 
@@ -12,8 +13,9 @@ use presight_model::environment::Environment;
 use presight_model::geometry::Pose;
 use presight_model::sensor::Sensor;
 use presight_testkit::data;
-use presight_update::{LearnOptions, Learner};
+use presight_update::{Evidence, LearnOptions, Learner};
 use score::{HEAD, Score, score};
+use std::collections::BTreeMap;
 use std::time::Instant;
 
 const AMOUNTS: Amounts = Amounts { removed: 20, moved: 20, added: 20, walkers: 10, views: 200 };
@@ -65,8 +67,9 @@ fn main() {
                 for (off_name, off) in OFF.iter().filter(|(off_name, _)| chosen(word(3), off_name)) {
                     let (found, seconds) = one(&case, sensor, *off);
                     println!("{} {seconds:.1} s", found.row(&format!("{name}, {seed}, {which}, {off_name}")));
-                    if std::env::var_os("PRESIGHT_REASONS").is_some() {
+                    if word(4) == "reasons" {
                         found.notes.iter().for_each(|note| println!("    {note}"));
+                        found.missed.iter().for_each(|(name, note)| println!("    missed {name}: {note}"));
                     }
                     let key = format!("{which}, {off_name}");
                     match pooled.iter_mut().find(|(known, _)| *known == key) {
@@ -93,5 +96,11 @@ fn one(case: &Case, sensor: &Sensor, off: Off) -> (Score, f64) {
     let findings = learner.findings(&case.map);
     let seconds = started.elapsed().as_secs_f64();
     let truth: Vec<Pose> = frames.iter().map(|(_, _, truth)| *truth).collect();
-    (score(case, sensor, &truth, &findings), seconds)
+    let mut score = score(case, sensor, &truth, &findings);
+    let evidence: BTreeMap<String, Evidence> = learner.evidence(&case.map).into_iter().collect();
+    for (name, note) in &mut score.missed {
+        let (e, pixels) = (evidence.get(name), learner.pixels(&case.map, name));
+        *note += &format!("; {e:?}; {pixels:?}");
+    }
+    (score, seconds)
 }

@@ -2,12 +2,12 @@
 
 use super::case::Case;
 use glam::DVec3;
-use presight_model::environment::Environment;
+use presight_model::environment::{Environment, Object};
 use presight_model::geometry::{Aabb, Pose};
 use presight_model::sensor::Sensor;
 use presight_predict::predict::{Backend, Options, Predictor};
 use presight_render::plan::{Images, Output, Outputs};
-use presight_update::{Findings, What};
+use presight_update::{Findings, UprightBox, What};
 use std::collections::BTreeMap;
 
 /// A change is visible if this number of pixels changes by more than this distance, metres, in this number of views.
@@ -26,8 +26,12 @@ pub struct Score {
     pub false_gone: usize,
     pub false_moved: usize,
     pub false_new: usize,
+    /// Changed objects that were found moved to where something else stands.
+    pub elsewhere: usize,
     /// Names of what went wrong.
     pub notes: Vec<String>,
+    /// Names of visible changes that were not found, and what is known of them.
+    pub missed: Vec<(String, String)>,
 }
 
 impl Score {
@@ -41,6 +45,7 @@ impl Score {
         self.false_gone += other.false_gone;
         self.false_moved += other.false_moved;
         self.false_new += other.false_new;
+        self.elsewhere += other.elsewhere;
     }
 
     pub fn row(&self, name: &str) -> String {
@@ -53,7 +58,7 @@ impl Score {
         let at =
             |share: f64| places.get(((places.len().max(1) - 1) as f64 * share) as usize).map_or(f64::NAN, |x| 1e3 * x);
         format!(
-            "| {name} | {} | {} | {} | {:.1}, {:.1} | {} of {} | {} | {} |",
+            "| {name} | {} | {} | {} | {:.1}, {:.1} | {} of {} | {} | {} | {} |",
             share(self.removed),
             share(self.moved),
             share(self.added),
@@ -62,12 +67,13 @@ impl Score {
             self.false_gone,
             self.standing,
             self.false_moved,
-            self.false_new
+            self.false_new,
+            self.elsewhere
         )
     }
 }
 
-pub const HEAD: &str = "| drive | removed, found gone | moved, found | added, found | place mm p50, p95 | false deletions | moved that stand | false new |\n|---|---|---|---|---|---|---|---|";
+pub const HEAD: &str = "| drive | removed, found gone | moved, found | added, found | place mm p50, p95 | false deletions | moved that stand | false new | moved to another's place |\n|---|---|---|---|---|---|---|---|---|";
 
 /// Wilson's 95 % interval of a share.
 fn interval(found: usize, all: usize) -> (f64, f64) {
@@ -79,11 +85,11 @@ fn interval(found: usize, all: usize) -> (f64, f64) {
     ((middle - half) / (1.0 + z * z / n), (middle + half) / (1.0 + z * z / n))
 }
 
-/// In how many views each changed object changes enough pixels: removed and moved ones by their name, added ones, too.
-fn visible(case: &Case, sensor: &Sensor, poses: &[Pose]) -> BTreeMap<String, usize> {
+/// In how many views each changed object changes enough pixels, and in how many of them where it stands now.
+fn visible(case: &Case, sensor: &Sensor, poses: &[Pose]) -> BTreeMap<String, (usize, usize)> {
     let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).expect("a predictor");
     let outputs = Outputs::of(&[Output::Range, Output::ObjectId]);
-    let mut views: BTreeMap<String, usize> = BTreeMap::new();
+    let mut views: BTreeMap<String, (usize, usize)> = BTreeMap::new();
     for pose in poses {
         let world_from_sensor = *pose * sensor.spec().mount;
         let mut images = [Images::default(), Images::default()];
@@ -93,7 +99,7 @@ fn visible(case: &Case, sensor: &Sensor, poses: &[Pose]) -> BTreeMap<String, usi
         let name = |environment: &Environment, id: u32| {
             id.checked_sub(1).map(|i| environment.objects()[i as usize].name.clone())
         };
-        let mut pixels: BTreeMap<String, usize> = BTreeMap::new();
+        let mut pixels: BTreeMap<String, (usize, usize)> = BTreeMap::new();
         for i in 0..images[0].range.len() {
             let (a, b) = (images[0].range[i], images[1].range[i]);
             let differ = (a.is_finite() || b.is_finite()) && !((f64::from(a) - f64::from(b)).abs() <= VISIBLE.1);
@@ -102,12 +108,17 @@ fn visible(case: &Case, sensor: &Sensor, poses: &[Pose]) -> BTreeMap<String, usi
                 let after = name(case.site.environment(), images[1].object_id[i]);
                 let is_changed =
                     |n: &String| case.removed.contains(n) || case.moved.contains_key(n) || case.added.contains(n);
+                after.iter().filter(|n| is_changed(n)).for_each(|n| pixels.entry(n.clone()).or_default().1 += 1);
                 let mut both: Vec<String> = before.into_iter().chain(after).filter(is_changed).collect();
                 both.dedup();
-                both.into_iter().for_each(|n| *pixels.entry(n).or_default() += 1);
+                both.into_iter().for_each(|n| pixels.entry(n).or_default().0 += 1);
             }
         }
-        pixels.into_iter().filter(|(_, n)| *n >= VISIBLE.0).for_each(|(n, _)| *views.entry(n).or_default() += 1);
+        for (name, (all, now)) in pixels {
+            let sum = views.entry(name).or_default();
+            sum.0 += usize::from(all >= VISIBLE.0);
+            sum.1 += usize::from(now >= VISIBLE.0);
+        }
     }
     views
 }
@@ -124,7 +135,7 @@ fn holds(b: &Aabb, p: DVec3) -> bool {
 pub fn score(case: &Case, sensor: &Sensor, poses: &[Pose], findings: &Findings) -> Score {
     let (map, site) = (case.map.environment(), case.site.environment());
     let views = visible(case, sensor, poses);
-    let is_visible = |name: &String| views.get(name).is_some_and(|n| *n >= VISIBLE.2);
+    let is_visible = |name: &String| views.get(name).is_some_and(|n| n.0 >= VISIBLE.2);
     let mut score = Score::default();
     let what: BTreeMap<&str, &What> = findings.changes.iter().map(|f| (f.object.as_str(), &f.what)).collect();
     let bounds = |name: &str| site.object(name).map(|o| o.world_bounds());
@@ -140,19 +151,28 @@ pub fn score(case: &Case, sensor: &Sensor, poses: &[Pose], findings: &Findings) 
         _ => None,
     };
     let reported: Vec<DVec3> = findings.changes.iter().filter_map(|f| stands_at(&f.what, &f.object)).collect();
+    // Objects of equal meshes are exchangeable: one may be found where another was moved or added.
+    let equal = |name: &str, p: DVec3| {
+        let size = |o: &Object| o.mesh.bounds().transformed(&o.object_from_mesh).half_extent();
+        let size_of = map.object(name).map(size);
+        case.added.iter().chain(case.moved.keys()).filter_map(|other| site.object(other)).any(|other| {
+            holds(&grown(other.world_bounds(), 0.1), p) && size_of.is_some_and(|s| s.distance(size(other)) < 0.02)
+        })
+    };
     let is_reported = |b: Aabb| reported.iter().any(|p| holds(&grown(b, 0.1), *p));
     for name in case.removed.iter().filter(|name| is_visible(name)) {
         let found = match what.get(name.as_str()).copied() {
             Some(What::Gone) => true,
             // An object of equal mesh that stands elsewhere counts as right.
             Some(moved) if matches!(moved, What::Moved { .. }) => {
-                stands_at(moved, name).is_some_and(|p| news.iter().any(|b| holds(&grown(*b, 0.1), p)))
+                stands_at(moved, name).is_some_and(|p| equal(name, p))
             }
             _ => false,
         };
         score.removed = (score.removed.0 + usize::from(found), score.removed.1 + 1);
         if !found {
-            score.notes.push(format!("removed {name}: {:?} {:?}", what.get(name.as_str()), doubt(findings, name)));
+            let why = format!("removed, visible in {} views: {}", views[name].0, state(findings, name));
+            score.missed.push((name.clone(), why));
         }
     }
     for (name, pose) in case.moved.iter().filter(|(name, _)| is_visible(name)) {
@@ -168,7 +188,9 @@ pub fn score(case: &Case, sensor: &Sensor, poses: &[Pose], findings: &Findings) 
                 if off > 0.01 {
                     score.notes.push(format!("moved {name}: place off by {off:.3}"));
                 }
-                off < 0.3 || news.iter().any(|b| holds(&grown(*b, 0.1), world_from_object.transform_point(middle)))
+                let is_right = off < 0.3 || equal(name, world_from_object.transform_point(middle));
+                score.elsewhere += usize::from(!is_right);
+                is_right
             }
             Some(What::Gone) => is_reported(there),
             _ => false,
@@ -176,26 +198,44 @@ pub fn score(case: &Case, sensor: &Sensor, poses: &[Pose], findings: &Findings) 
         score.moved = (score.moved.0 + usize::from(found), score.moved.1 + 1);
         if !found {
             let far = object.world_from_object.transform_point(middle).distance(pose.transform_point(middle));
-            score.notes.push(format!(
-                "moved {name} by {far:.2}: {:?} {:?}",
-                what.get(name.as_str()),
-                doubt(findings, name)
-            ));
+            let (state, near) = (state(findings, name), nearest(findings, there.center()));
+            let why = format!(
+                "moved by {far:.2} m, visible in {} views, {} of its new place: {state}; now at {:.2}, {near}",
+                views[name].0,
+                views[name].1,
+                there.center()
+            );
+            score.missed.push((name.clone(), why));
         }
     }
     for name in case.added.iter().filter(|name| is_visible(name)) {
         let found = is_reported(bounds(name).expect("it stands"));
         score.added = (score.added.0 + usize::from(found), score.added.1 + 1);
         if !found {
-            score.notes.push(format!("added {name}: nothing at {:?}", bounds(name)));
+            let b = bounds(name).expect("it stands");
+            let (size, near) = (b.max - b.min, nearest(findings, b.center()));
+            let why = format!("{size:.2} at {:.2}, visible in {} views, {near}", b.center(), views[name].0);
+            score.missed.push((name.clone(), why));
         }
     }
     count_false(case, findings, &news, &mut score);
     score
 }
 
-fn doubt<'a>(findings: &'a Findings, name: &str) -> Option<&'a str> {
-    findings.doubts.iter().find(|d| d.object == *name).map(|d| d.why.as_str())
+/// What is reported of an object.
+fn state(findings: &Findings, name: &str) -> String {
+    let change = findings.changes.iter().find(|f| f.object == *name).map(|f| format!("{:?}", f.what));
+    let doubt = findings.doubts.iter().find(|d| d.object == *name).map(|d| format!("in doubt: {}", d.why));
+    let stands = findings.confirmed.iter().any(|n| n == name).then(|| "confirmed".to_owned());
+    change.or(doubt).or(stands).unwrap_or_else(|| "no view says anything".to_owned())
+}
+
+/// The box of something new that is nearest to a place.
+fn nearest(findings: &Findings, p: DVec3) -> String {
+    let boxes = findings.changes.iter().filter_map(|f| if let What::New(b) = &f.what { Some(b) } else { None });
+    let far = |b: &UprightBox| b.pose.translation.distance(p);
+    let near = boxes.min_by(|a, b| far(a).total_cmp(&far(b)));
+    near.map_or_else(String::new, |b| format!("the nearest box {:.2} at {:.2}", b.size, b.pose.translation))
 }
 
 fn count_false(case: &Case, findings: &Findings, news: &[Aabb], score: &mut Score) {
@@ -216,7 +256,11 @@ fn count_false(case: &Case, findings: &Findings, news: &[Aabb], score: &mut Scor
             }
             What::New(found) if !news.iter().any(|b| holds(&grown(*b, 0.15), found.pose.translation)) => {
                 score.false_new += 1;
-                score.notes.push(format!("false new {found:?}"));
+                let b = found.pose.translation;
+                let holds = |o: &&Object| !o.is_deleted() && holds(&grown(o.world_bounds(), 0.05), b);
+                let near: Vec<&str> =
+                    case.site.environment().objects().iter().filter(holds).map(|o| o.name.as_str()).collect();
+                score.notes.push(format!("false new {:.2} at {b:.2}, within the bounds of {near:?}", found.size));
             }
             _ => {}
         }

@@ -338,21 +338,9 @@ struct Start {
 }
 
 impl Start {
-    /// As the command: a scanner of one row determines x, y and yaw only.
-    fn options(&self, sensor: &OurSensor) -> EstimateOptions {
-        let options = match sensor.spec().geometry {
-            Geometry::Scanner(_) if sensor.height() == 1 => EstimateOptions::planar(),
-            Geometry::Rays(_) => EstimateOptions::scan(),
-            _ => EstimateOptions::default(),
-        };
-        let model_sigma = self.model_sigma.unwrap_or(options.model_sigma);
-        // The polygons of one plane share an offset that is about as large as each polygon's own.
-        let offset_sigma = if self.model_sigma.is_some() { 0.7 * model_sigma } else { options.offset_sigma };
-        options.with_model_sigma(model_sigma).with_offset_sigma(offset_sigma.max(1e-3))
-    }
-
     fn localizer(&self, world: &presight::World, sensor: &OurSensor, threads: usize) -> Result<Ours, Error> {
-        let options = self.options(sensor);
+        // As the command: a scanner of one row determines x, y and yaw only.
+        let options = EstimateOptions::of(sensor).with_stated_sigma(self.model_sigma);
         let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads))?;
         let mut estimator = Estimator::new(predictor, options);
         if let Some(prior) = self.prior {

@@ -74,9 +74,9 @@ fn a_robot_is_found_and_found_again_after_it_was_carried_away() {
     }
 }
 
-/// A wall that the map still has is removed while the robot is tracked: half of the beams pass through its place. The
-/// robot counts as lost; then no place of the map fits better than the tracked one, and tracking goes on. A robot
-/// carried away at that moment is never reported there.
+/// A wall that the map still has is removed while the robot is tracked: half of the beams pass through its place. What is
+/// left of the room still singles out the place, so the pose is kept and never wrong. A robot that is carried away at that
+/// moment is not tracked at that frame, and never where it was.
 #[test]
 fn a_robot_is_followed_on_where_the_map_has_changed() {
     let (map, mut random) = (room(Vec3::ZERO), Random(25));
@@ -84,27 +84,21 @@ fn a_robot_is_followed_on_where_the_map_has_changed() {
     let away = Pose::from_xyz_rpy(DVec3::new(4.6, 2.0, 0.0), 0.0, 0.0, -2.4);
     for carried_away in [false, true] {
         let mut robot = unknown(&map);
-        let (mut lost, mut told) = (None, Vec::new());
+        let mut tracked = 0;
         for k in 0..28 {
             let (world, taken) = if k < 14 { (&map, false) } else { (&changed, carried_away) };
             let (from, steps) = if taken { (away, k - 14) } else { (start(), k) };
             let (mut frame, truth) = frame(world, &from, steps, &mut random);
             frame.stamp = k as f64;
             let step = robot.step(&map, &frame).unwrap();
-            if step.phase == Phase::Lost {
-                lost.get_or_insert(k);
+            if step.phase == Phase::Tracking {
+                let (metres, degrees) = apart(&step.pose.world_from_robot, &truth);
+                assert!(metres < 0.1 && degrees < 1.5, "{k}: {metres} m {degrees} deg, {}", step.reason);
+                tracked += usize::from(k >= 14);
             }
-            if step.phase == Phase::Tracking && lost.is_some() {
-                told.push((k, apart(&step.pose.world_from_robot, &truth), step.reason));
-            }
+            assert!(k != 14 || !carried_away || step.phase != Phase::Tracking, "{}", step.reason);
         }
-        assert!(lost.is_some_and(|k| k < 19), "lost at {lost:?}");
-        assert!(told.iter().all(|(_, off, _)| off.0 < 0.1 && off.1 < 1.5), "{told:?}");
-        if !carried_away {
-            let (first, _, reason) = told.first().expect("the robot is tracked again");
-            assert!(*first < lost.unwrap() + 10 && reason.contains("the map has changed"), "{told:?}");
-            assert_eq!(told.len(), 28 - first, "{told:?}");
-        }
+        assert!(carried_away || tracked >= 10, "tracked in {tracked} of 14 frames");
     }
 }
 
@@ -148,8 +142,9 @@ fn a_sensor_without_a_greatest_range_is_searched_with() {
         let mut frame = Frame::new(finite.stamp, endless.clone(), finite.sensed().clone()).unwrap();
         frame.motion = finite.motion;
         let step = robot.step(&world, &frame).unwrap();
-        assert_eq!(step.phase == Phase::Tracking, k == 4, "{}", step.reason);
-        assert!(k < 4 || apart(&step.pose.world_from_robot, &truth).0 < 0.05, "{:?}", step.pose);
+        let is_tracked = step.phase == Phase::Tracking;
+        assert!(if k < 4 { k > 1 || !is_tracked } else { is_tracked }, "{k}: {}", step.reason);
+        assert!(!is_tracked || apart(&step.pose.world_from_robot, &truth).0 < 0.05, "{:?}", step.pose);
     }
 }
 

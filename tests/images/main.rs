@@ -18,3 +18,4 @@ mod oracle;
 mod ray_tables;
 mod recovery;
 mod small_polygons;
+mod ways;

@@ -1,6 +1,7 @@
 //! Drives through changed sites show objects that are gone, moved and new, without a false change.
 #![cfg(feature = "store")]
 
+mod apply;
 mod boxes;
 #[path = "../../benches/update/case.rs"]
 mod case;

@@ -3,7 +3,7 @@
 use clap::ValueEnum;
 use presight_model::threads::Threads;
 use presight_predict::predict::{Backend, Options};
-use presight_render::plan::Raster;
+use presight_render::plan::{Raster, Way};
 
 /// Flags that choose the engine.
 #[derive(Clone, Debug, clap::Args)]
@@ -33,6 +33,28 @@ enum RasterArg {
     Compute,
     /// The hardware rasterizer for pinhole cameras, spans for everything else
     Render,
+}
+
+/// How the CPU engine finds what rays see.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum WayArg {
+    /// Whichever is faster
+    Auto,
+    /// Polygons in view are selected and drawn
+    Raster,
+    /// Tiles of rays search a tree for each mesh
+    Tiles,
+}
+
+impl WayArg {
+    /// The way of predictor options.
+    pub fn way(self) -> Way {
+        match self {
+            Self::Auto => Way::Auto,
+            Self::Raster => Way::Raster,
+            Self::Tiles => Way::Tiles,
+        }
+    }
 }
 
 impl EngineArgs {

@@ -1,7 +1,7 @@
 //! `presight predict`: the images of a sensor at one or more poses.
 
 use super::deadline::DeadlineArgs;
-use super::engine_args::EngineArgs;
+use super::engine_args::{EngineArgs, WayArg};
 use super::file_names::{FileNames, Paths};
 use super::frame_args::FrameArgs;
 use super::layers::{LayerArgs, Layers, NamedRequest};
@@ -96,6 +96,10 @@ pub struct Args {
 
     #[command(flatten)]
     engine: EngineArgs,
+
+    /// How the CPU engine finds what rays see: by drawing polygons or by tiles of rays through trees; all give the same images
+    #[arg(long, value_enum, default_value_t = WayArg::Auto)]
+    way: WayArg,
 
     /// On a GPU, first draw the polygons visible at the previous pose: faster along a drive, with the same images
     #[arg(long, conflicts_with = "deadline_ms")]
@@ -238,7 +242,7 @@ impl Args {
             files,
             names,
             import,
-            options: self.engine.options(threads).with_reuse_visible(self.reuse_visible),
+            options: self.engine.options(threads).with_reuse_visible(self.reuse_visible).with_way(self.way.way()),
         })
     }
 

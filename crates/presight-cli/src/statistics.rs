@@ -5,7 +5,7 @@ use presight_files::atomic::write_atomically;
 use presight_model::error::{Error, Result};
 use presight_model::statistics::{median, quantile};
 use presight_render::deadline::DeadlineOutcome;
-use presight_render::plan::{CountName, Raster, StageName, StageRow, StageVariant, Stats, Work};
+use presight_render::plan::{CountName, Raster, StageName, StageRow, StageVariant, Stats, Way, Work};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -46,6 +46,9 @@ pub struct Statistics {
     outputs: Vec<&'static str>,
     engine: &'static str,
     adapter: Option<String>,
+    /// How the CPU engine found what rays see.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    way: Option<Way>,
     /// The rasterizer on that adapter.
     #[serde(skip_serializing_if = "Option::is_none")]
     raster: Option<Raster>,
@@ -127,6 +130,7 @@ impl Statistics {
             outputs: subject.outputs,
             engine: last.engine,
             adapter: last.adapter,
+            way: last.way,
             raster: last.raster,
             threads: last.threads,
             index: last.index,
@@ -176,6 +180,7 @@ impl Statistics {
             format!("engine    {}", self.engine_in_words()),
             format!("index     {}", self.index),
         ];
+        lines.extend(self.way.map(|way| format!("way       {way}")));
         lines.extend(self.raster.map(|raster| format!("raster    {raster}")));
         let ms = &self.prediction_ms;
         lines.push(match self.repeat {

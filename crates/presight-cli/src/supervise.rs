@@ -4,8 +4,8 @@ use super::drive::{Drive, Sensed};
 use super::outputs::OutputFiles;
 use super::{CommandOutcome, print};
 use presight::Scene;
+use presight_files::corridor;
 use presight_files::growing::GrowingFile;
-use presight_files::{corridor, load_robot};
 use presight_localize::localize::{Phase, Step};
 use presight_model::error::{Error, Result};
 use presight_model::geometry::Pose;
@@ -79,29 +79,6 @@ pub struct Args {
 }
 
 impl Args {
-    /// The log or logs, with the sensors of --robot.
-    fn drive(&self) -> Result<Drive> {
-        let mut drive = self.drive.clone();
-        let Some(path) = &self.robot else { return Ok(drive) };
-        let (robot, notices) = load_robot(path)?;
-        print::notices(&notices);
-        let first = drive.log.to_string_lossy().into_owned();
-        for named in std::iter::once(&first).chain(&self.beside) {
-            let Some((name, log)) = named.split_once('=') else {
-                let what = format!("{named}: with --robot each log needs the name of its sensor");
-                return Err(Error::usage(what, "give NAME=LOG"));
-            };
-            let Some(sensor) = robot.sensors.iter().find(|s| s.spec().name == name) else {
-                let names: Vec<&str> = robot.sensors.iter().map(|s| s.spec().name.as_str()).collect();
-                let what = format!("{named}: the robot has no sensor {name:?}");
-                return Err(Error::usage(what, format!("name one of {}", names.join(", "))));
-            };
-            drive.robot.push((PathBuf::from(log), sensor.clone()));
-        }
-        drive.log = drive.robot[0].0.clone();
-        Ok(drive)
-    }
-
     fn options(&self) -> Result<SuperviseOptions> {
         let deadline = match self.deadline_ms {
             Some(ms) if !(ms > 0.0 && ms <= 1e9) => {
@@ -146,7 +123,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     files.check_named([args.corridor.as_path()])?;
     files.check_named(args.robot.as_deref())?;
     let corridor = corridor::read(&args.corridor)?;
-    let drive = args.drive()?;
+    let drive = args.drive.of_robot(args.robot.as_deref(), &args.beside)?;
     let mut run: Option<Run> = None;
     drive.follow(files, None, |scene, sensed, step| {
         // Only now: an error before the first step leaves the files of an earlier run.

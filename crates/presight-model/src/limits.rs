@@ -2,6 +2,8 @@
 
 /// Longest image side, in pixels.
 pub const MAX_IMAGE_SIDE: u32 = 16_384;
+/// Most rays of a table of one row, which is a list of rays rather than an image.
+pub const MAX_LISTED_RAYS: u32 = 1_000_000;
 /// Most pixels of one image.
 pub const MAX_PIXELS: u64 = 1 << 26;
 /// Most polygons of one environment; ids are 32 bits and 0 means none.

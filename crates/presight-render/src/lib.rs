@@ -11,4 +11,6 @@ pub mod reference;
 pub mod row;
 pub mod verify;
 
-pub use plan::{FramePlan, IdScheme, ImageRequest, Images, Omission, Output, Outputs, Raster, StageRow, Stats, Work};
+pub use plan::{
+    FramePlan, IdScheme, ImageRequest, Images, Omission, Output, Outputs, Raster, StageRow, Stats, Way, Work,
+};

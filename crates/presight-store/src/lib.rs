@@ -321,6 +321,14 @@ impl Store {
         Ok(Batch::new(self))
     }
 
+    /// Lets other programs write until the next batch begins. If one did, that batch is refused.
+    pub fn release(&mut self) {
+        if self.locked {
+            let _ = self.connection.execute_batch("ROLLBACK");
+            self.locked = false;
+        }
+    }
+
     /// Undoes a log entry by appending its inverse. Returns the numbers of the new entries. With `cascade`, later
     /// changes of the same objects and features are undone before it, newest first.
     ///

@@ -45,3 +45,63 @@ impl UprightBox {
         q.cmple(0.5 * self.size + slack).all()
     }
 }
+
+/// Two boxes take the place of one if they hold so much less than it, as a share.
+const SPLIT: f64 = 0.6;
+/// Places along an edge where a box may be cut.
+const CUTS: usize = 8;
+/// Fewest points of a box.
+const FEWEST: usize = 20;
+/// Times that points are split in two.
+const DEEPEST: usize = 3;
+
+/// Points in several sets whose boxes are together much smaller than one box around all: things that touch, and what is not convex.
+pub(crate) fn split(points: Vec<DVec3>) -> Vec<Vec<DVec3>> {
+    split_to(points, DEEPEST)
+}
+
+fn split_to(points: Vec<DVec3>, depth: usize) -> Vec<Vec<DVec3>> {
+    let volume = |points: &[DVec3]| {
+        let size = UprightBox::of(points).size + THINNEST;
+        size.x * size.y * size.z
+    };
+    let whole = UprightBox::of(&points);
+    let back = whole.pose.inverse();
+    let cut = |axis: usize, share: f64| -> [Vec<DVec3>; 2] {
+        let at = (share - 0.5) * whole.size[axis];
+        let (a, b) = points.iter().partition(|p| back.transform_point(**p)[axis] < at);
+        [a, b]
+    };
+    let cuts = (0..3).flat_map(|axis| (1..CUTS).map(move |k| (axis, k as f64 / CUTS as f64)));
+    let few: Vec<[Vec<DVec3>; 2]> =
+        if depth == 0 { Vec::new() } else { cuts.map(|(axis, at)| cut(axis, at)).collect() };
+    let enough = few.into_iter().filter(|[a, b]| a.len() >= FEWEST && b.len() >= FEWEST);
+    let best = enough.map(|[a, b]| (volume(&a) + volume(&b), a, b)).min_by(|x, y| x.0.total_cmp(&y.0));
+    match best {
+        Some((sum, a, b)) if sum <= SPLIT * volume(&points) => {
+            [split_to(a, depth - 1), split_to(b, depth - 1)].concat()
+        }
+        _ => vec![points],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn block(least: DVec3, size: DVec3) -> Vec<DVec3> {
+        let at = |k: usize| DVec3::new((k % 6) as f64, (k / 6 % 6) as f64, (k / 36) as f64) / 5.0;
+        (0..216).map(|k| least + size * at(k)).collect()
+    }
+
+    /// A post that touches a low crate: two boxes. One crate alone: one box.
+    #[test]
+    fn things_that_touch_are_split() {
+        let crate_of = block(DVec3::ZERO, DVec3::new(0.8, 0.8, 0.4));
+        assert_eq!(split(crate_of.clone()).len(), 1);
+        let post = block(DVec3::new(0.8, 0.2, 0.0), DVec3::new(0.06, 0.06, 2.5));
+        let mut sizes: Vec<usize> = split([crate_of, post].concat()).iter().map(Vec::len).collect();
+        sizes.sort_unstable();
+        assert!(sizes.len() == 2 && sizes[1] >= 216 && sizes[1] < 300, "{sizes:?}");
+    }
+}

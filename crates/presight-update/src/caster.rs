@@ -173,6 +173,15 @@ impl Caster {
         self.placed.get(*self.of_object.get(&object)?)?.solid.nearest(p_in_object, reach)
     }
 
+    /// The object whose surface is nearest to a point of the world, within `reach` metres, and the point of that surface in the
+    /// object's frame.
+    pub(crate) fn on(&self, p_in_world: DVec3, reach: f64) -> Option<(u32, DVec3)> {
+        let object = self.near(p_in_world, reach)?;
+        let placed = &self.placed[*self.of_object.get(&object)?];
+        let foot = placed.solid.nearest(placed.object_from_world.transform_point(p_in_world), 2.0 * reach)?;
+        Some((object, foot.point))
+    }
+
     /// The object whose surface is nearest to a point of the world, if one is within `reach` metres.
     pub fn near(&self, p_in_world: DVec3, reach: f64) -> Option<u32> {
         let best = std::cell::Cell::new((reach, None));

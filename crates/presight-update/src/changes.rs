@@ -21,7 +21,7 @@ const MOST: f64 = 13.8;
 ///
 /// `base` names the version of the model that the findings are of: lines of one version have ids of their own, so that
 /// nothing is applied twice. `utc` is added to the stamps of frames, seconds. The policy says which findings change the
-/// model, and which only mark it.
+/// model, and which only mark it. What the model has marked already is left out.
 pub fn change_lines(
     learner: &Learner,
     findings: &Findings,
@@ -35,10 +35,9 @@ pub fn change_lines(
     let environment = world.environment();
     let mut lines = Vec::new();
     for (number, finding) in findings.changes.iter().enumerate() {
-        match policy.of(&finding.what) {
-            Action::Change => lines.push(line(finding, environment, base, number)),
-            Action::Mark => lines.extend(mark_line(finding, base)),
-            Action::Stop | Action::ComeBack | Action::Ignore => {}
+        let action = policy.of(&finding.what);
+        if matches!(action, Action::Change | Action::Mark) {
+            lines.extend(line(finding, environment, (base, number), action == Action::Mark));
         }
     }
     let trust: Vec<Value> =
@@ -52,62 +51,81 @@ pub fn change_lines(
         let cause = format!("{} features were searched", features.len());
         lines.push(with_id(json!({"op": "group", "changes": features, "cause": cause}), base));
     }
+    let known = (&**environment, &learner.casters);
+    let new = learner.looks.insertions(known, learner.options.least_views, utc, base);
+    lines.extend(new.into_iter().map(|op| with_id(op, base)));
     lines
 }
 
-fn line(finding: &Finding, environment: &Environment, base: &str, number: usize) -> String {
+/// The line of a finding; `None` if the model says so already.
+fn line(
+    finding: &Finding,
+    environment: &Environment,
+    (base, number): (&str, usize),
+    only_mark: bool,
+) -> Option<String> {
     let Finding { object, what, l, views, .. } = finding;
     let known = environment.object(object).map(|o| numbers(&o.world_from_object));
-    let (op, cause) = match what {
+    let provisional = format!("provisional/{base}-{}", number + 1);
+    let uncertain = mark(&format!("uncertain {object}"), object, "uncertain");
+    let (mut value, cause) = match what {
+        What::Gone if only_mark => (uncertain, format!("{object} is not where the model has it")),
         What::Gone => (json!({"op": "delete_object", "object": object}), format!("{object} is gone")),
-        What::Moved { world_from_object, distance } => (
-            json!({"op": "set_pose", "object": object, "pose": numbers(world_from_object)}),
-            format!("{object} was moved by {distance:.3} m"),
-        ),
+        What::Moved { world_from_object, distance } => {
+            let pose = numbers(world_from_object);
+            let copy = json!({"op": "insert_object", "object": provisional, "pose": pose, "like": object});
+            let op = if only_mark {
+                json!({"op": "group", "changes": [uncertain, copy, mark(&provisional, &provisional, "uncertain")]})
+            } else {
+                json!({"op": "set_pose", "object": object, "pose": pose})
+            };
+            (op, format!("{object} was moved by {distance:.3} m"))
+        }
         What::New(found) => {
-            let name = format!("provisional/{base}-{}", number + 1);
             let half = (0.5 * found.size).as_vec3();
             let vertices: Vec<[f32; 3]> = cuboid_corners(-half, half).iter().map(|v| v.to_array()).collect();
-            let insert = json!({"op": "insert_object", "object": name, "pose": numbers(&found.pose),
+            let insert = json!({"op": "insert_object", "object": provisional, "pose": numbers(&found.pose),
                 "vertices": vertices, "polygons": CUBOID_FACES});
-            let mark = json!({"op": "set_mark", "mark": name, "object": name, "kind": "uncertain"});
-            (
-                json!({"op": "group", "changes": [insert, mark]}),
-                "something stands where the model has nothing".to_owned(),
-            )
+            let op = json!({"op": "group", "changes": [insert, mark(&provisional, &provisional, "uncertain")]});
+            (op, "something stands where the model has nothing".to_owned())
         }
         What::Part(b) => {
-            let mark = format!("{object} part {base}-{}", number + 1);
-            let bounds = [b.min.to_array(), b.max.to_array()];
-            let op = json!({"op": "set_mark", "mark": mark, "object": object, "kind": "uncertain", "box": bounds});
+            let mut op = mark(&format!("{object} part {base}-{}", number + 1), object, "uncertain");
+            op["box"] = json!([b.min.to_array(), b.max.to_array()]);
             (op, format!("a part of {object} is gone"))
         }
+        What::SeenThrough(class) => {
+            let mut op = mark(&format!("{object} for {class}"), object, "absent");
+            op["class"] = class.as_str().into();
+            (op, format!("sensors of class {class} see through {object}"))
+        }
+        What::ComesAndGoes => (uncertain, format!("{object} comes and goes")),
     };
-    let mut value = op;
+    if is_marked(finding, environment, only_mark) {
+        return None;
+    }
     value["cause"] = cause.into();
     value["evidence"] = json!({"log_odds": (100.0 * l).round() / 100.0, "views": views});
     if let Some(pose) = known {
         value["was"] = json!([{"object": object, "pose": pose}]);
     }
-    with_id(value, base)
+    Some(with_id(value, base))
 }
 
-/// The line that marks an object as uncertain; `None` for something new, which the model does not have.
-fn mark_line(finding: &Finding, base: &str) -> Option<String> {
-    let Finding { object, what, l, views, .. } = finding;
-    let bounds = match what {
-        What::New(_) => return None,
-        What::Part(b) => Some([b.min.to_array(), b.max.to_array()]),
-        What::Gone | What::Moved { .. } => None,
+fn mark(name: &str, object: &str, kind: &str) -> Value {
+    json!({"op": "set_mark", "mark": name, "object": object, "kind": kind})
+}
+
+/// True if a mark of the model already says what a finding would mark.
+fn is_marked(finding: &Finding, environment: &Environment, only_mark: bool) -> bool {
+    let says = |m: &Mark| match &finding.what {
+        What::Gone | What::Moved { .. } => only_mark && m.kind == MarkKind::Uncertain && m.bounds.is_none(),
+        What::ComesAndGoes => m.kind == MarkKind::Uncertain && m.bounds.is_none(),
+        What::SeenThrough(class) => m.kind == MarkKind::Absent && m.bounds.is_none() && m.concerns(class),
+        What::Part(part) => m.bounds.is_none_or(|b| b.min.cmple(part.min).all() && b.max.cmpge(part.max).all()),
+        What::New(_) => false,
     };
-    let mut op =
-        json!({"op": "set_mark", "mark": format!("uncertain {object}"), "object": object, "kind": "uncertain"});
-    if let Some(bounds) = bounds {
-        op["box"] = json!(bounds);
-    }
-    op["cause"] = format!("{object} is not as the model has it").into();
-    op["evidence"] = json!({"log_odds": (100.0 * l).round() / 100.0, "views": views});
-    Some(with_id(op, base))
+    environment.marks().any(|(_, m)| m.object == finding.object && says(m))
 }
 
 /// The trust in an object after views of it, by Bayes from the trust before.
@@ -157,6 +175,15 @@ impl Finding {
             What::Part(bounds) => {
                 let mark = Mark { object: name(), kind: MarkKind::Uncertain, class: None, bounds: Some(*bounds) };
                 Change::SetMark { name: format!("{} part at {}", self.object, bounds.min), mark }
+            }
+            What::SeenThrough(class) => {
+                let class = Some(class.clone());
+                let mark = Mark { object: name(), kind: MarkKind::Absent, class, bounds: None };
+                Change::SetMark { name: format!("{} seen through", self.object), mark }
+            }
+            What::ComesAndGoes => {
+                let mark = Mark { object: name(), kind: MarkKind::Uncertain, class: None, bounds: None };
+                Change::SetMark { name: format!("{} comes and goes", self.object), mark }
             }
         }
     }

@@ -1,29 +1,27 @@
 //! From evidence to changes: objects that are gone, moved, new, or still in doubt.
 
-use crate::boxes::UprightBox;
+use crate::boxes::{UprightBox, split};
 use crate::caster::Caster;
 use crate::evidence::{BIG, Book, Evidence, PART};
-use crate::fit::{Fitter, Score, Thing};
+use crate::fit::Thing;
 use crate::learn::{LearnOptions, Learner};
+use crate::moves::Place;
 use crate::parts::{Part, parts};
 use crate::view::{NOTHING, Says, View};
-use crate::voxels::{Occupied, Voxels};
+use crate::voxels::{Occupied, Voxels, joined};
 use glam::DVec3;
-use pathfinding::prelude::{Matrix, kuhn_munkres};
 use presight_localize::verdict::body_from_image;
-use presight_model::environment::Environment;
+use presight_model::environment::{Appearance, Environment, Material};
 use presight_model::geometry::{Aabb, Pose};
 use presight_model::world::World;
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 /// The shortest move that counts, metres.
 const LEAST_MOVE: f64 = 0.02;
-/// A group may be so far from the object that is fitted to it, metres.
-const FARTHEST: f64 = 5.0;
-/// The share of a group's points that an object explains which stands there.
-const LEAST_EXPLAINED: f64 = 0.7;
 /// Voxels and points of the smallest thing that is reported as new.
-const LEAST_NEW: (usize, usize) = (3, 20);
+pub(crate) const LEAST_NEW: (usize, usize) = (3, 20);
+/// The largest share of views that may see through most of a new thing.
+const MOST_AWAY: f64 = 0.1;
 /// If a larger share of the decided objects changed, the map, the mount or the sensor is wrong.
 const MOST_CHANGED: f64 = 0.5;
 /// Fewer changes are never too many.
@@ -45,6 +43,10 @@ pub enum What {
     New(UprightBox),
     /// A part of a big object is gone; the box around it is in the object's frame.
     Part(Aabb),
+    /// Sensors of this class see through an object that others see, or that they see themselves where rays meet it flat: glass.
+    SeenThrough(String),
+    /// An object stands there at times, and at others not, as a door does.
+    ComesAndGoes,
 }
 
 /// One difference between model and site, sure enough to change the model.
@@ -65,10 +67,12 @@ pub struct Finding {
 }
 
 /// A view that shows a finding.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Sight {
     /// The number of the drive, from 0.
     pub drive: usize,
+    /// The name of the sensor.
+    pub sensor: String,
     /// The stamp of the frame, seconds.
     pub stamp: f64,
     /// The pose of the sensor, body axes.
@@ -104,15 +108,7 @@ pub struct Findings {
 /// A group of points that nothing explains.
 pub(crate) struct Group {
     pub points: Vec<DVec3>,
-    pub voxels: usize,
     pub bounds: Aabb,
-}
-
-/// A pose that explains what an object became.
-#[derive(Clone, Copy)]
-struct Place {
-    pose: Pose,
-    score: Score,
 }
 
 impl Learner {
@@ -125,17 +121,18 @@ impl Learner {
         let Some(caster) = casters.get(&class) else { return Findings::default() };
         let environment = world.environment();
         let decision = Decision { environment, caster, book, voxels, views, options };
-        decision.findings()
+        let findings = decision.findings();
+        Findings { wrong: self.pulled.wrong().or(findings.wrong), ..findings }
     }
 }
 
-struct Decision<'a> {
-    environment: &'a Environment,
-    caster: &'a Caster,
-    book: &'a Book,
-    voxels: &'a Voxels,
-    views: &'a VecDeque<View>,
-    options: &'a LearnOptions,
+pub(crate) struct Decision<'a> {
+    pub environment: &'a Environment,
+    pub caster: &'a Caster,
+    pub book: &'a Book,
+    pub voxels: &'a Voxels,
+    pub views: &'a VecDeque<View>,
+    pub options: &'a LearnOptions,
 }
 
 impl Decision<'_> {
@@ -149,11 +146,7 @@ impl Decision<'_> {
             match (self.book.objects.get(&object), moves.get(&object)) {
                 (Some(_), Some(place)) => self.add_moved(&mut found, object, name, place),
                 (None, _) => found.unseen += 1,
-                (Some(evidence), None) if self.is_gone(object, evidence) => {
-                    let (l, views) = (-evidence.l, evidence.views);
-                    found.changes.push(self.finding(name, What::Gone, l, views));
-                }
-                (Some(evidence), None) => self.add_rest(&mut found, object, name, evidence),
+                (Some(evidence), None) => self.add_standing(&mut found, object, name, evidence),
             }
         }
         let changed = found.changes.iter().filter(|f| matches!(f.what, What::Gone | What::Moved { .. })).count();
@@ -169,6 +162,8 @@ impl Decision<'_> {
             What::Moved { .. } => 1,
             What::New(_) => 2,
             What::Part(_) => 3,
+            What::SeenThrough(_) => 4,
+            What::ComesAndGoes => 5,
         };
         found.changes.sort_by(|a, b| rank(a).cmp(&rank(b)).then(b.l.total_cmp(&a.l)));
         found
@@ -183,7 +178,7 @@ impl Decision<'_> {
                 let thing = Thing::new(self.environment, object);
                 (world_from_object.transform_point(thing.middle), thing.radius)
             }),
-            What::Gone | What::Part(_) => None,
+            What::Gone | What::Part(_) | What::SeenThrough(_) | What::ComesAndGoes => None,
         };
         let shows = |view: &&View| {
             let through = |at: &usize| Some(view.object[*at]) == index && view.says[*at] == Says::Through;
@@ -193,13 +188,14 @@ impl Decision<'_> {
         let best = self.views.iter().max_by_key(shows).filter(|view| shows(view) > 0);
         let sight = best.map(|view| Sight {
             drive: view.drive,
+            sensor: view.kept.sensor.spec().name.clone(),
             stamp: view.stamp,
             world_from_sensor: view.world_from_image * body_from_image(&view.kept.sensor).inverse(),
         });
         Finding { object, what, l, views, sight, growth }
     }
 
-    fn live(&self) -> impl Iterator<Item = u32> {
+    pub fn live(&self) -> impl Iterator<Item = u32> {
         (0..).zip(self.environment.objects()).filter(|(_, o)| !o.is_deleted()).map(|(object, _)| object)
     }
 
@@ -219,72 +215,6 @@ impl Decision<'_> {
             && gone as f64 >= self.options.least_agreeing * (stand + gone).max(1) as f64
     }
 
-    fn is_sure(&self, score: &Score) -> bool {
-        score.l >= self.options.sure
-            && score.views >= self.options.least_views
-            && score.share() >= self.options.least_agreeing
-    }
-
-    /// Where doubted objects stand now, by an assignment: one place takes one object.
-    fn moves(&self, doubted: &[u32], groups: &[Group]) -> BTreeMap<u32, Place> {
-        let fitter = Fitter {
-            caster: self.caster,
-            views: self.views.iter().collect(),
-            most_per_view: self.options.most_per_view,
-        };
-        let (columns, rows) = (groups.len() + doubted.len(), doubted.len());
-        if rows == 0 {
-            return BTreeMap::new();
-        }
-        let mut places: BTreeMap<(usize, usize), Place> = BTreeMap::new();
-        for (row, object) in doubted.iter().enumerate() {
-            let thing = Thing::new(self.environment, *object);
-            let own = self.environment.objects()[*object as usize].world_from_object;
-            let mut add = |column: usize, start: &Pose| {
-                let pose = fitter.settle(&thing, start);
-                let score = fitter.score(&thing, &pose);
-                if self.is_sure(&score) && fitter.is_held(&thing, &pose) {
-                    places.insert((row, column), Place { pose, score });
-                }
-            };
-            add(groups.len() + row, &own);
-            for (column, group) in groups.iter().enumerate() {
-                let middle = own.transform_point(thing.middle);
-                let fits = group.bounds.size() <= 2.6 * thing.radius + 0.3
-                    && group.bounds.center().distance(middle) <= FARTHEST;
-                if !fits || group.points.len() < LEAST_NEW.1 {
-                    continue;
-                }
-                let (start, explained) = fitter.best(&thing, &own, group.bounds.center(), &group.points);
-                if explained >= LEAST_EXPLAINED {
-                    add(column, &start);
-                }
-            }
-        }
-        let weight = |(row, column)| places.get(&(row, column)).map_or(0, |p: &Place| (100.0 * p.score.l) as i64);
-        let (_, assigned) = kuhn_munkres(&Matrix::from_fn(rows, columns, weight));
-        let mut taken: Vec<(u32, Place)> = assigned
-            .into_iter()
-            .enumerate()
-            .filter_map(|(row, column)| Some((doubted[row], *places.get(&(row, column))?)))
-            .collect();
-        // Two groups may be parts of one thing: the surer object keeps the place.
-        taken.sort_by(|a, b| b.1.score.l.total_cmp(&a.1.score.l));
-        let mut kept: BTreeMap<u32, Place> = BTreeMap::new();
-        for (object, place) in taken {
-            let thing = Thing::new(self.environment, object);
-            let middle = place.pose.transform_point(thing.middle);
-            let is_taken = kept.iter().any(|(other, there)| {
-                let other = Thing::new(self.environment, *other);
-                there.pose.transform_point(other.middle).distance(middle) < 0.5 * thing.radius.min(other.radius)
-            });
-            if !is_taken {
-                kept.insert(object, place);
-            }
-        }
-        kept
-    }
-
     fn add_moved(&self, found: &mut Findings, object: u32, name: String, place: &Place) {
         let thing = Thing::new(self.environment, object);
         let before = self.environment.objects()[object as usize].world_from_object;
@@ -296,6 +226,34 @@ impl Decision<'_> {
         }
         let what = What::Moved { world_from_object: place.pose, distance };
         found.changes.push(self.finding(name, what, place.score.l, place.score.views));
+    }
+
+    /// An object that did not move: it is gone, or seen through by some sensors, or comes and goes, or else.
+    fn add_standing(&self, found: &mut Findings, object: u32, name: String, evidence: &Evidence) {
+        let is_gone = self.is_gone(object, evidence);
+        let mut through = self.book.see_through(object, self.options);
+        if is_gone && self.has_glass(object) {
+            through.extend(self.views.back().map(|view| view.kept.sensor.spec().class.clone()));
+        }
+        let what = if !through.is_empty() {
+            through.into_iter().map(What::SeenThrough).collect()
+        } else if is_gone {
+            vec![What::Gone]
+        } else if self.book.comes_and_goes(object, self.options) {
+            vec![What::ComesAndGoes]
+        } else {
+            return self.add_rest(found, object, name, evidence);
+        };
+        let (l, views) = if is_gone { (-evidence.l, evidence.views) } else { (evidence.less, evidence.against) };
+        found.changes.extend(what.into_iter().map(|what| self.finding(name.clone(), what, l, views)));
+    }
+
+    /// True if some sensors see through a material of an object.
+    fn has_glass(&self, object: u32) -> bool {
+        let mesh = &self.environment.objects()[object as usize].mesh;
+        let materials = self.environment.materials();
+        let is_glass = |material: &Material| material.appearance.values().any(|a| *a != Appearance::Opaque);
+        (0..mesh.polygon_count() as u32).any(|polygon| is_glass(&materials[usize::from(mesh.material(polygon))]))
     }
 
     /// An object that is neither gone nor moved: it stands, perhaps without a part, or is in doubt.
@@ -330,26 +288,44 @@ impl Decision<'_> {
         Some(best.world_from_image * body_from_image(&best.kept.sensor).inverse())
     }
 
+    /// What no moved object explains, in pieces, is new.
     fn add_new(&self, found: &mut Findings, groups: &[Group], moves: &BTreeMap<u32, Place>) {
+        let is_explained = |p: &DVec3| {
+            moves.iter().any(|(object, place)| {
+                self.caster.foot(*object, place.pose.inverse().transform_point(*p), 0.1).is_some()
+            })
+        };
         for group in groups {
-            let is_explained = |p: &&DVec3| {
-                moves.iter().any(|(object, place)| {
-                    self.caster.foot(*object, place.pose.inverse().transform_point(**p), 0.1).is_some()
-                })
-            };
             let left: Vec<DVec3> = group.points.iter().filter(|p| !is_explained(p)).copied().collect();
-            let most = left.len() as f64 >= 0.5 * group.points.len() as f64;
-            if group.voxels < LEAST_NEW.0 || left.len() < LEAST_NEW.1 || !most {
-                continue;
+            let pieces = self.pieces(&left);
+            let whole = if pieces.is_empty() && self.is_thing(&left) { vec![left] } else { pieces };
+            for points in whole.into_iter().flat_map(split) {
+                let l = self.options.most_per_view * f64::from(self.options.least_views);
+                let what = What::New(UprightBox::of(&points));
+                found.changes.push(self.finding(String::new(), what, l, self.options.least_views));
             }
-            let l = self.options.most_per_view * f64::from(self.options.least_views);
-            let what = What::New(UprightBox::of(&left));
-            found.changes.push(self.finding(String::new(), what, l, self.options.least_views));
         }
+    }
+
+    fn is_thing(&self, points: &[DVec3]) -> bool {
+        let voxels: BTreeSet<[i32; 3]> = points.iter().map(|p| self.voxels.key(*p)).collect();
+        voxels.len() >= LEAST_NEW.0 && points.len() >= LEAST_NEW.1
+    }
+
+    /// The pieces of a group that are large enough; the voxels of a piece touch.
+    fn pieces(&self, points: &[DVec3]) -> Vec<Vec<DVec3>> {
+        let keys = joined(points.iter().map(|p| self.voxels.key(*p)), 1);
+        let of_voxel: BTreeMap<[i32; 3], usize> =
+            keys.iter().enumerate().flat_map(|(piece, keys)| keys.iter().map(move |key| (*key, piece))).collect();
+        let mut pieces = vec![Vec::new(); keys.len()];
+        points.iter().for_each(|p| pieces[of_voxel[&self.voxels.key(*p)]].push(*p));
+        pieces.retain(|piece| self.is_thing(piece));
+        pieces
     }
 }
 
-/// The groups of occupied voxels, with the points in them.
+/// The groups of occupied voxels, with the points in them. A person who comes by again and again leaves voxels that are hit more
+/// often than passed, and not a thing: in other views most of these voxels are seen through at once.
 pub(crate) fn groups(voxels: &Voxels, views: &VecDeque<View>) -> Vec<Group> {
     let keys = voxels.groups(&Occupied::default());
     let mut of_voxel = BTreeMap::new();
@@ -357,15 +333,28 @@ pub(crate) fn groups(voxels: &Voxels, views: &VecDeque<View>) -> Vec<Group> {
         of_voxel.extend(keys.iter().map(|key| (*key, group)));
     }
     let mut points: Vec<Vec<DVec3>> = vec![Vec::new(); keys.len()];
-    for p in views.iter().flat_map(|view| &view.news) {
-        if let Some(group) = of_voxel.get(&voxels.key(*p)) {
-            points[*group].push(*p);
+    // Views that see something of a group, and views that see through most of it.
+    let mut votes = vec![(0usize, 0usize); keys.len()];
+    for view in views {
+        let mut seen = BTreeSet::new();
+        for p in &view.news {
+            if let Some(group) = of_voxel.get(&voxels.key(*p)) {
+                points[*group].push(*p);
+                seen.insert(*group);
+            }
+        }
+        for (group, keys) in keys.iter().enumerate() {
+            if seen.contains(&group) {
+                votes[group].0 += 1;
+            } else {
+                let passed = |key: &&[i32; 3]| voxels.mean(**key).is_some_and(|mean| view.passed(mean, voxels.size()));
+                let through = keys.iter().filter(passed).count();
+                votes[group].1 += usize::from(2 * through > keys.len());
+            }
         }
     }
-    let group = |(keys, points): (Vec<[i32; 3]>, Vec<DVec3>)| Group {
-        voxels: keys.len(),
-        bounds: Aabb::of(points.iter().copied()),
-        points,
-    };
-    keys.into_iter().zip(points).map(group).filter(|group| !group.points.is_empty()).collect()
+    let stands = |(there, away): (usize, usize)| away as f64 <= MOST_AWAY * (there + away) as f64;
+    let group = |points: Vec<DVec3>| Group { bounds: Aabb::of(points.iter().copied()), points };
+    let standing = points.into_iter().zip(votes).filter(|(_, votes)| stands(*votes)).map(|(points, _)| points);
+    standing.filter(|points| !points.is_empty()).map(group).collect()
 }

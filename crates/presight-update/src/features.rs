@@ -1,13 +1,21 @@
-//! Minor changes of features: whether they exist, by Bayes from the looks at them.
+//! Minor changes of features: whether they exist and what they look like, by Bayes from the looks at them; and new reflectors.
 
+use crate::caster::Caster;
+use crate::sightings::{Sighting, Tracks, place_of};
+use crate::view::BOUND;
+use glam::{DMat3, DVec3};
 use presight_files::layer::to_fields;
 use presight_localize::extract::{FeatureClass, Findings};
-use presight_model::environment::{Environment, Existence, Feature};
+use presight_model::environment::{Environment, Existence, Feature, FeatureShape, Properties};
+use presight_model::geometry::PoseEstimate;
+use presight_model::measured::Frame;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 
 /// The share of looks in which an extractor finds something where nothing is.
 const FALSE: f64 = 0.05;
+/// Existence where the layer says 1: one in a hundred features of a model is not there.
+const UNSTATED: f64 = 0.99;
 /// The share of successful looks is learnt from here on: nine of ten.
 const BEFORE: (f64, f64) = (9.0, 10.0);
 /// Below this existence a feature is deleted.
@@ -16,58 +24,99 @@ const LEAST: f64 = 0.02;
 const TOGETHER: f64 = 0.5;
 /// The most that the evidence of one run counts, natural logarithm of odds.
 const MOST: f64 = 13.8;
+/// Strength and contrast of the layer count as much as this number of looks.
+const KNOWN: f64 = 10.0;
+
+/// One view of a feature.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Look {
+    pub class: String,
+    pub id: u32,
+    pub found: bool,
+    pub strength: Option<f64>,
+    pub contrast: Option<f64>,
+    /// Where it was found, if that was measured.
+    pub place: Option<Sighting>,
+}
+
+/// What one image shows of features.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct Looked {
+    pub looks: Vec<Look>,
+    /// Reflectors that no feature of the layer predicts.
+    pub only_found: Vec<Sighting>,
+}
+
+/// The looks of one image. What fails together fails for one reason, such as a dark image, and says nothing.
+pub(crate) fn looks_of(frame: &Frame, findings: &Findings, pose: &PoseEstimate) -> Looked {
+    let class = &frame.sensor().spec().class;
+    let mut looks: BTreeMap<u32, Look> = BTreeMap::new();
+    let (mut found, mut all) = (0usize, 0usize);
+    for feature in &findings.features {
+        let at = match feature.class {
+            FeatureClass::Matched(at) => Some(&findings.detections[at]),
+            FeatureClass::Missing | FeatureClass::Undecidable => None,
+            FeatureClass::Occluded => continue,
+        };
+        (found, all) = (found + usize::from(at.is_some()), all + 1);
+        // Parts of one edge are one feature: it is found if one of its parts is.
+        let before = looks.get(&feature.id).is_some_and(|look| look.found);
+        if !before {
+            let look = Look {
+                class: class.clone(),
+                id: feature.id,
+                found: at.is_some(),
+                strength: at.and_then(|d| d.properties.strength),
+                contrast: at.and_then(|d| d.properties.contrast),
+                place: at.and_then(|d| place_of(frame.sensor(), d, pose)),
+            };
+            looks.insert(feature.id, look);
+        }
+    }
+    if (found as f64) < TOGETHER * all as f64 || (found == 0 && all > 0) {
+        return Looked::default();
+    }
+    let detected = findings.only_found.iter().map(|at| &findings.detections[*at]);
+    let only_found = detected.filter_map(|d| place_of(frame.sensor(), d, pose)).collect();
+    Looked { looks: looks.into_values().collect(), only_found }
+}
 
 /// The looks at one feature.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 struct Looks {
     found: u32,
     missed: u32,
     /// Stamp of the last view that found it, seconds.
     last: f64,
-}
-
-/// One view of a feature: its class of sensors, its id, and whether it was found.
-pub(crate) type Look = (String, u32, bool);
-
-/// The looks of one image. What fails together fails for one reason, such as a dark image, and says nothing.
-pub(crate) fn looks_of(class: &str, findings: &Findings) -> Vec<Look> {
-    let look = |found: bool| move |id: u32| (class.to_owned(), id, found);
-    let (mut all, mut found) = (Vec::new(), 0usize);
-    for feature in &findings.features {
-        match feature.class {
-            FeatureClass::Matched(_) => {
-                found += 1;
-                all.push(look(true)(feature.id));
-            }
-            FeatureClass::Missing | FeatureClass::Undecidable => all.push(look(false)(feature.id)),
-            FeatureClass::Occluded => {}
-        }
-    }
-    if (found as f64) < TOGETHER * all.len() as f64 || found == 0 {
-        return Vec::new();
-    }
-    // Parts of one edge are one feature: it is found if one of its parts is.
-    let mut merged: BTreeMap<u32, bool> = BTreeMap::new();
-    all.into_iter().for_each(|(_, id, found)| *merged.entry(id).or_default() |= found);
-    merged.into_iter().map(|(id, found)| look(found)(id)).collect()
+    /// Sums and numbers of measured strengths and contrasts.
+    strength: (f64, f64),
+    contrast: (f64, f64),
+    place: Tracks,
 }
 
 /// All looks so far.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct LookBook {
     all: BTreeMap<(String, u32), Looks>,
+    /// Reflectors that were only found.
+    new: Tracks,
 }
 
 impl LookBook {
-    pub fn add(&mut self, looks: &[Look], stamp: f64) {
-        for (class, id, found) in looks {
-            let looks = self.all.entry((class.clone(), *id)).or_default();
-            if *found {
-                (looks.found, looks.last) = (looks.found + 1, stamp);
-            } else {
+    pub fn add(&mut self, looked: &Looked, stamp: f64) {
+        for look in &looked.looks {
+            let looks = self.all.entry((look.class.clone(), look.id)).or_default();
+            if !look.found {
                 looks.missed += 1;
+                continue;
             }
+            (looks.found, looks.last) = (looks.found + 1, stamp);
+            for (sum, value) in [(&mut looks.strength, look.strength), (&mut looks.contrast, look.contrast)] {
+                *sum = value.map_or(*sum, |value| (sum.0 + value, sum.1 + 1.0));
+            }
+            looks.place.add(look.place.as_slice(), stamp);
         }
+        self.new.add(&looked.only_found, stamp);
     }
 
     /// The share of looks in which the extractor finds a feature of a class that exists.
@@ -79,26 +128,121 @@ impl LookBook {
         (found / all).clamp(0.5, 0.99)
     }
 
-    /// Operations that set the existence of features, and delete features that hardly exist.
+    /// Operations that set what is known of features, and delete features that hardly exist.
     pub fn changes(&self, environment: &Environment, least_views: u32, utc: f64) -> Vec<Value> {
         let change = |((class, id), looks): (&(String, u32), &Looks)| {
             let feature = environment.feature(class, *id)?;
-            let after = after(&feature.existence, looks, self.share(class), utc);
-            if after.p0 < LEAST && looks.missed >= least_views {
+            let existence = after(&feature.existence, looks, self.share(class), utc);
+            if existence.p0 < LEAST && looks.missed >= least_views {
                 return Some(json!({"op": "delete_feature", "class": class, "feature": id}));
             }
-            let feature = Feature { existence: after, ..feature.clone() };
+            let properties = Properties {
+                strength: mean(feature.properties.strength, looks.strength),
+                contrast: mean(feature.properties.contrast, looks.contrast),
+                ..feature.properties.clone()
+            };
+            let shape = located(feature, looks, environment);
+            let feature = Feature { existence, properties, shape, ..feature.clone() };
             let fields = serde_json::to_value(to_fields(&feature)).ok()?;
             Some(json!({"op": "set_feature", "class": class, "feature": fields}))
         };
         self.all.iter().filter_map(change).collect()
     }
+
+    /// Operations that insert what was only found at one place in space from several views: on the surface there, or on a small
+    /// provisional object. `base` names it.
+    pub fn insertions(
+        &self,
+        (environment, casters): (&Environment, &BTreeMap<String, Caster>),
+        least_views: u32,
+        utc: f64,
+        base: &str,
+    ) -> Vec<Value> {
+        let mut next: BTreeMap<&str, u32> = BTreeMap::new();
+        let mut all = Vec::new();
+        for track in self.new.iter().filter(|track| track.views >= least_views) {
+            let (place, covariance) = track.place();
+            let class = track.class.as_str();
+            let last = || environment.layer(class).and_then(|l| l.features.iter().map(|f| f.id).max()).unwrap_or(0);
+            let id = next.entry(class).or_insert_with(last);
+            *id += 1;
+            let looks = Looks { found: track.views, last: track.last, ..Looks::default() };
+            let prior = Existence { p0: FALSE, confirmed: track.last + utc, rate: 0.0 };
+            let existence = after(&prior, &looks, self.share(class), utc);
+            let foot =
+                casters.get(class).and_then(|c| c.on(place, BOUND * covariance.to_cols_array()[0].sqrt() + 0.02));
+            let (object, at, support) = match foot {
+                Some((object, p)) => (environment.objects()[object as usize].name.clone(), p, None),
+                None => {
+                    let name = format!("provisional/{base} reflector {id}");
+                    let (op, at) = support(&name, place, track.from);
+                    (name, at, Some(op))
+                }
+            };
+            let turn =
+                environment.object(&object).map_or(DMat3::IDENTITY, |o| DMat3::from_quat(o.world_from_object.rotation));
+            let covariance = turn.transpose() * covariance * turn;
+            let properties = Properties { strength: mean(None, track.strength), ..Properties::default() };
+            let shape = FeatureShape::Reflector { at, covariance };
+            let feature = Feature { id: *id, name: None, object: Some(object), shape, existence, properties };
+            let Ok(fields) = serde_json::to_value(to_fields(&feature)) else { continue };
+            let insert = json!({"op": "insert_feature", "class": class, "feature": fields});
+            let changes: Vec<Value> = support.into_iter().flatten().chain([insert]).collect();
+            let cause = format!("a reflector was found at {place:.2} from {} views", track.views);
+            all.push(json!({"op": "group", "changes": changes, "cause": cause, "evidence": {"views": track.views}}));
+        }
+        all
+    }
+}
+
+/// A small upright plate through a point that faces where it was seen from, marked as uncertain: its operations, and the point in
+/// its frame.
+fn support(name: &str, place: DVec3, from: DVec3) -> ([Value; 2], DVec3) {
+    const HALF: f32 = 0.02;
+    let yaw = (from.y - place.y).atan2(from.x - place.x);
+    let corner = |y: f32, z: f32| [0.0, y * HALF, z * HALF];
+    let vertices = [corner(-1.0, -1.0), corner(1.0, -1.0), corner(1.0, 1.0), corner(-1.0, 1.0)];
+    let pose = [place.x, place.y, place.z, 0.0, 0.0, yaw.to_degrees()];
+    let insert =
+        json!({"op": "insert_object", "object": name, "pose": pose, "vertices": vertices, "polygons": [[0, 1, 2, 3]]});
+    let mark = json!({"op": "set_mark", "mark": name, "object": name, "kind": "uncertain"});
+    ([insert, mark], DVec3::ZERO)
+}
+
+/// A mean of what the layer says, which counts as several looks, and of the looks.
+fn mean(before: Option<f64>, (sum, count): (f64, f64)) -> Option<f64> {
+    let (known, weight) = before.map_or((0.0, 0.0), |value| (value, KNOWN));
+    (count > 0.0).then(|| ((KNOWN.min(weight) * known + sum) / (weight + count)).clamp(0.0, 1.0)).or(before)
+}
+
+/// The shape with the covariance after the looks. Its point stays where it lies on a surface; so the covariance is about this
+/// point: by how much the most likely place is away from it counts, too.
+fn located(feature: &Feature, looks: &Looks, environment: &Environment) -> FeatureShape {
+    let FeatureShape::Reflector { at, covariance } = &feature.shape else { return feature.shape.clone() };
+    // A layer that states no covariance says that it is exact; and without a measured place nothing is learnt.
+    let Some(track) = looks.place.iter().max_by_key(|track| track.views).filter(|_| covariance.determinant() > 0.0)
+    else {
+        return feature.shape.clone();
+    };
+    let (place, own) = track.place();
+    let object = feature.object.as_deref().and_then(|path| environment.object(path));
+    let (back, turn) = object.map_or((place, DMat3::IDENTITY), |o| {
+        (o.world_from_object.inverse().transform_point(place), DMat3::from_quat(o.world_from_object.rotation))
+    });
+    let information = (turn.transpose() * own * turn).inverse();
+    let after = (covariance.inverse() + information).inverse();
+    let off = after * (information * (back - *at));
+    let outer = DMat3::from_cols(off.x * off, off.y * off, off.z * off);
+    let sum = after + outer;
+    FeatureShape::Reflector { at: *at, covariance: 0.5 * (sum + sum.transpose()) }
 }
 
 /// The existence of a feature after looks at it.
 fn after(before: &Existence, looks: &Looks, share: f64, utc: f64) -> Existence {
     let time = if looks.found > 0 { looks.last + utc } else { before.confirmed };
-    let prior = before.at(time).clamp(1e-9, 1.0 - 1e-9);
+    // A layer that states no doubt knows no better than others.
+    let known = if before.p0 == 1.0 { UNSTATED } else { 1.0 };
+    let prior = (known * before.at(time)).clamp(1e-6, 1.0 - 1e-6);
     let each = [(share / FALSE).ln(), ((1.0 - share) / (1.0 - FALSE)).ln()];
     let l = f64::from(looks.found) * each[0] + f64::from(looks.missed) * each[1];
     let odds = (prior / (1.0 - prior)).ln() + l.clamp(-MOST, MOST);
@@ -113,7 +257,7 @@ mod tests {
     #[test]
     fn existence_follows_bayes() {
         let half = Existence { p0: 0.5, confirmed: 10.0, rate: 0.0 };
-        let seen = |found, missed| after(&half, &Looks { found, missed, last: 20.0 }, 0.9, 0.0);
+        let seen = |found, missed| after(&half, &Looks { found, missed, last: 20.0, ..Looks::default() }, 0.9, 0.0);
         let odds = |e: Existence| e.p0 / (1.0 - e.p0);
         assert!((odds(seen(1, 0)) - 18.0).abs() < 1e-9 && seen(1, 0).confirmed == 20.0);
         assert!((odds(seen(0, 2)) - (0.1 / 0.95f64).powi(2)).abs() < 1e-9 && seen(0, 2).confirmed == 10.0);
@@ -121,7 +265,21 @@ mod tests {
         assert!(seen(0, 10).p0 < 0.02 && (odds(seen(0, 100)).ln() + MOST).abs() < 1e-6);
         // A confirmation long ago has decayed when the next one comes.
         let old = Existence { p0: 1.0, confirmed: 0.0, rate: 1.0 };
-        assert!(after(&old, &Looks { found: 1, missed: 0, last: 100.0 }, 0.9, 0.0).p0 < 1e-6);
+        assert!(after(&old, &Looks { found: 1, last: 100.0, ..Looks::default() }, 0.9, 0.0).p0 < 1e-6);
+    }
+
+    fn scan() -> Frame {
+        let text = "format = 1\nkind = \"scanner\"\nclass = \"laser\"\nrange_max = 20\n[azimuth]\nstart_deg = -90\nstep_deg = 1\ncount = 181\n[elevation]\nstart_deg = 0\nstep_deg = 1\ncount = 1\n";
+        let spec = presight_files::sensor_toml::parse(text, "scan", None).unwrap();
+        let sensor = presight_model::sensor::Sensor::new(spec).unwrap();
+        Frame::new(0.0, sensor, presight_model::measured::Measurement::Range(vec![1.0; 181])).unwrap()
+    }
+
+    fn exact() -> PoseEstimate {
+        PoseEstimate::new(
+            presight_model::geometry::Pose::IDENTITY,
+            presight_model::geometry::PoseCovariance::from_sigmas([0.001; 6]),
+        )
     }
 
     #[test]
@@ -129,20 +287,67 @@ mod tests {
         let finding = |id: u32, class: FeatureClass| presight_localize::extract::FeatureFinding {
             id,
             points_world: Vec::new(),
-            place: glam::DMat3::ZERO,
+            place: DMat3::ZERO,
+            existence: 1.0,
             predicted: presight_localize::matching::Shape::Point(glam::DVec2::ZERO),
             class,
         };
         let of = |classes: &[FeatureClass]| {
             let features = (1..).zip(classes).map(|(id, class)| finding(id, *class)).collect();
-            looks_of("video", &Findings { features, ..Findings::default() })
+            let detection = presight_localize::matching::Detection::point(glam::DVec2::ZERO, 0.5);
+            looks_of(&scan(), &Findings { features, detections: vec![detection], ..Findings::default() }, &exact())
         };
         let (matched, missing) = (FeatureClass::Matched(0), FeatureClass::Missing);
-        assert!(of(&[missing, missing, missing, matched]).is_empty());
-        let told = of(&[matched, matched, missing, FeatureClass::Occluded]);
+        assert!(of(&[missing, missing, missing, matched]).looks.is_empty());
+        let looks = of(&[matched, matched, missing, FeatureClass::Occluded]).looks;
         assert_eq!(
-            told.iter().map(|(_, id, found)| (*id, *found)).collect::<Vec<_>>(),
+            looks.iter().map(|look| (look.id, look.found)).collect::<Vec<_>>(),
             [(1, true), (2, true), (3, false)]
         );
+    }
+
+    /// By hand: a layer that states 3 cm, and three views of 1 cm each at the same place 2 cm away. Together the views have a
+    /// variance of 1/3 cm2 (the poses are exact to 1 mm and hardly count), so the most likely place is 9 / (9 + 1/3) of the way.
+    #[test]
+    fn a_reflectors_covariance_shrinks_about_its_point() {
+        let p = |x: f64| DVec3::new(x, 5.0, 0.0);
+        let mut looks = Looks::default();
+        for view in 0..3 {
+            let own = DMat3::from_diagonal(DVec3::splat(1e-4));
+            let seen = Sighting {
+                class: "laser".into(),
+                p: p(1.02),
+                own,
+                by_pose: DMat3::ZERO,
+                from: DVec3::ZERO,
+                strength: None,
+            };
+            looks.place.add(&[seen], f64::from(view));
+        }
+        let covariance = DMat3::from_diagonal(DVec3::splat(9e-4));
+        let shape = FeatureShape::Reflector { at: p(1.0), covariance };
+        let feature = Feature {
+            id: 1,
+            name: None,
+            object: None,
+            shape,
+            existence: Existence::default(),
+            properties: Properties::default(),
+        };
+        let FeatureShape::Reflector { at, covariance } = located(&feature, &looks, &Environment::new()) else {
+            panic!()
+        };
+        let (variance, off) = (1.0 / (1.0 / 9e-4 + 3.0 / 1e-4), 0.02 * 9.0 / (9.0 + 1.0 / 3.0));
+        assert_eq!(at, p(1.0));
+        assert!((covariance.x_axis.x - (variance + off * off)).abs() < 1e-9, "{covariance}");
+        assert!((covariance.y_axis.y - variance).abs() < 1e-9 && covariance.y_axis.y < 9e-4);
+    }
+
+    /// A layer's strength counts as ten looks.
+    #[test]
+    fn strength_follows_its_looks() {
+        assert_eq!(mean(None, (1.5, 3.0)), Some(0.5));
+        assert_eq!(mean(Some(0.8), (0.0, 0.0)), Some(0.8));
+        assert!((mean(Some(0.8), (4.0, 10.0)).unwrap() - 0.6).abs() < 1e-12);
     }
 }

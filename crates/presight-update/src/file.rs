@@ -31,8 +31,8 @@ struct Document {
     voxels: Vec<([i32; 3], u32, u32, [f64; 3])>,
 }
 
-/// Log odds, views, views against, stamp of the last confirmation.
-type Numbers = (f64, u32, u32, f64);
+/// Log odds, views, views against, stamp of the last confirmation, what the views against said.
+type Numbers = (f64, u32, u32, f64, f64);
 
 #[derive(Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
@@ -43,14 +43,16 @@ struct ObjectRow {
     evidence: Numbers,
     /// Side and place of each cell.
     cells: Vec<(u8, [i32; 3], Numbers)>,
+    /// Class of sensors, and whether rays met it flat.
+    aspects: Vec<(String, bool, Numbers)>,
 }
 
 fn numbers(e: &Evidence) -> Numbers {
-    (e.l, e.views, e.against, e.confirmed)
+    (e.l, e.views, e.against, e.confirmed, e.less)
 }
 
-fn evidence(&(l, views, against, confirmed): &Numbers) -> Evidence {
-    Evidence { l, views, against, confirmed }
+fn evidence(&(l, views, against, confirmed, less): &Numbers) -> Evidence {
+    Evidence { l, views, against, confirmed, less }
 }
 
 fn pose(pose: &Pose) -> [f64; 7] {
@@ -67,8 +69,11 @@ impl Learner {
         let row = |(object, known): (&u32, &Evidence)| {
             let o = &environment.objects()[*object as usize];
             let cells = self.book.cells_of(*object).map(|(cell, e)| (cell.1, cell.2, numbers(e))).collect();
+            let range = (*object, String::new(), false)..(object + 1, String::new(), false);
+            let aspect = |((_, class, flat), e): (&(u32, String, bool), &Evidence)| (class.clone(), *flat, numbers(e));
+            let aspects = self.book.aspects.range(range).map(aspect).collect();
             let (object, pose) = (o.name.clone(), pose(&o.world_from_object));
-            ObjectRow { object, pose, evidence: numbers(known), cells }
+            ObjectRow { object, pose, evidence: numbers(known), cells, aspects }
         };
         let live = |(object, _): &(&u32, &Evidence)| !environment.objects()[**object as usize].is_deleted();
         let document = Document {
@@ -125,6 +130,8 @@ impl Learner {
                 continue;
             };
             self.book.objects.insert(index, evidence(&row.evidence));
+            let aspect = |(class, flat, e): &(String, bool, Numbers)| ((index, class.clone(), *flat), evidence(e));
+            self.book.aspects.extend(row.aspects.iter().map(aspect));
             self.book.cells.extend(row.cells.iter().map(|(side, place, e)| ((index, *side, *place), evidence(e))));
         }
         for (key, hits, passes, mean) in &document.voxels {
@@ -139,6 +146,7 @@ impl Learner {
         let gone = |object: &u32| changed.contains(&environment.objects()[*object as usize].name);
         self.book.objects.retain(|object, _| !gone(object));
         self.book.cells.retain(|cell, _| !gone(&cell.0));
+        self.book.aspects.retain(|aspect, _| !gone(&aspect.0));
         let class = self.views.back().map_or_else(String::new, |view| view.kept.sensor.spec().class.clone());
         let caster = Caster::new(world, &class);
         let reach = 2.0 * self.voxels.size();

@@ -1,12 +1,14 @@
 //! Fits an object to measured points, and asks all views whether it stands there.
 
 use crate::caster::Caster;
-use crate::view::{BOUND, Says, View};
+use crate::evidence::{cell, cell_size};
+use crate::view::{BOUND, View};
 use glam::{DQuat, DVec3};
 use presight_localize::motion::moved;
 use presight_model::environment::Environment;
 use presight_model::geometry::Pose;
 use presight_model::matrix::{add_to, apply, inverse};
+use std::collections::BTreeMap;
 
 /// How far an object may be off where its fit starts, metres, and where it ends.
 const GATES: [f64; 12] = [0.4, 0.3, 0.3, 0.2, 0.2, 0.15, 0.1, 0.1, 0.06, 0.05, 0.04, 0.04];
@@ -15,6 +17,12 @@ const GATES: [f64; 12] = [0.4, 0.3, 0.3, 0.2, 0.2, 0.15, 0.1, 0.1, 0.06, 0.05, 0
 const FREE: [f64; 6] = [2.0, 2.0, 0.05, 0.03, 0.03, 1.0];
 /// Standard deviation of a measured point in a fit, metres: with the pose's error, which points of one view share.
 const POINT: f64 = 0.02;
+/// A fitted surface is known no better than this, one standard deviation, metres.
+const SURFACE: f64 = 0.005;
+/// Points farther than noise and this from a fitted surface belong to something else, metres.
+const BESIDE: f64 = 0.05;
+/// Points that a cell of a fitted surface needs to be judged.
+const LEAST_POINTS: usize = 3;
 
 /// What the views say of an object at a pose.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -26,6 +34,8 @@ pub(crate) struct Score {
     /// Pixels that saw it, and pixels that saw through it.
     pub there: usize,
     pub through: usize,
+    /// The odds of the cell of its surface that is the least sure to be there, logarithm.
+    pub worst: f64,
 }
 
 impl Score {
@@ -33,6 +43,31 @@ impl Score {
     pub fn share(&self) -> f64 {
         self.there as f64 / (self.there + self.through).max(1) as f64
     }
+}
+
+/// How the points around a fitted surface lie on it, cell by cell.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Fit {
+    /// Cells whose points lie on the surface in the mean, and cells whose points do not.
+    pub on: usize,
+    pub off: usize,
+    /// Sum over cells of the squared mean distance in units of its variance.
+    pub chi2: f64,
+}
+
+impl Fit {
+    /// The share of the cells whose points lie on the surface.
+    pub fn share(&self) -> f64 {
+        self.on as f64 / (self.on + self.off).max(1) as f64
+    }
+}
+
+/// The points on one cell: their number, and sums of weights and of weighted mean distances of each view.
+#[derive(Clone, Copy, Default)]
+struct OnCell {
+    points: usize,
+    weight: f64,
+    sum: f64,
 }
 
 /// An object that is fitted.
@@ -69,10 +104,7 @@ impl Fitter<'_> {
             if view.world_from_image.translation.distance(middle) > view.kept.sensor.spec().range_max + radius {
                 continue;
             }
-            let explained = |at: usize| matches!(view.says[at], Says::There) && view.object[at] != object;
-            let near = |p: &DVec3| p.distance(middle) <= radius;
-            let points = (0..view.ranges.len()).filter(|at| !explained(*at)).filter_map(|at| view.point(at));
-            found.extend(points.filter(near));
+            found.extend(view.unexplained(object).filter(|p| p.distance(middle) <= radius));
         }
         let step = found.len().div_ceil(most.max(1)).max(1);
         found.into_iter().step_by(step).collect()
@@ -127,6 +159,47 @@ impl Fitter<'_> {
         count > 0.0 && least >= 0.02 * count
     }
 
+    /// How the points around a pose lie on an object's surface. A thing of another size or shape leaves whole faces off, by more
+    /// than the mean of their points may err; its points one by one may still be within their noise.
+    pub fn fit(&self, thing: &Thing, pose: &Pose) -> Fit {
+        let (middle, back, size) = (pose.transform_point(thing.middle), pose.inverse(), cell_size(2.0 * thing.radius));
+        let mut cells: BTreeMap<(u8, [i32; 3]), OnCell> = BTreeMap::new();
+        for view in &self.views {
+            let range = view.world_from_image.translation.distance(middle);
+            let noise = view.noise.range_sigma(range);
+            let common = view.off.0 + range * view.off.1;
+            let gate = BESIDE + BOUND * noise;
+            let mut own: BTreeMap<(u8, [i32; 3]), (usize, f64)> = BTreeMap::new();
+            for p in view.unexplained(thing.object).filter(|p| p.distance(middle) <= thing.radius + gate) {
+                let q = back.transform_point(p);
+                let Some(foot) = self.caster.foot(thing.object, q, gate) else { continue };
+                let cell = own.entry(cell(foot.point, foot.normal, size)).or_default();
+                *cell = (cell.0 + 1, cell.1 + (q - foot.point).dot(foot.normal));
+            }
+            for (key, (count, sum)) in own {
+                let weight = 1.0 / (noise * noise / count as f64 + common * common);
+                let cell = cells.entry(key).or_default();
+                cell.points += count;
+                (cell.weight, cell.sum) = (cell.weight + weight, cell.sum + weight * sum / count as f64);
+            }
+        }
+        let mut fit = Fit::default();
+        for cell in cells.values().filter(|cell| cell.points >= LEAST_POINTS) {
+            let share = (cell.sum / cell.weight).powi(2) / (1.0 / cell.weight + SURFACE * SURFACE);
+            fit.chi2 += share;
+            let is_on = share <= BOUND * BOUND;
+            (fit.on, fit.off) = (fit.on + usize::from(is_on), fit.off + usize::from(!is_on));
+        }
+        fit
+    }
+
+    /// Logarithm of how probable a move is, by the prior of the fits: of two equal things, each is moved to the nearer place.
+    pub fn prior(&self, thing: &Thing, from: &Pose, to: &Pose) -> f64 {
+        let about = |pose: &Pose| Pose { translation: pose.transform_point(thing.middle), ..*pose };
+        let off = presight_localize::motion::motion_between(&about(from), &about(to));
+        -0.5 * off.iter().zip(FREE).map(|(x, sigma)| (x / sigma).powi(2)).sum::<f64>()
+    }
+
     /// The share of points that lie on an object at a pose.
     pub fn explained(&self, object: u32, pose: &Pose, points: &[DVec3], within: f64) -> f64 {
         let back = pose.inverse();
@@ -169,6 +242,8 @@ impl Fitter<'_> {
     pub fn score(&self, thing: &Thing, pose: &Pose) -> Score {
         let Thing { object, middle, radius } = *thing;
         let (mut score, middle) = (Score::default(), pose.transform_point(middle));
+        let (back, size) = (pose.inverse(), cell_size(2.0 * radius));
+        let mut cells: BTreeMap<(u8, [i32; 3]), f64> = BTreeMap::new();
         for view in &self.views {
             let p = view.world_from_image.inverse().transform_point(middle);
             let (distance, reach) = (p.length(), view.kept.sensor.spec().range_max.min(1e5));
@@ -177,7 +252,7 @@ impl Fitter<'_> {
             }
             let (toward, wide) = (p / distance, (radius / distance.max(radius)).asin());
             let cone = wide.cos();
-            let mut sum = 0.0;
+            let (mut sum, mut of_cells) = (0.0, BTreeMap::<(u8, [i32; 3]), f64>::new());
             for (at, ray) in view.kept.rays.iter().enumerate().filter(|(_, ray)| ray.dot(toward) >= cone) {
                 let z = f64::from(view.ranges[at]);
                 if z.is_nan() {
@@ -197,13 +272,19 @@ impl Fitter<'_> {
                 }
                 let there = z <= met.range + BOUND * sigma;
                 (score.there, score.through) = (score.there + usize::from(there), score.through + usize::from(!there));
-                sum += if there { 1.0 } else { -1.0 };
+                let sign = if there { 1.0 } else { -1.0 };
+                sum += sign;
+                let p = back.transform_point(origin + met.range * ray);
+                *of_cells.entry(cell(p, back.rotation * met.normal, size)).or_default() += sign;
             }
+            let most = self.most_per_view;
+            of_cells.into_iter().for_each(|(key, sum)| *cells.entry(key).or_default() += sum.clamp(-most, most));
             if sum != 0.0 {
                 score.views += 1;
                 score.l += f64::clamp(sum, -self.most_per_view, self.most_per_view);
             }
         }
+        score.worst = cells.into_values().fold(0.0, f64::min);
         score
     }
 }

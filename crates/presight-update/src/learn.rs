@@ -1,8 +1,9 @@
 //! Learning from a drive: which frames count, and when they are believed.
 
 use crate::caster::Caster;
-use crate::evidence::{Book, Delta, Evidence};
-use crate::features::{Look, LookBook, looks_of};
+use crate::evidence::{Book, Delta, Evidence, Pixels};
+use crate::features::{LookBook, Looked, looks_of};
+use crate::pulled::Pulled;
 use crate::view::{Kept, Observer, View};
 use crate::voxels::Voxels;
 use glam::DVec3;
@@ -117,6 +118,8 @@ pub struct Learner {
     /// Way since the start of the drive, metres, and the place it is counted from.
     way: (f64, Option<DVec3>),
     tally: Tally,
+    /// How far the readings pulled the poses of believed views.
+    pub(crate) pulled: Pulled,
     drive: usize,
 }
 
@@ -124,7 +127,7 @@ pub struct Learner {
 struct Pending {
     view: View,
     delta: Delta,
-    looks: Vec<Look>,
+    looks: Vec<Looked>,
     way: f64,
     /// The next frame agreed.
     followed: bool,
@@ -170,6 +173,7 @@ impl Learner {
             last: None,
             way: (0.0, None),
             tally: Tally::default(),
+            pulled: Pulled::default(),
             drive: 0,
         })
     }
@@ -185,6 +189,11 @@ impl Learner {
         self.book.objects.iter().map(|(object, e)| (objects[*object as usize].name.clone(), *e)).collect()
     }
 
+    /// What pixels of believed views say of an object: why it is decided, or not. `None` if no ray met it.
+    pub fn pixels(&self, world: &World, object: &str) -> Option<Pixels> {
+        self.book.pixels.get(&world.environment().index_of(object).ok()?).copied()
+    }
+
     /// The options.
     pub fn options(&self) -> &LearnOptions {
         &self.options
@@ -198,9 +207,12 @@ impl Learner {
     pub fn observe(&mut self, world: &World, step: &Step, frames: &[&Frame]) -> Result<()> {
         match step.phase {
             Phase::Tracking if step.estimate.is_determined() => {
-                let looked = frames.iter().filter(|frame| frame.grey().is_some() || frame.intensities().is_some());
-                let looks = looked.zip(&step.estimate.findings);
-                let looks = looks.flat_map(|(frame, found)| looks_of(&frame.sensor().spec().class, found)).collect();
+                let looked = || frames.iter().filter(|frame| frame.grey().is_some() || frame.intensities().is_some());
+                let found = &step.estimate.findings;
+                // Otherwise nobody knows which frame shows what.
+                let is_paired = looked().count() == found.len();
+                let looks = looked().zip(found).filter(|_| is_paired);
+                let looks = looks.map(|(frame, found)| looks_of(frame, found, &step.pose)).collect();
                 self.observe_with(world, frames, &step.pose, looks)
             }
             Phase::Tracking | Phase::Candidates if !self.is_searching(step) => {
@@ -227,7 +239,13 @@ impl Learner {
         self.observe_with(world, frames, pose, Vec::new())
     }
 
-    fn observe_with(&mut self, world: &World, frames: &[&Frame], pose: &PoseEstimate, looks: Vec<Look>) -> Result<()> {
+    fn observe_with(
+        &mut self,
+        world: &World,
+        frames: &[&Frame],
+        pose: &PoseEstimate,
+        looks: Vec<Looked>,
+    ) -> Result<()> {
         self.follow(world)?;
         self.tally.frames += 1;
         self.pending.iter_mut().for_each(|pending| pending.followed = true);
@@ -283,14 +301,15 @@ impl Learner {
                 break;
             }
             let Some(Pending { view, delta, looks, .. }) = self.pending.pop_front() else { break };
+            self.pulled.add(&view.pulled);
             self.tally.compared += view.compared.0;
             self.tally.explained += view.compared.1;
-            self.book.add(&delta, view.stamp, &self.options);
-            self.looks.add(&looks, view.stamp);
+            self.book.add(&delta, (view.stamp, &view.kept.sensor.spec().class), &self.options);
+            looks.iter().for_each(|looked| self.looks.add(looked, view.stamp));
             let size = self.voxels.size();
-            for key in self.voxels.add(&view.news, |middle| view.passed(middle, size)) {
-                let middle = self.voxels.middle(key);
-                let before = self.views.iter().filter(|earlier| earlier.passed(middle, size)).count();
+            for key in self.voxels.add(&view.news, |mean| view.passed(mean, size)) {
+                let Some(mean) = self.voxels.mean(key) else { continue };
+                let before = self.views.iter().filter(|earlier| earlier.passed(mean, size)).count();
                 self.voxels.add_passes(key, before as u32);
             }
             if self.views.len() >= self.options.views {
@@ -309,10 +328,15 @@ impl Learner {
 
     /// Ends a drive: what the next frame agreed with is believed. Another drive may follow.
     pub fn end_drive(&mut self) {
+        self.end_way();
+        self.drive += 1;
+    }
+
+    /// Ends the log of one sensor of a drive. The log of another sensor of the same drive may follow.
+    pub fn end_way(&mut self) {
         self.believe(true);
         self.pending.clear();
         (self.last, self.way) = (None, (0.0, None));
-        self.drive += 1;
     }
 
     fn follow(&mut self, world: &World) -> Result<()> {

@@ -2,6 +2,7 @@
 //!
 //! Use it through the crate `presight`, which gives the same names.
 
+mod apply;
 mod boxes;
 mod caster;
 mod changes;
@@ -11,17 +12,22 @@ mod features;
 mod file;
 mod fit;
 mod learn;
+mod moves;
 mod parts;
 mod policy;
+mod pulled;
+mod register;
+mod sightings;
 mod solid;
 mod view;
 mod voxels;
 
+pub use apply::{Applied, Waiting};
 pub use boxes::UprightBox;
 pub use caster::{Caster, Met};
 pub use changes::change_lines;
 pub use decide::{Doubt, Finding, Findings, Sight, What};
-pub use evidence::Evidence;
+pub use evidence::{Evidence, Pixels};
 pub use learn::{LearnOptions, Learner, Tally};
 pub use policy::{Action, Policy};
 pub use voxels::{Occupied, Voxel, Voxels};

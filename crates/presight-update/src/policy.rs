@@ -7,9 +7,9 @@ use presight_model::error::{Error, Result};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Action {
     /// The model is changed: the object is deleted or moved, or a box is inserted.
-    #[default]
     Change,
-    /// The object is marked as uncertain where the model has it.
+    /// The object is marked as uncertain where the model has it, and a copy of it, or a box, where something stands now.
+    #[default]
     Mark,
     /// The robot stops and asks, with the pose to look from.
     Stop,
@@ -32,14 +32,14 @@ const ACTIONS: [(&str, Action); 5] = [
 ///
 /// ```
 /// use presight::update::{Action, Policy};
-/// let policy = Policy::parse("gone=mark,new=stop")?;
-/// assert_eq!((policy.gone, policy.moved, policy.new), (Action::Mark, Action::Change, Action::Stop));
+/// let policy = Policy::parse("gone=change,new=stop")?;
+/// assert_eq!((policy.gone, policy.moved, policy.new), (Action::Change, Action::Mark, Action::Stop));
 /// assert!(Policy::parse("gone=delete").is_err());
 /// # Ok::<(), presight::Error>(())
 /// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Policy {
-    /// For objects that are gone.
+    /// For objects that are gone, seen through by some sensors, or that come and go.
     pub gone: Action,
     /// For objects that were moved.
     pub moved: Action,
@@ -50,7 +50,7 @@ pub struct Policy {
 }
 
 impl Policy {
-    /// Parses `KIND=ACTION,..`; kinds that are not named change the model.
+    /// Parses `KIND=ACTION,..`, or an action for all kinds; kinds that are not named are marked.
     ///
     /// # Errors
     /// [`presight_model::ErrorKind::Usage`] naming the unknown word.
@@ -59,9 +59,10 @@ impl Policy {
         for word in text.split(',').map(str::trim).filter(|word| !word.is_empty()) {
             let remedy = "give gone, moved, new or part, =, and change, mark, stop, come-back or ignore";
             let wrong = || Error::usage(format!("policy {word:?}"), remedy);
-            let (kind, action) = word.split_once('=').ok_or_else(wrong)?;
+            let (kind, action) = word.split_once('=').unwrap_or(("all", word));
             let action = ACTIONS.iter().find(|(name, _)| *name == action).ok_or_else(wrong)?.1;
             match kind {
+                "all" => policy = Self { gone: action, moved: action, new: action, part: action },
                 "gone" => policy.gone = action,
                 "moved" => policy.moved = action,
                 "new" => policy.new = action,
@@ -75,7 +76,7 @@ impl Policy {
     /// The action for a finding.
     pub fn of(&self, what: &What) -> Action {
         match what {
-            What::Gone => self.gone,
+            What::Gone | What::SeenThrough(_) | What::ComesAndGoes => self.gone,
             What::Moved { .. } => self.moved,
             What::New(_) => self.new,
             What::Part(_) => self.part,

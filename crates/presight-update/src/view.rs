@@ -1,10 +1,12 @@
 //! One view: what each kept pixel says of the first object on its ray, and what nothing explains.
 
 use crate::caster::{Caster, Met};
+use crate::pulled::Pulled;
+use crate::register::Readings;
 use glam::DVec3;
 use presight_localize::verdict::body_from_image;
-use presight_model::geometry::{Pose, PoseEstimate};
-use presight_model::matrix::quadratic;
+use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate};
+use presight_model::matrix::{quadratic, scaled};
 use presight_model::measured::{Frame, RangeNoise};
 use presight_model::sensor::Sensor;
 use presight_model::statistics::median;
@@ -13,11 +15,15 @@ use std::sync::Arc;
 /// Noise explains differences up to this number of standard deviations: all but 1 in 1,000 Gaussian ones.
 pub(crate) const BOUND: f64 = 3.3;
 /// A surface that is met flatter than this says too little, cosine.
-const FLATTEST: f64 = 0.1;
+pub(crate) const FLATTEST: f64 = 0.1;
 /// The median of absolute standard normal deviates.
 const MEDIAN: f64 = 0.6745;
 /// Residuals beyond this number of stated deviations are changes and say nothing of the pose.
 const CHANGED: f64 = 20.0;
+/// The error of a pose may be this number of times the stated one. The readings pull the pose no farther to the model.
+const MOST_SPREAD: f64 = 4.0;
+/// Most readings that a pose is estimated from.
+const MOST_READINGS: usize = 2000;
 /// No object: nothing is predicted.
 pub(crate) const NOTHING: u32 = u32::MAX;
 /// A reading beyond this share of the reach may be none.
@@ -26,7 +32,7 @@ const REACH: f64 = 0.95;
 /// What a kept pixel says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Says {
-    /// Nothing: no reading, or several explanations.
+    /// Nothing: no reading.
     Nothing,
     /// The first object is there, and without it another range would be measured.
     There,
@@ -34,6 +40,10 @@ pub(crate) enum Says {
     Through,
     /// Something else stands before all that is predicted.
     Before,
+    /// About the same would be measured with and without the first object.
+    Same,
+    /// The ray went on, and runs near an edge of the first object, or flat along it.
+    Edge,
 }
 
 /// The pixels of a sensor that are kept, with their rays in its image frame.
@@ -101,6 +111,8 @@ pub(crate) struct View {
     pub says: Vec<Says>,
     /// Standard deviations of the sensor's place and rotation, stated times the spread: metres, radians.
     pub off: (f64, f64),
+    /// How far the readings pulled the pose.
+    pub pulled: Pulled,
     /// Points that nothing explains, world frame.
     pub news: Vec<DVec3>,
     /// Pixels with a reading where something is predicted, and the number of them that it explains.
@@ -132,6 +144,17 @@ struct Errors<'a> {
 }
 
 impl Errors<'_> {
+    /// Standard deviation by which the pose's error shifts a point across a ray, metres.
+    fn aside(&self, x: DVec3, ray: DVec3) -> f64 {
+        let u = ray.any_orthonormal_vector();
+        let arm = x - self.pose.world_from_robot.translation;
+        let variance = |u: DVec3| {
+            let turned = arm.cross(u);
+            quadratic(self.pose.covariance.as_rows(), &[u.x, u.y, u.z, turned.x, turned.y, turned.z]).max(0.0)
+        };
+        self.spread * (variance(u) + variance(ray.cross(u))).sqrt()
+    }
+
     /// Standard deviation of a range on a surface, metres.
     fn sigma(&self, origin: DVec3, ray: DVec3, met: &Met) -> f64 {
         let x = origin + met.range * ray;
@@ -149,24 +172,46 @@ impl Observer<'_> {
     /// Compares a frame of a robot at a pose. Also returns what the rays of the kept pixels meet first.
     pub fn view(&self, frame: &Frame, kept: &Arc<Kept>, pose: &PoseEstimate) -> (View, Vec<Option<Met>>) {
         let sensor = frame.sensor();
-        let world_from_image = pose.world_from_robot * sensor.spec().mount * body_from_image(sensor);
+        let robot_from_image = sensor.spec().mount * body_from_image(sensor);
         let reach = sensor.spec().range_max.min(1e5);
         let width = sensor.width() as usize;
-        let cast = |ray: &DVec3| {
-            let (origin, ray) = (world_from_image.translation, world_from_image.rotation * *ray);
-            let met = if ray.is_nan() { None } else { self.caster.first(origin, ray, reach, None) };
-            Ray { origin, ray, met }
-        };
-        let rays: Vec<Ray> = kept.rays.iter().map(cast).collect();
         let range = |at: usize| {
             let (c, r) = kept.pixel(at);
             frame.ranges()[r as usize * width + c as usize]
         };
-        let ranges: Vec<f32> = (0..rays.len()).map(range).collect();
+        let ranges: Vec<f32> = (0..kept.rays.len()).map(range).collect();
+        let cast = |pose: &PoseEstimate, step: usize| -> Vec<Ray> {
+            let world_from_image = pose.world_from_robot * robot_from_image;
+            let cast = |ray: &DVec3| {
+                let (origin, ray) = (world_from_image.translation, world_from_image.rotation * *ray);
+                let met = if ray.is_nan() { None } else { self.caster.first(origin, ray, reach, None) };
+                Ray { origin, ray, met }
+            };
+            kept.rays.iter().step_by(step).map(cast).collect()
+        };
         let noise = RangeNoise::of(sensor);
-        let stated = Errors { noise, pose, spread: 1.0, model_sigma: self.model_sigma };
-        let spread = spread_of(&rays, &ranges, &stated);
-        let errors = Errors { spread, ..stated };
+        // A part of the pixels knows the pose well enough.
+        let step = kept.rays.len().div_ceil(MOST_READINGS).max(1);
+        let spread = |rays: &[Ray], step: usize, pose: &PoseEstimate| {
+            let ranges = ranges.iter().step_by(step);
+            spread_of(rays, ranges, &Errors { noise, pose, spread: 1.0, model_sigma: self.model_sigma })
+        };
+        let stated = spread(&cast(pose, step), step, pose).min(MOST_SPREAD);
+        let covariance = PoseCovariance::from_rows(scaled(pose.covariance.as_rows(), stated.powi(2)));
+        let readings = Readings {
+            caster: self.caster,
+            robot_from_image,
+            of: kept.rays.iter().copied().zip(ranges.iter().copied()).step_by(step).collect(),
+            noise,
+            reach,
+            model_sigma: self.model_sigma,
+        };
+        let given = pose;
+        let pose = &readings.register(&PoseEstimate::new(pose.world_from_robot, covariance));
+        let rays = cast(pose, 1);
+        let world_from_image = pose.world_from_robot * robot_from_image;
+        let spread = spread(&rays, 1, pose);
+        let errors = Errors { noise, pose, spread, model_sigma: self.model_sigma };
         let sigmas = pose.covariance.sigmas();
         let norm = |of: &[f64]| spread * of.iter().map(|x| x * x).sum::<f64>().sqrt();
         let mut view = View {
@@ -178,6 +223,7 @@ impl Observer<'_> {
             object: rays.iter().map(|ray| ray.met.map_or(NOTHING, |met| met.object)).collect(),
             says: vec![Says::Nothing; rays.len()],
             off: (norm(&sigmas[..3]), norm(&sigmas[3..])),
+            pulled: Pulled::of(given, pose),
             news: Vec::new(),
             compared: (0, 0),
             ranges,
@@ -190,7 +236,7 @@ impl Observer<'_> {
             self.pixel(&mut view, at, ray, (z, reach), &errors);
             let is_news = matches!(view.says[at], Says::Before) && z.is_finite() && is_backed(frame, kept.pixel(at), z);
             let x = ray.origin + z * ray.ray;
-            if is_news && self.caster.near(x, self.known.max(BOUND * (z * view.off.1 + view.off.0))).is_none() {
+            if is_news && self.caster.near(x, self.known.max(BOUND * errors.aside(x, ray.ray))).is_none() {
                 view.news.push(x);
             } else if is_news {
                 view.says[at] = Says::Nothing;
@@ -213,6 +259,8 @@ impl Observer<'_> {
             let second = self.caster.first(ray.origin, ray.ray, reach, Some(met.object));
             if second.is_none_or(|s| s.range - met.range > 2.0 * BOUND * sigma + 0.05) {
                 view.says[at] = Says::There;
+            } else {
+                view.says[at] = Says::Same;
             }
             return;
         }
@@ -222,12 +270,14 @@ impl Observer<'_> {
         }
         // Nothing within reach says nothing of a surface near the end of the reach.
         let flat = met.normal.dot(ray.ray).abs() < FLATTEST;
-        if flat || (z.is_infinite() && met.range > REACH * reach) {
+        if z.is_infinite() && met.range > REACH * reach {
             return;
         }
-        let uncertain = BOUND * (view.off.1 + view.off.0 / met.range + errors.noise.angle) + 1e-4;
+        let aside = errors.aside(ray.origin + met.range * ray.ray, ray.ray) / met.range;
+        let uncertain = BOUND * (aside + errors.noise.angle) + 1e-4;
         let before = z.min(reach) - BOUND * sigma;
-        if !self.is_whole(ray, met, uncertain, before) {
+        view.says[at] = Says::Edge;
+        if flat || !self.is_whole(ray, met, uncertain, before) {
             return;
         }
         let second = self.caster.first(ray.origin, ray.ray, reach, Some(met.object));
@@ -238,15 +288,14 @@ impl Observer<'_> {
             if self.is_whole(ray, met, uncertain.max(1.5 * view.kept.spacing), before) {
                 view.says[at] = Says::Through;
                 let x = ray.origin + z * ray.ray;
-                if self.caster.near(x, self.known.max(BOUND * (z * view.off.1 + view.off.0))).is_none() {
+                if self.caster.near(x, self.known.max(BOUND * errors.aside(x, ray.ray))).is_none() {
                     view.news.push(x);
                 }
             }
             return;
         }
-        if second.is_none_or(|s| s.range - met.range > 2.0 * BOUND * sigma) {
-            view.says[at] = Says::Through;
-        }
+        let is_apart = second.is_none_or(|s| s.range - met.range > 2.0 * BOUND * sigma);
+        view.says[at] = if is_apart { Says::Through } else { Says::Same };
     }
 
     /// True if rays at an angle to this one, on four sides, meet the same object before `before` metres: then no error of the pose
@@ -263,7 +312,7 @@ impl Observer<'_> {
 }
 
 /// By how much residuals are wider than stated, at least 1.
-fn spread_of(rays: &[Ray], ranges: &[f32], stated: &Errors<'_>) -> f64 {
+fn spread_of<'a>(rays: &[Ray], ranges: impl Iterator<Item = &'a f32>, stated: &Errors<'_>) -> f64 {
     let residual = |(ray, z): (&Ray, &f32)| {
         let met = ray.met?;
         let e = (f64::from(*z) - met.range).abs() / stated.sigma(ray.origin, ray.ray, &met);
@@ -288,14 +337,24 @@ impl View {
         (z.is_finite() && !ray.is_nan()).then(|| self.world_from_image.transform_point(z * ray))
     }
 
-    /// True if a ray passed through the middle of a voxel.
-    pub fn passed(&self, middle: DVec3, size: f64) -> bool {
-        let p = self.world_from_image.inverse().transform_point(middle);
+    /// The measured points that no object but this one explains, world frame.
+    pub fn unexplained(&self, object: u32) -> impl Iterator<Item = DVec3> {
+        let explained =
+            move |at: &usize| matches!(self.says[*at], Says::There | Says::Same) && self.object[*at] != object;
+        (0..self.ranges.len()).filter(move |at| !explained(at)).filter_map(|at| self.point(at))
+    }
+
+    /// True if a ray passed through the place of a point of a voxel: it went on by more than the voxel, or it met what the model
+    /// has behind that place, however near, such as the floor below somebody's feet.
+    pub fn passed(&self, point: DVec3, size: f64) -> bool {
+        let p = self.world_from_image.inverse().transform_point(point);
         let distance = p.length();
         let Some(at) = self.kept.nearest(p) else { return false };
         let (ray, z) = (self.kept.rays[at], f64::from(self.ranges[at]));
         let aside = ray.cross(p).length();
-        let margin = size + BOUND * (self.noise.range_sigma(distance) + self.off.0 + distance * self.off.1);
+        let is_known = matches!(self.says[at], Says::There | Says::Same);
+        let beyond = if is_known { 0.0 } else { size };
+        let margin = beyond + BOUND * (self.noise.range_sigma(distance) + self.off.0 + distance * self.off.1);
         let reach = REACH * self.kept.sensor.spec().range_max;
         // As likely as a point of a surface falls into the cube: most rays this near cross it.
         aside <= 0.7 * size && z > distance + margin && distance < reach

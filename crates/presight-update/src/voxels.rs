@@ -1,6 +1,6 @@
 //! What stands where the model has nothing: voxels that measured points hit and that rays passed through, by view.
 
-use glam::{DVec3, IVec3};
+use glam::DVec3;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// The counts of a voxel.
@@ -87,13 +87,8 @@ impl Voxels {
         (p / self.size).floor().to_array().map(|x| x as i32)
     }
 
-    /// The middle of a voxel, metres.
-    pub fn middle(&self, key: [i32; 3]) -> DVec3 {
-        self.size * (IVec3::from_array(key).as_dvec3() + 0.5)
-    }
-
-    /// Adds one view: the points that nothing explains, world frame, and whether a ray passed through the middle of a
-    /// voxel. Voxels with a point are not tested. Returns the voxels that are hit for the first time: views of before
+    /// Adds one view: the points that nothing explains, world frame, and whether a ray passed through the mean of a voxel's
+    /// points. Voxels with a point are not tested. Returns the voxels that are hit for the first time: views of before
     /// may have passed through them ([`Voxels::add_passes`]).
     pub fn add(&mut self, points: &[DVec3], passed: impl Fn(DVec3) -> bool) -> Vec<[i32; 3]> {
         let (mut hit, mut new) = (BTreeSet::new(), Vec::new());
@@ -111,13 +106,17 @@ impl Voxels {
                 voxel.hits = voxel.hits.saturating_add(1);
             }
         }
-        let size = self.size;
-        for (key, voxel) in self.all.iter_mut().filter(|(key, _)| !hit.contains(*key)) {
-            if passed(size * (IVec3::from_array(*key).as_dvec3() + 0.5)) {
+        for (_, voxel) in self.all.iter_mut().filter(|(key, _)| !hit.contains(*key)) {
+            if passed(voxel.mean()) {
                 voxel.passes = voxel.passes.saturating_add(1);
             }
         }
         new
+    }
+
+    /// The mean of the points in a voxel, metres; `None` if it has none.
+    pub fn mean(&self, key: [i32; 3]) -> Option<DVec3> {
+        self.all.get(&key).map(Voxel::mean)
     }
 
     /// Counts views of before the first hit that passed through a voxel.
@@ -143,23 +142,28 @@ impl Voxels {
         let counts = |v: &Voxel| {
             v.hits >= occupied.hits && f64::from(v.passes) <= occupied.passes * f64::from(v.hits + v.passes)
         };
-        let mut left: BTreeSet<[i32; 3]> = self.all.iter().filter(|(_, v)| counts(v)).map(|(key, _)| *key).collect();
-        let mut groups = Vec::new();
-        while let Some(first) = left.pop_first() {
-            let (mut group, mut next) = (vec![first], vec![first]);
-            while let Some([x, y, z]) = next.pop() {
-                for n in 0..125 {
-                    let [dx, dy, dz] = [n % 5 - 2, n / 5 % 5 - 2, n / 25 - 2];
-                    let key = [x.saturating_add(dx), y.saturating_add(dy), z.saturating_add(dz)];
-                    if left.remove(&key) {
-                        group.push(key);
-                        next.push(key);
-                    }
+        joined(self.all.iter().filter(|(_, v)| counts(v)).map(|(key, _)| *key), 2)
+    }
+}
+
+/// Voxels in groups, each by rising key; neighbours differ by at most `reach` along each axis.
+pub(crate) fn joined(keys: impl IntoIterator<Item = [i32; 3]>, reach: i32) -> Vec<Vec<[i32; 3]>> {
+    let (mut left, mut groups): (BTreeSet<[i32; 3]>, _) = (keys.into_iter().collect(), Vec::new());
+    let side = 2 * reach + 1;
+    while let Some(first) = left.pop_first() {
+        let (mut group, mut next) = (vec![first], vec![first]);
+        while let Some([x, y, z]) = next.pop() {
+            for n in 0..side.pow(3) {
+                let [dx, dy, dz] = [n % side, n / side % side, n / side.pow(2)].map(|d| d - reach);
+                let key = [x.saturating_add(dx), y.saturating_add(dy), z.saturating_add(dz)];
+                if left.remove(&key) {
+                    group.push(key);
+                    next.push(key);
                 }
             }
-            group.sort_unstable();
-            groups.push(group);
         }
-        groups
+        group.sort_unstable();
+        groups.push(group);
     }
+    groups
 }

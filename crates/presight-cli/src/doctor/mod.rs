@@ -12,6 +12,7 @@ use presight_predict::engine::{Engine, EngineKind};
 #[cfg(feature = "gpu")]
 use presight_predict::gpu::{self, DeviceOptions, adapters, preferred, testing};
 use presight_predict::probe::{Probe, SensorKind};
+use presight_render::cpu::Vectors;
 #[cfg(feature = "gpu")]
 use presight_render::plan::Raster;
 use presight_render::plan::{Outputs, Stats};
@@ -41,6 +42,7 @@ pub fn run(_: &Args) -> Result<CommandOutcome> {
     let mut text = format!("presight {}, built with {features}\n", env!("CARGO_PKG_VERSION"));
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let _ = writeln!(text, "\nCPU engine, {threads} threads, {}", std::env::consts::ARCH);
+    let _ = writeln!(text, "  tiles of rays are searched in {}", Vectors::best().name());
     let mut sound = check(&probe, &mut text, &mut *EngineKind::Cpu.open(&Threads::SHARED)?, &SensorKind::ALL);
     sound &= gpus(&probe, &mut text);
     print::lines(flags::named(&text).lines())?;

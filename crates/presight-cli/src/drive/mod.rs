@@ -2,6 +2,7 @@
 
 mod beside;
 mod features;
+mod robot;
 mod start;
 
 pub use features::FeatureCounts;
@@ -56,12 +57,21 @@ pub struct Drive {
     #[arg(long, value_name = "DEG", default_value_t = 2.0)]
     init_sigma_deg: f64,
 
+    /// Odds that the start is right: it is given up once the frames say more against it
+    #[arg(long, value_name = "ODDS", default_value_t = 1e4)]
+    init_odds: f64,
+
     /// The sensor, with its noise and mount [default: from the log]
     #[arg(long, value_name = "PRESET|FILE")]
     pub sensor: Option<String>,
 
     #[command(flatten)]
     image: SensorArgs,
+
+    /// Options of the estimate: of a level scanner of one row on a level floor, of a sensor in any pose, or of scans of
+    /// points all round [default: by the sensor]
+    #[arg(long, value_name = "NAME", value_parser = ["indoor_scanner", "depth_camera", "lidar_3d"])]
+    preset: Option<String>,
 
     /// Standard deviation of the model's surfaces, independent for each surface, metres [default: 0.03 for a scanner of
     /// one row, 0.1 for scans of points, otherwise 0]

@@ -4,12 +4,12 @@ use super::Drive;
 use crate::pose::parse_pose;
 use presight::Scene;
 use presight_files::log::Observation;
-use presight_localize::estimate::{EstimateOptions, Estimator};
-use presight_localize::localize::{LocalizeOptions, Localizer, Search, SearchOptions};
+use presight_localize::estimate::{EstimateOptions, Estimator, Preset};
+use presight_localize::localize::{ErrorRates, LocalizeOptions, Localizer, Search, SearchOptions};
 use presight_model::error::{Error, Result};
 use presight_model::geometry::{Pose, PoseEstimate};
 use presight_model::measured::OdometryNoise;
-use presight_model::sensor::{Geometry, Sensor};
+use presight_model::sensor::Sensor;
 
 impl Drive {
     /// Checks the values of the flags without opening any file.
@@ -21,6 +21,12 @@ impl Drive {
             if !(sigma > 0.0 && sigma.is_finite()) {
                 return Err(Error::usage(format!("{flag} {sigma}"), "give a finite deviation above 0"));
             }
+        }
+        if !(self.init_odds > 1.0 && self.init_odds.is_finite()) {
+            return Err(Error::usage(
+                format!("--init-odds {}", self.init_odds),
+                "give finite odds above 1, such as 10000",
+            ));
         }
         if let Some(sigma) = self.model_sigma.filter(|sigma| !(*sigma >= 0.0 && sigma.is_finite())) {
             return Err(Error::usage(format!("--model-sigma {sigma}"), "give finite metres of at least 0"));
@@ -55,7 +61,8 @@ impl Drive {
         scene: &Scene,
         sensor: &Sensor,
     ) -> Result<Localizer> {
-        let options = LocalizeOptions::default();
+        let rates = ErrorRates { wrong_start: 1.0 / self.init_odds, ..ErrorRates::default() };
+        let options = LocalizeOptions::default().with_rates(rates);
         let Some(start) = start else {
             let search = Search::new(&mut estimator, &scene.world, sensor, self.search()?);
             return Ok(Localizer::unknown(estimator, search.map_err(|e| e.at("--init unknown"))?, options));
@@ -105,17 +112,9 @@ impl Drive {
         Ok(OdometryNoise::default().with_way(part).with_turn(part).with_turn_on_way(0.5 * part))
     }
 
-    /// Estimator options for the sensor: a scanner of one row determines x, y and yaw only.
+    /// Estimator options: those of --preset, or of the sensor.
     pub fn options(&self, sensor: &Sensor) -> EstimateOptions {
-        let row = matches!(sensor.spec().geometry, Geometry::Scanner(_)) && sensor.height() == 1;
-        let options = match sensor.spec().geometry {
-            _ if row => EstimateOptions::planar(),
-            Geometry::Rays(_) => EstimateOptions::scan(),
-            _ => EstimateOptions::default(),
-        };
-        let model_sigma = self.model_sigma.unwrap_or(options.model_sigma);
-        // The offset shared by the polygons of one plane is about as large as the offset of each polygon.
-        let offset_sigma = if self.model_sigma.is_some() { 0.7 * model_sigma } else { options.offset_sigma };
-        options.with_model_sigma(model_sigma).with_offset_sigma(offset_sigma.max(1e-3))
+        let preset = Preset::ALL.into_iter().find(|preset| self.preset.as_deref() == Some(preset.name()));
+        preset.unwrap_or(Preset::of(sensor)).options().with_stated_sigma(self.model_sigma)
     }
 }

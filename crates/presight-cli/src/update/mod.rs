@@ -21,7 +21,8 @@ use presight_model::world::World;
 use presight_update::{Action, Finding, Findings, LearnOptions, Learner, Policy, What, change_lines};
 use std::io::Write;
 use std::path::{Path, PathBuf};
-use store_of::{apply, version_of};
+use std::time::Duration;
+use store_of::{Claim, apply, version_of};
 
 const EXAMPLES: &str = "Examples:
   Look, then apply:
@@ -29,7 +30,10 @@ const EXAMPLES: &str = "Examples:
     presight env apply site.presight found/changes.jsonl
 
   With poses from elsewhere, known to 5 mm and 0.1 degrees:
-    presight update run.jsonl --map site.presight --init reference --poses run.tum --pose-cov 0.005,0.005,0.005,0.1,0.1,0.1 --out found";
+    presight update run.jsonl --map site.presight --init reference --poses run.tum --pose-cov 0.005,0.005,0.005,0.1,0.1,0.1 --out found
+
+  A robot with two sensors:
+    presight update front=front.jsonl rear=rear.jsonl --robot kurt.toml --map site.presight --init reference --out found";
 
 /// Learn what changed: objects that are gone, moved or new, from the logs of drives
 ///
@@ -42,9 +46,13 @@ pub struct Args {
     #[command(flatten)]
     drive: Drive,
 
-    /// Logs of further drives
+    /// Logs of further drives; with --robot, of the robot's other sensors
     #[arg(value_name = "LOG")]
     more: Vec<PathBuf>,
+
+    /// The sensors of the robot: each LOG is then NAME=LOG, the log of the sensor NAME in the same drive
+    #[arg(long, value_name = "ROBOT.toml", conflicts_with_all = ["sensor", "grey_sensor"])]
+    robot: Option<PathBuf>,
 
     /// Poses of the robot at the stamps of the frames, instead of the localizer's own
     #[arg(long, value_name = "FILE.tum", requires = "pose_cov")]
@@ -62,6 +70,10 @@ pub struct Args {
     #[arg(long)]
     apply: bool,
 
+    /// Begin no further change so many milliseconds after the first; the rest waits in DIR/changes.jsonl
+    #[arg(long, value_name = "MS", requires = "apply")]
+    deadline_ms: Option<f64>,
+
     /// Keep evidence that does not decide yet in this file, and go on with its content
     #[arg(long, value_name = "FILE")]
     evidence: Option<PathBuf>,
@@ -70,10 +82,10 @@ pub struct Args {
     #[arg(long, value_name = "UTC")]
     time: Option<f64>,
 
-    /// What becomes of each kind of finding, such as gone=mark,new=stop: change, mark, stop, come-back or ignore
+    /// What becomes of each kind of finding, such as gone=change,new=stop: mark, change, stop, come-back or ignore [default: mark]
     ///
-    /// The kinds are gone, moved, new and part. `change` changes the model. `mark` marks the object as uncertain. `stop`
-    /// proposes nothing and ends with status 1. `come-back` adds the place to DIR/come_back.jsonl.
+    /// The kinds are gone, moved, new and part. `mark` marks the object as uncertain, and what is new. `change` changes the
+    /// model. `stop` proposes nothing and ends with status 1. `come-back` adds the place to DIR/come_back.jsonl.
     #[arg(long, value_name = "KIND=ACTION,..", default_value = "")]
     policy: String,
 
@@ -98,12 +110,14 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     if let Some(time) = args.time.filter(|time| !time.is_finite()) {
         return Err(Error::usage(format!("--time {time}"), "give finite UTC seconds"));
     }
+    let within = deadline(args)?;
     let policy = Policy::parse(&args.policy).map_err(|e| e.at("--policy"))?;
     let mut learner = Learner::new(options(args)?)?;
-    let logs: Vec<&Path> =
-        std::iter::once(args.drive.log.as_path()).chain(args.more.iter().map(PathBuf::as_path)).collect();
-    check_files(args, &logs)?;
+    let drives = drives(args)?;
+    check_files(args, &drives)?;
     let known = known_poses(args)?;
+    let claimed = args.apply.then_some(&args.drive.map).into_iter().chain(&args.evidence);
+    let _claims = claimed.map(|path| Claim::of(path)).collect::<Result<Vec<_>>>()?;
     let scene = args.drive.scene()?;
     let version = version_of(&args.drive.map, &scene)?;
     if args.apply && !version.is_store {
@@ -115,30 +129,24 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         let told = format!("evidence on {left_out} objects is left out, because they moved or are gone since");
         print::notices(&(left_out > 0).then_some(told));
     }
-    let mut stamp = 0.0f64;
-    for log in &logs {
-        let drive = args.drive.with_log(log);
-        match &known {
-            Some((poses, covariance)) => follow_known(&drive, &scene, &mut learner, (poses, covariance), &mut stamp)?,
-            None => follow(&drive, &mut learner, &mut stamp)?,
-        }
-        learner.end_drive();
-    }
+    let stamp = learn(&drives, &scene, &mut learner, known.as_ref())?;
     folder::ready(&args.out)?;
     let findings = learner.findings(&scene.world);
     let utc = args.time.unwrap_or(0.0);
     let utc = if stamp > 1e9 { 0.0 } else { utc };
     let lines = change_lines(&learner, &findings, &scene.world, (&version.base, utc), &policy);
     let text: String = lines.iter().map(|line| format!("{line}\n")).collect();
-    write_atomically(&args.out.join("changes.jsonl"), |file| file.write_all(text.as_bytes()))?;
+    let changes = args.out.join("changes.jsonl");
+    write_atomically(&changes, |file| file.write_all(text.as_bytes()))?;
     let after = after(&scene.world, &findings);
     let shares = (learner.share_explained(&scene.world, 0.1), learner.share_explained(&after, 0.1));
     let told = summary(&learner, &findings, shares);
-    let shown = Shown { args, logs: &logs, scene: &scene, after: &after, findings: &findings, told: &told };
+    let shown = Shown { args, drives: &drives, scene: &scene, after: &after, findings: &findings, told: &told };
     shown.write(&args.out)?;
-    let applied = if args.apply { apply(&args.drive.map, &lines)? } else { Vec::new() };
+    let (applied, waiting) =
+        if args.apply { apply(&args.drive.map, &lines, stamp + utc, within)? } else { (Vec::new(), 0) };
     if let Some(path) = &args.evidence {
-        let changed: Vec<String> = applied.iter().filter_map(|number| changed_by(&lines[*number])).collect();
+        let changed: Vec<String> = applied.iter().filter_map(|line| changed_by(line)).collect();
         if !applied.is_empty() {
             learner.forget(&after, &changed);
         }
@@ -146,11 +154,53 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     }
     come_back(&args.out.join("come_back.jsonl"), &findings, &policy)?;
     print::data(&told)?;
+    let waits = format!(
+        "{waiting} of {} changes wait: presight env apply {} {} applies them",
+        lines.len(),
+        args.drive.map.display(),
+        changes.display()
+    );
+    print::notices(&(waiting > 0).then_some(waits));
     let stops: Vec<String> =
         of_action(&findings, &policy, Action::Stop).map(|f| format!("stop: {}", told_with_look(f))).collect();
     print::notices(&stops);
     print::notices(&findings.wrong.iter().map(|why| format!("nothing is changed: {why}")).collect::<Vec<_>>());
     Ok(if findings.wrong.is_some() || !stops.is_empty() { CommandOutcome::Found } else { CommandOutcome::Done })
+}
+
+/// The time that applying may take.
+fn deadline(args: &Args) -> Result<Duration> {
+    let Some(ms) = args.deadline_ms else { return Ok(Duration::MAX) };
+    let within = (ms >= 0.0).then(|| Duration::try_from_secs_f64(ms / 1e3).ok()).flatten();
+    within.ok_or_else(|| Error::usage(format!("--deadline-ms {ms}"), "give milliseconds of at least 0"))
+}
+
+/// The drives, one after the other; with --robot one drive, which has all logs.
+fn drives(args: &Args) -> Result<Vec<Drive>> {
+    if args.robot.is_some() {
+        let more: Vec<String> = args.more.iter().map(|log| log.to_string_lossy().into_owned()).collect();
+        return Ok(vec![args.drive.of_robot(args.robot.as_deref(), &more)?]);
+    }
+    let logs = std::iter::once(args.drive.log.as_path()).chain(args.more.iter().map(PathBuf::as_path));
+    Ok(logs.map(|log| args.drive.with_log(log)).collect())
+}
+
+/// Learns from all drives. Returns the last stamp, seconds.
+fn learn(drives: &[Drive], scene: &Scene, learner: &mut Learner, known: Option<&Known>) -> Result<f64> {
+    let mut stamp = 0.0f64;
+    for drive in drives {
+        match known {
+            Some((poses, covariance)) => {
+                for drive in drive.each_log() {
+                    follow_known(&drive, scene, learner, (poses, covariance), &mut stamp)?;
+                    learner.end_way();
+                }
+            }
+            None => follow(drive, learner, &mut stamp)?,
+        }
+        learner.end_drive();
+    }
+    Ok(stamp)
 }
 
 /// The object that a line changes.
@@ -164,27 +214,32 @@ fn of_action<'a>(findings: &'a Findings, policy: &'a Policy, action: Action) -> 
 }
 
 fn told_with_look(finding: &Finding) -> String {
-    let look = finding.sight.map(|sight| {
+    let look = finding.sight.as_ref().map(|sight| {
         let (t, (_, _, yaw)) = (sight.world_from_sensor.translation, sight.world_from_sensor.rpy());
         format!("; look from {:.2},{:.2},{:.2} at {:.0} degrees", t.x, t.y, t.z, yaw.to_degrees())
     });
     told(finding) + look.as_deref().unwrap_or_default()
 }
 
-/// Adds the places to come back to, a line each, to a list that survives.
+/// Adds the places to come back to, a line each, to a list that survives. A place that is on it is not added again.
 fn come_back(path: &Path, findings: &Findings, policy: &Policy) -> Result<()> {
-    let lines: Vec<String> = of_action(findings, policy, Action::ComeBack).map(told_with_look).collect();
+    let known = match std::fs::read_to_string(path) {
+        Ok(text) => text,
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => String::new(),
+        Err(e) => return Err(Error::io(path, "read it", e)),
+    };
+    let line = |finding: &Finding| serde_json::json!({ "come_back": told_with_look(finding) }).to_string();
+    let mut lines: Vec<String> = known.lines().map(str::to_owned).collect();
+    for line in of_action(findings, policy, Action::ComeBack).map(line) {
+        if !lines.contains(&line) {
+            lines.push(line);
+        }
+    }
     if lines.is_empty() {
         return Ok(());
     }
-    let line = |text: &String| format!("{}\n", serde_json::json!({ "come_back": text }));
-    let mut file = std::fs::OpenOptions::new()
-        .create(true)
-        .append(true)
-        .open(path)
-        .map_err(|e| Error::io(path, "write to it", e))?;
-    let text: String = lines.iter().map(line).collect();
-    file.write_all(text.as_bytes()).map_err(|e| Error::io(path, "write to it", e))
+    let text: String = lines.iter().map(|line| format!("{line}\n")).collect();
+    write_atomically(path, |file| file.write_all(text.as_bytes()))
 }
 
 fn options(args: &Args) -> Result<LearnOptions> {
@@ -201,11 +256,13 @@ fn options(args: &Args) -> Result<LearnOptions> {
 }
 
 /// Checks that no output is an input, before anything is read.
-fn check_files(args: &Args, logs: &[&Path]) -> Result<()> {
+fn check_files(args: &Args, drives: &[Drive]) -> Result<()> {
     let mut files = OutputFiles::default();
     files.add_folder(&args.out, &["index.html", "changes.jsonl"])?;
     args.evidence.iter().try_for_each(|path| files.add_any(path))?;
-    files.check_named(logs.iter().copied().chain([args.drive.map.as_path()]).chain(args.poses.as_deref()))
+    let logs: Vec<PathBuf> = drives.iter().flat_map(Drive::each_log).map(|drive| drive.log).collect();
+    let others = [args.poses.as_deref(), args.robot.as_deref()].into_iter().flatten();
+    files.check_named(logs.iter().map(PathBuf::as_path).chain([args.drive.map.as_path()]).chain(others))
 }
 
 type Known = (Vec<StampedPose>, PoseCovariance<InWorld>);
@@ -223,7 +280,8 @@ fn follow(drive: &Drive, learner: &mut Learner, last: &mut f64) -> Result<()> {
     drive.follow(OutputFiles::default(), None, |scene, sensed, step| {
         *last = step.stamp;
         sure |= step.phase == Phase::Tracking;
-        learner.observe(&scene.world, step, &[sensed.frame])
+        let frames: Vec<&Frame> = std::iter::once(sensed.frame).chain(sensed.grey).chain(sensed.beside).collect();
+        learner.observe(&scene.world, step, &frames)
     })?;
     let log = drive.log.display();
     print::notices(&(!sure).then(|| format!("{log}: the robot was never sure of its pose, so nothing was learnt")));
@@ -270,11 +328,13 @@ fn summary(learner: &Learner, findings: &Findings, (before, after): (f64, f64)) 
     let tally = learner.tally();
     let mut text = format!("{} frames, {} views, {} thrown away\n", tally.frames, tally.views, tally.discarded);
     text += &format!(
-        "{} gone, {} moved, {} new, {} parts gone, {} doubtful, {} confirmed, {} never seen\n",
+        "{} gone, {} moved, {} new, {} parts gone, {} seen through, {} come and go, {} doubtful, {} confirmed, {} never seen\n",
         count(|w| matches!(w, What::Gone)),
         count(|w| matches!(w, What::Moved { .. })),
         count(|w| matches!(w, What::New(_))),
         count(|w| matches!(w, What::Part(_))),
+        count(|w| matches!(w, What::SeenThrough(_))),
+        count(|w| matches!(w, What::ComesAndGoes)),
         findings.doubts.len(),
         findings.confirmed.len(),
         findings.unseen
@@ -302,6 +362,8 @@ fn told(finding: &Finding) -> String {
             let (p, s) = (found.pose.translation, found.size);
             format!("new: {:.2} x {:.2} x {:.2} m at {:.2},{:.2},{:.2} ({odds})", s.x, s.y, s.z, p.x, p.y, p.z)
         }
+        What::SeenThrough(class) => format!("seen through by sensors of class {class}: {object} ({odds})"),
+        What::ComesAndGoes => format!("comes and goes: {object} ({odds})"),
         What::Part(b) => format!("part gone: {object} from {:.1} to {:.1} in its frame ({odds})", b.min, b.max),
     }
 }

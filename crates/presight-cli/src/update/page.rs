@@ -1,6 +1,6 @@
 //! The page of an update: for each change the measurement, and the prediction before and after it.
 
-use super::{Args, told};
+use super::{Args, Drive, told};
 use presight::Scene;
 use presight_files::atomic::write_atomically;
 use presight_model::error::Result;
@@ -9,8 +9,8 @@ use presight_model::world::World;
 use presight_pictures::preview_png;
 use presight_predict::predict::{Backend, Options, Predictor};
 use presight_render::plan::{Images, Output, Outputs};
-use presight_update::{Finding, Findings};
-use std::collections::BTreeMap;
+use presight_update::{Finding, Findings, Sight};
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::io::Write;
 use std::path::Path;
@@ -18,10 +18,17 @@ use std::path::Path;
 /// Most changes that get pictures.
 const MOST: usize = 200;
 
+/// Drive, sensor and stamp of a frame.
+type Key = (usize, String, u64);
+
+fn key(sight: &Sight) -> Key {
+    (sight.drive, sight.sensor.clone(), sight.stamp.to_bits())
+}
+
 /// All that the page shows.
 pub struct Shown<'a> {
     pub args: &'a Args,
-    pub logs: &'a [&'a Path],
+    pub drives: &'a [Drive],
     pub scene: &'a Scene,
     pub after: &'a World,
     pub findings: &'a Findings,
@@ -38,7 +45,7 @@ impl Shown<'_> {
         let mut predictor = Predictor::new(Options::new(Backend::Cpu))?;
         let mut body = String::new();
         for (number, finding) in self.findings.changes.iter().enumerate() {
-            let frame = finding.sight.and_then(|sight| frames.get(&(sight.drive, sight.stamp.to_bits())));
+            let frame = finding.sight.as_ref().and_then(|sight| frames.get(&key(sight)));
             let _ = write!(body, "<section><h2>{}. {}</h2>", number + 1, escaped(&told(finding)));
             if let Some(frame) = frame {
                 for (name, png) in self.pictures(&mut predictor, finding, frame)? {
@@ -61,19 +68,21 @@ impl Shown<'_> {
         write_atomically(&out.join("index.html"), |file| file.write_all(html.as_bytes()))
     }
 
-    /// The frames that show the findings, by drive and stamp.
-    fn frames(&self) -> Result<BTreeMap<(usize, u64), Frame>> {
-        let sights = self.findings.changes.iter().take(MOST).filter_map(|finding| finding.sight);
-        let wanted: Vec<(usize, u64)> = sights.map(|sight| (sight.drive, sight.stamp.to_bits())).collect();
+    /// The frames that show the findings, by drive, sensor and stamp.
+    fn frames(&self) -> Result<BTreeMap<Key, Frame>> {
+        let sights = self.findings.changes.iter().take(MOST).filter_map(|finding| finding.sight.as_ref());
+        let wanted: BTreeSet<Key> = sights.map(key).collect();
         let mut frames = BTreeMap::new();
-        for (number, log) in self.logs.iter().enumerate().filter(|(n, _)| wanted.iter().any(|(drive, _)| drive == n)) {
-            self.args.drive.with_log(log).read(self.scene, |_, frame, _| {
-                let key = (number, frame.stamp.to_bits());
-                if wanted.contains(&key) {
-                    frames.insert(key, frame.clone());
-                }
-                Ok(())
-            })?;
+        for (number, drive) in self.drives.iter().enumerate().filter(|(n, _)| wanted.iter().any(|key| key.0 == *n)) {
+            for drive in drive.each_log() {
+                drive.read(self.scene, |_, frame, _| {
+                    let key = (number, frame.sensor().spec().name.clone(), frame.stamp.to_bits());
+                    if wanted.contains(&key) {
+                        frames.insert(key, frame.clone());
+                    }
+                    Ok(())
+                })?;
+            }
         }
         Ok(frames)
     }
@@ -84,7 +93,7 @@ impl Shown<'_> {
         finding: &Finding,
         frame: &Frame,
     ) -> Result<Vec<(&'static str, Vec<u8>)>> {
-        let (sensor, Some(sight)) = (frame.sensor(), finding.sight) else { return Ok(Vec::new()) };
+        let (sensor, Some(sight)) = (frame.sensor(), &finding.sight) else { return Ok(Vec::new()) };
         let (width, height) = (sensor.width(), sensor.height());
         let measured = Images { width, height, range: frame.ranges().to_vec(), ..Images::default() };
         let mut pictures = vec![("measured", preview_png(&measured, sensor, Output::Range)?)];

@@ -2,11 +2,14 @@
 
 use crate::print;
 use presight::Scene;
-use presight_model::error::Result;
+use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::index::IndexKind;
 use presight_store as store;
 use presight_store::{Note, Store};
-use std::path::Path;
+use presight_update::Waiting;
+use std::fs::{File, TryLockError};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 /// A version of a map.
 pub struct Version {
@@ -30,23 +33,55 @@ pub fn version_of(map: &Path, scene: &Scene) -> Result<Version> {
     Ok(Version { is_store: true, origin: info.genesis, base: info.head[..12].to_owned() })
 }
 
-/// Applies lines to the store, each on its own; those whose objects changed in the meantime are refused by name. Returns
-/// the numbers of the lines that were applied.
+/// Applies lines to the store at a time (UTC seconds), each on its own; those whose objects changed in the meantime are refused
+/// by name. Returns the lines that were applied, and how many wait because the time is over.
 ///
 /// # Errors
 /// Errors from opening the store and from writing to it.
-pub fn apply(map: &Path, lines: &[String]) -> Result<Vec<usize>> {
+pub fn apply(map: &Path, lines: &[String], time: f64, within: Duration) -> Result<(Vec<String>, usize)> {
     let mut store = Store::open_with_index(map, &IndexKind::None)?;
-    let note = Note::new("presight update", 0.0);
-    let mut batch = store.batch()?;
-    let mut applied = Vec::new();
-    for (number, line) in lines.iter().enumerate() {
-        match batch.apply_line(line, Path::new("."), &note) {
-            Ok((_, is_new)) => applied.extend(is_new.then_some(number)),
-            Err(e) if batch.is_whole() => print::message(&format!("change {}: {e}", number + 1)),
-            Err(e) => return Err(e),
+    let mut waiting = Waiting::default();
+    waiting.add(lines.iter().cloned());
+    let applied = waiting.apply(&mut store, &Note::new("presight update", time), within)?;
+    applied.refused.iter().for_each(|(_, e)| print::message(&e.to_string()));
+    Ok((applied.lines, waiting.lines().len()))
+}
+
+/// The right to update a store or a file of evidence: one run at a time. It ends with the run, however that ends.
+pub struct Claim {
+    path: PathBuf,
+    _file: File,
+}
+
+impl Claim {
+    /// Claims a file.
+    ///
+    /// # Errors
+    /// [`ErrorKind::System`] if another run has it, or if nothing can be written beside it.
+    pub fn of(claimed: &Path) -> Result<Self> {
+        let mut name = claimed.as_os_str().to_owned();
+        name.push("-update");
+        let path = PathBuf::from(name);
+        let read_only = std::fs::metadata(claimed).is_ok_and(|m| m.permissions().readonly());
+        if read_only {
+            let remedy = "make it writable, or leave out --apply and --evidence";
+            return Err(Error::new(ErrorKind::System, "cannot write: the file is read-only", remedy).in_file(claimed));
+        }
+        let file = File::options().create(true).append(true).open(&path);
+        let file = file.map_err(|e| Error::io(&path, "claim what an update writes", e))?;
+        match file.try_lock() {
+            Ok(()) => Ok(Self { path, _file: file }),
+            Err(TryLockError::WouldBlock) => {
+                let what = "another presight update is at work on it";
+                Err(Error::new(ErrorKind::System, what, "wait until that one ends, or stop it").in_file(claimed))
+            }
+            Err(TryLockError::Error(e)) => Err(Error::io(&path, "claim what an update writes", e)),
         }
     }
-    batch.commit()?;
-    Ok(applied)
+}
+
+impl Drop for Claim {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_file(&self.path);
+    }
 }

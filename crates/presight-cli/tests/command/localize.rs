@@ -48,6 +48,19 @@ fn a_simulated_drive_is_localized() {
     assert!(last["covariance"][0][0].as_f64().unwrap() > 0.0 && last["verdicts"]["confirmed"].as_u64().unwrap() > 2000);
 }
 
+/// A camera has six numbers, unless the options of a level scanner are chosen: then its height keeps no variance.
+#[test]
+fn a_preset_chooses_the_options() {
+    let place = drive_of(1);
+    for (preset, is_free) in [("", true), ("--preset depth_camera", true), ("--preset indoor_scanner", false)] {
+        let done = place.run(&format!("localize log --map room.glb --init reference {preset} --out run.tum"));
+        assert_eq!(done.status, Some(0), "{}", done.stderr);
+        let details = fs::read_to_string(place.path("run.jsonl")).unwrap();
+        let step: serde_json::Value = serde_json::from_str(details.lines().next().unwrap()).unwrap();
+        assert_eq!(step["covariance"][2][2].as_f64().unwrap() > 0.0, is_free, "{preset}: {step}");
+    }
+}
+
 /// Images are named by their time in microseconds, so two poses within one would overwrite each other's image.
 #[test]
 fn poses_with_images_of_one_name_are_refused() {
@@ -77,6 +90,7 @@ fn invalid_flags_of_a_search_are_named_first() {
         ("--surrounded", "1.5", "; give a share of 0 to 1", "1"),
         ("--init-sigma", "0", "; give a finite deviation above 0", "0.1"),
         ("--init-sigma-deg", "nan", "; give a finite deviation above 0", "0.1"),
+        ("--init-odds", "1", "; give finite odds above 1, such as 10000", "10000"),
         ("--model-sigma", "-1", "; give finite metres of at least 0", "0"),
         ("--odometry-sigma", "-1", "; give a finite fraction of at least 0", "0"),
     ] {

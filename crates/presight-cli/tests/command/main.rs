@@ -34,6 +34,8 @@ mod special;
 mod supervise;
 #[cfg(feature = "store")]
 mod update;
+#[cfg(feature = "store")]
+mod update_inputs;
 mod virtual_sensors;
 
 use assert_cmd::Command;

@@ -122,3 +122,47 @@ fn input_that_does_not_fit_a_scanner_is_refused() {
         assert_eq!(place.path("x.tum").exists(), log != "key.jsonl");
     }
 }
+
+/// A plate of foil was taken away, and another one put up: after a drive the first hardly exists and is deleted, the second is
+/// found within 1 cm, and what stands is believed more.
+#[cfg(feature = "store")]
+#[test]
+fn reflectors_that_are_gone_and_new_are_learnt() {
+    use presight_model::environment::FeatureShape;
+    let place = Place::new();
+    let plates = SCENE.split_inclusive('\n').collect::<Vec<_>>();
+    let (walls, stay) = (plates[..6].concat(), plates[6..].concat());
+    let plate = |name: &str, x: f64| format!("place(\"{name}\", plate, pose({x}, -0.9, 0.9));\n");
+    let more = [plate("plate 4", 8.5), plate("plate 5", 10.0)].concat();
+    place.write("map.rhai", format!("{walls}{stay}{more}{}", plate("taken", 2.5)).as_bytes());
+    place.write("site.rhai", format!("{walls}{stay}{more}{}", plate("put up", 6.3)).as_bytes());
+    place.write("scanner.toml", SCANNER.as_bytes());
+    let line = |k: usize| format!("{} {} 0.1 0.8 0 0 0.02 0.9998\n", 10 + k, 0.3 * k as f64);
+    place.write("drive.tum", (0..18).map(line).collect::<String>().as_bytes());
+    let made = place.run("simulate site.rhai --sensor scanner.toml --intensities --poses drive.tum --out log");
+    assert_eq!(made.status, Some(0), "{}", made.stderr);
+    place.run("env create map.presight map.rhai");
+    let layer = |of: &str| {
+        let environment = presight_store::check(&place.path("map.presight")).unwrap().environment;
+        let layer = environment.layer("laser").unwrap();
+        let on = |f: &&std::sync::Arc<presight_model::environment::Feature>| f.object.as_deref() == Some(of);
+        layer.features.iter().find(on).cloned()
+    };
+    let all = || presight_store::check(&place.path("map.presight")).unwrap().environment;
+    let before: Vec<u32> = all().layer("laser").unwrap().features.iter().map(|f| f.id).collect();
+    assert!(layer("taken").is_some() && before.len() == 6);
+    let learn = "update log/scans.jsonl --map map.presight --own-features --init reference --out found --apply";
+    let done = place.run(learn);
+    assert_eq!(done.status, Some(0), "{}", done.stderr);
+    assert!(layer("taken").is_none_or(|f| f.existence.p0 < 0.05), "{:?}", layer("taken"));
+    assert!(layer("plate 3").is_some_and(|f| f.existence.p0 > 0.95 && f.existence.confirmed > 0.0));
+    let environment = all();
+    let new: Vec<_> = environment.layer("laser").unwrap().features.iter().filter(|f| !before.contains(&f.id)).collect();
+    assert_eq!(new.len(), 1, "{new:?}");
+    let FeatureShape::Reflector { at, .. } = new[0].shape else { panic!("{new:?}") };
+    let object = environment.object(new[0].object.as_deref().unwrap()).unwrap();
+    let found = object.world_from_object.transform_point(at);
+    // The scan tells x and y; the height is where its row meets the plate.
+    let off = (found - glam::DVec3::new(6.295, -0.9, found.z)).length();
+    assert!(off < 0.01, "{found} is {off} m off");
+}

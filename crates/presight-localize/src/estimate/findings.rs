@@ -2,7 +2,7 @@
 
 use super::image::{ImageSource, SeenPoint, SeenSegment};
 use crate::extract::{FindOptions, Findings, find_features};
-use crate::matching::Shape;
+use crate::matching::{Shape, UncertainValue};
 use glam::{DMat2, DMat3, DVec2, DVec3};
 use presight_features::{BoxOptions, FeatureOptions, FeatureSource};
 use presight_model::environment::{Feature, FeatureShape};
@@ -19,6 +19,9 @@ use std::collections::BTreeMap;
 
 /// How well a camera is calibrated, one standard deviation, pixels: what is found is known no better.
 const CALIBRATION: f64 = 0.1;
+
+/// No feature counts less than if it existed with this probability.
+const LEAST_EXISTENCE: f64 = 1e-3;
 
 /// True if a frame has intensities, and there are reflectors to look for in them.
 pub(super) fn has_reflectors(world: &World, features: &FeatureOptions, frame: &Frame) -> bool {
@@ -115,14 +118,16 @@ impl<'a> ImageSource<'a> {
         let (mut points, mut segments) = (Vec::new(), Vec::new());
         let calibration = CALIBRATION * CALIBRATION;
         for (feature, detection) in findings.matched() {
+            // What may not exist may have been matched to something else: its information counts as much as it is probable.
+            let doubt = 1.0 / feature.existence.clamp(LEAST_EXISTENCE, 1.0);
             match (&detection.shape, &feature.points_world[..]) {
                 (Shape::Segment { ends: found, .. }, [a, b]) => {
                     let across = (found[1] - found[0]).perp().normalize_or_zero();
-                    let sigma = (across.dot(detection.covariance * across) + calibration).sqrt();
+                    let sigma = (doubt * (across.dot(detection.covariance * across) + calibration)).sqrt();
                     segments.push(SeenSegment { ends: [*a, *b], found: *found, sigma, feature: feature.id });
                 }
                 (Shape::Point(_) | Shape::Fiducial(_), corners) => {
-                    let covariance = detection.covariance + DMat2::from_diagonal(DVec2::splat(calibration));
+                    let covariance = doubt * (detection.covariance + DMat2::from_diagonal(DVec2::splat(calibration)));
                     let point = |(point, found): (&DVec3, &DVec2)| SeenPoint {
                         point: *point,
                         found: *found,
@@ -136,9 +141,9 @@ impl<'a> ImageSource<'a> {
                 (Shape::Reflector(found), [at]) => points.push(SeenPoint {
                     point: *at,
                     found: *found,
-                    covariance: detection.covariance + DMat2::from_diagonal(DVec2::splat(calibration)),
-                    range: detection.properties.range,
-                    place: feature.place,
+                    covariance: doubt * (detection.covariance + DMat2::from_diagonal(DVec2::splat(calibration))),
+                    range: detection.properties.range.map(|r| UncertainValue { variance: doubt * r.variance, ..r }),
+                    place: doubt * feature.place,
                     feature: feature.id,
                 }),
                 _ => {}

@@ -5,6 +5,7 @@ use super::descent::{LOOK, NEAR, SEARCH, SETTLE, Schedule, descend, serves};
 use super::findings::{find_at, has_reflectors, place_error, reflectors};
 use super::normal::{CommonError, Freedom, Normal};
 use super::offsets::OffsetVariance;
+use super::options::EstimateOptions;
 use super::prior;
 use super::range::measured_points;
 use super::reflectors::{MatchedReflectors, hold, other_camp};
@@ -25,67 +26,6 @@ use presight_model::world::World;
 use presight_predict::predict::Predictor;
 use rayon::prelude::*;
 use std::sync::Arc;
-
-/// How an [`Estimator`] works.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
-pub struct EstimateOptions {
-    /// Which numbers of the pose are looked for.
-    pub freedom: Freedom,
-    /// Share of the measured points that the right pose has to explain.
-    pub least_explained: f64,
-    /// Most full predictions of an estimate.
-    pub most_predictions: usize,
-    /// How far polygons may be off along their normals, one standard deviation, metres. It is each point's own.
-    pub model_sigma: f64,
-    /// Standard deviation of the offsets that polygons of one plane share, metres, until it is learnt.
-    pub offset_sigma: f64,
-    /// A direction is weak where the measurement alone is looser, metres.
-    pub loosest: f64,
-    /// Only the surfaces of this object count, by its index: the pose is then told as if the object stood where the model has it, and
-    /// [`Estimate::relative_to`] tells it in the object's own frame, for docking.
-    pub only: Option<u32>,
-}
-
-impl Default for EstimateOptions {
-    fn default() -> Self {
-        Self {
-            freedom: Freedom::Full,
-            least_explained: 0.75,
-            most_predictions: 12,
-            model_sigma: 0.0,
-            offset_sigma: 0.003,
-            loosest: 0.5,
-            only: None,
-        }
-    }
-}
-
-presight_model::with_options!(
-    EstimateOptions:
-    with_freedom freedom: Freedom,
-    with_least_explained least_explained: f64,
-    with_most_predictions most_predictions: usize,
-    with_model_sigma model_sigma: f64,
-    with_offset_sigma offset_sigma: f64,
-    with_loosest loosest: f64,
-    with_only only: Option<u32>,
-);
-
-impl EstimateOptions {
-    /// For a level scanner of one row on a level floor. Plans and maps of buildings are off by centimetres, and a row meets much
-    /// that they leave out.
-    pub fn planar() -> Self {
-        let (freedom, model_sigma) = (Freedom::Planar, 0.03);
-        Self { freedom, model_sigma, offset_sigma: 0.02, least_explained: 0.5, ..Self::default() }
-    }
-
-    /// For scans of points all round, in maps made of such scans: leaves and wires are seen at other places each time, and much
-    /// of what is seen was hidden before.
-    pub fn scan() -> Self {
-        Self { model_sigma: 0.1, offset_sigma: 0.02, least_explained: 0.5, ..Self::default() }
-    }
-}
 
 /// Estimates poses from frames, one after the other.
 pub struct Estimator {
@@ -149,11 +89,71 @@ impl Estimator {
     /// features to look for; those of [`Predictor::predict`].
     pub fn estimate(&mut self, world: &World, frames: &[&Frame], prior: &PoseEstimate) -> Result<Estimate> {
         // One hand-over to the threads: one for each part of it costs as much as the parts of a scan.
-        let threads = self.predictor.task_threads()?;
-        threads.run(|| self.estimate_here(world, frames, prior))?
+        let (threads, least) = (self.predictor.task_threads()?, self.options.least_explained);
+        threads.run(|| self.estimate_here(world, frames, prior, least))?
     }
 
-    fn estimate_here(&mut self, world: &World, frames: &[&Frame], prior: &PoseEstimate) -> Result<Estimate> {
+    /// The same for a caller that judges the pose by other evidence than the share of explained points: whatever that
+    /// is, the estimate counts, and no other start is tried because of it.
+    ///
+    /// # Errors
+    /// Those of [`Estimator::estimate`].
+    pub(crate) fn follow(&mut self, world: &World, frames: &[&Frame], prior: &PoseEstimate) -> Result<Estimate> {
+        let threads = self.predictor.task_threads()?;
+        threads.run(|| self.estimate_here(world, frames, prior, 0.0))?
+    }
+
+    /// Where descents from `starts` come to rest other than at the prior's pose: farther from it than `apart`, metres and
+    /// radians. A descent that comes nearer than half of that ends there.
+    ///
+    /// # Errors
+    /// Those of [`Estimator::estimate`].
+    pub(crate) fn minima(
+        &mut self,
+        world: &World,
+        frames: &[&Frame],
+        prior: &PoseEstimate,
+        starts: &[Pose],
+        apart: (f64, f64),
+    ) -> Result<Vec<Pose>> {
+        let mut run = self.start(world, frames, prior)?;
+        if run.is_blind() {
+            return Ok(Vec::new());
+        }
+        let expected = match self.at_hand(&run) {
+            Some(before) => before,
+            None => self.expected(&mut run, prior)?,
+        };
+        run.first = Some(expected.clone());
+        let freedom = self.options.freedom;
+        let off = |a: &Pose, b: &Pose| {
+            let off = motion_between(a, b);
+            length(&off[..3]) > apart.0 || length(&off[3..]) > apart.1
+        };
+        let half = |a: &Pose, b: &Pose| {
+            let off = motion_between(a, b);
+            length(&off[..3]) < 0.5 * apart.0 && length(&off[3..]) < 0.5 * apart.1
+        };
+        let comes_back = |pose: &Pose| half(&prior.world_from_robot, pose);
+        let look = |start: &Pose| descend(&run, &expected, *start, &LOOK, freedom, comes_back).pose;
+        let ends: Vec<Pose> = self.predictor.on_threads(|| starts.par_iter().map(look).collect())?;
+        let mut found: Vec<Pose> = Vec::new();
+        for end in ends {
+            if off(&prior.world_from_robot, &end) && found.iter().all(|other| off(other, &end)) {
+                found.push(self.descend(&run, &expected, end, &SETTLE).pose);
+            }
+        }
+        found.retain(|end| off(&prior.world_from_robot, end));
+        Ok(found)
+    }
+
+    fn estimate_here(
+        &mut self,
+        world: &World,
+        frames: &[&Frame],
+        prior: &PoseEstimate,
+        least: f64,
+    ) -> Result<Estimate> {
         let mut run = self.start(world, frames, prior)?;
         if run.is_blind() {
             return Ok(self.blind(&run));
@@ -167,11 +167,11 @@ impl Estimator {
         let mut best = self.settle(&mut run, &found)?;
         // What was matched in grey images is matched from another start, too.
         let reflectors = MatchedReflectors::at(&run, &best.expected, &best.pose).counts();
-        let doubtful = (best.normal.explained_share() < self.options.least_explained && !hold(reflectors))
+        let doubtful = (best.normal.explained_share() < least && !hold(reflectors))
             || run.deviations_squared(&best.pose)
                 > chi_squared_quantile(self.options.freedom.axes().len() as u32, DOUBTFUL);
         if !run.has_greys_only() && doubtful {
-            best = self.restart(&mut run, &expected, best)?;
+            best = self.restart(&mut run, &expected, best, least)?;
         }
         let others = self.other_minima(&mut run, &best)?;
         // Of what is not explained nobody knows which polygons it was.
@@ -179,7 +179,7 @@ impl Estimator {
             self.offsets.learn(&best.normal, &run.prior_information, self.options.freedom);
         }
         self.before = Some((world.stamp(), best.expected.clone()));
-        self.answer(&run, best, others)
+        self.answer(&run, best, others, least)
     }
 
     /// The prediction that the frame before ended with, if it was made near the prior's pose: it serves for the search, which ends in a
@@ -207,7 +207,7 @@ impl Estimator {
         let expected = self.expected(&mut run, prior)?;
         let found = self.descend(&run, &expected, prior.world_from_robot, &SEARCH);
         let end = self.settle(&mut run, &found)?;
-        self.answer(&run, end, Vec::new())
+        self.answer(&run, end, Vec::new(), self.options.least_explained)
     }
 
     /// Where the reflectors are that are looked for in the scans of a frame's sensor, world, metres.
@@ -333,8 +333,13 @@ impl Estimator {
 
     /// Draws starts from the prior. All search in the prediction at the prior's pose; the most promising predict anew. A pose that explains
     /// enough, but hardly is where the robot was known to be, gives way to a likely one that explains as much, if there is one.
-    fn restart(&mut self, run: &mut Run<'_>, expected: &Arc<Expectation>, best: Minimum) -> Result<Minimum> {
-        let least = self.options.least_explained;
+    fn restart(
+        &mut self,
+        run: &mut Run<'_>,
+        expected: &Arc<Expectation>,
+        best: Minimum,
+        least: f64,
+    ) -> Result<Minimum> {
         // Where the prediction at hand serves, a start costs none: the rounds are counted, too.
         let explains = best.normal.explained_share() >= least;
         let (rounds, schedule) =
@@ -380,7 +385,7 @@ impl Estimator {
         self.predictor.on_threads(at_once).unwrap_or_else(|_| at_once())
     }
 
-    fn answer(&mut self, run: &Run<'_>, best: Minimum, others: Vec<Minimum>) -> Result<Estimate> {
+    fn answer(&mut self, run: &Run<'_>, best: Minimum, others: Vec<Minimum>, least: f64) -> Result<Estimate> {
         let freedom = self.options.freedom;
         let offset = self.offsets.sigma().powi(2);
         let stored =
@@ -417,7 +422,7 @@ impl Estimator {
             }
             // The ranges may then be those of things that come and go.
             None if hold(reflectors) && !run.is_unlikely(&best.pose) => state(&hypothesis, &others, 0.0),
-            None => state(&hypothesis, &others, self.options.least_explained),
+            None => state(&hypothesis, &others, least),
         };
         let apart = |off: &Vector| std::array::from_fn(|i| std::array::from_fn(|j| off[i] * off[j]));
         for off in self.hanging_on_one(run, &best, &covariance).into_iter().chain(other_camp(run, &best, freedom)) {

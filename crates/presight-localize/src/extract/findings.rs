@@ -71,6 +71,8 @@ pub struct FeatureFinding {
     pub points_world: Vec<DVec3>,
     /// Covariance of the modelled position, world axes, metres squared; for points, fiducials and reflectors.
     pub place: DMat3,
+    /// Probability that the feature exists.
+    pub existence: f64,
     /// The predicted shape in the image.
     pub predicted: Shape,
     /// The classification; a match refers to [`Findings::detections`].
@@ -178,6 +180,7 @@ pub fn find_features(
                 id: seen.feature.id,
                 points_world: part.points_world,
                 place: DMat3::ZERO,
+                existence: seen.existence,
                 predicted: part.expected.shape.clone(),
                 class: FeatureClass::Undecidable,
             });

@@ -4,7 +4,7 @@ use glam::{DQuat, DVec3};
 use presight_model::error::Result;
 use presight_model::geometry::Pose;
 use presight_model::measured::{Frame, Measurement, RangeNoise};
-use presight_model::sensor::{Angles, Geometry, Sensor, SensorSpec};
+use presight_model::sensor::{Angles, Geometry, Scanner, Sensor, SensorSpec};
 use presight_model::world::World;
 use presight_predict::batch::{BatchRequest, PoseCell, RangeLikelihood};
 use presight_predict::predict::Predictor;
@@ -57,8 +57,11 @@ impl PoseLikelihood {
 
     /// Weighs a few pixels of a sensor of any shape.
     pub fn of_image(sensor: &Sensor, world: &World, model_sigma: f64, beam_dependence: f64) -> Result<Self> {
-        let most = if sensor.height() == 1 { SIDE * SIDE } else { SIDE };
-        let stride = (sensor.width().max(sensor.height()) / most).max(1);
+        let (width, height) = (f64::from(sensor.width()), f64::from(sensor.height()));
+        let side = f64::from(SIDE);
+        // As many pixels of a flat image as of one of 4 to 3.
+        let stride = if height == 1.0 { width / (side * side) } else { (width * height / (0.75 * side * side)).sqrt() };
+        let stride = stride.max(1.0) as u32;
         let nothing = vec![f32::NAN; sensor.width() as usize * sensor.height() as usize];
         let thin = Frame::new(0.0, sensor.clone(), Measurement::Range(nothing))?.thinned(stride)?;
         let mut spec = with_noise(thin.sensor(), world, model_sigma, beam_dependence);
@@ -81,8 +84,8 @@ impl PoseLikelihood {
         &self.scanner
     }
 
-    /// A frame, ready to be weighed; `None` if it has no reading.
-    pub fn of(&self, frame: &Frame, cell: PoseCell) -> Result<Option<RangeLikelihood>> {
+    /// The readings of a frame that count, as the scanner delivers them.
+    pub fn readings(&self, frame: &Frame) -> Result<Vec<f32>> {
         let spec = self.scanner.spec();
         let reading = |r: &f32| match f64::from(*r) {
             z if z > spec.range_max => f32::INFINITY,
@@ -91,12 +94,41 @@ impl PoseLikelihood {
             z if z < spec.range_min => f32::NEG_INFINITY,
             _ => *r,
         };
-        let ranges: Vec<f32> = self.thinned(frame)?.ranges().iter().map(reading).collect();
+        Ok(self.thinned(frame)?.ranges().iter().map(reading).collect())
+    }
+
+    /// A level scanner all round with the limits of this one.
+    pub fn all_round(&self, count: usize) -> Result<Sensor> {
+        let step_deg = 360.0 / count as f64;
+        let azimuth = Angles::Uniform { start_deg: -180.0, step_deg, count: count as u32 };
+        let elevation = Angles::Listed(vec![0.0]);
+        let geometry = Geometry::Scanner(Scanner { azimuth, elevation, beam_height_deg: None });
+        let own = self.scanner.spec();
+        let mut spec = SensorSpec::new(&own.name, &own.class, geometry);
+        (spec.range_min, spec.range_max) = (own.range_min, own.range_max);
+        Sensor::new(spec)
+    }
+
+    /// A frame, ready to be weighed; `None` if it has no reading.
+    pub fn of(&self, frame: &Frame, cell: PoseCell) -> Result<Option<RangeLikelihood>> {
+        let ranges = self.readings(frame)?;
         if ranges.iter().all(|r| !r.is_finite()) {
             return Ok(None);
         }
         let frame = Frame::new(frame.stamp, self.scanner.clone(), Measurement::Range(ranges))?;
         RangeLikelihood::new(&frame, cell).map(Some)
+    }
+
+    /// The scanner's poses for poses of the robot.
+    pub fn of_sensor(&self, robot: impl Iterator<Item = Pose>) -> Vec<Pose> {
+        let mount = self.scanner.spec().mount;
+        let of_sensor = |pose: Pose| if self.level { upright(&(pose * mount)) } else { pose * mount };
+        let mut poses: Vec<Pose> = robot.map(of_sensor).collect();
+        // One cut of the world serves them all, if rounding leaves them at one height.
+        let height = poses.first().map_or(0.0, |pose| pose.translation.z);
+        let same = |pose: &&mut Pose| (pose.translation.z - height).abs() < 1e-9;
+        poses.iter_mut().filter(same).for_each(|pose| pose.translation.z = height);
+        poses
     }
 
     /// Log-likelihoods of a frame at poses of the robot.
@@ -107,13 +139,7 @@ impl PoseLikelihood {
         frame: &Frame,
         poses: impl Iterator<Item = Pose>,
     ) -> Result<Vec<f64>> {
-        let mount = self.scanner.spec().mount;
-        let of_sensor = |pose: Pose| if self.level { upright(&(pose * mount)) } else { pose * mount };
-        let mut poses: Vec<Pose> = poses.map(of_sensor).collect();
-        // One cut of the world serves them all, if rounding leaves them at one height.
-        let height = poses.first().map_or(0.0, |pose| pose.translation.z);
-        let same = |pose: &&mut Pose| (pose.translation.z - height).abs() < 1e-9;
-        poses.iter_mut().filter(same).for_each(|pose| pose.translation.z = height);
+        let poses = self.of_sensor(poses);
         let Some(likelihood) = self.of(frame, PoseCell::default())? else { return Ok(vec![0.0; poses.len()]) };
         let request = BatchRequest { likelihood: Some(likelihood), ..BatchRequest::default() };
         let items = predictor.batch(world, &self.scanner, poses, &request)?;

@@ -1,27 +1,33 @@
-//! Where the robot is, from frame to frame: a state machine around the estimator.
+//! Where the robot is, from frame to frame: states, and one comparison of odds that leads from each to the next.
 //!
-//! A [`Localizer`] starts at a pose that is known about, or without one: a [`Search`] weighs a scan at all headings of all free
-//! places, and the best places are carried on until one of them leads and explains enough. Each frame moves the belief by odometry, or on with the motion of the frame before,
-//! and updates it with one estimate. It says [`Phase::Lost`] with its reason instead of a pose that it does not know, and looks
-//! around the last pose it knew, or in the whole map, until several frames in a row agree.
+//! A [`Localizer`] starts at a pose that is known about, or without one: a [`Search`] weighs a scan at all headings of all
+//! free places. Each frame moves what is known by odometry, or on with the motion of the frame before, and says how much
+//! likelier a pose is than its rivals: other places of this map, minima beside it, and nothing of this map. These odds add
+//! up over the way; all decisions compare them with stated error rates ([`ErrorRates`]). See
+//! `docs/design/localization.md` for the derivation.
 
-mod cusum;
-mod decide;
-mod doubt;
+mod evidence;
+mod follow;
 mod hypotheses;
 mod likelihood;
+mod lookout;
+mod odds;
 mod reflectors;
 mod residuals;
+mod rivals;
 mod round;
 mod search;
 mod timing;
 mod turning;
-mod unknown;
 mod velocity;
 
-pub use cusum::Cusum;
+use follow::{Followed, way_of};
 use hypotheses::Hypotheses;
+use lookout::Lookout;
+pub use odds::ErrorRates;
+use odds::Odds;
 pub use residuals::{Figure, Misfit, Residuals};
+use rivals::Rivals;
 pub use search::{Candidate, Search, SearchOptions};
 use timing::Timing;
 pub use turning::at_once;
@@ -37,15 +43,12 @@ use presight_model::sensor::Sensor;
 
 use presight_model::world::World;
 
-/// A model that is off by so much, metres, always explains points by the wrong surfaces, too.
-const COARSE: f64 = 0.1;
-
 /// What a localizer knows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Phase {
     /// Not where the robot is; it is looked for in the whole map, or without a [`Search`] around where it was last.
     Unknown,
-    /// One pose or several explain a frame; the next ones have to agree, and to tell which.
+    /// One pose or several explain the frames; the odds do not suffice to rely on one.
     Candidates,
     /// Where the robot is.
     Tracking,
@@ -80,6 +83,10 @@ pub struct Step {
     pub estimate: Estimate,
     /// Where the robot may be after an unknown start, the likeliest first. Empty while one pose is followed.
     pub candidates: Vec<Candidate>,
+    /// Natural logarithm of the odds of the pose against all of its rivals.
+    pub odds: f64,
+    /// True if the frame told nothing of the pose, which was carried on by odometry or the last motion.
+    pub carried: bool,
 }
 
 impl Step {
@@ -99,34 +106,16 @@ pub struct LocalizeOptions {
     pub search: f64,
     /// Likewise, radians.
     pub search_turn: f64,
-    /// Frames in a row that have to agree before a pose that was given counts as tracked. One that is found anew takes
-    /// [`LocalizeOptions::least_frames`].
+    /// Frames that it takes at least before a pose is tracked: a single one may be wrong in a way of its own.
     pub agreeing: usize,
-    /// In these frames: of the surfaces that are decided on, the share that has to be where the map has it. Elsewhere in the map beams pass
-    /// through walls, however little is known of what stands before them.
-    pub least_standing: f64,
-    /// In each of these frames: the share of the measured points that has to be explained.
-    pub least_agreeing: f64,
-    /// Mean number of frames between false alarms of being lost.
-    pub frames_per_false_alarm: f64,
-    /// Where a level scanner's map explains less than this share, or two places explain as much, hypotheses take over from one
-    /// Gaussian.
-    pub little: f64,
-    /// How many hypotheses.
+    /// The errors that are accepted: the odds of all decisions follow from them.
+    pub rates: ErrorRates,
+    /// How many hypotheses follow a level scanner where no place is singled out.
     pub hypotheses: usize,
-    /// How many beams tell them as much as one independent beam, for a sensor that states 1.
+    /// How many beams tell hypotheses as much as one independent beam, for a sensor that states 1.
     pub beam_dependence: f64,
-    /// How far hypotheses may be spread for their mean to count as known, one standard deviation, metres.
+    /// How far a pose may be spread to count as known, one standard deviation, metres.
     pub spread: f64,
-    /// After an unknown start: by how much the likeliest candidate has to lead, natural logarithm of the odds.
-    pub lead: f64,
-    /// Likewise: the share of the measured points that it has to explain, in the mean over the frames. A pose around the last known one
-    /// that is found anew has to explain as much, or what was usual before.
-    pub least_found: f64,
-    /// Likewise: frames that it takes at least.
-    pub least_frames: usize,
-    /// Likewise: frames after which candidates that do not explain as much are given up.
-    pub patience: usize,
 }
 
 impl Default for LocalizeOptions {
@@ -136,17 +125,10 @@ impl Default for LocalizeOptions {
             search: 0.5,
             search_turn: 0.3,
             agreeing: 3,
-            least_standing: 0.9,
-            least_agreeing: 0.3,
-            frames_per_false_alarm: 30_000.0,
-            little: 0.6,
+            rates: ErrorRates::default(),
             hypotheses: 150,
             beam_dependence: 60.0,
             spread: 0.4,
-            lead: 7.0,
-            least_found: 0.73,
-            least_frames: 5,
-            patience: 8,
         }
     }
 }
@@ -157,86 +139,61 @@ presight_model::with_options!(
     with_search search: f64,
     with_search_turn search_turn: f64,
     with_agreeing agreeing: usize,
-    with_least_standing least_standing: f64,
-    with_least_agreeing least_agreeing: f64,
-    with_frames_per_false_alarm frames_per_false_alarm: f64,
-    with_little little: f64,
+    with_rates rates: ErrorRates,
     with_hypotheses hypotheses: usize,
     with_beam_dependence beam_dependence: f64,
     with_spread spread: f64,
-    with_lead lead: f64,
-    with_least_found least_found: f64,
-    with_least_frames least_frames: usize,
-    with_patience patience: usize,
 );
+
+/// What is known of the robot. Each state has what it needs, and no other.
+#[derive(Clone, Debug)]
+enum State {
+    /// It is looked for: in the whole map with a [`Search`], otherwise around where it was last.
+    Lookout(Lookout),
+    /// One pose is followed.
+    Following(Followed),
+    /// Many poses are, because no frame singles out one.
+    Hypotheses(Followed, Hypotheses),
+}
 
 /// Follows a robot through the frames of its sensor.
 pub struct Localizer {
     estimator: Estimator,
     options: LocalizeOptions,
-    belief: PoseEstimate,
+    /// The given start, or anything.
+    start: PoseEstimate,
+    state: State,
     phase: Phase,
     velocity: Velocity,
     timing: Timing,
-    agreed: usize,
-    /// Sum of the shares that they explain.
-    agreed_shares: f64,
-    /// Frames that spoke against the pose since it was given.
-    disagreed: usize,
-    /// Nothing speaks for the pose but the frames that agree: it is not the one that was given, nor carried on from it.
-    is_anew: bool,
-    /// Confirmed, and all that is decided on, in the frames that agree.
-    agreed_points: (usize, usize),
-    explained: Cusum,
-    /// Of the surfaces that are decided on, the share that is where it should be.
-    standing: Cusum,
     stamp: Option<f64>,
     search: Option<Search>,
-    candidates: Vec<Candidate>,
-    /// Frames since the robot was found or given.
-    tracked: usize,
-    /// Where a robot that is lost would be if it were not, carried on by its odometry.
-    followed: Option<PoseEstimate>,
-    /// In place of one Gaussian, where that would settle too soon.
-    hypotheses: Option<Hypotheses>,
-    /// Frames in a row that explain enough for one Gaussian.
-    agreed_again: usize,
+    rivals: Option<Rivals>,
 }
 
 impl Localizer {
     /// Starts at a pose that is known as well as the prior says.
     pub fn new(estimator: Estimator, prior: PoseEstimate, options: LocalizeOptions) -> Self {
-        let standing = Cusum::new(2.0 * options.frames_per_false_alarm);
-        let coarse = estimator.options.model_sigma >= COARSE;
+        let odds = Odds::given(options.rates.given());
         Self {
             estimator,
             options,
-            belief: prior,
+            start: prior,
+            state: State::Following(Followed::new(prior, odds)),
             phase: Phase::Candidates,
             velocity: Velocity::new(options.motion_noise),
             timing: Timing::default(),
-            agreed: 0,
-            agreed_shares: 0.0,
-            disagreed: 0,
-            is_anew: false,
-            agreed_points: (0, 0),
-            // Two tests, each with half of the false alarms.
-            explained: Cusum::new(2.0 * options.frames_per_false_alarm),
-            standing: if coarse { standing.with_least_sigma(0.12) } else { standing },
             stamp: None,
             search: None,
-            candidates: Vec::new(),
-            tracked: 0,
-            followed: None,
-            hypotheses: None,
-            agreed_again: 0,
+            rivals: None,
         }
     }
 
     /// Starts without a pose: `search` looks for the robot in the whole map.
     pub fn unknown(estimator: Estimator, search: Search, options: LocalizeOptions) -> Self {
         let nowhere = PoseEstimate::of_sigmas(Pose::IDENTITY, options.search, options.search_turn);
-        Self { phase: Phase::Unknown, search: Some(search), ..Self::new(estimator, nowhere, options) }
+        let state = State::Lookout(Lookout::default());
+        Self { phase: Phase::Unknown, search: Some(search), state, ..Self::new(estimator, nowhere, options) }
     }
 
     /// From now on a robot that is lost is looked for in the whole map, not only around where it was last.
@@ -265,72 +222,41 @@ impl Localizer {
     /// A frame whose pixels were all measured at its stamp.
     fn step_at_once(&mut self, world: &World, frame: &Frame, beside: &[&Frame]) -> Result<Step> {
         check(self.stamp, frame)?;
-        let freedom = self.estimator.options.freedom;
         let seconds = self.stamp.replace(frame.stamp).map(|before| frame.stamp - before);
-        let first = seconds.is_none();
-        let stamp_sigma = frame.sensor().spec().noise.stamp_sigma;
-        let odometry = frame.motion.as_ref();
-        let carried = seconds.map(|s| self.velocity.carry(&self.belief, s, odometry, stamp_sigma, freedom));
-        let motion = carried.map(|(motion, _)| motion);
-        if self.is_searched() {
-            return self.search_on(world, frame, motion.as_ref());
-        }
-        if let Some((_, carried)) = carried {
-            self.belief = carried;
-        }
-        if self.hypotheses.is_some() {
-            return self.follow_hypotheses(world, frame, motion.as_ref());
-        }
-        let mut prior = match self.phase {
-            Phase::Tracking | Phase::Candidates => self.belief,
-            Phase::Unknown | Phase::Lost => widened(&self.belief, &self.options),
-        };
         let frames: Vec<&Frame> = std::iter::once(frame).chain(beside.iter().copied()).collect();
-        let mut estimate = self.estimator.estimate(world, &frames, &prior)?;
-        if self.may_have_started(frame, first, &estimate) {
-            prior = widened(&self.belief, &self.options);
-            estimate = self.estimator.estimate(world, &frames, &prior)?;
-        }
-        if self.is_doubtful(frame, &estimate) {
-            self.doubt(world, frame, &prior)?;
-            return self.follow_hypotheses(world, frame, None);
-        }
-        let reason = self.decide(&estimate);
-        if estimate.is_determined() {
-            if prior == self.belief {
-                self.velocity.learn(&prior, &estimate.pose, freedom);
-            } else {
-                self.velocity.restart();
+        let carried = seconds.map(|seconds| self.carry(frame, seconds));
+        let (motion, belief) = (carried.as_ref().map(|(motion, _)| motion), carried.as_ref().map(|(_, to)| *to));
+        // An error leaves the robot where it started.
+        let state = std::mem::replace(&mut self.state, State::Lookout(Lookout::default()));
+        match state {
+            State::Lookout(lookout) => self.look_out(world, &frames, lookout, motion),
+            State::Following(mut own) => {
+                own.belief = belief.unwrap_or(own.belief);
+                self.follow(world, &frames, own, way_of(motion))
             }
-            self.belief = estimate.pose;
-        } else if matches!(self.phase, Phase::Unknown | Phase::Lost) {
+            State::Hypotheses(own, hypotheses) => {
+                self.follow_hypotheses(world, &frames, own, hypotheses, motion, way_of(motion))
+            }
+        }
+    }
+
+    /// The motion since the frame before, and where a robot that is followed is then.
+    fn carry(&mut self, frame: &Frame, seconds: f64) -> (Motion, PoseEstimate) {
+        let (freedom, odometry) = (self.estimator.options.freedom, frame.motion.as_ref());
+        let followed = self.followed_pose();
+        if followed.is_none() && odometry.is_none() {
             // Going on with a motion that nobody saw would only lead away.
             self.velocity.restart();
         }
-        Ok(self.told(frame, reason, estimate))
+        let stamp_sigma = frame.sensor().spec().noise.stamp_sigma;
+        self.velocity.carry(&followed.unwrap_or(self.start), seconds, odometry, stamp_sigma, freedom)
     }
 
     /// The pose, while one is followed.
     fn followed_pose(&self) -> Option<PoseEstimate> {
-        let followed = matches!(self.phase, Phase::Tracking | Phase::Candidates) && self.candidates.is_empty();
-        followed.then_some(self.belief)
-    }
-
-    /// Without odometry a robot that stood still and now moves is not where it was, nor where its last motion leads.
-    fn may_have_started(&self, frame: &Frame, first: bool, estimate: &Estimate) -> bool {
-        let followed = matches!(self.phase, Phase::Tracking | Phase::Candidates);
-        let unexplained = estimate.predictions > 0 && !estimate.is_determined();
-        followed && !first && frame.motion.is_none() && unexplained
-    }
-
-    fn told(&self, frame: &Frame, reason: String, estimate: Estimate) -> Step {
-        Step {
-            stamp: frame.stamp,
-            phase: self.phase,
-            reason,
-            pose: self.belief,
-            estimate,
-            candidates: self.candidates.clone(),
+        match &self.state {
+            State::Following(own) | State::Hypotheses(own, _) => Some(own.belief),
+            State::Lookout(_) => None,
         }
     }
 }

@@ -1,14 +1,14 @@
 //! Where a robot may be that nothing is known of: one scan weighed at all headings of all free places, and the best places refined.
 
 use super::likelihood::{PoseLikelihood, heading_of};
+use super::odds::Odds;
 use super::reflectors::{ODDS, SeenReflectors};
 use super::round::{HEADINGS, RoundViews, STEP};
 use crate::estimate::{Estimate, Estimator, Freedom};
-use crate::verdict::Verdicts;
 use glam::{DQuat, DVec3};
 use presight_model::error::{Error, Result};
 use presight_model::geometry::{Pose, PoseEstimate};
-use presight_model::measured::{Frame, RangeNoise};
+use presight_model::measured::Frame;
 use presight_model::sensor::{Geometry, Sensor};
 use presight_model::world::World;
 use presight_predict::batch::{Headings, Panoramas, PoseCell};
@@ -78,16 +78,16 @@ presight_model::with_options!(
 pub struct Candidate {
     /// The place.
     pub pose: PoseEstimate,
-    /// Log-likelihood of all frames so far, tempered for beams that depend on each other, and with what their reflectors say. Only differences
-    /// mean something.
+    /// While a robot is looked for: natural logarithm of its odds against all other places. Of a search alone:
+    /// log-likelihood of the frame, of which only differences mean something.
     pub log_likelihood: f64,
-    /// Share of the readings that end where they should, within 3.3 standard deviations of range and model together, in the mean
-    /// over the frames.
+    /// Share of the readings that the pose explains, in the mean over the frames.
     pub explained: f64,
     /// Frames that it was compared with.
     pub frames: usize,
     /// What the estimator said of the latest frame.
     pub estimate: Estimate,
+    pub(super) odds: Odds,
 }
 
 /// The free places of one version of a world, and what a sensor sees from them.
@@ -109,8 +109,6 @@ enum Views {
     Round(RoundViews),
 }
 
-/// A reading is explained up to so many standard deviations.
-const EXPLAINED: f64 = 3.3;
 /// Most places of a search: 16 hectares in cells of 0.25 m, before those that are not free are left out.
 const MOST_PLACES: f64 = 2.5e6;
 /// Likewise for other sensors than level scanners, whose views take more memory and time.
@@ -176,8 +174,8 @@ impl Search {
         let mut found: Vec<Candidate> = Vec::new();
         for prior in self.starts(estimator, world, frame)? {
             let estimate = estimator.refine(world, frame, &prior)?;
-            let (pose, explained) = (estimate.pose, self.explained(frame, &estimate));
-            found.push(Candidate { pose, log_likelihood: 0.0, explained, frames: 1, estimate });
+            let (pose, explained, odds) = (estimate.pose, estimate.explained, Odds::of(0.0));
+            found.push(Candidate { pose, log_likelihood: 0.0, explained, frames: 1, estimate, odds });
         }
         let logs = self.weigh(estimator, world, frame, &found)?;
         found.iter_mut().zip(logs).for_each(|(c, log)| c.log_likelihood = log);
@@ -230,7 +228,7 @@ impl Search {
     }
 
     /// Log-likelihoods of a frame at candidates whose estimates are of this frame: by its ranges, and by the reflectors that they explain.
-    pub fn weigh(
+    fn weigh(
         &self,
         estimator: &mut Estimator,
         world: &World,
@@ -241,15 +239,6 @@ impl Search {
         let logs = self.likelihood.at(&mut estimator.predictor, world, frame, poses)?;
         let of_reflectors = |c: &Candidate| ODDS * c.estimate.reflectors.0 as f64;
         Ok(logs.into_iter().zip(candidates).map(|(log, c)| log + of_reflectors(c)).collect())
-    }
-
-    /// Share of the readings of a frame that end where an estimate's prediction does.
-    pub(crate) fn explained(&self, frame: &Frame, estimate: &Estimate) -> f64 {
-        let noise = RangeNoise::of(self.likelihood.scanner());
-        let is_near = |(d, r): (&f32, &f32)| f64::from(d.abs()) <= EXPLAINED * noise.range_sigma(f64::from(*r));
-        let near = |v: &Verdicts| v.difference.iter().zip(frame.ranges()).filter(|pair| is_near(*pair)).count();
-        let readings = frame.ranges().iter().filter(|r| r.is_finite()).count();
-        estimate.verdicts.iter().map(near).sum::<usize>() as f64 / readings.max(1) as f64
     }
 }
 

@@ -3,11 +3,12 @@
 use super::cluster_vertices::ClusterVertices;
 use crate::error::{Error, Result};
 use crate::geometry::{Aabb, Plane, plane_of_loop};
+use crate::index::RayTree;
 use crate::limits;
 use crate::threads::parallel_or_here;
 use glam::DMat3;
 use glam::{DVec3, Vec3};
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
 /// A planar convex polygon, for [`Mesh::new`].
 #[derive(Clone, Debug, PartialEq)]
@@ -131,6 +132,8 @@ pub struct Mesh {
     materials: Vec<u16>,
     /// Built when the CPU engine first draws the mesh.
     by_cluster: OnceLock<ClusterVertices>,
+    /// Built when rays first want it, and shared by clones.
+    ray_tree: OnceLock<Arc<RayTree>>,
 }
 
 /// Allowed distance of a vertex from its polygon's plane, relative to the polygon's largest coordinate extent. Covers
@@ -223,6 +226,7 @@ impl Mesh {
             bounds: boxes.iter().fold(Aabb::EMPTY, |a, b| a.union(*b)),
             materials: materials_of(records),
             by_cluster: OnceLock::new(),
+            ray_tree: OnceLock::new(),
         };
         for &i in &sequence {
             let record = records[i as usize];
@@ -287,8 +291,8 @@ impl Mesh {
         let clusters: Vec<Cluster> = cuts.windows(2).map(cluster).collect();
         let bounds = clusters.iter().fold(Aabb::EMPTY, |b, c| b.union(c.bounds));
         let materials = materials_of(&polygons);
-        let by_cluster = OnceLock::new();
-        Ok(Self { name, vertices, corners, polygons, planes, clusters, bounds, materials, by_cluster })
+        let (by_cluster, ray_tree) = (OnceLock::new(), OnceLock::new());
+        Ok(Self { name, vertices, corners, polygons, planes, clusters, bounds, materials, by_cluster, ray_tree })
     }
 
     /// The same polygons with other materials.
@@ -405,6 +409,24 @@ impl Mesh {
     pub fn cluster_vertices(&self) -> &ClusterVertices {
         let made = || ClusterVertices::new(&self.vertices, &self.corners, &self.polygons, &self.clusters);
         self.by_cluster.get_or_init(made)
+    }
+
+    /// The tree of its triangles for rays, if it is built.
+    #[inline]
+    pub fn known_ray_tree(&self) -> Option<&RayTree> {
+        self.ray_tree.get().map(|tree| &**tree)
+    }
+
+    /// Built on the first call, some 0.6 us a triangle on one thread; by all threads of a pool if called on one of them.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::System`] if there is no memory for it.
+    pub fn ray_tree(&self) -> Result<&RayTree> {
+        // Not within the cell: a thread that helps others on the way may come here again.
+        if self.ray_tree.get().is_none() {
+            let _ = self.ray_tree.set(Arc::new(RayTree::new(self)?));
+        }
+        Ok(self.ray_tree.get().expect("it was set"))
     }
 
     /// The plane of each polygon, in the frame of the mesh.

@@ -6,12 +6,14 @@
 
 pub mod boxes;
 mod mesh_tree;
+mod ray;
 mod region;
 mod sector;
 mod shapes;
 mod skd;
 mod world_index;
 
+pub use ray::{LEAF, NO_CHILD, ObjectTree, RayNode, RayTree, TriangleBlock, WIDE};
 pub use region::Region;
 pub use sector::{Rect, Sector};
 pub use shapes::Shape;

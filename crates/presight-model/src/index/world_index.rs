@@ -2,6 +2,7 @@
 
 use super::boxes::{Box32, LANES, Shift};
 use super::mesh_tree::MeshTree;
+use super::ray::ObjectTree;
 use super::region::ShapeVisitor;
 use super::shapes::Shape;
 use super::{IndexKind, Params, QueryResult, Region, Skd, SpatialIndex};
@@ -11,12 +12,14 @@ use crate::threads::parallel_or_here;
 use glam::DVec3;
 use rayon::prelude::*;
 use std::collections::HashMap;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 /// Finds the polygons of an environment that have a point in a region.
 #[derive(Clone, Debug)]
 pub struct WorldIndex {
     kind: Kind,
+    /// Of the objects as they are; built when rays first want it.
+    for_rays: OnceLock<Arc<ObjectTree>>,
 }
 
 #[derive(Clone, Debug)]
@@ -65,7 +68,7 @@ impl WorldIndex {
                 Kind::Flat(index.rebuilt(&boxes))
             }
         };
-        Self { kind }
+        Self { kind, for_rays: OnceLock::new() }
     }
 
     /// The name in statistics.
@@ -88,6 +91,7 @@ impl WorldIndex {
 
     /// Adds an object, or moves it to its current pose; `environment` must have it already.
     pub fn insert_object(&mut self, environment: &Environment, object: u32) {
+        self.for_rays = OnceLock::new();
         let o = &environment.objects()[object as usize];
         match &mut self.kind {
             Kind::None => {}
@@ -106,6 +110,7 @@ impl WorldIndex {
 
     /// Removes an object that `environment` still has.
     pub fn remove_object(&mut self, environment: &Environment, object: u32) {
+        self.for_rays = OnceLock::new();
         let o = &environment.objects()[object as usize];
         match &mut self.kind {
             Kind::None => {}
@@ -126,6 +131,11 @@ impl WorldIndex {
         if let Kind::TwoLevel { trees, .. } = &mut self.kind {
             trees.truncate(object as usize);
         }
+    }
+
+    /// The objects of this version for rays; built on the first call.
+    pub fn object_tree(&self, environment: &Environment) -> &ObjectTree {
+        self.for_rays.get_or_init(|| Arc::new(ObjectTree::new(environment)))
     }
 
     /// Appends the slots of all polygons whose box meets the region.

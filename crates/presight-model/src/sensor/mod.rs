@@ -13,6 +13,7 @@ mod polynomial;
 mod presets;
 mod project;
 mod ray_grid;
+mod ray_tiles;
 mod rays;
 mod scanner;
 mod undistort;
@@ -30,6 +31,7 @@ pub use pixel_fit::{FitCell, on_side};
 pub use presets::{PRESETS, Preset};
 pub use ray_grid::{Cones, ForwardView, Sides, TILE_SIDE, TileLookup, TileRays};
 pub use ray_grid::{RayGrid, Tile};
+pub use ray_tiles::{GROUP, GROUPS, GroupLayout, RayTile, RayTiles};
 pub use rays::RayTable;
 pub use scanner::{Angles, SAME_ANGLE, Scanner};
 pub use undistort::Lens;
@@ -195,6 +197,8 @@ struct SensorData {
     thinned: Thinned,
     /// Only for ray tables; built on first use.
     directory: OnceLock<Directory>,
+    /// Built on first use.
+    tiles: OnceLock<RayTiles>,
 }
 
 impl Sensor {
@@ -220,8 +224,8 @@ impl Sensor {
         let grid = checked.map_err(|e| e.at(format!("sensor {:?}", spec.name)))?;
         let (width, height) = spec.geometry.size();
         let projector = Projector::new(&spec);
-        let (part, thinned, directory) = (None, Thinned::default(), OnceLock::new());
-        Ok(Self(Arc::new(SensorData { spec, grid, projector, width, height, part, thinned, directory })))
+        let (part, thinned, directory, tiles) = (None, Thinned::default(), OnceLock::new(), OnceLock::new());
+        Ok(Self(Arc::new(SensorData { spec, grid, projector, width, height, part, thinned, directory, tiles })))
     }
 
     /// The specification from which the sensor was made.
@@ -280,6 +284,22 @@ impl Sensor {
         inside.then(|| self.0.grid.ray(column, row)).flatten()
     }
 
+    /// How the rays of a tile lie side by side, without building any.
+    pub fn ray_layout(&self) -> GroupLayout {
+        RayTiles::layout_of(self).0
+    }
+
+    /// The rays in compact tiles; built on the first call.
+    ///
+    /// # Errors
+    /// [`ErrorKind::System`] if there is no memory for them.
+    pub fn ray_tiles(&self) -> Result<&RayTiles> {
+        if self.0.tiles.get().is_none() {
+            let _ = self.0.tiles.set(RayTiles::new(self)?);
+        }
+        Ok(self.0.tiles.get().expect("they were set"))
+    }
+
     /// A pixel of a ray table whose ray is nearer to a unit direction (image frame) than its neighbours' rays are.
     /// `None` for other sensors. Much faster than [`Sensor::project`], which finds the nearest of all rays.
     pub(crate) fn near_pixel(&self, direction: DVec3) -> Option<(u32, u32)> {
@@ -328,7 +348,13 @@ fn check(spec: &SensorSpec) -> Result<()> {
     let (width, height) = spec.geometry.size();
     let side = 1..=limits::MAX_IMAGE_SIDE;
     let pixels = u64::from(width) * u64::from(height);
-    if !side.contains(&width) || !side.contains(&height) || pixels > limits::MAX_PIXELS {
+    // A list of rays, as no image shows them.
+    if matches!(spec.geometry, Geometry::Rays(_)) && height == 1 && width > limits::MAX_IMAGE_SIDE {
+        if width > limits::MAX_LISTED_RAYS {
+            let remedy = format!("give at most {} rays, or several rows of them", limits::MAX_LISTED_RAYS);
+            return Err(Error::invalid(format!("a row of {width} rays"), remedy));
+        }
+    } else if !side.contains(&width) || !side.contains(&height) || pixels > limits::MAX_PIXELS {
         return Err(Error::invalid(
             format!("image of {width} x {height} pixels"),
             format!("give sides of 1 to {} and at most {} pixels", limits::MAX_IMAGE_SIDE, limits::MAX_PIXELS),

@@ -90,6 +90,7 @@ impl Sensor {
             height,
             part: Some(part),
             directory: OnceLock::new(),
+            tiles: OnceLock::new(),
             thinned: Thinned::default(),
         })))
     }

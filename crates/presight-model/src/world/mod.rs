@@ -1,9 +1,11 @@
 //! The world: a version of the environment with its index, for predictions to read. Each change makes the next version.
 
 use crate::change::Change;
-use crate::environment::{Environment, Revert};
+use crate::environment::{Environment, Mesh, Revert};
 use crate::error::Result;
 use crate::index::{IndexKind, WorldIndex};
+use crate::threads::parallel_or_here;
+use rayon::prelude::*;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -81,6 +83,18 @@ impl World {
     /// Finds polygons of this version.
     pub fn index(&self) -> &WorldIndex {
         &self.index
+    }
+
+    /// Makes the trees for rays of the meshes of some objects, where there are none; by all threads of a pool if called on one of them.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::System`] if there is no memory for them.
+    pub fn make_ray_trees(&self, objects: impl IntoIterator<Item = u32>) -> Result<()> {
+        let mut meshes: Vec<&Arc<Mesh>> =
+            objects.into_iter().map(|object| &self.environment.objects()[object as usize].mesh).collect();
+        meshes.sort_unstable_by_key(|mesh| Arc::as_ptr(mesh));
+        meshes.dedup_by_key(|mesh| Arc::as_ptr(mesh));
+        parallel_or_here(|| meshes.par_iter().with_max_len(1).try_for_each(|mesh| mesh.ray_tree().map(drop)))
     }
 
     /// Number of the version. Predictions report it.

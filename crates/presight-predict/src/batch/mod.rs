@@ -24,7 +24,8 @@ use presight_model::sensor::Sensor;
 use presight_model::threads::Threads;
 use presight_model::world::World;
 use presight_render::plan::{
-    CountName, Drawn, FramePlan, ImageRequest, Images, Output, Outputs, PlanBuffers, StageName, Stats, Weighing,
+    ChosenWay, CountName, Drawn, FramePlan, ImageRequest, Images, Output, Outputs, PlanBuffers, StageName, Stats,
+    Weighing,
 };
 use presight_render::row::{RowCuts, RowView, is_level};
 use rayon::prelude::*;
@@ -124,6 +125,7 @@ enum HeadingModel {
 #[derive(Default)]
 struct Lane {
     engine: Option<Box<dyn Engine>>,
+    chosen: ChosenWay,
     buffers: PlanBuffers,
     images: Images,
     view: Option<RowView>,
@@ -190,10 +192,11 @@ impl Predictor {
             Some(chunk) => chunk,
             None => (CHUNK_BYTES / task.bytes().max(1)).clamp(count, MOST.max(count)),
         };
+        let chosen = self.choose_way(&task.world, &task.sensor, false);
         let lane = |_| {
             let engine = self.engine().for_task();
             let view = if task.by_cut { RowView::new(&task.sensor) } else { None };
-            Mutex::new(Lane { engine, view, ..Lane::default() })
+            Mutex::new(Lane { engine, chosen, view, ..Lane::default() })
         };
         let lanes = (0..count).map(lane).collect();
         Ok(Batch {
@@ -287,9 +290,10 @@ impl<'p> Task<'p> {
         }
         let mut stats = Stats::default();
         let seen = self.see_by_cut(&pose, cuts, lane, &mut stats);
-        let Lane { engine, buffers, images, .. } = lane;
+        let Lane { engine, chosen, buffers, images, .. } = lane;
         if let (false, Some(engine)) = (seen, engine) {
-            let plan = FramePlan::within(std::mem::take(buffers), &self.world, &self.sensor, &pose, self.request)?;
+            let buffers_of_plan = std::mem::take(buffers);
+            let plan = FramePlan::by(*chosen, buffers_of_plan, &self.world, &self.sensor, &pose, self.request)?;
             stats.index = self.world.index().name();
             let rendered = engine.render(&plan, images, &mut stats);
             *buffers = plan.into_buffers();

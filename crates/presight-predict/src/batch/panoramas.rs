@@ -1,5 +1,6 @@
 //! Stored panoramas of many places: measured images are weighed at all of them without another prediction.
 
+use super::BatchRequest;
 use super::headings::{HeadingWeights, Headings, Panorama};
 use super::likelihood::RangeLikelihood;
 use crate::predict::Predictor;
@@ -7,9 +8,10 @@ use glam::DVec3;
 use presight_model::error::{Error, Result};
 use presight_model::geometry::Pose;
 use presight_model::memory;
+use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_render::plan::{Images, Output, Outputs};
-use presight_render::row::RowView;
+use presight_render::row::{RowView, is_level};
 use rayon::prelude::*;
 
 /// Full-turn views of a level scanner at places in one version of a world.
@@ -60,6 +62,30 @@ impl Predictor {
             }
         }
         Ok(Panoramas { headings: headings.clone(), places, range, cos_incidence })
+    }
+
+    /// Ranges and cosines of incidence of a sensor at poses (world from sensor), pose by pose. A level scanner of one row
+    /// sees a cut of the world if all poses have one height, which rounds otherwise than a prediction does.
+    ///
+    /// # Errors
+    /// The errors of [`Predictor::predict_images`].
+    pub fn range_views(&mut self, world: &World, sensor: &Sensor, poses: &[Pose]) -> Result<Vec<[Vec<f32>; 2]>> {
+        let height = poses.first().map(|pose| pose.translation.z);
+        let serves = |pose: &Pose| Some(pose.translation.z) == height && is_level(pose);
+        if let (Some(view), Some(z), true) = (RowView::new(sensor), height, poses.iter().all(serves)) {
+            let cut = self.row_cuts().get(world, &sensor.spec().class, z);
+            let see = |view: &mut RowView, pose: &Pose| {
+                let mut images = [Vec::new(), Vec::new()];
+                let [range, cos] = &mut images;
+                view.see(&cut, pose, range, cos);
+                images
+            };
+            return self.on_threads(|| poses.par_iter().map_init(|| view.clone(), see).collect());
+        }
+        let outputs = Outputs::of(&[Output::Range, Output::CosIncidence]);
+        let request = BatchRequest { images: Some(outputs.into()), ..BatchRequest::default() };
+        let items = self.batch(world, sensor, poses.iter().copied(), &request)?;
+        items.map(|item| item.map(|item| [item.images.range, item.images.cos_incidence])).collect()
     }
 
     /// Log-likelihoods of a measured image at all headings of all places, place by place.

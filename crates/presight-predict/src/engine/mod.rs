@@ -51,6 +51,11 @@ pub trait Engine: Any + Send {
         Ok(())
     }
 
+    /// True if it draws plans that select nothing, by tiles of rays.
+    fn has_tiles(&self) -> bool {
+        false
+    }
+
     /// Returns an engine with equal images for one of many parallel tasks; it works only on the calling thread. `None`
     /// if the engine cannot have several instances.
     fn for_task(&self) -> Option<Box<dyn Engine>> {
@@ -201,6 +206,10 @@ impl Engine for cpu::CpuEngine {
 
     fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
         Self::render(self, plan, images, stats)
+    }
+
+    fn has_tiles(&self) -> bool {
+        true
     }
 
     fn for_task(&self) -> Option<Box<dyn Engine>> {

@@ -19,7 +19,8 @@ use presight_model::world::World;
 use presight_render::cost::{Controller, DeadlineFrame};
 use presight_render::cpu;
 use presight_render::plan::{
-    Drawn, FramePlan, ImageRequest, Images, Output, Outputs, PlanBuffers, Raster, StageName, Stats, Weighing,
+    ChosenWay, Drawn, FramePlan, ImageRequest, Images, Output, Outputs, PlanBuffers, Raster, StageName, Stats, Way,
+    Weighing,
 };
 use presight_render::row::RowCuts;
 use std::sync::Arc;
@@ -55,6 +56,8 @@ pub struct Options {
     pub raster: Raster,
     /// Lets a GPU first draw what the sensor's last frame showed, see [`Options::with_reuse_visible`].
     pub reuse_visible: bool,
+    /// How the CPU engine finds what rays see; images have the same bits either way.
+    pub way: Way,
 }
 
 impl Options {
@@ -82,6 +85,12 @@ impl Options {
     #[must_use]
     pub fn with_reuse_visible(self, reuse_visible: bool) -> Self {
         Self { reuse_visible, ..self }
+    }
+
+    /// Sets how the CPU engine finds what rays see, for benches and tests. It has no effect on a GPU, or with a deadline.
+    #[must_use]
+    pub fn with_way(self, way: Way) -> Self {
+        Self { way, ..self }
     }
 
     /// Sets the threads: a handle to share, or a number, 0 for all cores.
@@ -126,6 +135,7 @@ pub struct Prediction {
 pub struct Predictor {
     backend: Backend,
     reuse_visible: bool,
+    way: Way,
     /// Threads for work outside of engines.
     threads: Threads,
     engine: Box<dyn Engine>,
@@ -170,6 +180,7 @@ impl Predictor {
         Self {
             backend: options.backend,
             reuse_visible: options.reuse_visible,
+            way: options.way,
             threads: options.threads,
             engine,
             stand_in: None,
@@ -383,10 +394,13 @@ impl Predictor {
         let start = Instant::now();
         let Vantage { world, sensor, world_from_sensor } = *vantage;
         let buffers = std::mem::take(&mut self.buffers);
-        let mut plan = FramePlan::within(buffers, world, sensor, world_from_sensor, request)?;
+        let chosen = self.choose_way(world, sensor, timed.is_some());
+        let mut plan = FramePlan::by(chosen, buffers, world, sensor, world_from_sensor, request)?;
         plan.reuse_visible = reuse_visible;
         let mut stats = Stats { index: world.index().name(), ..Stats::default() };
-        stats.stage(StageName::Selection, start);
+        if plan.way() == Way::Raster {
+            stats.stage(StageName::Selection, start);
+        }
         if let Some(timed) = &mut timed {
             self.controller.plan(timed, &mut plan)?;
         }
@@ -398,6 +412,27 @@ impl Predictor {
             timed.images_are_made();
         }
         Ok(stats)
+    }
+
+    /// The way of a prediction without or with a deadline; engines that select everything have one only.
+    pub(crate) fn choose_way(&self, world: &World, sensor: &Sensor, has_deadline: bool) -> ChosenWay {
+        if self.engine.has_tiles() { self.way.choose(world, sensor, has_deadline) } else { ChosenWay::RASTER }
+    }
+
+    /// Makes the trees that the CPU engine searches for sensors of few rays, in all of a world, rather than when predictions have been
+    /// made for a while: about 0.6 us a triangle and thread. Trees are kept with their meshes, whatever else changes in the world.
+    ///
+    /// ```
+    /// use presight::{Options, Predictor, World, environment::Environment};
+    /// let world = World::new(Environment::new());
+    /// Predictor::new(Options::default())?.make_trees(&world)?;
+    /// # Ok::<(), presight::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`ErrorKind::System`] if there is no memory for them, or threads cannot be started.
+    pub fn make_trees(&mut self, world: &World) -> Result<()> {
+        self.on_threads(|| world.make_ray_trees(0..world.environment().objects().len() as u32))?
     }
 
     /// Runs a function on the predictor's own threads.

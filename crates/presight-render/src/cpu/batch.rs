@@ -25,6 +25,14 @@ pub(super) struct PolygonSetup {
     pub steep: u8,
 }
 
+impl PolygonSetup {
+    /// Lower bounds, upper ones, and sign tests.
+    #[inline(always)]
+    pub fn edge_counts(&self) -> [u8; 3] {
+        [self.lower, self.upper, self.steep]
+    }
+}
+
 /// What the resolve stage needs of a winner.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Shade {
@@ -71,6 +79,7 @@ pub(super) struct Batch {
 
 /// The number under which no polygon wins a ray.
 pub(super) const NOTHING: u32 = 0;
+
 /// Everything that was set up for a frame, by the numbers under which polygons win rays.
 #[derive(Debug, Default)]
 pub(super) struct Winners {
@@ -87,6 +96,14 @@ impl Winners {
         self.shades.push(Shade { distance: f64::NAN, polygon_id: 0, object_id: 0 });
         self.slots.clear();
         self.slots.push(0);
+    }
+
+    /// Adds a polygon; the answer is its number.
+    #[inline]
+    pub fn push(&mut self, shade: Shade, slot: u32) -> u32 {
+        self.shades.push(shade);
+        self.slots.push(slot);
+        self.slots.len() as u32 - 1
     }
 
     /// Numbers a batch's polygons.

@@ -1,44 +1,47 @@
-//! Eight polygons of a mesh side by side: corners, planes and edges of all of them at once.
+//! Polygons of a mesh side by side: corners, planes and edges of all of them at once. The raster takes eight, a tile one at a time:
+//! what a polygon is does not depend on how many are taken.
 
-use super::bounds::{LANES, Lanes};
 use super::setup::RayInstance;
 use presight_model::environment::{PolygonRecord, Positions};
 use presight_model::limits::MAX_CORNERS;
 
 /// Three coordinates of a point of each polygon.
-type Points = [Lanes; 3];
+type Points<const LANES: usize> = [[f64; LANES]; 3];
+
+/// Positions that clusters keep together.
+const TOGETHER: usize = size_of::<Positions>() / size_of::<[f32; 3]>();
 
 /// Where the sensor is farther off a polygon's plane than this, relative to the polygon's farthest corner, its depths and edges
 /// are right to 1e-11 of it.
 pub(super) const CLEAR: f64 = 1e-4;
 
 /// The polygons in hand. Room for corners is kept from eight to eight: clearing it costs more than filling it.
-pub(super) struct PolygonLanes {
+pub(super) struct PolygonLanes<const LANES: usize> {
     /// The greatest number of corners.
     count: usize,
     pub corner_counts: [u32; LANES],
     /// By corner, in the frame of the rays. After its last one a polygon repeats its first one.
-    corners: [Points; MAX_CORNERS],
+    corners: [Points<LANES>; MAX_CORNERS],
     /// The same in the mesh frame, from the sensor's centre.
-    from_center: [Points; MAX_CORNERS],
+    from_center: [Points<LANES>; MAX_CORNERS],
     /// Vertices in the mesh.
     indices: [[u32; LANES]; MAX_CORNERS],
-    normals: Points,
+    normals: Points<LANES>,
     /// The plane's distance from the sensor, along the mesh normal; its sign is the side.
-    pub distance: Lanes,
+    pub distance: [f64; LANES],
     /// The distance is no greater than its rounding: the edges span no cone.
     pub edge_on: [bool; LANES],
     /// The sensor is clear of the plane, so that what is drawn is where the corners are.
     pub clear: [bool; LANES],
     /// Inverse depth of a ray s is m . s.
-    pub m: Points,
+    pub m: Points<LANES>,
     /// Planes through the centre and the edge from corner to corner, inside positive.
-    pub edges: [Points; MAX_CORNERS],
+    pub edges: [Points<LANES>; MAX_CORNERS],
     /// The edges as bounds of t on a line: `t = p c0 + q c1`.
-    pub bounds: [[Lanes; 2]; MAX_CORNERS],
+    pub bounds: [[[f64; LANES]; 2]; MAX_CORNERS],
 }
 
-impl PolygonLanes {
+impl<const LANES: usize> PolygonLanes<LANES> {
     pub fn new() -> Self {
         let (points, zero) = ([[[0.0; LANES]; 3]; MAX_CORNERS], [0.0; LANES]);
         Self {
@@ -74,8 +77,8 @@ impl PolygonLanes {
                 let [x, y, z] = match cluster {
                     Some((positions, by_cluster)) => {
                         let local = usize::from(by_cluster.locals(records[l])[own]);
-                        let eight = &positions[local / LANES];
-                        [eight[0][local % LANES], eight[1][local % LANES], eight[2][local % LANES]]
+                        let eight = &positions[local / TOGETHER];
+                        [eight[0][local % TOGETHER], eight[1][local % TOGETHER], eight[2][local % TOGETHER]]
                     }
                     None => vertices[records[l].corners(all_corners)[own] as usize].to_array(),
                 };
@@ -100,7 +103,7 @@ impl PolygonLanes {
     }
 
     /// Corners in the frame of the rays.
-    pub fn corners(&self) -> &[Points] {
+    pub fn corners(&self) -> &[Points<LANES>] {
         &self.corners[..self.count]
     }
 
@@ -136,12 +139,25 @@ impl PolygonLanes {
         }
     }
 
-    /// Fills `m` and `edges` of the polygons that were loaded.
+    /// Fills `m` of the polygons that were measured.
+    #[inline(always)]
+    pub fn set_up_planes(&mut self, at: &RayInstance<'_>) {
+        let (n, m) = (&self.normals, at.m_from_normal);
+        for l in 0..LANES {
+            let d = self.distance[l];
+            let [x, y, z] = [n[0][l], n[1][l], n[2][l]];
+            self.m[0][l] = (m.x_axis.x * x + m.y_axis.x * y + m.z_axis.x * z) / d;
+            self.m[1][l] = (m.x_axis.y * x + m.y_axis.y * y + m.z_axis.y * z) / d;
+            self.m[2][l] = (m.x_axis.z * x + m.y_axis.z * y + m.z_axis.z * z) / d;
+        }
+    }
+
+    /// Fills `edges` of the polygons that were measured.
     ///
     /// Edges are computed from the lower vertex index to the higher, sign afterwards, so that neighbours get exactly opposite
     /// planes and no ray falls between them.
     #[inline(always)]
-    pub fn set_up(&mut self, at: &RayInstance<'_>, polygons: &[u32]) {
+    pub fn set_up_edges(&mut self, at: &RayInstance<'_>, polygons: &[u32]) {
         let (records, all_corners) = (Self::records(at, polygons), at.mesh.all_corners());
         for (i, indices) in self.indices[..self.count].iter_mut().enumerate() {
             for l in 0..LANES {
@@ -149,15 +165,9 @@ impl PolygonLanes {
                 indices[l] = records[l].corners(all_corners)[own];
             }
         }
-        let (n, m) = (&self.normals, at.m_from_normal);
         let mut outward = [0.0; LANES];
         for l in 0..LANES {
-            let d = self.distance[l];
-            let [x, y, z] = [n[0][l], n[1][l], n[2][l]];
-            self.m[0][l] = (m.x_axis.x * x + m.y_axis.x * y + m.z_axis.x * z) / d;
-            self.m[1][l] = (m.x_axis.y * x + m.y_axis.y * y + m.z_axis.y * z) / d;
-            self.m[2][l] = (m.x_axis.z * x + m.y_axis.z * y + m.z_axis.z * z) / d;
-            outward[l] = if (d > 0.0) == at.mirrored { -1.0 } else { 1.0 };
+            outward[l] = if (self.distance[l] > 0.0) == at.mirrored { -1.0 } else { 1.0 };
         }
         for k in 0..self.count {
             let next = if k + 1 == self.count { 0 } else { k + 1 };

@@ -24,14 +24,17 @@ mod resolve;
 mod setup;
 mod sieve;
 mod thinning;
+mod tiles;
+
+pub use tiles::Vectors;
 
 use crate::deadline::{DeadlineOutcome, Watch};
-use crate::plan::{CountName, FramePlan, Images, NOTHING_IN_VIEW, Run, StageName, Stats};
+use crate::plan::{CountName, FramePlan, Images, NOTHING_IN_VIEW, Run, StageName, Stats, Way};
 use batch::{Batch, Winners};
 use bounds::Bounds;
 use cull::Occlusion;
 use presight_model::clock::Instant;
-use presight_model::error::{Error, Result};
+use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::memory::{self, FrameMemory};
 use presight_model::sensor::{ImagePart, LineAxis, PixelGrid};
 use presight_model::threads::Threads;
@@ -52,6 +55,13 @@ pub struct CpuEngine {
     canvas: Vec<Buffer>,
     /// Images of a part, before they are whole ones.
     part: Images,
+    /// Of tiles: memory of threads, the number of the frame, and the width of their search.
+    rooms: Vec<tiles::Room>,
+    frame: u64,
+    vectors: Vectors,
+    /// What the trees that are lacking cost, and what frames without them have cost so far: in polygons.
+    price: u64,
+    savings: u64,
 }
 
 /// Pixels of a band: small enough for its z-buffer to stay in the L2 cache.
@@ -76,28 +86,34 @@ impl CpuEngine {
     /// # Errors
     /// As [`Threads::new`].
     pub fn new(threads: impl Into<Threads>) -> Result<Self> {
-        let pool = threads.into().pool()?;
-        Ok(Self {
+        Ok(Self::on_pool(threads.into().pool()?, false))
+    }
+
+    fn on_pool(pool: Arc<rayon::ThreadPool>, alone: bool) -> Self {
+        Self {
             pool,
-            alone: false,
+            alone,
             batches: Vec::new(),
             winners: Winners::default(),
             canvas: Vec::new(),
             part: Images::default(),
-        })
+            rooms: Vec::new(),
+            frame: 0,
+            vectors: Vectors::best(),
+            price: 0,
+            savings: 0,
+        }
     }
 
     /// Another one that hands no work to other threads, for a task on one of the pool's.
     pub fn on_one_thread(&self) -> Self {
-        let pool = self.pool.clone();
-        Self {
-            pool,
-            alone: true,
-            batches: Vec::new(),
-            winners: Winners::default(),
-            canvas: Vec::new(),
-            part: Images::default(),
-        }
+        Self { vectors: self.vectors, ..Self::on_pool(self.pool.clone(), true) }
+    }
+
+    /// Searches trees with these vectors, for tests and benches; with narrower ones if the processor lacks them.
+    #[must_use]
+    pub fn with_vectors(self, vectors: Vectors) -> Self {
+        Self { vectors, ..self }
     }
 
     /// How many threads it has.
@@ -151,6 +167,20 @@ impl CpuEngine {
     /// the deadline.
     fn draw(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<Option<u32>> {
         plan.world_from_sensor.check()?;
+        if plan.way() == Way::Tiles {
+            match self.draw_tiles(plan, images, stats) {
+                Ok(true) => return Ok(None),
+                Ok(false) => {}
+                Err(fault) if fault.kind() == ErrorKind::System => {
+                    stats.notices.push(format!("the raster drew in place of tiles: {fault}"));
+                }
+                Err(fault) => return Err(fault),
+            }
+            let selected = plan.selected()?;
+            self.savings += tiles::FRAME_PRICE + selected.polygon_count as u64;
+            return self.draw(&selected, images, stats);
+        }
+        stats.way = Some(Way::Raster);
         stats.engine = "cpu";
         stats.threads = self.threads();
         let bands = Bands::new(plan.sensor.grid(), stats.threads);
@@ -173,14 +203,9 @@ impl CpuEngine {
             stats.deadline = drawn_ms.map(|drawn_ms| DeadlineOutcome { drawn_ms, ..DeadlineOutcome::default() });
             return Ok(None);
         }
-        if self.canvas.len() < bands.count() {
-            self.canvas.resize_with(bands.count(), Buffer::default);
-        }
+        self.reserve_canvas(&bands)?;
         let Self { pool, alone, batches, winners, canvas, .. } = self;
         let canvas = &mut canvas[..bands.count()];
-        for (band, buffer) in canvas.iter_mut().enumerate() {
-            buffer.reserve(bands.axis, bands.lines(band).len(), bands.samples)?;
-        }
         // What is never split never waits for another task, and no other one comes between.
         let least = if *alone { usize::MAX } else { 1 };
         // The whole frame on the pool: between two stages its threads stay awake.
@@ -214,6 +239,17 @@ fn saved(plan: &FramePlan, stride: u32) -> Duration {
 const LITTLE: u64 = 64 << 20;
 
 impl CpuEngine {
+    /// Takes the memory of the bands' buffers.
+    fn reserve_canvas(&mut self, bands: &Bands) -> Result<()> {
+        if self.canvas.len() < bands.count() {
+            self.canvas.resize_with(bands.count(), Buffer::default);
+        }
+        for (band, buffer) in self.canvas[..bands.count()].iter_mut().enumerate() {
+            buffer.reserve(bands.axis, bands.lines(band).len(), bands.samples)?;
+        }
+        Ok(())
+    }
+
     /// That there is room for what buffers and images do not hold yet.
     fn require_memory(&self, plan: &FramePlan, bands: &Bands, images: &Images) -> Result<()> {
         let frame = FrameMemory {

@@ -198,7 +198,7 @@ pub(super) fn rasterize<S: Simd>(
             for first in (start..end).step_by(TOGETHER) {
                 let count = TOGETHER.min(end - first);
                 let [c0, c1] = grid.eight_lines(first);
-                let bounds = bounds_of_lines(polygon, edges, c0, c1);
+                let bounds = bounds_of_lines(polygon.edge_counts(), edges, c0, c1);
                 let mut scale = [0.0; TOGETHER];
                 for l in 0..TOGETHER {
                     scale[l] = polygon.m.x * c0[l] + polygon.m.y * c1[l];
@@ -234,7 +234,7 @@ fn draw_across<S: Simd>(
     let BoundedPolygon { polygon, edges, number } = *bounded;
     for first in (lines.start / EIGHT * EIGHT..lines.end).step_by(EIGHT) {
         let [c0, c1] = grid.eight_lines(first);
-        let mut bounds = bounds_of_lines(polygon, edges, c0, c1);
+        let mut bounds = bounds_of_lines(polygon.edge_counts(), edges, c0, c1);
         let mut scale = [0.0; TOGETHER];
         for l in 0..TOGETHER {
             scale[l] = polygon.m.x * c0[l] + polygon.m.y * c1[l];
@@ -253,14 +253,14 @@ fn draw_across<S: Simd>(
 
 /// Where the polygon's cone begins and ends on [`TOGETHER`] lines, as positions t.
 #[inline(always)]
-fn bounds_of_lines(
-    polygon: &PolygonSetup,
+pub(super) fn bounds_of_lines(
+    [lower, upper, steep]: [u8; 3],
     edges: &[[f64; 2]],
     a: &[f64; TOGETHER],
     b: &[f64; TOGETHER],
 ) -> [[f64; TOGETHER]; 2] {
-    let (lower, rest) = edges.split_at(usize::from(polygon.lower));
-    let (upper, rest) = rest.split_at(usize::from(polygon.upper));
+    let (lower, rest) = edges.split_at(usize::from(lower));
+    let (upper, rest) = rest.split_at(usize::from(upper));
     let mut least = [f64::NEG_INFINITY; TOGETHER];
     let mut greatest = [f64::INFINITY; TOGETHER];
     for e in lower {
@@ -275,7 +275,7 @@ fn bounds_of_lines(
             greatest[l] = if t < greatest[l] { t } else { greatest[l] };
         }
     }
-    for e in &rest[..usize::from(polygon.steep)] {
+    for e in &rest[..usize::from(steep)] {
         for l in 0..TOGETHER {
             greatest[l] = if e[0] * a[l] + e[1] * b[l] < 0.0 { f64::NEG_INFINITY } else { greatest[l] };
         }

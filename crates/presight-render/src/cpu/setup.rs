@@ -27,9 +27,10 @@ pub(super) struct RayInstance<'a> {
     /// No vector of the mesh is longer in the frame of the rays by more.
     pub stretch: f64,
     pub mirrored: bool,
-    plain: bool,
-    object: u32,
-    first_slot: u32,
+    /// No polygon needs a look at its material.
+    pub plain: bool,
+    pub object: u32,
+    pub first_slot: u32,
 }
 
 impl<'a> RayInstance<'a> {
@@ -52,6 +53,17 @@ impl<'a> RayInstance<'a> {
             plain: instance.plain,
             object: instance.object,
             first_slot: object.first_slot,
+        }
+    }
+
+    /// What is seen of a polygon whose plane is at that distance in the frame of the mesh.
+    #[inline(always)]
+    pub fn shade(&self, plan: &FramePlan, polygon: u32, distance: f64) -> Shade {
+        let normal = self.mesh.planes()[polygon as usize].normal;
+        Shade {
+            distance: distance.abs() * self.length_per_distance(normal),
+            polygon_id: plan.drawn_polygon_id(self.object, polygon),
+            object_id: self.object + 1,
         }
     }
 
@@ -88,7 +100,7 @@ pub(super) fn fill<S: Simd>(
     let bounds = Bounds::new(&plan.sensor);
     let mut sieve = Sieve::new(&plan.sensor);
     let (mut passed, mut reaches) = (Vec::new(), Vec::new());
-    let mut lanes = PolygonLanes::new();
+    let mut lanes = PolygonLanes::<LANES>::new();
     let mut room = Room::default();
     let mut placed: Option<(u32, RayInstance<'_>)> = None;
     for run in runs {
@@ -124,7 +136,8 @@ pub(super) fn fill<S: Simd>(
             if left == 0 {
                 continue;
             }
-            lanes.set_up(at, polygons);
+            lanes.set_up_planes(at);
+            lanes.set_up_edges(at, polygons);
             if let PixelGrid::Lines(_) = plan.sensor.grid() {
                 lanes.bound();
             }
@@ -145,7 +158,7 @@ fn visible_lanes(
     plan: &FramePlan,
     at: &RayInstance<'_>,
     (polygons, with_footprint): (&[u32], u32),
-    lanes: &PolygonLanes,
+    lanes: &PolygonLanes<LANES>,
     footprints: &[Footprint; LANES],
     occlusion: Option<Occlusion<'_>>,
 ) -> u32 {
@@ -175,7 +188,7 @@ fn visible_lanes(
 }
 
 /// Room for one polygon's bounds, lower and upper ones.
-struct Room([[[f64; 2]; limits::MAX_CORNERS]; 2]);
+pub(super) struct Room([[[f64; 2]; limits::MAX_CORNERS]; 2]);
 
 impl Default for Room {
     fn default() -> Self {
@@ -190,14 +203,14 @@ fn push(
     plan: &FramePlan,
     at: &RayInstance<'_>,
     (polygon, i): (u32, usize),
-    lanes: &PolygonLanes,
+    lanes: &PolygonLanes<LANES>,
     footprint: &Footprint,
     room: &mut Room,
 ) {
     let (first_edge, [lower, upper, steep]) = match plan.sensor.grid() {
         PixelGrid::Lines(grid) => {
             let first = batch.bounds.len();
-            let counts = push_bounds(batch, lanes, i, room);
+            let counts = push_bounds(&mut batch.bounds, lanes, i, room);
             if lanes.clear[i] && covers_nothing(grid, footprint, &batch.bounds[first..], counts) {
                 batch.bounds.truncate(first);
                 batch.between += 1;
@@ -212,12 +225,7 @@ fn push(
             (first, [0, 0, count as u8])
         }
     };
-    let normal = at.mesh.planes()[polygon as usize].normal;
-    let shade = Shade {
-        distance: lanes.distance[i].abs() * at.length_per_distance(normal),
-        polygon_id: plan.drawn_polygon_id(at.object, polygon),
-        object_id: at.object + 1,
-    };
+    let shade = at.shade(plan, polygon, lanes.distance[i]);
     let m = DVec3::new(lanes.m[0][i], lanes.m[1][i], lanes.m[2][i]);
     // Rounding may draw others nearer than they are.
     let nearest_inverse = if lanes.clear[i] { cull::nearest_inverse(footprint) } else { f64::INFINITY };
@@ -244,7 +252,12 @@ fn push(
 
 /// Appends the edges as bounds of t on a line: lower ones, upper ones, then those that only have a sign.
 #[inline(always)]
-fn push_bounds(batch: &mut Batch, lanes: &PolygonLanes, i: usize, room: &mut Room) -> [u8; 3] {
+pub(super) fn push_bounds<const N: usize>(
+    bounds: &mut Vec<[f64; 2]>,
+    lanes: &PolygonLanes<N>,
+    i: usize,
+    room: &mut Room,
+) -> [u8; 3] {
     let n = lanes.corner_counts[i] as usize;
     let edges = || lanes.edges[..n].iter().map(|e| DVec3::new(e[0][i], e[1][i], e[2][i]));
     // Without a branch on the sign, which no processor can foresee: each bound is written to both lists, and counted in one.
@@ -259,10 +272,10 @@ fn push_bounds(batch: &mut Batch, lanes: &PolygonLanes, i: usize, room: &mut Roo
         upper += usize::from(!flat & (e.z < 0.0));
         steep += usize::from(flat);
     }
-    batch.bounds.extend_from_slice(&lowers[..lower]);
-    batch.bounds.extend_from_slice(&uppers[..upper]);
+    bounds.extend_from_slice(&lowers[..lower]);
+    bounds.extend_from_slice(&uppers[..upper]);
     if steep > 0 {
-        batch.bounds.extend(edges().filter(|e| is_steep(*e)).map(|e| [e.x, e.y]));
+        bounds.extend(edges().filter(|e| is_steep(*e)).map(|e| [e.x, e.y]));
     }
     [lower as u8, upper as u8, steep as u8]
 }

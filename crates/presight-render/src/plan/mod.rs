@@ -10,6 +10,7 @@ mod raster;
 mod request;
 mod stats;
 mod view;
+mod way;
 mod weighing;
 
 pub use images::{Images, Samples, SamplesMut};
@@ -21,6 +22,7 @@ pub use raster::Raster;
 pub use request::{IdScheme, ImageRequest};
 pub use stats::{Omission, StageRow, StageVariant, Stats, Work};
 pub use view::region_of;
+pub use way::{ChosenWay, Way};
 pub use weighing::{BeamNumbers, Drawn, Weighing};
 
 use crate::deadline::Watch;
@@ -154,6 +156,8 @@ pub struct FramePlan {
     pub limit: Option<TimeLimit>,
     /// True if engines may begin with the polygons that the sensor's last frame showed.
     pub reuse_visible: bool,
+    /// [`Way::Tiles`] only if nothing was selected.
+    chosen: ChosenWay,
     /// Scratch memory, kept from frame to frame.
     found: QueryResult,
     selected: Vec<ObjectRun>,
@@ -248,11 +252,76 @@ impl FramePlan {
             objects_not_opaque: 0,
             limit: None,
             reuse_visible: false,
+            chosen: ChosenWay::RASTER,
             found,
             selected,
         };
         plan.fill(&region_of(sensor, world_from_sensor)?);
         Ok(plan)
+    }
+
+    /// Plans a prediction in a chosen way. By tiles nothing is selected, and only the CPU engine and the reference draw it.
+    ///
+    /// # Errors
+    /// Same as [`Pose::check`].
+    pub fn by(
+        chosen: ChosenWay,
+        buffers: PlanBuffers,
+        world: &World,
+        sensor: &Sensor,
+        world_from_sensor: &Pose,
+        request: ImageRequest,
+    ) -> Result<Self> {
+        if chosen.way != Way::Tiles {
+            let plan = Self::within(buffers, world, sensor, world_from_sensor, request)?;
+            return Ok(Self { chosen, ..plan });
+        }
+        world_from_sensor.check()?;
+        let PlanBuffers { mut instances, mut runs, mut facings, found, selected } = buffers;
+        instances.clear();
+        runs.clear();
+        facings.clear();
+        let mut plan = Self {
+            world: world.clone(),
+            sensor: sensor.clone(),
+            world_from_sensor: *world_from_sensor,
+            request,
+            instances,
+            runs,
+            facings,
+            polygon_count: 0,
+            objects_out_of_view: 0,
+            polygons_out_of_view: 0,
+            objects_not_opaque: 0,
+            limit: None,
+            reuse_visible: false,
+            chosen,
+            found,
+            selected,
+        };
+        plan.prepare();
+        Ok(plan)
+    }
+
+    /// How the CPU engine is to draw it: [`Way::Tiles`] if nothing was selected.
+    pub fn way(&self) -> Way {
+        self.chosen.way
+    }
+
+    /// How, and why so.
+    pub fn chosen(&self) -> ChosenWay {
+        self.chosen
+    }
+
+    /// The same plan with what the sensor may see selected.
+    ///
+    /// # Errors
+    /// Same as [`Pose::check`].
+    pub fn selected(&self) -> Result<Self> {
+        let Self { world, sensor, world_from_sensor, request, .. } = self;
+        let plan = Self::new(world, sensor, world_from_sensor, *request)?;
+        let why = "the trees for tiles are not made yet";
+        Ok(Self { limit: self.limit.clone(), chosen: ChosenWay { why, ..ChosenWay::RASTER }, ..plan })
     }
 
     /// Lets a clock stop the engines, for tests. A `Predictor` does so for `Request::deadline`.
@@ -343,6 +412,7 @@ impl FramePlan {
             objects_not_opaque: self.objects_not_opaque,
             limit,
             reuse_visible: false,
+            chosen: self.chosen,
             found: QueryResult::default(),
             selected: Vec::new(),
         })
@@ -390,6 +460,7 @@ impl FramePlan {
         self.world_from_sensor = *world_from_sensor;
         self.request = request.into();
         self.reuse_visible = false;
+        self.chosen = ChosenWay::RASTER;
         let region = region_of(sensor, world_from_sensor)?;
         self.fill(&region);
         Ok(())
@@ -415,23 +486,27 @@ impl FramePlan {
         self.drawn_ids().id_of(&self.world.environment().objects()[object as usize], polygon)
     }
 
-    fn fill(&mut self, region: &Region) {
+    /// Everything but the selection.
+    fn prepare(&mut self) {
         // Feature ids are derived from features later.
         self.request.outputs = self.request.outputs.without(Output::FeatureId);
         if !self.sensor.is_camera() {
             // Planar depth needs a planar image.
             self.request.outputs = self.request.outputs.without(Output::DepthZ);
         }
+        self.facings.clear();
+        self.facings.extend(facings(self.world.environment(), &self.sensor.spec().class));
+    }
+
+    fn fill(&mut self, region: &Region) {
+        self.prepare();
         self.instances.clear();
         self.runs.clear();
-        self.facings.clear();
         self.limit = None;
         (self.polygon_count, self.objects_out_of_view) = (0, 0);
         (self.polygons_out_of_view, self.objects_not_opaque) = (0, 0);
         let world = self.world.clone();
         let environment = world.environment();
-        let class = self.sensor.spec().class.clone();
-        self.facings.extend(facings(environment, &class));
         let mut selected = std::mem::take(&mut self.selected);
         selected.clear();
         world.index().select(environment, region, &mut self.found, &mut selected);
@@ -502,10 +577,13 @@ impl FramePlan {
     }
 
     /// Variants of stages with extra cost: name, whether this prediction uses it, and why.
-    pub fn variants(&self) -> [(StageName, bool, &'static str); 3] {
+    pub fn variants(&self) -> [(StageName, bool, &'static str); 4] {
         let choose = |what, taken, why: [&'static str; 2]| (what, taken, why[usize::from(taken)]);
         let by_rays = matches!(self.sensor.grid(), PixelGrid::Rays(_));
-        let mixed = !self.instances.iter().all(|i| i.plain);
+        let mixed = match self.way() {
+            Way::Tiles => self.facings.iter().any(|f| f.one_sided || !f.opaque),
+            _ => !self.instances.iter().all(|i| i.plain),
+        };
         let by_material = self.reflects_by_material();
         [
             choose(
@@ -529,6 +607,7 @@ impl FramePlan {
                 by_material,
                 ["no echo is requested, or all materials have one factor", "an echo is requested, and factors differ"],
             ),
+            (StageName::RaysByTiles, self.way() == Way::Tiles, self.chosen.why),
         ]
     }
 }

@@ -45,6 +45,7 @@ words! {
     StageName {
         Selection = "selection",
         Reference = "reference",
+        Tiles = "tiles",
         Hidden = "hidden",
         SetupAndRasterization = "setup and rasterization",
         Setup = "setup",
@@ -69,6 +70,7 @@ words! {
         FeatureChoice = "choice of features",
         RegionsOnDevice = "regions of interest on the device",
         RegionsOfInterest = "regions of interest",
+        RaysByTiles = "rays by tiles",
         RayTable = "ray table",
         MaterialTest = "material test per polygon",
         ReflectionFactor = "reflection factor per pixel",
@@ -113,6 +115,12 @@ words! {
         WorkItems = "work items",
         Reruns = "reruns for room",
         HitsWithoutId = "internal errors: hits without id",
+        /// Nodes of trees that tiles of rays opened.
+        TreeNodes = "tree nodes",
+        /// Blocks of eight triangles that tiles of rays looked at.
+        TriangleBlocks = "triangle blocks",
+        /// Rays whose polygon the search left open.
+        RaysInDoubt = "rays in doubt",
         SegmentsOfCut = "segments of the cut",
         SegmentsTested = "segments tested",
         Features = "features",

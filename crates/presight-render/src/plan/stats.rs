@@ -2,6 +2,7 @@
 
 use super::names::{CountName, Part, StageName};
 use super::raster::Raster;
+use super::way::Way;
 use crate::deadline::{DeadlineOutcome, Degradation};
 use presight_model::clock::Instant;
 use serde::Serialize;
@@ -17,6 +18,9 @@ pub struct Stats {
     /// The rasterizer used on that adapter; `None` if nothing was drawn there.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub raster: Option<Raster>,
+    /// How the CPU engine found what rays see; `None` for other engines.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub way: Option<Way>,
     /// CPU threads.
     pub threads: usize,
     /// Name of the index that selected the polygons.

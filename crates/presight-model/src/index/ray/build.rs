@@ -1,0 +1,262 @@
+//! Binned halving by the surface-area heuristic (Wald 2007), and eight-wide nodes out of what comes of it (Wald, Benthin, Boulos 2008).
+
+use super::{NO_CHILD, RayNode, WIDE};
+use glam::{Vec3, Vec4};
+
+/// A box with a number, which lies in the bits of the fourth coordinate.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Item {
+    low: Vec4,
+    high: Vec4,
+}
+
+impl Item {
+    pub fn new(low: Vec3, high: Vec3, id: u32) -> Self {
+        Self { low: low.extend(f32::from_bits(id)), high: high.extend(0.0) }
+    }
+
+    pub fn id(&self) -> u32 {
+        self.low.w.to_bits()
+    }
+
+    /// Twice its middle.
+    #[inline(always)]
+    fn middle(&self, axis: usize) -> f32 {
+        self.low[axis] + self.high[axis]
+    }
+}
+
+/// A node of two children, or a leaf.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Binary {
+    pub low: Vec4,
+    pub high: Vec4,
+    /// Of its items; a leaf has no children.
+    first: u32,
+    count: u32,
+    children: Option<[u32; 2]>,
+}
+
+const BINS: usize = 16;
+
+/// So many items get half as many bins.
+const FEW: usize = 128;
+
+/// Depth from which halves are equal, so that no input makes the tree deep.
+const DEEP: u32 = 96;
+
+/// More items are halved by several threads, where there are some.
+const PARALLEL: usize = 1 << 15;
+
+#[derive(Clone, Copy)]
+struct Extent {
+    low: Vec4,
+    high: Vec4,
+}
+
+impl Extent {
+    const NONE: Self = Self { low: Vec4::INFINITY, high: Vec4::NEG_INFINITY };
+
+    #[inline(always)]
+    fn hold(&mut self, low: Vec4, high: Vec4) {
+        // As the processor's minimum: no box is NaN.
+        self.low = least(low, self.low);
+        self.high = greatest(high, self.high);
+    }
+}
+
+#[inline(always)]
+fn least(a: Vec4, b: Vec4) -> Vec4 {
+    let pick = |a: f32, b: f32| if a < b { a } else { b };
+    Vec4::new(pick(a.x, b.x), pick(a.y, b.y), pick(a.z, b.z), 0.0)
+}
+
+#[inline(always)]
+fn greatest(a: Vec4, b: Vec4) -> Vec4 {
+    let pick = |a: f32, b: f32| if a > b { a } else { b };
+    Vec4::new(pick(a.x, b.x), pick(a.y, b.y), pick(a.z, b.z), 0.0)
+}
+
+/// Half the surface, or for what is flat the sum of its sides, metres.
+#[inline(always)]
+fn area(low: Vec4, high: Vec4) -> f32 {
+    let d = high - low;
+    d.x * d.y + d.y * d.z + d.z * d.x
+}
+
+/// Halves until no leaf has more than `most` items, which are ordered on the way. The first node is the root.
+pub(super) fn halve(items: &mut [Item], most: usize) -> Vec<Binary> {
+    if items.is_empty() { Vec::new() } else { grow(items, 0, most, 0) }
+}
+
+fn grow(items: &mut [Item], first: u32, most: usize, depth: u32) -> Vec<Binary> {
+    let mut nodes = Vec::with_capacity(items.len().div_ceil(most.div_ceil(2)) * 2);
+    if items.len() > PARALLEL && rayon::current_thread_index().is_some() {
+        let middle = split(items, extent(items), most, depth);
+        let (left, right) = items.split_at_mut(middle.1);
+        let (mut left, right) = rayon::join(
+            || grow(left, first, most, depth + 1),
+            || grow(right, first + middle.1 as u32, most, depth + 1),
+        );
+        let (before, after) = (1, 1 + left.len() as u32);
+        let moved = |node: &Binary, by: u32| Binary { children: node.children.map(|c| c.map(|c| c + by)), ..*node };
+        let Extent { low, high } = middle.0;
+        let count = (left[0].count) + right[0].count;
+        nodes.push(Binary { low, high, first, count, children: Some([before, after]) });
+        nodes.extend(left.drain(..).map(|node| moved(&node, before)));
+        nodes.extend(right.iter().map(|node| moved(node, after)));
+        return nodes;
+    }
+    grow_here(items, first, most, depth, &mut nodes);
+    nodes
+}
+
+fn grow_here(items: &mut [Item], first: u32, most: usize, depth: u32, nodes: &mut Vec<Binary>) -> u32 {
+    let around = extent(items);
+    let (at, count) = (nodes.len() as u32, items.len() as u32);
+    nodes.push(Binary { low: around.low, high: around.high, first, count, children: None });
+    if items.len() > most {
+        let (_, middle) = split(items, around, most, depth);
+        let (left, right) = items.split_at_mut(middle);
+        let left = grow_here(left, first, most, depth + 1, nodes);
+        let right = grow_here(right, first + middle as u32, most, depth + 1, nodes);
+        nodes[at as usize].children = Some([left, right]);
+    }
+    at
+}
+
+fn extent(items: &[Item]) -> Extent {
+    let mut all = Extent::NONE;
+    items.iter().for_each(|item| all.hold(item.low, item.high));
+    all
+}
+
+/// Orders the items by the best plane between bins; the answer is how many lie before it.
+fn split(items: &mut [Item], around: Extent, most: usize, depth: u32) -> (Extent, usize) {
+    let n = items.len();
+    let (mut low, mut high) = (Vec4::INFINITY, Vec4::NEG_INFINITY);
+    for item in &*items {
+        let middle = item.low + item.high;
+        (low, high) = (least(middle, low), greatest(middle, high));
+    }
+    let bins = if n <= FEW { BINS / 2 } else { BINS };
+    let per_unit = |axis: usize| bins as f32 * 0.9999 / (high[axis] - low[axis]);
+    let mut best: Option<(f32, usize, usize)> = None;
+    if depth < DEEP {
+        let (mut all, mut counts) = ([[Extent::NONE; BINS]; 3], [[0u32; BINS]; 3]);
+        // An axis without an extent has no bins: infinity times zero is no number, and a cast of that is bin 0.
+        let scale = [0, 1, 2].map(per_unit);
+        for item in &*items {
+            for axis in 0..3 {
+                let bin = (((item.middle(axis) - low[axis]) * scale[axis]) as usize).min(bins - 1);
+                all[axis][bin].hold(item.low, item.high);
+                counts[axis][bin] += 1;
+            }
+        }
+        for axis in 0..3 {
+            let found = best_plane(&all[axis][..bins], &counts[axis][..bins], most);
+            if let Some((cost, plane)) = found
+                && best.is_none_or(|(least, ..)| cost < least)
+            {
+                best = Some((cost, axis, plane));
+            }
+        }
+    }
+    let Some((_, axis, plane)) = best else { return (around, halves(items, low, high)) };
+    let scale = per_unit(axis);
+    let mut middle = 0;
+    for i in 0..n {
+        let bin = (((items[i].middle(axis) - low[axis]) * scale) as usize).min(bins - 1);
+        if bin < plane {
+            items.swap(i, middle);
+            middle += 1;
+        }
+    }
+    (around, middle)
+}
+
+/// Equal halves along the longest axis.
+fn halves(items: &mut [Item], low: Vec4, high: Vec4) -> usize {
+    let axis = (high - low).truncate().max_position();
+    let middle = items.len() / 2;
+    items.select_nth_unstable_by(middle, |a, b| a.middle(axis).total_cmp(&b.middle(axis)));
+    middle
+}
+
+/// The least cost, and the bin before which it is found: surfaces times blocks of half of `most`, for blocks are seldom full.
+#[inline(always)]
+fn best_plane(bins: &[Extent], counts: &[u32], most: usize) -> Option<(f32, usize)> {
+    let blocks = |count: u32| (count as usize).div_ceil(most.div_ceil(2)) as f32;
+    let mut behind = [(0.0, 0); BINS];
+    let (mut held, mut count) = (Extent::NONE, 0);
+    for i in (1..bins.len()).rev() {
+        held.hold(bins[i].low, bins[i].high);
+        count += counts[i];
+        behind[i] = (if count > 0 { area(held.low, held.high) } else { 0.0 }, count);
+    }
+    let mut best: Option<(f32, usize)> = None;
+    (held, count) = (Extent::NONE, 0);
+    for i in 1..bins.len() {
+        held.hold(bins[i - 1].low, bins[i - 1].high);
+        count += counts[i - 1];
+        if count == 0 || behind[i].1 == 0 {
+            continue;
+        }
+        let cost = area(held.low, held.high) * blocks(count) + behind[i].0 * blocks(behind[i].1);
+        if best.is_none_or(|(least, _)| cost < least) {
+            best = Some((cost, i));
+        }
+    }
+    best
+}
+
+/// Eight-wide nodes; `leaf` gives the number of a leaf by its items.
+pub(super) fn widen(binary: &[Binary], items: &[Item], leaf: &mut impl FnMut(&[Item]) -> u32) -> Vec<RayNode> {
+    let mut nodes = Vec::new();
+    if !binary.is_empty() {
+        node_of(binary, items, 0, leaf, &mut nodes);
+    }
+    nodes
+}
+
+fn node_of(
+    binary: &[Binary],
+    items: &[Item],
+    at: u32,
+    leaf: &mut impl FnMut(&[Item]) -> u32,
+    nodes: &mut Vec<RayNode>,
+) -> u32 {
+    let mut own = [0; WIDE];
+    let mut count = 1;
+    own[0] = at;
+    // The largest one makes way for its children until there are eight.
+    while count < WIDE {
+        let large = (0..count)
+            .filter(|i| binary[own[*i] as usize].children.is_some())
+            .map(|i| (area(binary[own[i] as usize].low, binary[own[i] as usize].high), i))
+            .max_by(|a, b| a.0.total_cmp(&b.0));
+        let Some((_, i)) = large else { break };
+        let Some([left, right]) = binary[own[i] as usize].children else { break };
+        (own[i], own[count]) = (left, right);
+        count += 1;
+    }
+    let number = nodes.len();
+    let mut node =
+        RayNode { low: [[f32::INFINITY; WIDE]; 3], high: [[f32::NEG_INFINITY; WIDE]; 3], children: [NO_CHILD; WIDE] };
+    for (lane, child) in own[..count].iter().enumerate() {
+        let child = &binary[*child as usize];
+        for axis in 0..3 {
+            (node.low[axis][lane], node.high[axis][lane]) = (child.low[axis], child.high[axis]);
+        }
+    }
+    nodes.push(node);
+    for (lane, child) in own[..count].iter().enumerate() {
+        let held = &binary[*child as usize];
+        let name = match held.children {
+            Some(_) => node_of(binary, items, *child, leaf, nodes),
+            None => leaf(&items[held.first as usize..][..held.count as usize]),
+        };
+        nodes[number].children[lane] = name;
+    }
+    number as u32
+}

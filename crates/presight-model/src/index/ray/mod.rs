@@ -1,0 +1,222 @@
+//! Trees for rays: eight-wide nodes over the triangles of a mesh, in the mesh's frame, and over the objects of a world.
+//!
+//! Boxes are f32 and hold what they are made of. A tree keeps an order of its own: polygons, slots and clusters stay as they are.
+
+mod build;
+
+use crate::environment::{Environment, Mesh, PolygonRecord};
+use crate::error::Result;
+use crate::geometry::Plane;
+use crate::memory;
+use build::{Binary, Item};
+use glam::{DVec3, Vec3, Vec4};
+
+/// Children of a node, and triangles of a block.
+pub const WIDE: usize = 8;
+
+/// Marks a child that is not a node: the rest is the number of a block, or of an object.
+pub const LEAF: u32 = 1 << 31;
+
+/// No child.
+pub const NO_CHILD: u32 = u32::MAX;
+
+/// The boxes of eight children relative to the tree's origin, metres. Boxes of missing children hold nothing.
+#[derive(Clone, Debug)]
+#[repr(align(64))]
+pub struct RayNode {
+    /// Least corners, by axis.
+    pub low: [[f32; WIDE]; 3],
+    /// Greatest corners, by axis.
+    pub high: [[f32; WIDE]; 3],
+    /// Number of a node, or [`LEAF`] with another number, or [`NO_CHILD`].
+    pub children: [u32; WIDE],
+}
+
+/// Eight triangles. Convex polygons are fans of them.
+#[derive(Clone, Debug)]
+#[repr(align(64))]
+pub struct TriangleBlock {
+    /// First corners relative to `base`, by axis.
+    pub corner: [[f32; WIDE]; 3],
+    /// From the first corner to the second and to the third one, by axis.
+    pub edges: [[[f32; WIDE]; 3]; 2],
+    /// Polygon of each triangle.
+    pub polygons: [u32; WIDE],
+    /// Relative to the tree's origin.
+    pub base: [f32; 3],
+    /// No corner is farther from `base`.
+    pub diagonal: f32,
+    /// How far apart the corners of its polygons are along the normal, at most.
+    pub spread: f32,
+    /// Triangles; the rest of the lanes is empty.
+    pub count: u32,
+}
+
+/// The triangles of a mesh.
+#[derive(Clone, Debug)]
+pub struct RayTree {
+    /// The first one is the root; none if there are no triangles.
+    pub nodes: Vec<RayNode>,
+    /// What leaves name.
+    pub blocks: Vec<TriangleBlock>,
+    /// Boxes are relative to it.
+    pub origin: DVec3,
+    /// No coordinate of a box is greater.
+    pub reach: f32,
+}
+
+/// The objects of a world: leaves name them by index.
+#[derive(Clone, Debug)]
+pub struct ObjectTree {
+    /// The first one is the root; none if there are no polygons.
+    pub nodes: Vec<RayNode>,
+    /// Boxes are relative to it.
+    pub origin: DVec3,
+    /// No coordinate of a box is greater.
+    pub reach: f32,
+}
+
+/// Bytes that building takes for each triangle: an item, and half a node of two children.
+const BUILDING: u64 = 80;
+
+impl RayTree {
+    /// # Errors
+    /// [`crate::ErrorKind::System`] if there is no memory for it.
+    pub fn new(mesh: &Mesh) -> Result<Self> {
+        let triangles: u64 = mesh.polygons().iter().map(|p| u64::from(p.corner_count) - 2).sum();
+        if triangles > 100_000 {
+            memory::require(triangles * (BUILDING + 80))?;
+        }
+        let origin = if mesh.bounds().is_empty() { DVec3::ZERO } else { mesh.bounds().center() };
+        let mut items = memory::reserved(triangles as usize)?;
+        let mut fans = memory::reserved(triangles as usize)?;
+        for (polygon, record) in (0..).zip(mesh.polygons()) {
+            let corners = record.corners(mesh.all_corners());
+            for second in 1..corners.len() as u8 - 1 {
+                let [a, b, c] = [0, second, second + 1].map(|k| mesh.vertices()[corners[usize::from(k)] as usize]);
+                let low = outward(a.min(b).min(c).as_dvec3() - origin, false);
+                let high = outward(a.max(b).max(c).as_dvec3() - origin, true);
+                items.push(Item::new(low, high, fans.len() as u32));
+                fans.push(Fan { polygon, second });
+            }
+        }
+        let binary = build::halve(&mut items, WIDE);
+        let mut tree = Self { nodes: Vec::new(), blocks: Vec::new(), origin, reach: reach_of(&binary) };
+        let mut leaf = |own: &[Item]| {
+            tree.blocks.push(TriangleBlock::new(mesh, origin, own.iter().map(|item| fans[item.id() as usize])));
+            LEAF | (tree.blocks.len() - 1) as u32
+        };
+        tree.nodes = build::widen(&binary, &items, &mut leaf);
+        tree.nodes.shrink_to_fit();
+        tree.blocks.shrink_to_fit();
+        Ok(tree)
+    }
+
+    /// Bytes of memory.
+    pub fn bytes(&self) -> usize {
+        self.nodes.capacity() * size_of::<RayNode>() + self.blocks.capacity() * size_of::<TriangleBlock>()
+    }
+}
+
+impl ObjectTree {
+    /// The objects with polygons.
+    pub fn new(environment: &Environment) -> Self {
+        let boxes: Vec<_> = (0..)
+            .zip(environment.objects())
+            .filter(|(_, object)| object.mesh.polygon_count() > 0)
+            .map(|(i, object)| (i, object.world_bounds()))
+            .collect();
+        let all = boxes.iter().fold(crate::geometry::Aabb::EMPTY, |all, (_, b)| all.union(*b));
+        let origin = if all.is_empty() { DVec3::ZERO } else { all.center() };
+        let item = |(id, b): &(u32, crate::geometry::Aabb)| {
+            // The subtraction rounds, too.
+            let slack = f64::EPSILON * (b.min.abs().max(b.max.abs()) + origin.abs());
+            Item::new(outward(b.min - origin - slack, false), outward(b.max - origin + slack, true), *id)
+        };
+        let mut items: Vec<Item> = boxes.iter().map(item).collect();
+        let binary = build::halve(&mut items, 1);
+        let nodes = build::widen(&binary, &items, &mut |own: &[Item]| LEAF | own[0].id());
+        Self { nodes, origin, reach: reach_of(&binary) }
+    }
+
+    /// Bytes of memory.
+    pub fn bytes(&self) -> usize {
+        self.nodes.capacity() * size_of::<RayNode>()
+    }
+}
+
+/// A triangle of a polygon: its first corner, this one and the next.
+#[derive(Clone, Copy)]
+struct Fan {
+    polygon: u32,
+    second: u8,
+}
+
+impl TriangleBlock {
+    fn new(mesh: &Mesh, origin: DVec3, fans: impl Iterator<Item = Fan> + Clone) -> Self {
+        let place = |fan: Fan| {
+            let corners = mesh.corner_indices(fan.polygon);
+            let second = usize::from(fan.second);
+            [0, second, second + 1].map(|k| mesh.vertices()[corners[k] as usize].as_dvec3() - origin)
+        };
+        let base = fans.clone().flat_map(place).fold(DVec3::INFINITY, DVec3::min).as_vec3();
+        let mut block = Self {
+            corner: [[0.0; WIDE]; 3],
+            edges: [[[0.0; WIDE]; 3]; 2],
+            polygons: [u32::MAX; WIDE],
+            base: base.to_array(),
+            diagonal: 0.0,
+            spread: 0.0,
+            count: 0,
+        };
+        let (mut farthest, mut spread) = (0.0f64, 0.0f64);
+        for (lane, fan) in fans.enumerate() {
+            let [a, b, c] = place(fan);
+            let from_base = [a, b, c].map(|p| p - base.as_dvec3());
+            farthest = from_base.iter().map(|p| p.length()).fold(farthest, f64::max);
+            for axis in 0..3 {
+                block.corner[axis][lane] = from_base[0][axis] as f32;
+                block.edges[0][axis][lane] = (b - a)[axis] as f32;
+                block.edges[1][axis][lane] = (c - a)[axis] as f32;
+            }
+            block.polygons[lane] = fan.polygon;
+            block.count += 1;
+            let record = mesh.polygons()[fan.polygon as usize];
+            spread = spread.max(spread_of(mesh, record, mesh.plane(fan.polygon)));
+        }
+        (block.diagonal, block.spread) = ((farthest as f32).next_up(), (1.01 * spread) as f32);
+        block
+    }
+}
+
+/// How far apart the corners of a polygon are along its normal; that of a triangle is its own plane's.
+fn spread_of(mesh: &Mesh, record: PolygonRecord, plane: Plane) -> f64 {
+    if record.corner_count == 3 {
+        return 0.0;
+    }
+    let corners = record.corners(mesh.all_corners());
+    let place = |corner: u32| mesh.vertices()[corner as usize].as_dvec3();
+    let offs = corners.iter().map(|&c| plane.normal.dot(place(c) - place(corners[0])));
+    let (low, high) = offs.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), off| (low.min(off), high.max(off)));
+    high - low
+}
+
+/// Rounded away from the inside.
+fn outward(p: DVec3, up: bool) -> Vec3 {
+    Vec3::from_array(p.to_array().map(|x| {
+        let near = x as f32;
+        match up {
+            true if f64::from(near) < x => near.next_up(),
+            false if f64::from(near) > x => near.next_down(),
+            _ => near,
+        }
+    }))
+}
+
+fn reach_of(binary: &[Binary]) -> f32 {
+    let greatest = |p: Vec4| p.truncate().abs().max_element();
+    binary.first().map_or(0.0, |root| greatest(root.low).max(greatest(root.high)))
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,312 @@
+//! The decision of a tile: planes, edges and ties as the raster has them, of the polygons that the search has found. It shares the
+//! functions of [`super::super::lanes`], [`super::super::setup`] and [`super::super::raster_lines`], so it gives the raster's bits.
+
+use super::super::batch::{NOTHING, Winners};
+use super::super::lanes::PolygonLanes;
+use super::super::raster_lines::bounds_of_lines;
+use super::super::setup::{Room, push_bounds};
+use super::object::PlacedObject;
+use super::search::{Candidate, Found, NONE, Objects};
+use crate::plan::FramePlan;
+use glam::DVec3;
+use presight_model::sensor::{GROUP, GROUPS, GroupLayout, LineGrid, PixelGrid, RayGrid, RayTile, RayTiles};
+
+/// Numbers of the rays of a group.
+type Row = [f64; GROUP];
+
+/// Rays of a group: inverse depth of a plane is `(m.x a + m.y b) c + m.z d`.
+#[derive(Clone, Copy)]
+struct Rays {
+    a: Row,
+    b: Row,
+    c: Row,
+    d: Row,
+    /// Positions on their lines; only of lines.
+    t: Row,
+}
+
+impl Rays {
+    const NONE: Self = Self { a: [0.0; GROUP], b: [0.0; GROUP], c: [1.0; GROUP], d: [0.0; GROUP], t: [0.0; GROUP] };
+
+    #[inline(always)]
+    fn inverse(&self, m: [&Row; 3]) -> Row {
+        let mut k = [0.0; GROUP];
+        for i in 0..GROUP {
+            k[i] = (m[0][i] * self.a[i] + m[1][i] * self.b[i]) * self.c[i] + m[2][i] * self.d[i];
+        }
+        k
+    }
+
+    #[inline(always)]
+    fn inverse_of_one(&self, m: DVec3) -> Row {
+        let mut k = [0.0; GROUP];
+        for i in 0..GROUP {
+            k[i] = (m.x * self.a[i] + m.y * self.b[i]) * self.c[i] + m.z * self.d[i];
+        }
+        k
+    }
+}
+
+/// A polygon as the raster has it.
+#[derive(Clone, Copy)]
+struct Exact {
+    m: DVec3,
+    slot: u32,
+    /// False if it covers no ray: edge-on, or seen from its back.
+    is_drawn: bool,
+    /// Where its edges begin, once they are made, and for lines how many there are of each kind.
+    edges: u32,
+    counts: [u8; 3],
+}
+
+/// Entries of the table of polygons in hand.
+const KNOWN: usize = 1024;
+
+/// Polygons in hand, and what the rays of the last tile see.
+pub(super) struct Decision {
+    /// By slot: which polygon it is, and its number.
+    known: Vec<[u32; 2]>,
+    polygons: Vec<Exact>,
+    pub winners: Winners,
+    bounds: Vec<[f64; 2]>,
+    edges: Vec<DVec3>,
+    lanes: Box<PolygonLanes<1>>,
+    room: Box<Room>,
+    /// By candidate of the tile.
+    numbers: Vec<u32>,
+    rays: Box<[Rays; GROUPS]>,
+    /// By group: inverse depths, 0 where nothing is seen, and who is there.
+    pub inverse: [Row; GROUPS],
+    pub winner: [[u32; GROUP]; GROUPS],
+    /// Rays that the search left open.
+    pub unsure: u64,
+}
+
+impl Decision {
+    pub fn new() -> Self {
+        Self {
+            known: vec![[u32::MAX, 0]; KNOWN],
+            polygons: Vec::new(),
+            winners: Winners::default(),
+            bounds: Vec::new(),
+            edges: Vec::new(),
+            lanes: Box::new(PolygonLanes::new()),
+            room: Box::default(),
+            numbers: Vec::new(),
+            rays: Box::new([Rays::NONE; GROUPS]),
+            inverse: [[0.0; GROUP]; GROUPS],
+            winner: [[NOTHING; GROUP]; GROUPS],
+            unsure: 0,
+        }
+    }
+
+    /// No polygon in hand.
+    pub fn clear(&mut self) {
+        self.known.fill([u32::MAX, 0]);
+        self.winners.clear();
+        self.bounds.clear();
+        self.edges.clear();
+        self.polygons.clear();
+        self.polygons.push(Exact { m: DVec3::ZERO, slot: 0, is_drawn: false, edges: 0, counts: [0; 3] });
+    }
+
+    /// Decides what the rays of a tile see.
+    #[inline(always)]
+    pub fn run(&mut self, objects: &Objects<'_>, tiles: &RayTiles, tile: &RayTile, found: &Found) {
+        let grid = objects.plan.sensor.grid();
+        self.numbers.clear();
+        self.numbers.resize(found.candidates.len(), NONE);
+        let mut unsure = [0u32; GROUPS];
+        for one in &found.unsure {
+            unsure[one.group as usize] |= one.lanes;
+        }
+        for g in 0..tile.groups {
+            self.load(grid, tiles, tile.places[g], g);
+            self.unsure += u64::from(unsure[g].count_ones());
+            self.take_sure(objects, found, g, tile.alive[g] & !unsure[g]);
+        }
+        if found.unsure.is_empty() {
+            return;
+        }
+        for g in 0..tile.groups {
+            let mut left = unsure[g] & tile.alive[g];
+            while left != 0 {
+                let name = found.sure[g][left.trailing_zeros() as usize];
+                let alike =
+                    (0..GROUP).filter(|lane| found.sure[g][*lane] == name).fold(0, |bits, lane| bits | 1 << lane);
+                if name != NONE {
+                    self.draw(objects, found, name, g, left & alike);
+                }
+                left &= !alike;
+            }
+        }
+        for one in &found.unsure {
+            self.draw(objects, found, one.candidate, one.group as usize, one.lanes);
+        }
+    }
+
+    /// Rays as the raster has them.
+    #[inline(always)]
+    fn load(&mut self, grid: &PixelGrid, tiles: &RayTiles, at: [u32; 2], g: usize) {
+        let rays = &mut self.rays[g];
+        match (grid, tiles.layout) {
+            (PixelGrid::Lines(grid), GroupLayout::Along) => along(rays, grid, at),
+            (PixelGrid::Lines(grid), _) => across(rays, grid, at),
+            (PixelGrid::Rays(grid), GroupLayout::Listed) => listed(rays, grid, tiles.listed(at[0])),
+            (PixelGrid::Rays(grid), _) => {
+                let tile = at[0] as usize / GROUP * grid.tiles_across() + at[1] as usize / GROUP;
+                let (own, row) = (grid.rays_of(tile), at[0] as usize % GROUP);
+                (rays.a, rays.b, rays.c, rays.d) = (own.x[row], own.y[row], [1.0; GROUP], own.z[row]);
+            }
+        }
+    }
+
+    /// Fills the rays of a group whose polygon is known, and clears the rest.
+    #[inline(always)]
+    fn take_sure(&mut self, objects: &Objects<'_>, found: &Found, g: usize, sure: u32) {
+        let names = &found.sure[g];
+        let first = names[sure.trailing_zeros() as usize % GROUP];
+        let alike = names.iter().fold(true, |alike, name| alike & (*name == first));
+        if sure == 0 || (alike && first == NONE) {
+            (self.inverse[g], self.winner[g]) = ([0.0; GROUP], [NOTHING; GROUP]);
+            return;
+        }
+        if alike && sure == 0xff {
+            let number = self.number(objects, found, first);
+            self.inverse[g] = self.rays[g].inverse_of_one(self.polygons[number as usize].m);
+            self.winner[g] = [number; GROUP];
+            return;
+        }
+        let (mut m, mut winner) = ([[0.0; GROUP]; 3], [NOTHING; GROUP]);
+        let mut last = (NONE, NOTHING);
+        for lane in (0..GROUP).filter(|lane| sure >> lane & 1 == 1 && names[*lane] != NONE) {
+            if names[lane] != last.0 {
+                last = (names[lane], self.number(objects, found, names[lane]));
+            }
+            let own = self.polygons[last.1 as usize].m;
+            (m[0][lane], m[1][lane], m[2][lane], winner[lane]) = (own.x, own.y, own.z, last.1);
+        }
+        let k = self.rays[g].inverse(m.each_ref());
+        for lane in 0..GROUP {
+            self.inverse[g][lane] = if winner[lane] == NOTHING { 0.0 } else { k[lane] };
+        }
+        self.winner[g] = winner;
+    }
+
+    /// The number of a candidate's polygon.
+    #[inline(always)]
+    fn number(&mut self, objects: &Objects<'_>, found: &Found, candidate: u32) -> u32 {
+        let number = self.numbers[candidate as usize];
+        if number != NONE {
+            return number;
+        }
+        let Candidate { object, polygon } = found.candidates[candidate as usize];
+        let placed = &objects.placed[object as usize];
+        let slot = placed.at.first_slot + polygon;
+        let entry = slot.wrapping_mul(0x9e37_79b1) as usize >> 22;
+        let [known, number] = self.known[entry];
+        let number = if known == slot { number } else { self.make(objects.plan, placed, polygon, slot) };
+        self.known[entry] = [slot, number];
+        self.numbers[candidate as usize] = number;
+        number
+    }
+
+    #[inline(never)]
+    fn make(&mut self, plan: &FramePlan, placed: &PlacedObject<'_>, polygon: u32, slot: u32) -> u32 {
+        let lanes = &mut *self.lanes;
+        lanes.load(&placed.at, &[polygon], None);
+        lanes.measure(&placed.at, &[polygon]);
+        lanes.set_up_planes(&placed.at);
+        let facing = (!placed.at.plain).then(|| plan.facings[usize::from(placed.at.mesh.material(polygon))]);
+        let distance = lanes.distance[0];
+        let is_seen = facing.is_none_or(|f| f.opaque && !(f.one_sided && distance > 0.0));
+        let m = DVec3::new(lanes.m[0][0], lanes.m[1][0], lanes.m[2][0]);
+        let is_drawn = is_seen && !lanes.edge_on[0];
+        self.polygons.push(Exact { m, slot, is_drawn, edges: u32::MAX, counts: [0; 3] });
+        self.winners.push(placed.at.shade(plan, polygon, distance), slot)
+    }
+
+    /// Makes the edges of a polygon.
+    #[inline(never)]
+    fn make_edges(&mut self, plan: &FramePlan, placed: &PlacedObject<'_>, polygon: u32, number: u32) {
+        let lanes = &mut *self.lanes;
+        lanes.load(&placed.at, &[polygon], None);
+        lanes.measure(&placed.at, &[polygon]);
+        lanes.set_up_edges(&placed.at, &[polygon]);
+        let exact = &mut self.polygons[number as usize];
+        if let PixelGrid::Lines(_) = plan.sensor.grid() {
+            lanes.bound();
+            exact.edges = self.bounds.len() as u32;
+            exact.counts = push_bounds(&mut self.bounds, lanes, 0, &mut self.room);
+        } else {
+            let count = lanes.corner_counts[0] as usize;
+            (exact.edges, exact.counts) = (self.edges.len() as u32, [0, 0, count as u8]);
+            self.edges.extend(lanes.edges[..count].iter().map(|e| DVec3::new(e[0][0], e[1][0], e[2][0])));
+        }
+    }
+
+    /// Draws a candidate on some rays of a group, as the raster does.
+    #[inline(always)]
+    fn draw(&mut self, objects: &Objects<'_>, found: &Found, candidate: u32, g: usize, lanes: u32) {
+        let number = self.number(objects, found, candidate);
+        if !self.polygons[number as usize].is_drawn {
+            return;
+        }
+        if self.polygons[number as usize].edges == u32::MAX {
+            let Candidate { object, polygon } = found.candidates[candidate as usize];
+            self.make_edges(objects.plan, &objects.placed[object as usize], polygon, number);
+        }
+        let exact = self.polygons[number as usize];
+        let rays = &self.rays[g];
+        let k = rays.inverse_of_one(exact.m);
+        let mut inside = [true; GROUP];
+        if let PixelGrid::Lines(_) = objects.plan.sensor.grid() {
+            let edges = &self.bounds[exact.edges as usize..];
+            let [low, high] = bounds_of_lines(exact.counts, edges, &rays.a, &rays.b);
+            for i in 0..GROUP {
+                inside[i] = (rays.t[i] >= low[i]) & (rays.t[i] <= high[i]);
+            }
+        } else {
+            for e in &self.edges[exact.edges as usize..][..usize::from(exact.counts[2])] {
+                for i in 0..GROUP {
+                    inside[i] &= (e.x * rays.a[i] + e.y * rays.b[i]) + e.z * rays.d[i] >= 0.0;
+                }
+            }
+        }
+        let (inverse, winner) = (&mut self.inverse[g], &mut self.winner[g]);
+        for i in (0..GROUP).filter(|i| lanes >> i & 1 == 1 && inside[*i]) {
+            // On bit-equal inverse depth the lower slot wins.
+            let ties = k[i] == inverse[i] && winner[i] != NOTHING;
+            if k[i] > inverse[i] || (ties && exact.slot < self.winners.slots[winner[i] as usize]) {
+                (inverse[i], winner[i]) = (k[i], number);
+            }
+        }
+    }
+}
+
+/// Eight samples of a line.
+#[inline(always)]
+fn along(rays: &mut Rays, grid: &LineGrid, [line, sample]: [u32; 2]) {
+    let [c0, c1] = grid.lines()[line as usize];
+    let octet = &grid.octets()[sample as usize / GROUP];
+    (rays.a, rays.b, rays.c, rays.d, rays.t) = ([c0; GROUP], [c1; GROUP], octet.w0, octet.w1, octet.t);
+}
+
+/// A sample of eight lines.
+#[inline(always)]
+fn across(rays: &mut Rays, grid: &LineGrid, [line, sample]: [u32; 2]) {
+    let [c0, c1] = grid.eight_lines(line as usize);
+    let [w0, w1] = grid.weights()[sample as usize];
+    (rays.a, rays.b) = (*c0, *c1);
+    (rays.c, rays.d, rays.t) = ([w0; GROUP], [w1; GROUP], [grid.positions()[sample as usize]; GROUP]);
+}
+
+/// Rays anywhere in a table.
+#[inline(always)]
+fn listed(rays: &mut Rays, grid: &RayGrid, pixels: &[u32; GROUP]) {
+    rays.c = [1.0; GROUP];
+    for (i, pixel) in pixels.iter().enumerate() {
+        let ray = grid.direction(pixel % grid.width(), pixel / grid.width());
+        (rays.a[i], rays.b[i], rays.d[i]) = (ray.x, ray.y, ray.z);
+    }
+}

@@ -1,0 +1,400 @@
+//! Tiles: the second way of the engine. Up to 64 rays together search the meshes' trees, nearest first, in f32 with margins; what they
+//! find is decided by the raster's own arithmetic, so that both ways give the same bits. Nothing is selected, and nothing is set up that
+//! no ray may see.
+//!
+//! | stage | in | out |
+//! |---|---|---|
+//! | `search` | a tile, the tree of objects, the trees of meshes | candidates: surely seen by a ray, or perhaps |
+//! | `decide` | candidates | inverse depth and winner for each ray |
+//! | `resolve` of the engine | the band | the requested images |
+
+mod decide;
+mod object;
+mod search;
+mod wide;
+
+use super::batch::{NOTHING, Winners};
+use super::raster_lines::Buffer;
+use super::{Bands, CpuEngine, resolve};
+use crate::plan::{CountName, FramePlan, Images, StageName, Stats, Way};
+use decide::Decision;
+use presight_model::clock::Instant;
+use presight_model::error::Result;
+use presight_model::sensor::{GROUP, GroupLayout, RayTile, RayTiles};
+use rayon::prelude::*;
+use search::{Objects, Search};
+use std::sync::{Mutex, PoisonError};
+use wide::Width;
+
+/// Frames of so few rays stay on the calling thread: handing them over takes longer.
+pub(super) const FEW_RAYS: usize = 1024;
+
+/// What a tree costs for each polygon of its mesh, in polygons that are selected and drawn instead: a quarter of the time, for sensors that
+/// have delivered a few frames deliver many. And what is paid at once, for it is not noticed.
+const PRICE: u64 = 4;
+const PAID_AT_ONCE: u64 = PRICE * 2000;
+
+/// What a frame by the raster costs beside its polygons, as many of these.
+pub(super) const FRAME_PRICE: u64 = 300;
+
+/// Tiles of listed rays in a task.
+const LISTED_TILES: usize = 32;
+
+/// What the processor has for eight lanes of f32.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Vectors {
+    /// One register of eight, AVX2 with FMA.
+    Avx2,
+    /// Two registers of four, SSE4.2.
+    Sse42,
+    /// Whatever the compiler makes of loops.
+    Plain,
+}
+
+impl Vectors {
+    /// The widest of this processor.
+    pub fn best() -> Self {
+        #[cfg(target_arch = "x86_64")]
+        match (pulp::x86::V3::try_new(), pulp::x86::V2::try_new()) {
+            (Some(_), _) => return Self::Avx2,
+            (_, Some(_)) => return Self::Sse42,
+            _ => {}
+        }
+        Self::Plain
+    }
+
+    /// For people.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Avx2 => "eight lanes (AVX2, FMA)",
+            Self::Sse42 => "two times four lanes (SSE4.2)",
+            Self::Plain => "eight lanes without named instructions",
+        }
+    }
+}
+
+/// A task that is compiled for each width.
+trait Task {
+    type Output;
+    fn run<S: Width, const N: usize>(self, simd: S) -> Self::Output;
+}
+
+/// The task with the token of its instruction set, which pulp then enables.
+struct Op<S, T, const N: usize>(S, T);
+
+impl<S: Width, T: Task, const N: usize> pulp::WithSimd for Op<S, T, N> {
+    type Output = T::Output;
+
+    #[inline(always)]
+    fn with_simd<P: pulp::Simd>(self, _: P) -> T::Output {
+        self.1.run::<S, N>(self.0)
+    }
+}
+
+/// The one place where a width is chosen, once a task.
+fn dispatch<T: Task>(vectors: Vectors, task: T) -> T::Output {
+    use pulp::Simd;
+    #[cfg(target_arch = "x86_64")]
+    {
+        use pulp::x86::{V2, V3};
+        match (vectors, V3::try_new(), V2::try_new()) {
+            (Vectors::Avx2, Some(v3), _) => return Simd::vectorize(v3, Op::<_, _, 1>(v3, task)),
+            (Vectors::Avx2 | Vectors::Sse42, _, Some(v2)) => return Simd::vectorize(v2, Op::<_, _, 2>(v2, task)),
+            _ => {}
+        }
+    }
+    let scalar = pulp::Scalar::new();
+    Simd::vectorize(scalar, Op::<_, _, 8>(scalar, task))
+}
+
+/// Memory of a thread, from frame to frame.
+#[derive(Default)]
+pub(super) struct Room {
+    known: Vec<(u64, u32)>,
+    decision: Option<Decision>,
+}
+
+/// What a thread works with in a frame.
+struct Worker<'a> {
+    objects: Objects<'a>,
+    search: Search<'a>,
+    decision: Decision,
+}
+
+impl<'a> Worker<'a> {
+    fn new(room: Room, plan: &'a FramePlan, frame: u64) -> Self {
+        let decision = room.decision.unwrap_or_else(Decision::new);
+        Self { objects: Objects::new(plan, room.known, frame), search: Search::new(), decision }
+    }
+}
+
+/// A frame while it is traced.
+struct Frame<'a> {
+    plan: &'a FramePlan,
+    tiles: &'a RayTiles,
+    bands: &'a Bands,
+    vectors: Vectors,
+    number: u64,
+    rooms: Mutex<Vec<Room>>,
+    workers: Mutex<Vec<Worker<'a>>>,
+}
+
+impl<'a> Frame<'a> {
+    /// Lends a task what its thread works with.
+    fn with_worker<R>(&self, work: impl FnOnce(&mut Worker<'a>) -> R) -> R {
+        let taken = self.workers.lock().unwrap_or_else(PoisonError::into_inner).pop();
+        let mut worker = taken.unwrap_or_else(|| {
+            let room = self.rooms.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default();
+            Worker::new(room, self.plan, self.number)
+        });
+        let done = work(&mut worker);
+        self.workers.lock().unwrap_or_else(PoisonError::into_inner).push(worker);
+        done
+    }
+
+    /// Traces a band into its buffer, and makes its images.
+    fn trace_band(&self, band: usize, buffer: &mut Buffer, target: &mut resolve::Target<'_>) {
+        let lines = self.bands.lines(band);
+        buffer.clear(self.bands.axis, lines.len(), self.bands.samples);
+        self.with_worker(|worker| {
+            let tiles = self.tiles.of_lines(lines.clone());
+            dispatch(self.vectors, TraceBand { tiles, frame: self, worker, buffer, target, band });
+        });
+    }
+
+    /// Traces listed rays, which lie in any band.
+    fn trace_listed(&self, tiles: &[RayTile]) -> Hits {
+        self.with_worker(|worker| dispatch(self.vectors, TraceListed { tiles, frame: self, worker }))
+    }
+}
+
+/// Traces some tiles of a band.
+struct TraceBand<'t, 'a, 'i> {
+    tiles: &'t [RayTile],
+    frame: &'t Frame<'a>,
+    worker: &'t mut Worker<'a>,
+    buffer: &'t mut Buffer,
+    target: &'t mut resolve::Target<'i>,
+    band: usize,
+}
+
+impl Task for TraceBand<'_, '_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Width, const N: usize>(self, simd: S) {
+        let Self { tiles, frame, worker, buffer, target, band } = self;
+        let Worker { objects, search, decision } = worker;
+        let first = frame.bands.lines(band).start;
+        decision.clear();
+        for tile in tiles {
+            search.run::<S, N>(simd, objects, tile);
+            decision.run(objects, frame.tiles, tile, &search.found);
+            put(buffer, frame.tiles.layout, tile, decision, first);
+        }
+        let shades = &decision.winners.shades;
+        resolve::resolve(target, buffer, frame.plan, shades, frame.bands, band, f32::INFINITY);
+    }
+}
+
+/// Puts what is seen in a tile into the buffer of a band, which begins with the line `first`.
+#[inline(always)]
+fn put(buffer: &mut Buffer, layout: GroupLayout, tile: &RayTile, decision: &Decision, first: usize) {
+    for g in 0..tile.groups {
+        let [line, sample] = tile.places[g].map(|place| place as usize);
+        let line = line - first;
+        let (inverse, winner) = (&decision.inverse[g], &decision.winner[g]);
+        let is_octet = (layout == GroupLayout::Along) == buffer.few.is_none();
+        if is_octet && tile.alive[g] == 0xff {
+            let (at, _) = buffer.place(line, sample);
+            buffer.inverse[at].0 = *inverse;
+            for i in 0..GROUP {
+                buffer.winner[at].0[i] = winner[i].into();
+            }
+            continue;
+        }
+        for i in (0..GROUP).filter(|i| tile.alive[g] >> i & 1 == 1) {
+            let (line, sample) = if layout == GroupLayout::Along { (line, sample + i) } else { (line + i, sample) };
+            let (at, lane) = buffer.place(line, sample);
+            (buffer.inverse[at].0[lane], buffer.winner[at].0[lane]) = (inverse[i], winner[i].into());
+        }
+    }
+}
+
+/// What some listed rays see.
+struct Hits {
+    /// Pixel, inverse depth and winner.
+    rays: Vec<(u32, f64, u32)>,
+    winners: Winners,
+}
+
+/// Traces some tiles of listed rays.
+struct TraceListed<'t, 'a> {
+    tiles: &'t [RayTile],
+    frame: &'t Frame<'a>,
+    worker: &'t mut Worker<'a>,
+}
+
+impl Task for TraceListed<'_, '_> {
+    type Output = Hits;
+
+    #[inline(always)]
+    fn run<S: Width, const N: usize>(self, simd: S) -> Hits {
+        let Worker { objects, search, decision } = self.worker;
+        let mut rays = Vec::with_capacity(64 * self.tiles.len());
+        decision.clear();
+        for tile in self.tiles {
+            search.run::<S, N>(simd, objects, tile);
+            decision.run(objects, self.frame.tiles, tile, &search.found);
+            for g in 0..tile.groups {
+                let pixels = self.frame.tiles.listed(tile.places[g][0]);
+                for i in (0..GROUP).filter(|i| tile.alive[g] >> i & 1 == 1) {
+                    if decision.winner[g][i] != NOTHING {
+                        rays.push((pixels[i], decision.inverse[g][i], decision.winner[g][i]));
+                    }
+                }
+            }
+        }
+        Hits { rays, winners: std::mem::take(&mut decision.winners) }
+    }
+}
+
+impl CpuEngine {
+    /// Fills the asked images by tiles. The answer is false, with nothing done, if meshes in view have no trees yet and it is too early to
+    /// make them.
+    ///
+    /// # Errors
+    /// As [`CpuEngine::render`]; [`presight_model::ErrorKind::System`] if there is no memory for trees and tiles.
+    pub(super) fn draw_tiles(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<bool> {
+        plan.world_from_sensor.check()?;
+        if !plan.chosen().at_once && self.price > self.savings {
+            return Ok(false);
+        }
+        let start = Instant::now();
+        let tiles = plan.sensor.ray_tiles()?;
+        let rays = plan.sensor.width() as usize * plan.sensor.height() as usize;
+        let here = self.alone || rays <= FEW_RAYS;
+        let threads = if here { 1 } else { self.threads() };
+        let bands = Bands::new(plan.sensor.grid(), threads);
+        self.require_memory(plan, &bands, images)?;
+        images.try_prepare(plan.sensor.width(), plan.sensor.height(), plan.drawn())?;
+        self.reserve_canvas(&bands)?;
+        let counts = loop {
+            self.frame += 1;
+            let frame = Frame {
+                plan,
+                tiles,
+                bands: &bands,
+                vectors: self.vectors,
+                number: self.frame,
+                rooms: Mutex::new(std::mem::take(&mut self.rooms)),
+                workers: Mutex::default(),
+            };
+            let canvas = &mut self.canvas[..bands.count()];
+            if here {
+                trace_here(&frame, canvas, images)
+            } else {
+                self.pool.install(|| trace(&frame, canvas, images))
+            }
+            let (lacking, counts) = self.take_back(frame);
+            if lacking.is_empty() {
+                break counts;
+            }
+            if !self.affords(plan, &lacking) {
+                return Ok(false);
+            }
+            self.pool.install(|| plan.world.make_ray_trees(lacking))?;
+        };
+        (stats.engine, stats.threads, stats.way) = ("cpu", threads, Some(Way::Tiles));
+        stats.stage(StageName::Tiles, start);
+        for (name, count) in counts {
+            stats.counts.push((name, count));
+        }
+        plan.finish_noting(images, stats)?;
+        Ok(true)
+    }
+
+    /// True if it is time to make the trees of these objects' meshes: by then frames without them have cost a good part of that.
+    fn affords(&mut self, plan: &FramePlan, lacking: &[u32]) -> bool {
+        let objects = plan.environment().objects();
+        let polygons: usize = lacking.iter().map(|o| objects[*o as usize].mesh.polygon_count()).sum();
+        let price = PRICE * polygons as u64;
+        if plan.chosen().at_once || price <= PAID_AT_ONCE.max(self.savings) {
+            (self.savings, self.price) = (0, 0);
+            return true;
+        }
+        self.price = price;
+        false
+    }
+
+    /// The memory of a frame's threads, and what they did; objects whose meshes lack a tree.
+    fn take_back(&mut self, frame: Frame<'_>) -> (Vec<u32>, [(CountName, u64); 3]) {
+        let mut counts =
+            [CountName::TreeNodes, CountName::TriangleBlocks, CountName::RaysInDoubt].map(|name| (name, 0));
+        let (mut lacking, mut rooms) = (Vec::new(), frame.rooms.into_inner().unwrap_or_else(PoisonError::into_inner));
+        for mut worker in frame.workers.into_inner().unwrap_or_else(PoisonError::into_inner) {
+            lacking.append(&mut worker.objects.lacking);
+            let own = worker.search.counts;
+            let all = [own.nodes, own.blocks, std::mem::take(&mut worker.decision.unsure)];
+            counts.iter_mut().zip(all).for_each(|(count, more)| count.1 += more);
+            rooms.push(Room { known: worker.objects.into_known(), decision: Some(worker.decision) });
+        }
+        self.rooms = rooms;
+        lacking.sort_unstable();
+        lacking.dedup();
+        (lacking, counts)
+    }
+}
+
+/// All of it on the calling thread.
+fn trace_here(frame: &Frame<'_>, canvas: &mut [Buffer], images: &mut Images) {
+    let mut targets = resolve::split(images, frame.bands);
+    if frame.tiles.layout == GroupLayout::Listed {
+        let hits = vec![frame.trace_listed(&frame.tiles.tiles)];
+        let winners = scatter(frame, canvas, hits);
+        for (band, (buffer, target)) in canvas.iter().zip(&mut targets).enumerate() {
+            resolve::resolve(target, buffer, frame.plan, &winners.shades, frame.bands, band, f32::INFINITY);
+        }
+        return;
+    }
+    for (band, (buffer, target)) in canvas.iter_mut().zip(&mut targets).enumerate() {
+        frame.trace_band(band, buffer, target);
+    }
+}
+
+/// On the threads of the pool.
+fn trace(frame: &Frame<'_>, canvas: &mut [Buffer], images: &mut Images) {
+    let mut targets = resolve::split(images, frame.bands);
+    if frame.tiles.layout == GroupLayout::Listed {
+        let hits = frame.tiles.tiles.par_chunks(LISTED_TILES).map(|tiles| frame.trace_listed(tiles)).collect();
+        let winners = scatter(frame, canvas, hits);
+        canvas.par_iter().zip(&mut targets).enumerate().for_each(|(band, (buffer, target))| {
+            resolve::resolve(target, buffer, frame.plan, &winners.shades, frame.bands, band, f32::INFINITY);
+        });
+        return;
+    }
+    let parts = canvas.par_iter_mut().zip(&mut targets).enumerate();
+    parts.for_each(|(band, (buffer, target))| frame.trace_band(band, buffer, target));
+}
+
+/// Puts what listed rays see where the table has them.
+fn scatter(frame: &Frame<'_>, canvas: &mut [Buffer], hits: Vec<Hits>) -> Winners {
+    let bands = frame.bands;
+    let mut winners = Winners::default();
+    winners.clear();
+    for (band, buffer) in canvas.iter_mut().enumerate() {
+        buffer.clear(bands.axis, bands.lines(band).len(), bands.samples);
+    }
+    for Hits { rays, winners: own } in hits {
+        let before = winners.shades.len() as u32 - 1;
+        winners.shades.extend_from_slice(&own.shades[1..]);
+        for (pixel, inverse, winner) in rays {
+            let (line, sample) = (pixel as usize / bands.samples, pixel as usize % bands.samples);
+            let band = line / bands.per_band;
+            let (at, lane) = canvas[band].place(line - band * bands.per_band, sample);
+            canvas[band].inverse[at].0[lane] = inverse;
+            canvas[band].winner[at].0[lane] = (winner + before).into();
+        }
+    }
+    winners
+}

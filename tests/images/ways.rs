@@ -1,0 +1,341 @@
+//! Both ways of the CPU engine against each other: they share only the last line of arithmetic, so each is an oracle for the other. Bits
+//! are equal in every image. Where they are not, the reference must call the pixel an edge.
+//!
+//! `PROPTEST_CASES` and `PRESIGHT_SEED` as in `hard_scenes`.
+
+#![allow(clippy::print_stderr)] // Prints what was compared.
+
+use presight_testkit as common;
+
+use common::hard::{Case, case, grazing};
+use common::{Random, data, hall, reference};
+use glam::{DAffine3, DMat3, DVec3, Vec3};
+use presight_model::change::Change;
+use presight_model::environment::{
+    Appearance, Environment, Mark, MarkKind, Material, Mesh, NewObject, Polygon, PolygonOrder,
+};
+use presight_model::geometry::{Aabb, Pose};
+use presight_model::sensor::Sensor;
+use presight_model::world::World;
+use presight_predict::predict::{Backend, Options, Predictor};
+use presight_predict::request::Request;
+use presight_render::cpu::{CpuEngine, Vectors};
+use presight_render::plan::{
+    ChosenWay, FramePlan, IdScheme, ImageRequest, Images, Output, Part, PlanBuffers, StageName, Stats, Way,
+};
+use presight_render::verify::{PixelValues, Precision, compare_values};
+use proptest::prelude::*;
+use proptest::test_runner::{RngSeed, TestRunner};
+use std::cell::RefCell;
+use std::sync::Arc;
+
+/// An engine, and what it has compared.
+struct Ways {
+    engine: CpuEngine,
+    rays: usize,
+    at_edges: usize,
+}
+
+impl Ways {
+    fn new(threads: usize, vectors: Vectors) -> Self {
+        Self { engine: CpuEngine::new(threads).unwrap().with_vectors(vectors), rays: 0, at_edges: 0 }
+    }
+
+    fn draw(&mut self, plan: &FramePlan) -> Images {
+        let (mut images, mut stats) = (Images::default(), Stats::default());
+        self.engine.render(plan, &mut images, &mut stats).expect("the engine renders");
+        assert_eq!((stats.way, &stats.notices), (Some(plan.way()), &vec![]));
+        images
+    }
+
+    /// Compares both ways, with all outputs.
+    fn check(&mut self, world: &World, sensor: &Sensor, pose: &Pose) -> Result<(), TestCaseError> {
+        self.check_with(world, sensor, pose, IdScheme::Model)
+    }
+
+    fn check_with(&mut self, world: &World, sensor: &Sensor, pose: &Pose, ids: IdScheme) -> Result<(), TestCaseError> {
+        let request = ImageRequest { ids, ..common::plan(world, sensor, pose).request };
+        let plan = FramePlan::new(world, sensor, pose, request).unwrap();
+        let by_tiles =
+            FramePlan::by(ChosenWay::TILES, PlanBuffers::default(), world, sensor, pose, plan.request).unwrap();
+        assert_eq!((plan.way(), by_tiles.way()), (Way::Raster, Way::Tiles));
+        let (raster, tiles) = (self.draw(&plan), self.draw(&by_tiles));
+        self.rays += raster.range.len();
+        let mut differ: Vec<usize> = Vec::new();
+        for output in Output::ALL {
+            let (a, b) = (common::bits(&raster, output), common::bits(&tiles, output));
+            prop_assert_eq!(a.len(), b.len());
+            let each = a.len() / raster.range.len();
+            differ.extend((0..a.len()).filter(|i| a[*i] != b[*i]).map(|i| i / each.max(1)));
+        }
+        differ.sort_unstable();
+        differ.dedup();
+        if !differ.is_empty() {
+            self.judge(&plan, &raster, &tiles, &differ)?;
+        }
+        Ok(())
+    }
+
+    /// Where they differ, the reference has to call it an edge.
+    fn judge(
+        &mut self,
+        plan: &FramePlan,
+        raster: &Images,
+        tiles: &Images,
+        differ: &[usize],
+    ) -> Result<(), TestCaseError> {
+        let truth = reference(plan);
+        for &i in differ {
+            let at = (i as u32 % truth.width, i as u32 / truth.width);
+            let values = [&truth, raster, tiles].map(|images| PixelValues::of(images, i));
+            let reports = [values[1], values[2]]
+                .map(|value| compare_values([(at, values[0], value)].into_iter(), plan, Precision::F64));
+            let edges: usize = reports.iter().map(|report| report.edge + report.coincident).sum();
+            let faults: usize = reports.iter().map(|report| report.fault).sum();
+            let why = || {
+                format!(
+                    "{} {at:?}: {} of {} differ: {values:#?}",
+                    plan.sensor.spec().name,
+                    differ.len(),
+                    truth.range.len()
+                )
+            };
+            prop_assert!(faults == 0 && edges > 0, "{}", why());
+        }
+        self.at_edges += differ.len();
+        Ok(())
+    }
+}
+
+impl Drop for Ways {
+    fn drop(&mut self) {
+        eprintln!("{} rays, {} differ at edges", self.rays, self.at_edges);
+    }
+}
+
+fn check_all(cases: impl Strategy<Value = Case>, count: u64, vectors: Vectors) {
+    let ways = RefCell::new(Ways::new(1, vectors));
+    let rng_seed = RngSeed::Fixed(common::env_number("PRESIGHT_SEED", 1));
+    let cases_to_run = common::env_number("PROPTEST_CASES", count) as u32;
+    let config = ProptestConfig {
+        cases: cases_to_run,
+        rng_seed,
+        max_shrink_iters: 3000,
+        failure_persistence: None,
+        ..ProptestConfig::default()
+    };
+    let check = |case: Case| {
+        let (world, pose, sensors) = case.build();
+        sensors.iter().try_for_each(|sensor| ways.borrow_mut().check(&world, sensor, &pose))
+    };
+    TestRunner::new(config).run(&cases, check).unwrap_or_else(|e| panic!("{e}"));
+}
+
+#[test]
+fn hard_scenes_have_the_same_bits_both_ways() {
+    check_all(case(), 800, Vectors::best());
+}
+
+#[test]
+fn grazing_scenes_have_the_same_bits_both_ways() {
+    check_all(grazing(), 400, Vectors::best());
+}
+
+#[test]
+fn narrower_vectors_find_the_same() {
+    check_all(case(), 60, Vectors::Sse42);
+    check_all(case(), 60, Vectors::Plain);
+}
+
+#[test]
+fn all_presets_in_real_scenes_have_the_same_bits_both_ways() {
+    let mut ways = Ways::new(2, Vectors::best());
+    for (turn, name) in data::SCENES.into_iter().enumerate() {
+        let Some(world) = data::scene(name, true) else { return };
+        for (i, pose) in data::poses(&world, 2, 7).iter().enumerate() {
+            for sensor in data::presets_at(turn, i, 4) {
+                ways.check(&world, &sensor, pose).unwrap();
+            }
+        }
+    }
+    let hall = World::new(hall::open_hall(3, 60_000));
+    for pose in hall::hall_poses(hall.environment(), 3, 1) {
+        for sensor in data::presets() {
+            ways.check(&hall, &sensor, &pose).unwrap();
+        }
+    }
+}
+
+/// Sensors of every layout of tiles.
+fn each_layout() -> Vec<Sensor> {
+    vec![
+        common::scenes::camera(65, 41),
+        common::scenes::scanner(90, 37),
+        common::scenes::scanner(400, 3),
+        common::scenes::closed(361, 1),
+        common::scenes::all_round(36, 18),
+        common::scenes::fisheye(49, 33),
+    ]
+}
+
+fn place(random: &mut Random) -> Pose {
+    let at = DVec3::new(random.uniform(-4.0, 4.0), random.uniform(-3.0, 3.0), random.uniform(0.3, 2.5));
+    Pose::from_xyz_rpy(at, random.uniform(-3.0, 3.0), random.uniform(-1.0, 1.0), random.uniform(-3.0, 3.0))
+}
+
+/// Random moves, inserts, deletes and undo: trees follow, and a fresh world shows the same.
+#[test]
+fn trees_follow_changes() {
+    let (mut ways, mut random) = (Ways::new(1, Vectors::best()), Random(4));
+    let (mut world, mut undo) = (common::scenes::room_world(4, 12), Vec::new());
+    for step in 0..60 {
+        let names: Vec<String> =
+            world.environment().objects().iter().filter(|o| !o.is_deleted()).map(|o| o.name.clone()).collect();
+        let name = names[random.below(names.len())].clone();
+        let mesh = world.environment().object(&name).unwrap().mesh.clone();
+        let change = match random.below(4) {
+            0 => Change::InsertObject(NewObject::new("new", place(&mut random), mesh)),
+            1 if names.len() > 4 => Change::DeleteObject { name },
+            2 if !undo.is_empty() => undo.swap_remove(undo.len() - 1),
+            _ => Change::MoveObject { name, world_from_object: place(&mut random) },
+        };
+        // An older inverse may name what is gone.
+        if let Ok(inverse) = world.apply_unchecked(change) {
+            undo.push(inverse);
+        }
+        let (pose, fresh) = (place(&mut random), World::new((**world.environment()).clone()));
+        let sensor = &each_layout()[step % 6];
+        ways.check(&world, sensor, &pose).unwrap();
+        let request = common::plan(&world, sensor, &pose).request;
+        let [own, new] = [&world, &fresh].map(|world| {
+            let plan = FramePlan::by(ChosenWay::TILES, PlanBuffers::default(), world, sensor, &pose, request).unwrap();
+            ways.draw(&plan)
+        });
+        for output in Output::ALL {
+            assert_eq!(common::bits(&own, output), common::bits(&new, output), "step {step}");
+        }
+    }
+    assert_eq!(ways.at_edges, 0);
+}
+
+/// A soup of polygons of four materials in a mirrored and in a plain object: two-sided, one-sided, and either unseen by lasers.
+fn soup(random: &mut Random) -> World {
+    let mut environment = Environment::new();
+    for (one_sided, seen) in [(false, true), (true, true), (false, false), (true, false)] {
+        let appearance = if seen { Appearance::Opaque } else { Appearance::Transparent };
+        let appearance = [("laser".to_owned(), appearance)].into();
+        environment.add_material(Material { one_sided, appearance, ..Material::named("m") }).unwrap();
+    }
+    let (mut vertices, mut polygons) = (Vec::new(), Vec::new());
+    for i in 0..240u32 {
+        let at = DVec3::new(random.uniform(-4.0, 4.0), random.uniform(-4.0, 4.0), random.uniform(-2.0, 2.0));
+        let normal = DVec3::new(random.normal(1.0), random.normal(1.0), random.normal(1.0)).normalize();
+        let ((u, v), corners) = (normal.any_orthonormal_pair(), 3 + i % 5);
+        let first = vertices.len() as u32;
+        for k in 0..corners {
+            let (sin, cos) = (f64::from(k) / f64::from(corners) * std::f64::consts::TAU).sin_cos();
+            vertices.push((at + (u * cos + v * sin) * random.uniform(0.8, 0.9)).as_vec3());
+        }
+        polygons.push(Polygon { corners: (first..first + corners).collect(), material: (i % 4) as u16, source: i / 2 });
+    }
+    // Corners of an uneven polygon are not all of its hull: keep what the mesh takes.
+    let sound = |p: &Polygon| Mesh::new("one", vertices.clone(), vec![p.clone()], PolygonOrder::Given).is_ok();
+    let polygons = polygons.into_iter().filter(sound).collect();
+    let mesh = Arc::new(Mesh::new("soup", vertices, polygons, PolygonOrder::Spatial).unwrap());
+    let mirrored = DAffine3::from_mat3(DMat3::from_diagonal(DVec3::new(-0.7, 1.1, 0.9)));
+    environment.insert(NewObject::new("plain", Pose::IDENTITY, mesh.clone())).unwrap();
+    environment.insert(NewObject::from_affine("mirrored", mirrored, mesh).unwrap()).unwrap();
+    let mut world = World::new(environment);
+    let bounds = Some(Aabb { min: DVec3::ZERO, max: DVec3::splat(3.0) });
+    let mark = Mark { object: "plain".into(), kind: MarkKind::Absent, class: Some("laser".into()), bounds };
+    world.apply(Change::SetMark { name: "gone".into(), mark }).unwrap();
+    world
+}
+
+#[test]
+fn materials_mirrors_marks_and_ids_have_the_same_bits_both_ways() {
+    let (mut ways, mut random) = (Ways::new(2, Vectors::best()), Random(9));
+    for _ in 0..4 {
+        let world = soup(&mut random);
+        for sensor in each_layout() {
+            for ids in [IdScheme::Model, IdScheme::Source] {
+                ways.check_with(&world, &sensor, &place(&mut random), ids).unwrap();
+            }
+        }
+    }
+    assert_eq!(ways.at_edges, 0);
+}
+
+/// Faces that coincide, slivers, a floor under many small ones, round faces of 64 corners, and nothing at all.
+#[test]
+fn hard_meshes_have_the_same_bits_both_ways() {
+    let mut random = Random(11);
+    let corner = |random: &mut Random, size: f64| {
+        let p = DVec3::new(random.uniform(-size, size), random.uniform(-size, size), random.uniform(-size, size));
+        p.as_vec3()
+    };
+    let triangle = [Vec3::new(3.0, -2.0, -1.0), Vec3::new(3.0, 2.0, -1.0), Vec3::new(3.0, 0.0, 2.0)].to_vec();
+    let coincident = vec![triangle; 2000];
+    let mut slivers: Vec<Vec<Vec3>> = Vec::new();
+    for _ in 0..2000 {
+        let (a, along) = (corner(&mut random, 3.0), corner(&mut random, 2.0));
+        let one = vec![a, a + along, a + along * 0.5 + corner(&mut random, 1e-5)];
+        slivers.extend(common::scenes::try_mesh(std::slice::from_ref(&one)).map(|_| one));
+    }
+    let floor =
+        [[-50.0, -50.0], [50.0, -50.0], [50.0, 50.0], [-50.0, 50.0]].map(|[x, y]| Vec3::new(x, y, -0.5)).to_vec();
+    let small = (0..3000).map(|_| {
+        let a = corner(&mut random, 4.0);
+        vec![a, a + Vec3::new(0.02, 0.0, 0.0), a + Vec3::new(0.0, 0.02, 0.0)]
+    });
+    let floor = small.chain([floor]).collect();
+    let round = |x: f32| {
+        let at = |k: u32| (std::f32::consts::TAU * k as f32 / 64.0).sin_cos();
+        (0..64).map(|k| Vec3::new(x, at(k).0 * x, at(k).1 * x)).collect::<Vec<_>>()
+    };
+    let rounds = (1..20).map(|x| round(0.5 * x as f32)).collect();
+    let mut ways = Ways::new(1, Vectors::best());
+    for polygons in [coincident, slivers, floor, rounds, Vec::new()] {
+        let mut environment = common::scenes::empty();
+        let mesh = common::scenes::mesh(&polygons);
+        environment.insert(NewObject::new("mesh", Pose::IDENTITY, Arc::new(mesh))).unwrap();
+        let world = World::new(environment);
+        for sensor in [common::scenes::closed(91, 1), common::scenes::camera(33, 17), common::scenes::all_round(24, 9)]
+        {
+            ways.check(&world, &sensor, &Pose::from_xyz_rpy(DVec3::new(0.1, 0.2, 0.3), 0.0, 0.1, 0.2)).unwrap();
+        }
+    }
+}
+
+/// Few rays go by tiles once the trees have paid, images and frames with a deadline by the raster.
+#[test]
+fn the_way_is_chosen_by_counts() {
+    let world = World::new(hall::open_hall(3, 20_000));
+    let pose = hall::hall_poses(world.environment(), 3, 1)[0];
+    let [laser, camera] = ["laser-scanner", "video-camera"].map(|name| presight_files::preset(name).unwrap());
+    let predictor = |way| Predictor::new(Options::new(Backend::Cpu).with_threads(1).with_way(way)).unwrap();
+    let (mut auto, mut ways) = (predictor(Way::Auto), Vec::new());
+    let way_of = |auto: &mut Predictor, sensor: &Sensor, request: &Request| {
+        let stats = auto.predict(&world, sensor, &pose, request).unwrap().stats;
+        (stats.way, stats.left_out.iter().any(|row| row.what == Part::Stage(StageName::RaysByTiles)))
+    };
+    let (raster, tiles) = ((Some(Way::Raster), true), (Some(Way::Tiles), false));
+    for _ in 0..200 {
+        ways.push(way_of(&mut auto, &laser, &Request::default()));
+    }
+    let first = ways.iter().position(|way| *way == tiles).expect("trees are made in time");
+    assert!(
+        first > 1 && ways[..first].iter().all(|way| *way == raster) && ways[first..].iter().all(|way| *way == tiles)
+    );
+    assert_eq!(way_of(&mut auto, &camera, &Request::default()), raster);
+    let soon = Request::default().with_deadline(std::time::Duration::from_secs(5));
+    assert_eq!(way_of(&mut auto, &laser, &soon), raster);
+    assert_eq!(way_of(&mut predictor(Way::Tiles), &camera, &Request::default()), tiles);
+    assert_eq!(way_of(&mut predictor(Way::Raster), &laser, &Request::default()), raster);
+    // Trees are kept with their meshes: another predictor finds them.
+    assert_eq!(way_of(&mut predictor(Way::Auto), &laser, &Request::default()), tiles);
+    let fresh = World::new(hall::open_hall(4, 20_000));
+    let mut ready = predictor(Way::Auto);
+    ready.make_trees(&fresh).unwrap();
+    assert_eq!(ready.predict(&fresh, &laser, &pose, &Request::default()).unwrap().stats.way, Some(Way::Tiles));
+}
