@@ -102,9 +102,9 @@ fn what_is_strange_about_poses_and_models_is_said() {
     let jumped = place.run(&format!("{explore} --poses jump.tum --out jump.presight"));
     assert_eq!(jumped.status, Some(0), "{}", jumped.stderr);
     assert!(jumped.stderr.contains("the poses jump by 1.0"), "{}", jumped.stderr);
-    // A model in millimetres stands far away.
-    place.write("mm.rhai", b"place(\"hall\", box(4000, 4000, 2500));");
-    let large = place.run(&format!("{explore} --map mm.rhai --out mm.presight"));
+    // A model ten times too large stands far away.
+    place.write("large.rhai", b"place(\"hall\", box(40, 40, 25));");
+    let large = place.run(&format!("{explore} --map large.rhai --out large.presight"));
     assert_eq!(large.status, Some(0), "{}", large.stderr);
     assert!(large.stderr.contains("is it of this place, in metres"), "{}", large.stderr);
     let right = place.run(&format!("{explore} --map room.glb --out right.presight"));
@@ -114,13 +114,18 @@ fn what_is_strange_about_poses_and_models_is_said() {
 #[test]
 fn places_that_no_frame_joins_are_parts_of_their_own() {
     let place = drive();
-    place.done("simulate room.glb --sensor camera.toml --poses drive.tum --out far");
+    assert_eq!(place.run("simulate room.glb --sensor camera.toml --poses drive.tum --out far").status, Some(0));
     let poses = fs::read_to_string(place.path("far/poses.txt")).unwrap();
     fs::write(place.path("far/poses.txt"), shifted(&poses, 100.0, 0)).unwrap();
-    let explore = "--sensor log/sensor.toml --detail 0.1 --stride 2 --out";
-    let one = place.done(&format!("explore log {explore} one.presight"));
+    let explore = |logs: &str, store: &str| {
+        let options = "--sensor log/sensor.toml --detail 0.1 --stride 2";
+        let ran = place.run(&format!("explore {logs} {options} --out {store}"));
+        assert_eq!(ran.status, Some(0), "{}", ran.stderr);
+        ran.stdout
+    };
+    let one = explore("log", "one.presight");
     assert!(!one.contains("parts that no chain"), "{one}");
-    let two = place.done(&format!("explore log far {explore} two.presight"));
+    let two = explore("log far", "two.presight");
     assert!(two.contains("2 parts that no chain of frames joins: "), "{two}");
 }
 
