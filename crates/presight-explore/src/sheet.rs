@@ -56,7 +56,7 @@ impl HasPosition for Ray {
 pub(crate) struct Sheet {
     /// Pixels of the corners, counter-clockwise as seen from the sensor.
     triangles: Vec<[u32; 3]>,
-    /// Triangles that are none: too large, or steps.
+    /// Triangles without a surface: too large, or steps in depth.
     open: Vec<[u32; 3]>,
 }
 
@@ -90,7 +90,7 @@ impl Sheet {
         sheet
     }
 
-    /// Each triangle as a surfel, beside those with which it shares a side.
+    /// Each triangle as a surfel; its neighbours share a side with it.
     fn surface(&self, view: &View) -> Surface {
         let mut sides: HashMap<[u32; 2], Vec<u32>> = HashMap::new();
         for (triangle, i) in self.triangles.iter().zip(0..) {
@@ -172,7 +172,7 @@ impl Drawn<'_> {
             let mut border = vec![first];
             while at != first {
                 border.push(at);
-                // Each corner is left as often as it is reached.
+                // As many sides leave a corner as lead to it.
                 let Some(next) = open.range((at, 0)..=(at, u32::MAX)).next().copied() else { break };
                 open.remove(&next);
                 at = next.1;
@@ -266,7 +266,7 @@ impl Found {
         Ok(explained)
     }
 
-    /// Adds the surfaces of a sheet: at most `room` pieces, those that fill the most of the view.
+    /// Adds the surfaces of a sheet: at most `room` pieces, the largest in the view.
     fn add(&mut self, view: &View, sheet: &Sheet, detail: f64, room: usize) {
         let surface = sheet.surface(view);
         let regions = Regions::new(&surface, detail, room);
@@ -295,7 +295,7 @@ impl Found {
         self.leave_open(view, sheet, &labels);
     }
 
-    /// Keeps the places beside surfaces where rays are too far apart.
+    /// Keeps the places at borders of surfaces where rays are too far apart.
     fn leave_open(&mut self, view: &View, sheet: &Sheet, labels: &[u32]) {
         let mut of: HashMap<[u32; 2], u32> = HashMap::new();
         for (triangle, label) in sheet.triangles.iter().zip(labels) {

@@ -1,4 +1,4 @@
-//! A sensor whose points lie decimetres apart: one scan of a real street predicts the next, and what was not seen stays open.
+//! A sensor whose points lie decimetres apart: one scan of a real street predicts the next, and unseen places stay open.
 
 use glam::DVec3;
 use presight_explore::{Exploration, ExploreOptions, Known, Views};
