@@ -1,5 +1,5 @@
-//! Surfaces of sensors whose rays are far apart. There the smallest pieces of surface are triangles between neighbouring rays, and
-//! what lies between rays that are no neighbours was not seen.
+//! Surfaces of sensors whose rays are far apart. There the smallest pieces of surface are triangles between neighbouring rays;
+//! between other rays nobody looked.
 
 use crate::convex::convex;
 use crate::field::simplified;
@@ -64,7 +64,7 @@ impl Sheet {
     pub fn of(view: &View, is_used: impl Fn(usize) -> bool) -> Self {
         let directions = directions(view);
         let unit = spacing(view, &directions);
-        // Those that met nothing, too: no triangle spans what they went through.
+        // Rays that met nothing count, too: no triangle may span their way.
         let measured = (0..view.ranges.len()).filter(|i| !view.ranges[*i].is_nan() && is_used(*i));
         let measured = measured.map(|i| (directions[i] / unit, i as u32));
         let measured = measured.map(|(at, pixel)| Ray { at: Point2::new(at.x, at.y), pixel });
