@@ -15,6 +15,7 @@ mod plan;
 mod region;
 mod rough;
 mod segment;
+mod sheet;
 mod solid;
 mod surfaces;
 mod surfel;

@@ -3,6 +3,7 @@
 use crate::flat::Flat;
 use crate::outline::{Areas, OutlineOptions, Piece, outlines};
 use crate::region::Regions;
+use crate::sheet::{are_sparse, sheets};
 use crate::solid::{Shown, Solid, refitted, shown};
 use crate::surfel::{Surface, Surfel, surfels};
 use crate::view::Views;
@@ -96,6 +97,9 @@ impl Surfaces {
         predictor: &mut Predictor,
         is_used: impl Fn(usize, usize) -> bool + Sync + Send,
     ) -> Result<Option<Self>> {
+        if are_sparse(views, options.detail) {
+            return sheets(views, options, predictor, is_used);
+        }
         let threads = options.threads.clone();
         let surface = threads.run(|| Surface::new(surfels(views, options.detail, is_used)))?;
         if surface.surfels.is_empty() {

@@ -11,7 +11,7 @@ use std::collections::HashMap;
 /// larger ones are steps. The disparity of depth cameras is noisy by less.
 const STEP: f32 = 0.02;
 /// Least cosine of incidence: normals and distances of flatter rays are of little worth.
-const LEAST_COSINE: f32 = 0.1;
+pub(crate) const LEAST_COSINE: f32 = 0.1;
 /// Views that are reduced together. Fixed, so that sums have the same bits with any number of threads.
 const TOGETHER: usize = 16;
 /// A cube must hold one pixel for each 25 views, at most four.
@@ -146,7 +146,16 @@ impl Surface {
     pub fn new(surfels: Vec<Surfel>) -> Self {
         let points = surfels.iter().zip(0..).map(|(s, i)| GeomWithData::new(s.at.to_array(), i)).collect();
         let tree = RTree::bulk_load(points);
-        let lists: Vec<Vec<u32>> = surfels.par_iter().map(|s| beside(&tree, &surfels, s)).collect();
+        let lists = surfels.par_iter().map(|s| beside(&tree, &surfels, s)).collect();
+        Self::of(surfels, tree, lists)
+    }
+
+    /// Surfels whose neighbours are known.
+    pub fn with_neighbours(surfels: Vec<Surfel>, lists: Vec<Vec<u32>>) -> Self {
+        Self::of(surfels, RTree::new(), lists)
+    }
+
+    fn of(surfels: Vec<Surfel>, tree: RTree<GeomWithData<[f64; 3], u32>>, lists: Vec<Vec<u32>>) -> Self {
         let mut first = vec![0];
         first.extend(lists.iter().scan(0, |sum, list| {
             *sum += list.len() as u32;

@@ -85,6 +85,11 @@ impl Views {
         Self { base: self.base, views }
     }
 
+    /// One of the measurements.
+    pub(crate) fn only(&self, number: usize) -> Self {
+        Self { base: self.base, views: vec![self.views[number].clone()] }
+    }
+
     /// Number of measured distances.
     pub fn hits(&self) -> usize {
         self.views.iter().map(|v| v.ranges.iter().filter(|r| r.is_finite()).count()).sum()
@@ -128,6 +133,16 @@ impl View {
     #[inline]
     pub(crate) fn in_image(&self, pixel: usize) -> Vec3 {
         self.optics.rays[pixel] * self.ranges[pixel]
+    }
+
+    /// Unit ray of a pixel, in body axes.
+    pub(crate) fn in_body(&self, pixel: usize) -> DVec3 {
+        self.optics.sensor.body_from_image() * self.optics.rays[pixel].as_dvec3()
+    }
+
+    /// The measured point of a pixel, relative to the base of the views.
+    pub(crate) fn point(&self, pixel: usize) -> DVec3 {
+        self.origin + self.ray(pixel) * f64::from(self.ranges[pixel])
     }
 
     /// Unit ray of a pixel, relative to the base of the views.

@@ -80,3 +80,65 @@ fn wrong_use_is_refused_in_one_line() {
     );
     assert!(!place.path("b.presight").exists());
 }
+
+/// The lines of a file of poses with x moved, for the lines from this one on.
+fn shifted(poses: &str, metres: f64, from: usize) -> String {
+    let line = |(k, line): (usize, &str)| {
+        let mut words: Vec<String> = line.split_whitespace().map(str::to_owned).collect();
+        if k >= from && words.len() == 8 {
+            words[1] = (words[1].parse::<f64>().unwrap() + metres).to_string();
+        }
+        words.join(" ") + "\n"
+    };
+    poses.lines().enumerate().map(line).collect()
+}
+
+#[test]
+fn what_is_strange_about_poses_and_models_is_said() {
+    let place = drive();
+    let explore = "explore log --sensor log/sensor.toml --detail 0.1 --stride 2";
+    let poses = fs::read_to_string(place.path("drive.tum")).unwrap();
+    place.write("jump.tum", shifted(&poses, 1.0, 24).as_bytes());
+    let jumped = place.run(&format!("{explore} --poses jump.tum --out jump.presight"));
+    assert_eq!(jumped.status, Some(0), "{}", jumped.stderr);
+    assert!(jumped.stderr.contains("the poses jump by 1.0"), "{}", jumped.stderr);
+    // A model ten times too large stands far away.
+    place.write("large.rhai", b"place(\"hall\", box(40, 40, 25));");
+    let large = place.run(&format!("{explore} --map large.rhai --out large.presight"));
+    assert_eq!(large.status, Some(0), "{}", large.stderr);
+    assert!(large.stderr.contains("is it of this place, in metres"), "{}", large.stderr);
+    let right = place.run(&format!("{explore} --map room.glb --out right.presight"));
+    assert!(right.status == Some(0) && !right.stderr.contains("explains"), "{}", right.stderr);
+}
+
+#[test]
+fn places_that_no_frame_joins_are_parts_of_their_own() {
+    let place = drive();
+    assert_eq!(place.run("simulate room.glb --sensor camera.toml --poses drive.tum --out far").status, Some(0));
+    let poses = fs::read_to_string(place.path("far/poses.txt")).unwrap();
+    fs::write(place.path("far/poses.txt"), shifted(&poses, 100.0, 0)).unwrap();
+    let explore = |logs: &str, store: &str| {
+        let options = "--sensor log/sensor.toml --detail 0.1 --stride 2";
+        let ran = place.run(&format!("explore {logs} {options} --out {store}"));
+        assert_eq!(ran.status, Some(0), "{}", ran.stderr);
+        ran.stdout
+    };
+    let one = explore("log", "one.presight");
+    assert!(!one.contains("parts that no chain"), "{one}");
+    let two = explore("log far", "two.presight");
+    assert!(two.contains("2 parts that no chain of frames joins: "), "{two}");
+}
+
+#[test]
+fn frames_without_a_reading_are_refused() {
+    let place = Place::new();
+    let frame = |t: f64| format!("{{\"t\": {t}, \"range\": [null, null, null], \"reference\": [0, 0, 0, 0, 0, 0]}}\n");
+    let sensor = "format = 1\\nkind = \\\"scanner\\\"\\nclass = \\\"laser\\\"\\nazimuth = { start_deg = -10, step_deg = 10, count = 3 }\\n\
+        elevation = { start_deg = 0, step_deg = 1, count = 1 }\\n";
+    let head = format!("{{\"format\": 1, \"kind\": \"range-log\", \"sensor\": \"{sensor}\"}}\n");
+    place.write("nan.jsonl", [head, frame(1.0), frame(2.0)].concat().as_bytes());
+    let ran = place.run("explore nan.jsonl --out b.presight");
+    let last = ran.stderr.lines().last().unwrap_or_default().to_owned();
+    assert!(ran.status == Some(1) && last.starts_with("error: "), "{}", ran.stderr);
+    assert!(!place.path("b.presight").exists());
+}

@@ -4,4 +4,6 @@
 mod corridor;
 mod livingroom;
 mod occupancy;
+mod office;
 mod rooms;
+mod street;
