@@ -1,6 +1,6 @@
 //! The world cut at one height: everything that a level one-row scanner can meet, as segments.
 //!
-//! A segment knows how far engines and it may disagree, see `docs/design/precision.md`: positions by the rounding of
+//! A segment knows how far engines and it may disagree, see `docs/design/row.md`: positions by the rounding of
 //! transforms, an end by as much times the slope of its edge, and the plane by the polygon's corners.
 
 use super::tree::{self, Block, Node};

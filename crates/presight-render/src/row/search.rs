@@ -2,7 +2,7 @@
 //! beams, and a segment is tested against eight beams at a time.
 //!
 //! A beam is sure of its segment if no error that an engine or the search may make could change it, see
-//! `docs/design/precision.md`. Beams that are not sure get candidates, among which an engine decides.
+//! `docs/design/row.md`. Beams that are not sure get candidates, among which an engine decides.
 
 use super::cut::{RowCut, Segment, distance};
 use super::tree::{BLOCK, Block, EIGHT, Node};
