@@ -12,6 +12,7 @@ use crate::sample::{Part, Piece};
 use crate::{FeatureStats, Hidden, VisibleInterval};
 use glam::{DVec2, DVec3};
 use presight_model::environment::FeatureShape;
+use presight_render::ablation::Means;
 
 /// Margin, relative to a length or share, that rounding cannot exceed.
 const CLEARLY: f64 = 1e-12;
@@ -45,7 +46,8 @@ pub(super) fn decide(query: &FeatureQuery<'_>, workspace: &mut Workspace) -> Opt
         return None;
     };
     let (spec, options) = (frame.sensor.spec(), &frame.options);
-    let is_plain = own.is_plain() && spec.max_incidence.is_none() && !options.feature_id;
+    let is_plain =
+        Means::WholeSegments.is_used() && own.is_plain() && spec.max_incidence.is_none() && !options.feature_id;
     if !is_plain || !frame.sampler.holds_all(*a, *b) {
         return None;
     }
