@@ -7,8 +7,6 @@
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Means {
-    /// Segments that are seen completely or not at all are not sampled.
-    WholeSegments,
     /// Runs of samples of a segment are decided together.
     Runs,
     /// Columns of small patches are decided together.
@@ -51,8 +49,7 @@ pub enum Means {
 
 impl Means {
     /// All of them.
-    pub const ALL: [Self; 20] = [
-        Self::WholeSegments,
+    pub const ALL: [Self; 19] = [
         Self::Runs,
         Self::Grid,
         Self::Gaps,
