@@ -13,7 +13,6 @@ mod fractions;
 mod occluders;
 mod patches;
 mod thin;
-mod whole;
 
 use common::oracle::Oracle;
 use common::{Random, data, env_number, scenes};

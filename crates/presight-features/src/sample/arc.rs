@@ -2,7 +2,6 @@
 
 use super::{MAX_SEGMENT_SAMPLES, Part, Piece, Run, Sample, Sampler};
 use glam::{DVec2, DVec3};
-use std::ops::Range;
 
 /// Length of the arc pieces to start with, pixels. Shorter parts of an image between two places outside it are missed.
 const COARSE: f64 = 8.0;
@@ -23,38 +22,6 @@ impl Sampler<'_> {
 
     /// Any sensor: halves the arc of directions from a to b, which have the interval `span` of the feature's length.
     pub(super) fn arc(&self, a: DVec3, b: DVec3, span: [f64; 2], visit: &mut impl FnMut(Part)) {
-        self.some_parts_of_arc(a, b, span, |pieces| 0..pieces as u32, visit);
-    }
-
-    /// Visits the parts of a segment around the point `foot` nearest to the sensor, or all parts if they are few. The
-    /// segment must be inside the image completely. The nearest sample is among these parts.
-    pub(crate) fn parts_around_foot(
-        &self,
-        [a, b]: [DVec3; 2],
-        foot: DVec3,
-        is_all: bool,
-        visit: &mut impl FnMut(Part),
-    ) {
-        let share = a.angle_between(foot) / a.angle_between(b);
-        let around = |pieces: f64| {
-            if is_all || pieces < 3.0 {
-                return 0..pieces as u32;
-            }
-            // An eighth of a piece has at least two samples, enough for steps that differ between neighbours.
-            let at = |by: f64| (share * pieces + by).clamp(0.0, pieces - 1.0) as u32;
-            at(-0.125)..at(0.125) + 1
-        };
-        self.some_parts_of_arc(a, b, [0.0, 1.0], around, visit);
-    }
-
-    fn some_parts_of_arc(
-        &self,
-        a: DVec3,
-        b: DVec3,
-        span: [f64; 2],
-        some: impl FnOnce(f64) -> Range<u32>,
-        visit: &mut impl FnMut(Part),
-    ) {
         let (near, far) = (a.length(), b.length());
         let angle = a.cross(b).length().atan2(a.dot(b));
         if !(angle > 1e-12 && near > 0.0 && far > 0.0) {
@@ -81,11 +48,10 @@ impl Sampler<'_> {
         };
         let pieces = self.coarse_pieces(angle);
         let mut left = MAX_SEGMENT_SAMPLES;
-        let some = some(pieces);
         // The last piece ends exactly at the end of the arc, without rounding.
         let phi = |i: u32| if f64::from(i) == pieces { angle } else { angle * f64::from(i) / pieces };
-        let mut from = end(phi(some.start));
-        for i in some.start + 1..=some.end {
+        let mut from = end(phi(0));
+        for i in 1..=pieces as u32 {
             let mut to = end(phi(i));
             // Past the sensor's centre t hardly changes, and rounding could reverse it.
             to.t = to.t.max(from.t);

@@ -19,7 +19,7 @@ pub(super) use patch::{PatchCone, PatchOutline};
 pub(super) use patch_columns::{Column, PatchColumns};
 pub(super) use run::{Part, Run};
 
-use super::{Reason, columns};
+use super::Reason;
 use glam::{DVec2, DVec3};
 use presight_model::sensor::{Angles, Camera, Geometry, Scanner, Sensor};
 use std::sync::OnceLock;
@@ -79,8 +79,6 @@ pub struct Sampler<'a> {
     cone: Option<[f64; 2]>,
     /// Elevations of rows and half the height of the beam, degrees, if the beams of neighbouring rows leave gaps.
     beams: Option<(Vec<f64>, f64)>,
-    /// For a scanner that sees all around: height per distance from the axis, just inside the last row and the first.
-    slopes: Option<[f64; 2]>,
     /// Places along the border of the image and their rays, computed when first used.
     border: OnceLock<Vec<(DVec2, DVec3)>>,
 }
@@ -105,13 +103,11 @@ impl<'a> Sampler<'a> {
             _ => {}
         }
         let turn = sensor.columns_of_a_turn();
-        let slopes = if turn.is_some() && cone.is_none() && beams.is_none() { slopes(sensor) } else { None };
         Self {
             sensor,
             pinhole,
             size: DVec2::new(f64::from(sensor.width()), f64::from(sensor.height())),
             turn,
-            slopes,
             step,
             pixel_angle: pixel_angle(sensor),
             cone,
@@ -123,16 +119,6 @@ impl<'a> Sampler<'a> {
     /// The columns of a full turn, if the last column is next to the first.
     pub fn turn(&self) -> Option<f64> {
         self.turn
-    }
-
-    /// Returns true only if a segment is surely inside the image of a scanner that sees all around.
-    pub(super) fn holds_all(&self, a: DVec3, b: DVec3) -> bool {
-        let Some([low, high]) = self.slopes else { return false };
-        let is_in = |p: DVec3| {
-            let flat = (p.x * p.x + p.y * p.y).sqrt();
-            p.z > low * flat && p.z < high * flat
-        };
-        is_in(a) && is_in(b) && columns::culmination_share(a, b).is_none_or(|t| is_in(a.lerp(b, t)))
     }
 
     /// Returns true for a scanner of one row, which sees only cuts.
@@ -203,17 +189,6 @@ impl<'a> Sampler<'a> {
         let behind = self.sensor.is_camera() && at.z <= 0.0 && self.sensor.project(at).is_none();
         Piece::Outside { t, reason: if behind { Reason::BehindSensor } else { Reason::OutsideImage } }
     }
-}
-
-/// See [`Sampler::slopes`]; `None` if they are nearly vertical.
-fn slopes(sensor: &Sensor) -> Option<[f64; 2]> {
-    /// Distance inside the image, pixels.
-    const INSIDE: f64 = 1e-6;
-    const STEEP: f64 = 1e3;
-    let slope = |row: f64| sensor.ray_at(0.0, row).map(|ray| ray.z / ray.x.hypot(ray.y));
-    let [first, last] = [INSIDE - 0.5, f64::from(sensor.height()) - 0.5 - INSIDE].map(slope);
-    let slopes = [last?, first?];
-    slopes.iter().all(|slope| slope.abs() < STEEP).then_some(slopes)
 }
 
 fn pixel_angle(sensor: &Sensor) -> f64 {

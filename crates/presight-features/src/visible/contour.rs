@@ -57,7 +57,7 @@ impl Worker<'_> {
         for ((ends, slots), points) in curve.pieces(surface).zip(in_image.windows(2)) {
             let own = FeatureSurface::of_silhouette(frame, &mut workspace.polygons, slots, rounding);
             let shape = FeatureShape::Segment { ends, covariances: [DMat3::ZERO; 2], cross: DMat3::ZERO };
-            let query = FeatureQuery { frame, shape: &shape, points, own: &own, hints: None, is_piece: true };
+            let query = FeatureQuery { frame, shape: &shape, points, own: &own, hints: None };
             let decision = decide(&query, workspace);
             stats.add(&decision.stats);
             let from = length / whole;

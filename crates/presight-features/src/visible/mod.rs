@@ -13,10 +13,9 @@
 //! pixel. The index confirms the remaining samples. Tiles of the directions around the sensor share its queries
 //! ([`tiles`]); single points have a ray each. Each polygon found gets the same test.
 //!
-//! **Strategies.** [`strategy`] tries functions of one signature: [`whole`] for segments that a scanner sees entirely
-//! or not at all, [`runs`] for all other segments, [`area`] and [`grid`] for patches of many and few pixels,
-//! [`samples`] for the rest, and [`rays`] if one ray per sample is requested. They share [`candidates`] (polygons that
-//! may hide a feature), [`polygon`] (polygons set up so far) and the tiles.
+//! **Strategies.** [`strategy`] tries functions of one signature: [`runs`] for segments, [`area`] and [`grid`] for
+//! patches of many and few pixels, [`samples`] for the rest, and [`rays`] if one ray per sample is requested. They
+//! share [`candidates`] (polygons that may hide a feature), [`polygon`] (polygons set up so far) and the tiles.
 //!
 //! The result equals that of one ray per sample ([`Visibility::Rays`]); images only save time. Comparing the point's
 //! depth with the plane of its pixel's polygon would be wrong at silhouettes, where the polygon ends.
@@ -39,7 +38,6 @@ mod surface;
 mod tally;
 mod tiles;
 mod undecided;
-mod whole;
 mod windows;
 mod worker;
 
@@ -55,6 +53,7 @@ use presight_model::geometry::Pose;
 use presight_model::sensor::Sensor;
 use presight_model::threads::parallel;
 use presight_model::world::World;
+use presight_render::ablation::Means;
 use presight_render::plan::{IdScheme, Images};
 use rayon::prelude::*;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -389,7 +388,7 @@ impl IdleWorkspaces {
     /// Returns an idle workspace of this prediction, or a new one.
     fn take(&self, frame: &VisibilityContext<'_>) -> Workspace {
         let known = lock(&self.idle).pop();
-        known.unwrap_or_else(|| match lock(&self.memory.0).pop() {
+        known.unwrap_or_else(|| match lock(&self.memory.0).pop().filter(|_| Means::KeptWorkspaces.is_used()) {
             Some(mut workspace) => {
                 workspace.renew(frame);
                 workspace

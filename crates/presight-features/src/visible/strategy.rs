@@ -10,7 +10,7 @@ use super::samples::Samples;
 use super::surface::FeatureSurface;
 use super::tally::Tally;
 use super::tiles::Tiles;
-use super::{Visibility, VisibilityContext, area, rays, runs, samples, whole};
+use super::{Visibility, VisibilityContext, area, rays, runs, samples};
 use crate::FeatureStats;
 use glam::DVec3;
 use presight_model::environment::FeatureShape;
@@ -19,7 +19,7 @@ use presight_model::environment::FeatureShape;
 pub(super) type Strategy = fn(&FeatureQuery<'_>, &mut Workspace) -> Option<Decision>;
 
 /// Strategies in the order in which they are tried. The last one decides any feature.
-const BY_IMAGE: [Strategy; 4] = [whole::decide, runs::decide, area::decide, samples::decide];
+const BY_IMAGE: [Strategy; 3] = [runs::decide, area::decide, samples::decide];
 
 /// A feature whose visibility is to be decided.
 pub(super) struct FeatureQuery<'q> {
@@ -30,8 +30,6 @@ pub(super) struct FeatureQuery<'q> {
     pub own: &'q FeatureSurface<'q>,
     /// The slots that may hide the undecided samples, in order. They replace the images.
     pub hints: Option<&'q [Option<u32>]>,
-    /// True for a piece of a curve, whose length in the image is needed.
-    pub is_piece: bool,
 }
 
 /// The result for a feature.

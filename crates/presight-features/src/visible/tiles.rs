@@ -12,6 +12,7 @@ use super::surface::FeatureSurface;
 use glam::DVec3;
 use presight_model::geometry::Aabb;
 use presight_model::index::{QueryResult, Region};
+use presight_render::ablation::Means;
 use std::collections::HashMap;
 
 /// Approximate width of a camera's tiles, pixels.
@@ -92,6 +93,9 @@ impl Bounds {
 
     /// Masks of the columns and rows, of 32 each, that the box touches in a square. Boxes that meet share bits in both.
     fn cells(&self, square: &Square) -> [u32; 2] {
+        if !Means::Cells.is_used() {
+            return [u32::MAX; 2];
+        }
         let ([x0, x1, y0, y1], [u, v]) = (self.0, square.bounds);
         let cell =
             |x: f32, [low, high]: [f64; 2]| ((f64::from(x) - low) * (32.0 / (high - low))).clamp(0.0, 31.0) as u32;
@@ -223,7 +227,7 @@ impl Tile {
                 continue;
             }
             let at = corners.map(|c| known.inverse.dot(c));
-            if covers && is_sharp(known, radius) {
+            if covers && Means::Cover.is_used() && is_sharp(known, radius) {
                 let least = at.into_iter().fold(f64::INFINITY, f64::min);
                 if nearest.is_none_or(|n| least > n.0) {
                     nearest = Some((least, at, candidate.number));
@@ -326,7 +330,7 @@ impl Tiles {
             }
         }
         let mut radius = FARTHER * farthest;
-        if look == Look::First {
+        if look == Look::First && Means::FirstLooks.is_used() {
             let depth = FARTHER * depth_of(frame, polygons, &square);
             if depth > 0.0 {
                 radius = radius.min(depth);

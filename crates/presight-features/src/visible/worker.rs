@@ -33,14 +33,8 @@ impl Worker<'_> {
         let mut in_image = frame.in_image(placed);
         let slots = sheet::set_behind(frame, &mut workspace.polygons, placed, &mut in_image);
         let own = FeatureSurface::new(frame, &mut workspace.polygons, placed, &slots, &in_image);
-        let query = FeatureQuery {
-            frame,
-            shape: &placed.feature.shape,
-            points: &in_image.points,
-            own: &own,
-            hints: None,
-            is_piece: false,
-        };
+        let query =
+            FeatureQuery { frame, shape: &placed.feature.shape, points: &in_image.points, own: &own, hints: None };
         if frame.options.visibility == Visibility::Image && area::covers_many(&query) {
             return Vec::new();
         }
@@ -64,7 +58,7 @@ impl Worker<'_> {
         }
         let slots = sheet::set_behind(frame, &mut workspace.polygons, placed, &mut in_image);
         let own = FeatureSurface::new(frame, &mut workspace.polygons, placed, &slots, &in_image);
-        let query = FeatureQuery { frame, shape, points: &in_image.points, own: &own, hints, is_piece: false };
+        let query = FeatureQuery { frame, shape, points: &in_image.points, own: &own, hints };
         let Decision { mut tally, mut stats } = decide(&query, workspace);
         stats.asked = 1;
         if frame.options.hidden == Hidden::Count && tally.is_unseen(shape.is_area()) {

@@ -29,6 +29,7 @@ mod tiles;
 
 pub use tiles::Vectors;
 
+use crate::ablation::Means;
 use crate::deadline::{DeadlineOutcome, Watch};
 use crate::plan::{CountName, FramePlan, Images, NOTHING_IN_VIEW, Run, StageName, Stats, Way};
 use batch::{Batch, Winners};
@@ -305,7 +306,7 @@ fn draw_waves(
     loop {
         let start = Instant::now();
         let wave = progress::next_wave(&plan.runs, done, first_wave, progress.most_polygons(done));
-        let runs = if waves == 0 {
+        let runs = if waves == 0 || !Means::HiddenRuns.is_used() {
             plan.runs[wave.clone()].to_vec()
         } else {
             let sift = |runs| arch.dispatch(Cull { plan, runs, canvas, bands });
@@ -318,7 +319,7 @@ fn draw_waves(
 
         let start = Instant::now();
         let first = used;
-        let occlusion = (waves > 0).then_some(Occlusion { canvas, bands });
+        let occlusion = (waves > 0 && Means::HiddenPolygons.is_used()).then_some(Occlusion { canvas, bands });
         let left_out = set_up(plan, bands, occlusion, here, &runs, batches, &mut used);
         batches[first..used].iter_mut().for_each(|batch| winners.number(batch));
         times[1] += start.elapsed();

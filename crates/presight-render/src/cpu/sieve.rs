@@ -4,6 +4,7 @@
 use super::bounds::{AZIMUTH_SLACK, LANES, Lanes, SLACK, atan2_approximately};
 use super::lanes::CLEAR;
 use super::setup::RayInstance;
+use crate::ablation::Means;
 use crate::plan::Run;
 use glam::DVec3;
 use presight_model::environment::Positions;
@@ -109,7 +110,7 @@ impl<'a> Sieve<'a> {
         at: &RayInstance<'m>,
         run: &Run,
     ) -> Option<(f64, &'m [Positions])> {
-        if run.count < FEW {
+        if run.count < FEW || !Means::Sieve.is_used() {
             return None;
         }
         let (number, cluster) = at.mesh.cluster_of(run.first);

@@ -1,6 +1,7 @@
 //! The first estimate (paper, section 3.3): the query region shrinks, first in radius, then in angle.
 
 use super::{Controller, DeadlineFrame, counts_of, milliseconds};
+use crate::ablation::Means;
 use crate::cost::Forecast;
 use crate::deadline::{DegradationKind, DegradationStep};
 use crate::plan::{FramePlan, Run};
@@ -33,13 +34,15 @@ impl Controller {
             let middle = fits.midpoint(late);
             if low(&plan.runs[..middle]) <= left { fits = middle } else { late = middle }
         }
-        plan.cut(fits);
+        if Means::Radius.is_used() {
+            plan.cut(fits);
+        }
         let needed = low(&plan.runs);
         let taken = |means, metres| DegradationStep { means, at_ms: milliseconds(timed.watch.elapsed()), metres };
         let mut cut = Vec::new();
         cut.extend(plan.radius().map(|radius| taken(DegradationKind::Radius, Some(f64::from(radius)))));
         let share = left / needed;
-        if share < WORTH_NARROWING && timed.draws_parts {
+        if share < WORTH_NARROWING && Means::Angle.is_used() && timed.draws_parts {
             let columns = ((f64::from(plan.sensor.width()) * share) as u32).max(LEAST_COLUMNS * timed.stride);
             if let Some(part) = plan.sensor.columns_around(timed.priority.heading, columns) {
                 plan.narrow(ImagePart { stride: timed.stride, ..part })?;

@@ -9,6 +9,7 @@ mod features;
 mod thinning;
 
 use super::{CostModel, Forecast, Key, TimeEstimate, WorkCounts};
+use crate::ablation::Means;
 use crate::deadline::{Clock, DeadlineEngine, DegradationKind, DegradationStep, Priority, SystemClock, Watch};
 use crate::plan::{CountName, FramePlan, Outputs, Pace, Run, Stats, TimeLimit};
 use presight_model::error::{Error, ErrorKind, Result};
@@ -244,7 +245,7 @@ impl Controller {
 
     /// Factor on estimates that recent refusals put in doubt.
     fn doubt(&self, key: &Key) -> f64 {
-        self.doubts.get(key).copied().unwrap_or(1.0)
+        self.doubts.get(key).copied().filter(|_| Means::Doubt.is_used()).unwrap_or(1.0)
     }
 
     /// Learns the time that a forecast at a stride should have predicted.
