@@ -30,7 +30,7 @@ pub struct Score {
     pub elsewhere: usize,
     /// Names of what went wrong.
     pub notes: Vec<String>,
-    /// Names of visible changes that were not found, and what is known of them.
+    /// Names of visible changes that were not found, with their causes.
     pub missed: Vec<(String, String)>,
 }
 
@@ -222,7 +222,7 @@ pub fn score(case: &Case, sensor: &Sensor, poses: &[Pose], findings: &Findings) 
     score
 }
 
-/// What is reported of an object.
+/// A report about an object.
 fn state(findings: &Findings, name: &str) -> String {
     let change = findings.changes.iter().find(|f| f.object == *name).map(|f| format!("{:?}", f.what));
     let doubt = findings.doubts.iter().find(|d| d.object == *name).map(|d| format!("in doubt: {}", d.why));

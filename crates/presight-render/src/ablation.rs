@@ -31,9 +31,9 @@ pub enum Means {
     KeptWorkspaces,
     /// Vertices of a cluster are placed once, and polygons between two lines or samples end there.
     Sieve,
-    /// Runs behind what is drawn are dropped.
+    /// Runs behind the z-buffer are dropped.
     HiddenRuns,
-    /// Polygons behind what is drawn are dropped.
+    /// Polygons behind the z-buffer are dropped.
     HiddenPolygons,
     /// An image is thinned, decided after selection.
     Stride,

@@ -424,7 +424,7 @@ impl Predictor {
         Ok(stats)
     }
 
-    /// True unless a way was asked for: then level rows may be searched in the world's cut.
+    /// Returns true if no way was requested. Level rows may then be searched in the world's cut.
     pub(crate) fn may_cut(&self) -> bool {
         self.way == Way::Auto
     }

@@ -69,7 +69,7 @@ impl ChosenWay {
 /// Least number of polygons for which sparse rows are searched faster than drawn.
 const MANY_POLYGONS: u32 = 100_000;
 
-/// Mean half angle of squares of a table from which neighbours in the table are no neighbours in direction, radians.
+/// Mean half angle of a table's squares, radians. From here on, neighbours in the table differ in direction.
 const SCATTERED: f64 = 0.1;
 
 /// True if the table lists rays in an order that is not that of an image: the raster would test each polygon in most squares.

@@ -485,7 +485,7 @@ fn cross<S: Simd>(simd: S, a: [S::f64s; 2], b: [S::f64s; 2]) -> S::f64s {
 /// No shorter than the vector.
 #[inline(always)]
 fn size<S: Simd>(simd: S, a: [S::f64s; 2]) -> S::f64s {
-    // Not pulp's abs, of which a part is not inlined.
+    // Pulp's abs is not inlined as a whole.
     let zero = simd.splat_f64s(0.0);
     simd.add_f64s(simd.max_f64s(a[0], simd.sub_f64s(zero, a[0])), simd.max_f64s(a[1], simd.sub_f64s(zero, a[1])))
 }
@@ -564,7 +564,7 @@ impl Aim {
         let (p, q) = (segment.a - view.place, segment.b - view.place);
         let near = distance(DVec2::ZERO, [p, q]);
         let far = p.length().max(q.length());
-        // A point beside the segment is off its ends by so much more as it is nearer than they are.
+        // The error of an end grows with the ratio of its distance to that of the nearest point.
         let margin = if near > 2.0 * slack { slack * (1.0 + far / (near - slack)) } else { f64::INFINITY };
         let area = p.perp_dot(q);
         let is_edge_on = area.abs() <= 2.0 * margin * (p.length() + q.length());

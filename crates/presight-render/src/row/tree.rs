@@ -7,7 +7,7 @@ use glam::DVec2;
 /// Children of a node, and segments of a block.
 pub(super) const EIGHT: usize = 8;
 
-/// The bit of a child that is a block, and what is no child.
+/// The bit of a child that is a block, and the mark of an empty place.
 pub(super) const BLOCK: u32 = 1 << 31;
 pub(super) const NO_CHILD: u32 = u32::MAX;
 
