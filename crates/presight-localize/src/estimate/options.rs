@@ -3,7 +3,7 @@
 use super::normal::Freedom;
 use presight_model::sensor::{Geometry, Sensor};
 
-/// How an [`Estimator`] works.
+/// How an [`super::Estimator`] works.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct EstimateOptions {
