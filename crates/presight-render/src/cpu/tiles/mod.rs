@@ -103,6 +103,8 @@ fn dispatch<T: Task>(vectors: Vectors, task: T) -> T::Output {
             _ => {}
         }
     }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = vectors;
     let scalar = pulp::Scalar::new();
     Simd::vectorize(scalar, Op::<_, _, 8>(scalar, task))
 }
