@@ -263,9 +263,10 @@ mod tests {
         assert!((odds(seen(0, 2)) - (0.1 / 0.95f64).powi(2)).abs() < 1e-9 && seen(0, 2).confirmed == 10.0);
         // Ten passes that miss it; and the limit of one run.
         assert!(seen(0, 10).p0 < 0.02 && (odds(seen(0, 100)).ln() + MOST).abs() < 1e-6);
-        // A confirmation long ago has decayed when the next one comes.
+        // A confirmation long ago has decayed to the least prior, one in a million, when the next one comes.
         let old = Existence { p0: 1.0, confirmed: 0.0, rate: 1.0 };
-        assert!(after(&old, &Looks { found: 1, last: 100.0, ..Looks::default() }, 0.9, 0.0).p0 < 1e-6);
+        let again = after(&old, &Looks { found: 1, last: 100.0, ..Looks::default() }, 0.9, 0.0);
+        assert!((odds(again) / 18e-6 - 1.0).abs() < 1e-5, "{again:?}");
     }
 
     fn scan() -> Frame {

@@ -52,6 +52,18 @@ fn localized(place: &Place, args: &str) -> Outcome {
     done
 }
 
+/// A ring does not hold the turn about its middle, 1 m away: the pose is the mean of hypotheses along an arc, and is off by no more
+/// than it says. Its distance from the wall ahead is held.
+fn check_in_ring(place: &Place) {
+    let details: Value = serde_json::from_str(text(place, "out.jsonl").lines().next().unwrap()).unwrap();
+    let sigma = |k: usize| details["covariance"][k][k].as_f64().unwrap().sqrt();
+    let [(time, at)] = positions(place, "out.tum")[..] else { panic!("one frame") };
+    let off = [at[0] - 1.0, at[1]];
+    assert!(time == 1.0 && off[0].abs() < 2.6 * sigma(0) && off[1].abs() < 2.6 * sigma(1), "{at:?}: {details}");
+    assert!(off[0].abs() < 5e-3 && sigma(0) < 0.05 && sigma(1) < 0.1, "{at:?}: {details}");
+    assert_eq!(details["weak"], json!(["yaw"]), "{details}");
+}
+
 /// REP-117 and sensor_msgs/LaserScan: whatever a driver writes for no measurement, the pose has the same bits.
 #[test]
 fn readings_that_are_none_are_left_out_however_they_are_written() {
@@ -81,7 +93,7 @@ fn readings_that_are_none_are_left_out_however_they_are_written() {
         files.push((text(&place, "out.tum"), text(&place, "out.jsonl")));
     }
     assert!(files.iter().all(|f| *f == files[0]), "{files:?}");
-    near(&positions(&place, "out.tum"), &[(1.0, [1.0, 0.0, 0.0])], 1e-3);
+    check_in_ring(&place);
     // The same in format 1, whose header holds the same limits.
     let document: Value = serde_json::from_str(&over).unwrap();
     let sensor = "format=1\nkind=\"scanner\"\nrange_max=16\n[azimuth]\nstart_deg=-180\nstep_deg=0.5\ncount=720\n[elevation]\nangles_deg=[0]\n";
@@ -107,7 +119,7 @@ fn infinite_readings_keep_their_meaning() {
         let said = localized(&place, "log.json --map ring.glb --init 1,0,0,0,0,0").stderr;
         let meaning = if word.contains('-') { "too near (-inf)" } else { "nothing within reach (inf)" };
         assert_eq!(said, format!("note: log.json: of 720 readings, presight takes 1 as {meaning}\n"), "{word}");
-        near(&positions(&place, "out.tum"), &[(1.0, [1.0, 0.0, 0.0])], 1e-3);
+        check_in_ring(&place);
         let details: Value = serde_json::from_str(&text(&place, "out.jsonl")).unwrap();
         files.push((word.contains('-'), details["verdicts"].clone()));
     }
@@ -339,9 +351,9 @@ fn localization_leaves_out_the_robot() {
     place.done(
         "predict wall.glb --sensor laser-scanner --pose 0,0,1,0,0,0 --backend cpu --outputs range --out scan.exr",
     );
-    for (exclude, explained) in [("", false), ("--exclude robot", true)] {
+    // The arm is as large as the wall: if it is not left out, the scan fits where the arm is 2 m ahead.
+    for (exclude, x) in [("", -1.5), ("--exclude robot", 0.0)] {
         localized(&place, &format!("scan.exr --map robot.glb --init reference {exclude}"));
-        let details: Value = serde_json::from_str(text(&place, "out.jsonl").lines().next().unwrap()).unwrap();
-        assert_eq!(details["explained"].as_f64().unwrap() > 0.9, explained, "{exclude}: {details}");
+        near(&positions(&place, "out.tum"), &[(0.0, [x, 0.0, 1.0])], 1e-3);
     }
 }
