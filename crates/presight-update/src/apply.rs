@@ -10,18 +10,19 @@ use std::time::Duration;
 /// Lines of changes that wait in order. A robot adds its changes, and applies them when it has time.
 ///
 /// ```
-/// # use presight::environment::Environment;
-/// # use presight::{Store, StoreNote};
-/// use presight::update::Waiting;
+/// # use presight_model::environment::Environment;
+/// # use presight_model::geometry::Pose;
+/// # use presight_store::{Note, Store};
+/// use presight_update::Waiting;
 /// # let folder = tempfile::tempdir()?;
 /// # let path = folder.path().join("site.presight");
 /// # let mut environment = Environment::new();
-/// # environment.add_cuboid("crate", presight::Pose::IDENTITY, glam::DVec3::ONE)?;
-/// # presight::store::create(&path, &environment, &StoreNote::new("new", 0.0))?;
+/// # environment.add_cuboid("crate", Pose::IDENTITY, glam::DVec3::ONE)?;
+/// # presight_store::create(&path, &environment, &Note::new("new", 0.0))?;
 /// let mut store = Store::open(&path)?;
 /// let mut waiting = Waiting::default();
 /// waiting.add([r#"{"op":"delete_object","object":"crate","id":"1"}"#.to_owned()]);
-/// let note = StoreNote::new("monday", 1.7e9);
+/// let note = Note::new("monday", 1.7e9);
 /// assert_eq!(waiting.apply(&mut store, &note, std::time::Duration::ZERO)?.lines.len(), 0);
 /// assert_eq!(waiting.lines().count(), 1, "it waits");
 /// assert_eq!(waiting.apply(&mut store, &note, std::time::Duration::MAX)?.lines.len(), 1);

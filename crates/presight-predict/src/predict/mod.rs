@@ -415,6 +415,9 @@ impl Predictor {
             self.controller.plan(timed, &mut plan)?;
         }
         let rendered = self.render(&plan, images, &mut stats);
+        if stats.way == Some(Way::Raster) {
+            plan.record_raster();
+        }
         tell(&plan, self.notice.as_ref(), &mut stats);
         self.buffers = plan.into_buffers();
         rendered?;

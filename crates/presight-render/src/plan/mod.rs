@@ -333,8 +333,14 @@ impl FramePlan {
     pub fn selected(&self) -> Result<Self> {
         let Self { world, sensor, world_from_sensor, request, .. } = self;
         let plan = Self::new(world, sensor, world_from_sensor, *request)?;
-        let why = "the trees for tiles are not made yet";
-        Ok(Self { limit: self.limit.clone(), chosen: ChosenWay { why, ..ChosenWay::RASTER }, ..plan })
+        Ok(Self { limit: self.limit.clone(), chosen: ChosenWay::WITHOUT_TREES, ..plan })
+    }
+
+    /// Records that the raster drew a plan by tiles.
+    pub fn record_raster(&mut self) {
+        if self.way() == Way::Tiles {
+            self.chosen = ChosenWay::WITHOUT_TREES;
+        }
     }
 
     /// Lets a clock stop the engines, for tests. A `Predictor` does so for `Request::deadline`.

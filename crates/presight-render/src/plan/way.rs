@@ -62,6 +62,9 @@ impl ChosenWay {
     /// The way of plans with a selection.
     pub const RASTER: Self = Self { way: Way::Raster, why: "the selected polygons are drawn", at_once: false };
 
+    /// The way of plans without a selection for which there are no trees yet.
+    pub const WITHOUT_TREES: Self = Self { why: "the trees for tiles are not made yet", ..Self::RASTER };
+
     /// The way of plans without a selection.
     pub const TILES: Self = Self { way: Way::Tiles, why: "this way was requested", at_once: true };
 }
