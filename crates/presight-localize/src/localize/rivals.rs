@@ -240,10 +240,12 @@ impl Rivals {
                     let at = self.poses[i / headings].translation;
                     (log, Pose { translation: at, rotation: DQuat::from_rotation_z(turn) * *own } * *robot_from_scanner)
                 };
-                // Not all of them need a pose.
+                // Not all of them need a pose. A map without free places has none.
                 let mut order: Vec<(usize, f64)> = logs.into_iter().enumerate().collect();
                 let most = (64 * REFINED).min(order.len());
-                order.select_nth_unstable_by(most.saturating_sub(1), |a, b| b.1.total_cmp(&a.1));
+                if let Some(last) = most.checked_sub(1) {
+                    order.select_nth_unstable_by(last, |a, b| b.1.total_cmp(&a.1));
+                }
                 order.into_iter().take(most).map(pose).collect()
             }
         };
