@@ -2,7 +2,7 @@
 //! Parts, all of them by default:
 //!
 //! - `images`: images alone, all presets.
-//! - `features`: a scene's own generated features with regions of interest beside the image, all presets.
+//! - `features`: a scene's own generated features with regions of interest, after the image, all presets.
 //! - `deadlines`: kept deadlines and final samples, on the process's CPU time in place of the clock.
 //!
 //! CPU times of one thread, in turns with the whole at each pose: the least of `PRESIGHT_REPEATS` (default 3) runs.

@@ -41,7 +41,7 @@ struct Line {
 }
 
 impl Mark {
-    /// For outputs next to `out`. `asked` are all arguments, `inputs` the files and folders that a run reads.
+    /// For outputs next to `out`. The text holds all arguments; `inputs` lists the files and folders that a run reads.
     pub fn new(out: &Path, asked: &str, inputs: &[&Path]) -> Self {
         let seen: Vec<String> = inputs.iter().map(|path| stamp(path)).collect();
         let text = serde_json::json!({ "format": 1, "kind": "interrupted-run", "asked": asked, "inputs": seen });

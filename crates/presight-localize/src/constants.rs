@@ -49,7 +49,7 @@ fn table() -> String {
                 let name = file.file_name().unwrap().to_string_lossy().into_owned();
                 write!(
                     text,
-                    "\n## {folder}/{name}\n\n| constant | value | what it is, and why |\n|---|---|---|\n{rows}"
+                    "\n## {folder}/{name}\n\n| constant | value | meaning and reason |\n|---|---|---|\n{rows}"
                 )
                 .unwrap();
             }

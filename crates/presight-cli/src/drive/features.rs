@@ -1,4 +1,4 @@
-//! The features that a drive searches for, and those that it found.
+//! The features of a drive: the list it searches for, and its findings.
 
 use super::Drive;
 use presight::Scene;
