@@ -13,7 +13,9 @@ mod shapes;
 mod skd;
 mod world_index;
 
-pub use ray::{LEAF, NO_CHILD, ObjectTree, RayNode, RayTree, TriangleBlock, WIDE};
+pub use ray::{
+    Half, Item, LEAF, NO_CHILD, ObjectTree, RayNode, RayTree, TriangleBlock, WIDE, WideChild, WideTree, halve, widen,
+};
 pub use region::Region;
 pub use sector::{Rect, Sector};
 pub use shapes::Shape;

@@ -5,7 +5,8 @@
 //! it is not final and is not shown.
 
 use super::batch::Batch;
-use super::{FIRST_WAVE, thinning};
+use super::thinning;
+use super::waves::FIRST_WAVE;
 use crate::ablation::Means;
 use crate::deadline::{DeadlineOutcome, Degradation, DegradationKind, DegradationStep, Opening, Wave};
 use crate::plan::{CountName, FramePlan, Run, StageName, Stats};

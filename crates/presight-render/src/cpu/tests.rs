@@ -1,6 +1,7 @@
 //! The engine against every polygon on every ray, written as plainly as can be.
 
 use super::*;
+use crate::deadline::Watch;
 use crate::plan::{ImageRequest, Output, Outputs};
 use glam::{DVec3, Vec3};
 use presight_model::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};

@@ -5,19 +5,20 @@
 //! `docs/design/row.md`. Beams that are not sure get candidates, among which an engine decides.
 
 use super::cut::{RowCut, Segment, distance};
-use super::tree::{BLOCK, Block, EIGHT, Node};
+use super::tree::{Block, Node};
 use glam::DVec2;
 use presight_model::geometry::Pose;
+use presight_model::index::{LEAF, WIDE};
 use presight_model::sensor::{Geometry, LineGrid, PixelGrid, Sensor};
 use pulp::Simd;
 
 /// Groups of eight beams in a tile, at most.
 const GROUPS: usize = 4;
 
-/// Greatest width of a tile, as the tangent of its angle, and of one with more than one group: a tile is searched to the
+/// Greatest width of a tile of one group, as the tangent of its angle, and of one with more: a tile is searched to the
 /// farthest of its beams.
-const WIDEST: f64 = 0.5;
-const WIDE: f64 = 0.05;
+const GROUP_WIDTH: f64 = 0.5;
+const TILE_WIDTH: f64 = 0.05;
 
 /// How much more than at both ends of a tile a sine can be between them.
 const BULGE: f64 = 1.04;
@@ -32,7 +33,7 @@ const SLACK: f64 = 1e-9;
 /// depths that are right to 1e-11.
 const CLEAR: f64 = 2e-4;
 
-type Eight = [f64; EIGHT];
+type Eight = [f64; WIDE];
 
 /// The winner of a beam that meets nothing, and that of one for which an engine has to decide.
 pub(crate) const NOTHING: u32 = u32::MAX;
@@ -64,14 +65,14 @@ impl RowBeams {
         while first < beams.len() {
             let along = beams[first];
             let fits = |(i, b): &(usize, &DVec2)| {
-                let widest = if *i < EIGHT { WIDEST } else { WIDE };
+                let widest = if *i < WIDE { GROUP_WIDTH } else { TILE_WIDTH };
                 along.dot(**b) > 0.0 && along.perp_dot(**b).abs() <= widest * along.dot(**b)
             };
-            let most = beams.len().min(first + GROUPS * EIGHT);
+            let most = beams.len().min(first + GROUPS * WIDE);
             let count = beams[first..most].iter().enumerate().take_while(fits).count().max(1);
-            let count = if count > EIGHT { count / EIGHT * EIGHT } else { count };
+            let count = if count > WIDE { count / WIDE * WIDE } else { count };
             tiles.push(Tile { count, group: body.len() });
-            for group in beams[first..first + count].chunks(EIGHT) {
+            for group in beams[first..first + count].chunks(WIDE) {
                 let beam = |lane: usize| group[lane.min(group.len() - 1)];
                 body.push([std::array::from_fn(|lane| beam(lane).x), std::array::from_fn(|lane| beam(lane).y)]);
             }
@@ -152,8 +153,8 @@ impl pulp::WithSimd for Search<'_> {
         let [x, y] = view.axes;
         search.directions.clear();
         for [c0, c1] in &beams.body {
-            let mut group = [[0.0; EIGHT]; 2];
-            for l in 0..EIGHT {
+            let mut group = [[0.0; WIDE]; 2];
+            for l in 0..WIDE {
                 group[0][l] = x.x * c0[l] + y.x * c1[l];
                 group[1][l] = x.y * c0[l] + y.y * c1[l];
             }
@@ -164,7 +165,7 @@ impl pulp::WithSimd for Search<'_> {
         search.tested = 0;
         let RowSearch { winners, candidates, tested, directions, stack, of_tile } = search;
         for tile in &beams.tiles {
-            let groups = tile.count.div_ceil(EIGHT);
+            let groups = tile.count.div_ceil(WIDE);
             let directions = &directions[tile.group..tile.group + groups];
             of_tile.clear();
             let mut trace = Trace {
@@ -198,7 +199,7 @@ struct Wedge {
 impl Wedge {
     #[inline(always)]
     fn new(directions: &[[Eight; 2]], count: usize) -> Self {
-        let beam = |i: usize| DVec2::new(directions[i / EIGHT][0][i % EIGHT], directions[i / EIGHT][1][i % EIGHT]);
+        let beam = |i: usize| DVec2::new(directions[i / WIDE][0][i % WIDE], directions[i / WIDE][1][i % WIDE]);
         let (first, last) = (beam(0), beam(count - 1));
         let ends = if first.perp_dot(last) >= 0.0 { [first, last] } else { [last, first] };
         Self { ends, sides: [ends[0].perp(), -ends[1].perp()], axis: (first + last).normalize() }
@@ -219,16 +220,16 @@ impl Found {
     #[inline(always)]
     fn new(horizon: f64) -> Self {
         Self {
-            low: [[horizon; EIGHT]; GROUPS],
-            high: [[0.0; EIGHT]; GROUPS],
-            segment: [[f64::from(NOTHING); EIGHT]; GROUPS],
-            rival: [[0.0; EIGHT]; GROUPS],
+            low: [[horizon; WIDE]; GROUPS],
+            high: [[0.0; WIDE]; GROUPS],
+            segment: [[f64::from(NOTHING); WIDE]; GROUPS],
+            rival: [[0.0; WIDE]; GROUPS],
         }
     }
 
     #[inline(always)]
     fn winner(&self, beam: usize, horizon: f64) -> u32 {
-        let (group, lane) = (beam / EIGHT, beam % EIGHT);
+        let (group, lane) = (beam / WIDE, beam % WIDE);
         let (segment, rival) = (self.segment[group][lane] as u32, self.rival[group][lane]);
         let least = if segment == NOTHING { horizon } else { self.low[group][lane] };
         // Surfaces beyond the limit and no surface give the same images.
@@ -239,17 +240,17 @@ impl Found {
     /// The inverse range from which on a candidate may win a beam.
     #[inline(always)]
     fn least(&self, beam: usize) -> f64 {
-        self.low[beam / EIGHT][beam % EIGHT]
+        self.low[beam / WIDE][beam % WIDE]
     }
 
     /// The least inverse range up to which a beam is not known to be hidden.
     #[inline(always)]
     fn farthest<S: Simd>(&self, simd: S, groups: usize) -> f64 {
-        let mut least = [f64::INFINITY; EIGHT];
+        let mut least = [f64::INFINITY; WIDE];
         for low in &self.low[..groups] {
             let least = S::as_mut_simd_f64s(&mut least).0;
             let low = S::as_simd_f64s(low).0;
-            for i in 0..EIGHT / S::F64_LANES {
+            for i in 0..WIDE / S::F64_LANES {
                 least[i] = simd.min_f64s(least[i], low[i]);
             }
         }
@@ -284,11 +285,11 @@ impl Trace<'_> {
             if nearest * farthest > 1.0 + SLACK {
                 continue;
             }
-            if at & BLOCK == 0 {
+            if at & LEAF == 0 {
                 self.enter(simd, &self.cut.nodes[at as usize], farthest, stack);
                 continue;
             }
-            let block = &self.cut.blocks[(at & !BLOCK) as usize];
+            let block = &self.cut.blocks[(at & !LEAF) as usize];
             let mut live =
                 if block.pad < f64::INFINITY { self.look(simd, block, farthest) } else { (1 << block.count) - 1 };
             if live == 0 {
@@ -316,8 +317,8 @@ impl Trace<'_> {
         let (of_right, of_left, of_axis, near) = (node.most(right), node.most(left), node.most(axis), node.most(-axis));
         let (right, left, axis) = (splat(simd, right), splat(simd, left), splat(simd, axis));
         let (yes, no) = (simd.splat_f64s(1.0), simd.splat_f64s(0.0));
-        let (mut nearest, mut open) = ([0.0; EIGHT], [0.0; EIGHT]);
-        for i in 0..EIGHT / S::F64_LANES {
+        let (mut nearest, mut open) = ([0.0; WIDE], [0.0; WIDE]);
+        for i in 0..WIDE / S::F64_LANES {
             let depth = simd.sub_f64s(dot(simd, axis, from(simd, near, i, place)), slack);
             let inside = simd.and_m64s(
                 simd.greater_than_or_equal_f64s(dot(simd, right, from(simd, of_right, i, place)), behind),
@@ -331,7 +332,7 @@ impl Trace<'_> {
             S::as_mut_simd_f64s(&mut open).0[i] = simd.select_f64s(simd.and_m64s(inside, seen), yes, no);
         }
         let first = stack.len();
-        for lane in 0..EIGHT {
+        for lane in 0..WIDE {
             if open[lane] == 0.0 {
                 continue;
             }
@@ -352,9 +353,9 @@ impl Trace<'_> {
         let relative = simd.splat_f64s(ROUNDING + 2.0 * self.view.wobble);
         let pad = simd.splat_f64s(block.pad + self.cut.rounding);
         let (farthest, bulge, zero) = (simd.splat_f64s(farthest), simd.splat_f64s(BULGE), simd.splat_f64s(0.0));
-        let mut open = [0.0; EIGHT];
+        let mut open = [0.0; WIDE];
         let one = simd.splat_f64s(1.0);
-        for i in 0..EIGHT / S::F64_LANES {
+        for i in 0..WIDE / S::F64_LANES {
             let p = from(simd, [&block.a[0], &block.a[1]], i, place);
             let q = from(simd, [&block.b[0], &block.b[1]], i, place);
             let along = [simd.sub_f64s(q[0], p[0]), simd.sub_f64s(q[1], p[1])];
@@ -384,7 +385,7 @@ impl Trace<'_> {
             S::as_mut_simd_f64s(&mut open).0[i] = simd.select_f64s(seen, one, zero);
         }
         let mut bits = 0;
-        for lane in 0..EIGHT {
+        for lane in 0..WIDE {
             bits |= u32::from(open[lane] != 0.0) << lane;
         }
         bits
@@ -395,7 +396,7 @@ impl Trace<'_> {
     #[inline(never)]
     fn choose(&self, winners: &[u32], candidates: &mut Vec<u32>) {
         let beam =
-            |i: usize| DVec2::new(self.directions[i / EIGHT][0][i % EIGHT], self.directions[i / EIGHT][1][i % EIGHT]);
+            |i: usize| DVec2::new(self.directions[i / WIDE][0][i % WIDE], self.directions[i / WIDE][1][i % WIDE]);
         let unsure = || (0..winners.len()).filter(|i| winners[*i] == UNSURE);
         let may_win = |number: &&u32| {
             let aim = Aim::new(&self.cut.segments[**number as usize], self.view);
@@ -423,7 +424,7 @@ impl Trace<'_> {
             let high = S::as_mut_simd_f64s(&mut high[group]).0;
             let winner = S::as_mut_simd_f64s(&mut segment[group]).0;
             let rival = S::as_mut_simd_f64s(&mut rival[group]).0;
-            for i in 0..EIGHT / S::F64_LANES {
+            for i in 0..WIDE / S::F64_LANES {
                 let beam = [x[i], y[i]];
                 let (from_p, to_q) = (cross(simd, p, beam), cross(simd, beam, q));
                 let inverse = dot(simd, plane, beam);

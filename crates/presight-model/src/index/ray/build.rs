@@ -1,20 +1,22 @@
 //! Binned halving by the surface-area heuristic (Wald 2007), and eight-wide nodes out of what comes of it (Wald, Benthin, Boulos 2008).
 
-use super::{NO_CHILD, RayNode, WIDE};
+use super::WIDE;
 use glam::{Vec3, Vec4};
 
 /// A box with a number, which lies in the bits of the fourth coordinate.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Item {
+pub struct Item {
     low: Vec4,
     high: Vec4,
 }
 
 impl Item {
+    /// A box with this number.
     pub fn new(low: Vec3, high: Vec3, id: u32) -> Self {
         Self { low: low.extend(f32::from_bits(id)), high: high.extend(0.0) }
     }
 
+    /// Its number.
     pub fn id(&self) -> u32 {
         self.low.w.to_bits()
     }
@@ -28,9 +30,9 @@ impl Item {
 
 /// A node of two children, or a leaf.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Binary {
-    pub low: Vec4,
-    pub high: Vec4,
+pub struct Half {
+    pub(super) low: Vec4,
+    pub(super) high: Vec4,
     /// First item and number of items; a leaf has no children.
     first: u32,
     count: u32,
@@ -85,11 +87,11 @@ fn area(low: Vec4, high: Vec4) -> f32 {
 }
 
 /// Halves until no leaf has more than `most` items, which are ordered on the way. The first node is the root.
-pub(super) fn halve(items: &mut [Item], most: usize) -> Vec<Binary> {
+pub fn halve(items: &mut [Item], most: usize) -> Vec<Half> {
     if items.is_empty() { Vec::new() } else { grow(items, 0, most, 0) }
 }
 
-fn grow(items: &mut [Item], first: u32, most: usize, depth: u32) -> Vec<Binary> {
+fn grow(items: &mut [Item], first: u32, most: usize, depth: u32) -> Vec<Half> {
     let mut nodes = Vec::with_capacity(items.len().div_ceil(most.div_ceil(2)) * 2);
     if items.len() > PARALLEL && rayon::current_thread_index().is_some() {
         let middle = split(items, extent(items), most, depth);
@@ -99,10 +101,10 @@ fn grow(items: &mut [Item], first: u32, most: usize, depth: u32) -> Vec<Binary> 
             || grow(right, first + middle.1 as u32, most, depth + 1),
         );
         let (before, after) = (1, 1 + left.len() as u32);
-        let moved = |node: &Binary, by: u32| Binary { children: node.children.map(|c| c.map(|c| c + by)), ..*node };
+        let moved = |node: &Half, by: u32| Half { children: node.children.map(|c| c.map(|c| c + by)), ..*node };
         let Extent { low, high } = middle.0;
         let count = (left[0].count) + right[0].count;
-        nodes.push(Binary { low, high, first, count, children: Some([before, after]) });
+        nodes.push(Half { low, high, first, count, children: Some([before, after]) });
         nodes.extend(left.drain(..).map(|node| moved(&node, before)));
         nodes.extend(right.iter().map(|node| moved(node, after)));
         return nodes;
@@ -111,10 +113,10 @@ fn grow(items: &mut [Item], first: u32, most: usize, depth: u32) -> Vec<Binary> 
     nodes
 }
 
-fn grow_here(items: &mut [Item], first: u32, most: usize, depth: u32, nodes: &mut Vec<Binary>) -> u32 {
+fn grow_here(items: &mut [Item], first: u32, most: usize, depth: u32, nodes: &mut Vec<Half>) -> u32 {
     let around = extent(items);
     let (at, count) = (nodes.len() as u32, items.len() as u32);
-    nodes.push(Binary { low: around.low, high: around.high, first, count, children: None });
+    nodes.push(Half { low: around.low, high: around.high, first, count, children: None });
     if items.len() > most {
         let (_, middle) = split(items, around, most, depth);
         let (left, right) = items.split_at_mut(middle);
@@ -210,53 +212,63 @@ fn best_plane(bins: &[Extent], counts: &[u32], most: usize) -> Option<(f32, usiz
     best
 }
 
-/// Eight-wide nodes; `leaf` gives the number of a leaf by its items.
-pub(super) fn widen(binary: &[Binary], items: &[Item], leaf: &mut impl FnMut(&[Item]) -> u32) -> Vec<RayNode> {
-    let mut nodes = Vec::new();
-    if !binary.is_empty() {
-        node_of(binary, items, 0, leaf, &mut nodes);
-    }
-    nodes
+/// A child of an eight-wide node: its box, and its items.
+pub struct WideChild<'a> {
+    /// Least corner.
+    pub low: Vec3,
+    /// Greatest corner.
+    pub high: Vec3,
+    /// All items below it.
+    pub items: &'a [Item],
 }
 
-fn node_of(
-    binary: &[Binary],
-    items: &[Item],
-    at: u32,
-    leaf: &mut impl FnMut(&[Item]) -> u32,
-    nodes: &mut Vec<RayNode>,
-) -> u32 {
+/// A tree of eight-wide nodes that grows from its root.
+pub trait WideTree {
+    /// Adds a node around its children, at most [`WIDE`], and returns its number. The children have no names yet.
+    fn add_node(&mut self, children: &[WideChild<'_>]) -> u32;
+
+    /// Adds a leaf and returns its name.
+    fn add_leaf(&mut self, items: &[Item]) -> u32;
+
+    /// Sets the name of a child: the number of a node, or the name of a leaf.
+    fn name_child(&mut self, node: u32, lane: usize, name: u32);
+}
+
+/// Makes eight-wide nodes of a tree of halves.
+pub fn widen(halves: &[Half], items: &[Item], tree: &mut impl WideTree) {
+    if !halves.is_empty() {
+        add_below(halves, items, 0, tree);
+    }
+}
+
+fn add_below(halves: &[Half], items: &[Item], at: u32, tree: &mut impl WideTree) -> u32 {
     let mut own = [0; WIDE];
     let mut count = 1;
     own[0] = at;
     // The largest one makes way for its children until there are eight.
     while count < WIDE {
         let large = (0..count)
-            .filter(|i| binary[own[*i] as usize].children.is_some())
-            .map(|i| (area(binary[own[i] as usize].low, binary[own[i] as usize].high), i))
+            .filter(|i| halves[own[*i] as usize].children.is_some())
+            .map(|i| (area(halves[own[i] as usize].low, halves[own[i] as usize].high), i))
             .max_by(|a, b| a.0.total_cmp(&b.0));
         let Some((_, i)) = large else { break };
-        let Some([left, right]) = binary[own[i] as usize].children else { break };
+        let Some([left, right]) = halves[own[i] as usize].children else { break };
         (own[i], own[count]) = (left, right);
         count += 1;
     }
-    let number = nodes.len();
-    let mut node =
-        RayNode { low: [[f32::INFINITY; WIDE]; 3], high: [[f32::NEG_INFINITY; WIDE]; 3], children: [NO_CHILD; WIDE] };
-    for (lane, child) in own[..count].iter().enumerate() {
-        let child = &binary[*child as usize];
-        for axis in 0..3 {
-            (node.low[axis][lane], node.high[axis][lane]) = (child.low[axis], child.high[axis]);
-        }
-    }
-    nodes.push(node);
-    for (lane, child) in own[..count].iter().enumerate() {
-        let held = &binary[*child as usize];
-        let name = match held.children {
-            Some(_) => node_of(binary, items, *child, leaf, nodes),
-            None => leaf(&items[held.first as usize..][..held.count as usize]),
+    let items_of = |half: &Half| &items[half.first as usize..][..half.count as usize];
+    let child = |number: &u32| {
+        let half = &halves[*number as usize];
+        WideChild { low: half.low.truncate(), high: half.high.truncate(), items: items_of(half) }
+    };
+    let node = tree.add_node(&own[..count].iter().map(child).collect::<Vec<_>>());
+    for (lane, number) in own[..count].iter().enumerate() {
+        let half = &halves[*number as usize];
+        let name = match half.children {
+            Some(_) => add_below(halves, items, *number, tree),
+            None => tree.add_leaf(items_of(half)),
         };
-        nodes[number].children[lane] = name;
+        tree.name_child(node, lane, name);
     }
-    number as u32
+    node
 }

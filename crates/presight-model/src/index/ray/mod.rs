@@ -8,7 +8,7 @@ use crate::environment::{Environment, Mesh, PolygonRecord};
 use crate::error::Result;
 use crate::geometry::Plane;
 use crate::memory;
-use build::{Binary, Item};
+pub use build::{Half, Item, WideChild, WideTree, halve, widen};
 use glam::{DVec3, Vec3, Vec4};
 
 /// Children of a node, and triangles of a block.
@@ -100,16 +100,16 @@ impl RayTree {
                 fans.push(Fan { polygon, second });
             }
         }
-        let binary = build::halve(&mut items, WIDE);
-        let mut tree = Self { nodes: Vec::new(), blocks: Vec::new(), origin, reach: reach_of(&binary) };
-        let mut leaf = |own: &[Item]| {
-            tree.blocks.push(TriangleBlock::new(mesh, origin, own.iter().map(|item| fans[item.id() as usize])));
-            LEAF | (tree.blocks.len() - 1) as u32
+        let halves = halve(&mut items, WIDE);
+        let mut blocks = Vec::new();
+        let leaf = |own: &[Item]| {
+            blocks.push(TriangleBlock::new(mesh, origin, own.iter().map(|item| fans[item.id() as usize])));
+            LEAF | (blocks.len() - 1) as u32
         };
-        tree.nodes = build::widen(&binary, &items, &mut leaf);
-        tree.nodes.shrink_to_fit();
-        tree.blocks.shrink_to_fit();
-        Ok(tree)
+        let mut nodes = nodes_of(&halves, &items, leaf);
+        nodes.shrink_to_fit();
+        blocks.shrink_to_fit();
+        Ok(Self { nodes, blocks, origin, reach: reach_of(&halves) })
     }
 
     /// Bytes of memory.
@@ -134,15 +134,49 @@ impl ObjectTree {
             Item::new(outward(b.min - origin - slack, false), outward(b.max - origin + slack, true), *id)
         };
         let mut items: Vec<Item> = boxes.iter().map(item).collect();
-        let binary = build::halve(&mut items, 1);
-        let nodes = build::widen(&binary, &items, &mut |own: &[Item]| LEAF | own[0].id());
-        Self { nodes, origin, reach: reach_of(&binary) }
+        let halves = halve(&mut items, 1);
+        let nodes = nodes_of(&halves, &items, |own: &[Item]| LEAF | own[0].id());
+        Self { nodes, origin, reach: reach_of(&halves) }
     }
 
     /// Bytes of memory.
     pub fn bytes(&self) -> usize {
         self.nodes.capacity() * size_of::<RayNode>()
     }
+}
+
+/// Nodes of a tree whose leaves a function names.
+struct RayNodes<L> {
+    nodes: Vec<RayNode>,
+    leaf: L,
+}
+
+impl<L: FnMut(&[Item]) -> u32> WideTree for RayNodes<L> {
+    fn add_node(&mut self, children: &[WideChild<'_>]) -> u32 {
+        let (low, high) = ([[f32::INFINITY; WIDE]; 3], [[f32::NEG_INFINITY; WIDE]; 3]);
+        let mut node = RayNode { low, high, children: [NO_CHILD; WIDE] };
+        for (lane, child) in children.iter().enumerate() {
+            for axis in 0..3 {
+                (node.low[axis][lane], node.high[axis][lane]) = (child.low[axis], child.high[axis]);
+            }
+        }
+        self.nodes.push(node);
+        (self.nodes.len() - 1) as u32
+    }
+
+    fn add_leaf(&mut self, items: &[Item]) -> u32 {
+        (self.leaf)(items)
+    }
+
+    fn name_child(&mut self, node: u32, lane: usize, name: u32) {
+        self.nodes[node as usize].children[lane] = name;
+    }
+}
+
+fn nodes_of(halves: &[Half], items: &[Item], leaf: impl FnMut(&[Item]) -> u32) -> Vec<RayNode> {
+    let mut tree = RayNodes { nodes: Vec::new(), leaf };
+    widen(halves, items, &mut tree);
+    tree.nodes
 }
 
 /// A triangle of a polygon: its first corner, this one and the next.
@@ -213,7 +247,7 @@ fn outward(p: DVec3, up: bool) -> Vec3 {
     }))
 }
 
-fn reach_of(binary: &[Binary]) -> f32 {
+fn reach_of(binary: &[Half]) -> f32 {
     let greatest = |p: Vec4| p.truncate().abs().max_element();
     binary.first().map_or(0.0, |root| greatest(root.low).max(greatest(root.high)))
 }
