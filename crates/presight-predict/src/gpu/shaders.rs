@@ -91,7 +91,8 @@ mod tests {
 
     /// The greatest magnitude of a module's f32 literals, those of functions included.
     fn greatest_literal(module: &naga::Module) -> f32 {
-        let of_functions = module.functions.iter().map(|(_, f)| f).chain(module.entry_points.iter().map(|e| &e.function));
+        let of_functions =
+            module.functions.iter().map(|(_, f)| f).chain(module.entry_points.iter().map(|e| &e.function));
         let expressions = of_functions.map(|f| &f.expressions).chain([&module.global_expressions]);
         let magnitudes = expressions.flat_map(|all| all.iter()).map(|(_, expression)| match expression {
             naga::Expression::Literal(naga::Literal::F32(value)) => value.abs(),
