@@ -211,5 +211,5 @@ fn a_library_that_cannot_serve_is_refused() {
     fs::remove_dir_all(place.path("library")).unwrap();
     check(&place, vec![bad(line(none), 1, &["library", "read the folder"])]);
     place.write("library", b"");
-    check(&place, vec![bad(line(none), 4, &["library"])]);
+    check(&place, vec![bad(line(none), 1, &["library", "Not a directory"])]);
 }
