@@ -180,7 +180,7 @@ fn panels_share_a_scale_and_show_a_place() {
             "{}: {x} {y}",
             sensor.spec().name
         );
-        let wrong = panels::drawn(&[of(&far[1..])], &sensor, &[]).unwrap_err();
+        let wrong = panels_png(&[of(&far[1..])], &sensor, &[]).unwrap_err();
         assert!(wrong.to_string().contains("has 7 ranges, the sensor 8 pixels"), "{wrong}");
     }
     // 120 columns of 3 degrees: a place at 90 degrees, to the left, and a near wall at -90 degrees, which is not shown.
