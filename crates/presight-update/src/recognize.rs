@@ -47,10 +47,10 @@ pub struct Proposal {
 pub trait Recognizer {
     /// What a group of points may be, at most 100 proposals; none if it does not know.
     ///
-    /// `points` are those that the model does not explain, of all views, at most 20,000, world frame, metres.
+    /// `points` are measured points that the model does not explain, of all views, at most 20,000, world frame, metres.
     ///
     /// # Errors
-    /// Whatever keeps it from an answer. Then it is not asked again.
+    /// Whatever keeps it from an answer. It gets no further points.
     fn recognize(&mut self, points: &[DVec3]) -> Result<Vec<Proposal>>;
 }
 
@@ -82,7 +82,7 @@ struct Placed {
 
 impl Learner {
     /// Puts shapes that explain new points better than boxes in place of the boxes. Shapes of the library start from several yaws,
-    /// and those that the recognizer names from its poses. A shape is taken if the points hold it, if at least 80 % of its
+    /// and shapes that the recognizer names from its poses. A shape is taken if the points hold it, if at least 80 % of its
     /// surface that is seen is there and no part of it is surely seen through, and if its odds against boxes are at least
     /// [`crate::LearnOptions::sure`].
     ///

@@ -1,4 +1,4 @@
-//! Meshes of things that may stand somewhere: those of a folder, and those of the model's own objects.
+//! Meshes of things that may stand somewhere: files of a folder, and the model's own objects.
 
 use glam::{DAffine3, DVec3};
 use presight_files::gltf::{ImportOptions, import};
