@@ -3,6 +3,7 @@
 
 #[doc(inline)]
 pub use presight_update::{
-    Action, Applied, Caster, Doubt, Evidence, Finding, Findings, LearnOptions, Learner, Met, Occupied, Policy, Sight,
-    Tally, UprightBox, Voxel, Voxels, Waiting, What, change_lines,
+    Action, Applied, Caster, Doubt, Evidence, Finding, Findings, LearnOptions, Learner, Library, Met, Occupied, Policy,
+    ProgramRecognizer, Proposal, Recognized, Recognizer, Shape, Sight, Tally, UprightBox, Voxel, Voxels, Waiting, What,
+    change_lines,
 };

@@ -1,11 +1,13 @@
 //! Learning from drives through changed sites: `cargo bench --bench update [-- SEEDS [SCENE [SENSOR [OFF [reasons]]]]]`. Scenes,
 //! sensors and errors of poses are chosen by a part of their name, `-` for all. Each row is printed at once; `reasons` adds a
-//! line for each visible change that was missed, with what pixels and views said of it.
+//! line for each visible change that was missed, with what pixels and views said of it. `-- walker FILE.png` draws a person who crosses
+//! and leaves nothing.
 
 #![allow(clippy::print_stdout, reason = "a bench prints its figures")]
 
 mod case;
 mod score;
+mod walker;
 
 use case::{Amounts, Case, Off};
 use presight_files::{preset, sensor_toml};
@@ -55,6 +57,9 @@ fn scene(name: &str) -> Option<Environment> {
 fn main() {
     let words: Vec<String> = std::env::args().skip(1).filter(|word| !word.starts_with("--")).collect();
     let word = |k: usize| words.get(k).map_or("-", String::as_str);
+    if word(0) == "walker" {
+        return walker::strip(word(1));
+    }
     let seeds = word(0).parse().unwrap_or(5u64);
     let chosen = |wanted: &str, name: &str| wanted == "-" || name.contains(wanted);
     println!("{HEAD}");

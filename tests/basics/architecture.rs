@@ -44,8 +44,8 @@ const STRANGERS: [(&str, &[&str]); 4] = [
 ];
 
 /// Most modules, most types, and most names at the root of the facade. Supervision, queries, updates and exploration are
-/// modules of their own: robots that only predict do not meet them.
-const FACADE: [usize; 3] = [18, 183, 63];
+/// modules of their own: robots that only predict do not meet them. Recognizers of new things are six types.
+const FACADE: [usize; 3] = [18, 189, 63];
 
 fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -305,7 +305,7 @@ fn planted_faults_are_found() {
     let faults = facade.faults(&types, &BTreeSet::new());
     assert_eq!(
         faults,
-        ["the facade has 19 modules, at most 18 are allowed", "the facade has 184 types, at most 183 are allowed"]
+        ["the facade has 19 modules, at most 18 are allowed", "the facade has 190 types, at most 189 are allowed"]
     );
     let glob =
         "pub use presight_model::*;\npub use presight_files::layer;\npub use presight_files::poses::{self, Type1};\n";

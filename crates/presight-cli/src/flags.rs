@@ -12,6 +12,7 @@ const WORDS: &[(&str, &str)] = &[
     ("`OdometryNoise`", "--odometry-sigma"),
     ("`PoseFrame::Optical`", "--pose-frame optical"),
     ("`PoseOf::Robot`", "--pose-of robot"),
+    ("`ProgramRecognizer::within`", "--recognizer-ms"),
     ("`SceneOptions::exclude`", "--exclude"),
     ("`SearchOptions::floor`", "--floor"),
     ("`SearchOptions::margin`", "--margin"),

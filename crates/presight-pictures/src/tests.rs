@@ -163,3 +163,44 @@ fn comparisons_of_another_size_are_refused() {
     // Classes without a name are not drawn.
     assert!(refused(&images.range, &[9; 8]).is_none());
 }
+
+/// Three images side by side in one scale: the near pixel of the second one is in the second third, on its side of the panel. A
+/// frame is around it, and what lies far from it is not shown.
+#[test]
+fn panels_share_a_scale_and_show_a_place() {
+    let near = color::by_distance(0.0);
+    for (sensor, left) in [(camera(), true), (scanner(10.0, 2), false), (scanner(-10.0, 2), true)] {
+        let images = near_corner(&sensor);
+        let far = vec![4.0f32; images.range.len()];
+        let of = |range| Panel { name: "range", range };
+        let canvas = panels::drawn(&[of(&far), of(&images.range), of(&far)], &sensor, &[]).unwrap();
+        let [x, y] = place_of(&canvas, near);
+        assert!(
+            if left { x < 0.5 } else { x > 0.5 } && x > 0.34 && x < 0.66 && y < 0.5,
+            "{}: {x} {y}",
+            sensor.spec().name
+        );
+        let wrong = panels_png(&[of(&far[1..])], &sensor, &[]).unwrap_err();
+        assert!(wrong.to_string().contains("has 7 ranges, the sensor 8 pixels"), "{wrong}");
+    }
+    // 120 columns of 3 degrees: a place at 90 degrees, to the left, and a near wall at -90 degrees, which is not shown.
+    let azimuth = Angles::Uniform { start_deg: -180.0, step_deg: 3.0, count: 120 };
+    let elevation = Angles::Uniform { start_deg: -30.0, step_deg: 3.0, count: 21 };
+    let scanner = Scanner { azimuth, elevation, beam_height_deg: None };
+    let sensor = Sensor::new(SensorSpec::new("s", "laser", Geometry::Scanner(scanner))).unwrap();
+    let at = |column: usize| {
+        if column == 90 {
+            2.0
+        } else if column == 30 {
+            1.0
+        } else {
+            4.0f32
+        }
+    };
+    let range: Vec<f32> = (0..120 * 21).map(|pixel| at(pixel % 120)).collect();
+    let around = [glam::DVec3::new(-0.2, 2.0, -0.2), glam::DVec3::new(0.2, 2.0, 0.2)];
+    let canvas = panels::drawn(&[Panel { name: "range", range: &range }], &sensor, &around).unwrap();
+    let [x, _] = place_of(&canvas, near);
+    assert!((x - 0.5).abs() < 0.1, "2 m is the nearest that is shown, in the middle: {x}");
+    assert!(place_of(&canvas, [0xff, 0x5a, 0x36])[1] < 0.6, "a frame");
+}

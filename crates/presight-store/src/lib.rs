@@ -48,6 +48,7 @@ pub use create::create;
 pub use feature_lines::{feature_change, feature_line};
 pub use line::apply_line;
 pub use log::LogEntry;
+pub use op::pose_of;
 pub use scene::{Existing, SceneMerge};
 pub use write::{Batch, Note};
 

@@ -364,9 +364,12 @@ pub(super) fn pose_fields(pose: &Pose) -> Vec<f64> {
     pose.translation.to_array().into_iter().chain(pose.rotation.to_array()).collect()
 }
 
-/// Parses a pose of six or seven numbers. A unit quaternion is not normalized again, so that written poses read back
-/// exactly.
-pub(super) fn pose_of(numbers: &[f64]) -> Result<Pose> {
+/// Parses a pose as files of changes have it: x, y, z in metres and roll, pitch, yaw in degrees, or x, y, z, qx, qy, qz, qw. A unit
+/// quaternion is not normalized again, so that written poses read back exactly.
+///
+/// # Errors
+/// [`presight_model::ErrorKind::Invalid`] for another count of numbers, and for a pose that is not finite or out of bounds.
+pub fn pose_of(numbers: &[f64]) -> Result<Pose> {
     const UNIT: f64 = 1e-9;
     let at = |i: usize| DVec3::new(numbers[i], numbers[i + 1], numbers[i + 2]);
     let pose = match numbers.len() {

@@ -44,6 +44,18 @@ impl UprightBox {
         let q = self.pose.inverse().transform_point(p).abs();
         q.cmple(0.5 * self.size + slack).all()
     }
+
+    /// Where a ray from outside along the unit `ray` meets it: the range, metres, and the cosine of the incidence.
+    pub(crate) fn meet(&self, origin: DVec3, ray: DVec3) -> Option<(f64, f64)> {
+        let back = self.pose.inverse();
+        let (origin, ray) = (back.transform_point(origin), back.rotation * ray);
+        let (a, b) = ((-0.5 * self.size - origin) / ray, (0.5 * self.size - origin) / ray);
+        // NaN, where a ray runs in a side, is ignored by min and max.
+        let (near, far) = (a.min(b), a.max(b));
+        let (enter, leave) = (near.x.max(near.y).max(near.z), far.x.min(far.y).min(far.z));
+        let axis = (0..3).find(|axis| near[*axis] == enter)?;
+        (enter > 0.0 && enter <= leave).then(|| (enter, ray[axis].abs()))
+    }
 }
 
 /// Two boxes take the place of one if they hold at most this share of its volume.

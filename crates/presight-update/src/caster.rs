@@ -1,5 +1,6 @@
 //! What rays meet in one version of a world: first, and first of another object.
 
+use crate::shapes::Shape;
 use crate::solid::{Foot, Meeting, Solid};
 use glam::DVec3;
 use presight_model::environment::{Appearance, Mesh};
@@ -101,6 +102,19 @@ impl Caster {
             caster.grow(0, caster.placed.len());
         }
         caster.of_object = caster.placed.iter().enumerate().map(|(at, p)| (p.object, at)).collect();
+        caster
+    }
+
+    /// The same world, with shapes that stand nowhere: rays meet them only at the poses of a call. Their numbers rise from `first`.
+    pub(crate) fn with_shapes(&self, first: u32, shapes: &[Arc<Shape>]) -> Self {
+        let mut caster = self.clone();
+        for (object, shape) in (first..).zip(shapes) {
+            caster.of_object.insert(object, caster.placed.len());
+            let solid = Arc::new(Solid::of(shape.mesh(), shape.object_from_mesh(), |_| Some(false)));
+            let pose = Pose::IDENTITY;
+            let bounds = shape.bounds();
+            caster.placed.push(Placed { object, solid, world_from_object: pose, object_from_world: pose, bounds });
+        }
         caster
     }
 

@@ -89,6 +89,15 @@ fn line(
             let op = json!({"op": "group", "changes": [insert, mark(&provisional, &provisional, "uncertain")]});
             (op, "something stands where the model has nothing".to_owned())
         }
+        What::Recognized(known) => {
+            let insert = known.shape.insertion(&provisional, &numbers(&known.world_from_object));
+            let op = if only_mark {
+                json!({"op": "group", "changes": [insert, mark(&provisional, &provisional, "uncertain")]})
+            } else {
+                insert
+            };
+            (op, format!("a {} stands where the model has nothing", known.shape.name()))
+        }
         What::Part(b) => {
             let mut op = mark(&format!("{object} part {base}-{}", number + 1), object, "uncertain");
             op["box"] = json!([b.min.to_array(), b.max.to_array()]);
@@ -123,7 +132,7 @@ fn is_marked(finding: &Finding, environment: &Environment, only_mark: bool) -> b
         What::ComesAndGoes => m.kind == MarkKind::Uncertain && m.bounds.is_none(),
         What::SeenThrough(class) => m.kind == MarkKind::Absent && m.bounds.is_none() && m.concerns(class),
         What::Part(part) => m.bounds.is_none_or(|b| b.min.cmple(part.min).all() && b.max.cmpge(part.max).all()),
-        What::New(_) => false,
+        What::New(_) | What::Recognized(_) => false,
     };
     environment.marks().any(|(_, m)| m.object == finding.object && says(m))
 }
@@ -147,6 +156,12 @@ fn with_id(mut value: Value, base: &str) -> String {
     value.to_string()
 }
 
+/// Inserts an object of the first material.
+fn inserted(world: &World, object: Option<NewObject>) -> Change {
+    let first = world.environment().materials().is_empty().then(|| Change::AddMaterial(Material::named("default")));
+    Change::of(first.into_iter().chain(object.map(Change::InsertObject)).collect())
+}
+
 fn numbers(pose: &Pose) -> Vec<f64> {
     pose.translation.to_array().into_iter().chain(pose.rotation.to_array()).collect()
 }
@@ -162,15 +177,12 @@ impl Finding {
             }
             What::New(found) => {
                 let half = (0.5 * found.size).as_vec3();
-                let mut changes = Vec::new();
-                if world.environment().materials().is_empty() {
-                    changes.push(Change::AddMaterial(Material::named("default")));
-                }
                 // The edges of a box are at least some millimetres long.
-                if let Ok(mesh) = Mesh::cuboid("provisional", -half, half, 0) {
-                    changes.push(Change::InsertObject(NewObject::new("provisional", found.pose, mesh.into())));
-                }
-                Change::of(changes)
+                let mesh = Mesh::cuboid("provisional", -half, half, 0).ok();
+                inserted(world, mesh.map(|mesh| NewObject::new("provisional", found.pose, mesh.into())))
+            }
+            What::Recognized(known) => {
+                inserted(world, Some(known.shape.placed("provisional", known.world_from_object)))
             }
             What::Part(bounds) => {
                 let mark = Mark { object: name(), kind: MarkKind::Uncertain, class: None, bounds: Some(*bounds) };

@@ -7,6 +7,8 @@ use crate::fit::Thing;
 use crate::learn::{LearnOptions, Learner};
 use crate::moves::Place;
 use crate::parts::{Part, parts};
+use crate::recognize::{OWN, Recognized};
+use crate::shown::growth_of_new;
 use crate::view::{NOTHING, Says, View};
 use crate::voxels::{Occupied, Voxels, joined};
 use glam::DVec3;
@@ -41,6 +43,8 @@ pub enum What {
     },
     /// Something stands where the model has nothing; this box is around the points on it.
     New(UprightBox),
+    /// Something of a known shape stands where the model has nothing.
+    Recognized(Recognized),
     /// A part of a big object is gone; the box around it is in the object's frame.
     Part(Aabb),
     /// Sensors of this class see through an object that others see, or that they see themselves where rays meet it flat: glass.
@@ -156,29 +160,30 @@ impl Decision<'_> {
                 "{changed} of {decided} objects seem to be gone or moved: check the map, the sensor and its mount"
             ));
         }
-        self.add_new(&mut found, &groups, &moves);
-        let rank = |f: &Finding| match f.what {
-            What::Gone => 0,
-            What::Moved { .. } => 1,
-            What::New(_) => 2,
-            What::Part(_) => 3,
-            What::SeenThrough(_) => 4,
-            What::ComesAndGoes => 5,
-        };
-        found.changes.sort_by(|a, b| rank(a).cmp(&rank(b)).then(b.l.total_cmp(&a.l)));
+        let explained: Vec<(u32, Pose)> = moves.iter().map(|(object, place)| (*object, place.pose)).collect();
+        self.add_new(&mut found, &groups, &explained);
+        found.changes.sort_by(by_rank);
         found
     }
 
-    fn finding(&self, object: String, what: What, l: f64, views: u32) -> Finding {
+    pub(crate) fn finding(&self, object: String, what: What, l: f64, views: u32) -> Finding {
         let index = self.environment.index_of(&object).ok();
         let growth = index.and_then(|index| self.book.growth.get(&index)).cloned().unwrap_or_default();
         let region = match &what {
             What::New(found) => Some((found.pose.translation, 0.5 * found.size.length())),
+            What::Recognized(known) => {
+                let thing = Thing::of_bounds(NOTHING, &known.shape.bounds());
+                Some((known.world_from_object.transform_point(thing.middle), thing.radius))
+            }
             What::Moved { world_from_object, .. } => index.map(|object| {
                 let thing = Thing::new(self.environment, object);
                 (world_from_object.transform_point(thing.middle), thing.radius)
             }),
             What::Gone | What::Part(_) | What::SeenThrough(_) | What::ComesAndGoes => None,
+        };
+        let growth = match (&index, region) {
+            (None, Some(region)) => growth_of_new(self.views.iter(), region, self.options.most_per_view),
+            _ => growth,
         };
         let shows = |view: &&View| {
             let through = |at: &usize| Some(view.object[*at]) == index && view.says[*at] == Says::Through;
@@ -288,15 +293,18 @@ impl Decision<'_> {
         Some(best.world_from_image * body_from_image(&best.kept.sensor).inverse())
     }
 
-    /// What no moved object explains, in pieces, is new.
-    fn add_new(&self, found: &mut Findings, groups: &[Group], moves: &BTreeMap<u32, Place>) {
+    /// The points that objects at other poses than the model's do not explain.
+    pub(crate) fn unexplained(&self, points: &[DVec3], by: &[(u32, Pose)]) -> Vec<DVec3> {
         let is_explained = |p: &DVec3| {
-            moves.iter().any(|(object, place)| {
-                self.caster.foot(*object, place.pose.inverse().transform_point(*p), 0.1).is_some()
-            })
+            by.iter().any(|(object, pose)| self.caster.foot(*object, pose.inverse().transform_point(*p), OWN).is_some())
         };
+        points.iter().filter(|p| !is_explained(p)).copied().collect()
+    }
+
+    /// What no moved or recognized object explains, in pieces, is new.
+    pub(crate) fn add_new(&self, found: &mut Findings, groups: &[Group], explained: &[(u32, Pose)]) {
         for group in groups {
-            let left: Vec<DVec3> = group.points.iter().filter(|p| !is_explained(p)).copied().collect();
+            let left = self.unexplained(&group.points, explained);
             let pieces = self.pieces(&left);
             let whole = if pieces.is_empty() && self.is_thing(&left) { vec![left] } else { pieces };
             for points in whole.into_iter().flat_map(split) {
@@ -307,13 +315,13 @@ impl Decision<'_> {
         }
     }
 
-    fn is_thing(&self, points: &[DVec3]) -> bool {
+    pub(crate) fn is_thing(&self, points: &[DVec3]) -> bool {
         let voxels: BTreeSet<[i32; 3]> = points.iter().map(|p| self.voxels.key(*p)).collect();
         voxels.len() >= LEAST_NEW.0 && points.len() >= LEAST_NEW.1
     }
 
     /// The pieces of a group that are large enough; the voxels of a piece touch.
-    fn pieces(&self, points: &[DVec3]) -> Vec<Vec<DVec3>> {
+    pub(crate) fn pieces(&self, points: &[DVec3]) -> Vec<Vec<DVec3>> {
         let keys = joined(points.iter().map(|p| self.voxels.key(*p)), 1);
         let of_voxel: BTreeMap<[i32; 3], usize> =
             keys.iter().enumerate().flat_map(|(piece, keys)| keys.iter().map(move |key| (*key, piece))).collect();
@@ -322,6 +330,20 @@ impl Decision<'_> {
         pieces.retain(|piece| self.is_thing(piece));
         pieces
     }
+}
+
+/// The order of findings: by kind, then the surest first.
+pub(crate) fn by_rank(a: &Finding, b: &Finding) -> std::cmp::Ordering {
+    let rank = |f: &Finding| match f.what {
+        What::Gone => 0,
+        What::Moved { .. } => 1,
+        What::Recognized(_) => 2,
+        What::New(_) => 3,
+        What::Part(_) => 4,
+        What::SeenThrough(_) => 5,
+        What::ComesAndGoes => 6,
+    };
+    rank(a).cmp(&rank(b)).then(b.l.total_cmp(&a.l))
 }
 
 /// The groups of occupied voxels, with the points in them. A person who comes by again and again leaves voxels that are hit more

@@ -6,7 +6,7 @@ use crate::view::{BOUND, View};
 use glam::{DQuat, DVec3};
 use presight_localize::motion::moved;
 use presight_model::environment::Environment;
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Aabb, Pose};
 use presight_model::matrix::{add_to, apply, inverse};
 use std::collections::BTreeMap;
 
@@ -83,7 +83,11 @@ pub(crate) struct Thing {
 impl Thing {
     pub fn new(environment: &Environment, object: u32) -> Self {
         let o = &environment.objects()[object as usize];
-        let bounds = o.mesh.bounds().transformed(&o.object_from_mesh);
+        Self::of_bounds(object, &o.mesh.bounds().transformed(&o.object_from_mesh))
+    }
+
+    /// A thing by its number and its bounds in its frame.
+    pub fn of_bounds(object: u32, bounds: &Aabb) -> Self {
         Self { object, middle: bounds.center(), radius: 0.5 * bounds.size() }
     }
 }

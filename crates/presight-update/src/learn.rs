@@ -291,6 +291,11 @@ impl Learner {
         view.drive = self.drive;
         let delta = Delta::of(&view, &met, world.environment());
         self.tally.views += 1;
+        // A robot that turns about for hours in one place never drives on.
+        if self.pending.len() >= self.options.views {
+            self.pending.pop_front();
+            self.tally.discarded += 1;
+        }
         self.pending.push_back(Pending { view, delta, looks: Vec::new(), way: self.way.0, followed: false });
     }
 

@@ -24,7 +24,12 @@ pub(crate) struct Place {
 }
 
 impl Decision<'_> {
-    fn is_sure(&self, score: &Score) -> bool {
+    pub(crate) fn fitter(&self) -> Fitter<'_> {
+        let (views, most_per_view) = (self.views.iter().collect(), self.options.most_per_view);
+        Fitter { caster: self.caster, views, most_per_view }
+    }
+
+    pub(crate) fn is_sure(&self, score: &Score) -> bool {
         score.l >= self.options.sure
             && score.views >= self.options.least_views
             && score.share() >= self.options.least_agreeing
@@ -59,11 +64,7 @@ impl Decision<'_> {
 
     /// The poses that explain doubted objects, by row (which object) and column (which group, or its own place).
     fn places(&self, doubted: &[u32], groups: &[Group]) -> BTreeMap<(usize, usize), Place> {
-        let fitter = Fitter {
-            caster: self.caster,
-            views: self.views.iter().collect(),
-            most_per_view: self.options.most_per_view,
-        };
+        let fitter = self.fitter();
         let standing = self.standing(doubted);
         let mut places = BTreeMap::new();
         for (row, object) in doubted.iter().enumerate() {
@@ -104,7 +105,7 @@ impl Decision<'_> {
     }
 
     /// The places of small objects that stand where the model has them: nothing else stands there.
-    fn standing(&self, doubted: &[u32]) -> Vec<(DVec3, f64)> {
+    pub(crate) fn standing(&self, doubted: &[u32]) -> Vec<(DVec3, f64)> {
         let stands = |object: &u32| {
             let sure = self.book.objects.get(object).is_some_and(|e| e.l >= self.options.sure);
             sure && !doubted.contains(object)
@@ -121,6 +122,6 @@ impl Decision<'_> {
 }
 
 /// True if two things, by middle and half of the diagonal, cannot stand there both.
-fn is_same_spot(a: &(DVec3, f64), b: &(DVec3, f64)) -> bool {
+pub(crate) fn is_same_spot(a: &(DVec3, f64), b: &(DVec3, f64)) -> bool {
     a.0.distance(b.0) < 0.5 * a.1.min(b.1)
 }

@@ -78,7 +78,7 @@ impl Policy {
         match what {
             What::Gone | What::SeenThrough(_) | What::ComesAndGoes => self.gone,
             What::Moved { .. } => self.moved,
-            What::New(_) => self.new,
+            What::New(_) | What::Recognized(_) => self.new,
             What::Part(_) => self.part,
         }
     }

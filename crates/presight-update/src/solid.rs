@@ -1,7 +1,7 @@
 //! A mesh in the frame of its object, with a tree of boxes: the first polygon on a ray, and the surface nearest to a point.
 
-use glam::{DVec3, Vec3};
-use presight_model::environment::Object;
+use glam::{DAffine3, DVec3, Vec3};
+use presight_model::environment::{Mesh, Object};
 
 /// Most polygons of a leaf.
 const LEAF: usize = 4;
@@ -61,13 +61,17 @@ pub(crate) struct Foot {
 impl Solid {
     /// The polygons of an object that `keep` by number; it says also which are seen from their front only.
     pub fn new(object: &Object, keep: impl Fn(u32) -> Option<bool>) -> Self {
-        let mut solid = Self::default();
-        for number in 0..object.mesh.polygon_count() as u32 {
+        Self::of(&object.mesh, object.object_from_mesh, keep)
+    }
+
+    /// As [`Solid::new`], of a mesh.
+    pub fn of(mesh: &Mesh, object_from_mesh: DAffine3, keep: impl Fn(u32) -> Option<bool>) -> Self {
+        let (mut solid, mirrors) = (Self::default(), object_from_mesh.matrix3.determinant() < 0.0);
+        for number in 0..mesh.polygon_count() as u32 {
             let Some(one_sided) = keep(number) else { continue };
             let first = solid.corners.len();
-            let corner = |p| object.object_from_mesh.transform_point3(p);
-            solid.corners.extend(object.mesh.corners_of(number).map(corner));
-            if object.mirrors() {
+            solid.corners.extend(mesh.corners_of(number).map(|p| object_from_mesh.transform_point3(p)));
+            if mirrors {
                 solid.corners[first + 1..].reverse();
             }
             let corners = &solid.corners[first..];

@@ -1,11 +1,14 @@
 //! `presight update`: differences between site and model, as changes.
 
+mod known;
 mod page;
 mod store_of;
 
 use super::drive::Drive;
 use super::outputs::OutputFiles;
 use super::{CommandOutcome, folder, print};
+use glam::DVec3;
+use known::KnownArgs;
 use page::Shown;
 use presight::Scene;
 use presight_files::atomic::write_atomically;
@@ -32,14 +35,17 @@ const EXAMPLES: &str = "Examples:
   With poses from elsewhere, known to 5 mm and 0.1 degrees:
     presight update run.jsonl --map site.presight --init reference --poses run.tum --pose-cov 0.005,0.005,0.005,0.1,0.1,0.1 --out found
 
+  New things whose shapes are known, as meshes:
+    presight update run.jsonl --map site.presight --init reference --library pallets --recognizer \"python3 name.py\" --out found
+
   A robot with two sensors:
     presight update front=front.jsonl rear=rear.jsonl --robot kurt.toml --map site.presight --init reference --out found";
 
 /// Learn what changed: objects that are gone, moved or new, from the logs of drives
 ///
 /// LOGs are drives one after the other, each as for `localize`. DIR gets changes.jsonl, which `env apply` reads, and
-/// index.html, which shows each change: the measurement, and the prediction before and after. Nothing else is written
-/// without --apply or --evidence.
+/// index.html, which shows each change: the measurement between the predictions without and with it, and how the evidence grew.
+/// Nothing else is written without --apply or --evidence.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -89,6 +95,9 @@ pub struct Args {
     #[arg(long, value_name = "KIND=ACTION,..", default_value = "")]
     policy: String,
 
+    #[command(flatten)]
+    known: KnownArgs,
+
     /// Views that have to agree
     #[arg(long, value_name = "N", default_value_t = 3)]
     views: u32,
@@ -116,6 +125,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let drives = drives(args)?;
     check_files(args, &drives)?;
     let known = known_poses(args)?;
+    let mut recognizers = args.known.open()?;
     let claimed = args.apply.then_some(&args.drive.map).into_iter().chain(&args.evidence);
     let _claims = claimed.map(|path| Claim::of(path)).collect::<Result<Vec<_>>>()?;
     let scene = args.drive.scene()?;
@@ -131,7 +141,8 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     }
     let stamp = learn(&drives, &scene, &mut learner, known.as_ref())?;
     folder::ready(&args.out)?;
-    let findings = learner.findings(&scene.world);
+    let mut findings = learner.findings(&scene.world);
+    recognizers.improve(&mut learner, &scene.world, &mut findings);
     let utc = args.time.unwrap_or(0.0);
     let utc = if stamp > 1e9 { 0.0 } else { utc };
     let lines = change_lines(&learner, &findings, &scene.world, (&version.base, utc), &policy);
@@ -141,7 +152,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let after = after(&scene.world, &findings);
     let shares = (learner.share_explained(&scene.world, 0.1), learner.share_explained(&after, 0.1));
     let told = summary(&learner, &findings, shares);
-    let shown = Shown { args, drives: &drives, scene: &scene, after: &after, findings: &findings, told: &told };
+    let shown = Shown { args, drives: &drives, scene: &scene, findings: &findings, told: &told };
     shown.write(&args.out)?;
     let (applied, waiting) =
         if args.apply { apply(&args.drive.map, &lines, stamp + utc, within)? } else { (Vec::new(), 0) };
@@ -331,7 +342,7 @@ fn summary(learner: &Learner, findings: &Findings, (before, after): (f64, f64)) 
         "{} gone, {} moved, {} new, {} parts gone, {} seen through, {} come and go, {} doubtful, {} confirmed, {} never seen\n",
         count(|w| matches!(w, What::Gone)),
         count(|w| matches!(w, What::Moved { .. })),
-        count(|w| matches!(w, What::New(_))),
+        count(|w| matches!(w, What::New(_) | What::Recognized(_))),
         count(|w| matches!(w, What::Part(_))),
         count(|w| matches!(w, What::SeenThrough(_))),
         count(|w| matches!(w, What::ComesAndGoes)),
@@ -351,6 +362,12 @@ fn summary(learner: &Learner, findings: &Findings, (before, after): (f64, f64)) 
     text
 }
 
+/// A place in centimetres, without a negative zero.
+fn place(p: DVec3) -> String {
+    let [x, y, z] = p.to_array().map(|v| (100.0 * v).round() / 100.0 + 0.0);
+    format!("{x:.2},{y:.2},{z:.2}")
+}
+
 /// A finding in one line.
 fn told(finding: &Finding) -> String {
     let Finding { object, what, l, views, .. } = finding;
@@ -359,8 +376,12 @@ fn told(finding: &Finding) -> String {
         What::Gone => format!("gone: {object} ({odds})"),
         What::Moved { distance, .. } => format!("moved: {object} by {distance:.3} m ({odds})"),
         What::New(found) => {
-            let (p, s) = (found.pose.translation, found.size);
-            format!("new: {:.2} x {:.2} x {:.2} m at {:.2},{:.2},{:.2} ({odds})", s.x, s.y, s.z, p.x, p.y, p.z)
+            let (s, at) = (found.size, place(found.pose.translation));
+            format!("new: {:.2} x {:.2} x {:.2} m at {at} ({odds})", s.x, s.y, s.z)
+        }
+        What::Recognized(known) => {
+            let (at, (_, _, yaw)) = (place(known.world_from_object.translation), known.world_from_object.rpy());
+            format!("new: {} at {at}, yaw {:.1} degrees ({odds})", known.shape.name(), yaw.to_degrees())
         }
         What::SeenThrough(class) => format!("seen through by sensors of class {class}: {object} ({odds})"),
         What::ComesAndGoes => format!("comes and goes: {object} ({odds})"),

@@ -1,15 +1,16 @@
-//! The page of an update: for each change the measurement, and the prediction before and after it.
+//! The page of an update: for each change the measurement between the predictions without and with it, and how its evidence grew.
 
 use super::{Args, Drive, told};
+use glam::DVec3;
 use presight::Scene;
 use presight_files::atomic::write_atomically;
 use presight_model::error::Result;
 use presight_model::measured::Frame;
 use presight_model::world::World;
-use presight_pictures::preview_png;
+use presight_pictures::{Panel, panels_png};
 use presight_predict::predict::{Backend, Options, Predictor};
 use presight_render::plan::{Images, Output, Outputs};
-use presight_update::{Finding, Findings, Sight};
+use presight_update::{Finding, Findings, Sight, What};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::io::Write;
@@ -30,7 +31,6 @@ pub struct Shown<'a> {
     pub args: &'a Args,
     pub drives: &'a [Drive],
     pub scene: &'a Scene,
-    pub after: &'a World,
     pub findings: &'a Findings,
     pub told: &'a str,
 }
@@ -46,24 +46,34 @@ impl Shown<'_> {
         let mut body = String::new();
         for (number, finding) in self.findings.changes.iter().enumerate() {
             let frame = finding.sight.as_ref().and_then(|sight| frames.get(&key(sight)));
-            let _ = write!(body, "<section><h2>{}. {}</h2>", number + 1, escaped(&told(finding)));
+            let (kind, color) = kind(&finding.what);
+            let text = told(finding);
+            let told = escaped(text.split_once(": ").map_or(&*text, |(_, rest)| rest));
+            let name = number + 1;
+            let _ = write!(body, "<section><h2>{name}. <b style=\"background:{color}\">{kind}</b>{told}</h2>");
             if let Some(frame) = frame {
-                for (name, png) in self.pictures(&mut predictor, finding, frame)? {
-                    let file = format!("{:03}-{name}.png", number + 1);
-                    write_atomically(&out.join(&file), |to| to.write_all(&png))?;
-                    let _ = write!(
-                        body,
-                        "<figure><img src=\"{file}\" alt=\"{name}\"><figcaption>{name}</figcaption></figure>"
-                    );
-                }
+                let file = format!("{name:03}.png");
+                let png = self.picture(&mut predictor, (finding, &self.without(number)), frame)?;
+                write_atomically(&out.join(&file), |to| to.write_all(&png))?;
+                let _ = write!(
+                    body,
+                    "<figure><img src=\"{file}\" alt=\"measurement between predictions\"><figcaption>At {} s. If the right \
+                     picture is more like the middle one than the left is, the change is right.</figcaption></figure>",
+                    frame.stamp
+                );
             }
-            body += &growth(finding);
+            body += &growth(finding, self.args.sure);
             body += "</section>";
         }
+        // Counts first; what they count is below, in pictures.
+        let (head, rest) =
+            self.told.match_indices('\n').nth(2).map_or((self.told, ""), |(at, _)| self.told.split_at(at));
         let html = format!(
-            "<!doctype html><meta charset=\"utf-8\"><title>Update</title><style>{STYLE}</style><h1>{}</h1><pre>{}</pre>{body}",
+            "<!doctype html><meta charset=\"utf-8\"><title>Update</title><style>{STYLE}</style><h1>{}</h1><pre>{}</pre>\
+             <details><summary>All findings and doubts</summary><pre>{}</pre></details>{body}",
             escaped(&self.args.drive.map.display().to_string()),
-            escaped(self.told)
+            escaped(head),
+            escaped(rest)
         );
         write_atomically(&out.join("index.html"), |file| file.write_all(html.as_bytes()))
     }
@@ -87,49 +97,87 @@ impl Shown<'_> {
         Ok(frames)
     }
 
-    fn pictures(
+    /// The world with all changes but one.
+    fn without(&self, number: usize) -> World {
+        let mut world = self.scene.world.clone();
+        let others = self.findings.changes.iter().enumerate().filter(|(other, _)| *other != number);
+        others.for_each(|(_, finding)| drop(world.apply_unchecked(finding.change(&world))));
+        world
+    }
+
+    /// The measurement between the predictions of a world without and with one change, around its place.
+    fn picture(
         &self,
         predictor: &mut Predictor,
-        finding: &Finding,
+        (finding, without): (&Finding, &World),
         frame: &Frame,
-    ) -> Result<Vec<(&'static str, Vec<u8>)>> {
+    ) -> Result<Vec<u8>> {
         let (sensor, Some(sight)) = (frame.sensor(), &finding.sight) else { return Ok(Vec::new()) };
-        let (width, height) = (sensor.width(), sensor.height());
-        let measured = Images { width, height, range: frame.ranges().to_vec(), ..Images::default() };
-        let mut pictures = vec![("measured", preview_png(&measured, sensor, Output::Range)?)];
-        for (name, world) in [("before", &self.scene.world), ("after", self.after)] {
-            let mut images = Images::default();
-            predictor.predict_images(
-                world,
-                sensor,
-                &sight.world_from_sensor,
-                Outputs::of(&[Output::Range]),
-                &mut images,
-            )?;
-            pictures.push((name, preview_png(&images, sensor, Output::Range)?));
+        // All other changes are on both sides, so that the two differ by this one alone.
+        let mut with = without.clone();
+        // What cannot be applied, such as a box at an odd place, is shown without its effect.
+        drop(with.apply_unchecked(finding.change(&with)));
+        let mut predicted = [Images::default(), Images::default()];
+        for (world, images) in [without, &with].into_iter().zip(&mut predicted) {
+            let range = Outputs::of(&[Output::Range]);
+            predictor.predict_images(world, sensor, &sight.world_from_sensor, range, images)?;
         }
-        Ok(pictures)
+        let sensor_from_world = sight.world_from_sensor.inverse();
+        let around = finding.corners(self.scene.world.environment()).into_iter();
+        let around: Vec<DVec3> = around.map(|p| sensor_from_world.transform_point(p)).collect();
+        let panels = [
+            Panel { name: "without the change", range: &predicted[0].range },
+            Panel { name: "measured", range: frame.ranges() },
+            Panel { name: "with it", range: &predicted[1].range },
+        ];
+        panels_png(&panels, sensor, &around)
     }
 }
 
-/// How the odds of an object grew, as a line.
-fn growth(finding: &Finding) -> String {
+/// The evidence view by view, with the odds that decide as dashed lines.
+fn growth(finding: &Finding, sure: f64) -> String {
+    const WIDE: f32 = 420.0;
     let steps = &finding.growth;
-    let Some(most) = steps.iter().map(|l| l.abs()).reduce(f32::max).filter(|most| *most > 0.0 && steps.len() > 1)
-    else {
+    let sure = sure as f32;
+    if steps.is_empty() {
         return String::new();
-    };
-    let x = |k: usize| 300.0 * k as f32 / (steps.len() - 1) as f32;
-    let points: Vec<String> =
-        steps.iter().enumerate().map(|(k, l)| format!("{:.1},{:.1}", x(k), 30.0 - 28.0 * l / most)).collect();
+    }
+    let most = steps.iter().fold(1.4 * sure, |most, l| most.max(l.abs()));
+    let x = |k: usize| WIDE * k as f32 / steps.len() as f32;
+    let y = |l: f32| 50.0 - 46.0 * l / most;
+    let points: Vec<String> = std::iter::once(format!("0,{:.1}", y(0.0)))
+        .chain(steps.iter().enumerate().map(|(k, l)| format!("{:.1},{:.1}", x(k + 1), y(*l))))
+        .collect();
+    let line = |l: f32| format!("M0 {:.1}H{WIDE}", y(l));
     format!(
-        "<svg viewBox=\"0 0 300 60\" width=\"300\" height=\"60\"><path d=\"M0 30H300\" stroke=\"#999\"/><polyline points=\"{}\" fill=\"none\" stroke=\"#06c\"/></svg><p>log-odds that it stands, view by view: last {:.1}</p>",
+        "<figure><svg viewBox=\"0 0 {WIDE} 100\" width=\"{WIDE}\" height=\"100\"><path d=\"{}\" stroke=\"#999\"/><path d=\"{}{}\" \
+         stroke=\"#999\" stroke-dasharray=\"4 4\"/><polyline points=\"{}\" fill=\"none\" stroke=\"#06c\" stroke-width=\"2\"/></svg>\
+         <figcaption>log-odds that it stands there, over {} views: {:.0} at the end; dashed: what decides</figcaption></figure>",
+        line(0.0),
+        line(sure),
+        line(-sure),
         points.join(" "),
+        steps.len(),
         steps.last().copied().unwrap_or_default()
     )
 }
 
-const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;margin:2rem auto;max-width:72rem;padding:0 1rem}figure{display:inline-block;margin:0 1rem 1rem 0;max-width:22rem}img{max-width:100%;image-rendering:pixelated}section{border-top:1px solid #ccc}h2{font-size:1rem}";
+/// The kind of a finding, in one or two words, and its colour.
+fn kind(what: &What) -> (&'static str, &'static str) {
+    match what {
+        What::Gone => ("gone", "#c33"),
+        What::Moved { .. } => ("moved", "#b60"),
+        What::New(_) | What::Recognized(_) => ("new", "#283"),
+        What::Part(_) => ("part gone", "#c33"),
+        What::SeenThrough(_) => ("seen through", "#639"),
+        What::ComesAndGoes => ("comes and goes", "#639"),
+    }
+}
+
+const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;margin:2rem auto;max-width:98rem;padding:0 1rem}figure{margin:0}\
+    img{max-width:100%}figcaption{color:#555;max-width:36rem}section{border-top:1px solid #ccc;padding-bottom:1rem;display:flex;flex-wrap:wrap;\
+    gap:1rem 2rem;align-items:center}h2{font-size:1.1rem;margin:.8rem 0;width:100%}h2 b{color:#fff;border-radius:3px;padding:.1rem .5rem;\
+    margin-right:.4rem}pre{white-space:pre-wrap}";
 
 fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")

@@ -35,7 +35,11 @@ mod supervise;
 #[cfg(feature = "store")]
 mod update;
 #[cfg(feature = "store")]
+mod update_faults;
+#[cfg(feature = "store")]
 mod update_inputs;
+#[cfg(feature = "store")]
+mod update_known;
 mod virtual_sensors;
 
 use assert_cmd::Command;

@@ -123,12 +123,12 @@ fn a_wrong_map_is_untouched() {
     }
 }
 
-/// A door that opens and closes every hour ends as uncertain once. Seen open and closed in one run it comes and goes.
+/// A door that opens and closes every hour of a day ends as uncertain once. Seen open and closed in one run it comes and goes.
 #[test]
 fn a_door_is_uncertain_once() {
     let place = site(Some(2), None);
     drive(&place, &room(None, None), "closed");
-    for hour in 0..6 {
+    for hour in 0..24 {
         let log = if hour % 2 == 0 { "log" } else { "closed" };
         let time = 1.7e9 + 3600.0 * f64::from(hour);
         let line = format!(
