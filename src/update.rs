@@ -1,8 +1,9 @@
 //! What differs between prediction and measurement becomes evidence, and evidence becomes changes of the model.
 #![doc = include_str!("../docs/update.md")]
+#![doc = include_str!("../docs/minor-changes.md")]
 
 #[doc(inline)]
 pub use presight_update::{
-    Action, Applied, Caster, Doubt, Evidence, Finding, Findings, LearnOptions, Learner, Met, Occupied, Policy, Sight,
-    Tally, UprightBox, Voxel, Voxels, Waiting, What, change_lines,
+    Action, Applied, Caster, Doubt, Evidence, Finding, Findings, LearnOptions, Learner, Met, Occupied, Policy, Refined,
+    Sight, Tally, UprightBox, Voxel, Voxels, Waiting, What, change_lines,
 };

@@ -3,6 +3,7 @@
 //! Use it through the crate `presight`, which gives the same names.
 
 mod apply;
+mod blind;
 mod boxes;
 mod caster;
 mod changes;
@@ -11,11 +12,15 @@ mod evidence;
 mod features;
 mod file;
 mod fit;
+mod joint;
 mod learn;
+mod located;
 mod moves;
 mod parts;
 mod policy;
+mod priors;
 mod pulled;
+mod refine;
 mod register;
 mod sightings;
 mod solid;
@@ -30,4 +35,5 @@ pub use decide::{Doubt, Finding, Findings, Sight, What};
 pub use evidence::{Evidence, Pixels};
 pub use learn::{LearnOptions, Learner, Tally};
 pub use policy::{Action, Policy};
+pub use refine::Refined;
 pub use voxels::{Occupied, Voxel, Voxels};

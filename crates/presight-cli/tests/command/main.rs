@@ -36,6 +36,8 @@ mod supervise;
 mod update;
 #[cfg(feature = "store")]
 mod update_inputs;
+#[cfg(feature = "store")]
+mod update_minor;
 mod virtual_sensors;
 
 use assert_cmd::Command;
