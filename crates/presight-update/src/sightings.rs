@@ -93,11 +93,16 @@ pub(crate) fn place_of(eye: &Eye<'_>, detection: &Detection, caster: &Caster) ->
 }
 
 /// Sums over the sightings of one point.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 struct Mean {
     information: DMat3,
     weighted: DVec3,
     by_pose: DMat3,
+}
+
+impl Mean {
+    /// Without sightings. A matrix is one by default, not zero.
+    const NONE: Self = Self { information: DMat3::ZERO, weighted: DVec3::ZERO, by_pose: DMat3::ZERO };
 }
 
 /// One place in space, seen from several views.
@@ -135,7 +140,7 @@ impl Track {
             from: seen.from,
             strength: (0.0, 0.0),
             contrast: (0.0, 0.0),
-            means: vec![Mean::default(); seen.spots.len()],
+            means: vec![Mean::NONE; seen.spots.len()],
         };
         track.add(seen, &seen.spots, stamp);
         track

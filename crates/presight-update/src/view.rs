@@ -330,11 +330,12 @@ fn spread_of<'a>(rays: &[Ray], ranges: impl Iterator<Item = &'a f32>, stated: &E
     if all.len() < 20 { 1.0 } else { (median(&mut all).unwrap_or(0.0) / MEDIAN).max(1.0) }
 }
 
-/// True if a neighbour in the row has about the same range: a beam that is split by an edge stands alone.
+/// True if a neighbour has about the same range: a beam that is split by an edge stands alone. A post fills one column, a rail one row.
 fn is_backed(frame: &Frame, (c, r): (u32, u32), z: f64) -> bool {
-    let (width, row) = (frame.sensor().width(), r as usize * frame.sensor().width() as usize);
-    let near = |c: u32| (f64::from(frame.ranges()[row + c as usize]) - z).abs() < 0.05 + 0.02 * z;
-    (c > 0 && near(c - 1)) || (c + 1 < width && near(c + 1))
+    let (width, height) = (frame.sensor().width(), frame.sensor().height());
+    let range = |c: u32, r: u32| f64::from(frame.ranges()[r as usize * width as usize + c as usize]);
+    let near = |c: u32, r: u32| c < width && r < height && (range(c, r) - z).abs() < 0.05 + 0.02 * z;
+    near(c.wrapping_sub(1), r) || near(c + 1, r) || near(c, r.wrapping_sub(1)) || near(c, r + 1)
 }
 
 impl View {
