@@ -1,9 +1,10 @@
 //! What differs between prediction and measurement becomes evidence, and evidence becomes changes of the model.
 #![doc = include_str!("../docs/update.md")]
+#![doc = include_str!("../docs/minor-changes.md")]
 
 #[doc(inline)]
 pub use presight_update::{
     Action, Applied, Caster, Doubt, Evidence, Finding, Findings, LearnOptions, Learner, Library, Met, Occupied, Policy,
-    ProgramRecognizer, Proposal, Recognized, Recognizer, Shape, Sight, Tally, UprightBox, Voxel, Voxels, Waiting, What,
-    change_lines,
+    ProgramRecognizer, Proposal, Recognized, Recognizer, Refined, Shape, Sight, Tally, UprightBox, Voxel, Voxels,
+    Waiting, What, change_lines,
 };

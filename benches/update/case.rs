@@ -31,6 +31,9 @@ pub struct Off {
     pub stated: (f64, f64),
 }
 
+/// Names of the objects that are removed and added.
+pub type Changed = (BTreeSet<String>, BTreeSet<String>);
+
 /// A model, the site, and what differs.
 pub struct Case {
     pub map: World,
@@ -41,6 +44,13 @@ pub struct Case {
     pub way: Way,
     seed: u64,
     amounts: Amounts,
+}
+
+fn way_of(map: &Environment, views: usize, seed: u64) -> Way {
+    let bounds = map.bounds();
+    let oracle = Oracle::new(map, bounds.center()).expect("something to see");
+    let driving = Driving { seconds: 0.5 * views as f64 / SPEED, speed: SPEED, turn: 0.7 };
+    Way::wander(&oracle, &bounds, &driving, seed)
 }
 
 /// Metres per second: two views a second are 0.5 m apart.
@@ -75,10 +85,7 @@ fn is_clear(bounds: &Aabb, way: &Way) -> bool {
 impl Case {
     /// Changes a model. The same seed gives the same site and drive.
     pub fn new(map: Environment, amounts: Amounts, seed: u64) -> Self {
-        let bounds = map.bounds();
-        let oracle = Oracle::new(&map, bounds.center()).expect("something to see");
-        let driving = Driving { seconds: 0.5 * amounts.views as f64 / SPEED, speed: SPEED, turn: 0.7 };
-        let way = Way::wander(&oracle, &bounds, &driving, seed);
+        let way = way_of(&map, amounts.views, seed);
         let mut random = Random(seed ^ 0x7570_6461_7465);
         let mut names: Vec<String> = map.objects().iter().filter(|o| is_furniture(o)).map(|o| o.name.clone()).collect();
         (1..names.len()).rev().for_each(|k| names.swap(k, random.below(k + 1)));
@@ -132,6 +139,28 @@ impl Case {
             }
         }
         Self { map: World::new(map), site: World::new(site), removed, moved, added, way, seed, amounts }
+    }
+
+    /// Two states of a site, with the objects that one of them lacks.
+    #[allow(dead_code, reason = "for one of those who use this file")]
+    pub fn of(map: World, site: World, (removed, added): Changed, amounts: Amounts, seed: u64) -> Self {
+        let way = way_of(site.environment(), amounts.views, seed);
+        Self { map, site, removed, moved: BTreeMap::new(), added, way, seed, amounts }
+    }
+
+    /// The same site on another way.
+    #[allow(dead_code, reason = "for one of those who use this file")]
+    pub fn on_another_way(&self, seed: u64, views: usize) -> Self {
+        Self {
+            map: self.map.clone(),
+            site: self.site.clone(),
+            removed: self.removed.clone(),
+            moved: self.moved.clone(),
+            added: self.added.clone(),
+            way: way_of(self.site.environment(), views, seed),
+            seed,
+            amounts: Amounts { views, ..self.amounts },
+        }
     }
 
     /// The frames of a sensor with poses that are off, and with the true ones.

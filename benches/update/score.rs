@@ -13,11 +13,18 @@ use std::collections::BTreeMap;
 /// A change is visible if this number of pixels changes by more than this distance, metres, in this number of views.
 const VISIBLE: (usize, f64, usize) = (10, 0.1, 5);
 
+/// What fewer views see at its new place is not decided: views that find something new.
+const SEEN: usize = 3;
+
 /// Counts of one drive or of several.
 #[derive(Clone, Debug, Default)]
 pub struct Score {
     pub removed: (usize, usize),
+    /// The removed ones that as many views see past: new things only cover the others.
+    pub seen_past: (usize, usize),
     pub moved: (usize, usize),
+    /// The moved ones that three views see where they stand now.
+    pub moved_seen: (usize, usize),
     pub added: (usize, usize),
     /// Metres by which the middles of moved objects are off.
     pub places: Vec<f64>,
@@ -38,7 +45,9 @@ impl Score {
     pub fn add(&mut self, other: &Self) {
         let sum = |a: &mut (usize, usize), b: (usize, usize)| *a = (a.0 + b.0, a.1 + b.1);
         sum(&mut self.removed, other.removed);
+        sum(&mut self.seen_past, other.seen_past);
         sum(&mut self.moved, other.moved);
+        sum(&mut self.moved_seen, other.moved_seen);
         sum(&mut self.added, other.added);
         self.places.extend(&other.places);
         self.standing += other.standing;
@@ -49,18 +58,15 @@ impl Score {
     }
 
     pub fn row(&self, name: &str) -> String {
-        let share = |(found, all): (usize, usize)| {
-            let (low, high) = interval(found, all);
-            format!("{found} of {all} ({:.0} to {:.0} %)", 100.0 * low, 100.0 * high)
-        };
         let mut places = self.places.clone();
         places.sort_by(f64::total_cmp);
         let at =
             |share: f64| places.get(((places.len().max(1) - 1) as f64 * share) as usize).map_or(f64::NAN, |x| 1e3 * x);
         format!(
-            "| {name} | {} | {} | {} | {:.1}, {:.1} | {} of {} | {} | {} | {} |",
+            "| {name} | {} | {} | {} | {} | {:.1}, {:.1} | {} of {} | {} | {} | {} |",
             share(self.removed),
             share(self.moved),
+            share(self.moved_seen),
             share(self.added),
             at(0.5),
             at(0.95),
@@ -73,7 +79,16 @@ impl Score {
     }
 }
 
-pub const HEAD: &str = "| drive | removed, found gone | moved, found | added, found | place mm p50, p95 | false deletions | moved that stand | false new | moved to another's place |\n|---|---|---|---|---|---|---|---|---|";
+/// A count with its 95 % interval.
+pub fn share((found, all): (usize, usize)) -> String {
+    let (low, high) = interval(found, all);
+    format!("{found} of {all} ({:.0} to {:.0} %)", 100.0 * low, 100.0 * high)
+}
+
+/// In how many views an object changes enough pixels, in how many of them where it stands now, and in how many views are past it.
+type Seen = (usize, usize, usize);
+
+pub const HEAD: &str = "| drive | removed, found gone | moved, found | seen at the new place | added, found | place mm p50, p95 | false deletions | moved that stand | false new | moved to another's place |\n|---|---|---|---|---|---|---|---|---|---|";
 
 /// Wilson's 95 % interval of a share.
 fn interval(found: usize, all: usize) -> (f64, f64) {
@@ -85,11 +100,22 @@ fn interval(found: usize, all: usize) -> (f64, f64) {
     ((middle - half) / (1.0 + z * z / n), (middle + half) / (1.0 + z * z / n))
 }
 
-/// In how many views each changed object changes enough pixels, and in how many of them where it stands now.
-fn visible(case: &Case, sensor: &Sensor, poses: &[Pose]) -> BTreeMap<String, (usize, usize)> {
+/// In how many views each changed object changes enough pixels, and in how many of them where it stands now, for the sensor of several
+/// that sees it in most views.
+fn visible_by(case: &Case, sensors: &[&Sensor], poses: &[Pose]) -> BTreeMap<String, Seen> {
+    let mut all = BTreeMap::<String, Seen>::new();
+    for (name, views) in sensors.iter().flat_map(|sensor| visible(case, sensor, poses)) {
+        let most = all.entry(name).or_default();
+        *most = (most.0.max(views.0), most.1.max(views.1), most.2.max(views.2));
+    }
+    all
+}
+
+/// As [`visible_by`], of one sensor.
+fn visible(case: &Case, sensor: &Sensor, poses: &[Pose]) -> BTreeMap<String, Seen> {
     let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).expect("a predictor");
     let outputs = Outputs::of(&[Output::Range, Output::ObjectId]);
-    let mut views: BTreeMap<String, (usize, usize)> = BTreeMap::new();
+    let mut views: BTreeMap<String, Seen> = BTreeMap::new();
     for pose in poses {
         let world_from_sensor = *pose * sensor.spec().mount;
         let mut images = [Images::default(), Images::default()];
@@ -99,7 +125,7 @@ fn visible(case: &Case, sensor: &Sensor, poses: &[Pose]) -> BTreeMap<String, (us
         let name = |environment: &Environment, id: u32| {
             id.checked_sub(1).map(|i| environment.objects()[i as usize].name.clone())
         };
-        let mut pixels: BTreeMap<String, (usize, usize)> = BTreeMap::new();
+        let mut pixels: BTreeMap<String, Seen> = BTreeMap::new();
         for i in 0..images[0].range.len() {
             let (a, b) = (images[0].range[i], images[1].range[i]);
             let differ = (a.is_finite() || b.is_finite()) && !((f64::from(a) - f64::from(b)).abs() <= VISIBLE.1);
@@ -109,15 +135,20 @@ fn visible(case: &Case, sensor: &Sensor, poses: &[Pose]) -> BTreeMap<String, (us
                 let is_changed =
                     |n: &String| case.removed.contains(n) || case.moved.contains_key(n) || case.added.contains(n);
                 after.iter().filter(|n| is_changed(n)).for_each(|n| pixels.entry(n.clone()).or_default().1 += 1);
+                let is_past = f64::from(a) + VISIBLE.1 < f64::from(b) && a.is_finite();
+                if is_past && let Some(n) = before.clone().filter(is_changed) {
+                    pixels.entry(n).or_default().2 += 1;
+                }
                 let mut both: Vec<String> = before.into_iter().chain(after).filter(is_changed).collect();
                 both.dedup();
                 both.into_iter().for_each(|n| pixels.entry(n).or_default().0 += 1);
             }
         }
-        for (name, (all, now)) in pixels {
+        for (name, (all, now, past)) in pixels {
             let sum = views.entry(name).or_default();
             sum.0 += usize::from(all >= VISIBLE.0);
             sum.1 += usize::from(now >= VISIBLE.0);
+            sum.2 += usize::from(past >= VISIBLE.0);
         }
     }
     views
@@ -132,9 +163,9 @@ fn holds(b: &Aabb, p: DVec3) -> bool {
 }
 
 /// Compares findings with the truth.
-pub fn score(case: &Case, sensor: &Sensor, poses: &[Pose], findings: &Findings) -> Score {
+pub fn score(case: &Case, sensors: &[&Sensor], poses: &[Pose], findings: &Findings) -> Score {
     let (map, site) = (case.map.environment(), case.site.environment());
-    let views = visible(case, sensor, poses);
+    let views = visible_by(case, sensors, poses);
     let is_visible = |name: &String| views.get(name).is_some_and(|n| n.0 >= VISIBLE.2);
     let mut score = Score::default();
     let what: BTreeMap<&str, &What> = findings.changes.iter().map(|f| (f.object.as_str(), &f.what)).collect();
@@ -170,8 +201,16 @@ pub fn score(case: &Case, sensor: &Sensor, poses: &[Pose], findings: &Findings) 
             _ => false,
         };
         score.removed = (score.removed.0 + usize::from(found), score.removed.1 + 1);
+        if views[name].2 >= VISIBLE.2 {
+            score.seen_past = (score.seen_past.0 + usize::from(found), score.seen_past.1 + 1);
+        }
         if !found {
-            let why = format!("removed, visible in {} views: {}", views[name].0, state(findings, name));
+            let why = format!(
+                "removed, visible in {} views, {} past it: {}",
+                views[name].0,
+                views[name].2,
+                state(findings, name)
+            );
             score.missed.push((name.clone(), why));
         }
     }
@@ -186,7 +225,10 @@ pub fn score(case: &Case, sensor: &Sensor, poses: &[Pose], findings: &Findings) 
                     score.places.push(off);
                 }
                 if off > 0.01 {
-                    score.notes.push(format!("moved {name}: place off by {off:.3}"));
+                    let p = world_from_object.transform_point(middle);
+                    let there = |o: &&Object| !o.is_deleted() && holds(&grown(o.world_bounds(), 0.02), p);
+                    let near: Vec<&str> = site.objects().iter().filter(there).map(|o| o.name.as_str()).collect();
+                    score.notes.push(format!("moved {name}: place off by {off:.3}, within the bounds of {near:?}"));
                 }
                 let is_right = off < 0.3 || equal(name, world_from_object.transform_point(middle));
                 score.elsewhere += usize::from(!is_right);
@@ -196,6 +238,9 @@ pub fn score(case: &Case, sensor: &Sensor, poses: &[Pose], findings: &Findings) 
             _ => false,
         };
         score.moved = (score.moved.0 + usize::from(found), score.moved.1 + 1);
+        if views[name].1 >= SEEN {
+            score.moved_seen = (score.moved_seen.0 + usize::from(found), score.moved_seen.1 + 1);
+        }
         if !found {
             let far = object.world_from_object.transform_point(middle).distance(pose.transform_point(middle));
             let (state, near) = (state(findings, name), nearest(findings, there.center()));

@@ -6,6 +6,9 @@ mod boxes;
 #[path = "../../benches/update/case.rs"]
 mod case;
 mod caster;
+#[path = "../../benches/update/displaced.rs"]
+mod displaced;
+mod refine;
 #[path = "../../benches/update/score.rs"]
 mod score;
 mod voxels;
@@ -54,7 +57,7 @@ fn a_changed_hall_is_learnt_without_a_false_change() {
     learner.end_drive();
     let findings = learner.findings(&case.map);
     let truth: Vec<Pose> = frames.iter().map(|(_, _, truth)| *truth).collect();
-    let found = score(&case, &camera(), &truth, &findings);
+    let found = score(&case, &[&camera()], &truth, &findings);
     let mut sum = Score::default();
     sum.add(&found);
     let report = format!("{HEAD}\n{}\n{:#?}", sum.row("hall"), found.notes);

@@ -4,6 +4,7 @@ use crate::caster::Caster;
 use crate::decide::{Finding, Findings, What};
 use crate::learn::Learner;
 use crate::policy::{Action, Policy};
+use crate::refine::Refined;
 use presight_model::change::Change;
 use presight_model::environment::{
     CUBOID_FACES, Environment, Existence, Mark, MarkKind, Material, Mesh, NewObject, cuboid_corners,
@@ -46,7 +47,12 @@ pub fn change_lines(
         let cause = format!("{} objects were seen where the model has them", trust.len());
         lines.push(with_id(json!({"op": "group", "changes": trust, "cause": cause}), base));
     }
-    let features = learner.looks.changes(environment, learner.options.least_views, utc);
+    let refined = learner.refined(environment, findings);
+    lines.extend(refined.iter().map(|refined| refined_line(refined, environment, base)));
+    // Features on an object move with it; looks at them are compared with where it stands now.
+    let mut stands = Environment::clone(environment);
+    refined.iter().for_each(|r| drop(stands.set_pose(&r.object, r.world_from_object)));
+    let features = learner.looks.changes((environment, &stands), learner.options.least_views, utc);
     if !features.is_empty() {
         let cause = format!("{} features were searched", features.len());
         lines.push(with_id(json!({"op": "group", "changes": features, "cause": cause}), base));
@@ -119,6 +125,21 @@ fn line(
         value["was"] = json!([{"object": object, "pose": pose}]);
     }
     Some(with_id(value, base))
+}
+
+/// The line of an object that stands a little off its place: its pose, and its covariance in the layer of the sensors' class.
+fn refined_line(refined: &Refined, environment: &Environment, base: &str) -> String {
+    let Refined { object, class, world_from_object, covariance, distance, views } = refined;
+    let pose = json!({"op": "set_pose", "object": object, "pose": numbers(world_from_object)});
+    let covariance = covariance.as_rows().as_flattened();
+    let own = json!({"op": "set_pose_covariance", "class": class, "object": object, "covariance": covariance});
+    let mut value = json!({"op": "group", "changes": [pose, own]});
+    value["cause"] = format!("{views} views put {object} {distance:.4} m off its place").into();
+    value["evidence"] = json!({"views": views});
+    if let Some(before) = environment.object(object) {
+        value["was"] = json!([{"object": object, "pose": numbers(&before.world_from_object)}]);
+    }
+    with_id(value, base)
 }
 
 fn mark(name: &str, object: &str, kind: &str) -> Value {

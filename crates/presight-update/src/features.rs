@@ -1,16 +1,18 @@
-//! Minor changes of features: existence, strength, contrast and covariance, by Bayes from the looks at them; and new reflectors.
+//! Minor changes of features: existence, strength, contrast and covariance, by Bayes from the looks at them; and new features.
 
+use crate::blind::{Counts, Region, is_blind, region};
 use crate::caster::Caster;
-use crate::sightings::{Sighting, Tracks, place_of};
+use crate::located::{Eye, Sums, located};
+use crate::sightings::{Kind, Sighting, Track, Tracks, place_of};
 use crate::view::BOUND;
 use glam::{DMat3, DVec3};
 use presight_files::layer::to_fields;
-use presight_localize::extract::{FeatureClass, Findings};
+use presight_localize::extract::{FeatureClass, FeatureFinding, Findings};
 use presight_model::environment::{Environment, Existence, Feature, FeatureShape, Properties};
-use presight_model::geometry::PoseEstimate;
+use presight_model::geometry::{Pose, PoseEstimate};
 use presight_model::measured::Frame;
 use serde_json::{Value, json};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// The share of looks in which an extractor finds something where nothing is.
 const FALSE: f64 = 0.05;
@@ -35,20 +37,48 @@ pub(crate) struct Look {
     pub found: bool,
     pub strength: Option<f64>,
     pub contrast: Option<f64>,
-    /// Where it was found, if that was measured.
-    pub place: Option<Sighting>,
+    /// The part of the image where it should be.
+    pub region: Region,
+    /// How far from its place it was found.
+    pub off: Option<Sums>,
 }
 
 /// What one image shows of features.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Looked {
     pub looks: Vec<Look>,
-    /// Reflectors that no feature of the layer predicts.
+    /// Features that the layer lacks.
     pub only_found: Vec<Sighting>,
 }
 
+/// What frames of a class are compared with.
+#[derive(Clone, Copy)]
+pub(crate) struct Known<'a> {
+    pub environment: &'a Environment,
+    pub caster: &'a Caster,
+}
+
+impl Known<'_> {
+    /// Where along an edge the points of its part are; `None` for another feature.
+    fn shares(&self, class: &str, found: &FeatureFinding) -> Option<[f64; 2]> {
+        let feature = self.environment.feature(class, found.id)?;
+        let FeatureShape::Segment { ends, .. } = &feature.shape else { return None };
+        let pose = pose_of(self.environment, feature);
+        let [a, b] = ends.map(|p| pose.transform_point(p));
+        let share = |p: &DVec3| (*p - a).dot(b - a) / (b - a).length_squared();
+        Some([share(found.points_world.first()?), share(found.points_world.last()?)])
+    }
+}
+
+/// The pose of a feature's object; the world's for one without.
+fn pose_of(environment: &Environment, feature: &Feature) -> Pose {
+    let object = feature.object.as_deref().and_then(|path| environment.object(path));
+    object.map_or(Pose::IDENTITY, |o| o.world_from_object)
+}
+
 /// The looks of one image. What fails together fails for one reason, such as a dark image, and says nothing.
-pub(crate) fn looks_of(frame: &Frame, findings: &Findings, pose: &PoseEstimate) -> Looked {
+pub(crate) fn looks_of(frame: &Frame, findings: &Findings, pose: &PoseEstimate, known: &Known<'_>) -> Looked {
+    let eye = Eye::new(frame.sensor(), pose);
     let class = &frame.sensor().spec().class;
     let mut looks: BTreeMap<u32, Look> = BTreeMap::new();
     let (mut found, mut all) = (0usize, 0usize);
@@ -68,7 +98,8 @@ pub(crate) fn looks_of(frame: &Frame, findings: &Findings, pose: &PoseEstimate) 
                 found: at.is_some(),
                 strength: at.and_then(|d| d.properties.strength),
                 contrast: at.and_then(|d| d.properties.contrast),
-                place: at.and_then(|d| place_of(frame.sensor(), d, pose)),
+                region: region(frame.sensor(), feature.predicted.centre()),
+                off: at.and_then(|d| Sums::of(&eye, d, &feature.points_world, known.shares(class, feature))),
             };
             looks.insert(feature.id, look);
         }
@@ -77,7 +108,7 @@ pub(crate) fn looks_of(frame: &Frame, findings: &Findings, pose: &PoseEstimate) 
         return Looked::default();
     }
     let detected = findings.only_found.iter().map(|at| &findings.detections[*at]);
-    let only_found = detected.filter_map(|d| place_of(frame.sensor(), d, pose)).collect();
+    let only_found = detected.filter_map(|d| place_of(&eye, d, known.caster)).collect();
     Looked { looks: looks.into_values().collect(), only_found }
 }
 
@@ -91,14 +122,16 @@ struct Looks {
     /// Sums and numbers of measured strengths and contrasts.
     strength: (f64, f64),
     contrast: (f64, f64),
-    place: Tracks,
+    off: Sums,
+    /// The same looks, by part of the image.
+    regions: Counts,
 }
 
 /// All looks so far.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct LookBook {
     all: BTreeMap<(String, u32), Looks>,
-    /// Reflectors that were only found.
+    /// Features that were only found.
     new: Tracks,
 }
 
@@ -106,6 +139,8 @@ impl LookBook {
     pub fn add(&mut self, looked: &Looked, stamp: f64) {
         for look in &looked.looks {
             let looks = self.all.entry((look.class.clone(), look.id)).or_default();
+            let here = looks.regions.entry(look.region.clone()).or_default();
+            *here = (here.0 + u32::from(look.found), here.1 + u32::from(!look.found));
             if !look.found {
                 looks.missed += 1;
                 continue;
@@ -114,25 +149,42 @@ impl LookBook {
             for (sum, value) in [(&mut looks.strength, look.strength), (&mut looks.contrast, look.contrast)] {
                 *sum = value.map_or(*sum, |value| (sum.0 + value, sum.1 + 1.0));
             }
-            looks.place.add(look.place.as_slice(), stamp);
+            look.off.iter().for_each(|off| looks.off.add(off));
         }
         self.new.add(&looked.only_found, stamp);
     }
 
+    /// All looks, without the misses in blind parts of images.
+    fn sighted(&self) -> BTreeMap<&(String, u32), Looks> {
+        let regions: BTreeSet<&Region> = self.all.values().flat_map(|looks| looks.regions.keys()).collect();
+        let counts = || self.all.values().map(|looks| &looks.regions);
+        let blind: BTreeSet<&Region> = regions.into_iter().filter(|region| is_blind(region, counts())).collect();
+        let seen = |looks: &Looks| {
+            let lost: u32 =
+                looks.regions.iter().filter(|(r, _)| blind.contains(r)).map(|(_, (_, missed))| missed).sum();
+            Looks { missed: looks.missed - lost, ..looks.clone() }
+        };
+        self.all.iter().map(|(key, looks)| (key, seen(looks))).collect()
+    }
+
     /// The share of looks in which the extractor finds a feature of a class that exists.
     fn share(&self, class: &str) -> f64 {
-        let standing = self.all.iter().filter(|((own, _), looks)| own == class && looks.found > looks.missed);
+        let all = self.sighted();
+        let standing = all.iter().filter(|((own, _), looks)| own == class && looks.found > looks.missed);
         let (found, all) = standing.fold(BEFORE, |(found, all), (_, looks)| {
             (found + f64::from(looks.found), all + f64::from(looks.found + looks.missed))
         });
         (found / all).clamp(0.5, 0.99)
     }
 
-    /// Operations that set the attributes of features, and delete features that hardly exist.
-    pub fn changes(&self, environment: &Environment, least_views: u32, utc: f64) -> Vec<Value> {
-        let change = |((class, id), looks): (&(String, u32), &Looks)| {
-            let feature = environment.feature(class, *id)?;
-            let existence = after(&feature.existence, looks, self.share(class), utc);
+    /// Operations that set the attributes of features, and delete features that hardly exist. `stood` is the world that was looked at, and
+    /// `stands` the same with objects where they were found.
+    pub fn changes(&self, (stood, stands): (&Environment, &Environment), least_views: u32, utc: f64) -> Vec<Value> {
+        let all = self.sighted();
+        let shares: BTreeMap<&str, f64> = all.keys().map(|(class, _)| (class.as_str(), self.share(class))).collect();
+        let change = |((class, id), looks): (&&(String, u32), &Looks)| {
+            let feature = stood.feature(class, *id).filter(|_| looks.found + looks.missed > 0)?;
+            let existence = after(&feature.existence, looks, shares[class.as_str()], utc);
             if existence.p0 < LEAST && looks.missed >= least_views {
                 return Some(json!({"op": "delete_feature", "class": class, "feature": id}));
             }
@@ -141,16 +193,16 @@ impl LookBook {
                 contrast: mean(feature.properties.contrast, looks.contrast),
                 ..feature.properties.clone()
             };
-            let shape = located(feature, looks, environment);
+            let shape = located(feature, &looks.off, (&pose_of(stood, feature), &pose_of(stands, feature)));
             let feature = Feature { existence, properties, shape, ..feature.clone() };
             let fields = serde_json::to_value(to_fields(&feature)).ok()?;
             Some(json!({"op": "set_feature", "class": class, "feature": fields}))
         };
-        self.all.iter().filter_map(change).collect()
+        all.iter().filter_map(change).collect()
     }
 
-    /// Operations that insert reflectors that were only found, at one place in space from several views: on the surface there, or on a small
-    /// provisional object. `base` names it.
+    /// Operations that insert features that were only found, at one place in space from several views: on the surface there, or
+    /// a reflector on a small provisional object. `base` names it.
     pub fn insertions(
         &self,
         (environment, casters): (&Environment, &BTreeMap<String, Caster>),
@@ -161,37 +213,75 @@ impl LookBook {
         let mut next: BTreeMap<&str, u32> = BTreeMap::new();
         let mut all = Vec::new();
         for track in self.new.iter().filter(|track| track.views >= least_views) {
-            let (place, covariance) = track.place();
             let class = track.class.as_str();
             let last = || environment.layer(class).and_then(|l| l.features.iter().map(|f| f.id).max()).unwrap_or(0);
-            let id = next.entry(class).or_insert_with(last);
-            *id += 1;
+            let id = next.get(class).copied().unwrap_or_else(last) + 1;
+            let name = format!("provisional/{base} reflector {id}");
+            let Some((object, shape, support)) = placed(track, environment, casters.get(class), &name) else {
+                continue;
+            };
+            next.insert(class, id);
             let looks = Looks { found: track.views, last: track.last, ..Looks::default() };
             let prior = Existence { p0: FALSE, confirmed: track.last + utc, rate: 0.0 };
             let existence = after(&prior, &looks, self.share(class), utc);
-            let foot =
-                casters.get(class).and_then(|c| c.on(place, BOUND * covariance.to_cols_array()[0].sqrt() + 0.02));
-            let (object, at, support) = match foot {
-                Some((object, p)) => (environment.objects()[object as usize].name.clone(), p, None),
-                None => {
-                    let name = format!("provisional/{base} reflector {id}");
-                    let (op, at) = support(&name, place, track.from);
-                    (name, at, Some(op))
-                }
+            let properties = Properties {
+                strength: mean(None, track.strength),
+                contrast: mean(None, track.contrast),
+                ..Properties::default()
             };
-            let turn =
-                environment.object(&object).map_or(DMat3::IDENTITY, |o| DMat3::from_quat(o.world_from_object.rotation));
-            let covariance = turn.transpose() * covariance * turn;
-            let properties = Properties { strength: mean(None, track.strength), ..Properties::default() };
-            let shape = FeatureShape::Reflector { at, covariance };
-            let feature = Feature { id: *id, name: None, object: Some(object), shape, existence, properties };
+            let feature = Feature { id, name: None, object: Some(object), shape, existence, properties };
             let Ok(fields) = serde_json::to_value(to_fields(&feature)) else { continue };
             let insert = json!({"op": "insert_feature", "class": class, "feature": fields});
             let changes: Vec<Value> = support.into_iter().flatten().chain([insert]).collect();
-            let cause = format!("a reflector was found at {place:.2} from {} views", track.views);
+            let what = match track.kind {
+                Kind::Reflector => "a reflector",
+                Kind::Corner => "a corner",
+                Kind::Edge => "an edge",
+            };
+            let cause = format!("{what} was found at {:.2} from {} views", track.places()[0].0, track.views);
             all.push(json!({"op": "group", "changes": changes, "cause": cause, "evidence": {"views": track.views}}));
         }
         all
+    }
+}
+
+type Placed = (String, FeatureShape, Option<[Value; 2]>);
+
+/// Where a new feature lies: on the surface near all its points, which are of one object. A reflector that stands free gets
+/// a support with this name.
+fn placed(track: &Track, environment: &Environment, caster: Option<&Caster>, name: &str) -> Option<Placed> {
+    let places = track.places();
+    let on = |(p, covariance): &(DVec3, DMat3)| {
+        // The place of an edge is known across it only.
+        let [x, y, z] = [0, 1, 2].map(|i| covariance.col(i)[i]);
+        caster?.on(*p, BOUND * x.min(y).min(z).sqrt() + 0.02)
+    };
+    let feet: Vec<Option<(u32, DVec3)>> = places.iter().map(on).collect();
+    let turned = |object: u32, covariance: DMat3| {
+        let turn = DMat3::from_quat(environment.objects()[object as usize].world_from_object.rotation);
+        turn.transpose() * covariance * turn
+    };
+    let path = |object: u32| environment.objects()[object as usize].name.clone();
+    match (track.kind, &feet[..], &places[..]) {
+        (Kind::Reflector, [Some((object, at))], [(_, c)]) => {
+            Some((path(*object), FeatureShape::Reflector { at: *at, covariance: turned(*object, *c) }, None))
+        }
+        (Kind::Reflector, [None], [(place, covariance)]) => {
+            let (op, at) = support(name, *place, track.from);
+            Some((name.to_owned(), FeatureShape::Reflector { at, covariance: *covariance }, Some(op)))
+        }
+        (Kind::Corner, [Some((object, at))], [(_, c)]) => {
+            Some((path(*object), FeatureShape::Point { at: *at, covariance: turned(*object, *c) }, None))
+        }
+        (Kind::Edge, [Some((object, a)), Some((other, b))], [(_, first), (_, last)]) if object == other => {
+            let covariances = [turned(*object, *first), turned(*object, *last)];
+            let middle = caster?.foot(*object, 0.5 * (*a + *b), 1e-3)?;
+            let straight = middle.distance_squared < 1e-6 && a.distance(*b) > 0.0;
+            straight.then(|| {
+                (path(*object), FeatureShape::Segment { ends: [*a, *b], covariances, cross: DMat3::ZERO }, None)
+            })
+        }
+        _ => None,
     }
 }
 
@@ -213,28 +303,6 @@ fn support(name: &str, place: DVec3, from: DVec3) -> ([Value; 2], DVec3) {
 fn mean(before: Option<f64>, (sum, count): (f64, f64)) -> Option<f64> {
     let (known, weight) = before.map_or((0.0, 0.0), |value| (value, KNOWN));
     (count > 0.0).then(|| ((KNOWN.min(weight) * known + sum) / (weight + count)).clamp(0.0, 1.0)).or(before)
-}
-
-/// The shape with the covariance after the looks. Its point stays where it lies on a surface; so the covariance is about this
-/// point: by how much the most likely place is away from it counts, too.
-fn located(feature: &Feature, looks: &Looks, environment: &Environment) -> FeatureShape {
-    let FeatureShape::Reflector { at, covariance } = &feature.shape else { return feature.shape.clone() };
-    // A layer that states no covariance says that it is exact; and without a measured place nothing is learnt.
-    let Some(track) = looks.place.iter().max_by_key(|track| track.views).filter(|_| covariance.determinant() > 0.0)
-    else {
-        return feature.shape.clone();
-    };
-    let (place, own) = track.place();
-    let object = feature.object.as_deref().and_then(|path| environment.object(path));
-    let (back, turn) = object.map_or((place, DMat3::IDENTITY), |o| {
-        (o.world_from_object.inverse().transform_point(place), DMat3::from_quat(o.world_from_object.rotation))
-    });
-    let information = (turn.transpose() * own * turn).inverse();
-    let after = (covariance.inverse() + information).inverse();
-    let off = after * (information * (back - *at));
-    let outer = DMat3::from_cols(off.x * off, off.y * off, off.z * off);
-    let sum = after + outer;
-    FeatureShape::Reflector { at: *at, covariance: 0.5 * (sum + sum.transpose()) }
 }
 
 /// The existence of a feature after looks at it.
@@ -277,15 +345,15 @@ mod tests {
     }
 
     fn exact() -> PoseEstimate {
-        PoseEstimate::new(
-            presight_model::geometry::Pose::IDENTITY,
-            presight_model::geometry::PoseCovariance::from_sigmas([0.001; 6]),
-        )
+        PoseEstimate::new(Pose::IDENTITY, presight_model::geometry::PoseCovariance::from_sigmas([0.001; 6]))
     }
 
     #[test]
     fn a_dark_image_teaches_nothing() {
-        let finding = |id: u32, class: FeatureClass| presight_localize::extract::FeatureFinding {
+        let world = presight_model::world::World::new(Environment::new());
+        let caster = Caster::new(&world, "laser");
+        let known = Known { environment: world.environment(), caster: &caster };
+        let finding = |id: u32, class: FeatureClass| FeatureFinding {
             id,
             points_world: Vec::new(),
             place: DMat3::ZERO,
@@ -296,7 +364,12 @@ mod tests {
         let of = |classes: &[FeatureClass]| {
             let features = (1..).zip(classes).map(|(id, class)| finding(id, *class)).collect();
             let detection = presight_localize::matching::Detection::point(glam::DVec2::ZERO, 0.5);
-            looks_of(&scan(), &Findings { features, detections: vec![detection], ..Findings::default() }, &exact())
+            looks_of(
+                &scan(),
+                &Findings { features, detections: vec![detection], ..Findings::default() },
+                &exact(),
+                &known,
+            )
         };
         let (matched, missing) = (FeatureClass::Matched(0), FeatureClass::Missing);
         assert!(of(&[missing, missing, missing, matched]).looks.is_empty());
@@ -305,43 +378,6 @@ mod tests {
             looks.iter().map(|look| (look.id, look.found)).collect::<Vec<_>>(),
             [(1, true), (2, true), (3, false)]
         );
-    }
-
-    /// By hand: a layer that states 3 cm, and three views of 1 cm each at the same place 2 cm away. Together the views have a
-    /// variance of 1/3 cm2 (the poses are exact to 1 mm and hardly count), so the most likely place is 9 / (9 + 1/3) of the way.
-    #[test]
-    fn a_reflectors_covariance_shrinks_about_its_point() {
-        let p = |x: f64| DVec3::new(x, 5.0, 0.0);
-        let mut looks = Looks::default();
-        for view in 0..3 {
-            let own = DMat3::from_diagonal(DVec3::splat(1e-4));
-            let seen = Sighting {
-                class: "laser".into(),
-                p: p(1.02),
-                own,
-                by_pose: DMat3::ZERO,
-                from: DVec3::ZERO,
-                strength: None,
-            };
-            looks.place.add(&[seen], f64::from(view));
-        }
-        let covariance = DMat3::from_diagonal(DVec3::splat(9e-4));
-        let shape = FeatureShape::Reflector { at: p(1.0), covariance };
-        let feature = Feature {
-            id: 1,
-            name: None,
-            object: None,
-            shape,
-            existence: Existence::default(),
-            properties: Properties::default(),
-        };
-        let FeatureShape::Reflector { at, covariance } = located(&feature, &looks, &Environment::new()) else {
-            panic!()
-        };
-        let (variance, off) = (1.0 / (1.0 / 9e-4 + 3.0 / 1e-4), 0.02 * 9.0 / (9.0 + 1.0 / 3.0));
-        assert_eq!(at, p(1.0));
-        assert!((covariance.x_axis.x - (variance + off * off)).abs() < 1e-9, "{covariance}");
-        assert!((covariance.y_axis.y - variance).abs() < 1e-9 && covariance.y_axis.y < 9e-4);
     }
 
     /// A layer's strength counts as ten looks.

@@ -21,6 +21,8 @@ const POINT: f64 = 0.02;
 const SURFACE: f64 = 0.005;
 /// Points farther than noise and this from a fitted surface belong to something else, metres.
 const BESIDE: f64 = 0.05;
+/// The heights at which a thing is seen span this, metres: twice [`BESIDE`].
+const SLICE: f64 = 0.1;
 /// Points that a cell of a fitted surface needs to be judged.
 const LEAST_POINTS: usize = 3;
 
@@ -148,19 +150,21 @@ impl Fitter<'_> {
     }
 
     /// True if points around a pose hold it against sliding on the floor: in no horizontal direction do fewer than 2 % of
-    /// the normals count. A long thing without a visible end slides along itself.
+    /// the normals count. A long thing without a visible end slides along itself. One slice of it, as a planar scanner sees it, is an
+    /// outline that other things have, too.
     pub fn is_held(&self, thing: &Thing, pose: &Pose) -> bool {
         let points = self.points_near(pose.transform_point(thing.middle), thing.radius + 0.1, thing.object, 2000);
-        let (back, mut sum, mut count) = (pose.inverse(), [0.0; 3], 0.0);
+        let (back, mut sum, mut count, mut slice) = (pose.inverse(), [0.0; 3], 0.0, Aabb::EMPTY);
         for p in points {
             if let Some(foot) = self.caster.foot(thing.object, back.transform_point(p), 0.05) {
                 let n = pose.rotation * foot.normal;
+                slice = slice.with(p);
                 (sum, count) = ([sum[0] + n.x * n.x, sum[1] + n.x * n.y, sum[2] + n.y * n.y], count + 1.0);
             }
         }
         let [xx, xy, yy] = sum;
         let least = 0.5 * (xx + yy) - (0.25 * (xx - yy).powi(2) + xy * xy).sqrt();
-        count > 0.0 && least >= 0.02 * count
+        count > 0.0 && least >= 0.02 * count && slice.max.z - slice.min.z >= SLICE
     }
 
     /// How the points around a pose lie on an object's surface. A thing of another size or shape leaves whole faces off, by more

@@ -2,7 +2,9 @@
 
 use crate::caster::Caster;
 use crate::evidence::{Book, Delta, Evidence, Pixels};
-use crate::features::{LookBook, Looked, looks_of};
+use crate::features::{Known, LookBook, Looked, looks_of};
+use crate::joint::Joint;
+use crate::priors::Priors;
 use crate::pulled::Pulled;
 use crate::view::{Kept, Observer, View};
 use crate::voxels::Voxels;
@@ -106,6 +108,9 @@ pub struct Learner {
     /// The content that frames are compared with.
     content: Option<ContentHash>,
     pub(crate) casters: BTreeMap<String, Caster>,
+    pub(crate) priors: BTreeMap<String, Priors>,
+    /// How objects stand, by class of sensors.
+    pub(crate) joints: BTreeMap<String, Joint>,
     kept: Vec<Arc<Kept>>,
     pub(crate) book: Book,
     pub(crate) looks: LookBook,
@@ -164,6 +169,8 @@ impl Learner {
             stamp: u64::MAX,
             content: None,
             casters: BTreeMap::new(),
+            priors: BTreeMap::new(),
+            joints: BTreeMap::new(),
             kept: Vec::new(),
             book: Book::default(),
             looks: LookBook::default(),
@@ -208,11 +215,19 @@ impl Learner {
         match step.phase {
             Phase::Tracking if step.estimate.is_determined() => {
                 let looked = || frames.iter().filter(|frame| frame.grey().is_some() || frame.intensities().is_some());
+                for frame in looked() {
+                    self.caster(world, &frame.sensor().spec().class);
+                }
                 let found = &step.estimate.findings;
                 // Otherwise nobody knows which frame shows what.
                 let is_paired = looked().count() == found.len();
                 let looks = looked().zip(found).filter(|_| is_paired);
-                let looks = looks.map(|(frame, found)| looks_of(frame, found, &step.pose)).collect();
+                let environment = &**world.environment();
+                let looks = looks.map(|(frame, found)| {
+                    let known = Known { environment, caster: &self.casters[&frame.sensor().spec().class] };
+                    looks_of(frame, found, &step.pose, &known)
+                });
+                let looks = looks.collect();
                 self.observe_with(world, frames, &step.pose, looks)
             }
             Phase::Tracking | Phase::Candidates if !self.is_searching(step) => {
@@ -278,6 +293,10 @@ impl Learner {
         if !self.casters.contains_key(class) {
             self.casters.insert(class.clone(), Caster::new(world, class));
         }
+        if !self.priors.contains_key(class) {
+            let priors = Priors::of(world.environment(), class, self.options.model_sigma);
+            self.priors.insert(class.clone(), priors);
+        }
         let kept = self.kept.iter().find(|kept| kept.sensor.spec() == frame.sensor().spec()).cloned();
         let kept = kept.unwrap_or_else(|| {
             let new = Arc::new(Kept::new(frame.sensor(), self.options.rays));
@@ -286,7 +305,8 @@ impl Learner {
             self.kept.insert(0, new.clone());
             new
         });
-        let observer = Observer { caster: &self.casters[class], model_sigma: self.options.model_sigma, known: KNOWN };
+        let (caster, priors) = (&self.casters[class], &self.priors[class]);
+        let observer = Observer { caster, priors, views: self.options.views, known: KNOWN };
         let (mut view, met) = observer.view(frame, &kept, pose);
         view.drive = self.drive;
         let delta = Delta::of(&view, &met, world.environment());
@@ -311,6 +331,9 @@ impl Learner {
             self.tally.explained += view.compared.1;
             self.book.add(&delta, (view.stamp, &view.kept.sensor.spec().class), &self.options);
             looks.iter().for_each(|looked| self.looks.add(looked, view.stamp));
+            if let Some(terms) = &view.terms {
+                self.joints.entry(view.kept.sensor.spec().class.clone()).or_default().add(terms);
+            }
             let size = self.voxels.size();
             for key in self.voxels.add(&view.news, |mean| view.passed(mean, size)) {
                 let Some(mean) = self.voxels.mean(key) else { continue };

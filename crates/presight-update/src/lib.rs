@@ -3,6 +3,7 @@
 //! Use it through the crate `presight`, which gives the same names.
 
 mod apply;
+mod blind;
 mod boxes;
 mod caster;
 mod changes;
@@ -11,13 +12,17 @@ mod evidence;
 mod features;
 mod file;
 mod fit;
+mod joint;
 mod learn;
+mod located;
 mod moves;
 mod parts;
 mod policy;
+mod priors;
 mod program;
 mod pulled;
 mod recognize;
+mod refine;
 mod register;
 mod rivals;
 mod shapes;
@@ -37,5 +42,6 @@ pub use learn::{LearnOptions, Learner, Tally};
 pub use policy::{Action, Policy};
 pub use program::ProgramRecognizer;
 pub use recognize::{Proposal, Recognized, Recognizer};
+pub use refine::Refined;
 pub use shapes::{Library, Shape};
 pub use voxels::{Occupied, Voxel, Voxels};

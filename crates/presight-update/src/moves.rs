@@ -11,6 +11,8 @@ use std::collections::BTreeMap;
 
 /// A group may be so far from the object that is fitted to it, metres.
 const FARTHEST: f64 = 5.0;
+/// Points within half of this count as on a surface, metres: things that are thinner across than this in two directions look the same.
+const THINNEST: f64 = 0.1;
 /// The share of a group's points that an object explains which stands there.
 const LEAST_EXPLAINED: f64 = 0.8;
 
@@ -78,6 +80,9 @@ impl Decision<'_> {
                 })
             };
             places.extend(place(&own).map(|place| ((row, groups.len() + row), place)));
+            if self.is_rod(*object) {
+                continue;
+            }
             for (column, group) in groups.iter().enumerate() {
                 let fits = group.bounds.size() <= 2.6 * thing.radius + 0.3
                     && group.bounds.center().distance(middle) <= FARTHEST;
@@ -91,6 +96,13 @@ impl Decision<'_> {
             }
         }
         places
+    }
+
+    /// True for a post or a rod: elsewhere it looks like any other one.
+    fn is_rod(&self, object: u32) -> bool {
+        let o = &self.environment.objects()[object as usize];
+        let size = 2.0 * o.mesh.bounds().transformed(&o.object_from_mesh).half_extent();
+        size.to_array().into_iter().filter(|x| *x < THINNEST).count() >= 2
     }
 
     /// Where an object stands by the points around a start, if the views are sure of it.

@@ -1,97 +1,188 @@
-//! Where in space reflectors are found, view by view.
+//! Where in space features are found that the layer lacks, view by view.
 
-use crate::view::BOUND;
-use glam::{DMat3, DVec3};
+use crate::caster::Caster;
+use crate::located::{Eye, across};
+use crate::view::{BOUND, FLATTEST};
+use glam::{DMat3, DVec2, DVec3};
 use presight_localize::matching::{Detection, Shape};
-use presight_localize::verdict::body_from_image;
-use presight_model::geometry::PoseEstimate;
-use presight_model::sensor::Sensor;
 
-/// Most places of new reflectors: beyond them new ones are left out, so that memory stays bounded.
+/// Most places of new features: beyond them new ones are left out, so that memory stays bounded.
 const MOST: usize = 1000;
+/// A place without a measured range is on the surface behind it in the image. Views from one place agree on anything; so they
+/// have to be this far apart, metres.
+const APART: f64 = 0.25;
 
-/// A reflector in one view.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Sighting {
-    pub class: String,
+/// What a sighting is of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Kind {
+    Reflector,
+    Corner,
+    Edge,
+}
+
+/// One point of a sighting.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Spot {
     /// Where it is, world, metres.
     pub p: DVec3,
     /// Covariance by the sensor, world axes, metres squared,
     pub own: DMat3,
     /// and by the pose, which all views of a run share in part.
     pub by_pose: DMat3,
+}
+
+/// A feature in one view.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Sighting {
+    pub class: String,
+    pub kind: Kind,
+    /// A point, or both ends of an edge.
+    pub spots: Vec<Spot>,
     /// Where the sensor was, world, metres.
     pub from: DVec3,
     pub strength: Option<f64>,
+    pub contrast: Option<f64>,
 }
 
-/// The place of a reflector's detection; `None` for what has no measured range.
-pub(crate) fn place_of(sensor: &Sensor, detection: &Detection, pose: &PoseEstimate) -> Option<Sighting> {
-    let (Shape::Reflector(at), Some(range)) = (&detection.shape, detection.properties.range) else { return None };
-    let world_from_image = pose.world_from_robot * sensor.spec().mount * body_from_image(sensor);
-    // A scanner of one row does not measure heights: its detections are in its plane.
-    let rows = if sensor.height() == 1 { 0.0 } else { 1.0 };
-    let along = |du: f64, dv: f64| sensor.ray_at(at.x + du, rows * (at.y + dv));
-    let ray = along(0.0, 0.0)?;
-    let step = |du: f64, dv: f64| along(du, dv).map_or(DVec3::ZERO, |there| range.mean * (there - ray) / 0.1);
-    let (u, v) = (step(0.1, 0.0), step(0.0, 0.1));
-    let c = detection.covariance;
-    let outer = |a: DVec3, b: DVec3| DMat3::from_cols(b.x * a, b.y * a, b.z * a);
-    let across =
-        c.x_axis.x * outer(u, u) + rows * (c.x_axis.y * (outer(u, v) + outer(v, u)) + c.y_axis.y * outer(v, v));
-    // A millimetre keeps it regular.
-    let own = across + range.variance * outer(ray, ray) + DMat3::from_diagonal(DVec3::splat(1e-6));
-    let turn = DMat3::from_quat(world_from_image.rotation);
-    let p = world_from_image.transform_point(range.mean * ray);
-    let arm = p - pose.world_from_robot.translation;
-    let rows_of = pose.covariance.as_rows();
-    let gradient = |axis: DVec3| {
-        let turned = arm.cross(axis);
-        [axis.x, axis.y, axis.z, turned.x, turned.y, turned.z]
+fn outer(a: DVec3, b: DVec3) -> DMat3 {
+    DMat3::from_cols(b.x * a, b.y * a, b.z * a)
+}
+
+/// The place of a detection: a reflector by its range, a corner or an edge on the surface where its rays end. `None` for what
+/// has no place.
+pub(crate) fn place_of(eye: &Eye<'_>, detection: &Detection, caster: &Caster) -> Option<Sighting> {
+    let spot = |at: DVec2| {
+        let (ray, steps) = eye.ray(at)?;
+        let (range, slide, along) = match (&detection.shape, &detection.properties.range) {
+            (Shape::Reflector(_), Some(range)) => (range.mean, DMat3::IDENTITY, range.variance),
+            (Shape::Reflector(_), None) => return None,
+            _ => {
+                let met = caster.first(eye.place(), ray, eye.sensor.spec().range_max.min(1e5), None)?;
+                let cos = met.normal.dot(ray);
+                if cos.abs() < FLATTEST {
+                    return None;
+                }
+                // An error across the ray slides the point along the surface.
+                (met.range, DMat3::IDENTITY - outer(ray, met.normal) * cos.recip(), 0.0)
+            }
+        };
+        let p = eye.place() + range * ray;
+        let pose = eye.by_pose(&[p]);
+        let pose = DMat3::from_cols_array_2d(&std::array::from_fn(|j| std::array::from_fn(|i| pose[i][j])));
+        // A millimetre keeps it regular.
+        let own = slide * across(detection, steps, range) * slide.transpose()
+            + along * outer(ray, ray)
+            + DMat3::from_diagonal(DVec3::splat(1e-6));
+        Some(Spot { p, own, by_pose: slide * pose * slide.transpose() })
     };
-    let j = [DVec3::X, DVec3::Y, DVec3::Z].map(gradient);
-    let product = |a: usize, b: usize| -> f64 {
-        (0..6).map(|i| j[a][i] * (0..6).map(|k| rows_of[i][k] * j[b][k]).sum::<f64>()).sum()
+    let (kind, mut spots) = match &detection.shape {
+        Shape::Reflector(at) => (Kind::Reflector, vec![spot(*at)?]),
+        Shape::Point(at) => (Kind::Corner, vec![spot(*at)?]),
+        Shape::Segment { ends, .. } => (Kind::Edge, vec![spot(ends[0])?, spot(ends[1])?]),
+        Shape::Patch(_) | Shape::Fiducial(_) => return None,
     };
-    let column = |b: usize| DVec3::new(product(0, b), product(1, b), product(2, b));
-    Some(Sighting {
-        class: sensor.spec().class.clone(),
-        p,
-        own: turn * own * turn.transpose(),
-        by_pose: DMat3::from_cols(column(0), column(1), column(2)),
-        from: world_from_image.translation,
-        strength: detection.properties.strength,
-    })
+    if let [a, b] = &mut spots[..] {
+        // Edges are broken anywhere along them.
+        let along = b.p - a.p;
+        a.own += 0.25 * outer(along, along);
+        b.own += 0.25 * outer(along, along);
+    }
+    let properties = &detection.properties;
+    let (strength, contrast) = (properties.strength, properties.contrast);
+    Some(Sighting { class: eye.sensor.spec().class.clone(), kind, spots, from: eye.place(), strength, contrast })
+}
+
+/// Sums over the sightings of one point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Mean {
+    information: DMat3,
+    weighted: DVec3,
+    by_pose: DMat3,
+}
+
+impl Mean {
+    /// Without sightings. A matrix is one by default, not zero.
+    const NONE: Self = Self { information: DMat3::ZERO, weighted: DVec3::ZERO, by_pose: DMat3::ZERO };
 }
 
 /// One place in space, seen from several views.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Track {
     pub class: String,
+    pub kind: Kind,
     pub views: u32,
     /// Stamp of the last view, seconds.
     pub last: f64,
     pub from: DVec3,
-    /// Sum and number of measured strengths.
+    /// Sums and numbers of measured strengths and contrasts.
     pub strength: (f64, f64),
-    information: DMat3,
-    weighted: DVec3,
-    by_pose: DMat3,
+    pub contrast: (f64, f64),
+    means: Vec<Mean>,
 }
 
 impl Track {
-    /// The most likely place, world, metres, and its covariance. The part of the poses does not shrink with more views.
-    pub fn place(&self) -> (DVec3, DMat3) {
-        let own = self.information.inverse();
-        (own * self.weighted, own + self.by_pose / f64::from(self.views))
+    /// The most likely places of its points, world, metres, and their covariances. The part of the poses does not shrink with more
+    /// views.
+    pub fn places(&self) -> Vec<(DVec3, DMat3)> {
+        let place = |mean: &Mean| {
+            let own = mean.information.inverse();
+            (own * mean.weighted, own + mean.by_pose * (1.0 / f64::from(self.views)))
+        };
+        self.means.iter().map(place).collect()
     }
 
-    fn add(&mut self, seen: &Sighting, stamp: f64) {
-        let information = seen.own.inverse();
+    fn new(seen: &Sighting, stamp: f64) -> Self {
+        let mut track = Self {
+            class: seen.class.clone(),
+            kind: seen.kind,
+            views: 0,
+            last: stamp,
+            from: seen.from,
+            strength: (0.0, 0.0),
+            contrast: (0.0, 0.0),
+            means: vec![Mean::NONE; seen.spots.len()],
+        };
+        track.add(seen, &seen.spots, stamp);
+        track
+    }
+
+    /// Adds a sighting, whose spots are in the track's order.
+    fn add(&mut self, seen: &Sighting, spots: &[Spot], stamp: f64) {
         (self.views, self.last, self.from) = (self.views + 1, stamp, seen.from);
-        (self.information, self.weighted) = (self.information + information, self.weighted + information * seen.p);
-        self.by_pose += seen.by_pose;
-        self.strength = seen.strength.map_or(self.strength, |s| (self.strength.0 + s, self.strength.1 + 1.0));
+        for (mean, spot) in self.means.iter_mut().zip(spots) {
+            let information = spot.own.inverse();
+            mean.information += information;
+            mean.weighted += information * spot.p;
+            mean.by_pose += spot.by_pose;
+        }
+        for (sum, value) in [(&mut self.strength, seen.strength), (&mut self.contrast, seen.contrast)] {
+            *sum = value.map_or(*sum, |value| (sum.0 + value, sum.1 + 1.0));
+        }
+    }
+
+    /// The spots of a sighting in the order of the track's points.
+    fn ordered(&self, seen: &Sighting) -> Vec<Spot> {
+        let mut spots = seen.spots.clone();
+        if let ([(a, _), (b, _)], [first, last]) = (&self.places()[..], &spots[..])
+            && (*b - *a).dot(last.p - first.p) < 0.0
+        {
+            spots.reverse();
+        }
+        spots
+    }
+
+    /// Whether a sighting is of this place: the largest squared distance of its points in variances, if noise explains it.
+    fn explains(&self, seen: &Sighting) -> Option<f64> {
+        if self.class != seen.class || self.kind != seen.kind {
+            return None;
+        }
+        let away = |((place, covariance), spot): ((DVec3, DMat3), &Spot)| {
+            let off = spot.p - place;
+            off.dot((covariance + spot.own + spot.by_pose).inverse() * off)
+        };
+        let worst = self.places().into_iter().zip(&self.ordered(seen)).map(away).fold(0.0, f64::max);
+        // In three dimensions; BOUND is for one.
+        (worst <= BOUND * BOUND + 5.4).then_some(worst)
     }
 }
 
@@ -109,31 +200,17 @@ impl Tracks {
         let known = self.0.len();
         let mut taken = vec![false; known];
         for sighting in seen {
-            let away = |track: &Track| {
-                let (place, covariance) = track.place();
-                let spread = covariance + sighting.own + sighting.by_pose;
-                (sighting.p - place).dot(spread.inverse() * (sighting.p - place))
-            };
-            let candidates = self.0[..known].iter().enumerate();
-            let near = candidates.filter(|(at, track)| !taken[*at] && track.class == sighting.class);
-            let near = near.map(|(at, track)| (at, away(track))).min_by(|a, b| a.1.total_cmp(&b.1));
-            // In three dimensions; BOUND is for one.
-            if let Some((at, _)) = near.filter(|(_, d)| *d <= BOUND * BOUND + 5.4) {
+            let candidates = self.0[..known].iter().enumerate().filter(|(at, _)| !taken[*at]);
+            let near = candidates.filter_map(|(at, track)| Some((at, track.explains(sighting)?)));
+            if let Some((at, _)) = near.min_by(|a, b| a.1.total_cmp(&b.1)) {
                 taken[at] = true;
-                self.0[at].add(sighting, stamp);
+                let track = &mut self.0[at];
+                if sighting.kind == Kind::Reflector || track.from.distance(sighting.from) >= APART {
+                    let spots = track.ordered(sighting);
+                    track.add(sighting, &spots, stamp);
+                }
             } else if self.0.len() < MOST {
-                let mut track = Track {
-                    class: sighting.class.clone(),
-                    views: 0,
-                    last: stamp,
-                    from: sighting.from,
-                    strength: (0.0, 0.0),
-                    information: DMat3::ZERO,
-                    weighted: DVec3::ZERO,
-                    by_pose: DMat3::ZERO,
-                };
-                track.add(sighting, stamp);
-                self.0.push(track);
+                self.0.push(Track::new(sighting, stamp));
             }
         }
     }
@@ -143,9 +220,11 @@ impl Tracks {
 mod tests {
     use super::*;
 
-    fn seen(p: DVec3) -> Sighting {
+    fn seen(kind: Kind, from: f64, points: &[DVec3]) -> Sighting {
         let own = DMat3::from_diagonal(DVec3::splat(1e-4));
-        Sighting { class: "laser".into(), p, own, by_pose: own, from: DVec3::ZERO, strength: Some(0.5) }
+        let spots = points.iter().map(|p| Spot { p: *p, own, by_pose: own }).collect();
+        let from = DVec3::new(from, 0.0, 0.0);
+        Sighting { class: "laser".into(), kind, spots, from, strength: Some(0.5), contrast: None }
     }
 
     /// Two reflectors 0.5 m apart, seen by three views that err by up to 2 cm, and a glint elsewhere in each view.
@@ -154,12 +233,28 @@ mod tests {
         let mut tracks = Tracks::default();
         for (view, off) in [0.02, -0.02, 0.0].into_iter().enumerate() {
             let (a, b) = (DVec3::new(2.0 + off, 0.0, 1.0), DVec3::new(2.0, 0.5 + off, 1.0));
-            tracks.add(&[seen(b), seen(a), seen(DVec3::new(9.0, 3.0 * view as f64, 1.0))], view as f64);
+            let glint = DVec3::new(9.0, 3.0 * view as f64, 1.0);
+            tracks.add(&[b, a, glint].map(|p| seen(Kind::Reflector, 0.0, &[p])), view as f64);
         }
         let sure: Vec<&Track> = tracks.iter().filter(|t| t.views == 3).collect();
         assert_eq!(sure.len(), 2);
-        assert!(sure[1].place().0.distance(DVec3::new(2.0, 0.0, 1.0)) < 1e-9);
+        let (place, covariance) = sure[1].places()[0];
+        assert!(place.distance(DVec3::new(2.0, 0.0, 1.0)) < 1e-9);
         // By hand: three views of 1 cm each, and the part of the poses as it was.
-        assert!((sure[1].place().1.x_axis.x - (1e-4 / 3.0 + 1e-4)).abs() < 1e-12);
+        assert!((covariance.x_axis.x - (1e-4 / 3.0 + 1e-4)).abs() < 1e-12);
+    }
+
+    /// Corners have no range: four views from two places, 0.2 m and then 0.3 m on, are three. The ends of an edge come in any order.
+    #[test]
+    fn corners_are_seen_from_several_places_and_edges_from_both_ends() {
+        let (a, b) = (DVec3::new(2.0, 0.0, 1.0), DVec3::new(2.0, 1.0, 1.0));
+        let mut tracks = Tracks::default();
+        for from in [0.0, 0.2, 0.3, 0.6] {
+            let ends = if from == 0.3 { [b, a] } else { [a, b] };
+            tracks.add(&[seen(Kind::Corner, from, &[a]), seen(Kind::Edge, from, &ends)], from);
+        }
+        assert_eq!(tracks.iter().map(|t| (t.kind, t.views)).collect::<Vec<_>>(), [(Kind::Corner, 3), (Kind::Edge, 3)]);
+        let edge = tracks.iter().nth(1).unwrap().places();
+        assert!(edge[0].0.distance(a) < 1e-9 && edge[1].0.distance(b) < 1e-9, "{edge:?}");
     }
 }

@@ -1,6 +1,8 @@
 //! One view: what each kept pixel says of the first object on its ray, and what nothing explains.
 
 use crate::caster::{Caster, Met};
+use crate::joint::Terms;
+use crate::priors::Priors;
 use crate::pulled::Pulled;
 use crate::register::Readings;
 use glam::DVec3;
@@ -113,6 +115,8 @@ pub(crate) struct View {
     pub off: (f64, f64),
     /// How far the readings pulled the pose.
     pub pulled: Pulled,
+    /// What its readings say of how objects stand, if poses of objects are uncertain.
+    pub terms: Option<Terms>,
     /// Points that nothing explains, world frame.
     pub news: Vec<DVec3>,
     /// Pixels with a reading where something is predicted, and the number of them that it explains.
@@ -129,8 +133,9 @@ struct Ray {
 /// Compares frames with one world.
 pub(crate) struct Observer<'a> {
     pub caster: &'a Caster,
-    /// Deviation of the model's surfaces, metres.
-    pub model_sigma: f64,
+    pub priors: &'a Priors,
+    /// Views that may share one error of their poses.
+    pub views: usize,
     /// Points nearer than this to a surface of the model belong to it, metres.
     pub known: f64,
 }
@@ -140,7 +145,7 @@ struct Errors<'a> {
     noise: RangeNoise,
     pose: &'a PoseEstimate,
     spread: f64,
-    model_sigma: f64,
+    priors: &'a Priors,
 }
 
 impl Errors<'_> {
@@ -164,7 +169,8 @@ impl Errors<'_> {
         let cos = met.normal.dot(ray).abs().max(FLATTEST);
         let across = met.range * self.noise.angle * (1.0 - cos * cos).max(0.0).sqrt() / cos;
         let along = self.noise.range_sigma(met.range);
-        (along * along + across * across + (by_pose + self.model_sigma.powi(2)) / (cos * cos)).sqrt()
+        let surface = self.priors.variance(met.object, x, met.normal);
+        (along * along + across * across + (by_pose + surface) / (cos * cos)).sqrt()
     }
 }
 
@@ -194,7 +200,7 @@ impl Observer<'_> {
         let step = kept.rays.len().div_ceil(MOST_READINGS).max(1);
         let spread = |rays: &[Ray], step: usize, pose: &PoseEstimate| {
             let ranges = ranges.iter().step_by(step);
-            spread_of(rays, ranges, &Errors { noise, pose, spread: 1.0, model_sigma: self.model_sigma })
+            spread_of(rays, ranges, &Errors { noise, pose, spread: 1.0, priors: self.priors })
         };
         let stated = spread(&cast(pose, step), step, pose).min(MOST_SPREAD);
         let covariance = PoseCovariance::from_rows(scaled(pose.covariance.as_rows(), stated.powi(2)));
@@ -204,14 +210,15 @@ impl Observer<'_> {
             of: kept.rays.iter().copied().zip(ranges.iter().copied()).step_by(step).collect(),
             noise,
             reach,
-            model_sigma: self.model_sigma,
+            priors: self.priors,
         };
         let given = pose;
         let pose = &readings.register(&PoseEstimate::new(pose.world_from_robot, covariance));
+        let terms = (!self.priors.is_empty()).then(|| readings.terms(given, pose, self.views));
         let rays = cast(pose, 1);
         let world_from_image = pose.world_from_robot * robot_from_image;
         let spread = spread(&rays, 1, pose);
-        let errors = Errors { noise, pose, spread, model_sigma: self.model_sigma };
+        let errors = Errors { noise, pose, spread, priors: self.priors };
         let sigmas = pose.covariance.sigmas();
         let norm = |of: &[f64]| spread * of.iter().map(|x| x * x).sum::<f64>().sqrt();
         let mut view = View {
@@ -224,6 +231,7 @@ impl Observer<'_> {
             says: vec![Says::Nothing; rays.len()],
             off: (norm(&sigmas[..3]), norm(&sigmas[3..])),
             pulled: Pulled::of(given, pose),
+            terms,
             news: Vec::new(),
             compared: (0, 0),
             ranges,
@@ -322,11 +330,12 @@ fn spread_of<'a>(rays: &[Ray], ranges: impl Iterator<Item = &'a f32>, stated: &E
     if all.len() < 20 { 1.0 } else { (median(&mut all).unwrap_or(0.0) / MEDIAN).max(1.0) }
 }
 
-/// True if a neighbour in the row has about the same range: a beam that is split by an edge stands alone.
+/// True if a neighbour has about the same range: a beam that is split by an edge stands alone. A post fills one column, a rail one row.
 fn is_backed(frame: &Frame, (c, r): (u32, u32), z: f64) -> bool {
-    let (width, row) = (frame.sensor().width(), r as usize * frame.sensor().width() as usize);
-    let near = |c: u32| (f64::from(frame.ranges()[row + c as usize]) - z).abs() < 0.05 + 0.02 * z;
-    (c > 0 && near(c - 1)) || (c + 1 < width && near(c + 1))
+    let (width, height) = (frame.sensor().width(), frame.sensor().height());
+    let range = |c: u32, r: u32| f64::from(frame.ranges()[r as usize * width as usize + c as usize]);
+    let near = |c: u32, r: u32| c < width && r < height && (range(c, r) - z).abs() < 0.05 + 0.02 * z;
+    near(c.wrapping_sub(1), r) || near(c + 1, r) || near(c, r.wrapping_sub(1)) || near(c, r + 1)
 }
 
 impl View {

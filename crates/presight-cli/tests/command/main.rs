@@ -40,6 +40,8 @@ mod update_faults;
 mod update_inputs;
 #[cfg(feature = "store")]
 mod update_known;
+#[cfg(feature = "store")]
+mod update_minor;
 mod virtual_sensors;
 
 use assert_cmd::Command;
