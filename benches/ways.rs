@@ -21,7 +21,7 @@ use presight_model::sensor::{Geometry, RayTable, Sensor, SensorSpec};
 use presight_model::world::World;
 use presight_predict::request::Request;
 use presight_render::cpu::{CpuEngine, Vectors};
-use presight_render::plan::{ChosenWay, FramePlan, Images, Output, PlanBuffers, Samples, Stats};
+use presight_render::plan::{ChosenWay, CountName, FramePlan, Images, Output, PlanBuffers, Samples, Stats, Way};
 use presight_render::verify::{PixelValues, Precision, compare_values};
 use presight_testkit::hard::{case, grazing};
 use proptest::prelude::*;
@@ -50,9 +50,9 @@ fn main() {
     ];
     let scenes: Vec<&str> = if named.is_empty() { known.into() } else { named.iter().map(String::as_str).collect() };
     println!(
-        "| scene | sensor | raster, ms of CPU | tiles, ms | raster over tiles: median (least, most) | rays that differ |"
+        "| scene | sensor | raster, ms of CPU | tiles, ms | by counts, ms | raster over tiles: median (least, most) | the faster one over by counts | polygons left, a ray | rays that differ |"
     );
-    println!("|---|---|---|---|---|---|");
+    println!("|---|---|---|---|---|---|---|---|---|");
     for scene in scenes {
         let world = World::new(scenes::environment(scene));
         let start = ProcessTime::now();
@@ -66,7 +66,7 @@ fn main() {
         });
         let each = 1.0 / triangles.max(1) as f64;
         println!(
-            "| {scene} | {triangles} triangles in trees | {:.2} us of CPU, {:.1} bytes each (instances counted each time) | | | |",
+            "| {scene} | {triangles} triangles in trees | {:.2} us of CPU, {:.1} bytes each (instances counted each time) | | | | | | |",
             built.as_secs_f64() * 1e6 * each,
             bytes as f64 * each
         );
@@ -109,21 +109,31 @@ fn engine() -> CpuEngine {
 /// Both ways.
 const WAYS: [ChosenWay; 2] = [ChosenWay::RASTER, ChosenWay::TILES];
 
+/// Polygons that may show after the first wave, for each ray; `None` if there is one wave only.
+fn left(engine: &mut CpuEngine, world: &World, sensor: &Sensor, pose: &Pose) -> Option<f64> {
+    let (chosen, mut stats) = (ChosenWay { at_once: true, most_left: 0, ..ChosenWay::RASTER }, Stats::default());
+    let plan = FramePlan::by(chosen, PlanBuffers::default(), world, sensor, pose, (&Request::default()).into());
+    engine.render(&plan.expect("a valid pose"), &mut Images::default(), &mut stats).expect("the engine renders");
+    let rays = f64::from(sensor.width()) * f64::from(sensor.height());
+    stats.count_of(CountName::PolygonsLeft).map(|left| left as f64 / rays)
+}
+
 fn measure(scene: &str, world: &World, sensor: &Sensor) {
     let poses = scenes::poses(scene, world, number("PRESIGHT_POSES", 5));
     let mut engine = engine();
     let request = Request::default();
     let mut cold = vec![0u8; if number("PRESIGHT_WARM", 0) > 0 { 0 } else { 32 << 20 }];
-    let (mut times, mut differ) = ([Vec::new(), Vec::new()], 0);
-    let mut images = [Images::default(), Images::default()];
+    let (mut times, mut differ, mut most_left) = ([const { Vec::new() }; 3], 0, 0f64);
+    let mut images = <[Images; 3]>::default();
+    let ways = [WAYS[0], WAYS[1], Way::Counts.choose(world, sensor, false)];
     for pose in &poses {
-        let mut least = [f64::INFINITY; 2];
+        let mut least = [f64::INFINITY; 3];
         for round in 0..number("PRESIGHT_REPEATS", 15) + 1 {
             for (way, images) in images.iter_mut().enumerate() {
                 cold.iter_mut().step_by(64).for_each(|byte| *byte = round as u8);
                 black_box(&cold);
                 let start = ProcessTime::now();
-                let plan = FramePlan::by(WAYS[way], PlanBuffers::default(), world, sensor, pose, (&request).into());
+                let plan = FramePlan::by(ways[way], PlanBuffers::default(), world, sensor, pose, (&request).into());
                 let plan = plan.expect("a valid pose");
                 engine.render(&plan, images, &mut Stats::default()).expect("the engine renders");
                 if round > 0 {
@@ -132,20 +142,30 @@ fn measure(scene: &str, world: &World, sensor: &Sensor) {
             }
         }
         times.iter_mut().zip(least).for_each(|(times, least)| times.push(least));
-        differ += differing(&images).len();
+        differ += differing(&images[0], &images[1]).len() + differing(&images[0], &images[2]).len();
+        let left = left(&mut engine, world, sensor, pose);
+        most_left = most_left.max(left.unwrap_or(0.0));
+        if number("PRESIGHT_EACH", 0) > 0 {
+            println!("{scene} {} {left:?} {least:?}", sensor.spec().name);
+        }
     }
     let mut ratios: Vec<f64> = times[0].iter().zip(&times[1]).map(|(raster, tiles)| raster / tiles).collect();
     ratios.sort_by(f64::total_cmp);
+    let mut kept: Vec<f64> = (0..poses.len()).map(|i| times[0][i].min(times[1][i]) / times[2][i]).collect();
+    kept.sort_by(f64::total_cmp);
     println!(
-        "| {scene} | {} {} x {} | {:.3} | {:.3} | {:.2} ({:.2}, {:.2}) | {differ} of {} |",
+        "| {scene} | {} {} x {} | {:.3} | {:.3} | {:.3} | {:.2} ({:.2}, {:.2}) | {:.2} ({:.2}) | {most_left:.3} | {differ} of {} |",
         sensor.spec().name,
         sensor.width(),
         sensor.height(),
         middle(&times[0]),
         middle(&times[1]),
+        middle(&times[2]),
         middle(&ratios),
         ratios[0],
         ratios[ratios.len() - 1],
+        middle(&kept),
+        kept[0],
         poses.len() as u32 * sensor.width() * sensor.height(),
     );
 }
@@ -157,7 +177,7 @@ fn middle(values: &[f64]) -> f64 {
 }
 
 /// Pixels whose bits differ in any image.
-fn differing(images: &[Images; 2]) -> Vec<usize> {
+fn differing(one: &Images, other: &Images) -> Vec<usize> {
     let words = |images: &Images, output: Output| match images.samples(output) {
         Some(Samples::Floats(image)) => image.iter().map(|v| v.to_bits()).collect(),
         Some(Samples::Ids(image)) => image.to_vec(),
@@ -168,7 +188,7 @@ fn differing(images: &[Images; 2]) -> Vec<usize> {
     };
     let mut all: Vec<usize> = Vec::new();
     for output in Output::ALL {
-        let (a, b) = (words(&images[0], output), words(&images[1], output));
+        let (a, b) = (words(one, output), words(other, output));
         all.extend((0..a.len().max(b.len())).filter(|i| a.get(*i) != b.get(*i)));
     }
     all.sort_unstable();
@@ -194,7 +214,7 @@ fn bits(rays: usize, seed: u64) {
                 engine.render(&plan.expect("a valid pose"), images, &mut Stats::default()).expect("the engine renders");
             }
             done += images[0].range.len();
-            let differ = differing(&images);
+            let differ = differing(&images[0], &images[1]);
             if !differ.is_empty() {
                 let found = judge(&world, sensor, &pose, &images, &differ);
                 at_edges += found[0];

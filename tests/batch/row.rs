@@ -14,7 +14,7 @@ use presight_model::sensor::{Angles, Geometry, Scanner, Sensor, SensorSpec};
 use presight_model::world::World;
 use presight_predict::batch::BatchRequest;
 use presight_predict::request::Request;
-use presight_render::cpu::CpuEngine;
+use presight_render::cpu::{CpuEngine, Vectors};
 use presight_render::plan::{FramePlan, IdScheme, ImageRequest, Images, Output, Outputs, PlanBuffers, Stats};
 use presight_render::row::{RowCut, RowCuts};
 use proptest::prelude::*;
@@ -48,6 +48,9 @@ fn scanners() -> Vec<Sensor> {
 /// Both ways to the images of a level scanner, side by side.
 struct Both {
     engine: CpuEngine,
+    /// One for each width of vectors, in turns.
+    by_cut: [CpuEngine; 3],
+    frames: usize,
     images: [Images; 2],
     rays: usize,
     differ: usize,
@@ -57,8 +60,17 @@ struct Both {
 
 impl Both {
     fn new() -> Self {
-        let engine = CpuEngine::new(1).expect("a thread");
-        Self { engine, images: [Images::default(), Images::default()], rays: 0, differ: 0, decided: 0 }
+        let engine = || CpuEngine::new(1).expect("a thread");
+        let by_cut = [Vectors::best(), Vectors::Sse42, Vectors::Plain].map(|vectors| engine().with_vectors(vectors));
+        Self {
+            engine: engine(),
+            by_cut,
+            frames: 0,
+            images: [Images::default(), Images::default()],
+            rays: 0,
+            differ: 0,
+            decided: 0,
+        }
     }
 
     /// Counts the rays that differ in a bit of any image.
@@ -71,7 +83,8 @@ impl Both {
         let by_cut = FramePlan::by_cut(PlanBuffers::default(), world, sensor, pose, request, cut.clone());
         let mut stats = Stats::default();
         self.engine.render(&plan, &mut self.images[0], &mut stats).expect("it renders");
-        self.engine.render(&by_cut, &mut self.images[1], &mut stats).expect("it renders");
+        self.frames += 1;
+        self.by_cut[self.frames % 3].render(&by_cut, &mut self.images[1], &mut stats).expect("it renders");
         assert_eq!(stats.engine, "row");
         let all = self.images.each_ref().map(|images| Output::ALL.map(|output| bits(images, output)));
         let rays = sensor.width() as usize;

@@ -19,9 +19,9 @@ use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
 use presight_predict::request::Request;
-use presight_render::cpu::{CpuEngine, Vectors};
+use presight_render::cpu::{CpuEngine, Margins, Vectors};
 use presight_render::plan::{
-    ChosenWay, FramePlan, IdScheme, ImageRequest, Images, Output, Part, PlanBuffers, StageName, Stats, Way,
+    ChosenWay, CountName, FramePlan, IdScheme, ImageRequest, Images, Output, Part, PlanBuffers, StageName, Stats, Way,
 };
 use presight_render::verify::{PixelValues, Precision, compare_values};
 use proptest::prelude::*;
@@ -305,6 +305,172 @@ fn hard_meshes_have_the_same_bits_both_ways() {
             ways.check(&world, &sensor, &Pose::from_xyz_rpy(DVec3::new(0.1, 0.2, 0.3), 0.0, 0.1, 0.2)).unwrap();
         }
     }
+}
+
+/// What lies on each ray of a camera and a scanner.
+#[derive(Clone, Copy)]
+enum On {
+    /// The side that two triangles share.
+    Sides,
+    /// A speck as small as a few units in the last place of its corners.
+    Specks,
+    /// The same, and one far away, so that the tree's boxes are rounded more coarsely than the specks.
+    SpecksOfALargeTree,
+}
+
+fn on_each_ray(on: On) -> Vec<(World, Sensor, Pose)> {
+    let mut random = Random(21);
+    let mut cases = Vec::new();
+    for sensor in [common::scenes::camera(160, 120), common::scenes::scanner(240, 80)] {
+        let pose = Pose::from_xyz_rpy(DVec3::new(31.0, -22.0, 4.5), 0.2, -0.1, 0.7);
+        let rotation = pose.rotation_matrix() * sensor.body_from_image();
+        let mut polygons = Vec::new();
+        for (x, y) in (0..sensor.height()).flat_map(|y| (0..sensor.width()).map(move |x| (x, y))) {
+            let Some(ray) = sensor.ray(x, y) else { continue };
+            let ray = rotation * ray.normalize();
+            let (at, (u, v)) = (pose.translation + ray * random.uniform(100.0, 250.0), ray.any_orthonormal_pair());
+            let (first, size) = (random.uniform(0.0, 2.0), random.uniform(1e-5, 5e-5));
+            let corner =
+                |turn: f64, size: f64| (at + (u * (first + turn).cos() + v * (first + turn).sin()) * size).as_vec3();
+            if let On::Sides = on {
+                let [a, b, c, d] = [0.0, 0.5, 1.0, 1.5].map(|turns| corner(turns * std::f64::consts::PI, 0.3));
+                polygons.extend([vec![a, b, c], vec![a, c, d]]);
+            } else {
+                let speck = [0.0, 2.1, 4.2].map(|turn| corner(turn, size)).to_vec();
+                polygons.extend(common::scenes::try_mesh(std::slice::from_ref(&speck)).map(|_| speck));
+            }
+        }
+        if let On::SpecksOfALargeTree = on {
+            let far = Vec3::new(9e3, 8e3, 7e3);
+            polygons.push(vec![far, far + Vec3::X, far + Vec3::Y]);
+        }
+        let mut environment = common::scenes::empty();
+        let mesh = Arc::new(common::scenes::mesh(&polygons));
+        environment.insert(NewObject::new("mesh", Pose::IDENTITY, mesh)).unwrap();
+        cases.push((World::new(environment), sensor, pose));
+    }
+    cases
+}
+
+/// Without the margin of edges, or with the two others turned inward, rays miss what lies on them; with the derived ones none does.
+/// At 0 the two others miss nothing here, for boxes are rounded outward, and specks are larger than the rounding of their corners.
+#[test]
+fn a_margin_of_0_is_found() {
+    let missed = |on: On, margins: Margins| -> usize {
+        let mut engine = CpuEngine::new(1).unwrap().with_margins(margins);
+        let mut missed = 0;
+        for (world, sensor, pose) in on_each_ray(on) {
+            let request = common::plan(&world, &sensor, &pose).request;
+            let [raster, tiles] = [ChosenWay::RASTER, ChosenWay::TILES].map(|way| {
+                let plan = FramePlan::by(way, PlanBuffers::default(), &world, &sensor, &pose, request).unwrap();
+                let mut images = Images::default();
+                engine.render(&plan, &mut images, &mut Stats::default()).unwrap();
+                images
+            });
+            let hits = raster.range.iter().filter(|range| range.is_finite()).count();
+            assert!(4 * hits > raster.range.len(), "{hits} of {} rays hit", raster.range.len());
+            missed += raster.range.iter().zip(&tiles.range).filter(|(a, b)| a.to_bits() != b.to_bits()).count();
+        }
+        missed
+    };
+    let cases = [
+        (On::Sides, Margins { edges: 0.0, ..Margins::SOUND }),
+        (On::SpecksOfALargeTree, Margins { boxes: -1.0, ..Margins::SOUND }),
+        (On::Specks, Margins { places: -1.0, ..Margins::SOUND }),
+    ];
+    let found = cases.map(|(on, margins)| {
+        assert_eq!(missed(on, Margins::SOUND), 0);
+        missed(on, margins)
+    });
+    eprintln!("{found:?} rays differ: edges without a margin, boxes and places with an inward one");
+    assert!(found.iter().all(|missed| *missed > 0), "{found:?}");
+}
+
+/// A million faces at one place, copies and others, a million small ones under a huge one, and slivers: as exact as the raster, with
+/// bounded memory.
+#[test]
+fn a_million_faces_at_one_place_have_the_same_bits_both_ways() {
+    let triangle = [Vec3::new(3.0, -2.0, -1.0), Vec3::new(3.0, 2.0, -1.0), Vec3::new(3.0, 0.0, 2.0)];
+    let copies = vec![triangle.to_vec(); 1_000_000];
+    // One unit in the last place apart: no two have the same bits, and all are within the margin of each other.
+    let apart = |i: u32| {
+        let mut corners = triangle.to_vec();
+        corners.iter_mut().for_each(|p| p.y += (i % 250) as f32 * 1e-7);
+        corners[2].z += (i / 250) as f32 * 2.5e-7;
+        corners
+    };
+    let close = (0..50_000).map(apart).collect();
+    let mut random = Random(3);
+    let small = (0..200_000).map(|_| {
+        let a = Vec3::new(
+            random.uniform(0.5, 6.0) as f32,
+            random.uniform(-4.0, 4.0) as f32,
+            random.uniform(-0.4, 2.0) as f32,
+        );
+        vec![a, a + Vec3::new(0.0, 0.02, 0.0), a + Vec3::new(0.0, 0.0, 0.02)]
+    });
+    let huge = [[-1e4, -1e4], [1e4, -1e4], [1e4, 1e4], [-1e4, 1e4]].map(|[x, y]| Vec3::new(x, y, -0.5)).to_vec();
+    let under = small.chain([huge]).collect();
+    let mut ways = Ways::new(1, Vectors::best());
+    for polygons in [copies, close, under] {
+        let mut environment = common::scenes::empty();
+        environment.insert(NewObject::new("m", Pose::IDENTITY, Arc::new(common::scenes::mesh(&polygons)))).unwrap();
+        let world = World::new(environment);
+        for sensor in [common::scenes::camera(17, 9), common::scenes::closed(24, 1)] {
+            let start = std::time::Instant::now();
+            ways.check(&world, &sensor, &Pose::from_xyz_rpy(DVec3::new(0.1, 0.2, 0.3), 0.0, 0.02, 0.05)).unwrap();
+            eprintln!("{} polygons, {}: {:?}", polygons.len(), sensor.spec().name, start.elapsed());
+        }
+    }
+}
+
+/// A change while trees are made: each version is exact, by whatever trees there are.
+#[test]
+fn changes_while_trees_are_made_are_exact() {
+    let (mut ways, mut random) = (Ways::new(1, Vectors::best()), Random(6));
+    let mut world = World::new(hall::open_hall(5, 60_000));
+    let lean = Pose::from_xyz_rpy(DVec3::ZERO, 0.05, 0.0, 0.0);
+    let pose = hall::hall_poses(world.environment(), 3, 1)[0] * lean;
+    std::thread::scope(|scope| {
+        let other = world.clone();
+        let objects = other.environment().objects().len() as u32;
+        let making = scope.spawn(move || other.make_ray_trees(0..objects).unwrap());
+        while !making.is_finished() {
+            let objects = world.environment().objects();
+            let name = objects[random.below(objects.len())].name.clone();
+            let mesh = objects[0].mesh.clone();
+            _ = world.apply_unchecked(Change::MoveObject { name, world_from_object: place(&mut random) });
+            _ = world.apply_unchecked(Change::InsertObject(NewObject::new("new", place(&mut random), mesh)));
+            ways.check(&world, &common::scenes::closed(61, 1), &pose).unwrap();
+        }
+    });
+    ways.check(&world, &common::scenes::camera(65, 41), &pose).unwrap();
+    assert_eq!(ways.at_edges, 0);
+}
+
+/// A wide image of a crowded hall turns to tiles after its first wave, once the trees have paid; that of a room does not.
+#[test]
+fn images_turn_to_tiles_where_many_polygons_are_left() {
+    let hall = World::new(hall::open_hall(3, 300_000));
+    let pose = hall::hall_poses(hall.environment(), 3, 1)[0];
+    let sensor = presight_files::preset("vlp-16").unwrap();
+    let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1).with_way(Way::Counts)).unwrap();
+    let mut seen = Vec::new();
+    for _ in 0..60 {
+        let drawn = predictor.predict(&hall, &sensor, &pose, &Request::default()).unwrap();
+        let left = drawn.stats.count_of(CountName::PolygonsLeft).expect("they were counted");
+        let most = Way::Counts.choose(&hall, &sensor, false).most_left;
+        assert!(left > most, "{left} {most}");
+        let why = drawn.stats.taken.iter().find(|row| row.what == StageName::RaysByTiles).map(|row| row.why);
+        seen.push((drawn.stats.way, why, common::bits(&drawn.images, Output::Range)));
+    }
+    let (first, last) = (&seen[0], &seen[59]);
+    assert_eq!((first.0, first.1), (Some(Way::Raster), None), "trees are not made for one frame");
+    assert_eq!((last.0, last.1), (Some(Way::Tiles), Some("too many polygons may show after the first wave")));
+    assert!(seen.iter().all(|frame| frame.2 == first.2));
+    let room = common::scenes::room_world(4, 400);
+    let stats = predictor.predict(&room, &sensor, &Pose::IDENTITY, &Request::default()).unwrap().stats;
+    assert_eq!(stats.way, Some(Way::Raster));
 }
 
 /// Few rays go by tiles once the trees have paid, images and frames with a deadline by the raster.

@@ -38,8 +38,10 @@ enum RasterArg {
 /// How the CPU engine finds what rays see.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum WayArg {
-    /// Whichever is faster
+    /// Whichever is faster, by counts and by what the sensor's last frames took
     Auto,
+    /// Whichever is faster by counts alone, the same in every run
+    Counts,
     /// Polygons in view are selected and drawn
     Raster,
     /// Tiles of rays search a tree for each mesh
@@ -51,6 +53,7 @@ impl WayArg {
     pub fn way(self) -> Way {
         match self {
             Self::Auto => Way::Auto,
+            Self::Counts => Way::Counts,
             Self::Raster => Way::Raster,
             Self::Tiles => Way::Tiles,
         }

@@ -144,6 +144,23 @@ fn imports_take_the_memory_they_state() {
     }
 }
 
+/// Trees take more than the polygons of a stored environment: under the least limit that opens it there are none.
+#[cfg(feature = "store")]
+#[test]
+fn the_raster_serves_where_memory_does_not_suffice_for_trees() {
+    let place = Place::new();
+    place.write("ground.glb", &ground(500));
+    place.done("env create ground.presight ground.glb");
+    let line = "predict ground.presight --sensor laser-scanner --pose 12,-12,1,0,5,0 --backend cpu --threads 1 --way";
+    let by_tiles = format!("{line} tiles --out tiles.exr");
+    let limits = (150_000..900_000).step_by(20_000);
+    let (_, message) =
+        limits.map(|limit| under(&place, limit, &by_tiles)).find(|(status, _)| *status == Some(0)).unwrap();
+    assert!(message.contains("the raster drew in place of tiles: this needs about "), "{message}");
+    place.done(&format!("{line} raster --out raster.exr"));
+    place.done("compare tiles.exr raster.exr");
+}
+
 #[test]
 fn comparisons_take_the_memory_they_state() {
     let place = Place::new();

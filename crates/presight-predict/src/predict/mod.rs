@@ -16,7 +16,7 @@ use presight_model::geometry::Pose;
 use presight_model::sensor::Sensor;
 use presight_model::threads::Threads;
 use presight_model::world::World;
-use presight_render::cost::{Controller, DeadlineFrame};
+use presight_render::cost::{Controller, DeadlineFrame, WayCosts};
 use presight_render::cpu;
 use presight_render::plan::{
     ChosenWay, Drawn, FramePlan, ImageRequest, Images, Output, Outputs, PlanBuffers, Raster, StageName, Stats, Way,
@@ -87,7 +87,8 @@ impl Options {
         Self { reuse_visible, ..self }
     }
 
-    /// Sets how the CPU engine finds what rays see, for benches and tests. It has no effect on a GPU, or with a deadline.
+    /// Sets how the CPU engine finds what rays see, for benches and tests. [`Way::Auto`] learns from the times of a sensor's frames which
+    /// way is faster; [`Way::Counts`] does not, so that it does the same in every run. It has no effect on a GPU, or with a deadline.
     #[must_use]
     pub fn with_way(self, way: Way) -> Self {
         Self { way, ..self }
@@ -150,6 +151,8 @@ pub struct Predictor {
     tree: Option<Arc<features::KnownTree>>,
     /// The deadline controller.
     controller: Controller,
+    /// Which way is faster for which sensor.
+    ways: WayCosts,
     /// The last event that affected the GPU.
     notice: Option<String>,
     row_cuts: RowCuts,
@@ -189,6 +192,7 @@ impl Predictor {
             own: None,
             tree: None,
             controller: Controller::default(),
+            ways: WayCosts::default(),
             notice: None,
             row_cuts: RowCuts::default(),
         }
@@ -402,7 +406,10 @@ impl Predictor {
         let mut plan = match cut {
             Some(cut) => FramePlan::by_cut(buffers, world, sensor, world_from_sensor, request, cut),
             None => {
-                let chosen = self.choose_way(world, sensor, timed.is_some());
+                let mut chosen = self.choose_way(world, sensor, timed.is_some());
+                if self.way == Way::Auto {
+                    chosen = self.ways.adjust(sensor, request.outputs, chosen);
+                }
                 FramePlan::by(chosen, buffers, world, sensor, world_from_sensor, request)?
             }
         };
@@ -415,9 +422,10 @@ impl Predictor {
             self.controller.plan(timed, &mut plan)?;
         }
         let rendered = self.render(&plan, images, &mut stats);
-        if stats.way == Some(Way::Raster) {
-            plan.record_raster();
+        if self.way == Way::Auto {
+            self.ways.learn(&plan, &stats, start.elapsed());
         }
+        plan.record_way(stats.way);
         tell(&plan, self.notice.as_ref(), &mut stats);
         self.buffers = plan.into_buffers();
         rendered?;
@@ -429,7 +437,7 @@ impl Predictor {
 
     /// Returns true if no way was requested. Level rows may then be searched in the world's cut.
     pub(crate) fn may_cut(&self) -> bool {
-        self.way == Way::Auto
+        matches!(self.way, Way::Auto | Way::Counts)
     }
 
     /// The way of a prediction without or with a deadline; engines that select everything have one only.

@@ -20,11 +20,13 @@ mod controller;
 mod key;
 mod model;
 mod unit_costs;
+mod ways;
 
 pub use controller::{Controller, DeadlineFrame};
 pub use key::{Forecast, Key};
 pub use model::{CostModel, MAX_MODELS, TimeEstimate};
 pub use unit_costs::UnitCosts;
+pub use ways::WayCosts;
 
 /// The work of a frame: every field counts one kind of work.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -28,7 +28,7 @@ mod thinning;
 mod tiles;
 mod waves;
 
-pub use tiles::Vectors;
+pub use tiles::{Margins, Vectors};
 
 use crate::deadline::DeadlineOutcome;
 use crate::plan::{CountName, FramePlan, Images, NOTHING_IN_VIEW, StageName, Stats, Way};
@@ -42,7 +42,7 @@ use row::RowDrawer;
 use std::ops::Range;
 use std::sync::Arc;
 use std::time::Duration;
-use waves::{Drawn, draw_waves};
+use waves::{Drawn, Waves};
 
 /// The CPU engine with its threads and buffers.
 pub struct CpuEngine {
@@ -58,6 +58,7 @@ pub struct CpuEngine {
     rooms: Vec<tiles::Room>,
     frame: u64,
     vectors: Vectors,
+    margins: Margins,
     /// What the trees that are lacking cost, and what frames without them have cost so far: in polygons.
     price: u64,
     savings: u64,
@@ -91,6 +92,7 @@ impl CpuEngine {
             rooms: Vec::new(),
             frame: 0,
             vectors: Vectors::best(),
+            margins: Margins::SOUND,
             price: 0,
             savings: 0,
         }
@@ -101,10 +103,17 @@ impl CpuEngine {
         Self { vectors: self.vectors, ..Self::on_pool(self.pool.clone(), true) }
     }
 
-    /// Searches trees with these vectors, for tests and benches; with narrower ones if the processor lacks them.
+    /// Searches trees and rows with these vectors, for tests and benches; with narrower ones if the processor lacks them.
     #[must_use]
     pub fn with_vectors(self, vectors: Vectors) -> Self {
         Self { vectors, ..self }
+    }
+
+    /// Searches trees with other margins, for tests that plant faults.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn with_margins(self, margins: Margins) -> Self {
+        Self { margins, ..self }
     }
 
     /// How many threads it has.
@@ -162,18 +171,47 @@ impl CpuEngine {
     fn draw(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<Option<u32>> {
         plan.world_from_sensor.check()?;
         if plan.way() == Way::Tiles {
-            match self.draw_tiles(plan, images, stats) {
-                Ok(true) => return Ok(None),
-                Ok(false) => {}
-                Err(fault) if fault.kind() == ErrorKind::System => {
-                    stats.notices.push(format!("the raster drew in place of tiles: {fault}"));
-                }
-                Err(fault) => return Err(fault),
+            if self.try_tiles(plan, images, stats)? {
+                return Ok(None);
             }
             let selected = plan.selected()?;
             self.savings += tiles::FRAME_PRICE + selected.polygon_count as u64;
             return self.draw(&selected, images, stats);
         }
+        let may_turn = plan.chosen().at_once || self.price <= self.savings;
+        let before = (stats.stages_ms.len(), stats.counts.len());
+        match self.draw_raster(plan, may_turn, images, stats)? {
+            Drawn::All => Ok(None),
+            Drawn::Thinned(stride) => Ok(Some(stride)),
+            Drawn::TooMany if self.try_tiles(plan, images, stats)? => Ok(None),
+            Drawn::TooMany => {
+                stats.stages_ms.truncate(before.0);
+                stats.counts.truncate(before.1);
+                self.draw_raster(plan, false, images, stats).map(|_| None)
+            }
+        }
+    }
+
+    /// Draws by tiles. Returns false, with a notice if memory does not suffice, where the raster has to.
+    fn try_tiles(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<bool> {
+        match self.draw_tiles(plan, images, stats) {
+            Err(fault) if fault.kind() == ErrorKind::System => {
+                stats.notices.push(format!("the raster drew in place of tiles: {fault}"));
+                Ok(false)
+            }
+            drawn => drawn,
+        }
+    }
+
+    /// Draws the selected polygons. If it may turn to tiles, nothing is drawn where these are faster by the polygons left after the first
+    /// wave.
+    fn draw_raster(
+        &mut self,
+        plan: &FramePlan,
+        may_turn: bool,
+        images: &mut Images,
+        stats: &mut Stats,
+    ) -> Result<Drawn> {
         stats.way = Some(Way::Raster);
         stats.engine = "cpu";
         let few = plan.limit.is_none() && plan.sensor.width() as usize * (plan.sensor.height() as usize) < FEW_RAYS;
@@ -196,33 +234,24 @@ impl CpuEngine {
             stats.count(CountName::PolygonsSelected, 0);
             let drawn_ms = plan.watch().map(|watch| watch.elapsed().as_secs_f64() * 1e3);
             stats.deadline = drawn_ms.map(|drawn_ms| DeadlineOutcome { drawn_ms, ..DeadlineOutcome::default() });
-            return Ok(None);
+            return Ok(Drawn::All);
         }
         self.reserve_canvas(&bands)?;
         let Self { pool, alone, batches, winners, canvas, .. } = self;
         let canvas = &mut canvas[..bands.count()];
         // Here nothing waits for another task, and no other one comes between.
         let here = *alone || few;
-        let mut draw = || {
-            let used = match draw_waves(plan, &bands, here, (batches, winners), canvas, images, stats) {
-                Drawn::All(used) => used,
-                Drawn::Thinned(stride) => return Some(stride),
-            };
-            stats.count(CountName::PolygonsPlaced, batches[..used].iter().map(|b| b.placed).sum());
-            stats.count(CountName::PolygonsPassed, batches[..used].iter().map(|b| b.passed).sum());
-            stats.count(CountName::PolygonsBounded, batches[..used].iter().map(|b| b.bounded).sum());
-            stats.count(CountName::PolygonsSetUp, batches[..used].iter().map(|b| b.polygons.len()).sum());
-            stats.count(CountName::PolygonsHidden, batches[..used].iter().map(|b| b.hidden).sum());
-            stats.count(CountName::PolygonsBetweenSamples, batches[..used].iter().map(|b| b.between).sum());
-            stats.count(CountName::PolygonsEdgeOn, batches[..used].iter().map(|b| b.edge_on).sum());
-            None
-        };
+        let mut waves = Waves::new(plan, &bands, here, (batches, winners), canvas, images);
         // The whole frame on the pool: between two stages its threads stay awake.
-        let stride = if here { draw() } else { pool.install(draw) };
-        if stride.is_none() {
+        let mut draw = || waves.draw_all(may_turn, stats);
+        let drawn = if here { draw() } else { pool.install(draw) };
+        let left = waves.left.filter(|left| *left > plan.chosen().most_left);
+        if let Drawn::All = drawn {
+            // What trees would have saved.
+            self.savings += left.unwrap_or(0);
             plan.finish_noting(images, stats)?;
         }
-        Ok(stride)
+        Ok(drawn)
     }
 }
 

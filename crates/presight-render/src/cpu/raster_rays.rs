@@ -196,7 +196,8 @@ impl Polygon<'_> {
             let at = buffer.at(place.first + line, place.column);
             let inverse = S::as_mut_simd_f64s(&mut buffer.inverse[at].0).0;
             let winners = S::as_mut_simd_u64s(&mut buffer.winner[at].0).0;
-            let [x, y, z] = [&rays.x, &rays.y, &rays.z].map(|lanes| S::as_simd_f64s(&lanes[line]).0);
+            let (x, y) = (S::as_simd_f64s(&rays.x[line]).0, S::as_simd_f64s(&rays.y[line]).0);
+            let z = S::as_simd_f64s(&rays.z[line]).0;
             // A maximum, for a select before a store becomes a masked store (as that of the winners, written as it may be).
             for i in 0..EIGHT / S::F64_LANES {
                 let ray = [x[i], y[i], z[i]];

@@ -175,7 +175,7 @@ fn narrowed<S: Simd>(simd: S, grid: &RayGrid, footprint: Footprint, axis: DVec3,
         return footprint;
     }
     let least = simd.splat_f64s(cosine - ROUNDING);
-    let [ax, ay, az] = [axis.x, axis.y, axis.z].map(|v| simd.splat_f64s(v));
+    let (ax, ay, az) = (simd.splat_f64s(axis.x), simd.splat_f64s(axis.y), simd.splat_f64s(axis.z));
     // A bit for each line.
     let (mut held, none) = (simd.splat_u64s(0), simd.splat_u64s(0));
     for (row, column) in rows.clone().flat_map(|row| columns.clone().map(move |column| (row, column))) {
@@ -184,7 +184,8 @@ fn narrowed<S: Simd>(simd: S, grid: &RayGrid, footprint: Footprint, axis: DVec3,
         for line in lines.start.max(first)..lines.end.min(first + TILE_SIDE) {
             let bit = simd.splat_u64s(1 << (line - lines.start));
             let within = (line - first) as usize;
-            let [x, y, z] = [&rays.x, &rays.y, &rays.z].map(|lanes| S::as_simd_f64s(&lanes[within]).0);
+            let (x, y) = (S::as_simd_f64s(&rays.x[within]).0, S::as_simd_f64s(&rays.y[within]).0);
+            let z = S::as_simd_f64s(&rays.z[within]).0;
             for i in 0..LANES / S::F64_LANES {
                 let xy = simd.add_f64s(simd.mul_f64s(ax, x[i]), simd.mul_f64s(ay, y[i]));
                 let inside = simd.greater_than_or_equal_f64s(simd.add_f64s(xy, simd.mul_f64s(az, z[i])), least);

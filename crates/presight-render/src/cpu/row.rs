@@ -7,7 +7,7 @@ use super::lanes::PolygonLanes;
 use super::raster_lines::{self, Buffer};
 use super::resolve::{self, Target};
 use super::setup;
-use super::{Bands, CpuEngine};
+use super::{Bands, CpuEngine, Vectors};
 use crate::plan::{CountName, FramePlan, Images, StageName, Stats};
 use crate::row::{CutObject, NOTHING, RowBeams, RowCut, RowSearch, RowView, Search, UNSURE};
 use glam::{DMat3, DVec3, Vec3};
@@ -50,13 +50,13 @@ impl CpuEngine {
         images.try_prepare(plan.sensor.width(), plan.sensor.height(), plan.drawn())?;
         (stats.engine, stats.threads) = ("row", 1);
         let mut row = std::mem::take(&mut self.row);
-        row.find(plan, cut)?;
+        row.find(plan, cut, self.vectors)?;
         let lines = plan.sensor.width() as usize;
         let bands =
             Bands { axis: LineAxis::Columns, lines, samples: 1, per_band: lines.next_multiple_of(resolve::TOGETHER) };
         row.buffer.reserve(bands.axis, lines, 1)?;
         for target in &mut resolve::split(images, &bands) {
-            pulp::Arch::new().dispatch(DrawRow { row: &mut row, plan, cut, bands: &bands, target });
+            self.vectors.dispatch(DrawRow { row: &mut row, plan, cut, bands: &bands, target });
         }
         stats.stages_ms.push((StageName::Rasterization, start.elapsed().as_secs_f64() * 1e3));
         stats.count(CountName::SegmentsOfCut, cut.segments.len());
@@ -69,7 +69,7 @@ impl CpuEngine {
 
 impl RowDrawer {
     /// Finds the segment of each beam.
-    fn find(&mut self, plan: &FramePlan, cut: &RowCut) -> Result<()> {
+    fn find(&mut self, plan: &FramePlan, cut: &RowCut, vectors: Vectors) -> Result<()> {
         if !self.beams.as_ref().is_some_and(|beams| beams.are_of(&plan.sensor)) {
             self.beams = RowBeams::new(&plan.sensor);
         }
@@ -77,7 +77,7 @@ impl RowDrawer {
             return Err(Error::usage("a cut of the world serves scanners of one row only", "predict without it"));
         };
         let view = RowView::new(&plan.world_from_sensor, plan.sensor.spec().range_max, cut.margin);
-        pulp::Arch::new().dispatch(Search { search: &mut self.search, beams, cut, view });
+        vectors.dispatch(Search { search: &mut self.search, beams, cut, view });
         Ok(())
     }
 

@@ -315,12 +315,23 @@ pub(super) fn push_bounds<const N: usize>(
         upper += usize::from(!flat & (e.z < 0.0));
         steep += usize::from(flat);
     }
-    bounds.extend_from_slice(&lowers[..lower]);
-    bounds.extend_from_slice(&uppers[..upper]);
+    append(bounds, lowers, lower);
+    append(bounds, uppers, upper);
     if steep > 0 {
         bounds.extend(edges().filter(|e| is_steep(*e)).map(|e| [e.x, e.y]));
     }
     [lower as u8, upper as u8, steep as u8]
+}
+
+/// Appends the first of some bounds. Few are copied as four, whose number the compiler knows: a copy of any number is a call.
+#[inline(always)]
+fn append(bounds: &mut Vec<[f64; 2]>, room: &[[f64; 2]; limits::MAX_CORNERS], count: usize) {
+    let end = bounds.len() + count;
+    match room.first_chunk::<4>() {
+        Some(four) if count <= 4 => bounds.extend_from_slice(four),
+        _ => bounds.extend_from_slice(&room[..count]),
+    }
+    bounds.truncate(end);
 }
 
 /// Samples of a footprint up to which they are tested at once.

@@ -187,7 +187,7 @@ fn ahead(grid: &LineGrid, [y, z, x]: &[Lanes; 3], reaches: &mut [Reach]) {
     for l in 0..LANES {
         let per_z = 1.0 / z[l];
         let (line, sample) = (y[l] * per_z, x[l] * per_z);
-        let slack = [line, sample].map(|t| SLACK * (1.0 + t.abs()));
+        let slack = [SLACK * (1.0 + line.abs()), SLACK * (1.0 + sample.abs())];
         let place = |t: f64, first: f64, slack: f64, n: f64| {
             between((t - slack - first) * per_stride, (t + slack - first) * per_stride, n)
         };

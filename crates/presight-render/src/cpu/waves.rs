@@ -28,89 +28,227 @@ const POLYGON_NS: u64 = 100;
 /// Runs that a task looks at to drop what is hidden.
 const SIFTED: usize = 64;
 
+/// One in eight of the runs that the first wave leaves is held to the z-buffer, to estimate how many may show; up to 64 runs are
+/// all held to it.
+const SAMPLED: usize = 8;
+const FEW_RUNS: usize = 64;
+
 /// What came of drawing.
 pub(super) enum Drawn {
-    /// Images, with so many batches.
-    All(usize),
+    /// Images.
+    All,
     /// Nothing yet: every so many columns and rows are to be drawn instead.
     Thinned(u32),
+    /// Nothing yet: too many polygons may still show after the first wave, so tiles are faster.
+    TooMany,
 }
 
-/// Sets up and draws all runs, nearest first, on the threads of a pool or `here`.
-pub(super) fn draw_waves(
-    plan: &FramePlan,
-    bands: &Bands,
+/// Draws the selected runs of a frame, on the threads of a pool or `here`.
+pub(super) struct Waves<'a, 'i> {
+    plan: &'a FramePlan,
+    bands: &'a Bands,
     here: bool,
-    (batches, winners): (&mut Vec<Batch>, &mut Winners),
-    canvas: &mut [Buffer],
-    images: &mut Images,
-    stats: &mut Stats,
-) -> Drawn {
-    let arch = pulp::Arch::new();
-    let mut targets = resolve::split(images, bands);
-    winners.clear();
-    let mut times = [Duration::ZERO; 3];
-    let (mut done, mut used, mut hidden, mut waves) = (0, 0, 0, 0);
-    let mut progress = FrameProgress::new(plan, bands.count());
-    let pixels = plan.sensor.width() as usize * plan.sensor.height() as usize;
-    let first_wave = (pixels / PIXELS_PER_POLYGON).clamp(*FIRST_WAVE.start(), *FIRST_WAVE.end());
-    loop {
-        let start = Instant::now();
-        let wave = progress::next_wave(&plan.runs, done, first_wave, progress.most_polygons(done));
-        let runs = if waves == 0 || !Means::HiddenRuns.is_used() {
-            plan.runs[wave.clone()].to_vec()
-        } else {
-            let sift = |runs| arch.dispatch(Cull { plan, runs, canvas, bands });
-            let runs = &plan.runs[wave.clone()];
-            if here { sift(runs) } else { runs.par_chunks(SIFTED).map(sift).collect::<Vec<_>>().concat() }
-        };
-        hidden += wave.len() - runs.len();
-        done = wave.end;
-        times[0] += start.elapsed();
+    batches: &'a mut Vec<Batch>,
+    winners: &'a mut Winners,
+    canvas: &'a mut [Buffer],
+    targets: Vec<resolve::Target<'i>>,
+    progress: FrameProgress<'a>,
+    /// Time for hiding, setup and drawing.
+    times: [Duration; 3],
+    /// Runs and batches that are done, runs that were hidden, and waves.
+    done: usize,
+    used: usize,
+    hidden: usize,
+    waves: usize,
+    /// Polygons that may show after the first wave, if they were counted.
+    pub left: Option<u64>,
+}
 
-        let start = Instant::now();
-        let first = used;
-        let occlusion = (waves > 0 && Means::HiddenPolygons.is_used()).then_some(Occlusion { canvas, bands });
-        let left_out = set_up(plan, bands, occlusion, here, &runs, batches, &mut used);
-        batches[first..used].iter_mut().for_each(|batch| winners.number(batch));
-        times[1] += start.elapsed();
-
-        let start = Instant::now();
-        let batches = &batches[first..used];
-        let last = left_out.is_some() || done == plan.runs.len();
-        let beyond = left_out.unwrap_or_else(|| plan.nearest_after(done));
-        if waves == 0
-            && let stride @ 2.. = progress.begin_wave(batches, done, beyond, times[0] + times[1])
-        {
-            stats.stages_ms.push((StageName::Setup, (times[0] + times[1]).as_secs_f64() * 1e3));
-            return Drawn::Thinned(stride);
-        }
-        let wave = WaveEnds { first: waves == 0, last, beyond };
-        draw_wave(plan, bands, here, (batches, winners), canvas, &mut targets, &mut progress, wave);
-        waves += 1;
-        progress.end_wave(waves, last);
-        if !last && progress.is_over() {
-            let resolve = |(band, ((buffer, target), progress))| {
-                arch.dispatch(Resolve { buffer, target, plan, winners, bands, band, progress });
-            };
-            if here {
-                canvas.iter().zip(&mut targets).zip(&mut progress.bands).enumerate().for_each(resolve);
-            } else {
-                canvas.par_iter().zip(&mut targets).zip(&mut progress.bands).enumerate().for_each(resolve);
-            }
-        }
-        times[2] += start.elapsed();
-        if last || progress.has_stopped {
-            break;
+impl<'a, 'i> Waves<'a, 'i> {
+    pub fn new(
+        plan: &'a FramePlan,
+        bands: &'a Bands,
+        here: bool,
+        (batches, winners): (&'a mut Vec<Batch>, &'a mut Winners),
+        canvas: &'a mut [Buffer],
+        images: &'i mut Images,
+    ) -> Self {
+        winners.clear();
+        let (targets, progress) = (resolve::split(images, bands), FrameProgress::new(plan, bands.count()));
+        let (times, done, used, hidden, waves) = ([Duration::ZERO; 3], 0, 0, 0, 0);
+        Self {
+            plan,
+            bands,
+            here,
+            batches,
+            winners,
+            canvas,
+            targets,
+            progress,
+            times,
+            done,
+            used,
+            hidden,
+            waves,
+            left: None,
         }
     }
-    progress::tell_stages(times, waves, stats);
-    stats.count(CountName::PolygonsSelected, plan.polygon_count);
-    stats.count(CountName::RunsSelected, plan.runs.len());
-    stats.count(CountName::RunsHidden, hidden);
-    stats.count(CountName::Waves, waves);
-    progress.tell(stats);
-    Drawn::All(used)
+
+    /// Sets up and draws all runs, nearest first. If `may_turn`, it stops after the first wave where tiles are faster.
+    pub fn draw_all(&mut self, may_turn: bool, stats: &mut Stats) -> Drawn {
+        loop {
+            let start = Instant::now();
+            if self.waves == 1 && self.has_too_many() && may_turn {
+                let spent = self.times.iter().sum::<Duration>() + start.elapsed();
+                stats.stages_ms.push((StageName::FirstWave, spent.as_secs_f64() * 1e3));
+                stats.count(CountName::PolygonsSelected, self.plan.polygon_count);
+                stats.count(CountName::PolygonsLeft, self.left.unwrap_or(0) as usize);
+                return Drawn::TooMany;
+            }
+            let wave = self.next_wave();
+            let runs = self.cull(wave);
+            self.times[0] += start.elapsed();
+            let (start, first) = (Instant::now(), self.used);
+            let left_out = self.set_up(&runs);
+            self.times[1] += start.elapsed();
+            let start = Instant::now();
+            let last = left_out.is_some() || self.done == self.plan.runs.len();
+            let beyond = left_out.unwrap_or_else(|| self.plan.nearest_after(self.done));
+            let spent = self.times[0] + self.times[1];
+            if self.waves == 0
+                && let stride @ 2.. =
+                    self.progress.begin_wave(&self.batches[first..self.used], self.done, beyond, spent)
+            {
+                stats.stages_ms.push((StageName::Setup, spent.as_secs_f64() * 1e3));
+                return Drawn::Thinned(stride);
+            }
+            self.draw(first, WaveEnds { first: self.waves == 0, last, beyond });
+            self.waves += 1;
+            self.progress.end_wave(self.waves, last);
+            if !last && self.progress.is_over() {
+                self.resolve();
+            }
+            self.times[2] += start.elapsed();
+            if last || self.progress.has_stopped {
+                break;
+            }
+        }
+        self.finish(stats);
+        Drawn::All
+    }
+
+    /// The runs to draw next.
+    fn next_wave(&self) -> Range<usize> {
+        let pixels = self.plan.sensor.width() as usize * self.plan.sensor.height() as usize;
+        let first = (pixels / PIXELS_PER_POLYGON).clamp(*FIRST_WAVE.start(), *FIRST_WAVE.end());
+        progress::next_wave(&self.plan.runs, self.done, first, self.progress.most_polygons(self.done))
+    }
+
+    /// The runs of a wave that no earlier one hides.
+    fn cull(&mut self, wave: Range<usize>) -> Vec<Run> {
+        let runs = &self.plan.runs[wave.clone()];
+        let kept = if self.waves == 0 || !Means::HiddenRuns.is_used() { runs.to_vec() } else { self.sift(runs) };
+        self.hidden += runs.len() - kept.len();
+        self.done = wave.end;
+        kept
+    }
+
+    /// The runs that the z-buffer does not hide.
+    fn sift(&self, runs: &[Run]) -> Vec<Run> {
+        let Self { plan, bands, canvas, .. } = self;
+        let sift = |runs| pulp::Arch::new().dispatch(Cull { plan, runs, canvas, bands });
+        if self.here { sift(runs) } else { runs.par_chunks(SIFTED).map(sift).collect::<Vec<_>>().concat() }
+    }
+
+    /// Counts the polygons that may show after the first wave, and returns true if tiles are faster by that.
+    fn has_too_many(&mut self) -> bool {
+        let most = self.plan.chosen().most_left;
+        let (rest, polygons) =
+            (&self.plan.runs[self.done..], |runs: &[Run]| -> u64 { runs.iter().map(|run| u64::from(run.count)).sum() });
+        if self.plan.limit.is_some() || polygons(rest) <= most {
+            return false;
+        }
+        let step = if rest.len() <= FEW_RUNS { 1 } else { SAMPLED };
+        let sampled: Vec<Run> = rest.iter().copied().step_by(step).collect();
+        let left = step as u64 * polygons(&self.sift(&sampled));
+        self.left = Some(left);
+        left > most
+    }
+
+    /// Sets up runs, in batches after those in use. Returns the nearest distance of the runs that were left out because the time was up.
+    fn set_up(&mut self, runs: &[Run]) -> Option<f32> {
+        let Self { plan, bands, here, batches, winners, canvas, used, .. } = self;
+        let occlusion = (self.waves > 0 && Means::HiddenPolygons.is_used()).then_some(Occlusion { canvas, bands });
+        let first = *used;
+        let left_out = set_up(plan, bands, occlusion, *here, runs, batches, used);
+        batches[first..*used].iter_mut().for_each(|batch| winners.number(batch));
+        left_out
+    }
+
+    /// Draws the batches from `first` on into all bands, and resolves them after the last wave.
+    fn draw(&mut self, first: usize, wave: WaveEnds) {
+        let Self { plan, bands, here, batches, winners, canvas, targets, progress, used, .. } = self;
+        let (batches, winners) = (&batches[first..*used], &**winners);
+        // In step every band draws a batch before any draws the next one: stopped, they are complete to about the same distance.
+        let step = if progress.in_step { 1 } else { batches.len().max(1) };
+        let steps = batches.len().div_ceil(step).max(1);
+        let at_once = plan.limit.is_none() || progress.has_plenty;
+        for k in 0..steps {
+            let (some, next) = batches.split_at(batches.len().min((k + 1) * step));
+            let (some, beyond) = (&some[k * step..], next.first().map_or(wave.beyond, |batch| batch.nearest));
+            let (clear, end) = (wave.first && k == 0, k + 1 == steps);
+            if progress.stop_together() && !end {
+                continue;
+            }
+            let draw = |(band, ((buffer, target), progress))| {
+                let target: Option<&mut resolve::Target<'_>> = (wave.last && end).then_some(target);
+                let part = WavePart { clear, end, at_once, beyond };
+                let task = Draw { buffer, target, plan, batches: some, winners, bands, band, part, progress };
+                pulp::Arch::new().dispatch(task);
+            };
+            if *here {
+                canvas.iter_mut().zip(&mut *targets).zip(&mut progress.bands).enumerate().for_each(draw);
+            } else {
+                canvas.par_iter_mut().zip(&mut *targets).zip(&mut progress.bands).enumerate().for_each(draw);
+            }
+        }
+    }
+
+    /// Makes the images from the z-buffer.
+    fn resolve(&mut self) {
+        let Self { plan, bands, here, winners, canvas, targets, progress, .. } = self;
+        let winners = &**winners;
+        let resolve = |(band, ((buffer, target), progress))| {
+            pulp::Arch::new().dispatch(Resolve { buffer, target, plan, winners, bands, band, progress });
+        };
+        if *here {
+            canvas.iter().zip(targets).zip(&mut progress.bands).enumerate().for_each(resolve);
+        } else {
+            canvas.par_iter().zip(targets).zip(&mut progress.bands).enumerate().for_each(resolve);
+        }
+    }
+
+    /// Records times and counts.
+    fn finish(&self, stats: &mut Stats) {
+        progress::tell_stages(self.times, self.waves, stats);
+        stats.count(CountName::PolygonsSelected, self.plan.polygon_count);
+        stats.count(CountName::RunsSelected, self.plan.runs.len());
+        stats.count(CountName::RunsHidden, self.hidden);
+        stats.count(CountName::Waves, self.waves);
+        if let Some(left) = self.left {
+            stats.count(CountName::PolygonsLeft, left as usize);
+        }
+        self.progress.tell(stats);
+        let batches = &self.batches[..self.used];
+        let sum = |of: fn(&Batch) -> usize| batches.iter().map(of).sum();
+        stats.count(CountName::PolygonsPlaced, sum(|b| b.placed));
+        stats.count(CountName::PolygonsPassed, sum(|b| b.passed));
+        stats.count(CountName::PolygonsBounded, sum(|b| b.bounded));
+        stats.count(CountName::PolygonsSetUp, sum(|b| b.polygons.len()));
+        stats.count(CountName::PolygonsHidden, sum(|b| b.hidden));
+        stats.count(CountName::PolygonsBetweenSamples, sum(|b| b.between));
+        stats.count(CountName::PolygonsEdgeOn, sum(|b| b.edge_on));
+    }
 }
 
 /// Where a wave lies in its frame.
@@ -120,43 +258,6 @@ struct WaveEnds {
     last: bool,
     /// Metres: nothing that follows is nearer.
     beyond: f32,
-}
-
-/// Draws the batches of a wave into all bands, and resolves them after the last wave.
-#[expect(clippy::too_many_arguments, reason = "they are parts of one frame that are borrowed apart")]
-fn draw_wave(
-    plan: &FramePlan,
-    bands: &Bands,
-    here: bool,
-    (batches, winners): (&[Batch], &Winners),
-    canvas: &mut [Buffer],
-    targets: &mut [resolve::Target<'_>],
-    progress: &mut FrameProgress<'_>,
-    wave: WaveEnds,
-) {
-    let arch = pulp::Arch::new();
-    // In step every band draws a batch before any draws the next one: stopped, they are complete to about the same distance.
-    let step = if progress.in_step { 1 } else { batches.len().max(1) };
-    let steps = batches.len().div_ceil(step).max(1);
-    let at_once = plan.limit.is_none() || progress.has_plenty;
-    for k in 0..steps {
-        let (some, next) = batches.split_at(batches.len().min((k + 1) * step));
-        let (some, beyond) = (&some[k * step..], next.first().map_or(wave.beyond, |batch| batch.nearest));
-        let (clear, end) = (wave.first && k == 0, k + 1 == steps);
-        if progress.stop_together() && !end {
-            continue;
-        }
-        let draw = |(band, ((buffer, target), progress))| {
-            let target: Option<&mut resolve::Target<'_>> = (wave.last && end).then_some(target);
-            let part = WavePart { clear, end, at_once, beyond };
-            arch.dispatch(Draw { buffer, target, plan, batches: some, winners, bands, band, part, progress });
-        };
-        if here {
-            canvas.iter_mut().zip(&mut *targets).zip(&mut progress.bands).enumerate().for_each(draw);
-        } else {
-            canvas.par_iter_mut().zip(&mut *targets).zip(&mut progress.bands).enumerate().for_each(draw);
-        }
-    }
 }
 
 /// Sets up the runs of a wave, in batches after those in use. Returns the nearest distance of what was left out because the time

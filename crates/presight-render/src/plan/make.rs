@@ -116,6 +116,12 @@ impl FramePlan {
         self.chosen
     }
 
+    /// Replaces the way, for tests.
+    #[cfg(test)]
+    pub(crate) fn set_chosen(&mut self, chosen: ChosenWay) {
+        self.chosen = chosen;
+    }
+
     /// The same plan with what the sensor may see selected.
     ///
     /// # Errors
@@ -126,10 +132,12 @@ impl FramePlan {
         Ok(Self { limit: self.limit.clone(), chosen: ChosenWay::WITHOUT_TREES, ..plan })
     }
 
-    /// Records that the raster drew a plan by tiles.
-    pub fn record_raster(&mut self) {
-        if self.way() == Way::Tiles {
-            self.chosen = ChosenWay::WITHOUT_TREES;
+    /// Records the way that the engine took, where it is not the planned one.
+    pub fn record_way(&mut self, way: Option<Way>) {
+        match (self.way(), way) {
+            (Way::Tiles, Some(Way::Raster)) => self.chosen = ChosenWay::WITHOUT_TREES,
+            (Way::Raster, Some(Way::Tiles)) => self.chosen = ChosenWay::AFTER_A_WAVE,
+            _ => {}
         }
     }
 }

@@ -48,6 +48,7 @@ words! {
         Tiles = "tiles",
         Hidden = "hidden",
         SetupAndRasterization = "setup and rasterization",
+        FirstWave = "first wave",
         Setup = "setup",
         Rasterization = "rasterization",
         Upload = "upload",
@@ -108,6 +109,8 @@ words! {
         RunsShownBefore = "runs shown before",
         RunsHidden = "runs hidden",
         Waves = "waves",
+        /// Polygons that may still show after the first wave, estimated where many were selected.
+        PolygonsLeft = "polygons left after the first wave",
         /// Intervals of samples of a polygon on a line; for ray tables, tiles in which a polygon is drawn.
         Spans = "spans",
         SamplesTested = "samples tested",

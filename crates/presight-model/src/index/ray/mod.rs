@@ -90,7 +90,11 @@ impl RayTree {
         let origin = if mesh.bounds().is_empty() { DVec3::ZERO } else { mesh.bounds().center() };
         let mut items = memory::reserved(triangles as usize)?;
         let mut fans = memory::reserved(triangles as usize)?;
+        let mut copies = Copies::new(mesh)?;
         for (polygon, record) in (0..).zip(mesh.polygons()) {
+            if copies.is_copy(polygon) {
+                continue;
+            }
             let corners = record.corners(mesh.all_corners());
             for second in 1..corners.len() as u8 - 1 {
                 let [a, b, c] = [0, second, second + 1].map(|k| mesh.vertices()[corners[usize::from(k)] as usize]);
@@ -100,6 +104,7 @@ impl RayTree {
                 fans.push(Fan { polygon, second });
             }
         }
+        drop(copies);
         let halves = halve(&mut items, WIDE);
         let mut blocks = Vec::new();
         let leaf = |own: &[Item]| {
@@ -177,6 +182,60 @@ fn nodes_of(halves: &[Half], items: &[Item], leaf: impl FnMut(&[Item]) -> u32) -
     let mut tree = RayNodes { nodes: Vec::new(), leaf };
     widen(halves, items, &mut tree);
     tree.nodes
+}
+
+/// Finds polygons that no ray ever sees, because an earlier one has the same corners in the same order, the same plane and the same
+/// material: edges and inverse depths have the same bits, and the earlier one wins ties.
+struct Copies<'a> {
+    mesh: &'a Mesh,
+    /// Polygons by a hash of their corners.
+    table: Vec<u32>,
+}
+
+/// Places of the table that are looked at. A copy that is not found among them costs time only.
+const PROBES: usize = 8;
+
+impl<'a> Copies<'a> {
+    fn new(mesh: &'a Mesh) -> Result<Self> {
+        let size = (2 * mesh.polygon_count()).next_power_of_two();
+        let mut table = memory::reserved(size)?;
+        table.resize(size, u32::MAX);
+        Ok(Self { mesh, table })
+    }
+
+    fn corners(&self, polygon: u32) -> impl Iterator<Item = Vec3> + '_ {
+        self.mesh.corner_indices(polygon).iter().map(|corner| self.mesh.vertices()[*corner as usize])
+    }
+
+    /// For each edge, true if its vertices are in ascending order: the canonical order in which engines subtract them.
+    fn rises(&self, polygon: u32) -> impl Iterator<Item = bool> + '_ {
+        let corners = self.mesh.corner_indices(polygon);
+        corners.iter().zip(corners.iter().cycle().skip(1)).map(|(a, b)| a < b)
+    }
+
+    /// Notes a polygon, unless it is a copy of one before.
+    fn is_copy(&mut self, polygon: u32) -> bool {
+        let mix = |hash: u64, p: Vec3| {
+            let [x, y, z] = p.to_array().map(|c| u64::from(c.to_bits()));
+            let hash = (hash ^ x ^ y << 32).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+            (hash ^ hash >> 29 ^ z).wrapping_mul(0xbf58_476d_1ce4_e5b9)
+        };
+        let hash = self.corners(polygon).fold(0, mix);
+        for step in 0..PROBES {
+            let at = ((hash >> 20) as usize + step) & (self.table.len() - 1);
+            let known = self.table[at];
+            if known == u32::MAX {
+                self.table[at] = polygon;
+                return false;
+            }
+            let surface = |i| (self.mesh.material(i), self.mesh.plane(i));
+            let same = surface(known) == surface(polygon) && self.corners(known).eq(self.corners(polygon));
+            if same && self.rises(known).eq(self.rises(polygon)) {
+                return true;
+            }
+        }
+        false
+    }
 }
 
 /// A triangle of a polygon: its first corner, this one and the next.

@@ -1,7 +1,7 @@
 //! The decision of a tile: planes, edges and ties as the raster has them, of the polygons that the search has found. It shares the
 //! functions of [`super::super::lanes`], [`super::super::setup`] and [`super::super::raster_lines`], so it gives the raster's bits.
 
-use super::super::batch::{NOTHING, Winners};
+use super::super::batch::{NOTHING, Shade, Winners};
 use super::super::lanes::PolygonLanes;
 use super::super::raster_lines::bounds_of_lines;
 use super::super::setup::{Room, push_bounds};
@@ -52,6 +52,9 @@ impl Rays {
 struct Exact {
     m: DVec3,
     slot: u32,
+    shade: Shade,
+    /// Its number once it wins a ray, until then [`NOTHING`].
+    number: u32,
     /// False if it covers no ray: edge-on, or seen from its back.
     is_drawn: bool,
     /// Where its edges begin, once they are made, and for lines how many there are of each kind.
@@ -62,9 +65,12 @@ struct Exact {
 /// Entries of the table of polygons in hand.
 const KNOWN: usize = 1024;
 
+/// With more polygons in hand a tile begins without any, so that memory is bounded by what one tile may see.
+const MOST_IN_HAND: usize = 1 << 15;
+
 /// Polygons in hand, and what the rays of the last tile see.
 pub(super) struct Decision {
-    /// By slot: which polygon it is, and its number.
+    /// By slot: which polygon it is, and its place among those in hand.
     known: Vec<[u32; 2]>,
     polygons: Vec<Exact>,
     pub winners: Winners,
@@ -72,8 +78,10 @@ pub(super) struct Decision {
     edges: Vec<DVec3>,
     lanes: Box<PolygonLanes<1>>,
     room: Box<Room>,
-    /// By candidate of the tile.
-    numbers: Vec<u32>,
+    /// By candidate of the tile: its place among the polygons in hand.
+    places: Vec<u32>,
+    /// Rays on which candidates in doubt were drawn already.
+    drawn: [u32; GROUPS],
     rays: Box<[Rays; GROUPS]>,
     /// By group: inverse depths, 0 where nothing is seen, and who is there.
     pub inverse: [Row; GROUPS],
@@ -92,7 +100,8 @@ impl Decision {
             edges: Vec::new(),
             lanes: Box::new(PolygonLanes::new()),
             room: Box::default(),
-            numbers: Vec::new(),
+            places: Vec::new(),
+            drawn: [0; GROUPS],
             rays: Box::new([Rays::NONE; GROUPS]),
             inverse: [[0.0; GROUP]; GROUPS],
             winner: [[NOTHING; GROUP]; GROUPS],
@@ -102,30 +111,67 @@ impl Decision {
 
     /// No polygon in hand.
     pub fn clear(&mut self) {
-        self.known.fill([u32::MAX, 0]);
         self.winners.clear();
+        self.drop_polygons();
+    }
+
+    fn drop_polygons(&mut self) {
+        self.known.fill([u32::MAX, 0]);
         self.bounds.clear();
         self.edges.clear();
         self.polygons.clear();
-        self.polygons.push(Exact { m: DVec3::ZERO, slot: 0, is_drawn: false, edges: 0, counts: [0; 3] });
+    }
+
+    /// Takes the rays of a tile, which see nothing yet.
+    #[inline(always)]
+    pub fn begin(&mut self, grid: &PixelGrid, tiles: &RayTiles, tile: &RayTile) {
+        if self.polygons.len() > MOST_IN_HAND {
+            self.drop_polygons();
+        }
+        self.places.clear();
+        self.drawn = [0; GROUPS];
+        for g in 0..tile.groups {
+            self.load(grid, tiles, tile.places[g], g);
+        }
+    }
+
+    /// Draws all candidates in doubt, and removes them.
+    #[inline(never)]
+    pub fn draw_unsure(&mut self, objects: &Objects<'_>, found: &mut Found) {
+        if self.polygons.len() > MOST_IN_HAND {
+            self.drop_polygons();
+            self.places.clear();
+        }
+        self.places.resize(found.candidates.len(), NONE);
+        for i in 0..found.unsure.len() {
+            let one = found.unsure[i];
+            let (g, fresh) = (one.group as usize, one.lanes & !self.drawn[one.group as usize]);
+            for lane in (0..GROUP).filter(|lane| fresh >> lane & 1 == 1) {
+                (self.inverse[g][lane], self.winner[g][lane]) = (0.0, NOTHING);
+            }
+            self.drawn[g] |= one.lanes;
+            self.draw(objects, found, one.candidate, g, one.lanes);
+        }
+        found.unsure.clear();
     }
 
     /// Decides what the rays of a tile see.
     #[inline(always)]
-    pub fn run(&mut self, objects: &Objects<'_>, tiles: &RayTiles, tile: &RayTile, found: &Found) {
-        let grid = objects.plan.sensor.grid();
-        self.numbers.clear();
-        self.numbers.resize(found.candidates.len(), NONE);
-        let mut unsure = [0u32; GROUPS];
+    pub fn run(&mut self, objects: &Objects<'_>, tile: &RayTile, found: &Found) {
+        self.places.resize(found.candidates.len(), NONE);
+        let mut unsure = self.drawn;
         for one in &found.unsure {
             unsure[one.group as usize] |= one.lanes;
         }
         for g in 0..tile.groups {
-            self.load(grid, tiles, tile.places[g], g);
             self.unsure += u64::from(unsure[g].count_ones());
+            let before = (self.inverse[g], self.winner[g]);
             self.take_sure(objects, found, g, tile.alive[g] & !unsure[g]);
+            for lane in (0..GROUP).filter(|lane| self.drawn[g] >> lane & 1 == 1) {
+                (self.inverse[g][lane], self.winner[g][lane]) = (before.0[lane], before.1[lane]);
+            }
         }
-        if found.unsure.is_empty() {
+        if unsure[..tile.groups].iter().all(|lanes| *lanes == 0) {
             return;
         }
         for g in 0..tile.groups {
@@ -172,19 +218,19 @@ impl Decision {
             return;
         }
         if alike && sure == 0xff {
-            let number = self.number(objects, found, first);
-            self.inverse[g] = self.rays[g].inverse_of_one(self.polygons[number as usize].m);
-            self.winner[g] = [number; GROUP];
+            let place = self.place(objects, found, first);
+            self.inverse[g] = self.rays[g].inverse_of_one(self.polygons[place].m);
+            self.winner[g] = [self.number(place); GROUP];
             return;
         }
         let (mut m, mut winner) = ([[0.0; GROUP]; 3], [NOTHING; GROUP]);
-        let mut last = (NONE, NOTHING);
+        let mut last = (NONE, NOTHING, DVec3::ZERO);
         for lane in (0..GROUP).filter(|lane| sure >> lane & 1 == 1 && names[*lane] != NONE) {
             if names[lane] != last.0 {
-                last = (names[lane], self.number(objects, found, names[lane]));
+                let place = self.place(objects, found, names[lane]);
+                last = (names[lane], self.number(place), self.polygons[place].m);
             }
-            let own = self.polygons[last.1 as usize].m;
-            (m[0][lane], m[1][lane], m[2][lane], winner[lane]) = (own.x, own.y, own.z, last.1);
+            (m[0][lane], m[1][lane], m[2][lane], winner[lane]) = (last.2.x, last.2.y, last.2.z, last.1);
         }
         let k = self.rays[g].inverse(m.each_ref());
         for lane in 0..GROUP {
@@ -193,22 +239,32 @@ impl Decision {
         self.winner[g] = winner;
     }
 
-    /// The number of a candidate's polygon.
+    /// The number under which a polygon in hand wins rays.
     #[inline(always)]
-    fn number(&mut self, objects: &Objects<'_>, found: &Found, candidate: u32) -> u32 {
-        let number = self.numbers[candidate as usize];
-        if number != NONE {
-            return number;
+    fn number(&mut self, place: usize) -> u32 {
+        let exact = &mut self.polygons[place];
+        if exact.number == NOTHING {
+            exact.number = self.winners.push(exact.shade, exact.slot);
+        }
+        exact.number
+    }
+
+    /// The place of a candidate's polygon among those in hand.
+    #[inline(always)]
+    fn place(&mut self, objects: &Objects<'_>, found: &Found, candidate: u32) -> usize {
+        let place = self.places[candidate as usize];
+        if place != NONE {
+            return place as usize;
         }
         let Candidate { object, polygon } = found.candidates[candidate as usize];
         let placed = &objects.placed[object as usize];
         let slot = placed.at.first_slot + polygon;
         let entry = slot.wrapping_mul(0x9e37_79b1) as usize >> 22;
-        let [known, number] = self.known[entry];
-        let number = if known == slot { number } else { self.make(objects.plan, placed, polygon, slot) };
-        self.known[entry] = [slot, number];
-        self.numbers[candidate as usize] = number;
-        number
+        let [known, place] = self.known[entry];
+        let place = if known == slot { place } else { self.make(objects.plan, placed, polygon, slot) };
+        self.known[entry] = [slot, place];
+        self.places[candidate as usize] = place;
+        place as usize
     }
 
     #[inline(never)]
@@ -222,18 +278,19 @@ impl Decision {
         let is_seen = facing.is_none_or(|f| f.opaque && !(f.one_sided && distance > 0.0));
         let m = DVec3::new(lanes.m[0][0], lanes.m[1][0], lanes.m[2][0]);
         let is_drawn = is_seen && !lanes.edge_on[0];
-        self.polygons.push(Exact { m, slot, is_drawn, edges: u32::MAX, counts: [0; 3] });
-        self.winners.push(placed.at.shade(plan, polygon, distance), slot)
+        let shade = placed.at.shade(plan, polygon, distance);
+        self.polygons.push(Exact { m, slot, shade, number: NOTHING, is_drawn, edges: u32::MAX, counts: [0; 3] });
+        self.polygons.len() as u32 - 1
     }
 
     /// Makes the edges of a polygon.
     #[inline(never)]
-    fn make_edges(&mut self, plan: &FramePlan, placed: &PlacedObject<'_>, polygon: u32, number: u32) {
+    fn make_edges(&mut self, plan: &FramePlan, placed: &PlacedObject<'_>, polygon: u32, place: usize) {
         let lanes = &mut *self.lanes;
         lanes.load(&placed.at, &[polygon], None);
         lanes.measure(&placed.at, &[polygon]);
         lanes.set_up_edges(&placed.at, &[polygon]);
-        let exact = &mut self.polygons[number as usize];
+        let exact = &mut self.polygons[place];
         if let PixelGrid::Lines(_) = plan.sensor.grid() {
             lanes.bound();
             exact.edges = self.bounds.len() as u32;
@@ -248,15 +305,15 @@ impl Decision {
     /// Draws a candidate on some rays of a group, as the raster does.
     #[inline(always)]
     fn draw(&mut self, objects: &Objects<'_>, found: &Found, candidate: u32, g: usize, lanes: u32) {
-        let number = self.number(objects, found, candidate);
-        if !self.polygons[number as usize].is_drawn {
+        let place = self.place(objects, found, candidate);
+        if !self.polygons[place].is_drawn {
             return;
         }
-        if self.polygons[number as usize].edges == u32::MAX {
+        if self.polygons[place].edges == u32::MAX {
             let Candidate { object, polygon } = found.candidates[candidate as usize];
-            self.make_edges(objects.plan, &objects.placed[object as usize], polygon, number);
+            self.make_edges(objects.plan, &objects.placed[object as usize], polygon, place);
         }
-        let exact = self.polygons[number as usize];
+        let exact = self.polygons[place];
         let rays = &self.rays[g];
         let k = rays.inverse_of_one(exact.m);
         let mut inside = [true; GROUP];
@@ -273,12 +330,12 @@ impl Decision {
                 }
             }
         }
-        let (inverse, winner) = (&mut self.inverse[g], &mut self.winner[g]);
         for i in (0..GROUP).filter(|i| lanes >> i & 1 == 1 && inside[*i]) {
             // On bit-equal inverse depth the lower slot wins.
-            let ties = k[i] == inverse[i] && winner[i] != NOTHING;
-            if k[i] > inverse[i] || (ties && exact.slot < self.winners.slots[winner[i] as usize]) {
-                (inverse[i], winner[i]) = (k[i], number);
+            let (inverse, winner) = (self.inverse[g][i], self.winner[g][i]);
+            let ties = k[i] == inverse && winner != NOTHING;
+            if k[i] > inverse || (ties && exact.slot < self.winners.slots[winner as usize]) {
+                (self.inverse[g][i], self.winner[g][i]) = (k[i], self.number(place));
             }
         }
     }

@@ -68,9 +68,36 @@ impl Vectors {
         match self {
             Self::Avx2 => "eight lanes (AVX2, FMA)",
             Self::Sse42 => "two times four lanes (SSE4.2)",
-            Self::Plain => "eight lanes without named instructions",
+            Self::Plain => "plain loops of eight lanes: no vector instructions are named for this processor",
         }
     }
+
+    /// Runs a task of the whole crate with these vectors, or with narrower ones if the processor lacks them. `pulp::Arch` does not know
+    /// SSE4.2.
+    pub(super) fn dispatch<T: pulp::WithSimd>(self, task: T) -> T::Output {
+        use pulp::Simd;
+        #[cfg(target_arch = "x86_64")]
+        if let (Self::Sse42, Some(v2)) = (self, pulp::x86::V2::try_new()) {
+            return Simd::vectorize(v2, task);
+        }
+        if self == Self::Avx2 { pulp::Arch::new().dispatch(task) } else { Simd::vectorize(pulp::Scalar::new(), task) }
+    }
+}
+
+/// Factors on the margins of the search, which are derived in docs/design/precision.md. Below 1 they are faults, which tests plant.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Margins {
+    /// For edges and depths.
+    pub edges: f32,
+    /// For boxes.
+    pub boxes: f32,
+    /// For the places of triangles among the rays of a tile.
+    pub places: f32,
+}
+
+impl Margins {
+    /// As derived.
+    pub const SOUND: Self = Self { edges: 1.0, boxes: 1.0, places: 1.0 };
 }
 
 /// A task that is compiled for each width.
@@ -124,9 +151,10 @@ struct Worker<'a> {
 }
 
 impl<'a> Worker<'a> {
-    fn new(room: Room, plan: &'a FramePlan, frame: u64) -> Self {
+    fn new(room: Room, frame: &Frame<'a>) -> Self {
         let decision = room.decision.unwrap_or_else(Decision::new);
-        Self { objects: Objects::new(plan, room.known, frame), search: Search::new(), decision }
+        let objects = Objects::new(frame.plan, room.known, frame.number, frame.margins);
+        Self { objects, search: Search::new(), decision }
     }
 }
 
@@ -136,6 +164,7 @@ struct Frame<'a> {
     tiles: &'a RayTiles,
     bands: &'a Bands,
     vectors: Vectors,
+    margins: Margins,
     number: u64,
     rooms: Mutex<Vec<Room>>,
     workers: Mutex<Vec<Worker<'a>>>,
@@ -147,7 +176,7 @@ impl<'a> Frame<'a> {
         let taken = self.workers.lock().unwrap_or_else(PoisonError::into_inner).pop();
         let mut worker = taken.unwrap_or_else(|| {
             let room = self.rooms.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default();
-            Worker::new(room, self.plan, self.number)
+            Worker::new(room, self)
         });
         let done = work(&mut worker);
         self.workers.lock().unwrap_or_else(PoisonError::into_inner).push(worker);
@@ -170,6 +199,24 @@ impl<'a> Frame<'a> {
     }
 }
 
+/// Finds and decides what the rays of a tile see.
+#[inline(always)]
+fn trace_tile<'a, S: Width, const N: usize>(
+    simd: S,
+    tiles: &RayTiles,
+    tile: &RayTile,
+    objects: &mut Objects<'a>,
+    search: &mut Search<'a>,
+    decision: &mut Decision,
+) {
+    decision.begin(objects.plan.sensor.grid(), tiles, tile);
+    search.begin(objects, tile);
+    while !search.go_on::<S, N>(simd, objects, tile) {
+        decision.draw_unsure(objects, &mut search.found);
+    }
+    decision.run(objects, tile, &search.found);
+}
+
 /// Traces some tiles of a band.
 struct TraceBand<'t, 'a, 'i> {
     tiles: &'t [RayTile],
@@ -190,8 +237,7 @@ impl Task for TraceBand<'_, '_, '_> {
         let first = frame.bands.lines(band).start;
         decision.clear();
         for tile in tiles {
-            search.run::<S, N>(simd, objects, tile);
-            decision.run(objects, frame.tiles, tile, &search.found);
+            trace_tile::<S, N>(simd, frame.tiles, tile, objects, search, decision);
             put(buffer, frame.tiles.layout, tile, decision, first);
         }
         let shades = &decision.winners.shades;
@@ -246,8 +292,7 @@ impl Task for TraceListed<'_, '_> {
         let mut rays = Vec::with_capacity(64 * self.tiles.len());
         decision.clear();
         for tile in self.tiles {
-            search.run::<S, N>(simd, objects, tile);
-            decision.run(objects, self.frame.tiles, tile, &search.found);
+            trace_tile::<S, N>(simd, self.frame.tiles, tile, objects, search, decision);
             for g in 0..tile.groups {
                 let pixels = self.frame.tiles.listed(tile.places[g][0]);
                 for i in (0..GROUP).filter(|i| tile.alive[g] >> i & 1 == 1) {
@@ -288,6 +333,7 @@ impl CpuEngine {
                 tiles,
                 bands: &bands,
                 vectors: self.vectors,
+                margins: self.margins,
                 number: self.frame,
                 rooms: Mutex::new(std::mem::take(&mut self.rooms)),
                 workers: Mutex::default(),

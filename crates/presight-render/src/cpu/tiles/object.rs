@@ -1,6 +1,7 @@
 //! Objects as a tile sees them: a tree, and where its axes and the sensor are in the tree's frame.
 
 use super::super::setup::RayInstance;
+use super::Margins;
 use crate::plan::FramePlan;
 use glam::{DMat3, DVec3};
 use presight_model::geometry::Aabb;
@@ -11,10 +12,13 @@ use presight_model::sensor::RayTile;
 const EPSILON: f32 = 0.5 * f32::EPSILON;
 
 /// Error of an edge of a triangle as a function of the ray, relative to reach times sides: see docs/design/precision.md, *Tiles*.
-pub(super) const MARGIN: f32 = 32.0 * EPSILON;
+const MARGIN: f32 = 32.0 * EPSILON;
 
 /// Error of a box beyond a plane, relative to the coordinates it is made of.
 const BOX_MARGIN: f32 = 16.0 * EPSILON;
+
+/// Error of a corner's place in the tile, relative to reach over depth.
+const PLACE_MARGIN: f32 = 4e-6;
 
 /// An object in a frame.
 pub(super) struct PlacedObject<'a> {
@@ -97,13 +101,22 @@ pub(super) struct TreeView<'a> {
     pub slack: f32,
     /// Error of edges and, of depth, of planes.
     pub margin: f32,
+    /// Error of a corner's place, relative to reach over depth.
+    pub places: f32,
     pub stretch: f32,
 }
 
 impl<'a> TreeView<'a> {
     /// By the matrix from the tree's frame to the image, the sensor in that frame, and the bound of coordinates.
     #[inline(always)]
-    fn new(nodes: &'a [RayNode], tile: &RayTile, image_from_tree: &DMat3, centre: DVec3, reach: f32) -> Self {
+    fn new(
+        nodes: &'a [RayNode],
+        tile: &RayTile,
+        image_from_tree: &DMat3,
+        centre: DVec3,
+        reach: f32,
+        margins: Margins,
+    ) -> Self {
         let turned = |axis: DVec3| {
             let m = image_from_tree;
             DVec3::new(m.x_axis.dot(axis), m.y_axis.dot(axis), m.z_axis.dot(axis))
@@ -115,6 +128,7 @@ impl<'a> TreeView<'a> {
         let size = |p: DVec3| p.x.abs() + p.y.abs() + p.z.abs();
         let largest = planes.iter().fold(size(a), |most, p| most.max(size(*p))) as f32;
         let coordinates = centre.abs().max_element() as f32 + reach;
+        let width = 1.0 + most(tile.s_range) + most(tile.t_range);
         let narrow = |p: DVec3| [p.x as f32, p.y as f32, p.z as f32];
         Self {
             nodes,
@@ -124,26 +138,33 @@ impl<'a> TreeView<'a> {
             centre,
             centre32: narrow(centre),
             planes: [narrow(planes[0]), narrow(planes[1]), narrow(planes[2]), narrow(planes[3])],
-            slack: BOX_MARGIN * largest * coordinates,
-            margin: MARGIN * (1.0 + most(tile.s_range) + most(tile.t_range)),
+            slack: margins.boxes * BOX_MARGIN * largest * coordinates,
+            margin: margins.edges * MARGIN * width,
+            places: margins.places * PLACE_MARGIN * width,
             stretch: 1.0,
         }
     }
 
     /// View of the tree of objects.
     #[inline(always)]
-    pub fn of_world(tree: &'a ObjectTree, image_from_world: &DMat3, centre: DVec3, tile: &RayTile) -> Self {
-        Self::new(&tree.nodes, tile, image_from_world, centre - tree.origin, tree.reach)
+    pub fn of_world(
+        tree: &'a ObjectTree,
+        image_from_world: &DMat3,
+        centre: DVec3,
+        tile: &RayTile,
+        margins: Margins,
+    ) -> Self {
+        Self::new(&tree.nodes, tile, image_from_world, centre - tree.origin, tree.reach, margins)
     }
 
     /// View of a placed object.
     #[inline(always)]
-    pub fn of_object(placed: &PlacedObject<'a>, number: u32, tile: &RayTile) -> Self {
+    pub fn of_object(placed: &PlacedObject<'a>, number: u32, tile: &RayTile, margins: Margins) -> Self {
         let tree = placed.tree;
         let centre = placed.at.center - tree.origin;
-        let view = Self::new(&tree.nodes, tile, &placed.image_from_mesh, centre, tree.reach);
+        let view = Self::new(&tree.nodes, tile, &placed.image_from_mesh, centre, tree.reach, margins);
         let [stretch, apart] = placed.stretch;
-        Self { object: number, margin: view.margin * apart, stretch, ..view }
+        Self { object: number, margin: view.margin * apart, places: view.places * apart, stretch, ..view }
     }
 
     /// A place of the tree in the tile's axes, f64 until the sensor is subtracted.

@@ -1,7 +1,8 @@
 //! The search of a tile in the trees, nearest first, in f32 with margins: which polygon each ray surely sees, or which ones it may see.
 //! A ray is (1, s, t) in the axes of its tile, and its inverse depth k at a point is 1 over the point's first coordinate.
 
-use super::object::{MARGIN, PlacedObject, Placing, TreeView};
+use super::Margins;
+use super::object::{PlacedObject, Placing, TreeView};
 use super::wide::{Eight, Make, Three, Width, cross, dot, size, three};
 use crate::plan::FramePlan;
 use glam::DMat3;
@@ -14,9 +15,11 @@ pub(super) const NONE: u32 = u32::MAX;
 /// Relative error of depth up to which it is known on which side of a plane the sensor is.
 const SURE: f32 = 0.25;
 
-/// Corners this far ahead, relative to their distance, have a place in the tile; and the error of that place over depth.
+/// Corners this far ahead, relative to their distance, have a place in the tile.
 const AHEAD: f32 = 1e-5;
-const PLACE_MARGIN: f32 = 4e-6;
+
+/// So many candidates in doubt are decided before the search goes on: their number, and so memory, is bounded wherever faces coincide.
+const MANY_UNSURE: usize = 1 << 14;
 
 /// A polygon that rays of the tile may see.
 #[derive(Clone, Copy, Debug)]
@@ -115,13 +118,14 @@ pub(super) struct Objects<'a> {
     /// By object of the environment: the frame in which it was placed, and its number.
     known: Vec<(u64, u32)>,
     frame: u64,
+    margins: Margins,
     pub placed: Vec<PlacedObject<'a>>,
     /// Objects whose meshes have no tree.
     pub lacking: Vec<u32>,
 }
 
 impl<'a> Objects<'a> {
-    pub fn new(plan: &'a FramePlan, mut known: Vec<(u64, u32)>, frame: u64) -> Self {
+    pub fn new(plan: &'a FramePlan, mut known: Vec<(u64, u32)>, frame: u64, margins: Margins) -> Self {
         known.resize(plan.environment().objects().len(), (0, NONE));
         Self {
             plan,
@@ -129,6 +133,7 @@ impl<'a> Objects<'a> {
             image_from_world: (plan.world_from_sensor.rotation_matrix() * plan.sensor.body_from_image()).transpose(),
             known,
             frame,
+            margins,
             placed: Vec::new(),
             lacking: Vec::new(),
         }
@@ -186,19 +191,24 @@ impl<'a> Search<'a> {
         Self { stack: Vec::new(), views: Vec::new(), found: Found::new(), counts: Counts::default() }
     }
 
-    /// Finds what the rays of a tile may see.
+    /// Begins the search of a tile.
     #[inline(always)]
-    pub fn run<S: Width, const N: usize>(&mut self, simd: S, objects: &mut Objects<'a>, tile: &RayTile) {
+    pub fn begin(&mut self, objects: &Objects<'a>, tile: &RayTile) {
         let range_max = objects.plan.sensor.spec().range_max as f32;
         // The inverse depth of a unit ray is at least its inverse range.
         self.found.clear(tile, (1.0 - 1e-5) / range_max);
         self.views.clear();
         let centre = objects.plan.world_from_sensor.translation;
-        self.views.push(TreeView::of_world(objects.tree, &objects.image_from_world, centre, tile));
+        self.views.push(TreeView::of_world(objects.tree, &objects.image_from_world, centre, tile, objects.margins));
         self.stack.clear();
         if !objects.tree.nodes.is_empty() {
             self.stack.push(Entry { near: 0.0, name: 0, view: 0 });
         }
+    }
+
+    /// Finds what the rays of a tile may see. Returns false if candidates in doubt have to be decided first; the search then goes on.
+    #[inline(always)]
+    pub fn go_on<S: Width, const N: usize>(&mut self, simd: S, objects: &mut Objects<'a>, tile: &RayTile) -> bool {
         let mut farthest = self.found.farthest::<S, N>(simd);
         while let Some(entry) = self.stack.pop() {
             if entry.near * farthest > 1.0 {
@@ -219,9 +229,15 @@ impl<'a> Search<'a> {
                 let block = &placed.tree.blocks[number as usize];
                 if meet_block::<S, N>(simd, view, block, tile, farthest, (placed, objects.plan), &mut self.found) {
                     farthest = self.found.farthest::<S, N>(simd);
+                    if self.found.unsure.len() > MANY_UNSURE {
+                        self.found.settle::<S, N>(simd);
+                        if self.found.unsure.len() > MANY_UNSURE / 2 {
+                            return false;
+                        }
+                    }
                 }
             } else if let Some(placed) = objects.number(number) {
-                let view = TreeView::of_object(&objects.placed[placed as usize], placed, tile);
+                let view = TreeView::of_object(&objects.placed[placed as usize], placed, tile, objects.margins);
                 if !view.nodes.is_empty() {
                     self.stack.push(Entry { near: entry.near, name: 0, view: self.views.len() as u32 });
                     self.views.push(view);
@@ -229,6 +245,7 @@ impl<'a> Search<'a> {
             }
         }
         self.found.settle::<S, N>(simd);
+        true
     }
 }
 
@@ -396,7 +413,7 @@ fn set_up<S: Width, const N: usize>(
     let p2: Three<S, N> = three!(i => p0[i] + e2[i]);
     let depth = p0[0].min(p1[0]).min(p2[0]);
     triangles.placed = depth.more_than(eight.splat(AHEAD) * reach).bits();
-    let around = eight.splat(view.margin * (PLACE_MARGIN / MARGIN)) * reach.over(depth);
+    let around = eight.splat(view.places) * reach.over(depth);
     let per_depth = [one.over(p0[0]), one.over(p1[0]), one.over(p2[0])];
     for i in 0..2 {
         let [a, b, c] = [p0[1 + i] * per_depth[0], p1[1 + i] * per_depth[1], p2[1 + i] * per_depth[2]];

@@ -1,0 +1,254 @@
+//! Learns for each sensor which way of the CPU engine is faster. Both ways give the same bits, so learning is free of risk.
+//!
+//! By counts, tiles take over from the raster if more than so many polygons may show after the first wave ([`Way::choose`]). What a
+//! polygon and a ray cost depends on the machine and on the sensor, so that number is learnt: a frame's time by either way is a line
+//! over the polygons left, and tiles take over from where the lines say so. The number stays within [`RANGE`] times the counted one on
+//! either side, and only frames in that range try the other way, one in [`TRIED`]. A frame by the wrong way takes at most a few times as
+//! long, so trying costs little.
+
+use super::{UnitCosts, WorkCounts};
+use crate::plan::{ChosenWay, CountName, FramePlan, Outputs, Stats, Way};
+use presight_model::sensor::{GroupLayout, Sensor};
+use std::time::Duration;
+
+/// How far the number may move, as a factor.
+const RANGE: u64 = 4;
+
+/// One frame in so many tries the raster where tiles would be taken, and another one the reverse.
+const TRIED: u64 = 128;
+
+/// Frames that were drawn by each way before times count.
+const ENOUGH: u64 = 8;
+
+/// After so many frames that turned to tiles in succession, the next ones go by tiles without a selection.
+const IN_SUCCESSION: u32 = 4;
+
+/// One frame in so many selects and draws a first wave nevertheless, to see whether tiles are still the faster way.
+const CHECKED: u64 = 16;
+
+/// Sensors that are known at most; a further one displaces the oldest.
+const MOST_SENSORS: usize = 64;
+
+/// What a sensor's frames took.
+#[derive(Debug)]
+struct SensorWays {
+    size: [u32; 2],
+    layout: GroupLayout,
+    is_camera: bool,
+    outputs: Outputs,
+    /// Frames chosen.
+    frames: u64,
+    /// Frames in succession that turned to tiles.
+    turned: u32,
+    /// Times of the raster and of tiles over the polygons left.
+    costs: [UnitCosts; 2],
+}
+
+/// Which way is faster for which sensor. It is told times and reads no clock.
+#[derive(Debug, Default)]
+pub struct WayCosts {
+    sensors: Vec<SensorWays>,
+}
+
+impl SensorWays {
+    fn new(sensor: &Sensor, outputs: Outputs) -> Self {
+        Self {
+            size: [sensor.width(), sensor.height()],
+            layout: sensor.ray_layout(),
+            is_camera: sensor.is_camera(),
+            outputs,
+            frames: 0,
+            turned: 0,
+            costs: <[UnitCosts; 2]>::default(),
+        }
+    }
+
+    fn is_of(&self, sensor: &Sensor, outputs: Outputs) -> bool {
+        self.size == [sensor.width(), sensor.height()]
+            && self.layout == sensor.ray_layout()
+            && self.is_camera == sensor.is_camera()
+            && self.outputs == outputs
+    }
+
+    /// The number of polygons left from which on tiles are faster, by times. `counted` is the number by counts.
+    fn most_left(&self, counted: u64) -> u64 {
+        if self.costs.iter().any(|costs| costs.frames < ENOUGH) {
+            return counted;
+        }
+        let seconds = |costs: &UnitCosts, left| costs.mean(&of(left));
+        let [raster, tiles] = &self.costs;
+        // Twice the number at each step, from the top down while tiles are faster.
+        let mut most = RANGE * counted;
+        while most > counted / RANGE && seconds(tiles, most) < seconds(raster, most) {
+            most /= 2;
+        }
+        most.max(counted / RANGE)
+    }
+
+    /// True if the frame just chosen tries a way that would not be taken otherwise.
+    fn is_trial(&self) -> bool {
+        self.frames.is_multiple_of(TRIED / 2)
+    }
+}
+
+fn of(left: u64) -> WorkCounts {
+    WorkCounts { polygons: left, ..WorkCounts::default() }
+}
+
+impl WayCosts {
+    fn entry(&mut self, sensor: &Sensor, outputs: Outputs) -> &mut SensorWays {
+        let at = match self.sensors.iter().position(|known| known.is_of(sensor, outputs)) {
+            Some(at) => at,
+            None => {
+                if self.sensors.len() >= MOST_SENSORS {
+                    self.sensors.remove(0);
+                }
+                self.sensors.push(SensorWays::new(sensor, outputs));
+                self.sensors.len() - 1
+            }
+        };
+        &mut self.sensors[at]
+    }
+
+    /// The way of the next frame, by what frames of this sensor took. `chosen` is the way by counts; one that leaves nothing open stays.
+    pub fn adjust(&mut self, sensor: &Sensor, outputs: Outputs, chosen: ChosenWay) -> ChosenWay {
+        if chosen.most_left == u64::MAX {
+            return chosen;
+        }
+        let known = self.entry(sensor, outputs);
+        known.frames += 1;
+        let counted = chosen.most_left;
+        let most_left = match known.frames % TRIED {
+            0 => counted.saturating_mul(RANGE),
+            n if n == TRIED / 2 => counted / RANGE,
+            _ => known.most_left(counted),
+        };
+        if known.turned >= IN_SUCCESSION && !known.is_trial() && !known.frames.is_multiple_of(CHECKED) {
+            let why = "the sensor's last frames had too many polygons after the first wave";
+            return ChosenWay { way: Way::Tiles, why, most_left, ..chosen };
+        }
+        ChosenWay { most_left, ..chosen }
+    }
+
+    /// Learns from a frame that took this time, from the choice to the images.
+    pub fn learn(&mut self, plan: &FramePlan, stats: &Stats, took: Duration) {
+        let chosen = plan.chosen();
+        if chosen.most_left == u64::MAX || plan.limit.is_some() {
+            return;
+        }
+        let known = self.entry(&plan.sensor, plan.request.outputs);
+        if chosen.way == Way::Tiles {
+            if stats.way == Some(Way::Raster) {
+                known.turned = 0;
+            }
+            return;
+        }
+        let by_tiles = stats.way == Some(Way::Tiles);
+        if !known.is_trial() {
+            known.turned = if by_tiles { known.turned + 1 } else { 0 };
+        }
+        let left = stats.count_of(CountName::PolygonsLeft);
+        if let Some(left) = left.filter(|_| took > Duration::ZERO) {
+            known.costs[usize::from(by_tiles)].observe(&of(left), took.as_secs_f64());
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plan::FramePlan;
+    use presight_model::environment::Environment;
+    use presight_model::geometry::Pose;
+    use presight_model::sensor::{Camera, Geometry, SensorSpec};
+    use presight_model::world::World;
+
+    /// A sensor whose frames take a known time by each way: frames by each, and the time lost beside the faster way for each frame.
+    struct Simulated {
+        ways: WayCosts,
+        plan: FramePlan,
+        seconds: [fn(f64) -> f64; 2],
+        frames: [u64; 2],
+        best: f64,
+        spent: f64,
+    }
+
+    const COUNTED: u64 = 1000;
+
+    impl Simulated {
+        fn new(seconds: [fn(f64) -> f64; 2]) -> Self {
+            let camera = Camera::pinhole(80, 50, 40.0, 40.0, 40.0, 25.0);
+            let sensor = Sensor::new(SensorSpec::new("c", "laser", Geometry::Camera(camera))).unwrap();
+            let world = World::new(Environment::new());
+            let outputs = Outputs::of(&[crate::plan::Output::Range]);
+            let plan = FramePlan::new(&world, &sensor, &Pose::IDENTITY, outputs).unwrap();
+            Self { ways: WayCosts::default(), plan, seconds, frames: [0; 2], best: 0.0, spent: 0.0 }
+        }
+
+        /// A frame after whose first wave so many polygons are left.
+        fn frame(&mut self, left: u64) -> Way {
+            let counted = ChosenWay { most_left: COUNTED, ..ChosenWay::RASTER };
+            let chosen = self.ways.adjust(&self.plan.sensor, self.plan.request.outputs, counted);
+            self.plan.set_chosen(chosen);
+            let by_tiles = chosen.way == Way::Tiles || left > chosen.most_left;
+            let way = if by_tiles { Way::Tiles } else { Way::Raster };
+            let mut stats = Stats { way: Some(way), ..Stats::default() };
+            if chosen.way == Way::Raster {
+                stats.count(CountName::PolygonsLeft, left as usize);
+            }
+            let took = self.seconds.map(|seconds| seconds(left as f64));
+            self.frames[usize::from(by_tiles)] += 1;
+            self.best += took[0].min(took[1]);
+            self.spent += took[usize::from(by_tiles)];
+            self.ways.learn(&self.plan, &stats, Duration::from_secs_f64(took[usize::from(by_tiles)]));
+            way
+        }
+    }
+
+    /// Where counts are right, trying the other way costs at most 2 %, at any number of polygons.
+    #[test]
+    fn trying_costs_little() {
+        let seconds: [fn(f64) -> f64; 2] = [|n| 1e-3 * (0.4 + 0.6e-3 * n), |_| 1e-3];
+        for left in [10, 250, 300, 700, 1001, 1500, 3900, 5000, 100_000] {
+            let mut sensor = Simulated::new(seconds);
+            (0..3000).for_each(|_| _ = sensor.frame(left));
+            assert!(sensor.spent < 1.02 * sensor.best, "{left}: {} {}", sensor.spent, sensor.best);
+        }
+    }
+
+    /// Tiles of this machine are twice as fast, or twice as slow, as counts expect.
+    #[test]
+    fn times_correct_counts() {
+        let fast: [fn(f64) -> f64; 2] = [|n| 1e-3 * (0.2 + 0.6e-3 * n), |_| 0.45e-3];
+        let slow: [fn(f64) -> f64; 2] = [|n| 1e-3 * (0.2 + 0.6e-3 * n), |_| 1.8e-3];
+        for (seconds, left, better) in [(fast, 700, Way::Tiles), (slow, 1500, Way::Raster)] {
+            let mut sensor = Simulated::new(seconds);
+            (0..1200).for_each(|_| _ = sensor.frame(left));
+            let late = (0..640).filter(|_| sensor.frame(left) == better).count();
+            assert!(late >= 620, "{better}: {late} of 640");
+        }
+    }
+
+    /// A sensor that leaves a crowded place goes back to the raster within one check.
+    #[test]
+    fn another_place_is_noticed() {
+        let mut sensor = Simulated::new([|n| 1e-6 * n, |_| 1e-3]);
+        (0..100).for_each(|_| _ = sensor.frame(20_000));
+        let before = sensor.frames[0];
+        assert!(before <= 2, "{before}");
+        (0..CHECKED + 1).for_each(|_| _ = sensor.frame(50));
+        assert_eq!(sensor.frame(50), Way::Raster);
+    }
+
+    #[test]
+    fn choices_that_leave_nothing_open_stay() {
+        let mut sensor = Simulated::new([|_| 1.0, |_| 1e-3]);
+        for chosen in [ChosenWay::RASTER, ChosenWay::TILES] {
+            let outputs = sensor.plan.request.outputs;
+            assert_eq!(sensor.ways.adjust(&sensor.plan.sensor, outputs, chosen), chosen);
+            sensor.plan.set_chosen(chosen);
+            sensor.ways.learn(&sensor.plan, &Stats::default(), Duration::from_secs(1));
+        }
+        assert!(sensor.ways.sensors.is_empty());
+    }
+}
