@@ -48,7 +48,7 @@ fn detail() -> Option<f64> {
     (millimetres > 0).then_some(millimetres as f64 * 1e-3)
 }
 
-/// Five people walk where the robot drives. They hide much of the office: 288 of 591 m2 are found. The model with them predicts at most one pixel in a hundred nearer than the model
+/// Five people walk where the robot drives. Why only 288 of 591 m2 are found then is open. The model with them predicts at most one pixel in a hundred nearer than the model
 /// without them.
 #[test]
 fn who_walks_through_leaves_nothing() {
