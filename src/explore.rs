@@ -20,8 +20,7 @@
 //!     let pose = Pose::from_xyz_rpy(DVec3::new(0.0, 0.0, 1.2), 0.0, 0.3, f64::from(k) * 0.1);
 //!     views.push(&simulator.frame(&world, f64::from(k), &pose)?.thinned(8)?, pose)?;
 //! }
-//! // Kept pixels are about 3 cm apart on the walls.
-//! let options = ExploreOptions::default().with_detail(0.05);
+//! let options = ExploreOptions::default();
 //! let found = Exploration::of(&Environment::new(), Known::Explored, &views, &options)?;
 //! assert!(found.objects.iter().any(|o| o.path == "floor/0001"));
 //! // Nothing behind the camera is made up.

@@ -73,9 +73,10 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 2000, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
     polygons: u32,
 
-    /// Size of the smallest pieces of surface that are distinguished, metres
-    #[arg(long, value_name = "METRES", default_value_t = 0.02)]
-    detail: f64,
+    /// Size of the smallest pieces of surface that are distinguished, metres [default: what the noise of the ranges, the
+    /// distance of neighbouring points and the number of frames allow, 0.02 at least]
+    #[arg(long, value_name = "METRES")]
+    detail: Option<f64>,
 
     /// Height of the walls that scans of one row show, metres
     #[arg(long, value_name = "METRES", default_value_t = 2.5)]
@@ -148,8 +149,9 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
 
 impl Args {
     fn check(&self) -> Result<()> {
-        let lengths = [("--detail", self.detail), ("--wall-height", self.wall_height)];
-        if let Some((flag, length)) = lengths.iter().find(|(_, l)| !(*l > 0.0 && l.is_finite())) {
+        let lengths =
+            self.detail.map(|detail| ("--detail", detail)).into_iter().chain([("--wall-height", self.wall_height)]);
+        if let Some((flag, length)) = lengths.into_iter().find(|(_, l)| !(*l > 0.0 && l.is_finite())) {
             return Err(Error::usage(format!("{flag} {length}"), "give a finite length above 0, metres"));
         }
         if !self.floor.is_finite() {
@@ -313,6 +315,9 @@ fn report(found: &Exploration, views: &Views, number: u64) -> String {
     if found.parts.len() > 1 {
         let areas: Vec<String> = found.parts.iter().take(5).map(|area| format!("{area:.2} m2")).collect();
         text += &format!("{} parts that no chain of frames joins: {}\n", found.parts.len(), areas.join(", "));
+    }
+    if found.mirrored > 0 {
+        text += &format!("{} points are images in mirrors and are left out\n", found.mirrored);
     }
     if found.opened > 0.0 {
         text += &format!("{:.2} m2 of the known surfaces are open now\n", found.opened);

@@ -1,5 +1,6 @@
 //! What views add to an environment, as a change of a store.
 
+use crate::detail::SMALLEST;
 use crate::objects::ExploredObject;
 use crate::outline::Areas;
 use crate::plan::{Wall, walls};
@@ -25,6 +26,11 @@ const CONFIRMED: f64 = 0.05;
 /// Points this near to a known surface are explained, in units of the detail.
 const EXPLAINED: f64 = 2.0;
 
+/// Points this near to a corrected surface are explained, metres.
+const ROUGH: f64 = 0.1;
+/// Points that a rough model explains at least: no fewer move a face.
+const LEAST_EXPLAINED: usize = 30;
+
 /// The kind of model that an exploration starts from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Known {
@@ -48,6 +54,8 @@ pub struct Exploration {
     pub opened: f64,
     /// Areas of the parts that no chain of views joins, square metres, the largest first.
     pub parts: Vec<f64>,
+    /// Measured points that are images in mirrors, and are left out.
+    pub mirrored: usize,
     /// Part of the measured distances that the known model does not explain.
     pub unexplained: f64,
     /// Sensor class of the covariances.
@@ -70,14 +78,16 @@ impl Exploration {
         let before: BTreeSet<String> = paths(&environment);
         let is_planar = views.all().iter().all(|v| v.sensor().height() == 1);
         let is_empty = before.is_empty();
+        let detail = if is_planar { SMALLEST } else { options.detail(views).least };
         if !is_empty && !is_planar {
             if known == Known::Rough {
                 environment = corrected(&environment, views, &mut predictor)?;
+                check_rough(&environment, views, &mut predictor)?;
             }
-            (environment, opened_area) = options.threads.run(|| opened(&environment, views, options.detail))??;
+            (environment, opened_area) = options.threads.run(|| opened(&environment, views, detail))??;
         }
         let after = paths(&environment);
-        let tolerance = if is_planar { options.wall_tolerance } else { EXPLAINED * options.detail };
+        let tolerance = if is_planar { options.wall_tolerance } else { EXPLAINED * detail };
         let known_pixels = match is_empty {
             true => None,
             false => Some(explained(&environment, views, &mut predictor, tolerance)?),
@@ -91,6 +101,7 @@ impl Exploration {
             areas: Areas::default(),
             opened: opened_area,
             parts: Vec::new(),
+            mirrored: 0,
             unexplained: 1.0 - pixels as f64 / views.hits().max(1) as f64,
             class,
             stamp,
@@ -103,7 +114,7 @@ impl Exploration {
         match Surfaces::unexplained(views, options, &mut predictor, is_used)? {
             Some(found) => {
                 exploration.areas = found.areas;
-                exploration.parts = found.parts();
+                (exploration.parts, exploration.mirrored) = (found.parts(), found.mirrored);
                 exploration.objects = found.objects(&exploration.environment)?;
             }
             None if is_empty => {
@@ -226,6 +237,21 @@ impl Exploration {
         }
         Ok(Change::Group(changes))
     }
+}
+
+/// A rough model must explain something: cells of surfaces that are a thousand times too large take minutes, and say nothing.
+fn check_rough(environment: &Environment, views: &Views, predictor: &mut Predictor) -> Result<()> {
+    let points = explained(environment, views, predictor, ROUGH)?.iter().flatten().filter(|e| **e).count();
+    if points >= LEAST_EXPLAINED {
+        return Ok(());
+    }
+    let of = |bounds: Aabb| {
+        let size = 2.0 * bounds.half_extent();
+        format!("{:.1} x {:.1} x {:.1} m", size.x, size.y, size.z)
+    };
+    let (model, seen) = (of(environment.bounds()), of(views.bounds()));
+    let what = format!("the rough model, {model}, explains none of the points, which fill {seen}");
+    Err(Error::invalid(what, "give a model of this place, in metres and in the frame of the poses, or none"))
 }
 
 fn known_or(found: Result<Vec<Wall>>, is_empty: bool) -> Result<Vec<Wall>> {

@@ -22,6 +22,16 @@ const POLYGONS: usize = 1000;
 /// Standard deviation of surfaces that few views show, metres.
 const MODEL_SIGMA: f64 = 0.005;
 
+/// After frames of elsewhere the search covers this surrounding of the last known pose: metres, radians.
+const REACH: (f64, f64) = (0.5, 0.4);
+/// Share of its points that must be explained.
+const JOINED: f64 = 0.8;
+
+fn estimator(options: &ExploreOptions) -> Result<Estimator> {
+    let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(options.threads.clone()))?;
+    Ok(Estimator::new(predictor, EstimateOptions::default().with_model_sigma(MODEL_SIGMA)))
+}
+
 /// Explores without poses. The first frame fixes the frame of the world.
 pub struct Follower {
     options: ExploreOptions,
@@ -29,12 +39,17 @@ pub struct Follower {
     kind: Known,
     views: Views,
     localizer: Localizer,
+    /// For single frames.
+    estimator: Estimator,
     world: World,
     /// Number of views when the model was made.
     made_of: usize,
     covariance: Matrix,
     last: Matrix,
+    /// Times of the frames that showed nothing known.
     lost: Vec<f64>,
+    /// The last pose of the robot that was found.
+    found: Pose,
 }
 
 /// The pose of a frame, found on the way.
@@ -52,10 +67,8 @@ impl Follower {
     /// # Errors
     /// [`presight_model::ErrorKind::System`] without threads.
     pub fn new(world_from_robot: Pose, known: Environment, kind: Known, options: &ExploreOptions) -> Result<Self> {
-        let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(options.threads.clone()))?;
-        let estimator = Estimator::new(predictor, EstimateOptions::default().with_model_sigma(MODEL_SIGMA));
         let start = PoseEstimate::of_sigmas(world_from_robot, 0.01, 0.01);
-        let localizer = Localizer::new(estimator, start, LocalizeOptions::default());
+        let localizer = Localizer::new(estimator(options)?, start, LocalizeOptions::default());
         let world = World::new(known.clone());
         Ok(Self {
             options: options.clone().with_polygons(options.polygons.min(POLYGONS)),
@@ -63,11 +76,13 @@ impl Follower {
             kind,
             views: Views::default(),
             localizer,
+            estimator: estimator(options)?,
             world,
             made_of: 0,
             covariance: [[0.0; 6]; 6],
             last: [[0.0; 6]; 6],
             lost: Vec::new(),
+            found: world_from_robot,
         })
     }
 
@@ -80,16 +95,20 @@ impl Follower {
         if self.views.all().is_empty() {
             self.views.push(frame, start * robot_from_sensor)?;
             self.make()?;
+            self.found = start;
             let pose = PoseEstimate::exact(start);
             return Ok(Some(FoundPose { stamp: frame.stamp, pose }));
         }
         let step = self.localizer.step(&self.world, frame)?;
-        if !matches!(step.phase, Phase::Tracking | Phase::Candidates) || !step.estimate.is_determined() {
+        let is_known = matches!(step.phase, Phase::Tracking | Phase::Candidates) && step.estimate.is_determined();
+        let pose = if is_known { Some(step.pose) } else { self.found_again(frame)? };
+        let Some(pose) = pose else {
             self.lost.push(frame.stamp);
             return Ok(None);
-        }
-        self.views.push(frame, step.pose.world_from_robot * robot_from_sensor)?;
-        self.last = *step.pose.covariance.as_rows();
+        };
+        self.found = pose.world_from_robot;
+        self.views.push(frame, pose.world_from_robot * robot_from_sensor)?;
+        self.last = *pose.covariance.as_rows();
         let more = self.views.all().len() - self.made_of;
         if more as f64 >= (GROWTH * self.made_of as f64).max(2.0) {
             // Surfaces added now are as far off as this pose: errors of one model pass into the next.
@@ -99,7 +118,19 @@ impl Follower {
         let mut covariance = self.covariance;
         add_to(&mut covariance, &self.last);
         let covariance = PoseCovariance::<InWorld>::from_rows(covariance);
-        Ok(Some(FoundPose { stamp: frame.stamp, pose: PoseEstimate::new(step.pose.world_from_robot, covariance) }))
+        Ok(Some(FoundPose { stamp: frame.stamp, pose: PoseEstimate::new(pose.world_from_robot, covariance) }))
+    }
+
+    /// The pose at a frame after frames of elsewhere, near the last known pose. The frame must show little else than known surfaces.
+    fn found_again(&mut self, frame: &Frame) -> Result<Option<PoseEstimate>> {
+        let prior = PoseEstimate::of_sigmas(self.found, REACH.0, REACH.1);
+        let estimate = self.estimator.estimate(&self.world, &[frame], &prior)?;
+        let found = (estimate.is_determined() && estimate.explained > JOINED).then_some(estimate.pose);
+        if let Some(pose) = found {
+            let start = PoseEstimate::of_sigmas(pose.world_from_robot, 0.01, 0.01);
+            self.localizer = Localizer::new(estimator(&self.options)?, start, LocalizeOptions::default());
+        }
+        Ok(found)
     }
 
     /// Makes the model of some of the views, the last one among them.

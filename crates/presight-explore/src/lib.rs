@@ -3,11 +3,13 @@
 //! Use it through the crate `presight`, which gives the same names.
 
 mod convex;
+mod detail;
 mod evidence;
 mod exploration;
 mod field;
 mod flat;
 mod follow;
+mod mirror;
 mod objects;
 pub mod occupancy;
 mod outline;

@@ -7,7 +7,7 @@ use std::cmp::Ordering;
 use std::collections::{BTreeSet, BinaryHeap};
 
 /// While a region grows: largest distance of a surfel from the plane, in sizes of the surfel.
-const NEAR: f64 = 0.25;
+pub(crate) const NEAR: f64 = 0.25;
 /// While a region grows: least cosine between normals (25 degrees).
 const ALIKE: f64 = 0.906;
 /// Standard deviation of a surfel from its plane, in sizes of the surfel.

@@ -2,6 +2,7 @@
 //! between other rays nobody looked.
 
 use crate::convex::convex;
+use crate::detail::SMALLEST;
 use crate::field::simplified;
 use crate::flat::Flat;
 use crate::outline::{Areas, Piece};
@@ -200,13 +201,13 @@ pub(crate) fn sheets(
     predictor: &mut Predictor,
     is_used: impl Fn(usize, usize) -> bool,
 ) -> Result<Option<Surfaces>> {
-    let mut found = Found::default();
+    let (mut found, detail) = (Found::default(), options.detail.unwrap_or(SMALLEST));
     for (number, view) in views.all().iter().enumerate() {
         let explained = found.explained(predictor, &views.only(number))?;
         let sheet = Sheet::of(view, |pixel| is_used(number, pixel) && !explained[pixel]);
         let room = options.polygons - found.pieces.len();
         if room > 0 && !sheet.triangles.is_empty() {
-            options.threads.run(|| found.add(view, &sheet, options.detail, room))?;
+            options.threads.run(|| found.add(view, &sheet, detail, room))?;
         }
     }
     if found.pieces.is_empty() {
@@ -231,7 +232,8 @@ pub(crate) fn sheets(
     let unseen: f64 = found.unseen.iter().map(|(places, side)| places.len() as f64 * side * side).sum();
     Ok(Some(Surfaces {
         base: views.base(),
-        detail: options.detail,
+        detail,
+        mirrored: 0,
         areas: Areas { surface: pieces.iter().map(Piece::area).sum(), open: 0.0, unseen },
         pieces,
         evidence,

@@ -1,6 +1,8 @@
 //! Surfaces of views: from surfels over regions to convex polygons.
 
+use crate::detail::{Detail, SMALLEST};
 use crate::flat::Flat;
+use crate::mirror::without_images;
 use crate::outline::{Areas, OutlineOptions, Piece, outlines};
 use crate::region::Regions;
 use crate::sheet::{are_sparse, sheets};
@@ -20,8 +22,9 @@ use std::collections::{BTreeMap, BTreeSet};
 pub struct ExploreOptions {
     /// Most polygons.
     pub polygons: usize,
-    /// Side of the smallest pieces of surface that are distinguished, metres.
-    pub detail: f64,
+    /// Side of the smallest pieces of surface that are distinguished, metres; `None` for what the noise of the ranges, the distance of
+    /// neighbouring points and the number of views allow, 2 cm at least.
+    pub detail: Option<f64>,
     /// Height of walls that a level scanner of one row sees, metres.
     pub wall_height: f64,
     /// Height of the floor that these walls stand on, metres.
@@ -36,7 +39,7 @@ impl Default for ExploreOptions {
     fn default() -> Self {
         Self {
             polygons: 2000,
-            detail: 0.02,
+            detail: None,
             wall_height: 2.5,
             floor: 0.0,
             wall_tolerance: 0.1,
@@ -48,18 +51,28 @@ impl Default for ExploreOptions {
 presight_model::with_options!(
     ExploreOptions:
     with_polygons polygons: usize,
-    with_detail detail: f64,
+    with_detail detail: Option<f64>,
     with_wall_height wall_height: f64,
     with_floor floor: f64,
     with_wall_tolerance wall_tolerance: f64,
     with_threads threads: Threads,
 );
 
+impl ExploreOptions {
+    /// The sides of the smallest pieces of surface for these views.
+    pub(crate) fn detail(&self, views: &Views) -> Detail {
+        let is_sparse = self.detail.is_none() && are_sparse(views, SMALLEST);
+        Detail::of(views, if is_sparse { Some(SMALLEST) } else { self.detail })
+    }
+}
+
 /// Convex polygons that explain views.
 pub(crate) struct Surfaces {
     /// Metres in the world: what all coordinates count from.
     pub(crate) base: DVec3,
     pub(crate) detail: f64,
+    /// Points behind mirrors, which are left out.
+    pub(crate) mirrored: usize,
     pub(crate) planes: Vec<Flat>,
     pub(crate) pieces: Vec<Piece>,
     /// By plane: rays that ended on it, and that went through.
@@ -97,16 +110,26 @@ impl Surfaces {
         predictor: &mut Predictor,
         is_used: impl Fn(usize, usize) -> bool + Sync + Send,
     ) -> Result<Option<Self>> {
-        if are_sparse(views, options.detail) {
+        if are_sparse(views, options.detail.unwrap_or(SMALLEST)) {
             return sheets(views, options, predictor, is_used);
         }
         let threads = options.threads.clone();
-        let surface = threads.run(|| Surface::new(surfels(views, options.detail, is_used)))?;
+        let detail = options.detail(views);
+        let most = (options.polygons as f64 * PLANES).ceil() as usize;
+        let regions_of = |views: &Views| {
+            let surface = Surface::new(surfels(views, &detail, &is_used));
+            let regions = Regions::new(&surface, detail.least, most);
+            (surface, regions)
+        };
+        let (mut surface, mut regions) = threads.run(|| regions_of(views))?;
+        let cleaned = threads.run(|| without_images(views, &surface, &regions))?;
+        let (views, mirrored) = cleaned.as_ref().map_or((views, 0), |(views, points)| (views, *points));
+        if mirrored > 0 {
+            (surface, regions) = threads.run(|| regions_of(views))?;
+        }
         if surface.surfels.is_empty() {
             return Ok(None);
         }
-        let most = (options.polygons as f64 * PLANES).ceil() as usize;
-        let mut regions = threads.run(|| Regions::new(&surface, options.detail, most))?;
         let members = regions.members();
         let size =
             |m: &Vec<u32>| m.iter().map(|m| surface.surfels[*m as usize].size).sum::<f64>() / m.len().max(1) as f64;
@@ -115,7 +138,7 @@ impl Surfaces {
             // Coarse until planes are fitted: what ends on them changes little.
             cell: 2.0 * CELL,
             tolerance: if options.polygons < 1000 { 1.0 } else { 0.5 },
-            least_hits: (views.all().len() as u32).min(2),
+            least_hits: (detail.seen as u32).clamp(1, 2),
         };
         let mut round = 0;
         let (mut found, pieces, solid) = loop {
@@ -137,7 +160,8 @@ impl Surfaces {
         found.iter().for_each(|o| areas.add(&o.areas));
         Ok(Some(Self {
             base: views.base(),
-            detail: options.detail,
+            detail: detail.least,
+            mirrored,
             pieces: earned(pieces, &verdicts.shown, options.polygons),
             evidence: found.iter().map(|o| o.evidence).collect(),
             sigmas: verdicts.sigmas,

@@ -1,5 +1,6 @@
 //! Surfels: points of surfaces with normals, averaged over the pixels of all views that fall into one small cube.
 
+use crate::detail::Detail;
 use crate::view::{View, Views};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
@@ -54,14 +55,13 @@ impl Sum {
 /// Cube, and direction and level of size in one number.
 type Key = ([i32; 3], u8);
 
-/// The surfels of views, in a fixed order. `least` is the side of the smallest cubes; where pixels are farther apart
-/// than two sides, cubes are two, four, .. times as large. `is_used` says which pixels count.
-pub(crate) fn surfels(views: &Views, least: f64, is_used: impl Fn(usize, usize) -> bool + Sync) -> Vec<Surfel> {
+/// The surfels of views, in a fixed order. `detail` says how large the cubes are. `is_used` says which pixels count.
+pub(crate) fn surfels(views: &Views, detail: &Detail, is_used: impl Fn(usize, usize) -> bool + Sync) -> Vec<Surfel> {
     let mut sums: HashMap<Key, Sum> = HashMap::new();
     let numbered: Vec<(usize, &View)> = views.all().iter().enumerate().collect();
     for wave in numbered.chunks(TOGETHER * 8) {
         let parts: Vec<HashMap<Key, Sum>> =
-            wave.par_chunks(TOGETHER).map(|part| part_of(part, least, &is_used)).collect();
+            wave.par_chunks(TOGETHER).map(|part| part_of(part, detail, &is_used)).collect();
         for (key, sum) in parts.iter().flatten() {
             sums.entry(*key).or_default().add(sum);
         }
@@ -74,22 +74,24 @@ pub(crate) fn surfels(views: &Views, least: f64, is_used: impl Fn(usize, usize) 
         at: sum.at / sum.weight,
         normal: sum.normal.normalize_or(DVec3::Z),
         weight: sum.weight,
-        size: least * f64::from(1u32 << (key.1 / 6)),
+        size: detail.least * f64::from(1u32 << (key.1 / 6)),
     };
     kept.iter().map(surfel).collect()
 }
 
-fn part_of(part: &[(usize, &View)], least: f64, is_used: &impl Fn(usize, usize) -> bool) -> HashMap<Key, Sum> {
+fn part_of(part: &[(usize, &View)], detail: &Detail, is_used: &impl Fn(usize, usize) -> bool) -> HashMap<Key, Sum> {
     let mut sums: HashMap<Key, Sum> = HashMap::new();
     for (number, view) in part {
         let (width, height) = (view.width(), view.height());
         for row in 1..height.saturating_sub(1) {
             for pixel in row * width + 1..(row + 1) * width - 1 {
-                let Some((p, n, cosine)) = oriented(view, pixel).filter(|_| is_used(*number, pixel)) else { continue };
+                let Some((p, n, cosine)) = oriented(view, pixel).filter(|_| is_used(*number, pixel)) else {
+                    continue;
+                };
                 let (at, normal) = (view.origin() + view.turned(p), view.turned(n));
                 let range = f64::from(view.ranges[pixel]);
-                let level = (range * view.pitch() / (2.0 * least)).log2().ceil().clamp(0.0, 12.0) as u8;
-                let size = least * f64::from(1u32 << level);
+                let level = detail.level(range, range * view.pitch());
+                let size = detail.least * f64::from(1u32 << level);
                 let cube = (at / size).floor().to_array().map(|c| c as i32);
                 let weight = f64::from(cosine * cosine) / range;
                 let sum = Sum { at: at * weight, normal: normal * weight, weight, count: 1 };

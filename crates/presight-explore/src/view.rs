@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec3, Vec3};
 use presight_model::error::{Error, Result};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Aabb, Pose};
 use presight_model::measured::Frame;
 use presight_model::sensor::Sensor;
 use std::sync::Arc;
@@ -90,6 +90,28 @@ impl Views {
         Self { base: self.base, views: vec![self.views[number].clone()] }
     }
 
+    /// The measurements without some of the distances, and their number.
+    pub(crate) fn without(&self, is_out: impl Fn(&View, usize) -> bool) -> (Self, usize) {
+        let (mut left, mut count) = (self.clone(), 0);
+        for (view, own) in left.views.iter_mut().zip(&self.views) {
+            for (pixel, range) in view.ranges.iter_mut().enumerate() {
+                if range.is_finite() && is_out(own, pixel) {
+                    *range = f32::NAN;
+                    count += 1;
+                }
+            }
+        }
+        (left, count)
+    }
+
+    /// Bounds of the measured points, relative to the base, metres.
+    pub(crate) fn bounds(&self) -> Aabb {
+        let points = |view: &View| {
+            Aabb::of((0..view.ranges.len()).filter(|i| view.ranges[*i].is_finite()).map(|i| view.point(i)))
+        };
+        self.views.iter().map(points).fold(Aabb::EMPTY, Aabb::union)
+    }
+
     /// Number of measured distances.
     pub fn hits(&self) -> usize {
         self.views.iter().map(|v| v.ranges.iter().filter(|r| r.is_finite()).count()).sum()
@@ -138,6 +160,12 @@ impl View {
     /// Unit ray of a pixel, in body axes.
     pub(crate) fn in_body(&self, pixel: usize) -> DVec3 {
         self.optics.sensor.body_from_image() * self.optics.rays[pixel].as_dvec3()
+    }
+
+    /// Unit ray of a pixel in the image frame.
+    #[inline]
+    pub(crate) fn ray_in_image(&self, pixel: usize) -> DVec3 {
+        self.optics.rays[pixel].as_dvec3()
     }
 
     /// The measured point of a pixel, relative to the base of the views.

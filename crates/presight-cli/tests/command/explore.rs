@@ -102,11 +102,11 @@ fn what_is_strange_about_poses_and_models_is_said() {
     let jumped = place.run(&format!("{explore} --poses jump.tum --out jump.presight"));
     assert_eq!(jumped.status, Some(0), "{}", jumped.stderr);
     assert!(jumped.stderr.contains("the poses jump by 1.0"), "{}", jumped.stderr);
-    // A model ten times too large stands far away.
-    place.write("large.rhai", b"place(\"hall\", box(40, 40, 25));");
-    let large = place.run(&format!("{explore} --map large.rhai --out large.presight"));
-    assert_eq!(large.status, Some(0), "{}", large.stderr);
-    assert!(large.stderr.contains("is it of this place, in metres"), "{}", large.stderr);
+    // A plate on the floor explains little.
+    place.write("plate.rhai", b"place(\"plate\", box(1.5, 1.5, 0.1), pose(1.0, 1.5, -0.1));");
+    let plate = place.run(&format!("{explore} --map plate.rhai --out plate.presight"));
+    assert_eq!(plate.status, Some(0), "{}", plate.stderr);
+    assert!(plate.stderr.contains("is it of this place, in metres"), "{}", plate.stderr);
     let right = place.run(&format!("{explore} --map room.glb --out right.presight"));
     assert!(right.status == Some(0) && !right.stderr.contains("explains"), "{}", right.stderr);
 }
@@ -141,4 +141,85 @@ fn frames_without_a_reading_are_refused() {
     let last = ran.stderr.lines().last().unwrap_or_default().to_owned();
     assert!(ran.status == Some(1) && last.starts_with("error: "), "{}", ran.stderr);
     assert!(!place.path("b.presight").exists());
+}
+
+/// Killed at any time, the store is as far as it was acknowledged, and the same command goes on.
+#[cfg(unix)]
+#[test]
+fn a_killed_run_goes_on_with_the_same_command() {
+    let place = drive();
+    let explore = "explore log --sensor log/sensor.toml --detail 0.1 --stride 2 --map room.glb --time 1 --out";
+    let clock = std::time::Instant::now();
+    place.run(&format!("{explore} whole.presight"));
+    let seconds = clock.elapsed();
+    let whole = info(&place.path("whole.presight")).unwrap();
+    for part in [0.3, 0.6, 0.8, 0.9, 1.0] {
+        let store = place.path("killed.presight");
+        let mut child = std::process::Command::new(assert_cmd::cargo::cargo_bin("presight"))
+            .current_dir(place.folder.path())
+            .args(format!("{explore} killed.presight").split_whitespace())
+            .stdout(std::process::Stdio::null())
+            .stderr(std::process::Stdio::null())
+            .spawn()
+            .unwrap();
+        std::thread::sleep(seconds.mul_f64(part));
+        child.kill().unwrap();
+        child.wait().unwrap();
+        let changes = if store.exists() { info(&store).unwrap().changes } else { 0 };
+        let again = place.run(&format!("{explore} killed.presight"));
+        if changes == 0 {
+            assert_eq!(again.status, Some(0), "{part}: {}", again.stderr);
+        } else {
+            // The change was made: a rough model is not taken twice.
+            assert!(again.status == Some(2) && again.stderr.contains("explore on"), "{part}: {}", again.stderr);
+        }
+        let now = info(&store).unwrap();
+        assert_eq!((now.changes, now.environment.content_hash()), (1, whole.environment.content_hash()), "{part}");
+        fs::remove_file(&store).unwrap();
+    }
+}
+
+/// A disk that is full is an error of one line, and the store stays as it was.
+#[cfg(unix)]
+#[test]
+fn a_full_disk_leaves_the_store_as_it_was() {
+    let place = drive();
+    let explore = "explore log --sensor log/sensor.toml --detail 0.05 --time 1 --out";
+    let limited = |blocks: u32, store: &str| {
+        let mut shell = std::process::Command::new("sh");
+        shell.current_dir(place.folder.path()).args(["-c", &format!("ulimit -f {blocks}; exec \"$@\""), "sh"]);
+        let ended =
+            shell.arg(assert_cmd::cargo::cargo_bin("presight")).args(explore.split_whitespace()).arg(store).output();
+        let ended = ended.unwrap();
+        (ended.status.code(), String::from_utf8(ended.stderr).unwrap())
+    };
+    let is_error = |(status, said): (Option<i32>, String), store: &str| {
+        let lines = said.lines().filter(|l| l.starts_with(&format!("error: {store}"))).count();
+        assert!(status == Some(4) && lines == 1, "{status:?} {said}");
+    };
+    is_error(limited(8, "new.presight"), "new.presight");
+    assert_eq!(place.run(&format!("{explore} old.presight --polygons 100")).status, Some(0));
+    let before = info(&place.path("old.presight")).unwrap();
+    let blocks = fs::metadata(place.path("old.presight")).unwrap().len() / 512 + 4;
+    is_error(limited(blocks as u32, "old.presight"), "old.presight");
+    let after = info(&place.path("old.presight")).unwrap();
+    assert_eq!((after.changes, after.environment.content_hash()), (before.changes, before.environment.content_hash()));
+}
+
+/// Poses found on the way from a first frame that sees only the floor: nothing says how far along the floor the robot goes.
+#[test]
+fn frames_that_see_only_a_floor_are_named() {
+    let place = drive();
+    fs::remove_file(place.path("log/poses.txt")).unwrap();
+    let line = |k: usize| format!("{k} {} 1.5 1.3 0 0.642788 0 0.766044\n", 2.0 + 0.02 * k as f64);
+    place.write("down.tum", (0..6).map(line).collect::<String>().as_bytes());
+    place.write("floor.rhai", b"place(\"floor\", box(30, 30, 0.1), pose(0, 0, -0.1));");
+    place.done("simulate floor.rhai --sensor camera.toml --poses down.tum --out down");
+    fs::remove_file(place.path("down/poses.txt")).unwrap();
+    let without = place.run("explore down --sensor down/sensor.toml --init reference --out a.presight");
+    assert!(without.status == Some(1) && without.stderr.contains("--init x,y,z"), "{}", without.stderr);
+    let ran = place.run("explore down --sensor down/sensor.toml --init 2,1.5,1.3,0,80,0 --out a.presight");
+    assert_eq!(ran.status, Some(0), "{}", ran.stderr);
+    assert!(ran.stderr.contains("show nothing that is known and are left out: "), "{}", ran.stderr);
+    assert!(ran.stderr.contains("3 s, 4 s, 5 s"), "{}", ran.stderr);
 }

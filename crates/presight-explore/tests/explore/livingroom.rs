@@ -12,7 +12,9 @@ fn explored(polygons: usize) -> Option<(Exploration, Judged)> {
         views.push(frame, *pose).unwrap();
     }
     let odd: Vec<_> = all.iter().skip(1).step_by(8).cloned().collect();
-    let options = ExploreOptions::default().with_polygons(polygons);
+    let millimetres = presight_testkit::env_number("DETAIL_MM", 0) as f64;
+    let detail = (millimetres > 0.0).then_some(1e-3 * millimetres);
+    let options = ExploreOptions::default().with_polygons(polygons).with_detail(detail);
     let clock = std::time::Instant::now();
     let found = Exploration::of(&Environment::new(), Known::Explored, &views, &options).unwrap();
     let seconds = clock.elapsed().as_secs_f64();
@@ -55,7 +57,7 @@ fn frames_without_poses_are_found_on_the_way() {
     let (frame, start) = (&all[0].0, all[0].1);
     assert_eq!(frame.sensor().spec().mount, Default::default());
     let detail = presight_testkit::env_number("DETAIL_MM", 40) as f64 * 1e-3;
-    let options = ExploreOptions::default().with_detail(detail);
+    let options = ExploreOptions::default().with_detail(Some(detail));
     let mut follower = Follower::new(start, Environment::new(), Known::Explored, &options).unwrap();
     let clock = std::time::Instant::now();
     let mut last = None;

@@ -3,6 +3,9 @@
 
 mod corridor;
 mod livingroom;
+mod lost;
+mod mirrors;
+mod noise;
 mod occupancy;
 mod office;
 mod rooms;

@@ -42,6 +42,52 @@ fn outer_walls() -> [(&'static str, Vec3, Vec3); 4] {
     ]
 }
 
+/// 5 cm, or `DETAIL_MM` millimetres; 0 for what the measurements allow.
+fn detail() -> Option<f64> {
+    let millimetres = presight_testkit::env_number("DETAIL_MM", 50);
+    (millimetres > 0).then_some(millimetres as f64 * 1e-3)
+}
+
+/// Five people walk where the robot drives. Why only 288 of 591 m2 are found then is open. The model with them predicts at most one pixel in a hundred nearer than the model
+/// without them.
+#[test]
+fn who_walks_through_leaves_nothing() {
+    let Some(office) = presight_testkit::data::scene("office_clearpath", true) else { return };
+    let (real, sensor) = (office.environment(), lidar());
+    let explored = |walkers: usize| {
+        let mut views = Views::default();
+        drive(real, &sensor, 5, 20.0, walkers).iter().for_each(|(frame, pose)| views.push(frame, *pose).unwrap());
+        let options = ExploreOptions::default().with_polygons(5000).with_detail(detail());
+        Exploration::of(&Environment::new(), Known::Explored, &views, &options).unwrap()
+    };
+    let [without, with] = [0, 5].map(explored);
+    let other = drive(real, &sensor, 5, 20.0, 0);
+    let oracles = [&without, &with].map(|found| Oracle::new(found.environment(), other[0].1.translation).unwrap());
+    let (mut all, mut same, mut nearer) = (0, 0, 0);
+    for (frame, pose) in &other[2..] {
+        let width = frame.sensor().width();
+        for pixel in (0..frame.ranges().len() as u32).step_by(3) {
+            let cast = |o: &Oracle| o.cast(frame.sensor(), pose, (pixel % width, pixel / width)).and_then(|v| v.range);
+            let [a, b] = [0, 1].map(|k| cast(&oracles[k]).filter(|r| r.is_finite()).unwrap_or(f32::INFINITY));
+            all += 1;
+            same += usize::from(a == b || (a - b).abs() < 0.05);
+            nearer += usize::from(b < a - 0.1);
+        }
+    }
+    let share = |part: usize| part as f64 / f64::from(all);
+    println!("in mirrors: {} and {}", without.mirrored, with.mirrored);
+    println!(
+        "same {:.4}, nearer with walkers {:.4}; {} and {} polygons, {:?} {:?}",
+        share(same),
+        share(nearer),
+        without.polygons(),
+        with.polygons(),
+        without.areas,
+        with.areas
+    );
+    assert!(share(nearer) < 0.01, "{}", share(nearer));
+}
+
 /// Measured: 97.3 % of the pixels of another drive that show something known are confirmed (98.1 % after a minute of driving).
 #[test]
 fn an_office_is_explored_from_four_rough_walls() {
@@ -56,7 +102,7 @@ fn an_office_is_explored_from_four_rough_walls() {
     let frames = drive(real, &sensor, 5, 45.0, 0);
     let mut views = Views::default();
     frames.iter().for_each(|(frame, pose)| views.push(frame, *pose).unwrap());
-    let options = ExploreOptions::default().with_polygons(10_000).with_detail(0.05);
+    let options = ExploreOptions::default().with_polygons(10_000).with_detail(detail());
     let clock = std::time::Instant::now();
     let found = Exploration::of(&rough, Known::Rough, &views, &options).unwrap();
     println!("{} polygons in {:.1} s", found.polygons(), clock.elapsed().as_secs_f64());

@@ -24,16 +24,20 @@ fn windowed() -> Environment {
     environment
 }
 
-fn sensor() -> Sensor {
+pub(crate) fn sensor() -> Sensor {
     let camera = Geometry::Camera(Camera::pinhole(96, 72, 48.0, 48.0, 47.5, 35.5));
     let spec = SensorSpec::new("camera", "laser", camera).with_limits(0.2, 8.0);
     Sensor::new(spec.with_noise(Noise { range_sigma: 0.002, ..Noise::default() })).unwrap()
 }
 
-/// Frames of worlds at poses.
 fn views(frames: impl IntoIterator<Item = (Environment, Pose)>) -> Views {
+    views_of(&sensor(), frames)
+}
+
+/// Frames of worlds at poses.
+pub(crate) fn views_of(sensor: &Sensor, frames: impl IntoIterator<Item = (Environment, Pose)>) -> Views {
     let predictor = Predictor::new(Options::default()).unwrap();
-    let mut simulator = Simulator::new(predictor, sensor(), Disturbances::default(), 7).unwrap();
+    let mut simulator = Simulator::new(predictor, sensor.clone(), Disturbances::default(), 7).unwrap();
     let mut views = Views::default();
     for (k, (environment, pose)) in frames.into_iter().enumerate() {
         let frame = simulator.frame(&World::new(environment), k as f64, &pose).unwrap();

@@ -1,0 +1,110 @@
+//! Mirrors: what is seen through an opening of a surface, and is an image of what lies before that surface, is no room behind it.
+
+use crate::flat::Flat;
+use crate::region::Regions;
+use crate::surfel::{Surface, oriented};
+use crate::view::{View, Views};
+use glam::{DVec2, DVec3};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Least area of a surface that has a mirror, square metres.
+const LARGE: f64 = 0.5;
+/// Points this far behind the surface are behind it, metres.
+const BEHIND: f64 = 0.1;
+/// Side of the cells of an opening, metres.
+const CELL: f64 = 0.1;
+/// Views that mirrors are looked for in.
+const VIEWS: usize = 16;
+/// Surfaces across the mirror's plane, such as the floor, go on behind a door, too: cosine between the normals.
+const ACROSS: f64 = 0.3;
+/// An image is this near to what it is an image of, in sizes of surfels, and metres at most: larger pieces are images by chance.
+const SAME: f64 = 2.0;
+const NEAR: f64 = 0.05;
+/// Points that decide on an opening, and the share of them that are images. Of what lies behind a door, fewer are by chance.
+const LEAST_POINTS: u32 = 100;
+const IMAGES: f64 = 0.8;
+
+/// The plane of a mirror, and the cells of its opening.
+struct Mirror {
+    plane: Flat,
+    cells: BTreeSet<[i64; 2]>,
+}
+
+impl Mirror {
+    fn shows(&self, view: &View, pixel: usize) -> bool {
+        crossing(&self.plane, view, pixel).is_some_and(|q| self.cells.contains(&cell(q)))
+    }
+}
+
+fn cell(q: DVec2) -> [i64; 2] {
+    (q / CELL).floor().to_array().map(|c| c as i64)
+}
+
+/// Where the ray of a point behind a plane goes through it from the front.
+fn crossing(plane: &Flat, view: &View, pixel: usize) -> Option<DVec2> {
+    let (from, to) = (plane.above(view.origin()), plane.above(view.point(pixel)));
+    (from > 0.0 && to < -BEHIND).then(|| plane.place(view.origin().lerp(view.point(pixel), from / (from - to))))
+}
+
+/// The views without what mirrors show, and the number of points that are left out; `None` if there is no mirror.
+pub(crate) fn without_images(views: &Views, surface: &Surface, regions: &Regions) -> Option<(Views, usize)> {
+    let large = |(plane, members): (&Flat, Vec<u32>)| {
+        let area: f64 = members.iter().map(|m| surface.surfels[*m as usize].size.powi(2)).sum();
+        (area > LARGE).then(|| mirrors(views, surface, plane, &members)).unwrap_or_default()
+    };
+    let found: Vec<Mirror> = regions.planes.iter().zip(regions.members()).flat_map(large).collect();
+    if found.is_empty() {
+        return None;
+    }
+    Some(views.without(|view, pixel| found.iter().any(|mirror| mirror.shows(view, pixel))))
+}
+
+/// The openings of a plane that show images.
+fn mirrors(views: &Views, surface: &Surface, plane: &Flat, members: &[u32]) -> Vec<Mirror> {
+    let places = members.iter().map(|m| plane.place(surface.surfels[*m as usize].at));
+    let infinite = (DVec2::INFINITY, DVec2::NEG_INFINITY);
+    let (least, most) = places.fold(infinite, |(a, b), q| (a.min(q), b.max(q)));
+    let size = surface.surfels[members[0] as usize].size;
+    // Points that may be images, and those that are, by cell.
+    let mut counts: BTreeMap<[i64; 2], [u32; 2]> = BTreeMap::new();
+    for view in views.some(VIEWS).all() {
+        let (width, height) = (view.width(), view.height());
+        for pixel in (1..height.saturating_sub(1)).flat_map(|row| row * width + 1..(row + 1) * width - 1) {
+            let Some(q) = crossing(plane, view, pixel).filter(|q| q.cmpge(least).all() && q.cmple(most).all()) else {
+                continue;
+            };
+            let count = counts.entry(cell(q)).or_default();
+            let Some((p, normal, _)) = oriented(view, pixel) else { continue };
+            if view.turned(normal).dot(plane.normal).abs() > ACROSS {
+                let p: DVec3 = view.origin() + view.turned(p);
+                let image = p - 2.0 * plane.above(p) * plane.normal;
+                count[0] += 1;
+                count[1] += u32::from(surface.near(image, NEAR.min(SAME * size)).next().is_some());
+            }
+        }
+    }
+    let is_mirror = |cells: &BTreeSet<[i64; 2]>| {
+        let [all, images] = cells.iter().fold([0; 2], |sum, cell| [0, 1].map(|k| sum[k] + counts[cell][k]));
+        all >= LEAST_POINTS && f64::from(images) > IMAGES * f64::from(all)
+    };
+    let openings = parts(counts.keys().copied().collect());
+    openings.into_iter().filter(is_mirror).map(|cells| Mirror { plane: *plane, cells }).collect()
+}
+
+/// Cells that hang together.
+fn parts(mut left: BTreeSet<[i64; 2]>) -> Vec<BTreeSet<[i64; 2]>> {
+    let mut parts = Vec::new();
+    while let Some(first) = left.pop_first() {
+        let (mut part, mut front) = (BTreeSet::from([first]), vec![first]);
+        while let Some([x, y]) = front.pop() {
+            for next in (-1..=1).flat_map(|i| (-1..=1).map(move |j| [x + i, y + j])) {
+                if left.remove(&next) {
+                    part.insert(next);
+                    front.push(next);
+                }
+            }
+        }
+        parts.push(part);
+    }
+    parts
+}

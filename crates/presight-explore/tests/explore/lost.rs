@@ -1,0 +1,70 @@
+//! Frames that show nothing known are named, and the next ones are found again.
+
+use super::rooms::sensor;
+use glam::{DVec3, Vec3};
+use presight_explore::{ExploreOptions, Follower, Known};
+use presight_localize::simulate::{Disturbances, Simulator};
+use presight_model::environment::{Environment, NewObject};
+use presight_model::geometry::Pose;
+use presight_model::measured::Frame;
+use presight_model::world::World;
+use presight_predict::predict::{Options, Predictor};
+use presight_testkit::scenes::{cuboid, empty};
+
+/// A room around the origin whose sides all differ.
+fn room() -> Environment {
+    let mut environment = empty();
+    let mut add = |name: &str, low: [f32; 3], high: [f32; 3]| {
+        let mesh = cuboid(Vec3::from(low), Vec3::from(high));
+        environment.insert(NewObject::new(name, Pose::IDENTITY, mesh.into())).unwrap();
+    };
+    add("room", [-2.2, -2.0, -1.0], [2.4, 1.8, 1.3]);
+    add("chest", [1.5, -0.6, -1.0], [2.0, 0.1, -0.2]);
+    add("pillar", [0.9, 1.1, -1.0], [1.2, 1.4, 1.0]);
+    add("table", [-1.6, 0.6, -1.0], [-0.8, 1.3, -0.1]);
+    add("shelf", [-2.1, -1.2, -1.0], [-1.7, -0.4, 0.6]);
+    add("box", [-0.3, -1.8, -1.0], [0.4, -1.3, 0.0]);
+    environment
+}
+
+fn look(yaw: f64) -> Pose {
+    Pose::from_xyz_rpy(DVec3::new(0.1 * yaw, 0.05 * yaw, 0.2), 0.0, 0.2, yaw)
+}
+
+/// The frames at these yaws, one a tenth of a second.
+fn frames(real: &Environment, yaws: &[f64], start: f64) -> Vec<(Frame, Pose)> {
+    let predictor = Predictor::new(Options::default()).unwrap();
+    let mut simulator = Simulator::new(predictor, sensor(), Disturbances::default(), 7).unwrap();
+    let world = World::new(real.clone());
+    let at = |(k, yaw): (usize, &f64)| {
+        let pose = look(*yaw);
+        (simulator.frame(&world, start + 0.1 * k as f64, &pose).unwrap(), pose)
+    };
+    yaws.iter().enumerate().map(at).collect()
+}
+
+#[test]
+fn frames_of_elsewhere_are_named_and_the_next_are_found_again() {
+    // Three frames, a look far to the left and back, and a slow turn.
+    let turn = (0..6).map(|k| 0.1 * f64::from(k));
+    let yaws: Vec<f64> = [0.0, 0.05, 0.1, 2.2, 2.25].into_iter().chain(turn).collect();
+    let drive = frames(&room(), &yaws, 0.0);
+    let mut elsewhere = empty();
+    let hall = cuboid(Vec3::new(-7.0, -5.0, -3.0), Vec3::new(7.5, 6.0, 4.0));
+    elsewhere.insert(NewObject::new("hall", Pose::IDENTITY, hall.into())).unwrap();
+    let strange = frames(&elsewhere, &[0.3], 100.0);
+    let mut follower =
+        Follower::new(look(0.0), Environment::new(), Known::Explored, &ExploreOptions::default()).unwrap();
+    for (frame, _) in drive.iter().chain(&strange) {
+        follower.add(frame, look(0.0)).unwrap();
+    }
+    let lost: Vec<i64> = follower.lost().iter().map(|t| (10.0 * t).round() as i64).collect();
+    assert_eq!(lost, [3, 4, 1000]);
+    // Each view is where it was taken.
+    for view in follower.into_views().all() {
+        let (_, truth) = drive.iter().find(|(frame, _)| frame.stamp == view.stamp).unwrap();
+        let off = view.world_from_sensor.translation.distance(truth.translation);
+        let turned = view.world_from_sensor.rotation.angle_between(truth.rotation).to_degrees();
+        assert!(off < 0.03 && turned < 1.0, "{} s: {off} m, {turned} deg", view.stamp);
+    }
+}
