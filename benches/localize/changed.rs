@@ -380,10 +380,11 @@ fn hard_views(world: &World, shares: Shares, walkers: usize, seed: u64) -> Log {
     Log { map: world.clone(), frames, truth, start: Some(start), looked_for: 0, model_sigma: None }
 }
 
-/// Real scans.
-fn malaga(given: bool) -> Option<Log> {
+/// Real scans, in the map of the corridor with shares of its walls gone and moved.
+fn malaga(given: bool, shares: Shares, seed: u64) -> Option<Log> {
     let log = data::file("lidar2d/malaga_corridor_run_scans.json")?;
     let map = super::map(&data::file("lidar2d/malaga_corridor_map.glb")?);
+    let map = World::new(changed(map.environment(), shares, &Way::straight([0.0; 3], 0.0, 1.0), seed).0);
     let read: Vec<_> =
         Frames::open(&log, None, &Default::default()).expect("a log").map(|o| o.expect("a scan")).collect();
     let truth: Vec<Option<Pose>> = read.iter().map(|o| o.reference).collect();
@@ -437,11 +438,42 @@ pub fn all(words: &[String]) {
     if is_asked(scenes, "corridor") && is_asked(cases, "corridor without odometry") {
         localized(&corridor(frames)).print("corridor", "corridor without odometry");
     }
-    for (case, given) in [("real scans, start given", true), ("real scans, unknown start", false)] {
+    for (case, given, shares) in [
+        ("real scans, start given", true, EXACT),
+        ("real scans, unknown start", false, EXACT),
+        ("real scans, 15/15 of the walls, start given", true, SOME),
+        ("real scans, 15/15 of the walls, unknown start", false, SOME),
+    ] {
         if is_asked(scenes, "malaga") && is_asked(cases, case) {
-            malaga(given).iter().for_each(|log| localized(log).print("malaga corridor", case));
+            malaga(given, shares, seed).iter().for_each(|log| localized(log).print("malaga corridor", case));
         }
     }
+}
+
+/// Short drives in maps of other buildings, for this number of seconds: how many have a frame that is tracked.
+pub fn wrong(words: &[String]) {
+    let seconds = words.first().map_or(300.0, |n| n.parse().expect("a number of seconds"));
+    let began = std::time::Instant::now();
+    let worlds: Vec<(&str, World)> = SCENES.into_iter().filter_map(|name| Some((name, load(name)?))).collect();
+    let (mut drives, mut frames, mut tracked) = (0, 0, Vec::new());
+    'drives: for seed in 1.. {
+        for (k, (name, world)) in worlds.iter().enumerate() {
+            // Each other building in turn.
+            let (other, building) = &worlds[(k + 1 + seed as usize % (worlds.len() - 1)) % worlds.len()];
+            for given in [true, false] {
+                if began.elapsed().as_secs_f64() > seconds {
+                    break 'drives;
+                }
+                let row = localized(&elsewhere(world, building, 20, given, seed));
+                (drives, frames) = (drives + 1, frames + row.frames);
+                if row.tracking > 0 {
+                    tracked.push(format!("{other} in the map of {name}, given {given}, seed {seed}: {}", row.tracking));
+                }
+            }
+        }
+    }
+    println!("{drives} drives of {frames} frames in other buildings, {} with a tracked frame", tracked.len());
+    tracked.iter().for_each(|line| println!("{line}"));
 }
 
 /// For single scans: the odds by which the best place of the map leads over all others, as the localizer counts them.

@@ -8,7 +8,7 @@ use presight_files::preset;
 use presight_localize::estimate::{
     Estimate, EstimateOptions, Estimator, Freedom, measured_points, motion_between, moved, nees,
 };
-use presight_localize::localize::{LocalizeOptions, Localizer, Phase, Step};
+use presight_localize::localize::{ErrorRates, LocalizeOptions, Localizer, Phase, Step};
 use presight_localize::simulate::{Disturbances, Simulator};
 use presight_model::geometry::{Pose, PoseEstimate};
 use presight_model::measured::{Frame, Measurement};
@@ -63,19 +63,21 @@ fn upper_bound(events: u64, frames: u64) -> f64 {
 }
 
 /// Drives with 361 beams and odometry from many places, for at least this many frames. Counts how often the robot is
-/// reported as lost.
-pub fn alarms(least: u64) {
+/// reported as lost, with a stated rate of robots that are carried away.
+pub fn alarms(least: u64, rate: f64) {
     let Some(world) = hall() else { return };
     let scanner = with_sigma("laser-scanner", 0.02);
     let count = least.div_ceil(FRAMES as u64) as usize;
     let places = free_poses(&world, count, 17).expect("free poses");
     let (frames, lost, next) = (AtomicU64::new(0), AtomicU64::new(0), AtomicU64::new(0));
+    let rates = ErrorRates { carried_away: rate, ..ErrorRates::default() };
+    let options = LocalizeOptions::default().with_rates(rates);
     let drive = |seed: u64, place: &Pose| {
         let mut simulator =
             Simulator::new(single(), scanner.clone(), Disturbances::default(), seed).expect("a simulator");
         let planar = EstimateOptions::planar().with_model_sigma(0.01);
         let prior = PoseEstimate::of_sigmas(on_the_way(place, 0), 0.03, 0.02);
-        let mut robot = Localizer::new(Estimator::new(single(), planar), prior, LocalizeOptions::default());
+        let mut robot = Localizer::new(Estimator::new(single(), planar), prior, options);
         for k in 0..FRAMES {
             let frame = simulator.frame(&world, k as f64, &on_the_way(place, k)).expect("a frame");
             let step = robot.step(&world, &frame).expect("a step");

@@ -1,8 +1,8 @@
 //! Measures one update including prediction and verdicts: `cargo bench --bench localize`. Prints medians and 95th
 //! percentiles on two threads, starting from the previous frame's pose. Missing sets of ../shared/data (or
 //! $PRESIGHT_DATA) are skipped.
-//! `cargo bench --bench localize -- alarms 30000` (or `accuracy 200`, `fidelity 40`, `noise 60`, `kidnapped`) simulates
-//! drives, see `drives.rs`; `changed` drives through changed rooms, see `changed.rs`; `-- frames DIR` also writes the frames and their estimates for `benches/peers/localize.sh`.
+//! `cargo bench --bench localize -- alarms 30000 1e-6` (or `accuracy 200`, `fidelity 40`, `noise 60`, `kidnapped`) simulates
+//! drives, see `drives.rs`; `changed` drives through changed rooms, see `changed.rs`, and `wrong 300` for 300 s in maps of other buildings; `-- frames DIR` also writes the frames and their estimates for `benches/peers/localize.sh`.
 
 #![allow(clippy::print_stdout, reason = "a bench prints its figures")]
 
@@ -176,16 +176,20 @@ fn main() {
             let out = words.get(1).map(Path::new);
             [livingroom(), malaga(), hall()].into_iter().flatten().for_each(|case| case.measure(out));
         }
-        Some("alarms") => drives::alarms(number(30_000) as u64),
+        Some("alarms") => {
+            let rate = words.get(2).map_or(1e-6, |rate| rate.parse().expect("a rate"));
+            drives::alarms(number(30_000) as u64, rate)
+        }
         Some("accuracy") => drives::accuracy(number(200)),
         Some("fidelity") => drives::fidelity(number(40)),
         Some("noise") => drives::noise(number(60)),
         Some("kidnapped") => drives::kidnapped(),
         Some("changed") => changed::all(&words[1..]),
+        Some("wrong") => changed::wrong(&words[1..]),
         Some("leads") => changed::leads(&words[1..]),
         Some(other) => {
             panic!(
-                "{other}: give frames DIR, alarms, accuracy, fidelity, noise, kidnapped, changed or leads, or nothing"
+                "{other}: give frames DIR, alarms, accuracy, fidelity, noise, kidnapped, changed, wrong or leads, or nothing"
             )
         }
     }

@@ -8,7 +8,7 @@ use presight_testkit::oracle::Oracle;
 use presight_testkit::way::{Driving, Way};
 
 /// A hall of 12 x 8 m with twenty crates along its walls.
-fn hall() -> World {
+pub fn hall() -> World {
     let mut environment = Environment::new();
     environment.add_material(Material::named("paint")).unwrap();
     add_box(&mut environment, "hall", Vec3::ZERO, Vec3::new(12.0, 8.0, 3.0));
@@ -20,7 +20,7 @@ fn hall() -> World {
     World::new(environment)
 }
 
-fn wander(world: &World, seconds: f64) -> Way {
+pub fn wander(world: &World, seconds: f64) -> Way {
     let environment = world.environment();
     let oracle = Oracle::new(environment, DVec3::ZERO).unwrap();
     Way::wander(&oracle, &environment.bounds(), &Driving { seconds, speed: 0.7, turn: 0.7 }, 3)

@@ -10,6 +10,7 @@ mod fused;
 mod hall;
 mod livingroom;
 mod malaga;
+mod misled;
 mod noise;
 mod objects;
 mod reflectors;

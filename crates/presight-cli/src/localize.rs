@@ -126,7 +126,7 @@ fn details(s: &Step) -> serde_json::Value {
     serde_json::json!({
         "time": s.stamp, "state": s.phase.name(), "reason": s.reason, "help": help(s),
         "translation": s.pose.world_from_robot.translation.to_array(), "rotation_xyzw": s.pose.world_from_robot.rotation.to_array(),
-        "odds": s.odds, "carried": s.carried, "covariance": s.pose.covariance, "explained": s.estimate.explained, "weak": weak, "verdicts": verdicts,
+        "odds": s.odds, "carried": s.carried, "covariance": s.pose.covariance, "explained": s.estimate.explained, "model_sigma": s.estimate.model_sigma, "weak": weak, "verdicts": verdicts,
         "features": features,
         "predictions": s.estimate.predictions,
         "candidates": s.candidates.iter().map(candidate).collect::<Vec<_>>(),
@@ -166,6 +166,9 @@ pub fn summary(followed: &Followed) -> String {
         let Some(there) = there else { continue };
         let degrees = step.pose.world_from_robot.rotation.angle_between(there.rotation).to_degrees();
         off.push(((step.pose.world_from_robot.translation - there.translation).length(), degrees));
+    }
+    if let Some(sigma) = steps.iter().rev().find(|s| s.phase == Phase::Tracking).map(|s| s.estimate.model_sigma) {
+        text += &format!("surfaces of the map count as off by {sigma:.3} m\n");
     }
     if !off.is_empty() {
         let rms = |f: fn(&(f64, f64)) -> f64| (off.iter().map(|o| f(o).powi(2)).sum::<f64>() / off.len() as f64).sqrt();

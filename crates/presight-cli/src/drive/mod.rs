@@ -73,8 +73,8 @@ pub struct Drive {
     #[arg(long, value_name = "NAME", value_parser = ["indoor_scanner", "depth_camera", "lidar_3d"])]
     preset: Option<String>,
 
-    /// Standard deviation of the model's surfaces, independent for each surface, metres [default: 0.03 for a scanner of
-    /// one row, 0.1 for scans of points, otherwise 0]
+    /// Standard deviation of the model's surfaces, independent for each surface, metres [default: learnt from
+    /// the frames that are tracked]
     #[arg(long, value_name = "METRES")]
     pub model_sigma: Option<f64>,
 

@@ -45,6 +45,10 @@ fn a_simulated_drive_is_localized() {
     let details = fs::read_to_string(place.path("run.jsonl")).unwrap();
     let last: serde_json::Value = serde_json::from_str(details.lines().last().unwrap()).unwrap();
     assert_eq!(last["state"], "tracking");
+    // The map is exact.
+    let learnt = last["model_sigma"].as_f64().unwrap();
+    let told = format!("surfaces of the map count as off by {learnt:.3} m");
+    assert!(learnt < 0.003 && done.stdout.contains(&told), "{learnt} {}", done.stdout);
     assert!(last["covariance"][0][0].as_f64().unwrap() > 0.0 && last["verdicts"]["confirmed"].as_u64().unwrap() > 2000);
 }
 

@@ -1,5 +1,6 @@
 //! What an estimate tells.
 
+use super::deviation::SeenDeviation;
 use super::normal::{CommonError, Freedom, Normal};
 use crate::extract::Findings;
 use crate::verdict::Verdicts;
@@ -61,6 +62,8 @@ pub struct Estimate {
     pub cost: f64,
     /// By how much residuals are wider than stated; at least 1.
     pub spread: f64,
+    /// Standard deviation of each point of a surface, as stated or as learnt from the frames before, metres.
+    pub model_sigma: f64,
     /// Standard deviation of the offsets of polygon groups that the covariance was made with, metres.
     pub offset_sigma: f64,
     /// All poses that explain the measurement about as well, the best first.
@@ -69,6 +72,8 @@ pub struct Estimate {
     pub state: EstimateState,
     /// Full predictions that it took.
     pub predictions: usize,
+    /// What the residuals say about the deviation of surfaces.
+    pub deviation: SeenDeviation,
 }
 
 impl Estimate {

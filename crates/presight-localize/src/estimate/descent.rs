@@ -146,7 +146,12 @@ pub(super) fn images<'a>(run: &'a Run<'_>, expected: &Expectation) -> Vec<ImageS
 
 fn sources<'a>(run: &'a Run<'_>, expected: &'a [ExpectedImage]) -> Vec<RangeSource<'a>> {
     let source = |(e, m): (&'a ExpectedImage, &'a FrameMeasurement<'_>)| {
-        let source = RangeSource::new(e, &m.points, m.noise).with_model_sigma(run.model_sigma);
+        let source = RangeSource::new(e, &m.points, m.noise);
+        let source = if run.learns_sigma {
+            source.with_learnt_sigma(run.model_sigma)
+        } else {
+            source.with_model_sigma(run.model_sigma)
+        };
         match run.only {
             Some(object) => source.only(object),
             None => source,

@@ -6,6 +6,7 @@
 
 mod answer;
 mod descent;
+mod deviation;
 mod findings;
 mod fit;
 mod image;
@@ -21,6 +22,7 @@ mod surface;
 
 pub use crate::motion::{Vector, motion_between, moved, nees};
 pub use answer::{Estimate, EstimateState, Hypothesis, WeakDirection};
+pub use deviation::SeenDeviation;
 pub use fit::{Fit, fit};
 pub use image::{ImageSource, SeenPoint, SeenSegment};
 pub use normal::{CommonError, Freedom, GroupSum, Normal};

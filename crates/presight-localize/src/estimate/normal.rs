@@ -1,6 +1,7 @@
 //! Normal equations: what a source of residuals says about a small motion of the robot.
 
 use super::Kernel;
+use super::deviation::SeenDeviation;
 use crate::motion::Vector;
 use presight_model::matrix::{Matrix, add_to};
 use std::collections::BTreeMap;
@@ -38,6 +39,8 @@ pub struct Normal {
     pub explained: usize,
     /// Median of |e| / s of those that were compared.
     pub spread: f64,
+    /// What residuals of ranges say about the deviation of surfaces; only with the parts of a covariance.
+    pub deviation: SeenDeviation,
     /// What residuals with a shared error add up to.
     pub groups: BTreeMap<CommonError, GroupSum>,
 }
@@ -96,6 +99,7 @@ impl Normal {
         self.measured += other.measured;
         self.compared += other.compared;
         self.explained += other.explained;
+        self.deviation.add(&other.deviation);
         for (shared, sum) in &other.groups {
             self.groups.entry(*shared).or_default().add(sum);
         }

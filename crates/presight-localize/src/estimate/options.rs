@@ -15,6 +15,8 @@ pub struct EstimateOptions {
     pub most_predictions: usize,
     /// How far polygons may be off along their normals, one standard deviation, metres. It is each point's own.
     pub model_sigma: f64,
+    /// `model_sigma` is what learning begins with: a localizer learns it from the residuals of the frames that it tracks.
+    pub learns_sigma: bool,
     /// Standard deviation of the offsets that polygons of one plane share, metres, until it is learnt.
     pub offset_sigma: f64,
     /// A direction is weak where the measurement alone is looser, metres.
@@ -31,6 +33,7 @@ impl Default for EstimateOptions {
             least_explained: 0.75,
             most_predictions: 12,
             model_sigma: 0.0,
+            learns_sigma: false,
             offset_sigma: 0.003,
             loosest: 0.5,
             only: None,
@@ -43,7 +46,7 @@ presight_model::with_options!(
     with_freedom freedom: Freedom,
     with_least_explained least_explained: f64,
     with_most_predictions most_predictions: usize,
-    with_model_sigma model_sigma: f64,
+    with_learns_sigma learns_sigma: bool,
     with_offset_sigma offset_sigma: f64,
     with_loosest loosest: f64,
     with_only only: Option<u32>,
@@ -62,6 +65,13 @@ impl EstimateOptions {
     pub fn scan() -> Self {
         Self { model_sigma: 0.1, offset_sigma: 0.02, least_explained: 0.5, ..Self::default() }
     }
+
+    /// With a deviation of polygons that is stated, metres: it is not learnt.
+    #[must_use]
+    pub fn with_model_sigma(self, model_sigma: f64) -> Self {
+        Self { model_sigma, learns_sigma: false, ..self }
+    }
+
     /// The options that go with a sensor.
     pub fn of(sensor: &Sensor) -> Self {
         Preset::of(sensor).options()
@@ -109,13 +119,14 @@ impl Preset {
         }
     }
 
-    /// The options of an estimator.
+    /// The options of an estimator. The deviation of the model is learnt.
     pub fn options(self) -> EstimateOptions {
-        match self {
+        let options = match self {
             Self::IndoorScanner => EstimateOptions::planar(),
             Self::DepthCamera => EstimateOptions::default(),
             Self::Lidar3d => EstimateOptions::scan(),
-        }
+        };
+        options.with_learns_sigma(true)
     }
 }
 

@@ -4,6 +4,7 @@
 //! as wide as the pose is uncertain. Its residual is e = n x - d, with the exact plane (n, d) of that polygon; by a motion of the
 //! robot at c it changes by J = [n, (x - c) cross n]. Its variance is that of the measurement along n.
 
+use super::deviation::{LEAST, SeenDeviation, WITHIN};
 use super::normal::{CommonError, GroupSum, Normal};
 use super::{Gate, Kernel, Residuals};
 use crate::verdict::{ExpectedImage, ExpectedPixel, LANES, ObjectError, body_from_image};
@@ -37,6 +38,8 @@ pub struct RangeSource<'a> {
     noise: RangeNoise,
     /// Variance of each surface along its normal, square metres.
     surface: f64,
+    /// Least variance of a residual, square metres.
+    least: f64,
     robot_from_image: Pose,
     /// Measured points that are worth looking at, image frame.
     points: &'a [MeasuredPoint],
@@ -113,6 +116,7 @@ struct Sum {
     /// Points of other objects than the one that counts.
     others: usize,
     normalized: Vec<f32>,
+    deviation: SeenDeviation,
     groups: HashMap<CommonError, GroupSum>,
 }
 
@@ -127,6 +131,7 @@ impl Default for Sum {
             explained: 0,
             others: 0,
             normalized: Vec::new(),
+            deviation: SeenDeviation::default(),
             groups: HashMap::new(),
         }
     }
@@ -138,13 +143,19 @@ impl<'a> RangeSource<'a> {
     pub fn new(expected: &'a ExpectedImage, points: &'a [MeasuredPoint], noise: RangeNoise) -> Self {
         let mount = expected.sensor.spec().mount;
         let robot_from_image = mount * body_from_image(&expected.sensor);
-        Self { expected, noise, surface: 0.0, robot_from_image, points, only: None }
+        Self { expected, noise, surface: 0.0, least: 1e-12, robot_from_image, points, only: None }
     }
 
     /// Surfaces may be off along their normals, at each point by its own, one standard deviation, metres.
     #[must_use]
     pub fn with_model_sigma(self, sigma: f64) -> Self {
         Self { surface: sigma * sigma, ..self }
+    }
+
+    /// The same of a deviation that was learnt: residuals are off by a centimetre at least, noise included.
+    #[must_use]
+    pub fn with_learnt_sigma(self, sigma: f64) -> Self {
+        Self { surface: sigma * sigma, least: LEAST * LEAST, ..self }
     }
 
     /// Only the surfaces of one object count: for a pose relative to it.
@@ -255,7 +266,7 @@ impl<'a> RangeSource<'a> {
         // weigh more than those that it has taken farther off.
         let noise = self.noise.variance_along_normal(f64::from(pixel.range), cos);
         let e = normal.dot(q) - f64::from(pixel.offset);
-        Some(Comparison { normal, cos, e, noise, per_sigma: (noise + self.surface).max(1e-12).sqrt().recip() })
+        Some(Comparison { normal, cos, e, noise, per_sigma: (noise + self.surface).max(self.least).sqrt().recip() })
     }
 
     /// The expected pixel that a point is compared with; [`NOWHERE`] without one.
@@ -267,8 +278,7 @@ impl<'a> RangeSource<'a> {
         // Once outliers have no weight, what the point's own ray should meet comes first: of surfaces that are no farther apart than noise is
         // wide, the nearest one is the one that noise chose, which hides a part of every error. Where noise does not explain it, and the model may be
         // off, the nearest one is the best guess.
-        if self.surface == 0.0
-            && matches!(gate.kernel, Kernel::Redescending { .. })
+        if matches!(gate.kernel, Kernel::Redescending { .. })
             && let Some(at) = self.on_ray(q.as_vec3())
             && let Some(compared) = self.compare(&self.expected.pixels[at], q, range, moved)
             && compared.e * compared.e <= EXPLAINED * EXPLAINED * compared.noise
@@ -309,7 +319,7 @@ impl<'a> RangeSource<'a> {
             sum.cost += constant;
             return;
         };
-        let Comparison { normal, cos, e, per_sigma, .. } = compared;
+        let Comparison { normal, cos, e, noise, per_sigma } = compared;
         // A neighbour's point may be as far as the pixels are apart on the surface.
         let pitch = range * (if su.is_finite() { su } else { 0.0 }).max(if sv.is_finite() { sv } else { 0.0 });
         let within = 2.0 * pitch / cos + reach + 4.0 * self.noise.range_sigma(range);
@@ -323,6 +333,10 @@ impl<'a> RangeSource<'a> {
         sum.cost += cost;
         sum.explained += usize::from(normalized.abs() <= EXPLAINED);
         let settles = matches!(gate.kernel, Kernel::Redescending { .. });
+        let variance = (noise + self.surface).max(1e-12);
+        if gate.finally && e * e <= WITHIN * WITHIN * variance {
+            sum.deviation.add_point(e, noise, variance);
+        }
         if weight == 0.0 || (settles && self.is_cut_off(pixel, &compared)) {
             return;
         }
@@ -467,6 +481,7 @@ impl RangeSource<'_> {
             total.chi2 += sum.cost;
             total.explained += sum.explained;
             total.measured -= sum.others;
+            total.deviation.add(&sum.deviation);
             normalized.extend(sum.normalized);
             for (shared, m) in sum.groups {
                 total.groups.entry(shared).or_default().add(&m);

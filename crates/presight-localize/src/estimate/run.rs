@@ -56,6 +56,8 @@ pub(super) struct Run<'a> {
     /// Frames in which features are looked for: grey images, and scans with intensities.
     pub(super) looked: Vec<&'a Frame>,
     pub(super) model_sigma: f64,
+    /// It is learnt, not stated.
+    pub(super) learns_sigma: bool,
     /// Standard deviation of the offsets of polygons, as far as it was learnt, metres.
     pub(super) offset_sigma: f64,
     pub(super) prior: PoseEstimate,

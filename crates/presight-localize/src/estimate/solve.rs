@@ -2,6 +2,7 @@
 
 use super::answer::{Estimate, EstimateState, Hypothesis, covariance, weak_directions};
 use super::descent::{LOOK, NEAR, SEARCH, SETTLE, Schedule, descend, serves};
+use super::deviation::{SeenDeviation, SurfaceVariance};
 use super::findings::{find_at, has_reflectors, place_error, reflectors};
 use super::normal::{CommonError, Freedom, Normal};
 use super::offsets::OffsetVariance;
@@ -37,6 +38,8 @@ pub struct Estimator {
     pub options: EstimateOptions,
     /// Of the offsets of polygon groups.
     offsets: OffsetVariance,
+    /// The variance of points about their surfaces.
+    deviation: SurfaceVariance,
     /// The prediction that the frame before ended with, and the version of the world that it is of.
     before: Option<(u64, Arc<Expectation>)>,
 }
@@ -71,8 +74,19 @@ impl Estimator {
             features: FeatureOptions::default(),
             options,
             offsets,
+            deviation: SurfaceVariance::of_sigma(options.model_sigma),
             before: None,
         }
+    }
+
+    /// How far each point of a surface is off, as stated or as learnt so far, one standard deviation, metres.
+    pub fn model_sigma(&self) -> f64 {
+        if self.options.learns_sigma { self.deviation.sigma() } else { self.options.model_sigma }
+    }
+
+    /// Learns how far surfaces are off from an estimate of this estimator that is known to be right.
+    pub fn learn(&mut self, estimate: &Estimate) {
+        self.deviation.learn(&estimate.deviation);
     }
 
     /// With the features that are looked for in grey images, and the reflectors in scans with intensities, instead of the world's own layer
@@ -90,17 +104,26 @@ impl Estimator {
     pub fn estimate(&mut self, world: &World, frames: &[&Frame], prior: &PoseEstimate) -> Result<Estimate> {
         // One hand-over to the threads: one for each part of it costs as much as the parts of a scan.
         let (threads, least) = (self.predictor.task_threads()?, self.options.least_explained);
-        threads.run(|| self.estimate_here(world, frames, prior, least))?
+        threads.run(|| self.estimate_here(world, frames, prior, (least, least)))?
     }
 
-    /// The same for a caller that judges the pose by other evidence than the share of explained points: whatever that
-    /// is, the estimate counts, and no other start is tried because of it.
+    /// The same for a caller that judges the pose by other evidence than the share of explained points: other starts are
+    /// tried where it is small, but the estimate counts whatever it is.
+    ///
+    /// # Errors
+    /// Those of [`Estimator::estimate`].
+    pub(crate) fn look_round(&mut self, world: &World, frames: &[&Frame], prior: &PoseEstimate) -> Result<Estimate> {
+        let (threads, least) = (self.predictor.task_threads()?, self.options.least_explained);
+        threads.run(|| self.estimate_here(world, frames, prior, (least, 0.0)))?
+    }
+
+    /// [`Self::look_round`] without other starts.
     ///
     /// # Errors
     /// Those of [`Estimator::estimate`].
     pub(crate) fn follow(&mut self, world: &World, frames: &[&Frame], prior: &PoseEstimate) -> Result<Estimate> {
         let threads = self.predictor.task_threads()?;
-        threads.run(|| self.estimate_here(world, frames, prior, 0.0))?
+        threads.run(|| self.estimate_here(world, frames, prior, (0.0, 0.0)))?
     }
 
     /// Where descents from `starts` come to rest other than at the prior's pose: farther from it than `apart`, metres and
@@ -147,12 +170,13 @@ impl Estimator {
         Ok(found)
     }
 
+    /// An estimate. Other starts are tried below the first share of explained points; it does not count below the second one.
     fn estimate_here(
         &mut self,
         world: &World,
         frames: &[&Frame],
         prior: &PoseEstimate,
-        least: f64,
+        (least, counts): (f64, f64),
     ) -> Result<Estimate> {
         let mut run = self.start(world, frames, prior)?;
         if run.is_blind() {
@@ -179,7 +203,7 @@ impl Estimator {
             self.offsets.learn(&best.normal, &run.prior_information, self.options.freedom);
         }
         self.before = Some((world.stamp(), best.expected.clone()));
-        self.answer(&run, best, others, least)
+        self.answer(&run, best, others, counts)
     }
 
     /// The prediction that the frame before ended with, if it was made near the prior's pose: it serves for the search, which ends in a
@@ -235,7 +259,8 @@ impl Estimator {
             reach: reach_of(&measured, std::iter::empty()),
             measured,
             looked,
-            model_sigma: self.options.model_sigma,
+            model_sigma: self.model_sigma(),
+            learns_sigma: self.options.learns_sigma,
             offset_sigma: self.offsets.sigma(),
             prior: *prior,
             prior_information: inverse(prior.covariance.as_rows(), axes),
@@ -454,6 +479,8 @@ impl Estimator {
             explained: hypothesis.explained,
             cost: hypothesis.cost,
             spread: best.spread,
+            model_sigma: run.model_sigma,
+            deviation: best.normal.deviation,
             offset_sigma: self.offsets.sigma(),
             hypotheses: std::iter::once(hypothesis).chain(others.iter().map(Minimum::hypothesis)).collect(),
             state,
@@ -496,7 +523,7 @@ impl Estimator {
     }
 
     fn verdicts(&mut self, run: &Run<'_>, best: &Minimum, pose: &PoseEstimate) -> Result<Vec<Verdicts>> {
-        let polygons = self.options.model_sigma.hypot(self.offsets.sigma());
+        let polygons = self.model_sigma().hypot(self.offsets.sigma());
         let one = |(m, expected): (&FrameMeasurement<'_>, &ExpectedImage)| judge(m.frame, expected, pose, polygons);
         let all = || run.measured.iter().zip(&best.expected.images).map(one).collect();
         self.predictor.on_threads(all)
@@ -521,6 +548,8 @@ impl Estimator {
             explained: 0.0,
             cost: 0.0,
             spread: 1.0,
+            model_sigma: run.model_sigma,
+            deviation: SeenDeviation::default(),
             offset_sigma: self.offsets.sigma(),
             hypotheses: Vec::new(),
             state: EstimateState::Undetermined("no pixel measured a range within the sensor's limits".into()),

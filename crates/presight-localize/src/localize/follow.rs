@@ -66,8 +66,7 @@ pub(super) fn way_of(motion: Option<&Motion>) -> f64 {
 impl Localizer {
     /// The rivals of a frame's sensor.
     pub(super) fn rivals_for(&mut self, world: &World, frame: &Frame, robot: &Pose) -> Result<&mut Rivals> {
-        let model_sigma = self.estimator.options.model_sigma;
-        if !self.rivals.as_ref().is_some_and(|rivals| rivals.serve(world, frame, model_sigma)) {
+        if !self.rivals.as_ref().is_some_and(|rivals| rivals.serve(world, frame)) {
             self.rivals = None;
         }
         let rivals = match self.rivals.take() {
@@ -182,7 +181,7 @@ impl Localizer {
         said: Said,
     ) -> Result<(Estimate, Said)> {
         let around = if has_odometry { *prior } else { widened(prior, &self.options) };
-        let other = self.estimator.estimate(world, frames, &around)?;
+        let other = self.estimator.look_round(world, frames, &around)?;
         let there = self.said_of(world, frames, &other, usize::MAX)?;
         // What the motion says against it, at most that the robot was carried away.
         let squared =
@@ -341,6 +340,9 @@ impl Localizer {
         }
         self.phase = phase;
         let (pose, carried) = (own.belief, own.carried);
+        if phase == Phase::Tracking && hypotheses.is_none() && !own.carried {
+            self.estimator.learn(&estimate);
+        }
         if phase == Phase::Lost && estimate.is_determined() {
             estimate.state = EstimateState::Undetermined(reason.clone());
         }

@@ -54,8 +54,6 @@ pub(super) struct Rivals {
     views: Vec<View>,
     /// The views are all round: the robot in its scanner, and how the scanner stands at heading 0.
     round: Option<(Pose, DQuat)>,
-    /// Stated deviation of the model, metres.
-    model_sigma: f64,
     null: Option<Null>,
     age: usize,
 }
@@ -112,12 +110,12 @@ impl Rivals {
         let map = MapRanges::new(views.iter().flat_map(|view| view[0].iter().copied()), reach);
         let spec = sensor.spec().clone();
         let world = world.stamp();
-        Ok(Self { spec, world, evidence, map, poses, views, round, model_sigma, null: None, age: 0 })
+        Ok(Self { spec, world, evidence, map, poses, views, round, null: None, age: 0 })
     }
 
     /// True if they serve for a frame.
-    pub fn serve(&self, world: &World, frame: &Frame, model_sigma: f64) -> bool {
-        self.world == world.stamp() && &self.spec == frame.sensor().spec() && self.model_sigma == model_sigma
+    pub fn serve(&self, world: &World, frame: &Frame) -> bool {
+        self.world == world.stamp() && &self.spec == frame.sensor().spec()
     }
 
     /// Evidence of a frame at poses of the robot, as places.
@@ -141,7 +139,7 @@ impl Rivals {
     pub fn of_place(&self, estimator: &mut Estimator, world: &World, frame: &Frame, pose: &Pose) -> Result<(f64, f64)> {
         let readings = self.evidence.pixels().readings(frame)?;
         let views = self.evidence.views(&mut estimator.predictor, world, std::slice::from_ref(pose))?;
-        let sigmas = [MINIMUM, PLACE].map(|sigma| sigma.max(self.model_sigma));
+        let sigmas = [MINIMUM, PLACE].map(|sigma| sigma.max(estimator.model_sigma()));
         let of = |readings: &[f32]| self.evidence.of_views(&self.map, readings, &views, sigmas)[0];
         Ok((of(&readings), of(&views[0][0])))
     }
@@ -170,7 +168,8 @@ impl Rivals {
     ) -> Result<Vec<f64>> {
         let readings = self.evidence.pixels().readings(frame)?;
         let views = self.evidence.views(&mut estimator.predictor, world, poses)?;
-        Ok(self.evidence.of_views(&self.map, &readings, &views, least.map(|sigma| sigma.max(self.model_sigma))))
+        let sigmas = least.map(|sigma| sigma.max(estimator.model_sigma()));
+        Ok(self.evidence.of_views(&self.map, &readings, &views, sigmas))
     }
 
     /// Readings of a frame that count.
@@ -204,7 +203,7 @@ impl Rivals {
         self.age = 0;
         let thin = self.evidence.pixels().thinned(frame)?;
         let mut ends: Vec<Pose> = Vec::new();
-        for pose in self.promising(frame)? {
+        for pose in self.promising(frame, estimator.model_sigma())? {
             let prior = PoseEstimate::of_sigmas(pose, NEAR.1, NEAR.2);
             ends.push(estimator.refine(world, &thin, &prior)?.pose.world_from_robot);
         }
@@ -224,9 +223,9 @@ impl Rivals {
     }
 
     /// Poses of the robot among the drawn ones that fit a frame best, apart from one another.
-    fn promising(&self, frame: &Frame) -> Result<Vec<Pose>> {
+    fn promising(&self, frame: &Frame, model_sigma: f64) -> Result<Vec<Pose>> {
         let readings = self.evidence.pixels().readings(frame)?;
-        let sigma = self.model_sigma.max(NEAR.0);
+        let sigma = model_sigma.max(NEAR.0);
         let mut all: Vec<(f64, Pose)> = match &self.round {
             None => {
                 let logs = self.evidence.of_views(&self.map, &readings, &self.views, [sigma; 2]);
