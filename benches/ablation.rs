@@ -3,6 +3,7 @@
 //!
 //! - `images`: images alone, all presets.
 //! - `features`: a scene's own generated features with regions of interest, after the image, all presets.
+//! - `few`: twelve of these features.
 //! - `deadlines`: kept deadlines and final samples, on the process's CPU time in place of the clock.
 //!
 //! CPU times of one thread, in turns with the whole at each pose: the least of `PRESIGHT_REPEATS` (default 3) runs.
@@ -38,7 +39,8 @@ const SCENES: [&str; 7] = [
     "warehouse_small",
     "office_willowgarage",
 ];
-const PARTS: [&str; 3] = ["images", "features", "deadlines"];
+const PARTS: [&str; 4] = ["images", "features", "few", "deadlines"];
+const FEW: usize = 12;
 const OF_IMAGES: [Means; 3] = [Means::Sieve, Means::HiddenRuns, Means::HiddenPolygons];
 const OF_DEADLINES: [Means; 5] = [Means::Stride, Means::SecondStride, Means::Radius, Means::Angle, Means::Doubt];
 
@@ -60,12 +62,13 @@ fn main() {
                     let all = Request::of(Outputs::of(&[Output::Range, Output::PolygonId]));
                     times(scene, part, &world, &poses, &OF_IMAGES, |_| Some(all.clone()));
                 }
-                "features" => {
+                "features" | "few" => {
                     let of: Vec<Means> = Means::ALL
                         .into_iter()
                         .filter(|m| !OF_IMAGES.contains(m) && !OF_DEADLINES.contains(m))
                         .collect();
-                    times(scene, part, &world, &poses, &of, |sensor| with_features(&world, sensor));
+                    let most = if part == "few" { FEW } else { usize::MAX };
+                    times(scene, part, &world, &poses, &of, |sensor| with_features(&world, sensor, most));
                 }
                 _ => deadlines(scene, &world, &poses),
             }
@@ -77,10 +80,12 @@ fn number(name: &str, default: usize) -> usize {
     std::env::var(name).map_or(default, |text| text.parse().expect("a whole number"))
 }
 
-/// All features generated for the sensor's class, with regions of interest for 1 cm and 0.5 degrees.
-fn with_features(world: &World, sensor: &Sensor) -> Option<Request> {
+/// At most so many of the features generated for the sensor's class, with regions of interest for 1 cm and 0.5 degrees.
+fn with_features(world: &World, sensor: &Sensor, most: usize) -> Option<Request> {
     let class = &sensor.spec().class;
-    let layer = generate(world.environment(), class, &GenerateOptions::default()).ok()?.layer;
+    let mut layer = generate(world.environment(), class, &GenerateOptions::default()).ok()?.layer;
+    let (mut number, step) = (0, layer.features.len().div_ceil(most).max(1));
+    layer.features.retain(|_| (number % step == 0, number += 1).0);
     let placed = PlacedFeatures::from(place(world, &layer).ok()?);
     let turn = 7.6e-5f64.sqrt();
     let boxes = BoxOptions::default().with_sensor_sigmas([0.01, 0.01, 0.01, turn, turn, turn]);

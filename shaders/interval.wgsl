@@ -26,7 +26,8 @@ fn edge_at(record: u32, edge_count: u32, k: u32) -> vec3f {
 // Clips an interval of positions by an edge. Both polygons of an edge compute the same bits here.
 fn limited(interval: vec2f, e: vec3f, line: vec2f) -> vec2f {
     let a = e.x * line.x + e.y * line.y;
-    let t = clamp(-a / e.z, -1.0e38, 1.0e38);
+    // Short of HUGE, where a pole's ray is: no finite edge reaches it.
+    let t = clamp(-a / e.z, -0.1 * HUGE, 0.1 * HUGE);
     let low = select(interval.x, max(interval.x, t), e.z > 0.0);
     let high = select(interval.y, min(interval.y, t), e.z < 0.0);
     return vec2f(select(low, HUGE, e.z == 0.0 && a < 0.0), high);

@@ -165,6 +165,41 @@ fn the_gpu_engine_equals_its_single_predictions() {
     }
 }
 
+/// Frames of one submission may need one wave or several, and so have different passes. Each must find its own answer.
+#[test]
+fn frames_with_one_wave_and_with_several_share_a_submission() {
+    let options = presight_predict::predict::Options::new(presight_predict::predict::Backend::Gpu).with_threads(2);
+    let mut gpu = match presight_predict::predict::Predictor::new(options) {
+        Ok(gpu) => gpu,
+        Err(e) => return common::skip::no_adapter(e),
+    };
+    let world = World::new(scenes::room(2, 4000));
+    let sensor = presight_files::preset("laser-range-camera").unwrap();
+    // In the middle, a third of all boxes are in view; a hand's breadth from a wall, next to nothing is.
+    let middle = Pose::from_xyz_rpy(glam::DVec3::Z, 0.0, 0.0, 0.5);
+    let at_the_wall = Pose::from_xyz_rpy(glam::DVec3::new(4.9, 0.0, 1.5), 0.0, 0.0, 0.0);
+    let poses = [at_the_wall, middle, at_the_wall, middle, middle, at_the_wall];
+    let request = BatchRequest {
+        images: Some((&Request::default()).into()),
+        chunk: Some(6),
+        statistics: true,
+        ..BatchRequest::default()
+    };
+    let items: Vec<_> = gpu.batch(&world, &sensor, poses, &request).unwrap().map(Result::unwrap).collect();
+    // One submission: its first frame reports all of the work. After a fault each frame would be drawn alone.
+    let work = |item: &presight_predict::batch::BatchItem| item.stats.as_ref().unwrap().work.gpu_workgroups > 0;
+    assert_eq!(items.iter().map(work).collect::<Vec<_>>(), [true, false, false, false, false, false]);
+    for (item, pose) in items.into_iter().zip(&poses) {
+        let single = gpu.predict(&world, &sensor, pose, &Request::default()).unwrap();
+        let (stats, waves) = (item.stats.unwrap(), presight_render::plan::CountName::Waves);
+        assert_eq!(stats.count_of(waves).is_some_and(|waves| waves > 1), *pose == middle, "pose {}", item.index);
+        assert!(bits(&item.images) == bits(&single.images), "pose {}", item.index);
+        for of in [waves, presight_render::plan::CountName::PolygonsSetUp] {
+            assert_eq!(stats.count_of(of), single.stats.count_of(of), "pose {}", item.index);
+        }
+    }
+}
+
 /// The work of a submission is reported with its first frame: for one pose twice, twice that of the pose alone.
 #[test]
 fn the_work_of_all_frames_of_a_submission_is_reported() {

@@ -2,9 +2,8 @@
 //!
 //! A tile is a pyramid with its apex at the sensor. The index is queried once per tile, and the samples of all features
 //! use the result. First the polygons outside or behind all samples of a feature in the tile are dropped; then each
-//! sample is tested against the rest. If one polygon covers all of a tile, the polygons behind it are redundant, except
-//! for features that lie on it. The first query reaches only as far as the surfaces that the image shows in the tile; a
-//! second one follows if a farther feature is still not hidden.
+//! sample is tested against the rest. The first query reaches only as far as the surfaces that the image shows in the
+//! tile; a second one follows if a farther feature is still not hidden.
 
 use super::VisibilityContext;
 use super::polygon::{PolygonCache, PreparedPolygon};
@@ -27,7 +26,6 @@ const SLACK: f64 = 1e-9;
 const FARTHER: f64 = 1.25;
 /// Margin, relative to the distance, by which a polygon is behind another: far more than the rounding of either.
 const BEHIND: f64 = 1e-6;
-const NONE: u32 = u32::MAX;
 
 /// A polygon that covers a ray of the tile. The values that exclude most polygons are stored with its number.
 #[derive(Clone, Copy)]
@@ -201,11 +199,6 @@ struct Tile {
     square: Square,
     radius: f64,
     candidates: TilePolygons,
-    /// A polygon that covers all of the tile, and the polygons behind it.
-    cover: u32,
-    behind: TilePolygons,
-    /// Greatest product of a polygon behind the cover with a corner.
-    most_behind: f64,
 }
 
 impl Tile {
@@ -214,42 +207,15 @@ impl Tile {
         let corners = square.corners();
         let bounds = Bounds::of(&corners, &square);
         let mut candidates = Vec::new();
-        let mut nearest: Option<(f64, [f64; 4], u32)> = None;
         for candidate in some.filter(|c| c.bounds.meets(&bounds)) {
             let known = polygons.get(candidate.number);
-            let (mut beside, mut covers) = (false, true);
-            for e in polygons.planes_of(known) {
-                let inside = corners.map(|c| e.dot(c) >= 0.0);
-                beside |= inside == [false; 4];
-                covers &= inside == [true; 4];
-            }
-            if beside {
+            if polygons.planes_of(known).iter().any(|e| corners.iter().all(|c| e.dot(*c) < 0.0)) {
                 continue;
             }
-            let at = corners.map(|c| known.inverse.dot(c));
-            if covers && Means::Cover.is_used() && is_sharp(known, radius) {
-                let least = at.into_iter().fold(f64::INFINITY, f64::min);
-                if nearest.is_none_or(|n| least > n.0) {
-                    nearest = Some((least, at, candidate.number));
-                }
-            }
-            candidates.push(candidate.beyond(at.into_iter().fold(0.0, f64::max), known));
+            let greatest = corners.into_iter().map(|c| known.inverse.dot(c)).fold(0.0, f64::max);
+            candidates.push(candidate.beyond(greatest, known));
         }
-        let (mut cover, mut behind, mut most_behind) = (NONE, Vec::new(), 0.0);
-        if let Some((_, cover_at, number)) = nearest {
-            cover = number;
-            candidates.retain(|candidate| {
-                let at = corners.map(|c| candidate.inverse.dot(c));
-                let hidden = at.iter().zip(cover_at).all(|(at, cover)| *at < cover * (1.0 - BEHIND));
-                if hidden {
-                    behind.push(*candidate);
-                    most_behind = at.into_iter().fold(most_behind, f64::max);
-                }
-                !hidden
-            });
-        }
-        let [candidates, behind] = [candidates, behind].map(|all| TilePolygons::new(all, &square));
-        Self { square, radius, candidates, cover, behind, most_behind }
+        Self { square, radius, candidates: TilePolygons::new(candidates, &square) }
     }
 }
 
@@ -272,11 +238,6 @@ fn depth_of(frame: &VisibilityContext<'_>, polygons: &mut PolygonCache, square: 
         }
     }
     depth
-}
-
-/// Returns true if the rounding of its distance is far below [`BEHIND`].
-fn is_sharp(known: &PreparedPolygon, radius: f64) -> bool {
-    known.least_share(2.0, radius, 0.0) < 1.0 + 0.1 * BEHIND
 }
 
 impl Tiles {
@@ -360,19 +321,12 @@ impl Tiles {
         let farthest = places.iter().map(|p| tile.square.coordinates(*p)[2]).fold(0.0, f64::max);
         let far = (farthest * (1.0 + BEHIND)) as f32;
         let Aabb { min, max } = Aabb::of(places.iter().copied());
-        let reach = min.abs().max(max.abs()).max_element();
-        let look_behind =
-            tile.cover != NONE && reach * tile.most_behind > 1.0 && own.holds(polygons.get(tile.cover).slot);
         let greatest = |n: DVec3| n.max(DVec3::ZERO).dot(max) + n.min(DVec3::ZERO).dot(min);
-        let mut take = |c: &TilePolygon| {
+        tile.candidates.visit(cells, far, |c| {
             if c.bounds.meets(&bounds) && greatest(c.inverse) > 1.0 && !own.holds(polygons.get(c.number).slot) {
                 near.push(c.number);
             }
-        };
-        tile.candidates.visit(cells, far, &mut take);
-        if look_behind {
-            tile.behind.visit(cells, far, &mut take);
-        }
+        });
     }
 
     fn find(

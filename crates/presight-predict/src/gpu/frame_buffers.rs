@@ -242,6 +242,8 @@ impl Readback {
         let shown = counters + size_of::<Counters>() as u64;
         // Query results are 8 bytes and need 8-byte alignment.
         let times = (shown + 4 * u64::from(frame.shown_words())).next_multiple_of(8);
-        Self { slots, counters, shown, times, bytes: times + 16 * frame.passes.len() as u64 }
+        // Frames of a batch differ in passes, but not in the length of their answers: no times are recorded for them.
+        let passes = if frame.in_company { 0 } else { frame.passes.len() as u64 };
+        Self { slots, counters, shown, times, bytes: times + 16 * passes }
     }
 }

@@ -19,7 +19,7 @@ pub(super) struct Tables {
 }
 
 /// Replaces an infinite position at a pole, so that comparisons stay defined.
-const POLE: f32 = 3.0e38;
+const POLE: f32 = 1.0e37;
 /// Maximum number of buckets of a search table.
 const MAX_BUCKETS: usize = 1 << 16;
 

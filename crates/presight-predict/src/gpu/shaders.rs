@@ -89,6 +89,29 @@ mod tests {
         }
     }
 
+    /// The greatest magnitude of a module's f32 literals, those of functions included.
+    fn greatest_literal(module: &naga::Module) -> f32 {
+        let of_functions =
+            module.functions.iter().map(|(_, f)| f).chain(module.entry_points.iter().map(|e| &e.function));
+        let expressions = of_functions.map(|f| &f.expressions).chain([&module.global_expressions]);
+        let magnitudes = expressions.flat_map(|all| all.iter()).map(|(_, expression)| match expression {
+            naga::Expression::Literal(naga::Literal::F32(value)) => value.abs(),
+            _ => 0.0,
+        });
+        magnitudes.fold(0.0, f32::max)
+    }
+
+    /// Vulkan states the precision of a division for divisors up to 2^126 only. Beyond, an H100 answers 0: scanners lost
+    /// the polygons around their poles.
+    #[test]
+    fn no_number_is_too_great_to_divide_by() {
+        for (name, text) in UNITS {
+            assert!(greatest_literal(&parse(name, text)) < 2.0_f32.powi(126), "{name}");
+        }
+        let planted = CULL_SCANNER.replace("const HUGE: f32 = 1.0e37;", "const HUGE: f32 = 3.0e38;");
+        assert!(greatest_literal(&parse("planted", &planted)) > 2.0_f32.powi(126));
+    }
+
     #[test]
     fn the_64_bit_units_need_64_bits_and_a_broken_one_is_refused() {
         let module = parse("raster lines 64", RASTER_LINES_64);

@@ -11,9 +11,6 @@ use presight_model::sensor::ImagePart;
 /// Minimum number of columns: the angle shrinks no further.
 const LEAST_COLUMNS: u32 = 8;
 
-/// The angle shrinks only if less than this share of the least radius fits, because it needs another selection.
-const WORTH_NARROWING: f64 = 0.8;
-
 impl Controller {
     /// Leaves out runs that certainly cannot be drawn in time. Runs are sorted by distance, so a radius is a prefix of
     /// them. If even the least radius is too much, narrows the image to columns around the heading.
@@ -41,8 +38,10 @@ impl Controller {
         let taken = |means, metres| DegradationStep { means, at_ms: milliseconds(timed.watch.elapsed()), metres };
         let mut cut = Vec::new();
         cut.extend(plan.radius().map(|radius| taken(DegradationKind::Radius, Some(f64::from(radius)))));
-        let share = left / needed;
-        if share < WORTH_NARROWING && Means::Angle.is_used() && timed.draws_parts {
+        // A narrowed image is selected again. On one-row scanners that takes longer than what narrowing saves.
+        let again = timed.selected.saturating_sub(timed.begun).as_secs_f64();
+        if needed > left && again < left && Means::Angle.is_used() && timed.draws_parts {
+            let share = (left - again) / needed;
             let columns = ((f64::from(plan.sensor.width()) * share) as u32).max(LEAST_COLUMNS * timed.stride);
             if let Some(part) = plan.sensor.columns_around(timed.priority.heading, columns) {
                 plan.narrow(ImagePart { stride: timed.stride, ..part })?;

@@ -203,8 +203,8 @@ fn a_radius_is_a_prefix_of_the_runs() {
 }
 
 /// By hand: all 300 runs are within 2 m. With every fourth column, a quarter of all, they need (0.4 + 0.6 / 4) of 3000
-/// microseconds: 1650. Available are 1000 minus 200, 500 (0.4 + 0.6 / 4) and 100. That is a quarter, so about 92 of 361
-/// columns stay, 46 degrees to either side of the heading.
+/// microseconds: 1650. Available are 1000 minus 200, 500 (0.4 + 0.6 / 4), 100, and 200 for another selection. That is a
+/// seventh, so about 49 of 361 columns stay, 25 degrees to either side of the heading.
 #[test]
 fn the_angle_shrinks_when_the_least_radius_is_too_much() {
     let mut replay = Replay::new();
@@ -213,7 +213,7 @@ fn the_angle_shrinks_when_the_least_radius_is_too_much() {
     let columns = |replay: &mut Replay| replay.frame(1000.0, 300, RECORDED).unwrap().columns.expect("it is narrowed");
     let (first, end) = columns(&mut replay);
     // The first column is a multiple of the largest stride; the estimate is a low one.
-    assert!((88..=104).contains(&(end - first)) && first.is_multiple_of(8), "{first}..{end}");
+    assert!((46..=60).contains(&(end - first)) && first.is_multiple_of(8), "{first}..{end}");
     // Two columns per degree, 180 is straight ahead; the first column is rounded down to a multiple of 8.
     let off = |(first, end): (u32, u32), middle: u32| first.midpoint(end).abs_diff(middle);
     assert!(off((first, end), 180) <= 8, "{first}..{end}");
@@ -224,6 +224,8 @@ fn the_angle_shrinks_when_the_least_radius_is_too_much() {
     let opposite = off(left, 270).min(off(left, 90)) <= 8 && off(right, 270).min(off(right, 90)) <= 8;
     assert!(opposite && left.0.abs_diff(right.0) > 120, "{left:?} {right:?}");
     assert_eq!(replay.frame(4500.0, 300, RECORDED).unwrap().columns, None);
+    // After a selection of 500, less than 500 are left for another one.
+    assert_eq!(replay.frame(1000.0, 300, Recorded { selection: 500.0, ..RECORDED }).unwrap().columns, Some((0, 361)));
 }
 
 /// By hand: after selection 2000 microseconds are left. Whole images leave 1400 of the 3000 for drawing: by the initial
