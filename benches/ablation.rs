@@ -41,7 +41,7 @@ const SCENES: [&str; 7] = [
 ];
 const PARTS: [&str; 4] = ["images", "features", "few", "deadlines"];
 const FEW: usize = 12;
-const OF_IMAGES: [Means; 3] = [Means::Sieve, Means::HiddenRuns, Means::HiddenPolygons];
+const OF_IMAGES: [Means; 2] = [Means::Sieve, Means::HiddenRuns];
 const OF_DEADLINES: [Means; 5] = [Means::Stride, Means::SecondStride, Means::Radius, Means::Angle, Means::Doubt];
 
 /// Frames with a generous deadline that costs are learnt from first.

@@ -80,8 +80,7 @@ fn stages() -> [Stage; 4] {
                 part("polygon bounded", 0.0, |f| f.count(CountName::PolygonsBounded)),
                 // Reads the plane; writes planes, edges, bounds and the data for the images.
                 part("polygon set up", 190.0, |f| {
-                    let left_out = f.count(CountName::PolygonsHidden) + f.count(CountName::PolygonsBetweenSamples);
-                    f.count(CountName::PolygonsSetUp) + left_out
+                    f.count(CountName::PolygonsSetUp) + f.count(CountName::PolygonsBetweenSamples)
                 }),
             ],
         ),

@@ -74,6 +74,23 @@ fn with(backend: Backend, setup: Setup, wrong: bool) -> (Predictor, Switches) {
     (Predictor::with_engine(options(backend), Box::new(engine)), switches)
 }
 
+/// A row takes an H100 several times as long as two cores.
+#[test]
+fn rows_are_left_to_the_cpu_unless_a_gpu_is_named() {
+    if Task::new().is_none() {
+        return;
+    }
+    let (world, row, pose) =
+        (scenes::room_world(3, 20), scenes::scanner(360, 1), Pose::from_xyz_rpy(DVec3::Z, 0.0, 0.0, 0.3));
+    for (backend, engine) in [(Backend::Auto, "cpu"), (Backend::Gpu, "gpu")] {
+        let mut predictor = on(backend).0;
+        for (sensor, engine) in [(&row, engine), (&scenes::camera(32, 24), "gpu"), (&row, engine)] {
+            let prediction = predictor.predict(&world, sensor, &pose, &Request::default()).unwrap();
+            assert_eq!(prediction.stats.engine, engine, "{backend:?}, {}", sensor.spec().name);
+        }
+    }
+}
+
 #[test]
 fn a_lost_gpu_is_opened_again_with_the_same_images() {
     let Some(task) = Task::new() else { return };

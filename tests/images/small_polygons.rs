@@ -22,7 +22,7 @@ fn images_of_small_polygons_equal_the_reference() {
     let hall = open_hall(3, 60_000);
     let poses = hall_poses(&hall, 5, 2);
     let world = World::new(hall);
-    let (mut hidden, mut left_out) = (0, 0);
+    let mut left_out = 0;
     for threads in [1, 2] {
         let mut engine = CpuEngine::new(threads).expect("threads");
         for (pose, sensor) in poses.iter().flat_map(|pose| sensors().into_iter().map(move |sensor| (pose, sensor))) {
@@ -33,12 +33,11 @@ fn images_of_small_polygons_equal_the_reference() {
             let name = &sensor.spec().name;
             assert_eq!(report.fault, 0, "{name}: first {:#?}", report.faults.first());
             assert!(report.pixels > 0, "{name}");
-            hidden += stats.count_of(CountName::PolygonsHidden).unwrap_or(0);
             let [placed, passed, between] =
                 [CountName::PolygonsPlaced, CountName::PolygonsPassed, CountName::PolygonsBetweenSamples]
                     .map(|count| stats.count_of(count).unwrap_or(0));
             left_out += placed - passed + between;
         }
     }
-    assert!(hidden > 1000 && left_out > 1000, "{hidden} polygons hidden, {left_out} between samples");
+    assert!(left_out > 1000, "{left_out} between samples");
 }

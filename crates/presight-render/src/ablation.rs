@@ -33,8 +33,6 @@ pub enum Means {
     Sieve,
     /// Runs behind the z-buffer are dropped. 2.3 (hospital, vlp-16).
     HiddenRuns,
-    /// Polygons behind the z-buffer are dropped.
-    HiddenPolygons,
     /// An image is thinned, decided after selection. 12 points of kept deadlines (factory.rhai, realsense-d435).
     Stride,
     /// An image is thinned, decided after the first wave's setup. 7 points of kept deadlines and 19 of final samples
@@ -51,7 +49,7 @@ pub enum Means {
 
 impl Means {
     /// All of them.
-    pub const ALL: [Self; 18] = [
+    pub const ALL: [Self; 17] = [
         Self::Runs,
         Self::Grid,
         Self::Gaps,
@@ -64,7 +62,6 @@ impl Means {
         Self::KeptWorkspaces,
         Self::Sieve,
         Self::HiddenRuns,
-        Self::HiddenPolygons,
         Self::Stride,
         Self::SecondStride,
         Self::Radius,

@@ -62,8 +62,6 @@ pub(super) struct Batch {
     /// Of these, those that were bounded one by one, because their vertices did not tell enough.
     pub bounded: usize,
     pub edge_on: usize,
-    /// Polygons left out behind what was drawn before.
-    pub hidden: usize,
     /// Polygons left out between the samples.
     pub between: usize,
     /// Metres: none of its polygons is nearer.
@@ -122,7 +120,7 @@ impl Batch {
         self.bounds.clear();
         self.edges.clear();
         (self.placed, self.passed, self.bounded) = (0, 0, 0);
-        (self.edge_on, self.hidden, self.between) = (0, 0, 0);
+        (self.edge_on, self.between) = (0, 0);
     }
 
     /// Sorts the polygons into bands, keeping their order.

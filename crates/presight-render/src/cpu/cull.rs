@@ -17,22 +17,6 @@ pub(super) const TILE: usize = EIGHT;
 /// A box this much nearer than the farthest depth behind it is not hidden: far above f64 rounding.
 const SLACK: f64 = 1e-9;
 
-/// What waves before have drawn.
-#[derive(Clone, Copy)]
-pub(super) struct Occlusion<'a> {
-    pub canvas: &'a [Buffer],
-    pub bands: &'a Bands,
-}
-
-impl Occlusion<'_> {
-    /// True if a polygon of that footprint is wholly behind it.
-    #[inline(always)]
-    pub fn hides(&self, footprint: &Footprint) -> bool {
-        let inverse = nearest_inverse(footprint);
-        inverse < f64::INFINITY && is_behind(footprint, inverse, self.canvas, self.bands)
-    }
-}
-
 /// The greatest inverse depth in a footprint; infinite if nothing is known of it.
 #[inline(always)]
 pub(super) fn nearest_inverse(footprint: &Footprint) -> f64 {

@@ -3,7 +3,7 @@
 use super::Bands;
 use super::batch::{Batch, PolygonSetup, Shade};
 use super::bounds::{Bounds, Footprint, LANES};
-use super::cull::{self, Occlusion};
+use super::cull;
 use super::lanes::PolygonLanes;
 use super::sieve::{Sieve, is_told};
 use crate::plan::{FramePlan, Instance, Run};
@@ -88,14 +88,7 @@ pub(super) fn uniform_scale(m: &DMat3) -> Option<f64> {
 
 /// Sets up the polygons of some runs, but for those behind what is drawn.
 #[inline(always)]
-pub(super) fn fill<S: Simd>(
-    simd: S,
-    batch: &mut Batch,
-    plan: &FramePlan,
-    runs: &[Run],
-    bands: &Bands,
-    occlusion: Option<Occlusion<'_>>,
-) {
+pub(super) fn fill<S: Simd>(simd: S, batch: &mut Batch, plan: &FramePlan, runs: &[Run], bands: &Bands) {
     batch.clear();
     let bounds = Bounds::new(&plan.sensor);
     let mut sieve = Sieve::new(&plan.sensor);
@@ -124,7 +117,7 @@ pub(super) fn fill<S: Simd>(
                 batch.bounded += polygons.len();
                 bounds.cover(simd, lanes.corners())
             };
-            set_up_loaded(batch, plan, at, polygons, &mut lanes, &footprints, occlusion, &mut room);
+            set_up_loaded(batch, plan, at, polygons, &mut lanes, &footprints, &mut room);
         }
     }
     batch.bin(bands);
@@ -151,7 +144,7 @@ pub(super) fn fill_polygons<S: Simd>(
             let eight = &eight[..some.len()];
             lanes.load(&at, eight, None);
             let footprints = bounds.cover(simd, lanes.corners());
-            set_up_loaded(batch, plan, &at, eight, lanes, &footprints, None, &mut room);
+            set_up_loaded(batch, plan, &at, eight, lanes, &footprints, &mut room);
         }
     }
     batch.bin(bands);
@@ -159,7 +152,6 @@ pub(super) fn fill_polygons<S: Simd>(
 
 /// Sets up polygons that are loaded, unless nothing is seen of them.
 #[inline(always)]
-#[expect(clippy::too_many_arguments, reason = "they are parts of one frame that are borrowed apart")]
 fn set_up_loaded(
     batch: &mut Batch,
     plan: &FramePlan,
@@ -167,7 +159,6 @@ fn set_up_loaded(
     polygons: &[u32],
     lanes: &mut PolygonLanes<LANES>,
     footprints: &[Footprint; LANES],
-    occlusion: Option<Occlusion<'_>>,
     room: &mut Room,
 ) {
     let mut left = 0u32;
@@ -178,7 +169,7 @@ fn set_up_loaded(
         return;
     }
     lanes.measure(at, polygons);
-    left = visible_lanes(batch, plan, at, (polygons, left), lanes, footprints, occlusion);
+    left = visible_lanes(batch, plan, at, (polygons, left), lanes);
     if left == 0 {
         return;
     }
@@ -202,8 +193,6 @@ fn visible_lanes(
     at: &RayInstance<'_>,
     (polygons, with_footprint): (&[u32], u32),
     lanes: &PolygonLanes<LANES>,
-    footprints: &[Footprint; LANES],
-    occlusion: Option<Occlusion<'_>>,
 ) -> u32 {
     let (mut left, mut visible) = (with_footprint, 0);
     while left != 0 {
@@ -218,11 +207,6 @@ fn visible_lanes(
             continue;
         }
         if facing.is_some_and(|f| f.one_sided) && lanes.distance[i] > 0.0 {
-            continue;
-        }
-        // Rounding may draw others nearer than they are.
-        if lanes.clear[i] && occlusion.is_some_and(|occlusion| occlusion.hides(&footprints[i])) {
-            batch.hidden += 1;
             continue;
         }
         visible |= 1 << i;

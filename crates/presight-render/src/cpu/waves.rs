@@ -2,7 +2,7 @@
 
 use super::batch::{self, Batch, Winners};
 use super::bounds::Bounds;
-use super::cull::{self, Occlusion};
+use super::cull;
 use super::progress::{self, FrameProgress};
 use super::raster_lines::{self, Buffer};
 use super::{Bands, raster_rays, resolve, setup, thinning};
@@ -177,10 +177,9 @@ impl<'a, 'i> Waves<'a, 'i> {
 
     /// Sets up runs, in batches after those in use. Returns the nearest distance of the runs that were left out because the time was up.
     fn set_up(&mut self, runs: &[Run]) -> Option<f32> {
-        let Self { plan, bands, here, batches, winners, canvas, used, .. } = self;
-        let occlusion = (self.waves > 0 && Means::HiddenPolygons.is_used()).then_some(Occlusion { canvas, bands });
+        let Self { plan, bands, here, batches, winners, used, .. } = self;
         let first = *used;
-        let left_out = set_up(plan, bands, occlusion, *here, runs, batches, used);
+        let left_out = set_up(plan, bands, self.waves == 0, *here, runs, batches, used);
         batches[first..*used].iter_mut().for_each(|batch| winners.number(batch));
         left_out
     }
@@ -245,7 +244,6 @@ impl<'a, 'i> Waves<'a, 'i> {
         stats.count(CountName::PolygonsPassed, sum(|b| b.passed));
         stats.count(CountName::PolygonsBounded, sum(|b| b.bounded));
         stats.count(CountName::PolygonsSetUp, sum(|b| b.polygons.len()));
-        stats.count(CountName::PolygonsHidden, sum(|b| b.hidden));
         stats.count(CountName::PolygonsBetweenSamples, sum(|b| b.between));
         stats.count(CountName::PolygonsEdgeOn, sum(|b| b.edge_on));
     }
@@ -265,7 +263,7 @@ struct WaveEnds {
 fn set_up(
     plan: &FramePlan,
     bands: &Bands,
-    occlusion: Option<Occlusion<'_>>,
+    is_first: bool,
     here: bool,
     runs: &[Run],
     batches: &mut Vec<Batch>,
@@ -283,8 +281,8 @@ fn set_up(
         let polygons: u64 = runs[group.clone()].iter().map(|run| u64::from(run.count)).sum();
         batch.is_set_up = !plan.watch().is_some_and(|watch| watch.is_over_after(SETUP_NS * polygons));
         if batch.is_set_up {
-            arch.dispatch(SetUp { batch: &mut *batch, plan, runs: &runs[group.clone()], bands, occlusion });
-            if plan.limit.is_some() && occlusion.is_none() {
+            arch.dispatch(SetUp { batch: &mut *batch, plan, runs: &runs[group.clone()], bands });
+            if plan.limit.is_some() && is_first {
                 batch.pixels = batch.polygons.iter().map(thinning::pixels).sum();
             }
         }
@@ -323,8 +321,6 @@ struct SetUp<'a> {
     plan: &'a FramePlan,
     runs: &'a [Run],
     bands: &'a Bands,
-    /// After the first wave.
-    occlusion: Option<Occlusion<'a>>,
 }
 
 impl pulp::WithSimd for SetUp<'_> {
@@ -332,7 +328,7 @@ impl pulp::WithSimd for SetUp<'_> {
 
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, simd: S) {
-        setup::fill(simd, self.batch, self.plan, self.runs, self.bands, self.occlusion);
+        setup::fill(simd, self.batch, self.plan, self.runs, self.bands);
     }
 }
 

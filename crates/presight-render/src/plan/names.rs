@@ -95,7 +95,7 @@ words! {
         /// Passed polygons that needed individual bounds, because their vertices did not decide.
         PolygonsBounded = "polygons bounded",
         PolygonsSetUp = "polygons set up",
-        /// Single polygons hidden by earlier waves.
+        /// Single polygons hidden by earlier waves, on the GPU.
         PolygonsHidden = "polygons hidden",
         /// Polygons that lie between the sensor's rays.
         PolygonsBetweenSamples = "polygons between samples",
