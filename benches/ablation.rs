@@ -80,7 +80,7 @@ fn number(name: &str, default: usize) -> usize {
     std::env::var(name).map_or(default, |text| text.parse().expect("a whole number"))
 }
 
-/// At most so many of the features generated for the sensor's class, with regions of interest for 1 cm and 0.5 degrees.
+/// At most `most` of the features generated for the sensor's class, with regions of interest for 1 cm and 0.5 degrees.
 fn with_features(world: &World, sensor: &Sensor, most: usize) -> Option<Request> {
     let class = &sensor.spec().class;
     let mut layer = generate(world.environment(), class, &GenerateOptions::default()).ok()?.layer;

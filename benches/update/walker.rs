@@ -19,9 +19,9 @@ const CAMERA: &str = "format = 1\nkind = \"camera\"\nname = \"range camera\"\ncl
 /// Seconds between two frames, and their number.
 const STEP: f64 = 0.25;
 const FRAMES: usize = 48;
-/// A frame shows a person if so many pixels measure less than the model by over half a metre.
+/// Number of pixels, more than half a metre nearer than the model, by which a frame shows a person.
 const PERSON: usize = 500;
-/// Frames that are shown are so many frames apart; after the last one with a person comes one without.
+/// Distance of the frames shown, in frames. A frame without a person follows the last one with a person.
 const APART: usize = 3;
 
 /// Draws the strip. Panics if the person leaves anything.

@@ -53,7 +53,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     });
     let resumed = mark.as_ref().zip(details.as_deref()).and_then(|(mark, details)| mark.resumed(&args.out, details));
     let mut lines: Option<Lines> = None;
-    let followed = args.drive.follow(files, resumed.as_ref(), |_, _, step| {
+    let followed = args.drive.learning().follow(files, resumed.as_ref(), |_, _, step| {
         // Only now: an error before the first step leaves the files of an earlier run.
         let lines = match &mut lines {
             Some(lines) => lines,

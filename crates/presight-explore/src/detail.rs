@@ -1,4 +1,4 @@
-//! How small the pieces of surface are that measurements can tell apart: by the noise of the ranges, the distance of neighbouring
+//! The size of the smallest pieces of surface that measurements distinguish: by the noise of the ranges, the distance of neighbouring
 //! points, and how often a place was seen.
 
 use crate::evidence::Margins;
@@ -9,7 +9,7 @@ use glam::{DVec3, Vec3};
 use presight_model::statistics::{median, tail};
 use std::collections::HashMap;
 
-/// Side of the smallest pieces that are told apart by default, metres.
+/// Side of the smallest pieces by default, metres.
 pub(crate) const SMALLEST: f64 = 0.02;
 /// The largest, metres.
 const LARGEST: f64 = 1.0;
@@ -49,7 +49,7 @@ struct Reach {
 }
 
 impl Detail {
-    /// What the views can tell apart, or the side that is given, metres.
+    /// Side of the pieces that the views distinguish, or the given side, metres.
     pub fn of(views: &Views, given: Option<f64>) -> Self {
         let sample = views.some(VIEWS);
         let mut spread: HashMap<i32, Vec<f64>> = HashMap::new();
@@ -58,7 +58,7 @@ impl Detail {
             let apart = apart(view);
             for pixel in inner(view) {
                 let range = f64::from(view.ranges[pixel]);
-                // Steps are no noise, and would be most of what a rough place shows.
+                // Steps are not noise, and most residuals of a rough place are steps.
                 if let Some(off) = off_line(view, [pixel - 1, pixel, pixel + 1]).filter(|off| *off < 0.1 * range) {
                     spread.entry((STEPS * range.log2()).floor() as i32).or_default().push(off);
                 }
@@ -78,7 +78,8 @@ impl Detail {
                 continue;
             }
             let far = (f64::from(bin + 1) / STEPS).exp2();
-            // Of three independent ranges, two of half the weight; the median of the distances is 0.6745 standard deviations.
+            // The second difference of three independent ranges, the outer two at half weight; the median of its absolute
+            // values is 0.6745 standard deviations.
             let estimated = median(off).unwrap_or(0.0) / 0.6745 / 1.5f64.sqrt();
             let sigma = estimated.max(stated.range_sigma + stated.range_sigma_quadratic * far * far);
             by_range.push(Reach { far, side: side(sigma, apart.map(|a| a * far), seen.max(1.0)) });

@@ -22,10 +22,18 @@ const POLYGONS: usize = 1000;
 /// Standard deviation of surfaces that few views show, metres.
 const MODEL_SIGMA: f64 = 0.005;
 
+/// Standard deviations of the pose at a start, metres and radians.
+const START_SIGMA: f64 = 0.01;
+
 /// After frames of elsewhere the search covers this surrounding of the last known pose: metres, radians.
 const REACH: (f64, f64) = (0.5, 0.4);
 /// Share of its points that must be explained.
 const JOINED: f64 = 0.8;
+
+/// True if a pose is as sure in the model as that of the first frame, so that its view may be added. A floor alone does not say as much.
+fn is_sure(pose: &PoseEstimate) -> bool {
+    (0..6).all(|i| pose.covariance.as_rows()[i][i] <= START_SIGMA * START_SIGMA)
+}
 
 fn estimator(options: &ExploreOptions) -> Result<Estimator> {
     let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(options.threads.clone()))?;
@@ -67,7 +75,7 @@ impl Follower {
     /// # Errors
     /// [`presight_model::ErrorKind::System`] without threads.
     pub fn new(world_from_robot: Pose, known: Environment, kind: Known, options: &ExploreOptions) -> Result<Self> {
-        let start = PoseEstimate::of_sigmas(world_from_robot, 0.01, 0.01);
+        let start = PoseEstimate::of_sigmas(world_from_robot, START_SIGMA, START_SIGMA);
         let localizer = Localizer::new(estimator(options)?, start, LocalizeOptions::default());
         let world = World::new(known.clone());
         Ok(Self {
@@ -100,7 +108,8 @@ impl Follower {
             return Ok(Some(FoundPose { stamp: frame.stamp, pose }));
         }
         let step = self.localizer.step(&self.world, frame)?;
-        let is_known = matches!(step.phase, Phase::Tracking | Phase::Candidates) && step.estimate.is_determined();
+        let is_followed = matches!(step.phase, Phase::Tracking | Phase::Candidates) && step.estimate.is_determined();
+        let is_known = is_followed && is_sure(&step.pose);
         let pose = if is_known { Some(step.pose) } else { self.found_again(frame)? };
         let Some(pose) = pose else {
             self.lost.push(frame.stamp);
@@ -125,9 +134,10 @@ impl Follower {
     fn found_again(&mut self, frame: &Frame) -> Result<Option<PoseEstimate>> {
         let prior = PoseEstimate::of_sigmas(self.found, REACH.0, REACH.1);
         let estimate = self.estimator.estimate(&self.world, &[frame], &prior)?;
-        let found = (estimate.is_determined() && estimate.explained > JOINED).then_some(estimate.pose);
+        let is_found = estimate.is_determined() && is_sure(&estimate.pose) && estimate.explained > JOINED;
+        let found = is_found.then_some(estimate.pose);
         if let Some(pose) = found {
-            let start = PoseEstimate::of_sigmas(pose.world_from_robot, 0.01, 0.01);
+            let start = PoseEstimate::of_sigmas(pose.world_from_robot, START_SIGMA, START_SIGMA);
             self.localizer = Localizer::new(estimator(&self.options)?, start, LocalizeOptions::default());
         }
         Ok(found)

@@ -1,4 +1,4 @@
-//! Mirrors: what is seen through an opening of a surface, and is an image of what lies before that surface, is no room behind it.
+//! Mirrors: points behind an opening of a surface that are images of points before that surface are not a room.
 
 use crate::flat::Flat;
 use crate::region::Regions;
@@ -13,14 +13,14 @@ const LARGE: f64 = 0.5;
 const BEHIND: f64 = 0.1;
 /// Side of the cells of an opening, metres.
 const CELL: f64 = 0.1;
-/// Views that mirrors are looked for in.
+/// Number of views in which mirrors are searched.
 const VIEWS: usize = 16;
 /// Surfaces across the mirror's plane, such as the floor, go on behind a door, too: cosine between the normals.
 const ACROSS: f64 = 0.3;
-/// An image is this near to what it is an image of, in sizes of surfels, and metres at most: larger pieces are images by chance.
+/// Largest distance of a mirrored point from its original, in sizes of surfels, and in metres: larger pieces match by chance.
 const SAME: f64 = 2.0;
 const NEAR: f64 = 0.05;
-/// Points that decide on an opening, and the share of them that are images. Of what lies behind a door, fewer are by chance.
+/// Number of points that decide on an opening, and the share of images among them. Behind a door fewer match by chance.
 const LEAST_POINTS: u32 = 100;
 const IMAGES: f64 = 0.8;
 
@@ -65,7 +65,7 @@ fn mirrors(views: &Views, surface: &Surface, plane: &Flat, members: &[u32]) -> V
     let infinite = (DVec2::INFINITY, DVec2::NEG_INFINITY);
     let (least, most) = places.fold(infinite, |(a, b), q| (a.min(q), b.max(q)));
     let size = surface.surfels[members[0] as usize].size;
-    // Points that may be images, and those that are, by cell.
+    // By cell: points that may be images, and points that are images.
     let mut counts: BTreeMap<[i64; 2], [u32; 2]> = BTreeMap::new();
     for view in views.some(VIEWS).all() {
         let (width, height) = (view.width(), view.height());

@@ -14,7 +14,7 @@ use presight_render::plan::{Images, Output};
 
 /// Longest side of a panel, pixels.
 const SIDE: f64 = 360.0;
-/// The frame around what is shown.
+/// The frame around the place shown.
 const FRAME: Rgb = [0xff, 0x5a, 0x36];
 /// Share of the frame that is shown around it on each side.
 const AROUND: f64 = 0.6;
@@ -85,7 +85,7 @@ fn window(low: f64, high: f64, size: f64) -> (f64, f64) {
     (middle - half, middle + half)
 }
 
-/// The extent of a place in the image, in pixels from the left and the top as they are drawn; the whole image if it is not seen, or
+/// The extent of a place in the image, in drawn pixels from the left and the top; the whole image if it is not seen, or
 /// crosses the seam of a turn.
 fn place(sensor: &Sensor, around: &[DVec3], mirrored: bool) -> (DVec2, DVec2) {
     let size = DVec2::new(f64::from(sensor.width()), f64::from(sensor.height()));

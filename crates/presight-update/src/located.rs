@@ -9,6 +9,8 @@ use presight_model::geometry::{Pose, PoseEstimate};
 use presight_model::matrix::{Matrix, add_to, apply, inverse, product, sandwich, scaled, turn};
 use presight_model::sensor::Sensor;
 
+/// Deviation of a place along a direction that is not measured, in distances from the sensor.
+const FAR: f64 = 1e3;
 /// No place is known better, square metres: a micrometre.
 const LEAST: f64 = 1e-12;
 
@@ -101,12 +103,16 @@ impl Sums {
         let along = ray.dot(model - eye.place());
         let range = detection.properties.range.as_ref();
         let found = eye.place() + range.map_or(along, |range| range.mean) * ray;
+        let outer = |a: DVec3| DMat3::from_cols(a.x * a, a.y * a, a.z * a);
+        let [u, v] = steps.map(|step| step - step.dot(ray) * ray);
         // The mean of several corners is known better than one of them.
-        let mut own = across(detection, steps, along) * (1.0 / corners.max(1) as f64);
-        if let Some(range) = range {
-            own += range.variance * DMat3::from_cols(ray.x * ray, ray.y * ray, ray.z * ray);
+        let mut own = across(detection, [u, v], along) * (1.0 / corners.max(1) as f64);
+        // Nothing is known along a ray without a range, and beside the plane of a scanner of one row.
+        let unknown = (FAR * along).powi(2);
+        own += range.map_or(unknown, |range| range.variance) * outer(ray);
+        if v == DVec3::ZERO {
+            own += unknown * outer(ray.cross(u).try_normalize()?);
         }
-        // Nothing is known along a ray without a range.
         let information = inverse(&padded(own), &AXES);
         let off = found - model;
         let weighted = apply(&information, &[off.x, off.y, off.z, 0.0, 0.0, 0.0]);

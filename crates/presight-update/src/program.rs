@@ -1,4 +1,4 @@
-//! A recognizer that is a program: points on its standard input, what they may be on its standard output.
+//! A recognizer that is a program: points go to its standard input, proposals come from its standard output.
 
 use crate::recognize::{Proposal, Recognizer};
 use glam::DVec3;

@@ -43,7 +43,7 @@ pub struct Proposal {
     pub world_from_object: Pose,
 }
 
-/// Names things by their points. What it names becomes a finding only if the evidence agrees.
+/// Names things by their points. A proposal becomes a finding only if the evidence agrees.
 pub trait Recognizer {
     /// What a group of points may be, at most 100 proposals; none if it does not know.
     ///
@@ -186,7 +186,7 @@ impl Tried {
                 let turned = bounds.transformed(&Pose { rotation, ..Pose::IDENTITY }.to_affine());
                 let slack = turned.half_extent() - points.half_extent();
                 let sides = |slack: f64| if slack > SLACK { vec![0.0, -slack, slack] } else { vec![0.0] };
-                // Above and below the middle of the points; both are the same if the shape is as high as they are.
+                // Above and below the middle of the points; both are the same if shape and points are of one height.
                 let heights = if 2.0 * slack.z.abs() > OWN { vec![-slack.z, slack.z] } else { vec![-slack.z] };
                 for x in sides(slack.x) {
                     for y in sides(slack.y) {

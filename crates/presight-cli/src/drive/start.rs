@@ -115,6 +115,7 @@ impl Drive {
     /// Estimator options by --preset, or by the sensor.
     pub fn options(&self, sensor: &Sensor) -> EstimateOptions {
         let preset = Preset::ALL.into_iter().find(|preset| self.preset.as_deref() == Some(preset.name()));
-        preset.unwrap_or(Preset::of(sensor)).options().with_stated_sigma(self.model_sigma)
+        let options = preset.unwrap_or(Preset::of(sensor)).options().with_learns_sigma(self.learns_sigma);
+        options.with_stated_sigma(self.model_sigma)
     }
 }

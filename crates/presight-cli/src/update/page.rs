@@ -65,7 +65,7 @@ impl Shown<'_> {
             body += &growth(finding, self.args.sure);
             body += "</section>";
         }
-        // Counts first; what they count is below, in pictures.
+        // Counts first. The pictures below show each change.
         let (head, rest) =
             self.told.match_indices('\n').nth(2).map_or((self.told, ""), |(at, _)| self.told.split_at(at));
         let html = format!(

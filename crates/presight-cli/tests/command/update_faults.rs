@@ -20,7 +20,7 @@ fn frames(place: &Place, folder: &str) -> (String, Vec<Value>) {
     (header.to_owned(), rest.lines().map(|line| serde_json::from_str(line).unwrap()).collect())
 }
 
-/// Writes a log with other readings: by frame, ray and what was measured.
+/// Writes a log with other readings, by frame, ray and measured range.
 fn rewrite(place: &Place, from: &str, to: &str, reading: impl Fn(usize, usize, &Value) -> Value) {
     let (header, frames) = frames(place, from);
     let line = |(number, mut frame): (usize, Value)| {
@@ -33,7 +33,7 @@ fn rewrite(place: &Place, from: &str, to: &str, reading: impl Fn(usize, usize, &
 }
 
 /// Files may grow to ever more kilobytes, as on a disk that is full at some moment: the run says which file could not be written, the
-/// store has no change or those that were acknowledged, and the evidence is whole or missing. With room the next run ends well.
+/// store has no change or the acknowledged ones, and the evidence is whole or missing. With room the next run ends well.
 #[cfg(unix)]
 #[test]
 fn a_full_disk_leaves_store_and_evidence_whole() {

@@ -116,10 +116,12 @@ fn a_program_names_what_evidence_confirms() {
     };
     let done = says("store/ramp", "[4.7, 1.0, 0.05, 0, 0, 125]");
     assert!(done.status == Some(0) && done.stderr.is_empty(), "{done:?}");
-    assert!(
-        done.stdout.contains("1 new") && done.stdout.contains("new: store/ramp at 4.60,0.90,0.00, yaw 115."),
-        "{done:?}"
-    );
+    assert!(done.stdout.contains("1 new") && done.stdout.contains("new: store/ramp at "), "{done:?}");
+    // It may slide some centimetres along its slope: only small faces hold it there.
+    let place_and_yaw = done.stdout.split("store/ramp at ").nth(1).unwrap().split([',', ' ']);
+    let found: Vec<f64> = place_and_yaw.filter_map(|word| word.parse().ok()).take(4).collect();
+    let off = (DVec3::from_slice(&found) - DVec3::new(4.6, 0.9, 0.0)).length();
+    assert!(off < 0.05 && (found[3] - 115.0).abs() < 0.5, "{done:?}");
     let insert = changes(&place, "found")[0]["changes"][0].clone();
     assert_eq!(insert["like"], "store/ramp", "{insert}");
     let cloud = presight_files::cloud::read(&place.path("points.ply")).unwrap();

@@ -42,7 +42,7 @@ fn with_behind(behind: Vec<Vec<Vec3>>) -> Environment {
     environment
 }
 
-/// Area of what is found more than 20 cm behind the wall, square metres.
+/// Area of the surfaces found more than 20 cm behind the wall, square metres.
 fn behind(found: &Exploration) -> f64 {
     let area = |corners: &[DVec3]| {
         let sum: DVec3 =

@@ -45,7 +45,7 @@ fn looks(count: usize) -> impl Iterator<Item = Pose> {
     })
 }
 
-/// What is found by so many views with this noise, and how it predicts what a sensor without noise sees.
+/// Explores a room by a number of views with this noise, and predicts the views of a sensor without noise.
 fn explored(width: u32, sigma: f64, count: usize, detail: Option<f64>) -> (Exploration, Judged) {
     let real = room();
     let views = views_of(&camera(width, sigma), looks(count).map(|pose| (real.clone(), pose)));

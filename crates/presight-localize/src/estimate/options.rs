@@ -119,14 +119,13 @@ impl Preset {
         }
     }
 
-    /// The options of an estimator. The deviation of the model is learnt.
+    /// The options of an estimator.
     pub fn options(self) -> EstimateOptions {
-        let options = match self {
+        match self {
             Self::IndoorScanner => EstimateOptions::planar(),
             Self::DepthCamera => EstimateOptions::default(),
             Self::Lidar3d => EstimateOptions::scan(),
-        };
-        options.with_learns_sigma(true)
+        }
     }
 }
 

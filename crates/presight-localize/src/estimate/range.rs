@@ -278,7 +278,8 @@ impl<'a> RangeSource<'a> {
         // Once outliers have no weight, what the point's own ray should meet comes first: of surfaces that are no farther apart than noise is
         // wide, the nearest one is the one that noise chose, which hides a part of every error. Where noise does not explain it, and the model may be
         // off, the nearest one is the best guess.
-        if matches!(gate.kernel, Kernel::Redescending { .. })
+        if self.surface == 0.0
+            && matches!(gate.kernel, Kernel::Redescending { .. })
             && let Some(at) = self.on_ray(q.as_vec3())
             && let Some(compared) = self.compare(&self.expected.pixels[at], q, range, moved)
             && compared.e * compared.e <= EXPLAINED * EXPLAINED * compared.noise

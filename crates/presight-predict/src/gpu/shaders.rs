@@ -89,7 +89,7 @@ mod tests {
         }
     }
 
-    /// The greatest magnitude of a module's f32 literals, those of functions included.
+    /// The greatest magnitude of all f32 literals of a module, functions included.
     fn greatest_literal(module: &naga::Module) -> f32 {
         let of_functions =
             module.functions.iter().map(|(_, f)| f).chain(module.entry_points.iter().map(|e| &e.function));

@@ -1,6 +1,6 @@
 //! Learns for each sensor which way of the CPU engine is faster. Both ways give the same bits, so learning is free of risk.
 //!
-//! By counts, tiles take over from the raster if more than so many polygons may show after the first wave ([`Way::choose`]). What a
+//! By counts, tiles take over from the raster if too many polygons may show after the first wave ([`Way::choose`]). What a
 //! polygon and a ray cost depends on the machine and on the sensor, so that number is learnt: a frame's time by either way is a line
 //! over the polygons left, and tiles take over from where the lines say so. The number stays within [`RANGE`] times the counted one on
 //! either side, and only frames in that range try the other way, one in [`TRIED`]. A frame by the wrong way takes at most a few times as
@@ -14,16 +14,16 @@ use std::time::Duration;
 /// How far the number may move, as a factor.
 const RANGE: u64 = 4;
 
-/// One frame in so many tries the raster where tiles would be taken, and another one the reverse.
+/// Period of trials, frames: one tries the raster where tiles would be taken, another one the reverse.
 const TRIED: u64 = 128;
 
 /// Frames that were drawn by each way before times count.
 const ENOUGH: u64 = 8;
 
-/// After so many frames that turned to tiles in succession, the next ones go by tiles without a selection.
+/// Number of successive frames that turned to tiles, after which frames go by tiles without a selection.
 const IN_SUCCESSION: u32 = 4;
 
-/// One frame in so many selects and draws a first wave nevertheless, to see whether tiles are still the faster way.
+/// Period, frames, of one that selects and draws a first wave nevertheless, to check that tiles are still faster.
 const CHECKED: u64 = 16;
 
 /// Sensors that are known at most; a further one displaces the oldest.
@@ -44,7 +44,7 @@ struct SensorWays {
     costs: [UnitCosts; 2],
 }
 
-/// Which way is faster for which sensor. It is told times and reads no clock.
+/// Which way is faster for which sensor. Times are given to it; it reads no clock.
 #[derive(Debug, Default)]
 pub struct WayCosts {
     sensors: Vec<SensorWays>,
@@ -163,7 +163,7 @@ mod tests {
     use presight_model::sensor::{Camera, Geometry, SensorSpec};
     use presight_model::world::World;
 
-    /// A sensor whose frames take a known time by each way: frames by each, and the time lost beside the faster way for each frame.
+    /// A sensor whose frames take a known time by each way: frames by each, and for each frame the time lost against the faster way.
     struct Simulated {
         ways: WayCosts,
         plan: FramePlan,
@@ -185,7 +185,7 @@ mod tests {
             Self { ways: WayCosts::default(), plan, seconds, frames: [0; 2], best: 0.0, spent: 0.0 }
         }
 
-        /// A frame after whose first wave so many polygons are left.
+        /// A frame with a number of polygons left after its first wave.
         fn frame(&mut self, left: u64) -> Way {
             let counted = ChosenWay { most_left: COUNTED, ..ChosenWay::RASTER };
             let chosen = self.ways.adjust(&self.plan.sensor, self.plan.request.outputs, counted);
