@@ -66,6 +66,9 @@ fn scene(name: &str) -> Option<Environment> {
     data::scene(name, true).map(|world| Environment::clone(world.environment()))
 }
 
+/// Whether a name is among those that the words on the command line choose.
+type Choice<'a> = &'a dyn Fn(&str, &str) -> bool;
+
 fn main() {
     let words: Vec<String> = std::env::args().skip(1).filter(|word| !word.starts_with("--")).collect();
     let word = |k: usize| words.get(k).map_or("-", String::as_str);
@@ -145,7 +148,7 @@ fn print(found: &Score, name: &str, seconds: f64, reasons: bool) {
 }
 
 /// An office, and the same one as a building site: each is the map of the other.
-fn both_offices(seeds: u64, (chosen, sensor_names): (&dyn Fn(&str, &str) -> bool, &str), reasons: bool) {
+fn both_offices(seeds: u64, (chosen, sensor_names): (Choice<'_>, &str), reasons: bool) {
     let (Some(office), Some(building)) = (scene("office_clearpath"), scene("office_construction_clearpath")) else {
         return;
     };

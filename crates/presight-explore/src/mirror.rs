@@ -50,7 +50,7 @@ fn crossing(plane: &Flat, view: &View, pixel: usize) -> Option<DVec2> {
 pub(crate) fn without_images(views: &Views, surface: &Surface, regions: &Regions) -> Option<(Views, usize)> {
     let large = |(plane, members): (&Flat, Vec<u32>)| {
         let area: f64 = members.iter().map(|m| surface.surfels[*m as usize].size.powi(2)).sum();
-        (area > LARGE).then(|| mirrors(views, surface, plane, &members)).unwrap_or_default()
+        if area > LARGE { mirrors(views, surface, plane, &members) } else { Default::default() }
     };
     let found: Vec<Mirror> = regions.planes.iter().zip(regions.members()).flat_map(large).collect();
     if found.is_empty() {
