@@ -66,7 +66,7 @@ fn scene(name: &str) -> Option<Environment> {
     data::scene(name, true).map(|world| Environment::clone(world.environment()))
 }
 
-/// Whether a name is among those that the words on the command line choose.
+/// Returns true for names that the words on the command line choose.
 type Choice<'a> = &'a dyn Fn(&str, &str) -> bool;
 
 fn main() {

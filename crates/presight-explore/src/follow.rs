@@ -30,7 +30,7 @@ const REACH: (f64, f64) = (0.5, 0.4);
 /// Share of its points that must be explained.
 const JOINED: f64 = 0.8;
 
-/// True if a pose is as sure in the model as that of the first frame, so that its view may be added. A floor alone does not say as much.
+/// True if a pose is known in the model as well as the pose of the first frame, so that its view may be added. A floor alone does not suffice.
 fn is_sure(pose: &PoseEstimate) -> bool {
     (0..6).all(|i| pose.covariance.as_rows()[i][i] <= START_SIGMA * START_SIGMA)
 }

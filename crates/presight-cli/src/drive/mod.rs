@@ -78,7 +78,7 @@ pub struct Drive {
     #[arg(long, value_name = "METRES")]
     pub model_sigma: Option<f64>,
 
-    /// Learn that deviation unless it is stated. Updates do not: what they change must not depend on what was learnt on the way.
+    /// Learn that deviation unless it is stated. Updates do not, so that changes do not depend on the order of the frames.
     #[arg(skip)]
     learns_sigma: bool,
 

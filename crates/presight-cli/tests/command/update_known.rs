@@ -91,7 +91,7 @@ fn a_mesh_of_the_library_takes_the_place_of_boxes() {
     assert!(again.stdout.contains("0 gone, 0 moved, 0 new"), "{again:?}");
 }
 
-/// A program gets the points of the ramp as PLY. What it names at about the right place is fitted and proposed; elsewhere, or as
+/// A program gets the points of the ramp as PLY. A thing that it names at about the right place is fitted and proposed; elsewhere, or as
 /// something else, it is not.
 #[cfg(unix)]
 #[test]
