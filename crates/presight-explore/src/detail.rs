@@ -56,7 +56,7 @@ impl Detail {
         let mut footprints = Footprints::default();
         for view in sample.all() {
             let apart = apart(view);
-            for pixel in inner(view) {
+            for pixel in view.inner_pixels() {
                 let range = f64::from(view.ranges[pixel]);
                 // Steps are not noise, and most residuals of a rough place are steps.
                 if let Some(off) = off_line(view, [pixel - 1, pixel, pixel + 1]).filter(|off| *off < 0.1 * range) {
@@ -137,11 +137,6 @@ fn missed(sigma: f64, side: f64, views: f64) -> f64 {
     let mean = hit - pass;
     let deviation = (hit + pass - mean * mean).max(1e-12).sqrt();
     fewer_than_two.max(tail(mean * views.sqrt() / deviation))
-}
-
-fn inner(view: &View) -> impl Iterator<Item = usize> + use<> {
-    let (width, height) = (view.width(), view.height());
-    (1..height.saturating_sub(1)).flat_map(move |row| row * width + 1..(row + 1) * width - 1)
 }
 
 /// Angles between neighbouring rays across and along, radians.

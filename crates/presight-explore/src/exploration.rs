@@ -78,7 +78,8 @@ impl Exploration {
         let before: BTreeSet<String> = paths(&environment);
         let is_planar = views.all().iter().all(|v| v.sensor().height() == 1);
         let is_empty = before.is_empty();
-        let detail = if is_planar { SMALLEST } else { options.detail(views).least };
+        let measured = (!is_planar).then(|| options.detail(views));
+        let detail = measured.as_ref().map_or(SMALLEST, |measured| measured.least);
         if !is_empty && !is_planar {
             if known == Known::Rough {
                 environment = corrected(&environment, views, &mut predictor)?;
@@ -106,12 +107,12 @@ impl Exploration {
             class,
             stamp,
         };
-        if is_planar {
+        let Some(measured) = measured else {
             let found = options.threads.run(|| walls(views, options.polygons, is_used))?;
             exploration.add_walls(&known_or(found, is_empty)?, views, options)?;
             return Ok(exploration);
-        }
-        match Surfaces::unexplained(views, options, &mut predictor, is_used)? {
+        };
+        match Surfaces::unexplained(views, (options, &measured), &mut predictor, is_used)? {
             Some(found) => {
                 exploration.areas = found.areas;
                 (exploration.parts, exploration.mirrored) = (found.parts(), found.mirrored);

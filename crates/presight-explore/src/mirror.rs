@@ -68,8 +68,7 @@ fn mirrors(views: &Views, surface: &Surface, plane: &Flat, members: &[u32]) -> V
     // By cell: points that may be images, and points that are images.
     let mut counts: BTreeMap<[i64; 2], [u32; 2]> = BTreeMap::new();
     for view in views.some(VIEWS).all() {
-        let (width, height) = (view.width(), view.height());
-        for pixel in (1..height.saturating_sub(1)).flat_map(|row| row * width + 1..(row + 1) * width - 1) {
+        for pixel in view.inner_pixels() {
             let Some(q) = crossing(plane, view, pixel).filter(|q| q.cmpge(least).all() && q.cmple(most).all()) else {
                 continue;
             };

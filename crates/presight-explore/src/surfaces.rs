@@ -103,10 +103,11 @@ const CELL: f64 = 0.5;
 const TOUCH: f64 = 1.5;
 
 impl Surfaces {
-    /// The surfaces of the pixels that are used, by the number of the view and of the pixel; `None` if there are none.
+    /// The surfaces of the pixels that are used, by the number of the view and of the pixel; `None` if there are none. `detail` is that
+    /// of the views.
     pub(crate) fn unexplained(
         views: &Views,
-        options: &ExploreOptions,
+        (options, detail): (&ExploreOptions, &Detail),
         predictor: &mut Predictor,
         is_used: impl Fn(usize, usize) -> bool + Sync + Send,
     ) -> Result<Option<Self>> {
@@ -114,10 +115,9 @@ impl Surfaces {
             return sheets(views, options, predictor, is_used);
         }
         let threads = options.threads.clone();
-        let detail = options.detail(views);
         let most = (options.polygons as f64 * PLANES).ceil() as usize;
         let regions_of = |views: &Views| {
-            let surface = Surface::new(surfels(views, &detail, &is_used));
+            let surface = Surface::new(surfels(views, detail, &is_used));
             let regions = Regions::new(&surface, detail.least, most);
             (surface, regions)
         };

@@ -146,6 +146,12 @@ impl View {
         self.optics.sensor.height() as usize
     }
 
+    /// Pixels that have neighbours on all sides.
+    pub(crate) fn inner_pixels(&self) -> impl Iterator<Item = usize> + use<> {
+        let (width, height) = (self.width(), self.height());
+        (1..height.saturating_sub(1)).flat_map(move |row| row * width + 1..(row + 1) * width - 1)
+    }
+
     /// Angle between neighbouring rays, radians.
     pub(crate) fn pitch(&self) -> f64 {
         f64::from(self.optics.pitch)

@@ -3,7 +3,7 @@
 use crate::joint::AXES;
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use presight_localize::matching::{Detection, Shape};
-use presight_localize::verdict::body_from_image;
+use presight_localize::verdict::{ObjectError, body_from_image};
 use presight_model::environment::{Feature, FeatureShape};
 use presight_model::geometry::{Pose, PoseEstimate};
 use presight_model::matrix::{Matrix, add_to, apply, inverse, product, sandwich, scaled, turn};
@@ -57,11 +57,8 @@ impl<'a> Eye<'a> {
     pub fn by_pose(&self, points: &[DVec3]) -> Matrix {
         let mut all = [[0.0; 6]; 6];
         let axes = [DVec3::X, DVec3::Y, DVec3::Z];
-        let gradient = |k: usize| {
-            let (n, arm) = (axes[k % 3], points[k / 3] - self.pose.world_from_robot.translation);
-            let turned = arm.cross(n);
-            [n.x, n.y, n.z, turned.x, turned.y, turned.z]
-        };
+        let gradient =
+            |k: usize| ObjectError::gradient(self.pose.world_from_robot.translation, points[k / 3], axes[k % 3]);
         for i in 0..3 * points.len() {
             let row = apply(self.pose.covariance.as_rows(), &gradient(i));
             for j in 0..3 * points.len() {
@@ -107,7 +104,7 @@ impl Sums {
         let [u, v] = steps.map(|step| step - step.dot(ray) * ray);
         // The mean of several corners is known better than one of them.
         let mut own = across(detection, [u, v], along) * (1.0 / corners.max(1) as f64);
-        // Nothing is known along a ray without a range, and beside the plane of a scanner of one row.
+        // Nothing is known along a ray without a range, nor across the plane of a scanner of one row.
         let unknown = (FAR * along).powi(2);
         own += range.map_or(unknown, |range| range.variance) * outer(ray);
         if v == DVec3::ZERO {

@@ -1,8 +1,10 @@
 //! How far the objects of a model may be from where it has them, before anything was seen.
 
-use glam::{DQuat, DVec3};
+use glam::DVec3;
+use presight_localize::motion::moved;
+use presight_localize::verdict::ObjectError;
 use presight_model::environment::{Environment, Object};
-use presight_model::geometry::{InWorld, PoseCovariance};
+use presight_model::geometry::{InWorld, Pose, PoseCovariance};
 use presight_model::matrix::{Matrix, quadratic};
 use std::collections::BTreeMap;
 
@@ -79,17 +81,12 @@ impl Priors {
 impl Prior {
     /// How a surface moves along its normal at a point of the world with a small motion of its object.
     pub fn gradient(&self, p: DVec3, n: DVec3) -> [f64; 6] {
-        let turned = (p - self.middle).cross(n);
-        [n.x, n.y, n.z, turned.x, turned.y, turned.z]
+        ObjectError::gradient(self.middle, p, n)
     }
 
     /// A pose after a small motion about the middle.
-    pub fn moved(&self, pose: &presight_model::geometry::Pose, motion: &[f64; 6]) -> presight_model::geometry::Pose {
-        let [x, y, z, a, b, c] = *motion;
-        let turn = DQuat::from_scaled_axis(DVec3::new(a, b, c));
-        presight_model::geometry::Pose {
-            translation: self.middle + DVec3::new(x, y, z) + turn * (pose.translation - self.middle),
-            rotation: (turn * pose.rotation).normalize(),
-        }
+    pub fn moved(&self, pose: &Pose, motion: &[f64; 6]) -> Pose {
+        let middle = Pose { translation: self.middle, ..Pose::IDENTITY };
+        moved(&middle, motion) * middle.inverse() * *pose
     }
 }

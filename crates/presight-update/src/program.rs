@@ -141,7 +141,8 @@ fn parse(bytes: &[u8]) -> Result<Vec<Proposal>> {
     let text = std::str::from_utf8(bytes).map_err(|_| Error::invalid("its answer is not UTF-8", remedy))?;
     let lines = (1..).zip(text.lines()).filter(|(_, line)| !line.trim().is_empty());
     let proposal = |(number, line): (usize, &str)| {
-        let wrong = |e: String| Error::invalid(format!("line {number} of its answer is no proposal: {e}"), remedy);
+        let wrong =
+            |e: String| Error::invalid(format!("line {number} of its answer is not a valid proposal: {e}"), remedy);
         let Line { object, pose } = serde_json::from_str(line).map_err(|e| wrong(e.to_string()))?;
         let world_from_object = pose_of(&pose).map_err(|e| wrong(e.what().to_owned()))?;
         Ok(Proposal { object, world_from_object })

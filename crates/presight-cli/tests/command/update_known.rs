@@ -153,10 +153,10 @@ fn a_recognizer_that_fails_costs_nothing_but_its_answer() {
     assert_eq!(learn(&place, &["--recognizer", "sh none.sh"]).stdout, boxes);
     assert_eq!(fs::read_to_string(place.path("count")).unwrap().lines().count(), 2);
     for (script, words) in [
-        ("echo ramp", "line 1 of its answer is no proposal"),
+        ("echo ramp", "line 1 of its answer is not a valid proposal"),
         ("echo '{\"object\": \"ramp\"}'", "missing field `pose`"),
         ("echo '{\"object\": \"crate 0\", \"pose\": [1, 2]}'", "the pose has 2 numbers"),
-        ("echo '{\"object\": \"crate 0\", \"pose\": [0, 0, 1e300, 0, 0, 0]}'", "no proposal"),
+        ("echo '{\"object\": \"crate 0\", \"pose\": [0, 0, 1e300, 0, 0, 0]}'", "not a valid proposal"),
         (
             "echo '{\"object\": \"sofa\", \"pose\": [0, 0, 0, 0, 0, 0]}'",
             "\"sofa\", which is neither in the library nor in the map",

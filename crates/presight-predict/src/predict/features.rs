@@ -1,6 +1,7 @@
 //! Features of a prediction: their polygons, their visibility, and their regions of interest.
 
-use super::{Prediction, Predictor, faulty};
+use super::recovery::faulty;
+use super::{Prediction, Predictor};
 use crate::Backend;
 use crate::engine;
 use crate::probe::{Probe, SensorKind};

@@ -3,26 +3,26 @@
 mod deadline;
 mod features;
 mod features_in_time;
+mod recovery;
 mod view;
 
-use crate::engine::{self, Device, Engine};
-use crate::probe::{DeviceCheck, Probe, SensorKind};
+use crate::engine::{self, Engine};
+use crate::probe::{DeviceCheck, SensorKind};
 use crate::request::Request;
 use features::FeatureTask;
 use presight_features::{FeaturePrediction, Vantage};
 use presight_model::clock::Instant;
-use presight_model::error::{Error, ErrorKind, Result};
+use presight_model::error::Result;
 use presight_model::geometry::Pose;
 use presight_model::sensor::Sensor;
 use presight_model::threads::Threads;
 use presight_model::world::World;
 use presight_render::cost::{Controller, DeadlineFrame, WayCosts};
-use presight_render::cpu;
 use presight_render::plan::{
-    ChosenWay, Drawn, FramePlan, ImageRequest, Images, Output, Outputs, PlanBuffers, Raster, StageName, Stats, Way,
-    Weighing,
+    ChosenWay, Drawn, FramePlan, ImageRequest, Images, Output, PlanBuffers, Raster, StageName, Stats, Way, Weighing,
 };
 use presight_render::row::RowCuts;
+use recovery::choose_engine;
 use std::sync::Arc;
 
 /// The engine that predicts.
@@ -169,8 +169,8 @@ impl Predictor {
     /// Makes a predictor and opens its engine.
     ///
     /// # Errors
-    /// [`ErrorKind::NoDevice`] for [`Backend::Gpu`] if no adapter is found;
-    /// [`ErrorKind::System`] if the CPU engine's threads cannot be started.
+    /// [`presight_model::ErrorKind::NoDevice`] for [`Backend::Gpu`] if no adapter is found;
+    /// [`presight_model::ErrorKind::System`] if the CPU engine's threads cannot be started.
     pub fn new(options: Options) -> Result<Self> {
         let open_gpu = |threads: &Threads, hardware_only| engine::open_gpu(threads, hardware_only, options.raster);
         let (engine, notice) = choose_engine(options.backend, &options.threads, open_gpu)?;
@@ -206,7 +206,7 @@ impl Predictor {
     /// The running threads for tasks of batches.
     ///
     /// # Errors
-    /// [`ErrorKind::System`] if they cannot be started.
+    /// [`presight_model::ErrorKind::System`] if they cannot be started.
     pub fn task_threads(&mut self) -> Result<Threads> {
         self.threads = self.threads.started()?;
         Ok(self.threads.clone())
@@ -260,11 +260,11 @@ impl Predictor {
     /// ```
     ///
     /// # Errors
-    /// The errors of [`Request::check`] and [`Pose::check`]; [`ErrorKind::Usage`] if features are requested but the
-    /// world has none for the sensor's class; [`ErrorKind::Invalid`] for features of objects or polygons that are not
-    /// in the world; [`ErrorKind::System`] if the system refuses memory or threads; [`ErrorKind::DeviceLost`] and
-    /// [`ErrorKind::DeviceMemory`] with [`Backend::Gpu`]; [`ErrorKind::Deadline`] if no image can be made within
-    /// [`Request::deadline`]; [`ErrorKind::Usage`] for a deadline of 0 or, unless the backend is [`Backend::Auto`], an
+    /// The errors of [`Request::check`] and [`Pose::check`]; [`presight_model::ErrorKind::Usage`] if features are requested but the
+    /// world has none for the sensor's class; [`presight_model::ErrorKind::Invalid`] for features of objects or polygons that are not
+    /// in the world; [`presight_model::ErrorKind::System`] if the system refuses memory or threads; [`presight_model::ErrorKind::DeviceLost`] and
+    /// [`presight_model::ErrorKind::DeviceMemory`] with [`Backend::Gpu`]; [`presight_model::ErrorKind::Deadline`] if no image can be made within
+    /// [`Request::deadline`]; [`presight_model::ErrorKind::Usage`] for a deadline of 0 or, unless the backend is [`Backend::Auto`], an
     /// engine that cannot stop early.
     pub fn predict(
         &mut self,
@@ -359,26 +359,6 @@ impl Predictor {
         Ok(())
     }
 
-    /// One-time checks of a device for a kind of sensor do not count towards a deadline.
-    fn get_ready(&mut self, sensor: &Sensor, outputs: Outputs) -> Result<()> {
-        match self.prove(sensor, outputs) {
-            Ok(()) => Ok(()),
-            Err(fault) => self.recover(fault, true),
-        }
-    }
-
-    /// Fulfils a request on the CPU engine instead of the automatically chosen one.
-    fn fill_on_stand_in(&mut self, world: &World, prediction: &mut Prediction) -> Result<()> {
-        let engine = match self.stand_in.take() {
-            Some(engine) => engine,
-            None => Box::new(cpu::CpuEngine::new(self.threads.clone())?),
-        };
-        let chosen = std::mem::replace(&mut self.engine, engine);
-        let filled = self.fill(world, prediction);
-        self.stand_in = Some(std::mem::replace(&mut self.engine, chosen));
-        filled
-    }
-
     /// Predicts only images, into the caller's memory, for studies that draw many sensors into the same images.
     pub fn predict_images(
         &mut self,
@@ -462,7 +442,7 @@ impl Predictor {
     /// ```
     ///
     /// # Errors
-    /// [`ErrorKind::System`] if there is no memory for them, or threads cannot be started.
+    /// [`presight_model::ErrorKind::System`] if there is no memory for them, or threads cannot be started.
     pub fn make_trees(&mut self, world: &World) -> Result<()> {
         self.on_threads(|| world.make_ray_trees(0..world.environment().objects().len() as u32))?
     }
@@ -470,7 +450,7 @@ impl Predictor {
     /// Runs a function on the predictor's own threads.
     ///
     /// # Errors
-    /// [`ErrorKind::System`] if threads cannot be started.
+    /// [`presight_model::ErrorKind::System`] if threads cannot be started.
     pub fn on_threads<R: Send>(&mut self, work: impl FnOnce() -> R + Send) -> Result<R> {
         self.threads = self.threads.started()?;
         self.threads.run(work)
@@ -519,52 +499,6 @@ impl Predictor {
             stats.clone_from(&selection);
         }
     }
-
-    /// Recovers from a fault: opens a lost device again (if `again` allows it) or, with an automatically chosen
-    /// backend, switches to the CPU engine. Stops using a hardware rasterizer that draws wrong or loses the device.
-    fn recover(&mut self, fault: Error, again: bool) -> Result<()> {
-        let Some(device) = self.engine.device() else { return Err(fault) };
-        let may_be_raster = matches!(fault.kind(), ErrorKind::DeviceLost | ErrorKind::NoDevice);
-        if again && may_be_raster && device.raster() == Raster::Render && device.take_compute().is_ok() {
-            self.proven = ProbeResults::default();
-            self.notice = Some(format!("compute spans took over from the hardware rasterizer: {fault}"));
-            return Ok(());
-        }
-        if again && fault.kind() == ErrorKind::DeviceLost && device.reopen().is_ok() {
-            self.proven = ProbeResults::default();
-            self.notice = Some(format!("the GPU was opened again after this: {fault}"));
-            return Ok(());
-        }
-        if self.backend != Backend::Auto {
-            return Err(fault);
-        }
-        self.engine = Box::new(cpu::CpuEngine::new(self.threads.clone())?);
-        self.notice = Some(format!("the CPU engine took over: {fault}"));
-        Ok(())
-    }
-
-    /// [`Predictor::prove`], unless nothing is drawn.
-    fn prove_for(&mut self, plan: &FramePlan) -> Result<()> {
-        if plan.polygon_count == 0 { Ok(()) } else { self.prove(&plan.sensor, plan.drawn()) }
-    }
-
-    /// Verifies a device on a tiny scene before its first use for a kind of sensor. This costs little, because the
-    /// following prediction uses the same pipelines.
-    fn prove(&mut self, sensor: &Sensor, outputs: Outputs) -> Result<()> {
-        let task = SensorKind::of(sensor);
-        if self.engine.device().is_none() || self.proven.images.contains(&task) {
-            return Ok(());
-        }
-        let engine = &mut *self.engine;
-        let draw = |plan: &FramePlan, images: &mut Images| engine.render(plan, images, &mut Stats::default());
-        let report = Probe::new()?.run(task, outputs, draw)?;
-        if let (Some(first), Some(device)) = (report.faults.first(), self.engine.device()) {
-            let (n, all) = (report.fault, report.pixels);
-            return Err(faulty(device, format!("draws {n} of {all} pixels of a probe wrong: {}", first.why)));
-        }
-        self.proven.images.push(task);
-        Ok(())
-    }
 }
 
 /// Adds the plan's and the predictor's notes to an engine's statistics.
@@ -573,50 +507,4 @@ fn tell(plan: &FramePlan, notice: Option<&String>, stats: &mut Stats) {
     stats.left_out.extend(by_engine);
     plan.variants().iter().filter(|(_, taken, _)| *taken).for_each(|(what, _, why)| stats.take(*what, why));
     stats.notices.extend(notice.cloned());
-}
-
-/// The error for a device that gives wrong results.
-fn faulty(device: &dyn Device, what: String) -> Error {
-    let remedy = "update its driver, or use `Backend::Cpu`; see presight doctor";
-    Error::new(ErrorKind::NoDevice, format!("{} {what}", device.adapter()), remedy)
-}
-
-/// The engine of a backend, with a notice if there is one. `open_gpu` opens a GPU; with `true` it accepts hardware
-/// only.
-fn choose_engine(
-    backend: Backend,
-    threads: &Threads,
-    open_gpu: impl Fn(&Threads, bool) -> Result<Box<dyn Engine>>,
-) -> Result<(Box<dyn Engine>, Option<String>)> {
-    let on_cpu = || Ok::<_, Error>(Box::new(cpu::CpuEngine::new(threads.clone())?));
-    match backend {
-        Backend::Cpu => Ok((on_cpu()?, None)),
-        Backend::Gpu => Ok((open_gpu(threads, false)?, None)),
-        Backend::Auto => match open_gpu(threads, true) {
-            Ok(engine) => Ok((engine, None)),
-            // No hardware GPU is the normal case on CI machines, so there is no notice.
-            Err(e) if e.kind() == ErrorKind::NoDevice => Ok((on_cpu()?, None)),
-            Err(e) => Ok((on_cpu()?, Some(format!("the CPU engine is used: {e}")))),
-        },
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn without_an_adapter_auto_takes_the_cpu_and_gpu_is_an_error() {
-        let fails =
-            |kind: ErrorKind| move |_: &Threads, _: bool| Err(Error::new(kind, "no adapter", "use `Backend::Cpu`"));
-        let threads = Threads::from(1);
-        let (engine, notice) = choose_engine(Backend::Auto, &threads, fails(ErrorKind::NoDevice)).unwrap();
-        assert_eq!((engine.name().as_str(), notice), ("cpu", None));
-        let (engine, notice) = choose_engine(Backend::Auto, &threads, fails(ErrorKind::System)).unwrap();
-        assert_eq!(engine.name(), "cpu");
-        assert!(notice.is_some_and(|n| n.starts_with("the CPU engine is used: no adapter")));
-        let refused = choose_engine(Backend::Gpu, &threads, fails(ErrorKind::NoDevice)).err();
-        assert_eq!(refused.map(|e| e.kind()), Some(ErrorKind::NoDevice));
-        assert!(choose_engine(Backend::Cpu, &threads, fails(ErrorKind::System)).is_ok());
-    }
 }

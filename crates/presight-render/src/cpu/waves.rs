@@ -25,7 +25,7 @@ pub(super) const FIRST_WAVE: RangeInclusive<usize> = 256..=4096;
 const SETUP_NS: u64 = 100;
 const POLYGON_NS: u64 = 100;
 
-/// Runs that a task looks at to drop what is hidden.
+/// Runs that a task tests, to drop the hidden ones.
 const SIFTED: usize = 64;
 
 /// One in eight of the runs that the first wave leaves is held to the z-buffer, to estimate how many may show; up to 64 runs are
@@ -37,7 +37,7 @@ const FEW_RUNS: usize = 64;
 pub(super) enum Drawn {
     /// Images.
     All,
-    /// Nothing yet: every so many columns and rows are to be drawn instead.
+    /// Nothing yet: the image is to be thinned to every n-th column and row.
     Thinned(u32),
     /// Nothing yet: too many polygons may still show after the first wave, so tiles are faster.
     TooMany,
@@ -297,7 +297,7 @@ fn set_up(
     left_out.map(|i| new[i].nearest)
 }
 
-/// Drops what is hidden from a wave. Tasks are types, not closures, so that they are compiled for each vector width.
+/// Drops the hidden runs of a wave. Tasks are types, not closures, so that they are compiled for each vector width.
 struct Cull<'a> {
     plan: &'a FramePlan,
     runs: &'a [Run],
@@ -375,7 +375,7 @@ impl pulp::WithSimd for Draw<'_, '_> {
             PixelGrid::Rays(grid) if clear => raster_rays::clear(buffer, grid, bands, band),
             _ => {}
         }
-        // What has stopped stays as it is.
+        // A stopped band is not drawn any further.
         let batches = if progress.has_stopped { &[] } else { batches };
         if !progress.has_stopped {
             progress.complete_to = beyond;
@@ -409,7 +409,7 @@ impl pulp::WithSimd for Draw<'_, '_> {
     }
 }
 
-/// Makes a band's images of what is drawn.
+/// Makes a band's images from its z-buffer.
 struct Resolve<'a, 't> {
     buffer: &'a Buffer,
     target: &'a mut resolve::Target<'t>,
