@@ -20,8 +20,8 @@ use std::time::Duration;
 const PIXELS_PER_POLYGON: usize = 16;
 pub(super) const FIRST_WAVE: RangeInclusive<usize> = 256..=4096;
 
-/// Nanoseconds of a slow core between looks at the clock: a polygon's setup, and its drawing in a band without its samples, of which each
-/// takes one.
+/// Nanoseconds of a slow core between looks at the clock: for a polygon's setup, and for its drawing in a band without its samples. Each
+/// sample counts as one more.
 const SETUP_NS: u64 = 100;
 const POLYGON_NS: u64 = 100;
 
@@ -258,8 +258,8 @@ struct WaveEnds {
     beyond: f32,
 }
 
-/// Sets up the runs of a wave, in batches after those in use. Returns the nearest distance of what was left out because the time
-/// was up.
+/// Sets up the runs of a wave, in batches after those in use. Returns the nearest distance of the runs that were left out because
+/// the time was up.
 fn set_up(
     plan: &FramePlan,
     bands: &Bands,
