@@ -1,13 +1,18 @@
 //! Meshes: convex polygons over shared vertices, in their own frame, stored once for all instances.
 
+mod check;
+mod order;
+
+pub use check::canonical_plane;
+
 use super::cluster_vertices::ClusterVertices;
 use crate::error::{Error, Result};
-use crate::geometry::{Aabb, Plane, plane_of_loop};
+use crate::geometry::{Aabb, Plane};
 use crate::index::RayTree;
 use crate::limits;
-use crate::threads::parallel_or_here;
-use glam::DMat3;
-use glam::{DVec3, Vec3};
+use check::{check_polygon, check_records, check_vertices};
+use glam::{DMat3, DVec3, Vec3};
+use order::{cuts_of, spatial_sequence};
 use std::sync::{Arc, OnceLock};
 
 /// A planar convex polygon, for [`Mesh::new`].
@@ -135,10 +140,6 @@ pub struct Mesh {
     /// Built when rays first want it, and shared by clones.
     ray_tree: OnceLock<Arc<RayTree>>,
 }
-
-/// Allowed distance of a vertex from its polygon's plane, relative to the polygon's largest coordinate extent. Covers
-/// f32 rounding of planar polygons and the residual of merging.
-const PLANARITY: f64 = 4e-6;
 
 impl Mesh {
     /// Checks and stores polygons.
@@ -450,168 +451,4 @@ fn materials_of(records: &[PolygonRecord]) -> Vec<u16> {
     }
     materials.sort_unstable();
     materials
-}
-
-fn check_vertices(vertices: &[Vec3]) -> Result<()> {
-    let sound = |x: &f32| x.abs() <= limits::MAX_COORDINATE as f32;
-    // No early exit: the loop would not be unrolled otherwise.
-    let all: &[f32] = bytemuck::cast_slice(vertices);
-    if all.iter().fold(true, |all, x| all & sound(x)) {
-        return Ok(());
-    }
-    match vertices.iter().position(|v| !v.to_array().iter().all(sound)) {
-        None => Ok(()),
-        Some(i) => Err(Error::invalid(
-            format!("vertex {i} is {}, not a finite position", vertices[i]),
-            "repair the model and export it again",
-        )),
-    }
-}
-
-/// Checks stored records: consecutive polygons with a valid number of corners each.
-fn check_records(polygons: &[PolygonRecord], corners: usize) -> Result<()> {
-    let follows = |end: &mut usize, record: &PolygonRecord| {
-        let n = usize::from(record.corner_count);
-        let sound = (3..=limits::MAX_CORNERS).contains(&n) & (record.first_corner as usize == *end);
-        *end += n;
-        sound & (*end <= corners)
-    };
-    let mut end = 0;
-    if polygons.iter().fold(true, |all, record| all & follows(&mut end, record)) {
-        return Ok(());
-    }
-    end = 0;
-    let bad = polygons.iter().position(|record| !follows(&mut end, record)).unwrap_or_default();
-    Err(Error::invalid("its corners are out of range", "").at(format!("polygon {bad}")))
-}
-
-fn check_polygon(polygon: &Polygon, vertices: &[Vec3], extent: f64) -> Result<Plane> {
-    let n = polygon.corners.len();
-    if !(3..=limits::MAX_CORNERS).contains(&n) {
-        return Err(Error::invalid(
-            format!("{n} corners; 3 to {} are allowed", limits::MAX_CORNERS),
-            "split the polygon",
-        ));
-    }
-    if let Some(c) = polygon.corners.iter().find(|&&c| c as usize >= vertices.len()) {
-        return Err(Error::invalid(
-            format!("vertex index {c} is out of range, there are {} vertices", vertices.len()),
-            "repair the model and export it again",
-        ));
-    }
-    let points: Vec<DVec3> = polygon.corners.iter().map(|&c| vertices[c as usize].as_dvec3()).collect();
-    let plane = canonical_plane(n, |k| points[k])
-        .ok_or_else(|| Error::invalid("the polygon has no area", "drop it or give it distinct vertices"))?;
-    if n > 3 {
-        check_shape(&points, plane, extent)?;
-    }
-    Ok(plane)
-}
-
-/// The plane, computed from a canonical start and direction of the loop. Coincident faces of either winding thus get
-/// the same bits up to the sign, and their ties go to the lower id. Returns `None` if the loop has no area.
-pub fn canonical_plane(n: usize, point: impl Fn(usize) -> DVec3) -> Option<Plane> {
-    let key = |k: usize| point(k).to_array();
-    let start = (1..n).fold(0, |least, k| if key(k) < key(least) { k } else { least });
-    let (before, after) = (if start == 0 { n - 1 } else { start - 1 }, if start + 1 == n { 0 } else { start + 1 });
-    let reversed = key(before) < key(after);
-    let plane = plane_of_loop(n, |k| {
-        let turned = if reversed { start + n - k } else { start + k };
-        point(if turned >= n { turned - n } else { turned })
-    })?;
-    Some(if reversed { Plane { normal: -plane.normal, offset: -plane.offset } } else { plane })
-}
-
-fn check_shape(points: &[DVec3], plane: Plane, extent: f64) -> Result<()> {
-    let n = points.len();
-    let size = Aabb::of(points.iter().copied()).size();
-    let reach = points.iter().map(|p| p.abs().max_element()).fold(0.0, f64::max);
-    let tolerance = PLANARITY * size.max(extent).max(reach);
-    for k in 0..n {
-        let off = (plane.normal.dot(points[k]) - plane.offset).abs();
-        if off > tolerance {
-            return Err(Error::invalid(
-                format!("corner {k} is {off:.3e} m off the plane; {tolerance:.3e} m is allowed"),
-                "split the polygon into planar ones",
-            ));
-        }
-        let before = points[k] - points[(k + n - 1) % n];
-        let after = points[(k + 1) % n] - points[k];
-        let turn = before.cross(after).dot(plane.normal);
-        if turn < -tolerance * before.length().max(after.length()) {
-            return Err(Error::invalid(
-                format!("corner {k} turns inwards: the polygon is not convex"),
-                "split the polygon into convex ones",
-            ));
-        }
-    }
-    // A star is locally convex everywhere but winds more than once.
-    let turning: f64 = (0..n)
-        .map(|k| {
-            let a = points[(k + 1) % n] - points[k];
-            let b = points[(k + 2) % n] - points[(k + 1) % n];
-            plane.normal.dot(a.cross(b)).atan2(a.dot(b))
-        })
-        .sum();
-    if (turning - std::f64::consts::TAU).abs() > 1.0 {
-        return Err(Error::invalid("the outline winds more than once", "split the polygon into convex ones"));
-    }
-    Ok(())
-}
-
-/// Halves the polygons at the median centre along the longest axis until each run fits a cluster; rising inside a run.
-fn spatial_sequence(boxes: &[Aabb]) -> Vec<u32> {
-    // Stores centres next to the indices, in f32: that is precise enough for ordering and keeps the loops in cache.
-    let mut items: Vec<(Vec3, u32)> = boxes.iter().zip(0..).map(|(b, i)| (b.center().as_vec3(), i)).collect();
-    if items.len() >= 2 * PARALLEL {
-        parallel_or_here(|| halve(&mut items));
-    } else {
-        halve(&mut items);
-    }
-    items.iter().map(|item| item.1).collect()
-}
-
-/// Smaller tasks are not worth running in parallel.
-const PARALLEL: usize = 4096;
-
-fn halve(items: &mut [(Vec3, u32)]) {
-    if items.len() <= limits::CLUSTER_POLYGONS {
-        items.sort_unstable_by_key(|item| item.1);
-        return;
-    }
-    let start = (Vec3::INFINITY, Vec3::NEG_INFINITY);
-    let (min, max) = items.iter().fold(start, |(min, max), (c, _)| (min.min(*c), max.max(*c)));
-    let axis = (max - min).max_position();
-    let middle = items.len() / 2;
-    items.select_nth_unstable_by(middle, |a, b| a.0[axis].total_cmp(&b.0[axis]).then(a.1.cmp(&b.1)));
-    let (left, right) = items.split_at_mut(middle);
-    if left.len() >= PARALLEL {
-        rayon::join(|| halve(left), || halve(right));
-    } else {
-        halve(left);
-        halve(right);
-    }
-}
-
-/// Start indices of the clusters of `count` polygons.
-fn cuts_of(count: usize, order: PolygonOrder) -> Vec<usize> {
-    let mut cuts = Vec::with_capacity(2 * count / limits::CLUSTER_POLYGONS + 2);
-    match order {
-        PolygonOrder::Spatial => halving_cuts(0, count, &mut cuts),
-        PolygonOrder::Given => cuts.extend((0..count).step_by(limits::CLUSTER_POLYGONS)),
-    }
-    cuts
-}
-
-/// Start indices of the runs of [`halve`], which depend only on the count.
-fn halving_cuts(start: usize, count: usize, cuts: &mut Vec<usize>) {
-    if count <= limits::CLUSTER_POLYGONS {
-        if count > 0 {
-            cuts.push(start);
-        }
-        return;
-    }
-    let middle = count / 2;
-    halving_cuts(start, middle, cuts);
-    halving_cuts(start + middle, count - middle, cuts);
 }
