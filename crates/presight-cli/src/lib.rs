@@ -31,7 +31,6 @@ mod overlap;
 pub mod pose;
 mod pose_series;
 mod predict;
-mod predict_poses;
 mod print;
 mod query;
 #[cfg(feature = "report")]

@@ -1,39 +1,37 @@
 //! `presight predict`: the images of a sensor at one or more poses.
 
-use super::deadline::DeadlineArgs;
-use super::engine_args::{EngineArgs, WayArg};
-use super::file_names::{FileNames, Paths};
-use super::frame_args::FrameArgs;
-use super::layers::{LayerArgs, Layers, NamedRequest};
-use super::outputs::OutputFiles;
-use super::pose::{PoseArgs, PoseOf};
-use super::pose_series::Poses;
-use super::sensor_args::SensorArgs;
-use super::statistics::{Statistics, Subject};
-use super::summary::{Summary, objects_in};
-use super::templates::Names;
-use super::virtual_sensor::VirtualArgs;
-use super::{CommandOutcome, open_scene_without, predict_poses, print};
+mod files;
+mod one;
+mod poses;
+
+pub use files::Shown;
+
+use crate::deadline::DeadlineArgs;
+use crate::engine_args::{EngineArgs, WayArg};
+use crate::file_names::FileNames;
+use crate::frame_args::FrameArgs;
+use crate::layers::{LayerArgs, NamedRequest};
+use crate::outputs::OutputFiles;
+use crate::pose::{PoseArgs, PoseOf};
+use crate::pose_series::Poses;
+use crate::sensor_args::SensorArgs;
+use crate::virtual_sensor::VirtualArgs;
+use crate::{CommandOutcome, open_scene_without, print};
 use clap::ValueEnum;
-use presight::{Scene, blake3_of};
-use presight_features::{BoxOptions, SeenFeature};
+use presight::Scene;
 use presight_files::gltf::ImportOptions;
-use presight_files::{exr, load_robot, npy, pcd, ply, sensor_toml};
+use presight_files::load_robot;
 use presight_model::error::{Error, Result};
 use presight_model::limits;
-use presight_model::memory;
 use presight_model::memory::FrameMemory;
 use presight_model::sensor::{Geometry, Sensor};
 use presight_model::threads::Threads;
 use presight_pictures as png;
-use presight_predict::predict::{Options, Prediction, Predictor};
+use presight_predict::predict::{Options, Predictor};
 use presight_predict::request::Request;
-use presight_predict::virtual_sensors::{Settings, VirtualReading};
-use presight_render::plan::{IdScheme, Output, Outputs, Stats};
-use presight_render::points::{PointCloud, PointsFrame};
+use presight_render::plan::{IdScheme, Output, Outputs};
 use presight_studies::index::Scheme;
 use std::path::{Path, PathBuf};
-use std::time::Instant;
 
 const EXAMPLES: &str = "Examples:
   A preview image of a radar 1.2 m above the point (2, 1), looking along +y:
@@ -443,169 +441,5 @@ impl Args {
 /// Wrong usage; errors from reading the scene and sensor, from the engine, and from writing files.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     let job = args.check()?;
-    if args.is_series() { predict_poses::run(args, job) } else { run_one(args, job) }
-}
-
-fn run_one(args: &Args, mut job: Job) -> Result<CommandOutcome> {
-    let (sensor, pose) = (job.sensors.remove(0), job.poses.given()[0].1);
-    let request = args.request(&sensor)?;
-    let mut predictor = Predictor::new(job.options)?;
-    args.deadline.read_costs(&mut predictor)?;
-    let frame = args.memory(&sensor, &request, &predictor);
-    memory::require(frame.bytes())?;
-    let scene = args.open(&job.import)?;
-    let world_from_sensor = pose.of_sensor(sensor.spec(), &scene.world_from_gltf)?;
-    let mut layers = args.layers.load(&scene, &sensor, args.asked())?;
-    if let Some(layers) = &mut layers {
-        layers.move_to(&pose, &sensor, &world_from_sensor, &scene);
-        sensor.check_projection().map_err(|e| e.in_file(args.sensor.as_deref().unwrap_or_default()))?;
-    }
-    let request = layers.as_ref().map_or(request.clone(), |layers| layers.add_to(request));
-    let settings = args.virtual_sensor.settings(&scene, &sensor, &world_from_sensor, &mut predictor)?;
-    // Check again: the scene has taken some of the memory.
-    memory::require(frame.bytes())?;
-    let start = Instant::now();
-    let mut prediction = predictor.predict(&scene.world, &sensor, &world_from_sensor, &request)?;
-    let first_ms = start.elapsed().as_secs_f64() * 1e3;
-    let (mut times_ms, mut runs): (Vec<f64>, Vec<Stats>) = Default::default();
-    let repeat = args.repeat.unwrap_or(u32::from(args.stats.is_some()));
-    for _ in 0..repeat {
-        let start = Instant::now();
-        predictor.predict_again(&scene.world, &world_from_sensor, &mut prediction)?;
-        times_ms.push(start.elapsed().as_secs_f64() * 1e3);
-        runs.push(prediction.stats.clone());
-    }
-    if repeat == 0 {
-        times_ms.push(first_ms);
-        runs.push(prediction.stats.clone());
-    }
-    layers.iter().for_each(|layers| layers.spell_out(&scene, &mut prediction));
-    print::notices(&prediction.stats.notices);
-    let subject = Subject {
-        scene: args.scene.display().to_string(),
-        sensor: sensor.spec().name.clone(),
-        size: (sensor.width(), sensor.height()),
-        outputs: request.outputs.iter().map(Output::name).collect(),
-    };
-    let statistics = Statistics::of(subject, &times_ms, &runs);
-    let shown = Shown::of(args, &scene, &mut predictor, &prediction, (layers.as_ref(), &settings))?;
-    job.files.check_scene(&scene.files)?;
-    args.deadline.write_costs(&predictor)?;
-    let paths = job.names.paths(&Names { sensor: &sensor.spec().name, ..Names::default() })?;
-    let attributes = args.out.as_ref().map(|_| attributes(args, &scene, &sensor)).transpose()?;
-    write_files(args, &paths, &scene, &prediction, attributes, &shown)?;
-    paths.npy.iter().try_for_each(|(output, path)| npy::write_image(path, &prediction.images, *output))?;
-    job.names.rays(&sensor)?.iter().try_for_each(|path| npy::write_rays(path, &sensor))?;
-    args.stats.iter().try_for_each(|path| statistics.write(path))?;
-    let summary = Summary::of(&prediction, objects_in(scene.world.environment()));
-    let (ms, engine) = (statistics.median_ms(), statistics.engine_in_words());
-    if args.explain {
-        print::lines(statistics.explanation())?;
-    } else if args.json {
-        print::data(&format!("{}\n", summary.json(&args.scene, &prediction, ms, &engine)))?;
-    } else if !args.writes_something() {
-        print::lines([format!("{}, {ms:.2} ms on {engine}", summary.in_words(&prediction))])?;
-    } else if let Some(given_up) = prediction.degradation() {
-        print::notices(&[format!("{}; a longer --deadline-ms gives up less", given_up.summary())]);
-    }
-    Ok(CommandOutcome::Done)
-}
-
-/// Data for output files that the prediction itself does not hold.
-pub struct Shown {
-    /// The options of the regions of interest.
-    pub boxes: Option<BoxOptions>,
-    /// Sides of partly visible patches, drawn in previews.
-    pub sides: Vec<SeenFeature>,
-    /// The virtual sensor's reading.
-    pub reading: Option<VirtualReading>,
-}
-
-impl Shown {
-    /// Computes the data from a prediction with these layers and settings.
-    pub fn of(
-        args: &Args,
-        scene: &Scene,
-        predictor: &mut Predictor,
-        prediction: &Prediction,
-        (layers, settings): (Option<&Layers>, &Settings),
-    ) -> Result<Self> {
-        let reading = args.virtual_sensor.read(scene, prediction, settings)?;
-        let sides = match args.png.is_some() {
-            true => predictor.predict_outlines(&scene.world, prediction)?,
-            false => Vec::new(),
-        };
-        Ok(Self { boxes: layers.map(|layers| layers.boxes().clone()), sides, reading })
-    }
-}
-
-/// Writes all files of a prediction except NumPy arrays.
-pub fn write_files(
-    args: &Args,
-    paths: &Paths,
-    scene: &Scene,
-    prediction: &Prediction,
-    attributes: Option<exr::Attributes>,
-    shown: &Shown,
-) -> Result<()> {
-    let reading = shown.reading.as_ref();
-    let (sensor, images) = (&prediction.sensor, &prediction.images);
-    if let (Some(path), Some(attributes)) = (&paths.out, attributes) {
-        let world_from_sensor = Some(prediction.world_from_sensor);
-        let (given_up, raster) = (prediction.degradation().cloned(), prediction.stats.raster);
-        let attributes = exr::Attributes { world_from_sensor, given_up, raster, ..attributes };
-        exr::write(path, images, args.outputs, &attributes)?;
-    }
-    if let Some(path) = &paths.png {
-        let overlay = prediction.features.as_ref().map(|features| png::Overlay {
-            features,
-            sides: &shown.sides,
-            sensor,
-            world_from_sensor: &prediction.world_from_sensor,
-            numbers: args.layers.numbers(),
-        });
-        let mark = reading.and_then(VirtualReading::mask);
-        let given_up = prediction.not_predicted();
-        let marks = png::Marks { overlay: overlay.as_ref(), mask: mark, given_up: &given_up };
-        png::write_preview_with(path, images, sensor, args.png_of, &marks)?;
-    }
-    args.layers.write(scene, prediction, (args.asked(), shown), paths.features.as_deref())?;
-    args.virtual_sensor.tell(reading, paths.mask.as_deref(), args.layers.writes_something())?;
-    if let Some(path) = &paths.depth_png {
-        print::notices(&png::write_depth(path, images, sensor)?);
-    }
-    if let Some(path) = &paths.points {
-        let frame = match args.points_frame {
-            PointsFrameArg::Sensor => PointsFrame::Sensor,
-            PointsFrameArg::World => PointsFrame::World,
-        };
-        let cloud = PointCloud::new(images, sensor, &prediction.world_from_sensor, frame)?.only(args.outputs);
-        let cloud = match args.normals() {
-            true if !args.outputs.has(Output::Normal) => {
-                cloud.with_normals(scene.world.environment(), args.scheme())?
-            }
-            _ => cloud,
-        };
-        print::notices(&match path.extension().is_some_and(|e| e.eq_ignore_ascii_case("pcd")) {
-            true => pcd::write(path, &cloud)?,
-            false => ply::write(path, &cloud)?,
-        });
-    }
-    Ok(())
-}
-
-/// The attributes of an EXR file that do not depend on the pose.
-pub fn attributes(args: &Args, scene: &Scene, sensor: &Sensor) -> Result<exr::Attributes> {
-    let objects = scene.world.environment().objects();
-    Ok(exr::Attributes {
-        sensor: Some(sensor_toml::to_string(sensor.spec())),
-        world_from_sensor: None,
-        scene: Some(args.scene.display().to_string()),
-        scene_blake3: Some(blake3_of(&args.scene)?),
-        scene_content: Some(scene.world.environment().content_hash().to_string()),
-        ids: Some(args.scheme()),
-        given_up: None,
-        raster: None,
-        objects: (1..).zip(objects.iter().map(|o| o.name.clone())).collect(),
-    })
+    if args.is_series() { poses::run(args, job) } else { one::run(args, job) }
 }

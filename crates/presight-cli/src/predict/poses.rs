@@ -1,15 +1,16 @@
 //! `presight predict --poses` and `--robot`: many predictions in one world, with one predictor.
 
-use super::file_names::{FileNames, Paths};
-use super::layers::Layers;
-use super::overlap::{make_and_write, make_then_write};
-use super::pose_series::{NamedPose, Poses, no_poses};
-use super::predict::{self, Args, Job, Shown};
-use super::series::SeriesProgress;
-use super::stack::Stack;
-use super::summary::{Summary, objects_in};
-use super::templates::Names;
-use super::{CommandOutcome, bar, print};
+use super::files::{Shown, attributes, write_files};
+use super::{Args, Job};
+use crate::file_names::{FileNames, Paths};
+use crate::layers::Layers;
+use crate::overlap::{make_and_write, make_then_write};
+use crate::pose_series::{NamedPose, Poses, no_poses};
+use crate::series::SeriesProgress;
+use crate::stack::Stack;
+use crate::summary::{Summary, objects_in};
+use crate::templates::Names;
+use crate::{CommandOutcome, bar, print};
 use presight::{Scene, blake3_of};
 use presight_files::npy::{self, Values};
 use presight_files::{exr, sensor_toml};
@@ -118,7 +119,7 @@ impl Setup {
         if layers.is_some() {
             sensor.check_projection().map_err(|e| e.at(&sensor.spec().name))?;
         }
-        let attributes = args.writes_exr().then(|| predict::attributes(args, scene, &sensor)).transpose()?;
+        let attributes = args.writes_exr().then(|| attributes(args, scene, &sensor)).transpose()?;
         Ok(Self { sensor, request, layers, attributes })
     }
 }
@@ -250,7 +251,7 @@ impl Series<'_> {
     fn write(&self, frame: &Frame, stacks: Option<&mut Stacks>, (index, stamp): (usize, &str)) -> Result<()> {
         let Frame { prediction, shown, attributes, ms, engine } = frame;
         let paths = self.paths(&prediction.sensor, index, stamp)?;
-        predict::write_files(self.args, &paths, self.scene, prediction, attributes.clone(), shown)?;
+        write_files(self.args, &paths, self.scene, prediction, attributes.clone(), shown)?;
         match stacks {
             Some(stacks) => stacks.iter_mut().try_for_each(|(output, stack)| {
                 Values::of(&prediction.images, *output).map_or(Ok(()), |values| stack.put(index, values))

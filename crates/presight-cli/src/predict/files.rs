@@ -1,0 +1,115 @@
+//! The files of a prediction.
+
+use super::{Args, PointsFrameArg};
+use crate::file_names::Paths;
+use crate::layers::Layers;
+use crate::print;
+use presight::{Scene, blake3_of};
+use presight_features::{BoxOptions, SeenFeature};
+use presight_files::{exr, pcd, ply, sensor_toml};
+use presight_model::error::Result;
+use presight_model::sensor::Sensor;
+use presight_pictures as png;
+use presight_predict::predict::{Prediction, Predictor};
+use presight_predict::virtual_sensors::{Settings, VirtualReading};
+use presight_render::plan::Output;
+use presight_render::points::{PointCloud, PointsFrame};
+
+/// Data for output files that the prediction itself does not hold.
+pub struct Shown {
+    /// The options of the regions of interest.
+    pub boxes: Option<BoxOptions>,
+    /// Sides of partly visible patches, drawn in previews.
+    pub sides: Vec<SeenFeature>,
+    /// The virtual sensor's reading.
+    pub reading: Option<VirtualReading>,
+}
+
+impl Shown {
+    /// Computes the data from a prediction with these layers and settings.
+    pub fn of(
+        args: &Args,
+        scene: &Scene,
+        predictor: &mut Predictor,
+        prediction: &Prediction,
+        (layers, settings): (Option<&Layers>, &Settings),
+    ) -> Result<Self> {
+        let reading = args.virtual_sensor.read(scene, prediction, settings)?;
+        let sides = match args.png.is_some() {
+            true => predictor.predict_outlines(&scene.world, prediction)?,
+            false => Vec::new(),
+        };
+        Ok(Self { boxes: layers.map(|layers| layers.boxes().clone()), sides, reading })
+    }
+}
+
+/// Writes all files of a prediction except NumPy arrays.
+pub fn write_files(
+    args: &Args,
+    paths: &Paths,
+    scene: &Scene,
+    prediction: &Prediction,
+    attributes: Option<exr::Attributes>,
+    shown: &Shown,
+) -> Result<()> {
+    let reading = shown.reading.as_ref();
+    let (sensor, images) = (&prediction.sensor, &prediction.images);
+    if let (Some(path), Some(attributes)) = (&paths.out, attributes) {
+        let world_from_sensor = Some(prediction.world_from_sensor);
+        let (given_up, raster) = (prediction.degradation().cloned(), prediction.stats.raster);
+        let attributes = exr::Attributes { world_from_sensor, given_up, raster, ..attributes };
+        exr::write(path, images, args.outputs, &attributes)?;
+    }
+    if let Some(path) = &paths.png {
+        let overlay = prediction.features.as_ref().map(|features| png::Overlay {
+            features,
+            sides: &shown.sides,
+            sensor,
+            world_from_sensor: &prediction.world_from_sensor,
+            numbers: args.layers.numbers(),
+        });
+        let mark = reading.and_then(VirtualReading::mask);
+        let given_up = prediction.not_predicted();
+        let marks = png::Marks { overlay: overlay.as_ref(), mask: mark, given_up: &given_up };
+        png::write_preview_with(path, images, sensor, args.png_of, &marks)?;
+    }
+    args.layers.write(scene, prediction, (args.asked(), shown), paths.features.as_deref())?;
+    args.virtual_sensor.tell(reading, paths.mask.as_deref(), args.layers.writes_something())?;
+    if let Some(path) = &paths.depth_png {
+        print::notices(&png::write_depth(path, images, sensor)?);
+    }
+    if let Some(path) = &paths.points {
+        let frame = match args.points_frame {
+            PointsFrameArg::Sensor => PointsFrame::Sensor,
+            PointsFrameArg::World => PointsFrame::World,
+        };
+        let cloud = PointCloud::new(images, sensor, &prediction.world_from_sensor, frame)?.only(args.outputs);
+        let cloud = match args.normals() {
+            true if !args.outputs.has(Output::Normal) => {
+                cloud.with_normals(scene.world.environment(), args.scheme())?
+            }
+            _ => cloud,
+        };
+        print::notices(&match path.extension().is_some_and(|e| e.eq_ignore_ascii_case("pcd")) {
+            true => pcd::write(path, &cloud)?,
+            false => ply::write(path, &cloud)?,
+        });
+    }
+    Ok(())
+}
+
+/// The attributes of an EXR file that do not depend on the pose.
+pub fn attributes(args: &Args, scene: &Scene, sensor: &Sensor) -> Result<exr::Attributes> {
+    let objects = scene.world.environment().objects();
+    Ok(exr::Attributes {
+        sensor: Some(sensor_toml::to_string(sensor.spec())),
+        world_from_sensor: None,
+        scene: Some(args.scene.display().to_string()),
+        scene_blake3: Some(blake3_of(&args.scene)?),
+        scene_content: Some(scene.world.environment().content_hash().to_string()),
+        ids: Some(args.scheme()),
+        given_up: None,
+        raster: None,
+        objects: (1..).zip(objects.iter().map(|o| o.name.clone())).collect(),
+    })
+}
