@@ -125,7 +125,7 @@ fn measure(scene: &str, world: &World, sensor: &Sensor) {
     let mut cold = vec![0u8; if number("PRESIGHT_WARM", 0) > 0 { 0 } else { 32 << 20 }];
     let (mut times, mut differ, mut most_left) = ([const { Vec::new() }; 3], 0, 0f64);
     let mut images = <[Images; 3]>::default();
-    let ways = [WAYS[0], WAYS[1], Way::Counts.choose(world, sensor, false)];
+    let ways = [WAYS[0], WAYS[1], Way::Counts.choose(world, sensor)];
     for pose in &poses {
         let mut least = [f64::INFINITY; 3];
         for round in 0..number("PRESIGHT_REPEATS", 15) + 1 {

@@ -4,6 +4,8 @@ use super::{Bench, Outcome, Setting, quantile, steadiness};
 use presight_model::error::ErrorKind;
 use presight_model::geometry::Pose;
 use presight_predict::free_poses::free_poses;
+use presight_render::plan::Way;
+use std::collections::BTreeMap;
 
 /// The number of poses for frames with a deadline.
 const POSES: usize = 20;
@@ -86,13 +88,21 @@ fn free(bench: &mut Bench, poses: &[Pose]) -> Vec<f64> {
 /// Runs frames under deadlines; 30 % of these would be missed without control.
 fn kept(bench: &mut Bench, poses: &[Pose], full: &[f64], frames: usize) -> Outcome {
     let (mut state, mut over, mut refused, mut late_refusals, mut without) = (5, Vec::new(), 0, 0, 0);
+    let mut ways: BTreeMap<&str, [usize; 3]> = BTreeMap::new();
     for frame in 0..frames {
         let at = frame % poses.len();
         let deadline = full[at] * (0.7 + random(&mut state));
         without += usize::from(full[at] > deadline);
         let (took, answer) = bench.frame(&poses[at], Some(deadline));
         match answer {
-            Ok(_) => over.extend((took > deadline).then_some((took - deadline, deadline))),
+            Ok(stats) => {
+                over.extend((took > deadline).then_some((took - deadline, deadline)));
+                let way = if stats.engine == "row" { "row" } else { stats.way.map_or("gpu", Way::name) };
+                let [drawn, late, complete] = ways.entry(way).or_default();
+                *drawn += 1;
+                *late += usize::from(took > deadline);
+                *complete += usize::from(stats.degradation().is_none());
+            }
             Err(e) if e.kind() == ErrorKind::Deadline => {
                 refused += 1;
                 late_refusals += usize::from(took > deadline);
@@ -110,6 +120,9 @@ fn kept(bench: &mut Bench, poses: &[Pose], full: &[f64], frames: usize) -> Outco
         over.len(),
         over.iter().map(|(by, _)| *by).fold(0.0, f64::max),
     );
+    for (way, [drawn, late, complete]) in ways {
+        println!("  by {way}: {drawn}, {late} of them late; {complete} complete");
+    }
     Ok(())
 }
 

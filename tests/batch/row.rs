@@ -16,7 +16,7 @@ use presight_predict::batch::BatchRequest;
 use presight_predict::request::Request;
 use presight_render::cpu::{CpuEngine, Vectors};
 use presight_render::plan::{FramePlan, IdScheme, ImageRequest, Images, Output, Outputs, PlanBuffers, Stats};
-use presight_render::row::{RowCut, RowCuts};
+use presight_render::row::{Making, RowCut, RowCuts};
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;
 use proptest::test_runner::{Config, RngSeed, TestRunner};
@@ -409,7 +409,7 @@ fn a_batch_has_the_images_of_single_predictions() {
 fn cuts_are_for_level_rows_only() {
     let (world, cuts) = (World::new(scenes::room(1, 5)), RowCuts::default());
     let one = &scanners()[0];
-    let get = |sensor: &Sensor, pose: &Pose| cuts.get(&world, sensor, pose, true);
+    let get = |sensor: &Sensor, pose: &Pose| cuts.get(&world, sensor, pose, Making::AtOnce);
     assert!(get(one, &Pose::from_xyz_rpy(DVec3::Z, 0.0, 0.0, 1.0)).is_some());
     assert!(get(one, &Pose::from_xyz_rpy(DVec3::Z, 1e-10, 0.0, 1.0)).is_none());
     assert!(get(one, &Pose::from_xyz_rpy(DVec3::Z, std::f64::consts::PI, 0.0, 1.0)).is_none());

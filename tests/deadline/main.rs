@@ -11,3 +11,4 @@ mod gpu;
 mod partial;
 mod readers;
 mod ticks;
+mod ways;

@@ -8,7 +8,7 @@ use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_render::cpu::CpuEngine;
 use presight_render::deadline::Watch;
-use presight_render::plan::{Images, Output, Stats};
+use presight_render::plan::{ChosenWay, FramePlan, Images, Output, PlanBuffers, Stats};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -68,10 +68,13 @@ pub fn sensors() -> Vec<Sensor> {
     vec![camera(96, 64), scanner(180, 24), scanner(721, 1), all_round(90, 40), lens(80, 60), fisheye(72, 56)]
 }
 
+const WAYS: [ChosenWay; 2] = [ChosenWay::RASTER, ChosenWay::TILES];
+
 struct Subject<'a> {
     world: &'a World,
     sensor: &'a Sensor,
     pose: Pose,
+    chosen: ChosenWay,
 }
 
 impl Subject<'_> {
@@ -79,7 +82,9 @@ impl Subject<'_> {
     /// readings.
     fn render(&self, engine: &mut CpuEngine, looks: u64) -> (Images, Stats, u64) {
         let clock = Arc::new(Ticks::default());
-        let mut plan = plan(self.world, self.sensor, &self.pose);
+        let request = plan(self.world, self.sensor, &self.pose).request;
+        let by = FramePlan::by(self.chosen, PlanBuffers::default(), self.world, self.sensor, &self.pose, request);
+        let mut plan = by.unwrap();
         plan.set_watch(Watch::start(clock.clone(), Duration::from_micros(looks)).looking_always());
         let (mut images, mut stats) = (Images::default(), Stats::default());
         engine.render(&plan, &mut images, &mut stats).unwrap();
@@ -144,8 +149,8 @@ fn final_samples_equal_the_full_prediction() {
         let world = room_world(seed, 700);
         for threads in [1, 2] {
             let mut engine = CpuEngine::new(threads).unwrap();
-            for sensor in sensors() {
-                let subject = Subject { world: &world, sensor: &sensor, pose: Pose::IDENTITY };
+            for (sensor, chosen) in sensors().into_iter().flat_map(|s| WAYS.map(|way| (s.clone(), way))) {
+                let subject = Subject { world: &world, sensor: &sensor, pose: Pose::IDENTITY, chosen };
                 hold(&subject, &mut random, frames, &mut engine, &mut tally);
             }
         }
@@ -168,7 +173,7 @@ fn a_thinned_or_narrowed_image_has_samples_of_the_full_image() {
         let world = room_world(seed, 700);
         let mut engine = CpuEngine::new(threads).unwrap();
         for sensor in sensors() {
-            let subject = Subject { world: &world, sensor: &sensor, pose: Pose::IDENTITY };
+            let subject = Subject { world: &world, sensor: &sensor, pose: Pose::IDENTITY, chosen: ChosenWay::RASTER };
             let full = subject.full(&mut engine);
             for (stride, around) in
                 [(2, None), (4, None), (8, None), (1, Some((0.7, 17))), (4, Some((-0.2, 40))), (2, Some((9.0, 11)))]
@@ -212,7 +217,7 @@ fn a_thinned_or_narrowed_image_has_samples_of_the_full_image() {
 #[test]
 fn an_image_is_narrowed_to_columns_around_a_heading() {
     let (world, sensor) = (room_world(1, 50), scanner(181, 3));
-    let subject = Subject { world: &world, sensor: &sensor, pose: Pose::IDENTITY };
+    let subject = Subject { world: &world, sensor: &sensor, pose: Pose::IDENTITY, chosen: ChosenWay::RASTER };
     let mut engine = CpuEngine::new(1).unwrap();
     let degrees = |column: u32| {
         let ray = sensor.ray(column, 1).unwrap();
@@ -240,7 +245,8 @@ fn final_samples_in_buildings_equal_the_full_prediction() {
         let mut tally = Tally::default();
         for (pose, turn) in data::poses(&world, 2.max(frames / 8), 5).into_iter().zip(0..) {
             for sensor in data::presets_at(turn, 0, 3).iter().chain(&[lens(160, 120), all_round(180, 60)]) {
-                hold(&Subject { world: &world, sensor, pose }, &mut random, frames, &mut engine, &mut tally);
+                let subject = Subject { world: &world, sensor, pose, chosen: WAYS[turn % 2] };
+                hold(&subject, &mut random, frames, &mut engine, &mut tally);
             }
         }
         println!(
@@ -255,7 +261,7 @@ fn final_samples_in_buildings_equal_the_full_prediction() {
 #[test]
 fn infinity_for_omitted_samples_is_caught() {
     let (world, sensor) = (room_world(3, 700), camera(96, 64));
-    let subject = Subject { world: &world, sensor: &sensor, pose: Pose::IDENTITY };
+    let subject = Subject { world: &world, sensor: &sensor, pose: Pose::IDENTITY, chosen: ChosenWay::RASTER };
     let mut engine = CpuEngine::new(1).unwrap();
     let full = subject.full(&mut engine);
     let (mut partial, stats, _) = subject.render(&mut engine, 6);
@@ -281,7 +287,7 @@ fn infinity_for_omitted_samples_is_caught() {
 #[test]
 fn samples_in_wrong_places_are_caught() {
     let (world, sensor) = (room_world(3, 700), camera(96, 64));
-    let subject = Subject { world: &world, sensor: &sensor, pose: Pose::IDENTITY };
+    let subject = Subject { world: &world, sensor: &sensor, pose: Pose::IDENTITY, chosen: ChosenWay::RASTER };
     let mut engine = CpuEngine::new(1).unwrap();
     let full = subject.full(&mut engine);
     let every_second = |column: u32, row: u32| column.is_multiple_of(2) && row.is_multiple_of(2);

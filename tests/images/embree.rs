@@ -15,6 +15,7 @@ use presight_model::sensor::{Camera, Geometry, RayTable, Sensor, SensorSpec};
 use presight_model::world::World;
 use presight_predict::request::Request;
 use presight_render::plan::{FramePlan, IdScheme, Images, Outputs};
+use presight_render::verify::Precision;
 use serde_json::Value;
 use std::io::Read;
 
@@ -52,7 +53,11 @@ fn vector(v: &Value) -> DVec3 {
 
 fn images(world: &World, sensor: &Sensor, pose: &Pose) -> Images {
     let request = Request::of(Outputs::ALL).with_ids(IdScheme::Source);
-    common::reference(&FramePlan::new(world, sensor, pose, &request).expect("a valid pose"))
+    let plan = FramePlan::new(world, sensor, pose, &request).expect("a valid pose");
+    let images = common::reference(&plan);
+    let tiles = common::engines::cpu_by_tiles(2)(&plan);
+    common::compare_or_show(&images, &tiles, &plan, Precision::F64).check(1e-4).unwrap();
+    images
 }
 
 /// Compares lengths, then depths, then ids; returns the number of stable pixels with equal depth.

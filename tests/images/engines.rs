@@ -88,6 +88,17 @@ fn cpu_in_real_scenes() {
 }
 
 #[test]
+fn cpu_by_tiles_in_rooms() {
+    check_room(engines::cpu_by_tiles(2), Precision::F64);
+}
+
+/// Half of the poses: `ways` compares the bits with those of the raster, too.
+#[test]
+fn cpu_by_tiles_in_real_scenes() {
+    check_scenes(engines::cpu_by_tiles(2), Precision::F64, poses().div_ceil(2), share());
+}
+
+#[test]
 fn gpu_in_rooms() {
     if let Some(gpu) = engines::gpu() {
         check_room(gpu, Precision::F32);

@@ -87,6 +87,18 @@ fn cpu_is_right_at_grazing_angles() {
 }
 
 #[test]
+fn cpu_is_right_by_tiles() {
+    let render = RefCell::new(engines::cpu_by_tiles(1));
+    check_cases(|case| check_engine(case, &mut *render.borrow_mut(), Precision::F64));
+}
+
+#[test]
+fn cpu_is_right_by_tiles_at_grazing_angles() {
+    let render = RefCell::new(engines::cpu_by_tiles(1));
+    check_all(grazing(), |case| check_engine(case, &mut *render.borrow_mut(), Precision::F64));
+}
+
+#[test]
 fn gpu_is_right_at_grazing_angles() {
     if let Some(gpu) = engines::gpu() {
         let render = RefCell::new(gpu);

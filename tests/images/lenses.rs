@@ -106,6 +106,11 @@ fn cpu() {
 }
 
 #[test]
+fn cpu_by_tiles() {
+    check(engines::cpu_by_tiles(2), Precision::F64);
+}
+
+#[test]
 fn gpu() {
     if let Some(render) = engines::gpu() {
         check(render, Precision::F32);

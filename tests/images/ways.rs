@@ -459,7 +459,7 @@ fn images_turn_to_tiles_where_many_polygons_are_left() {
     for _ in 0..60 {
         let drawn = predictor.predict(&hall, &sensor, &pose, &Request::default()).unwrap();
         let left = drawn.stats.count_of(CountName::PolygonsLeft).expect("they were counted");
-        let most = Way::Counts.choose(&hall, &sensor, false).most_left;
+        let most = Way::Counts.choose(&hall, &sensor).most_left;
         assert!(left > most, "{left} {most}");
         let why = drawn.stats.taken.iter().find(|row| row.what == StageName::RaysByTiles).map(|row| row.why);
         seen.push((drawn.stats.way, why, common::bits(&drawn.images, Output::Range)));
@@ -473,7 +473,7 @@ fn images_turn_to_tiles_where_many_polygons_are_left() {
     assert_eq!(stats.way, Some(Way::Raster));
 }
 
-/// Few rays go by tiles once the trees have paid, images and frames with a deadline by the raster.
+/// Few rays go by tiles once the trees have paid, images by the raster.
 #[test]
 fn the_way_is_chosen_by_counts() {
     let world = World::new(hall::open_hall(3, 20_000));
@@ -494,8 +494,6 @@ fn the_way_is_chosen_by_counts() {
     let first = ways.iter().position(|way| *way == tiles).expect("trees are made in time");
     assert!(ways[..first].iter().all(|way| *way == raster) && ways[first..].iter().all(|way| *way == tiles));
     assert_eq!(way_of(&mut auto, &camera, &Request::default()), raster);
-    let soon = Request::default().with_deadline(std::time::Duration::from_secs(5));
-    assert_eq!(way_of(&mut auto, &laser, &soon), raster);
     assert_eq!(way_of(&mut predictor(Way::Tiles), &camera, &Request::default()), tiles);
     assert_eq!(way_of(&mut predictor(Way::Raster), &laser, &Request::default()), raster);
     // Trees are kept with their meshes: another predictor finds them.

@@ -2,8 +2,7 @@
 
 use super::skip::no_adapter;
 use presight_predict::engine::{Engine, EngineKind};
-use presight_render::plan::{CountName, SamplesMut};
-use presight_render::plan::{FramePlan, Images, Output, Stats};
+use presight_render::plan::{ChosenWay, CountName, FramePlan, Images, Output, PlanBuffers, SamplesMut, Stats, Way};
 use presight_render::verify::Precision;
 
 /// Images filled with other values, because an engine must write every pixel.
@@ -23,15 +22,26 @@ fn used(plan: &FramePlan) -> Images {
 /// A function that renders a plan with an engine.
 pub type Renderer = Box<dyn FnMut(&FramePlan) -> Images>;
 
-/// Every available engine, with two threads: its kind, precision and renderer.
+/// Every available engine, with two threads, and the CPU engine both ways: kind, precision and renderer.
 pub fn all() -> Vec<(EngineKind, Precision, Renderer)> {
     let engines = EngineKind::ALL.into_iter().filter_map(|kind| Some((kind, open(kind, 2)?)));
-    engines.map(|(kind, engine)| (kind, engine.precision(), renderer(engine))).collect()
+    let by_tiles = (EngineKind::Cpu, Precision::F64, cpu_by_tiles(2));
+    engines.map(|(kind, engine)| (kind, engine.precision(), renderer(engine))).chain([by_tiles]).collect()
 }
 
 /// The CPU engine with a number of threads.
 pub fn cpu(threads: usize) -> Renderer {
     renderer(EngineKind::Cpu.open(&threads.into()).expect("threads"))
+}
+
+/// The CPU engine with a number of threads, by tiles of rays whatever the plan says.
+pub fn cpu_by_tiles(threads: usize) -> Renderer {
+    let mut render = cpu(threads);
+    Box::new(move |plan| {
+        let FramePlan { world, sensor, world_from_sensor, request, .. } = plan;
+        let plan = FramePlan::by(ChosenWay::TILES, PlanBuffers::default(), world, sensor, world_from_sensor, *request);
+        render(&plan.expect("a valid pose"))
+    })
 }
 
 /// The GPU engine on any available adapter; `None` if there is none and none is required.
@@ -61,6 +71,7 @@ fn renderer(mut engine: Box<dyn Engine>) -> Renderer {
     Box::new(move |plan| {
         let (mut images, mut stats) = (used(plan), Stats::default());
         engine.render(plan, &mut images, &mut stats).expect("the engine renders");
+        assert!(plan.way() != Way::Tiles || stats.way == Some(Way::Tiles), "{:?}", stats.notices);
         let lost = stats.count_of(CountName::HitsWithoutId).unwrap_or(0);
         assert_eq!(lost, 0, "hits without id");
         images

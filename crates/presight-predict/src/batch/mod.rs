@@ -27,7 +27,7 @@ use presight_render::cpu::CpuEngine;
 use presight_render::plan::{
     ChosenWay, Drawn, FramePlan, ImageRequest, Images, Output, Outputs, PlanBuffers, StageName, Stats, Weighing,
 };
-use presight_render::row::{RowCuts, is_row};
+use presight_render::row::{Making, RowCuts, is_row};
 use rayon::prelude::*;
 use std::iter::Peekable;
 use std::sync::{Mutex, PoisonError};
@@ -190,7 +190,7 @@ impl Predictor {
             Some(chunk) => chunk,
             None => (CHUNK_BYTES / task.bytes().max(1)).clamp(count, MOST.max(count)),
         };
-        let chosen = self.choose_way(&task.world, &task.sensor, false);
+        let chosen = self.choose_way(&task.world, &task.sensor);
         task.by_cut &= self.may_cut();
         // What a device does not draw itself, a level scanner's weights by a cut, is left to the CPU.
         let cpu = match threads {
@@ -307,7 +307,9 @@ impl<'p> Task<'p> {
         let Some(engine) = lane.engine.as_mut().filter(|engine| self.by_cut && engine.draws_cuts()) else {
             return Ok(false);
         };
-        let Some(cut) = cuts.get(&self.world, &self.sensor, pose, self.height == Some(pose.translation.z)) else {
+        let is_common = self.height == Some(pose.translation.z);
+        let making = if is_common { Making::AtOnce } else { Making::IfOften };
+        let Some(cut) = cuts.get(&self.world, &self.sensor, pose, making) else {
             return Ok(false);
         };
         let buffers = std::mem::take(&mut lane.buffers);

@@ -12,7 +12,7 @@ use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_render::cpu::CpuEngine;
 use presight_render::plan::{FramePlan, Images, Output, Outputs, PlanBuffers, Stats};
-use presight_render::row::is_row;
+use presight_render::row::{Making, is_row};
 use rayon::prelude::*;
 
 /// Full-turn views of a level scanner at places in one version of a world.
@@ -42,7 +42,7 @@ impl Predictor {
         if first.is_some_and(|first| places.iter().any(|p| p.z != first.z)) {
             return Err(Error::usage("the places have several heights", "give the places of one height at a time"));
         }
-        let cut = first.and_then(|first| self.row_cuts().get(world, sensor, &level(*first), true));
+        let cut = first.and_then(|first| self.row_cuts().get(world, sensor, &level(*first), Making::AtOnce));
         if let Some(cut) = cut.filter(|cut| places.iter().all(|p| cut.serves(p.truncate()))) {
             let cpu = CpuEngine::new(self.task_threads()?)?;
             let see = |engine: &mut CpuEngine, place: &DVec3| {

@@ -56,6 +56,11 @@ pub trait Engine: Any + Send {
         false
     }
 
+    /// True if tiles would have to wait for trees that are not worth making yet.
+    fn waits_for_trees(&self) -> bool {
+        false
+    }
+
     /// Returns an engine with equal images for one of many parallel tasks; it works only on the calling thread. `None`
     /// if the engine cannot have several instances.
     fn for_task(&self) -> Option<Box<dyn Engine>> {
@@ -215,6 +220,10 @@ impl Engine for cpu::CpuEngine {
 
     fn has_tiles(&self) -> bool {
         true
+    }
+
+    fn waits_for_trees(&self) -> bool {
+        Self::waits_for_trees(self)
     }
 
     fn for_task(&self) -> Option<Box<dyn Engine>> {

@@ -1,16 +1,18 @@
-//! The parts that a prediction with a deadline gave up, and the costs of predictions.
+//! The parts that a prediction with a deadline gave up, the costs of predictions, and which of the fast ways are in time.
 
 use super::{Prediction, Predictor};
 use crate::request::Request;
-use presight_features::FeaturePrediction;
+use presight_features::{FeaturePrediction, Vantage};
 use presight_model::error::Result;
 use presight_model::geometry::Pose;
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
-use presight_render::cost::CostModel;
+use presight_render::cost::{CostModel, DeadlineFrame, Forecast};
 use presight_render::deadline::{Clock, DeadlineOutcome, Degradation, DegradationKind, DegradationStep};
-use presight_render::plan::{Images, Output, Stats};
+use presight_render::plan::{ChosenWay, Images, Output, Stats, Way};
+use presight_render::row::{Making, RowCut, is_row};
 use std::sync::Arc;
+use std::time::Duration;
 
 impl Prediction {
     /// The parts given up for the deadline; `None` if the prediction is complete.
@@ -81,6 +83,32 @@ impl Predictor {
             features: placed.map(|_| FeaturePrediction::default()),
             stats: Stats { deadline, ..Stats::default() },
         })
+    }
+
+    /// The cut of the world for a level scanner of one row, if it is known or due. With a deadline the row has to be surely in time, and
+    /// so has a cut that is made.
+    pub(super) fn find_cut(&self, vantage: &Vantage<'_>, timed: Option<&DeadlineFrame>) -> Option<Arc<RowCut>> {
+        let Vantage { world, sensor, world_from_sensor } = *vantage;
+        if !self.may_cut() || !self.engine.draws_cuts() || !is_row(sensor) {
+            return None;
+        }
+        let has_time =
+            |before| timed.is_none_or(|timed| self.controller.is_surely_in_time(timed, Forecast::Row, before));
+        let making = if has_time(RowCut::most_time(world)) { Making::IfOften } else { Making::Never };
+        let cut = self.row_cuts.get(world, sensor, world_from_sensor, making);
+        cut.filter(|_| has_time(Duration::ZERO))
+    }
+
+    /// The way that was chosen, or the raster if tiles are not surely in time.
+    pub(super) fn way_in_time(&self, timed: &DeadlineFrame, chosen: ChosenWay) -> ChosenWay {
+        if chosen.way != Way::Tiles {
+            return chosen;
+        }
+        if !chosen.at_once && self.engine.waits_for_trees() {
+            return ChosenWay::WITHOUT_TREES;
+        }
+        let has_time = self.controller.is_surely_in_time(timed, Forecast::Tiles, Duration::ZERO);
+        if has_time { chosen } else { ChosenWay::TILES_TAKE_TOO_LONG }
     }
 
     /// Learnt costs of predictions with a deadline; save them with `costs::write`.

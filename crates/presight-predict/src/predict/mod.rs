@@ -88,7 +88,8 @@ impl Options {
     }
 
     /// Sets how the CPU engine finds what rays see, for benches and tests. [`Way::Auto`] learns from the times of a sensor's frames which
-    /// way is faster; [`Way::Counts`] does not, so that it does the same in every run. It has no effect on a GPU, or with a deadline.
+    /// way is faster; [`Way::Counts`] does not, so that it does the same in every run. It has no effect on a GPU. With a deadline tiles
+    /// are taken only if they are surely in time.
     #[must_use]
     pub fn with_way(self, way: Way) -> Self {
         Self { way, ..self }
@@ -384,17 +385,15 @@ impl Predictor {
         let start = Instant::now();
         let Vantage { world, sensor, world_from_sensor } = *vantage;
         let buffers = std::mem::take(&mut self.buffers);
-        let cut = if timed.is_none() && self.may_cut() && self.engine.draws_cuts() {
-            self.row_cuts.get(world, sensor, world_from_sensor, false)
-        } else {
-            None
-        };
-        let mut plan = match cut {
+        let mut plan = match self.find_cut(vantage, timed.as_deref()) {
             Some(cut) => FramePlan::by_cut(buffers, world, sensor, world_from_sensor, request, cut),
             None => {
-                let mut chosen = self.choose_way(world, sensor, timed.is_some());
+                let mut chosen = self.choose_way(world, sensor);
                 if self.way == Way::Auto {
                     chosen = self.ways.adjust(sensor, request.outputs, chosen);
+                }
+                if let Some(timed) = &timed {
+                    chosen = self.way_in_time(timed, chosen);
                 }
                 FramePlan::by(chosen, buffers, world, sensor, world_from_sensor, request)?
             }
@@ -426,9 +425,9 @@ impl Predictor {
         matches!(self.way, Way::Auto | Way::Counts)
     }
 
-    /// The way of a prediction without or with a deadline; engines that select everything have one only.
-    pub(crate) fn choose_way(&self, world: &World, sensor: &Sensor, has_deadline: bool) -> ChosenWay {
-        if self.engine.has_tiles() { self.way.choose(world, sensor, has_deadline) } else { ChosenWay::RASTER }
+    /// The way of a prediction; engines that select everything have one only.
+    pub(crate) fn choose_way(&self, world: &World, sensor: &Sensor) -> ChosenWay {
+        if self.engine.has_tiles() { self.way.choose(world, sensor) } else { ChosenWay::RASTER }
     }
 
     /// Makes the trees that the CPU engine searches for sensors of few rays, in all of a world, rather than when predictions have been

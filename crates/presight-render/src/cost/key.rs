@@ -19,12 +19,24 @@ pub enum Forecast {
     Features,
     /// A finished frame, from its actual work.
     Finished,
+    /// Before a frame by tiles, which select nothing: all of it.
+    Tiles,
+    /// Before a row in the plane: all of it.
+    Row,
 }
 
 impl Forecast {
     /// All, in order.
-    pub const ALL: [Self; 6] =
-        [Self::Access, Self::Selection, Self::Wave, Self::Images, Self::Features, Self::Finished];
+    pub const ALL: [Self; 8] = [
+        Self::Access,
+        Self::Selection,
+        Self::Wave,
+        Self::Images,
+        Self::Features,
+        Self::Finished,
+        Self::Tiles,
+        Self::Row,
+    ];
 
     /// The name in files.
     pub fn name(self) -> &'static str {
@@ -35,6 +47,8 @@ impl Forecast {
             Self::Images => "images",
             Self::Features => "features",
             Self::Finished => "finished",
+            Self::Tiles => "tiles",
+            Self::Row => "row",
         }
     }
 }

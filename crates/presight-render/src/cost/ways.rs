@@ -133,7 +133,7 @@ impl WayCosts {
     /// Learns from a frame that took this time, from the choice to the images.
     pub fn learn(&mut self, plan: &FramePlan, stats: &Stats, took: Duration) {
         let chosen = plan.chosen();
-        if chosen.most_left == u64::MAX || plan.limit.is_some() {
+        if chosen.most_left == u64::MAX || stats.degradation().is_some() {
             return;
         }
         let known = self.entry(&plan.sensor, plan.request.outputs);

@@ -31,7 +31,7 @@ mod waves;
 pub use tiles::{Margins, Vectors};
 
 use crate::deadline::DeadlineOutcome;
-use crate::plan::{CountName, FramePlan, Images, NOTHING_IN_VIEW, StageName, Stats, Way};
+use crate::plan::{ChosenWay, CountName, FramePlan, Images, NOTHING_IN_VIEW, StageName, Stats, Way};
 use batch::{Batch, Winners};
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::memory::{self, FrameMemory};
@@ -121,6 +121,11 @@ impl CpuEngine {
         if self.alone { 1 } else { self.pool.current_num_threads() }
     }
 
+    /// True if it is too early to make the trees that tiles lack, so that the raster draws.
+    pub fn waits_for_trees(&self) -> bool {
+        self.price > self.savings
+    }
+
     /// Fills the asked images.
     ///
     /// # Errors
@@ -174,11 +179,12 @@ impl CpuEngine {
             if self.try_tiles(plan, images, stats)? {
                 return Ok(None);
             }
-            let selected = plan.selected()?;
-            self.savings += tiles::FRAME_PRICE + selected.polygon_count as u64;
-            return self.draw(&selected, images, stats);
+            return self.draw(&plan.selected()?, images, stats);
         }
-        let may_turn = plan.chosen().at_once || self.price <= self.savings;
+        if plan.chosen() == ChosenWay::WITHOUT_TREES {
+            self.savings += tiles::FRAME_PRICE + plan.polygon_count as u64;
+        }
+        let may_turn = plan.chosen().at_once || !self.waits_for_trees();
         let before = (stats.stages_ms.len(), stats.counts.len());
         match self.draw_raster(plan, may_turn, images, stats)? {
             Drawn::All => Ok(None),

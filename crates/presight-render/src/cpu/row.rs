@@ -8,6 +8,7 @@ use super::raster_lines::{self, Buffer};
 use super::resolve::{self, Target};
 use super::setup;
 use super::{Bands, CpuEngine, Vectors};
+use crate::deadline::DeadlineOutcome;
 use crate::plan::{CountName, FramePlan, Images, StageName, Stats};
 use crate::row::{CutObject, NOTHING, RowBeams, RowCut, RowSearch, RowView, Search, UNSURE};
 use glam::{DMat3, DVec3, Vec3};
@@ -63,6 +64,7 @@ impl CpuEngine {
         stats.count(CountName::SegmentsTested, row.search.tested);
         stats.count(CountName::BeamsDecided, row.search.winners.iter().filter(|w| **w == UNSURE).count());
         self.row = row;
+        stats.deadline = plan.limit.is_some().then(|| DeadlineOutcome::drawn(plan.elapsed(), None));
         plan.finish_noting(images, stats)
     }
 }

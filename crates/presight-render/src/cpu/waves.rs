@@ -165,7 +165,9 @@ impl<'a, 'i> Waves<'a, 'i> {
         let most = self.plan.chosen().most_left;
         let (rest, polygons) =
             (&self.plan.runs[self.done..], |runs: &[Run]| -> u64 { runs.iter().map(|run| u64::from(run.count)).sum() });
-        if self.plan.limit.is_some() || polygons(rest) <= most {
+        let is_late =
+            self.plan.limit.as_ref().is_some_and(|limit| limit.tiles.is_none_or(|most| limit.watch.left() < most));
+        if is_late || polygons(rest) <= most {
             return false;
         }
         let step = if rest.len() <= FEW_RUNS { 1 } else { SAMPLED };

@@ -23,6 +23,7 @@ pub use clock::{Clock, SystemClock, Watch};
 pub use priority::Priority;
 
 use serde::{Deserialize, Deserializer, Serialize};
+use std::time::Duration;
 
 /// An engine that supports deadlines, as the key for learnt costs.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -203,6 +204,13 @@ pub struct DeadlineOutcome {
     pub wave: Option<Wave>,
     /// The parts given up; `None` if the prediction is complete.
     pub given_up: Option<Degradation>,
+}
+
+impl DeadlineOutcome {
+    /// Of a drawing that ended so long after the call.
+    pub(crate) fn drawn(after: Duration, given_up: Option<Degradation>) -> Self {
+        Self { drawn_ms: 1e3 * after.as_secs_f64(), given_up, ..Self::default() }
+    }
 }
 
 /// The first wave of polygons: estimated and actual time of its drawing.

@@ -1,6 +1,6 @@
 //! Makes plans: by a selection, by a cut of the world, or by tiles, which select nothing.
 
-use super::{ChosenWay, FramePlan, ImageRequest, PlanBuffers, Way, region_of};
+use super::{ChosenWay, FramePlan, ImageRequest, PlanBuffers, TimeLimit, Way, region_of};
 use crate::row::RowCut;
 use presight_model::error::Result;
 use presight_model::geometry::Pose;
@@ -129,7 +129,12 @@ impl FramePlan {
     pub fn selected(&self) -> Result<Self> {
         let Self { world, sensor, world_from_sensor, request, .. } = self;
         let plan = Self::new(world, sensor, world_from_sensor, *request)?;
-        Ok(Self { limit: self.limit.clone(), chosen: ChosenWay::WITHOUT_TREES, ..plan })
+        let mut limit = self.limit.clone();
+        if let Some(TimeLimit { watch, .. }) = &mut limit {
+            // As for any images whose time is not known.
+            watch.stop_after(watch.elapsed() + watch.left() / 2);
+        }
+        Ok(Self { limit, chosen: ChosenWay::WITHOUT_TREES, ..plan })
     }
 
     /// Records the way that the engine took, where it is not the planned one.

@@ -178,12 +178,14 @@ pub struct TimeLimit {
     pub part: Option<ImagePart>,
     /// Drawing costs, if they are known: the engine may thin the image accordingly.
     pub pace: Option<Pace>,
+    /// The raster may hand over to tiles while so much time is left; `None` if it may not.
+    pub tiles: Option<Duration>,
 }
 
 impl TimeLimit {
     /// A limit by the clock alone.
     pub fn new(watch: Watch) -> Self {
-        Self { watch, radius: None, part: None, pace: None }
+        Self { watch, radius: None, part: None, pace: None, tiles: None }
     }
 }
 
@@ -292,7 +294,8 @@ impl FramePlan {
         let mut limit = self.limit.clone();
         if let Some(limit) = &mut limit {
             limit.watch.stop_later(more);
-            limit.part = None;
+            // Another sensor, whose rays are not in tiles yet.
+            (limit.part, limit.tiles) = (None, None);
         }
         Ok(Self {
             world: self.world.clone(),

@@ -81,6 +81,10 @@ impl ChosenWay {
     /// The way of plans without a selection for which there are no trees yet.
     pub const WITHOUT_TREES: Self = Self { why: "the trees for tiles are not made yet", ..Self::RASTER };
 
+    /// The way of plans that tiles may not finish by the deadline.
+    pub const TILES_TAKE_TOO_LONG: Self =
+        Self { why: "tiles cannot stop at a distance, and may take longer than the deadline leaves", ..Self::RASTER };
+
     /// The way of plans without a selection.
     pub const TILES: Self = Self { way: Way::Tiles, why: "this way was requested", at_once: true, ..Self::RASTER };
 
@@ -108,12 +112,9 @@ impl Default for ChosenWay {
 impl Way {
     /// Chooses by counts that are known before the selection, so the choice is the same in every run. The raster may turn to tiles after
     /// its first wave.
-    pub fn choose(self, world: &World, sensor: &Sensor, has_deadline: bool) -> ChosenWay {
+    pub fn choose(self, world: &World, sensor: &Sensor) -> ChosenWay {
         let raster = |why| ChosenWay { why, ..ChosenWay::RASTER };
         let tiles = |why| ChosenWay { way: Self::Tiles, ..raster(why) };
-        if has_deadline {
-            return raster("only the raster can stop at a deadline");
-        }
         let rays = u64::from(sensor.width()) * u64::from(sensor.height());
         let few_rays = rays <= FEW_RAYS;
         match self {

@@ -11,12 +11,16 @@ use presight_model::geometry::Aabb;
 use presight_model::index::{QueryResult, Region};
 use presight_model::world::World;
 use std::collections::HashMap;
+use std::time::Duration;
 
 /// The greatest tilt of a scanner that a cut serves, radians: poses from files are right to 1e-16.
 pub const MOST_TILT: f64 = 1e-11;
 
 /// A scanner stands no farther from the world's bounds than this many of their diagonals.
 const MOST_APART: f64 = 1.0;
+
+/// Bound of a cut's time for each polygon of the world.
+const POLYGON: Duration = Duration::from_micros(1);
 
 /// Rounding errors of a chain of transforms, as multiples of the last place of the numbers in it.
 const TRANSFORMS: f64 = 16.0 * f64::EPSILON;
@@ -108,6 +112,11 @@ fn up(x: f64) -> f32 {
 }
 
 impl RowCut {
+    /// Bound of the time of a cut, by the polygons of the world: some ten times what cuts of real scenes took.
+    pub fn most_time(world: &World) -> Duration {
+        POLYGON * world.environment().slot_count()
+    }
+
     /// Cuts all polygons that are opaque to the class.
     pub fn new(world: &World, class: &str, height: f64) -> Self {
         let environment = world.environment();

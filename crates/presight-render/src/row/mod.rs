@@ -55,6 +55,17 @@ struct CutHeight {
     cut: Option<Arc<RowCut>>,
 }
 
+/// When a cut that is not kept is made.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Making {
+    /// Now, for many scans.
+    AtOnce,
+    /// When the height has been scanned [`RowCuts::SCANS`] times.
+    IfOften,
+    /// Not now, for its time is lacking.
+    Never,
+}
+
 impl RowCuts {
     /// Maximum number of heights and classes that are kept.
     const MOST: usize = 8;
@@ -62,9 +73,8 @@ impl RowCuts {
     /// Single predictions at a height from which on its cut is made: it takes the time of some ten others.
     pub const SCANS: u32 = 16;
 
-    /// Returns the cut that serves a scan, if the sensor is a level one-row scanner. A cut that is not kept is made at
-    /// once if there are many scans `at_once`, else when the height has been scanned [`Self::SCANS`] times.
-    pub fn get(&self, world: &World, sensor: &Sensor, pose: &Pose, at_once: bool) -> Option<Arc<RowCut>> {
+    /// Returns the cut that serves a scan, if the sensor is a level one-row scanner.
+    pub fn get(&self, world: &World, sensor: &Sensor, pose: &Pose, making: Making) -> Option<Arc<RowCut>> {
         if !is_row(sensor) || !is_exactly_level(pose) {
             return None;
         }
@@ -79,7 +89,12 @@ impl RowCuts {
             None => CutHeight { class: class.clone(), height, scans: 0, cut: None },
         };
         entry.scans = entry.scans.saturating_add(1);
-        if entry.cut.is_none() && (at_once || entry.scans >= Self::SCANS) {
+        let is_due = match making {
+            Making::AtOnce => true,
+            Making::IfOften => entry.scans >= Self::SCANS,
+            Making::Never => false,
+        };
+        if entry.cut.is_none() && is_due {
             entry.cut = Some(Arc::new(RowCut::new(world, class, height)));
         }
         let cut = entry.cut.clone();

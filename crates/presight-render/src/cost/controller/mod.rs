@@ -7,11 +7,14 @@
 mod cut;
 mod features;
 mod thinning;
+mod whole;
 
 use super::{CostModel, Forecast, Key, TimeEstimate, WorkCounts};
 use crate::ablation::Means;
-use crate::deadline::{Clock, DeadlineEngine, DegradationKind, DegradationStep, Priority, SystemClock, Watch};
-use crate::plan::{CountName, FramePlan, Outputs, Pace, Run, Stats, TimeLimit};
+use crate::deadline::{
+    Clock, DeadlineEngine, DeadlineOutcome, DegradationKind, DegradationStep, Priority, SystemClock, Watch,
+};
+use crate::plan::{CountName, FramePlan, Outputs, Pace, Run, Stats, TimeLimit, Way};
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::sensor::{STRIDES, Sensor};
 use std::collections::BTreeMap;
@@ -63,6 +66,8 @@ pub struct DeadlineFrame {
     /// Ratio of the time available for drawing to its estimate.
     time: Option<f64>,
     first_estimate: Option<f64>,
+    /// Tiles or a row in the plane, if it was planned as a whole.
+    whole: Option<Forecast>,
     /// Expected work of features, before any was found.
     features: WorkCounts,
     /// Number of features found, and ascending numbers of features left out.
@@ -115,7 +120,7 @@ impl Controller {
             [access, self.least_images(&timed)].into_iter().filter(|e| e.frames > 0).collect();
         let doubt = self.doubt(&timed.key);
         let least = floor.iter().map(|e| e.upper.min(SLOW * e.mean) * doubt).sum::<f64>();
-        if limit.as_secs_f64() < least {
+        if limit.as_secs_f64() < least && !self.may_be_whole(&timed) {
             self.doubts.insert(timed.key, (doubt * DOUBT).max(MOST_DOUBT));
             return Err(impossible(limit, floor.iter().map(|e| e.upper).sum::<f64>() + MARGIN.as_secs_f64()));
         }
@@ -128,6 +133,11 @@ impl Controller {
     /// [`ErrorKind::Deadline`] if the selection took all the time, or if, by the learnt costs, the time left is too
     /// short for any image.
     pub fn plan(&mut self, timed: &mut DeadlineFrame, plan: &mut FramePlan) -> Result<()> {
+        let whole = [(plan.cut.is_some(), Forecast::Row), (plan.way() == Way::Tiles, Forecast::Tiles)];
+        if let Some((_, whole)) = whole.into_iter().find(|(is_planned, _)| *is_planned) {
+            self.plan_whole(timed, plan, whole);
+            return Ok(());
+        }
         timed.selected = timed.watch.elapsed();
         let access = timed.selected.saturating_sub(timed.begun);
         let least = self.least_images(timed);
@@ -156,7 +166,8 @@ impl Controller {
         plan.limit = Some(TimeLimit { part, ..TimeLimit::new(timed.watch.clone()) });
         self.cut(timed, plan)?;
         let pace = self.pace(timed, left, &plan.runs);
-        plan.limit.iter_mut().for_each(|limit| limit.pace = pace);
+        let tiles = self.most_time(timed, Forecast::Tiles);
+        plan.limit.iter_mut().for_each(|limit| (limit.pace, limit.tiles) = (pace, Some(tiles)));
         Ok(())
     }
 
@@ -205,8 +216,23 @@ impl Controller {
         kept.first_estimate_ms = timed.first_estimate.map(|s| 1e3 * s).filter(|_| kept.given_up.is_none());
         let drawn = Duration::from_secs_f64(kept.drawn_ms.max(0.0) / 1e3).clamp(timed.selected, timed.images_made);
         self.doubts.remove(&timed.key);
-        let access = timed.selected.saturating_sub(timed.begun);
-        self.learn(timed, Forecast::Access, 1, &WorkCounts::default(), access);
+        if timed.whole.is_none() {
+            self.learn(timed, Forecast::Access, 1, &WorkCounts::default(), timed.selected.saturating_sub(timed.begun));
+        }
+        if timed.whole.is_some() || stats.way == Some(Way::Tiles) {
+            self.learn_whole(timed, stats, &mut kept);
+        } else {
+            self.learn_drawing(timed, stats, &mut kept, drawn);
+        }
+        if timed.found > 0 {
+            self.learn(timed, Forecast::Features, 1, &timed.of_features(timed.found), took - timed.images_made);
+        }
+        kept.time_ms = milliseconds(timed.watch.elapsed());
+        stats.deadline = Some(kept);
+    }
+
+    /// Learns from a frame that the raster drew, until so long after the call.
+    fn learn_drawing(&mut self, timed: &DeadlineFrame, stats: &Stats, kept: &mut DeadlineOutcome, drawn: Duration) {
         let given_up = kept.given_up.as_ref();
         let stride = given_up.map_or(1, |given_up| given_up.stride);
         let has_all_columns = given_up.is_none_or(|given_up| given_up.opening.is_none());
@@ -236,11 +262,6 @@ impl Controller {
             kept.estimate_ms = 1e3 * self.costs.estimate(&timed.key_of(Forecast::Finished), &done).mean;
             self.learn(timed, Forecast::Finished, 1, &done, timed.images_made);
         }
-        if timed.found > 0 {
-            self.learn(timed, Forecast::Features, 1, &timed.of_features(timed.found), took - timed.images_made);
-        }
-        kept.time_ms = milliseconds(timed.watch.elapsed());
-        stats.deadline = Some(kept);
     }
 
     /// Factor on estimates that recent refusals put in doubt.
@@ -277,6 +298,7 @@ impl DeadlineFrame {
             stride: 1,
             time: None,
             first_estimate,
+            whole: None,
             features,
             found,
             left_out,

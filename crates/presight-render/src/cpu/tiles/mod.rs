@@ -13,9 +13,10 @@ mod object;
 mod search;
 mod wide;
 
-use super::batch::{NOTHING, Winners};
+use super::batch::{NOTHING, Shade, Winners};
 use super::raster_lines::Buffer;
 use super::{Bands, CpuEngine, resolve};
+use crate::deadline::{DeadlineOutcome, Degradation, DegradationKind, DegradationStep};
 use crate::plan::{CountName, FramePlan, Images, StageName, Stats, Way};
 use decide::Decision;
 use presight_model::clock::Instant;
@@ -23,7 +24,9 @@ use presight_model::error::Result;
 use presight_model::sensor::{GROUP, GroupLayout, RayTile, RayTiles};
 use rayon::prelude::*;
 use search::{Objects, Search};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
+use std::time::Duration;
 use wide::Width;
 
 /// Frames of so few rays stay on the calling thread: handing them over takes longer.
@@ -36,6 +39,10 @@ const PAID_AT_ONCE: u64 = PRICE * 2000;
 
 /// Price of a frame by the raster in addition to its polygons.
 pub(super) const FRAME_PRICE: u64 = 300;
+
+/// Nanoseconds of a slow core for a tile, and for making a tree for each polygon of its mesh: some seven times what they take.
+const TILE_NS: u64 = 100_000;
+const TREE_NS: u64 = 2_000;
 
 /// Tiles of listed rays in a task.
 const LISTED_TILES: usize = 32;
@@ -168,6 +175,10 @@ struct Frame<'a> {
     number: u64,
     rooms: Mutex<Vec<Room>>,
     workers: Mutex<Vec<Worker<'a>>>,
+    /// The time was up before all tiles were traced.
+    has_stopped: AtomicBool,
+    /// Samples given up.
+    given_up: AtomicU64,
 }
 
 impl<'a> Frame<'a> {
@@ -191,6 +202,34 @@ impl<'a> Frame<'a> {
             let tiles = self.tiles.of_lines(lines.clone());
             dispatch(self.vectors, TraceBand { tiles, frame: self, worker, buffer, target, band });
         });
+    }
+
+    /// True if the time is up, so that no further tile may be traced.
+    #[inline(always)]
+    fn is_over(&self) -> bool {
+        let is_over = self.plan.watch().is_some_and(|watch| watch.is_over_after(TILE_NS));
+        if is_over {
+            self.has_stopped.store(true, Ordering::Relaxed);
+        }
+        is_over
+    }
+
+    /// Makes the images of a band; unless all of its tiles were traced, its samples are given up.
+    #[inline(always)]
+    fn resolve(&self, target: &mut resolve::Target<'_>, buffer: &Buffer, shades: &[Shade], band: usize, all: bool) {
+        let complete_to = if all { f32::INFINITY } else { 0.0 };
+        let (given_up, _) = resolve::resolve(target, buffer, self.plan, shades, self.bands, band, complete_to);
+        self.given_up.fetch_add(given_up, Ordering::Relaxed);
+    }
+
+    /// What became of the deadline, if there is one.
+    fn outcome(&self) -> Option<DeadlineOutcome> {
+        let drawn = self.plan.watch()?.elapsed();
+        let samples = self.given_up.load(Ordering::Relaxed);
+        let at_ms = 1e3 * drawn.as_secs_f64();
+        let means = vec![DegradationStep { means: DegradationKind::Clock, at_ms, metres: Some(0.0) }];
+        let given_up = Degradation { complete_to: 0.0, samples, means, ..Degradation::default() };
+        Some(DeadlineOutcome::drawn(drawn, (samples > 0).then_some(given_up)))
     }
 
     /// Traces listed rays, which lie in any band.
@@ -236,12 +275,16 @@ impl Task for TraceBand<'_, '_, '_> {
         let Worker { objects, search, decision } = worker;
         let first = frame.bands.lines(band).start;
         decision.clear();
+        let mut all = true;
         for tile in tiles {
+            if frame.is_over() {
+                all = false;
+                break;
+            }
             trace_tile::<S, N>(simd, frame.tiles, tile, objects, search, decision);
             put(buffer, frame.tiles.layout, tile, decision, first);
         }
-        let shades = &decision.winners.shades;
-        resolve::resolve(target, buffer, frame.plan, shades, frame.bands, band, f32::INFINITY);
+        frame.resolve(target, buffer, &decision.winners.shades, band, all);
     }
 }
 
@@ -292,6 +335,9 @@ impl Task for TraceListed<'_, '_> {
         let mut rays = Vec::with_capacity(64 * self.tiles.len());
         decision.clear();
         for tile in self.tiles {
+            if self.frame.is_over() {
+                break;
+            }
             trace_tile::<S, N>(simd, self.frame.tiles, tile, objects, search, decision);
             for g in 0..tile.groups {
                 let pixels = self.frame.tiles.listed(tile.places[g][0]);
@@ -337,6 +383,8 @@ impl CpuEngine {
                 number: self.frame,
                 rooms: Mutex::new(std::mem::take(&mut self.rooms)),
                 workers: Mutex::default(),
+                has_stopped: AtomicBool::new(false),
+                given_up: AtomicU64::new(0),
             };
             let canvas = &mut self.canvas[..bands.count()];
             if here {
@@ -344,6 +392,7 @@ impl CpuEngine {
             } else {
                 self.pool.install(|| trace(&frame, canvas, images))
             }
+            stats.deadline = frame.outcome();
             let (lacking, counts) = self.take_back(frame);
             if lacking.is_empty() {
                 break counts;
@@ -367,11 +416,13 @@ impl CpuEngine {
         let objects = plan.environment().objects();
         let polygons: usize = lacking.iter().map(|o| objects[*o as usize].mesh.polygon_count()).sum();
         let price = PRICE * polygons as u64;
-        if plan.chosen().at_once || price <= PAID_AT_ONCE.max(self.savings) {
+        let has_time = plan.watch().is_none_or(|watch| watch.left() >= Duration::from_nanos(TREE_NS * polygons as u64));
+        if has_time && (plan.chosen().at_once || price <= PAID_AT_ONCE.max(self.savings)) {
             (self.savings, self.price) = (0, 0);
             return true;
         }
-        self.price = price;
+        // Where only time is lacking, the next search for trees waits twice as long.
+        self.price = if has_time { price } else { price.max(2 * self.savings + 1) };
         false
     }
 
@@ -401,7 +452,7 @@ fn trace_here(frame: &Frame<'_>, canvas: &mut [Buffer], images: &mut Images) {
         let hits = vec![frame.trace_listed(&frame.tiles.tiles)];
         let winners = scatter(frame, canvas, hits);
         for (band, (buffer, target)) in canvas.iter().zip(&mut targets).enumerate() {
-            resolve::resolve(target, buffer, frame.plan, &winners.shades, frame.bands, band, f32::INFINITY);
+            frame.resolve(target, buffer, &winners.shades, band, !frame.has_stopped.load(Ordering::Relaxed));
         }
         return;
     }
@@ -417,7 +468,7 @@ fn trace(frame: &Frame<'_>, canvas: &mut [Buffer], images: &mut Images) {
         let hits = frame.tiles.tiles.par_chunks(LISTED_TILES).map(|tiles| frame.trace_listed(tiles)).collect();
         let winners = scatter(frame, canvas, hits);
         canvas.par_iter().zip(&mut targets).enumerate().for_each(|(band, (buffer, target))| {
-            resolve::resolve(target, buffer, frame.plan, &winners.shades, frame.bands, band, f32::INFINITY);
+            frame.resolve(target, buffer, &winners.shades, band, !frame.has_stopped.load(Ordering::Relaxed));
         });
         return;
     }
