@@ -2,7 +2,7 @@
 //! sensors and errors of poses are chosen by a part of their name, `-` for all; the errors `displaced` and `office` are other tables: of sites
 //! where every object is 1 cm off, and of two states of one office. Each row is printed at once; `reasons` adds a
 //! line for each visible change that was missed, with what pixels and views said of it. `-- walker FILE.png` draws a person
-//! who crosses and leaves nothing.
+//! who crosses and leaves nothing; `-- willow [FOLDER]` learns a real building, and writes its logs into a folder.
 
 #![allow(clippy::print_stdout, reason = "a bench prints its figures")]
 
@@ -11,6 +11,7 @@ mod displaced;
 mod office;
 mod score;
 mod walker;
+mod willow;
 
 use case::{Amounts, Case, Off};
 use displaced::Judged;
@@ -76,6 +77,9 @@ fn main() {
         return walker::strip(word(1));
     }
     let seeds = word(0).parse().unwrap_or(5u64);
+    if word(0) == "willow" {
+        return willow::run(word(1), (word(2).parse().unwrap_or(0.15), word(3).parse().unwrap_or(0.05)));
+    }
     let chosen = |wanted: &str, name: &str| wanted == "-" || name.contains(wanted);
     if word(3) == "displaced" {
         return all_displaced(seeds, &chosen, (word(1), word(2)));

@@ -8,6 +8,7 @@ mod case;
 mod caster;
 #[path = "../../benches/update/displaced.rs"]
 mod displaced;
+mod lookout;
 mod refine;
 #[path = "../../benches/update/score.rs"]
 mod score;

@@ -105,7 +105,8 @@ fn line(
             (op, format!("a {} stands where the model has nothing", known.shape.name()))
         }
         What::Part(b) => {
-            let mut op = mark(&format!("{object} part {base}-{}", number + 1), object, "uncertain");
+            let kind = if only_mark { "uncertain" } else { "absent" };
+            let mut op = mark(&format!("{object} part {base}-{}", number + 1), object, kind);
             op["box"] = json!([b.min.to_array(), b.max.to_array()]);
             (op, format!("a part of {object} is gone"))
         }
@@ -152,7 +153,10 @@ fn is_marked(finding: &Finding, environment: &Environment, only_mark: bool) -> b
         What::Gone | What::Moved { .. } => only_mark && m.kind == MarkKind::Uncertain && m.bounds.is_none(),
         What::ComesAndGoes => m.kind == MarkKind::Uncertain && m.bounds.is_none(),
         What::SeenThrough(class) => m.kind == MarkKind::Absent && m.bounds.is_none() && m.concerns(class),
-        What::Part(part) => m.bounds.is_none_or(|b| b.min.cmple(part.min).all() && b.max.cmpge(part.max).all()),
+        What::Part(part) => {
+            let holds = m.bounds.is_none_or(|b| b.min.cmple(part.min).all() && b.max.cmpge(part.max).all());
+            holds && (only_mark || m.kind == MarkKind::Absent)
+        }
         What::New(_) | What::Recognized(_) => false,
     };
     environment.marks().any(|(_, m)| m.object == finding.object && says(m))
@@ -206,7 +210,7 @@ impl Finding {
                 inserted(world, Some(known.shape.placed("provisional", known.world_from_object)))
             }
             What::Part(bounds) => {
-                let mark = Mark { object: name(), kind: MarkKind::Uncertain, class: None, bounds: Some(*bounds) };
+                let mark = Mark { object: name(), kind: MarkKind::Absent, class: None, bounds: Some(*bounds) };
                 Change::SetMark { name: format!("{} part at {}", self.object, bounds.min), mark }
             }
             What::SeenThrough(class) => {

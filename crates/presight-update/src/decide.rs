@@ -5,6 +5,7 @@ use crate::caster::Caster;
 use crate::evidence::{BIG, Book, Evidence, PART};
 use crate::fit::Thing;
 use crate::learn::{LearnOptions, Learner};
+use crate::lookout::{Look, Lookout};
 use crate::moves::Place;
 use crate::parts::{Part, parts};
 use crate::recognize::{OWN, Recognized};
@@ -90,8 +91,8 @@ pub struct Doubt {
     pub object: String,
     /// Why.
     pub why: String,
-    /// The pose of the sensor, of those on the way, from which most of it would be seen.
-    pub look_from: Option<Pose>,
+    /// The free pose from which predictions with and without it differ most; `None` if none shows it.
+    pub look: Option<Look>,
 }
 
 /// What drives say of a model.
@@ -125,8 +126,25 @@ impl Learner {
         let Some(caster) = casters.get(&class) else { return Findings::default() };
         let environment = world.environment();
         let decision = Decision { environment, caster, book, voxels, views, options };
-        let findings = decision.findings();
+        let mut findings = decision.findings();
+        if !findings.doubts.is_empty() {
+            let lookout = Lookout::new(&decision, world);
+            for doubt in &mut findings.doubts {
+                doubt.look = environment.index_of(&doubt.object).ok().and_then(|object| lookout.at_object(object));
+            }
+        }
         Findings { wrong: self.pulled.wrong().or(findings.wrong), ..findings }
+    }
+
+    /// For each finding the free pose from which predictions with and without it differ most; `None` if no pose shows it.
+    pub fn looks(&mut self, world: &World, findings: &[&Finding]) -> Vec<Option<Look>> {
+        let class = self.views.back().map_or_else(String::new, |view| view.kept.sensor.spec().class.clone());
+        self.caster(world, &class);
+        let Self { casters, book, voxels, views, options, .. } = &*self;
+        let Some(caster) = casters.get(&class) else { return vec![None; findings.len()] };
+        let decision = Decision { environment: world.environment(), caster, book, voxels, views, options };
+        let lookout = (!findings.is_empty()).then(|| Lookout::new(&decision, world));
+        findings.iter().map(|finding| lookout.as_ref()?.at_finding(finding)).collect()
     }
 }
 
@@ -283,14 +301,7 @@ impl Decision<'_> {
         } else {
             format!("{} of {} views speak against it", evidence.against, evidence.views)
         };
-        found.doubts.push(Doubt { object: name, why, look_from: self.look_from(object) });
-    }
-
-    /// The sensor's pose, of the kept views, that shows most of an object.
-    fn look_from(&self, object: u32) -> Option<Pose> {
-        let seen = |view: &&View| view.object.iter().filter(|o| **o == object && object != NOTHING).count();
-        let best = self.views.iter().max_by_key(seen).filter(|view| seen(view) > 0)?;
-        Some(best.world_from_image * body_from_image(&best.kept.sensor).inverse())
+        found.doubts.push(Doubt { object: name, why, look: None });
     }
 
     /// The points that objects at other poses than the model's do not explain.

@@ -17,7 +17,7 @@ pub(crate) struct Stand<'a> {
 }
 
 /// A surface on a ray: its range, metres, and the cosine of the incidence.
-type Surface = (f64, f64);
+pub(crate) type Surface = (f64, f64);
 
 /// Logarithm of the odds of one explanation against another: half the difference of their squared deviations, each of a reading
 /// bounded by that of noise, summed over the readings of a view up to the most that a view counts, and over all views.
@@ -62,7 +62,7 @@ fn of_view(
 }
 
 /// The squared deviation of a reading from a surface, in units of its variance, at most that of noise.
-fn squared(view: &View, z: f64, surface: Option<Surface>) -> f64 {
+pub(crate) fn squared(view: &View, z: f64, surface: Option<Surface>) -> f64 {
     let most = BOUND * BOUND;
     let Some((range, cos)) = surface else { return if z.is_finite() { most } else { 0.0 } };
     let off = view.off.0 + range * (view.off.1 + view.noise.angle * (1.0 - cos * cos).max(0.0).sqrt());

@@ -1,9 +1,9 @@
 //! What a page shows of a finding: its place, and how its evidence grew.
 
-use crate::decide::{Finding, What};
+use crate::decide::{Doubt, Finding, What};
 use crate::view::View;
 use glam::DVec3;
-use presight_model::environment::Environment;
+use presight_model::environment::{Environment, Object};
 use presight_model::geometry::{Aabb, Pose};
 
 impl Finding {
@@ -24,6 +24,14 @@ impl Finding {
             What::New(found) => corners(&Aabb { min: -0.5 * found.size, max: 0.5 * found.size }, &found.pose),
             What::Recognized(known) => corners(&known.shape.bounds(), &known.world_from_object),
         }
+    }
+}
+
+impl Doubt {
+    /// The corners of the box around its object, world frame, metres; empty if the environment has no such object.
+    pub fn corners(&self, environment: &Environment) -> Vec<DVec3> {
+        let bounds = |o: &Object| o.mesh.bounds().transformed(&o.object_from_mesh);
+        environment.object(&self.object).map_or_else(Vec::new, |o| corners(&bounds(o), &o.world_from_object))
     }
 }
 

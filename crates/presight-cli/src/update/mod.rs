@@ -1,6 +1,7 @@
 //! `presight update`: differences between site and model, as changes.
 
 mod known;
+mod looks;
 mod page;
 mod store_of;
 
@@ -9,6 +10,7 @@ use super::outputs::OutputFiles;
 use super::{CommandOutcome, folder, print};
 use glam::DVec3;
 use known::KnownArgs;
+use looks::{Asked, look_from};
 use page::Shown;
 use presight::Scene;
 use presight_files::atomic::write_atomically;
@@ -23,7 +25,7 @@ use presight_model::measured::Frame;
 use presight_model::world::World;
 use presight_update::{Action, Finding, Findings, LearnOptions, Learner, Policy, What, change_lines};
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Duration;
 use store_of::{Claim, apply, version_of};
 
@@ -43,9 +45,9 @@ const EXAMPLES: &str = "Examples:
 
 /// Learn what changed: objects that are gone, moved or new, from the logs of drives
 ///
-/// LOGs are drives one after the other, each as for `localize`. DIR gets changes.jsonl, which `env apply` reads, and
-/// index.html, which shows each change: the measurement between the predictions without and with it, and how the evidence grew.
-/// Nothing else is written without --apply or --evidence.
+/// LOGs are drives one after the other, each as for `localize`. DIR gets changes.jsonl, which `env apply` reads,
+/// doubts.jsonl, which says where to look from, and index.html, which shows each change: the measurement between the predictions
+/// without and with it, and how the evidence grew. Nothing else is written without --apply or --evidence.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -91,7 +93,8 @@ pub struct Args {
     /// What becomes of each kind of finding, such as gone=change,new=stop: mark, change, stop, come-back or ignore [default: mark]
     ///
     /// The kinds are gone, moved, new and part. `mark` marks objects and new things as uncertain. `change` changes the
-    /// model. `stop` proposes nothing and ends with status 1. `come-back` adds the place to DIR/come_back.jsonl.
+    /// model. `stop` proposes nothing, says where to look from, and ends with status 1. `come-back` adds the place to
+    /// DIR/come_back.jsonl.
     #[arg(long, value_name = "KIND=ACTION,..", default_value = "")]
     policy: String,
 
@@ -152,6 +155,8 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let after = after(&scene.world, &findings);
     let shares = (learner.share_explained(&scene.world, 0.1), learner.share_explained(&after, 0.1));
     let told = summary(&learner, &findings, shares);
+    let asked = Asked::of(&mut learner, &scene.world, &findings, &policy);
+    write_atomically(&args.out.join("doubts.jsonl"), |file| file.write_all(asked.lines(&findings).as_bytes()))?;
     let shown = Shown { args, drives: &drives, scene: &scene, findings: &findings, told: &told };
     shown.write(&args.out)?;
     let (applied, waiting) =
@@ -163,7 +168,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         }
         learner.save(path, scene.world.environment(), &version.origin)?;
     }
-    come_back(&args.out.join("come_back.jsonl"), &findings, &policy)?;
+    asked.come_back(&args.out.join("come_back.jsonl"))?;
     print::data(&told)?;
     let waits = format!(
         "{waiting} of {} changes wait: presight env apply {} {} applies them",
@@ -172,8 +177,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         changes.display()
     );
     print::notices(&(waiting > 0).then_some(waits));
-    let stops: Vec<String> =
-        of_action(&findings, &policy, Action::Stop).map(|f| format!("stop: {}", told_with_look(f))).collect();
+    let stops: Vec<String> = asked.told(Action::Stop).map(|told| format!("stop: {told}")).collect();
     print::notices(&stops);
     print::notices(&findings.wrong.iter().map(|why| format!("nothing is changed: {why}")).collect::<Vec<_>>());
     Ok(if findings.wrong.is_some() || !stops.is_empty() { CommandOutcome::Found } else { CommandOutcome::Done })
@@ -220,39 +224,6 @@ fn changed_by(line: &str) -> Option<String> {
     value["object"].as_str().map(str::to_owned)
 }
 
-fn of_action<'a>(findings: &'a Findings, policy: &'a Policy, action: Action) -> impl Iterator<Item = &'a Finding> {
-    findings.changes.iter().filter(move |finding| policy.of(&finding.what) == action)
-}
-
-fn told_with_look(finding: &Finding) -> String {
-    let look = finding.sight.as_ref().map(|sight| {
-        let (t, (_, _, yaw)) = (sight.world_from_sensor.translation, sight.world_from_sensor.rpy());
-        format!("; look from {:.2},{:.2},{:.2} at {:.0} degrees", t.x, t.y, t.z, yaw.to_degrees())
-    });
-    told(finding) + look.as_deref().unwrap_or_default()
-}
-
-/// Adds the places to come back to, a line each, to a list that survives. A place that is on it is not added again.
-fn come_back(path: &Path, findings: &Findings, policy: &Policy) -> Result<()> {
-    let known = match std::fs::read_to_string(path) {
-        Ok(text) => text,
-        Err(e) if e.kind() == std::io::ErrorKind::NotFound => String::new(),
-        Err(e) => return Err(Error::io(path, "read it", e)),
-    };
-    let line = |finding: &Finding| serde_json::json!({ "come_back": told_with_look(finding) }).to_string();
-    let mut lines: Vec<String> = known.lines().map(str::to_owned).collect();
-    for line in of_action(findings, policy, Action::ComeBack).map(line) {
-        if !lines.contains(&line) {
-            lines.push(line);
-        }
-    }
-    if lines.is_empty() {
-        return Ok(());
-    }
-    let text: String = lines.iter().map(|line| format!("{line}\n")).collect();
-    write_atomically(path, |file| file.write_all(text.as_bytes()))
-}
-
 fn options(args: &Args) -> Result<LearnOptions> {
     for (flag, value) in [("--sure", args.sure), ("--most-per-view", args.most_per_view)] {
         if !(value > 0.0 && value.is_finite()) {
@@ -269,7 +240,7 @@ fn options(args: &Args) -> Result<LearnOptions> {
 /// Checks that no output is an input, before anything is read.
 fn check_files(args: &Args, drives: &[Drive]) -> Result<()> {
     let mut files = OutputFiles::default();
-    files.add_folder(&args.out, &["index.html", "changes.jsonl"])?;
+    files.add_folder(&args.out, &["index.html", "changes.jsonl", "doubts.jsonl"])?;
     args.evidence.iter().try_for_each(|path| files.add_any(path))?;
     let logs: Vec<PathBuf> = drives.iter().flat_map(Drive::each_log).map(|drive| drive.log).collect();
     let others = [args.poses.as_deref(), args.robot.as_deref()].into_iter().flatten();
@@ -353,11 +324,7 @@ fn summary(learner: &Learner, findings: &Findings, (before, after): (f64, f64)) 
     text += &format!("beams within 0.1 m of the model: {:.1} % before, {:.1} % after\n", 100.0 * before, 100.0 * after);
     findings.changes.iter().for_each(|finding| text += &format!("{}\n", told(finding)));
     for doubt in &findings.doubts {
-        let look = doubt.look_from.map(|pose| {
-            let (t, (_, _, yaw)) = (pose.translation, pose.rpy());
-            format!("; look from {:.2},{:.2},{:.2} at {:.0} degrees", t.x, t.y, t.z, yaw.to_degrees())
-        });
-        text += &format!("doubtful: {}: {}{}\n", doubt.object, doubt.why, look.unwrap_or_default());
+        text += &format!("doubtful: {}: {}{}\n", doubt.object, doubt.why, look_from(doubt.look.as_ref()));
     }
     text
 }

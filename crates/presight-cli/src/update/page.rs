@@ -1,16 +1,19 @@
 //! The page of an update: for each change the measurement between the predictions without and with it, and how its evidence grew.
 
+use super::looks::look_from;
 use super::{Args, Drive, told};
 use glam::DVec3;
 use presight::Scene;
 use presight_files::atomic::write_atomically;
+use presight_model::change::Change;
 use presight_model::error::Result;
 use presight_model::measured::Frame;
+use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_pictures::{Panel, panels_png};
 use presight_predict::predict::{Backend, Options, Predictor};
 use presight_render::plan::{Images, Output, Outputs};
-use presight_update::{Finding, Findings, Sight, What};
+use presight_update::{Doubt, Finding, Findings, Look, Sight, What};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::io::Write;
@@ -18,6 +21,8 @@ use std::path::Path;
 
 /// Most changes that get pictures.
 const MOST: usize = 200;
+/// Most objects in doubt that get pictures.
+const MOST_DOUBTS: usize = 60;
 
 /// Drive, sensor and stamp of a frame.
 type Key = (usize, String, u64);
@@ -65,6 +70,7 @@ impl Shown<'_> {
             body += &growth(finding, self.args.sure);
             body += "</section>";
         }
+        body += &self.doubts(&mut predictor, out)?;
         // Counts first. The pictures below show each change.
         let (head, rest) =
             self.told.match_indices('\n').nth(2).map_or((self.told, ""), |(at, _)| self.told.split_at(at));
@@ -95,6 +101,66 @@ impl Shown<'_> {
             }
         }
         Ok(frames)
+    }
+
+    /// The objects in doubt, each as it would be seen from the best free pose without and with it.
+    fn doubts(&self, predictor: &mut Predictor, out: &Path) -> Result<String> {
+        let sensors = self.sensors()?;
+        let mut body = String::new();
+        for (number, doubt) in self.findings.doubts.iter().enumerate().take(MOST_DOUBTS) {
+            let text = escaped(&format!("{}: {}{}", doubt.object, doubt.why, look_from(doubt.look.as_ref())));
+            let _ = write!(body, "<section><h2><b style=\"background:#777\">doubtful</b>{text}</h2>");
+            let sensor = doubt.look.as_ref().and_then(|look| Some((look, sensors.get(&look.sensor)?)));
+            if let Some((look, sensor)) = sensor {
+                let file = format!("doubt-{:03}.png", number + 1);
+                let png = self.expected(predictor, doubt, (look, sensor))?;
+                write_atomically(&out.join(&file), |to| to.write_all(&png))?;
+                let _ = write!(
+                    body,
+                    "<figure><img src=\"{file}\" alt=\"predictions without and with it\"><figcaption>From the free pose that tells \
+                     most.</figcaption></figure>"
+                );
+            }
+            body += "</section>";
+        }
+        Ok(body)
+    }
+
+    /// The predictions without and with an object in doubt, from the pose to look from.
+    fn expected(&self, predictor: &mut Predictor, doubt: &Doubt, (look, sensor): (&Look, &Sensor)) -> Result<Vec<u8>> {
+        let mut without = self.scene.world.clone();
+        drop(without.apply_unchecked(Change::DeleteObject { name: doubt.object.clone() }));
+        let mut predicted = [Images::default(), Images::default()];
+        for (world, images) in [&without, &self.scene.world].into_iter().zip(&mut predicted) {
+            let range = Outputs::of(&[Output::Range]);
+            predictor.predict_images(world, sensor, &look.world_from_sensor, range, images)?;
+        }
+        let sensor_from_world = look.world_from_sensor.inverse();
+        let corners = doubt.corners(self.scene.world.environment()).into_iter();
+        let around: Vec<DVec3> = corners.map(|p| sensor_from_world.transform_point(p)).collect();
+        let panels = [("without it", &predicted[0]), ("with it", &predicted[1])]
+            .map(|(name, i)| Panel { name, range: &i.range });
+        panels_png(&panels, sensor, &around)
+    }
+
+    /// The sensors of the logs by name; nothing if no doubt has a pose to look from.
+    fn sensors(&self) -> Result<BTreeMap<String, Sensor>> {
+        let mut wanted: BTreeSet<&str> =
+            self.findings.doubts.iter().filter_map(|d| Some(d.look.as_ref()?.sensor.as_str())).collect();
+        let mut sensors = BTreeMap::new();
+        for drive in self.drives.iter().flat_map(Drive::each_log) {
+            if wanted.is_empty() {
+                break;
+            }
+            drive.read(self.scene, |_, frame, _| {
+                let sensor = frame.sensor();
+                if wanted.remove(&*sensor.spec().name) {
+                    sensors.insert(sensor.spec().name.clone(), sensor.clone());
+                }
+                Ok(())
+            })?;
+        }
+        Ok(sensors)
     }
 
     /// The world with all changes but one.

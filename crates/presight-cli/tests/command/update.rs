@@ -133,7 +133,14 @@ fn evidence_goes_on_with_another_log() {
         assert_eq!(done.status, Some(0), "{}", done.stderr);
         done.stdout
     };
-    assert!(learn("a.jsonl").contains("0 gone"));
+    let first = learn("a.jsonl");
+    assert!(first.contains("0 gone") && first.contains("doubtful: crate 2") && first.contains("look from"), "{first}");
+    let doubts = fs::read_to_string(place.path("found/doubts.jsonl")).unwrap();
+    let doubt: serde_json::Value = doubts.lines().find(|line| line.contains("crate 2")).unwrap().parse().unwrap();
+    assert!(doubt["look_from"]["log_odds"].as_f64().unwrap() >= 9.0, "{doubt}");
+    assert!((doubt["look_from"]["pose"][2].as_f64().unwrap() - 1.0).abs() < 0.01, "{doubt}");
+    let page = fs::read_to_string(place.path("found/index.html")).unwrap();
+    assert!(page.contains("src=\"doubt-001.png\"") && place.path("found/doubt-001.png").exists());
     assert!(learn("b.jsonl").contains("1 gone"));
     // Evidence of another map, and files without evidence.
     store::create(&place.path("other.presight"), &room(Some(0), None), &store::Note::new("test", 0.0)).unwrap();
@@ -243,7 +250,9 @@ fn a_policy_stops_comes_back_or_ignores() {
     };
     let done = learn("gone=stop,moved=come-back");
     assert_eq!(done.status, Some(1), "{done:?}");
-    assert!(done.stderr.contains("stop: gone: crate 2") && done.stderr.contains("look from"), "{done:?}");
+    assert!(done.stderr.contains("stop: gone: crate 2") && done.stderr.contains("; look from"), "{done:?}");
+    let doubts = fs::read_to_string(place.path("found/doubts.jsonl")).unwrap();
+    assert!(doubts.contains("gone: crate 2") && doubts.contains("\"look_from\""), "{doubts}");
     let list = || fs::read_to_string(place.path("found/come_back.jsonl")).unwrap();
     assert!(list().contains("moved: crate 5") && list().contains("look from"), "{}", list());
     let ops =
