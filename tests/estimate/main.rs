@@ -1,6 +1,7 @@
 //! Poses from frames: truths calculated by hand, simulated rooms, real depth images, and cases without a determined
 //! pose.
 
+mod beside;
 mod changed;
 mod drives;
 mod edges;

@@ -97,7 +97,12 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let (mut painter, mut pictures) = (None, Vec::new());
     #[cfg(feature = "store")]
     let mut learning = args.learn.then(super::update::Learning::new).transpose()?;
-    let followed = args.drive.follow(files, None, |scene, sensed, step| {
+    // What updates learn must not depend on it.
+    #[cfg(feature = "store")]
+    let drive = if args.learn { args.drive.clone() } else { args.drive.learning() };
+    #[cfg(not(feature = "store"))]
+    let drive = args.drive.learning();
+    let followed = drive.follow(files, None, |scene, sensed, step| {
         let painter = match &mut painter {
             Some(painter) => painter,
             None => {
@@ -264,6 +269,7 @@ fn leaf(followed: &Followed, k: usize, picture: &str, extra: (f64, f64)) -> Leaf
         sigmas: std::array::from_fn(|i| if i < 3 { sigmas[i] } else { sigmas[i].to_degrees() }),
         weak: step.estimate.weak.iter().map(|w| w.name.clone()).collect(),
         explained: step.estimate.explained,
+        model_sigma: step.estimate.model_sigma,
         verdicts: Judged::ALL.iter().zip(counts).map(|(v, n)| (v.name(), *n as f64 / pixels)).collect(),
         features: followed.features[k].iter().flat_map(FeatureCounts::named).collect(),
         reference: truth.map(|t| t.translation.to_array()),

@@ -16,6 +16,7 @@ function rows(leaf) {
     ["sigma about x y z", leaf.sigmas.slice(3).map((x) => `${number(x, 3)}°`).join("  ")],
     ["weak directions", leaf.weak.join(", ") || "none"],
     ["explained", percent(leaf.explained)],
+    ["surfaces off by", `${number(leaf.model_sigma, 3)} m`],
   ];
   if (leaf.off) known.push(["error", `${number(1e3 * leaf.off[0], 1)} mm  ${number(leaf.off[1], 3)}°`]);
   if (leaf.nees !== null) known.push(["NEES per degree of freedom", number(leaf.nees, 2)]);

@@ -25,6 +25,8 @@ pub struct Leaf {
     pub weak: Vec<String>,
     /// Fraction of the measured points that are explained.
     pub explained: f64,
+    /// How far surfaces of the map count as off, one standard deviation, metres: as stated, or as learnt so far.
+    pub model_sigma: f64,
     /// Fraction of the pixels with each verdict, by name.
     pub verdicts: Vec<(&'static str, f64)>,
     /// Counts of predicted features by class, and of other detections; empty if no features were searched.
@@ -104,6 +106,12 @@ fn strips(leaves: &[Leaf]) -> Markup {
     let of = |value: fn(&Leaf) -> Option<f64>| leaves.iter().map(value).collect::<Vec<_>>();
     let all = [
         Strip { name: "explained fraction", values: of(|l| Some(l.explained)), expected: None, logarithmic: false },
+        Strip {
+            name: "surfaces of the map count as off by, m",
+            values: of(|l| Some(l.model_sigma)),
+            expected: None,
+            logarithmic: false,
+        },
         Strip { name: "position error, m", values: of(|l| l.off.map(|o| o.0)), expected: None, logarithmic: false },
         Strip { name: "NEES per degree of freedom", values: of(|l| l.nees), expected: Some(1.0), logarithmic: true },
     ];

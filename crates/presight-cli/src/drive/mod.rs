@@ -306,7 +306,12 @@ impl Drive {
                     print::notices(&[format!("searching for the robot only around its last pose: {e}")]);
                 }
             }
-            progress.set_message(step.phase.name());
+            progress.set_message(match (step.phase, may_search || start_now.is_none()) {
+                (Phase::Lost | Phase::Unknown, false) if options.freedom == Freedom::Full => {
+                    "lost: looking for the robot around its last pose"
+                }
+                (phase, _) => phase.name(),
+            });
             progress.inc(1);
             visit(&scene, &Sensed { frame: &frame, grey: grey.as_ref(), beside: &others }, &step)?;
             followed.features.push(FeatureCounts::of(&step.estimate.findings));

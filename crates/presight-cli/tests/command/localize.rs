@@ -49,6 +49,7 @@ fn a_simulated_drive_is_localized() {
     let learnt = last["model_sigma"].as_f64().unwrap();
     let told = format!("surfaces of the map count as off by {learnt:.3} m");
     assert!(learnt < 0.003 && done.stdout.contains(&told), "{learnt} {}", done.stdout);
+    assert!(last["help"].is_null(), "{last}");
     assert!(last["covariance"][0][0].as_f64().unwrap() > 0.0 && last["verdicts"]["confirmed"].as_u64().unwrap() > 2000);
 }
 
@@ -191,6 +192,8 @@ fn a_drive_is_drawn() {
         assert!(leaf["off"][0].as_f64().unwrap() < 0.01 && leaf["nees"].as_f64().unwrap() < 6.0, "{leaf}");
     }
     assert_eq!(leaves[7]["state"], "tracking");
+    // The map is exact, and the page shows what was learnt of it.
+    assert!(leaves[7]["model_sigma"].as_f64().unwrap() < 0.003 && html.contains("surfaces of the map count as off by"));
     // Features are drawn only on request.
     let made = place.run("features room.glb --class laser --out edges.layer.json");
     assert_eq!(made.status, Some(0), "{}", made.stderr);
@@ -396,6 +399,23 @@ fn an_interrupted_run_goes_on() {
     assert!(!place.path("run.resume").exists());
     let again = place.run(line);
     assert!(!again.stderr.contains("going on") && again.stdout.contains("8 of 8 frames"), "{}", again.stderr);
+}
+
+/// A camera that starts 2 m beside its pose and looks elsewhere is never tracked; each line names the flags that help, and so does
+/// the end of the run.
+#[test]
+fn a_run_without_a_pose_names_flags_that_help() {
+    let place = drive_of(4);
+    let done =
+        place.run("localize log --map room.glb --sensor log/sensor.toml --init 2.3,0.35,1.35,0,0,-140 --out run.tum");
+    assert_eq!(done.status, Some(0), "{}", done.stderr);
+    let details = fs::read_to_string(place.path("run.jsonl")).unwrap();
+    let lines: Vec<serde_json::Value> = details.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert!(lines.iter().all(|line| line["state"] != "tracking"), "{details}");
+    let last = &lines[lines.len() - 1];
+    assert!(last["help"].as_str().is_some_and(|help| help.contains("--init unknown")), "{last}");
+    let none = done.stdout.starts_with("0 of");
+    assert_eq!(none, done.stderr.contains("no frame has a pose: --init unknown"), "{} {}", done.stdout, done.stderr);
 }
 
 /// By hand: a folder's odometry gives the motion between its images; half-way between two lines the robot is half-way.

@@ -53,6 +53,8 @@ pub(super) const SEARCH: Schedule =
 pub(super) const LOOK: Schedule = Schedule { points: (FAR_POINTS, 0), ..SEARCH };
 /// From a start that is one of many: the others look elsewhere.
 pub(super) const NEAR: Schedule = Schedule { first: 0.3, ..SEARCH };
+/// Likewise with few points: a gate as wide as the prior would draw neighbouring minima into one.
+pub(super) const LOOK_NEAR: Schedule = Schedule { points: (FAR_POINTS, 0), ..NEAR };
 /// In a prediction at the pose that a search found.
 pub(super) const SETTLE: Schedule =
     Schedule { first: 0.2, shrink: 0.5, least: 0.01, steps: 13, settle: 4, points: (APPROACH_POINTS, usize::MAX) };

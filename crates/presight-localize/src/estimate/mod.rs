@@ -18,6 +18,7 @@ mod range;
 mod reflectors;
 mod run;
 mod solve;
+mod starts;
 mod surface;
 
 pub use crate::motion::{Vector, motion_between, moved, nees};
@@ -28,7 +29,8 @@ pub use image::{ImageSource, SeenPoint, SeenSegment};
 pub use normal::{CommonError, Freedom, GroupSum, Normal};
 pub use options::{EstimateOptions, Preset};
 pub use range::{MeasuredPoint, RangeSource, measured_points};
-pub use solve::{Estimator, drawn};
+pub use solve::Estimator;
+pub use starts::drawn;
 pub use surface::{SeenSurface, SurfaceSource};
 
 use presight_model::geometry::Pose;

@@ -1,31 +1,29 @@
 //! The iteration: predict, compare, move, twice; and again from elsewhere where that explains too little.
 
 use super::answer::{Estimate, EstimateState, Hypothesis, covariance, weak_directions};
-use super::descent::{LOOK, NEAR, SEARCH, SETTLE, Schedule, descend, serves};
+use super::descent::{SEARCH, SETTLE, Schedule, descend, serves};
 use super::deviation::{SeenDeviation, SurfaceVariance};
 use super::findings::{find_at, has_reflectors, place_error, reflectors};
-use super::normal::{CommonError, Freedom, Normal};
+use super::normal::{CommonError, Normal};
 use super::offsets::OffsetVariance;
 use super::options::EstimateOptions;
 use super::prior;
 use super::range::measured_points;
 use super::reflectors::{MatchedReflectors, hold, other_camp};
-use super::run::{Expectation, FrameMeasurement, LEAD, Minimum, Run};
+use super::run::{Expectation, FrameMeasurement, Minimum, Run};
 use crate::extract::{Findings, MeasuredRanges};
 use crate::matching::Shape;
-use crate::motion::{Vector, motion_between, moved};
+use crate::motion::{Vector, motion_between};
 use crate::verdict::{ExpectedImage, Surfaces, Verdicts, body_from_image, judge};
 use glam::DVec3;
 use presight_features::{FeatureOptions, PlacedFeatures};
 use presight_model::error::{Error, Result};
 use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate};
-use presight_model::matrix::{Matrix, add_to, eigen, inverse, quadratic, restricted, scaled};
+use presight_model::matrix::{Matrix, add_to, inverse, quadratic, restricted, scaled};
 use presight_model::measured::{Frame, RangeNoise};
-use presight_model::random::SplitMix64;
 use presight_model::statistics::chi_squared_quantile;
 use presight_model::world::World;
 use presight_predict::predict::Predictor;
-use rayon::prelude::*;
 use std::sync::Arc;
 
 /// Estimates poses from frames, one after the other.
@@ -37,7 +35,7 @@ pub struct Estimator {
     /// The options.
     pub options: EstimateOptions,
     /// Of the offsets of polygon groups.
-    offsets: OffsetVariance,
+    pub(super) offsets: OffsetVariance,
     /// The variance of points about their surfaces.
     deviation: SurfaceVariance,
     /// The prediction that the frame before ended with, and the version of the world that it is of.
@@ -46,11 +44,9 @@ pub struct Estimator {
 
 /// PoseEstimate standard deviations that the first gate is wide.
 const GATE: f64 = 1.75;
-/// Starts that are drawn from the prior in one go.
-const DRAWS: usize = 16;
 
 /// A prior that is tighter leaves room for one minimum only: metres and radians of the gate.
-const LOOSE: (f64, f64) = (0.05, 0.05);
+pub(super) const LOOSE: (f64, f64) = (0.05, 0.05);
 /// A pose as far from the prior as one in 100 is looked for anew, from elsewhere: standard normal deviate.
 const DOUBTFUL: f64 = 2.326;
 /// By how much a pose may be off in standard deviations of a search, of independent errors, for regions of interest.
@@ -126,50 +122,6 @@ impl Estimator {
         threads.run(|| self.estimate_here(world, frames, prior, (0.0, 0.0)))?
     }
 
-    /// Where descents from `starts` come to rest other than at the prior's pose: farther from it than `apart`, metres and
-    /// radians. A descent that comes nearer than half of that ends there.
-    ///
-    /// # Errors
-    /// Those of [`Estimator::estimate`].
-    pub(crate) fn minima(
-        &mut self,
-        world: &World,
-        frames: &[&Frame],
-        prior: &PoseEstimate,
-        starts: &[Pose],
-        apart: (f64, f64),
-    ) -> Result<Vec<Pose>> {
-        let mut run = self.start(world, frames, prior)?;
-        if run.is_blind() {
-            return Ok(Vec::new());
-        }
-        let expected = match self.at_hand(&run) {
-            Some(before) => before,
-            None => self.expected(&mut run, prior)?,
-        };
-        run.first = Some(expected.clone());
-        let freedom = self.options.freedom;
-        let off = |a: &Pose, b: &Pose| {
-            let off = motion_between(a, b);
-            length(&off[..3]) > apart.0 || length(&off[3..]) > apart.1
-        };
-        let half = |a: &Pose, b: &Pose| {
-            let off = motion_between(a, b);
-            length(&off[..3]) < 0.5 * apart.0 && length(&off[3..]) < 0.5 * apart.1
-        };
-        let comes_back = |pose: &Pose| half(&prior.world_from_robot, pose);
-        let look = |start: &Pose| descend(&run, &expected, *start, &LOOK, freedom, comes_back).pose;
-        let ends: Vec<Pose> = self.predictor.on_threads(|| starts.par_iter().map(look).collect())?;
-        let mut found: Vec<Pose> = Vec::new();
-        for end in ends {
-            if off(&prior.world_from_robot, &end) && found.iter().all(|other| off(other, &end)) {
-                found.push(self.descend(&run, &expected, end, &SETTLE).pose);
-            }
-        }
-        found.retain(|end| off(&prior.world_from_robot, end));
-        Ok(found)
-    }
-
     /// An estimate. Other starts are tried below the first share of explained points; it does not count below the second one.
     fn estimate_here(
         &mut self,
@@ -208,7 +160,7 @@ impl Estimator {
 
     /// The prediction that the frame before ended with, if it was made near the prior's pose: it serves for the search, which ends in a
     /// prediction of its own.
-    fn at_hand(&self, run: &Run<'_>) -> Option<Arc<Expectation>> {
+    pub(super) fn at_hand(&self, run: &Run<'_>) -> Option<Arc<Expectation>> {
         let (_, before) = self.before.as_ref().filter(|(stamp, _)| *stamp == run.world.stamp())?;
         let near = |(e, m): (&ExpectedImage, &FrameMeasurement<'_>)| {
             let sensor = m.frame.sensor();
@@ -239,7 +191,12 @@ impl Estimator {
         reflectors(world, &self.features, frame).collect()
     }
 
-    fn start<'a>(&mut self, world: &'a World, frames: &[&'a Frame], prior: &PoseEstimate) -> Result<Run<'a>> {
+    pub(super) fn start<'a>(
+        &mut self,
+        world: &'a World,
+        frames: &[&'a Frame],
+        prior: &PoseEstimate,
+    ) -> Result<Run<'a>> {
         prior::check(prior, self.options.freedom)?;
         if frames.is_empty() {
             return Err(Error::usage("an estimate without a frame", "give at least one"));
@@ -272,51 +229,8 @@ impl Estimator {
         })
     }
 
-    /// Looks for a second pose that explains the measurement about as well: starts from the far ends of the prior, along the
-    /// axes along which it leaves room for one, go where they go.
-    fn other_minima(&mut self, run: &mut Run<'_>, best: &Minimum) -> Result<Vec<Minimum>> {
-        if run.extent.0 < LOOSE.0 && run.extent.1 < LOOSE.1 {
-            return Ok(Vec::new());
-        }
-        let (freedom, offset_sigma) = (self.options.freedom, self.offsets.sigma());
-        let starts = far_ends(run, best, freedom);
-        let reflectors = MatchedReflectors::at(run, &best.expected, &best.pose).counts();
-        let ends = if reflectors.1 > 0 {
-            // What was matched here would pull back from where other reflectors stand alike, and ranges alone may not hold a start.
-            let around = PoseCovariance::from_rows(scaled(run.prior.covariance.as_rows(), 0.25));
-            let look = |start: &Pose| -> Result<Minimum> {
-                let expected = self.expected(run, &PoseEstimate::new(*start, around))?;
-                Ok(self.descend(run, &expected, *start, &SEARCH))
-            };
-            starts.iter().map(look).collect::<Result<Vec<Minimum>>>()?
-        } else {
-            let comes_back = |pose: &Pose| run.is_same(&best.pose, pose, offset_sigma);
-            let look = |start: &Pose| descend(run, &best.expected, *start, &LOOK, freedom, comes_back);
-            self.predictor.on_threads(|| starts.par_iter().map(look).collect())?
-        };
-        let mut others: Vec<Minimum> = Vec::new();
-        for there in ends {
-            // Not worth a prediction unless it is elsewhere and explains something.
-            let near = |m: &Minimum| run.is_same(&m.pose, &there.pose, offset_sigma);
-            if near(best)
-                || others.iter().any(near)
-                || there.normal.explained_share() < 0.5 * best.normal.explained_share()
-            {
-                continue;
-            }
-            let there = self.settle(run, &there)?;
-            let as_good = there.normal.explained_share() >= best.normal.explained_share() - LEAD
-                && MatchedReflectors::at(run, &there.expected, &there.pose).counts().0 >= reflectors.0;
-            let near = |m: &Minimum| run.is_same(&m.pose, &there.pose, offset_sigma);
-            if as_good && !near(best) && !others.iter().any(near) {
-                others.push(there);
-            }
-        }
-        Ok(others)
-    }
-
     /// Predicts all sensors at a pose of the robot.
-    fn expected(&mut self, run: &mut Run<'_>, robot: &PoseEstimate) -> Result<Arc<Expectation>> {
+    pub(super) fn expected(&mut self, run: &mut Run<'_>, robot: &PoseEstimate) -> Result<Arc<Expectation>> {
         run.predictions += 1;
         let one = |m: &FrameMeasurement<'_>| {
             let sensor = m.frame.sensor();
@@ -332,7 +246,7 @@ impl Estimator {
     }
 
     /// Settles where a search ended, in a new prediction unless the one before serves.
-    fn settle(&mut self, run: &mut Run<'_>, found: &Minimum) -> Result<Minimum> {
+    pub(super) fn settle(&mut self, run: &mut Run<'_>, found: &Minimum) -> Result<Minimum> {
         let robust;
         let found = if run.has_greys_only() {
             // What was taken for something else, or was moved, must not lead the second look astray.
@@ -356,55 +270,14 @@ impl Estimator {
         Ok(self.descend(run, &expected, found.pose, &SETTLE))
     }
 
-    /// Draws starts from the prior. All search in the prediction at the prior's pose; the most promising predict anew. A pose that explains
-    /// enough, but hardly is where the robot was known to be, gives way to a likely one that explains as much, if there is one.
-    fn restart(
-        &mut self,
-        run: &mut Run<'_>,
-        expected: &Arc<Expectation>,
-        best: Minimum,
-        least: f64,
-    ) -> Result<Minimum> {
-        // Where the prediction at hand serves, a start costs none: the rounds are counted, too.
-        let explains = best.normal.explained_share() >= least;
-        let (rounds, schedule) =
-            if explains { (1, &NEAR) } else { (self.options.most_predictions.div_ceil(3), &SEARCH) };
-        let mut best = best;
-        let mut random = SplitMix64(0x5eed);
-        for _ in 0..rounds {
-            if run.predictions + 3 > self.options.most_predictions {
-                break;
-            }
-            let mut found: Vec<Minimum> = (0..DRAWS)
-                .map(|_| {
-                    self.descend(
-                        run,
-                        expected,
-                        drawn(&run.prior.world_from_robot, &run.prior.covariance, self.options.freedom, &mut random),
-                        schedule,
-                    )
-                })
-                .collect();
-            found.sort_by(|a, b| run.merit(b).total_cmp(&run.merit(a)));
-            for start in found.iter().take(3) {
-                // What came to rest where the best one did needs no prediction.
-                if explains && run.is_same(&best.pose, &start.pose, self.offsets.sigma()) {
-                    continue;
-                }
-                let end = self.settle(run, start)?;
-                if run.merit(&end) > run.merit(&best) {
-                    best = end;
-                }
-                if !explains && best.normal.explained_share() >= least && !run.is_unlikely(&best.pose) {
-                    return Ok(best);
-                }
-            }
-        }
-        Ok(best)
-    }
-
     /// Steps from a start to rest, without a new prediction.
-    fn descend(&mut self, run: &Run<'_>, expected: &Arc<Expectation>, start: Pose, schedule: &Schedule) -> Minimum {
+    pub(super) fn descend(
+        &mut self,
+        run: &Run<'_>,
+        expected: &Arc<Expectation>,
+        start: Pose,
+        schedule: &Schedule,
+    ) -> Minimum {
         let freedom = self.options.freedom;
         let at_once = || descend(run, expected, start, schedule, freedom, |_| false);
         self.predictor.on_threads(at_once).unwrap_or_else(|_| at_once())
@@ -558,16 +431,6 @@ impl Estimator {
     }
 }
 
-/// Two prior standard deviations to either side of a minimum, along every principal axis of the prior that leaves room for a second
-/// one. How much the measurement says along an axis is no reason to leave it out: where things repeat, it says much at each place.
-fn far_ends(run: &Run<'_>, best: &Minimum, freedom: Freedom) -> Vec<Pose> {
-    let (values, vectors) = eigen(restricted(run.prior.covariance.as_rows(), freedom.axes()), 6);
-    let axis = |k: usize| -> Vector { std::array::from_fn(|i| 2.0 * values[k].max(0.0).sqrt() * vectors[i][k]) };
-    let wide = |v: &Vector| length(&v[..3]) > LOOSE.0 || length(&v[3..]) > LOOSE.1;
-    let axes = (0..6).map(axis).filter(wide);
-    axes.flat_map(|v| [1.0, -1.0].map(|s| moved(&best.pose, &v.map(|x| s * x)))).collect()
-}
-
 pub(super) fn length(v: &[f64]) -> f64 {
     v.iter().map(|x| x * x).sum::<f64>().sqrt()
 }
@@ -590,17 +453,6 @@ fn state(best: &Hypothesis, others: &[Minimum], least: f64) -> EstimateState {
         percent(other.normal.explained_share()),
         percent(best.explained)
     ))
-}
-
-/// A pose drawn from a normal distribution around another.
-pub fn drawn<A>(mean: &Pose, covariance: &PoseCovariance<A>, freedom: Freedom, random: &mut SplitMix64) -> Pose {
-    let (values, vectors) = eigen(restricted(covariance.as_rows(), freedom.axes()), 6);
-    let mut motion = [0.0; 6];
-    for (k, value) in values.iter().enumerate() {
-        let x = random.normal(value.max(0.0).sqrt());
-        (0..6).for_each(|i| motion[i] += x * vectors[i][k]);
-    }
-    moved(mean, &motion)
 }
 
 /// How far away points are measured or matched, root of the mean square, metres.

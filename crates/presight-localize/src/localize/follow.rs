@@ -1,5 +1,6 @@
 //! One pose is followed: from its belief before a frame to what the frame leaves of it.
 
+use super::beside::{Beside, Look, is_apart};
 use super::hypotheses::Hypotheses;
 use super::likelihood::PoseLikelihood;
 use super::lookout::Lookout;
@@ -14,24 +15,11 @@ use presight_model::error::Result;
 use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate};
 use presight_model::matrix::{add_to, inverse, quadratic, scaled};
 use presight_model::measured::{Frame, Motion};
-use presight_model::random::SplitMix64;
 use presight_model::world::World;
 use presight_render::row::is_level;
 
-/// Distances from a pose at which descents to other minima start, metres (two rings of this number of directions) and radians.
-const BESIDE: ([f64; 2], usize, f64) = ([0.1, 0.2], 8, 0.06);
 /// Squared deviations from the prior of a pose that the robot jumped to.
 const UNLIKELY: f64 = 27.0;
-/// Two minima are two if they are farther apart, metres and radians.
-const APART: (f64, f64) = (0.05, 0.017);
-/// Evidence by which a neighbouring minimum has to be better to replace the pose: less may be noise of one object.
-const BETTER: f64 = 20.0;
-/// Deviations that are added to the prior for neighbouring minima, metres and radians.
-const LOOSENED: (f64, f64) = (0.15, 0.06);
-/// Priors that are wider get starts of their own, metres.
-const WIDE: f64 = 0.1;
-/// Way after which neighbouring minima of a pose without a rival are searched again, metres and radians alike.
-const LOOK_AGAIN: f64 = 3.0;
 /// Age of the rivals, frames, from which on they are renewed for a frame that does not single out a place.
 const STALE: usize = 2;
 
@@ -42,15 +30,15 @@ pub(super) struct Followed {
     pub odds: Odds,
     /// Frames since it was given or found.
     pub frames: usize,
-    /// Way since neighbouring minima were searched.
-    pub since_beside: f64,
+    /// What may be right instead, nearby.
+    pub beside: Beside,
     /// The latest frame had no evidence for it.
     pub carried: bool,
 }
 
 impl Followed {
     pub fn new(belief: PoseEstimate, odds: Odds) -> Self {
-        Self { belief, odds, frames: 0, since_beside: 0.0, carried: false }
+        Self { belief, odds, frames: 0, beside: Beside::default(), carried: false }
     }
 }
 
@@ -91,7 +79,15 @@ impl Localizer {
         let Some(frame) = frames.iter().find(|frame| frame.grey().is_none()) else {
             // Grey images have no evidence but whether their features agree.
             let odds = if estimate.is_determined() { ODDS } else { -ODDS };
-            return Ok(Said { odds, evidence: odds, full: odds, deciding: 1.0, scale: 1.0, blind: false });
+            return Ok(Said {
+                odds,
+                evidence: odds,
+                full: odds,
+                deciding: 1.0,
+                scale: 1.0,
+                blind: false,
+                pieces: Vec::new(),
+            });
         };
         let pose = estimate.pose.world_from_robot;
         self.rivals_for(world, frame, &pose)?;
@@ -100,10 +96,11 @@ impl Localizer {
             return Ok(nothing);
         }
         let null = rivals.null(&mut self.estimator, world, frame, &[pose], oldest)?;
-        let (ranges, full) = rivals.of_place(&mut self.estimator, world, frame, &pose)?;
+        let (ranges, full, pieces) = rivals.of_place(&mut self.estimator, world, frame, &pose)?;
         let evidence = ranges + null.scale * ODDS * estimate.reflectors.0 as f64;
         let odds = null.odds_of(evidence, f64::NEG_INFINITY);
-        Ok(Said { odds, evidence, full, scale: null.scale, deciding: deciding(estimate), blind: false })
+        let deciding = deciding(estimate);
+        Ok(Said { odds, evidence, full, scale: null.scale, deciding, blind: false, pieces })
     }
 
     /// One frame of a pose that is followed, which is carried on to it already.
@@ -116,25 +113,24 @@ impl Localizer {
             (estimate, said) =
                 self.look_elsewhere(world, frames, &prior, frames[0].motion.is_some(), estimate, said)?;
             if said.odds <= 0.0 && self.is_weighable(frames[0]) {
-                let hypotheses = self.doubt(world, frames[0], &prior)?;
+                let hypotheses = self.doubt(world, frames[0], &own)?;
                 return self.follow_hypotheses(world, frames, own, hypotheses, None, way);
             }
         }
         own.carried = said.blind || said.odds < 0.0;
-        own.since_beside += way;
         let jumped = own.frames > 0 && self.is_jump(&prior, &estimate);
-        if jumped || own.odds.is_sudden(&said) {
-            own.odds.beside = None;
-        }
+        // A poor view may have another minimum than the one before.
+        let is_new = own.odds.is_sudden(&said) || said.odds < self.options.rates.tracked();
         if jumped {
+            own.beside = Beside::default();
             own.odds.leap(&said, way, &self.options.rates);
             own.carried |= own.odds.now < 0.0;
         } else {
             own.odds.add(&said, way, &self.options.rates);
         }
-        if !own.carried && self.looks_beside(&own) && frames[0].grey().is_none() {
-            own.since_beside = 0.0;
-            self.look_beside(world, frames, &prior, &mut own, &mut estimate, said.scale, way)?;
+        if !own.carried && frames[0].grey().is_none() {
+            let look = Look { scale: said.scale, way, is_new };
+            self.weigh_beside(world, frames, &prior, &mut own, &mut estimate, look)?;
         }
         // Another minimum than that of the prior says nothing about the speed.
         if jumped || estimate.pose.world_from_robot != near.world_from_robot {
@@ -148,7 +144,7 @@ impl Localizer {
     /// True if an estimate is improbable by the prior: one in 100,000 for three numbers.
     fn is_jump(&self, prior: &PoseEstimate, estimate: &Estimate) -> bool {
         let off = motion_between(&prior.world_from_robot, &estimate.pose.world_from_robot);
-        self.squared_off(prior, &off) > UNLIKELY && is_apart(&off)
+        self.squared_off(prior, &off) > UNLIKELY && is_apart(&prior.world_from_robot, &estimate.pose.world_from_robot)
     }
 
     /// Squared deviations from the prior.
@@ -191,56 +187,6 @@ impl Localizer {
         if is_better { Ok((other, there)) } else { Ok((estimate, said)) }
     }
 
-    fn looks_beside(&mut self, own: &Followed) -> bool {
-        let is_clear = own.odds.beside.is_some_and(|odds| odds >= self.options.rates.most());
-        !is_clear || own.since_beside >= LOOK_AGAIN
-    }
-
-    /// Looks for neighbouring minima of an estimate: as far as the prior reaches, and up to 20 cm away. A better one replaces it;
-    /// the lead over the next one are odds of their own.
-    #[expect(clippy::too_many_arguments, reason = "a frame, its prior, and its results")]
-    fn look_beside(
-        &mut self,
-        world: &World,
-        frames: &[&Frame],
-        prior: &PoseEstimate,
-        own: &mut Followed,
-        estimate: &mut Estimate,
-        scale: f64,
-        way: f64,
-    ) -> Result<()> {
-        let (at, freedom) = (estimate.pose.world_from_robot, self.estimator.options.freedom);
-        let loose = loosened(prior);
-        let around = PoseEstimate::new(at, loose.covariance);
-        let mut ends = vec![at];
-        ends.extend(self.estimator.minima(world, frames, &around, &starts(&around, prior, freedom), APART)?);
-        let Some(rivals) = &self.rivals else { return Ok(()) };
-        let evidence = rivals.of_minima(&mut self.estimator, world, frames[0], &ends)?;
-        let information = inverse(loose.covariance.as_rows(), freedom.axes());
-        let pull = |end: &Pose| 0.5 * quadratic(&information, &motion_between(&prior.world_from_robot, end));
-        let merits: Vec<f64> = evidence.iter().zip(&ends).map(|(log, end)| log - pull(end)).collect();
-        let top = (0..ends.len()).max_by(|a, b| merits[*a].total_cmp(&merits[*b])).unwrap_or(0);
-        let best = if merits[top] > merits[0] + BETTER { top } else { 0 };
-        let apart = |k: &usize| is_apart(&motion_between(&ends[best], &ends[*k]));
-        let second = (0..ends.len()).filter(apart).max_by(|a, b| merits[*a].total_cmp(&merits[*b]));
-        if best > 0 {
-            let there = PoseEstimate::new(ends[best], loose.covariance);
-            *estimate = self.estimator.follow(world, frames, &there)?;
-            own.odds.beside = None;
-        }
-        let lead = second.map_or(f64::INFINITY, |k| (merits[best] - merits[k]) / scale);
-        own.odds.add_beside(lead.min(self.options.rates.most()), way, &self.options.rates);
-        if let Some(k) = second.filter(|_| own.odds.beside < Some(self.options.rates.tracked())) {
-            let off = motion_between(&ends[best], &ends[k]);
-            let outer = std::array::from_fn(|i| std::array::from_fn(|j| off[i] * off[j]));
-            let share = 1.0 / (1.0 + own.odds.beside.unwrap_or(0.0).exp());
-            let mut covariance = *estimate.pose.covariance.as_rows();
-            add_to(&mut covariance, &scaled(&outer, share));
-            estimate.pose.covariance = PoseCovariance::from_rows(covariance);
-        }
-        Ok(())
-    }
-
     /// True if hypotheses can be weighed by the frames of a sensor: a level scanner, or a row.
     fn is_weighable(&self, frame: &Frame) -> bool {
         let sensor = frame.sensor();
@@ -248,13 +194,13 @@ impl Localizer {
         self.estimator.options.freedom == Freedom::Planar && scanned && frame.grey().is_none()
     }
 
-    /// Hypotheses drawn from the prior of a frame.
-    fn doubt(&mut self, world: &World, frame: &Frame, prior: &PoseEstimate) -> Result<Hypotheses> {
+    /// Hypotheses drawn from the belief before a frame.
+    fn doubt(&mut self, world: &World, frame: &Frame, own: &Followed) -> Result<Hypotheses> {
         let (sensor, dependence) = (frame.sensor(), self.options.beam_dependence);
         let model_sigma = self.estimator.options.model_sigma;
-        let level_from_sensor = prior.world_from_robot.rotation * sensor.spec().mount.rotation;
+        let level_from_sensor = own.belief.world_from_robot.rotation * sensor.spec().mount.rotation;
         let likelihood = PoseLikelihood::new(sensor, level_from_sensor, world, model_sigma, dependence)?;
-        Ok(Hypotheses::new(prior, self.options.hypotheses, likelihood))
+        Ok(Hypotheses::new(&own.belief, own.beside.second(), self.options.hypotheses, likelihood))
     }
 
     /// One frame of hypotheses; without a motion they are where they should be already. One pose takes over again once a
@@ -281,7 +227,14 @@ impl Localizer {
         let one = said.odds > 0.0 || estimate.rests_on_reflectors();
         own.odds.add(&said, way, &self.options.rates);
         own.carried = said.blind;
-        if !one {
+        own.beside = Beside::default();
+        if one {
+            let look = Look { scale: said.scale, way, is_new: true };
+            self.weigh_beside(world, frames, &known, &mut own, &mut estimate, look)?;
+            let is_sure = estimate.rests_on_reflectors();
+            let share = if is_sure { 1.0 } else { 1.0 - (-said.odds.max(0.0)).exp() };
+            estimate.pose = mixed(&known, &estimate.pose, share);
+        } else {
             estimate.pose = known;
         }
         own.belief = estimate.pose;
@@ -302,9 +255,8 @@ impl Localizer {
         if hypotheses.is_none() && !own.carried {
             own.belief = estimate.pose;
         }
-        let Odds { now, beside, .. } = own.odds;
+        let now = own.odds.now;
         let (tracked, options) = (self.options.rates.tracked(), &self.options);
-        let spread = (own.belief.covariance[0][0] + own.belief.covariance[1][1]).sqrt();
         let explained = format!("{:.0} % explained", 100.0 * estimate.explained);
         let why = match &estimate.state {
             EstimateState::Determined => explained,
@@ -313,7 +265,9 @@ impl Localizer {
         let mut reason = format!("{why}; log-odds {now:.1}, {:.1} by this frame", said.odds);
         let known = own.carried || estimate.is_determined();
         let confirmed = own.frames >= options.agreeing && !own.odds.unproven;
-        let beside_is_clear = beside.is_none_or(|odds| odds >= tracked);
+        let beside_is_clear = own.beside.is_clear(&options.rates);
+        let told = own.beside.widened(&own.belief);
+        let spread = spread_of(&told);
         if hypotheses.is_some() {
             reason += &format!("; {} hypotheses are spread over {spread:.2} m", options.hypotheses);
         } else if own.carried {
@@ -333,13 +287,13 @@ impl Localizer {
                 () if now < tracked => format!(", less than {tracked:.1}"),
                 () if !confirmed => format!("; {} of {} frames", own.frames, options.agreeing),
                 () if !beside_is_clear => {
-                    format!("; log-odds against a neighbouring minimum {:.1}", beside.unwrap_or_default())
+                    format!("; log-odds against a neighbouring minimum {:.1}", own.beside.odds().unwrap_or_default())
                 }
                 () => String::new(),
             };
         }
         self.phase = phase;
-        let (pose, carried) = (own.belief, own.carried);
+        let (pose, carried) = (told, own.carried);
         if phase == Phase::Tracking && hypotheses.is_none() && !own.carried {
             self.estimator.learn(&estimate);
         }
@@ -358,6 +312,24 @@ impl Localizer {
     }
 }
 
+/// The belief after a frame that leads to `after` rightly with a probability of `share`, and otherwise says nothing: a mixture of
+/// both, by its mean and covariance (probabilistic data association; Bar-Shalom and Fortmann, Tracking and Data Association,
+/// 1988).
+fn mixed(before: &PoseEstimate, after: &PoseEstimate, share: f64) -> PoseEstimate {
+    let off = motion_between(&before.world_from_robot, &after.world_from_robot);
+    let mean = moved(&before.world_from_robot, &off.map(|x| share * x));
+    let mut covariance = scaled(after.covariance.as_rows(), share);
+    add_to(&mut covariance, &scaled(before.covariance.as_rows(), 1.0 - share));
+    let outer = std::array::from_fn(|i| std::array::from_fn(|j| off[i] * off[j]));
+    add_to(&mut covariance, &scaled(&outer, share * (1.0 - share)));
+    PoseEstimate::new(mean, PoseCovariance::from_rows(covariance))
+}
+
+/// How far a pose is spread in the plane, one standard deviation, metres.
+fn spread_of(pose: &PoseEstimate) -> f64 {
+    (pose.covariance[0][0] + pose.covariance[1][1]).sqrt()
+}
+
 /// Share of the decided readings that are not before what the map has.
 fn deciding(estimate: &Estimate) -> f64 {
     let Some(verdicts) = estimate.verdicts.first() else { return 1.0 };
@@ -367,48 +339,30 @@ fn deciding(estimate: &Estimate) -> f64 {
     there / (there + nearer).max(1.0)
 }
 
-fn is_apart(off: &[f64; 6]) -> bool {
-    let length = |v: &[f64]| v.iter().map(|x| x * x).sum::<f64>().sqrt();
-    length(&off[..3]) > APART.0 || length(&off[3..]) > APART.1
-}
-
 /// A belief with this additional deviation of its place, metres.
 fn with_variance(belief: &PoseEstimate, sigma: f64) -> PoseEstimate {
     let mut known = *belief;
-    (0..3).for_each(|i| known.covariance[i][i] += sigma * sigma);
+    // Hypotheses move on a floor.
+    (0..2).for_each(|i| known.covariance[i][i] += sigma * sigma);
     known
 }
 
-/// A prior that leaves room for neighbouring minima.
-fn loosened(prior: &PoseEstimate) -> PoseEstimate {
-    let mut loose = *prior;
-    (0..3).for_each(|i| loose.covariance[i][i] += LOOSENED.0 * LOOSENED.0);
-    (3..6).for_each(|i| loose.covariance[i][i] += LOOSENED.1 * LOOSENED.1);
-    loose
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
 
-/// Where descents to neighbouring minima start: on two rings around a pose, turned to both sides, and from all over a wide
-/// prior.
-fn starts(around: &PoseEstimate, prior: &PoseEstimate, freedom: Freedom) -> Vec<Pose> {
-    let (rings, directions, turn) = BESIDE;
-    let mut offs: Vec<[f64; 6]> = Vec::new();
-    for radius in rings {
-        for k in 0..directions {
-            let a = std::f64::consts::TAU * k as f64 / directions as f64 + radius;
-            offs.push([radius * a.cos(), radius * a.sin(), 0.0, 0.0, 0.0, 0.0]);
+    /// By hand: a place is known to 2 cm, and a frame leads 3 cm on, known to 1 cm. It is right with a probability of one half: 1.5 cm
+    /// on, with a variance of (4 + 1) / 2 + 9 / 4 square centimetres. With a probability of 1 it is what the frame says.
+    #[test]
+    fn a_frame_that_may_be_wrong_counts_by_its_probability() {
+        let known =
+            |x: f64, sigma: f64| PoseEstimate::of_sigmas(Pose::from_xyz_rpy(DVec3::X * x, 0.0, 0.0, 0.0), sigma, 0.01);
+        let (before, after) = (known(0.0, 0.02), known(0.03, 0.01));
+        for (share, x, variance) in [(0.5, 0.015, 4.75e-4), (1.0, 0.03, 1e-4), (0.0, 0.0, 4e-4)] {
+            let found = mixed(&before, &after, share);
+            assert!((found.world_from_robot.translation.x - x).abs() < 1e-12, "{share}");
+            assert!((found.covariance[0][0] - variance).abs() < 1e-12, "{share}: {}", found.covariance[0][0]);
         }
     }
-    let axes = freedom.axes();
-    for (axis, by) in [(2, rings[0]), (3, turn), (4, turn), (5, turn)] {
-        if axes.contains(&axis) {
-            offs.extend([by, -by].map(|by| std::array::from_fn(|i| if i == axis { by } else { 0.0 })));
-        }
-    }
-    let mut starts: Vec<Pose> = offs.iter().map(|off| moved(&around.world_from_robot, off)).collect();
-    if (prior.covariance[0][0] + prior.covariance[1][1]).sqrt() > WIDE {
-        let mut random = SplitMix64(0xbe51de);
-        let one = |_| crate::estimate::drawn(&prior.world_from_robot, &prior.covariance, freedom, &mut random);
-        starts.extend((0..2 * directions).map(one));
-    }
-    starts
 }

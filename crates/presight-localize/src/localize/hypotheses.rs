@@ -23,10 +23,19 @@ pub(super) struct Hypotheses {
 }
 
 impl Hypotheses {
-    /// Draws poses from a belief.
-    pub fn new(belief: &PoseEstimate, count: usize, likelihood: PoseLikelihood) -> Self {
+    /// Draws poses from a belief, and as many of them from a second one as its probability says.
+    pub fn new(
+        belief: &PoseEstimate,
+        second: Option<(PoseEstimate, f64)>,
+        count: usize,
+        likelihood: PoseLikelihood,
+    ) -> Self {
         let mut random = SplitMix64(0x0c10_0d5e);
-        let one = |_| drawn(&belief.world_from_robot, &belief.covariance, Freedom::Planar, &mut random);
+        let one = |k: usize| {
+            let of_second = second.filter(|(_, share)| (k as f64 + 0.5) < share * count as f64);
+            let from = of_second.map_or(*belief, |(second, _)| second);
+            drawn(&from.world_from_robot, &from.covariance, Freedom::Planar, &mut random)
+        };
         Self { poses: (0..count).map(one).collect(), logs: vec![0.0; count], likelihood, random }
     }
 

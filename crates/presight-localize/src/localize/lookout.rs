@@ -1,8 +1,10 @@
 //! The search for a robot: in the whole map, or around its last pose. Places that fit a frame are candidates; they
 //! are carried on by odometry until the odds single out one of them.
 
+use super::beside::Look;
 use super::follow::{Followed, way_of};
 use super::odds::{Odds, Said};
+use super::rivals::Rivals;
 use super::search::{Candidate, distinct, is_same};
 use super::{Localizer, Phase, State, Step, carried, widened};
 use crate::estimate::{Estimate, EstimateState};
@@ -106,12 +108,13 @@ impl Localizer {
         let Some(rivals) = self.rivals.as_mut() else { return Ok(()) };
         let null = rivals.null(&mut self.estimator, world, frame, &poses, usize::MAX)?;
         let logs = rivals.of_places(&mut self.estimator, world, frame, &poses)?;
+        let full = rivals.full_at(&mut self.estimator, world, &poses)?;
         let reflectors = |c: &Candidate| null.scale * super::reflectors::ODDS * c.estimate.reflectors.0 as f64;
         let logs: Vec<f64> = logs.iter().zip(candidates.iter()).map(|(log, c)| log + reflectors(c)).collect();
-        for (k, c) in candidates.iter_mut().enumerate() {
+        for ((k, c), full) in candidates.iter_mut().enumerate().zip(full) {
             let others = (0..poses.len()).filter(|j| !is_same(&poses[*j], &poses[k])).map(|j| logs[j]);
             let odds = null.odds_of(logs[k], others.fold(f64::NEG_INFINITY, f64::max));
-            c.odds.add(&null.said(odds, logs[k]), way, &self.options.rates);
+            c.odds.add(&null.said(odds, logs[k], full), way, &self.options.rates);
             c.log_likelihood = c.odds.now;
         }
         *candidates = distinct(std::mem::take(candidates));
@@ -145,14 +148,17 @@ impl Localizer {
         let wrong: Vec<f64> = (0..found.len()).filter(|k| *k != right).map(|k| found[k].0).collect();
         let null = rivals.searched(&wrong, readings);
         let (top, second) = (found[0].0, found.get(1).map_or(0.0, |(log, _)| log.max(0.0)));
-        for (log, mut c) in found.into_iter().take(MOST.1) {
+        found.truncate(MOST.1);
+        let poses: Vec<Pose> = found.iter().map(|(_, c)| c.pose.world_from_robot).collect();
+        let full = rivals.full_at(&mut self.estimator, world, &poses)?;
+        for ((log, mut c), full) in found.into_iter().zip(full) {
             if lookout.candidates.iter().all(|k| !is_same(&k.pose.world_from_robot, &c.pose.world_from_robot)) {
                 let rival = if log == top { second } else { top };
                 // The best of all places is selected from them: that was paid by its lead over the second one. Each view is
                 // another chance.
                 let said = (log - rival) / null.scale - (1.0 + lookout.views).ln();
-                c.odds = Odds::of(0.0);
-                c.odds.add(&null.said(said, log), 1.0, &self.options.rates);
+                c.odds = Odds::of(0.0, lookout.views);
+                c.odds.add(&null.said(said, log, full), 1.0, &self.options.rates);
                 c.log_likelihood = c.odds.now;
                 lookout.candidates.push(c);
             }
@@ -215,14 +221,35 @@ impl Localizer {
         );
         let (pose, estimate) = (c.pose, c.estimate.clone());
         if odds >= tracked && lead >= tracked && count >= self.options.agreeing && !c.odds.unproven {
-            let own = Followed { frames: self.options.agreeing, ..Followed::new(pose, c.odds) };
-            return Ok(self.found(frame, own, Phase::Tracking, why, estimate));
+            let own = Followed { frames: self.options.agreeing, ..Followed::new(pose, c.odds.clone()) };
+            return self.found_beside(world, frames, own, why, estimate);
         }
         self.phase = if lookout.own.is_some() && odds <= own { Phase::Lost } else { Phase::Candidates };
         let candidates = lookout.candidates.clone();
         self.state = State::Lookout(lookout);
         let estimate = Estimate { state: EstimateState::Undetermined(why.clone()), ..estimate };
         Ok(Step { candidates, ..self.told(frame, why, pose, estimate, odds) })
+    }
+
+    /// A candidate that is singled out is followed from now on; it is tracked if no minimum near it explains as much.
+    fn found_beside(
+        &mut self,
+        world: &World,
+        frames: &[&Frame],
+        mut own: Followed,
+        why: String,
+        mut estimate: Estimate,
+    ) -> Result<Step> {
+        let prior = own.belief;
+        if let Some(scale) = self.rivals.as_ref().and_then(Rivals::scale) {
+            let look = Look { scale, way: 1.0, is_new: true };
+            self.weigh_beside(world, frames, &prior, &mut own, &mut estimate, look)?;
+            own.belief = estimate.pose;
+        }
+        let is_clear = own.beside.is_clear(&self.options.rates);
+        let phase = if is_clear { Phase::Tracking } else { Phase::Candidates };
+        let told = own.beside.widened(&own.belief);
+        Ok(Step { pose: told, ..self.found(frames[0], own, phase, why, estimate) })
     }
 
     fn found(&mut self, frame: &Frame, own: Followed, phase: Phase, why: String, estimate: Estimate) -> Step {

@@ -6,6 +6,7 @@
 //! up over the way; all decisions compare them with stated error rates ([`ErrorRates`]). See
 //! `docs/design/localization.md` for the derivation.
 
+mod beside;
 mod evidence;
 mod follow;
 mod hypotheses;
@@ -232,6 +233,7 @@ impl Localizer {
             State::Lookout(lookout) => self.look_out(world, &frames, lookout, motion),
             State::Following(mut own) => {
                 own.belief = belief.unwrap_or(own.belief);
+                motion.iter().for_each(|motion| own.beside.carry(motion, self.estimator.options.freedom));
                 self.follow(world, &frames, own, way_of(motion))
             }
             State::Hypotheses(own, hypotheses) => {

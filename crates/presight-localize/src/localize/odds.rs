@@ -1,6 +1,7 @@
 //! Odds of a pose after some frames: the natural logarithm of the ratio of its probability to that of all rivals together. Every decision of the localizer is a comparison of these odds with one of [`ErrorRates`].
 
 use presight_model::statistics::median;
+use std::collections::HashSet;
 
 /// Scales that a null remembers.
 const POOL: usize = 20;
@@ -18,13 +19,9 @@ const SUDDEN: f64 = 3.0;
 /// one of 100 frames. Right places of two buildings with 15 % gone and 15 % moved led by more in 78 of 80 scans, with 40 %
 /// and 40 % in 57 of 80.
 const ASKED: f64 = 4.6;
-/// A given start pays nothing if the frame has this part of all the evidence that it could have: where all places look
-/// alike, as in a corridor, the right one does not lead. Chosen, not derived: a start at another place of such a map that
-/// looks the same passes always, whatever the error rates.
-const MOSTLY: f64 = 0.8;
-/// A fall loses this part of all the evidence that a frame could have: less is lost along the way in a map that is out of
-/// date. Chosen, not derived: a robot that is carried to where less is lost is found out by its odds along the way alone.
-const HALF: f64 = 0.5;
+/// A wrong place that nobody selected is better than the best of 192 rivals, the fewest there are, with a probability of 1 in
+/// 193; natural logarithm.
+const UNSELECTED: f64 = 5.26;
 /// What the best of all wrong places leads by in the mean, scales.
 const CHANCE: f64 = 1.0;
 /// The mean of evidence forgets by this part a frame.
@@ -70,9 +67,9 @@ impl Null {
 }
 
 impl Null {
-    /// What a frame says whose readings all decide.
-    pub fn said(&self, odds: f64, evidence: f64) -> Said {
-        Said { odds, evidence, full: evidence, scale: self.scale, deciding: 1.0, blind: false }
+    /// What a frame says whose readings all decide, by all the evidence that it could have and the pieces that it meets.
+    pub fn said(&self, odds: f64, evidence: f64, (full, pieces): (f64, Vec<Piece>)) -> Said {
+        Said { odds, evidence, full, scale: self.scale, deciding: 1.0, blind: false, pieces }
     }
 }
 
@@ -110,8 +107,13 @@ impl ErrorRates {
     }
 }
 
+/// A piece of the map's surfaces: a cube of [`PIECE`].
+pub(super) type Piece = [i32; 3];
+/// Side of a piece of the map's surfaces, metres: readings of one piece of furniture, or of one part of a wall, err together.
+pub(super) const PIECE: f64 = 0.5;
+
 /// What one frame says of a pose.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Said {
     /// Log-odds; 0 for nothing.
     pub odds: f64,
@@ -125,20 +127,31 @@ pub(super) struct Said {
     pub deciding: f64,
     /// No reading has evidence.
     pub blind: bool,
+    /// What each reading meets in the map; empty if that is not known.
+    pub pieces: Vec<Piece>,
 }
 
 impl Said {
-    /// True if the frame singles out the pose, or has most of the evidence that it could have.
-    fn proves(&self) -> bool {
-        !self.blind && (self.odds >= ASKED || self.evidence >= MOSTLY * self.full)
+    /// True if the frame singles out the pose.
+    fn singles_out(&self) -> bool {
+        !self.blind && self.odds >= ASKED
+    }
+
+    /// True if the frame has nearly all the evidence that it could have: in a corridor all places look alike, and the right
+    /// one does not lead. What x scales are missing of has a probability of exp(-x) if the start is right; after that a start
+    /// with these odds is still tracked.
+    fn is_whole(&self, rates: &ErrorRates) -> bool {
+        let missing = (self.full - self.evidence) / self.scale;
+        !self.blind && self.evidence > 0.0 && missing <= rates.given() - rates.tracked()
     }
 
     /// A frame without evidence.
-    pub const NOTHING: Self = Self { odds: 0.0, evidence: 0.0, full: 0.0, scale: 1.0, deciding: 0.0, blind: true };
+    pub const NOTHING: Self =
+        Self { odds: 0.0, evidence: 0.0, full: 0.0, scale: 1.0, deciding: 0.0, blind: true, pieces: Vec::new() };
 }
 
 /// Odds of one pose.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub(super) struct Odds {
     /// By all frames so far.
     pub memory: f64,
@@ -150,19 +163,21 @@ pub(super) struct Odds {
     fallen: bool,
     /// No frame singled out the pose so far, and none selected it.
     pub unproven: bool,
-    /// Against neighbouring minima; `None` until they were searched.
-    pub beside: Option<f64>,
+    /// How many different views there were: in each a wrong place may lead by chance.
+    views: f64,
+    /// Pieces of the map that were seen.
+    seen: HashSet<Piece>,
 }
 
 impl Odds {
-    /// Odds of a place that is selected by the frame that comes next.
-    pub fn of(memory: f64) -> Self {
-        Self { memory, now: memory, mean: None, fallen: false, unproven: false, beside: None }
+    /// Odds of a place that is selected by the frame that comes next, after some views in which others were.
+    pub fn of(memory: f64, views: f64) -> Self {
+        Self { memory, now: memory, mean: None, fallen: false, unproven: false, views, seen: HashSet::new() }
     }
 
-    /// Odds of a start that was given: the next frame counts in full.
+    /// Odds of a start that was given: its first frame costs [`ASKED`], and the start waits, until one singles it out.
     pub fn given(memory: f64) -> Self {
-        Self { unproven: true, ..Self::of(memory) }
+        Self { unproven: true, ..Self::of(memory, 0.0) }
     }
 
     /// True if evidence changes by more than frames of one view differ.
@@ -175,35 +190,46 @@ impl Odds {
         self.now < 0.0 || (self.fallen && self.now < rates.tracked())
     }
 
-    /// Takes in what a frame says. Frames of one view say it once: `way` is how much of another view this one is, 0 to 1.
+    /// Takes in what a frame says. Frames of one view say it once: `way` is how much of another view this one is, 0 to 1. Of a
+    /// place that does not have all the evidence that it could have, each piece of the map says it once: a wrong place that
+    /// resembles the right one goes on resembling it until the robot sees something else. What the frame says by itself counts if it is more, less the chance that the views before gave a wrong place.
     ///
     /// A sudden fall to where the frame no longer singles out the pose counts in full: evidence that is Δ scales below what
-    /// is usual here has a probability of exp(-Δ) if the robot still is here. A pose that is singled out after that counts as
-    /// one that is found there.
+    /// is usual here has a probability of exp(-Δ) if the robot still is here. If the robot is elsewhere, the pose leads by x
+    /// with one of exp(-x) at a place that was selected, and this one was not ([`UNSELECTED`]). A pose that is singled out after
+    /// that counts as one that is found there.
     pub fn add(&mut self, frame: &Said, way: f64, rates: &ErrorRates) {
         let (most, said, evidence) = (rates.most(), frame.odds, frame.evidence);
+        let is_whole = frame.is_whole(rates);
+        let chances = (1.0 + self.views).ln();
+        let fresh = self.newly_seen(frame, way);
+        // What only resembles the map goes on resembling it.
+        let fresh = if is_whole { way } else { fresh };
+        self.views += fresh;
         // What stands before the sensor thins what can be expected.
         let lost = self.mean.map_or(0.0, |mean| frame.deciding * mean.max(0.0) - evidence);
         let below = lost / frame.scale;
-        if frame.proves() {
-            self.unproven = false;
-        }
-        let falls = !frame.proves() && below > SUDDEN && lost > HALF * frame.deciding * frame.full;
-        self.fallen |= falls;
+        let proves = frame.singles_out() || is_whole;
+        self.unproven &= !proves;
+        // A smaller fall leaves a pose tracked that was certain.
+        let falls = !proves && below > most - rates.tracked();
         let counts = match self.mean {
-            None if self.unproven && !frame.proves() => said - ASKED,
+            None if self.unproven => said - ASKED,
             None => said,
-            Some(_) if falls => said.min(said.max(0.0) - below),
+            Some(_) if falls && said > 0.0 => said.min(UNSELECTED + said - below),
+            Some(_) if falls => said.min(-below),
             Some(_) if said > 0.0 && self.unproven => 0.0,
-            Some(_) if said > 0.0 => way * (said - CHANCE).max(0.0),
-            Some(_) => way * said,
+            Some(_) if said > 0.0 => fresh * (said - CHANCE).max(0.0),
+            Some(_) => fresh * said,
         };
         let mut after = (self.memory + counts).clamp(-most, most);
         if self.fallen && said > ASKED {
             after = after.max(said - ASKED).min(most);
+        } else if !self.fallen && !self.unproven && self.mean.is_some() && after > 0.0 {
+            after = after.max((said - chances).min(most));
         }
-        // Evidence against a pose counts at once, evidence for it once it is remembered.
-        self.now = if falls || said > 0.0 { after } else { self.memory + said.min(counts) };
+        // Evidence against a pose counts at once, until a frame speaks for the pose again.
+        self.now = if falls || said > 0.0 { after } else { self.now.min(self.memory + said.min(counts)) };
         self.memory = after;
         if self.now >= rates.tracked() {
             self.fallen = false;
@@ -213,6 +239,16 @@ impl Odds {
         }
         let mean = self.mean.filter(|_| !falls).unwrap_or(evidence);
         self.mean = Some(mean + FORGET * (evidence - mean));
+    }
+
+    /// The share of a frame's readings that meet pieces of the map that were not seen before.
+    fn newly_seen(&mut self, frame: &Said, way: f64) -> f64 {
+        if frame.pieces.is_empty() {
+            return way;
+        }
+        let fresh = frame.pieces.iter().filter(|piece| !self.seen.contains(*piece)).count();
+        self.seen.extend(&frame.pieces);
+        fresh as f64 / frame.pieces.len() as f64
     }
 
     /// Takes in a frame that leads to another place than the motion does. If its evidence is Δ scales below the usual one, more
@@ -227,13 +263,6 @@ impl Odds {
         self.now = (frame.odds - below).clamp(-most, most).min(self.memory);
         (self.memory, self.fallen) = (self.now, self.now < rates.tracked());
     }
-
-    /// Takes in the lead of a frame over neighbouring minima.
-    pub fn add_beside(&mut self, said: f64, way: f64, rates: &ErrorRates) {
-        let before = self.beside.unwrap_or(0.0);
-        let part = if before == 0.0 { 1.0 } else { way };
-        self.beside = Some((before + part * said).min(rates.most()));
-    }
 }
 
 #[cfg(test)]
@@ -242,7 +271,7 @@ mod tests {
 
     /// A frame with a scale of 10. All of its readings decide.
     fn said(odds: f64, evidence: f64) -> Said {
-        Said { odds, evidence, full: 200.0, scale: 10.0, deciding: 1.0, blind: false }
+        Said { odds, evidence, full: 200.0, scale: 10.0, deciding: 1.0, blind: false, pieces: Vec::new() }
     }
 
     /// By hand: frames with an evidence of 190 are usual. Another place with 80 is 11 scales below that, and leads by 7: -4. Along
@@ -253,13 +282,64 @@ mod tests {
         let mut odds = Odds::given(rates.given());
         odds.add(&said(18.0, 190.0), 0.1, &rates);
         assert!((odds.now - rates.most()).abs() < 1e-9, "{}", odds.now);
-        let (mut there, mut here, mut usual) = (odds, odds, odds);
+        let (mut there, mut here, mut usual) = (odds.clone(), odds.clone(), odds);
         there.leap(&said(7.0, 80.0), 0.1, &rates);
         assert!((there.now + 4.0).abs() < 1e-9 && there.is_lost(&rates), "{}", there.now);
         here.add(&said(7.0, 80.0), 0.1, &rates);
         assert!(here.now > rates.tracked() && !here.is_lost(&rates), "{}", here.now);
         usual.leap(&said(0.0, 170.0), 0.1, &rates);
         assert!((usual.now - rates.most()).abs() < 1e-9, "{}", usual.now);
+    }
+
+    /// By hand: a place with 150 of 200 (5 scales less than all it could have) is found with a lead of 4, and four frames of the same four pieces lead by 4 again: 4 it stays, because they
+    /// tell nothing new. A frame that sees one other piece of four adds (4 - 1) / 4. One that leads by 9 counts as 9, less
+    /// ln(1 + 1.25) for the views before. Frames whose pieces are not known add 3 for each metre, and so do
+    /// frames with all of their evidence.
+    #[test]
+    fn each_piece_of_the_map_says_it_once() {
+        let rates = ErrorRates::default();
+        let seen = |odds, last| Said { pieces: vec![[0; 3], [1; 3], [2; 3], [last; 3]], ..said(odds, 150.0) };
+        let mut odds = Odds::of(0.0, 0.0);
+        (0..5).for_each(|_| odds.add(&seen(4.0, 3), 1.0, &rates));
+        assert!((odds.now - 4.0).abs() < 1e-9, "{}", odds.now);
+        odds.add(&seen(4.0, 4), 1.0, &rates);
+        assert!((odds.now - 4.75).abs() < 1e-9, "{}", odds.now);
+        let (mut unknown, mut whole) = (odds.clone(), odds.clone());
+        whole.add(&Said { evidence: 190.0, ..seen(4.0, 3) }, 1.0, &rates);
+        assert!((whole.now - 7.75).abs() < 1e-9, "{}", whole.now);
+        odds.add(&seen(9.0, 3), 1.0, &rates);
+        assert!((odds.now - (9.0 - 2.25f64.ln())).abs() < 1e-9, "{}", odds.now);
+        unknown.add(&said(4.0, 150.0), 1.0, &rates);
+        assert!((unknown.now - 7.75).abs() < 1e-9, "{}", unknown.now);
+    }
+
+    /// By hand: a frame that lags by 9 scales behind the usual places makes a pose doubtful (13.8 - 9 = 4.8), and frames that say
+    /// nothing leave it so. A frame that leads again ends the doubt.
+    #[test]
+    fn a_doubt_lasts_until_a_frame_speaks_for_the_pose() {
+        let rates = ErrorRates::default();
+        let mut odds = Odds::of(rates.most(), 0.0);
+        odds.add(&said(20.0, 60.0), 0.0, &rates);
+        odds.add(&said(-9.0, 60.0), 0.0, &rates);
+        assert!((odds.now - (rates.most() - 9.0)).abs() < 1e-9, "{}", odds.now);
+        (0..3).for_each(|_| odds.add(&said(0.0, 60.0), 0.0, &rates));
+        assert!(odds.now < rates.tracked(), "{}", odds.now);
+        odds.add(&said(5.0, 60.0), 0.0, &rates);
+        assert!((odds.now - rates.most()).abs() < 1e-9, "{}", odds.now);
+    }
+
+    /// By hand: a start of 10^4 is tracked while its frame lacks at most 9.2 - 6.9 = 2.3 scales of all its evidence, if it does not
+    /// lead: 23 of 200. With 24 it costs 4.6 and waits, as does one that leads by 3.
+    #[test]
+    fn a_given_start_is_kept_where_nothing_is_singled_out() {
+        let rates = ErrorRates::default();
+        for (lead, evidence, left, proven) in
+            [(0.0, 177.0, 9.21, true), (0.0, 176.0, 4.61, false), (3.0, 100.0, 7.61, false), (5.0, 100.0, 13.8, true)]
+        {
+            let mut odds = Odds::given(rates.given());
+            odds.add(&said(lead, evidence), 0.0, &rates);
+            assert!((odds.now - left).abs() < 0.02 && odds.unproven != proven, "{evidence}: {}", odds.now);
+        }
     }
 
     /// By hand: wrong places at 100, 90, 80, .. have gaps of 10, times i 10, 20, 30, .., 40 at the median of eight: 45. Over

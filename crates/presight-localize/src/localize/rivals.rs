@@ -5,7 +5,7 @@
 
 use super::evidence::{FrameEvidence, MapRanges, View};
 use super::likelihood::{PoseLikelihood, heading_of};
-use super::odds::Null;
+use super::odds::{Null, PIECE, Piece};
 use super::search::is_same;
 use crate::estimate::{Estimator, Freedom};
 use glam::{DQuat, DVec3};
@@ -132,16 +132,49 @@ impl Rivals {
         self.weigh(estimator, world, frame, poses, [MINIMUM, PLACE])
     }
 
-    /// Evidence of a frame at a pose, and the evidence of the readings that are predicted there.
+    /// Evidence of a frame at a pose, the evidence of the readings that are predicted there, and the pieces of the map that
+    /// they meet.
     ///
     /// # Errors
     /// Those of [`FrameEvidence::views`].
-    pub fn of_place(&self, estimator: &mut Estimator, world: &World, frame: &Frame, pose: &Pose) -> Result<(f64, f64)> {
+    pub fn of_place(
+        &self,
+        estimator: &mut Estimator,
+        world: &World,
+        frame: &Frame,
+        pose: &Pose,
+    ) -> Result<(f64, f64, Vec<Piece>)> {
         let readings = self.evidence.pixels().readings(frame)?;
         let views = self.evidence.views(&mut estimator.predictor, world, std::slice::from_ref(pose))?;
         let sigmas = [MINIMUM, PLACE].map(|sigma| sigma.max(estimator.model_sigma()));
         let of = |readings: &[f32]| self.evidence.of_views(&self.map, readings, &views, sigmas)[0];
-        Ok((of(&readings), of(&views[0][0])))
+        Ok((of(&readings), of(&views[0][0]), self.pieces(pose, &views[0])))
+    }
+
+    /// All the evidence that a frame could have at poses of the robot, and the pieces of the map that are seen from them.
+    ///
+    /// # Errors
+    /// Those of [`FrameEvidence::views`].
+    pub fn full_at(&self, estimator: &mut Estimator, world: &World, poses: &[Pose]) -> Result<Vec<(f64, Vec<Piece>)>> {
+        let views = self.evidence.views(&mut estimator.predictor, world, poses)?;
+        let sigmas = [MINIMUM, PLACE].map(|sigma| sigma.max(estimator.model_sigma()));
+        let one = |(pose, view): (&Pose, &View)| {
+            let full = self.evidence.of_views(&self.map, &view[0], std::slice::from_ref(view), sigmas)[0];
+            (full, self.pieces(pose, view))
+        };
+        Ok(poses.iter().zip(&views).map(one).collect())
+    }
+
+    fn pieces(&self, pose: &Pose, view: &View) -> Vec<Piece> {
+        let scanner = self.evidence.pixels().scanner();
+        let sensor = self.evidence.pixels().of_sensor(std::iter::once(*pose))[0];
+        let (width, body) = (scanner.width() as usize, scanner.body_from_image());
+        let piece = |(i, range): (usize, &f32)| {
+            let ray = scanner.ray((i % width) as u32, (i / width) as u32).filter(|_| range.is_finite())?;
+            let met = sensor.transform_point(body * ray * f64::from(*range));
+            Some(met.to_array().map(|x| (x / PIECE).floor() as i32))
+        };
+        view[0].iter().enumerate().filter_map(piece).collect()
     }
 
     /// Evidence of a frame at poses of the robot that are neighbouring minima.
@@ -220,6 +253,11 @@ impl Rivals {
         let null = Null::new(&logs, self.readings(frame)?, self.null.as_ref());
         self.null = Some(null.clone());
         Ok(null)
+    }
+
+    /// The scale of wrong places, as they were looked at last.
+    pub fn scale(&self) -> Option<f64> {
+        self.null.as_ref().map(|null| null.scale)
     }
 
     /// Poses of the robot among the drawn ones that fit a frame best, apart from one another.

@@ -174,7 +174,7 @@ impl Search {
         let mut found: Vec<Candidate> = Vec::new();
         for prior in self.starts(estimator, world, frame)? {
             let estimate = estimator.refine(world, frame, &prior)?;
-            let (pose, explained, odds) = (estimate.pose, estimate.explained, Odds::of(0.0));
+            let (pose, explained, odds) = (estimate.pose, estimate.explained, Odds::of(0.0, 0.0));
             found.push(Candidate { pose, log_likelihood: 0.0, explained, frames: 1, estimate, odds });
         }
         let logs = self.weigh(estimator, world, frame, &found)?;
