@@ -16,10 +16,10 @@ const VIEWS: usize = 60;
 /// Counts of pixels.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Right {
-    /// Pixels in which model and site differ, and those of them that are right after the update.
+    /// Pixels in which model and site differ, and how many are right after the update.
     pub differ: usize,
     pub mended: usize,
-    /// All other pixels, and those of them that the update made wrong, provisional boxes apart.
+    /// All other pixels, and how many the update made wrong, provisional boxes apart.
     pub others: usize,
     pub spoilt: usize,
 }
