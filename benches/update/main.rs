@@ -1,14 +1,18 @@
 //! Learning from drives through changed sites: `cargo bench --bench update [-- SEEDS [SCENE [SENSOR [OFF [reasons]]]]]`. Scenes,
-//! sensors and errors of poses are chosen by a part of their name, `-` for all; the errors `displaced` and `office` are other tables: of sites
-//! where every object is 1 cm off, and of two states of one office. Each row is printed at once; `reasons` adds a
+//! sensors and errors of poses are chosen by a part of their name, `-` for all; the errors `displaced`, `office` and `right` are other
+//! tables: of sites where every object is 1 cm off, of two states of one office, and of the pixels of another drive. Each row is printed at once; `reasons` adds a
 //! line for each visible change that was missed, with what pixels and views said of it. `-- walker FILE.png` draws a person
-//! who crosses and leaves nothing; `-- willow [FOLDER]` learns a real building, and writes its logs into a folder.
+//! who crosses and leaves nothing; `-- willow [FOLDER]` learns a real building, and writes its logs into a folder;
+//! `-- hall FOLDER` writes the log of a changed hall;
+//! `-- live` compares the time of learning with that of localizing.
 
 #![allow(clippy::print_stdout, reason = "a bench prints its figures")]
 
 mod case;
 mod displaced;
+mod live;
 mod office;
+mod right;
 mod score;
 mod walker;
 mod willow;
@@ -17,10 +21,12 @@ use case::{Amounts, Case, Off};
 use displaced::Judged;
 use presight_files::{preset, sensor_toml};
 use presight_model::environment::Environment;
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, PoseEstimate};
+use presight_model::measured::Frame;
 use presight_model::sensor::Sensor;
 use presight_testkit::data;
-use presight_update::{Evidence, LearnOptions, Learner};
+use presight_update::{Evidence, Findings, LearnOptions, Learner};
+use right::Right;
 use score::{HEAD, Score, score, share};
 use std::collections::BTreeMap;
 use std::time::Instant;
@@ -67,6 +73,9 @@ fn scene(name: &str) -> Option<Environment> {
     data::scene(name, true).map(|world| Environment::clone(world.environment()))
 }
 
+/// Frames with estimated and true poses.
+type Drive = Vec<(Frame, PoseEstimate, Pose)>;
+
 /// Returns true for names that the words on the command line choose.
 type Choice<'a> = &'a dyn Fn(&str, &str) -> bool;
 
@@ -77,10 +86,22 @@ fn main() {
         return walker::strip(word(1));
     }
     let seeds = word(0).parse().unwrap_or(5u64);
+    if word(0) == "live" {
+        return live::run();
+    }
+    if word(0) == "hall" {
+        let case = Case::new(scene("factory_hall").expect("shared data"), AMOUNTS, 1);
+        let frames =
+            case.drive(&sensors()[0].1, OFF[0].1).into_iter().map(|(frame, pose, _)| (frame, pose.world_from_robot));
+        return willow::write(word(1).as_ref(), &[frames.collect()]).expect("logs can be written");
+    }
     if word(0) == "willow" {
-        return willow::run(word(1), (word(2).parse().unwrap_or(0.15), word(3).parse().unwrap_or(0.05)));
+        return willow::run(word(1), (word(2).parse().unwrap_or(0.05), word(3).parse().unwrap_or(0.003)));
     }
     let chosen = |wanted: &str, name: &str| wanted == "-" || name.contains(wanted);
+    if word(3) == "right" {
+        return right_pixels(seeds, (&chosen, word(1), word(2)));
+    }
     if word(3) == "displaced" {
         return all_displaced(seeds, &chosen, (word(1), word(2)));
     }
@@ -180,10 +201,28 @@ fn both_offices(seeds: u64, (chosen, sensor_names): (Choice<'_>, &str), reasons:
     }
 }
 
-/// Learns from one drive of several sensors; returns also the seconds that learning took.
-fn one(case: &Case, sensors: &[&Sensor], off: Off) -> (Score, f64) {
-    let drives: Vec<_> = sensors.iter().map(|sensor| case.drive(sensor, off)).collect();
-    let started = Instant::now();
+/// The pixels of another drive after an update, by sensor.
+fn right_pixels(seeds: u64, (chosen, scenes, sensor_names): (Choice<'_>, &str, &str)) {
+    println!("| drive | were wrong, right now | were right, wrong now |\n|---|---|---|");
+    let mut pooled: BTreeMap<&str, Right> = BTreeMap::new();
+    for name in SCENES.into_iter().filter(|name| chosen(scenes, name)) {
+        let Some(environment) = scene(name) else { continue };
+        for seed in 1..=seeds {
+            let case = Case::new(environment.clone(), AMOUNTS, seed);
+            for (which, sensor) in sensors().iter().filter(|(which, _)| chosen(sensor_names, which)) {
+                let (_, findings) = learnt(&case, &[case.drive(sensor, OFF[0].1)]);
+                let right = right::count(&case, sensor, &findings, seed);
+                println!("{}", right.row(&format!("{name}, {seed}, {which}")));
+                pooled.entry(*which).or_default().add(&right);
+            }
+        }
+    }
+    println!();
+    pooled.iter().for_each(|(which, sum)| println!("{}", sum.row(which)));
+}
+
+/// What one drive teaches, whose sensors have these frames.
+fn learnt(case: &Case, drives: &[Drive]) -> (Learner, Findings) {
     let mut learner = Learner::new(LearnOptions::default()).expect("sound options");
     for (k, (_, pose, _)) in drives[0].iter().enumerate() {
         let frames: Vec<_> = drives.iter().map(|drive| &drive[k].0).collect();
@@ -191,6 +230,14 @@ fn one(case: &Case, sensors: &[&Sensor], off: Off) -> (Score, f64) {
     }
     learner.end_drive();
     let findings = learner.findings(&case.map);
+    (learner, findings)
+}
+
+/// Learns from one drive of several sensors; returns also the seconds that learning took.
+fn one(case: &Case, sensors: &[&Sensor], off: Off) -> (Score, f64) {
+    let drives: Vec<Drive> = sensors.iter().map(|sensor| case.drive(sensor, off)).collect();
+    let started = Instant::now();
+    let (learner, findings) = learnt(case, &drives);
     let seconds = started.elapsed().as_secs_f64();
     let truth: Vec<Pose> = drives[0].iter().map(|(_, _, truth)| *truth).collect();
     let mut score = score(case, sensors, &truth, &findings);

@@ -1,9 +1,10 @@
 #!/usr/bin/env bash
 # Peak memory of an update by the number of drives: 400 frames each, to and fro in scenes/room.glb, of which the shelf is gone and sofa
-# and plant are moved.   benches/update/memory.sh PRESIGHT [DRIVES]..
+# and plant are moved. COLUMNS_OF_LIDAR (480) makes frames smaller.   benches/update/memory.sh PRESIGHT [DRIVES]..
 set -euo pipefail
 presight=$(realpath "$(command -v "${1:-presight}")") room=$(realpath "$(dirname "$0")/../../scenes/room.glb")
 shift || true
+columns=${COLUMNS_OF_LIDAR:-480}
 work=$(mktemp -d)
 cd "$work"
 cat > changes.jsonl <<'END'
@@ -11,15 +12,15 @@ cat > changes.jsonl <<'END'
 {"op":"move","object":"room/sofa","pose":[4.3,0.6,0,0,0,90]}
 {"op":"move","object":"room/plant","pose":[5.2,2.4,0,0,0,0]}
 END
-cat > lidar.toml <<'END'
+cat > lidar.toml <<END
 format = 1
 kind = "scanner"
 class = "laser"
 range_max = 20
 [azimuth]
 start_deg = -180
-step_deg = 0.75
-count = 480
+step_deg = $(awk "BEGIN { print 360 / $columns }")
+count = $columns
 [elevation]
 start_deg = -30
 step_deg = 1.5

@@ -23,7 +23,7 @@ const DRIVES: (u64, u64) = (6, 4);
 const STEP: f64 = 0.5;
 const STEP_M: f64 = 0.5;
 const SCANS: usize = 80;
-/// Radius of the robot, metres, and cells over half of which a way is smoothed.
+/// Radius of the robot, metres. A place of a way is the mean of this number of cells before and after it.
 const ROBOT: f64 = 0.3;
 const SMOOTH: usize = 5;
 const SCANNER: &str = "format = 1\nkind = \"scanner\"\nname = \"scanner\"\nclass = \"laser\"\nrange_min = 0.05\nrange_max = 20\n[azimuth]\nstart_deg = -180\nstep_deg = 1\ncount = 360\n[elevation]\nstart_deg = 0\nstep_deg = 0\ncount = 1\n[noise]\nrange_sigma = 0.01\n[mount]\nxyz = [0.0, 0.0, 0.35]\n";
@@ -70,10 +70,6 @@ impl Map {
         if is_in { self.cells[(y * self.size[0] + x) as usize] } else { None }
     }
 
-    fn is_free(&self, x: i64, y: i64) -> bool {
-        self.cell(x, y) == Some(false)
-    }
-
     fn in_model(&self, p: DVec2) -> DVec2 {
         (self.model_from_map * p.extend(1.0)).truncate()
     }
@@ -105,21 +101,21 @@ impl Map {
         f64::INFINITY
     }
 
-    /// Metres from a point of the model's frame to the nearest cell that is not free, up to `most`. What is not known may be there.
-    fn distance(&self, p: DVec2, most: f64) -> f64 {
+    /// Metres from a point of the model's frame to the nearest cell that `counts`, up to `most`.
+    fn distance(&self, p: DVec2, most: f64, counts: fn(Option<bool>) -> bool) -> f64 {
         let p = (self.map_from_model * p.extend(1.0)).truncate() / RESOLUTION;
         let reach = (most / RESOLUTION).ceil() as i64;
         let [x, y] = p.floor().to_array().map(|v| v as i64);
         let mut best = most;
         for (x, y) in (x - reach..=x + reach).flat_map(|x| (y - reach..=y + reach).map(move |y| (x, y))) {
-            if !self.is_free(x, y) {
+            if counts(self.cell(x, y)) {
                 best = best.min(RESOLUTION * (DVec2::new(x as f64 + 0.5, y as f64 + 0.5) - p).length());
             }
         }
         best
     }
 
-    /// The shortest way between two cells among those that are clear, cell by cell.
+    /// The shortest way between two cells through clear ones, cell by cell.
     fn path(&self, clear: &[bool], from: usize, to: usize) -> Option<Vec<usize>> {
         let width = self.size[0] as usize;
         let mut before = vec![usize::MAX; clear.len()];
@@ -156,8 +152,10 @@ impl Map {
     /// The cells where a robot fits.
     fn clear(&self) -> Vec<bool> {
         let place = |k: i64| DVec2::new((k % self.size[0]) as f64 + 0.5, (k / self.size[0]) as f64 + 0.5) * RESOLUTION;
-        let is_clear =
-            |k: i64| self.cells[k as usize] == Some(false) && self.distance(self.in_model(place(k)), ROBOT) >= ROBOT;
+        let is_clear = |k: i64| {
+            self.cells[k as usize] == Some(false)
+                && self.distance(self.in_model(place(k)), ROBOT, |cell| cell != Some(false)) >= ROBOT
+        };
         (0..self.cells.len() as i64).map(is_clear).collect()
     }
 
@@ -323,7 +321,8 @@ fn cut(environment: &Environment, object: &str, bounds: &Aabb) -> Vec<DVec2> {
     points
 }
 
-/// Pieces of wall of 0.5 m that were found missing, and those of them that are farther than [`NEAR`] from anything real, in the median.
+/// Pieces of wall of 0.5 m that were found missing, and the number of pieces that are farther than [`NEAR`] from
+/// anything real, in the median.
 fn missing(map: &Map, environment: &Environment, findings: &Findings) -> (usize, usize) {
     let (mut all, mut right) = (0, 0);
     for finding in &findings.changes {
@@ -334,7 +333,11 @@ fn missing(map: &Map, environment: &Environment, findings: &Findings) -> (usize,
         };
         let mut pieces: BTreeMap<[i64; 2], Vec<f64>> = BTreeMap::new();
         for p in cut(environment, &finding.object, &bounds) {
-            pieces.entry((p / 0.5).floor().to_array().map(|v| v as i64)).or_default().push(map.distance(p, 1.0));
+            pieces.entry((p / 0.5).floor().to_array().map(|v| v as i64)).or_default().push(map.distance(
+                p,
+                1.0,
+                |cell| cell == Some(true),
+            ));
         }
         for mut distances in pieces.into_values() {
             distances.sort_by(f64::total_cmp);
@@ -406,8 +409,11 @@ pub fn run(folder: &str, (model_sigma, metres): (f64, f64)) {
         let (half, rotation) = (0.5 * b.size + 0.1, b.pose.rotation);
         let steps = |h: f64| (-20..=20).map(move |k| h * f64::from(k) / 20.0);
         !steps(half.x).any(|x| {
-            steps(half.y)
-                .any(|y| map.distance((b.pose.translation + rotation * DVec3::new(x, y, 0.0)).truncate(), 0.1) < 0.05)
+            steps(half.y).any(|y| {
+                map.distance((b.pose.translation + rotation * DVec3::new(x, y, 0.0)).truncate(), 0.1, |cell| {
+                    cell == Some(true)
+                }) < 0.05
+            })
         })
     };
     let (all, wrong) = (news.clone().count(), news.filter(is_wrong).count());
@@ -429,15 +435,6 @@ pub fn run(folder: &str, (model_sigma, metres): (f64, f64)) {
         explained(&after, judging)
     );
     println!("of these, {:.1} % end where the drives that teach saw something", seen_before(judging, teaching));
-    for drive in &drives {
-        let one = std::slice::from_ref(drive);
-        println!(
-            "    {:.1} {:.1} to {:.1}",
-            explained(&model, one),
-            drive[0].1.translation,
-            drive[SCANS - 1].1.translation
-        );
-    }
     let (pieces, right) = missing(&map, model.environment(), &findings);
     println!("pieces of wall found missing: {pieces}, {right} farther than {} m from anything real", NEAR.1);
     println!("new boxes: {all}, {wrong} without anything real");
@@ -450,7 +447,7 @@ pub fn run(folder: &str, (model_sigma, metres): (f64, f64)) {
 }
 
 /// The logs and poses of drives, for `presight update`.
-fn write(folder: &Path, drives: &[Vec<(Frame, Pose)>]) -> std::io::Result<()> {
+pub fn write(folder: &Path, drives: &[Vec<(Frame, Pose)>]) -> std::io::Result<()> {
     std::fs::create_dir_all(folder)?;
     let mut poses = String::new();
     for (number, drive) in drives.iter().enumerate() {

@@ -59,6 +59,26 @@ fn the_pose_is_no_more_certain_than_the_map() {
     near(variance(&wall(None)), 1.0 / h);
 }
 
+/// A wall that exists with a probability of 1/4 says as much as a quarter of the readings: the information of one range of 1 cm is
+/// 2500 / m^2, that of the prior 25.
+#[test]
+fn an_object_counts_by_its_existence() {
+    let pose = Pose::from_xyz_rpy(DVec3::new(2.0, 2.0, 1.0), 0.0, 0.0, 0.0);
+    let prior = PoseEstimate::new(pose, PoseCovariance::from_sigmas([0.2, 1e-6, 1e-6, 1e-6, 1e-6, 1e-6]));
+    let options = EstimateOptions::default().with_freedom(Freedom::Planar).with_offset_sigma(0.0);
+    let mut world = wall(None);
+    for (existence, information) in [(1.0, 10_025.0), (0.25, 2525.0)] {
+        let trust = Some(presight_model::environment::Existence { p0: existence, confirmed: 0.0, rate: 0.0 });
+        world.apply(presight_model::change::Change::SetTrust { object: "wall".to_owned(), trust }).unwrap();
+        let found = estimator(options).estimate(&world, &[&ray(4.01, 0.01)], &prior).unwrap();
+        let variance = found.pose.covariance[0][0];
+        assert!((variance * information - 1.0).abs() < 1e-3, "{existence}: {variance}");
+        // The reading says 1 cm, the prior 0.
+        let off = found.pose.world_from_robot.translation.x - pose.translation.x;
+        assert!((off + 0.01 * (information - 25.0) / information).abs() < 1e-5, "{existence}: {off}");
+    }
+}
+
 /// A range is 5 cm short, measured to 5 mm. In front of a known wall that means an object; in front of a wall that may
 /// be off by 2 cm it may mean nothing.
 #[test]

@@ -1,4 +1,4 @@
-//! Where to look from at what is in doubt.
+//! Where to look from at an object in doubt.
 
 use glam::DVec3;
 use presight_files::sensor_toml;
@@ -37,7 +37,7 @@ fn is_in_sight(oracle: &Oracle, from: DVec3) -> bool {
 }
 
 /// By hand: straight before the pillar the nearest free places, 1.3 m from the crate's front, see nothing of it. Places aside, through the
-/// gaps of 0.4 m, see it. A robot that had two looks through a gap is told to look from there, and so is one whose policy stops at the
+/// gaps of 0.4 m, see it. A robot that had two looks through a gap has to look from there, and so has one whose policy stops at the
 /// crate. The pose is free: the robot is 0.3 m in radius.
 #[test]
 fn a_crate_behind_a_pillar_is_looked_at_from_aside() {

@@ -380,7 +380,7 @@ pub(crate) fn groups(voxels: &Voxels, views: &VecDeque<View>) -> Vec<Group> {
             if seen.contains(&group) {
                 votes[group].0 += 1;
             } else {
-                let passed = |key: &&[i32; 3]| voxels.mean(**key).is_some_and(|mean| view.passed(mean, voxels.size()));
+                let passed = |key: &&[i32; 3]| voxels.spot(**key).is_some_and(|spot| view.passed(&spot, voxels.size()));
                 let through = keys.iter().filter(passed).count();
                 votes[group].1 += usize::from(2 * through > keys.len());
             }

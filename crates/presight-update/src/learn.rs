@@ -335,9 +335,9 @@ impl Learner {
                 self.joints.entry(view.kept.sensor.spec().class.clone()).or_default().add(terms);
             }
             let size = self.voxels.size();
-            for key in self.voxels.add(&view.news, |mean| view.passed(mean, size)) {
-                let Some(mean) = self.voxels.mean(key) else { continue };
-                let before = self.views.iter().filter(|earlier| earlier.passed(mean, size)).count();
+            for key in self.voxels.add_view(&view.news, |voxel| view.passed(&voxel.spot(size), size)) {
+                let Some(spot) = self.voxels.spot(key) else { continue };
+                let before = self.views.iter().filter(|earlier| earlier.passed(&spot, size)).count();
                 self.voxels.add_passes(key, before as u32);
             }
             if self.views.len() >= self.options.views {

@@ -19,7 +19,7 @@ const MOST_PLACES: usize = 20_000;
 /// Steps between the heights of a robot at which nothing may be near, metres, and the lowest above the floor.
 const STEP: f64 = 0.4;
 const LOWEST: f64 = 0.35;
-/// A neighbouring place may be so much higher or lower, metres.
+/// A neighbouring place may be higher or lower by this, metres.
 const KERB: f64 = 0.1;
 /// Nothing new may be nearer to a place, metres.
 const AWAY: f64 = 0.35;
@@ -30,7 +30,7 @@ const RAYS: usize = 300;
 /// A point this near to the box of a part belongs to it, metres.
 const ON_BOX: f64 = 1e-3;
 
-/// A look that tells most.
+/// The look whose reading decides most.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Look {
     /// The name of the sensor that looks.
@@ -127,8 +127,8 @@ impl<'a> Lookout<'a> {
         best
     }
 
-    /// The expected logarithm of the likelihood ratio of a reading from a pose of the image frame, of about `most` rays that tell of all: for
-    /// each, the mean of what is expected if the thing is there and if it is not.
+    /// The expected logarithm of the likelihood ratio of a reading from a pose of the image frame, by about `most` of its rays: for
+    /// each ray the mean of the two cases that the thing is there and that it is not.
     fn expected(
         &self,
         subject: &Subject<'_>,
@@ -211,7 +211,13 @@ fn blocked(decision: &Decision<'_>) -> BTreeSet<Key> {
         all.filter(move |k| (p.truncate() - CELL * glam::DVec2::from(k.map(f64::from))).length() < AWAY)
     };
     let groups = decision.voxels.groups(&crate::Occupied::default());
-    groups.concat().into_iter().filter_map(|voxel| decision.voxels.mean(voxel)).flat_map(near).collect()
+    groups
+        .concat()
+        .into_iter()
+        .filter_map(|voxel| decision.voxels.spot(voxel))
+        .map(|spot| spot.mean)
+        .flat_map(near)
+        .collect()
 }
 
 /// Free places at the height of a sensor that can be reached from where it was, the nearest first.

@@ -2,6 +2,7 @@
 
 use crate::decide::{Doubt, Finding, What};
 use crate::view::View;
+use crate::voxels::Spot;
 use glam::DVec3;
 use presight_model::environment::{Environment, Object};
 use presight_model::geometry::{Aabb, Pose};
@@ -56,7 +57,7 @@ pub(crate) fn growth_of_new<'a>(
 ) -> Vec<f32> {
     let says = |view: &View| {
         let hits = view.news.iter().filter(|p| p.distance(middle) <= radius).count() as f64;
-        if hits == 0.0 && view.passed(middle, radius) { -most } else { hits.min(most) }
+        if hits == 0.0 && view.passed(&Spot::cube(middle, radius), radius) { -most } else { hits.min(most) }
     };
     let sums = views.map(says).filter(|said| *said != 0.0).scan(0.0, |sum, said| {
         *sum += said;

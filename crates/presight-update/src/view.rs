@@ -5,6 +5,7 @@ use crate::joint::Terms;
 use crate::priors::Priors;
 use crate::pulled::Pulled;
 use crate::register::Readings;
+use crate::voxels::Spot;
 use glam::DVec3;
 use presight_localize::verdict::body_from_image;
 use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate};
@@ -217,7 +218,7 @@ impl Observer<'_> {
         let terms = (!self.priors.is_empty()).then(|| readings.terms(given, pose, self.views));
         let rays = cast(pose, 1);
         let world_from_image = pose.world_from_robot * robot_from_image;
-        let spread = spread(&rays, 1, pose);
+        let spread = spread(&rays, 1, pose).min(MOST_SPREAD);
         let errors = Errors { noise, pose, spread, priors: self.priors };
         let sigmas = pose.covariance.sigmas();
         let norm = |of: &[f64]| spread * of.iter().map(|x| x * x).sum::<f64>().sqrt();
@@ -355,17 +356,16 @@ impl View {
 
     /// True if a ray passed through the place of a point of a voxel: it went on by more than the voxel, or it met what the model
     /// has behind that place, however near, such as the floor below somebody's feet.
-    pub fn passed(&self, point: DVec3, size: f64) -> bool {
-        let p = self.world_from_image.inverse().transform_point(point);
+    pub fn passed(&self, spot: &Spot, size: f64) -> bool {
+        let p = self.world_from_image.inverse().transform_point(spot.mean);
         let distance = p.length();
         let Some(at) = self.kept.nearest(p) else { return false };
         let (ray, z) = (self.kept.rays[at], f64::from(self.ranges[at]));
-        let aside = ray.cross(p).length();
+        let aside = ray.dot(p) * ray - p;
         let is_known = matches!(self.says[at], Says::There | Says::Same);
         let beyond = if is_known { 0.0 } else { size };
         let margin = beyond + BOUND * (self.noise.range_sigma(distance) + self.off.0 + distance * self.off.1);
         let reach = REACH * self.kept.sensor.spec().range_max;
-        // As likely as a point of a surface falls into the cube: most rays this near cross it.
-        aside <= 0.7 * size && z > distance + margin && distance < reach
+        z > distance + margin && distance < reach && spot.holds(self.world_from_image.rotation * aside)
     }
 }

@@ -52,7 +52,7 @@ impl<'a> Asked<'a> {
         own.map(|(finding, _, look)| format!("{}{}", told(finding), look_from(look.as_ref())))
     }
 
-    /// A line for each object in doubt and for each finding that is asked about.
+    /// A line for each object in doubt, and for each finding to look at.
     pub fn lines(&self, findings: &Findings) -> String {
         let doubts = findings.doubts.iter().map(|d| line(d.object.as_str().into(), &d.why, d.look.as_ref()));
         let name = |f: &Finding| if f.object.is_empty() { Value::Null } else { f.object.as_str().into() };

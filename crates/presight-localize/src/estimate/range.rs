@@ -331,7 +331,9 @@ impl<'a> RangeSource<'a> {
         let normalized = e * per_sigma;
         sum.normalized.push(normalized.abs() as f32);
         let (weight, cost) = gate.kernel.weigh(normalized, reach * per_sigma);
-        sum.cost += cost;
+        // What may not exist may have been matched to something else: its information is weighted by its existence.
+        let existence = self.expected.existence(pixel.object);
+        sum.cost += existence * cost + (1.0 - existence) * constant;
         sum.explained += usize::from(normalized.abs() <= EXPLAINED);
         let settles = matches!(gate.kernel, Kernel::Redescending { .. });
         let variance = (noise + self.surface).max(1e-12);
@@ -341,7 +343,7 @@ impl<'a> RangeSource<'a> {
         if weight == 0.0 || (settles && self.is_cut_off(pixel, &compared)) {
             return;
         }
-        let w = weight * per_sigma * per_sigma;
+        let w = existence * weight * per_sigma * per_sigma;
         // Where the ray meets the plane, not where noise has it: the product of a noisy lever and the noise itself is not zero in the mean.
         let q = if settles { q - (q - moved.centre) * (e / normal.dot(q - moved.centre)) } else { q };
         let turned = (q - moved.robot).cross(normal);

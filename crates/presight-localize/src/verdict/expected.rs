@@ -12,6 +12,7 @@ use presight_model::world::World;
 use presight_predict::predict::Predictor;
 use presight_render::plan::{Images, Output, Outputs};
 use rayon::prelude::*;
+use std::collections::HashMap;
 
 /// A pixel of a prediction. All of it is told in the image frame of the predicted pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -62,6 +63,8 @@ pub struct ExpectedImage {
     pub errors: ObjectErrors,
     /// The pixels that are marked as uncertain; empty if none is.
     uncertain: Vec<bool>,
+    /// The probability that an object exists; objects that are sure to exist are left out.
+    existence: HashMap<u32, f64>,
 }
 
 /// The frame in which rays and points of an image are told, in body axes.
@@ -69,6 +72,12 @@ pub fn body_from_image(sensor: &Sensor) -> Pose {
     let optical = || body_from_optical_rotation() * sensor.spec().optical_from_image;
     let rotation = if sensor.is_camera() { optical() } else { glam::DQuat::IDENTITY };
     Pose { rotation, translation: DVec3::ZERO }
+}
+
+fn existence_of(world: &World) -> HashMap<u32, f64> {
+    let environment = world.environment();
+    let known = environment.trusts().filter(|(_, trust)| trust.p0 < 1.0);
+    known.filter_map(|(object, trust)| Some((environment.index_of(object).ok()?, trust.p0))).collect()
 }
 
 impl ExpectedImage {
@@ -139,6 +148,7 @@ impl ExpectedImage {
             spacing: spacing(sensor),
             errors,
             uncertain: Vec::new(),
+            existence: existence_of(world),
         }
         .with_marks(world))
     }
@@ -155,6 +165,11 @@ impl ExpectedImage {
             self.uncertain = self.pixels.iter().map(is_uncertain).collect();
         }
         self
+    }
+
+    /// The probability that an object exists, as the environment has it: 1 without stored trust.
+    pub fn existence(&self, object: u32) -> f64 {
+        if self.existence.is_empty() { 1.0 } else { self.existence.get(&object).copied().unwrap_or(1.0) }
     }
 
     /// True if a pixel sees a part that is marked as uncertain.
