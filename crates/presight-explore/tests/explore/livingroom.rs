@@ -62,7 +62,7 @@ fn frames_without_poses_are_found_on_the_way() {
     let clock = std::time::Instant::now();
     let mut last = None;
     for (k, (frame, truth)) in all.iter().enumerate() {
-        let found = follower.add(frame, start).unwrap();
+        let found = follower.add(frame).unwrap();
         if k % 20 == 0 || k + 1 == all.len() {
             println!(
                 "{k} {:?} {:?}",
@@ -72,12 +72,12 @@ fn frames_without_poses_are_found_on_the_way() {
         }
         last = found.or(last);
     }
-    println!("{:.1} s, lost {:?}", clock.elapsed().as_secs_f64(), follower.lost());
+    println!("{:.1} s, lost {:?}", clock.elapsed().as_secs_f64(), follower.apart());
     let end = last.unwrap().pose.world_from_robot;
     let truth = all.last().unwrap().1;
     let off = end.translation - truth.translation;
     let turned = end.rotation.angle_between(truth.rotation).to_degrees();
     println!("end off by {:.4} m, {turned:.3} deg", off.length());
-    assert!(follower.lost().is_empty(), "{:?}", follower.lost());
+    assert!(follower.apart().is_empty(), "{:?}", follower.apart());
     assert!(off.length() < 0.03 && turned < 1.0, "{} m, {turned} deg", off.length());
 }
