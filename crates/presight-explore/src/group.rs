@@ -94,9 +94,9 @@ pub(crate) struct Group {
     model: Option<Model>,
     /// Number of views when the model was made, and of places.
     made_of: (usize, usize),
-    /// Of the surfaces added last, against the first frame.
+    /// Covariance of the surfaces added last, against the first frame.
     covariance: Matrix,
-    /// Of the last pose, against these surfaces.
+    /// Covariance of the last pose, against these surfaces.
     last: Matrix,
     /// The last pose of the robot that was found.
     found: Pose,
@@ -238,7 +238,7 @@ impl Group {
         let moved = pose.world_from_robot;
         add_to(&mut self.covariance, pose.covariance.as_rows());
         let others = other.views.moved(&moved);
-        // The last view is the last one of what is followed.
+        // The followed group has the last view.
         let (first, second) =
             if goes_on { (std::mem::take(&mut self.views), others) } else { (others, std::mem::take(&mut self.views)) };
         self.views = first.with(second);

@@ -1,4 +1,4 @@
-//! Machines that are known as boxes become what they are, and keep their paths.
+//! Machines known as boxes get their real surfaces, and keep their paths.
 
 use super::factory_drive::{drive, scenes};
 use presight_explore::{Exploration, ExploreOptions, Known, Views};
