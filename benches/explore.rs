@@ -1,11 +1,13 @@
 //! How well explored models predict held-out measurements: `cargo bench --bench explore` prints the table of
-//! benches/RESULTS.md. Truth are dense rays of the testkit's caster.
+//! benches/RESULTS.md, and `-- 500 1000` memory and rate for these numbers of frames. Truth are dense rays of the testkit's caster.
 
 #![expect(clippy::print_stdout, reason = "a bench prints a table")]
 
 use presight::environment::Environment;
 use presight::explore::{Exploration, ExploreOptions, Known, Views};
 use presight_testkit::data;
+#[path = "../crates/presight-explore/tests/explore/factory_drive.rs"]
+mod factory_drive;
 use presight_testkit::judge::{Judged, Placed, frames, judge};
 use std::time::Instant;
 
@@ -60,10 +62,45 @@ fn rows() -> Vec<Row> {
         let options = ExploreOptions::default().with_polygons(10_000);
         rows.push(row("street", &scans[..1], &scans[1..2], &options, 0.1, 1.0));
     }
+    rows.push(factory());
     rows
 }
 
+/// Machines that a rough model has as boxes; right is within 5 cm.
+fn factory() -> Row {
+    let [real, rough] = factory_drive::scenes();
+    let (drive, other) = (factory_drive::drive(&real, 36, 0.0), factory_drive::drive(&real, 10, 0.15));
+    let mut views = Views::default();
+    drive.iter().for_each(|(frame, pose)| views.push(frame, *pose).expect("a sound view"));
+    let start = Instant::now();
+    let found = Exploration::of(&rough, Known::Rough, &views, &ExploreOptions::default()).expect("surfaces");
+    let seconds = start.elapsed().as_secs_f64();
+    let judged = judge(found.environment(), &other, 0.05, 0.05);
+    Row { name: "factory, machines as boxes", polygons: found.polygons(), seconds, views: drive.len(), judged }
+}
+
+/// Peak memory of this process, and the rate, for numbers of frames. The frames of the living room come again and again.
+fn memory(counts: &[usize]) {
+    let Some(log) = data::file("rgbd/livingroom") else { return };
+    let all = frames(&log, 4);
+    println!("| frames | MB | frames/s |\n|---|---|---|");
+    for count in counts {
+        let mut views = Views::default();
+        all.iter().cycle().take(*count).for_each(|(frame, pose)| views.push(frame, *pose).expect("a sound view"));
+        let start = Instant::now();
+        Exploration::of(&Environment::new(), Known::Explored, &views, &ExploreOptions::default()).expect("surfaces");
+        let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+        let peak = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+        let kilobytes = peak.and_then(|words| words.split_whitespace().next()?.parse::<f64>().ok()).unwrap_or(f64::NAN);
+        println!("| {count} | {:.0} | {:.1} |", kilobytes / 1e3, *count as f64 / start.elapsed().as_secs_f64());
+    }
+}
+
 fn main() {
+    let counts: Vec<usize> = std::env::args().skip(1).filter_map(|word| word.parse().ok()).collect();
+    if !counts.is_empty() {
+        return memory(&counts);
+    }
     println!(
         "| case | polygons | median, mm | right of all, % | right of covered, % | covered, % | too near, % | frames/s |"
     );

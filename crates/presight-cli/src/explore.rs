@@ -213,18 +213,14 @@ impl Args {
                     None => follower.insert(Follower::new(first, known.clone(), kind, options)?),
                 };
                 let place = |e: Error| e.at(format!("the frame at {} s", frame.stamp)).in_file(log);
-                follower.add(&frame, first).map_err(place)?;
+                follower.add(&frame).map_err(place)?;
             }
         }
-        let Some(follower) = follower else {
+        let Some(mut follower) = follower else {
             return Err(Error::invalid("the log has no frames", "give a log with frames").in_file(&self.logs[0]));
         };
-        let lost: Vec<String> = follower.lost().iter().map(|stamp| format!("{stamp} s")).collect();
-        if !lost.is_empty() {
-            let what =
-                format!("{} frames show nothing that is known and are left out: {}", lost.len(), lost.join(", "));
-            print::notices(&[what]);
-        }
+        follower.finish()?;
+        print::notices(&apart(&follower.apart()));
         let [x, y, z, a, b, c] = follower.drift();
         let (metres, degrees) = ((x * x + y * y + z * z).sqrt(), (a * a + b * b + c * c).sqrt().to_degrees());
         print::notices(&[format!(
@@ -274,6 +270,26 @@ impl Args {
         }
         Ok(())
     }
+}
+
+/// The notices of frames outside of the first one's group.
+fn apart(groups: &[Vec<f64>]) -> Vec<String> {
+    let (alone, together): (Vec<&Vec<f64>>, Vec<_>) = groups.iter().partition(|group| group.len() == 1);
+    let group = |stamps: &Vec<f64>| {
+        let (first, last) = stamps.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), t| (a.min(*t), b.max(*t)));
+        format!(
+            "{} frames from {first} s to {last} s are a group of their own, which no frame joins with the first one's, and are left \
+             out: explore them into another store",
+            stamps.len()
+        )
+    };
+    let mut notices: Vec<String> = together.into_iter().map(group).collect();
+    if !alone.is_empty() {
+        let stamps: Vec<String> = alone.iter().map(|stamps| format!("{} s", stamps[0])).collect();
+        let what = format!("{} frames show nothing that is known and are left out: {}", alone.len(), stamps.join(", "));
+        notices.push(what);
+    }
+    notices
 }
 
 /// A step that is far longer than the others, with its time.

@@ -37,8 +37,6 @@ pub(crate) struct Detail {
     by_range: Vec<Reach>,
     /// True if the side is given, and grows with the distance of pixels alone.
     is_given: bool,
-    /// In how many views a place is seen.
-    pub seen: f64,
 }
 
 /// Ranges up to `far`, metres: the side that their noise asks for.
@@ -66,7 +64,7 @@ impl Detail {
             }
         }
         let seen = footprints.views() * views.all().len() as f64 / sample.all().len().max(1) as f64;
-        let none = Self { least: given.unwrap_or(SMALLEST), by_range: Vec::new(), is_given: true, seen };
+        let none = Self { least: given.unwrap_or(SMALLEST), by_range: Vec::new(), is_given: true };
         let Some(first) = sample.all().first() else { return none };
         let (stated, apart) = (first.sensor().spec().noise, apart(first));
         let mut bins: Vec<i32> = spread.keys().copied().collect();
@@ -88,7 +86,12 @@ impl Detail {
         if by_range.is_empty() {
             return none;
         }
-        Self { least: given.unwrap_or(least), by_range, is_given: given.is_some(), seen }
+        Self { least: given.unwrap_or(least), by_range, is_given: given.is_some() }
+    }
+
+    /// False if the noise leaves no piece of surface: leaves and dust.
+    pub fn serves(&self) -> bool {
+        self.least < LARGEST
     }
 
     fn at(&self, range: f64) -> Option<&Reach> {

@@ -23,6 +23,26 @@ pub(crate) struct Evidence {
     pub passes: u32,
 }
 
+impl Evidence {
+    /// Adds a ray that ended so far behind the plane, metres.
+    #[inline]
+    fn add(&mut self, behind: f32, weight: f32, margins: Margins) {
+        if behind.abs() < margins.hit {
+            self.hit += weight;
+            self.hits += 1;
+        } else if behind > margins.pass {
+            self.pass += weight;
+            self.passes += 1;
+        }
+    }
+
+    /// From -1 (all rays went through) to 1 (all ended there). A single ray says nothing against others that went through.
+    pub fn value(&self) -> f32 {
+        let is_alone = self.hits == 0 || self.hits == 1 && self.passes > 0;
+        if is_alone { -0.7 } else { (self.hit - self.pass) / (self.hit + self.pass) }
+    }
+}
+
 /// Within how far of a plane a ray ends on it, and beyond how far it went through it, metres. Wider, and planes stick
 /// out at convex edges.
 #[derive(Clone, Copy, Debug)]
@@ -67,15 +87,24 @@ fn add(view: &View, plane: &Flat, places: &[(f32, f32)], margins: Margins, evide
         }
         // The measured point counts, because the ray of the pixel does not lead exactly to the cell.
         let behind = side * (normal.dot(centre) - measured * falling);
-        let weight = cosine / distance.max(NEAREST);
-        if behind.abs() < margins.hit {
-            evidence.hit += weight;
-            evidence.hits += 1;
-        } else if behind > margins.pass {
-            evidence.pass += weight;
-            evidence.passes += 1;
+        evidence.add(behind, cosine / distance.max(NEAREST), margins);
+    }
+}
+
+/// Evidence for a place with a normal, both relative to the base of the views.
+pub(crate) fn evidence_at(views: &Views, place: DVec3, normal: DVec3, margins: Margins) -> Evidence {
+    let mut evidence = Evidence::default();
+    for view in views.all() {
+        let p = view.to_image(place).as_vec3();
+        let Some((ray, measured)) = view.towards(p) else { continue };
+        let normal = view.direction_to_image(normal).as_vec3();
+        let (falling, distance) = (normal.dot(ray), p.length());
+        if falling.abs() >= LEAST_COSINE {
+            let behind = -normal.dot(p).signum() * (normal.dot(p) - measured * falling);
+            evidence.add(behind, falling.abs() / distance.max(NEAREST), margins);
         }
     }
+    evidence
 }
 
 /// A ball around the places.

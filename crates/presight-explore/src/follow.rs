@@ -1,63 +1,34 @@
-//! Exploration without poses: each frame is localized in the model made so far, and adds to it.
+//! Exploration without poses: each frame is localized in the model made so far, and adds to it. Frames that show nothing known begin a
+//! group of their own, which is joined when the two meet.
 
-use crate::exploration::{Exploration, Known};
+use crate::exploration::Known;
+use crate::group::{Group, Searcher};
 use crate::surfaces::ExploreOptions;
 use crate::view::Views;
-use presight_localize::estimate::{EstimateOptions, Estimator};
-use presight_localize::localize::{LocalizeOptions, Localizer, Phase};
 use presight_model::environment::Environment;
-use presight_model::error::Result;
-use presight_model::geometry::{InWorld, Pose, PoseCovariance, PoseEstimate};
-use presight_model::matrix::{Matrix, add_to, scaled};
+use presight_model::error::{ErrorKind, Result};
+use presight_model::geometry::{Pose, PoseEstimate};
 use presight_model::measured::Frame;
-use presight_model::world::World;
-use presight_predict::predict::{Backend, Options, Predictor};
 
-/// Views that the model is made from while the sensor moves on.
-const KEY_VIEWS: usize = 40;
-/// The model is made again when there are this many more views, as a share.
-const GROWTH: f64 = 0.12;
 /// Polygons of the model while the sensor moves on.
 const POLYGONS: usize = 1000;
-/// Standard deviation of surfaces that few views show, metres.
-const MODEL_SIGMA: f64 = 0.005;
-
-/// Standard deviations of the pose at a start, metres and radians.
-const START_SIGMA: f64 = 0.01;
-
-/// After frames of elsewhere the search covers this surrounding of the last known pose: metres, radians.
-const REACH: (f64, f64) = (0.5, 0.4);
-/// Share of its points that must be explained.
-const JOINED: f64 = 0.8;
-
-/// True if a pose is known in the model as well as the pose of the first frame, so that its view may be added. A floor alone does not suffice.
-fn is_sure(pose: &PoseEstimate) -> bool {
-    (0..6).all(|i| pose.covariance.as_rows()[i][i] <= START_SIGMA * START_SIGMA)
-}
-
-fn estimator(options: &ExploreOptions) -> Result<Estimator> {
-    let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(options.threads.clone()))?;
-    Ok(Estimator::new(predictor, EstimateOptions::default().with_model_sigma(MODEL_SIGMA)))
-}
+/// Pairs of places at which groups are compared whenever a model is made: what that costs at most.
+const MOST_PAIRS: usize = 32;
 
 /// Explores without poses. The first frame fixes the frame of the world.
 pub struct Follower {
     options: ExploreOptions,
-    known: Environment,
-    kind: Known,
-    views: Views,
-    localizer: Localizer,
+    /// The known model, until the first frame.
+    known: Option<(Environment, Known)>,
+    start: Pose,
+    /// The group of the first frame, and others that never met it.
+    groups: Vec<Group>,
+    /// The group that is followed.
+    current: usize,
     /// For single frames.
-    estimator: Estimator,
-    world: World,
-    /// Number of views when the model was made.
-    made_of: usize,
-    covariance: Matrix,
-    last: Matrix,
-    /// Times of the frames that showed nothing known.
-    lost: Vec<f64>,
-    /// The last pose of the robot that was found.
-    found: Pose,
+    searcher: Searcher,
+    /// Times of frames that show nothing flat.
+    empty: Vec<f64>,
 }
 
 /// The pose of a frame, found on the way.
@@ -75,97 +46,130 @@ impl Follower {
     /// # Errors
     /// [`presight_model::ErrorKind::System`] without threads.
     pub fn new(world_from_robot: Pose, known: Environment, kind: Known, options: &ExploreOptions) -> Result<Self> {
-        let start = PoseEstimate::of_sigmas(world_from_robot, START_SIGMA, START_SIGMA);
-        let localizer = Localizer::new(estimator(options)?, start, LocalizeOptions::default());
-        let world = World::new(known.clone());
         Ok(Self {
             options: options.clone().with_polygons(options.polygons.min(POLYGONS)),
-            known,
-            kind,
-            views: Views::default(),
-            localizer,
-            estimator: estimator(options)?,
-            world,
-            made_of: 0,
-            covariance: [[0.0; 6]; 6],
-            last: [[0.0; 6]; 6],
-            lost: Vec::new(),
-            found: world_from_robot,
+            known: Some((known, kind)),
+            start: world_from_robot,
+            groups: Vec::new(),
+            current: 0,
+            searcher: Searcher::new(options)?,
+            empty: Vec::new(),
         })
     }
 
-    /// Localizes the next frame and adds it; `None` if it shows nothing that is known. The first frame is at the start.
+    /// Localizes the next frame and adds it; `None` if it is not in the group of the first frame, at least not yet.
     ///
     /// # Errors
-    /// Those of [`Localizer::step`] and [`Exploration::of`].
-    pub fn add(&mut self, frame: &Frame, start: Pose) -> Result<Option<FoundPose>> {
-        let robot_from_sensor = frame.sensor().spec().mount;
-        if self.views.all().is_empty() {
-            self.views.push(frame, start * robot_from_sensor)?;
-            self.make()?;
-            self.found = start;
-            let pose = PoseEstimate::exact(start);
-            return Ok(Some(FoundPose { stamp: frame.stamp, pose }));
+    /// Those of [`presight_localize::localize::Localizer::step`] and [`crate::Exploration::of`].
+    pub fn add(&mut self, frame: &Frame) -> Result<Option<FoundPose>> {
+        if let Some(known) = self.known.take() {
+            self.groups.push(Group::new(frame, self.start, known, &self.options)?);
+            return Ok(Some(FoundPose { stamp: frame.stamp, pose: PoseEstimate::exact(self.start) }));
         }
-        let step = self.localizer.step(&self.world, frame)?;
-        let is_followed = matches!(step.phase, Phase::Tracking | Phase::Candidates) && step.estimate.is_determined();
-        let is_known = is_followed && is_sure(&step.pose);
-        let pose = if is_known { Some(step.pose) } else { self.found_again(frame)? };
-        let Some(pose) = pose else {
-            self.lost.push(frame.stamp);
-            return Ok(None);
-        };
-        self.found = pose.world_from_robot;
-        self.views.push(frame, pose.world_from_robot * robot_from_sensor)?;
-        self.last = *pose.covariance.as_rows();
-        let more = self.views.all().len() - self.made_of;
-        if more as f64 >= (GROWTH * self.made_of as f64).max(2.0) {
-            // Surfaces added now are as far off as this pose: errors of one model pass into the next.
-            add_to(&mut self.covariance, &self.last);
-            self.make()?;
+        let mut found = self.groups[self.current].add(frame, &mut self.searcher, &self.options)?;
+        if found.is_none() && self.current > 0 {
+            found = self.groups[0].add_again(frame, &mut self.searcher, &self.options)?;
+            if found.is_some() {
+                self.follow(0);
+            }
         }
-        let mut covariance = self.covariance;
-        add_to(&mut covariance, &self.last);
-        let covariance = PoseCovariance::<InWorld>::from_rows(covariance);
-        Ok(Some(FoundPose { stamp: frame.stamp, pose: PoseEstimate::new(pose.world_from_robot, covariance) }))
+        if found.is_none() {
+            self.begin(frame)?;
+        }
+        let is_first = self.current == 0 && found.is_some();
+        if found.is_some() && self.groups[self.current].grow(&self.options)? {
+            self.meet()?;
+        }
+        let group = &self.groups[0];
+        let pose = found.filter(|_| is_first).map(|pose| PoseEstimate::new(pose.world_from_robot, group.drift()));
+        Ok(pose.map(|pose| FoundPose { stamp: frame.stamp, pose }))
     }
 
-    /// The pose at a frame after frames of elsewhere, near the last known pose. The frame must show little else than known surfaces.
-    fn found_again(&mut self, frame: &Frame) -> Result<Option<PoseEstimate>> {
-        let prior = PoseEstimate::of_sigmas(self.found, REACH.0, REACH.1);
-        let estimate = self.estimator.estimate(&self.world, &[frame], &prior)?;
-        let is_found = estimate.is_determined() && is_sure(&estimate.pose) && estimate.explained > JOINED;
-        let found = is_found.then_some(estimate.pose);
-        if let Some(pose) = found {
-            let start = PoseEstimate::of_sigmas(pose.world_from_robot, START_SIGMA, START_SIGMA);
-            self.localizer = Localizer::new(estimator(&self.options)?, start, LocalizeOptions::default());
+    fn follow(&mut self, group: usize) {
+        if self.current > 0 {
+            self.groups[self.current].rest();
         }
-        Ok(found)
+        self.current = group;
     }
 
-    /// Makes the model of some of the views, the last one among them.
-    fn make(&mut self) -> Result<()> {
-        self.made_of = self.views.all().len();
-        let views = self.views.some(KEY_VIEWS);
-        let found = Exploration::of(&self.known, self.kind, &views, &self.options)?;
-        self.world = World::new(found.environment().clone());
+    /// Begins another group. Its frame of reference has nothing to do with the first one's.
+    fn begin(&mut self, frame: &Frame) -> Result<()> {
+        let nothing = (Environment::new(), Known::Explored);
+        match Group::new(frame, Pose::IDENTITY, nothing, &self.options) {
+            Ok(group) => {
+                self.groups.push(group);
+                self.follow(self.groups.len() - 1);
+                self.meet()
+            }
+            Err(e) if e.kind() == ErrorKind::Invalid => {
+                self.empty.push(frame.stamp);
+                Ok(())
+            }
+            Err(e) => Err(e),
+        }
+    }
+
+    /// Joins the followed group with the groups that it meets. The first group is compared first, then the latest.
+    fn meet(&mut self) -> Result<()> {
+        let mut pairs = MOST_PAIRS;
+        while let Some((other, pose)) = self.met(&mut pairs)? {
+            let (low, high) = (self.current.min(other), self.current.max(other));
+            let goes_on = self.current == high;
+            let pose = if goes_on { inverse(&pose) } else { pose };
+            let joined = self.groups.remove(high);
+            self.groups[low].join(joined, &pose, goes_on, &self.options)?;
+            self.current = low;
+        }
+        self.groups[self.current].compared();
         Ok(())
     }
 
-    /// The frames so far, at the poses that were found.
-    pub fn into_views(self) -> Views {
-        self.views
+    /// A group that the one which is followed meets, and its frame of reference in that of the one which is followed.
+    fn met(&mut self, pairs: &mut usize) -> Result<Option<(usize, PoseEstimate)>> {
+        let own = &self.groups[self.current];
+        let others = std::iter::once(0).chain((1..self.groups.len()).rev()).filter(|other| *other != self.current);
+        for other in others {
+            if let Some(pose) = own.pose_of(&self.groups[other], &mut self.searcher, pairs)? {
+                return Ok(Some((other, pose)));
+            }
+        }
+        Ok(None)
     }
 
-    /// Times of the frames that showed nothing known.
-    pub fn lost(&self) -> &[f64] {
-        &self.lost
+    /// Compares the groups once more with all frames.
+    ///
+    /// # Errors
+    /// Those of [`Self::add`].
+    pub fn finish(&mut self) -> Result<()> {
+        if self.groups.len() > 1 {
+            self.groups[self.current].make(&self.options)?;
+            self.meet()?;
+        }
+        Ok(())
+    }
+
+    /// The frames of the first one's group, at the poses that were found.
+    pub fn into_views(mut self) -> Views {
+        if self.groups.is_empty() { Views::default() } else { self.groups.swap_remove(0).views }
+    }
+
+    /// Times of the frames of each other group, seconds. A group of one frame showed nothing that another frame shows.
+    pub fn apart(&self) -> Vec<Vec<f64>> {
+        let stamps = |group: &Group| group.views.all().iter().map(|view| view.stamp).collect();
+        let others = self.groups.iter().skip(1).map(stamps);
+        others.chain(self.empty.iter().map(|stamp| vec![*stamp])).collect()
     }
 
     /// Standard deviations of the last pose against the first: x, y, z in metres, and three angles in radians.
     pub fn drift(&self) -> [f64; 6] {
-        let mut sum = scaled(&self.covariance, 1.0);
-        add_to(&mut sum, &self.last);
-        std::array::from_fn(|i| sum[i][i].max(0.0).sqrt())
+        self.groups.first().map_or([0.0; 6], |group| group.drift().sigmas())
     }
+}
+
+/// The other frame's pose in this one, for this frame's pose in the other.
+fn inverse(pose: &PoseEstimate) -> PoseEstimate {
+    let inverse = pose.world_from_robot.inverse();
+    let turned = presight_model::matrix::turn(inverse.rotation);
+    let rows = presight_model::matrix::sandwich(&turned, pose.covariance.as_rows());
+    PoseEstimate::new(inverse, presight_model::geometry::PoseCovariance::from_rows(rows))
 }

@@ -9,6 +9,7 @@ mod exploration;
 mod field;
 mod flat;
 mod follow;
+mod group;
 mod mirror;
 mod objects;
 pub mod occupancy;

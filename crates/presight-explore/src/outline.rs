@@ -45,8 +45,6 @@ pub(crate) struct OutlineOptions {
     pub cell: f64,
     /// How far outlines may be simplified, in cells.
     pub tolerance: f64,
-    /// Rays that must end on a cell.
-    pub least_hits: u32,
 }
 
 /// Area by what rays say, square metres.
@@ -115,7 +113,7 @@ fn outline(views: &Views, corners: &Corners<'_>, members: &[u32], options: Outli
     let seen = evidence(views, plane, &middles, Margins::of_cell(cells.side));
     let mut field = vec![-1.0; cells.len()];
     for (cell, seen) in looked.iter().zip(&seen) {
-        field[*cell] = value(seen, options.least_hits);
+        field[*cell] = seen.value();
     }
     let field = cells.smoothed(&field);
     let mut found = nothing();
@@ -131,11 +129,6 @@ fn outline(views: &Views, corners: &Corners<'_>, members: &[u32], options: Outli
     let in_space = |polygon: Vec<DVec2>| polygon.iter().map(|q| plane.point(*q)).collect();
     found.pieces = polygons.map(|p| Piece { plane: corners.plane, corners: in_space(p) }).collect();
     found
-}
-
-/// From -1 (all rays went through) to 1 (all ended there).
-fn value(seen: &Evidence, least_hits: u32) -> f32 {
-    if seen.hits < least_hits { -0.7 } else { (seen.hit - seen.pass) / (seen.hit + seen.pass) }
 }
 
 /// Sums areas and evidence, and keeps the cells that nobody saw.

@@ -7,7 +7,7 @@ use crate::outline::{Areas, OutlineOptions, Piece, outlines};
 use crate::region::Regions;
 use crate::sheet::{are_sparse, sheets};
 use crate::solid::{Shown, Solid, refitted, shown};
-use crate::surfel::{Surface, Surfel, surfels};
+use crate::surfel::{Surface, Surfel, lasting, surfels};
 use crate::view::Views;
 use glam::DVec3;
 use presight_model::error::Result;
@@ -114,10 +114,13 @@ impl Surfaces {
         if are_sparse(views, options.detail.unwrap_or(SMALLEST)) {
             return sheets(views, options, predictor, is_used);
         }
+        if options.detail.is_none() && !detail.serves() {
+            return Ok(None);
+        }
         let threads = options.threads.clone();
         let most = (options.polygons as f64 * PLANES).ceil() as usize;
         let regions_of = |views: &Views| {
-            let surface = Surface::new(surfels(views, detail, &is_used));
+            let surface = Surface::new(lasting(views, surfels(views, detail, &is_used)));
             let regions = Regions::new(&surface, detail.least, most);
             (surface, regions)
         };
@@ -138,7 +141,6 @@ impl Surfaces {
             // Coarse until planes are fitted: what ends on them changes little.
             cell: 2.0 * CELL,
             tolerance: if options.polygons < 1000 { 1.0 } else { 0.5 },
-            least_hits: (detail.seen as u32).clamp(1, 2),
         };
         let mut round = 0;
         let (mut found, pieces, solid) = loop {

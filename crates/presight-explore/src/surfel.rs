@@ -1,6 +1,7 @@
 //! Surfels: points of surfaces with normals, averaged over the pixels of all views that fall into one small cube.
 
 use crate::detail::Detail;
+use crate::evidence::{Margins, evidence_at};
 use crate::view::{View, Views};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
@@ -17,6 +18,8 @@ pub(crate) const LEAST_COSINE: f32 = 0.1;
 const TOGETHER: usize = 16;
 /// A cube must hold one pixel for each 25 views, at most four.
 const VIEWS_FOR_ONE: u32 = 25;
+/// Views, evenly taken, that say whether a surfel lasts.
+const MOST_VIEWS: usize = 32;
 /// Radius of a neighbourhood, in sizes.
 const REACH: f64 = 1.8;
 /// Least cosine between the normals of neighbours.
@@ -77,6 +80,18 @@ pub(crate) fn surfels(views: &Views, detail: &Detail, is_used: impl Fn(usize, us
         size: detail.least * f64::from(1u32 << (key.1 / 6)),
     };
     kept.iter().map(surfel).collect()
+}
+
+/// The surfels that rays did not go through. Who walks by leaves many, which would take planes from what stays.
+pub(crate) fn lasting(views: &Views, surfels: Vec<Surfel>) -> Vec<Surfel> {
+    let seen = views.some(MOST_VIEWS);
+    // As a cell of an outline.
+    let margins = |s: &Surfel| Margins::of_cell(0.5 * s.size);
+    let is_passed = |s: &Surfel| {
+        let seen = evidence_at(&seen, s.at, s.normal, margins(s));
+        seen.passes > 0 && seen.value() <= 0.0
+    };
+    surfels.into_par_iter().filter(|s| !is_passed(s)).collect()
 }
 
 fn part_of(part: &[(usize, &View)], detail: &Detail, is_used: &impl Fn(usize, usize) -> bool) -> HashMap<Key, Sum> {

@@ -3,7 +3,7 @@
 use glam::{DMat3, DVec3, Vec3};
 use presight_model::error::{Error, Result};
 use presight_model::geometry::{Aabb, Pose};
-use presight_model::measured::Frame;
+use presight_model::measured::{Frame, Measurement};
 use presight_model::sensor::Sensor;
 use std::sync::Arc;
 
@@ -76,6 +76,24 @@ impl Views {
         &self.views
     }
 
+    /// The measurements with all poses moved.
+    pub(crate) fn moved(self, by: &Pose) -> Self {
+        let base = (*by * Pose { translation: self.base, ..Pose::IDENTITY }).translation.round();
+        let moved = |view: View| {
+            let world_from_sensor = *by * view.world_from_sensor;
+            let turn = world_from_sensor.rotation_matrix() * view.sensor().body_from_image();
+            View { world_from_sensor, turn, origin: world_from_sensor.translation - base, ..view }
+        };
+        Self { base, views: self.views.into_iter().map(moved).collect() }
+    }
+
+    /// These measurements and others after them.
+    pub(crate) fn with(mut self, others: Self) -> Self {
+        let shift = others.base - self.base;
+        self.views.extend(others.views.into_iter().map(|view| View { origin: view.origin + shift, ..view }));
+        self
+    }
+
     /// At most `most` of the measurements, evenly, the last one among them.
     pub(crate) fn some(&self, most: usize) -> Self {
         let count = self.views.len();
@@ -134,6 +152,11 @@ impl View {
     /// The sensor.
     pub fn sensor(&self) -> &Sensor {
         &self.optics.sensor
+    }
+
+    /// The measurement without its pose.
+    pub(crate) fn frame(&self) -> Result<Frame> {
+        Frame::new(self.stamp, self.sensor().clone(), Measurement::Range(self.ranges.clone()))
     }
 
     /// Columns of the image.

@@ -72,6 +72,11 @@ fn wrong_use_is_refused_in_one_line() {
                 2,
                 &["a.presight", "--map"],
             ),
+            bad(
+                "explore log --sensor log/sensor.toml --poses drive.tum --map site.yaml --out b.presight",
+                1,
+                &["site.yaml"],
+            ),
             bad("explore log --detail 0 --out b.presight", 2, &["--detail"]),
             bad("explore missing --out b.presight", 1, &["missing"]),
             bad("occupancy room.glb --cell 1e-6 --out b.yaml", 1, &["room.glb", "--cell"]),
@@ -222,4 +227,75 @@ fn frames_that_see_only_a_floor_are_named() {
     assert_eq!(ran.status, Some(0), "{}", ran.stderr);
     assert!(ran.stderr.contains("show nothing that is known and are left out: "), "{}", ran.stderr);
     assert!(ran.stderr.contains("3 s, 4 s, 5 s"), "{}", ran.stderr);
+}
+
+/// Runs the commands of the guide in order. Returns each with its output.
+fn walked(page: &str) -> Vec<(String, String)> {
+    let place = Place::new();
+    let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
+    fs::create_dir(place.path("scenes")).unwrap();
+    fs::copy(format!("{root}/scenes/room.glb"), place.path("scenes/room.glb")).unwrap();
+    let block = page.split("```sh\n").nth(1).and_then(|rest| rest.split("```").next()).unwrap();
+    let command = |line: &str| {
+        let ended = match line.strip_prefix("presight ") {
+            Some(arguments) => {
+                let ran = place.run(arguments);
+                assert_eq!(ran.status, Some(0), "{line}: {}", ran.stderr);
+                format!("{}{}", ran.stdout, ran.stderr)
+            }
+            None => {
+                let shell =
+                    std::process::Command::new("sh").current_dir(place.folder.path()).args(["-c", line]).output();
+                let shell = shell.unwrap();
+                assert!(shell.status.success(), "{line}: {}", String::from_utf8_lossy(&shell.stderr));
+                String::new()
+            }
+        };
+        (line.to_owned(), ended)
+    };
+    block.lines().map(command).collect()
+}
+
+#[cfg(unix)]
+#[test]
+fn the_drive_of_the_guide_ends_where_the_guide_says() {
+    let page = fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/explore.md")).unwrap();
+    let said = walked(&page);
+    let commands: Vec<&str> = said.iter().map(|(line, _)| line.split_whitespace().nth(1).unwrap()).collect();
+    assert_eq!(commands[1..], ["simulate", "explore", "localize"]);
+    let localized = &said[3].1;
+    assert!(localized.contains("40 of 40 frames have a pose"), "{localized}");
+    let words: Vec<&str> = localized.split("poses: RMS ").nth(1).unwrap().split_whitespace().collect();
+    let [metres, degrees] = [words[0], words[2]].map(|number| number.parse::<f64>().unwrap());
+    assert!(metres < 0.005 && degrees < 0.15, "{localized}");
+}
+
+/// Two logs of different places without poses: the second one is a group of its own, and is left out.
+#[test]
+fn another_place_without_poses_is_another_group() {
+    let place = drive();
+    let line = |k: usize| format!("{} {} 0.4 1.3 0 0 {} 1\n", 100 + k, 0.5 + 0.01 * k as f64, 0.02 * k as f64);
+    place.write("other.tum", (0..5).map(line).collect::<String>().as_bytes());
+    place.write(
+        "other.rhai",
+        b"place(\"floor\", box(9, 7, 0.1), pose(0, 0, -0.1)); place(\"wall\", box(0.1, 7, 3), pose(3.4, 0, 0)); \
+          place(\"side\", box(9, 0.1, 3), pose(0, -2.6, 0)); place(\"far\", box(9, 0.1, 3), pose(0, 2.9, 0)); \
+          place(\"chest\", box(0.7, 0.5, 0.9), pose(2.2, -0.8, 0)); place(\"post\", cylinder(0.15, 2.5, 12), pose(2.6, 1.4, 0));",
+    );
+    place.done("simulate other.rhai --sensor camera.toml --poses other.tum --out other");
+    let poses = fs::read_to_string(place.path("drive.tum")).unwrap();
+    let some: String = poses.lines().take(6).map(|line| line.to_owned() + "\n").collect();
+    place.write("start.tum", some.as_bytes());
+    place.done("simulate room.glb --sensor camera.toml --poses start.tum --out start");
+    let explore = |logs: &str, store: &str| {
+        let ran = place.run(&format!("explore {logs} --sensor start/sensor.toml --init reference --out {store}"));
+        assert_eq!(ran.status, Some(0), "{}", ran.stderr);
+        (ran, info(&place.path(store)).unwrap().environment)
+    };
+    let (_, alone) = explore("start", "alone.presight");
+    let (both, environment) = explore("start other", "both.presight");
+    let group = "5 frames from 100 s to 104 s are a group of their own";
+    assert!(both.stderr.contains(group), "{}", both.stderr);
+    assert!(both.stdout.starts_with("6 frames: "), "{}", both.stdout);
+    assert_eq!(environment.content_hash(), alone.content_hash());
 }

@@ -12,7 +12,7 @@ use presight_predict::predict::{Options, Predictor};
 use presight_testkit::scenes::{cuboid, empty};
 
 /// A room around the origin whose sides all differ.
-fn room() -> Environment {
+pub(crate) fn room() -> Environment {
     let mut environment = empty();
     let mut add = |name: &str, low: [f32; 3], high: [f32; 3]| {
         let mesh = cuboid(Vec3::from(low), Vec3::from(high));
@@ -43,9 +43,19 @@ fn frames(real: &Environment, yaws: &[f64], start: f64) -> Vec<(Frame, Pose)> {
     yaws.iter().enumerate().map(at).collect()
 }
 
+fn follower() -> Follower {
+    Follower::new(look(0.0), Environment::new(), Known::Explored, &ExploreOptions::default()).unwrap()
+}
+
+/// The times of the frames that are not in the first one's group, in tenths of a second.
+fn apart(follower: &Follower) -> Vec<Vec<i64>> {
+    let tenths = |stamps: Vec<f64>| stamps.into_iter().map(|t| (10.0 * t).round() as i64).collect();
+    follower.apart().into_iter().map(tenths).collect()
+}
+
+/// A look far to the left is a group of its own until a slow turn joins it. A frame of elsewhere stays alone.
 #[test]
-fn frames_of_elsewhere_are_named_and_the_next_are_found_again() {
-    // Three frames, a look far to the left and back, and a slow turn.
+fn frames_of_elsewhere_are_kept_until_they_are_joined() {
     let turn = (0..6).map(|k| 0.1 * f64::from(k));
     let yaws: Vec<f64> = [0.0, 0.05, 0.1, 2.2, 2.25].into_iter().chain(turn).collect();
     let drive = frames(&room(), &yaws, 0.0);
@@ -53,18 +63,31 @@ fn frames_of_elsewhere_are_named_and_the_next_are_found_again() {
     let hall = cuboid(Vec3::new(-7.0, -5.0, -3.0), Vec3::new(7.5, 6.0, 4.0));
     elsewhere.insert(NewObject::new("hall", Pose::IDENTITY, hall.into())).unwrap();
     let strange = frames(&elsewhere, &[0.3], 100.0);
-    let mut follower =
-        Follower::new(look(0.0), Environment::new(), Known::Explored, &ExploreOptions::default()).unwrap();
+    let mut follower = follower();
     for (frame, _) in drive.iter().chain(&strange) {
-        follower.add(frame, look(0.0)).unwrap();
+        let found = follower.add(frame).unwrap();
+        println!(
+            "{} s: {:.5?}",
+            frame.stamp,
+            found.map(|f| (f.pose.world_from_robot.translation, f.pose.covariance.sigmas()))
+        );
     }
-    let lost: Vec<i64> = follower.lost().iter().map(|t| (10.0 * t).round() as i64).collect();
-    assert_eq!(lost, [3, 4, 1000]);
+    assert_eq!(apart(&follower), [vec![3, 4], vec![1000]]);
+    let rest: Vec<f64> = (0..9).map(|k| 0.5 + 0.2 * f64::from(k)).collect();
+    let rest = frames(&room(), &rest, 200.0);
+    for (frame, _) in &rest {
+        follower.add(frame).unwrap();
+    }
+    follower.finish().unwrap();
+    assert_eq!(apart(&follower), [[1000]]);
     // Each view is where it was taken.
-    for view in follower.into_views().all() {
-        let (_, truth) = drive.iter().find(|(frame, _)| frame.stamp == view.stamp).unwrap();
+    let views = follower.into_views();
+    assert_eq!(views.all().len(), drive.len() + rest.len());
+    for view in views.all() {
+        let (_, truth) = drive.iter().chain(&rest).find(|(frame, _)| frame.stamp == view.stamp).unwrap();
         let off = view.world_from_sensor.translation.distance(truth.translation);
         let turned = view.world_from_sensor.rotation.angle_between(truth.rotation).to_degrees();
+        println!("{} s: {off:.4} m, {turned:.3} deg", view.stamp);
         assert!(off < 0.03 && turned < 1.0, "{} s: {off} m, {turned} deg", view.stamp);
     }
 }

@@ -1,7 +1,11 @@
 //! Explorations of real logs and of simulated rooms, against rays that parry casts.
 #![allow(clippy::print_stdout, reason = "tests print their figures on request")]
 
+mod bad;
+mod corners;
 mod corridor;
+mod factory;
+mod factory_drive;
 mod livingroom;
 mod lost;
 mod mirrors;
@@ -9,4 +13,5 @@ mod noise;
 mod occupancy;
 mod office;
 mod rooms;
+mod rough;
 mod street;

@@ -48,19 +48,78 @@ fn detail() -> Option<f64> {
     (millimetres > 0).then_some(millimetres as f64 * 1e-3)
 }
 
-/// Five people walk where the robot drives. Why only 288 of 591 m2 are found then is open. The model with them predicts at most one pixel in a hundred nearer than the model
-/// without them.
+/// Polygons, and area in square metres, that another model has, too: both all and shared.
+#[derive(Debug, Default)]
+struct Shared {
+    polygons: [usize; 2],
+    area: [f64; 2],
+}
+
+/// Number of frames with a ray that ended within 10 cm of a place.
+fn sights(frames: &[Placed], place: DVec3) -> usize {
+    let is_seen = |(frame, pose): &&Placed| {
+        let sensor = frame.sensor();
+        let p = (pose.rotation_matrix() * sensor.body_from_image()).transpose() * (place - pose.translation);
+        let Some((u, v)) = sensor.project_nearly(p.as_vec3()) else { return false };
+        let (u, v) = ((u + 0.5).floor(), (v + 0.5).floor());
+        let is_in = u >= 0.0 && v >= 0.0 && u < sensor.width() as f32 && v < sensor.height() as f32;
+        is_in && (f64::from(frame.ranges()[v as usize * sensor.width() as usize + u as usize]) - p.length()).abs() < 0.1
+    };
+    frames.iter().filter(is_seen).count()
+}
+
+/// What `a` has in common with `b`, of the places that three of these frames saw. A polygon is the same if 19 in 20 of the points on it, a cell and more from its border, lie on a
+/// surface of `b` within three standard deviations of the ranges, along its normal. The middle decides on a polygon of less than a cell.
+fn shared(a: &Environment, b: &Environment, frames: &[Placed]) -> Shared {
+    const CELL: f64 = 0.025;
+    const NOISE: f64 = 0.03;
+    let (oracle, mut sum) = (Oracle::new(b, DVec3::ZERO).unwrap(), Shared::default());
+    let polygons = a.objects().iter().filter(|o| !o.is_deleted());
+    for corners in polygons.flat_map(|o| (0..o.mesh.polygon_count() as u32).map(|k| o.polygon_in_world(k))) {
+        let n = corners.len();
+        let outer: DVec3 = (1..n - 1).map(|k| (corners[k] - corners[0]).cross(corners[k + 1] - corners[0])).sum();
+        let (area, normal) = (0.5 * outer.length(), outer.normalize());
+        let is_inside = |p: DVec3| {
+            (0..n).all(|k| {
+                let way = (corners[(k + 1) % n] - corners[k]).normalize();
+                normal.cross(way).dot(p - corners[k]) > CELL
+            })
+        };
+        let mut points = vec![corners.iter().sum::<DVec3>() / n as f64];
+        for k in 1..n - 1 {
+            let [u, v] = [corners[k] - corners[0], corners[k + 1] - corners[0]];
+            let steps = (u.length().max(v.length()) / 0.1).ceil() as usize;
+            let share = |i: usize| (i as f64 + 0.5) / steps as f64;
+            let grid = (0..steps).flat_map(|i| (0..steps - i).map(move |j| (i, j)));
+            points.extend(grid.map(|(i, j)| corners[0] + u * share(i) + v * share(j)).filter(|p| is_inside(*p)));
+        }
+        points.retain(|p| sights(frames, *p) >= 3);
+        if points.is_empty() {
+            continue;
+        }
+        let is_there = |p: &&DVec3| oracle.hides(**p + normal * NOISE, -normal, 2.0 * NOISE, &[]);
+        let part = points.iter().filter(is_there).count() as f64 / points.len() as f64;
+        sum.polygons = [sum.polygons[0] + 1, sum.polygons[1] + usize::from(part >= 0.95)];
+        sum.area = [sum.area[0] + area, sum.area[1] + part * area];
+    }
+    sum
+}
+
+/// Five people walk where the robot drives. Measured: 99.0 % of the area, and 3,520 of 3,635 polygons, are the same; of the model with
+/// walkers 99.5 % of the area is in the model without. 0.36 % of the pixels of the drive are nearer. When the surfels of walkers stayed, half
+/// of the area was lost.
 #[test]
 fn who_walks_through_leaves_nothing() {
     let Some(office) = presight_testkit::data::scene("office_clearpath", true) else { return };
     let (real, sensor) = (office.environment(), lidar());
-    let explored = |walkers: usize| {
+    let drives = [0, 5].map(|walkers| drive(real, &sensor, 5, 20.0, walkers));
+    let explored = |frames: &Vec<Placed>| {
         let mut views = Views::default();
-        drive(real, &sensor, 5, 20.0, walkers).iter().for_each(|(frame, pose)| views.push(frame, *pose).unwrap());
+        frames.iter().for_each(|(frame, pose)| views.push(frame, *pose).unwrap());
         let options = ExploreOptions::default().with_polygons(5000).with_detail(detail());
         Exploration::of(&Environment::new(), Known::Explored, &views, &options).unwrap()
     };
-    let [without, with] = [0, 5].map(explored);
+    let [without, with] = drives.each_ref().map(explored);
     let other = drive(real, &sensor, 5, 20.0, 0);
     let oracles = [&without, &with].map(|found| Oracle::new(found.environment(), other[0].1.translation).unwrap());
     let (mut all, mut same, mut nearer) = (0, 0, 0);
@@ -75,17 +134,13 @@ fn who_walks_through_leaves_nothing() {
         }
     }
     let share = |part: usize| part as f64 / f64::from(all);
-    println!("in mirrors: {} and {}", without.mirrored, with.mirrored);
-    println!(
-        "same {:.4}, nearer with walkers {:.4}; {} and {} polygons, {:?} {:?}",
-        share(same),
-        share(nearer),
-        without.polygons(),
-        with.polygons(),
-        without.areas,
-        with.areas
-    );
-    assert!(share(nearer) < 0.01, "{}", share(nearer));
+    println!("{} and {} polygons, {:?} {:?}", without.polygons(), with.polygons(), without.areas, with.areas);
+    println!("same {:.4}, nearer with walkers {:.4}", share(same), share(nearer));
+    let kept = shared(without.environment(), with.environment(), &drives[1]);
+    let left = shared(with.environment(), without.environment(), &drives[1]);
+    println!("of the model without walkers: {kept:.1?}; of that with walkers: {left:.1?}");
+    let same = |shared: &Shared| shared.area[1] / shared.area[0];
+    assert!(same(&kept) > 0.985 && same(&left) > 0.99 && share(nearer) < 0.005, "{kept:?} {left:?} {}", share(nearer));
 }
 
 /// Measured: 97.3 % of the pixels of another drive that show something known are confirmed (98.1 % after a minute of driving).
