@@ -32,6 +32,7 @@ use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
 use presight_predict::request::Request;
+use presight_render::cpu::{CpuEngine, Vectors};
 use presight_render::plan::{Output, Outputs};
 use presight_render::row::RowCut;
 use rayon::prelude::*;
@@ -187,7 +188,13 @@ fn main() {
     let options =
         Options::new(if backend == "gpu" { Backend::Gpu } else { Backend::Cpu }).with_threads(number(threads));
     let parry = (backend == "parry").then(|| Parry::new(world.environment(), number(threads)));
-    let mut predictor = Predictor::new(options).unwrap_or_else(|e| panic!("{e}"));
+    let made = match std::env::var_os("PRESIGHT_SSE") {
+        Some(_) => CpuEngine::new(number(threads))
+            .map(|engine| engine.with_vectors(Vectors::Sse42))
+            .map(|engine| Predictor::with_engine(options, Box::new(engine))),
+        None => Predictor::new(options),
+    };
+    let mut predictor = made.unwrap_or_else(|e| panic!("{e}"));
     let told: Vec<Value> = sensors.iter().map(|sensor| describe(sensor, &poses, &folder)).collect();
     let poses_told: Vec<_> = poses.iter().map(rows).collect();
     let engine = if parry.is_some() { "parry".to_owned() } else { predictor.engine_name() };

@@ -92,7 +92,7 @@ fn cpu_by_tiles_in_rooms() {
     check_room(engines::cpu_by_tiles(2), Precision::F64);
 }
 
-/// Half of the poses: `ways` compares the bits with those of the raster, too.
+/// Half of the poses: `ways` compares the bits of both ways, too.
 #[test]
 fn cpu_by_tiles_in_real_scenes() {
     check_scenes(engines::cpu_by_tiles(2), Precision::F64, poses().div_ceil(2), share());

@@ -401,7 +401,7 @@ fn a_million_faces_at_one_place_have_the_same_bits_both_ways() {
     };
     let close = (0..50_000).map(apart).collect();
     let mut random = Random(3);
-    let small = (0..200_000).map(|_| {
+    let small = (0..1_000_000).map(|_| {
         let a = Vec3::new(
             random.uniform(0.5, 6.0) as f32,
             random.uniform(-4.0, 4.0) as f32,
@@ -446,6 +446,25 @@ fn changes_while_trees_are_made_are_exact() {
     });
     ways.check(&world, &common::scenes::camera(65, 41), &pose).unwrap();
     assert_eq!(ways.at_edges, 0);
+}
+
+/// Opening a model makes no tree, and neither does an image by the raster.
+#[test]
+fn who_does_not_need_trees_does_not_pay_for_them() {
+    let Some(path) = data::file("env/warehouse_small.glb") else { return };
+    let imported = presight_files::gltf::import(path, &presight_files::gltf::ImportOptions::default()).unwrap();
+    let world = World::new(imported.environment);
+    let trees = || world.environment().objects().iter().filter(|o| o.mesh.known_ray_tree().is_some()).count();
+    assert_eq!(trees(), 0);
+    let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1).with_way(Way::Counts)).unwrap();
+    let pose = data::poses(&world, 1, 3)[0] * Pose::from_xyz_rpy(DVec3::ZERO, 0.05, 0.0, 0.0);
+    let mut see = |name: &str| {
+        let sensor = presight_files::preset(name).unwrap();
+        predictor.predict(&world, &sensor, &pose, &Request::default()).unwrap().stats.way
+    };
+    (0..20).for_each(|_| assert_eq!(see("video-camera"), Some(Way::Raster)));
+    assert_eq!(trees(), 0);
+    assert!((0..500).any(|_| see("laser-scanner") == Some(Way::Tiles)) && trees() > 0);
 }
 
 /// A wide image of a crowded hall turns to tiles after its first wave, once the trees have paid; that of a room does not.

@@ -3,8 +3,8 @@
 //! By counts, tiles take over from the raster if too many polygons may show after the first wave ([`Way::choose`]). What a
 //! polygon and a ray cost depends on the machine and on the sensor, so that number is learnt: a frame's time by either way is a line
 //! over the polygons left, and tiles take over from where the lines say so. The number stays within [`RANGE`] times the counted one on
-//! either side, and only frames in that range try the other way, one in [`TRIED`]. A frame by the wrong way takes at most a few times as
-//! long, so trying costs little.
+//! either side, and only frames in that range try the other way, at first one in [`TRIED_EARLY`], later one in [`TRIED`]. A frame by the
+//! wrong way takes at most a few times as long, so trying costs little.
 
 use super::{UnitCosts, WorkCounts};
 use crate::plan::{ChosenWay, CountName, FramePlan, Outputs, Stats, Way};
@@ -16,6 +16,10 @@ const RANGE: u64 = 4;
 
 /// Period of trials, frames: one tries the raster where tiles would be taken, another one the reverse.
 const TRIED: u64 = 128;
+
+/// The same among a sensor's first frames, and how many these are: enough that times count soon.
+const TRIED_EARLY: u64 = 8;
+const EARLY: u64 = TRIED_EARLY * ENOUGH;
 
 /// Frames that were drawn by each way before times count.
 const ENOUGH: u64 = 8;
@@ -85,9 +89,14 @@ impl SensorWays {
         most.max(counted / RANGE)
     }
 
-    /// True if the frame just chosen tries a way that would not be taken otherwise.
-    fn is_trial(&self) -> bool {
-        self.frames.is_multiple_of(TRIED / 2)
+    /// The number of polygons left from which on a trial takes tiles, if the frame just chosen is one.
+    fn trial(&self, counted: u64) -> Option<u64> {
+        let period = if self.frames <= EARLY { TRIED_EARLY } else { TRIED };
+        match self.frames % period {
+            0 => Some(counted / RANGE),
+            n if n == period / 2 => Some(counted.saturating_mul(RANGE)),
+            _ => None,
+        }
     }
 }
 
@@ -118,12 +127,9 @@ impl WayCosts {
         let known = self.entry(sensor, outputs);
         known.frames += 1;
         let counted = chosen.most_left;
-        let most_left = match known.frames % TRIED {
-            0 => counted.saturating_mul(RANGE),
-            n if n == TRIED / 2 => counted / RANGE,
-            _ => known.most_left(counted),
-        };
-        if known.turned >= IN_SUCCESSION && !known.is_trial() && !known.frames.is_multiple_of(CHECKED) {
+        let trial = known.trial(counted);
+        let most_left = trial.unwrap_or_else(|| known.most_left(counted));
+        if known.turned >= IN_SUCCESSION && trial.is_none() && !known.frames.is_multiple_of(CHECKED) {
             let why = "the sensor's last frames had too many polygons after the first wave";
             return ChosenWay { way: Way::Tiles, why, most_left, ..chosen };
         }
@@ -144,7 +150,7 @@ impl WayCosts {
             return;
         }
         let by_tiles = stats.way == Some(Way::Tiles);
-        if !known.is_trial() {
+        if known.trial(0).is_none() {
             known.turned = if by_tiles { known.turned + 1 } else { 0 };
         }
         let left = stats.count_of(CountName::PolygonsLeft);
@@ -238,6 +244,15 @@ mod tests {
         assert!(before <= 2, "{before}");
         (0..CHECKED + 1).for_each(|_| _ = sensor.frame(50));
         assert_eq!(sensor.frame(50), Way::Raster);
+    }
+
+    /// Within the first hundred frames a sensor that counts leave with the slower way has turned to the faster one.
+    #[test]
+    fn times_count_soon() {
+        let mut sensor = Simulated::new([|n| 1e-3 * (0.4 + 1.2e-3 * n), |_| 1e-3]);
+        (0..70).for_each(|_| _ = sensor.frame(800));
+        let late = (0..30).filter(|_| sensor.frame(800) == Way::Tiles).count();
+        assert!(late >= 29, "{late} of 30");
     }
 
     #[test]

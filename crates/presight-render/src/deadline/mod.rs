@@ -207,7 +207,7 @@ pub struct DeadlineOutcome {
 }
 
 impl DeadlineOutcome {
-    /// Of a drawing that ended so long after the call.
+    /// The outcome of a drawing that ended this long after the call.
     pub(crate) fn drawn(after: Duration, given_up: Option<Degradation>) -> Self {
         Self { drawn_ms: 1e3 * after.as_secs_f64(), given_up, ..Self::default() }
     }

@@ -178,7 +178,7 @@ pub struct TimeLimit {
     pub part: Option<ImagePart>,
     /// Drawing costs, if they are known: the engine may thin the image accordingly.
     pub pace: Option<Pace>,
-    /// The raster may hand over to tiles while so much time is left; `None` if it may not.
+    /// The raster may hand over to tiles while at least this much time is left; `None` if it may not.
     pub tiles: Option<Duration>,
 }
 

@@ -40,7 +40,7 @@ const PAID_AT_ONCE: u64 = PRICE * 2000;
 /// Price of a frame by the raster in addition to its polygons.
 pub(super) const FRAME_PRICE: u64 = 300;
 
-/// Nanoseconds of a slow core for a tile, and for making a tree for each polygon of its mesh: some seven times what they take.
+/// Nanoseconds of a slow core for a tile, and for making a tree for each polygon of its mesh: some seven times the measured times.
 const TILE_NS: u64 = 100_000;
 const TREE_NS: u64 = 2_000;
 
