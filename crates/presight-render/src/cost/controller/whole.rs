@@ -73,7 +73,7 @@ impl Controller {
         let features = self.reserve(timed, timed.limit.saturating_sub(timed.selected));
         timed.watch.stop_after(timed.limit.saturating_sub(timed.margin(whole) + features));
         let learnt = self.costs.estimate(&timed.key_of(whole), &WorkCounts::default());
-        timed.first_estimate = (learnt.frames > 0).then(|| timed.selected.as_secs_f64() + learnt.mean);
+        timed.first_estimate = (learnt.frames > 0).then_some(timed.selected.as_secs_f64() + learnt.mean);
         timed.whole = Some(whole);
         plan.limit = Some(TimeLimit::new(timed.watch.clone()));
     }
