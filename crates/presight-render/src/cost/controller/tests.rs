@@ -306,7 +306,7 @@ fn decisions_replay() {
 #[test]
 fn the_way_with_more_samples_in_time_is_preferred() {
     let mut replay = Replay::new();
-    let mut prefers_whole = |replay: &mut Replay, deadline_us: f64, whole_us: f64| {
+    let prefers_whole = |replay: &mut Replay, deadline_us: f64, whole_us: f64| {
         let (deadline, outputs) = (Duration::from_secs_f64(deadline_us * 1e-6), Outputs::default());
         let engine = DeadlineEngine { name: "cpu", adapter: None, threads: 1, draws_parts: false };
         let begun = replay.controller.begin(Some((deadline, &replay.priority)), Some(engine), &replay.sensor, outputs);
