@@ -401,23 +401,6 @@ fn an_interrupted_run_goes_on() {
     assert!(!again.stderr.contains("going on") && again.stdout.contains("8 of 8 frames"), "{}", again.stderr);
 }
 
-/// A camera that starts 2 m beside its pose and looks elsewhere is never tracked; each line names the flags that help, and so does
-/// the end of the run.
-#[test]
-fn a_run_without_a_pose_names_flags_that_help() {
-    let place = drive_of(4);
-    let done =
-        place.run("localize log --map room.glb --sensor log/sensor.toml --init 2.3,0.35,1.35,0,0,-140 --out run.tum");
-    assert_eq!(done.status, Some(0), "{}", done.stderr);
-    let details = fs::read_to_string(place.path("run.jsonl")).unwrap();
-    let lines: Vec<serde_json::Value> = details.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
-    assert!(lines.iter().all(|line| line["state"] != "tracking"), "{details}");
-    let last = &lines[lines.len() - 1];
-    assert!(last["help"].as_str().is_some_and(|help| help.contains("--init unknown")), "{last}");
-    let none = done.stdout.starts_with("0 of");
-    assert_eq!(none, done.stderr.contains("no frame has a pose: --init unknown"), "{} {}", done.stdout, done.stderr);
-}
-
 /// By hand: a folder's odometry gives the motion between its images; half-way between two lines the robot is half-way.
 #[test]
 fn depth_folders_carry_odometry() {
