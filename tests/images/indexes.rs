@@ -69,7 +69,7 @@ fn cpu_images_are_equal() {
 /// Compares the world's own index after changes with a newly built one.
 #[test]
 fn cpu_images_are_equal_after_changes() {
-    let mut cpu = engines::cpu(2);
+    let (mut cpu, mut tiles) = (engines::cpu(2), engines::cpu_by_tiles(2));
     let sensor = scenes::scanner(360, 91);
     for scheme in Scheme::ALL {
         let mut world = scenes::room_world(3, 30).reindexed(&scheme.kind(Params::default()));
@@ -86,8 +86,10 @@ fn cpu_images_are_equal_after_changes() {
         world.index().assert_well_formed(world.environment());
         let anew = world.reindexed(&IndexKind::None);
         let pose = Pose::from_xyz_rpy(DVec3::new(0.1, 0.2, 1.3), 0.1, 0.05, 0.7);
-        let (expected, got) = (cpu(&plan(&anew, &sensor, &pose)), cpu(&plan(&world, &sensor, &pose)));
-        assert_eq!(difference(&expected, &got), None, "{}", scheme.name());
+        let expected = cpu(&plan(&anew, &sensor, &pose));
+        for got in [cpu(&plan(&world, &sensor, &pose)), tiles(&plan(&world, &sensor, &pose))] {
+            assert_eq!(difference(&expected, &got), None, "{}", scheme.name());
+        }
     }
 }
 

@@ -10,7 +10,8 @@
 
 use presight_testkit as common;
 
-use common::{Random, engines, plan, scenes};
+use common::engines::{self, Renderer};
+use common::{Random, plan, scenes};
 use glam::{DAffine3, DVec3, Vec3};
 use presight_model::environment::{Material, Mesh, NewObject, Polygon, PolygonOrder};
 use presight_model::geometry::Pose;
@@ -209,15 +210,15 @@ fn hash(images: &Images) -> String {
     hasher.finalize().to_hex()[..16].to_owned()
 }
 
-/// A case's description and hash, with this number of threads.
-fn case(seed: u64, threads: usize) -> (String, String) {
+/// A case's description and hash, by an engine.
+fn case(seed: u64, mut render: Renderer) -> (String, String) {
     let mut random = Random(seed);
     let kind = seed as usize % KINDS.len();
     let sensor = sensor(&mut random, kind);
     let world = world(&mut random);
     let at = DVec3::new(random.uniform(-1.0, 1.0), random.uniform(-1.0, 1.0), random.uniform(0.5, 2.5));
     let [roll, pitch, yaw] = [0.2, 0.5, 3.1].map(|most| random.uniform(-most, most));
-    let images = engines::cpu(threads)(&plan(&world, &sensor, &Pose::from_xyz_rpy(at, roll, pitch, yaw)));
+    let images = render(&plan(&world, &sensor, &Pose::from_xyz_rpy(at, roll, pitch, yaw)));
     let seen = images.polygon_id.iter().filter(|id| **id != 0).count();
     let about = format!("{} {} x {}, {seen} seen", KINDS[kind], sensor.width(), sensor.height());
     (about, hash(&images))
@@ -225,7 +226,8 @@ fn case(seed: u64, threads: usize) -> (String, String) {
 
 #[test]
 fn images_of_ray_tables_keep_their_bits() {
-    let cases: Vec<(String, String)> = (0..CASES).map(|seed| case(seed, 1 + seed as usize % 3)).collect();
+    let threads = |seed: u64| 1 + seed as usize % 3;
+    let cases: Vec<(String, String)> = (0..CASES).map(|seed| case(seed, engines::cpu(threads(seed)))).collect();
     if let Some(path) = std::env::var_os("PRESIGHT_RAY_TABLES") {
         let mut text = String::new();
         cases.iter().for_each(|(about, hash)| writeln!(text, "{hash} {about}").expect("a string takes text"));
@@ -237,6 +239,9 @@ fn images_of_ray_tables_keep_their_bits() {
     let differ = |(stored, (about, hash)): &(&&str, &(String, String))| **stored != format!("{hash} {about}");
     let other: Vec<_> = stored.iter().zip(&cases).filter(differ).collect();
     assert!(other.is_empty(), "{} of {CASES} images differ, first {:?}", other.len(), other[0]);
+    let by_tiles = (0..CASES).map(|seed| case(seed, engines::cpu_by_tiles(threads(seed))));
+    let other: Vec<_> = by_tiles.zip(&cases).filter(|(tiles, raster)| tiles != *raster).collect();
+    assert!(other.is_empty(), "{} of {CASES} images by tiles differ, first {:?}", other.len(), other[0]);
 }
 
 /// The sensor at rest in a room of 9,000 small triangles.

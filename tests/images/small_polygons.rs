@@ -4,7 +4,7 @@
 use presight_testkit as common;
 
 use common::hall::{hall_poses, open_hall};
-use common::{plan, reference, scenes};
+use common::{engines, plan, reference, scenes};
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_render::cpu::CpuEngine;
@@ -25,14 +25,17 @@ fn images_of_small_polygons_equal_the_reference() {
     let mut left_out = 0;
     for threads in [1, 2] {
         let mut engine = CpuEngine::new(threads).expect("threads");
+        let mut tiles = engines::cpu_by_tiles(threads);
         for (pose, sensor) in poses.iter().flat_map(|pose| sensors().into_iter().map(move |sensor| (pose, sensor))) {
             let plan = plan(&world, &sensor, pose);
             let (mut images, mut stats) = (Images::default(), Stats::default());
             engine.render(&plan, &mut images, &mut stats).expect("the engine renders");
-            let report = compare(&reference(&plan), &images, &plan, Precision::F64).expect("images of one shape");
-            let name = &sensor.spec().name;
-            assert_eq!(report.fault, 0, "{name}: first {:#?}", report.faults.first());
-            assert!(report.pixels > 0, "{name}");
+            let (expected, name) = (reference(&plan), &sensor.spec().name);
+            for images in [&images, &tiles(&plan)] {
+                let report = compare(&expected, images, &plan, Precision::F64).expect("images of one shape");
+                assert_eq!(report.fault, 0, "{name}: first {:#?}", report.faults.first());
+                assert!(report.pixels > 0, "{name}");
+            }
             let [placed, passed, between] =
                 [CountName::PolygonsPlaced, CountName::PolygonsPassed, CountName::PolygonsBetweenSamples]
                     .map(|count| stats.count_of(count).unwrap_or(0));
