@@ -1,4 +1,4 @@
-//! CPU time of learning beside that of localizing, on one log: `cargo bench --bench update -- live`. Ten frames a second at 1 m/s through a
+//! CPU time of learning and CPU time of localizing, on one log: `cargo bench --bench update -- live`. Ten frames a second at 1 m/s through a
 //! changed hall.
 
 use super::case::Case;

@@ -1,4 +1,4 @@
-//! The pixels of another drive after an update: those that were wrong and are right now, and those that it made wrong.
+//! The pixels of another drive after an update: how many wrong ones are right now, and how many right ones it made wrong.
 
 use super::case::Case;
 use presight_model::geometry::Pose;

@@ -192,7 +192,7 @@ fn a_drive_is_drawn() {
         assert!(leaf["off"][0].as_f64().unwrap() < 0.01 && leaf["nees"].as_f64().unwrap() < 6.0, "{leaf}");
     }
     assert_eq!(leaves[7]["state"], "tracking");
-    // The map is exact, and the page shows what was learnt of it.
+    // The map is exact, and the page shows the deviation learnt from it.
     assert!(leaves[7]["model_sigma"].as_f64().unwrap() < 0.003 && html.contains("surfaces of the map count as off by"));
     // Features are drawn only on request.
     let made = place.run("features room.glb --class laser --out edges.layer.json");

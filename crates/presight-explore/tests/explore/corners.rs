@@ -1,5 +1,5 @@
 //! Two walls and a floor that are known by hand, seen from inside: corners close, nothing stands out beyond them, and a doorway
-//! beside the corner stays open.
+//! next to the corner stays open.
 
 use super::rooms::{sensor, views_of};
 use glam::{DVec3, Vec3};

@@ -49,11 +49,11 @@ pub(super) struct Schedule {
 /// From the prior, as wide as it is.
 pub(super) const SEARCH: Schedule =
     Schedule { first: 1.0, shrink: 0.8, least: 0.15, steps: 12, settle: usize::MAX, points: (SEARCH_POINTS, 0) };
-/// Likewise with few points, to see where a start leads.
+/// The same with few points, to see where a start leads.
 pub(super) const LOOK: Schedule = Schedule { points: (FAR_POINTS, 0), ..SEARCH };
 /// From a start that is one of many: the others look elsewhere.
 pub(super) const NEAR: Schedule = Schedule { first: 0.3, ..SEARCH };
-/// Likewise with few points: a gate as wide as the prior would draw neighbouring minima into one.
+/// The same with few points: a gate as wide as the prior would draw neighbouring minima into one.
 pub(super) const LOOK_NEAR: Schedule = Schedule { points: (FAR_POINTS, 0), ..NEAR };
 /// In a prediction at the pose that a search found.
 pub(super) const SETTLE: Schedule =

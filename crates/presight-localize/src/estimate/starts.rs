@@ -73,7 +73,7 @@ impl Estimator {
         let starts = far_ends(run, best, freedom);
         let reflectors = MatchedReflectors::at(run, &best.expected, &best.pose).counts();
         let ends = if reflectors.1 > 0 {
-            // What was matched here would pull back from where other reflectors stand alike, and ranges alone may not hold a start.
+            // Reflectors matched here would pull a start back from places whose reflectors look alike, and ranges alone may not hold it.
             let around = PoseCovariance::from_rows(scaled(run.prior.covariance.as_rows(), 0.25));
             let look = |start: &Pose| -> Result<Minimum> {
                 let expected = self.expected(run, &PoseEstimate::new(*start, around))?;
@@ -106,8 +106,8 @@ impl Estimator {
         Ok(others)
     }
 
-    /// Draws starts from the prior. All search in the prediction at the prior's pose; the most promising predict anew. A pose that explains
-    /// enough, but hardly is where the robot was known to be, gives way to a likely one that explains as much, if there is one.
+    /// Draws starts from the prior. All search in the prediction at the prior's pose; the most promising ones predict again. A pose that explains
+    /// enough, but is hardly where the robot was known to be, gives way to a likely pose that explains as much.
     pub(super) fn restart(
         &mut self,
         run: &mut Run<'_>,
@@ -155,7 +155,7 @@ impl Estimator {
 }
 
 /// Two prior standard deviations to either side of a minimum, along every principal axis of the prior that leaves room for a second
-/// one. How much the measurement says along an axis is no reason to leave it out: where things repeat, it says much at each place.
+/// one. No axis is left out because the measurement says much along it: where things repeat, it says much at each place.
 fn far_ends(run: &Run<'_>, best: &Minimum, freedom: Freedom) -> Vec<Pose> {
     let (values, vectors) = eigen(restricted(run.prior.covariance.as_rows(), freedom.axes()), 6);
     let axis = |k: usize| -> Vector { std::array::from_fn(|i| 2.0 * values[k].max(0.0).sqrt() * vectors[i][k]) };

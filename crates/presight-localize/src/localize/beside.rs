@@ -1,4 +1,4 @@
-//! Minima beside the pose that is followed: as far away as its prior may reach, another pose may explain the frames as well. The
+//! Minima near the pose that is followed: as far away as its prior may reach, another pose may explain the frames as well. The
 //! likeliest one is followed, too, until the frames decide.
 
 use super::follow::Followed;

@@ -190,9 +190,10 @@ impl Odds {
         self.now < 0.0 || (self.fallen && self.now < rates.tracked())
     }
 
-    /// Takes in what a frame says. Frames of one view say it once: `way` is how much of another view this one is, 0 to 1. Of a
-    /// place that does not have all the evidence that it could have, each piece of the map says it once: a wrong place that
-    /// resembles the right one goes on resembling it until the robot sees something else. What the frame says by itself counts if it is more, less the chance that the views before gave a wrong place.
+    /// Takes in what a frame says. Frames of one view say it once: `way` is how much of another view this one is, 0 to 1. If a
+    /// place lacks evidence that it could have, each piece of the map says it once: a wrong place that resembles the right one
+    /// goes on resembling it until the robot sees something else. The frame by itself counts if it says more, less the chance
+    /// that the views before gave a wrong place.
     ///
     /// A sudden fall to where the frame no longer singles out the pose counts in full: evidence that is Δ scales below what
     /// is usual here has a probability of exp(-Δ) if the robot still is here. If the robot is elsewhere, the pose leads by x
@@ -291,8 +292,8 @@ mod tests {
         assert!((usual.now - rates.most()).abs() < 1e-9, "{}", usual.now);
     }
 
-    /// By hand: a place with 150 of 200 (5 scales less than all it could have) is found with a lead of 4, and four frames of the same four pieces lead by 4 again: 4 it stays, because they
-    /// tell nothing new. A frame that sees one other piece of four adds (4 - 1) / 4. One that leads by 9 counts as 9, less
+    /// By hand: a place with 150 of 200 (5 scales less than all it could have) is found with a lead of 4, and four frames of the same
+    /// four pieces lead by 4 again: it stays at 4, because they add nothing new. A frame that sees one other piece of four adds (4 - 1) / 4. One that leads by 9 counts as 9, less
     /// ln(1 + 1.25) for the views before. Frames whose pieces are not known add 3 for each metre, and so do
     /// frames with all of their evidence.
     #[test]

@@ -85,31 +85,29 @@ impl Predictor {
         })
     }
 
-    /// The cut of the world for a level scanner of one row, if it is known or due. With a deadline a row has to be preferred to the raster,
-    /// and a cut that is made has to be surely in time.
-    pub(super) fn find_cut(&self, vantage: &Vantage<'_>, mut timed: Option<&mut DeadlineFrame>) -> Option<Arc<RowCut>> {
+    /// The cut of the world for a level scanner of one row, if it is known or due. With a deadline the row has to be surely in time, and
+    /// so has a cut that is made.
+    pub(super) fn find_cut(&self, vantage: &Vantage<'_>, timed: Option<&DeadlineFrame>) -> Option<Arc<RowCut>> {
         let Vantage { world, sensor, world_from_sensor } = *vantage;
         if !self.may_cut() || !self.engine.draws_cuts() || !is_row(sensor) {
             return None;
         }
-        let mut has_time = |before| match &mut timed {
-            Some(timed) => self.controller.prefers_whole(timed, Forecast::Row, before),
-            None => true,
-        };
+        let has_time =
+            |before| timed.is_none_or(|timed| self.controller.is_surely_in_time(timed, Forecast::Row, before));
         let making = if has_time(RowCut::most_time(world)) { Making::IfOften } else { Making::Never };
         let cut = self.row_cuts.get(world, sensor, world_from_sensor, making);
         cut.filter(|_| has_time(Duration::ZERO))
     }
 
-    /// The way that was chosen, or the raster if it is to be preferred to tiles.
-    pub(super) fn way_in_time(&self, timed: &mut DeadlineFrame, chosen: ChosenWay) -> ChosenWay {
+    /// The way that was chosen, or the raster if tiles are not surely in time.
+    pub(super) fn way_in_time(&self, timed: &DeadlineFrame, chosen: ChosenWay) -> ChosenWay {
         if chosen.way != Way::Tiles {
             return chosen;
         }
         if !chosen.at_once && self.engine.waits_for_trees() {
             return ChosenWay::WITHOUT_TREES;
         }
-        let has_time = self.controller.prefers_whole(timed, Forecast::Tiles, Duration::ZERO);
+        let has_time = self.controller.is_surely_in_time(timed, Forecast::Tiles, Duration::ZERO);
         if has_time { chosen } else { ChosenWay::TILES_TAKE_TOO_LONG }
     }
 

@@ -385,14 +385,14 @@ impl Predictor {
         let start = Instant::now();
         let Vantage { world, sensor, world_from_sensor } = *vantage;
         let buffers = std::mem::take(&mut self.buffers);
-        let mut plan = match self.find_cut(vantage, timed.as_deref_mut()) {
+        let mut plan = match self.find_cut(vantage, timed.as_deref()) {
             Some(cut) => FramePlan::by_cut(buffers, world, sensor, world_from_sensor, request, cut),
             None => {
                 let mut chosen = self.choose_way(world, sensor);
                 if self.way == Way::Auto {
                     chosen = self.ways.adjust(sensor, request.outputs, chosen);
                 }
-                if let Some(timed) = &mut timed {
+                if let Some(timed) = &timed {
                     chosen = self.way_in_time(timed, chosen);
                 }
                 FramePlan::by(chosen, buffers, world, sensor, world_from_sensor, request)?

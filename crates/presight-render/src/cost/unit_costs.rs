@@ -63,15 +63,6 @@ impl UnitCosts {
         sum.max(1e-9)
     }
 
-    /// Share of frames with these counts that take at most this long; 0 or 1 if few were learnt.
-    pub fn share_within(&self, counts: &WorkCounts, seconds: f64) -> f64 {
-        let ratio = seconds / self.mean(counts);
-        if self.ratios.len() < ENOUGH {
-            return f64::from(ratio >= self.factors[1]);
-        }
-        self.ratios.iter().filter(|known| **known <= ratio).count() as f64 / self.ratios.len() as f64
-    }
-
     /// Computes [`UnitCosts::factors`] from ratios.
     pub fn factors_of(ratios: &VecDeque<f64>) -> [f64; 2] {
         let mut some: Vec<f64> = ratios.iter().copied().collect();

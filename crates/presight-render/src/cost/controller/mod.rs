@@ -68,8 +68,6 @@ pub struct DeadlineFrame {
     first_estimate: Option<f64>,
     /// Tiles or a row in the plane, if it was planned as a whole.
     whole: Option<Forecast>,
-    /// The same if the raster was preferred to it, and the time left in units of its mean.
-    passed_over: Option<(Forecast, f64)>,
     /// Expected work of features, before any was found.
     features: WorkCounts,
     /// Number of features found, and ascending numbers of features left out.
@@ -168,7 +166,7 @@ impl Controller {
         plan.limit = Some(TimeLimit { part, ..TimeLimit::new(timed.watch.clone()) });
         self.cut(timed, plan)?;
         let pace = self.pace(timed, left, &plan.runs);
-        let tiles = self.most_time(timed);
+        let tiles = self.most_time(timed, Forecast::Tiles);
         plan.limit.iter_mut().for_each(|limit| (limit.pace, limit.tiles) = (pace, Some(tiles)));
         Ok(())
     }
@@ -225,7 +223,6 @@ impl Controller {
             self.learn_whole(timed, stats, &mut kept);
         } else {
             self.learn_drawing(timed, stats, &mut kept, drawn);
-            self.learn_passed_over(timed, &kept);
         }
         if timed.found > 0 {
             self.learn(timed, Forecast::Features, 1, &timed.of_features(timed.found), took - timed.images_made);
@@ -302,7 +299,6 @@ impl DeadlineFrame {
             time: None,
             first_estimate,
             whole: None,
-            passed_over: None,
             features,
             found,
             left_out,

@@ -2,7 +2,6 @@
 
 use super::*;
 use crate::deadline::{DeadlineOutcome, Degradation};
-use crate::plan::{ChosenWay, PlanBuffers};
 use presight_model::environment::Environment;
 use presight_model::geometry::Pose;
 use presight_model::world::World;
@@ -299,39 +298,4 @@ fn decisions_replay() {
         format!("{:?}", frames.collect::<Vec<_>>())
     };
     assert_eq!(run(), run());
-}
-
-/// One of two whole frames takes 100 microseconds, the other one 200. Of 180 microseconds the raster makes a complete image in theory, and in
-/// fact nothing; it is given up once that is learnt, and a whole frame is taken where half of them are in time.
-#[test]
-fn the_way_with_more_samples_in_time_is_preferred() {
-    let mut replay = Replay::new();
-    let prefers_whole = |replay: &mut Replay, deadline_us: f64, whole_us: f64| {
-        let (deadline, outputs) = (Duration::from_secs_f64(deadline_us * 1e-6), Outputs::default());
-        let engine = DeadlineEngine { name: "cpu", adapter: None, threads: 1, draws_parts: false };
-        let begun = replay.controller.begin(Some((deadline, &replay.priority)), Some(engine), &replay.sensor, outputs);
-        let mut timed = begun.unwrap().expect("it has a deadline");
-        let is_preferred = replay.controller.prefers_whole(&mut timed, Forecast::Tiles, Duration::ZERO);
-        let chosen = if is_preferred { ChosenWay::TILES } else { ChosenWay::RASTER };
-        let (world, sensor) = (&replay.world, &replay.sensor);
-        let plan = FramePlan::by(chosen, PlanBuffers::default(), world, sensor, &Pose::IDENTITY, outputs.into());
-        replay.controller.plan(&mut timed, &mut plan.unwrap()).unwrap();
-        replay.clock.pass(if is_preferred { whole_us } else { 150.0 });
-        timed.images_are_made();
-        let all = Degradation { complete_to: 0.0, samples: timed.pixels(), ..Degradation::default() };
-        let given_up = (!is_preferred).then_some(all);
-        let deadline = Some(DeadlineOutcome { drawn_ms: 0.15, given_up, ..DeadlineOutcome::default() });
-        let way = Some(chosen.way);
-        replay.controller.end(&timed, &mut Stats { way, deadline, ..Stats::default() });
-        is_preferred
-    };
-    for k in 0..60 {
-        assert!(prefers_whole(&mut replay, 1e6, 100.0 + 100.0 * f64::from(k % 2)));
-    }
-    assert!(!prefers_whole(&mut replay, 180.0, 100.0));
-    let tried = (0..100).take_while(|_| !prefers_whole(&mut replay, 180.0, 100.0)).count();
-    assert!((1..60).contains(&tried), "{tried}");
-    // 221 microseconds leave more than 200: a whole frame is surely in time. Below 100 none is.
-    assert!(prefers_whole(&mut replay, 223.0, 200.0));
-    assert!(!prefers_whole(&mut replay, 90.0, 100.0));
 }
