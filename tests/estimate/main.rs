@@ -20,6 +20,7 @@ mod search;
 mod simulated;
 mod singular;
 mod street;
+mod turning;
 mod verdicts;
 mod willow;
 

@@ -13,6 +13,7 @@ use super::sensor_args::SensorArgs;
 use super::{open_scene_without, print};
 use beside::LogBeside;
 use features::{not_sought, not_sought_in_scans};
+use indicatif::ProgressBar;
 use presight::Scene;
 use presight_files::depth_folder::DepthFolder;
 use presight_files::gltf::ImportOptions;
@@ -29,6 +30,7 @@ use presight_model::sensor::Sensor;
 use presight_model::threads::Threads;
 use presight_predict::predict::{Backend, Options, Predictor};
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 /// Flags shared by `localize`, `replay`, `supervise` and `update`: the log, the map, and the options of the localizer.
 #[derive(Clone, Debug, clap::Args)]
@@ -129,6 +131,11 @@ pub struct Drive {
         allow_hyphen_values = true
     )]
     lean: Vec<f64>,
+
+    /// Starts that one frame draws around the last pose of a lost sensor that has no search of the whole map; the next frame draws
+    /// others. Each costs about 5 ms
+    #[arg(long, value_name = "N", default_value_t = 16, value_parser = clap::value_parser!(u16).range(1..=1000))]
+    search_starts: u16,
 
     /// Start at the first frame at or after this time, seconds
     #[arg(long, value_name = "TIME")]
@@ -284,11 +291,12 @@ impl Drive {
         }
         // A run that ended without a pose has no start left; one with a pose has moved since, and is as unsure as a start.
         let start_now = if let Some(run) = resumed { run.pose } else { start };
-        let mut localizer = self.localizer(estimator, start_now, &scene, first.frame.sensor())?;
+        let progress = super::bar::count("frames");
+        let mut localizer = self.localizer(estimator, start_now, &scene, first.frame.sensor(), &progress)?;
         // The search of the whole map predicts many panoramas, so it is set up only when it is needed.
         let mut may_search = start_now.is_some() && options.freedom == Freedom::Planar;
         files.check_scene(&scene.files)?;
-        let (mut followed, progress) = (Followed::default(), super::bar::count("frames"));
+        let mut followed = Followed::default();
         for observation in std::iter::once(Ok(first)).chain(log) {
             let Observation { frame, reference } = observation?;
             let grey = grey.as_mut().map(|g| g.next_at(frame.stamp)).transpose()?.flatten();
@@ -300,9 +308,9 @@ impl Drive {
             let mut step = localizer.step_together(&scene.world, &frame, &beside).map_err(place)?;
             if may_search && matches!(step.phase, Phase::Lost | Phase::Unknown) {
                 may_search = false;
-                progress.set_message("looking round in the whole map");
                 let search = self.search_about(&step.pose.world_from_robot)?;
-                if let Err(e) = localizer.search_everywhere(&scene.world, frame.sensor(), search) {
+                let mut watch = watching(&progress);
+                if let Err(e) = localizer.search_everywhere_watched(&scene.world, frame.sensor(), search, &mut watch) {
                     print::notices(&[format!("searching for the robot only around its last pose: {e}")]);
                 }
             }
@@ -359,6 +367,12 @@ impl Drive {
         };
         Ok(Observation { frame, ..observation })
     }
+}
+
+/// Shows how far a search of the whole map is.
+fn watching(progress: &ProgressBar) -> impl FnMut(usize, usize) + use<> {
+    let (progress, since) = (progress.clone(), Instant::now());
+    move |done, all| progress.set_message(super::bar::looking_round(done, all, since.elapsed()))
 }
 
 /// Pixels of each verdict of a step that still has its verdict images.

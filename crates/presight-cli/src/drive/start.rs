@@ -1,7 +1,8 @@
 //! Where a drive starts and how it is estimated: the flags, checked, as the library's options.
 
-use super::Drive;
+use super::{Drive, watching};
 use crate::pose::parse_pose;
+use indicatif::ProgressBar;
 use presight::Scene;
 use presight_files::log::Observation;
 use presight_localize::estimate::{EstimateOptions, Estimator, Preset};
@@ -60,11 +61,13 @@ impl Drive {
         start: Option<Pose>,
         scene: &Scene,
         sensor: &Sensor,
+        progress: &ProgressBar,
     ) -> Result<Localizer> {
         let rates = ErrorRates { wrong_start: 1.0 / self.init_odds, ..ErrorRates::default() };
-        let options = LocalizeOptions::default().with_rates(rates);
+        let options = LocalizeOptions::default().with_rates(rates).with_search_starts(usize::from(self.search_starts));
         let Some(start) = start else {
-            let search = Search::new(&mut estimator, &scene.world, sensor, self.search()?);
+            let mut watch = watching(progress);
+            let search = Search::watched(&mut estimator, &scene.world, sensor, self.search()?, &mut watch);
             return Ok(Localizer::unknown(estimator, search.map_err(|e| e.at("--init unknown"))?, options));
         };
         let prior = PoseEstimate::of_sigmas(start, self.init_sigma, self.init_sigma_deg.to_radians());

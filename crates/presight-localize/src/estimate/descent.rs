@@ -51,13 +51,14 @@ pub(super) const SEARCH: Schedule =
     Schedule { first: 1.0, shrink: 0.8, least: 0.15, steps: 12, settle: usize::MAX, points: (SEARCH_POINTS, 0) };
 /// The same with few points, to see where a start leads.
 pub(super) const LOOK: Schedule = Schedule { points: (FAR_POINTS, 0), ..SEARCH };
-/// From a start that is one of many: the others look elsewhere.
-pub(super) const NEAR: Schedule = Schedule { first: 0.3, ..SEARCH };
-/// The same with few points: a gate as wide as the prior would draw neighbouring minima into one.
-pub(super) const LOOK_NEAR: Schedule = Schedule { points: (FAR_POINTS, 0), ..NEAR };
+/// From a start that is one of many, with few points: a gate as wide as the prior would draw neighbouring minima into one.
+pub(super) const LOOK_NEAR: Schedule = Schedule { first: 0.3, ..LOOK };
 /// In a prediction at the pose that a search found.
 pub(super) const SETTLE: Schedule =
     Schedule { first: 0.2, shrink: 0.5, least: 0.01, steps: 13, settle: 4, points: (APPROACH_POINTS, usize::MAX) };
+
+/// The same with few points, for minima of which most are left.
+pub(super) const JUDGE: Schedule = Schedule { points: (SEARCH_POINTS, SEARCH_POINTS), ..SETTLE };
 
 /// Steps from a start to rest, or until they come to a pose that is `known`.
 pub(super) fn descend(

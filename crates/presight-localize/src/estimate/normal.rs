@@ -17,6 +17,8 @@ pub enum CommonError {
     Edge(u32),
     /// How far a point or a fiducial is from where the model has it, by the number of the feature; three numbers, world axes.
     Place(u32),
+    /// The error of the robot's twist while a scan turned; six numbers, metres and radians per second, world axes.
+    Turn,
 }
 
 /// What residuals e with weights w and Jacobians J say about a motion of the robot. The motion `(t, r)` takes a point x of the

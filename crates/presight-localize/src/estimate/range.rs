@@ -54,6 +54,13 @@ pub struct MeasuredPoint {
     pub point: Vec3,
     /// Unit length, towards the sensor.
     pub normal: Vec3,
+    /// Seconds from the middle of the scan's turn to when it was measured; 0 if a frame is measured at once.
+    pub late: f32,
+}
+
+/// Seconds from the middle of a turn to when a column is measured.
+pub(crate) fn after_middle(turn_s: f64, column: usize, width: usize) -> f64 {
+    turn_s * ((column as f64 + 0.5) / width as f64 - 0.5)
 }
 
 /// The measured points of a frame, image frame, metres: those with a finite range within the sensor's limits. A beam
@@ -71,15 +78,22 @@ pub fn measured_points(frame: &Frame) -> Vec<MeasuredPoint> {
     };
     let pixels = frame.ranges().par_iter().enumerate().with_min_len(CHUNK);
     let points: Vec<Vec3> = parallel_or_here(|| pixels.map(point).collect());
-    let upright = height == 1 && !sensor.is_camera();
+    let (upright, turn_s) = (height == 1 && !sensor.is_camera(), spec.turn_s);
+    let row = |row| points_of_row(&points, width, distinct, row, upright, turn_s);
     let rows = (0..height).into_par_iter().with_min_len(CHUNK.div_ceil(width.max(1)));
-    let rows: Vec<Vec<MeasuredPoint>> =
-        parallel_or_here(|| rows.map(|row| points_of_row(&points, width, distinct, row, upright)).collect());
+    let rows: Vec<Vec<MeasuredPoint>> = parallel_or_here(|| rows.map(row).collect());
     rows.concat()
 }
 
 /// Those in the first `distinct` columns of one row. One row alone shows surfaces as lines: they are taken to stand `upright` on it.
-fn points_of_row(points: &[Vec3], width: usize, distinct: usize, row: usize, upright: bool) -> Vec<MeasuredPoint> {
+fn points_of_row(
+    points: &[Vec3],
+    width: usize,
+    distinct: usize,
+    row: usize,
+    upright: bool,
+    turn_s: f64,
+) -> Vec<MeasuredPoint> {
     /// Columns and rows between a point and the neighbours that tell its normal.
     const N: usize = 2;
     let last = points.len() / width - 1;
@@ -100,7 +114,8 @@ fn points_of_row(points: &[Vec3], width: usize, distinct: usize, row: usize, upr
         } else {
             n
         };
-        found.push(MeasuredPoint { point: p, normal: n });
+        let late = after_middle(turn_s, c, width) as f32;
+        found.push(MeasuredPoint { point: p, normal: n, late });
     }
     found
 }
@@ -379,6 +394,13 @@ impl<'a> RangeSource<'a> {
             group.weight += w;
             group.residual += w * e;
             group.variance += w * weight;
+            if p.late != 0.0 {
+                // An error of the twist moves the point as long as it is off the middle of the turn.
+                let (turn, late) = (sum.groups.entry(CommonError::Turn).or_default(), f64::from(p.late));
+                for a in 0..6 {
+                    (0..6).for_each(|b| turn.pull[a][b] += w * late * j[a] * j[b]);
+                }
+            }
         }
     }
 }
@@ -508,7 +530,7 @@ impl RangeSource<'_> {
             // The column of an offset is a number along the normal: it has no axes to turn.
             group.pull = match shared {
                 CommonError::Offset(_) | CommonError::Edge(_) => product(&t, &group.pull),
-                CommonError::Object(_) | CommonError::Place(_) => sandwich(&t, &group.pull),
+                CommonError::Object(_) | CommonError::Place(_) | CommonError::Turn => sandwich(&t, &group.pull),
             };
         }
         total

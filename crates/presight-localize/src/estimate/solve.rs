@@ -19,7 +19,7 @@ use glam::DVec3;
 use presight_features::{FeatureOptions, PlacedFeatures};
 use presight_model::error::{Error, Result};
 use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate};
-use presight_model::matrix::{Matrix, add_to, inverse, quadratic, restricted, scaled};
+use presight_model::matrix::{Matrix, add_to, inverse, quadratic, restricted, sandwich, scaled, turn};
 use presight_model::measured::{Frame, RangeNoise};
 use presight_model::statistics::chi_squared_quantile;
 use presight_model::world::World;
@@ -38,6 +38,8 @@ pub struct Estimator {
     pub(super) offsets: OffsetVariance,
     /// The variance of points about their surfaces.
     deviation: SurfaceVariance,
+    /// Covariance of the twist that was undone in scans that turn, in the robot's axes.
+    twist_error: Matrix,
     /// The prediction that the frame before ended with, and the version of the world that it is of.
     before: Option<(u64, Arc<Expectation>)>,
 }
@@ -60,6 +62,16 @@ const LEAST_MATCHED: f64 = 0.55;
 /// and of one as far from where all but one fiducial lead, 1 in 1,000.
 const UNLIKELY: (f64, f64) = (3.719, 3.09);
 
+/// What is asked of an estimate.
+pub(super) struct Asked {
+    /// Other starts are tried below this share of explained points.
+    pub(super) least: f64,
+    /// It does not count below this share.
+    counts: f64,
+    /// A part of a search: how many starts are drawn, and which.
+    pub(super) part: Option<(usize, u64)>,
+}
+
 impl Estimator {
     /// Makes an estimator that predicts with `predictor`.
     pub fn new(predictor: Predictor, options: EstimateOptions) -> Self {
@@ -71,6 +83,7 @@ impl Estimator {
             options,
             offsets,
             deviation: SurfaceVariance::of_sigma(options.model_sigma),
+            twist_error: [[0.0; 6]; 6],
             before: None,
         }
     }
@@ -83,6 +96,12 @@ impl Estimator {
     /// Learns how far surfaces are off from an estimate of this estimator that is known to be right.
     pub fn learn(&mut self, estimate: &Estimate) {
         self.deviation.learn(&estimate.deviation);
+    }
+
+    /// How well the robot's twist is known that was undone in the scans that come next: metres and radians per second in the robot's
+    /// axes. Points err by it as long as they were measured off the middle of the turn.
+    pub(crate) fn set_twist_error(&mut self, covariance: Matrix) {
+        self.twist_error = covariance;
     }
 
     /// With the features that are looked for in grey images, and the reflectors in scans with intensities, instead of the world's own layer
@@ -100,7 +119,7 @@ impl Estimator {
     pub fn estimate(&mut self, world: &World, frames: &[&Frame], prior: &PoseEstimate) -> Result<Estimate> {
         // One hand-over to the threads: one for each part of it costs as much as the parts of a scan.
         let (threads, least) = (self.predictor.task_threads()?, self.options.least_explained);
-        threads.run(|| self.estimate_here(world, frames, prior, (least, least)))?
+        threads.run(|| self.estimate_here(world, frames, prior, &Asked { least, counts: least, part: None }))?
     }
 
     /// The same for a caller that judges the pose by other evidence than the share of explained points: other starts are
@@ -110,7 +129,23 @@ impl Estimator {
     /// Those of [`Estimator::estimate`].
     pub(crate) fn look_round(&mut self, world: &World, frames: &[&Frame], prior: &PoseEstimate) -> Result<Estimate> {
         let (threads, least) = (self.predictor.task_threads()?, self.options.least_explained);
-        threads.run(|| self.estimate_here(world, frames, prior, (least, 0.0)))?
+        threads.run(|| self.estimate_here(world, frames, prior, &Asked { least, counts: 0.0, part: None }))?
+    }
+
+    /// [`Self::look_round`] for a robot that is lost: one frame draws so many starts from the prior, and the next `part` of the search
+    /// others. Second minima are not looked for.
+    ///
+    /// # Errors
+    /// Those of [`Estimator::estimate`].
+    pub(crate) fn look_on(
+        &mut self,
+        world: &World,
+        frames: &[&Frame],
+        prior: &PoseEstimate,
+        part: (usize, u64),
+    ) -> Result<Estimate> {
+        let (threads, least) = (self.predictor.task_threads()?, self.options.least_explained);
+        threads.run(|| self.estimate_here(world, frames, prior, &Asked { least, counts: 0.0, part: Some(part) }))?
     }
 
     /// [`Self::look_round`] without other starts.
@@ -119,16 +154,15 @@ impl Estimator {
     /// Those of [`Estimator::estimate`].
     pub(crate) fn follow(&mut self, world: &World, frames: &[&Frame], prior: &PoseEstimate) -> Result<Estimate> {
         let threads = self.predictor.task_threads()?;
-        threads.run(|| self.estimate_here(world, frames, prior, (0.0, 0.0)))?
+        threads.run(|| self.estimate_here(world, frames, prior, &Asked { least: 0.0, counts: 0.0, part: None }))?
     }
 
-    /// An estimate. Other starts are tried below the first share of explained points; it does not count below the second one.
     fn estimate_here(
         &mut self,
         world: &World,
         frames: &[&Frame],
         prior: &PoseEstimate,
-        (least, counts): (f64, f64),
+        asked: &Asked,
     ) -> Result<Estimate> {
         let mut run = self.start(world, frames, prior)?;
         if run.is_blind() {
@@ -143,19 +177,19 @@ impl Estimator {
         let mut best = self.settle(&mut run, &found)?;
         // What was matched in grey images is matched from another start, too.
         let reflectors = MatchedReflectors::at(&run, &best.expected, &best.pose).counts();
-        let doubtful = (best.normal.explained_share() < least && !hold(reflectors))
+        let doubtful = (best.normal.explained_share() < asked.least && !hold(reflectors))
             || run.deviations_squared(&best.pose)
                 > chi_squared_quantile(self.options.freedom.axes().len() as u32, DOUBTFUL);
         if !run.has_greys_only() && doubtful {
-            best = self.restart(&mut run, &expected, best, least)?;
+            best = self.restart(&mut run, &expected, best, asked)?;
         }
-        let others = self.other_minima(&mut run, &best)?;
+        let others = if asked.part.is_none() { self.other_minima(&mut run, &best)? } else { Vec::new() };
         // Of what is not explained nobody knows which polygons it was.
         if best.normal.explained_share() >= self.options.least_explained {
             self.offsets.learn(&best.normal, &run.prior_information, self.options.freedom);
         }
         self.before = Some((world.stamp(), best.expected.clone()));
-        self.answer(&run, best, others, counts)
+        self.answer(&run, best, others, asked.counts)
     }
 
     /// The prediction that the frame before ended with, if it was made near the prior's pose: it serves for the search, which ends in a
@@ -247,6 +281,10 @@ impl Estimator {
 
     /// Settles where a search ended, in a new prediction unless the one before serves.
     pub(super) fn settle(&mut self, run: &mut Run<'_>, found: &Minimum) -> Result<Minimum> {
+        self.settle_with(run, found, &SETTLE)
+    }
+
+    pub(super) fn settle_with(&mut self, run: &mut Run<'_>, found: &Minimum, schedule: &Schedule) -> Result<Minimum> {
         let robust;
         let found = if run.has_greys_only() {
             // What was taken for something else, or was moved, must not lead the second look astray.
@@ -267,7 +305,7 @@ impl Estimator {
             (0..3).for_each(|i| known[i][i] += self.offsets.sigma().powi(2) + run.model_sigma.powi(2));
             self.expected(run, &PoseEstimate::new(found.pose, PoseCovariance::from_rows(known)))?
         };
-        Ok(self.descend(run, &expected, found.pose, &SETTLE))
+        Ok(self.descend(run, &expected, found.pose, schedule))
     }
 
     /// Steps from a start to rest, without a new prediction.
@@ -297,6 +335,7 @@ impl Estimator {
                 m
             }
             CommonError::Place(feature) => place(feature),
+            CommonError::Turn => restricted(&sandwich(&turn(best.pose.rotation), &self.twist_error), freedom.axes()),
         };
         let matched = best.expected.findings.iter().flat_map(Findings::matched).flat_map(|(f, _)| &f.points_world);
         let reach = reach_of(&run.measured, matched.map(|p| p.distance_squared(best.pose.translation)));

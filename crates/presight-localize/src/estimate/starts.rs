@@ -1,10 +1,10 @@
 //! Starts other than the prior's pose: where else a frame may lead.
 
-use super::descent::{LOOK, LOOK_NEAR, NEAR, SEARCH, SETTLE, descend};
+use super::descent::{JUDGE, LOOK, LOOK_NEAR, SEARCH, SETTLE, descend};
 use super::normal::Freedom;
 use super::reflectors::MatchedReflectors;
 use super::run::{Expectation, LEAD, Minimum, Run};
-use super::solve::{Estimator, LOOSE, length};
+use super::solve::{Asked, Estimator, LOOSE, length};
 use crate::motion::{Vector, motion_between, moved};
 use presight_model::error::Result;
 use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate};
@@ -95,7 +95,7 @@ impl Estimator {
             {
                 continue;
             }
-            let there = self.settle(run, &there)?;
+            let there = self.settle_with(run, &there, &JUDGE)?;
             let as_good = there.normal.explained_share() >= best.normal.explained_share() - LEAD
                 && MatchedReflectors::at(run, &there.expected, &there.pose).counts().0 >= reflectors.0;
             let near = |m: &Minimum| run.is_same(&m.pose, &there.pose, offset_sigma);
@@ -107,25 +107,27 @@ impl Estimator {
     }
 
     /// Draws starts from the prior. All search in the prediction at the prior's pose; the most promising ones predict again. A pose that explains
-    /// enough, but is hardly where the robot was known to be, gives way to a likely pose that explains as much.
+    /// enough, but is hardly where the robot was known to be, gives way to a likely pose that explains as much. Few points show where a
+    /// start leads and how good it is there; the best one settles with all of them.
     pub(super) fn restart(
         &mut self,
         run: &mut Run<'_>,
         expected: &Arc<Expectation>,
         best: Minimum,
-        least: f64,
+        asked: &Asked,
     ) -> Result<Minimum> {
         // Where the prediction at hand serves, a start costs none: the rounds are counted, too.
+        let (least, (draws, part)) = (asked.least, asked.part.unwrap_or((DRAWS, 0)));
         let explains = best.normal.explained_share() >= least;
-        let (rounds, schedule) =
-            if explains { (1, &NEAR) } else { (self.options.most_predictions.div_ceil(3), &SEARCH) };
-        let mut best = best;
-        let mut random = SplitMix64(0x5eed);
+        let rounds = if explains || asked.part.is_some() { 1 } else { self.options.most_predictions.div_ceil(3) };
+        let schedule = if explains { &LOOK_NEAR } else { &LOOK };
+        let (mut best, mut is_settled) = (best, true);
+        let mut random = SplitMix64(0x5eed + part);
         for _ in 0..rounds {
             if run.predictions + 3 > self.options.most_predictions {
                 break;
             }
-            let mut found: Vec<Minimum> = (0..DRAWS)
+            let mut found: Vec<Minimum> = (0..draws)
                 .map(|_| {
                     self.descend(
                         run,
@@ -141,16 +143,16 @@ impl Estimator {
                 if explains && run.is_same(&best.pose, &start.pose, self.offsets.sigma()) {
                     continue;
                 }
-                let end = self.settle(run, start)?;
+                let end = self.settle_with(run, start, &JUDGE)?;
                 if run.merit(&end) > run.merit(&best) {
-                    best = end;
+                    (best, is_settled) = (end, false);
                 }
                 if !explains && best.normal.explained_share() >= least && !run.is_unlikely(&best.pose) {
-                    return Ok(best);
+                    return self.settle(run, &best);
                 }
             }
         }
-        Ok(best)
+        if is_settled { Ok(best) } else { self.settle(run, &best) }
     }
 }
 

@@ -4,10 +4,10 @@ use super::beside::{Beside, Look, is_apart};
 use super::hypotheses::Hypotheses;
 use super::likelihood::PoseLikelihood;
 use super::lookout::Lookout;
-use super::odds::{Odds, Said};
+use super::odds::{CHANCE, Odds, Said};
 use super::reflectors::ODDS;
 use super::rivals::Rivals;
-use super::{Localizer, Phase, State, Step, widened};
+use super::{LocalizeOptions, Localizer, Phase, State, Step, widened};
 use crate::estimate::{Estimate, EstimateState, Freedom};
 use crate::motion::{motion_between, moved};
 use crate::verdict::Verdict;
@@ -30,6 +30,8 @@ pub(super) struct Followed {
     pub odds: Odds,
     /// Frames since it was given or found.
     pub frames: usize,
+    /// It was given at the start: no frame selected it.
+    pub is_given: bool,
     /// What may be right instead, nearby.
     pub beside: Beside,
     /// The latest frame had no evidence for it.
@@ -38,7 +40,7 @@ pub(super) struct Followed {
 
 impl Followed {
     pub fn new(belief: PoseEstimate, odds: Odds) -> Self {
-        Self { belief, odds, frames: 0, beside: Beside::default(), carried: false }
+        Self { belief, odds, frames: 0, is_given: false, beside: Beside::default(), carried: false }
     }
 }
 
@@ -54,7 +56,12 @@ pub(super) fn way_of(motion: Option<&Motion>) -> f64 {
 impl Localizer {
     /// The rivals of a frame's sensor.
     pub(super) fn rivals_for(&mut self, world: &World, frame: &Frame, robot: &Pose) -> Result<&mut Rivals> {
-        if !self.rivals.as_ref().is_some_and(|rivals| rivals.serve(world, frame)) {
+        let serve = |rivals: &Option<Rivals>| rivals.as_ref().is_some_and(|rivals| rivals.serve(world, frame));
+        if !serve(&self.rivals) {
+            // Those of the whole frames are kept while a lost robot is looked for with fewer pixels.
+            std::mem::swap(&mut self.rivals, &mut self.spare);
+        }
+        if !serve(&self.rivals) {
             self.rivals = None;
         }
         let rivals = match self.rivals.take() {
@@ -107,8 +114,9 @@ impl Localizer {
     pub(super) fn follow(&mut self, world: &World, frames: &[&Frame], mut own: Followed, way: f64) -> Result<Step> {
         let prior = own.belief;
         let (mut estimate, mut said) = self.look(world, frames, &prior, usize::MAX)?;
-        let near = estimate.pose;
-        if !said.blind && said.odds <= 0.0 && !estimate.rests_on_reflectors() {
+        let mut near = estimate.pose;
+        let leads_off = self.is_jump(&prior, &estimate) && !said.singles_out();
+        if !said.blind && (said.odds <= 0.0 || leads_off) && !estimate.rests_on_reflectors() {
             said = self.said_of(world, frames, &estimate, STALE)?;
             (estimate, said) =
                 self.look_elsewhere(world, frames, &prior, frames[0].motion.is_some(), estimate, said)?;
@@ -117,8 +125,14 @@ impl Localizer {
                 return self.follow_hypotheses(world, frames, own, hypotheses, None, way);
             }
         }
-        own.carried = said.blind || said.odds < 0.0;
-        let jumped = own.frames > 0 && self.is_jump(&prior, &estimate);
+        // To where neither the start nor the motion leads, a frame leads only if it singles out that place. A motion that nobody
+        // measured is a guess: there it suffices that nothing is missing.
+        let (is_off, is_first) = (self.is_jump(&prior, &estimate), own.frames == 0);
+        let is_whole = said.is_whole(&self.options.rates);
+        let is_guess = !is_first && frames[0].motion.is_none() && is_whole;
+        let strays = is_off && !said.singles_out() && !is_guess;
+        let jumped = is_off && !is_first;
+        own.carried = said.blind || said.odds < 0.0 || strays;
         // A poor view may have another minimum than the one before.
         let is_new = own.odds.is_sudden(&said) || said.odds < self.options.rates.tracked();
         if jumped {
@@ -126,14 +140,21 @@ impl Localizer {
             own.odds.leap(&said, way, &self.options.rates);
             own.carried |= own.odds.now < 0.0;
         } else {
-            own.odds.add(&said, way, &self.options.rates);
+            let nothing = Said::NOTHING;
+            own.odds.add(if strays { &nothing } else { &said }, way, &self.options.rates);
         }
         if !own.carried && frames[0].grey().is_none() {
             let look = Look { scale: said.scale, way, is_new };
             self.weigh_beside(world, frames, &prior, &mut own, &mut estimate, look)?;
         }
+        let is_other = jumped || estimate.pose.world_from_robot != near.world_from_robot;
+        if !is_whole && said.odds < CHANCE {
+            // A lead that chance gives is right with this probability, unless nothing is missing: all places of a corridor look alike.
+            let share = 1.0 - (-said.odds.max(0.0)).exp();
+            (near, estimate.pose) = (mixed(&prior, &near, share), mixed(&prior, &estimate.pose, share));
+        }
         // Another minimum than that of the prior says nothing about the speed.
-        if jumped || estimate.pose.world_from_robot != near.world_from_robot {
+        if !strays && is_other {
             self.velocity.restart();
         } else if !own.carried {
             self.velocity.learn(&prior, &near, self.estimator.options.freedom);
@@ -264,10 +285,13 @@ impl Localizer {
         };
         let mut reason = format!("{why}; log-odds {now:.1}, {:.1} by this frame", said.odds);
         let known = own.carried || estimate.is_determined();
-        let confirmed = own.frames >= options.agreeing && !own.odds.unproven;
+        // A pose that frames selected may have been selected by what is wrong in one of them. A given start was not.
+        let is_given = own.is_given && hypotheses.is_none();
+        let confirmed = (is_given || own.frames >= options.agreeing) && !own.odds.unproven;
         let beside_is_clear = own.beside.is_clear(&options.rates);
         let told = own.beside.widened(&own.belief);
         let spread = spread_of(&told);
+        let is_narrow = options.is_narrow(&told);
         if hypotheses.is_some() {
             reason += &format!("; {} hypotheses are spread over {spread:.2} m", options.hypotheses);
         } else if own.carried {
@@ -277,7 +301,7 @@ impl Localizer {
         let lost = if hypotheses.is_some() { now < 0.0 } else { own.odds.is_lost(&options.rates) };
         let phase = if lost {
             Phase::Lost
-        } else if now >= tracked && known && confirmed && beside_is_clear && spread <= options.spread {
+        } else if now >= tracked && known && confirmed && beside_is_clear && is_narrow {
             Phase::Tracking
         } else {
             Phase::Candidates
@@ -288,6 +312,9 @@ impl Localizer {
                 () if !confirmed => format!("; {} of {} frames", own.frames, options.agreeing),
                 () if !beside_is_clear => {
                     format!("; log-odds against a neighbouring minimum {:.1}", own.beside.odds().unwrap_or_default())
+                }
+                () if !is_narrow => {
+                    format!("; unsure by {spread:.2} m and {:.1} deg", turned_of(&told).to_degrees())
                 }
                 () => String::new(),
             };
@@ -325,9 +352,21 @@ fn mixed(before: &PoseEstimate, after: &PoseEstimate, share: f64) -> PoseEstimat
     PoseEstimate::new(mean, PoseCovariance::from_rows(covariance))
 }
 
+impl LocalizeOptions {
+    /// True if a pose is known as well as promised.
+    pub(super) fn is_narrow(&self, pose: &PoseEstimate) -> bool {
+        spread_of(pose) <= self.spread && turned_of(pose) <= self.spread_turn
+    }
+}
+
 /// How far a pose is spread in the plane, one standard deviation, metres.
 fn spread_of(pose: &PoseEstimate) -> f64 {
     (pose.covariance[0][0] + pose.covariance[1][1]).sqrt()
+}
+
+/// How far the heading and lean of a pose are spread, one standard deviation, radians.
+fn turned_of(pose: &PoseEstimate) -> f64 {
+    (3..6).map(|i| pose.covariance[i][i]).sum::<f64>().sqrt()
 }
 
 /// Share of the decided readings that are not before what the map has.

@@ -28,6 +28,8 @@ pub(super) struct Lookout {
     views: f64,
     /// Frames since the last search.
     age: usize,
+    /// Searches around the last pose so far.
+    parts: u64,
 }
 
 impl Lookout {
@@ -77,7 +79,7 @@ impl Localizer {
             own.belief = carried(&own.belief, motion, self.estimator.options.freedom);
         }
         let prior = own.belief;
-        let estimate = self.estimator.follow(world, frames, &prior)?;
+        let estimate = self.estimator.refine(world, frames[0], &prior)?;
         let said = self.said_of(world, frames, &estimate, usize::MAX)?;
         let Some(own) = &mut lookout.own else { return Ok(()) };
         own.odds.add(&said, way_of(motion), &self.options.rates);
@@ -169,8 +171,14 @@ impl Localizer {
     /// The place around the last pose that explains this frame, if it is singled out there.
     fn add_one_around(&mut self, world: &World, frames: &[&Frame], lookout: &mut Lookout) -> Result<()> {
         let around = widened(lookout.own.as_ref().map_or(&self.start, |own| &own.belief), &self.options);
-        let estimate = self.estimator.estimate(world, frames, &around)?;
-        let said = self.said_of(world, frames, &estimate, SEARCH_AGAIN)?;
+        let part = (self.options.search_starts, lookout.parts);
+        lookout.parts += 1;
+        let estimate = self.estimator.look_on(world, frames, &around, part)?;
+        let mut said = self.said_of(world, frames, &estimate, usize::MAX)?;
+        // Wrong places are looked at again only for a place that may be right: they cost more than the search.
+        if said.evidence > 0.0 {
+            said = self.said_of(world, frames, &estimate, SEARCH_AGAIN)?;
+        }
         let pose = estimate.pose;
         let is_new = |c: &Candidate| !is_same(&c.pose.world_from_robot, &pose.world_from_robot);
         if said.odds > 0.0 && lookout.candidates.iter().all(is_new) {
@@ -199,18 +207,28 @@ impl Localizer {
             let prior = own.belief;
             let estimate = self.estimator.refine(world, frame, &prior)?;
             let reason = format!("the robot is where it was followed to; log-odds {:.1}", own.odds.now);
-            return Ok(self.found(frame, own.clone(), Phase::Tracking, reason, estimate));
+            let phase = if self.options.is_narrow(&prior) { Phase::Tracking } else { Phase::Candidates };
+            return Ok(self.found(frame, own.clone(), phase, reason, estimate));
         }
         let Some((odds, count)) = best else {
             let at = lookout.own.as_ref().map_or(self.start, |own| own.belief);
             let phase = if lookout.own.is_some() { Phase::Lost } else { Phase::Unknown };
             let mut estimate = self.estimator.refine(world, frame, &at)?;
-            let why = if estimate.predictions == 0 { "no beam measured a range" } else { "no place fits" };
-            estimate.state = EstimateState::Undetermined(why.into());
+            let why = match (estimate.predictions, &self.search) {
+                (0, _) => "no beam measured a range".to_owned(),
+                (_, Some(_)) => "no place of the whole map fits".to_owned(),
+                (_, None) => format!(
+                    "no place fits within {:.1} m and {:.0} deg of the last pose, by {} starts so far",
+                    2.0 * self.options.search,
+                    2.0 * self.options.search_turn.to_degrees(),
+                    self.options.search_starts as u64 * lookout.parts
+                ),
+            };
+            estimate.state = EstimateState::Undetermined(why.clone());
             let odds = own.max(-self.options.rates.most());
             self.phase = phase;
             self.state = State::Lookout(lookout);
-            return Ok(self.told(frame, why.into(), at, estimate, odds));
+            return Ok(self.told(frame, why, at, estimate, odds));
         };
         let lead = odds - second.max(own);
         let c = &lookout.candidates[0];
@@ -246,9 +264,9 @@ impl Localizer {
             self.weigh_beside(world, frames, &prior, &mut own, &mut estimate, look)?;
             own.belief = estimate.pose;
         }
-        let is_clear = own.beside.is_clear(&self.options.rates);
-        let phase = if is_clear { Phase::Tracking } else { Phase::Candidates };
         let told = own.beside.widened(&own.belief);
+        let is_clear = own.beside.is_clear(&self.options.rates) && self.options.is_narrow(&told);
+        let phase = if is_clear { Phase::Tracking } else { Phase::Candidates };
         Ok(Step { pose: told, ..self.found(frames[0], own, phase, why, estimate) })
     }
 

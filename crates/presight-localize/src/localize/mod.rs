@@ -7,6 +7,7 @@
 //! `docs/design/localization.md` for the derivation.
 
 mod beside;
+mod drift;
 mod evidence;
 mod follow;
 mod hypotheses;
@@ -30,9 +31,9 @@ use odds::Odds;
 pub use residuals::{Figure, Misfit, Residuals};
 use rivals::Rivals;
 pub use search::{Candidate, Search, SearchOptions};
-use timing::Timing;
+use timing::{Timing, stamps_of};
 pub use turning::at_once;
-pub use velocity::{MotionNoise, Velocity, along, rate};
+pub use velocity::{MotionNoise, Stamps, Velocity, along, rate};
 
 use crate::estimate::{Estimate, Estimator, Freedom};
 use crate::motion::{motion_between, moved};
@@ -117,6 +118,11 @@ pub struct LocalizeOptions {
     pub beam_dependence: f64,
     /// How far a pose may be spread to count as known, one standard deviation, metres.
     pub spread: f64,
+    /// Likewise, radians.
+    pub spread_turn: f64,
+    /// Starts that one frame of a lost robot draws around its last pose. The next frame goes on with others, so this number
+    /// bounds what a frame costs: about 5 ms each.
+    pub search_starts: usize,
 }
 
 impl Default for LocalizeOptions {
@@ -130,6 +136,9 @@ impl Default for LocalizeOptions {
             hypotheses: 150,
             beam_dependence: 60.0,
             spread: 0.4,
+            // One in 1,000 poses is then more than 5 degrees off.
+            spread_turn: 5f64.to_radians() / 3.29,
+            search_starts: 16,
         }
     }
 }
@@ -144,6 +153,8 @@ presight_model::with_options!(
     with_hypotheses hypotheses: usize,
     with_beam_dependence beam_dependence: f64,
     with_spread spread: f64,
+    with_spread_turn spread_turn: f64,
+    with_search_starts search_starts: usize,
 );
 
 /// The state of the search or of the track. Each has the data that it needs, and no other.
@@ -170,6 +181,8 @@ pub struct Localizer {
     stamp: Option<f64>,
     search: Option<Search>,
     rivals: Option<Rivals>,
+    /// Those of frames with more or fewer pixels.
+    spare: Option<Rivals>,
 }
 
 impl Localizer {
@@ -180,13 +193,14 @@ impl Localizer {
             estimator,
             options,
             start: prior,
-            state: State::Following(Followed::new(prior, odds)),
+            state: State::Following(Followed { is_given: true, ..Followed::new(prior, odds) }),
             phase: Phase::Candidates,
             velocity: Velocity::new(options.motion_noise),
             timing: Timing::default(),
             stamp: None,
             search: None,
             rivals: None,
+            spare: None,
         }
     }
 
@@ -202,7 +216,21 @@ impl Localizer {
     /// # Errors
     /// Those of [`Search::new`].
     pub fn search_everywhere(&mut self, world: &World, sensor: &Sensor, options: SearchOptions) -> Result<()> {
-        self.search = Some(Search::new(&mut self.estimator, world, sensor, options)?);
+        self.search_everywhere_watched(world, sensor, options, &mut |_, _| ())
+    }
+
+    /// The same, which says how many places were looked round at, and of how many, as it goes on.
+    ///
+    /// # Errors
+    /// Those of [`Search::new`].
+    pub fn search_everywhere_watched(
+        &mut self,
+        world: &World,
+        sensor: &Sensor,
+        options: SearchOptions,
+        watch: &mut dyn FnMut(usize, usize),
+    ) -> Result<()> {
+        self.search = Some(Search::watched(&mut self.estimator, world, sensor, options, watch)?);
         Ok(())
     }
 
@@ -250,8 +278,8 @@ impl Localizer {
             // Going on with a motion that nobody saw would only lead away.
             self.velocity.restart();
         }
-        let stamp_sigma = frame.sensor().spec().noise.stamp_sigma;
-        self.velocity.carry(&followed.unwrap_or(self.start), seconds, odometry, stamp_sigma, freedom)
+        let stamps = stamps_of(frame);
+        self.velocity.carry(&followed.unwrap_or(self.start), seconds, odometry, stamps, freedom)
     }
 
     /// The pose, while one is followed.

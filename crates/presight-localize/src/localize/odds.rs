@@ -23,7 +23,7 @@ const ASKED: f64 = 4.6;
 /// 193; natural logarithm.
 const UNSELECTED: f64 = 5.26;
 /// What the best of all wrong places leads by in the mean, scales.
-const CHANCE: f64 = 1.0;
+pub(super) const CHANCE: f64 = 1.0;
 /// The mean of evidence forgets by this part a frame.
 const FORGET: f64 = 0.2;
 
@@ -133,14 +133,14 @@ pub(super) struct Said {
 
 impl Said {
     /// True if the frame singles out the pose.
-    fn singles_out(&self) -> bool {
+    pub fn singles_out(&self) -> bool {
         !self.blind && self.odds >= ASKED
     }
 
     /// True if the frame has nearly all the evidence that it could have: in a corridor all places look alike, and the right
     /// one does not lead. What x scales are missing of has a probability of exp(-x) if the start is right; after that a start
     /// with these odds is still tracked.
-    fn is_whole(&self, rates: &ErrorRates) -> bool {
+    pub fn is_whole(&self, rates: &ErrorRates) -> bool {
         let missing = (self.full - self.evidence) / self.scale;
         !self.blind && self.evidence > 0.0 && missing <= rates.given() - rates.tracked()
     }

@@ -55,6 +55,7 @@ impl RoundViews {
         places: Vec<DVec3>,
         level_from_sensor: DQuat,
         is_free: impl Fn(&[f32]) -> bool,
+        watch: &mut dyn FnMut(usize, usize),
     ) -> Result<Self> {
         let azimuth = Angles::Uniform { start_deg: -180.0, step_deg: STEP_DEG, count: HEADINGS as u32 };
         let top = 90.0 - 0.5 * STEP_DEG;
@@ -63,9 +64,11 @@ impl RoundViews {
         let mut spec = SensorSpec::new(&sensor.spec().name, &sensor.spec().class, geometry);
         (spec.range_min, spec.range_max) = (sensor.spec().range_min, sensor.spec().range_max);
         let request = BatchRequest { images: Some(Outputs::of(&[Output::Range]).into()), ..BatchRequest::default() };
+        let all = places.len();
         let poses = places.into_iter().map(|translation| Pose { translation, ..Pose::IDENTITY });
         let mut views = Self { places: Vec::new(), range: Vec::new(), level_from_sensor };
-        for item in predictor.batch(world, &Sensor::new(spec)?, poses, &request)? {
+        for (k, item) in predictor.batch(world, &Sensor::new(spec)?, poses, &request)?.enumerate() {
+            watch(k, all);
             let item = item?;
             if is_free(&item.images.range) {
                 views.places.push(item.world_from_sensor.translation);

@@ -113,6 +113,8 @@ enum Views {
 const MOST_PLACES: f64 = 2.5e6;
 /// Likewise for other sensors than level scanners, whose views take more memory and time.
 const MOST_ROUND: usize = 100_000;
+/// Places that are looked round at before the next word on how far a search is.
+const AT_ONCE: usize = 4096;
 /// Two peaks are one within so many cells, and so many degrees.
 const APART: (f64, f64) = (2.0, 8.0);
 
@@ -125,6 +127,20 @@ impl Search {
     /// [`presight_model::ErrorKind::Usage`] if the world has no free place or too many; the errors of [`presight_predict::Predictor::panoramas`] and
     /// [`presight_predict::Predictor::batch`].
     pub fn new(estimator: &mut Estimator, world: &World, sensor: &Sensor, options: SearchOptions) -> Result<Self> {
+        Self::watched(estimator, world, sensor, options, &mut |_, _| ())
+    }
+
+    /// [`Search::new`], which calls `watch` with the number of places so far and of all as it looks round.
+    ///
+    /// # Errors
+    /// Those of [`Search::new`].
+    pub fn watched(
+        estimator: &mut Estimator,
+        world: &World,
+        sensor: &Sensor,
+        options: SearchOptions,
+        watch: &mut dyn FnMut(usize, usize),
+    ) -> Result<Self> {
         options.check()?;
         let planar = estimator.options.freedom == Freedom::Planar;
         let mount = &sensor.spec().mount;
@@ -140,12 +156,17 @@ impl Search {
         let (views, likelihood) = if let Some(row) = row {
             let headings = Headings::new(row.scanner(), headings_of(sensor, options.headings))?;
             let places = grid(world, options.floor + level_from_sensor.translation.z, &options)?;
-            let mut panoramas = estimator.predictor.panoramas(world, &headings, places)?;
-            panoramas.retain(|range| options.is_free(range));
+            let mut panoramas = estimator.predictor.panoramas(world, &headings, Vec::new())?;
+            for (k, part) in places.chunks(AT_ONCE).enumerate() {
+                watch(k * AT_ONCE, places.len());
+                let mut more = estimator.predictor.panoramas(world, &headings, part.to_vec())?;
+                more.retain(|range| options.is_free(range));
+                panoramas.append(more);
+            }
             (Views::Level(panoramas), row)
         } else {
             let likelihood = PoseLikelihood::of_image(sensor, world, model_sigma, dependence)?;
-            (Views::Round(round_views(estimator, world, sensor, &options)?), likelihood)
+            (Views::Round(round_views(estimator, world, sensor, &options, watch)?), likelihood)
         };
         let search = Self { options, views, likelihood, level_from_sensor: level_from_sensor.rotation };
         if search.places().is_empty() {
@@ -284,6 +305,7 @@ fn round_views(
     world: &World,
     sensor: &Sensor,
     options: &SearchOptions,
+    watch: &mut dyn FnMut(usize, usize),
 ) -> Result<RoundViews> {
     let level_from_sensor = options.lean() * sensor.spec().mount;
     let steps = ((options.floor_to - options.floor) / options.cell).max(0.0).floor();
@@ -300,7 +322,7 @@ fn round_views(
         }
     }
     let is_free = |range: &[f32]| options.is_free(range);
-    RoundViews::new(&mut estimator.predictor, world, sensor, places, level_from_sensor.rotation, is_free)
+    RoundViews::new(&mut estimator.predictor, world, sensor, places, level_from_sensor.rotation, is_free, watch)
 }
 
 /// Candidates, the likeliest first, without those that came to rest where a likelier one did.

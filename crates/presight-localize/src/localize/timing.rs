@@ -3,7 +3,8 @@
 
 use super::residuals::Residuals;
 use super::turning::{at_once, check};
-use super::{Localizer, Phase, Step};
+use super::velocity::{Stamps, Velocity};
+use super::{Localizer, Phase, State, Step};
 use presight_model::error::Result;
 use presight_model::geometry::Pose;
 use presight_model::measured::Frame;
@@ -13,7 +14,7 @@ use presight_model::world::World;
 const CONTRADICTING: f64 = 0.02;
 
 /// Most pixels of an image while the robot is lost.
-const SEARCH_PIXELS: u64 = 5_000;
+const SEARCH_PIXELS: u64 = 2_000;
 
 /// The times of the frames so far, and the residuals of their motions.
 #[derive(Clone, Debug, Default)]
@@ -25,6 +26,12 @@ pub(super) struct Timing {
     residuals: Option<Residuals>,
     /// Where the robot was tracked at the frame before, and when.
     before: Option<(f64, Pose)>,
+}
+
+/// How the times of a frame's sensor are known: its scans count as measured in the middle of their turns.
+pub(super) fn stamps_of(frame: &Frame) -> Stamps {
+    let spec = frame.sensor().spec();
+    Stamps { sigma: spec.noise.stamp_sigma, late: 0.5 * spec.turn_s.abs() }
 }
 
 impl Localizer {
@@ -41,10 +48,16 @@ impl Localizer {
         let thin = self.thinned_for_search(frame)?;
         let whole = thin.as_ref().unwrap_or(frame);
         let still = if turn_s > 0.0 { Some(self.put_to_middle(world, whole)?) } else { None };
-        let mut step = self.step_at_once(world, still.as_ref().unwrap_or(whole), beside)?;
+        let step = self.step_at_once(world, still.as_ref().unwrap_or(whole), beside);
+        self.estimator.set_twist_error([[0.0; 6]; 6]);
+        let mut step = step?;
         if let Some(thin) = &thin {
             // Verdicts of these pixels would not fit the frame.
             step.estimate.verdicts.clear();
+            if step.phase == Phase::Tracking {
+                // Few pixels find a pose; all of them have to agree.
+                (step.phase, self.phase) = (Phase::Candidates, Phase::Candidates);
+            }
             let size = (thin.sensor().width(), thin.sensor().height());
             step.reason += &format!("; looked for with {} x {} of the frame's pixels", size.0, size.1);
         }
@@ -58,12 +71,12 @@ impl Localizer {
         Ok(step)
     }
 
-    /// Fewer pixels of an image, for a lost robot: with many starts each pixel costs many times as much as for a robot that is
+    /// Fewer pixels of an image, for a lost robot until one pose is found: with many starts each pixel costs many times as much as for a robot that is
     /// followed.
     fn thinned_for_search(&self, frame: &Frame) -> Result<Option<Frame>> {
         let pixels = u64::from(frame.sensor().width()) * u64::from(frame.sensor().height());
         let is_image = frame.sensor().height() > 1 && frame.grey().is_none() && frame.intensities().is_none();
-        let is_lost = matches!(self.phase(), Phase::Lost | Phase::Unknown);
+        let is_lost = matches!(self.state, State::Lookout(_));
         // A search of the whole map thins frames itself.
         if !(is_image && is_lost) || self.search.is_some() || pixels <= SEARCH_PIXELS {
             return Ok(None);
@@ -87,27 +100,32 @@ impl Localizer {
     }
 
     /// A scan as from the middle of its turn. The motion of the turn is not known before the scan is matched: it is matched once with the
-    /// last motion, and then put right with the one that this leads to, half an interval on.
+    /// last motion, and then put right with the one that this leads to. The estimator gets to know what is left of the error.
     fn put_to_middle(&mut self, world: &World, frame: &Frame) -> Result<Frame> {
-        let (freedom, sigma) = (self.estimator.options.freedom, frame.sensor().spec().noise.stamp_sigma);
+        let (freedom, half) = (self.estimator.options.freedom, 0.5 * frame.sensor().spec().turn_s.abs());
         let (Some(stamp), Some(belief)) = (self.stamp, self.followed_pose()) else {
-            return at_once(frame, self.velocity.twist());
+            return self.undone(frame, &self.velocity.clone(), half);
         };
-        let seconds = frame.stamp + 0.5 * frame.sensor().spec().turn_s.abs() - stamp;
+        let seconds = frame.stamp + half - stamp;
         if !(seconds > 0.0) {
-            return at_once(frame, self.velocity.twist());
+            return self.undone(frame, &self.velocity.clone(), half);
         }
-        let last = *self.velocity.twist();
         let mut velocity = self.velocity.clone();
-        let (_, prior) = velocity.carry(&belief, seconds, frame.motion.as_ref(), sigma, freedom);
-        let first = at_once(frame, velocity.twist())?;
+        let (_, prior) = velocity.carry(&belief, seconds, frame.motion.as_ref(), stamps_of(frame), freedom);
+        let first = self.undone(frame, &velocity, half)?;
         let estimate = self.estimator.refine(world, &first, &prior)?;
         if !estimate.is_determined() {
             return Ok(first);
         }
         velocity.learn(&prior, &estimate.pose, freedom);
-        let now = velocity.twist();
-        at_once(frame, &std::array::from_fn(|i| now[i] + 0.5 * (now[i] - last[i])))
+        self.undone(frame, &velocity, half)
+    }
+
+    /// A scan without the motion of its turn, half a turn before and after the time that the velocity holds for.
+    fn undone(&mut self, frame: &Frame, velocity: &Velocity, half: f64) -> Result<Frame> {
+        let (twist, covariance) = velocity.within(-half, half);
+        self.estimator.set_twist_error(covariance);
+        at_once(frame, &twist)
     }
 
     /// Compares the motion between two frames in a row that were tracked with the odometry.

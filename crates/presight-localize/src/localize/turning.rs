@@ -3,6 +3,7 @@
 //! one side, half to the other. The exact prediction of a moving scan is not attempted.
 
 use super::velocity::along;
+use crate::estimate::after_middle;
 use crate::motion::Vector;
 use glam::DVec3;
 use presight_model::error::{Error, Result};
@@ -49,11 +50,6 @@ pub fn at_once(frame: &Frame, twist: &Vector) -> Result<Frame> {
         Some(intensities) => still.with_intensities(intensities.clone()),
         None => Ok(still),
     }
-}
-
-/// Seconds from the middle of the turn to when a column is measured.
-fn after_middle(turn_s: f64, column: usize, width: usize) -> f64 {
-    turn_s * ((column as f64 + 0.5) / width as f64 - 0.5)
 }
 
 /// Ranges along the scanner's own directions, where these meet the lines from each point to its neighbour.

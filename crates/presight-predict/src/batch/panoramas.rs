@@ -119,6 +119,13 @@ impl Panoramas {
         self.places = kept.iter().map(|k| self.places[*k]).collect();
     }
 
+    /// Adds the places of other panoramas of the same headings.
+    pub fn append(&mut self, mut more: Self) {
+        self.places.append(&mut more.places);
+        self.range.append(&mut more.range);
+        self.cos_incidence.append(&mut more.cos_incidence);
+    }
+
     fn beams(&self) -> usize {
         let sensor = self.headings.panorama();
         sensor.width() as usize * sensor.height() as usize
