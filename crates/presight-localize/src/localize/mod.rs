@@ -9,6 +9,7 @@
 mod beside;
 mod evidence;
 mod follow;
+mod frozen;
 mod hypotheses;
 mod likelihood;
 mod lookout;
@@ -23,6 +24,7 @@ mod turning;
 mod velocity;
 
 use follow::{Followed, way_of};
+use frozen::Frozen;
 use hypotheses::Hypotheses;
 use lookout::Lookout;
 pub use odds::ErrorRates;
@@ -170,6 +172,7 @@ pub struct Localizer {
     stamp: Option<f64>,
     search: Option<Search>,
     rivals: Option<Rivals>,
+    frozen: Frozen,
 }
 
 impl Localizer {
@@ -187,6 +190,7 @@ impl Localizer {
             stamp: None,
             search: None,
             rivals: None,
+            frozen: Frozen::default(),
         }
     }
 
@@ -223,6 +227,7 @@ impl Localizer {
     /// A frame whose pixels were all measured at its stamp.
     fn step_at_once(&mut self, world: &World, frame: &Frame, beside: &[&Frame]) -> Result<Step> {
         check(self.stamp, frame)?;
+        self.frozen.see(frame);
         let seconds = self.stamp.replace(frame.stamp).map(|before| frame.stamp - before);
         let frames: Vec<&Frame> = std::iter::once(frame).chain(beside.iter().copied()).collect();
         let carried = seconds.map(|seconds| self.carry(frame, seconds));
