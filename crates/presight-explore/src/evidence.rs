@@ -2,13 +2,16 @@
 
 use crate::flat::Flat;
 use crate::view::{View, Views};
-use glam::{DVec2, DVec3, Vec3};
+use glam::{DVec2, DVec3};
 use presight_model::sensor::Geometry;
 
 /// Rays that are flatter than this say little: cosine of incidence.
 const LEAST_COSINE: f32 = 0.15;
 /// Nearer rays than this weigh no more, metres.
 const NEAREST: f32 = 0.3;
+
+/// Places whose ranges are looked up together, so that their ways from memory overlap.
+const TOGETHER: usize = 64;
 
 /// What rays say about a cell: sums of weights, cosine of incidence over range.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -77,17 +80,25 @@ fn add(view: &View, plane: &Flat, places: &[(f32, f32)], margins: Margins, evide
     let normal = view.direction_to_image(plane.normal).as_vec3();
     // Negative if the sensor is on the back.
     let side = -normal.dot(centre).signum();
-    for ((u, v), evidence) in places.iter().zip(evidence) {
-        let p: Vec3 = centre + x * *u + y * *v;
-        let Some((ray, measured)) = view.towards(p) else { continue };
-        let falling = normal.dot(ray);
-        let (distance, cosine) = (p.length(), falling.abs());
-        if cosine < LEAST_COSINE {
-            continue;
+    let at = |(u, v): (f32, f32)| centre + x * u + y * v;
+    let mut seen = [(0, f32::NAN); TOGETHER];
+    for (places, evidence) in places.chunks(TOGETHER).zip(evidence.chunks_mut(TOGETHER)) {
+        for (seen, place) in seen.iter_mut().zip(places) {
+            *seen = view.pixel_towards(at(*place)).map_or((0, f32::NAN), |pixel| (pixel, view.ranges[pixel]));
         }
-        // The measured point counts, because the ray of the pixel does not lead exactly to the cell.
-        let behind = side * (normal.dot(centre) - measured * falling);
-        evidence.add(behind, cosine / distance.max(NEAREST), margins);
+        for ((place, (pixel, measured)), evidence) in places.iter().zip(&seen).zip(evidence) {
+            if measured.is_nan() {
+                continue;
+            }
+            let falling = normal.dot(view.unit_ray(*pixel));
+            let cosine = falling.abs();
+            if cosine < LEAST_COSINE {
+                continue;
+            }
+            // The measured point counts, because the ray of the pixel does not lead exactly to the cell.
+            let behind = side * (normal.dot(centre) - measured * falling);
+            evidence.add(behind, cosine / at(*place).length().max(NEAREST), margins);
+        }
     }
 }
 

@@ -231,18 +231,26 @@ impl View {
         self.turn.transpose() * d
     }
 
-    /// The pixel nearest to the direction of a point of the image frame, its unit ray and the distance measured along it;
-    /// `None` outside of the image and without a measurement.
+    /// The pixel nearest to the direction of a point of the image frame; `None` outside of the image.
+    #[inline]
+    pub(crate) fn pixel_towards(&self, p: Vec3) -> Option<usize> {
+        let (u, v) = self.optics.sensor.project_nearly(p)?;
+        let (u, v) = (u + 0.5, v + 0.5);
+        let (width, height) = (self.width(), self.height());
+        (u >= 0.0 && v >= 0.0 && u < width as f32 && v < height as f32).then(|| v as usize * width + u as usize)
+    }
+
+    /// That pixel's unit ray and the distance measured along it; `None` without a measurement, too.
     #[inline]
     pub(crate) fn towards(&self, p: Vec3) -> Option<(Vec3, f32)> {
-        let (u, v) = self.optics.sensor.project_nearly(p)?;
-        let (u, v) = ((u + 0.5).floor(), (v + 0.5).floor());
-        let (width, height) = (self.width(), self.height());
-        if !(u >= 0.0 && v >= 0.0 && u < width as f32 && v < height as f32) {
-            return None;
-        }
-        let pixel = v as usize * width + u as usize;
+        let pixel = self.pixel_towards(p)?;
         let measured = self.ranges[pixel];
-        (!measured.is_nan()).then_some((self.optics.rays[pixel], measured))
+        (!measured.is_nan()).then(|| (self.optics.rays[pixel], measured))
+    }
+
+    /// Unit ray of a pixel in the image frame.
+    #[inline]
+    pub(crate) fn unit_ray(&self, pixel: usize) -> Vec3 {
+        self.optics.rays[pixel]
     }
 }

@@ -175,67 +175,94 @@ impl Errors<'_> {
     }
 }
 
-impl Observer<'_> {
-    /// Compares a frame of a robot at a pose. Also returns what the rays of the kept pixels meet first.
-    pub fn view(&self, frame: &Frame, kept: &Arc<Kept>, pose: &PoseEstimate) -> (View, Vec<Option<Met>>) {
+/// What a frame holds, whatever its pose.
+struct Shot<'a> {
+    kept: &'a Kept,
+    ranges: Vec<f32>,
+    robot_from_image: Pose,
+    noise: RangeNoise,
+    reach: f64,
+}
+
+impl<'a> Shot<'a> {
+    fn of(frame: &Frame, kept: &'a Kept) -> Self {
         let sensor = frame.sensor();
-        let robot_from_image = sensor.spec().mount * body_from_image(sensor);
-        let reach = sensor.spec().range_max.min(1e5);
         let width = sensor.width() as usize;
         let range = |at: usize| {
             let (c, r) = kept.pixel(at);
             frame.ranges()[r as usize * width + c as usize]
         };
-        let ranges: Vec<f32> = (0..kept.rays.len()).map(range).collect();
-        let cast = |pose: &PoseEstimate, step: usize| -> Vec<Ray> {
-            let world_from_image = pose.world_from_robot * robot_from_image;
-            let cast = |ray: &DVec3| {
-                let (origin, ray) = (world_from_image.translation, world_from_image.rotation * *ray);
-                let met = if ray.is_nan() { None } else { self.caster.first(origin, ray, reach, None) };
-                Ray { origin, ray, met }
-            };
-            kept.rays.iter().step_by(step).map(cast).collect()
+        Self {
+            kept,
+            ranges: (0..kept.rays.len()).map(range).collect(),
+            robot_from_image: sensor.spec().mount * body_from_image(sensor),
+            noise: RangeNoise::of(sensor),
+            reach: sensor.spec().range_max.min(1e5),
+        }
+    }
+
+    /// What every `step`-th ray meets from a pose.
+    fn cast(&self, caster: &Caster, pose: &PoseEstimate, step: usize) -> Vec<Ray> {
+        let world_from_image = pose.world_from_robot * self.robot_from_image;
+        let cast = |ray: &DVec3| {
+            let (origin, ray) = (world_from_image.translation, world_from_image.rotation * *ray);
+            let met = if ray.is_nan() { None } else { caster.first(origin, ray, self.reach, None) };
+            Ray { origin, ray, met }
         };
-        let noise = RangeNoise::of(sensor);
+        self.kept.rays.iter().step_by(step).map(cast).collect()
+    }
+
+    /// How many times the stated deviation of the pose explains the ranges.
+    fn spread(&self, rays: &[Ray], step: usize, pose: &PoseEstimate, priors: &Priors) -> f64 {
+        let errors = Errors { noise: self.noise, pose, spread: 1.0, priors };
+        spread_of(rays, self.ranges.iter().step_by(step), &errors).min(MOST_SPREAD)
+    }
+}
+
+impl Observer<'_> {
+    /// The pose that a frame's readings say, and what they say of objects.
+    fn registered(&self, shot: &Shot<'_>, given: &PoseEstimate) -> (PoseEstimate, Option<Terms>) {
         // A part of the pixels knows the pose well enough.
-        let step = kept.rays.len().div_ceil(MOST_READINGS).max(1);
-        let spread = |rays: &[Ray], step: usize, pose: &PoseEstimate| {
-            let ranges = ranges.iter().step_by(step);
-            spread_of(rays, ranges, &Errors { noise, pose, spread: 1.0, priors: self.priors })
-        };
-        let stated = spread(&cast(pose, step), step, pose).min(MOST_SPREAD);
-        let covariance = PoseCovariance::from_rows(scaled(pose.covariance.as_rows(), stated.powi(2)));
+        let step = shot.kept.rays.len().div_ceil(MOST_READINGS).max(1);
+        let stated = shot.spread(&shot.cast(self.caster, given, step), step, given, self.priors);
+        let covariance = PoseCovariance::from_rows(scaled(given.covariance.as_rows(), stated.powi(2)));
         let readings = Readings {
             caster: self.caster,
-            robot_from_image,
-            of: kept.rays.iter().copied().zip(ranges.iter().copied()).step_by(step).collect(),
-            noise,
-            reach,
+            robot_from_image: shot.robot_from_image,
+            of: shot.kept.rays.iter().copied().zip(shot.ranges.iter().copied()).step_by(step).collect(),
+            noise: shot.noise,
+            reach: shot.reach,
             priors: self.priors,
         };
-        let given = pose;
-        let pose = &readings.register(&PoseEstimate::new(pose.world_from_robot, covariance));
-        let terms = (!self.priors.is_empty()).then(|| readings.terms(given, pose, self.views));
-        let rays = cast(pose, 1);
-        let world_from_image = pose.world_from_robot * robot_from_image;
-        let spread = spread(&rays, 1, pose).min(MOST_SPREAD);
-        let errors = Errors { noise, pose, spread, priors: self.priors };
+        let pose = readings.register(&PoseEstimate::new(given.world_from_robot, covariance));
+        let terms = (!self.priors.is_empty()).then(|| readings.terms(given, &pose, self.views));
+        (pose, terms)
+    }
+
+    /// Compares a frame of a robot at a pose. Also returns what the rays of the kept pixels meet first.
+    pub fn view(&self, frame: &Frame, kept: &Arc<Kept>, given: &PoseEstimate) -> (View, Vec<Option<Met>>) {
+        let shot = Shot::of(frame, kept);
+        let (pose, terms) = self.registered(&shot, given);
+        let rays = shot.cast(self.caster, &pose, 1);
+        let spread = shot.spread(&rays, 1, &pose, self.priors);
+        let Shot { noise, reach, .. } = shot;
+        let errors = Errors { noise, pose: &pose, spread, priors: self.priors };
         let sigmas = pose.covariance.sigmas();
         let norm = |of: &[f64]| spread * of.iter().map(|x| x * x).sum::<f64>().sqrt();
         let mut view = View {
             stamp: frame.stamp,
             drive: 0,
-            world_from_image,
+            world_from_image: pose.world_from_robot * shot.robot_from_image,
             kept: kept.clone(),
             noise,
             object: rays.iter().map(|ray| ray.met.map_or(NOTHING, |met| met.object)).collect(),
             says: vec![Says::Nothing; rays.len()],
             off: (norm(&sigmas[..3]), norm(&sigmas[3..])),
-            pulled: Pulled::of(given, pose),
+            pulled: Pulled::of(given, &pose),
             terms,
             news: Vec::new(),
             compared: (0, 0),
-            ranges,
+            ranges: shot.ranges,
         };
         for (at, ray) in rays.iter().enumerate() {
             let z = f64::from(view.ranges[at]);

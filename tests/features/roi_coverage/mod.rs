@@ -2,8 +2,7 @@
 //! best box.
 //!
 //! The draws are independent of the code under test: errors from a separate Cholesky decomposition move poses and
-//! points in space, and `Sensor::project` images them. `PRESIGHT_DRAWS` sets their number; the default is 10^6 where
-//! `CI` is set and 10^5 elsewhere.
+//! points in space, and `Sensor::project` images them. `PRESIGHT_DRAWS` sets their number.
 #![expect(clippy::print_stdout, reason = "the tests print draws and coverage")]
 
 use presight_testkit as common;
@@ -26,8 +25,7 @@ type Covariance = [[f64; 6]; 6];
 const CONFIDENCES: [f64; 3] = [0.9, 0.99, 0.999];
 
 fn draws() -> usize {
-    let default = if std::env::var_os("CI").is_some() { 1_000_000 } else { 100_000 };
-    env_number("PRESIGHT_DRAWS", default) as usize
+    env_number("PRESIGHT_DRAWS", 200_000) as usize
 }
 
 /// 640 x 480 pixels.

@@ -1,7 +1,10 @@
 //! `presight explore` and `presight occupancy`: a drive is simulated and explored.
 
 use super::{Place, bad, check};
+use glam::DVec3;
+use presight_model::environment::{MarkKind, Object};
 use presight_store::info;
+use presight_testkit::judge::is_blocked;
 use std::fs;
 
 const CAMERA: &str = "format = 1\nkind = \"camera\"\nclass = \"laser\"\nwidth = 120\nheight = 90\nfx = 75.0\nfy = 75.0\ncx = 59.5\n\
@@ -23,26 +26,108 @@ fn drive() -> Place {
     place
 }
 
+/// Poses of a robot at another place of the room.
+fn other_poses() -> String {
+    let line = |k: usize| {
+        let half = 0.5 * (0.1 * k as f64 + 0.2);
+        format!("{} {} 0.5 1.35 0 0 {} {}\n", 100 + k, 2.0 + 0.03 * k as f64, half.sin(), half.cos())
+    };
+    (0..8).map(line).collect()
+}
+
+/// Another log, with poses or without, adds to the store and rebuilds nothing. Each run can be undone.
 #[test]
 fn what_is_explored_is_explored_on_and_undone() {
     let place = drive();
+    place.write("other.tum", other_poses().as_bytes());
+    place.done("simulate room.glb --sensor camera.toml --poses other.tum --out other");
     let first = place.run("explore log --sensor log/sensor.toml --detail 0.05 --out room.presight --time 1");
     assert_eq!(first.status, Some(0), "{}", first.stderr);
     assert!(first.stdout.contains("change 1"), "{}", first.stdout);
+    let areas = first.stdout.lines().nth(1).unwrap();
+    let square_metres: Vec<f64> = areas.split_whitespace().filter_map(|word| word.parse().ok()).collect();
+    assert!(areas.contains("seen by nobody") && square_metres.iter().all(|area| *area > 0.1), "{areas}");
     let known = info(&place.path("room.presight")).unwrap().environment;
     assert!(known.object("floor/0001").is_some() && known.object("wall/0001").is_some());
     assert!(known.trust("wall/0001").unwrap().p0 > 0.8);
     assert!(known.marks().len() > 0 && known.layer("laser").unwrap().pose_covariances.len() > 2);
-    let again = place.run("explore log --sensor log/sensor.toml --detail 0.05 --out room.presight --time 2");
-    assert!(again.stdout.contains("change 2"), "{}{}", again.stdout, again.stderr);
-    let on = info(&place.path("room.presight")).unwrap().environment;
-    assert_eq!(on.object("wall/0001").unwrap().name, "wall/0001");
-    place.run("env undo room.presight 2");
-    let back = info(&place.path("room.presight")).unwrap().environment;
-    assert_eq!(back.content_hash(), known.content_hash());
+    fs::copy(place.path("room.presight"), place.path("copy.presight")).unwrap();
+    let on = |options: &str, store: &str| {
+        let ran = place
+            .run(&format!("explore other --sensor log/sensor.toml --detail 0.05 {options} --out {store} --time 2"));
+        assert!(ran.stdout.contains("change 2"), "{}{}", ran.stdout, ran.stderr);
+        let now = info(&place.path(store)).unwrap().environment;
+        let is_kept =
+            |old: &Object| now.object(&old.name).is_some_and(|o| o.world_from_object == old.world_from_object);
+        let old = || known.objects().iter().filter(|o| !o.is_deleted());
+        assert!(old().all(is_kept) && now.objects().iter().any(|o| known.object(&o.name).is_none()), "{}", ran.stdout);
+        place.done(&format!("env undo {store} 2"));
+        let back = info(&place.path(store)).unwrap().environment;
+        assert_eq!(back.content_hash(), known.content_hash());
+    };
+    on("", "room.presight");
+    fs::remove_file(place.path("other/poses.txt")).unwrap();
+    on("--init 2,0.5,1.35,0,0,11.459", "copy.presight");
     place.run("env undo room.presight 1 --cascade");
     let empty = info(&place.path("room.presight")).unwrap().environment;
     assert_eq!(empty.objects().iter().filter(|o| !o.is_deleted()).count(), 0);
+}
+
+/// A pane that reflects in two frames of twelve, as glass does at right angles, leaves the window open; one that always reflects is a wall.
+#[cfg(feature = "script")]
+#[test]
+fn glass_leaves_an_open_window_in_the_store() {
+    let place = Place::new();
+    place.write("camera.toml", CAMERA.as_bytes());
+    let scene = |glass: &str| {
+        format!(
+            "material(\"glass\", #{{ {glass} }}); let wall = box(0.1, 1.5, 3).translate(2, -1.25, 0) + box(0.1, 1.5, 3).translate(2, 1.25, 0) \
+             + box(0.1, 1, 1).translate(2, 0, 0) + box(0.1, 1, 1).translate(2, 0, 2); place(\"wall\", wall); \
+             place(\"back\", box(0.1, 8, 5).translate(4, 0, -1)); place(\"pane\", box(0.01, 1, 1).translate(2, 0, 1).made_of(\"glass\"));"
+        )
+    };
+    place.write("clear.rhai", scene("transparent: [\"laser\"]").as_bytes());
+    place.write("glare.rhai", scene("").as_bytes());
+    let poses = |from: usize, count: usize| {
+        let line = |k: usize| format!("{k} 0 {} 1.2 0 0 0 1\n", 0.05 * k as f64 - 0.3);
+        (from..from + count).map(line).collect::<String>()
+    };
+    place.write("clear.tum", [poses(0, 5), poses(7, 5)].concat().as_bytes());
+    place.write("glare.tum", poses(5, 2).as_bytes());
+    place.write("all.tum", poses(0, 12).as_bytes());
+    for (scene, poses, log) in [("clear", "clear", "clear"), ("glare", "glare", "glare"), ("glare", "all", "always")] {
+        place.done(&format!("simulate {scene}.rhai --sensor camera.toml --poses {poses}.tum --out {log}"));
+    }
+    let blocked = |logs: &str, store: &str| {
+        let ran = place.run(&format!("explore {logs} --sensor clear/sensor.toml --out {store}"));
+        assert_eq!(ran.status, Some(0), "{}", ran.stderr);
+        let found = info(&place.path(store)).unwrap().environment;
+        let at = |k: usize| DVec3::new(1.0, 0.08 * (k % 11) as f64 - 0.4, 1.1 + 0.08 * (k / 11) as f64);
+        assert!(is_blocked(&found, DVec3::new(1.0, 0.8, 1.5), DVec3::new(2.2, 0.8, 1.5)), "there is no wall");
+        (0..121).filter(|k| is_blocked(&found, at(*k), at(*k) + 1.3 * DVec3::X)).count()
+    };
+    assert_eq!(blocked("clear glare", "clear.presight"), 0);
+    assert_eq!(blocked("always", "always.presight"), 121, "planted");
+}
+
+/// Scans of one row become walls of the height that was asked for, and what is not in the scan plane is marked as assumed.
+#[test]
+fn planar_scans_become_walls_of_the_height_that_is_given() {
+    let place = drive();
+    let scanner = "format = 1\nkind = \"scanner\"\nclass = \"laser\"\nrange_max = 20.0\n[azimuth]\nstart_deg = -180.0\nstep_deg = 1.0\n\
+        count = 360\n[elevation]\nstart_deg = 0.0\nstep_deg = 0.0\ncount = 1\n[noise]\nrange_sigma = 0.01\n";
+    place.write("scanner.toml", scanner.as_bytes());
+    place.write("scans.tum", other_poses().as_bytes());
+    place.done("simulate room.glb --sensor scanner.toml --poses scans.tum --out scans");
+    let ran = place
+        .run("explore scans/scans.jsonl --sensor scans/sensor.toml --wall-height 2.2 --floor 0.1 --out walls.presight");
+    assert_eq!(ran.status, Some(0), "{}", ran.stderr);
+    let walls = info(&place.path("walls.presight")).unwrap().environment;
+    let bounds: Vec<_> = walls.objects().iter().filter(|o| !o.is_deleted()).map(|o| o.world_bounds()).collect();
+    assert!(bounds.len() > 8, "{}", bounds.len());
+    assert!(bounds.iter().all(|b| (b.min.z - 0.1).abs() < 1e-6 && (b.max.z - 2.3).abs() < 1e-6), "{bounds:?}");
+    let assumed = walls.marks().filter(|(_, mark)| mark.kind == MarkKind::Uncertain).count();
+    assert_eq!(assumed, 2 * bounds.len());
 }
 
 #[test]

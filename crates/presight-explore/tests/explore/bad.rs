@@ -7,6 +7,7 @@ use presight_model::environment::{Appearance, Environment, Mark, MarkKind, Mater
 use presight_model::error::ErrorKind;
 use presight_model::geometry::{Aabb, Pose};
 use presight_model::measured::{Frame, Measurement};
+use presight_model::sensor::{Angles, Geometry, Noise, Scanner, Sensor, SensorSpec};
 use presight_testkit::Random;
 
 /// A pane in the window reflects in one frame of nine, as glass does at right angles, and lets the rays of the others through.
@@ -50,6 +51,31 @@ fn nothing_flat_is_an_error_or_next_to_nothing() {
         Err(e) => assert!(e.kind() == ErrorKind::Invalid && e.to_string().contains("nothing flat"), "{e}"),
         Ok(found) => assert!(found.areas.surface < 0.5, "{:?}", found.areas),
     }
+}
+
+/// Trees: points that lie decimetres apart, no two of them on one surface. Nearly all of what lies between them stays open.
+#[test]
+fn a_scan_of_leaves_becomes_no_wall() {
+    let angles = |first: f64, count: u32| Angles::Uniform { start_deg: first, step_deg: 1.5, count };
+    let scanner = Scanner { azimuth: angles(-40.0, 54), elevation: angles(-15.0, 20), beam_height_deg: None };
+    let spec = SensorSpec::new("sparse", "laser", Geometry::Scanner(scanner)).with_limits(0.2, 50.0);
+    let sensor = Sensor::new(spec.with_noise(Noise { range_sigma: 0.02, ..Noise::default() })).unwrap();
+    let mut random = Random(5);
+    let mut share = |mut range: Box<dyn FnMut(&mut Random, u32) -> f64>| {
+        let mut views = Views::default();
+        let ranges = (0..54 * 20).map(|pixel| range(&mut random, pixel) as f32).collect();
+        let frame = Frame::new(0.0, sensor.clone(), Measurement::Range(ranges)).unwrap();
+        views.push(&frame, Pose::IDENTITY).unwrap();
+        let found = explore(&Environment::new(), Known::Explored, &views);
+        found.areas.surface / (found.areas.surface + found.areas.unseen)
+    };
+    let leaves = share(Box::new(|random, _| random.uniform(5.0, 30.0)));
+    let toward = sensor.clone();
+    let wall = share(Box::new(move |_, pixel| {
+        let ray = toward.body_from_image() * toward.ray(pixel % 54, pixel / 54).unwrap();
+        10.0 / ray.x
+    }));
+    assert!(leaves < 0.05 && wall > 0.8, "{leaves} {wall}");
 }
 
 /// Marks that a store has count.

@@ -1,9 +1,13 @@
 //! Occupancy grids against dense rays.
 
+use super::lost::room;
+use super::rooms::{explore, sensor, views_of};
+use super::rough::looks;
 use glam::{DVec3, Vec3};
+use presight_explore::Known;
 use presight_explore::occupancy::{Cell, Grid, GridOptions};
-use presight_model::environment::{Environment, Mesh, NewObject, Polygon, PolygonOrder};
-use presight_model::geometry::Pose;
+use presight_model::environment::{Environment, Mark, MarkKind, Mesh, NewObject, Polygon, PolygonOrder};
+use presight_model::geometry::{Aabb, Pose};
 use presight_testkit::oracle::Oracle;
 use presight_testkit::scenes::{cuboid, empty};
 
@@ -26,17 +30,18 @@ fn hall() -> Environment {
     environment
 }
 
-/// Cells that are said to be free although a ray across them, between the heights, ends in them.
-fn wrongly_free(environment: &Environment, grid: &Grid, options: &GridOptions) -> usize {
+/// Cells that are said to be free although a ray across them, between the heights, ends in them, `inside` metres from their borders.
+fn wrongly_free(environment: &Environment, grid: &Grid, options: &GridOptions, inside: f64) -> usize {
     let oracle = Oracle::new(environment, DVec3::ZERO).unwrap();
     let is_hit = |cell: usize| {
-        let corner = grid.origin + glam::DVec2::new((cell % grid.width) as f64, (cell / grid.width) as f64) * grid.cell;
+        let at = glam::DVec2::new((cell % grid.width) as f64, (cell / grid.width) as f64);
+        let (corner, side) = (grid.origin + at * grid.cell + inside, grid.cell - 2.0 * inside);
         (0..9 * 8).any(|k| {
             let (across, up) = (0.5 + (k % 9) as f64, (k / 9) as f64 / 7.0);
             let z = grid.floor + options.from_height + up * (options.to_height - options.from_height);
-            let at = across / 9.0 * grid.cell;
-            let along = oracle.hides(DVec3::new(corner.x, corner.y + at, z), DVec3::X, grid.cell, &[]);
-            along || oracle.hides(DVec3::new(corner.x + at, corner.y, z), DVec3::Y, grid.cell, &[])
+            let at = across / 9.0 * side;
+            let along = oracle.hides(DVec3::new(corner.x, corner.y + at, z), DVec3::X, side, &[]);
+            along || oracle.hides(DVec3::new(corner.x + at, corner.y, z), DVec3::Y, side, &[])
         })
     };
     (0..grid.cells.len()).filter(|c| grid.cells[*c] == Cell::Free && is_hit(*c)).count()
@@ -46,7 +51,7 @@ fn wrongly_free(environment: &Environment, grid: &Grid, options: &GridOptions) -
 fn no_occupied_cell_is_free_and_no_floor_is_unknown() {
     let (environment, options) = (hall(), GridOptions::default());
     let mut grid = Grid::of(&environment, &options).unwrap();
-    assert_eq!(wrongly_free(&environment, &grid, &options), 0);
+    assert_eq!(wrongly_free(&environment, &grid, &options, 0.0), 0);
     let at = |grid: &Grid, x: f64, y: f64| {
         let cell = (glam::DVec2::new(x, y) - grid.origin) / grid.cell;
         grid.cells[cell.y as usize * grid.width + cell.x as usize]
@@ -59,7 +64,40 @@ fn no_occupied_cell_is_free_and_no_floor_is_unknown() {
     assert_eq!(at(&grid, 0.55, 1.265), Cell::Occupied);
     let occupied = grid.cells.iter().position(|c| *c == Cell::Occupied).unwrap();
     grid.cells[occupied] = Cell::Free;
-    assert_eq!(wrongly_free(&environment, &grid, &options), 1, "planted");
+    assert_eq!(wrongly_free(&environment, &grid, &options, 0.0), 1, "planted");
+}
+
+/// What a robot explored is a map for planners: no cell that is occupied in the real room is free in it. Surfaces that end within 3 mm of
+/// the next cell do not count: they are as far off.
+#[test]
+fn an_explored_room_has_no_free_cell_that_is_occupied() {
+    let real = room();
+    let views = views_of(&sensor(), looks(24, 0.0).map(|pose| (real.clone(), pose)));
+    let found = explore(&Environment::new(), Known::Explored, &views);
+    let options = GridOptions::default().with_cell(0.07);
+    let mut grid = Grid::of(found.environment(), &options).unwrap();
+    assert!(grid.count(Cell::Free) > 1000, "{}", grid.count(Cell::Free));
+    assert_eq!(wrongly_free(&real, &grid, &options, 0.003), 0);
+    grid.cells.fill(Cell::Free);
+    assert!(wrongly_free(&real, &grid, &options, 0.003) > 100, "planted");
+}
+
+/// Where a mark says that nobody looked between the heights, no cell is free; below the heights a mark changes nothing.
+#[test]
+fn what_nobody_saw_is_unknown() {
+    let (mut environment, options) = (hall(), GridOptions::default());
+    let before = Grid::of(&environment, &options).unwrap();
+    let mut marked = |name: &str, low: f64, high: f64| {
+        let bounds = Aabb { min: DVec3::new(0.21, 0.21, low), max: DVec3::new(0.29, 0.29, high) };
+        let mark = Mark { object: "left".into(), kind: MarkKind::Unseen, class: None, bounds: Some(bounds) };
+        environment.set_mark(name, mark).unwrap();
+        Grid::of(&environment, &options).unwrap()
+    };
+    assert_eq!(marked("low", 0.5, 0.55).cells, before.cells);
+    // By hand: cells of 5 cm from 0.21 to 0.29 are two by two.
+    let after = marked("high", 0.5, 1.0);
+    assert_eq!(before.count(Cell::Free) - after.count(Cell::Free), 4);
+    assert_eq!(after.count(Cell::Unknown) - before.count(Cell::Unknown), 4);
 }
 
 /// By the rules of map_server: p = (255 - grey) / 255 is occupied above 0.65, free below 0.196, unknown between.

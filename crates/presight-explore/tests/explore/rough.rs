@@ -11,7 +11,7 @@ use presight_testkit::caster::Caster;
 use presight_testkit::judge::{Placed, judge};
 use presight_testkit::scenes::{cuboid, empty};
 
-fn looks(count: usize, first: f64) -> impl Iterator<Item = Pose> {
+pub(crate) fn looks(count: usize, first: f64) -> impl Iterator<Item = Pose> {
     (0..count).map(move |k| {
         let turn = std::f64::consts::TAU * (k as f64 + first) / count as f64;
         Pose::from_xyz_rpy(DVec3::new(0.2 * turn.cos(), 0.2 * turn.sin(), 0.2), 0.0, 0.2, turn)

@@ -138,18 +138,26 @@ impl FrameEvidence {
 
     /// Log-odds of readings in views, with surfaces that are off by one of these deviations or the other, metres.
     pub fn of_views(&self, map: &MapRanges, readings: &[f32], views: &[View], sigmas: [f64; 2]) -> Vec<f64> {
-        let of = |[range, cos]: &View| {
-            let one = |((z, r), c): ((&f32, &f32), &f32)| {
-                let (z, r, c) = (f64::from(*z), f64::from(*r), f64::from(c.abs()).max(FLATTEST));
-                let along = self.noise.range_sigma(if r.is_finite() { r } else { 0.0 });
-                let across = r * self.noise.angle;
-                let per_cos = 1.0 / (c * c);
-                let own = along * along + across * across * (per_cos - 1.0);
-                map.log_odds(z, r, sigmas.map(|sigma| own + sigma * sigma * per_cos))
-            };
-            readings.iter().zip(range).zip(cos).map(one).sum()
+        views.iter().map(|view| self.of_readings(map, readings, view, sigmas).sum()).collect()
+    }
+
+    /// Log-odds of each reading in a view.
+    pub fn of_readings<'a>(
+        &'a self,
+        map: &'a MapRanges,
+        readings: &'a [f32],
+        view: &'a View,
+        sigmas: [f64; 2],
+    ) -> impl Iterator<Item = f64> + 'a {
+        let one = move |((z, r), c): ((&f32, &f32), &f32)| {
+            let (z, r, c) = (f64::from(*z), f64::from(*r), f64::from(c.abs()).max(FLATTEST));
+            let along = self.noise.range_sigma(if r.is_finite() { r } else { 0.0 });
+            let across = r * self.noise.angle;
+            let per_cos = 1.0 / (c * c);
+            let own = along * along + across * across * (per_cos - 1.0);
+            map.log_odds(z, r, sigmas.map(|sigma| own + sigma * sigma * per_cos))
         };
-        views.iter().map(of).collect()
+        readings.iter().zip(&view[0]).zip(&view[1]).map(one)
     }
 }
 

@@ -86,15 +86,7 @@ impl Localizer {
         let Some(frame) = frames.iter().find(|frame| frame.grey().is_none()) else {
             // Grey images have no evidence but whether their features agree.
             let odds = if estimate.is_determined() { ODDS } else { -ODDS };
-            return Ok(Said {
-                odds,
-                evidence: odds,
-                full: odds,
-                deciding: 1.0,
-                scale: 1.0,
-                blind: false,
-                pieces: Vec::new(),
-            });
+            return Ok(Said { odds, evidence: odds, full: odds, deciding: 1.0, blind: false, ..nothing });
         };
         let pose = estimate.pose.world_from_robot;
         self.rivals_for(world, frame, &pose)?;
@@ -103,11 +95,11 @@ impl Localizer {
             return Ok(nothing);
         }
         let null = rivals.null(&mut self.estimator, world, frame, &[pose], oldest)?;
-        let (ranges, full, pieces) = rivals.of_place(&mut self.estimator, world, frame, &pose)?;
-        let evidence = ranges + null.scale * ODDS * estimate.reflectors.0 as f64;
-        let odds = null.odds_of(evidence, f64::NEG_INFINITY);
-        let deciding = deciding(estimate);
-        Ok(Said { odds, evidence, full, scale: null.scale, deciding, blind: false, pieces })
+        let Some(mut details) = rivals.details(&mut self.estimator, world, frame, &[pose])?.pop() else {
+            return Ok(nothing);
+        };
+        details.evidence += null.scale * ODDS * estimate.reflectors.0 as f64;
+        Ok(Said { deciding: deciding(estimate), ..null.said(details, f64::NEG_INFINITY) })
     }
 
     /// One frame of a pose that is followed, which is carried on to it already.

@@ -3,7 +3,7 @@
 
 use super::beside::Look;
 use super::follow::{Followed, way_of};
-use super::odds::{Odds, Said};
+use super::odds::{Details, Odds, Said};
 use super::rivals::Rivals;
 use super::search::{Candidate, distinct, is_same};
 use super::{Localizer, Phase, State, Step, carried, widened};
@@ -109,14 +109,15 @@ impl Localizer {
         let poses: Vec<Pose> = candidates.iter().map(|c| c.pose.world_from_robot).collect();
         let Some(rivals) = self.rivals.as_mut() else { return Ok(()) };
         let null = rivals.null(&mut self.estimator, world, frame, &poses, usize::MAX)?;
-        let logs = rivals.of_places(&mut self.estimator, world, frame, &poses)?;
-        let full = rivals.full_at(&mut self.estimator, world, &poses)?;
-        let reflectors = |c: &Candidate| null.scale * super::reflectors::ODDS * c.estimate.reflectors.0 as f64;
-        let logs: Vec<f64> = logs.iter().zip(candidates.iter()).map(|(log, c)| log + reflectors(c)).collect();
-        for ((k, c), full) in candidates.iter_mut().enumerate().zip(full) {
+        let mut details = rivals.details(&mut self.estimator, world, frame, &poses)?;
+        for (details, c) in details.iter_mut().zip(candidates.iter()) {
+            details.evidence += null.scale * super::reflectors::ODDS * c.estimate.reflectors.0 as f64;
+        }
+        let logs: Vec<f64> = details.iter().map(|details| details.evidence).collect();
+        for ((k, c), details) in candidates.iter_mut().enumerate().zip(details) {
             let others = (0..poses.len()).filter(|j| !is_same(&poses[*j], &poses[k])).map(|j| logs[j]);
-            let odds = null.odds_of(logs[k], others.fold(f64::NEG_INFINITY, f64::max));
-            c.odds.add(&null.said(odds, logs[k], full), way, &self.options.rates);
+            let said = null.said(details, others.fold(f64::NEG_INFINITY, f64::max));
+            c.odds.add(&said, way, &self.options.rates);
             c.log_likelihood = c.odds.now;
         }
         *candidates = distinct(std::mem::take(candidates));
@@ -152,15 +153,16 @@ impl Localizer {
         let (top, second) = (found[0].0, found.get(1).map_or(0.0, |(log, _)| log.max(0.0)));
         found.truncate(MOST.1);
         let poses: Vec<Pose> = found.iter().map(|(_, c)| c.pose.world_from_robot).collect();
-        let full = rivals.full_at(&mut self.estimator, world, &poses)?;
-        for ((log, mut c), full) in found.into_iter().zip(full) {
+        let details = rivals.details(&mut self.estimator, world, frame, &poses)?;
+        for ((log, mut c), details) in found.into_iter().zip(details) {
             if lookout.candidates.iter().all(|k| !is_same(&k.pose.world_from_robot, &c.pose.world_from_robot)) {
                 let rival = if log == top { second } else { top };
                 // The best of all places is selected from them: that was paid by its lead over the second one. Each view is
                 // another chance.
-                let said = (log - rival) / null.scale - (1.0 + lookout.views).ln();
+                let odds = (log - rival) / null.scale - (1.0 + lookout.views).ln();
+                let details = Details { evidence: log, ..details };
                 c.odds = Odds::of(0.0, lookout.views);
-                c.odds.add(&null.said(said, log, full), 1.0, &self.options.rates);
+                c.odds.add(&Said { odds, ..null.said(details, rival) }, 1.0, &self.options.rates);
                 c.log_likelihood = c.odds.now;
                 lookout.candidates.push(c);
             }

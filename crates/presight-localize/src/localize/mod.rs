@@ -10,6 +10,7 @@ mod beside;
 mod drift;
 mod evidence;
 mod follow;
+mod frozen;
 mod hypotheses;
 mod likelihood;
 mod lookout;
@@ -24,6 +25,7 @@ mod turning;
 mod velocity;
 
 use follow::{Followed, way_of};
+use frozen::Frozen;
 use hypotheses::Hypotheses;
 use lookout::Lookout;
 pub use odds::ErrorRates;
@@ -183,6 +185,7 @@ pub struct Localizer {
     rivals: Option<Rivals>,
     /// Those of frames with more or fewer pixels.
     spare: Option<Rivals>,
+    frozen: Frozen,
 }
 
 impl Localizer {
@@ -201,6 +204,7 @@ impl Localizer {
             search: None,
             rivals: None,
             spare: None,
+            frozen: Frozen::default(),
         }
     }
 
@@ -251,6 +255,7 @@ impl Localizer {
     /// A frame whose pixels were all measured at its stamp.
     fn step_at_once(&mut self, world: &World, frame: &Frame, beside: &[&Frame]) -> Result<Step> {
         check(self.stamp, frame)?;
+        self.frozen.see(frame);
         let seconds = self.stamp.replace(frame.stamp).map(|before| frame.stamp - before);
         let frames: Vec<&Frame> = std::iter::once(frame).chain(beside.iter().copied()).collect();
         let carried = seconds.map(|seconds| self.carry(frame, seconds));

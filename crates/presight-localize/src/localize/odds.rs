@@ -1,7 +1,8 @@
 //! Odds of a pose after some frames: the natural logarithm of the ratio of its probability to that of all rivals together. Every decision of the localizer is a comparison of these odds with one of [`ErrorRates`].
 
+use glam::DVec3;
 use presight_model::statistics::median;
-use std::collections::HashSet;
+use std::collections::BTreeMap;
 
 /// Scales that a null remembers.
 const POOL: usize = 20;
@@ -67,9 +68,11 @@ impl Null {
 }
 
 impl Null {
-    /// What a frame says whose readings all decide, by all the evidence that it could have and the pieces that it meets.
-    pub fn said(&self, odds: f64, evidence: f64, (full, pieces): (f64, Vec<Piece>)) -> Said {
-        Said { odds, evidence, full, scale: self.scale, deciding: 1.0, blind: false, pieces }
+    /// What a frame says of a place besides this rival, if all of its readings decide.
+    pub fn said(&self, details: Details, rival: f64) -> Said {
+        let Details { evidence, full, pieces } = details;
+        let (odds, rival) = (self.odds_of(evidence, rival), self.best.max(rival));
+        Said { odds, evidence, full, rival, scale: self.scale, deciding: 1.0, blind: false, pieces }
     }
 }
 
@@ -110,7 +113,26 @@ impl ErrorRates {
 /// A piece of the map's surfaces: a cube of [`PIECE`].
 pub(super) type Piece = [i32; 3];
 /// Side of a piece of the map's surfaces, metres: readings of one piece of furniture, or of one part of a wall, err together.
-pub(super) const PIECE: f64 = 0.5;
+const PIECE: f64 = 0.5;
+/// Where the cubes begin, metres: walls and scanners stand at round figures, and rounding must not move them from one cube to
+/// the next.
+const BEGIN: f64 = 0.1927;
+
+/// The piece at a point of the map, metres.
+pub(super) fn piece_at(point: DVec3) -> Piece {
+    point.to_array().map(|x| ((x - BEGIN) / PIECE).floor() as i32)
+}
+
+/// What the readings of a frame say of a place.
+#[derive(Clone, Debug)]
+pub(super) struct Details {
+    /// Against nothing of this map.
+    pub evidence: f64,
+    /// The evidence if all readings were as predicted.
+    pub full: f64,
+    /// The piece of the map that each reading should meet, and its evidence.
+    pub pieces: Vec<(Piece, f64)>,
+}
 
 /// What one frame says of a pose.
 #[derive(Clone, Debug)]
@@ -121,14 +143,16 @@ pub(super) struct Said {
     pub evidence: f64,
     /// The evidence if all readings were as predicted.
     pub full: f64,
+    /// Evidence of the best rival.
+    pub rival: f64,
     /// Scale of the null.
     pub scale: f64,
     /// Share of the readings that are not before the map's surfaces: readings before them say nothing about the map.
     pub deciding: f64,
     /// No reading has evidence.
     pub blind: bool,
-    /// What each reading meets in the map; empty if that is not known.
-    pub pieces: Vec<Piece>,
+    /// What each reading should meet in the map, and its evidence; empty if that is not known.
+    pub pieces: Vec<(Piece, f64)>,
 }
 
 impl Said {
@@ -146,8 +170,16 @@ impl Said {
     }
 
     /// A frame without evidence.
-    pub const NOTHING: Self =
-        Self { odds: 0.0, evidence: 0.0, full: 0.0, scale: 1.0, deciding: 0.0, blind: true, pieces: Vec::new() };
+    pub const NOTHING: Self = Self {
+        odds: 0.0,
+        evidence: 0.0,
+        full: 0.0,
+        rival: 0.0,
+        scale: 1.0,
+        deciding: 0.0,
+        blind: true,
+        pieces: Vec::new(),
+    };
 }
 
 /// Odds of one pose.
@@ -165,14 +197,25 @@ pub(super) struct Odds {
     pub unproven: bool,
     /// How many different views there were: in each a wrong place may lead by chance.
     views: f64,
-    /// Pieces of the map that were seen.
-    seen: HashSet<Piece>,
+    /// Pieces of the map that were seen, and the most readings of one frame that met them.
+    seen: BTreeMap<Piece, u32>,
+    /// By how much the sum of what was seen is below the highest that it was, 0 or less.
+    owed: f64,
 }
 
 impl Odds {
     /// Odds of a place that is selected by the frame that comes next, after some views in which others were.
     pub fn of(memory: f64, views: f64) -> Self {
-        Self { memory, now: memory, mean: None, fallen: false, unproven: false, views, seen: HashSet::new() }
+        Self {
+            memory,
+            now: memory,
+            mean: None,
+            fallen: false,
+            unproven: false,
+            views,
+            seen: BTreeMap::new(),
+            owed: 0.0,
+        }
     }
 
     /// Odds of a start that was given: its first frame costs [`ASKED`], and the start waits, until one singles it out.
@@ -191,9 +234,9 @@ impl Odds {
     }
 
     /// Takes in what a frame says. Frames of one view say it once: `way` is how much of another view this one is, 0 to 1. If a
-    /// place lacks evidence that it could have, each piece of the map says it once: a wrong place that resembles the right one
-    /// goes on resembling it until the robot sees something else. The frame by itself counts if it says more, less the chance
-    /// that the views before gave a wrong place.
+    /// place lacks evidence that it could have, each piece of the map says it once ([`Odds::news`]): a wrong place that resembles
+    /// the right one goes on resembling it until the robot sees something else. The frame by itself counts if it says more, less
+    /// the chance that another view gave a wrong place.
     ///
     /// A sudden fall to where the frame no longer singles out the pose counts in full: evidence that is Δ scales below what
     /// is usual here has a probability of exp(-Δ) if the robot still is here. If the robot is elsewhere, the pose leads by x
@@ -202,11 +245,11 @@ impl Odds {
     pub fn add(&mut self, frame: &Said, way: f64, rates: &ErrorRates) {
         let (most, said, evidence) = (rates.most(), frame.odds, frame.evidence);
         let is_whole = frame.is_whole(rates);
-        let chances = (1.0 + self.views).ln();
-        let fresh = self.newly_seen(frame, way);
+        let (fresh, news) = self.news(frame);
         // What only resembles the map goes on resembling it.
-        let fresh = if is_whole { way } else { fresh };
+        let (fresh, news) = if is_whole || frame.pieces.is_empty() { (way, way * evidence) } else { (fresh, news) };
         self.views += fresh;
+        let chances = self.views.max(1.0).ln();
         // What stands before the sensor thins what can be expected.
         let lost = self.mean.map_or(0.0, |mean| frame.deciding * mean.max(0.0) - evidence);
         let below = lost / frame.scale;
@@ -220,7 +263,7 @@ impl Odds {
             Some(_) if falls && said > 0.0 => said.min(UNSELECTED + said - below),
             Some(_) if falls => said.min(-below),
             Some(_) if said > 0.0 && self.unproven => 0.0,
-            Some(_) if said > 0.0 => fresh * (said - CHANCE).max(0.0),
+            Some(_) if said > 0.0 => self.gain(frame, fresh, news),
             Some(_) => fresh * said,
         };
         let mut after = (self.memory + counts).clamp(-most, most);
@@ -242,14 +285,32 @@ impl Odds {
         self.mean = Some(mean + FORGET * (evidence - mean));
     }
 
-    /// The share of a frame's readings that meet pieces of the map that were not seen before.
-    fn newly_seen(&mut self, frame: &Said, way: f64) -> f64 {
-        if frame.pieces.is_empty() {
-            return way;
+    /// The share of a frame's readings that show more of the map's pieces than any frame before, and their evidence: a piece
+    /// that one beam met from afar is new to the ten beams that meet it from nearby. These readings did not take part when the
+    /// place was selected, so they are an unbiased test of it.
+    fn news(&mut self, frame: &Said) -> (f64, f64) {
+        let mut met: BTreeMap<Piece, (u32, f64)> = BTreeMap::new();
+        for (piece, log) in &frame.pieces {
+            let (count, sum) = met.entry(*piece).or_default();
+            (*count, *sum) = (*count + 1, *sum + log);
         }
-        let fresh = frame.pieces.iter().filter(|piece| !self.seen.contains(*piece)).count();
-        self.seen.extend(&frame.pieces);
-        fresh as f64 / frame.pieces.len() as f64
+        let (mut more, mut evidence) = (0.0, 0.0);
+        for (piece, (count, sum)) in met {
+            let before = self.seen.entry(piece).or_default();
+            let new = f64::from(count.saturating_sub(*before));
+            (more, evidence) = (more + new, evidence + sum * new / f64::from(count));
+            *before = count.max(*before);
+        }
+        (more / frame.pieces.len().max(1) as f64, evidence)
+    }
+
+    /// What the new part of a frame adds to a place that leads: its own lead over as much of the best rival. It is the logarithm of a
+    /// likelihood ratio, so at a wrong place the highest that its sum ever reaches exceeds x with a probability of at most exp(-x)
+    /// (Ville, 1939): memory keeps the highest, and what is below it is owed.
+    fn gain(&mut self, frame: &Said, fresh: f64, news: f64) -> f64 {
+        let sum = self.owed + (news - fresh * frame.rival) / frame.scale - fresh * CHANCE;
+        self.owed = sum.min(0.0);
+        sum.max(0.0)
     }
 
     /// Takes in a frame that leads to another place than the motion does. If its evidence is Δ scales below the usual one, more
@@ -272,7 +333,16 @@ mod tests {
 
     /// A frame with a scale of 10. All of its readings decide.
     fn said(odds: f64, evidence: f64) -> Said {
-        Said { odds, evidence, full: 200.0, scale: 10.0, deciding: 1.0, blind: false, pieces: Vec::new() }
+        Said {
+            odds,
+            evidence,
+            full: 200.0,
+            rival: evidence - 10.0 * odds,
+            scale: 10.0,
+            deciding: 1.0,
+            blind: false,
+            pieces: Vec::new(),
+        }
     }
 
     /// By hand: frames with an evidence of 190 are usual. Another place with 80 is 11 scales below that, and leads by 7: -4. Along
@@ -292,26 +362,69 @@ mod tests {
         assert!((usual.now - rates.most()).abs() < 1e-9, "{}", usual.now);
     }
 
-    /// By hand: a place with 150 of 200 (5 scales less than all it could have) is found with a lead of 4, and four frames of the same
-    /// four pieces lead by 4 again: it stays at 4, because they add nothing new. A frame that sees one other piece of four adds (4 - 1) / 4. One that leads by 9 counts as 9, less
-    /// ln(1 + 1.25) for the views before. Frames whose pieces are not known add 3 for each metre, and so do
-    /// frames with all of their evidence.
+    /// Readings of these pieces, which share an evidence evenly.
+    fn seen(odds: f64, evidence: f64, pieces: &[i32]) -> Said {
+        let share = evidence / pieces.len() as f64;
+        Said { pieces: pieces.iter().map(|k| ([*k; 3], share)).collect(), ..said(odds, evidence) }
+    }
+
+    /// By hand: a place with 150 of 200 (5 scales less than all it could have) is found with a lead of 4, and four frames of the
+    /// same four pieces lead by 4 again: it stays at 4, because they add nothing new. A frame that sees one other piece of four
+    /// adds (4 - 1) / 4. One that leads by 9 counts as 9, less ln(1.25) for the views so far. Frames whose pieces are not known
+    /// add 3 for each metre, and so do frames with all of their evidence.
     #[test]
     fn each_piece_of_the_map_says_it_once() {
         let rates = ErrorRates::default();
-        let seen = |odds, last| Said { pieces: vec![[0; 3], [1; 3], [2; 3], [last; 3]], ..said(odds, 150.0) };
         let mut odds = Odds::of(0.0, 0.0);
-        (0..5).for_each(|_| odds.add(&seen(4.0, 3), 1.0, &rates));
+        (0..5).for_each(|_| odds.add(&seen(4.0, 150.0, &[0, 1, 2, 3]), 1.0, &rates));
         assert!((odds.now - 4.0).abs() < 1e-9, "{}", odds.now);
-        odds.add(&seen(4.0, 4), 1.0, &rates);
+        odds.add(&seen(4.0, 150.0, &[0, 1, 2, 4]), 1.0, &rates);
         assert!((odds.now - 4.75).abs() < 1e-9, "{}", odds.now);
         let (mut unknown, mut whole) = (odds.clone(), odds.clone());
-        whole.add(&Said { evidence: 190.0, ..seen(4.0, 3) }, 1.0, &rates);
+        whole.add(&seen(4.0, 190.0, &[0, 1, 2, 3]), 1.0, &rates);
         assert!((whole.now - 7.75).abs() < 1e-9, "{}", whole.now);
-        odds.add(&seen(9.0, 3), 1.0, &rates);
-        assert!((odds.now - (9.0 - 2.25f64.ln())).abs() < 1e-9, "{}", odds.now);
+        odds.add(&seen(9.0, 150.0, &[0, 1, 2, 3]), 1.0, &rates);
+        assert!((odds.now - (9.0 - 1.25f64.ln())).abs() < 1e-9, "{}", odds.now);
         unknown.add(&said(4.0, 150.0), 1.0, &rates);
         assert!((unknown.now - 7.75).abs() < 1e-9, "{}", unknown.now);
+    }
+
+    /// By hand: piece 1 is met by one of four readings, and by three of four from nearby: two of four are new, and lead by as much
+    /// as all, so they add (4 - 1) / 2. From as near again they add nothing.
+    #[test]
+    fn a_piece_that_is_seen_from_nearer_is_news() {
+        let rates = ErrorRates::default();
+        let mut odds = Odds::of(0.0, 0.0);
+        odds.add(&seen(4.0, 150.0, &[0, 0, 0, 1]), 1.0, &rates);
+        (0..2).for_each(|_| odds.add(&seen(4.0, 150.0, &[0, 1, 1, 1]), 1.0, &rates));
+        assert!((odds.now - 5.5).abs() < 1e-9, "{}", odds.now);
+    }
+
+    /// By hand: a place leads by 4 of its scales, and three quarters of each frame are what it was selected for. A new quarter
+    /// without evidence lacks the rival's 110 / 4, which is 2.75 scales, and the 1 / 4 that chance leads by: 3 are owed. The
+    /// place stays at 4 for the next four quarters that are as the others are, each worth 3 / 4, and is at 4.75 with the fifth.
+    #[test]
+    fn what_comes_into_view_tests_a_place() {
+        let rates = ErrorRates::default();
+        let mut odds = Odds::of(0.0, 0.0);
+        odds.add(&seen(4.0, 150.0, &[0, 1, 2, 3]), 1.0, &rates);
+        let mut wrong = seen(4.0, 150.0, &[0, 1, 2, 4]);
+        wrong.pieces[3].1 = 0.0;
+        odds.add(&wrong, 1.0, &rates);
+        for (k, left) in (5..).zip([4.0, 4.0, 4.0, 4.0, 4.75]) {
+            odds.add(&seen(4.0, 150.0, &[0, 1, 2, k]), 1.0, &rates);
+            assert!((odds.now - left).abs() < 1e-9, "{k}: {}", odds.now);
+        }
+    }
+
+    /// Walls and scanners stand at multiples of 5 cm: rounding does not move them to another piece.
+    #[test]
+    fn rounding_moves_no_wall_to_another_piece() {
+        for k in -400..400 {
+            let at = DVec3::splat(0.05 * f64::from(k));
+            assert_eq!(piece_at(at - DVec3::splat(1e-5)), piece_at(at + DVec3::splat(1e-5)), "{at}");
+        }
+        assert_eq!(piece_at(DVec3::new(0.2, 0.65, 0.7)), [0, 0, 1]);
     }
 
     /// By hand: a frame that lags by 9 scales behind the usual places makes a pose doubtful (13.8 - 9 = 4.8), and frames that say

@@ -5,7 +5,7 @@
 
 use super::evidence::{FrameEvidence, MapRanges, View};
 use super::likelihood::{PoseLikelihood, heading_of};
-use super::odds::{Null, PIECE, Piece};
+use super::odds::{Details, Null, Piece, piece_at};
 use super::search::is_same;
 use crate::estimate::{Estimator, Freedom};
 use glam::{DQuat, DVec3};
@@ -132,49 +132,40 @@ impl Rivals {
         self.weigh(estimator, world, frame, poses, [MINIMUM, PLACE])
     }
 
-    /// Evidence of a frame at a pose, the evidence of the readings that are predicted there, and the pieces of the map that
-    /// they meet.
+    /// What a frame says of poses of the robot, as places.
     ///
     /// # Errors
     /// Those of [`FrameEvidence::views`].
-    pub fn of_place(
+    pub fn details(
         &self,
         estimator: &mut Estimator,
         world: &World,
         frame: &Frame,
-        pose: &Pose,
-    ) -> Result<(f64, f64, Vec<Piece>)> {
+        poses: &[Pose],
+    ) -> Result<Vec<Details>> {
         let readings = self.evidence.pixels().readings(frame)?;
-        let views = self.evidence.views(&mut estimator.predictor, world, std::slice::from_ref(pose))?;
-        let sigmas = [MINIMUM, PLACE].map(|sigma| sigma.max(estimator.model_sigma()));
-        let of = |readings: &[f32]| self.evidence.of_views(&self.map, readings, &views, sigmas)[0];
-        Ok((of(&readings), of(&views[0][0]), self.pieces(pose, &views[0])))
-    }
-
-    /// All the evidence that a frame could have at poses of the robot, and the pieces of the map that are seen from them.
-    ///
-    /// # Errors
-    /// Those of [`FrameEvidence::views`].
-    pub fn full_at(&self, estimator: &mut Estimator, world: &World, poses: &[Pose]) -> Result<Vec<(f64, Vec<Piece>)>> {
         let views = self.evidence.views(&mut estimator.predictor, world, poses)?;
         let sigmas = [MINIMUM, PLACE].map(|sigma| sigma.max(estimator.model_sigma()));
+        let of = |readings: &[f32], view: &View| -> Vec<f64> {
+            self.evidence.of_readings(&self.map, readings, view, sigmas).collect()
+        };
         let one = |(pose, view): (&Pose, &View)| {
-            let full = self.evidence.of_views(&self.map, &view[0], std::slice::from_ref(view), sigmas)[0];
-            (full, self.pieces(pose, view))
+            let (logs, full) = (of(&readings, view), of(&view[0], view));
+            let pieces = self.pieces(pose, view).zip(&logs).filter_map(|(piece, log)| Some((piece?, *log)));
+            Details { evidence: logs.iter().sum(), full: full.iter().sum(), pieces: pieces.collect() }
         };
         Ok(poses.iter().zip(&views).map(one).collect())
     }
 
-    fn pieces(&self, pose: &Pose, view: &View) -> Vec<Piece> {
+    /// The piece of the map that each reading should meet from a pose of the robot.
+    fn pieces<'a>(&'a self, pose: &Pose, view: &'a View) -> impl Iterator<Item = Option<Piece>> + 'a {
         let scanner = self.evidence.pixels().scanner();
         let sensor = self.evidence.pixels().of_sensor(std::iter::once(*pose))[0];
         let (width, body) = (scanner.width() as usize, scanner.body_from_image());
-        let piece = |(i, range): (usize, &f32)| {
+        view[0].iter().enumerate().map(move |(i, range)| {
             let ray = scanner.ray((i % width) as u32, (i / width) as u32).filter(|_| range.is_finite())?;
-            let met = sensor.transform_point(body * ray * f64::from(*range));
-            Some(met.to_array().map(|x| (x / PIECE).floor() as i32))
-        };
-        view[0].iter().enumerate().filter_map(piece).collect()
+            Some(piece_at(sensor.transform_point(body * ray * f64::from(*range))))
+        })
     }
 
     /// Evidence of a frame at poses of the robot that are neighbouring minima.

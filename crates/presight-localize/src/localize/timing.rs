@@ -96,6 +96,7 @@ impl Localizer {
                  leave it out of the log or state a larger `OdometryNoise`"
             ));
         }
+        lines.extend(self.frozen.warning());
         lines
     }
 
