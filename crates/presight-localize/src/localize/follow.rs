@@ -123,6 +123,10 @@ impl Localizer {
         let is_whole = said.is_whole(&self.options.rates);
         let is_guess = !is_first && frames[0].motion.is_none() && is_whole;
         let strays = is_off && !said.singles_out() && !is_guess;
+        if is_off && !strays && own.odds.unproven {
+            // Another place than the one that was given: it has the odds that the frames give it, and no others.
+            (own.odds, own.is_given) = (Odds::given(0.0), false);
+        }
         let jumped = is_off && !is_first;
         own.carried = said.blind || said.odds < 0.0 || strays;
         // A poor view may have another minimum than the one before.
@@ -277,9 +281,11 @@ impl Localizer {
         };
         let mut reason = format!("{why}; log-odds {now:.1}, {:.1} by this frame", said.odds);
         let known = own.carried || estimate.is_determined();
-        // A pose that frames selected may have been selected by what is wrong in one of them. A given start was not.
-        let is_given = own.is_given && hypotheses.is_none();
-        let confirmed = (is_given || own.frames >= options.agreeing) && !own.odds.unproven;
+        // A frame may be wrong in a way of its own. A given start, which no frame selected, is tracked at once if the frame by itself
+        // is as sure as a tracked pose has to be, or lacks nothing.
+        let is_sure = said.odds >= tracked || said.is_whole(&options.rates);
+        let at_once = own.is_given && is_sure && hypotheses.is_none();
+        let confirmed = (at_once || own.frames >= options.agreeing) && !own.odds.unproven;
         let beside_is_clear = own.beside.is_clear(&options.rates);
         let told = own.beside.widened(&own.belief);
         let spread = spread_of(&told);
