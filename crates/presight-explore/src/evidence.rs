@@ -58,26 +58,57 @@ impl Margins {
     }
 }
 
+/// Planes that part places of another plane at their common line. Pixels may be farther apart than places: a ray that ended on one side
+/// of the line says nothing about a surface on the other side.
+#[derive(Default)]
+pub(crate) struct Fences {
+    pub planes: Vec<Flat>,
+    /// For each place the numbers of planes near it, and its side: 1 before the plane, -1 behind it. Empty without fences.
+    pub of: Vec<Vec<(u32, f32)>>,
+    /// Rays that end this near to a fence end on it, metres.
+    pub margin: f32,
+}
+
+impl Fences {
+    /// False if a point of the image frame is not on the side of the place. `fences` are normals and heights of the origin in that frame.
+    #[inline]
+    fn admit(&self, place: usize, p: Vec3, fences: &[(Vec3, f32)]) -> bool {
+        let Some(own) = self.of.get(place) else { return true };
+        own.iter().all(|(k, side)| {
+            let (normal, above) = fences[*k as usize];
+            side * (normal.dot(p) + above) > self.margin
+        })
+    }
+}
+
 /// Evidence for each of the places in a plane.
-pub(crate) fn evidence(views: &Views, plane: &Flat, places: &[DVec2], margins: Margins) -> Vec<Evidence> {
+pub(crate) fn evidence(
+    views: &Views,
+    plane: &Flat,
+    places: &[DVec2],
+    fences: &Fences,
+    margins: Margins,
+) -> Vec<Evidence> {
     let mut evidence = vec![Evidence::default(); places.len()];
     let Some(ball) = Ball::around(plane, places) else { return evidence };
     let places: Vec<(f32, f32)> = places.iter().map(|q| (q.x as f32, q.y as f32)).collect();
     for view in views.all() {
         if ball.may_be_seen(view) {
-            add(view, plane, &places, margins, &mut evidence);
+            add(view, plane, &places, fences, margins, &mut evidence);
         }
     }
     evidence
 }
 
-fn add(view: &View, plane: &Flat, places: &[(f32, f32)], margins: Margins, evidence: &mut [Evidence]) {
+fn add(view: &View, plane: &Flat, places: &[(f32, f32)], fences: &Fences, margins: Margins, evidence: &mut [Evidence]) {
+    let in_image = |f: &Flat| (view.direction_to_image(f.normal).as_vec3(), f.above(view.origin()) as f32);
+    let parting: Vec<(Vec3, f32)> = fences.planes.iter().map(in_image).collect();
     let centre = view.to_image(plane.centre).as_vec3();
     let [x, y] = plane.axes().map(|a| view.direction_to_image(a).as_vec3());
     let normal = view.direction_to_image(plane.normal).as_vec3();
     // Negative if the sensor is on the back.
     let side = -normal.dot(centre).signum();
-    for ((u, v), evidence) in places.iter().zip(evidence) {
+    for (place, ((u, v), evidence)) in places.iter().zip(evidence).enumerate() {
         let p: Vec3 = centre + x * *u + y * *v;
         let Some((ray, measured)) = view.towards(p) else { continue };
         let falling = normal.dot(ray);
@@ -87,6 +118,9 @@ fn add(view: &View, plane: &Flat, places: &[(f32, f32)], margins: Margins, evide
         }
         // The measured point counts, because the ray of the pixel does not lead exactly to the cell.
         let behind = side * (normal.dot(centre) - measured * falling);
+        if behind.abs() < margins.hit && !fences.admit(place, ray * measured, &parting) {
+            continue;
+        }
         evidence.add(behind, cosine / distance.max(NEAREST), margins);
     }
 }
