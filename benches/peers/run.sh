@@ -2,6 +2,8 @@
 # Embree and presight on the same rays and triangles; prints one table. Needs Python 3 with venv and PyPI, once.
 #   benches/peers/run.sh growth.py [--help]: the plot of cost against model size
 #   benches/peers/run.sh by_cpu.py [--help]: CPU time, cold and warm, of scanners and free ray tables, too
+#   benches/peers/run.sh tsdf.py [--help]: frames a second of Open3D's TSDF integration, and of exploration
+#   benches/peers/run.sh flight.py: the end of the living room's flight by ICP
 #   benches/peers/run.sh [--help] [--quick] [--scenes hospital,open_hall] [--sensors plumb-bob,video-camera] [--backends cpu,gpu] ...
 # PRESIGHT_PEER=path takes another program than the bench `peer` built here, PEERS_PYTHON=path a Python that has the requirements.
 set -euo pipefail
@@ -24,7 +26,7 @@ elif [[ ! -f "$venv/ready" ]] || ! cmp -s "$here/requirements.txt" "$venv/ready"
     cp "$here/requirements.txt" "$venv/ready"
 fi
 
-if [[ -z "${PRESIGHT_PEER:-}" && " $* " != *" --make-poses "* && " $* " != *" --help "* ]]; then
+if [[ -z "${PRESIGHT_PEER:-}" && " $* " != *" --make-poses "* && " $* " != *" --help "* && "${1:-}" != tsdf.py && "${1:-}" != flight.py ]]; then
     features=script
     [[ " $* " == *gpu* ]] && features=script,gpu
     PRESIGHT_PEER=$(cd "$root" && cargo bench --quiet --no-default-features --features "$features" --bench peer --no-run \

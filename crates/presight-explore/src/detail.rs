@@ -33,10 +33,21 @@ const STEPS: f64 = 2.0;
 pub(crate) struct Detail {
     /// At the best ranges, metres.
     pub least: f64,
+    /// Standard deviations of the smallest pieces and of their ranges.
+    pub noise: Noise,
     /// By range, rising.
     by_range: Vec<Reach>,
     /// True if the side is given, and grows with the distance of pixels alone.
     is_given: bool,
+}
+
+/// Standard deviations that the ranges show, metres. What a sensor states may be more than it has.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Noise {
+    /// That of a range, the median over the pixels.
+    pub range: f64,
+    /// That of the place of a piece of surface, the mean of its pixels.
+    pub place: f64,
 }
 
 /// Ranges up to `far`, metres: the side that their noise asks for.
@@ -44,6 +55,9 @@ pub(crate) struct Detail {
 struct Reach {
     far: f64,
     side: f64,
+    noise: Noise,
+    /// Number of ranges that say so.
+    pixels: usize,
 }
 
 impl Detail {
@@ -64,7 +78,8 @@ impl Detail {
             }
         }
         let seen = footprints.views() * views.all().len() as f64 / sample.all().len().max(1) as f64;
-        let none = Self { least: given.unwrap_or(SMALLEST), by_range: Vec::new(), is_given: true };
+        let none =
+            Self { least: given.unwrap_or(SMALLEST), noise: Noise::default(), by_range: Vec::new(), is_given: true };
         let Some(first) = sample.all().first() else { return none };
         let (stated, apart) = (first.sensor().spec().noise, apart(first));
         let mut bins: Vec<i32> = spread.keys().copied().collect();
@@ -80,13 +95,17 @@ impl Detail {
             // values is 0.6745 standard deviations.
             let estimated = median(off).unwrap_or(0.0) / 0.6745 / 1.5f64.sqrt();
             let sigma = estimated.max(stated.range_sigma + stated.range_sigma_quadratic * far * far);
-            by_range.push(Reach { far, side: side(sigma, apart.map(|a| a * far), seen.max(1.0)) });
+            let (apart, seen) = (apart.map(|a| a * far), seen.max(1.0));
+            let side = given.unwrap_or_else(|| side(sigma, apart, seen));
+            let noise = Noise { range: estimated, place: of_mean(estimated, side, apart, seen) };
+            by_range.push(Reach { far, side, noise, pixels: off.len() });
         }
-        let least = by_range.iter().map(|reach| reach.side).fold(LARGEST, f64::min);
         if by_range.is_empty() {
             return none;
         }
-        Self { least: given.unwrap_or(least), by_range, is_given: given.is_some() }
+        let least = by_range.iter().map(|reach| reach.side).fold(LARGEST, f64::min);
+        let noise = usual(by_range.iter().filter(|reach| reach.side == least));
+        Self { least, noise, by_range, is_given: given.is_some() }
     }
 
     /// False if the noise leaves no piece of surface: leaves and dust.
@@ -113,7 +132,7 @@ fn side(sigma: f64, apart: [f64; 2], views: f64) -> f64 {
     let [across, along] = apart;
     let serves = |side: f64| {
         let pixels = views * side * side / (across * along);
-        let sigma_of_mean = sigma / pixels.max(1.0).sqrt();
+        let sigma_of_mean = of_mean(sigma, side, apart, views);
         // Normals come from pixels two apart.
         let tilt = sigma_of_mean / (std::f64::consts::SQRT_2 * across.min(along));
         pixels >= FILLED
@@ -123,6 +142,24 @@ fn side(sigma: f64, apart: [f64; 2], views: f64) -> f64 {
     };
     let steps = (0..).map(|k| SMALLEST * (0.25 * f64::from(k)).exp2()).take_while(|side| *side < LARGEST);
     steps.into_iter().find(|side| serves(*side)).unwrap_or(LARGEST)
+}
+
+/// Standard deviation of the mean of the pixels in a cube of this side, metres.
+fn of_mean(sigma: f64, side: f64, [across, along]: [f64; 2], views: f64) -> f64 {
+    sigma / (views * side * side / (across * along)).max(1.0).sqrt()
+}
+
+/// The median over the pixels.
+fn usual<'a>(reaches: impl Iterator<Item = &'a Reach>) -> Noise {
+    let mut sorted: Vec<&Reach> = reaches.collect();
+    sorted.sort_by(|a, b| a.noise.range.total_cmp(&b.noise.range));
+    let mut left = sorted.iter().map(|reach| reach.pixels).sum::<usize>() / 2;
+    let middle = sorted.iter().find(|reach| {
+        let is_in = left < reach.pixels;
+        left = left.saturating_sub(reach.pixels);
+        is_in
+    });
+    middle.map_or(Noise::default(), |reach| reach.noise)
 }
 
 /// Share of the cells of a surface at which passes outweigh hits, or at which too few rays end.

@@ -2,7 +2,7 @@
 
 use crate::flat::Flat;
 use crate::view::{View, Views};
-use glam::{DVec2, DVec3};
+use glam::{DVec2, DVec3, Vec3};
 use presight_model::sensor::Geometry;
 
 /// Rays that are flatter than this say little: cosine of incidence.
@@ -61,20 +61,51 @@ impl Margins {
     }
 }
 
+/// Planes that part places of another plane at their common line. Pixels may be farther apart than places: a ray that ended on one side
+/// of the line says nothing about a surface on the other side.
+#[derive(Default)]
+pub(crate) struct Fences {
+    pub planes: Vec<Flat>,
+    /// For each place the numbers of planes near it, and its side: 1 before the plane, -1 behind it. Empty without fences.
+    pub of: Vec<Vec<(u32, f32)>>,
+    /// Rays that end this near to a fence end on it, metres.
+    pub margin: f32,
+}
+
+impl Fences {
+    /// False if a point of the image frame is not on the side of the place. `fences` are normals and heights of the origin in that frame.
+    #[inline]
+    fn admit(&self, place: usize, p: Vec3, fences: &[(Vec3, f32)]) -> bool {
+        let Some(own) = self.of.get(place) else { return true };
+        own.iter().all(|(k, side)| {
+            let (normal, above) = fences[*k as usize];
+            side * (normal.dot(p) + above) > self.margin
+        })
+    }
+}
+
 /// Evidence for each of the places in a plane.
-pub(crate) fn evidence(views: &Views, plane: &Flat, places: &[DVec2], margins: Margins) -> Vec<Evidence> {
+pub(crate) fn evidence(
+    views: &Views,
+    plane: &Flat,
+    places: &[DVec2],
+    fences: &Fences,
+    margins: Margins,
+) -> Vec<Evidence> {
     let mut evidence = vec![Evidence::default(); places.len()];
     let Some(ball) = Ball::around(plane, places) else { return evidence };
     let places: Vec<(f32, f32)> = places.iter().map(|q| (q.x as f32, q.y as f32)).collect();
     for view in views.all() {
         if ball.may_be_seen(view) {
-            add(view, plane, &places, margins, &mut evidence);
+            add(view, plane, &places, fences, margins, &mut evidence);
         }
     }
     evidence
 }
 
-fn add(view: &View, plane: &Flat, places: &[(f32, f32)], margins: Margins, evidence: &mut [Evidence]) {
+fn add(view: &View, plane: &Flat, places: &[(f32, f32)], fences: &Fences, margins: Margins, evidence: &mut [Evidence]) {
+    let in_image = |f: &Flat| (view.direction_to_image(f.normal).as_vec3(), f.above(view.origin()) as f32);
+    let parting: Vec<(Vec3, f32)> = fences.planes.iter().map(in_image).collect();
     let centre = view.to_image(plane.centre).as_vec3();
     let [x, y] = plane.axes().map(|a| view.direction_to_image(a).as_vec3());
     let normal = view.direction_to_image(plane.normal).as_vec3();
@@ -82,22 +113,27 @@ fn add(view: &View, plane: &Flat, places: &[(f32, f32)], margins: Margins, evide
     let side = -normal.dot(centre).signum();
     let at = |(u, v): (f32, f32)| centre + x * u + y * v;
     let mut seen = [(0, f32::NAN); TOGETHER];
-    for (places, evidence) in places.chunks(TOGETHER).zip(evidence.chunks_mut(TOGETHER)) {
+    for (start, evidence) in (0..).step_by(TOGETHER).zip(evidence.chunks_mut(TOGETHER)) {
+        let places = &places[start..start + evidence.len()];
         for (seen, place) in seen.iter_mut().zip(places) {
             *seen = view.pixel_towards(at(*place)).map_or((0, f32::NAN), |pixel| (pixel, view.ranges[pixel]));
         }
-        for ((place, (pixel, measured)), evidence) in places.iter().zip(&seen).zip(evidence) {
+        for (k, (evidence, (pixel, measured))) in evidence.iter_mut().zip(&seen).enumerate() {
             if measured.is_nan() {
                 continue;
             }
-            let falling = normal.dot(view.unit_ray(*pixel));
+            let ray = view.unit_ray(*pixel);
+            let falling = normal.dot(ray);
             let cosine = falling.abs();
             if cosine < LEAST_COSINE {
                 continue;
             }
             // The measured point counts, because the ray of the pixel does not lead exactly to the cell.
             let behind = side * (normal.dot(centre) - measured * falling);
-            evidence.add(behind, cosine / at(*place).length().max(NEAREST), margins);
+            if behind.abs() < margins.hit && !fences.admit(start + k, ray * measured, &parting) {
+                continue;
+            }
+            evidence.add(behind, cosine / at(places[k]).length().max(NEAREST), margins);
         }
     }
 }

@@ -7,7 +7,8 @@ use crate::surfaces::ExploreOptions;
 use crate::view::Views;
 use presight_model::environment::Environment;
 use presight_model::error::{ErrorKind, Result};
-use presight_model::geometry::{Pose, PoseEstimate};
+use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate};
+use presight_model::matrix::{sandwich, turn};
 use presight_model::measured::Frame;
 
 /// Polygons of the model while the sensor moves on.
@@ -169,7 +170,7 @@ impl Follower {
 /// The other frame's pose in this one, for this frame's pose in the other.
 fn inverse(pose: &PoseEstimate) -> PoseEstimate {
     let inverse = pose.world_from_robot.inverse();
-    let turned = presight_model::matrix::turn(inverse.rotation);
-    let rows = presight_model::matrix::sandwich(&turned, pose.covariance.as_rows());
-    PoseEstimate::new(inverse, presight_model::geometry::PoseCovariance::from_rows(rows))
+    let at_own_origin = pose.covariance.moved_by(-pose.world_from_robot.translation);
+    let rows = sandwich(&turn(inverse.rotation), at_own_origin.as_rows());
+    PoseEstimate::new(inverse, PoseCovariance::from_rows(rows))
 }

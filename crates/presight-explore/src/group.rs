@@ -3,13 +3,14 @@
 use crate::exploration::{Exploration, Known};
 use crate::surfaces::ExploreOptions;
 use crate::view::{View, Views};
+use glam::DVec3;
 use presight_localize::estimate::{Estimate, EstimateOptions, Estimator};
 use presight_localize::localize::{LocalizeOptions, Localizer, Phase};
 use presight_localize::verdict::Verdict;
 use presight_model::environment::Environment;
 use presight_model::error::Result;
 use presight_model::geometry::{InWorld, Pose, PoseCovariance, PoseEstimate};
-use presight_model::matrix::{Matrix, add_to, sandwich, turn};
+use presight_model::matrix::{add_to, sandwich, turn};
 use presight_model::measured::Frame;
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
@@ -94,10 +95,12 @@ pub(crate) struct Group {
     model: Option<Model>,
     /// Number of views when the model was made, and of places.
     made_of: (usize, usize),
-    /// Covariance of the surfaces added last, against the first frame.
-    covariance: Matrix,
+    /// Covariance of the surfaces added last, against the first frame, as that of a body that is turned about `centre`.
+    covariance: PoseCovariance<InWorld>,
+    /// Where the robot was when these surfaces were added.
+    centre: DVec3,
     /// Covariance of the last pose, against these surfaces.
-    last: Matrix,
+    last: PoseCovariance<InWorld>,
     /// The last pose of the robot that was found.
     found: Pose,
 }
@@ -117,8 +120,9 @@ impl Group {
             places: Vec::new(),
             model: None,
             made_of: (0, 0),
-            covariance: [[0.0; 6]; 6],
-            last: [[0.0; 6]; 6],
+            covariance: PoseCovariance::ZERO,
+            centre: world_from_robot.translation,
+            last: PoseCovariance::ZERO,
             found: world_from_robot,
         };
         group.push(frame, &PoseEstimate::exact(world_from_robot))?;
@@ -128,7 +132,7 @@ impl Group {
 
     fn push(&mut self, frame: &Frame, pose: &PoseEstimate) -> Result<()> {
         self.views.push(frame, pose.world_from_robot * frame.sensor().spec().mount)?;
-        (self.found, self.last) = (pose.world_from_robot, *pose.covariance.as_rows());
+        (self.found, self.last) = (pose.world_from_robot, pose.covariance);
         self.add_place(self.views.all().len() - 1);
         Ok(())
     }
@@ -168,7 +172,7 @@ impl Group {
     ) -> Result<Option<PoseEstimate>> {
         let Some(Model { world, localizer }) = &mut self.model else { return Ok(None) };
         let Some(pose) = by.find(world, frame, self.found)? else { return Ok(None) };
-        *localizer = followed(pose.world_from_robot, options)?;
+        *localizer = followed(world, frame, pose.world_from_robot, options)?;
         self.push(frame, &pose)?;
         Ok(Some(pose))
     }
@@ -179,7 +183,7 @@ impl Group {
         let is_due = more as f64 >= (GROWTH * before as f64).max(2.0);
         if is_due {
             // Surfaces added now are as far off as this pose: errors of one model pass into the next.
-            add_to(&mut self.covariance, &self.last);
+            (self.covariance, self.centre) = (self.drift(), self.found.translation);
             self.make(options)?;
         }
         Ok(is_due)
@@ -189,9 +193,10 @@ impl Group {
     pub fn make(&mut self, options: &ExploreOptions) -> Result<()> {
         let found = Exploration::of(&self.known, self.kind, &self.views.some(KEY_VIEWS), options)?;
         let world = World::new(found.environment().clone());
-        let localizer = match self.model.take() {
-            Some(model) => model.localizer,
-            None => followed(self.found, options)?,
+        let localizer = match (self.model.take(), self.views.all().last()) {
+            (Some(model), _) => model.localizer,
+            (None, Some(last)) => followed(&world, &last.frame()?, self.found, options)?,
+            (None, None) => return Ok(()),
         };
         self.model = Some(Model { world, localizer });
         self.made_of.0 = self.views.all().len();
@@ -205,13 +210,12 @@ impl Group {
 
     /// Covariance of the last pose against the first.
     pub fn drift(&self) -> PoseCovariance<InWorld> {
-        let mut sum = self.covariance;
-        add_to(&mut sum, &self.last);
-        PoseCovariance::from_rows(sum)
+        sum(&self.covariance.moved_by(self.found.translation - self.centre), &self.last)
     }
 
-    /// The pose of another group's frame of reference in this one, from a frame of the other that shows this model. Frames of the other
-    /// are tried at the places that came in since the last comparison, the newest first, while `pairs` are left.
+    /// The pose of another group's frame of reference in this one, with the covariance of its origin, from a frame of the other that shows
+    /// this model. Frames of the other are tried at the places that came in since the last comparison, the newest first, while `pairs` are
+    /// left.
     pub fn pose_of(&self, other: &Self, by: &mut Searcher, pairs: &mut usize) -> Result<Option<PoseEstimate>> {
         let Some(Model { world, .. }) = &self.model else { return Ok(None) };
         for own in self.places[self.made_of.1..].iter().rev() {
@@ -221,7 +225,8 @@ impl Group {
                 let near = robot_pose(&self.views.all()[*own]);
                 if let Some(pose) = by.find(world, &view.frame()?, near)? {
                     let own_from_other = pose.world_from_robot * robot_pose(view).inverse();
-                    return Ok(Some(PoseEstimate::new(own_from_other, pose.covariance)));
+                    let lever = own_from_other.translation - pose.world_from_robot.translation;
+                    return Ok(Some(PoseEstimate::new(own_from_other, pose.covariance.moved_by(lever))));
                 }
             }
         }
@@ -236,16 +241,20 @@ impl Group {
     /// Takes in another group, at this pose of its frame of reference. `goes_on` says that the other is followed.
     pub fn join(&mut self, other: Self, pose: &PoseEstimate, goes_on: bool, options: &ExploreOptions) -> Result<()> {
         let moved = pose.world_from_robot;
-        add_to(&mut self.covariance, pose.covariance.as_rows());
+        let centre = if goes_on { moved.transform_point(other.centre) } else { self.centre };
+        let met = pose.covariance.moved_by(centre - moved.translation);
+        self.covariance = sum(&self.covariance.moved_by(centre - self.centre), &met);
+        self.centre = centre;
         let others = other.views.moved(&moved);
         // The followed group has the last view.
         let (first, second) =
             if goes_on { (std::mem::take(&mut self.views), others) } else { (others, std::mem::take(&mut self.views)) };
         self.views = first.with(second);
         if goes_on {
-            let turned = turn(moved.rotation);
-            add_to(&mut self.covariance, &sandwich(&turned, &other.covariance));
-            (self.last, self.found) = (sandwich(&turned, &other.last), moved * other.found);
+            let turned =
+                |c: &PoseCovariance<InWorld>| PoseCovariance::from_rows(sandwich(&turn(moved.rotation), c.as_rows()));
+            self.covariance = sum(&self.covariance, &turned(&other.covariance));
+            (self.last, self.found) = (turned(&other.last), moved * other.found);
             self.model = None;
         }
         self.places.clear();
@@ -255,7 +264,18 @@ impl Group {
     }
 }
 
-fn followed(world_from_robot: Pose, options: &ExploreOptions) -> Result<Localizer> {
+/// Covariance of a pose with two independent errors.
+fn sum(a: &PoseCovariance<InWorld>, b: &PoseCovariance<InWorld>) -> PoseCovariance<InWorld> {
+    let mut rows = *a.as_rows();
+    add_to(&mut rows, b.as_rows());
+    PoseCovariance::from_rows(rows)
+}
+
+/// A localizer that has seen this frame at this pose. It knows then when that was, and that the robot moves until the next frame.
+fn followed(world: &World, frame: &Frame, world_from_robot: Pose, options: &ExploreOptions) -> Result<Localizer> {
     let start = PoseEstimate::of_sigmas(world_from_robot, START_SIGMA, START_SIGMA);
-    Ok(Localizer::new(estimator(options, EstimateOptions::default())?, start, LocalizeOptions::default()))
+    let estimator = estimator(options, EstimateOptions::default())?;
+    let mut localizer = Localizer::new(estimator, start, LocalizeOptions::default());
+    localizer.step(world, frame)?;
+    Ok(localizer)
 }

@@ -10,6 +10,7 @@ mod field;
 mod flat;
 mod follow;
 mod group;
+mod layers;
 mod mirror;
 mod objects;
 pub mod occupancy;

@@ -1,13 +1,14 @@
 //! Outlines of planes: where rays ended on them, and not where rays went through or nobody looked.
 
 use crate::convex::convex;
-use crate::evidence::{Evidence, Margins, evidence};
+use crate::evidence::{Evidence, Fences, Margins, evidence};
 use crate::field::{Cells, area, simplified};
 use crate::flat::Flat;
 use crate::surfel::Surface;
 use crate::view::Views;
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
+use std::collections::BTreeSet;
 
 /// Cells this far around a surfel are looked at, in its sizes.
 const REACH: f64 = 2.0;
@@ -17,6 +18,8 @@ const CORNER: f64 = 0.8;
 const BESIDE: f64 = 2.5;
 /// Least sine between planes that have a common line: 20 degrees.
 const LEAST_ANGLE: f64 = 0.34;
+/// A cell whose middle is so far from another plane, in sides, lies on one side of it as a whole.
+const WHOLE: f64 = 0.5 * std::f64::consts::SQRT_2;
 /// Smallest piece, in areas of a cell.
 const LEAST_CELLS: f64 = 2.0;
 
@@ -76,24 +79,34 @@ pub(crate) struct Outline {
     pub evidence: [f64; 2],
 }
 
-/// The outlines of all planes. `members` are the surfels of each.
-pub(crate) fn outlines(
-    views: &Views,
-    surface: &Surface,
-    planes: &[Flat],
-    members: &[Vec<u32>],
-    labels: &[u32],
-    options: OutlineOptions,
-) -> Vec<Outline> {
-    let outline = |plane: usize| {
-        let corners = Corners { surface, planes, labels, plane: plane as u32 };
-        outline(views, &corners, &members[plane], options)
-    };
-    (0..planes.len()).into_par_iter().map(outline).collect()
+/// The planes of surfels.
+#[derive(Clone, Copy)]
+pub(crate) struct Planes<'a> {
+    pub surface: &'a Surface,
+    pub planes: &'a [Flat],
+    /// By surfel: its plane.
+    pub labels: &'a [u32],
+    /// By plane: its surfels.
+    pub members: &'a [Vec<u32>],
+    /// Pairs of planes that touch.
+    pub beside: &'a [[u32; 2]],
 }
 
-fn outline(views: &Views, corners: &Corners<'_>, members: &[u32], options: OutlineOptions) -> Outline {
-    let (plane, surfels) = (&corners.planes[corners.plane as usize], &corners.surface.surfels);
+/// The outlines of all planes.
+pub(crate) fn outlines(views: &Views, all: Planes<'_>, options: OutlineOptions) -> Vec<Outline> {
+    let mut beside = vec![Vec::new(); all.planes.len()];
+    for [a, b] in all.beside {
+        beside[*a as usize].push(*b);
+        beside[*b as usize].push(*a);
+    }
+    let outline = |plane: usize| outline(views, &Corners { all, plane: plane as u32 }, &beside[plane], options);
+    (0..all.planes.len()).into_par_iter().map(outline).collect()
+}
+
+fn outline(views: &Views, corners: &Corners<'_>, beside: &[u32], options: OutlineOptions) -> Outline {
+    let all = corners.all;
+    let (plane, surfels) = (&all.planes[corners.plane as usize], &all.surface.surfels);
+    let members = &all.members[corners.plane as usize];
     let nothing =
         || Outline { pieces: Vec::new(), areas: Areas::default(), unseen: (Vec::new(), 0.0), evidence: [0.0; 2] };
     let mut sizes: Vec<f64> = members.iter().map(|m| surfels[*m as usize].size).collect();
@@ -110,7 +123,8 @@ fn outline(views: &Views, corners: &Corners<'_>, members: &[u32], options: Outli
     places.iter().for_each(|(q, reach)| cells.mark(&mut near, *q, *reach));
     let looked: Vec<usize> = (0..cells.len()).filter(|c| near[*c]).collect();
     let middles: Vec<DVec2> = looked.iter().map(|c| cells.middle(*c)).collect();
-    let seen = evidence(views, plane, &middles, Margins::of_cell(cells.side));
+    let fences = corners.fences(beside, &middles, size, cells.side);
+    let seen = evidence(views, plane, &middles, &fences, Margins::of_cell(cells.side));
     let mut field = vec![-1.0; cells.len()];
     for (cell, seen) in looked.iter().zip(&seen) {
         field[*cell] = seen.value();
@@ -157,32 +171,75 @@ fn count(
 
 /// Where a plane meets others.
 struct Corners<'a> {
-    surface: &'a Surface,
-    planes: &'a [Flat],
-    labels: &'a [u32],
+    all: Planes<'a>,
     plane: u32,
 }
 
 impl Corners<'_> {
-    /// A point of the outline, on the common line with a neighbouring plane if it is near one, so that corners close.
+    /// The shortest way in the plane from a point of it to the common line with another plane; `None` if there is no such line.
+    fn way_to(&self, other: &Flat, q: DVec2) -> Option<DVec2> {
+        let across = self.across(other);
+        let height = other.above(self.all.planes[self.plane as usize].point(q));
+        (across.length() > LEAST_ANGLE).then(|| -height / across.length_squared() * across)
+    }
+
+    /// The normal of another plane, seen in this one.
+    fn across(&self, other: &Flat) -> DVec2 {
+        DVec2::from(self.all.planes[self.plane as usize].axes().map(|axis| other.normal.dot(axis)))
+    }
+
+    /// A point of the outline, on the common lines with neighbouring planes if it is near one or two, so that corners close.
     fn closed(&self, q: DVec2, size: f64) -> DVec2 {
-        let own = &self.planes[self.plane as usize];
-        let p = own.point(q);
-        let mut others: Vec<u32> = self.surface.near(p, BESIDE * size).map(|s| self.labels[s as usize]).collect();
-        others.sort_unstable();
-        others.dedup();
-        let [x, y] = own.axes();
-        let mut lines: Vec<(f64, DVec2)> = Vec::new();
-        for other in others.iter().filter(|o| **o != self.plane) {
-            let other = &self.planes[*other as usize];
-            let across = DVec2::new(other.normal.dot(x), other.normal.dot(y));
-            let sine = across.length();
-            if sine > LEAST_ANGLE {
-                let way = -other.above(p) / (sine * sine) * across;
-                lines.push((way.length(), way));
+        let p = self.all.planes[self.plane as usize].point(q);
+        let near = self.all.surface.near(p, BESIDE * size).map(|s| self.all.labels[s as usize]);
+        let others: BTreeSet<u32> = near.filter(|other| *other != self.plane).collect();
+        let ways = others.iter().filter_map(|other| self.way_to(&self.all.planes[*other as usize], q));
+        let mut ways: Vec<DVec2> = ways.filter(|way| way.length() < CORNER * size).collect();
+        ways.sort_by(|a, b| a.length_squared().total_cmp(&b.length_squared()));
+        let Some(first) = ways.first() else { return q };
+        // The way to the point of both lines has each of the ways as its part along it. Where it is longer than both, their lines meet
+        // elsewhere.
+        let to_both = |second: &DVec2| {
+            let across = first.perp_dot(*second);
+            let both = (first.perp() * second.length_squared() - second.perp() * first.length_squared()) / across;
+            (both.length() < first.length() + second.length()).then_some(both)
+        };
+        q + ways[1..].iter().find_map(to_both).unwrap_or(*first)
+    }
+
+    /// Neighbouring planes, where they reach the common line, for cells that are looked at because of surfels before that line.
+    fn fences(&self, beside: &[u32], middles: &[DVec2], size: f64, cell: f64) -> Fences {
+        let surfels = &self.all.surface.surfels;
+        let sizes = self.all.members[self.plane as usize].iter().map(|m| surfels[*m as usize].size);
+        let reach = REACH * sizes.fold(size, f64::max);
+        let own = &self.all.planes[self.plane as usize];
+        let mut fences =
+            Fences { planes: Vec::new(), of: vec![Vec::new(); middles.len()], margin: Margins::of_cell(cell).hit };
+        for other in beside {
+            let flat = &self.all.planes[*other as usize];
+            let along = self.across(flat).perp().normalize_or(DVec2::X);
+            let at = |q: DVec2| (q.dot(along) / size).floor() as i64;
+            // Stretches of the line, a size long, at which the other plane has surfels.
+            let mut reached = BTreeSet::new();
+            for s in self.all.members[*other as usize].iter().map(|m| &surfels[*m as usize]) {
+                let q = own.place(s.at);
+                let is_near = |way: DVec2| own.above(s.at).abs().max(way.length()) < BESIDE * s.size;
+                if self.way_to(flat, q).is_some_and(is_near) {
+                    reached.extend(at(q) - 1..=at(q) + 1);
+                }
             }
+            if reached.is_empty() {
+                continue;
+            }
+            for (q, of) in middles.iter().zip(&mut fences.of) {
+                let above = flat.above(own.point(*q));
+                let is_near = self.way_to(flat, *q).is_some_and(|way| way.length() < reach);
+                if is_near && above.abs() > WHOLE * cell && reached.contains(&at(*q)) {
+                    of.push((fences.planes.len() as u32, above.signum() as f32));
+                }
+            }
+            fences.planes.push(*flat);
         }
-        let nearest = lines.into_iter().filter(|(off, _)| *off < CORNER * size).min_by(|a, b| a.0.total_cmp(&b.0));
-        nearest.map_or(q, |(_, way)| q + way)
+        fences
     }
 }

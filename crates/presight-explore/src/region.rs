@@ -1,5 +1,6 @@
 //! Regions of surfels that lie on one plane each: grown, adapted to each other, and merged while that costs little.
 
+use crate::detail::Noise;
 use crate::flat::{Flat, Moments};
 use crate::surfel::{Surface, Surfel};
 use rayon::prelude::*;
@@ -18,6 +19,11 @@ const NORMAL_SPREAD: f64 = 0.06;
 const NORMAL_COST: f64 = 0.15;
 /// A merge that costs less than this makes no difference: squares of the least size of surfels.
 const CHEAP: f64 = 0.03;
+/// Errors of planes that noise hides: standard deviations of a range.
+const HIDDEN: f64 = 3.0;
+/// One plane in place of two costs fewer variances of the surfels than this in 99 of 100 merges if noise is all that differs: chi
+/// squared with the three degrees of freedom of a plane.
+const BY_CHANCE: f64 = 11.34;
 /// How often regions adapt to each other before and after they are merged.
 const ROUNDS: [usize; 2] = [4, 5];
 
@@ -29,11 +35,11 @@ pub(crate) struct Regions {
 }
 
 impl Regions {
-    /// At most `most` planes; fewer where merging costs next to nothing. `least` is the least size of surfels.
-    pub fn new(surface: &Surface, least: f64, most: usize) -> Self {
+    /// At most `most` planes; fewer where noise hides what merging costs. `least` is the least size of surfels.
+    pub fn new(surface: &Surface, (least, noise): (f64, Noise), most: usize) -> Self {
         let mut regions = grown(surface);
         regions.adapt(surface, ROUNDS[0]);
-        regions.merge(surface, least, most);
+        regions.merge(surface, least, most, &Free::new(least, noise));
         regions.adapt(surface, ROUNDS[1]);
         regions
     }
@@ -68,7 +74,7 @@ impl Regions {
     }
 
     /// Merges neighbouring regions, the cheapest pair first.
-    fn merge(&mut self, surface: &Surface, least: f64, most: usize) {
+    fn merge(&mut self, surface: &Surface, least: f64, most: usize, free: &Free) {
         // The uncertainty of a surfel grows with its size.
         let weight = |s: &Surfel| (least / s.size).powi(2);
         let mut merger = Merger::new(moments(surface, &self.labels, self.planes.len(), weight), least);
@@ -77,7 +83,7 @@ impl Regions {
                 merger.touch(*label, self.labels[*n as usize]);
             }
         }
-        let number = merger.run(most, CHEAP * least * least);
+        let number = merger.run(most, free);
         self.labels.iter_mut().for_each(|label| *label = number[*label as usize]);
         let count = number.iter().filter(|n| **n != u32::MAX).max().map_or(0, |n| *n as usize + 1);
         self.planes = moments(surface, &self.labels, count, |s| s.weight).iter().map(Moments::plane).collect();
@@ -146,6 +152,22 @@ fn grow(surface: &Surface, labels: &mut [u32], seed: u32, label: u32) -> Flat {
     moments.plane()
 }
 
+/// What a merge may cost without a difference that noise would show, square metres.
+struct Free {
+    by_chance: f64,
+    /// For each surfel of the smaller region.
+    of_each: f64,
+}
+
+impl Free {
+    /// A plane through an arc whose middle is e off its chord costs n e^2 4 / 45 for n surfels, and planes through its halves a
+    /// sixteenth of that: the merge costs e^2 / 6 for each surfel of a half.
+    fn new(least: f64, noise: Noise) -> Self {
+        let e = HIDDEN * noise.range;
+        Self { by_chance: (CHEAP * least * least).max(BY_CHANCE * noise.place.powi(2)), of_each: e * e / 6.0 }
+    }
+}
+
 /// Two regions that may be merged, at the versions for which the price was worked out.
 struct Offer {
     price: f64,
@@ -207,23 +229,24 @@ impl Merger {
         self.offers.push(Offer { price, pair: [p, q], versions: [self.versions[i], self.versions[j]] });
     }
 
-    /// Returns the new number of each region; `u32::MAX` for regions without surfels.
-    fn run(mut self, most: usize, cheap: f64) -> Vec<u32> {
+    /// Merges until at most `most` regions are left and no merge is free. Returns the new number of each region; `u32::MAX` for regions
+    /// without surfels.
+    fn run(mut self, most: usize, free: &Free) -> Vec<u32> {
         let mut left = self.moments.iter().filter(|m| m.count > 0.0).count();
         for a in 0..self.moments.len() as u32 {
             let later: Vec<u32> = self.beside[a as usize].range(a + 1..).copied().collect();
             later.into_iter().for_each(|b| self.offer(a, b));
         }
         while let Some(Offer { price, pair: [p, q], versions }) = self.offers.pop() {
-            if left <= most && price > cheap {
-                break;
-            }
             let [i, j] = [p as usize, q as usize];
             if self.into[i] != p || self.into[j] != q || versions != [self.versions[i], self.versions[j]] {
                 continue;
             }
-            left -= 1;
-            self.unite(p, q);
+            let smaller = self.moments[i].weight.min(self.moments[j].weight);
+            if left > most || price <= free.by_chance + free.of_each * smaller {
+                left -= 1;
+                self.unite(p, q);
+            }
         }
         self.numbered()
     }

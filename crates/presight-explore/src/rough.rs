@@ -1,7 +1,7 @@
 //! A model that is known beforehand: corrected where rays say that it is off, opened where they go through.
 
 use crate::convex::convex;
-use crate::evidence::{Margins, evidence};
+use crate::evidence::{Fences, Margins, evidence};
 use crate::field::{Cells, area, simplified};
 use crate::flat::Flat;
 use crate::solid::{mesh, visit_world};
@@ -245,7 +245,7 @@ fn left_over(corners: &[DVec3], views: &Views, cell: f64) -> (Vec<Vec<DVec3>>, f
     };
     let inside: Vec<usize> = (0..cells.len()).filter(|c| is_inside(cells.middle(*c))).collect();
     let middles: Vec<DVec2> = inside.iter().map(|c| cells.middle(*c)).collect();
-    let seen = evidence(views, &flat, &middles, MARGINS);
+    let seen = evidence(views, &flat, &middles, &Fences::default(), MARGINS);
     let mut field = vec![-1.0; cells.len()];
     let mut passed = 0;
     for (cell, seen) in inside.iter().zip(&seen) {

@@ -2,7 +2,7 @@
 //! between other rays nobody looked.
 
 use crate::convex::convex;
-use crate::detail::SMALLEST;
+use crate::detail::{Noise, SMALLEST};
 use crate::field::simplified;
 use crate::flat::Flat;
 use crate::outline::{Areas, Piece};
@@ -271,7 +271,7 @@ impl Found {
     /// Adds the surfaces of a sheet: at most `room` pieces, the largest in the view.
     fn add(&mut self, view: &View, sheet: &Sheet, detail: f64, room: usize) {
         let surface = sheet.surface(view);
-        let regions = Regions::new(&surface, detail, room);
+        let regions = Regions::new(&surface, (detail, Noise::default()), room);
         let (first, drawn) = (self.planes.len() as u32, Drawn { view, sheet });
         let mut pieces = Vec::new();
         for ((plane, members), number) in regions.planes.iter().zip(regions.members()).zip(first..) {

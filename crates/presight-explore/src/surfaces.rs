@@ -2,8 +2,9 @@
 
 use crate::detail::{Detail, SMALLEST};
 use crate::flat::Flat;
+use crate::layers::joined;
 use crate::mirror::without_images;
-use crate::outline::{Areas, OutlineOptions, Piece, outlines};
+use crate::outline::{Areas, OutlineOptions, Piece, Planes, outlines};
 use crate::region::Regions;
 use crate::sheet::{are_sparse, sheets};
 use crate::solid::{Shown, Solid, refitted, shown};
@@ -120,8 +121,9 @@ impl Surfaces {
         let threads = options.threads.clone();
         let most = (options.polygons as f64 * PLANES).ceil() as usize;
         let regions_of = |views: &Views| {
-            let surface = Surface::new(lasting(views, surfels(views, detail, &is_used)));
-            let regions = Regions::new(&surface, detail.least, most);
+            let whole = joined(&surfels(views, detail, &is_used), detail.least, detail.noise.range);
+            let surface = Surface::new(lasting(views, whole));
+            let regions = Regions::new(&surface, (detail.least, detail.noise), most);
             (surface, regions)
         };
         let (mut surface, mut regions) = threads.run(|| regions_of(views))?;
@@ -133,7 +135,7 @@ impl Surfaces {
         if surface.surfels.is_empty() {
             return Ok(None);
         }
-        let members = regions.members();
+        let (members, beside) = (regions.members(), threads.run(|| touching(&surface, &regions.labels))?);
         let size =
             |m: &Vec<u32>| m.iter().map(|m| surface.surfels[*m as usize].size).sum::<f64>() / m.len().max(1) as f64;
         let tolerance: Vec<f64> = members.iter().map(|m| SPREAD * size(m)).collect();
@@ -147,8 +149,14 @@ impl Surfaces {
             if round == REFITS {
                 outline.cell = CELL;
             }
-            let mut found =
-                threads.run(|| outlines(views, &surface, &regions.planes, &members, &regions.labels, outline))?;
+            let planes = Planes {
+                surface: &surface,
+                planes: &regions.planes,
+                labels: &regions.labels,
+                members: &members,
+                beside: &beside,
+            };
+            let mut found = threads.run(|| outlines(views, planes, outline))?;
             let pieces: Vec<Piece> = found.iter_mut().flat_map(|o| std::mem::take(&mut o.pieces)).collect();
             let solid = Solid::new(views, &pieces)?;
             if round == REFITS {
@@ -169,7 +177,7 @@ impl Surfaces {
             sigmas: verdicts.sigmas,
             parts: verdicts.parts,
             unseen: found.iter_mut().map(|o| std::mem::take(&mut o.unseen)).collect(),
-            beside: threads.run(|| touching(&surface, &regions.labels))?,
+            beside,
             planes: regions.planes,
             areas,
         }))

@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec3};
 use parry3d_f64::math::Vector;
-use parry3d_f64::query::Ray;
+use parry3d_f64::query::{PointQuery, Ray};
 use parry3d_f64::shape::{CompositeShapeRef, TriMesh};
 use presight_model::environment::{Appearance, Environment, Material};
 use presight_model::geometry::Pose;
@@ -100,10 +100,22 @@ impl Oracle {
     /// Metres from a point to the nearest triangle along a unit direction, both in the world, and the cosine of incidence;
     /// `None` if there is none.
     pub fn hit(&self, from: DVec3, direction: DVec3) -> Option<(f64, f64)> {
+        self.met(from, direction).map(|(range, cosine, _)| (range, cosine))
+    }
+
+    /// As [`Oracle::hit`], with the slot of the polygon.
+    pub fn met(&self, from: DVec3, direction: DVec3) -> Option<(f64, f64, u32)> {
         let vector = |v: DVec3| Vector::new(v.x, v.y, v.z);
         let ray = Ray::new(vector(from - self.origin), vector(direction));
         let (triangle, range) = CompositeShapeRef(&self.mesh).cast_local_ray(&ray, f64::MAX, false)?;
-        Some((range, self.of_triangle[triangle as usize].2.dot(direction).abs()))
+        let (_, slot, normal, _) = self.of_triangle[triangle as usize];
+        Some((range, normal.dot(direction).abs(), slot))
+    }
+
+    /// Metres from a point in the world to the nearest triangle.
+    pub fn nearest(&self, p: DVec3) -> f64 {
+        let p = p - self.origin;
+        self.mesh.distance_to_local_point(Vector::new(p.x, p.y, p.z), true)
     }
 
     /// As [`Oracle::hit`], the metres alone; infinite if there is none.

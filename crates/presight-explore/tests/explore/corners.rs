@@ -31,12 +31,28 @@ fn room(jamb: f32) -> Environment {
     environment
 }
 
-fn explored(real: &Environment, polygons: usize) -> Exploration {
-    let looks = (0..16).map(|k| {
+/// From left to right, and down by 20 degrees, which sees the wall above the door up to z = 0.9 only; `up` turns every second look up.
+fn looks(up: f64) -> impl Iterator<Item = Pose> {
+    (0..16).map(move |k| {
         let turn = f64::from(k) / 15.0 - 0.5;
-        Pose::from_xyz_rpy(DVec3::new(0.2 * turn, 0.4 * turn, 0.1), 0.0, 0.35 - 0.4 * turn * turn, 0.5 + 0.9 * turn)
-    });
-    let views = views_of(&sensor(), looks.map(|pose| (real.clone(), pose)));
+        let down = 0.35 - 0.4 * turn * turn - if k % 2 == 1 { up } else { 0.0 };
+        Pose::from_xyz_rpy(DVec3::new(0.2 * turn, 0.4 * turn, 0.1), 0.0, down, 0.5 + 0.9 * turn)
+    })
+}
+
+/// Number of looks that show a place, a pixel and more from their borders.
+fn sights(place: DVec3, up: f64) -> usize {
+    let sensor = sensor();
+    let shows = |pose: &Pose| {
+        let p = (pose.rotation_matrix() * sensor.body_from_image()).transpose() * (place - pose.translation);
+        let inner = |(u, v): (f32, f32)| (1.5..93.5).contains(&u) && (1.5..69.5).contains(&v);
+        sensor.project_nearly(p.as_vec3()).is_some_and(inner)
+    };
+    looks(up).filter(shows).count()
+}
+
+fn explored(real: &Environment, polygons: usize, up: f64) -> Exploration {
+    let views = views_of(&sensor(), looks(up).map(|pose| (real.clone(), pose)));
     let options = ExploreOptions::default().with_polygons(polygons);
     Exploration::of(&Environment::new(), Known::Explored, &views, &options).unwrap()
 }
@@ -80,15 +96,20 @@ fn blocked(found: &Environment, jamb: f64) -> usize {
     (0..900).filter(|k| is_blocked(found, at(*k) - 0.1 * DVec3::X, at(*k) + 0.1 * DVec3::X)).count()
 }
 
-/// Pixels are 4 cm apart at the corner. Measured: gaps of 6 and 7 mm. The floor reaches up to 7 cm below a wall; the aim of 1 cm is missed.
+/// Pixels are 4 cm apart at the corner. Measured: gaps of 1 and 2 mm; 17 mm beyond a wall, and 41 mm with 500 polygons, whose outlines are
+/// coarser. The aim of 1 cm is missed; before planes parted each other's cells, the floor reached 68 mm below a wall. Narrow
+/// planes along a corner remain, of pixels whose neighbours lie on both sides of it.
 #[test]
 fn corners_close_and_a_doorway_beside_them_stays_open() {
-    for polygons in [2000, 500] {
-        let found = explored(&room(0.1), polygons);
+    for (polygons, jamb, up, most) in [(2000, 0.1, 0.0, 0.02), (500, 0.1, 0.0, 0.045), (2000, 0.0, 0.5, 0.02)] {
+        // Nobody can find what no look shows.
+        let least = lines(jamb).iter().map(|(at, _)| sights(*at, up)).min().unwrap();
+        assert!(least >= 3, "{least} looks");
+        let found = explored(&room(jamb as f32), polygons, up);
         let found = found.environment();
-        let (gap, fin, blocked) = (gap(found, 0.1), fin(found), blocked(found, 0.1));
-        println!("{polygons} polygons: gap {gap:.4} m, fin {fin:.4} m, {blocked} rays blocked");
-        assert!(gap < 0.01 && fin < 0.08 && blocked == 0, "gap {gap} m, fin {fin} m, {blocked} rays blocked");
+        let (gap, fin, blocked) = (gap(found, jamb), fin(found), blocked(found, jamb));
+        println!("{polygons} polygons, jamb {jamb} m: gap {gap:.4} m, fin {fin:.4} m, {blocked} rays blocked");
+        assert!(gap < 0.01 && fin < most && blocked == 0, "gap {gap} m, fin {fin} m, {blocked} rays blocked");
     }
 }
 

@@ -3,10 +3,12 @@
 use super::rooms::sensor;
 use glam::{DVec3, Vec3};
 use presight_explore::{ExploreOptions, Follower, Known};
+use presight_localize::motion::{motion_between, nees};
 use presight_localize::simulate::{Disturbances, Simulator};
 use presight_model::environment::{Environment, NewObject};
 use presight_model::geometry::Pose;
 use presight_model::measured::Frame;
+use presight_model::statistics::chi_squared_quantile;
 use presight_model::world::World;
 use presight_predict::predict::{Options, Predictor};
 use presight_testkit::scenes::{cuboid, empty};
@@ -32,9 +34,9 @@ fn look(yaw: f64) -> Pose {
 }
 
 /// The frames at these yaws, one a tenth of a second.
-fn frames(real: &Environment, yaws: &[f64], start: f64) -> Vec<(Frame, Pose)> {
+fn frames(real: &Environment, yaws: &[f64], start: f64, seed: u64) -> Vec<(Frame, Pose)> {
     let predictor = Predictor::new(Options::default()).unwrap();
-    let mut simulator = Simulator::new(predictor, sensor(), Disturbances::default(), 7).unwrap();
+    let mut simulator = Simulator::new(predictor, sensor(), Disturbances::default(), seed).unwrap();
     let world = World::new(real.clone());
     let at = |(k, yaw): (usize, &f64)| {
         let pose = look(*yaw);
@@ -58,11 +60,11 @@ fn apart(follower: &Follower) -> Vec<Vec<i64>> {
 fn frames_of_elsewhere_are_kept_until_they_are_joined() {
     let turn = (0..6).map(|k| 0.1 * f64::from(k));
     let yaws: Vec<f64> = [0.0, 0.05, 0.1, 2.2, 2.25].into_iter().chain(turn).collect();
-    let drive = frames(&room(), &yaws, 0.0);
+    let drive = frames(&room(), &yaws, 0.0, 7);
     let mut elsewhere = empty();
     let hall = cuboid(Vec3::new(-7.0, -5.0, -3.0), Vec3::new(7.5, 6.0, 4.0));
     elsewhere.insert(NewObject::new("hall", Pose::IDENTITY, hall.into())).unwrap();
-    let strange = frames(&elsewhere, &[0.3], 100.0);
+    let strange = frames(&elsewhere, &[0.3], 100.0, 7);
     let mut follower = follower();
     for (frame, _) in drive.iter().chain(&strange) {
         let found = follower.add(frame).unwrap();
@@ -74,7 +76,7 @@ fn frames_of_elsewhere_are_kept_until_they_are_joined() {
     }
     assert_eq!(apart(&follower), [vec![3, 4], vec![1000]]);
     let rest: Vec<f64> = (0..9).map(|k| 0.5 + 0.2 * f64::from(k)).collect();
-    let rest = frames(&room(), &rest, 200.0);
+    let rest = frames(&room(), &rest, 200.0, 7);
     for (frame, _) in &rest {
         follower.add(frame).unwrap();
     }
@@ -90,4 +92,35 @@ fn frames_of_elsewhere_are_kept_until_they_are_joined() {
         println!("{} s: {off:.4} m, {turned:.3} deg", view.stamp);
         assert!(off < 0.03 && turned < 1.0, "{} s: {off} m, {turned} deg", view.stamp);
     }
+}
+
+/// The robot looks away, and turns back until its second group meets the first one. Where it is then is off by what is stated: squared
+/// errors by their covariance (NEES), over all seeds.
+#[test]
+fn the_pose_after_a_join_is_off_by_what_is_stated() {
+    let (mut sum, seeds) = (0.0, presight_testkit::env_number("SEEDS", 2));
+    for seed in 0..seeds {
+        let back = (0..13).map(|k| 2.2 - 0.2 * f64::from(k));
+        let yaws: Vec<f64> = [0.0, 0.1].into_iter().chain(back).collect();
+        let mut follower = follower();
+        let mut last = None;
+        for (frame, truth) in frames(&room(), &yaws, 0.0, seed) {
+            let found = follower.add(&frame).unwrap();
+            if let Some(found) = found {
+                let own = nees(&found.pose, &truth).0;
+                let (off, stated) =
+                    (motion_between(&truth, &found.pose.world_from_robot), found.pose.covariance.sigmas());
+                println!("{seed} {}: off {off:.5?}, stated {stated:.5?}, NEES {own:.1}", frame.stamp);
+                last = Some((frame.stamp, own));
+            } else {
+                println!("{seed} {}: apart {:?}", frame.stamp, apart(&follower));
+            }
+        }
+        let (stamp, own) = last.unwrap();
+        assert!(stamp > 0.7, "seed {seed}: the groups met at {stamp} s");
+        sum += own;
+    }
+    let most = chi_squared_quantile(6 * seeds as u32, 3.09);
+    println!("NEES {sum:.1}, at most {most:.1}");
+    assert!(sum < most, "{sum}");
 }

@@ -12,6 +12,8 @@ mod mirrors;
 mod noise;
 mod occupancy;
 mod office;
+mod parts;
 mod rooms;
 mod rough;
 mod street;
+mod walls;

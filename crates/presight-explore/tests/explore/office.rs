@@ -1,9 +1,10 @@
 //! An office driven through with a lidar of 16 rows: its four outer walls are known to 10 cm, all else is found.
 
+use super::parts;
 use glam::{DVec3, Vec3};
-use presight_explore::{Exploration, ExploreOptions, Known, Views};
+use presight_explore::{Exploration, ExploreOptions, ExploredObject, Known, Views};
 use presight_localize::verdict::{self, Verdict};
-use presight_model::environment::{Environment, NewObject};
+use presight_model::environment::{Environment, NewObject, Object};
 use presight_model::geometry::{Pose, PoseEstimate};
 use presight_model::sensor::{Noise, Sensor};
 use presight_model::world::World;
@@ -105,9 +106,9 @@ fn shared(a: &Environment, b: &Environment, frames: &[Placed]) -> Shared {
     sum
 }
 
-/// Five people walk where the robot drives. Measured: 99.0 % of the area, and 3,520 of 3,635 polygons, are the same; of the model with
-/// walkers 99.5 % of the area is in the model without. 0.36 % of the pixels of the drive are nearer. When the surfels of walkers stayed, half
-/// of the area was lost.
+/// Five people walk where the robot drives. Measured: 4.3 of 181 square metres of the model without them are not in the model with them, and
+/// 1.3 of 175 the other way; 831 of 952 polygons are the same. 0.3 % of the pixels of the drive are nearer. Without merges by noise, which makes
+/// a surface several times over, 4.8 of 320 square metres differ. When the surfels of walkers stayed, half of the area was lost.
 #[test]
 fn who_walks_through_leaves_nothing() {
     let Some(office) = presight_testkit::data::scene("office_clearpath", true) else { return };
@@ -139,8 +140,45 @@ fn who_walks_through_leaves_nothing() {
     let kept = shared(without.environment(), with.environment(), &drives[1]);
     let left = shared(with.environment(), without.environment(), &drives[1]);
     println!("of the model without walkers: {kept:.1?}; of that with walkers: {left:.1?}");
-    let same = |shared: &Shared| shared.area[1] / shared.area[0];
-    assert!(same(&kept) > 0.985 && same(&left) > 0.99 && share(nearer) < 0.005, "{kept:?} {left:?} {}", share(nearer));
+    let differs = |shared: &Shared| shared.area[0] - shared.area[1];
+    assert!(differs(&kept) < 5.0 && differs(&left) < 1.7, "{kept:?} {left:?}");
+    assert!(share(same) > 0.985 && share(nearer) < 0.005, "{} {}", share(same), share(nearer));
+}
+
+/// Parts over 0.3 m that the drive saw are found, and nothing stands where nothing is, within three standard deviations of the ranges and a cell.
+fn check_parts(real: &Environment, found: &Exploration, frames: &[Placed]) {
+    const NEAR: f64 = 0.03 + 0.025;
+    let polygons = |model: &Environment| {
+        let of = |o: &ExploredObject| Some(&model.objects()[model.index_of(&o.path).ok()? as usize]);
+        let objects: Vec<&Object> = found.objects.iter().filter_map(of).collect();
+        objects
+            .iter()
+            .flat_map(|o| (0..o.mesh.polygon_count() as u32).map(|k| o.polygon_in_world(k)))
+            .collect::<Vec<_>>()
+    };
+    let missing = |shares: &[f64]| shares.iter().filter(|share| **share < 0.5).count();
+    let mut model = found.environment().clone();
+    let shares = parts::shares(real, &model, frames, NEAR);
+    let own = polygons(&model);
+    let free = |polygons: Vec<Vec<DVec3>>| parts::in_free_space(real, polygons.into_iter(), NEAR);
+    let in_air = |free: &[[usize; 2]]| free.iter().filter(|[all, free]| 2 * free > *all).count();
+    let places = |free: &[[usize; 2]]| free.iter().fold([0, 0], |a, b| [a[0] + b[0], a[1] + b[1]]);
+    let all = free(own.clone());
+    let [sum, off] = places(&all);
+    println!(
+        "{} of {} parts missing; {off} of {sum} places off, {} of {} polygons in the air",
+        missing(&shares),
+        shares.len(),
+        in_air(&all),
+        all.len()
+    );
+    let pane = [[16.0, -1.0, 1.0], [16.0, -0.5, 1.0], [16.5, -0.5, 1.0], [16.5, -1.0, 1.0]].map(DVec3::from).to_vec();
+    assert_eq!(in_air(&free(vec![pane])), 1, "planted");
+    let furniture = found.objects.iter().filter(|o| o.path.starts_with("explored/"));
+    furniture.for_each(|o| model.delete(&o.path).map(drop).unwrap());
+    assert!(missing(&parts::shares(real, &model, frames, NEAR)) > missing(&shares), "planted");
+    assert!(missing(&shares) * 10 <= shares.len(), "{shares:.2?}");
+    assert!(in_air(&all) <= 1 && off * 500 < sum, "{} {off} of {sum}", in_air(&all));
 }
 
 /// Measured: 97.3 % of the pixels of another drive that show something known are confirmed (98.1 % after a minute of driving).
@@ -176,6 +214,7 @@ fn an_office_is_explored_from_four_rough_walls() {
         count(Verdict::Confirmed) + count(Verdict::Nearer) + count(Verdict::Farther) + count(Verdict::NoReturn);
     let confirmed = count(Verdict::Confirmed) / can_be;
     println!("confirmed {confirmed:.4}, {counts:?}");
+    check_parts(real, &found, &frames);
     assert!(confirmed > 0.97, "{confirmed}");
     assert!(judged.median < 0.01 && judged.nearer < 0.3 && judged.covered > 93.0, "{judged:?}");
 }
