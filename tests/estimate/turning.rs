@@ -8,7 +8,7 @@ use presight_testkit::caster::Caster;
 use presight_testkit::oracle::Oracle;
 use presight_testkit::way::{Driving, Way};
 
-/// A scanner takes 0.1 s for a turn on a robot of up to 1.5 m/s and 1 rad/s. What is left of its motion is in the covariance: the
+/// A scanner takes 0.1 s for a turn on a robot of up to 1.5 m/s and 1 rad/s. The rest of its motion is in the covariance: the
 /// squared errors are as large as it says, by a factor of three at most. Without the unknown acceleration they are twenty times as large.
 #[test]
 fn a_scan_that_turns_is_as_unsure_as_its_motion() {
@@ -41,7 +41,7 @@ fn a_scan_that_turns_is_as_unsure_as_its_motion() {
     assert!(squares[0].sqrt() < 0.01 && squares[1].sqrt() < 0.1, "{squares:?}");
 }
 
-/// A given start is tracked from the first frame that speaks for it: no frame selected it. One that is given 2 m beside the robot is not.
+/// A given start is tracked from the first frame that speaks for it: no frame selected it. One that is given 2 m away from the robot is not.
 #[test]
 fn a_given_start_is_tracked_from_its_first_frame() {
     let (world, sensor) = (room(Vec3::ZERO), camera(0.01));
@@ -56,7 +56,7 @@ fn a_given_start_is_tracked_from_its_first_frame() {
     }
 }
 
-/// A camera that is carried from its room to another one: each frame draws so many starts as the options say, says so, and makes
+/// A camera that is carried from its room to another one: each frame draws the number of starts that the options state, says it, and makes
 /// few predictions.
 #[test]
 fn a_lost_camera_spreads_its_search_over_frames() {
