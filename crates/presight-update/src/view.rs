@@ -220,7 +220,7 @@ impl<'a> Shot<'a> {
 }
 
 impl Observer<'_> {
-    /// The pose that a frame's readings say, and what they say of objects.
+    /// The pose by a frame's readings, and their terms for the poses of objects.
     fn registered(&self, shot: &Shot<'_>, given: &PoseEstimate) -> (PoseEstimate, Option<Terms>) {
         // A part of the pixels knows the pose well enough.
         let step = shot.kept.rays.len().div_ceil(MOST_READINGS).max(1);

@@ -62,7 +62,7 @@ const LEAST_MATCHED: f64 = 0.55;
 /// and of one as far from where all but one fiducial lead, 1 in 1,000.
 const UNLIKELY: (f64, f64) = (3.719, 3.09);
 
-/// What is asked of an estimate.
+/// What an estimate must explain, and how it is searched for.
 pub(super) struct Asked {
     /// Other starts are tried below this share of explained points.
     pub(super) least: f64,
@@ -132,8 +132,8 @@ impl Estimator {
         threads.run(|| self.estimate_here(world, frames, prior, &Asked { least, counts: 0.0, part: None }))?
     }
 
-    /// [`Self::look_round`] for a robot that is lost: one frame draws so many starts from the prior, and the next `part` of the search
-    /// others. Second minima are not looked for.
+    /// [`Self::look_round`] for a robot that is lost: one frame draws `part.0` starts from the prior, and the next part of the search
+    /// draws others. Second minima are left out.
     ///
     /// # Errors
     /// Those of [`Estimator::estimate`].

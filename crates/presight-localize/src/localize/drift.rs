@@ -1,4 +1,4 @@
-//! How far a random walk leads away from what is known of it.
+//! How far a random walk leads away from its last known value.
 
 /// Variance of a sum of means of a random walk over windows of time, `(weight, from, to)` in seconds, per unit of its noise. The
 /// weights sum to 0.

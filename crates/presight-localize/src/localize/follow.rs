@@ -58,7 +58,7 @@ impl Localizer {
     pub(super) fn rivals_for(&mut self, world: &World, frame: &Frame, robot: &Pose) -> Result<&mut Rivals> {
         let serve = |rivals: &Option<Rivals>| rivals.as_ref().is_some_and(|rivals| rivals.serve(world, frame));
         if !serve(&self.rivals) {
-            // Those of the whole frames are kept while a lost robot is looked for with fewer pixels.
+            // The search for a lost robot takes fewer pixels; the rivals of whole frames are kept meanwhile.
             std::mem::swap(&mut self.rivals, &mut self.spare);
         }
         if !serve(&self.rivals) {

@@ -120,7 +120,7 @@ pub struct LocalizeOptions {
     pub beam_dependence: f64,
     /// How far a pose may be spread to count as known, one standard deviation, metres.
     pub spread: f64,
-    /// Likewise, radians.
+    /// The same for the rotation, radians.
     pub spread_turn: f64,
     /// Starts that one frame of a lost robot draws around its last pose. The next frame goes on with others, so this number
     /// bounds what a frame costs: about 5 ms each.

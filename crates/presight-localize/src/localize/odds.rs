@@ -68,7 +68,7 @@ impl Null {
 }
 
 impl Null {
-    /// What a frame says of a place besides this rival, if all of its readings decide.
+    /// What a frame says of a place, compared with this rival, too, if all of its readings decide.
     pub fn said(&self, details: Details, rival: f64) -> Said {
         let Details { evidence, full, pieces } = details;
         let (odds, rival) = (self.odds_of(evidence, rival), self.best.max(rival));
@@ -199,7 +199,7 @@ pub(super) struct Odds {
     views: f64,
     /// Pieces of the map that were seen, and the most readings of one frame that met them.
     seen: BTreeMap<Piece, u32>,
-    /// By how much the sum of what was seen is below the highest that it was, 0 or less.
+    /// The sum of the news so far less its highest value, 0 or less.
     owed: f64,
 }
 
@@ -306,7 +306,7 @@ impl Odds {
 
     /// What the new part of a frame adds to a place that leads: its own lead over as much of the best rival. It is the logarithm of a
     /// likelihood ratio, so at a wrong place the highest that its sum ever reaches exceeds x with a probability of at most exp(-x)
-    /// (Ville, 1939): memory keeps the highest, and what is below it is owed.
+    /// (Ville, 1939): memory keeps the highest value, and `owed` the distance below it.
     fn gain(&mut self, frame: &Said, fresh: f64, news: f64) -> f64 {
         let sum = self.owed + (news - fresh * frame.rival) / frame.scale - fresh * CHANCE;
         self.owed = sum.min(0.0);
@@ -400,7 +400,7 @@ mod tests {
         assert!((odds.now - 5.5).abs() < 1e-9, "{}", odds.now);
     }
 
-    /// By hand: a place leads by 4 of its scales, and three quarters of each frame are what it was selected for. A new quarter
+    /// By hand: a place leads by 4 of its scales, which was selected by three quarters of each frame. A new quarter
     /// without evidence lacks the rival's 110 / 4, which is 2.75 scales, and the 1 / 4 that chance leads by: 3 are owed. The
     /// place stays at 4 for the next four quarters that are as the others are, each worth 3 / 4, and is at 4.75 with the fifth.
     #[test]

@@ -101,7 +101,7 @@ impl Localizer {
     }
 
     /// A scan as from the middle of its turn. The motion of the turn is not known before the scan is matched: it is matched once with the
-    /// last motion, and then put right with the one that this leads to. The estimator gets to know what is left of the error.
+    /// last motion, and then put right with the one that this leads to. The estimator then receives the covariance of the remaining error.
     fn put_to_middle(&mut self, world: &World, frame: &Frame) -> Result<Frame> {
         let (freedom, half) = (self.estimator.options.freedom, 0.5 * frame.sensor().spec().turn_s.abs());
         let (Some(stamp), Some(belief)) = (self.stamp, self.followed_pose()) else {
