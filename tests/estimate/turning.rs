@@ -27,7 +27,7 @@ fn a_scan_that_turns_is_as_unsure_as_its_motion() {
     let (mut sum, mut squares) = (0.0, [0.0; 2]);
     for k in 0..60 {
         let time = 0.1 * f64::from(k);
-        let frame = caster.frame(&|t| way.at(t), time, (k > 0).then(|| time - 0.1));
+        let frame = caster.frame(&|t| way.at(t), time, (k > 0).then_some(time - 0.1));
         let step = robot.step(&world, &frame).unwrap();
         assert_eq!(step.phase, Phase::Tracking, "{k}: {}", step.reason);
         let (squared, axes) = nees(&step.pose, &way.at(time));

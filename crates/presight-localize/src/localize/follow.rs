@@ -4,7 +4,7 @@ use super::beside::{Beside, Look, is_apart};
 use super::hypotheses::Hypotheses;
 use super::likelihood::PoseLikelihood;
 use super::lookout::Lookout;
-use super::odds::{CHANCE, Odds, Said};
+use super::odds::{Odds, Said};
 use super::reflectors::ODDS;
 use super::rivals::Rivals;
 use super::{LocalizeOptions, Localizer, Phase, State, Step, widened};
@@ -30,6 +30,8 @@ pub(super) struct Followed {
     pub odds: Odds,
     /// Frames since it was given or found.
     pub frames: usize,
+    /// Frames that prove it by themselves, or that agreed on it in a search.
+    pub agreed: usize,
     /// It was given at the start: no frame selected it.
     pub is_given: bool,
     /// What may be right instead, nearby.
@@ -40,7 +42,7 @@ pub(super) struct Followed {
 
 impl Followed {
     pub fn new(belief: PoseEstimate, odds: Odds) -> Self {
-        Self { belief, odds, frames: 0, is_given: false, beside: Beside::default(), carried: false }
+        Self { belief, odds, frames: 0, agreed: 0, is_given: false, beside: Beside::default(), carried: false }
     }
 }
 
@@ -106,7 +108,7 @@ impl Localizer {
     pub(super) fn follow(&mut self, world: &World, frames: &[&Frame], mut own: Followed, way: f64) -> Result<Step> {
         let prior = own.belief;
         let (mut estimate, mut said) = self.look(world, frames, &prior, usize::MAX)?;
-        let mut near = estimate.pose;
+        let near = estimate.pose;
         let leads_off = self.is_jump(&prior, &estimate) && !said.singles_out();
         if !said.blind && (said.odds <= 0.0 || leads_off) && !estimate.rests_on_reflectors() {
             said = self.said_of(world, frames, &estimate, STALE)?;
@@ -144,11 +146,6 @@ impl Localizer {
             self.weigh_beside(world, frames, &prior, &mut own, &mut estimate, look)?;
         }
         let is_other = jumped || estimate.pose.world_from_robot != near.world_from_robot;
-        if !is_whole && said.odds < CHANCE {
-            // A lead that chance gives is right with this probability, unless nothing is missing: all places of a corridor look alike.
-            let share = 1.0 - (-said.odds.max(0.0)).exp();
-            (near, estimate.pose) = (mixed(&prior, &near, share), mixed(&prior, &estimate.pose, share));
-        }
         // Another minimum than that of the prior says nothing about the speed.
         if !strays && is_other {
             self.velocity.restart();
@@ -269,6 +266,7 @@ impl Localizer {
         hypotheses: Option<Hypotheses>,
     ) -> Result<Step> {
         own.frames += 1;
+        own.agreed += usize::from(said.singles_out() || said.is_whole(&self.options.rates));
         if hypotheses.is_none() && !own.carried {
             own.belief = estimate.pose;
         }
@@ -285,7 +283,7 @@ impl Localizer {
         // is as sure as a tracked pose has to be, or lacks nothing.
         let is_sure = said.odds >= tracked || said.is_whole(&options.rates);
         let at_once = own.is_given && is_sure && hypotheses.is_none();
-        let confirmed = (at_once || own.frames >= options.agreeing) && !own.odds.unproven;
+        let confirmed = (at_once || own.agreed >= options.agreeing) && !own.odds.unproven;
         let beside_is_clear = own.beside.is_clear(&options.rates);
         let told = own.beside.widened(&own.belief);
         let spread = spread_of(&told);
@@ -307,7 +305,7 @@ impl Localizer {
         if phase == Phase::Candidates {
             reason += &match () {
                 () if now < tracked => format!(", less than {tracked:.1}"),
-                () if !confirmed => format!("; {} of {} frames", own.frames, options.agreeing),
+                () if !confirmed => format!("; {} of {} frames that prove it", own.agreed, options.agreeing),
                 () if !beside_is_clear => {
                     format!("; log-odds against a neighbouring minimum {:.1}", own.beside.odds().unwrap_or_default())
                 }

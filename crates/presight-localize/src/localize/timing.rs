@@ -55,8 +55,11 @@ impl Localizer {
             // Verdicts of these pixels would not fit the frame.
             step.estimate.verdicts.clear();
             if step.phase == Phase::Tracking {
-                // Few pixels find a pose; all of them have to agree.
+                // Few pixels find a pose; a whole frame has to prove it.
                 (step.phase, self.phase) = (Phase::Candidates, Phase::Candidates);
+                if let State::Following(own) = &mut self.state {
+                    own.agreed = own.agreed.min(self.options.agreeing.saturating_sub(1));
+                }
             }
             let size = (thin.sensor().width(), thin.sensor().height());
             step.reason += &format!("; looked for with {} x {} of the frame's pixels", size.0, size.1);
