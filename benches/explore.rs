@@ -9,6 +9,7 @@ use presight::explore::{Exploration, ExploreOptions, Known, Views};
 use presight_testkit::data;
 #[path = "../crates/presight-explore/tests/explore/factory_drive.rs"]
 mod factory_drive;
+use cpu_time::ProcessTime;
 use presight_testkit::judge::{Judged, Placed, frames, judge};
 use std::time::Instant;
 
@@ -19,17 +20,11 @@ struct Seconds {
     cpu: f64,
 }
 
-/// The result of a job and what it took.
+/// The result of a job, and its time.
 fn timed<T>(job: impl FnOnce() -> T) -> (T, Seconds) {
-    // Ticks of 10 ms in user and kernel mode: fields 14 and 15, after a name that may hold spaces.
-    let ticks = || {
-        let status = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
-        let fields = status.rsplit(')').next().unwrap_or_default().split_whitespace().skip(11).take(2);
-        fields.filter_map(|field| field.parse::<f64>().ok()).sum::<f64>()
-    };
-    let (start, before) = (Instant::now(), ticks());
+    let (start, cpu) = (Instant::now(), ProcessTime::now());
     let made = job();
-    (made, Seconds { clock: start.elapsed().as_secs_f64(), cpu: 0.01 * (ticks() - before) })
+    (made, Seconds { clock: start.elapsed().as_secs_f64(), cpu: cpu.elapsed().as_secs_f64() })
 }
 
 /// One row of the table.

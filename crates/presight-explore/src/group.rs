@@ -95,7 +95,7 @@ pub(crate) struct Group {
     model: Option<Model>,
     /// Number of views when the model was made, and of places.
     made_of: (usize, usize),
-    /// Covariance of the surfaces added last, against the first frame, as that of a body that is turned about `centre`.
+    /// Covariance of the surfaces added last, against the first frame, for a rotation about `centre`.
     covariance: PoseCovariance<InWorld>,
     /// Where the robot was when these surfaces were added.
     centre: DVec3,

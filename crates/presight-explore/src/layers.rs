@@ -12,8 +12,8 @@ const ALIKE: f64 = 0.906;
 /// of a thousand, 3.3.
 const PARTED: f64 = 3.3;
 
-/// The surfels, with those that noise parted made one each. `noise` is the standard deviation of the ranges of the smallest surfels, of
-/// size `least`, metres.
+/// The surfels; two that noise parted become one. The smallest surfels have the size `least`, and their ranges the standard deviation
+/// `noise`, metres.
 pub(crate) fn joined(surfels: &[Surfel], least: f64, noise: f64) -> Vec<Surfel> {
     let points = surfels.iter().zip(0u32..).map(|(s, i)| GeomWithData::new(s.at.to_array(), i)).collect();
     let tree: RTree<GeomWithData<[f64; 3], u32>> = RTree::bulk_load(points);

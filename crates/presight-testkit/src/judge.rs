@@ -70,3 +70,17 @@ pub fn is_blocked(environment: &Environment, from: DVec3, to: DVec3) -> bool {
     let way = to - from;
     Oracle::new(environment, from).is_some_and(|o| o.hides(from, way.normalize(), way.length(), &[]))
 }
+
+/// Number of frames with a ray that ended within `near` metres of a place.
+pub fn sights(frames: &[Placed], place: DVec3, near: f64) -> usize {
+    let is_seen = |(frame, pose): &&Placed| {
+        let sensor = frame.sensor();
+        let p = (pose.rotation_matrix() * sensor.body_from_image()).transpose() * (place - pose.translation);
+        let Some((u, v)) = sensor.project_nearly(p.as_vec3()) else { return false };
+        let (u, v) = ((u + 0.5).floor(), (v + 0.5).floor());
+        let is_in = u >= 0.0 && v >= 0.0 && u < sensor.width() as f32 && v < sensor.height() as f32;
+        is_in
+            && (f64::from(frame.ranges()[v as usize * sensor.width() as usize + u as usize]) - p.length()).abs() < near
+    };
+    frames.iter().filter(is_seen).count()
+}

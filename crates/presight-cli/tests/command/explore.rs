@@ -110,7 +110,7 @@ fn glass_leaves_an_open_window_in_the_store() {
     assert_eq!(blocked("always", "always.presight"), 121, "planted");
 }
 
-/// Scans of one row become walls of the height that was asked for, and what is not in the scan plane is marked as assumed.
+/// Scans of one row become walls of the requested height, and everything beyond the scan plane is marked as assumed.
 #[test]
 fn planar_scans_become_walls_of_the_height_that_is_given() {
     let place = drive();

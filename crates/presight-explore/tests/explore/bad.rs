@@ -60,21 +60,17 @@ fn a_scan_of_leaves_becomes_no_wall() {
     let scanner = Scanner { azimuth: angles(-40.0, 54), elevation: angles(-15.0, 20), beam_height_deg: None };
     let spec = SensorSpec::new("sparse", "laser", Geometry::Scanner(scanner)).with_limits(0.2, 50.0);
     let sensor = Sensor::new(spec.with_noise(Noise { range_sigma: 0.02, ..Noise::default() })).unwrap();
-    let mut random = Random(5);
-    let mut share = |mut range: Box<dyn FnMut(&mut Random, u32) -> f64>| {
+    let share = |ranges: Vec<f32>| {
         let mut views = Views::default();
-        let ranges = (0..54 * 20).map(|pixel| range(&mut random, pixel) as f32).collect();
         let frame = Frame::new(0.0, sensor.clone(), Measurement::Range(ranges)).unwrap();
         views.push(&frame, Pose::IDENTITY).unwrap();
         let found = explore(&Environment::new(), Known::Explored, &views);
         found.areas.surface / (found.areas.surface + found.areas.unseen)
     };
-    let leaves = share(Box::new(|random, _| random.uniform(5.0, 30.0)));
-    let toward = sensor.clone();
-    let wall = share(Box::new(move |_, pixel| {
-        let ray = toward.body_from_image() * toward.ray(pixel % 54, pixel / 54).unwrap();
-        10.0 / ray.x
-    }));
+    let mut random = Random(5);
+    let leaves = share((0..54 * 20).map(|_| random.uniform(5.0, 30.0) as f32).collect());
+    let ahead = |pixel: u32| (sensor.body_from_image() * sensor.ray(pixel % 54, pixel / 54).unwrap()).x;
+    let wall = share((0..54 * 20).map(|pixel| (10.0 / ahead(pixel)) as f32).collect());
     assert!(leaves < 0.05 && wall > 0.8, "{leaves} {wall}");
 }
 

@@ -1,25 +1,10 @@
 //! Machines known as boxes get their real surfaces, and keep their paths.
 
 use super::factory_drive::{drive, scenes};
-use glam::DVec3;
 use presight_explore::{Exploration, ExploreOptions, Known, Views};
 use presight_model::environment::Environment;
-use presight_testkit::judge::{Placed, judge};
+use presight_testkit::judge::{Placed, judge, sights};
 use presight_testkit::oracle::Oracle;
-
-/// Number of frames with a ray that ended within 3 cm of a place.
-fn sights(frames: &[Placed], place: DVec3) -> usize {
-    let is_seen = |(frame, pose): &&Placed| {
-        let sensor = frame.sensor();
-        let p = (pose.rotation_matrix() * sensor.body_from_image()).transpose() * (place - pose.translation);
-        let Some((u, v)) = sensor.project_nearly(p.as_vec3()) else { return false };
-        let (u, v) = ((u + 0.5).floor(), (v + 0.5).floor());
-        let is_in = u >= 0.0 && v >= 0.0 && u < sensor.width() as f32 && v < sensor.height() as f32;
-        is_in
-            && (f64::from(frame.ranges()[v as usize * sensor.width() as usize + u as usize]) - p.length()).abs() < 0.03
-    };
-    frames.iter().filter(is_seen).count()
-}
 
 /// Share of the pixels of frames at which a model is off by over 5 cm, by rays without noise. A pixel is excused if its eight neighbours and
 /// itself span what the model shows, to 5 cm: an edge within a pixel. Places that fewer than three frames of `built` saw do not count.
@@ -46,7 +31,7 @@ fn off(real: &Environment, model: &Environment, frames: &[Placed], built: &[Plac
             let is_edge = shown > least - 0.05 && shown < most + 0.05;
             let (column, row) = pixel(i);
             let way = pose.rotation * (sensor.body_from_image() * sensor.ray(column, row).unwrap());
-            off += usize::from(!is_edge && sights(built, pose.translation + way * f64::from(*range)) >= 3);
+            off += usize::from(!is_edge && sights(built, pose.translation + way * f64::from(*range), 0.03) >= 3);
         }
     }
     off as f64 / f64::from(all)

@@ -10,7 +10,7 @@ use presight_model::sensor::{Noise, Sensor};
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
 use presight_testkit::caster::Caster;
-use presight_testkit::judge::{Placed, judge};
+use presight_testkit::judge::{Placed, judge, sights};
 use presight_testkit::oracle::Oracle;
 use presight_testkit::way::{Driving, Way};
 
@@ -56,19 +56,6 @@ struct Shared {
     area: [f64; 2],
 }
 
-/// Number of frames with a ray that ended within 10 cm of a place.
-fn sights(frames: &[Placed], place: DVec3) -> usize {
-    let is_seen = |(frame, pose): &&Placed| {
-        let sensor = frame.sensor();
-        let p = (pose.rotation_matrix() * sensor.body_from_image()).transpose() * (place - pose.translation);
-        let Some((u, v)) = sensor.project_nearly(p.as_vec3()) else { return false };
-        let (u, v) = ((u + 0.5).floor(), (v + 0.5).floor());
-        let is_in = u >= 0.0 && v >= 0.0 && u < sensor.width() as f32 && v < sensor.height() as f32;
-        is_in && (f64::from(frame.ranges()[v as usize * sensor.width() as usize + u as usize]) - p.length()).abs() < 0.1
-    };
-    frames.iter().filter(is_seen).count()
-}
-
 /// What `a` has in common with `b`, of the places that three of these frames saw. A polygon is the same if 19 in 20 of the points on it, a cell and more from its border, lie on a
 /// surface of `b` within three standard deviations of the ranges, along its normal. The middle decides on a polygon of less than a cell.
 fn shared(a: &Environment, b: &Environment, frames: &[Placed]) -> Shared {
@@ -94,7 +81,7 @@ fn shared(a: &Environment, b: &Environment, frames: &[Placed]) -> Shared {
             let grid = (0..steps).flat_map(|i| (0..steps - i).map(move |j| (i, j)));
             points.extend(grid.map(|(i, j)| corners[0] + u * share(i) + v * share(j)).filter(|p| is_inside(*p)));
         }
-        points.retain(|p| sights(frames, *p) >= 3);
+        points.retain(|p| sights(frames, *p, 0.1) >= 3);
         if points.is_empty() {
             continue;
         }

@@ -65,7 +65,8 @@ pub(crate) fn shares(real: &Environment, model: &Environment, frames: &[Placed],
     seen.values().filter(|rays| size(rays) > 0.3).map(share).collect()
 }
 
-/// By polygon of a model: the number of places on it, 5 cm apart, and of those that are farther than `near` from all real surfaces, metres.
+/// By polygon of a model: the number of places on it, 5 cm apart, and the number of these places that are farther than `near` metres
+/// from all real surfaces.
 pub(crate) fn in_free_space<'a>(
     real: &Environment,
     polygons: impl Iterator<Item = Vec<DVec3>> + 'a,

@@ -57,7 +57,7 @@ pub(super) const LOOK_NEAR: Schedule = Schedule { first: 0.3, ..LOOK };
 pub(super) const SETTLE: Schedule =
     Schedule { first: 0.2, shrink: 0.5, least: 0.01, steps: 13, settle: 4, points: (APPROACH_POINTS, usize::MAX) };
 
-/// The same with few points, for minima of which most are left.
+/// The same with few points, for minima that are compared: most of them are left.
 pub(super) const JUDGE: Schedule = Schedule { points: (SEARCH_POINTS, SEARCH_POINTS), ..SETTLE };
 
 /// Steps from a start to rest, or until they come to a pose that is `known`.

@@ -135,6 +135,17 @@ struct Sum {
     groups: HashMap<CommonError, GroupSum>,
 }
 
+impl Sum {
+    /// Adds what a point says of the twist's error, which moves it for the time between it and the middle of the scan's turn. `weight` is
+    /// the point's, times this time in seconds.
+    fn add_turn(&mut self, weight: f64, j: &[f64; 6]) {
+        let turn = self.groups.entry(CommonError::Turn).or_default();
+        for a in 0..6 {
+            (0..6).for_each(|b| turn.pull[a][b] += weight * j[a] * j[b]);
+        }
+    }
+}
+
 impl Default for Sum {
     fn default() -> Self {
         let zero = [[0.0; 6]; 6];
@@ -395,11 +406,7 @@ impl<'a> RangeSource<'a> {
             group.residual += w * e;
             group.variance += w * weight;
             if p.late != 0.0 {
-                // An error of the twist moves the point as long as it is off the middle of the turn.
-                let (turn, late) = (sum.groups.entry(CommonError::Turn).or_default(), f64::from(p.late));
-                for a in 0..6 {
-                    (0..6).for_each(|b| turn.pull[a][b] += w * late * j[a] * j[b]);
-                }
+                sum.add_turn(w * f64::from(p.late), &j);
             }
         }
     }

@@ -62,7 +62,7 @@ const LEAST_MATCHED: f64 = 0.55;
 /// and of one as far from where all but one fiducial lead, 1 in 1,000.
 const UNLIKELY: (f64, f64) = (3.719, 3.09);
 
-/// What an estimate must explain, and how it is searched for.
+/// What an estimate must explain, and the part of a search that it makes.
 pub(super) struct Asked {
     /// Other starts are tried below this share of explained points.
     pub(super) least: f64,

@@ -30,8 +30,6 @@ pub(super) struct Followed {
     pub odds: Odds,
     /// Frames since it was given or found.
     pub frames: usize,
-    /// Frames that prove it by themselves, or that agreed on it in a search.
-    pub agreed: usize,
     /// It was given at the start: no frame selected it.
     pub is_given: bool,
     /// What may be right instead, nearby.
@@ -42,7 +40,7 @@ pub(super) struct Followed {
 
 impl Followed {
     pub fn new(belief: PoseEstimate, odds: Odds) -> Self {
-        Self { belief, odds, frames: 0, agreed: 0, is_given: false, beside: Beside::default(), carried: false }
+        Self { belief, odds, frames: 0, is_given: false, beside: Beside::default(), carried: false }
     }
 }
 
@@ -266,7 +264,6 @@ impl Localizer {
         hypotheses: Option<Hypotheses>,
     ) -> Result<Step> {
         own.frames += 1;
-        own.agreed += usize::from(said.singles_out() || said.is_whole(&self.options.rates));
         if hypotheses.is_none() && !own.carried {
             own.belief = estimate.pose;
         }
@@ -283,7 +280,7 @@ impl Localizer {
         // is as sure as a tracked pose has to be, or lacks nothing.
         let is_sure = said.odds >= tracked || said.is_whole(&options.rates);
         let at_once = own.is_given && is_sure && hypotheses.is_none();
-        let confirmed = (at_once || own.agreed >= options.agreeing) && !own.odds.unproven;
+        let confirmed = (at_once || own.frames >= options.agreeing) && !own.odds.unproven;
         let beside_is_clear = own.beside.is_clear(&options.rates);
         let told = own.beside.widened(&own.belief);
         let spread = spread_of(&told);
@@ -305,7 +302,8 @@ impl Localizer {
         if phase == Phase::Candidates {
             reason += &match () {
                 () if now < tracked => format!(", less than {tracked:.1}"),
-                () if !confirmed => format!("; {} of {} frames that prove it", own.agreed, options.agreeing),
+                () if own.odds.unproven => "; no frame proves it so far".to_owned(),
+                () if !confirmed => format!("; {} of {} frames", own.frames, options.agreeing),
                 () if !beside_is_clear => {
                     format!("; log-odds against a neighbouring minimum {:.1}", own.beside.odds().unwrap_or_default())
                 }

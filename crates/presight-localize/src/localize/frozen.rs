@@ -4,7 +4,7 @@ use presight_model::geometry::Pose;
 use presight_model::measured::{Frame, RangeNoise};
 use presight_model::statistics::median;
 
-/// A motion below this is none, metres and radians: even a robot that stands still has encoders that count more.
+/// A robot stands still if its odometry moves by less, metres and radians: one tick of an encoder is more.
 const STILL: f64 = 1e-6;
 /// Readings of a frame that are compared.
 const READINGS: usize = 1000;
@@ -12,8 +12,8 @@ const READINGS: usize = 1000;
 const LEAST_READINGS: usize = 20;
 /// Least deviation of a reading, metres: that of a usual scanner, where the sensor states less.
 const LEAST_SIGMA: f64 = 0.01;
-/// Half of the readings change by more than so many deviations of their difference: of a robot that stands still half of them
-/// change by 0.67, even with four times the stated noise by less than 2.7.
+/// A robot moves if half of the readings change by more than this, in deviations of their difference: while it stands still, half of
+/// them change by 0.67, and by less than 2.7 with four times the stated noise.
 const CHANGED: f64 = 3.0;
 /// Least frames that have to say so, and more than half of the run: somebody may walk past right before the sensor.
 const LEAST_FRAMES: usize = 5;

@@ -241,11 +241,7 @@ impl Localizer {
         );
         let (pose, estimate) = (c.pose, c.estimate.clone());
         if odds >= tracked && lead >= tracked && count >= self.options.agreeing && !c.odds.unproven {
-            let own = Followed {
-                frames: self.options.agreeing,
-                agreed: self.options.agreeing,
-                ..Followed::new(pose, c.odds.clone())
-            };
+            let own = Followed { frames: self.options.agreeing, ..Followed::new(pose, c.odds.clone()) };
             return self.found_beside(world, frames, own, why, estimate);
         }
         self.phase = if lookout.own.is_some() && odds <= own { Phase::Lost } else { Phase::Candidates };

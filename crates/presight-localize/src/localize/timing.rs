@@ -58,7 +58,7 @@ impl Localizer {
                 // Few pixels find a pose; a whole frame has to prove it.
                 (step.phase, self.phase) = (Phase::Candidates, Phase::Candidates);
                 if let State::Following(own) = &mut self.state {
-                    own.agreed = own.agreed.min(self.options.agreeing.saturating_sub(1));
+                    own.odds.unproven = true;
                 }
             }
             let size = (thin.sensor().width(), thin.sensor().height());

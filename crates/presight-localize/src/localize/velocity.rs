@@ -122,7 +122,7 @@ pub struct Stamps {
 const MISTRUST_GAIN: f64 = 0.3;
 /// Greatest mistrust: a hundred times the stated deviation.
 const MOST_MISTRUST: f64 = 1e4;
-/// The stated noise of the twist counts as so many motions: a few frames teach more.
+/// Motions that the stated noise of the twist counts as: a few frames teach more.
 const STATED_MOTIONS: f64 = 4.0;
 /// Part of the motions before that is forgotten in each: robots drive evenly for seconds, and then turn.
 const FORGET: f64 = 0.03;
