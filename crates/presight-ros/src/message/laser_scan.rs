@@ -1,0 +1,49 @@
+//! `sensor_msgs/msg/LaserScan`.
+
+use super::{Header, Message};
+use crate::cdr::Cursor;
+use presight_model::error::Result;
+
+/// A planar scan.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LaserScan {
+    /// Stamp of the first ray, and the frame of the scanner: rays lie in its x-y plane.
+    pub header: Header,
+    /// Angle of the first ray about +z, radians.
+    pub angle_min: f32,
+    /// Angle of the last ray, radians.
+    pub angle_max: f32,
+    /// Angle from one ray to the next, radians; negative for a scanner that turns clockwise.
+    pub angle_increment: f32,
+    /// Seconds from one ray to the next; 0 if the driver does not know it.
+    pub time_increment: f32,
+    /// Seconds from one scan to the next; 0 if the driver does not know it.
+    pub scan_time: f32,
+    /// Minimum range, metres.
+    pub range_min: f32,
+    /// Maximum range, metres.
+    pub range_max: f32,
+    /// Range of each ray, metres; REP-117.
+    pub ranges: Vec<f32>,
+    /// Strength of each echo in units of the driver; empty if it gives none.
+    pub intensities: Vec<f32>,
+}
+
+impl Message<'_> for LaserScan {
+    const TYPE: &'static str = "sensor_msgs/msg/LaserScan";
+
+    fn read(cursor: &mut Cursor<'_>) -> Result<Self> {
+        Ok(Self {
+            header: Header::read(cursor)?,
+            angle_min: cursor.read()?,
+            angle_max: cursor.read()?,
+            angle_increment: cursor.read()?,
+            time_increment: cursor.read()?,
+            scan_time: cursor.read()?,
+            range_min: cursor.read()?,
+            range_max: cursor.read()?,
+            ranges: cursor.read_sequence()?,
+            intensities: cursor.read_sequence()?,
+        })
+    }
+}
