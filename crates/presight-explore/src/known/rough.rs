@@ -1,12 +1,9 @@
 //! A model that is known beforehand: corrected where rays say that it is off, opened where they go through.
 
-use crate::convex::convex;
 use crate::evidence::{Fences, Margins, evidence};
-use crate::field::{Cells, area, simplified};
-use crate::flat::Flat;
-use crate::solid::{mesh, visit_world};
-use crate::surfel::oriented;
-use crate::view::Views;
+use crate::geometry::{Cells, Flat, area, convex, simplified};
+use crate::observe::{Views, oriented};
+use crate::surface::{mesh, visit_world};
 use glam::{DAffine3, DMat3, DVec2, DVec3};
 use presight_model::environment::{Environment, Mesh, NewObject, Object};
 use presight_model::error::Result;

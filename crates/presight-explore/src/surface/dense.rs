@@ -1,94 +1,18 @@
 //! Surfaces of views: from surfels over regions to convex polygons.
 
-use crate::detail::{Detail, SMALLEST};
-use crate::flat::Flat;
-use crate::layers::joined;
-use crate::mirror::without_images;
-use crate::outline::{Areas, OutlineOptions, Piece, Planes, outlines};
-use crate::region::Regions;
-use crate::sheet::{are_sparse, sheets};
-use crate::solid::{Shown, Solid, refitted, shown};
-use crate::surfel::{Surface, Surfel, lasting, surfels};
-use crate::view::Views;
-use glam::DVec3;
+use super::found::Surfaces;
+use super::mirror::without_images;
+use super::options::ExploreOptions;
+use super::outline::{Areas, OutlineOptions, Piece, Planes, outlines};
+use super::region::Regions;
+use super::sheet::sheets;
+use super::solid::{Shown, Solid, refitted, shown};
+use crate::observe::{Views, are_sparse};
+use crate::surfels::{Detail, SMALLEST, Surface, Surfel, joined, lasting, surfels};
 use presight_model::error::Result;
-use presight_model::threads::Threads;
 use presight_predict::predict::Predictor;
 use rayon::prelude::*;
-use std::collections::{BTreeMap, BTreeSet};
-
-/// How an environment is explored.
-#[derive(Clone, Debug)]
-#[non_exhaustive]
-pub struct ExploreOptions {
-    /// Most polygons.
-    pub polygons: usize,
-    /// Side of the smallest pieces of surface that are distinguished, metres; `None` for what the noise of the ranges, the distance of
-    /// neighbouring points and the number of views allow, 2 cm at least.
-    pub detail: Option<f64>,
-    /// Height of walls that a level scanner of one row sees, metres.
-    pub wall_height: f64,
-    /// Height of the floor that these walls stand on, metres.
-    pub floor: f64,
-    /// A beam of such a scanner this near to a known wall is explained, metres.
-    pub wall_tolerance: f64,
-    /// Threads.
-    pub threads: Threads,
-}
-
-impl Default for ExploreOptions {
-    fn default() -> Self {
-        Self {
-            polygons: 2000,
-            detail: None,
-            wall_height: 2.5,
-            floor: 0.0,
-            wall_tolerance: 0.1,
-            threads: Threads::default(),
-        }
-    }
-}
-
-presight_model::with_options!(
-    ExploreOptions:
-    with_polygons polygons: usize,
-    with_detail detail: Option<f64>,
-    with_wall_height wall_height: f64,
-    with_floor floor: f64,
-    with_wall_tolerance wall_tolerance: f64,
-    with_threads threads: Threads,
-);
-
-impl ExploreOptions {
-    /// The sides of the smallest pieces of surface for these views.
-    pub(crate) fn detail(&self, views: &Views) -> Detail {
-        let is_sparse = self.detail.is_none() && are_sparse(views, SMALLEST);
-        Detail::of(views, if is_sparse { Some(SMALLEST) } else { self.detail })
-    }
-}
-
-/// Convex polygons that explain views.
-pub(crate) struct Surfaces {
-    /// Metres in the world: what all coordinates count from.
-    pub(crate) base: DVec3,
-    pub(crate) detail: f64,
-    /// Points behind mirrors, which are left out.
-    pub(crate) mirrored: usize,
-    pub(crate) planes: Vec<Flat>,
-    pub(crate) pieces: Vec<Piece>,
-    /// By plane: rays that ended on it, and that went through.
-    pub(crate) evidence: Vec<[f64; 2]>,
-    /// By plane: its standard deviation along its normal, metres.
-    pub(crate) sigmas: Vec<f64>,
-    /// By plane: the lowest plane that a chain of views joins it with.
-    pub(crate) parts: Vec<u32>,
-    /// By plane: places at its border that nobody saw, and the side of their cells.
-    pub(crate) unseen: Vec<(Vec<DVec3>, f64)>,
-    /// Numbers of planes that touch, rising.
-    pub(crate) beside: Vec<[u32; 2]>,
-    /// Areas over all planes.
-    pub areas: Areas,
-}
+use std::collections::BTreeSet;
 
 /// Planes for each polygon: an outline takes several convex polygons.
 const PLANES: f64 = 0.35;
@@ -102,6 +26,12 @@ const REFITS: usize = 2;
 const CELL: f64 = 0.5;
 /// Distance between surfels of planes that touch, in their sizes.
 const TOUCH: f64 = 1.5;
+
+/// The sides of the smallest pieces of surface for these views.
+pub(crate) fn detail(options: &ExploreOptions, views: &Views) -> Detail {
+    let is_sparse = options.detail.is_none() && are_sparse(views, SMALLEST);
+    Detail::of(views, if is_sparse { Some(SMALLEST) } else { options.detail })
+}
 
 impl Surfaces {
     /// The surfaces of the pixels that are used, by the number of the view and of the pixel; `None` if there are none. `detail` is that
@@ -181,17 +111,6 @@ impl Surfaces {
             planes: regions.planes,
             areas,
         }))
-    }
-
-    /// Area of each part that no chain of views joins with another, square metres, the largest first.
-    pub(crate) fn parts(&self) -> Vec<f64> {
-        let mut areas = BTreeMap::<u32, f64>::new();
-        for piece in &self.pieces {
-            *areas.entry(self.parts[piece.plane as usize]).or_default() += piece.area();
-        }
-        let mut areas: Vec<f64> = areas.into_values().collect();
-        areas.sort_by(|a, b| b.total_cmp(a));
-        areas
     }
 }
 

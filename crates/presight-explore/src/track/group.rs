@@ -1,8 +1,8 @@
 //! Groups of frames whose poses are found on the way: each frame of a group was localized in the model of those before it.
 
-use crate::exploration::{Exploration, Known};
-use crate::surfaces::ExploreOptions;
-use crate::view::{View, Views};
+use crate::change::{Exploration, Known};
+use crate::observe::{View, Views};
+use crate::surface::ExploreOptions;
 use glam::DVec3;
 use presight_localize::estimate::{Estimate, EstimateOptions, Estimator};
 use presight_localize::localize::{LocalizeOptions, Localizer, Phase};

@@ -2,9 +2,7 @@
 //! points, and how often a place was seen.
 
 use crate::evidence::Margins;
-use crate::region::NEAR;
-use crate::surfel::oriented;
-use crate::view::{View, Views};
+use crate::observe::{View, Views, oriented};
 use glam::{DVec3, Vec3};
 use presight_model::statistics::{median, tail};
 use std::collections::HashMap;
@@ -27,6 +25,9 @@ const TILT: f64 = 0.44;
 const LEAST_PIXELS: usize = 200;
 /// Steps of ranges, per doubling.
 const STEPS: f64 = 2.0;
+
+/// While a region grows: largest distance of a surfel from the plane, in sizes of the surfel.
+pub(crate) const NEAR: f64 = 0.25;
 
 /// Sides of the smallest pieces of surface.
 #[derive(Clone, Debug)]

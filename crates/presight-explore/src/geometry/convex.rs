@@ -1,6 +1,6 @@
 //! Convex polygons of an area with holes.
 
-use crate::field::area;
+use super::cells::area;
 use glam::DVec2;
 use presight_model::limits;
 use spade::{ConstrainedDelaunayTriangulation, Point2, Triangulation};

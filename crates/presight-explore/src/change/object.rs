@@ -1,9 +1,7 @@
 //! Planes that hang together, as objects with names: floor, walls and ceiling by direction and height.
 
-use crate::flat::Flat;
-use crate::outline::Piece;
-use crate::solid::{Parts, mesh};
-use crate::surfaces::Surfaces;
+use crate::geometry::Flat;
+use crate::surface::{Parts, Piece, Surfaces, mesh};
 use glam::DVec3;
 use presight_model::environment::{Environment, Mesh, NewObject};
 use presight_model::error::Result;

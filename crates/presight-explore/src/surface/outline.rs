@@ -1,11 +1,9 @@
 //! Outlines of planes: where rays ended on them, and not where rays went through or nobody looked.
 
-use crate::convex::convex;
 use crate::evidence::{Evidence, Fences, Margins, evidence};
-use crate::field::{Cells, area, simplified};
-use crate::flat::Flat;
-use crate::surfel::Surface;
-use crate::view::Views;
+use crate::geometry::{Cells, Flat, area, convex, simplified};
+use crate::observe::Views;
+use crate::surfels::Surface;
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 use std::collections::BTreeSet;

@@ -1,40 +1,22 @@
 //! Surfaces of sensors whose rays are far apart. There the smallest pieces of surface are triangles between neighbouring rays;
 //! between other rays nobody looked.
 
-use crate::convex::convex;
-use crate::detail::{Noise, SMALLEST};
-use crate::field::simplified;
-use crate::flat::Flat;
-use crate::outline::{Areas, Piece};
-use crate::region::Regions;
-use crate::solid::{Seen, Shown, Solid, shown};
-use crate::surfaces::{ExploreOptions, Surfaces};
-use crate::surfel::{LEAST_COSINE, Surface, Surfel};
-use crate::view::{View, Views};
+use super::found::Surfaces;
+use super::options::ExploreOptions;
+use super::outline::{Areas, Piece};
+use super::region::Regions;
+use super::solid::{Seen, Shown, Solid, shown};
+use crate::geometry::{Flat, convex, simplified};
+use crate::observe::{LEAST_COSINE, View, Views, directions, spacing};
+use crate::surfels::{Noise, SMALLEST, Surface, Surfel};
 use glam::{DVec2, DVec3};
 use presight_model::error::Result;
-use presight_model::statistics::median;
 use presight_predict::predict::Predictor;
 use spade::{DelaunayTriangulation, HasPosition, Point2, Triangulation};
 use std::collections::{BTreeSet, HashMap};
 
 /// Rays are neighbours up to this many spacings of the sensor's rays: every other one may lack a reading, across and along.
 const GAP: f64 = 2.0 * std::f64::consts::SQRT_2;
-/// Points are sparse if all views together have fewer than one in a square of this side, in units of the detail: cubes of the
-/// detail's size would stay alone.
-const SPARSE: f64 = 4.0;
-
-/// True if the points of all views are too far apart for pieces of surface of this size, metres.
-pub(crate) fn are_sparse(views: &Views, detail: f64) -> bool {
-    let apart = |view: &View| {
-        let spacing = spacing(view, &directions(view));
-        let mut ranges: Vec<f64> = view.ranges.iter().filter(|r| r.is_finite()).map(|r| f64::from(*r)).collect();
-        median(&mut ranges).unwrap_or(0.0) * spacing.max_element()
-    };
-    let mut all: Vec<f64> = views.some(16).all().iter().map(apart).collect();
-    median(&mut all).is_some_and(|apart| apart > SPARSE * detail * (views.all().len() as f64).sqrt())
-}
-
 /// Borders are straight within this share of a side of a triangle. Where a surface ends is known to half of it.
 const STRAIGHT: f64 = 0.15;
 
@@ -105,25 +87,6 @@ impl Sheet {
 
 fn sides_of(t: &[u32; 3]) -> impl Iterator<Item = [u32; 2]> + '_ {
     (0..3).map(|k| [t[k].min(t[(k + 1) % 3]), t[k].max(t[(k + 1) % 3])])
-}
-
-/// Azimuth and elevation of each ray, radians.
-fn directions(view: &View) -> Vec<DVec2> {
-    let direction = |i: usize| {
-        let ray = view.in_body(i);
-        DVec2::new(ray.y.atan2(ray.x), ray.z.atan2(ray.x.hypot(ray.y)))
-    };
-    (0..view.ranges.len()).map(direction).collect()
-}
-
-/// Medians of the differences of azimuth and elevation between neighbours.
-fn spacing(view: &View, directions: &[DVec2]) -> DVec2 {
-    let between = |step: usize, of: fn(DVec2) -> f64| {
-        let all = (step..directions.len()).map(|i| of(directions[i] - directions[i - step]).abs());
-        // Not from one end of a turn to the other.
-        median(&mut all.filter(|a| *a > 0.0 && *a < 1.0).collect::<Vec<f64>>()).unwrap_or(1.0)
-    };
-    DVec2::new(between(1, |d| d.x), between(view.width(), |d| d.y))
 }
 
 fn surfel(view: &View, triangle: &[u32; 3]) -> Surfel {

@@ -1,6 +1,6 @@
 //! Surfels of one surface whose points lie in two cubes: the side of a cube that runs along a surface parts its points by their noise.
 
-use crate::surfel::Surfel;
+use super::surfel::Surfel;
 use rstar::RTree;
 use rstar::primitives::GeomWithData;
 

@@ -1,8 +1,8 @@
 //! Pieces as a world that predicts, and what the prediction says about them.
 
-use crate::flat::Flat;
-use crate::outline::Piece;
-use crate::view::Views;
+use super::outline::Piece;
+use crate::geometry::Flat;
+use crate::observe::Views;
 use glam::{DMat3, DVec3, Vec3};
 use presight_model::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
 use presight_model::error::Result;

@@ -1,7 +1,7 @@
 //! Hits and passes: how often rays ended on cells of a plane, and how often they went on behind it.
 
-use crate::flat::Flat;
-use crate::view::{View, Views};
+use crate::geometry::Flat;
+use crate::observe::{View, Views};
 use glam::{DVec2, DVec3, Vec3};
 use presight_model::sensor::Geometry;
 

@@ -1,14 +1,12 @@
 //! Regions of surfels that lie on one plane each: grown, adapted to each other, and merged while that costs little.
 
-use crate::detail::Noise;
-use crate::flat::{Flat, Moments};
-use crate::surfel::{Surface, Surfel};
+use super::moments::Moments;
+use crate::geometry::Flat;
+use crate::surfels::{NEAR, Noise, Surface, Surfel};
 use rayon::prelude::*;
 use std::cmp::Ordering;
 use std::collections::{BTreeSet, BinaryHeap};
 
-/// While a region grows: largest distance of a surfel from the plane, in sizes of the surfel.
-pub(crate) const NEAR: f64 = 0.25;
 /// While a region grows: least cosine between normals (25 degrees).
 const ALIKE: f64 = 0.906;
 /// Standard deviation of a surfel from its plane, in sizes of the surfel.

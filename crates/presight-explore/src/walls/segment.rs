@@ -1,6 +1,6 @@
 //! Segments in planar scans: split where they bend, and merged over the scans.
 
-use crate::plan::{Scan, Wall};
+use super::scan::{Scan, Wall};
 use glam::{DMat2, DVec2};
 
 /// Points of a segment lie within this of its chord, metres.

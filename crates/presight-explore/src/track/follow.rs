@@ -1,10 +1,10 @@
 //! Exploration without poses: each frame is localized in the model made so far, and adds to it. Frames that show nothing known begin a
 //! group of their own, which is joined when the two meet.
 
-use crate::exploration::Known;
-use crate::group::{Group, Searcher};
-use crate::surfaces::ExploreOptions;
-use crate::view::Views;
+use super::group::{Group, Searcher};
+use crate::change::Known;
+use crate::observe::Views;
+use crate::surface::ExploreOptions;
 use presight_model::environment::Environment;
 use presight_model::error::{ErrorKind, Result};
 use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate};

@@ -1,12 +1,11 @@
 //! What views add to an environment, as a change of a store.
 
-use crate::detail::SMALLEST;
-use crate::objects::ExploredObject;
-use crate::outline::Areas;
-use crate::plan::{Wall, walls};
-use crate::rough::{corrected, explained, opened};
-use crate::surfaces::{ExploreOptions, Surfaces};
-use crate::view::Views;
+use super::object::{ExploredObject, first_free};
+use crate::known::{corrected, explained, opened};
+use crate::observe::Views;
+use crate::surface::{Areas, ExploreOptions, Surfaces, detail};
+use crate::surfels::SMALLEST;
+use crate::walls::{Wall, walls};
 use glam::DVec3;
 use presight_model::change::Change;
 use presight_model::environment::{
@@ -78,7 +77,7 @@ impl Exploration {
         let before: BTreeSet<String> = paths(&environment);
         let is_planar = views.all().iter().all(|v| v.sensor().height() == 1);
         let is_empty = before.is_empty();
-        let measured = (!is_planar).then(|| options.detail(views));
+        let measured = (!is_planar).then(|| detail(options, views));
         let detail = measured.as_ref().map_or(SMALLEST, |measured| measured.least);
         if !is_empty && !is_planar {
             if known == Known::Rough {
@@ -140,7 +139,7 @@ impl Exploration {
 
     fn add_walls(&mut self, walls: &[Wall], views: &Views, options: &ExploreOptions) -> Result<()> {
         let height = views.base().z + views.all().iter().map(|v| v.origin().z).sum::<f64>() / views.all().len() as f64;
-        let first = crate::objects::first_free(&self.environment, "wall");
+        let first = first_free(&self.environment, "wall");
         for (wall, number) in walls.iter().zip(first..) {
             let [a, b] = wall.ends;
             let (low, high) = (options.floor, options.floor + options.wall_height);

@@ -1,9 +1,9 @@
 //! Mirrors: points behind an opening of a surface that are images of points before that surface are not a room.
 
-use crate::flat::Flat;
-use crate::region::Regions;
-use crate::surfel::{Surface, oriented};
-use crate::view::{View, Views};
+use super::region::Regions;
+use crate::geometry::Flat;
+use crate::observe::{View, Views, oriented};
+use crate::surfels::Surface;
 use glam::{DVec2, DVec3};
 use std::collections::{BTreeMap, BTreeSet};
 

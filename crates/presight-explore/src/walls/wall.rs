@@ -1,9 +1,9 @@
 //! Walls from planar scans: segments, trimmed by hits and passes, fitted to the rays that end on them, chosen by what
 //! they explain, and joined at their ends.
 
-use crate::segment;
-use crate::view::{View, Views};
-use glam::DVec2;
+use super::scan::{Ray, Scan, Wall};
+use super::segment;
+use crate::observe::{View, Views};
 use presight_model::error::{Error, Result};
 use rayon::prelude::*;
 use std::collections::BinaryHeap;
@@ -26,67 +26,6 @@ const MEET: f64 = 0.12;
 const LEAST_ANGLE: f64 = 0.3;
 /// Walls at a time, which bounds the memory.
 const AT_ONCE: usize = 64;
-
-/// A planar scan at a known pose, seen from above.
-#[derive(Clone, Debug)]
-pub(crate) struct Scan {
-    pub origin: DVec2,
-    /// Unit directions.
-    pub ways: Vec<DVec2>,
-    /// Metres; not finite without a hit.
-    pub ranges: Vec<f64>,
-}
-
-impl Scan {
-    fn of(view: &View, base: DVec2, is_used: impl Fn(usize) -> bool) -> Self {
-        let ray = |pixel: usize| view.ray(pixel).truncate();
-        let pixels = 0..view.ranges.len();
-        let range = |pixel: usize| {
-            let range = f64::from(view.ranges[pixel]) * ray(pixel).length();
-            if is_used(pixel) { range } else { f64::NAN }
-        };
-        Self {
-            origin: view.origin().truncate() + base,
-            ways: pixels.clone().map(|p| ray(p).normalize_or(DVec2::X)).collect(),
-            ranges: pixels.map(range).collect(),
-        }
-    }
-
-    /// Where a beam ended.
-    pub fn point(&self, beam: usize) -> DVec2 {
-        self.origin + self.ways[beam] * self.ranges[beam]
-    }
-}
-
-/// A wall seen from above, metres.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Wall {
-    /// Both ends.
-    pub ends: [DVec2; 2],
-}
-
-impl Wall {
-    fn way(&self) -> DVec2 {
-        self.ends[1] - self.ends[0]
-    }
-
-    /// Distance along a ray to the wall, and the share of the wall's length there.
-    #[inline]
-    fn met(&self, ray: &Ray) -> Option<(f64, f64)> {
-        let (way, to) = (self.way(), self.ends[0] - ray.origin);
-        let across = ray.way.perp_dot(way);
-        let distance = to.perp_dot(way) / across;
-        let share = to.perp_dot(ray.way) / across;
-        (distance > 0.02 && (0.0..=1.0).contains(&share)).then_some((distance, share))
-    }
-}
-
-#[derive(Clone, Copy)]
-struct Ray {
-    origin: DVec2,
-    way: DVec2,
-    range: f64,
-}
 
 /// The walls that views of level scanners show, at most `most`, those first that explain most. `is_used` says which
 /// beams count, by the number of the view and of the beam.

@@ -1,30 +1,18 @@
 //! Surfels: points of surfaces with normals, averaged over the pixels of all views that fall into one small cube.
 
-use crate::detail::Detail;
+use super::detail::Detail;
 use crate::evidence::{Margins, evidence_at};
-use crate::view::{View, Views};
-use glam::{DVec3, Vec3};
+use crate::observe::{View, Views, oriented};
+use glam::DVec3;
 use rayon::prelude::*;
-use rstar::RTree;
-use rstar::primitives::GeomWithData;
 use std::collections::HashMap;
 
-/// Largest second difference of 1 / range between neighbouring pixels, 1 / m. On a plane 1 / range is linear, so that
-/// larger ones are steps. The disparity of depth cameras is noisy by less.
-const STEP: f32 = 0.02;
-/// Least cosine of incidence: normals and distances of flatter rays are of little worth.
-pub(crate) const LEAST_COSINE: f32 = 0.1;
 /// Views that are reduced together. Fixed, so that sums have the same bits with any number of threads.
 const TOGETHER: usize = 16;
 /// A cube must hold one pixel for each 25 views, at most four.
 const VIEWS_FOR_ONE: u32 = 25;
 /// Views, evenly taken, that say whether a surfel lasts.
 const MOST_VIEWS: usize = 32;
-/// Radius of a neighbourhood, in sizes.
-const REACH: f64 = 1.8;
-/// Least cosine between the normals of neighbours.
-const LEAST_ALIKE: f64 = 0.6;
-
 /// A small piece of a surface.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Surfel {
@@ -128,74 +116,4 @@ fn direction(normal: DVec3) -> u8 {
         2
     };
     2 * axis as u8 + u8::from(normal[axis] > 0.0)
-}
-
-/// Point, unit normal towards the sensor and cosine of incidence of a pixel, in the image frame. `None` at steps.
-pub(crate) fn oriented(view: &View, pixel: usize) -> Option<(Vec3, Vec3, f32)> {
-    let width = view.width();
-    let [left, right, above, below] = [pixel - 1, pixel + 1, pixel - width, pixel + width];
-    let inverse = |i: usize| 1.0 / view.ranges[i];
-    let here = 2.0 * inverse(pixel);
-    let is_flat = |a: usize, b: usize| (inverse(a) + inverse(b) - here).abs() < STEP;
-    // False where a range is NaN.
-    if !(is_flat(left, right) && is_flat(above, below)) {
-        return None;
-    }
-    let across = view.in_image(right) - view.in_image(left);
-    let down = view.in_image(below) - view.in_image(above);
-    let normal = down.cross(across).try_normalize()?;
-    let p = view.in_image(pixel);
-    let cosine = normal.dot(p) / p.length();
-    let normal = if cosine > 0.0 { -normal } else { normal };
-    (cosine.abs() > LEAST_COSINE).then_some((p, normal, cosine.abs()))
-}
-
-/// Surfels with their neighbours.
-pub(crate) struct Surface {
-    pub surfels: Vec<Surfel>,
-    /// Where the neighbours of each surfel start in `neighbours`; one more than there are surfels.
-    first: Vec<u32>,
-    neighbours: Vec<u32>,
-    tree: RTree<GeomWithData<[f64; 3], u32>>,
-}
-
-impl Surface {
-    pub fn new(surfels: Vec<Surfel>) -> Self {
-        let points = surfels.iter().zip(0..).map(|(s, i)| GeomWithData::new(s.at.to_array(), i)).collect();
-        let tree = RTree::bulk_load(points);
-        let lists = surfels.par_iter().map(|s| beside(&tree, &surfels, s)).collect();
-        Self::of(surfels, tree, lists)
-    }
-
-    /// Surfels whose neighbours are known.
-    pub fn with_neighbours(surfels: Vec<Surfel>, lists: Vec<Vec<u32>>) -> Self {
-        Self::of(surfels, RTree::new(), lists)
-    }
-
-    fn of(surfels: Vec<Surfel>, tree: RTree<GeomWithData<[f64; 3], u32>>, lists: Vec<Vec<u32>>) -> Self {
-        let mut first = vec![0];
-        first.extend(lists.iter().scan(0, |sum, list| {
-            *sum += list.len() as u32;
-            Some(*sum)
-        }));
-        Self { surfels, first, neighbours: lists.concat(), tree }
-    }
-
-    /// Numbers of the surfels around a surfel, itself among them.
-    pub fn neighbours(&self, surfel: usize) -> &[u32] {
-        &self.neighbours[self.first[surfel] as usize..self.first[surfel + 1] as usize]
-    }
-
-    /// Numbers of the surfels within a distance of a point.
-    pub fn near(&self, p: DVec3, distance: f64) -> impl Iterator<Item = u32> + '_ {
-        self.tree.locate_within_distance(p.to_array(), distance * distance).map(|found| found.data)
-    }
-}
-
-fn beside(tree: &RTree<GeomWithData<[f64; 3], u32>>, surfels: &[Surfel], s: &Surfel) -> Vec<u32> {
-    let reach = (REACH * s.size).powi(2);
-    let near = tree.locate_within_distance(s.at.to_array(), reach).map(|found| found.data);
-    let mut list: Vec<u32> = near.filter(|i| surfels[*i as usize].normal.dot(s.normal) > LEAST_ALIKE).collect();
-    list.sort_unstable();
-    list
 }
