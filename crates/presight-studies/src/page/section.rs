@@ -1,17 +1,32 @@
-//! A study as one self-contained HTML file: styles, charts and pictures are embedded.
+//! Pages of sections: texts, tables, charts and pictures.
 
-use super::chart::PALETTE;
+use super::document::document;
+use super::strip::Strip;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
-use maud::{DOCTYPE, Markup, PreEscaped, html};
+use maud::{Markup, PreEscaped, html};
+
+/// Number of sections up to which a page starts with links to them.
+const MAX_LINKS: usize = 20;
 
 /// A section of a page.
 #[derive(Clone, Debug, Default)]
 pub struct Section {
     /// The heading.
     pub title: String,
+    /// A coloured label before the heading.
+    pub label: Option<Label>,
     /// The contents, in order.
     pub parts: Vec<Part>,
+}
+
+/// A coloured label.
+#[derive(Clone, Copy, Debug)]
+pub struct Label {
+    /// One or two words.
+    pub text: &'static str,
+    /// A CSS colour.
+    pub color: &'static str,
 }
 
 /// A part of a section. Texts are escaped, SVG is inserted unchanged.
@@ -27,12 +42,35 @@ pub enum Part {
     Table(Table),
     /// A chart.
     Chart {
-        /// An `<svg>` element, as from [`super::chart::Chart::svg`].
+        /// An `<svg>` element, as from `chart::Chart::svg`.
         svg: String,
         /// The text below the chart.
         caption: String,
     },
-    /// A picture.
+    /// A strip chart.
+    Strip {
+        /// The values.
+        strip: Strip,
+        /// The text below the chart.
+        caption: String,
+    },
+    /// Lines of text that are shown on request.
+    Details {
+        /// The text that is always shown.
+        summary: String,
+        /// The lines.
+        text: String,
+    },
+    /// A picture in a file beside the page.
+    Image {
+        /// Path relative to the page.
+        file: String,
+        /// What the picture shows.
+        alt: &'static str,
+        /// The text below the picture.
+        caption: String,
+    },
+    /// An embedded picture.
     Picture {
         /// The bytes of a PNG file.
         png: Vec<u8>,
@@ -54,39 +92,32 @@ pub struct Table {
     pub marked: Vec<usize>,
 }
 
-/// Makes a page without external references. `lead` is the paragraph below the title.
+/// Makes a page that refers only to files of [`Part::Image`]. `lead` is the paragraph below the title.
 ///
 /// ```
 /// use presight_studies::page::{Part, Section, page};
-/// let section = Section { title: "Times".into(), parts: vec![Part::Text("a < b".into())] };
+/// let section = Section { title: "Times".into(), parts: vec![Part::Text("a < b".into())], label: None };
 /// let html = page("Study", "Costs of predictions.", &[section]);
 /// assert!(html.contains("a &lt; b") && !html.contains("src=\"http"));
 /// ```
 pub fn page(title: &str, lead: &str, sections: &[Section]) -> String {
-    html! {
-        (DOCTYPE)
-        html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                meta name="color-scheme" content="light dark";
-                title { (title) }
-                style { (PreEscaped(style())) }
-            }
-            body {
-                header { h1 { (title) } p.lead { (lead) } }
-                @if sections.len() > 2 {
-                    nav { @for (i, s) in sections.iter().enumerate() { a href=(format!("#s{i}")) { (s.title) } " " } }
-                }
-                main {
-                    @for (i, s) in sections.iter().enumerate() {
-                        section id=(format!("s{i}")) { h2 { (s.title) } @for p in &s.parts { (part(p)) } }
+    let body = html! {
+        @if (3..=MAX_LINKS).contains(&sections.len()) {
+            nav { @for (i, s) in sections.iter().enumerate() { a href=(format!("#s{i}")) { (s.title) } " " } }
+        }
+        main {
+            @for (i, s) in sections.iter().enumerate() {
+                section id=(format!("s{i}")) {
+                    h2 {
+                        @if let Some(label) = s.label { b.label style=(format!("background:{}", label.color)) { (label.text) } " " }
+                        (s.title)
                     }
+                    @for p in &s.parts { (part(p)) }
                 }
             }
         }
-    }
-    .into_string()
+    };
+    document(title, lead, "", &body)
 }
 
 fn part(part: &Part) -> Markup {
@@ -97,6 +128,9 @@ fn part(part: &Part) -> Markup {
             Part::Heading(text) => h3 { (text) },
             Part::Table(t) => (table(t)),
             Part::Chart { svg, caption } => figure { (PreEscaped(svg)) figcaption { (caption) } },
+            Part::Strip { strip, caption } => figure { (strip.svg(&html! {})) figcaption { (caption) } },
+            Part::Details { summary, text } => details { summary { (summary) } pre { (text) } },
+            Part::Image { file, alt, caption } => figure.picture { img alt=(alt) src=(file); figcaption { (caption) } },
             Part::Picture { png, caption } => figure.picture {
                 img alt=(caption) src=(format!("data:image/png;base64,{}", STANDARD.encode(png)));
                 figcaption { (caption) }
@@ -135,26 +169,6 @@ fn is_number(cell: &str) -> bool {
     matches!(first, "-" | "none") || first.parse::<f64>().is_ok()
 }
 
-/// The style sheet. Its colour variables have values for light screens and print, and for dark screens.
-pub(crate) fn style() -> String {
-    let series = |dark: bool| {
-        let one = |(i, (light, night)): (usize, &(&str, &str))| format!("--s{i}:{};", if dark { night } else { light });
-        PALETTE.iter().enumerate().map(one).collect::<String>()
-    };
-    let light = format!(
-        "--paper:#fff;--ink:#1b1f24;--quiet:#57606a;--faint:#d8dee4;--tint:#f3f6f9;--advice:#e6f2fb;{}",
-        series(false)
-    );
-    let dark = format!(
-        "--paper:#0f1318;--ink:#e6edf3;--quiet:#9aa7b4;--faint:#2c343d;--tint:#171d24;--advice:#12283a;{}",
-        series(true)
-    );
-    format!(
-        ":root{{{light}}}\n@media screen and (prefers-color-scheme:dark){{:root{{{dark}}}}}\n{}",
-        include_str!("page.css")
-    )
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -169,10 +183,13 @@ mod tests {
         };
         let parts = vec![
             Part::Table(table),
+            Part::Strip { strip, caption } => figure { (strip.svg(&html! {})) figcaption { (caption) } },
+            Part::Details { summary, text } => details { summary { (summary) } pre { (text) } },
+            Part::Image { file, alt, caption } => figure.picture { img alt=(alt) src=(file); figcaption { (caption) } },
             Part::Picture { png: vec![1, 2, 3], caption: "\" onload=\"x".into() },
             Part::Chart { svg: "<svg></svg>".into(), caption: "d".into() },
         ];
-        let html = page("t", "l", &[Section { title: "s".into(), parts }]);
+        let html = page("t", "l", &[Section { title: "s".into(), parts, label: None }]);
         assert!(!html.contains("<script") && html.contains("&lt;script&gt;"));
         assert!(html.contains("data:image/png;base64,AQID") && !html.contains("\" onload=\"x"));
         assert!(html.contains("<tr class=\"marked\">") && html.contains("<td class=\"n\">1.5</td>"));

@@ -1,7 +1,8 @@
 //! A drive as a page to browse: an image for each frame, with the estimated pose, its uncertainty and the state.
 
-use super::page::style;
-use maud::{DOCTYPE, Markup, PreEscaped, html};
+use super::document::document;
+use super::strip::Strip;
+use maud::{Markup, PreEscaped, html};
 use serde::Serialize;
 
 /// The page's data of one frame.
@@ -43,13 +44,11 @@ pub struct Leaf {
 const STATES: [(&str, &str); 4] = [("tracking", "--s2"), ("candidates", "--s3"), ("lost", "--s1"), ("unknown", "--s7")];
 /// Side of the plan, pixels.
 const SIDE: f64 = 420.0;
-/// Height of a strip chart, pixels.
-const STRIP: f64 = 90.0;
 
 /// Makes a page that refers only to the images. `lead` is the paragraph below the title.
 ///
 /// ```
-/// use presight_studies::replay::{Leaf, page};
+/// use presight_studies::page::replay::{Leaf, page};
 /// let leaf = |k: u32| Leaf { picture: format!("{k}.png"), state: "tracking", time: k.into(), ..Leaf::default() };
 /// let html = page("Drive", "Two frames.", &[leaf(0), leaf(1)]);
 /// assert!(html.contains("src=\"0.png\"") && !html.contains("http"));
@@ -58,62 +57,42 @@ pub fn page(title: &str, lead: &str, leaves: &[Leaf]) -> String {
     // Escape `<`: a text such as `</script>` in the data would end the script element.
     let data = serde_json::to_string(leaves).unwrap_or_else(|_| "[]".into()).replace('<', "\\u003c");
     let first = leaves.first().map(|leaf| leaf.picture.as_str()).unwrap_or_default();
-    html! {
-        (DOCTYPE)
-        html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                meta name="color-scheme" content="light dark";
-                title { (title) }
-                style { (PreEscaped(style())) (PreEscaped(include_str!("replay.css"))) }
-            }
-            body {
-                header { h1 { (title) } p.lead { (lead) } }
-                main {
-                    div.beside {
-                        figure { (plan(leaves)) figcaption { "From above, x to the right, y up: the estimate; dashed: the log's own poses." } }
-                        div.told { dl id="told" {} }
-                    }
-                    (strips(leaves))
-                    div.controls {
-                        button id="before" aria-label="previous frame" { "◀" }
-                        input id="frame" type="range" min="0" max=(leaves.len().saturating_sub(1)) value="0" aria-label="frame";
-                        button id="after" aria-label="next frame" { "▶" }
-                        button id="play" { "play" }
-                    }
-                    figure.picture { img id="picture" src=(first) alt="predicted, measured and verdicts"; }
-                    noscript { p { "Without JavaScript the page shows only the first frame; all images are in its folder." } }
+    let body = html! {
+        main {
+            div.beside {
+                figure {
+                    (plan(leaves))
+                    figcaption { "From above, x to the right, y up: the estimate; dashed: the log's own poses." }
                 }
-                script id="leaves" type="application/json" { (PreEscaped(data)) }
-                script { (PreEscaped(include_str!("replay.js"))) }
+                div.told { dl id="told" {} }
             }
+            (strips(leaves))
+            div.controls {
+                button id="before" aria-label="previous frame" { "◀" }
+                input id="frame" type="range" min="0" max=(leaves.len().saturating_sub(1)) value="0" aria-label="frame";
+                button id="after" aria-label="next frame" { "▶" }
+                button id="play" { "play" }
+            }
+            figure.picture { img id="picture" src=(first) alt="predicted, measured and verdicts"; }
+            noscript { p { "Without JavaScript the page shows only the first frame; all images are in its folder." } }
         }
-    }
-    .into_string()
-}
-
-/// A strip chart: a curve of a value by frame.
-struct Strip<'a> {
-    name: &'a str,
-    values: Vec<Option<f64>>,
-    /// The expected value, drawn as a dashed line.
-    expected: Option<f64>,
-    logarithmic: bool,
+        script id="leaves" type="application/json" { (PreEscaped(data)) }
+        script { (PreEscaped(include_str!("replay.js"))) }
+    };
+    document(title, lead, include_str!("replay.css"), &body)
 }
 
 fn strips(leaves: &[Leaf]) -> Markup {
-    let of = |value: fn(&Leaf) -> Option<f64>| leaves.iter().map(value).collect::<Vec<_>>();
+    let strip = |name: &str, value: fn(&Leaf) -> Option<f64>| Strip {
+        name: name.into(),
+        values: leaves.iter().map(value).collect(),
+        ..Strip::default()
+    };
     let all = [
-        Strip { name: "explained fraction", values: of(|l| Some(l.explained)), expected: None, logarithmic: false },
-        Strip {
-            name: "surfaces of the map count as off by, m",
-            values: of(|l| Some(l.model_sigma)),
-            expected: None,
-            logarithmic: false,
-        },
-        Strip { name: "position error, m", values: of(|l| l.off.map(|o| o.0)), expected: None, logarithmic: false },
-        Strip { name: "NEES per degree of freedom", values: of(|l| l.nees), expected: Some(1.0), logarithmic: true },
+        strip("explained fraction", |l| Some(l.explained)),
+        strip("surfaces of the map count as off by, m", |l| Some(l.model_sigma)),
+        strip("position error, m", |l| l.off.map(|o| o.0)),
+        Strip { levels: vec![1.0], logarithmic: true, ..strip("NEES per degree of freedom", |l| l.nees) },
     ];
     html! {
         figure {
@@ -121,22 +100,16 @@ fn strips(leaves: &[Leaf]) -> Markup {
             figcaption.key { @for (name, color) in STATES { span { i style=(format!("background:var({color})")) {} (name) } } }
         }
         @for strip in all.iter().filter(|s| s.values.iter().any(Option::is_some)) {
-            figure { (curve(strip)) figcaption { (strip.name) (range(strip)) } }
+            figure { (strip.svg(&now(Strip::height()))) figcaption { (strip.name) (range(strip)) } }
         }
     }
 }
 
-fn range(strip: &Strip<'_>) -> String {
-    let known = || strip.values.iter().flatten().copied().filter(|v| v.is_finite());
-    let (least, most) = (known().fold(f64::INFINITY, f64::min), known().fold(f64::NEG_INFINITY, f64::max));
+fn range(strip: &Strip) -> String {
+    let [min, max] = strip.range();
     let scale = if strip.logarithmic { ", logarithmic" } else { "" };
-    let expected = strip.expected.map(|e| format!(", {e} expected (dashed)")).unwrap_or_default();
-    format!(": {least:.3} to {most:.3}{scale}{expected}")
-}
-
-/// The x coordinate of a frame in a strip, from 0 to 1000.
-fn across(k: usize, count: usize) -> f64 {
-    1000.0 * (k as f64 + 0.5) / count.max(1) as f64
+    let expected: String = strip.levels.iter().map(|e| format!(", {e} expected (dashed)")).collect();
+    format!(": {min:.3} to {max:.3}{scale}{expected}")
 }
 
 fn states(leaves: &[Leaf]) -> Markup {
@@ -156,27 +129,6 @@ fn states(leaves: &[Leaf]) -> Markup {
 /// The cursor at the current frame, which the script moves.
 fn now(height: f64) -> Markup {
     html! { line.now x1="0" x2="0" y1="0" y2=(height) {} }
-}
-
-fn curve(strip: &Strip<'_>) -> Markup {
-    let place = |v: f64| if strip.logarithmic { v.max(1e-3).log10() } else { v };
-    let known = || strip.values.iter().flatten().copied().chain(strip.expected).filter(|v| v.is_finite()).map(place);
-    let (least, most) = (known().fold(f64::INFINITY, f64::min), known().fold(f64::NEG_INFINITY, f64::max));
-    let height = |v: f64| STRIP - 4.0 - (STRIP - 8.0) * (place(v) - least) / (most - least).max(1e-9);
-    let count = strip.values.len();
-    // The curve breaks at frames without a value.
-    let numbered: Vec<(usize, Option<f64>)> = strip.values.iter().copied().enumerate().collect();
-    let lines = numbered.split(|(_, v)| !v.is_some_and(f64::is_finite)).filter(|s| !s.is_empty()).map(|stretch| {
-        let at = |(k, v): &(usize, Option<f64>)| format!("{:.2},{:.2}", across(*k, count), height(v.unwrap_or(0.0)));
-        stretch.iter().map(at).collect::<Vec<_>>().join(" ")
-    });
-    html! {
-        svg.strip viewBox=(format!("0 0 1000 {STRIP}")) preserveAspectRatio="none" role="img" aria-label=(strip.name) {
-            @if let Some(e) = strip.expected { line.expected x1="0" x2="1000" y1=(height(e)) y2=(height(e)) {} }
-            @for line in lines { polyline points=(line) {} }
-            (now(STRIP))
-        }
-    }
 }
 
 /// The trajectory from above, with the same scale along both axes.
