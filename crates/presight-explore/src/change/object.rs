@@ -1,12 +1,13 @@
 //! Planes that hang together, as objects with names: floor, walls and ceiling by direction and height.
 
 use crate::geometry::Flat;
-use crate::surface::{Parts, Piece, Surfaces, mesh};
+use crate::surface::{Piece, Surfaces, mesh};
 use glam::DVec3;
 use presight_model::environment::{Environment, Mesh, NewObject};
 use presight_model::error::Result;
 use presight_model::geometry::{Aabb, InObject, Pose, PoseCovariance};
 use presight_model::matrix::{Matrix, inverse};
+use presight_model::union_find::UnionFind;
 use std::collections::BTreeMap;
 
 /// Least cosine between the normal and the vertical, of floors and ceilings (10 degrees).
@@ -102,7 +103,7 @@ impl Surfaces {
 
     /// The lowest plane of the group of each plane.
     fn groups(&self, kinds: &[Kind]) -> Vec<u32> {
-        let mut parts = Parts::new(self.planes.len());
+        let mut parts = UnionFind::new(self.planes.len());
         for [a, b] in &self.beside {
             let (i, j) = (*a as usize, *b as usize);
             let parallel = self.planes[i].normal.dot(self.planes[j].normal) > PARALLEL;
@@ -110,7 +111,7 @@ impl Surfaces {
                 parts.join(*a, *b);
             }
         }
-        parts.roots()
+        parts.into_roots()
     }
 
     fn object(&self, path: String, planes: &[u32]) -> Result<ExploredObject> {

@@ -15,4 +15,4 @@ pub(crate) use found::Surfaces;
 pub use options::ExploreOptions;
 pub use outline::Areas;
 pub(crate) use outline::Piece;
-pub(crate) use solid::{Parts, mesh, visit_world};
+pub(crate) use solid::{mesh, visit_world};

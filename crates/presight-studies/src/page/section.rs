@@ -128,7 +128,7 @@ fn part(part: &Part) -> Markup {
             Part::Heading(text) => h3 { (text) },
             Part::Table(t) => (table(t)),
             Part::Chart { svg, caption } => figure { (PreEscaped(svg)) figcaption { (caption) } },
-            Part::Strip { strip, caption } => figure { (strip.svg(&html! {})) figcaption { (caption) } },
+            Part::Strip { strip, caption } => figure { (strip.svg(&PreEscaped(String::new()))) figcaption { (caption) } },
             Part::Details { summary, text } => details { summary { (summary) } pre { (text) } },
             Part::Image { file, alt, caption } => figure.picture { img alt=(alt) src=(file); figcaption { (caption) } },
             Part::Picture { png, caption } => figure.picture {
@@ -183,9 +183,8 @@ mod tests {
         };
         let parts = vec![
             Part::Table(table),
-            Part::Strip { strip, caption } => figure { (strip.svg(&html! {})) figcaption { (caption) } },
-            Part::Details { summary, text } => details { summary { (summary) } pre { (text) } },
-            Part::Image { file, alt, caption } => figure.picture { img alt=(alt) src=(file); figcaption { (caption) } },
+            Part::Details { summary: "all".into(), text: "<b>".into() },
+            Part::Image { file: "1.png".into(), alt: "a", caption: "b".into() },
             Part::Picture { png: vec![1, 2, 3], caption: "\" onload=\"x".into() },
             Part::Chart { svg: "<svg></svg>".into(), caption: "d".into() },
         ];
@@ -193,6 +192,7 @@ mod tests {
         assert!(!html.contains("<script") && html.contains("&lt;script&gt;"));
         assert!(html.contains("data:image/png;base64,AQID") && !html.contains("\" onload=\"x"));
         assert!(html.contains("<tr class=\"marked\">") && html.contains("<td class=\"n\">1.5</td>"));
+        assert!(html.contains("<summary>all</summary><pre>&lt;b&gt;</pre>") && html.contains("src=\"1.png\""));
         assert!(html.contains("<svg></svg>") && !html.contains("http"));
         assert!(html.contains("prefers-color-scheme:dark") && html.contains("@media print"));
     }
