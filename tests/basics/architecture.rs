@@ -33,7 +33,7 @@ const FOREIGN: [(&[&str], &[&str], Option<&str>); 7] = [
     (&["exr"], &["presight-files", "presight-read"], None),
     (&["gltf", "rhai", "serde-saphyr", "toml"], &["presight-read"], None),
     (&["rusqlite", "twox-hash"], &["presight-store"], None),
-    (&["image"], &["presight-pictures", "presight-read"], None),
+    (&["image", "png"], &["presight-pictures", "presight-read"], None),
     (&["hyper", "tokio"], &["presight-editor"], Some("http")),
 ];
 
