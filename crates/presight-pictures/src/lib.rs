@@ -30,7 +30,6 @@ use presight_model::measured::GreyImage;
 use presight_model::sensor::{Geometry, Sensor};
 use presight_predict::virtual_sensors::Mask;
 use presight_read::atomic::write_atomically;
-use presight_read::atomic::write_atomically;
 use presight_render::plan::{Images, Output, Outputs};
 pub use scale::Scale;
 pub use screen::Screen;
