@@ -1,13 +1,11 @@
 //! PCD (R. B. Rusu, Point Cloud Library).
 
 use super::records::{Encoding, Number, Records};
-use super::{Cloud, header, whole};
-use crate::point_fields::in_words;
+use super::{Cloud, POINTS_IN_WORLD, header, whole};
 use glam::{DQuat, DVec3};
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::geometry::Pose;
 use presight_model::printable::quoted;
-use presight_render::points::PointsFrame;
 
 /// Most numbers of one point.
 const MAX_NUMBERS: usize = 1 << 12;
@@ -19,7 +17,7 @@ pub fn parse(bytes: &[u8]) -> Result<Cloud> {
     let (mut viewpoint, mut encoding, mut in_world) = (None, Encoding::Text, false);
     for (i, line) in lines.iter().enumerate() {
         let at = |e: Error| e.at(format!("line {}", i + 1));
-        in_world |= line.starts_with('#') && line.ends_with(in_words(PointsFrame::World));
+        in_world |= line.starts_with('#') && line.ends_with(POINTS_IN_WORLD);
         let words: Vec<&str> = line.split_whitespace().collect();
         let Some((key, values)) = words.split_first() else { continue };
         let one = || values.first().copied().unwrap_or_default();

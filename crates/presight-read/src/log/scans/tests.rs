@@ -1,5 +1,6 @@
 use super::*;
-use presight_render::plan::{Images, Output, Outputs};
+use presight::files::{ExrAttributes, write_exr};
+use presight::{Images, Output, Outputs};
 
 /// An image of ranges has its own sensor, pose and time.
 #[test]
@@ -11,8 +12,8 @@ fn images_of_ranges_are_frames() {
         images.prepare(361, 1, Outputs::of(outputs));
         images.range.fill(2.5);
         let world_from_sensor = Some(Pose::from_xyz_rpy(DVec3::X, 0.0, 0.0, 0.5));
-        let attributes = exr::Attributes { sensor, world_from_sensor, ..Default::default() };
-        exr::write(&folder.path().join(name), &images, Outputs::ALL, &attributes).unwrap();
+        let attributes = ExrAttributes { sensor, world_from_sensor, ..Default::default() };
+        write_exr(&folder.path().join(name), &images, Outputs::ALL, &attributes).unwrap();
     };
     let text = || Some(sensor_toml::to_string(sensor.spec()));
     write("10.exr", &[Output::Range], text());

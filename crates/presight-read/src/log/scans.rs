@@ -16,6 +16,7 @@
 mod tests;
 
 use super::{Observation, check_time};
+use crate::exr::KnownChannel;
 use crate::text::{check_json_memory, from_text};
 use crate::{cloud, exr, sensor_toml};
 use glam::{DQuat, DVec3};
@@ -83,25 +84,28 @@ impl Scans {
     }
 
     fn of_image(&self, time: f64, path: &Path) -> Result<(Frame, Option<Pose>)> {
-        let file = exr::read(path)?;
-        let own = file.attributes.sensor.as_deref();
-        let own =
-            own.map(|text| sensor_toml::parse(text, &stem(path), path.parent()).and_then(Sensor::new)).transpose()?;
+        let channel = |name: &str| KnownChannel { name: name.to_owned(), is_id: false };
+        let mut file = exr::read(path, &[channel("range"), channel("depth_z")])?;
+        let text_of = |name: &str| file.texts.iter().find(|(of, _)| of == name).map(|(_, text)| text);
+        let own = text_of("sensor")
+            .map(|text| sensor_toml::parse(text, &stem(path), path.parent()).and_then(Sensor::new))
+            .transpose()?;
+        let world_from_sensor = text_of("world_from_sensor").map(|text| exr::pose_from_text(text)).transpose();
+        let world_from_sensor = world_from_sensor.map_err(|e| e.at(exr::attribute("world_from_sensor")))?;
         let Some(sensor) = self.sensor.clone().or(own) else {
             return Err(Error::invalid("it does not say which sensor measured it", "give the sensor"));
         };
         let (width, height) = (sensor.width(), sensor.height());
-        if (file.images.width, file.images.height) != (width, height) {
-            let what =
-                format!("{} x {} pixels, but the sensor has {width} x {height}", file.images.width, file.images.height);
+        if (file.width, file.height) != (width, height) {
+            let what = format!("{} x {} pixels, but the sensor has {width} x {height}", file.width, file.height);
             return Err(Error::invalid(what, "give the sensor that measured"));
         }
-        let sensed = match (file.images.range.is_empty(), file.images.depth_z.is_empty()) {
-            (false, _) => Measurement::Range(file.images.range),
-            (true, false) => Measurement::DepthZ(file.images.depth_z),
+        let measurement = match (file.take_floats("range"), file.take_floats("depth_z")) {
+            (Some(range), _) => Measurement::Range(range),
+            (None, Some(depth_z)) => Measurement::DepthZ(depth_z),
             _ => return Err(Error::invalid("it has no range image", "give one with the channel range or depth_z")),
         };
-        Ok((Frame::new(time, sensor, sensed)?, file.attributes.world_from_sensor))
+        Ok((Frame::new(time, sensor, measurement)?, world_from_sensor))
     }
 }
 

@@ -70,35 +70,6 @@ fn organized_clouds_keep_their_pixels() {
     assert!(cloud.points[2].is_nan() && cloud.points[3] == DVec3::new(2.0, 0.0, 1.0));
 }
 
-/// Clouds that presight wrote are read back, in both frames.
-#[test]
-fn written_clouds_are_read_again() {
-    use super::super::point_fields::tests::camera_view;
-    use presight_render::points::{PointCloud, PointsFrame};
-    let (sensor, images) = camera_view();
-    let pose = Pose::from_xyz_rpy(DVec3::new(10.0, 20.0, 3.0), 0.1, 0.2, 0.3);
-    let folder = tempfile::tempdir().unwrap();
-    let (ply, pcd) = (folder.path().join("a.ply"), folder.path().join("a.pcd"));
-    let truth = PointCloud::new(&images, &sensor, &pose, PointsFrame::Sensor).unwrap();
-    for frame in [PointsFrame::Sensor, PointsFrame::World] {
-        let cloud = PointCloud::new(&images, &sensor, &pose, frame).unwrap();
-        super::super::ply::write(&ply, &cloud).unwrap();
-        super::super::pcd::write(&pcd, &cloud).unwrap();
-        let there = read(&ply).unwrap();
-        let seen = truth.positions().iter().filter(|p| !p.is_nan());
-        assert!(there.points.iter().zip(seen).all(|(a, b)| a.distance(*b) < 1e-6));
-        assert_eq!((there.points.len(), there.world_from_sensor), (4, Some(pose)));
-        let organized = read(&pcd);
-        if frame == PointsFrame::World {
-            assert!(organized.unwrap_err().to_string().contains("in the world"));
-            continue;
-        }
-        let organized = organized.unwrap();
-        assert_eq!((organized.size, organized.world_from_sensor), (Some((3, 2)), Some(pose)));
-        assert!(organized.points[3].is_nan() && organized.points[1].distance(DVec3::new(2.0, 0.0, 0.0)) < 1e-6);
-    }
-}
-
 #[test]
 fn what_is_wrong_is_named() {
     let ply = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n1 2 3\n";

@@ -9,7 +9,7 @@ use std::io::{BufRead, Read};
 use std::path::Path;
 
 /// The only format version that this build reads.
-pub(crate) const FORMAT: i64 = 1;
+pub const FORMAT: i64 = 1;
 
 /// Checks the name of a new object: one or more path segments.
 ///
@@ -49,12 +49,12 @@ pub fn check_json_memory(text: &str) -> Result<()> {
 }
 
 /// Reads and parses a text file; all errors name it.
-pub(crate) fn from_text<T>(path: &Path, parse: impl FnOnce(&str) -> Result<T>) -> Result<T> {
+pub fn from_text<T>(path: &Path, parse: impl FnOnce(&str) -> Result<T>) -> Result<T> {
     read_text(path).and_then(|text| parse(&text)).map_err(|e| e.in_file(path))
 }
 
 /// As `from_text`, with the lower size limit of settings files.
-pub(crate) fn from_settings<T>(path: &Path, parse: impl FnOnce(&str) -> Result<T>) -> Result<T> {
+pub fn from_settings<T>(path: &Path, parse: impl FnOnce(&str) -> Result<T>) -> Result<T> {
     read_settings(path).and_then(|text| parse(&text)).map_err(|e| e.in_file(path))
 }
 

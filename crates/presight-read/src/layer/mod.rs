@@ -38,7 +38,7 @@
 //! | `remove` | `true`: drops the feature with this id of layers read before; other keys must be absent |
 //!
 //! Absent covariances are zero. `tolerance` (metres, default 0.001) is the greatest distance of a feature in this file
-//! from the polygons it lies on; they are found by geometry when the layer is used ([`presight_features::place`]).
+//! from the polygons it lies on; they are found by geometry when the layer is used (`presight_features::place`).
 //! `pose_covariances` are 6 x 6, row-major: x y z, then rotation about the fixed axes x y z, in the object's frame. A
 //! `$schema` key is allowed for editors; it should point to [`schema`].
 

@@ -22,6 +22,9 @@ use presight_model::geometry::Pose;
 use presight_model::limits;
 use std::path::Path;
 
+/// What presight's PLY and PCD files say in a comment of points in the world.
+pub const POINTS_IN_WORLD: &str = "world: z up; metres";
+
 /// The points of one scan.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Cloud {

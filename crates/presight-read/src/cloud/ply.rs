@@ -1,12 +1,10 @@
 //! PLY (G. Turk, 1994).
 
 use super::records::{Encoding, Number, Records};
-use super::{Cloud, header, whole};
-use crate::point_fields::in_words;
+use super::{Cloud, POINTS_IN_WORLD, header, whole};
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::geometry::Pose;
 use presight_model::printable::quoted;
-use presight_render::points::PointsFrame;
 
 pub fn parse(bytes: &[u8]) -> Result<Cloud> {
     if !bytes.starts_with(b"ply") {
@@ -23,7 +21,7 @@ pub fn parse(bytes: &[u8]) -> Result<Cloud> {
             ["comment", "world_from_sensor", _, numbers] => {
                 pose = Some(crate::exr::pose_from_text(numbers).map_err(at)?);
             }
-            ["comment", ..] => in_world |= line.ends_with(in_words(PointsFrame::World)),
+            ["comment", ..] => in_world |= line.ends_with(POINTS_IN_WORLD),
             ["element", name, count] => {
                 elements += 1;
                 if elements == 1 && name != "vertex" {
