@@ -14,6 +14,7 @@ pub mod layer;
 mod load;
 pub mod log;
 pub mod materials;
+mod picture;
 pub mod pose_covariance;
 pub mod preparation;
 pub mod robot_toml;

@@ -13,13 +13,11 @@
 //! A line of `odometry.txt` has the same form: the robot's pose in body axes (x ahead, z up) by its odometry, in any frame that
 //! stays. The motion between two images comes from the poses at their times, on a straight line between two entries.
 
-mod png_image;
-
 use super::file;
 use super::text::from_text;
+use crate::picture::Picture;
 use crate::tum::StampedPose;
 use glam::{DQuat, DVec3};
-use png_image::PngImage;
 use presight_model::error::{Error, Result};
 use presight_model::geometry::Pose;
 use presight_model::measured::{Frame, GreyImage, Measurement};
@@ -158,18 +156,18 @@ impl DepthFolder {
     }
 
     fn frame(&self, path: &Path) -> Result<Frame> {
-        let remedy = if self.is_grey { "give a grey PNG" } else { "give a 16-bit grey PNG, depth in whole units" };
-        let wrong = |what: String| Error::invalid(what, remedy);
         let file = BufReader::new(file::open(path)?);
         let size = (self.sensor.width(), self.sensor.height());
-        let image = PngImage::read(file, size).map_err(wrong)?;
+        let picture = Picture::read(file, |(w, h)| {
+            let what = || format!("{w} x {h} pixels; the camera has {} x {}", size.0, size.1);
+            if (w, h) == size { Ok(()) } else { Err(Error::invalid(what(), "give images of this camera")) }
+        })?;
         let sensed = if self.is_grey {
-            Measurement::Grey(GreyImage::new(size.0, size.1, image.luminances())?)
+            Measurement::Grey(GreyImage::new(size.0, size.1, picture.into_luminances()?)?)
         } else {
-            let samples = image.grey16().ok_or_else(|| wrong("this is not a 16-bit grey image".into()))?;
             // Cameras and exporters write the largest number where they have no depth, or one that does not fit.
-            let metres = |v: &u16| if *v == u16::MAX { f32::NAN } else { (f64::from(*v) * self.unit) as f32 };
-            Measurement::DepthZ(samples.iter().map(metres).collect())
+            let metres = |v: u16| if v == u16::MAX { f32::NAN } else { (f64::from(v) * self.unit) as f32 };
+            Measurement::DepthZ(picture.into_grey16()?.into_iter().map(metres).collect())
         };
         Frame::new(self.stamp(path), self.sensor.clone(), sensed)
     }

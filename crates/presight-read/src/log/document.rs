@@ -183,7 +183,7 @@ fn azimuths(least: f64, greatest: f64, beams: u32, counter_clockwise: bool) -> A
 
 /// Converts an angle from radians to degrees. Drivers store angles as f32: the nearest f32 to a round number of degrees
 /// becomes that number.
-fn round_degrees(radians: f64) -> f64 {
+pub(super) fn round_degrees(radians: f64) -> f64 {
     let degrees = radians.to_degrees();
     let round = (degrees * 1e4).round() / 1e4;
     if round.to_radians() as f32 == radians as f32 { round } else { degrees }

@@ -116,7 +116,7 @@ fn read_field(cursor: &mut Cursor<'_>) -> Result<PointField> {
     })
 }
 
-impl PointCloud2<'_> {
+impl<'a> PointCloud2<'a> {
     /// The points of the cloud.
     pub fn len(&self) -> usize {
         self.height as usize * self.width as usize
@@ -132,7 +132,7 @@ impl PointCloud2<'_> {
     /// # Errors
     /// [`presight_model::ErrorKind::Invalid`] if the field has an unknown data type or reaches beyond the point, or if the
     /// steps do not fit the data.
-    pub fn values(&self, name: &str) -> Result<Option<impl Iterator<Item = f64>>> {
+    pub fn values<'s>(&'s self, name: &str) -> Result<Option<impl Iterator<Item = f64> + use<'s, 'a>>> {
         let Some(field) = self.fields.iter().find(|f| f.name == name) else { return Ok(None) };
         let invalid =
             |what: String| Error::invalid(what, "the driver must describe its points; record the topic again");
