@@ -34,10 +34,13 @@ pub use presight_read::layer::{
     to_fields as layer_fields, to_string as layer_to_string, write as write_layer,
     write_with_lost as write_layer_with_lost,
 };
+#[cfg(feature = "ros")]
+#[doc(inline)]
+pub use presight_read::log::bag::BagReport;
 #[doc(inline)]
 pub use presight_read::log::lines::{header as range_log_header, line as range_log_line};
 #[doc(inline)]
-pub use presight_read::log::{Frames as LogFrames, LogFrame, Observation, Readings, read_frame};
+pub use presight_read::log::{BagOptions, Frames as LogFrames, LogFrame, Observation, Readings, read_frame};
 #[doc(inline)]
 pub use presight_read::pose_covariance::{file as pose_covariance_file, parse as parse_pose_covariance};
 #[doc(inline)]

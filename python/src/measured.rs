@@ -121,7 +121,7 @@ impl Frame {
 pub struct Log {
     sensor: OurSensor,
     frames: Vec<Observation>,
-    notice: Option<String>,
+    notices: Vec<String>,
 }
 
 /// Memory is checked each time that frames have taken this number of bytes.
@@ -147,9 +147,9 @@ impl Log {
                 }
                 frames.push(frame);
             }
-            Ok(Self { sensor: log.sensor().clone(), frames, notice: log.notice() })
+            Ok(Self { sensor: log.sensor().clone(), frames, notices: log.notices() })
         })?;
-        warn(py, &log.notice)?;
+        warn(py, &log.notices)?;
         Ok(log)
     }
 

@@ -1,5 +1,6 @@
 //! `presight explore`: a model of an environment from what a sensor measured there.
 
+use super::bag_args::BagArgs;
 use super::outputs::{OutputFiles, check_no_dash};
 use super::pose::parse_pose;
 use super::sensor_args::SensorArgs;
@@ -58,6 +59,9 @@ pub struct Args {
 
     #[command(flatten)]
     image: SensorArgs,
+
+    #[command(flatten)]
+    bag: BagArgs,
 
     /// Use every N-th column and row
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1000))]
@@ -192,7 +196,7 @@ impl Args {
         let mut start = if init == "reference" { None } else { Some(parse_pose(init).map_err(|e| e.at("--init"))?) };
         let mut follower: Option<Follower> = None;
         for log in &self.logs {
-            for observation in LogFrames::open(log, sensor, &Default::default())? {
+            for observation in LogFrames::open_with(log, sensor, &Default::default(), &self.bag.options()?)? {
                 let Observation { frame, reference } = observation?;
                 let frame = if self.stride > 1 { frame.thinned(self.stride)? } else { frame };
                 let first = match start.or(reference) {
@@ -225,7 +229,7 @@ impl Args {
 
     /// Adds the frames of a log that have a pose.
     fn add(&self, log: &Path, sensor: Option<&Sensor>, poses: Option<&[StampedPose]>, views: &mut Views) -> Result<()> {
-        let mut frames = LogFrames::open(log, sensor, &Default::default())?;
+        let mut frames = LogFrames::open_with(log, sensor, &Default::default(), &self.bag.options()?)?;
         let is_planar = frames.has_planar_poses();
         let (mut without, mut count, mut steps) = (0, 0, Vec::new());
         let mut before: Option<(f64, Pose)> = None;
@@ -253,7 +257,8 @@ impl Args {
             let remedy = "give --poses FILE.tum with the robot's poses at the times of the frames";
             return Err(Error::invalid("no frame has a pose", remedy));
         }
-        let notices = frames.notice().map(|notice| format!("{}: {notice}", log.display()));
+        let notices = frames.notices();
+        let notices: Vec<String> = notices.iter().map(|notice| format!("{}: {notice}", log.display())).collect();
         print::notices(&notices);
         if without > 0 {
             print::notices(&[format!("{}: {without} frames without a pose are left out", log.display())]);

@@ -1,5 +1,8 @@
 //! The command line. Arguments are checked before any file is opened. Only this crate prints.
 
+#[cfg(feature = "ros")]
+mod bag;
+mod bag_args;
 mod bar;
 mod batch;
 mod compare;
@@ -55,7 +58,7 @@ mod virtual_sensor;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use presight::environment::IndexKind;
 use presight::files::ImportOptions;
-#[cfg(not(all(feature = "report", feature = "store", feature = "edit")))]
+#[cfg(not(all(feature = "report", feature = "ros", feature = "store", feature = "edit")))]
 use presight::files::not_built;
 use presight::{Result, Scene, SceneOptions};
 use std::any::TypeId;
@@ -91,6 +94,15 @@ Exit status: 0 success, 1 an invalid file or a check that found something, 2 wro
 #[derive(Debug, Subcommand)]
 enum Command {
     Predict(Box<predict::Args>),
+    #[cfg(feature = "ros")]
+    Bag(bag::Args),
+    /// Show a ROS 2 bag: not in this build
+    #[cfg(not(feature = "ros"))]
+    #[command(disable_help_flag = true)]
+    Bag {
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true, hide = true)]
+        rest: Vec<String>,
+    },
     Batch(Box<batch::Args>),
     Inspect(inspect::Args),
     Sensors(sensors::Args),
@@ -171,6 +183,8 @@ enum Command {
 fn features() -> Vec<&'static str> {
     let all = [
         ("gpu", cfg!(feature = "gpu")),
+        ("images", cfg!(feature = "images")),
+        ("ros", cfg!(feature = "ros")),
         ("script", cfg!(feature = "script")),
         ("store", cfg!(feature = "store")),
         ("report", cfg!(feature = "report")),
@@ -198,6 +212,10 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     };
     let done = match cli.command {
         Command::Predict(args) => predict::run(&args),
+        #[cfg(feature = "ros")]
+        Command::Bag(args) => bag::run(&args),
+        #[cfg(not(feature = "ros"))]
+        Command::Bag { .. } => Err(not_built("ROS 2 bags", "ros")),
         Command::Batch(args) => batch::run(&args),
         Command::Inspect(args) => inspect::run(&args),
         Command::Sensors(args) => sensors::run(&args),

@@ -7,6 +7,7 @@ mod start;
 
 pub use features::FeatureCounts;
 
+use super::bag_args::BagArgs;
 use super::outputs::OutputFiles;
 use super::resume::Resumed;
 use super::sensor_args::SensorArgs;
@@ -60,6 +61,9 @@ pub struct Drive {
 
     #[command(flatten)]
     image: SensorArgs,
+
+    #[command(flatten)]
+    bag: BagArgs,
 
     /// Options of the estimate: of a level scanner of one row on a level floor, of a sensor in any pose, or of scans of
     /// points all round [default: by the sensor]
@@ -193,7 +197,8 @@ impl Drive {
         files.check_named(self.robot.iter().map(|(log, _)| log.as_path()))?;
         let mut log = self.opened()?;
         let followed = self.follow_log(&mut log, files, resumed, visit);
-        print::notices(&log.notice().map(|notice| format!("{}: {notice}", self.log.display())));
+        let notices = log.notices();
+        print::notices(&notices.iter().map(|notice| format!("{}: {notice}", self.log.display())).collect::<Vec<_>>());
         followed
     }
 
@@ -217,7 +222,7 @@ impl Drive {
             Some((_, sensor)) => Some(sensor.clone()),
             None => self.sensor.as_deref().map(|sensor| self.image.load(sensor)).transpose()?,
         };
-        LogFrames::open(&self.log, sensor.as_ref(), &self.odometry()?)
+        LogFrames::open_with(&self.log, sensor.as_ref(), &self.odometry()?, &self.bag.options()?)
     }
 
     /// The measurements from --from on and `after` a time, thinned, with the poses of planar documents on the floor.

@@ -1,5 +1,5 @@
 use super::*;
-use image::{DynamicImage, ImageBuffer, Luma, LumaA, Rgb, Rgba};
+use image::{ImageBuffer, Luma};
 
 fn folder(camera: &str, images: &[(&str, u32, u16)]) -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();

@@ -1,5 +1,8 @@
 //! The frames of a log of any kind, in the form that the estimator needs.
 
+#[cfg(feature = "ros")]
+use super::bag::BagFrames;
+use super::bag_options::BagOptions;
 use super::readings::Readings;
 use super::scans::{self, Scans};
 use crate::depth_folder::{DepthFolder, pose_at};
@@ -8,6 +11,7 @@ use presight_model::geometry::Pose;
 use presight_model::measured::{Frame, Motion, OdometryNoise};
 use presight_model::sensor::Sensor;
 use std::path::Path;
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// A frame with the log's reference pose.
 #[derive(Clone, Debug)]
@@ -24,6 +28,8 @@ pub struct Frames {
     frames: Box<dyn Iterator<Item = Result<Observation>> + Send>,
     ended: bool,
     readings: Readings,
+    /// What was left out of a bag.
+    notices: Arc<Mutex<Vec<String>>>,
     has_planar_poses: bool,
 }
 
@@ -51,6 +57,21 @@ impl Frames {
     /// As [`super::open`], [`Scans::open`] and [`DepthFolder::open`]; [`presight_model::ErrorKind::Usage`] for a sensor
     /// with another image size.
     pub fn open(path: &Path, sensor: Option<&Sensor>, noise: &OdometryNoise) -> Result<Self> {
+        Self::open_with(path, sensor, noise, &BagOptions::default())
+    }
+
+    /// As [`Frames::open`], with the choices that a ROS 2 bag leaves open.
+    ///
+    /// # Errors
+    /// Also those of [`BagFrames::open`]; [`presight_model::ErrorKind::Usage`] for choices where the log is no bag.
+    pub fn open_with(path: &Path, sensor: Option<&Sensor>, noise: &OdometryNoise, bag: &BagOptions) -> Result<Self> {
+        if is_bag(path) {
+            return Self::of_bag(path, sensor, *noise, bag).map_err(|e| e.in_file(path));
+        }
+        if !bag.is_default() {
+            let what = "topic, base, mount and reflector are for ROS 2 bags, and the log is none";
+            return Err(Error::usage(what, "leave them out; a sensor file has a mount").in_file(path));
+        }
         let opened = match path.is_dir() {
             true if ["camera.json", "depth", "grey"].iter().any(|name| path.join(name).exists()) => {
                 Self::of_folder(path, sensor, *noise)
@@ -59,6 +80,23 @@ impl Frames {
             _ => Self::of_scans(path, sensor),
         };
         opened.map_err(|e| e.in_file(path))
+    }
+
+    #[cfg(feature = "ros")]
+    fn of_bag(path: &Path, sensor: Option<&Sensor>, noise: OdometryNoise, bag: &BagOptions) -> Result<Self> {
+        let mut frames = BagFrames::open(path, bag, sensor, noise)?;
+        let Some(first) = frames.next().transpose()? else {
+            return Err(Error::invalid("the topic has no messages", "choose another by --topic"));
+        };
+        let sensor = first.frame.sensor().clone();
+        let notices = frames.notices();
+        let frames = std::iter::once(Ok(first)).chain(frames);
+        Ok(Self { notices, ..Self::new(sensor, frames, "NaN") })
+    }
+
+    #[cfg(not(feature = "ros"))]
+    fn of_bag(_: &Path, _: Option<&Sensor>, _: OdometryNoise, _: &BagOptions) -> Result<Self> {
+        Err(crate::not_built("ROS 2 bags", "ros"))
     }
 
     fn of_scans(path: &Path, sensor: Option<&Sensor>) -> Result<Self> {
@@ -124,7 +162,14 @@ impl Frames {
         missing_as: &'static str,
     ) -> Self {
         let readings = Readings::new(missing_as);
-        Self { sensor, frames: Box::new(frames), ended: false, readings, has_planar_poses: false }
+        Self {
+            sensor,
+            frames: Box::new(frames),
+            ended: false,
+            readings,
+            notices: Arc::default(),
+            has_planar_poses: false,
+        }
     }
 
     /// True if the log's poses are x, y and yaw only, as in documents of planar scans: their height is 0 whatever the
@@ -133,9 +178,11 @@ impl Frames {
         self.has_planar_poses
     }
 
-    /// One line that counts the readings of the frames so far by their meaning; `None` if every reading is a distance.
-    pub fn notice(&self) -> Option<String> {
-        self.readings.notice()
+    /// What was left out so far, a line each; and one line that counts the readings by their meaning, unless every reading
+    /// is a distance.
+    pub fn notices(&self) -> Vec<String> {
+        let left_out = self.notices.lock().unwrap_or_else(PoisonError::into_inner);
+        left_out.iter().cloned().chain(self.readings.notice()).collect()
     }
 
     /// The sensor of the first frame. Each scan of points has its own sensor.
@@ -158,4 +205,15 @@ impl Iterator for Frames {
         }
         next
     }
+}
+
+#[cfg(feature = "ros")]
+fn is_bag(path: &Path) -> bool {
+    presight_ros::Bag::is_bag(path)
+}
+
+/// By the name alone: this build reads no bags.
+#[cfg(not(feature = "ros"))]
+fn is_bag(path: &Path) -> bool {
+    path.extension().is_some_and(|e| e == "mcap" || e == "db3") || path.join("metadata.yaml").is_file()
 }

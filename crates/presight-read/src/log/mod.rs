@@ -11,6 +11,7 @@
 
 #[cfg(feature = "ros")]
 pub mod bag;
+mod bag_options;
 pub mod document;
 mod frames;
 pub mod lines;
@@ -19,6 +20,7 @@ pub mod scans;
 #[cfg(test)]
 mod tests;
 
+pub use bag_options::BagOptions;
 pub use frames::{Frames, Observation};
 pub use readings::Readings;
 

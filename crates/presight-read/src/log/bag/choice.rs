@@ -1,31 +1,10 @@
 //! What to take from a bag for what.
 
+use crate::log::BagOptions;
 use presight_model::error::{Error, Result};
 use presight_model::geometry::Pose;
 use presight_ros::message::{CompressedImage, Image, LaserScan, Message, Odometry, PointCloud2};
 use presight_ros::{Lookup, Survey, TopicSurvey};
-
-/// Choices that a bag leaves open.
-#[derive(Clone, Debug, Default, PartialEq)]
-#[non_exhaustive]
-pub struct BagOptions {
-    /// The measured topic; by default the only one that presight can read.
-    pub topic: Option<String>,
-    /// The frame of the robot; by default `base_link`, else `base_footprint`.
-    pub base: Option<String>,
-    /// robot_from_sensor in body axes, instead of the one from the transforms.
-    pub mount: Option<Pose>,
-    /// The intensity of a full reflector in units of the driver; without it intensities are not read.
-    pub reflector: Option<f32>,
-}
-
-presight_model::with_options!(
-    BagOptions:
-    with_topic topic: Option<String>,
-    with_base base: Option<String>,
-    with_mount mount: Option<Pose>,
-    with_reflector reflector: Option<f32>,
-);
 
 /// The kind of measurement in a topic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,7 +1,8 @@
 //! Messages as frames of a sensor.
 
-use super::choice::{BagOptions, Measured};
+use super::choice::Measured;
 use crate::camera_info;
+use crate::log::BagOptions;
 use crate::picture::Picture;
 use glam::DVec3;
 use presight_model::error::{Error, Result};
@@ -11,6 +12,7 @@ use presight_model::measured::{Frame, GreyImage, Measurement, RangeGrid, range_g
 use presight_model::sensor::{Angles, Geometry, Scanner, Sensor, SensorSpec, body_from_optical_rotation};
 use presight_ros::message::{CameraInfo, CompressedImage, Image, LaserScan, Message, PointCloud2};
 use std::fmt::Write;
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Turns the messages of one topic into frames.
 pub(super) struct Converter {
@@ -25,14 +27,15 @@ pub(super) struct Converter {
     pub sensor: Option<Sensor>,
     /// Seconds from one scan to the next, where the messages do not know it.
     pub period_s: Option<f64>,
-    pub notices: Vec<String>,
+    pub notices: Arc<Mutex<Vec<String>>>,
 }
 
 impl Converter {
-    fn add_notice(&mut self, notice: impl Into<String>) {
+    pub(super) fn add_notice(&self, notice: impl Into<String>) {
         let notice = notice.into();
-        if !self.notices.contains(&notice) {
-            self.notices.push(notice);
+        let mut notices = self.notices.lock().unwrap_or_else(PoisonError::into_inner);
+        if !notices.contains(&notice) {
+            notices.push(notice);
         }
     }
 

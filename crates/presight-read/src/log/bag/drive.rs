@@ -1,7 +1,8 @@
 //! The frames of a bag, each with the robot's motion and reference at its stamp.
 
-use super::choice::{BagOptions, Choice};
+use super::choice::Choice;
 use super::convert::{Converter, body_mount};
+use crate::log::BagOptions;
 use crate::log::Observation;
 use presight_model::error::{Error, Result};
 use presight_model::geometry::Pose;
@@ -11,6 +12,7 @@ use presight_ros::message::{CameraInfo, Message, Odometry, TFMessage};
 use presight_ros::{Bag, FrameTree, Lookup, Messages, Record, Survey, is_static_topic};
 use std::collections::VecDeque;
 use std::path::Path;
+use std::sync::{Arc, Mutex};
 
 /// Frames that wait for a transform at or after their stamp. Recorders interleave topics within a fraction of a second; a
 /// robot whose `map` to `odom` comes at 1 Hz makes a scanner of 50 Hz wait for 50 frames.
@@ -71,7 +73,7 @@ impl BagFrames {
             is_rectified,
             sensor: None,
             period_s: topic.rate_hz().map(f64::recip),
-            notices,
+            notices: Arc::new(Mutex::new(notices)),
         };
         let mut tree = FrameTree::default();
         for (child, edge) in survey.tree.edges().filter(|(_, edge)| edge.is_static) {
@@ -107,13 +109,9 @@ impl BagFrames {
         &self.choice
     }
 
-    /// Takes the notices on what was left out so far.
-    pub fn notices(&self) -> Vec<String> {
-        let mut notices = self.converter.notices.clone();
-        if self.without_motion > 0 && self.choice.odom.is_some() {
-            notices.push(format!("{} of {} frames have no odometry at their stamp", self.without_motion, self.count));
-        }
-        notices
+    /// What was left out so far, a line each. The list grows as frames are read.
+    pub fn notices(&self) -> Arc<Mutex<Vec<String>>> {
+        Arc::clone(&self.converter.notices)
     }
 
     /// Enters a message: a transform into the tree, a measurement among the waiting frames.
@@ -182,12 +180,20 @@ impl BagFrames {
         Some(Observation { frame, reference })
     }
 
+    fn report_missing_odometry(&mut self) {
+        let without = std::mem::take(&mut self.without_motion);
+        if self.choice.odom.is_some() && without > 0 {
+            self.converter.add_notice(format!("{without} of {} frames have no odometry at their stamp", self.count));
+        }
+    }
+
     fn read(&mut self) -> Result<Option<Observation>> {
         loop {
             if let Some(observation) = self.ready() {
                 return Ok(Some(observation));
             }
             if self.has_ended {
+                self.report_missing_odometry();
                 return Ok(None);
             }
             match self.messages.next().transpose()? {

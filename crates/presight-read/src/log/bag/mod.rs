@@ -13,6 +13,6 @@ mod convert;
 mod drive;
 mod report;
 
-pub use choice::{BagOptions, Choice, Measured};
+pub use choice::{Choice, Measured};
 pub use drive::BagFrames;
 pub use report::BagReport;

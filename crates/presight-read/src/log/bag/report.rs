@@ -1,6 +1,7 @@
 //! The content of a bag in words: topics, frames, times, and what presight takes for what.
 
-use super::choice::{BagOptions, Choice, Measured, measured_topics};
+use super::choice::{Choice, Measured, measured_topics};
+use crate::log::BagOptions;
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_ros::message::{CameraInfo, Image, LaserScan, Message, PointCloud2};
 use presight_ros::{Bag, Survey, TopicSurvey};
