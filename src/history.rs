@@ -11,7 +11,6 @@
 //!     shape: Shape::Point(at(0.0)),
 //!     covariances: vec![DMat2::IDENTITY],
 //!     properties: ExpectedProperties::default(),
-//!     points_world: Vec::new(),
 //! };
 //! tracker.seed(0.0, vec![seed])?;
 //! let mut areas = Vec::new();
@@ -30,6 +29,8 @@
 #![doc = include_str!("../docs/history.md")]
 
 #[doc(inline)]
-pub use presight_localize::history::{AlternatingTracker, ImageExtent, Seed, Source, Tracker, TrackerOptions};
+pub use presight_localize::history::{
+    End, ImageExtent, Match, MatchOutcome, Seed, Track, Tracker, TrackerOptions, Window,
+};
 #[doc(inline)]
 pub use presight_localize::matching::{Detection, DetectionProperties, ExpectedProperties, Matcher, Shape};
