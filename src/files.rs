@@ -41,4 +41,7 @@ pub use presight_model::poses::{ExternalPose, PoseFrame, PoseOf, WorldFrame};
 pub use presight_render::points::{PointCloud, PointsFrame};
 #[cfg(feature = "store")]
 #[doc(inline)]
-pub use presight_store::{Existing, Note as StoreNote, Store, apply_line, create as create_store};
+pub use presight_store::{
+    ChangeEvidence, Edit, EditPose, Existing, Note as StoreNote, ProposedChange, ShapeSource, Store, apply_line,
+    create as create_store,
+};

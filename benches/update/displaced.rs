@@ -10,7 +10,7 @@ use presight_model::measured::Frame;
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
-use presight_update::{LearnOptions, Learner, Refined};
+use presight_update::{LearnOptions, Learner, RefinedPose};
 
 /// How far every object is off, metres.
 pub const OFF: f64 = 0.01;
@@ -56,7 +56,7 @@ fn stated(map: Environment, class: &str) -> World {
 
 /// Learns from a drive of a sensor with poses that are off as stated; returns the world with the poses that it taught, and these
 /// poses.
-pub fn learn(case: &Case, sensor: &Sensor, off: Off) -> (World, Vec<Refined>) {
+pub fn learn(case: &Case, sensor: &Sensor, off: Off) -> (World, Vec<RefinedPose>) {
     let mut learner = Learner::new(LearnOptions::default()).expect("sound options");
     for (frame, pose, _) in &case.drive(sensor, off) {
         learner.observe_at(&case.map, &[frame], pose).expect("a view");

@@ -13,7 +13,7 @@ use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
 use presight_testkit::{Random, data};
-use presight_update::{Caster, Findings, LearnOptions, Learner, What};
+use presight_update::{Caster, FindingKind, Findings, LearnOptions, Learner};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::path::Path;
 
@@ -326,9 +326,9 @@ fn cut(environment: &Environment, object: &str, bounds: &Aabb) -> Vec<DVec2> {
 fn missing(map: &Map, environment: &Environment, findings: &Findings) -> (usize, usize) {
     let (mut all, mut right) = (0, 0);
     for finding in &findings.changes {
-        let bounds = match &finding.what {
-            What::Part(bounds) => *bounds,
-            What::Gone => Aabb { min: DVec3::splat(-1e6), max: DVec3::splat(1e6) },
+        let bounds = match &finding.kind {
+            FindingKind::Part(bounds) => *bounds,
+            FindingKind::Gone => Aabb { min: DVec3::splat(-1e6), max: DVec3::splat(1e6) },
             _ => continue,
         };
         let mut pieces: BTreeMap<[i64; 2], Vec<f64>> = BTreeMap::new();
@@ -402,8 +402,8 @@ pub fn run(folder: &str, (model_sigma, metres): (f64, f64)) {
     let findings = learner.findings(&model);
     let mut after = model.clone();
     findings.changes.iter().for_each(|finding| drop(after.apply_unchecked(finding.change(&after))));
-    let count = |is: fn(&What) -> bool| findings.changes.iter().filter(|f| is(&f.what)).count();
-    let news = findings.changes.iter().filter_map(|f| if let What::New(b) = &f.what { Some(b) } else { None });
+    let count = |is: fn(&FindingKind) -> bool| findings.changes.iter().filter(|f| is(&f.kind)).count();
+    let news = findings.changes.iter().filter_map(|f| if let FindingKind::New(b) = &f.kind { Some(b) } else { None });
     // A box without anything real in it, or at its sides, is wrong.
     let is_wrong = |b: &&presight_update::UprightBox| {
         let (half, rotation) = (0.5 * b.size + 0.1, b.pose.rotation);
@@ -420,9 +420,9 @@ pub fn run(folder: &str, (model_sigma, metres): (f64, f64)) {
     println!("wrong: {:?}; {:?}", findings.wrong, learner.tally());
     println!(
         "{} gone, {} moved, {} parts gone, {} doubts, {} confirmed, {} never seen",
-        count(|w| matches!(w, What::Gone)),
-        count(|w| matches!(w, What::Moved { .. })),
-        count(|w| matches!(w, What::Part(_))),
+        count(|w| matches!(w, FindingKind::Gone)),
+        count(|w| matches!(w, FindingKind::Moved { .. })),
+        count(|w| matches!(w, FindingKind::Part(_))),
         findings.doubts.len(),
         findings.confirmed.len(),
         findings.unseen

@@ -8,7 +8,7 @@ use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_testkit::caster::Caster;
 use presight_testkit::oracle::Oracle;
-use presight_update::{Finding, LearnOptions, Learner, What};
+use presight_update::{Finding, FindingKind, LearnOptions, Learner};
 
 const LIDAR: &str = "format = 1\nkind = \"scanner\"\nclass = \"laser\"\nrange_max = 20\n[azimuth]\nstart_deg = -180\nstep_deg = 1\ncount = 360\n\
     [elevation]\nstart_deg = -20\nstep_deg = 2\ncount = 14\n[noise]\nrange_sigma = 0.01\n[mount]\nxyz = [0.0, 0.0, 1.0]\n";
@@ -65,10 +65,16 @@ fn a_crate_behind_a_pillar_is_looked_at_from_aside() {
     learner.end_drive();
     let findings = learner.findings(&world);
     let doubt = findings.doubts.iter().find(|doubt| doubt.object == "crate").expect("two views do not decide");
-    let gone =
-        Finding { object: "crate".to_owned(), what: What::Gone, l: 9.0, views: 3, sight: None, growth: Vec::new() };
-    let policy = learner.looks(&world, &[&gone]).remove(0).expect("a pose to look from");
-    let look = doubt.look.clone().expect("a pose to look from");
+    let gone = Finding {
+        object: "crate".to_owned(),
+        kind: FindingKind::Gone,
+        l: 9.0,
+        views: 3,
+        best_view: None,
+        growth: Vec::new(),
+    };
+    let policy = learner.plan_views(&world, &[&gone]).remove(0).expect("a pose to look from");
+    let look = doubt.view.clone().expect("a pose to look from");
     assert_eq!(look, policy);
     let p = look.world_from_sensor.translation;
     assert!(is_in_sight(&oracle, p) && (p.z - 1.0).abs() < 1e-3 && look.sensor == "lidar", "{look:?}");

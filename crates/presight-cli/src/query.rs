@@ -151,7 +151,7 @@ impl Question {
             return Ok(Self::Free(numbers::<3>("--free", text)?.into()));
         }
         if args.uncertain {
-            let options = UncertainOptions::default().with_least_existence(args.below).with_time(args.time);
+            let options = UncertainOptions::default().with_min_existence(args.below).with_time(args.time);
             return Ok(Self::Uncertain(options.with_since(args.since)));
         }
         if let Some([from, to]) = args.path.as_deref() {

@@ -1,10 +1,11 @@
-//! Is the way ahead free, and what does the model answer: supervision of a corridor by what sensors measure, and queries.
+//! Supervision of a corridor by the measurements of sensors, and queries to the model.
 //!
 //! Use it through the crate `presight`, which gives the same names.
 
 mod grid;
 mod intruders;
 mod look;
+mod options;
 mod pixels;
 pub mod query;
 mod rays;
@@ -14,5 +15,6 @@ mod windows;
 
 pub use grid::Cells;
 pub use intruders::Intrusion;
+pub use options::SuperviseOptions;
 pub use report::{CellCounts, CellState, Report, UnseenReason};
-pub use supervisor::{SuperviseOptions, Supervisor};
+pub use supervisor::Supervisor;

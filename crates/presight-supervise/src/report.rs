@@ -1,9 +1,9 @@
-//! What supervision reports of a frame.
+//! The report of supervision.
 
-use super::Intrusion;
+use super::intruders::Intrusion;
 use serde::Serialize;
 
-/// Why a cell is not seen.
+/// The reason why a cell is not seen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum UnseenReason {
@@ -11,20 +11,20 @@ pub enum UnseenReason {
     OutOfView,
     /// Behind a surface of the model.
     BehindKnown,
-    /// Behind something that is not in the model.
+    /// Behind an unknown object.
     BehindUnknown,
-    /// No return where there should be one: dirt, a black or a shining surface.
+    /// A missing return: dirt, a black or a shiny surface.
     NoReturn,
     /// The rays leave gaps as wide as the smallest intruder.
     BetweenRays,
-    /// Not looked at before the deadline.
+    /// Not evaluated before the deadline.
     Deadline,
-    /// The corridor is in the world, and the robot's pose is not known.
+    /// The corridor is in the world, and the robot's pose is unknown.
     NoPose,
 }
 
 impl UnseenReason {
-    /// All of them, in the order of [`CellCounts::unseen`].
+    /// All reasons, in the order of [`CellCounts::unseen`].
     pub const ALL: [Self; 7] = [
         Self::OutOfView,
         Self::BehindKnown,
@@ -57,13 +57,13 @@ impl UnseenReason {
 /// The state of a cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CellState {
-    /// Rays passed through it that leave no gap as wide as the smallest intruder.
+    /// Rays pass through it without a gap as wide as the smallest intruder.
     Free,
-    /// A surface of the model is in it, and was confirmed: the object's index.
+    /// A confirmed surface of the model is in it: the object's index.
     Known(u32),
     /// Part of an intrusion is in it.
     Intruded,
-    /// None of these.
+    /// Not seen.
     Unseen(UnseenReason),
 }
 
@@ -82,7 +82,7 @@ impl CellState {
 /// Number of cells of each state.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct CellCounts {
-    /// Seen through.
+    /// Free.
     pub free: usize,
     /// With a confirmed surface of the model.
     pub known: usize,
@@ -92,25 +92,25 @@ pub struct CellCounts {
     pub unseen: [usize; 7],
 }
 
-/// What supervision reports of the frames of one time.
+/// The report on the frames of one stamp.
 #[derive(Clone, Debug)]
 pub struct Report {
     /// Seconds, as in the frame.
     pub stamp: f64,
-    /// By cell, numbered as in [`super::Cells`].
+    /// States by cell, numbered as in [`super::Cells`].
     pub cells: Vec<CellState>,
-    /// Shares of the corridor's volume whose middle of a cell no ray reaches, by reason in the order of
-    /// [`UnseenReason::ALL`]. Gaps between rays do not count here.
+    /// Shares of the corridor's volume in cells whose centre no ray reaches, by reason in the order of [`UnseenReason::ALL`]. Gaps between
+    /// rays are ignored here.
     pub hidden: [f64; 7],
-    /// What stands in the corridor and is not in the model there, the first along the way first.
+    /// Unknown objects in the corridor, by distance along it.
     pub intrusions: Vec<Intrusion>,
-    /// Seconds until the first intrusion is reached at the speed of the options; `None` without one, or at speed 0.
+    /// Time until the first intrusion is reached at the speed of the options, seconds; `None` without an intrusion, or at speed 0.
     pub time_to_reach: Option<f64>,
-    /// False if the pose was not known well enough to compare with the model: all surfaces count as intrusions.
+    /// False without a pose. All surfaces are then reported as intrusions, because they cannot be compared with the model.
     pub is_compared: bool,
-    /// True if it was assumed that what stands in the corridor reaches the heights that were seen.
+    /// True if objects in the corridor are assumed to reach the heights that the sensors see.
     pub is_upright_assumed: bool,
-    /// True if the deadline ended the work early.
+    /// True if the deadline ended the evaluation early.
     pub is_given_up: bool,
 }
 

@@ -1,4 +1,4 @@
-//! New things of known shapes: the library and the recognizer of `presight update`.
+//! New objects of known shapes: the library and the recognizer of `presight update`.
 
 use crate::print;
 use presight_model::error::{Error, Result};
@@ -27,7 +27,7 @@ pub struct KnownArgs {
     recognizer_ms: f64,
 }
 
-/// What knows shapes.
+/// The sources of known shapes.
 #[derive(Debug)]
 pub struct Recognizers {
     library: Library,
@@ -54,8 +54,7 @@ impl KnownArgs {
 }
 
 impl Recognizers {
-    /// Puts known shapes in place of boxes. A recognizer that fails is reported, and the findings are as without it: what a drive
-    /// taught is not lost.
+    /// Replaces boxes by known shapes. If the recognizer fails, the error is reported, and the findings keep their boxes.
     pub fn improve(&mut self, learner: &mut Learner, world: &World, findings: &mut Findings) {
         let program = self.program.as_mut().map(|program| program as &mut dyn Recognizer);
         if let Err(e) = learner.recognize(world, findings, &self.library, program) {

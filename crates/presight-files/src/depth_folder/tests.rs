@@ -19,7 +19,7 @@ fn images_are_read_in_order_with_their_times() {
     let folder = folder(CAMERA, &[("00007.png", 3, 0), ("00003.png", 3, 500)]);
     let frames: Vec<Frame> = DepthFolder::open(folder.path(), None).unwrap().map(|f| f.unwrap()).collect();
     assert_eq!(frames.iter().map(|f| f.stamp).collect::<Vec<_>>(), [3.0, 7.0]);
-    assert_eq!(frames[0].sensed(), &Measurement::DepthZ(vec![1.0; 6]));
+    assert_eq!(frames[0].measurement(), &Measurement::DepthZ(vec![1.0; 6]));
     assert!(frames[1].ranges().iter().all(|r| r.is_nan()));
 }
 
@@ -74,7 +74,7 @@ fn written_cameras_and_poses_are_read_again() {
     let own = DepthFolder::open(folder.path(), None).unwrap();
     assert_eq!(own.sensor().spec().geometry, sensor.spec().geometry);
     let frames: Vec<Frame> = log.map(|f| f.unwrap()).collect();
-    assert_eq!((frames.len(), frames[0].stamp, frames[0].sensed()), (1, 12.5, &Measurement::DepthZ(vec![1.5; 6])));
+    assert_eq!((frames.len(), frames[0].stamp, frames[0].measurement()), (1, 12.5, &Measurement::DepthZ(vec![1.5; 6])));
     assert!(image_name(9.0) < image_name(10.0));
     assert!(camera_json(&crate::preset("laser-scanner").unwrap()).is_err());
 }
