@@ -2,6 +2,7 @@
 //!
 //! Use it through the crate `presight`, which gives the same names.
 
+pub mod caster;
 pub mod change;
 pub mod clock;
 pub mod contour;
