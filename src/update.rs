@@ -4,7 +4,7 @@
 
 #[doc(inline)]
 pub use presight_update::{
-    Action, Applied, BestView, Caster, DoubtfulObject, Evidence, Finding, FindingKind, Findings, LearnOptions, Learner,
+    Action, Applied, BestView, DoubtfulObject, Evidence, Finding, FindingKind, Findings, LearnOptions, Learner,
     Library, LibraryShape, OccupancyThreshold, PendingChanges, PixelCounts, PlannedView, Policy, ProgramRecognizer,
-    Proposal, RayHit, Recognized, Recognizer, RefinedPose, Tally, UprightBox, Voxel, Voxels,
+    Proposal, Recognized, Recognizer, RefinedPose, Tally, UprightBox, Voxel, Voxels,
 };

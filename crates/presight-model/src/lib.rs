@@ -2,6 +2,7 @@
 //!
 //! Use it through the crate `presight`, which gives the same names.
 
+pub mod caster;
 pub mod change;
 pub mod clock;
 pub mod contour;
@@ -23,6 +24,7 @@ pub mod random;
 pub mod sensor;
 pub mod statistics;
 pub mod threads;
+pub mod union_find;
 pub mod world;
 
 pub use change::Change;

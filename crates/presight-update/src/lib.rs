@@ -20,5 +20,4 @@ pub use decide::shapes::{Library, LibraryShape, Recognized};
 pub use evidence::objects::{Evidence, PixelCounts};
 pub use evidence::voxels::{OccupancyThreshold, Voxel, Voxels};
 pub use learner::{Learner, Tally};
-pub use observe::caster::{Caster, RayHit};
 pub use options::LearnOptions;

@@ -6,9 +6,9 @@ use crate::evidence::features::book::{FeatureBook, FeatureEvidence, Mean, pose_o
 use crate::evidence::features::located::located;
 use crate::evidence::features::sightings::{Kind, Track};
 use crate::evidence::knowledge::Knowledge;
-use crate::observe::caster::Caster;
 use crate::observe::view::BOUND;
 use glam::{DMat3, DVec3};
+use presight_model::caster::RayCaster;
 use presight_model::change::Change;
 use presight_model::environment::{Environment, Existence, Feature, FeatureShape, MarkKind, Properties};
 use presight_store::{Edit, EditPose, ShapeSource};
@@ -98,14 +98,15 @@ pub(crate) fn insertions(known: &Knowledge, environment: &Environment, utc: f64,
 fn placed(
     track: &Track,
     environment: &Environment,
-    caster: Option<&Caster>,
+    caster: Option<&RayCaster>,
     name: &str,
 ) -> Option<(String, FeatureShape, Option<[Edit; 2]>)> {
     let places = track.places();
     let on = |(p, covariance): &(DVec3, DMat3)| {
         // The place of an edge is measured across it only.
         let [x, y, z] = [0, 1, 2].map(|i| covariance.col(i)[i]);
-        caster?.on(*p, BOUND * x.min(y).min(z).sqrt() + SURFACE_DISTANCE)
+        let (object, nearest) = caster?.nearest(*p, BOUND * x.min(y).min(z).sqrt() + SURFACE_DISTANCE)?;
+        Some((object, nearest.point))
     };
     let feet: Vec<Option<(u32, DVec3)>> = places.iter().map(on).collect();
     let turned = |object: u32, covariance: DMat3| {
@@ -126,7 +127,7 @@ fn placed(
         }
         (Kind::Edge, [Some((object, a)), Some((other, b))], [(_, first), (_, last)]) if object == other => {
             let covariances = [turned(*object, *first), turned(*object, *last)];
-            let middle = caster?.foot(*object, 0.5 * (*a + *b), 1e-3)?;
+            let middle = caster?.nearest_on(*object, 0.5 * (*a + *b), 1e-3)?;
             let is_on_surface = middle.distance_squared < 1e-6 && a.distance(*b) > 0.0;
             is_on_surface.then(|| {
                 (path(*object), FeatureShape::Segment { ends: [*a, *b], covariances, cross: DMat3::ZERO }, None)

@@ -5,8 +5,8 @@ use crate::decide::fit::{Fitter, Score, Thing};
 use crate::evidence::knowledge::Knowledge;
 use crate::evidence::objects::MIN_DIVIDED;
 use crate::evidence::voxels::joined;
-use crate::observe::caster::Caster;
 use glam::DVec3;
+use presight_model::caster::RayCaster;
 use presight_model::environment::Environment;
 use presight_model::geometry::Pose;
 use std::collections::{BTreeMap, BTreeSet};
@@ -21,7 +21,7 @@ pub(crate) const OWN: f64 = 0.1;
 pub(crate) struct Decision<'a> {
     pub environment: &'a Environment,
     /// The world as the newest sensor class sees it.
-    pub caster: &'a Caster,
+    pub caster: &'a RayCaster,
     pub known: &'a Knowledge,
 }
 
@@ -53,7 +53,9 @@ impl<'a> Decision<'a> {
     /// The points that objects at these poses do not explain.
     pub fn unexplained(&self, points: &[DVec3], by: &[(u32, Pose)]) -> Vec<DVec3> {
         let is_explained = |p: &DVec3| {
-            by.iter().any(|(object, pose)| self.caster.foot(*object, pose.inverse().transform_point(*p), OWN).is_some())
+            by.iter().any(|(object, pose)| {
+                self.caster.nearest_on(*object, pose.inverse().transform_point(*p), OWN).is_some()
+            })
         };
         points.iter().filter(|p| !is_explained(p)).copied().collect()
     }

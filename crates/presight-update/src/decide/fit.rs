@@ -1,12 +1,12 @@
 //! Fits an object to measured points, and scores a pose by all views.
 
 use crate::evidence::objects::{cell, cell_size};
-use crate::observe::caster::{Caster, RayHit};
 use crate::observe::priors::own_bounds;
 use crate::observe::terms::AXES;
 use crate::observe::view::{BOUND, MIN_COSINE, View};
 use glam::{DQuat, DVec3};
 use presight_localize::motion::moved;
+use presight_model::caster::{RayCaster, RayHit};
 use presight_model::environment::Environment;
 use presight_model::geometry::{Aabb, Pose};
 use presight_model::matrix::{add_to, apply, inverse};
@@ -104,7 +104,7 @@ impl Thing {
 
 /// Fits objects with the views of a drive.
 pub(crate) struct Fitter<'a> {
-    pub caster: &'a Caster,
+    pub caster: &'a RayCaster,
     pub views: Vec<&'a View>,
     /// Maximum log-odds that one view adds.
     pub max_per_view: f64,
@@ -136,7 +136,7 @@ impl Fitter<'_> {
             let back = pose.inverse();
             for p in points {
                 let q = back.transform_point(*p) + thing.middle;
-                let Some(foot) = self.caster.foot(thing.object, q, *gate) else { continue };
+                let Some(foot) = self.caster.nearest_on(thing.object, q, *gate) else { continue };
                 let distance = foot.distance_squared.sqrt();
                 let outward = q - foot.point;
                 let n = pose.rotation * if distance > 1e-6 { outward / distance } else { foot.normal };
@@ -164,7 +164,7 @@ impl Fitter<'_> {
         let points = self.points_near(pose.transform_point(thing.middle), thing.radius + 0.1, thing.object, 2000);
         let (back, mut sum, mut count, mut slice) = (pose.inverse(), [0.0; 3], 0.0, Aabb::EMPTY);
         for p in points {
-            if let Some(foot) = self.caster.foot(thing.object, back.transform_point(p), 0.05) {
+            if let Some(foot) = self.caster.nearest_on(thing.object, back.transform_point(p), 0.05) {
                 let n = pose.rotation * foot.normal;
                 slice = slice.with(p);
                 (sum, count) = ([sum[0] + n.x * n.x, sum[1] + n.x * n.y, sum[2] + n.y * n.y], count + 1.0);
@@ -188,7 +188,7 @@ impl Fitter<'_> {
             let mut own: BTreeMap<(u8, [i32; 3]), (usize, f64)> = BTreeMap::new();
             for p in view.unexplained(thing.object).filter(|p| p.distance(middle) <= thing.radius + gate) {
                 let q = back.transform_point(p);
-                let Some(foot) = self.caster.foot(thing.object, q, gate) else { continue };
+                let Some(foot) = self.caster.nearest_on(thing.object, q, gate) else { continue };
                 let cell = own.entry(cell(foot.point, foot.normal, size)).or_default();
                 *cell = (cell.0 + 1, cell.1 + (q - foot.point).dot(foot.normal));
             }
@@ -219,7 +219,7 @@ impl Fitter<'_> {
     /// The share of points within some metres of an object at a pose.
     pub fn explained(&self, object: u32, pose: &Pose, points: &[DVec3], within: f64) -> f64 {
         let back = pose.inverse();
-        let on = |p: &&DVec3| self.caster.foot(object, back.transform_point(**p), within).is_some();
+        let on = |p: &&DVec3| self.caster.nearest_on(object, back.transform_point(**p), within).is_some();
         points.iter().filter(on).count() as f64 / points.len().max(1) as f64
     }
 
@@ -292,13 +292,13 @@ impl Fitter<'_> {
         if z.is_nan() {
             return None;
         }
-        let hit = self.caster.meet(object, pose, (view.origin(), ray, view.reach()))?;
+        let hit = self.caster.cast_at(object, pose, (view.origin(), ray, view.reach()))?;
         let cos = hit.normal.dot(ray).abs();
         let sigma = pixel_sigma(view, hit.range, cos);
         if cos < 0.2 || z < hit.range - BOUND * sigma {
             return None;
         }
-        let other = self.caster.first(view.origin(), ray, hit.range + 2.0 * BOUND * sigma, Some(object));
+        let other = self.caster.cast(view.origin(), ray, hit.range + 2.0 * BOUND * sigma, Some(object));
         other.is_none().then_some((z <= hit.range + BOUND * sigma, hit))
     }
 }

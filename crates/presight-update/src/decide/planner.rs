@@ -163,9 +163,9 @@ impl<'a> ViewPlanner<'a> {
     ) -> (Option<Surface>, Option<Surface>) {
         let caster = self.decision.caster;
         let surface = |range: f64, normal: DVec3| (range, normal.dot(ray).abs());
-        let cast = |but: Option<u32>| caster.first(origin, ray, reach, but).map(|hit| surface(hit.range, hit.normal));
+        let cast = |but: Option<u32>| caster.cast(origin, ray, reach, but).map(|hit| surface(hit.range, hit.normal));
         let nearer = |a: Option<Surface>, b: Option<Surface>| a.into_iter().chain(b).min_by(|x, y| x.0.total_cmp(&y.0));
-        let first = caster.first(origin, ray, reach, None);
+        let first = caster.cast(origin, ray, reach, None);
         let own = first.map(|hit| surface(hit.range, hit.normal));
         match subject {
             Subject::Object(object) if first.is_some_and(|hit| hit.object == *object) => (own, cast(Some(*object))),
@@ -177,7 +177,7 @@ impl<'a> ViewPlanner<'a> {
             }
             Subject::Object(_) | Subject::Part(..) => (own, own),
             Subject::Moved(object, pose) => {
-                let there = caster.meet(*object, pose, (origin, ray, reach));
+                let there = caster.cast_at(*object, pose, (origin, ray, reach));
                 (nearer(cast(Some(*object)), there.map(|hit| surface(hit.range, hit.normal))), own)
             }
             Subject::Box(found) => (nearer(own, found.meet(origin, ray).filter(|hit| hit.0 <= reach)), own),

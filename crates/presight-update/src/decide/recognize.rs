@@ -96,7 +96,7 @@ pub(crate) fn recognize(
     let answered = recognizer.map_or(Ok(()), |recognizer| ask(recognizer, &mut candidates, &mut shapes, environment));
     let first = environment.objects().len() as u32;
     let caster =
-        decision.caster.with_shapes(first, shapes.iter().map(|shape| (shape.mesh(), shape.object_from_mesh())));
+        decision.caster.with_meshes(first, shapes.iter().map(|shape| (shape.mesh(), shape.object_from_mesh())));
     let decision = Decision { caster: &caster, ..decision };
     let placed = decision.recognized(&candidates, (first, &shapes), &explained);
     if placed.is_empty() {

@@ -44,7 +44,7 @@ fn of_view(
         if a.is_none() && b.is_none() {
             continue;
         }
-        let behind = decision.caster.first(origin, ray, reach, None).map(|hit| (hit.range, hit.normal.dot(ray).abs()));
+        let behind = decision.caster.cast(origin, ray, reach, None).map(|hit| (hit.range, hit.normal.dot(ray).abs()));
         let deviation = |own: Option<Surface>| {
             let nearer = |known: Surface| behind.filter(|behind| behind.0 < known.0).unwrap_or(known);
             squared(view, z, own.map(nearer).or(behind))
@@ -75,7 +75,8 @@ impl Explanation<'_> {
     }
 
     fn first(&self, decision: &Decision<'_>, origin: DVec3, ray: DVec3, reach: f64) -> Option<Surface> {
-        let hit = self.thing.and_then(|(thing, pose)| decision.caster.meet(thing.object, pose, (origin, ray, reach)));
+        let hit =
+            self.thing.and_then(|(thing, pose)| decision.caster.cast_at(thing.object, pose, (origin, ray, reach)));
         let thing = hit.map(|hit| (hit.range, hit.normal.dot(ray).abs()));
         let boxes = self.boxes.iter().filter_map(|b| b.meet(origin, ray).filter(|hit| hit.0 <= reach));
         thing.into_iter().chain(boxes).min_by(|x, y| x.0.total_cmp(&y.0))

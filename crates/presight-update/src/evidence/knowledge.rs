@@ -5,11 +5,11 @@ use crate::evidence::features::book::FeatureBook;
 use crate::evidence::joint::Joint;
 use crate::evidence::objects::{Book, Evidence};
 use crate::evidence::voxels::Voxels;
-use crate::observe::caster::Caster;
 use crate::observe::mount::PoseCorrections;
 use crate::observe::priors::Priors;
 use crate::observe::view::View;
 use crate::options::LearnOptions;
+use presight_model::caster::RayCaster;
 use presight_model::environment::Environment;
 use presight_model::world::World;
 use std::collections::{BTreeMap, VecDeque};
@@ -18,7 +18,7 @@ use std::collections::{BTreeMap, VecDeque};
 pub(crate) struct Knowledge {
     pub options: LearnOptions,
     /// By class of sensor.
-    pub casters: BTreeMap<String, Caster>,
+    pub casters: BTreeMap<String, RayCaster>,
     /// By class of sensor.
     pub priors: BTreeMap<String, Priors>,
     /// The poses of objects, by class of sensor.
@@ -55,7 +55,7 @@ impl Knowledge {
     /// Prepares a world for the rays of a class.
     pub fn prepare(&mut self, world: &World, class: &str) {
         if !self.casters.contains_key(class) {
-            self.casters.insert(class.to_owned(), Caster::new(world, class));
+            self.casters.insert(class.to_owned(), RayCaster::new(world, class));
         }
         if !self.priors.contains_key(class) {
             let priors = Priors::of(world.environment(), class, self.options.model_sigma);
@@ -86,9 +86,9 @@ impl Knowledge {
     /// Forgets the evidence that a new model has used: on the changed objects, and in voxels near its surfaces.
     pub fn forget(&mut self, world: &World, changed: &[String]) {
         self.book.forget(world.environment(), changed);
-        let caster = Caster::new(world, &self.newest_class());
+        let caster = RayCaster::new(world, &self.newest_class());
         let reach = 2.0 * self.voxels.size();
-        self.voxels.retain(|_, voxel| caster.near(voxel.mean(), reach).is_none());
+        self.voxels.retain(|_, voxel| caster.nearest(voxel.mean(), reach).is_none());
     }
 
     /// The evidence on each object that a view supports or contradicts, by name.
@@ -99,13 +99,13 @@ impl Knowledge {
 
     /// The share of measured points that lie within some metres of the surface that a world predicts on their ray.
     pub fn share_explained(&self, world: &World, within: f64) -> f64 {
-        let caster = Caster::new(world, &self.newest_class());
+        let caster = RayCaster::new(world, &self.newest_class());
         let (mut all, mut near) = (0usize, 0usize);
         for view in &self.views {
             for (at, ray) in view.pixels.rays.iter().enumerate() {
                 let z = f64::from(view.ranges[at]);
                 if z.is_finite() && !ray.is_nan() {
-                    let hit = caster.first(view.origin(), view.world_from_image.rotation * *ray, view.reach(), None);
+                    let hit = caster.cast(view.origin(), view.world_from_image.rotation * *ray, view.reach(), None);
                     all += 1;
                     near += usize::from(hit.is_some_and(|hit| (hit.range - z).abs() <= within));
                 }

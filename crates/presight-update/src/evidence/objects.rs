@@ -1,9 +1,9 @@
 //! Evidence on objects and on the cells of their surfaces.
 
-use crate::observe::caster::RayHit;
 use crate::observe::view::{PixelEvidence, View};
 use crate::options::LearnOptions;
 use glam::DVec3;
+use presight_model::caster::RayHit;
 use presight_model::environment::Environment;
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -1,6 +1,5 @@
 //! Compares frames with a world, pixel by pixel.
 
-use crate::observe::caster::{Caster, RayHit};
 use crate::observe::mount::PoseCorrections;
 use crate::observe::pixels::SampledPixels;
 use crate::observe::priors::Priors;
@@ -9,6 +8,7 @@ use crate::observe::terms::Terms;
 use crate::observe::view::{BOUND, MIN_COSINE, NO_OBJECT, PixelEvidence, SAFE_REACH, View, reach_of};
 use glam::DVec3;
 use presight_localize::verdict::body_from_image;
+use presight_model::caster::{RayCaster, RayHit};
 use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate};
 use presight_model::matrix::{quadratic, scaled};
 use presight_model::measured::{Frame, RangeNoise};
@@ -37,7 +37,7 @@ struct PixelRay {
 
 /// Compares frames with one world.
 pub(crate) struct Observer<'a> {
-    pub caster: &'a Caster,
+    pub caster: &'a RayCaster,
     pub priors: &'a Priors,
     /// Number of views that may share one error of their poses.
     pub views: usize,
@@ -119,11 +119,11 @@ impl<'a> Shot<'a> {
     }
 
     /// Casts every `step`-th ray from a pose.
-    fn cast(&self, caster: &Caster, pose: &PoseEstimate, step: usize) -> Vec<PixelRay> {
+    fn cast(&self, caster: &RayCaster, pose: &PoseEstimate, step: usize) -> Vec<PixelRay> {
         let world_from_image = pose.world_from_robot * self.robot_from_image;
         let cast = |ray: &DVec3| {
             let (origin, ray) = (world_from_image.translation, world_from_image.rotation * *ray);
-            let hit = if ray.is_nan() { None } else { caster.first(origin, ray, self.reach, None) };
+            let hit = if ray.is_nan() { None } else { caster.cast(origin, ray, self.reach, None) };
             PixelRay { origin, ray, hit }
         };
         self.pixels.rays.iter().step_by(step).map(cast).collect()
@@ -204,7 +204,7 @@ impl Observer<'_> {
     /// Adds a measured point to a view's new points, unless a surface of the model is near.
     fn add_new_point(&self, view: &mut View, ray: &PixelRay, z: f64, errors: &RangeErrors<'_>) -> bool {
         let x = ray.origin + z * ray.ray;
-        let is_new = self.caster.near(x, KNOWN.max(BOUND * errors.across(x, ray.ray))).is_none();
+        let is_new = self.caster.nearest(x, KNOWN.max(BOUND * errors.across(x, ray.ray))).is_none();
         if is_new {
             view.new_points.push(x);
         }
@@ -220,7 +220,7 @@ impl Observer<'_> {
             }
             return;
         };
-        let second = || self.caster.first(ray.origin, ray.ray, reach, Some(hit.object));
+        let second = || self.caster.cast(ray.origin, ray.ray, reach, Some(hit.object));
         let sigma = errors.sigma(ray, hit);
         view.compared.0 += 1;
         if (z - hit.range).abs() <= BOUND * sigma {
@@ -266,7 +266,7 @@ impl Observer<'_> {
         let v = ray.ray.cross(u);
         [u, -u, v, -v].into_iter().all(|aside| {
             let neighbour = (ray.ray + angle.tan() * aside).normalize();
-            let found = self.caster.first(ray.origin, neighbour, before, None);
+            let found = self.caster.cast(ray.origin, neighbour, before, None);
             found.is_some_and(|other| other.object == hit.object)
         })
     }

@@ -1,12 +1,12 @@
 //! The pose of one view by its own readings. All pixels of a view share the error of its pose. It is estimated once per view, so that it
 //! does not widen the error of each pixel.
 
-use crate::observe::caster::Caster;
 use crate::observe::priors::Priors;
 use crate::observe::terms::{AXES, ObjectTerms, Terms};
 use crate::observe::view::{BOUND, MIN_COSINE};
 use glam::DVec3;
 use presight_localize::motion::{motion_between, moved};
+use presight_model::caster::RayCaster;
 use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate};
 use presight_model::matrix::{add_to, apply, inverse, quadratic, scaled};
 use presight_model::measured::RangeNoise;
@@ -21,7 +21,7 @@ const PASSES: usize = 3;
 
 /// The readings of a view.
 pub(crate) struct Readings<'a> {
-    pub caster: &'a Caster,
+    pub caster: &'a RayCaster,
     pub robot_from_image: Pose,
     /// Unit rays in the image frame, and their ranges, metres.
     pub of: Vec<(DVec3, f32)>,
@@ -162,7 +162,7 @@ impl Readings<'_> {
                 return None;
             }
             let ray = world_from_image.rotation * *ray;
-            let hit = self.caster.first(origin, ray, self.reach, None)?;
+            let hit = self.caster.cast(origin, ray, self.reach, None)?;
             let cos = hit.normal.dot(ray);
             let (along, across) = (self.noise.range_sigma(hit.range) * cos, hit.range * self.noise.angle);
             let n = hit.normal;

@@ -3,8 +3,8 @@
 use crate::evidence::features::blind::{Counts, Region, is_blind, region};
 use crate::evidence::features::located::{Offsets, SensorAtPose};
 use crate::evidence::features::sightings::{Sighting, Tracks, place_of};
-use crate::observe::caster::Caster;
 use presight_localize::extract::{FeatureClass, FeatureFinding, Findings};
+use presight_model::caster::RayCaster;
 use presight_model::environment::{Environment, Feature, FeatureShape};
 use presight_model::geometry::{Pose, PoseEstimate};
 use presight_model::measured::Frame;
@@ -41,7 +41,7 @@ pub(crate) struct FeatureViews {
 #[derive(Clone, Copy)]
 pub(crate) struct KnownFeatures<'a> {
     pub environment: &'a Environment,
-    pub caster: &'a Caster,
+    pub caster: &'a RayCaster,
 }
 
 impl KnownFeatures<'_> {
@@ -196,7 +196,7 @@ mod tests {
     #[test]
     fn a_dark_image_is_ignored() {
         let world = World::new(Environment::new());
-        let caster = Caster::new(&world, "laser");
+        let caster = RayCaster::new(&world, "laser");
         let known = KnownFeatures { environment: world.environment(), caster: &caster };
         let finding = |id: u32, class: FeatureClass| FeatureFinding {
             id,

@@ -2,10 +2,10 @@
 
 use crate::evidence::features::book::{Mean, add_value};
 use crate::evidence::features::located::{SensorAtPose, across};
-use crate::observe::caster::Caster;
 use crate::observe::view::{BOUND, MIN_COSINE, reach_of};
 use glam::{DMat3, DVec2, DVec3};
 use presight_localize::matching::{Detection, Shape};
+use presight_model::caster::RayCaster;
 
 /// Maximum number of new features, which bounds the memory. Further features are left out.
 const MAX_TRACKS: usize = 1000;
@@ -51,14 +51,14 @@ fn outer(a: DVec3, b: DVec3) -> DMat3 {
 
 /// The place of a detection: a reflector is placed by its range, a corner or an edge on the surface that its rays meet. `None` for a
 /// detection without a place.
-pub(crate) fn place_of(sensor: &SensorAtPose<'_>, detection: &Detection, caster: &Caster) -> Option<Sighting> {
+pub(crate) fn place_of(sensor: &SensorAtPose<'_>, detection: &Detection, caster: &RayCaster) -> Option<Sighting> {
     let point_at = |at: DVec2| {
         let (ray, steps) = sensor.ray(at)?;
         let (range, slide, along) = match (&detection.shape, &detection.properties.range) {
             (Shape::Reflector(_), Some(range)) => (range.mean, DMat3::IDENTITY, range.variance),
             (Shape::Reflector(_), None) => return None,
             _ => {
-                let hit = caster.first(sensor.position(), ray, reach_of(sensor.sensor.spec()), None)?;
+                let hit = caster.cast(sensor.position(), ray, reach_of(sensor.sensor.spec()), None)?;
                 let cos = hit.normal.dot(ray);
                 if cos.abs() < MIN_COSINE {
                     return None;
