@@ -1,4 +1,5 @@
-//! A site whose objects all stand a little off their places. One drive teaches their poses, and another one judges them.
+//! A site whose objects all stand a little off their places. One drive teaches their poses, and another one judges
+//! them.
 
 use super::case::{Amounts, Case, Off};
 use presight_localize::estimate::{EstimateOptions, Estimator, nees};
@@ -54,8 +55,8 @@ fn stated(map: Environment, class: &str) -> World {
     world
 }
 
-/// Learns from a drive of a sensor with poses that are off as stated; returns the world with the poses that it taught, and these
-/// poses.
+/// Learns from a drive of a sensor with poses that are off as stated; returns the world with the poses that it taught,
+/// and these poses.
 pub fn learn(case: &Case, sensor: &Sensor, off: Off) -> (World, Vec<RefinedPose>) {
     let mut learner = Learner::new(LearnOptions::default()).expect("sound options");
     for (frame, pose, _) in &case.drive(sensor, off) {

@@ -1,4 +1,5 @@
-//! The pixels of another drive after an update: how many wrong ones are right now, and how many right ones it made wrong.
+//! The pixels of another drive after an update: how many wrong ones are right now, and how many right ones it made
+//! wrong.
 
 use super::case::Case;
 use presight_model::geometry::Pose;

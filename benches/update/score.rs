@@ -85,7 +85,8 @@ pub fn share((found, all): (usize, usize)) -> String {
     format!("{found} of {all} ({:.0} to {:.0} %)", 100.0 * low, 100.0 * high)
 }
 
-/// In how many views an object changes enough pixels, in how many of them where it stands now, and in how many views are past it.
+/// In how many views an object changes enough pixels, in how many of them where it stands now, and in how many views
+/// are past it.
 type Seen = (usize, usize, usize);
 
 pub const HEAD: &str = "| drive | removed, found gone | moved, found | seen at the new place | added, found | place mm p50, p95 | false deletions | moved that stand | false new | moved to another's place |\n|---|---|---|---|---|---|---|---|---|---|";
@@ -100,8 +101,8 @@ fn interval(found: usize, all: usize) -> (f64, f64) {
     ((middle - half) / (1.0 + z * z / n), (middle + half) / (1.0 + z * z / n))
 }
 
-/// In how many views each changed object changes enough pixels, and in how many of them where it stands now, for the sensor of several
-/// that sees it in most views.
+/// In how many views each changed object changes enough pixels, and in how many of them where it stands now, for the
+/// sensor of several that sees it in most views.
 fn visible_by(case: &Case, sensors: &[&Sensor], poses: &[Pose]) -> BTreeMap<String, Seen> {
     let mut all = BTreeMap::<String, Seen>::new();
     for (name, views) in sensors.iter().flat_map(|sensor| visible(case, sensor, poses)) {

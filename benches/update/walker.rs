@@ -1,4 +1,5 @@
-//! A picture of a person who crosses before a robot and leaves nothing: `cargo bench --bench update -- walker FILE.png`.
+//! A picture of a person who crosses before a robot and leaves nothing: `cargo bench --bench update -- walker
+//! FILE.png`.
 
 use glam::DVec3;
 use presight::Scene;

@@ -1,5 +1,6 @@
-//! A real building against its architect's model: scans cast in the laser map of the Willow Garage offices teach the model what differs.
-//! `cargo bench --bench update -- willow [FOLDER]`; a folder gets the logs and the poses of the first drive, for the command.
+//! A real building against its architect's model: scans cast in the laser map of the Willow Garage offices teach the
+//! model what differs. `cargo bench --bench update -- willow [FOLDER]`; a folder gets the logs and the poses of the
+//! first drive, for the command.
 
 use glam::{DMat3, DVec2, DVec3};
 use presight_files::log::{LogFrame, lines};
@@ -278,7 +279,8 @@ fn seen_before(drives: &[Vec<(Frame, Pose)>], others: &[Vec<(Frame, Pose)>]) -> 
     100.0 * all.iter().filter(near).count() as f64 / all.len().max(1) as f64
 }
 
-/// Where drives put the robot: scans within 0.5 m and 5 degrees of the truth, all, and those said to be tracked that are farther off.
+/// Where drives put the robot: scans within 0.5 m and 5 degrees of the truth, all, and those said to be tracked that
+/// are farther off.
 fn localized(world: &World, drives: &[Vec<(Frame, Pose)>]) -> (usize, usize, usize) {
     let (mut good, mut all, mut wrong) = (0, 0, 0);
     for drive in drives {
@@ -364,7 +366,8 @@ fn places() -> Vec<DVec2> {
     published()["scans"].as_array().expect("a list").iter().map(|scan| pose_of(scan).0).collect()
 }
 
-/// The median difference between ranges cast here and those published with the map, metres: the casts are right if it is a cell or less.
+/// The median difference between ranges cast here and those published with the map, metres: the casts are right if it
+/// is a cell or less.
 fn beside_published(map: &Map) -> f64 {
     let mut off = Vec::new();
     for scan in published()["scans"].as_array().expect("a list") {

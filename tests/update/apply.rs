@@ -33,7 +33,8 @@ fn ids<'a>(changes: impl Iterator<Item = &'a ProposedChange>) -> Vec<String> {
     changes.map(|change| change.id.clone()).collect()
 }
 
-/// With little time, changes are applied from the first on, each group completely. The rest waits in order and follows later.
+/// With little time, changes are applied from the first on, each group completely. The rest waits in order and follows
+/// later.
 #[test]
 fn changes_wait_for_time_in_order() {
     let folder = tempfile::tempdir().unwrap();
@@ -59,7 +60,8 @@ fn changes_wait_for_time_in_order() {
     assert!(done.refused[0].1.to_string().contains("crate 4"), "{done:?}");
 }
 
-/// The store is locked only for a commit. While another writer has the lock, no change is applied, and all stay pending.
+/// The store is locked only for a commit. While another writer has the lock, no change is applied, and all stay
+/// pending.
 #[test]
 fn a_locked_store_leaves_all_changes_pending() {
     let folder = tempfile::tempdir().unwrap();

@@ -13,8 +13,8 @@ use presight_update::{Finding, FindingKind, LearnOptions, Learner};
 const LIDAR: &str = "format = 1\nkind = \"scanner\"\nclass = \"laser\"\nrange_max = 20\n[azimuth]\nstart_deg = -180\nstep_deg = 1\ncount = 360\n\
     [elevation]\nstart_deg = -20\nstep_deg = 2\ncount = 14\n[noise]\nrange_sigma = 0.01\n[mount]\nxyz = [0.0, 0.0, 1.0]\n";
 
-/// A room of 8 x 6 m. A crate stands in an alcove between two blocks, which opens towards -x, and a pillar stands before the opening, too
-/// near for a robot to pass.
+/// A room of 8 x 6 m. A crate stands in an alcove between two blocks, which opens towards -x, and a pillar stands
+/// before the opening, too near for a robot to pass.
 fn room() -> Environment {
     let mut environment = Environment::new();
     let mut add = |name: &str, least: DVec3, most: DVec3| {
@@ -36,9 +36,9 @@ fn is_in_sight(oracle: &Oracle, from: DVec3) -> bool {
     points.into_iter().any(|p| (oracle.distance(from, (p - from).normalize()) - p.distance(from)).abs() < 1e-3)
 }
 
-/// By hand: straight before the pillar the nearest free places, 1.3 m from the crate's front, see nothing of it. Places aside, through the
-/// gaps of 0.4 m, see it. A robot that had two looks through a gap has to look from there, and so has one whose policy stops at the
-/// crate. The pose is free: the robot is 0.3 m in radius.
+/// By hand: straight before the pillar the nearest free places, 1.3 m from the crate's front, see nothing of it. Places
+/// aside, through the gaps of 0.4 m, see it. A robot that had two looks through a gap has to look from there, and so
+/// has one whose policy stops at the crate. The pose is free: the robot is 0.3 m in radius.
 #[test]
 fn a_crate_behind_a_pillar_is_looked_at_from_aside() {
     let world = World::new(room());

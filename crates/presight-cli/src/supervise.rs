@@ -22,15 +22,17 @@ use std::time::Duration;
 
 const EXAMPLES: &str = "Examples:
   presight supervise log --map hall.glb --init reference --corridor way.json --speed 0.5 --out run.jsonl --png way.png
-  presight supervise front=front.jsonl rear=rear.jsonl --robot kurt.toml --map hall.glb --init reference --corridor way.json --out run.jsonl
+  presight supervise front=front.jsonl rear=rear.jsonl --robot kurt.toml --map hall.glb \
+    --init reference --corridor way.json --out run.jsonl
   presight supervise scans.json --map corridor.glb --init reference --corridor way.json --upright --out run.jsonl";
 
 /// Supervise the way ahead: which parts of a corridor are free, known, intruded or not seen, and why
 ///
-/// This is not a safety device. Tracks the robot as `localize` does, and compares each frame with the model in the corridor
-/// of --corridor: a line in the robot's frame or in the world, a polygon, or a footprint over poses (docs/formats.md).
-/// FILE.jsonl gets the cells and then one line for each frame; it grows as frames come, and stays after an error or a
-/// signal. While the pose is not tracked, the measurement counts alone: all surfaces in the corridor are intrusions.
+/// This is not a safety device. Tracks the robot as `localize` does, and compares each frame with the model in the
+/// corridor of --corridor: a line in the robot's frame or in the world, a polygon, or a footprint over poses
+/// (docs/formats.md). FILE.jsonl gets the cells and then one line for each frame; it grows as frames come, and stays
+/// after an error or a signal. While the pose is not tracked, the measurement counts alone: all surfaces in the
+/// corridor are intrusions.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {

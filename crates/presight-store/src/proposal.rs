@@ -29,7 +29,8 @@ pub struct ProposedChange {
     pub cause: String,
     /// The evidence for it, if there is a measure.
     pub evidence: Option<ChangeEvidence>,
-    /// Objects with the poses that they had when the change was found. The change is refused if one of them was moved since.
+    /// Objects with the poses that they had when the change was found. The change is refused if one of them was moved
+    /// since.
     pub was: Vec<(String, Pose)>,
     /// The change.
     pub edit: Edit,

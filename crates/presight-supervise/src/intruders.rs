@@ -1,11 +1,12 @@
 //! Intrusions: unknown objects in a corridor.
 //!
-//! Pixels that measure an unknown surface in the corridor are joined to clusters. A cluster is an intrusion if the expected number of
-//! similar chance clusters in a frame is below [`super::SuperviseOptions::false_alarms`]. A pixel is wrong by chance with probability
-//! p = e + Q(d). Here e is the share of arbitrary readings (mixed pixels, multipath), and Q(d) is the tail of Gaussian noise beyond d
-//! deviations. With N pixels whose arbitrary readings lie in the corridor, the expected number of chance clusters of m pixels is at
-//! most `N p_1 (8 p'_2) .. (8 p'_m)`. A cluster grows by one of 8 neighbours, and p' = q e + Q(d), because an arbitrary reading agrees
-//! with its neighbour within the gate only with probability q = 2 gate / range.
+//! Pixels that measure an unknown surface in the corridor are joined to clusters. A cluster is an intrusion if the
+//! expected number of similar chance clusters in a frame is below [`super::SuperviseOptions::false_alarms`]. A pixel is
+//! wrong by chance with probability p = e + Q(d). Here e is the share of arbitrary readings (mixed pixels, multipath),
+//! and Q(d) is the tail of Gaussian noise beyond d deviations. With N pixels whose arbitrary readings lie in the
+//! corridor, the expected number of chance clusters of m pixels is at most `N p_1 (8 p'_2) .. (8 p'_m)`. A cluster
+//! grows by one of 8 neighbours, and p' = q e + Q(d), because an arbitrary reading agrees with its neighbour within the
+//! gate only with probability q = 2 gate / range.
 
 use super::options::SuperviseOptions;
 use super::pixels::{BOUND, Comparison};
@@ -27,8 +28,8 @@ use std::collections::BTreeMap;
 pub struct Intrusion {
     /// The visible point nearest to the sensor, robot's frame, metres.
     pub nearest: DVec3,
-    /// Covariance of that point along the robot's axes, square metres. It includes the covariance of the robot's pose if the corridor is in
-    /// the world.
+    /// Covariance of that point along the robot's axes, square metres. It includes the covariance of the robot's pose
+    /// if the corridor is in the world.
     pub covariance: DMat3,
     /// Distance from the sensor to that point, metres.
     pub range: f64,
@@ -40,7 +41,8 @@ pub struct Intrusion {
     pub pixels: usize,
     /// Expected number of similar chance clusters in a frame.
     pub false_alarms: f64,
-    /// Index of an object of similar size whose place in the map was seen to be empty; the intrusion may be that object.
+    /// Index of an object of similar size whose place in the map was seen to be empty; the intrusion may be that
+    /// object.
     pub object: Option<u32>,
 }
 
@@ -70,8 +72,8 @@ pub struct Search<'a> {
 }
 
 impl Search<'_> {
-    /// True if a point lies on a surface of the model, within the errors of noise, pose and model, although its pixel predicted another
-    /// range.
+    /// True if a point lies on a surface of the model, within the errors of noise, pose and model, although its pixel
+    /// predicted another range.
     fn is_on_model(&self, point: &CorridorPoint, found: &mut QueryResult) -> bool {
         let z = f64::from(self.frame.ranges()[point.pixel]);
         let [metres, radians] = self.pose_deviation;
@@ -122,8 +124,8 @@ impl Search<'_> {
         [arbitrary + gaussian, arbitrary * agreeing + gaussian]
     }
 
-    /// Joins unknown points to intrusions, by distance along the corridor. `in_view` is the number of pixels whose arbitrary readings lie in
-    /// the corridor. Also returns the points of each intrusion.
+    /// Joins unknown points to intrusions, by distance along the corridor. `in_view` is the number of pixels whose
+    /// arbitrary readings lie in the corridor. Also returns the points of each intrusion.
     pub fn intrusions(&self, points: &[CorridorPoint], in_view: f64) -> Vec<(Intrusion, Vec<CorridorPoint>)> {
         let by_pixel: BTreeMap<usize, usize> = points.iter().enumerate().map(|(i, p)| (p.pixel, i)).collect();
         let mut is_joined = vec![false; points.len()];
@@ -157,8 +159,8 @@ impl Search<'_> {
         found
     }
 
-    /// Maximum distance between points of one object at neighbouring pixels, metres: the width of the smallest intruder, the spacing of the
-    /// rays, and the noise of both readings.
+    /// Maximum distance between points of one object at neighbouring pixels, metres: the width of the smallest
+    /// intruder, the spacing of the rays, and the noise of both readings.
     fn gate(&self, at: &CorridorPoint, neighbour: usize) -> f64 {
         let z = f64::from(self.frame.ranges()[at.pixel]);
         let angle = f64::from(self.rays.rays[at.pixel].distance(self.rays.rays[neighbour]));

@@ -147,8 +147,8 @@ impl<'a> SensorView<'a> {
         Some(Patch { columns, rows, far, spacing })
     }
 
-    /// Size in pixels of the largest window that fits into a disc as wide as the smallest intruder. `None` for a window with less than two
-    /// pixels.
+    /// Size in pixels of the largest window that fits into a disc as wide as the smallest intruder. `None` for a window
+    /// with less than two pixels.
     fn window_size(&self, patch: &Patch) -> Option<[usize; 2]> {
         let [across, down] = patch.spacing;
         let rows = match (FRAC_1_SQRT_2 * self.smallest / down).floor() {
@@ -162,7 +162,8 @@ impl<'a> SensorView<'a> {
         (columns >= 1.0 && rows * columns >= 2.0).then_some([columns as usize, rows as usize])
     }
 
-    /// The reason why rays do not pass a part of a patch; `None` if two rays pass in every window whose centre is in the patch.
+    /// The reason why rays do not pass a part of a patch; `None` if two rays pass in every window whose centre is in
+    /// the patch.
     fn blocked(&mut self, patch: &Patch, [across, down]: [usize; 2]) -> Option<UnseenReason> {
         let ((a, step_u), (b, step_v)) = (level_and_step(across), level_and_step(down));
         let starts = |[from, to]: [f32; 2], size: usize| {

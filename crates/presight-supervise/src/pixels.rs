@@ -63,8 +63,8 @@ impl Readings {
         readings
     }
 
-    /// A pixel at the edge of an unknown object may mix its distance with that of the background. Therefore a ray is certainly free only
-    /// inside a region of unknown pixels, and no farther than its neighbours.
+    /// A pixel at the edge of an unknown object may mix its distance with that of the background. Therefore a ray is
+    /// certainly free only inside a region of unknown pixels, and no farther than its neighbours.
     fn distrust_edges(&mut self, rays: &SensorRays) {
         let trusted = self.through.clone();
         for at in (0..trusted.len()).filter(|at| self.behind[*at] == UnseenReason::BehindUnknown) {

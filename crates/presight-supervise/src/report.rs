@@ -99,14 +99,16 @@ pub struct Report {
     pub stamp: f64,
     /// States by cell, numbered as in [`super::Cells`].
     pub cells: Vec<CellState>,
-    /// Shares of the corridor's volume in cells whose centre no ray reaches, by reason in the order of [`UnseenReason::ALL`]. Gaps between
-    /// rays are ignored here.
+    /// Shares of the corridor's volume in cells whose centre no ray reaches, by reason in the order of
+    /// [`UnseenReason::ALL`]. Gaps between rays are ignored here.
     pub hidden: [f64; 7],
     /// Unknown objects in the corridor, by distance along it.
     pub intrusions: Vec<Intrusion>,
-    /// Time until the first intrusion is reached at the speed of the options, seconds; `None` without an intrusion, or at speed 0.
+    /// Time until the first intrusion is reached at the speed of the options, seconds; `None` without an intrusion, or
+    /// at speed 0.
     pub time_to_reach: Option<f64>,
-    /// False without a pose. All surfaces are then reported as intrusions, because they cannot be compared with the model.
+    /// False without a pose. All surfaces are then reported as intrusions, because they cannot be compared with the
+    /// model.
     pub is_compared: bool,
     /// True if objects in the corridor are assumed to reach the heights that the sensors see.
     pub is_upright_assumed: bool,

@@ -103,8 +103,8 @@ impl Supervisor {
         &self.corridor
     }
 
-    /// Supervises the corridor by the frames of the robot's sensors at one time. Without a pose of the robot, frames cannot be compared with
-    /// the model, and every surface in the corridor is an intrusion.
+    /// Supervises the corridor by the frames of the robot's sensors at one time. Without a pose of the robot, frames
+    /// cannot be compared with the model, and every surface in the corridor is an intrusion.
     ///
     /// # Errors
     /// [`ErrorKind::Usage`] without a frame and for a frame without ranges; [`ErrorKind::Invalid`] for an invalid
@@ -255,8 +255,9 @@ impl Supervisor {
         (points, self.chances(search.rays, &corridor_from_sensor.inverse()))
     }
 
-    /// Expected number of pixels whose arbitrary readings lie in the corridor: the sum over all cells of the rays through the cell, times the
-    /// share of their length in it. Arbitrary readings are uniform between the sensor and the cell, or over at least a metre.
+    /// Expected number of pixels whose arbitrary readings lie in the corridor: the sum over all cells of the rays
+    /// through the cell, times the share of their length in it. Arbitrary readings are uniform between the sensor and
+    /// the cell, or over at least a metre.
     fn chances(&self, rays: &SensorRays, sensor_from_corridor: &Pose) -> f64 {
         let (side, height) = (self.cells.side, self.cells.layer_height);
         let each = (0..self.cells.count()).filter_map(|cell| {

@@ -20,8 +20,8 @@ struct Level {
     second: Vec<f32>,
 }
 
-/// The size of windows for a number of pixels: the exponent of a power of two, and the step between windows with which every interval of
-/// this number of pixels contains a complete window.
+/// The size of windows for a number of pixels: the exponent of a power of two, and the step between windows with which
+/// every interval of this number of pixels contains a complete window.
 pub fn level_and_step(pixels: usize) -> (u32, usize) {
     let level = match pixels {
         0 | 1 => 0,

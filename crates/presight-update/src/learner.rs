@@ -1,4 +1,5 @@
-//! Learning from drives: selects frames as views, and believes a view once the robot has driven farther without getting lost.
+//! Learning from drives: selects frames as views, and believes a view once the robot has driven farther without getting
+//! lost.
 
 use crate::change::proposals;
 use crate::change::refine::{self, RefinedPose};
@@ -92,8 +93,8 @@ impl Learner {
         &self.knowledge.options
     }
 
-    /// Adds the frames of one stamp with the localizer's result. A frame counts only if its pose is determined and tracked, if the next
-    /// frame agrees, and if the robot is not lost soon after.
+    /// Adds the frames of one stamp with the localizer's result. A frame counts only if its pose is determined and
+    /// tracked, if the next frame agrees, and if the robot is not lost soon after.
     ///
     /// # Errors
     /// [`presight_model::ErrorKind::Usage`] if the world differs from that of earlier frames.
@@ -216,20 +217,21 @@ impl Learner {
         classify::findings(&self.knowledge, world)
     }
 
-    /// For each finding the free pose from which predictions with and without it differ most; `None` if no pose shows it.
+    /// For each finding the free pose from which predictions with and without it differ most; `None` if no pose shows
+    /// it.
     pub fn plan_views(&mut self, world: &World, findings: &[&Finding]) -> Vec<Option<PlannedView>> {
         self.knowledge.prepare(world, &self.knowledge.newest_class());
         planner::plan_views(&self.knowledge, world, findings)
     }
 
-    /// Replaces the boxes of new objects by shapes that explain their points better. Shapes of the library start from several yaws,
-    /// shapes that the recognizer names start from its poses. A shape is accepted if the points fix its pose, if at least 80 % of its
-    /// visible surface is confirmed and no part of it is decidedly seen through, and if its odds against boxes are at least
-    /// [`LearnOptions::decisive`].
+    /// Replaces the boxes of new objects by shapes that explain their points better. Shapes of the library start from
+    /// several yaws, shapes that the recognizer names start from its poses. A shape is accepted if the points fix its
+    /// pose, if at least 80 % of its visible surface is confirmed and no part of it is decidedly seen through, and if
+    /// its odds against boxes are at least [`LearnOptions::decisive`].
     ///
     /// # Errors
-    /// Errors of the recognizer, and [`presight_model::ErrorKind::Invalid`] if it names an unknown object. The findings then lack its
-    /// further answers.
+    /// Errors of the recognizer, and [`presight_model::ErrorKind::Invalid`] if it names an unknown object. The findings
+    /// then lack its further answers.
     pub fn recognize(
         &mut self,
         world: &World,
@@ -241,18 +243,18 @@ impl Learner {
         recognize::recognize(&self.knowledge, world, findings, library, recognizer)
     }
 
-    /// The poses of confirmed objects, by Bayes from what the model states: the covariances of the sensor's layer, or the deviation of
-    /// surfaces. Empty for a model that states neither, because it is exact. An object that sensors of several classes saw follows
-    /// the class with the most views of it.
+    /// The poses of confirmed objects, by Bayes from what the model states: the covariances of the sensor's layer, or
+    /// the deviation of surfaces. Empty for a model that states neither, because it is exact. An object that sensors of
+    /// several classes saw follows the class with the most views of it.
     pub fn refined(&self, environment: &Environment, findings: &Findings) -> Vec<RefinedPose> {
         refine::refined(&self.knowledge, environment, findings)
     }
 
     /// The changes that follow from findings, each with its id, its cause and its evidence.
     ///
-    /// `base` names the version of the model that the findings refer to. It is part of the ids, so that no change is applied twice.
-    /// `utc` is added to the stamps of frames, seconds. The policy selects the findings that change the model, and the findings
-    /// that only mark it. Marks that the model has already are left out.
+    /// `base` names the version of the model that the findings refer to. It is part of the ids, so that no change is
+    /// applied twice. `utc` is added to the stamps of frames, seconds. The policy selects the findings that change the
+    /// model, and the findings that only mark it. Marks that the model has already are left out.
     pub fn changes(
         &self,
         findings: &Findings,
@@ -276,11 +278,13 @@ impl Learner {
         file::save(&self.knowledge, path, environment, map)
     }
 
-    /// Adds the evidence of a file. Evidence on objects that were removed or moved since is left out; returns their number.
+    /// Adds the evidence of a file. Evidence on objects that were removed or moved since is left out; returns their
+    /// number.
     ///
     /// # Errors
     /// [`presight_model::ErrorKind::Invalid`] if it is not a file of evidence, or belongs to another map;
-    /// [`presight_model::ErrorKind::Unsupported`] for a newer format; [`presight_model::ErrorKind::System`] if it cannot be read.
+    /// [`presight_model::ErrorKind::Unsupported`] for a newer format; [`presight_model::ErrorKind::System`] if it
+    /// cannot be read.
     pub fn load(&mut self, path: &Path, environment: &Environment, map: &str) -> Result<usize> {
         file::load(&mut self.knowledge, path, environment, map)
     }

@@ -1,4 +1,5 @@
-//! Keeps a model up to date: differences between prediction and measurement become evidence, and evidence becomes changes.
+//! Keeps a model up to date: differences between prediction and measurement become evidence, and evidence becomes
+//! changes.
 //!
 //! Use it through the crate `presight`, which gives the same names.
 

@@ -10,15 +10,17 @@ use std::time::Duration;
 /// Flags on known shapes.
 #[derive(Debug, clap::Args)]
 pub struct KnownArgs {
-    /// Fit the meshes of this folder (.glb, .gltf) to new things: one that explains the points better than boxes is proposed
+    /// Fit the meshes of this folder (.glb, .gltf) to new things: one that explains the points better than boxes is
+    /// proposed
     #[arg(long, value_name = "DIR")]
     library: Option<PathBuf>,
 
-    /// Ask this program what new things are: it gets points as PLY on its input, and prints {"object": NAME, "pose": [..]}
+    /// Ask this program what new things are: it gets points as PLY on its input, and prints {"object": NAME, "pose":
+    /// [..]}
     ///
-    /// It runs once for each group of points, without a shell. Points are in the world, metres. NAME is a file of --library without
-    /// its ending, or an object of the map. The pose is x, y, z, roll, pitch, yaw in degrees, or x, y, z, qx, qy, qz, qw. What
-    /// explains the points no better than boxes, or is seen through, is not proposed.
+    /// It runs once for each group of points, without a shell. Points are in the world, metres. NAME is a file of
+    /// --library without its ending, or an object of the map. The pose is x, y, z, roll, pitch, yaw in degrees, or x,
+    /// y, z, qx, qy, qz, qw. What explains the points no better than boxes, or is seen through, is not proposed.
     #[arg(long, value_name = "CMD")]
     recognizer: Option<String>,
 
@@ -54,7 +56,8 @@ impl KnownArgs {
 }
 
 impl Recognizers {
-    /// Replaces boxes by known shapes. If the recognizer fails, the error is reported, and the findings keep their boxes.
+    /// Replaces boxes by known shapes. If the recognizer fails, the error is reported, and the findings keep their
+    /// boxes.
     pub fn improve(&mut self, learner: &mut Learner, world: &World, findings: &mut Findings) {
         let program = self.program.as_mut().map(|program| program as &mut dyn Recognizer);
         if let Err(e) = learner.recognize(world, findings, &self.library, program) {

@@ -1,4 +1,5 @@
-//! Questions that a planned view answers: objects in doubt, and findings at which a policy stops or to which it comes back.
+//! Questions that a planned view answers: objects in doubt, and findings at which a policy stops or to which it comes
+//! back.
 
 use super::describe;
 use presight_files::atomic::write_atomically;

@@ -36,19 +36,22 @@ const EXAMPLES: &str = "Examples:
     presight env apply site.presight found/changes.jsonl
 
   With poses from elsewhere, known to 5 mm and 0.1 degrees:
-    presight update run.jsonl --map site.presight --init reference --poses run.tum --pose-cov 0.005,0.005,0.005,0.1,0.1,0.1 --out found
+    presight update run.jsonl --map site.presight --init reference --poses run.tum \
+    --pose-cov 0.005,0.005,0.005,0.1,0.1,0.1 --out found
 
   New things whose shapes are known, as meshes:
-    presight update run.jsonl --map site.presight --init reference --library pallets --recognizer \"python3 name.py\" --out found
+    presight update run.jsonl --map site.presight --init reference --library pallets \
+    --recognizer \"python3 name.py\" --out found
 
   A robot with two sensors:
-    presight update front=front.jsonl rear=rear.jsonl --robot kurt.toml --map site.presight --init reference --out found";
+    presight update front=front.jsonl rear=rear.jsonl --robot kurt.toml --map site.presight \
+    --init reference --out found";
 
 /// Learn what changed: objects that are gone, moved or new, from the logs of drives
 ///
 /// LOGs are drives one after the other, each as for `localize`. DIR gets changes.jsonl, which `env apply` reads,
-/// doubts.jsonl, which says where to look from, and index.html, which shows each change: the measurement between the predictions
-/// without and with it, and how the evidence grew. Nothing else is written without --apply or --evidence.
+/// doubts.jsonl, which says where to look from, and index.html, which shows each change: the measurement between the
+/// predictions without and with it, and how the evidence grew. Nothing else is written without --apply or --evidence.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -91,7 +94,8 @@ pub struct Args {
     #[arg(long, value_name = "UTC")]
     time: Option<f64>,
 
-    /// What becomes of each kind of finding, such as gone=change,new=stop: mark, change, stop, come-back or ignore [default: mark]
+    /// What becomes of each kind of finding, such as gone=change,new=stop: mark, change, stop, come-back or ignore
+    /// [default: mark]
     ///
     /// The kinds are gone, moved, new and part. `mark` marks objects and new things as uncertain. `change` changes the
     /// model. `stop` proposes nothing, says where to look from, and ends with status 1. `come-back` adds the place to
@@ -312,7 +316,8 @@ fn summary(learner: &Learner, findings: &Findings, (before, after): (f64, f64)) 
     let tally = learner.tally();
     let mut text = format!("{} frames, {} views, {} thrown away\n", tally.frames, tally.views, tally.discarded);
     text += &format!(
-        "{} gone, {} moved, {} new, {} parts gone, {} seen through, {} come and go, {} doubtful, {} confirmed, {} never seen\n",
+        "{} gone, {} moved, {} new, {} parts gone, {} seen through, {} come and go, {} doubtful, \
+         {} confirmed, {} never seen\n",
         count(|w| matches!(w, FindingKind::Gone)),
         count(|w| matches!(w, FindingKind::Moved { .. })),
         count(|w| matches!(w, FindingKind::New(_) | FindingKind::Recognized(_))),

@@ -1,4 +1,5 @@
-//! The page of an update: for each change the measurement between the predictions without and with it, and how its evidence grew.
+//! The page of an update: for each change the measurement between the predictions without and with it, and how its
+//! evidence grew.
 
 use super::looks::look_from;
 use super::{Args, Drive, describe};
@@ -62,8 +63,8 @@ impl Page<'_> {
                 write_atomically(&out.join(&file), |to| to.write_all(&png))?;
                 let _ = write!(
                     body,
-                    "<figure><img src=\"{file}\" alt=\"measurement between predictions\"><figcaption>At {} s. If the right \
-                     picture is more like the middle one than the left is, the change is right.</figcaption></figure>",
+                    "<figure><img src=\"{file}\" alt=\"measurement between predictions\"><figcaption>At {} s. \
+                     If the right picture is more like the middle one than the left is, the change is right.</figcaption></figure>",
                     frame.stamp
                 );
             }
@@ -117,8 +118,8 @@ impl Page<'_> {
                 write_atomically(&out.join(&file), |to| to.write_all(&png))?;
                 let _ = write!(
                     body,
-                    "<figure><img src=\"{file}\" alt=\"predictions without and with it\"><figcaption>From the free pose that tells \
-                     most.</figcaption></figure>"
+                    "<figure><img src=\"{file}\" alt=\"predictions without and with it\"><figcaption>From the free \
+                     pose that tells most.</figcaption></figure>"
                 );
             }
             body += "</section>";
@@ -221,9 +222,11 @@ fn growth(finding: &Finding, sure: f64) -> String {
         .collect();
     let line = |l: f32| format!("M0 {:.1}H{WIDE}", y(l));
     format!(
-        "<figure><svg viewBox=\"0 0 {WIDE} 100\" width=\"{WIDE}\" height=\"100\"><path d=\"{}\" stroke=\"#999\"/><path d=\"{}{}\" \
-         stroke=\"#999\" stroke-dasharray=\"4 4\"/><polyline points=\"{}\" fill=\"none\" stroke=\"#06c\" stroke-width=\"2\"/></svg>\
-         <figcaption>log-odds that it stands there, over {} views: {:.0} at the end; dashed: what decides</figcaption></figure>",
+        "<figure><svg viewBox=\"0 0 {WIDE} 100\" width=\"{WIDE}\" height=\"100\"><path d=\"{}\" stroke=\"#999\"/>\
+         <path d=\"{}{}\" stroke=\"#999\" stroke-dasharray=\"4 4\"/>\
+         <polyline points=\"{}\" fill=\"none\" stroke=\"#06c\" stroke-width=\"2\"/></svg>\
+         <figcaption>log-odds that it stands there, over {} views: {:.0} at the end; dashed: what decides\
+         </figcaption></figure>",
         line(0.0),
         line(sure),
         line(-sure),
@@ -245,10 +248,11 @@ fn kind(kind: &FindingKind) -> (&'static str, &'static str) {
     }
 }
 
-const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;margin:2rem auto;max-width:98rem;padding:0 1rem}figure{margin:0}\
-    img{max-width:100%}figcaption{color:#555;max-width:36rem}section{border-top:1px solid #ccc;padding-bottom:1rem;display:flex;flex-wrap:wrap;\
-    gap:1rem 2rem;align-items:center}h2{font-size:1.1rem;margin:.8rem 0;width:100%}h2 b{color:#fff;border-radius:3px;padding:.1rem .5rem;\
-    margin-right:.4rem}pre{white-space:pre-wrap}";
+const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;margin:2rem auto;max-width:98rem;padding:0 1rem}\
+    figure{margin:0}img{max-width:100%}figcaption{color:#555;max-width:36rem}\
+    section{border-top:1px solid #ccc;padding-bottom:1rem;display:flex;flex-wrap:wrap;gap:1rem 2rem;align-items:center}\
+    h2{font-size:1.1rem;margin:.8rem 0;width:100%}\
+    h2 b{color:#fff;border-radius:3px;padding:.1rem .5rem;margin-right:.4rem}pre{white-space:pre-wrap}";
 
 fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")

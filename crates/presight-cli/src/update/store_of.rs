@@ -33,8 +33,8 @@ pub fn version_of(map: &Path, scene: &Scene) -> Result<Version> {
     Ok(Version { is_store: true, origin: info.genesis, base: info.head[..12].to_owned() })
 }
 
-/// Applies changes to the store at a time (UTC seconds), one by one. A change whose object was changed since is refused with a message.
-/// Returns the applied changes, and the number of changes for which the time was too short.
+/// Applies changes to the store at a time (UTC seconds), one by one. A change whose object was changed since is refused
+/// with a message. Returns the applied changes, and the number of changes for which the time was too short.
 ///
 /// # Errors
 /// Errors from opening the store and from writing to it.
@@ -52,7 +52,8 @@ pub fn apply(
     Ok((applied.changes, pending.iter().len()))
 }
 
-/// The lock on a store or a file of evidence, which one run at a time holds. The operating system releases it when the run ends.
+/// The lock on a store or a file of evidence, which one run at a time holds. The operating system releases it when the
+/// run ends.
 pub struct Claim {
     path: PathBuf,
     _file: File,

@@ -18,8 +18,8 @@ pub struct NearestSurface {
     pub slot: u32,
 }
 
-/// The surface nearest to a point of the world, metres; `None` in a world without polygons. Parts that are marked as absent for all
-/// sensors are ignored.
+/// The surface nearest to a point of the world, metres; `None` in a world without polygons. Parts that are marked as
+/// absent for all sensors are ignored.
 ///
 /// ```
 /// use presight::environment::Environment;

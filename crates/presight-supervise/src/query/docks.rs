@@ -27,8 +27,8 @@ struct Reflector {
     normal: Option<DVec3>,
 }
 
-/// Groups of two or more reflectors of all layers by their first ids. Each reflector is at most `apart` metres from another one of its
-/// group.
+/// Groups of two or more reflectors of all layers by their first ids. Each reflector is at most `apart` metres from
+/// another one of its group.
 ///
 /// # Errors
 /// [`presight_model::ErrorKind::Usage`] for a distance that is not above 0.

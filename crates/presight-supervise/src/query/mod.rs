@@ -1,4 +1,5 @@
-//! Queries to the model of an environment: objects in a place, the nearest surface, docks, uncertain features, and paths on free floor.
+//! Queries to the model of an environment: objects in a place, the nearest surface, docks, uncertain features, and
+//! paths on free floor.
 
 mod clip;
 mod distance;

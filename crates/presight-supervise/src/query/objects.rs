@@ -44,7 +44,8 @@ pub struct ObjectFound {
     pub features: usize,
     /// The newest confirmation of its features, UTC seconds; `None` without features.
     pub confirmed: Option<f64>,
-    /// Minimum probability of existence of its features at the newest confirmation of their layer; `None` without features.
+    /// Minimum probability of existence of its features at the newest confirmation of their layer; `None` without
+    /// features.
     pub existence: Option<f64>,
     /// Standard deviations of its pose in a layer: x, y, z in metres, and the rotations about them in radians.
     pub pose_sigmas: Option<[f64; 6]>,
@@ -152,7 +153,8 @@ fn along(world: &World, corridor: &Corridor, robot: &Pose) -> Result<Found> {
     Ok(found)
 }
 
-/// Minimum distance along the corridor of the columns of cells that a polygon inside the box around the corridor intersects.
+/// Minimum distance along the corridor of the columns of cells that a polygon inside the box around the corridor
+/// intersects.
 fn first_cell(cells: &Cells, corners: &[DVec3]) -> Option<f64> {
     let around = Aabb::of(corners.iter().copied());
     let mut done = BTreeSet::new();

@@ -39,7 +39,8 @@ const UNIT: f64 = 1e-6;
 
 type At = [i32; 2];
 
-/// Steps to the 8 neighbours, and steps of a knight in chess. With them a path is at most 2.8 % longer than a straight line.
+/// Steps to the 8 neighbours, and steps of a knight in chess. With them a path is at most 2.8 % longer than a straight
+/// line.
 const STEPS: [At; 16] = [
     [1, 0],
     [1, 1],
@@ -59,8 +60,8 @@ const STEPS: [At; 16] = [
     [2, -1],
 ];
 
-/// Finds a shortest path of a round robot from one point to another on the floor below them, around the objects of the model and around
-/// `seen` boxes (world, metres). The floor may be uneven by 5 cm. Ramps and stairs are not floor.
+/// Finds a shortest path of a round robot from one point to another on the floor below them, around the objects of the
+/// model and around `seen` boxes (world, metres). The floor may be uneven by 5 cm. Ramps and stairs are not floor.
 ///
 /// ```
 /// use presight::environment::Environment;
@@ -80,8 +81,8 @@ const STEPS: [At; 16] = [
 /// ```
 ///
 /// # Errors
-/// [`presight_model::ErrorKind::Usage`] for options and points out of range, without a floor below the start, for an end
-/// on another floor, and for a start or an end at which the robot cannot stand, naming the obstacle.
+/// [`presight_model::ErrorKind::Usage`] for options and points out of range, without a floor below the start, for an
+/// end on another floor, and for a start or an end at which the robot cannot stand, naming the obstacle.
 pub fn find_path(world: &World, from: DVec3, to: DVec3, seen: &[Aabb], options: &PathOptions) -> Result<FloorPath> {
     check(options, from, to)?;
     let no_floor = |place: &str, p: DVec3| {

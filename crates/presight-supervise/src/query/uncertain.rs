@@ -102,7 +102,8 @@ impl UncertainOptions {
         Ok(())
     }
 
-    /// The reason for a feature or object with this existence; `None` if it is certain. `newest` is used without a time in the options.
+    /// The reason for a feature or object with this existence; `None` if it is certain. `newest` is used without a time
+    /// in the options.
     fn doubt(&self, existence: &Existence, newest: f64) -> Option<UncertaintyReason> {
         if existence.at(self.time.unwrap_or(newest)) < self.min_existence {
             return Some(UncertaintyReason::LowExistence);

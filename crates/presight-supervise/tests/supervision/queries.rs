@@ -203,7 +203,8 @@ fn ways_that_cannot_be_say_why() {
     assert!(points.iter().any(|p| p.y.abs() > 1.2), "around it");
 }
 
-/// A wall that is marked as absent for all sensors counts neither as a surface nor as an obstacle. One that a laser alone misses counts as both.
+/// A wall that is marked as absent for all sensors counts neither as a surface nor as an obstacle. One that a laser
+/// alone misses counts as both.
 #[test]
 fn absent_objects_are_not_in_the_way() {
     use presight_model::environment::{Mark, MarkKind};

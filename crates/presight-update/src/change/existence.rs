@@ -1,6 +1,7 @@
 //! The probability of existence of objects and features, by Bayes.
 
-/// Prior probability of existence where the model states none: one in a hundred objects or features of a model is missing.
+/// Prior probability of existence where the model states none: one in a hundred objects or features of a model is
+/// missing.
 pub(crate) const UNSTATED: f64 = 0.99;
 /// Maximum log-odds that one run adds, natural logarithm: one in a million.
 pub(crate) const MAX_LOG_ODDS: f64 = 13.8;

@@ -32,8 +32,8 @@ pub(crate) struct Insertion {
     pub views: u32,
 }
 
-/// Changes that set the attributes of features, and that delete features which hardly exist. `before` is the environment of the views,
-/// and `now` has the new poses of the objects.
+/// Changes that set the attributes of features, and that delete features which hardly exist. `before` is the
+/// environment of the views, and `now` has the new poses of the objects.
 pub(crate) fn changes(
     book: &FeatureBook,
     (before, now): (&Environment, &Environment),
@@ -60,8 +60,8 @@ pub(crate) fn changes(
     all.iter().filter_map(change).collect()
 }
 
-/// Insertions of features that several views found at one place and that the layer lacks: on the surface there, or a reflector on a
-/// small provisional object whose name contains `base`.
+/// Insertions of features that several views found at one place and that the layer lacks: on the surface there, or a
+/// reflector on a small provisional object whose name contains `base`.
 pub(crate) fn insertions(known: &Knowledge, environment: &Environment, utc: f64, base: &str) -> Vec<Insertion> {
     let mut next: BTreeMap<&str, u32> = BTreeMap::new();
     let mut all = Vec::new();
@@ -93,8 +93,8 @@ pub(crate) fn insertions(known: &Knowledge, environment: &Environment, utc: f64,
     all
 }
 
-/// The object and the shape of a new feature: on the surface near all its points, if they belong to one object. A reflector without a
-/// surface gets a plate with this name.
+/// The object and the shape of a new feature: on the surface near all its points, if they belong to one object. A
+/// reflector without a surface gets a plate with this name.
 fn placed(
     track: &Track,
     environment: &Environment,
@@ -170,7 +170,8 @@ mod tests {
     use super::*;
     use crate::change::existence::MAX_LOG_ODDS;
 
-    /// By hand, with a share of 0.9: a view that finds it multiplies the odds by 18, a view that misses it by 0.1 / 0.95.
+    /// By hand, with a share of 0.9: a view that finds it multiplies the odds by 18, a view that misses it by 0.1 /
+    /// 0.95.
     #[test]
     fn existence_follows_bayes() {
         let half = Existence { p0: 0.5, confirmed: 10.0, rate: 0.0 };

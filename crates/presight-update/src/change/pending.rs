@@ -57,11 +57,13 @@ impl PendingChanges {
         self.changes.iter()
     }
 
-    /// Applies changes in order, each completely or not at all, and commits them together. No change begins after `within`; the rest
-    /// stays pending. A change that does not apply is refused, and the next one follows. The store is locked only during this call.
+    /// Applies changes in order, each completely or not at all, and commits them together. No change begins after
+    /// `within`; the rest stays pending. A change that does not apply is refused, and the next one follows. The store
+    /// is locked only during this call.
     ///
     /// # Errors
-    /// [`presight_model::ErrorKind::System`] if the store is locked or cannot be written. All changes then stay pending.
+    /// [`presight_model::ErrorKind::System`] if the store is locked or cannot be written. All changes then stay
+    /// pending.
     pub fn apply(&mut self, store: &mut Store, note: &Note, within: Duration) -> Result<Applied> {
         let started = Instant::now();
         let mut batch = store.batch()?;

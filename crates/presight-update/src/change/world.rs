@@ -13,7 +13,8 @@ fn inserted(world: &World, object: Option<NewObject>) -> Change {
 }
 
 impl Finding {
-    /// The change of a world that follows from the finding. `world` is the compared world, or that world after other findings.
+    /// The change of a world that follows from the finding. `world` is the compared world, or that world after other
+    /// findings.
     pub fn change(&self, world: &World) -> Change {
         let name = self.object.clone();
         let mark = |suffix: String, kind: MarkKind, class: Option<String>, bounds: Option<Aabb>| {

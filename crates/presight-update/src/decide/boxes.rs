@@ -21,7 +21,8 @@ pub struct UprightBox {
 }
 
 impl UprightBox {
-    /// The smallest upright box that contains all but a few of the points, metres. Without points it has its minimum size at the origin.
+    /// The smallest upright box that contains all but a few of the points, metres. Without points it has its minimum
+    /// size at the origin.
     pub fn of(points: &[DVec3]) -> Self {
         let extent = |values: &mut Vec<f64>| {
             (quantile(values, OUTSIDE).unwrap_or(0.0), quantile(values, 1.0 - OUTSIDE).unwrap_or(0.0))
@@ -68,7 +69,8 @@ const MIN_POINTS: usize = 20;
 /// Maximum depth of splits.
 const MAX_DEPTH: usize = 3;
 
-/// Splits points into sets whose boxes are together much smaller than one box around all, for objects that touch and concave objects.
+/// Splits points into sets whose boxes are together much smaller than one box around all, for objects that touch and
+/// concave objects.
 pub(crate) fn split(points: Vec<DVec3>) -> Vec<Vec<DVec3>> {
     split_to(points, MAX_DEPTH)
 }

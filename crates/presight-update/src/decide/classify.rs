@@ -1,4 +1,5 @@
-//! From evidence to findings: each object is gone, moved, confirmed or in doubt, and the remaining points are new objects.
+//! From evidence to findings: each object is gone, moved, confirmed or in doubt, and the remaining points are new
+//! objects.
 
 use crate::decide::boxes::{UprightBox, split};
 use crate::decide::decision::Decision;

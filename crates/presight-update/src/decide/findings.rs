@@ -25,7 +25,8 @@ pub enum FindingKind {
     Recognized(Recognized),
     /// A part of a large object is gone; its box is in the object's frame.
     Part(Aabb),
-    /// Sensors of this class see through an object, such as glass. Other sensors see it, or the same sensors at grazing incidence.
+    /// Sensors of this class see through an object, such as glass. Other sensors see it, or the same sensors at grazing
+    /// incidence.
     SeenThrough(String),
     /// An object is present at times and absent at others, such as a door.
     ComesAndGoes,
@@ -99,8 +100,8 @@ pub struct Findings {
 }
 
 impl Finding {
-    /// The corners of boxes around the places that the finding changes, world frame, metres: both places of a moved object. Empty if
-    /// the environment has no such object.
+    /// The corners of boxes around the places that the finding changes, world frame, metres: both places of a moved
+    /// object. Empty if the environment has no such object.
     pub fn corners(&self, environment: &Environment) -> Vec<DVec3> {
         let object = environment.object(&self.object);
         let at = |pose: &Pose| object.map_or(Vec::new(), |o| corners(&own_bounds(o), pose));

@@ -16,7 +16,8 @@ use std::collections::BTreeMap;
 const GATES: [f64; 12] = [0.4, 0.3, 0.3, 0.2, 0.2, 0.15, 0.1, 0.1, 0.06, 0.05, 0.04, 0.04];
 /// Prior standard deviations of a move of an object on a floor: x, y, z in metres, roll, pitch, yaw in radians.
 const FREE: [f64; 6] = [2.0, 2.0, 0.05, 0.03, 0.03, 1.0];
-/// Standard deviation of a measured point in a fit, metres. It includes the pose's error, which the points of one view share.
+/// Standard deviation of a measured point in a fit, metres. It includes the pose's error, which the points of one view
+/// share.
 const POINT: f64 = 0.02;
 /// Standard deviation of a fitted surface, metres.
 pub(crate) const SURFACE_SIGMA: f64 = 0.005;
@@ -124,8 +125,8 @@ impl Fitter<'_> {
         found.into_iter().step_by(step).collect()
     }
 
-    /// The pose that minimizes the distances of points from an object's surface, from a start: Gauss-Newton steps with falling gates. The
-    /// object turns about its centre.
+    /// The pose that minimizes the distances of points from an object's surface, from a start: Gauss-Newton steps with
+    /// falling gates. The object turns about its centre.
     pub fn slide(&self, thing: &Thing, start: &Pose, points: &[DVec3], gates: &[f64]) -> Pose {
         let start = Pose { translation: start.transform_point(thing.middle), ..*start };
         let mut pose = start;
@@ -157,9 +158,9 @@ impl Fitter<'_> {
         Pose { translation: pose.translation - pose.rotation * thing.middle, ..pose }
     }
 
-    /// True if the points around a pose fix it against sliding on the floor: each horizontal direction has at least 2 % of the squared
-    /// normals. A long object without a visible end slides along itself. A single slice, as a planar scanner sees it, is an outline that
-    /// other objects share.
+    /// True if the points around a pose fix it against sliding on the floor: each horizontal direction has at least 2 %
+    /// of the squared normals. A long object without a visible end slides along itself. A single slice, as a planar
+    /// scanner sees it, is an outline that other objects share.
     pub fn is_held(&self, thing: &Thing, pose: &Pose) -> bool {
         let points = self.points_near(pose.transform_point(thing.middle), thing.radius + 0.1, thing.object, 2000);
         let (back, mut sum, mut count, mut slice) = (pose.inverse(), [0.0; 3], 0.0, Aabb::EMPTY);
@@ -175,8 +176,8 @@ impl Fitter<'_> {
         count > 0.0 && smallest >= 0.02 * count && slice.max.z - slice.min.z >= SLICE
     }
 
-    /// The fit of the points around a pose to an object's surface. An object of another size or shape misses whole faces by more than the
-    /// error of the mean of their points, although each point may be within its noise.
+    /// The fit of the points around a pose to an object's surface. An object of another size or shape misses whole
+    /// faces by more than the error of the mean of their points, although each point may be within its noise.
     pub fn fit(&self, thing: &Thing, pose: &Pose) -> Fit {
         let (middle, back, size) = (pose.transform_point(thing.middle), pose.inverse(), cell_size(2.0 * thing.radius));
         let mut cells: BTreeMap<(u8, [i32; 3]), CellSums> = BTreeMap::new();
@@ -223,8 +224,8 @@ impl Fitter<'_> {
         points.iter().filter(on).count() as f64 / points.len().max(1) as f64
     }
 
-    /// The best pose for a group of points, from several starts, and the share of the points that it explains. Each start has the centre of
-    /// the object above or below that of the points.
+    /// The best pose for a group of points, from several starts, and the share of the points that it explains. Each
+    /// start has the centre of the object above or below that of the points.
     pub fn best(&self, thing: &Thing, from: &Pose, middle: DVec3, points: &[DVec3]) -> (Pose, f64) {
         let few: Vec<DVec3> = points.iter().copied().step_by(points.len().div_ceil(150).max(1)).collect();
         let mut best = (*from, -1.0);
@@ -285,8 +286,8 @@ impl Fitter<'_> {
         score
     }
 
-    /// The hit of a ray (world frame) on an object at a pose, and true if the reading confirms it, false if it is farther. `None` if the
-    /// reading does not decide.
+    /// The hit of a ray (world frame) on an object at a pose, and true if the reading confirms it, false if it is
+    /// farther. `None` if the reading does not decide.
     fn is_there(&self, view: &View, object: u32, pose: &Pose, (ray, z): (DVec3, f32)) -> Option<(bool, RayHit)> {
         let z = f64::from(z);
         if z.is_nan() {

@@ -15,8 +15,8 @@ pub(crate) struct Group {
     pub bounds: Aabb,
 }
 
-/// The groups of occupied voxels with the points in them. A person who passes repeatedly leaves voxels that are hit more often than
-/// passed. Such a group is not an object, because in other views rays pass through most of its voxels.
+/// The groups of occupied voxels with the points in them. A person who passes repeatedly leaves voxels that are hit
+/// more often than passed. Such a group is not an object, because in other views rays pass through most of its voxels.
 pub(crate) fn groups(known: &Knowledge) -> Vec<Group> {
     let voxels = &known.voxels;
     let keys = voxels.groups(&OccupancyThreshold::default());

@@ -1,5 +1,5 @@
-//! New places of doubted objects. Each object is fitted at its old place and at groups of unexplained points, and one assignment gives
-//! each place to one object.
+//! New places of doubted objects. Each object is fitted at its old place and at groups of unexplained points, and one
+//! assignment gives each place to one object.
 
 use crate::decide::decision::{Decision, MIN_NEW};
 use crate::decide::fit::{Fitter, Score, Thing};
@@ -12,7 +12,8 @@ use std::collections::BTreeMap;
 
 /// Maximum distance of a group from the old place of an object that is fitted to it, metres.
 const MAX_DISTANCE: f64 = 5.0;
-/// An object thinner than this in two directions is a rod, metres. Fits accept points within half of this, so rods look alike.
+/// An object thinner than this in two directions is a rod, metres. Fits accept points within half of this, so rods look
+/// alike.
 const ROD: f64 = 0.1;
 /// Minimum share of a group's points that an object must explain.
 const MIN_EXPLAINED: f64 = 0.8;

@@ -129,8 +129,8 @@ impl<'a> ViewPlanner<'a> {
         best
     }
 
-    /// The expected logarithm of the likelihood ratio of a reading from a pose of the image frame, by about `max` of its rays. Each ray adds
-    /// the mean of the two cases, with and without the object.
+    /// The expected logarithm of the likelihood ratio of a reading from a pose of the image frame, by about `max` of
+    /// its rays. Each ray adds the mean of the two cases, with and without the object.
     fn expected(
         &self,
         subject: &Subject<'_>,

@@ -1,4 +1,5 @@
-//! A recognizer that runs a program: it writes points to its standard input, and reads proposals from its standard output.
+//! A recognizer that runs a program: it writes points to its standard input, and reads proposals from its standard
+//! output.
 
 use crate::decide::recognize::{Proposal, Recognizer};
 use glam::DVec3;
@@ -17,9 +18,9 @@ const MAX_ANSWER: u64 = 1 << 20;
 /// Interval at which the end of the program is polled.
 const POLL: Duration = Duration::from_millis(2);
 
-/// Runs a program for each group of points. The program reads the points as a binary little-endian PLY of doubles `x`, `y`, `z` (world
-/// frame, metres). It prints a line `{"object": NAME, "pose": [..]}` for each possible object, or no line, and ends with status 0. The
-/// pose is x, y, z and roll, pitch, yaw in degrees, or x, y, z, qx, qy, qz, qw.
+/// Runs a program for each group of points. The program reads the points as a binary little-endian PLY of doubles `x`,
+/// `y`, `z` (world frame, metres). It prints a line `{"object": NAME, "pose": [..]}` for each possible object, or no
+/// line, and ends with status 0. The pose is x, y, z and roll, pitch, yaw in degrees, or x, y, z, qx, qy, qz, qw.
 ///
 /// ```
 /// # #[cfg(unix)] {
@@ -44,7 +45,8 @@ struct Line {
 }
 
 impl ProgramRecognizer {
-    /// Makes a recognizer from a program and its arguments, separated by spaces, and the maximum time for an answer. No shell is used.
+    /// Makes a recognizer from a program and its arguments, separated by spaces, and the maximum time for an answer. No
+    /// shell is used.
     ///
     /// # Errors
     /// [`ErrorKind::Usage`] if there is no word.
@@ -70,8 +72,8 @@ impl ProgramRecognizer {
         parse(&ended?)
     }
 
-    /// Writes the points to the program, and waits for its answer and its end. Two threads write and read, so that a program that does
-    /// neither does not block. They end when its pipes close.
+    /// Writes the points to the program, and waits for its answer and its end. Two threads write and read, so that a
+    /// program that does neither does not block. They end when its pipes close.
     fn exchange(&self, child: &mut Child, points: &[DVec3], started: Instant) -> Result<Vec<u8>> {
         let (Some(stdin), Some(stdout)) = (child.stdin.take(), child.stdout.take()) else { return Ok(Vec::new()) };
         let points = points.to_vec();

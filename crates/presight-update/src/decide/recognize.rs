@@ -25,7 +25,8 @@ const SHORT_POINTS: usize = 100;
 const BEST: usize = 3;
 /// Number of yaws from which a shape of the library starts.
 const YAWS: usize = 12;
-/// A shape that exceeds the bounds of the points by more, metres, also starts from both sides, because a fit does not reach that far.
+/// A shape that exceeds the bounds of the points by more, metres, also starts from both sides, because a fit does not
+/// reach that far.
 const SLACK: f64 = 0.3;
 /// Minimum ratio of the lengths of a shape and of the points to which it is fitted.
 const MIN_LENGTH_RATIO: f64 = 0.25;
@@ -142,8 +143,9 @@ fn ask(
 }
 
 impl Candidate {
-    /// Adds starts of the library's shapes: several yaws, with the top or the bottom of the shape at that of the points, and horizontally
-    /// with the centre at that of the points or, for a much larger shape, with a side at theirs.
+    /// Adds starts of the library's shapes: several yaws, with the top or the bottom of the shape at that of the
+    /// points, and horizontally with the centre at that of the points or, for a much larger shape, with a side at
+    /// theirs.
     fn start_library(&mut self, shapes: &[Arc<LibraryShape>]) {
         let points = Aabb::of(self.points.iter().copied());
         for (number, shape) in shapes.iter().enumerate() {
@@ -173,7 +175,8 @@ impl Candidate {
 }
 
 impl Decision<'_> {
-    /// The shapes that the evidence supports, group by group. A group may contain several; the one with the highest odds is first.
+    /// The shapes that the evidence supports, group by group. A group may contain several; the one with the highest
+    /// odds is first.
     fn recognized(
         &self,
         candidates: &[Candidate],

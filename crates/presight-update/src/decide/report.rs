@@ -49,8 +49,8 @@ impl Decision<'_> {
         }
     }
 
-    /// Growth of the odds of a new object, view by view. A view adds the number of its points in a ball around the object, or subtracts
-    /// the maximum of a view if its rays pass through the centre.
+    /// Growth of the odds of a new object, view by view. A view adds the number of its points in a ball around the
+    /// object, or subtracts the maximum of a view if its rays pass through the centre.
     fn growth_of_new(&self, (middle, radius): Ball) -> Vec<f32> {
         let max = self.known.options.max_per_view;
         let odds = |view: &View| {

@@ -16,8 +16,8 @@ pub(crate) struct Explanation<'a> {
 /// A surface on a ray: its range, metres, and the cosine of the incidence.
 pub(crate) type Surface = (f64, f64);
 
-/// Log-odds of one explanation against another: half the difference of their squared deviations, summed over all readings. The bound of
-/// noise limits the deviation of a reading, and the maximum of a view limits its sum.
+/// Log-odds of one explanation against another: half the difference of their squared deviations, summed over all
+/// readings. The bound of noise limits the deviation of a reading, and the maximum of a view limits its sum.
 pub(crate) fn better(decision: &Decision<'_>, a: &Explanation<'_>, b: &Explanation<'_>, points: &Aabb) -> f64 {
     let bounds = [a, b].iter().fold(*points, |all, stand| all.union(stand.bounds()));
     let (middle, radius, max) = (bounds.center(), 0.5 * bounds.size(), decision.known.options.max_per_view);

@@ -40,7 +40,8 @@ impl LibraryShape {
         Self { name, mesh, object_from_mesh, file: None }
     }
 
-    /// The name of its file without the ending, followed by its path in a file of several objects; or the name of the object of the model.
+    /// The name of its file without the ending, followed by its path in a file of several objects; or the name of the
+    /// object of the model.
     pub fn name(&self) -> &str {
         &self.name
     }
@@ -97,12 +98,13 @@ pub struct Library {
 }
 
 impl Library {
-    /// Reads all `.glb` and `.gltf` files of a folder with their sidecars, without its subfolders. Each object of a file is a shape. Also
-    /// returns notices: of the imports, on meshes in other formats, and on shapes that are too small.
+    /// Reads all `.glb` and `.gltf` files of a folder with their sidecars, without its subfolders. Each object of a
+    /// file is a shape. Also returns notices: of the imports, on meshes in other formats, and on shapes that are too
+    /// small.
     ///
     /// # Errors
-    /// [`presight_model::ErrorKind::System`] if the folder cannot be read; [`presight_model::ErrorKind::Invalid`] if it has no
-    /// mesh, or one that is longer than 50 m, as of a file in millimetres; errors of [`import`].
+    /// [`presight_model::ErrorKind::System`] if the folder cannot be read; [`presight_model::ErrorKind::Invalid`] if it
+    /// has no mesh, or one that is longer than 50 m, as of a file in millimetres; errors of [`import`].
     pub fn open(folder: &Path) -> Result<(Self, Vec<String>)> {
         let io = |e| Error::io(folder, "read the folder", e);
         let folder = std::fs::canonicalize(folder).map_err(io)?;
@@ -147,7 +149,8 @@ impl Library {
             if size.max_element() > MAX_LENGTH {
                 let what = format!("{:?} is {} m, longer than {MAX_LENGTH} m", object.name, in_words(size));
                 let remedy = format!(
-                    "if its unit is the millimetre, write the lines format = 1 and scale = 0.001 into {stem}.materials.toml"
+                    "if its unit is the millimetre, write the lines format = 1 and scale = 0.001 into \
+                     {stem}.materials.toml"
                 );
                 return Err(Error::invalid(what, remedy));
             }

@@ -49,8 +49,8 @@ impl Drive {
         })
     }
 
-    /// Adds a view. Returns true if this discards the oldest of `max` pending views: a robot that turns in one place for hours never
-    /// drives on.
+    /// Adds a view. Returns true if this discards the oldest of `max` pending views: a robot that turns in one place
+    /// for hours never drives on.
     pub fn add(&mut self, view: View, sums: ViewSums, max: usize) -> bool {
         let is_full = self.pending.len() >= max;
         if is_full {
@@ -61,7 +61,8 @@ impl Drive {
         is_full
     }
 
-    /// Ends the views of one stamp. The last of them gets the features, because they are believed or discarded together.
+    /// Ends the views of one stamp. The last of them gets the features, because they are believed or discarded
+    /// together.
     pub fn end_views(&mut self, pose: Pose, stamp: f64, features: Vec<FeatureViews>) {
         if let Some(last) = self.pending.back_mut() {
             last.features = features;

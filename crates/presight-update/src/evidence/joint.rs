@@ -1,16 +1,17 @@
 //! The poses of objects, estimated jointly from all views.
 //!
-//! The residual e of a reading on an object o in a view v satisfies e + J_v x_v - J_o d_o = noise, with a small motion x_v of the view's
-//! pose and a small motion d_o of the object. All views may share one error of their poses. Therefore the stated covariance of a pose is
-//! used only once for all views, and each view determines the poses of its objects relative to each other. Eliminating each x_v by a
-//! Schur complement leaves normal equations of the objects alone.
+//! The residual e of a reading on an object o in a view v satisfies e + J_v x_v - J_o d_o = noise, with a small motion
+//! x_v of the view's pose and a small motion d_o of the object. All views may share one error of their poses. Therefore
+//! the stated covariance of a pose is used only once for all views, and each view determines the poses of its objects
+//! relative to each other. Eliminating each x_v by a Schur complement leaves normal equations of the objects alone.
 
 use crate::observe::priors::Priors;
 use crate::observe::terms::{AXES, ObjectTerms, Terms};
 use presight_model::matrix::{Matrix, add_to, apply, inverse, product, scaled, transposed};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Maximum number of objects whose poses are estimated, because their equations are dense. Further objects are left out.
+/// Maximum number of objects whose poses are estimated, because their equations are dense. Further objects are left
+/// out.
 const MAX_OBJECTS: usize = 300;
 /// Ratio of the prior deviation of an object that may have moved to the stated deviation.
 const LOOSE: f64 = 100.0;
@@ -72,8 +73,9 @@ impl Joint {
         }
     }
 
-    /// The motions of the objects by all views. An object that is not `standing` may be anywhere. Estimates of poses take the errors of
-    /// objects as independent, so the covariances are widened by the effect of their correlations in `views`.
+    /// The motions of the objects by all views. An object that is not `standing` may be anywhere. Estimates of poses
+    /// take the errors of objects as independent, so the covariances are widened by the effect of their correlations in
+    /// `views`.
     pub fn solve<'a>(
         &self,
         priors: &Priors,
@@ -129,8 +131,9 @@ impl Solution<'_> {
         std::array::from_fn(|i| std::array::from_fn(|j| at(6 * row + i, 6 * column + j)))
     }
 
-    /// Mean ratio over views of the variance that the objects' errors add to a pose to its value for independent errors. Layers hold one
-    /// covariance per object, and estimates take them as independent, but the errors of objects in the same view are correlated.
+    /// Mean ratio over views of the variance that the objects' errors add to a pose to its value for independent
+    /// errors. Layers hold one covariance per object, and estimates take them as independent, but the errors of objects
+    /// in the same view are correlated.
     fn widening<'a>(&self, views: impl Iterator<Item = &'a Terms>) -> f64 {
         let (mut sum, mut count) = (0.0, 0.0f64);
         for view in views {
@@ -215,10 +218,10 @@ mod tests {
         Terms { objects: (0..).zip(residuals).map(of).collect(), axes: vec![0], ..Terms::default() }
     }
 
-    /// By hand: the residuals put the crates 2 m farther apart, with a variance of 2. The prior variance of their distance is also 2. The
-    /// result is 1 m, one half for each, with a variance of 1. The sum keeps its variance of 2, so each crate has a variance of 3/4, and
-    /// their covariance is 1/4. A pose that averages both has a variance of (3/4 + 3/4 + 1/4 + 1/4) / 4. Independent errors would give
-    /// (3/4 + 3/4) / 4. The ratio is 4/3.
+    /// By hand: the residuals put the crates 2 m farther apart, with a variance of 2. The prior variance of their
+    /// distance is also 2. The result is 1 m, one half for each, with a variance of 1. The sum keeps its variance of 2,
+    /// so each crate has a variance of 3/4, and their covariance is 1/4. A pose that averages both has a variance of
+    /// (3/4 + 3/4 + 1/4 + 1/4) / 4. Independent errors would give (3/4 + 3/4) / 4. The ratio is 4/3.
     #[test]
     fn views_determine_poses_of_objects_relative_to_each_other() {
         let world = world();

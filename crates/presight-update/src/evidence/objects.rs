@@ -199,7 +199,8 @@ impl Book {
         has_views && e.less >= options.decisive && e.l + e.less >= options.decisive && self.is_split(object, options)
     }
 
-    /// The classes of sensors that see through an object, if other sensors see it, or the same sensors at grazing incidence.
+    /// The classes of sensors that see through an object, if other sensors see it, or the same sensors at grazing
+    /// incidence.
     pub fn see_through(&self, object: u32, options: &LearnOptions) -> BTreeSet<String> {
         let aspects: Vec<_> = self.aspects_of(object).collect();
         let is_split = self.is_split(object, options);

@@ -120,9 +120,9 @@ impl Voxels {
         (p / self.size).floor().to_array().map(|x| x as i32)
     }
 
-    /// Adds one view: its new points (world frame), and whether a ray passed through the mean of a voxel's points. Voxels with a point are
-    /// not tested. Returns the voxels that are hit for the first time; earlier views may have passed through them
-    /// ([`Voxels::add_passes`]).
+    /// Adds one view: its new points (world frame), and whether a ray passed through the mean of a voxel's points.
+    /// Voxels with a point are not tested. Returns the voxels that are hit for the first time; earlier views may have
+    /// passed through them ([`Voxels::add_passes`]).
     pub fn add(&mut self, points: &[DVec3], passed: impl Fn(DVec3) -> bool) -> Vec<[i32; 3]> {
         self.add_view(points, |voxel| passed(voxel.mean()))
     }
@@ -174,8 +174,8 @@ impl Voxels {
         self.all.retain(|key, voxel| keep(*key, voxel));
     }
 
-    /// The occupied voxels in groups, each by rising key. At most one voxel is between neighbours of a group, because an object with gaps
-    /// is seen in pieces.
+    /// The occupied voxels in groups, each by rising key. At most one voxel is between neighbours of a group, because
+    /// an object with gaps is seen in pieces.
     pub fn groups(&self, occupied: &OccupancyThreshold) -> Vec<Vec<[i32; 3]>> {
         let counts = |v: &Voxel| {
             v.hits >= occupied.hits && f64::from(v.passes) <= occupied.passes * f64::from(v.hits + v.passes)
@@ -210,9 +210,9 @@ pub(crate) fn joined(keys: impl IntoIterator<Item = [i32; 3]>, reach: i32) -> Ve
 mod tests {
     use super::*;
 
-    /// A post of 4 cm in a voxel of 10 cm, seen from one side, with points every centimetre across and along it. By hand: evenly spread
-    /// points reach the root of 3 deviations from their mean, 2 cm here, and 3 cm with a noise of 1 cm. A ray 4 cm from its middle misses
-    /// the post, a ray 2 cm from it hits. With few points both may hit.
+    /// A post of 4 cm in a voxel of 10 cm, seen from one side, with points every centimetre across and along it. By
+    /// hand: evenly spread points reach the root of 3 deviations from their mean, 2 cm here, and 3 cm with a noise of 1
+    /// cm. A ray 4 cm from its middle misses the post, a ray 2 cm from it hits. With few points both may hit.
     #[test]
     fn a_ray_that_misses_a_post_does_not_pass_through_it() {
         let at = |across: i32, up: i32| DVec3::new(0.05, 0.05 + 0.01 * f64::from(across), 0.01 * f64::from(up) + 0.005);

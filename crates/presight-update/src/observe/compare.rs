@@ -259,8 +259,8 @@ impl Observer<'_> {
         view.evidence[at] = if is_apart { PixelEvidence::SeenThrough } else { PixelEvidence::Ambiguous };
     }
 
-    /// True if rays at an angle to this one, on four sides, meet the same object before `before` metres. Then no error of the pose
-    /// explains that the ray went on.
+    /// True if rays at an angle to this one, on four sides, meet the same object before `before` metres. Then no error
+    /// of the pose explains that the ray went on.
     fn is_covered(&self, ray: &PixelRay, hit: &RayHit, angle: f64, before: f64) -> bool {
         let u = ray.ray.any_orthonormal_vector();
         let v = ray.ray.cross(u);
@@ -272,8 +272,8 @@ impl Observer<'_> {
     }
 }
 
-/// True if a neighbouring pixel has about the same range. A beam that an edge splits has no such neighbour; a post fills one column, a
-/// rail one row.
+/// True if a neighbouring pixel has about the same range. A beam that an edge splits has no such neighbour; a post
+/// fills one column, a rail one row.
 fn is_backed(frame: &Frame, (c, r): (u32, u32), z: f64) -> bool {
     let (width, height) = (frame.sensor().width(), frame.sensor().height());
     let range = |c: u32, r: u32| f64::from(frame.ranges()[r as usize * width as usize + c as usize]);

@@ -1,4 +1,5 @@
-//! Mean correction of the stated poses by the readings. A wrong mount shifts the poses of all views in the same direction.
+//! Mean correction of the stated poses by the readings. A wrong mount shifts the poses of all views in the same
+//! direction.
 
 use crate::observe::view::BOUND;
 use glam::DVec3;
@@ -46,14 +47,15 @@ impl PoseCorrections {
         });
     }
 
-    /// Returns why all findings are unreliable, if the mean correction exceeds the stated error. All views may share one such error.
+    /// Returns why all findings are unreliable, if the mean correction exceeds the stated error. All views may share
+    /// one such error.
     pub fn wrong(&self) -> Option<String> {
         let far = self.deviations.iter().any(|sum| (sum / self.views).abs() > BOUND);
         (self.views >= MIN_VIEWS && far).then(|| {
             let [x, y, z, roll, pitch, yaw] = self.by.map(|sum| sum / self.views);
             format!(
-                "{} views put the sensor {x:.3}, {y:.3}, {z:.3} m and {:.1}, {:.1}, {:.1} degrees from where its mount and the poses \
-                 have it: check the mount and the map",
+                "{} views put the sensor {x:.3}, {y:.3}, {z:.3} m and {:.1}, {:.1}, {:.1} degrees from where its \
+                 mount and the poses have it: check the mount and the map",
                 self.views,
                 roll.to_degrees(),
                 pitch.to_degrees(),
@@ -68,8 +70,9 @@ mod tests {
     use super::*;
     use presight_model::geometry::{Pose, PoseCovariance};
 
-    /// The stated deviations are 1 degree and 1 cm. Two robots with different headings have a sensor 4 degrees and 5 cm to the left of its
-    /// stated mount: both corrections are the same in the robots' axes. Errors of the same size with alternating signs are not reported.
+    /// The stated deviations are 1 degree and 1 cm. Two robots with different headings have a sensor 4 degrees and 5 cm
+    /// to the left of its stated mount: both corrections are the same in the robots' axes. Errors of the same size with
+    /// alternating signs are not reported.
     #[test]
     fn a_wrong_mount_is_reported() {
         let rad = 1f64.to_radians();

@@ -33,9 +33,9 @@ pub(crate) fn own_bounds(object: &Object) -> Aabb {
 }
 
 impl Priors {
-    /// The covariances that the layer of a class states. If it states no covariance at all, surfaces have a standard deviation of
-    /// `model_sigma` metres: an object moves by that, or turns by that at its farthest point. Without both the model is exact, and poses
-    /// are not refined.
+    /// The covariances that the layer of a class states. If it states no covariance at all, surfaces have a standard
+    /// deviation of `model_sigma` metres: an object moves by that, or turns by that at its farthest point. Without both
+    /// the model is exact, and poses are not refined.
     pub fn of(environment: &Environment, class: &str, model_sigma: f64) -> Self {
         let listed = environment.layer(class).map_or(&[][..], |layer| &layer.pose_covariances);
         let mut of = BTreeMap::new();

@@ -1,5 +1,5 @@
-//! The pose of one view by its own readings. All pixels of a view share the error of its pose. It is estimated once per view, so that it
-//! does not widen the error of each pixel.
+//! The pose of one view by its own readings. All pixels of a view share the error of its pose. It is estimated once per
+//! view, so that it does not widen the error of each pixel.
 
 use crate::observe::priors::Priors;
 use crate::observe::terms::{AXES, ObjectTerms, Terms};
@@ -57,8 +57,8 @@ fn axes_of(pose: &PoseEstimate) -> Vec<usize> {
 }
 
 impl Readings<'_> {
-    /// The most likely pose by a prior and by the distances of the readings from the planes of their surfaces. Tukey's weights exclude
-    /// readings that differ by more than noise and pose explain, because their surface has changed.
+    /// The most likely pose by a prior and by the distances of the readings from the planes of their surfaces. Tukey's
+    /// weights exclude readings that differ by more than noise and pose explain, because their surface has changed.
     pub fn register(&self, prior: &PoseEstimate) -> PoseEstimate {
         let stated = inverse(prior.covariance.as_rows(), &AXES);
         let axes = axes_of(prior);
@@ -94,8 +94,8 @@ impl Readings<'_> {
         self.priors.variance(r.object, r.point, r.normal()).max(MIN_SIGMA * MIN_SIGMA)
     }
 
-    /// The terms of the readings for the poses of the objects and of the view, at the view's pose. The stated pose has the weight of one
-    /// view in `views`, because all views may share its error.
+    /// The terms of the readings for the poses of the objects and of the view, at the view's pose. The stated pose has
+    /// the weight of one view in `views`, because all views may share its error.
     pub fn terms(&self, stated: &PoseEstimate, pose: &PoseEstimate, views: usize) -> Terms {
         let shared = scaled(stated.covariance.as_rows(), views.max(1) as f64);
         let information = inverse(&shared, &AXES);
@@ -118,8 +118,8 @@ impl Readings<'_> {
         terms
     }
 
-    /// The sums over the readings on one object. Each pass selects readings near the object at its most likely motion so far. A gate about
-    /// the object's place in the model would bias it towards that place.
+    /// The sums over the readings on one object. Each pass selects readings near the object at its most likely motion
+    /// so far. A gate about the object's place in the model would bias it towards that place.
     fn on_object(&self, object: u32, residuals: &[Residual], pose: &PoseEstimate) -> ObjectTerms {
         let prior = self.priors.get(object);
         let own = |r: &Residual| prior.map_or([0.0; 6], |prior| prior.gradient(r.point, r.normal()));

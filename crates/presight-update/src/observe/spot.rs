@@ -15,8 +15,8 @@ pub(crate) struct Spot {
 }
 
 impl Spot {
-    /// A spot of unknown shape in a cube. Points of a surface are equally likely anywhere in it, and most rays that come this near to
-    /// its middle cross it.
+    /// A spot of unknown shape in a cube. Points of a surface are equally likely anywhere in it, and most rays that
+    /// come this near to its middle cross it.
     pub fn cube(mean: DVec3, size: f64) -> Self {
         Self { mean, sharpness: DMat3::from_diagonal(DVec3::splat(REACH_SQUARED / (0.7 * size).powi(2))) }
     }

@@ -1,12 +1,13 @@
-//! The normal equations of one view: sums over its readings for its pose and for the poses of the objects that it shows.
+//! The normal equations of one view: sums over its readings for its pose and for the poses of the objects that it
+//! shows.
 
 use presight_model::matrix::Matrix;
 
 /// All numbers of a pose.
 pub(crate) const AXES: [usize; 6] = [0, 1, 2, 3, 4, 5];
 
-/// Sums over the readings of one view on one object. J_o and J_v are the derivatives of a residual e by the motion of the object and
-/// of the view; readings are weighted by their information.
+/// Sums over the readings of one view on one object. J_o and J_v are the derivatives of a residual e by the motion of
+/// the object and of the view; readings are weighted by their information.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct ObjectTerms {
     pub object: u32,

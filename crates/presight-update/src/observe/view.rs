@@ -10,7 +10,8 @@ use presight_model::geometry::Pose;
 use presight_model::measured::RangeNoise;
 use std::sync::Arc;
 
-/// Noise explains differences of up to this number of standard deviations: Gaussian noise exceeds it once in 1,000 readings.
+/// Noise explains differences of up to this number of standard deviations: Gaussian noise exceeds it once in 1,000
+/// readings.
 pub(crate) const BOUND: f64 = 3.3;
 /// Minimum cosine of the incidence of a ray that is informative.
 pub(crate) const MIN_COSINE: f64 = 0.1;
@@ -60,7 +61,8 @@ pub(crate) struct View {
     pub terms: Option<Terms>,
     /// Measured points that no object explains, world frame, metres.
     pub new_points: Vec<DVec3>,
-    /// Number of pixels with both a reading and a predicted surface, and number of pixels among them that the prediction explains.
+    /// Number of pixels with both a reading and a predicted surface, and number of pixels among them that the
+    /// prediction explains.
     pub compared: (usize, usize),
 }
 
@@ -111,8 +113,8 @@ impl View {
         (0..self.ranges.len()).filter(move |at| !is_explained(at)).filter_map(|at| self.point(at))
     }
 
-    /// True if a ray passed through the spot of a voxel with this edge: the reading is farther by more than the voxel, or it confirms a
-    /// surface of the model behind the spot, however near, such as the floor below a person's feet.
+    /// True if a ray passed through the spot of a voxel with this edge: the reading is farther by more than the voxel,
+    /// or it confirms a surface of the model behind the spot, however near, such as the floor below a person's feet.
     pub fn passed(&self, spot: &Spot, size: f64) -> bool {
         let p = self.world_from_image.inverse().transform_point(spot.mean);
         let distance = p.length();

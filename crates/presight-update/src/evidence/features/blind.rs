@@ -21,7 +21,8 @@ pub(crate) fn region(sensor: &Sensor, at: glam::DVec2) -> Region {
 /// Numbers of views that found and that missed one feature, by part of the image.
 pub(crate) type Counts = BTreeMap<Region, (u32, u32)>;
 
-/// True for a blind part of an image: it misses most features that other parts find, or it never showed any of several features.
+/// True for a blind part of an image: it misses most features that other parts find, or it never showed any of several
+/// features.
 pub(crate) fn is_blind<'a>(region: &Region, features: impl Iterator<Item = &'a Counts>) -> bool {
     let (mut found, mut missed, mut ever, mut count) = (0, 0, 0, 0);
     for counts in features {

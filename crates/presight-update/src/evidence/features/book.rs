@@ -62,7 +62,8 @@ pub(crate) fn pose_of(environment: &Environment, feature: &Feature) -> Pose {
     object.map_or(Pose::IDENTITY, |o| o.world_from_object)
 }
 
-/// The features in one image. If most of them are missed, a common reason such as a dark image is assumed, and the image is ignored.
+/// The features in one image. If most of them are missed, a common reason such as a dark image is assumed, and the
+/// image is ignored.
 pub(crate) fn features_in(
     frame: &Frame,
     findings: &Findings,

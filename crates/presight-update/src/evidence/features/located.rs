@@ -82,8 +82,8 @@ fn padded(m: DMat3) -> Matrix {
 }
 
 impl Offsets {
-    /// The offset in one view, from the model's points (world) to the detection. `shares` are the positions of the points along an edge,
-    /// from 0 to 1.
+    /// The offset in one view, from the model's points (world) to the detection. `shares` are the positions of the
+    /// points along an edge, from 0 to 1.
     pub fn of(
         sensor: &SensorAtPose<'_>,
         detection: &Detection,
@@ -114,7 +114,8 @@ impl Offsets {
         let [u, v] = steps.map(|step| step - step.dot(ray) * ray);
         // The mean of several corners has a smaller variance than one corner.
         let mut own = across(detection, [u, v], along) * (1.0 / corners.max(1) as f64);
-        // A detection without a range does not measure the distance, and a scanner of one row does not measure the height.
+        // A detection without a range does not measure the distance, and a scanner of one row does not measure the
+        // height.
         let unknown = (UNMEASURED * along).powi(2);
         own += range.map_or(unknown, |range| range.variance) * outer(ray);
         if v == DVec3::ZERO {
@@ -126,7 +127,8 @@ impl Offsets {
         Some(Self { views: 1, information, weighted, by_pose: sensor.by_pose(&[model]) })
     }
 
-    /// The image line of an edge is a plane in the world. It measures the distance of each end of the part from that plane.
+    /// The image line of an edge is a plane in the world. It measures the distance of each end of the part from that
+    /// plane.
     fn of_edge(
         sensor: &SensorAtPose<'_>,
         detection: &Detection,
@@ -158,8 +160,9 @@ impl Offsets {
         (0..6).for_each(|i| self.weighted[i] += other.weighted[i]);
     }
 
-    /// Posterior covariance of a feature's points about the points of the model, world axes. The model's points stay on their surface,
-    /// so the square of the most likely offset is added. `shift` is the motion of the points since the views.
+    /// Posterior covariance of a feature's points about the points of the model, world axes. The model's points stay on
+    /// their surface, so the square of the most likely offset is added. `shift` is the motion of the points since the
+    /// views.
     fn posterior(&self, prior: &Matrix, shift: &[f64; 6]) -> Matrix {
         let mut known = scaled(&self.by_pose, 1.0 / f64::from(self.views.max(1)));
         (0..6).for_each(|i| known[i][i] += MIN_VARIANCE);
@@ -185,7 +188,8 @@ impl Offsets {
     }
 }
 
-/// The shape of a feature with its posterior covariance. `before` and `now` are the poses of its object in the views and now.
+/// The shape of a feature with its posterior covariance. `before` and `now` are the poses of its object in the views
+/// and now.
 pub(crate) fn located(feature: &Feature, sums: &Offsets, (before, now): (&Pose, &Pose)) -> FeatureShape {
     let mut shape = feature.shape.clone();
     let points: Vec<DVec3> = match &shape {
@@ -259,9 +263,9 @@ mod tests {
         DVec3::new(c.x_axis.x, c.y_axis.y, c.z_axis.z)
     }
 
-    /// By hand: the layer states 3 cm, and three views of 1 cm each put the reflector 2 cm away along x. Together the views have a
-    /// variance of 1/3 cm2, so the most likely offset is 9 / (9 + 1/3) of 2 cm. A common error of the poses of 1 cm leaves a variance of
-    /// 4/3 cm2. If the object was moved there since, the offset is 0.
+    /// By hand: the layer states 3 cm, and three views of 1 cm each put the reflector 2 cm away along x. Together the
+    /// views have a variance of 1/3 cm2, so the most likely offset is 9 / (9 + 1/3) of 2 cm. A common error of the
+    /// poses of 1 cm leaves a variance of 4/3 cm2. If the object was moved there since, the offset is 0.
     #[test]
     fn a_reflectors_covariance_shrinks_about_its_point() {
         let mut sums = Offsets { views: 3, ..Offsets::default() };
@@ -283,9 +287,9 @@ mod tests {
         assert_eq!(located(&exact, &sums, here()), exact.shape);
     }
 
-    /// A camera with a focal length of 100 pixels is 2 m from features whose places have a deviation of 1 cm. It finds them one pixel
-    /// (2 cm) to the right (-y), with a noise of half a pixel (1 cm). By hand: across the ray half of the variance remains, and half of
-    /// the 2 cm is accepted. Along the ray the covariance does not change.
+    /// A camera with a focal length of 100 pixels is 2 m from features whose places have a deviation of 1 cm. It finds
+    /// them one pixel (2 cm) to the right (-y), with a noise of half a pixel (1 cm). By hand: across the ray half of
+    /// the variance remains, and half of the 2 cm is accepted. Along the ray the covariance does not change.
     #[test]
     fn an_image_measures_offsets_across_its_rays() {
         let camera = Camera::pinhole(160, 120, 100.0, 100.0, 79.5, 59.5);
@@ -299,7 +303,8 @@ mod tests {
             diagonal(&located(&feature(FeatureShape::Point { at: p, covariance: of_sigma(0.01) }), &sums, here()));
         let expected = DVec3::new(1e-4, 1.5e-4, 0.5e-4);
         assert!((got - expected).abs().max_element() < 0.02e-4, "{got}");
-        // An upright edge of 1 m about the same point: each end gets the same covariance across the edge, and its prior one along it.
+        // An upright edge of 1 m about the same point: each end gets the same covariance across the edge, and its prior
+        // one along it.
         let ends = [DVec3::new(2.0, 0.0, -0.5), DVec3::new(2.0, 0.0, 0.5)];
         let pixels = [DVec2::new(80.5, 84.5), DVec2::new(80.5, 34.5)];
         let found = Detection::new(Shape::Segment { ends: pixels, corners: [false; 2] }, 0.5);

@@ -9,8 +9,8 @@ use presight_model::caster::RayCaster;
 
 /// Maximum number of new features, which bounds the memory. Further features are left out.
 const MAX_TRACKS: usize = 1000;
-/// Minimum distance between the views of a feature without a range, metres. It is placed on the surface behind it in the image, and
-/// views from one place agree on any surface.
+/// Minimum distance between the views of a feature without a range, metres. It is placed on the surface behind it in
+/// the image, and views from one place agree on any surface.
 const MIN_BASELINE: f64 = 0.25;
 
 /// The kind of a feature that is found.
@@ -49,8 +49,8 @@ fn outer(a: DVec3, b: DVec3) -> DMat3 {
     DMat3::from_cols(b.x * a, b.y * a, b.z * a)
 }
 
-/// The place of a detection: a reflector is placed by its range, a corner or an edge on the surface that its rays meet. `None` for a
-/// detection without a place.
+/// The place of a detection: a reflector is placed by its range, a corner or an edge on the surface that its rays meet.
+/// `None` for a detection without a place.
 pub(crate) fn place_of(sensor: &SensorAtPose<'_>, detection: &Detection, caster: &RayCaster) -> Option<Sighting> {
     let point_at = |at: DVec2| {
         let (ray, steps) = sensor.ray(at)?;
@@ -129,8 +129,8 @@ pub(crate) struct Track {
 }
 
 impl Track {
-    /// The most likely places of its points, world, metres, and their covariances. The error of the poses does not average out over the
-    /// views.
+    /// The most likely places of its points, world, metres, and their covariances. The error of the poses does not
+    /// average out over the views.
     pub fn places(&self) -> Vec<(DVec3, DMat3)> {
         let place = |mean: &PointSums| {
             let own = mean.information.inverse();
@@ -178,7 +178,8 @@ impl Track {
         points
     }
 
-    /// The largest squared distance of a sighting's points from this feature's, in variances; `None` if noise does not explain it.
+    /// The largest squared distance of a sighting's points from this feature's, in variances; `None` if noise does not
+    /// explain it.
     fn explains(&self, seen: &Sighting) -> Option<f64> {
         if self.class != seen.class || self.kind != seen.kind {
             return None;
@@ -202,8 +203,8 @@ impl Tracks {
         self.0.iter()
     }
 
-    /// Adds the sightings of one view, each to the nearest feature that explains it, or as a new feature. A feature takes one sighting
-    /// of a view.
+    /// Adds the sightings of one view, each to the nearest feature that explains it, or as a new feature. A feature
+    /// takes one sighting of a view.
     pub fn add(&mut self, seen: &[Sighting], stamp: f64) {
         let known = self.0.len();
         let mut taken = vec![false; known];
@@ -235,7 +236,8 @@ mod tests {
         Sighting { class: "laser".into(), kind, points, from, strength: Some(0.5), contrast: None }
     }
 
-    /// Two reflectors at a distance of 0.5 m, seen in three views with errors of up to 2 cm, and a glint elsewhere in each view.
+    /// Two reflectors at a distance of 0.5 m, seen in three views with errors of up to 2 cm, and a glint elsewhere in
+    /// each view.
     #[test]
     fn sightings_are_joined_by_place() {
         let mut tracks = Tracks::default();
@@ -252,7 +254,8 @@ mod tests {
         assert!((covariance.x_axis.x - (1e-4 / 3.0 + 1e-4)).abs() < 1e-12);
     }
 
-    /// Corners have no range, so the second of four views, 0.2 m after the first, does not count. The ends of an edge have any order.
+    /// Corners have no range, so the second of four views, 0.2 m after the first, does not count. The ends of an edge
+    /// have any order.
     #[test]
     fn corners_need_a_baseline_and_edges_have_no_direction() {
         let (a, b) = (DVec3::new(2.0, 0.0, 1.0), DVec3::new(2.0, 1.0, 1.0));
