@@ -124,7 +124,7 @@ pub(crate) struct FeatureEvidence {
     pub contrast: Mean,
     pub offsets: Offsets,
     /// Views that found and that missed it, by part of the image.
-    regions: Counts,
+    pub regions: Counts,
 }
 
 /// All evidence on features.
