@@ -9,14 +9,14 @@
 //! gate only with probability q = 2 gate / range.
 
 use super::options::SuperviseOptions;
-use super::pixels::{BOUND, Comparison};
+use super::pixels::Comparison;
 use super::rays::SensorRays;
 use glam::{DMat3, DVec3};
 use presight_localize::verdict::Verdict;
 use presight_model::geometry::{Pose, PoseEstimate};
 use presight_model::index::{QueryResult, Region};
 use presight_model::measured::RangeNoise;
-use presight_model::statistics::tail;
+use presight_model::statistics::{NOISE_BOUND, tail};
 use presight_model::world::World;
 use presight_model::{Aabb, measured::Frame};
 use presight_predict::free_poses::distance;
@@ -78,7 +78,7 @@ impl Search<'_> {
         let z = f64::from(self.frame.ranges()[point.pixel]);
         let [metres, radians] = self.pose_deviation;
         let parts = [self.noise.range_sigma(z), z * self.noise.angle, metres, radians * z, self.options.model_sigma];
-        let within = BOUND * parts.iter().map(|x| x * x).sum::<f64>().sqrt();
+        let within = NOISE_BOUND * parts.iter().map(|x| x * x).sum::<f64>().sqrt();
         let p = self.robot.world_from_robot.transform_point(point.point);
         let environment = self.world.environment();
         found.clear();
@@ -117,7 +117,7 @@ impl Search<'_> {
                 (across * across + metres * metres + (radians * range).powi(2) + self.options.model_sigma.powi(2))
                     .sqrt();
             let sigma = self.noise.range_sigma(range).hypot(off / cos);
-            gaussian = tail(((range - z).abs() / sigma).max(BOUND));
+            gaussian = tail(((range - z).abs() / sigma).max(NOISE_BOUND));
             length = range.max(1.0);
         }
         let agreeing = (2.0 * gate / length).min(1.0);
@@ -164,7 +164,7 @@ impl Search<'_> {
     fn gate(&self, at: &CorridorPoint, neighbour: usize) -> f64 {
         let z = f64::from(self.frame.ranges()[at.pixel]);
         let angle = f64::from(self.rays.rays[at.pixel].distance(self.rays.rays[neighbour]));
-        self.options.smallest + 2.0 * z * angle + 2.0 * BOUND * self.noise.range_sigma(z)
+        self.options.smallest + 2.0 * z * angle + 2.0 * NOISE_BOUND * self.noise.range_sigma(z)
     }
 
     fn intrusion(&self, points: &[CorridorPoint], false_alarms: f64) -> Intrusion {
@@ -173,7 +173,7 @@ impl Search<'_> {
         // The minimum of many noisy ranges is too small, so neighbours at the same distance are averaged first.
         let smooth = |p: &CorridorPoint| {
             let z = f64::from(ranges[p.pixel]);
-            let within = BOUND * std::f64::consts::SQRT_2 * self.noise.range_sigma(z);
+            let within = NOISE_BOUND * std::f64::consts::SQRT_2 * self.noise.range_sigma(z);
             let same = self.rays.around(p.pixel).filter(|i| pixels.contains_key(i)).map(|i| f64::from(ranges[i]));
             let (sum, count) = same.filter(|r| (r - z).abs() <= within).fold((z, 1.0), |(s, n), r| (s + r, n + 1.0));
             sum / count

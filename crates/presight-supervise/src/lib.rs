@@ -10,11 +10,13 @@ mod pixels;
 pub mod query;
 mod rays;
 mod report;
+mod state;
 mod supervisor;
 mod windows;
 
 pub use grid::Cells;
 pub use intruders::Intrusion;
 pub use options::SuperviseOptions;
-pub use report::{CellCounts, CellState, Report, UnseenReason};
+pub use report::{CellCounts, Report};
+pub use state::{CellState, UnseenReason};
 pub use supervisor::Supervisor;

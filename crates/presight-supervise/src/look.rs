@@ -1,11 +1,12 @@
 //! The view of one sensor on the cells of a corridor.
 
 use super::grid::Cells;
-use super::pixels::{BOUND, Readings};
+use super::pixels::Readings;
 use super::rays::SensorRays;
-use super::report::UnseenReason;
+use super::state::UnseenReason;
 use super::windows::{Windows, level_and_step};
 use presight_model::geometry::Pose;
+use presight_model::statistics::NOISE_BOUND;
 use std::f32::consts::FRAC_1_SQRT_2;
 
 /// Maximum number of pixels along a side of a window.
@@ -137,7 +138,7 @@ impl<'a> SensorView<'a> {
         let limits = [self.rays.width, self.rays.height].map(|n| n as f32 - 1.0);
         let nearest = |i: usize| if i == 0 && turn.is_some() { middle[i] } else { middle[i].clamp(0.0, limits[i]) };
         let spacing = self.rays.spacing[self.rays.pixel([nearest(0), nearest(1)])?];
-        let off = (BOUND * (self.uncertainty[0] + self.uncertainty[1] * f64::from(far))) as f32;
+        let off = (NOISE_BOUND * (self.uncertainty[0] + self.uncertainty[1] * f64::from(far))) as f32;
         far += off;
         let spacing = [far * spacing[0], if self.rays.only_row.is_some() { 0.0 } else { far * spacing[1] }];
         if off > 0.0 {

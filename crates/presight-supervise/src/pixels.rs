@@ -1,12 +1,10 @@
 //! The distances to which the rays of a frame are free.
 
 use super::rays::SensorRays;
-use super::report::UnseenReason;
+use super::state::UnseenReason;
 use presight_localize::verdict::{ExpectedImage, Verdict, Verdicts};
 use presight_model::measured::{Frame, RangeNoise};
-
-/// Bound of the noise of a measurement in standard deviations. Gaussian noise exceeds it once in 1,000 readings.
-pub const BOUND: f64 = 3.3;
+use presight_model::statistics::NOISE_BOUND;
 
 /// A frame compared with its prediction.
 pub struct Comparison {
@@ -54,7 +52,7 @@ impl Readings {
             });
             if z.is_finite() {
                 readings.measured[i] = *z;
-                readings.through[i] = z - (BOUND * noise.range_sigma(f64::from(*z))) as f32;
+                readings.through[i] = z - (NOISE_BOUND * noise.range_sigma(f64::from(*z))) as f32;
             } else if readings.behind[i] == UnseenReason::OutOfView && *z == f32::INFINITY {
                 (readings.measured[i], readings.through[i]) = (reach, reach);
             }

@@ -1,16 +1,16 @@
 //! Changes of features: existence, strength, contrast and covariance by Bayes, and the insertion of new features.
 
+use crate::change::edits::mark;
 use crate::change::existence::{UNSTATED, posterior};
-use crate::change::proposals::mark;
-use crate::evidence::features::book::{FeatureBook, FeatureEvidence, Mean, pose_of};
+use crate::evidence::features::book::{FeatureBook, FeatureEvidence, pose_of};
 use crate::evidence::features::located::located;
-use crate::evidence::features::sightings::{Kind, Track};
+use crate::evidence::features::sightings::{Kind, Mean, Track};
 use crate::evidence::knowledge::Knowledge;
-use crate::observe::view::BOUND;
 use glam::{DMat3, DVec3};
 use presight_model::caster::RayCaster;
 use presight_model::change::Change;
 use presight_model::environment::{Environment, Existence, Feature, FeatureShape, MarkKind, Properties};
+use presight_model::statistics::NOISE_BOUND;
 use presight_store::{Edit, EditPose, ShapeSource};
 use std::collections::BTreeMap;
 
@@ -105,7 +105,7 @@ fn placed(
     let on = |(p, covariance): &(DVec3, DMat3)| {
         // The place of an edge is measured across it only.
         let [x, y, z] = [0, 1, 2].map(|i| covariance.col(i)[i]);
-        let (object, nearest) = caster?.nearest(*p, BOUND * x.min(y).min(z).sqrt() + SURFACE_DISTANCE)?;
+        let (object, nearest) = caster?.nearest(*p, NOISE_BOUND * x.min(y).min(z).sqrt() + SURFACE_DISTANCE)?;
         Some((object, nearest.point))
     };
     let feet: Vec<Option<(u32, DVec3)>> = places.iter().map(on).collect();

@@ -1,5 +1,6 @@
 //! From findings to changes of the model.
 
+pub(crate) mod edits;
 pub(crate) mod existence;
 pub(crate) mod features;
 pub(crate) mod pending;

@@ -1,18 +1,18 @@
 //! The changes that follow from findings, with their evidence.
 
+use crate::change::edits::{insert, mark, set_pose, source};
 use crate::change::existence::{UNSTATED, posterior};
 use crate::change::features;
 use crate::change::refine::{RefinedPose, refined};
 use crate::decide::findings::{Finding, FindingKind, Findings};
 use crate::decide::policy::{Action, Policy};
-use crate::decide::shapes::LibraryShape;
 use crate::evidence::knowledge::Knowledge;
 use presight_model::change::Change;
 use presight_model::environment::{CUBOID_FACES, Environment, Existence, Mark, MarkKind, cuboid_corners};
 use presight_model::error::Result;
-use presight_model::geometry::{Aabb, Pose};
+use presight_model::geometry::Pose;
 use presight_model::world::World;
-use presight_store::{ChangeEvidence, Edit, EditPose, ProposedChange, ShapeSource};
+use presight_store::{ChangeEvidence, Edit, ProposedChange, ShapeSource};
 
 /// As [`Learner::changes`](crate::Learner::changes).
 pub(crate) fn changes(
@@ -130,27 +130,6 @@ fn of_refined(refined: &RefinedPose, environment: &Environment, base: &str) -> R
 
 fn pose_before(environment: &Environment, object: &str) -> Vec<(String, Pose)> {
     environment.object(object).map(|o| (object.to_owned(), o.world_from_object)).into_iter().collect()
-}
-
-fn set_pose(object: &str, pose: &Pose) -> Edit {
-    Edit::Change(Change::SetPose { name: object.to_owned(), world_from_object: *pose })
-}
-
-fn insert(object: &str, pose: &Pose, shape: ShapeSource) -> Edit {
-    Edit::Insert { object: object.to_owned(), pose: EditPose::Free(*pose), shape }
-}
-
-fn source(shape: &LibraryShape) -> ShapeSource {
-    match &shape.file {
-        Some((path, object)) => ShapeSource::File { path: path.clone(), object: object.clone() },
-        None => ShapeSource::Like(shape.name().to_owned()),
-    }
-}
-
-/// Sets a mark on an object.
-pub(crate) fn mark(name: String, object: &str, kind: MarkKind, class: Option<String>, bounds: Option<Aabb>) -> Edit {
-    let mark = Mark { object: object.to_owned(), kind, class, bounds };
-    Edit::Change(Change::SetMark { name, mark })
 }
 
 /// True if the model already has the mark of a finding.

@@ -3,13 +3,14 @@
 use crate::evidence::objects::{cell, cell_size};
 use crate::observe::priors::own_bounds;
 use crate::observe::terms::AXES;
-use crate::observe::view::{BOUND, MIN_COSINE, View};
+use crate::observe::view::{MIN_COSINE, View};
 use glam::{DQuat, DVec3};
 use presight_localize::motion::moved;
 use presight_model::caster::{RayCaster, RayHit};
 use presight_model::environment::Environment;
 use presight_model::geometry::{Aabb, Pose};
 use presight_model::matrix::{add_to, apply, inverse};
+use presight_model::statistics::NOISE_BOUND;
 use std::collections::BTreeMap;
 
 /// Maximum distances of points from the surface in the steps of a fit, metres.
@@ -185,7 +186,7 @@ impl Fitter<'_> {
             let range = view.origin().distance(middle);
             let noise = view.noise.range_sigma(range);
             let common = view.pose_sigma.0 + range * view.pose_sigma.1;
-            let gate = FOREIGN + BOUND * noise;
+            let gate = FOREIGN + NOISE_BOUND * noise;
             let mut own: BTreeMap<(u8, [i32; 3]), (usize, f64)> = BTreeMap::new();
             for p in view.unexplained(thing.object).filter(|p| p.distance(middle) <= thing.radius + gate) {
                 let q = back.transform_point(p);
@@ -204,7 +205,7 @@ impl Fitter<'_> {
         for cell in cells.values().filter(|cell| cell.points >= MIN_POINTS) {
             let share = (cell.sum / cell.weight).powi(2) / (1.0 / cell.weight + SURFACE_SIGMA * SURFACE_SIGMA);
             fit.chi2 += share;
-            let is_on = share <= BOUND * BOUND;
+            let is_on = share <= NOISE_BOUND * NOISE_BOUND;
             (fit.on, fit.off) = (fit.on + usize::from(is_on), fit.off + usize::from(!is_on));
         }
         fit
@@ -296,11 +297,11 @@ impl Fitter<'_> {
         let hit = self.caster.cast_at(object, pose, (view.origin(), ray, view.reach()))?;
         let cos = hit.normal.dot(ray).abs();
         let sigma = pixel_sigma(view, hit.range, cos);
-        if cos < 0.2 || z < hit.range - BOUND * sigma {
+        if cos < 0.2 || z < hit.range - NOISE_BOUND * sigma {
             return None;
         }
-        let other = self.caster.cast(view.origin(), ray, hit.range + 2.0 * BOUND * sigma, Some(object));
-        other.is_none().then_some((z <= hit.range + BOUND * sigma, hit))
+        let other = self.caster.cast(view.origin(), ray, hit.range + 2.0 * NOISE_BOUND * sigma, Some(object));
+        other.is_none().then_some((z <= hit.range + NOISE_BOUND * sigma, hit))
     }
 }
 

@@ -3,9 +3,10 @@
 use crate::decide::boxes::UprightBox;
 use crate::decide::decision::Decision;
 use crate::decide::fit::{Thing, pixel_sigma};
-use crate::observe::view::{BOUND, View};
+use crate::observe::view::View;
 use glam::DVec3;
 use presight_model::geometry::{Aabb, Pose};
+use presight_model::statistics::NOISE_BOUND;
 
 /// A shape and boxes that may stand before the surfaces of the model.
 pub(crate) struct Explanation<'a> {
@@ -56,7 +57,7 @@ fn of_view(
 
 /// The squared deviation of a reading from a surface, in variances, at most the bound of noise.
 pub(crate) fn squared(view: &View, z: f64, surface: Option<Surface>) -> f64 {
-    let max = BOUND * BOUND;
+    let max = NOISE_BOUND * NOISE_BOUND;
     let Some((range, cos)) = surface else { return if z.is_finite() { max } else { 0.0 } };
     ((z - range) / pixel_sigma(view, range, cos)).powi(2).min(max)
 }

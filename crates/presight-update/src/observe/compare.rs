@@ -5,14 +5,14 @@ use crate::observe::pixels::SampledPixels;
 use crate::observe::priors::Priors;
 use crate::observe::register::Readings;
 use crate::observe::terms::Terms;
-use crate::observe::view::{BOUND, MIN_COSINE, NO_OBJECT, PixelEvidence, SAFE_REACH, View, reach_of};
+use crate::observe::view::{MIN_COSINE, NO_OBJECT, PixelEvidence, SAFE_REACH, View, reach_of};
 use glam::DVec3;
 use presight_localize::verdict::body_from_image;
 use presight_model::caster::{RayCaster, RayHit};
 use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate};
 use presight_model::matrix::{quadratic, scaled};
 use presight_model::measured::{Frame, RangeNoise};
-use presight_model::statistics::median;
+use presight_model::statistics::{NOISE_BOUND, median};
 use std::sync::Arc;
 
 /// Median of the absolute value of a standard normal variable.
@@ -204,7 +204,7 @@ impl Observer<'_> {
     /// Adds a measured point to a view's new points, unless a surface of the model is near.
     fn add_new_point(&self, view: &mut View, ray: &PixelRay, z: f64, errors: &RangeErrors<'_>) -> bool {
         let x = ray.origin + z * ray.ray;
-        let is_new = self.caster.nearest(x, KNOWN.max(BOUND * errors.across(x, ray.ray))).is_none();
+        let is_new = self.caster.nearest(x, KNOWN.max(NOISE_BOUND * errors.across(x, ray.ray))).is_none();
         if is_new {
             view.new_points.push(x);
         }
@@ -223,9 +223,9 @@ impl Observer<'_> {
         let second = || self.caster.cast(ray.origin, ray.ray, reach, Some(hit.object));
         let sigma = errors.sigma(ray, hit);
         view.compared.0 += 1;
-        if (z - hit.range).abs() <= BOUND * sigma {
+        if (z - hit.range).abs() <= NOISE_BOUND * sigma {
             view.compared.1 += 1;
-            let is_apart = second().is_none_or(|s| s.range - hit.range > 2.0 * BOUND * sigma + 0.05);
+            let is_apart = second().is_none_or(|s| s.range - hit.range > 2.0 * NOISE_BOUND * sigma + 0.05);
             view.evidence[at] = if is_apart { PixelEvidence::Present } else { PixelEvidence::Ambiguous };
             return;
         }
@@ -238,15 +238,15 @@ impl Observer<'_> {
             return;
         }
         let aside = errors.across(ray.origin + hit.range * ray.ray, ray.ray) / hit.range;
-        let uncertain = BOUND * (aside + errors.noise.angle) + 1e-4;
-        let before = z.min(reach) - BOUND * sigma;
+        let uncertain = NOISE_BOUND * (aside + errors.noise.angle) + 1e-4;
+        let before = z.min(reach) - NOISE_BOUND * sigma;
         view.evidence[at] = PixelEvidence::Edge;
         if hit.normal.dot(ray.ray).abs() < MIN_COSINE || !self.is_covered(ray, hit, uncertain, before) {
             return;
         }
         let second = second();
         if let Some(second) = second
-            && z < second.range - BOUND * errors.sigma(ray, &second)
+            && z < second.range - NOISE_BOUND * errors.sigma(ray, &second)
         {
             // A beam that an edge splits also measures a range between two surfaces.
             if self.is_covered(ray, hit, uncertain.max(1.5 * view.pixels.spacing), before) {
@@ -255,7 +255,7 @@ impl Observer<'_> {
             }
             return;
         }
-        let is_apart = second.is_none_or(|s| s.range - hit.range > 2.0 * BOUND * sigma);
+        let is_apart = second.is_none_or(|s| s.range - hit.range > 2.0 * NOISE_BOUND * sigma);
         view.evidence[at] = if is_apart { PixelEvidence::SeenThrough } else { PixelEvidence::Ambiguous };
     }
 

@@ -1,11 +1,11 @@
 //! Mean correction of the stated poses by the readings. A wrong mount shifts the poses of all views in the same
 //! direction.
 
-use crate::observe::view::BOUND;
 use glam::DVec3;
 use presight_localize::motion::motion_between;
 use presight_model::geometry::PoseEstimate;
 use presight_model::matrix::quadratic;
+use presight_model::statistics::NOISE_BOUND;
 
 /// Minimum number of views for a verdict.
 const MIN_VIEWS: f64 = 10.0;
@@ -50,7 +50,7 @@ impl PoseCorrections {
     /// Returns why all findings are unreliable, if the mean correction exceeds the stated error. All views may share
     /// one such error.
     pub fn wrong(&self) -> Option<String> {
-        let far = self.deviations.iter().any(|sum| (sum / self.views).abs() > BOUND);
+        let far = self.deviations.iter().any(|sum| (sum / self.views).abs() > NOISE_BOUND);
         (self.views >= MIN_VIEWS && far).then(|| {
             let [x, y, z, roll, pitch, yaw] = self.by.map(|sum| sum / self.views);
             format!(

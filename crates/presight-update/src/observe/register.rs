@@ -3,13 +3,14 @@
 
 use crate::observe::priors::Priors;
 use crate::observe::terms::{AXES, ObjectTerms, Terms};
-use crate::observe::view::{BOUND, MIN_COSINE};
+use crate::observe::view::MIN_COSINE;
 use glam::DVec3;
 use presight_localize::motion::{motion_between, moved};
 use presight_model::caster::RayCaster;
 use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate};
 use presight_model::matrix::{add_to, apply, inverse, quadratic, scaled};
 use presight_model::measured::RangeNoise;
+use presight_model::statistics::NOISE_BOUND;
 use std::collections::BTreeMap;
 
 /// Gauss-Newton steps.
@@ -73,7 +74,7 @@ impl Readings<'_> {
             for r in &residuals {
                 let surface = self.surface(r);
                 let spread = r.variance + surface + quadratic(pose.covariance.as_rows(), &r.gradient).max(0.0);
-                let share = r.distance.powi(2) / (BOUND.powi(2) * spread);
+                let share = r.distance.powi(2) / (NOISE_BOUND.powi(2) * spread);
                 if share >= 1.0 {
                     continue;
                 }
@@ -130,7 +131,7 @@ impl Readings<'_> {
             let on = residuals.iter().filter_map(|r| {
                 let (j, by_pose) = (own(r), quadratic(pose.covariance.as_rows(), &r.gradient).max(0.0));
                 let left = r.distance - j.iter().zip(&motion).map(|(a, b)| a * b).sum::<f64>();
-                (left * left <= BOUND * BOUND * (r.variance + surface(r) + by_pose)).then_some((r, j))
+                (left * left <= NOISE_BOUND * NOISE_BOUND * (r.variance + surface(r) + by_pose)).then_some((r, j))
             });
             let on: Vec<(&Residual, [f64; 6])> = on.collect();
             of = ObjectTerms { object, ..ObjectTerms::default() };

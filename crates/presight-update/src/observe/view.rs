@@ -8,11 +8,9 @@ use glam::DVec3;
 use presight_localize::verdict::body_from_image;
 use presight_model::geometry::Pose;
 use presight_model::measured::RangeNoise;
+use presight_model::statistics::NOISE_BOUND;
 use std::sync::Arc;
 
-/// Noise explains differences of up to this number of standard deviations: Gaussian noise exceeds it once in 1,000
-/// readings.
-pub(crate) const BOUND: f64 = 3.3;
 /// Minimum cosine of the incidence of a ray that is informative.
 pub(crate) const MIN_COSINE: f64 = 0.1;
 /// Index of no object: the ray meets no surface.
@@ -125,6 +123,8 @@ impl View {
         let beyond = if is_known { 0.0 } else { size };
         let sigma = self.noise.range_sigma(distance) + self.pose_sigma.0 + distance * self.pose_sigma.1;
         let reach = SAFE_REACH * self.pixels.sensor.spec().range_max;
-        z > distance + beyond + BOUND * sigma && distance < reach && spot.holds(self.world_from_image.rotation * offset)
+        z > distance + beyond + NOISE_BOUND * sigma
+            && distance < reach
+            && spot.holds(self.world_from_image.rotation * offset)
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::evidence::features::blind::{Counts, Region, is_blind, region};
 use crate::evidence::features::located::{Offsets, SensorAtPose};
-use crate::evidence::features::sightings::{Sighting, Tracks, place_of};
+use crate::evidence::features::sightings::{Mean, Sighting, Tracks, add_value, place_of};
 use presight_localize::extract::{FeatureClass, FeatureFinding, Findings};
 use presight_model::caster::RayCaster;
 use presight_model::environment::{Environment, Feature, FeatureShape};
@@ -103,14 +103,6 @@ pub(crate) fn features_in(
     let detected = findings.only_found.iter().map(|at| &findings.detections[*at]);
     let unknown = detected.filter_map(|d| place_of(&sensor, d, known.caster)).collect();
     FeatureViews { known: views.into_values().collect(), unknown }
-}
-
-/// Sum and number of measured values.
-pub(crate) type Mean = (f64, f64);
-
-/// Adds a measured value to a sum.
-pub(crate) fn add_value(sum: &mut Mean, value: Option<f64>) {
-    *sum = value.map_or(*sum, |value| (sum.0 + value, sum.1 + 1.0));
 }
 
 /// All views of one feature.

@@ -1,17 +1,25 @@
 //! Places of features that the layer lacks.
 
-use crate::evidence::features::book::{Mean, add_value};
 use crate::evidence::features::located::{SensorAtPose, across};
-use crate::observe::view::{BOUND, MIN_COSINE, reach_of};
+use crate::observe::view::{MIN_COSINE, reach_of};
 use glam::{DMat3, DVec2, DVec3};
 use presight_localize::matching::{Detection, Shape};
 use presight_model::caster::RayCaster;
+use presight_model::statistics::NOISE_BOUND;
 
 /// Maximum number of new features, which bounds the memory. Further features are left out.
 const MAX_TRACKS: usize = 1000;
 /// Minimum distance between the views of a feature without a range, metres. It is placed on the surface behind it in
 /// the image, and views from one place agree on any surface.
 const MIN_BASELINE: f64 = 0.25;
+
+/// Sum and number of measured values.
+pub(crate) type Mean = (f64, f64);
+
+/// Adds a measured value to a sum.
+pub(crate) fn add_value(sum: &mut Mean, value: Option<f64>) {
+    *sum = value.map_or(*sum, |value| (sum.0 + value, sum.1 + 1.0));
+}
 
 /// The kind of a feature that is found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -189,8 +197,8 @@ impl Track {
             off.dot((covariance + spot.own + spot.by_pose).inverse() * off)
         };
         let worst = self.places().into_iter().zip(&self.ordered(seen)).map(away).fold(0.0, f64::max);
-        // The bound of chi-squared with three degrees of freedom; BOUND is that of one.
-        (worst <= BOUND * BOUND + 5.4).then_some(worst)
+        // The bound of chi-squared with three degrees of freedom; NOISE_BOUND is that of one.
+        (worst <= NOISE_BOUND * NOISE_BOUND + 5.4).then_some(worst)
     }
 }
 
