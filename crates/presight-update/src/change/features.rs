@@ -2,6 +2,7 @@
 
 use crate::change::edits::mark;
 use crate::change::existence::{UNSTATED, posterior};
+use crate::decide::fit::POINT_SIGMA;
 use crate::evidence::features::book::{FeatureBook, FeatureEvidence, pose_of};
 use crate::evidence::features::located::located;
 use crate::evidence::features::sightings::{Kind, Mean, Track};
@@ -22,8 +23,6 @@ const MIN_EXISTENCE: f64 = 0.02;
 const LAYER_WEIGHT: f64 = 10.0;
 /// Half of the edge of the plate below a new reflector, metres.
 const HALF_PLATE: f32 = 0.02;
-/// Additional distance of a new feature from its surface, metres.
-const SURFACE_DISTANCE: f64 = 0.02;
 
 /// The insertion of a new feature.
 pub(crate) struct Insertion {
@@ -105,7 +104,7 @@ fn placed(
     let on = |(p, covariance): &(DVec3, DMat3)| {
         // The place of an edge is measured across it only.
         let [x, y, z] = [0, 1, 2].map(|i| covariance.col(i)[i]);
-        let (object, nearest) = caster?.nearest(*p, NOISE_BOUND * x.min(y).min(z).sqrt() + SURFACE_DISTANCE)?;
+        let (object, nearest) = caster?.nearest(*p, NOISE_BOUND * x.min(y).min(z).sqrt() + POINT_SIGMA)?;
         Some((object, nearest.point))
     };
     let feet: Vec<Option<(u32, DVec3)>> = places.iter().map(on).collect();

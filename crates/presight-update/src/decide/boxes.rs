@@ -64,8 +64,8 @@ impl UprightBox {
 const SPLIT: f64 = 0.6;
 /// Candidate cuts along an edge of a box, plus one.
 const CUTS: usize = 8;
-/// Minimum number of points of a box.
-const MIN_POINTS: usize = 20;
+/// Minimum number of points of a new object.
+pub(crate) const MIN_POINTS: usize = 20;
 /// Maximum depth of splits.
 const MAX_DEPTH: usize = 3;
 

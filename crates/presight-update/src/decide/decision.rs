@@ -1,5 +1,6 @@
 //! The evidence and the model that findings are derived from.
 
+use crate::decide::boxes::MIN_POINTS;
 use crate::decide::findings::{Finding, FindingKind};
 use crate::decide::fit::{Fitter, Score, Thing};
 use crate::evidence::knowledge::Knowledge;
@@ -11,8 +12,8 @@ use presight_model::environment::Environment;
 use presight_model::geometry::Pose;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Minimum numbers of voxels and of points of a new object.
-pub(crate) const MIN_NEW: (usize, usize) = (3, 20);
+/// Minimum number of voxels of a new object.
+const MIN_VOXELS: usize = 3;
 /// Points nearer than this to an object belong to it, metres.
 pub(crate) const OWN: f64 = 0.1;
 
@@ -63,7 +64,7 @@ impl<'a> Decision<'a> {
     /// True if points are enough for a new object.
     pub fn is_object(&self, points: &[DVec3]) -> bool {
         let voxels: BTreeSet<[i32; 3]> = points.iter().map(|p| self.known.voxels.key(*p)).collect();
-        voxels.len() >= MIN_NEW.0 && points.len() >= MIN_NEW.1
+        voxels.len() >= MIN_VOXELS && points.len() >= MIN_POINTS
     }
 
     /// The pieces of a group that are large enough for an object. The voxels of a piece touch.

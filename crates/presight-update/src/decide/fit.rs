@@ -3,7 +3,7 @@
 use crate::evidence::objects::{cell, cell_size};
 use crate::observe::priors::own_bounds;
 use crate::observe::terms::AXES;
-use crate::observe::view::{MIN_COSINE, View};
+use crate::observe::view::{KNOWN, MIN_COSINE, View};
 use glam::{DQuat, DVec3};
 use presight_localize::motion::moved;
 use presight_model::caster::{RayCaster, RayHit};
@@ -19,13 +19,9 @@ const GATES: [f64; 12] = [0.4, 0.3, 0.3, 0.2, 0.2, 0.15, 0.1, 0.1, 0.06, 0.05, 0
 const FREE: [f64; 6] = [2.0, 2.0, 0.05, 0.03, 0.03, 1.0];
 /// Standard deviation of a measured point in a fit, metres. It includes the pose's error, which the points of one view
 /// share.
-const POINT: f64 = 0.02;
+pub(crate) const POINT_SIGMA: f64 = 0.02;
 /// Standard deviation of a fitted surface, metres.
 pub(crate) const SURFACE_SIGMA: f64 = 0.005;
-/// Points farther from a fitted surface than this and the noise belong to another object, metres.
-const FOREIGN: f64 = 0.05;
-/// Minimum range of heights over which an object is seen, metres: twice [`FOREIGN`].
-const SLICE: f64 = 0.1;
 /// Minimum number of points on a judged cell of a fitted surface.
 const MIN_POINTS: usize = 3;
 
@@ -144,7 +140,7 @@ impl Fitter<'_> {
                 let n = pose.rotation * if distance > 1e-6 { outward / distance } else { foot.normal };
                 let turned = (*p - pose.translation).cross(n);
                 let j = [n.x, n.y, n.z, turned.x, turned.y, turned.z];
-                let weight = (1.0 - (distance / gate).powi(2)).powi(2) / POINT.powi(2);
+                let weight = (1.0 - (distance / gate).powi(2)).powi(2) / POINT_SIGMA.powi(2);
                 for a in 0..6 {
                     gradient[a] += weight * distance * j[a];
                     (0..6).for_each(|b| information[a][b] += weight * j[a] * j[b]);
@@ -166,7 +162,7 @@ impl Fitter<'_> {
         let points = self.points_near(pose.transform_point(thing.middle), thing.radius + 0.1, thing.object, 2000);
         let (back, mut sum, mut count, mut slice) = (pose.inverse(), [0.0; 3], 0.0, Aabb::EMPTY);
         for p in points {
-            if let Some(foot) = self.caster.nearest_on(thing.object, back.transform_point(p), 0.05) {
+            if let Some(foot) = self.caster.nearest_on(thing.object, back.transform_point(p), KNOWN) {
                 let n = pose.rotation * foot.normal;
                 slice = slice.with(p);
                 (sum, count) = ([sum[0] + n.x * n.x, sum[1] + n.x * n.y, sum[2] + n.y * n.y], count + 1.0);
@@ -174,7 +170,7 @@ impl Fitter<'_> {
         }
         let [xx, xy, yy] = sum;
         let smallest = 0.5 * (xx + yy) - (0.25 * (xx - yy).powi(2) + xy * xy).sqrt();
-        count > 0.0 && smallest >= 0.02 * count && slice.max.z - slice.min.z >= SLICE
+        count > 0.0 && smallest >= 0.02 * count && slice.max.z - slice.min.z >= 2.0 * KNOWN
     }
 
     /// The fit of the points around a pose to an object's surface. An object of another size or shape misses whole
@@ -186,7 +182,7 @@ impl Fitter<'_> {
             let range = view.origin().distance(middle);
             let noise = view.noise.range_sigma(range);
             let common = view.pose_sigma.0 + range * view.pose_sigma.1;
-            let gate = FOREIGN + NOISE_BOUND * noise;
+            let gate = KNOWN + NOISE_BOUND * noise;
             let mut own: BTreeMap<(u8, [i32; 3]), (usize, f64)> = BTreeMap::new();
             for p in view.unexplained(thing.object).filter(|p| p.distance(middle) <= thing.radius + gate) {
                 let q = back.transform_point(p);

@@ -1,10 +1,12 @@
 //! New places of doubted objects. Each object is fitted at its old place and at groups of unexplained points, and one
 //! assignment gives each place to one object.
 
-use crate::decide::decision::{Decision, MIN_NEW};
+use crate::decide::boxes::MIN_POINTS;
+use crate::decide::decision::Decision;
 use crate::decide::fit::{Fitter, Score, Thing};
 use crate::decide::groups::Group;
 use crate::observe::priors::own_bounds;
+use crate::observe::view::KNOWN;
 use glam::DVec3;
 use pathfinding::prelude::{Matrix, kuhn_munkres};
 use presight_model::geometry::Pose;
@@ -12,12 +14,6 @@ use std::collections::BTreeMap;
 
 /// Maximum distance of a group from the old place of an object that is fitted to it, metres.
 const MAX_DISTANCE: f64 = 5.0;
-/// An object thinner than this in two directions is a rod, metres. Fits accept points within half of this, so rods look
-/// alike.
-const ROD: f64 = 0.1;
-/// Minimum share of a group's points that an object must explain.
-const MIN_EXPLAINED: f64 = 0.8;
-
 /// A pose that explains an object's points.
 #[derive(Clone, Copy)]
 pub(crate) struct Place {
@@ -76,11 +72,11 @@ impl Decision<'_> {
             for (column, group) in groups.iter().enumerate() {
                 let is_near = group.bounds.size() <= 2.6 * thing.radius + 0.3
                     && group.bounds.center().distance(own.transform_point(thing.middle)) <= MAX_DISTANCE;
-                if !is_near || group.points.len() < MIN_NEW.1 {
+                if !is_near || group.points.len() < MIN_POINTS {
                     continue;
                 }
                 let (start, explained) = fitter.best(&thing, &own, group.bounds.center(), &group.points);
-                if explained >= MIN_EXPLAINED {
+                if explained >= self.known.options.min_agreeing {
                     places.extend(place(&start).map(|place| ((row, column), place)));
                 }
             }
@@ -88,10 +84,10 @@ impl Decision<'_> {
         places
     }
 
-    /// True for a post or a rod, which looks like any other rod.
+    /// True for a post or a rod. Fits accept points within [`KNOWN`] of a surface, so all rods look alike.
     fn is_rod(&self, object: u32) -> bool {
         let size = 2.0 * own_bounds(&self.environment.objects()[object as usize]).half_extent();
-        size.to_array().into_iter().filter(|x| *x < ROD).count() >= 2
+        size.to_array().into_iter().filter(|x| *x < 2.0 * KNOWN).count() >= 2
     }
 
     /// The pose of an object by the points around a start, if the views decide that it stands there.

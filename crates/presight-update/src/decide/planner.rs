@@ -22,11 +22,9 @@ const CELL: f64 = 0.25;
 const MAX_PLACES: usize = 20_000;
 /// Interval between the heights at which the surroundings of a robot must be free, metres.
 const STEP: f64 = 0.4;
-/// Height above the floor from which the surroundings of a robot must be free, metres.
-const MIN_HEIGHT: f64 = 0.35;
 /// Maximum step of the floor between neighbouring positions, metres.
 const KERB: f64 = 0.1;
-/// Minimum distance of a position from new objects, metres.
+/// Minimum distance of a position from new objects, and minimum height of free positions above the floor, metres.
 const CLEARANCE: f64 = 0.35;
 /// Number of positions that are evaluated with few rays, and of the best of them that are evaluated with all.
 const TRIED: (usize, usize) = (600, 16);
@@ -252,7 +250,7 @@ fn sensor_place(world: &World, at: DVec3, floor: Option<f64>, found: &mut QueryR
     let here = height_above(world, at, 10.0, found);
     let (place, lowest) = match (floor, here) {
         (Some(usual), Some(height)) if (height - usual).abs() <= KERB => {
-            (at + (usual - height) * DVec3::Z, usual - MIN_HEIGHT)
+            (at + (usual - height) * DVec3::Z, usual - CLEARANCE)
         }
         (None, None) => (at, 0.0),
         _ => return None,

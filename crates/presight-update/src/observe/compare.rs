@@ -5,7 +5,7 @@ use crate::observe::pixels::SampledPixels;
 use crate::observe::priors::Priors;
 use crate::observe::register::Readings;
 use crate::observe::terms::Terms;
-use crate::observe::view::{MIN_COSINE, NO_OBJECT, PixelEvidence, SAFE_REACH, View, reach_of};
+use crate::observe::view::{KNOWN, MIN_COSINE, NO_OBJECT, PixelEvidence, SAFE_REACH, View, reach_of};
 use glam::DVec3;
 use presight_localize::verdict::body_from_image;
 use presight_model::caster::{RayCaster, RayHit};
@@ -25,8 +25,6 @@ const MAX_SPREAD: f64 = 4.0;
 const MIN_READINGS: usize = 20;
 /// Maximum number of readings from which a pose is estimated.
 const MAX_READINGS: usize = 2000;
-/// Points nearer than this to a surface of the model belong to it, metres.
-const KNOWN: f64 = 0.05;
 
 /// The ray of a pixel, and the first surface on it.
 struct PixelRay {

@@ -17,6 +17,8 @@ pub(crate) const MIN_COSINE: f64 = 0.1;
 pub(crate) const NO_OBJECT: u32 = u32::MAX;
 /// A reading beyond this share of the sensor's reach may be missing.
 pub(crate) const SAFE_REACH: f64 = 0.95;
+/// Points nearer than this to a surface belong to it, metres.
+pub(crate) const KNOWN: f64 = 0.05;
 /// Rays are cast no farther, metres.
 const MAX_REACH: f64 = 1e5;
 
