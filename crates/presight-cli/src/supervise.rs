@@ -1,4 +1,4 @@
-//! `presight supervise`: whether the way ahead is free, frame by frame.
+//! `presight supervise`: the free and the blocked cells of a corridor, frame by frame.
 
 use super::drive::{Drive, Sensed};
 use super::outputs::OutputFiles;
@@ -26,7 +26,7 @@ const EXAMPLES: &str = "Examples:
     --init reference --corridor way.json --out run.jsonl
   presight supervise scans.json --map corridor.glb --init reference --corridor way.json --upright --out run.jsonl";
 
-/// Supervise the way ahead: which parts of a corridor are free, known, intruded or not seen, and why
+/// Supervise the path ahead: the cells of a corridor that are free, known, intruded or not seen, and the reason
 ///
 /// This is not a safety device. Tracks the robot as `localize` does, and compares each frame with the model in the
 /// corridor of --corridor: a line in the robot's frame or in the world, a polygon, or a footprint over poses
@@ -43,7 +43,7 @@ pub struct Args {
     #[arg(long, value_name = "ROBOT.toml", conflicts_with_all = ["sensor", "grey_sensor"])]
     robot: Option<PathBuf>,
 
-    /// Logs of the robot's other sensors; frames count as taken together if their times differ by at most 10 ms
+    /// Logs of the robot's other sensors; frames with a time difference of at most 10 ms belong together
     #[arg(value_name = "NAME=LOG", requires = "robot")]
     beside: Vec<String>,
 
@@ -63,7 +63,7 @@ pub struct Args {
     #[arg(long, value_name = "METRES", default_value_t = 0.1)]
     cell: f64,
 
-    /// Width of the smallest thing that a free cell must not hide, metres
+    /// Width of the smallest intruder that a free cell cannot hide, metres
     #[arg(long, value_name = "METRES", default_value_t = 0.07)]
     smallest: f64,
 

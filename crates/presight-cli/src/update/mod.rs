@@ -49,9 +49,10 @@ const EXAMPLES: &str = "Examples:
 
 /// Learn what changed: objects that are gone, moved or new, from the logs of drives
 ///
-/// LOGs are drives one after the other, each as for `localize`. DIR gets changes.jsonl, which `env apply` reads,
-/// doubts.jsonl, which says where to look from, and index.html, which shows each change: the measurement between the
-/// predictions without and with it, and how the evidence grew. Nothing else is written without --apply or --evidence.
+/// LOGs are drives one after the other, each as for `localize`. DIR gets changes.jsonl for `env apply`, doubts.jsonl
+/// with the poses that decide open questions, and index.html. The page shows for each change the measurement between
+/// the predictions without and with it, and the growth of the evidence. Other files are written only with --apply or
+/// --evidence.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -86,7 +87,7 @@ pub struct Args {
     #[arg(long, value_name = "MS", requires = "apply")]
     deadline_ms: Option<f64>,
 
-    /// Keep evidence that does not decide yet in this file, and go on with its content
+    /// Read undecided evidence from this file, and write it back
     #[arg(long, value_name = "FILE")]
     evidence: Option<PathBuf>,
 
@@ -94,19 +95,19 @@ pub struct Args {
     #[arg(long, value_name = "UTC")]
     time: Option<f64>,
 
-    /// What becomes of each kind of finding, such as gone=change,new=stop: mark, change, stop, come-back or ignore
-    /// [default: mark]
+    /// Action for each kind of finding, such as gone=change,new=stop: mark, change, stop, come-back or ignore [default:
+    /// mark]
     ///
-    /// The kinds are gone, moved, new and part. `mark` marks objects and new things as uncertain. `change` changes the
-    /// model. `stop` proposes nothing, says where to look from, and ends with status 1. `come-back` adds the place to
-    /// DIR/come_back.jsonl.
+    /// The kinds are gone, moved, new and part. `mark` marks known and new objects as uncertain. `change` changes
+    /// the model. `stop` proposes no change, reports the pose that decides the question, and ends with status 1.
+    /// `come-back` adds the place to DIR/come_back.jsonl.
     #[arg(long, value_name = "KIND=ACTION,..", default_value = "")]
     policy: String,
 
     #[command(flatten)]
     known: KnownArgs,
 
-    /// Views that have to agree
+    /// Minimum number of agreeing views
     #[arg(long, value_name = "N", default_value_t = 3)]
     views: u32,
 
@@ -183,7 +184,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     print::notices(&(waiting > 0).then_some(waits));
     let stops: Vec<String> = questions.describe(Action::Stop).map(|finding| format!("stop: {finding}")).collect();
     print::notices(&stops);
-    print::notices(&findings.wrong.iter().map(|why| format!("nothing is changed: {why}")).collect::<Vec<_>>());
+    print::notices(&findings.wrong.iter().map(|why| format!("the model is not changed: {why}")).collect::<Vec<_>>());
     Ok(if findings.wrong.is_some() || !stops.is_empty() { CommandOutcome::Found } else { CommandOutcome::Done })
 }
 
@@ -271,7 +272,7 @@ fn follow(drive: &Drive, learner: &mut Learner, last: &mut f64) -> Result<()> {
     })?;
     let log = drive.log.display();
     print::notices(
-        &(!is_tracked).then(|| format!("{log}: the robot was never sure of its pose, so nothing was learnt")),
+        &(!is_tracked).then(|| format!("{log}: the pose of the robot was never certain, so the log was ignored")),
     );
     Ok(())
 }

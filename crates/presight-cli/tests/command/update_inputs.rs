@@ -92,7 +92,7 @@ fn a_yaw_of_the_mount_is_no_change_of_the_site() {
     let before = bytes(&place);
     let line = format!("update log/scans.jsonl --map map.presight --sensor wrong.toml {CHANGE} --out found --apply");
     let done = place.run(&line);
-    assert!(done.status == Some(1) && done.stderr.contains("nothing is changed: "), "{done:?}");
+    assert!(done.status == Some(1) && done.stderr.contains("the model is not changed: "), "{done:?}");
     assert!(done.stderr.contains("mount"), "{done:?}");
     assert!(changes(&place, "found").is_empty());
     assert_eq!(bytes(&place), before);
@@ -115,7 +115,7 @@ fn a_wrong_map_is_untouched() {
                 .run(&format!("update log/scans.jsonl --map map.presight {start} --policy change --out found --apply"));
             assert!(changes(&place, "found").is_empty(), "{start}: {done:?}");
             assert!(
-                done.stderr.contains("never sure") || done.stderr.contains("nothing is changed"),
+                done.stderr.contains("never certain") || done.stderr.contains("the model is not changed"),
                 "{start}: {done:?}"
             );
             assert_eq!(bytes(&place), before, "{start}");
