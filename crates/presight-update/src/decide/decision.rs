@@ -38,8 +38,7 @@ impl<'a> Decision<'a> {
     }
 
     pub fn fitter(&self) -> Fitter<'a> {
-        let (views, max_per_view) = (self.known.views.iter().collect(), self.known.options.max_per_view);
-        Fitter { caster: self.caster, views, max_per_view }
+        Fitter { caster: self.caster, known: self.known }
     }
 
     /// True if the views decide that an object stands at a pose.

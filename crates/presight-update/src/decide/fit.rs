@@ -1,11 +1,13 @@
 //! Fits an object to measured points, and scores a pose by all views.
 
+use crate::evidence::knowledge::Knowledge;
 use crate::evidence::objects::{cell, cell_size};
 use crate::observe::priors::own_bounds;
 use crate::observe::terms::AXES;
 use crate::observe::view::{KNOWN, MIN_COSINE, View};
 use glam::{DQuat, DVec3};
-use presight_localize::motion::moved;
+use presight_localize::motion::{motion_between, moved};
+use presight_localize::verdict::ObjectError;
 use presight_model::caster::{RayCaster, RayHit};
 use presight_model::environment::Environment;
 use presight_model::geometry::{Aabb, Pose};
@@ -100,19 +102,17 @@ impl Thing {
     }
 }
 
-/// Fits objects with the views of a drive.
+/// Fits objects to the points of all views.
 pub(crate) struct Fitter<'a> {
     pub caster: &'a RayCaster,
-    pub views: Vec<&'a View>,
-    /// Maximum log-odds that one view adds.
-    pub max_per_view: f64,
+    pub known: &'a Knowledge,
 }
 
 impl Fitter<'_> {
     /// Measured points in a ball that no other object explains, world frame, at most `max`.
     pub fn points_near(&self, middle: DVec3, radius: f64, object: u32, max: usize) -> Vec<DVec3> {
         let mut found = Vec::new();
-        for view in &self.views {
+        for view in &self.known.views {
             if view.origin().distance(middle) > view.pixels.sensor.spec().range_max + radius {
                 continue;
             }
@@ -138,15 +138,14 @@ impl Fitter<'_> {
                 let distance = foot.distance_squared.sqrt();
                 let outward = q - foot.point;
                 let n = pose.rotation * if distance > 1e-6 { outward / distance } else { foot.normal };
-                let turned = (*p - pose.translation).cross(n);
-                let j = [n.x, n.y, n.z, turned.x, turned.y, turned.z];
+                let j = ObjectError::gradient(pose.translation, *p, n);
                 let weight = (1.0 - (distance / gate).powi(2)).powi(2) / POINT_SIGMA.powi(2);
                 for a in 0..6 {
                     gradient[a] += weight * distance * j[a];
                     (0..6).for_each(|b| information[a][b] += weight * j[a] * j[b]);
                 }
             }
-            let off = presight_localize::motion::motion_between(&start, &pose);
+            let off = motion_between(&start, &pose);
             (0..6).for_each(|i| gradient[i] -= free[i][i] * off[i]);
             add_to(&mut information, &free);
             let step = apply(&inverse(&information, &AXES), &gradient);
@@ -178,7 +177,7 @@ impl Fitter<'_> {
     pub fn fit(&self, thing: &Thing, pose: &Pose) -> Fit {
         let (middle, back, size) = (pose.transform_point(thing.middle), pose.inverse(), cell_size(2.0 * thing.radius));
         let mut cells: BTreeMap<(u8, [i32; 3]), CellSums> = BTreeMap::new();
-        for view in &self.views {
+        for view in &self.known.views {
             let range = view.origin().distance(middle);
             let noise = view.noise.range_sigma(range);
             let common = view.pose_sigma.0 + range * view.pose_sigma.1;
@@ -210,7 +209,7 @@ impl Fitter<'_> {
     /// Log of the prior probability of a move. Because of it, each of two equal objects gets the nearer place.
     pub fn prior(&self, thing: &Thing, from: &Pose, to: &Pose) -> f64 {
         let about = |pose: &Pose| Pose { translation: pose.transform_point(thing.middle), ..*pose };
-        let off = presight_localize::motion::motion_between(&about(from), &about(to));
+        let off = motion_between(&about(from), &about(to));
         -0.5 * off.iter().zip(FREE).map(|(x, sigma)| (x / sigma).powi(2)).sum::<f64>()
     }
 
@@ -256,8 +255,9 @@ impl Fitter<'_> {
         let (mut score, (middle, radius)) = (Score::default(), thing.ball(pose));
         let (back, size) = (pose.inverse(), cell_size(2.0 * radius));
         let mut cells: BTreeMap<(u8, [i32; 3]), f64> = BTreeMap::new();
-        let limit = |sum: f64| sum.clamp(-self.max_per_view, self.max_per_view);
-        for view in &self.views {
+        let max = self.known.options.max_per_view;
+        let limit = |sum: f64| sum.clamp(-max, max);
+        for view in &self.known.views {
             if view.origin().distance(middle) > view.reach() + radius {
                 continue;
             }

@@ -7,7 +7,7 @@ use crate::observe::register::Readings;
 use crate::observe::terms::Terms;
 use crate::observe::view::{KNOWN, MIN_COSINE, NO_OBJECT, PixelEvidence, SAFE_REACH, View, reach_of};
 use glam::DVec3;
-use presight_localize::verdict::body_from_image;
+use presight_localize::verdict::{ObjectError, body_from_image};
 use presight_model::caster::{RayCaster, RayHit};
 use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate};
 use presight_model::matrix::{quadratic, scaled};
@@ -58,9 +58,7 @@ impl RangeErrors<'_> {
 
     /// Variance of a point along a direction by the stated covariance of the pose, square metres.
     fn pose_variance(&self, x: DVec3, along: DVec3) -> f64 {
-        let arm = x - self.pose.world_from_robot.translation;
-        let turned = arm.cross(along);
-        let gradient = [along.x, along.y, along.z, turned.x, turned.y, turned.z];
+        let gradient = ObjectError::gradient(self.pose.world_from_robot.translation, x, along);
         quadratic(self.pose.covariance.as_rows(), &gradient).max(0.0)
     }
 

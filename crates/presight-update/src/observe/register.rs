@@ -6,6 +6,7 @@ use crate::observe::terms::{AXES, ObjectTerms, Terms};
 use crate::observe::view::MIN_COSINE;
 use glam::DVec3;
 use presight_localize::motion::{motion_between, moved};
+use presight_localize::verdict::ObjectError;
 use presight_model::caster::RayCaster;
 use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate};
 use presight_model::matrix::{add_to, apply, inverse, quadratic, scaled};
@@ -166,14 +167,12 @@ impl Readings<'_> {
             let hit = self.caster.cast(origin, ray, self.reach, None)?;
             let cos = hit.normal.dot(ray);
             let (along, across) = (self.noise.range_sigma(hit.range) * cos, hit.range * self.noise.angle);
-            let n = hit.normal;
-            let turned = (origin + z * ray - world_from_robot.translation).cross(n);
             (cos.abs() >= MIN_COSINE).then(|| Residual {
                 object: hit.object,
                 point: origin + hit.range * ray,
                 distance: (z - hit.range) * cos,
                 variance: along * along + across * across * (1.0 - cos * cos).max(0.0) + 1e-8,
-                gradient: [n.x, n.y, n.z, turned.x, turned.y, turned.z],
+                gradient: ObjectError::gradient(world_from_robot.translation, origin + z * ray, hit.normal),
             })
         };
         self.of.iter().filter_map(of).collect()
