@@ -14,7 +14,7 @@ use std::path::PathBuf;
 ///
 /// ```
 /// use presight::Change;
-/// use presight::files::{Edit, ProposedChange};
+/// use presight::store::{Edit, ProposedChange};
 /// let edit = Edit::Change(Change::DeleteObject { name: "crate".to_owned() });
 /// let change = ProposedChange::new(edit, "crate is gone", None, Vec::new(), "v1")?;
 /// assert_eq!(change.object(), Some("crate"));

@@ -2,10 +2,9 @@
 //! back.
 
 use super::describe;
-use presight_files::atomic::write_atomically;
-use presight_model::error::{Error, Result};
-use presight_model::world::World;
-use presight_update::{Action, Finding, Findings, Learner, PlannedView, Policy};
+use presight::tools::write_atomically;
+use presight::update::{Action, Finding, Findings, Learner, PlannedView, Policy};
+use presight::{Error, Result, World};
 use serde_json::{Value, json};
 use std::io::Write;
 use std::path::Path;

@@ -1,12 +1,11 @@
 //! The version of the map that findings refer to, and their application to the store.
 
 use crate::print;
-use presight::Scene;
-use presight_model::error::{Error, ErrorKind, Result};
-use presight_model::index::IndexKind;
-use presight_store as store;
-use presight_store::{Note, ProposedChange, Store};
-use presight_update::PendingChanges;
+use presight::environment::IndexKind;
+use presight::store;
+use presight::store::{Note, ProposedChange, Store};
+use presight::update::PendingChanges;
+use presight::{Error, ErrorKind, Result, Scene};
 use std::fs::{File, TryLockError};
 use std::path::{Path, PathBuf};
 use std::time::Duration;

@@ -1,10 +1,11 @@
 //! Meshes of objects that may be recognized: files of a folder, and objects of the model.
 
 use glam::{DAffine3, DVec3};
-use presight_files::gltf::{ImportOptions, import};
 use presight_model::environment::{Environment, Mesh, NewObject, Object};
 use presight_model::error::{Error, Result};
 use presight_model::geometry::{Aabb, Pose};
+use presight_read::gltf::{ImportOptions, import};
+use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -86,7 +87,7 @@ pub struct Recognized {
 /// # let folder = tempfile::tempdir()?;
 /// # let mut environment = Environment::new();
 /// # environment.add_cuboid("pallet", Pose::IDENTITY, glam::DVec3::new(1.2, 0.8, 0.144))?;
-/// # presight_files::gltf::write_glb(&folder.path().join("pallet.glb"), &environment)?;
+/// # presight_read::gltf::write_glb(&folder.path().join("pallet.glb"), &environment)?;
 /// let (library, notices) = Library::open(folder.path())?;
 /// assert_eq!(library.shapes()[0].name(), "pallet");
 /// assert!(notices.is_empty());

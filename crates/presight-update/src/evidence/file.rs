@@ -2,11 +2,11 @@
 
 use crate::evidence::knowledge::Knowledge;
 use crate::evidence::objects::Evidence;
-use presight_files::atomic::write_atomically;
 use presight_model::environment::Environment;
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::geometry::Pose;
 use presight_model::limits;
+use presight_read::atomic::write_atomically;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::io::Write;

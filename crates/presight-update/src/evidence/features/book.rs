@@ -182,7 +182,7 @@ mod tests {
     fn scan() -> Frame {
         let text = "format = 1\nkind = \"scanner\"\nclass = \"laser\"\nrange_max = 20\n[azimuth]\nstart_deg = -90\n\
             step_deg = 1\ncount = 181\n[elevation]\nstart_deg = 0\nstep_deg = 1\ncount = 1\n";
-        let spec = presight_files::sensor_toml::parse(text, "scan", None).unwrap();
+        let spec = presight_read::sensor_toml::parse(text, "scan", None).unwrap();
         Frame::new(0.0, Sensor::new(spec).unwrap(), Measurement::Range(vec![1.0; 181])).unwrap()
     }
 
