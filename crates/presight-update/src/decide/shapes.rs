@@ -5,7 +5,6 @@ use presight_model::environment::{Environment, Mesh, NewObject, Object};
 use presight_model::error::{Error, Result};
 use presight_model::geometry::{Aabb, Pose};
 use presight_read::gltf::{ImportOptions, import};
-use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
