@@ -96,5 +96,5 @@ fn a_crate_behind_a_pillar_is_looked_at_from_aside() {
         blind.observe_at(&shut, &[&frame], &PoseEstimate::new(again, PoseCovariance::from_sigmas([1e-3; 6]))).unwrap();
     }
     blind.end_drive();
-    assert_eq!(blind.looks(&shut, &[&gone]), [None]);
+    assert_eq!(blind.plan_views(&shut, &[&gone]), [None]);
 }
