@@ -75,7 +75,7 @@ fn luminances_are_those_of_the_image_crate() {
         std::fs::create_dir(folder.path().join("grey")).unwrap();
         picture.save(folder.path().join("grey/0.png")).unwrap();
         let frame = DepthFolder::open(folder.path(), None).unwrap().next().unwrap().unwrap();
-        let Measurement::Grey(grey) = frame.sensed() else { panic!("a grey image") };
+        let Measurement::Grey(grey) = frame.measurement() else { panic!("a grey image") };
         let of_16_bits = |value: u16| f32::from(value) / f32::from(u16::MAX);
         let color = picture.color();
         let expected: Vec<f32> = picture.into_luma16().into_raw().into_iter().map(of_16_bits).collect();
