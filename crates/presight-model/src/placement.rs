@@ -149,7 +149,7 @@ pub fn apply(world: &mut World, change: Change, restored_too: bool, lost: &[(Str
     if matches!(world.index().kind(), IndexKind::None) {
         *world = world.reindexed(&IndexKind::default());
     }
-    // A change of one feature moves no polygon, so it is checked first, and nothing has to be copied.
+    // A change of one feature moves no polygon, so it is checked first, without a copy.
     if let Change::InsertFeature { class, feature }
     | Change::SetFeature { class, feature }
     | Change::RestoreFeature { class, feature } = &change

@@ -51,7 +51,7 @@ impl Threads {
         Ok(Self { count, pool: Some(start(count)?) })
     }
 
-    /// The same threads, started. The handle keeps shared threads alive.
+    /// A handle of these threads, started. It keeps shared threads alive.
     ///
     /// # Errors
     /// As [`Threads::new`].
@@ -131,7 +131,7 @@ pub fn parallel_or_here<R: Send>(work: impl FnOnce() -> R + Send) -> R {
     }
 }
 
-/// Runs `main` on a new thread with `stack` bytes, and `meanwhile` on this one. Without threads, `main` runs first.
+/// Runs `main` on a new thread with `stack` bytes, and `meanwhile` on this thread in parallel. Without threads, `main` runs first.
 ///
 /// # Errors
 /// [`ErrorKind::System`] if the thread cannot be started; then neither runs.
@@ -193,7 +193,7 @@ impl<T> Default for PerProcess<T> {
 }
 
 impl<T: Default> PerProcess<T> {
-    /// The value of this process. Its default should be quick to make: a fork meanwhile would leave it unmade in the child for ever.
+    /// The value of this process. Its default must be quick to make: after a fork during its construction the child would never have it.
     pub fn get(&self) -> &T {
         self.of(this_process())
     }

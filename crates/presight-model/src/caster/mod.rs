@@ -110,7 +110,7 @@ impl RayCaster {
         Self { placed, tree, of_object }
     }
 
-    /// The same world with further objects, given by mesh and `object_from_mesh`. They have no pose: only [`RayCaster::cast_at`]
+    /// A caster of the same world with further objects, given by mesh and `object_from_mesh`. They have no pose: only [`RayCaster::cast_at`]
     /// and [`RayCaster::nearest_on`] find them. Their indices count up from `first`.
     #[must_use]
     pub fn with_meshes<'a>(&self, first: u32, meshes: impl IntoIterator<Item = (&'a Mesh, DAffine3)>) -> Self {

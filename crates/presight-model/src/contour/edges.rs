@@ -14,8 +14,8 @@ const SAME_WING: f64 = 0.1 * std::f64::consts::PI / 180.0;
 /// Tolerance for a corner on a side, relative to the side's coordinates: the error of f32 corners of planar polygons.
 const ON_SIDE: f64 = 4e-6;
 
-/// Most polygons around a smooth edge; the cost grows with the square of their number.
-const MOST_AROUND: usize = 16;
+/// Maximum number of polygons around a smooth edge; the cost grows with its square.
+const MAX_AROUND: usize = 16;
 
 /// Tolerance of crease angles, radians, so that every edge is a crease, smooth, or both.
 const SLACK: f64 = 1e-6;
@@ -149,7 +149,7 @@ impl MeshEdges {
     /// Polygons that lie on each other count once.
     pub(crate) fn fold(&self, edge: u32, crease: f64) -> Option<Fold> {
         let around = self.around(edge);
-        if around.len() > MOST_AROUND {
+        if around.len() > MAX_AROUND {
             return None;
         }
         let first = around[0];

@@ -20,9 +20,9 @@ const UNIT: f64 = 1e-9;
 const SQUARE: f64 = 0.05;
 /// Cosine of the largest allowed angle between a surface's normal and that of its corners, 8 degrees.
 const AGREE: f64 = 0.99;
-/// How far a patch's corner may lie inside the hull of the others, relative to the patch size; as for polygons.
+/// Maximum depth of a patch's corner inside the hull of the other corners, relative to the patch size; as for polygons.
 const CONVEX: f64 = 4e-6;
-/// Most corners of a patch.
+/// Maximum number of corners of a patch.
 const MAX_PATCH_CORNERS: usize = 1024;
 
 /// Number of codes in OpenCV's dictionaries.
@@ -205,7 +205,7 @@ impl FeatureShape {
                 for (k, covariance) in covariances.iter().enumerate() {
                     check_covariance(&rows(covariance)).map_err(|e| e.at(format!("end {k}")))?;
                 }
-                // Without a cross-covariance, both ends being valid suffices.
+                // Without a cross-covariance the segment is valid if both ends are.
                 if *cross == DMat3::ZERO {
                     return Ok(());
                 }

@@ -36,7 +36,7 @@ pub(super) enum Form {
 }
 
 impl Region {
-    /// Most planes of a frustum.
+    /// Maximum number of planes of a frustum.
     pub const MAX_PLANES: usize = shapes::MAX_PLANES;
 
     /// A circular sector of any height: apex in the world's horizontal plane, heading and opening in radians
@@ -160,7 +160,7 @@ impl Region {
         }
     }
 
-    /// The same for boxes of another frame, where `region_from_box` is the linear part of the transform.
+    /// [`Region::with`] for boxes of another frame, where `region_from_box` is the linear part of the transform.
     #[inline(always)]
     pub(super) fn with_turned<V: ShapeVisitor>(&self, region_from_box: DMat3, visitor: V) -> V::Out {
         let axes = Axes::of(region_from_box);

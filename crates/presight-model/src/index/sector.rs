@@ -6,9 +6,9 @@ use std::f64::consts::{PI, TAU};
 /// A rectangle relative to the sector's apex.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rect {
-    /// Least corner, metres.
+    /// Minimum corner, metres.
     pub min: DVec2,
-    /// Greatest corner, metres.
+    /// Maximum corner, metres.
     pub max: DVec2,
 }
 
@@ -51,7 +51,7 @@ impl Sector {
         Self { wedge, complement: Wedge::new(heading + PI, TAU - opening.clamp(0.0, TAU), false), radius }
     }
 
-    /// The same sector in a plane with other axes: `turn` is a rotation or reflection that maps directions to it, and
+    /// This sector in a plane with other axes: `turn` is a rotation or reflection that maps directions to it, and
     /// `scale` is the length there of a metre here.
     pub(super) fn in_axes(&self, turn: DMat2, scale: f64) -> Self {
         let mirrored = turn.determinant() < 0.0;

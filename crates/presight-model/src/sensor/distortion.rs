@@ -107,9 +107,9 @@ impl Distortion {
             ));
         }
         match self {
-            Self::RationalPolynomial([.., tau_x, tau_y]) if tau_x.abs().max(tau_y.abs()) > MOST_TILT => {
+            Self::RationalPolynomial([.., tau_x, tau_y]) if tau_x.abs().max(tau_y.abs()) > MAX_TILT => {
                 let what = format!("an image sensor tilted by tauX = {tau_x}, tauY = {tau_y} rad");
-                Err(Error::invalid(what, format!("give radians of at most {MOST_TILT}")))
+                Err(Error::invalid(what, format!("give radians of at most {MAX_TILT}")))
             }
             _ => Ok(()),
         }
@@ -117,7 +117,7 @@ impl Distortion {
 }
 
 /// Radians. At a right angle the image sensor is seen edge-on.
-const MOST_TILT: f64 = 1.5;
+const MAX_TILT: f64 = 1.5;
 
 /// The coefficients, with zeros after them.
 fn filled<const N: usize>(coefficients: &[f64]) -> [f64; N] {

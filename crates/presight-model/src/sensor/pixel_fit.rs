@@ -8,7 +8,7 @@ use crate::memory;
 use glam::DVec3;
 
 /// Pixels. Quadratics with a larger error are discarded.
-const MOST_OFF: f64 = 0.4;
+const MAX_ERROR: f64 = 0.4;
 
 /// Rays that suffice to fit the quadratics of all cells.
 const ENOUGH: usize = 60_000;
@@ -22,7 +22,7 @@ type Terms = [f64; TERMS];
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Fitted {
     pub terms: Terms,
-    /// Largest error over the rays, pixels.
+    /// Maximum error over the rays, pixels.
     pub off: f64,
     /// Norm of the second derivative.
     pub bend: f64,
@@ -160,12 +160,12 @@ impl PixelFit {
             });
         }
         for cell in &mut cells {
-            cell.fitted = cell.fitted.filter(|both| both.iter().all(|fitted| fitted.off < MOST_OFF));
+            cell.fitted = cell.fitted.filter(|both| both.iter().all(|fitted| fitted.off < MAX_ERROR));
         }
         Ok(Self { cells })
     }
 
-    /// The same approximation in the pixel coordinates of a part of the image.
+    /// This approximation in the pixel coordinates of a part of the image.
     pub fn part(&self, part: &ImagePart) -> Self {
         let stride = f64::from(part.stride);
         let of_part = |fitted: Fitted, first: f64| {

@@ -71,7 +71,7 @@ pub struct Cones {
     pub z: [f64; Octet::LEN],
     /// Squared sine of the half angle; above 1 if the cone is too wide to bound.
     pub sine_squared: [f64; Octet::LEN],
-    /// Largest distance of a unit ray from the unit axis.
+    /// Maximum distance of a unit ray from the unit axis.
     pub chord: [f64; Octet::LEN],
 }
 

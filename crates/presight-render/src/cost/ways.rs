@@ -31,7 +31,7 @@ const IN_SUCCESSION: u32 = 4;
 const CHECKED: u64 = 16;
 
 /// Sensors that are known at most; a further one displaces the oldest.
-const MOST_SENSORS: usize = 64;
+const MAX_SENSORS: usize = 64;
 
 /// What a sensor's frames took.
 #[derive(Debug)]
@@ -75,7 +75,7 @@ impl SensorWays {
     }
 
     /// The number of polygons left from which on tiles are faster, by times. `counted` is the number by counts.
-    fn most_left(&self, counted: u64) -> u64 {
+    fn max_left(&self, counted: u64) -> u64 {
         if self.costs.iter().any(|costs| costs.frames < ENOUGH) {
             return counted;
         }
@@ -109,7 +109,7 @@ impl WayCosts {
         let at = match self.sensors.iter().position(|known| known.is_of(sensor, outputs)) {
             Some(at) => at,
             None => {
-                if self.sensors.len() >= MOST_SENSORS {
+                if self.sensors.len() >= MAX_SENSORS {
                     self.sensors.remove(0);
                 }
                 self.sensors.push(SensorWays::new(sensor, outputs));
@@ -121,25 +121,25 @@ impl WayCosts {
 
     /// The way of the next frame, by what frames of this sensor took. `chosen` is the way by counts; one that leaves nothing open stays.
     pub fn adjust(&mut self, sensor: &Sensor, outputs: Outputs, chosen: ChosenWay) -> ChosenWay {
-        if chosen.most_left == u64::MAX {
+        if chosen.max_left == u64::MAX {
             return chosen;
         }
         let known = self.entry(sensor, outputs);
         known.frames += 1;
-        let counted = chosen.most_left;
+        let counted = chosen.max_left;
         let trial = known.trial(counted);
-        let most_left = trial.unwrap_or_else(|| known.most_left(counted));
+        let max_left = trial.unwrap_or_else(|| known.max_left(counted));
         if known.turned >= IN_SUCCESSION && trial.is_none() && !known.frames.is_multiple_of(CHECKED) {
             let why = "the sensor's last frames had too many polygons after the first wave";
-            return ChosenWay { way: Way::Tiles, why, most_left, ..chosen };
+            return ChosenWay { way: Way::Tiles, why, max_left, ..chosen };
         }
-        ChosenWay { most_left, ..chosen }
+        ChosenWay { max_left, ..chosen }
     }
 
     /// Learns from a frame that took this time, from the choice to the images.
     pub fn learn(&mut self, plan: &FramePlan, stats: &Stats, took: Duration) {
         let chosen = plan.chosen();
-        if chosen.most_left == u64::MAX || stats.degradation().is_some() {
+        if chosen.max_left == u64::MAX || stats.degradation().is_some() {
             return;
         }
         let known = self.entry(&plan.sensor, plan.request.outputs);
@@ -193,10 +193,10 @@ mod tests {
 
         /// A frame with a number of polygons left after its first wave.
         fn frame(&mut self, left: u64) -> Way {
-            let counted = ChosenWay { most_left: COUNTED, ..ChosenWay::RASTER };
+            let counted = ChosenWay { max_left: COUNTED, ..ChosenWay::RASTER };
             let chosen = self.ways.adjust(&self.plan.sensor, self.plan.request.outputs, counted);
             self.plan.set_chosen(chosen);
-            let by_tiles = chosen.way == Way::Tiles || left > chosen.most_left;
+            let by_tiles = chosen.way == Way::Tiles || left > chosen.max_left;
             let way = if by_tiles { Way::Tiles } else { Way::Raster };
             let mut stats = Stats { way: Some(way), ..Stats::default() };
             if chosen.way == Way::Raster {

@@ -67,9 +67,9 @@ pub(super) fn resolve(
     complete_to: f32,
 ) -> (u64, u64) {
     let spec = plan.sensor.spec();
-    let (range_min, range_max, least_inverse) = (spec.range_min, spec.range_max, least_inverse(complete_to.into()));
+    let (range_min, range_max, min_inverse) = (spec.range_min, spec.range_max, min_inverse(complete_to.into()));
     let counts = plan.limit.is_some();
-    let mut painter = Painter { shades, range_min, range_max, least_inverse, given_up: 0, counts, written: 0, target };
+    let mut painter = Painter { shades, range_min, range_max, min_inverse, given_up: 0, counts, written: 0, target };
     let lines = bands.lines(band);
     match (bands.axis, plan.sensor.grid()) {
         (LineAxis::Columns, _) => columns(&mut painter, buffer, lines.len(), bands.samples),
@@ -84,7 +84,7 @@ pub(super) fn resolve(
 }
 
 /// The least x with `1 / x <= range`, so that samples are compared without a division each; 0 for an infinite range.
-fn least_inverse(range: f64) -> f64 {
+fn min_inverse(range: f64) -> f64 {
     if range == f64::INFINITY {
         return 0.0;
     }
@@ -226,7 +226,7 @@ struct Painter<'t, 'a> {
     range_min: f64,
     range_max: f64,
     /// Of samples that are final: 0 where all is drawn.
-    least_inverse: f64,
+    min_inverse: f64,
     given_up: u64,
     /// Whether samples with a polygon are counted, and how many there are.
     counts: bool,
@@ -251,7 +251,7 @@ impl Painter<'_, '_> {
         for i in 0..TOGETHER {
             inverse[i] = pixels.inverse[i] * pixels.per_length[i];
         }
-        if self.least_inverse > 0.0 && self.leave_all_open(&inverse[..part.len()], row, part.clone()) {
+        if self.min_inverse > 0.0 && self.leave_all_open(&inverse[..part.len()], row, part.clone()) {
             return;
         }
         let mut distance = [0.0; TOGETHER];
@@ -297,7 +297,7 @@ impl Painter<'_, '_> {
         store(&mut self.target.range, row, &part, &range);
         store(&mut self.target.polygon_id, row, &part, &polygon_id);
         store(&mut self.target.object_id, row, &part, &object_id);
-        if self.least_inverse > 0.0 {
+        if self.min_inverse > 0.0 {
             self.give_up(&inverse[..part.len()], row, part);
         }
     }
@@ -307,7 +307,7 @@ impl Painter<'_, '_> {
     #[inline(never)]
     fn leave_all_open(&mut self, inverse: &[f64], row: usize, part: Range<usize>) -> bool {
         // Where there is no ray the inverse is NaN, and images show the same.
-        if inverse.iter().fold(false, |any, inverse| any | (*inverse >= self.least_inverse)) {
+        if inverse.iter().fold(false, |any, inverse| any | (*inverse >= self.min_inverse)) {
             return false;
         }
         self.given_up += inverse.iter().filter(|inverse| !inverse.is_nan()).count() as u64;
@@ -328,7 +328,7 @@ impl Painter<'_, '_> {
         let mut open = [false; TOGETHER];
         for (open, inverse) in open.iter_mut().zip(inverse) {
             // Where there is no ray the inverse is NaN.
-            *open = *inverse < self.least_inverse;
+            *open = *inverse < self.min_inverse;
         }
         let open = &open[..inverse.len()];
         let count = open.iter().filter(|open| **open).count();
@@ -375,9 +375,9 @@ mod tests {
 
     #[test]
     fn everything_is_final_where_all_is_drawn_and_nothing_where_nothing_is() {
-        assert_eq!(least_inverse(f64::INFINITY), 0.0);
-        assert_eq!(least_inverse(0.0), f64::INFINITY);
-        assert_eq!(least_inverse(4.0), 0.25f64);
+        assert_eq!(min_inverse(f64::INFINITY), 0.0);
+        assert_eq!(min_inverse(0.0), f64::INFINITY);
+        assert_eq!(min_inverse(4.0), 0.25f64);
     }
 
     proptest! {
@@ -386,7 +386,7 @@ mod tests {
         fn inverses_are_compared_as_ranges_are(range in 1e-6..1e6f32, off in -4i64..=4) {
             let range = f64::from(range);
             let inverse = f64::from_bits((1.0 / range).to_bits().wrapping_add_signed(off));
-            prop_assert_eq!(inverse >= least_inverse(range), 1.0 / inverse <= range);
+            prop_assert_eq!(inverse >= min_inverse(range), 1.0 / inverse <= range);
         }
     }
 }

@@ -12,7 +12,7 @@ use pulp::Simd;
 use std::f64::consts::TAU;
 
 /// Most vertices of a cluster.
-const MOST: usize = 256;
+const MAX_VERTICES: usize = 256;
 
 /// The first line and sample at or behind a vertex, and the last ones up to it, negative, all a little too far out: so the least ones of its
 /// corners are a polygon's. Whole numbers below 2^24.
@@ -36,7 +36,7 @@ const NARROW: f64 = 0.5;
 /// Looks at clusters for one sensor.
 pub(super) struct Sieve<'a> {
     kind: Option<Kind<'a>>,
-    reaches: [Reach; MOST],
+    reaches: [Reach; MAX_VERTICES],
 }
 
 #[derive(Clone, Copy)]
@@ -57,7 +57,7 @@ impl<'a> Sieve<'a> {
             (PixelGrid::Lines(grid), _) => Some(Kind::Camera(grid)),
             (PixelGrid::Rays(grid), _) => Some(Kind::Rays(grid)),
         };
-        Self { kind, reaches: [[ANYWHERE; 4]; MOST] }
+        Self { kind, reaches: [[ANYWHERE; 4]; MAX_VERTICES] }
     }
 
     /// Names the polygons of a run that may cover a sample, in their order, with their reach. Nothing is told of what rounding may draw

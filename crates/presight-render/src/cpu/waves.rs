@@ -140,7 +140,7 @@ impl<'a, 'i> Waves<'a, 'i> {
     fn next_wave(&self) -> Range<usize> {
         let pixels = self.plan.sensor.width() as usize * self.plan.sensor.height() as usize;
         let first = (pixels / PIXELS_PER_POLYGON).clamp(*FIRST_WAVE.start(), *FIRST_WAVE.end());
-        progress::next_wave(&self.plan.runs, self.done, first, self.progress.most_polygons(self.done))
+        progress::next_wave(&self.plan.runs, self.done, first, self.progress.max_polygons(self.done))
     }
 
     /// The runs of a wave that no earlier one hides.
@@ -161,7 +161,7 @@ impl<'a, 'i> Waves<'a, 'i> {
 
     /// Counts the polygons that may show after the first wave, and returns true if tiles are faster by that.
     fn has_too_many(&mut self) -> bool {
-        let most = self.plan.chosen().most_left;
+        let most = self.plan.chosen().max_left;
         let (rest, polygons) =
             (&self.plan.runs[self.done..], |runs: &[Run]| -> u64 { runs.iter().map(|run| u64::from(run.count)).sum() });
         let is_late =

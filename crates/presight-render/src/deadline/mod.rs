@@ -7,7 +7,7 @@
 //! | means | when | gives up |
 //! |---|---|---|
 //! | [`DegradationKind::Radius`] | after selection, if even a low estimate of the time is too long | surfaces beyond a radius |
-//! | [`DegradationKind::Angle`] | then, if even the least radius is too much | columns away from a heading |
+//! | [`DegradationKind::Angle`] | then, if even the minimum radius is too much | columns away from a heading |
 //! | [`DegradationKind::Stride`] | after the setup of the first wave, if thinning keeps more samples than stopping early | all but every k-th column and row |
 //! | [`DegradationKind::Clock`] | between batches of polygons, when the time left is needed for the later steps | surfaces not drawn yet |
 //! | [`DegradationKind::Features`] | between features, if the next ones do not fit | features with the least image length |

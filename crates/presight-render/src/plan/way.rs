@@ -54,7 +54,7 @@ pub struct ChosenWay {
     /// Trees are made at once, not when frames without them have taken as long.
     pub at_once: bool,
     /// The raster hands over to tiles if more polygons may show after its first wave.
-    pub most_left: u64,
+    pub max_left: u64,
 }
 
 /// Most rays of a sensor for which selecting polygons takes longer than finding the visible ones.
@@ -66,7 +66,7 @@ const FEW_POLYGONS: u32 = 2000;
 /// Polygons that may show after the first wave, for each ray, from which on tiles are faster. On lines a polygon costs little, so that
 /// five for two rays still pay; in a table it is tested against tiles of rays, and one for four rays is too many. Of 72 frames of six
 /// sensors in four scenes, each took at most 1.03 times as long as by the raster; times find the other frames.
-fn most_left(sensor: &Sensor, rays: u64) -> u64 {
+fn max_left(sensor: &Sensor, rays: u64) -> u64 {
     match sensor.grid() {
         PixelGrid::Lines(_) => rays.saturating_mul(5) / 2,
         PixelGrid::Rays(_) => rays / 4,
@@ -76,7 +76,7 @@ fn most_left(sensor: &Sensor, rays: u64) -> u64 {
 impl ChosenWay {
     /// The way of plans with a selection.
     pub const RASTER: Self =
-        Self { way: Way::Raster, why: "the selected polygons are drawn", at_once: false, most_left: u64::MAX };
+        Self { way: Way::Raster, why: "the selected polygons are drawn", at_once: false, max_left: u64::MAX };
 
     /// The way of plans without a selection for which there are no trees yet.
     pub const WITHOUT_TREES: Self = Self { why: "the trees for tiles are not made yet", ..Self::RASTER };
@@ -125,7 +125,7 @@ impl Way {
                 _ if world.environment().slot_count() < FEW_POLYGONS => raster("the world has few polygons"),
                 _ if few_rays => tiles("the sensor has few rays"),
                 _ => ChosenWay {
-                    most_left: most_left(sensor, rays),
+                    max_left: max_left(sensor, rays),
                     ..raster("few polygons may show after the first wave")
                 },
             },

@@ -14,10 +14,10 @@ use std::collections::HashMap;
 use std::time::Duration;
 
 /// The greatest tilt of a scanner that a cut serves, radians: poses from files are right to 1e-16.
-pub const MOST_TILT: f64 = 1e-11;
+pub const MAX_TILT: f64 = 1e-11;
 
 /// A scanner stands no farther from the world's bounds than this many of their diagonals.
-const MOST_APART: f64 = 1.0;
+const MAX_APART: f64 = 1.0;
 
 /// Bound of a cut's time for each polygon of the world.
 const POLYGON: Duration = Duration::from_micros(1);
@@ -113,7 +113,7 @@ fn up(x: f64) -> f32 {
 
 impl RowCut {
     /// Bound of the time of a cut, by the polygons of the world: some ten times what cuts of real scenes took.
-    pub fn most_time(world: &World) -> Duration {
+    pub fn max_time(world: &World) -> Duration {
         POLYGON * world.environment().slot_count()
     }
 
@@ -127,12 +127,12 @@ impl RowCut {
             return cut;
         }
         let diagonal = (bounds.max - bounds.min).length();
-        let apart = MOST_APART * diagonal;
+        let apart = MAX_APART * diagonal;
         cut.bounds = [bounds.min.truncate() - apart, bounds.max.truncate() + apart];
         let greatest = bounds.min.abs().max(bounds.max.abs()).max_element().max(height.abs()) + apart;
         (cut.rounding, cut.span) = (TRANSFORMS * greatest, 3.0 * diagonal);
         // How much lower or higher a tilted scanner sees something.
-        let tilted = MOST_TILT * cut.span;
+        let tilted = MAX_TILT * cut.span;
         let margins: Vec<f64> = environment.objects().iter().map(|o| position_error(o, greatest)).collect();
         let most = margins.iter().copied().fold(0.0, f64::max) + tilted;
         if !(bounds.min.z - most <= height && height <= bounds.max.z + most) {

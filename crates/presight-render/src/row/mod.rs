@@ -7,7 +7,7 @@ mod search;
 mod tree;
 
 pub(crate) use cut::CutObject;
-pub use cut::{MOST_TILT, RowCut, Segment};
+pub use cut::{MAX_TILT, RowCut, Segment};
 pub(crate) use search::{NOTHING, RowBeams, RowSearch, RowView, Search, UNSURE};
 
 use glam::DVec3;
@@ -31,7 +31,7 @@ pub fn is_row(sensor: &Sensor) -> bool {
 fn is_exactly_level(pose: &Pose) -> bool {
     let m = pose.rotation_matrix();
     let tilt = [m.x_axis.z, m.y_axis.z, m.z_axis.x, m.z_axis.y];
-    m.z_axis.z > 0.0 && tilt.iter().all(|t| t.abs() <= MOST_TILT)
+    m.z_axis.z > 0.0 && tilt.iter().all(|t| t.abs() <= MAX_TILT)
 }
 
 /// Cuts of one version of the world.
@@ -68,7 +68,7 @@ pub enum Making {
 
 impl RowCuts {
     /// Maximum number of heights and classes that are kept.
-    const MOST: usize = 8;
+    const MAX_CUTS: usize = 8;
 
     /// Single predictions at a height from which on its cut is made: it takes the time of some ten others.
     pub const SCANS: u32 = 16;
@@ -99,7 +99,7 @@ impl RowCuts {
         }
         let cut = entry.cut.clone();
         kept.heights.push(entry);
-        if kept.heights.len() > Self::MOST {
+        if kept.heights.len() > Self::MAX_CUTS {
             kept.heights.remove(0);
         }
         cut.filter(|cut| cut.serves(pose.translation.truncate()))

@@ -94,7 +94,7 @@ impl Report {
     ///
     /// # Errors
     /// [`presight_model::ErrorKind::Invalid`] with the first fault.
-    pub fn check(&self, most_edge_share: f64) -> Result<()> {
+    pub fn check(&self, max_edge_share: f64) -> Result<()> {
         if let Some(first) = self.faults.first() {
             return Err(Error::invalid(
                 format!("{} of {} pixels are wrong: {}", self.fault, self.pixels, first.why),
@@ -102,10 +102,10 @@ impl Report {
             )
             .at(format!("pixel ({}, {})", first.column, first.row)));
         }
-        if self.edge > 4 && self.edge_share() > most_edge_share {
+        if self.edge > 4 && self.edge_share() > max_edge_share {
             return Err(Error::invalid(
                 format!(
-                    "{} of {} pixels are at edges, more than a share of {most_edge_share:e}",
+                    "{} of {} pixels are at edges, more than a share of {max_edge_share:e}",
                     self.edge, self.pixels
                 ),
                 "the edges deviate too much",

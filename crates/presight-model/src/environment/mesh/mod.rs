@@ -63,7 +63,7 @@ impl PolygonRecord {
         &all[first..first + usize::from(self.corner_count)]
     }
 
-    /// Least and greatest coordinates of its corners.
+    /// Minimum and maximum coordinates of its corners.
     #[inline]
     pub fn extent(self, all: &[u32], vertices: &[Vec3]) -> (Vec3, Vec3) {
         let own = self.corners(all);
@@ -296,7 +296,7 @@ impl Mesh {
         Ok(Self { name, vertices, corners, polygons, planes, clusters, bounds, materials, by_cluster, ray_tree })
     }
 
-    /// The same polygons with other materials.
+    /// A mesh of the same polygons with other materials.
     pub fn with_materials(&self, material: impl Fn(u16) -> u16) -> Self {
         let mut mesh = self.clone();
         mesh.polygons.iter_mut().for_each(|p| p.material = material(p.material));
@@ -304,7 +304,7 @@ impl Mesh {
         mesh
     }
 
-    /// The same polygons, transformed and with other materials, rounded to f32 once. A mirror reverses the windings, so
+    /// A mesh of the same polygons, transformed and with other materials, rounded to f32 once. A mirror reverses the windings, so
     /// that fronts stay fronts, as in a mirrored object.
     ///
     /// # Errors
@@ -423,7 +423,7 @@ impl Mesh {
     /// # Errors
     /// [`crate::ErrorKind::System`] if there is no memory for it.
     pub fn ray_tree(&self) -> Result<&RayTree> {
-        // Not within the cell: a thread that helps others on the way may come here again.
+        // Not within the cell: a thread that takes other tasks while it waits may come here again.
         if self.ray_tree.get().is_none() {
             let _ = self.ray_tree.set(Arc::new(RayTree::new(self)?));
         }

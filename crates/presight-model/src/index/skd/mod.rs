@@ -48,7 +48,7 @@ struct Node {
     built: u32,
     changes: u32,
     axis: u8,
-    /// No larger than the least cell, so its children are not tested.
+    /// No larger than the minimum cell, so its children are not tested.
     small: bool,
 }
 
@@ -216,7 +216,7 @@ impl<const K: usize> Skd<K> {
         }
     }
 
-    /// The bucket for a box. Widens the nodes on the way.
+    /// The bucket for a box. Widens the nodes above it.
     fn descend(&mut self, b: &Box32) -> u32 {
         let mut at = self.root;
         while at & LEAF == 0 {

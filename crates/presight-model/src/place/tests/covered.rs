@@ -10,7 +10,7 @@ const R: f64 = 1e-3;
 /// The unit square, cut into rows and columns of rectangles, with typical faults of models.
 #[derive(Clone, Debug)]
 struct Quilt {
-    /// Where columns and rows end; the seam is the gap or overlap to the next.
+    /// Coordinates where columns and rows end; the seam is the gap or overlap to the next.
     columns: Vec<(f64, f64)>,
     rows: Vec<(f64, f64)>,
     /// By rectangle: left out, doubled or in triangles, and the lift of its corners: level, and slope along x.
@@ -33,7 +33,7 @@ impl Quilt {
             match kind {
                 0 => {}
                 1 => polygons.extend([corners.clone(), corners]),
-                // Triangles, wound either way.
+                // Triangles, wound in either sense.
                 2 => polygons.extend([corners[..3].to_vec(), vec![corners[2], corners[0], corners[3]]]),
                 _ => polygons.push(corners),
             }

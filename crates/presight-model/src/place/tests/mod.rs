@@ -133,7 +133,7 @@ fn what_is_off_names_feature_object_and_distance() {
         ..FeatureLayer::default()
     };
     assert!(place(&world, &layer).unwrap_err().to_string().contains("pose covariance of object \"door\""));
-    // Values that no file can hold are rejected here, too.
+    // Values that no file can hold are also rejected here.
     assert!(said(None, point(DVec3::NAN)).contains("not a finite position"));
 }
 
@@ -151,7 +151,7 @@ fn a_segment_that_ends_on_a_polygon_does_not_lie_on_it() {
     let foot = place_one(&world, Some("pillar"), segment(DVec3::ZERO, 0.5 * DVec3::X)).unwrap();
     assert_eq!(foot.slots.iter().filter(|s| **s < first).count(), 1);
     assert_eq!(foot.slots.len(), 3);
-    // The same when the objects move together, or when only the pillar is lifted off the floor.
+    // The polygons stay when the objects move together, or when only the pillar is lifted off the floor.
     let mut moved = world.clone();
     let lifted = Pose { translation: pose.translation + 0.1 * DVec3::Z, ..pose };
     moved.apply(crate::Change::MoveObject { name: "pillar".into(), world_from_object: lifted }).unwrap();
@@ -177,7 +177,7 @@ fn patches_lie_on_what_they_overlap_and_nowhere_else() {
     assert!(off(&[[0., -2e-3, 0.], [0., 4., 0.], [0., 4., 3.], [0., -2e-3, 3.]]).contains("0.002000 m off"));
     assert!(off(&[[-0.5, 1., 1.], [-0.5, 2., 1.], [-0.5, 2., 2.]]).contains("0.500000 m off"));
     assert!(off(&[[0., 1., 1.], [0., 2., 1.], [-0.01, 2., 2.]]).contains("0.010000 m off"));
-    // A marker on the face is a patch, too.
+    // A marker on the face is also a patch.
     let marker = FeatureShape::Fiducial {
         corners: [[0., 0.6, 1.], [0., 0.4, 1.], [0., 0.4, 0.8], [0., 0.6, 0.8]].map(DVec3::from_array),
         covariance: DMat3::ZERO,
@@ -261,7 +261,7 @@ fn oracle_stretch(corners: &[DVec3], a: DVec3, b: DVec3, reach: f64) -> f64 {
 fn disagreement(slots: &[u32], all: &[Vec<DVec3>], a: DVec3, b: DVec3) -> Option<String> {
     let length = (b - a).length();
     let margin = 2.0 * length / f64::from(SAMPLES) + 1e-6;
-    let [least, least_closely] = [TOLERANCE, ROUNDING].map(|tolerance| (2.0 * tolerance).min(0.5 * length));
+    let [least, min_closely] = [TOLERANCE, ROUNDING].map(|tolerance| (2.0 * tolerance).min(0.5 * length));
     let held_within = |tolerance: f64| {
         (0..=SAMPLES).all(|k| {
             let p = a.lerp(b, f64::from(k) / f64::from(SAMPLES));
@@ -275,12 +275,12 @@ fn disagreement(slots: &[u32], all: &[Vec<DVec3>], a: DVec3, b: DVec3) -> Option
         let rise = normal.dot(b - a).abs() / length;
         let held = |reach: f64| oracle_stretch(corners, a, b, reach);
         if slots.contains(&slot) {
-            let lies = stretch > (least - margin).max(0.0) || closely && held(2.0 * ROUNDING) > least_closely - 1e-6;
+            let lies = stretch > (least - margin).max(0.0) || closely && held(2.0 * ROUNDING) > min_closely - 1e-6;
             let sound = lies && rise < LYING.max(2.0 * TOLERANCE / length) + 1e-6;
             (!sound).then(|| format!("slot {slot} supports only {stretch} m of {length} m, at a slope of {rise}"))
         } else {
             // If other polygons support it within rounding, a near polygon may hide it; so may one that it crosses.
-            let near = || held(0.5 * ROUNDING) < 2.0 * least_closely;
+            let near = || held(0.5 * ROUNDING) < 2.0 * min_closely;
             let excused = closely && near() || somehow && passes_through(corners, a, b);
             let sound = stretch < least + margin || rise > 0.99 * LYING || excused;
             (!sound).then(|| format!("slot {slot}, which supports {stretch} m of {length} m, is missing"))
@@ -321,9 +321,9 @@ fn tolerances_that_reach_very_many_polygons_are_refused() {
     let features = vec![numbered(1), numbered(2)];
     let layer = FeatureLayer { class: "video".into(), tolerance: 10.0, features, ..Default::default() };
     let mut finder = SupportFinder::new(&world, &layer).unwrap();
-    finder.most_pairs = 96;
+    finder.max_pairs = 96;
     assert_eq!(finder.lie_all(&layer).unwrap().len(), 2);
-    finder.most_pairs = 95;
+    finder.max_pairs = 95;
     let refused = finder.lie_all(&layer).map(|all| all.len()).unwrap_err();
     assert_eq!(refused.kind(), ErrorKind::Invalid);
     assert!(refused.to_string().contains("tolerance of 10 m"), "{refused}");

@@ -27,7 +27,7 @@ const MARGIN: Duration = Duration::from_micros(100);
 const SLOW: f64 = 1.25;
 /// Each refusal multiplies the doubted estimate by the first factor, down to the second in total.
 const DOUBT: f64 = 0.98;
-const MOST_DOUBT: f64 = 0.25;
+const MAX_DOUBT: f64 = 0.25;
 
 /// The deadline controller of one engine.
 #[derive(Debug)]
@@ -115,12 +115,11 @@ impl Controller {
         timed.draws_parts = draws_parts;
         let access = self.costs.estimate(&timed.key_of(Forecast::Access), &WorkCounts::default());
         // Costs that were not learnt refuse nothing, because machines differ too much.
-        let floor: Vec<TimeEstimate> =
-            [access, self.least_images(&timed)].into_iter().filter(|e| e.frames > 0).collect();
+        let floor: Vec<TimeEstimate> = [access, self.min_images(&timed)].into_iter().filter(|e| e.frames > 0).collect();
         let doubt = self.doubt(&timed.key);
         let least = floor.iter().map(|e| e.upper.min(SLOW * e.mean) * doubt).sum::<f64>();
         if limit.as_secs_f64() < least && !self.may_be_whole(&timed) {
-            self.doubts.insert(timed.key, (doubt * DOUBT).max(MOST_DOUBT));
+            self.doubts.insert(timed.key, (doubt * DOUBT).max(MAX_DOUBT));
             return Err(impossible(limit, floor.iter().map(|e| e.upper).sum::<f64>() + MARGIN.as_secs_f64()));
         }
         Ok(Some(timed))
@@ -139,12 +138,12 @@ impl Controller {
         }
         timed.selected = timed.watch.elapsed();
         let access = timed.selected.saturating_sub(timed.begun);
-        let least = self.least_images(timed);
+        let least = self.min_images(timed);
         let left = timed.limit.saturating_sub(timed.selected);
         let doubt = self.doubt(&timed.key);
         let is_known = least.frames > 0;
         if left.is_zero() || is_known && left.as_secs_f64() < least.lower * doubt {
-            self.doubts.insert(timed.key.clone(), (doubt * DOUBT).max(MOST_DOUBT));
+            self.doubts.insert(timed.key.clone(), (doubt * DOUBT).max(MAX_DOUBT));
             self.learn(timed, Forecast::Access, 1, &WorkCounts::default(), access);
             // Twice the time of this selection suffices for the next one and leaves some for a first image.
             let images = if is_known { least.upper } else { timed.selected.as_secs_f64() };
@@ -165,7 +164,7 @@ impl Controller {
         plan.limit = Some(TimeLimit { part, ..TimeLimit::new(timed.watch.clone()) });
         self.cut(timed, plan)?;
         let pace = self.pace(timed, left, &plan.runs);
-        let tiles = self.most_time(timed, Forecast::Tiles);
+        let tiles = self.max_time(timed, Forecast::Tiles);
         plan.limit.iter_mut().for_each(|limit| (limit.pace, limit.tiles) = (pace, Some(tiles)));
         Ok(())
     }
@@ -191,7 +190,7 @@ impl Controller {
     }
 
     /// Estimate for empty images, thinned as far as the engine can.
-    fn least_images(&self, timed: &DeadlineFrame) -> TimeEstimate {
+    fn min_images(&self, timed: &DeadlineFrame) -> TimeEstimate {
         self.images(timed, timed.strides().next_back().unwrap_or(1))
     }
 

@@ -196,7 +196,7 @@ fn a_radius_is_a_prefix_of_the_runs() {
     let first_out = (0..300).map(|i| 0.1 * i as f32).find(|nearest| *nearest > radius).unwrap();
     assert!(radius < first_out && radius > first_out - 1e-5);
     // A larger least radius is kept.
-    replay.priority.least_radius = 5.0;
+    replay.priority.min_radius = 5.0;
     assert!((5.0..5.2).contains(&replay.frame(1000.0, 300, RECORDED).unwrap().radius.unwrap()));
     // A frame that fits is not cut.
     assert_eq!(replay.frame(4500.0, 300, RECORDED).unwrap().radius, None);

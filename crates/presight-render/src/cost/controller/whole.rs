@@ -21,11 +21,11 @@ impl Controller {
     pub fn is_surely_in_time(&self, timed: &DeadlineFrame, whole: Forecast, before: Duration) -> bool {
         let left = timed.limit.saturating_sub(timed.watch.elapsed());
         let features = self.reserve(timed, left);
-        before + self.most_time(timed, whole) + features <= left
+        before + self.max_time(timed, whole) + features <= left
     }
 
     /// Time within which a frame as a whole is surely drawn.
-    pub(super) fn most_time(&self, timed: &DeadlineFrame, whole: Forecast) -> Duration {
+    pub(super) fn max_time(&self, timed: &DeadlineFrame, whole: Forecast) -> Duration {
         let margin = if whole == Forecast::Row { RETURN } else { MARGIN };
         let learnt = self.costs.estimate(&timed.key_of(whole), &WorkCounts::default());
         margin
@@ -39,7 +39,7 @@ impl Controller {
     pub(super) fn may_be_whole(&self, timed: &DeadlineFrame) -> bool {
         [Forecast::Tiles, Forecast::Row].into_iter().any(|whole| {
             let is_known = self.costs.estimate(&timed.key_of(whole), &WorkCounts::default()).frames > 0;
-            is_known && self.most_time(timed, whole) <= timed.limit
+            is_known && self.max_time(timed, whole) <= timed.limit
         })
     }
 

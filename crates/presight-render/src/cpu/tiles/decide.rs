@@ -66,7 +66,7 @@ struct Exact {
 const KNOWN: usize = 1024;
 
 /// With more polygons in hand a tile begins without any, so that memory is bounded by what one tile may see.
-const MOST_IN_HAND: usize = 1 << 15;
+const MAX_IN_HAND: usize = 1 << 15;
 
 /// Polygons in hand, and what the rays of the last tile see.
 pub(super) struct Decision {
@@ -125,7 +125,7 @@ impl Decision {
     /// Takes the rays of a tile, which see nothing yet.
     #[inline(always)]
     pub fn begin(&mut self, grid: &PixelGrid, tiles: &RayTiles, tile: &RayTile) {
-        if self.polygons.len() > MOST_IN_HAND {
+        if self.polygons.len() > MAX_IN_HAND {
             self.drop_polygons();
         }
         self.places.clear();
@@ -138,7 +138,7 @@ impl Decision {
     /// Draws all candidates in doubt, and removes them.
     #[inline(never)]
     pub fn draw_unsure(&mut self, objects: &Objects<'_>, found: &mut Found) {
-        if self.polygons.len() > MOST_IN_HAND {
+        if self.polygons.len() > MAX_IN_HAND {
             self.drop_polygons();
             self.places.clear();
         }
