@@ -37,7 +37,7 @@ fn rays_meet_what_an_independent_caster_meets() {
         let without = RayCaster::new(&world, &sensor.spec().class);
         for (_, ray) in firsts.iter().filter(|(first, _)| *first == object) {
             let second = caster.cast(pose.translation, *ray, reach, Some(object));
-            assert_eq!(second, without.first(pose.translation, *ray, reach, None));
+            assert_eq!(second, without.cast(pose.translation, *ray, reach, None));
         }
     }
 }

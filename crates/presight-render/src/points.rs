@@ -127,7 +127,7 @@ impl<'a> PointCloud<'a> {
         }
     }
 
-    /// Positions in the requested frame, metres; NaN where nothing is measured.
+    /// Positions in the requested frame, metres; NaN for pixels without a measurement.
     pub fn positions(&self) -> &[DVec3] {
         &self.positions
     }

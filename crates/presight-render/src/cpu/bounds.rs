@@ -161,7 +161,7 @@ impl<'a> Bounds<'a> {
 
     /// [`Bounds::cover`] for polygons whose lines and samples are given.
     #[inline(always)]
-    pub fn told(&self, corners: &[[Lanes; 3]], reaches: &[Reach]) -> [Footprint; LANES] {
+    pub fn cover_reached(&self, corners: &[[Lanes; 3]], reaches: &[Reach]) -> [Footprint; LANES] {
         let mut e = Extent::new();
         corners.iter().for_each(|corner| e.hold(corner));
         let mut nearest = [0.0; LANES];

@@ -168,7 +168,7 @@ impl CpuEngine {
         let left_out = images.spread(&of_part, &part, &plan.sensor)?;
         self.part = of_part;
         stats.work.image_bytes = images.bytes();
-        progress::tell_part(plan, &part, since, left_out, stats);
+        progress::record_part(plan, &part, since, left_out, stats);
         Ok(())
     }
 

@@ -43,7 +43,7 @@ pub(super) struct Band {
 }
 
 /// Records the times of culling, setup and drawing.
-pub(super) fn tell_stages(times: [Duration; 3], waves: usize, stats: &mut Stats) {
+pub(super) fn record_stages(times: [Duration; 3], waves: usize, stats: &mut Stats) {
     let [hiding, setting_up, drawing] = times.map(|time| time.as_secs_f64() * 1e3);
     if waves > 1 {
         stats.stages_ms.push((StageName::Hidden, hiding));
@@ -55,9 +55,9 @@ pub(super) fn tell_stages(times: [Duration; 3], waves: usize, stats: &mut Stats)
 }
 
 /// The runs to draw next: as many polygons as all runs before them, at least `min` and at most `max`.
-pub(super) fn next_wave(runs: &[Run], start: usize, least: usize, most: usize) -> Range<usize> {
+pub(super) fn next_wave(runs: &[Run], start: usize, min: usize, max: usize) -> Range<usize> {
     let before: usize = runs[..start].iter().map(|r| r.count as usize).sum();
-    let wanted = before.max(least).min(most);
+    let wanted = before.max(min).min(max);
     let mut polygons = 0;
     let mut end = start;
     while end < runs.len() && polygons < wanted {
@@ -177,7 +177,7 @@ impl<'a> FrameProgress<'a> {
     }
 
     /// Records counts and, with a deadline, how many samples were given up.
-    pub fn tell(&self, stats: &mut Stats) {
+    pub fn record(&self, stats: &mut Stats) {
         let sum = |of: fn(&Band) -> u64| self.bands.iter().map(of).sum::<u64>();
         stats.count(CountName::Spans, sum(|band| band.spans) as usize);
         stats.count(CountName::SamplesTested, sum(|band| band.tested) as usize);
@@ -198,7 +198,7 @@ impl<'a> FrameProgress<'a> {
 }
 
 /// Records that a part of the image was drawn, beginning at some time after the call, and the number of rays left out.
-pub(super) fn tell_part(plan: &FramePlan, part: &ImagePart, since: Duration, left_out: u64, stats: &mut Stats) {
+pub(super) fn record_part(plan: &FramePlan, part: &ImagePart, since: Duration, left_out: u64, stats: &mut Stats) {
     let kept = stats.deadline.get_or_insert_default();
     if left_out == 0 {
         return;

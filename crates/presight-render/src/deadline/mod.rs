@@ -220,7 +220,7 @@ pub struct Wave {
     pub polygons: u64,
     /// Pixels in the bounding boxes of the polygons: an upper bound of the samples tested.
     pub samples: u64,
-    /// Estimate of the drawing by the unit costs learnt before; 0 if nothing was learnt.
+    /// Estimate of the drawing time by learnt unit costs; 0 without any.
     pub estimate_ms: f64,
     /// The actual time of the drawing.
     pub time_ms: f64,

@@ -1,6 +1,7 @@
-//! Predictions for a level one-row scanner as a problem of the plane: the world is cut once into segments at its height, and
-//! these are searched in a tree. Images have the bits of other predictions: the search only finds which polygon a beam
-//! meets, and where rounding could decide, the engine does (`cpu::row`). Cuts are kept per version of the world.
+//! Predictions for a level one-row scanner as a problem of the plane. The world is cut once into segments at its
+//! height, and a tree of the segments is searched. Images have the bits of other predictions: the search only finds the
+//! polygon of each beam, and where rounding could decide, the engine does (`cpu::row`). Cuts are kept per version of
+//! the world.
 
 mod cut;
 mod search;
@@ -22,12 +23,12 @@ pub fn is_level(pose: &Pose) -> bool {
     up.z > 0.0 && up.x.abs().max(up.y.abs()) <= 1e-8
 }
 
-/// True if a cut can serve the sensor where it is level.
+/// True if a level sensor of this kind can use a cut.
 pub fn is_row(sensor: &Sensor) -> bool {
     search::row_grid(sensor).is_some()
 }
 
-/// True if a cut can serve such a sensor at this pose.
+/// True if a sensor at this pose can use a cut.
 fn is_exactly_level(pose: &Pose) -> bool {
     let m = pose.rotation_matrix();
     let tilt = [m.x_axis.z, m.y_axis.z, m.z_axis.x, m.z_axis.y];
@@ -42,11 +43,11 @@ pub struct RowCuts(Mutex<CutCache>);
 struct CutCache {
     /// [`World::stamp`].
     world: u64,
-    /// Least recently used first.
+    /// Cuts in the order of their last use.
     heights: Vec<CutHeight>,
 }
 
-/// A height at which a class was scanned.
+/// A height and a class that was scanned at it.
 #[derive(Debug)]
 struct CutHeight {
     class: String,
@@ -55,14 +56,14 @@ struct CutHeight {
     cut: Option<Arc<RowCut>>,
 }
 
-/// When a cut that is not kept is made.
+/// Time to make a cut that is not in the cache.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Making {
-    /// Now, for many scans.
+    /// Immediately, for many scans.
     AtOnce,
-    /// When the height has been scanned [`RowCuts::SCANS`] times.
+    /// After [`RowCuts::SCANS`] scans of the height.
     IfOften,
-    /// Not now, for its time is lacking.
+    /// Never, because time is short.
     Never,
 }
 
@@ -70,7 +71,8 @@ impl RowCuts {
     /// Maximum number of heights and classes that are kept.
     const MAX_CUTS: usize = 8;
 
-    /// Single predictions at a height from which on its cut is made: it takes the time of some ten others.
+    /// Number of single predictions at a height after which its cut is made: a cut takes the time of about ten
+    /// predictions.
     pub const SCANS: u32 = 16;
 
     /// Returns the cut that serves a scan, if the sensor is a level one-row scanner.

@@ -314,7 +314,7 @@ impl PixelCheck<'_> {
         let shown_by_reference = |c: &Candidate| fits(reference, None, c).is_some();
         // Relative to the reference's values if both show the same polygon.
         let shown = |c: &Candidate| fits(other, shown_by_reference(c).then_some(reference), c);
-        // Without ids several polygons may fit. One that fits both images makes them the same.
+        // Without ids several polygons may fit. If one of them fits both images, the images agree.
         let common = set.candidates.iter().filter(|c| shown_by_reference(c)).find_map(shown);
         if let Some(shares) = common {
             return PixelClass::Same(shares);

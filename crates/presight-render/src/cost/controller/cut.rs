@@ -17,7 +17,7 @@ impl Controller {
         let left = timed.watch.left().as_secs_f64();
         let low = |runs: &[Run]| {
             let estimate = self.at_stride(timed, Forecast::Selection, &counts_of(runs), timed.stride);
-            // Without learnt costs, nothing is given up.
+            // All runs stay until costs are learnt.
             if estimate.frames == 0 { 0.0 } else { estimate.lower }
         };
         if low(&plan.runs) <= left {

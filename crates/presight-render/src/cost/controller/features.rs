@@ -4,7 +4,7 @@ use super::{Controller, DeadlineFrame};
 use crate::cost::Forecast;
 use std::time::Duration;
 
-/// Size of the first group if nothing was learnt.
+/// Size of the first group before costs are learnt.
 const FIRST_GROUP: usize = 64;
 /// Minimum size of a group, unless fewer features are left.
 const MIN_GROUP: usize = 4;

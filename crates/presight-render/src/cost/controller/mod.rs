@@ -1,8 +1,8 @@
 //! Keeps deadlines: decides what cannot be done in time and when drawing must stop, and learns from finished frames.
 //!
-//! The engine stops by the clock, which keeps the deadline. The unit costs decide only three things: whether even an
-//! empty image would be late, how much time images need after drawing, and which runs to skip because even a low
-//! estimate of their time is too long.
+//! The engine stops by the clock, which keeps the deadline. The unit costs only decide whether even an empty image
+//! would be late, how much time images need after drawing, and which runs to skip because even a low estimate of their
+//! time is too long.
 
 mod cut;
 mod features;
@@ -114,7 +114,7 @@ impl Controller {
         let mut timed = DeadlineFrame::new(limit, watch, key, priority, size, images);
         timed.draws_parts = draws_parts;
         let access = self.costs.estimate(&timed.key_of(Forecast::Access), &WorkCounts::default());
-        // Costs that were not learnt refuse nothing, because machines differ too much.
+        // Costs that were not learnt refuse no frame, because machines differ too much.
         let floor: Vec<TimeEstimate> = [access, self.min_images(&timed)].into_iter().filter(|e| e.frames > 0).collect();
         let doubt = self.doubt(&timed.key);
         let least = floor.iter().map(|e| e.upper.min(SLOW * e.mean) * doubt).sum::<f64>();
@@ -177,7 +177,7 @@ impl Controller {
         let each = |counts| (estimate(counts).mean - none.mean).max(0.0) / most as f64;
         let drawing = self.at_stride(timed, Forecast::Selection, &counts_of(runs), timed.stride);
         let kept = |stride| self.kept_for_images(timed, stride, left).as_secs_f64();
-        // Nothing is thinned if there is plenty of time.
+        // With plenty of time, the image is not thinned.
         let saved = |stride| (kept(timed.stride) - kept(stride)).max(0.0);
         let saved = if self.has_plenty(timed, left) { [0.0; STRIDES.len()] } else { STRIDES.map(saved) };
         (none.frames > 0).then(|| Pace {
@@ -229,7 +229,7 @@ impl Controller {
         stats.deadline = Some(kept);
     }
 
-    /// Learns from a frame that the raster drew, until so long after the call.
+    /// Learns from a frame that the raster drew until `drawn` after the call.
     fn learn_drawing(&mut self, timed: &DeadlineFrame, stats: &Stats, kept: &mut DeadlineOutcome, drawn: Duration) {
         let given_up = kept.given_up.as_ref();
         let stride = given_up.map_or(1, |given_up| given_up.stride);
@@ -321,7 +321,7 @@ impl DeadlineFrame {
         self.limit.saturating_sub(self.watch.elapsed() + MARGIN)
     }
 
-    /// Work counts for this number of features.
+    /// Work for this number of features.
     fn of_features(&self, features: u64) -> WorkCounts {
         WorkCounts { features, regions: self.features.regions.min(features), ..WorkCounts::default() }
     }

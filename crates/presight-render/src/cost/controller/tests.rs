@@ -195,7 +195,7 @@ fn a_radius_is_a_prefix_of_the_runs() {
     // Rounded down: no run that was cut off is nearer.
     let first_out = (0..300).map(|i| 0.1 * i as f32).find(|nearest| *nearest > radius).unwrap();
     assert!(radius < first_out && radius > first_out - 1e-5);
-    // A larger least radius is kept.
+    // A larger minimum radius is kept.
     replay.priority.min_radius = 5.0;
     assert!((5.0..5.2).contains(&replay.frame(1000.0, 300, RECORDED).unwrap().radius.unwrap()));
     // A frame that fits is not cut.
@@ -247,7 +247,7 @@ fn images_are_thinned_where_that_leaves_more_samples() {
     assert!(strides[0] > 1 && strides[20..].iter().all(|stride| *stride == 1), "{strides:?}");
 }
 
-/// One frame in twenty takes ten times as long for its images, 5000 microseconds. Reserving that would leave nothing of
+/// One frame in twenty takes ten times as long for its images, 5000 microseconds. Reserving that would leave no time of
 /// 3500 for drawing, so only half is reserved.
 #[test]
 fn slow_frames_that_may_come_do_not_stop_all_others() {
@@ -288,7 +288,8 @@ fn what_cannot_be_done_is_refused_at_once_and_tried_when_that_may_be_wrong() {
     assert!(tries.is_some_and(|tries| tries < 100), "{tries:?}");
 }
 
-/// The same records give bit-equal decisions. That a saved model reads back bit-equal is tested with its file format.
+/// Equal records give bit-equal decisions. Another test shows, with the file format, that a saved model reads back
+/// bit-equal.
 #[test]
 fn decisions_replay() {
     let run = || {
