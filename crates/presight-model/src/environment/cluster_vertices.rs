@@ -1,7 +1,7 @@
 //! The vertices of each cluster, stored contiguously and each only once. A triangle mesh has half as many vertices as
 //! triangles, and six times as many corners as vertices.
 
-use super::mesh::{Cluster, PolygonRecord};
+use super::mesh::polygon::{Cluster, PolygonRecord};
 use glam::Vec3;
 
 /// Vertices that are processed together.

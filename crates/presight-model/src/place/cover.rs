@@ -12,8 +12,8 @@
 //! slack. Doubled, overlapping and crossing polygons, seams and T-junctions need no special case: sides of an H run
 //! inside their neighbours.
 
+use super::coplanar::CoplanarPart;
 use super::local::Local;
-use super::patch::CoplanarPart;
 use super::plane::{PatchPlane, bounds_of, clip, inside, sides, within};
 use super::segment::widest_gap;
 use crate::error::Result;

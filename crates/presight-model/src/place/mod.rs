@@ -14,6 +14,7 @@
 //! All computations use the frame of the feature's object, relative to the feature's first point. This keeps full
 //! precision 5,000,000 m from the origin.
 
+mod coplanar;
 mod cover;
 mod local;
 mod patch;
@@ -29,7 +30,7 @@ use crate::error::{Error, Result, short, short_point};
 use crate::geometry::{Aabb, Pose, plane_of_polygon};
 use crate::index::{QueryResult, Region};
 use crate::limits;
-use crate::placement::PlacedFeature;
+use crate::placed::PlacedFeature;
 use crate::threads::parallel;
 use crate::world::World;
 use glam::DVec3;

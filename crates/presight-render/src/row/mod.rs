@@ -5,11 +5,13 @@
 
 mod cut;
 mod search;
+mod segment;
 mod tree;
 
 pub(crate) use cut::CutObject;
-pub use cut::{MAX_TILT, RowCut, Segment};
+pub use cut::{MAX_TILT, RowCut};
 pub(crate) use search::{NOTHING, RowBeams, RowSearch, RowView, Search, UNSURE};
+pub use segment::Segment;
 
 use glam::DVec3;
 use presight_model::geometry::Pose;

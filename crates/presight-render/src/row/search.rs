@@ -4,7 +4,8 @@
 //! The segment of a beam is certain if no error of an engine or of the search could change it, see
 //! `docs/design/row.md`. Other beams get candidates, among which an engine decides.
 
-use super::cut::{RowCut, Segment, distance};
+use super::cut::RowCut;
+use super::segment::{Segment, distance};
 use super::tree::{Block, Node};
 use glam::DVec2;
 use presight_model::geometry::Pose;

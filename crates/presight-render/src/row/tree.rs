@@ -1,7 +1,7 @@
 //! An eight-wide tree of the plane over the segments of a cut, by the surface-area heuristic: the number of beams that
 //! see a box is proportional to its perimeter.
 
-use super::cut::Segment;
+use super::segment::Segment;
 use glam::{DVec2, Vec3};
 use presight_model::index::{Item, LEAF, NO_CHILD, WIDE, WideChild, WideTree, halve, widen};
 

@@ -1,6 +1,6 @@
 //! What a mesh asks of its vertices and polygons.
 
-use super::{Polygon, PolygonRecord};
+use super::polygon::{Polygon, PolygonRecord};
 use crate::error::{Error, Result};
 use crate::geometry::{Aabb, Plane, plane_of_loop};
 use crate::limits;

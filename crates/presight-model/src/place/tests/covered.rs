@@ -154,7 +154,7 @@ proptest! {
         }).collect();
         let local = Local::new(0, corners.clone(), R);
         let flat = PatchPlane::of(&crate::geometry::Plane { normal: DVec3::Z, offset: 0.0 });
-        let Some(under) = patch::CoplanarPart::new(&local, &flat) else { return Ok(()) };
+        let Some(under) = coplanar::CoplanarPart::new(&local, &flat) else { return Ok(()) };
         let around = under.around(&flat);
         let reaches = |p: DVec2| oracle_distance(&corners, flat.lift(p));
         for p in &around {

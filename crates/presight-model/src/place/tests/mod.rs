@@ -329,6 +329,46 @@ fn tolerances_that_reach_very_many_polygons_are_refused() {
     assert!(refused.to_string().contains("tolerance of 10 m"), "{refused}");
 }
 
+/// The comparison detects a missing polygon, and an extra one.
+fn find_planted_faults(slots: &[u32], all: &[Vec<DVec3>], a: DVec3, b: DVec3) -> Result<(), TestCaseError> {
+    let share = |s: &u32| oracle_share(&all[*s as usize], a, b, TOLERANCE);
+    let most = slots.iter().copied().max_by(|x, y| share(x).total_cmp(&share(y))).unwrap();
+    let fewer: Vec<u32> = slots.iter().copied().filter(|s| *s != most).collect();
+    if !passes_through(&all[most as usize], a, b) {
+        prop_assert!(disagreement(&fewer, all, a, b).is_some(), "{most}");
+    }
+    if let Some(apart) = (0..all.len() as u32).find(|s| share(s) == 0.0) {
+        prop_assert!(disagreement(&[slots, &[apart]].concat(), all, a, b).is_some());
+    }
+    // A polygon that shares only the tolerance with the segment.
+    let touches = |s: &u32| {
+        let [wide, close] = [TOLERANCE, 2.0 * ROUNDING].map(|reach| oracle_stretch(&all[*s as usize], a, b, reach));
+        wide > 0.0 && wide < TOLERANCE.min(0.25 * (b - a).length()) && close == 0.0
+    };
+    if let Some(touching) = (0..all.len() as u32).find(touches) {
+        prop_assert!(disagreement(&[slots, &[touching]].concat(), all, a, b).is_some());
+    }
+    Ok(())
+}
+
+/// The polygons of a point (world), by brute force.
+fn check_point(world: &World, all: &[Vec<DVec3>], a: DVec3) -> Result<(), TestCaseError> {
+    let first = place_one(world, None, point(a));
+    let near = |most: f64| -> Vec<u32> {
+        (0..).zip(all).filter(|(_, c)| oracle_distance(c, a) <= most).map(|(s, _)| s).collect()
+    };
+    // Near polygons count only if no polygon is within rounding, including the rounding of vertices.
+    let closest = if near(2.0 * ROUNDING).is_empty() { TOLERANCE - 1e-7 } else { 0.5 * ROUNDING };
+    let (surely, perhaps) = (near(closest), near(TOLERANCE + 1e-7));
+    match first {
+        Ok(p) => {
+            prop_assert!(surely.iter().all(|s| p.slots.contains(s)) && p.slots.iter().all(|s| perhaps.contains(s)))
+        }
+        Err(_) => prop_assert!(surely.is_empty()),
+    }
+    Ok(())
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
@@ -380,36 +420,8 @@ proptest! {
         }
         let Ok(placed) = placed else { return Ok(()) };
         prop_assert_eq!(disagreement(&placed.slots, &all, a, b), None);
-        // The comparison detects a missing polygon, and an extra one.
-        let share = |s: &u32| oracle_share(&all[*s as usize], a, b, TOLERANCE);
-        let most = placed.slots.iter().copied().max_by(|x, y| share(x).total_cmp(&share(y))).unwrap();
-        let fewer: Vec<u32> = placed.slots.iter().copied().filter(|s| *s != most).collect();
-        if !passes_through(&all[most as usize], a, b) {
-            prop_assert!(disagreement(&fewer, &all, a, b).is_some(), "{most}");
-        }
-        if let Some(apart) = (0..environment.slot_count()).find(|s| share(s) == 0.0) {
-            prop_assert!(disagreement(&[&placed.slots[..], &[apart]].concat(), &all, a, b).is_some());
-        }
-        // A polygon that shares only the tolerance with the segment.
-        let touches = |s: &u32| {
-            let [wide, close] = [TOLERANCE, 2.0 * ROUNDING].map(|reach| oracle_stretch(&all[*s as usize], a, b, reach));
-            wide > 0.0 && wide < TOLERANCE.min(0.25 * (b - a).length()) && close == 0.0
-        };
-        if let Some(touching) = (0..environment.slot_count()).find(touches) {
-            prop_assert!(disagreement(&[&placed.slots[..], &[touching]].concat(), &all, a, b).is_some());
-        }
-        // The first end alone.
-        let first = place_one(&world, None, point(a));
-        let near = |most: f64| -> Vec<u32> {
-            (0..).zip(&all).filter(|(_, c)| oracle_distance(c, a) <= most).map(|(s, _)| s).collect()
-        };
-        // Near polygons count only if no polygon is within rounding, including the rounding of vertices.
-        let closest = if near(2.0 * ROUNDING).is_empty() { TOLERANCE - 1e-7 } else { 0.5 * ROUNDING };
-        let (surely, perhaps) = (near(closest), near(TOLERANCE + 1e-7));
-        match first {
-            Ok(p) => prop_assert!(surely.iter().all(|s| p.slots.contains(s)) && p.slots.iter().all(|s| perhaps.contains(s))),
-            Err(_) => prop_assert!(surely.is_empty()),
-        }
+        find_planted_faults(&placed.slots, &all, a, b)?;
+        check_point(&world, &all, a)?;
     }
 
     /// A rectangle inside a face of a box is found on that face, whatever its tessellation. It is not found there if it

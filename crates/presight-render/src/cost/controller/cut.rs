@@ -1,6 +1,7 @@
 //! The first estimate (paper, section 3.3): the query region shrinks, first in radius, then in angle.
 
-use super::{Controller, DeadlineFrame, counts_of, milliseconds};
+use super::control::Controller;
+use super::frame::{DeadlineFrame, counts_of, milliseconds};
 use crate::cost::Forecast;
 use crate::deadline::{DegradationKind, DegradationStep};
 use crate::plan::{FramePlan, Run};

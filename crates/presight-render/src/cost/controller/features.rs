@@ -1,6 +1,7 @@
 //! Features with a deadline, in groups: the next group starts only if it fits.
 
-use super::{Controller, DeadlineFrame};
+use super::control::Controller;
+use super::frame::DeadlineFrame;
 use crate::cost::Forecast;
 use std::time::Duration;
 

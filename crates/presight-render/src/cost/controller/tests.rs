@@ -1,11 +1,17 @@
 //! Replays recorded counts and times: no real clock is used.
 
 use super::*;
-use crate::deadline::{DeadlineOutcome, Degradation};
+use crate::deadline::{
+    Clock, DeadlineEngine, DeadlineOutcome, Degradation, DegradationKind, DegradationStep, Priority,
+};
+use crate::plan::{CountName, FramePlan, Outputs, Run, Stats};
 use presight_model::environment::Environment;
+use presight_model::error::{ErrorKind, Result};
 use presight_model::geometry::Pose;
+use presight_model::sensor::Sensor;
 use presight_model::world::World;
-use std::sync::Mutex;
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
 
 /// A clock that only moves when it is set.
 #[derive(Debug, Default)]

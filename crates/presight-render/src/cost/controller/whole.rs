@@ -2,7 +2,8 @@
 //! if they are certainly in time: 99 of 100 learnt times of the sensor are less than the time left, or, before any is
 //! learnt, a bound by the number of rays is.
 
-use super::{Controller, DeadlineFrame, MARGIN, milliseconds};
+use super::control::Controller;
+use super::frame::{DeadlineFrame, MARGIN, milliseconds};
 use crate::cost::{Forecast, WorkCounts};
 use crate::deadline::DeadlineOutcome;
 use crate::plan::{FramePlan, Stats, TimeLimit, Way};

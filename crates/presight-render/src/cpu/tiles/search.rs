@@ -412,6 +412,20 @@ fn set_up<S: Width, const N: usize>(
     }
     margin.store(&mut triangles.numbers[12]);
     error.store(&mut triangles.numbers[13]);
+    locate_corners(eight, view, [&p0, &e1, &e2], reach, &mut triangles);
+    Some(triangles)
+}
+
+/// Bounds the positions of triangles in the tile, given by their first corners and the edges from them.
+#[inline(always)]
+fn locate_corners<S: Width, const N: usize>(
+    eight: Make<S, N>,
+    view: &TreeView<'_>,
+    [p0, e1, e2]: [&Three<S, N>; 3],
+    reach: Eight<S, N>,
+    triangles: &mut Triangles,
+) {
+    let one = eight.splat(1.0);
     let p1: Three<S, N> = three!(i => p0[i] + e1[i]);
     let p2: Three<S, N> = three!(i => p0[i] + e2[i]);
     let depth = p0[0].min(p1[0]).min(p2[0]);
@@ -423,7 +437,6 @@ fn set_up<S: Width, const N: usize>(
         (a.min(b).min(c) - around).store(&mut triangles.places[2 * i]);
         (a.max(b).max(c) + around).store(&mut triangles.places[2 * i + 1]);
     }
-    Some(triangles)
 }
 
 /// Tests the triangles of a block against the rays of a tile. Returns true if a ray may see one.
