@@ -54,12 +54,14 @@ pub const MAX_OUTLINE: usize = 512;
 pub const MAX_SCRIPT_BYTES: u64 = 1 << 20;
 /// Maximum size of a script and all its modules together, bytes.
 pub const MAX_SCRIPT_TEXT: usize = 4 << 20;
-/// Maximum number of operations of a script and its modules: some seconds. Large values count by size, which also bounds maps.
+/// Maximum number of operations of a script and its modules: some seconds. Large values count by size, which also
+/// bounds maps.
 pub const MAX_SCRIPT_OPERATIONS: u64 = 5_000_000;
-/// Maximum run time of a script without imports and construction, seconds: a last resort that a valid script should not reach.
+/// Maximum run time of a script without imports and construction, seconds: a last resort that a valid script should not
+/// reach.
 pub const MAX_SCRIPT_SECONDS: u64 = 30;
-/// Maximum size of a module's variable, in elements including those of nested arrays; 16 bytes of text count as one element. Each use
-/// copies the value.
+/// Maximum size of a module's variable, in elements including those of nested arrays; 16 bytes of text count as one
+/// element. Each use copies the value.
 pub const MAX_SCRIPT_EXPORT: usize = 64;
 /// Maximum length of a string literal in a script, bytes.
 pub const MAX_SCRIPT_LITERAL: usize = 4096;
@@ -91,8 +93,8 @@ pub const MAX_SCRIPT_MESSAGES: u64 = 1000;
 pub const MAX_SCRIPT_OBJECTS: u64 = 1 << 18;
 /// Maximum number of polygons that a script may place, counting each instance.
 pub const MAX_SCRIPT_POLYGONS: u64 = 1 << 26;
-/// Maximum number of polygon corners that shapes and placed objects of a script may hold at a time, under 1 GB. Names and features
-/// count by their size.
+/// Maximum number of polygon corners that shapes and placed objects of a script may hold at a time, under 1 GB. Names
+/// and features count by their size.
 pub const MAX_SCRIPT_CORNERS: u64 = 1 << 24;
 /// Maximum number of polygon corners that a script may make in total, including those of dropped shapes: some seconds.
 pub const MAX_SCRIPT_WORK: u64 = 1 << 27;
@@ -100,7 +102,8 @@ pub const MAX_SCRIPT_WORK: u64 = 1 << 27;
 pub const MAX_SCRIPT_FEATURES: u64 = 1 << 18;
 /// Maximum depth of nested assemblies in a script.
 pub const MAX_SCRIPT_ASSEMBLIES: u32 = 64;
-/// Maximum number of sensors on a robot. Without this limit a small file could name a large ray table any number of times.
+/// Maximum number of sensors on a robot. Without this limit a small file could name a large ray table any number of
+/// times.
 pub const MAX_ROBOT_SENSORS: usize = 256;
 /// Maximum number of poses in one series of predictions.
 pub const MAX_SERIES: usize = 1 << 20;

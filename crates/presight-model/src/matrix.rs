@@ -140,8 +140,8 @@ pub fn inverse(m: &Matrix, axes: &[usize]) -> Matrix {
     sum
 }
 
-/// The lower triangular L with L L' = a (Cholesky decomposition); reads the lower triangle of a. `pivot` gets the square
-/// of each diagonal entry of L and returns the value to use instead, or `None` to give up.
+/// The lower triangular L with L L' = a (Cholesky decomposition); reads the lower triangle of a. `pivot` gets the
+/// square of each diagonal entry of L and returns the value to use instead, or `None` to give up.
 pub fn cholesky<const N: usize>(a: &[[f64; N]; N], pivot: impl Fn(f64) -> Option<f64>) -> Option<[[f64; N]; N]> {
     let mut l = [[0.0; N]; N];
     for i in 0..N {

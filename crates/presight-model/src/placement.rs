@@ -20,7 +20,8 @@ pub struct Placement {
     pub off: Vec<u32>,
 }
 
-/// Finds the object and the polygons of each feature, as [`place`] does, and separates features that are off their polygons.
+/// Finds the object and the polygons of each feature, as [`place`] does, and separates features that are off their
+/// polygons.
 ///
 /// # Errors
 /// [`crate::ErrorKind::Invalid`] if the layer is not valid, or names the pose of a missing object.

@@ -92,7 +92,8 @@ impl Region {
     }
 
     /// A pyramid with its apex at `apex`, given by inward unit normals (world axes) of planes through the apex, and a
-    /// radius in metres. Planes beyond [`Region::MAX_PLANES`] are ignored, which keeps too much. Without planes: a ball.
+    /// radius in metres. Planes beyond [`Region::MAX_PLANES`] are ignored, which keeps too much. Without planes: a
+    /// ball.
     pub fn frustum(apex: DVec3, normals: &[DVec3], radius: f64) -> Self {
         let form = Form::Frustum(pyramid(normals, radius));
         Self { origin: apex, region_from_world: DMat3::IDENTITY, form }

@@ -216,7 +216,12 @@ mod tests {
 
         /// Exact to 1e-9 m in both directions.
         #[test]
-        fn meets_as_the_witness_points_say(r in rect(), heading in angle(), opening in opening(), radius in 0.01..9.0f64) {
+        fn meets_agrees_with_witness_points(
+            r in rect(),
+            heading in angle(),
+            opening in opening(),
+            radius in 0.01..9.0f64,
+        ) {
             let met = Sector::new(heading, opening, radius).meets(&r);
             if oracle(heading, opening, radius, &r, -1e-9) {
                 prop_assert!(met);

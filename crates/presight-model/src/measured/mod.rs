@@ -127,8 +127,8 @@ impl Frame {
     /// measurement.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if there is not one value for each pixel of the sensor, if the stamp is not finite,
-    /// or if depth is given for a sensor that is not a camera.
+    /// [`crate::ErrorKind::Invalid`] if there is not one value for each pixel of the sensor, if the stamp is not
+    /// finite, or if depth is given for a sensor that is not a camera.
     pub fn new(stamp: f64, sensor: Sensor, sensed: Measurement) -> Result<Self> {
         let (width, height) = (sensor.width() as usize, sensor.height() as usize);
         let values = sensed.values();
@@ -224,8 +224,8 @@ impl Frame {
         self.intensities.as_ref()
     }
 
-    /// Metres along each ray, row by row, for any measurement. A 0 and a finite value outside of the sensor's limits are
-    /// NaN here; a grey image has only NaN.
+    /// Metres along each ray, row by row, for any measurement. A 0 and a finite value outside of the sensor's limits
+    /// are NaN here; a grey image has only NaN.
     pub fn ranges(&self) -> &[f32] {
         &self.ranges
     }

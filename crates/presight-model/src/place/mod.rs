@@ -93,7 +93,8 @@ enum Support {
 ///     existence: Existence::default(),
 ///     properties: Properties::default(),
 /// };
-/// let layer = FeatureLayer { class: "video".into(), tolerance: 1e-3, features: vec![line.into()], ..Default::default() };
+/// let (class, features) = ("video".into(), vec![line.into()]);
+/// let layer = FeatureLayer { class, tolerance: 1e-3, features, ..Default::default() };
 /// let placed = place(&world, &layer)?;
 /// assert_eq!((placed[0].object, placed[0].slots.as_slice()), (Some(0), [0, 1].as_slice()));
 /// # Ok::<(), presight::Error>(())

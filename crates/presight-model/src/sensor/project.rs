@@ -241,8 +241,8 @@ impl Sensor {
         }
     }
 
-    /// The unit ray in the image frame at continuous pixel coordinates: the inverse of [`Sensor::project`]. Returns `None`
-    /// outside the domain of a lens, and between rays of a table if one of them is missing.
+    /// The unit ray in the image frame at continuous pixel coordinates: the inverse of [`Sensor::project`]. Returns
+    /// `None` outside the domain of a lens, and between rays of a table if one of them is missing.
     pub fn ray_at(&self, u: f64, v: f64) -> Option<DVec3> {
         match (self.projector(), &self.spec().geometry) {
             (Projector::Pinhole, Geometry::Camera(c)) => {

@@ -107,7 +107,8 @@ impl Scanner {
         rows
     }
 
-    /// Number of columns of a full turn, if the last column is next to the first: nearer than two steps, the widest ones.
+    /// Number of columns of a full turn, if the last column is next to the first: nearer than two steps, the widest
+    /// ones.
     pub(super) fn columns_of_a_turn(&self) -> Option<f64> {
         match &self.azimuth {
             Angles::Uniform { step_deg, count, .. } => {

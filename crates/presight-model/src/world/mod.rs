@@ -85,7 +85,8 @@ impl World {
         &self.index
     }
 
-    /// Makes the trees for rays of the meshes of some objects, where there are none; by all threads of a pool if called on one of them.
+    /// Makes the trees for rays of the meshes of some objects, where there are none; by all threads of a pool if called
+    /// on one of them.
     ///
     /// # Errors
     /// [`crate::ErrorKind::System`] if there is no memory for them.

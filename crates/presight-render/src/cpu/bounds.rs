@@ -414,7 +414,8 @@ mod tests {
 
         #[test]
         fn pieces_are_the_integers_between(low in -20.0..20.0f64, length in -1.0..20.0f64, n in 1usize..12) {
-            let want: Vec<u32> = (0..n as u32).filter(|&i| f64::from(i) >= low && f64::from(i) <= low + length).collect();
+            let between = |i: &u32| f64::from(*i) >= low && f64::from(*i) <= low + length;
+            let want: Vec<u32> = (0..n as u32).filter(between).collect();
             prop_assert_eq!(pieces(low, low + length, n).collect::<Vec<_>>(), want);
         }
     }

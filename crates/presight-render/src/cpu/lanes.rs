@@ -154,8 +154,8 @@ impl<const LANES: usize> PolygonLanes<LANES> {
 
     /// Fills `edges` of the polygons that were measured.
     ///
-    /// Edges are computed from the lower vertex index to the higher, sign afterwards, so that neighbours get exactly opposite
-    /// planes and no ray falls between them.
+    /// Edges are computed from the lower vertex index to the higher, sign afterwards, so that neighbours get exactly
+    /// opposite planes and no ray falls between them.
     #[inline(always)]
     pub fn set_up_edges(&mut self, at: &RayInstance<'_>, polygons: &[u32]) {
         let (records, all_corners) = (Self::records(at, polygons), at.mesh.all_corners());

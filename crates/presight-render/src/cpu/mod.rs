@@ -2,9 +2,10 @@
 //!
 //! | stage | in | out | its twin on the GPU |
 //! |---|---|---|---|
-//! | `cull` | runs of the plan | runs that no earlier wave hides | `cull.wgsl` drops single polygons: out of view, facing away, material |
+//! | `cull` | runs of the plan | runs that no earlier wave hides | `cull.wgsl`, for single polygons |
 //! | `setup` | runs | batches: polygons that may cover a ray, with planes, edges and bounds | `setup.wgsl` |
-//! | `raster_lines` or `raster_rays` | batches | a band of the z-buffer: inverse depth and winner per ray | `raster_lines.wgsl`, `raster_rays.wgsl` |
+//! | `raster_lines` | batches | a band of the z-buffer: inverse depth and winner per ray | `raster_lines.wgsl` |
+//! | `raster_rays` | the same for ray tables | | `raster_rays.wgsl` |
 //! | `resolve` | the band | the requested images | `resolve.wgsl` |
 //!
 //! `hidden`, `setup`, `rasterization` and `resolve` report the times of the stages and the polygons that each left out.

@@ -317,7 +317,8 @@ mod tests {
             let squares: Vec<f64> = edges.iter().map(|e| e.length_squared()).collect();
             let m = m.0 * m.1;
             let polygon = Polygon { m, length: m.length(), edges: &edges, squares: &squares, number: 1 };
-            let farthest: [f64; EIGHT] = std::array::from_fn(|t| m.dot(grid.tiles()[t].axis) + nearer * m.length() * spread);
+            let depth = |t: usize| m.dot(grid.tiles()[t].axis) + nearer * m.length() * spread;
+            let farthest: [f64; EIGHT] = std::array::from_fn(depth);
             let meeting = pulp::Arch::new().dispatch(OverlapTest(&polygon, &grid.cones_of_row(0)[0], &farthest));
             for (row, column) in (0..7).flat_map(|r| (0..60).map(move |c| (r, c))) {
                 let Some(ray) = sensor.ray(column, row) else { continue };
@@ -327,7 +328,8 @@ mod tests {
                     prop_assert!(!inside || m.dot(ray) < farthest[t], "{} in tile {}", ray, t);
                 }
                 for (k, e) in edges.iter().enumerate() {
-                    prop_assert!(meeting.open[t] >> k & 1 == 1 || e.dot(ray) >= 0.0, "{} and edge {} of tile {}", ray, k, t);
+                    let sound = meeting.open[t] >> k & 1 == 1 || e.dot(ray) >= 0.0;
+                    prop_assert!(sound, "{} and edge {} of tile {}", ray, k, t);
                 }
             }
         }

@@ -329,7 +329,8 @@ mod tests {
             for (r, c) in (0..75).flat_map(|r| (0..101).map(move |c| (r, c))) {
                 let Some(ray) = sensor.ray(c, r) else { continue };
                 if edges.iter().all(|e| e.dot(ray) >= 0.0) {
-                    prop_assert!(found.lines[0].contains(&r) && found.samples.contains(&c), "{},{} in {:?}", c, r, found);
+                    let held = found.lines[0].contains(&r) && found.samples.contains(&c);
+                    prop_assert!(held, "{},{} in {:?}", c, r, found);
                 }
             }
         }

@@ -338,7 +338,8 @@ impl<'a> Fit<'a> {
         if !(nearest > 0.0) {
             return None;
         }
-        // On the side of the cube, out to 1.2 from its middle, a metre across is at most twice a metre over the distance.
+        // On the side of the cube, out to 1.2 from its middle, a metre across is at most twice a metre over the
+        // distance.
         let apart = 2.0 * widest / nearest * FitCell::PER_UNIT;
         let wide = match &cell.fitted {
             Some(both) => both.map(|fitted| fitted.off + 0.25 * fitted.bend * apart * apart + 1e-6),

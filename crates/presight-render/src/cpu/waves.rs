@@ -178,7 +178,8 @@ impl<'a, 'i> Waves<'a, 'i> {
         left > most
     }
 
-    /// Sets up runs, in batches after those in use. Returns the nearest distance of the runs that were left out because the time was up.
+    /// Sets up runs, in batches after those in use. Returns the nearest distance of the runs that were left out because
+    /// the time was up.
     fn set_up(&mut self, runs: &[Run]) -> Option<f32> {
         let Self { plan, bands, here, batches, winners, used, .. } = self;
         let first = *used;
@@ -262,8 +263,8 @@ struct WaveEnds {
     beyond: f32,
 }
 
-/// Sets up the runs of a wave, in batches after those in use. Returns the nearest distance of the runs that were left out because
-/// the time was up.
+/// Sets up the runs of a wave, in batches after those in use. Returns the nearest distance of the runs that were left
+/// out because the time was up.
 fn set_up(
     plan: &FramePlan,
     bands: &Bands,

@@ -4,13 +4,14 @@
 //! distance of the nearest undrawn polygon. Nearer samples are final; all others are marked as given up. This keeps a
 //! deadline without any estimate. Estimates only avoid useless work:
 //!
-//! | means | when | gives up |
-//! |---|---|---|
-//! | [`DegradationKind::Radius`] | after selection, if even a low estimate of the time is too long | surfaces beyond a radius |
-//! | [`DegradationKind::Angle`] | then, if even the minimum radius is too much | columns away from a heading |
-//! | [`DegradationKind::Stride`] | after the setup of the first wave, if thinning keeps more samples than stopping early | all but every k-th column and row |
-//! | [`DegradationKind::Clock`] | between batches of polygons, when the time left is needed for the later steps | surfaces not drawn yet |
-//! | [`DegradationKind::Features`] | between features, if the next ones do not fit | features with the least image length |
+//! - [`DegradationKind::Radius`], after selection, if even a low estimate of the time is too long: surfaces beyond a
+//!   radius
+//! - [`DegradationKind::Angle`], then, if even the minimum radius is too much: columns away from a heading
+//! - [`DegradationKind::Stride`], after the setup of the first wave, if thinning keeps more samples than stopping
+//!   early: all but every k-th column and row
+//! - [`DegradationKind::Clock`], between batches of polygons, when the time left is needed for the later steps:
+//!   surfaces not drawn yet
+//! - [`DegradationKind::Features`], between features, if the next ones do not fit: features with the least image length
 //!
 //! A sample that was given up is NaN with id 0, never `+inf`. [`Degradation`] lists the losses; without it, NaN means
 //! that the pixel has no ray. [`presight_model::ErrorKind::Deadline`] means that not even an empty image can be made in

@@ -202,8 +202,8 @@ impl Mesh {
         mesh
     }
 
-    /// A mesh of the same polygons, transformed and with other materials, rounded to f32 once. A mirror reverses the windings, so
-    /// that fronts stay fronts, as in a mirrored object.
+    /// A mesh of the same polygons, transformed and with other materials, rounded to f32 once. A mirror reverses the
+    /// windings, so that fronts stay fronts, as in a mirrored object.
     ///
     /// # Errors
     /// Those of [`Mesh::new`]: rounding may flatten tiny polygons.
@@ -316,7 +316,8 @@ impl Mesh {
         self.ray_tree.get().map(|tree| &**tree)
     }
 
-    /// Built on the first call, some 0.6 us a triangle on one thread; by all threads of a pool if called on one of them.
+    /// Built on the first call, some 0.6 us a triangle on one thread; by all threads of a pool if called on one of
+    /// them.
     ///
     /// # Errors
     /// [`crate::ErrorKind::System`] if there is no memory for it.

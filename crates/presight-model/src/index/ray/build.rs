@@ -1,4 +1,5 @@
-//! Binned halving by the surface-area heuristic (Wald 2007), and eight-wide nodes made of the halves (Wald, Benthin, Boulos 2008).
+//! Binned halving by the surface-area heuristic (Wald 2007), and eight-wide nodes made of the halves (Wald, Benthin,
+//! Boulos 2008).
 
 use super::WIDE;
 use glam::{Vec3, Vec4};
@@ -185,8 +186,8 @@ fn halves(items: &mut [Item], low: Vec4, high: Vec4) -> usize {
     middle
 }
 
-/// The minimum cost and the bin after its plane. The cost is area times the number of blocks of half of `max_leaf`, because blocks are
-/// seldom full.
+/// The minimum cost and the bin after its plane. The cost is area times the number of blocks of half of `max_leaf`,
+/// because blocks are seldom full.
 #[inline(always)]
 fn best_plane(bins: &[Extent], counts: &[u32], max_leaf: usize) -> Option<(f32, usize)> {
     let blocks = |count: u32| (count as usize).div_ceil(max_leaf.div_ceil(2)) as f32;

@@ -184,8 +184,8 @@ fn nodes_of(halves: &[Half], items: &[Item], leaf: impl FnMut(&[Item]) -> u32) -
     tree.nodes
 }
 
-/// Finds polygons that no ray ever sees, because an earlier one has the same corners in the same order, the same plane and the same
-/// material: edges and inverse depths have the same bits, and the earlier polygon wins ties.
+/// Finds polygons that no ray ever sees, because an earlier one has the same corners in the same order, the same plane
+/// and the same material: edges and inverse depths have the same bits, and the earlier polygon wins ties.
 struct Copies<'a> {
     mesh: &'a Mesh,
     /// Polygons by a hash of their corners.

@@ -37,8 +37,8 @@ fn sheet(side: u32) -> Mesh {
 /// The least and greatest corner of a box.
 type Box = ([f32; 3], [f32; 3]);
 
-/// Every corner of every polygon is in a block that names it, and in all boxes above; every fan triangle occurs once, unless its polygon
-/// copies an earlier one.
+/// Every corner of every polygon is in a block that names it, and in all boxes above; every fan triangle occurs once,
+/// unless its polygon copies an earlier one.
 fn check(mesh: &Mesh) -> RayTree {
     let tree = RayTree::new(mesh).unwrap();
     let mut met = vec![0usize; mesh.polygon_count()];

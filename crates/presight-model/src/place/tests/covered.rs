@@ -112,8 +112,15 @@ proptest! {
             }
             Support::On(_) => {
                 // Samples at seams and rims, where it could be off, and everywhere.
-                let seams = |cuts: &[(f64, f64)]| cuts.iter().flat_map(|(end, seam)| (0..=8).map(move |k| end + seam * f64::from(k) / 8.0)).collect::<Vec<_>>();
-                let mut at: Vec<[f64; 2]> = (0..1600).map(|k| [f64::from(k % 40) / 39.0, f64::from(k / 40) / 39.0]).collect();
+                let seams = |cuts: &[(f64, f64)]| {
+                    let across = |(end, seam): &(f64, f64)| {
+                        let (end, seam) = (*end, *seam);
+                        (0..=8).map(move |k| end + seam * f64::from(k) / 8.0)
+                    };
+                    cuts.iter().flat_map(across).collect::<Vec<_>>()
+                };
+                let mut at: Vec<[f64; 2]> =
+                    (0..1600).map(|k| [f64::from(k % 40) / 39.0, f64::from(k / 40) / 39.0]).collect();
                 let (xs, ys) = (seams(&quilt.columns), seams(&quilt.rows));
                 at.extend(xs.iter().flat_map(|x| ys.iter().map(|y| [*x, *y])));
                 at.extend(xs.iter().flat_map(|x| (0..200).map(|k| [*x, f64::from(k) / 199.0])));

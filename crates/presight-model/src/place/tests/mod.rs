@@ -296,7 +296,14 @@ fn passes_through(corners: &[DVec3], a: DVec3, b: DVec3) -> bool {
 prop_compose! {
     fn scene()(
         boxes in prop::collection::vec(
-            ([0.2..3.0f64, 0.2..3.0f64, 0.2..3.0f64], [-3.0..3.0f64, -3.0..3.0f64, -3.0..3.0f64], -3.1..3.1f64, 1u32..4, any::<bool>(), any::<bool>()),
+            (
+                [0.2..3.0f64, 0.2..3.0f64, 0.2..3.0f64],
+                [-3.0..3.0f64, -3.0..3.0f64, -3.0..3.0f64],
+                -3.1..3.1f64,
+                1u32..4,
+                any::<bool>(),
+                any::<bool>(),
+            ),
             1..5,
         ),
         far in any::<bool>(),
@@ -391,7 +398,10 @@ proptest! {
             object.mesh.corners_of(polygon).map(|p| object.object_from_mesh.transform_point3(p)).collect();
         let normal = (corners[1] - corners[0]).cross(corners[2] - corners[0]).normalize();
         // On a side of the polygon, or anywhere in its parallelogram.
-        let at = |(s, t): (f64, f64)| corners[0] + s * (corners[1] - corners[0]) + if edge == 0 { 0.0 } else { t } * (corners[2] - corners[1]);
+        let at = |(s, t): (f64, f64)| {
+            let t = if edge == 0 { 0.0 } else { t };
+            corners[0] + s * (corners[1] - corners[0]) + t * (corners[2] - corners[1])
+        };
         let [a, b] = [at(from), at(to)].map(|p| p + lift * normal);
         prop_assume!((b - a).length() > 0.01);
         // At the threshold of the rounding of files either answer is right, and one polygon may be missing.
@@ -405,7 +415,8 @@ proptest! {
         };
         let (a, b) = (to_world(a), to_world(b));
         let placed = place_one(&world, whose, shape);
-        let all: Vec<Vec<DVec3>> = (0..environment.slot_count()).map(|s| environment.polygon_in_world(s).unwrap()).collect();
+        let slots = 0..environment.slot_count();
+        let all: Vec<Vec<DVec3>> = slots.map(|s| environment.polygon_in_world(s).unwrap()).collect();
         // World coordinates of a far site are rounded to a nanometre.
         let farthest = (0..=SAMPLES).map(|k| {
             let p = a.lerp(b, f64::from(k) / f64::from(SAMPLES));
@@ -463,7 +474,10 @@ proptest! {
                 DVec3::new(x[0] + s * (x[1] - x[0]), y[0] + t * (y[1] - y[0]), 0.0)
             };
             let inside = |p: DVec3| {
-                let turn = |k: usize| (c[(k + 1) % c.len()] - c[k]).cross(p - c[k]).z / (c[(k + 1) % c.len()] - c[k]).length();
+                let turn = |k: usize| {
+                    let side = c[(k + 1) % c.len()] - c[k];
+                    side.cross(p - c[k]).z / side.length()
+                };
                 (0..c.len()).all(|k| turn(k) > 4.0 * TOLERANCE) || (0..c.len()).all(|k| turn(k) < -4.0 * TOLERANCE)
             };
             if (0..1600).any(|k| inside(sample(k))) {

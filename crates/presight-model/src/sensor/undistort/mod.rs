@@ -4,13 +4,14 @@
 //! share one image point. The model is used in the connected region around the axis where it is one to one:
 //! - Without tangential terms this is a disc. It ends where the derivative of the image radius or the denominator first
 //!   falls to zero (roots of polynomials, see [`super::polynomial`]). The inverse is a root in one unknown.
-//! - With tangential terms p and thin prism terms the Jacobian is J = R I + 2 R' x x^T + 2 p x^T + 2 x p^T +
-//!   2 (p . x) I + 2 q x^T with q = (s1, s3) + 2 r^2 (s2, s4). The model is one to one on every convex region where the
-//!   symmetric part S of J is positive definite. S is the identity at the axis, and positive definite until det S falls to
-//!   zero away from it. With u the unit vector towards x, a = p . u and b = p x u:
-//!   det S = (g' + 6 a r + 2 (q . u) r) (R + 2 a r) - (2 b + q x u)^2 r^2, g' the radial derivative. Without prism terms
-//!   S is J, because the model is then a gradient.
-//! - The plane of a tilted image sensor is a perspective image of these coordinates ([`tilt`]): one to one without further conditions.
+//! - With tangential terms p and thin prism terms the Jacobian is J = R I + 2 R' x x^T + 2 p x^T + 2 x p^T + 2 (p . x)
+//!   I + 2 q x^T with q = (s1, s3) + 2 r^2 (s2, s4). The model is one to one on every convex region where the symmetric
+//!   part S of J is positive definite. S is the identity at the axis, and positive definite until det S falls to zero
+//!   away from it. With u the unit vector towards x, a = p . u and b = p x u: det S = (g' + 6 a r + 2 (q . u) r) (R + 2
+//!   a r) - (2 b + q x u)^2 r^2, g' the radial derivative. Without prism terms S is J, because the model is then a
+//!   gradient.
+//! - The plane of a tilted image sensor is a perspective image of these coordinates ([`tilt`]): one to one without
+//!   further conditions.
 
 #[cfg(test)]
 mod tests;
@@ -215,7 +216,8 @@ impl Brown {
         DMat2::from_cols(DVec2::new(xx, cross) + bend * x.x, DVec2::new(cross, yy) + bend * x.y)
     }
 
-    /// True if S is positive definite at radius r, where p and q have these components along the direction and across it.
+    /// True if S is positive definite at radius r, where p and q have these components along the direction and across
+    /// it.
     fn definite(&self, r: f64, [p_along, p_across]: [f64; 2], [q_along, q_across]: [f64; 2]) -> bool {
         let Radial { stretch, slope } = self.radial(r * r);
         let along = stretch + 2.0 * slope * r * r + 6.0 * p_along * r + 2.0 * q_along * r;

@@ -148,8 +148,8 @@ fn whole_frames_give_nothing_up_and_costs_are_found() {
     assert!((frame.kept.estimate_ms / 3.7 - 1.0).abs() < 0.02, "{}", frame.kept.estimate_ms);
 }
 
-/// By hand: after 600 of 800 microseconds, half of the rest is kept for images, so ten runs of 10 are drawn. The default
-/// costs of these images are far above 200 microseconds; a machine may be faster than they say.
+/// By hand: after 600 of 800 microseconds, half of the rest is kept for images, so ten runs of 10 are drawn. The
+/// default costs of these images are far above 200 microseconds; a machine may be faster than they say.
 #[test]
 fn without_learnt_costs_a_frame_is_tried_unless_its_time_is_up() {
     let mut replay = Replay::new();

@@ -82,8 +82,8 @@ impl Vectors {
         }
     }
 
-    /// Runs a task of the whole crate with these vectors, or with narrower ones if the processor lacks them. `pulp::Arch` does not know
-    /// SSE4.2.
+    /// Runs a task of the whole crate with these vectors, or with narrower ones if the processor lacks them.
+    /// `pulp::Arch` does not know SSE4.2.
     pub(super) fn dispatch<T: pulp::WithSimd>(self, task: T) -> T::Output {
         use pulp::Simd;
         #[cfg(target_arch = "x86_64")]
