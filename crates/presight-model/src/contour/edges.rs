@@ -2,7 +2,7 @@
 
 use crate::environment::{Environment, Object};
 use crate::error::{Error, Result};
-use crate::geometry::{Aabb, plane_of_polygon};
+use crate::geometry::{Aabb, PLANARITY, plane_of_polygon};
 use crate::index::{Params, QueryResult, Region, Skd, SpatialIndex};
 use crate::limits;
 use glam::DVec3;
@@ -10,9 +10,6 @@ use std::collections::HashMap;
 
 /// Polygons whose directions at an edge differ by less than this lie on each other, radians.
 const SAME_WING: f64 = 0.1 * std::f64::consts::PI / 180.0;
-
-/// Tolerance for a corner on a side, relative to the side's coordinates: the error of f32 corners of planar polygons.
-const ON_SIDE: f64 = 4e-6;
 
 /// Maximum number of polygons around a smooth edge; the cost grows with its square.
 const MAX_AROUND: usize = 16;
@@ -192,7 +189,7 @@ fn split(sides: Vec<Side>, positions: &[DVec3]) -> Result<Vec<Side>> {
     for (ends, polygon) in lone {
         let [a, b] = ends.map(|end| positions[end as usize]);
         let (d, bounds) = (b - a, Aabb::of([a, b]));
-        let off = ON_SIDE * bounds.min.abs().max(bounds.max.abs()).max_element();
+        let off = PLANARITY * bounds.min.abs().max(bounds.max.abs()).max_element();
         found.clear();
         index.query(&Region::cuboid(&Aabb { min: bounds.min - off, max: bounds.max + off }), &mut found);
         steps += 1 + found.count() as u64;

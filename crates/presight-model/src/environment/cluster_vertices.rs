@@ -8,7 +8,7 @@ use glam::Vec3;
 const TOGETHER: usize = 8;
 
 /// Maximum number of vertices of a cluster: local indices are one byte.
-const MAX_VERTICES: usize = 256;
+pub const MAX_VERTICES: usize = 256;
 
 /// Eight positions, by axis.
 pub type Positions = [[f32; TOGETHER]; 3];

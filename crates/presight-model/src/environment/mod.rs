@@ -14,7 +14,7 @@ mod open;
 mod paths;
 mod revert;
 
-pub use cluster_vertices::Positions;
+pub use cluster_vertices::{MAX_VERTICES, Positions};
 pub use content_hash::ContentHash;
 pub use cuboid::{CUBOID_FACES, cuboid_corners};
 pub use feature::{DEFAULT_TOLERANCE, Existence, Feature, FeatureLayer, FeatureShape, Properties};

@@ -6,12 +6,11 @@
 
 use super::facets::Facets;
 use super::fit::{Fit, Frame, PLANE, QUADRATIC, above, deviation};
+use crate::geometry::PLANARITY;
 use glam::DVec3;
 use rayon::prelude::*;
 use std::collections::HashSet;
 
-/// The distance within which facets are coplanar, relative to coordinates: the error of f32 corners.
-const COPLANAR: f64 = 4e-6;
 /// A quadratic surface approximates curvature, and not noise, if it leaves less than this share of a plane's errors.
 const CURVED: f64 = 0.5;
 /// Maximum number of corners, and of neighbourhoods, to examine.
@@ -38,7 +37,7 @@ pub(super) fn is_exact(facets: &Facets<'_>) -> bool {
     let coplanar = |polygon: u32, other: u32| {
         let Some(normal) = edges.normals[polygon as usize] else { return false };
         let at = edges.centers[polygon as usize];
-        facets.corners_of(other).all(|c| normal.dot(facets.position(c) - at).abs() <= COPLANAR * far)
+        facets.corners_of(other).all(|c| normal.dot(facets.position(c) - at).abs() <= PLANARITY * far)
     };
     let is_designed = |polygon: u32| {
         edges.edges_of(polygon).len() > 3 || facets.beside(polygon).any(|other| coplanar(polygon, other))

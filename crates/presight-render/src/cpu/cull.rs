@@ -2,7 +2,7 @@
 //! z-buffer are dropped, so that cost follows the visible polygons.
 
 use super::Bands;
-use super::bounds::{Bounds, Footprint, LANES, Lanes};
+use super::bounds::{Bounds, Footprint, LANES, Lanes, SLACK};
 use super::raster_lines::{Buffer, EIGHT};
 use super::setup::RayInstance;
 use crate::plan::{FramePlan, Run};
@@ -13,9 +13,6 @@ use pulp::Simd;
 
 /// Side of the squares of pixels for which the farthest depth is kept.
 pub(super) const TILE: usize = EIGHT;
-
-/// A box nearer than the farthest depth by this relative margin is not hidden: far above f64 rounding.
-const SLACK: f64 = 1e-9;
 
 /// Upper bound of the inverse depth in a footprint; infinite if unknown.
 #[inline(always)]

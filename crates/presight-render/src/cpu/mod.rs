@@ -34,6 +34,7 @@ pub use tiles::{Margins, Vectors};
 use crate::deadline::DeadlineOutcome;
 use crate::plan::{ChosenWay, CountName, FramePlan, Images, NOTHING_IN_VIEW, StageName, Stats, Way};
 use batch::{Batch, Winners};
+use cull::TILE;
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::memory::{self, FrameMemory};
 use presight_model::sensor::{ImagePart, LineAxis, PixelGrid};
@@ -70,7 +71,7 @@ pub struct CpuEngine {
 const BAND_PIXELS: usize = 8192;
 
 /// Frames of fewer rays are drawn by the calling thread: waking another thread takes longer than it saves.
-const FEW_RAYS: usize = 1024;
+pub(crate) const FEW_RAYS: usize = 1024;
 
 impl CpuEngine {
     /// An engine on these threads, or on this number of new threads; 0 takes all cores.
@@ -297,7 +298,7 @@ impl CpuEngine {
     }
 }
 
-const _: () = assert!(resolve::TOGETHER.is_multiple_of(cull::TILE));
+const _: () = assert!(resolve::TOGETHER.is_multiple_of(TILE));
 
 /// Bands of image lines, each drawn by one task.
 pub(crate) struct Bands {
@@ -313,8 +314,8 @@ impl Bands {
             PixelGrid::Lines(g) if g.axis() == LineAxis::Columns => {
                 (g.axis(), g.lines().len(), g.weights().len(), resolve::TOGETHER)
             }
-            PixelGrid::Lines(g) => (g.axis(), g.lines().len(), g.weights().len(), cull::TILE),
-            PixelGrid::Rays(g) => (LineAxis::Rows, g.height() as usize, g.width() as usize, raster_rays::BAND_MULTIPLE),
+            PixelGrid::Lines(g) => (g.axis(), g.lines().len(), g.weights().len(), TILE),
+            PixelGrid::Rays(g) => (LineAxis::Rows, g.height() as usize, g.width() as usize, TILE),
         };
         let fair = lines.div_ceil(4 * threads);
         let per_band = (BAND_PIXELS / samples).max(1).min(fair).max(8).div_ceil(multiple) * multiple;

@@ -7,7 +7,7 @@
 use super::batch::Batch;
 use super::thinning;
 use super::waves::FIRST_WAVE;
-use crate::deadline::{DeadlineOutcome, Degradation, DegradationKind, DegradationStep, Opening, Wave};
+use crate::deadline::{DeadlineOutcome, Degradation, DegradationKind, DegradationStep, Opening, PLENTY, Wave};
 use crate::plan::{CountName, FramePlan, Run, StageName, Stats};
 use presight_model::sensor::ImagePart;
 use std::ops::Range;
@@ -15,9 +15,6 @@ use std::time::Duration;
 
 /// Minimum number of polygons in a wave, whatever time is left.
 const MIN_WAVE: usize = *FIRST_WAVE.end() / 4;
-
-/// A wave is drawn without reading the clock if the time left exceeds the expected drawing time by this factor.
-const PLENTY: f64 = 8.0;
 
 /// Progress of a band.
 #[derive(Clone, Copy, Debug, Default)]

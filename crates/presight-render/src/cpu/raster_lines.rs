@@ -158,9 +158,6 @@ const STALE: usize = 2;
 /// Maximum number of samples of a scanner's column for octets across columns.
 const FEW: usize = 4;
 
-/// Number of lines whose intervals are found together.
-const TOGETHER: usize = 8;
-
 /// Draws the polygons of some batches into a band. Returns the numbers of tested samples and of spans.
 #[inline(always)]
 pub(super) fn rasterize<S: Simd>(
@@ -196,12 +193,12 @@ pub(super) fn rasterize<S: Simd>(
                 spans_drawn += end.saturating_sub(start);
                 continue;
             }
-            for first in (start..end).step_by(TOGETHER) {
-                let count = TOGETHER.min(end - first);
+            for first in (start..end).step_by(EIGHT) {
+                let count = EIGHT.min(end - first);
                 let [c0, c1] = grid.eight_lines(first);
                 let bounds = bounds_of_lines(polygon.edge_counts(), edges, c0, c1);
-                let mut scale = [0.0; TOGETHER];
-                for l in 0..TOGETHER {
+                let mut scale = [0.0; EIGHT];
+                for l in 0..EIGHT {
                     scale[l] = polygon.m.x * c0[l] + polygon.m.y * c1[l];
                 }
                 let spans = Spans { number, count, bounds, scale, slope: polygon.m.z, first: first - lines.start };
@@ -236,8 +233,8 @@ fn draw_across<S: Simd>(
     for first in (lines.start / EIGHT * EIGHT..lines.end).step_by(EIGHT) {
         let [c0, c1] = grid.eight_lines(first);
         let mut bounds = bounds_of_lines(polygon.edge_counts(), edges, c0, c1);
-        let mut scale = [0.0; TOGETHER];
-        for l in 0..TOGETHER {
+        let mut scale = [0.0; EIGHT];
+        for l in 0..EIGHT {
             scale[l] = polygon.m.x * c0[l] + polygon.m.y * c1[l];
         }
         if first < lines.start || lines.end < first + EIGHT {
@@ -252,32 +249,32 @@ fn draw_across<S: Simd>(
     }
 }
 
-/// Positions t where the polygon's cone begins and ends on [`TOGETHER`] lines.
+/// Positions t where the polygon's cone begins and ends on [`EIGHT`] lines.
 #[inline(always)]
 pub(super) fn bounds_of_lines(
     [lower, upper, steep]: [u8; 3],
     edges: &[[f64; 2]],
-    a: &[f64; TOGETHER],
-    b: &[f64; TOGETHER],
-) -> [[f64; TOGETHER]; 2] {
+    a: &[f64; EIGHT],
+    b: &[f64; EIGHT],
+) -> [[f64; EIGHT]; 2] {
     let (lower, rest) = edges.split_at(usize::from(lower));
     let (upper, rest) = rest.split_at(usize::from(upper));
-    let mut least = [f64::NEG_INFINITY; TOGETHER];
-    let mut greatest = [f64::INFINITY; TOGETHER];
+    let mut least = [f64::NEG_INFINITY; EIGHT];
+    let mut greatest = [f64::INFINITY; EIGHT];
     for e in lower {
-        for l in 0..TOGETHER {
+        for l in 0..EIGHT {
             let t = e[0] * a[l] + e[1] * b[l];
             least[l] = if t > least[l] { t } else { least[l] };
         }
     }
     for e in upper {
-        for l in 0..TOGETHER {
+        for l in 0..EIGHT {
             let t = e[0] * a[l] + e[1] * b[l];
             greatest[l] = if t < greatest[l] { t } else { greatest[l] };
         }
     }
     for e in &rest[..usize::from(steep)] {
-        for l in 0..TOGETHER {
+        for l in 0..EIGHT {
             greatest[l] = if e[0] * a[l] + e[1] * b[l] < 0.0 { f64::NEG_INFINITY } else { greatest[l] };
         }
     }
@@ -298,9 +295,9 @@ struct Spans {
     /// Number of lines.
     count: usize,
     /// Positions where it begins and ends on them.
-    bounds: [[f64; TOGETHER]; 2],
+    bounds: [[f64; EIGHT]; 2],
     /// Coefficients of its inverse depth, `scale w0 + slope w1`.
-    scale: [f64; TOGETHER],
+    scale: [f64; EIGHT],
     slope: f64,
     /// Index of the first line in the band.
     first: usize,

@@ -12,9 +12,6 @@ use presight_model::sensor::{Cones, RayGrid, TileRays};
 use pulp::Simd;
 use std::ops::Range;
 
-/// Bands hold whole rows of tiles.
-pub(super) const BAND_MULTIPLE: usize = TILE;
-
 /// Removes all polygons. Lanes without a ray are never drawn, and hide no polygon.
 pub(super) fn clear(buffer: &mut Buffer, grid: &RayGrid, bands: &Bands, band: usize) {
     let lines = bands.lines(band);

@@ -7,13 +7,10 @@ use super::lanes::CLEAR;
 use super::setup::RayInstance;
 use crate::plan::Run;
 use glam::DVec3;
-use presight_model::environment::Positions;
+use presight_model::environment::{MAX_VERTICES, Positions};
 use presight_model::sensor::{FitCell, Geometry, LineGrid, PixelGrid, RayGrid, Sensor, on_side};
 use pulp::Simd;
 use std::f64::consts::TAU;
-
-/// Maximum number of vertices of a cluster.
-const MAX_VERTICES: usize = 256;
 
 /// For a vertex the first line and the first sample at or behind it, then the last ones before it, negated, each with a
 /// small margin: the reach of a polygon is the minimum over its corners. Whole numbers below 2^24.

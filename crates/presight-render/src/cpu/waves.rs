@@ -22,7 +22,6 @@ pub(super) const FIRST_WAVE: RangeInclusive<usize> = 256..=4096;
 
 /// Nanoseconds of a slow core between readings of the clock: for a polygon's setup, and for its drawing in a band
 /// without its samples, which take 1 ns each.
-const SETUP_NS: u64 = 100;
 const POLYGON_NS: u64 = 100;
 
 /// Number of runs that a task tests for occlusion.
@@ -284,7 +283,7 @@ fn set_up(
     let set_up = |(batch, group): (&mut Batch, &Range<usize>)| {
         batch.nearest = runs[group.start].nearest_below();
         let polygons: u64 = runs[group.clone()].iter().map(|run| u64::from(run.count)).sum();
-        batch.is_set_up = !plan.watch().is_some_and(|watch| watch.is_over_after(SETUP_NS * polygons));
+        batch.is_set_up = !plan.watch().is_some_and(|watch| watch.is_over_after(POLYGON_NS * polygons));
         if batch.is_set_up {
             arch.dispatch(SetUp { batch: &mut *batch, plan, runs: &runs[group.clone()], bands });
             if plan.limit.is_some() && is_first {

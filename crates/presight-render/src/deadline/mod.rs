@@ -23,8 +23,13 @@ mod priority;
 pub use clock::{Clock, SystemClock, Watch};
 pub use priority::Priority;
 
+use presight_model::limits::LISTED_PROBLEMS;
 use serde::{Deserialize, Deserializer, Serialize};
 use std::time::Duration;
+
+/// Ratio of the time left to the expected time above which the image is not thinned, and a wave is drawn without reading
+/// the clock.
+pub(crate) const PLENTY: f64 = 8.0;
 
 /// An engine that supports deadlines, as the key for learnt costs.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -177,9 +182,8 @@ impl Degradation {
             format!("{}: {why}", self.in_words(taken))
         }));
         if !self.features.is_empty() {
-            const LISTED: usize = 20;
-            let ids: Vec<String> = self.features.iter().take(LISTED).map(u32::to_string).collect();
-            let more = if self.features.len() > LISTED { ", .." } else { "" };
+            let ids: Vec<String> = self.features.iter().take(LISTED_PROBLEMS).map(u32::to_string).collect();
+            let more = if self.features.len() > LISTED_PROBLEMS { ", .." } else { "" };
             lines.push(format!("features left out: {}{more}", ids.join(", ")));
         }
         lines

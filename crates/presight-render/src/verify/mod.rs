@@ -25,10 +25,8 @@ use crate::plan::{FramePlan, Images, Instance, Output};
 use crate::reference::instances;
 use pixel::{Lookup, pixel};
 use presight_model::error::{Error, Result};
+use presight_model::limits::LISTED_PROBLEMS;
 use serde::Serialize;
-
-/// Maximum number of faults that are described; further faults are only counted.
-const FAULTS_SHOWN: usize = 20;
 
 /// Result of a comparison.
 #[derive(Clone, Debug, Default, Serialize)]
@@ -81,7 +79,7 @@ impl Report {
             self.worst_pixel = other.worst_pixel;
         }
         self.worst = self.worst.max(other.worst);
-        let room = FAULTS_SHOWN.saturating_sub(self.faults.len());
+        let room = LISTED_PROBLEMS.saturating_sub(self.faults.len());
         self.faults.extend(other.faults.into_iter().take(room));
     }
 
@@ -128,7 +126,7 @@ impl Report {
             PixelClass::Coincident => self.coincident += 1,
             PixelClass::Fault(why) => {
                 self.fault += 1;
-                if self.faults.len() < FAULTS_SHOWN {
+                if self.faults.len() < LISTED_PROBLEMS {
                     self.faults.push(Fault { column: at.0, row: at.1, reference, other, why });
                 }
             }

@@ -5,7 +5,7 @@ mod build;
 mod query;
 
 use super::boxes::{Box32, Boxes8, LANES};
-use super::{Params, QueryResult, Region, SpatialIndex, Traversal};
+use super::{LEAF, Params, QueryResult, Region, SpatialIndex, Traversal};
 use crate::geometry::Aabb;
 use glam::DVec3;
 
@@ -67,9 +67,6 @@ struct Entry {
 }
 
 const NOWHERE: u32 = u32::MAX;
-/// Marks a child that is a bucket.
-const LEAF: u32 = 1 << 31;
-
 impl<const K: usize> Skd<K> {
     /// Builds a tree. If an id occurs twice, its last box is used.
     pub fn build(params: Params, boxes: &[(u32, Aabb)]) -> Self {

@@ -4,6 +4,7 @@
 use super::control::{Controller, SLOW};
 use super::frame::{DeadlineFrame, seconds};
 use crate::cost::{Forecast, Key, TimeEstimate, WorkCounts};
+use crate::deadline::PLENTY;
 use presight_model::sensor::STRIDES;
 use std::time::Duration;
 
@@ -11,11 +12,7 @@ use std::time::Duration;
 const LEARNT: u64 = 3;
 const WELL_LEARNT: u64 = 30;
 /// Until then estimates scale from whole frames; these shares of drawing and images do not shrink with the samples.
-const FIXED_DRAWING: f64 = 0.4;
-const FIXED_IMAGES: f64 = 0.4;
-
-/// With this multiple of a slow frame's time, nothing will be given up.
-const PLENTY: f64 = 8.0;
+const FIXED: f64 = 0.4;
 
 impl Controller {
     /// The key for estimates of thinned images.
@@ -39,12 +36,11 @@ impl Controller {
         if stride == 1 {
             return whole;
         }
-        let fixed = if forecast == Forecast::Images { FIXED_IMAGES } else { FIXED_DRAWING };
         let learnt = self.costs.estimate(&Self::key_at(timed, forecast, stride), counts);
         let scale = match learnt.frames {
             WELL_LEARNT.. => return learnt,
             LEARNT.. => learnt.mean / whole.mean,
-            _ => fixed + (1.0 - fixed) * timed.share(stride),
+            _ => FIXED + (1.0 - FIXED) * timed.share(stride),
         };
         TimeEstimate {
             mean: whole.mean * scale,

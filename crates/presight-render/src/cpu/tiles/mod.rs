@@ -16,7 +16,7 @@ mod wide;
 
 use super::batch::{NOTHING, Shade, Winners};
 use super::raster_lines::Buffer;
-use super::{Bands, CpuEngine, resolve};
+use super::{Bands, CpuEngine, FEW_RAYS, resolve};
 use crate::deadline::{DeadlineOutcome, Degradation, DegradationKind, DegradationStep};
 use crate::plan::{CountName, FramePlan, Images, StageName, Stats, Way};
 use decide::Decision;
@@ -29,9 +29,6 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 use wide::Width;
-
-/// Frames of up to this number of rays stay on the calling thread: a transfer to other threads takes longer.
-pub(super) const FEW_RAYS: usize = 1024;
 
 /// Price of a tree per polygon of its mesh, in polygons that the raster selects: half of the building time, because
 /// sensors that have delivered some frames deliver many. Trees with a price below the second constant are built
