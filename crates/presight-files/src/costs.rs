@@ -5,9 +5,9 @@
 //! the last ratios of measured to estimated time. Entries for other adapters or numbers of threads are not used. A key
 //! does not name the CPU, so keep one file per machine.
 
-use super::atomic::write_atomically;
-use super::text::{FORMAT, from_text};
 use presight_model::error::{Error, ErrorKind, Result};
+use presight_read::atomic::write_atomically;
+use presight_read::text::{FORMAT, from_text};
 use presight_render::cost::{CostModel, Forecast, KINDS, Key, MAX_MODELS, UnitCosts, WorkCounts};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -138,7 +138,7 @@ fn within(x: f64, low: f64, high: f64) -> Result<f64> {
 /// Writes learnt costs atomically.
 ///
 /// ```
-/// use presight::deadline::CostModel;
+/// use presight::predict::CostModel;
 /// let folder = tempfile::tempdir()?;
 /// let path = folder.path().join("costs.json");
 /// presight::files::write_costs(&path, &CostModel::default())?;

@@ -3,10 +3,10 @@
 use super::context::Context;
 use super::op::{Op, Was};
 use super::unique::UniqueKeys;
-use presight_files::text::check_json_memory;
 use presight_model::error::{Error, Result};
 use presight_model::placement;
 use presight_model::world::World;
+use presight_read::text::check_json_memory;
 use serde_json::Value;
 use std::path::Path;
 
@@ -51,7 +51,7 @@ impl Line {
 ///
 /// ```
 /// use presight::Scene;
-/// use presight::files::apply_line;
+/// use presight::store::apply_line;
 /// let mut world = Scene::example()?.world;
 /// let away = r#"{"op": "move", "object": "room/table", "pose": [1, 1, 0, 0, 0, 30]}"#;
 /// apply_line(&mut world, away, ".".as_ref())?;
