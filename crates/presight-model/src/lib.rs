@@ -17,6 +17,7 @@ pub mod measured;
 pub mod memory;
 mod options;
 pub mod place;
+mod placed;
 pub mod placement;
 pub mod poses;
 pub mod printable;

@@ -48,8 +48,8 @@ impl PlacedSurface {
     }
 }
 
-/// Casts rays in one version of a world as sensors of one class see it: rays pass through polygons that are not opaque to the class
-/// and through those in regions marked as absent for it.
+/// Casts rays in one version of a world as sensors of one class see it: rays pass through polygons that are not opaque
+/// to the class and through those in regions marked as absent for it.
 ///
 /// ```
 /// use glam::DVec3;
@@ -110,8 +110,8 @@ impl RayCaster {
         Self { placed, tree, of_object }
     }
 
-    /// The same world with further objects, given by mesh and `object_from_mesh`. They have no pose: only [`RayCaster::cast_at`]
-    /// and [`RayCaster::nearest_on`] find them. Their indices count up from `first`.
+    /// A caster of the same world with further objects, given by mesh and `object_from_mesh`. They have no pose: only
+    /// [`RayCaster::cast_at`] and [`RayCaster::nearest_on`] find them. Their indices count up from `first`.
     #[must_use]
     pub fn with_meshes<'a>(&self, first: u32, meshes: impl IntoIterator<Item = (&'a Mesh, DAffine3)>) -> Self {
         let mut caster = self.clone();
@@ -132,8 +132,8 @@ impl RayCaster {
         Some(&self.placed[*self.of_object.get(&object)?])
     }
 
-    /// The first hit of a ray from `origin` along the unit `ray` (world frame) within `max_range` metres, on any object but
-    /// `without`.
+    /// The first hit of a ray from `origin` along the unit `ray` (world frame) within `max_range` metres, on any object
+    /// but `without`.
     pub fn cast(&self, origin: DVec3, ray: DVec3, max_range: f64, without: Option<u32>) -> Option<RayHit> {
         let mut first = None;
         self.tree.along_ray(origin, ray, max_range, |leaf, nearest| {
@@ -148,8 +148,8 @@ impl RayCaster {
         first
     }
 
-    /// The first hit of a ray (origin, unit direction, maximum range in metres; world frame) on one object, as if it stood at another
-    /// pose.
+    /// The first hit of a ray (origin, unit direction, maximum range in metres; world frame) on one object, as if it
+    /// stood at another pose.
     pub fn cast_at(&self, object: u32, world_from_object: &Pose, ray: (DVec3, DVec3, f64)) -> Option<RayHit> {
         self.object(object)?.cast(world_from_object, &world_from_object.inverse(), ray)
     }
@@ -159,8 +159,8 @@ impl RayCaster {
         self.object(object)?.surface.nearest(p_in_object, max_distance * max_distance)
     }
 
-    /// The object whose surface is nearest to a point of the world, within `max_distance` metres, and the nearest point of that
-    /// surface in the object's frame.
+    /// The object whose surface is nearest to a point of the world, within `max_distance` metres, and the nearest point
+    /// of that surface in the object's frame.
     pub fn nearest(&self, p_in_world: DVec3, max_distance: f64) -> Option<(u32, SurfacePoint)> {
         let mut nearest = None;
         self.tree.around_point(p_in_world, max_distance * max_distance, |leaf, least| {

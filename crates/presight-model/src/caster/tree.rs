@@ -20,11 +20,13 @@ struct Node {
     count: u32,
 }
 
-/// Maximum number of nodes that wait during a walk: one a level, and one more. A tree that halves 2^32 items has 33 levels.
+/// Maximum number of nodes that wait during a walk: one a level, and one more. A tree that halves 2^32 items has 33
+/// levels.
 const STACK: usize = 34;
 
 impl BoxTree {
-    /// Sorts the items into leaves of at most `max_leaf` by halving them at the median of `center` along the longest axis of their box.
+    /// Sorts the items into leaves of at most `max_leaf` by halving them at the median of `center` along the longest
+    /// axis of their box.
     pub fn new<T>(
         items: &mut [T],
         max_leaf: usize,
