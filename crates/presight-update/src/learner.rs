@@ -255,6 +255,9 @@ impl Learner {
     /// `base` names the version of the model that the findings refer to. It is part of the ids, so that no change is
     /// applied twice. `utc` is added to the stamps of frames, seconds. The policy selects the findings that change the
     /// model, and the findings that only mark it. Marks that the model has already are left out.
+    ///
+    /// # Errors
+    /// Errors of [`ProposedChange::new`].
     pub fn changes(
         &self,
         findings: &Findings,
