@@ -1,10 +1,8 @@
 //! Deadlines of predictions, and the file of learnt costs.
 
-use presight_files::costs;
-use presight_model::error::{Error, Result};
-use presight_predict::predict::Predictor;
-use presight_predict::request::Request;
-use presight_render::deadline::Priority;
+use presight::files;
+use presight::predict::Priority;
+use presight::{Error, Predictor, Request, Result};
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -59,7 +57,7 @@ impl DeadlineArgs {
     pub fn add_to(&self, request: Request) -> Request {
         let Some(ms) = self.deadline_ms else { return request };
         let priority = Priority::default()
-            .with_least_radius(self.deadline_radius)
+            .with_min_radius(self.deadline_radius)
             .with_heading(self.deadline_heading.to_radians())
             .with_features(self.deadline_features.clone());
         request.with_deadline(Duration::from_secs_f64(ms / 1e3)).with_priority(priority)
@@ -68,13 +66,13 @@ impl DeadlineArgs {
     /// Loads the costs file, if it exists.
     pub fn read_costs(&self, predictor: &mut Predictor) -> Result<()> {
         if let Some(path) = self.costs.as_ref().filter(|path| path.exists()) {
-            predictor.set_costs(costs::read(path)?);
+            predictor.set_costs(files::read_costs(path)?);
         }
         Ok(())
     }
 
     /// Saves the learnt costs.
     pub fn write_costs(&self, predictor: &Predictor) -> Result<()> {
-        self.costs.as_ref().map_or(Ok(()), |path| costs::write(path, predictor.costs()))
+        self.costs.as_ref().map_or(Ok(()), |path| files::write_costs(path, predictor.costs()))
     }
 }

@@ -3,18 +3,15 @@
 use super::pose::parse_pose;
 use super::{CommandOutcome, open_scene, print};
 use glam::DVec3;
-use presight_files::corridor;
-use presight_files::gltf::ImportOptions;
-use presight_files::text::read_settings;
-use presight_model::error::{Error, Result};
-use presight_model::geometry::{Aabb, Pose};
-use presight_model::index::IndexKind;
-use presight_model::world::World;
-use presight_predict::virtual_sensors::CorridorFrame;
-use presight_supervise::query::{
+use presight::environment::{Aabb, IndexKind};
+use presight::files::{self, ImportOptions};
+use presight::query::{
     FloorPath, PathOptions, Place, UncertainOptions, docks, find_path, objects_in, surface_distance,
     uncertain_features, uncertain_objects,
 };
+use presight::tools::read_settings;
+use presight::virtual_sensors::CorridorFrame;
+use presight::{Error, Pose, Result, World};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -25,7 +22,7 @@ const EXAMPLES: &str = "Examples:
   presight query hall.presight --path 1,1,0 8,4,0 --radius 0.4 --blocked run.jsonl
   presight query scenes/docking.rhai --docks";
 
-/// Ask a model for objects in a place, docks, uncertain features, the nearest surface, or a way
+/// Ask a model for objects in a place, docks, uncertain features, the nearest surface, or a path
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 #[command(group(clap::ArgGroup::new("question").required(true)))]
@@ -53,7 +50,7 @@ pub struct Args {
     #[arg(long, group = "question")]
     docks: bool,
 
-    /// Largest distance between neighbouring reflectors of one dock, metres
+    /// Maximum distance between neighbouring reflectors of one dock, metres
     #[arg(long, value_name = "METRES", default_value_t = 1.0, requires = "docks")]
     apart: f64,
 
@@ -136,7 +133,7 @@ impl Question {
             return Ok(Self::Objects(Place::Sphere { center: DVec3::new(x, y, z), radius }));
         }
         if let Some(path) = &args.along {
-            let corridor = corridor::read(path)?;
+            let corridor = files::read_corridor(path)?;
             let pose = args.pose.as_deref().map(|text| parse_pose(text).map_err(|e| e.at(format!("--pose {text}"))));
             let pose = match (corridor.frame(), pose.transpose()?) {
                 (CorridorFrame::Robot, None) => {
@@ -151,7 +148,7 @@ impl Question {
             return Ok(Self::Free(numbers::<3>("--free", text)?.into()));
         }
         if args.uncertain {
-            let options = UncertainOptions::default().with_least_existence(args.below).with_time(args.time);
+            let options = UncertainOptions::default().with_min_existence(args.below).with_time(args.time);
             return Ok(Self::Uncertain(options.with_since(args.since)));
         }
         if let Some([from, to]) = args.path.as_deref() {
@@ -170,7 +167,7 @@ impl Question {
             Self::Docks(apart) => groups(world, *apart),
             Self::Free(p) => free(world, *p),
             Self::Uncertain(options) => uncertain(world, options),
-            Self::Way(from, to, seen, options) => way(world, *from, *to, seen, options),
+            Self::Way(from, to, seen, options) => path(world, *from, *to, seen, options),
         }
     }
 }
@@ -188,7 +185,7 @@ fn objects(world: &World, place: &Place) -> Result<(Value, Vec<String>)> {
             "features": o.features, "confirmed": o.confirmed, "existence": o.existence, "pose_sigmas": o.pose_sigmas,
         })
     });
-    let line = |o: &presight_supervise::query::ObjectFound| {
+    let line = |o: &presight::query::ObjectFound| {
         let along = o.along.map_or(String::new(), |along| format!("{along:.2} m along: "));
         let known = match (o.features, o.existence, o.confirmed) {
             (0, ..) => String::new(),
@@ -216,7 +213,7 @@ fn groups(world: &World, apart: f64) -> Result<(Value, Vec<String>)> {
             "reflectors": reflectors.collect::<Vec<_>>(),
         })
     });
-    let line = |d: &presight_supervise::query::Dock| {
+    let line = |d: &presight::query::Dock| {
         let (t, (.., yaw)) = (d.world_from_dock.translation, d.world_from_dock.rpy());
         let name = if d.name.is_empty() { "reflectors" } else { &d.name };
         let (count, degrees) = (d.reflectors.len(), yaw.to_degrees());
@@ -252,7 +249,7 @@ fn uncertain(world: &World, options: &UncertainOptions) -> Result<(Value, Vec<St
             "existence": u.existence, "confirmed": u.confirmed, "doubt": u.doubt.name(),
         })
     });
-    let line = |u: &presight_supervise::query::UncertainFeature| {
+    let line = |u: &presight::query::UncertainFeature| {
         let name = u.name.as_deref().map_or(String::new(), |name| format!(" {name:?}"));
         let object = u.object.as_deref().map_or(String::new(), |object| format!(" of {object}"));
         format!(
@@ -271,7 +268,7 @@ fn uncertain(world: &World, options: &UncertainOptions) -> Result<(Value, Vec<St
             "doubt": o.doubt.name(),
         })
     });
-    let object_line = |o: &presight_supervise::query::UncertainObject| {
+    let object_line = |o: &presight::query::UncertainObject| {
         let mark = o.mark.as_deref().map_or(String::new(), |mark| format!(", mark {mark:?}"));
         let class = o.class.as_deref().map_or(String::new(), |class| format!(" for {class}"));
         let existence = o.existence.map_or(String::new(), |e| format!(", existence {e:.3}"));
@@ -279,23 +276,23 @@ fn uncertain(world: &World, options: &UncertainOptions) -> Result<(Value, Vec<St
     };
     let mut lines: Vec<String> = objects.iter().map(object_line).chain(found.iter().map(line)).collect();
     if lines.is_empty() {
-        lines.push("nothing is uncertain".to_owned());
+        lines.push("no object or feature is uncertain".to_owned());
     }
     Ok((json!({ "objects": object_value.collect::<Vec<_>>(), "features": value.collect::<Vec<_>>() }), lines))
 }
 
-fn way(world: &World, from: DVec3, to: DVec3, seen: &[Aabb], options: &PathOptions) -> Result<(Value, Vec<String>)> {
+fn path(world: &World, from: DVec3, to: DVec3, seen: &[Aabb], options: &PathOptions) -> Result<(Value, Vec<String>)> {
     Ok(match find_path(world, from, to, seen, options).map_err(|e| e.at("--path"))? {
         FloorPath::Found { points, length } => {
             let place = |p: &DVec3| format!("{:.3}, {:.3}, {:.3}", p.x, p.y, p.z);
-            let mut lines = vec![format!("a way of {length:.2} m:")];
+            let mut lines = vec![format!("a path of {length:.2} m:")];
             lines.extend(points.iter().map(place));
             let points: Vec<_> = points.iter().map(|p| p.to_array()).collect();
             (json!({ "found": true, "length": length, "points": points }), lines)
         }
         FloorPath::Blocked { reached, missing, object } => {
-            let by = object.as_deref().map_or(String::new(), |name| format!("; {name} is in the way"));
-            let line = format!("no way: {missing:.2} m are missing from {:.3}, {:.3}{by}", reached.x, reached.y);
+            let by = object.as_deref().map_or(String::new(), |name| format!("; {name} blocks it"));
+            let line = format!("no path: {missing:.2} m are missing from {:.3}, {:.3}{by}", reached.x, reached.y);
             let value = json!({ "found": false, "reached": reached.to_array(), "missing": missing, "object": object });
             (value, vec![line])
         }

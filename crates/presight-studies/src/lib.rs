@@ -2,15 +2,14 @@
 
 #[cfg(feature = "report")]
 pub mod chart;
+pub mod comparison;
+pub mod doctor;
 pub mod index;
 pub mod index_study;
 #[cfg(feature = "report")]
 mod machine;
-#[cfg(feature = "report")]
 pub mod page;
 pub mod pick;
-#[cfg(feature = "report")]
-pub mod replay;
 #[cfg(feature = "report")]
 pub mod stability;
 #[cfg(feature = "report")]

@@ -3,14 +3,12 @@
 use super::{Drive, watching};
 use crate::pose::parse_pose;
 use indicatif::ProgressBar;
-use presight::Scene;
-use presight_files::log::Observation;
-use presight_localize::estimate::{EstimateOptions, Estimator, Preset};
-use presight_localize::localize::{ErrorRates, LocalizeOptions, Localizer, Search, SearchOptions};
-use presight_model::error::{Error, Result};
-use presight_model::geometry::{Pose, PoseEstimate};
-use presight_model::measured::OdometryNoise;
-use presight_model::sensor::Sensor;
+use presight::files::Observation;
+use presight::localize::{
+    ErrorRates, EstimateOptions, Estimator, LocalizeOptions, Localizer, Preset, Search, SearchOptions,
+};
+use presight::measured::OdometryNoise;
+use presight::{Error, Pose, PoseEstimate, Result, Scene, Sensor};
 
 impl Drive {
     /// Checks the values of the flags without opening any file.
@@ -112,7 +110,7 @@ impl Drive {
         if !(part >= 0.0 && part.is_finite()) {
             return Err(Error::usage(format!("--odometry-sigma {part}"), "give a finite fraction of at least 0"));
         }
-        Ok(OdometryNoise::default().with_way(part).with_turn(part).with_turn_on_way(0.5 * part))
+        Ok(OdometryNoise::default().with_distance(part).with_turn(part).with_turn_per_distance(0.5 * part))
     }
 
     /// Estimator options by --preset, or by the sensor.

@@ -1,46 +1,41 @@
-//! The page of an update: for each change the measurement between the predictions without and with it, and how its evidence grew.
+//! The page of an update: for each change the measurement between the predictions without and with it, and how its
+//! evidence grew.
 
 use super::looks::look_from;
-use super::{Args, Drive, told};
+use super::{Args, Drive, describe};
 use glam::DVec3;
-use presight::Scene;
-use presight_files::atomic::write_atomically;
-use presight_model::change::Change;
-use presight_model::error::Result;
-use presight_model::measured::Frame;
-use presight_model::sensor::Sensor;
-use presight_model::world::World;
+use presight::measured::Frame;
+use presight::tools::write_atomically;
+use presight::update::{BestView, DoubtfulObject, Finding, FindingKind, Findings, PlannedView};
+use presight::{Backend, Change, Images, Options, Output, Outputs, Predictor, Result, Scene, Sensor, World};
 use presight_pictures::{Panel, panels_png};
-use presight_predict::predict::{Backend, Options, Predictor};
-use presight_render::plan::{Images, Output, Outputs};
-use presight_update::{Doubt, Finding, Findings, Look, Sight, What};
+use presight_studies::page::{Label, Part, Section, Strip, page};
 use std::collections::{BTreeMap, BTreeSet};
-use std::fmt::Write as _;
 use std::io::Write;
 use std::path::Path;
 
-/// Most changes that get pictures.
-const MOST: usize = 200;
-/// Most objects in doubt that get pictures.
-const MOST_DOUBTS: usize = 60;
+/// Maximum number of changes with pictures.
+const MAX_PICTURES: usize = 200;
+/// Maximum number of objects in doubt with pictures.
+const MAX_DOUBTS: usize = 60;
 
 /// Drive, sensor and stamp of a frame.
 type Key = (usize, String, u64);
 
-fn key(sight: &Sight) -> Key {
-    (sight.drive, sight.sensor.clone(), sight.stamp.to_bits())
+fn key(view: &BestView) -> Key {
+    (view.drive, view.sensor.clone(), view.stamp.to_bits())
 }
 
-/// All that the page shows.
-pub struct Shown<'a> {
+/// The content of the page.
+pub struct Page<'a> {
     pub args: &'a Args,
     pub drives: &'a [Drive],
     pub scene: &'a Scene,
     pub findings: &'a Findings,
-    pub told: &'a str,
+    pub summary: &'a str,
 }
 
-impl Shown<'_> {
+impl Page<'_> {
     /// Writes `index.html` and its pictures into a folder.
     ///
     /// # Errors
@@ -48,46 +43,43 @@ impl Shown<'_> {
     pub fn write(&self, out: &Path) -> Result<()> {
         let frames = self.frames()?;
         let mut predictor = Predictor::new(Options::new(Backend::Cpu))?;
-        let mut body = String::new();
-        for (number, finding) in self.findings.changes.iter().enumerate() {
-            let frame = finding.sight.as_ref().and_then(|sight| frames.get(&key(sight)));
-            let (kind, color) = kind(&finding.what);
-            let text = told(finding);
-            let told = escaped(text.split_once(": ").map_or(&*text, |(_, rest)| rest));
-            let name = number + 1;
-            let _ = write!(body, "<section><h2>{name}. <b style=\"background:{color}\">{kind}</b>{told}</h2>");
-            if let Some(frame) = frame {
-                let file = format!("{name:03}.png");
-                let png = self.picture(&mut predictor, (finding, &self.without(number)), frame)?;
-                write_atomically(&out.join(&file), |to| to.write_all(&png))?;
-                let _ = write!(
-                    body,
-                    "<figure><img src=\"{file}\" alt=\"measurement between predictions\"><figcaption>At {} s. If the right \
-                     picture is more like the middle one than the left is, the change is right.</figcaption></figure>",
-                    frame.stamp
-                );
-            }
-            body += &growth(finding, self.args.sure);
-            body += "</section>";
-        }
-        body += &self.doubts(&mut predictor, out)?;
         // Counts first. The pictures below show each change.
         let (head, rest) =
-            self.told.match_indices('\n').nth(2).map_or((self.told, ""), |(at, _)| self.told.split_at(at));
-        let html = format!(
-            "<!doctype html><meta charset=\"utf-8\"><title>Update</title><style>{STYLE}</style><h1>{}</h1><pre>{}</pre>\
-             <details><summary>All findings and doubts</summary><pre>{}</pre></details>{body}",
-            escaped(&self.args.drive.map.display().to_string()),
-            escaped(head),
-            escaped(rest)
-        );
+            self.summary.match_indices('\n').nth(2).map_or((self.summary, ""), |(at, _)| self.summary.split_at(at));
+        let all = Part::Details { summary: "As text".into(), text: rest.trim_start_matches('\n').into() };
+        let mut sections =
+            vec![Section { title: "All findings and doubts".into(), parts: vec![all], ..Section::default() }];
+        for (number, finding) in self.findings.changes.iter().enumerate() {
+            let frame = finding.best_view.as_ref().and_then(|view| frames.get(&key(view)));
+            let text = describe(finding);
+            let rest = text.split_once(": ").map_or(&*text, |(_, rest)| rest);
+            let mut parts = Vec::new();
+            if let Some(frame) = frame {
+                let file = format!("{:03}.png", number + 1);
+                let png = self.picture(&mut predictor, (finding, &self.without(number)), frame)?;
+                write_atomically(&out.join(&file), |to| to.write_all(&png))?;
+                let caption = format!(
+                    "At {} s. If the right picture is more like the middle one than the left is, the change is right.",
+                    frame.stamp
+                );
+                parts.push(Part::Image { file, alt: "measurement between predictions", caption });
+            }
+            parts.extend(growth(finding, self.args.sure));
+            sections.push(Section {
+                title: format!("{}. {rest}", number + 1),
+                label: Some(label(&finding.kind)),
+                parts,
+            });
+        }
+        self.doubts(&mut predictor, out, &mut sections)?;
+        let html = page(&self.args.drive.map.display().to_string(), head, &sections);
         write_atomically(&out.join("index.html"), |file| file.write_all(html.as_bytes()))
     }
 
     /// The frames that show the findings, by drive, sensor and stamp.
     fn frames(&self) -> Result<BTreeMap<Key, Frame>> {
-        let sights = self.findings.changes.iter().take(MOST).filter_map(|finding| finding.sight.as_ref());
-        let wanted: BTreeSet<Key> = sights.map(key).collect();
+        let views = self.findings.changes.iter().take(MAX_PICTURES).filter_map(|finding| finding.best_view.as_ref());
+        let wanted: BTreeSet<Key> = views.map(key).collect();
         let mut frames = BTreeMap::new();
         for (number, drive) in self.drives.iter().enumerate().filter(|(n, _)| wanted.iter().any(|key| key.0 == *n)) {
             for drive in drive.each_log() {
@@ -103,39 +95,40 @@ impl Shown<'_> {
         Ok(frames)
     }
 
-    /// The objects in doubt, each as it would be seen from the best free pose without and with it.
-    fn doubts(&self, predictor: &mut Predictor, out: &Path) -> Result<String> {
+    /// Adds a section for each object in doubt with the predictions without and with it from its planned view.
+    fn doubts(&self, predictor: &mut Predictor, out: &Path, sections: &mut Vec<Section>) -> Result<()> {
         let sensors = self.sensors()?;
-        let mut body = String::new();
-        for (number, doubt) in self.findings.doubts.iter().enumerate().take(MOST_DOUBTS) {
-            let text = escaped(&format!("{}: {}{}", doubt.object, doubt.why, look_from(doubt.look.as_ref())));
-            let _ = write!(body, "<section><h2><b style=\"background:#777\">doubtful</b>{text}</h2>");
-            let sensor = doubt.look.as_ref().and_then(|look| Some((look, sensors.get(&look.sensor)?)));
-            if let Some((look, sensor)) = sensor {
+        for (number, doubt) in self.findings.doubts.iter().enumerate().take(MAX_DOUBTS) {
+            let mut parts = Vec::new();
+            let sensor = doubt.view.as_ref().and_then(|view| Some((view, sensors.get(&view.sensor)?)));
+            if let Some((view, sensor)) = sensor {
                 let file = format!("doubt-{:03}.png", number + 1);
-                let png = self.expected(predictor, doubt, (look, sensor))?;
+                let png = self.expected(predictor, doubt, (view, sensor))?;
                 write_atomically(&out.join(&file), |to| to.write_all(&png))?;
-                let _ = write!(
-                    body,
-                    "<figure><img src=\"{file}\" alt=\"predictions without and with it\"><figcaption>From the free pose that tells \
-                     most.</figcaption></figure>"
-                );
+                let caption = "From the free pose that tells most.".into();
+                parts.push(Part::Image { file, alt: "predictions without and with it", caption });
             }
-            body += "</section>";
+            let title = format!("{}: {}{}", doubt.object, doubt.why, look_from(doubt.view.as_ref()));
+            sections.push(Section { title, label: Some(Label { text: "doubtful", color: "#777" }), parts });
         }
-        Ok(body)
+        Ok(())
     }
 
-    /// The predictions without and with an object in doubt, from the pose to look from.
-    fn expected(&self, predictor: &mut Predictor, doubt: &Doubt, (look, sensor): (&Look, &Sensor)) -> Result<Vec<u8>> {
+    /// The predictions without and with an object in doubt from its planned view.
+    fn expected(
+        &self,
+        predictor: &mut Predictor,
+        doubt: &DoubtfulObject,
+        (view, sensor): (&PlannedView, &Sensor),
+    ) -> Result<Vec<u8>> {
         let mut without = self.scene.world.clone();
         drop(without.apply_unchecked(Change::DeleteObject { name: doubt.object.clone() }));
         let mut predicted = [Images::default(), Images::default()];
         for (world, images) in [&without, &self.scene.world].into_iter().zip(&mut predicted) {
             let range = Outputs::of(&[Output::Range]);
-            predictor.predict_images(world, sensor, &look.world_from_sensor, range, images)?;
+            predictor.predict_images(world, sensor, &view.world_from_sensor, range, images)?;
         }
-        let sensor_from_world = look.world_from_sensor.inverse();
+        let sensor_from_world = view.world_from_sensor.inverse();
         let corners = doubt.corners(self.scene.world.environment()).into_iter();
         let around: Vec<DVec3> = corners.map(|p| sensor_from_world.transform_point(p)).collect();
         let panels = [("without it", &predicted[0]), ("with it", &predicted[1])]
@@ -143,10 +136,10 @@ impl Shown<'_> {
         panels_png(&panels, sensor, &around)
     }
 
-    /// The sensors of the logs by name; nothing if no doubt has a pose to look from.
+    /// The sensors of planned views, by name.
     fn sensors(&self) -> Result<BTreeMap<String, Sensor>> {
         let mut wanted: BTreeSet<&str> =
-            self.findings.doubts.iter().filter_map(|d| Some(d.look.as_ref()?.sensor.as_str())).collect();
+            self.findings.doubts.iter().filter_map(|d| Some(d.view.as_ref()?.sensor.as_str())).collect();
         let mut sensors = BTreeMap::new();
         for drive in self.drives.iter().flat_map(Drive::each_log) {
             if wanted.is_empty() {
@@ -178,17 +171,17 @@ impl Shown<'_> {
         (finding, without): (&Finding, &World),
         frame: &Frame,
     ) -> Result<Vec<u8>> {
-        let (sensor, Some(sight)) = (frame.sensor(), &finding.sight) else { return Ok(Vec::new()) };
-        // All other changes are on both sides, so that the two differ by this one alone.
+        let (sensor, Some(view)) = (frame.sensor(), &finding.best_view) else { return Ok(Vec::new()) };
+        // Both worlds have all other changes, so that they differ by this one alone.
         let mut with = without.clone();
-        // What cannot be applied, such as a box at an odd place, is shown without its effect.
+        // A change that cannot be applied, such as a box at an invalid place, is shown without its effect.
         drop(with.apply_unchecked(finding.change(&with)));
         let mut predicted = [Images::default(), Images::default()];
         for (world, images) in [without, &with].into_iter().zip(&mut predicted) {
             let range = Outputs::of(&[Output::Range]);
-            predictor.predict_images(world, sensor, &sight.world_from_sensor, range, images)?;
+            predictor.predict_images(world, sensor, &view.world_from_sensor, range, images)?;
         }
-        let sensor_from_world = sight.world_from_sensor.inverse();
+        let sensor_from_world = view.world_from_sensor.inverse();
         let around = finding.corners(self.scene.world.environment()).into_iter();
         let around: Vec<DVec3> = around.map(|p| sensor_from_world.transform_point(p)).collect();
         let panels = [
@@ -201,50 +194,27 @@ impl Shown<'_> {
 }
 
 /// The evidence view by view, with the odds that decide as dashed lines.
-fn growth(finding: &Finding, sure: f64) -> String {
-    const WIDE: f32 = 420.0;
-    let steps = &finding.growth;
-    let sure = sure as f32;
-    if steps.is_empty() {
-        return String::new();
-    }
-    let most = steps.iter().fold(1.4 * sure, |most, l| most.max(l.abs()));
-    let x = |k: usize| WIDE * k as f32 / steps.len() as f32;
-    let y = |l: f32| 50.0 - 46.0 * l / most;
-    let points: Vec<String> = std::iter::once(format!("0,{:.1}", y(0.0)))
-        .chain(steps.iter().enumerate().map(|(k, l)| format!("{:.1},{:.1}", x(k + 1), y(*l))))
-        .collect();
-    let line = |l: f32| format!("M0 {:.1}H{WIDE}", y(l));
-    format!(
-        "<figure><svg viewBox=\"0 0 {WIDE} 100\" width=\"{WIDE}\" height=\"100\"><path d=\"{}\" stroke=\"#999\"/><path d=\"{}{}\" \
-         stroke=\"#999\" stroke-dasharray=\"4 4\"/><polyline points=\"{}\" fill=\"none\" stroke=\"#06c\" stroke-width=\"2\"/></svg>\
-         <figcaption>log-odds that it stands there, over {} views: {:.0} at the end; dashed: what decides</figcaption></figure>",
-        line(0.0),
-        line(sure),
-        line(-sure),
-        points.join(" "),
-        steps.len(),
-        steps.last().copied().unwrap_or_default()
-    )
+fn growth(finding: &Finding, sure: f64) -> Option<Part> {
+    let last = finding.growth.last()?;
+    let values: Vec<Option<f64>> =
+        std::iter::once(0.0).chain(finding.growth.iter().map(|l| f64::from(*l))).map(Some).collect();
+    let caption = format!(
+        "log-odds that it stands there, over {} views: {last:.0} at the end; dashed: what decides",
+        finding.growth.len()
+    );
+    let strip = Strip { name: "log-odds".into(), values, levels: vec![-sure, 0.0, sure], logarithmic: false };
+    Some(Part::Strip { strip, caption })
 }
 
-/// The kind of a finding, in one or two words, and its colour.
-fn kind(what: &What) -> (&'static str, &'static str) {
-    match what {
-        What::Gone => ("gone", "#c33"),
-        What::Moved { .. } => ("moved", "#b60"),
-        What::New(_) | What::Recognized(_) => ("new", "#283"),
-        What::Part(_) => ("part gone", "#c33"),
-        What::SeenThrough(_) => ("seen through", "#639"),
-        What::ComesAndGoes => ("comes and goes", "#639"),
-    }
-}
-
-const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;margin:2rem auto;max-width:98rem;padding:0 1rem}figure{margin:0}\
-    img{max-width:100%}figcaption{color:#555;max-width:36rem}section{border-top:1px solid #ccc;padding-bottom:1rem;display:flex;flex-wrap:wrap;\
-    gap:1rem 2rem;align-items:center}h2{font-size:1.1rem;margin:.8rem 0;width:100%}h2 b{color:#fff;border-radius:3px;padding:.1rem .5rem;\
-    margin-right:.4rem}pre{white-space:pre-wrap}";
-
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
+/// The kind of a finding, with its colour.
+fn label(kind: &FindingKind) -> Label {
+    let (text, color) = match kind {
+        FindingKind::Gone => ("gone", "#c33"),
+        FindingKind::Moved { .. } => ("moved", "#b60"),
+        FindingKind::New(_) | FindingKind::Recognized(_) => ("new", "#283"),
+        FindingKind::Part(_) => ("part gone", "#c33"),
+        FindingKind::SeenThrough(_) => ("seen through", "#639"),
+        FindingKind::ComesAndGoes => ("comes and goes", "#639"),
+    };
+    Label { text, color }
 }

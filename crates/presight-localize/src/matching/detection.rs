@@ -3,7 +3,7 @@
 use glam::{DMat2, DVec2};
 
 /// Largest number of corners of an outline. Outlines are compared corner by corner, at every starting corner.
-pub(super) const MAX_OUTLINE: usize = 16;
+pub(crate) const MAX_OUTLINE: usize = 16;
 
 /// Position of a feature in pixel coordinates (column, row). The centre of the top-left pixel is (0, 0).
 #[derive(Clone, Debug, PartialEq)]
@@ -99,7 +99,7 @@ pub struct DetectionProperties {
 ///
 /// ```
 /// use glam::DVec2;
-/// use presight::history::Detection;
+/// use presight::localize::Detection;
 /// let mut corner = Detection::point(DVec2::new(120.5, 64.0), 0.5);
 /// corner.properties.contrast = Some(0.8);
 /// assert!(corner.check().is_ok());

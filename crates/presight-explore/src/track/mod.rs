@@ -1,0 +1,6 @@
+//! Exploration without poses.
+
+mod follow;
+mod group;
+
+pub use follow::{Follower, FoundPose};
