@@ -19,7 +19,7 @@ use cpu_time::ProcessTime;
 use presight_features::generate::{GenerateOptions, generate};
 use presight_features::{BoxOptions, FeatureOptions, Hidden, PlacedFeatures, place};
 use presight_files::preset;
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::sensor::{PRESETS, Sensor};
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Prediction, Predictor};
@@ -133,7 +133,8 @@ fn times(
         let sensor = preset(known.name).expect("a preset");
         let Some(request) = request(&sensor) else { continue };
         let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).expect("the CPU engine starts");
-        let mut prediction = predictor.predict(world, &sensor, &poses[0], &request).expect("it predicts");
+        let mut prediction =
+            predictor.predict(world, &sensor, &SensorPose::new(poses[0]), &request).expect("it predicts");
         let variants: Vec<Option<Means>> = std::iter::once(None).chain(means.iter().copied().map(Some)).collect();
         let mut least = vec![vec![f64::INFINITY; poses.len()]; variants.len()];
         let mut others = vec![0; variants.len()];
@@ -143,7 +144,7 @@ fn times(
                 for ((variant, times), others) in variants.iter().zip(&mut least).zip(&mut others) {
                     leave_out(*variant);
                     let start = ProcessTime::now();
-                    predictor.predict_again(world, pose, &mut prediction).expect("it predicts");
+                    predictor.predict_again(world, &SensorPose::new(*pose), &mut prediction).expect("it predicts");
                     times[number] = times[number].min(1e3 * start.elapsed().as_secs_f64());
                     match variant {
                         None => whole = shown(&prediction),
@@ -189,7 +190,7 @@ fn frame(predictor: &mut Predictor, world: &World, sensor: &Sensor, pose: &Pose,
     let mut request = Request::default();
     request.deadline = deadline_ms.map(|ms| Duration::from_secs_f64(ms / 1e3));
     let start = ProcessTime::now();
-    let answer = predictor.predict(world, sensor, pose, &request);
+    let answer = predictor.predict(world, sensor, &SensorPose::new(*pose), &request);
     let took = 1e3 * start.elapsed().as_secs_f64();
     let pixels = f64::from(sensor.width()) * f64::from(sensor.height());
     let lost = answer.map_or(pixels, |p| p.stats.degradation().map_or(0.0, |given_up| given_up.samples as f64));

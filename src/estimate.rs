@@ -5,7 +5,7 @@
 //! use presight::estimate::{EstimateOptions, Estimator, Freedom};
 //! use presight::simulate::{Disturbances, Simulator};
 //! use presight::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
-//! use presight::{Options, Pose, PoseEstimate, Predictor, World};
+//! use presight::{Options, Pose, PoseEstimate, Predictor, RobotPose, World};
 //! use glam::{DVec3, Vec3};
 //! use std::sync::Arc;
 //!
@@ -20,9 +20,9 @@
 //! let scanner = presight::preset("laser-scanner")?;
 //! let predictor = || Predictor::new(Options::default());
 //!
-//! let truth = Pose::from_xyz_rpy(DVec3::new(0.02, 0.0, 0.5), 0.0, 0.0, 0.01);
+//! let truth = RobotPose::from_xyz_rpy(DVec3::new(0.02, 0.0, 0.5), 0.0, 0.0, 0.01);
 //! let frame = Simulator::new(predictor()?, scanner, Disturbances::default(), 1)?.frame(&world, 0.0, &truth)?;
-//! let believed = Pose::from_xyz_rpy(DVec3::new(0.0, 0.0, 0.5), 0.0, 0.0, 0.0);
+//! let believed = RobotPose::from_xyz_rpy(DVec3::new(0.0, 0.0, 0.5), 0.0, 0.0, 0.0);
 //! let options = EstimateOptions::default().with_freedom(Freedom::Planar);
 //! let prior = PoseEstimate::of_sigmas(believed, 0.05, 0.03);
 //! let found = Estimator::new(predictor()?, options).estimate(&world, &[&frame], &prior)?;

@@ -7,7 +7,7 @@
 //! use presight::simulate::{Disturbances, Simulator};
 //! use presight::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
 //! use presight::sensor::Noise;
-//! use presight::{Options, Pose, Predictor, Sensor, World};
+//! use presight::{Options, Pose, Predictor, RobotPose, Sensor, World};
 //! use glam::{DVec3, Vec3};
 //! use std::sync::Arc;
 //!
@@ -31,12 +31,12 @@
 //! let mut localizer = Localizer::unknown(estimator, search, LocalizeOptions::default());
 //! let mut simulator = Simulator::new(Predictor::new(Options::default())?, scanner, Disturbances::default(), 1)?;
 //! for k in 0..5 {
-//!     let truth = Pose::from_xyz_rpy(DVec3::new(1.0 + 0.2 * f64::from(k), 1.2, 0.0), 0.0, 0.0, 0.4);
+//!     let truth = RobotPose::from_xyz_rpy(DVec3::new(1.0 + 0.2 * f64::from(k), 1.2, 0.0), 0.0, 0.0, 0.4);
 //!     let step = localizer.step(&world, &simulator.frame(&world, f64::from(k), &truth)?)?;
 //!     // One scan is not enough; the fifth is.
 //!     assert!(k > 0 || step.phase == Phase::Candidates, "{}", step.reason);
 //!     assert!(k < 4 || step.phase == Phase::Tracking, "{}", step.reason);
-//!     assert!((step.pose.world_from_robot.translation - truth.translation).length() < 0.05);
+//!     assert!(step.pose.world_from_robot.translation.distance(truth.world_from_robot().translation) < 0.05);
 //! }
 //! # Ok::<(), presight::Error>(())
 //! ```

@@ -4,7 +4,7 @@ use super::arrays::{is_aligned, outputs_of, shape_of};
 use super::errors::{Failed, apart, raised, room_for, usage};
 use super::predictor::{Predictor, RANGE};
 use numpy::{Element, PyArrayDyn, PyArrayMethods, PyReadwriteArrayDyn, PyUntypedArrayMethods};
-use presight_model::geometry::Pose;
+use presight_model::geometry::SensorPose;
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_predict::batch::{Batch, BatchItem, BatchRequest};
@@ -33,7 +33,7 @@ pub fn outputs(given: Option<&Bound<'_, PyAny>>) -> PyResult<Outputs> {
 }
 
 /// Runs a batch and hands over its items in order. Chunks grow until they take a tenth of a second.
-pub fn run(mut batch: Batch<'_, IntoIter<Pose>>, mut each: impl FnMut(BatchItem)) -> Result<(), Failed> {
+pub fn run(mut batch: Batch<'_, IntoIter<SensorPose>>, mut each: impl FnMut(BatchItem)) -> Result<(), Failed> {
     let most = batch.chunk();
     let (mut chunk, mut left, mut looked, mut begun) = (1, 1, Instant::now(), Instant::now());
     batch.set_chunk(chunk);
@@ -173,7 +173,7 @@ impl<'py> Targets<'py> {
         predictor: &Predictor,
         world: &World,
         sensor: &Sensor,
-        poses: Vec<Pose>,
+        poses: Vec<SensorPose>,
     ) -> PyResult<Bound<'py, PyDict>> {
         let mut held = Vec::new();
         for output in self.outputs.iter() {
@@ -222,7 +222,7 @@ pub struct Chunks {
     world: World,
     sensor: Sensor,
     outputs: Outputs,
-    poses: Vec<Pose>,
+    poses: Vec<SensorPose>,
     size: usize,
     next: Mutex<usize>,
 }
@@ -233,7 +233,7 @@ impl Chunks {
         world: World,
         sensor: Sensor,
         outputs: Outputs,
-        poses: Vec<Pose>,
+        poses: Vec<SensorPose>,
         size: Option<usize>,
     ) -> Self {
         let bytes = 4 * outputs.numbers() * sensor.width() as usize * sensor.height() as usize;

@@ -10,7 +10,7 @@ use presight_localize::estimate::{EstimateOptions, Estimator, Freedom};
 use presight_localize::localize::{LocalizeOptions, Localizer as Ours, Search, SearchOptions};
 use presight_localize::verdict::{Verdict, Verdicts as OurVerdicts};
 use presight_model::error::Error;
-use presight_model::geometry::{Pose, PoseEstimate};
+use presight_model::geometry::{Pose, PoseEstimate, RobotPose};
 use presight_model::measured::{Frame as OurFrame, GreyImage, Measurement, Motion, OdometryNoise};
 use presight_model::memory;
 use presight_model::sensor::{Geometry, Sensor as OurSensor};
@@ -190,7 +190,7 @@ impl Log {
     /// Reference poses of the robot in the world: (n, 7), NaN where the log has none.
     #[getter]
     fn reference<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        poses_array(py, self.frames.iter().map(|o| o.reference))
+        poses_array(py, self.frames.iter().map(|o| o.reference.map(|robot| robot.world_from_robot())))
     }
 
     fn __len__(&self) -> usize {
@@ -384,7 +384,7 @@ impl Localizer {
         if !floor.is_finite() {
             return Err(usage(py, "floor", format!("{floor}"), "give finite metres"));
         }
-        let of_sigmas = |pose| PoseEstimate::of_sigmas(pose, init_sigma, init_sigma_deg.to_radians());
+        let of_sigmas = |pose| PoseEstimate::of_sigmas(RobotPose::new(pose), init_sigma, init_sigma_deg.to_radians());
         let prior = init.map(|given| pose_of(given, "init")).transpose()?.map(of_sigmas);
         let scene = scene.get();
         let world = apart(py, || Ok(scene.seen().world))?;

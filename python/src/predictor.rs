@@ -13,7 +13,7 @@ use presight_features::{BoxOptions, FeatureOptions, FeatureSource, Hidden};
 use presight_files::layer::LayerFile;
 use presight_files::prediction_json;
 use presight_model::error::{Error, Result};
-use presight_model::geometry::{Pose, PoseEstimate};
+use presight_model::geometry::{PoseEstimate, RobotPose, SensorPose};
 use presight_model::measured::{Frame as OurFrame, Measurement};
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
@@ -127,7 +127,7 @@ fn without_displays<T>(py: Python<'_>, work: impl FnOnce() -> PyResult<T>) -> Py
 struct Given {
     world: World,
     sensor: Sensor,
-    poses: Vec<Pose>,
+    poses: Vec<SensorPose>,
 }
 
 impl Given {
@@ -394,7 +394,7 @@ impl Predictor {
         pose: &Bound<'_, PyAny>,
         pose_cov: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Verdicts> {
-        let robot = PoseEstimate::new(pose_of(pose, "pose")?, covariance_of(pose_cov)?);
+        let robot = PoseEstimate::new(RobotPose::new(pose_of(pose, "pose")?), covariance_of(pose_cov)?);
         let (scene, frame) = (scene.get(), frame.get());
         apart(py, || {
             let world = scene.seen().world;
@@ -421,7 +421,7 @@ impl Predictor {
         &self,
         seen: &Seen,
         sensor: &Sensor,
-        pose: &Pose,
+        pose: &SensorPose,
         request: &Request,
     ) -> Result<(presight::Prediction, About), Failed> {
         self.with(|predictor| {

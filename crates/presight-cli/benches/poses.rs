@@ -9,7 +9,7 @@
 use presight_files::gltf::import;
 use presight_files::npy;
 use presight_files::npy::Values;
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::world::World;
 use presight_predict::free_poses::free_poses;
 use presight_predict::predict::{Backend, Options, Predictor};
@@ -80,8 +80,8 @@ fn by_library(scene: &Path, poses: &[Pose]) -> f64 {
         let sensor = presight_files::preset("vlp-16")?;
         let mut predictor = Predictor::new(Options::new(Backend::Cpu))?;
         let request = Request::of(Outputs::of(&[Output::Range]));
-        let mut prediction = predictor.predict(&world, &sensor, &poses[0], &request)?;
-        poses[1..].iter().try_for_each(|pose| predictor.predict_again(&world, pose, &mut prediction))
+        let mut prediction = predictor.predict(&world, &sensor, &SensorPose::new(poses[0]), &request)?;
+        poses[1..].iter().try_for_each(|pose| predictor.predict_again(&world, &SensorPose::new(*pose), &mut prediction))
     };
     predict().unwrap_or_else(|e| panic!("{e}"));
     start.elapsed().as_secs_f64()

@@ -170,10 +170,7 @@ fn differ(a: &Attributes, b: &Attributes) -> bool {
     let has_content = a.scene_content.is_some() && b.scene_content.is_some();
     let scenes_differ =
         if has_content { a.scene_content != b.scene_content } else { apart(&a.scene_blake3, &b.scene_blake3) };
-    scenes_differ
-        || apart(&a.world_from_sensor, &b.world_from_sensor)
-        || apart(&a.sensor, &b.sensor)
-        || apart(&a.ids, &b.ids)
+    scenes_differ || apart(&a.pose, &b.pose) || apart(&a.sensor, &b.sensor) || apart(&a.ids, &b.ids)
 }
 
 fn compare_by_scene(
@@ -187,7 +184,7 @@ fn compare_by_scene(
         Error::invalid("is missing", remedy).at(format!("attribute \"presight:{what}\"")).in_file(&args.reference)
     };
     let text = attributes.sensor.as_deref().ok_or_else(|| missing("sensor"))?;
-    let world_from_sensor = attributes.world_from_sensor.ok_or_else(|| missing("world_from_sensor"))?;
+    let pose = attributes.pose.ok_or_else(|| missing("world_from_sensor"))?;
     let in_sensor = |e: Error| e.at("attribute \"presight:sensor\"").in_file(&args.reference);
     let sensor = sensor_toml::parse(text, "sensor", None).and_then(Sensor::new).map_err(in_sensor)?;
     let ids = attributes.ids.unwrap_or_default();
@@ -206,7 +203,7 @@ fn compare_by_scene(
         return Err(Error::invalid(what, format!("give the original {was}, or predict again")).in_file(scene));
     }
     let request = ImageRequest { outputs: reference.outputs(), ids };
-    let plan = FramePlan::new(&world, &sensor, &world_from_sensor, request)?;
+    let plan = FramePlan::new(&world, &sensor, &pose.world_from_sensor(), request)?;
     Ok((compare(reference, other, &plan, args.precision.into())?, files))
 }
 

@@ -195,7 +195,11 @@ impl Args {
         (known, kind): (&Environment, Known),
         options: &ExploreOptions,
     ) -> Result<Views> {
-        let mut start = if init == "reference" { None } else { Some(parse_pose(init).map_err(|e| e.at("--init"))?) };
+        let mut start = if init == "reference" {
+            None
+        } else {
+            Some(RobotPose::new(parse_pose(init).map_err(|e| e.at("--init"))?))
+        };
         let mut follower: Option<Follower> = None;
         for log in &self.logs {
             for observation in Frames::open(log, sensor, &Default::default())? {
@@ -238,7 +242,7 @@ impl Args {
         for observation in frames.by_ref() {
             let Observation { frame, reference } = observation?;
             let pose = match poses {
-                None => reference,
+                None => reference.map(|robot| robot.world_from_robot()),
                 Some(poses) => pose_at(poses, frame.stamp),
             };
             let Some(mut pose) = pose else {
@@ -252,7 +256,7 @@ impl Args {
                 steps.push((earlier.translation.distance(pose.translation), frame.stamp));
             }
             let frame = if self.stride > 1 { frame.thinned(self.stride)? } else { frame };
-            views.push(&frame, pose * frame.sensor().spec().mount)?;
+            views.push(&frame, RobotPose::new(pose).sensor(frame.sensor()))?;
             count += 1;
         }
         if count == 0 {

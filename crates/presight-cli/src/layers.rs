@@ -7,7 +7,7 @@ use presight::{Scene, SceneFeatures};
 use presight_features::{BoxOptions, FeatureOptions, FeaturePrediction, FeatureSource, Hidden};
 use presight_files::{pose_covariance, prediction_json};
 use presight_model::error::{Error, Result};
-use presight_model::geometry::{InWorld, Pose, PoseCovariance};
+use presight_model::geometry::{InWorld, Pose, PoseCovariance, SensorPose};
 use presight_model::poses::ExternalPose;
 use presight_model::sensor::Sensor;
 use presight_predict::predict::Prediction;
@@ -221,7 +221,7 @@ impl LayerArgs {
             pose_covariance: shown.boxes.as_ref().map(|boxes| boxes.sensor),
             confidence: shown.boxes.as_ref().map(|boxes| boxes.confidence),
             given_up: prediction.degradation().cloned(),
-            ..prediction_json::Header::new(&prediction.sensor, prediction.world_from_sensor)
+            ..prediction_json::Header::new(&prediction.sensor, SensorPose::new(prediction.pose))
         };
         let none = FeaturePrediction::default();
         let seen = prediction.features.as_ref().unwrap_or(&none);
@@ -231,9 +231,9 @@ impl LayerArgs {
 
 impl Layers {
     /// Sets the covariance of the sensor's next pose, along the axes of the world.
-    pub fn move_to(&mut self, pose: &ExternalPose, sensor: &Sensor, world_from_sensor: &Pose, scene: &Scene) {
+    pub fn move_to(&mut self, given: &ExternalPose, sensor: &Sensor, pose: &SensorPose, scene: &Scene) {
         let (covariance, world_from_gltf) = (&self.covariance, &scene.world_from_gltf);
-        self.boxes.sensor = pose.covariance_of_sensor(covariance, sensor.spec(), world_from_sensor, world_from_gltf);
+        self.boxes.sensor = given.covariance_of_sensor(covariance, sensor.spec(), pose, world_from_gltf);
     }
 
     /// The options of regions of interest.

@@ -1,7 +1,7 @@
 //! Virtual sensors in a prediction: their flags, inputs and results.
 
 use super::print;
-use presight::Scene;
+use presight::{Scene, SensorPose};
 use presight_files::corridor;
 use presight_model::error::{Error, Result};
 use presight_model::geometry::Pose;
@@ -76,12 +76,18 @@ impl VirtualArgs {
     }
 
     /// Reads the corridor file, and finds the floor height if it is not known.
-    pub fn settings(&self, scene: &Scene, sensor: &Sensor, pose: &Pose, predictor: &mut Predictor) -> Result<Settings> {
+    pub fn settings(
+        &self,
+        scene: &Scene,
+        sensor: &Sensor,
+        pose: &SensorPose,
+        predictor: &mut Predictor,
+    ) -> Result<Settings> {
         let corridor = self.corridor.as_deref().map(corridor::read).transpose()?;
         let unknown = self.task == Some(VirtualSensor::FreeFloor)
             && self.floor_z.is_none()
             && sensor.spec().mount == Pose::IDENTITY;
-        let below = unknown.then(|| predictor.floor_below(&scene.world, sensor, pose)).transpose();
+        let below = unknown.then(|| predictor.floor_below(&scene.world, sensor, &SensorPose::new(*pose))).transpose();
         let below = below.map_err(|e| e.at("--virtual"))?;
         Ok(Settings { floor_z_world: self.floor_z.or(below), corridor })
     }

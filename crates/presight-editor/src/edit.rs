@@ -11,7 +11,7 @@ use presight_files::layer::to_fields;
 use presight_model::change::Change;
 use presight_model::environment::{Feature, FeatureLayer};
 use presight_model::error::{Error, Result};
-use presight_model::geometry::{Aabb, Pose};
+use presight_model::geometry::{Aabb, SensorPose};
 use presight_predict::request::Request;
 use presight_render::plan::{Images, Output, Outputs};
 use presight_store::feature_change;
@@ -182,7 +182,11 @@ impl Session {
             let placed = place(&self.world, &layer)?;
             let options = FeatureOptions::default().with_placed(placed);
             let request = Request::of(Outputs::of(&[Output::PolygonId])).with_features(options);
-            let seen = self.aside.predict(&self.world, &self.sensor, pose, &request)?.features.unwrap_or_default();
+            let seen = self
+                .aside
+                .predict(&self.world, &self.sensor, &SensorPose::new(*pose), &request)?
+                .features
+                .unwrap_or_default();
             let seen: HashSet<u32> = seen.features.iter().map(|f| f.feature.id).collect();
             layer.features.retain(|f| seen.contains(&f.id));
         }
@@ -219,7 +223,8 @@ impl Session {
             return Err(Error::usage(format!("a reach of {} m", request.reach), "give metres, at most 100"));
         }
         let images = self.polygons(&pose)?;
-        let view = PickView { world: &self.world, sensor: &self.sensor, pose: &pose, images: &images };
+        let view =
+            PickView { world: &self.world, sensor: &self.sensor, pose: &pose.world_from_sensor(), images: &images };
         let Some(hit) = view.hit((column, row)) else {
             return Ok(Body::new(json!({ "seq": request.seq, "hit": null, "candidates": [] })).answer());
         };
@@ -270,7 +275,8 @@ fn told(feature: &Feature, pixels: Option<f64>) -> Value {
 }
 
 /// A box around the points that an image shows, world.
-fn seen_box(images: &Images, sensor: &presight_model::sensor::Sensor, pose: &Pose) -> Option<Aabb> {
+fn seen_box(images: &Images, sensor: &presight_model::sensor::Sensor, pose: &SensorPose) -> Option<Aabb> {
+    let world_from_sensor = pose.world_from_sensor();
     /// Metres around the points: edges reach a little further.
     const AROUND: f64 = 0.05;
     let mut points = Vec::new();
@@ -281,7 +287,7 @@ fn seen_box(images: &Images, sensor: &presight_model::sensor::Sensor, pose: &Pos
         for column in (0..images.width).step_by(step) {
             let range = f64::from(images.range[row as usize * images.width as usize + column as usize]);
             if let Some(ray) = sensor.ray(column, row).filter(|_| range.is_finite()) {
-                points.push(pose.transform_point(sensor.body_from_image() * ray * range));
+                points.push(world_from_sensor.transform_point(sensor.body_from_image() * ray * range));
             }
         }
     }

@@ -4,7 +4,7 @@ use super::answer::{Answer, Body, pose_of, six_of};
 use super::session::Session;
 use presight_features::{BoxOptions, FeatureOptions, Hidden, PlacedFeatures, SeenFeature};
 use presight_model::error::{Error, Result};
-use presight_model::geometry::Pose;
+use presight_model::geometry::SensorPose;
 use presight_model::sensor::ImagePart;
 use presight_pictures::{Overlay, Screen, Stroke, Style};
 use presight_predict::predict::Prediction;
@@ -84,7 +84,7 @@ impl Session {
             let placed = self.placed.clone();
             asked = asked.with_features(FeatureOptions::default().with_placed(placed).with_hidden(hidden));
         }
-        let prediction = self.predictor.predict(&self.world, &sensor, &pose, &asked)?;
+        let prediction = self.predictor.predict(&self.world, &sensor, &SensorPose::new(pose), &asked)?;
         let images = &prediction.images;
         let screen = Screen::new(images, &self.sensor, first);
         let mut body = Body::new(json!({
@@ -115,13 +115,7 @@ impl Session {
 
     fn strokes(&self, screen: &Screen, prediction: &Prediction, sides: &[SeenFeature]) -> Vec<Stroke> {
         let Some(features) = &prediction.features else { return Vec::new() };
-        let overlay = Overlay {
-            features,
-            sides,
-            sensor: &self.sensor,
-            world_from_sensor: &prediction.world_from_sensor,
-            numbers: false,
-        };
+        let overlay = Overlay { features, sides, sensor: &self.sensor, pose: prediction.pose, numbers: false };
         screen.strokes(&overlay, &prediction.images)
     }
 
@@ -139,7 +133,7 @@ impl Session {
         let asked = Request::of(Outputs::of(&[Output::PolygonId, Output::Range]))
             .with_features(FeatureOptions::default().with_placed(self.placed.clone()))
             .with_regions(boxes);
-        let prediction = self.predictor.predict(&self.world, &self.sensor, &pose, &asked)?;
+        let prediction = self.predictor.predict(&self.world, &self.sensor, &SensorPose::new(pose), &asked)?;
         let screen = Screen::new(&prediction.images, &self.sensor, Output::Range);
         let mut strokes = self.strokes(&screen, &prediction, &[]);
         strokes.retain(|stroke| stroke.style == Style::Region);
@@ -164,7 +158,7 @@ impl Session {
         let placed = PlacedFeatures::from(request.ids.iter().filter_map(found).collect::<Vec<_>>());
         let options = FeatureOptions::default().with_placed(placed.clone()).with_hidden(Hidden::Full);
         let asked = Request::of(Outputs::of(&[Output::PolygonId])).with_features(options);
-        let prediction = self.aside.predict(&self.world, &self.sensor, &pose, &asked)?;
+        let prediction = self.aside.predict(&self.world, &self.sensor, &SensorPose::new(pose), &asked)?;
         let mut features = prediction.features.unwrap_or_default();
         features.spell_out(self.world.environment(), &placed.features);
         let told: Vec<Value> = features.features.iter().map(|f| self.explained(f)).collect();
@@ -185,23 +179,23 @@ impl Session {
     }
 
     /// Images of the polygons at a pose.
-    pub(crate) fn polygons(&mut self, pose: &Pose) -> Result<Images> {
+    pub(crate) fn polygons(&mut self, pose: &SensorPose) -> Result<Images> {
         let request = Request::of(Outputs::of(&[Output::PolygonId, Output::Range]));
-        Ok(self.predictor.predict(&self.world, &self.sensor, pose, &request)?.images)
+        Ok(self.predictor.predict(&self.world, &self.sensor, &SensorPose::new(*pose), &request)?.images)
     }
 
     /// The lines of features of their own, such as candidates, on the picture of a pose.
-    pub(crate) fn strokes_of(&mut self, placed: PlacedFeatures, pose: &Pose) -> Result<Vec<Stroke>> {
+    pub(crate) fn strokes_of(&mut self, placed: PlacedFeatures, pose: &SensorPose) -> Result<Vec<Stroke>> {
         let outputs = Outputs::of(&[Output::PolygonId, Output::Range]);
         let request = Request::of(outputs).with_features(FeatureOptions::default().with_placed(placed));
-        let prediction = self.aside.predict(&self.world, &self.sensor, pose, &request)?;
+        let prediction = self.aside.predict(&self.world, &self.sensor, &SensorPose::new(*pose), &request)?;
         let screen = Screen::new(&prediction.images, &self.sensor, Output::Range);
         Ok(self.strokes(&screen, &prediction, &[]))
     }
 }
 
 /// The six numbers of a pose. Six given numbers return unchanged, so that the page keeps its bits.
-fn six(given: &[f64], pose: &Pose) -> [f64; 6] {
+fn six(given: &[f64], pose: &SensorPose) -> [f64; 6] {
     given.try_into().unwrap_or_else(|_| six_of(pose))
 }
 

@@ -7,7 +7,7 @@ use crate::surfaces::ExploreOptions;
 use crate::view::Views;
 use presight_model::environment::Environment;
 use presight_model::error::{ErrorKind, Result};
-use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate};
+use presight_model::geometry::{PoseCovariance, PoseEstimate, RobotPose};
 use presight_model::matrix::{sandwich, turn};
 use presight_model::measured::Frame;
 
@@ -21,7 +21,7 @@ pub struct Follower {
     options: ExploreOptions,
     /// The known model, until the first frame.
     known: Option<(Environment, Known)>,
-    start: Pose,
+    start: RobotPose,
     /// The group of the first frame, and others that never met it.
     groups: Vec<Group>,
     /// The group that is followed.
@@ -37,7 +37,7 @@ pub struct Follower {
 pub struct FoundPose {
     /// Seconds.
     pub stamp: f64,
-    /// world_from_robot with its covariance, which includes the drift since the first frame.
+    /// The robot's pose with its covariance, which includes the drift since the first frame.
     pub pose: PoseEstimate,
 }
 
@@ -46,11 +46,11 @@ impl Follower {
     ///
     /// # Errors
     /// [`presight_model::ErrorKind::System`] without threads.
-    pub fn new(world_from_robot: Pose, known: Environment, kind: Known, options: &ExploreOptions) -> Result<Self> {
+    pub fn new(robot: RobotPose, known: Environment, kind: Known, options: &ExploreOptions) -> Result<Self> {
         Ok(Self {
             options: options.clone().with_polygons(options.polygons.min(POLYGONS)),
             known: Some((known, kind)),
-            start: world_from_robot,
+            start: robot,
             groups: Vec::new(),
             current: 0,
             searcher: Searcher::new(options)?,
@@ -65,7 +65,7 @@ impl Follower {
     pub fn add(&mut self, frame: &Frame) -> Result<Option<FoundPose>> {
         if let Some(known) = self.known.take() {
             self.groups.push(Group::new(frame, self.start, known, &self.options)?);
-            return Ok(Some(FoundPose { stamp: frame.stamp, pose: PoseEstimate::exact(self.start) }));
+            return Ok(Some(FoundPose { stamp: frame.stamp, pose: PoseEstimate::exact(RobotPose::new(self.start)) }));
         }
         let mut found = self.groups[self.current].add(frame, &mut self.searcher, &self.options)?;
         if found.is_none() && self.current > 0 {
@@ -82,7 +82,7 @@ impl Follower {
             self.meet()?;
         }
         let group = &self.groups[0];
-        let pose = found.filter(|_| is_first).map(|pose| PoseEstimate::new(pose.world_from_robot, group.drift()));
+        let pose = found.filter(|_| is_first).map(|pose| PoseEstimate::new(pose.robot(), group.drift()));
         Ok(pose.map(|pose| FoundPose { stamp: frame.stamp, pose }))
     }
 
@@ -96,7 +96,7 @@ impl Follower {
     /// Begins another group. Its frame of reference has nothing to do with the first one's.
     fn begin(&mut self, frame: &Frame) -> Result<()> {
         let nothing = (Environment::new(), Known::Explored);
-        match Group::new(frame, Pose::IDENTITY, nothing, &self.options) {
+        match Group::new(frame, RobotPose::IDENTITY, nothing, &self.options) {
             Ok(group) => {
                 self.groups.push(group);
                 self.follow(self.groups.len() - 1);
@@ -172,5 +172,5 @@ fn inverse(pose: &PoseEstimate) -> PoseEstimate {
     let inverse = pose.world_from_robot.inverse();
     let at_own_origin = pose.covariance.moved_by(-pose.world_from_robot.translation);
     let rows = sandwich(&turn(inverse.rotation), at_own_origin.as_rows());
-    PoseEstimate::new(inverse, PoseCovariance::from_rows(rows))
+    PoseEstimate::new(RobotPose::new(inverse), PoseCovariance::from_rows(rows))
 }

@@ -9,7 +9,7 @@ use presight_localize::localize::{LocalizeOptions, Localizer, Phase};
 use presight_localize::verdict::Verdict;
 use presight_model::environment::Environment;
 use presight_model::error::Result;
-use presight_model::geometry::{InWorld, Pose, PoseCovariance, PoseEstimate};
+use presight_model::geometry::{InWorld, Pose, PoseCovariance, PoseEstimate, RobotPose};
 use presight_model::matrix::{add_to, sandwich, turn};
 use presight_model::measured::Frame;
 use presight_model::world::World;
@@ -50,12 +50,12 @@ impl Searcher {
 
     /// The pose of the robot at a frame, about within reach of another pose.
     fn find(&mut self, world: &World, frame: &Frame, near: Pose) -> Result<Option<PoseEstimate>> {
-        let prior = PoseEstimate::of_sigmas(near, REACH.0, REACH.1);
+        let prior = PoseEstimate::of_sigmas(RobotPose::new(near), REACH.0, REACH.1);
         let first = self.quick.estimate(world, &[frame], &prior)?;
         if first.explained < PROMISING {
             return Ok(None);
         }
-        let prior = PoseEstimate::of_sigmas(first.pose.world_from_robot, 0.5 * REACH.0, 0.5 * REACH.1);
+        let prior = PoseEstimate::of_sigmas(first.pose.robot(), 0.5 * REACH.0, 0.5 * REACH.1);
         Ok(sure(&self.full.estimate(world, &[frame], &prior)?))
     }
 }
@@ -76,7 +76,7 @@ fn sure(estimate: &Estimate) -> Option<PoseEstimate> {
 }
 
 fn robot_pose(view: &View) -> Pose {
-    view.world_from_sensor * view.sensor().spec().mount.inverse()
+    view.pose.robot(view.sensor()).world_from_robot()
 }
 
 /// The model of a group, with which it is followed.
@@ -109,7 +109,7 @@ impl Group {
     /// Starts with a frame at this pose of the robot.
     pub fn new(
         frame: &Frame,
-        world_from_robot: Pose,
+        robot: RobotPose,
         (known, kind): (Environment, Known),
         options: &ExploreOptions,
     ) -> Result<Self> {
@@ -121,17 +121,17 @@ impl Group {
             model: None,
             made_of: (0, 0),
             covariance: PoseCovariance::ZERO,
-            centre: world_from_robot.translation,
+            centre: robot.world_from_robot().translation,
             last: PoseCovariance::ZERO,
-            found: world_from_robot,
+            found: robot.world_from_robot(),
         };
-        group.push(frame, &PoseEstimate::exact(world_from_robot))?;
+        group.push(frame, &PoseEstimate::exact(RobotPose::new(robot)))?;
         group.make(options)?;
         Ok(group)
     }
 
     fn push(&mut self, frame: &Frame, pose: &PoseEstimate) -> Result<()> {
-        self.views.push(frame, pose.world_from_robot * frame.sensor().spec().mount)?;
+        self.views.push(frame, pose.robot().sensor(frame.sensor()))?;
         (self.found, self.last) = (pose.world_from_robot, pose.covariance);
         self.add_place(self.views.all().len() - 1);
         Ok(())
@@ -226,7 +226,10 @@ impl Group {
                 if let Some(pose) = by.find(world, &view.frame()?, near)? {
                     let own_from_other = pose.world_from_robot * robot_pose(view).inverse();
                     let lever = own_from_other.translation - pose.world_from_robot.translation;
-                    return Ok(Some(PoseEstimate::new(own_from_other, pose.covariance.moved_by(lever))));
+                    return Ok(Some(PoseEstimate::new(
+                        RobotPose::new(own_from_other),
+                        pose.covariance.moved_by(lever),
+                    )));
                 }
             }
         }
@@ -272,8 +275,8 @@ fn sum(a: &PoseCovariance<InWorld>, b: &PoseCovariance<InWorld>) -> PoseCovarian
 }
 
 /// A localizer that has seen this frame at this pose. It knows then when that was, and that the robot moves until the next frame.
-fn followed(world: &World, frame: &Frame, world_from_robot: Pose, options: &ExploreOptions) -> Result<Localizer> {
-    let start = PoseEstimate::of_sigmas(world_from_robot, START_SIGMA, START_SIGMA);
+fn followed(world: &World, frame: &Frame, robot: RobotPose, options: &ExploreOptions) -> Result<Localizer> {
+    let start = PoseEstimate::of_sigmas(RobotPose::new(robot), START_SIGMA, START_SIGMA);
     let estimator = estimator(options, EstimateOptions::default())?;
     let mut localizer = Localizer::new(estimator, start, LocalizeOptions::default());
     localizer.step(world, frame)?;

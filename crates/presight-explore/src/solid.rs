@@ -6,7 +6,7 @@ use crate::view::Views;
 use glam::{DMat3, DVec3, Vec3};
 use presight_model::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
 use presight_model::error::Result;
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::world::World;
 use presight_predict::predict::Predictor;
 use presight_render::plan::{Images, Output, Outputs};
@@ -94,7 +94,7 @@ pub(crate) fn visit_world(
     let outputs = Outputs::of(&[Output::Range, Output::PolygonId]);
     let mut images = Images::default();
     for (at, view) in views.all().iter().enumerate().step_by(step) {
-        predictor.predict_images(world, view.sensor(), &view.world_from_sensor, outputs, &mut images)?;
+        predictor.predict_images(world, view.sensor(), &SensorPose::new(view.pose), outputs, &mut images)?;
         for pixel in 0..view.ranges.len() {
             let (predicted, measured, id) = (images.range[pixel], view.ranges[pixel], images.polygon_id[pixel]);
             if id > 0 && predicted.is_finite() && !measured.is_nan() {

@@ -283,7 +283,7 @@ impl FeaturePrediction {
     /// ```
     /// # std::env::set_current_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/../..")).unwrap();
     /// use presight::features::{FeatureOptions, Hidden, PlacedFeatures};
-    /// use presight::{Backend, Options, Output, Outputs, Pose, Predictor, Request, Scene};
+    /// use presight::{Backend, Options, Output, Outputs, Predictor, Request, Scene, SensorPose};
     /// # use presight::features::{GenerateOptions, generate};
     /// # use presight::features::place;
     /// let scene = Scene::open("scenes/room.glb")?;
@@ -291,7 +291,8 @@ impl FeaturePrediction {
     /// let placed = PlacedFeatures::from(place(&scene.world, &layer)?);
     /// let options = FeatureOptions::default().with_placed(placed.clone()).with_hidden(Hidden::Full);
     /// let request = Request::of(Outputs::of(&[Output::PolygonId])).with_features(options);
-    /// let (camera, away) = (presight::preset("video-camera")?, Pose::from_xyz_rpy(100.0 * glam::DVec3::X, 0.0, 0.0, 0.0));
+    /// let camera = presight::preset("video-camera")?;
+    /// let away = SensorPose::from_xyz_rpy(100.0 * glam::DVec3::X, 0.0, 0.0, 0.0);
     /// let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1))?;
     /// let mut seen = predictor.predict(&scene.world, &camera, &away, &request)?.features.unwrap();
     /// seen.spell_out(scene.world.environment(), &placed.features);

@@ -65,7 +65,7 @@ fn header(fields: &[Field<'_, '_>], size: u32) -> String {
 fn write_to(out: &mut impl Write, cloud: &PointCloud<'_>) -> io::Result<()> {
     let (fields, wide) = (fields(cloud), is_wide(cloud));
     let viewpoint = match cloud.frame() {
-        PointsFrame::Sensor => *cloud.world_from_sensor(),
+        PointsFrame::Sensor => cloud.pose().world_from_sensor(),
         PointsFrame::World => Pose::IDENTITY,
     };
     let (t, q) = (viewpoint.translation, viewpoint.rotation);

@@ -15,7 +15,7 @@ use crate::voxels::{Occupied, Voxels, joined};
 use glam::DVec3;
 use presight_localize::verdict::body_from_image;
 use presight_model::environment::{Appearance, Environment, Material};
-use presight_model::geometry::{Aabb, Pose};
+use presight_model::geometry::{Aabb, Pose, SensorPose};
 use presight_model::world::World;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
@@ -80,8 +80,8 @@ pub struct Sight {
     pub sensor: String,
     /// The stamp of the frame, seconds.
     pub stamp: f64,
-    /// The pose of the sensor, body axes.
-    pub world_from_sensor: Pose,
+    /// The pose of the sensor.
+    pub pose: SensorPose,
 }
 
 /// An object in doubt.
@@ -213,7 +213,7 @@ impl Decision<'_> {
             drive: view.drive,
             sensor: view.kept.sensor.spec().name.clone(),
             stamp: view.stamp,
-            world_from_sensor: view.world_from_image * body_from_image(&view.kept.sensor).inverse(),
+            pose: SensorPose::new(view.world_from_image * body_from_image(&view.kept.sensor).inverse()),
         });
         Finding { object, what, l, views, sight, growth }
     }

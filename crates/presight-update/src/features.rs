@@ -9,7 +9,7 @@ use glam::{DMat3, DVec3};
 use presight_files::layer::to_fields;
 use presight_localize::extract::{FeatureClass, FeatureFinding, Findings};
 use presight_model::environment::{Environment, Existence, Feature, FeatureShape, Properties};
-use presight_model::geometry::{Pose, PoseEstimate};
+use presight_model::geometry::{Pose, PoseEstimate, RobotPose};
 use presight_model::measured::Frame;
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
@@ -345,7 +345,7 @@ mod tests {
     }
 
     fn exact() -> PoseEstimate {
-        PoseEstimate::new(Pose::IDENTITY, presight_model::geometry::PoseCovariance::from_sigmas([0.001; 6]))
+        PoseEstimate::new(RobotPose::IDENTITY, presight_model::geometry::PoseCovariance::from_sigmas([0.001; 6]))
     }
 
     #[test]

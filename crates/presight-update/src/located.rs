@@ -5,7 +5,7 @@ use glam::{DMat3, DQuat, DVec2, DVec3};
 use presight_localize::matching::{Detection, Shape};
 use presight_localize::verdict::{ObjectError, body_from_image};
 use presight_model::environment::{Feature, FeatureShape};
-use presight_model::geometry::{Pose, PoseEstimate};
+use presight_model::geometry::{Pose, PoseEstimate, RobotPose};
 use presight_model::matrix::{Matrix, add_to, apply, inverse, product, sandwich, scaled, turn};
 use presight_model::sensor::Sensor;
 
@@ -280,7 +280,7 @@ mod tests {
     fn an_image_says_how_far_a_feature_is_across() {
         let camera = Camera::pinhole(160, 120, 100.0, 100.0, 79.5, 59.5);
         let sensor = Sensor::new(SensorSpec::new("camera", "grey", Geometry::Camera(camera))).unwrap();
-        let pose = PoseEstimate::new(Pose::IDENTITY, PoseCovariance::from_sigmas([1e-6; 6]));
+        let pose = PoseEstimate::new(RobotPose::IDENTITY, PoseCovariance::from_sigmas([1e-6; 6]));
         let eye = Eye::new(&sensor, &pose);
         let p = DVec3::new(2.0, 0.0, 0.0);
         let found = Detection::point(DVec2::new(80.5, 59.5), 0.5);

@@ -6,7 +6,7 @@ use crate::rivals::{Surface, squared};
 use crate::view::View;
 use glam::{DQuat, DVec3};
 use presight_localize::verdict::body_from_image;
-use presight_model::geometry::{Aabb, Pose};
+use presight_model::geometry::{Aabb, Pose, SensorPose};
 use presight_model::index::QueryResult;
 use presight_model::world::World;
 use presight_predict::free_poses::{height_above, is_clear};
@@ -35,8 +35,8 @@ const ON_BOX: f64 = 1e-3;
 pub struct Look {
     /// The name of the sensor that looks.
     pub sensor: String,
-    /// Its pose, body axes.
-    pub world_from_sensor: Pose,
+    /// Its pose.
+    pub pose: SensorPose,
     /// The expected logarithm of the likelihood ratio of its reading, with against without the thing.
     pub odds: f64,
 }
@@ -119,8 +119,8 @@ impl<'a> Lookout<'a> {
             coarse.sort_by(|a, b| b.0.total_cmp(&a.0));
             for (odds, pose) in coarse.into_iter().take(TRIED.1).map(|(_, at)| look(at, RAYS)) {
                 if odds > best.as_ref().map_or(0.0, |best| best.odds) {
-                    let world_from_sensor = pose * body_from_image(&view.kept.sensor).inverse();
-                    best = Some(Look { sensor: view.kept.sensor.spec().name.clone(), world_from_sensor, odds });
+                    let pose = SensorPose::new(pose * body_from_image(&view.kept.sensor).inverse());
+                    best = Some(Look { sensor: view.kept.sensor.spec().name.clone(), pose, odds });
                 }
             }
         }

@@ -3,7 +3,7 @@
 use crate::view::BOUND;
 use glam::DVec3;
 use presight_localize::motion::motion_between;
-use presight_model::geometry::PoseEstimate;
+use presight_model::geometry::{PoseEstimate, RobotPose};
 use presight_model::matrix::quadratic;
 
 /// Fewest views for a verdict.
@@ -77,7 +77,10 @@ mod tests {
         let view = |heading: f64, sign: f64| {
             let stated = Pose::from_xyz_rpy(DVec3::new(heading, 2.0, 0.0), 0.0, 0.0, heading);
             let found = stated * Pose::from_xyz_rpy(DVec3::new(0.0, sign * 0.05, 0.0), 0.0, 0.0, sign * 4.0 * rad);
-            Pulled::of(&PoseEstimate::new(stated, covariance), &PoseEstimate::new(found, covariance))
+            Pulled::of(
+                &PoseEstimate::new(RobotPose::new(stated), covariance),
+                &PoseEstimate::new(RobotPose::new(found), covariance),
+            )
         };
         let (mut same, mut changing) = (Pulled::default(), Pulled::default());
         for k in 0..12 {

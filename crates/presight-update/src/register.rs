@@ -7,7 +7,7 @@ use crate::priors::Priors;
 use crate::view::{BOUND, FLATTEST};
 use glam::DVec3;
 use presight_localize::motion::{motion_between, moved};
-use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate};
+use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate, RobotPose};
 use presight_model::matrix::{add_to, apply, inverse, quadratic, scaled};
 use presight_model::measured::RangeNoise;
 use std::collections::BTreeMap;
@@ -83,7 +83,10 @@ impl Readings<'_> {
             }
             let covariance = inverse(&information, &axes);
             let step = apply(&covariance, &gradient);
-            pose = PoseEstimate::new(moved(&pose.world_from_robot, &step), PoseCovariance::from_rows(covariance));
+            pose = PoseEstimate::new(
+                RobotPose::new(moved(&pose.world_from_robot, &step)),
+                PoseCovariance::from_rows(covariance),
+            );
         }
         pose
     }

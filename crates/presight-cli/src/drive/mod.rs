@@ -23,7 +23,7 @@ use presight_localize::estimate::{Estimator, Freedom};
 use presight_localize::localize::{Phase, Step};
 use presight_localize::verdict::Verdicts;
 use presight_model::error::{Error, Result};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, RobotPose};
 use presight_model::index::IndexKind;
 use presight_model::measured::Frame;
 use presight_model::sensor::Sensor;
@@ -177,8 +177,8 @@ pub struct Followed {
     pub counts: Vec<[usize; 7]>,
     /// Feature counts, by frame; `None` if no features were searched.
     pub features: Vec<Option<FeatureCounts>>,
-    /// world_from_robot from the log, by frame.
-    pub reference: Vec<Option<Pose>>,
+    /// The robot's pose from the log, by frame.
+    pub reference: Vec<Option<RobotPose>>,
 }
 
 impl Drive {
@@ -211,7 +211,11 @@ impl Drive {
     /// # Errors
     /// Errors from reading the log, map and sensor, and from `visit`.
     #[cfg(feature = "store")]
-    pub fn read(&self, scene: &Scene, mut visit: impl FnMut(&Scene, &Frame, Option<Pose>) -> Result<()>) -> Result<()> {
+    pub fn read(
+        &self,
+        scene: &Scene,
+        mut visit: impl FnMut(&Scene, &Frame, Option<RobotPose>) -> Result<()>,
+    ) -> Result<()> {
         self.check()?;
         for observation in self.observations(&mut self.opened()?, None) {
             let Observation { frame, reference } = observation?;
@@ -354,7 +358,7 @@ impl Drive {
 
     /// Lifts the reference of planar poses, which have no height, to the floor.
     fn on_the_floor(&self, mut observation: Observation) -> Observation {
-        observation.reference.iter_mut().for_each(|pose| pose.translation.z = self.floor);
+        observation.reference = observation.reference.map(|robot| at_height(robot, self.floor));
         observation
     }
 
@@ -378,4 +382,10 @@ fn watching(progress: &ProgressBar) -> impl FnMut(usize, usize) + use<> {
 /// Pixels of each verdict of a step that still has its verdict images.
 pub fn verdict_counts(step: &Step) -> [usize; 7] {
     step.estimate.verdicts.first().map(Verdicts::counts).unwrap_or_default()
+}
+
+/// The pose of a robot with another height, metres.
+pub fn at_height(robot: RobotPose, height: f64) -> RobotPose {
+    let pose = robot.world_from_robot();
+    RobotPose::new(Pose { translation: pose.translation.with_z(height), ..pose })
 }

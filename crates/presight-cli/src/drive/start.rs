@@ -8,7 +8,7 @@ use presight_files::log::Observation;
 use presight_localize::estimate::{EstimateOptions, Estimator, Preset};
 use presight_localize::localize::{ErrorRates, LocalizeOptions, Localizer, Search, SearchOptions};
 use presight_model::error::{Error, Result};
-use presight_model::geometry::{Pose, PoseEstimate};
+use presight_model::geometry::{Pose, PoseEstimate, RobotPose};
 use presight_model::measured::OdometryNoise;
 use presight_model::sensor::Sensor;
 
@@ -38,15 +38,15 @@ impl Drive {
     }
 
     /// The pose of `--init`; `None` for a word.
-    fn given_start(&self) -> Result<Option<Pose>> {
+    fn given_start(&self) -> Result<Option<RobotPose>> {
         match self.init.as_str() {
             "unknown" | "reference" => Ok(None),
-            pose => parse_pose(pose).map(Some).map_err(|e| e.at(format!("--init {pose}"))),
+            pose => parse_pose(pose).map(RobotPose::new).map(Some).map_err(|e| e.at(format!("--init {pose}"))),
         }
     }
 
     /// The start pose; `None` for `--init unknown`.
-    pub(super) fn start(&self, first: &Observation) -> Result<Option<Pose>> {
+    pub(super) fn start(&self, first: &Observation) -> Result<Option<RobotPose>> {
         if self.init != "reference" {
             return self.given_start();
         }
@@ -58,7 +58,7 @@ impl Drive {
     pub(super) fn localizer(
         &self,
         mut estimator: Estimator,
-        start: Option<Pose>,
+        start: Option<RobotPose>,
         scene: &Scene,
         sensor: &Sensor,
         progress: &ProgressBar,
@@ -70,7 +70,7 @@ impl Drive {
             let search = Search::watched(&mut estimator, &scene.world, sensor, self.search()?, &mut watch);
             return Ok(Localizer::unknown(estimator, search.map_err(|e| e.at("--init unknown"))?, options));
         };
-        let prior = PoseEstimate::of_sigmas(start, self.init_sigma, self.init_sigma_deg.to_radians());
+        let prior = PoseEstimate::of_sigmas(RobotPose::new(start), self.init_sigma, self.init_sigma_deg.to_radians());
         Ok(Localizer::new(estimator, prior, options))
     }
 

@@ -4,7 +4,7 @@ use super::{Args, PointsFrameArg};
 use crate::file_names::Paths;
 use crate::layers::Layers;
 use crate::print;
-use presight::{Scene, blake3_of};
+use presight::{Scene, SensorPose, blake3_of};
 use presight_features::{BoxOptions, SeenFeature};
 use presight_files::{exr, pcd, ply, sensor_toml};
 use presight_model::error::Result;
@@ -55,9 +55,8 @@ pub fn write_files(
     let reading = shown.reading.as_ref();
     let (sensor, images) = (&prediction.sensor, &prediction.images);
     if let (Some(path), Some(attributes)) = (&paths.out, attributes) {
-        let world_from_sensor = Some(prediction.world_from_sensor);
         let (given_up, raster) = (prediction.degradation().cloned(), prediction.stats.raster);
-        let attributes = exr::Attributes { world_from_sensor, given_up, raster, ..attributes };
+        let attributes = exr::Attributes { pose: Some(prediction.pose), given_up, raster, ..attributes };
         exr::write(path, images, args.outputs, &attributes)?;
     }
     if let Some(path) = &paths.png {
@@ -65,7 +64,7 @@ pub fn write_files(
             features,
             sides: &shown.sides,
             sensor,
-            world_from_sensor: &prediction.world_from_sensor,
+            pose: prediction.pose,
             numbers: args.layers.numbers(),
         });
         let mark = reading.and_then(VirtualReading::mask);
@@ -83,7 +82,7 @@ pub fn write_files(
             PointsFrameArg::Sensor => PointsFrame::Sensor,
             PointsFrameArg::World => PointsFrame::World,
         };
-        let cloud = PointCloud::new(images, sensor, &prediction.world_from_sensor, frame)?.only(args.outputs);
+        let cloud = PointCloud::new(images, sensor, &SensorPose::new(prediction.pose), frame)?.only(args.outputs);
         let cloud = match args.normals() {
             true if !args.outputs.has(Output::Normal) => {
                 cloud.with_normals(scene.world.environment(), args.scheme())?
@@ -103,7 +102,7 @@ pub fn attributes(args: &Args, scene: &Scene, sensor: &Sensor) -> Result<exr::At
     let objects = scene.world.environment().objects();
     Ok(exr::Attributes {
         sensor: Some(sensor_toml::to_string(sensor.spec())),
-        world_from_sensor: None,
+        pose: None,
         scene: Some(args.scene.display().to_string()),
         scene_blake3: Some(blake3_of(&args.scene)?),
         scene_content: Some(scene.world.environment().content_hash().to_string()),

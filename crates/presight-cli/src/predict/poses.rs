@@ -11,7 +11,7 @@ use crate::stack::Stack;
 use crate::summary::{Summary, objects_in};
 use crate::templates::Names;
 use crate::{CommandOutcome, bar, print};
-use presight::{Scene, blake3_of};
+use presight::{Scene, SensorPose, blake3_of};
 use presight_files::npy::{self, Values};
 use presight_files::{exr, sensor_toml};
 use presight_model::error::{Error, ErrorKind, Result};
@@ -64,7 +64,9 @@ pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     let make = |item: Result<(usize, NamedPose)>, spare: Option<Frames>| {
         let (index, (stamp, pose)) = item?;
         let mut spare = spare.into_iter().flat_map(|spare| spare.frames);
-        let mut make = |setup| series.predict(&mut predictor, setup, &pose, spare.next().map(|frame| frame.prediction));
+        let mut make = |setup| {
+            series.predict(&mut predictor, setup, &SensorPose::new(pose), spare.next().map(|frame| frame.prediction))
+        };
         let frames = setups.iter_mut().map(&mut make).collect::<Result<Vec<Frame>>>()?;
         print::notices(frames.iter().flat_map(|frame| &frame.prediction.stats.notices));
         all += frames.len();
@@ -215,29 +217,29 @@ impl Series<'_> {
         &self,
         predictor: &mut Predictor,
         setup: &mut Setup,
-        pose: &ExternalPose,
+        given: &ExternalPose,
         spare: Option<Prediction>,
     ) -> Result<Frame> {
         let Self { args, scene, .. } = *self;
         let Setup { sensor, request, layers, attributes } = setup;
-        let world_from_sensor = pose.of_sensor(sensor.spec(), &scene.world_from_gltf)?;
+        let pose = given.of_sensor(sensor.spec(), &scene.world_from_gltf)?;
         if let Some(layers) = layers {
-            layers.move_to(pose, sensor, &world_from_sensor, scene);
+            layers.move_to(given, sensor, &pose, scene);
         }
         let request = layers.as_ref().map_or(request.clone(), |layers| layers.add_to(request.clone()));
-        let settings = args.virtual_sensor().settings(scene, sensor, &world_from_sensor, predictor)?;
+        let settings = args.virtual_sensor().settings(scene, sensor, &pose, predictor)?;
         let start = Instant::now();
         let predicted = match spare {
-            None => predictor.predict(&scene.world, sensor, &world_from_sensor, &request),
+            None => predictor.predict(&scene.world, sensor, &SensorPose::new(pose), &request),
             Some(mut prediction) => {
                 prediction.request.clone_from(&request);
-                predictor.predict_again(&scene.world, &world_from_sensor, &mut prediction).map(|()| prediction)
+                predictor.predict_again(&scene.world, &SensorPose::new(pose), &mut prediction).map(|()| prediction)
             }
         };
         let mut prediction = match predicted {
             // One frame without enough time does not end the series.
             Err(e) if e.kind() == ErrorKind::Deadline => {
-                predictor.give_up(&scene.world, sensor, &world_from_sensor, &request)?
+                predictor.give_up(&scene.world, sensor, &SensorPose::new(pose), &request)?
             }
             other => other?,
         };

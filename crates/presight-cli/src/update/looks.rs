@@ -17,7 +17,8 @@ pub struct Asked<'a> {
 /// The pose to look from in words; empty for none.
 pub fn look_from(look: Option<&Look>) -> String {
     look.map_or_else(String::new, |look| {
-        let (t, (_, _, yaw)) = (look.world_from_sensor.translation, look.world_from_sensor.rpy());
+        let pose = look.pose.world_from_sensor();
+        let (t, (_, _, yaw)) = (pose.translation, pose.rpy());
         let Look { sensor, odds, .. } = look;
         let yaw = yaw.to_degrees();
         format!(
@@ -30,7 +31,8 @@ pub fn look_from(look: Option<&Look>) -> String {
 /// The line of something to look at.
 fn line(what: Value, why: &str, look: Option<&Look>) -> String {
     let mut value = json!({"object": what, "why": why});
-    if let Some(Look { sensor, world_from_sensor: pose, odds }) = look {
+    if let Some(Look { sensor, pose, odds }) = look {
+        let pose = pose.world_from_sensor();
         let numbers: Vec<f64> = pose.translation.to_array().into_iter().chain(pose.rotation.to_array()).collect();
         value["look_from"] = json!({"sensor": sensor, "pose": numbers, "log_odds": (10.0 * odds).round() / 10.0});
     }

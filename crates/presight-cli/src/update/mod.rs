@@ -283,7 +283,9 @@ fn follow_known(
         *last = frame.stamp;
         let at = poses.iter().min_by(|a, b| (a.time - frame.stamp).abs().total_cmp(&(b.time - frame.stamp).abs()));
         match at.filter(|stamped| (stamped.time - frame.stamp).abs() < 1e-3) {
-            Some(at) => learner.observe_at(&scene.world, &[frame], &PoseEstimate::new(at.pose, *covariance)),
+            Some(at) => {
+                learner.observe_at(&scene.world, &[frame], &PoseEstimate::new(RobotPose::new(at.pose), *covariance))
+            }
             None => {
                 without += 1;
                 Ok(())

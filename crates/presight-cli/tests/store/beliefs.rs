@@ -4,7 +4,7 @@ use super::{at, block, create, note, presight, small};
 use presight_localize::verdict::{Verdict, of_frame};
 use presight_model::change::Change;
 use presight_model::environment::{Environment, Mark, MarkKind, Material, NewObject};
-use presight_model::geometry::{Aabb, Pose, PoseEstimate};
+use presight_model::geometry::{Aabb, Pose, PoseEstimate, RobotPose, SensorPose};
 use presight_model::measured::{Frame, Measurement};
 use presight_model::world::World;
 use presight_predict::batch::{BatchRequest, PoseCell, RangeLikelihood};
@@ -151,14 +151,14 @@ fn absent_marks_hide_for_their_class_in_images_and_in_batches() {
     ];
     for (mark, class, range) in cases {
         let (world, sensor) = (marked(mark), scanner(class));
-        let images = predictor.predict(&world, &sensor, &Pose::IDENTITY, &Request::default()).unwrap().images;
+        let images = predictor.predict(&world, &sensor, &SensorPose::IDENTITY, &Request::default()).unwrap().images;
         assert!((f64::from(images.range[5]) - range).abs() < 1e-5, "{mark:?} for {class}: {}", images.range[5]);
         // The likelihood of a batch comes from a cut of the world: it is greatest at the predicted ranges.
         let weigh = |z: f64, predictor: &mut Predictor| {
             let frame = Frame::new(0.0, sensor.clone(), Measurement::Range(vec![z as f32; 11])).unwrap();
             let likelihood = Some(RangeLikelihood::new(&frame, PoseCell::default()).unwrap());
             let request = BatchRequest { likelihood, ..BatchRequest::default() };
-            let mut items = predictor.batch(&world, &sensor, vec![Pose::IDENTITY], &request).unwrap();
+            let mut items = predictor.batch(&world, &sensor, vec![SensorPose::IDENTITY], &request).unwrap();
             items.next().unwrap().unwrap().log_likelihood.unwrap()
         };
         let best = [3.0, 4.0, 8.0].map(|z| (weigh(z, &mut predictor), z));
@@ -170,7 +170,7 @@ fn absent_marks_hide_for_their_class_in_images_and_in_batches() {
 #[test]
 fn verdicts_on_uncertain_parts_are_undecidable() {
     let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).unwrap();
-    let known = PoseEstimate::of_sigmas(Pose::IDENTITY, 1e-3, 1e-4);
+    let known = PoseEstimate::of_sigmas(RobotPose::IDENTITY, 1e-3, 1e-4);
     let mut judge = |world: &World, z: f32| {
         let frame = Frame::new(0.0, scanner("laser"), Measurement::Range(vec![z; 11])).unwrap();
         of_frame(&mut predictor, world, &frame, &known).unwrap().pixels[5]

@@ -5,7 +5,7 @@ use super::{at, block, create, note, point, small};
 use glam::DVec3;
 use presight_model::change::Change;
 use presight_model::environment::{Environment, Existence, Mark, MarkKind, NewObject};
-use presight_model::geometry::{Aabb, Pose, PoseCovariance};
+use presight_model::geometry::{Aabb, Pose, PoseCovariance, SensorPose};
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
 use presight_predict::request::Request;
@@ -95,7 +95,7 @@ fn seen(world: &World) -> Vec<(u32, Option<(String, u32)>)> {
     let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).unwrap();
     let sensor = presight_files::preset("laser-range-camera").unwrap();
     let pose = Pose::from_xyz_rpy(DVec3::new(0.1, 0.2, 2.0), 0.0, 0.2, 0.1);
-    let images = predictor.predict(world, &sensor, &pose, &Request::default()).unwrap().images;
+    let images = predictor.predict(world, &sensor, &SensorPose::new(pose), &Request::default()).unwrap().images;
     let environment = world.environment();
     let polygon = |id: u32| {
         let (object, polygon) = environment.locate(id.checked_sub(1)?)?;

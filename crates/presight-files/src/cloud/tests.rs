@@ -48,7 +48,7 @@ fn every_encoding_gives_the_same_points() {
     for cloud in [with(&pcd("ascii"), text), with(&pcd("binary"), &binary(true))] {
         let cloud = told("a.pcd", &cloud).unwrap();
         assert_eq!((cloud.points.as_slice(), cloud.size), (TWO.as_slice(), None));
-        assert_eq!(cloud.world_from_sensor.unwrap().translation, DVec3::new(1.0, 2.0, 3.0));
+        assert_eq!(cloud.pose.unwrap().world_from_sensor().translation, DVec3::new(1.0, 2.0, 3.0));
     }
     assert_eq!(told("a.csv", b"# by hand\n1.5,-2,0.25\n3,4,-1,9\n").unwrap().points, TWO);
     assert_eq!(told("a.csv", b"i,Z,y,X\n7,0.25,-2,1.5\n7,-1,4,3\n").unwrap().points, TWO);
@@ -76,7 +76,7 @@ fn written_clouds_are_read_again() {
     use super::super::point_fields::tests::camera_view;
     use presight_render::points::{PointCloud, PointsFrame};
     let (sensor, images) = camera_view();
-    let pose = Pose::from_xyz_rpy(DVec3::new(10.0, 20.0, 3.0), 0.1, 0.2, 0.3);
+    let pose = SensorPose::from_xyz_rpy(DVec3::new(10.0, 20.0, 3.0), 0.1, 0.2, 0.3);
     let folder = tempfile::tempdir().unwrap();
     let (ply, pcd) = (folder.path().join("a.ply"), folder.path().join("a.pcd"));
     let truth = PointCloud::new(&images, &sensor, &pose, PointsFrame::Sensor).unwrap();
@@ -87,14 +87,14 @@ fn written_clouds_are_read_again() {
         let there = read(&ply).unwrap();
         let seen = truth.positions().iter().filter(|p| !p.is_nan());
         assert!(there.points.iter().zip(seen).all(|(a, b)| a.distance(*b) < 1e-6));
-        assert_eq!((there.points.len(), there.world_from_sensor), (4, Some(pose)));
+        assert_eq!((there.points.len(), there.pose), (4, Some(pose)));
         let organized = read(&pcd);
         if frame == PointsFrame::World {
             assert!(organized.unwrap_err().to_string().contains("in the world"));
             continue;
         }
         let organized = organized.unwrap();
-        assert_eq!((organized.size, organized.world_from_sensor), (Some((3, 2)), Some(pose)));
+        assert_eq!((organized.size, organized.pose), (Some((3, 2)), Some(pose)));
         assert!(organized.points[3].is_nan() && organized.points[1].distance(DVec3::new(2.0, 0.0, 0.0)) < 1e-6);
     }
 }

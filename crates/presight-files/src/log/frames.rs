@@ -14,8 +14,8 @@ use std::path::Path;
 pub struct Observation {
     /// The measured frame.
     pub frame: Frame,
-    /// world_from_robot, if the log has it. Estimates must not use it.
-    pub reference: Option<Pose>,
+    /// The robot's pose, if the log has it. Estimates must not use it.
+    pub reference: Option<RobotPose>,
 }
 
 /// The frames of a log, in the order of time. The first error ends them.

@@ -23,7 +23,7 @@ pub use readings::Readings;
 use super::file;
 use super::text::read_line;
 use presight_model::error::{Error, Result};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, RobotPose};
 use presight_model::limits;
 use presight_model::measured::{GreyImage, Measurement, Motion, OdometryNoise, check_intensities};
 use presight_model::sensor::{Sensor, SensorSpec};
@@ -43,8 +43,8 @@ pub struct LogFrame {
     pub intensities: Option<Vec<f32>>,
     /// The robot's motion since the previous frame, by its odometry: previous_robot_from_robot.
     pub odometry: Option<Pose>,
-    /// A reference for the robot's pose, world_from_robot. Estimates must not use it.
-    pub reference: Option<Pose>,
+    /// A reference for the robot's pose. Estimates must not use it.
+    pub reference: Option<RobotPose>,
 }
 
 impl LogFrame {

@@ -31,7 +31,7 @@ use std::path::{Path, PathBuf};
 pub struct Scans {
     files: std::vec::IntoIter<(f64, PathBuf)>,
     sensor: Option<Sensor>,
-    poses: HashMap<String, Pose>,
+    poses: HashMap<String, SensorPose>,
     time: Option<f64>,
 }
 
@@ -66,11 +66,10 @@ impl Scans {
             _ => self.of_points(time, path)?,
         };
         let known = self.poses.get(&stem(path)).copied().or(told);
-        let robot_from_sensor = frame.sensor().spec().mount;
-        Ok(Observation { reference: known.map(|pose| pose * robot_from_sensor.inverse()), frame })
+        Ok(Observation { reference: known.map(|pose| pose.robot(frame.sensor())), frame })
     }
 
-    fn of_points(&self, time: f64, path: &Path) -> Result<(Frame, Option<Pose>)> {
+    fn of_points(&self, time: f64, path: &Path) -> Result<(Frame, Option<SensorPose>)> {
         let cloud = cloud::read(path)?;
         let RangeGrid { table, ranges } = range_grid(&cloud.points, cloud.size)?;
         let geometry = Geometry::Rays(table);
@@ -79,10 +78,10 @@ impl Scans {
             None => SensorSpec::new(stem(path), "laser", geometry),
         };
         let frame = Frame::new(time, Sensor::new(spec)?, Measurement::Range(ranges))?;
-        Ok((frame, cloud.world_from_sensor))
+        Ok((frame, cloud.pose))
     }
 
-    fn of_image(&self, time: f64, path: &Path) -> Result<(Frame, Option<Pose>)> {
+    fn of_image(&self, time: f64, path: &Path) -> Result<(Frame, Option<SensorPose>)> {
         let file = exr::read(path)?;
         let own = file.attributes.sensor.as_deref();
         let own =
@@ -101,7 +100,7 @@ impl Scans {
             (true, false) => Measurement::DepthZ(file.images.depth_z),
             _ => return Err(Error::invalid("it has no range image", "give one with the channel range or depth_z")),
         };
-        Ok((Frame::new(time, sensor, sensed)?, file.attributes.world_from_sensor))
+        Ok((Frame::new(time, sensor, sensed)?, file.attributes.pose))
     }
 }
 
@@ -156,11 +155,11 @@ struct NamedPose {
     quaternion_xyzw: [f64; 4],
 }
 
-fn read_poses(path: &Path) -> Result<HashMap<String, Pose>> {
+fn read_poses(path: &Path) -> Result<HashMap<String, SensorPose>> {
     from_text(path, parse_poses)
 }
 
-fn parse_poses(text: &str) -> Result<HashMap<String, Pose>> {
+fn parse_poses(text: &str) -> Result<HashMap<String, SensorPose>> {
     let wrong = |what: String| Error::invalid(what, "give {\"name\": {\"translation\": .., \"quaternion_xyzw\": ..}}");
     check_json_memory(text)?;
     let all: HashMap<String, serde_json::Value> = serde_json::from_str(text).map_err(|e| wrong(e.to_string()))?;

@@ -43,7 +43,7 @@ use presight_features::{FeaturePrediction, Hidden as HiddenFeatures, HiddenInter
 use presight_features::{VisibleInterval, image_path};
 use presight_model::environment::{Environment, FeatureShape};
 use presight_model::error::{Error, ErrorKind, Result};
-use presight_model::geometry::{InWorld, Pose, PoseCovariance};
+use presight_model::geometry::{InWorld, Pose, PoseCovariance, SensorPose};
 use presight_model::sensor::Sensor;
 use presight_predict::virtual_sensors::VirtualReading;
 use presight_render::deadline::Degradation;
@@ -61,8 +61,8 @@ const FORMAT: u32 = 1;
 pub struct Header {
     /// The sensor.
     pub sensor: Sensor,
-    /// The sensor's pose, body axes.
-    pub world_from_sensor: Pose,
+    /// The sensor's pose.
+    pub pose: SensorPose,
     /// Covariance of that pose.
     pub pose_covariance: Option<PoseCovariance<InWorld>>,
     /// Probability that a feature lies in its region of interest.
@@ -75,9 +75,9 @@ pub struct Header {
 
 impl Header {
     /// The header for a sensor at a pose, without uncertainty. Hidden features are listed in full.
-    pub fn new(sensor: &Sensor, world_from_sensor: Pose) -> Self {
+    pub fn new(sensor: &Sensor, pose: SensorPose) -> Self {
         let (sensor, hidden) = (sensor.clone(), HiddenFeatures::Full);
-        Self { sensor, world_from_sensor, pose_covariance: None, confidence: None, given_up: None, hidden }
+        Self { sensor, pose, pose_covariance: None, confidence: None, given_up: None, hidden }
     }
 }
 
@@ -107,7 +107,7 @@ pub fn to_string(
     environment: &Environment,
     reading: Option<&VirtualReading>,
 ) -> Result<String> {
-    let (t, q) = (header.world_from_sensor.translation, header.world_from_sensor.rotation);
+    let Pose { translation: t, rotation: q } = header.pose.world_from_sensor();
     let mut file = File {
         format: FORMAT,
         sensor: &header.sensor.spec().name,
@@ -313,7 +313,9 @@ fn unseen(seen: &SeenFeature) -> UnseenRecord<'_> {
 
 fn visible(v: &VisibleInterval, seen: &SeenFeature, header: &Header) -> Visible {
     let pixels = match seen.feature.shape {
-        FeatureShape::Contour { .. } => image_path(&header.sensor, &header.world_from_sensor, &seen.points_world, v),
+        FeatureShape::Contour { .. } => {
+            image_path(&header.sensor, &header.pose.world_from_sensor(), &seen.points_world, v)
+        }
         _ => v.pixels.to_vec(),
     };
     Visible { t: v.t, pixels: pixels.iter().map(DVec2::to_array).collect() }

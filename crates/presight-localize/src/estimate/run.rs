@@ -45,7 +45,11 @@ pub(super) struct Minimum {
 impl Minimum {
     pub(super) fn hypothesis(&self) -> Hypothesis {
         let n = self.normal.measured.max(1) as f64;
-        Hypothesis { pose: self.pose, explained: self.normal.explained_share(), cost: self.normal.chi2 / n }
+        Hypothesis {
+            pose: RobotPose::new(self.pose),
+            explained: self.normal.explained_share(),
+            cost: self.normal.chi2 / n,
+        }
     }
 }
 

@@ -377,7 +377,7 @@ impl Estimator {
             let ranges = MeasuredRanges {
                 verdicts,
                 sensor,
-                world_from_sensor: best.pose * sensor.spec().mount,
+                pose: RobotPose::new(best.pose).sensor(sensor),
                 intensities: m.frame.intensities(),
             };
             findings.iter_mut().for_each(|f| f.explain(&ranges));

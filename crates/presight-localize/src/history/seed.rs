@@ -5,7 +5,7 @@ use crate::matching::{Detection, ExpectedProperties, Marker, Rejection, Shape, U
 use glam::{DMat2, DVec2, DVec3};
 use presight_features::{FeaturePrediction, SeenFeature, VisibleInterval};
 use presight_model::environment::{FeatureShape, Properties};
-use presight_model::geometry::Pose;
+use presight_model::geometry::SensorPose;
 use presight_model::sensor::Sensor;
 
 /// Standard deviation of a property in a feature layer, which may come from a different instrument.
@@ -18,8 +18,8 @@ impl Seed {
     /// Makes seeds from a full prediction: points, reflectors, the longest visible part of each segment, and patches
     /// and fiducials that are fully visible. The end of a segment is a corner if the model ends there; otherwise it
     /// slides.
-    pub fn of_prediction(prediction: &FeaturePrediction, sensor: &Sensor, world_from_sensor: &Pose) -> Vec<Self> {
-        let view = view(sensor, world_from_sensor);
+    pub fn of_prediction(prediction: &FeaturePrediction, sensor: &Sensor, pose: &SensorPose) -> Vec<Self> {
+        let view = view(sensor, pose);
         prediction.features.iter().filter_map(|seen| Self::of_seen(seen, &view)).collect()
     }
 
@@ -87,8 +87,8 @@ fn properties(seen: &SeenFeature) -> ExpectedProperties {
 
 /// Returns the projection from world points to pixels (column, row) for a sensor at a pose, for
 /// [`super::Tracker::set_view`].
-pub fn view<'a>(sensor: &'a Sensor, world_from_sensor: &Pose) -> impl Fn(DVec3) -> Option<DVec2> + use<'a> {
-    let sensor_from_world = world_from_sensor.inverse();
+pub fn view<'a>(sensor: &'a Sensor, pose: &SensorPose) -> impl Fn(DVec3) -> Option<DVec2> + use<'a> {
+    let sensor_from_world = pose.world_from_sensor().inverse();
     let image_from_body = sensor.body_from_image().transpose();
     move |p_in_world| {
         let p_in_image = image_from_body * sensor_from_world.transform_point(p_in_world);

@@ -76,7 +76,7 @@ impl Walkers {
     /// # Errors
     /// [`presight_model::ErrorKind::Usage`] for too many people, no pose or a non-finite height; errors of
     /// [`World::apply`].
-    pub fn new(world: &mut World, path: &[Pose], height: f64, count: usize, seed: u64) -> Result<Self> {
+    pub fn new(world: &mut World, path: &[RobotPose], height: f64, count: usize, seed: u64) -> Result<Self> {
         if count > MOST_WALKERS || !height.is_finite() || (path.is_empty() && count > 0) {
             let what = format!("{count} walkers near {} poses {height} m above the floor", path.len());
             return Err(Error::usage(what, format!("give at most {MOST_WALKERS}, a pose, and a finite height")));
@@ -84,7 +84,7 @@ impl Walkers {
         let mut random = SplitMix64(seed ^ 0x77a1_6e75);
         let mut walkers = Vec::new();
         for k in 0..count {
-            let near = path[random.below(path.len())].translation;
+            let near = path[random.below(path.len())].world_from_robot().translation;
             let (heading, side) = (random.uniform(0.0, TAU), random.uniform(ASIDE.0, ASIDE.1));
             let direction = DVec3::new(heading.cos(), heading.sin(), 0.0);
             let middle = near + side * DVec3::new(-direction.y, direction.x, 0.0);

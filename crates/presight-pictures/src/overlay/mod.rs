@@ -5,7 +5,7 @@ use super::pen::{Pen, REGION, Style};
 use glam::{DMat3, DVec2, DVec3};
 use presight_features::{FeaturePrediction, SeenFeature, along};
 use presight_model::environment::FeatureShape;
-use presight_model::geometry::Pose;
+use presight_model::geometry::SensorPose;
 use presight_model::sensor::{Angles, Geometry, Sensor};
 use std::collections::HashSet;
 
@@ -26,8 +26,8 @@ pub struct Overlay<'a> {
     pub sides: &'a [SeenFeature],
     /// The sensor.
     pub sensor: &'a Sensor,
-    /// Its pose, body axes.
-    pub world_from_sensor: &'a Pose,
+    /// Its pose.
+    pub pose: SensorPose,
     /// If true, the ids of visible features are written next to them.
     pub numbers: bool,
 }
@@ -49,12 +49,12 @@ impl Overlay<'_> {
 
     /// Points of a feature in the sensor's image frame.
     pub(super) fn points(&self, feature: &SeenFeature) -> Vec<DVec3> {
-        let image_from_world = self.image_from_world();
-        feature.points_world.iter().map(|p| image_from_world * (*p - self.world_from_sensor.translation)).collect()
+        let (image_from_world, place) = (self.image_from_world(), self.pose.world_from_sensor().translation);
+        feature.points_world.iter().map(|p| image_from_world * (*p - place)).collect()
     }
 
     fn image_from_world(&self) -> DMat3 {
-        (self.world_from_sensor.rotation_matrix() * self.sensor.body_from_image()).transpose()
+        (self.pose.world_from_sensor().rotation_matrix() * self.sensor.body_from_image()).transpose()
     }
 
     /// The visible parts of a segment, or those in the image but hidden, as intervals of 0..1.

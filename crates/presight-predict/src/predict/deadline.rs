@@ -4,7 +4,7 @@ use super::{Prediction, Predictor};
 use crate::request::Request;
 use presight_features::{FeaturePrediction, Vantage};
 use presight_model::error::Result;
-use presight_model::geometry::Pose;
+use presight_model::geometry::SensorPose;
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_render::cost::{CostModel, DeadlineFrame, Forecast};
@@ -53,7 +53,7 @@ impl Predictor {
         &mut self,
         world: &World,
         sensor: &Sensor,
-        world_from_sensor: &Pose,
+        pose: &SensorPose,
         request: &Request,
     ) -> Result<Prediction> {
         let mut images = Images::default();
@@ -77,7 +77,7 @@ impl Predictor {
         Ok(Prediction {
             request: request.clone(),
             sensor: sensor.clone(),
-            world_from_sensor: *world_from_sensor,
+            pose: *pose,
             world_version: world.version(),
             images,
             features: placed.map(|_| FeaturePrediction::default()),
