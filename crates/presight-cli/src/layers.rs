@@ -221,7 +221,7 @@ impl LayerArgs {
             pose_covariance: shown.boxes.as_ref().map(|boxes| boxes.sensor),
             confidence: shown.boxes.as_ref().map(|boxes| boxes.confidence),
             given_up: prediction.degradation().cloned(),
-            ..prediction_json::Header::new(&prediction.sensor, SensorPose::new(prediction.pose))
+            ..prediction_json::Header::new(&prediction.sensor, prediction.pose)
         };
         let none = FeaturePrediction::default();
         let seen = prediction.features.as_ref().unwrap_or(&none);

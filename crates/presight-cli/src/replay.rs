@@ -181,7 +181,7 @@ impl Painter {
             let regions = BoxOptions::default().with_robot(robot, sensor);
             request = request.with_features(features.clone()).with_regions(regions);
         }
-        let predicted = self.predictor.predict(&scene.world, sensor, &SensorPose::new(pose), &request)?;
+        let predicted = self.predictor.predict(&scene.world, sensor, &pose, &request)?;
         let sides = match &predicted.features {
             Some(_) => self.predictor.predict_outlines(&scene.world, &predicted)?,
             None => Vec::new(),

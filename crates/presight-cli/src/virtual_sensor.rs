@@ -87,7 +87,7 @@ impl VirtualArgs {
         let unknown = self.task == Some(VirtualSensor::FreeFloor)
             && self.floor_z.is_none()
             && sensor.spec().mount == Pose::IDENTITY;
-        let below = unknown.then(|| predictor.floor_below(&scene.world, sensor, &SensorPose::new(*pose))).transpose();
+        let below = unknown.then(|| predictor.floor_below(&scene.world, sensor, pose)).transpose();
         let below = below.map_err(|e| e.at("--virtual"))?;
         Ok(Settings { floor_z_world: self.floor_z.or(below), corridor })
     }

@@ -182,11 +182,7 @@ impl Session {
             let placed = place(&self.world, &layer)?;
             let options = FeatureOptions::default().with_placed(placed);
             let request = Request::of(Outputs::of(&[Output::PolygonId])).with_features(options);
-            let seen = self
-                .aside
-                .predict(&self.world, &self.sensor, &SensorPose::new(*pose), &request)?
-                .features
-                .unwrap_or_default();
+            let seen = self.aside.predict(&self.world, &self.sensor, pose, &request)?.features.unwrap_or_default();
             let seen: HashSet<u32> = seen.features.iter().map(|f| f.feature.id).collect();
             layer.features.retain(|f| seen.contains(&f.id));
         }

@@ -84,7 +84,7 @@ impl Session {
             let placed = self.placed.clone();
             asked = asked.with_features(FeatureOptions::default().with_placed(placed).with_hidden(hidden));
         }
-        let prediction = self.predictor.predict(&self.world, &sensor, &SensorPose::new(pose), &asked)?;
+        let prediction = self.predictor.predict(&self.world, &sensor, &pose, &asked)?;
         let images = &prediction.images;
         let screen = Screen::new(images, &self.sensor, first);
         let mut body = Body::new(json!({
@@ -133,7 +133,7 @@ impl Session {
         let asked = Request::of(Outputs::of(&[Output::PolygonId, Output::Range]))
             .with_features(FeatureOptions::default().with_placed(self.placed.clone()))
             .with_regions(boxes);
-        let prediction = self.predictor.predict(&self.world, &self.sensor, &SensorPose::new(pose), &asked)?;
+        let prediction = self.predictor.predict(&self.world, &self.sensor, &pose, &asked)?;
         let screen = Screen::new(&prediction.images, &self.sensor, Output::Range);
         let mut strokes = self.strokes(&screen, &prediction, &[]);
         strokes.retain(|stroke| stroke.style == Style::Region);
@@ -158,7 +158,7 @@ impl Session {
         let placed = PlacedFeatures::from(request.ids.iter().filter_map(found).collect::<Vec<_>>());
         let options = FeatureOptions::default().with_placed(placed.clone()).with_hidden(Hidden::Full);
         let asked = Request::of(Outputs::of(&[Output::PolygonId])).with_features(options);
-        let prediction = self.aside.predict(&self.world, &self.sensor, &SensorPose::new(pose), &asked)?;
+        let prediction = self.aside.predict(&self.world, &self.sensor, &pose, &asked)?;
         let mut features = prediction.features.unwrap_or_default();
         features.spell_out(self.world.environment(), &placed.features);
         let told: Vec<Value> = features.features.iter().map(|f| self.explained(f)).collect();
@@ -181,14 +181,14 @@ impl Session {
     /// Images of the polygons at a pose.
     pub(crate) fn polygons(&mut self, pose: &SensorPose) -> Result<Images> {
         let request = Request::of(Outputs::of(&[Output::PolygonId, Output::Range]));
-        Ok(self.predictor.predict(&self.world, &self.sensor, &SensorPose::new(*pose), &request)?.images)
+        Ok(self.predictor.predict(&self.world, &self.sensor, pose, &request)?.images)
     }
 
     /// The lines of features of their own, such as candidates, on the picture of a pose.
     pub(crate) fn strokes_of(&mut self, placed: PlacedFeatures, pose: &SensorPose) -> Result<Vec<Stroke>> {
         let outputs = Outputs::of(&[Output::PolygonId, Output::Range]);
         let request = Request::of(outputs).with_features(FeatureOptions::default().with_placed(placed));
-        let prediction = self.aside.predict(&self.world, &self.sensor, &SensorPose::new(*pose), &request)?;
+        let prediction = self.aside.predict(&self.world, &self.sensor, pose, &request)?;
         let screen = Screen::new(&prediction.images, &self.sensor, Output::Range);
         Ok(self.strokes(&screen, &prediction, &[]))
     }

@@ -3,6 +3,7 @@
 use crate::field::area;
 use glam::DVec2;
 use presight_model::limits;
+use presight_model::union_find::UnionFind;
 use spade::{ConstrainedDelaunayTriangulation, Point2, Triangulation};
 use std::collections::HashMap;
 
@@ -65,16 +66,16 @@ impl Pieces {
         let mut inner: Vec<(u32, u32)> = sides.keys().filter(is_inner).copied().collect();
         let length = |e: &(u32, u32)| self.points[e.0 as usize].distance_squared(self.points[e.1 as usize]);
         inner.sort_by(|a, b| length(b).total_cmp(&length(a)).then(a.cmp(b)));
-        let mut into: Vec<u32> = (0..self.polygons.len() as u32).collect();
+        let mut merges = UnionFind::new(self.polygons.len());
         for (a, b) in inner {
-            let (i, j) = (root(&into, sides[&(a, b)]), root(&into, sides[&(b, a)]));
+            let (i, j) = (merges.root(sides[&(a, b)]), merges.root(sides[&(b, a)]));
             if i == j {
                 continue;
             }
             if let Some(merged) = self.joined(i, j, (a, b)) {
                 self.polygons[i as usize] = merged;
                 self.polygons[j as usize].clear();
-                into[j as usize] = i;
+                merges.join_to(i, j);
             }
         }
         self.polygons.retain(|p| !p.is_empty());
@@ -112,13 +113,6 @@ impl Pieces {
         // A corner at which a third polygon ends is straight in one of them only.
         self.polygons.iter_mut().for_each(|p| p.retain(|k| bent[*k as usize]));
     }
-}
-
-fn root(into: &[u32], mut i: u32) -> u32 {
-    while into[i as usize] != i {
-        i = into[i as usize];
-    }
-    i
 }
 
 #[cfg(test)]

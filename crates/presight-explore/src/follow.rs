@@ -65,7 +65,7 @@ impl Follower {
     pub fn add(&mut self, frame: &Frame) -> Result<Option<FoundPose>> {
         if let Some(known) = self.known.take() {
             self.groups.push(Group::new(frame, self.start, known, &self.options)?);
-            return Ok(Some(FoundPose { stamp: frame.stamp, pose: PoseEstimate::exact(RobotPose::new(self.start)) }));
+            return Ok(Some(FoundPose { stamp: frame.stamp, pose: PoseEstimate::exact(self.start) }));
         }
         let mut found = self.groups[self.current].add(frame, &mut self.searcher, &self.options)?;
         if found.is_none() && self.current > 0 {

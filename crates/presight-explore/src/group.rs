@@ -125,7 +125,7 @@ impl Group {
             last: PoseCovariance::ZERO,
             found: robot.world_from_robot(),
         };
-        group.push(frame, &PoseEstimate::exact(RobotPose::new(robot)))?;
+        group.push(frame, &PoseEstimate::exact(robot))?;
         group.make(options)?;
         Ok(group)
     }
@@ -276,7 +276,7 @@ fn sum(a: &PoseCovariance<InWorld>, b: &PoseCovariance<InWorld>) -> PoseCovarian
 
 /// A localizer that has seen this frame at this pose. It knows then when that was, and that the robot moves until the next frame.
 fn followed(world: &World, frame: &Frame, robot: RobotPose, options: &ExploreOptions) -> Result<Localizer> {
-    let start = PoseEstimate::of_sigmas(RobotPose::new(robot), START_SIGMA, START_SIGMA);
+    let start = PoseEstimate::of_sigmas(robot, START_SIGMA, START_SIGMA);
     let estimator = estimator(options, EstimateOptions::default())?;
     let mut localizer = Localizer::new(estimator, start, LocalizeOptions::default());
     localizer.step(world, frame)?;

@@ -2,13 +2,14 @@
 
 use crate::flat::Flat;
 use crate::outline::Piece;
-use crate::solid::{Parts, mesh};
+use crate::solid::mesh;
 use crate::surfaces::Surfaces;
 use glam::DVec3;
 use presight_model::environment::{Environment, Mesh, NewObject};
 use presight_model::error::Result;
 use presight_model::geometry::{Aabb, InObject, Pose, PoseCovariance};
 use presight_model::matrix::{Matrix, inverse};
+use presight_model::union_find::UnionFind;
 use std::collections::BTreeMap;
 
 /// Least cosine between the normal and the vertical, of floors and ceilings (10 degrees).
@@ -104,7 +105,7 @@ impl Surfaces {
 
     /// The lowest plane of the group of each plane.
     fn groups(&self, kinds: &[Kind]) -> Vec<u32> {
-        let mut parts = Parts::new(self.planes.len());
+        let mut parts = UnionFind::new(self.planes.len());
         for [a, b] in &self.beside {
             let (i, j) = (*a as usize, *b as usize);
             let parallel = self.planes[i].normal.dot(self.planes[j].normal) > PARALLEL;
@@ -112,7 +113,7 @@ impl Surfaces {
                 parts.join(*a, *b);
             }
         }
-        parts.roots()
+        parts.into_roots()
     }
 
     fn object(&self, path: String, planes: &[u32]) -> Result<ExploredObject> {

@@ -6,7 +6,8 @@ use crate::view::Views;
 use glam::{DMat3, DVec3, Vec3};
 use presight_model::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
 use presight_model::error::Result;
-use presight_model::geometry::{Pose, SensorPose};
+use presight_model::geometry::Pose;
+use presight_model::union_find::UnionFind;
 use presight_model::world::World;
 use presight_predict::predict::Predictor;
 use presight_render::plan::{Images, Output, Outputs};
@@ -94,7 +95,7 @@ pub(crate) fn visit_world(
     let outputs = Outputs::of(&[Output::Range, Output::PolygonId]);
     let mut images = Images::default();
     for (at, view) in views.all().iter().enumerate().step_by(step) {
-        predictor.predict_images(world, view.sensor(), &SensorPose::new(view.pose), outputs, &mut images)?;
+        predictor.predict_images(world, view.sensor(), &view.pose, outputs, &mut images)?;
         for pixel in 0..view.ranges.len() {
             let (predicted, measured, id) = (images.range[pixel], view.ranges[pixel], images.polygon_id[pixel]);
             if id > 0 && predicted.is_finite() && !measured.is_nan() {
@@ -184,7 +185,7 @@ pub(crate) fn shown(
     let mut shown = vec![Shown::default(); pieces.len()];
     // Squares, pixels, views and the last view of each plane.
     let mut sums = vec![(0.0, 0.0, 0.0, usize::MAX); tolerance.len()];
-    let (mut parts, mut first) = (Parts::new(tolerance.len()), (usize::MAX, 0));
+    let (mut parts, mut first) = (UnionFind::new(tolerance.len()), (usize::MAX, 0));
     solid.visit(predictor, views, 1, |seen| {
         let plane = pieces[seen.piece as usize].plane as usize;
         let (near, behind) = (4.0 * tolerance[plane], seen.measured - seen.predicted);
@@ -208,32 +209,5 @@ pub(crate) fn shown(
         if *views > 0.0 { (squares / pixels / views).sqrt().max(1e-4) } else { *tolerance }
     };
     let sigmas = sums.iter().zip(tolerance).map(sigma).collect();
-    Ok(Verdicts { shown, sigmas, parts: parts.roots() })
-}
-
-/// Sets of numbers that are joined.
-pub(crate) struct Parts(Vec<u32>);
-
-impl Parts {
-    pub fn new(count: usize) -> Self {
-        Self((0..count as u32).collect())
-    }
-
-    fn root(&mut self, mut i: u32) -> u32 {
-        while self.0[i as usize] != i {
-            self.0[i as usize] = self.0[self.0[i as usize] as usize];
-            i = self.0[i as usize];
-        }
-        i
-    }
-
-    pub fn join(&mut self, a: u32, b: u32) {
-        let (p, q) = (self.root(a), self.root(b));
-        self.0[p.max(q) as usize] = p.min(q);
-    }
-
-    /// The least number of the set of each.
-    pub fn roots(mut self) -> Vec<u32> {
-        (0..self.0.len() as u32).map(|i| self.root(i)).collect()
-    }
+    Ok(Verdicts { shown, sigmas, parts: parts.into_roots() })
 }

@@ -2,8 +2,6 @@
 //!
 //! Use it through the crate `presight`, which gives the same names.
 
-#[cfg(test)]
-mod constants;
 pub mod estimate;
 pub mod extract;
 pub mod history;

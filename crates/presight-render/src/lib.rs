@@ -2,7 +2,6 @@
 //!
 //! Use it through the crate `presight`, which gives the same names.
 
-pub mod ablation;
 pub mod cost;
 pub mod cpu;
 pub mod deadline;

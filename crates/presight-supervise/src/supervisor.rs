@@ -9,7 +9,7 @@ use super::report::{CellState, Report, UnseenReason};
 use presight_localize::verdict::{ExpectedImage, Surfaces, Verdict, judge};
 use presight_model::clock::Instant;
 use presight_model::error::{Error, ErrorKind, Result};
-use presight_model::geometry::{Pose, PoseEstimate, RobotPose, SensorPose};
+use presight_model::geometry::{Pose, PoseEstimate, RobotPose};
 use presight_model::index::QueryResult;
 use presight_model::measured::{Frame, RangeNoise};
 use presight_model::world::World;
@@ -288,14 +288,12 @@ impl Supervisor {
                 // Half of the time is left for looking at the cells.
                 let left = deadline.saturating_sub(start.elapsed()).max(Duration::from_micros(2)) / 2;
                 let request = Request::of(Outputs::of(&[Output::Range, Output::PolygonId])).with_deadline(left);
-                let predicted = match predictor.predict(world, sensor, &SensorPose::new(pose), &request) {
-                    Err(e) if e.kind() == ErrorKind::Deadline => {
-                        predictor.give_up(world, sensor, &SensorPose::new(pose), &request)?
-                    }
+                let predicted = match predictor.predict(world, sensor, &pose, &request) {
+                    Err(e) if e.kind() == ErrorKind::Deadline => predictor.give_up(world, sensor, &pose, &request)?,
                     predicted => predicted?,
                 };
                 given_up = predicted.not_predicted();
-                ExpectedImage::of_images(predictor, world, surfaces, sensor, &SensorPose::new(pose), &predicted.images)?
+                ExpectedImage::of_images(predictor, world, surfaces, sensor, &pose, &predicted.images)?
             }
         };
         let model_sigma = self.options.model_sigma;

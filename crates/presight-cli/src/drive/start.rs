@@ -70,7 +70,7 @@ impl Drive {
             let search = Search::watched(&mut estimator, &scene.world, sensor, self.search()?, &mut watch);
             return Ok(Localizer::unknown(estimator, search.map_err(|e| e.at("--init unknown"))?, options));
         };
-        let prior = PoseEstimate::of_sigmas(RobotPose::new(start), self.init_sigma, self.init_sigma_deg.to_radians());
+        let prior = PoseEstimate::of_sigmas(start, self.init_sigma, self.init_sigma_deg.to_radians());
         Ok(Localizer::new(estimator, prior, options))
     }
 

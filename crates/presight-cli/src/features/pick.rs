@@ -10,7 +10,6 @@ use glam::{DVec2, DVec3};
 use presight_features::generate::GenerateOptions;
 use presight_files::layer;
 use presight_model::error::{Error, Result};
-use presight_model::geometry::SensorPose;
 use presight_model::index::IndexKind;
 use presight_predict::predict::{Backend, Options, Predictor};
 use presight_predict::request::Request;
@@ -79,7 +78,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let pose = pose.of_sensor(sensor.spec(), &scene.world_from_gltf)?;
     let mut predictor = Predictor::new(Options::new(Backend::Cpu))?;
     let request = Request::of(Outputs::of(&[Output::PolygonId]));
-    let images = predictor.predict(&scene.world, &sensor, &SensorPose::new(pose), &request)?.images;
+    let images = predictor.predict(&scene.world, &sensor, &pose, &request)?.images;
     let view = PickView { world: &scene.world, sensor: &sensor, pose: &pose.world_from_sensor(), images: &images };
     let Some(hit) = view.hit(args.pixel) else {
         print::data(&format!("pixel {column},{row} sees nothing\n"))?;

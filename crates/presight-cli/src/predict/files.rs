@@ -4,7 +4,7 @@ use super::{Args, PointsFrameArg};
 use crate::file_names::Paths;
 use crate::layers::Layers;
 use crate::print;
-use presight::{Scene, SensorPose, blake3_of};
+use presight::{Scene, blake3_of};
 use presight_features::{BoxOptions, SeenFeature};
 use presight_files::{exr, pcd, ply, sensor_toml};
 use presight_model::error::Result;
@@ -82,7 +82,7 @@ pub fn write_files(
             PointsFrameArg::Sensor => PointsFrame::Sensor,
             PointsFrameArg::World => PointsFrame::World,
         };
-        let cloud = PointCloud::new(images, sensor, &SensorPose::new(prediction.pose), frame)?.only(args.outputs);
+        let cloud = PointCloud::new(images, sensor, &prediction.pose, frame)?.only(args.outputs);
         let cloud = match args.normals() {
             true if !args.outputs.has(Output::Normal) => {
                 cloud.with_normals(scene.world.environment(), args.scheme())?

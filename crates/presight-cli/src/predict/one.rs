@@ -8,7 +8,6 @@ use crate::templates::Names;
 use crate::{CommandOutcome, print};
 use presight_files::npy;
 use presight_model::error::Result;
-use presight_model::geometry::SensorPose;
 use presight_model::memory;
 use presight_predict::predict::Predictor;
 use presight_render::plan::{Output, Stats};
@@ -37,13 +36,13 @@ pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     // Check again: the scene has taken some of the memory.
     memory::require(frame.bytes())?;
     let start = Instant::now();
-    let mut prediction = predictor.predict(&scene.world, &sensor, &SensorPose::new(pose), &request)?;
+    let mut prediction = predictor.predict(&scene.world, &sensor, &pose, &request)?;
     let first_ms = start.elapsed().as_secs_f64() * 1e3;
     let (mut times_ms, mut runs): (Vec<f64>, Vec<Stats>) = Default::default();
     let repeat = args.repeat.unwrap_or(u32::from(args.stats.is_some()));
     for _ in 0..repeat {
         let start = Instant::now();
-        predictor.predict_again(&scene.world, &SensorPose::new(pose), &mut prediction)?;
+        predictor.predict_again(&scene.world, &pose, &mut prediction)?;
         times_ms.push(start.elapsed().as_secs_f64() * 1e3);
         runs.push(prediction.stats.clone());
     }

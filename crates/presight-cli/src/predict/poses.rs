@@ -11,7 +11,7 @@ use crate::stack::Stack;
 use crate::summary::{Summary, objects_in};
 use crate::templates::Names;
 use crate::{CommandOutcome, bar, print};
-use presight::{Scene, SensorPose, blake3_of};
+use presight::{Scene, blake3_of};
 use presight_files::npy::{self, Values};
 use presight_files::{exr, sensor_toml};
 use presight_model::error::{Error, ErrorKind, Result};
@@ -64,9 +64,7 @@ pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     let make = |item: Result<(usize, NamedPose)>, spare: Option<Frames>| {
         let (index, (stamp, pose)) = item?;
         let mut spare = spare.into_iter().flat_map(|spare| spare.frames);
-        let mut make = |setup| {
-            series.predict(&mut predictor, setup, &SensorPose::new(pose), spare.next().map(|frame| frame.prediction))
-        };
+        let mut make = |setup| series.predict(&mut predictor, setup, &pose, spare.next().map(|frame| frame.prediction));
         let frames = setups.iter_mut().map(&mut make).collect::<Result<Vec<Frame>>>()?;
         print::notices(frames.iter().flat_map(|frame| &frame.prediction.stats.notices));
         all += frames.len();
@@ -230,17 +228,15 @@ impl Series<'_> {
         let settings = args.virtual_sensor().settings(scene, sensor, &pose, predictor)?;
         let start = Instant::now();
         let predicted = match spare {
-            None => predictor.predict(&scene.world, sensor, &SensorPose::new(pose), &request),
+            None => predictor.predict(&scene.world, sensor, &pose, &request),
             Some(mut prediction) => {
                 prediction.request.clone_from(&request);
-                predictor.predict_again(&scene.world, &SensorPose::new(pose), &mut prediction).map(|()| prediction)
+                predictor.predict_again(&scene.world, &pose, &mut prediction).map(|()| prediction)
             }
         };
         let mut prediction = match predicted {
             // One frame without enough time does not end the series.
-            Err(e) if e.kind() == ErrorKind::Deadline => {
-                predictor.give_up(&scene.world, sensor, &SensorPose::new(pose), &request)?
-            }
+            Err(e) if e.kind() == ErrorKind::Deadline => predictor.give_up(&scene.world, sensor, &pose, &request)?,
             other => other?,
         };
         let ms = start.elapsed().as_secs_f64() * 1e3;

@@ -3,7 +3,7 @@
 use super::looks::look_from;
 use super::{Args, Drive, told};
 use glam::DVec3;
-use presight::{Scene, SensorPose};
+use presight::Scene;
 use presight_files::atomic::write_atomically;
 use presight_model::change::Change;
 use presight_model::error::Result;
@@ -133,7 +133,7 @@ impl Shown<'_> {
         let mut predicted = [Images::default(), Images::default()];
         for (world, images) in [&without, &self.scene.world].into_iter().zip(&mut predicted) {
             let range = Outputs::of(&[Output::Range]);
-            predictor.predict_images(world, sensor, &SensorPose::new(look.pose), range, images)?;
+            predictor.predict_images(world, sensor, &look.pose, range, images)?;
         }
         let sensor_from_world = look.pose.world_from_sensor().inverse();
         let corners = doubt.corners(self.scene.world.environment()).into_iter();
@@ -186,7 +186,7 @@ impl Shown<'_> {
         let mut predicted = [Images::default(), Images::default()];
         for (world, images) in [without, &with].into_iter().zip(&mut predicted) {
             let range = Outputs::of(&[Output::Range]);
-            predictor.predict_images(world, sensor, &SensorPose::new(sight.pose), range, images)?;
+            predictor.predict_images(world, sensor, &sight.pose, range, images)?;
         }
         let sensor_from_world = sight.pose.world_from_sensor().inverse();
         let around = finding.corners(self.scene.world.environment()).into_iter();

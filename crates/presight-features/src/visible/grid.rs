@@ -15,7 +15,6 @@ use super::windows::Windows;
 use crate::sample::{Column, PatchColumns, PatchOutline};
 use crate::{FeatureStats, Reason};
 use glam::DVec3;
-use presight_render::ablation::Means;
 use std::ops::Range;
 
 /// A polygon that hides two places by more than this, after rounding, hides all places between them.
@@ -43,7 +42,7 @@ struct Piece {
 pub(super) fn decide(query: &FeatureQuery<'_>, outline: PatchOutline, workspace: &mut Workspace) -> Option<Decision> {
     let FeatureQuery { frame, points, own, .. } = query;
     let spec = frame.sensor.spec();
-    if !Means::Grid.is_used() || !own.is_plain() || spec.max_incidence.is_some() {
+    if !own.is_plain() || spec.max_incidence.is_some() {
         return None;
     }
     let samples = frame.sampler.patch_columns(outline)?;
@@ -185,7 +184,7 @@ impl Grid {
                 places.extend([piece.rows.start, piece.rows.end - 1].map(|row| self.samples.at(column, row)));
             }
             let farthest = places.iter().map(|at| at.length()).fold(0.0, f64::max);
-            if count < VERY_FEW && Means::FewRays.is_used() && !workspace.tiles.knows(some[0].tile, farthest) {
+            if count < VERY_FEW && !workspace.tiles.knows(some[0].tile, farthest) {
                 some.iter().for_each(|piece| self.hide_by_rays(piece, query, workspace));
                 continue;
             }

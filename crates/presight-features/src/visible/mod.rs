@@ -53,7 +53,6 @@ use presight_model::geometry::Pose;
 use presight_model::sensor::Sensor;
 use presight_model::threads::parallel;
 use presight_model::world::World;
-use presight_render::ablation::Means;
 use presight_render::plan::{IdScheme, Images};
 use rayon::prelude::*;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -388,7 +387,7 @@ impl IdleWorkspaces {
     /// Returns an idle workspace of this prediction, or a new one.
     fn take(&self, frame: &VisibilityContext<'_>) -> Workspace {
         let known = lock(&self.idle).pop();
-        known.unwrap_or_else(|| match lock(&self.memory.0).pop().filter(|_| Means::KeptWorkspaces.is_used()) {
+        known.unwrap_or_else(|| match lock(&self.memory.0).pop() {
             Some(mut workspace) => {
                 workspace.renew(frame);
                 workspace

@@ -14,7 +14,6 @@ use crate::sample::{Part, Piece, Run, Sample};
 use crate::{FeatureStats, Reason};
 use glam::{DVec2, DVec3};
 use presight_model::environment::FeatureShape;
-use presight_render::ablation::Means;
 use std::ops::Range;
 
 /// Most extra blocks of pixels that are searched in the gaps between the regular ones.
@@ -194,11 +193,7 @@ pub(super) fn decide(query: &FeatureQuery<'_>, workspace: &mut Workspace) -> Opt
     let FeatureQuery { frame, shape: FeatureShape::Segment { .. }, points: [a, b], own, .. } = query else {
         return None;
     };
-    if !Means::Runs.is_used()
-        || frame.sampler.is_one_row()
-        || !own.is_plain()
-        || frame.sensor.spec().max_incidence.is_some()
-    {
+    if frame.sampler.is_one_row() || !own.is_plain() || frame.sensor.spec().max_incidence.is_some() {
         return None;
     }
     let mut segment = std::mem::take(&mut workspace.segment);
@@ -258,7 +253,7 @@ impl SampledSegment {
         // Search the middle of each remaining gap: building a tile that reaches behind it would take longer.
         let mut start = self.open_in(0..count);
         for _ in 0..MOST_LOOKS {
-            if start == count || !Means::Gaps.is_used() {
+            if start == count {
                 break;
             }
             let end = self.by[start..].iter().position(|by| *by != NONE).map_or(count, |more| start + more);

@@ -10,7 +10,6 @@ use crate::sample::Piece;
 use crate::{FeatureStats, Reason};
 use glam::{DVec2, DVec3};
 use presight_model::environment::FeatureShape;
-use presight_render::ablation::Means;
 
 #[derive(Default)]
 pub(super) struct Samples {
@@ -225,7 +224,7 @@ pub(super) fn space_at_samples(left: &mut [UndecidedSample], query: &FeatureQuer
         places.clear();
         places.extend(some.iter().map(|(_, i)| left[*i].at));
         let farthest = some.iter().map(|(_, i)| left[*i].range).fold(0.0, f64::max);
-        if by_tile.len() < VERY_FEW && Means::FewRays.is_used() && !workspace.tiles.knows(some[0].0, farthest) {
+        if by_tile.len() < VERY_FEW && !workspace.tiles.knows(some[0].0, farthest) {
             some.iter().for_each(|(_, i)| rays::hide(&mut left[*i], query, workspace));
             continue;
         }

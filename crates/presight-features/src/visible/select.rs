@@ -18,7 +18,6 @@ use presight_model::error::Result;
 use presight_model::place::clip;
 use presight_model::sensor::Geometry;
 use presight_model::threads::parallel;
-use presight_render::ablation::Means;
 use rayon::prelude::*;
 use std::cmp::Reverse;
 use std::collections::VecDeque;
@@ -179,9 +178,6 @@ impl Selection<'_, '_> {
         if !self.view.meets(middle, &axes) {
             return true;
         }
-        if !Means::HiddenBoxes.is_used() {
-            return false;
-        }
         let Some(number) = self.polygon_at(middle) else { return false };
         let known = self.workspace.polygons.get(number);
         hides_box(known, self.workspace.polygons.planes_of(known), middle, &axes, rounding)
@@ -205,18 +201,14 @@ impl Selection<'_, '_> {
             return true;
         }
         let number = self.polygon_at(middle).filter(|n| !placed.slots.contains(&self.workspace.polygons.get(*n).slot));
-        if Means::HiddenFeatures.is_used()
-            && let Some(known) = number.map(|number| self.workspace.polygons.get(number))
+        if let Some(known) = number.map(|number| self.workspace.polygons.get(number))
             && hides_points(known, self.workspace.polygons.planes_of(known), &self.points, rounding)
         {
             return true;
         }
         // The corners of a surface's box are not an outline. A segment has only this middle; an area has another one.
         let is_line = self.points.len() < 3;
-        Means::HiddenParts.is_used()
-            && surface.is_none()
-            && !(is_line && number.is_none())
-            && self.is_hidden_in_parts(placed, rounding)
+        surface.is_none() && !(is_line && number.is_none()) && self.is_hidden_in_parts(placed, rounding)
     }
 
     /// Returns true if polygons that the image shows in front of parts of the points' hull together hide all of it.

@@ -11,7 +11,6 @@ use super::surface::FeatureSurface;
 use glam::DVec3;
 use presight_model::geometry::Aabb;
 use presight_model::index::{QueryResult, Region};
-use presight_render::ablation::Means;
 use std::collections::HashMap;
 
 /// Approximate width of a camera's tiles, pixels.
@@ -91,9 +90,6 @@ impl Bounds {
 
     /// Masks of the columns and rows, of 32 each, that the box touches in a square. Boxes that meet share bits in both.
     fn cells(&self, square: &Square) -> [u32; 2] {
-        if !Means::Cells.is_used() {
-            return [u32::MAX; 2];
-        }
         let ([x0, x1, y0, y1], [u, v]) = (self.0, square.bounds);
         let cell =
             |x: f32, [low, high]: [f64; 2]| ((f64::from(x) - low) * (32.0 / (high - low))).clamp(0.0, 31.0) as u32;
@@ -291,7 +287,7 @@ impl Tiles {
             }
         }
         let mut radius = FARTHER * farthest;
-        if look == Look::First && Means::FirstLooks.is_used() {
+        if look == Look::First {
             let depth = FARTHER * depth_of(frame, polygons, &square);
             if depth > 0.0 {
                 radius = radius.min(depth);

@@ -13,12 +13,13 @@
 //! A line of `odometry.txt` has the same form: the robot's pose in body axes (x ahead, z up) by its odometry, in any frame that
 //! stays. The motion between two images comes from the poses at their times, on a straight line between two entries.
 
+mod png_image;
+
 use super::file;
 use super::text::from_text;
 use crate::tum::StampedPose;
 use glam::{DQuat, DVec3};
-use image::codecs::png::PngDecoder;
-use image::{DynamicImage, ImageDecoder};
+use png_image::PngImage;
 use presight_model::error::{Error, Result};
 use presight_model::geometry::Pose;
 use presight_model::measured::{Frame, GreyImage, Measurement};
@@ -160,25 +161,15 @@ impl DepthFolder {
         let remedy = if self.is_grey { "give a grey PNG" } else { "give a 16-bit grey PNG, depth in whole units" };
         let wrong = |what: String| Error::invalid(what, remedy);
         let file = BufReader::new(file::open(path)?);
-        let decoder = PngDecoder::new(file).map_err(|e| wrong(e.to_string()))?;
-        // Checked before decoding, because a small file may claim a huge image.
         let size = (self.sensor.width(), self.sensor.height());
-        let (w, h) = decoder.dimensions();
-        if (w, h) != size {
-            return Err(wrong(format!("{w} x {h} pixels; the camera has {} x {}", size.0, size.1)));
-        }
-        let picture = DynamicImage::from_decoder(decoder).map_err(|e| wrong(e.to_string()))?;
+        let image = PngImage::read(file, size).map_err(wrong)?;
         let sensed = if self.is_grey {
-            let grey = picture.into_luma16().into_raw();
-            let bright = |v: u16| f32::from(v) / f32::from(u16::MAX);
-            Measurement::Grey(GreyImage::new(w, h, grey.into_iter().map(bright).collect())?)
+            Measurement::Grey(GreyImage::new(size.0, size.1, image.luminances())?)
         } else {
-            let DynamicImage::ImageLuma16(picture) = picture else {
-                return Err(wrong("this is not a 16-bit grey image".into()));
-            };
+            let samples = image.grey16().ok_or_else(|| wrong("this is not a 16-bit grey image".into()))?;
             // Cameras and exporters write the largest number where they have no depth, or one that does not fit.
             let metres = |v: &u16| if *v == u16::MAX { f32::NAN } else { (f64::from(*v) * self.unit) as f32 };
-            Measurement::DepthZ(picture.as_raw().iter().map(metres).collect())
+            Measurement::DepthZ(samples.iter().map(metres).collect())
         };
         Frame::new(self.stamp(path), self.sensor.clone(), sensed)
     }

@@ -1,5 +1,5 @@
 use super::*;
-use image::{ImageBuffer, Luma};
+use image::{DynamicImage, ImageBuffer, Luma, LumaA, Rgb, Rgba};
 
 fn folder(camera: &str, images: &[(&str, u32, u16)]) -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
@@ -51,6 +51,36 @@ fn what_is_wrong_is_named() {
     std::fs::write(broken.path().join("depth/0.png"), b"no image").unwrap();
     let mut log = DepthFolder::open(broken.path(), None).unwrap();
     assert!(log.next().unwrap().unwrap_err().to_string().contains("0.png"));
+}
+
+/// Grey and coloured images, of 8 and 16 bits and with or without transparency.
+#[test]
+fn luminances_are_those_of_the_image_crate() {
+    let camera = CAMERA.replace("\"width\": 3", "\"width\": 64").replace("\"height\": 2", "\"height\": 3");
+    let samples =
+        |count: u32| (0..64 * 3 * count).map(|i| i.wrapping_mul(2_654_435_761_u32.rotate_right(i % 7)) as u16);
+    let bytes = |count| samples(count).map(|v| (v >> 8) as u8).collect::<Vec<u8>>();
+    let words = |count| samples(count).collect::<Vec<u16>>();
+    let pictures: [DynamicImage; 6] = [
+        ImageBuffer::<Luma<u8>, _>::from_vec(64, 3, bytes(1)).unwrap().into(),
+        ImageBuffer::<Luma<u16>, _>::from_vec(64, 3, words(1)).unwrap().into(),
+        ImageBuffer::<LumaA<u8>, _>::from_vec(64, 3, bytes(2)).unwrap().into(),
+        ImageBuffer::<Rgb<u8>, _>::from_vec(64, 3, bytes(3)).unwrap().into(),
+        ImageBuffer::<Rgb<u16>, _>::from_vec(64, 3, words(3)).unwrap().into(),
+        ImageBuffer::<Rgba<u8>, _>::from_vec(64, 3, bytes(4)).unwrap().into(),
+    ];
+    for picture in pictures {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("camera.json"), &camera).unwrap();
+        std::fs::create_dir(folder.path().join("grey")).unwrap();
+        picture.save(folder.path().join("grey/0.png")).unwrap();
+        let frame = DepthFolder::open(folder.path(), None).unwrap().next().unwrap().unwrap();
+        let Measurement::Grey(grey) = frame.sensed() else { panic!("a grey image") };
+        let of_16_bits = |value: u16| f32::from(value) / f32::from(u16::MAX);
+        let color = picture.color();
+        let expected: Vec<f32> = picture.into_luma16().into_raw().into_iter().map(of_16_bits).collect();
+        assert_eq!(grey.values(), expected, "{color:?}");
+    }
 }
 
 /// Camera, images and poses as the simulator writes them.

@@ -10,6 +10,7 @@ use super::{Triangle, TriangleMesh};
 use glam::{DVec3, Vec3};
 use presight_model::environment::Parts;
 use presight_model::geometry::Aabb;
+use presight_model::union_find::UnionFind;
 
 /// Most corners of a merged polygon. A higher limit would merge a few more fans, but slow every engine's worst case.
 const MERGED_CORNERS: usize = 8;
@@ -82,8 +83,8 @@ struct Outlines<'a> {
     next: Vec<u32>,
     prev: Vec<u32>,
     twins: Vec<u32>,
-    /// Union-find over triangles; the root is the lowest triangle of the polygon.
-    parent: Vec<u32>,
+    /// The triangles of each polygon; the root is the lowest of them.
+    polygons: UnionFind,
     faces: Vec<Face>,
     tolerance: f64,
 }
@@ -120,7 +121,7 @@ impl<'a> Outlines<'a> {
             next: (0..count).flat_map(|t| [3 * t + 1, 3 * t + 2, 3 * t]).collect(),
             prev: (0..count).flat_map(|t| [3 * t + 2, 3 * t, 3 * t + 1]).collect(),
             twins,
-            parent: (0..count).collect(),
+            polygons: UnionFind::new(triangles.len()),
             faces: (0..count).zip(triangles).map(face).collect(),
             tolerance,
         }
@@ -131,13 +132,7 @@ impl<'a> Outlines<'a> {
     }
 
     fn find(&mut self, half_edge: u32) -> u32 {
-        let mut t = half_edge / 3;
-        while self.parent[t as usize] != t {
-            let up = self.parent[self.parent[t as usize] as usize];
-            self.parent[t as usize] = up;
-            t = up;
-        }
-        t
+        self.polygons.root(half_edge / 3)
     }
 
     /// Inner edges between coplanar faces of one material, roughly the longest first.
@@ -211,10 +206,9 @@ impl<'a> Outlines<'a> {
             return false;
         }
         self.link(&shared);
-        let (root, other) = (a.min(b), a.max(b));
-        self.parent[other as usize] = root;
+        self.polygons.join(a, b);
         let first = union.half_edges[0];
-        self.faces[root as usize] = Face { doubled_area, first, corners, flatness, hidden, tilt };
+        self.faces[a.min(b) as usize] = Face { doubled_area, first, corners, flatness, hidden, tilt };
         true
     }
 
@@ -319,7 +313,7 @@ impl<'a> Outlines<'a> {
 
     fn for_each_outline_edge(&self, mut visit: impl FnMut(u32)) {
         for (t, face) in self.faces.iter().enumerate() {
-            if self.parent[t] as usize != t {
+            if !self.polygons.is_root(t as u32) {
                 continue;
             }
             let mut h = face.first;
@@ -383,7 +377,7 @@ impl<'a> Outlines<'a> {
         let mut polygon_of = vec![NONE; self.triangles.len()];
         let mut outline = Vec::with_capacity(MERGED_CORNERS);
         for (t, triangle) in self.triangles.iter().enumerate() {
-            if self.parent[t] as usize != t {
+            if !self.polygons.is_root(t as u32) {
                 continue;
             }
             let face = self.faces[t];

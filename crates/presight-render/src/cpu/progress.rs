@@ -7,7 +7,6 @@
 use super::batch::Batch;
 use super::thinning;
 use super::waves::FIRST_WAVE;
-use crate::ablation::Means;
 use crate::deadline::{DeadlineOutcome, Degradation, DegradationKind, DegradationStep, Opening, Wave};
 use crate::plan::{CountName, FramePlan, Run, StageName, Stats};
 use presight_model::sensor::ImagePart;
@@ -119,7 +118,7 @@ impl<'a> FrameProgress<'a> {
                 self.in_step = estimate + rest > left;
                 self.has_plenty = PLENTY * (estimate + rest) < left;
                 let is_thinned = self.plan.sensor.part_stride() > 1;
-                if self.in_step && !is_thinned && Means::SecondStride.is_used() { thinning::stride(&frame) } else { 1 }
+                if self.in_step && !is_thinned { thinning::stride(&frame) } else { 1 }
             }
             None => {
                 self.in_step = true;

@@ -4,7 +4,6 @@
 use super::bounds::{AZIMUTH_SLACK, LANES, Lanes, SLACK, atan2_approximately};
 use super::lanes::CLEAR;
 use super::setup::RayInstance;
-use crate::ablation::Means;
 use crate::plan::Run;
 use glam::DVec3;
 use presight_model::environment::Positions;
@@ -110,7 +109,7 @@ impl<'a> Sieve<'a> {
         at: &RayInstance<'m>,
         run: &Run,
     ) -> Option<(f64, &'m [Positions])> {
-        if run.count < FEW || !Means::Sieve.is_used() {
+        if run.count < FEW {
             return None;
         }
         let (number, cluster) = at.mesh.cluster_of(run.first);

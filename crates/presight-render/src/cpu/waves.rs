@@ -6,7 +6,6 @@ use super::cull;
 use super::progress::{self, FrameProgress};
 use super::raster_lines::{self, Buffer};
 use super::{Bands, raster_rays, resolve, setup, thinning};
-use crate::ablation::Means;
 use crate::deadline::Watch;
 use crate::plan::{CountName, FramePlan, Images, Run, StageName, Stats};
 use presight_model::clock::Instant;
@@ -147,7 +146,7 @@ impl<'a, 'i> Waves<'a, 'i> {
     /// The runs of a wave that no earlier one hides.
     fn cull(&mut self, wave: Range<usize>) -> Vec<Run> {
         let runs = &self.plan.runs[wave.clone()];
-        let kept = if self.waves == 0 || !Means::HiddenRuns.is_used() { runs.to_vec() } else { self.sift(runs) };
+        let kept = if self.waves == 0 { runs.to_vec() } else { self.sift(runs) };
         self.hidden += runs.len() - kept.len();
         self.done = wave.end;
         kept

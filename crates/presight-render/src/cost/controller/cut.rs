@@ -1,7 +1,6 @@
 //! The first estimate (paper, section 3.3): the query region shrinks, first in radius, then in angle.
 
 use super::{Controller, DeadlineFrame, counts_of, milliseconds};
-use crate::ablation::Means;
 use crate::cost::Forecast;
 use crate::deadline::{DegradationKind, DegradationStep};
 use crate::plan::{FramePlan, Run};
@@ -31,16 +30,14 @@ impl Controller {
             let middle = fits.midpoint(late);
             if low(&plan.runs[..middle]) <= left { fits = middle } else { late = middle }
         }
-        if Means::Radius.is_used() {
-            plan.cut(fits);
-        }
+        plan.cut(fits);
         let needed = low(&plan.runs);
         let taken = |means, metres| DegradationStep { means, at_ms: milliseconds(timed.watch.elapsed()), metres };
         let mut cut = Vec::new();
         cut.extend(plan.radius().map(|radius| taken(DegradationKind::Radius, Some(f64::from(radius)))));
         // A narrowed image is selected again. On one-row scanners that takes longer than what narrowing saves.
         let again = timed.selected.saturating_sub(timed.begun).as_secs_f64();
-        if needed > left && again < left && Means::Angle.is_used() && timed.draws_parts {
+        if needed > left && again < left && timed.draws_parts {
             let share = (left - again) / needed;
             let columns = ((f64::from(plan.sensor.width()) * share) as u32).max(LEAST_COLUMNS * timed.stride);
             if let Some(part) = plan.sensor.columns_around(timed.priority.heading, columns) {

@@ -10,7 +10,6 @@ mod thinning;
 mod whole;
 
 use super::{CostModel, Forecast, Key, TimeEstimate, WorkCounts};
-use crate::ablation::Means;
 use crate::deadline::{
     Clock, DeadlineEngine, DeadlineOutcome, DegradationKind, DegradationStep, Priority, SystemClock, Watch,
 };
@@ -266,7 +265,7 @@ impl Controller {
 
     /// Factor on estimates that recent refusals put in doubt.
     fn doubt(&self, key: &Key) -> f64 {
-        self.doubts.get(key).copied().filter(|_| Means::Doubt.is_used()).unwrap_or(1.0)
+        self.doubts.get(key).copied().unwrap_or(1.0)
     }
 
     /// Learns the time that a forecast at a stride should have predicted.

@@ -2,7 +2,6 @@
 //! it after selection costs nothing; the engine may also choose it after its first wave, when it knows more.
 
 use super::{Controller, DeadlineFrame, SLOW, seconds};
-use crate::ablation::Means;
 use crate::cost::{Forecast, Key, TimeEstimate, WorkCounts};
 use presight_model::sensor::{ImagePart, STRIDES, Sensor};
 use std::time::Duration;
@@ -147,7 +146,7 @@ impl Controller {
 impl DeadlineFrame {
     /// Strides that the engine can draw, except 1.
     pub(super) fn strides(&self) -> impl DoubleEndedIterator<Item = u32> + use<> {
-        STRIDES.into_iter().take(if self.draws_parts && Means::Stride.is_used() { STRIDES.len() } else { 0 })
+        STRIDES.into_iter().take(if self.draws_parts { STRIDES.len() } else { 0 })
     }
 
     /// Share of all samples that a stride draws.
