@@ -3,7 +3,7 @@
 use crate::common::scenes::{camera, room_world};
 use crate::ticks::{Jumping, Ticks, Untouchable};
 use presight_model::error::ErrorKind;
-use presight_model::geometry::{Pose, SensorPose};
+use presight_model::geometry::SensorPose;
 use presight_predict::engine::EngineKind;
 use presight_predict::predict::{Backend, Options, Predictor};
 use presight_predict::request::Request;

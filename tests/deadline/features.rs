@@ -6,7 +6,7 @@ use glam::{DMat3, DVec3};
 use presight_features::{BoxOptions, FeatureOptions, Hidden, PlacedFeature, SeenFeature};
 use presight_model::environment::{Existence, Feature, FeatureShape, Properties};
 use presight_model::error::ErrorKind;
-use presight_model::geometry::{Pose, SensorPose};
+use presight_model::geometry::SensorPose;
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Prediction, Predictor};
 use presight_predict::request::Request;

@@ -1,7 +1,6 @@
 //! The test kit's own drives: what changes, where the robot drives, and what its scanner reads, by hand.
 
 use super::*;
-use presight_model::geometry::RobotPose;
 use presight_model::sensor::Sensor;
 use presight_testkit::caster::{Caster, Slip};
 use presight_testkit::changes::{Shares, changed, is_furniture};

@@ -6,7 +6,7 @@ use super::pose::{PoseFrame, PoseOf, WorldFrame, given_pose};
 use super::sensor_args::SensorArgs;
 use super::series::SeriesProgress;
 use super::{CommandOutcome, bar, folder, open_scene, print};
-use presight::{Scene, blake3_of};
+use presight::{Scene, SensorPose, blake3_of};
 use presight_files::atomic::write_atomically;
 use presight_files::gltf::ImportOptions;
 use presight_files::{exr, log, sensor_toml, tum};

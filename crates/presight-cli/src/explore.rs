@@ -10,7 +10,7 @@ use presight_files::log::{Frames, Observation};
 use presight_files::tum::{self, StampedPose};
 use presight_model::environment::Environment;
 use presight_model::error::{Error, Result};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, RobotPose};
 use presight_model::index::IndexKind;
 use presight_model::sensor::Sensor;
 use presight_model::threads::Threads;

@@ -7,7 +7,7 @@ use presight::{Scene, SceneFeatures};
 use presight_features::{BoxOptions, FeatureOptions, FeaturePrediction, FeatureSource, Hidden};
 use presight_files::{pose_covariance, prediction_json};
 use presight_model::error::{Error, Result};
-use presight_model::geometry::{InWorld, Pose, PoseCovariance, SensorPose};
+use presight_model::geometry::{InWorld, PoseCovariance, SensorPose};
 use presight_model::poses::ExternalPose;
 use presight_model::sensor::Sensor;
 use presight_predict::predict::Prediction;

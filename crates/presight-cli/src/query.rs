@@ -7,7 +7,7 @@ use presight_files::corridor;
 use presight_files::gltf::ImportOptions;
 use presight_files::text::read_settings;
 use presight_model::error::{Error, Result};
-use presight_model::geometry::{Aabb, Pose};
+use presight_model::geometry::{Aabb, Pose, RobotPose};
 use presight_model::index::IndexKind;
 use presight_model::world::World;
 use presight_predict::virtual_sensors::CorridorFrame;

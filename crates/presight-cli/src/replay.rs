@@ -14,7 +14,6 @@ use presight_localize::localize::Step;
 use presight_localize::matching::Shape;
 use presight_localize::verdict::Verdict as Judged;
 use presight_model::error::{Error, Result};
-use presight_model::geometry::Pose;
 use presight_model::measured::Frame;
 use presight_model::sensor::Sensor;
 use presight_pictures::{Comparison, GreyMark, GreyPanel, Overlay, PlanMarks, write_comparison};

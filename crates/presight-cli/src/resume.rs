@@ -6,7 +6,7 @@
 use super::print;
 use presight_files::atomic::write_atomically;
 use presight_model::error::{Error, Result};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, RobotPose};
 use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};

@@ -3,7 +3,7 @@
 use super::outputs::OutputFiles;
 use super::sensor_args::SensorArgs;
 use super::{CommandOutcome, folder, open_scene};
-use presight::Scene;
+use presight::{RobotPose, Scene};
 use presight_files::atomic::write_atomically;
 use presight_files::gltf::ImportOptions;
 use presight_files::log::{LogFrame, lines};

@@ -20,7 +20,7 @@ use presight_localize::localize::Phase;
 #[cfg(feature = "report")]
 use presight_localize::localize::Step;
 use presight_model::error::{Error, Result};
-use presight_model::geometry::{InWorld, PoseCovariance, PoseEstimate};
+use presight_model::geometry::{InWorld, PoseCovariance, PoseEstimate, RobotPose};
 use presight_model::measured::Frame;
 use presight_model::world::World;
 use presight_update::{Action, Finding, Findings, LearnOptions, Learner, Policy, What, change_lines};

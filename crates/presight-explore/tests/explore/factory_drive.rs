@@ -3,7 +3,7 @@
 use glam::DVec3;
 use presight_files::script::load;
 use presight_model::environment::Environment;
-use presight_model::geometry::{Pose, RobotPose};
+use presight_model::geometry::Pose;
 use presight_model::sensor::{Camera, Geometry, Noise, Sensor, SensorSpec};
 use presight_testkit::caster::Caster;
 use presight_testkit::judge::Placed;

@@ -4,7 +4,7 @@ use super::rooms::views_of;
 use glam::{DVec3, Vec3};
 use presight_explore::{Exploration, ExploreOptions, Known};
 use presight_model::environment::{Environment, NewObject};
-use presight_model::geometry::{Pose, RobotPose};
+use presight_model::geometry::Pose;
 use presight_model::sensor::{Camera, Geometry, Noise, Sensor, SensorSpec};
 use presight_testkit::caster::Caster;
 use presight_testkit::judge::{Judged, Placed, judge};

@@ -6,7 +6,7 @@ use glam::{DAffine3, DMat3, DVec3, Vec3};
 use presight_explore::{Exploration, ExploreOptions, Known, Views};
 use presight_model::environment::{Environment, NewObject};
 use presight_model::error::ErrorKind;
-use presight_model::geometry::{Pose, RobotPose};
+use presight_model::geometry::Pose;
 use presight_testkit::caster::Caster;
 use presight_testkit::judge::{Placed, judge};
 use presight_testkit::scenes::{cuboid, empty};

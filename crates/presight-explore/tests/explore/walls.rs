@@ -3,7 +3,7 @@
 use glam::DVec3;
 use presight_explore::{Exploration, ExploreOptions, Known, Views};
 use presight_model::environment::{Environment, NewObject};
-use presight_model::geometry::{Aabb, Pose, RobotPose, SensorPose};
+use presight_model::geometry::{Aabb, Pose, SensorPose};
 use presight_model::sensor::{Angles, Geometry, Noise, Scanner, Sensor, SensorSpec};
 use presight_testkit::caster::Caster;
 use presight_testkit::judge::Placed;

@@ -4,7 +4,7 @@ use super::readings::Readings;
 use super::scans::{self, Scans};
 use crate::depth_folder::{DepthFolder, pose_at};
 use presight_model::error::{Error, Result};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, RobotPose};
 use presight_model::measured::{Frame, Motion, OdometryNoise};
 use presight_model::sensor::Sensor;
 use std::path::Path;

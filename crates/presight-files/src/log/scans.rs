@@ -20,7 +20,7 @@ use crate::text::{check_json_memory, from_text};
 use crate::{cloud, exr, sensor_toml};
 use glam::{DQuat, DVec3};
 use presight_model::error::{Error, Result};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::measured::{Frame, Measurement, RangeGrid, range_grid};
 use presight_model::sensor::{Geometry, Sensor, SensorSpec};
 use std::collections::HashMap;

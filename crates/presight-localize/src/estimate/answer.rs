@@ -4,7 +4,7 @@ use super::deviation::SeenDeviation;
 use super::normal::{CommonError, Freedom, Normal};
 use crate::extract::Findings;
 use crate::verdict::Verdicts;
-use presight_model::geometry::{InObject, Pose, PoseCovariance, PoseEstimate};
+use presight_model::geometry::{InObject, Pose, PoseCovariance, PoseEstimate, RobotPose};
 use presight_model::matrix::{
     Matrix, add_to, directions, inverse, product, quadratic, restricted, sandwich, scaled, transposed,
 };

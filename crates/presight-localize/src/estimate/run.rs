@@ -7,7 +7,7 @@ use super::solve::length;
 use crate::extract::Findings;
 use crate::motion::{motion_between, moved};
 use crate::verdict::ExpectedImage;
-use presight_model::geometry::{Pose, PoseEstimate};
+use presight_model::geometry::{Pose, PoseEstimate, RobotPose};
 use presight_model::matrix::{Matrix, quadratic};
 use presight_model::measured::{Frame, RangeNoise};
 use presight_model::world::World;

@@ -18,7 +18,7 @@ use crate::verdict::{ExpectedImage, Surfaces, Verdicts, body_from_image, judge};
 use glam::DVec3;
 use presight_features::{FeatureOptions, PlacedFeatures};
 use presight_model::error::{Error, Result};
-use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate};
+use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate, RobotPose};
 use presight_model::matrix::{Matrix, add_to, inverse, quadratic, restricted, sandwich, scaled, turn};
 use presight_model::measured::{Frame, RangeNoise};
 use presight_model::statistics::chi_squared_quantile;

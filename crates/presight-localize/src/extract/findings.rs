@@ -12,7 +12,7 @@ use glam::{DMat2, DMat3, DVec2, DVec3};
 use presight_features::{FeaturePrediction, SeenFeature, VisibleInterval};
 use presight_model::environment::FeatureShape;
 use presight_model::error::Result;
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::measured::{Frame, GreyImage};
 use presight_model::sensor::Sensor;
 

@@ -2,7 +2,7 @@
 
 use glam::{DQuat, DVec3};
 use presight_model::error::Result;
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::measured::Frame;
 use presight_model::sensor::{Angles, Geometry, Scanner, Sensor, SensorSpec};
 use presight_model::world::World;

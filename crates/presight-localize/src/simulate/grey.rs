@@ -2,7 +2,7 @@
 //! pixel, with blur and noise. This is not a renderer: there are no shadows, highlights or textures.
 
 use presight_model::error::{Error, Result};
-use presight_model::geometry::Pose;
+use presight_model::geometry::RobotPose;
 use presight_model::measured::{Frame, GreyImage, Measurement};
 use presight_model::random::SplitMix64;
 use presight_model::sensor::{Camera, Geometry, Sensor};

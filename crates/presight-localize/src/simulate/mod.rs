@@ -11,7 +11,7 @@ pub use surroundings::{Walkers, displace};
 
 use crate::estimate::moved;
 use presight_model::error::{Error, Result};
-use presight_model::geometry::{Pose, PoseCovariance};
+use presight_model::geometry::{Pose, PoseCovariance, RobotPose};
 use presight_model::measured::{Frame, GreyImage, Measurement, Motion, RangeNoise};
 use presight_model::random::SplitMix64;
 use presight_model::sensor::Sensor;

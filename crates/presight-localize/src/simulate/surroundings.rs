@@ -4,7 +4,7 @@ use glam::{DQuat, DVec3, Vec3};
 use presight_model::change::Change;
 use presight_model::environment::{Material, Mesh, NewObject};
 use presight_model::error::{Error, Result};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, RobotPose};
 use presight_model::random::SplitMix64;
 use presight_model::world::World;
 use std::f64::consts::TAU;

@@ -6,7 +6,7 @@ use super::surfaces::ObjectErrors;
 use glam::{DVec3, Vec3};
 use presight_model::environment::MarkKind;
 use presight_model::error::Result;
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, RobotPose, SensorPose};
 use presight_model::sensor::{Geometry, Sensor, body_from_optical_rotation};
 use presight_model::world::World;
 use presight_predict::predict::Predictor;

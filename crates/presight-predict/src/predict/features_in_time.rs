@@ -8,6 +8,7 @@ use presight_features::{
 };
 use presight_model::clock::Instant;
 use presight_model::error::Result;
+use presight_model::geometry::SensorPose;
 use presight_render::cost::DeadlineFrame;
 use presight_render::deadline::Priority;
 use presight_render::plan::{Images, Stats};
