@@ -9,9 +9,9 @@ use presight_model::geometry::SensorPose;
 use presight_model::sensor::{Angles, Geometry, Sensor};
 use std::collections::HashSet;
 
-/// Longest piece of a curve that is drawn straight, radians: curves bend by less than a pixel over it.
+/// Maximum length of a curve piece that is drawn straight, radians: it bends by less than a pixel.
 const PIECE: f64 = 0.5 * std::f64::consts::PI / 180.0;
-/// Fewest pieces of a curve, for a distorting lens with a narrow field of view.
+/// Minimum number of pieces of a curve, for a distorting lens with a narrow field of view.
 const FEWEST: f64 = 16.0;
 /// Height of the legend with its gap, page pixels.
 pub const LEGEND: u32 = TEXT_HEIGHT + 10;
@@ -183,7 +183,7 @@ impl<F: Fn(DVec2) -> [f64; 2]> PageView<'_, F> {
                 if let Some(turn) = self.turn {
                     q.x += turn * ((p.x - q.x) / turn).round();
                 }
-                // Without a known turn, a jump means that the line crosses a seam.
+                // A jump means that the line crosses a seam, unless the columns of a full turn are known.
                 if self.turn.is_some() || (q.x - p.x).abs() < 0.5 * f64::from(self.overlay.sensor.width()) {
                     self.each_turn([p, q], |[p, q]| pen.line(p, q));
                 }

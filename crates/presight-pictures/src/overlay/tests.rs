@@ -1,4 +1,4 @@
-//! Where features are drawn, and where they are not.
+//! Tests which pixels of a picture show features, and which do not.
 
 use super::super::canvas::{Canvas, Rgb};
 use super::super::pen::{HIDDEN, SEEN};

@@ -1,5 +1,5 @@
-//! All headings of a level scanner at once: the panorama at a place is the same for each heading, so a heading is a
-//! cyclic shift of the measured image over the panorama.
+//! All headings of a level scanner from one panorama: a heading is a cyclic shift of the measured image over the
+//! panorama of its place.
 
 use super::RangeLikelihood;
 use super::likelihood::BeamModel;

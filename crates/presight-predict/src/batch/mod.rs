@@ -50,7 +50,7 @@ pub struct BatchRequest {
     pub likelihood: Option<RangeLikelihood>,
     /// Headings at which to weigh it for each place. Poses are then places of the sensor; their headings are ignored.
     pub headings: Option<Headings>,
-    /// The height, metres, at which the world is cut at once for a level one-row scanner; `None` uses the first pose's.
+    /// The height, metres, at which the world is cut immediately for a level one-row scanner; `None` uses the first pose's.
     /// Results do not depend on it, unless a GPU engine weighs the poses at other heights.
     pub height: Option<f64>,
     /// Include statistics of each prediction.
@@ -105,7 +105,7 @@ struct Task<'p> {
     wanted: Outputs,
     show: Option<Show<'p>>,
     weigh: Option<HeadingModel>,
-    /// The same for an engine that weighs images itself; `None` if images are requested too.
+    /// The weighing for an engine that weighs images itself; `None` if images are also requested.
     weighing: Option<Weighing>,
     headings: Option<Headings>,
     statistics: bool,
@@ -179,7 +179,7 @@ impl Predictor {
     ) -> Result<Batch<'_, I::IntoIter>> {
         let mut task = Task::new(world, sensor, request)?;
         let mut poses = poses.into_iter().peekable();
-        task.height = request.height.or_else(|| poses.peek().map(|pose| pose.translation.z));
+        task.height = request.height.or_else(|| poses.peek().map(|pose| pose.world_from_sensor().translation.z));
         let threads = match self.engine().for_task() {
             Some(_) => Some(self.task_threads()?),
             None => None,

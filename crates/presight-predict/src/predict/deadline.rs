@@ -44,7 +44,7 @@ impl Prediction {
 
 impl Predictor {
     /// The prediction of a frame that [`Predictor::predict`] refused with [`presight_model::ErrorKind::Deadline`], for
-    /// a series that goes on: every sample and every feature is given up, and `complete_to` is 0.
+    /// a series that continues: every sample and every feature is given up, and `complete_to` is 0.
     ///
     /// # Errors
     /// [`presight_model::ErrorKind::System`] if the system refuses the memory; the errors of [`Predictor::predict`]
@@ -85,8 +85,8 @@ impl Predictor {
         })
     }
 
-    /// The cut of the world for a level scanner of one row, if it is known or due. With a deadline the row has to be surely in time, and
-    /// so has a cut that is made.
+    /// The cut of the world for a level scanner of one row, if it is known or due. With a deadline, the row and any new cut
+    /// must be certain to finish in time.
     pub(super) fn find_cut(&self, vantage: &Vantage<'_>, timed: Option<&DeadlineFrame>) -> Option<Arc<RowCut>> {
         let Vantage { world, sensor, world_from_sensor } = *vantage;
         if !self.may_cut() || !self.engine.draws_cuts() || !is_row(sensor) {

@@ -8,7 +8,6 @@ use presight_features::{
 };
 use presight_model::clock::Instant;
 use presight_model::error::Result;
-use presight_model::geometry::SensorPose;
 use presight_render::cost::DeadlineFrame;
 use presight_render::deadline::Priority;
 use presight_render::plan::{Images, Stats};
@@ -94,7 +93,7 @@ mod tests {
     use presight_features::generate::{FeatureKind, GenerateOptions, generate};
     use presight_features::{FeatureOptions, place};
     use presight_model::environment::NewObject;
-    use presight_model::geometry::Pose;
+    use presight_model::geometry::{Pose, SensorPose};
     use presight_model::world::World;
     use presight_testkit::scenes;
     use std::sync::Arc;

@@ -56,7 +56,7 @@ pub struct Options {
     pub raster: Raster,
     /// Lets a GPU first draw what the sensor's last frame showed, see [`Options::with_reuse_visible`].
     pub reuse_visible: bool,
-    /// How the CPU engine finds what rays see; images have the same bits either way.
+    /// The CPU engine's strategy of finding what rays see; images have the same bits with each.
     pub way: Way,
 }
 

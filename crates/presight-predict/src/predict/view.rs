@@ -44,7 +44,7 @@ impl Predictor {
     /// ```
     ///
     /// # Errors
-    /// [`presight_model::ErrorKind::Usage`] if nothing is below; the errors of [`Predictor::predict`].
+    /// [`presight_model::ErrorKind::Usage`] if there is no surface below; the errors of [`Predictor::predict`].
     pub fn floor_below(&mut self, world: &World, sensor: &Sensor, pose: &SensorPose) -> Result<f64> {
         let down = RayTable::new(1, 1, vec![DVec3::NEG_Z])?;
         let probe = Sensor::new(SensorSpec::new("straight down", &sensor.spec().class, Geometry::Rays(down)))?;
