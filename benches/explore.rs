@@ -39,7 +39,7 @@ struct Row {
 
 fn explored(views: &[Placed], options: &ExploreOptions) -> (Exploration, Seconds) {
     let mut all = Views::default();
-    views.iter().for_each(|(frame, pose)| all.push(frame, *pose).expect("a sound view"));
+    views.iter().for_each(|(frame, pose)| all.push(frame, SensorPose::new(*pose)).expect("a sound view"));
     timed(|| Exploration::of(&Environment::new(), Known::Explored, &all, options).expect("surfaces"))
 }
 

@@ -50,7 +50,7 @@ fn check(world: &World, sensor: &Sensor, count: u32, place: Pose) {
     let sensed = disturbed(
         &mut random,
         sensor.spec(),
-        &single(&mut engine, world, sensor, &headings.pose(place.translation, 1)).0,
+        &single(&mut engine, world, sensor, &headings.pose(place.translation, 1).world_from_sensor()).0,
     );
     let cell = PoseCell { side: 0.05, turn: 0.01 };
     let request = BatchRequest {
@@ -67,7 +67,8 @@ fn check(world: &World, sensor: &Sensor, count: u32, place: Pose) {
     let beams = sensed.iter().filter(|r| !r.is_nan()).count() as f64;
     let mut apart = 0;
     for (k, ours) in (0..count).zip(&item.headings) {
-        let (range, cos) = single(&mut engine, world, &beams_of, &headings.pose(place.translation, k));
+        let (range, cos) =
+            single(&mut engine, world, &beams_of, &headings.pose(place.translation, k).world_from_sensor());
         let truth = oracle::log_likelihood(sensor.spec(), cell, &sensed, &range, &cos);
         // A beam at an edge may hit the surface next to it: one beam can change the sum by no more than this.
         let off = (f64::from(*ours) - truth).abs() * NOISE.mixture.beam_dependence;
@@ -177,7 +178,10 @@ fn real_scans_are_found_in_their_map() {
             let item = item.unwrap();
             for (k, log_likelihood) in (0..).zip(&item.headings) {
                 if *log_likelihood > best.0 {
-                    best = (*log_likelihood, headings.pose(item.pose.world_from_sensor().translation, k));
+                    best = (
+                        *log_likelihood,
+                        headings.pose(item.pose.world_from_sensor().translation, k).world_from_sensor(),
+                    );
                 }
             }
         }

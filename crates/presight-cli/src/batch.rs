@@ -140,7 +140,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         Ok(pose)
     })?;
     // All shards must use the same height.
-    request.height = Some(poses.first.translation.z);
+    request.height = Some(poses.first.world_from_sensor().translation.z);
     let items = args.items(poses.count);
     args.check_inputs(&scene.files)?;
     folder::ready(&args.out)?;

@@ -172,7 +172,7 @@ impl Group {
     ) -> Result<Option<PoseEstimate>> {
         let Some(Model { world, localizer }) = &mut self.model else { return Ok(None) };
         let Some(pose) = by.find(world, frame, self.found)? else { return Ok(None) };
-        *localizer = followed(world, frame, pose.world_from_robot, options)?;
+        *localizer = followed(world, frame, pose.robot(), options)?;
         self.push(frame, &pose)?;
         Ok(Some(pose))
     }
@@ -195,7 +195,7 @@ impl Group {
         let world = World::new(found.environment().clone());
         let localizer = match (self.model.take(), self.views.all().last()) {
             (Some(model), _) => model.localizer,
-            (None, Some(last)) => followed(&world, &last.frame()?, self.found, options)?,
+            (None, Some(last)) => followed(&world, &last.frame()?, RobotPose::new(self.found), options)?,
             (None, None) => return Ok(()),
         };
         self.model = Some(Model { world, localizer });

@@ -9,7 +9,7 @@ use glam::{DMat3, DVec3};
 use presight_files::layer::to_fields;
 use presight_localize::extract::{FeatureClass, FeatureFinding, Findings};
 use presight_model::environment::{Environment, Existence, Feature, FeatureShape, Properties};
-use presight_model::geometry::{Pose, PoseEstimate, RobotPose};
+use presight_model::geometry::{Pose, PoseEstimate};
 use presight_model::measured::Frame;
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
@@ -320,6 +320,7 @@ fn after(before: &Existence, looks: &Looks, share: f64, utc: f64) -> Existence {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use presight_model::geometry::{PoseCovariance, RobotPose};
 
     /// By hand, with a share of 0.9: a look that finds it multiplies the odds by 18, one that misses it by 0.1 / 0.95.
     #[test]
@@ -345,7 +346,7 @@ mod tests {
     }
 
     fn exact() -> PoseEstimate {
-        PoseEstimate::new(RobotPose::IDENTITY, presight_model::geometry::PoseCovariance::from_sigmas([0.001; 6]))
+        PoseEstimate::new(RobotPose::IDENTITY, PoseCovariance::from_sigmas([0.001; 6]))
     }
 
     #[test]

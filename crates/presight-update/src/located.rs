@@ -5,7 +5,7 @@ use glam::{DMat3, DQuat, DVec2, DVec3};
 use presight_localize::matching::{Detection, Shape};
 use presight_localize::verdict::{ObjectError, body_from_image};
 use presight_model::environment::{Feature, FeatureShape};
-use presight_model::geometry::{Pose, PoseEstimate, RobotPose};
+use presight_model::geometry::{Pose, PoseEstimate};
 use presight_model::matrix::{Matrix, add_to, apply, inverse, product, sandwich, scaled, turn};
 use presight_model::sensor::Sensor;
 
@@ -226,7 +226,7 @@ pub(crate) fn located(feature: &Feature, sums: &Sums, (stood, stands): (&Pose, &
 mod tests {
     use super::*;
     use presight_model::environment::{Existence, Properties};
-    use presight_model::geometry::PoseCovariance;
+    use presight_model::geometry::{PoseCovariance, RobotPose};
     use presight_model::sensor::{Camera, Geometry, SensorSpec};
 
     fn feature(shape: FeatureShape) -> Feature {

@@ -3,7 +3,7 @@
 use crate::view::BOUND;
 use glam::DVec3;
 use presight_localize::motion::motion_between;
-use presight_model::geometry::{PoseEstimate, RobotPose};
+use presight_model::geometry::PoseEstimate;
 use presight_model::matrix::quadratic;
 
 /// Fewest views for a verdict.
@@ -66,7 +66,7 @@ impl Pulled {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use presight_model::geometry::{Pose, PoseCovariance};
+    use presight_model::geometry::{Pose, PoseCovariance, RobotPose};
 
     /// Stated 1 degree and 1 cm. Two robots that head differently, with a sensor 4 degrees and 5 cm to the left of its mount's: both
     /// are pulled the same way in their own axes. Errors of the same size that change their sign are not reported.

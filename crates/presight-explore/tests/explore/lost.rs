@@ -46,7 +46,7 @@ fn frames(real: &Environment, yaws: &[f64], start: f64, seed: u64) -> Vec<(Frame
 }
 
 fn follower() -> Follower {
-    Follower::new(look(0.0), Environment::new(), Known::Explored, &ExploreOptions::default()).unwrap()
+    Follower::new(RobotPose::new(look(0.0)), Environment::new(), Known::Explored, &ExploreOptions::default()).unwrap()
 }
 
 /// The times of the frames that are not in the first one's group, in tenths of a second.

@@ -62,6 +62,11 @@ impl LogFrame {
         Ok(frame)
     }
 
+    /// The transform of the reference.
+    fn reference_pose(&self) -> Option<Pose> {
+        self.reference.map(|robot| robot.world_from_robot())
+    }
+
     /// Checks the size of the frame, that time and poses are finite, and that intensities are from 0 to 1.
     ///
     /// # Errors
@@ -83,7 +88,7 @@ impl LogFrame {
             }
             check_intensities(intensities)?;
         }
-        let poses = [("odometry", self.odometry), ("reference", self.reference)];
+        let poses = [("odometry", self.odometry), ("reference", self.reference_pose())];
         for (name, pose) in poses {
             pose.map_or(Ok(()), |p| p.check_as(presight_model::error::ErrorKind::Invalid)).map_err(|e| e.at(name))?;
         }

@@ -169,7 +169,7 @@ fn parse_poses(text: &str) -> Result<HashMap<String, SensorPose>> {
         let NamedPose { translation, quaternion_xyzw } = serde_json::from_value(value)
             .map_err(|e| wrong(format!("{}: {e}", presight_model::printable::quoted(&name))))?;
         let pose = Pose::new(DVec3::from(translation), DQuat::from_array(quaternion_xyzw));
-        poses.insert(name, pose?);
+        poses.insert(name, SensorPose::new(pose?));
     }
     Ok(poses)
 }

@@ -390,7 +390,7 @@ mod tests {
     #[test]
     fn fields_bear_the_names_that_others_read() {
         let prediction = FeaturePrediction { features: vec![seen()], ..FeaturePrediction::default() };
-        let header = Header::new(&preset("video-camera").unwrap(), Pose::IDENTITY);
+        let header = Header::new(&preset("video-camera").unwrap(), SensorPose::IDENTITY);
         let text = to_string(&header, &prediction, &Environment::new(), None).unwrap();
         let json: serde_json::Value = serde_json::from_str(&text).unwrap();
         let keys = |v: &serde_json::Value| v.as_object().unwrap().keys().cloned().collect::<Vec<_>>();
@@ -450,7 +450,10 @@ mod tests {
             opening: None,
         };
         let given_up = Some(given_up);
-        let header = Header { given_up: given_up.clone(), ..Header::new(&preset("video-camera").unwrap(), pose) };
+        let header = Header {
+            given_up: given_up.clone(),
+            ..Header::new(&preset("video-camera").unwrap(), SensorPose::new(pose))
+        };
         let text = to_string(&header, &prediction, &Environment::new(), None).unwrap();
         let read = parse(&text).unwrap();
         assert_eq!(read.given_up, given_up);

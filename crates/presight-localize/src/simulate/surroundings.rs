@@ -141,7 +141,7 @@ mod tests {
     /// A walker stays within its 4 m path and 2.5 m to the side of the pose, walks at 1 m/s, and stands on the floor.
     #[test]
     fn walkers_walk_near_the_robot() {
-        let path = [Pose::from_xyz_rpy(DVec3::new(10.0, -3.0, 1.2), 0.0, 0.0, 0.5)];
+        let path = [RobotPose::from_xyz_rpy(DVec3::new(10.0, -3.0, 1.2), 0.0, 0.0, 0.5)];
         let mut world = World::new(Environment::new());
         let walkers = Walkers::new(&mut world, &path, 1.2, 20, 3).unwrap();
         assert_eq!(world.environment().objects().len(), 20);
@@ -157,7 +157,7 @@ mod tests {
                 let step = a.distance(*b);
                 assert!(step < 0.1 + 1e-9 && b.z.abs() < 1e-9, "{step} {b}");
                 way += step;
-                let off = (*b - path[0].translation).truncate().length();
+                let off = (*b - path[0].world_from_robot().translation).truncate().length();
                 assert!((1.0 - 1e-9..3.3).contains(&off), "{off}");
             }
             before = now;
@@ -172,8 +172,8 @@ mod tests {
         let mut world = World::new(Environment::new());
         assert!(displace(&mut world, -0.1, 1).is_err() && displace(&mut world, f64::NAN, 1).is_err());
         assert!(Walkers::new(&mut world, &[], 1.0, 1, 1).is_err());
-        assert!(Walkers::new(&mut world, &[Pose::IDENTITY], f64::NAN, 1, 1).is_err());
-        assert!(Walkers::new(&mut world, &[Pose::IDENTITY], 1.0, 1001, 1).is_err());
+        assert!(Walkers::new(&mut world, &[RobotPose::IDENTITY], f64::NAN, 1, 1).is_err());
+        assert!(Walkers::new(&mut world, &[RobotPose::IDENTITY], 1.0, 1001, 1).is_err());
         assert!(Walkers::new(&mut world, &[], 1.0, 0, 1).unwrap().walk(&mut world, 1.0).is_ok());
     }
 }
