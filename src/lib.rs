@@ -102,8 +102,6 @@ pub mod verdict;
 pub mod virtual_sensors;
 
 #[doc(inline)]
-pub use presight_files::preset;
-#[doc(inline)]
 pub use presight_model::clock::set_clock;
 #[doc(inline)]
 pub use presight_model::geometry::{
@@ -113,6 +111,8 @@ pub use presight_model::geometry::{
 pub use presight_model::{Change, Error, ErrorKind, Result, Sensor, Threads, World};
 #[doc(inline)]
 pub use presight_predict::{Backend, Options, Prediction, Predictor, Request};
+#[doc(inline)]
+pub use presight_read::preset;
 #[doc(inline)]
 pub use presight_render::{IdScheme, ImageRequest, Images, Output, Outputs, Raster, Stats, Way};
 pub use scene::{Scene, SceneFeatures, SceneOptions, blake3_of};

@@ -20,7 +20,7 @@ use presight_pictures::{Comparison, GreyMark, GreyPanel, Overlay, PlanMarks, wri
 use presight_predict::predict::{Backend, Options, Predictor};
 use presight_predict::request::Request;
 use presight_render::plan::{Images, Output, Outputs};
-use presight_studies::replay::{Leaf, page};
+use presight_studies::page::replay::{Leaf, page};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
