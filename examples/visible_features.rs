@@ -4,8 +4,8 @@
 #![allow(clippy::print_stdout, reason = "an example prints its result")]
 
 use glam::DVec3;
+use presight::features::BoxOptions;
 use presight::features::{FeatureOptions, GenerateOptions, generate};
-use presight::regions::BoxOptions;
 use presight::{Options, Prediction, Predictor, Request, Result, Scene, SensorPose};
 
 /// Predicts edges and corners for a camera whose pose is known to 2 cm in x and y and 0.01 rad of heading.

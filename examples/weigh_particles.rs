@@ -4,8 +4,8 @@
 #![allow(clippy::print_stdout, reason = "an example prints its result")]
 
 use glam::DVec3;
-use presight::batch::{BatchRequest, PoseCell, RangeLikelihood};
 use presight::measured::{Frame, Measurement};
+use presight::predict::{BatchRequest, PoseCell, RangeLikelihood};
 use presight::{Options, Predictor, Request, Result, Scene, SensorPose};
 
 /// The logarithm of the likelihood of a scan at each pose of its sensor.

@@ -4,7 +4,7 @@
 #![allow(clippy::print_stdout, reason = "an example prints its result")]
 
 use glam::DVec3;
-use presight::estimate::{EstimateOptions, Estimator};
+use presight::localize::{EstimateOptions, Estimator};
 use presight::localize::{LocalizeOptions, Localizer, Search, SearchOptions, Step};
 use presight::measured::Frame;
 use presight::simulate::{Disturbances, Simulator};

@@ -3,11 +3,15 @@
 //! Scenes are read from glTF models, scripts and stores ([`crate::Scene`]), or built from these types. A
 //! [`crate::World`] adds the spatial index; a [`crate::Change`] makes its next version.
 #![doc = include_str!("../docs/scene-scripts.md")]
-#![doc = include_str!("../docs/stored-environments.md")]
 
 #[doc(inline)]
 pub use presight_model::environment::{
-    Appearance, Environment, Mark, MarkKind, Material, Mesh, NewObject, Object, Polygon, PolygonOrder,
+    Appearance, ContentHash, DEFAULT_TOLERANCE, Environment, Mark, MarkKind, Material, Mesh, NewObject, Object,
+    Polygon, PolygonOrder,
 };
 #[doc(inline)]
-pub use presight_model::index::IndexKind;
+pub use presight_model::geometry::Aabb;
+#[doc(inline)]
+pub use presight_model::index::{IndexKind, Params as IndexParams};
+#[doc(inline)]
+pub use presight_read::preparation::lost_features;

@@ -6,39 +6,50 @@ pub use presight_files::corridor::read as read_corridor;
 #[doc(inline)]
 pub use presight_files::costs::{read as read_costs, write as write_costs};
 #[doc(inline)]
-pub use presight_files::exr::{Attributes as ExrAttributes, read as read_exr, write as write_exr};
+pub use presight_files::exr::{Attributes as ExrAttributes, ImageFile, read as read_exr, write as write_exr};
 #[doc(inline)]
-pub use presight_files::npy::{write_image as write_npy, write_rays as write_rays_npy};
+pub use presight_files::npy::{
+    Values as NpyValues, header as npy_header, image_shape as npy_shape, write as write_npy_values,
+    write_image as write_npy, write_rays as write_rays_npy,
+};
 #[doc(inline)]
 pub use presight_files::pcd::write as write_pcd;
 #[doc(inline)]
 pub use presight_files::ply::write as write_ply;
 #[doc(inline)]
-pub use presight_model::poses::{ExternalPose, PoseFrame, PoseOf, WorldFrame};
+pub use presight_files::prediction_json::{
+    Header as PredictionHeader, to_string as prediction_to_json, write as write_prediction_json,
+};
 #[doc(inline)]
 pub use presight_read::camera_info::read as read_camera_info;
 #[doc(inline)]
 pub use presight_read::cloud::read as read_cloud;
 #[doc(inline)]
+pub use presight_read::depth_folder::{DepthFolder, camera_json, image_name, poses_txt};
+#[doc(inline)]
 pub use presight_read::gltf::{ImportOptions, import as import_gltf, import_bytes as import_gltf_bytes, write_glb};
 #[doc(inline)]
-pub use presight_read::layer::{read as read_layer, schema as layer_schema, write as write_layer};
+pub use presight_read::layer::{
+    LayerFile, entry as layer_entry, parse as parse_layer, read as read_layer, schema as layer_schema,
+    to_fields as layer_fields, to_string as layer_to_string, write as write_layer,
+    write_with_lost as write_layer_with_lost,
+};
 #[doc(inline)]
 pub use presight_read::log::lines::{header as range_log_header, line as range_log_line};
 #[doc(inline)]
-pub use presight_read::log::{Frames as LogFrames, LogFrame};
+pub use presight_read::log::{Frames as LogFrames, LogFrame, Observation, Readings, read_frame};
 #[doc(inline)]
-pub use presight_read::pose_covariance::parse as parse_pose_covariance;
+pub use presight_read::pose_covariance::{file as pose_covariance_file, parse as parse_pose_covariance};
 #[doc(inline)]
 pub use presight_read::preparation::{SceneFrame, Up, mesh_of_triangles};
 #[doc(inline)]
-pub use presight_read::sensor_toml::{read as read_sensor_toml, to_string as sensor_to_toml};
+pub use presight_read::sensor_toml::{
+    parse as parse_sensor_toml, read as read_sensor_toml, to_string as sensor_to_toml,
+};
 #[doc(inline)]
-pub use presight_read::tum::read as read_tum;
+pub use presight_read::tum::{
+    StampedPose, read as read_tum, read_with_stamps as read_tum_with_stamps, stream as stream_tum,
+    stream_with_stamps as stream_tum_with_stamps,
+};
 #[doc(inline)]
-pub use presight_read::{load_rectified, load_robot, load_sensor};
-#[doc(inline)]
-pub use presight_render::points::{PointCloud, PointsFrame};
-#[cfg(feature = "store")]
-#[doc(inline)]
-pub use presight_store::{Existing, Note as StoreNote, Store, apply_line, create as create_store};
+pub use presight_read::{files_named_by, load_rectified, load_robot, load_sensor, not_built};

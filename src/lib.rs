@@ -8,7 +8,7 @@
 //!
 //! ```
 //! use presight::features::FeatureOptions;
-//! use presight::regions::BoxOptions;
+//! use presight::features::BoxOptions;
 //! use presight::{Options, Predictor, Request, Scene, SensorPose};
 //! # use presight::features::{GenerateOptions, generate};
 //!
@@ -34,13 +34,13 @@
 //!    makes the next version.
 //! 2. **Sensor.** A [`Sensor`] is a [`preset`], a file ([`files::load_sensor`]), or made from a [`sensor::SensorSpec`].
 //!    [`SensorPose`] is where it is, and [`RobotPose`] where its robot is; its mount leads from one to the other.
-//!    [`files::ExternalPose`] reads poses of robots, optical frames and glTF axes as the pose of a sensor.
+//!    [`sensor::ExternalPose`] reads poses of robots, optical frames and glTF axes as the pose of a sensor.
 //! 3. **Prediction.** [`Predictor::predict`] takes world, sensor, pose and [`Request`]. Its [`Prediction`] holds the
-//!    [`Images`], the visible parts of each [feature](features) and its [region of interest](regions), and [`Stats`].
-//!    [`batch`] predicts at many poses, and a [`deadline`] bounds the time.
+//!    [`Images`], the visible parts of each [feature](features) and its [region of interest](features#regions-of-interest), and [`Stats`].
+//!    [`predict`] predicts at many poses and within a deadline.
 //! 4. **Tasks.** [`virtual_sensors`] reduce a view, predicted or measured, to what one task needs, such as free floor.
 //! 5. **Reality.** A [`measured::Frame`] holds a measurement. [`verdict`] compares it with the prediction pixel by pixel,
-//!    [`history`] follows features, [`estimate`] computes the robot's pose, and [`localize`] tracks it. [`simulate`]
+//!    [`localize`] computes the robot's pose, tracks it and follows features. [`simulate`]
 //!    makes measurements for tests. `update` learns what differs from the model.
 //! 6. **Files.** [`files`] reads and writes EXR, PLY, PCD, NumPy, JSON and TOML. The crate `presight-pictures` draws PNG.
 //!
@@ -79,23 +79,22 @@
 //! `gpu` (the wgpu engine), `script` (scenes as scripts) and `store` (stored environments) are on by default. Everything else
 //! works without them.
 
-pub mod batch;
-pub mod deadline;
 pub mod environment;
-pub mod estimate;
 #[cfg(feature = "store")]
 pub mod explore;
 pub mod features;
 pub mod files;
-pub mod history;
 pub mod localize;
 pub mod measured;
+pub mod predict;
 pub mod query;
-pub mod regions;
 mod scene;
 pub mod sensor;
 pub mod simulate;
+#[cfg(feature = "store")]
+pub mod store;
 pub mod supervise;
+pub mod tools;
 #[cfg(feature = "store")]
 pub mod update;
 pub mod verdict;

@@ -3,4 +3,8 @@
 //! A [`crate::Sensor`] is a [`crate::preset`], a file ([`crate::files::load_sensor`]), or made from a [`SensorSpec`].
 
 #[doc(inline)]
-pub use presight_model::sensor::{Angles, Camera, Distortion, Geometry, Noise, PRESETS, RayTable, Scanner, SensorSpec};
+pub use presight_model::poses::{ExternalPose, PoseFrame, PoseOf, WorldFrame};
+#[doc(inline)]
+pub use presight_model::sensor::{
+    Angles, Camera, Distortion, Geometry, ImagePart, Mixture, Noise, PRESETS, RayTable, Scanner, SensorSpec,
+};

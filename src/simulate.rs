@@ -2,4 +2,4 @@
 //! that differs from its model.
 
 #[doc(inline)]
-pub use presight_localize::simulate::{Disturbances, GreySimulator, Simulator, displace};
+pub use presight_localize::simulate::{Disturbances, GreySimulator, Simulator, Walkers, displace};

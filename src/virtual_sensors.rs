@@ -2,4 +2,6 @@
 #![doc = include_str!("../docs/virtual-sensors.md")]
 
 #[doc(inline)]
-pub use presight_predict::virtual_sensors::{Answer, Corridor, Mask, Settings, View, VirtualSensor};
+pub use presight_predict::virtual_sensors::{
+    Answer, Corridor, CorridorFrame, Mask, Settings, View, VirtualReading, VirtualSensor,
+};

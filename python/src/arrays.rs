@@ -3,10 +3,9 @@
 use super::errors::{raised, usage};
 use glam::{DMat3, DQuat, DVec3, Vec3};
 use numpy::{Element, PyArray1, PyArrayDyn, PyArrayMethods, PyUntypedArrayMethods};
-use presight_model::error::{Error, Result};
-use presight_model::geometry::{InWorld, Pose, PoseCovariance};
-use presight_model::poses::{ExternalPose, PoseFrame, PoseOf, WorldFrame};
-use presight_render::plan::{Images, Output, Outputs, SamplesMut};
+use presight::predict::SamplesMut;
+use presight::sensor::{ExternalPose, PoseFrame, PoseOf, WorldFrame};
+use presight::{Error, Images, InWorld, Output, Outputs, Pose, PoseCovariance, Result};
 use pyo3::prelude::*;
 use pyo3::types::{PyString, PyTuple};
 
@@ -211,7 +210,7 @@ pub fn outputs_of(given: Option<&Bound<'_, PyAny>>) -> PyResult<Outputs> {
 
 /// (rows, columns), and 3 for vectors.
 pub fn shape_of(images: (u32, u32), output: Output) -> Vec<usize> {
-    presight_files::npy::image_shape(images.0, images.1, output)
+    presight::files::npy_shape(images.0, images.1, output)
 }
 
 /// Moves an image into an array.

@@ -1,7 +1,7 @@
 //! Errors as Python knows them, notices as warnings, and work that runs without the interpreter.
 
-use presight_model::error::{Error as Ours, ErrorKind};
-use presight_model::memory;
+use presight::tools;
+use presight::{Error as Ours, ErrorKind};
 use pyo3::exceptions::{PyMemoryError, PyRuntimeError, PyUserWarning, PyValueError};
 use pyo3::prelude::*;
 use pyo3::{PyTypeInfo, create_exception};
@@ -141,6 +141,6 @@ pub fn room_for(bytes: Option<u64>) -> PyResult<()> {
     let remedy = "take fewer poses at a time: predict_chunks gives them in parts";
     match bytes.filter(|bytes| *bytes <= isize::MAX as u64) {
         None => Err(PyMemoryError::new_err(format!("the arrays are larger than any memory; {remedy}"))),
-        Some(bytes) => memory::require(bytes).map_err(|e| PyMemoryError::new_err(format!("{}; {remedy}", e.what()))),
+        Some(bytes) => tools::require(bytes).map_err(|e| PyMemoryError::new_err(format!("{}; {remedy}", e.what()))),
     }
 }

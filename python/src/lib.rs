@@ -15,8 +15,8 @@ mod scene;
 mod sensor;
 
 use errors::{Failed, apart};
-use presight_model::measured::{Frame, Measurement};
-use presight_predict::batch::{BatchRequest, PoseCell, RangeLikelihood};
+use presight::measured::{Frame, Measurement};
+use presight::predict::{BatchRequest, PoseCell, RangeLikelihood};
 use pyo3::prelude::*;
 use std::ffi::OsString;
 use std::time::Instant;

@@ -4,11 +4,8 @@ use super::arrays::{is_aligned, outputs_of, shape_of};
 use super::errors::{Failed, apart, raised, room_for, usage};
 use super::predictor::{Predictor, RANGE};
 use numpy::{Element, PyArrayDyn, PyArrayMethods, PyReadwriteArrayDyn, PyUntypedArrayMethods};
-use presight_model::geometry::SensorPose;
-use presight_model::sensor::Sensor;
-use presight_model::world::World;
-use presight_predict::batch::{Batch, BatchItem, BatchRequest};
-use presight_render::plan::{Images, Output, Outputs, SampleKind, Samples};
+use presight::predict::{Batch, BatchItem, BatchRequest, SampleKind, Samples};
+use presight::{Images, Output, Outputs, Sensor, World, SensorPose};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::sync::{Mutex, PoisonError};
@@ -145,7 +142,7 @@ impl<'py> Targets<'py> {
         outputs: Outputs,
         out: Option<&Bound<'py, PyDict>>,
     ) -> PyResult<Self> {
-        presight_predict::request::Request::of(outputs).check(sensor).map_err(|e| raised(py, &e))?;
+        presight::Request::of(outputs).check(sensor).map_err(|e| raised(py, &e))?;
         if let Some(out) = out {
             let known = |name: &str| outputs.iter().any(|output| output.name() == name);
             for name in out.keys() {

@@ -5,16 +5,14 @@ use super::errors::{Failed, apart, raised, usage, warn};
 use super::process::Shared;
 use super::scene::Scene;
 use super::sensor::{Sensor, sensor_of};
-use presight_files::log::{Frames, Observation};
-use presight_localize::estimate::{EstimateOptions, Estimator, Freedom};
-use presight_localize::localize::{LocalizeOptions, Localizer as Ours, Search, SearchOptions};
-use presight_localize::verdict::{Verdict, Verdicts as OurVerdicts};
-use presight_model::error::Error;
-use presight_model::geometry::{Pose, PoseEstimate, RobotPose};
-use presight_model::measured::{Frame as OurFrame, GreyImage, Measurement, Motion, OdometryNoise};
-use presight_model::memory;
-use presight_model::sensor::{Geometry, Sensor as OurSensor};
-use presight_predict::predict::{Backend, Options, Predictor};
+use presight::files::{LogFrames, Observation};
+use presight::localize::{
+    EstimateOptions, Estimator, Freedom, LocalizeOptions, Localizer as Ours, Search, SearchOptions,
+};
+use presight::measured::{Frame as OurFrame, GreyImage, Measurement, Motion, OdometryNoise};
+use presight::tools;
+use presight::verdict::{Verdict, Verdicts as OurVerdicts};
+use presight::{Backend, Error, Options, Pose, PoseEstimate, Predictor, Sensor as OurSensor, RobotPose};
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
 use std::path::PathBuf;
@@ -139,12 +137,12 @@ impl Log {
     fn open(py: Python<'_>, path: PathBuf, sensor: Option<&Bound<'_, PyAny>>) -> PyResult<Self> {
         let sensor = sensor.map(sensor_of).transpose()?;
         let log = apart(py, || {
-            let mut log = Frames::open(&path, sensor.as_ref(), &OdometryNoise::default())?;
+            let mut log = LogFrames::open(&path, sensor.as_ref(), &OdometryNoise::default())?;
             let (mut frames, mut bytes) = (Vec::new(), 0);
             while let Some(frame) = log.next().transpose()? {
                 bytes += 8 * frame.frame.ranges().len() as u64;
                 if bytes > LOOK_BYTES {
-                    memory::require(LOOK_BYTES).map_err(|e| e.in_file(&path))?;
+                    tools::require(LOOK_BYTES).map_err(|e| e.in_file(&path))?;
                     bytes = 0;
                 }
                 frames.push(frame);
@@ -389,13 +387,13 @@ impl Localizer {
         let scene = scene.get();
         let world = apart(py, || Ok(scene.seen().world))?;
         let start = Start { prior, floor, model_sigma };
-        let process = presight_model::threads::this_process();
+        let process = presight::tools::this_process();
         Ok(Self { world, start, threads, follower: Shared::new(), process })
     }
 
     /// Takes in the next frame. Raises `Error` if it is not later than the one before.
     fn step(&self, py: Python<'_>, frame: &Bound<'_, Frame>) -> PyResult<Step> {
-        if self.process != presight_model::threads::this_process() {
+        if self.process != presight::tools::this_process() {
             let e = Error::usage("a localizer cannot go on in a forked process", "make one there");
             return Err(raised(py, &e));
         }

@@ -2,15 +2,13 @@
 
 use super::arrays::{array, fill, image, one_by_one, pose_numbers, size};
 use super::errors::{apart, usage};
+use presight::environment::Environment;
+use presight::features::{Reason, SeenFeature};
+use presight::files;
+use presight::predict::{PointCloud, PointsFrame};
+use presight::{Error, Images, Output, Prediction as Ours};
 use presight_cli::summary::Summary;
-use presight_features::{Reason, SeenFeature};
-use presight_files::prediction_json;
-use presight_model::environment::Environment;
-use presight_model::error::Error;
 use presight_pictures as pictures;
-use presight_predict::predict::Prediction as Ours;
-use presight_render::plan::{Images, Output};
-use presight_render::points::{PointCloud, PointsFrame};
 use pyo3::exceptions::{PyAttributeError, PyIndexError};
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyTuple};
@@ -47,7 +45,7 @@ pub struct About {
     pub engine: String,
     pub ms: f64,
     /// Where features were predicted, the environment that names their objects, and the header of their file.
-    pub features: Option<(Arc<Environment>, prediction_json::Header)>,
+    pub features: Option<(Arc<Environment>, files::PredictionHeader)>,
 }
 
 impl Prediction {
@@ -252,9 +250,9 @@ image_getters!(
 /// The features of a prediction: columns as arrays, and one by one by index or loop.
 #[pyclass(frozen, module = "presight")]
 pub struct Features {
-    seen: presight_features::FeaturePrediction,
+    seen: presight::features::FeaturePrediction,
     environment: Arc<Environment>,
-    header: prediction_json::Header,
+    header: files::PredictionHeader,
 }
 
 /// Why nothing of a feature is visible; empty if a part is.
@@ -313,7 +311,7 @@ impl Features {
 
     /// The features file that `presight predict --features` writes.
     fn json(&self, py: Python<'_>) -> PyResult<String> {
-        apart(py, || Ok(prediction_json::to_string(&self.header, &self.seen, &self.environment, None)?))
+        apart(py, || Ok(files::prediction_to_json(&self.header, &self.seen, &self.environment, None)?))
     }
 
     fn __len__(&self) -> usize {
@@ -382,7 +380,7 @@ impl Feature {
     #[getter]
     fn visible(&self) -> Vec<Part> {
         let part =
-            |v: &presight_features::VisibleInterval| ((v.t[0], v.t[1]), (v.pixels[0].into(), v.pixels[1].into()));
+            |v: &presight::features::VisibleInterval| ((v.t[0], v.t[1]), (v.pixels[0].into(), v.pixels[1].into()));
         self.0.visible.iter().map(part).collect()
     }
 
@@ -427,20 +425,20 @@ impl Feature {
 #[pyclass(frozen, module = "presight")]
 pub struct Layer {
     text: String,
-    pub file: Arc<presight_files::layer::LayerFile>,
+    pub file: Arc<presight::files::LayerFile>,
 }
 
 impl Layer {
     fn of(text: String, path: Option<PathBuf>) -> Result<Self, Error> {
-        let file = presight_files::layer::parse(&text).map_err(|e| match &path {
+        let file = presight::files::parse_layer(&text).map_err(|e| match &path {
             Some(path) => e.in_file(path),
             None => e,
         })?;
-        Ok(Self { text, file: Arc::new(presight_files::layer::LayerFile { path, ..file }) })
+        Ok(Self { text, file: Arc::new(presight::files::LayerFile { path, ..file }) })
     }
 
     pub fn read(path: PathBuf) -> Result<Self, Error> {
-        Self::of(presight_files::text::read_text(&path)?, Some(path))
+        Self::of(presight::tools::read_text(&path)?, Some(path))
     }
 }
 

@@ -8,19 +8,11 @@ use super::prediction::{About, Layer, Prediction};
 use super::process::PerProcessPredictor;
 use super::scene::{Scene, Seen};
 use super::sensor::sensor_of;
-use presight::SceneFeatures;
-use presight_features::{BoxOptions, FeatureOptions, FeatureSource, Hidden};
-use presight_files::layer::LayerFile;
-use presight_files::prediction_json;
-use presight_model::error::{Error, Result};
-use presight_model::geometry::{PoseEstimate, RobotPose, SensorPose};
-use presight_model::measured::{Frame as OurFrame, Measurement};
-use presight_model::sensor::Sensor;
-use presight_model::world::World;
-use presight_predict::batch::{BatchRequest, Headings, PoseCell, RangeLikelihood};
-use presight_predict::predict::{Backend, Predictor as Ours};
-use presight_predict::request::Request;
-use presight_render::plan::{Output, Outputs};
+use presight::features::{BoxOptions, FeatureOptions, FeatureSource, Hidden};
+use presight::files::{self, LayerFile};
+use presight::measured::{Frame as OurFrame, Measurement};
+use presight::predict::{BatchRequest, Headings, PoseCell, RangeLikelihood};
+use presight::{Backend, Error, Output, Outputs, PoseEstimate, Predictor as Ours, Request, Result, SceneFeatures, Sensor, World, RobotPose, SensorPose};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 use std::path::PathBuf;
@@ -241,11 +233,11 @@ impl Predictor {
             if let (Some(features), FeatureSource::Placed(placed)) = (&mut prediction.features, &options.source) {
                 features.spell_out(seen.world.environment(), &placed.features);
             }
-            let header = prediction_json::Header {
+            let header = files::PredictionHeader {
                 pose_covariance: Some(boxes.sensor),
                 confidence: Some(boxes.confidence),
                 given_up: prediction.degradation().cloned(),
-                ..prediction_json::Header::new(&sensor, pose)
+                ..files::PredictionHeader::new(&sensor, pose)
             };
             about.features = Some((seen.world.environment().clone(), header));
             let others = placed.other_classes;
@@ -398,8 +390,7 @@ impl Predictor {
         let (scene, frame) = (scene.get(), frame.get());
         apart(py, || {
             let world = scene.seen().world;
-            let judge =
-                |predictor: &mut Ours| Ok(presight_localize::verdict::of_frame(predictor, &world, &frame.0, &robot)?);
+            let judge = |predictor: &mut Ours| Ok(presight::verdict::of_frame(predictor, &world, &frame.0, &robot)?);
             self.with(judge).map(Verdicts)
         })
     }

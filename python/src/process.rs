@@ -1,8 +1,7 @@
 //! Owners of threads, locks and devices. A forked child never uses its parent's.
 
-use presight_model::error::{Error, ErrorKind, Result};
-use presight_model::threads::{PerProcess, this_process};
-use presight_predict::predict::{Backend, Options, Predictor};
+use presight::tools::{PerProcess, this_process};
+use presight::{Backend, Error, ErrorKind, Options, Predictor, Result};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Mutex, PoisonError};
 

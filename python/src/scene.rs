@@ -4,16 +4,11 @@ use super::arrays::{mesh_of, pose_numbers, pose_of};
 use super::errors::{Failed, apart, raised, usage, warn};
 use super::process::Shared;
 use glam::Vec3;
-use presight::{Scene as Ours, SceneOptions};
+use presight::environment::{Environment, Material, NewObject};
+use presight::files::{ImportOptions, SceneFrame, Up, mesh_of_triangles};
+use presight::store::{Note, Store as OurStore};
+use presight::{Change, Error, Pose, Scene as Ours, SceneOptions, World};
 use presight_cli::summary::objects_in;
-use presight_files::gltf::ImportOptions;
-use presight_files::preparation::{SceneFrame, Up, mesh_of_triangles};
-use presight_model::change::Change;
-use presight_model::environment::{Environment, Material, NewObject};
-use presight_model::error::Error;
-use presight_model::geometry::Pose;
-use presight_model::world::World;
-use presight_store::{Note, Store as OurStore};
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 use std::collections::BTreeSet;
@@ -103,7 +98,7 @@ struct Part {
 /// A mesh of arrays as a new object, and a notice of the triangles that were left out.
 fn object(part: Part, material: u16) -> Result<(NewObject, Option<String>), Error> {
     let Part { name, vertices, faces, pose } = part;
-    presight_files::text::check_name(&name)?;
+    presight::tools::check_name(&name)?;
     let tolerance = ImportOptions::default().merge_tolerance;
     let (mesh, flat) = mesh_of_triangles(&name, &vertices, &faces, material, tolerance)?;
     let notice = (flat > 0).then(|| format!("mesh {name:?}: {flat} triangles without an area are left out"));
@@ -195,7 +190,7 @@ impl Scene {
     /// The objects by `object_id` - 1; deleted ones are empty texts.
     #[getter]
     fn objects(&self, py: Python<'_>) -> PyResult<Vec<String>> {
-        let name = |o: &presight_model::Object| if o.is_deleted() { String::new() } else { o.name.clone() };
+        let name = |o: &presight::environment::Object| if o.is_deleted() { String::new() } else { o.name.clone() };
         self.look(py, |scene| Ok(scene.world.environment().objects().iter().map(name).collect()))
     }
 
@@ -266,7 +261,7 @@ impl Scene {
     /// False
     #[pyo3(signature = (json, folder = PathBuf::from(".")))]
     fn apply(&self, py: Python<'_>, json: &str, folder: PathBuf) -> PyResult<()> {
-        self.change(py, |world| presight_store::apply_line(world, json, &folder))
+        self.change(py, |world| presight::store::apply_line(world, json, &folder))
     }
 
     /// A scene with the same content, which later changes of this one do not reach.
@@ -328,7 +323,7 @@ impl Scene {
             let environment = scene.world.environment();
             let folder = tempfile::tempdir().map_err(|e| Error::io(std::env::temp_dir(), "make a folder", e))?;
             let file = folder.path().join("scene.presight");
-            presight_store::create(&file, environment, &Note::new("a pickle", 0.0))?;
+            presight::store::create(&file, environment, &Note::new("a pickle", 0.0))?;
             let bytes = std::fs::read(&file).map_err(|e| Error::io(&file, "read it", e))?;
             Ok((bytes, environment.content_hash().to_string()))
         })?;
@@ -415,7 +410,7 @@ impl Store {
     #[pyo3(signature = (path, scene, cause = "created"))]
     fn create(py: Python<'_>, path: PathBuf, scene: &Bound<'_, Scene>, cause: &str) -> PyResult<Self> {
         let (scene, note) = (scene.get(), Note::new(cause, now()));
-        apart(py, || Ok(presight_store::create(&path, scene.seen().world.environment(), &note)?))?;
+        apart(py, || Ok(presight::store::create(&path, scene.seen().world.environment(), &note)?))?;
         Self::new(py, path)
     }
 

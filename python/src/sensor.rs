@@ -3,12 +3,10 @@
 use super::arrays::{array, numbers, pose_numbers, pose_of};
 use super::errors::{Failed, apart, raised, usage, warn};
 use glam::{DQuat, DVec3};
-use presight_files::{load_rectified, load_sensor, sensor_toml};
-use presight_model::error::Error;
-use presight_model::memory;
-use presight_model::sensor::{
-    Angles, Camera, Distortion, Geometry, PRESETS, RayTable, Scanner, Sensor as Ours, SensorSpec,
-};
+use presight::files::{self, load_rectified, load_sensor};
+use presight::sensor::{Angles, Camera, Distortion, Geometry, PRESETS, RayTable, Scanner, SensorSpec};
+use presight::tools;
+use presight::{Error, Sensor as Ours};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 use std::path::PathBuf;
@@ -195,7 +193,7 @@ impl Sensor {
     /// 'vlp-16'
     #[staticmethod]
     fn parse(py: Python<'_>, toml: &str) -> PyResult<Self> {
-        apart(py, || Ok(Self(Ours::new(sensor_toml::parse(toml, "sensor", None)?)?)))
+        apart(py, || Ok(Self(Ours::new(files::parse_sensor_toml(toml, "sensor", None)?)?)))
     }
 
     /// The same sensor with other properties, by the names that `camera` lists.
@@ -209,7 +207,7 @@ impl Sensor {
 
     /// The text of its sensor file, which `presight --sensor` takes.
     fn toml(&self) -> String {
-        sensor_toml::to_string(self.0.spec())
+        files::sensor_to_toml(self.0.spec())
     }
 
     /// The unit rays of the pixels: (rows, columns, 3), float64, body axes (x forward, y left, z up), NaN without a ray. A point is its
@@ -221,7 +219,7 @@ impl Sensor {
         let (height, width) = (self.0.height(), self.0.width());
         let rays = apart(py, || {
             let body_from_image = self.0.body_from_image();
-            let mut rays = memory::reserved(3 * width as usize * height as usize)?;
+            let mut rays = tools::reserved(3 * width as usize * height as usize)?;
             for (row, column) in (0..height).flat_map(|row| (0..width).map(move |column| (row, column))) {
                 let ray = self.0.ray(column, row).map_or(DVec3::NAN, |ray| body_from_image * ray);
                 rays.extend(ray.to_array());
@@ -294,7 +292,7 @@ impl Sensor {
     #[staticmethod]
     fn _restored(py: Python<'_>, toml: &str, exact: (Option<f64>, f64, [f64; 4])) -> PyResult<Self> {
         apart(py, || {
-            let mut spec = sensor_toml::parse(toml, "sensor", None)?;
+            let mut spec = files::parse_sensor_toml(toml, "sensor", None)?;
             spec.max_incidence = exact.0;
             spec.noise.angle_sigma = exact.1;
             spec.optical_from_image = DQuat::from_array(exact.2);

@@ -6,15 +6,9 @@
 
 #![expect(clippy::print_stdout, reason = "a bench reports")]
 
-use presight_files::gltf::import;
-use presight_files::npy;
-use presight_files::npy::Values;
-use presight_model::geometry::{Pose, SensorPose};
-use presight_model::world::World;
-use presight_predict::free_poses::free_poses;
-use presight_predict::predict::{Backend, Options, Predictor};
-use presight_predict::request::Request;
-use presight_render::plan::{Output, Outputs};
+use presight::files::{self, NpyValues, import_gltf};
+use presight::predict::free_poses;
+use presight::{Backend, Options, Output, Outputs, Pose, Predictor, Request, SensorPose, World};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -37,7 +31,7 @@ fn main() {
     }
     let memory = Path::new("/dev/shm");
     let folder = if memory.is_dir() { tempfile::tempdir_in(memory) } else { tempfile::tempdir() }.expect("a folder");
-    let world = World::new(import(&scene, &Default::default()).unwrap_or_else(|e| panic!("{e}")).environment);
+    let world = World::new(import_gltf(&scene, &Default::default()).unwrap_or_else(|e| panic!("{e}")).environment);
     let poses = free_poses(&world, POSES, 1).unwrap_or_else(|e| panic!("{e}"));
     let trajectory = folder.path().join("drive.tum");
     std::fs::write(&trajectory, text(&poses)).expect("the trajectory is written");
@@ -75,9 +69,9 @@ fn text(poses: &[Pose]) -> String {
 /// Opens the scene and predicts; nothing is written.
 fn by_library(scene: &Path, poses: &[Pose]) -> f64 {
     let start = Instant::now();
-    let predict = || -> presight_model::error::Result<()> {
-        let world = World::new(import(scene, &Default::default())?.environment);
-        let sensor = presight_files::preset("vlp-16")?;
+    let predict = || -> presight::Result<()> {
+        let world = World::new(import_gltf(scene, &Default::default())?.environment);
+        let sensor = presight::preset("vlp-16")?;
         let mut predictor = Predictor::new(Options::new(Backend::Cpu))?;
         let request = Request::of(Outputs::of(&[Output::Range]));
         let mut prediction = predictor.predict(&world, &sensor, &SensorPose::new(poses[0]), &request)?;
@@ -102,7 +96,7 @@ fn arrays(folder: &Path) {
         let start = Instant::now();
         for i in 0..count {
             let path = folder.join(format!("{}.npy", i % 4));
-            npy::write(&path, &[rows, columns], Values::F32(&values)).unwrap_or_else(|e| panic!("{e}"));
+            files::write_npy_values(&path, &[rows, columns], NpyValues::F32(&values)).unwrap_or_else(|e| panic!("{e}"));
         }
         let bytes = 4 * count * rows * columns;
         let rate = bytes as f64 / 1e6 / start.elapsed().as_secs_f64();

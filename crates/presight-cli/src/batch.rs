@@ -6,21 +6,16 @@ use super::pose::{PoseFrame, PoseOf, WorldFrame, given_pose};
 use super::sensor_args::SensorArgs;
 use super::series::SeriesProgress;
 use super::{CommandOutcome, bar, folder, open_scene, print};
-use presight::{Scene, SensorPose, blake3_of};
-use presight_files::atomic::write_atomically;
-use presight_files::gltf::ImportOptions;
-use presight_files::{exr, log, sensor_toml, tum};
-use presight_files::{files_named_by, text};
-use presight_model::error::{Error, Result};
-use presight_model::geometry::Pose;
-use presight_model::index::IndexKind;
-use presight_model::measured::{Frame, Measurement};
-use presight_model::poses::ExternalPose;
-use presight_model::sensor::Sensor;
-use presight_model::threads::Threads;
-use presight_predict::batch::{BatchItem, BatchRequest, Headings, PoseCell, RangeLikelihood};
-use presight_predict::predict::{Backend, Predictor};
-use presight_render::plan::{IdScheme, ImageRequest, Output, Outputs, Raster};
+use presight::environment::IndexKind;
+use presight::files::{self, ImportOptions, files_named_by};
+use presight::measured::{Frame, Measurement};
+use presight::predict::{BatchItem, BatchRequest, Headings, PoseCell, RangeLikelihood};
+use presight::sensor::ExternalPose;
+use presight::tools::{self, write_atomically};
+use presight::{
+    Backend, Error, IdScheme, ImageRequest, Output, Outputs, Pose, Predictor, Raster, Result, Scene, Sensor,
+    SensorPose, Threads, blake3_of,
+};
 use rayon::prelude::*;
 use std::fmt::Write as _;
 use std::io::Write as _;
@@ -259,7 +254,7 @@ impl Args {
             "format": 1,
             "presight": env!("CARGO_PKG_VERSION"),
             "scene": format!("{} {}", blake3_of(&self.scene)?, environment.content_hash()),
-            "sensor": hash(sensor_toml::to_string(sensor.spec())),
+            "sensor": hash(files::sensor_to_toml(sensor.spec())),
             "poses": poses.blake3,
             "request": hash(request),
         }))
@@ -292,7 +287,7 @@ fn check_job(folder: &Path, job: &serde_json::Value, given: Choice) -> Result<Ch
     if !path.exists() {
         return Ok(given);
     }
-    let record = text::read_settings(&path)?;
+    let record = tools::read_settings(&path)?;
     same_job(&record, job, given).map_err(|e| e.in_file(&path))
 }
 
@@ -352,7 +347,7 @@ fn read_sensed(frame_name: &str, sensor: &Sensor, cell: PoseCell) -> Result<Rang
     let (path, index) = frame_of(frame_name);
     let range = match index {
         Some(index) => {
-            let (of_log, sensed) = log::read_frame(&path, index)?;
+            let (of_log, sensed) = files::read_frame(&path, index)?;
             let (logged, given) = (of_log.spec(), sensor.spec());
             if logged.geometry != given.geometry || logged.optical_from_image != given.optical_from_image {
                 let what = format!("the rays of the log's sensor differ from {:?}", sensor.spec().name);
@@ -361,7 +356,7 @@ fn read_sensed(frame_name: &str, sensor: &Sensor, cell: PoseCell) -> Result<Rang
             sensed.range
         }
         None => {
-            let range = exr::read(&path)?.images.range;
+            let range = files::read_exr(&path)?.images.range;
             if range.is_empty() {
                 let remedy = "give a file with a range image, or FILE#INDEX of a log";
                 return Err(Error::invalid("the file has no range image", remedy).in_file(&path));
@@ -370,7 +365,7 @@ fn read_sensed(frame_name: &str, sensor: &Sensor, cell: PoseCell) -> Result<Rang
         }
     };
     let frame = Frame::new(0.0, sensor.clone(), Measurement::Range(range)).map_err(|e| e.in_file(&path))?;
-    let mut readings = log::Readings::new("null or NaN");
+    let mut readings = files::Readings::new("null or NaN");
     readings.add(&frame);
     print::notices(&readings.notice().map(|notice| format!("{frame_name}: {notice}")));
     RangeLikelihood::new(&frame, cell).map_err(|e| e.in_file(&path))
@@ -388,8 +383,8 @@ impl PoseFile {
     fn read(path: &Path, of_sensor: impl Fn(Pose) -> Result<SensorPose>) -> Result<Self> {
         let mut hasher = blake3::Hasher::new();
         let (mut count, mut first) = (0, None);
-        for stamped in tum::stream(path)? {
-            let tum::StampedPose { time, pose } = stamped?;
+        for stamped in files::stream_tum(path)? {
+            let files::StampedPose { time, pose } = stamped?;
             let placed = of_sensor(pose).map_err(|e| e.at(format!("pose {count}")).in_file(path))?;
             first.get_or_insert(placed);
             count += 1;
@@ -412,15 +407,15 @@ struct Job<'a> {
     scene: Scene,
     sensor: Sensor,
     request: BatchRequest,
-    attributes: exr::Attributes,
+    attributes: files::ExrAttributes,
 }
 
 impl<'a> Job<'a> {
     fn new(args: &'a Args, scene: Scene, sensor: Sensor, request: BatchRequest) -> Result<Self> {
         let objects = scene.world.environment().objects();
         let seen_by = request.headings.as_ref().map_or(&sensor, Headings::panorama);
-        let attributes = exr::Attributes {
-            sensor: Some(sensor_toml::to_string(seen_by.spec())),
+        let attributes = files::ExrAttributes {
+            sensor: Some(files::sensor_to_toml(seen_by.spec())),
             pose: None,
             scene: Some(args.scene.display().to_string()),
             scene_blake3: Some(blake3_of(&args.scene)?),
@@ -453,7 +448,7 @@ impl<'a> Job<'a> {
         items: Range<usize>,
     ) -> Result<()> {
         let first = progress.next();
-        let stream = || Ok::<_, Error>(tum::stream(&self.args.poses)?.skip(first).take(items.end - first));
+        let stream = || Ok::<_, Error>(files::stream_tum(&self.args.poses)?.skip(first).take(items.end - first));
         let mut times = stream()?.map(|stamped| stamped.map(|s| s.time));
         // The poses were checked before; an error here means that the file has changed, and ends the batch.
         let mut fault = None;
@@ -503,8 +498,8 @@ impl<'a> Job<'a> {
 
     fn write_image(&self, index: usize, item: &BatchItem) -> Result<()> {
         let raster = item.stats.as_ref().and_then(|stats| stats.raster);
-        let attributes = exr::Attributes { pose: Some(item.pose), raster, ..self.attributes.clone() };
-        exr::write(&self.args.out.join(image_name(index)), &item.images, Outputs::ALL, &attributes)
+        let attributes = files::ExrAttributes { pose: Some(item.pose), raster, ..self.attributes.clone() };
+        files::write_exr(&self.args.out.join(image_name(index)), &item.images, Outputs::ALL, &attributes)
     }
 
     /// Appends the table rows of an item to `text`.

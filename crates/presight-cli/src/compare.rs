@@ -4,18 +4,11 @@ use super::frame_args::FrameArgs;
 use super::outputs::OutputFiles;
 use super::{CommandOutcome, open_scene, print};
 use clap::ValueEnum;
-use presight::{Scene, blake3_of};
-use presight_files::atomic::write_atomically;
-use presight_files::exr;
-use presight_files::exr::{Attributes, ImageFile};
-use presight_files::gltf::ImportOptions;
-use presight_files::sensor_toml;
-use presight_model::error::{Error, Result};
-use presight_model::index::IndexKind;
-use presight_model::sensor::Sensor;
-use presight_render::plan::ImageRequest;
-use presight_render::plan::{FramePlan, IdScheme, Images, Output, Outputs};
-use presight_render::verify::{Precision, Report, compare, compare_exactly, compare_partial};
+use presight::environment::IndexKind;
+use presight::files::{ExrAttributes, ImageFile, ImportOptions, parse_sensor_toml, read_exr};
+use presight::tools::write_atomically;
+use presight::{Error, IdScheme, Output, Outputs, Result, Scene, Sensor, blake3_of};
+use presight_studies::comparison::{Precision, Report, View, compare};
 use serde::Serialize;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -96,29 +89,15 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let mut files = OutputFiles::default();
     files.add("--json", args.json.as_deref(), &["json"])?;
     files.check_named([&args.reference, &args.other].into_iter().chain(&args.scene).map(PathBuf::as_path))?;
-    let mut scene_files = Vec::new();
-    let mut reference = exr::read(&args.reference)?;
-    let mut other = exr::read(&args.other)?;
+    let mut reference = read_exr(&args.reference)?;
+    let mut other = read_exr(&args.other)?;
     keep_common(&mut reference, &mut other).map_err(|e| e.in_file(&args.other))?;
-    let mut compare = |a: &Images, b: &Images| match &args.scene {
-        None => compare_exactly(a, b),
-        Some(path) => {
-            let (report, files) = compare_by_scene(args, path, (&reference.attributes, a), b)?;
-            scene_files = files;
-            Ok(report)
-        }
-    };
-    let (a, b) = (&reference.images, &other.images);
-    let report = match (&reference.attributes.given_up, &other.attributes.given_up) {
-        (None, None) => compare(a, b),
-        (None, Some(_)) => compare_partial(a, b, compare),
-        (Some(_), None) => compare_partial(b, a, |b, a| compare(a, b)),
-        (Some(_), Some(_)) => {
-            Err(Error::invalid("both files are incomplete because of a deadline", "compare with a full prediction"))
-        }
+    let view = args.scene.as_ref().map(|path| view_of(args, path, &reference.attributes)).transpose()?;
+    if let Some((_, scene_files)) = &view {
+        files.check_scene(scene_files)?;
     }
-    .map_err(|e| e.in_file(&args.other))?;
-    files.check_scene(&scene_files)?;
+    let report =
+        compare(&reference, &other, view.as_ref().map(|(view, _)| view)).map_err(|e| e.in_file(&args.other))?;
     if let Some(path) = &args.json {
         let name = |p: &Path| p.display().to_string();
         let document = Document {
@@ -162,7 +141,7 @@ fn keep_common(reference: &mut ImageFile, other: &mut ImageFile) -> Result<()> {
 }
 
 /// Returns true if an attribute is set in both files and differs.
-fn differ(a: &Attributes, b: &Attributes) -> bool {
+fn differ(a: &ExrAttributes, b: &ExrAttributes) -> bool {
     fn apart<T: PartialEq>(a: &Option<T>, b: &Option<T>) -> bool {
         a.is_some() && b.is_some() && a != b
     }
@@ -173,12 +152,8 @@ fn differ(a: &Attributes, b: &Attributes) -> bool {
     scenes_differ || apart(&a.pose, &b.pose) || apart(&a.sensor, &b.sensor) || apart(&a.ids, &b.ids)
 }
 
-fn compare_by_scene(
-    args: &Args,
-    scene: &Path,
-    (attributes, reference): (&Attributes, &Images),
-    other: &Images,
-) -> Result<(Report, Vec<PathBuf>)> {
+/// The view that the reference was predicted in, and the files of its scene.
+fn view_of(args: &Args, scene: &Path, attributes: &ExrAttributes) -> Result<(View, Vec<PathBuf>)> {
     let missing = |what: &str| {
         let remedy = "write the file with presight predict, or compare without --scene";
         Error::invalid("is missing", remedy).at(format!("attribute \"presight:{what}\"")).in_file(&args.reference)
@@ -186,7 +161,7 @@ fn compare_by_scene(
     let text = attributes.sensor.as_deref().ok_or_else(|| missing("sensor"))?;
     let pose = attributes.pose.ok_or_else(|| missing("world_from_sensor"))?;
     let in_sensor = |e: Error| e.at("attribute \"presight:sensor\"").in_file(&args.reference);
-    let sensor = sensor_toml::parse(text, "sensor", None).and_then(Sensor::new).map_err(in_sensor)?;
+    let sensor = parse_sensor_toml(text, "sensor", None).and_then(Sensor::new).map_err(in_sensor)?;
     let ids = attributes.ids.unwrap_or_default();
     let default = args.frame.options()?;
     let options = ImportOptions {
@@ -202,9 +177,7 @@ fn compare_by_scene(
         let what = format!("is not the scene that {} was predicted from", args.reference.display());
         return Err(Error::invalid(what, format!("give the original {was}, or predict again")).in_file(scene));
     }
-    let request = ImageRequest { outputs: reference.outputs(), ids };
-    let plan = FramePlan::new(&world, &sensor, &pose.world_from_sensor(), request)?;
-    Ok((compare(reference, other, &plan, args.precision.into())?, files))
+    Ok((View { world, sensor, pose, ids, precision: args.precision.into() }, files))
 }
 
 fn in_words(report: &Report) -> Vec<String> {
@@ -218,8 +191,7 @@ fn in_words(report: &Report) -> Vec<String> {
     if let Some((column, row)) = report.worst_pixel {
         lines.push(format!("largest share of the error bound: {}; at pixel ({column}, {row})", report.worst));
     }
-    let fault = |f: &presight_render::verify::Fault| format!("fault at pixel ({}, {}): {}", f.column, f.row, f.why);
-    lines.extend(report.faults.iter().map(fault));
+    lines.extend(report.faults.iter().map(|f| format!("fault at pixel ({}, {}): {}", f.column, f.row, f.why)));
     let more = report.fault - report.faults.len().min(report.fault);
     if more > 0 {
         lines.push(format!("and {more} more"));

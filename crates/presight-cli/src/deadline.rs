@@ -1,10 +1,8 @@
 //! Deadlines of predictions, and the file of learnt costs.
 
-use presight_files::costs;
-use presight_model::error::{Error, Result};
-use presight_predict::predict::Predictor;
-use presight_predict::request::Request;
-use presight_render::deadline::Priority;
+use presight::files;
+use presight::predict::Priority;
+use presight::{Error, Predictor, Request, Result};
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -68,13 +66,13 @@ impl DeadlineArgs {
     /// Loads the costs file, if it exists.
     pub fn read_costs(&self, predictor: &mut Predictor) -> Result<()> {
         if let Some(path) = self.costs.as_ref().filter(|path| path.exists()) {
-            predictor.set_costs(costs::read(path)?);
+            predictor.set_costs(files::read_costs(path)?);
         }
         Ok(())
     }
 
     /// Saves the learnt costs.
     pub fn write_costs(&self, predictor: &Predictor) -> Result<()> {
-        self.costs.as_ref().map_or(Ok(()), |path| costs::write(path, predictor.costs()))
+        self.costs.as_ref().map_or(Ok(()), |path| files::write_costs(path, predictor.costs()))
     }
 }

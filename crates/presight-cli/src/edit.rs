@@ -4,11 +4,10 @@ use super::frame_args::FrameArgs;
 use super::pose::PoseArgs;
 use super::sensor_args::SensorArgs;
 use super::{CommandOutcome, open_scene, print};
+use presight::environment::IndexKind;
+use presight::{Result, Threads};
 use presight_editor::http::Server;
 use presight_editor::{Session, SessionOptions};
-use presight_model::error::Result;
-use presight_model::index::IndexKind;
-use presight_model::threads::Threads;
 use std::path::PathBuf;
 
 const EXAMPLES: &str = "Examples:

@@ -1,9 +1,7 @@
 //! Engine selection on the command line.
 
 use clap::ValueEnum;
-use presight_model::threads::Threads;
-use presight_predict::predict::{Backend, Options};
-use presight_render::plan::{Raster, Way};
+use presight::{Backend, Options, Raster, Threads, Way};
 
 /// Flags that choose the engine.
 #[derive(Clone, Debug, clap::Args)]

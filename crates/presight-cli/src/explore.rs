@@ -4,17 +4,11 @@ use super::outputs::{OutputFiles, check_no_dash};
 use super::pose::parse_pose;
 use super::sensor_args::SensorArgs;
 use super::{CommandOutcome, open_scene, print};
-use presight_explore::{Exploration, ExploreOptions, Follower, Known, Views};
-use presight_files::gltf::ImportOptions;
-use presight_files::log::{Frames, Observation};
-use presight_files::tum::{self, StampedPose};
-use presight_model::environment::Environment;
-use presight_model::error::{Error, Result};
-use presight_model::geometry::{Pose, RobotPose};
-use presight_model::index::IndexKind;
-use presight_model::sensor::Sensor;
-use presight_model::threads::Threads;
-use presight_store::{self as store, Note, Store};
+use presight::environment::{Environment, IndexKind};
+use presight::explore::{Exploration, ExploreOptions, Follower, Known, Views};
+use presight::files::{self, ImportOptions, LogFrames, Observation, StampedPose};
+use presight::store::{self, Note, Store};
+use presight::{Error, Pose, Result, RobotPose, Sensor, Threads};
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -118,7 +112,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         .with_threads(threads.clone());
     let (known, kind) = args.known(exists, &threads)?;
     let sensor = args.sensor.as_deref().map(|sensor| args.image.load(sensor)).transpose()?;
-    let poses = poses.map(|file| tum::read(&file).map_err(|e| e.in_file(&file))).transpose()?;
+    let poses = poses.map(|file| files::read_tum(&file).map_err(|e| e.in_file(&file))).transpose()?;
     let mut views = Views::default();
     match &args.init {
         Some(init) => views = args.follow(init, sensor.as_ref(), (&known, kind), &options)?,
@@ -202,7 +196,7 @@ impl Args {
         };
         let mut follower: Option<Follower> = None;
         for log in &self.logs {
-            for observation in Frames::open(log, sensor, &Default::default())? {
+            for observation in LogFrames::open(log, sensor, &Default::default())? {
                 let Observation { frame, reference } = observation?;
                 let frame = if self.stride > 1 { frame.thinned(self.stride)? } else { frame };
                 let first = match start.or(reference) {
@@ -235,7 +229,7 @@ impl Args {
 
     /// Adds the frames of a log that have a pose.
     fn add(&self, log: &Path, sensor: Option<&Sensor>, poses: Option<&[StampedPose]>, views: &mut Views) -> Result<()> {
-        let mut frames = Frames::open(log, sensor, &Default::default())?;
+        let mut frames = LogFrames::open(log, sensor, &Default::default())?;
         let is_planar = frames.has_planar_poses();
         let (mut without, mut count, mut steps) = (0, 0, Vec::new());
         let mut before: Option<(f64, Pose)> = None;
@@ -299,7 +293,7 @@ fn apart(groups: &[Vec<f64>]) -> Vec<String> {
 /// A step that is far longer than the others, with its time.
 fn jump(steps: &[(f64, f64)]) -> Option<(f64, f64)> {
     let mut lengths: Vec<f64> = steps.iter().map(|s| s.0).collect();
-    let usual = presight_model::statistics::median(&mut lengths)?;
+    let usual = presight::tools::median(&mut lengths)?;
     let longest = *steps.iter().max_by(|a, b| a.0.total_cmp(&b.0))?;
     (longest.0 > 10.0 * usual + 0.5).then_some(longest)
 }

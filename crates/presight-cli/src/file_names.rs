@@ -2,9 +2,7 @@
 
 use super::outputs::OutputFiles;
 use super::templates::{Field, Names, Template};
-use presight_model::error::{Error, ErrorKind, Result};
-use presight_model::sensor::Sensor;
-use presight_render::plan::{Output, Outputs};
+use presight::{Error, ErrorKind, Output, Outputs, Result, Sensor};
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;

@@ -1,9 +1,8 @@
 //! Output folders of commands.
 
-use presight_files::temporary::{Access, Temporary};
-use presight_files::tum;
-use presight_model::error::{Error, ErrorKind, Result};
-use presight_model::geometry::Pose;
+use presight::files;
+use presight::tools::{Access, Temporary};
+use presight::{Error, ErrorKind, Pose, Result};
 use std::path::Path;
 
 /// Creates a folder and checks that it is writable, so that a command fails before minutes of work, not after.
@@ -24,7 +23,7 @@ pub fn ready(folder: &Path) -> Result<()> {
 /// # Errors
 /// Read errors; [`ErrorKind::Invalid`] naming the file if it has no poses.
 pub fn poses(path: &Path) -> Result<Vec<Pose>> {
-    let poses: Vec<Pose> = tum::read(path)?.into_iter().map(|stamped| stamped.pose).collect();
+    let poses: Vec<Pose> = files::read_tum(path)?.into_iter().map(|stamped| stamped.pose).collect();
     if poses.is_empty() {
         let remedy = "give at least one line of timestamp tx ty tz qx qy qz qw";
         return Err(Error::invalid("the file has no poses", remedy).in_file(path));

@@ -1,8 +1,7 @@
 //! The up axis and unit of a scene file, from the command line.
 
-use presight_files::gltf::ImportOptions;
-use presight_files::preparation::{SceneFrame, Up};
-use presight_model::error::Result;
+use presight::Result;
+use presight::files::{ImportOptions, SceneFrame, Up};
 
 /// Flags shared by all commands that read a scene.
 #[derive(Clone, Debug, clap::Args)]

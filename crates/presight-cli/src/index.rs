@@ -3,16 +3,12 @@
 use super::frame_args::FrameArgs;
 use super::outputs::OutputFiles;
 use super::{CommandOutcome, folder, open_scene, print};
-use presight_files::atomic::write_atomically;
-use presight_files::gltf::ImportOptions;
-use presight_files::{load_sensor, preset};
-use presight_model::error::Result;
-use presight_model::geometry::Pose;
-use presight_model::index::{IndexKind, Params};
-use presight_model::sensor::PRESETS;
-use presight_model::threads::Threads;
-use presight_predict::free_poses::free_poses;
-use presight_predict::predict::{Backend, Options};
+use presight::environment::{IndexKind, IndexParams};
+use presight::files::{ImportOptions, load_sensor};
+use presight::predict::free_poses;
+use presight::sensor::PRESETS;
+use presight::tools::write_atomically;
+use presight::{Backend, Options, Pose, Result, Threads, preset};
 use presight_studies::index::Scheme;
 use presight_studies::index_study::{self, Row, Study};
 use std::io::{IsTerminal, Write};
@@ -129,7 +125,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
 }
 
 impl Args {
-    fn variants(&self) -> Vec<(Scheme, Params)> {
+    fn variants(&self) -> Vec<(Scheme, IndexParams)> {
         let mut variants = match self.sweep {
             true => index_study::sweep(),
             false => Scheme::ALL.map(|s| (s, s.params())).to_vec(),
@@ -172,7 +168,7 @@ fn table(rows: &[Row], poses: usize, polygons: u32, swept: bool) -> Vec<String> 
             r.selectivity,
         );
         if swept {
-            let Params { cell_polygons, least_cell, split_axis, .. } = r.params;
+            let IndexParams { cell_polygons, least_cell, split_axis, .. } = r.params;
             line += &format!("  {cell_polygons} polygons, {least_cell} m, {split_axis:?}");
         }
         lines.push(line);

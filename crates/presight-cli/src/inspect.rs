@@ -3,12 +3,8 @@
 use super::frame_args::FrameArgs;
 use super::open_scene;
 use super::{CommandOutcome, flags, print};
-use presight::Scene;
-use presight_files::preparation::lost_features;
-use presight_model::environment::{Appearance, Environment, Material, Object};
-use presight_model::error::{Error, Result};
-use presight_model::geometry::{Aabb, Pose};
-use presight_model::index::IndexKind;
+use presight::environment::{Aabb, Appearance, Environment, IndexKind, Material, Object, lost_features};
+use presight::{Error, Pose, Result, Scene};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 

@@ -3,17 +3,14 @@
 use super::predict::Shown;
 use super::print;
 use clap::ValueEnum;
-use presight::{Scene, SceneFeatures};
-use presight_features::{BoxOptions, FeatureOptions, FeaturePrediction, FeatureSource, Hidden};
-use presight_files::{pose_covariance, prediction_json};
-use presight_model::error::{Error, Result};
-use presight_model::geometry::{InWorld, PoseCovariance, SensorPose};
-use presight_model::poses::ExternalPose;
-use presight_model::sensor::Sensor;
-use presight_predict::predict::Prediction;
-use presight_predict::request::Request;
-use presight_predict::virtual_sensors::VirtualSensor;
-use presight_render::plan::{Output, Outputs};
+use presight::features::{BoxOptions, FeatureOptions, FeaturePrediction, FeatureSource, Hidden};
+use presight::files::{self, PredictionHeader};
+use presight::sensor::ExternalPose;
+use presight::virtual_sensors::VirtualSensor;
+use presight::{
+    Error, InWorld, Output, Outputs, PoseCovariance, Prediction, Request, Result, Scene, SceneFeatures, Sensor,
+    SensorPose,
+};
 use std::path::{Path, PathBuf};
 
 /// Flags of features.
@@ -126,7 +123,7 @@ impl LayerArgs {
 
     /// The input files named on the command line.
     pub fn inputs(&self) -> impl Iterator<Item = &Path> {
-        let covariance = self.pose_cov.as_deref().and_then(pose_covariance::file);
+        let covariance = self.pose_cov.as_deref().and_then(files::pose_covariance_file);
         self.layers.iter().map(PathBuf::as_path).chain(covariance)
     }
 
@@ -195,7 +192,7 @@ impl LayerArgs {
         let covariance = self
             .pose_cov
             .as_deref()
-            .map(pose_covariance::parse)
+            .map(files::parse_pose_covariance)
             .transpose()
             .map_err(|e| e.at("--pose-cov"))?
             .unwrap_or_default();
@@ -216,16 +213,16 @@ impl LayerArgs {
         path: Option<&Path>,
     ) -> Result<()> {
         let Some(path) = path else { return Ok(()) };
-        let header = prediction_json::Header {
+        let header = PredictionHeader {
             hidden: self.hidden(asked),
             pose_covariance: shown.boxes.as_ref().map(|boxes| boxes.sensor),
             confidence: shown.boxes.as_ref().map(|boxes| boxes.confidence),
             given_up: prediction.degradation().cloned(),
-            ..prediction_json::Header::new(&prediction.sensor, prediction.pose)
+            ..PredictionHeader::new(&prediction.sensor, prediction.pose)
         };
         let none = FeaturePrediction::default();
         let seen = prediction.features.as_ref().unwrap_or(&none);
-        prediction_json::write(path, &header, seen, scene.world.environment(), shown.reading.as_ref())
+        files::write_prediction_json(path, &header, seen, scene.world.environment(), shown.reading.as_ref())
     }
 }
 

@@ -53,12 +53,11 @@ mod update;
 mod virtual_sensor;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
-use presight::{Scene, SceneOptions};
-use presight_files::gltf::ImportOptions;
+use presight::environment::IndexKind;
+use presight::files::ImportOptions;
 #[cfg(not(all(feature = "report", feature = "store", feature = "edit")))]
-use presight_files::not_built;
-use presight_model::error::Result;
-use presight_model::index::IndexKind;
+use presight::files::not_built;
+use presight::{Result, Scene, SceneOptions};
 use std::any::TypeId;
 use std::ffi::OsString;
 use std::path::Path;

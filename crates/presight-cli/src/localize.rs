@@ -4,10 +4,10 @@ use super::drive::{Drive, FeatureCounts, Followed, verdict_counts};
 use super::outputs::OutputFiles;
 use super::resume::{Mark, Resumed};
 use super::{CommandOutcome, print};
-use presight_files::growing::{GrowingFile, is_through};
-use presight_localize::localize::{Candidate, Phase, Step};
-use presight_localize::verdict::Verdict as Judged;
-use presight_model::error::Result;
+use presight::Result;
+use presight::localize::{Candidate, Phase, Step};
+use presight::tools::{GrowingFile, is_through};
+use presight::verdict::Verdict as Judged;
 use std::path::{Path, PathBuf};
 
 const EXAMPLES: &str = "Examples:

@@ -2,11 +2,11 @@
 
 use super::outputs::OutputFiles;
 use super::{CommandOutcome, open_scene, print};
-use presight_explore::occupancy::{Cell, Grid, GridOptions};
-use presight_files::atomic::write_atomically;
-use presight_files::gltf::ImportOptions;
-use presight_model::error::Result;
-use presight_model::index::IndexKind;
+use presight::Result;
+use presight::environment::IndexKind;
+use presight::explore::{Cell, Grid, GridOptions};
+use presight::files::ImportOptions;
+use presight::tools::write_atomically;
 use std::io::Write;
 use std::path::PathBuf;
 

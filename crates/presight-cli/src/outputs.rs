@@ -1,8 +1,8 @@
 //! Output files of a command. Before any is written, they are checked against the input files and against each other.
 
-use presight_files::atomic::{is_given, target_of};
-use presight_files::files_named_by;
-use presight_model::error::{Error, Result};
+use presight::files::files_named_by;
+use presight::tools::{is_given, target_of};
+use presight::{Error, Result};
 use same_file::Handle;
 use std::collections::HashMap;
 use std::fs;

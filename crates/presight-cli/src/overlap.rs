@@ -1,6 +1,6 @@
 //! Writes the files of one prediction while the next one is computed.
 
-use presight_model::error::{Error, ErrorKind, Result};
+use presight::{Error, ErrorKind, Result};
 use std::sync::mpsc;
 use std::thread;
 

@@ -2,10 +2,9 @@
 
 use clap::ValueEnum;
 use glam::{DQuat, DVec3};
-use presight_model::error::{Error, Result};
-use presight_model::geometry::Pose;
-use presight_model::limits;
-use presight_model::poses::{self, ExternalPose};
+use presight::sensor::{self, ExternalPose};
+use presight::tools;
+use presight::{Error, Pose, Result};
 use std::path::Path;
 
 /// The axes of the frame that a pose describes.
@@ -105,16 +104,16 @@ impl PoseArgs {
 /// [`presight::ErrorKind::Usage`] for an optical frame of a robot.
 pub fn given_pose(pose: Pose, frame: PoseFrame, of: PoseOf, world: WorldFrame) -> Result<ExternalPose> {
     let frame = match frame {
-        PoseFrame::Body => poses::PoseFrame::Body,
-        PoseFrame::Optical => poses::PoseFrame::Optical,
+        PoseFrame::Body => sensor::PoseFrame::Body,
+        PoseFrame::Optical => sensor::PoseFrame::Optical,
     };
     let of = match of {
-        PoseOf::Sensor => poses::PoseOf::Sensor,
-        PoseOf::Robot => poses::PoseOf::Robot,
+        PoseOf::Sensor => sensor::PoseOf::Sensor,
+        PoseOf::Robot => sensor::PoseOf::Robot,
     };
     let world = match world {
-        WorldFrame::ZUp => poses::WorldFrame::ZUp,
-        WorldFrame::Gltf => poses::WorldFrame::Gltf,
+        WorldFrame::ZUp => sensor::WorldFrame::ZUp,
+        WorldFrame::Gltf => sensor::WorldFrame::Gltf,
     };
     let given = ExternalPose::new(pose).with_frame(frame).with_of(of).with_world(world);
     given.check()?;
@@ -140,8 +139,8 @@ pub fn parse_pose(text: &str) -> Result<Pose> {
         }
         numbers.push(number);
     }
-    if let Some(far) = numbers.iter().take(3).find(|x| x.abs() > limits::MAX_COORDINATE) {
-        return Err(Error::usage(format!("{far} m exceeds the limit of {:e} m", limits::MAX_COORDINATE), REMEDY));
+    if let Some(far) = numbers.iter().take(3).find(|x| x.abs() > tools::MAX_COORDINATE) {
+        return Err(Error::usage(format!("{far} m exceeds the limit of {:e} m", tools::MAX_COORDINATE), REMEDY));
     }
     match numbers[..] {
         [x, y, z, roll, pitch, yaw] => {
@@ -194,7 +193,7 @@ mod tests {
         let huge = ["0,0,0,1e200,0,0,1", "1e300,0,0,0,0,0", "0,-1e13,0,0,0,0,1"];
         for text in wrong.into_iter().chain(huge) {
             let e = given(text).parse().unwrap_err();
-            assert_eq!(e.kind(), presight_model::error::ErrorKind::Usage, "{text}");
+            assert_eq!(e.kind(), presight::ErrorKind::Usage, "{text}");
             assert!(!e.remedy().is_empty() && e.place().is_some_and(|p| p.contains("--pose")), "{e}");
         }
         let args = PoseArgs { pose_of: Some(PoseOf::Robot), pose_frame: PoseFrame::Optical, ..given("0,0,0,0,0,0") };

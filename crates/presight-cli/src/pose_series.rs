@@ -1,10 +1,10 @@
 //! The poses of a series of predictions.
 
 use super::pose::{PoseArgs, PoseOf};
-use presight_files::tum;
-use presight_model::error::{Error, Result};
-use presight_model::limits;
-use presight_model::poses::ExternalPose;
+use presight::files;
+use presight::sensor::ExternalPose;
+use presight::tools;
+use presight::{Error, Result};
 use std::path::Path;
 
 /// A pose with its time stamp as written.
@@ -22,24 +22,24 @@ impl Poses {
     /// Reads all poses of a file. Poses of a pipe come one by one, unless `all_first`.
     ///
     /// # Errors
-    /// Those of [`tum::read`] and [`PoseArgs::given`]; [`presight::ErrorKind::Invalid`] for a file with no poses or too
+    /// Those of [`files::read_tum`] and [`PoseArgs::given`]; [`presight::ErrorKind::Invalid`] for a file with no poses or too
     /// many.
     pub fn read(path: &Path, meaning: &PoseArgs, of: PoseOf, all_first: bool) -> Result<Self> {
         let is_pipe = path.metadata().is_ok_and(|m| !m.is_file() && !m.is_dir());
         if is_pipe && !all_first {
-            let (poses, meaning) = (tum::stream_with_stamps(path)?, meaning.clone());
+            let (poses, meaning) = (files::stream_tum_with_stamps(path)?, meaning.clone());
             return Ok(Self::Coming(Box::new(poses.map(move |pose| {
                 let (stamp, stamped) = pose?;
                 Ok((stamp, meaning.given(stamped.pose, of)?))
             }))));
         }
-        let poses = tum::read_with_stamps(path)?;
+        let poses = files::read_tum_with_stamps(path)?;
         if poses.is_empty() {
             return Err(no_poses(path));
         }
-        if poses.len() > limits::MAX_SERIES {
+        if poses.len() > tools::MAX_SERIES {
             let what = format!("there are {} poses", poses.len());
-            let remedy = format!("the limit is {}: split the file", limits::MAX_SERIES);
+            let remedy = format!("the limit is {}: split the file", tools::MAX_SERIES);
             return Err(Error::invalid(what, remedy).in_file(path));
         }
         let poses = poses.into_iter().map(|(stamp, p)| Ok((stamp, meaning.given(p.pose, of)?)));

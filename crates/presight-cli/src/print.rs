@@ -2,9 +2,8 @@
 
 use super::flags;
 use super::series::SeriesProgress;
-use presight_model::error::{Error, ErrorKind, Result};
-use presight_model::limits;
-use presight_model::printable::{clipped, printable};
+use presight::tools::{self, clipped, printable};
+use presight::{Error, ErrorKind, Result};
 use std::collections::BTreeSet;
 use std::io::{self, Write};
 use std::sync::{Mutex, PoisonError};
@@ -42,7 +41,7 @@ pub fn data(text: &str) -> Result<()> {
 pub fn message(line: &str) {
     let line = flags::named(line);
     // An error has up to four parts of MAX_SHOWN each.
-    let line = clipped(&line, 5 * limits::MAX_SHOWN);
+    let line = clipped(&line, 5 * tools::MAX_SHOWN);
     let _ = writeln!(io::stderr().lock(), "{}", printable(&line));
 }
 

@@ -3,18 +3,15 @@
 use super::pose::parse_pose;
 use super::{CommandOutcome, open_scene, print};
 use glam::DVec3;
-use presight_files::corridor;
-use presight_files::gltf::ImportOptions;
-use presight_files::text::read_settings;
-use presight_model::error::{Error, Result};
-use presight_model::geometry::{Aabb, Pose, RobotPose};
-use presight_model::index::IndexKind;
-use presight_model::world::World;
-use presight_predict::virtual_sensors::CorridorFrame;
-use presight_supervise::query::{
+use presight::environment::{Aabb, IndexKind};
+use presight::files::{self, ImportOptions};
+use presight::query::{
     FloorPath, PathOptions, Place, UncertainOptions, docks, find_path, objects_in, surface_distance,
     uncertain_features, uncertain_objects,
 };
+use presight::tools::read_settings;
+use presight::virtual_sensors::CorridorFrame;
+use presight::{Error, Pose, Result, RobotPose, World};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -136,7 +133,7 @@ impl Question {
             return Ok(Self::Objects(Place::Sphere { center: DVec3::new(x, y, z), radius }));
         }
         if let Some(path) = &args.along {
-            let corridor = corridor::read(path)?;
+            let corridor = files::read_corridor(path)?;
             let pose = args.pose.as_deref().map(|text| parse_pose(text).map_err(|e| e.at(format!("--pose {text}"))));
             let pose = match (corridor.frame(), pose.transpose()?) {
                 (CorridorFrame::Robot, None) => {
@@ -188,7 +185,7 @@ fn objects(world: &World, place: &Place) -> Result<(Value, Vec<String>)> {
             "features": o.features, "confirmed": o.confirmed, "existence": o.existence, "pose_sigmas": o.pose_sigmas,
         })
     });
-    let line = |o: &presight_supervise::query::ObjectFound| {
+    let line = |o: &presight::query::ObjectFound| {
         let along = o.along.map_or(String::new(), |along| format!("{along:.2} m along: "));
         let known = match (o.features, o.existence, o.confirmed) {
             (0, ..) => String::new(),
@@ -216,7 +213,7 @@ fn groups(world: &World, apart: f64) -> Result<(Value, Vec<String>)> {
             "reflectors": reflectors.collect::<Vec<_>>(),
         })
     });
-    let line = |d: &presight_supervise::query::Dock| {
+    let line = |d: &presight::query::Dock| {
         let (t, (.., yaw)) = (d.world_from_dock.translation, d.world_from_dock.rpy());
         let name = if d.name.is_empty() { "reflectors" } else { &d.name };
         let (count, degrees) = (d.reflectors.len(), yaw.to_degrees());
@@ -252,7 +249,7 @@ fn uncertain(world: &World, options: &UncertainOptions) -> Result<(Value, Vec<St
             "existence": u.existence, "confirmed": u.confirmed, "doubt": u.doubt.name(),
         })
     });
-    let line = |u: &presight_supervise::query::UncertainFeature| {
+    let line = |u: &presight::query::UncertainFeature| {
         let name = u.name.as_deref().map_or(String::new(), |name| format!(" {name:?}"));
         let object = u.object.as_deref().map_or(String::new(), |object| format!(" of {object}"));
         format!(
@@ -271,7 +268,7 @@ fn uncertain(world: &World, options: &UncertainOptions) -> Result<(Value, Vec<St
             "doubt": o.doubt.name(),
         })
     });
-    let object_line = |o: &presight_supervise::query::UncertainObject| {
+    let object_line = |o: &presight::query::UncertainObject| {
         let mark = o.mark.as_deref().map_or(String::new(), |mark| format!(", mark {mark:?}"));
         let class = o.class.as_deref().map_or(String::new(), |class| format!(" for {class}"));
         let existence = o.existence.map_or(String::new(), |e| format!(", existence {e:.3}"));

@@ -5,21 +5,15 @@ use super::localize::summary;
 use super::outputs::OutputFiles;
 use super::{CommandOutcome, folder, print};
 use glam::EulerRot;
-use presight::{Scene, SensorPose};
-use presight_features::{BoxOptions, FeatureOptions, Hidden};
-use presight_files::atomic::write_atomically;
-use presight_localize::estimate::nees;
-use presight_localize::extract::{FeatureClass, Findings};
-use presight_localize::localize::Step;
-use presight_localize::matching::Shape;
-use presight_localize::verdict::Verdict as Judged;
-use presight_model::error::{Error, Result};
-use presight_model::measured::Frame;
-use presight_model::sensor::Sensor;
+use presight::features::{BoxOptions, FeatureOptions, Hidden};
+use presight::localize::{FeatureClass, Findings, Shape, Step, nees};
+use presight::measured::Frame;
+use presight::tools::write_atomically;
+use presight::verdict::Verdict as Judged;
+use presight::{
+    Backend, Error, Images, Options, Output, Outputs, Predictor, Request, Result, Scene, Sensor, SensorPose,
+};
 use presight_pictures::{Comparison, GreyMark, GreyPanel, Overlay, PlanMarks, write_comparison};
-use presight_predict::predict::{Backend, Options, Predictor};
-use presight_predict::request::Request;
-use presight_render::plan::{Images, Output, Outputs};
 use presight_studies::page::replay::{Leaf, page};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -143,7 +137,7 @@ struct Painter {
 
 impl Painter {
     fn new(args: &Args, scene: &Scene, sensed: &Sensed<'_>) -> Result<Self> {
-        let threads = presight_model::threads::Threads::from(args.drive.threads).started()?;
+        let threads = presight::Threads::from(args.drive.threads).started()?;
         let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads))?;
         // In logs with grey images, features are drawn over the grey image.
         let own = sensed.grey().is_none();

@@ -4,9 +4,8 @@
 //! the same inputs finds it, keeps the lines of the frames so far, and continues after them from the last pose.
 
 use super::print;
-use presight_files::atomic::write_atomically;
-use presight_model::error::{Error, Result};
-use presight_model::geometry::{Pose, RobotPose};
+use presight::tools::write_atomically;
+use presight::{Error, Pose, Result, RobotPose};
 use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -80,7 +79,7 @@ impl Mark {
     /// Marks the run as not complete.
     ///
     /// # Errors
-    /// [`presight_model::ErrorKind::System`] if the file cannot be written.
+    /// [`presight::ErrorKind::System`] if the file cannot be written.
     pub fn set(&self) -> Result<()> {
         write_atomically(&self.path, |file| file.write_all(self.text.as_bytes()))
     }
@@ -88,7 +87,7 @@ impl Mark {
     /// The run is complete.
     ///
     /// # Errors
-    /// [`presight_model::ErrorKind::System`] if the file cannot be deleted.
+    /// [`presight::ErrorKind::System`] if the file cannot be deleted.
     pub fn clear(&self) -> Result<()> {
         fs::remove_file(&self.path).map_err(|e| Error::io(&self.path, "delete it", e))
     }

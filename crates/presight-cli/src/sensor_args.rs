@@ -1,9 +1,8 @@
 //! `--rectified`, for all commands that take `--sensor`.
 
 use super::print;
-use presight_files::{load_rectified, load_sensor};
-use presight_model::error::Result;
-use presight_model::sensor::Sensor;
+use presight::files::{load_rectified, load_sensor};
+use presight::{Result, Sensor};
 
 /// Which image of a calibration is meant.
 #[derive(Clone, Debug, clap::Args)]

@@ -2,9 +2,9 @@
 
 use super::sensor_args::SensorArgs;
 use super::{CommandOutcome, print};
-use presight_files::{preset, sensor_toml};
-use presight_model::error::Result;
-use presight_model::sensor::PRESETS;
+use presight::files;
+use presight::sensor::PRESETS;
+use presight::{Result, preset};
 
 const EXAMPLES: &str = "Examples:
   presight sensors
@@ -33,7 +33,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
             // With its comments, if it is a preset.
             let sensor = args.image.load(name)?;
             let preset = PRESETS.iter().find(|p| p.name == name);
-            preset.map_or_else(|| sensor_toml::to_string(sensor.spec()), |p| p.toml.to_owned())
+            preset.map_or_else(|| files::sensor_to_toml(sensor.spec()), |p| p.toml.to_owned())
         }
         None => list()?,
     };

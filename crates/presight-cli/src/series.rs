@@ -1,8 +1,8 @@
 //! Resumable work on many poses: a record next to the output files lists the finished poses, and the next run continues
 //! after them. The record of a batch is its table of results, which gets its final name once complete.
 
-use presight_files::atomic::refused;
-use presight_model::error::{Error, ErrorKind, Result};
+use presight::tools::refused;
+use presight::{Error, ErrorKind, Result};
 use std::fs::{self, File, TryLockError};
 use std::io::{self, BufRead, BufReader, Seek, SeekFrom, Write};
 use std::ops::Range;

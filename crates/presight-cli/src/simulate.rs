@@ -3,22 +3,13 @@
 use super::outputs::OutputFiles;
 use super::sensor_args::SensorArgs;
 use super::{CommandOutcome, folder, open_scene};
-use presight::{RobotPose, Scene};
-use presight_files::atomic::write_atomically;
-use presight_files::gltf::ImportOptions;
-use presight_files::log::{LogFrame, lines};
-use presight_files::tum::StampedPose;
-use presight_files::{depth_folder, load_sensor, sensor_toml, tum};
-use presight_localize::simulate::{Disturbances, GreySimulator, Simulator, Walkers, displace};
-use presight_model::error::{Error, Result};
-use presight_model::geometry::Pose;
-use presight_model::index::IndexKind;
-use presight_model::measured::Frame;
-use presight_model::sensor::Sensor;
-use presight_model::threads::Threads;
+use presight::environment::IndexKind;
+use presight::files::{self, ImportOptions, LogFrame, StampedPose, load_sensor};
+use presight::measured::Frame;
+use presight::simulate::{Disturbances, GreySimulator, Simulator, Walkers, displace};
+use presight::tools::write_atomically;
+use presight::{Backend, Error, Images, Options, Pose, Predictor, Result, RobotPose, Scene, Sensor, Threads};
 use presight_pictures as png;
-use presight_predict::predict::{Backend, Options, Predictor};
-use presight_render::plan::Images;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
@@ -118,8 +109,8 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     files.check_named([args.scene.as_path(), args.poses.as_path()].into_iter().chain(sensors))?;
     let sensor = at_once(args.image.load(&args.sensor)?)?;
     args.check_flags(&sensor)?;
-    let camera = sensor.is_camera().then(|| depth_folder::camera_json(&sensor)).transpose()?;
-    let poses = tum::read(&args.poses)?;
+    let camera = sensor.is_camera().then(|| files::camera_json(&sensor)).transpose()?;
+    let poses = files::read_tum(&args.poses)?;
     args.check_times(&poses, &sensor)?;
     let threads = Threads::from(args.threads).started()?;
     let import = ImportOptions { threads: threads.clone(), ..ImportOptions::default() };
@@ -161,12 +152,12 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
                 write_text(&args.out.join("odometry.txt"), &odometry)?;
             }
             write_text(&args.out.join("camera.json"), camera)?;
-            write_text(&args.out.join("poses.txt"), &depth_folder::poses_txt(&sensor, &poses))?;
+            write_text(&args.out.join("poses.txt"), &files::poses_txt(&sensor, &poses))?;
         }
     }
-    write_text(&args.out.join("sensor.toml"), &sensor_toml::to_string(sensor.spec()))?;
+    write_text(&args.out.join("sensor.toml"), &files::sensor_to_toml(sensor.spec()))?;
     if let Some(grey) = &grey {
-        write_text(&args.out.join("grey.toml"), &sensor_toml::to_string(grey.camera().spec()))?;
+        write_text(&args.out.join("grey.toml"), &files::sensor_to_toml(grey.camera().spec()))?;
     }
     Ok(CommandOutcome::Done)
 }
@@ -195,9 +186,9 @@ fn write_scans(
     let mut failed = None;
     let written = write_atomically(path, |file| {
         let mut file = BufWriter::new(file);
-        writeln!(file, "{}", lines::header(sensor.spec()))?;
+        writeln!(file, "{}", files::range_log_header(sensor.spec()))?;
         for pose in poses {
-            match next(pose).and_then(|frame| lines::line(&log_frame(&frame, pose))) {
+            match next(pose).and_then(|frame| files::range_log_line(&log_frame(&frame, pose))) {
                 Ok(line) => writeln!(file, "{line}")?,
                 Err(e) => {
                     failed = Some(e);
@@ -228,12 +219,12 @@ fn write_images(
     scene: &Scene,
     pose: &StampedPose,
 ) -> Result<()> {
-    let path = out.join("depth").join(depth_folder::image_name(pose.time));
+    let path = out.join("depth").join(files::image_name(pose.time));
     super::print::notices(&png::write_depth(&path, &images(frame), frame.sensor())?);
     let Some(grey) = grey else { return Ok(()) };
     let frame = grey.frame(&scene.world, pose.time, &RobotPose::new(pose.pose))?;
     let image = frame.grey().expect("a grey simulator gives grey images");
-    png::write_grey(&out.join("grey").join(depth_folder::image_name(pose.time)), image)
+    png::write_grey(&out.join("grey").join(files::image_name(pose.time)), image)
 }
 
 impl Args {
@@ -254,8 +245,7 @@ impl Args {
             return Err(Error::invalid(what, "give times of at least 0: they name the images").in_file(&self.poses));
         }
         if sensor.is_camera() {
-            let mut named: Vec<(String, f64)> =
-                poses.iter().map(|p| (depth_folder::image_name(p.time), p.time)).collect();
+            let mut named: Vec<(String, f64)> = poses.iter().map(|p| (files::image_name(p.time), p.time)).collect();
             named.sort_unstable_by(|a, b| a.0.cmp(&b.0));
             if let Some([a, b]) = named.array_windows().find(|[a, b]| a.0 == b.0) {
                 let what = format!("the images at {} s and {} s would both be named {}", a.1, b.1, a.0);

@@ -1,8 +1,8 @@
 //! One array of the images of many poses.
 
-use presight_files::atomic::{keep_rights, open_to_replace, refused, target_of};
-use presight_files::npy::{Values, header};
-use presight_model::error::{Error, Result};
+use presight::files::{NpyValues, npy_header};
+use presight::tools::{keep_rights, open_to_replace, refused, target_of};
+use presight::{Error, Result};
 use std::fs::File;
 use std::io::{Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
@@ -26,7 +26,7 @@ impl Stack {
     /// if `until` is `None`, starts a new one and returns false.
     ///
     /// # Errors
-    /// [`presight_model::error::ErrorKind::System`] if the file cannot be written; [`presight_model::error::ErrorKind::Usage`] for a device or pipe.
+    /// [`presight::ErrorKind::System`] if the file cannot be written; [`presight::ErrorKind::Usage`] for a device or pipe.
     pub fn open(path: &Path, shape: &[usize], descr: &'static str, until: Option<SystemTime>) -> Result<(Self, bool)> {
         if path.metadata().is_ok_and(|m| !m.is_file()) {
             let what = "an array of all poses is written piece by piece, into a file";
@@ -38,7 +38,7 @@ impl Stack {
         let mut name = target.clone().into_os_string();
         name.push(".unfinished");
         let unfinished = PathBuf::from(name);
-        let header = header(descr, shape);
+        let header = npy_header(descr, shape);
         // Cannot overflow: image sides and the number of poses are limited.
         let bytes_per_pose = shape.iter().skip(1).fold(4, |bytes, side| bytes * *side as u64);
         let length = header.len() as u64 + shape.first().map_or(1, |poses| *poses as u64) * bytes_per_pose;
@@ -57,8 +57,8 @@ impl Stack {
     /// Writes the image of one pose.
     ///
     /// # Errors
-    /// [`presight_model::error::ErrorKind::Invalid`] for an image of another size or type; [`presight_model::error::ErrorKind::System`] for I/O errors.
-    pub fn put(&mut self, pose: usize, values: Values<'_>) -> Result<()> {
+    /// [`presight::ErrorKind::Invalid`] for an image of another size or type; [`presight::ErrorKind::System`] for I/O errors.
+    pub fn put(&mut self, pose: usize, values: NpyValues<'_>) -> Result<()> {
         if values.descr() != self.descr || 4 * values.count() as u64 != self.bytes_per_pose {
             let what = format!("an image of {} {} does not fit the array", values.count(), values.descr());
             return Err(Error::invalid(what, "give images of one size and type").in_file(&self.path));
@@ -74,7 +74,7 @@ impl Stack {
     /// Gives the complete file its final name.
     ///
     /// # Errors
-    /// [`presight_model::error::ErrorKind::System`] if the system refuses.
+    /// [`presight::ErrorKind::System`] if the system refuses.
     pub fn finish(self) -> Result<()> {
         let old = open_to_replace(&self.path)?;
         let done = || {
@@ -91,7 +91,7 @@ impl Stack {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use presight_files::npy::write;
+    use presight::files::write_npy_values;
 
     #[test]
     fn a_stack_goes_on_where_it_was_left_and_appears_whole() {
@@ -101,17 +101,17 @@ mod tests {
         let now = || Some(SystemTime::now());
         let (mut stack, goes_on) = open(now());
         assert!(!goes_on);
-        stack.put(2, Values::F32(&[5.0, 6.0])).unwrap();
-        stack.put(0, Values::F32(&[1.0, 2.0])).unwrap();
-        assert!(stack.put(1, Values::F32(&[1.0])).is_err() && stack.put(1, Values::U32(&[1, 2])).is_err());
+        stack.put(2, NpyValues::F32(&[5.0, 6.0])).unwrap();
+        stack.put(0, NpyValues::F32(&[1.0, 2.0])).unwrap();
+        assert!(stack.put(1, NpyValues::F32(&[1.0])).is_err() && stack.put(1, NpyValues::U32(&[1, 2])).is_err());
         drop(stack);
         assert!(!path.exists());
         let (mut stack, goes_on) = open(now());
         assert!(goes_on);
-        stack.put(1, Values::F32(&[3.0, 4.0])).unwrap();
+        stack.put(1, NpyValues::F32(&[3.0, 4.0])).unwrap();
         stack.finish().unwrap();
         let whole = std::fs::read(&path).unwrap();
-        write(&path, &[3, 1, 2], Values::F32(&[1.0, 2.0, 3.0, 4.0, 5.0, 6.0])).unwrap();
+        write_npy_values(&path, &[3, 1, 2], NpyValues::F32(&[1.0, 2.0, 3.0, 4.0, 5.0, 6.0])).unwrap();
         assert_eq!(std::fs::read(&path).unwrap(), whole);
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
         drop(open(now()));

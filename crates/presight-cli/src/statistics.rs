@@ -1,11 +1,9 @@
 //! Statistics of repeated predictions, as JSON and as text.
 
 use super::flags;
-use presight_files::atomic::write_atomically;
-use presight_model::error::{Error, Result};
-use presight_model::statistics::{median, quantile};
-use presight_render::deadline::DeadlineOutcome;
-use presight_render::plan::{CountName, Raster, StageName, StageRow, StageVariant, Stats, Way, Work};
+use presight::predict::{CountName, DeadlineOutcome, StageName, StageRow, StageVariant, Work};
+use presight::tools::{median, quantile, write_atomically};
+use presight::{Error, Raster, Result, Stats, Way};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -150,7 +148,7 @@ impl Statistics {
     /// Writes the statistics as JSON.
     ///
     /// # Errors
-    /// [`presight_model::ErrorKind::System`] if the file cannot be written.
+    /// [`presight::ErrorKind::System`] if the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<()> {
         let json = serde_json::to_string_pretty(self)
             .map_err(|e| Error::invalid(format!("cannot write the statistics as JSON: {e}"), "").in_file(path))?;

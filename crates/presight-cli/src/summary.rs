@@ -1,8 +1,8 @@
 //! One-line summaries of a prediction, as text and as JSON.
 
-use presight_features::FeaturePrediction;
-use presight_model::environment::Environment;
-use presight_predict::predict::Prediction;
+use presight::Prediction;
+use presight::environment::Environment;
+use presight::features::FeaturePrediction;
 use serde_json::{Value, json};
 use std::collections::HashSet;
 use std::path::Path;

@@ -3,18 +3,14 @@
 use super::drive::{Drive, Sensed};
 use super::outputs::OutputFiles;
 use super::{CommandOutcome, print};
-use presight::Scene;
-use presight_files::corridor;
-use presight_files::growing::GrowingFile;
-use presight_localize::localize::{Phase, Step};
-use presight_model::error::{Error, Result};
-use presight_model::geometry::Pose;
-use presight_model::measured::Frame;
-use presight_model::threads::Threads;
+use presight::files;
+use presight::localize::{Phase, Step};
+use presight::measured::Frame;
+use presight::supervise::{CellState, Cells, Intrusion, Report, SuperviseOptions, Supervisor, UnseenReason};
+use presight::tools::GrowingFile;
+use presight::virtual_sensors::{Corridor, CorridorFrame};
+use presight::{Backend, Error, Options, Pose, Predictor, Result, Scene, Threads};
 use presight_pictures::{CorridorPicture, write_corridor};
-use presight_predict::predict::{Backend, Options, Predictor};
-use presight_predict::virtual_sensors::{Corridor, CorridorFrame};
-use presight_supervise::{CellState, Cells, Intrusion, Report, SuperviseOptions, Supervisor, UnseenReason};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -122,7 +118,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     files.add("--png", args.png.as_deref(), &["png"])?;
     files.check_named([args.corridor.as_path()])?;
     files.check_named(args.robot.as_deref())?;
-    let corridor = corridor::read(&args.corridor)?;
+    let corridor = files::read_corridor(&args.corridor)?;
     let drive = args.drive.of_robot(args.robot.as_deref(), &args.beside)?;
     let mut run: Option<Run> = None;
     drive.follow(files, None, |scene, sensed, step| {
@@ -240,7 +236,7 @@ fn line(scene: &Scene, step: &Step, report: &Report) -> Value {
 
 fn intrusion(scene: &Scene, i: &Intrusion, world_from_robot: Option<&Pose>) -> Value {
     let c = i.covariance;
-    let extent = |b: &presight_model::Aabb| json!([b.min.to_array(), b.max.to_array()]);
+    let extent = |b: &presight::environment::Aabb| json!([b.min.to_array(), b.max.to_array()]);
     json!({
         "nearest_robot": i.nearest.to_array(),
         "nearest_world": world_from_robot.map(|pose| pose.transform_point(i.nearest).to_array()),

@@ -8,8 +8,8 @@
 //! | `{output}` | the name of the image, such as `range` |
 //! | `{{`, `}}` | a brace |
 
-use presight_model::error::{Error, Result};
-use presight_model::printable::quoted;
+use presight::tools::quoted;
+use presight::{Error, Result};
 use std::path::{Path, PathBuf};
 
 /// A field of a template.
@@ -77,7 +77,7 @@ impl Template {
     /// The name of one file.
     ///
     /// # Errors
-    /// [`presight_model::error::ErrorKind::Usage`] if a field is empty, or would lead into another folder.
+    /// [`presight::ErrorKind::Usage`] if a field is empty, or would lead into another folder.
     pub fn path(&self, names: &Names<'_>) -> Result<PathBuf> {
         let parts = match &self.0 {
             Kind::Name(path) => return Ok(path.clone()),
@@ -202,7 +202,7 @@ mod tests {
             "{t}", "{sensor}", "{output}", "{i:0-1}",
         ] {
             let e = expand(text, &names).unwrap_err();
-            assert_eq!(e.kind(), presight_model::ErrorKind::Usage, "{text}: {e}");
+            assert_eq!(e.kind(), presight::ErrorKind::Usage, "{text}: {e}");
             assert!(!e.remedy().is_empty(), "{e}");
         }
     }

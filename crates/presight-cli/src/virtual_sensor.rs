@@ -1,15 +1,10 @@
 //! Virtual sensors in a prediction: their flags, inputs and results.
 
 use super::print;
-use presight::{Scene, SensorPose};
-use presight_files::corridor;
-use presight_model::error::{Error, Result};
-use presight_model::geometry::Pose;
-use presight_model::sensor::Sensor;
+use presight::files;
+use presight::virtual_sensors::{Settings, View, VirtualReading, VirtualSensor};
+use presight::{Error, Outputs, Pose, Prediction, Predictor, Result, Scene, Sensor, SensorPose};
 use presight_pictures as png;
-use presight_predict::predict::{Prediction, Predictor};
-use presight_predict::virtual_sensors::{Settings, View, VirtualReading, VirtualSensor};
-use presight_render::plan::Outputs;
 use std::path::{Path, PathBuf};
 
 /// Flags of the virtual sensor.
@@ -83,7 +78,7 @@ impl VirtualArgs {
         pose: &SensorPose,
         predictor: &mut Predictor,
     ) -> Result<Settings> {
-        let corridor = self.corridor.as_deref().map(corridor::read).transpose()?;
+        let corridor = self.corridor.as_deref().map(files::read_corridor).transpose()?;
         let unknown = self.task == Some(VirtualSensor::FreeFloor)
             && self.floor_z.is_none()
             && sensor.spec().mount == Pose::IDENTITY;

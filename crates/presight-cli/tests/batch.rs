@@ -1,9 +1,9 @@
 //! Runs `presight batch` as a process and checks its files and messages.
 
 use assert_cmd::cargo::cargo_bin;
-use presight_files::{exr, gltf, log, sensor_toml};
-use presight_model::geometry::Pose;
-use presight_model::sensor::{Noise, Sensor};
+use presight::files;
+use presight::sensor::Noise;
+use presight::{Pose, Sensor};
 use presight_testkit::scenes;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -31,25 +31,25 @@ fn tum(count: usize) -> String {
 }
 
 fn scanner() -> Sensor {
-    let spec = presight_files::preset("laser-scanner").unwrap().spec().clone();
+    let spec = presight::preset("laser-scanner").unwrap().spec().clone();
     Sensor::new(spec.with_noise(Noise { range_sigma: 0.05, ..Noise::default() })).unwrap()
 }
 
 impl Place {
     fn new() -> Self {
         let place = Self(tempfile::tempdir().unwrap());
-        gltf::write_glb(&place.path("room.glb"), &scenes::room(4, 20)).unwrap();
+        files::write_glb(&place.path("room.glb"), &scenes::room(4, 20)).unwrap();
         place.write("a.tum", &tum(POSES));
-        place.write("s.toml", &sensor_toml::to_string(scanner().spec()));
-        let frame = |time: f64, range: f32| log::LogFrame {
+        place.write("s.toml", &files::sensor_to_toml(scanner().spec()));
+        let frame = |time: f64, range: f32| files::LogFrame {
             time,
             range: vec![range; 361],
             intensities: None,
             odometry: None,
             reference: None,
         };
-        let lines = [1.0, 2.0].map(|t| log::lines::line(&frame(t, 1.5 * t as f32)).unwrap());
-        place.write("run.jsonl", &format!("{}\n{}\n", log::lines::header(scanner().spec()), lines.join("\n")));
+        let lines = [1.0, 2.0].map(|t| files::range_log_line(&frame(t, 1.5 * t as f32)).unwrap());
+        place.write("run.jsonl", &format!("{}\n{}\n", files::range_log_header(scanner().spec()), lines.join("\n")));
         place
     }
 
@@ -114,7 +114,8 @@ fn images_and_table_equal_single_predictions() {
         let (p, q) = (pose(i).translation, pose(i).rotation);
         let pose = format!("{},{},{},{},{},{},{}", p.x, p.y, p.z, q.x, q.y, q.z, q.w);
         place.done(&format!("predict room.glb --sensor vlp-16 --pose={pose} --out one.exr"));
-        let (one, many) = (exr::read(&place.path("one.exr")), exr::read(&place.path(&format!("all/{i:06}.exr"))));
+        let (one, many) =
+            (files::read_exr(&place.path("one.exr")), files::read_exr(&place.path(&format!("all/{i:06}.exr"))));
         let (one, many) = (one.unwrap(), many.unwrap());
         assert_eq!(one.images.range.len(), 1800 * 16);
         assert!(one.images.range == many.images.range && one.images.polygon_id == many.images.polygon_id);
@@ -224,7 +225,7 @@ fn a_different_batch_in_the_same_folder_is_refused() {
     place.write("s.toml", &toml.replace("0.05", "0.06"));
     place.fails(line, 1, "another sensor");
     place.write("s.toml", &toml);
-    gltf::write_glb(&place.path("room.glb"), &scenes::room(5, 20)).unwrap();
+    files::write_glb(&place.path("room.glb"), &scenes::room(5, 20)).unwrap();
     place.fails(line, 1, "the scene has changed");
     assert!(place.files("all") == before);
     place.write("all/batch.json", "{");
@@ -257,7 +258,7 @@ fn errors_are_reported_before_anything_is_written() {
     place.fails(&weigh.replace("#0", "#2"), 2, "there is no frame 2: the log has 2");
     place.fails(&weigh.replace("run.jsonl#0", "run.jsonl"), 1, "run.jsonl");
     let silent = scanner().spec().clone().with_noise(Noise::default());
-    place.write("silent.toml", &sensor_toml::to_string(&silent));
+    place.write("silent.toml", &files::sensor_to_toml(&silent));
     place.fails(&weigh.replace("s.toml", "silent.toml"), 1, "noise of ranges");
     place.fails(&weigh.replace("s.toml", "vlp-16"), 1, "rays of the log's sensor differ");
     place.fails(&format!("{weigh} --headings 16385"), 2, "16385 headings");

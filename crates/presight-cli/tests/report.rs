@@ -104,7 +104,7 @@ fn check_ways(folder: &Path, notes: &serde_json::Value) {
 #[cfg(feature = "gpu")]
 #[test]
 fn the_gpu_engine_is_studied_where_there_is_one() {
-    if presight_predict::gpu::adapters().is_empty() {
+    if !presight_testkit::has_adapter() {
         return skip::no_adapter("none is listed");
     }
     let folder = tempfile::tempdir().unwrap();

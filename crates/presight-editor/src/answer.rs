@@ -1,9 +1,8 @@
 //! Answers of a session, and the parts of requests that several of them share.
 
 use glam::{DQuat, DVec3};
-use presight_model::error::{Error, Result};
-use presight_model::geometry::{Pose, SensorPose};
-use presight_model::limits;
+use presight::tools;
+use presight::{Error, Pose, Result, SensorPose};
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 
@@ -45,7 +44,7 @@ pub fn pose_of(numbers: &[f64]) -> Result<SensorPose> {
     let at = |i: usize| DVec3::new(numbers[i], numbers[i + 1], numbers[i + 2]);
     let pose = match numbers.len() {
         6 => {
-            let far = at(0).abs().max_element() > limits::MAX_COORDINATE;
+            let far = at(0).abs().max_element() > tools::MAX_COORDINATE;
             let [roll, pitch, yaw] = at(3).to_array().map(f64::to_radians);
             let pose = Pose::from_xyz_rpy(at(0), roll, pitch, yaw);
             if far { Err(Error::usage("the pose is too far away", remedy)) } else { pose.check().map(|()| pose) }

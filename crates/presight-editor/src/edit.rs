@@ -5,16 +5,13 @@ use super::frame::add_strokes;
 use super::save::RestoreRequest;
 use super::session::{Session, Step};
 use glam::{DVec2, DVec3};
-use presight_features::generate::{FeatureKind, GenerateOptions, generate};
-use presight_features::{FeatureOptions, PlacedFeatures, place};
-use presight_files::layer::to_fields;
-use presight_model::change::Change;
-use presight_model::environment::{Feature, FeatureLayer};
-use presight_model::error::{Error, Result};
-use presight_model::geometry::{Aabb, SensorPose};
-use presight_predict::request::Request;
-use presight_render::plan::{Images, Output, Outputs};
-use presight_store::feature_change;
+use presight::environment::Aabb;
+use presight::features::{
+    Feature, FeatureKind, FeatureLayer, FeatureOptions, GenerateOptions, PlacedFeatures, generate, place,
+};
+use presight::files::layer_fields;
+use presight::store::feature_change;
+use presight::{Change, Error, Images, Output, Outputs, Request, Result, SensorPose};
 use presight_studies::pick::{Candidates, Hit, NearbyFeature, PickView};
 use serde::Deserialize;
 use serde_json::value::RawValue;
@@ -267,11 +264,11 @@ impl Session {
 }
 
 fn told(feature: &Feature, pixels: Option<f64>) -> Value {
-    json!({ "feature": to_fields(feature), "pixels": pixels })
+    json!({ "feature": layer_fields(feature), "pixels": pixels })
 }
 
 /// A box around the points that an image shows, world.
-fn seen_box(images: &Images, sensor: &presight_model::sensor::Sensor, pose: &SensorPose) -> Option<Aabb> {
+fn seen_box(images: &Images, sensor: &presight::Sensor, pose: &SensorPose) -> Option<Aabb> {
     let world_from_sensor = pose.world_from_sensor();
     /// Metres around the points: edges reach a little further.
     const AROUND: f64 = 0.05;

@@ -2,14 +2,11 @@
 
 use super::answer::{Answer, Body, pose_of, six_of};
 use super::session::Session;
-use presight_features::{BoxOptions, FeatureOptions, Hidden, PlacedFeatures, SeenFeature};
-use presight_model::error::{Error, Result};
-use presight_model::geometry::SensorPose;
-use presight_model::sensor::ImagePart;
+use presight::features::{BoxOptions, FeatureOptions, Hidden, PlacedFeatures, SeenFeature};
+use presight::predict::Samples;
+use presight::sensor::ImagePart;
+use presight::{Error, Images, Output, Outputs, Prediction, Request, Result, SensorPose};
 use presight_pictures::{Overlay, Screen, Stroke, Style};
-use presight_predict::predict::Prediction;
-use presight_predict::request::Request;
-use presight_render::plan::{Images, Output, Outputs, Samples};
 use serde::Deserialize;
 use serde_json::{Value, json};
 use std::time::Instant;

@@ -13,7 +13,7 @@ use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper::{Method, Request, Response, StatusCode};
 use hyper_util::rt::{TokioIo, TokioTimer};
-use presight_model::error::{Error, ErrorKind, Result};
+use presight::{Error, ErrorKind, Result};
 use std::collections::VecDeque;
 use std::convert::Infallible;
 use std::fmt::Write;

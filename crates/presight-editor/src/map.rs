@@ -2,12 +2,10 @@
 
 use super::answer::{Answer, Body};
 use super::session::Session;
-use presight_features::PlacedFeatures;
-use presight_model::error::{Error, Result};
-use presight_model::memory;
-use presight_model::sensor::{Sensor, SensorSpec};
-use presight_model::world::World;
-use presight_predict::predict::{Options, Predictor};
+use presight::features::PlacedFeatures;
+use presight::sensor::SensorSpec;
+use presight::tools;
+use presight::{Error, Options, Predictor, Result, Sensor, World};
 use presight_studies::worth::{Grid, View, WorthOptions, WorthPlace, views};
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -145,7 +143,7 @@ impl WorthMap {
             *held += size_of_val(&told[..]) as u64;
             if *held > *granted {
                 *granted = 2 * (*held).max(A_LOT);
-                memory::require(*granted)?;
+                tools::require(*granted)?;
             }
             Ok(())
         })?;

@@ -2,15 +2,12 @@
 
 use super::answer::Answer;
 use super::session::{Session, SessionOptions, by_id};
-use presight_files::atomic::write_atomically;
-use presight_files::file;
-use presight_files::layer::{self, LayerFile, to_fields};
-use presight_model::change::Change;
-use presight_model::environment::{DEFAULT_TOLERANCE, Environment, Feature, FeatureLayer};
-use presight_model::error::{Error, ErrorKind, Result};
-use presight_model::index::IndexKind;
-use presight_model::limits;
-use presight_store::{Note, Store, feature_line};
+use presight::environment::{DEFAULT_TOLERANCE, Environment, IndexKind};
+use presight::features::{Feature, FeatureLayer};
+use presight::files::{self, LayerFile, layer_fields};
+use presight::store::{Note, Store, feature_line};
+use presight::tools::{self, write_atomically};
+use presight::{Change, Error, ErrorKind, Result};
 use serde::Deserialize;
 use serde_json::value::RawValue;
 use std::collections::{HashMap, HashSet};
@@ -62,7 +59,7 @@ impl Target {
             return Ok(Self::File { path: path.clone(), text: Some(read(path)?) });
         }
         let is_store = scene.extension().is_some_and(|e| e.eq_ignore_ascii_case("presight"));
-        if is_store || file::starts_with(scene, SQLITE) {
+        if is_store || tools::starts_with(scene, SQLITE) {
             return Ok(Self::Store { path: scene.to_owned(), changes: changes_of(scene)? });
         }
         let stem = scene.file_stem().unwrap_or_default().to_string_lossy();
@@ -95,13 +92,13 @@ impl Target {
 }
 
 fn read(path: &Path) -> Result<String> {
-    let bytes = file::read(file::open(path)?, path, limits::MAX_FILE_BYTES)?;
+    let bytes = tools::read(tools::open(path)?, path, tools::MAX_FILE_BYTES)?;
     String::from_utf8(bytes).map_err(|_| Error::invalid("it is not UTF-8", "write it as UTF-8 text").in_file(path))
 }
 
 fn changes_of(path: &Path) -> Result<u64> {
     let mut last = 0;
-    presight_store::log(path, |entry| {
+    presight::store::log(path, |entry| {
         last = entry.number;
         Ok(())
     })?;
@@ -163,7 +160,7 @@ impl Journal {
         };
         lock(&file, path)?;
         let mut text = String::new();
-        let limit = limits::MAX_FILE_BYTES;
+        let limit = tools::MAX_FILE_BYTES;
         let size = Read::by_ref(&mut file)
             .take(limit + 1)
             .read_to_string(&mut text)
@@ -301,7 +298,7 @@ impl Session {
     pub(crate) fn read_again(&mut self) -> Result<()> {
         let Target::Store { path, changes } = &mut self.target else { return Ok(()) };
         let kind = self.world.index().kind();
-        let world = presight_store::read_world(path, &kind)?;
+        let world = presight::store::read_world(path, &kind)?;
         *changes = changes_of(path)?;
         self.reload(world)
     }
@@ -324,7 +321,8 @@ impl Session {
         let is_same = to == *path && text.is_some();
         check_unchanged(&to, text.as_deref().filter(|_| is_same))?;
         let tolerance = self.tolerance();
-        let empty = || layer::to_string(&FeatureLayer { class: self.class.clone(), tolerance, ..Default::default() });
+        let empty =
+            || files::layer_to_string(&FeatureLayer { class: self.class.clone(), tolerance, ..Default::default() });
         let base = text.clone().map_or_else(empty, Ok)?;
         let written =
             spliced(&base, &Versions { saved: &self.saved, now: &now, own: &self.own, next: self.next_id, tolerance })
@@ -394,7 +392,7 @@ fn spliced(text: &str, versions: &Versions<'_>) -> Result<String> {
     let entries: Vec<&RawValue> = serde_json::from_str(parts.features.get()).map_err(wrong)?;
     let Versions { saved, now, own, next, tolerance } = *versions;
     let removal = |id: u32| format!("{{\"id\":{id},\"remove\":true}}");
-    let line = |feature: &Feature| serde_json::to_string(&to_fields(feature)).map_err(wrong);
+    let line = |feature: &Feature| serde_json::to_string(&layer_fields(feature)).map_err(wrong);
     let (mut lines, mut there) = (Vec::with_capacity(entries.len()), HashSet::new());
     for raw in entries {
         let entry: Entry = serde_json::from_str(raw.get()).map_err(wrong)?;
@@ -433,7 +431,7 @@ fn spliced(text: &str, versions: &Versions<'_>) -> Result<String> {
     cuts.sort_by_key(|(part, _)| std::cmp::Reverse(at(part)));
     let mut whole = text.to_owned();
     cuts.iter().for_each(|(part, new)| whole.replace_range(at(part)..at(part) + part.get().len(), new));
-    layer::parse(&whole)?;
+    files::parse_layer(&whole)?;
     Ok(whole)
 }
 

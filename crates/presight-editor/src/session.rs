@@ -3,20 +3,12 @@
 use super::answer::{Answer, parse, six_of};
 use super::map::WorthMap;
 use super::save::{Journal, Target, behind, merging};
-use presight::Scene;
-use presight_features::{PlacedFeature, PlacedFeatures};
-use presight_files::layer::{self, LayerFile, to_fields};
-use presight_model::change::Change;
-use presight_model::environment::{DEFAULT_TOLERANCE, Feature, FeatureLayer};
-use presight_model::error::{Error, Result};
-use presight_model::geometry::{Pose, SensorPose};
-use presight_model::placement;
-use presight_model::sensor::Sensor;
-use presight_model::world::World;
+use presight::environment::DEFAULT_TOLERANCE;
+use presight::features::{self, Feature, FeatureLayer, PlacedFeature, PlacedFeatures};
+use presight::files::{self, LayerFile, layer_fields};
+use presight::predict::{Maker, free_poses};
+use presight::{Backend, Change, Error, Options, Output, Pose, Predictor, Result, Scene, Sensor, SensorPose, World};
 use presight_pictures::preview_needs;
-use presight_predict::free_poses::free_poses;
-use presight_predict::predict::{Backend, Options, Predictor};
-use presight_render::plan::{Maker, Output};
 use serde::Deserialize;
 use serde_json::{Value, json};
 use std::collections::{BTreeSet, HashMap};
@@ -102,8 +94,8 @@ impl Session {
     /// Opens the layer of a scene for editing.
     ///
     /// # Errors
-    /// Errors of reading the layer; [`presight_model::ErrorKind::Usage`] for a layer of another class;
-    /// [`presight_model::ErrorKind::System`] if another editor has it open, or threads cannot be started.
+    /// Errors of reading the layer; [`presight::ErrorKind::Usage`] for a layer of another class;
+    /// [`presight::ErrorKind::System`] if another editor has it open, or threads cannot be started.
     pub fn open(scene: Scene, sensor: Sensor, options: SessionOptions) -> Result<Self> {
         let class = sensor.spec().class.clone();
         let mut world = scene.world;
@@ -118,7 +110,7 @@ impl Session {
         let used = known.chain(layer.into_iter().flat_map(|l| &l.features).map(|f| f.id)).max().unwrap_or(0);
         let target = Target::of(&scene.path, &options, &class)?;
         let journal = Journal::open(&target)?;
-        let placed = layer.map_or(Ok(PlacedFeatures::default()), |layer| placement::place_layer(&world, layer))?;
+        let placed = layer.map_or(Ok(PlacedFeatures::default()), |layer| features::place_layer(&world, layer))?;
         let mut notices = Vec::new();
         if !placed.lost.is_empty() {
             let some: Vec<String> = placed.lost.iter().take(5).map(u32::to_string).collect();
@@ -223,7 +215,7 @@ impl Session {
         let feature = self.world.environment().feature(&self.class, request.id);
         let feature = feature
             .ok_or_else(|| Error::usage(format!("there is no feature {}", request.id), "choose one from the list"))?;
-        Ok(Answer::Json(json!({ "version": self.version, "feature": to_fields(feature) }).to_string()))
+        Ok(Answer::Json(json!({ "version": self.version, "feature": layer_fields(feature) }).to_string()))
     }
 
     /// What the page shows of the session.
@@ -338,10 +330,10 @@ impl Session {
         let features: Vec<Arc<Feature>> = self.listed().iter().filter(|f| touched.contains(&f.id)).cloned().collect();
         let tolerance = self.tolerance();
         let layer = FeatureLayer { class: self.class.clone(), tolerance, features, pose_covariances: Vec::new() };
-        let found = placement::find(&self.world, &layer)?;
+        let found = features::find(&self.world, &layer)?;
         if let Some(id) = found.off.first().filter(|_| !restores) {
             let feature = layer.features.iter().find(|f| f.id == *id);
-            let why = feature.and_then(|f| placement::why_off(&self.world, &self.class, tolerance, f));
+            let why = feature.and_then(|f| features::why_off(&self.world, &self.class, tolerance, f));
             return Err(why.unwrap_or_else(|| Error::invalid(format!("feature {id} lies on no polygon"), "move it")));
         }
         let untouched = self.placed.features.iter().filter(|p| !touched.contains(&p.feature.id)).cloned();
@@ -356,7 +348,7 @@ impl Session {
     /// Starts over from another version of the world: that of a store which another program has changed.
     pub(crate) fn reload(&mut self, world: World) -> Result<()> {
         let layer = world.environment().layer(&self.class);
-        self.placed = layer.map_or(Ok(PlacedFeatures::default()), |layer| placement::place_layer(&world, layer))?;
+        self.placed = layer.map_or(Ok(PlacedFeatures::default()), |layer| features::place_layer(&world, layer))?;
         self.own = by_id(&world, &self.class);
         self.saved = self.own.clone();
         let used = self.own.keys().copied().chain(world.environment().retired(&self.class)).max().unwrap_or(0);
@@ -393,7 +385,7 @@ pub(crate) fn by_id(world: &World, class: &str) -> HashMap<u32, Arc<Feature>> {
 }
 
 fn read_layer(path: &Path, class: &str) -> Result<LayerFile> {
-    let file = layer::read(path)?;
+    let file = files::read_layer(path)?;
     if file.layer.class != class {
         let what = format!("the layer has class {:?}, the sensor has class {class:?}", file.layer.class);
         return Err(Error::usage(what, "give a layer of the sensor's class").in_file(path));

@@ -138,7 +138,7 @@ fn within(x: f64, low: f64, high: f64) -> Result<f64> {
 /// Writes learnt costs atomically.
 ///
 /// ```
-/// use presight::deadline::CostModel;
+/// use presight::predict::CostModel;
 /// let folder = tempfile::tempdir()?;
 /// let path = folder.path().join("costs.json");
 /// presight::files::write_costs(&path, &CostModel::default())?;

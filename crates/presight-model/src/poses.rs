@@ -56,7 +56,7 @@ pub enum WorldFrame {
 ///
 /// ```
 /// # std::env::set_current_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/../..")).unwrap();
-/// use presight::files::{ExternalPose, PoseOf};
+/// use presight::sensor::{ExternalPose, PoseOf};
 /// use presight::{Pose, Scene};
 /// use glam::DVec3;
 /// let scene = Scene::open("scenes/room.glb")?;

@@ -11,7 +11,7 @@ use std::time::Duration;
 ///
 /// ```
 /// use presight::features::FeatureOptions;
-/// use presight::regions::BoxOptions;
+/// use presight::features::BoxOptions;
 /// use presight::{Output, Outputs, Request};
 /// let request = Request::of(Outputs::of(&[Output::Range]))
 ///     .with_features(FeatureOptions::default())

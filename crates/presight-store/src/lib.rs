@@ -70,16 +70,16 @@ use std::sync::{Arc, Weak};
 ///
 /// ```
 /// use presight::Scene;
-/// use presight::files::{Store, StoreNote, create_store};
+/// use presight::store::{Note, Store, create};
 /// use presight::environment::{Environment, Material};
 /// use presight::Change;
 /// let folder = tempfile::tempdir()?;
 /// let path = folder.path().join("hall.presight");
-/// create_store(&path, &Environment::new(), &StoreNote::new("a new hall", 0.0))?;
+/// create(&path, &Environment::new(), &Note::new("a new hall", 0.0))?;
 ///
 /// let mut store = Store::open(&path)?;
 /// let paint = Change::AddMaterial(Material::named("paint"));
-/// let number = store.apply(paint, &StoreNote::new("delivered", 12.5))?;
+/// let number = store.apply(paint, &Note::new("delivered", 12.5))?;
 /// assert_eq!((number, store.changes()), (1, 1));
 /// drop(store);
 /// assert_eq!(Scene::open(&path)?.world.environment().materials().len(), 1);

@@ -51,7 +51,7 @@ impl Line {
 ///
 /// ```
 /// use presight::Scene;
-/// use presight::files::apply_line;
+/// use presight::store::apply_line;
 /// let mut world = Scene::example()?.world;
 /// let away = r#"{"op": "move", "object": "room/table", "pose": [1, 1, 0, 0, 0, 30]}"#;
 /// apply_line(&mut world, away, ".".as_ref())?;

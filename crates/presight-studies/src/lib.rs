@@ -2,6 +2,8 @@
 
 #[cfg(feature = "report")]
 pub mod chart;
+pub mod comparison;
+pub mod doctor;
 pub mod index;
 pub mod index_study;
 #[cfg(feature = "report")]

@@ -21,6 +21,7 @@ pub mod tags;
 pub mod way;
 
 pub use pictures::compare_or_show;
+pub use presight_model::environment::{CUBOID_FACES, cuboid_corners};
 use presight_model::geometry::Pose;
 pub use presight_model::random::SplitMix64 as Random;
 use presight_model::sensor::Sensor;
@@ -51,6 +52,12 @@ pub fn bits(images: &Images, output: Output) -> Vec<u32> {
         Some(Samples::Vectors(image)) => image.as_flattened().iter().map(|v| v.to_bits()).collect(),
         None => Vec::new(),
     }
+}
+
+/// True if this machine has an adapter for the GPU engine.
+#[cfg(feature = "gpu")]
+pub fn has_adapter() -> bool {
+    !presight_predict::gpu::adapters().is_empty()
 }
 
 /// Reads a number from an environment variable, to vary runs or to reproduce one.

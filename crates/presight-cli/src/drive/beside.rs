@@ -1,11 +1,11 @@
 //! Logs of a robot's other sensors.
 
-use presight_files::log::{Frames, Observation};
-use presight_model::error::Result;
+use presight::Result;
+use presight::files::{LogFrames, Observation};
 
 /// The log of another sensor.
 pub(super) struct LogBeside {
-    pub frames: Frames,
+    pub frames: LogFrames,
     pub next: Option<Observation>,
 }
 

@@ -1,13 +1,11 @@
 //! The features of a drive: the list it searches for, and its findings.
 
 use super::Drive;
-use presight::Scene;
-use presight_features::PlacedFeatures;
-use presight_localize::extract::{FeatureClass, Findings, is_sought};
-use presight_model::environment::FeatureShape;
-use presight_model::error::{Error, Result};
-use presight_model::measured::Frame;
-use presight_model::sensor::{Geometry, Sensor};
+use presight::features::{FeatureShape, PlacedFeatures};
+use presight::localize::{FeatureClass, Findings, is_sought};
+use presight::measured::Frame;
+use presight::sensor::Geometry;
+use presight::{Error, Result, Scene, Sensor};
 
 /// Feature counts of one frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -14,21 +14,12 @@ use super::{open_scene_without, print};
 use beside::LogBeside;
 use features::{not_sought, not_sought_in_scans};
 use indicatif::ProgressBar;
-use presight::Scene;
-use presight_files::depth_folder::DepthFolder;
-use presight_files::gltf::ImportOptions;
-use presight_files::load_sensor;
-use presight_files::log::{Frames, Observation};
-use presight_localize::estimate::{Estimator, Freedom};
-use presight_localize::localize::{Phase, Step};
-use presight_localize::verdict::Verdicts;
-use presight_model::error::{Error, Result};
-use presight_model::geometry::{Pose, RobotPose};
-use presight_model::index::IndexKind;
-use presight_model::measured::Frame;
-use presight_model::sensor::Sensor;
-use presight_model::threads::Threads;
-use presight_predict::predict::{Backend, Options, Predictor};
+use presight::environment::IndexKind;
+use presight::files::{DepthFolder, ImportOptions, LogFrames, Observation, load_sensor};
+use presight::localize::{Estimator, Freedom, Phase, Step};
+use presight::measured::Frame;
+use presight::verdict::Verdicts;
+use presight::{Backend, Error, Options, Pose, Predictor, Result, RobotPose, Scene, Sensor, Threads};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -225,16 +216,16 @@ impl Drive {
     }
 
     /// Opens the log with its sensor.
-    fn opened(&self) -> Result<Frames> {
+    fn opened(&self) -> Result<LogFrames> {
         let sensor = match self.robot.first() {
             Some((_, sensor)) => Some(sensor.clone()),
             None => self.sensor.as_deref().map(|sensor| self.image.load(sensor)).transpose()?,
         };
-        Frames::open(&self.log, sensor.as_ref(), &self.odometry()?)
+        LogFrames::open(&self.log, sensor.as_ref(), &self.odometry()?)
     }
 
     /// The measurements from --from on and `after` a time, thinned, with the poses of planar documents on the floor.
-    fn observations(&self, log: &mut Frames, after: Option<f64>) -> impl Iterator<Item = Result<Observation>> {
+    fn observations(&self, log: &mut LogFrames, after: Option<f64>) -> impl Iterator<Item = Result<Observation>> {
         let is_planar = log.has_planar_poses();
         let is_early =
             move |stamp: f64| self.from.is_some_and(|from| stamp < from) || after.is_some_and(|t| stamp <= t);
@@ -265,7 +256,7 @@ impl Drive {
 
     fn follow_log(
         &self,
-        log: &mut Frames,
+        log: &mut LogFrames,
         files: OutputFiles,
         resumed: Option<&Resumed>,
         mut visit: impl FnMut(&Scene, &Sensed<'_>, &Step) -> Result<()>,
@@ -341,7 +332,7 @@ impl Drive {
     /// Opens the logs of the robot's other sensors.
     fn logs_beside(&self) -> Result<Vec<LogBeside>> {
         let open = |(path, sensor): &(PathBuf, Sensor)| {
-            Ok(LogBeside { frames: Frames::open(path, Some(sensor), &self.odometry()?)?, next: None })
+            Ok(LogBeside { frames: LogFrames::open(path, Some(sensor), &self.odometry()?)?, next: None })
         };
         self.robot.iter().skip(1).map(open).collect()
     }

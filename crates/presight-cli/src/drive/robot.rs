@@ -2,15 +2,15 @@
 
 use super::Drive;
 use crate::print;
-use presight_files::load_robot;
-use presight_model::error::{Error, Result};
+use presight::files::load_robot;
+use presight::{Error, Result};
 use std::path::{Path, PathBuf};
 
 impl Drive {
     /// The drive with the sensors of a robot: its log and the others are then NAME=LOG. Without a robot the same drive.
     ///
     /// # Errors
-    /// Errors from reading the robot; [`presight_model::ErrorKind::Usage`] for a log without the name of one of its sensors.
+    /// Errors from reading the robot; [`presight::ErrorKind::Usage`] for a log without the name of one of its sensors.
     pub fn of_robot(&self, robot: Option<&Path>, beside: &[String]) -> Result<Self> {
         let mut drive = self.clone();
         let Some(path) = robot else { return Ok(drive) };

@@ -3,14 +3,12 @@
 use super::{Drive, watching};
 use crate::pose::parse_pose;
 use indicatif::ProgressBar;
-use presight::Scene;
-use presight_files::log::Observation;
-use presight_localize::estimate::{EstimateOptions, Estimator, Preset};
-use presight_localize::localize::{ErrorRates, LocalizeOptions, Localizer, Search, SearchOptions};
-use presight_model::error::{Error, Result};
-use presight_model::geometry::{Pose, PoseEstimate, RobotPose};
-use presight_model::measured::OdometryNoise;
-use presight_model::sensor::Sensor;
+use presight::files::Observation;
+use presight::localize::{
+    ErrorRates, EstimateOptions, Estimator, LocalizeOptions, Localizer, Preset, Search, SearchOptions,
+};
+use presight::measured::OdometryNoise;
+use presight::{Error, Pose, PoseEstimate, Result, RobotPose, Scene, Sensor};
 
 impl Drive {
     /// Checks the values of the flags without opening any file.

@@ -2,10 +2,8 @@
 
 use super::{NoteArgs, open_store};
 use crate::print;
-use presight_files::file;
-use presight_files::file::without_mark;
-use presight_model::error::{Error, Result};
-use presight_model::limits;
+use presight::tools::{self, without_mark};
+use presight::{Error, Result};
 use std::collections::BTreeSet;
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
@@ -68,7 +66,7 @@ pub fn run(args: &Args) -> Result<()> {
     let (input, folder): (Box<dyn Read>, &Path) = if from_stdin {
         (Box::new(std::io::stdin()), Path::new("."))
     } else {
-        (Box::new(file::open_any(&args.changes, &args.changes)?), args.changes.parent().unwrap_or(Path::new(".")))
+        (Box::new(tools::open_any(&args.changes, &args.changes)?), args.changes.parent().unwrap_or(Path::new(".")))
     };
     let mut store = open_store(&args.store)?;
     store.begin_row();
@@ -128,7 +126,7 @@ impl Lines<'_> {
     /// Waits for the next line, and returns it with its number, from 1.
     fn next(&mut self) -> Result<Option<(u64, String)>> {
         let mut bytes = Vec::new();
-        let limit = limits::MAX_LINE_BYTES;
+        let limit = tools::MAX_LINE_BYTES;
         let mut bounded = self.reader.by_ref().take(limit + 1);
         let read = bounded.read_until(b'\n', &mut bytes).map_err(|e| Error::io(self.path, "read it", e))?;
         if read == 0 {

@@ -2,12 +2,10 @@
 
 use crate::outputs::{OutputFiles, check_no_dash};
 use crate::print;
-use presight_files::gltf::write_glb;
-use presight_files::layer;
-use presight_model::environment::FeatureLayer;
-use presight_model::error::{Error, ErrorKind, Result};
-use presight_model::placement;
-use presight_store as store;
+use presight::features::{self, FeatureLayer};
+use presight::files::{self, write_glb};
+use presight::store;
+use presight::{Error, ErrorKind, Result};
 use std::path::{Path, PathBuf};
 
 /// Write a store as glTF with layer files, which create and import read back without loss
@@ -60,11 +58,11 @@ pub fn run(args: &Args) -> Result<()> {
         })?;
     }
     refuse_others(folder, &prefix, &files)?;
-    let lost = placement::lost(&environment).map_err(|e| e.in_file(&args.store))?;
+    let lost = features::lost(&environment).map_err(|e| e.in_file(&args.store))?;
     write_glb(&scene, &environment).map_err(|e| e.in_file(&args.store))?;
     for (path, own) in &files {
         let lost: Vec<u32> = lost.iter().filter(|(class, _)| *class == own.class).map(|(_, id)| *id).collect();
-        layer::write_with_lost(path, own, &lost)?;
+        files::write_layer_with_lost(path, own, &lost)?;
     }
     let (marks, trusts) = (environment.marks().len(), environment.trusts().len());
     let left_out = (marks + trusts > 0).then(|| {

@@ -2,13 +2,11 @@
 
 use super::{FrameArgs, NoteArgs, environment_of, open_store};
 use crate::print;
-use presight_files::layer;
-use presight_model::change::Change;
-use presight_model::error::{Error, Result};
-use presight_model::memory;
-use presight_model::placement;
-use presight_model::printable::quoted;
-use presight_store::{Existing, SceneMerge};
+use presight::features;
+use presight::files;
+use presight::store::{Existing, SceneMerge};
+use presight::tools::{self, quoted};
+use presight::{Change, Error, Result};
 use std::path::PathBuf;
 
 const EXAMPLES: &str = "Examples:
@@ -68,7 +66,7 @@ pub fn run(args: &Args) -> Result<()> {
     }
     // Read the file before the store is locked: it may be the same file.
     let (layer, scene) = match is_layer {
-        true => (Some(layer::read(file)?), None),
+        true => (Some(files::read_layer(file)?), None),
         false => {
             let (scene, lay, _) = environment_of(file, frame)?;
             note.cause += &lay;
@@ -76,13 +74,13 @@ pub fn run(args: &Args) -> Result<()> {
         }
     };
     if let Some(scene) = &scene {
-        memory::require(memory::of_writing(scene.objects().iter().map(|o| o.mesh.polygon_count() as u64)))?;
+        tools::require(tools::of_writing(scene.objects().iter().map(|o| o.mesh.polygon_count() as u64)))?;
     }
     let mut store = open_store(path)?;
     // Features that have already lost their surface in the imported file or store are accepted.
     let lost = match (&layer, &scene) {
         (Some(file), _) => file.lost.iter().map(|id| (file.layer.class.clone(), *id)).collect(),
-        (None, Some(scene)) => placement::lost(scene).map_err(|e| e.in_file(file))?,
+        (None, Some(scene)) => features::lost(scene).map_err(|e| e.in_file(file))?,
         (None, None) => Vec::new(),
     };
     let (mut changes, mut notes) = (Vec::new(), Vec::new());

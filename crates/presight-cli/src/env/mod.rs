@@ -10,13 +10,12 @@ use super::frame_args::FrameArgs;
 use super::open_scene;
 use super::outputs::{OutputFiles, check_no_dash};
 use super::{CommandOutcome, print};
-use presight_files::preparation::Up;
-use presight_model::environment::Environment;
-use presight_model::error::{Error, Result};
-use presight_model::index::IndexKind;
-use presight_model::memory;
-use presight_store as store;
-use presight_store::{Note, Store};
+use presight::environment::{Environment, IndexKind};
+use presight::files::Up;
+use presight::store;
+use presight::store::{Note, Store};
+use presight::tools;
+use presight::{Error, Result};
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -172,7 +171,7 @@ fn create(store: &Path, scene: &Path, frame: &FrameArgs, note: &NoteArgs) -> Res
     let (environment, lay, scene_files) = environment_of(scene, frame)?;
     note.cause += &lay;
     let polygons = environment.objects().iter().map(|o| o.mesh.polygon_count() as u64);
-    memory::require(memory::of_writing(polygons))?;
+    tools::require(tools::of_writing(polygons))?;
     files.check_scene(&scene_files)?;
     store::create(store, &environment, &note)?;
     print::data(&format!("{} objects, content {}\n", show::live(&environment).count(), environment.content_hash()))

@@ -2,12 +2,12 @@
 
 use super::stale::Stale;
 use crate::print;
-use presight_files::preparation::lost_features;
-use presight_model::environment::{Environment, Existence, Mark, Object};
-use presight_model::error::{Error, Result};
-use presight_model::printable::clipped;
-use presight_store as store;
-use presight_store::LogEntry;
+use presight::environment::{Environment, Mark, Object, lost_features};
+use presight::features::Existence;
+use presight::store;
+use presight::store::LogEntry;
+use presight::tools::clipped;
+use presight::{Error, Result};
 use serde_json::{Value, json};
 use std::path::Path;
 
@@ -24,7 +24,7 @@ pub fn info(path: &Path, as_json: bool, stale: Option<&Stale>) -> Result<()> {
     let info = store::info(path)?;
     let environment = &info.environment;
     let groups = environment.groups();
-    let layer = |l: &presight_model::environment::FeatureLayer| json!({"class": l.class, "features": l.features.len()});
+    let layer = |l: &presight::features::FeatureLayer| json!({"class": l.class, "features": l.features.len()});
     let stale = stale.map(|stale| stale.of(environment));
     let mut value = json!({
         "format": FORMAT,
@@ -119,7 +119,7 @@ fn json_line(e: &LogEntry, path: &Path) -> Result<String> {
         "change": parse(&e.change)?,
         "inverse": parse(&e.inverse)?,
         "evidence": e.evidence.as_deref().map(parse).transpose()?,
-        "hash": presight_model::environment::ContentHash(e.hash).to_string(),
+        "hash": presight::environment::ContentHash(e.hash).to_string(),
     });
     Ok(value.to_string())
 }

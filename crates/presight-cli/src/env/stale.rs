@@ -1,8 +1,8 @@
 //! Objects and features without a recent confirmation: `presight env info --stale`.
 
 use super::show::live;
-use presight_model::environment::Environment;
-use presight_model::error::{Error, Result};
+use presight::environment::Environment;
+use presight::{Error, Result};
 
 /// An age, and the time that it is counted back from.
 pub struct Stale {
@@ -15,7 +15,7 @@ impl Stale {
     /// Parses an age such as `30d`.
     ///
     /// # Errors
-    /// [`presight_model::ErrorKind::Usage`] for another text, or a time that is not finite.
+    /// [`presight::ErrorKind::Usage`] for another text, or a time that is not finite.
     pub fn new(age: &str, from: Option<f64>) -> Result<Self> {
         let units = [('d', 86_400.0), ('h', 3_600.0), ('m', 60.0), ('s', 1.0)];
         let parsed = units.iter().find_map(|(unit, seconds)| {

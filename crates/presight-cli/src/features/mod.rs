@@ -8,11 +8,10 @@ use super::open_scene;
 use super::outputs::OutputFiles;
 use super::{CommandOutcome, print};
 use clap::builder::NonEmptyStringValueParser;
-use presight_features::generate::{FeatureKind, GenerateOptions, GeneratedLayer, generate_with_progress};
-use presight_files::layer;
-use presight_model::environment::Environment;
-use presight_model::error::{Error, Result};
-use presight_model::index::IndexKind;
+use presight::environment::{Environment, IndexKind};
+use presight::features::{FeatureKind, GenerateOptions, GeneratedLayer, generate_with_progress};
+use presight::files;
+use presight::{Error, Result};
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -123,7 +122,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     if let Some(command) = &args.command {
         return match command {
             Command::Pick(args) => pick::run(args),
-            Command::Schema => print::data(layer::schema()).map(|()| CommandOutcome::Done),
+            Command::Schema => print::data(files::layer_schema()).map(|()| CommandOutcome::Done),
         };
     }
     // Clap requires both if there is no subcommand.
@@ -153,7 +152,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         lines.extend(args.worth.tell(&scene, sensor, &mut layer)?);
     }
     if let Some(path) = &args.out {
-        layer::write(path, &layer)?;
+        files::write_layer(path, &layer)?;
     }
     print::lines(lines)?;
     Ok(CommandOutcome::Done)

@@ -7,13 +7,10 @@ use super::super::{CommandOutcome, print};
 use super::OptionArgs;
 use crate::sensor_args::SensorArgs;
 use glam::{DVec2, DVec3};
-use presight_features::generate::GenerateOptions;
-use presight_files::layer;
-use presight_model::error::{Error, Result};
-use presight_model::index::IndexKind;
-use presight_predict::predict::{Backend, Options, Predictor};
-use presight_predict::request::Request;
-use presight_render::plan::{Output, Outputs};
+use presight::environment::IndexKind;
+use presight::features::GenerateOptions;
+use presight::files;
+use presight::{Backend, Error, Options, Output, Outputs, Predictor, Request, Result};
 use presight_studies::pick::{Hit, NearbyFeature, PickView};
 use std::path::PathBuf;
 
@@ -125,11 +122,11 @@ fn describe(view: &PickView<'_>, hit: &Hit, args: &Args, options: &GenerateOptio
     // The user may mean the nearest feature or the point itself.
     match seen.first() {
         Some(nearest) => {
-            lines.push(layer::entry(&nearest.feature)?);
+            lines.push(files::layer_entry(&nearest.feature)?);
             lines.extend([String::new(), "or the point itself".into()]);
-            lines.push(layer::entry(&point)?);
+            lines.push(files::layer_entry(&point)?);
         }
-        None => lines.push(layer::entry(&point)?),
+        None => lines.push(files::layer_entry(&point)?),
     }
     Ok(lines)
 }

@@ -2,16 +2,11 @@
 
 use super::super::{bar, print};
 use crate::outputs::OutputFiles;
-use presight::Scene;
-use presight_features::PlacedFeatures;
-use presight_files::atomic::write_atomically;
-use presight_files::{layer, load_sensor};
-use presight_model::environment::FeatureLayer;
-use presight_model::error::{Error, Result};
-use presight_model::sensor::Sensor;
-use presight_model::statistics::{quantile, upper_median};
+use presight::features::{FeatureLayer, PlacedFeatures};
+use presight::files::{self, load_sensor};
+use presight::tools::{quantile, upper_median, write_atomically};
+use presight::{Error, Options, Predictor, Result, Scene, Sensor};
 use presight_pictures::{GridMap, write_maps};
-use presight_predict::predict::{Options, Predictor};
 use presight_studies::worth::{HEADINGS, Thinned, Worth, WorthOptions};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -76,7 +71,7 @@ impl WorthArgs {
     /// Reads the layer of `--layer`, if given.
     pub fn given(&self, class: &str) -> Result<Option<FeatureLayer>> {
         let Some(path) = &self.layer else { return Ok(None) };
-        let given = layer::read(path)?.layer;
+        let given = files::read_layer(path)?.layer;
         if given.class != class {
             let what = format!("the layer has class {:?}, the sensor has class {class:?}", given.class);
             return Err(Error::usage(what, "give a layer of the sensor's class").in_file(path));
@@ -89,7 +84,7 @@ impl WorthArgs {
         let mut options = WorthOptions::default();
         options.spacing = self.spacing.unwrap_or(options.spacing);
         options.floor = self.floor.unwrap_or(options.floor);
-        let placed: PlacedFeatures = presight_features::place(&scene.world, layer)?.into();
+        let placed: PlacedFeatures = presight::features::place(&scene.world, layer)?.into();
         let mut predictor = Predictor::new(Options::default())?;
         let bar = bar::bar(0);
         let worth = Worth::of(&scene.world, sensor, &placed, &options, &mut predictor, |done, of| {

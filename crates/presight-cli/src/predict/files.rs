@@ -4,16 +4,12 @@ use super::{Args, PointsFrameArg};
 use crate::file_names::Paths;
 use crate::layers::Layers;
 use crate::print;
-use presight::{Scene, blake3_of};
-use presight_features::{BoxOptions, SeenFeature};
-use presight_files::{exr, pcd, ply, sensor_toml};
-use presight_model::error::Result;
-use presight_model::sensor::Sensor;
+use presight::features::{BoxOptions, SeenFeature};
+use presight::files;
+use presight::predict::{PointCloud, PointsFrame};
+use presight::virtual_sensors::{Settings, VirtualReading};
+use presight::{Output, Prediction, Predictor, Result, Scene, Sensor, blake3_of};
 use presight_pictures as png;
-use presight_predict::predict::{Prediction, Predictor};
-use presight_predict::virtual_sensors::{Settings, VirtualReading};
-use presight_render::plan::Output;
-use presight_render::points::{PointCloud, PointsFrame};
 
 /// Data for output files that the prediction itself does not hold.
 pub struct Shown {
@@ -49,15 +45,15 @@ pub fn write_files(
     paths: &Paths,
     scene: &Scene,
     prediction: &Prediction,
-    attributes: Option<exr::Attributes>,
+    attributes: Option<files::ExrAttributes>,
     shown: &Shown,
 ) -> Result<()> {
     let reading = shown.reading.as_ref();
     let (sensor, images) = (&prediction.sensor, &prediction.images);
     if let (Some(path), Some(attributes)) = (&paths.out, attributes) {
         let (given_up, raster) = (prediction.degradation().cloned(), prediction.stats.raster);
-        let attributes = exr::Attributes { pose: Some(prediction.pose), given_up, raster, ..attributes };
-        exr::write(path, images, args.outputs, &attributes)?;
+        let attributes = files::ExrAttributes { pose: Some(prediction.pose), given_up, raster, ..attributes };
+        files::write_exr(path, images, args.outputs, &attributes)?;
     }
     if let Some(path) = &paths.png {
         let overlay = prediction.features.as_ref().map(|features| png::Overlay {
@@ -90,18 +86,18 @@ pub fn write_files(
             _ => cloud,
         };
         print::notices(&match path.extension().is_some_and(|e| e.eq_ignore_ascii_case("pcd")) {
-            true => pcd::write(path, &cloud)?,
-            false => ply::write(path, &cloud)?,
+            true => files::write_pcd(path, &cloud)?,
+            false => files::write_ply(path, &cloud)?,
         });
     }
     Ok(())
 }
 
 /// The attributes of an EXR file that do not depend on the pose.
-pub fn attributes(args: &Args, scene: &Scene, sensor: &Sensor) -> Result<exr::Attributes> {
+pub fn attributes(args: &Args, scene: &Scene, sensor: &Sensor) -> Result<files::ExrAttributes> {
     let objects = scene.world.environment().objects();
-    Ok(exr::Attributes {
-        sensor: Some(sensor_toml::to_string(sensor.spec())),
+    Ok(files::ExrAttributes {
+        sensor: Some(files::sensor_to_toml(sensor.spec())),
         pose: None,
         scene: Some(args.scene.display().to_string()),
         scene_blake3: Some(blake3_of(&args.scene)?),

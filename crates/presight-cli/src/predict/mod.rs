@@ -18,18 +18,11 @@ use crate::sensor_args::SensorArgs;
 use crate::virtual_sensor::VirtualArgs;
 use crate::{CommandOutcome, open_scene_without, print};
 use clap::ValueEnum;
-use presight::Scene;
-use presight_files::gltf::ImportOptions;
-use presight_files::load_robot;
-use presight_model::error::{Error, Result};
-use presight_model::limits;
-use presight_model::memory::FrameMemory;
-use presight_model::sensor::{Geometry, Sensor};
-use presight_model::threads::Threads;
+use presight::files::{ImportOptions, load_robot};
+use presight::sensor::Geometry;
+use presight::tools::{self, FrameMemory};
+use presight::{Error, IdScheme, Options, Output, Outputs, Predictor, Request, Result, Scene, Sensor, Threads};
 use presight_pictures as png;
-use presight_predict::predict::{Options, Predictor};
-use presight_predict::request::Request;
-use presight_render::plan::{IdScheme, Output, Outputs};
 use presight_studies::index::Scheme;
 use std::path::{Path, PathBuf};
 
@@ -248,7 +241,7 @@ impl Args {
 
     /// A picture has sides that programs can show.
     fn check_picture(&self, sensor: &Sensor) -> Result<()> {
-        if self.png.is_none() || sensor.width() <= limits::MAX_IMAGE_SIDE {
+        if self.png.is_none() || sensor.width() <= tools::MAX_IMAGE_SIDE {
             return Ok(());
         }
         let what = format!("--png: a row of {} rays is wider than a picture may be", sensor.width());

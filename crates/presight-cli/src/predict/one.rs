@@ -6,11 +6,9 @@ use crate::statistics::{Statistics, Subject};
 use crate::summary::{Summary, objects_in};
 use crate::templates::Names;
 use crate::{CommandOutcome, print};
-use presight_files::npy;
-use presight_model::error::Result;
-use presight_model::memory;
-use presight_predict::predict::Predictor;
-use presight_render::plan::{Output, Stats};
+use presight::files;
+use presight::tools;
+use presight::{Output, Predictor, Result, Stats};
 use std::time::Instant;
 
 /// Predicts at one pose, and writes the files.
@@ -23,7 +21,7 @@ pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     let mut predictor = Predictor::new(job.options)?;
     args.deadline.read_costs(&mut predictor)?;
     let frame = args.memory(&sensor, &request, &predictor);
-    memory::require(frame.bytes())?;
+    tools::require(frame.bytes())?;
     let scene = args.open(&job.import)?;
     let pose = given.of_sensor(sensor.spec(), &scene.world_from_gltf)?;
     let mut layers = args.layers.load(&scene, &sensor, args.asked())?;
@@ -34,7 +32,7 @@ pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     let request = layers.as_ref().map_or(request.clone(), |layers| layers.add_to(request));
     let settings = args.virtual_sensor.settings(&scene, &sensor, &pose, &mut predictor)?;
     // Check again: the scene has taken some of the memory.
-    memory::require(frame.bytes())?;
+    tools::require(frame.bytes())?;
     let start = Instant::now();
     let mut prediction = predictor.predict(&scene.world, &sensor, &pose, &request)?;
     let first_ms = start.elapsed().as_secs_f64() * 1e3;
@@ -65,8 +63,8 @@ pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     let paths = job.names.paths(&Names { sensor: &sensor.spec().name, ..Names::default() })?;
     let attributes = args.out.as_ref().map(|_| attributes(args, &scene, &sensor)).transpose()?;
     write_files(args, &paths, &scene, &prediction, attributes, &shown)?;
-    paths.npy.iter().try_for_each(|(output, path)| npy::write_image(path, &prediction.images, *output))?;
-    job.names.rays(&sensor)?.iter().try_for_each(|path| npy::write_rays(path, &sensor))?;
+    paths.npy.iter().try_for_each(|(output, path)| files::write_npy(path, &prediction.images, *output))?;
+    job.names.rays(&sensor)?.iter().try_for_each(|path| files::write_rays_npy(path, &sensor))?;
     args.stats.iter().try_for_each(|path| statistics.write(path))?;
     let summary = Summary::of(&prediction, objects_in(scene.world.environment()));
     let (ms, engine) = (statistics.median_ms(), statistics.engine_in_words());

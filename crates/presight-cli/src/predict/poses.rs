@@ -11,17 +11,11 @@ use crate::stack::Stack;
 use crate::summary::{Summary, objects_in};
 use crate::templates::Names;
 use crate::{CommandOutcome, bar, print};
-use presight::{Scene, blake3_of};
-use presight_files::npy::{self, Values};
-use presight_files::{exr, sensor_toml};
-use presight_model::error::{Error, ErrorKind, Result};
-use presight_model::memory;
-use presight_model::memory::FrameMemory;
-use presight_model::poses::ExternalPose;
-use presight_model::sensor::Sensor;
-use presight_predict::predict::{Prediction, Predictor};
-use presight_predict::request::Request;
-use presight_render::plan::{Output, SampleKind};
+use presight::files::{self, NpyValues};
+use presight::predict::SampleKind;
+use presight::sensor::ExternalPose;
+use presight::tools::{self, FrameMemory};
+use presight::{Error, ErrorKind, Output, Prediction, Predictor, Request, Result, Scene, Sensor, blake3_of};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -37,7 +31,7 @@ pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     let overlapped = job.import.threads.count()? > 1;
     let frames = job.sensors.iter().zip(&requests).map(|(s, request)| args.memory(s, request, &predictor));
     let largest = of_frames(frames, if overlapped { 2 } else { 1 });
-    memory::require(largest)?;
+    tools::require(largest)?;
     let scene = args.open(&job.import)?;
     let sensors = std::mem::take(&mut job.sensors);
     let mut setups = Vec::new();
@@ -45,11 +39,11 @@ pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
         setups.push(Setup::new(args, &scene, sensor, request)?);
     }
     // Check again: the scene has taken some of the memory.
-    memory::require(largest)?;
+    tools::require(largest)?;
     let files = std::mem::take(&mut job.files);
     files.check_scene(&scene.files)?;
     for setup in &setups {
-        job.names.rays(&setup.sensor)?.iter().try_for_each(|path| npy::write_rays(path, &setup.sensor))?;
+        job.names.rays(&setup.sensor)?.iter().try_for_each(|path| files::write_rays_npy(path, &setup.sensor))?;
     }
     let poses = std::mem::replace(&mut job.poses, Poses::Given(Vec::new()));
     let series = Series { args, scene: &scene, names: &job.names };
@@ -110,7 +104,7 @@ struct Setup {
     /// The request for images, without features.
     request: Request,
     layers: Option<Layers>,
-    attributes: Option<exr::Attributes>,
+    attributes: Option<files::ExrAttributes>,
 }
 
 impl Setup {
@@ -128,7 +122,7 @@ impl Setup {
 struct Frame {
     prediction: Prediction,
     shown: Shown,
-    attributes: Option<exr::Attributes>,
+    attributes: Option<files::ExrAttributes>,
     /// Time of the prediction, milliseconds.
     ms: f64,
     engine: String,
@@ -170,7 +164,7 @@ impl Series<'_> {
             let mut of_setup = Stacks::new();
             for (output, path) in self.paths(&setup.sensor, 0, &poses[0].0)?.npy {
                 let descr = if output.info().kind == SampleKind::Id { "<u4" } else { "<f4" };
-                let image = npy::image_shape(setup.sensor.width(), setup.sensor.height(), output);
+                let image = files::npy_shape(setup.sensor.width(), setup.sensor.height(), output);
                 let shape = [vec![poses.len()], image].concat();
                 let (stack, goes_on) = Stack::open(&path, &shape, descr, until)?;
                 kept &= goes_on;
@@ -201,7 +195,7 @@ impl Series<'_> {
             hasher.update(format!("{pose:?}").as_bytes());
         }
         for setup in setups {
-            hasher.update(sensor_toml::to_string(setup.sensor.spec()).as_bytes());
+            hasher.update(files::sensor_to_toml(setup.sensor.spec()).as_bytes());
         }
         let files = self.args.layers().inputs().chain(self.args.virtual_sensor().corridor.as_deref());
         for file in files {
@@ -252,10 +246,10 @@ impl Series<'_> {
         write_files(self.args, &paths, self.scene, prediction, attributes.clone(), shown)?;
         match stacks {
             Some(stacks) => stacks.iter_mut().try_for_each(|(output, stack)| {
-                Values::of(&prediction.images, *output).map_or(Ok(()), |values| stack.put(index, values))
+                NpyValues::of(&prediction.images, *output).map_or(Ok(()), |values| stack.put(index, values))
             })?,
             None => {
-                paths.npy.iter().try_for_each(|(output, path)| npy::write_image(path, &prediction.images, *output))?
+                paths.npy.iter().try_for_each(|(output, path)| files::write_npy(path, &prediction.images, *output))?
             }
         }
         self.tell(prediction, (index, stamp), (*ms, engine))

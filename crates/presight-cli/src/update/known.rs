@@ -1,9 +1,8 @@
 //! New things of known shapes: the library and the recognizer of `presight update`.
 
 use crate::print;
-use presight_model::error::{Error, Result};
-use presight_model::world::World;
-use presight_update::{Findings, Learner, Library, ProgramRecognizer, Recognizer};
+use presight::update::{Findings, Learner, Library, ProgramRecognizer, Recognizer};
+use presight::{Error, Result, World};
 use std::path::PathBuf;
 use std::time::Duration;
 

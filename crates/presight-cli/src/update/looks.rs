@@ -1,10 +1,9 @@
 //! Where to look from: at objects in doubt, and at findings that a policy stops at or comes back to.
 
 use super::told;
-use presight_files::atomic::write_atomically;
-use presight_model::error::{Error, Result};
-use presight_model::world::World;
-use presight_update::{Action, Finding, Findings, Learner, Look, Policy};
+use presight::tools::write_atomically;
+use presight::update::{Action, Finding, Findings, Learner, Look, Policy};
+use presight::{Error, Result, World};
 use serde_json::{Value, json};
 use std::io::Write;
 use std::path::Path;

@@ -12,18 +12,14 @@ use glam::DVec3;
 use known::KnownArgs;
 use looks::{Asked, look_from};
 use page::Shown;
-use presight::Scene;
-use presight_files::atomic::write_atomically;
-use presight_files::tum::StampedPose;
-use presight_files::{pose_covariance, tum};
-use presight_localize::localize::Phase;
+use presight::files::{self, StampedPose};
+use presight::localize::Phase;
 #[cfg(feature = "report")]
-use presight_localize::localize::Step;
-use presight_model::error::{Error, Result};
-use presight_model::geometry::{InWorld, PoseCovariance, PoseEstimate, RobotPose};
-use presight_model::measured::Frame;
-use presight_model::world::World;
-use presight_update::{Action, Finding, Findings, LearnOptions, Learner, Policy, What, change_lines};
+use presight::localize::Step;
+use presight::measured::Frame;
+use presight::tools::write_atomically;
+use presight::update::{Action, Finding, Findings, LearnOptions, Learner, Policy, What, change_lines};
+use presight::{Error, InWorld, PoseCovariance, PoseEstimate, Result, RobotPose, Scene, World};
 use std::io::Write;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -252,8 +248,8 @@ type Known = (Vec<StampedPose>, PoseCovariance<InWorld>);
 /// The poses of `--poses` and their covariance.
 fn known_poses(args: &Args) -> Result<Option<Known>> {
     let (Some(poses), Some(covariance)) = (&args.poses, &args.pose_cov) else { return Ok(None) };
-    let covariance = pose_covariance::parse(covariance).map_err(|e| e.at("--pose-cov"))?;
-    Ok(Some((tum::read(poses)?, covariance)))
+    let covariance = files::parse_pose_covariance(covariance).map_err(|e| e.at("--pose-cov"))?;
+    Ok(Some((files::read_tum(poses)?, covariance)))
 }
 
 /// Learns from a drive that the localizer follows.

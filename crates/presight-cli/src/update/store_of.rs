@@ -1,12 +1,11 @@
 //! The version of the map that findings are of, and their way into the store.
 
 use crate::print;
-use presight::Scene;
-use presight_model::error::{Error, ErrorKind, Result};
-use presight_model::index::IndexKind;
-use presight_store as store;
-use presight_store::{Note, Store};
-use presight_update::Waiting;
+use presight::environment::IndexKind;
+use presight::store;
+use presight::store::{Note, Store};
+use presight::update::Waiting;
+use presight::{Error, ErrorKind, Result, Scene};
 use std::fs::{File, TryLockError};
 use std::path::{Path, PathBuf};
 use std::time::Duration;

@@ -1,7 +1,7 @@
 //! Scanners and logs as drivers deliver them, from `tests/files/cases`, with the truths that the logs were made with.
 
 use super::Place;
-use presight_files::tum;
+use presight::files;
 use std::fs;
 use std::path::Path;
 
@@ -21,7 +21,7 @@ pub fn case(name: &str) -> Place {
 fn check(place: &Place, line: &str, at_least: usize) {
     let done = place.run(&format!("localize {line} --map hall.glb --out out.tum"));
     assert_eq!((done.status, done.stderr.as_str()), (Some(0), ""), "{line}\n{}", done.stdout);
-    let found = tum::read(&place.path("out.tum")).unwrap();
+    let found = files::read_tum(&place.path("out.tum")).unwrap();
     assert!(found.len() >= at_least, "{line}: {} poses\n{}", found.len(), done.stdout);
     for f in found {
         let (t, yaw) = (f.pose.translation, f.pose.rpy().2.to_degrees());

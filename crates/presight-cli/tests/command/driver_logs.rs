@@ -2,7 +2,7 @@
 //! are in `tests/files/cases`.
 
 use super::{Outcome, Place, WALL, WALL_INDICES, bad, check, wall};
-use presight_files::tum;
+use presight::files;
 use serde_json::{Value, json};
 use std::fs;
 use std::io::{BufRead, BufReader, Write};
@@ -35,7 +35,7 @@ fn text(place: &Place, name: &str) -> String {
 
 /// The position at each time of a trajectory.
 fn positions(place: &Place, name: &str) -> Vec<(f64, [f64; 3])> {
-    tum::read(&place.path(name)).unwrap().iter().map(|s| (s.time, s.pose.translation.to_array())).collect()
+    files::read_tum(&place.path(name)).unwrap().iter().map(|s| (s.time, s.pose.translation.to_array())).collect()
 }
 
 fn near(found: &[(f64, [f64; 3])], expected: &[(f64, [f64; 3])], within: f64) {

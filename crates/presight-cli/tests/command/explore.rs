@@ -2,8 +2,8 @@
 
 use super::{Place, bad, check};
 use glam::DVec3;
-use presight_model::environment::{MarkKind, Object};
-use presight_store::info;
+use presight::environment::{MarkKind, Object};
+use presight::store::info;
 use presight_testkit::judge::is_blocked;
 use std::fs;
 

@@ -1,7 +1,7 @@
 //! Features on the command line: layer files, reports, drawings and refusals.
 
 use super::{Bad, Place, WALL, WALL_INDICES, bad, check, wall};
-use presight_files::exr;
+use presight::files;
 use serde_json::{Value, json};
 use std::fs;
 
@@ -35,7 +35,7 @@ fn features_are_predicted_with_images() {
     assert_eq!((segment["name"].as_str(), segment["visible"][0]["t"][1].as_f64()), (Some("left"), Some(1.0)));
     assert_eq!(point["roi"].as_array().unwrap().len(), 4);
     // Only the requested images are written, and the point is drawn over the segment.
-    let images = exr::read(&place.path("a.exr")).unwrap().images;
+    let images = files::read_exr(&place.path("a.exr")).unwrap().images;
     assert!(images.polygon_id.is_empty() && images.range.len() == images.feature_id.len());
     let [u, v] = [0, 1].map(|i| point["visible"][0]["pixels"][0][i].as_f64().unwrap().round() as usize);
     assert_eq!(images.feature_id[v * images.width as usize + u], 5);

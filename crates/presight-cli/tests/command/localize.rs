@@ -1,7 +1,7 @@
 //! `presight simulate`, `localize` and `replay`: a drive is simulated, localized, compared with the truth, and drawn.
 
 use super::Place;
-use presight_files::tum;
+use presight::files;
 use std::fs;
 
 const CAMERA: &str = "format = 1\nkind = \"camera\"\nclass = \"laser\"\nwidth = 80\nheight = 60\nfx = 70.0\nfy = 70.0\ncx = 39.5\n\
@@ -35,7 +35,8 @@ fn a_simulated_drive_is_localized() {
     assert_eq!(done.status, Some(0), "{}", done.stderr);
     assert!(done.stdout.contains("8 of 8 frames have a pose"), "{}", done.stdout);
     assert!(done.stdout.contains("against the log's own poses"), "{}", done.stdout);
-    let (found, truth) = (tum::read(&place.path("run.tum")).unwrap(), tum::read(&place.path("drive.tum")).unwrap());
+    let (found, truth) =
+        (files::read_tum(&place.path("run.tum")).unwrap(), files::read_tum(&place.path("drive.tum")).unwrap());
     assert_eq!(found.len(), truth.len());
     for (f, t) in found.iter().zip(&truth) {
         assert_eq!(f.time, t.time);
@@ -234,7 +235,7 @@ fn scans_of_points_are_logs() {
             let done = place.run(&line);
             assert_eq!(done.status, Some(0), "{file}: {}", done.stderr);
             assert!(done.stdout.contains("1 of 1 frames have a pose"), "{file}: {}", done.stdout);
-            let found = tum::read(&place.path("run.tum")).unwrap()[0].pose;
+            let found = files::read_tum(&place.path("run.tum")).unwrap()[0].pose;
             let off = found.translation.distance(glam::DVec3::new(0.3, 0.35, 1.35));
             assert!(off < 0.01, "{file}, {init}: {off} m");
         }
@@ -255,15 +256,15 @@ fn scans_of_points_are_logs() {
 /// does a library that lacks their dictionary.
 #[test]
 fn fiducials_of_a_layer_are_searched_for() {
-    use presight_files::gltf;
-    use presight_model::environment::{Environment, Material};
-    use presight_model::geometry::Pose;
+    use presight::Pose;
+    use presight::environment::{Environment, Material};
+    use presight::files;
     let place = Place::new();
     let mut environment = Environment::new();
     environment.add_material(Material::named("paint")).unwrap();
-    let room = presight_model::environment::Mesh::cuboid("room", [0.0; 3].into(), [6.0, 4.0, 2.6].into(), 0).unwrap();
+    let room = presight::environment::Mesh::cuboid("room", [0.0; 3].into(), [6.0, 4.0, 2.6].into(), 0).unwrap();
     environment
-        .insert(presight_model::environment::NewObject::new("room", Pose::IDENTITY, std::sync::Arc::new(room)))
+        .insert(presight::environment::NewObject::new("room", Pose::IDENTITY, std::sync::Arc::new(room)))
         .unwrap();
     // The fiducials face the robot, which looks along x.
     let facing = glam::DQuat::from_mat3(&glam::DMat3::from_cols_array(&[0., -1., 0., 0., 0., 1., -1., 0., 0.]));
@@ -280,7 +281,7 @@ fn fiducials_of_a_layer_are_searched_for() {
         serde_json::json!({ "format": 1, "class": "video", "tolerance": 0.001, "features": features }).to_string();
     place.write("tags.json", layer.as_bytes());
     place.write("other.json", layer.replace("APRILTAG_36h11", "4X4_50").as_bytes());
-    gltf::write_glb(&place.path("tags.glb"), &environment).unwrap();
+    files::write_glb(&place.path("tags.glb"), &environment).unwrap();
     place.write("camera.toml", CAMERA.as_bytes());
     let video = CAMERA.replace("laser", "video").replace("60", "240").replace("80", "320").replace("70.0", "280.0");
     place
@@ -352,7 +353,8 @@ fn grey_images_are_localized_and_drawn() {
     assert!(without.status == Some(2) && without.stderr.contains("layer"), "{without:?}");
     let done = place.run(&format!("{alone} --layer edges.json"));
     assert!(done.status == Some(0) && done.stdout.contains("3 of 3 frames have a pose"), "{done:?}");
-    let (found, truth) = (tum::read(&place.path("alone.tum")).unwrap(), tum::read(&place.path("short.tum")).unwrap());
+    let (found, truth) =
+        (files::read_tum(&place.path("alone.tum")).unwrap(), files::read_tum(&place.path("short.tum")).unwrap());
     for (f, t) in found.iter().zip(&truth) {
         // The largest error in development was 1.2 cm.
         assert!(f.pose.translation.distance(t.pose.translation) < 0.02, "{f:?} {t:?}");
@@ -381,7 +383,8 @@ fn an_interrupted_run_goes_on() {
     fs::write(&image, b"no image").unwrap();
     assert_eq!(place.run(line).status, Some(1));
     assert!(place.path("run.resume").exists());
-    let times = |name: &str| -> Vec<f64> { tum::read(&place.path(name)).unwrap().iter().map(|p| p.time).collect() };
+    let times =
+        |name: &str| -> Vec<f64> { files::read_tum(&place.path(name)).unwrap().iter().map(|p| p.time).collect() };
     assert_eq!(times("run.tum"), (10..17).map(f64::from).collect::<Vec<_>>());
     // The end of a run that was killed: half a line.
     let cut = |name: &str| {
@@ -406,7 +409,7 @@ fn an_interrupted_run_goes_on() {
 fn depth_folders_carry_odometry() {
     let place = drive_of(3);
     let frames = || {
-        let log = presight_files::log::Frames::open(&place.path("log"), None, &Default::default()).unwrap();
+        let log = files::LogFrames::open(&place.path("log"), None, &Default::default()).unwrap();
         log.map(|o| o.unwrap().frame.motion.map(|m| m.previous_from_current.translation)).collect::<Vec<_>>()
     };
     assert!(frames()[0].is_none() && frames()[1].is_some_and(|t| (t.length() - 0.02).abs() < 0.005));

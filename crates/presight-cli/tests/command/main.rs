@@ -45,7 +45,7 @@ mod update_minor;
 mod virtual_sensors;
 
 use assert_cmd::Command;
-use presight_files::exr;
+use presight::files;
 use serde_json::{Value, json};
 use std::fs;
 use std::path::PathBuf;
@@ -109,8 +109,8 @@ impl Place {
         outcome.stdout
     }
 
-    fn images(&self, name: &str) -> exr::ImageFile {
-        exr::read(&self.path(name)).unwrap()
+    fn images(&self, name: &str) -> files::ImageFile {
+        files::read_exr(&self.path(name)).unwrap()
     }
 
     fn json(&self, name: &str) -> Value {
@@ -289,7 +289,7 @@ fn comparison_finds_a_fault_and_locates_it() {
     assert!(place.done("compare a.exr same.exr").contains("361 same"));
     let mut file = place.images("a.exr");
     file.images.range[180] += 0.01;
-    exr::write(&place.path("off.exr"), &file.images, file.images.outputs(), &file.attributes).unwrap();
+    files::write_exr(&place.path("off.exr"), &file.images, file.images.outputs(), &file.attributes).unwrap();
     for scene in ["", "--scene wall.glb"] {
         let outcome = place.run(&format!("compare a.exr off.exr --json verdict.json {scene}"));
         assert_eq!((outcome.status, outcome.stderr.as_str()), (Some(1), ""));

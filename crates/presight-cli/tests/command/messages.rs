@@ -1,7 +1,7 @@
 //! Messages are one printable line of bounded length and do not mislead, whatever names and files contain.
 
 use super::{Outcome, Place, VIEW, WALL, WALL_INDICES, camera, wall};
-use presight_files::sensor_toml;
+use presight::files;
 use serde_json::json;
 
 /// A name that breaks lines, colours a terminal, reverses the text direction and hides characters.
@@ -55,7 +55,7 @@ fn names_are_shown_escaped_and_kept_unchanged() {
     place.done(&format!("predict nasty.glb {view} --out a.exr"));
     let attributes = place.images("a.exr").attributes;
     assert_eq!(attributes.objects[&1], NASTY);
-    let sensor = sensor_toml::parse(&attributes.sensor.unwrap(), "", None).unwrap();
+    let sensor = files::parse_sensor_toml(&attributes.sensor.unwrap(), "", None).unwrap();
     assert_eq!(sensor.name, "wall\n\u{1b}[31mred");
 }
 

@@ -2,7 +2,7 @@
 
 use super::signals::interrupts_pass;
 use super::{Outcome, Place, camera};
-use presight_files::exr;
+use presight::files;
 use std::fs;
 
 const TRAJECTORY: &str = "# t x y z q\n1305031102.175304 0 0 1 0 0 0 1\n\n1305031102.2 -0.5 0.25 1 0 0 0 1\n\
@@ -81,9 +81,9 @@ fn all_sensors_of_a_robot_predict_from_its_pose() {
     let line = "predict wall.glb --robot kurt.toml --backend cpu";
     place.done(&format!("{line} --poses drive.tum --out run/{{sensor}}.{{i}}.exr --rays {{sensor}}.rays.npy"));
     assert_eq!(in_run(&place).len(), 6);
-    let front = exr::read(&place.path("run/front.0.exr")).unwrap();
+    let front = files::read_exr(&place.path("run/front.0.exr")).unwrap();
     assert_eq!(front.attributes.pose.unwrap().world_from_sensor().translation.to_array(), [0.5, 0.0, 1.2]);
-    let scan = exr::read(&place.path("run/laser-scanner.0.exr")).unwrap();
+    let scan = files::read_exr(&place.path("run/laser-scanner.0.exr")).unwrap();
     assert_eq!((scan.images.width, scan.images.range[180]), (361, 2.0));
     assert!(place.path("front.rays.npy").exists());
     let told = place.done(&format!("{line} --pose 0,0,1,0,0,0"));

@@ -1,7 +1,7 @@
 //! Scanner logs with and without intensities: simulation, localization by reflectors, drawing, and refusals.
 
 use super::Place;
-use presight_files::tum;
+use presight::files;
 use std::fs;
 
 /// A corridor of plain walls with three plates of foil across it, and the scene's layer.
@@ -33,7 +33,8 @@ fn corridor() -> Place {
 
 /// The largest error along the corridor, in metres.
 fn worst(place: &Place, poses: &str) -> f64 {
-    let (found, truth) = (tum::read(&place.path(poses)).unwrap(), tum::read(&place.path("drive.tum")).unwrap());
+    let (found, truth) =
+        (files::read_tum(&place.path(poses)).unwrap(), files::read_tum(&place.path("drive.tum")).unwrap());
     assert_eq!(found.len(), truth.len());
     found.iter().zip(&truth).map(|(f, t)| (f.pose.translation.x - t.pose.translation.x).abs()).fold(0.0, f64::max)
 }
@@ -128,7 +129,7 @@ fn input_that_does_not_fit_a_scanner_is_refused() {
 #[cfg(feature = "store")]
 #[test]
 fn reflectors_that_are_gone_and_new_are_learnt() {
-    use presight_model::environment::FeatureShape;
+    use presight::features::FeatureShape;
     let place = Place::new();
     let plates = SCENE.split_inclusive('\n').collect::<Vec<_>>();
     let (walls, stay) = (plates[..6].concat(), plates[6..].concat());
@@ -143,12 +144,12 @@ fn reflectors_that_are_gone_and_new_are_learnt() {
     assert_eq!(made.status, Some(0), "{}", made.stderr);
     place.run("env create map.presight map.rhai");
     let layer = |of: &str| {
-        let environment = presight_store::check(&place.path("map.presight")).unwrap().environment;
+        let environment = presight::store::check(&place.path("map.presight")).unwrap().environment;
         let layer = environment.layer("laser").unwrap();
-        let on = |f: &&std::sync::Arc<presight_model::environment::Feature>| f.object.as_deref() == Some(of);
+        let on = |f: &&std::sync::Arc<presight::features::Feature>| f.object.as_deref() == Some(of);
         layer.features.iter().find(on).cloned()
     };
-    let all = || presight_store::check(&place.path("map.presight")).unwrap().environment;
+    let all = || presight::store::check(&place.path("map.presight")).unwrap().environment;
     let before: Vec<u32> = all().layer("laser").unwrap().features.iter().map(|f| f.id).collect();
     assert!(layer("taken").is_some() && before.len() == 6);
     let learn = "update log/scans.jsonl --map map.presight --own-features --init reference --out found --apply";

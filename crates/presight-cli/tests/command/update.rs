@@ -2,9 +2,9 @@
 
 use super::Place;
 use glam::{DVec3, Vec3};
-use presight_model::environment::{Appearance, Environment, Material, Mesh, NewObject};
-use presight_model::geometry::Pose;
-use presight_store as store;
+use presight::Pose;
+use presight::environment::{Appearance, Environment, Material, Mesh, NewObject};
+use presight::store;
 use std::fs;
 
 pub const LIDAR: &str = "format = 1\nkind = \"scanner\"\nclass = \"laser\"\nrange_max = 20\n[azimuth]\nstart_deg = -180\nstep_deg = 2\ncount = 180\n\

@@ -3,9 +3,9 @@
 use super::update::{CHANGE, LIDAR, POSES, changes, drive, room, site, site_of};
 use super::{Outcome, Place};
 use glam::{DVec3, Vec3};
-use presight_model::environment::{Appearance, Environment, Material, Mesh, NewObject};
-use presight_model::geometry::{Pose, RobotPose};
-use presight_store as store;
+use presight::environment::{Appearance, Environment, Material, Mesh, NewObject};
+use presight::store;
+use presight::{Pose, RobotPose};
 use serde_json::{Value, json};
 use std::fs;
 
@@ -193,13 +193,13 @@ fn a_mirror_shows_nothing_new() {
 /// A robot that turns about in one place drives on never, so its views wait. No more of them wait than are kept: memory is bounded.
 #[test]
 fn a_robot_that_turns_in_place_keeps_few_views() {
-    use presight_files::log::Frames;
-    use presight_model::geometry::PoseEstimate;
-    use presight_model::measured::OdometryNoise;
-    use presight_update::{LearnOptions, Learner};
+    use presight::PoseEstimate;
+    use presight::files::LogFrames;
+    use presight::measured::OdometryNoise;
+    use presight::update::{LearnOptions, Learner};
     let place = site(None, None);
-    let world = store::read_world(&place.path("map.presight"), &presight_model::index::IndexKind::default()).unwrap();
-    let mut log = Frames::open(&place.path("log/scans.jsonl"), None, &OdometryNoise::default()).unwrap();
+    let world = store::read_world(&place.path("map.presight"), &presight::environment::IndexKind::default()).unwrap();
+    let mut log = LogFrames::open(&place.path("log/scans.jsonl"), None, &OdometryNoise::default()).unwrap();
     let frame = log.next().unwrap().unwrap().frame;
     let mut learner = Learner::new(LearnOptions::default().with_views(10)).unwrap();
     for turn in 0..50 {

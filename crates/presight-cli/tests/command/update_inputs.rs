@@ -2,8 +2,8 @@
 
 use super::update::{CHANGE, LIDAR, POSES, changes, crates, drive, room, site, site_of};
 use super::{Place, bad, check};
-use presight_model::environment::Environment;
-use presight_store as store;
+use presight::environment::Environment;
+use presight::store;
 use std::fs;
 use std::process::{Command, Stdio};
 use std::time::Duration;
@@ -104,7 +104,7 @@ fn a_yaw_of_the_mount_is_no_change_of_the_site() {
 fn a_wrong_map_is_untouched() {
     let mirrored = crates(None, |_, x| 8.3 - x, None);
     let mut hall = Environment::new();
-    hall.add_cuboid("hall", presight_model::geometry::Pose::IDENTITY, glam::DVec3::splat(90.0)).unwrap();
+    hall.add_cuboid("hall", presight::Pose::IDENTITY, glam::DVec3::splat(90.0)).unwrap();
     for (map, starts) in
         [(mirrored, &[POSES, "--from 18 --init reference"][..]), (hall, &["--from 18 --init reference"])]
     {
@@ -204,18 +204,18 @@ fn the_sensors_of_a_robot_learn_together() {
 /// A learner that gets the steps of a localizer decides as the command does on the same log.
 #[test]
 fn beside_a_localizer_it_decides_as_the_command() {
-    use presight_files::log::Frames;
-    use presight_localize::estimate::{EstimateOptions, Estimator};
-    use presight_localize::localize::{LocalizeOptions, Localizer};
-    use presight_model::geometry::PoseEstimate;
-    use presight_model::measured::OdometryNoise;
-    use presight_predict::predict::{Backend, Options, Predictor};
-    use presight_update::{LearnOptions, Learner, Policy, change_lines};
+    use presight::PoseEstimate;
+    use presight::files::LogFrames;
+    use presight::localize::{EstimateOptions, Estimator};
+    use presight::localize::{LocalizeOptions, Localizer};
+    use presight::measured::OdometryNoise;
+    use presight::update::{LearnOptions, Learner, Policy, change_lines};
+    use presight::{Backend, Options, Predictor};
     let place = site(Some(2), Some(5));
     let done = place.run("update log/scans.jsonl --map map.presight --init reference --policy change --out found");
     assert!(done.status == Some(0) && done.stdout.contains("1 gone, 1 moved, 0 new"), "{done:?}");
-    let world = store::read_world(&place.path("map.presight"), &presight_model::index::IndexKind::default()).unwrap();
-    let mut log = Frames::open(&place.path("log/scans.jsonl"), None, &OdometryNoise::default()).unwrap().peekable();
+    let world = store::read_world(&place.path("map.presight"), &presight::environment::IndexKind::default()).unwrap();
+    let mut log = LogFrames::open(&place.path("log/scans.jsonl"), None, &OdometryNoise::default()).unwrap().peekable();
     let start = log.peek().unwrap().as_ref().unwrap().reference.unwrap();
     let predictor = Predictor::new(Options::new(Backend::Cpu)).unwrap();
     let options = EstimateOptions::default().with_offset_sigma(1e-3);

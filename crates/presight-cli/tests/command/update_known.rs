@@ -3,10 +3,10 @@
 use super::update::{POSES, changes, room, site_of};
 use super::{Outcome, Place, bad, check};
 use glam::{DVec3, Vec3};
-use presight_files::gltf::write_glb;
-use presight_model::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
-use presight_model::geometry::Pose;
-use presight_store as store;
+use presight::Pose;
+use presight::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
+use presight::files::write_glb;
+use presight::store;
 use std::fs;
 use std::time::{Duration, Instant};
 
@@ -124,7 +124,7 @@ fn a_program_names_what_evidence_confirms() {
     assert!(off < 0.05 && (found[3] - 115.0).abs() < 0.5, "{done:?}");
     let insert = changes(&place, "found")[0]["changes"][0].clone();
     assert_eq!(insert["like"], "store/ramp", "{insert}");
-    let cloud = presight_files::cloud::read(&place.path("points.ply")).unwrap();
+    let cloud = presight::files::read_cloud(&place.path("points.ply")).unwrap();
     assert!(cloud.points.len() > 100, "{}", cloud.points.len());
     assert!(cloud.points.iter().all(|p| p.distance(DVec3::new(4.0, 1.3, 0.4)) < 1.2), "world frame");
     for (object, pose) in [

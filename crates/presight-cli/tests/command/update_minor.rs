@@ -1,7 +1,7 @@
 //! Minor changes by `presight update`: objects that stand a little off their places.
 
 use super::update::{POSES, changes, crates, room, site_of};
-use presight_store as store;
+use presight::store;
 use std::collections::BTreeSet;
 
 /// Crate 3 stands 8 mm off its place, in a model whose surfaces are said to be 1 cm off. By hand: seven things that may all be

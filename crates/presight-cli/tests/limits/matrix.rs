@@ -189,7 +189,7 @@ fn full_disk() {
 #[test]
 fn drivers() {
     let Some(mut check) = Check::new() else { return };
-    if presight_predict::gpu::adapters().is_empty() {
+    if !presight_testkit::has_adapter() {
         return presight_testkit::skip::no_adapter("none is listed");
     }
     let mut random = Random(env_number("PRESIGHT_SEED", 1));

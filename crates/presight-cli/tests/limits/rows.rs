@@ -1,7 +1,7 @@
 //! Every command with its inputs and its outputs.
 
 use super::process::{Ended, Limits, open_folder, run};
-use presight_files::exr;
+use presight::files;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -179,10 +179,11 @@ impl Pantry {
 
     /// Makes images that are large in memory and small on the disk, at the first call.
     pub fn make_large(&self) {
-        let mut images = presight_render::plan::Images::default();
-        let range = presight_render::plan::Outputs::of(&[presight_render::plan::Output::Range]);
+        let mut images = presight::Images::default();
+        let range = presight::Outputs::of(&[presight::Output::Range]);
         images.prepare(16_384, 4096, range);
-        exr::write(&self.folder.path().join("large.exr"), &images, range, &exr::Attributes::default()).unwrap();
+        files::write_exr(&self.folder.path().join("large.exr"), &images, range, &files::ExrAttributes::default())
+            .unwrap();
     }
 
     fn args(&self, line: &str) -> Vec<String> {

@@ -88,7 +88,7 @@ fn whole(row: &Row, path: &Path, name: &str, bytes: &[u8]) -> Result<(), String>
             _ => Ok(()),
         },
         "presight" => sound(path),
-        "exr" if usual.is_none() => presight_files::exr::read(path).map(|_| ()).map_err(|e| e.to_string()),
+        "exr" if usual.is_none() => presight::files::read_exr(path).map(|_| ()).map_err(|e| e.to_string()),
         _ if usual.is_none_or(|usual| usual == bytes) => Ok(()),
         _ => Err("it differs from that of an unlimited run".into()),
     }

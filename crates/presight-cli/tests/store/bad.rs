@@ -1,9 +1,9 @@
 //! Files that are not stores, and stores that may not be written.
 
 use super::{create, presight, small};
-use presight_model::error::ErrorKind;
-use presight_store as store;
-use presight_store::{Note, Store};
+use presight::ErrorKind;
+use presight::store;
+use presight::store::{Note, Store};
 use std::path::{Path, PathBuf};
 use std::process::Output;
 
@@ -199,7 +199,7 @@ fn lines_that_are_not_changes_are_reported_with_their_place() {
 /// Whatever is wrong with a line, the lines before it are stored and acknowledged.
 #[test]
 fn lines_before_one_that_cannot_be_read_are_stored() {
-    let long = format!("{{\"op\":\"{}\"}}\n", "x".repeat(presight_model::limits::MAX_LINE_BYTES as usize));
+    let long = format!("{{\"op\":\"{}\"}}\n", "x".repeat(presight::tools::MAX_LINE_BYTES as usize));
     for (bad, says) in [(&b"{\"op\":\"\xff\"}\n"[..], "UTF-8"), (long.as_bytes(), "bytes long"), (b"{\n", "EOF")] {
         let (folder, path) = folder_with_store();
         let good: String = (1..=99).map(|k| super::numbered(k).1 + "\n").collect();

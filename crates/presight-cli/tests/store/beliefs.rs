@@ -1,17 +1,13 @@
 //! Marks on objects and trust in them: kept, undone, exported with a notice, and honoured by predictions and verdicts.
 
 use super::{at, block, create, note, presight, small};
-use presight_localize::verdict::{Verdict, of_frame};
-use presight_model::change::Change;
-use presight_model::environment::{Environment, Mark, MarkKind, Material, NewObject};
-use presight_model::geometry::{Aabb, Pose, PoseEstimate, RobotPose, SensorPose};
-use presight_model::measured::{Frame, Measurement};
-use presight_model::world::World;
-use presight_predict::batch::{BatchRequest, PoseCell, RangeLikelihood};
-use presight_predict::predict::{Backend, Options, Predictor};
-use presight_predict::request::Request;
-use presight_store as store;
-use presight_store::Store;
+use presight::environment::{Aabb, Environment, Mark, MarkKind, Material, NewObject};
+use presight::measured::{Frame, Measurement};
+use presight::predict::{BatchRequest, PoseCell, RangeLikelihood};
+use presight::store;
+use presight::store::Store;
+use presight::verdict::{Verdict, of_frame};
+use presight::{Backend, Change, Options, Pose, PoseEstimate, Predictor, Request, RobotPose, SensorPose, World};
 use std::path::Path;
 
 const LINES: &str = r#"{"op":"set_mark","mark":"door","object":"a","kind":"uncertain","box":[[0,0,0],[1,1,2]],"id":"m1","evidence":{"views":4,"L":-9.5}}
@@ -130,11 +126,11 @@ fn marked(mark: Option<(MarkKind, Option<Aabb>)>) -> World {
     World::new(environment)
 }
 
-fn scanner(class: &str) -> presight_model::sensor::Sensor {
+fn scanner(class: &str) -> presight::Sensor {
     let text = format!(
         "format = 1\nkind = \"scanner\"\nclass = \"{class}\"\nrange_max = 30\n[azimuth]\nstart_deg = -5\nstep_deg = 1\ncount = 11\n[elevation]\nstart_deg = 0\nstep_deg = 1\ncount = 1\n[noise]\nrange_sigma = 0.01\n"
     );
-    presight_model::sensor::Sensor::new(presight_files::sensor_toml::parse(&text, "scanner", None).unwrap()).unwrap()
+    presight::Sensor::new(presight::files::parse_sensor_toml(&text, "scanner", None).unwrap()).unwrap()
 }
 
 #[test]

@@ -2,10 +2,9 @@
 
 use super::exports::with_a_lost_feature;
 use super::{create, note, numbered, presight, small};
-use presight_model::change::Change;
-use presight_model::world::World;
-use presight_store as store;
-use presight_store::Store;
+use presight::store;
+use presight::store::Store;
+use presight::{Change, World};
 use std::path::Path;
 use std::process::Stdio;
 
@@ -168,7 +167,7 @@ fn another_change_under_a_known_id_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     create(here, &small());
-    presight_files::gltf::write_glb(&here.join("p.glb"), &small()).unwrap();
+    presight::files::write_glb(&here.join("p.glb"), &small()).unwrap();
     let lines = [
         r#"{"id":"m","op":"move","object":"a","pose":[1,2,3,0,0,90]}"#,
         r#"{"id":"d","op":"delete_object","object":"b/lid"}"#,
@@ -194,8 +193,7 @@ fn another_change_under_a_known_id_is_refused() {
     let before = hash();
     // The same change written differently: keys in another order, another form of the pose, and a cause.
     let same = r#"{"pose":[1.0,2,3,0,0,0.7071067811865475,0.7071067811865476],"cause":"again","object":"a","op":"move","id":"m"}"#;
-    let rotation =
-        presight_model::geometry::Pose::from_xyz_rpy(glam::DVec3::ZERO, 0.0, 0.0, 90f64.to_radians()).rotation;
+    let rotation = presight::Pose::from_xyz_rpy(glam::DVec3::ZERO, 0.0, 0.0, 90f64.to_radians()).rotation;
     let same =
         same.replace("0,0,0.7071067811865475,0.7071067811865476", &format!("0,0,{:?},{:?}", rotation.z, rotation.w));
     assert_eq!(apply(&same).stdout, b"ack 1\n", "{}", String::from_utf8_lossy(&apply(&same).stderr));
@@ -238,7 +236,7 @@ fn changes_of_the_library_are_known_by_their_ids() {
     let named = |id: &str| store::Note { id: Some(id.to_owned()), ..note(1.0) };
     let new = |name: &str, size| {
         let mesh = super::block("new", size, [0; 6]);
-        Change::InsertObject(presight_model::environment::NewObject::new(name, super::at(1.0, 0.0, 0.0), mesh))
+        Change::InsertObject(presight::environment::NewObject::new(name, super::at(1.0, 0.0, 0.0), mesh))
     };
     let delete = |name: &str| Change::DeleteObject { name: name.into() };
     assert_eq!(store.apply(new("x", 1.0), &named("n")).unwrap(), 1);
@@ -249,8 +247,7 @@ fn changes_of_the_library_are_known_by_their_ids() {
     for (change, id) in [(new("x", 2.0), "n"), (new("z", 1.0), "n"), (delete("b"), "d"), (new("x", 1.0), "d")] {
         let e = store.apply(change, &named(id)).unwrap_err();
         assert!(
-            e.kind() == presight_model::error::ErrorKind::Invalid
-                && e.to_string().contains(&format!("id {id:?} belongs to change")),
+            e.kind() == presight::ErrorKind::Invalid && e.to_string().contains(&format!("id {id:?} belongs to change")),
             "{e}"
         );
     }
@@ -273,7 +270,7 @@ fn objects_come_from_files_and_from_each_other() {
     let here = folder.path();
     create(here, &small());
     std::fs::create_dir(here.join("parts")).unwrap();
-    presight_files::gltf::write_glb(&here.join("parts/p.glb"), &small()).unwrap();
+    presight::files::write_glb(&here.join("parts/p.glb"), &small()).unwrap();
     let lines = r#"{"op":"insert_object","object":"x","pose":[1,2,3,0,0,0],"from":"p.glb","from_object":"b/lid"}
 {"op":"insert_object","object":"y","pose":[1,2,4,0,0,0],"like":"x"}
 {"op":"add_material","name":"tin","reflection":0.9,"classes":{"radar":"opaque","laser":"invisible"}}
@@ -464,13 +461,13 @@ fn a_scene_brings_its_groups_along() {
     create(here, &small());
     let mut other = small();
     other.set_frame("g", Some(super::at(1.0, 2.0, 3.0))).unwrap();
-    presight_files::gltf::write_glb(&here.join("o.glb"), &other).unwrap();
+    presight::files::write_glb(&here.join("o.glb"), &other).unwrap();
     assert_eq!(run(here, &["env", "import", "env.presight", "o.glb"]), "change 1\n");
     assert_eq!(run(here, &["env", "import", "env.presight", "o.glb"]), "nothing to change\n");
     let read = || store::check(&here.join("env.presight")).unwrap().environment;
     assert_eq!(read().frame("g"), Some(super::at(1.0, 2.0, 3.0)));
     other.set_frame("g", Some(super::at(1.0, 2.0, 4.0))).unwrap();
-    presight_files::gltf::write_glb(&here.join("o.glb"), &other).unwrap();
+    presight::files::write_glb(&here.join("o.glb"), &other).unwrap();
     let refused = presight().args(["env", "import", "env.presight", "o.glb"]).current_dir(here).output().unwrap();
     let message = String::from_utf8(refused.stderr).unwrap();
     assert!(

@@ -1,12 +1,12 @@
 //! Flipped bytes and truncation.
 
 use super::{create, hospital, note, numbered, small};
-use presight_store as store;
-use presight_store::Store;
+use presight::store;
+use presight::store::Store;
 use std::path::Path;
 
 /// Returns the content that must not change unnoticed.
-fn told(path: &Path) -> presight_model::error::Result<(String, String, u64)> {
+fn told(path: &Path) -> presight::Result<(String, String, u64)> {
     let info = store::info(path)?;
     Ok((info.environment.content_hash().to_string(), info.head, info.changes))
 }
@@ -82,7 +82,7 @@ fn every_truncation_is_noticed() {
 fn flipped_bytes_of_a_large_store_are_noticed() {
     let Some(scene) = hospital() else { return };
     let folder = tempfile::tempdir().unwrap();
-    let environment = presight_files::gltf::import(scene, &Default::default()).unwrap().environment;
+    let environment = presight::files::import_gltf(scene, &Default::default()).unwrap().environment;
     let path = create(folder.path(), &environment);
     let size = std::fs::metadata(&path).unwrap().len() as usize;
     let mut random = 0x2545_F491_4F6C_DD1Du64;

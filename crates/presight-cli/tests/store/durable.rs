@@ -7,9 +7,9 @@
 
 use super::common::skip::skip;
 use super::{create, note, numbered, presight, small};
-use presight_model::world::World;
-use presight_store as store;
-use presight_store::Store;
+use presight::World;
+use presight::store;
+use presight::store::Store;
 use std::collections::{BTreeMap, HashMap};
 use std::io::Write;
 use std::path::{Path, PathBuf};

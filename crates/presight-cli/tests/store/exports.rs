@@ -2,10 +2,9 @@
 
 use super::command::{json, refusal, run, scene};
 use super::{create, presight, small};
-use presight_model::change::Change;
-use presight_model::environment::Environment;
-use presight_model::world::World;
-use presight_store as store;
+use presight::environment::Environment;
+use presight::store;
+use presight::{Change, World};
 use std::path::Path;
 
 #[test]
@@ -54,14 +53,14 @@ fn an_exported_environment_is_the_same() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("e.glb");
     let again = |environment: &Environment| {
-        presight_files::gltf::write_glb(&path, environment).unwrap();
-        let mut again = presight_files::gltf::import(&path, &Default::default()).unwrap().environment;
+        presight::files::write_glb(&path, environment).unwrap();
+        let mut again = presight::files::import_gltf(&path, &Default::default()).unwrap().environment;
         environment.layers().iter().for_each(|l| again.add_layer(l.clone()).unwrap());
         again
     };
     assert_eq!(again(&small()).content_hash(), small().content_hash());
     let Some(hospital) = super::hospital() else { return };
-    let hospital = presight_files::gltf::import(hospital, &Default::default()).unwrap().environment;
+    let hospital = presight::files::import_gltf(hospital, &Default::default()).unwrap().environment;
     let back = again(&hospital);
     assert_eq!(back.content_hash(), hospital.content_hash());
     assert_eq!((hospital.groups().len(), back.groups()), (143, hospital.groups()));
@@ -77,7 +76,7 @@ fn an_exported_environment_is_the_same() {
 fn a_group_that_another_program_moved_stays_moved() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("e.glb");
-    presight_files::gltf::write_glb(&path, &small()).unwrap();
+    presight::files::write_glb(&path, &small()).unwrap();
     let bytes = std::fs::read(&path).unwrap();
     let at = |text: &str| bytes.windows(text.len()).position(|w| w == text.as_bytes()).unwrap();
     // The replacement has the same length: y of the group in the matrix, z in glTF.
@@ -86,7 +85,7 @@ fn a_group_that_another_program_moved_stays_moved() {
     let mut moved = bytes.clone();
     moved[from + 2..from + 5].copy_from_slice(b"7.5");
     std::fs::write(&path, moved).unwrap();
-    let again = presight_files::gltf::import(&path, &Default::default()).unwrap().environment;
+    let again = presight::files::import_gltf(&path, &Default::default()).unwrap().environment;
     let frame = again.frame("g/h").unwrap().translation;
     assert!((frame - glam::DVec3::new(-3.0, 7.5, 0.0)).length() < 1e-12, "{frame}");
     assert_eq!(again.frame("g/h/y"), small().frame("g/h/y"));
@@ -151,7 +150,7 @@ fn features_that_lost_their_surface_travel_marked() {
     run(here, &["env", "export", "s.presight", "out"]);
     let layer = std::fs::read_to_string(here.join("out/video.layer.json")).unwrap();
     assert_eq!(layer.matches(r#""surface":"lost""#).count(), 1, "{layer}");
-    assert_eq!(presight_files::layer::parse(&layer).unwrap().lost, [1]);
+    assert_eq!(presight::files::parse_layer(&layer).unwrap().lost, [1]);
     let hash = |store: &str| store::read(&here.join(store)).unwrap().content_hash();
     for from in ["out/video.layer.json", "s.presight"] {
         run(here, &["env", "create", "t.presight", "out/scene.glb"]);

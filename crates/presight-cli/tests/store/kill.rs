@@ -1,8 +1,8 @@
 //! A writer killed at random moments.
 
 use super::{create, numbered, presight, small};
-use presight_model::world::World;
-use presight_store as store;
+use presight::World;
+use presight::store;
 use std::io::{BufWriter, Read, Write};
 use std::process::Stdio;
 use std::sync::Arc;

@@ -3,14 +3,11 @@
 
 use super::{at, block, create, note, point, small};
 use glam::DVec3;
-use presight_model::change::Change;
-use presight_model::environment::{Environment, Existence, Mark, MarkKind, NewObject};
-use presight_model::geometry::{Aabb, Pose, PoseCovariance, SensorPose};
-use presight_model::world::World;
-use presight_predict::predict::{Backend, Options, Predictor};
-use presight_predict::request::Request;
-use presight_store as store;
-use presight_store::Store;
+use presight::environment::{Aabb, Environment, Mark, MarkKind, NewObject};
+use presight::features::Existence;
+use presight::store;
+use presight::store::Store;
+use presight::{Backend, Change, Options, Pose, PoseCovariance, Predictor, Request, SensorPose, World};
 use presight_studies::index::Scheme;
 use proptest::prelude::*;
 use std::collections::HashMap;
@@ -93,7 +90,7 @@ fn from_scratch(environment: &Environment) -> Environment {
 /// Returns a sensor's image: the range bits, and the polygon with its object's name.
 fn seen(world: &World) -> Vec<(u32, Option<(String, u32)>)> {
     let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).unwrap();
-    let sensor = presight_files::preset("laser-range-camera").unwrap();
+    let sensor = presight::preset("laser-range-camera").unwrap();
     let pose = Pose::from_xyz_rpy(DVec3::new(0.1, 0.2, 2.0), 0.0, 0.2, 0.1);
     let images = predictor.predict(world, &sensor, &SensorPose::new(pose), &Request::default()).unwrap().images;
     let environment = world.environment();

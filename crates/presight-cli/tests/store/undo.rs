@@ -1,10 +1,9 @@
 //! The log: list, explain and undo changes; groups, ids and batches.
 
 use super::{at, create, note, numbered, point, presight, small};
-use presight_model::change::Change;
-use presight_model::error::ErrorKind;
-use presight_store as store;
-use presight_store::{Note, Store};
+use presight::store;
+use presight::store::{Note, Store};
+use presight::{Change, ErrorKind};
 
 fn mover(name: &str, x: f64) -> Change {
     Change::MoveObject { name: name.into(), world_from_object: at(x, 0.0, 0.5) }
@@ -42,7 +41,7 @@ fn same_on_disk(store: Store) {
     assert_eq!(info.changes, changes);
     assert_eq!(info.environment.slot_count(), world.environment().slot_count());
     for class in ["video", "radar"] {
-        let retired = |e: &presight_model::environment::Environment| e.retired(class).collect::<Vec<_>>();
+        let retired = |e: &presight::environment::Environment| e.retired(class).collect::<Vec<_>>();
         assert_eq!(retired(&info.environment), retired(world.environment()));
     }
 }

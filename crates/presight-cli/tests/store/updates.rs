@@ -2,10 +2,10 @@
 
 use super::command::{json, run};
 use super::{at, block, note, point, presight};
-use presight_model::change::Change;
-use presight_model::environment::{Environment, Material, NewObject};
-use presight_store as store;
-use presight_store::{Existing, Note, Store};
+use presight::Change;
+use presight::environment::{Environment, Material, NewObject};
+use presight::store;
+use presight::store::{Existing, Note, Store};
 use proptest::prelude::*;
 use std::path::Path;
 
@@ -205,7 +205,7 @@ fn repeated_groups_are_paired_as_a_whole() {
 /// What a file says of its objects, without the numbers of repetitions.
 fn content(environment: &Environment) -> Vec<(String, usize, String)> {
     let live = environment.objects().iter().filter(|o| !o.is_deleted());
-    let size = |o: &presight_model::environment::Object| format!("{:?} {:?}", o.mesh.bounds(), o.world_from_object);
+    let size = |o: &presight::environment::Object| format!("{:?} {:?}", o.mesh.bounds(), o.world_from_object);
     let mut all: Vec<_> =
         live.map(|o| (o.name.split('#').next().unwrap().to_owned(), o.mesh.polygon_count(), size(o))).collect();
     all.sort();

@@ -3,9 +3,8 @@
 mod http;
 mod session;
 
-use presight::{Options, Scene};
+use presight::{Backend, Options, Scene};
 use presight_editor::{Answer, Session, SessionOptions};
-use presight_predict::predict::Backend;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
@@ -25,7 +24,7 @@ fn session_with(sensor: &str, scene: &Path, layer: Option<&Path>, folder: &Path)
     options.layer = layer.map(Path::to_owned);
     options.folder = folder.to_owned();
     options.engine = Options::new(Backend::Cpu).with_threads(1);
-    let (sensor, _) = presight_files::load_sensor(sensor)?;
+    let (sensor, _) = presight::files::load_sensor(sensor)?;
     Session::open(Scene::open(scene)?, sensor, options)
 }
 

@@ -1,11 +1,10 @@
 //! The session: frames, picks, steps, saving, crashes, stores and the map.
 
 use super::{POSE, ask, parts, refusal, scene, session_of, session_with, step};
-use presight::{Options, Pose, Predictor, Request, Scene, SensorPose};
+use presight::features::{GenerateOptions, generate};
+use presight::files;
+use presight::{Backend, Options, Pose, Predictor, Request, Scene, SensorPose};
 use presight_editor::{Answer, Session};
-use presight_features::generate::{GenerateOptions, generate};
-use presight_files::layer;
-use presight_predict::predict::Backend;
 use presight_studies::worth::{Worth, WorthOptions};
 use serde_json::{Value, json};
 use std::fs;
@@ -17,7 +16,7 @@ fn room() -> (tempfile::TempDir, PathBuf) {
     let path = folder.path().join("room.video.layer.json");
     let room = Scene::open(scene("room.glb")).unwrap();
     let made = generate(room.world.environment(), "video", &GenerateOptions::default()).unwrap();
-    layer::write(&path, &made.layer).unwrap();
+    files::write_layer(&path, &made.layer).unwrap();
     (folder, path)
 }
 
@@ -49,7 +48,7 @@ fn frames_have_the_bits_of_predictions() {
     let asked = json!({ "pose": POSE, "outputs": ["range", "polygon_id"], "features": true, "seq": 7 });
     let (told, bytes) = parts(session.answer("frame", asked.to_string().as_bytes()));
     let room = Scene::open(scene("room.glb")).unwrap();
-    let (sensor, _) = presight_files::load_sensor("video-camera").unwrap();
+    let (sensor, _) = files::load_sensor("video-camera").unwrap();
     let [x, y, z, roll, pitch, yaw] = POSE;
     let [roll, pitch, yaw] = [roll, pitch, yaw].map(f64::to_radians);
     let pose = Pose::from_xyz_rpy(glam::DVec3::new(x, y, z), roll, pitch, yaw);
@@ -110,7 +109,7 @@ fn a_saved_layer_keeps_what_was_not_touched_to_the_byte() {
     let mut lines: Vec<String> = list.split(",\n").map(str::to_owned).collect();
     lines.rotate_left(3);
     let text = format!("{head}\"features\": [\n{}\n  ]\n}}\n", lines.join(",\n"));
-    layer::parse(&text).unwrap();
+    files::parse_layer(&text).unwrap();
     fs::write(&path, &text).unwrap();
 
     let mut session = edit(&path);
@@ -120,10 +119,10 @@ fn a_saved_layer_keeps_what_was_not_touched_to_the_byte() {
     assert!(answer["said"].as_str().unwrap().starts_with("saved"), "{answer}");
     let saved = fs::read_to_string(&path).unwrap();
     let mut expected: Vec<String> = lines.into_iter().filter(|l| !l.contains("{\"id\":2,")).collect();
-    let feature = layer::parse(&saved).unwrap().layer.features.into_iter().find(|f| f.id == id).unwrap();
-    expected.push(format!("    {}", serde_json::to_string(&layer::to_fields(&feature)).unwrap()));
+    let feature = files::parse_layer(&saved).unwrap().layer.features.into_iter().find(|f| f.id == id).unwrap();
+    expected.push(format!("    {}", serde_json::to_string(&files::layer_fields(&feature)).unwrap()));
     assert_eq!(saved, format!("{head}\"features\": [\n{}\n  ]\n}}\n", expected.join(",\n")));
-    assert_eq!(serde_json::to_value(layer::to_fields(&feature)).unwrap()["points"], made["points"]);
+    assert_eq!(serde_json::to_value(files::layer_fields(&feature)).unwrap()["points"], made["points"]);
     // The greatest id, once dropped, is not used again by later sessions.
     step(&mut session, "change", drop_of(&[id]));
     step(&mut session, "save", json!({}));
@@ -188,7 +187,7 @@ fn another_program_and_another_tab_are_noticed() {
     assert!(refusal(&mut session, "save", &save(Value::Null)).contains("deleted while it was open"));
     let state = ask(&mut session, "save", json!({ "version": version, "name": "mine.layer.json" }));
     assert_eq!(state["unsaved"], 0);
-    assert!(layer::read(&folder.path().join("mine.layer.json")).unwrap().layer.features.len() > 50);
+    assert!(files::read_layer(&folder.path().join("mine.layer.json")).unwrap().layer.features.len() > 50);
     assert!(!path.exists());
 }
 
@@ -246,8 +245,8 @@ fn steps_of_a_store_are_in_its_log_at_once() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("room.presight");
     let room = Scene::open(scene("room.glb")).unwrap();
-    let note = presight_store::Note::new("made", 1.0);
-    presight_store::create(&path, room.world.environment(), &note).unwrap();
+    let note = presight::store::Note::new("made", 1.0);
+    presight::store::create(&path, room.world.environment(), &note).unwrap();
     let mut session = session_of(&path, None, folder.path()).unwrap();
     assert_eq!(ask(&mut session, "state", Value::Null)["stored"], true);
     let (id, _) = insert_one(&mut session);
@@ -255,7 +254,7 @@ fn steps_of_a_store_are_in_its_log_at_once() {
     step(&mut session, "undo", json!({}));
     let log = || {
         let mut causes = Vec::new();
-        presight_store::log(&path, |entry| {
+        presight::store::log(&path, |entry| {
             causes.push(entry.cause);
             Ok(())
         })
@@ -266,7 +265,7 @@ fn steps_of_a_store_are_in_its_log_at_once() {
     let stored = Scene::open(&path).unwrap();
     assert_eq!(stored.world.environment().layer("video").unwrap().features[0].id, id);
     // The robot writes: the next step is refused, and the page gets the new version.
-    let mut robot = presight_store::Store::open(&path).unwrap();
+    let mut robot = presight::store::Store::open(&path).unwrap();
     robot.undo(2, true, &note).ok();
     robot.apply(presight::Change::NOTHING, &note).unwrap();
     drop(robot);
@@ -306,12 +305,12 @@ fn the_map_is_that_of_a_whole_study_after_every_change() {
     };
     let fresh = |path: &Path| {
         let room = Scene::open(scene("room.glb")).unwrap();
-        let (sensor, _) = presight_files::load_sensor("video-camera").unwrap();
+        let (sensor, _) = files::load_sensor("video-camera").unwrap();
         let mut spec = sensor.spec().clone();
         spec.noise.pixel_sigma = 1.0;
         spec.mount.translation.z = 1.0;
         let sensor = presight::Sensor::new(spec).unwrap();
-        let placed = room.place(&layer::read(path).unwrap().layer).unwrap();
+        let placed = room.place(&files::read_layer(path).unwrap().layer).unwrap();
         let mut options = WorthOptions::default();
         options.spacing = 0.6;
         let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).unwrap();
@@ -344,7 +343,7 @@ fn a_new_layer_is_named_at_the_first_save() {
     let again = step(&mut session, "generate", json!({ "pose": POSE, "kinds": ["corner", "contour"] }));
     assert_eq!((&again["features"], &again["said"]), (&made["features"], &json!("0 features made")));
     step(&mut session, "save", json!({}));
-    let saved = layer::read(&folder.path().join("room.video.layer.json")).unwrap();
+    let saved = files::read_layer(&folder.path().join("room.video.layer.json")).unwrap();
     assert_eq!(saved.layer.features.len() as u64, made["features"].as_u64().unwrap());
     let regions = json!({ "pose": POSE, "sigmas": [0.05, 0.05, 0, 0, 0, 2], "confidence": 0.99 });
     assert!(ask(&mut session, "regions", regions)["boxes"].as_array().unwrap().len() > 3);
@@ -429,7 +428,7 @@ fn bad_requests_are_refused_and_change_nothing() {
 fn broken_requests_do_no_harm() {
     let (_folder, path) = room();
     let mut session = edit(&path);
-    let mut random = presight_model::random::SplitMix64(presight_testkit::env_number("PROPTEST_RNG_SEED", 1));
+    let mut random = presight_testkit::Random(presight_testkit::env_number("PROPTEST_RNG_SEED", 1));
     let seeds = [
         ("entry", json!({ "id": 3 })),
         ("why", json!({ "pose": POSE, "ids": [1, 2] })),

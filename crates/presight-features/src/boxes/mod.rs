@@ -33,7 +33,7 @@ pub enum BoxMethod {
 /// Uncertainties of poses, and the probability with which regions of interest hold their features.
 ///
 /// ```
-/// use presight::regions::BoxOptions;
+/// use presight::features::BoxOptions;
 /// // 5 cm along x and y, and 2 degrees of heading.
 /// let heading = 2f64.to_radians();
 /// let options = BoxOptions::default().with_sensor_sigmas([0.05, 0.05, 0.0, 0.0, 0.0, heading]).with_confidence(0.95);
@@ -68,8 +68,8 @@ impl BoxOptions {
     /// Sets the covariance of the sensor's pose from the robot's, through the sensor's mount.
     ///
     /// ```
-    /// use presight::regions::BoxOptions;
-    /// use presight::{PoseEstimate, RobotPose};
+    /// use presight::features::BoxOptions;
+    /// use presight::{Pose, PoseEstimate};
     /// let camera = presight::preset("realsense-d435")?;
     /// let believed = PoseEstimate::of_sigmas(RobotPose::IDENTITY, 0.02, 0.01);
     /// let options = BoxOptions::default().with_robot(&believed, &camera);

@@ -38,8 +38,8 @@ pub struct FrameWindows {
 ///
 /// ```
 /// use glam::{DMat2, DVec2};
-/// use presight::history::{AlternatingTracker, Detection, ExpectedProperties, ImageExtent, Seed, Shape};
-/// use presight::history::{Source, Tracker, TrackerOptions};
+/// use presight::localize::{AlternatingTracker, Detection, ExpectedProperties, ImageExtent, Seed, Shape};
+/// use presight::localize::{Source, Tracker, TrackerOptions};
 ///
 /// // Twenty points move to the right at 60 pixels per second. A full prediction knows their positions.
 /// let at = |i: u32, time: f64| DVec2::new(30.0 * f64::from(i % 5) + 60.0 * time, 100.0 * f64::from(i / 5) + 50.0);

@@ -30,7 +30,7 @@ impl ImageExtent {
 /// Options of a [`super::Tracker`]; units are pixels and seconds.
 ///
 /// ```
-/// use presight::history::{ImageExtent, TrackerOptions};
+/// use presight::localize::{ImageExtent, TrackerOptions};
 /// let options = TrackerOptions::new(ImageExtent::new(640, 480)).with_confidence(0.95);
 /// assert!(options.check().is_ok());
 /// let wrong = options.with_confidence(1.0);

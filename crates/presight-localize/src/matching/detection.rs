@@ -99,7 +99,7 @@ pub struct DetectionProperties {
 ///
 /// ```
 /// use glam::DVec2;
-/// use presight::history::Detection;
+/// use presight::localize::Detection;
 /// let mut corner = Detection::point(DVec2::new(120.5, 64.0), 0.5);
 /// corner.properties.contrast = Some(0.8);
 /// assert!(corner.check().is_ok());

@@ -35,7 +35,7 @@ pub struct InObject;
 ///
 /// Covariances along other axes do not fit:
 /// ```compile_fail,E0308
-/// use presight::regions::BoxOptions;
+/// use presight::features::BoxOptions;
 /// use presight::{InObject, PoseCovariance};
 /// BoxOptions::default().with_sensor(PoseCovariance::<InObject>::ZERO);
 /// ```

@@ -36,7 +36,7 @@ impl Headings {
     /// other scanners are weighed at the nearest ones of a finer panorama, at most a quarter of a step away.
     ///
     /// ```
-    /// use presight::batch::Headings;
+    /// use presight::predict::Headings;
     /// let scanner = presight::preset("laser-scanner")?;
     /// let headings = Headings::new(&scanner, 360)?;
     /// assert_eq!(headings.panorama().width(), 720);

@@ -32,7 +32,7 @@ impl RangeLikelihood {
     /// poses.
     ///
     /// ```
-    /// use presight::batch::{PoseCell, RangeLikelihood};
+    /// use presight::predict::{PoseCell, RangeLikelihood};
     /// use presight::measured::{Frame, Measurement};
     /// use presight::sensor::{Noise, SensorSpec};
     /// use presight::Sensor;

@@ -146,7 +146,7 @@ impl Predictor {
     /// the version of the world. A GPU draws many poses in one submission.
     ///
     /// ```
-    /// use presight::batch::{BatchRequest, PoseCell, RangeLikelihood};
+    /// use presight::predict::{BatchRequest, PoseCell, RangeLikelihood};
     /// use presight::environment::Environment;
     /// use presight::measured::{Frame, Measurement};
     /// use presight::sensor::Noise;
@@ -385,7 +385,7 @@ impl<'p, I: Iterator<Item = SensorPose>> Batch<'p, I> {
     /// order. Items then have no images, and memory for images is used from pose to pose.
     ///
     /// ```
-    /// use presight::batch::BatchRequest;
+    /// use presight::predict::BatchRequest;
     /// use presight::environment::Environment;
     /// use presight::{Options, Output, Outputs, Predictor, SensorPose, World};
     /// use std::sync::atomic::{AtomicUsize, Ordering};

@@ -235,7 +235,7 @@ impl Predictor {
     /// ```
     /// use presight::features::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
     /// use presight::features::{FeatureOptions, PlacedFeature};
-    /// use presight::regions::BoxOptions;
+    /// use presight::features::BoxOptions;
     /// use presight::environment::Environment;
     /// use presight::{Options, Predictor, Request, SensorPose, World};
     /// use glam::{DMat3, DVec3};

@@ -5,7 +5,7 @@ use presight_model::error::{Error, Result};
 /// Priorities for predictions that cannot finish everything in time.
 ///
 /// ```
-/// use presight::deadline::Priority;
+/// use presight::predict::Priority;
 /// // A robot that turns left looks there first; it steers by door 7.
 /// let priority = Priority::default().with_heading(0.5).with_features(vec![7]);
 /// assert_eq!(priority.least_radius, 2.0);

@@ -1,4 +1,8 @@
-//! Deadlines: predictions that finish in time and report the parts that they gave up.
+//! Predictions at many poses, within a deadline, and what is read from images: samples, points, statistics.
+//!
+//! # Deadlines
+//!
+//! A deadline makes a prediction finish in time and report the parts that it gave up.
 //!
 //! ```
 //! use presight::environment::Environment;
@@ -15,8 +19,19 @@
 //! # Ok::<(), presight::Error>(())
 //! ```
 #![doc = include_str!("../docs/deadline.md")]
+#![doc = include_str!("../docs/batches.md")]
 
+#[doc(inline)]
+pub use presight_predict::batch::{Batch, BatchItem, BatchRequest, Headings, PoseCell, RangeLikelihood};
+#[doc(inline)]
+pub use presight_predict::free_poses::free_poses;
 #[doc(inline)]
 pub use presight_render::cost::CostModel;
 #[doc(inline)]
-pub use presight_render::deadline::{Degradation, Priority};
+pub use presight_render::deadline::{DeadlineOutcome, Degradation, Priority};
+#[doc(inline)]
+pub use presight_render::plan::{
+    CountName, Maker, SampleKind, Samples, SamplesMut, StageName, StageRow, StageVariant, Work,
+};
+#[doc(inline)]
+pub use presight_render::points::{PointCloud, PointsFrame};

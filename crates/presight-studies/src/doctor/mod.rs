@@ -1,9 +1,8 @@
-//! `presight doctor`: tests the engines of this machine, and advises which to use and what to install.
+//! Tests the engines of this machine, and advises which to use and what to install.
 
 #[cfg(feature = "gpu")]
 mod advice;
 
-use super::{CommandOutcome, features, flags, print};
 #[cfg(feature = "gpu")]
 use advice::{AdapterState, AdapterTrial, Machine};
 use presight_model::error::Result;
@@ -18,35 +17,19 @@ use presight_render::plan::Raster;
 use presight_render::plan::{Outputs, Stats};
 use std::fmt::Write;
 
-const EXAMPLES: &str = "Examples:
-  presight doctor
-
-Exit status: 0 if all engines draw correct images, 1 if one does not or an adapter that would be used cannot be opened.";
-
-/// Check the engines of this machine
-///
-/// Lists the adapters, draws a small scene with each through every stage, compares the images with the reference, and
-/// reports which engine will be used and what to install.
-#[derive(Debug, clap::Args)]
-#[command(after_help = EXAMPLES)]
-pub struct Args {}
-
-/// Runs the command.
+/// Draws a small scene with every engine of this machine and compares the images with the reference. Returns a report for
+/// people, and whether all images are right and each adapter that would be used can be opened.
 ///
 /// # Errors
-/// [`presight::ErrorKind::System`] if the CPU engine's threads cannot be started, or stdout cannot be written.
-pub fn run(_: &Args) -> Result<CommandOutcome> {
+/// [`presight_model::ErrorKind::System`] if the threads of the CPU engine cannot be started.
+pub fn examine_engines() -> Result<(String, bool)> {
     let probe = Probe::new()?;
-    let features = features();
-    let features = if features.is_empty() { "no optional feature".into() } else { features.join(", ") };
-    let mut text = format!("presight {}, built with {features}\n", env!("CARGO_PKG_VERSION"));
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
-    let _ = writeln!(text, "\nCPU engine, {threads} threads, {}", std::env::consts::ARCH);
+    let mut text = format!("CPU engine, {threads} threads, {}\n", std::env::consts::ARCH);
     let _ = writeln!(text, "  tiles of rays are searched in {}", Vectors::best().name());
     let mut sound = check(&probe, &mut text, &mut *EngineKind::Cpu.open(&Threads::SHARED)?, &SensorKind::ALL);
     sound &= gpus(&probe, &mut text);
-    print::lines(flags::named(&text).lines())?;
-    Ok(if sound { CommandOutcome::Done } else { CommandOutcome::Found })
+    Ok((text, sound))
 }
 
 /// Appends one line per task to `text`. Returns true if all images are correct.
@@ -189,6 +172,7 @@ fn yes(able: bool) -> &'static str {
 mod tests {
     use super::*;
     use presight_model::error::Error;
+
     use presight_render::plan::{FramePlan, Images};
     use presight_render::verify::Precision;
 

@@ -1,0 +1,24 @@
+//! What a program around presight needs besides predictions: files that appear whole, limits, memory, threads and text.
+
+#[doc(inline)]
+pub use presight_model::limits::{
+    MAX_COORDINATE, MAX_FILE_BYTES, MAX_IMAGE_SIDE, MAX_LINE_BYTES, MAX_SERIES, MAX_SHOWN,
+};
+#[doc(inline)]
+pub use presight_model::memory::{FrameMemory, of_writing, require, reserved};
+#[doc(inline)]
+pub use presight_model::printable::{clipped, printable, quoted};
+#[doc(inline)]
+pub use presight_model::statistics::{median, quantile, upper_median};
+#[doc(inline)]
+pub use presight_model::threads::{PerProcess, this_process};
+#[doc(inline)]
+pub use presight_read::atomic::{is_given, keep_rights, open_to_replace, refused, target_of, write_atomically};
+#[doc(inline)]
+pub use presight_read::file::{open, open_any, read, starts_with, without_mark};
+#[doc(inline)]
+pub use presight_read::growing::{GrowingFile, is_through};
+#[doc(inline)]
+pub use presight_read::temporary::{Access, Temporary, abandon};
+#[doc(inline)]
+pub use presight_read::text::{check_name, read_settings, read_text};
