@@ -5,7 +5,7 @@ use super::errors::{Failed, apart, raised, room_for, usage};
 use super::predictor::{Predictor, RANGE};
 use numpy::{Element, PyArrayDyn, PyArrayMethods, PyReadwriteArrayDyn, PyUntypedArrayMethods};
 use presight::predict::{Batch, BatchItem, BatchRequest, SampleKind, Samples};
-use presight::{Images, Output, Outputs, Sensor, World, SensorPose};
+use presight::{Images, Output, Outputs, Sensor, SensorPose, World};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::sync::{Mutex, PoisonError};

@@ -12,7 +12,7 @@ use presight::localize::{
 use presight::measured::{Frame as OurFrame, GreyImage, Measurement, Motion, OdometryNoise};
 use presight::tools;
 use presight::verdict::{Verdict, Verdicts as OurVerdicts};
-use presight::{Backend, Error, Options, Pose, PoseEstimate, Predictor, Sensor as OurSensor, RobotPose};
+use presight::{Backend, Error, Options, Pose, PoseEstimate, Predictor, RobotPose, Sensor as OurSensor};
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
 use std::path::PathBuf;

@@ -12,7 +12,10 @@ use presight::features::{BoxOptions, FeatureOptions, FeatureSource, Hidden};
 use presight::files::{self, LayerFile};
 use presight::measured::{Frame as OurFrame, Measurement};
 use presight::predict::{BatchRequest, Headings, PoseCell, RangeLikelihood};
-use presight::{Backend, Error, Output, Outputs, PoseEstimate, Predictor as Ours, Request, Result, SceneFeatures, Sensor, World, RobotPose, SensorPose};
+use presight::{
+    Backend, Error, Output, Outputs, PoseEstimate, Predictor as Ours, Request, Result, RobotPose, SceneFeatures,
+    Sensor, SensorPose, World,
+};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 use std::path::PathBuf;
