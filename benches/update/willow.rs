@@ -4,6 +4,7 @@
 use glam::{DMat3, DVec2, DVec3};
 use presight_localize::estimate::{EstimateOptions, Estimator, Freedom};
 use presight_localize::localize::{LocalizeOptions, Localizer, Phase};
+use presight_model::caster::RayCaster;
 use presight_model::environment::Environment;
 use presight_model::geometry::{Aabb, Pose, PoseCovariance, PoseEstimate, RobotPose};
 use presight_model::measured::{Frame, Measurement, Motion, OdometryNoise};
@@ -13,7 +14,7 @@ use presight_predict::predict::{Backend, Options, Predictor};
 use presight_read::log::{LogFrame, lines};
 use presight_read::sensor_toml;
 use presight_testkit::{Random, data};
-use presight_update::{Caster, Findings, LearnOptions, Learner, What};
+use presight_update::{Findings, LearnOptions, Learner, What};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::path::Path;
 
@@ -237,14 +238,14 @@ fn drive(map: &Map, way: &[Pose], sensor: &Sensor, seed: u64) -> Vec<(Frame, Pos
 
 /// The share of beams that end within [`NEAR`] of the model, per cent.
 fn explained(world: &World, drives: &[Vec<(Frame, Pose)>]) -> f64 {
-    let caster = Caster::new(world, "laser");
+    let caster = RayCaster::new(world, "laser");
     let (mut all, mut near) = (0usize, 0usize);
     for (frame, pose) in drives.iter().flatten() {
         let sensor = frame.sensor();
         let pose = *pose * sensor.spec().mount;
         for (c, z) in (0..sensor.width()).zip(frame.ranges()).filter(|(_, z)| z.is_finite()) {
             let ray = pose.rotation * sensor.ray(c, 0).expect("a ray");
-            let met = caster.first(pose.translation, ray, REACH, None);
+            let met = caster.cast(pose.translation, ray, REACH, None);
             all += 1;
             near += usize::from(met.is_some_and(|met| (met.range - f64::from(*z)).abs() <= NEAR.0));
         }

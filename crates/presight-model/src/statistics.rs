@@ -1,4 +1,5 @@
-//! Normal deviates; tails and quantiles of the normal and the chi-squared distribution; medians and quantiles of values.
+//! Normal deviates; tails and quantiles of the normal and the chi-squared distribution; medians and quantiles of
+//! values.
 
 use std::cmp::Ordering;
 use std::f64::consts::{FRAC_1_SQRT_2, PI, TAU};

@@ -1,10 +1,10 @@
 //! Findings as lines of `presight env apply`.
 
-use crate::caster::Caster;
 use crate::decide::{Finding, Findings, What};
 use crate::learn::Learner;
 use crate::policy::{Action, Policy};
 use crate::refine::Refined;
+use presight_model::caster::RayCaster;
 use presight_model::change::Change;
 use presight_model::environment::{
     CUBOID_FACES, Environment, Existence, Mark, MarkKind, Material, Mesh, NewObject, cuboid_corners,
@@ -230,14 +230,14 @@ impl Learner {
     /// The share of the measured points of the kept views that lie within some metres of what a world predicts.
     pub fn share_explained(&self, world: &World, within: f64) -> f64 {
         let class = self.views.back().map_or("", |view| view.kept.sensor.spec().class.as_str());
-        let caster = Caster::new(world, class);
+        let caster = RayCaster::new(world, class);
         let (mut all, mut near) = (0usize, 0usize);
         for view in &self.views {
             let (origin, reach) = (view.world_from_image.translation, view.kept.sensor.spec().range_max.min(1e5));
             for (at, ray) in view.kept.rays.iter().enumerate() {
                 let z = f64::from(view.ranges[at]);
                 if z.is_finite() && !ray.is_nan() {
-                    let met = caster.first(origin, view.world_from_image.rotation * *ray, reach, None);
+                    let met = caster.cast(origin, view.world_from_image.rotation * *ray, reach, None);
                     all += 1;
                     near += usize::from(met.is_some_and(|met| (met.range - z).abs() <= within));
                 }

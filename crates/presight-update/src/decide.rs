@@ -1,7 +1,6 @@
 //! From evidence to changes: objects that are gone, moved, new, or still in doubt.
 
 use crate::boxes::{UprightBox, split};
-use crate::caster::Caster;
 use crate::evidence::{BIG, Book, Evidence, PART};
 use crate::fit::Thing;
 use crate::learn::{LearnOptions, Learner};
@@ -14,6 +13,7 @@ use crate::view::{NOTHING, Says, View};
 use crate::voxels::{Occupied, Voxels, joined};
 use glam::DVec3;
 use presight_localize::verdict::body_from_image;
+use presight_model::caster::RayCaster;
 use presight_model::environment::{Appearance, Environment, Material};
 use presight_model::geometry::{Aabb, Pose, SensorPose};
 use presight_model::world::World;
@@ -150,7 +150,7 @@ impl Learner {
 
 pub(crate) struct Decision<'a> {
     pub environment: &'a Environment,
-    pub caster: &'a Caster,
+    pub caster: &'a RayCaster,
     pub book: &'a Book,
     pub voxels: &'a Voxels,
     pub views: &'a VecDeque<View>,
@@ -307,7 +307,9 @@ impl Decision<'_> {
     /// The points that objects at other poses than the model's do not explain.
     pub(crate) fn unexplained(&self, points: &[DVec3], by: &[(u32, Pose)]) -> Vec<DVec3> {
         let is_explained = |p: &DVec3| {
-            by.iter().any(|(object, pose)| self.caster.foot(*object, pose.inverse().transform_point(*p), OWN).is_some())
+            by.iter().any(|(object, pose)| {
+                self.caster.nearest_on(*object, pose.inverse().transform_point(*p), OWN).is_some()
+            })
         };
         points.iter().filter(|p| !is_explained(p)).copied().collect()
     }

@@ -1,9 +1,9 @@
 //! Evidence on objects and on their parts after several views.
 
-use crate::caster::Met;
 use crate::learn::LearnOptions;
 use crate::view::{Says, View};
 use glam::DVec3;
+use presight_model::caster::RayHit;
 use presight_model::environment::Environment;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -82,7 +82,7 @@ pub(crate) fn cell_size(size: f64) -> f64 {
 
 impl Delta {
     /// The sums of a view: +1 for each pixel that sees an object, -1 for each that sees through it.
-    pub fn of(view: &View, met: &[Option<Met>], environment: &Environment) -> Self {
+    pub fn of(view: &View, met: &[Option<RayHit>], environment: &Environment) -> Self {
         let mut delta = Self::default();
         for (at, says) in view.says.iter().enumerate() {
             let Some(met) = met[at] else { continue };

@@ -1,12 +1,12 @@
 //! Minor changes of features: existence, strength, contrast and covariance, by Bayes from the looks at them; and new features.
 
 use crate::blind::{Counts, Region, is_blind, region};
-use crate::caster::Caster;
 use crate::located::{Eye, Sums, located};
 use crate::sightings::{Kind, Sighting, Track, Tracks, place_of};
 use crate::view::BOUND;
 use glam::{DMat3, DVec3};
 use presight_localize::extract::{FeatureClass, FeatureFinding, Findings};
+use presight_model::caster::RayCaster;
 use presight_model::environment::{Environment, Existence, Feature, FeatureShape, Properties};
 use presight_model::geometry::{Pose, PoseEstimate};
 use presight_model::measured::Frame;
@@ -55,7 +55,7 @@ pub(crate) struct Looked {
 #[derive(Clone, Copy)]
 pub(crate) struct Known<'a> {
     pub environment: &'a Environment,
-    pub caster: &'a Caster,
+    pub caster: &'a RayCaster,
 }
 
 impl Known<'_> {
@@ -205,7 +205,7 @@ impl LookBook {
     /// a reflector on a small provisional object. `base` names it.
     pub fn insertions(
         &self,
-        (environment, casters): (&Environment, &BTreeMap<String, Caster>),
+        (environment, casters): (&Environment, &BTreeMap<String, RayCaster>),
         least_views: u32,
         utc: f64,
         base: &str,
@@ -249,12 +249,13 @@ type Placed = (String, FeatureShape, Option<[Value; 2]>);
 
 /// Where a new feature lies: on the surface near all its points, which are of one object. A reflector that stands free gets
 /// a support with this name.
-fn placed(track: &Track, environment: &Environment, caster: Option<&Caster>, name: &str) -> Option<Placed> {
+fn placed(track: &Track, environment: &Environment, caster: Option<&RayCaster>, name: &str) -> Option<Placed> {
     let places = track.places();
     let on = |(p, covariance): &(DVec3, DMat3)| {
         // The place of an edge is known across it only.
         let [x, y, z] = [0, 1, 2].map(|i| covariance.col(i)[i]);
-        caster?.on(*p, BOUND * x.min(y).min(z).sqrt() + 0.02)
+        let (object, foot) = caster?.nearest(*p, BOUND * x.min(y).min(z).sqrt() + 0.02)?;
+        Some((object, foot.point))
     };
     let feet: Vec<Option<(u32, DVec3)>> = places.iter().map(on).collect();
     let turned = |object: u32, covariance: DMat3| {
@@ -275,7 +276,7 @@ fn placed(track: &Track, environment: &Environment, caster: Option<&Caster>, nam
         }
         (Kind::Edge, [Some((object, a)), Some((other, b))], [(_, first), (_, last)]) if object == other => {
             let covariances = [turned(*object, *first), turned(*object, *last)];
-            let middle = caster?.foot(*object, 0.5 * (*a + *b), 1e-3)?;
+            let middle = caster?.nearest_on(*object, 0.5 * (*a + *b), 1e-3)?;
             let straight = middle.distance_squared < 1e-6 && a.distance(*b) > 0.0;
             straight.then(|| {
                 (path(*object), FeatureShape::Segment { ends: [*a, *b], covariances, cross: DMat3::ZERO }, None)
@@ -352,7 +353,7 @@ mod tests {
     #[test]
     fn a_dark_image_teaches_nothing() {
         let world = presight_model::world::World::new(Environment::new());
-        let caster = Caster::new(&world, "laser");
+        let caster = RayCaster::new(&world, "laser");
         let known = Known { environment: world.environment(), caster: &caster };
         let finding = |id: u32, class: FeatureClass| FeatureFinding {
             id,

@@ -1,8 +1,8 @@
 //! Evidence that is not decided yet, in a file: JSON of format 1.
 
-use crate::caster::Caster;
 use crate::evidence::Evidence;
 use crate::learn::Learner;
+use presight_model::caster::RayCaster;
 use presight_model::environment::Environment;
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::geometry::Pose;
@@ -148,8 +148,8 @@ impl Learner {
         self.book.cells.retain(|cell, _| !gone(&cell.0));
         self.book.aspects.retain(|aspect, _| !gone(&aspect.0));
         let class = self.views.back().map_or_else(String::new, |view| view.kept.sensor.spec().class.clone());
-        let caster = Caster::new(world, &class);
+        let caster = RayCaster::new(world, &class);
         let reach = 2.0 * self.voxels.size();
-        self.voxels.retain(|_, voxel| caster.near(voxel.mean(), reach).is_none());
+        self.voxels.retain(|_, voxel| caster.nearest(voxel.mean(), reach).is_none());
     }
 }

@@ -1,10 +1,10 @@
 //! Fits an object to measured points, and asks all views whether it stands there.
 
-use crate::caster::Caster;
 use crate::evidence::{cell, cell_size};
 use crate::view::{BOUND, View};
 use glam::{DQuat, DVec3};
 use presight_localize::motion::moved;
+use presight_model::caster::RayCaster;
 use presight_model::environment::Environment;
 use presight_model::geometry::{Aabb, Pose};
 use presight_model::matrix::{add_to, apply, inverse};
@@ -96,7 +96,7 @@ impl Thing {
 
 /// Fits objects with the views of a drive.
 pub(crate) struct Fitter<'a> {
-    pub caster: &'a Caster,
+    pub caster: &'a RayCaster,
     pub views: Vec<&'a View>,
     /// Most that a view counts.
     pub most_per_view: f64,
@@ -128,7 +128,7 @@ impl Fitter<'_> {
             let back = pose.inverse();
             for p in points {
                 let q = back.transform_point(*p) + thing.middle;
-                let Some(foot) = self.caster.foot(thing.object, q, *gate) else { continue };
+                let Some(foot) = self.caster.nearest_on(thing.object, q, *gate) else { continue };
                 let distance = foot.distance_squared.sqrt();
                 let outward = q - foot.point;
                 let n = pose.rotation * if distance > 1e-6 { outward / distance } else { foot.normal };
@@ -156,7 +156,7 @@ impl Fitter<'_> {
         let points = self.points_near(pose.transform_point(thing.middle), thing.radius + 0.1, thing.object, 2000);
         let (back, mut sum, mut count, mut slice) = (pose.inverse(), [0.0; 3], 0.0, Aabb::EMPTY);
         for p in points {
-            if let Some(foot) = self.caster.foot(thing.object, back.transform_point(p), 0.05) {
+            if let Some(foot) = self.caster.nearest_on(thing.object, back.transform_point(p), 0.05) {
                 let n = pose.rotation * foot.normal;
                 slice = slice.with(p);
                 (sum, count) = ([sum[0] + n.x * n.x, sum[1] + n.x * n.y, sum[2] + n.y * n.y], count + 1.0);
@@ -180,7 +180,7 @@ impl Fitter<'_> {
             let mut own: BTreeMap<(u8, [i32; 3]), (usize, f64)> = BTreeMap::new();
             for p in view.unexplained(thing.object).filter(|p| p.distance(middle) <= thing.radius + gate) {
                 let q = back.transform_point(p);
-                let Some(foot) = self.caster.foot(thing.object, q, gate) else { continue };
+                let Some(foot) = self.caster.nearest_on(thing.object, q, gate) else { continue };
                 let cell = own.entry(cell(foot.point, foot.normal, size)).or_default();
                 *cell = (cell.0 + 1, cell.1 + (q - foot.point).dot(foot.normal));
             }
@@ -211,7 +211,7 @@ impl Fitter<'_> {
     /// The share of points that lie on an object at a pose.
     pub fn explained(&self, object: u32, pose: &Pose, points: &[DVec3], within: f64) -> f64 {
         let back = pose.inverse();
-        let on = |p: &&DVec3| self.caster.foot(object, back.transform_point(**p), within).is_some();
+        let on = |p: &&DVec3| self.caster.nearest_on(object, back.transform_point(**p), within).is_some();
         points.iter().filter(on).count() as f64 / points.len().max(1) as f64
     }
 
@@ -267,14 +267,14 @@ impl Fitter<'_> {
                     continue;
                 }
                 let (origin, ray) = (view.world_from_image.translation, view.world_from_image.rotation * *ray);
-                let Some(met) = self.caster.meet(object, pose, (origin, ray, reach)) else { continue };
+                let Some(met) = self.caster.cast_at(object, pose, (origin, ray, reach)) else { continue };
                 let cos = met.normal.dot(ray).abs();
                 let off = view.off.0 + met.range * (view.off.1 + view.noise.angle * (1.0 - cos * cos).sqrt());
                 let sigma = view.noise.range_sigma(met.range) + (off + 0.005) / cos.max(0.1);
                 if cos < 0.2 || z < met.range - BOUND * sigma {
                     continue;
                 }
-                let other = self.caster.first(origin, ray, met.range + 2.0 * BOUND * sigma, Some(object));
+                let other = self.caster.cast(origin, ray, met.range + 2.0 * BOUND * sigma, Some(object));
                 if other.is_some() {
                     continue;
                 }

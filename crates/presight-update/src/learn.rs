@@ -1,6 +1,5 @@
 //! Learning from a drive: which frames count, and when they are believed.
 
-use crate::caster::Caster;
 use crate::evidence::{Book, Delta, Evidence, Pixels};
 use crate::features::{Known, LookBook, Looked, looks_of};
 use crate::joint::Joint;
@@ -10,6 +9,7 @@ use crate::view::{Kept, Observer, View};
 use crate::voxels::Voxels;
 use glam::DVec3;
 use presight_localize::localize::{Phase, Step};
+use presight_model::caster::RayCaster;
 use presight_model::environment::ContentHash;
 use presight_model::error::{Error, Result};
 use presight_model::geometry::{Pose, PoseEstimate};
@@ -107,7 +107,7 @@ pub struct Learner {
     stamp: u64,
     /// The content that frames are compared with.
     content: Option<ContentHash>,
-    pub(crate) casters: BTreeMap<String, Caster>,
+    pub(crate) casters: BTreeMap<String, RayCaster>,
     pub(crate) priors: BTreeMap<String, Priors>,
     /// How objects stand, by class of sensors.
     pub(crate) joints: BTreeMap<String, Joint>,
@@ -291,7 +291,7 @@ impl Learner {
     fn take(&mut self, world: &World, frame: &Frame, pose: &PoseEstimate) {
         let class = &frame.sensor().spec().class;
         if !self.casters.contains_key(class) {
-            self.casters.insert(class.clone(), Caster::new(world, class));
+            self.casters.insert(class.clone(), RayCaster::new(world, class));
         }
         if !self.priors.contains_key(class) {
             let priors = Priors::of(world.environment(), class, self.options.model_sigma);
@@ -380,7 +380,7 @@ impl Learner {
         Ok(())
     }
 
-    pub(crate) fn caster(&mut self, world: &World, class: &str) -> &Caster {
-        self.casters.entry(class.to_owned()).or_insert_with(|| Caster::new(world, class))
+    pub(crate) fn caster(&mut self, world: &World, class: &str) -> &RayCaster {
+        self.casters.entry(class.to_owned()).or_insert_with(|| RayCaster::new(world, class))
     }
 }

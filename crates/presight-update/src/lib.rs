@@ -5,7 +5,6 @@
 mod apply;
 mod blind;
 mod boxes;
-mod caster;
 mod changes;
 mod decide;
 mod evidence;
@@ -29,13 +28,11 @@ mod rivals;
 mod shapes;
 mod shown;
 mod sightings;
-mod solid;
 mod view;
 mod voxels;
 
 pub use apply::{Applied, Waiting};
 pub use boxes::UprightBox;
-pub use caster::{Caster, Met};
 pub use changes::change_lines;
 pub use decide::{Doubt, Finding, Findings, Sight, What};
 pub use evidence::{Evidence, Pixels};

@@ -166,9 +166,9 @@ impl<'a> Lookout<'a> {
     ) -> (Option<Surface>, Option<Surface>) {
         let caster = self.decision.caster;
         let surface = |range: f64, normal: DVec3| (range, normal.dot(ray).abs());
-        let cast = |but: Option<u32>| caster.first(origin, ray, reach, but).map(|met| surface(met.range, met.normal));
+        let cast = |but: Option<u32>| caster.cast(origin, ray, reach, but).map(|met| surface(met.range, met.normal));
         let nearer = |a: Option<Surface>, b: Option<Surface>| a.into_iter().chain(b).min_by(|x, y| x.0.total_cmp(&y.0));
-        let first = caster.first(origin, ray, reach, None);
+        let first = caster.cast(origin, ray, reach, None);
         let own = first.map(|met| surface(met.range, met.normal));
         match subject {
             Subject::Object(object) if first.is_some_and(|met| met.object == *object) => (own, cast(Some(*object))),
@@ -180,7 +180,7 @@ impl<'a> Lookout<'a> {
             }
             Subject::Object(_) | Subject::Part(..) => (own, own),
             Subject::Moved(object, pose) => {
-                let there = caster.meet(*object, pose, (origin, ray, reach));
+                let there = caster.cast_at(*object, pose, (origin, ray, reach));
                 (nearer(cast(Some(*object)), there.map(|met| surface(met.range, met.normal))), own)
             }
             Subject::Box(found) => (nearer(own, found.meet(origin, ray).filter(|met| met.0 <= reach)), own),

@@ -115,7 +115,7 @@ impl Learner {
         tried.iter_mut().for_each(|tried| tried.start_library(&shapes));
         let asked = recognizer.map_or(Ok(()), |recognizer| ask(recognizer, &mut tried, &mut shapes, environment));
         let first = environment.objects().len() as u32;
-        let caster = caster.with_shapes(first, &shapes);
+        let caster = caster.with_meshes(first, shapes.iter().map(|s| (s.mesh(), s.object_from_mesh())));
         let decision = Decision { environment, caster: &caster, book, voxels, views, options };
         let placed = decision.recognized(&tried, (first, &shapes), &explained);
         if placed.is_empty() {

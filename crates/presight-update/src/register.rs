@@ -1,12 +1,12 @@
 //! The pose of one view by its own readings. All pixels of a view share one error of the pose: estimated once for the view, it
 //! widens no pixel.
 
-use crate::caster::Caster;
 use crate::joint::{AXES, OnObject, Terms};
 use crate::priors::Priors;
 use crate::view::{BOUND, FLATTEST};
 use glam::DVec3;
 use presight_localize::motion::{motion_between, moved};
+use presight_model::caster::RayCaster;
 use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate, RobotPose};
 use presight_model::matrix::{add_to, apply, inverse, quadratic, scaled};
 use presight_model::measured::RangeNoise;
@@ -21,7 +21,7 @@ const PASSES: usize = 3;
 
 /// The readings of a view.
 pub(crate) struct Readings<'a> {
-    pub caster: &'a Caster,
+    pub caster: &'a RayCaster,
     pub robot_from_image: Pose,
     /// Unit rays in the image frame, and their ranges, metres.
     pub of: Vec<(DVec3, f32)>,
@@ -163,7 +163,7 @@ impl Readings<'_> {
                 return None;
             }
             let ray = world_from_image.rotation * *ray;
-            let met = self.caster.first(origin, ray, self.reach, None)?;
+            let met = self.caster.cast(origin, ray, self.reach, None)?;
             let cos = met.normal.dot(ray);
             let (along, across) = (self.noise.range_sigma(met.range) * cos, met.range * self.noise.angle);
             let n = met.normal;

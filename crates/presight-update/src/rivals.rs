@@ -51,7 +51,7 @@ fn of_view(
         if a.is_none() && b.is_none() {
             continue;
         }
-        let behind = decision.caster.first(origin, ray, reach, None).map(|met| (met.range, met.normal.dot(ray).abs()));
+        let behind = decision.caster.cast(origin, ray, reach, None).map(|met| (met.range, met.normal.dot(ray).abs()));
         let deviation = |own: Option<Surface>| {
             let nearer = |known: Surface| behind.filter(|behind| behind.0 < known.0).unwrap_or(known);
             squared(view, z, own.map(nearer).or(behind))
@@ -84,7 +84,8 @@ impl Stand<'_> {
     }
 
     fn first(&self, decision: &Decision<'_>, origin: DVec3, ray: DVec3, reach: f64) -> Option<Surface> {
-        let met = self.thing.and_then(|(thing, pose)| decision.caster.meet(thing.object, pose, (origin, ray, reach)));
+        let met =
+            self.thing.and_then(|(thing, pose)| decision.caster.cast_at(thing.object, pose, (origin, ray, reach)));
         let thing = met.map(|met| (met.range, met.normal.dot(ray).abs()));
         let boxes = self.boxes.iter().filter_map(|b| b.meet(origin, ray).filter(|met| met.0 <= reach));
         thing.into_iter().chain(boxes).min_by(|x, y| x.0.total_cmp(&y.0))

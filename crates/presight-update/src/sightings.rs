@@ -1,10 +1,10 @@
 //! Where in space features are found that the layer lacks, view by view.
 
-use crate::caster::Caster;
 use crate::located::{Eye, across};
 use crate::view::{BOUND, FLATTEST};
 use glam::{DMat3, DVec2, DVec3};
 use presight_localize::matching::{Detection, Shape};
+use presight_model::caster::RayCaster;
 
 /// Most places of new features: beyond them new ones are left out, so that memory stays bounded.
 const MOST: usize = 1000;
@@ -50,14 +50,14 @@ fn outer(a: DVec3, b: DVec3) -> DMat3 {
 
 /// The place of a detection: a reflector by its range, a corner or an edge on the surface where its rays end. `None` for what
 /// has no place.
-pub(crate) fn place_of(eye: &Eye<'_>, detection: &Detection, caster: &Caster) -> Option<Sighting> {
+pub(crate) fn place_of(eye: &Eye<'_>, detection: &Detection, caster: &RayCaster) -> Option<Sighting> {
     let spot = |at: DVec2| {
         let (ray, steps) = eye.ray(at)?;
         let (range, slide, along) = match (&detection.shape, &detection.properties.range) {
             (Shape::Reflector(_), Some(range)) => (range.mean, DMat3::IDENTITY, range.variance),
             (Shape::Reflector(_), None) => return None,
             _ => {
-                let met = caster.first(eye.place(), ray, eye.sensor.spec().range_max.min(1e5), None)?;
+                let met = caster.cast(eye.place(), ray, eye.sensor.spec().range_max.min(1e5), None)?;
                 let cos = met.normal.dot(ray);
                 if cos.abs() < FLATTEST {
                     return None;

@@ -1,6 +1,5 @@
 //! One view: what each kept pixel says of the first object on its ray, and what nothing explains.
 
-use crate::caster::{Caster, Met};
 use crate::joint::Terms;
 use crate::priors::Priors;
 use crate::pulled::Pulled;
@@ -8,6 +7,7 @@ use crate::register::Readings;
 use crate::voxels::Spot;
 use glam::DVec3;
 use presight_localize::verdict::body_from_image;
+use presight_model::caster::{RayCaster, RayHit};
 use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate};
 use presight_model::matrix::{quadratic, scaled};
 use presight_model::measured::{Frame, RangeNoise};
@@ -128,12 +128,12 @@ pub(crate) struct View {
 struct Ray {
     origin: DVec3,
     ray: DVec3,
-    met: Option<Met>,
+    met: Option<RayHit>,
 }
 
 /// Compares frames with one world.
 pub(crate) struct Observer<'a> {
-    pub caster: &'a Caster,
+    pub caster: &'a RayCaster,
     pub priors: &'a Priors,
     /// Views that may share one error of their poses.
     pub views: usize,
@@ -162,7 +162,7 @@ impl Errors<'_> {
     }
 
     /// Standard deviation of a range on a surface, metres.
-    fn sigma(&self, origin: DVec3, ray: DVec3, met: &Met) -> f64 {
+    fn sigma(&self, origin: DVec3, ray: DVec3, met: &RayHit) -> f64 {
         let x = origin + met.range * ray;
         let turned = (x - self.pose.world_from_robot.translation).cross(met.normal);
         let gradient = [met.normal.x, met.normal.y, met.normal.z, turned.x, turned.y, turned.z];
@@ -202,11 +202,11 @@ impl<'a> Shot<'a> {
     }
 
     /// What every `step`-th ray meets from a pose.
-    fn cast(&self, caster: &Caster, pose: &PoseEstimate, step: usize) -> Vec<Ray> {
+    fn cast(&self, caster: &RayCaster, pose: &PoseEstimate, step: usize) -> Vec<Ray> {
         let world_from_image = pose.world_from_robot * self.robot_from_image;
         let cast = |ray: &DVec3| {
             let (origin, ray) = (world_from_image.translation, world_from_image.rotation * *ray);
-            let met = if ray.is_nan() { None } else { caster.first(origin, ray, self.reach, None) };
+            let met = if ray.is_nan() { None } else { caster.cast(origin, ray, self.reach, None) };
             Ray { origin, ray, met }
         };
         self.kept.rays.iter().step_by(step).map(cast).collect()
@@ -240,7 +240,7 @@ impl Observer<'_> {
     }
 
     /// Compares a frame of a robot at a pose. Also returns what the rays of the kept pixels meet first.
-    pub fn view(&self, frame: &Frame, kept: &Arc<Kept>, given: &PoseEstimate) -> (View, Vec<Option<Met>>) {
+    pub fn view(&self, frame: &Frame, kept: &Arc<Kept>, given: &PoseEstimate) -> (View, Vec<Option<RayHit>>) {
         let shot = Shot::of(frame, kept);
         let (pose, terms) = self.registered(&shot, given);
         let rays = shot.cast(self.caster, &pose, 1);
@@ -272,7 +272,7 @@ impl Observer<'_> {
             self.pixel(&mut view, at, ray, (z, reach), &errors);
             let is_news = matches!(view.says[at], Says::Before) && z.is_finite() && is_backed(frame, kept.pixel(at), z);
             let x = ray.origin + z * ray.ray;
-            if is_news && self.caster.near(x, self.known.max(BOUND * errors.aside(x, ray.ray))).is_none() {
+            if is_news && self.caster.nearest(x, self.known.max(BOUND * errors.aside(x, ray.ray))).is_none() {
                 view.news.push(x);
             } else if is_news {
                 view.says[at] = Says::Nothing;
@@ -292,7 +292,7 @@ impl Observer<'_> {
         view.compared.0 += 1;
         if (z - met.range).abs() <= BOUND * sigma {
             view.compared.1 += 1;
-            let second = self.caster.first(ray.origin, ray.ray, reach, Some(met.object));
+            let second = self.caster.cast(ray.origin, ray.ray, reach, Some(met.object));
             if second.is_none_or(|s| s.range - met.range > 2.0 * BOUND * sigma + 0.05) {
                 view.says[at] = Says::There;
             } else {
@@ -316,7 +316,7 @@ impl Observer<'_> {
         if flat || !self.is_whole(ray, met, uncertain, before) {
             return;
         }
-        let second = self.caster.first(ray.origin, ray.ray, reach, Some(met.object));
+        let second = self.caster.cast(ray.origin, ray.ray, reach, Some(met.object));
         if let Some(second) = second
             && z < second.range - BOUND * errors.sigma(ray.origin, ray.ray, &second)
         {
@@ -324,7 +324,7 @@ impl Observer<'_> {
             if self.is_whole(ray, met, uncertain.max(1.5 * view.kept.spacing), before) {
                 view.says[at] = Says::Through;
                 let x = ray.origin + z * ray.ray;
-                if self.caster.near(x, self.known.max(BOUND * errors.aside(x, ray.ray))).is_none() {
+                if self.caster.nearest(x, self.known.max(BOUND * errors.aside(x, ray.ray))).is_none() {
                     view.news.push(x);
                 }
             }
@@ -336,12 +336,12 @@ impl Observer<'_> {
 
     /// True if rays at an angle to this one, on four sides, meet the same object before `before` metres: then no error of the pose
     /// explains that the ray went on.
-    fn is_whole(&self, ray: &Ray, met: &Met, angle: f64, before: f64) -> bool {
+    fn is_whole(&self, ray: &Ray, met: &RayHit, angle: f64, before: f64) -> bool {
         let u = ray.ray.any_orthonormal_vector();
         let v = ray.ray.cross(u);
         [u, -u, v, -v].into_iter().all(|aside| {
             let beside = (ray.ray + angle.tan() * aside).normalize();
-            let found = self.caster.first(ray.origin, beside, before, None);
+            let found = self.caster.cast(ray.origin, beside, before, None);
             found.is_some_and(|other| other.object == met.object)
         })
     }

@@ -26,7 +26,7 @@ pub struct InObject;
 ///
 /// ```
 /// use presight::{InObject, InWorld, Pose, PoseCovariance};
-/// // A door is known to 1 cm across its leaf (its own x), and stands turned by 90 degrees.
+/// // The position of a door has a standard deviation of 1 cm across its leaf (its own x). It is turned by 90 degrees.
 /// let own = PoseCovariance::<InObject>::from_sigmas([0.01, 0.0, 0.0, 0.0, 0.0, 0.0]);
 /// let world_from_door = Pose::from_xyz_rpy(glam::DVec3::ZERO, 0.0, 0.0, 90f64.to_radians());
 /// let in_world: PoseCovariance<InWorld> = own.in_world(&world_from_door);
@@ -196,7 +196,7 @@ impl<'de, A> Deserialize<'de> for PoseCovariance<A> {
     }
 }
 
-/// The pose of the robot in the world, and how well it is known.
+/// The pose of the robot in the world, with its uncertainty.
 ///
 /// ```
 /// use presight::{Pose, PoseEstimate, RobotPose};
@@ -215,7 +215,7 @@ impl<'de, A> Deserialize<'de> for PoseCovariance<A> {
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseEstimate {
-    /// The pose of the robot; [`PoseEstimate::robot`] is the same as a type.
+    /// The pose of the robot; [`PoseEstimate::robot`] gives it as a typed pose.
     pub world_from_robot: Pose,
     /// The covariance of that pose, along the axes of the world.
     pub covariance: PoseCovariance<InWorld>,
@@ -227,7 +227,7 @@ impl PoseEstimate {
         Self { world_from_robot: robot.world_from_robot(), covariance }
     }
 
-    /// A pose that is known exactly.
+    /// A pose without uncertainty.
     pub fn exact(robot: RobotPose) -> Self {
         Self::new(robot, PoseCovariance::ZERO)
     }
@@ -282,7 +282,7 @@ mod tests {
         assert!((0..36).all(|k| apart(k / 6, k % 6) < 1e-12));
     }
 
-    /// A turn by 90 degrees about z makes an object's x the world's y; the way back undoes it.
+    /// A turn by 90 degrees about z makes an object's x the world's y; the inverse turn undoes it.
     #[test]
     fn covariances_turn_with_their_axes() {
         let own = PoseCovariance::<InObject>::from_sigmas([0.1, 0.0, 0.0, 0.0, 0.2, 0.0]);

@@ -50,31 +50,31 @@ pub struct Motion {
 #[non_exhaustive]
 pub struct OdometryNoise {
     /// Metres along each axis per metre driven.
-    pub way: f64,
+    pub distance: f64,
     /// Radians per radian turned.
     pub turn: f64,
     /// Radians per metre driven.
-    pub turn_on_way: f64,
+    pub turn_per_distance: f64,
     /// Constant part, metres.
-    pub least: f64,
+    pub constant: f64,
     /// Constant part, radians.
-    pub least_turn: f64,
+    pub constant_turn: f64,
 }
 
 impl Default for OdometryNoise {
     /// Slipping wheels, typical of robots without a calibration.
     fn default() -> Self {
-        Self { way: 0.1, turn: 0.1, turn_on_way: 0.05, least: 0.01, least_turn: 0.005 }
+        Self { distance: 0.1, turn: 0.1, turn_per_distance: 0.05, constant: 0.01, constant_turn: 0.005 }
     }
 }
 
 crate::with_options!(
     OdometryNoise:
-    with_way way: f64,
+    with_distance distance: f64,
     with_turn turn: f64,
-    with_turn_on_way turn_on_way: f64,
-    with_least least: f64,
-    with_least_turn least_turn: f64,
+    with_turn_per_distance turn_per_distance: f64,
+    with_constant constant: f64,
+    with_constant_turn constant_turn: f64,
 );
 
 impl Motion {
@@ -85,14 +85,14 @@ impl Motion {
     /// use presight::Pose;
     /// use presight::measured::{Motion, OdometryNoise};
     /// let ahead = Pose::from_xyz_rpy(glam::DVec3::X, 0.0, 0.0, 0.0);
-    /// let motion = Motion::of_odometry(ahead, &OdometryNoise::default().with_way(0.1).with_least(0.02));
+    /// let motion = Motion::of_odometry(ahead, &OdometryNoise::default().with_distance(0.1).with_constant(0.02));
     /// assert!((motion.covariance[0][0].sqrt() - 0.12).abs() < 1e-12); // 10 cm of 1 m, and 2 cm
     /// ```
     pub fn of_odometry(previous_from_current: Pose, noise: &OdometryNoise) -> Self {
-        let way = previous_from_current.translation.length();
+        let distance = previous_from_current.translation.length();
         let turn = previous_from_current.rotation.angle_between(glam::DQuat::IDENTITY);
-        let metres = noise.way * way + noise.least;
-        let radians = noise.turn * turn + noise.turn_on_way * way + noise.least_turn;
+        let metres = noise.distance * distance + noise.constant;
+        let radians = noise.turn * turn + noise.turn_per_distance * distance + noise.constant_turn;
         let sigmas = [metres, metres, metres, radians, radians, radians];
         Self { previous_from_current, covariance: PoseCovariance::from_sigmas(sigmas) }
     }
@@ -127,8 +127,8 @@ impl Frame {
     /// measurement.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if there is not one value for each pixel of the sensor, if the stamp is not finite,
-    /// or if depth is given for a sensor that is not a camera.
+    /// [`crate::ErrorKind::Invalid`] if there is not one value for each pixel of the sensor, if the stamp is not
+    /// finite, or if depth is given for a sensor that is not a camera.
     pub fn new(stamp: f64, sensor: Sensor, sensed: Measurement) -> Result<Self> {
         let (width, height) = (sensor.width() as usize, sensor.height() as usize);
         let values = sensed.values();
@@ -224,8 +224,8 @@ impl Frame {
         self.intensities.as_ref()
     }
 
-    /// Metres along each ray, row by row, for any measurement. A 0 and a finite value outside of the sensor's limits are
-    /// NaN here; a grey image has only NaN.
+    /// Metres along each ray, row by row, for any measurement. A 0 and a finite value outside of the sensor's limits
+    /// are NaN here; a grey image has only NaN.
     pub fn ranges(&self) -> &[f32] {
         &self.ranges
     }
