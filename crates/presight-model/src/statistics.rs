@@ -43,6 +43,9 @@ pub fn quantile(values: &mut [f64], share: f64) -> Option<f64> {
     ranked(values, rank.saturating_sub(1), f64::total_cmp)
 }
 
+/// Bound of the noise of a measurement in standard deviations. Gaussian noise exceeds it once in 1,000 measurements.
+pub const NOISE_BOUND: f64 = 3.3;
+
 /// P(X > x) for a standard normal X.
 #[inline]
 pub fn tail(x: f64) -> f64 {

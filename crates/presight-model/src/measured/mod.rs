@@ -117,7 +117,7 @@ pub struct Frame {
     /// Motion since the previous frame; `None` if unknown.
     pub motion: Option<Motion>,
     sensor: Sensor,
-    sensed: Measurement,
+    measurement: Measurement,
     ranges: Vec<f32>,
     intensities: Option<GreyImage>,
 }
@@ -129,13 +129,13 @@ impl Frame {
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] if there is not one value for each pixel of the sensor, if the stamp is not
     /// finite, or if depth is given for a sensor that is not a camera.
-    pub fn new(stamp: f64, sensor: Sensor, sensed: Measurement) -> Result<Self> {
+    pub fn new(stamp: f64, sensor: Sensor, measurement: Measurement) -> Result<Self> {
         let (width, height) = (sensor.width() as usize, sensor.height() as usize);
-        let values = sensed.values();
+        let values = measurement.values();
         if !stamp.is_finite() {
             return Err(Error::invalid(format!("a time stamp of {stamp}"), "give finite seconds"));
         }
-        if let Measurement::Grey(image) = &sensed {
+        if let Measurement::Grey(image) = &measurement {
             return Self::of_grey(stamp, sensor, image.clone());
         }
         if values.len() != width * height {
@@ -144,7 +144,7 @@ impl Frame {
                 "give one value per pixel, or the sensor that measured them",
             ));
         }
-        let mut ranges = match &sensed {
+        let mut ranges = match &measurement {
             Measurement::Range(values) => values.clone(),
             Measurement::DepthZ(values) => ranges_of_depth(&sensor, values)?,
             Measurement::Grey(_) => Vec::new(),
@@ -153,7 +153,7 @@ impl Frame {
         let limits = sensor.spec().range_min as f32..=sensor.spec().range_max as f32;
         let is_none = |r: f32| r == 0.0 || r.is_finite() && !limits.contains(&r);
         ranges.iter_mut().filter(|r| is_none(**r)).for_each(|r| *r = f32::NAN);
-        Ok(Self { stamp, motion: None, sensor, sensed, ranges, intensities: None })
+        Ok(Self { stamp, motion: None, sensor, measurement, ranges, intensities: None })
     }
 
     /// Adds the echo intensity of each pixel: 1 is as bright as a retro-reflector, NaN means no echo.
@@ -197,8 +197,8 @@ impl Frame {
         }
         // A grey image has no ranges.
         let ranges = vec![f32::NAN; image.values().len()];
-        let sensed = Measurement::Grey(image);
-        Ok(Self { stamp, motion: None, sensor, sensed, ranges, intensities: None })
+        let measurement = Measurement::Grey(image);
+        Ok(Self { stamp, motion: None, sensor, measurement, ranges, intensities: None })
     }
 
     /// The sensor that measured.
@@ -207,13 +207,13 @@ impl Frame {
     }
 
     /// The measured values as they were given.
-    pub fn sensed(&self) -> &Measurement {
-        &self.sensed
+    pub fn measurement(&self) -> &Measurement {
+        &self.measurement
     }
 
     /// The grey image; `None` if distances were measured.
     pub fn grey(&self) -> Option<&GreyImage> {
-        match &self.sensed {
+        match &self.measurement {
             Measurement::Grey(image) => Some(image),
             _ => None,
         }
@@ -248,7 +248,7 @@ impl Frame {
             pixels.map(|(c, r)| values[r as usize * width as usize + c as usize]).collect::<Vec<f32>>()
         };
         let pick_image = |image: &GreyImage| GreyImage::new(columns.count, rows.count, pick(image.values()));
-        let sensed = match &self.sensed {
+        let measurement = match &self.measurement {
             Measurement::Range(values) => Measurement::Range(pick(values)),
             Measurement::DepthZ(values) => Measurement::DepthZ(pick(values)),
             Measurement::Grey(image) => Measurement::Grey(pick_image(image)?),
@@ -257,7 +257,7 @@ impl Frame {
             stamp: self.stamp,
             motion: self.motion,
             sensor: Sensor::new(spec)?,
-            sensed,
+            measurement,
             ranges: pick(&self.ranges),
             intensities: self.intensities.as_ref().map(pick_image).transpose()?,
         })
