@@ -96,7 +96,7 @@ impl Follower {
     /// Starts another group, whose frame of reference is independent of the first group.
     fn begin(&mut self, frame: &Frame) -> Result<()> {
         let empty = (Environment::new(), Known::Explored);
-        match Group::new(frame, Pose::IDENTITY, empty, &self.options) {
+        match Group::new(frame, RobotPose::IDENTITY, empty, &self.options) {
             Ok(group) => {
                 self.groups.push(group);
                 self.follow(self.groups.len() - 1);
@@ -172,5 +172,5 @@ fn inverse(pose: &PoseEstimate) -> PoseEstimate {
     let inverse = pose.world_from_robot.inverse();
     let at_origin = pose.covariance.moved_by(-pose.world_from_robot.translation);
     let rows = sandwich(&turn(inverse.rotation), at_origin.as_rows());
-    PoseEstimate::new(inverse, PoseCovariance::from_rows(rows))
+    PoseEstimate::new(RobotPose::new(inverse), PoseCovariance::from_rows(rows))
 }
