@@ -7,7 +7,7 @@ use crate::observe::Views;
 use crate::surface::ExploreOptions;
 use presight_model::environment::Environment;
 use presight_model::error::{ErrorKind, Result};
-use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate, RobotPose};
+use presight_model::geometry::{PoseCovariance, PoseEstimate, RobotPose};
 use presight_model::matrix::{sandwich, turn};
 use presight_model::measured::Frame;
 
