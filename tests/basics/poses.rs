@@ -218,7 +218,7 @@ fn the_mount_leads_from_the_robots_pose_to_the_sensors() {
     let room = Mesh::cuboid("room", low, high, 0).unwrap();
     environment.insert(NewObject::new("room", Pose::IDENTITY, room.into())).unwrap();
     let world = World::new(environment);
-    let mut spec = presight_files::preset("laser-scanner").unwrap().spec().clone();
+    let mut spec = presight_read::preset("laser-scanner").unwrap().spec().clone();
     spec.mount = Pose::from_xyz_rpy(DVec3::new(0.2, 0.0, 1.2), 0.0, 0.0, 0.0);
     let scanner = Sensor::new(spec).unwrap();
 
