@@ -1,12 +1,13 @@
-//! The pixels of another drive after an update: how many wrong ones are right now, and how many right ones it made wrong.
+//! The pixels of another drive after an update: how many wrong ones are right now, and how many right ones it made
+//! wrong.
 
 use super::case::Case;
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
 use presight_render::plan::{Images, Output, Outputs};
-use presight_update::{Findings, What};
+use presight_update::{FindingKind, Findings};
 
 /// Ranges that differ by no more are the same, metres.
 const SAME: f64 = 0.1;
@@ -44,8 +45,8 @@ impl Right {
 
 fn after(map: &World, findings: &Findings, with_boxes: bool) -> World {
     let mut after = map.clone();
-    let counts = |what: &What| with_boxes || !matches!(what, What::New(_));
-    let changes = findings.changes.iter().filter(|finding| counts(&finding.what));
+    let counts = |kind: &FindingKind| with_boxes || !matches!(kind, FindingKind::New(_));
+    let changes = findings.changes.iter().filter(|finding| counts(&finding.kind));
     changes.for_each(|finding| drop(after.apply_unchecked(finding.change(&after))));
     after
 }
@@ -62,7 +63,7 @@ pub fn count(case: &Case, sensor: &Sensor, findings: &Findings, seed: u64) -> Ri
         let ranges = worlds.each_ref().map(|world| {
             let mut images = Images::default();
             let range = Outputs::of(&[Output::Range]);
-            predictor.predict_images(world, sensor, &pose, range, &mut images).expect("a prediction");
+            predictor.predict_images(world, sensor, &SensorPose::new(pose), range, &mut images).expect("a prediction");
             images.range
         });
         let same = |a: f32, b: f32| a == b || (f64::from(a) - f64::from(b)).abs() <= SAME;

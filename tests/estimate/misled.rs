@@ -4,6 +4,7 @@
 use super::changed::{hall, wander};
 use super::*;
 use presight_localize::localize::Phase;
+use presight_model::geometry::RobotPose;
 use presight_model::measured::{Motion, OdometryNoise};
 use presight_testkit::caster::Caster;
 
@@ -20,7 +21,7 @@ fn row_scanner(yaw_deg: f64) -> Sensor {
 fn followed(map: &World, real: &World, mislead: impl Fn(usize, Frame) -> Frame) -> (usize, usize, Vec<String>) {
     let way = wander(real, 6.0);
     let mut caster = Caster::new(real.environment(), row_scanner(0.0), 1);
-    let prior = PoseEstimate::of_sigmas(way.at(0.0), 0.05, 0.03);
+    let prior = PoseEstimate::of_sigmas(RobotPose::new(way.at(0.0)), 0.05, 0.03);
     let mut robot = Localizer::new(estimator(EstimateOptions::planar()), prior, LocalizeOptions::default());
     let (mut tracked, mut wrong) = (0, 0);
     for k in 0..50 {
@@ -81,7 +82,7 @@ fn a_mount_that_is_turned_by_half_is_not_tracked() {
     let world = hall();
     let turned = row_scanner(180.0);
     let (tracked, wrong, warnings) = followed(&world, &world, |_, frame| {
-        let mut again = Frame::new(frame.stamp, turned.clone(), frame.sensed().clone()).unwrap();
+        let mut again = Frame::new(frame.stamp, turned.clone(), frame.measurement().clone()).unwrap();
         again.motion = frame.motion;
         again
     });
@@ -94,7 +95,7 @@ fn a_mount_that_is_a_little_turned_is_named_with_its_figure() {
     let world = hall();
     let stated = row_scanner(-2.0);
     let (_, _, warnings) = followed(&world, &world, |_, frame| {
-        let mut again = Frame::new(frame.stamp, stated.clone(), frame.sensed().clone()).unwrap();
+        let mut again = Frame::new(frame.stamp, stated.clone(), frame.measurement().clone()).unwrap();
         again.motion = frame.motion;
         again
     });

@@ -5,7 +5,7 @@
 use super::*;
 use glam::DVec2;
 use presight_localize::localize::{LocalizeOptions, Localizer, Phase, Step};
-use presight_model::geometry::PoseEstimate;
+use presight_model::geometry::{PoseEstimate, RobotPose};
 use presight_model::measured::{Motion, OdometryNoise};
 use presight_read::gltf::import;
 use presight_read::log;
@@ -121,8 +121,8 @@ fn way(map: &Map, metres: f64, random: &mut Random) -> Vec<(DVec2, f64)> {
 /// The frames of a drive with odometry of 2 %, and their poses in the model.
 fn drive(map: &Map, sensor: &Sensor, seed: u64) -> Vec<(Frame, Pose)> {
     let mut random = Random(seed);
-    let noise = OdometryNoise::default().with_way(0.02).with_turn(0.02).with_turn_on_way(0.01);
-    let noise = noise.with_least(0.002).with_least_turn(0.002);
+    let noise = OdometryNoise::default().with_distance(0.02).with_turn(0.02).with_turn_per_distance(0.01);
+    let noise = noise.with_constant(0.002).with_constant_turn(0.002);
     let mut before: Option<Pose> = None;
     let mut frames = Vec::new();
     for (k, (at, yaw)) in way(map, 40.0, &mut random).into_iter().enumerate() {
@@ -161,7 +161,7 @@ fn drives_through_an_outdated_model_are_tracked() {
     let (mut turned, mut far) = (Vec::new(), 0);
     for seed in 1..=count {
         let frames = drive(&map, &sensor, seed);
-        let mut robot = robot(PoseEstimate::of_sigmas(frames[0].1, 0.2, 0.05));
+        let mut robot = robot(PoseEstimate::of_sigmas(RobotPose::new(frames[0].1), 0.2, 0.05));
         let mut worst: f64 = 0.0;
         for (frame, truth) in &frames {
             let step: Step = robot.step(&model, frame).unwrap();
@@ -197,10 +197,11 @@ fn single_scans_in_an_outdated_model() {
     let mut random = Random(5);
     let (mut metres, mut degrees) = (Vec::new(), Vec::new());
     for log::Observation { frame, reference } in log_of_scans().map(Result::unwrap) {
-        let truth = reference.unwrap();
+        let truth = reference.unwrap().world_from_robot();
         let mut off = |sigma: f64| sigma * normal(&mut random);
         let start = moved(&truth, &[off(0.3), off(0.3), 0.0, 0.0, 0.0, off(3f64.to_radians())]);
-        let step = robot(PoseEstimate::of_sigmas(start, 0.3, 3f64.to_radians())).step(&model, &frame).unwrap();
+        let step =
+            robot(PoseEstimate::of_sigmas(RobotPose::new(start), 0.3, 3f64.to_radians())).step(&model, &frame).unwrap();
         let (m, d) = apart(&step.pose.world_from_robot, &truth);
         metres.push(m);
         degrees.push(d);
@@ -231,7 +232,7 @@ fn scans_from_elsewhere_are_never_tracked() {
         robot.step(&model, &first.frame).unwrap();
         for log::Observation { frame, reference } in scans {
             let step = robot.step(&model, &frame).unwrap();
-            let (metres, _) = apart(&step.pose.world_from_robot, &reference.unwrap());
+            let (metres, _) = apart(&step.pose.world_from_robot, &reference.unwrap().world_from_robot());
             frames += 1;
             fitting += usize::from(metres > 0.75 && step.phase == Phase::Candidates);
             assert!(step.phase != Phase::Tracking || metres < 0.75, "{start}: {metres:.1} m off: {}", step.reason);

@@ -4,7 +4,7 @@ use super::index::{Scheme, polygon_meets};
 use super::{csv_field, median};
 use glam::DVec3;
 use presight_model::error::{Error, Result};
-use presight_model::geometry::{Aabb, Pose};
+use presight_model::geometry::{Aabb, Pose, SensorPose};
 use presight_model::index::{Params, QueryResult, Region, SplitAxis};
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
@@ -135,7 +135,9 @@ impl Study {
                 let request = ImageRequest::default();
                 prediction.push(
                     fastest(self.repeats, || {
-                        predictor.predict_images(world, sensor, pose, request, &mut images).map(|_| ())
+                        predictor
+                            .predict_images(world, sensor, &SensorPose::new(*pose), request, &mut images)
+                            .map(|_| ())
                     })? * 1e3,
                 );
             }
@@ -177,8 +179,8 @@ pub fn sweep() -> Vec<(Scheme, Params)> {
             if tree { &[SplitAxis::Longest, SplitAxis::Alternating] } else { &[SplitAxis::Longest] };
         for &split_axis in axes {
             for cell_polygons in [4, 8, 16, 32, 64, 128] {
-                for least_cell in [0.0, 1.0] {
-                    let params = Params { least_cell, cell_polygons, split_axis, ..Params::default() };
+                for min_cell in [0.0, 1.0] {
+                    let params = Params { min_cell, cell_polygons, split_axis, ..Params::default() };
                     variants.push((scheme, params));
                 }
             }
@@ -207,7 +209,7 @@ pub fn to_csv(rows: &[Row], poses: usize, seed: Option<u64>) -> String {
             r.returned,
             r.selectivity,
             r.params.cell_polygons,
-            r.params.least_cell,
+            r.params.min_cell,
             r.params.filter,
         );
     }

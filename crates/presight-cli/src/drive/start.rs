@@ -8,7 +8,7 @@ use presight::localize::{
     ErrorRates, EstimateOptions, Estimator, LocalizeOptions, Localizer, Preset, Search, SearchOptions,
 };
 use presight::measured::OdometryNoise;
-use presight::{Error, Pose, PoseEstimate, Result, Scene, Sensor};
+use presight::{Error, Pose, PoseEstimate, Result, RobotPose, Scene, Sensor};
 
 impl Drive {
     /// Checks the values of the flags without opening any file.
@@ -36,15 +36,15 @@ impl Drive {
     }
 
     /// The pose of `--init`; `None` for a word.
-    fn given_start(&self) -> Result<Option<Pose>> {
+    fn given_start(&self) -> Result<Option<RobotPose>> {
         match self.init.as_str() {
             "unknown" | "reference" => Ok(None),
-            pose => parse_pose(pose).map(Some).map_err(|e| e.at(format!("--init {pose}"))),
+            pose => parse_pose(pose).map(RobotPose::new).map(Some).map_err(|e| e.at(format!("--init {pose}"))),
         }
     }
 
     /// The start pose; `None` for `--init unknown`.
-    pub(super) fn start(&self, first: &Observation) -> Result<Option<Pose>> {
+    pub(super) fn start(&self, first: &Observation) -> Result<Option<RobotPose>> {
         if self.init != "reference" {
             return self.given_start();
         }
@@ -56,7 +56,7 @@ impl Drive {
     pub(super) fn localizer(
         &self,
         mut estimator: Estimator,
-        start: Option<Pose>,
+        start: Option<RobotPose>,
         scene: &Scene,
         sensor: &Sensor,
         progress: &ProgressBar,
@@ -110,7 +110,7 @@ impl Drive {
         if !(part >= 0.0 && part.is_finite()) {
             return Err(Error::usage(format!("--odometry-sigma {part}"), "give a finite fraction of at least 0"));
         }
-        Ok(OdometryNoise::default().with_way(part).with_turn(part).with_turn_on_way(0.5 * part))
+        Ok(OdometryNoise::default().with_distance(part).with_turn(part).with_turn_per_distance(0.5 * part))
     }
 
     /// Estimator options by --preset, or by the sensor.

@@ -2,10 +2,10 @@
 
 use super::rooms::{ahead, blocked, explore, sensor, views_of, windowed};
 use glam::Vec3;
-use presight_explore::{Exploration, ExploreOptions, Known, MOST_MARKS, Views};
+use presight_explore::{Exploration, ExploreOptions, Known, MAX_MARKS, Views};
 use presight_model::environment::{Appearance, Environment, Mark, MarkKind, Material, NewObject};
 use presight_model::error::ErrorKind;
-use presight_model::geometry::{Aabb, Pose};
+use presight_model::geometry::{Aabb, Pose, SensorPose};
 use presight_model::measured::{Frame, Measurement};
 use presight_model::sensor::{Angles, Geometry, Noise, Scanner, Sensor, SensorSpec};
 use presight_testkit::Random;
@@ -45,7 +45,9 @@ fn nothing_flat_is_an_error_or_next_to_nothing() {
     let mut views = Views::default();
     for (k, pose) in ahead(5).enumerate() {
         let ranges = (0..96 * 72).map(|_| random.uniform(1.0, 7.0) as f32).collect();
-        views.push(&Frame::new(k as f64, sensor.clone(), Measurement::Range(ranges)).unwrap(), pose).unwrap();
+        views
+            .push(&Frame::new(k as f64, sensor.clone(), Measurement::Range(ranges)).unwrap(), SensorPose::new(pose))
+            .unwrap();
     }
     match Exploration::of(&Environment::new(), Known::Explored, &views, &ExploreOptions::default()) {
         Err(e) => assert!(e.kind() == ErrorKind::Invalid && e.to_string().contains("nothing flat"), "{e}"),
@@ -63,7 +65,7 @@ fn a_scan_of_leaves_becomes_no_wall() {
     let share = |ranges: Vec<f32>| {
         let mut views = Views::default();
         let frame = Frame::new(0.0, sensor.clone(), Measurement::Range(ranges)).unwrap();
-        views.push(&frame, Pose::IDENTITY).unwrap();
+        views.push(&frame, SensorPose::IDENTITY).unwrap();
         let found = explore(&Environment::new(), Known::Explored, &views);
         found.areas.surface / (found.areas.surface + found.areas.unseen)
     };
@@ -85,13 +87,13 @@ fn a_store_has_at_most_ten_thousand_marks_of_unseen_places() {
     let mut known = presight_testkit::scenes::empty();
     let far = presight_testkit::scenes::cuboid(Vec3::new(50.0, 0.0, 0.0), Vec3::new(51.0, 1.0, 1.0));
     known.insert(NewObject::new("far", Pose::IDENTITY, far.into())).unwrap();
-    for k in 0..MOST_MARKS - 7 {
+    for k in 0..MAX_MARKS - 7 {
         let bounds = Aabb { min: glam::DVec3::splat(50.0), max: glam::DVec3::splat(51.0) };
         let mark = Mark { object: "far".into(), kind: MarkKind::Unseen, class: None, bounds: Some(bounds) };
         known.set_mark(&format!("unseen/far/{k}"), mark).unwrap();
     }
     let found = explore(&known, Known::Explored, &views);
-    assert_eq!(marks(found.environment()), MOST_MARKS);
+    assert_eq!(marks(found.environment()), MAX_MARKS);
     // The largest are kept.
     let size = |mark: &Mark| mark.bounds.unwrap().size().to_bits();
     let all: Vec<u64> = first.environment().marks().map(|(_, mark)| size(mark)).collect();

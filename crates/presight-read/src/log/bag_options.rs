@@ -2,27 +2,20 @@
 
 use presight_model::geometry::Pose;
 
-/// Choices that a bag leaves open.
-#[derive(Clone, Debug, Default, PartialEq)]
-#[non_exhaustive]
-pub struct BagOptions {
-    /// The measured topic; by default the only one that presight can read.
-    pub topic: Option<String>,
-    /// The frame of the robot; by default `base_link`, else `base_footprint`.
-    pub base: Option<String>,
-    /// robot_from_sensor in body axes, instead of the one from the transforms.
-    pub mount: Option<Pose>,
-    /// The intensity of a full reflector in units of the driver; without it intensities are not read.
-    pub reflector: Option<f32>,
+presight_model::options! {
+    /// Choices that a bag leaves open.
+    #[derive(Clone, Debug, PartialEq)]
+    pub struct BagOptions {
+        /// The measured topic; by default the only one that presight can read.
+        topic: Option<String> = None, with_topic;
+        /// The frame of the robot; by default `base_link`, else `base_footprint`.
+        base: Option<String> = None, with_base;
+        /// robot_from_sensor in body axes, instead of the one from the transforms.
+        mount: Option<Pose> = None, with_mount;
+        /// The intensity of a full reflector in units of the driver; without it intensities are not read.
+        reflector: Option<f32> = None, with_reflector;
+    }
 }
-
-presight_model::with_options!(
-    BagOptions:
-    with_topic topic: Option<String>,
-    with_base base: Option<String>,
-    with_mount mount: Option<Pose>,
-    with_reflector reflector: Option<f32>,
-);
 
 impl BagOptions {
     /// True if nothing was chosen.
