@@ -5,7 +5,7 @@ use super::convert::{Converter, body_mount};
 use crate::log::BagOptions;
 use crate::log::Observation;
 use presight_model::error::{Error, Result};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, RobotPose};
 use presight_model::measured::{Frame, Motion, OdometryNoise};
 use presight_model::sensor::Sensor;
 use presight_ros::message::{CameraInfo, Message, Odometry, TFMessage};
@@ -177,7 +177,7 @@ impl BagFrames {
         frame.motion = since.map(|motion| Motion::of_odometry(motion, &self.noise));
         self.before = odometry;
         self.tree.forget_before(stamp);
-        Some(Observation { frame, reference })
+        Some(Observation { frame, reference: reference.map(RobotPose::new) })
     }
 
     fn report_missing_odometry(&mut self) {
