@@ -1,6 +1,8 @@
 //! Runs the command as a process and checks its files, its messages and its exit status.
 
 mod bad_input;
+#[cfg(feature = "ros")]
+mod bags;
 mod cameras;
 mod cases_scanners;
 mod deadline;
